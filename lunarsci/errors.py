@@ -1,0 +1,31 @@
+"""Errors and warnings a user of lunarsci can meet.
+
+    LunarSciError
+    ├── DataError         an input file or table cannot be used as it is
+    ├── ParameterError    a value lies outside what the formula or the command accepts
+    └── OutputError       a result cannot be written where it was asked for
+
+Each also inherits the builtin a caller would expect. The message is one line: what, where, and what to do.
+"""
+
+__all__ = ["DataError", "LunarSciError", "LunarSciWarning", "OutputError", "ParameterError"]
+
+
+class LunarSciError(Exception):
+    """Root of every error that lunarsci raises on purpose."""
+
+
+class DataError(LunarSciError, ValueError):
+    """An input file or table cannot be used as it is."""
+
+
+class ParameterError(LunarSciError, ValueError):
+    """A value lies outside what the formula or the command accepts."""
+
+
+class OutputError(LunarSciError, OSError):
+    """A result cannot be written where it was asked for."""
+
+
+class LunarSciWarning(UserWarning):
+    """A result that stands, with something the reader should know about it."""

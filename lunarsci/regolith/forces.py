@@ -1,0 +1,223 @@
+"""Wheel-soil forces in closed form: triangular stress between entrance and exit angle (Eqs 4, 7-11, 14-24).
+
+Eqs 14 and 17 have a slip and a skid branch. Both are one expression in the travel ratio v_x / (r_s omega), which is
+1 - s in slip and 1/(1 + s) in skid; the compiled formulas take that ratio and so pass smoothly through s = 0.
+
+How the sign of the longitudinal shear stress is read. (Eq. 12 multiplies sgn(s) by a shear deformation that is signed
+itself, which makes the drawbar pull jump at s = 0.)
+
+* `signed` (default): the stress follows the sign of the shear deformation j. Agrees with measured skid and slip.
+* `printed`: sgn(s) (1 - exp(-j/K_x)) with signed j, letter by letter. For reproduction only.
+* `slip-branch`: the slip expression evaluated at |s|, positive. For reproduction only.
+
+Source: Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.compiled import compiled
+from lunarsci.errors import ParameterError
+from lunarsci.regolith.soil import Soil
+from lunarsci.regolith.wheel import Wheel
+
+__all__ = [
+    "READINGS",
+    "Reading",
+    "WheelForces",
+    "contact_angles",
+    "lateral_mobilisation",
+    "longitudinal_mobilisation",
+    "reading_code",
+    "slip_ratio",
+    "stress_moments",
+    "travel_ratio",
+    "wheel_forces",
+    "wheel_forces_kernel",
+]
+
+Reading = Literal["signed", "printed", "slip-branch"]
+READINGS: tuple[str, ...] = get_args(Reading)
+FloatArray = npt.NDArray[np.float64]
+
+
+@compiled
+def travel_ratio(slip: float) -> float:
+    """v_x / (r_s omega) from the slip ratio of Eq. 8, s > -1: 1 - s in slip, 1/(1 + s) in skid. [-]"""
+    return 1.0 - slip if slip >= 0.0 else 1.0 / (1.0 + slip)
+
+
+@compiled
+def slip_ratio(travel: float) -> float:
+    """Slip ratio of Eq. 8 from v_x / (r_s omega); the inverse of `travel_ratio`. [-]"""
+    return 1.0 - travel if travel <= 1.0 else 1.0 / travel - 1.0
+
+
+@compiled
+def contact_angles(sinkage: float, slip: float, wheel: Any) -> tuple[float, float, float, float]:
+    """Entrance angle, the same for the grouser tips, exit angle, angle of maximum stress (Eqs 9, 15, 10, 11). [rad]"""
+    r, _, h, _, c1, c2, c3 = wheel
+    theta_1 = math.acos((r - sinkage) / r)
+    theta_1e = math.acos((r - sinkage) / (r + h))
+    return theta_1, theta_1e, c3 * theta_1, (c1 + c2 * slip) * theta_1
+
+
+@compiled
+def stress_moments(theta_1: float, theta_2: float, theta_m: float) -> tuple[float, float, float]:
+    """A, B, C of Eqs 21-24: cos, sin and 1 integrated against a triangle of height 1 that peaks at theta_m. [rad]"""
+    front, rear = theta_1 - theta_m, theta_m - theta_2
+    a = (math.cos(theta_m) - math.cos(theta_2)) / rear + (math.cos(theta_m) - math.cos(theta_1)) / front
+    b = (math.sin(theta_m) - math.sin(theta_2)) / rear + (math.sin(theta_m) - math.sin(theta_1)) / front
+    return a, b, (theta_1 - theta_2) / 2.0
+
+
+@compiled
+def mobilised(displacement: float, modulus: float) -> float:
+    """Share of the shear strength that a displacement mobilises, with the displacement's sign, -1 to 1. [-]
+
+    Janosi & Hanamoto (1961), as in Eqs 12 and 16.
+    """
+    return math.copysign(-math.expm1(-abs(displacement) / modulus), displacement)
+
+
+@compiled
+def longitudinal_mobilisation(
+    travel: float, theta_1e: float, theta_m: float, shearing_radius: float, modulus: float, code: int
+) -> float:
+    """Signed factor that turns the strength c + sigma_m tan(phi) into sgn(s) tau_xm (Eqs 12-14, 19). [-]
+
+    `code` is the reading: 0 `signed`, 1 `printed`, 2 `slip-branch`.
+    """
+    ratio = 1.0 / travel if code == 2 and travel > 1.0 else travel
+    j = shearing_radius * ((theta_1e - theta_m) - ratio * (math.sin(theta_1e) - math.sin(theta_m)))
+    if code == 1:
+        direction = 1.0 if travel <= 1.0 else -1.0
+        return -direction * math.expm1(-j / modulus)
+    return mobilised(j, modulus)
+
+
+@compiled
+def lateral_mobilisation(lateral: float, theta_1e: float, theta_m: float, radius: float, modulus: float) -> float:
+    """Factor that turns c + sigma_m tan(phi_y) into tau_ym, with the sign of the side slip (Eqs 16, 17, 20). [-]
+
+    `lateral` is v_y / (r_s omega), the travel ratio times tan(beta).
+    """
+    return mobilised(radius * lateral * (theta_1e - theta_m), modulus)
+
+
+@compiled
+def wheel_forces_kernel(
+    sinkage: float, travel: float, lateral: float, wheel: Any, soil: Any, code: int
+) -> tuple[float, float, float, float]:
+    """F_N, F_DP, F_L, M_R of one wheel (Eqs 18-24). [N, N, N, N m]
+
+    Parameters
+    ----------
+    sinkage : z, 0 < z < r. [m]
+    travel : v_x / (r_s omega) >= 0. [-]
+    lateral : v_y / (r_s omega); F_L has its sign and acts against it. [-]
+    wheel, soil : `Wheel.vector()`, `Soil.vector()`.
+    code : reading, see `longitudinal_mobilisation`.
+    """
+    r, b, _, r_s, _, _, _ = wheel
+    stiffness, n0, n1, cohesion, tan_phi, k_x, tan_phi_y, k_y = soil
+    slip = slip_ratio(travel)
+    theta_1, theta_1e, theta_2, theta_m = contact_angles(sinkage, slip, wheel)
+    a, b_moment, c_moment = stress_moments(theta_1, theta_2, theta_m)
+    sigma_m = stiffness * (r * (math.cos(theta_m) - math.cos(theta_1))) ** (n0 + n1 * slip)
+    tau_x = (cohesion + sigma_m * tan_phi) * longitudinal_mobilisation(travel, theta_1e, theta_m, r_s, k_x, code)
+    tau_y = (cohesion + sigma_m * tan_phi_y) * lateral_mobilisation(lateral, theta_1e, theta_m, r, k_y)
+    return (
+        b * (r * sigma_m * a + r_s * tau_x * b_moment),
+        b * (r_s * tau_x * a - r * sigma_m * b_moment),
+        r_s * b * tau_y * c_moment,
+        r_s * r_s * b * tau_x * c_moment,
+    )
+
+
+@compiled
+def _each_state(states: Any, wheel: Any, soil: Any, code: int) -> Any:
+    forces = np.empty((len(states), 4))
+    for i in range(len(states)):
+        z, slip, beta = states[i, 0], states[i, 1], states[i, 2]
+        travel = travel_ratio(slip)
+        forces[i] = wheel_forces_kernel(z, travel, travel * math.tan(beta), wheel, soil, code)
+    return forces
+
+
+@dataclass(frozen=True, slots=True)
+class WheelForces:
+    """Forces of the soil on a wheel, one value per state.
+
+    Attributes
+    ----------
+    normal_force_n : F_N along the normal of the interaction plane. [N]
+    drawbar_pull_n : F_DP along the heading, positive forward. [N]
+    lateral_force_n : F_L along the axle, with the sign of the side slip it acts against. [N]
+    resistance_torque_nm : M_R about the axle. [N m]
+    """
+
+    normal_force_n: FloatArray
+    drawbar_pull_n: FloatArray
+    lateral_force_n: FloatArray
+    resistance_torque_nm: FloatArray
+
+
+def reading_code(reading: str) -> int:
+    """Number of a reading for the compiled formulas. Raises ParameterError for an unknown one."""
+    if reading not in READINGS:
+        raise ParameterError(f"reading '{reading}' is unknown; choose one of: {', '.join(READINGS)}")
+    return READINGS.index(reading)
+
+
+def wheel_forces(
+    wheel: Wheel,
+    soil: Soil,
+    sinkage_m: npt.ArrayLike,
+    slip_ratio: npt.ArrayLike,
+    side_slip_deg: npt.ArrayLike = 0.0,
+    *,
+    reading: Reading = "signed",
+) -> WheelForces:
+    """Forces on a wheel at given states in closed form (Eqs 4, 7-11, 14-24).
+
+    Parameters
+    ----------
+    wheel, soil : the two sides of the contact.
+    sinkage_m : z, within 0 to r. [m]
+    slip_ratio : s of Eq. 8, above -1 and below 1; the model is accurate for |s| up to 0.6. [-]
+    side_slip_deg : beta, within -90 to 90. [deg]
+    reading : how the sign of the shear stress is read, see the module's text.
+
+    The three states broadcast against each other.
+
+    Raises
+    ------
+    ParameterError for a state outside these ranges.
+
+    Notes
+    -----
+    The triangle stands for the exact stress integrals; F_N comes out 4-15 % and M_R 6-23 % below them for sinkages of
+    5-25 mm. Side faces (bulldozing) are not included, as in the source.
+    """
+    parts = np.broadcast_arrays(*(np.asarray(v, dtype=float) for v in (sinkage_m, slip_ratio, side_slip_deg)))
+    z, s, beta = (part.ravel() for part in parts)
+    _check_states(z, s, beta, wheel.radius_m)
+    states = np.column_stack([z, s, np.radians(beta)])
+    forces = _each_state(states, wheel.vector(), soil.vector(), reading_code(reading))
+    return WheelForces(*(forces[:, k].reshape(parts[0].shape) for k in range(4)))
+
+
+def _check_states(z: FloatArray, s: FloatArray, beta: FloatArray, radius: float) -> None:
+    for name, values, good, rule in (
+        ("sinkage_m", z, (z > 0) & (z < radius), f"above 0 and below the wheel radius of {radius} m"),
+        ("slip_ratio", s, (s > -1) & (s < 1), "above -1 and below 1"),
+        ("side_slip_deg", beta, np.abs(beta) < 90, "above -90 and below 90 deg"),
+    ):
+        if not good.all():
+            first = int(np.argmin(good))
+            raise ParameterError(f"{name} is {values[first]:g} in state {first + 1}; it must lie {rule}")

@@ -1,0 +1,102 @@
+"""Mechanical parameters of a soil in the three aspects: bearing, longitudinal shear, lateral shear."""
+
+import dataclasses
+import math
+import tomllib
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from lunarsci.errors import DataError, ParameterError
+
+__all__ = ["Soil", "known_soils", "read_soil"]
+
+_POSITIVE = ("stiffness_kpa_m_n", "sinkage_exponent", "shear_modulus_mm", "lateral_modulus_mm")
+_ANGLES = ("friction_angle_deg", "external_friction_angle_deg")
+
+
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+class Soil:
+    """One soil as the wheel-soil formulas see it.
+
+    Attributes
+    ----------
+    stiffness_kpa_m_n : equivalent stiffness K_s = k_c/b + k_phi, > 0. [kPa m^-N]
+    sinkage_exponent : static sinkage exponent n0 of N = n0 + n1 s, > 0. [-]
+    sinkage_exponent_slip : dynamic sinkage exponent n1, Eq. 7. [-]
+    cohesion_pa : cohesion c >= 0. [Pa]
+    friction_angle_deg : internal friction angle phi, 0 to below 90. [deg]
+    shear_modulus_mm : longitudinal shear deformation modulus K_x > 0. [mm]
+    external_friction_angle_deg : external friction angle phi_y, 0 to below 90. [deg]
+    lateral_modulus_mm : lateral shear deformation modulus K_y > 0. [mm]
+
+    Raises ParameterError outside these ranges. Source of the parameter set: Ding et al. (2024),
+    10.1038/s41467-024-46233-8, Eqs 6, 7, 12, 16.
+    """
+
+    stiffness_kpa_m_n: float
+    sinkage_exponent: float
+    cohesion_pa: float
+    friction_angle_deg: float
+    shear_modulus_mm: float
+    external_friction_angle_deg: float
+    lateral_modulus_mm: float
+    sinkage_exponent_slip: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in _POSITIVE:
+            if not 0 < getattr(self, name) < math.inf:
+                raise ParameterError(f"soil {name} is {getattr(self, name)}; give a number above 0")
+        for name in _ANGLES:
+            if not 0 <= getattr(self, name) < 90:
+                raise ParameterError(f"soil {name} is {getattr(self, name)}; give an angle from 0 to below 90 deg")
+        if not 0 <= self.cohesion_pa < math.inf:
+            raise ParameterError(f"soil cohesion_pa is {self.cohesion_pa}; give 0 Pa or more")
+
+    def vector(self) -> tuple[float, float, float, float, float, float, float, float]:
+        """(K_s, n0, n1, c, tan phi, K_x, tan phi_y, K_y), the order the compiled formulas take, in Pa and m."""
+        return (
+            self.stiffness_kpa_m_n * 1e3,
+            self.sinkage_exponent,
+            self.sinkage_exponent_slip,
+            self.cohesion_pa,
+            math.tan(math.radians(self.friction_angle_deg)),
+            self.shear_modulus_mm * 1e-3,
+            math.tan(math.radians(self.external_friction_angle_deg)),
+            self.lateral_modulus_mm * 1e-3,
+        )
+
+    def replace(self, **changes: float) -> "Soil":
+        """The same soil with some parameters changed. Raises ParameterError for a name that is none."""
+        known = [field.name for field in dataclasses.fields(self)]
+        for name in changes:
+            if name not in known:
+                raise ParameterError(f"'{name}' is not a soil parameter; these are: {', '.join(known)}")
+        return dataclasses.replace(self, **changes)
+
+
+def known_soils() -> dict[str, dict[str, Any]]:
+    """The soils that come with lunarsci, name to table (parameters and `source`)."""
+    return tomllib.loads((files(__package__) / "soils.toml").read_text("utf-8"))
+
+
+def read_soil(soil: str) -> Soil:
+    """Read a soil by name (`lunar-typical`) or from a TOML file with the keys of `Soil`. Raises DataError."""
+    known = known_soils()
+    if soil in known:
+        return _soil(known[soil], soil)
+    try:
+        document = tomllib.loads(Path(soil).read_text("utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(f"{soil}: not a soil lunarsci knows ({', '.join(known)}) nor a readable TOML file") from error
+    except tomllib.TOMLDecodeError as error:
+        raise DataError(f"{soil}: not valid TOML: {error}") from error
+    return _soil(document, soil)
+
+
+def _soil(table: dict[str, Any], origin: str) -> Soil:
+    values = {name: value for name, value in table.items() if name not in ("source", "assumed")}
+    try:
+        return Soil(**{name: float(value) for name, value in values.items()})
+    except (TypeError, ValueError) as error:
+        raise DataError(f"{origin}: {error}") from error

@@ -1,0 +1,1 @@
+"""Reflectance spectra: reading them, their absorption bands, and the Modified Gaussian Model."""
