@@ -1,0 +1,101 @@
+"""The `lunarsci` command."""
+
+import signal
+import sys
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import typer
+
+from .output import FAILED, failure_line, say
+from .regolith import app as regolith
+from .spectra import app as spectra
+from .twin import app as twin
+
+__all__ = ["app", "main"]
+
+INTERRUPTED = 130
+EXIT_CODES = "Exit codes: 0 done; 1 failed; 2 wrong usage; 3 finished, but not to be trusted or not safe."
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    help="From a lunar rover's spectra and wheel telemetry to what the rock is, what the ground is, and whether the next "
+    "drive is safe.",
+    epilog=EXIT_CODES,
+)
+app.add_typer(spectra, name="spectra")
+app.add_typer(regolith, name="regolith")
+app.add_typer(twin, name="twin")
+
+
+def _show_version(value: bool) -> None:
+    if value:
+        from lunarsci import __version__
+
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def lunarsci(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version and leave.", is_eager=True, callback=_show_version)
+    ] = False,
+) -> None:
+    """Options of the command as a whole."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code; a failure is one line on stderr."""
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    _prepare_process()
+    try:
+        code: Any = app(arguments, standalone_mode=False, prog_name="lunarsci")
+        return int(code or 0)
+    except (KeyboardInterrupt, typer.Abort):
+        say("interrupted; nothing was written")
+        return INTERRUPTED
+    except BrokenPipeError:
+        return _leave_broken_pipe()
+    except Exception as error:
+        return _report(error, verbose="-v" in arguments or "--verbose" in arguments)
+
+
+def _report(error: Exception, *, verbose: bool) -> int:
+    usage = getattr(error, "format_message", None)
+    if usage is not None:
+        return _report_usage(error, usage())
+    say(f"error: {failure_line(error)}")
+    if verbose:
+        import traceback
+
+        traceback.print_exception(error)
+    return FAILED
+
+
+def _report_usage(error: Any, message: str) -> int:
+    context = getattr(error, "ctx", None)
+    if type(error).__name__ == "NoArgsIsHelpError":
+        error.show()
+    else:
+        path = context.command_path if context else "lunarsci"
+        say(f"error: {' '.join(message.split())} (see '{path} --help')")
+    return int(error.exit_code)
+
+
+def _prepare_process() -> None:
+    """A polite kill unwinds like Ctrl-C, so that temporary files go; odd terminals get '?' for what they cannot show."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for stream in (sys.stdout, sys.stderr):
+        reconfigure = getattr(stream, "reconfigure", None)
+        if reconfigure:
+            reconfigure(errors="replace")
+
+
+def _leave_broken_pipe() -> int:
+    """The reader of our stdout has left (`| head`): keep Python from complaining about it at exit."""
+    import os
+
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return FAILED

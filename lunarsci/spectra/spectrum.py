@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from lunarsci.errors import DataError
 
-__all__ = ["FloatArray", "Spectrum"]
+__all__ = ["BoolArray", "FloatArray", "Spectrum"]
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]

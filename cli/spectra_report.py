@@ -1,0 +1,195 @@
+"""From files to spectra, and from spectral results to a `Report`."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from lunarsci.errors import DataError
+from lunarsci.inputs import expand_inputs, read_input
+from lunarsci.spectra.bands import BandFailure, SpectrumBands
+from lunarsci.spectra.mgm.assemblages import table_hash
+from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
+from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.spectrum import Spectrum
+
+from .output import Report
+from .table import TextTable, plus_minus
+
+__all__ = ["Batch", "bands_report", "fit_report", "read_batch"]
+
+PAPER = "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8"
+MGM = "Sunshine, Pieters & Pratt (1990), J. Geophys. Res. 95, 6955, 10.1029/JB095iB05p06955"
+NBSR = "Kanner, Mustard & Gendrin (2007), Icarus 187, 442, 10.1016/j.icarus.2006.10.025"
+SMOOTHING = "Savitzky & Golay (1964), Anal. Chem. 36, 1627, 10.1021/ac60214a047"
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """The spectra of all inputs, the inputs' hashes, and what could not be read."""
+
+    spectra: list[Spectrum]
+    inputs: dict[str, str]
+    failures: list[str]
+
+
+def read_batch(files: Sequence[str], wavelength_unit: Any, reflectance_unit: Any) -> Batch:
+    """Read every input; one that cannot be read is remembered. Raises DataError when none can."""
+    batch = Batch([], {}, [])
+    for name in expand_inputs(files):
+        try:
+            source = read_input(name)
+            batch.spectra.extend(
+                read_spectra(source, wavelength_unit=wavelength_unit, reflectance_unit=reflectance_unit)
+            )
+            batch.inputs[source.name] = source.sha256
+        except DataError as error:
+            batch.failures.append(str(error))
+    if not batch.spectra:
+        raise DataError(_together(batch.failures))
+    return batch
+
+
+def bands_report(batch: Batch, measured: Sequence[SpectrumBands | BandFailure]) -> Report:
+    """The report of `spectra bands`."""
+    records = [item.to_dict() for item in measured]
+    good = [item for item in measured if isinstance(item, SpectrumBands)]
+    failures = _failures(batch, measured, bool(good))
+
+    def figures() -> Any:
+        from lunarsci.spectra.figure import band_pages
+
+        return band_pages(good)
+
+    return Report(
+        schema="spectra-bands/1",
+        result={"spectra": records},
+        tables=[_bands_table(records)],
+        rows=[_flat(record) for record in records],
+        figures=figures,
+        inputs=batch.inputs,
+        sources=[PAPER, SMOOTHING],
+        failures=failures,
+    )
+
+
+def _bands_table(records: Sequence[Mapping[str, Any]]) -> TextTable:
+    headers = ["spectrum"]
+    for name in ("1000", "2000"):
+        headers += [f"BC{name} [nm]", f"BD{name}", f"area{name} [nm]", "continuum"]
+    return TextTable(headers, [_bands_row(record) for record in records], notes=_band_notes(records))
+
+
+def _bands_row(record: Mapping[str, Any]) -> list[str]:
+    row = [record["id"]]
+    for key in ("1000", "2000"):
+        row += [
+            plus_minus(record[f"bc{key}_nm"], record[f"bc{key}_sigma_nm"]),
+            plus_minus(record[f"bd{key}"], record[f"bd{key}_sigma"], digits=3),
+            plus_minus(record[f"ba{key}_nm"], record[f"ba{key}_sigma_nm"]),
+            record["continuum"][key],
+        ]
+    return row
+
+
+def _band_notes(records: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Each reason once, with the number of spectra it holds for."""
+    notes: dict[str, int] = {}
+    for record in records:
+        for key, band in (("1000", "1 µm"), ("2000", "2 µm")):
+            for text in (record[f"band{key}_note"], record[f"band{key}_status"]):
+                if text not in ("", "ok"):
+                    line = f"{band} band: {text}"
+                    notes[line] = notes.get(line, 0) + 1
+    single = len(records) == 1
+    return [line if single else f"{line} ({count} of {len(records)} spectra)" for line, count in sorted(notes.items())]
+
+
+def fit_report(batch: Batch, fits: Sequence[MgmFit | MgmFailure]) -> Report:
+    """The report of `spectra fit`."""
+    records = [item.to_dict() for item in fits]
+    good = [item for item in fits if isinstance(item, MgmFit)]
+    failures = _failures(batch, fits, bool(good))
+    unsettled = [item.id for item in good if not item.converged]
+
+    def figures() -> Any:
+        from lunarsci.spectra.figure import fit_pages
+
+        return fit_pages(good)
+
+    return Report(
+        schema="spectra-fit/1",
+        result={"spectra": records},
+        tables=_fit_tables(good, records),
+        rows=[row for record in records for row in _band_rows(record)],
+        figures=figures,
+        inputs=batch.inputs,
+        data_tables=table_hash(),
+        sources=[MGM, NBSR],
+        untrusted=f"no convergence for {', '.join(unsettled)}" if unsettled else "",
+        failures=failures,
+    )
+
+
+def _fit_tables(good: Sequence[MgmFit], records: Sequence[Mapping[str, Any]]) -> list[TextTable]:
+    overview = TextTable(
+        ["spectrum", "rms ln R [%]", "NBSR 1 µm OPX", "NBSR 2 µm OPX", "status"],
+        [_fit_row(record) for record in records],
+    )
+    return [_one_fit_table(good[0]), overview] if len(records) == 1 and good else [overview]
+
+
+def _fit_row(record: Mapping[str, Any]) -> list[str]:
+    ratios = record["nbsr"] or {}
+    cells = [plus_minus(r["opx"], r["sigma"], digits=2) if r else "-" for r in (ratios.get("um1"), ratios.get("um2"))]
+    rms = None if record["rms_ln"] is None else 100 * record["rms_ln"]
+    return [record["id"], plus_minus(rms, digits=2), *cells, record["status"]]
+
+
+def _one_fit_table(fit: MgmFit) -> TextTable:
+    rows = [
+        [
+            band.name,
+            band.mineral if band.mineral != "any" else "-",
+            plus_minus(band.center_nm, band.center_sigma_nm),
+            plus_minus(band.fwhm_nm, band.fwhm_sigma_nm),
+            plus_minus(band.strength, band.strength_sigma, digits=3),
+            f"{band.shrinkage['strength']:.2f}",
+        ]
+        for band in fit.bands
+    ]
+    note = "shrinkage of the strength: 1 where the data decide, 0 where the prior does"
+    headers = ["band", "mineral", "centre [nm]", "FWHM [nm]", "strength [ln R]", "shrinkage"]
+    return TextTable(headers, rows, notes=[note])
+
+
+def _band_rows(record: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """One row per band; a spectrum without a fit has one row with its status."""
+    common = {key: record[key] for key in ("id", "assemblage", "continuum", "converged", "status", "rms_ln")}
+    for region in ("um1", "um2"):
+        ratio = (record["nbsr"] or {}).get(region)
+        common |= {f"nbsr_{region}_opx": ratio["opx"] if ratio else None, f"nbsr_{region}_sigma": ratio["sigma"] if ratio else None}
+    return [common | _flat(band) for band in record["bands"]] or [common]
+
+
+def _flat(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Nested values under joined names; tuples and lists as text."""
+    row: dict[str, Any] = {}
+    for key, value in record.items():
+        if isinstance(value, Mapping):
+            row |= {f"{key}_{inner}": item for inner, item in value.items()}
+        else:
+            row[key] = " ".join(map(str, value)) if isinstance(value, list | tuple) else value
+    return row
+
+
+def _failures(batch: Batch, items: Sequence[Any], any_good: bool) -> list[str]:
+    reasons = [f"{item.id}: {item.status}" for item in items if isinstance(item, BandFailure | MgmFailure)]
+    failures = [*batch.failures, *reasons]
+    if not any_good:
+        raise DataError(_together(failures))
+    return failures
+
+
+def _together(failures: Sequence[str]) -> str:
+    more = f" (and {len(failures) - 1} more inputs without a result)" if len(failures) > 1 else ""
+    return failures[0] + more

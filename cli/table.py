@@ -1,0 +1,73 @@
+"""Tables for people (aligned text) and for programs (CSV)."""
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from lunarsci.provenance import plain
+
+__all__ = ["TextTable", "plus_minus", "render", "to_csv"]
+
+_NEVER_CUT = 100_000
+
+
+@dataclass(frozen=True, slots=True)
+class TextTable:
+    """A titled table of ready-made cells; `notes` are lines below it."""
+
+    headers: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    title: str = ""
+    notes: Sequence[str] = ()
+
+
+def render(tables: Sequence[TextTable]) -> str:
+    """The tables as aligned text, never cut at the width of a terminal."""
+    return "\n".join(_render_one(table) for table in tables)
+
+
+def _render_one(table: TextTable) -> str:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    grid = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, highlight=False)
+    for number, header in enumerate(table.headers):
+        grid.add_column(header, justify="right" if _numeric(table.rows, number) else "left", no_wrap=True)
+    for row in table.rows:
+        grid.add_row(*row)
+    text = io.StringIO()
+    Console(file=text, width=_NEVER_CUT, color_system=None, markup=False, emoji=False).print(grid)
+    lines = [line.rstrip() for line in text.getvalue().splitlines()]
+    return "\n".join([*([table.title] if table.title else []), *lines, *table.notes, ""])
+
+
+def _numeric(rows: Sequence[Sequence[str]], column: int) -> bool:
+    return all(row[column][:1] in "-+0123456789" for row in rows) and any(row[column] != "-" for row in rows)
+
+
+def plus_minus(value: float | None, sigma: float | None = None, *, digits: int = 1) -> str:
+    """`12.3 ± 0.4`, or `-` where there is no value."""
+    if plain(value) is None:
+        return "-"
+    error = "" if plain(sigma) is None else f" ± {sigma:.{digits}f}"
+    return f"{value:.{digits}f}{error}"
+
+
+def to_csv(rows: Sequence[Mapping[str, Any]]) -> str:
+    """CSV text with full precision; missing values are empty cells."""
+    text = io.StringIO()
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    writer = csv.DictWriter(text, names, lineterminator="\n", restval="")
+    writer.writeheader()
+    writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
+    return text.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    bare = plain(value)
+    if isinstance(bare, bool):
+        return str(bare).lower()
+    return "" if bare is None else bare

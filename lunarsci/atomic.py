@@ -1,0 +1,93 @@
+"""Write files whole or not at all: temporary file beside the target, fsync, rename."""
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+from lunarsci.errors import OutputError
+
+__all__ = ["check_target", "write_files"]
+
+
+def check_target(path: Path, *, force: bool) -> None:
+    """Raise OutputError when a file cannot be written to `path`: call it before a long computation."""
+    if path.is_dir():
+        raise OutputError(f"{path}: is a folder; give a file name")
+    if path.exists() and not path.is_file():
+        raise OutputError(f"{path}: not a regular file; give another name")
+    if path.exists() and not force:
+        raise OutputError(f"{path}: exists already; add --force to replace it or give another name")
+    if not path.parent.is_dir():
+        raise OutputError(f"{path}: there is no folder {path.parent}; create it first")
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise OutputError(f"{path}: no permission to write in {path.parent}; choose another folder")
+
+
+def write_files(contents: Mapping[Path, bytes], *, force: bool = False) -> None:
+    """Write several files so that all of them appear, or none.
+
+    Every file is first written in full beside its target; only then are they renamed into place. Without `force` an
+    existing target is never replaced, even one that appeared in the meantime. Raises OutputError.
+    """
+    staged: list[tuple[Path, Path]] = []
+    try:
+        for path, data in contents.items():
+            check_target(path, force=force)
+            staged.append((_stage(path, data), path))
+        _publish(staged, force=force)
+    except OSError as error:
+        if isinstance(error, OutputError):
+            raise
+        raise OutputError(f"{error.filename or path}: {error.strerror}; nothing was written") from error
+    finally:
+        for temporary, _ in staged:
+            temporary.unlink(missing_ok=True)
+
+
+def _stage(path: Path, data: bytes) -> Path:
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+    temporary = Path(name)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.chmod(0o666 & ~_umask())
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    return temporary
+
+
+def _publish(staged: list[tuple[Path, Path]], *, force: bool) -> None:
+    published: list[Path] = []
+    try:
+        for temporary, path in staged:
+            if force:
+                temporary.replace(path)
+            else:
+                _rename_exclusively(temporary, path)
+                published.append(path)
+    except BaseException:
+        for path in published:
+            path.unlink(missing_ok=True)
+        raise
+
+
+def _rename_exclusively(temporary: Path, path: Path) -> None:
+    try:
+        os.link(temporary, path)
+    except FileExistsError as error:
+        raise OutputError(f"{path}: appeared while the result was computed; it was left as it is") from error
+    except OSError:  # a file system without hard links
+        check_target(path, force=False)
+        temporary.replace(path)
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    with contextlib.suppress(OSError):
+        os.umask(mask)
+    return mask

@@ -1,0 +1,144 @@
+"""Input files: reading them whole, decoding them as text, and expanding folders and patterns.
+
+Everything that can go wrong here is a `DataError` of one line: the file, what is wrong, what to do.
+"""
+
+import codecs
+import glob
+import hashlib
+import re
+import sys
+import warnings
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from lunarsci.errors import DataError, LunarSciWarning
+
+__all__ = ["InputFile", "expand_inputs", "read_input", "text"]
+
+_UNPRINTABLE = re.compile(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f-\x9f]")
+_UNPRINTABLE_SHARE = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class InputFile:
+    """The bytes of one input, and where they came from.
+
+    Attributes
+    ----------
+    name : path as the user gave it, or '<stdin>'.
+    data : the whole content.
+    sha256 : hexadecimal digest of `data`; computed, not given.
+    """
+
+    name: str
+    data: bytes = field(repr=False)
+    sha256: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sha256", hashlib.sha256(self.data).hexdigest())
+
+    @property
+    def stem(self) -> str:
+        """File name without folder and last suffix; 'stdin' for standard input."""
+        return "stdin" if self.name == "<stdin>" else Path(self.name).stem
+
+
+def read_input(path: str) -> InputFile:
+    """Read a file, or standard input for `-`. Raises DataError when there is nothing to read."""
+    name = "<stdin>" if path == "-" else path
+    try:
+        data = _read_stdin() if path == "-" else Path(path).read_bytes()
+    except FileNotFoundError as error:
+        raise DataError(f"{name}: no such file; check the path") from error
+    except IsADirectoryError as error:
+        raise DataError(f"{name}: is a folder, not a file; name the files in it") from error
+    except PermissionError as error:
+        raise DataError(f"{name}: no permission to read it; check its access rights") from error
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise DataError(f"{name!r}: cannot be read ({reason}); check the path and the disk") from error
+    if not data:
+        raise DataError(f"{name}: is empty; check how it was made or downloaded")
+    return InputFile(name, data)
+
+
+def _read_stdin() -> bytes:
+    # A detached process has no standard input at all, and then Python sets it to None.
+    if sys.stdin is None:
+        raise OSError("standard input is closed")
+    return sys.stdin.buffer.read()
+
+
+def text(input: InputFile) -> str:
+    """Decode an input: UTF-8 or UTF-16 by its byte order mark, else UTF-8, else Latin-1 (said by a LunarSciWarning).
+
+    Raises DataError for binary content: a NUL, or more than a tenth of the characters unprintable.
+    """
+    decoded = _decoded(input)
+    if "\0" in decoded or len(_UNPRINTABLE.findall(decoded)) > _UNPRINTABLE_SHARE * len(decoded):
+        raise DataError(f"{input.name}: is a binary file, not text; check that it is the file you mean")
+    if not decoded.strip():
+        raise DataError(f"{input.name}: holds only blanks; check how it was made or downloaded")
+    return decoded
+
+
+def _decoded(input: InputFile) -> str:
+    utf16 = input.data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    try:
+        return input.data.decode("utf-16" if utf16 else "utf-8-sig")
+    except UnicodeDecodeError as error:
+        if utf16:
+            raise DataError(f"{input.name}: broken UTF-16 text (truncated?); save it as UTF-8") from error
+    decoded = input.data.decode("latin-1")
+    # Binary content is about to be refused by the caller: a remark on its encoding would only distract.
+    if "\0" not in decoded:
+        message = f"{input.name}: is not valid UTF-8 and was read as Latin-1; save it as UTF-8 if a name looks wrong"
+        warnings.warn(message, LunarSciWarning, stacklevel=3)
+    return decoded
+
+
+def expand_inputs(paths: Iterable[str]) -> list[str]:
+    """Expand folders and glob patterns (`**` included) into sorted file names; each file is listed once.
+
+    Names that exist, `-`, and plain names are kept as they are: reading them tells what is wrong with one. Hidden
+    files are left out. Raises DataError when a folder is empty or a pattern matches no file.
+    """
+    return list(dict.fromkeys(name for path in paths for name in _expanded(path)))
+
+
+def _expanded(path: str) -> Iterator[str]:
+    if path == "-" or not (glob.has_magic(path) or _is_folder(path)) or _is_file(path):
+        return iter((path,))
+    if _is_folder(path):
+        return iter(_files_of_folder(path))
+    # Path.glob takes no absolute patterns.
+    found = sorted(name for name in glob.glob(path, recursive=True) if Path(name).is_file())  # noqa: PTH207
+    if not found:
+        raise DataError(f"{path}: matches no file; check the pattern")
+    return iter(found)
+
+
+def _files_of_folder(path: str) -> list[str]:
+    try:
+        found = sorted(str(p) for p in Path(path).iterdir() if p.is_file() and not p.name.startswith("."))
+    except OSError as error:
+        raise DataError(f"{path}: folder cannot be listed ({error.strerror}); check its access rights") from error
+    if not found:
+        raise DataError(f"{path}: folder holds no files; name the files or a pattern")
+    return found
+
+
+def _is_folder(path: str) -> bool:
+    try:
+        return Path(path).is_dir()
+    except (OSError, ValueError):
+        return False
+
+
+def _is_file(path: str) -> bool:
+    try:
+        return Path(path).is_file()
+    except (OSError, ValueError):
+        return False

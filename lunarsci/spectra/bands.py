@@ -1,0 +1,282 @@
+"""Centre, depth and area of the 1 um and 2 um absorption bands, with standard errors.
+
+Everything from the reflectance to the result is linear algebra once the tie points of the continuum and the window of
+the local fit are chosen, so the noise of each channel is carried through exactly (first order), smoothing included.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from lunarsci.errors import DataError
+from lunarsci.spectra.continuum import CONTINUA, Continuum, ContinuumName, continuum
+from lunarsci.spectra.noise import channel_noise
+from lunarsci.spectra.smoothing import savitzky_golay_operator
+from lunarsci.spectra.spectrum import BoolArray, FloatArray, Spectrum
+
+__all__ = ["BANDS", "Band", "BandFailure", "BandResult", "SpectrumBands", "measure_bands", "measure_batch"]
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """Where an absorption band lies: its window, and where in it the centre may lie. [nm]"""
+
+    key: str
+    window_nm: tuple[float, float]
+    centre_nm: tuple[float, float]
+
+
+BANDS = (Band("1000", (700.0, 1580.0), (760.0, 1500.0)), Band("2000", (1580.0, 2500.0), (1620.0, 2440.0)))
+"""The windows meet at the 1580 nm tie of the paper's continuum; they hold olivine and all pyroxenes."""
+
+FIT_ORDER = 4
+FIT_DEPTH = 0.7
+"""The centre is the minimum of a fourth-order polynomial through the channels deeper than this share of the band."""
+MIN_FIT_CHANNELS = 9
+MIN_SIGNIFICANCE = 3.0
+MAX_CENTER_SIGMA_NM = 100.0
+"""A centre known no better than this says nothing about a mineral; it is not reported."""
+CROSSING_TOLERANCE = 0.05
+"""A continuum may run this share below the smoothed spectrum before it counts as crossing it; assumed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BandResult:
+    """One band of one spectrum; every number is None when `status` says that there is no band.
+
+    Attributes
+    ----------
+    center_nm, center_sigma_nm : wavelength of the minimum after continuum removal, and its standard error. [nm]
+    center_systematic_nm : half the range of the centre over all continua that can be used. [nm]
+    depth, depth_sigma : 1 - R/continuum at the centre. [-]
+    area_nm, area_sigma_nm : integral of 1 - R/continuum over the window. [nm]
+    continuum : the continuum really used, after any fallback.
+    status : `ok`, or a sentence.
+    note : why the wanted continuum was not used, or empty.
+    """
+
+    center_nm: float | None = None
+    center_sigma_nm: float | None = None
+    center_systematic_nm: float | None = None
+    depth: float | None = None
+    depth_sigma: float | None = None
+    area_nm: float | None = None
+    area_sigma_nm: float | None = None
+    continuum: str
+    status: str = "ok"
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpectrumBands:
+    """Both bands of a spectrum, with the curves they were measured on (for pictures).
+
+    `wavelength_nm`, `reflectance`, `smoothed` and each continuum in `continua` have the same shape (n,).
+    """
+
+    id: str
+    bands: dict[str, BandResult]
+    wavelength_nm: FloatArray
+    reflectance: FloatArray
+    smoothed: FloatArray
+    continua: dict[str, FloatArray]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The keys of `lunarsci spectra bands --json`."""
+        record: dict[str, Any] = {"id": self.id, "continuum": {key: band.continuum for key, band in self.bands.items()}}
+        for key, band in self.bands.items():
+            record |= {
+                f"bc{key}_nm": band.center_nm,
+                f"bc{key}_sigma_nm": band.center_sigma_nm,
+                f"bc{key}_systematic_nm": band.center_systematic_nm,
+                f"bd{key}": band.depth,
+                f"bd{key}_sigma": band.depth_sigma,
+                f"ba{key}_nm": band.area_nm,
+                f"ba{key}_sigma_nm": band.area_sigma_nm,
+                f"band{key}_status": band.status,
+                f"band{key}_note": band.note,
+            }
+        return record
+
+
+def measure_bands(
+    spectrum: Spectrum, *, continuum_name: ContinuumName = "conic", smooth_points: int = 41, smooth_order: int = 3
+) -> SpectrumBands:
+    """Measure the 1 um and 2 um bands of a spectrum.
+
+    Parameters
+    ----------
+    spectrum : at least 20 usable channels.
+    continuum_name : wanted continuum; `conic` falls back to `hull` over a band where it crosses the spectrum or zero,
+        or where the spectrum does not reach its tie points. The result says which was used.
+    smooth_points, smooth_order : see `savitzky_golay_operator`. Smoothing serves the continuum and the search for the
+        minimum; the centre itself is fitted to the unsmoothed channels, since smoothing moves minima.
+
+    Raises
+    ------
+    DataError when too few channels can be used.
+    """
+    usable = spectrum.usable
+    if usable.sum() < 20:
+        raise DataError(f"{spectrum.id}: {usable.sum()} usable channels; 20 are needed to measure a band")
+    data = _Data(
+        spectrum.wavelength_nm[usable],
+        spectrum.reflectance[usable],
+        channel_noise(spectrum)[usable],
+        savitzky_golay_operator(spectrum.wavelength_nm[usable], smooth_points, smooth_order),
+    )
+    available = _available_continua(data)
+    results = {band.key: _measure(data, band, continuum_name, available) for band in BANDS}
+    curves = {name: tied.values(data.smoothed) for name, tied in available.items()}
+    return SpectrumBands(spectrum.id, results, data.wavelength_nm, data.reflectance, data.smoothed, curves)
+
+
+@dataclass(frozen=True, slots=True)
+class BandFailure:
+    """A spectrum whose bands could not be measured, and why."""
+
+    id: str
+    status: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """The same keys as a measured spectrum, without values."""
+        nothing = BandResult(continuum="none", status=self.status)
+        return SpectrumBands(self.id, {band.key: nothing for band in BANDS}, *_NO_CURVES, {}).to_dict()
+
+
+_NO_CURVES = (np.empty(0), np.empty(0), np.empty(0))
+
+
+def measure_batch(
+    spectra: Sequence[Spectrum], *, progress: Callable[[int, int], None] | None = None, **options: Any
+) -> list[SpectrumBands | BandFailure]:
+    """`measure_bands` for many spectra: one result or one stated reason each; `progress` is called with (done, total)."""
+    measured: list[SpectrumBands | BandFailure] = []
+    for number, spectrum in enumerate(spectra, 1):
+        try:
+            measured.append(measure_bands(spectrum, **options))
+        except DataError as error:
+            measured.append(BandFailure(spectrum.id, f"no result: {str(error).removeprefix(f'{spectrum.id}: ')}"))
+        if progress:
+            progress(number, len(spectra))
+    return measured
+
+
+class _Data:
+    """The usable channels of a spectrum and their smoothing."""
+
+    def __init__(self, wavelength_nm: FloatArray, reflectance: FloatArray, noise: FloatArray, smoothing: FloatArray):
+        self.wavelength_nm, self.reflectance, self.noise, self.smoothing = wavelength_nm, reflectance, noise, smoothing
+        self.smoothed: FloatArray = smoothing @ reflectance
+
+
+def _available_continua(data: _Data) -> dict[str, Continuum]:
+    found: dict[str, Continuum] = {}
+    for name in CONTINUA:
+        try:
+            found[name] = continuum(name, data.wavelength_nm, data.smoothed)
+        except DataError:
+            continue
+    return found
+
+
+def _measure(data: _Data, band: Band, wanted: str, available: dict[str, Continuum]) -> BandResult:
+    inside = (data.wavelength_nm >= band.window_nm[0]) & (data.wavelength_nm <= band.window_nm[1])
+    if inside.sum() < 2 * MIN_FIT_CHANNELS:
+        return BandResult(continuum="none", status=f"no result: {inside.sum()} usable channels in its window")
+    tried = {name: _measure_under(data, band, tied, inside) for name, tied in available.items()}
+    order = [wanted, *(name for name in ("hull", "linear") if name != wanted)]
+    chosen = next((tried[name] for name in order if name in tried and tried[name].status == "ok"), tried["hull"])
+    note = "" if chosen.continuum == wanted else f"{wanted} not used: {_why_not(tried.get(wanted))}"
+    centres = [result.center_nm for result in tried.values() if result.center_nm is not None]
+    spread = (max(centres) - min(centres)) / 2 if len(centres) > 1 else None
+    return replace(chosen, note=note, center_systematic_nm=spread)
+
+
+def _why_not(result: BandResult | None) -> str:
+    return result.status if result else "the spectrum does not reach its tie points"
+
+
+def _measure_under(data: _Data, band: Band, tied: Continuum, inside: BoolArray) -> BandResult:
+    """One band under one continuum; a status other than `ok` says why there is no centre."""
+    level = tied.values(data.smoothed)
+    if not (level[inside] > 0).all():
+        return BandResult(continuum=tied.name, status="its continuum falls to zero in the window")
+    if (data.smoothed[inside] > (1 + CROSSING_TOLERANCE) * level[inside]).any():
+        return BandResult(continuum=tied.name, status="its continuum runs below the spectrum in the window")
+    window = _fit_window(data, band, data.smoothed / level)
+    if window is None:
+        return BandResult(continuum=tied.name, status="no band: the deepest point lies at the edge of the window")
+    return _fit_minimum(data, tied, inside, window)
+
+
+def _fit_window(data: _Data, band: Band, ratio: FloatArray) -> slice | None:
+    """Channels around the deepest point that are deeper than FIT_DEPTH of it; None when there is no inner minimum."""
+    wavelength = data.wavelength_nm
+    allowed = np.flatnonzero((wavelength >= band.centre_nm[0]) & (wavelength <= band.centre_nm[1]))
+    if allowed.size < MIN_FIT_CHANNELS:
+        return None
+    deepest = int(allowed[np.argmin(ratio[allowed])])
+    if deepest in (allowed[0], allowed[-1]) or ratio[deepest] >= 1:
+        return None
+    deep = 1 - ratio >= FIT_DEPTH * (1 - ratio[deepest])
+    first, last = deepest, deepest
+    while first > 0 and deep[first - 1]:
+        first -= 1
+    while last < ratio.size - 1 and deep[last + 1]:
+        last += 1
+    missing = max(0, MIN_FIT_CHANNELS - (last + 1 - first))
+    return slice(max(0, first - (missing + 1) // 2), min(ratio.size, last + 1 + (missing + 1) // 2))
+
+
+def _fit_minimum(data: _Data, tied: Continuum, inside: BoolArray, window: slice) -> BandResult:
+    level = tied.values(data.smoothed)
+    ratio = data.reflectance / level
+    sensitivity = np.diag(1 / level) - (ratio / level)[:, None] * (tied.operator @ data.smoothing)
+    middle, scale = _centre_and_scale(data.wavelength_nm[window])
+    basis = np.vander((data.wavelength_nm[window] - middle) / scale, FIT_ORDER + 1, increasing=True)
+    solver = np.linalg.pinv(basis)
+    coefficients = solver @ ratio[window]
+    minimum = _inner_minimum(coefficients)
+    if minimum is None:
+        return BandResult(continuum=tied.name, status="no band: no minimum within the deepest channels")
+    powers = minimum ** np.arange(FIT_ORDER + 1)
+    slopes = np.arange(FIT_ORDER + 1) * np.concatenate([[0.0], powers[:-1]])
+    curvature = np.polynomial.Polynomial(coefficients).deriv(2)(minimum)
+    per_channel = solver @ sensitivity[window]
+    depth, depth_sigma = 1 - powers @ coefficients, _sigma(powers @ per_channel, data.noise)
+    if depth < MIN_SIGNIFICANCE * depth_sigma:
+        return BandResult(continuum=tied.name, status=f"no band: its depth is within {MIN_SIGNIFICANCE:g} sigma of 0")
+    center_sigma = _sigma(scale * (slopes @ per_channel) / curvature, data.noise)
+    if center_sigma > MAX_CENTER_SIGMA_NM:
+        return BandResult(continuum=tied.name, status=f"no result: its centre is known no better than ± {MAX_CENTER_SIGMA_NM:g} nm")
+    weights = np.where(inside, np.gradient(data.wavelength_nm), 0.0)
+    return BandResult(
+        center_nm=float(middle + scale * minimum),
+        center_sigma_nm=center_sigma,
+        depth=float(depth),
+        depth_sigma=depth_sigma,
+        area_nm=float(weights @ (1 - ratio)),
+        area_sigma_nm=_sigma(weights @ sensitivity, data.noise),
+        continuum=tied.name,
+    )
+
+
+def _centre_and_scale(wavelength_nm: FloatArray) -> tuple[float, float]:
+    return float(wavelength_nm.mean()), float(np.ptp(wavelength_nm) / 2)
+
+
+def _inner_minimum(coefficients: FloatArray) -> float | None:
+    """Lowest minimum of a polynomial within -1 to 1, None when it has none there."""
+    polynomial = np.polynomial.Polynomial(coefficients)
+    roots = polynomial.deriv().roots()
+    real = roots.real[(np.abs(roots.imag) < 1e-9) & (np.abs(roots.real) <= 1)]
+    minima = real[polynomial.deriv(2)(real) > 0]
+    return float(minima[np.argmin(polynomial(minima))]) if minima.size else None
+
+
+def _sigma(sensitivity: FloatArray, noise: FloatArray) -> float:
+    """Standard error of a quantity with the given derivatives to each channel."""
+    return float(np.sqrt(np.sum((sensitivity * noise) ** 2)))

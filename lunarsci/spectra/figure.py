@@ -1,0 +1,122 @@
+"""Pictures of measured bands and of Modified Gaussian Model fits, several spectra to a page."""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from lunarsci.spectra.bands import BANDS, SpectrumBands
+from lunarsci.spectra.mgm.result import MgmFit
+
+__all__ = ["band_pages", "fit_pages"]
+
+CONTINUUM_COLORS = {"conic": "#0072B2", "hull": "#D55E00", "linear": "#009E73"}
+PER_PAGE = 6
+INVISIBLE = 0.002
+"""A band shallower than this in ln R is not drawn, so that the continuum stays visible."""
+COLORS = {"olivine": "#009E73", "orthopyroxene": "#0072B2", "clinopyroxene": "#D55E00", "any": "#999999"}
+"""Colours that remain distinct under colour-vision deficiency: Okabe & Ito (2008), Color Universal Design."""
+
+
+def band_pages(measured: Sequence[SpectrumBands]) -> Iterator[Figure]:
+    """One page per six spectra: spectrum with continua above, continuum removed with the band centres below."""
+    return _pages(measured, _draw_bands, heights=(1.0, 1.0), size=(7.5, 5.6))
+
+
+def fit_pages(fits: Sequence[MgmFit]) -> Iterator[Figure]:
+    """One page per six spectra: spectrum, model, continuum and each band above, the residual below."""
+    return _pages(fits, _draw_fit, heights=(3.0, 1.0), size=(7.5, 5.6))
+
+
+def _pages(
+    items: Sequence[Any],
+    draw: Callable[[Any, Any, Any], None],
+    heights: tuple[float, float],
+    size: tuple[float, float],
+) -> Iterator[Figure]:
+    total = -(-len(items) // PER_PAGE)
+    for page in range(total):
+        part = items[page * PER_PAGE : (page + 1) * PER_PAGE]
+        columns = min(2, len(part))
+        rows = -(-len(part) // columns)
+        figure = Figure(figsize=(size[0] * columns, size[1] * rows), layout="constrained")
+        panels = np.atleast_1d(figure.subfigures(rows, columns)).ravel()
+        for panel, item in zip(panels, part, strict=False):
+            upper, lower = panel.subplots(2, 1, sharex=True, height_ratios=heights)
+            draw(upper, lower, item)
+        if total > 1:
+            figure.suptitle(f"page {page + 1} of {total}", fontsize=9, color="0.4")
+        yield figure
+
+
+def _draw_bands(upper: Any, lower: Any, item: SpectrumBands) -> None:
+    wavelength = item.wavelength_nm
+    upper.plot(wavelength, item.reflectance, ".", color="0.65", markersize=3, label="measured")
+    upper.plot(wavelength, item.smoothed, color="black", linewidth=1, label="smoothed")
+    for band in BANDS:
+        name = item.bands[band.key].continuum
+        if name not in item.continua:
+            continue
+        inside = (wavelength >= band.window_nm[0]) & (wavelength <= band.window_nm[1])
+        x, level, color = wavelength[inside], item.continua[name][inside], CONTINUUM_COLORS[name]
+        upper.plot(x, level, "--", linewidth=1.2, color=color, label=f"{name} continuum, {band.key} nm band")
+        lower.plot(x, item.reflectance[inside] / level, ".", markersize=2, color=color, alpha=0.4)
+        lower.plot(x, item.smoothed[inside] / level, linewidth=1, color=color)
+    top = float(np.max(item.smoothed))
+    upper.set_ylim(max(0.0, float(np.min(item.smoothed)) - 0.15 * top), 1.2 * top)
+    lower.axhline(1, color="0.8", linewidth=0.8, zorder=0)
+    lower.set_ylim(max(0.0, 1 - 1.4 * _deepest(item)), 1 + 0.35 * _deepest(item))
+    _mark_centres(lower, item)
+    upper.set_title(item.id, fontsize=10)
+    upper.set_ylabel("reflectance")
+    lower.set_ylabel("reflectance / continuum")
+    lower.set_xlabel("wavelength [nm]")
+    upper.legend(fontsize=8, loc="best", frameon=False)
+
+
+def _mark_centres(axes: Any, item: SpectrumBands) -> None:
+    for band in item.bands.values():
+        if band.center_nm is None or band.depth is None:
+            continue
+        axes.errorbar(band.center_nm, 1 - band.depth, xerr=band.center_sigma_nm, fmt="v", color="black", markersize=5)
+        text = f"{band.center_nm:.1f} ± {band.center_sigma_nm:.1f} nm\ndepth {band.depth:.3f} ± {band.depth_sigma:.3f}"
+        axes.annotate(
+            text, (band.center_nm, 1 - band.depth), xytext=(0, -8), textcoords="offset points",
+            ha="center", va="top", fontsize=8, bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1},
+        )  # fmt: skip
+
+
+def _deepest(item: SpectrumBands) -> float:
+    depths = [band.depth for band in item.bands.values() if band.depth]
+    return max([0.05, *depths])
+
+
+def _draw_fit(upper: Any, lower: Any, fit: MgmFit) -> None:
+    wavelength, model = fit.wavelength_nm, fit.ln_model()
+    upper.plot(wavelength, fit.reflectance, ".", color="0.6", markersize=3, label="measured")
+    upper.plot(wavelength, np.exp(model), color="black", linewidth=1.2, label="model")
+    upper.plot(wavelength, fit.continuum_reflectance, "--", color="0.3", linewidth=1, label="continuum")
+    named: set[str] = set()
+    for band in fit.bands:
+        label = None if band.mineral in named else ("visible and UV" if band.mineral == "any" else band.mineral)
+        named.add(band.mineral)
+        depth = band.curve(wavelength)
+        curve = np.where(depth < -INVISIBLE, fit.continuum_reflectance * np.exp(depth), np.nan)
+        upper.plot(wavelength, curve, color=COLORS[band.mineral], linewidth=1.2, label=label)
+    residual = 100 * (np.log(fit.reflectance) - model)
+    lower.plot(wavelength, residual, color="black", linewidth=0.7)
+    lower.axhline(0, color="0.8", linewidth=0.8, zorder=0)
+    upper.set_title(_fit_title(fit), fontsize=10)
+    upper.set_ylabel("reflectance")
+    lower.set_ylabel("residual\nof ln R [%]")
+    lower.set_xlabel("wavelength [nm]")
+    top = max(float(fit.reflectance.max()), float(fit.continuum_reflectance.max()))
+    upper.set_ylim(0.75 * float(fit.reflectance.min()), 1.25 * top)
+    upper.legend(fontsize=8, ncol=4, loc="upper left", frameon=False)
+
+
+def _fit_title(fit: MgmFit) -> str:
+    ratio = fit.nbsr.get("um2")
+    strength = f", NBSR(2 µm) OPX {ratio.opx:.2f} ± {ratio.sigma:.2f}" if ratio else ""
+    return f"{fit.id}: rms {100 * fit.rms_ln:.2f} %{strength}"

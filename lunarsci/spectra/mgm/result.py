@@ -1,0 +1,162 @@
+"""What a fit of the Modified Gaussian Model gives: bands with errors, and the band strength ratios of the pyroxenes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lunarsci.spectra.mgm.assemblages import BandPrior
+from lunarsci.spectra.spectrum import FloatArray
+
+__all__ = ["FittedBand", "MgmFailure", "MgmFit", "StrengthRatio", "band_strength_ratios"]
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FittedBand:
+    """One band of a fit.
+
+    Attributes
+    ----------
+    center_nm, fwhm_nm, strength and their standard errors : strength in ln reflectance, 0 or below. [nm, nm, -]
+    shrinkage : by parameter, 1 - (posterior sigma / prior sigma)^2: 1 where the data decide, 0 where the prior does.
+    at_bound : names of the parameters that ended on a bound; their errors are those of the unbounded curvature.
+    """
+
+    name: str
+    mineral: str
+    region: str
+    center_nm: float
+    center_sigma_nm: float
+    fwhm_nm: float
+    fwhm_sigma_nm: float
+    strength: float
+    strength_sigma: float
+    shrinkage: dict[str, float]
+    at_bound: tuple[str, ...]
+
+    @classmethod
+    def from_kernel(
+        cls, prior: BandPrior, value: FloatArray, sigma: FloatArray, shrinkage: FloatArray, at_bound: Sequence[bool]
+    ) -> "FittedBand":
+        """From the kernel's centre [um], FWHM [um], strength."""
+        names = ("center", "fwhm", "strength")
+        return cls(
+            name=prior.name,
+            mineral=prior.mineral,
+            region=prior.region,
+            center_nm=float(value[0] * 1e3),
+            center_sigma_nm=float(sigma[0] * 1e3),
+            fwhm_nm=float(value[1] * 1e3),
+            fwhm_sigma_nm=float(sigma[1] * 1e3),
+            strength=float(value[2]),
+            strength_sigma=float(sigma[2]),
+            shrinkage={name: float(s) for name, s in zip(names, shrinkage, strict=True)},
+            at_bound=tuple(name for name, held in zip(names, at_bound, strict=True) if held),
+        )
+
+    def curve(self, wavelength_nm: FloatArray) -> FloatArray:
+        """The band alone, in ln reflectance, on wavelengths in nm; shape as given."""
+        from lunarsci.spectra.mgm.kernel import FWHM_OVER_SIGMA
+
+        x = (wavelength_nm - self.center_nm) * FWHM_OVER_SIGMA / self.fwhm_nm
+        return self.strength * np.exp(-0.5 * x**2)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain Python."""
+        return {name: getattr(self, name) for name in self.__slots__}
+
+
+@dataclass(frozen=True, slots=True)
+class StrengthRatio:
+    """Normalised band strength ratio of orthopyroxene, s_OPX / (s_OPX + s_CPX), and of clinopyroxene; sigma of both. [-]
+
+    Kanner, Mustard & Gendrin (2007), Icarus 187, 442, 10.1016/j.icarus.2006.10.025.
+    """
+
+    opx: float
+    cpx: float
+    sigma: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MgmFit:
+    """A fit of one spectrum.
+
+    Attributes
+    ----------
+    converged, status : whether the minimum was reached, and a sentence about it.
+    rms_ln : root mean square of ln R - model. [-]
+    reduced_chi2 : chi-square over channels less continuum coefficients, with channel noise and model error. [-]
+    bic : Bayesian information criterion, chi-square + p ln n; lower is better. [-]
+    continuum_coefficients : of the polynomial in the mapped variable of `continuum_basis`. [-]
+    nbsr : `um1` and `um2`, None where both pyroxene bands vanish or are not in the assemblage.
+    covariance : (p, p), continuum coefficients, then centre [um], FWHM [um], strength per band.
+    wavelength_nm, reflectance, continuum_reflectance : shape (n,), the fitted channels.
+    """
+
+    id: str
+    assemblage: str
+    continuum: str
+    converged: bool
+    status: str
+    rms_ln: float
+    reduced_chi2: float
+    bic: float
+    continuum_coefficients: tuple[float, ...]
+    bands: tuple[FittedBand, ...]
+    nbsr: dict[str, StrengthRatio | None]
+    covariance: FloatArray
+    wavelength_nm: FloatArray
+    reflectance: FloatArray
+    continuum_reflectance: FloatArray
+
+    def ln_model(self) -> FloatArray:
+        """ln R of the model on the fitted channels, shape (n,). [-]"""
+        return np.log(self.continuum_reflectance) + sum(band.curve(self.wavelength_nm) for band in self.bands)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The keys of `lunarsci spectra fit --json`."""
+        record = {name: getattr(self, name) for name in _SCALARS}
+        ratios = {key: {"opx": r.opx, "cpx": r.cpx, "sigma": r.sigma} if r else None for key, r in self.nbsr.items()}
+        return record | {
+            "continuum_coefficients": list(self.continuum_coefficients),
+            "bands": [band.to_dict() for band in self.bands],
+            "nbsr": ratios,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class MgmFailure:
+    """A spectrum that could not be fitted, and why."""
+
+    id: str
+    assemblage: str
+    continuum: str
+    status: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """The same keys as a fit, without values."""
+        empty = dict.fromkeys((*_SCALARS, "nbsr", "continuum_coefficients"))
+        named = {"id": self.id, "assemblage": self.assemblage, "continuum": self.continuum, "status": self.status}
+        return empty | named | {"converged": False, "bands": []}
+
+
+_SCALARS = ("id", "assemblage", "continuum", "converged", "status", "rms_ln", "reduced_chi2", "bic")
+
+
+def band_strength_ratios(bands: Sequence[FittedBand], covariance: FloatArray) -> dict[str, StrengthRatio | None]:
+    """NBSR of the pyroxenes at 1 and 2 um from fitted bands and the covariance of their (centre, FWHM, strength)."""
+    return {region: _ratio(bands, covariance, region) for region in ("um1", "um2")}
+
+
+def _ratio(bands: Sequence[FittedBand], covariance: FloatArray, region: str) -> StrengthRatio | None:
+    index = {band.mineral: k for k, band in enumerate(bands) if band.region == region}
+    if not {"orthopyroxene", "clinopyroxene"} <= index.keys():
+        return None
+    rows = [3 * index["orthopyroxene"] + 2, 3 * index["clinopyroxene"] + 2]
+    opx, cpx = bands[index["orthopyroxene"]].strength, bands[index["clinopyroxene"]].strength
+    total, block = opx + cpx, covariance[np.ix_(rows, rows)]
+    if total == 0:
+        return None
+    slope = np.array([cpx, -opx]) / total**2
+    return StrengthRatio(abs(opx / total), abs(cpx / total), float(np.sqrt(slope @ block @ slope)))

@@ -1,0 +1,171 @@
+"""From columns to spectra: the rules on rows, order, units and missing values that hold for every format."""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.spectra.readers.columns import spectrum_ids
+from lunarsci.spectra.readers.table import Column, SpectrumTable, StatedUnits
+from lunarsci.spectra.readers.units import reflectance_unit, uncertainty_scale, wavelength_nm
+from lunarsci.spectra.spectrum import BoolArray, FloatArray, Spectrum
+
+__all__ = ["spectra_of"]
+
+# ENVI and USGS write -1.23e34 for a deleted channel; no reflectance is anywhere near.
+_DELETED_BELOW = -1e30
+
+_SAID = {
+    "channels_unit_overruled": "values read in the reflectance unit that the file states, not in the one you stated",
+    "channels_unit_unlikely": "values read in the reflectance unit you stated, which their size makes unlikely",
+    "channels_deleted": "values that mark deleted channels (at or below -1e30), taken as missing",
+    "channels_not_positive": "values not above 0, masked",
+    "channels_without_uncertainty": "values whose uncertainty is missing or not above 0, masked",
+    "uncertainties_unknown": "values with only missing or zero uncertainties, which are taken as unknown",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class _Axis:
+    """Wavelengths of a table [nm], ascending, with the order that sorts its rows and what to record."""
+
+    wavelength: FloatArray
+    order: Any
+    record: dict[str, Any]
+
+
+def spectra_of(table: SpectrumTable, stated: StatedUnits) -> list[Spectrum]:
+    """Check a table and make its spectra, in file order; everything noteworthy is a LunarSciWarning.
+
+    Raises DataError when rows, units or values do not make sense, or a single spectrum has no usable channel.
+    """
+    file = table.source.name
+    kept, left_out = _rows_with_wavelength(table)
+    values, record = wavelength_nm(kept.wavelength, stated.wavelength, file)
+    order, order_name = _ascending(values, kept)
+    common = {
+        "source": file,
+        "sha256": table.source.sha256,
+        "format": table.format,
+        **record,
+        "order": order_name,
+        "rows_left_out": left_out,
+        **table.metadata,
+    }
+    axis = _Axis(values[order], order, common)
+    ids = spectrum_ids([column for column, _ in kept.spectra], table.source)
+    spectra = [_spectrum(i, c, s, axis, stated, kept) for i, (c, s) in zip(ids, kept.spectra, strict=True)]
+    _report(spectra, file)
+    return spectra
+
+
+def _rows_with_wavelength(table: SpectrumTable) -> tuple[SpectrumTable, int]:
+    file, wavelength = table.source.name, table.wavelength.values
+    with np.errstate(invalid="ignore"):
+        keep = np.isfinite(wavelength) & (wavelength > 0)
+    bad = np.flatnonzero(~keep)
+    if wavelength.size == 0:
+        raise DataError(f"{file}: holds no data rows; check how it was made or downloaded")
+    if bad.size == 0:
+        return table, 0
+    what = f"rows without a wavelength above 0: {bad.size} of {keep.size}, first {table.places[bad[0]]}"
+    if bad.size > keep.size / 2:
+        raise DataError(f"{file}: {what}; check that column {table.wavelength.label} is the wavelength")
+    _warn(f"{file}: left out {what}")
+    spectra = tuple((_rows(c, keep), None if s is None else _rows(s, keep)) for c, s in table.spectra)
+    places = tuple(np.array(table.places)[keep].tolist())
+    return replace(table, wavelength=_rows(table.wavelength, keep), spectra=spectra, places=places), bad.size
+
+
+def _rows(column: Column, keep: BoolArray) -> Column:
+    return replace(column, values=column.values[keep])
+
+
+def _ascending(wavelength: FloatArray, table: SpectrumTable) -> tuple[Any, str]:
+    """Order of the rows that makes wavelengths [nm] ascend, and its name. Raises DataError for duplicates."""
+    file = table.source.name
+    order = np.argsort(wavelength, kind="stable")
+    same = np.flatnonzero(np.diff(wavelength[order]) == 0)
+    if same.size:
+        first, second = table.places[order[same[0]]], table.places[order[same[0] + 1]]
+        value = wavelength[order[same[0]]]
+        raise DataError(f"{file}: {first} and {second} have the same wavelength, {value:.10g} nm; keep one of them")
+    steps = np.diff(wavelength)
+    if (steps > 0).all():
+        return order, "ascending"
+    if (steps < 0).all():
+        return order, "descending"
+    _warn(f"{file}: wavelengths are in no order; the rows are sorted")
+    return order, "unsorted"
+
+
+def _spectrum(
+    id: str, column: Column, sigma: Column | None, axis: _Axis, stated: StatedUnits, table: SpectrumTable
+) -> Spectrum:
+    file = table.source.name
+    present, deleted = _present(column.values)
+    unit = reflectance_unit(replace(column, values=present), stated.reflectance, file)
+    reflectance = (present * unit.scale)[axis.order]
+    measured = int(np.isfinite(present).sum())
+    metadata = {
+        **axis.record,
+        "column": column.name or column.position,
+        "reflectance_unit": "percent" if unit.scale != 1.0 else "fraction",
+        "reflectance_unit_from": unit.origin,
+        "channels_unit_overruled": measured if unit.remark == "overruled" else 0,
+        "channels_unit_unlikely": measured if unit.remark == "unlikely" else 0,
+        "channels_missing": present.size - measured,
+        "channels_deleted": deleted,
+        "channels_not_positive": int((present <= 0).sum()),
+    }
+    uncertainty = None
+    if sigma is not None:
+        factor = uncertainty_scale(sigma, column, unit.scale, file)
+        uncertainty = (_present(sigma.values)[0] * factor)[axis.order]
+    uncertainty, mask, counts = _usable_uncertainty(reflectance, uncertainty, quiet=table.format == "relab")
+    try:
+        return Spectrum(id, axis.wavelength, reflectance, uncertainty, mask, metadata | counts)
+    except DataError as error:
+        raise DataError(f"{file}: {error}") from error
+
+
+def _present(values: FloatArray) -> tuple[FloatArray, int]:
+    """Values with deleted and infinite ones made NaN, and the number of deleted ones."""
+    deleted = values <= _DELETED_BELOW
+    return np.where(deleted | ~np.isfinite(values), np.nan, values), int(deleted.sum())
+
+
+def _usable_uncertainty(
+    reflectance: FloatArray, uncertainty: FloatArray | None, *, quiet: bool
+) -> tuple[FloatArray | None, BoolArray | None, dict[str, int]]:
+    """Uncertainty, the channels it rules out, and counts to record; `quiet` where zeros mean unknown by convention."""
+    counts = {"channels_without_uncertainty": 0, "uncertainties_unknown": 0}
+    if uncertainty is None:
+        return None, None, counts
+    measured = reflectance > 0
+    lacking = measured & ~(uncertainty > 0)
+    if lacking.sum() == measured.sum():
+        negative = bool((uncertainty < 0).any())
+        return None, None, counts | {"uncertainties_unknown": 0 if quiet and not negative else int(lacking.sum())}
+    return uncertainty, lacking, counts | {"channels_without_uncertainty": int(lacking.sum())}
+
+
+def _report(spectra: Sequence[Spectrum], file: str) -> None:
+    for key, what in _SAID.items():
+        touched = [s for s in spectra if s.metadata[key]]
+        if touched:
+            where = f" in {len(touched)} of {len(spectra)} spectra, first '{touched[0].id}'" if len(spectra) > 1 else ""
+            _warn(f"{file}: {what}: {sum(s.metadata[key] for s in touched)}{where}")
+    unusable = [s.id for s in spectra if not s.usable.any()]
+    if unusable and len(spectra) == 1:
+        raise DataError(f"{file}: no reflectance above 0 in column {spectra[0].metadata['column']!r}; check the file")
+    if unusable:
+        listed = ", ".join(f"'{i}'" for i in unusable[:5]) + (", ..." if len(unusable) > 5 else "")
+        _warn(f"{file}: {len(unusable)} of {len(spectra)} spectra have no usable channel: {listed}")
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, LunarSciWarning, stacklevel=3)

@@ -1,0 +1,178 @@
+"""Roles of the columns of a table, told by their names: wavelength, spectra, uncertainties, and none of these."""
+
+import re
+import warnings
+from collections import Counter
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.inputs import InputFile
+from lunarsci.spectra.readers.table import Column, quoted
+from lunarsci.spectra.readers.units import name_tokens, without_unit
+
+__all__ = ["Roles", "assign_roles", "is_not_a_spectrum", "is_wavelength", "spectrum_ids"]
+
+_WAVELENGTH = {"wavelength", "wavelengths"}
+_WAVELENGTH_SHORT = {"wl", "wvl", "wav", "wave", "lambda", "λ", "nm", "um", "μm", "micron", "microns"}
+_UNIT_WORDS = {"nm", "um", "μm", "micron", "microns", "nanometer", "nanometers", "micrometer", "micrometers"}
+_POSITION_WORDS = {"band", "channel", "center", "centre", "central", "mean"}
+_NOT_A_SPECTRUM = {
+    *("fwhm", "bandwidth", "resolution", "band", "bands", "channel", "channels", "index", "pixel"),
+    *("flag", "flags", "quality", "mask", "weight", "weights", "wavenumber", "wavenumbers"),
+}
+_NOT_REFLECTANCE = {"radiance", "irradiance", "absorbance", "transmittance", "emissivity", "cal", "calibration"}
+_SIGMA = {
+    *("sigma", "std", "stdev", "stddev", "error", "err", "unc", "uncertainty", "standarddeviation"),
+    *("1sigma", "stddeviation"),
+}
+_SIGMA_SUFFIX = re.compile(r"^(.+?)[ _.-](sigma|std|stdev|err|error|unc|uncertainty)$", re.IGNORECASE)
+_PLAIN = {
+    *("reflectance", "refl", "reflectivity", "ref", "r", "rf", "reff", "radf", "brf", "i/f", "iof", "albedo"),
+    *(
+        "value",
+        "values",
+        "data",
+        "y",
+        "spectrum",
+        "mean",
+        "average",
+        "intensity",
+        "radiancefactor",
+        "reflectancefactor",
+    ),
+    *("bidirectionalreflectance", "absolutereflectance"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Roles:
+    """Places, from 0, of the wavelength column and of each spectrum's reflectance and uncertainty (or None)."""
+
+    wavelength: int
+    spectra: tuple[tuple[int, int | None], ...]
+
+
+def is_wavelength(name: str) -> bool:
+    """Whether a name says wavelength: 'wavelength_nm', 'Channel wavelength', 'wl [µm]', 'nm'."""
+    tokens = name_tokens(name)
+    while tokens and tokens[0] in _POSITION_WORDS:
+        tokens = tokens[1:]
+    if not tokens:
+        return False
+    # 'wl' and the like also begin sample names: they count only when nothing but a unit follows.
+    return tokens[0] in _WAVELENGTH or (tokens[0] in _WAVELENGTH_SHORT and set(tokens[1:]) <= _UNIT_WORDS)
+
+
+def is_not_a_spectrum(name: str) -> bool:
+    """Whether a name says something other than reflectance: 'fwhm_nm', 'band', 'solar_irradiance'."""
+    tokens = name_tokens(name)
+    if "fwhm" in tokens or (len(tokens) == 1 and tokens[0] in _NOT_A_SPECTRUM):
+        return True
+    # 'radiance factor' is a reflectance, a 'calibration factor' is none.
+    foreign = _NOT_REFLECTANCE & set(tokens)
+    return bool(foreign) and not (foreign == {"radiance"} and "factor" in tokens)
+
+
+def assign_roles(
+    names: Sequence[str], source: InputFile, *, wavelength: int | None = None, left_out: Collection[int] = ()
+) -> Roles:
+    """Give each named column its role.
+
+    `wavelength` and `left_out` are what the caller already knows from units. Columns left out are named in a
+    LunarSciWarning. Raises DataError for duplicate names, none or several wavelength columns, no reflectance column,
+    or an uncertainty that belongs to no column or to several.
+    """
+    _check_unique(names, source.name)
+    if wavelength is None:
+        wavelength = _wavelength_place(names, source.name)
+    others = [k for k in range(len(names)) if k != wavelength]
+    dropped = [k for k in others if k in left_out or is_not_a_spectrum(names[k]) or _is_wavelength_error(names[k])]
+    rest = [k for k in others if k not in dropped]
+    sigmas = _sigmas(names, rest, source.name)
+    listed = ", ".join(quoted(names[k]) for k in dropped)
+    spectra = tuple((k, sigmas.get(k)) for k in rest if k not in sigmas.values())
+    if not spectra:
+        why = f" beside {listed}" if dropped else ""
+        raise DataError(
+            f"{source.name}: no reflectance column{why}; a spectrum needs a wavelength and a reflectance column"
+        )
+    if dropped:
+        message = f"{source.name}: left out {listed}: no reflectance by name, unit or content"
+        warnings.warn(message, LunarSciWarning, stacklevel=2)
+    return Roles(wavelength, spectra)
+
+
+def _check_unique(names: Sequence[str], file: str) -> None:
+    twice = [name for name, count in Counter(n for n in names if n).items() if count > 1]
+    if twice:
+        raise DataError(f"{file}: two columns are named {quoted(twice[0])}; give each column its own name")
+
+
+def _wavelength_place(names: Sequence[str], file: str) -> int:
+    found = [k for k, name in enumerate(names) if is_wavelength(name) and not _is_wavelength_error(name)]
+    if len(found) > 1:
+        raise DataError(
+            f"{file}: {quoted(names[found[0]])} and {quoted(names[found[1]])} are both wavelengths; keep one of them"
+        )
+    if found:
+        return found[0]
+    if names[0] and set(name_tokens(names[0])) & _NOT_A_SPECTRUM - {"wavenumber", "wavenumbers"}:
+        raise DataError(f"{file}: no wavelength column, {quoted(names[0])} is none; add one named wavelength_nm")
+    return 0
+
+
+def _is_wavelength_error(name: str) -> bool:
+    match = _SIGMA_SUFFIX.match(name)
+    if match is not None and is_wavelength(match[1]):
+        return True
+    return is_wavelength(name) and bool(_SIGMA & set(name_tokens(name)))
+
+
+def _sigmas(names: Sequence[str], places: Sequence[int], file: str) -> dict[int, int]:
+    """Place of the uncertainty of each reflectance place that has one."""
+    plain = {without_unit(names[k]): k for k in places}
+    pairs: dict[int, int] = {}
+    bare = []
+    for k in places:
+        name = without_unit(names[k])
+        match = _SIGMA_SUFFIX.match(name)
+        if "".join(name_tokens(name)) in _SIGMA:
+            bare.append(k)
+        elif match is not None:
+            _pair(pairs, plain.get(match[1].strip()), k, names, file)
+    taken = {*pairs, *pairs.values(), *bare}
+    alone = [k for k in places if k not in taken]
+    for k in bare:
+        _pair(pairs, alone[0] if len(alone) == 1 else None, k, names, file)
+    return pairs
+
+
+def _pair(pairs: dict[int, int], owner: int | None, sigma: int, names: Sequence[str], file: str) -> None:
+    if owner is None:
+        raise DataError(
+            f"{file}: it is unclear whose uncertainty {quoted(names[sigma])} is; name it COLUMN_sigma after its column"
+        )
+    if owner in pairs:
+        both = f"{quoted(names[pairs[owner]])} and {quoted(names[sigma])}"
+        raise DataError(f"{file}: {both} are both uncertainties of {quoted(names[owner])}; keep one")
+    pairs[owner] = sigma
+
+
+def spectrum_ids(columns: Sequence[Column], source: InputFile) -> list[str]:
+    """Ids of the spectra: the column names; the file's stem where the one name says only 'reflectance' or nothing.
+
+    Raises DataError when two columns would get one id.
+    """
+    if len(columns) == 1:
+        name = without_unit(columns[0].name)
+        return [source.stem if _is_plain(name) else name]
+    ids = [without_unit(c.name) if c.name else f"{source.stem}:column-{c.position}" for c in columns]
+    _check_unique(ids, source.name)
+    return ids
+
+
+def _is_plain(name: str) -> bool:
+    """Whether a name says nothing but 'reflectance', units and remarks in brackets apart."""
+    bare = re.sub(r"[(\[{].*", "", name).strip().casefold()
+    return not bare or bare in _PLAIN or "".join(name_tokens(bare)) in _PLAIN

@@ -1,0 +1,118 @@
+"""Lines, fields and numbers of text tables."""
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lunarsci.errors import DataError
+from lunarsci.spectra.readers.table import quoted
+from lunarsci.spectra.spectrum import FloatArray
+
+__all__ = [
+    "Row",
+    "check_widths",
+    "is_missing",
+    "number",
+    "numbers",
+    "separator_of",
+    "split_fields",
+    "split_lines",
+]
+
+_COMMENT = ("#", "%", "!")
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eEdD][+-]?[0-9]+)?|[+-]?inf(?:inity)?", re.IGNORECASE)
+_MISSING = {"", "-", "--", "na", "nan", "n/a", "null", "none"}
+_LINES_LOOKED_AT = 50
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """The fields of one line; `line` counts from 1."""
+
+    line: int
+    fields: tuple[str, ...]
+
+
+def split_lines(text: str) -> tuple[list[tuple[int, str]], list[tuple[int, str]]]:
+    """Numbered data lines and numbered comment lines (less their mark); blank lines are in neither."""
+    # str.splitlines also breaks at form feeds and the like, and the line numbers would not be those of an editor.
+    stripped = (line.strip().strip("\x1a") for line in text.replace("\r\n", "\n").replace("\r", "\n").split("\n"))
+    numbered = [(n, line) for n, line in enumerate(stripped, 1) if line]
+    data = [(n, line) for n, line in numbered if not line.startswith(_COMMENT)]
+    comments = [(n, line.lstrip("#%! \t")) for n, line in numbered if line.startswith(_COMMENT)]
+    return data, comments
+
+
+def separator_of(lines: Sequence[tuple[int, str]]) -> str:
+    """Tab, semicolon or comma if most data lines have it, in this order; else ' ', which stands for any blanks."""
+    # The first line may be a header, where a name such as "65315,153 <45 um" may hold any of them.
+    looked_at = [line for _, line in lines[1 : _LINES_LOOKED_AT + 1] or lines]
+    for separator in ("\t", ";", ","):
+        if 2 * sum(separator in line for line in looked_at) > len(looked_at):
+            return separator
+    return " "
+
+
+def split_fields(line: str, separator: str, place: str) -> tuple[str, ...]:
+    """Fields of one line, stripped; quotes are honoured. Raises DataError naming `place` for broken quotes."""
+    if separator == " ":
+        return tuple(line.split())
+    try:
+        fields = next(csv.reader([line], delimiter=separator, skipinitialspace=True, strict='"' in line))
+    except (csv.Error, StopIteration) as error:
+        raise DataError(f"{place}: cannot be split into fields ({error}); check its quotes and its length") from error
+    return tuple(f.strip() for f in fields)
+
+
+def check_widths(rows: Sequence[Row], file: str, names: int | None = None) -> int:
+    """Number of fields of every row; `names` is that of the header. Raises DataError naming the line that differs."""
+    widths = Counter(len(row.fields) for row in rows)
+    expected = names if names is not None and names in widths else widths.most_common(1)[0][0]
+    for row in rows:
+        if len(row.fields) != expected:
+            raise DataError(
+                f"{file}: line {row.line} has {len(row.fields)} fields, the others {expected} (truncated download, or "
+                "another separator?); fetch the file again or correct the line"
+            )
+    if names is not None and names != expected:
+        raise DataError(
+            f"{file}: the header has {names} names and the rows {expected} fields; give each column one name (in "
+            "quotes if it has blanks)"
+        )
+    return expected
+
+
+def is_missing(cell: str) -> bool:
+    """Whether a cell stands for no measurement."""
+    return cell.casefold() in _MISSING
+
+
+def number(cell: str, decimal_comma: bool = False) -> float | None:
+    """Value of a cell, NaN for a missing one, None for anything that is no number."""
+    if decimal_comma and "." not in cell:
+        cell = cell.replace(",", ".", 1)
+    if _NUMBER.fullmatch(cell):
+        return float(cell.replace("d", "e").replace("D", "e"))
+    return float("nan") if is_missing(cell) else None
+
+
+def numbers(rows: Sequence[Row], column: int, label: str, file: str, decimal_comma: bool = False) -> FloatArray:
+    """One column (from 0) as floats, shape (rows,). Raises DataError with line, column and text of a bad cell."""
+    values = np.empty(len(rows))
+    for k, row in enumerate(rows):
+        value = number(row.fields[column], decimal_comma)
+        if value is None:
+            raise DataError(_bad_cell(row, column, label, file, decimal_comma))
+        values[k] = value
+    return values
+
+
+def _bad_cell(row: Row, column: int, label: str, file: str, decimal_comma: bool) -> str:
+    cell = row.fields[column]
+    comma = "," in cell and not decimal_comma
+    hint = "; a decimal comma needs ';' between the columns" if comma else "; correct it, or leave it blank if unknown"
+    return f"{file}: line {row.line}, column {label}: {quoted(cell)} is not a number{hint}"

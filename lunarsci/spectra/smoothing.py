@@ -1,0 +1,62 @@
+"""Savitzky-Golay smoothing as a linear operator, so that noise can be carried through it."""
+
+import functools
+
+import numpy as np
+
+from lunarsci.errors import ParameterError
+from lunarsci.spectra.spectrum import FloatArray
+
+__all__ = ["savitzky_golay_operator"]
+
+
+def savitzky_golay_operator(wavelength_nm: FloatArray, points: int = 41, order: int = 3) -> FloatArray:
+    """Matrix S, shape (n, n), whose product with a spectrum is the smoothed spectrum.
+
+    Each row is the least-squares polynomial through the `points` nearest channels, evaluated at its channel. On equal
+    steps this is the Savitzky-Golay filter (ends included); on unequal steps it is the same idea done correctly.
+
+    Parameters
+    ----------
+    wavelength_nm : shape (n,), ascending. [nm]
+    points : odd, above `order`; 0 or 1 means no smoothing. Longer than the spectrum: the longest that fits. [-]
+    order : of the polynomial. The 41 points are those of Ding et al. (2024), who give no order; 3 is assumed. [-]
+
+    Raises
+    ------
+    ParameterError for an even or too short window.
+
+    References
+    ----------
+    Savitzky & Golay (1964), Anal. Chem. 36, 1627, 10.1021/ac60214a047.
+    """
+    size = wavelength_nm.size
+    if points in (0, 1):
+        return np.eye(size)
+    if points < 0 or points % 2 == 0 or points <= order:
+        raise ParameterError(f"smoothing over {points} points; give an odd number above {order}, or 0 for none")
+    points = min(points, size if size % 2 else size - 1)
+    if points <= order:
+        return np.eye(size)
+    return _operator(wavelength_nm.tobytes(), points, order)
+
+
+@functools.lru_cache(maxsize=8)
+def _operator(wavelength: bytes, points: int, order: int) -> FloatArray:
+    """The matrix for one set of channels; a batch of spectra on the same channels shares it."""
+    wavelength_nm = np.frombuffer(wavelength)
+    size, half = wavelength_nm.size, points // 2
+    operator = np.zeros((size, size))
+    for row in range(size):
+        first = min(max(row - half, 0), size - points)
+        window = slice(first, first + points)
+        operator[row, window] = _weights(wavelength_nm[window], wavelength_nm[row], order)
+    operator.setflags(write=False)
+    return operator
+
+
+def _weights(nodes: FloatArray, at: float, order: int) -> FloatArray:
+    scale = np.ptp(nodes) / 2
+    basis = np.vander((nodes - at) / scale, order + 1, increasing=True)
+    weights: FloatArray = np.linalg.pinv(basis)[0]
+    return weights

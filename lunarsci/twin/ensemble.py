@@ -1,0 +1,238 @@
+"""Many drives over the same plan, each with another soil within its uncertainty."""
+
+import math
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.errors import ParameterError
+from lunarsci.twin.integrate import OUTCOMES, drive
+from lunarsci.twin.path import curvature_at, planned_pose, wheel_commands
+from lunarsci.twin.plan import Plan, Sweep, check_plan
+from lunarsci.twin.rover import Rover
+from lunarsci.twin.terrain import Terrain, soil_override
+
+__all__ = ["PATH_COLUMNS", "STATE_COLUMNS", "Prediction", "member_parameters", "predict"]
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+PATH_COLUMNS = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg")
+STATE_COLUMNS = (
+    "x_m",
+    "y_m",
+    "sinkage_m",
+    "slip_ratio",
+    "side_slip_deg",
+    "normal_force_n",
+    "drawbar_pull_n",
+    "lateral_force_n",
+    "resistance_torque_nm",
+    "valid",
+)
+MOST_MEMBERS = 100_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Prediction:
+    """Where the rover may go and what its wheels may meet, one row for each member of the ensemble.
+
+    Attributes
+    ----------
+    rover, terrain, plan, seed : what it was computed from; `time_step_s` as used.
+    parameters : swept soil parameters, name to value for each member. (members,)
+    distance_m : commanded distance of the samples, 0 to the plan's length. (samples,)
+    planned : planned x, y, heading. (samples, 3) [m, m, rad]
+    paths : rover's origin, columns `PATH_COLUMNS`; pitch is positive nose down. (members, samples, 6)
+    states : wheels in the order of `WHEELS`, columns `STATE_COLUMNS`. (members, samples, 6, 10)
+    recorded : samples that each member reached; later rows repeat its last one and are no prediction. (members,)
+    outcome : index into `OUTCOMES`. (members,)
+    """
+
+    rover: Rover
+    terrain: Terrain
+    plan: Plan
+    seed: int
+    time_step_s: float
+    parameters: dict[str, FloatArray]
+    distance_m: FloatArray
+    planned: FloatArray
+    paths: FloatArray
+    states: FloatArray
+    recorded: IntArray
+    outcome: IntArray
+
+    @property
+    def members(self) -> int:
+        """Number of members."""
+        return len(self.outcome)
+
+    @property
+    def finished(self) -> npt.NDArray[np.bool_]:
+        """Members that reached the end of the plan. (members,)"""
+        return np.asarray(self.outcome == 0)
+
+    @property
+    def reached(self) -> npt.NDArray[np.bool_]:
+        """Samples that were driven, not repeated. (members, samples)"""
+        return np.asarray(np.arange(len(self.distance_m)) < self.recorded[:, None])
+
+    @property
+    def endpoints_m(self) -> FloatArray:
+        """x, y where each member ended. (members, 2) [m]"""
+        return self.paths[:, -1, :2]
+
+    @property
+    def miss_m(self) -> FloatArray:
+        """Distance of each end from the planned destination. (members,) [m]"""
+        return np.asarray(np.hypot(*(self.endpoints_m - self.planned[-1, :2]).T))
+
+    @property
+    def time_s(self) -> FloatArray:
+        """Time of the samples. (samples,) [s]"""
+        return self.distance_m / self.plan.speed_m_s
+
+    def outcome_text(self, member: int) -> str:
+        """The outcome of one member in words."""
+        return OUTCOMES[int(self.outcome[member])]
+
+
+def member_parameters(sweep: tuple[Sweep, ...], members: int | None, seed: int) -> dict[str, FloatArray]:
+    """Soil parameters of each member: the grid of all sweeps, or `members` Latin-hypercube samples of their ranges.
+
+    Raises ParameterError for more than 100 000 members or a parameter swept twice.
+    """
+    names = [entry.name for entry in sweep]
+    if len(set(names)) < len(names):
+        raise ParameterError(f"a parameter is swept twice: {', '.join(names)}")
+    if members is not None and members < 1:
+        raise ParameterError(f"members is {members}; give 1 or more")
+    count = math.prod(entry.count for entry in sweep) if members is None else members
+    if count > MOST_MEMBERS:
+        raise ParameterError(f"{count} members are more than {MOST_MEMBERS}; sweep fewer values")
+    if members is None or not sweep:
+        axes = [np.linspace(entry.low, entry.high, entry.count) for entry in sweep]
+        values = [mesh.ravel() for mesh in np.meshgrid(*axes, indexing="ij")]
+        return dict(zip(names, values, strict=True))
+    from scipy.stats import qmc
+
+    samples = qmc.LatinHypercube(len(sweep), rng=np.random.default_rng(seed)).random(members)
+    return {entry.name: entry.low + (entry.high - entry.low) * samples[:, k] for k, entry in enumerate(sweep)}
+
+
+def predict(
+    rover: Rover,
+    terrain: Terrain,
+    plan: Plan,
+    *,
+    sweep: tuple[Sweep, ...] | None = None,
+    members: int | None = None,
+    seed: int = 0,
+    time_step_s: float = 0.05,
+    sample_m: float = 0.1,
+    progress: Callable[[int, int], None] | None = None,
+) -> Prediction:
+    """Drive the plan once for each soil of the ensemble.
+
+    Parameters
+    ----------
+    rover, terrain, plan : what drives where.
+    sweep : uncertain soil parameters, the plan's by default; they replace the terrain's values at every node.
+    members : number of Latin-hypercube samples of the sweeps' ranges; None takes the grid of all their values.
+    seed : of the Latin hypercube, >= 0.
+    time_step_s : longest time step; shortened so that samples fall on steps. 0.05 s puts the end within 5 mm. [s]
+    sample_m : longest distance between samples; shortened so that the last is the end of the path. [m]
+    progress : called with members done and members in all, after each of them.
+
+    Raises
+    ------
+    ParameterError for a plan the rover cannot follow or a value that is no step, seed or sweep.
+    """
+    check_plan(plan, rover)
+    _check_steps(time_step_s, sample_m, seed, plan)
+    parameters = member_parameters(plan.sweep if sweep is None else sweep, members, seed)
+    count = len(next(iter(parameters.values()))) if parameters else 1
+    samples = math.ceil(plan.length_m / sample_m - 1e-9)
+    every = math.ceil(plan.length_m / samples / plan.speed_m_s / time_step_s - 1e-9)
+    distance = np.linspace(0.0, plan.length_m, samples * every + 1)
+    commands = wheel_commands(rover, curvature_at(plan.arcs, distance, plan.blend_m), plan.speed_m_s)
+    dt = plan.length_m / plan.speed_m_s / (samples * every)
+    heading = math.radians(plan.heading_deg)
+    start = np.array([plan.x_m, plan.y_m, heading, plan.speed_m_s, plan.arcs[0].curvature_per_m])
+    fixed = (start, commands.steering_rad, commands.speed_m_s, dt, every)
+    overrides = np.array([soil_override({k: float(v[m]) for k, v in parameters.items()}) for m in range(count)])
+    paths, states, results = _drive_all(rover, terrain, overrides, fixed, samples + 1, progress)
+    _hold_last(paths, states, results[:, 1], start, float(terrain.height_at(plan.x_m, plan.y_m)))
+    paths[..., 3:] = np.degrees(paths[..., 3:])
+    paths[..., 5] = np.degrees(np.unwrap(np.radians(paths[..., 5]), axis=1))
+    states[..., 4] = np.degrees(states[..., 4])
+    return Prediction(
+        rover=rover,
+        terrain=terrain,
+        plan=plan,
+        seed=seed,
+        time_step_s=dt,
+        parameters=parameters,
+        distance_m=distance[::every],
+        planned=planned_pose(plan, distance[::every]),
+        paths=paths,
+        states=states,
+        recorded=results[:, 1],
+        outcome=results[:, 0],
+    )
+
+
+def _check_steps(time_step_s: float, sample_m: float, seed: int, plan: Plan) -> None:
+    for name, value in (("time_step_s", time_step_s), ("sample_m", sample_m)):
+        if not 0 < value < math.inf:
+            raise ParameterError(f"{name} is {value}; give a number above 0")
+    if plan.length_m / plan.speed_m_s / time_step_s > 1e7 or plan.length_m / sample_m > 1e5:
+        raise ParameterError("the drive takes over 1e7 steps or 1e5 samples; give a longer time_step_s or sample_m")
+    if seed < 0:
+        raise ParameterError(f"seed is {seed}; give 0 or more")
+
+
+def _drive_all(
+    rover: Rover,
+    terrain: Terrain,
+    overrides: FloatArray,
+    fixed: tuple[FloatArray, FloatArray, FloatArray, float, int],
+    samples: int,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Drive the members, as many at a time as numba has threads; each is its own computation, so their order is free."""
+    import numba
+
+    count = len(overrides)
+    paths, states = np.zeros((count, samples, 6)), np.zeros((count, samples, 6, 10))
+    results = np.zeros((count, 2), dtype=np.int64)
+    known = (rover.vector(), rover.wheel.vector(), terrain.grid())
+
+    def one(m: int) -> None:
+        results[m] = drive(*known, overrides[m], *fixed, paths[m], states[m])
+
+    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
+        try:
+            for done, _ in enumerate(pool.map(one, range(count)), start=1):
+                if progress is not None:
+                    progress(done, count)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    return paths, states, results
+
+
+def _hold_last(paths: FloatArray, states: FloatArray, recorded: IntArray, start: FloatArray, height: float) -> None:
+    """Repeat the last sample of a drive that ended early; a drive that never began stays at the start, all forces 0."""
+    for m in np.flatnonzero(recorded < paths.shape[1]):
+        last = int(recorded[m])
+        if last == 0:
+            paths[m, :, :3] = start[0], start[1], height if math.isfinite(height) else 0.0
+            paths[m, :, 5] = start[2]
+        else:
+            paths[m, last:], states[m, last:] = paths[m, last - 1], states[m, last - 1]
+        states[m, last:, :, 9] = 0.0

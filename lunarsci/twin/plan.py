@@ -1,0 +1,224 @@
+"""The planned drive: arcs, speed, limits of safety, and which soil parameters are uncertain."""
+
+import math
+import tomllib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.twin.rover import Rover
+from lunarsci.twin.terrain import SOIL_COLUMNS, soil_override
+
+__all__ = ["QUANTITIES", "Arc", "Limit", "Plan", "Sweep", "check_plan", "parse_sweep", "read_plan"]
+
+# Quantities that can be limited, and their units.
+QUANTITIES = {"slip_ratio": "-", "side_slip_deg": "deg", "sinkage_m": "m", "tilt_deg": "deg", "endpoint_miss_m": "m"}
+LONGEST_M = 1000.0
+
+
+@dataclass(frozen=True, slots=True)
+class Arc:
+    """A piece of the path: length > 0 [m] and constant curvature, positive to the left [1/m]."""
+
+    length_m: float
+    curvature_per_m: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.length_m < math.inf:
+            raise ParameterError(f"arc length_m is {self.length_m}; give a length above 0 m")
+        if not math.isfinite(self.curvature_per_m):
+            raise ParameterError(f"arc curvature_per_m is {self.curvature_per_m}; give a finite number")
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """Largest value of a quantity that counts as safe, its unit, where the number comes from, whether it is a guess."""
+
+    quantity: str
+    unit: str
+    limit: float
+    source: str
+    assumed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """Range of one soil parameter, with the number of grid points; the unit is in the name, as in `Soil`."""
+
+    name: str
+    low: float
+    high: float
+    count: int
+
+    def __post_init__(self) -> None:
+        for value in (self.low, self.high):
+            soil_override({self.name: value})
+        if not (self.low < self.high and self.count >= 2 or self.low == self.high and self.count == 1):
+            raise ParameterError(f"sweep {self.name}={self}: give LOW < HIGH and at least 2 values")
+
+    def __str__(self) -> str:
+        return f"{self.low:g}:{self.high:g}:{self.count}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """A planned drive.
+
+    Attributes
+    ----------
+    name, origin : what it is, and the file it comes from.
+    x_m, y_m, heading_deg : start pose of the rover's origin; heading from x to the left. [m, m, deg]
+    arcs : the pieces of the path, in order.
+    speed_m_s : commanded speed of the rover's origin, > 0. [m/s]
+    blend_m : length over which the commanded curvature goes over from one arc to the next, >= 0. [m]
+    limits : what counts as safe.
+    sweep : uncertain soil parameters.
+    """
+
+    name: str
+    arcs: tuple[Arc, ...]
+    speed_m_s: float
+    x_m: float = 0.0
+    y_m: float = 0.0
+    heading_deg: float = 0.0
+    blend_m: float = 0.2
+    limits: tuple[Limit, ...] = ()
+    sweep: tuple[Sweep, ...] = ()
+    origin: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.arcs:
+            raise ParameterError("the plan has no arc; its length is zero, so there is nothing to drive")
+        if self.length_m > LONGEST_M:
+            raise ParameterError(f"the plan is {self.length_m:g} m long; give at most {LONGEST_M:g} m")
+        if not 0 < self.speed_m_s < math.inf:
+            raise ParameterError(f"the plan's speed_m_s is {self.speed_m_s}; give a speed above 0 m/s")
+        if not 0 <= self.blend_m < math.inf:
+            raise ParameterError(f"the plan's blend_m is {self.blend_m}; give 0 m or more")
+        if not all(map(math.isfinite, (self.x_m, self.y_m, self.heading_deg))):
+            raise ParameterError("the plan's start needs finite x_m, y_m and heading_deg")
+
+    @property
+    def length_m(self) -> float:
+        """Length of the path. [m]"""
+        return math.fsum(arc.length_m for arc in self.arcs)
+
+
+def check_plan(plan: Plan, rover: Rover) -> None:
+    """Raises ParameterError for a plan that the rover cannot follow."""
+    if plan.speed_m_s > rover.max_speed_m_s:
+        raise ParameterError(
+            f"the plan's speed_m_s is {plan.speed_m_s:g}; {rover.name} drives at most {rover.max_speed_m_s:g} m/s"
+        )
+    tightest = 0.9 / (rover.rocker_pivot_y_m + rover.steering_offset_m)
+    for arc in plan.arcs:
+        if abs(arc.curvature_per_m) > tightest:
+            raise ParameterError(
+                f"arc curvature_per_m is {arc.curvature_per_m:g}; the turning centre must lie outside the wheels, "
+                f"so give at most {tightest:.3g} 1/m"
+            )
+
+
+def parse_sweep(text: str) -> Sweep:
+    """Read `NAME=LOW:HIGH:N`, for example `friction_angle_deg=25:55:9`. Raises ParameterError."""
+    name, _, rest = text.partition("=")
+    parts = rest.split(":")
+    try:
+        low, high, count = float(parts[0]), float(parts[1]), int(parts[2])
+    except (IndexError, ValueError) as error:
+        raise ParameterError(f"sweep '{text}' is not NAME=LOW:HIGH:N, for example friction_angle_deg=25:55:9") from error
+    if len(parts) != 3:
+        raise ParameterError(f"sweep '{text}' is not NAME=LOW:HIGH:N, for example friction_angle_deg=25:55:9")
+    return Sweep(name.strip(), low, high, count)
+
+
+def read_plan(path: str | Path | None = None) -> Plan:
+    """Read a plan from a TOML file, or the embedded one. Raises DataError.
+
+    A file without [limits] gets those of the embedded plan; one without [sweep] sweeps nothing.
+    """
+    embedded = (files(__package__) / "plan.toml").read_text("utf-8")
+    if path is None:
+        return _parse(embedded, "the embedded plan")
+    try:
+        text = Path(path).read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(f"{path}: not a readable TOML file") from error
+    plan = _parse(text, str(path))
+    return plan
+
+
+def _parse(text: str, origin: str) -> Plan:
+    try:
+        document = tomllib.loads(text)
+        _check_keys(document, ("name", "start", "drive", "arc", "limits", "sweep"), "the plan")
+        start, drive = _table(document, "start"), _table(document, "drive")
+        _check_keys(start, ("x_m", "y_m", "heading_deg"), "[start]")
+        _check_keys(drive, ("speed_m_s", "blend_m"), "[drive]")
+        if "speed_m_s" not in drive:
+            raise ParameterError("[drive] has no speed_m_s")
+        limits = _table(document, "limits") if "limits" in document else _default_limits()
+        return Plan(
+            name=str(document.get("name", origin)),
+            arcs=tuple(_arc(table) for table in _arcs(document)),
+            limits=tuple(_limit(quantity, entry) for quantity, entry in limits.items()),
+            sweep=tuple(parse_sweep(f"{name}={entry}") for name, entry in _table(document, "sweep").items()),
+            origin=origin,
+            **{key: _number(value, key) for key, value in (start | drive).items()},
+        )
+    except (tomllib.TOMLDecodeError, ParameterError) as error:
+        raise DataError(f"{origin}: {error}") from error
+
+
+def _default_limits() -> dict[str, Any]:
+    return dict(tomllib.loads((files(__package__) / "plan.toml").read_text("utf-8"))["limits"])
+
+
+def _arcs(document: dict[str, Any]) -> list[Any]:
+    arcs = document.get("arc", [])
+    if not isinstance(arcs, list):
+        raise ParameterError("write each arc as [[arc]], in double brackets")
+    return arcs
+
+
+def _arc(table: Any) -> Arc:
+    known = ("length_m", "curvature_per_m")
+    _check_keys(table, known, "[[arc]]")
+    for name in known:
+        if name not in table:
+            raise ParameterError(f"an [[arc]] has no {name}")
+    return Arc(*(_number(table[name], name) for name in known))
+
+
+def _limit(quantity: str, entry: Any) -> Limit:
+    _check_keys({quantity: entry}, QUANTITIES, "[limits]")
+    table = entry if isinstance(entry, dict) else {"value": entry, "source": "the plan"}
+    _check_keys(table, ("value", "source", "assumed"), f"limit {quantity}")
+    value = _number(table.get("value"), quantity)
+    if not 0 < value < math.inf:
+        raise ParameterError(f"limit {quantity} is {value}; give a number above 0")
+    return Limit(quantity, QUANTITIES[quantity], value, str(table.get("source", "")), bool(table.get("assumed", False)))
+
+
+def _table(document: dict[str, Any], name: str) -> dict[str, Any]:
+    table = document.get(name, {})
+    if not isinstance(table, dict):
+        raise ParameterError(f"[{name}] must be a table")
+    return table
+
+
+def _check_keys(table: Any, known: Iterable[str], where: str) -> None:
+    if not isinstance(table, dict):
+        raise ParameterError(f"{where} must be a table")
+    for key in table:
+        if key not in known:
+            raise ParameterError(f"'{key}' is not a key of {where}; these are: {', '.join(known)}")
+
+
+def _number(value: Any, name: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ParameterError(f"{name} is {value!r}; give a number")
+    return float(value)

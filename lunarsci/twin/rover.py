@@ -1,0 +1,173 @@
+"""The rover as the multibody model sees it: a chassis on a rocker-bogie suspension with a differential."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.constants import LUNAR_GRAVITY
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.regolith.wheel import Wheel, read_wheel
+from lunarsci.rovers.description import RoverDescription, read_rover
+
+__all__ = ["WHEELS", "Rover", "RoverVector", "Vector3", "build_rover"]
+
+WHEELS = ("FL", "FR", "ML", "MR", "RL", "RR")
+PAIRS = ("front", "middle", "rear")
+Vector3 = tuple[float, float, float]
+FloatArray = npt.NDArray[np.float64]
+
+
+class RoverVector(NamedTuple):
+    """What the compiled formulas read of a rover, SI units; the meaning of each entry is in `Rover`."""
+
+    body_kg: float
+    inertia: FloatArray
+    center: FloatArray
+    wheel_kg: float
+    pivot_y: float
+    bogie: FloatArray
+    arms: FloatArray
+    steering_offset: float
+    joint_damping: float
+    gravity: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rover:
+    """A six-wheeled rocker-bogie rover; x forward, y left, z up, origin midway between the rocker pivots.
+
+    Attributes
+    ----------
+    name : as in the rover file.
+    wheel : the wheel of the wheel-soil formulas; the six are alike.
+    body_kg, wheel_kg : mass of the chassis, and of one wheel with its share of the arm as a point mass. [kg]
+    body_inertia_kg_m2 : principal moments of the chassis about its own centre of mass, along x, y, z. [kg m2]
+    body_center_m : centre of mass of the chassis. [m]
+    rocker_pivot_y_m : half the distance between the rocker pivots. [m]
+    front_wheel_m : front wheel centre from the rocker pivot. [m]
+    bogie_pivot_m : bogie pivot from the rocker pivot. [m]
+    middle_wheel_m, rear_wheel_m : wheel centres from the bogie pivot. [m]
+    joint_damping_n_m_s : viscous friction of each pivot. [N m s]
+    steered : which of `front`, `middle`, `rear` are steered.
+    steering_offset_m : distance of a wheel from its steering axis, which is inboard of it. [m]
+    max_speed_m_s : highest commanded speed. [m/s]
+    gravity_m_s2 : acceleration of gravity. [m/s2]
+
+    The left rocker turns by +rho about the chassis' y axis, the right one by -rho (the differential); each bogie
+    turns about its rocker. Raises ParameterError for masses, moments or lengths that are not positive.
+    """
+
+    name: str
+    wheel: Wheel
+    body_kg: float
+    wheel_kg: float
+    body_inertia_kg_m2: Vector3
+    body_center_m: Vector3
+    rocker_pivot_y_m: float
+    front_wheel_m: Vector3
+    bogie_pivot_m: Vector3
+    middle_wheel_m: Vector3
+    rear_wheel_m: Vector3
+    joint_damping_n_m_s: float
+    steered: tuple[str, ...]
+    max_speed_m_s: float
+    steering_offset_m: float = 0.0
+    gravity_m_s2: float = LUNAR_GRAVITY.value
+
+    def __post_init__(self) -> None:
+        for name in ("body_kg", "wheel_kg", "rocker_pivot_y_m", "max_speed_m_s", "gravity_m_s2"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ParameterError(f"rover {name} is {getattr(self, name)}; give a number above 0")
+        for name in ("joint_damping_n_m_s", "steering_offset_m"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ParameterError(f"rover {name} is {getattr(self, name)}; give 0 or more")
+        for name in ("body_center_m", "front_wheel_m", "bogie_pivot_m", "middle_wheel_m", "rear_wheel_m"):
+            if not all(map(math.isfinite, getattr(self, name))):
+                raise ParameterError(f"rover {name} is {getattr(self, name)}; give three finite numbers")
+        if not all(0 < moment < math.inf for moment in self.body_inertia_kg_m2):
+            raise ParameterError(f"rover body_inertia_kg_m2 is {self.body_inertia_kg_m2}; give three numbers above 0")
+        if unknown := set(self.steered) - set(PAIRS):
+            raise ParameterError(f"rover steered_wheels has '{min(unknown)}'; choose from: {', '.join(PAIRS)}")
+        if not self.rear_wheel_m[0] < self.middle_wheel_m[0]:
+            raise ParameterError("rover middle_wheel_m must lie ahead of rear_wheel_m")
+
+    @property
+    def mass_kg(self) -> float:
+        """Mass of the whole rover. [kg]"""
+        return self.body_kg + 6 * self.wheel_kg
+
+    @property
+    def wheel_positions_m(self) -> FloatArray:
+        """Wheel centres with all joints at zero, in the order of `WHEELS`. (6, 3) [m]"""
+        bogie = np.array(self.bogie_pivot_m)
+        rows = [np.array(self.front_wheel_m), bogie + self.middle_wheel_m, bogie + self.rear_wheel_m]
+        side = np.array([0.0, self.rocker_pivot_y_m, 0.0])
+        mirror = np.array([1.0, -1.0, 1.0])
+        return np.array([(row + side) * flip for row in rows for flip in (1.0, mirror)])
+
+    @property
+    def steered_mask(self) -> npt.NDArray[np.bool_]:
+        """Which wheels are steered, in the order of `WHEELS`."""
+        return np.repeat([pair in self.steered for pair in PAIRS], 2)
+
+    def vector(self) -> RoverVector:
+        """The numbers that the compiled formulas take, in SI units."""
+        arms = np.repeat([self.front_wheel_m, self.middle_wheel_m, self.rear_wheel_m], 2, axis=0).astype(float)
+        arms[1::2, 1] *= -1
+        return RoverVector(
+            float(self.body_kg),
+            np.array(self.body_inertia_kg_m2, dtype=float),
+            np.array(self.body_center_m, dtype=float),
+            float(self.wheel_kg),
+            float(self.rocker_pivot_y_m),
+            np.array(self.bogie_pivot_m, dtype=float),
+            arms,
+            float(self.steering_offset_m),
+            float(self.joint_damping_n_m_s),
+            float(self.gravity_m_s2),
+        )
+
+
+def build_rover(rover: str | RoverDescription) -> Rover:
+    """The rover of a name such as `yutu2`, a TOML file, or a description already read. Raises DataError."""
+    description = read_rover(rover) if isinstance(rover, str) else rover
+    mass, suspension = description.table("mass"), description.table("suspension")
+    steering, drive = description.table("steering"), description.table("drive")
+    try:
+        return Rover(
+            name=description.name,
+            wheel=read_wheel(description),
+            **_numbers(mass, "body_kg", "wheel_kg"),
+            **_vectors(mass, "body_inertia_kg_m2", "body_center_m"),
+            **_numbers(suspension, "rocker_pivot_y_m", "joint_damping_n_m_s"),
+            **_vectors(suspension, "front_wheel_m", "bogie_pivot_m", "middle_wheel_m", "rear_wheel_m"),
+            steered=tuple(str(pair) for pair in steering["steered_wheels"]),
+            steering_offset_m=float(steering.get("offset_m", 0.0)),
+            **_numbers(drive, "max_speed_m_s"),
+        )
+    except KeyError as error:
+        raise DataError(f"{description.origin}: no {error}; add it as in the yutu2 file") from error
+    except DataError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise DataError(f"{description.origin}: {error}") from error
+
+
+def _numbers(table: dict[str, Any], *names: str) -> dict[str, Any]:
+    return {name: float(table[name]) for name in names}
+
+
+def _vectors(table: dict[str, Any], *names: str) -> dict[str, Any]:
+    for name in names:
+        if not isinstance(table[name], list) or len(table[name]) != 3:
+            raise ValueError(f"{name} must be a list of three numbers")
+    return {name: _floats(table[name]) for name in names}
+
+
+def _floats(values: Sequence[float]) -> Vector3:
+    x, y, z = values
+    return float(x), float(y), float(z)

@@ -1,0 +1,64 @@
+"""The prediction as tables: wheel states against distance, paths, ends."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lunarsci.twin.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction
+from lunarsci.twin.rover import WHEELS
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["endpoint_table", "path_table", "state_table"]
+
+
+def state_table(prediction: Prediction) -> "pd.DataFrame":
+    """States and forces of each wheel: one row for each member, distance and wheel, as far as the member came.
+
+    Columns member, distance_m, time_s, wheel, x_m, y_m (wheel centre), sinkage_m, slip_ratio, side_slip_deg,
+    normal_force_n, drawbar_pull_n, lateral_force_n, resistance_torque_nm, valid. `distance_m` is as commanded.
+    """
+    import pandas as pd
+
+    member, sample = np.nonzero(prediction.reached)
+    values = prediction.states[member, sample].reshape(-1, len(STATE_COLUMNS))
+    table = pd.DataFrame(values, columns=list(STATE_COLUMNS))
+    table["valid"] = table["valid"] > 0.5
+    count = len(WHEELS)
+    table.insert(0, "member", np.repeat(member, count))
+    table.insert(1, "distance_m", np.repeat(prediction.distance_m[sample], count))
+    table.insert(2, "time_s", np.repeat(prediction.time_s[sample], count))
+    table.insert(3, "wheel", np.tile(WHEELS, len(member)))
+    return table
+
+
+def path_table(prediction: Prediction) -> "pd.DataFrame":
+    """Pose of the rover's origin: one row for each member and distance, as far as the member came.
+
+    Columns member, distance_m, x_m, y_m, z_m, roll_deg, pitch_deg (positive nose down), yaw_deg.
+    """
+    import pandas as pd
+
+    member, sample = np.nonzero(prediction.reached)
+    table = pd.DataFrame(prediction.paths[member, sample], columns=list(PATH_COLUMNS))
+    table.insert(0, "member", member)
+    table.insert(1, "distance_m", prediction.distance_m[sample])
+    return table
+
+
+def endpoint_table(prediction: Prediction) -> "pd.DataFrame":
+    """One row for each member: member, its swept soil parameters, x_m, y_m, miss_m, outcome (a sentence)."""
+    import pandas as pd
+
+    ends = prediction.endpoints_m
+    return pd.DataFrame(
+        {
+            "member": np.arange(prediction.members),
+            **prediction.parameters,
+            "x_m": ends[:, 0],
+            "y_m": ends[:, 1],
+            "miss_m": prediction.miss_m,
+            "outcome": [prediction.outcome_text(m) for m in range(prediction.members)],
+        }
+    )

@@ -1,0 +1,272 @@
+"""Terrain: a regular grid of heights with soil parameters at every node."""
+
+import dataclasses
+import math
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.compiled import compiled
+from lunarsci.errors import DataError, OutputError, ParameterError
+from lunarsci.regolith.soil import Soil
+
+__all__ = ["SOIL_COLUMNS", "Grid", "Terrain", "build_terrain", "read_node", "read_terrain", "soil_override", "write_terrain"]
+
+FloatArray = npt.NDArray[np.float64]
+
+# Column of `Soil.vector()` that holds each parameter.
+SOIL_COLUMNS = {
+    "stiffness_kpa_m_n": 0,
+    "sinkage_exponent": 1,
+    "sinkage_exponent_slip": 2,
+    "cohesion_pa": 3,
+    "friction_angle_deg": 4,
+    "shear_modulus_mm": 5,
+    "external_friction_angle_deg": 6,
+    "lateral_modulus_mm": 7,
+}
+
+
+class Grid(NamedTuple):
+    """What the compiled formulas read of a terrain: height, its two gradients and the soil vector at each node."""
+
+    x0: float
+    y0: float
+    spacing: float
+    nodes: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Terrain:
+    """Heights and soil on a regular grid, x to the east of the local frame, y to the north.
+
+    Attributes
+    ----------
+    name : what the terrain is.
+    x0_m, y0_m : position of node [0, 0]. [m]
+    spacing_m : distance of the nodes in x and y, > 0. [m]
+    height_m : height, NaN where unknown; row is y, column is x. (ny, nx) [m]
+    soil : `Soil.vector()` at every node, in Pa and m. (ny, nx, 8)
+    synthetic : True for a made-up terrain.
+
+    Between nodes heights, gradients (central differences of the heights) and soil are bilinear. A hole therefore reaches
+    one node further than the missing heights. Raises ParameterError for arrays that do not fit together.
+    """
+
+    name: str
+    x0_m: float
+    y0_m: float
+    spacing_m: float
+    height_m: FloatArray
+    soil: FloatArray
+    synthetic: bool = False
+
+    def __post_init__(self) -> None:
+        shape = self.height_m.shape
+        if len(shape) != 2 or min(shape) < 3:
+            raise ParameterError(f"terrain height_m has shape {shape}; give a grid of at least 3 x 3 nodes")
+        if self.soil.shape != (*shape, 8):
+            raise ParameterError(f"terrain soil has shape {self.soil.shape}; give {(*shape, 8)}")
+        if not (0 < self.spacing_m < math.inf and math.isfinite(self.x0_m) and math.isfinite(self.y0_m)):
+            raise ParameterError("terrain x0_m, y0_m and spacing_m must be finite, spacing_m above 0")
+        if np.isinf(self.height_m).any():
+            raise ParameterError("terrain height_m is infinite somewhere; use NaN where the height is unknown")
+        if np.isnan(self.height_m).all():
+            raise ParameterError("terrain height_m has no known height")
+        if not np.isfinite(self.soil).all():
+            raise ParameterError("terrain soil has a value that is not finite")
+
+    @property
+    def x_m(self) -> FloatArray:
+        """Columns. (nx,) [m]"""
+        return self.x0_m + self.spacing_m * np.arange(self.height_m.shape[1])
+
+    @property
+    def y_m(self) -> FloatArray:
+        """Rows. (ny,) [m]"""
+        return self.y0_m + self.spacing_m * np.arange(self.height_m.shape[0])
+
+    def with_soil(self, **values: npt.ArrayLike) -> "Terrain":
+        """The same ground with soil parameters changed; a number, or one value for each node (ny, nx)."""
+        soil = self.soil.copy()
+        for name, value in values.items():
+            soil[..., _column(name)] = _in_si(name, np.asarray(value, dtype=float))
+        return dataclasses.replace(self, soil=soil)
+
+    def grid(self) -> Grid:
+        """The numbers that the compiled formulas take. Nodes: height, dh/dx, dh/dy, soil. (ny, nx, 11)"""
+        slope_y, slope_x = np.gradient(self.height_m, self.spacing_m)
+        nodes = np.concatenate([np.stack([self.height_m, slope_x, slope_y], axis=-1), self.soil], axis=-1)
+        return Grid(float(self.x0_m), float(self.y0_m), float(self.spacing_m), np.ascontiguousarray(nodes))
+
+    def height_at(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> FloatArray:
+        """Bilinear height, NaN outside the map and in holes. [m]"""
+        from scipy.interpolate import RegularGridInterpolator
+
+        interpolate = RegularGridInterpolator((self.y_m, self.x_m), self.height_m, bounds_error=False)
+        return np.asarray(interpolate((np.asarray(y_m, dtype=float), np.asarray(x_m, dtype=float))))
+
+
+@compiled(error_model="numpy")
+def read_node(grid: Any, x: float, y: float, override: Any, node: Any) -> int:
+    """Interpolate all layers at x, y into `node` (11); returns 0, 1 outside the map, 2 in a hole.
+
+    `override` (8) replaces the soil where it is not NaN.
+    """
+    ny, nx, layers = grid.nodes.shape
+    column, row = (x - grid.x0) / grid.spacing, (y - grid.y0) / grid.spacing
+    if not (0.0 <= column <= nx - 1 and 0.0 <= row <= ny - 1):
+        return 1
+    j, i = min(int(column), nx - 2), min(int(row), ny - 2)
+    a, b = column - j, row - i
+    for k in range(layers):
+        low = (1.0 - a) * grid.nodes[i, j, k] + a * grid.nodes[i, j + 1, k]
+        high = (1.0 - a) * grid.nodes[i + 1, j, k] + a * grid.nodes[i + 1, j + 1, k]
+        node[k] = (1.0 - b) * low + b * high
+    if not abs(node[0]) + abs(node[1]) + abs(node[2]) < np.inf:
+        return 2
+    for k in range(8):
+        if not np.isnan(override[k]):
+            node[3 + k] = override[k]
+    return 0
+
+
+def build_terrain(
+    name: str,
+    x0_m: float,
+    y0_m: float,
+    spacing_m: float,
+    height_m: npt.ArrayLike,
+    soil: Soil,
+    *,
+    synthetic: bool = False,
+) -> Terrain:
+    """A terrain with the same soil everywhere; arguments as in `Terrain`."""
+    height = np.array(height_m, dtype=np.float64)
+    layers = np.broadcast_to(np.array(soil.vector()), (*height.shape, 8)).copy()
+    return Terrain(
+        name=name,
+        x0_m=x0_m,
+        y0_m=y0_m,
+        spacing_m=spacing_m,
+        height_m=height,
+        soil=layers,
+        synthetic=synthetic,
+    )
+
+
+def soil_override(values: dict[str, float]) -> FloatArray:
+    """Soil vector with the given parameters in SI units, NaN elsewhere. (8,)"""
+    override = np.full(8, np.nan)
+    for name, value in values.items():
+        override[_column(name)] = _in_si(name, np.asarray(value, dtype=float))
+    return override
+
+
+def read_terrain(path: str | Path, soil: Soil) -> Terrain:
+    """Read a terrain from a NumPy archive (.npz).
+
+    Keys: `x_m` (nx,) and `y_m` (ny,), ascending and evenly spaced with one spacing; `height_m` (ny, nx) with NaN where
+    unknown; optionally any field of `Soil` under its own name and unit, a number or (ny, nx); optionally `name` and
+    `synthetic`. Parameters the file lacks come from `soil`. Raises DataError.
+    """
+    arrays = _load(Path(path))
+    known = {"x_m", "y_m", "height_m", "name", "synthetic", *SOIL_COLUMNS}
+    if unknown := set(arrays) - known:
+        raise DataError(f"{path}: '{min(unknown)}' is not a key of a terrain; these are: {', '.join(sorted(known))}")
+    for key in ("x_m", "y_m", "height_m"):
+        if key not in arrays:
+            raise DataError(f"{path}: no '{key}'; a terrain needs x_m, y_m and height_m")
+    try:
+        x, y, height = (np.asarray(arrays[key], dtype=np.float64) for key in ("x_m", "y_m", "height_m"))
+        if height.shape != (y.size, x.size):
+            raise DataError(f"height_m has shape {height.shape}; y_m and x_m say {(y.size, x.size)}")
+        spacing = _spacing(x, y)
+        name = str(arrays.get("name", Path(path).stem))
+        synthetic = bool(arrays.get("synthetic", False))
+        terrain = build_terrain(name, float(x[0]), float(y[0]), spacing, height, soil, synthetic=synthetic)
+        return terrain.with_soil(**{key: arrays[key] for key in SOIL_COLUMNS if key in arrays})
+    except (TypeError, ValueError) as error:
+        raise DataError(f"{path}: {error}") from error
+
+
+def write_terrain(terrain: Terrain, path: str | Path) -> None:
+    """Write a terrain as `read_terrain` reads it. Raises OutputError."""
+    from_si: dict[str, FloatArray] = {name: _from_si(name, terrain.soil[..., k]) for name, k in SOIL_COLUMNS.items()}
+    content: dict[str, Any] = {
+        "x_m": terrain.x_m,
+        "y_m": terrain.y_m,
+        "height_m": terrain.height_m,
+        "name": np.array(terrain.name),
+        "synthetic": np.array(terrain.synthetic),
+        **from_si,
+    }
+    try:
+        with Path(path).open("wb") as file:
+            np.savez_compressed(file, **content)
+    except OSError as error:
+        raise OutputError(f"{path}: {error.strerror}") from error
+
+
+def _load(path: Path) -> dict[str, Any]:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            if not isinstance(archive, np.lib.npyio.NpzFile):
+                raise DataError(f"{path}: not a NumPy archive; write it with numpy.savez")
+            return {key: archive[key] for key in archive.files}
+    except DataError:
+        raise
+    except OSError as error:
+        raise DataError(f"{path}: {error.strerror or 'not a NumPy archive; write it with numpy.savez'}") from error
+    except (AttributeError, EOFError, MemoryError, NotImplementedError, ValueError, zipfile.BadZipFile) as error:
+        raise DataError(f"{path}: not a NumPy archive that can be read; write it with numpy.savez") from error
+
+
+def _spacing(x: FloatArray, y: FloatArray) -> float:
+    if x.ndim != 1 or y.ndim != 1 or min(x.size, y.size) < 3:
+        raise DataError("x_m and y_m must be lists of at least 3 numbers")
+    spacing = float(x[-1] - x[0]) / (x.size - 1)
+    for name, axis in (("x_m", x), ("y_m", y)):
+        if not (spacing > 0 and np.allclose(np.diff(axis), spacing, rtol=0, atol=1e-4 * spacing)):
+            raise DataError(f"{name} must ascend in even steps, the same in x and y ({spacing:g} m from x_m)")
+    return spacing
+
+
+def _column(name: str) -> int:
+    if name not in SOIL_COLUMNS:
+        raise ParameterError(f"'{name}' is not a soil parameter; these are: {', '.join(SOIL_COLUMNS)}")
+    return SOIL_COLUMNS[name]
+
+
+def _in_si(name: str, values: FloatArray) -> FloatArray:
+    # The allowed ranges are intervals, so two checked extremes vouch for every node.
+    anything = Soil(
+        stiffness_kpa_m_n=1.0,
+        sinkage_exponent=1.0,
+        cohesion_pa=0.0,
+        friction_angle_deg=0.0,
+        shear_modulus_mm=1.0,
+        external_friction_angle_deg=0.0,
+        lateral_modulus_mm=1.0,
+    )
+    for extreme in (values.min(), values.max()):
+        if not math.isfinite(extreme):
+            raise ParameterError(f"soil {name} has a value that is not finite")
+        anything.replace(**{name: float(extreme)})
+    return _to_si(name, values)
+
+
+def _to_si(name: str, values: FloatArray) -> FloatArray:
+    return np.tan(np.radians(values)) if name.endswith("_deg") else values * _factor(name)
+
+
+def _from_si(name: str, values: FloatArray) -> FloatArray:
+    return np.degrees(np.arctan(values)) if name.endswith("_deg") else values / _factor(name)
+
+
+def _factor(name: str) -> float:
+    return 1e3 if "_kpa" in name else 1e-3 if name.endswith("_mm") else 1.0

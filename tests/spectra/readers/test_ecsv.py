@@ -1,0 +1,150 @@
+"""ECSV: written by astropy or by hand, read back."""
+
+import io
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from astropy import units as u
+from astropy.table import MaskedColumn, Table
+
+from lunarsci.errors import LunarSciWarning
+from lunarsci.spectra.spectrum import Spectrum
+
+Read = Callable[..., list[Spectrum]]
+Refuse = Callable[..., str]
+
+BY_HAND = """# %ECSV 1.0
+# ---
+# datatype:
+# - {name: wavelength, unit: um, datatype: float64}
+# - {name: basalt, unit: '%', datatype: float64}
+# - {name: basalt_sigma, unit: '%', datatype: float64}
+# meta: {instrument: VNIS, drive: 12}
+wavelength basalt basalt_sigma
+0.4 10.0 1.0
+0.5 "" 2.0
+0.6 30.0 3.0
+"""
+
+
+def ecsv(columns: dict[str, Any], **meta: Any) -> bytes:
+    stream = io.StringIO()
+    Table(columns, meta=meta).write(stream, format="ascii.ecsv")
+    return stream.getvalue().encode()
+
+
+def test_units_metadata_and_masked_values(read: Read) -> None:
+    (spectrum,) = read(BY_HAND, "rock.ecsv")
+    np.testing.assert_allclose(spectrum.wavelength_nm, [400, 500, 600], rtol=1e-12)
+    np.testing.assert_allclose(spectrum.reflectance, [0.1, np.nan, 0.3], rtol=1e-12)
+    np.testing.assert_allclose(spectrum.uncertainty, [0.01, 0.02, 0.03], rtol=1e-12)
+    assert spectrum.id == "basalt"
+    assert spectrum.metadata["header"] == {"instrument": "VNIS", "drive": 12}
+    assert spectrum.metadata["channels_missing"] == 1
+
+
+def test_content_decides_whatever_the_name(read: Read) -> None:
+    assert read(BY_HAND, "rock.csv")[0].metadata["format"] == "ecsv"
+
+
+@pytest.mark.parametrize("unit", ["nm", "um", "Angstrom", "m", "cm-1", "eV", "THz"])
+@pytest.mark.parametrize("name", ["wavelength", "x"])
+def test_every_spectral_unit_gives_the_same_wavelengths(read: Read, unit: str, name: str) -> None:
+    truth = np.array([400.0, 1000.0, 2500.0])
+    # c = 299792458 m/s and hc = 1239.841984 eV nm (CODATA 2018)
+    written = {
+        "nm": truth,
+        "um": truth / 1e3,
+        "Angstrom": truth * 10,
+        "m": truth / 1e9,
+        "cm-1": 1e7 / truth,
+        "eV": 1239.841984332 / truth,
+        "THz": 299792.458 / truth,
+    }[unit]
+    data = ecsv({name: written * u.Unit(unit), "rock": [0.1, 0.2, 0.3]})
+    (spectrum,) = read(data, "rock.ecsv")
+    np.testing.assert_allclose(spectrum.wavelength_nm, truth, rtol=1e-9)
+    np.testing.assert_array_equal(spectrum.reflectance, [0.1, 0.2, 0.3])
+    assert spectrum.metadata["wavelength_unit_from"] == "file"
+
+
+def test_round_trip_of_many_columns(read: Read) -> None:
+    rng = np.random.default_rng(5)
+    wavelength = np.linspace(450, 2400, 391)
+    values = rng.uniform(0.01, 0.9, (4, 391))
+    names = ["a", "a_err", "b", "b_uncertainty"]
+    data = ecsv({"wavelength_nm": wavelength, **dict(zip(names, values, strict=True))})
+    a, b = read(data, "rock.ecsv")
+    for spectrum, k in ((a, 0), (b, 2)):
+        np.testing.assert_array_equal(spectrum.wavelength_nm, wavelength)
+        np.testing.assert_array_equal(spectrum.reflectance, values[k])
+        np.testing.assert_array_equal(spectrum.uncertainty, values[k + 1])
+    assert (a.id, b.id) == ("a", "b")
+
+
+def test_masked_integers_are_missing(read: Read) -> None:
+    column = MaskedColumn([10, 20, 30], mask=[False, True, False], unit=u.percent)
+    (spectrum,) = read(ecsv({"wavelength": [400, 500, 600] * u.nm, "rock": column}), "rock.ecsv")
+    np.testing.assert_allclose(spectrum.reflectance, [0.1, np.nan, 0.3])
+
+
+def test_fwhm_text_and_physical_units_are_left_out_and_said(read: Read) -> None:
+    columns = {
+        "wavelength": [400.0, 500.0] * u.nm,
+        "fwhm": [8.0, 8.0] * u.nm,
+        "note": ["good", "bad"],
+        "signal": [1.0, 2.0] * u.W,
+        "rock": [0.1, 0.2],
+    }
+    with pytest.warns(LunarSciWarning, match="left out 'fwhm', 'note', 'signal'"):
+        (spectrum,) = read(ecsv(columns), "rock.ecsv")
+    assert spectrum.id == "rock"
+
+
+def test_without_units_the_rules_of_text_hold(read: Read) -> None:
+    with pytest.warns(LunarSciWarning, match="read as µm"):
+        (spectrum,) = read(ecsv({"wavelength": [0.4, 2.5], "rock": [0.1, 0.2]}), "rock.ecsv")
+    np.testing.assert_allclose(spectrum.wavelength_nm, [400, 2500])
+
+
+@pytest.mark.parametrize("word", ["microns", "micrometers"])
+def test_plain_words_for_units_are_known(read: Read, word: str) -> None:
+    (spectrum,) = read(BY_HAND.replace("unit: um", f"unit: {word}"), "rock.ecsv")
+    np.testing.assert_allclose(spectrum.wavelength_nm, [400, 500, 600])
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (("unit: um", "unit: nm"), "cannot be nm as the file says"),
+        (("unit: um", "unit: furlong"), "unknown unit 'furlong'"),
+        (("unit: um", "unit: kg"), "no wavelength"),
+        (("basalt_sigma", "basalt"), "two columns are named 'basalt'"),
+        (("0.6 30.0 3.0\n", "0.6 30"), "broken ECSV"),
+        (("datatype: float64}", "datatype: float64"), "broken ECSV"),
+        (("30.0", "30.o"), "broken ECSV"),
+        (('0.4 10.0 1.0\n0.5 "" 2.0\n0.6 30.0 3.0\n', ""), "0 rows"),
+    ],
+)
+def test_broken_tables_are_refused_in_one_line(refuse: Refuse, change: tuple[str, str], reason: str) -> None:
+    assert change[0] in BY_HAND
+    assert reason in refuse(BY_HAND.replace(*change), "rock.ecsv")
+
+
+@pytest.mark.parametrize("length", range(20, len(BY_HAND) - 20, 37))
+def test_cut_anywhere_it_is_refused_or_shorter(refuse: Refuse, length: int) -> None:
+    # Past the header a cut may fall between two rows, which no reader can tell.
+    cut = BY_HAND[:length]
+    if not cut.endswith("\n"):
+        refuse(cut, "rock.ecsv")
+
+
+def test_two_spectral_columns_without_a_name_are_refused(refuse: Refuse) -> None:
+    data = ecsv({"x": [400, 500] * u.nm, "y": [400, 500] * u.nm, "rock": [0.1, 0.2]})
+    assert "both have a spectral unit" in refuse(data, "rock.ecsv")
+
+
+def test_an_ecsv_name_without_its_mark_is_refused(refuse: Refuse) -> None:
+    assert "# %ECSV" in refuse("wavelength_nm,R\n400,.1\n", "rock.ecsv")
