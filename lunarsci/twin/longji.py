@@ -14,15 +14,15 @@ __all__ = ["CRATERS", "crater_height", "synthetic_longji"]
 FloatArray = npt.NDArray[np.float64]
 
 # x, y of the centre and diameter [m]. The diameters are published (Ding et al. 2024, Fig. 1c, d); the places are chosen
-# to match the description: 6.1 m on the left, 11.2 m on the right, the 7.5 m one ahead, and the two slopes below.
-CRATERS = ((4.4, 5.45, 6.1), (6.0, -2.65, 11.2), (12.4, 4.3, 7.5))
+# to match the description: 6.1 m on the left, 11.2 m on the right, and the drive ends just inside the rim of the 7.5 m one.
+CRATERS = ((4.72, 4.6, 6.1), (4.63, -5.98, 11.2), (12.44, 0.27, 7.5))
 # Wu et al. (2020), EPSL 553, 116666: mean depth/diameter 0.061 of the small craters at the landing site.
 DEPTH_TO_DIAMETER = 0.06
-# Regional gradient dh/dx, dh/dy, chosen with the places of the craters for the published slopes of the route, 8.86 deg at
-# most and 5.38 deg at the end, as the tilt of the plane through 1 m x 1 m of ground.
-REGIONAL = (-0.083, 0.0205)
-# A gentle step down across the passage: x, half width, half height [m].
-STEP = (7.2, 1.5, 0.08)
+# Regional gradient dh/dx, dh/dy, and a gentle step down across the passage (x, half width, half height [m]): chosen with
+# the places of the craters for the published slopes of the route, 8.86 deg at most and 5.38 deg at the end, as the tilt
+# of the plane through 1 m x 1 m of ground, downhill and nearly without side slope.
+REGIONAL = (-0.04, 0.0064)
+STEP = (6.895, 1.5, 0.1877)
 
 
 def crater_height(radius_m: npt.ArrayLike, diameter_m: float, depth_to_diameter: float = DEPTH_TO_DIAMETER) -> FloatArray:

@@ -1,0 +1,201 @@
+"""From files and options to regolith results, and from these to a `Report`."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import typer
+
+from lunarsci.inputs import read_input
+from lunarsci.provenance import sha256
+from lunarsci.regolith.forces import Reading, wheel_forces
+from lunarsci.regolith.identify import UNITS, Estimate, Identification
+from lunarsci.regolith.load import sinkage_under_load
+from lunarsci.regolith.soil import read_soil
+from lunarsci.regolith.states import MeasurementErrors, WheelStates, read_states
+from lunarsci.regolith.wheel import Wheel, read_wheel
+from lunarsci.rovers.description import read_rover
+
+from .output import Report
+from .table import TextTable
+
+__all__ = ["forces_report", "identify_report", "numbers", "read_inputs"]
+
+PAPER = "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8"
+LABELS = {
+    "stiffness_kpa_m_n": "stiffness K_s",
+    "exponent": "sinkage exponent N",
+    "friction_angle_deg": "internal friction angle φ",
+    "cohesion_pa": "cohesion c",
+    "external_friction_angle_deg": "external friction angle φ_y",
+    "lateral_modulus_mm": "lateral shear modulus K_y",
+}
+MANY_STATES = 30
+
+
+def forces_report(
+    rover: str,
+    soil_name: str,
+    changes: Mapping[str, float | None],
+    sinkage_m: float | None,
+    load_n: float | None,
+    slip: float,
+    side_slip_deg: float,
+    reading: Reading,
+) -> Report:
+    """The report of `regolith forces`."""
+    import warnings
+
+    from lunarsci.errors import LunarSciWarning
+    from lunarsci.regolith.identify import REPRODUCTION_ONLY
+
+    description = read_rover(rover)
+    wheel = read_wheel(description)
+    soil = read_soil(soil_name).replace(**{name: value for name, value in changes.items() if value is not None})
+    if reading != "signed":
+        warnings.warn(REPRODUCTION_ONLY.format(reading), LunarSciWarning, stacklevel=2)
+    if sinkage_m is None:
+        sinkage_m = sinkage_under_load(wheel, soil, load_n or 0.0, slip, reading=reading)
+    found = wheel_forces(wheel, soil, sinkage_m, slip, side_slip_deg, reading=reading)
+    state = {"sinkage_m": sinkage_m, "slip_ratio": slip, "side_slip_deg": side_slip_deg}
+    result = state | {name: float(getattr(found, name)) for name in found.__slots__} | {"soil": asdict(soil)}
+
+    def figures() -> Any:
+        from lunarsci.regolith.figure import forces_over_slip
+
+        return [forces_over_slip(wheel, soil, sinkage_m, slip, side_slip_deg, reading)]
+
+    row = {key: value for key, value in result.items() if key != "soil"}
+    return Report(
+        schema="regolith-forces/1",
+        result=result | {"reading": reading, "assumed_of_rover": list(description.assumed)},
+        tables=[_forces_table(row)],
+        rows=[row],
+        figures=figures,
+        data_tables={f"{rover} (rover)": sha256(description.text.encode())},
+        sources=[PAPER],
+    )
+
+
+def _forces_table(row: Mapping[str, float]) -> TextTable:
+    cells = [
+        ["sinkage", f"{1e3 * row['sinkage_m']:.2f}", "mm"],
+        ["slip ratio", f"{row['slip_ratio']:.4f}", ""],
+        ["side slip", f"{row['side_slip_deg']:.2f}", "deg"],
+        ["normal force", f"{row['normal_force_n']:.2f}", "N"],
+        ["drawbar pull", f"{row['drawbar_pull_n']:.2f}", "N"],
+        ["lateral force", f"{row['lateral_force_n']:.2f}", "N"],
+        ["resistance torque", f"{row['resistance_torque_nm']:.3f}", "N m"],
+    ]
+    return TextTable(["quantity", "value", "unit"], cells)
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """What `regolith identify` starts from."""
+
+    states: WheelStates
+    wheel: Wheel
+    inputs: dict[str, str]
+    tables: dict[str, str]
+    assumed: tuple[str, ...]
+
+
+def read_inputs(states: str, rover: str, errors: MeasurementErrors) -> Given:
+    """Read the wheel states and the wheel."""
+    description = read_rover(rover)
+    wheel = read_wheel(description)
+    source = read_input(states)
+    tables = {f"{rover} (rover)": sha256(description.text.encode())}
+    assumed = tuple(name for name in description.assumed if name.startswith("wheel."))
+    return Given(read_states(source, wheel, errors), wheel, {source.name: source.sha256}, tables, assumed)
+
+
+def numbers(text: str | None, option: str) -> tuple[float, ...]:
+    """Numbers separated by commas. Raises a usage error for anything else."""
+    try:
+        return tuple(float(part) for part in text.split(",")) if text else ()
+    except ValueError:
+        raise typer.BadParameter(f"{option} {text}: give one number, or several separated by commas") from None
+
+
+def identify_report(given: Given, found: Identification, seed: int) -> Report:
+    """The report of `regolith identify`."""
+
+    def figures() -> Any:
+        from lunarsci.regolith.figure import characteristic_curves
+
+        return [characteristic_curves(found)]
+
+    return Report(
+        schema="regolith-identify/1",
+        result=found.to_dict() | {"assumed_of_rover": list(given.assumed)},
+        tables=[*_observation_tables(found), _site_table(found)],
+        rows=[_observation_row(row) for row in found.observations],
+        figures=figures,
+        inputs=given.inputs,
+        data_tables=given.tables,
+        sources=[PAPER],
+        seed=seed,
+        untrusted="; ".join(f"no {LABELS[name]}: {found.site[name].reason}" for name in found.unsolved),
+    )
+
+
+def _observation_tables(found: Identification) -> list[TextTable]:
+    if len(found.observations) > MANY_STATES:
+        return []
+    names = [name for name, value in found.observations[0].items() if isinstance(value, Estimate)]
+    headers = ["state", *(f"{name.rsplit('_', 1)[0] if name.endswith('_pa') else name} [{UNITS[name]}]" for name in names)]
+    rows = [[row["id"], *(_text(row[name], name) for name in names)] for row in found.observations]
+    return [TextTable(headers, rows, title="Each state")]
+
+
+def _site_table(found: Identification) -> TextTable:
+    rows = [_site_row(LABELS[name], found.site[name], name) for name in LABELS if not _is_corner_mean(name, found)]
+    for corner in found.corners:
+        label = f"  φ_y at K_y = {corner['lateral_modulus_mm']:g} mm"
+        rows.append(_site_row(label, corner["external_friction_angle_deg"], "external_friction_angle_deg"))
+    count = len(found.observations)
+    title = f"The site from {count} state{'s' if count > 1 else ''}, {found.draws} draws each, reading '{found.reading}'"
+    return TextTable(["parameter", "value", "95 % interval", "unit", ""], rows, title=title)
+
+
+def _is_corner_mean(name: str, found: Identification) -> bool:
+    return name == "lateral_modulus_mm" and len(found.corners) > 1
+
+
+def _site_row(label: str, estimate: Estimate, name: str) -> list[str]:
+    interval = "-" if estimate.low is None else f"{_digits(estimate.low, name)} to {_digits(estimate.high, name)}"
+    remark = "assumed" if estimate.assumed else estimate.reason
+    return [label, _text(estimate, name), interval, UNITS[name], remark]
+
+
+def _text(estimate: Estimate, name: str) -> str:
+    if estimate.value is None:
+        return "-"
+    sigma = "" if estimate.sigma is None else f" ± {_digits(estimate.sigma, name)}"
+    return _digits(estimate.value, name) + sigma
+
+
+def _digits(value: float | None, name: str) -> str:
+    places = {"exponent": 4, "stiffness_kpa_m_n": 1, "friction_angle_deg": 2, "external_friction_angle_deg": 2}
+    return "-" if value is None else f"{value:.{places.get(name, 0)}f}"
+
+
+def _observation_row(row: Mapping[str, Any]) -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for name, value in row.items():
+        if isinstance(value, Estimate):
+            flat |= _columns(name, value)
+        elif name == "corners":
+            for corner in value:
+                label = f"external_friction_angle_deg_at_{corner['lateral_modulus_mm']:g}_mm"
+                flat |= _columns(label, corner["external_friction_angle_deg"])
+        else:
+            flat[name] = value
+    return flat
+
+
+def _columns(name: str, estimate: Estimate) -> dict[str, float | None]:
+    suffixes: Sequence[str] = ("sigma", "low", "high")
+    return {name: estimate.value} | {f"{name}_{suffix}": getattr(estimate, suffix) for suffix in suffixes}

@@ -1,0 +1,90 @@
+"""Pictures of wheel forces over slip, and of the three characteristic curves of the regolith."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from lunarsci.regolith.forces import Reading, wheel_forces
+from lunarsci.regolith.identify import Identification
+from lunarsci.regolith.soil import Soil
+from lunarsci.regolith.wheel import Wheel
+
+__all__ = ["characteristic_curves", "forces_over_slip"]
+
+BLUE, ORANGE, GREEN = "#0072B2", "#D55E00", "#009E73"
+TYPICAL_BEARING = (1.0, 820.0)
+TYPICAL_SHEAR = (520.0, 42.0)
+"""Typical lunar N, K_s and c, phi, as drawn by Ding et al. (2024), Fig. 4, 10.1038/s41467-024-46233-8."""
+
+
+def forces_over_slip(
+    wheel: Wheel, soil: Soil, sinkage_m: float, slip_ratio: float, side_slip_deg: float, reading: Reading
+) -> Figure:
+    """Normal force, drawbar pull and lateral force against slip at one sinkage, with the asked state marked."""
+    slip = np.linspace(-0.6, 0.6, 241)
+    curves = wheel_forces(wheel, soil, sinkage_m, slip, side_slip_deg, reading=reading)
+    here = wheel_forces(wheel, soil, sinkage_m, slip_ratio, side_slip_deg, reading=reading)
+    figure = Figure(figsize=(7.5, 5), layout="constrained")
+    axes = figure.subplots()
+    for name, label, color in (
+        ("normal_force_n", "normal force", "black"),
+        ("drawbar_pull_n", "drawbar pull", BLUE),
+        ("lateral_force_n", f"lateral force at {side_slip_deg:g}° side slip", ORANGE),
+    ):
+        axes.plot(slip, getattr(curves, name), color=color, label=label)
+        axes.plot(slip_ratio, getattr(here, name), "o", color=color)
+    axes.axhline(0, color="0.8", linewidth=0.8, zorder=0)
+    axes.axvline(0, color="0.8", linewidth=0.8, zorder=0)
+    axes.set(xlabel="slip ratio [-]  (negative: skid)", ylabel="force on the wheel [N]")
+    axes.set_title(f"sinkage {1e3 * sinkage_m:.1f} mm, reading '{reading}'", fontsize=10)
+    axes.legend(frameon=False)
+    return figure
+
+
+def characteristic_curves(found: Identification) -> Figure:
+    """The pairs (N, K_s), (c, phi), (K_y, phi_y) that the states allow, with 95 % bands, one panel per aspect."""
+    figure = Figure(figsize=(15, 4.8), layout="constrained")
+    bearing, shear, lateral = figure.subplots(1, 3)
+    _curve(bearing, found.curves["bearing"], "exponent", "stiffness_kpa_m_n")
+    bearing.set(xlabel="sinkage exponent N [-]", ylabel="stiffness K$_s$ [kPa m$^{-N}$]", yscale="log", title="bearing")
+    _curve(shear, found.curves["shear"], "cohesion_pa", "friction_angle_deg")
+    shear.set(xlabel="cohesion c [Pa]", ylabel="internal friction angle φ [°]", title="longitudinal shear")
+    _curve(lateral, found.curves["lateral"], "lateral_modulus_mm", "external_friction_angle_deg")
+    lateral.set(
+        xlabel="lateral shear modulus K$_y$ [mm]", ylabel="external friction angle φ$_y$ [°]", title="lateral shear"
+    )
+    bearing.plot(*TYPICAL_BEARING, "s", color=GREEN, label="typical lunar")
+    shear.plot(*TYPICAL_SHEAR, "s", color=GREEN, label="typical lunar")
+    _mark(bearing, found, "exponent", "stiffness_kpa_m_n")
+    _mark(shear, found, "cohesion_pa", "friction_angle_deg")
+    for corner in found.corners:
+        angle = corner["external_friction_angle_deg"]
+        if angle.value is not None:
+            lateral.errorbar(corner["lateral_modulus_mm"], angle.value, angle.sigma, fmt="o", color=ORANGE, capsize=3)
+    for axes in (bearing, shear, lateral):
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(frameon=False, fontsize=8)
+    states = "1 wheel state" if len(found.observations) == 1 else f"{len(found.observations)} wheel states"
+    figure.suptitle(f"{states}, reading '{found.reading}': each point of a curve explains the forces", fontsize=10)
+    return figure
+
+
+def _curve(axes: Any, points: list[dict[str, Any]], x: str, y: str) -> None:
+    solved = [point for point in points if point[y] is not None]
+    if not solved:
+        axes.text(0.5, 0.5, "not determined by these states", ha="center", transform=axes.transAxes, color="0.4")
+        return
+    at = [point[x] for point in solved]
+    axes.fill_between(
+        at, [p["low"] for p in solved], [p["high"] for p in solved], color=BLUE, alpha=0.2, label="95 % of the draws"
+    )
+    axes.plot(at, [point[y] for point in solved], color=BLUE, label="at the measured states")
+
+
+def _mark(axes: Any, found: Identification, x: str, y: str) -> None:
+    """The solved values, with the standard deviation along the axis that was solved for."""
+    at, height = found.site.get(x), found.site.get(y)
+    if at is None or height is None or at.value is None or height.value is None:
+        return
+    axes.errorbar(at.value, height.value, height.sigma, at.sigma, fmt="o", color=ORANGE, capsize=3, label="solved")
