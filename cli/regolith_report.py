@@ -30,6 +30,17 @@ LABELS = {
     "external_friction_angle_deg": "external friction angle φ_y",
     "lateral_modulus_mm": "lateral shear modulus K_y",
 }
+SYMBOLS = {
+    "sigma_m_pa": "σ_m",
+    "tau_xm_pa": "τ_xm",
+    "tau_ym_pa": "τ_ym",
+    "stiffness_kpa_m_n": "K_s",
+    "exponent": "N",
+    "friction_angle_deg": "φ",
+    "cohesion_pa": "c",
+    "external_friction_angle_deg": "φ_y",
+    "lateral_modulus_mm": "K_y",
+}
 MANY_STATES = 30
 
 
@@ -145,7 +156,7 @@ def _observation_tables(found: Identification) -> list[TextTable]:
     if len(found.observations) > MANY_STATES:
         return []
     names = [name for name, value in found.observations[0].items() if isinstance(value, Estimate)]
-    headers = ["state", *(f"{name.rsplit('_', 1)[0] if name.endswith('_pa') else name} [{UNITS[name]}]" for name in names)]
+    headers = ["state", *(f"{SYMBOLS[name]} [{UNITS[name]}]" for name in names)]
     rows = [[row["id"], *(_text(row[name], name) for name in names)] for row in found.observations]
     return [TextTable(headers, rows, title="Each state")]
 

@@ -54,8 +54,9 @@ def characteristic_curves(found: Identification) -> Figure:
     lateral.set(
         xlabel="lateral shear modulus K$_y$ [mm]", ylabel="external friction angle φ$_y$ [°]", title="lateral shear"
     )
-    bearing.plot(*TYPICAL_BEARING, "s", color=GREEN, label="typical lunar")
-    shear.plot(*TYPICAL_SHEAR, "s", color=GREEN, label="typical lunar")
+    for axes, typical in ((bearing, TYPICAL_BEARING), (shear, TYPICAL_SHEAR)):
+        if axes.lines:
+            axes.plot(*typical, "s", color=GREEN, label="typical lunar")
     _mark(bearing, found, "exponent", "stiffness_kpa_m_n")
     _mark(shear, found, "cohesion_pa", "friction_angle_deg")
     for corner in found.corners:
@@ -83,8 +84,14 @@ def _curve(axes: Any, points: list[dict[str, Any]], x: str, y: str) -> None:
 
 
 def _mark(axes: Any, found: Identification, x: str, y: str) -> None:
-    """The solved values, with the standard deviation along the axis that was solved for."""
-    at, height = found.site.get(x), found.site.get(y)
-    if at is None or height is None or at.value is None or height.value is None:
-        return
-    axes.errorbar(at.value, height.value, height.sigma, at.sigma, fmt="o", color=ORANGE, capsize=3, label="solved")
+    """Each solved value at the assumed value of its partner, with its standard deviation."""
+    for solved, partner in ((y, x), (x, y)):
+        estimate, given = found.site[solved], getattr(found.assumptions, partner)
+        if estimate.assumed or estimate.value is None or given is None:
+            continue
+        at = (given, estimate.value, estimate.sigma, None) if solved == y else (estimate.value, given, None, estimate.sigma)
+        axes.errorbar(*at, fmt="o", color=ORANGE, capsize=3, label=f"solved at {_short(partner)} = {given:g}")
+
+
+def _short(name: str) -> str:
+    return {"exponent": "N", "stiffness_kpa_m_n": "K$_s$", "cohesion_pa": "c", "friction_angle_deg": "φ"}[name]

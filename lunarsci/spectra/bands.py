@@ -1,7 +1,9 @@
 """Centre, depth and area of the 1 um and 2 um absorption bands, with standard errors.
 
 Everything from the reflectance to the result is linear algebra once the tie points of the continuum and the window of
-the local fit are chosen, so the noise of each channel is carried through exactly (first order), smoothing included.
+the local fit are chosen, so the noise of each channel is carried through (first order), smoothing included. That the
+tie points themselves are chosen on noisy data is not in the errors; under `linear` the area scatters up to 1.6 times
+more for it, everything else agrees with repeated noise to 15 %. Errors assume noise independent between channels.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,21 +23,26 @@ __all__ = ["BANDS", "Band", "BandFailure", "BandResult", "SpectrumBands", "measu
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """Where an absorption band lies: its window, and where in it the centre may lie. [nm]"""
+    """Where an absorption band lies: its window, where in it the centre may lie, and what a spectrum must reach. [nm]"""
 
     key: str
     window_nm: tuple[float, float]
     centre_nm: tuple[float, float]
+    reach_nm: tuple[float, float]
 
 
-BANDS = (Band("1000", (700.0, 1580.0), (760.0, 1500.0)), Band("2000", (1580.0, 2500.0), (1620.0, 2440.0)))
+BANDS = (
+    Band("1000", (700.0, 1580.0), (760.0, 1500.0), (850.0, 1200.0)),
+    Band("2000", (1580.0, 2500.0), (1620.0, 2440.0), (1750.0, 2150.0)),
+)
 """The windows meet at the 1580 nm tie of the paper's continuum; they hold olivine and all pyroxenes."""
 
 FIT_ORDER = 4
 FIT_DEPTH = 0.7
 """The centre is the minimum of a fourth-order polynomial through the channels deeper than this share of the band."""
 MIN_FIT_CHANNELS = 9
-MIN_SIGNIFICANCE = 3.0
+MIN_SIGNIFICANCE = 5.0
+"""Depth over its standard error below which there is no band: the deepest of many channels of pure noise reaches 4."""
 MAX_CENTER_SIGMA_NM = 100.0
 """A centre known no better than this says nothing about a mineral; it is not reported."""
 CROSSING_TOLERANCE = 0.05
@@ -185,7 +192,10 @@ def _available_continua(data: _Data) -> dict[str, Continuum]:
 def _measure(data: _Data, band: Band, wanted: str, available: dict[str, Continuum]) -> BandResult:
     inside = (data.wavelength_nm >= band.window_nm[0]) & (data.wavelength_nm <= band.window_nm[1])
     if inside.sum() < 2 * MIN_FIT_CHANNELS:
-        return BandResult(continuum="none", status=f"no result: {inside.sum()} usable channels in its window")
+        return BandResult(continuum="none", status="no result: too few usable channels in its window")
+    low, high = data.wavelength_nm[inside][[0, -1]]
+    if low > band.reach_nm[0] or high < band.reach_nm[1]:
+        return BandResult(continuum="none", status=f"no result: the spectrum covers {low:g}-{high:g} nm of it")
     tried = {name: _measure_under(data, band, tied, inside) for name, tied in available.items()}
     order = [wanted, *(name for name in ("hull", "linear") if name != wanted)]
     chosen = next((tried[name] for name in order if name in tried and tried[name].status == "ok"), tried["hull"])

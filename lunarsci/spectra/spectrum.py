@@ -84,11 +84,3 @@ class Spectrum:
     def usable(self) -> BoolArray:
         """True for the channels that may be used; shape (n,)."""
         return ~np.asarray(self.mask, dtype=bool)
-
-    def between(self, low_nm: float, high_nm: float) -> "Spectrum":
-        """The usable channels within a closed wavelength interval [nm]; DataError when fewer than 3 remain."""
-        keep = self.usable & (self.wavelength_nm >= low_nm) & (self.wavelength_nm <= high_nm)
-        if keep.sum() < 3:
-            raise DataError(f"{self.id}: {keep.sum()} usable channels between {low_nm:g} and {high_nm:g} nm; 3 are needed")
-        sigma = None if self.uncertainty is None else self.uncertainty[keep]
-        return Spectrum(self.id, self.wavelength_nm[keep], self.reflectance[keep], sigma, None, self.metadata)

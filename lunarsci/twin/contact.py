@@ -29,7 +29,7 @@ SHALLOWEST = 1e-9
 STEP = 1e-6
 
 
-@compiled(error_model="numpy")
+@compiled
 def contact_frame(slope_x: float, slope_y: float, axle: Any) -> Any:
     """Forward, left and normal axis of the contact frame, from the terrain's gradient and the wheel's axle. [-]"""
     scale = 1.0 / math.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
@@ -40,7 +40,7 @@ def contact_frame(slope_x: float, slope_y: float, axle: Any) -> Any:
     return forward, cross(normal, forward), normal
 
 
-@compiled(error_model="numpy")
+@compiled
 def fill_wrench(row: Any, forces: Any, approach: float, ahead: float, below: float) -> None:
     """Force [N] and moment about the wheel centre [N m] of the soil on the wheel, in the contact frame.
 
@@ -52,7 +52,7 @@ def fill_wrench(row: Any, forces: Any, approach: float, ahead: float, below: flo
     row[3], row[4], row[5] = -below * side, -resistance, -ahead * side
 
 
-@compiled(error_model="numpy")
+@compiled
 def rolling_contact(z: float, v: Any, ground_speed: float, wheel: Any, soil: Any, wrench: Any, slopes: Any) -> None:
     """Wrench and its derivatives by the three velocities (rows 0-2, per m/s) and the sinkage (row 3, per m).
 
@@ -80,7 +80,7 @@ def rolling_contact(z: float, v: Any, ground_speed: float, wheel: Any, soil: Any
     slopes[3, 2] = (soil[1] + 0.5) * wrench[2] / z
 
 
-@compiled(error_model="numpy")
+@compiled
 def wheel_contact(w: int, u: Any, ground_speed: float, wheel: Any, work: Any, shear: float) -> float:
     """Fill contact axes, wrench, derivatives and state of wheel `w` in `work`; returns its sinkage. [m]
 
@@ -96,7 +96,7 @@ def wheel_contact(w: int, u: Any, ground_speed: float, wheel: Any, work: Any, sh
             rows[a, i] = x * jacobian[0, i] + y * jacobian[1, i] + z * jacobian[2, i]
             rows[3 + a, i] = x * jacobian[3, i] + y * jacobian[4, i] + z * jacobian[5, i]
     v = (row_dot(rows[0], u), row_dot(rows[1], u), row_dot(rows[2], u))
-    sinkage = wheel[0] - (center[2] - node[0]) * frame[2][2]
+    sinkage: float = wheel[0] - (center[2] - node[0]) * frame[2][2]
     z = min(sinkage, DEEPEST * wheel[0])
     soil = (node[3], node[4], node[5], node[6], node[7], node[8], node[9], node[10])
     wrench, slopes = work.wrench[w], work.slopes[w]
@@ -114,7 +114,7 @@ def wheel_contact(w: int, u: Any, ground_speed: float, wheel: Any, work: Any, sh
     return sinkage
 
 
-@compiled(error_model="numpy")
+@compiled
 def clear(wrench: Any, slopes: Any) -> None:
     """No contact: no wrench, no derivatives."""
     for i in range(6):
@@ -123,7 +123,7 @@ def clear(wrench: Any, slopes: Any) -> None:
             slopes[k, i] = 0.0
 
 
-@compiled(error_model="numpy")
+@compiled
 def keep_normal(wrench: Any, slopes: Any) -> None:
     """Leave the normal force and its stiffness alone: the wheel at rest, before any shear."""
     normal, stiffness = wrench[2], slopes[3, 2]
@@ -131,7 +131,7 @@ def keep_normal(wrench: Any, slopes: Any) -> None:
     wrench[2], slopes[3, 2] = normal, stiffness
 
 
-@compiled(error_model="numpy")
+@compiled
 def row_dot(row: Any, u: Any) -> float:
     """Scalar product of two arrays of nine."""
     total = 0.0

@@ -17,31 +17,31 @@ from lunarsci.compiled import compiled
 __all__ = ["cross", "dot", "inertia_and_free_force", "rotation_of", "wheel_jacobians"]
 
 
-@compiled(error_model="numpy")
+@compiled
 def dot(a: Any, b: Any) -> Any:
     """Scalar product of two triples."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@compiled(error_model="numpy")
+@compiled
 def cross(a: Any, b: Any) -> Any:
     """Vector product of two triples."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
-@compiled(error_model="numpy")
+@compiled
 def triple(row: Any) -> Any:
     """An array of three as a triple."""
     return (row[0], row[1], row[2])
 
 
-@compiled(error_model="numpy")
+@compiled
 def plus(a: Any, b: Any) -> Any:
     """Sum of two triples."""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
-@compiled(error_model="numpy")
+@compiled
 def rotation_of(pose: Any) -> Any:
     """Rows of the rotation matrix body-to-world of the quaternion in `pose`."""
     w, x, y, z = pose[3], pose[4], pose[5], pose[6]
@@ -52,13 +52,13 @@ def rotation_of(pose: Any) -> Any:
     )
 
 
-@compiled(error_model="numpy")
+@compiled
 def to_world(rotation: Any, v: Any) -> Any:
     """R v."""
     return (dot(rotation[0], v), dot(rotation[1], v), dot(rotation[2], v))
 
 
-@compiled(error_model="numpy")
+@compiled
 def to_body(rotation: Any, v: Any) -> Any:
     """R^T v."""
     a, b, c = rotation
@@ -69,14 +69,14 @@ def to_body(rotation: Any, v: Any) -> Any:
     )
 
 
-@compiled(error_model="numpy")
+@compiled
 def swung(angle: float, v: Any) -> Any:
     """`v` turned about the y axis."""
     c, s = math.cos(angle), math.sin(angle)
     return (c * v[0] + s * v[2], v[1], c * v[2] - s * v[0])
 
 
-@compiled(error_model="numpy")
+@compiled
 def steered_arm(rover: Any, wheel: int, angle: float) -> Any:
     """Wheel centre from its pivot when steered by `angle` about an axis inboard of the wheel. [m]"""
     arm = rover.arms[wheel]
@@ -84,7 +84,7 @@ def steered_arm(rover: Any, wheel: int, angle: float) -> Any:
     return (arm[0] - offset * math.sin(angle), arm[1] + offset * (math.cos(angle) - 1.0), arm[2])
 
 
-@compiled(error_model="numpy")
+@compiled
 def segment_acceleration(rate: Any, spin: Any, segment: Any) -> Any:
     """Acceleration along a segment that turns at `rate`, when only `spin` (joint rate, chassis axis) changes direction.
 
@@ -93,8 +93,10 @@ def segment_acceleration(rate: Any, spin: Any, segment: Any) -> Any:
     return plus(cross(rate, cross(rate, segment)), cross(cross(rate, spin), segment))
 
 
-@compiled(error_model="numpy")
-def fill_jacobian(jacobian: Any, rotation: Any, arm: Any, from_rocker: Any, from_bogie: Any, sign: float, j: int) -> None:
+@compiled
+def fill_jacobian(
+    jacobian: Any, rotation: Any, arm: Any, from_rocker: Any, from_bogie: Any, sign: float, j: int
+) -> None:
     """Jacobian (6, 9) of a wheel carrier, velocity of the wheel centre above angular velocity; arms in the body frame.
 
     `j` is the column of the bogie the wheel hangs on, 0 for none.
@@ -114,7 +116,7 @@ def fill_jacobian(jacobian: Any, rotation: Any, arm: Any, from_rocker: Any, from
             jacobian[3 + i, j] = rotation[i][1]
 
 
-@compiled(error_model="numpy")
+@compiled
 def wheel_jacobians(rover: Any, pose: Any, u: Any, steering: Any, work: Any) -> None:
     """Fill centre, axle, jacobian and remaining acceleration of the six wheels (world frame) in `work`."""
     rotation = rotation_of(pose)
@@ -129,7 +131,7 @@ def wheel_jacobians(rover: Any, pose: Any, u: Any, steering: Any, work: Any) -> 
         if column > 0:
             angle += pose[column + 1]
             spin = (0.0, rocker_spin[1] + u[column], 0.0)
-            first = swung(rocker_angle, triple(rover.bogie))
+            first = swung(rocker_angle, (rover.bogie[0], sign * rover.bogie[1], rover.bogie[2]))
         last = swung(angle, last)
         pivot = (0.0, sign * rover.pivot_y, 0.0)
         arm = plus(pivot, plus(first, last))
@@ -150,7 +152,7 @@ def wheel_jacobians(rover: Any, pose: Any, u: Any, steering: Any, work: Any) -> 
             work.acceleration[w, i] = world_acceleration[i]
 
 
-@compiled(error_model="numpy")
+@compiled
 def add_point_mass(mass: Any, force: Any, jacobian: Any, kg: float, acceleration: Any, gravity: float) -> None:
     """Add J^T m J to `mass` (lower triangle) and J^T m (g - a) to `force`."""
     a = (-acceleration[0] * kg, -acceleration[1] * kg, (-gravity - acceleration[2]) * kg)
@@ -162,7 +164,7 @@ def add_point_mass(mass: Any, force: Any, jacobian: Any, kg: float, acceleration
             mass[i, k] += x * jacobian[0, k] + y * jacobian[1, k] + z * jacobian[2, k]
 
 
-@compiled(error_model="numpy")
+@compiled
 def add_chassis(mass: Any, force: Any, rover: Any, rotation: Any, u: Any, work: Any) -> None:
     """Add the chassis: its mass at its centre, its principal moments and its gyroscopic torque."""
     omega = to_body(rotation, (u[3], u[4], u[5]))
@@ -186,7 +188,7 @@ def add_chassis(mass: Any, force: Any, rover: Any, rotation: Any, u: Any, work: 
                 mass[3 + i, 3 + k] += row[axis] * moment[axis] * other[axis]
 
 
-@compiled(error_model="numpy")
+@compiled
 def inertia_and_free_force(rover: Any, pose: Any, u: Any, work: Any) -> None:
     """Fill `work.mass` (9, 9) and `work.force` (9): gravity, inertial forces and joint friction, without the ground.
 
@@ -206,4 +208,3 @@ def inertia_and_free_force(rover: Any, pose: Any, u: Any, work: Any) -> None:
     force[6] -= 2.0 * rover.joint_damping * u[6]
     force[7] -= rover.joint_damping * u[7]
     force[8] -= rover.joint_damping * u[8]
-

@@ -4,13 +4,13 @@ import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import ParameterError
-from lunarsci.twin.integrate import OUTCOMES, drive
+from lunarsci.twin.drive import drive
+from lunarsci.twin.outcomes import OUTCOMES
 from lunarsci.twin.path import curvature_at, planned_pose, wheel_commands
 from lunarsci.twin.plan import Plan, Sweep, check_plan
 from lunarsci.twin.rover import Rover
@@ -204,7 +204,7 @@ def _drive_all(
     samples: int,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Drive the members, as many at a time as numba has threads; each is its own computation, so their order is free."""
+    """Drive the members, as many at a time as numba has threads; each is its own computation, in any order."""
     import numba
 
     count = len(overrides)

@@ -17,7 +17,7 @@ __all__ = ["path_fan"]
 
 FloatArray = npt.NDArray[np.float64]
 
-SAND, INK, ACCENT, LIMIT = "#efe9dd", "#26323a", "#1f6f8b", "#c0392b"
+INK, ACCENT, LIMIT, GOLD = "#26323a", "#1f6f8b", "#c0392b", "#f4c430"
 LABELS = {
     "slip_ratio": ("Slip ratio s [-]", 1.0),
     "side_slip_deg": ("Side slip β [deg]", 1.0),
@@ -33,7 +33,7 @@ PARAMETERS = {
     "external_friction_angle_deg": "External friction angle φ$_y$ [deg]",
     "lateral_modulus_mm": "Lateral modulus K$_y$ [mm]",
 }
-MARGIN_M = 2.0
+MARGIN_M = 3.6
 MOST_PATHS = 400
 
 
@@ -47,21 +47,23 @@ def path_fan(prediction: Prediction, verdict: Verdict, terrain: Terrain | None =
 
     terrain = terrain or prediction.terrain
     figure = Figure(figsize=(13.0, 8.2), dpi=130, layout="constrained", facecolor="white")
-    columns = figure.subfigures(1, 2, width_ratios=(1.75, 1.0))
-    left = columns[0].subplots(2, 1, height_ratios=(1.35, 1.0))
+    columns: Any = figure.subfigures(1, 2, width_ratios=(1.75, 1.0))
+    left = columns[0].subplots(2, 1, height_ratios=(1.45, 1.0))
     colors = _member_colors(prediction)
     _draw_map(left[0], prediction, terrain, colors)
     _draw_ends(left[1], prediction, verdict, terrain, colors)
     if prediction.parameters:
         _color_bar(columns[0], left, prediction)
     panels = columns[1].subplots(3, 1, sharex=True)
+    columns[1].suptitle("All wheels of all members; upright lines: joints of the arcs", fontsize=10)
     for panel, name in zip(panels, LABELS, strict=True):
         _draw_band(panel, prediction, verdict, name)
     panels[-1].set_xlabel("Commanded distance [m]")
     ground = f"{terrain.name} (synthetic terrain)" if terrain.synthetic else terrain.name
     members = "1 member" if prediction.members == 1 else f"{prediction.members} members"
+    length = f"{prediction.plan.length_m:.2f} m"
     figure.suptitle(
-        f"Predicted drive of {prediction.plan.length_m:.2f} m: {verdict.verdict.upper()}   ·   {members}   ·   {ground}",
+        f"Predicted drive of {length}: {verdict.verdict.upper()}   ·   {members}   ·   {ground}",
         fontsize=12,
         color=LIMIT if verdict.verdict == "no-go" else INK,
     )
@@ -116,7 +118,9 @@ def _draw_ground(axes: "Axes", terrain: Terrain, window: tuple[slice, slice], in
     x, y = terrain.x_m[window[1]], terrain.y_m[window[0]]
     height = np.ma.masked_invalid(terrain.height_m[window])
     half = 0.5 * terrain.spacing_m
-    shade = LightSource(315, 40).hillshade(height.filled(float(height.mean())), 3.0, terrain.spacing_m, terrain.spacing_m)
+    light, step = LightSource(315, 35), terrain.spacing_m
+    # Matplotlib takes the first row for the north one.
+    shade = light.hillshade(height.filled(float(height.mean()))[::-1], 4.0, step, step)[::-1]
     extent = (float(x[0]) - half, float(x[-1]) + half, float(y[0]) - half, float(y[-1]) + half)
     shade = np.ma.masked_array(shade, mask=np.ma.getmaskarray(height))
     axes.set_facecolor("#d9b8b0")
@@ -124,7 +128,7 @@ def _draw_ground(axes: "Axes", terrain: Terrain, window: tuple[slice, slice], in
     span = float(height.max() - height.min())
     levels = np.arange(float(height.min()), float(height.max()) + interval_m, max(interval_m, span / 40.0))
     if len(levels) > 2:
-        axes.contour(x, y, height, levels=levels, colors=INK, linewidths=0.4, alpha=0.45)
+        axes.contour(x, y, height, levels=levels, colors=INK, linewidths=0.5, alpha=0.55)
     axes.set_aspect("equal")
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
@@ -136,7 +140,9 @@ def _draw_paths(axes: "Axes", prediction: Prediction, colors: Any, width: float)
         axes.plot(part[:, 0], part[:, 1], color=colors[m], linewidth=width, alpha=0.85, zorder=3)
     planned = prediction.planned
     axes.plot(planned[:, 0], planned[:, 1], color="white", linewidth=2.6, zorder=4)
-    axes.plot(planned[:, 0], planned[:, 1], color=LIMIT, linewidth=1.3, linestyle=(0, (5, 2)), zorder=5, label="planned")
+    axes.plot(
+        planned[:, 0], planned[:, 1], color=LIMIT, linewidth=1.3, linestyle=(0, (5, 2)), zorder=5, label="planned"
+    )
 
 
 def _draw_map(axes: "Axes", prediction: Prediction, terrain: Terrain, colors: Any) -> None:
@@ -144,7 +150,7 @@ def _draw_map(axes: "Axes", prediction: Prediction, terrain: Terrain, colors: An
     _draw_paths(axes, prediction, colors, 0.7)
     start, end = prediction.planned[0], prediction.planned[-1]
     axes.plot(start[0], start[1], "o", color="white", markeredgecolor=INK, markersize=7, zorder=6, label="start")
-    axes.plot(end[0], end[1], "*", color="#f4c430", markeredgecolor=INK, markersize=13, zorder=6, label="destination")
+    axes.plot(end[0], end[1], "*", color=GOLD, markeredgecolor=INK, markersize=13, zorder=6, label="destination")
     stopped = ~prediction.finished
     if stopped.any():
         ends = prediction.endpoints_m[stopped]
@@ -163,16 +169,19 @@ def _draw_ends(axes: "Axes", prediction: Prediction, verdict: Verdict, terrain: 
     _draw_paths(axes, prediction, colors, 0.9)
     shown = [m for m in _shown(prediction) if prediction.finished[m]]
     ends = prediction.endpoints_m
-    axes.scatter(ends[shown, 0], ends[shown, 1], c=[colors[m] for m in shown], s=18, edgecolors="white", linewidths=0.5, zorder=6)
-    axes.plot(*target, "*", color="#f4c430", markeredgecolor=INK, markersize=15, zorder=7)
+    dots: dict[str, Any] = {"s": 18, "edgecolors": "white", "linewidths": 0.5, "zorder": 6}
+    axes.scatter(ends[shown, 0], ends[shown, 1], c=[colors[m] for m in shown], **dots)
+    axes.plot(*target, "*", color=GOLD, markeredgecolor=INK, markersize=15, zorder=7)
     if verdict.endpoint:
-        axes.add_patch(Circle((float(target[0]), float(target[1])), radius, fill=False, color=INK, linewidth=1.4, linestyle=":", zorder=6))
-        axes.plot(verdict.endpoint.x_m, verdict.endpoint.y_m, "P", color="white", markeredgecolor=INK, markersize=9, zorder=7)
+        center = (float(target[0]), float(target[1]))
+        axes.add_patch(Circle(center, radius, fill=False, color=INK, linewidth=1.4, linestyle=":", zorder=6))
+        mean = (verdict.endpoint.x_m, verdict.endpoint.y_m)
+        axes.plot(*mean, "P", color="white", markeredgecolor=INK, markersize=9, zorder=7)
     half = max(1.35 * radius, 0.1)
     axes.set_xlim(target[0] - 1.9 * half, target[0] + 1.9 * half)
     axes.set_ylim(target[1] - half, target[1] + half)
-    text = f"all ends within {radius:.3f} m of the destination" if verdict.endpoint else "no member reached the end"
-    axes.set_title(f"At the destination: {text}; + is their mean; contours every 0.02 m", fontsize=10)
+    text = f"every end within {radius:.3f} m (dotted), + is their mean" if verdict.endpoint else "none reached the end"
+    axes.set_title(f"At the destination: {text}", fontsize=10)
 
 
 def _draw_band(axes: "Axes", prediction: Prediction, verdict: Verdict, name: str) -> None:
@@ -186,22 +195,25 @@ def _draw_band(axes: "Axes", prediction: Prediction, verdict: Verdict, name: str
         distance = prediction.distance_m[used]
         axes.fill_between(distance, low, high, color=ACCENT, alpha=0.22, linewidth=0, label="p5 to p95")
         axes.plot(distance, middle, color=ACCENT, linewidth=1.6, label="median")
-    bottom, top = axes.get_ylim()
     for judgement in verdict.limits:
         if judgement.quantity == name:
-            bound = factor * judgement.limit
-            signs = (-1.0, 1.0) if bottom < 0 else (1.0,)
-            lines = [sign * bound for sign in signs if bottom - 0.3 * (top - bottom) < sign * bound < top + 0.3 * (top - bottom)]
-            for line in lines:
-                axes.axhline(line, color=LIMIT, linewidth=1.0, linestyle="--")
-            axes.set_title(f"limit ±{bound:g}" if bottom < 0 else f"limit {bound:g}", fontsize=8, color=LIMIT, loc="right")
-    joint = np.cumsum([arc.length_m for arc in prediction.plan.arcs])[:-1]
-    for place in joint:
+            _draw_limit(axes, factor * judgement.limit)
+    for place in np.cumsum([arc.length_m for arc in prediction.plan.arcs])[:-1]:
         axes.axvline(place, color=INK, linewidth=0.6, alpha=0.35)
-    axes.axhline(0.0, color=INK, linewidth=0.6) if bottom < 0 else None
     axes.set_xlim(0.0, float(prediction.distance_m[-1]))
     axes.set_ylabel(label)
     axes.grid(alpha=0.25, linewidth=0.5)
     if name == next(iter(LABELS)):
-        axes.legend(loc="upper left", fontsize=8, frameon=False)
-        axes.set_title("All wheels, all members; thin lines: joints of the arcs", fontsize=10, loc="left")
+        axes.legend(loc="upper right", fontsize=8, frameon=False)
+
+
+def _draw_limit(axes: "Axes", limit: float) -> None:
+    """Dashed lines where the limit is in sight, and its value in any case."""
+    bottom, top = axes.get_ylim()
+    signed = bottom < 0
+    for line in (-limit, limit) if signed else (limit,):
+        if bottom - 0.3 * (top - bottom) < line < top + 0.3 * (top - bottom):
+            axes.axhline(line, color=LIMIT, linewidth=1.0, linestyle="--")
+    if signed:
+        axes.axhline(0.0, color=INK, linewidth=0.6)
+    axes.set_title(f"limit {'±' if signed else ''}{limit:g}", fontsize=8, color=LIMIT, loc="right")

@@ -1,6 +1,6 @@
-"""One rover over the ground: settle it, drive it, record it.
+"""One time step of a rover on the ground, linearly implicit.
 
-The step is linearly implicit. With forces f, C = df/dv and K = df/dp at the start of the step,
+With forces f, C = df/dv and K = df/dp at the start of the step,
 
     (M - dt C - dt^2/2 K) du = dt (f + dt K u0),    positions move with (u0 + u1)/2,
 
@@ -16,28 +16,15 @@ import numpy.typing as npt
 
 from lunarsci.compiled import compiled
 from lunarsci.twin.contact import row_dot, wheel_contact
-from lunarsci.twin.dynamics import inertia_and_free_force, rotation_of, wheel_jacobians
+from lunarsci.twin.dynamics import inertia_and_free_force, wheel_jacobians
+from lunarsci.twin.outcomes import DIVERGED, FINISHED, OVERTURNED, SANK
 from lunarsci.twin.terrain import read_node
 
-__all__ = ["OUTCOMES", "Work", "drive", "new_work", "settle", "step"]
+__all__ = ["Work", "assemble", "eliminate", "evaluate", "health", "move", "new_work", "step"]
 
-OUTCOMES = (
-    "finished",
-    "left the terrain: a wheel passed the edge of the map",
-    "hole in the terrain: no height below a wheel",
-    "overturned: the chassis tilted by more than 60 deg",
-    "diverged: the state is no longer finite",
-    "did not settle: no static equilibrium at the start pose",
-    "sank: a wheel is buried to its axle",
-)
-FINISHED, LEFT, HOLE, OVERTURNED, DIVERGED, UNSETTLED, SANK = range(7)
 COS_OVERTURNED = 0.5
-# Assumed. Ten times what a rover that drives cm/s can reach before the run has lost its meaning.
+# Assumed: no part of a rover that drives at cm/s comes near this speed [m/s or rad/s] while the run has a meaning.
 FASTEST = 10.0
-SETTLE_ROUNDS = 300
-SETTLE_TOLERANCE = 1e-10
-# Longest move of a settling round [m or rad]: less than it takes to lift a wheel off its neighbour's plane.
-LONGEST_MOVE = 0.02
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -60,7 +47,7 @@ class Work(NamedTuple):
     change: FloatArray
 
 
-@compiled(error_model="numpy")
+@compiled
 def new_work() -> Any:
     """Scratch arrays with the constant entries of the Jacobians in place."""
     jacobian, chassis = np.zeros((6, 6, 9)), np.zeros((3, 9))
@@ -87,7 +74,7 @@ def new_work() -> Any:
     )
 
 
-@compiled(error_model="numpy")
+@compiled
 def eliminate(system: Any, solution: Any) -> None:
     """Solve the 9 x 9 system augmented by its right side, by Gaussian elimination with row pivoting."""
     n = 9
@@ -111,15 +98,24 @@ def eliminate(system: Any, solution: Any) -> None:
         solution[k] = total / system[k, k] if system[k, k] != 0.0 else np.inf
 
 
-@compiled(error_model="numpy")
+@compiled
 def evaluate(
-    rover: Any, wheel: Any, grid: Any, override: Any, pose: Any, u: Any, steering: Any, speed: Any, work: Any, shear: float
+    rover: Any,
+    wheel: Any,
+    grid: Any,
+    override: Any,
+    pose: Any,
+    u: Any,
+    steering: Any,
+    speed: Any,
+    work: Any,
+    shear: float,
 ) -> int:
     """Kinematics and ground contact of all wheels at `pose`, `u`; returns an outcome, FINISHED when all is well."""
     wheel_jacobians(rover, pose, u, steering, work)
     code = FINISHED
     for w in range(6):
-        found = read_node(grid, work.center[w, 0], work.center[w, 1], override, work.node)
+        found: int = read_node(grid, work.center[w, 0], work.center[w, 1], override, work.node)
         if found != FINISHED:
             return found
         if wheel_contact(w, u, speed[w], wheel, work, shear) > wheel[0]:
@@ -127,7 +123,7 @@ def evaluate(
     return code
 
 
-@compiled(error_model="numpy")
+@compiled
 def assemble(rover: Any, pose: Any, u: Any, dt: float, work: Any) -> None:
     """Fill `work.force` (all forces) and `work.system`, the linear system of the step."""
     inertia_and_free_force(rover, pose, u, work)
@@ -161,7 +157,7 @@ def assemble(rover: Any, pose: Any, u: Any, dt: float, work: Any) -> None:
         system[i, 9] += dt * force[i]
 
 
-@compiled(error_model="numpy")
+@compiled
 def move(pose: Any, u: Any, change: Any, dt: float) -> None:
     """Advance `pose` with the mean of old and new velocity, and `u` to the new one."""
     turn = (0.0, 0.0, 0.0)
@@ -186,7 +182,7 @@ def move(pose: Any, u: Any, change: Any, dt: float) -> None:
         u[i] += change[i]
 
 
-@compiled(error_model="numpy")
+@compiled
 def health(pose: Any, u: Any) -> int:
     """FINISHED, or why the state cannot be driven on."""
     for i in range(9):
@@ -196,162 +192,11 @@ def health(pose: Any, u: Any) -> int:
     return FINISHED if upright > COS_OVERTURNED else OVERTURNED
 
 
-@compiled(error_model="numpy")
+@compiled
 def step(rover: Any, pose: Any, u: Any, dt: float, work: Any) -> int:
     """Advance `pose` and `u` by dt with the contacts that `evaluate` left in `work`; returns an outcome."""
     assemble(rover, pose, u, dt, work)
     eliminate(work.system, work.change)
     move(pose, u, work.change, dt)
-    return health(pose, u)
-
-
-@compiled(error_model="numpy")
-def place(rover: Any, wheel: Any, grid: Any, override: Any, start: Any, pose: Any, work: Any) -> int:
-    """Put the rover above the plane through the ground under its wheels, 1 cm deep, at x, y, heading of `start`."""
-    for i in range(10):
-        pose[i] = 0.0
-    c, s = math.cos(start[2]), math.sin(start[2])
-    mean, along, across, long_2, wide_2, height = 0.0, 0.0, 0.0, 1e-12, 1e-12, 0.0
-    middle = (rover.arms[0, 0] + 2.0 * rover.bogie[0] + rover.arms[2, 0] + rover.arms[4, 0]) / 3.0
-    for w in range(6):
-        arm, inner = rover.arms[w], 1.0 if w > 1 else 0.0
-        side = 1.0 if w % 2 == 0 else -1.0
-        x = arm[0] + inner * rover.bogie[0]
-        y = arm[1] + side * (rover.pivot_y + inner * rover.bogie[1])
-        found = read_node(grid, start[0] + c * x - s * y, start[1] + s * x + c * y, override, work.node)
-        if found != FINISHED:
-            return found
-        mean += work.node[0] / 6.0
-        along += work.node[0] * (x - middle)
-        long_2 += (x - middle) ** 2
-        across += work.node[0] * y
-        wide_2 += y * y
-        height += (arm[2] + inner * rover.bogie[2]) / 6.0
-    rise, bank = along / long_2, across / wide_2
-    pose[0], pose[1] = start[0], start[1]
-    pose[2] = mean - rise * middle - height + (wheel[0] - 0.01) * math.sqrt(1.0 + rise * rise + bank * bank)
-    yaw, pitch, roll = 0.5 * start[2], -0.5 * math.atan(rise), 0.5 * math.atan(bank)
-    cy, sy, cp, sp, cr, sr = math.cos(yaw), math.sin(yaw), math.cos(pitch), math.sin(pitch), math.cos(roll), math.sin(roll)
-    pose[3], pose[4] = cy * cp * cr + sy * sp * sr, cy * cp * sr - sy * sp * cr
-    pose[5], pose[6] = cy * sp * cr + sy * cp * sr, sy * cp * cr - cy * sp * sr
-    return FINISHED
-
-
-@compiled(error_model="numpy")
-def lock(system: Any, force: Any) -> float:
-    """Hold x, y and yaw in `system`; returns the largest force left on the free coordinates. [N or N m]"""
-    largest = 0.0
-    for i in range(9):
-        if i == 0 or i == 1 or i == 5:
-            for k in range(10):
-                system[i, k] = 0.0
-            system[i, i] = 1.0
-        else:
-            largest = max(largest, abs(force[i]))
-    return largest
-
-
-@compiled(error_model="numpy")
-def shorten(change: Any, most: float) -> None:
-    """Scale `change` so that no entry exceeds `most`."""
-    largest = 0.0
-    for i in range(9):
-        largest = max(largest, abs(change[i]))
-    if largest > most:
-        for i in range(9):
-            change[i] *= most / largest
-
-
-@compiled(error_model="numpy")
-def settle(
-    rover: Any, wheel: Any, grid: Any, override: Any, start: Any, steering: Any, speed: Any, pose: Any, u: Any, work: Any
-) -> int:
-    """Bring `pose` to static equilibrium at x, y, heading of `start`: normal forces only, x, y and yaw held.
-
-    Each round is a step from rest with a growing dt, which turns from damped dynamics into a Newton iteration.
-    Converged at 1e-10 of the weight. `u` is left at rest.
-    """
-    code = place(rover, wheel, grid, override, start, pose, work)
-    if code != FINISHED:
-        return code
-    weight = (rover.body_kg + 6.0 * rover.wheel_kg) * rover.gravity
-    dt = 0.05
-    for _ in range(SETTLE_ROUNDS):
-        for i in range(9):
-            u[i] = 0.0
-        code = evaluate(rover, wheel, grid, override, pose, u, steering, speed, work, 0.0)
-        if code == LEFT or code == HOLE:
-            return code
-        assemble(rover, pose, u, dt, work)
-        residual = lock(work.system, work.force)
-        if residual < SETTLE_TOLERANCE * weight:
-            return code
-        eliminate(work.system, work.change)
-        shorten(work.change, 2.0 * LONGEST_MOVE / dt)
-        move(pose, u, work.change, dt)
-        dt = min(1.5 * dt, 30.0)
-        if health(pose, u) != FINISHED:
-            return UNSETTLED
-    return UNSETTLED
-
-
-@compiled(error_model="numpy")
-def roll_on(pose: Any, u: Any, speed: float, curvature: float) -> None:
-    """Start velocity: as commanded, along the chassis' x axis and about its z axis."""
-    rotation = rotation_of(pose)
-    for i in range(3):
-        u[6 + i] = 0.0
-        u[i] = speed * rotation[i][0]
-        u[3 + i] = speed * curvature * rotation[i][2]
-
-
-@compiled(error_model="numpy")
-def record(pose: Any, work: Any, path: Any, states: Any) -> None:
-    """Copy pose (x, y, z, roll, pitch, yaw [rad]) and wheel states of this instant into one row of the results."""
-    r = rotation_of(pose)
-    path[0], path[1], path[2] = pose[0], pose[1], pose[2]
-    path[3] = math.atan2(r[2][1], r[2][2])
-    path[4] = -math.asin(max(-1.0, min(1.0, r[2][0])))
-    path[5] = math.atan2(r[1][0], r[0][0])
-    for w in range(6):
-        for k in range(10):
-            states[w, k] = work.state[w, k]
-
-
-@compiled(error_model="numpy", nogil=True)
-def drive(
-    rover: Any,
-    wheel: Any,
-    grid: Any,
-    override: Any,
-    start: Any,
-    steering: Any,
-    speed: Any,
-    dt: float,
-    every: int,
-    paths: Any,
-    states: Any,
-) -> Any:
-    """Settle and drive one rover; returns outcome and number of samples recorded.
-
-    `start`: x, y, heading, speed, curvature. `steering`, `speed` (steps + 1, 6): commanded angles and ground speeds.
-    `paths` (samples, 6) and `states` (samples, 6, 10) are filled every `every` steps.
-    """
-    work, pose, u = new_work(), np.zeros(10), np.zeros(9)
-    code = settle(rover, wheel, grid, override, start, steering[0], speed[0], pose, u, work)
-    if code != FINISHED:
-        return code, 0
-    roll_on(pose, u, start[3], start[4])
-    samples, steps = 0, len(steering) - 1
-    for i in range(steps + 1):
-        code = evaluate(rover, wheel, grid, override, pose, u, steering[i], speed[i], work, 1.0)
-        if code != FINISHED:
-            return code, samples
-        if i % every == 0:
-            record(pose, work, paths[samples], states[samples])
-            samples += 1
-        if i < steps:
-            code = step(rover, pose, u, dt, work)
-            if code != FINISHED:
-                return code, samples
-    return FINISHED, samples
+    code: int = health(pose, u)
+    return code

@@ -14,22 +14,24 @@ __all__ = ["CRATERS", "crater_height", "synthetic_longji"]
 FloatArray = npt.NDArray[np.float64]
 
 # x, y of the centre and diameter [m]. The diameters are published (Ding et al. 2024, Fig. 1c, d); the places are chosen
-# to match the description: 6.1 m on the left, 11.2 m on the right, and the drive ends just inside the rim of the 7.5 m one.
+# to match the description: 6.1 m on the left, 11.2 m on the right, the drive ends just inside the rim of the 7.5 m one.
 CRATERS = ((4.72, 4.6, 6.1), (4.63, -5.98, 11.2), (12.44, 0.27, 7.5))
 # Wu et al. (2020), EPSL 553, 116666: mean depth/diameter 0.061 of the small craters at the landing site.
 DEPTH_TO_DIAMETER = 0.06
-# Regional gradient dh/dx, dh/dy, and a gentle step down across the passage (x, half width, half height [m]): chosen with
-# the places of the craters for the published slopes of the route, 8.86 deg at most and 5.38 deg at the end, as the tilt
-# of the plane through 1 m x 1 m of ground, downhill and nearly without side slope.
+# Regional gradient dh/dx, dh/dy, and a gentle step down across the passage (x, half width, half height [m]): chosen
+# with the places of the craters for the published slopes of the route, 8.86 deg at most and 5.38 deg at the end, as the
+# tilt of the plane through 1 m x 1 m of ground, downhill and nearly without side slope.
 REGIONAL = (-0.04, 0.0064)
 STEP = (6.895, 1.5, 0.1877)
 
 
-def crater_height(radius_m: npt.ArrayLike, diameter_m: float, depth_to_diameter: float = DEPTH_TO_DIAMETER) -> FloatArray:
+def crater_height(
+    radius_m: npt.ArrayLike, diameter_m: float, depth_to_diameter: float = DEPTH_TO_DIAMETER
+) -> FloatArray:
     """Height over the surroundings of a smooth, degraded crater at a distance from its centre. [m]
 
-    h = -d0 (1 - 2 u) exp(-2 u), u = (2 radius / diameter)^2: the rim crest is at the radius and stands 0.12 depths above
-    the surroundings; depth is counted from crest to floor. An assumed shape, chosen for being smooth.
+    h = -d0 (1 - 2 u) exp(-2 u), u = (2 radius / diameter)^2: the rim crest is at the radius and stands 0.12 depths
+    above the surroundings; depth is counted from crest to floor. An assumed shape, chosen for being smooth.
     """
     u = (2.0 * np.asarray(radius_m, dtype=float) / diameter_m) ** 2
     floor = depth_to_diameter * diameter_m / (1.0 + math.exp(-2.0))
@@ -50,7 +52,9 @@ def roughness(x: FloatArray, y: FloatArray, rms_m: float, seed: int) -> FloatArr
     return total
 
 
-def synthetic_longji(soil: Soil | None = None, *, seed: int = 41, spacing_m: float = 0.05, rms_m: float = 0.004) -> Terrain:
+def synthetic_longji(
+    soil: Soil | None = None, *, seed: int = 41, spacing_m: float = 0.05, rms_m: float = 0.004
+) -> Terrain:
     """Made-up ground with the published craters and slopes of the Longji site around the embedded plan.
 
     Parameters

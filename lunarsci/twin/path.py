@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -52,7 +53,7 @@ def curvature_at(arcs: tuple[Arc, ...], distance_m: npt.ArrayLike, blend_m: floa
     distance = np.asarray(distance_m, dtype=float)
     curvature = np.full(distance.shape, arcs[0].curvature_per_m)
     joint = 0.0
-    for before, after in zip(arcs[:-1], arcs[1:], strict=True):
+    for before, after in pairwise(arcs):
         joint += before.length_m
         width = max(min(blend_m, before.length_m, after.length_m), 1e-9)
         share = np.clip((distance - joint) / width + 0.5, 0.0, 1.0)
@@ -71,9 +72,10 @@ class Commands:
 def wheel_commands(rover: Rover, curvature_per_m: npt.ArrayLike, speed_m_s: float) -> Commands:
     """Ackermann steering about a turning centre on the middle axle's line, for each curvature.
 
-    The wheels turn as fast as their centres move when nothing slips: r_s omega is the speed over ground, so slip ratio 0
-    is the commanded drive. An unsteered wheel rolls at the forward part of its speed. With a steering offset the steering
-    axis points at the turning centre and the wheel runs outside or inside of it.
+    The wheels turn as fast as their centres move when nothing slips: r_s omega is the speed over ground, so slip ratio
+    0 is the commanded drive. An unsteered wheel rolls at the forward part of its speed. With a steering offset the
+    steering axis points at the turning centre and the wheel runs outside or inside of it. The point that follows the
+    path is the middle of the middle axle, which is below the origin when that axle lies at x = 0.
     """
     curvature = np.asarray(curvature_per_m, dtype=float)[:, None]
     position, side = rover.wheel_positions_m, np.array([1.0, -1.0] * 3)

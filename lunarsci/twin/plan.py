@@ -10,7 +10,7 @@ from typing import Any
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.terrain import SOIL_COLUMNS, soil_override
+from lunarsci.twin.terrain import soil_override
 
 __all__ = ["QUANTITIES", "Arc", "Limit", "Plan", "Sweep", "check_plan", "parse_sweep", "read_plan"]
 
@@ -56,7 +56,8 @@ class Sweep:
     def __post_init__(self) -> None:
         for value in (self.low, self.high):
             soil_override({self.name: value})
-        if not (self.low < self.high and self.count >= 2 or self.low == self.high and self.count == 1):
+        fixed = self.low == self.high and self.count == 1
+        if not (fixed or (self.low < self.high and self.count >= 2)):
             raise ParameterError(f"sweep {self.name}={self}: give LOW < HIGH and at least 2 values")
 
     def __str__(self) -> str:
@@ -129,7 +130,9 @@ def parse_sweep(text: str) -> Sweep:
     try:
         low, high, count = float(parts[0]), float(parts[1]), int(parts[2])
     except (IndexError, ValueError) as error:
-        raise ParameterError(f"sweep '{text}' is not NAME=LOW:HIGH:N, for example friction_angle_deg=25:55:9") from error
+        raise ParameterError(
+            f"sweep '{text}' is not NAME=LOW:HIGH:N, for example friction_angle_deg=25:55:9"
+        ) from error
     if len(parts) != 3:
         raise ParameterError(f"sweep '{text}' is not NAME=LOW:HIGH:N, for example friction_angle_deg=25:55:9")
     return Sweep(name.strip(), low, high, count)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from lunarsci.errors import ParameterError
 from lunarsci.twin.contact import VALID_SLIP
 from lunarsci.twin.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction
-from lunarsci.twin.integrate import OUTCOMES
+from lunarsci.twin.outcomes import OUTCOMES
 from lunarsci.twin.plan import Limit, Plan
 
 __all__ = ["Endpoint", "Judgement", "Verdict", "covering_circle", "extremes", "judge", "tilt_deg"]
@@ -23,8 +23,8 @@ FloatArray = npt.NDArray[np.float64]
 class Judgement:
     """One limited quantity: what each member reached at most, as p50, p95 and maximum over the members.
 
-    `margin` is limit - p95; `ok` is p95 <= limit; `worst_member` reached the maximum. Unit in `unit`, source of the limit
-    in `source`, `assumed` when the limit is a guess.
+    `margin` is limit - p95; `ok` is p95 <= limit; `worst_member` reached the maximum. Unit in `unit`, source of the
+    limit in `source`, `assumed` when the limit is a guess.
     """
 
     quantity: str
@@ -156,7 +156,9 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
     finished = prediction.finished
     limits = (plan or prediction.plan).limits
     judged = tuple(_judge_limit(prediction, limit) for limit in limits) if finished.any() else ()
-    outcomes = {OUTCOMES[int(k)]: int(n) for k, n in zip(*np.unique(prediction.outcome, return_counts=True), strict=True)}
+    outcomes = {
+        OUTCOMES[int(k)]: int(n) for k, n in zip(*np.unique(prediction.outcome, return_counts=True), strict=True)
+    }
     reasons = [f"{n} of {prediction.members} members: {text}" for text, n in outcomes.items() if text != OUTCOMES[0]]
     reasons += [f"{j.quantity}: p95 {j.p95:.3g} exceeds the limit {j.limit:g}" for j in judged if not j.ok]
     invalid = _invalid_share(prediction)
@@ -224,7 +226,9 @@ def _notes(prediction: Prediction, judged: tuple[Judgement, ...], invalid: float
     if not judged and prediction.finished.any():
         notes.append("the plan has no limits, so only the outcomes were judged")
     if invalid > 0:
-        notes.append(f"{invalid:.1%} of the wheel states lie outside the wheel model (|s| > {VALID_SLIP}, unloaded, or too deep)")
+        notes.append(
+            f"{invalid:.1%} of the wheel states lie outside the wheel model (|s| > {VALID_SLIP}, unloaded, or too deep)"
+        )
     if prediction.members < 20:
         notes.append(f"p95 of {prediction.members} members is close to their maximum")
     return tuple(notes)

@@ -13,8 +13,18 @@ import numpy.typing as npt
 from lunarsci.compiled import compiled
 from lunarsci.errors import DataError, OutputError, ParameterError
 from lunarsci.regolith.soil import Soil
+from lunarsci.twin.outcomes import FINISHED, HOLE, LEFT
 
-__all__ = ["SOIL_COLUMNS", "Grid", "Terrain", "build_terrain", "read_node", "read_terrain", "soil_override", "write_terrain"]
+__all__ = [
+    "SOIL_COLUMNS",
+    "Grid",
+    "Terrain",
+    "build_terrain",
+    "read_node",
+    "read_terrain",
+    "soil_override",
+    "write_terrain",
+]
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -53,8 +63,8 @@ class Terrain:
     soil : `Soil.vector()` at every node, in Pa and m. (ny, nx, 8)
     synthetic : True for a made-up terrain.
 
-    Between nodes heights, gradients (central differences of the heights) and soil are bilinear. A hole therefore reaches
-    one node further than the missing heights. Raises ParameterError for arrays that do not fit together.
+    Between nodes heights, gradients (central differences of the heights) and soil are bilinear. A hole therefore
+    reaches one node further than the missing heights. Raises ParameterError for arrays that do not fit together.
     """
 
     name: str
@@ -83,12 +93,12 @@ class Terrain:
     @property
     def x_m(self) -> FloatArray:
         """Columns. (nx,) [m]"""
-        return self.x0_m + self.spacing_m * np.arange(self.height_m.shape[1])
+        return self.x0_m + self.spacing_m * np.arange(self.height_m.shape[1], dtype=np.float64)
 
     @property
     def y_m(self) -> FloatArray:
         """Rows. (ny,) [m]"""
-        return self.y0_m + self.spacing_m * np.arange(self.height_m.shape[0])
+        return self.y0_m + self.spacing_m * np.arange(self.height_m.shape[0], dtype=np.float64)
 
     def with_soil(self, **values: npt.ArrayLike) -> "Terrain":
         """The same ground with soil parameters changed; a number, or one value for each node (ny, nx)."""
@@ -111,16 +121,16 @@ class Terrain:
         return np.asarray(interpolate((np.asarray(y_m, dtype=float), np.asarray(x_m, dtype=float))))
 
 
-@compiled(error_model="numpy")
+@compiled
 def read_node(grid: Any, x: float, y: float, override: Any, node: Any) -> int:
-    """Interpolate all layers at x, y into `node` (11); returns 0, 1 outside the map, 2 in a hole.
+    """Interpolate all layers at x, y into `node` (11); returns FINISHED, LEFT outside the map, HOLE in a hole.
 
     `override` (8) replaces the soil where it is not NaN.
     """
     ny, nx, layers = grid.nodes.shape
     column, row = (x - grid.x0) / grid.spacing, (y - grid.y0) / grid.spacing
     if not (0.0 <= column <= nx - 1 and 0.0 <= row <= ny - 1):
-        return 1
+        return LEFT
     j, i = min(int(column), nx - 2), min(int(row), ny - 2)
     a, b = column - j, row - i
     for k in range(layers):
@@ -128,11 +138,11 @@ def read_node(grid: Any, x: float, y: float, override: Any, node: Any) -> int:
         high = (1.0 - a) * grid.nodes[i + 1, j, k] + a * grid.nodes[i + 1, j + 1, k]
         node[k] = (1.0 - b) * low + b * high
     if not abs(node[0]) + abs(node[1]) + abs(node[2]) < np.inf:
-        return 2
+        return HOLE
     for k in range(8):
         if not np.isnan(override[k]):
             node[3 + k] = override[k]
-    return 0
+    return FINISHED
 
 
 def build_terrain(

@@ -1,0 +1,14 @@
+"""How a drive can end."""
+
+__all__ = ["DIVERGED", "FINISHED", "HOLE", "LEFT", "OUTCOMES", "OVERTURNED", "SANK", "UNSETTLED"]
+
+OUTCOMES = (
+    "finished",
+    "left the terrain: a wheel passed the edge of the map",
+    "hole in the terrain: no height below a wheel",
+    "overturned: the chassis tilted by more than 60 deg",
+    "diverged: the state is no longer finite",
+    "did not settle: no static equilibrium at the start pose",
+    "sank: a wheel is buried to its axle",
+)
+FINISHED, LEFT, HOLE, OVERTURNED, DIVERGED, UNSETTLED, SANK = range(7)

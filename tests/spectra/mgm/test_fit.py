@@ -1,0 +1,180 @@
+"""Fits of spectra made from known bands, invariances, hostile spectra, and real measurements."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import spearmanr
+
+from lunarsci.errors import ParameterError
+from lunarsci.inputs import read_input
+from lunarsci.spectra.mgm.assemblages import assemblage
+from lunarsci.spectra.mgm.fit import fit_spectra
+from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
+from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.spectrum import Spectrum
+
+GRID = np.arange(450.0, 2396.0, 5.0)
+ALL = assemblage("OL-OPX-CPX")
+STRENGTHS = dict(zip((b.name for b in ALL.bands), (-0.5, -0.1, -0.08, -0.08, -0.15, -0.1, -0.3, -0.2, -0.25, -0.15), strict=True))
+
+
+def made(strengths: dict[str, float], seed: int | None = None, noise: float = 0.005, name: str = "made") -> Spectrum:
+    """A spectrum with every band at its prior centre and width, over a straight continuum."""
+    ln = np.log(0.15 + 5e-5 * GRID)
+    for band in ALL.bands:
+        sigma = band.fwhm_nm / 2.354820
+        ln = ln + strengths[band.name] * np.exp(-0.5 * ((GRID - band.center_nm) / sigma) ** 2)
+    error = np.zeros(GRID.size) if seed is None else np.random.default_rng(seed).normal(scale=noise, size=GRID.size)
+    reflectance = np.exp(ln + error)
+    return Spectrum(name, GRID, reflectance, noise * reflectance)
+
+
+def fitted(spectrum: Spectrum, **options: object) -> MgmFit:
+    [result] = fit_spectra([spectrum], ALL, **options)  # type: ignore[arg-type]
+    assert isinstance(result, MgmFit)
+    return result
+
+
+def test_known_bands_come_back() -> None:
+    fit = fitted(made(STRENGTHS), model_error=0.001)
+    assert fit.converged
+    assert fit.rms_ln < 1e-3
+    for band in fit.bands:
+        assert band.strength == pytest.approx(STRENGTHS[band.name], abs=3 * band.strength_sigma)
+        assert band.strength <= 0
+    ratio = fit.nbsr["um2"]
+    assert ratio is not None
+    assert ratio.opx == pytest.approx(0.25 / 0.40, abs=0.03)
+    assert ratio.opx + ratio.cpx == pytest.approx(1)
+
+
+@pytest.mark.slow
+def test_errors_cover_the_truth_about_as_often_as_they_say() -> None:
+    """Truth drawn from the prior itself, 200 spectra. Laplace errors under-cover a little; the bounds are stated wide."""
+    rng = np.random.default_rng(3)
+    spectra, truths = [], []
+    for number in range(200):
+        ln, truth = np.log(0.15 + 5e-5 * GRID), []
+        for band in ALL.bands:
+            centre = rng.normal(band.center_nm, band.center_sigma_nm)
+            fwhm = rng.normal(band.fwhm_nm, band.fwhm_sigma_nm)
+            strength = -abs(rng.normal(0.3, 0.05))
+            truth.append((centre, fwhm, strength))
+            ln = ln + strength * np.exp(-0.5 * ((GRID - centre) * 2.354820 / fwhm) ** 2)
+        reflectance = np.exp(ln + rng.normal(scale=0.01, size=GRID.size))
+        spectra.append(Spectrum(str(number), GRID, reflectance, 0.01 * reflectance))
+        truths.append(truth)
+    fits = fit_spectra(spectra, ALL, model_error=1e-4)
+    inside = [
+        [
+            abs(band.center_nm - centre) < band.center_sigma_nm,
+            abs(band.fwhm_nm - fwhm) < band.fwhm_sigma_nm,
+            abs(band.strength - strength) < band.strength_sigma,
+        ]
+        for fit, truth in zip(fits, truths, strict=True)
+        if isinstance(fit, MgmFit)
+        for band, (centre, fwhm, strength) in zip(fit.bands, truth, strict=True)
+    ]
+    coverage = np.mean(inside, axis=0)
+    assert np.all((coverage > 0.58) & (coverage < 0.76)), coverage
+
+
+def test_shrinkage_tells_data_from_prior() -> None:
+    """Without channels beyond 1.7 um the 2 um bands are what the prior says."""
+    spectrum = made(STRENGTHS, seed=1)
+    short = GRID < 1400
+    cut = Spectrum("cut", GRID[short], spectrum.reflectance[short], spectrum.uncertainty[short])  # type: ignore[index]
+    by_name = {band.name: band for band in fitted(cut).bands}
+    assert by_name["CPX 2"].shrinkage["center"] < 0.02
+    assert by_name["CPX 2"].shrinkage["strength"] < 0.1
+    assert by_name["OPX 1"].shrinkage["strength"] > 0.8
+
+
+def test_alone_or_in_a_batch_and_in_any_order_is_the_same() -> None:
+    spectra = [made(STRENGTHS, seed=k, name=str(k)) for k in range(5)]
+    together = fit_spectra(spectra, ALL)
+    for spectrum, batch in zip(spectra, together, strict=True):
+        alone = fitted(spectrum)
+        assert isinstance(batch, MgmFit)
+        assert np.allclose(alone.covariance, batch.covariance, rtol=1e-9)
+        assert [b.strength for b in alone.bands] == pytest.approx([b.strength for b in batch.bands], abs=1e-9)
+
+
+def test_a_constant_factor_changes_the_continuum_only() -> None:
+    base = made(STRENGTHS, seed=2)
+    scaled = Spectrum("scaled", GRID, 2.5 * base.reflectance, 2.5 * base.uncertainty)  # type: ignore[operator]
+    first, second = fitted(base), fitted(scaled)
+    assert [b.strength for b in second.bands] == pytest.approx([b.strength for b in first.bands], abs=1e-5)
+    assert np.allclose(np.array(second.continuum_coefficients), 2.5 * np.array(first.continuum_coefficients), rtol=1e-4)
+
+
+def test_masked_channels_do_not_count() -> None:
+    base = made(STRENGTHS, seed=4)
+    spoiled = base.reflectance.copy()
+    spoiled[50:60] = 10.0
+    mask = np.zeros(GRID.size, bool)
+    mask[50:60] = True
+    fit = fitted(Spectrum("masked", GRID, spoiled, base.uncertainty, mask))
+    assert fit.rms_ln < 0.007
+
+
+def test_spectra_that_cannot_be_fitted_say_why() -> None:
+    good = made(STRENGTHS, seed=5)
+    few = Spectrum("few", GRID[:30], good.reflectance[:30])
+    infrared = Spectrum("infrared", GRID[200:], good.reflectance[200:])
+    dark = Spectrum("dark", GRID, np.zeros(GRID.size))
+    results = fit_spectra([few, good, infrared, dark], ALL)
+    assert [isinstance(result, MgmFailure) for result in results] == [True, False, True, True]
+    assert [result.id for result in results] == ["few", "made", "infrared", "dark"]
+    assert "30 usable channels" in results[0].status
+    assert "800-1300 nm" in results[2].status
+    assert "0 usable channels" in results[3].status
+    assert results[0].to_dict().keys() == results[1].to_dict().keys()
+
+
+def test_a_subset_of_minerals_has_their_bands_only() -> None:
+    [fit] = fit_spectra([made(STRENGTHS)], assemblage("ol-opx"))
+    assert isinstance(fit, MgmFit)
+    assert fit.assemblage == "OL-OPX"
+    assert {band.mineral for band in fit.bands} == {"any", "olivine", "orthopyroxene"}
+    assert fit.nbsr == {"um1": None, "um2": None}
+
+
+@pytest.mark.parametrize("name", ["OL-OL", "PLG", "", "OL OPX"])
+def test_unknown_assemblages_list_the_known_minerals(name: str) -> None:
+    with pytest.raises(ParameterError, match="OL, OPX, CPX"):
+        assemblage(name)
+
+
+@pytest.mark.parametrize("options", [{"model_error": 0.0}, {"model_error": np.nan}, {"starts": 0}, {"continuum": "spline"}])
+def test_impossible_options_are_refused(options: dict[str, object]) -> None:
+    with pytest.raises(ParameterError):
+        fit_spectra([made(STRENGTHS)], ALL, **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.reference
+@pytest.mark.slow
+def test_every_measured_spectrum_gets_a_result(reference_data: Path) -> None:
+    for file, count in (("ce4/reflectance_factor.csv", 88), ("relab/reflectance.csv", 172)):
+        spectra = read_spectra(read_input(str(reference_data / "spectra" / file)))
+        results = fit_spectra(spectra, ALL)
+        assert len(results) == count
+        for result in results:
+            assert isinstance(result, MgmFit) or result.status.startswith("no result: ")
+            values = [v for band in result.to_dict()["bands"] for v in band.values() if isinstance(v, float)]
+            assert np.isfinite(values).all()
+
+
+@pytest.mark.reference
+def test_nbsr_at_2_um_ranks_the_orthopyroxene_clinopyroxene_mixtures(reference_data: Path) -> None:
+    """The nine mixtures finer than 45 um; true fractions from the manifest of the reference data."""
+    import pandas as pd
+
+    manifest = pd.read_csv(reference_data / "spectra/relab/manifest.csv").set_index("id")
+    series = manifest[manifest.index.str.match(r"(XP|PE|PP)-CMP-") & (manifest["max_um"] <= 45)]
+    assert len(series) == 9
+    spectra = read_spectra(read_input(str(reference_data / "spectra/relab/reflectance.csv")))
+    fits = {fit.id: fit for fit in fit_spectra([s for s in spectra if s.id in series.index], ALL)}
+    ratios = [fits[name].nbsr["um2"].opx for name in series.index]  # type: ignore[union-attr]
+    assert spearmanr(ratios, series["vol_opx"]).statistic == pytest.approx(1.0)

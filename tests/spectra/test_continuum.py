@@ -1,0 +1,54 @@
+"""Continua against numpy's polynomial and scipy's convex hull."""
+
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.spectra.continuum import CONIC_TIES_NM, continuum, upper_hull
+
+GRID = np.arange(450.0, 2396.0, 5.0)
+
+
+def spectrum() -> np.ndarray:
+    band = 1 - 0.3 * np.exp(-0.5 * ((GRID - 950) / 90) ** 2) - 0.2 * np.exp(-0.5 * ((GRID - 2000) / 200) ** 2)
+    return (0.05 + 5e-5 * GRID) * band
+
+
+def test_conic_is_the_parabola_through_its_three_points() -> None:
+    values = spectrum()
+    found = continuum("conic", GRID, values).values(values)
+    at = [int(np.argmin(abs(GRID - tie))) for tie in CONIC_TIES_NM]
+    assert np.allclose(found, np.polyval(np.polyfit(GRID[at], values[at], 2), GRID), atol=1e-9)
+
+
+def test_hull_has_the_vertices_of_scipys_convex_hull() -> None:
+    rng = np.random.default_rng(0)
+    y = np.cumsum(rng.normal(size=GRID.size)) / 50 - (GRID / 2000 - 0.7) ** 2
+    hull = ConvexHull(np.column_stack([GRID, y]))
+    chord = y[0] + (y[-1] - y[0]) * (GRID - GRID[0]) / (GRID[-1] - GRID[0])
+    upper = sorted(i for i in hull.vertices if y[i] >= chord[i] - 1e-12)
+    assert upper_hull(GRID, y) == upper
+
+
+def test_hull_lies_on_or_above_the_spectrum() -> None:
+    values = spectrum()
+    assert np.all(continuum("hull", GRID, values).values(values) >= values - 1e-12)
+
+
+def test_linear_meets_the_spectrum_at_its_ties() -> None:
+    values = spectrum()
+    tied = continuum("linear", GRID, values)
+    at = [int(np.argmin(abs(GRID - tie))) for tie in tied.ties_nm]
+    assert np.allclose(tied.values(values)[at], values[at])
+
+
+def test_a_spectrum_that_ends_before_the_ties_says_what_to_use() -> None:
+    short = GRID < 1200
+    with pytest.raises(DataError, match="--continuum hull"):
+        continuum("conic", GRID[short], spectrum()[short])
+
+
+def test_unknown_continuum_lists_the_known_ones() -> None:
+    with pytest.raises(ParameterError, match="conic, hull, linear"):
+        continuum("spline", GRID, spectrum())  # type: ignore[arg-type]

@@ -1,0 +1,40 @@
+"""Grounds and drives that several tests share."""
+
+import numpy as np
+import pytest
+
+from lunarsci.regolith.soil import Soil, read_soil
+from lunarsci.twin.plan import Arc, Plan
+from lunarsci.twin.rover import Rover, build_rover
+from lunarsci.twin.terrain import Terrain, build_terrain
+
+
+@pytest.fixture(scope="session")
+def yutu2() -> Rover:
+    return build_rover("yutu2")
+
+
+@pytest.fixture(scope="session")
+def longji_soil() -> Soil:
+    return read_soil("longji")
+
+
+@pytest.fixture(scope="session")
+def slope():  # type: ignore[no-untyped-def]
+    """A plane rising by `along` in x and `across` in y, 12 m x 8 m about the start."""
+
+    def make(along: float = 0.0, across: float = 0.0, soil: Soil | None = None) -> Terrain:
+        x, y = np.arange(-2.0, 10.01, 0.25), np.arange(-4.0, 4.01, 0.25)
+        height = along * x[None, :] + across * y[:, None]
+        return build_terrain("plane", -2.0, -4.0, 0.25, height, soil or read_soil("longji"), synthetic=True)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def straight():  # type: ignore[no-untyped-def]
+    def make(length_m: float = 2.0, curvature_per_m: float = 0.0, **changes: float) -> Plan:
+        arcs = (Arc(length_m, curvature_per_m),)
+        return Plan(name="test", arcs=arcs, **({"speed_m_s": 0.05} | changes))
+
+    return make

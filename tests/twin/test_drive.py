@@ -1,0 +1,143 @@
+"""The rover under way: commanded arcs, balances of force, convergence in the time step, and every way to end."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from lunarsci.regolith.forces import wheel_forces
+from lunarsci.regolith.soil import Soil
+from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
+from lunarsci.twin.longji import synthetic_longji
+from lunarsci.twin.outcomes import OUTCOMES
+from lunarsci.twin.plan import read_plan
+from lunarsci.twin.rover import Rover
+from lunarsci.twin.terrain import build_terrain
+
+WEIGHT = 135.0 * 1.622
+
+
+def column(prediction: Prediction, name: str) -> np.ndarray:
+    """Values of the six wheels at the end of the drive."""
+    return prediction.states[0, -1, :, STATE_COLUMNS.index(name)]
+
+
+@pytest.mark.parametrize("curvature", [0.0, 0.154, -0.138])
+def test_without_slip_the_rover_drives_the_commanded_arc(yutu2, longji_soil, slope, straight, curvature) -> None:  # type: ignore[no-untyped-def]
+    """Ground that shears at no displacement, wheels without grousers: rolling without slip is the only balance."""
+    rover = dataclasses.replace(yutu2, wheel=dataclasses.replace(yutu2.wheel, grouser_height_m=0.0))
+    grip = longji_soil.replace(
+        stiffness_kpa_m_n=1e6, shear_modulus_mm=0.02, lateral_modulus_mm=0.02, external_friction_angle_deg=42.0
+    )
+    plan = straight(6.0, curvature)
+    result = predict(rover, slope(soil=grip), plan, sweep=())
+    assert result.outcome_text(0) == "finished"
+    turn = 6.0 * curvature
+    exact = (math.sin(turn) / curvature, (1 - math.cos(turn)) / curvature) if curvature else (6.0, 0.0)
+    assert result.endpoints_m[0] == pytest.approx(exact, abs=6e-3)
+    assert result.paths[0, -1, 5] == pytest.approx(math.degrees(turn), abs=0.1)
+
+
+@pytest.mark.parametrize("gradient", [0.0, -0.1, 0.08])
+def test_steady_drive_on_a_slope_balances_the_weight(yutu2, longji_soil, slope, straight, gradient) -> None:  # type: ignore[no-untyped-def]
+    result = predict(yutu2, slope(gradient), straight(5.0), sweep=())
+    angle = math.atan(gradient)
+    assert column(result, "normal_force_n").sum() == pytest.approx(WEIGHT * math.cos(angle), rel=1e-4)
+    assert column(result, "drawbar_pull_n").sum() == pytest.approx(WEIGHT * math.sin(angle), abs=2e-3)
+    assert np.abs(column(result, "lateral_force_n")).max() < 1e-6
+    # The same balance from the wheel formulas alone: at these sinkages one slip ratio carries the rover.
+    sinkage = column(result, "sinkage_m")
+
+    def surplus(slip: float) -> float:
+        forces = wheel_forces(yutu2.wheel, longji_soil, sinkage, slip)
+        return float(forces.drawbar_pull_n.sum()) - WEIGHT * math.sin(angle)
+
+    assert column(result, "slip_ratio") == pytest.approx(np.full(6, brentq(surplus, -0.5, 0.5)), abs=1e-4)
+
+
+def test_recorded_forces_are_those_of_the_recorded_states(yutu2, longji_soil, slope, straight) -> None:  # type: ignore[no-untyped-def]
+    result = predict(yutu2, slope(-0.05, 0.03), straight(4.0, 0.1), sweep=())
+    forces = wheel_forces(
+        yutu2.wheel, longji_soil, *(column(result, name) for name in ("sinkage_m", "slip_ratio", "side_slip_deg"))
+    )
+    assert column(result, "drawbar_pull_n") == pytest.approx(forces.drawbar_pull_n, abs=1e-9)
+    assert column(result, "lateral_force_n") == pytest.approx(forces.lateral_force_n, abs=1e-9)
+    assert column(result, "resistance_torque_nm") == pytest.approx(forces.resistance_torque_nm, abs=1e-9)
+    # The touch-down damping is in the recorded normal force: 400 N s/m at fractions of a mm/s.
+    assert column(result, "normal_force_n") == pytest.approx(forces.normal_force_n, abs=0.3)
+
+
+def test_a_side_slope_pushes_downhill_and_the_lateral_force_holds_against_it(yutu2, slope, straight) -> None:  # type: ignore[no-untyped-def]
+    result = predict(yutu2, slope(0.0, 0.03), straight(5.0), sweep=())
+    assert result.endpoints_m[0, 1] < -0.05
+    assert (column(result, "side_slip_deg") < 0).all()
+    assert column(result, "lateral_force_n").sum() == pytest.approx(-WEIGHT * 0.03, rel=0.02)
+
+
+def test_the_end_converges_with_first_order_in_the_time_step(yutu2) -> None:  # type: ignore[no-untyped-def]
+    terrain, plan = synthetic_longji(rms_m=0.0), read_plan()
+    steps = np.array([0.2, 0.1, 0.05, 0.025])
+    ends = [predict(yutu2, terrain, plan, sweep=(), time_step_s=dt).endpoints_m[0] for dt in (*steps, 0.003125)]
+    errors = np.array([np.hypot(*(end - ends[-1])) for end in ends[:-1]])
+    slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert 0.8 < slope < 1.3, (slope, errors)
+    assert errors[2] < 5e-3, "the default step of 0.05 s must hold the end to 5 mm"
+
+
+def hill(soil: Soil):  # type: ignore[no-untyped-def]
+    """Level, then ever steeper downhill: 65 deg after 5 m."""
+    x = np.arange(-2.0, 12.01, 0.1)
+    down = np.cumsum(np.tan(np.radians(np.clip(20.0 * (x - 1.0), 0.0, 75.0)))) * 0.1
+    return build_terrain("hill", -2.0, -4.0, 0.1, np.repeat(-down[None, :], 81, axis=0), soil)
+
+
+def cliff(soil: Soil):  # type: ignore[no-untyped-def]
+    x = np.arange(-2.0, 12.01, 0.1)
+    return build_terrain("cliff", -2.0, -4.0, 0.1, np.repeat(np.where(x > 2.0, -5.0, 0.0)[None, :], 81, axis=0), soil)
+
+
+def holed(soil: Soil):  # type: ignore[no-untyped-def]
+    height = np.zeros((81, 141))
+    height[30:50, 40:45] = np.nan
+    return build_terrain("holed", -2.0, -4.0, 0.1, height, soil)
+
+
+@pytest.mark.parametrize(
+    ("ground", "expected"),
+    [(hill, {"overturned"}), (cliff, {"overturned", "sank", "diverged"}), (holed, {"hole in the terrain"})],
+)
+def test_bad_ground_ends_the_drive_with_its_reason(yutu2, longji_soil, straight, ground, expected) -> None:  # type: ignore[no-untyped-def]
+    result = predict(yutu2, ground(longji_soil), straight(8.0), sweep=())
+    assert result.outcome_text(0).split(":")[0] in expected
+    assert 0 < result.recorded[0] < len(result.distance_m)
+    assert np.isfinite(result.paths).all() and np.isfinite(result.states).all()
+    # Beyond the end the last sample is repeated.
+    assert (result.paths[0, result.recorded[0] :] == result.paths[0, result.recorded[0] - 1]).all()
+
+
+def test_the_edge_of_the_map_ends_the_drive(yutu2: Rover, slope, straight) -> None:  # type: ignore[no-untyped-def]
+    result = predict(yutu2, slope(), straight(15.0), sweep=())
+    assert result.outcome_text(0).startswith("left the terrain")
+    # The front wheels are 0.5 m ahead of the origin, the map ends at 10 m.
+    assert result.endpoints_m[0, 0] == pytest.approx(9.5, abs=0.15)
+
+
+@pytest.mark.parametrize(
+    "soil",
+    [
+        {"stiffness_kpa_m_n": 1e-6},
+        {"stiffness_kpa_m_n": 1e15},
+        {"sinkage_exponent": 60.0},
+        {"sinkage_exponent_slip": 1e3},
+        {"friction_angle_deg": 89.9999},
+        {"shear_modulus_mm": 1e-12, "lateral_modulus_mm": 1e-12},
+        {"cohesion_pa": 1e12},
+        {"cohesion_pa": 0.0, "friction_angle_deg": 0.0, "external_friction_angle_deg": 0.0},
+    ],
+)
+def test_absurd_soil_has_a_stated_outcome(yutu2: Rover, slope, straight, soil: dict[str, float]) -> None:  # type: ignore[no-untyped-def]
+    result = predict(yutu2, slope(-0.05).with_soil(**soil), straight(2.0), sweep=())
+    assert result.outcome_text(0) in OUTCOMES
+    assert np.isfinite(result.paths).all() and np.isfinite(result.states).all()

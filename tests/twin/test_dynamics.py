@@ -1,0 +1,193 @@
+"""The multibody equations against MuJoCo, against conservation laws, and against free fall."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from lunarsci.twin.dynamics import inertia_and_free_force, wheel_jacobians
+from lunarsci.twin.integrate import evaluate, new_work, step
+from lunarsci.twin.outcomes import FINISHED
+from lunarsci.twin.rover import Rover, build_rover
+from lunarsci.twin.terrain import build_terrain
+from lunarsci.regolith.soil import read_soil
+
+STRAIGHT = np.zeros(6)
+
+
+@pytest.fixture(scope="module")
+def rover() -> Rover:
+    """Yutu-2 without friction, and with lengths that break every symmetry that could hide a mistake."""
+    return dataclasses.replace(
+        build_rover("yutu2"),
+        joint_damping_n_m_s=0.0,
+        body_center_m=(0.07, 0.03, 0.31),
+        front_wheel_m=(0.52, 0.04, -0.11),
+        bogie_pivot_m=(-0.27, 0.02, -0.03),
+        middle_wheel_m=(0.24, 0.01, -0.09),
+        rear_wheel_m=(-0.29, 0.03, -0.07),
+    )
+
+
+def random_state(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    random = np.random.default_rng(seed)
+    quaternion = random.normal(size=4)
+    pose = np.concatenate([random.normal(size=3), quaternion / np.linalg.norm(quaternion), 0.4 * random.normal(size=3)])
+    return pose, random.normal(size=9)
+
+
+def equations(rover: Rover, pose: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    work, vector = new_work(), rover.vector()
+    wheel_jacobians(vector, pose, u, STRAIGHT, work)
+    inertia_and_free_force(vector, pose, u, work)
+    return work.mass.copy(), work.force.copy()
+
+
+def rotation(pose: np.ndarray) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_quat(pose[[4, 5, 6, 3]]).as_matrix()
+
+
+def about_y(angle: float) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+
+
+def mass_points(rover: Rover, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Masses and world positions of chassis centre and wheels, from the rover's description alone."""
+    points = [np.array(rover.body_center_m)]
+    for k in (0, 1):
+        mirror = np.array([1.0, -1.0 if k else 1.0, 1.0])
+        rocker = about_y(-pose[7] if k else pose[7])
+        pivot = mirror * (0.0, rover.rocker_pivot_y_m, 0.0)
+        bogie = pivot + rocker @ (mirror * rover.bogie_pivot_m)
+        points.append(pivot + rocker @ (mirror * rover.front_wheel_m))
+        for arm in (rover.middle_wheel_m, rover.rear_wheel_m):
+            points.append(bogie + rocker @ about_y(pose[8 + k]) @ (mirror * arm))
+    masses = np.array([rover.body_kg] + [rover.wheel_kg] * 6)
+    return masses, pose[:3] + np.array(points) @ rotation(pose).T
+
+
+def moved(pose: np.ndarray, u: np.ndarray, dt: float) -> np.ndarray:
+    """The pose after dt at constant velocity."""
+    from scipy.spatial.transform import Rotation
+
+    turned = (Rotation.from_rotvec(dt * u[3:6]) * Rotation.from_quat(pose[[4, 5, 6, 3]])).as_quat()
+    return np.concatenate([pose[:3] + dt * u[:3], turned[[3, 0, 1, 2]], pose[7:] + dt * u[6:]])
+
+
+def invariants(rover: Rover, pose: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Linear momentum, angular momentum about the world's origin, kinetic energy; velocities by differences."""
+    h = 1e-5
+    masses, points = mass_points(rover, pose)
+    velocity = (mass_points(rover, moved(pose, u, h))[1] - mass_points(rover, moved(pose, u, -h))[1]) / (2 * h)
+    r = rotation(pose)
+    spin = r @ (np.array(rover.body_inertia_kg_m2) * (r.T @ u[3:6]))
+    linear = masses @ velocity
+    angular = (masses[:, None] * np.cross(points, velocity)).sum(axis=0) + spin
+    energy = 0.5 * float(masses @ (velocity**2).sum(axis=1) + u[3:6] @ spin)
+    return np.concatenate([linear, angular, [energy]])
+
+
+def test_free_flight_conserves_momentum_angular_momentum_and_energy(rover: Rover) -> None:
+    weightless = dataclasses.replace(rover, gravity_m_s2=1e-300)
+    pose, u = random_state(3)
+    before = invariants(weightless, pose, u)
+    dt = 2e-3
+
+    def rate(p: np.ndarray, v: np.ndarray) -> np.ndarray:
+        mass, force = equations(weightless, p, v)
+        return np.linalg.solve(mass, force)
+
+    for _ in range(200):
+        # Heun with the exact exponential map, then two midpoint corrections: second order is enough, dt is small.
+        k1 = rate(pose, u)
+        middle = u + 0.5 * dt * k1
+        k2 = rate(moved(pose, middle, 0.5 * dt), middle)
+        middle = u + 0.5 * dt * k2
+        pose, u = moved(pose, middle, dt), u + dt * rate(moved(pose, middle, 0.5 * dt), middle)
+    after = invariants(weightless, pose, u)
+    assert np.abs(after - before).max() < 3e-4 * np.abs(before).max()
+    assert np.abs(u).max() > 0.1
+
+
+def test_accelerations_follow_from_conservation_laws_at_every_state(rover: Rover) -> None:
+    """d/dt of momentum is the weight, of energy the power of the weight: no integrator involved."""
+    for seed in range(8):
+        pose, u = random_state(seed)
+        mass, force = equations(rover, pose, u)
+        acceleration = np.linalg.solve(mass, force)
+        h = 1e-4
+        ahead = invariants(rover, moved(pose, u + 0.5 * h * acceleration, h), u + h * acceleration)
+        behind = invariants(rover, moved(pose, u - 0.5 * h * acceleration, -h), u - h * acceleration)
+        change = (ahead - behind) / (2 * h)
+        masses, points = mass_points(rover, pose)
+        weight = np.outer(masses, [0.0, 0.0, -rover.gravity_m_s2])
+        expected = np.concatenate([weight.sum(axis=0), np.cross(points, weight).sum(axis=0)])
+        assert np.allclose(change[:6], expected, atol=2e-4 * rover.mass_kg)
+        assert change[6] == pytest.approx(
+            float(invariants(rover, pose, u)[:3] @ [0, 0, -rover.gravity_m_s2]), abs=2e-4 * rover.mass_kg
+        )
+
+
+def test_mass_matrix_and_forces_agree_with_mujoco(rover: Rover) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(mjcf(rover))
+    data = mujoco.MjData(model)
+    for seed in range(5):
+        pose, u = random_state(seed)
+        data.qpos[:] = np.concatenate([pose[:7], [pose[7], pose[8], -pose[7], pose[9]]])
+        into = np.zeros((10, 9))
+        into[:3, :3] = np.eye(3)
+        into[3:6, 3:6] = rotation(pose).T
+        into[6, 6], into[7, 7], into[8, 6], into[9, 8] = 1.0, 1.0, -1.0, 1.0
+        data.qvel[:] = into @ u
+        mujoco.mj_forward(model, data)
+        full = np.column_stack([mujoco_mass_times(mujoco, model, data, column) for column in np.eye(10)])
+        mass, force = equations(rover, pose, u)
+        assert np.allclose(into.T @ full @ into, mass, atol=1e-6)
+        assert np.allclose(-into.T @ data.qfrc_bias, force, atol=1e-6)
+
+
+def mujoco_mass_times(mujoco, model, data, column: np.ndarray) -> np.ndarray:  # type: ignore[no-untyped-def]
+    result = np.zeros(10)
+    mujoco.mj_mulM(model, data, result, column)
+    return result
+
+
+def mjcf(rover: Rover) -> str:
+    def text(vector: object) -> str:
+        return " ".join(repr(float(v)) for v in np.ravel(vector))
+
+    def point(position: object) -> str:
+        tiny = f'<inertial pos="0 0 0" mass="{rover.wheel_kg}" diaginertia="1e-9 1e-9 1e-9"/>'
+        return f'<body pos="{text(position)}">{tiny}</body>'
+
+    def side(sign: float) -> str:
+        mirror = np.array([1.0, sign, 1.0])
+        hinge = '<joint type="hinge" axis="0 1 0"/><inertial pos="0 0 0" mass="1e-9" diaginertia="1e-9 1e-9 1e-9"/>'
+        wheels = "".join(point(mirror * arm) for arm in (rover.middle_wheel_m, rover.rear_wheel_m))
+        bogie = f'<body pos="{text(mirror * rover.bogie_pivot_m)}">{hinge}{wheels}</body>'
+        pivot = text([0.0, sign * rover.rocker_pivot_y_m, 0.0])
+        return f'<body pos="{pivot}">{hinge}{point(mirror * rover.front_wheel_m)}{bogie}</body>'
+
+    return f"""<mujoco><option gravity="0 0 {-rover.gravity_m_s2}"/><worldbody><body><freejoint/>
+      <inertial pos="{text(rover.body_center_m)}" mass="{rover.body_kg}" diaginertia="{text(rover.body_inertia_kg_m2)}"/>
+      {side(1.0)}{side(-1.0)}</body></worldbody></mujoco>"""
+
+
+def test_free_fall_is_exact(rover: Rover) -> None:
+    ground = build_terrain("deep", -5.0, -5.0, 1.0, np.full((11, 11), -100.0), read_soil("longji"))
+    vector, wheel, grid = rover.vector(), rover.wheel.vector(), ground.grid()
+    none, speed = np.full(8, np.nan), np.full(6, 0.05)
+    pose, u, work = np.zeros(10), np.zeros(9), new_work()
+    pose[3], u[:3] = 1.0, (0.1, -0.2, 0.3)
+    dt = 0.05
+    for k in range(1, 61):
+        assert evaluate(vector, wheel, grid, none, pose, u, STRAIGHT, speed, work, 1.0) == FINISHED
+        assert step(vector, pose, u, dt, work) == FINISHED
+        t = k * dt
+        expected = np.array([0.1, -0.2, 0.3]) * t - np.array([0, 0, 0.5 * rover.gravity_m_s2 * t * t])
+        assert np.abs(pose[:3] - expected).max() < 1e-12
+        assert np.abs(pose[4:]).max() < 1e-12

@@ -1,0 +1,93 @@
+"""The rover at rest: wheel loads against the levers, worked out here from the rover's dimensions."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from lunarsci.twin.integrate import new_work
+from lunarsci.twin.outcomes import FINISHED, HOLE, LEFT, SANK, UNSETTLED
+from lunarsci.twin.rover import Rover
+from lunarsci.twin.settle import settle
+from lunarsci.twin.terrain import Terrain, soil_override
+
+
+def loads(rover: Rover, terrain: Terrain, heading: float = 0.0, at: tuple[float, float] = (0.0, 0.0), **soil: float):  # type: ignore[no-untyped-def]
+    """Outcome, F_N of FL, FR, ML, MR, RL, RR, and the pose."""
+    pose, u, work = np.zeros(10), np.zeros(9), new_work()
+    start = np.array([*at, heading, 0.05, 0.0])
+    still, speed = np.zeros(6), np.full(6, 0.05)
+    vector, wheel = rover.vector(), rover.wheel.vector()
+    code = settle(vector, wheel, terrain.grid(), soil_override(soil), start, still, speed, pose, u, work)
+    return code, work.state[:, 5].copy(), pose
+
+
+def levers(rover: Rover) -> np.ndarray:
+    """Loads on level, rigid ground. Upward forces less the wheel's own weight are written with a bar in the comments."""
+    g, weight = rover.gravity_m_s2, rover.wheel_kg * rover.gravity_m_s2
+    body = rover.body_kg * g
+    x_c, y_c, _ = rover.body_center_m
+    front, pivot = rover.front_wheel_m[0], rover.bogie_pivot_m[0]
+    middle, rear = rover.middle_wheel_m[0], rover.rear_wheel_m[0]
+    result = np.zeros(6)
+    for k, sign in enumerate((1.0, -1.0)):
+        side = 0.5 * body * (1.0 + sign * y_c / rover.rocker_pivot_y_m)  # roll balance: F̄ + B̄ on this side
+        moment = 0.5 * body * x_c  # the differential gives both rockers the same moment: F̄ x_f + B̄ x_b
+        bogie = (side * front - moment) / (front - pivot)
+        result[k] = side - bogie + weight
+        result[2 + k] = -bogie * rear / (middle - rear) + weight  # balance about the bogie pivot
+        result[4 + k] = bogie * middle / (middle - rear) + weight
+    return result
+
+
+VARIANTS = [
+    {},
+    {"bogie_pivot_m": (-0.31, 0.0, -0.02), "middle_wheel_m": (0.22, 0.0, -0.08)},
+    {"body_center_m": (0.06, 0.05, 0.3)},
+]
+
+
+@pytest.mark.parametrize("changes", VARIANTS)
+def test_loads_follow_the_levers(yutu2: Rover, slope, changes) -> None:  # type: ignore[no-untyped-def]
+    rover = dataclasses.replace(yutu2, **changes)
+    # Rigid ground, so that different sinkages do not tilt the levers.
+    code, normal, _ = loads(rover, slope(), stiffness_kpa_m_n=1443.0 * 3e6)
+    assert code == FINISHED
+    assert normal == pytest.approx(levers(rover), rel=1e-6)
+    assert normal.sum() == pytest.approx(rover.mass_kg * rover.gravity_m_s2, rel=1e-9)
+
+
+def test_loads_of_yutu2_are_equal_and_36_n(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
+    code, normal, pose = loads(yutu2, slope())
+    assert code == FINISHED
+    assert normal == pytest.approx(np.full(6, 135.0 * 1.622 / 6.0), rel=1e-3)
+    # Ding et al. (2024): 8 mm mean sinkage goes with 1443 kPa/m^N; the origin is 0.1 m above the wheel centres.
+    assert 0.15 + 0.10 - pose[2] == pytest.approx(0.0085, abs=0.0008)
+
+
+@pytest.mark.parametrize("heading", [0.0, 1.0, 2.5, -3.0])
+@pytest.mark.parametrize("gradient", [(0.1, 0.0), (0.0, 0.15), (-0.2, 0.1)])
+def test_on_a_plane_the_chassis_lies_along_the_plane_and_carries_its_normal_weight(
+    yutu2: Rover,
+    slope,  # type: ignore[no-untyped-def]
+    heading: float,
+    gradient: tuple[float, float],
+) -> None:
+    code, normal, pose = loads(yutu2, slope(*gradient), heading)
+    assert code == FINISHED
+    upright = 1.0 / math.sqrt(1.0 + gradient[0] ** 2 + gradient[1] ** 2)
+    # x and y are held, so the normal forces carry the whole weight in z.
+    assert normal.sum() * upright == pytest.approx(yutu2.mass_kg * yutu2.gravity_m_s2, rel=1e-9)
+    w, x, y, z = pose[3:7]
+    axis = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+    assert np.degrees(np.arccos(axis @ (np.array([-gradient[0], -gradient[1], 1.0]) * upright))) < 0.3
+
+
+def test_what_cannot_settle_says_so(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
+    assert loads(yutu2, slope(), stiffness_kpa_m_n=1e-3)[0] in (UNSETTLED, SANK)
+    assert loads(yutu2, slope(3.0))[0] == UNSETTLED
+    assert loads(yutu2, slope(), at=(50.0, 0.0))[0] == LEFT
+    holed = slope()
+    holed.height_m[14:19, 6:11] = np.nan
+    assert loads(yutu2, holed)[0] == HOLE
