@@ -1,0 +1,206 @@
+"""Closed-form forces against quadrature of a triangular stress, published numbers, limits and measured wheels."""
+
+import csv
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.regolith.forces import READINGS, slip_ratio, stress_moments, travel_ratio, wheel_forces
+from lunarsci.regolith.load import sinkage_under_load
+from lunarsci.regolith.soil import Soil, known_soils, read_soil
+from lunarsci.regolith.wheel import Wheel, read_wheel, shearing_radius
+
+WHEEL = Wheel(radius_m=0.15, width_m=0.15, grouser_height_m=0.008, grouser_shear_coefficient=0.65)
+SOIL = Soil(
+    stiffness_kpa_m_n=820,
+    sinkage_exponent=1.0,
+    cohesion_pa=520,
+    friction_angle_deg=42,
+    shear_modulus_mm=17.8,
+    external_friction_angle_deg=12.4,
+    lateral_modulus_mm=20,
+)
+
+
+def test_published_worked_state() -> None:
+    """s 0.2, N 1, K_s 820, c 520, phi 42, z 12 mm: linear 35.82 N, 9.44 N, 2.557 N m in an independent implementation."""
+    found = wheel_forces(WHEEL, SOIL, 0.012, 0.2)
+    assert float(found.normal_force_n) == pytest.approx(35.82, abs=0.01)
+    assert float(found.drawbar_pull_n) == pytest.approx(9.44, abs=0.01)
+    assert float(found.resistance_torque_nm) == pytest.approx(2.557, abs=0.001)
+
+
+@pytest.mark.parametrize(("theta_1", "theta_2", "theta_m"), [(0.33, 0.0, 0.165), (0.5, -0.1, 0.22)])
+def test_moments_are_integrals_of_a_triangle(theta_1: float, theta_2: float, theta_m: float) -> None:
+    def triangle(theta: float) -> float:
+        return float(np.interp(theta, [theta_2, theta_m, theta_1], [0.0, 1.0, 0.0]))
+
+    a, b, c = stress_moments(theta_1, theta_2, theta_m)
+    for ours, weight in ((a, math.cos), (b, math.sin), (c, lambda _: 1.0)):
+        assert ours == pytest.approx(quad(lambda t, w=weight: triangle(t) * w(t), theta_2, theta_1, points=[theta_m])[0], rel=1e-9)
+
+
+def test_no_shear_strength_leaves_the_compaction_resistance() -> None:
+    """Without cohesion and friction the drawbar pull is the rearward component of the normal stress."""
+    slick = SOIL.replace(cohesion_pa=0, friction_angle_deg=0, external_friction_angle_deg=0)
+    found = wheel_forces(WHEEL, slick, 0.01, 0.3, 5.0)
+    theta_1 = math.acos(0.14 / 0.15)
+    peak = 820e3 * 0.15 * (math.cos(theta_1 / 2) - math.cos(theta_1))
+
+    def stress(theta: float) -> float:
+        return peak * float(np.interp(theta, [0, theta_1 / 2, theta_1], [0, 1, 0]))
+
+    backward = quad(lambda t: stress(t) * math.sin(t), 0, theta_1, points=[theta_1 / 2])[0]
+    assert float(found.drawbar_pull_n) == pytest.approx(-0.15 * 0.15 * backward, rel=1e-9)
+    assert float(found.lateral_force_n) == 0
+    assert float(found.resistance_torque_nm) == 0
+
+
+def test_signed_reading_is_smooth_and_rises_through_zero_slip() -> None:
+    slip = np.linspace(-0.3, 0.3, 601)
+    pull = wheel_forces(WHEEL, SOIL, 0.009, slip).drawbar_pull_n
+    assert np.all(np.diff(pull) > 0)
+    assert np.max(np.diff(pull)) < 0.15
+
+
+def test_printed_reading_jumps_at_zero_slip_and_is_not_monotone() -> None:
+    """The jump of 6-24 N between s = 0- and s = 0+ that the printed law has at a load of about 36.5 N."""
+    sinkage = sinkage_under_load(WHEEL, SOIL, 36.5, 0.0)
+    below, above = wheel_forces(WHEEL, SOIL, sinkage, [-1e-9, 0.0], reading="printed").drawbar_pull_n
+    assert 6 < above - below < 24
+    skid = wheel_forces(WHEEL, SOIL, sinkage, np.linspace(-0.3, -0.01, 50), reading="printed").drawbar_pull_n
+    assert np.any(np.diff(skid) < 0)
+
+
+def test_readings_agree_in_slip() -> None:
+    values = [float(wheel_forces(WHEEL, SOIL, 0.009, 0.2, reading=reading).drawbar_pull_n) for reading in READINGS]  # type: ignore[arg-type]
+    assert values == pytest.approx([values[0]] * 3)
+
+
+def test_lateral_force_is_odd_in_side_slip_and_saturates_at_the_strength() -> None:
+    left, right = wheel_forces(WHEEL, SOIL, 0.009, 0.0, [-89.9, 89.9]).lateral_force_n
+    assert left == pytest.approx(-right)
+    theta_1 = math.acos((0.15 - 0.009) / 0.15)
+    peak = 820e3 * 0.15 * (math.cos(theta_1 / 2) - math.cos(theta_1))
+    strength = 520 + peak * math.tan(math.radians(12.4))
+    assert right == pytest.approx(WHEEL.shearing_radius_m * 0.15 * strength * theta_1 / 2, rel=1e-3)
+
+
+@pytest.mark.parametrize("slip", [-0.9, -0.3, 0.0, 0.2, 0.9])
+def test_travel_ratio_and_slip_ratio_are_inverse(slip: float) -> None:
+    assert slip_ratio(travel_ratio(slip)) == pytest.approx(slip, abs=1e-12)
+
+
+def test_shearing_radius() -> None:
+    """Eq. 4 by hand: 150 + 0.65 x 8 mm."""
+    assert shearing_radius(0.15, 0.008, 0.65) == pytest.approx(0.1552)
+
+
+def test_sinkage_under_load_carries_the_load_and_grows_with_it() -> None:
+    depths = [sinkage_under_load(WHEEL, SOIL, load) for load in (5, 20, 36.5, 80)]
+    assert depths == sorted(depths)
+    assert float(wheel_forces(WHEEL, SOIL, depths[2], 0.0).normal_force_n) == pytest.approx(36.5, abs=1e-6)
+
+
+@pytest.mark.parametrize("load", [-5, 0, math.nan, 1e9])
+def test_impossible_loads_are_refused(load: float) -> None:
+    with pytest.raises(ParameterError, match=r"load|carries"):
+        sinkage_under_load(WHEEL, SOIL, load)
+
+
+@pytest.mark.parametrize(
+    ("state", "name"),
+    [
+        ((0.0, 0.0, 0.0), "sinkage_m"),
+        ((0.15, 0.0, 0.0), "sinkage_m"),
+        ((math.nan, 0.0, 0.0), "sinkage_m"),
+        ((0.01, -1.0, 0.0), "slip_ratio"),
+        ((0.01, 1.0, 0.0), "slip_ratio"),
+        ((0.01, 0.0, 90.0), "side_slip_deg"),
+    ],
+)
+def test_impossible_states_are_refused(state: tuple[float, float, float], name: str) -> None:
+    with pytest.raises(ParameterError, match=name):
+        wheel_forces(WHEEL, SOIL, *state)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"radius_m": 0},
+        {"width_m": -1},
+        {"grouser_height_m": -1},
+        {"grouser_shear_coefficient": 2},
+        {"exit_c3": 0.6},
+        {"radius_m": math.nan},
+    ],
+)
+def test_impossible_wheels_are_refused(change: dict[str, float]) -> None:
+    with pytest.raises(ParameterError):
+        Wheel(**({"radius_m": 0.15, "width_m": 0.15} | change))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"stiffness_kpa_m_n": 0}, {"friction_angle_deg": 90}, {"cohesion_pa": -1}, {"lateral_modulus_mm": math.nan}, {"colour": 1}],
+)
+def test_impossible_soils_are_refused(change: dict[str, float]) -> None:
+    with pytest.raises(ParameterError):
+        SOIL.replace(**change)
+
+
+def test_known_soils_can_be_read_and_have_a_source() -> None:
+    for name, table in known_soils().items():
+        assert read_soil(name).stiffness_kpa_m_n > 0
+        assert table["source"]
+
+
+def test_unknown_soils_and_rovers_list_the_known_ones(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="lunar-typical"):
+        read_soil("mars")
+    with pytest.raises(DataError, match="yutu2"):
+        read_wheel("lunokhod")
+    broken = tmp_path / "soil.toml"
+    broken.write_text("stiffness_kpa_m_n = 'soft'\n")
+    with pytest.raises(DataError, match="soil.toml"):
+        read_soil(str(broken))
+
+
+@pytest.mark.reference
+def test_signed_reading_agrees_with_measured_skid_and_slip(reference_data: Path) -> None:
+    """CMU wheel with grousers without side slip: drawbar pull at measured sinkage, soil fitted on every other run.
+
+    The test is of the sign of the shear law alone: the soil is fitted to the drawbar pull, its normal force is free.
+    """
+    from scipy.optimize import least_squares
+
+    with (reference_data / "wheel/cmu_pavlov_single_wheel_grouser.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if float(row["beta"]) == 0 and abs(float(row["slip"])) <= 0.75]
+    table = np.array([[float(row[k]) for k in ("slip", "avg_Z", "avg_Fy")] for row in rows])
+    slip, sinkage, pull = table[:, 0], -table[:, 1] / 1e3, -table[:, 2]
+    wheel = Wheel(radius_m=0.058, width_m=0.05, grouser_height_m=0.005, grouser_shear_coefficient=0.65)
+    fitted = np.arange(slip.size) % 2 == 0
+
+    def residual(point: np.ndarray, reading: str) -> np.ndarray:
+        soil = SOIL.replace(
+            stiffness_kpa_m_n=np.exp(point[0]),
+            sinkage_exponent=0.5,
+            shear_modulus_mm=np.exp(point[1]),
+            friction_angle_deg=point[2],
+            sinkage_exponent_slip=point[3],
+        )
+        return wheel_forces(wheel, soil, sinkage, slip, reading=reading).drawbar_pull_n - pull  # type: ignore[arg-type]
+
+    def held_out_rmse(reading: str) -> float:
+        bounds = ([0, 0, 5, -0.6], [14, 5, 60, 0.9])
+        best = least_squares(lambda p: residual(p, reading)[fitted], [6, 2.7, 30, 0], bounds=bounds)
+        return float(np.sqrt(np.mean(residual(best.x, reading)[~fitted] ** 2)))
+
+    signed = held_out_rmse("signed")
+    assert signed < 1.1
+    assert held_out_rmse("printed") > 2 * signed
+    assert held_out_rmse("slip-branch") > 2 * signed

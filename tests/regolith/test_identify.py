@@ -1,0 +1,225 @@
+"""Identification: the published numbers, round trips through the forces, and wheel-state files of all kinds."""
+
+import math
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lunarsci.errors import DataError, LunarSciWarning, ParameterError
+from lunarsci.inputs import InputFile
+from lunarsci.regolith.forces import wheel_forces
+from lunarsci.regolith.identify import Assumptions, Identification, identify
+from lunarsci.regolith.soil import Soil
+from lunarsci.regolith.states import MeasurementErrors, WheelStates, read_states
+from lunarsci.regolith.wheel import Wheel, read_wheel
+
+YUTU = read_wheel("yutu2")
+EXACT = MeasurementErrors(sinkage_m=0, force_relative=0, slip_relative=0, side_slip_relative=0)
+
+
+def state(sinkage_mm: float, errors: MeasurementErrors, slip: float = -0.075) -> WheelStates:
+    """The mean wheel state of Ding et al. (2024) with F_N 32.03 N and F_DP -1.30 N."""
+    header = "sinkage_m,slip_ratio,normal_force_n,drawbar_pull_n"
+    return read(f"{header}\n{sinkage_mm / 1e3},{slip},32.03,-1.30\n", errors=errors)
+
+
+def read(text: str, wheel: Wheel = YUTU, errors: MeasurementErrors | None = None) -> WheelStates:
+    return read_states(InputFile("states.csv", text.encode()), wheel, errors)
+
+
+@pytest.mark.parametrize(("sinkage_mm", "stiffness", "tolerance"), [(8, 1443, 3), (15, 556.7, 2)])
+def test_published_stiffness_at_exponent_1(sinkage_mm: float, stiffness: float, tolerance: float) -> None:
+    found = identify(state(sinkage_mm, EXACT), YUTU)
+    assert found.site["stiffness_kpa_m_n"].value == pytest.approx(stiffness, abs=tolerance)
+
+
+@pytest.mark.parametrize(("sinkage_mm", "stiffness", "exponent"), [(8, 820, 0.89), (5, 1443, 0.873)])
+def test_published_exponent_at_a_stiffness(sinkage_mm: float, stiffness: float, exponent: float) -> None:
+    found = identify(state(sinkage_mm, EXACT), YUTU, Assumptions(stiffness_kpa_m_n=stiffness))
+    assert found.site["exponent"].value == pytest.approx(exponent, abs=0.003)
+
+
+@pytest.mark.parametrize(
+    ("errors", "published"),
+    [
+        (MeasurementErrors(force_relative=0), 0.017),
+        (MeasurementErrors(sinkage_m=0), 0.006),
+        (MeasurementErrors(), 0.017),
+    ],
+)
+def test_published_monte_carlo_spread_of_the_exponent(errors: MeasurementErrors, published: float) -> None:
+    """5 mm, K_s 1443: sinkage errors alone, force errors alone, both (Ding et al. 2024, Methods)."""
+    found = identify(state(5, errors), YUTU, Assumptions(stiffness_kpa_m_n=1443))
+    assert found.site["exponent"].sigma == pytest.approx(published, rel=0.15)
+
+
+def test_published_spread_of_the_stiffness() -> None:
+    """15 mm, N = 1: 25.8 kPa m^-N (Ding et al. 2024, Methods)."""
+    found = identify(state(15, MeasurementErrors()), YUTU)
+    assert found.site["stiffness_kpa_m_n"].sigma == pytest.approx(25.8, rel=0.15)
+
+
+def test_published_friction_angle_needs_the_slip_branch() -> None:
+    """21.5 deg at c 520 Pa and s -0.075; the physical reading has no solution there and says so."""
+    with pytest.warns(LunarSciWarning, match="reproducing published numbers only"):
+        found = identify(state(8, EXACT), YUTU, reading="slip-branch")
+    assert found.site["friction_angle_deg"].value == pytest.approx(21.5, abs=0.3)
+    physical = identify(state(8, EXACT), YUTU)
+    assert physical.site["friction_angle_deg"].value is None
+    assert physical.unsolved == ("friction_angle_deg",)
+
+
+TRUTH = Soil(
+    stiffness_kpa_m_n=1100,
+    sinkage_exponent=0.95,
+    cohesion_pa=700,
+    friction_angle_deg=35,
+    shear_modulus_mm=17.8,
+    external_friction_angle_deg=14,
+    lateral_modulus_mm=25,
+)
+
+
+def simulated(errors: MeasurementErrors, slip: float = 0.12, side_slip: float = 3.0) -> WheelStates:
+    forces = wheel_forces(YUTU, TRUTH, 0.009, slip, side_slip)
+    row = [0.009, slip, side_slip, *(float(f) for f in (forces.normal_force_n, forces.drawbar_pull_n, forces.lateral_force_n))]
+    names = "sinkage_m,slip_ratio,side_slip_deg,normal_force_n,drawbar_pull_n,lateral_force_n"
+    return read(f"{names}\n{','.join(map(repr, row))}\n", errors=errors)
+
+
+@pytest.mark.parametrize("slip", [-0.2, 0.0, 0.12, 0.5])
+@pytest.mark.parametrize("side_slip", [-3.0, 3.0])
+def test_forces_of_a_soil_give_the_soil_back(slip: float, side_slip: float) -> None:
+    states = simulated(EXACT, slip, side_slip)
+    given = Assumptions(
+        exponent=0.95,
+        stiffness_kpa_m_n=1100,
+        cohesion_pa=700,
+        friction_angle_deg=35,
+        lateral_modulus_mm=(25.0,),
+        external_friction_angle_deg=14,
+    )
+    site = identify(states, YUTU, given, draws=4).site
+    assert site["stiffness_kpa_m_n"].value == pytest.approx(1100, rel=1e-9)
+    assert site["exponent"].value == pytest.approx(0.95, rel=1e-9)
+    assert site["friction_angle_deg"].value == pytest.approx(35, rel=1e-6)
+    assert site["cohesion_pa"].value == pytest.approx(700, rel=1e-6)
+    assert site["external_friction_angle_deg"].value == pytest.approx(14, rel=1e-6)
+    assert site["lateral_modulus_mm"].value == pytest.approx(25, rel=1e-6)
+
+
+def test_curves_pass_through_the_truth() -> None:
+    curves = identify(simulated(EXACT), YUTU, Assumptions(cohesion_pa=700), draws=4).curves
+    bearing = {point["exponent"]: point["stiffness_kpa_m_n"] for point in curves["bearing"]}
+    assert math.exp((math.log(bearing[0.94]) + math.log(bearing[0.96])) / 2) == pytest.approx(1100, rel=1e-6)
+    shear = {point["cohesion_pa"]: point["friction_angle_deg"] for point in curves["shear"]}
+    assert shear[600.0] > 35 > shear[800.0]
+    lateral = {point["lateral_modulus_mm"]: point["external_friction_angle_deg"] for point in curves["lateral"]}
+    assert lateral[25.0] == pytest.approx(14, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_intervals_cover_the_truth() -> None:
+    """300 measurements of one state with the stated errors: the 95 % interval holds the truth in 92-98 % of them."""
+    clean = simulated(MeasurementErrors())
+    rng = np.random.default_rng(8)
+    noisy = clean.values + clean.sigmas * rng.standard_normal((300, 6))
+    states = WheelStates(tuple(map(str, range(300))), noisy, np.repeat(clean.sigmas, 300, axis=0))
+    found = identify(states, YUTU, Assumptions(exponent=0.95, cohesion_pa=700, lateral_modulus_mm=(25.0,)), draws=512)
+    for name, truth in (("stiffness_kpa_m_n", 1100), ("friction_angle_deg", 35)):
+        inside = [row[name].low < truth < row[name].high for row in found.observations]
+        assert 0.92 <= np.mean(inside) <= 0.98, name
+
+
+def test_the_same_seed_gives_the_same_numbers_and_another_seed_others() -> None:
+    def sigma(seed: int) -> float | None:
+        return identify(simulated(MeasurementErrors()), YUTU, seed=seed).site["stiffness_kpa_m_n"].sigma
+
+    assert sigma(1) == sigma(1)
+    assert sigma(1) != sigma(2)
+
+
+def test_without_slip_only_the_bearing_is_found() -> None:
+    found = identify(read("sinkage_m,normal_force_n,drawbar_pull_n\n0.008,32.03,-1.30\n"), YUTU)
+    assert found.site["stiffness_kpa_m_n"].value == pytest.approx(1443, abs=3)
+    assert found.site["friction_angle_deg"].value is None
+    assert found.unsolved == ()
+
+
+def test_result_is_plain() -> None:
+    import json
+
+    found = identify(simulated(MeasurementErrors()), YUTU)
+    assert isinstance(found, Identification)
+    record = found.to_dict()
+    json.dumps(record, allow_nan=False)
+    assert {"observations", "bearing", "shear", "lateral"} <= record.keys()
+    assert len(record["lateral"]["corners"]) == 2
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"exponent": -1}, {"cohesion_pa": -1}, {"friction_angle_deg": 90}, {"lateral_modulus_mm": (0.0,)}, {"shear_modulus_mm": 0}],
+)
+def test_impossible_assumptions_are_refused(options: dict[str, object]) -> None:
+    with pytest.raises(ParameterError):
+        Assumptions(**options)  # type: ignore[arg-type]
+
+
+HEAD = "sinkage_m,slip_ratio,normal_force_n,drawbar_pull_n"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "blank"),
+        (HEAD + "\n", "no row has all"),
+        ("sinkage_m,slip_ratio,normal_forse_n,drawbar_pull_n\n.008,0,32,-1\n", "is it 'normal_forse_n'"),
+        ("a,b\n1,2\n", "there are: a, b"),
+        (HEAD + "\n.008,0,-5,-1\n", "row 1, normal_force_n: -5 is impossible"),
+        (HEAD + "\n.008,0,0,-1\n", "normal_force_n"),
+        (HEAD + "\n.2,0,32,-1\n", "sinkage_m: 0.2 is impossible"),
+        (HEAD + "\n8,0,32,-1\n", "sinkage_m: 8 is impossible"),
+        (HEAD + "\n.008,-1,32,-1\n", "slip_ratio"),
+        (HEAD + "\n.008,0,32,-1\n.008,x,32,-1\n", "row 2, slip_ratio: 'x' is no number"),
+        (HEAD + "\nnan,nan,nan,nan\n", "no row has all"),
+        (HEAD + ",lateral_forc_n\n.008,0,32,-1,1\n", "if it is 'lateral_force_n'"),
+        (HEAD + ",sinkage_m_sigma\n.008,0,32,-1,-0.1\n", "cannot be negative"),
+        (HEAD + "\n.008,0,32\n.008,0,32,-1,5,6\n", "not a CSV table"),
+    ],
+)
+def test_bad_state_files_say_what_is_wrong(text: str, message: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LunarSciWarning)
+        with pytest.raises(DataError, match=message) as caught:
+            read(text)
+    assert "\n" not in str(caught.value)
+
+
+def test_rows_without_a_required_value_are_left_out_and_said() -> None:
+    with pytest.warns(LunarSciWarning, match="1 of 2 rows left out"):
+        states = read(HEAD + "\n.008,0,32,-1\n.008,0,,-1\n")
+    assert len(states) == 1
+
+
+def test_columns_of_no_use_are_said() -> None:
+    with pytest.warns(LunarSciWarning, match="not used: colour"):
+        read(HEAD + ",colour\n.008,0,32,-1,red\n")
+
+
+def test_fast_slip_is_said() -> None:
+    with pytest.warns(LunarSciWarning, match="no longer accurate"):
+        read(HEAD + "\n.008,0.7,32,-1\n")
+
+
+def test_given_errors_go_before_the_defaults() -> None:
+    states = read(HEAD + ",sinkage_m_sigma\n.008,0.1,32,-1,0.001\n.009,0.1,32,-1,\n")
+    assert states.sigmas[:, 0].tolist() == [0.001, 0.00033]
+    assert states.sigmas[0, 3] == pytest.approx(32 * 0.1 / 3)
+
+
+def test_read_states_from_a_windows_file(tmp_path: Path) -> None:
+    states = read("\ufeff" + HEAD.replace(",", " , ") + "\r\n.008, 0 ,32,-1\r\n")
+    assert states.values[0, 3] == 32
