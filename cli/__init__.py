@@ -7,14 +7,14 @@ from typing import Annotated, Any
 
 import typer
 
-from .output import FAILED, failure_line, say
+from . import demo
+from .output import FAILED, INTERRUPTED, failure_line, say
 from .regolith import app as regolith
 from .spectra import app as spectra
 from .twin import app as twin
 
 __all__ = ["app", "main"]
 
-INTERRUPTED = 130
 EXIT_CODES = "Exit codes: 0 done; 1 failed; 2 wrong usage; 3 finished, but not to be trusted or not safe."
 
 app = typer.Typer(
@@ -27,6 +27,7 @@ app = typer.Typer(
 app.add_typer(spectra, name="spectra")
 app.add_typer(regolith, name="regolith")
 app.add_typer(twin, name="twin")
+demo.add_to(app)
 
 
 def _show_version(value: bool) -> None:
@@ -54,7 +55,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         code: Any = app(arguments, standalone_mode=False, prog_name="lunarsci")
         return int(code or 0)
     except (KeyboardInterrupt, typer.Abort):
-        say("interrupted; nothing was written")
         return INTERRUPTED
     except BrokenPipeError:
         return _leave_broken_pipe()

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lunarsci.atomic import check_target, write_files
+from lunarsci.atomic import check_folder, check_target, write_files
 from lunarsci.errors import LunarSciError, LunarSciWarning, ParameterError
 from lunarsci.provenance import Provenance, document, plain, to_json
 
@@ -27,9 +27,9 @@ from .table import TextTable, render, to_csv
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["FAILED", "UNTRUSTED", "Output", "Report", "command", "say"]
+__all__ = ["FAILED", "INTERRUPTED", "Output", "Report", "command", "say"]
 
-FAILED, USAGE, UNTRUSTED = 1, 2, 3
+FAILED, UNTRUSTED, INTERRUPTED = 1, 3, 130
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 PANEL = "Output"
 
@@ -46,6 +46,7 @@ class Report:
     rows : the same as one table for `--csv`; None where the result is no table.
     figures : draws the pictures of `--plot`, one per page; None where there is nothing to draw.
     inputs, data_tables, sources, seed : for the provenance.
+    files : for commands that fill a folder: file name to what makes its content.
     untrusted : why the result is printed but should not be trusted, or empty.
     failures : inputs that gave no result, one sentence each.
     """
@@ -59,6 +60,7 @@ class Report:
     data_tables: Mapping[str, str] = field(default_factory=dict)
     sources: Sequence[str] = ()
     seed: int | None = None
+    files: Mapping[str, Callable[[], bytes]] = field(default_factory=dict)
     untrusted: str = ""
     failures: Sequence[str] = ()
 
@@ -83,6 +85,7 @@ class Output:
     no_time: bool
     quiet: bool
     verbose: bool
+    folder: bool = False
 
     def check(self) -> None:
         """Refuse contradictory or impossible requests before anything is computed."""
@@ -91,37 +94,46 @@ class Output:
             raise typer.BadParameter(f"{' and '.join(chosen)} exclude each other; give one")
         if self.plot and self.plot.suffix.lower() not in PLOT_SUFFIXES:
             raise typer.BadParameter(f"--plot {self.plot}: the name must end in {', '.join(PLOT_SUFFIXES)}")
-        for target in (self.path, self.plot):
-            if target:
-                check_target(target, force=self.force)
+        if self.path and self.folder:
+            check_folder(self.path, force=self.force)
+        elif self.path:
+            check_target(self.path, force=self.force)
+        if self.plot:
+            check_target(self.plot, force=self.force)
 
 
-_SHARED: dict[str, Any] = {
-    "as_json": (Annotated[bool, typer.Option("--json", help="One JSON document, with provenance.", rich_help_panel=PANEL)], False),
-    "as_csv": (Annotated[bool, typer.Option("--csv", help="The result as one CSV table.", rich_help_panel=PANEL)], False),
-    "field_path": (
-        Annotated[str | None, typer.Option("--field", metavar="A.B.C", help="One bare value of the JSON result, for $(…).", rich_help_panel=PANEL)],
-        None,
-    ),
-    "path": (
-        Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the result to a file instead of stdout.", rich_help_panel=PANEL)],
-        None,
-    ),
-    "plot": (
-        Annotated[Path | None, typer.Option("--plot", metavar="FILE", help="Draw the result: .png, .svg or .pdf.", rich_help_panel=PANEL)],
-        None,
-    ),
-    "force": (Annotated[bool, typer.Option("--force", help="Replace files that exist.", rich_help_panel=PANEL)], False),
-    "no_time": (
-        Annotated[bool, typer.Option("--no-time", help="Leave the time out: equal runs give equal bytes.", rich_help_panel=PANEL)],
-        False,
-    ),
-    "quiet": (Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no warnings.", rich_help_panel=PANEL)], False),
-    "verbose": (
-        Annotated[bool, typer.Option("--verbose", "-v", help="Say more; a failure shows its traceback.", rich_help_panel=PANEL)],
-        False,
-    ),
-}
+def _option(kind: Any, *names: str, text: str, metavar: str | None = None) -> Any:
+    return Annotated[kind, typer.Option(*names, help=text, metavar=metavar, rich_help_panel=PANEL)]
+
+
+def _shared_options(folder: bool, default_path: str | None) -> dict[str, tuple[Any, Any]]:
+    """Name of the parameter to its annotation and default."""
+    file_text, metavar = "Write the result to a file instead of stdout.", "FILE"
+    if folder:
+        file_text, metavar = "Folder for the tables and pictures; the result still goes to stdout.", "DIR"
+    flags = {
+        "as_json": ("--json", "One JSON document, with provenance."),
+        "as_csv": ("--csv", "The result as one CSV table."),
+        "force": ("--force", "Replace files that exist."),
+        "no_time": ("--no-time", "Leave the time out: equal runs give equal bytes."),
+    }
+    return {
+        **{key: (_option(bool, name, text=text), False) for key, (name, text) in flags.items()},
+        "field_path": (
+            _option(str | None, "--field", text="One bare value of the JSON result, for $(…).", metavar="A.B.C"),
+            None,
+        ),
+        "path": (
+            _option(Path | None, "--output", "-o", text=file_text, metavar=metavar),
+            Path(default_path) if default_path else None,
+        ),
+        "plot": (
+            _option(Path | None, "--plot", text="Draw the result: .png, .svg or .pdf.", metavar="FILE"),
+            None,
+        ),
+        "quiet": (_option(bool, "--quiet", "-q", text="No progress, no warnings."), False),
+        "verbose": (_option(bool, "--verbose", "-v", text="Say more; a failure shows its traceback."), False),
+    }
 
 
 def _load_config(context: typer.Context, value: Path | None) -> Path | None:
@@ -150,15 +162,26 @@ def _option_name(parameter: Any) -> str:
 
 _CONFIG = Annotated[
     Path | None,
-    typer.Option("--config", metavar="FILE", help="TOML file with option names as keys.", rich_help_panel=PANEL, is_eager=True, callback=_load_config),
+    typer.Option(
+        "--config",
+        metavar="FILE",
+        help="TOML file with option names as keys.",
+        rich_help_panel=PANEL,
+        is_eager=True,
+        callback=_load_config,
+    ),
 ]
 
 
-def command(app: typer.Typer, name: str) -> Callable[[Callable[..., Report]], Callable[..., None]]:
+def command(
+    app: typer.Typer, name: str, *, folder: bool = False, default_path: str | None = None
+) -> Callable[[Callable[..., Report]], Callable[..., None]]:
     """Register a function that returns a `Report` as a command with the shared output options.
 
-    A function with a parameter `output` is handed the `Output`, for its progress bar.
+    A function with a parameter `output` is handed the `Output`, for its progress bar. With `folder`, `--output` names a
+    folder that takes the report's `files`, and the result itself always goes to stdout.
     """
+    shared = _shared_options(folder, default_path)
 
     def register(function: Callable[..., Report]) -> Callable[..., None]:
         signature = inspect.signature(function)
@@ -166,28 +189,33 @@ def command(app: typer.Typer, name: str) -> Callable[[Callable[..., Report]], Ca
 
         @functools.wraps(function)
         def run(context: typer.Context, config: Path | None = None, **options: Any) -> None:
-            output = Output(**{key: options.pop(key) for key in _SHARED})
+            output = Output(**{key: options.pop(key) for key in shared}, folder=folder)
             output.check()
-            with heard_warnings(output) as heard:
-                report = function(**options, **({"output": output} if wants_output else {}))
-                emit(report, output, _provenance(context, report, options, heard))
+            try:
+                with heard_warnings(output) as heard:
+                    report = function(**options, **({"output": output} if wants_output else {}))
+                    emit(report, output, _provenance(context, report, options, heard))
+            except KeyboardInterrupt:
+                say("interrupted; nothing was written")
+                raise typer.Exit(INTERRUPTED) from None
             raise typer.Exit(report.exit_code)
 
-        run.__signature__ = _extended(signature)  # type: ignore[attr-defined]
-        run.__annotations__ = {p.name: p.annotation for p in _extended(signature).parameters.values()}
+        extended = _extended(signature, shared)
+        run.__signature__ = extended  # type: ignore[attr-defined]
+        run.__annotations__ = {p.name: p.annotation for p in extended.parameters.values()}
         app.command(name)(run)
         return run
 
     return register
 
 
-def _extended(signature: inspect.Signature) -> inspect.Signature:
+def _extended(signature: inspect.Signature, shared_options: Mapping[str, tuple[Any, Any]]) -> inspect.Signature:
     own = [p.replace(kind=p.KEYWORD_ONLY) for p in signature.parameters.values() if p.name != "output"]
     context = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
     config = inspect.Parameter("config", inspect.Parameter.KEYWORD_ONLY, annotation=_CONFIG, default=None)
     shared = [
         inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, annotation=annotation, default=default)
-        for key, (annotation, default) in _SHARED.items()
+        for key, (annotation, default) in shared_options.items()
     ]
     return inspect.Signature([context, *own, *shared, config], return_annotation=None)
 
@@ -229,14 +257,17 @@ def emit(report: Report, output: Output, provenance: Provenance) -> None:
     record = provenance.to_dict(time=not output.no_time)
     text = _as_text(report, output, record)
     contents: dict[Path, bytes] = {}
-    if output.path:
+    if output.path and output.folder:
+        contents.update({output.path / name: make() for name, make in report.files.items()})
+        contents[output.path / "result.json"] = to_json(document(report.schema, report.result, record)).encode()
+    elif output.path:
         contents[output.path] = text.encode()
     if output.plot:
         contents[output.plot] = _picture(report, output.plot)
     write_files(contents, force=output.force)
     for path in contents:
         say(f"written: {path}", quiet=output.quiet)
-    if not output.path:
+    if output.folder or not output.path:
         sys.stdout.write(text)
         sys.stdout.flush()
     for failure in report.failures:
@@ -246,7 +277,7 @@ def emit(report: Report, output: Output, provenance: Provenance) -> None:
 
 
 def _as_text(report: Report, output: Output, record: Mapping[str, Any]) -> str:
-    suffix = output.path.suffix.lower() if output.path else ""
+    suffix = output.path.suffix.lower() if output.path and not output.folder else ""
     if output.field_path is not None:
         return _field(report.result, output.field_path) + "\n"
     if output.as_json or (suffix == ".json" and not output.as_csv):

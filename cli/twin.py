@@ -1,7 +1,64 @@
-"""stub"""
+"""`lunarsci twin`: whether the next drive is safe."""
+
+from typing import Annotated
+
 import typer
-app = typer.Typer(no_args_is_help=True)
-@app.command("x")
-def x() -> None: ...
-@app.command("y")
-def y() -> None: ...
+
+from .output import Output, Report, command
+from .progress import progress
+
+__all__ = ["app"]
+
+app = typer.Typer(no_args_is_help=True, help="Whether the next drive is safe: a rover simulated on deformable ground.")
+
+
+@app.callback()
+def twin() -> None:
+    """Whether the next drive is safe: a rover simulated on deformable ground."""
+
+
+@command(app, "predict", folder=True)
+def predict(
+    output: Output,
+    plan: Annotated[
+        str | None, typer.Argument(help="Plan of the drive (TOML); the embedded one of Yutu-2 to the rock if left out.")
+    ] = None,
+    rover: Annotated[str, typer.Option(help="Rover: a name (yutu2) or a TOML file.")] = "yutu2",
+    terrain: Annotated[
+        str, typer.Option(help="Terrain: synthetic-longji or an .npz file with x_m, y_m, height_m and soil layers.")
+    ] = "synthetic-longji",
+    soil: Annotated[str, typer.Option(help="Soil where the terrain has none: a name or a TOML file.")] = "longji",
+    sweep: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=LOW:HIGH:N", help="Uncertain soil parameter, repeatable; replaces the plan's sweeps."),
+    ] = None,
+    members: Annotated[
+        int | None, typer.Option(min=1, help="Latin-hypercube samples of the ranges instead of the grid of all values.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the samples.")] = 0,
+    time_step: Annotated[float, typer.Option(help="Longest time step [s].")] = 0.05,
+    sample: Annotated[float, typer.Option(help="Distance between recorded states [m].")] = 0.1,
+) -> Report:
+    """Drive a plan over many soils and say whether it stays within the limits: go, or no-go with exit code 3.
+
+    With -o DIR the wheel states and forces go to states.csv, the paths to paths.csv, the ends to endpoints.csv.
+    """
+    from lunarsci.twin.ensemble import predict as predict_drive
+    from lunarsci.twin.plan import parse_sweep
+
+    from .twin_report import predict_report, read_scene
+
+    scene = read_scene(plan, rover, terrain, soil)
+    with progress("driving", quiet=output.quiet) as update:
+        prediction = predict_drive(
+            scene.rover,
+            scene.terrain,
+            scene.plan,
+            sweep=None if sweep is None else tuple(parse_sweep(text) for text in sweep),
+            members=members,
+            seed=seed,
+            time_step_s=time_step,
+            sample_m=sample,
+            progress=update,
+        )
+    return predict_report(scene, prediction)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from lunarsci.errors import OutputError
 
-__all__ = ["check_target", "write_files"]
+__all__ = ["check_folder", "check_target", "write_files"]
 
 
 def check_target(path: Path, *, force: bool) -> None:
@@ -25,25 +25,43 @@ def check_target(path: Path, *, force: bool) -> None:
         raise OutputError(f"{path}: no permission to write in {path.parent}; choose another folder")
 
 
+def check_folder(folder: Path, *, force: bool) -> None:
+    """Raise OutputError when files cannot be written into `folder`, which need not exist yet."""
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(f"{folder}: is not a folder; give another name")
+    if folder.is_dir() and any(folder.iterdir()) and not force:
+        raise OutputError(f"{folder}: holds files already; add --force to replace those of the same name")
+    check_target((folder if folder.is_dir() else folder.parent) / ".lunarsci-probe", force=False)
+
+
 def write_files(contents: Mapping[Path, bytes], *, force: bool = False) -> None:
     """Write several files so that all of them appear, or none.
 
     Every file is first written in full beside its target; only then are they renamed into place. Without `force` an
-    existing target is never replaced, even one that appeared in the meantime. Raises OutputError.
+    existing target is never replaced, even one that appeared in the meantime. A missing folder is made, its parent must
+    exist. Raises OutputError.
     """
     staged: list[tuple[Path, Path]] = []
+    made: list[Path] = []
+    done = False
     try:
         for path, data in contents.items():
+            if not path.parent.exists() and path.parent.parent.is_dir():
+                path.parent.mkdir()
+                made.append(path.parent)
             check_target(path, force=force)
             staged.append((_stage(path, data), path))
         _publish(staged, force=force)
+        done = True
     except OSError as error:
         if isinstance(error, OutputError):
             raise
-        raise OutputError(f"{error.filename or path}: {error.strerror}; nothing was written") from error
+        raise OutputError(f"{path}: {error.strerror or error}; nothing was written") from error
     finally:
         for temporary, _ in staged:
             temporary.unlink(missing_ok=True)
+        for folder in [] if done else made:
+            folder.rmdir()
 
 
 def _stage(path: Path, data: bytes) -> Path:

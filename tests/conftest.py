@@ -1,9 +1,19 @@
-"""Shared fixtures: the measured reference data, where they are present."""
+"""Shared fixtures: the measured reference data, where they are present; and a cache of compiled code that is never stale.
 
+Numba keys its cache by the file of the compiled function, not by the files of the functions it calls; the tests
+therefore keep a cache of their own for each state of the sources.
+"""
+
+import hashlib
 import os
+import tempfile
 from pathlib import Path
 
 import pytest
+
+SOURCES = sorted((Path(__file__).parents[1] / "lunarsci").rglob("*.py"))
+STATE = hashlib.sha256(b"".join(path.read_bytes() for path in SOURCES)).hexdigest()[:16]
+os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(tempfile.gettempdir()) / f"lunarsci-numba-{STATE}"))
 
 
 @pytest.fixture(scope="session")

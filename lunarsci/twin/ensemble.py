@@ -35,6 +35,8 @@ STATE_COLUMNS = (
     "valid",
 )
 MOST_MEMBERS = 100_000
+# States of this many members times samples fill 1 GB.
+MOST_SAMPLES = 2_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -157,6 +159,8 @@ def predict(
     parameters = member_parameters(plan.sweep if sweep is None else sweep, members, seed)
     count = len(next(iter(parameters.values()))) if parameters else 1
     samples = math.ceil(plan.length_m / sample_m - 1e-9)
+    if count * samples > MOST_SAMPLES:
+        raise ParameterError(f"{count} members with {samples} samples do not fit into memory; give a longer sample_m")
     every = math.ceil(plan.length_m / samples / plan.speed_m_s / time_step_s - 1e-9)
     distance = np.linspace(0.0, plan.length_m, samples * every + 1)
     commands = wheel_commands(rover, curvature_at(plan.arcs, distance, plan.blend_m), plan.speed_m_s)

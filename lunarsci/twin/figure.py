@@ -203,7 +203,7 @@ def _draw_band(axes: "Axes", prediction: Prediction, verdict: Verdict, name: str
     axes.set_xlim(0.0, float(prediction.distance_m[-1]))
     axes.set_ylabel(label)
     axes.grid(alpha=0.25, linewidth=0.5)
-    if name == next(iter(LABELS)):
+    if name == next(iter(LABELS)) and used.any():
         axes.legend(loc="upper right", fontsize=8, frameon=False)
 
 

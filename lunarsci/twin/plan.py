@@ -150,8 +150,7 @@ def read_plan(path: str | Path | None = None) -> Plan:
         text = Path(path).read_text("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(f"{path}: not a readable TOML file") from error
-    plan = _parse(text, str(path))
-    return plan
+    return _parse(text, str(path))
 
 
 def _parse(text: str, origin: str) -> Plan:
@@ -172,7 +171,9 @@ def _parse(text: str, origin: str) -> Plan:
             origin=origin,
             **{key: _number(value, key) for key, value in (start | drive).items()},
         )
-    except (tomllib.TOMLDecodeError, ParameterError) as error:
+    except tomllib.TOMLDecodeError as error:
+        raise DataError(f"{origin}: not valid TOML: {error}") from error
+    except ParameterError as error:
         raise DataError(f"{origin}: {error}") from error
 
 

@@ -224,9 +224,10 @@ def write_terrain(terrain: Terrain, path: str | Path) -> None:
 
 def _load(path: Path) -> dict[str, Any]:
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            if not isinstance(archive, np.lib.npyio.NpzFile):
-                raise DataError(f"{path}: not a NumPy archive; write it with numpy.savez")
+        archive = np.load(path, allow_pickle=False)
+        if not isinstance(archive, np.lib.npyio.NpzFile):
+            raise DataError(f"{path}: a single array, not a NumPy archive; write it with numpy.savez")
+        with archive:
             return {key: archive[key] for key in archive.files}
     except DataError:
         raise

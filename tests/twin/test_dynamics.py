@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
+from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.dynamics import inertia_and_free_force, wheel_jacobians
 from lunarsci.twin.integrate import evaluate, new_work, step
 from lunarsci.twin.outcomes import FINISHED
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.terrain import build_terrain
-from lunarsci.regolith.soil import read_soil
 
 STRAIGHT = np.zeros(6)
 
@@ -101,7 +101,7 @@ def test_free_flight_conserves_momentum_angular_momentum_and_energy(rover: Rover
         return np.linalg.solve(mass, force)
 
     for _ in range(200):
-        # Heun with the exact exponential map, then two midpoint corrections: second order is enough, dt is small.
+        # The implicit midpoint rule by two corrections, turning with the exact exponential map.
         k1 = rate(pose, u)
         middle = u + 0.5 * dt * k1
         k2 = rate(moved(pose, middle, 0.5 * dt), middle)
@@ -173,7 +173,8 @@ def mjcf(rover: Rover) -> str:
         return f'<body pos="{pivot}">{hinge}{point(mirror * rover.front_wheel_m)}{bogie}</body>'
 
     return f"""<mujoco><option gravity="0 0 {-rover.gravity_m_s2}"/><worldbody><body><freejoint/>
-      <inertial pos="{text(rover.body_center_m)}" mass="{rover.body_kg}" diaginertia="{text(rover.body_inertia_kg_m2)}"/>
+      <inertial pos="{text(rover.body_center_m)}" mass="{rover.body_kg}"
+        diaginertia="{text(rover.body_inertia_kg_m2)}"/>
       {side(1.0)}{side(-1.0)}</body></worldbody></mujoco>"""
 
 

@@ -24,7 +24,7 @@ def loads(rover: Rover, terrain: Terrain, heading: float = 0.0, at: tuple[float,
 
 
 def levers(rover: Rover) -> np.ndarray:
-    """Loads on level, rigid ground. Upward forces less the wheel's own weight are written with a bar in the comments."""
+    """Loads on level, rigid ground; the bar in the comments marks a load less the wheel's own weight."""
     g, weight = rover.gravity_m_s2, rover.wheel_kg * rover.gravity_m_s2
     body = rover.body_kg * g
     x_c, y_c, _ = rover.body_center_m

@@ -1,0 +1,332 @@
+"""What every command promises to a shell script."""
+
+import csv
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+Run = Callable[..., "object"]
+COMMANDS = {
+    "bands": ("spectra", "bands"),
+    "fit": ("spectra", "fit"),
+    "identify": ("regolith", "identify"),
+    "forces": ("regolith", "forces"),
+}
+
+
+@pytest.fixture
+def command(request: pytest.FixtureRequest, rock: Path, states: Path) -> list[str]:
+    """A command that works, with its input."""
+    name = request.param
+    inputs = {"bands": [rock], "fit": [rock], "identify": [states], "forces": ["--sinkage", "0.008"]}
+    return [*COMMANDS[name], *map(str, inputs[name])]
+
+
+every_command = pytest.mark.parametrize("command", list(COMMANDS), indirect=True)
+
+
+@every_command
+def test_table_json_and_csv_are_the_only_thing_on_stdout(run: Run, command: list[str]) -> None:
+    table = run(*command)
+    assert table.code == 0
+    assert "─" in table.out
+    assert table.err == []
+    document = json.loads(run(*command, "--json").out)
+    assert document["schema"].startswith("lunarsci/")
+    assert document.keys() == {"schema", "result", "provenance"}
+    rows = list(csv.DictReader(io.StringIO(run(*command, "--csv").out)))
+    assert len(rows) >= 1
+    assert all(None not in row and None not in row.values() for row in rows)
+
+
+@every_command
+def test_json_is_sorted_and_byte_identical_without_time(run: Run, command: list[str]) -> None:
+    first, second = (run(*command, "--json", "--no-time").out for _ in range(2))
+    assert first == second
+    assert first == json.dumps(json.loads(first), sort_keys=True, indent=2, ensure_ascii=False) + "\n"
+    assert "time_utc" in json.loads(run(*command, "--json").out)["provenance"]
+
+
+@every_command
+def test_provenance_says_what_went_in(run: Run, command: list[str]) -> None:
+    provenance = json.loads(run(*command, "--json").out)["provenance"]
+    assert provenance["command"] == " ".join(["lunarsci", *command[:2]])
+    assert {"version", "options", "inputs", "tables", "sources", "seed", "versions", "warnings"} <= provenance.keys()
+    assert provenance["sources"]
+    for used in (*provenance["inputs"], *provenance["tables"]):
+        assert len(used["sha256"]) == 64
+
+
+def test_input_hashes_are_those_of_the_file(run: Run, rock: Path) -> None:
+    import hashlib
+
+    [used] = json.loads(run("spectra", "bands", rock, "--json").out)["provenance"]["inputs"]
+    assert used == {"path": str(rock), "sha256": hashlib.sha256(rock.read_bytes()).hexdigest()}
+
+
+@every_command
+def test_output_goes_to_a_file_and_never_over_one(run: Run, command: list[str], tmp_path: Path) -> None:
+    target = tmp_path / "result.json"
+    done = run(*command, "-o", target)
+    assert (done.code, done.out) == (0, "")
+    assert done.err == [f"written: {target}"]
+    before = target.read_bytes()
+    again = run(*command, "-o", target)
+    assert (again.code, again.out) == (1, "")
+    assert "--force" in again.err[0]
+    assert target.read_bytes() == before
+    assert run(*command, "-o", target, "--force").code == 0
+    assert json.loads(target.read_text())["result"]
+    assert [path.name for path in tmp_path.glob(".*")] == []
+
+
+@every_command
+@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
+def test_pictures_are_written_and_repeatable(run: Run, command: list[str], suffix: str, tmp_path: Path) -> None:
+    magic = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
+    first, second = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}"
+    assert run(*command, "--plot", first, "-q").code == 0
+    assert run(*command, "--plot", second, "-q").code == 0
+    assert first.read_bytes().startswith(magic[suffix])
+    assert first.read_bytes() == second.read_bytes()
+
+
+def test_field_prints_one_bare_value(run: Run, rock: Path) -> None:
+    assert float(run("spectra", "bands", rock, "--field", "spectra.0.bc1000_nm").out) == pytest.approx(980, abs=15)
+    assert run("spectra", "bands", rock, "--field", "result.spectra.0.id").out == "synthetic_rock\n"
+    assert run("spectra", "fit", rock, "--field", "spectra.0.converged").out == "true\n"
+
+
+def test_a_wrong_field_lists_the_right_ones(run: Run, rock: Path) -> None:
+    wrong = run("spectra", "bands", rock, "--field", "spectra.0.bc900_nm")
+    assert (wrong.code, wrong.out) == (2, "")
+    assert "bc1000_nm" in wrong.err[0]
+
+
+def test_stdin_is_an_input(rock: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "lunarsci.cli", "spectra", "bands", "-", "--field", "spectra.0.bc1000_nm"],
+        input=rock.read_bytes(),
+        capture_output=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert 960 < float(done.stdout) < 1000
+
+
+def test_config_sets_the_defaults_and_the_command_line_wins(run: Run, rock: Path, tmp_path: Path) -> None:
+    config = tmp_path / "run.toml"
+    config.write_text('continuum = "hull"\nsmooth = 21\njson = true\n')
+    options = json.loads(run("spectra", "bands", rock, "--config", config).out)["provenance"]["options"]
+    assert (options["continuum"], options["smooth"]) == ("hull", 21)
+    options = json.loads(run("spectra", "bands", rock, "--config", config, "--smooth", 11).out)["provenance"]["options"]
+    assert options["smooth"] == 11
+
+
+@pytest.mark.parametrize(("text", "message"), [("smoth = 3\n", "smooth"), ("= 1", "TOML"), ("smooth = 'x'\n", "smooth")])
+def test_a_bad_config_is_a_usage_error(run: Run, rock: Path, tmp_path: Path, text: str, message: str) -> None:
+    config = tmp_path / "run.toml"
+    config.write_text(text)
+    wrong = run("spectra", "bands", rock, "--config", config)
+    assert (wrong.code, wrong.out, len(wrong.err)) == (2, "", 1)
+    assert message in wrong.err[0]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["spectra", "bands"],
+        ["spectra", "bands", "x.csv", "--smooth", "many"],
+        ["spectra", "bands", "x.csv", "--continuum", "spline"],
+        ["spectra", "bands", "x.csv", "--json", "--csv"],
+        ["spectra", "bands", "x.csv", "--plot", "x.bmp"],
+        ["spectra", "nonsense"],
+        ["nonsense"],
+        ["regolith", "forces"],
+        ["regolith", "forces", "--sinkage", "0.01", "--load", "30"],
+        ["regolith", "identify", "x.csv", "--lateral-modulus", "a,b"],
+        ["regolith", "identify", "x.csv", "--draws", "1"],
+        ["twin", "predict", "--members", "0"],
+        ["--nonsense"],
+    ],
+)
+def test_wrong_usage_is_one_line_and_exit_2(run: Run, arguments: list[str]) -> None:
+    wrong = run(*arguments)
+    assert (wrong.code, wrong.out, len(wrong.err)) == (2, "", 1), wrong
+    assert wrong.err[0].startswith("error: ")
+    assert "--help" in wrong.err[0]
+
+
+@pytest.mark.parametrize("group", [[], ["spectra"], ["regolith"], ["twin"]])
+def test_help_shows_the_commands(run: Run, group: list[str]) -> None:
+    assert run(*group, "--help").code == 0
+    assert "Usage" in run(*group, "--help").out
+
+
+def test_version(run: Run) -> None:
+    from importlib.metadata import version
+
+    assert run("--version").out.strip() == version("lunarsci")
+
+
+HEADER = "wavelength_nm,reflectance\n"
+GRID = [450 + 5 * k for k in range(390)]
+
+
+@pytest.fixture
+def bad_spectra(tmp_path: Path) -> dict[str, Path]:
+    contents = {
+        "empty.csv": b"",
+        "binary.csv": bytes(range(256)) * 40,
+        "nan.csv": (HEADER + "".join(f"{w},nan\n" for w in GRID)).encode(),
+        "text.csv": (HEADER + "450,bright\n").encode(),
+        "units.csv": ("wavelength,reflectance\n" + "".join(f"{10 * w},0.1\n" for w in GRID)).encode(),
+        "cut.csv": (HEADER + "".join(f"{w},0.1\n" for w in GRID) + "2400").encode(),
+        "short.csv": (HEADER + "".join(f"{w},0.1\n" for w in GRID[:5])).encode(),
+    }
+    for name, content in contents.items():
+        (tmp_path / name).write_bytes(content)
+    return {name: tmp_path / name for name in contents} | {"missing.csv": tmp_path / "missing.csv", "folder": tmp_path / "e"}
+
+
+@pytest.mark.parametrize("name", ["empty.csv", "binary.csv", "nan.csv", "text.csv", "units.csv", "cut.csv", "short.csv", "missing.csv"])
+@pytest.mark.parametrize("command", [("spectra", "bands"), ("spectra", "fit")])
+def test_a_bad_spectrum_is_one_line_exit_1_and_nothing_written(
+    run: Run, bad_spectra: dict[str, Path], name: str, command: tuple[str, str], tmp_path: Path
+) -> None:
+    target, picture = tmp_path / "out.json", tmp_path / "out.png"
+    failed = run(*command, bad_spectra[name], "-o", target, "--plot", picture, "-q")
+    assert (failed.code, failed.out, len(failed.err)) == (1, "", 1), failed
+    assert failed.err[0].startswith("error: ")
+    assert not target.exists()
+    assert not picture.exists()
+
+
+STATES = "sinkage_m,slip_ratio,normal_force_n,drawbar_pull_n\n"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [None, b"", bytes(range(256)) * 40, STATES + "nan,nan,nan,nan\n", "sinkage,slip\n1,2\n", STATES + ".008,0,-5,-1\n"],
+    ids=["missing", "empty", "binary", "nan", "wrong column", "negative load"],
+)
+def test_a_bad_state_file_is_one_line_exit_1_and_nothing_written(
+    run: Run, tmp_path: Path, content: str | bytes | None
+) -> None:
+    file, target = tmp_path / "bad.csv", tmp_path / "out.json"
+    if content is not None:
+        file.write_bytes(content if isinstance(content, bytes) else content.encode())
+    failed = run("regolith", "identify", file, "-o", target, "-q")
+    assert (failed.code, failed.out, len(failed.err)) == (1, "", 1), failed
+    assert not target.exists()
+
+
+@pytest.mark.parametrize("target", ["nowhere/out.json", "file.txt/out.json"])
+def test_an_impossible_output_folder_is_said_before_anything_is_computed(
+    run: Run, rock: Path, tmp_path: Path, target: str
+) -> None:
+    (tmp_path / "file.txt").write_text("in the way")
+    failed = run("spectra", "fit", rock, "-o", tmp_path / target)
+    assert (failed.code, failed.out, len(failed.err)) == (1, "", 1)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_without_write_permission(run: Run, rock: Path, tmp_path: Path) -> None:
+    locked = tmp_path / "locked"
+    locked.mkdir(mode=0o555)
+    failed = run("spectra", "bands", rock, "-o", locked / "out.json")
+    assert (failed.code, failed.out, len(failed.err)) == (1, "", 1)
+    assert "no permission" in failed.err[0]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_behind_stdout_is_one_line(rock: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "lunarsci.cli", "spectra", "bands", str(rock)], stdout=full, stderr=subprocess.PIPE
+        )
+    assert done.returncode == 1
+    assert len(done.stderr.decode().splitlines()) == 1
+    assert b"No space left" in done.stderr
+
+
+def test_a_full_disk_leaves_no_partial_file(run: Run, rock: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    failed = run("spectra", "bands", rock, "-o", tmp_path / "out.json")
+    assert (failed.code, failed.out, len(failed.err)) == (1, "", 1)
+    assert "No space left" in failed.err[0]
+    assert {path.name for path in tmp_path.iterdir()} == {"rock.csv"}
+
+
+def test_a_batch_goes_on_past_bad_inputs_and_exits_1(run: Run, rock: Path, bad_spectra: dict[str, Path]) -> None:
+    done = run("spectra", "bands", bad_spectra["empty.csv"], rock, bad_spectra["missing.csv"], "--json")
+    assert done.code == 1
+    assert [s["id"] for s in json.loads(done.out)["result"]["spectra"]] == ["synthetic_rock"]
+    assert sum(line.startswith("error: ") for line in done.err) == 2
+
+
+def test_a_folder_is_a_batch(run: Run, rock: Path) -> None:
+    (rock.parent / "second.csv").write_bytes(rock.read_bytes())
+    done = run("spectra", "bands", rock.parent, "--json")
+    assert len(json.loads(done.out)["result"]["spectra"]) == 2
+
+
+def test_what_is_not_to_be_trusted_is_printed_and_exits_3(run: Run, states: Path) -> None:
+    """Skidding at -0.075 with a pull of -1.30 N: no friction angle explains it under the physical reading."""
+    states.write_text(states.read_text().replace("0.05", "-0.075"))
+    done = run("regolith", "identify", states, "--json")
+    assert done.code == 3
+    assert json.loads(done.out)["result"]["shear"]["friction_angle_deg"]["value"] is None
+    assert any(line.startswith("not to be trusted: ") for line in done.err)
+
+
+def test_warnings_are_said_once_recorded_and_silenced_by_quiet(run: Run, states: Path) -> None:
+    arguments = ("regolith", "identify", states, "--reading", "slip-branch", "--json")
+    done = run(*arguments)
+    assert [line for line in done.err if line.startswith("warning: ")] == done.err[:1]
+    assert json.loads(done.out)["provenance"]["warnings"] == [done.err[0].removeprefix("warning: ")]
+    assert not any(line.startswith("warning") for line in run(*arguments, "-q").err)
+
+
+def test_the_seed_decides_the_draws(run: Run, states: Path) -> None:
+    field = ("--field", "bearing.stiffness_kpa_m_n.sigma")
+    first, same, other = (run("regolith", "identify", states, "--seed", s, *field).out for s in (1, 1, 2))
+    assert first == same != other
+
+
+def test_a_traceback_only_when_asked_for(run: Run, tmp_path: Path) -> None:
+    assert len(run("spectra", "bands", tmp_path / "missing.csv").err) == 1
+    assert any("Traceback" in line for line in run("spectra", "bands", tmp_path / "missing.csv", "-v").err)
+
+
+def test_a_reader_that_leaves_early_is_no_traceback(rock: Path) -> None:
+    done = subprocess.run(
+        f"'{sys.executable}' -m lunarsci.cli spectra fit '{rock}' --json | true", shell=True, capture_output=True
+    )
+    assert b"Traceback" not in done.stderr
+
+
+def test_ctrl_c_leaves_nothing_behind(tmp_path: Path) -> None:
+    target = tmp_path / "drive"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "lunarsci.cli", "twin", "predict", "--time-step", "0.0005", "-o", str(target)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    time.sleep(4)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert out == b""
+    assert err.decode().splitlines()[-1].startswith("interrupted")
+    assert not target.exists()

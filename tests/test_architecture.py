@@ -1,0 +1,110 @@
+"""The shape of the house: which part may import which, what the library may not touch, and what is packaged."""
+
+import ast
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SHARED = {"errors", "constants", "provenance", "atomic", "inputs", "compiled", "figure", "rovers", "spectra_data"}
+ALLOWED = {
+    "spectra": {"spectra", *SHARED},
+    "regolith": {"regolith", *SHARED},
+    "twin": {"twin", "regolith", *SHARED},
+    "rovers": {"rovers", "errors"},
+}
+TREES = {path: ast.parse(path.read_text("utf-8")) for folder in ("lunarsci", "cli", "spectra_data") for path in (ROOT / folder).rglob("*.py")}
+
+
+def imports(tree: ast.AST) -> set[str]:
+    found: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            found |= {node.module} if node.module != "lunarsci" else {f"lunarsci.{alias.name}" for alias in node.names}
+    return found
+
+
+def part_of(path: Path) -> str:
+    return path.relative_to(ROOT / "lunarsci").parts[0].removesuffix(".py")
+
+
+@pytest.mark.parametrize("path", [p for p in TREES if ROOT / "lunarsci" in p.parents], ids=str)
+def test_arrows_point_one_way(path: Path) -> None:
+    used = {name.split(".")[1] for name in imports(TREES[path]) if name.startswith("lunarsci.")}
+    part = part_of(path)
+    assert "cli" not in used, "the library does not know the command line"
+    assert used <= ALLOWED.get(part, SHARED), f"{part} may not import {used - ALLOWED.get(part, SHARED)}"
+
+
+@pytest.mark.parametrize("path", [p for p in TREES if ROOT / "lunarsci" in p.parents], ids=str)
+def test_the_library_has_no_command_line_and_does_not_print(path: Path) -> None:
+    assert not {name.split(".")[0] for name in imports(TREES[path])} & {"typer", "rich", "click", "argparse"}
+    calls = [node.func.id for node in ast.walk(TREES[path]) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)]
+    assert "print" not in calls
+    assert not any(isinstance(node, ast.Assert) for node in ast.walk(TREES[path])), "assert is no argument check"
+
+
+def test_nobody_imports_click() -> None:
+    assert not any(name.split(".")[0] == "click" for tree in TREES.values() for name in imports(tree))
+
+
+def test_cli_reaches_its_siblings_relatively() -> None:
+    for path, tree in TREES.items():
+        if ROOT / "cli" in path.parents:
+            assert not any(name.startswith(("cli", "lunarsci.cli")) for name in imports(tree)), path
+
+
+def test_every_package_on_disk_is_listed() -> None:
+    listed = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"])
+    moved = {"cli": "lunarsci.cli", "spectra_data": "lunarsci.spectra_data"}
+    on_disk = set(moved.values())
+    for path in (ROOT / "lunarsci").rglob("__init__.py"):
+        on_disk.add(".".join(path.parent.relative_to(ROOT).parts))
+    assert listed == on_disk
+
+
+def test_version_is_one() -> None:
+    import lunarsci
+
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert lunarsci.__version__ == project["version"]
+    assert f"version: {project['version']}\n" in (ROOT / "CITATION.cff").read_text()
+
+
+def lengths() -> list[tuple[str, int]]:
+    found = []
+    for path, tree in TREES.items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.FunctionDef):
+                doc = ast.get_docstring(node, clean=False)
+                body = node.end_lineno - node.lineno + 1 - (doc.count("\n") + 1 if doc else 0)  # type: ignore[operator]
+                found.append((f"{path.relative_to(ROOT)}:{node.name}", body))
+    return found
+
+
+def test_functions_and_modules_stay_small() -> None:
+    assert [row for row in lengths() if row[1] > 60] == []
+    assert [p.name for p in TREES if p.read_text("utf-8").count("\n") > 400] == []
+
+
+def test_every_table_row_names_a_known_source() -> None:
+    import csv
+
+    folder = ROOT / "spectra_data"
+    sources = tomllib.loads((folder / "sources.toml").read_text("utf-8"))
+    with (folder / "mgm_bands.csv").open() as file:
+        assert {row["source"] for row in csv.DictReader(file)} <= sources.keys()
+    assert {entry["table"] for entry in sources.values()} == {path.name for path in folder.glob("*.csv")}
+    for entry in sources.values():
+        assert entry["what"]
+        assert entry["citation"]
+
+
+def test_every_number_of_a_rover_file_has_a_source() -> None:
+    for path in (ROOT / "lunarsci/rovers").glob("*.toml"):
+        for table in tomllib.loads(path.read_text("utf-8")).values():
+            for key, entry in table.items() if isinstance(table, dict) else []:
+                assert entry["source"], f"{path.name}: {key}"

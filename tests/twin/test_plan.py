@@ -1,0 +1,162 @@
+"""Plans, sweeps and the geometry of the path."""
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.rovers.description import RoverDescription, read_rover
+from lunarsci.twin.path import curvature_at, planned_pose, wheel_commands
+from lunarsci.twin.plan import Arc, check_plan, parse_sweep, read_plan
+from lunarsci.twin.rover import Rover, build_rover
+
+
+def test_the_embedded_plan_is_the_published_one() -> None:
+    """Ding et al. (2024), Fig. 1d; 9.807 m in all, phi 25-55 deg, K_y 15-45 mm."""
+    plan = read_plan()
+    assert [(arc.length_m, arc.curvature_per_m) for arc in plan.arcs] == [
+        (3.673, 0.154),
+        (4.282, -0.132),
+        (1.852, -0.138),
+    ]
+    assert plan.length_m == pytest.approx(9.807)
+    assert [str(sweep) for sweep in plan.sweep] == ["25:55:9", "15:45:9"]
+    assert all(limit.assumed or limit.source for limit in plan.limits)
+
+
+ARC = "[[arc]]\nlength_m = 1.0\ncurvature_per_m = 0.0\n"
+DRIVE = "[drive]\nspeed_m_s = 0.05\n"
+
+
+def test_a_plan_without_limits_gets_the_embedded_ones_and_sweeps_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "plan.toml"
+    path.write_text(DRIVE + ARC)
+    plan = read_plan(path)
+    assert plan.limits == read_plan().limits and plan.sweep == ()
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (DRIVE, "length is zero"),
+        (DRIVE + "[[arc]]\nlength_m = 0\ncurvature_per_m = 0\n", "length_m"),
+        (DRIVE + "[[arc]]\nlength_m = nan\ncurvature_per_m = 0\n", "length_m"),
+        (DRIVE + "[[arc]]\nlength_m = 1\ncurvature_per_m = inf\n", "curvature_per_m"),
+        (DRIVE + "[[arc]]\nlength_m = 1\n", "no curvature_per_m"),
+        (DRIVE + "[[arc]]\nlength_m = 1e9\ncurvature_per_m = 0\n", "at most 1000 m"),
+        (DRIVE + "[arc]\nlength_m = 1\ncurvature_per_m = 0\n", "double brackets"),
+        ("[drive]\nspeed_m_s = -0.05\n" + ARC, "speed_m_s"),
+        ("[drive]\nspeed_m_s = nan\n" + ARC, "speed_m_s"),
+        ("[drive]\nspeed_m_s = true\n" + ARC, "give a number"),
+        ("[drive]\n" + ARC, "no speed_m_s"),
+        ("[drive]\nspeed = 0.05\n" + ARC, "speed_m_s, blend_m"),
+        ("drive = 3\n" + ARC, "table"),
+        (DRIVE + ARC + "[limits]\nslip = 0.3\n", "slip_ratio, side_slip_deg"),
+        (DRIVE + ARC + "[limits]\nslip_ratio = nan\n", "slip_ratio"),
+        (DRIVE + ARC + "[sweep]\nfriction_angle_deg = '25:55'\n", "NAME=LOW:HIGH:N"),
+        (DRIVE + ARC + "[sweep]\nphi = '25:55:3'\n", "friction_angle_deg"),
+        (DRIVE + ARC + "[sweep]\nfriction_angle_deg = '25:95:3'\n", "friction_angle_deg"),
+        (DRIVE + ARC + "[start]\nx_m = nan\n", "finite"),
+        (DRIVE + ARC + "[extra]\n", "'extra'"),
+        ("not toml", "TOML"),
+    ],
+)
+def test_a_bad_plan_is_one_line_that_says_what_to_do(tmp_path: Path, text: str, says: str) -> None:
+    path = tmp_path / "plan.toml"
+    path.write_text(text)
+    with pytest.raises(DataError) as caught:
+        read_plan(path)
+    assert says in str(caught.value) and str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_what_is_no_file_is_no_plan(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.toml", tmp_path):
+        with pytest.raises(DataError):
+            read_plan(path)
+
+
+def test_a_rover_can_refuse_a_plan(yutu2: Rover) -> None:
+    plan = read_plan()
+    check_plan(plan, yutu2)
+    with pytest.raises(ParameterError, match=r"at most 0\.055"):
+        check_plan(dataclasses.replace(plan, speed_m_s=0.06), yutu2)
+    with pytest.raises(ParameterError, match="turning centre"):
+        check_plan(dataclasses.replace(plan, arcs=(Arc(1.0, 3.0),)), yutu2)
+
+
+@pytest.mark.parametrize("text", ["", "a", "friction_angle_deg=1:2", "friction_angle_deg=2:1:3", "cohesion_pa=1:2:1"])
+def test_a_bad_sweep_is_refused(text: str) -> None:
+    with pytest.raises(ParameterError):
+        parse_sweep(text)
+
+
+def test_a_sweep_reads_back() -> None:
+    sweep = parse_sweep("lateral_modulus_mm=15:45:9")
+    assert (sweep.name, sweep.low, sweep.high, sweep.count) == ("lateral_modulus_mm", 15.0, 45.0, 9)
+    assert str(parse_sweep("cohesion_pa=520:520:1")) == "520:520:1"
+
+
+def test_the_path_is_the_integral_of_its_heading() -> None:
+    """Quadrature of cos and sin of the heading, against the exact chords."""
+    plan = dataclasses.replace(read_plan(), x_m=1.0, y_m=2.0, heading_deg=30.0)
+    s = np.linspace(0.0, plan.length_m, 200001)
+    middle = 0.5 * (s[1:] + s[:-1])
+    edges = np.cumsum([arc.length_m for arc in plan.arcs])
+    curvature = np.array([arc.curvature_per_m for arc in plan.arcs])[np.searchsorted(edges[:-1], middle)]
+    heading = math.radians(30.0) + np.cumsum(curvature) * s[1] - 0.5 * curvature * s[1]
+    pose = planned_pose(plan, s)
+    assert pose[-1, 0] == pytest.approx(1.0 + np.sum(np.cos(heading)) * s[1], abs=1e-4)
+    assert pose[-1, 1] == pytest.approx(2.0 + np.sum(np.sin(heading)) * s[1], abs=1e-4)
+    assert pose[-1, 2] == pytest.approx(math.radians(30.0) + sum(a.length_m * a.curvature_per_m for a in plan.arcs))
+    assert planned_pose(plan, [0.0])[0] == pytest.approx([1.0, 2.0, math.radians(30.0)])
+
+
+def test_the_blended_curvature_turns_as_far_as_the_arcs() -> None:
+    plan = read_plan()
+    s = np.linspace(0.0, plan.length_m, 100001)
+    blended = curvature_at(plan.arcs, s, 0.2)
+    assert np.sum(0.5 * (blended[1:] + blended[:-1])) * s[1] == pytest.approx(planned_pose(plan, s)[-1, 2], abs=1e-6)
+    assert np.abs(np.diff(blended)).max() < 1.01 * 0.286 / 0.2 * s[1]
+    assert curvature_at(plan.arcs, [3.673], 0.2)[0] == pytest.approx(0.5 * (0.154 - 0.132))
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.06])
+@pytest.mark.parametrize("curvature", [0.154, -0.5, 1e-9])
+def test_steered_wheels_roll_without_scrubbing(yutu2: Rover, curvature: float, offset: float) -> None:
+    """Each wheel centre moves as a point of a body that turns about one centre: velocity = speed (1 - k y, k x)."""
+    rover = dataclasses.replace(yutu2, steering_offset_m=offset)
+    commands = wheel_commands(rover, [curvature], 0.05)
+    side = np.array([1.0, -1.0] * 3)
+    turn = commands.steering_rad[0]
+    inward = np.where(rover.steered_mask, offset, 0.0) * side
+    x = rover.wheel_positions_m[:, 0] - inward * np.sin(turn)
+    y = rover.wheel_positions_m[:, 1] + inward * (np.cos(turn) - 1.0)
+    velocity = 0.05 * np.column_stack([1.0 - curvature * y, curvature * x])
+    heading = np.column_stack([np.cos(turn), np.sin(turn)])
+    assert velocity == pytest.approx(commands.speed_m_s[0][:, None] * heading, abs=1e-12)
+
+
+def test_the_rover_file_is_checked() -> None:
+    good = read_rover("yutu2")
+
+    def changed(table: str, **entries: object) -> RoverDescription:
+        tables = good.tables | {table: good.tables[table] | entries}
+        return dataclasses.replace(good, tables=tables)
+
+    assert build_rover(good).mass_kg == 135.0
+    for table, entry in (
+        ("mass", {"body_kg": -1.0}),
+        ("mass", {"body_kg": "heavy"}),
+        ("mass", {"body_inertia_kg_m2": [1.0, 2.0]}),
+        ("suspension", {"rear_wheel_m": [0.5, 0.0, -0.1]}),
+        ("suspension", {"front_wheel_m": [math.nan, 0.0, 0.0]}),
+        ("steering", {"steered_wheels": ["fore"]}),
+    ):
+        with pytest.raises(DataError, match="yutu2"):
+            build_rover(changed(table, **entry))
+    without = dataclasses.replace(good, tables={k: v for k, v in good.tables.items() if k != "mass"})
+    with pytest.raises(DataError, match="mass"):
+        build_rover(without)
