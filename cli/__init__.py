@@ -20,8 +20,8 @@ EXIT_CODES = "Exit codes: 0 done; 1 failed; 2 wrong usage; 3 finished, but not t
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
-    help="From a lunar rover's spectra and wheel telemetry to what the rock is, what the ground is, and whether the next "
-    "drive is safe.",
+    help="From a lunar rover's spectra and wheel telemetry to what the rock is, what the ground is, and whether the "
+    "next drive is safe.",
     epilog=EXIT_CODES,
 )
 app.add_typer(spectra, name="spectra")
@@ -85,7 +85,7 @@ def _report_usage(error: Any, message: str) -> int:
 
 
 def _prepare_process() -> None:
-    """A polite kill unwinds like Ctrl-C, so that temporary files go; odd terminals get '?' for what they cannot show."""
+    """A polite kill unwinds like Ctrl-C, so that temporary files go; a terminal without a character shows '?'."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     for stream in (sys.stdout, sys.stderr):
         reconfigure = getattr(stream, "reconfigure", None)

@@ -114,7 +114,11 @@ def _rock_findings(the_rock: Rock) -> list[dict[str, Any]]:
     for key in ("1000", "2000"):
         band = the_rock.bands.bands[key]
         if band.center_nm is not None:
-            found.append(_finding(f"rock: centre of the {key} nm band", band.center_nm, band.center_sigma_nm, None, "nm", "bands.png"))
+            found.append(
+                _finding(
+                    f"rock: centre of the {key} nm band", band.center_nm, band.center_sigma_nm, None, "nm", "bands.png"
+                )
+            )
     for region, number in (("um1", "1"), ("um2", "2")):
         ratio = the_rock.fit.nbsr[region]
         if ratio is not None:
@@ -129,7 +133,9 @@ def _drive_findings(the_drive: Drive) -> list[dict[str, Any]]:
     slip, end = limits["slip_ratio"], the_drive.verdict.endpoint
     found = [_finding("drive: largest slip ratio, 95 % of drives below", slip.p95, None, None, "-", "drive.png")]
     if end is not None:
-        found.append(_finding("drive: all ends within, of the destination", end.covering_radius_m, None, None, "m", "drive.png"))
+        found.append(
+            _finding("drive: all ends within, of the destination", end.covering_radius_m, None, None, "m", "drive.png")
+        )
     return found
 
 

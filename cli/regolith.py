@@ -30,7 +30,9 @@ def forces(
     slip: Annotated[float, typer.Option(help="Slip ratio [-], above -1, below 1; negative is skid.")] = 0.0,
     side_slip: Annotated[float, typer.Option(help="Side slip angle [deg], within ±90.")] = 0.0,
     rover: Rover = "yutu2",
-    soil: Annotated[str, typer.Option(help="Soil: a name or a TOML file.", rich_help_panel=SOIL_PANEL)] = "lunar-typical",
+    soil: Annotated[
+        str, typer.Option(help="Soil: a name or a TOML file.", rich_help_panel=SOIL_PANEL)
+    ] = "lunar-typical",
     stiffness: Annotated[float | None, typer.Option(help="K_s [kPa m^-N].", rich_help_panel=SOIL_PANEL)] = None,
     exponent: Annotated[float | None, typer.Option(help="Sinkage exponent N.", rich_help_panel=SOIL_PANEL)] = None,
     cohesion: Annotated[float | None, typer.Option(help="Cohesion c [Pa].", rich_help_panel=SOIL_PANEL)] = None,
@@ -83,8 +85,11 @@ def identify(
     draws: Annotated[int, typer.Option(min=2, max=1_000_000, help="Monte Carlo draws per state.")] = 1024,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")] = 0,
     sinkage_error: Annotated[float, typer.Option(help="1σ of the sinkage [m].", rich_help_panel=ERROR_PANEL)] = 0.00033,
-    force_error: Annotated[float, typer.Option(help="1σ of the forces, relative.", rich_help_panel=ERROR_PANEL)] = 0.1 / 3,
-    slip_error: Annotated[float, typer.Option(help="1σ of the slip ratio, relative.", rich_help_panel=ERROR_PANEL)] = 0.04 / 3,
+    force_error: Annotated[float, typer.Option(help="1σ of the forces, relative.", rich_help_panel=ERROR_PANEL)] = 0.1
+    / 3,
+    slip_error: Annotated[
+        float, typer.Option(help="1σ of the slip ratio, relative.", rich_help_panel=ERROR_PANEL)
+    ] = 0.04 / 3,
     side_slip_error: Annotated[
         float, typer.Option(help="1σ of the side slip, relative.", rich_help_panel=ERROR_PANEL)
     ] = 0.04 / 3,
@@ -117,5 +122,7 @@ def identify(
     )
     given = read_inputs(states, rover, errors)
     with progress("identifying", quiet=output.quiet) as update:
-        found = identify_soil(given.states, given.wheel, known, reading=reading, draws=draws, seed=seed, progress=update)
+        found = identify_soil(
+            given.states, given.wheel, known, reading=reading, draws=draws, seed=seed, progress=update
+        )
     return identify_report(given, found, seed)

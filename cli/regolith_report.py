@@ -88,7 +88,7 @@ def forces_report(
     )
 
 
-def _forces_table(row: Mapping[str, float]) -> TextTable:
+def _forces_table(row: Mapping[str, Any]) -> TextTable:
     cells = [
         ["sinkage", f"{1e3 * row['sinkage_m']:.2f}", "mm"],
         ["slip ratio", f"{row['slip_ratio']:.4f}", ""],
@@ -167,7 +167,9 @@ def _site_table(found: Identification) -> TextTable:
         label = f"  φ_y at K_y = {corner['lateral_modulus_mm']:g} mm"
         rows.append(_site_row(label, corner["external_friction_angle_deg"], "external_friction_angle_deg"))
     count = len(found.observations)
-    title = f"The site from {count} state{'s' if count > 1 else ''}, {found.draws} draws each, reading '{found.reading}'"
+    title = (
+        f"The site from {count} state{'s' if count > 1 else ''}, {found.draws} draws each, reading '{found.reading}'"
+    )
     return TextTable(["parameter", "value", "95 % interval", "unit", ""], rows, title=title)
 
 

@@ -9,7 +9,9 @@ from .progress import progress
 
 __all__ = ["app"]
 
-app = typer.Typer(no_args_is_help=True, help="What the rock is made of: absorption bands and minerals from reflectance spectra.")
+app = typer.Typer(
+    no_args_is_help=True, help="What the rock is made of: absorption bands and minerals from reflectance spectra."
+)
 
 Files = Annotated[
     list[str],
@@ -19,7 +21,8 @@ Files = Annotated[
     ),
 ]
 WavelengthUnit = Annotated[
-    Literal["nm", "um"] | None, typer.Option("--wavelength-unit", help="State the unit of the wavelengths where the file does not.")
+    Literal["nm", "um"] | None,
+    typer.Option("--wavelength-unit", help="State the unit of the wavelengths where the file does not."),
 ]
 ReflectanceUnit = Annotated[
     Literal["fraction", "percent"] | None, typer.Option("--reflectance-unit", help="State the unit of the reflectance.")
@@ -32,7 +35,9 @@ def bands(
     output: Output,
     continuum: Annotated[
         Literal["conic", "hull", "linear"],
-        typer.Option(help="conic: through 700, 1345, 1580 nm, guarded; hull: upper convex hull; linear: between shoulders."),
+        typer.Option(
+            help="conic: through 700, 1345, 1580 nm, guarded; hull: upper convex hull; linear: between shoulders."
+        ),
     ] = "conic",
     smooth: Annotated[int, typer.Option(min=0, help="Savitzky-Golay window [channels], odd; 0 for none.")] = 41,
     smooth_order: Annotated[int, typer.Option(min=0, help="Order of the smoothing polynomial.")] = 3,

@@ -167,7 +167,10 @@ def _band_rows(record: Mapping[str, Any]) -> list[dict[str, Any]]:
     common = {key: record[key] for key in ("id", "assemblage", "continuum", "converged", "status", "rms_ln")}
     for region in ("um1", "um2"):
         ratio = (record["nbsr"] or {}).get(region)
-        common |= {f"nbsr_{region}_opx": ratio["opx"] if ratio else None, f"nbsr_{region}_sigma": ratio["sigma"] if ratio else None}
+        common |= {
+            f"nbsr_{region}_opx": ratio["opx"] if ratio else None,
+            f"nbsr_{region}_sigma": ratio["sigma"] if ratio else None,
+        }
     return [common | _flat(band) for band in record["bands"]] or [common]
 
 

@@ -30,7 +30,9 @@ def predict(
     soil: Annotated[str, typer.Option(help="Soil where the terrain has none: a name or a TOML file.")] = "longji",
     sweep: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=LOW:HIGH:N", help="Uncertain soil parameter, repeatable; replaces the plan's sweeps."),
+        typer.Option(
+            metavar="NAME=LOW:HIGH:N", help="Uncertain soil parameter, repeatable; replaces the plan's sweeps."
+        ),
     ] = None,
     members: Annotated[
         int | None, typer.Option(min=1, help="Latin-hypercube samples of the ranges instead of the grid of all values.")

@@ -112,7 +112,17 @@ def verdict_tables(scene: Scene, prediction: Prediction, verdict: Verdict) -> li
         ]
         for limit in verdict.limits
     ]
-    headers = ["quantity (largest of each drive)", "p50", "p95", "max", "limit", "margin", "unit", "verdict", "limit is"]
+    headers = [
+        "quantity (largest of each drive)",
+        "p50",
+        "p95",
+        "max",
+        "limit",
+        "margin",
+        "unit",
+        "verdict",
+        "limit is",
+    ]
     title = f"{verdict.verdict.upper()}: {scene.plan.name}; {prediction.members} drives on {scene.terrain.name}"
     return [TextTable(headers, rows, title=title, notes=[*_endpoint_notes(verdict), *verdict.reasons, *verdict.notes])]
 

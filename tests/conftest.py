@@ -1,4 +1,4 @@
-"""Shared fixtures: the measured reference data, where they are present; and a cache of compiled code that is never stale.
+"""Shared fixtures: the measured reference data, where present, and a cache of compiled code that is never stale.
 
 Numba keys its cache by the file of the compiled function, not by the files of the functions it calls; the tests
 therefore keep a cache of their own for each state of the sources.

@@ -14,7 +14,11 @@ ALLOWED = {
     "twin": {"twin", "regolith", *SHARED},
     "rovers": {"rovers", "errors"},
 }
-TREES = {path: ast.parse(path.read_text("utf-8")) for folder in ("lunarsci", "cli", "spectra_data") for path in (ROOT / folder).rglob("*.py")}
+TREES = {
+    path: ast.parse(path.read_text("utf-8"))
+    for folder in ("lunarsci", "cli", "spectra_data")
+    for path in (ROOT / folder).rglob("*.py")
+}
 
 
 def imports(tree: ast.AST) -> set[str]:
@@ -42,7 +46,9 @@ def test_arrows_point_one_way(path: Path) -> None:
 @pytest.mark.parametrize("path", [p for p in TREES if ROOT / "lunarsci" in p.parents], ids=str)
 def test_the_library_has_no_command_line_and_does_not_print(path: Path) -> None:
     assert not {name.split(".")[0] for name in imports(TREES[path])} & {"typer", "rich", "click", "argparse"}
-    calls = [node.func.id for node in ast.walk(TREES[path]) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)]
+    calls = [
+        node.func.id for node in ast.walk(TREES[path]) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+    ]
     assert "print" not in calls
     assert not any(isinstance(node, ast.Assert) for node in ast.walk(TREES[path])), "assert is no argument check"
 

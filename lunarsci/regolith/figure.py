@@ -89,7 +89,11 @@ def _mark(axes: Any, found: Identification, x: str, y: str) -> None:
         estimate, given = found.site[solved], getattr(found.assumptions, partner)
         if estimate.assumed or estimate.value is None or given is None:
             continue
-        at = (given, estimate.value, estimate.sigma, None) if solved == y else (estimate.value, given, None, estimate.sigma)
+        at = (
+            (given, estimate.value, estimate.sigma, None)
+            if solved == y
+            else (estimate.value, given, None, estimate.sigma)
+        )
         axes.errorbar(*at, fmt="o", color=ORANGE, capsize=3, label=f"solved at {_short(partner)} = {given:g}")
 
 

@@ -87,7 +87,7 @@ def mobilised(displacement: float, modulus: float) -> float:
 @compiled
 def longitudinal_mobilisation(
     travel: float, theta_1e: float, theta_m: float, shearing_radius: float, modulus: float, code: int
-) -> float:
+) -> Any:
     """Signed factor that turns the strength c + sigma_m tan(phi) into sgn(s) tau_xm (Eqs 12-14, 19). [-]
 
     `code` is the reading: 0 `signed`, 1 `printed`, 2 `slip-branch`.
@@ -101,7 +101,7 @@ def longitudinal_mobilisation(
 
 
 @compiled
-def lateral_mobilisation(lateral: float, theta_1e: float, theta_m: float, radius: float, modulus: float) -> float:
+def lateral_mobilisation(lateral: float, theta_1e: float, theta_m: float, radius: float, modulus: float) -> Any:
     """Factor that turns c + sigma_m tan(phi_y) into tau_ym, with the sign of the side slip (Eqs 16, 17, 20). [-]
 
     `lateral` is v_y / (r_s omega), the travel ratio times tan(beta).

@@ -221,7 +221,9 @@ class _Solved:
         if known.cohesion_pa is not None:
             found["friction_angle_deg"] = self.friction_angle(known.cohesion_pa)
         if known.friction_angle_deg is not None:
-            found["cohesion_pa"] = inversion.cohesion(self.sigma_m, self.tau_x, self.mobilised, known.friction_angle_deg)
+            found["cohesion_pa"] = inversion.cohesion(
+                self.sigma_m, self.tau_x, self.mobilised, known.friction_angle_deg
+            )
         adhesion = known.cohesion_pa if known.cohesion_pa is not None else found["cohesion_pa"]
         self.corners = {m: self.external_friction_angle(m, adhesion) for m in known.lateral_modulus_mm}
         if known.external_friction_angle_deg is not None:

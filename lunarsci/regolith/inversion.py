@@ -79,7 +79,7 @@ def sinkage_exponent(sigma_m: Any, depth: Any, stiffness_kpa: Any) -> Any:
 
 
 def friction_angle(sigma_m: Any, tau: Any, mobilised: Any, cohesion_pa: Any) -> Any:
-    """phi from tau = (c + sigma_m tan phi) x mobilised share, Eq. 19; NaN where no angle from 0 to 90 deg does. [deg]"""
+    """phi from tau = (c + sigma_m tan phi) x mobilised share, Eq. 19; NaN where no angle of 0-90 deg does. [deg]"""
     tangent = (tau / mobilised - cohesion_pa) / sigma_m
     return np.where(tangent >= 0, np.degrees(np.arctan(tangent)), np.nan)
 
@@ -99,7 +99,9 @@ def external_friction_angle(sigma_m: Any, tau: Any, displacement: Any, modulus_m
     return friction_angle(sigma_m, tau, mobilised, cohesion_pa)
 
 
-def lateral_modulus(sigma_m: Any, tau: Any, displacement: Any, external_friction_angle_deg: Any, cohesion_pa: Any) -> Any:
+def lateral_modulus(
+    sigma_m: Any, tau: Any, displacement: Any, external_friction_angle_deg: Any, cohesion_pa: Any
+) -> Any:
     """K_y from Eq. 20; NaN where the shear stress exceeds the strength or points the wrong way. [mm]"""
     share = tau * np.sign(displacement) / (cohesion_pa + sigma_m * np.tan(np.radians(external_friction_angle_deg)))
     possible = (share > 0) & (share < 1)

@@ -175,4 +175,5 @@ def _sigmas(name: str, numbers: dict[str, FloatArray], values: FloatArray, error
         if (given < 0).any():
             raise DataError(f"{name}, row {int(np.argmax(given < 0)) + 1}, {column}_sigma: an error cannot be negative")
         columns.append(np.where(np.isfinite(given), given, default))
-    return np.nan_to_num(np.column_stack(columns))
+    sigmas: FloatArray = np.nan_to_num(np.column_stack(columns))
+    return sigmas

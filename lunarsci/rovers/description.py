@@ -56,7 +56,9 @@ def _parse(text: str, origin: str) -> RoverDescription:
         raise DataError(f"{origin}: not valid TOML: {error}") from error
     sections = {key: table for key, table in document.items() if isinstance(table, dict)}
     tables = {name: {key: _value(v) for key, v in table.items()} for name, table in sections.items()}
-    assumed = tuple(f"{n}.{k}" for n, t in sections.items() for k, v in t.items() if isinstance(v, dict) and v.get("assumed"))
+    assumed = tuple(
+        f"{n}.{k}" for n, t in sections.items() for k, v in t.items() if isinstance(v, dict) and v.get("assumed")
+    )
     return RoverDescription(str(document.get("name", origin)), tables, assumed, origin, text)
 
 

@@ -23,7 +23,7 @@ __all__ = ["BANDS", "Band", "BandFailure", "BandResult", "SpectrumBands", "measu
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """Where an absorption band lies: its window, where in it the centre may lie, and what a spectrum must reach. [nm]"""
+    """Where an absorption band lies: its window, where its centre may lie, and what a spectrum must reach. [nm]"""
 
     key: str
     window_nm: tuple[float, float]
@@ -159,7 +159,7 @@ _NO_CURVES = (np.empty(0), np.empty(0), np.empty(0))
 def measure_batch(
     spectra: Sequence[Spectrum], *, progress: Callable[[int, int], None] | None = None, **options: Any
 ) -> list[SpectrumBands | BandFailure]:
-    """`measure_bands` for many spectra: one result or one stated reason each; `progress` is called with (done, total)."""
+    """`measure_bands` for many spectra: one result or one stated reason each; `progress` takes (done, total)."""
     measured: list[SpectrumBands | BandFailure] = []
     for number, spectrum in enumerate(spectra, 1):
         try:
@@ -261,7 +261,9 @@ def _fit_minimum(data: _Data, tied: Continuum, inside: BoolArray, window: slice)
         return BandResult(continuum=tied.name, status=f"no band: its depth is within {MIN_SIGNIFICANCE:g} sigma of 0")
     center_sigma = _sigma(scale * (slopes @ per_channel) / curvature, data.noise)
     if center_sigma > MAX_CENTER_SIGMA_NM:
-        return BandResult(continuum=tied.name, status=f"no result: its centre is known no better than ± {MAX_CENTER_SIGMA_NM:g} nm")
+        return BandResult(
+            continuum=tied.name, status=f"no result: its centre is known no better than ± {MAX_CENTER_SIGMA_NM:g} nm"
+        )
     weights = np.where(inside, np.gradient(data.wavelength_nm), 0.0)
     return BandResult(
         center_nm=float(middle + scale * minimum),

@@ -41,7 +41,7 @@ def _pages(
         columns = min(2, len(part))
         rows = -(-len(part) // columns)
         figure = Figure(figsize=(size[0] * columns, size[1] * rows), layout="constrained")
-        panels = np.atleast_1d(figure.subfigures(rows, columns)).ravel()
+        panels = figure.subfigures(rows, columns, squeeze=False).ravel()
         for panel, item in zip(panels, part, strict=False):
             upper, lower = panel.subplots(2, 1, sharex=True, height_ratios=heights)
             draw(upper, lower, item)

@@ -50,7 +50,9 @@ def to_csv(spectrum: Spectrum) -> bytes:
     """A spectrum as CSV with units in the header, readable by `read_spectra`."""
     sigma = spectrum.uncertainty if spectrum.uncertainty is not None else np.full(spectrum.reflectance.shape, np.nan)
     note = "# synthetic: made up by lunarsci, not a measurement\n" if spectrum.metadata.get("synthetic") else ""
-    rows = (f"{w:g},{r:.6f},{s:.6f}" for w, r, s in zip(spectrum.wavelength_nm, spectrum.reflectance, sigma, strict=True))
+    rows = (
+        f"{w:g},{r:.6f},{s:.6f}" for w, r, s in zip(spectrum.wavelength_nm, spectrum.reflectance, sigma, strict=True)
+    )
     header = f"wavelength_nm,{spectrum.id},{spectrum.id}_sigma"
     return (note + "\n".join([header, *rows]) + "\n").encode()
 

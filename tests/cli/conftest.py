@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-
 from lunarsci.cli import main
+
 from lunarsci.spectra.synthetic import synthetic_rock, to_csv
 
 

@@ -130,7 +130,9 @@ def test_config_sets_the_defaults_and_the_command_line_wins(run: Run, rock: Path
     assert options["smooth"] == 11
 
 
-@pytest.mark.parametrize(("text", "message"), [("smoth = 3\n", "smooth"), ("= 1", "TOML"), ("smooth = 'x'\n", "smooth")])
+@pytest.mark.parametrize(
+    ("text", "message"), [("smoth = 3\n", "smooth"), ("= 1", "TOML"), ("smooth = 'x'\n", "smooth")]
+)
 def test_a_bad_config_is_a_usage_error(run: Run, rock: Path, tmp_path: Path, text: str, message: str) -> None:
     config = tmp_path / "run.toml"
     config.write_text(text)
@@ -193,10 +195,15 @@ def bad_spectra(tmp_path: Path) -> dict[str, Path]:
     }
     for name, content in contents.items():
         (tmp_path / name).write_bytes(content)
-    return {name: tmp_path / name for name in contents} | {"missing.csv": tmp_path / "missing.csv", "folder": tmp_path / "e"}
+    return {name: tmp_path / name for name in contents} | {
+        "missing.csv": tmp_path / "missing.csv",
+        "folder": tmp_path / "e",
+    }
 
 
-@pytest.mark.parametrize("name", ["empty.csv", "binary.csv", "nan.csv", "text.csv", "units.csv", "cut.csv", "short.csv", "missing.csv"])
+@pytest.mark.parametrize(
+    "name", ["empty.csv", "binary.csv", "nan.csv", "text.csv", "units.csv", "cut.csv", "short.csv", "missing.csv"]
+)
 @pytest.mark.parametrize("command", [("spectra", "bands"), ("spectra", "fit")])
 def test_a_bad_spectrum_is_one_line_exit_1_and_nothing_written(
     run: Run, bad_spectra: dict[str, Path], name: str, command: tuple[str, str], tmp_path: Path
@@ -257,7 +264,9 @@ def test_a_full_disk_behind_stdout_is_one_line(rock: Path) -> None:
     assert b"No space left" in done.stderr
 
 
-def test_a_full_disk_leaves_no_partial_file(run: Run, rock: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_leaves_no_partial_file(
+    run: Run, rock: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full(_: int) -> None:
         raise OSError(28, "No space left on device")
 

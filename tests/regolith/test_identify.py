@@ -84,7 +84,12 @@ TRUTH = Soil(
 
 def simulated(errors: MeasurementErrors, slip: float = 0.12, side_slip: float = 3.0) -> WheelStates:
     forces = wheel_forces(YUTU, TRUTH, 0.009, slip, side_slip)
-    row = [0.009, slip, side_slip, *(float(f) for f in (forces.normal_force_n, forces.drawbar_pull_n, forces.lateral_force_n))]
+    row = [
+        0.009,
+        slip,
+        side_slip,
+        *(float(f) for f in (forces.normal_force_n, forces.drawbar_pull_n, forces.lateral_force_n)),
+    ]
     names = "sinkage_m,slip_ratio,side_slip_deg,normal_force_n,drawbar_pull_n,lateral_force_n"
     return read(f"{names}\n{','.join(map(repr, row))}\n", errors=errors)
 
@@ -161,7 +166,13 @@ def test_result_is_plain() -> None:
 
 @pytest.mark.parametrize(
     "options",
-    [{"exponent": -1}, {"cohesion_pa": -1}, {"friction_angle_deg": 90}, {"lateral_modulus_mm": (0.0,)}, {"shear_modulus_mm": 0}],
+    [
+        {"exponent": -1},
+        {"cohesion_pa": -1},
+        {"friction_angle_deg": 90},
+        {"lateral_modulus_mm": (0.0,)},
+        {"shear_modulus_mm": 0},
+    ],
 )
 def test_impossible_assumptions_are_refused(options: dict[str, object]) -> None:
     with pytest.raises(ParameterError):

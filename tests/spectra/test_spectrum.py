@@ -35,4 +35,6 @@ def test_arrays_cannot_be_changed_afterwards() -> None:
 )
 def test_broken_rules_are_named(wavelength: list, reflectance: list, uncertainty: list | None, message: str) -> None:
     with pytest.raises(DataError, match=message):
-        Spectrum("s", np.array(wavelength), np.array(reflectance), None if uncertainty is None else np.array(uncertainty))
+        Spectrum(
+            "s", np.array(wavelength), np.array(reflectance), None if uncertainty is None else np.array(uncertainty)
+        )

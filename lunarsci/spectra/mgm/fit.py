@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -216,8 +215,7 @@ class _Problem:
         if reduced_chi2 <= 1:
             return covariance
         prior = np.diag(self.precision)
-        widened: FloatArray = np.linalg.inv((np.linalg.inv(covariance) - prior) / reduced_chi2 + prior)
-        return widened
+        return np.asarray(np.linalg.inv((np.linalg.inv(covariance) - prior) / reduced_chi2 + prior), dtype=np.float64)
 
     def _bands(self, point: FloatArray, covariance: FloatArray) -> tuple[FittedBand, ...]:
         sigma = np.sqrt(np.diag(covariance))

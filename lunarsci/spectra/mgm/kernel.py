@@ -61,7 +61,14 @@ def _objective(residual: Any, weight: Any, parameters: Any, prior: Any, precisio
 
 @compiled
 def _normal_equations(
-    jacobian: Any, weight: Any, residual: Any, parameters: Any, prior: Any, precision: Any, curvature: Any, gradient: Any
+    jacobian: Any,
+    weight: Any,
+    residual: Any,
+    parameters: Any,
+    prior: Any,
+    precision: Any,
+    curvature: Any,
+    gradient: Any,
 ) -> None:
     """curvature = J W J' + prior precision, gradient = J W r - precision (p - prior)."""
     weighted = jacobian * weight
@@ -100,7 +107,7 @@ def _damped_step(
 
 
 @compiled
-def _predicted_decrease(curvature: Any, gradient: Any, step: Any) -> float:
+def _predicted_decrease(curvature: Any, gradient: Any, step: Any) -> Any:
     """By how much the quadratic model of the objective falls along a step."""
     return 2.0 * np.dot(gradient, step) - np.dot(step, np.dot(curvature, step))
 
@@ -172,10 +179,10 @@ def _fit_one(
     statistics[0], statistics[1], statistics[2], statistics[3] = chi2, total, iteration, status
 
 
-@compiled(parallel=True)
+@compiled(parallel=True)  # type: ignore[untyped-decorator]
 def fit_batch(
-    data: Any, weight: Any, wavelength: Any, basis: Any, prior: Any, precision: Any, lower: Any, upper: Any, starts: Any,
-    tolerance: float, max_iterations: int,
+    data: Any, weight: Any, wavelength: Any, basis: Any, prior: Any, precision: Any, lower: Any, upper: Any,
+    starts: Any, tolerance: float, max_iterations: int,
 ) -> Any:  # fmt: skip
     """Fit every row of `data` from every start.
 
@@ -189,8 +196,8 @@ def fit_batch(
 
     Returns
     -------
-    parameters (n_spectra, n_starts, p), covariance (n_spectra, n_starts, p, p), statistics (n_spectra, n_starts, 4):
-    chi-square, chi-square with prior, iterations, status.
+    parameters (n_spectra, n_starts, p), covariance (n_spectra, n_starts, p, p), statistics (n_spectra, n_starts, 4),
+    which are chi-square, the same with the prior, iterations, status.
     """
     n_starts, n_spectra, size = starts.shape
     parameters = np.empty((n_spectra, n_starts, size))

@@ -11,6 +11,7 @@ from lunarsci.spectra.spectrum import FloatArray
 
 __all__ = ["FittedBand", "MgmFailure", "MgmFit", "StrengthRatio", "band_strength_ratios"]
 
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FittedBand:
     """One band of a fit.
@@ -68,7 +69,7 @@ class FittedBand:
 
 @dataclass(frozen=True, slots=True)
 class StrengthRatio:
-    """Normalised band strength ratio of orthopyroxene, s_OPX / (s_OPX + s_CPX), and of clinopyroxene; sigma of both. [-]
+    """Normalised band strength ratio of orthopyroxene, s_OPX / (s_OPX + s_CPX), of clinopyroxene, and their sigma. [-]
 
     Kanner, Mustard & Gendrin (2007), Icarus 187, 442, 10.1016/j.icarus.2006.10.025.
     """

@@ -16,7 +16,9 @@ from lunarsci.spectra.spectrum import Spectrum
 
 GRID = np.arange(450.0, 2396.0, 5.0)
 ALL = assemblage("OL-OPX-CPX")
-STRENGTHS = dict(zip((b.name for b in ALL.bands), (-0.5, -0.1, -0.08, -0.08, -0.15, -0.1, -0.3, -0.2, -0.25, -0.15), strict=True))
+STRENGTHS = dict(
+    zip((b.name for b in ALL.bands), (-0.5, -0.1, -0.08, -0.08, -0.15, -0.1, -0.3, -0.2, -0.25, -0.15), strict=True)
+)
 
 
 def made(strengths: dict[str, float], seed: int | None = None, noise: float = 0.005, name: str = "made") -> Spectrum:
@@ -51,7 +53,7 @@ def test_known_bands_come_back() -> None:
 
 @pytest.mark.slow
 def test_errors_cover_the_truth_about_as_often_as_they_say() -> None:
-    """Truth drawn from the prior itself, 200 spectra. Laplace errors under-cover a little; the bounds are stated wide."""
+    """Truth drawn from the prior itself, 200 spectra; Laplace errors under-cover a little, so the bounds are wide."""
     rng = np.random.default_rng(3)
     spectra, truths = [], []
     for number in range(200):
@@ -147,7 +149,9 @@ def test_unknown_assemblages_list_the_known_minerals(name: str) -> None:
         assemblage(name)
 
 
-@pytest.mark.parametrize("options", [{"model_error": 0.0}, {"model_error": np.nan}, {"starts": 0}, {"continuum": "spline"}])
+@pytest.mark.parametrize(
+    "options", [{"model_error": 0.0}, {"model_error": np.nan}, {"starts": 0}, {"continuum": "spline"}]
+)
 def test_impossible_options_are_refused(options: dict[str, object]) -> None:
     with pytest.raises(ParameterError):
         fit_spectra([made(STRENGTHS)], ALL, **options)  # type: ignore[arg-type]
