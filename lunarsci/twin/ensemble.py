@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.compiled import each_in_threads
 from lunarsci.errors import ParameterError
 from lunarsci.twin.drive import drive
 from lunarsci.twin.outcomes import OUTCOMES
@@ -209,8 +209,6 @@ def _drive_all(
     progress: Callable[[int, int], None] | None,
 ) -> tuple[FloatArray, FloatArray, IntArray]:
     """Drive the members, as many at a time as numba has threads; each is its own computation, in any order."""
-    import numba
-
     count = len(overrides)
     paths, states = np.zeros((count, samples, 6)), np.zeros((count, samples, 6, 10))
     results = np.zeros((count, 2), dtype=np.int64)
@@ -219,14 +217,7 @@ def _drive_all(
     def one(m: int) -> None:
         results[m] = drive(*known, overrides[m], *fixed, paths[m], states[m])
 
-    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
-        try:
-            for done, _ in enumerate(pool.map(one, range(count)), start=1):
-                if progress is not None:
-                    progress(done, count)
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+    each_in_threads(one, count, progress)
     return paths, states, results
 
 
