@@ -91,7 +91,7 @@ def forces_report(
 def _forces_table(row: Mapping[str, Any]) -> TextTable:
     cells = [
         ["sinkage", f"{1e3 * row['sinkage_m']:.2f}", "mm"],
-        ["slip ratio", f"{row['slip_ratio']:.4f}", ""],
+        ["slip ratio", f"{row['slip_ratio']:.4f}", "-"],
         ["side slip", f"{row['side_slip_deg']:.2f}", "deg"],
         ["normal force", f"{row['normal_force_n']:.2f}", "N"],
         ["drawbar pull", f"{row['drawbar_pull_n']:.2f}", "N"],
@@ -163,7 +163,7 @@ def _observation_tables(found: Identification) -> list[TextTable]:
 
 def _site_table(found: Identification) -> TextTable:
     rows = [_site_row(LABELS[name], found.site[name], name) for name in LABELS if not _is_corner_mean(name, found)]
-    for corner in found.corners:
+    for corner in found.corners if len(found.corners) > 1 else ():
         label = f"  φ_y at K_y = {corner['lateral_modulus_mm']:g} mm"
         rows.append(_site_row(label, corner["external_friction_angle_deg"], "external_friction_angle_deg"))
     count = len(found.observations)

@@ -306,8 +306,12 @@ def _estimate(samples: Sequence[FloatArray], name: str) -> Estimate:
         return Estimate(None, solved=share, reason=_reason(name))
     low, high = np.percentile(good, PERCENTILES)
     value = float(np.nanmedian(nominal))
-    reason = "" if share == 1 else f"{100 * (1 - share):.0f} % of the draws have no solution and are left out"
+    reason = "" if share == 1 else f"{_percent(1 - share)} of the draws have no solution and are left out"
     return Estimate(value, float(np.std(good, ddof=1)), float(low), float(high), share, reason=reason)
+
+
+def _percent(share: float) -> str:
+    return "under 1 %" if share < 0.01 else f"{100 * share:.0f} %"
 
 
 def _reason(name: str) -> str:

@@ -232,7 +232,7 @@ def _fit_one(
     statistics[0], statistics[1], statistics[2], statistics[3] = chi2, total, iteration, status
 
 
-@compiled(nogil=True)
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
 def fit_rows(
     first: int, last: int, data: Any, weight: Any, wavelength: Any, basis: Any, prior: Any, precision: Any, lower: Any,
     upper: Any, starts: Any, tolerance: float, max_iterations: int, parameters: Any, covariance: Any, statistics: Any,

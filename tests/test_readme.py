@@ -1,0 +1,85 @@
+"""Every command of the README runs and prints what the README shows, numbers to a few percent."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+TEXT = (ROOT / "README.md").read_text("utf-8")
+CONSOLE = re.findall(r"```console\n\$ (.+?)\n(.*?)```", TEXT, re.DOTALL)
+SHELL = re.findall(r"```sh\n(.*?)```", TEXT, re.DOTALL)
+NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?![\w.])")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An empty folder with `lunarsci` on the path, in which the demo has run."""
+    path = tmp_path_factory.mktemp("readme")
+    program = path / "bin" / "lunarsci"
+    program.parent.mkdir()
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m lunarsci.cli "$@"\n')
+    program.chmod(0o755)
+    return path
+
+
+def shell(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"PATH": f"{folder / 'bin'}{os.pathsep}{os.environ['PATH']}", "PYTHONUTF8": "1"}
+    return subprocess.run(["sh", "-c", command], cwd=folder, env=environment, capture_output=True, text=True)
+
+
+@pytest.fixture(scope="module")
+def demo(folder: Path) -> str:
+    done = shell("lunarsci demo", folder)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def same(shown: str, printed: str) -> None:
+    """The same words and layout; numbers within 3 % or three units of the last digit shown."""
+    words = [re.sub("─+", "─", NUMBER.sub("#", text)).split() for text in (shown, printed)]
+    assert words[0] == words[1]
+    for one, other in zip(NUMBER.findall(shown), NUMBER.findall(printed), strict=True):
+        last_digit = 10.0 ** -len(one.partition(".")[2])
+        assert float(other) == pytest.approx(float(one), rel=0.03, abs=3 * last_digit), (one, other)
+
+
+def test_the_readme_has_examples() -> None:
+    assert {command.split()[1] for command, _ in CONSOLE} == {"demo", "spectra", "regolith", "twin"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("command", "shown"), CONSOLE, ids=[command for command, _ in CONSOLE])
+def test_examples_print_what_they_show(command: str, shown: str, demo: str, folder: Path) -> None:
+    if command == "lunarsci demo":
+        same(shown, demo)
+        return
+    done = shell(command, folder)
+    assert done.returncode == 0, done.stderr
+    same(shown, done.stdout)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("script", [s for s in SHELL if "make" not in s])
+def test_scripts_run(script: str, demo: str, folder: Path) -> None:
+    done = shell(f"set -e\n{script}", folder)
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_make_targets_exist() -> None:
+    targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    named = {line.split()[1] for script in SHELL for line in script.splitlines() if line.startswith("make ")}
+    assert named == {"demo", "test"}
+    assert named <= targets
+
+
+def test_options_named_in_the_readme_exist(folder: Path) -> None:
+    """Every `--option` in the prose is one of some command."""
+    commands = ["spectra bands", "spectra fit", "regolith forces", "regolith identify", "twin predict", "demo"]
+    known = " ".join(shell(f"COLUMNS=200 lunarsci {command} --help", folder).stdout for command in commands)
+    for option in set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", TEXT)):
+        assert option in known, option
