@@ -1,5 +1,6 @@
 """The `lunarsci` command."""
 
+import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -53,13 +54,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _prepare_process()
     try:
         code: Any = app(arguments, standalone_mode=False, prog_name="lunarsci")
-        return int(code or 0)
+        code = int(code or 0)
     except (KeyboardInterrupt, typer.Abort):
-        return INTERRUPTED
+        code = INTERRUPTED
     except BrokenPipeError:
-        return _leave_broken_pipe()
+        code = FAILED
     except Exception as error:
-        return _report(error, verbose="-v" in arguments or "--verbose" in arguments)
+        code = _report(error, verbose="-v" in arguments or "--verbose" in arguments)
+    _settle_stdout()
+    return int(code)
 
 
 def _report(error: Exception, *, verbose: bool) -> int:
@@ -93,9 +96,11 @@ def _prepare_process() -> None:
             reconfigure(errors="replace")
 
 
-def _leave_broken_pipe() -> int:
-    """The reader of our stdout has left (`| head`): keep Python from complaining about it at exit."""
-    import os
-
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return FAILED
+def _settle_stdout() -> None:
+    """Where stdout cannot take what is left in its buffer (`| head`, a full disk), keep Python quiet about it."""
+    if sys.stdout is None:
+        return
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

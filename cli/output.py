@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lunarsci.atomic import check_folder, check_target, write_files
-from lunarsci.errors import LunarSciError, LunarSciWarning, ParameterError
+from lunarsci.errors import LunarSciError, LunarSciWarning, OutputError, ParameterError
 from lunarsci.provenance import Provenance, document, plain, to_json
 
 from .table import TextTable, render, to_csv
@@ -268,12 +268,23 @@ def emit(report: Report, output: Output, provenance: Provenance) -> None:
     for path in contents:
         say(f"written: {path}", quiet=output.quiet)
     if output.folder or not output.path:
-        sys.stdout.write(text)
-        sys.stdout.flush()
+        _print(text)
     for failure in report.failures:
         say(f"error: {failure}")
     if report.untrusted:
         say(f"not to be trusted: {report.untrusted}")
+
+
+def _print(text: str) -> None:
+    if sys.stdout is None:
+        raise OutputError("stdout is closed; use -o FILE")
+    try:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise OutputError(f"stdout: {error.strerror}; the result was not printed") from error
 
 
 def _as_text(report: Report, output: Output, record: Mapping[str, Any]) -> str:
@@ -317,7 +328,7 @@ def _picture(report: Report, target: Path) -> bytes:
 
 def say(text: str, *, quiet: bool = False) -> None:
     """One line on stderr."""
-    if not quiet:
+    if not quiet and sys.stderr is not None:
         print(text.replace("\n", " "), file=sys.stderr)  # noqa: T201 - the one place that talks to people
 
 

@@ -10,7 +10,7 @@ __all__ = ["progress"]
 @contextmanager
 def progress(description: str, *, quiet: bool = False) -> Iterator[Callable[[int, int], None]]:
     """Yield `update(done, total)`; it draws a bar on a terminal's stderr and does nothing elsewhere."""
-    if quiet or not sys.stderr.isatty():
+    if quiet or sys.stderr is None or not sys.stderr.isatty():
         yield lambda done, total: None
         return
     from rich.console import Console

@@ -325,6 +325,27 @@ def test_a_reader_that_leaves_early_is_no_traceback(rock: Path) -> None:
     assert b"Traceback" not in done.stderr
 
 
+def test_a_closed_stdout_is_one_line(rock: Path) -> None:
+    command = f"'{sys.executable}' -m lunarsci.cli spectra bands '{rock}' >&-"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True)
+    assert (done.returncode, len(done.stderr.splitlines())) == (1, 1)
+    assert "-o FILE" in done.stderr
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
+def test_progress_is_drawn_on_a_terminal_and_only_on_stderr() -> None:
+    import pty
+
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-m", "lunarsci.cli", "twin", "predict", "--field", "verdict"]
+    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=theirs)
+    os.close(theirs)
+    drawn = os.read(ours, 100_000).decode()
+    assert done.stdout == b"go\n"
+    assert "driving" in drawn
+    assert "%" in drawn
+
+
 def test_ctrl_c_leaves_nothing_behind(tmp_path: Path) -> None:
     target = tmp_path / "drive"
     process = subprocess.Popen(
