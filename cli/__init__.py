@@ -9,9 +9,9 @@ from typing import Annotated, Any
 import typer
 
 from . import demo
-from .output import FAILED, INTERRUPTED, failure_line, say
 from .regolith import app as regolith
 from .spectra import app as spectra
+from .talk import FAILED, INTERRUPTED, failure_line, say
 from .twin import app as twin
 
 __all__ = ["app", "main"]

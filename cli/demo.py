@@ -4,7 +4,10 @@ from typing import Annotated
 
 import typer
 
-from .output import Output, Report, command, say
+from .command import command
+from .options import Output
+from .report import Report
+from .talk import say
 
 __all__ = ["add_to"]
 

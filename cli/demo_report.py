@@ -23,8 +23,8 @@ from lunarsci.twin.ensemble import Prediction, predict
 from lunarsci.twin.safety import Verdict, judge
 from lunarsci.twin.tables import state_table
 
-from .output import Report
 from .regolith_report import PAPER
+from .report import Report
 from .spectra_report import MGM, NBSR
 from .table import TextTable, plus_minus
 from .twin_report import Scene, csv_bytes, read_scene

@@ -4,8 +4,10 @@ from typing import Annotated, Literal
 
 import typer
 
-from .output import Output, Report, command
+from .command import command
+from .options import Output
 from .progress import progress
+from .report import Report
 
 __all__ = ["app"]
 

@@ -16,7 +16,7 @@ from lunarsci.regolith.states import MeasurementErrors, WheelStates, read_states
 from lunarsci.regolith.wheel import Wheel, read_wheel
 from lunarsci.rovers.description import read_rover
 
-from .output import Report
+from .report import Report
 from .table import TextTable
 
 __all__ = ["forces_report", "identify_report", "numbers", "read_inputs"]
@@ -148,8 +148,13 @@ def identify_report(given: Given, found: Identification, seed: int) -> Report:
         data_tables=given.tables,
         sources=[PAPER],
         seed=seed,
-        untrusted="; ".join(f"no {LABELS[name]}: {found.site[name].reason}" for name in found.unsolved),
+        untrusted=_untrusted(found),
     )
+
+
+def _untrusted(found: Identification) -> str:
+    reasons = [f"no {LABELS[name]}: {found.site[name].reason}" for name in found.unsolved]
+    return f"not to be trusted: {'; '.join(reasons)}" if reasons else ""
 
 
 def _observation_tables(found: Identification) -> list[TextTable]:

@@ -12,7 +12,7 @@ from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
 
-from .output import Report
+from .report import Report
 from .table import TextTable, plus_minus
 
 __all__ = ["Batch", "bands_report", "fit_report", "read_batch"]
@@ -125,7 +125,7 @@ def fit_report(batch: Batch, fits: Sequence[MgmFit | MgmFailure]) -> Report:
         inputs=batch.inputs,
         data_tables=table_hash(),
         sources=[MGM, NBSR],
-        untrusted=f"no convergence for {', '.join(unsettled)}" if unsettled else "",
+        untrusted=f"not to be trusted: no convergence for {', '.join(unsettled)}" if unsettled else "",
         failures=failures,
     )
 

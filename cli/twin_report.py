@@ -15,7 +15,7 @@ from lunarsci.twin.safety import Verdict, judge
 from lunarsci.twin.tables import endpoint_table, path_table, state_table
 from lunarsci.twin.terrain import Terrain, read_terrain
 
-from .output import Report
+from .report import Report
 from .table import TextTable
 
 if TYPE_CHECKING:

@@ -1,0 +1,94 @@
+"""Write a report: pictures and files first, so that nothing is printed when one of them cannot be written."""
+
+import json
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from lunarsci.atomic import write_files
+from lunarsci.errors import OutputError, ParameterError
+from lunarsci.provenance import Provenance, document, plain, to_json
+
+from .options import Output
+from .report import Report
+from .table import render, to_csv
+from .talk import say
+
+__all__ = ["emit"]
+
+
+def emit(report: Report, output: Output, provenance: Provenance) -> None:
+    """Write the pictures and the result, then say what was written and what to know about it."""
+    contents: dict[Path, bytes] = {}
+    if output.plot:
+        contents[output.plot] = _picture(report, output.plot)
+    record = provenance.to_dict(time=not output.no_time)
+    text = _as_text(report, output, record)
+    if output.path and output.folder:
+        contents.update({output.path / name: make() for name, make in report.files.items()})
+        contents[output.path / "result.json"] = to_json(document(report.schema, report.result, record)).encode()
+    elif output.path:
+        contents[output.path] = text.encode()
+    write_files(contents, force=output.force)
+    for path in contents:
+        say(f"written: {path}", quiet=output.quiet)
+    if output.folder or not output.path:
+        _print(text)
+    for failure in report.failures:
+        say(f"error: {failure}")
+    if report.untrusted:
+        say(report.untrusted)
+
+
+def _print(text: str) -> None:
+    if sys.stdout is None:
+        raise OutputError("stdout is closed; use -o FILE")
+    try:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise OutputError(f"stdout: {error.strerror}; the result was not printed") from error
+
+
+def _as_text(report: Report, output: Output, record: Mapping[str, Any]) -> str:
+    suffix = output.path.suffix.lower() if output.path and not output.folder else ""
+    if output.field_path is not None:
+        return _field(report.result, output.field_path) + "\n"
+    if output.as_json or (suffix == ".json" and not output.as_csv):
+        return to_json(document(report.schema, report.result, record))
+    if output.as_csv or suffix == ".csv":
+        if report.rows is None:
+            raise ParameterError("this result is no table; use --json")
+        return to_csv(report.rows)
+    return render(report.tables)
+
+
+def _field(result: Any, path: str) -> str:
+    value = plain(result)
+    steps = path.split(".")
+    for depth, step in enumerate(steps[1:] if steps[0] == "result" else steps):
+        try:
+            value = value[int(step)] if isinstance(value, list) else value[step]
+        except (KeyError, IndexError, ValueError, TypeError):
+            known = _known(value)
+            raise typer.BadParameter(f"--field {path}: no '{step}' at level {depth + 1}; there is: {known}") from None
+    return value if isinstance(value, str) else json.dumps(value, sort_keys=True, ensure_ascii=False)
+
+
+def _known(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(sorted(value))
+    return f"0 to {len(value) - 1}" if isinstance(value, list) and value else "nothing below it"
+
+
+def _picture(report: Report, target: Path) -> bytes:
+    if report.figures is None:
+        raise ParameterError("there is nothing to draw; leave --plot out")
+    from lunarsci.figure import picture_bytes
+
+    return picture_bytes(report.figures(), target)

@@ -1,0 +1,118 @@
+"""The options that every command shares, and the file that can hold any of them."""
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from lunarsci.atomic import check_folder, check_target
+
+__all__ = ["CONFIG", "Output", "shared_options"]
+
+PLOT_SUFFIXES = (".png", ".svg", ".pdf")
+PANEL = "Output"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Output:
+    """The shared options of a command, as given."""
+
+    as_json: bool
+    as_csv: bool
+    field_path: str | None
+    path: Path | None
+    plot: Path | None
+    force: bool
+    no_time: bool
+    quiet: bool
+    verbose: bool
+    folder: bool = False
+
+    def check(self) -> None:
+        """Refuse contradictory or impossible requests before anything is computed."""
+        chosen = [n for n, on in (("--json", self.as_json), ("--csv", self.as_csv), ("--field", self.field_path)) if on]
+        if len(chosen) > 1:
+            raise typer.BadParameter(f"{' and '.join(chosen)} exclude each other; give one")
+        if self.plot and self.plot.suffix.lower() not in PLOT_SUFFIXES:
+            raise typer.BadParameter(f"--plot {self.plot}: the name must end in {', '.join(PLOT_SUFFIXES)}")
+        if self.path and self.path == self.plot:
+            raise typer.BadParameter(f"--output and --plot both name {self.path}; give two names")
+        if self.path and self.folder:
+            check_folder(self.path, force=self.force)
+        elif self.path:
+            check_target(self.path, force=self.force)
+        if self.plot:
+            check_target(self.plot, force=self.force)
+
+
+def _option(kind: Any, *names: str, text: str, metavar: str | None = None) -> Any:
+    return Annotated[kind, typer.Option(*names, help=text, metavar=metavar, rich_help_panel=PANEL)]
+
+
+def shared_options(folder: bool, default_path: str | None) -> dict[str, tuple[Any, Any]]:
+    """Name of the parameter to its annotation and default."""
+    file_text, metavar = "Write the result to a file instead of stdout.", "FILE"
+    if folder:
+        file_text, metavar = "Folder for the tables and pictures; the result still goes to stdout.", "DIR"
+    flags = {
+        "as_json": ("--json", "One JSON document, with provenance."),
+        "as_csv": ("--csv", "The result as one CSV table."),
+        "force": ("--force", "Replace files that exist."),
+        "no_time": ("--no-time", "Leave the time out: equal runs give equal bytes."),
+    }
+    return {
+        **{key: (_option(bool, name, text=text), False) for key, (name, text) in flags.items()},
+        "field_path": (
+            _option(str | None, "--field", text="One bare value of the JSON result, for $(…).", metavar="A.B.C"),
+            None,
+        ),
+        "path": (
+            _option(Path | None, "--output", "-o", text=file_text, metavar=metavar),
+            Path(default_path) if default_path else None,
+        ),
+        "plot": (
+            _option(Path | None, "--plot", text="Draw the result: .png, .svg or .pdf.", metavar="FILE"),
+            None,
+        ),
+        "quiet": (_option(bool, "--quiet", "-q", text="No progress, no warnings."), False),
+        "verbose": (_option(bool, "--verbose", "-v", text="Say more; a failure shows its traceback."), False),
+    }
+
+
+def _load_config(context: typer.Context, value: Path | None) -> Path | None:
+    """Make the keys of a TOML file the defaults of the options with the same names."""
+    if value is None:
+        return None
+    try:
+        settings = tomllib.loads(value.read_text("utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise typer.BadParameter(f"{value}: not a readable TOML file: {error}") from error
+    known = {_option_name(parameter): str(parameter.name) for parameter in context.command.params}
+    defaults = {}
+    for key, setting in settings.items():
+        name = key.replace("_", "-")
+        if name not in known or name == "config":
+            raise typer.BadParameter(f"{value}: '{key}' is no option here; these are: {', '.join(sorted(known))}")
+        defaults[known[name]] = setting
+    context.default_map = defaults
+    return value
+
+
+def _option_name(parameter: Any) -> str:
+    longest: str = max(parameter.opts, key=len)
+    return longest.lstrip("-").replace("_", "-")
+
+
+CONFIG = Annotated[
+    Path | None,
+    typer.Option(
+        "--config",
+        metavar="FILE",
+        help="TOML file with option names as keys.",
+        rich_help_panel=PANEL,
+        is_eager=True,
+        callback=_load_config,
+    ),
+]

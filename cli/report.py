@@ -1,0 +1,51 @@
+"""What a command hands over to be shown."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from .table import TextTable
+from .talk import FAILED, UNTRUSTED
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Report"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Report:
+    """What a command found, before it is known how it will be shown.
+
+    Attributes
+    ----------
+    schema : name and version of the JSON result, such as `spectra-fit/1`.
+    result : the result in plain Python, keys with their units.
+    tables : the same for people.
+    rows : the same as one table for `--csv`; None where the result is no table.
+    figures : draws the pictures of `--plot`, one per page; None where there is nothing to draw.
+    inputs, data_tables, sources, seed : for the provenance.
+    files : for commands that fill a folder: file name to what makes its content.
+    untrusted : one sentence, why the result is printed but should not be trusted or acted on; empty if it may be.
+    failures : inputs that gave no result, one sentence each.
+    """
+
+    schema: str
+    result: Mapping[str, Any]
+    tables: Sequence[TextTable]
+    rows: Sequence[Mapping[str, Any]] | None = None
+    figures: Callable[[], "Iterable[Figure]"] | None = None
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    data_tables: Mapping[str, str] = field(default_factory=dict)
+    sources: Sequence[str] = ()
+    seed: int | None = None
+    files: Mapping[str, Callable[[], bytes]] = field(default_factory=dict)
+    untrusted: str = ""
+    failures: Sequence[str] = ()
+
+    @property
+    def exit_code(self) -> int:
+        """0 done, 1 some input failed, 3 finished but not to be trusted or not safe."""
+        if self.failures:
+            return FAILED
+        return UNTRUSTED if self.untrusted else 0
