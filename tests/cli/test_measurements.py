@@ -1,0 +1,51 @@
+"""Whole files of real spectra through the command line: a result or a stated reason for each, and no silent NaN."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+FILES = [("ce4/reflectance_factor.csv", 88), ("relab/reflectance.csv", 172)]
+
+pytestmark = [pytest.mark.reference, pytest.mark.slow]
+
+
+def numbers(value: object) -> list[float]:
+    if isinstance(value, dict):
+        return [n for item in value.values() for n in numbers(item)]
+    if isinstance(value, list):
+        return [n for item in value for n in numbers(item)]
+    return [value] if isinstance(value, float) else []
+
+
+@pytest.mark.parametrize(("file", "count"), FILES)
+@pytest.mark.parametrize("continuum", ["conic", "hull", "linear"])
+def test_bands(run: Callable[..., object], reference_data: Path, file: str, count: int, continuum: str) -> None:
+    done = run("spectra", "bands", reference_data / "spectra" / file, "--continuum", continuum, "--json")
+    assert (done.code, done.err) == (0, [])
+    spectra = json.loads(done.out)["result"]["spectra"]
+    assert len({spectrum["id"] for spectrum in spectra}) == count
+    for spectrum in spectra:
+        for band, (low, high) in (("1000", (760, 1500)), ("2000", (1620, 2450))):
+            centre, status = spectrum[f"bc{band}_nm"], spectrum[f"band{band}_status"]
+            assert (status == "ok") == (centre is not None)
+            if centre is None:
+                assert status.startswith(("no ", "its "))
+            else:
+                assert low <= centre <= high
+                assert spectrum[f"bc{band}_sigma_nm"] > 0
+                assert 0 < spectrum[f"bd{band}"] < 1
+
+
+@pytest.mark.parametrize(("file", "count"), FILES)
+def test_fit(run: Callable[..., object], reference_data: Path, file: str, count: int) -> None:
+    done = run("spectra", "fit", reference_data / "spectra" / file, "--json")
+    assert (done.code, done.err) == (0, [])
+    spectra = json.loads(done.out)["result"]["spectra"]
+    assert len({spectrum["id"] for spectrum in spectra}) == count
+    for spectrum in spectra:
+        assert spectrum["status"]
+        assert spectrum["converged"]
+        assert all(band["strength"] <= 0 for band in spectrum["bands"])
+        assert len(numbers(spectrum["bands"])) == 9 * len(spectrum["bands"])
