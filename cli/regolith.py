@@ -89,8 +89,12 @@ def identify(
     sinkage_error: Annotated[float, typer.Option(help="1σ of the sinkage [m].", rich_help_panel=ERROR_PANEL)] = 0.00033,
     force_error: Annotated[float, typer.Option(help="1σ of the forces, relative.", rich_help_panel=ERROR_PANEL)] = 0.1
     / 3,
-    slip_error: Annotated[
-        float, typer.Option(help="1σ of the slip ratio, relative.", rich_help_panel=ERROR_PANEL)
+    travel_error: Annotated[
+        float,
+        typer.Option(
+            help="1σ of the travelled distance, relative; the slip ratio s errs by this times 1 - |s|.",
+            rich_help_panel=ERROR_PANEL,
+        ),
     ] = 0.04 / 3,
     side_slip_error: Annotated[
         float, typer.Option(help="1σ of the side slip, relative.", rich_help_panel=ERROR_PANEL)
@@ -119,7 +123,7 @@ def identify(
     errors = MeasurementErrors(
         sinkage_m=sinkage_error,
         force_relative=force_error,
-        slip_relative=slip_error,
+        travel_relative=travel_error,
         side_slip_relative=side_slip_error,
     )
     given = read_inputs(states, rover, errors)

@@ -9,10 +9,11 @@ import typer
 from lunarsci.inputs import read_input
 from lunarsci.provenance import sha256
 from lunarsci.regolith.forces import Reading, wheel_forces
-from lunarsci.regolith.identify import UNITS, Estimate, Identification
+from lunarsci.regolith.identify import Identification
 from lunarsci.regolith.load import sinkage_under_load
 from lunarsci.regolith.soil import read_soil
 from lunarsci.regolith.states import MeasurementErrors, WheelStates, read_states
+from lunarsci.regolith.uncertainty import UNITS, Estimate
 from lunarsci.regolith.wheel import Wheel, read_wheel
 from lunarsci.rovers.description import read_rover
 

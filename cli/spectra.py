@@ -69,11 +69,11 @@ def fit(
     continuum: Annotated[
         Literal["wavelength", "wavelength-quadratic", "wavenumber", "wavenumber-quadratic"],
         typer.Option(help="Polynomial inside the logarithm: straight or quadratic in wavelength or wavenumber."),
-    ] = "wavelength",
+    ] = "wavelength-quadratic",
     model_error: Annotated[
         float, typer.Option(help="Share of ln R the model cannot explain, added to the noise; above 0, below 1.")
-    ] = 0.01,
-    starts: Annotated[int, typer.Option(min=1, max=100, help="Starting points; the lowest minimum is reported.")] = 6,
+    ] = 0.02,
+    starts: Annotated[int, typer.Option(min=1, max=100, help="Starting points; the lowest minimum is reported.")] = 24,
     wavelength_unit: WavelengthUnit = None,
     reflectance_unit: ReflectanceUnit = None,
 ) -> Report:

@@ -75,7 +75,7 @@ def bands_report(batch: Batch, measured: Sequence[SpectrumBands | BandFailure]) 
 def _bands_table(records: Sequence[Mapping[str, Any]]) -> TextTable:
     headers = ["spectrum"]
     for name in ("1000", "2000"):
-        headers += [f"BC{name} [nm]", f"BD{name}", f"area{name} [nm]", "continuum"]
+        headers += [f"BC{name} [nm]", "spread [nm]", f"BD{name}", f"area{name} [nm]", "continuum"]
     return TextTable(headers, [_bands_row(record) for record in records], notes=_band_notes(records))
 
 
@@ -84,6 +84,7 @@ def _bands_row(record: Mapping[str, Any]) -> list[str]:
     for key in ("1000", "2000"):
         row += [
             plus_minus(record[f"bc{key}_nm"], record[f"bc{key}_sigma_nm"]),
+            plus_minus(record[f"bc{key}_systematic_nm"]),
             plus_minus(record[f"bd{key}"], record[f"bd{key}_sigma"], digits=3),
             plus_minus(record[f"ba{key}_nm"], record[f"ba{key}_sigma_nm"]),
             record["continuum"][key],
@@ -153,12 +154,16 @@ def _one_fit_table(fit: MgmFit) -> TextTable:
             plus_minus(band.center_nm, band.center_sigma_nm),
             plus_minus(band.fwhm_nm, band.fwhm_sigma_nm),
             plus_minus(band.strength, band.strength_sigma, digits=3),
-            f"{band.shrinkage['strength']:.2f}",
+            f"{-band.strength / band.strength_sigma:.1f}",
+            f"{band.shrinkage['center']:.2f}",
+            f"{band.shrinkage['fwhm']:.2f}",
         ]
         for band in fit.bands
     ]
-    note = "shrinkage of the strength: 1 where the data decide, 0 where the prior does"
-    headers = ["band", "mineral", "centre [nm]", "FWHM [nm]", "strength [ln R]", "shrinkage"]
+    note = "shrinkage: 1 where the data decide on centre or FWHM, 0 where the prior does"
+    headers = [
+        "band", "mineral", "centre [nm]", "FWHM [nm]", "strength [ln R]", "strength/σ", "shrinkage centre", "FWHM",
+    ]  # fmt: skip
     return TextTable(headers, rows, notes=[note])
 
 

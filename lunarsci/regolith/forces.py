@@ -201,8 +201,9 @@ def wheel_forces(
 
     Notes
     -----
-    The triangle stands for the exact stress integrals; F_N comes out 4-15 % and M_R 6-23 % below them for sinkages of
-    5-25 mm. Side faces (bulldozing) are not included, as in the source.
+    The triangle stands for the exact stress integrals; F_N comes out 4-15 % below them for sinkages of 5-25 mm, and M_R
+    6-23 % below them in driving slip (in skid, where it passes through 0, by more).
+    Side faces (bulldozing) are not included, as in the source.
     """
     parts = np.broadcast_arrays(*(np.asarray(v, dtype=float) for v in (sinkage_m, slip_ratio, side_slip_deg)))
     z, s, beta = (part.ravel() for part in parts)

@@ -12,23 +12,23 @@ from lunarsci.errors import LunarSciWarning, ParameterError
 from lunarsci.regolith import inversion
 from lunarsci.regolith.forces import Reading, reading_code
 from lunarsci.regolith.states import WheelStates
+from lunarsci.regolith.uncertainty import Estimate, estimate
 from lunarsci.regolith.wheel import Wheel
 
-__all__ = ["Assumptions", "Estimate", "Identification", "identify"]
+__all__ = ["Assumptions", "Identification", "identify"]
 
 FloatArray = npt.NDArray[np.float64]
 
 DRAWS = 1024
 """Sample size of Ding et al. (2024)."""
-PERCENTILES = (2.5, 97.5)
-MIN_SOLVED = 0.5
-"""With a solution in fewer draws than this the rest is a selected sample, and no value is given."""
 CURVES = {
     "exponent": np.round(np.arange(0.70, 1.301, 0.02), 2),
     "cohesion_pa": np.arange(0.0, 5001.0, 200.0),
     "lateral_modulus_mm": np.arange(5.0, 61.0, 2.5),
 }
-POOL_LIMIT = 200_000
+MOST_STATES = 100_000
+POOLED_DRAWS, LEAST_POOLED = 200_000, 8
+"""About how many draws of all states together make the estimates of the site, and how many of each state at least."""
 REPRODUCTION_ONLY = (
     "reading '{}' is for reproducing published numbers only: its drawbar pull contradicts measured skidding wheels"
 )
@@ -75,27 +75,6 @@ class Assumptions:
             raise ParameterError(f"cohesion {self.cohesion_pa:g}: give 0 Pa or more")
 
 
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """A solved quantity: value at the measured states, standard deviation and 95 % interval over the Monte Carlo draws.
-
-    `solved` is the share of draws that have a solution; None everywhere with `assumed` False means no solution, and
-    `reason` says why. `assumed` values have no error.
-    """
-
-    value: float | None
-    sigma: float | None = None
-    low: float | None = None
-    high: float | None = None
-    solved: float = 0.0
-    assumed: bool = False
-    reason: str = ""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain Python."""
-        return {name: getattr(self, name) for name in self.__slots__}
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Identification:
     """The soil that a set of wheel states reveals.
@@ -104,7 +83,8 @@ class Identification:
     ----------
     observations : per state, its id and the estimates of `sigma_m_pa`, `tau_xm_pa`, `tau_ym_pa` and of every solved
         parameter.
-    site : the same parameters over all states: median of the values, spread over states and errors together.
+    site : the same parameters over all states: median of the values, and the spread of single states and their errors
+        together. It tells what one state may give, not how well many of them determine a common soil.
     curves : per aspect, points of the curve the states allow, each with value, low and high.
     corners : the external friction angle at each assumed K_y.
     unsolved : parameters that were asked for and have no solution in any state.
@@ -177,17 +157,32 @@ def identify(
     """
     if draws < 2:
         raise ParameterError(f"{draws} draws; give 2 or more")
+    if len(states) > MOST_STATES:
+        raise ParameterError(f"{len(states)} wheel states are more than {MOST_STATES}; give every tenth, for example")
     code = reading_code(reading)
     if reading != "signed":
         warnings.warn(REPRODUCTION_ONLY.format(reading), LunarSciWarning, stacklevel=2)
     known = assumptions or Assumptions()
     solver = _Solver(wheel, known, code, np.random.default_rng(seed), draws)
-    solved = []
-    for number, (values, sigmas) in enumerate(zip(states.values, states.sigmas, strict=True), 1):
-        solved.append(solver.solve(values, sigmas))
+    kept = min(draws, max(LEAST_POOLED, POOLED_DRAWS // len(states)))
+    observations, solved = [], []
+    for number, (name, values, sigmas) in enumerate(zip(states.id, states.values, states.sigmas, strict=True), 1):
+        stresses = solver.stresses(values, sigmas)
+        observations.append(_Solved(stresses, known).record(name))
+        solved.append(_Solved(stresses[: 1 + kept].copy(), known))
         if progress:
             progress(number, len(states))
-    return _collect(states, solved, known, reading, draws)
+    site = _site(solved, known)
+    return Identification(
+        observations=tuple(observations),
+        site=site,
+        curves=_curves(solved),
+        corners=tuple(_corners(solved)),
+        unsolved=_unsolved(states, site),
+        draws=draws,
+        reading=reading,
+        assumptions=known,
+    )
 
 
 class _Solver:
@@ -196,11 +191,11 @@ class _Solver:
     def __init__(self, wheel: Wheel, known: Assumptions, code: int, rng: np.random.Generator, draws: int) -> None:
         self.wheel, self.known, self.code, self.rng, self.draws = wheel.vector(), known, code, rng, draws
 
-    def solve(self, values: FloatArray, sigmas: FloatArray) -> "_Solved":
+    def stresses(self, values: FloatArray, sigmas: FloatArray) -> FloatArray:
         drawn = values + sigmas * self.rng.standard_normal((self.draws, values.size))
         sample = np.vstack([values, drawn])
-        stresses = inversion.invert_states(sample, self.wheel, self.known.shear_modulus_mm * 1e-3, self.code)
-        return _Solved(stresses, self.known)
+        modulus = self.known.shear_modulus_mm * 1e-3
+        return np.asarray(inversion.invert_states(sample, self.wheel, modulus, self.code))
 
 
 class _Solved:
@@ -241,34 +236,35 @@ class _Solved:
 
     def record(self, name: str) -> dict[str, Any]:
         stresses = {"sigma_m_pa": self.sigma_m, "tau_xm_pa": self.tau_x, "tau_ym_pa": self.tau_y}
-        estimates = {key: _estimate([sample], key) for key, sample in (stresses | self.parameters).items()}
+        estimates = {key: estimate([sample], key) for key, sample in (stresses | self.parameters).items()}
         return {"id": name, "corners": _corners([self])} | estimates
 
 
-def _collect(
-    states: WheelStates, solved: Sequence[_Solved], known: Assumptions, reading: str, draws: int
-) -> Identification:
-    site = {name: _estimate([s.parameters[name] for s in solved], name) for name in solved[0].parameters}
+def _site(solved: Sequence[_Solved], known: Assumptions) -> dict[str, Estimate]:
+    """Every parameter over all states: estimated where it was solved for, as assumed where it was given."""
+    site = {name: estimate([s.parameters[name] for s in solved], name) for name in solved[0].parameters}
     if known.lateral_modulus_mm:
-        pooled = [sample for s in solved for sample in s.corners.values()]
-        site["external_friction_angle_deg"] = _estimate(pooled, "external_friction_angle_deg")
-    for name, assumed in _assumed(known).items():
-        site.setdefault(name, Estimate(assumed, solved=1.0, assumed=True))
-    measured = {"friction_angle_deg": 1, "cohesion_pa": 1, "external_friction_angle_deg": 5, "lateral_modulus_mm": 5}
-    unsolved = [
+        name = "external_friction_angle_deg"
+        site[name] = _over_corners([corner[name] for corner in _corners(solved)])
+    return _assumed(known) | site
+
+
+def _over_corners(found: Sequence[Estimate]) -> Estimate:
+    """One estimate as it is; of several, which rest on different assumptions, only the range they span."""
+    low, high = [e.low for e in found if e.low is not None], [e.high for e in found if e.high is not None]
+    if len(found) == 1 or not (low and high):
+        return found[0]
+    solved = min(estimate.solved for estimate in found)
+    return Estimate(None, None, min(low), max(high), solved, reason="depends on the assumed K_y; the range spans them")
+
+
+def _unsolved(states: WheelStates, site: dict[str, Estimate]) -> tuple[str, ...]:
+    """Parameters without a solution although what they need was measured."""
+    needs = {"friction_angle_deg": 1, "cohesion_pa": 1, "external_friction_angle_deg": 5, "lateral_modulus_mm": 5}
+    return tuple(
         name
-        for name, estimate in site.items()
-        if estimate.value is None and not estimate.assumed and _was_measured(states, measured.get(name, 0))
-    ]
-    return Identification(
-        observations=tuple(s.record(name) for s, name in zip(solved, states.id, strict=True)),
-        site=site,
-        curves=_curves(solved),
-        corners=tuple(_corners(solved)),
-        unsolved=tuple(unsolved),
-        draws=draws,
-        reading=reading,
-        assumptions=known,
+        for name, found in site.items()
+        if found.low is None and not found.assumed and np.isfinite(states.values[:, needs.get(name, 0)]).any()
     )
 
 
@@ -276,50 +272,25 @@ def _corners(solved: Sequence[_Solved]) -> list[dict[str, Any]]:
     """External friction angle at each assumed lateral modulus, over the given states."""
     name = "external_friction_angle_deg"
     moduli = solved[0].known.lateral_modulus_mm
-    return [{"lateral_modulus_mm": m, name: _estimate([s.corners[m] for s in solved], name)} for m in moduli]
+    return [{"lateral_modulus_mm": m, name: estimate([s.corners[m] for s in solved], name)} for m in moduli]
 
 
-def _assumed(known: Assumptions) -> dict[str, float | None]:
-    """Parameters that were given and not solved for; None marks the pair of lateral moduli, reported as corners."""
+def _assumed(known: Assumptions) -> dict[str, Estimate]:
+    """What was given, as estimates without an error."""
     moduli = known.lateral_modulus_mm
-    return {
-        "exponent": known.exponent,
+    several = "assumed at several values, see the corners" if len(moduli) > 1 else ""
+    given = {
         "stiffness_kpa_m_n": known.stiffness_kpa_m_n,
-        "cohesion_pa": known.cohesion_pa,
+        "exponent": known.exponent,
         "friction_angle_deg": known.friction_angle_deg,
-        "lateral_modulus_mm": float(np.exp(np.mean(np.log(moduli)))) if moduli else None,
+        "cohesion_pa": known.cohesion_pa,
         "external_friction_angle_deg": known.external_friction_angle_deg,
+        "lateral_modulus_mm": moduli[0] if len(moduli) == 1 else None,
     }
-
-
-def _was_measured(states: WheelStates, column: int) -> bool:
-    return bool(np.isfinite(states.values[:, column]).any())
-
-
-def _estimate(samples: Sequence[FloatArray], name: str) -> Estimate:
-    """Pool samples whose first entry is the value at the measured state and whose others are draws."""
-    nominal = np.array([sample[0] for sample in samples])
-    drawn = np.concatenate([sample[1:] for sample in samples])[:: max(1, len(samples) * 1024 // POOL_LIMIT)]
-    good = drawn[np.isfinite(drawn)]
-    share = good.size / drawn.size
-    if not np.isfinite(nominal).any() or share < MIN_SOLVED:
-        return Estimate(None, solved=share, reason=_reason(name))
-    low, high = np.percentile(good, PERCENTILES)
-    value = float(np.nanmedian(nominal))
-    reason = "" if share == 1 else f"{_percent(1 - share)} of the draws have no solution and are left out"
-    return Estimate(value, float(np.std(good, ddof=1)), float(low), float(high), share, reason=reason)
-
-
-def _percent(share: float) -> str:
-    return "under 1 %" if share < 0.01 else f"{100 * share:.0f} %"
-
-
-def _reason(name: str) -> str:
-    if name in ("tau_ym_pa", "lateral_modulus_mm", "external_friction_angle_deg"):
-        return "needs slip_ratio, side_slip_deg and lateral_force_n, and a force that side slip can mobilise"
-    if name in ("friction_angle_deg", "cohesion_pa"):
-        return "needs slip_ratio, and no value in range gives this drawbar pull at this slip with the rest as assumed"
-    return "no value in range gives these forces at this sinkage with the rest as assumed"
+    return {
+        name: Estimate(value, solved=1.0, assumed=True, reason=several if name == "lateral_modulus_mm" else "")
+        for name, value in given.items()
+    }
 
 
 def _curves(solved: Sequence[_Solved]) -> dict[str, list[dict[str, Any]]]:
@@ -346,19 +317,5 @@ def _lateral_at(solved: _Solved, modulus_mm: float) -> FloatArray:
 
 
 def _point(x_name: str, x: float, y_name: str, samples: Sequence[FloatArray]) -> dict[str, Any]:
-    estimate = _estimate(samples, y_name)
-    return {x_name: float(x), y_name: estimate.value, "low": estimate.low, "high": estimate.high}
-
-
-UNITS = {
-    "sigma_m_pa": "Pa",
-    "tau_xm_pa": "Pa",
-    "tau_ym_pa": "Pa",
-    "stiffness_kpa_m_n": "kPa/m^N",
-    "exponent": "-",
-    "friction_angle_deg": "deg",
-    "cohesion_pa": "Pa",
-    "external_friction_angle_deg": "deg",
-    "lateral_modulus_mm": "mm",
-}
-"""Unit of every estimated quantity."""
+    found = estimate(samples, y_name)
+    return {x_name: float(x), y_name: found.value, "low": found.low, "high": found.high}

@@ -25,12 +25,13 @@ class MeasurementErrors:
     """Standard deviations used where a file gives none; 0 means exact.
 
     Defaults are the errors of Ding et al. (2024), 10.1038/s41467-024-46233-8, read as three standard deviations: 1 mm
-    of sinkage, 10 % of the forces, 4 % of slip ratio and side slip.
+    of sinkage, 10 % of the forces, 4 % of the travelled distance, from which the slip ratio s follows with an error of
+    that share of 1 - |s|, and 4 % of the side slip.
     """
 
     sinkage_m: float = 0.00033
     force_relative: float = 0.10 / 3
-    slip_relative: float = 0.04 / 3
+    travel_relative: float = 0.04 / 3
     side_slip_relative: float = 0.04 / 3
 
     def __post_init__(self) -> None:
@@ -42,8 +43,9 @@ class MeasurementErrors:
         """Standard deviation of a column, in the column's unit; shape of `values`."""
         if column == "sinkage_m":
             return np.full(values.shape, self.sinkage_m)
-        relative = {"slip_ratio": self.slip_relative, "side_slip_deg": self.side_slip_relative}
-        return np.abs(values) * relative.get(column, self.force_relative)
+        if column == "slip_ratio":
+            return (1 - np.abs(values)) * self.travel_relative
+        return np.abs(values) * (self.side_slip_relative if column == "side_slip_deg" else self.force_relative)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,6 +69,8 @@ class WheelStates:
 
 def read_states(source: InputFile, wheel: Wheel, errors: MeasurementErrors | None = None) -> WheelStates:
     """Read wheel states from CSV.
+
+    Lateral forces have the sign of the side slip they act against.
 
     Columns: `sinkage_m`, `normal_force_n`, `drawbar_pull_n` (required), `slip_ratio`, `side_slip_deg`,
     `lateral_force_n`, and `NAME_sigma` for the standard deviation of NAME. Rows marked `valid = false` and rows without

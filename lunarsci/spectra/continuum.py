@@ -1,7 +1,8 @@
 """Continua under which absorption bands are measured. Each is linear in the reflectance once its tie points are chosen.
 
 * `conic`: the second-order curve through 700, 1345 and 1580 nm (Ding et al. 2024, 10.1038/s41467-024-46233-8). It is
-  extrapolated over the 2 um band, where it can cross the spectrum or zero; `usable_over` tells.
+  extrapolated over the 2 um band, where it can run across or far above the spectrum or fall to zero; whoever uses it
+  there must look (`lunarsci.spectra.bands` does).
 * `hull`: the upper convex hull (Clark & Roush 1984, 10.1029/JB089iB07p06329).
 * `linear`: straight lines between the highest points at the shoulders of each band.
 """

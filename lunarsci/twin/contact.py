@@ -17,7 +17,7 @@ from lunarsci.twin.dynamics import cross, dot
 
 __all__ = ["DEEPEST", "NORMAL_DAMPING", "VALID_SLIP", "contact_frame", "wheel_contact"]
 
-# Assumed. A calm touch-down: a quarter of critical for 6 kg on 7 kN/m; the soil's own damping is not published.
+# Assumed, for a calm touch-down: half of critical for a sixth of 135 kg on 7 kN/m; the soil's own is not published.
 NORMAL_DAMPING = 400.0
 # The closed form has no meaning once the wheel is buried to its axle; beyond this share of r the force stays constant.
 DEEPEST = 0.9
@@ -85,7 +85,7 @@ def wheel_contact(w: int, u: Any, ground_speed: float, wheel: Any, work: Any, sh
     """Fill contact axes, wrench, derivatives and state of wheel `w` in `work`; returns its sinkage. [m]
 
     `work.node` holds the terrain below the wheel centre. State: x, y, sinkage, slip ratio, side slip [rad], F_N, F_DP,
-    F_L, M_R, valid (1 or 0).
+    F_L, M_R, valid (1 or 0). F_N is the soil's, without the damping that the step adds to it.
     """
     node, state, center = work.node, work.state[w], work.center[w]
     frame = contact_frame(node[1], node[2], (work.axle[w, 0], work.axle[w, 1], work.axle[w, 2]))
@@ -109,7 +109,8 @@ def wheel_contact(w: int, u: Any, ground_speed: float, wheel: Any, work: Any, sh
     slip = slip_ratio(v[0] / ground_speed)
     state[0], state[1], state[2], state[3] = center[0], center[1], max(sinkage, 0.0), slip
     state[4] = math.atan2(v[1], abs(v[0]))
-    state[5], state[6], state[7], state[8] = wrench[2], wrench[0], -wrench[1], -wrench[4]
+    damping = NORMAL_DAMPING * v[2] if shear > 0.0 and wrench[2] > 0.0 else 0.0
+    state[5], state[6], state[7], state[8] = wrench[2] + damping, wrench[0], -wrench[1], -wrench[4]
     state[9] = 1.0 if SHALLOWEST < sinkage <= z and abs(slip) <= VALID_SLIP else 0.0
     return sinkage
 

@@ -23,7 +23,9 @@ FloatArray = npt.NDArray[np.float64]
 class Judgement:
     """One limited quantity: what each member reached at most, as p50, p95 and maximum over the members.
 
-    `margin` is limit - p95; `ok` is p95 <= limit; `worst_member` reached the maximum. Unit in `unit`, source of the
+    p95 is the smallest value that at least 95 % of the members keep, so with fewer than 20 members it is the maximum.
+    `margin` is limit - p95; `ok` is p95 <= limit; `exceeding` counts the members above the limit; `worst_member`
+    reached the maximum. Unit in `unit`, source of the
     limit in `source`, `assumed` when the limit is a guess.
     """
 
@@ -35,6 +37,7 @@ class Judgement:
     max: float
     margin: float
     ok: bool
+    exceeding: int
     worst_member: int
     source: str
     assumed: bool
@@ -149,7 +152,8 @@ def _circumcenter(a: FloatArray, b: FloatArray, c: FloatArray | None = None) -> 
 def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
     """Hold a prediction against the limits of its plan.
 
-    It is `go` when every member finished and the 95th percentile of each limited quantity keeps its limit. Per member
+    It is `go` when every member finished and at least 95 % of them keep each limit. Members count alike: on a grid of
+    soils that is a share of the grid, not a probability. Per member
     the largest value over wheels and distance counts, at the recorded samples. Percentiles are over the members that
     finished. `plan` replaces the plan that was driven, to try other limits.
     """
@@ -176,7 +180,7 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
 def _judge_limit(prediction: Prediction, limit: Limit) -> Judgement:
     members = np.flatnonzero(prediction.finished)
     values = extremes(prediction, limit.quantity)[members]
-    p50, p95 = (float(v) for v in np.percentile(values, (50, 95)))
+    p50, p95 = float(np.median(values)), float(np.quantile(values, 0.95, method="inverted_cdf"))
     return Judgement(
         quantity=limit.quantity,
         unit=limit.unit,
@@ -186,6 +190,7 @@ def _judge_limit(prediction: Prediction, limit: Limit) -> Judgement:
         max=float(values.max()),
         margin=limit.limit - p95,
         ok=p95 <= limit.limit,
+        exceeding=int((values > limit.limit).sum()),
         worst_member=int(members[values.argmax()]),
         source=limit.source,
         assumed=limit.assumed,
@@ -229,6 +234,7 @@ def _notes(prediction: Prediction, judged: tuple[Judgement, ...], invalid: float
         notes.append(
             f"{invalid:.1%} of the wheel states lie outside the wheel model (|s| > {VALID_SLIP}, unloaded, or too deep)"
         )
-    if prediction.members < 20:
-        notes.append(f"p95 of {prediction.members} members is close to their maximum")
+    notes += [
+        f"{j.quantity}: {j.exceeding} of {prediction.members} drives exceed the limit" for j in judged if j.exceeding
+    ]
     return tuple(notes)

@@ -16,7 +16,7 @@ from lunarsci.regolith.states import MeasurementErrors, WheelStates, read_states
 from lunarsci.regolith.wheel import Wheel, read_wheel
 
 YUTU = read_wheel("yutu2")
-EXACT = MeasurementErrors(sinkage_m=0, force_relative=0, slip_relative=0, side_slip_relative=0)
+EXACT = MeasurementErrors(sinkage_m=0, force_relative=0, travel_relative=0, side_slip_relative=0)
 
 
 def state(sinkage_mm: float, errors: MeasurementErrors, slip: float = -0.075) -> WheelStates:
@@ -69,6 +69,19 @@ def test_published_friction_angle_needs_the_slip_branch() -> None:
     physical = identify(state(8, EXACT), YUTU)
     assert physical.site["friction_angle_deg"].value is None
     assert physical.unsolved == ("friction_angle_deg",)
+
+
+def test_published_spread_of_the_friction_angle() -> None:
+    """2.29 deg at s -0.075 from errors of forces and slip (Ding et al. 2024, Methods); F_DP and its law are our reading."""
+    with pytest.warns(LunarSciWarning):
+        found = identify(state(8, MeasurementErrors(sinkage_m=0)), YUTU, reading="slip-branch", draws=8192)
+    assert found.site["friction_angle_deg"].sigma == pytest.approx(2.29, rel=0.2)
+
+
+def test_the_slip_error_is_that_of_the_travelled_distance() -> None:
+    """4 % / 3 of the distance is 0.0133 of slip at s = 0 and nothing at s = -1 or 1."""
+    errors = MeasurementErrors().of("slip_ratio", np.array([0.0, -0.075, 0.5]))
+    assert errors == pytest.approx([0.04 / 3, 0.04 / 3 * 0.925, 0.04 / 3 * 0.5])
 
 
 TRUTH = Soil(
@@ -218,6 +231,22 @@ def test_rows_without_a_required_value_are_left_out_and_said() -> None:
 def test_columns_of_no_use_are_said() -> None:
     with pytest.warns(LunarSciWarning, match="not used: colour"):
         read(HEAD + ",colour\n.008,0,32,-1,red\n")
+
+
+def test_several_assumed_moduli_give_a_range_and_corners_but_no_value() -> None:
+    found = identify(simulated(MeasurementErrors()), YUTU, Assumptions(cohesion_pa=700))
+    angle = found.site["external_friction_angle_deg"]
+    low, high = (corner["external_friction_angle_deg"] for corner in found.corners)
+    assert (angle.value, angle.low, angle.high) == (None, low.low, high.high)
+    assert low.value < 14 < high.value
+    assert found.unsolved == ()
+
+
+def test_too_many_states_are_refused() -> None:
+    clean = simulated(EXACT)
+    many = WheelStates(("s",) * 100_001, np.repeat(clean.values, 100_001, 0), np.repeat(clean.sigmas, 100_001, 0))
+    with pytest.raises(ParameterError, match="more than 100000"):
+        identify(many, YUTU)
 
 
 def test_fast_slip_is_said() -> None:

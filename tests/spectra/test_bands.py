@@ -90,6 +90,28 @@ def test_the_conic_falls_back_where_it_falls_to_zero() -> None:
     assert record["bc2000_nm"] == pytest.approx(2000, abs=30)
 
 
+def test_the_conic_is_not_used_where_it_runs_away() -> None:
+    """A spectrum that bends upwards at 1.5 um: the parabola leaves it far below and would put the band at 2.3 um."""
+    bands = 1 - 0.3 * np.exp(-0.5 * ((GRID - CENTRE_1) / WIDTH_1) ** 2)
+    bands *= 1 - 0.05 * np.exp(-0.5 * ((GRID - CENTRE_2) / WIDTH_2) ** 2)
+    line = 0.05 + 0.10 * ((GRID - 450) / 1130) ** 2
+    values = np.where(GRID < 1580, line, 0.15 + 2e-5 * (GRID - 1580)) * bands
+    record = measured(values).to_dict()
+    assert record["continuum"]["2000"] == "hull"
+    assert record["bc2000_nm"] == pytest.approx(CENTRE_2, abs=15)
+
+
+def test_a_wide_asymmetric_band_is_fitted_near_its_minimum() -> None:
+    """An olivine-like band: three Gaussians, whose common minimum is found directly on the noiseless curve."""
+    ratio = np.exp(
+        sum(
+            -s * np.exp(-0.5 * ((GRID - c) / w) ** 2) for s, c, w in ((0.3, 860, 90), (0.5, 1045, 75), (0.4, 1215, 180))
+        )
+    )
+    record = measured(0.5 * ratio, continuum_name="hull", smooth_points=11).to_dict()
+    assert record["bc1000_nm"] == pytest.approx(GRID[np.argmin(ratio)], abs=8)
+
+
 def test_a_short_spectrum_measures_what_it_holds() -> None:
     short = GRID < 1700
     record = measure_bands(Spectrum("short", GRID[short], reflectance()[short]), continuum_name="hull").to_dict()

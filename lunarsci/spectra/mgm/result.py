@@ -12,6 +12,12 @@ from lunarsci.spectra.spectrum import FloatArray
 __all__ = ["FittedBand", "MgmFailure", "MgmFit", "StrengthRatio", "band_strength_ratios"]
 
 
+UNDETERMINED = 0.5
+"""A ratio lies within 0 and 1; with a standard error of this or more it says nothing, and none is given."""
+REACH_NM = {"um1": (900.0, 1050.0), "um2": (1800.0, 2250.0)}
+"""What a spectrum must reach over for both pyroxene bands of a region to be measured; assumed."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FittedBand:
     """One band of a fit.
@@ -71,6 +77,8 @@ class FittedBand:
 class StrengthRatio:
     """Normalised band strength ratio of orthopyroxene, s_OPX / (s_OPX + s_CPX), of clinopyroxene, and their sigma. [-]
 
+    The sigma is that of the strengths, not of a mineral fraction; what fraction a ratio means depends on end members.
+
     Kanner, Mustard & Gendrin (2007), Icarus 187, 442, 10.1016/j.icarus.2006.10.025.
     """
 
@@ -87,10 +95,12 @@ class MgmFit:
     ----------
     converged, status : whether the minimum was reached, and a sentence about it.
     rms_ln : root mean square of ln R - model. [-]
-    reduced_chi2 : chi-square over channels less continuum coefficients, with channel noise and model error. [-]
+    reduced_chi2 : chi-square, with channel noise and model error, over channels less the number of parameters that the
+        data determine (continuum coefficients and the shrinkage of the others). [-]
     bic : Bayesian information criterion, chi-square + p ln n; lower is better. [-]
     continuum_coefficients : of the polynomial in the mapped variable of `continuum_basis`. [-]
-    nbsr : `um1` and `um2`, None where both pyroxene bands vanish or are not in the assemblage.
+    nbsr : `um1` and `um2`, None where the spectrum does not reach over both bands, where their strengths together are
+        so small that the ratio's standard error reaches 0.5, or where they are not in the assemblage.
     covariance : (p, p), continuum coefficients, then centre [um], FWHM [um], strength per band.
     wavelength_nm, reflectance, continuum_reflectance : shape (n,), the fitted channels.
     """
@@ -145,19 +155,29 @@ class MgmFailure:
 _SCALARS = ("id", "assemblage", "continuum", "converged", "status", "rms_ln", "reduced_chi2", "bic")
 
 
-def band_strength_ratios(bands: Sequence[FittedBand], covariance: FloatArray) -> dict[str, StrengthRatio | None]:
-    """NBSR of the pyroxenes at 1 and 2 um from fitted bands and the covariance of their (centre, FWHM, strength)."""
-    return {region: _ratio(bands, covariance, region) for region in ("um1", "um2")}
+def band_strength_ratios(
+    bands: Sequence[FittedBand], covariance: FloatArray, wavelength_nm: FloatArray
+) -> dict[str, StrengthRatio | None]:
+    """NBSR of the pyroxenes at 1 and 2 um from fitted bands and the covariance of their (centre, FWHM, strength).
+
+    `wavelength_nm` are the fitted channels; a ratio of bands beyond them is None. [nm]
+    """
+    return {region: _ratio(bands, covariance, wavelength_nm, region) for region in ("um1", "um2")}
 
 
-def _ratio(bands: Sequence[FittedBand], covariance: FloatArray, region: str) -> StrengthRatio | None:
+def _ratio(
+    bands: Sequence[FittedBand], covariance: FloatArray, wavelength_nm: FloatArray, region: str
+) -> StrengthRatio | None:
     index = {band.mineral: k for k, band in enumerate(bands) if band.region == region}
     if not {"orthopyroxene", "clinopyroxene"} <= index.keys():
         return None
     rows = [3 * index["orthopyroxene"] + 2, 3 * index["clinopyroxene"] + 2]
     opx, cpx = bands[index["orthopyroxene"]].strength, bands[index["clinopyroxene"]].strength
     total, block = opx + cpx, covariance[np.ix_(rows, rows)]
-    if total == 0:
+    low, high = REACH_NM[region]
+    beyond = wavelength_nm[0] > low or wavelength_nm[-1] < high
+    if beyond or total == 0:
         return None
     slope = np.array([cpx, -opx]) / total**2
-    return StrengthRatio(abs(opx / total), abs(cpx / total), float(np.sqrt(slope @ block @ slope)))
+    sigma = float(np.sqrt(slope @ block @ slope))
+    return StrengthRatio(abs(opx / total), abs(cpx / total), sigma) if sigma < UNDETERMINED else None

@@ -93,6 +93,21 @@ def test_shrinkage_tells_data_from_prior() -> None:
     assert by_name["OPX 1"].shrinkage["strength"] > 0.8
 
 
+def test_a_ratio_that_the_data_do_not_tell_is_not_given() -> None:
+    spectrum = made(STRENGTHS, seed=1)
+    short = GRID < 1400
+    cut = Spectrum("cut", GRID[short], spectrum.reflectance[short], spectrum.uncertainty[short])  # type: ignore[index]
+    assert fitted(cut).nbsr["um2"] is None
+    flat = Spectrum("flat", GRID, 0.2 + 0.002 * np.random.default_rng(1).standard_normal(GRID.size))
+    assert fitted(flat).nbsr == {"um1": None, "um2": None}
+
+
+def test_a_band_far_from_its_prior_is_said() -> None:
+    """An absorption at 1.7 um, where none of these minerals has one."""
+    ln = np.log(0.3) - 0.4 * np.exp(-0.5 * ((GRID - 1680) / 100) ** 2)
+    assert "strained: " in fitted(Spectrum("odd", GRID, np.exp(ln), 0.002 * np.exp(ln)), model_error=0.002).status
+
+
 def test_alone_or_in_a_batch_and_in_any_order_is_the_same() -> None:
     spectra = [made(STRENGTHS, seed=k, name=str(k)) for k in range(5)]
     together = fit_spectra(spectra, ALL)
