@@ -338,10 +338,15 @@ def test_progress_is_drawn_on_a_terminal_and_only_on_stderr() -> None:
 
     ours, theirs = pty.openpty()
     command = [sys.executable, "-m", "lunarsci.cli", "twin", "predict", "--field", "verdict"]
-    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=theirs)
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=theirs)
     os.close(theirs)
-    drawn = os.read(ours, 100_000).decode()
-    assert done.stdout == b"go\n"
+    drawn = ""
+    while True:
+        try:
+            drawn += os.read(ours, 10_000).decode(errors="replace")
+        except OSError:  # the other end is closed: the command has ended
+            break
+    assert process.communicate()[0] == b"go\n"
     assert "driving" in drawn
     assert "%" in drawn
 

@@ -72,7 +72,7 @@ def test_published_friction_angle_needs_the_slip_branch() -> None:
 
 
 def test_published_spread_of_the_friction_angle() -> None:
-    """2.29 deg at s -0.075 from errors of forces and slip (Ding et al. 2024, Methods); F_DP and its law are our reading."""
+    """2.29 deg at s -0.075 (Ding et al. 2024, Methods); how slip errs and what F_DP was are our reading."""
     with pytest.warns(LunarSciWarning):
         found = identify(state(8, MeasurementErrors(sinkage_m=0)), YUTU, reading="slip-branch", draws=8192)
     assert found.site["friction_angle_deg"].sigma == pytest.approx(2.29, rel=0.2)

@@ -20,8 +20,8 @@ REQUIRED_NM = (800.0, 1300.0)
 MIN_CHANNELS = 40
 
 DEFAULT_MODEL_ERROR = 0.02
-"""Share of ln R that Gaussians on a smooth continuum cannot explain, added to the channel noise; assumed. Pyroxenes' bands
-are not Gaussian at this level: on the orthopyroxene-clinopyroxene powders of RELAB half of it lets the band of the
+"""Share of ln R that Gaussians on a smooth continuum cannot explain, added to the channel noise; assumed. Pyroxene bands
+depart from Gaussians at this level: on the orthopyroxene-clinopyroxene powders of RELAB half of it lets the band of the
 absent mineral fill the wing of the present one, and the order of the mixtures is lost under some continua."""
 DEFAULT_CONTINUUM: MgmContinuum = "wavelength-quadratic"
 """Second-order continua served best in comparisons on mafic minerals: Clenet et al. (2011), Icarus 213, 404,
