@@ -20,9 +20,9 @@ REQUIRED_NM = (800.0, 1300.0)
 MIN_CHANNELS = 40
 
 DEFAULT_MODEL_ERROR = 0.02
-"""Share of ln R that Gaussians on a smooth continuum cannot explain, added to the channel noise; assumed. Pyroxene bands
-depart from Gaussians at this level: on the orthopyroxene-clinopyroxene powders of RELAB half of it lets the band of the
-absent mineral fill the wing of the present one, and the order of the mixtures is lost under some continua."""
+"""Share of ln R that Gaussians on a smooth continuum cannot explain, added to the channel noise; assumed. Pyroxene
+bands depart from Gaussians at this level: on the orthopyroxene-clinopyroxene powders of RELAB half of it lets the band
+of the absent mineral fill the wing of the present one, and under some continua the order of the mixtures is lost."""
 DEFAULT_CONTINUUM: MgmContinuum = "wavelength-quadratic"
 """Second-order continua served best in comparisons on mafic minerals: Clenet et al. (2011), Icarus 213, 404,
 10.1016/j.icarus.2011.03.002; Han et al. (2020), arXiv:2003.07856."""
