@@ -72,6 +72,8 @@ def _field(result: Any, path: str) -> str:
     value = plain(result)
     steps = path.split(".")
     for depth, step in enumerate(steps[1:] if steps[0] == "result" else steps):
+        if value is None and depth:
+            return "null"
         try:
             value = value[int(step)] if isinstance(value, list) else value[step]
         except (KeyError, IndexError, ValueError, TypeError):

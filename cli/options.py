@@ -37,7 +37,9 @@ class Output:
             raise typer.BadParameter(f"{' and '.join(chosen)} exclude each other; give one")
         if self.plot and self.plot.suffix.lower() not in PLOT_SUFFIXES:
             raise typer.BadParameter(f"--plot {self.plot}: the name must end in {', '.join(PLOT_SUFFIXES)}")
-        if self.path and self.path == self.plot:
+        if self.path is not None and str(self.path) in ("", "."):
+            raise typer.BadParameter("--output is empty; give a name")
+        if self.path and self.plot and self.path.resolve() == self.plot.resolve():
             raise typer.BadParameter(f"--output and --plot both name {self.path}; give two names")
         if self.path and self.folder:
             check_folder(self.path, force=self.force)

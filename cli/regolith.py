@@ -1,6 +1,6 @@
 """`lunarsci regolith`: what the ground is."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -17,6 +17,11 @@ app = typer.Typer(
 
 SOIL_PANEL = "Soil"
 ERROR_PANEL = "Errors (where the file gives none)"
+
+
+def _error(text: str) -> Any:
+    return typer.Option(help=text, rich_help_panel=ERROR_PANEL)
+
 
 Rover = Annotated[str, typer.Option(help="Rover whose wheel it is: a name (yutu2) or a TOML file.")]
 Reading = Annotated[
@@ -86,19 +91,12 @@ def identify(
     reading: Reading = "signed",
     draws: Annotated[int, typer.Option(min=2, max=1_000_000, help="Monte Carlo draws per state.")] = 1024,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")] = 0,
-    sinkage_error: Annotated[float, typer.Option(help="1σ of the sinkage [m].", rich_help_panel=ERROR_PANEL)] = 0.00033,
-    force_error: Annotated[float, typer.Option(help="1σ of the forces, relative.", rich_help_panel=ERROR_PANEL)] = 0.1
-    / 3,
+    sinkage_error: Annotated[float, _error("1σ of the sinkage [m].")] = 0.00033,
+    force_error: Annotated[float, _error("1σ of the forces, relative.")] = 0.1 / 3,
     travel_error: Annotated[
-        float,
-        typer.Option(
-            help="1σ of the travelled distance, relative; the slip ratio s errs by this times 1 - |s|.",
-            rich_help_panel=ERROR_PANEL,
-        ),
+        float, _error("1σ of the travelled distance, relative; slip errs by it times 1 - |s|.")
     ] = 0.04 / 3,
-    side_slip_error: Annotated[
-        float, typer.Option(help="1σ of the side slip, relative.", rich_help_panel=ERROR_PANEL)
-    ] = 0.04 / 3,
+    side_slip_error: Annotated[float, _error("1σ of the side slip, relative.")] = 0.04 / 3,
 ) -> Report:
     """Soil parameters in three aspects (bearing, longitudinal and lateral shear) from wheel states, with errors.
 

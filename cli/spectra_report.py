@@ -20,6 +20,8 @@ __all__ = ["Batch", "bands_report", "fit_report", "read_batch"]
 PAPER = "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8"
 MGM = "Sunshine, Pieters & Pratt (1990), J. Geophys. Res. 95, 6955, 10.1029/JB095iB05p06955"
 NBSR = "Kanner, Mustard & Gendrin (2007), Icarus 187, 442, 10.1016/j.icarus.2006.10.025"
+UNLIKE_RMS = 0.2
+"""A fit that misses ln R by more than this, root mean square, describes something else; assumed."""
 SMOOTHING = "Savitzky & Golay (1964), Anal. Chem. 36, 1627, 10.1021/ac60214a047"
 
 
@@ -28,19 +30,20 @@ class Batch:
     """The spectra of all inputs, the inputs' hashes, and what could not be read."""
 
     spectra: list[Spectrum]
+    origins: list[str]
     inputs: dict[str, str]
     failures: list[str]
 
 
 def read_batch(files: Sequence[str], wavelength_unit: Any, reflectance_unit: Any) -> Batch:
     """Read every input; one that cannot be read is remembered. Raises DataError when none can."""
-    batch = Batch([], {}, [])
-    for name in expand_inputs(files):
+    batch = Batch([], [], {}, [])
+    for name in _expanded(files, batch.failures):
         try:
             source = read_input(name)
-            batch.spectra.extend(
-                read_spectra(source, wavelength_unit=wavelength_unit, reflectance_unit=reflectance_unit)
-            )
+            found = read_spectra(source, wavelength_unit=wavelength_unit, reflectance_unit=reflectance_unit)
+            batch.spectra.extend(found)
+            batch.origins.extend([source.name] * len(found))
             batch.inputs[source.name] = source.sha256
         except DataError as error:
             batch.failures.append(str(error))
@@ -49,9 +52,20 @@ def read_batch(files: Sequence[str], wavelength_unit: Any, reflectance_unit: Any
     return batch
 
 
+def _expanded(files: Sequence[str], failures: list[str]) -> list[str]:
+    """The inputs with folders and patterns expanded, each once; one that matches nothing is remembered."""
+    names: list[str] = []
+    for file in files:
+        try:
+            names += expand_inputs([file])
+        except DataError as error:
+            failures.append(str(error))
+    return list(dict.fromkeys(names))
+
+
 def bands_report(batch: Batch, measured: Sequence[SpectrumBands | BandFailure]) -> Report:
     """The report of `spectra bands`."""
-    records = [item.to_dict() for item in measured]
+    records = [item.to_dict() | {"source": origin} for item, origin in zip(measured, batch.origins, strict=True)]
     good = [item for item in measured if isinstance(item, SpectrumBands)]
     failures = _failures(batch, measured, bool(good))
 
@@ -107,10 +121,13 @@ def _band_notes(records: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def fit_report(batch: Batch, fits: Sequence[MgmFit | MgmFailure]) -> Report:
     """The report of `spectra fit`."""
-    records = [item.to_dict() for item in fits]
+    records = [item.to_dict() | {"source": origin} for item, origin in zip(fits, batch.origins, strict=True)]
     good = [item for item in fits if isinstance(item, MgmFit)]
     failures = _failures(batch, fits, bool(good))
     unsettled = [item.id for item in good if not item.converged]
+    unlike = [item.id for item in good if item.rms_ln > UNLIKE_RMS]
+    doubts = [f"no convergence for {', '.join(unsettled)}"] if unsettled else []
+    doubts += [f"the model does not describe {', '.join(unlike)}"] if unlike else []
 
     def figures() -> Any:
         from lunarsci.spectra.figure import fit_pages
@@ -126,7 +143,7 @@ def fit_report(batch: Batch, fits: Sequence[MgmFit | MgmFailure]) -> Report:
         inputs=batch.inputs,
         data_tables=table_hash(),
         sources=[MGM, NBSR],
-        untrusted=f"not to be trusted: no convergence for {', '.join(unsettled)}" if unsettled else "",
+        untrusted=f"not to be trusted: {'; '.join(doubts)}" if doubts else "",
         failures=failures,
     )
 
@@ -169,7 +186,7 @@ def _one_fit_table(fit: MgmFit) -> TextTable:
 
 def _band_rows(record: Mapping[str, Any]) -> list[dict[str, Any]]:
     """One row per band; a spectrum without a fit has one row with its status."""
-    common = {key: record[key] for key in ("id", "assemblage", "continuum", "converged", "status", "rms_ln")}
+    common = {key: record[key] for key in ("source", "id", "assemblage", "continuum", "converged", "status", "rms_ln")}
     for region in ("um1", "um2"):
         ratio = (record["nbsr"] or {}).get(region)
         common |= {
@@ -191,7 +208,11 @@ def _flat(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _failures(batch: Batch, items: Sequence[Any], any_good: bool) -> list[str]:
-    reasons = [f"{item.id}: {item.status}" for item in items if isinstance(item, BandFailure | MgmFailure)]
+    reasons = [
+        f"{origin}: {item.id}: {item.status}"
+        for item, origin in zip(items, batch.origins, strict=True)
+        if isinstance(item, BandFailure | MgmFailure)
+    ]
     failures = [*batch.failures, *reasons]
     if not any_good:
         raise DataError(_together(failures))

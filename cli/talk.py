@@ -1,5 +1,6 @@
 """Exit codes, and the one place that talks to people: single lines on stderr."""
 
+import contextlib
 import sys
 
 from lunarsci.errors import LunarSciError
@@ -11,7 +12,9 @@ FAILED, UNTRUSTED, INTERRUPTED = 1, 3, 130
 
 def say(text: str, *, quiet: bool = False) -> None:
     """One line on stderr."""
-    if not quiet and sys.stderr is not None:
+    if quiet or sys.stderr is None:
+        return
+    with contextlib.suppress(OSError):  # nobody can be told that nobody can be told
         print(text.replace("\n", " "), file=sys.stderr)  # noqa: T201 - the one place that talks to people
 
 

@@ -43,6 +43,8 @@ __all__ = [
 Reading = Literal["signed", "printed", "slip-branch"]
 READINGS: tuple[str, ...] = get_args(Reading)
 FloatArray = npt.NDArray[np.float64]
+LEAST_SINKAGE_M = 1e-7
+"""Below this the contact angles round to nothing."""
 
 
 @compiled
@@ -210,12 +212,14 @@ def wheel_forces(
     _check_states(z, s, beta, wheel.radius_m)
     states = np.column_stack([z, s, np.radians(beta)])
     forces = _each_state(states, wheel.vector(), soil.vector(), reading_code(reading))
+    if not np.isfinite(forces).all():
+        raise ParameterError("the forces are beyond any number; check sinkage and soil parameters")
     return WheelForces(*(forces[:, k].reshape(parts[0].shape) for k in range(4)))
 
 
 def _check_states(z: FloatArray, s: FloatArray, beta: FloatArray, radius: float) -> None:
     for name, values, good, rule in (
-        ("sinkage_m", z, (z > 0) & (z < radius), f"above 0 and below the wheel radius of {radius} m"),
+        ("sinkage_m", z, (z >= LEAST_SINKAGE_M) & (z < radius), f"above 1e-7 and below the wheel radius of {radius} m"),
         ("slip_ratio", s, (s > -1) & (s < 1), "above -1 and below 1"),
         ("side_slip_deg", beta, np.abs(beta) < 90, "above -90 and below 90 deg"),
     ):

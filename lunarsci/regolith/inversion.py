@@ -29,6 +29,9 @@ __all__ = [
     "stiffness",
 ]
 
+STEEPEST_DEG = 85.0
+"""No soil has a friction angle near this; a larger one means that the forces do not fit the model. Assumed."""
+
 
 @compiled
 def invert_states(states: Any, wheel: Any, shear_modulus: float, code: int) -> Any:
@@ -44,7 +47,8 @@ def invert_states(states: Any, wheel: Any, shear_modulus: float, code: int) -> A
     Returns
     -------
     (n, 6): sigma_m [Pa], tau_xm with its sign [Pa], tau_ym [Pa], r (cos theta_m - cos theta_1) [m], the mobilised share
-    of the longitudinal shear strength [-], and the lateral shear displacement j_y [m]. NaN for an impossible state.
+    of the longitudinal shear strength [-], and the lateral shear displacement j_y [m]. NaN for an impossible state, and
+    where the forces would need the ground to pull.
     """
     solved = np.full((len(states), 6), np.nan)
     r, b, _, r_s, _, _, _ = wheel
@@ -56,7 +60,10 @@ def invert_states(states: Any, wheel: Any, shear_modulus: float, code: int) -> A
         theta_1, theta_1e, theta_2, theta_m = contact_angles(z, geometry_slip, wheel)
         a, b_moment, c_moment = stress_moments(theta_1, theta_2, theta_m)
         square = a * a + b_moment * b_moment
-        solved[i, 0] = (a * f_n - b_moment * f_dp) / (square * r * b)
+        sigma_m = (a * f_n - b_moment * f_dp) / (square * r * b)
+        if not sigma_m > 0.0:
+            continue
+        solved[i, 0] = sigma_m
         solved[i, 1] = (a * f_dp + b_moment * f_n) / (square * r_s * b)
         solved[i, 2] = f_l / (r_s * b * c_moment)
         solved[i, 3] = r * (math.cos(theta_m) - math.cos(theta_1))
@@ -79,9 +86,9 @@ def sinkage_exponent(sigma_m: Any, depth: Any, stiffness_kpa: Any) -> Any:
 
 
 def friction_angle(sigma_m: Any, tau: Any, mobilised: Any, cohesion_pa: Any) -> Any:
-    """phi from tau = (c + sigma_m tan phi) x mobilised share, Eq. 19; NaN where no angle of 0-90 deg does. [deg]"""
-    tangent = (tau / mobilised - cohesion_pa) / sigma_m
-    return np.where(tangent >= 0, np.degrees(np.arctan(tangent)), np.nan)
+    """phi from tau = (c + sigma_m tan phi) x mobilised share, Eq. 19; NaN where none of 0-85 deg does. [deg]"""
+    angle = np.degrees(np.arctan((tau / mobilised - cohesion_pa) / sigma_m))
+    return np.where((angle >= 0) & (angle <= STEEPEST_DEG), angle, np.nan)
 
 
 def cohesion(sigma_m: Any, tau: Any, mobilised: Any, friction_angle_deg: Any) -> Any:

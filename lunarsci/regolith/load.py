@@ -33,7 +33,9 @@ def sinkage_under_load(
     def excess(sinkage_m: float) -> float:
         return float(wheel_forces(wheel, soil, sinkage_m, slip_ratio, reading=reading).normal_force_n) - load_n
 
-    shallow, deep = 1e-9 * wheel.radius_m, DEEPEST * wheel.radius_m
+    shallow, deep = 1e-6 * wheel.radius_m, DEEPEST * wheel.radius_m
+    if excess(shallow) > 0:
+        raise ParameterError(f"{load_n:g} N does not press the wheel in at all on this soil; check load and soil")
     if excess(deep) < 0:
         raise ParameterError(f"the soil carries less than {load_n:g} N at {deep:.3f} m sinkage; check load and soil")
     return float(brentq(excess, shallow, deep, xtol=1e-12))

@@ -50,6 +50,8 @@ class Soil:
         for name in _ANGLES:
             if not 0 <= getattr(self, name) < 90:
                 raise ParameterError(f"soil {name} is {getattr(self, name)}; give an angle from 0 to below 90 deg")
+        if not math.isfinite(self.sinkage_exponent_slip):
+            raise ParameterError(f"soil sinkage_exponent_slip is {self.sinkage_exponent_slip}; give a finite number")
         if not 0 <= self.cohesion_pa < math.inf:
             raise ParameterError(f"soil cohesion_pa is {self.cohesion_pa}; give 0 Pa or more")
 

@@ -1,7 +1,9 @@
 """Wheel states: what a rover measures or simulates of one wheel at one moment, and how well it is known."""
 
+import csv
 import io
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +20,8 @@ REQUIRED = ("sinkage_m", "normal_force_n", "drawbar_pull_n")
 COLUMNS = ("sinkage_m", "slip_ratio", "side_slip_deg", "normal_force_n", "drawbar_pull_n", "lateral_force_n")
 IDENTIFIERS = ("id", "member", "wheel", "distance_m", "time_s", "x_m", "y_m", "resistance_torque_nm", "valid")
 MAX_VALID_SLIP = 0.6
+LEAST_SINKAGE_M = 1e-6
+YES, NO = ("true", "1", "1.0", "yes"), ("false", "0", "0.0", "no")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,7 +87,11 @@ def read_states(source: InputFile, wheel: Wheel, errors: MeasurementErrors | Non
     import pandas as pd
 
     try:
-        frame = pd.read_csv(io.StringIO(text(source)), comment="#", skipinitialspace=True, dtype=str)
+        content = text(source)
+        _check_widths(source.name, content)
+        frame = pd.read_csv(
+            io.StringIO(content), comment="#", skipinitialspace=True, dtype=str, index_col=False, skip_blank_lines=True
+        )
     except (pd.errors.ParserError, pd.errors.EmptyDataError) as error:
         raise DataError(f"{source.name}: not a CSV table ({' '.join(str(error).split())})") from error
     frame.columns = frame.columns.str.strip()
@@ -91,11 +99,23 @@ def read_states(source: InputFile, wheel: Wheel, errors: MeasurementErrors | Non
     used = [name for name in frame.columns if name in COLUMNS or name.removesuffix("_sigma") in COLUMNS]
     numbers = {name: _numbers(source.name, name, frame[name]) for name in used}
     keep = _kept_rows(source.name, frame.get("valid"), numbers)
-    ids = frame["id"] if "id" in frame else pd.Series([str(n) for n in range(1, len(frame) + 1)])
+    numbered = pd.Series([str(n) for n in range(1, len(frame) + 1)])
+    ids = frame["id"].fillna(numbered) if "id" in frame else numbered
     values = np.column_stack([numbers.get(name, np.full(len(frame), np.nan)) for name in COLUMNS])
     _check_values(source.name, values[keep], np.flatnonzero(keep), wheel)
     sigmas = _sigmas(source.name, numbers, values, errors or MeasurementErrors())
     return WheelStates(tuple(ids[keep].astype(str)), values[keep], sigmas[keep])
+
+
+def _check_widths(name: str, content: str) -> None:
+    """Every row must have as many fields as the header: pandas would shift or pad the others in silence."""
+    width = 0
+    for number, row in enumerate(csv.reader(content.splitlines(), skipinitialspace=True), 1):
+        if not row or row[0].lstrip().startswith("#"):
+            continue
+        width = width or len(row)
+        if len(row) != width:
+            raise DataError(f"{name}, line {number}: {len(row)} fields, the header has {width}; is the file complete?")
 
 
 def _check_columns(name: str, columns: list[str]) -> None:
@@ -135,7 +155,7 @@ def _kept_rows(name: str, valid: "object", numbers: dict[str, FloatArray]) -> np
     import pandas as pd
 
     complete = np.all([np.isfinite(numbers[column]) for column in REQUIRED], axis=0)
-    marked = np.ones(complete.shape, bool) if valid is None else ~pd.Series(valid).str.lower().isin(["false", "0"])
+    marked = np.ones(complete.shape, bool) if valid is None else _marked_valid(name, pd.Series(valid))
     keep: npt.NDArray[np.bool_] = complete & np.asarray(marked)
     if not keep.any():
         raise DataError(f"{name}: no row has all of {', '.join(REQUIRED)}; fill them in")
@@ -148,12 +168,25 @@ def _kept_rows(name: str, valid: "object", numbers: dict[str, FloatArray]) -> np
     return keep
 
 
+def _marked_valid(name: str, cells: Any) -> npt.NDArray[np.bool_]:
+    words = cells.fillna("").str.strip().str.lower()
+    unknown = ~words.isin([*YES, *NO])
+    if unknown.any():
+        row = int(np.argmax(unknown))
+        raise DataError(f"{name}, row {row + 1}, valid: '{cells.iloc[row]}' is neither true nor false")
+    return np.asarray(words.isin(YES), dtype=bool)
+
+
 def _check_values(name: str, values: FloatArray, rows: npt.NDArray[np.intp], wheel: Wheel) -> None:
     import warnings
 
     z, s, beta, load = values[:, 0], values[:, 1], values[:, 2], values[:, 3]
     for column, bad, rule in (
-        ("sinkage_m", ~((z > 0) & (z < wheel.radius_m)), f"above 0 and below the wheel radius of {wheel.radius_m:g} m"),
+        (
+            "sinkage_m",
+            ~((z >= LEAST_SINKAGE_M) & (z < wheel.radius_m)),
+            f"above 1e-6 and below the wheel radius of {wheel.radius_m:g} m",
+        ),
         ("slip_ratio", (s <= -1) | (s >= 1), "above -1 and below 1"),
         ("side_slip_deg", np.abs(beta) >= 90, "above -90 and below 90 deg"),
         ("normal_force_n", ~(load > 0), "above 0 N"),
@@ -176,8 +209,11 @@ def _sigmas(name: str, numbers: dict[str, FloatArray], values: FloatArray, error
     for k, column in enumerate(COLUMNS):
         default = errors.of(column, values[:, k])
         given = numbers.get(f"{column}_sigma", default)
-        if (given < 0).any():
-            raise DataError(f"{name}, row {int(np.argmax(given < 0)) + 1}, {column}_sigma: an error cannot be negative")
+        wrong = (given < 0) | np.isinf(given)
+        if wrong.any():
+            raise DataError(
+                f"{name}, row {int(np.argmax(wrong)) + 1}, {column}_sigma: give 0 or more, or leave it blank"
+            )
         columns.append(np.where(np.isfinite(given), given, default))
     sigmas: FloatArray = np.nan_to_num(np.column_stack(columns))
     return sigmas

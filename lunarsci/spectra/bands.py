@@ -44,6 +44,7 @@ first of these shares at which the residuals are at most so many times the noise
 the shape, and narrow where it does not.
 """
 MIN_FIT_CHANNELS = 9
+MIN_DEPTH, MOST_CHANNELS = 1e-6, 5000
 MIN_SIGNIFICANCE = 4.5
 """Depth over its standard error below which there is no band. The deepest of many channels of pure noise exceeds 3 in a
 quarter and 4.5 in 0.4 % of the windows of 400 simulated flat spectra."""
@@ -137,6 +138,8 @@ def measure_bands(
     usable = spectrum.usable
     if usable.sum() < 20:
         raise DataError(f"{spectrum.id}: {usable.sum()} usable channels; 20 are needed to measure a band")
+    if usable.sum() > MOST_CHANNELS:
+        raise DataError(f"{spectrum.id}: {usable.sum()} channels are more than {MOST_CHANNELS}; average some of them")
     data = _Data(
         spectrum.wavelength_nm[usable],
         spectrum.reflectance[usable],
@@ -295,7 +298,7 @@ def _fit_minimum(data: _Data, band: Band, tied: Continuum, inside: BoolArray, wi
     curvature = np.polynomial.Polynomial(coefficients).deriv(2)(minimum)
     per_channel = solver @ sensitivity[window]
     depth, depth_sigma = 1 - powers @ coefficients, _sigma(powers @ per_channel, data.noise)
-    if depth < MIN_SIGNIFICANCE * depth_sigma:
+    if depth < max(MIN_SIGNIFICANCE * depth_sigma, MIN_DEPTH):
         return BandResult(continuum=tied.name, status=f"no band: its depth is within {MIN_SIGNIFICANCE:g} sigma of 0")
     center_sigma = _sigma(scale * (slopes @ per_channel) / curvature, data.noise)
     if center_sigma > MAX_CENTER_SIGMA_NM:

@@ -34,6 +34,8 @@ STATE_COLUMNS = (
     "resistance_torque_nm",
     "valid",
 )
+LONGEST_STEP_S, LONGEST_SAMPLE_M = 0.2, 0.5
+"""Beyond these the time-step error reaches centimetres, and the largest slip or tilt falls between samples."""
 MOST_MEMBERS = 100_000
 # States of this many members times samples fill 1 GB.
 MOST_SAMPLES = 2_000_000
@@ -113,6 +115,8 @@ def member_parameters(sweep: tuple[Sweep, ...], members: int | None, seed: int) 
         raise ParameterError(f"a parameter is swept twice: {', '.join(names)}")
     if members is not None and members < 1:
         raise ParameterError(f"members is {members}; give 1 or more")
+    if members is not None and not sweep:
+        raise ParameterError(f"{members} members but no soil parameter to sample; give --sweep NAME=LOW:HIGH:N")
     count = math.prod(entry.count for entry in sweep) if members is None else members
     if count > MOST_MEMBERS:
         raise ParameterError(f"{count} members are more than {MOST_MEMBERS}; sweep fewer values")
@@ -158,10 +162,10 @@ def predict(
     _check_steps(time_step_s, sample_m, seed, plan)
     parameters = member_parameters(plan.sweep if sweep is None else sweep, members, seed)
     count = len(next(iter(parameters.values()))) if parameters else 1
-    samples = math.ceil(plan.length_m / sample_m - 1e-9)
+    samples = max(1, math.ceil(plan.length_m / sample_m - 1e-9))
     if count * samples > MOST_SAMPLES:
         raise ParameterError(f"{count} members with {samples} samples do not fit into memory; give a longer sample_m")
-    every = math.ceil(plan.length_m / samples / plan.speed_m_s / time_step_s - 1e-9)
+    every = max(1, math.ceil(plan.length_m / samples / plan.speed_m_s / time_step_s - 1e-9))
     distance = np.linspace(0.0, plan.length_m, samples * every + 1)
     commands = wheel_commands(rover, curvature_at(plan.arcs, distance, plan.blend_m), plan.speed_m_s)
     dt = plan.length_m / plan.speed_m_s / (samples * every)
@@ -191,9 +195,9 @@ def predict(
 
 
 def _check_steps(time_step_s: float, sample_m: float, seed: int, plan: Plan) -> None:
-    for name, value in (("time_step_s", time_step_s), ("sample_m", sample_m)):
-        if not 0 < value < math.inf:
-            raise ParameterError(f"{name} is {value}; give a number above 0")
+    for name, value, most in (("time_step_s", time_step_s, LONGEST_STEP_S), ("sample_m", sample_m, LONGEST_SAMPLE_M)):
+        if not 0 < value <= most:
+            raise ParameterError(f"{name} is {value:g}; give a number above 0, at most {most:g}")
     if plan.length_m / plan.speed_m_s / time_step_s > 1e7 or plan.length_m / sample_m > 1e5:
         raise ParameterError("the drive takes over 1e7 steps or 1e5 samples; give a longer time_step_s or sample_m")
     if seed < 0:

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -233,7 +234,10 @@ def _load(path: Path) -> dict[str, Any]:
         raise
     except OSError as error:
         raise DataError(f"{path}: {error.strerror or 'not a NumPy archive; write it with numpy.savez'}") from error
-    except (AttributeError, EOFError, MemoryError, NotImplementedError, ValueError, zipfile.BadZipFile) as error:
+    except (
+        AttributeError, EOFError, MemoryError, NotImplementedError, SyntaxError, ValueError, zipfile.BadZipFile,
+        zlib.error,
+    ) as error:  # fmt: skip
         raise DataError(f"{path}: not a NumPy archive that can be read; write it with numpy.savez") from error
 
 

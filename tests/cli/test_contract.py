@@ -284,6 +284,31 @@ def test_a_batch_goes_on_past_bad_inputs_and_exits_1(run: Run, rock: Path, bad_s
     assert sum(line.startswith("error: ") for line in done.err) == 2
 
 
+def test_a_pattern_without_files_does_not_stop_a_batch(run: Run, rock: Path) -> None:
+    done = run("spectra", "bands", rock, rock.parent / "nothing*.csv", "--json")
+    assert done.code == 1
+    [spectrum] = json.loads(done.out)["result"]["spectra"]
+    assert spectrum["source"] == str(rock)
+
+
+def test_a_field_below_null_is_null_and_keeps_the_exit_code(run: Run, rock: Path) -> None:
+    done = run("spectra", "fit", rock, "--assemblage", "OL", "--field", "spectra.0.nbsr.um1.opx")
+    assert (done.code, done.out) == (0, "null\n")
+
+
+def test_a_fit_that_explains_nothing_is_not_to_be_trusted(run: Run, rock: Path) -> None:
+    rock.write_text(HEADER + "".join(f"{w},{0.1 if k % 2 else 0.9}\n" for k, w in enumerate(GRID)))
+    done = run("spectra", "fit", rock)
+    assert done.code == 3
+    assert "does not describe" in done.err[-1]
+
+
+def test_coarse_steps_and_samples_are_refused(run: Run) -> None:
+    for option in ("--sample", "--time-step"):
+        done = run("twin", "predict", option, "5")
+        assert (done.code, done.out, len(done.err)) == (1, "", 1)
+
+
 def test_a_folder_is_a_batch(run: Run, rock: Path) -> None:
     (rock.parent / "second.csv").write_bytes(rock.read_bytes())
     done = run("spectra", "bands", rock.parent, "--json")

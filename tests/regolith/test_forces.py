@@ -108,9 +108,9 @@ def test_sinkage_under_load_carries_the_load_and_grows_with_it() -> None:
     assert float(wheel_forces(WHEEL, SOIL, depths[2], 0.0).normal_force_n) == pytest.approx(36.5, abs=1e-6)
 
 
-@pytest.mark.parametrize("load", [-5, 0, math.nan, 1e9])
+@pytest.mark.parametrize("load", [-5, 0, math.nan, 1e9, 1e-12])
 def test_impossible_loads_are_refused(load: float) -> None:
-    with pytest.raises(ParameterError, match=r"load|carries"):
+    with pytest.raises(ParameterError, match=r"load|carries|press"):
         sinkage_under_load(WHEEL, SOIL, load)
 
 
@@ -153,6 +153,7 @@ def test_impossible_wheels_are_refused(change: dict[str, float]) -> None:
         {"friction_angle_deg": 90},
         {"cohesion_pa": -1},
         {"lateral_modulus_mm": math.nan},
+        {"sinkage_exponent_slip": math.nan},
         {"colour": 1},
     ],
 )

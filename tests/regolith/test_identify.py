@@ -210,8 +210,12 @@ HEAD = "sinkage_m,slip_ratio,normal_force_n,drawbar_pull_n"
         (HEAD + "\n.008,0,32,-1\n.008,x,32,-1\n", "row 2, slip_ratio: 'x' is no number"),
         (HEAD + "\nnan,nan,nan,nan\n", "no row has all"),
         (HEAD + ",lateral_forc_n\n.008,0,32,-1,1\n", "if it is 'lateral_force_n'"),
-        (HEAD + ",sinkage_m_sigma\n.008,0,32,-1,-0.1\n", "cannot be negative"),
-        (HEAD + "\n.008,0,32\n.008,0,32,-1,5,6\n", "not a CSV table"),
+        (HEAD + ",sinkage_m_sigma\n.008,0,32,-1,-0.1\n", "give 0 or more"),
+        (HEAD + "\n.008,0,32\n.008,0,32,-1,5,6\n", "line 2: 3 fields, the header has 4"),
+        (HEAD + "\n.008,0,32,-1,\n", "line 2: 5 fields"),
+        (HEAD + "\n1e-17,0,32,-1\n", "sinkage_m: 1e-17 is impossible"),
+        (HEAD + ",sinkage_m_sigma\n.008,0,32,-1,inf\n", "give 0 or more"),
+        (HEAD + ",valid\n.008,0,32,-1,perhaps\n", "neither true nor false"),
     ],
 )
 def test_bad_state_files_say_what_is_wrong(text: str, message: str) -> None:
@@ -226,6 +230,24 @@ def test_rows_without_a_required_value_are_left_out_and_said() -> None:
     with pytest.warns(LunarSciWarning, match="1 of 2 rows left out"):
         states = read(HEAD + "\n.008,0,32,-1\n.008,0,,-1\n")
     assert len(states) == 1
+
+
+@pytest.mark.parametrize("word", ["False", " false", "0", "0.0", "no"])
+def test_rows_marked_not_valid_are_left_out(word: str) -> None:
+    with pytest.warns(LunarSciWarning, match="1 of 2 rows left out"):
+        states = read(f"{HEAD},valid\n.008,0,32,-1,True\n.008,0,320,-1,{word}\n")
+    assert states.values[:, 3].tolist() == [32]
+
+
+def test_forces_that_need_the_ground_to_pull_have_no_solution() -> None:
+    found = identify(read("sinkage_m,normal_force_n,drawbar_pull_n\n0.009,5,30\n"), YUTU)
+    assert found.site["stiffness_kpa_m_n"].value is None
+    assert "stiffness_kpa_m_n" in found.unsolved
+
+
+def test_a_friction_angle_no_soil_has_is_no_solution() -> None:
+    found = identify(read("sinkage_m,slip_ratio,normal_force_n,drawbar_pull_n\n0.0091,0.05,36,90\n"), YUTU)
+    assert found.site["friction_angle_deg"].value is None
 
 
 def test_columns_of_no_use_are_said() -> None:

@@ -73,6 +73,12 @@ def test_no_band_is_said_and_not_invented(seed: int) -> None:
         assert record[f"band{key}_status"].startswith("no ")
 
 
+def test_a_constant_has_no_band() -> None:
+    record = measured(np.full(GRID.size, 0.1)).to_dict()
+    assert record["bc1000_nm"] is None
+    assert record["bc2000_nm"] is None
+
+
 def test_an_olivine_has_no_2_um_band() -> None:
     """One wide band at 1050 nm and a flat infrared, as olivine has."""
     values = 0.4 * (1 - 0.5 * np.exp(-0.5 * ((GRID - 1050) / 180) ** 2))
