@@ -11,7 +11,7 @@ from lunarsci.provenance import sha256
 from lunarsci.regolith.forces import Reading, wheel_forces
 from lunarsci.regolith.identify import Identification
 from lunarsci.regolith.load import sinkage_under_load
-from lunarsci.regolith.soil import read_soil
+from lunarsci.regolith.soil import read_soil, soil_hash
 from lunarsci.regolith.states import MeasurementErrors, WheelStates, read_states
 from lunarsci.regolith.uncertainty import UNITS, Estimate
 from lunarsci.regolith.wheel import Wheel, read_wheel
@@ -84,7 +84,8 @@ def forces_report(
         tables=[_forces_table(row)],
         rows=[row],
         figures=figures,
-        data_tables={f"{rover} (rover)": sha256(description.text.encode())},
+        inputs=soil_hash(soil_name)[0],
+        data_tables={f"{rover} (rover)": sha256(description.text.encode())} | soil_hash(soil_name)[1],
         sources=[PAPER],
     )
 

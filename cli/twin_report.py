@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from lunarsci.inputs import read_input
 from lunarsci.provenance import sha256
-from lunarsci.regolith.soil import read_soil
+from lunarsci.regolith.soil import read_soil, soil_hash
 from lunarsci.rovers.description import RoverDescription, read_rover
 from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.longji import synthetic_longji
@@ -46,7 +46,7 @@ def read_scene(plan: str | None, rover: str, terrain: str, soil: str) -> Scene:
     """Read plan, rover, terrain and soil."""
     description = read_rover(rover)
     ground = read_soil(soil)
-    inputs = {}
+    inputs, tables = soil_hash(soil)
     for path in (plan, None if terrain == SYNTHETIC else terrain):
         if path is not None:
             inputs[path] = read_input(path).sha256
@@ -56,7 +56,7 @@ def read_scene(plan: str | None, rover: str, terrain: str, soil: str) -> Scene:
         synthetic_longji(ground) if terrain == SYNTHETIC else read_terrain(terrain, ground),
         read_plan(plan),
         inputs,
-        {f"{rover} (rover)": sha256(description.text.encode())},
+        tables | {f"{rover} (rover)": sha256(description.text.encode())},
     )
 
 

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.provenance import sha256
 
-__all__ = ["Soil", "known_soils", "read_soil"]
+__all__ = ["Soil", "known_soils", "read_soil", "soil_hash"]
 
 _POSITIVE = ("stiffness_kpa_m_n", "sinkage_exponent", "shear_modulus_mm", "lateral_modulus_mm")
 _ANGLES = ("friction_angle_deg", "external_friction_angle_deg")
@@ -80,6 +81,13 @@ class Soil:
 def known_soils() -> dict[str, dict[str, Any]]:
     """The soils that come with lunarsci, name to table (parameters and `source`)."""
     return tomllib.loads((files(__package__) / "soils.toml").read_text("utf-8"))
+
+
+def soil_hash(soil: str) -> tuple[dict[str, str], dict[str, str]]:
+    """Where a soil comes from, for the provenance: (user's file, own table) to SHA-256, one of them empty."""
+    if soil in known_soils():
+        return {}, {"soils.toml": sha256((files(__package__) / "soils.toml").read_bytes())}
+    return {soil: sha256(Path(soil).read_bytes())}, {}
 
 
 def read_soil(soil: str) -> Soil:

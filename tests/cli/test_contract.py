@@ -72,6 +72,20 @@ def test_input_hashes_are_those_of_the_file(run: Run, rock: Path) -> None:
     assert used == {"path": str(rock), "sha256": hashlib.sha256(rock.read_bytes()).hexdigest()}
 
 
+def test_a_soil_of_the_user_is_hashed_too(run: Run, tmp_path: Path) -> None:
+    import hashlib
+    from importlib.resources import files
+
+    table = files("lunarsci.regolith") / "soils.toml"
+    own = tmp_path / "soil.toml"
+    own.write_text(table.read_text().split("[lunar-typical]")[1].split("[longji]")[0])
+    arguments = ("regolith", "forces", "--sinkage", "0.01", "--json", "--soil")
+    [used] = json.loads(run(*arguments, own).out)["provenance"]["inputs"]
+    assert used == {"path": str(own), "sha256": hashlib.sha256(own.read_bytes()).hexdigest()}
+    tables = json.loads(run(*arguments, "longji").out)["provenance"]["tables"]
+    assert {"name": "soils.toml", "sha256": hashlib.sha256(table.read_bytes()).hexdigest()} in tables
+
+
 @every_command
 def test_output_goes_to_a_file_and_never_over_one(run: Run, command: list[str], tmp_path: Path) -> None:
     target = tmp_path / "result.json"
@@ -379,13 +393,13 @@ def test_progress_is_drawn_on_a_terminal_and_only_on_stderr() -> None:
 def test_ctrl_c_leaves_nothing_behind(tmp_path: Path) -> None:
     target = tmp_path / "drive"
     process = subprocess.Popen(
-        [sys.executable, "-m", "lunarsci.cli", "twin", "predict", "--time-step", "0.0005", "-o", str(target)],
+        [sys.executable, "-m", "lunarsci.cli", "twin", "predict", "--time-step", "0.002", "-o", str(target)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
     time.sleep(4)
     process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=300)
     assert process.returncode == 130, err
     assert out == b""
     assert err.decode().splitlines()[-1].startswith("interrupted")
