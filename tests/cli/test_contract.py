@@ -393,7 +393,7 @@ def test_progress_is_drawn_on_a_terminal_and_only_on_stderr() -> None:
 def test_ctrl_c_leaves_nothing_behind(tmp_path: Path) -> None:
     target = tmp_path / "drive"
     process = subprocess.Popen(
-        [sys.executable, "-m", "lunarsci.cli", "twin", "predict", "--time-step", "0.002", "-o", str(target)],
+        [sys.executable, "-m", "lunarsci.cli", "twin", "predict", "--time-step", "0.0005", "-o", str(target)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
