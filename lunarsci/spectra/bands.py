@@ -3,7 +3,7 @@
 Everything from the reflectance to the result is linear algebra once the tie points of the continuum and the window of
 the local fit are chosen, so the noise of each channel is carried through (first order), smoothing included. That the
 tie points themselves are chosen on noisy data is not in the errors; under `linear` the area scatters up to 1.6 times
-more for it, everything else agrees with repeated noise to 15 %. Errors assume noise independent between channels.
+more for it, everything else agrees with repeated noise to 20 %. Errors assume noise independent between channels.
 """
 
 from collections.abc import Callable, Sequence
