@@ -26,12 +26,13 @@ def emit(report: Report, output: Output, provenance: Provenance) -> None:
     if output.plot:
         contents[output.plot] = _picture(report, output.plot)
     record = provenance.to_dict(time=not output.no_time)
-    text = _as_text(report, output, record)
+    made = _as_file(report, output, record)
+    text = "" if made else _as_text(report, output, record)
     if output.path and output.folder:
         contents.update({output.path / name: make() for name, make in report.files.items()})
         contents[output.path / "result.json"] = to_json(document(report.schema, report.result, record)).encode()
     elif output.path:
-        contents[output.path] = text.encode()
+        contents[output.path] = made or text.encode()
     write_files(contents, force=output.force)
     for path in contents:
         say(f"written: {path}", quiet=output.quiet)
@@ -53,6 +54,15 @@ def _print(text: str) -> None:
         raise
     except OSError as error:
         raise OutputError(f"stdout: {error.strerror}; the result was not printed") from error
+
+
+def _as_file(report: Report, output: Output, record: Mapping[str, Any]) -> bytes | None:
+    """The content of a file in one of the report's own formats; None where the result is wanted as text."""
+    asked = output.as_json or output.as_csv or output.field_path is not None
+    if asked or output.folder or not output.path:
+        return None
+    make = report.formats.get(output.path.suffix.lower())
+    return make(record) if make else None
 
 
 def _as_text(report: Report, output: Output, record: Mapping[str, Any]) -> str:

@@ -25,6 +25,7 @@ class Report:
     rows : the same as one table for `--csv`; None where the result is no table.
     figures : draws the pictures of `--plot`, one per page; None where there is nothing to draw.
     inputs, data_tables, sources, seed : for the provenance.
+    formats : file suffixes of `--output` beyond .json and .csv, with what makes such a file from the provenance.
     files : for commands that fill a folder: file name to what makes its content.
     untrusted : one sentence, why the result is printed but should not be trusted or acted on; empty if it may be.
     failures : inputs that gave no result, one sentence each.
@@ -39,6 +40,7 @@ class Report:
     data_tables: Mapping[str, str] = field(default_factory=dict)
     sources: Sequence[str] = ()
     seed: int | None = None
+    formats: Mapping[str, Callable[[Mapping[str, Any]], bytes]] = field(default_factory=dict)
     files: Mapping[str, Callable[[], bytes]] = field(default_factory=dict)
     untrusted: str = ""
     failures: Sequence[str] = ()

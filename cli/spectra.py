@@ -19,7 +19,7 @@ Files = Annotated[
     list[str],
     typer.Argument(
         help="Spectra: ECSV, CSV or text (first column wavelength, then one or many spectra), RELAB .tab/.asc, FITS "
-        "table; several files, folders or patterns; - is stdin."
+        "table, VNIS products (.2BL, .2B); several files, folders or patterns; - is stdin."
     ),
 ]
 WavelengthUnit = Annotated[
@@ -29,6 +29,60 @@ WavelengthUnit = Annotated[
 ReflectanceUnit = Annotated[
     Literal["fraction", "percent"] | None, typer.Option("--reflectance-unit", help="State the unit of the reflectance.")
 ]
+
+
+Products = Annotated[
+    list[str],
+    typer.Argument(
+        help="Labels (.2BL) or data files (.2B) of Chang'E-4 VNIS level 2B, or folders of them; the other files of an "
+        "observation are found beside it by their sequence number."
+    ),
+]
+
+
+@command(app, "calibrate")
+def calibrate(
+    files: Products,
+    output: Output,
+    photometry: Annotated[
+        Literal["lommel-seeliger", "akimov", "mcewen", "none"],
+        typer.Option(help="Disk function of the correction to i 30, e 0, g 30 deg; none keeps the measured angles."),
+    ] = "lommel-seeliger",
+    phase: Annotated[
+        str, typer.Option(metavar="NAME|FILE", help="Phase function: sp-low, sp-mid, sp-high, flat, or a CSV table.")
+    ] = "sp-mid",
+    solar: Annotated[
+        str, typer.Option(metavar="NAME|FILE", help="Solar irradiance: e490, g173, or a table of nm and W m-2 nm-1.")
+    ] = "e490",
+    shadow: Annotated[
+        float, typer.Option(help="Pixels with less reflectance at 465 nm are shadows; 0 to below 1.")
+    ] = 0.02,
+    calibration: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE",
+            help="Channel factors for radiance from before the in-flight calibration (label version 1): CSV with "
+            "detector (vnir, swir), wavelength_nm, factor.",
+        ),
+    ] = None,
+    radiance_per: Annotated[
+        Literal["nm", "um"], typer.Option(help="Radiance of the files is in W m-2 sr-1 per nm or um.")
+    ] = "nm",
+) -> Report:
+    """VNIS radiance to reflectance factor, 390 channels, with independent and shared errors.
+
+    -o FILE.ecsv or FILE.fits writes the spectra with units and provenance; the other commands read them. They also take
+    the labels themselves and calibrate as this command does without options.
+    """
+    from lunarsci.spectra.vnis.calibrate import calibrate_files
+
+    from .vnis_report import calibrate_report, observations, settings_from
+
+    settings = settings_from(solar, photometry, phase, shadow, calibration, radiance_per)
+    paths, failures = observations(files)
+    with progress("calibrating", quiet=output.quiet) as update:
+        results = calibrate_files(paths, settings, update)
+    return calibrate_report([*failures, *results], settings)
 
 
 @command(app, "bands")

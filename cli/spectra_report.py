@@ -11,6 +11,7 @@ from lunarsci.spectra.mgm.assemblages import table_hash
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
+from lunarsci.spectra.vnis.observation import one_per_observation
 
 from .report import Report
 from .table import TextTable, plus_minus
@@ -38,13 +39,15 @@ class Batch:
 def read_batch(files: Sequence[str], wavelength_unit: Any, reflectance_unit: Any) -> Batch:
     """Read every input; one that cannot be read is remembered. Raises DataError when none can."""
     batch = Batch([], [], {}, [])
-    for name in _expanded(files, batch.failures):
+    for name in one_per_observation(_expanded(files, batch.failures)):
         try:
             source = read_input(name)
             found = read_spectra(source, wavelength_unit=wavelength_unit, reflectance_unit=reflectance_unit)
             batch.spectra.extend(found)
             batch.origins.extend([source.name] * len(found))
             batch.inputs[source.name] = source.sha256
+            for spectrum in found:
+                batch.inputs.update(spectrum.metadata.get("inputs", {}))
         except DataError as error:
             batch.failures.append(str(error))
     if not batch.spectra:

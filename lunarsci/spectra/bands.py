@@ -69,6 +69,8 @@ class BandResult:
         for use; None where there is one only, or where all of them rest on the same tie points. [nm]
     depth, depth_sigma : 1 - R/continuum at the centre. [-]
     area_nm, area_sigma_nm : integral of 1 - R/continuum over the window. [nm]
+    center_calibration_nm, depth_calibration, area_calibration_nm : standard deviation from the errors that all channels
+        share (`Spectrum.systematic`), each carried through as one shift; None where none is known. [nm, -, nm]
     continuum : the continuum really used, after any fallback.
     status : `ok`, or a sentence.
     note : why the wanted continuum was not used, or empty.
@@ -81,6 +83,9 @@ class BandResult:
     depth_sigma: float | None = None
     area_nm: float | None = None
     area_sigma_nm: float | None = None
+    center_calibration_nm: float | None = None
+    depth_calibration: float | None = None
+    area_calibration_nm: float | None = None
     continuum: str
     status: str = "ok"
     note: str = ""
@@ -112,6 +117,9 @@ class SpectrumBands:
                 f"bd{key}_sigma": band.depth_sigma,
                 f"ba{key}_nm": band.area_nm,
                 f"ba{key}_sigma_nm": band.area_sigma_nm,
+                f"bc{key}_calibration_nm": band.center_calibration_nm,
+                f"bd{key}_calibration": band.depth_calibration,
+                f"ba{key}_calibration_nm": band.area_calibration_nm,
                 f"band{key}_status": band.status,
                 f"band{key}_note": band.note,
             }
@@ -145,6 +153,7 @@ def measure_bands(
         spectrum.reflectance[usable],
         channel_noise(spectrum)[usable],
         savitzky_golay_operator(spectrum.wavelength_nm[usable], smooth_points, smooth_order),
+        [shift[usable] for shift in spectrum.systematic.values()],
     )
     available = _available_continua(data)
     results = {band.key: _measure(data, band, continuum_name, available) for band in BANDS}
@@ -186,8 +195,16 @@ def measure_batch(
 class _Data:
     """The usable channels of a spectrum and their smoothing."""
 
-    def __init__(self, wavelength_nm: FloatArray, reflectance: FloatArray, noise: FloatArray, smoothing: FloatArray):
+    def __init__(
+        self,
+        wavelength_nm: FloatArray,
+        reflectance: FloatArray,
+        noise: FloatArray,
+        smoothing: FloatArray,
+        shifts: Sequence[FloatArray],
+    ):
         self.wavelength_nm, self.reflectance, self.noise, self.smoothing = wavelength_nm, reflectance, noise, smoothing
+        self.shifts = shifts
         self.smoothed: FloatArray = smoothing @ reflectance
 
 
@@ -306,8 +323,12 @@ def _fit_minimum(data: _Data, band: Band, tied: Continuum, inside: BoolArray, wi
             continuum=tied.name, status=f"no result: its centre is known no better than ± {MAX_CENTER_SIGMA_NM:g} nm"
         )
     weights = np.where(inside, np.gradient(data.wavelength_nm), 0.0)
+    of_center, of_depth = scale * (slopes @ per_channel) / curvature, powers @ per_channel
     return BandResult(
         center_nm=float(middle + scale * minimum),
+        center_calibration_nm=_shared(of_center, data.shifts),
+        depth_calibration=_shared(of_depth, data.shifts),
+        area_calibration_nm=_shared(weights @ sensitivity, data.shifts),
         center_sigma_nm=center_sigma,
         depth=float(depth),
         depth_sigma=depth_sigma,
@@ -338,3 +359,8 @@ def _inner_minimum(coefficients: FloatArray) -> float | None:
 def _sigma(sensitivity: FloatArray, noise: FloatArray) -> float:
     """Standard error of a quantity with the given derivatives to each channel."""
     return float(np.sqrt(np.sum((sensitivity * noise) ** 2)))
+
+
+def _shared(sensitivity: FloatArray, shifts: Sequence[FloatArray]) -> float | None:
+    """Standard deviation of the same quantity from errors that shift all channels together."""
+    return float(np.sqrt(sum((sensitivity @ shift) ** 2 for shift in shifts))) if shifts else None

@@ -28,6 +28,8 @@ class Spectrum:
     mask : shape (n,), True where a channel must not be used; always True where reflectance is not finite or not above
         0. May be left out.
     metadata : whatever the file said about it (instrument, geometry, units found, notes of the reader).
+    systematic : name of an error that all channels share to the shift of the reflectance by one standard deviation of
+        it, shape (n,) each, signed, 0 where a channel must not be used; empty where none is known. [-]
 
     Raises
     ------
@@ -40,6 +42,7 @@ class Spectrum:
     uncertainty: FloatArray | None = None
     mask: BoolArray | None = None
     metadata: Mapping[str, Any] = field(default_factory=dict)
+    systematic: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         wavelength = np.array(self.wavelength_nm, dtype=float)
@@ -67,6 +70,19 @@ class Spectrum:
             if value is not None:
                 value.setflags(write=False)
             object.__setattr__(self, name, value)
+        object.__setattr__(self, "systematic", self._checked_systematic(unusable))
+
+    def _checked_systematic(self, unusable: BoolArray) -> dict[str, FloatArray]:
+        checked = {}
+        for name, values in self.systematic.items():
+            shift = np.array(values, dtype=float)
+            self._check_shape(f"systematic '{name}'", shift, unusable)
+            if not np.isfinite(shift[~unusable]).all():
+                raise DataError(f"{self.id}: systematic '{name}' is not known in every usable channel; complete it")
+            shift[unusable] = 0.0
+            shift.setflags(write=False)
+            checked[name] = shift
+        return checked
 
     def _check_wavelength(self, wavelength: FloatArray) -> None:
         if wavelength.ndim != 1 or wavelength.size == 0:
@@ -76,9 +92,9 @@ class Spectrum:
         if not (np.diff(wavelength) > 0).all():
             raise DataError(f"{self.id}: wavelengths are not strictly ascending; sort them and keep one row each")
 
-    def _check_shape(self, name: str, values: npt.NDArray[Any], wavelength: FloatArray) -> None:
-        if values.shape != wavelength.shape:
-            raise DataError(f"{self.id}: {name} has shape {values.shape}, the wavelengths have {wavelength.shape}")
+    def _check_shape(self, name: str, values: npt.NDArray[Any], channels: npt.NDArray[Any]) -> None:
+        if values.shape != channels.shape:
+            raise DataError(f"{self.id}: {name} has shape {values.shape}, the wavelengths have {channels.shape}")
 
     @property
     def usable(self) -> BoolArray:

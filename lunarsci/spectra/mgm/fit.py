@@ -98,12 +98,13 @@ def fit_spectra(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Data:
-    """One spectrum in ln R with its weights."""
+    """One spectrum in ln R with its weights, and the shifts of ln R by errors that all channels share, shape (k, n)."""
 
     id: str
     wavelength_nm: FloatArray
     reflectance: FloatArray
     weight: FloatArray
+    shifts: FloatArray
 
 
 def _prepare(spectrum: Spectrum, model_error: float) -> _Data:
@@ -116,7 +117,14 @@ def _prepare(spectrum: Spectrum, model_error: float) -> _Data:
         raise DataError(f"the channels do not reach over {REQUIRED_NM[0]:g}-{REQUIRED_NM[1]:g} nm")
     reflectance = spectrum.reflectance[keep]
     relative = channel_noise(spectrum)[keep] / reflectance
-    return _Data(spectrum.id, wavelength[keep], reflectance, 1 / (relative**2 + model_error**2))
+    shifts = np.array([shift[keep] / reflectance for shift in spectrum.systematic.values()])
+    return _Data(
+        spectrum.id,
+        wavelength[keep],
+        reflectance,
+        1 / (relative**2 + model_error**2),
+        shifts.reshape(-1, reflectance.size),
+    )
 
 
 def _chunks(prepared: dict[int, _Data]) -> Iterator[list[tuple[int, _Data]]]:
@@ -201,7 +209,8 @@ class _Problem:
         model_and_jacobian(point, self.wavelength_nm / 1e3, self.basis, model, jacobian)
         reduced = chi2 / max(1.0, data.reflectance.size - self._parameters_used(covariance[best]))
         spread = self._widened(covariance[best], reduced)
-        bands = self._bands(point, spread)
+        shared = data.shifts @ (jacobian * data.weight).T @ covariance[best]
+        bands = self._bands(point, spread, shared)
         converged = statistics[best, 3] == CONVERGED
         return MgmFit(
             id=data.id,
@@ -214,7 +223,9 @@ class _Problem:
             bic=chi2 + point.size * float(np.log(data.reflectance.size)),
             continuum_coefficients=tuple(point[: self.degrees].tolist()),
             bands=bands,
-            nbsr=band_strength_ratios(bands, spread[self.degrees :, self.degrees :], self.wavelength_nm),
+            nbsr=band_strength_ratios(
+                bands, spread[self.degrees :, self.degrees :], shared[:, self.degrees :], self.wavelength_nm
+            ),
             covariance=spread,
             wavelength_nm=self.wavelength_nm,
             reflectance=data.reflectance,
@@ -233,15 +244,22 @@ class _Problem:
         prior = np.diag(self.precision)
         return np.asarray(np.linalg.inv((np.linalg.inv(covariance) - prior) / reduced_chi2 + prior), dtype=np.float64)
 
-    def _bands(self, point: FloatArray, covariance: FloatArray) -> tuple[FittedBand, ...]:
+    def _bands(self, point: FloatArray, covariance: FloatArray, shared: FloatArray) -> tuple[FittedBand, ...]:
         sigma = np.sqrt(np.diag(covariance))
         shrinkage = 1 - (sigma[self.degrees :] / self.sigma[self.degrees :]) ** 2
-        values, errors = (v[self.degrees :].reshape(-1, 3) for v in (point, sigma))
+        together = np.sqrt((shared**2).sum(axis=0)) if len(shared) else np.full(point.size, np.nan)
+        values, errors, calibration = (v[self.degrees :].reshape(-1, 3) for v in (point, sigma, together))
         at_bound = ((point <= self.lower) | (point >= self.upper))[self.degrees :].reshape(-1, 3)
         return tuple(
             FittedBand.from_kernel(band, *row)
             for band, *row in zip(
-                self.assemblage.bands, values, errors, shrinkage.reshape(-1, 3).clip(0, 1), at_bound, strict=True
+                self.assemblage.bands,
+                values,
+                errors,
+                calibration,
+                shrinkage.reshape(-1, 3).clip(0, 1),
+                at_bound,
+                strict=True,
             )
         )
 

@@ -25,6 +25,8 @@ class FittedBand:
     Attributes
     ----------
     center_nm, fwhm_nm, strength and their standard errors : strength in ln reflectance, 0 or below. [nm, nm, -]
+    center_calibration_nm, fwhm_calibration_nm, strength_calibration : standard deviation from the errors that all
+        channels share (`Spectrum.systematic`), by linear response of the fit; None where none is known. [nm, nm, -]
     shrinkage : by parameter, 1 - (posterior sigma / prior sigma)^2: 1 where the data decide, 0 where the prior does.
     at_bound : names of the parameters that ended on a bound; their errors are those of the unbounded curvature.
     """
@@ -38,14 +40,26 @@ class FittedBand:
     fwhm_sigma_nm: float
     strength: float
     strength_sigma: float
+    center_calibration_nm: float | None
+    fwhm_calibration_nm: float | None
+    strength_calibration: float | None
     shrinkage: dict[str, float]
     at_bound: tuple[str, ...]
 
     @classmethod
     def from_kernel(
-        cls, prior: BandPrior, value: FloatArray, sigma: FloatArray, shrinkage: FloatArray, at_bound: Sequence[bool]
+        cls,
+        prior: BandPrior,
+        value: FloatArray,
+        sigma: FloatArray,
+        calibration: FloatArray,
+        shrinkage: FloatArray,
+        at_bound: Sequence[bool],
     ) -> "FittedBand":
-        """From the kernel's centre [um], FWHM [um], strength."""
+        """From the kernel's centre [um], FWHM [um], strength; `calibration` is NaN where unknown."""
+        shared = [
+            None if np.isnan(c) else float(c * unit) for c, unit in zip(calibration, (1e3, 1e3, 1.0), strict=True)
+        ]
         names = ("center", "fwhm", "strength")
         return cls(
             name=prior.name,
@@ -57,6 +71,9 @@ class FittedBand:
             fwhm_sigma_nm=float(sigma[1] * 1e3),
             strength=float(value[2]),
             strength_sigma=float(sigma[2]),
+            center_calibration_nm=shared[0],
+            fwhm_calibration_nm=shared[1],
+            strength_calibration=shared[2],
             shrinkage={name: float(s) for name, s in zip(names, shrinkage, strict=True)},
             at_bound=tuple(name for name, held in zip(names, at_bound, strict=True) if held),
         )
@@ -78,6 +95,7 @@ class StrengthRatio:
     """Normalised band strength ratio of orthopyroxene, s_OPX / (s_OPX + s_CPX), of clinopyroxene, and their sigma. [-]
 
     The sigma is that of the strengths, not of a mineral fraction; what fraction a ratio means depends on end members.
+    `calibration` is the standard deviation from errors that all channels share, None where none is known.
 
     Kanner, Mustard & Gendrin (2007), Icarus 187, 442, 10.1016/j.icarus.2006.10.025.
     """
@@ -85,6 +103,7 @@ class StrengthRatio:
     opx: float
     cpx: float
     sigma: float
+    calibration: float | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -128,7 +147,10 @@ class MgmFit:
     def to_dict(self) -> dict[str, Any]:
         """The keys of `lunarsci spectra fit --json`."""
         record = {name: getattr(self, name) for name in _SCALARS}
-        ratios = {key: {"opx": r.opx, "cpx": r.cpx, "sigma": r.sigma} if r else None for key, r in self.nbsr.items()}
+        ratios = {
+            key: {"opx": r.opx, "cpx": r.cpx, "sigma": r.sigma, "calibration": r.calibration} if r else None
+            for key, r in self.nbsr.items()
+        }
         return record | {
             "continuum_coefficients": list(self.continuum_coefficients),
             "bands": [band.to_dict() for band in self.bands],
@@ -156,17 +178,18 @@ _SCALARS = ("id", "assemblage", "continuum", "converged", "status", "rms_ln", "r
 
 
 def band_strength_ratios(
-    bands: Sequence[FittedBand], covariance: FloatArray, wavelength_nm: FloatArray
+    bands: Sequence[FittedBand], covariance: FloatArray, shared: FloatArray, wavelength_nm: FloatArray
 ) -> dict[str, StrengthRatio | None]:
     """NBSR of the pyroxenes at 1 and 2 um from fitted bands and the covariance of their (centre, FWHM, strength).
 
-    `wavelength_nm` are the fitted channels; a ratio of bands beyond them is None. [nm]
+    `shared` are the shifts of the same parameters by errors that all channels share, shape (k, p). `wavelength_nm` are
+    the fitted channels; a ratio of bands beyond them is None. [nm]
     """
-    return {region: _ratio(bands, covariance, wavelength_nm, region) for region in ("um1", "um2")}
+    return {region: _ratio(bands, covariance, shared, wavelength_nm, region) for region in ("um1", "um2")}
 
 
 def _ratio(
-    bands: Sequence[FittedBand], covariance: FloatArray, wavelength_nm: FloatArray, region: str
+    bands: Sequence[FittedBand], covariance: FloatArray, shared: FloatArray, wavelength_nm: FloatArray, region: str
 ) -> StrengthRatio | None:
     index = {band.mineral: k for k, band in enumerate(bands) if band.region == region}
     if not {"orthopyroxene", "clinopyroxene"} <= index.keys():
@@ -180,4 +203,5 @@ def _ratio(
         return None
     slope = np.array([cpx, -opx]) / total**2
     sigma = float(np.sqrt(slope @ block @ slope))
-    return StrengthRatio(abs(opx / total), abs(cpx / total), sigma) if sigma < UNDETERMINED else None
+    calibration = float(np.linalg.norm(shared[:, rows] @ slope)) if len(shared) else None
+    return StrengthRatio(abs(opx / total), abs(cpx / total), sigma, calibration) if sigma < UNDETERMINED else None

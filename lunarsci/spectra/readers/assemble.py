@@ -57,7 +57,7 @@ def spectra_of(table: SpectrumTable, stated: StatedUnits) -> list[Spectrum]:
     }
     axis = _Axis(values[order], order, common)
     ids = spectrum_ids([column for column, _ in kept.spectra], table.source)
-    spectra = [_spectrum(i, c, s, axis, stated, kept) for i, (c, s) in zip(ids, kept.spectra, strict=True)]
+    spectra = [_spectrum(ids[number], number, axis, stated, kept) for number in range(len(ids))]
     _report(spectra, file)
     return spectra
 
@@ -77,7 +77,9 @@ def _rows_with_wavelength(table: SpectrumTable) -> tuple[SpectrumTable, int]:
     _warn(f"{file}: left out {what}")
     spectra = tuple((_rows(c, keep), None if s is None else _rows(s, keep)) for c, s in table.spectra)
     places = tuple(np.array(table.places)[keep].tolist())
-    return replace(table, wavelength=_rows(table.wavelength, keep), spectra=spectra, places=places), bad.size
+    systematic = {k: tuple((n, _rows(c, keep)) for n, c in shifts) for k, shifts in table.systematic.items()}
+    wavelengths = _rows(table.wavelength, keep)
+    return replace(table, wavelength=wavelengths, spectra=spectra, places=places, systematic=systematic), bad.size
 
 
 def _rows(column: Column, keep: BoolArray) -> Column:
@@ -102,10 +104,9 @@ def _ascending(wavelength: FloatArray, table: SpectrumTable) -> tuple[Any, str]:
     return order, "unsorted"
 
 
-def _spectrum(
-    id: str, column: Column, sigma: Column | None, axis: _Axis, stated: StatedUnits, table: SpectrumTable
-) -> Spectrum:
-    file = table.source.name
+def _spectrum(id: str, number: int, axis: _Axis, stated: StatedUnits, table: SpectrumTable) -> Spectrum:
+    """Spectrum `number` of the table."""
+    file, (column, sigma) = table.source.name, table.spectra[number]
     present, deleted = _present(column.values)
     unit = reflectance_unit(replace(column, values=present), stated.reflectance, file)
     reflectance = (present * unit.scale)[axis.order]
@@ -126,8 +127,9 @@ def _spectrum(
         factor = uncertainty_scale(sigma, column, unit.scale, file)
         uncertainty = (_present(sigma.values)[0] * factor)[axis.order]
     uncertainty, mask, counts = _usable_uncertainty(reflectance, uncertainty, quiet=table.format == "relab")
+    systematic = {name: (c.values * unit.scale)[axis.order] for name, c in table.systematic.get(number, ())}
     try:
-        return Spectrum(id, axis.wavelength, reflectance, uncertainty, mask, metadata | counts)
+        return Spectrum(id, axis.wavelength, reflectance, uncertainty, mask, metadata | counts, systematic)
     except DataError as error:
         raise DataError(f"{file}: {error}") from error
 

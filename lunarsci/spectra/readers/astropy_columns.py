@@ -46,6 +46,7 @@ def spectrum_table(table: Any, source: InputFile, format: str) -> SpectrumTable:
         tuple((reflectance(r), None if s is None else reflectance(s)) for r, s in roles.spectra),
         tuple(f"row {k + 1}" for k in range(len(table))),
         {"header": plain(dict(table.meta))} if table.meta else {},
+        roles.systematic_columns(reflectance),
     )
 
 

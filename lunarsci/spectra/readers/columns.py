@@ -3,8 +3,8 @@
 import re
 import warnings
 from collections import Counter
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
@@ -27,6 +27,7 @@ _SIGMA = {
     *("1sigma", "stddeviation"),
 }
 _SIGMA_SUFFIX = re.compile(r"^(.+?)[ _.-](sigma|std|stdev|err|error|unc|uncertainty)$", re.IGNORECASE)
+_SYSTEMATIC = re.compile(r"^(.+?)_systematic_(\w+)$", re.IGNORECASE)
 _PLAIN = {
     *("reflectance", "refl", "reflectivity", "ref", "r", "rf", "reff", "radf", "brf", "i/f", "iof", "albedo"),
     *(
@@ -47,10 +48,22 @@ _PLAIN = {
 
 @dataclass(frozen=True, slots=True)
 class Roles:
-    """Places, from 0, of the wavelength column and of each spectrum's reflectance and uncertainty (or None)."""
+    """Places, from 0, of the wavelength column and of each spectrum's reflectance and uncertainty (or None).
+
+    `systematic` has the named columns of systematic shifts of a spectrum, by the place of its reflectance.
+    """
 
     wavelength: int
     spectra: tuple[tuple[int, int | None], ...]
+    systematic: Mapping[int, tuple[tuple[str, int], ...]] = field(default_factory=dict)
+
+    def systematic_columns(self, read: Callable[[int], Column]) -> dict[int, tuple[tuple[str, Column], ...]]:
+        """The columns of systematic shifts, read from their places, by the index of their spectrum."""
+        return {
+            index: tuple((name, read(k)) for name, k in self.systematic[place])
+            for index, (place, _) in enumerate(self.spectra)
+            if place in self.systematic
+        }
 
 
 def is_wavelength(name: str) -> bool:
@@ -87,6 +100,9 @@ def assign_roles(
     if wavelength is None:
         wavelength = _wavelength_place(names, source.name)
     others = [k for k in range(len(names)) if k != wavelength]
+    systematic = _systematic(names, others, source.name)
+    shifts = {place for columns in systematic.values() for _, place in columns}
+    others = [k for k in others if k not in shifts]
     dropped = [k for k in others if k in left_out or is_not_a_spectrum(names[k]) or _is_wavelength_error(names[k])]
     rest = [k for k in others if k not in dropped]
     sigmas = _sigmas(names, rest, source.name)
@@ -100,7 +116,7 @@ def assign_roles(
     if dropped:
         message = f"{source.name}: left out {listed}: no reflectance by name, unit or content"
         warnings.warn(message, LunarSciWarning, stacklevel=2)
-    return Roles(wavelength, spectra)
+    return Roles(wavelength, spectra, systematic)
 
 
 def _check_unique(names: Sequence[str], file: str) -> None:
@@ -146,6 +162,20 @@ def _sigmas(names: Sequence[str], places: Sequence[int], file: str) -> dict[int,
     for k in bare:
         _pair(pairs, alone[0] if len(alone) == 1 else None, k, names, file)
     return pairs
+
+
+def _systematic(names: Sequence[str], places: Sequence[int], file: str) -> dict[int, tuple[tuple[str, int], ...]]:
+    """By the place of a reflectance, the columns COLUMN_systematic_NAME that say how errors shift all its channels."""
+    plain = {without_unit(names[k]): k for k in places}
+    found: dict[int, list[tuple[str, int]]] = {}
+    for k in places:
+        match = _SYSTEMATIC.match(without_unit(names[k]))
+        if match is None:
+            continue
+        if match[1] not in plain:
+            raise DataError(f"{file}: there is no column {quoted(match[1])} that {quoted(names[k])} belongs to; add it")
+        found.setdefault(plain[match[1]], []).append((match[2], k))
+    return {owner: tuple(columns) for owner, columns in found.items()}
 
 
 def _pair(pairs: dict[int, int], owner: int | None, sigma: int, names: Sequence[str], file: str) -> None:

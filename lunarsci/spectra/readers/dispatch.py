@@ -13,6 +13,7 @@ from lunarsci.spectra.readers.relab import looks_like_relab, read_relab
 from lunarsci.spectra.readers.table import ReflectanceUnit, SpectrumTable, StatedUnits, WavelengthUnit
 from lunarsci.spectra.readers.text import read_text
 from lunarsci.spectra.spectrum import Spectrum
+from lunarsci.spectra.vnis.name import product_name
 
 __all__ = ["FORMATS", "read_spectra"]
 
@@ -34,6 +35,8 @@ def read_spectra(
 ) -> list[Spectrum]:
     """Read every spectrum of a file: wavelengths in nm, ascending; reflectance as a fraction of 1.
 
+    A file of a VNIS product stands for its observation, whose other files lie beside it.
+
     Parameters
     ----------
     input : a file already read, or a path, or '-' for standard input.
@@ -49,8 +52,18 @@ def read_spectra(
     _check("reflectance unit", reflectance_unit, get_args(ReflectanceUnit))
     _check("format", format, FORMATS)
     source = read_input(input) if isinstance(input, str) else input
+    if product_name(source.name) is not None:
+        return [_calibrated(source.name)]
     table = _reader(format or _format_of(source))(source)
     return spectra_of(table, StatedUnits(wavelength_unit, reflectance_unit))
+
+
+def _calibrated(path: str) -> Spectrum:
+    """A VNIS product is calibrated on the way, as `lunarsci spectra calibrate` does it without options."""
+    from lunarsci.spectra.vnis.calibrate import calibrate
+    from lunarsci.spectra.vnis.observation import read_observation
+
+    return calibrate(read_observation(path)).to_spectrum()
 
 
 def _check(what: str, value: str | None, allowed: tuple[str, ...]) -> None:

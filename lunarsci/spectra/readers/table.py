@@ -62,6 +62,7 @@ class SpectrumTable:
     source, format : the file and the reader's name.
     wavelength : the one wavelength column.
     spectra : (reflectance, one standard deviation or None) for each spectrum.
+    systematic : (name, shift) of the errors that all channels of a spectrum share, by its index in `spectra`.
     places : where each row stands in the file ('line 12'), for messages.
     metadata : what the file says about itself.
     """
@@ -72,3 +73,4 @@ class SpectrumTable:
     spectra: tuple[tuple[Column, Column | None], ...]
     places: tuple[str, ...]
     metadata: Mapping[str, Any] = field(default_factory=dict)
+    systematic: Mapping[int, tuple[tuple[str, Column], ...]] = field(default_factory=dict)

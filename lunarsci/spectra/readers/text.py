@@ -51,6 +51,7 @@ def read_text(source: InputFile) -> SpectrumTable:
         tuple((column(r), None if s is None else column(s)) for r, s in roles.spectra),
         tuple(f"line {row.line}" for row in rows),
         {"comments": [c[:_COMMENT_LENGTH] for _, c in comments[:_COMMENTS_KEPT] if c]},
+        roles.systematic_columns(column),
     )
 
 

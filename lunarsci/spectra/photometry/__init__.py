@@ -1,0 +1,29 @@
+"""Photometry of the Moon: from the reflectance factor seen at some geometry to that at 30, 0, 30 deg."""
+
+from lunarsci.spectra.photometry.correction import correction_factor, model_spread, remarks
+from lunarsci.spectra.photometry.disk import DISKS, akimov, lommel_seeliger, mcewen
+from lunarsci.spectra.photometry.geometry import STANDARD, Geometry
+from lunarsci.spectra.photometry.phase import (
+    PHASE_FUNCTIONS,
+    PhaseFunction,
+    phase_function,
+    read_phase_function,
+    table_hash,
+)
+
+__all__ = [
+    "DISKS",
+    "PHASE_FUNCTIONS",
+    "STANDARD",
+    "Geometry",
+    "PhaseFunction",
+    "akimov",
+    "correction_factor",
+    "lommel_seeliger",
+    "mcewen",
+    "model_spread",
+    "phase_function",
+    "read_phase_function",
+    "remarks",
+    "table_hash",
+]

@@ -1,0 +1,110 @@
+"""Radiance of the lit ground inside the SWIR field of view: mean, scatter and count over the image's pixels."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.spectra.spectrum import BoolArray, FloatArray
+from lunarsci.spectra.vnis.channels import JOIN_NM, VNIR_NM, footprint_mask
+from lunarsci.spectra.vnis.cube import Cube
+
+__all__ = ["SHADOW_BAND_NM", "Footprint", "average_footprint", "saturated_pixels"]
+
+SHADOW_BAND_NM = 465.0
+"""Shadows are told in this channel (Ding et al. 2024). [nm]"""
+_PLATEAU_PIXELS = 20
+"""So many pixels of exactly the largest value of a frame are a clipped frame; assumed."""
+_LEAST_SHARE = 0.5
+"""A channel with fewer valid pixels than this share of the lit ones is not used; assumed."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Footprint:
+    """Statistics over the footprint's pixels.
+
+    Attributes
+    ----------
+    inside, shadowed, invalid : shape (256, 256); the field of view, its shadowed pixels, its pixels without a value.
+    mean, scatter : shape (100,); mean and standard deviation of radiance over lit, valid pixels; NaN where too few.
+        [W m-2 sr-1 nm-1]
+    count : shape (100,); number of pixels in them.
+    clipped : shape (100,); pixels inside left out as saturated. negative : pixels left out for a radiance below 0.
+    constant : number of frames without any contrast, which no camera takes.
+    dilution : mean over all valid pixels of the field of view over that of the lit ones, in the channels that both
+        detectors have: what shadows take away from a detector that averages over the field of view. [-]
+    """
+
+    inside: BoolArray
+    shadowed: BoolArray
+    invalid: BoolArray
+    mean: FloatArray
+    scatter: FloatArray
+    count: npt.NDArray[np.int64]
+    clipped: npt.NDArray[np.int64]
+    negative: npt.NDArray[np.int64]
+    constant: int
+    dilution: float
+
+    @property
+    def lit(self) -> BoolArray:
+        """Pixels of the field of view that are neither shadowed nor invalid; shape (256, 256)."""
+        return self.inside & ~self.shadowed & ~self.invalid
+
+
+def average_footprint(cube: Cube, shadow_radiance: float) -> Footprint:
+    """Average the pixels inside the field of view that are brighter than `shadow_radiance` at 465 nm."""
+    inside = footprint_mask()
+    dark_band = cube[int(np.flatnonzero(VNIR_NM == SHADOW_BAND_NM)[0])]
+    invalid = inside & ~np.isfinite(dark_band)
+    with np.errstate(invalid="ignore"):
+        shadowed = inside & ~invalid & (dark_band < shadow_radiance)
+    lit = inside & ~shadowed & ~invalid
+    values = cube[:, lit].astype(np.float64)
+    limits, constant = saturated_pixels(cube)
+    with np.errstate(invalid="ignore"):
+        clipped = values >= limits[:, None]
+        negative = values < 0
+        valid = np.isfinite(values) & ~clipped & ~negative
+    count = valid.sum(axis=1)
+    enough = count >= max(_LEAST_SHARE * lit.sum(), 1)
+    values[~valid] = 0
+    size = np.where(enough, count, 1)
+    mean = values.sum(axis=1) / size
+    squares = np.einsum("ij,ij->i", values, values) / size
+    scatter = np.sqrt(np.maximum(squares - mean**2, 0) * size / np.maximum(size - 1, 1))
+    return Footprint(
+        inside,
+        shadowed,
+        invalid,
+        np.where(enough, mean, np.nan),
+        np.where(enough, scatter, np.nan),
+        count,
+        clipped.sum(axis=1),
+        negative.sum(axis=1),
+        constant,
+        _dilution(cube, inside & ~invalid, lit),
+    )
+
+
+def _dilution(cube: Cube, inside: BoolArray, lit: BoolArray) -> float:
+    """NaN where the channels from 900 nm on have no value in some pixel, or nothing is lit."""
+    overlap = cube[VNIR_NM >= JOIN_NM]
+    if not lit.any() or not inside.any():
+        return float("nan")
+    everything = overlap[:, inside].mean(axis=1, dtype=np.float64)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return float(np.median(everything / overlap[:, lit].mean(axis=1, dtype=np.float64)))
+
+
+def saturated_pixels(cube: Cube) -> tuple[FloatArray, int]:
+    """Radiance from which a frame is clipped, shape (100,), infinite where it is not; and the number of flat frames.
+
+    Clipping shows as many pixels of exactly the largest value. A frame of one value is not clipped but made up.
+    """
+    frames = cube.reshape(cube.shape[0], -1)
+    largest = np.fmax.reduce(frames, axis=1)
+    flat = np.fmin.reduce(frames, axis=1) == largest
+    plateau = (frames == largest[:, None]).sum(axis=1) >= _PLATEAU_PIXELS
+    limits = np.where(plateau & ~flat & (largest > 0), largest.astype(np.float64), np.inf)
+    return limits, int(flat.sum())

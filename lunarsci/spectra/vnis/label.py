@@ -1,0 +1,212 @@
+"""The detached PDS4 label of a VNIS product: when, where, at which angles, and what the data file should look like.
+
+`pdr` 1.4 reads labels and short-wave tables too, but leaves the checks to its caller: it takes a table by the columns
+of its text, without looking at counts or quality codes, and it does not find the partner of an observation.
+"""
+
+import math
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from xml.etree.ElementTree import Element
+
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.inputs import InputFile
+from lunarsci.spectra.photometry import Geometry
+from lunarsci.spectra.vnis.name import ProductName, product_name
+from lunarsci.spectra.vnis.xml import parse_xml
+
+__all__ = ["DataFile", "Label", "read_label"]
+
+_ANGLES = ("incidence_angle", "azimuth_angle", "phase_angle")
+_PHASE_TOLERANCE_DEG = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class DataFile:
+    """What a label says about one data file; None where it says nothing.
+
+    Attributes
+    ----------
+    name : file name without folder. size : bytes. records : rows or bands.
+    axes : (name, elements) from slowest to fastest, for an array. data_type : of the array's elements.
+    fields : names of the columns, for a table.
+    """
+
+    name: str
+    size: int | None
+    records: int | None
+    axes: tuple[tuple[str, int], ...]
+    data_type: str | None
+    fields: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Label:
+    """A label, checked.
+
+    Attributes
+    ----------
+    file : of the label. name : what its product id says.
+    calibration_version : `version_id`; 2.0 since the in-flight calibration of 2019-07-09.
+    start, stop : of the measurement, UTC.
+    geometry : incidence of sunlight, emission towards the instrument, phase. [deg]
+    latitude_deg, longitude_deg : of the rover; NaN where not given.
+    files : data files it describes.
+    """
+
+    file: str
+    name: ProductName
+    calibration_version: float
+    start: datetime
+    stop: datetime
+    geometry: Geometry
+    latitude_deg: float
+    longitude_deg: float
+    files: tuple[DataFile, ...]
+
+
+def read_label(source: InputFile) -> Label:
+    """Read and check a label. Raises DataError, one line with its name, for anything it lacks or contradicts."""
+    root = parse_xml(source)
+    if root.tag != "product_observational":
+        raise DataError(f"{source.name}: is no PDS4 product label (root element '{root.tag}'); name the .2BL file")
+    start, stop = (_time(root, f".//time_coordinates/{key}_date_time", source.name) for key in ("start", "stop"))
+    if stop < start:
+        raise DataError(f"{source.name}: the measurement stops before it starts; correct the label or fetch it again")
+    return Label(
+        file=source.name,
+        name=_name(root, source.name),
+        calibration_version=_number(root, ".//identification_area/version_id", source.name),
+        start=start,
+        stop=stop,
+        geometry=_geometry(root, source.name),
+        latitude_deg=_coordinate(root, "latitude", 90.0, source.name),
+        longitude_deg=_coordinate(root, "longitude", 360.0, source.name),
+        files=tuple(_data_file(area, source.name) for area in root.findall("file_area_observational")),
+    )
+
+
+def _name(root: Element, file: str) -> ProductName:
+    """The product id, which must be that of the label's file name in mission, kind and sequence."""
+    text = _text(root, ".//mission_area/product_id") or _text(root, ".//identification_area/logical_identifier")
+    inside = product_name(text.rpartition(":")[2]) if text else None
+    if inside is None:
+        raise DataError(f"{file}: its product id {text[:80]!r} is no VNIS product name; fetch the label again")
+    outside = product_name(file)
+    if outside is not None and (inside.observation, inside.kind) != (outside.observation, outside.kind):
+        raise DataError(
+            f"{file}: describes the {inside.kind} product of {inside.observation}, its name says {outside.kind} of "
+            f"{outside.observation}; labels were swapped or renamed, fetch them again"
+        )
+    sequence = _text(root, ".//mission_area/sequence_id")
+    if sequence and sequence.zfill(4) != inside.sequence:
+        raise DataError(f"{file}: states sequence {sequence[:20]}, its product id {inside.sequence}; fetch it again")
+    return inside
+
+
+def _geometry(root: Element, file: str) -> Geometry:
+    sun = ".//angle_pointing_results/solar/{}"
+    view = ".//angle_pointing_results/center_point/{}"
+    incidence = _angle(root, sun.format("incidence_angle"), file)
+    emission, azimuth, phase = (_angle(root, view.format(key), file) for key in _ANGLES)
+    if incidence >= 90:
+        raise DataError(f"{file}: the Sun stands {incidence:g} deg from the zenith, below the horizon; nothing is lit")
+    try:
+        geometry = Geometry(incidence, emission, phase)
+    except ParameterError as error:
+        raise DataError(f"{file}: {error}") from error
+    expected = _phase(incidence, emission, azimuth - _angle(root, sun.format("azimuth_angle"), file))
+    if abs(expected - phase) > _PHASE_TOLERANCE_DEG:
+        raise DataError(
+            f"{file}: states a phase angle of {phase:g} deg, its directions of Sun and view give {expected:.1f}; "
+            "one of them is wrong, correct the label"
+        )
+    return geometry
+
+
+def _phase(incidence_deg: float, emission_deg: float, azimuth_between_deg: float) -> float:
+    i, e, a = map(math.radians, (incidence_deg, emission_deg, azimuth_between_deg))
+    cosine = math.cos(i) * math.cos(e) + math.sin(i) * math.sin(e) * math.cos(a)
+    return math.degrees(math.acos(max(-1.0, min(1.0, cosine))))
+
+
+def _coordinate(root: Element, key: str, limit: float, file: str) -> float:
+    path = f".//rover_location/{key}"
+    if not _text(root, path):
+        return math.nan
+    value = _angle(root, path, file)
+    if abs(value) > limit:
+        raise DataError(f"{file}: the rover's {key} is {value:g} deg; correct the label or fetch it again")
+    return value
+
+
+def _data_file(area: Element, file: str) -> DataFile:
+    name = _text(area, "file/file_name")
+    if not name or name in (".", "..") or any(sign in name for sign in "/\\:\0"):
+        raise DataError(f"{file}: names the data file {name[:80]!r}, which is no plain file name; do not trust it")
+    axes = sorted(
+        (
+            _count(axis, "sequence_number", file) or 0,
+            _text(axis, "axis_name").lower(),
+            _count(axis, "elements", file) or 0,
+        )
+        for axis in area.iter("axis_array")
+    )
+    order = _text(area, ".//axis_index_order").lower()
+    if axes and order not in ("", "last index fastest"):
+        raise DataError(f"{file}: the axes are ordered {order[:40]!r}, only 'last index fastest' is read; convert it")
+    return DataFile(
+        name=name,
+        size=_count(area, "file/file_size", file),
+        records=_count(area, "file/records", file),
+        axes=tuple((name, elements) for _, name, elements in axes),
+        data_type=_text(area, ".//element_array/data_type") or None,
+        fields=tuple(_text(field, "name") for field in area.iter("field_character")),
+    )
+
+
+def _text(root: Element, path: str) -> str:
+    found = root.find(path)
+    return (found.text or "").strip() if found is not None else ""
+
+
+def _count(root: Element, path: str, file: str) -> int | None:
+    text = _text(root, path)
+    if not text:
+        return None
+    if not (text.isascii() and text.isdigit()) or len(text) > 15:
+        raise DataError(f"{file}: {path.rpartition('/')[2]} is {text[:40]!r}, not a count; fetch the label again")
+    return int(text)
+
+
+def _number(root: Element, path: str, file: str) -> float:
+    text, what = _text(root, path), path.lstrip("./")
+    if not text:
+        raise DataError(f"{file}: the label lacks {what}; fetch it again")
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise DataError(f"{file}: {what} is {text[:40]!r}, not a number; correct the label or fetch it again")
+    return value
+
+
+def _angle(root: Element, path: str, file: str) -> float:
+    value = _number(root, path, file)
+    found = root.find(path)
+    unit = "" if found is None else found.get("unit", "deg").strip().lower()
+    if unit not in ("deg", "degree", "degrees", "°", ""):
+        raise DataError(f"{file}: {path.lstrip('./')} is in {unit[:20]!r}, expected degrees; correct the label")
+    return value
+
+
+def _time(root: Element, path: str, file: str) -> datetime:
+    text = _text(root, path)
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError as error:
+        raise DataError(
+            f"{file}: {path.lstrip('./')} is {text[:40]!r}, not a time such as 2020-07-16T08:17:04Z"
+        ) from error
+    return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)

@@ -1,0 +1,179 @@
+"""One observation: image cube, short-wave table and their labels, found by sequence number and read together."""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import timedelta
+from pathlib import Path
+
+from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.inputs import read_input
+from lunarsci.spectra.spectrum import BoolArray
+from lunarsci.spectra.vnis.cube import Cube, read_cube
+from lunarsci.spectra.vnis.label import Label, read_label
+from lunarsci.spectra.vnis.name import ProductName, check_supported, product_name
+from lunarsci.spectra.vnis.table import SwirTable, read_swir_table, read_vnir_flags
+
+__all__ = ["Observation", "Parts", "find_parts", "one_per_observation", "read_observation"]
+
+_APART = timedelta(hours=24)
+_AWAY_DEG = 0.001
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """Paths of the files of one observation; `flags` (the AUX table) may be missing."""
+
+    id: str
+    cube_label: str
+    cube: str
+    table_label: str
+    table: str
+    flags: str | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observation:
+    """What was measured, as the files have it.
+
+    Attributes
+    ----------
+    id : such as CE4-0136. synthetic : made by `lunarsci spectra simulate`.
+    cube_label, table_label : labels of the two products, each with its own time and angles.
+    cube : radiance of the imager, shape (100, 256, 256). [W m-2 sr-1 nm-1]
+    cube_flags : bands of the cube with a quality code; None where there is no AUX table.
+    table : radiance of the short-wave channels.
+    inputs : path to SHA-256 of every file read.
+    """
+
+    id: str
+    synthetic: bool
+    cube_label: Label
+    table_label: Label
+    cube: Cube
+    cube_flags: BoolArray | None
+    table: SwirTable
+    inputs: dict[str, str]
+
+
+def one_per_observation(paths: Sequence[str]) -> list[str]:
+    """The paths with the parts of one observation, in one folder, reduced to one, of the latest version among them.
+
+    Auxiliary tables are left out, other files are kept: what can be read is told by reading it.
+    """
+    chosen: dict[tuple[str, str], tuple[str, str]] = {}
+    for path in paths:
+        name = product_name(path)
+        if name is None:
+            chosen[path, ""] = ("", path)
+        elif name.role == "SCI":
+            key = (str(Path(path).parent), name.observation)
+            if key not in chosen or name.version > chosen[key][0]:
+                chosen[key] = (name.version, path)
+    return [path for _, path in chosen.values()]
+
+
+def find_parts(path: str) -> Parts:
+    """The files of the observation that a label or data file belongs to, all in its folder.
+
+    Raises DataError where the name is none of VNIS, the layout is not known, or a part is missing.
+    """
+    name = product_name(path)
+    if name is None:
+        raise DataError(f"{path}: is no VNIS product name (such as CE4_GRAS_VNIS-SD_SCI_N_..._0136_B.2BL)")
+    check_supported(name, path)
+    folder = Path(path).parent
+    found = [(other, str(folder / other)) for other in _names(folder)]
+    same = [(other, p) for p, other in ((p, product_name(o)) for o, p in found) if other and _same(other, name)]
+    cube_label, cube = (_one(same, "VD", is_label, name, folder) for is_label in (True, False))
+    table_label, table = (_one(same, "SD", is_label, name, folder) for is_label in (True, False))
+    wanted = ("AUX", "VD", name.version, False)
+    flags = [p for other, p in same if (other.role, other.kind, other.version, other.is_label) == wanted]
+    return Parts(name.observation, cube_label, cube, table_label, table, flags[0] if flags else None)
+
+
+def _same(other: ProductName, name: ProductName) -> bool:
+    return (other.observation, other.instrument, other.level) == (name.observation, name.instrument, name.level)
+
+
+def _names(folder: Path) -> list[str]:
+    try:
+        return sorted(p.name for p in folder.iterdir())
+    except OSError as error:
+        raise DataError(f"{folder}: folder cannot be listed ({error.strerror}); check the path") from error
+
+
+def _one(same: Sequence[tuple[ProductName, str]], kind: str, is_label: bool, name: ProductName, folder: Path) -> str:
+    fits = [(o.version, p) for o, p in same if (o.role, o.kind, o.is_label) == ("SCI", kind, is_label)]
+    right = [p for version, p in fits if version == name.version]
+    what = f"{'label' if is_label else 'data file'} of its {kind} product"
+    if not right:
+        other = f"; there is only {Path(fits[0][1]).name}" if fits else ""
+        raise DataError(f"{name.observation}: no {what}, version {name.version}, in {folder}{other}; put it there")
+    if len(right) > 1:
+        both = " and ".join(Path(p).name for p in right[:2])
+        raise DataError(f"{name.observation}: {both} are both the {what}; keep one of them in the folder")
+    return right[0]
+
+
+def read_observation(path: str) -> Observation:
+    """Read the observation that a label or data file belongs to, and check its parts against each other.
+
+    Raises DataError, one line: the file, what is wrong with it, what to do.
+    """
+    parts = find_parts(path)
+    cube_label_file, table_label_file = read_input(parts.cube_label), read_input(parts.table_label)
+    cube_label, table_label = read_label(cube_label_file), read_label(table_label_file)
+    _check_pair(cube_label, table_label)
+    _check_files(parts, cube_label, table_label)
+    table_file, cube_file = read_input(parts.table), read_input(parts.cube)
+    table = read_swir_table(table_file, table_label)
+    cube = read_cube(cube_file, cube_label)
+    read = [cube_label_file, cube_file, table_label_file, table_file]
+    flags = None
+    if parts.flags is not None:
+        read.append(read_input(parts.flags))
+        flags = read_vnir_flags(read[-1])
+    return Observation(
+        id=parts.id,
+        synthetic=cube_label.name.synthetic,
+        cube_label=cube_label,
+        table_label=table_label,
+        cube=cube,
+        cube_flags=flags,
+        table=table,
+        inputs={file.name: file.sha256 for file in read},
+    )
+
+
+def _check_pair(cube: Label, table: Label) -> None:
+    if abs(cube.start - table.start) > _APART:
+        days = abs(cube.start - table.start).total_seconds() / 86400
+        raise DataError(
+            f"{table.file}: was measured {days:.1f} days from {cube.file}; they are no pair, fetch them again"
+        )
+    apart = max(abs(cube.latitude_deg - table.latitude_deg), abs(cube.longitude_deg - table.longitude_deg))
+    if apart > _AWAY_DEG:
+        warnings.warn(
+            f"{table.file}: the rover's place differs by {apart:.4f} deg from that of the image", LunarSciWarning, 3
+        )
+
+
+def _check_files(parts: Parts, cube: Label, table: Label) -> None:
+    """Each label describes the file beside it, by product and by the size it states."""
+    for label, path in ((cube, parts.cube), (table, parts.table)):
+        described = [file for file in label.files if product_name(file.name) is not None]
+        names = [product_name(file.name) for file in described]
+        wanted = product_name(path)
+        fits = [
+            file
+            for file, name in zip(described, names, strict=True)
+            if name and wanted and (name.observation, name.kind, name.role) == (wanted.observation, wanted.kind, "SCI")
+        ]
+        if not fits:
+            listed = ", ".join(file.name for file in label.files) or "no file"
+            raise DataError(f"{label.file}: describes {listed[:120]}, not {Path(path).name}; fetch the label again")
+        size = Path(path).stat().st_size if Path(path).is_file() else None
+        if size is not None and fits[0].size is not None and size != fits[0].size:
+            why = "truncated or another file" if size < fits[0].size else "another file"
+            raise DataError(f"{path}: {size} bytes, its label states {fits[0].size}: {why}; fetch both again")

@@ -1,0 +1,94 @@
+"""Files of a synthetic observation: image cube, short-wave table, auxiliary table, labels, and the truth as JSON.
+
+Layout of the public level 2B products of observation 136 of Chang'E-4 (2020-07-16), SYNTHETIC in every name.
+"""
+
+from dataclasses import asdict
+from datetime import timedelta
+from typing import Any
+
+from lunarsci.provenance import to_json
+from lunarsci.spectra.spectrum import FloatArray
+from lunarsci.spectra.vnis.simulation.instrument import Simulation
+from lunarsci.spectra.vnis.simulation.scene import Scene
+from lunarsci.spectra.vnis.simulation.template import MARK, product_label, time_code
+
+__all__ = ["product_files"]
+
+INTEGRATION_MS = 54.2
+ELEVATION_CODE, QUALITY_CODE = "0xc1", "0x00"
+"""Codes as in the public table; what the first one counts is not published."""
+
+
+def product_files(simulation: Simulation, *, crlf: bool = False) -> dict[str, bytes]:
+    """File name to content: image cube, short-wave table, their labels, the auxiliary table, and the truth as JSON.
+
+    Table lines end in a line feed, which is what the file sizes of the public labels amount to; with `crlf`, in the
+    carriage return and line feed that the same labels speak of. Equal simulations give equal bytes.
+    """
+    scene = simulation.scene
+    end = "\r\n" if crlf else "\n"
+    vnir, swir, aux, truth = (_name(scene, kind) for kind in ("VNIS-VD_SCI_N", "VNIS-SD_SCI_N", "VNIS-VD_AUX_N", ""))
+    cube = simulation.vnir.astype("<f4", copy=False).tobytes()
+    table, flags = _swir_table(scene, simulation.swir, end), _aux_table(scene, end)
+    created = scene.vnir_times()[-1] + timedelta(hours=1)
+    return {
+        vnir: cube,
+        f"{vnir}L": product_label(vnir, scene, "vnir", {vnir: len(cube), aux: len(flags)}, created),
+        aux: flags,
+        swir: table,
+        f"{swir}L": product_label(swir, scene, "swir", {swir: len(table)}, created),
+        truth: to_json(_truth(simulation)).encode(),
+    }
+
+
+def _name(scene: Scene, kind: str) -> str:
+    """Session times without fractions of a second, as in the public names, and the number of the observation."""
+    start, stop = scene.swir_times()[0], scene.vnir_times()[-1] + timedelta(seconds=1)
+    session = f"{start:%Y%m%d%H%M%S}_{stop:%Y%m%d%H%M%S}_{scene.sequence:04d}"
+    if not kind:
+        return f"SYNTHETIC_CE4_GRAS_VNIS_{session}_truth.json"
+    return f"SYNTHETIC_CE4_GRAS_{kind}_{session}_B.2B"
+
+
+def _swir_table(scene: Scene, radiance: FloatArray, end: str) -> bytes:
+    rows = (
+        f"{time_code(time)} {k:3d} {INTEGRATION_MS:5.1f} {ELEVATION_CODE} {_scientific(value)} {QUALITY_CODE}{end}"
+        for k, (time, value) in enumerate(zip(scene.swir_times(), radiance, strict=True))
+    )
+    return "".join(rows).encode("ascii")
+
+
+def _aux_table(scene: Scene, end: str) -> bytes:
+    rows = (
+        f"{time_code(time)} {k:2d} {INTEGRATION_MS:5.1f} {ELEVATION_CODE} {QUALITY_CODE}{end}"
+        for k, time in enumerate(scene.vnir_times())
+    )
+    return "".join(rows).encode("ascii")
+
+
+def _scientific(value: float) -> str:
+    """Six digits and an exponent of three, 12 characters."""
+    mantissa, exponent = f"{value:.5E}".split("E")
+    return f"{mantissa}E{int(exponent):+04d}"
+
+
+def _truth(simulation: Simulation) -> dict[str, Any]:
+    scene, truth, source = simulation.scene, simulation.truth, simulation.source
+    return {
+        "synthetic": True,
+        "note": f"{MARK}. Strengths of bands, albedos, texture and noise of pixels are assumed.",
+        "scene": {**asdict(scene), "time": time_code(scene.time)},
+        "instrument": asdict(simulation.instrument),
+        "scene_seed": source.seed,
+        "noise_seed": simulation.seed,
+        "vnir_distance_au": source.vnir_distance_au,
+        "swir_distance_au": source.swir_distance_au,
+        "composition": truth.composition.fractions,
+        "rock_fraction": truth.rock_fraction,
+        "shadow_fraction": truth.shadow_fraction,
+        "wavelength_nm": truth.wavelength_nm,
+        "reflectance": truth.reflectance,
+        "soil_reflectance": truth.soil_reflectance,
+        "rock_reflectance": truth.rock_reflectance,
+    }

@@ -1,0 +1,234 @@
+"""A made-up piece of lunar ground and how the sun and the rover stand to it. Never a measurement.
+
+Every number in this module that describes a material is assumed: full strengths of bands, albedos, slopes, textures.
+They are chosen so that spectra look about as bright, red and subdued as those of the Chang'E-4 site.
+"""
+
+import math
+from dataclasses import dataclass, field, fields
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+
+from lunarsci.errors import ParameterError
+from lunarsci.spectra.mgm.assemblages import assemblage
+from lunarsci.spectra.mgm.kernel import FWHM_OVER_SIGMA
+from lunarsci.spectra.photometry import Geometry
+from lunarsci.spectra.spectrum import FloatArray
+from lunarsci.spectra.vnis.channels import CUBE_SHAPE, FOOTPRINT, SWIR_NM, VNIR_NM
+
+__all__ = ["FULL_STRENGTH", "Composition", "Material", "Rock", "Scene", "surface_reflectance"]
+
+FULL_STRENGTH = {
+    "olivine": {"OL M1-1": -0.25, "OL M2": -0.45, "OL M1-2": -0.35},
+    "orthopyroxene": {"OPX 1": -0.60, "OPX 2": -0.45},
+    "clinopyroxene": {"CPX 1": -0.50, "CPX 2": -0.40},
+    "plagioclase": {"PLG": -0.06},
+}
+"""Strength in ln reflectance of each band of `mgm_bands.csv` where the mineral makes up everything; assumed."""
+EVERYWHERE = {"uv": -0.30, "visible 1": -0.05, "visible 2": -0.03}
+"""Strength of the bands that belong to no mineral; the same in every material, assumed. [ln reflectance]"""
+PLAGIOCLASE = (1250.0, 350.0)
+"""Centre and full width at half maximum of the plagioclase band, which the table does not have; assumed. [nm]"""
+ALBEDO_AT_NM = 750.0
+
+SWIR_STEP = timedelta(seconds=1.068)
+SWIR_BREAK = timedelta(seconds=21.944)
+"""Extra pause after channel 95, where the filter changes its sub-band."""
+VNIR_DELAY = timedelta(seconds=49.5)
+VNIR_STEP = timedelta(seconds=0.806)
+"""Clock of a measurement, about that of observation 136 of Chang'E-4: the short-wave scan first, then the images."""
+SWIR_MORE_INCIDENCE_DEG = 0.0334
+"""The sun rises between the scans: 64.445 deg in the short-wave label of observation 136, 64.412 deg in the other."""
+
+
+def _within(what: str, value: float, low: float, high: float, unit: str = "") -> None:
+    if not low <= value <= high:
+        raise ParameterError(f"{what} is {value:g}{unit}; give one from {low:g} to {high:g}")
+
+
+@dataclass(frozen=True, slots=True)
+class Composition:
+    """Fractions of the minerals, each within 0-1, sum 1 (within 1e-6). Raises ParameterError for anything else. [-]"""
+
+    olivine: float = 0.0
+    orthopyroxene: float = 0.0
+    clinopyroxene: float = 0.0
+    plagioclase: float = 0.0
+
+    def __post_init__(self) -> None:
+        for mineral, fraction in self.fractions.items():
+            if not 0 <= fraction <= 1:
+                raise ParameterError(f"the fraction of {mineral} is {fraction:g}; give one from 0 to 1")
+        total = sum(self.fractions.values())
+        if not math.isclose(total, 1, abs_tol=1e-6):
+            raise ParameterError(f"the fractions of the minerals add up to {total:g}; make them add up to 1")
+
+    @property
+    def fractions(self) -> dict[str, float]:
+        """Mineral to fraction."""
+        return {item.name: float(getattr(self, item.name)) for item in fields(self)}
+
+
+@dataclass(frozen=True, slots=True)
+class Material:
+    """A composition and how it looks.
+
+    Attributes
+    ----------
+    composition : fractions of the minerals.
+    albedo : of the continuum at 750 nm, reflectance factor at incidence 30, emission 0, phase 30 deg; above 0, up to 1.
+    red_slope : relative rise of the straight continuum per micrometre, -0.5 to 3. [1/um]
+    contrast : factor on the mineral bands, 0-3; below 1 as space weathering or fine grains make them.
+
+    Raises ParameterError outside these ranges.
+    """
+
+    composition: Composition
+    albedo: float = 0.10
+    red_slope: float = 0.6
+    contrast: float = 1.0
+
+    def __post_init__(self) -> None:
+        _within("the albedo", self.albedo, 1e-6, 1)
+        _within("the red slope", self.red_slope, -0.5, 3, " per micrometre")
+        _within("the contrast", self.contrast, 0, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class Rock:
+    """A disk of another material in the image; as large as the short-wave field of view if nothing else is said.
+
+    `center_line` and `center_sample` count from 0, in the image or up to its own width outside it; radius above 0. [px]
+    Raises ParameterError otherwise.
+    """
+
+    material: Material = Material(Composition(0.10, 0.35, 0.25, 0.30), albedo=0.09, red_slope=0.55)
+    center_line: float = FOOTPRINT[0]
+    center_sample: float = FOOTPRINT[1]
+    radius_px: float = math.ceil(FOOTPRINT[2])
+
+    def __post_init__(self) -> None:
+        width = CUBE_SHAPE[2]
+        _within("the line of the rock's centre", self.center_line, -width, 2 * width)
+        _within("the sample of the rock's centre", self.center_sample, -width, 2 * width)
+        _within("the radius of the rock", self.radius_px, 0.5, 4 * width, " px")
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """Ground, shadows, sun and rover.
+
+    Attributes
+    ----------
+    soil : what covers the ground. rock : what lies on it, or None.
+    texture : relative standard deviation of the brightness of pixels, the same in all channels; 0-0.5.
+    texture_scale_px : how far one bright or dark spot reaches (standard deviation of a Gaussian); 0.5-64. [px]
+    shadow_fraction : share of the image in shadow, 0 up to below 1.
+    shadow_shape : `half-plane`, or `blobs`, which lie behind the rock where there is one.
+    shadow_level : brightness in shadow relative to sunlight, 0 up to below 1.
+    geometry : of the images; the short-wave scan differs by its incidence.
+    swir_incidence_deg : of the short-wave scan; None for 0.0334 deg more than the images, as in real labels. [deg]
+    disk, phase : photometry that the ground obeys, as in `photometry.correction_factor`; disk None for ground whose
+        reflectance factor is the same at all angles.
+    solar : name of the solar spectrum that lights it.
+    time : middle of the short-wave scan, with its time zone.
+    sequence : number of the observation, 1-9999.
+    latitude_deg, longitude_deg : of the rover. [deg]
+
+    Raises ParameterError when a value is out of its range.
+    """
+
+    soil: Material = Material(Composition(0.05, 0.20, 0.20, 0.55), albedo=0.10, red_slope=0.6, contrast=0.6)
+    rock: Rock | None = None
+    texture: float = 0.05
+    texture_scale_px: float = 4.0
+    shadow_fraction: float = 0.0
+    shadow_shape: str = "blobs"
+    shadow_level: float = 0.003
+    geometry: Geometry = field(default_factory=lambda: Geometry(64.412, 45.557, 54.505))
+    swir_incidence_deg: float | None = None
+    disk: str | None = "akimov"
+    phase: str = "sp-high"
+    solar: str = "g173"
+    time: datetime = datetime(2020, 7, 16, 8, 20, tzinfo=UTC)
+    sequence: int = 1
+    latitude_deg: float = -45.44
+    longitude_deg: float = 177.585
+
+    def __post_init__(self) -> None:
+        _within("the texture", self.texture, 0, 0.5)
+        _within("the scale of the texture", self.texture_scale_px, 0.5, 64, " px")
+        _within("the share of shadow", self.shadow_fraction, 0, math.nextafter(1, 0))
+        _within("the level of shadow", self.shadow_level, 0, math.nextafter(1, 0))
+        _within("the sequence number", self.sequence, 1, 9999)
+        _within("the latitude", self.latitude_deg, -90, 90, " deg")
+        _within("the longitude", self.longitude_deg, -180, 360, " deg")
+        if self.shadow_shape not in ("half-plane", "blobs"):
+            raise ParameterError(f"the shadow shape '{self.shadow_shape}' is unknown; choose half-plane or blobs")
+        if self.time.tzinfo is None:
+            raise ParameterError(f"the time {self.time.isoformat()} has no time zone; give it in UTC, ending in Z")
+        self.swir_geometry()
+
+    def swir_geometry(self) -> Geometry:
+        """Angles of the short-wave scan: own incidence, same emission, phase at the same difference of azimuths."""
+        seen = self.geometry
+        incidence = self.swir_incidence_deg
+        if incidence is None:
+            incidence = seen.incidence_deg + SWIR_MORE_INCIDENCE_DEG
+        turn = azimuth_difference_deg(seen)
+        shift = phase_deg(incidence, seen.emission_deg, turn) - phase_deg(seen.incidence_deg, seen.emission_deg, turn)
+        return Geometry(incidence, seen.emission_deg, max(seen.phase_deg + shift, 0.0))
+
+    def swir_times(self) -> tuple[datetime, ...]:
+        """UTC of the 300 short-wave channels."""
+        last = SWIR_STEP * (SWIR_NM.size - 1) + SWIR_BREAK
+        start = self.time.astimezone(UTC) - last / 2
+        return tuple(start + k * SWIR_STEP + (SWIR_BREAK if k > 95 else timedelta()) for k in range(SWIR_NM.size))
+
+    def vnir_times(self) -> tuple[datetime, ...]:
+        """UTC of the 100 images."""
+        start = self.swir_times()[-1] + VNIR_DELAY
+        return tuple(start + k * VNIR_STEP for k in range(VNIR_NM.size))
+
+
+def surface_reflectance(wavelength_nm: FloatArray, material: Material) -> FloatArray:
+    """Reflectance factor at incidence 30, emission 0, phase 30 deg, shape (n,). [-]
+
+    ln R = ln C + contrast · Σ fraction · full strength · Gaussian + Σ everywhere · Gaussian, C a straight line through
+    the albedo at 750 nm; centres and widths from `mgm_bands.csv`, full strengths assumed, proportional to the fraction
+    (a real mixture is not). Form after Sunshine, Pieters & Pratt (1990), J. Geophys. Res. 95, 6955,
+    10.1029/JB095iB05p06955.
+
+    Raises ParameterError where the continuum is not above 0.
+    """
+    wavelength = np.asarray(wavelength_nm, dtype=float)
+    continuum = material.albedo * (1 + material.red_slope * (wavelength - ALBEDO_AT_NM) / 1000)
+    if not (continuum > 0).all():
+        raise ParameterError(f"a continuum of slope {material.red_slope:g} per micrometre falls to 0 at these channels")
+    strength = dict(EVERYWHERE)
+    for mineral, fraction in material.composition.fractions.items():
+        strength |= {band: material.contrast * fraction * full for band, full in FULL_STRENGTH[mineral].items()}
+    shapes = {band.name: (band.center_nm, band.fwhm_nm) for band in assemblage("OL-OPX-CPX").bands}
+    shapes["PLG"] = PLAGIOCLASE
+    ln = np.log(continuum)
+    for band, (center_nm, fwhm_nm) in shapes.items():
+        ln = ln + strength[band] * np.exp(-0.5 * ((wavelength - center_nm) * FWHM_OVER_SIGMA / fwhm_nm) ** 2)
+    reflectance: FloatArray = np.exp(ln)
+    return reflectance
+
+
+def phase_deg(incidence_deg: float, emission_deg: float, azimuth_difference_deg: float) -> float:
+    """Phase angle from cos g = cos i cos e + sin i sin e cos(azimuth difference). [deg]"""
+    i, e, turn = np.radians([incidence_deg, emission_deg, azimuth_difference_deg])
+    cosine = np.cos(i) * np.cos(e) + np.sin(i) * np.sin(e) * np.cos(turn)
+    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+
+
+def azimuth_difference_deg(geometry: Geometry) -> float:
+    """Azimuth between the sun and the instrument, 0-180; 0 where one stands in the zenith. [deg]"""
+    i, e, g = np.radians([geometry.incidence_deg, geometry.emission_deg, geometry.phase_deg])
+    across = np.sin(i) * np.sin(e)
+    if across < 1e-12:
+        return 0.0
+    return float(np.degrees(np.arccos(np.clip((np.cos(g) - np.cos(i) * np.cos(e)) / across, -1, 1))))

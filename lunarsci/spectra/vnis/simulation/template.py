@@ -1,0 +1,326 @@
+"""Labels of a synthetic observation, in the layout of the public level 2B products and marked synthetic throughout.
+
+The layout is that of observation 136 of Chang'E-4 (labels of 2020-07-16): names, order and units of elements are
+interface and kept, its oddities included. The texts are our own.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from xml.sax.saxutils import escape
+
+import numpy as np
+
+from lunarsci.spectra.photometry import Geometry
+from lunarsci.spectra.spectrum import FloatArray
+from lunarsci.spectra.vnis.channels import CUBE_SHAPE, FOOTPRINT, SWIR_NM, VNIR_NM, Detector
+from lunarsci.spectra.vnis.simulation.scene import Scene, azimuth_difference_deg
+
+__all__ = ["MARK", "product_label", "time_code"]
+
+Node = tuple[str, "str | list[Node]"]
+"""Element name, with its attributes where it has some, and its text or children."""
+
+SUN_AZIMUTH_DEG = 60.0
+LANDER = (177.5991, -45.4446)
+ROVER_XYZ_M = (-287.5, 127.3, -1.7)
+ARM_M = (0.96, -0.90, 0.30)
+"""From the ground in the centre of the image to the rover's origin; azimuth, place and arm are assumed."""
+HALF_IMAGE = 0.5 * CUBE_SHAPE[2] * 0.025 / 43.0
+"""Tangent of half the field of view of the imager: 256 pixels of 25 um behind a lens of 43 mm."""
+MARK = "SYNTHETIC, made by lunarsci: not a measurement"
+NAMESPACES = (
+    'xmlns="http://pds.nasa.gov/pds4/pds/v1" xmlns:pds="http://pds.nasa.gov/pds4/pds/v1" '
+    'xmlns:sp="http://pds.nasa.gov/pds4/sp/v1" xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" '
+    'xsi:schemaLocation="http://pds.nasa.gov/pds4/pds/v1,https://starbase.jpl.nasa.gov/pds4/1500/dph_example_products/'
+    'xml_schema/PDS4_PDS_1500.xsd,http://pds.nasa.gov/pds4/sp/v1 PDS4_SP_1001.xsd"'
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """A column: name, first character, data type, length, format, unit or none, description."""
+
+    name: str
+    location: int
+    data_type: str
+    length: int
+    format: str
+    unit: str
+    description: str
+
+
+# A few characters beyond ASCII, as the public labels have them: a reader must get past these.
+_TIME = Field("Time", 1, "ASCII_Time", 24, "A24", "YYYY-MM-DDThh:mm:ss.msZ", "合成: simulated time of the channel, UTC")
+SWIR_FIELDS = (
+    _TIME,
+    Field("Data_Identifier", 26, "ASCII_Integer", 3, "I3", "", "合成: channel, 0-299"),
+    Field("Visible_Bands_Integration_Time", 30, "ASCII_Real", 5, "F5.1", "ms", "合成: nominal integration time"),
+    Field("Solar_Elevation_Angle", 36, "ASCII_String", 4, "A4", "", "合成: constant code"),
+    Field("Spectrum_data1", 41, "ASCII_Real", 12, "E12.5[E3]", "", "合成: simulated radiance"),
+    Field("Quality_Code", 54, "ASCII_String", 4, "A4", "", "合成: always good"),
+)
+AUX_FIELDS = (
+    _TIME,
+    Field("Data_Identifier", 26, "ASCII_String", 2, "I2", "", "合成: channel, 0-99"),
+    Field("Visible_Bands_Integration_Time", 29, "ASCII_Real", 5, "F5.1", "ms", "合成: nominal integration time"),
+    Field("Solar_Elevation_Angle", 35, "ASCII_String", 4, "A4", "", "合成: constant code"),
+    Field("Quality_Code", 40, "ASCII_String", 4, "A4", "", "合成: always good"),
+)
+
+
+def product_label(product: str, scene: Scene, detector: Detector, sizes: Mapping[str, int], created: datetime) -> bytes:
+    """The label of the image cube (vnir) or of the short-wave table (swir).
+
+    `sizes` has the bytes of each file that it describes: the product, and for the cube its auxiliary table too.
+    """
+    areas = [("File_Area_Observational", content) for content in _files(detector, sizes, time_code(created))]
+    observation: Node = (
+        "Observation_Area",
+        [
+            _time_coordinates(scene.vnir_times() if detector == "vnir" else scene.swir_times()),
+            *_circumstances(detector),
+            ("Mission_Area", _mission_area(product, scene, detector)),
+        ],
+    )
+    product_node: Node = (
+        f"Product_Observational {NAMESPACES}",
+        [_identification(product, scene), ("Reference_List", "None"), observation, *areas],
+    )
+    return ('<?xml version="1.0" encoding="UTF-8"?>\n' + "\n".join(_lines(product_node, "")) + "\n").encode("utf-8")
+
+
+def _lines(node: Node, indent: str) -> list[str]:
+    opening, content = node
+    closing = opening.split(" ", 1)[0]
+    if isinstance(content, str):
+        return [f"{indent}<{opening}>{escape(content)}</{closing}>"]
+    children = [line for child in content for line in _lines(child, indent + "\t")]
+    return [f"{indent}<{opening}>", *children, f"{indent}</{closing}>"]
+
+
+def _files(detector: Detector, sizes: Mapping[str, int], created: str) -> list[list[Node]]:
+    records = (VNIR_NM if detector == "vnir" else SWIR_NM).size
+    described = [_array(), _table(AUX_FIELDS, records)] if detector == "vnir" else [_table(SWIR_FIELDS, records)]
+    files = zip(sizes.items(), described, strict=True)
+    return [[_file(name, created, size, records), content] for (name, size), content in files]
+
+
+def time_code(time: datetime) -> str:
+    """UTC with milliseconds and a Z, 24 characters."""
+    return time.astimezone(UTC).replace(tzinfo=None).isoformat(timespec="milliseconds") + "Z"
+
+
+def _identification(product: str, scene: Scene) -> Node:
+    day = f"{scene.time.astimezone(UTC):%Y-%m-%d}"
+    history: list[Node] = [
+        ("Modification_Detail", [("modification_date", day), ("version_id", version), ("description", text)])
+        for version, text in (
+            ("2.0", f"{MARK}. Layout and calibration as of version 2.0: no factors per channel to apply."),
+            ("1.0", f"{MARK}. No synthetic product of version 1.0 exists."),
+        )
+    ]
+    return (
+        "Identification_Area",
+        [
+            ("logical_identifier", product),
+            ("version_id", "2.0"),
+            ("title", "SYNTHETIC product in the layout of the Chang'E 4(CE-4) mission, not a measurement"),
+            ("information_model_version", "1.5.0.0"),
+            ("product_class", "Product_Observational"),
+            ("Modification_History", history),
+        ],
+    )
+
+
+def _time_coordinates(times: Sequence[datetime]) -> Node:
+    limits: list[Node] = [("start_date_time", time_code(times[0])), ("stop_date_time", time_code(times[-1]))]
+    return "Time_Coordinates", limits
+
+
+def _circumstances(detector: Detector) -> list[Node]:
+    seen = "Visible and NearInfrared" if detector == "vnir" else "Short Wave Infrared"
+    component: Node = (
+        "Observing_System_Component",
+        [("name", "CE4Ro"), ("type", "Spacecraft"), ("description", f"{MARK}.")],
+    )
+    return [
+        (
+            "Primary_Result_Summary",
+            [
+                ("purpose", "Science"),
+                ("processing_level", "Calibrated"),
+                ("Science_Facets", [("wavelength_range", seen), ("domain", "Surface")]),
+            ],
+        ),
+        ("Investigation_Area", [("name", "CE4"), ("type", "Mission")]),
+        ("Observing_System", [("name", "Observing System for CE4Ro"), component]),
+        ("Target_Identification", [("name", "Lunar"), ("type", "Satellite")]),
+    ]
+
+
+def _mission_area(product: str, scene: Scene, detector: Detector) -> list[Node]:
+    """The two labels differ in the order of the places, and in the name of the pointing's frame."""
+    lander = _place("Lander_Location", *LANDER)
+    rover = _position("Rover_LocationXYZ", ROVER_XYZ_M)
+    places = [lander, rover] if detector == "vnir" else [rover, lander]
+    centre = tuple(r - a for r, a in zip(ROVER_XYZ_M, ARM_M, strict=True))
+    geometry = scene.geometry if detector == "vnir" else scene.swir_geometry()
+    frame_tag = "reference_frame" if detector == "vnir" else "coordinate_system_name"
+    views = _views(scene.geometry)
+    if detector == "swir":
+        views = {"center": views["center"]}
+    return [
+        ("product_id", product),
+        ("product_version", "B"),
+        ("product_level", "2B"),
+        ("instrument_name", "Visible and Near-infrared Imaging Spectrometer"),
+        ("instrument_id", "VNIS"),
+        ("sequence_id", f"{scene.sequence:04d}"),
+        ("Instrument_Parm", _instrument(detector)),
+        _place("Rover_Location", scene.longitude_deg, scene.latitude_deg),
+        *places,
+        _position("Center_Point_LocationXYZ", centre),
+        ("Vector_Cartesian_3_Pointing", [(frame_tag, "ROVER_COORDINATE_SYSTEM"), *_vectors(views)]),
+        ("Angle_Pointing_Results", _angles(views, geometry)),
+    ]
+
+
+def _instrument(detector: Detector) -> list[Node]:
+    if detector == "vnir":
+        return [
+            ('bands unit="nm"', "450-945"),
+            ('focal_length unit="mm"', "43"),
+            ('pixel_size unit="micrometer"', "25"),
+            ("principle_point_coordinate", [('x unit="pixel"', "128"), ('y unit="pixel"', "128")]),
+        ]
+    line, sample, radius = FOOTPRINT
+    text = (
+        f"{MARK}. Counted from 1, the field of view of the short-wave detector in the VNIR image is the circle of "
+        f"{radius:g} pixels around line {line + 1:.0f}, sample {sample + 1:.0f}."
+    )
+    centre: list[Node] = [('x unit="pixel"', f"{line + 1:.0f}"), ('y unit="pixel"', f"{sample + 1:.0f}")]
+    return [
+        ('bands unit="nm"', "900-2395"),
+        ('focal_length unit="mm"', "16"),
+        ('pixel_size unit="mm"', "1mm_Diameter"),
+        ("principle_point_coordinate", [*centre, ("description", text)]),
+    ]
+
+
+def _place(tag: str, longitude_deg: float, latitude_deg: float) -> Node:
+    content: list[Node] = [
+        ("reference_frame", "MOON_COORDINATE_SYSTEM"),
+        ('longitude unit="deg"', f"{longitude_deg:.6f}"),
+        ('latitude unit="deg"', f"{latitude_deg:.6f}"),
+    ]
+    return tag, content
+
+
+def _position(tag: str, xyz_m: Sequence[float]) -> Node:
+    axes: list[Node] = [(f'{axis} unit="m"', f"{value:.6f}") for axis, value in zip("xyz", xyz_m, strict=True)]
+    return tag, [("reference_frame", "LANDER_COORDINATE_SYSTEM"), *axes]
+
+
+def _views(geometry: Geometry) -> dict[str, FloatArray]:
+    """Unit vectors from the instrument to the centre and the corners of the image, in the order of their vectors."""
+    centre = _direction(geometry.emission_deg, SUN_AZIMUTH_DEG + azimuth_difference_deg(geometry))
+    azimuth = math.radians(SUN_AZIMUTH_DEG + azimuth_difference_deg(geometry))
+    right = np.array([-math.cos(azimuth), math.sin(azimuth), 0.0])
+    up = np.cross(right, centre)
+    views = {}
+    for name, across, along in (
+        ("up_left", -1, 1),
+        ("down_left", -1, -1),
+        ("up_right", 1, 1),
+        ("down_right", 1, -1),
+    ):
+        corner = centre + HALF_IMAGE * (across * right + along * up)
+        views[name] = corner / np.linalg.norm(corner)
+    return {**views, "center": centre}
+
+
+def _direction(angle_deg: float, azimuth_deg: float) -> FloatArray:
+    """From above to the ground along a ray that leaves it at an angle to the vertical and an azimuth."""
+    angle, azimuth = math.radians(angle_deg), math.radians(azimuth_deg)
+    return -np.array([math.sin(angle) * math.sin(azimuth), math.sin(angle) * math.cos(azimuth), math.cos(angle)])
+
+
+def _vectors(views: dict[str, FloatArray]) -> list[Node]:
+    nodes: list[Node] = []
+    for name, vector in views.items():
+        axes: list[Node] = [(axis, f"{value:.6f}") for axis, value in zip("xyz", vector, strict=True)]
+        nodes.append((f"{name}_point_observe_vector", axes))
+    return nodes
+
+
+def _angles(views: dict[str, FloatArray], geometry: Geometry) -> list[Node]:
+    """Angles of the views; the "incidence" of a view is its emission. The centre has the scene's own phase."""
+    sun = _direction(geometry.incidence_deg, SUN_AZIMUTH_DEG)
+    nodes: list[Node] = []
+    for name in ("center", *(name for name in views if name != "center")):
+        x, y, z = views[name]
+        phase = math.degrees(math.acos(min(1.0, float(sun @ views[name]))))
+        angles = {
+            "incidence_angle": math.degrees(math.acos(min(1.0, -float(z)))),
+            "azimuth_angle": math.degrees(math.atan2(-x, -y)) % 360,
+            "phase_angle": geometry.phase_deg if name == "center" else phase,
+        }
+        nodes.append((f"{name}_point", [(f'{tag} unit="deg"', f"{angle:.6f}") for tag, angle in angles.items()]))
+    light = {"incidence_angle": geometry.incidence_deg, "azimuth_angle": SUN_AZIMUTH_DEG}
+    return [*nodes, ("solar", [(f'{tag} unit="deg"', f"{angle:.6f}") for tag, angle in light.items()])]
+
+
+def _file(name: str, made: str, size: int, records: int) -> Node:
+    content: list[Node] = [
+        ("file_name", name),
+        ("local_identifier", "None"),
+        ("creation_date_time", made),
+        ('file_size unit="byte"', str(size)),
+        ("records", str(records)),
+    ]
+    return "File", content
+
+
+def _array() -> Node:
+    axes: list[Node] = [
+        ("Axis_Array", [("axis_name", name), ("elements", str(size)), ("sequence_number", str(number))])
+        for number, (name, size) in enumerate(zip(("Band", "Line", "Sample"), CUBE_SHAPE, strict=True), 1)
+    ]
+    element: Node = ("Element_Array", [("data_type", "IEEE754LSBSingle"), ("unit", "data number")])
+    head: list[Node] = [('offset unit="byte"', "0"), ("axes", "3"), ("axis_index_order", "Last Index Fastest"), element]
+    return "Array_3D_Image", head + axes
+
+
+def _table(columns: Sequence[Field], records: int) -> Node:
+    """The record length leaves the line's end out, as in the public labels."""
+    last = columns[-1]
+    record: list[Node] = [
+        ("fields", str(len(columns))),
+        ("groups", "0"),
+        ("record_length", str(last.location + last.length - 1)),
+        *(_column(number, column) for number, column in enumerate(columns, 1)),
+    ]
+    content: list[Node] = [
+        ('offset unit="byte"', "0"),
+        ("records", str(records)),
+        ("record_delimiter", "Carriage-Return Line-Feed"),
+        ("Record_Character", record),
+    ]
+    return "Table_Character", content
+
+
+def _column(number: int, column: Field) -> Node:
+    unit: list[Node] = [("unit", column.unit)] if column.unit else []
+    content: list[Node] = [
+        ("name", column.name),
+        ("field_number", str(number)),
+        ('field_location unit="byte"', str(column.location)),
+        ("data_type", column.data_type),
+        ('field_length unit="byte"', str(column.length)),
+        ("field_format", column.format),
+        *unit,
+        ("description", column.description),
+    ]
+    return "Field_Character", content
