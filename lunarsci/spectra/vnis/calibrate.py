@@ -182,8 +182,8 @@ def _bad_swir(observation: Observation, notes: list[str]) -> BoolArray:
         notes.append(
             f"{int(observation.cube_flags.sum())} VNIR channels are flagged by their quality code and are masked"
         )
-    bad: BoolArray = flagged | missing | dark | clipped
-    return bad
+    unusable: BoolArray = flagged | missing | dark | clipped
+    return unusable
 
 
 def _check_level(item: DetectorSpectrum, label: Label, id: str) -> None:
