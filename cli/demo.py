@@ -27,9 +27,10 @@ def demo(
 
     Inputs, tables and pictures go to the folder lunarsci-demo, or to -o DIR; try the other commands on them.
     """
-    from .demo_report import demo_report, drive, ground, rock
+    from .demo_report import demo_report, drive, ground
+    from .demo_rock import rock
 
-    say("1/3 a synthetic rock: bands and Modified Gaussian Model", quiet=output.quiet)
+    say("1/3 a synthetic rock: calibration, bands and Modified Gaussian Model", quiet=output.quiet)
     the_rock = rock(seed)
     say("2/3 a drive of 9.8 m on synthetic terrain, over 81 soils", quiet=output.quiet)
     the_drive = drive(seed)

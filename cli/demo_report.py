@@ -11,18 +11,14 @@ from lunarsci.regolith.identify import Assumptions, Identification, identify
 from lunarsci.regolith.soil import Soil, read_soil
 from lunarsci.regolith.states import read_states
 from lunarsci.regolith.wheel import read_wheel
-from lunarsci.spectra.bands import SpectrumBands, measure_bands
-from lunarsci.spectra.mgm.assemblages import assemblage
 from lunarsci.spectra.mgm.assemblages import table_hash as bands_hash
-from lunarsci.spectra.mgm.fit import fit_spectra
-from lunarsci.spectra.mgm.result import MgmFit
-from lunarsci.spectra.readers import read_spectra
-from lunarsci.spectra.synthetic import rock_strengths, synthetic_rock, to_csv
-from lunarsci.spectra.synthetic import table_hash as rock_hash
+from lunarsci.spectra.vnis.channels import table_hashes
+from lunarsci.spectra.vnis.export import to_ecsv
 from lunarsci.twin.ensemble import Prediction, predict
 from lunarsci.twin.safety import Verdict, judge
 from lunarsci.twin.tables import state_table
 
+from .demo_rock import Studied, finding, rock_findings, rock_pictures
 from .regolith_report import PAPER
 from .report import Report
 from .spectra_report import MGM, NBSR
@@ -32,18 +28,9 @@ from .twin_report import Scene, csv_bytes, read_scene
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["demo_report", "drive", "ground", "rock"]
+__all__ = ["demo_report", "drive", "ground"]
 
 SOIL = "longji"
-
-
-@dataclass(frozen=True, slots=True)
-class Rock:
-    """The synthetic rock as a file, and what the two spectral methods find in it."""
-
-    file: bytes
-    bands: SpectrumBands
-    fit: MgmFit
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,16 +41,6 @@ class Drive:
     prediction: Prediction
     verdict: Verdict
     states: bytes
-
-
-def rock(seed: int) -> Rock:
-    """Make the rock, write and read it as a file would be, measure and fit it."""
-    file = to_csv(synthetic_rock(seed=seed))
-    [spectrum] = read_spectra(InputFile("synthetic_rock.csv", file))
-    [fit] = fit_spectra([spectrum], assemblage("OL-OPX-CPX"))
-    if not isinstance(fit, MgmFit):
-        raise RuntimeError(fit.status)
-    return Rock(file, measure_bands(spectrum), fit)
 
 
 def drive(seed: int) -> Drive:
@@ -86,55 +63,37 @@ def ground(driven: Drive, seed: int) -> Identification:
     return identify(states, wheel, known, draws=256, seed=seed)
 
 
-def demo_report(the_rock: Rock, the_drive: Drive, soil: Identification, seed: int, folder: Path | None) -> Report:
+def demo_report(the_rock: Studied, the_drive: Drive, soil: Identification, seed: int, folder: Path | None) -> Report:
     """The report of `demo`."""
-    findings = [*_rock_findings(the_rock), *_drive_findings(the_drive), *_soil_findings(soil, read_soil(SOIL))]
+    findings = [*rock_findings(the_rock), *_drive_findings(the_drive), *_soil_findings(soil, read_soil(SOIL))]
     return Report(
         schema="demo/1",
         result={"findings": findings, "synthetic": True, "pictures": sorted(_pictures(the_rock, the_drive, soil))},
         tables=[_table(findings, folder)],
         rows=findings,
-        data_tables=bands_hash() | rock_hash() | the_drive.scene.tables,
+        data_tables=bands_hash() | table_hashes() | the_drive.scene.tables,
         sources=[PAPER, MGM, NBSR],
         seed=seed,
         files={
-            "synthetic_rock.csv": lambda: the_rock.file,
+            **{name: _made(content) for name, content in the_rock.products.items()},
+            "rock.ecsv": lambda: to_ecsv([the_rock.calibration], {"command": "lunarsci demo", "seed": seed}),
             "wheel_states.csv": lambda: the_drive.states,
             **_pictures(the_rock, the_drive, soil),
         },
     )
 
 
-def _finding(what: str, value: float, sigma: float | None, truth: float | None, unit: str, file: str) -> dict[str, Any]:
-    return {"quantity": what, "value": value, "sigma": sigma, "truth": truth, "unit": unit, "picture": file}
-
-
-def _rock_findings(the_rock: Rock) -> list[dict[str, Any]]:
-    strengths, found = rock_strengths(), []
-    for key in ("1000", "2000"):
-        band = the_rock.bands.bands[key]
-        if band.center_nm is not None:
-            found.append(
-                _finding(
-                    f"rock: centre of the {key} nm band", band.center_nm, band.center_sigma_nm, None, "nm", "bands.png"
-                )
-            )
-    for region, number in (("um1", "1"), ("um2", "2")):
-        ratio = the_rock.fit.nbsr[region]
-        if ratio is not None:
-            opx, cpx = strengths[f"OPX {number}"], strengths[f"CPX {number}"]
-            name = f"rock: OPX / (OPX + CPX) band strength at {number} µm"
-            found.append(_finding(name, ratio.opx, ratio.sigma, opx / (opx + cpx), "-", "fit.png"))
-    return found
+def _made(content: bytes) -> Any:
+    return lambda: content
 
 
 def _drive_findings(the_drive: Drive) -> list[dict[str, Any]]:
     limits = {limit.quantity: limit for limit in the_drive.verdict.limits}
     slip, end = limits["slip_ratio"], the_drive.verdict.endpoint
-    found = [_finding("drive: largest slip ratio, 95 % of drives below", slip.p95, None, None, "-", "drive.png")]
+    found = [finding("drive: largest slip ratio, 95 % of drives below", slip.p95, None, None, "-", "drive.png")]
     if end is not None:
         found.append(
-            _finding("drive: all ends within, of the destination", end.covering_radius_m, None, None, "m", "drive.png")
+            finding("drive: all ends within, of the destination", end.covering_radius_m, None, None, "m", "drive.png")
         )
     return found
 
@@ -146,7 +105,7 @@ def _soil_findings(soil: Identification, truth: Soil) -> list[dict[str, Any]]:
         "external_friction_angle_deg": ("ground: external friction angle", "deg"),
     }
     return [
-        _finding(label, estimate.value, estimate.sigma, getattr(truth, name), unit, "soil.png")
+        finding(label, estimate.value, estimate.sigma, getattr(truth, name), unit, "soil.png")
         for name, (label, unit) in names.items()
         if (estimate := soil.site[name]).value is not None
     ]
@@ -166,7 +125,7 @@ def _table(findings: Sequence[dict[str, Any]], folder: Path | None) -> TextTable
     notes = [
         "Everything here is synthetic: a rock that exists nowhere on ground that was made up.",
         f"Pictures and tables are in {folder}. Try the commands on them, for example:",
-        f"  lunarsci spectra fit {folder}/synthetic_rock.csv",
+        f"  lunarsci spectra fit {folder}/rock.ecsv",
         f"  lunarsci regolith identify {folder}/wheel_states.csv --lateral-modulus 20",
     ]
     return TextTable(["what was found", "value", "truth", "unit", "picture"], rows, notes=notes)
@@ -176,19 +135,9 @@ def _digits(value: float) -> int:
     return 1 if abs(value) >= 10 else 3
 
 
-def _pictures(the_rock: Rock, the_drive: Drive, soil: Identification) -> dict[str, Any]:
+def _pictures(the_rock: Studied, the_drive: Drive, soil: Identification) -> dict[str, Any]:
     def picture(name: str, figures: "Sequence[Figure]") -> bytes:
         return picture_bytes(figures, Path(name))
-
-    def bands() -> bytes:
-        from lunarsci.spectra.figure import band_pages
-
-        return picture("bands.png", list(band_pages([the_rock.bands])))
-
-    def fit() -> bytes:
-        from lunarsci.spectra.figure import fit_pages
-
-        return picture("fit.png", list(fit_pages([the_rock.fit])))
 
     def path() -> bytes:
         from lunarsci.twin.figure import path_fan
@@ -200,4 +149,4 @@ def _pictures(the_rock: Rock, the_drive: Drive, soil: Identification) -> dict[st
 
         return picture("soil.png", [characteristic_curves(soil)])
 
-    return {"bands.png": bands, "fit.png": fit, "drive.png": path, "soil.png": curves}
+    return {**rock_pictures(the_rock), "drive.png": path, "soil.png": curves}

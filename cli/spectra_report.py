@@ -119,7 +119,18 @@ def _band_notes(records: Sequence[Mapping[str, Any]]) -> list[str]:
                     line = f"{band} band: {text}"
                     notes[line] = notes.get(line, 0) + 1
     single = len(records) == 1
-    return [line if single else f"{line} ({count} of {len(records)} spectra)" for line, count in sorted(notes.items())]
+    lines = [line if single else f"{line} ({count} of {len(records)} spectra)" for line, count in sorted(notes.items())]
+    return lines + (_shared_errors(records[0]) if single else [])
+
+
+def _shared_errors(record: Mapping[str, Any]) -> list[str]:
+    """What the errors that all channels share add, for a spectrum that knows them."""
+    parts = [
+        f"± {record[f'bc{key}_calibration_nm']:.1f} nm to BC{key}, ± {record[f'bd{key}_calibration']:.3f} to BD{key}"
+        for key in ("1000", "2000")
+        if record[f"bc{key}_calibration_nm"] is not None
+    ]
+    return [f"calibration errors, which all channels share, add {'; '.join(parts)}"] if parts else []
 
 
 def fit_report(batch: Batch, fits: Sequence[MgmFit | MgmFailure]) -> Report:
@@ -155,8 +166,15 @@ def _fit_tables(good: Sequence[MgmFit], records: Sequence[Mapping[str, Any]]) ->
     overview = TextTable(
         ["spectrum", "rms ln R [%]", "NBSR 1 µm OPX", "NBSR 2 µm OPX", "status"],
         [_fit_row(record) for record in records],
+        notes=_shared_in_ratios(records[0]) if len(records) == 1 else [],
     )
     return [_one_fit_table(good[0]), overview] if len(records) == 1 and good else [overview]
+
+
+def _shared_in_ratios(record: Mapping[str, Any]) -> list[str]:
+    ratios = {name: (record["nbsr"] or {}).get(key) for key, name in (("um1", "1 µm"), ("um2", "2 µm"))}
+    parts = [f"± {r['calibration']:.2f} at {name}" for name, r in ratios.items() if r and r["calibration"] is not None]
+    return [f"calibration errors, which all channels share, add to the ratios {', '.join(parts)}"] if parts else []
 
 
 def _fit_row(record: Mapping[str, Any]) -> list[str]:

@@ -43,9 +43,7 @@ def akimov(geometry: Geometry) -> float:
     """
     low, high = geometry.phase_range_deg
     phase = radians(min(max(geometry.phase_deg, low), high))
-    emission = radians(geometry.emission_deg)
     longitude = atan2(geometry.cos_incidence - geometry.cos_emission * cos(phase), geometry.cos_emission * sin(phase))
-    longitude = min(max(longitude, -emission), emission)  # what rounding adds to it grows without bound as g goes to 0
     cos_latitude = min(geometry.cos_emission / cos(longitude), 1.0)
     stretch = pi / (pi - phase)
     rough = pow(cos_latitude, phase / (pi - phase))

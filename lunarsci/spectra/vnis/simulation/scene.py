@@ -17,7 +17,7 @@ from lunarsci.spectra.photometry import Geometry
 from lunarsci.spectra.spectrum import FloatArray
 from lunarsci.spectra.vnis.channels import CUBE_SHAPE, FOOTPRINT, SWIR_NM, VNIR_NM
 
-__all__ = ["FULL_STRENGTH", "Composition", "Material", "Rock", "Scene", "surface_reflectance"]
+__all__ = ["FULL_STRENGTH", "ROCK", "SOIL", "Composition", "Material", "Rock", "Scene", "surface_reflectance"]
 
 FULL_STRENGTH = {
     "olivine": {"OL M1-1": -0.25, "OL M2": -0.45, "OL M1-2": -0.35},
@@ -95,6 +95,11 @@ class Material:
         _within("the contrast", self.contrast, 0, 3)
 
 
+SOIL = Material(Composition(0.05, 0.20, 0.20, 0.55), albedo=0.10, red_slope=0.6, contrast=0.6)
+ROCK = Material(Composition(0.10, 0.35, 0.25, 0.30), albedo=0.09, red_slope=0.55)
+"""A soil and a rock as there might be at the Chang'E-4 site; assumed."""
+
+
 @dataclass(frozen=True, slots=True)
 class Rock:
     """A disk of another material in the image; as large as the short-wave field of view if nothing else is said.
@@ -103,7 +108,7 @@ class Rock:
     Raises ParameterError otherwise.
     """
 
-    material: Material = Material(Composition(0.10, 0.35, 0.25, 0.30), albedo=0.09, red_slope=0.55)
+    material: Material = ROCK
     center_line: float = FOOTPRINT[0]
     center_sample: float = FOOTPRINT[1]
     radius_px: float = math.ceil(FOOTPRINT[2])
@@ -139,7 +144,7 @@ class Scene:
     Raises ParameterError when a value is out of its range.
     """
 
-    soil: Material = Material(Composition(0.05, 0.20, 0.20, 0.55), albedo=0.10, red_slope=0.6, contrast=0.6)
+    soil: Material = SOIL
     rock: Rock | None = None
     texture: float = 0.05
     texture_scale_px: float = 4.0

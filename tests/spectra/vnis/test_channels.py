@@ -1,0 +1,143 @@
+"""Channel widths and the footprint against the published tables, and the ranges of both detectors."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lunarsci.errors import ParameterError
+from lunarsci.spectra.vnis.channels import (
+    CUBE_SHAPE,
+    SPLICED_NM,
+    SWIR_NM,
+    VNIR_NM,
+    fixed_pattern,
+    footprint_mask,
+    fwhm_nm,
+    random_noise,
+    table_hashes,
+)
+
+
+def published(folder: Path, name: str) -> dict[str, np.ndarray]:
+    with (folder / "vnis" / name).open() as file:
+        rows = list(csv.DictReader(file))
+    return {key: np.array([float(row[key]) for row in rows]) for key in rows[0]}
+
+
+def test_channels_are_those_of_the_instrument() -> None:
+    assert (VNIR_NM[0], VNIR_NM[-1], VNIR_NM.size) == (450, 945, 100)
+    assert (SWIR_NM[0], SWIR_NM[-1], SWIR_NM.size) == (900, 2395, 300)
+    assert (SPLICED_NM[0], SPLICED_NM[-1], SPLICED_NM.size) == (450, 2395, 390)
+    assert CUBE_SHAPE == (100, 256, 256)
+    for grid in (VNIR_NM, SWIR_NM, SPLICED_NM):
+        assert (np.diff(grid) == 5).all()
+
+
+def test_widths_worked_by_hand() -> None:
+    """-3.259 0.45^2 + 22.187 0.45 - 6.909 = -0.65995 + 9.98415 - 6.909 = 2.4152 nm, and so on."""
+    assert fwhm_nm(np.array([450.0]), "vnir")[0] == pytest.approx(2.4152, abs=1e-4)
+    # 13.688 0.9^2 - 10.334 0.9 + 3.872 = 11.08728 - 9.3006 + 3.872
+    assert fwhm_nm(np.array([900.0]), "vnir")[0] == pytest.approx(5.65868, abs=1e-5)
+    # 9.123 0.9^2 - 10.599 0.9 + 5.762 = 7.38963 - 9.5391 + 5.762
+    assert fwhm_nm(np.array([900.0]), "swir")[0] == pytest.approx(3.61253, abs=2e-1)
+    # The response jumps from about 8.4 to 3.9 nm where the sub-band changes.
+    before, after = fwhm_nm(np.array([1375.0, 1380.0]), "swir")
+    assert before > 2 * after - 1
+
+
+@pytest.mark.reference
+@pytest.mark.parametrize(
+    ("name", "detector", "low", "high", "worst"),
+    [
+        ("vnis_cmos_wl_fwhm_solar.csv", "vnir", 450, 630, 1e-3),
+        ("vnis_cmos_wl_fwhm_solar.csv", "vnir", 635, 945, 1e-3),
+        ("vnis_swir_wl_fwhm_solar.csv", "swir", 900, 1375, 1e-3),
+    ],
+)
+def test_widths_are_the_published_ones(
+    reference_data: Path, name: str, detector: str, low: float, high: float, worst: float
+) -> None:
+    table = published(reference_data, name)
+    inside = (table["wavelength_nm"] >= low) & (table["wavelength_nm"] <= high)
+    assert inside.sum() == (high - low) / 5 + 1
+    wavelength = table["wavelength_nm"][inside]
+    assert fwhm_nm(wavelength, detector) == pytest.approx(table["fwhm_nm"][inside], abs=worst)  # type: ignore[arg-type]
+
+
+@pytest.mark.reference
+def test_widths_of_the_last_sub_band_scatter_about_their_quadratic(reference_data: Path) -> None:
+    table = published(reference_data, "vnis_swir_wl_fwhm_solar.csv")
+    late = table["wavelength_nm"] >= 1380
+    apart = fwhm_nm(table["wavelength_nm"][late], "swir") - table["fwhm_nm"][late]
+    assert late.sum() == 204
+    assert np.sqrt(np.mean(apart**2)) == pytest.approx(0.13, abs=0.005)
+    assert abs(apart.mean()) < 0.01
+
+
+@pytest.mark.parametrize("function", [fwhm_nm, random_noise, fixed_pattern])
+@pytest.mark.parametrize(
+    ("wavelength", "detector", "message"),
+    [
+        (445.0, "vnir", "VNIR detector has channels from 450 to 945 nm only"),
+        (950.0, "vnir", "VNIR detector has channels from 450 to 945 nm only"),
+        (895.0, "swir", "SWIR detector has channels from 900 to 2395 nm only"),
+        (2400.0, "swir", "SWIR detector has channels from 900 to 2395 nm only"),
+        (np.nan, "swir", "SWIR detector"),
+    ],
+)
+def test_wavelengths_of_no_channel_are_refused(function, wavelength: float, detector: str, message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
+        function(np.array([700.0 if detector == "vnir" else 1500.0, wavelength]), detector)
+
+
+@pytest.mark.parametrize("function", [fwhm_nm, random_noise, fixed_pattern])
+def test_every_channel_has_a_figure_above_0_in_the_shape_given(function) -> None:
+    for grid, detector in ((VNIR_NM, "vnir"), (SWIR_NM, "swir")):
+        values = function(grid, detector)
+        assert values.shape == grid.shape
+        assert (values > 0).all()
+        assert values[::-1] == pytest.approx(function(grid[::-1], detector))
+
+
+def test_noise_is_that_of_the_spectra_it_was_measured_on() -> None:
+    """A few of the figures of 171 Chang'E-4 spectra, in per cent."""
+    at = np.array([450.0, 560.0, 650.0, 800.0])
+    assert 100 * random_noise(at, "vnir") == pytest.approx([2.1, 1.4, 1.0, 0.84])
+    at = np.array([1000.0, 1200.0, 1500.0, 1900.0, 2100.0, 2300.0])
+    assert 100 * random_noise(at, "swir") == pytest.approx([0.76, 0.59, 0.44, 0.53, 0.97, 0.81])
+    assert 100 * fixed_pattern(at, "swir") == pytest.approx([0.2, 0.2, 0.2, 0.8, 0.7, 0.7])
+
+
+def test_the_footprint_is_a_disk_of_9085_pixels() -> None:
+    mask = footprint_mask()
+    assert mask.shape == (256, 256)
+    assert mask.dtype == bool
+    assert mask.sum() == 9085 == sum((x - 97) ** 2 + (y - 127) ** 2 <= 53.8**2 for y in range(256) for x in range(256))
+    lines, samples = np.nonzero(mask)
+    assert (lines.mean(), samples.mean()) == pytest.approx((127, 97))
+
+
+def test_a_changed_mask_does_not_change_the_next_one() -> None:
+    footprint_mask()[:] = False
+    assert footprint_mask().sum() == 9085
+
+
+@pytest.mark.reference
+def test_the_footprint_is_the_published_one(reference_data: Path) -> None:
+    rows = published(reference_data, "vnis_swir_footprint_rows.csv")
+    drawn = np.zeros((256, 256), dtype=bool)
+    columns = (rows["line_index0"], rows["sample_first0"], rows["sample_last0"])
+    for line, first, last in zip(*(column.astype(int) for column in columns), strict=True):
+        drawn[line, first : last + 1] = True
+    assert np.array_equal(footprint_mask(), drawn)
+
+
+def test_tables_are_named_with_their_hashes() -> None:
+    import hashlib
+    from importlib.resources import files
+
+    for name, digest in table_hashes().items():
+        assert digest == hashlib.sha256((files("lunarsci.spectra_data") / name).read_bytes()).hexdigest()
+    assert set(table_hashes()) == {"vnis_fwhm.csv", "vnis_noise.csv"}
