@@ -173,7 +173,7 @@ def _fit_tables(good: Sequence[MgmFit], records: Sequence[Mapping[str, Any]]) ->
 
 def _shared_in_ratios(record: Mapping[str, Any]) -> list[str]:
     ratios = {name: (record["nbsr"] or {}).get(key) for key, name in (("um1", "1 µm"), ("um2", "2 µm"))}
-    parts = [f"± {r['calibration']:.2f} at {name}" for name, r in ratios.items() if r and r["calibration"] is not None]
+    parts = [f"± {r['calibration']:.3f} at {name}" for name, r in ratios.items() if r and r["calibration"] is not None]
     return [f"calibration errors, which all channels share, add to the ratios {', '.join(parts)}"] if parts else []
 
 

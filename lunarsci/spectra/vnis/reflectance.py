@@ -59,14 +59,14 @@ def read_channel_factors(source: InputFile) -> ChannelFactors:
 
     Raises DataError for other columns, missing or repeated channels, and factors outside 0.2 to 5.
     """
-    rows = list(csv.DictReader(line for line in inputs.text(source).splitlines() if not line.startswith("#")))
-    lacking = {"detector", "wavelength_nm", "factor"} - set(rows[0] if rows else ())
+    reader = csv.DictReader(line for line in inputs.text(source).splitlines() if not line.startswith("#"))
+    lacking = {"detector", "wavelength_nm", "factor"} - set(reader.fieldnames or ())
     if lacking:
         raise DataError(
             f"{source.name}: no column {', '.join(sorted(lacking))}; see `lunarsci spectra calibrate --help`"
         )
     found: dict[Detector, dict[float, float]] = {"vnir": {}, "swir": {}}
-    for line, row in enumerate(rows, 2):
+    for line, row in enumerate(reader, 2):
         detector = (row["detector"] or "").strip().lower()
         if detector not in ("vnir", "swir"):
             raise DataError(f"{source.name}: row {line}: the detector is {detector[:20]!r}; use vnir or swir")
@@ -83,7 +83,7 @@ def _number(text: str | None, key: str, line: int, file: str) -> float:
     try:
         return float(text or "")
     except ValueError as error:
-        raise DataError(f"{file}: row {line}: {key} is {str(text)[:20]!r}, not a number; correct it") from error
+        raise DataError(f"{file}: row {line}: {key} is {(text or '')[:20]!r}, not a number; correct it") from error
 
 
 def _all_channels(found: dict[float, float], detector: Detector, file: str) -> FloatArray:
