@@ -88,13 +88,18 @@ def average_footprint(cube: Cube, shadow_radiance: float) -> Footprint:
 
 
 def _dilution(cube: Cube, inside: BoolArray, lit: BoolArray) -> float:
-    """NaN where the channels from 900 nm on have no value in some pixel, or nothing is lit."""
+    """NaN where nothing is lit, or no image from 900 nm on has a value; pixels without one are left out."""
     overlap = cube[VNIR_NM >= JOIN_NM]
-    if not lit.any() or not inside.any():
-        return float("nan")
-    everything = overlap[:, inside].mean(axis=1, dtype=np.float64)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return float(np.median(everything / overlap[:, lit].mean(axis=1, dtype=np.float64)))
+        ratio = _known_mean(overlap[:, inside]) / _known_mean(overlap[:, lit])
+    known = np.isfinite(ratio)
+    return float(np.median(ratio[known])) if known.any() else float("nan")
+
+
+def _known_mean(values: Cube) -> FloatArray:
+    known = np.isfinite(values)
+    mean: FloatArray = np.where(known, values, 0).sum(axis=1, dtype=np.float64) / known.sum(axis=1)
+    return mean
 
 
 def saturated_pixels(cube: Cube) -> tuple[FloatArray, int]:
@@ -104,6 +109,8 @@ def saturated_pixels(cube: Cube) -> tuple[FloatArray, int]:
     """
     frames = cube.reshape(cube.shape[0], -1)
     largest = np.fmax.reduce(frames, axis=1)
+    for band in np.flatnonzero(np.isposinf(largest)):  # one infinite pixel must not hide a clipped frame
+        largest[band] = np.fmax.reduce(frames[band], where=np.isfinite(frames[band]), initial=-np.inf)
     flat = np.fmin.reduce(frames, axis=1) == largest
     plateau = (frames == largest[:, None]).sum(axis=1) >= _PLATEAU_PIXELS
     limits = np.where(plateau & ~flat & (largest > 0), largest.astype(np.float64), np.inf)

@@ -31,15 +31,15 @@ def test_a_white_diffuse_surface_has_a_reflectance_factor_of_1(incidence: float,
 def test_observation_136_of_chang_e_4_worked_by_hand(reference_data: Path) -> None:
     """Short-wave channel at 900 nm, 2020-07-16: L = 8.61323e-3, i = 64.445082 deg, d = 1.014822 AU, E0 = 0.889708.
 
-    pi L = 0.02705926; d^2 = 1.02986369, product 0.02786735; cos i = cos 64.445082 deg = 0.43136846, times E0
-    0.38379197; 0.02786735 / 0.38379197 = 0.0726106. (With ASTM E490 in the channel, E0 = 0.9155, it is 0.07056.)
+    pi L = 0.02705926; d^2 = 1.02986369, product 0.02786735; cos i = 0.43137603, times E0 0.38379870;
+    0.02786735 / 0.38379870 = 0.07260929. (With ASTM E490 in the channel, E0 = 0.915526, it is 0.0705617.)
     """
     with (reference_data / "vnis" / "vnis_swir_wl_fwhm_solar.csv").open() as file:
         first = next(csv.DictReader(file))
     assert float(first["wavelength_nm"]) == 900
     irradiance = np.array([float(first["solar_irradiance_W_m-2_nm-1_1AU"])])
     found = reflectance_factor(np.array([8.61323e-3]), irradiance, 64.445082, 1.014822)
-    assert found[0] == pytest.approx(0.0726106, rel=2e-6)
+    assert found[0] == pytest.approx(0.07260929, rel=1e-7)
 
 
 def test_round_numbers() -> None:

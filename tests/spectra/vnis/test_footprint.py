@@ -1,0 +1,234 @@
+"""The footprint's statistics against an obvious loop over its pixels."""
+
+import math
+import statistics
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from lunarsci.spectra.vnis.footprint import Footprint, average_footprint, saturated_pixels
+
+SHADOW_BAND, FIRST_OVERLAP = 3, 90
+"""465 nm and 900 nm, from 450 nm in steps of 5."""
+LIMIT = 0.004
+PIXELS = [(y, x) for y in range(256) for x in range(256) if (y - 127) ** 2 + (x - 97) ** 2 <= 53.8**2]
+
+
+@dataclass
+class Expected:
+    """What a loop finds; lists have one value per band."""
+
+    shadowed: set[tuple[int, int]]
+    invalid: set[tuple[int, int]]
+    mean: list[float]
+    scatter: list[float]
+    count: list[int]
+    clipped: list[int]
+    negative: list[int]
+    constant: int
+    dilution: float
+
+
+def clipping_level(frame: list[float]) -> tuple[float, bool]:
+    """The value from which a frame is clipped, and whether it is of one value."""
+    known = [value for value in frame if math.isfinite(value)]
+    if not known:
+        return math.inf, False
+    largest = max(known)
+    if min(known) == largest:
+        return math.inf, True
+    return (largest if largest > 0 and known.count(largest) >= 20 else math.inf), False
+
+
+def expected(cube: np.ndarray, limit: float) -> Expected:
+    dark = {pixel: float(cube[(SHADOW_BAND, *pixel)]) for pixel in PIXELS}
+    invalid = {pixel for pixel, value in dark.items() if not math.isfinite(value)}
+    shadowed = {pixel for pixel, value in dark.items() if value < limit} - invalid
+    lit = [pixel for pixel in PIXELS if pixel not in invalid and pixel not in shadowed]
+    found = Expected(shadowed, invalid, [], [], [], [], [], 0, math.nan)
+    ratios = []
+    for band, frame in enumerate(cube):
+        level, flat = clipping_level(frame.ravel().tolist())
+        found.constant += flat
+        values = [float(frame[pixel]) for pixel in lit]
+        found.clipped.append(sum(value >= level for value in values))
+        found.negative.append(sum(value < 0 for value in values))
+        good = [value for value in values if math.isfinite(value) and 0 <= value < level]
+        found.count.append(len(good))
+        enough = len(good) >= max(1, len(lit) / 2)
+        found.mean.append(math.fsum(good) / len(good) if enough else math.nan)
+        found.scatter.append((statistics.stdev(good) if len(good) > 1 else 0.0) if enough else math.nan)
+        if band >= FIRST_OVERLAP:
+            seen = [float(frame[pixel]) for pixel in PIXELS if pixel not in invalid]
+            parts = [[value for value in part if math.isfinite(value)] for part in (seen, values)]
+            if all(parts):
+                ratios.append(statistics.fmean(parts[0]) / statistics.fmean(parts[1]))
+    found.dilution = statistics.median(ratios) if ratios else math.nan
+    return found
+
+
+def check(found: Footprint, wanted: Expected) -> None:
+    assert set(map(tuple, np.argwhere(found.inside).tolist())) == set(PIXELS)
+    assert set(map(tuple, np.argwhere(found.shadowed).tolist())) == wanted.shadowed
+    assert set(map(tuple, np.argwhere(found.invalid).tolist())) == wanted.invalid
+    assert found.lit.sum() == len(PIXELS) - len(wanted.shadowed) - len(wanted.invalid)
+    assert found.mean == pytest.approx(wanted.mean, rel=1e-12, nan_ok=True)
+    assert found.scatter == pytest.approx(wanted.scatter, rel=1e-7, abs=1e-8, nan_ok=True)
+    assert found.count.tolist() == wanted.count
+    assert found.clipped.tolist() == wanted.clipped
+    assert found.negative.tolist() == wanted.negative
+    assert found.constant == wanted.constant
+    assert found.dilution == pytest.approx(wanted.dilution, rel=1e-12, nan_ok=True)
+
+
+def base(seed: int) -> np.ndarray:
+    """Random radiances of 0.01 and 10 % scatter; shape (100, 256, 256)."""
+    rng = np.random.default_rng(seed)
+    return (0.01 * (1 + 0.1 * rng.standard_normal((100, 256, 256), dtype=np.float32))).astype(np.float32)
+
+
+def shadow(cube: np.ndarray) -> None:
+    cube[:, 60:110, :90] *= np.float32(0.05)
+
+
+def missing(cube: np.ndarray) -> None:
+    cube[:, 130:134, 90:100] = np.nan
+    cube[20, 140:150, 90:100] = np.nan
+    cube[7] = np.nan
+
+
+def missing_in_the_overlap(cube: np.ndarray) -> None:
+    shadow(cube)
+    cube[93, 130, 97] = np.nan
+    cube[95, 120:125, 97] = np.inf
+    cube[97] = np.nan
+
+
+def infinite(cube: np.ndarray) -> None:
+    cube[SHADOW_BAND, 130, 97] = np.inf
+    cube[30, 130, 97] = np.inf
+    cube[31, 131, 97] = -np.inf
+
+
+def clipped(cube: np.ndarray) -> None:
+    np.minimum(cube[40], np.float32(0.011), out=cube[40])
+    np.minimum(cube[41], np.float32(0.009), out=cube[41])  # more than half of the pixels: the channel is lost
+    cube[42, 0, :25] = 1.0  # clipped, but nowhere within the field of view
+    cube[43, 127, 80:99] = 1.0  # one pixel too few
+
+
+def clipped_beside_an_infinite_pixel(cube: np.ndarray) -> None:
+    np.minimum(cube[40], np.float32(0.011), out=cube[40])
+    cube[40, 0, 0] = np.inf
+
+
+def negative(cube: np.ndarray) -> None:
+    cube[50, 120:125, 90:100] *= -1
+    cube[51] *= -1
+    cube[52, 127, 97] = 0
+    cube[53] = 0
+
+
+def constant(cube: np.ndarray) -> None:
+    cube[10], cube[92], cube[60] = 0.01, 0.02, 0.0
+    cube[61] = 0.01
+    cube[61, 3, 3] = np.nan
+
+
+def everything(cube: np.ndarray) -> None:
+    for change in (shadow, missing, clipped, negative, constant):
+        change(cube)
+
+
+def nothing(cube: np.ndarray) -> None:
+    del cube
+
+
+CASES: dict[str, Callable[[np.ndarray], None]] = {
+    change.__name__: change
+    for change in (
+        nothing, shadow, missing, missing_in_the_overlap, infinite, clipped, clipped_beside_an_infinite_pixel, negative,
+        constant, everything,
+    )
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_statistics_are_those_of_a_loop(case: str) -> None:
+    cube = base(len(case))
+    CASES[case](cube)
+    check(average_footprint(cube, LIMIT), expected(cube, LIMIT))
+
+
+def test_the_cube_is_left_as_it_was() -> None:
+    cube = base(1)
+    everything(cube)
+    before = cube.copy()
+    cube.setflags(write=False)
+    average_footprint(cube, LIMIT)
+    assert np.array_equal(cube, before, equal_nan=True)
+
+
+def test_nothing_outside_the_field_of_view_counts() -> None:
+    cube, rng = base(2), np.random.default_rng(9)
+    inside = average_footprint(cube, LIMIT).inside
+    other = np.where(inside, cube, rng.uniform(0, 0.01, cube.shape).astype(np.float32))
+    first, second = average_footprint(cube, LIMIT), average_footprint(other, LIMIT)
+    assert np.array_equal(first.mean, second.mean)
+    assert first.dilution == second.dilution == 1
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9])
+def test_dilution_is_what_black_shadows_take_away(share: float) -> None:
+    """Black ground over a share of the field of view leaves 1 - share of the mean."""
+    cube = np.full((100, 256, 256), 0.01, dtype=np.float32)
+    cube[:, 0, 0] = 0.02  # so that the frames are neither flat nor clipped
+    dark = PIXELS[: round(share * len(PIXELS))]
+    for line, sample in dark:
+        cube[:, line, sample] = 0
+    found = average_footprint(cube, LIMIT)
+    assert found.dilution == pytest.approx(1 - len(dark) / len(PIXELS), rel=1e-9)
+    assert found.shadowed.sum() == len(dark)
+    assert found.mean == pytest.approx(np.full(100, np.float32(0.01), dtype=float), rel=1e-12)
+    assert found.scatter == pytest.approx(np.zeros(100), abs=1e-8)
+    assert found.constant == 0
+
+
+def test_a_pixel_exactly_at_the_limit_is_lit() -> None:
+    cube = np.full((100, 256, 256), 0.5, dtype=np.float32)
+    cube[:, 127, 97] = 0.25
+    assert average_footprint(cube, 0.25).shadowed.sum() == 0
+    assert average_footprint(cube, 0.2500001).shadowed.sum() == 1
+
+
+def test_no_light_at_all_gives_no_statistics() -> None:
+    found = average_footprint(np.zeros((100, 256, 256), dtype=np.float32), LIMIT)
+    assert found.lit.sum() == 0
+    assert np.isnan(found.mean).all()
+    assert np.isnan(found.scatter).all()
+    assert math.isnan(found.dilution)
+    assert (found.count == 0).all()
+
+
+def test_no_value_at_all_gives_no_statistics() -> None:
+    found = average_footprint(np.full((100, 256, 256), np.nan, dtype=np.float32), LIMIT)
+    assert found.invalid.sum() == 9085
+    assert np.isnan(found.mean).all()
+    assert math.isnan(found.dilution)
+    assert found.constant == 0
+
+
+def test_clipping_is_many_pixels_of_the_largest_value() -> None:
+    cube = base(4)
+    cube[0].flat[:19] = 0.5
+    cube[1].flat[:20] = 0.5
+    cube[2] = 0.5
+    cube[3] = -1
+    cube[3].flat[:40] = 0
+    limits, flat = saturated_pixels(cube)
+    assert np.isinf(limits[0])
+    assert limits[1] == 0.5
+    assert np.isinf(limits[2:]).all()
+    assert flat == 1
