@@ -58,6 +58,10 @@ def calibrate(
     shadow: Annotated[
         float, typer.Option(help="Pixels with less reflectance at 465 nm are shadows; 0 to below 1.")
     ] = 0.02,
+    vnir_steps: Annotated[
+        Literal["keep", "remove"],
+        typer.Option(help="Steps at 632.5 and 757.5 nm between sub-bands of the imager: keep or remove."),
+    ] = "keep",
     calibration: Annotated[
         str | None,
         typer.Option(
@@ -79,7 +83,7 @@ def calibrate(
 
     from .vnis_report import calibrate_report, observations, settings_from
 
-    settings = settings_from(solar, photometry, phase, shadow, calibration, radiance_per)
+    settings = settings_from(solar, photometry, phase, shadow, vnir_steps, calibration, radiance_per)
     paths, failures = observations(files)
     with progress("calibrating", quiet=output.quiet) as update:
         results = calibrate_files(paths, settings, update)

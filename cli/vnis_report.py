@@ -15,6 +15,7 @@ from lunarsci.spectra.vnis.name import product_name
 from lunarsci.spectra.vnis.observation import one_per_observation
 from lunarsci.spectra.vnis.reflectance import read_channel_factors
 from lunarsci.spectra.vnis.settings import Settings
+from lunarsci.spectra.vnis.systematics import table_hash as shape_hash
 
 from .report import Report
 from .table import TextTable, plus_minus
@@ -27,7 +28,9 @@ SOURCES = [
 ]
 
 
-def settings_from(solar: str, disk: str, phase: str, shadow: float, factors: str | None, radiance_per: str) -> Settings:
+def settings_from(
+    solar: str, disk: str, phase: str, shadow: float, vnir_steps: str, factors: str | None, radiance_per: str
+) -> Settings:
     """Settings from the options: a name of an embedded table, or else a file. Raises DataError, ParameterError."""
     inputs: dict[str, str] = {}
 
@@ -45,6 +48,7 @@ def settings_from(solar: str, disk: str, phase: str, shadow: float, factors: str
         phase=function,
         shadow_limit=shadow,
         radiance_unit=radiance_per,
+        remove_vnir_steps=vnir_steps == "remove",
         factors=read_channel_factors(opened(factors)) if factors else None,
         inputs=inputs,
     )
@@ -115,7 +119,7 @@ def calibrate_report(results: Sequence[Calibration | CalibrationFailure], settin
 def _hashes(settings: Settings) -> dict[str, str]:
     names = {settings.solar.name, settings.other_solar.name} & set(SOLAR_SPECTRA)
     hashes = {table: digest for name in sorted(names) for table, digest in solar_hash(name).items()}
-    return hashes | (phase_hash() if settings.disk else {})
+    return hashes | shape_hash() | (phase_hash() if settings.disk else {})
 
 
 def _table(good: Sequence[Calibration]) -> TextTable:
@@ -135,7 +139,7 @@ def _row(item: Calibration) -> list[str]:
         *(f"{angle:.2f}" for angle in (geometry.incidence_deg, geometry.emission_deg, geometry.phase_deg)),
         f"{item.vnir.distance_au:.6f}",
         f"{int(item.footprint.lit.sum())} of {int(item.footprint.inside.sum())}",
-        plus_minus(item.splice.step, item.splice.step_sigma, digits=4),
+        plus_minus(item.splice.step.factor, item.splice.step.sigma, digits=4),
         plus_minus(item.splice.gain, item.splice.gain_sigma, digits=4),
         plus_minus(level, item.sigma[at], digits=4),
         plus_minus(100 * item.systematic_total[at] / level, digits=1),

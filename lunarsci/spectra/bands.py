@@ -70,7 +70,8 @@ class BandResult:
     depth, depth_sigma : 1 - R/continuum at the centre. [-]
     area_nm, area_sigma_nm : integral of 1 - R/continuum over the window. [nm]
     center_calibration_nm, depth_calibration, area_calibration_nm : standard deviation from the errors that all channels
-        share (`Spectrum.systematic`), each carried through as one shift; None where none is known. [nm, -, nm]
+        share (`Spectrum.systematic`), each carried through as one shift, to first order and at the same tie points of
+        the continuum: where a shift makes these jump, the band moves by more. None where none is known. [nm, -, nm]
     continuum : the continuum really used, after any fallback.
     status : `ok`, or a sentence.
     note : why the wanted continuum was not used, or empty.

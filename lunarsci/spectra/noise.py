@@ -33,7 +33,7 @@ def scatter_noise(values: FloatArray, window: int = 61) -> FloatArray:
     if values.size < 5:
         return np.full(values.shape, np.std(values))
     second = np.abs(np.diff(values, 2))
-    half = min(window, second.size) // 2
+    half = (min(window, second.size) - 1) // 2
     centres = np.clip(np.arange(values.size) - 1, half, second.size - 1 - half)
     windows = np.lib.stride_tricks.sliding_window_view(second, 2 * half + 1)
     running: FloatArray = np.median(windows, axis=1)[centres - half] * _NORMAL_MAD / _SECOND_DIFFERENCE

@@ -209,7 +209,7 @@ class _Problem:
         model_and_jacobian(point, self.wavelength_nm / 1e3, self.basis, model, jacobian)
         reduced = chi2 / max(1.0, data.reflectance.size - self._parameters_used(covariance[best]))
         spread = self._widened(covariance[best], reduced)
-        shared = data.shifts @ (jacobian * data.weight).T @ covariance[best]
+        shared = data.shifts @ (jacobian * data.weight).T @ self._response(point, covariance[best])
         bands = self._bands(point, spread, shared)
         converged = statistics[best, 3] == CONVERGED
         return MgmFit(
@@ -231,6 +231,14 @@ class _Problem:
             reflectance=data.reflectance,
             continuum_reflectance=self.basis @ point[: self.degrees],
         )
+
+    def _response(self, point: FloatArray, covariance: FloatArray) -> FloatArray:
+        """Covariance of the parameters that are free to follow a shift of the data; 0 for those on a bound."""
+        free = (point > self.lower) & (point < self.upper)
+        block = np.ix_(free, free)
+        response = np.zeros_like(covariance)
+        response[block] = np.linalg.inv(np.linalg.inv(covariance)[block])
+        return response
 
     def _parameters_used(self, covariance: FloatArray) -> float:
         """Effective number of parameters that the data determine: the continuum's, and the shrinkage of the others."""

@@ -54,6 +54,9 @@ class PhaseFunction(Protocol):
     def log_ratio(self, phase_deg: float, wavelength_nm: FloatArray) -> FloatArray:
         """ln f(g) / f(30 deg), shape of `wavelength_nm`. [-]"""
 
+    def edge_shift(self, phase_deg: float, wavelength_nm: FloatArray) -> FloatArray:
+        """What ln R would gain where the curve went on beyond its last wavelengths instead of being held there. [-]"""
+
     def remark(self, phase_deg: float, wavelength_nm: FloatArray) -> str:
         """What to know when it is used beyond where it was established; '' within."""
 
@@ -66,6 +69,10 @@ class FlatPhase:
     source: str = "none: f = 1"
 
     def log_ratio(self, phase_deg: float, wavelength_nm: FloatArray) -> FloatArray:
+        """Zeros, shape of `wavelength_nm`. [-]"""
+        return np.zeros(np.shape(wavelength_nm))
+
+    def edge_shift(self, phase_deg: float, wavelength_nm: FloatArray) -> FloatArray:
         """Zeros, shape of `wavelength_nm`. [-]"""
         return np.zeros(np.shape(wavelength_nm))
 
@@ -109,11 +116,19 @@ class SelenePhase:
 
         phase_deg : fitted to 5-85; an extrapolation elsewhere, up to 180. [deg]
         """
+        return np.asarray(self._smooth(phase_deg)(_held(wavelength_nm, self.wavelength_nm)), dtype=np.float64)
+
+    def _smooth(self, phase_deg: float) -> np.polynomial.Polynomial:
         at, standard = (
             selene_phase(angle, self.b0, self.h, self.c, self.g) for angle in (phase_deg, STANDARD.phase_deg)
         )
-        smooth = np.polynomial.Polynomial.fit(self.wavelength_nm, np.log(at / standard), _DEGREE)
-        return np.asarray(smooth(_held(wavelength_nm, self.wavelength_nm)), dtype=np.float64)
+        return np.polynomial.Polynomial.fit(self.wavelength_nm, np.log(at / standard), _DEGREE)
+
+    def edge_shift(self, phase_deg: float, wavelength_nm: FloatArray) -> FloatArray:
+        """What ln R gains where the parabola goes on beyond 512.6-2053.3 nm instead of being held; 0 within. [-]"""
+        smooth = self._smooth(phase_deg)
+        held = smooth(_held(wavelength_nm, self.wavelength_nm))
+        return np.asarray(held - smooth(np.asarray(wavelength_nm, dtype=float)), dtype=np.float64)
 
     def remark(self, phase_deg: float, wavelength_nm: FloatArray) -> str:
         """Names the phase angle outside 5-85 deg, and the count of channels beyond the wavelengths."""
@@ -152,6 +167,10 @@ class TablePhase:
         if self.wavelength_nm.size == 0:
             return np.full(np.shape(wavelength_nm), (at - standard)[0])
         return np.asarray(np.interp(wavelength_nm, self.wavelength_nm, at - standard), dtype=np.float64)
+
+    def edge_shift(self, phase_deg: float, wavelength_nm: FloatArray) -> FloatArray:
+        """0: nothing is known beyond a table's wavelengths. [-]"""
+        return np.zeros(np.shape(wavelength_nm))
 
     def remark(self, phase_deg: float, wavelength_nm: FloatArray) -> str:
         """Names the phase angle outside the table, and the count of channels beyond its wavelengths."""

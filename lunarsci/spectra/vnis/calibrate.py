@@ -12,7 +12,7 @@ from lunarsci.spectra.sun import sun_moon_distance_au
 from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure
 from lunarsci.spectra.vnis.channels import SWIR_NM, VNIR_NM
 from lunarsci.spectra.vnis.detector import DetectorSpectrum, irradiance_at, measure
-from lunarsci.spectra.vnis.footprint import SHADOW_BAND_NM, Footprint, average_footprint
+from lunarsci.spectra.vnis.footprint import SHADOW_BAND_NM, Footprint, average_footprint, shadow_limit_shift
 from lunarsci.spectra.vnis.label import Label
 from lunarsci.spectra.vnis.observation import Observation, read_observation
 from lunarsci.spectra.vnis.reflectance import IN_FLIGHT_VERSION, reflectance_factor
@@ -29,6 +29,7 @@ _DARK = 0.01
 _BRIGHT = 2.0
 _SWIR_PLATEAU = 3
 _GRAZING_DEG = 80.0
+_NOTED_STEP_SIGMAS = 3.0
 
 
 def calibrate_files(
@@ -65,7 +66,10 @@ def calibrate(observation: Observation, settings: Settings | None = None) -> Cal
     notes: list[str] = []
     scale = RADIANCE_UNITS[chosen.radiance_unit]
     vnir_factors, swir_factors = _channel_factors(observation, chosen, notes)
-    footprint = _footprint(observation, chosen, scale, vnir_factors, notes)
+    limit = _shadow_radiance(observation.cube_label, chosen, scale, vnir_factors)
+    footprint = _footprint(observation, chosen, limit, notes)
+    vnir_shift, dilution_shift = shadow_limit_shift(observation.cube, footprint, limit)
+    shadow_shift = (vnir_shift, np.full(SWIR_NM.size, -dilution_shift))
     vnir_bad = ~(footprint.mean > 0) | (False if observation.cube_flags is None else observation.cube_flags)
     swir_bad = _bad_swir(observation, notes)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -76,7 +80,7 @@ def calibrate(observation: Observation, settings: Settings | None = None) -> Cal
     swir = measure("swir", observation.table_label, swir_radiance, np.zeros(SWIR_NM.size), chosen)
     for item, label in ((vnir, observation.cube_label), (swir, observation.table_label)):
         _check_level(item, label, observation.id)
-    splice = _splice(vnir, swir, observation.id, notes)
+    splice = _splice(vnir, swir, observation.id, notes, remove_vnir_steps=chosen.remove_vnir_steps)
     reflectance = splice.join(vnir.corrected, swir.corrected)
     _remark(vnir, swir, observation, chosen, notes)
     return Calibration(
@@ -87,7 +91,7 @@ def calibrate(observation: Observation, settings: Settings | None = None) -> Cal
         longitude_deg=observation.table_label.longitude_deg,
         reflectance=reflectance,
         sigma=splice.join(vnir.corrected * vnir.relative_sigma, swir.corrected * swir.relative_sigma),
-        systematic=shared_errors(vnir, swir, splice, reflectance, chosen),
+        systematic=shared_errors(vnir, swir, splice, reflectance, chosen, shadow_shift),
         vnir=vnir,
         swir=swir,
         splice=splice,
@@ -124,16 +128,18 @@ def _is_early(label: Label) -> bool:
     return label.calibration_version < IN_FLIGHT_VERSION
 
 
-def _footprint(
-    observation: Observation, settings: Settings, scale: float, factors: FloatArray, notes: list[str]
-) -> Footprint:
-    """Average the lit pixels; the limit of shadows is turned into a radiance."""
-    label = observation.cube_label
+def _shadow_radiance(label: Label, settings: Settings, scale: float, factors: FloatArray) -> float:
+    """The limit of shadows in the unit of the file at 465 nm."""
     band = int(np.flatnonzero(VNIR_NM == SHADOW_BAND_NM)[0])
     distance = sun_moon_distance_au(label.start)
     irradiance = irradiance_at("vnir", settings.solar)[band : band + 1]
     one = reflectance_factor(np.array([scale * factors[band]]), irradiance, label.geometry.incidence_deg, distance)
-    footprint = average_footprint(observation.cube, settings.shadow_limit / float(one[0]))
+    return settings.shadow_limit / float(one[0])
+
+
+def _footprint(observation: Observation, settings: Settings, limit: float, notes: list[str]) -> Footprint:
+    """Average the lit pixels, and say what was left out."""
+    footprint = average_footprint(observation.cube, limit)
     inside, lit = int(footprint.inside.sum()), int(footprint.lit.sum())
     if lit < _LEAST_LIT * inside:
         raise DataError(
@@ -150,8 +156,11 @@ def _footprint(
     if shadowed:
         notes.append(f"SWIR radiance divided by {footprint.dilution:.4f} for the shadows it averages over")
     for count, what in (
-        (int(footprint.invalid.sum()), "pixels of the footprint have no value at 465 nm"),
-        (int((footprint.clipped > 0).sum()), "VNIR channels have saturated pixels, which are left out"),
+        (
+            int(footprint.invalid.sum()),
+            "pixels of the footprint are left out: no value at 465 nm, or saturated",
+        ),
+        (int((footprint.clipped > 0).sum()), "VNIR channels have saturated pixels"),
         (int((footprint.negative > 0).sum()), "VNIR channels have lit pixels of negative radiance, which are left out"),
         (footprint.constant, "VNIR frames have the same value in every pixel"),
     ):
@@ -201,22 +210,31 @@ def _check_level(item: DetectorSpectrum, label: Label, id: str) -> None:
         )
 
 
-def _splice(vnir: DetectorSpectrum, swir: DetectorSpectrum, id: str, notes: list[str]) -> Splice:
+def _splice(
+    vnir: DetectorSpectrum, swir: DetectorSpectrum, id: str, notes: list[str], *, remove_vnir_steps: bool
+) -> Splice:
     try:
         splice = find_splice(
             vnir.corrected,
             swir.corrected,
             vnir.corrected * vnir.relative_sigma,
             swir.corrected * swir.relative_sigma,
+            remove_vnir_steps=remove_vnir_steps,
         )
     except DataError as error:
         raise DataError(f"{id}: cannot be spliced: {error}; fetch both products again") from error
     for factor, limit, what in (
         (splice.gain, GAIN_LIMIT, "VNIR to SWIR differs by"),
-        (splice.step, STEP_LIMIT, "the step at 1375/1380 nm is"),
+        (splice.step.factor, STEP_LIMIT, "the step at 1375/1380 nm is"),
     ):
         if abs(factor - 1) > limit:
             _warn(id, f"{what} {100 * (factor - 1):+.1f} %, more than the {100 * limit:.0f} % that are usual", notes)
+    for step in splice.vnir_steps:
+        if abs(step.factor - 1) > _NOTED_STEP_SIGMAS * step.sigma:
+            done = "removed" if remove_vnir_steps else "kept, see --vnir-steps"
+            notes.append(
+                f"VNIR changes by {100 * (step.factor - 1):+.1f} % at {step.at_nm:g} nm, a sub-band's end: {done}"
+            )
     return splice
 
 
@@ -224,8 +242,11 @@ def _remark(
     vnir: DetectorSpectrum, swir: DetectorSpectrum, observation: Observation, settings: Settings, notes: list[str]
 ) -> None:
     for item in (vnir, swir):
-        if item.excess > 1.5:
-            notes.append(f"{item.detector.upper()} scatters {item.excess:.1f} times its usual noise; errors enlarged")
+        if item.enlarged:
+            worst = f"up to {item.excess.max():.1f} times"
+            notes.append(
+                f"channels of {item.detector.upper()} scatter {worst} as much as usual; their errors are enlarged"
+            )
     incidence = max(vnir.geometry.incidence_deg, swir.geometry.incidence_deg)
     if incidence > _GRAZING_DEG:
         _warn(

@@ -93,8 +93,12 @@ class Calibration:
             "solar": self.solar,
             "footprint": self._pixels(),
             "splice": {
-                "step": self.splice.step,
-                "step_sigma": self.splice.step_sigma,
+                "step": self.splice.step.factor,
+                "step_sigma": self.splice.step.sigma,
+                "vnir_steps": [
+                    {"at_nm": step.at_nm, "factor": step.factor, "sigma": step.sigma} for step in self.splice.vnir_steps
+                ],
+                "vnir_steps_removed": self.splice.vnir_steps_removed,
                 "gain": self.splice.gain,
                 "gain_sigma": self.splice.gain_sigma,
                 "overlap_rms": self.splice.overlap_rms,
@@ -141,6 +145,6 @@ def _of_detector(item: DetectorSpectrum) -> dict[str, Any]:
         "emission_deg": item.geometry.emission_deg,
         "phase_deg": item.geometry.phase_deg,
         "sun_distance_au": item.distance_au,
-        "noise_excess": item.excess,
+        "noise_excess": float(item.excess.max()),
         "channels_masked": int((~np.isfinite(item.observed)).sum()),
     }

@@ -9,15 +9,25 @@ from lunarsci.spectra.photometry import Geometry, correction_factor
 from lunarsci.spectra.solar import SolarSpectrum, in_band_irradiance
 from lunarsci.spectra.spectrum import FloatArray
 from lunarsci.spectra.sun import sun_moon_distance_au
-from lunarsci.spectra.vnis.channels import SWIR_NM, VNIR_NM, Detector, fixed_pattern, fwhm_nm, random_noise
+from lunarsci.spectra.vnis.channels import (
+    SUB_BAND_STEP_NM,
+    SWIR_NM,
+    VNIR_NM,
+    Detector,
+    fixed_pattern,
+    fwhm_nm,
+    random_noise,
+)
 from lunarsci.spectra.vnis.label import Label
 from lunarsci.spectra.vnis.reflectance import reflectance_factor
 from lunarsci.spectra.vnis.settings import Settings
 
 __all__ = ["DetectorSpectrum", "irradiance_at", "measure"]
 
-_NOISY = 1.5
-"""Channels that scatter more than so many times the instrument's figures enlarge the errors; assumed."""
+_NOISY = 1.4
+"""A sub-band whose channels scatter more than so many times the instrument's figures has its errors enlarged; assumed.
+Without excess the estimate itself scatters by 0.1 to 0.2."""
+_SUB_BANDS_NM: dict[Detector, tuple[float, ...]] = {"vnir": (632.5, 757.5), "swir": (SUB_BAND_STEP_NM, 1997.5)}
 
 WAVELENGTHS: dict[Detector, FloatArray] = {"vnir": VNIR_NM, "swir": SWIR_NM}
 
@@ -36,8 +46,8 @@ class DetectorSpectrum:
     correction : photometric factor to the standard geometry, 1 without correction. [-]
     relative_sigma : error independent between channels, over the reflectance: noise, fixed pattern and, for the image,
         the standard error of the mean over the pixels. [-]
-    excess : scatter between neighbouring channels over what the instrument's figures make of it; `relative_sigma` is
-        enlarged by it where it is above 1.5.
+    excess : scatter between neighbouring channels over what the instrument's figures make of it, in each sub-band;
+        `relative_sigma` is enlarged by it where it is above 1.4.
     """
 
     detector: Detector
@@ -49,7 +59,12 @@ class DetectorSpectrum:
     observed: FloatArray
     correction: FloatArray
     relative_sigma: FloatArray
-    excess: float
+    excess: FloatArray
+
+    @property
+    def enlarged(self) -> bool:
+        """Whether errors were enlarged for scatter beyond the instrument's figures."""
+        return bool((self.excess > _NOISY).any())
 
     @property
     def corrected(self) -> FloatArray:
@@ -79,8 +94,8 @@ def measure(
     if settings.disk is not None:
         correction = correction_factor(label.geometry, wavelength, settings.disk, settings.phase)
     figures = np.hypot(random_noise(wavelength, detector), fixed_pattern(wavelength, detector))
-    excess = _excess(observed, figures)
-    sigma = np.hypot(figures * (excess if excess > _NOISY else 1.0), mean_error)
+    excess = _excess(detector, wavelength, observed, figures)
+    sigma = np.hypot(figures * np.where(excess > _NOISY, excess, 1.0), mean_error)
     return DetectorSpectrum(
         detector,
         wavelength,
@@ -95,9 +110,13 @@ def measure(
     )
 
 
-def _excess(observed: FloatArray, figures: FloatArray) -> float:
-    """Median ratio of the scatter between neighbouring channels to the instrument's figures; NaN for a few channels."""
-    good = np.isfinite(observed)
-    if good.sum() < 10:
-        return float("nan")
-    return float(np.median(scatter_noise(np.log(observed[good])) / figures[good]))
+def _excess(detector: Detector, wavelength: FloatArray, observed: FloatArray, figures: FloatArray) -> FloatArray:
+    """By sub-band, the scatter between neighbouring channels over the instrument's figures; 1 for a few channels."""
+    excess = np.ones_like(observed)
+    edges = np.searchsorted(wavelength, _SUB_BANDS_NM[detector])
+    for part in np.split(np.arange(wavelength.size), edges):
+        good = part[np.isfinite(observed[part])]
+        if good.size >= 10:
+            ratio = np.log(observed[good]) / figures[good]
+            excess[part] = np.median(scatter_noise(ratio - np.median(ratio)))
+    return excess

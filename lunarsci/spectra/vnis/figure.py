@@ -92,8 +92,8 @@ def _draw_reflectance(axes: Any, item: Calibration) -> None:
     axes.text(
         0.02,
         0.02,
-        f"VNIR × {splice.gain:.4f} ± {splice.gain_sigma:.4f}; SWIR below 1377.5 nm × {splice.step:.4f} "
-        f"± {splice.step_sigma:.4f}",
+        f"VNIR × {splice.gain:.4f} ± {splice.gain_sigma:.4f}; SWIR below 1377.5 nm × {splice.step.factor:.4f} "
+        f"± {splice.step.sigma:.4f}",
         transform=axes.transAxes,
         fontsize=8,
     )

@@ -9,7 +9,7 @@ from lunarsci.spectra.spectrum import BoolArray, FloatArray
 from lunarsci.spectra.vnis.channels import JOIN_NM, VNIR_NM, footprint_mask
 from lunarsci.spectra.vnis.cube import Cube
 
-__all__ = ["SHADOW_BAND_NM", "Footprint", "average_footprint", "saturated_pixels"]
+__all__ = ["SHADOW_BAND_NM", "Footprint", "average_footprint", "saturated_pixels", "shadow_limit_shift"]
 
 SHADOW_BAND_NM = 465.0
 """Shadows are told in this channel (Ding et al. 2024). [nm]"""
@@ -17,6 +17,9 @@ _PLATEAU_PIXELS = 20
 """So many pixels of exactly the largest value of a frame are a clipped frame; assumed."""
 _LEAST_SHARE = 0.5
 """A channel with fewer valid pixels than this share of the lit ones is not used; assumed."""
+_MOST_CLIPPED = 0.05
+"""A channel in which more of the lit pixels than this share are clipped is not used; the pixels clipped in the others
+are left out of all, so that every channel averages the same ground. Assumed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,11 +28,12 @@ class Footprint:
 
     Attributes
     ----------
-    inside, shadowed, invalid : shape (256, 256); the field of view, its shadowed pixels, its pixels without a value.
+    inside, shadowed, invalid : shape (256, 256); the field of view, its shadowed pixels, its pixels that are not used
+        since they have no value at 465 nm or are clipped in some channel.
     mean, scatter : shape (100,); mean and standard deviation of radiance over lit, valid pixels; NaN where too few.
         [W m-2 sr-1 nm-1]
     count : shape (100,); number of pixels in them.
-    clipped : shape (100,); pixels inside left out as saturated. negative : pixels left out for a radiance below 0.
+    clipped : shape (100,); lit pixels that are saturated. negative : pixels left out for a radiance below 0.
     constant : number of frames without any contrast, which no camera takes.
     dilution : mean over all valid pixels of the field of view over that of the lit ones, in the channels that both
         detectors have: what shadows take away from a detector that averages over the field of view. [-]
@@ -59,15 +63,17 @@ def average_footprint(cube: Cube, shadow_radiance: float) -> Footprint:
     invalid = inside & ~np.isfinite(dark_band)
     with np.errstate(invalid="ignore"):
         shadowed = inside & ~invalid & (dark_band < shadow_radiance)
-    lit = inside & ~shadowed & ~invalid
-    values = cube[:, lit].astype(np.float64)
     limits, constant = saturated_pixels(cube)
+    lit = inside & ~shadowed & ~invalid
+    clipped, usable, clipped_counts = _clipped(cube, lit, limits)
+    invalid |= clipped
+    lit &= ~invalid
+    values = cube[:, lit].astype(np.float64)
     with np.errstate(invalid="ignore"):
-        clipped = values >= limits[:, None]
         negative = values < 0
-        valid = np.isfinite(values) & ~clipped & ~negative
+        valid = np.isfinite(values) & ~negative
     count = valid.sum(axis=1)
-    enough = count >= max(_LEAST_SHARE * lit.sum(), 1)
+    enough = usable & (count >= max(_LEAST_SHARE * lit.sum(), 1))
     values[~valid] = 0
     size = np.where(enough, count, 1)
     mean = values.sum(axis=1) / size
@@ -80,11 +86,40 @@ def average_footprint(cube: Cube, shadow_radiance: float) -> Footprint:
         np.where(enough, mean, np.nan),
         np.where(enough, scatter, np.nan),
         count,
-        clipped.sum(axis=1),
+        clipped_counts,
         negative.sum(axis=1),
         constant,
         _dilution(cube, inside & ~invalid, lit),
     )
+
+
+def _clipped(cube: Cube, lit: BoolArray, limits: FloatArray) -> tuple[BoolArray, BoolArray, npt.NDArray[np.int64]]:
+    """Pixels clipped in a channel that is used, shape (256, 256); channels used; count of clipped pixels by channel."""
+    anywhere = np.zeros_like(lit)
+    usable, counts = np.ones(len(cube), dtype=bool), np.zeros(len(cube), dtype=np.int64)
+    for band in np.flatnonzero(np.isfinite(limits)):
+        clipped = lit & (cube[band] >= limits[band])
+        counts[band] = clipped.sum()
+        usable[band] = counts[band] <= _MOST_CLIPPED * lit.sum()
+        if usable[band]:
+            anywhere |= clipped
+    return anywhere, usable, counts
+
+
+def shadow_limit_shift(cube: Cube, footprint: Footprint, shadow_radiance: float) -> tuple[FloatArray, float]:
+    """How ln of the mean, shape (100,), and of the dilution change by half the way from 0.5 to 1.5 times the limit. [-]
+
+    Zero where no pixel lies between these limits, NaN where one of them leaves nothing lit.
+    """
+    dark_band = cube[int(np.flatnonzero(VNIR_NM == SHADOW_BAND_NM)[0])]
+    candidates = footprint.inside & ~footprint.invalid
+    low, high = (candidates & (dark_band >= factor * shadow_radiance) for factor in (0.5, 1.5))
+    if (low == high).all():
+        return np.zeros(len(cube)), 0.0
+    with np.errstate(invalid="ignore", divide="ignore"):
+        shift = np.log(_known_mean(cube[:, high]) / _known_mean(cube[:, low])) / 2
+        dilution = np.log(_dilution(cube, candidates, high) / _dilution(cube, candidates, low)) / 2
+    return shift, float(dilution)
 
 
 def _dilution(cube: Cube, inside: BoolArray, lit: BoolArray) -> float:

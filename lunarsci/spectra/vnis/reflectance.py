@@ -35,7 +35,7 @@ def reflectance_factor(
     Raises ParameterError outside these ranges.
 
     Hapke (2012), Theory of Reflectance and Emittance Spectroscopy, 10.1017/CBO9781139025683; Ding et al. (2024),
-    10.1038/s41467-024-46233-8 (their equation 25).
+    10.1038/s41467-024-46233-8 (their equation 29).
     """
     if not 0 <= incidence_deg < 90:
         raise ParameterError(f"incidence is {incidence_deg:g} deg; it must be from 0 to below 90")

@@ -25,6 +25,7 @@ class Settings:
     phase : phase function, used with a disk function only.
     shadow_limit : pixels with a reflectance factor below it at 465 nm are shadows, 0 to below 1. [-]
     radiance_unit : `nm` or `um`, the wavelength that radiance is per.
+    remove_vnir_steps : whether steps between the sub-bands of VNIR are removed, not only their error stated.
     factors : for products from before the in-flight calibration.
 
     Raises ParameterError outside these.
@@ -36,6 +37,7 @@ class Settings:
     phase: PhaseFunction
     shadow_limit: float = 0.02
     radiance_unit: str = "nm"
+    remove_vnir_steps: bool = False
     factors: ChannelFactors | None = None
     inputs: Mapping[str, str] = field(default_factory=dict)
 

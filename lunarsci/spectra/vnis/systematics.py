@@ -4,59 +4,98 @@ The absolute calibration and the irradiance were established before the flight o
 choice among several: repeating the measurement does not make these errors smaller, and they do not scatter.
 """
 
+import csv
+from importlib.resources import files
+
 import numpy as np
 
 from lunarsci.errors import DataError
+from lunarsci.provenance import sha256
 from lunarsci.spectra.photometry import Geometry, model_spread
+from lunarsci.spectra.solar import solar_spectrum
 from lunarsci.spectra.spectrum import FloatArray
+from lunarsci.spectra.vnis.channels import SPLICED_NM
 from lunarsci.spectra.vnis.detector import DetectorSpectrum, irradiance_at
 from lunarsci.spectra.vnis.settings import Settings
 from lunarsci.spectra.vnis.splice import Splice, find_splice
 
-__all__ = ["CALIBRATION", "IRRADIANCE_SCALE", "shared_errors"]
+__all__ = ["CALIBRATION", "shared_errors", "table_hash"]
 
 CALIBRATION = {"vnir": 0.05, "swir": 0.07}
-"""Relative error of the absolute radiometric calibration of the detectors, He et al. (2019), Sensors 19, 2806,
-10.3390/s19122806. [-]"""
-IRRADIANCE_SCALE = 0.006
-"""Relative error of the level of the solar spectra: what the standards G173 and E490 differ by. [-]"""
+"""Relative error of the level of each detector, as quoted for the instrument; assumed, the source could not be read.
+The error of the Sun's level, 0.6 %, is small beside it. [-]"""
+_SMOOTH_CHANNELS = 21
 _NEGLIGIBLE = 1e-5
+_M3_TABLE = "solar_m3_over_e490.csv"
+
+
+Shift = tuple[FloatArray, FloatArray]
+"""Shifts of ln R of VNIR, shape (100,), and of SWIR, shape (300,)."""
 
 
 def shared_errors(
-    vnir: DetectorSpectrum, swir: DetectorSpectrum, splice: Splice, spliced: FloatArray, settings: Settings
+    vnir: DetectorSpectrum,
+    swir: DetectorSpectrum,
+    splice: Splice,
+    spliced: FloatArray,
+    settings: Settings,
+    shadow_shift: Shift,
 ) -> dict[str, FloatArray]:
     """Name of each error to the shift of the spliced spectrum by one standard deviation of it, shape (390,). [-]
 
     `calibration_vnir`, `calibration_swir` : level of each detector; the first vanishes where VNIR is scaled to SWIR.
-    `irradiance_level`, `irradiance_shape` : level, and difference between two documented solar spectra.
-    `photometry_1`, `photometry_2` : spread over disk and phase functions; absent without correction.
-    `splice_gain`, `splice_step` : statistical errors of the joining factors.
+    `irradiance_shape`, `irradiance_detail` : broad difference to the solar spectrum of M3, difference to a standard.
+    `photometry_1`, `photometry_2`, `phase_edge` : spread over disk and phase functions, and holding the phase function
+        at the end of its wavelengths or not; absent without correction.
+    `shadow_limit` : what shadows are, `shadow_shift` for VNIR and SWIR.
+    `splice_gain`, `splice_overlap`, `splice_step`, `vnir_step_632`, `vnir_step_758` : errors of the joining factors.
     """
-    shifts = _detector_shifts(vnir, swir, settings)
-    modes = {name: _respliced(vnir, swir, shift) - spliced for name, shift in shifts.items()} | splice.modes(spliced)
+    shifts = _detector_shifts(vnir, swir, settings) | {"shadow_limit": shadow_shift}
+    modes = {name: _respliced(vnir, swir, shift, settings) - spliced for name, shift in shifts.items()} | splice.modes(
+        spliced
+    )
     filled = {name: np.where(np.isfinite(mode), mode, 0.0) for name, mode in modes.items()}
     size = np.nanmedian(spliced)
     return {name: mode for name, mode in filled.items() if np.abs(mode).max() > _NEGLIGIBLE * size}
 
 
-def _detector_shifts(
-    vnir: DetectorSpectrum, swir: DetectorSpectrum, settings: Settings
-) -> dict[str, tuple[FloatArray, FloatArray]]:
+def _detector_shifts(vnir: DetectorSpectrum, swir: DetectorSpectrum, settings: Settings) -> dict[str, Shift]:
     """Relative shifts of ln R of the two detectors."""
     ones = np.ones_like(vnir.wavelength_nm), np.ones_like(swir.wavelength_nm)
-    shape = tuple(np.log(d.irradiance / irradiance_at(d.detector, settings.other_solar)) for d in (vnir, swir))
-    shifts = {
+    detail = [np.log(d.irradiance / irradiance_at(d.detector, settings.other_solar)) for d in (vnir, swir)]
+    shifts: dict[str, Shift] = {
         "calibration_vnir": (CALIBRATION["vnir"] * ones[0], 0 * ones[1]),
         "calibration_swir": (0 * ones[0], CALIBRATION["swir"] * ones[1]),
-        "irradiance_level": (IRRADIANCE_SCALE * ones[0], IRRADIANCE_SCALE * ones[1]),
-        "irradiance_shape": (shape[0], shape[1]),
+        "irradiance_shape": (_to_m3(vnir), _to_m3(swir)),
+        "irradiance_detail": (detail[0], detail[1]),
     }
     if settings.disk is not None:
-        both = np.concatenate([vnir.wavelength_nm, swir.wavelength_nm])
-        for number, mode in enumerate(model_spread(_between(vnir, swir), both, settings.disk, settings.phase), 1):
+        both, geometry = np.concatenate([vnir.wavelength_nm, swir.wavelength_nm]), _between(vnir, swir)
+        for number, mode in enumerate(model_spread(geometry, both, settings.disk, settings.phase), 1):
             shifts[f"photometry_{number}"] = (mode[: ones[0].size], mode[ones[0].size :])
+        edges = [settings.phase.edge_shift(geometry.phase_deg, d.wavelength_nm) for d in (vnir, swir)]
+        shifts["phase_edge"] = (edges[0], edges[1])
     return shifts
+
+
+def _to_m3(item: DetectorSpectrum) -> FloatArray:
+    """ln of the irradiance used over that of M3, broad features only. [-]"""
+    rows = list(csv.DictReader(_bytes().decode().splitlines()))
+    nodes, ln_ratio = (np.array([float(row[name]) for row in rows]) for name in ("wavelength_nm", "ln_ratio"))
+    to_standard = np.log(item.irradiance / irradiance_at(item.detector, solar_spectrum("e490")))
+    half = _SMOOTH_CHANNELS // 2
+    padded = np.pad(to_standard, half, mode="edge")
+    smooth = np.convolve(padded, np.full(_SMOOTH_CHANNELS, 1 / _SMOOTH_CHANNELS), mode="valid")
+    return np.asarray(smooth - np.interp(item.wavelength_nm, nodes, ln_ratio), dtype=np.float64)
+
+
+def table_hash() -> dict[str, str]:
+    """Name and SHA-256 of the table used here, for the provenance."""
+    return {_M3_TABLE: sha256(_bytes())}
+
+
+def _bytes() -> bytes:
+    return (files("lunarsci.spectra_data") / _M3_TABLE).read_bytes()
 
 
 def _between(vnir: DetectorSpectrum, swir: DetectorSpectrum) -> Geometry:
@@ -67,10 +106,16 @@ def _between(vnir: DetectorSpectrum, swir: DetectorSpectrum) -> Geometry:
     )
 
 
-def _respliced(vnir: DetectorSpectrum, swir: DetectorSpectrum, shift: tuple[FloatArray, FloatArray]) -> FloatArray:
+def _respliced(vnir: DetectorSpectrum, swir: DetectorSpectrum, shift: Shift, settings: Settings) -> FloatArray:
     first, second = (d.corrected * np.exp(s) for d, s in zip((vnir, swir), shift, strict=True))
     try:
-        splice = find_splice(first, second, first * vnir.relative_sigma, second * swir.relative_sigma)
+        splice = find_splice(
+            first,
+            second,
+            first * vnir.relative_sigma,
+            second * swir.relative_sigma,
+            remove_vnir_steps=settings.remove_vnir_steps,
+        )
     except DataError:  # the unshifted spectra were spliced: a shift of some percent changes nothing about that
-        return np.full(first.size - 10 + second.size, np.nan)
+        return np.full(SPLICED_NM.size, np.nan)
     return splice.join(first, second)
