@@ -46,6 +46,8 @@ def moment(text: str) -> datetime:
         time = datetime.fromisoformat(text)
     except ValueError as error:
         raise ParameterError(f"'{text[:40]}' is no time; write it as 2020-07-16T08:20:00") from error
+    if not 1960 <= time.year < 2100:
+        raise ParameterError(f"the year {time.year} is out of range; give a time from 1960 to 2099")
     return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
 
 

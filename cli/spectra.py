@@ -81,10 +81,11 @@ def calibrate(
     """
     from lunarsci.spectra.vnis.calibrate import calibrate_files
 
-    from .vnis_report import calibrate_report, observations, settings_from
+    from .vnis_report import calibrate_report, check_fits, observations, settings_from
 
     settings = settings_from(solar, photometry, phase, shadow, vnir_steps, calibration, radiance_per)
     paths, failures = observations(files)
+    check_fits(output.path, len(paths))
     with progress("calibrating", quiet=output.quiet) as update:
         results = calibrate_files(paths, settings, update)
     return calibrate_report([*failures, *results], settings)

@@ -4,13 +4,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from lunarsci.errors import DataError
+from lunarsci.errors import DataError, LunarSciError
 from lunarsci.inputs import expand_inputs, read_input
 from lunarsci.spectra.bands import BandFailure, SpectrumBands
 from lunarsci.spectra.mgm.assemblages import table_hash
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
+from lunarsci.spectra.vnis.name import product_name
 from lunarsci.spectra.vnis.observation import one_per_observation
 
 from .report import Report
@@ -48,8 +49,8 @@ def read_batch(files: Sequence[str], wavelength_unit: Any, reflectance_unit: Any
             batch.inputs[source.name] = source.sha256
             for spectrum in found:
                 batch.inputs.update(spectrum.metadata.get("inputs", {}))
-        except DataError as error:
-            batch.failures.append(str(error))
+        except LunarSciError as error:
+            batch.failures.append(str(error) if name in str(error) else f"{name}: {error}")
     if not batch.spectra:
         raise DataError(_together(batch.failures))
     return batch
@@ -60,7 +61,10 @@ def _expanded(files: Sequence[str], failures: list[str]) -> list[str]:
     names: list[str] = []
     for file in files:
         try:
-            names += expand_inputs([file])
+            found = expand_inputs([file])
+            if found != [file] and any(product_name(name) for name in found):
+                found = [name for name in found if not name.endswith(".json")]
+            names += found
         except DataError as error:
             failures.append(str(error))
     return list(dict.fromkeys(names))

@@ -1,9 +1,10 @@
 """From VNIS products to calibrated spectra, and from these to a `Report`."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
-from lunarsci.errors import DataError
+from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import expand_inputs, read_input
 from lunarsci.spectra.photometry import PHASE_FUNCTIONS, phase_function, read_phase_function
 from lunarsci.spectra.photometry.phase import table_hash as phase_hash
@@ -20,8 +21,10 @@ from lunarsci.spectra.vnis.systematics import table_hash as shape_hash
 from .report import Report
 from .table import TextTable, plus_minus
 
-__all__ = ["calibrate_report", "observations", "settings_from"]
+__all__ = ["calibrate_report", "check_fits", "observations", "settings_from"]
 
+MOST_IN_FITS = 55
+"""A FITS table has 999 columns at most; an observation takes up to 18."""
 SOURCES = [
     "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8",
     "Li et al. (2019), Rev. Sci. Instrum. 90, 103106, 10.1063/1.5089737",
@@ -49,7 +52,7 @@ def settings_from(
         shadow_limit=shadow,
         radiance_unit=radiance_per,
         remove_vnir_steps=vnir_steps == "remove",
-        factors=read_channel_factors(opened(factors)) if factors else None,
+        factors=read_channel_factors(opened(factors)) if factors is not None else None,
         inputs=inputs,
     )
 
@@ -64,6 +67,14 @@ def observations(files: Sequence[str]) -> tuple[list[str], list[CalibrationFailu
         except DataError as error:
             failures.append(CalibrationFailure(argument, str(error)))
     return one_per_observation(found), failures
+
+
+def check_fits(path: Path | None, observations: int) -> None:
+    """Raise ParameterError, before the work, where a FITS table would need more columns than the format has."""
+    if path is not None and path.suffix.lower() == ".fits" and observations > MOST_IN_FITS:
+        raise ParameterError(
+            f"{path}: a FITS table holds {MOST_IN_FITS} observations, here are {observations}; use .ecsv"
+        )
 
 
 def _products(argument: str) -> list[str]:

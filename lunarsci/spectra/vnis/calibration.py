@@ -82,6 +82,7 @@ class Calibration:
         """Everything but the arrays, in plain Python, keys with their units."""
         return {
             "id": self.id,
+            "source": next(iter(self.inputs), ""),
             "synthetic": self.synthetic,
             "status": "ok",
             "time_utc": self.time_utc,

@@ -8,11 +8,11 @@ from lunarsci.inputs import InputFile
 from lunarsci.spectra.vnis.channels import CUBE_SHAPE
 from lunarsci.spectra.vnis.label import DataFile, Label
 
-__all__ = ["read_cube"]
+__all__ = ["CUBE_BYTES", "Cube", "read_cube"]
 
 Cube = npt.NDArray[np.float32]
 
-_BYTES = 4 * int(np.prod(CUBE_SHAPE))
+CUBE_BYTES = 4 * int(np.prod(CUBE_SHAPE))
 _AXES = tuple(zip(("band", "line", "sample"), CUBE_SHAPE, strict=True))
 _TYPES = {"ieee754lsbsingle": "<f4", "ieee754msbsingle": ">f4"}
 _PLAUSIBLE = (1e-8, 1e3)
@@ -29,9 +29,9 @@ def read_cube(source: InputFile, label: Label) -> Cube:
     if described is None:
         raise DataError(f"{label.file}: describes no image array; fetch the label of the VD product again")
     _check_description(described, label.file)
-    if len(source.data) != _BYTES:
-        short = "truncated; " if len(source.data) < _BYTES else ""
-        raise DataError(f"{source.name}: {len(source.data)} bytes, a cube has {_BYTES}; {short}fetch it again")
+    if len(source.data) != CUBE_BYTES:
+        short = "truncated; " if len(source.data) < CUBE_BYTES else ""
+        raise DataError(f"{source.name}: {len(source.data)} bytes, a cube has {CUBE_BYTES}; {short}fetch it again")
     kind = _TYPES[(described.data_type or "").lower()]
     cube = np.frombuffer(source.data, kind).reshape(CUBE_SHAPE)
     if _implausible(cube):
@@ -47,8 +47,8 @@ def _check_description(described: DataFile, label: str) -> None:
         raise DataError(f"{label}: states {stated[:80]}, a cube has 100 band x 256 line x 256 sample; fetch it again")
     if (described.data_type or "").lower() not in _TYPES:
         raise DataError(f"{label}: states numbers of type {described.data_type!r}; a cube has IEEE754LSBSingle")
-    if described.size not in (None, _BYTES):
-        raise DataError(f"{label}: states {described.size} bytes, a cube has {_BYTES}; fetch data and label again")
+    if described.size not in (None, CUBE_BYTES):
+        raise DataError(f"{label}: states {described.size} bytes, a cube has {CUBE_BYTES}; fetch data and label again")
 
 
 def _implausible(cube: npt.NDArray[np.floating]) -> bool:

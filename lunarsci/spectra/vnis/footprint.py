@@ -9,7 +9,14 @@ from lunarsci.spectra.spectrum import BoolArray, FloatArray
 from lunarsci.spectra.vnis.channels import JOIN_NM, VNIR_NM, footprint_mask
 from lunarsci.spectra.vnis.cube import Cube
 
-__all__ = ["SHADOW_BAND_NM", "Footprint", "average_footprint", "saturated_pixels", "shadow_limit_shift"]
+__all__ = [
+    "SHADOW_BAND_NM",
+    "Footprint",
+    "average_footprint",
+    "registration_error",
+    "saturated_pixels",
+    "shadow_limit_shift",
+]
 
 SHADOW_BAND_NM = 465.0
 """Shadows are told in this channel (Ding et al. 2024). [nm]"""
@@ -33,8 +40,9 @@ class Footprint:
     mean, scatter : shape (100,); mean and standard deviation of radiance over lit, valid pixels; NaN where too few.
         [W m-2 sr-1 nm-1]
     count : shape (100,); number of pixels in them.
-    clipped : shape (100,); lit pixels that are saturated. negative : pixels left out for a radiance below 0.
-    constant : number of frames without any contrast, which no camera takes.
+    clipped : shape (100,); lit pixels that are saturated. negative : lit pixels left out in a channel for a
+        radiance of 0 or below: holes of a download are zeros.
+    constant : shape (100,); frames without any contrast, which no camera takes.
     dilution : mean over all valid pixels of the field of view over that of the lit ones, in the channels that both
         detectors have: what shadows take away from a detector that averages over the field of view. [-]
     """
@@ -47,7 +55,7 @@ class Footprint:
     count: npt.NDArray[np.int64]
     clipped: npt.NDArray[np.int64]
     negative: npt.NDArray[np.int64]
-    constant: int
+    constant: BoolArray
     dilution: float
 
     @property
@@ -70,7 +78,7 @@ def average_footprint(cube: Cube, shadow_radiance: float) -> Footprint:
     lit &= ~invalid
     values = cube[:, lit].astype(np.float64)
     with np.errstate(invalid="ignore"):
-        negative = values < 0
+        negative = values <= 0
         valid = np.isfinite(values) & ~negative
     count = valid.sum(axis=1)
     enough = usable & (count >= max(_LEAST_SHARE * lit.sum(), 1))
@@ -122,6 +130,19 @@ def shadow_limit_shift(cube: Cube, footprint: Footprint, shadow_radiance: float)
     return shift, float(dilution)
 
 
+def registration_error(cube: Cube, footprint: Footprint) -> float:
+    """Relative error of what SWIR sees for its field of view being known to a pixel only. [-]
+
+    Root mean square change of the mean over all valid pixels when the field is moved by one pixel in four directions.
+    """
+    overlap = cube[VNIR_NM >= JOIN_NM]
+    valid = np.isfinite(overlap).all(axis=0) & (overlap > 0).all(axis=0)
+    brightness = np.where(valid, overlap.mean(axis=0, dtype=np.float64), 0.0)
+    fields = [footprint.inside, *(np.roll(footprint.inside, step, axis) for axis in (0, 1) for step in (-1, 1))]
+    means = np.array([brightness[field & valid].mean() if (field & valid).any() else np.nan for field in fields])
+    return float(np.sqrt(np.mean((means[1:] / means[0] - 1) ** 2)))
+
+
 def _dilution(cube: Cube, inside: BoolArray, lit: BoolArray) -> float:
     """NaN where nothing is lit, or no image from 900 nm on has a value; pixels without one are left out."""
     overlap = cube[VNIR_NM >= JOIN_NM]
@@ -137,8 +158,8 @@ def _known_mean(values: Cube) -> FloatArray:
     return mean
 
 
-def saturated_pixels(cube: Cube) -> tuple[FloatArray, int]:
-    """Radiance from which a frame is clipped, shape (100,), infinite where it is not; and the number of flat frames.
+def saturated_pixels(cube: Cube) -> tuple[FloatArray, BoolArray]:
+    """Radiance from which a frame is clipped, shape (100,), infinite where it is not; and which frames are flat.
 
     Clipping shows as many pixels of exactly the largest value. A frame of one value is not clipped but made up.
     """
@@ -149,4 +170,4 @@ def saturated_pixels(cube: Cube) -> tuple[FloatArray, int]:
     flat = np.fmin.reduce(frames, axis=1) == largest
     plateau = (frames == largest[:, None]).sum(axis=1) >= _PLATEAU_PIXELS
     limits = np.where(plateau & ~flat & (largest > 0), largest.astype(np.float64), np.inf)
-    return limits, int(flat.sum())
+    return limits, flat

@@ -6,8 +6,9 @@ line end), finds no partners and does not compare labels with files. Those check
 """
 
 import math
-from dataclasses import dataclass
-from datetime import UTC, datetime
+import re
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
 from xml.etree.ElementTree import Element
 
 from lunarsci.errors import DataError, ParameterError
@@ -20,6 +21,10 @@ __all__ = ["DataFile", "Label", "read_label"]
 
 _ANGLES = ("incidence_angle", "azimuth_angle", "phase_angle")
 _PHASE_TOLERANCE_DEG = 2.0
+_YEARS = (2013, 2100)
+_LONGEST = timedelta(hours=3)
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
+_UNSCALED = {"scaling_factor": 1.0, "value_offset": 0.0, "offset": 0.0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,10 +75,14 @@ def read_label(source: InputFile) -> Label:
     """Read and check a label. Raises DataError, one line with its name, for anything it lacks or contradicts."""
     root = parse_xml(source)
     if root.tag != "product_observational":
-        raise DataError(f"{source.name}: is no PDS4 product label (root element '{root.tag}'); name the .2BL file")
+        found = root.tag[:40]
+        raise DataError(f"{source.name}: is no PDS4 product label (root element '{found}'); name the .2BL file")
     start, stop = (_time(root, f".//time_coordinates/{key}_date_time", source.name) for key in ("start", "stop"))
     if stop < start:
         raise DataError(f"{source.name}: the measurement stops before it starts; correct the label or fetch it again")
+    if stop - start > _LONGEST:
+        hours = (stop - start).total_seconds() / 3600
+        raise DataError(f"{source.name}: the measurement lasts {hours:.1f} hours, it takes minutes; correct the label")
     return Label(
         file=source.name,
         name=_name(root, source.name),
@@ -89,7 +98,9 @@ def read_label(source: InputFile) -> Label:
 
 def _name(root: Element, file: str) -> ProductName:
     """The product id, which must be that of the label's file name in mission, kind and sequence."""
-    text = _text(root, ".//mission_area/product_id") or _text(root, ".//identification_area/logical_identifier")
+    text = _text(root, ".//mission_area/product_id", file) or _text(
+        root, ".//identification_area/logical_identifier", file
+    )
     inside = product_name(text.rpartition(":")[2]) if text else None
     if inside is None:
         raise DataError(f"{file}: its product id {text[:80]!r} is no VNIS product name; fetch the label again")
@@ -99,7 +110,11 @@ def _name(root: Element, file: str) -> ProductName:
             f"{file}: describes the {inside.kind} product of {inside.observation}, its name says {outside.kind} of "
             f"{outside.observation}; labels were swapped or renamed, fetch them again"
         )
-    sequence = _text(root, ".//mission_area/sequence_id")
+    if outside is not None and replace(outside, is_label=False) != inside:
+        raise DataError(
+            f"{file}: describes {text[:100]!r}, a product of another version, level or session; fetch it again"
+        )
+    sequence = _text(root, ".//mission_area/sequence_id", file)
     if sequence and sequence.zfill(4) != inside.sequence:
         raise DataError(f"{file}: states sequence {sequence[:20]}, its product id {inside.sequence}; fetch it again")
     return inside
@@ -133,7 +148,7 @@ def _phase(incidence_deg: float, emission_deg: float, azimuth_between_deg: float
 
 def _coordinate(root: Element, key: str, limit: float, file: str) -> float:
     path = f".//rover_location/{key}"
-    if not _text(root, path):
+    if not _text(root, path, file):
         return math.nan
     value = _angle(root, path, file)
     if abs(value) > limit:
@@ -142,18 +157,19 @@ def _coordinate(root: Element, key: str, limit: float, file: str) -> float:
 
 
 def _data_file(area: Element, file: str) -> DataFile:
-    name = _text(area, "file/file_name")
+    name = _text(area, "file/file_name", file)
     if not name or name in (".", "..") or any(sign in name for sign in "/\\:\0"):
         raise DataError(f"{file}: names the data file {name[:80]!r}, which is no plain file name; do not trust it")
     axes = sorted(
         (
             _count(axis, "sequence_number", file) or 0,
-            _text(axis, "axis_name").lower(),
+            _text(axis, "axis_name", file).lower()[:40],
             _count(axis, "elements", file) or 0,
         )
         for axis in area.iter("axis_array")
     )
-    order = _text(area, ".//axis_index_order").lower()
+    _check_unscaled(area, file)
+    order = _text(area, ".//axis_index_order", file).lower()
     if axes and order not in ("", "last index fastest"):
         raise DataError(f"{file}: the axes are ordered {order[:40]!r}, only 'last index fastest' is read; convert it")
     return DataFile(
@@ -161,18 +177,31 @@ def _data_file(area: Element, file: str) -> DataFile:
         size=_count(area, "file/file_size", file),
         records=_count(area, "file/records", file),
         axes=tuple((name, elements) for _, name, elements in axes),
-        data_type=_text(area, ".//element_array/data_type") or None,
-        fields=tuple(_text(field, "name") for field in area.iter("field_character")),
+        data_type=_text(area, ".//element_array/data_type", file) or None,
+        fields=tuple(_text(field, "name", file) for field in area.iter("field_character")),
     )
 
 
-def _text(root: Element, path: str) -> str:
-    found = root.find(path)
-    return (found.text or "").strip() if found is not None else ""
+def _check_unscaled(area: Element, file: str) -> None:
+    """Values are radiances as they stand in the file: a label that says otherwise describes something else."""
+    for element in area.iter():
+        plain = _UNSCALED.get(element.tag)
+        if plain is not None and (element.text or "").strip() not in ("", f"{plain:g}", f"{plain}"):
+            what = f"{element.tag} {(element.text or '').strip()[:20]!r}"
+            raise DataError(f"{file}: states {what}, which level 2B products do not have; fetch the label again")
+
+
+def _text(root: Element, path: str, file: str) -> str:
+    """Text of the only element at a path, '' where there is none; one that comes twice decides nothing."""
+    found = root.findall(path)
+    if len(found) > 1 or (found and len(found[0])):
+        what = "holds other elements" if len(found) == 1 else f"appears {len(found)} times"
+        raise DataError(f"{file}: {path.lstrip('./')} {what}; fetch the label again")
+    return (found[0].text or "").strip() if found else ""
 
 
 def _count(root: Element, path: str, file: str) -> int | None:
-    text = _text(root, path)
+    text = _text(root, path, file)
     if not text:
         return None
     if not (text.isascii() and text.isdigit()) or len(text) > 15:
@@ -181,13 +210,10 @@ def _count(root: Element, path: str, file: str) -> int | None:
 
 
 def _number(root: Element, path: str, file: str) -> float:
-    text, what = _text(root, path), path.lstrip("./")
+    text, what = _text(root, path, file), path.lstrip("./")
     if not text:
         raise DataError(f"{file}: the label lacks {what}; fetch it again")
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
+    value = float(text) if _NUMBER.fullmatch(text) else math.nan
     if not math.isfinite(value):
         raise DataError(f"{file}: {what} is {text[:40]!r}, not a number; correct the label or fetch it again")
     return value
@@ -203,11 +229,15 @@ def _angle(root: Element, path: str, file: str) -> float:
 
 
 def _time(root: Element, path: str, file: str) -> datetime:
-    text = _text(root, path)
+    text = _text(root, path, file)
     try:
         moment = datetime.fromisoformat(text)
     except ValueError as error:
         raise DataError(
             f"{file}: {path.lstrip('./')} is {text[:40]!r}, not a time such as 2020-07-16T08:17:04Z"
         ) from error
+    if not _YEARS[0] <= moment.year < _YEARS[1]:
+        raise DataError(
+            f"{file}: {path.lstrip('./')} is in the year {moment.year}; correct the label or fetch it again"
+        )
     return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)

@@ -16,6 +16,9 @@ _NAME = re.compile(
 )
 
 
+_LONGEST = 255
+
+
 @dataclass(frozen=True, slots=True)
 class ProductName:
     """A name taken apart, letters in upper case.
@@ -41,6 +44,12 @@ class ProductName:
     synthetic: bool
 
     @property
+    def is_read(self) -> bool:
+        """Whether it is a part of a Chang'E-4 level 2B observation."""
+        part = self.role == "SCI" and self.kind in ("VD", "SD")
+        return part and (self.mission, self.instrument, self.level) == ("CE4", "VNIS", "2B")
+
+    @property
     def observation(self) -> str:
         """Id of the observation that the product is a part of, such as CE4-0136."""
         return f"{'SYNTHETIC-' if self.synthetic else ''}{self.mission}-{self.sequence}"
@@ -48,7 +57,8 @@ class ProductName:
 
 def product_name(path: str) -> ProductName | None:
     """The parts of a file's name, whatever the case of its letters; None for other names."""
-    match = _NAME.fullmatch(Path(path).name)
+    name = Path(path).name
+    match = _NAME.fullmatch(name) if len(name) <= _LONGEST else None
     if match is None:
         return None
     part = {key: (value or "").upper() for key, value in match.groupdict().items()}
@@ -77,5 +87,5 @@ def check_supported(name: ProductName, file: str) -> None:
         raise DataError(f"{file}: VNIS of {name.mission}: {why}; only Chang'E-4 is read, convert it to CSV")
     if name.level != "2B":
         raise DataError(f"{file}: is level {name.level}, radiance is in level 2B; fetch the file ending in .2B")
-    if name.kind not in ("VD", "SD"):
+    if name.kind not in ("VD", "SD") or name.role == "CAL":
         raise DataError(f"{file}: is the product {name.kind}, not an image cube VD or a table SD; name one of these")

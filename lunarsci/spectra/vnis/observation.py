@@ -1,5 +1,6 @@
 """One observation: image cube, short-wave table and their labels, found by sequence number and read together."""
 
+import stat
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,16 +8,19 @@ from datetime import timedelta
 from pathlib import Path
 
 from lunarsci.errors import DataError, LunarSciWarning
-from lunarsci.inputs import read_input
+from lunarsci.inputs import InputFile, read_input
 from lunarsci.spectra.spectrum import BoolArray
-from lunarsci.spectra.vnis.cube import Cube, read_cube
+from lunarsci.spectra.vnis.cube import CUBE_BYTES, Cube, read_cube
 from lunarsci.spectra.vnis.label import Label, read_label
 from lunarsci.spectra.vnis.name import ProductName, check_supported, product_name
 from lunarsci.spectra.vnis.table import SwirTable, read_swir_table, read_vnir_flags
+from lunarsci.spectra.vnis.xml import LABEL_BYTES
 
 __all__ = ["Observation", "Parts", "find_parts", "one_per_observation", "read_observation"]
 
 _APART = timedelta(hours=24)
+_SAME_DEG, _SUN_DEG_PER_HOUR = 0.3, 0.6
+_TABLE_BYTES = 1_000_000
 _AWAY_DEG = 0.001
 
 
@@ -59,17 +63,15 @@ class Observation:
 def one_per_observation(paths: Sequence[str]) -> list[str]:
     """The paths with the parts of one observation, in one folder, reduced to one, of the latest version among them.
 
-    Auxiliary tables are left out, other files are kept: what can be read is told by reading it.
+    Of products that are not read (other levels and kinds) one stands for the observation only where there is no other.
     """
-    chosen: dict[tuple[str, str], tuple[str, str]] = {}
+    chosen: dict[tuple[str, str], tuple[tuple[bool, str], str]] = {}
     for path in paths:
         name = product_name(path)
-        if name is None:
-            chosen[path, ""] = ("", path)
-        elif name.role == "SCI":
-            key = (str(Path(path).parent), name.observation)
-            if key not in chosen or name.version > chosen[key][0]:
-                chosen[key] = (name.version, path)
+        key = (str(Path(path).parent), name.observation) if name else (path, "")
+        rank = (name.is_read, name.version) if name else (False, "")
+        if key not in chosen or rank > chosen[key][0]:
+            chosen[key] = (rank, path)
     return [path for _, path in chosen.values()]
 
 
@@ -89,6 +91,9 @@ def find_parts(path: str) -> Parts:
     table_label, table = (_one(same, "SD", is_label, name, folder) for is_label in (True, False))
     wanted = ("AUX", "VD", name.version, False)
     flags = [p for other, p in same if (other.role, other.kind, other.version, other.is_label) == wanted]
+    if len(flags) > 1:
+        both = " and ".join(Path(p).name for p in flags[:2])
+        raise DataError(f"{name.observation}: {both} are both its auxiliary table; keep one of them in the folder")
     return Parts(name.observation, cube_label, cube, table_label, table, flags[0] if flags else None)
 
 
@@ -122,18 +127,18 @@ def read_observation(path: str) -> Observation:
     Raises DataError, one line: the file, what is wrong with it, what to do.
     """
     parts = find_parts(path)
-    cube_label_file, table_label_file = read_input(parts.cube_label), read_input(parts.table_label)
+    cube_label_file, table_label_file = _read(parts.cube_label, LABEL_BYTES), _read(parts.table_label, LABEL_BYTES)
     cube_label, table_label = read_label(cube_label_file), read_label(table_label_file)
     _check_pair(cube_label, table_label)
     _check_files(parts, cube_label, table_label)
-    table_file, cube_file = read_input(parts.table), read_input(parts.cube)
+    table_file, cube_file = _read(parts.table, _TABLE_BYTES), _read(parts.cube, CUBE_BYTES)
     table = read_swir_table(table_file, table_label)
     cube = read_cube(cube_file, cube_label)
     read = [cube_label_file, cube_file, table_label_file, table_file]
     flags = None
     if parts.flags is not None:
-        read.append(read_input(parts.flags))
-        flags = read_vnir_flags(read[-1])
+        read.append(_read(parts.flags, _TABLE_BYTES))
+        flags = read_vnir_flags(read[-1], cube_label)
     return Observation(
         id=parts.id,
         synthetic=cube_label.name.synthetic,
@@ -146,17 +151,45 @@ def read_observation(path: str) -> Observation:
     )
 
 
+def _read(path: str, most_bytes: int) -> InputFile:
+    """A regular file of a plausible size: a link to a device or a download gone wild is not read at all."""
+    try:
+        status = Path(path).stat()
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror}); check the path and its access rights") from error
+    if not stat.S_ISREG(status.st_mode):
+        raise DataError(f"{path}: is no regular file; put the product itself there")
+    if status.st_size > most_bytes:
+        raise DataError(
+            f"{path}: {status.st_size} bytes, at most {most_bytes} are expected; another file, fetch it again"
+        )
+    return read_input(path)
+
+
 def _check_pair(cube: Label, table: Label) -> None:
     if abs(cube.start - table.start) > _APART:
         days = abs(cube.start - table.start).total_seconds() / 86400
         raise DataError(
             f"{table.file}: was measured {days:.1f} days from {cube.file}; they are no pair, fetch them again"
         )
+    _check_same_sun(cube, table)
     apart = max(abs(cube.latitude_deg - table.latitude_deg), abs(cube.longitude_deg - table.longitude_deg))
     if apart > _AWAY_DEG:
         warnings.warn(
             f"{table.file}: the rover's place differs by {apart:.4f} deg from that of the image", LunarSciWarning, 3
         )
+
+
+def _check_same_sun(cube: Label, table: Label) -> None:
+    """Both look the same way; the Sun moves on by half a degree an hour."""
+    hours = abs(cube.start - table.start).total_seconds() / 3600
+    for name, limit in (("incidence", _SAME_DEG + _SUN_DEG_PER_HOUR * hours), ("emission", _SAME_DEG)):
+        one, other = (getattr(label.geometry, f"{name}_deg") for label in (cube, table))
+        if abs(one - other) > limit:
+            raise DataError(
+                f"{table.file}: states {name} {other:g} deg, the image's label {one:g}, {60 * hours:.0f} min apart; "
+                "one of them is wrong, fetch both labels again"
+            )
 
 
 def _check_files(parts: Parts, cube: Label, table: Label) -> None:
@@ -165,11 +198,7 @@ def _check_files(parts: Parts, cube: Label, table: Label) -> None:
         described = [file for file in label.files if product_name(file.name) is not None]
         names = [product_name(file.name) for file in described]
         wanted = product_name(path)
-        fits = [
-            file
-            for file, name in zip(described, names, strict=True)
-            if name and wanted and (name.observation, name.kind, name.role) == (wanted.observation, wanted.kind, "SCI")
-        ]
+        fits = [file for file, name in zip(described, names, strict=True) if name is not None and name == wanted]
         if not fits:
             listed = ", ".join(file.name for file in label.files) or "no file"
             raise DataError(f"{label.file}: describes {listed[:120]}, not {Path(path).name}; fetch the label again")

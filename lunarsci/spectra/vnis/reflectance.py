@@ -1,6 +1,7 @@
 """From radiance to reflectance factor, and the factors that products before the in-flight calibration need."""
 
 import csv
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,7 @@ IN_FLIGHT_VERSION = 2.0
 
 _CHANNELS: dict[Detector, FloatArray] = {"vnir": VNIR_NM, "swir": SWIR_NM}
 _FACTOR_RANGE = (0.2, 5.0)
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
 
 
 def reflectance_factor(
@@ -59,14 +61,20 @@ def read_channel_factors(source: InputFile) -> ChannelFactors:
 
     Raises DataError for other columns, missing or repeated channels, and factors outside 0.2 to 5.
     """
-    reader = csv.DictReader(line for line in inputs.text(source).splitlines() if not line.startswith("#"))
-    lacking = {"detector", "wavelength_nm", "factor"} - set(reader.fieldnames or ())
+    try:
+        reader = csv.DictReader(line for line in inputs.text(source).splitlines() if not line.startswith("#"))
+        rows, names = list(reader), list(reader.fieldnames or ())
+    except csv.Error as error:
+        raise DataError(f"{source.name}: no CSV table ({error}); see `lunarsci spectra calibrate --help`") from error
+    if len(set(names)) < len(names):
+        raise DataError(f"{source.name}: two columns have one name; give each its own")
+    lacking = {"detector", "wavelength_nm", "factor"} - set(names)
     if lacking:
         raise DataError(
             f"{source.name}: no column {', '.join(sorted(lacking))}; see `lunarsci spectra calibrate --help`"
         )
     found: dict[Detector, dict[float, float]] = {"vnir": {}, "swir": {}}
-    for line, row in enumerate(reader, 2):
+    for line, row in enumerate(rows, 2):
         detector = (row["detector"] or "").strip().lower()
         if detector not in ("vnir", "swir"):
             raise DataError(f"{source.name}: row {line}: the detector is {detector[:20]!r}; use vnir or swir")
@@ -80,10 +88,10 @@ def read_channel_factors(source: InputFile) -> ChannelFactors:
 
 
 def _number(text: str | None, key: str, line: int, file: str) -> float:
-    try:
-        return float(text or "")
-    except ValueError as error:
-        raise DataError(f"{file}: row {line}: {key} is {(text or '')[:20]!r}, not a number; correct it") from error
+    stripped = (text or "").strip()
+    if not _NUMBER.fullmatch(stripped):
+        raise DataError(f"{file}: row {line}: {key} is {stripped[:20]!r}, not a number; correct it")
+    return float(stripped)
 
 
 def _all_channels(found: dict[float, float], detector: Detector, file: str) -> FloatArray:

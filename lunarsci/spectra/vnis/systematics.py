@@ -5,6 +5,7 @@ choice among several: repeating the measurement does not make these errors small
 """
 
 import csv
+from collections.abc import Mapping
 from importlib.resources import files
 
 import numpy as np
@@ -19,7 +20,7 @@ from lunarsci.spectra.vnis.detector import DetectorSpectrum, irradiance_at
 from lunarsci.spectra.vnis.settings import Settings
 from lunarsci.spectra.vnis.splice import Splice, find_splice
 
-__all__ = ["CALIBRATION", "shared_errors", "table_hash"]
+__all__ = ["CALIBRATION", "Shift", "shared_errors", "table_hash"]
 
 CALIBRATION = {"vnir": 0.05, "swir": 0.07}
 """Relative error of the level of each detector, as quoted for the instrument; assumed, the source could not be read.
@@ -39,7 +40,7 @@ def shared_errors(
     splice: Splice,
     spliced: FloatArray,
     settings: Settings,
-    shadow_shift: Shift,
+    seen: Mapping[str, Shift],
 ) -> dict[str, FloatArray]:
     """Name of each error to the shift of the spliced spectrum by one standard deviation of it, shape (390,). [-]
 
@@ -47,13 +48,11 @@ def shared_errors(
     `irradiance_shape`, `irradiance_detail` : broad difference to the solar spectrum of M3, difference to a standard.
     `photometry_1`, `photometry_2`, `phase_edge` : spread over disk and phase functions, and holding the phase function
         at the end of its wavelengths or not; absent without correction.
-    `shadow_limit` : what shadows are, `shadow_shift` for VNIR and SWIR.
+    `shadow_limit`, `registration` : what is shadow, and where the field of view lies to a pixel; given as `seen`.
     `splice_gain`, `splice_overlap`, `splice_step`, `vnir_step_632`, `vnir_step_758` : errors of the joining factors.
     """
-    shifts = _detector_shifts(vnir, swir, settings) | {"shadow_limit": shadow_shift}
-    modes = {name: _respliced(vnir, swir, shift, settings) - spliced for name, shift in shifts.items()} | splice.modes(
-        spliced
-    )
+    shifts = _detector_shifts(vnir, swir, settings) | dict(seen)
+    modes = {name: _carried(vnir, swir, shift, settings) for name, shift in shifts.items()} | splice.modes(spliced)
     filled = {name: np.where(np.isfinite(mode), mode, 0.0) for name, mode in modes.items()}
     size = np.nanmedian(spliced)
     return {name: mode for name, mode in filled.items() if np.abs(mode).max() > _NEGLIGIBLE * size}
@@ -104,6 +103,12 @@ def _between(vnir: DetectorSpectrum, swir: DetectorSpectrum) -> Geometry:
     return Geometry(
         (a.incidence_deg + b.incidence_deg) / 2, (a.emission_deg + b.emission_deg) / 2, (a.phase_deg + b.phase_deg) / 2
     )
+
+
+def _carried(vnir: DetectorSpectrum, swir: DetectorSpectrum, shift: Shift, settings: Settings) -> FloatArray:
+    """Half the way between the joined spectra with the error of either sign: 7 % of ln R are 7 %, not e^0.07 - 1."""
+    up, down = (_respliced(vnir, swir, (sign * shift[0], sign * shift[1]), settings) for sign in (1.0, -1.0))
+    return (up - down) / 2
 
 
 def _respliced(vnir: DetectorSpectrum, swir: DetectorSpectrum, shift: Shift, settings: Settings) -> FloatArray:

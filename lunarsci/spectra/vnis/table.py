@@ -1,5 +1,6 @@
 """The tables of VNIS: short-wave radiances (300 rows), and the auxiliary rows of the image cube (100 bands)."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -18,6 +19,9 @@ __all__ = ["SwirTable", "read_swir_table", "read_vnir_flags"]
 _SWIR_COLUMNS = ("time", "band", "integration time", "solar elevation", "radiance", "quality")
 _VNIR_COLUMNS = ("time", "band", "integration time", "solar elevation", "quality")
 _CLOCK_SLACK = timedelta(minutes=10)
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d{1,3})?", re.ASCII)
+_NO_NUMBER = {"NAN", "+NAN", "-NAN", "INF", "+INF", "-INF"}
+_CODE = re.compile(r"(0[xX])?[0-9a-fA-F]{1,8}", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +49,14 @@ def read_swir_table(source: InputFile, label: Label) -> SwirTable:
     return SwirTable(radiance, _flags(rows, source.name))
 
 
-def read_vnir_flags(source: InputFile) -> BoolArray:
-    """True for the bands of the cube whose quality code is not zero, from its AUX table; shape (100,)."""
-    return _flags(_rows(source, VNIR_NM.size, _VNIR_COLUMNS), source.name)
+def read_vnir_flags(source: InputFile, label: Label) -> BoolArray:
+    """True for the bands of the cube whose quality code is not zero, from its AUX table; shape (100,).
+
+    Raises DataError as `read_swir_table` does.
+    """
+    rows = _rows(source, VNIR_NM.size, _VNIR_COLUMNS)
+    _check_times(rows, source.name, label)
+    return _flags(rows, source.name)
 
 
 def _rows(source: InputFile, count: int, columns: Sequence[str]) -> list[list[str]]:
@@ -73,33 +82,33 @@ def _check_channels(found: list[int], file: str) -> None:
 
 
 def _index(text: str, line: int, file: str) -> int:
-    if not (text.isascii() and text.isdigit()):
+    if not (text.isascii() and text.isdigit() and len(text) < 10):
         raise DataError(f"{file}: row {line}: the channel {text[:20]!r} is no number; correct it or fetch it again")
     return int(text)
 
 
 def _radiance(text: str, line: int, file: str) -> float:
-    try:
-        value = float(text.upper().replace("D", "E") if text.upper() != "NAN" else "nan")
-    except ValueError as error:
-        raise DataError(f"{file}: row {line}: the radiance {text[:20]!r} is no number; fetch it again") from error
-    return value if np.isfinite(value) else np.nan
+    if text.upper() in _NO_NUMBER:
+        return float("nan")
+    if not _NUMBER.fullmatch(text):
+        raise DataError(f"{file}: row {line}: the radiance {text[:20]!r} is no number; fetch it again")
+    value = float(text.upper().replace("D", "E"))
+    return value if np.isfinite(value) else float("nan")
 
 
 def _flags(rows: Sequence[Sequence[str]], file: str) -> BoolArray:
     codes: list[int] = []
     for line, row in enumerate(rows, 1):
-        try:
-            codes.append(int(row[-1], 16))
-        except ValueError as error:
+        if not _CODE.fullmatch(row[-1]):
             what = f"the quality code {row[-1][:20]!r} is not hexadecimal"
-            raise DataError(f"{file}: row {line}: {what}; correct it or fetch it again") from error
+            raise DataError(f"{file}: row {line}: {what}; correct it or fetch it again")
+        codes.append(int(row[-1], 16))
     flagged: BoolArray = np.array(codes) != 0
     return flagged
 
 
 def _check_times(rows: Sequence[Sequence[str]], file: str, label: Label) -> None:
-    for row, line in ((rows[0], 1), (rows[-1], len(rows))):
+    for line, row in enumerate(rows, 1):
         try:
             moment = datetime.fromisoformat(row[0] if row[0][-1:] in "Zz" else row[0] + "Z")
         except ValueError as error:

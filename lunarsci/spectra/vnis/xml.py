@@ -11,9 +11,9 @@ from xml.parsers import expat
 from lunarsci.errors import DataError
 from lunarsci.inputs import InputFile
 
-__all__ = ["parse_xml"]
+__all__ = ["LABEL_BYTES", "parse_xml"]
 
-_LARGEST = 2_000_000
+LABEL_BYTES = 2_000_000
 _DEEPEST = 64
 _REMEDY = "fetch it again"
 
@@ -23,7 +23,7 @@ def parse_xml(source: InputFile) -> Element:
 
     Raises DataError for a document type declaration, broken XML, more than 2 MB or 64 levels.
     """
-    if len(source.data) > _LARGEST:
+    if len(source.data) > LABEL_BYTES:
         raise DataError(f"{source.name}: {len(source.data)} bytes are too many for a label; {_REMEDY}")
     builder = TreeBuilder()
     parser = expat.ParserCreate("utf-8")

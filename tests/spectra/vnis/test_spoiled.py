@@ -74,6 +74,23 @@ def column(number: int, row: int, value: str) -> Callable[[list[str]], list[str]
     return change
 
 
+def hole(cube: np.ndarray) -> np.ndarray:
+    """Half of every frame from 900 nm on was never downloaded."""
+    cube[90:] = 0
+    return cube
+
+
+def scaled(cube: np.ndarray, bands: slice, factor: float) -> np.ndarray:
+    cube[bands] *= np.float32(factor)
+    return cube
+
+
+def reversed_radiance(rows: list[str]) -> list[str]:
+    fields = [row.split() for row in rows]
+    values = [row[4] for row in fields][::-1]
+    return [" ".join([*row[:4], value, row[5]]) for row, value in zip(fields, values, strict=True)]
+
+
 def swap_labels(files: Files) -> None:
     cube, table = key(files, "VD", True), key(files, "SD", True)
     files[cube], files[table] = files[table], files[cube]
@@ -157,7 +174,7 @@ REFUSED: dict[str, tuple[Callable[[Files], None], str]] = {
     "label with an external document": (prefix("VD", EXTERNAL), "document type declaration, which a label never has"),
     "label with an unknown entity": (in_label("SD", r"<title>[^<]*", "<title>&secret;"), r"undefined entity"),
     "label too deep": (in_label("SD", "<Reference_List>", "<a>" * 80 + "<Reference_List>"), "more than 64 deep"),
-    "label too large": (prefix("SD", b"<!--" + b"x" * 2_100_000 + b"-->"), "too many for a label"),
+    "label too large": (prefix("SD", b"<!--" + b"x" * 2_100_000 + b"-->"), "at most 2000000 are expected"),
     "label names a file elsewhere": (
         in_label("SD", r"<file_name>[^<]*", "<file_name>../../etc/passwd"),
         "no plain file name; do not trust",
@@ -204,7 +221,7 @@ REFUSED: dict[str, tuple[Callable[[Files], None], str]] = {
         "phase",
     ),
     "stop before start": (
-        in_label("SD", r"(<stop_date_time>)[^<]*", r"\g<1>2001-01-01T00:00:00Z"),
+        in_label("SD", r"(<stop_date_time>)[^<]*", r"\g<1>2019-01-01T00:00:00Z"),
         "stops before it starts",
     ),
     "start no time": (in_label("SD", r"(<start_date_time>)[^<]*", r"\g<1>noon"), "'noon', not a time such as"),
@@ -217,6 +234,45 @@ REFUSED: dict[str, tuple[Callable[[Files], None], str]] = {
         "lacks identification_area",
     ),
     "rover off the Moon": (in_label("VD", r"(<latitude[^>]*>)[^<]*", r"\g<1>-145.0"), "latitude is -145 deg"),
+    "cube with a hole of zeros": (in_cube(lambda c: hole(c)), "no usable image from 900 nm on|VNIR .* no usable"),
+    "cube of other channels' brightness": (in_cube(lambda c: scaled(c, slice(20, 41), 10)), "VNIR jumps by"),
+    "cube with axes swapped": (in_cube(lambda c: c.transpose(1, 2, 0).copy()), "all images are equally bright"),
+    "table with rows of another scale": (
+        in_table(lambda rows: [r.replace("E-003", "E-002") if 100 <= k < 155 else r for k, r in enumerate(rows)]),
+        "SWIR jumps by",
+    ),
+    "table upside down": (in_table(lambda rows: reversed_radiance(rows)), "SWIR|cannot be spliced"),
+    "table with digits of another script": (in_table(column(4, 9, "٤.٤")), "row 10: the radiance '٤.٤' is no number"),
+    "table with an underscore": (in_table(column(4, 9, "1_0.0")), "row 10: the radiance '1_0.0' is no number"),
+    "sun at another place than for the image": (
+        in_label("SD", r"(<solar>.*?<incidence_angle[^>]*>)[^<]*", r"\g<1>60.0"),
+        "phase|states incidence 60",
+    ),
+    "scan of half a year": (in_label("SD", r"(<stop_date_time>)2020", r"\g<1>2021"), "lasts 8760.* hours"),
+    "year 1": (in_label("SD", r"(<start_date_time>)2020", r"\g<1>0001"), "is in the year 1;"),
+    "an angle twice": (
+        in_label("SD", r"(<solar>)", r'\1<incidence_angle unit="deg">10.0</incidence_angle>'),
+        "appears 2 times",
+    ),
+    "an angle with an element in it": (in_label("SD", ANGLE, r"\g<1>64<b/>.445"), "holds other elements"),
+    "radiance to be scaled": (
+        in_label("VD", "</Element_Array>", "<scaling_factor>0.001</scaling_factor></Element_Array>"),
+        "scaling_factor",
+    ),
+    "label of another version": (
+        in_label("SD", r"_B\.2B</product_id>", "_A.2B</product_id>"),
+        "another version, level",
+    ),
+    "quality codes of another day": (
+        lambda files: files.update({n: c.replace(b"2020-07", b"2021-07") for n, c in files.items() if "_AUX_" in n}),
+        "row 1 was measured at 2021-07",
+    ),
+    "image that tells shadows flagged": (
+        lambda files: files.update(
+            {n: re.sub(rb"(?m)^(.*  3  54.2 .*)0x00$", rb"\g<1>0x01", c) for n, c in files.items() if "_AUX_" in n}
+        ),
+        "which tells shadows, is flagged",
+    ),
     "no cube": (drop("VD", False), "no data file of its VD product"),
     "no label of the cube": (drop("VD", True), "no label of its VD product"),
     "no table": (drop("SD", False), "no data file of its SD product"),
@@ -275,20 +331,33 @@ def clipped(row: str) -> str:
 MASKED: dict[str, tuple[Callable[[Files], None], str, int]] = {
     "pixels missing everywhere": (
         in_cube(lambda c: shifted(c, slice(None), lambda v: v * np.nan)),
-        "300 pixels of the footprint have no value",
+        "300 pixels of the footprint are left out: no value at 465 nm",
         0,
     ),
     "pixels negative in a channel": (
         in_cube(lambda c: shifted(c, slice(50, 51), lambda v: -v)),
-        "1 VNIR channels have lit pixels of negative",
+        "1 VNIR channels have lit pixels with a radiance of 0 or below",
         0,
     ),
     "an image clipped": (
         in_cube(lambda c: np.minimum(c, np.quantile(c[50], 0.9))),
-        "saturated pixels, which are left",
+        "VNIR channels have saturated pixels",
         -1,
     ),
     "an image missing": (in_cube(lambda c: c[50].fill(np.nan)), "", 1),
+    "half of some images zero": (
+        in_cube(lambda c: shifted(c, slice(40, 60), lambda v: v * 0)),
+        "20 VNIR channels have lit pixels with a rad",
+        0,
+    ),
+    "an image of one value": (in_cube(lambda c: c[50].fill(1.0)), "1 VNIR channels have one value in all pixels", 1),
+    "an image much too bright": (in_cube(lambda c: scaled(c, slice(50, 51), 1.5)), "1 VNIR channels are no radi", 1),
+    "a radiance of another exponent": (
+        in_table(column(4, 120, "4.4E-001")),
+        "1 SWIR channels are no radiance of lit",
+        1,
+    ),
+    "a radiance almost 0": (in_table(column(4, 2, "1E-30")), "1 SWIR channels are no radiance of lit", 1),
     "a row flagged": (in_table(column(5, 120, "0x03")), "1 SWIR channels are flagged", 1),
     "a radiance negative": (in_table(column(4, 120, "-1.0E-003")), "1 SWIR channels have a radiance of 0 or below", 1),
     "a radiance missing": (in_table(column(4, 120, "NaN")), "1 SWIR channels have no number", 1),

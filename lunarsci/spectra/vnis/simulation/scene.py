@@ -155,7 +155,7 @@ class Scene:
     swir_incidence_deg: float | None = None
     disk: str | None = "akimov"
     phase: str = "sp-high"
-    solar: str = "g173"
+    solar: str = "e490"
     time: datetime = datetime(2020, 7, 16, 8, 20, tzinfo=UTC)
     sequence: int = 1
     latitude_deg: float = -45.44
