@@ -5,6 +5,7 @@ import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib.resources import files
 from typing import NamedTuple
 
@@ -104,6 +105,7 @@ class _Table(NamedTuple):
     places: Sequence[str]
 
 
+@cache
 def solar_spectrum(name: str) -> SolarSpectrum:
     """A standard at its native sampling, 400-2600 nm: `g173` (ASTM G173-03) or `e490` (ASTM E490-00a).
 

@@ -57,10 +57,10 @@ def fwhm_nm(wavelength_nm: FloatArray, detector: Detector) -> FloatArray:
 
     Raises ParameterError outside these ranges. Source: `vnis-fwhm` in `sources.toml`.
     """
-    columns = _by_channel(_FWHM, wavelength_nm, detector, ("a_nm_per_um2", "b_nm_per_um", "c_nm"))
+    names = ("cubic_nm_per_um3", "quadratic_nm_per_um2", "linear_nm_per_um", "constant_nm")
+    a, b, c, d = _by_channel(_FWHM, wavelength_nm, detector, names)
     x = np.asarray(wavelength_nm, dtype=float) / 1000
-    a, b, c = columns
-    return a * x**2 + b * x + c
+    return ((a * x + b) * x + c) * x + d
 
 
 def random_noise(wavelength_nm: FloatArray, detector: Detector) -> FloatArray:

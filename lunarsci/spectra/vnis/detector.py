@@ -1,6 +1,7 @@
 """One detector's way from radiance to reflectance factor at the standard geometry, with its random errors."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -72,10 +73,13 @@ class DetectorSpectrum:
         return self.observed * self.correction
 
 
+@lru_cache(maxsize=16)
 def irradiance_at(detector: Detector, solar: SolarSpectrum) -> FloatArray:
-    """Irradiance in the channels of one detector at 1 AU. [W m-2 nm-1]"""
+    """Irradiance in the channels of one detector at 1 AU; read-only, kept for the next observation. [W m-2 nm-1]"""
     wavelength = WAVELENGTHS[detector]
-    return in_band_irradiance(solar, wavelength, fwhm_nm(wavelength, detector))
+    irradiance = in_band_irradiance(solar, wavelength, fwhm_nm(wavelength, detector))
+    irradiance.setflags(write=False)
+    return irradiance
 
 
 def measure(

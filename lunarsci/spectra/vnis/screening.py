@@ -71,8 +71,8 @@ def lit_footprint(observation: Observation, settings: Settings, limit: float, no
         )
     if np.nanstd(footprint.mean) < _FLAT * np.nanmean(footprint.mean):
         raise DataError(
-            f"{observation.id}: all images are equally bright, which sunlit ground is not; the axes of the cube are not "
-            "band, line, sample, fetch it again"
+            f"{observation.id}: all images are equally bright, which sunlit ground is not; the axes of the cube are "
+            "not band, line, sample, fetch it again"
         )
     if shadowed:
         notes.add(f"SWIR radiance divided by {footprint.dilution:.4f} for the shadows it averages over")

@@ -1,4 +1,4 @@
-"""Reflectance factor against numbers worked by hand and limits; the file of channel factors and every way to spoil it."""
+"""Reflectance factor against numbers worked by hand, and limits; the file of channel factors and ways to spoil it."""
 
 import csv
 import math
@@ -126,7 +126,7 @@ def test_the_published_factors_are_taken(reference_data: Path) -> None:
             rows += [[detector, r["wavelength_nm"], r["cal_factor_before_lunar_day7"]] for r in csv.DictReader(file)]
     factors = read_channel_factors(source(rows))
     assert (factors.vnir[0], factors.swir[0]) == (0.944689, 0.871318)
-    assert 0.8 < min(factors.vnir.min(), factors.swir.min())
+    assert min(factors.vnir.min(), factors.swir.min()) > 0.8
 
 
 def put(line: int, column: int, text: str) -> Callable[[Rows], Rows]:
@@ -147,7 +147,7 @@ SPOILED: dict[str, tuple[Callable[[Rows], Rows], str]] = {
     "a short row": (lambda rows: [row[:2] if n == 8 else row for n, row in enumerate(rows)], "row 9: factor is ''"),
     "a factor of 0": (put(4, 2, "0"), r"row 4: the factor 0 is outside 0\.2 to 5"),
     "a huge factor": (put(4, 2, "6.5"), r"row 4: the factor 6\.5 is outside"),
-    "not a number": (put(4, 2, "nan"), "row 4: the factor nan is outside"),
+    "not a number": (put(4, 2, "nan"), "row 4: factor is 'nan', not a number"),
     "per cent": (put(4, 2, "94.5"), r"row 4: the factor 94\.5 is outside"),
     "twice": (put(5, 1, "460"), "row 5: 460 nm of vnir appears twice; keep one"),
     "a channel left out": (lambda rows: rows[:50] + rows[51:], "vnir has 100 channels, 99 are given and 695 nm is m"),
