@@ -11,7 +11,6 @@ import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 __all__ = ["Provenance", "document", "plain", "sha256", "to_json"]
@@ -66,6 +65,8 @@ class Provenance:
 
 def installed_version(package: str) -> str | None:
     """Version of an installed package, None when it is not installed."""
+    from importlib.metadata import PackageNotFoundError, version
+
     try:
         return version(package)
     except PackageNotFoundError:

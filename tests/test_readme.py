@@ -79,7 +79,8 @@ def test_make_targets_exist() -> None:
 
 def test_options_named_in_the_readme_exist(folder: Path) -> None:
     """Every `--option` in the prose is one of some command."""
-    commands = ["spectra bands", "spectra fit", "regolith forces", "regolith identify", "twin predict", "demo"]
+    commands = ["spectra bands", "spectra calibrate", "spectra fit", "spectra simulate"]
+    commands += ["regolith forces", "regolith identify", "twin predict", "demo"]
     known = " ".join(shell(f"COLUMNS=200 lunarsci {command} --help", folder).stdout for command in commands)
     for option in set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", TEXT)):
         assert option in known, option
