@@ -12,9 +12,10 @@ HELP_MAY_IMPORT = {
     "pydantic_core", "typing_extensions", "typing_inspection", "pygments", "markdown_it", "mdurl",
 }  # fmt: skip
 LIST_MODULES = (
-    "import sys, json; sys.stdout = sys.stderr; "
+    "import sys, json; bare = set(sys.modules); sys.stdout = sys.stderr; "
     "from lunarsci.cli import main; main({arguments}); sys.stdout = sys.__stdout__; "
-    "print(json.dumps(sorted({{name.split('.')[0] for name in sys.modules}} - set(sys.stdlib_module_names))))"
+    "loaded = {{name.split('.')[0] for name in sys.modules.keys() - bare}}; "
+    "print(json.dumps(sorted(loaded - set(sys.stdlib_module_names))))"
 )
 
 
