@@ -10,7 +10,7 @@ from .talk import FAILED, UNTRUSTED
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Report"]
+__all__ = ["Report", "together"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,3 +51,9 @@ class Report:
         if self.failures:
             return FAILED
         return UNTRUSTED if self.untrusted else 0
+
+
+def together(failures: Sequence[str]) -> str:
+    """The first of some failures, and how many more there are."""
+    more = f" (and {len(failures) - 1} more inputs without a result)" if len(failures) > 1 else ""
+    return failures[0] + more

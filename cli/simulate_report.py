@@ -6,13 +6,15 @@ from typing import Any
 
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.mgm.assemblages import MINERALS
-from lunarsci.spectra.mgm.assemblages import table_hash as bands_hash
-from lunarsci.spectra.photometry.phase import table_hash as phase_hash
-from lunarsci.spectra.solar import table_hash as solar_hash
-from lunarsci.spectra.vnis.channels import table_hashes
+from lunarsci.spectra.mgm.assemblages import TABLE as BANDS_TABLE
+from lunarsci.spectra.photometry import phase_function
+from lunarsci.spectra.photometry.phase import TABLE as PHASE_TABLE
+from lunarsci.spectra.solar import SOLAR_SPECTRA, table_name
+from lunarsci.spectra.vnis.channels import TABLES
 from lunarsci.spectra.vnis.simulation.instrument import Simulation
 from lunarsci.spectra.vnis.simulation.products import product_files
 from lunarsci.spectra.vnis.simulation.scene import Composition
+from lunarsci.tables import table_hashes
 
 from .report import Report
 from .table import TextTable
@@ -79,7 +81,8 @@ def simulate_report(simulation: Simulation) -> Report:
             {"wavelength_nm": w, "reflectance": r} for w, r in zip(truth.wavelength_nm, truth.reflectance, strict=True)
         ],
         figures=figures,
-        data_tables=table_hashes() | solar_hash(scene.solar) | phase_hash() | bands_hash(),
+        data_tables=table_hashes(*TABLES, table_name(scene.solar), PHASE_TABLE, BANDS_TABLE),
+        sources=[SOLAR_SPECTRA[scene.solar], phase_function(scene.phase).source],
         seed=simulation.seed,
         files={name: _made(content) for name, content in files.items()},
     )

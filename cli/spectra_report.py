@@ -7,15 +7,17 @@ from typing import Any
 from lunarsci.errors import DataError, LunarSciError
 from lunarsci.inputs import expand_inputs, read_input
 from lunarsci.spectra.bands import BandFailure, SpectrumBands
-from lunarsci.spectra.mgm.assemblages import table_hash
+from lunarsci.spectra.mgm.assemblages import TABLE
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.name import product_name
 from lunarsci.spectra.vnis.observation import one_per_observation
+from lunarsci.spectra.vnis.settings import default_settings
+from lunarsci.tables import table_hashes
 
-from .report import Report
-from .table import TextTable, plus_minus
+from .report import Report, together
+from .table import TextTable, counted, plus_minus
 
 __all__ = ["Batch", "bands_report", "fit_report", "read_batch"]
 
@@ -52,7 +54,7 @@ def read_batch(files: Sequence[str], wavelength_unit: Any, reflectance_unit: Any
         except LunarSciError as error:
             batch.failures.append(str(error) if name in str(error) else f"{name}: {error}")
     if not batch.spectra:
-        raise DataError(_together(batch.failures))
+        raise DataError(together(batch.failures))
     return batch
 
 
@@ -68,6 +70,12 @@ def _expanded(files: Sequence[str], failures: list[str]) -> list[str]:
         except DataError as error:
             failures.append(str(error))
     return list(dict.fromkeys(names))
+
+
+def _tables(batch: Batch) -> dict[str, str]:
+    """Tables of the calibration, where a spectrum was calibrated on the way."""
+    calibrated = any("footprint" in spectrum.metadata for spectrum in batch.spectra)
+    return table_hashes(*default_settings().tables) if calibrated else {}
 
 
 def bands_report(batch: Batch, measured: Sequence[SpectrumBands | BandFailure]) -> Report:
@@ -88,6 +96,7 @@ def bands_report(batch: Batch, measured: Sequence[SpectrumBands | BandFailure]) 
         rows=[_flat(record) for record in records],
         figures=figures,
         inputs=batch.inputs,
+        data_tables=_tables(batch),
         sources=[PAPER, SMOOTHING],
         failures=failures,
     )
@@ -114,17 +123,14 @@ def _bands_row(record: Mapping[str, Any]) -> list[str]:
 
 
 def _band_notes(records: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Each reason once, with the number of spectra it holds for."""
-    notes: dict[str, int] = {}
-    for record in records:
-        for key, band in (("1000", "1 µm"), ("2000", "2 µm")):
-            for text in (record[f"band{key}_note"], record[f"band{key}_status"]):
-                if text not in ("", "ok"):
-                    line = f"{band} band: {text}"
-                    notes[line] = notes.get(line, 0) + 1
-    single = len(records) == 1
-    lines = [line if single else f"{line} ({count} of {len(records)} spectra)" for line, count in sorted(notes.items())]
-    return lines + (_shared_errors(records[0]) if single else [])
+    lines = [
+        f"{band} band: {text}"
+        for record in records
+        for key, band in (("1000", "1 µm"), ("2000", "2 µm"))
+        for text in (record[f"band{key}_note"], record[f"band{key}_status"])
+        if text not in ("", "ok")
+    ]
+    return counted(sorted(lines), len(records), "spectra") + (_shared_errors(records[0]) if len(records) == 1 else [])
 
 
 def _shared_errors(record: Mapping[str, Any]) -> list[str]:
@@ -159,7 +165,7 @@ def fit_report(batch: Batch, fits: Sequence[MgmFit | MgmFailure]) -> Report:
         rows=[row for record in records for row in _band_rows(record)],
         figures=figures,
         inputs=batch.inputs,
-        data_tables=table_hash(),
+        data_tables=_tables(batch) | table_hashes(TABLE),
         sources=[MGM, NBSR],
         untrusted=f"not to be trusted: {'; '.join(doubts)}" if doubts else "",
         failures=failures,
@@ -240,10 +246,5 @@ def _failures(batch: Batch, items: Sequence[Any], any_good: bool) -> list[str]:
     ]
     failures = [*batch.failures, *reasons]
     if not any_good:
-        raise DataError(_together(failures))
+        raise DataError(together(failures))
     return failures
-
-
-def _together(failures: Sequence[str]) -> str:
-    more = f" (and {len(failures) - 1} more inputs without a result)" if len(failures) > 1 else ""
-    return failures[0] + more

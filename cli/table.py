@@ -2,13 +2,14 @@
 
 import csv
 import io
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from lunarsci.provenance import plain
 
-__all__ = ["TextTable", "plus_minus", "render", "to_csv"]
+__all__ = ["TextTable", "counted", "plus_minus", "render", "to_csv"]
 
 _NEVER_CUT = 100_000
 
@@ -21,6 +22,11 @@ class TextTable:
     rows: Sequence[Sequence[str]]
     title: str = ""
     notes: Sequence[str] = ()
+
+
+def counted(notes: Sequence[str], total: int, things: str) -> list[str]:
+    """Each note once, with the number of `total` things it holds for where there are several."""
+    return [note if total == 1 else f"{note} ({count} of {total} {things})" for note, count in Counter(notes).items()]
 
 
 def render(tables: Sequence[TextTable]) -> str:

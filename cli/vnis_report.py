@@ -7,19 +7,18 @@ from typing import Any
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import expand_inputs, read_input
 from lunarsci.spectra.photometry import PHASE_FUNCTIONS, phase_function, read_phase_function
-from lunarsci.spectra.photometry.phase import table_hash as phase_hash
-from lunarsci.spectra.solar import SOLAR_SPECTRA, read_solar_spectrum, solar_spectrum
-from lunarsci.spectra.solar import table_hash as solar_hash
+from lunarsci.spectra.solar import SOLAR_SPECTRA, solar_spectrum
+from lunarsci.spectra.solar_table import read_solar_spectrum
 from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure
-from lunarsci.spectra.vnis.channels import SPLICED_NM, table_hashes
+from lunarsci.spectra.vnis.channels import SPLICED_NM
 from lunarsci.spectra.vnis.name import product_name
 from lunarsci.spectra.vnis.observation import one_per_observation
 from lunarsci.spectra.vnis.reflectance import read_channel_factors
 from lunarsci.spectra.vnis.settings import Settings
-from lunarsci.spectra.vnis.systematics import table_hash as shape_hash
+from lunarsci.tables import table_hashes
 
-from .report import Report
-from .table import TextTable, plus_minus
+from .report import Report, together
+from .table import TextTable, counted, plus_minus
 
 __all__ = ["calibrate_report", "check_fits", "observations", "settings_from"]
 
@@ -95,8 +94,7 @@ def calibrate_report(results: Sequence[Calibration | CalibrationFailure], settin
     good = [item for item in results if isinstance(item, Calibration)]
     failures = [item.status for item in results if isinstance(item, CalibrationFailure)]
     if not good:
-        more = f" (and {len(failures) - 1} more inputs without a result)" if len(failures) > 1 else ""
-        raise DataError(failures[0] + more)
+        raise DataError(together(failures))
 
     def figures() -> Any:
         from lunarsci.spectra.vnis.figure import calibration_pages
@@ -121,16 +119,10 @@ def calibrate_report(results: Sequence[Calibration | CalibrationFailure], settin
         figures=figures,
         formats={".ecsv": ecsv, ".fits": fits},
         inputs={path: digest for item in good for path, digest in item.inputs.items()},
-        data_tables=table_hashes() | _hashes(settings),
+        data_tables=table_hashes(*settings.tables),
         sources=[*SOURCES, settings.solar.source, *([settings.phase.source] if settings.disk else [])],
         failures=failures,
     )
-
-
-def _hashes(settings: Settings) -> dict[str, str]:
-    names = {settings.solar.name, settings.other_solar.name} & set(SOLAR_SPECTRA)
-    hashes = {table: digest for name in sorted(names) for table, digest in solar_hash(name).items()}
-    return hashes | shape_hash() | (phase_hash() if settings.disk else {})
 
 
 def _table(good: Sequence[Calibration]) -> TextTable:
@@ -159,13 +151,7 @@ def _row(item: Calibration) -> list[str]:
 
 
 def _notes(good: Sequence[Calibration]) -> list[str]:
-    """Each note once, with the number of observations it holds for."""
-    counts: dict[str, int] = {}
-    for item in good:
-        for note in item.notes:
-            counts[note] = counts.get(note, 0) + 1
-    single = len(good) == 1
-    return [note if single else f"{note} ({count} of {len(good)} observations)" for note, count in counts.items()]
+    return counted([note for item in good for note in item.notes], len(good), "observations")
 
 
 def _rows(item: Calibration) -> list[dict[str, Any]]:

@@ -7,7 +7,18 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-SHARED = {"errors", "constants", "provenance", "atomic", "inputs", "compiled", "figure", "rovers", "spectra_data"}
+SHARED = {
+    "errors",
+    "constants",
+    "provenance",
+    "atomic",
+    "inputs",
+    "compiled",
+    "figure",
+    "rovers",
+    "spectra_data",
+    "tables",
+}
 ALLOWED = {
     "spectra": {"spectra", *SHARED},
     "regolith": {"regolith", *SHARED},

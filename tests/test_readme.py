@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from lunarsci.cli import app
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "README.md").read_text("utf-8")
@@ -79,8 +80,11 @@ def test_make_targets_exist() -> None:
 
 def test_options_named_in_the_readme_exist(folder: Path) -> None:
     """Every `--option` in the prose is one of some command."""
-    commands = ["spectra bands", "spectra calibrate", "spectra fit", "spectra simulate"]
-    commands += ["regolith forces", "regolith identify", "twin predict", "demo"]
-    known = " ".join(shell(f"COLUMNS=200 lunarsci {command} --help", folder).stdout for command in commands)
+    commands = [
+        f"{group.name} {command.name}"
+        for group in app.registered_groups
+        for command in group.typer_instance.registered_commands
+    ]
+    known = " ".join(shell(f"COLUMNS=200 lunarsci {command} --help", folder).stdout for command in [*commands, "demo"])
     for option in set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", TEXT)):
         assert option in known, option

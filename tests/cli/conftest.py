@@ -1,5 +1,6 @@
 """Run the command line in this process, and small input files."""
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +33,23 @@ def run(capfd: pytest.CaptureFixture[str]) -> Callable[..., Ran]:
         return Ran(code, out, err.splitlines())
 
     return call
+
+
+@pytest.fixture
+def drawn_on() -> Callable[[int], str]:
+    """`drawn_on(terminal)`: what is drawn on the other end of a pseudo-terminal until that end is closed."""
+
+    def read(terminal: int) -> str:
+        drawn = b""
+        while True:
+            try:
+                drawn += os.read(terminal, 10_000)
+            except OSError:  # the other end is closed: the command has ended
+                break
+        os.close(terminal)
+        return drawn.decode(errors="replace")
+
+    return read
 
 
 @pytest.fixture

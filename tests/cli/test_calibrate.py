@@ -495,7 +495,9 @@ def two_hundred(tmp_path: Path, two: Files) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
-def test_two_hundred_observations_run_through_with_a_bar(two_hundred: Path, tmp_path: Path) -> None:
+def test_two_hundred_observations_run_through_with_a_bar(
+    two_hundred: Path, tmp_path: Path, drawn_on: Callable[[int], str]
+) -> None:
     import pty
 
     target, start = tmp_path / "all.csv", time.perf_counter()
@@ -503,13 +505,7 @@ def test_two_hundred_observations_run_through_with_a_bar(two_hundred: Path, tmp_
     arguments = ["-m", "lunarsci.cli", *COMMAND, str(two_hundred), "-o", str(target)]
     process = launched(arguments, stdout=subprocess.PIPE, stderr=theirs)
     os.close(theirs)
-    drawn = ""
-    while True:
-        try:
-            drawn += os.read(ours, 10_000).decode(errors="replace")
-        except OSError:  # the other end is closed: the command has ended
-            break
-    os.close(ours)
+    drawn = drawn_on(ours)
     assert process.communicate()[0] == ""
     sys.stdout.write(f"\n200 observations: {time.perf_counter() - start:.0f} s, {megabytes(drawn):.0f} MB\n")
     assert process.returncode == 1

@@ -372,19 +372,14 @@ def test_a_closed_stdout_is_one_line(rock: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
-def test_progress_is_drawn_on_a_terminal_and_only_on_stderr() -> None:
+def test_progress_is_drawn_on_a_terminal_and_only_on_stderr(drawn_on: Callable[[int], str]) -> None:
     import pty
 
     ours, theirs = pty.openpty()
     command = [sys.executable, "-m", "lunarsci.cli", "twin", "predict", "--field", "verdict"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=theirs)
     os.close(theirs)
-    drawn = ""
-    while True:
-        try:
-            drawn += os.read(ours, 10_000).decode(errors="replace")
-        except OSError:  # the other end is closed: the command has ended
-            break
+    drawn = drawn_on(ours)
     assert process.communicate()[0] == b"go\n"
     assert "driving" in drawn
     assert "%" in drawn

@@ -1,13 +1,11 @@
 """Which bands a mineral assemblage has, where they start and how far their priors reach; read from `mgm_bands.csv`."""
 
-import csv
 from dataclasses import dataclass
-from importlib.resources import files
 
 from lunarsci.errors import ParameterError
-from lunarsci.provenance import sha256
+from lunarsci.tables import table_rows
 
-__all__ = ["MINERALS", "TABLE", "Assemblage", "BandPrior", "assemblage", "table_hash"]
+__all__ = ["MINERALS", "TABLE", "Assemblage", "BandPrior", "assemblage"]
 
 MINERALS = {"OL": "olivine", "OPX": "orthopyroxene", "CPX": "clinopyroxene"}
 TABLE = "mgm_bands.csv"
@@ -58,17 +56,7 @@ def assemblage(name: str) -> Assemblage:
     return Assemblage("-".join(ordered), tuple(band for band in _read_table() if band.mineral in wanted))
 
 
-def table_hash() -> dict[str, str]:
-    """Name and SHA-256 of the table, for the provenance."""
-    return {TABLE: sha256(_table_bytes())}
-
-
-def _table_bytes() -> bytes:
-    return (files("lunarsci.spectra_data") / TABLE).read_bytes()
-
-
 def _read_table() -> list[BandPrior]:
-    rows = csv.DictReader(_table_bytes().decode("utf-8").splitlines())
     return [
         BandPrior(
             row["band"],
@@ -81,5 +69,5 @@ def _read_table() -> list[BandPrior]:
             float(row["strength_prior_sigma"]),
             row["source"],
         )
-        for row in rows
+        for row in table_rows(TABLE)
     ]

@@ -2,13 +2,12 @@
 
 from lunarsci.spectra.photometry.correction import correction_factor, model_spread, remarks
 from lunarsci.spectra.photometry.disk import DISKS, akimov, lommel_seeliger, mcewen
-from lunarsci.spectra.photometry.geometry import STANDARD, Geometry
+from lunarsci.spectra.photometry.geometry import STANDARD, Geometry, phase_angle_deg
 from lunarsci.spectra.photometry.phase import (
     PHASE_FUNCTIONS,
     PhaseFunction,
     phase_function,
     read_phase_function,
-    table_hash,
 )
 
 __all__ = [
@@ -22,8 +21,8 @@ __all__ = [
     "lommel_seeliger",
     "mcewen",
     "model_spread",
+    "phase_angle_deg",
     "phase_function",
     "read_phase_function",
     "remarks",
-    "table_hash",
 ]

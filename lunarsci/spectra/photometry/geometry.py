@@ -1,11 +1,11 @@
 """Angles of one observation, checked when they are put together."""
 
 from dataclasses import dataclass
-from math import cos, isfinite, radians
+from math import acos, cos, degrees, isfinite, radians, sin
 
 from lunarsci.errors import ParameterError
 
-__all__ = ["STANDARD", "Geometry"]
+__all__ = ["STANDARD", "Geometry", "phase_angle_deg"]
 
 _LIMITS_DEG = {"incidence": 90.0, "emission": 90.0, "phase": 180.0}
 _ROUNDING_DEG = 0.5  # labels give the three angles rounded, or at slightly different points
@@ -56,6 +56,12 @@ class Geometry:
     def cos_emission(self) -> float:
         """mu. [-]"""
         return cos(radians(self.emission_deg))
+
+
+def phase_angle_deg(incidence_deg: float, emission_deg: float, azimuth_difference_deg: float) -> float:
+    """Phase angle from cos g = cos i cos e + sin i sin e cos(azimuth difference), 0 to 180. [deg]"""
+    i, e, turn = radians(incidence_deg), radians(emission_deg), radians(azimuth_difference_deg)
+    return degrees(acos(max(-1.0, min(1.0, cos(i) * cos(e) + sin(i) * sin(e) * cos(turn)))))
 
 
 STANDARD = Geometry(30.0, 0.0, 30.0)

@@ -1,9 +1,7 @@
 """Phase functions f(g): how the radiance factor falls with the phase angle once the disk function is divided out."""
 
-import csv
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 from typing import Protocol
 
 import numpy as np
@@ -11,11 +9,11 @@ import numpy as np
 from lunarsci import inputs
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile
-from lunarsci.provenance import sha256
 from lunarsci.spectra.photometry.geometry import STANDARD
 from lunarsci.spectra.readers.rows import Row, check_widths, number, numbers, separator_of, split_fields, split_lines
 from lunarsci.spectra.readers.table import quoted
 from lunarsci.spectra.spectrum import FloatArray
+from lunarsci.tables import table_rows
 
 __all__ = [
     "PHASE_FUNCTIONS",
@@ -27,7 +25,6 @@ __all__ = [
     "phase_function",
     "read_phase_function",
     "selene_phase",
-    "table_hash",
 ]
 
 TABLE = "selene_sp_phase.csv"
@@ -240,20 +237,11 @@ def phase_function(name: str) -> PhaseFunction:
 
 @cache
 def _selene(group: str) -> SelenePhase:
-    rows = [row for row in csv.DictReader(_table_bytes().decode("utf-8").splitlines()) if row["group"] == group]
+    rows = [row for row in table_rows(TABLE) if row["group"] == group]
     columns = [np.array([float(row[key]) for row in rows]) for key in ("wavelength_nm", "b0", "h", "c", "g")]
     for column in columns:
         column.setflags(write=False)
     return SelenePhase(f"sp-{group}", "Yokota et al. (2011), Icarus 215, 639, 10.1016/j.icarus.2011.07.028", *columns)
-
-
-def table_hash() -> dict[str, str]:
-    """Name and SHA-256 of the table of the SELENE parameters, for the provenance."""
-    return {TABLE: sha256(_table_bytes())}
-
-
-def _table_bytes() -> bytes:
-    return (files("lunarsci.spectra_data") / TABLE).read_bytes()
 
 
 def read_phase_function(source: InputFile) -> TablePhase:

@@ -1,15 +1,12 @@
 """Channels of VNIS: wavelengths, width of the response, noise, and where the SWIR detector looks in the VNIR image."""
 
-import csv
-from functools import cache
-from importlib.resources import files
 from typing import Literal
 
 import numpy as np
 
 from lunarsci.errors import ParameterError
-from lunarsci.provenance import sha256
 from lunarsci.spectra.spectrum import BoolArray, FloatArray
+from lunarsci.tables import table_rows
 
 __all__ = [
     "CUBE_SHAPE",
@@ -18,13 +15,13 @@ __all__ = [
     "SPLICED_NM",
     "SUB_BAND_STEP_NM",
     "SWIR_NM",
+    "TABLES",
     "VNIR_NM",
     "Detector",
     "fixed_pattern",
     "footprint_mask",
     "fwhm_nm",
     "random_noise",
-    "table_hashes",
 ]
 
 Detector = Literal["vnir", "swir"]
@@ -45,7 +42,8 @@ FOOTPRINT = (127.0, 97.0, 53.8)
 """Line and sample (from 0) of the centre and radius of the SWIR field of view in the VNIR image, as the product labels
 state it (line 128, sample 98, counted from 1). [px]"""
 
-_FWHM, _NOISE = "vnis_fwhm.csv", "vnis_noise.csv"
+TABLES = ("vnis_fwhm.csv", "vnis_noise.csv")
+_FWHM, _NOISE = TABLES
 
 
 def fwhm_nm(wavelength_nm: FloatArray, detector: Detector) -> FloatArray:
@@ -81,26 +79,12 @@ def footprint_mask() -> BoolArray:
     return mask
 
 
-def table_hashes() -> dict[str, str]:
-    """Name and SHA-256 of the tables used here, for the provenance."""
-    return {name: sha256(_bytes(name)) for name in (_FWHM, _NOISE)}
-
-
 def _by_channel(table: str, wavelength_nm: FloatArray, detector: Detector, names: tuple[str, ...]) -> list[FloatArray]:
     wavelength = np.asarray(wavelength_nm, dtype=float)
-    rows = [row for row in _rows(table) if row["detector"] == detector]
+    rows = [row for row in table_rows(table) if row["detector"] == detector]
     starts = np.array([float(row["from_nm"]) for row in rows])
     last = float(rows[-1]["to_nm"])
     if not ((wavelength >= starts[0]) & (wavelength <= last)).all():
         raise ParameterError(f"the {detector.upper()} detector has channels from {starts[0]:g} to {last:g} nm only")
     place = np.searchsorted(starts, wavelength, side="right") - 1
     return [np.array([float(row[name]) for row in rows])[place] for name in names]
-
-
-@cache
-def _rows(table: str) -> tuple[dict[str, str], ...]:
-    return tuple(csv.DictReader(_bytes(table).decode().splitlines()))
-
-
-def _bytes(table: str) -> bytes:
-    return (files("lunarsci.spectra_data") / table).read_bytes()

@@ -19,9 +19,12 @@ from lunarsci.spectra.vnis.xml import LABEL_BYTES
 __all__ = ["Observation", "Parts", "find_parts", "one_per_observation", "read_observation"]
 
 _APART = timedelta(hours=24)
+"""The two scans follow each other within minutes; assumed wide."""
 _SAME_DEG, _SUN_DEG_PER_HOUR = 0.3, 0.6
+"""The Sun moves by 360 deg in 29.5 days, 0.51 deg an hour; the rest is assumed for rounding."""
 _TABLE_BYTES = 1_000_000
 _AWAY_DEG = 0.001
+"""30 m on the Moon; assumed."""
 
 
 @dataclass(frozen=True, slots=True)

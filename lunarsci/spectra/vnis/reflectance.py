@@ -1,7 +1,6 @@
 """From radiance to reflectance factor, and the factors that products before the in-flight calibration need."""
 
-import csv
-import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +8,7 @@ import numpy as np
 from lunarsci import inputs
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile
+from lunarsci.spectra.readers.rows import Row, check_widths, number, separator_of, split_fields, split_lines
 from lunarsci.spectra.spectrum import FloatArray
 from lunarsci.spectra.vnis.channels import SWIR_NM, VNIR_NM, Detector
 
@@ -19,7 +19,7 @@ IN_FLIGHT_VERSION = 2.0
 
 _CHANNELS: dict[Detector, FloatArray] = {"vnir": VNIR_NM, "swir": SWIR_NM}
 _FACTOR_RANGE = (0.2, 5.0)
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
+"""A detector further off has failed; assumed."""
 
 
 def reflectance_factor(
@@ -61,37 +61,42 @@ def read_channel_factors(source: InputFile) -> ChannelFactors:
 
     Raises DataError for other columns, missing or repeated channels, and factors outside 0.2 to 5.
     """
-    try:
-        reader = csv.DictReader(line for line in inputs.text(source).splitlines() if not line.startswith("#"))
-        rows, names = list(reader), list(reader.fieldnames or ())
-    except csv.Error as error:
-        raise DataError(f"{source.name}: no CSV table ({error}); see `lunarsci spectra calibrate --help`") from error
-    if len(set(names)) < len(names):
-        raise DataError(f"{source.name}: two columns have one name; give each its own")
-    lacking = {"detector", "wavelength_nm", "factor"} - set(names)
-    if lacking:
-        raise DataError(
-            f"{source.name}: no column {', '.join(sorted(lacking))}; see `lunarsci spectra calibrate --help`"
-        )
+    lines, _ = split_lines(inputs.text(source))
+    separator = separator_of(lines) if lines else ","
+    table = [Row(n, split_fields(line, separator, f"{source.name}: line {n}")) for n, line in lines]
+    names, rows = (table[0].fields, table[1:]) if table else ((), [])
+    places = _places(names, source.name)
+    if rows:
+        check_widths(rows, source.name, len(names))
     found: dict[Detector, dict[float, float]] = {"vnir": {}, "swir": {}}
-    for line, row in enumerate(rows, 2):
-        detector = (row["detector"] or "").strip().lower()
-        if detector not in ("vnir", "swir"):
-            raise DataError(f"{source.name}: row {line}: the detector is {detector[:20]!r}; use vnir or swir")
-        wavelength, factor = (_number(row[key], key, line, source.name) for key in ("wavelength_nm", "factor"))
+    for row in rows:
+        name = row.fields[places["detector"]].lower()
+        wavelength, factor = (_number(row, places[key], key, source.name) for key in ("wavelength_nm", "factor"))
+        if name not in found:
+            raise DataError(f"{source.name}: line {row.line}: the detector is {name[:20]!r}; use vnir or swir")
         if not _FACTOR_RANGE[0] <= factor <= _FACTOR_RANGE[1]:
-            raise DataError(f"{source.name}: row {line}: the factor {factor:g} is outside 0.2 to 5; correct it")
-        if wavelength in found[detector]:  # type: ignore[index]
-            raise DataError(f"{source.name}: row {line}: {wavelength:g} nm of {detector} appears twice; keep one")
-        found[detector][wavelength] = factor  # type: ignore[index]
+            raise DataError(f"{source.name}: line {row.line}: the factor {factor:g} is outside 0.2 to 5; correct it")
+        if wavelength in found[name]:
+            raise DataError(f"{source.name}: line {row.line}: {wavelength:g} nm of {name} appears twice; keep one")
+        found[name][wavelength] = factor
     return ChannelFactors(source.name, *(_all_channels(found[key], key, source.name) for key in ("vnir", "swir")))
 
 
-def _number(text: str | None, key: str, line: int, file: str) -> float:
-    stripped = (text or "").strip()
-    if not _NUMBER.fullmatch(stripped):
-        raise DataError(f"{file}: row {line}: {key} is {stripped[:20]!r}, not a number; correct it")
-    return float(stripped)
+def _places(names: Sequence[str], file: str) -> dict[str, int]:
+    """Column name to place."""
+    if len(set(names)) < len(names):
+        raise DataError(f"{file}: two columns have one name; give each its own")
+    lacking = {"detector", "wavelength_nm", "factor"} - set(names)
+    if lacking:
+        raise DataError(f"{file}: no column {', '.join(sorted(lacking))}; see `lunarsci spectra calibrate --help`")
+    return {name: place for place, name in enumerate(names)}
+
+
+def _number(row: Row, place: int, key: str, file: str) -> float:
+    value = number(row.fields[place])
+    if value is None or not np.isfinite(value):
+        raise DataError(f"{file}: line {row.line}: {key} is {row.fields[place][:20]!r}, not a number; correct it")
+    return value
 
 
 def _all_channels(found: dict[float, float], detector: Detector, file: str) -> FloatArray:

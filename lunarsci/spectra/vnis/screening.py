@@ -18,6 +18,7 @@ from lunarsci.spectra.vnis.splice import GAIN_LIMIT, STEP_LIMIT, Splice, find_sp
 
 __all__ = ["Notes", "bad_swir", "bad_vnir", "closing_remarks", "lit_footprint", "measured", "spliced"]
 
+# What is too little, too dark or too bright to go on with: assumed, each far from what the public spectra have.
 _LEAST_LIT = 0.01
 _MUCH_SHADOW, _MOST_SHADOW = 0.3, 0.9
 _DARK = 0.01
@@ -144,7 +145,6 @@ def measured(
     notes: Notes,
 ) -> DetectorSpectrum:
     """One detector's spectrum with outlying channels masked. Raises DataError, with the id, for an absurd one."""
-    label, id = (observation.cube_label if detector == "vnir" else observation.table_label), observation.id
     label, id = (observation.cube_label if detector == "vnir" else observation.table_label), observation.id
     try:
         item = measure(detector, label, radiance, mean_error, settings)

@@ -5,7 +5,10 @@ from dataclasses import dataclass, field
 
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.photometry import PhaseFunction, phase_function
-from lunarsci.spectra.solar import SolarSpectrum, solar_spectrum
+from lunarsci.spectra.photometry.phase import TABLE as PHASE_TABLE
+from lunarsci.spectra.photometry.phase import SelenePhase
+from lunarsci.spectra.solar import M3_TABLE, SOLAR_SPECTRA, SolarSpectrum, solar_spectrum, table_name
+from lunarsci.spectra.vnis.channels import TABLES
 from lunarsci.spectra.vnis.reflectance import ChannelFactors
 
 __all__ = ["RADIANCE_UNITS", "Settings", "default_settings"]
@@ -46,6 +49,13 @@ class Settings:
             raise ParameterError(f"the shadow limit is {self.shadow_limit:g}; give a reflectance from 0 to below 1")
         if self.radiance_unit not in RADIANCE_UNITS:
             raise ParameterError(f"radiance per '{self.radiance_unit}' is unknown; use {' or '.join(RADIANCE_UNITS)}")
+
+    @property
+    def tables(self) -> tuple[str, ...]:
+        """Files of `spectra_data` that a calibration reads, for the provenance."""
+        solar = sorted({self.solar.name, self.other_solar.name} & set(SOLAR_SPECTRA))
+        phase = [PHASE_TABLE] if self.disk is not None and isinstance(self.phase, SelenePhase) else []
+        return (*TABLES, *map(table_name, solar), M3_TABLE, *phase)
 
 
 def default_settings() -> Settings:

@@ -4,30 +4,28 @@ The absolute calibration and the irradiance were established before the flight o
 choice among several: repeating the measurement does not make these errors smaller, and they do not scatter.
 """
 
-import csv
 from collections.abc import Mapping
-from importlib.resources import files
 
 import numpy as np
 
 from lunarsci.errors import DataError
-from lunarsci.provenance import sha256
 from lunarsci.spectra.photometry import Geometry, model_spread
-from lunarsci.spectra.solar import solar_spectrum
+from lunarsci.spectra.solar import M3_TABLE, solar_spectrum
 from lunarsci.spectra.spectrum import FloatArray
 from lunarsci.spectra.vnis.channels import SPLICED_NM
 from lunarsci.spectra.vnis.detector import DetectorSpectrum, irradiance_at
 from lunarsci.spectra.vnis.settings import Settings
 from lunarsci.spectra.vnis.splice import Splice, find_splice
+from lunarsci.tables import table_rows
 
-__all__ = ["CALIBRATION", "Shift", "shared_errors", "table_hash"]
+__all__ = ["CALIBRATION", "Shift", "shared_errors"]
 
 CALIBRATION = {"vnir": 0.05, "swir": 0.07}
 """Relative error of the level of each detector, as quoted for the instrument; assumed, the source could not be read.
 The error of the Sun's level, 0.6 %, is small beside it. [-]"""
 _SMOOTH_CHANNELS = 21
+"""Over so many channels a difference of two solar spectra is broad, not detail; assumed."""
 _NEGLIGIBLE = 1e-5
-_M3_TABLE = "solar_m3_over_e490.csv"
 
 
 Shift = tuple[FloatArray, FloatArray]
@@ -79,22 +77,13 @@ def _detector_shifts(vnir: DetectorSpectrum, swir: DetectorSpectrum, settings: S
 
 def _to_m3(item: DetectorSpectrum) -> FloatArray:
     """ln of the irradiance used over that of M3, broad features only. [-]"""
-    rows = list(csv.DictReader(_bytes().decode().splitlines()))
+    rows = table_rows(M3_TABLE)
     nodes, ln_ratio = (np.array([float(row[name]) for row in rows]) for name in ("wavelength_nm", "ln_ratio"))
     to_standard = np.log(item.irradiance / irradiance_at(item.detector, solar_spectrum("e490")))
     half = _SMOOTH_CHANNELS // 2
     padded = np.pad(to_standard, half, mode="edge")
     smooth = np.convolve(padded, np.full(_SMOOTH_CHANNELS, 1 / _SMOOTH_CHANNELS), mode="valid")
     return np.asarray(smooth - np.interp(item.wavelength_nm, nodes, ln_ratio), dtype=np.float64)
-
-
-def table_hash() -> dict[str, str]:
-    """Name and SHA-256 of the table used here, for the provenance."""
-    return {_M3_TABLE: sha256(_bytes())}
-
-
-def _bytes() -> bytes:
-    return (files("lunarsci.spectra_data") / _M3_TABLE).read_bytes()
 
 
 def _between(vnir: DetectorSpectrum, swir: DetectorSpectrum) -> Geometry:

@@ -72,4 +72,4 @@ def _text(source: InputFile) -> str:
             return source.data.decode(encoding)
         except UnicodeDecodeError:
             continue
-    return source.data.decode("utf-8", errors="replace").encode("utf-8", errors="replace").decode("utf-8")
+    return source.data.decode("utf-8", errors="replace")

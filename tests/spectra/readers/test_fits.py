@@ -79,7 +79,7 @@ def test_truncated_files_are_refused_in_one_line(refuse: Refuse, length: int) ->
 def test_a_header_of_noise_is_refused(refuse: Refuse) -> None:
     data = bytearray(as_fits({"wavelength_nm": WAVELENGTH, "rock": REFLECTANCE}))
     data[2880:5760] = b"x" * 2880
-    refuse(bytes(data), "rock.fits")
+    assert refuse(bytes(data), "rock.fits").startswith("rock.fits: ")
 
 
 def test_an_image_is_refused(refuse: Refuse) -> None:

@@ -16,7 +16,6 @@ from lunarsci.spectra.vnis.channels import (
     footprint_mask,
     fwhm_nm,
     random_noise,
-    table_hashes,
 )
 
 
@@ -125,12 +124,3 @@ def test_the_footprint_is_the_published_one(reference_data: Path) -> None:
     for line, first, last in zip(*(column.astype(int) for column in columns), strict=True):
         drawn[line, first : last + 1] = True
     assert np.array_equal(footprint_mask(), drawn)
-
-
-def test_tables_are_named_with_their_hashes() -> None:
-    import hashlib
-    from importlib.resources import files
-
-    for name, digest in table_hashes().items():
-        assert digest == hashlib.sha256((files("lunarsci.spectra_data") / name).read_bytes()).hexdigest()
-    assert set(table_hashes()) == {"vnis_fwhm.csv", "vnis_noise.csv"}

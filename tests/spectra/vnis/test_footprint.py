@@ -83,7 +83,7 @@ def expected(cube: np.ndarray, limit: float) -> Expected:
     return found
 
 
-def check(found: Footprint, wanted: Expected) -> None:
+def assert_same(found: Footprint, wanted: Expected) -> None:
     assert set(map(tuple, np.argwhere(found.inside).tolist())) == set(PIXELS)
     assert set(map(tuple, np.argwhere(found.shadowed).tolist())) == wanted.shadowed
     assert set(map(tuple, np.argwhere(found.invalid).tolist())) == wanted.invalid
@@ -174,7 +174,7 @@ CASES: dict[str, Callable[[np.ndarray], None]] = {
 def test_statistics_are_those_of_a_loop(case: str) -> None:
     cube = base(len(case))
     CASES[case](cube)
-    check(average_footprint(cube, LIMIT), expected(cube, LIMIT))
+    assert_same(average_footprint(cube, LIMIT), expected(cube, LIMIT))
 
 
 def test_the_cube_is_left_as_it_was() -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.mgm.assemblages import assemblage
 from lunarsci.spectra.mgm.kernel import FWHM_OVER_SIGMA
-from lunarsci.spectra.photometry import Geometry
+from lunarsci.spectra.photometry import Geometry, phase_angle_deg
 from lunarsci.spectra.spectrum import FloatArray
 from lunarsci.spectra.vnis.channels import CUBE_SHAPE, FOOTPRINT, SWIR_NM, VNIR_NM
 
@@ -182,8 +182,8 @@ class Scene:
         if incidence is None:
             incidence = seen.incidence_deg + SWIR_MORE_INCIDENCE_DEG
         turn = azimuth_difference_deg(seen)
-        shift = phase_deg(incidence, seen.emission_deg, turn) - phase_deg(seen.incidence_deg, seen.emission_deg, turn)
-        return Geometry(incidence, seen.emission_deg, max(seen.phase_deg + shift, 0.0))
+        before, now = (phase_angle_deg(i, seen.emission_deg, turn) for i in (seen.incidence_deg, incidence))
+        return Geometry(incidence, seen.emission_deg, max(seen.phase_deg + now - before, 0.0))
 
     def swir_times(self) -> tuple[datetime, ...]:
         """UTC of the 300 short-wave channels."""
@@ -221,13 +221,6 @@ def surface_reflectance(wavelength_nm: FloatArray, material: Material) -> FloatA
         ln = ln + strength[band] * np.exp(-0.5 * ((wavelength - center_nm) * FWHM_OVER_SIGMA / fwhm_nm) ** 2)
     reflectance: FloatArray = np.exp(ln)
     return reflectance
-
-
-def phase_deg(incidence_deg: float, emission_deg: float, azimuth_difference_deg: float) -> float:
-    """Phase angle from cos g = cos i cos e + sin i sin e cos(azimuth difference). [deg]"""
-    i, e, turn = np.radians([incidence_deg, emission_deg, azimuth_difference_deg])
-    cosine = np.cos(i) * np.cos(e) + np.sin(i) * np.sin(e) * np.cos(turn)
-    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
 
 
 def azimuth_difference_deg(geometry: Geometry) -> float:
