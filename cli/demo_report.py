@@ -11,7 +11,7 @@ from lunarsci.regolith.identify import Assumptions, Identification, identify
 from lunarsci.regolith.soil import Soil, read_soil
 from lunarsci.regolith.states import read_states
 from lunarsci.regolith.wheel import read_wheel
-from lunarsci.spectra.mgm.assemblages import TABLE
+from lunarsci.spectra.mgm.assemblages import TABLES
 from lunarsci.spectra.vnis.export import to_ecsv
 from lunarsci.spectra.vnis.settings import default_settings
 from lunarsci.tables import table_hashes
@@ -72,7 +72,7 @@ def demo_report(the_rock: Studied, the_drive: Drive, soil: Identification, seed:
         result={"findings": findings, "synthetic": True, "pictures": sorted(_pictures(the_rock, the_drive, soil))},
         tables=[_table(findings, folder)],
         rows=findings,
-        data_tables=table_hashes(*default_settings().tables, TABLE) | the_drive.scene.tables,
+        data_tables=table_hashes(*default_settings().tables, *TABLES) | the_drive.scene.tables,
         sources=[PAPER, MGM, NBSR],
         seed=seed,
         files={

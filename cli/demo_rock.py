@@ -10,8 +10,8 @@ import numpy as np
 
 from lunarsci.figure import picture_bytes
 from lunarsci.spectra.bands import SpectrumBands, measure_bands
-from lunarsci.spectra.mgm.assemblages import assemblage
 from lunarsci.spectra.mgm.fit import fit_spectra
+from lunarsci.spectra.mgm.model import mgm_model
 from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.vnis.calibrate import calibrate
 from lunarsci.spectra.vnis.calibration import Calibration
@@ -45,7 +45,7 @@ def rock(seed: int) -> Studied:
         label = next(name for name in products if name.endswith(".2BL"))
         calibration = calibrate(read_observation(str(Path(folder) / label)))
     spectrum = calibration.to_spectrum()
-    [fit] = fit_spectra([spectrum], assemblage("OL-OPX-CPX"))
+    [fit] = fit_spectra([spectrum], mgm_model())
     if not isinstance(fit, MgmFit):
         raise RuntimeError(fit.status)
     return Studied(products, simulation.truth, calibration, measure_bands(spectrum), fit)

@@ -6,7 +6,7 @@ from typing import Any
 
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.mgm.assemblages import MINERALS
-from lunarsci.spectra.mgm.assemblages import TABLE as BANDS_TABLE
+from lunarsci.spectra.mgm.assemblages import TABLES as BANDS_TABLES
 from lunarsci.spectra.photometry import phase_function
 from lunarsci.spectra.photometry.phase import TABLE as PHASE_TABLE
 from lunarsci.spectra.solar import SOLAR_SPECTRA, table_name
@@ -81,7 +81,7 @@ def simulate_report(simulation: Simulation) -> Report:
             {"wavelength_nm": w, "reflectance": r} for w, r in zip(truth.wavelength_nm, truth.reflectance, strict=True)
         ],
         figures=figures,
-        data_tables=table_hashes(*TABLES, table_name(scene.solar), PHASE_TABLE, BANDS_TABLE),
+        data_tables=table_hashes(*TABLES, table_name(scene.solar), PHASE_TABLE, *BANDS_TABLES),
         sources=[SOLAR_SPECTRA[scene.solar], phase_function(scene.phase).source],
         seed=simulation.seed,
         files={name: _made(content) for name, content in files.items()},

@@ -176,8 +176,19 @@ def fit(
         str, typer.Option(help="Minerals whose bands are fitted: OL, OPX, CPX, joined by hyphens.")
     ] = "OL-OPX-CPX",
     continuum: Annotated[
-        Literal["wavelength", "wavelength-quadratic", "wavenumber", "wavenumber-quadratic"],
-        typer.Option(help="Polynomial inside the logarithm: straight or quadratic in wavelength or wavenumber."),
+        Literal[
+            "wavelength",
+            "wavelength-quadratic",
+            "wavelength-cubic",
+            "wavenumber",
+            "wavenumber-quadratic",
+            "wavenumber-cubic",
+            "log-quadratic",
+            "none",
+        ],
+        typer.Option(
+            help="Polynomial inside the logarithm, in wavelength or wavenumber; log-quadratic: of the logarithm itself."
+        ),
     ] = "wavelength-quadratic",
     model_error: Annotated[
         float, typer.Option(help="Share of ln R the model cannot explain, added to the noise; above 0, below 1.")
@@ -187,15 +198,13 @@ def fit(
     reflectance_unit: ReflectanceUnit = None,
 ) -> Report:
     """Modified Gaussian Model: absorption bands of olivine, ortho- and clinopyroxene, with errors and NBSR."""
-    from lunarsci.spectra.mgm.assemblages import assemblage as named_assemblage
     from lunarsci.spectra.mgm.fit import fit_spectra
+    from lunarsci.spectra.mgm.model import mgm_model
 
     from .spectra_report import fit_report, read_batch
 
-    chosen = named_assemblage(assemblage)
+    chosen = mgm_model(assemblage, continuum)
     batch = read_batch(files, wavelength_unit, reflectance_unit)
     with progress("fitting", quiet=output.quiet) as update:
-        fits = fit_spectra(
-            batch.spectra, chosen, continuum=continuum, model_error=model_error, starts=starts, progress=update
-        )
+        fits = fit_spectra(batch.spectra, chosen, model_error=model_error, starts=starts, progress=update)
     return fit_report(batch, fits)

@@ -7,7 +7,7 @@ from typing import Any
 from lunarsci.errors import DataError, LunarSciError
 from lunarsci.inputs import expand_inputs, read_input
 from lunarsci.spectra.bands import BandFailure, SpectrumBands
-from lunarsci.spectra.mgm.assemblages import TABLE
+from lunarsci.spectra.mgm.assemblages import TABLES
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
@@ -165,7 +165,7 @@ def fit_report(batch: Batch, fits: Sequence[MgmFit | MgmFailure]) -> Report:
         rows=[row for record in records for row in _band_rows(record)],
         figures=figures,
         inputs=batch.inputs,
-        data_tables=_tables(batch) | table_hashes(TABLE),
+        data_tables=_tables(batch) | table_hashes(*TABLES),
         sources=[MGM, NBSR],
         untrusted=f"not to be trusted: {'; '.join(doubts)}" if doubts else "",
         failures=failures,

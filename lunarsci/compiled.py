@@ -6,7 +6,10 @@ from typing import Any
 
 import numba
 
-__all__ = ["compiled", "each_in_threads"]
+__all__ = ["VECTORS", "compiled", "each_in_threads"]
+
+VECTORS = {"reassoc", "contract", "nsz", "arcp"}
+"""`fastmath` that lets sums become vector instructions and still knows infinity and NaN."""
 
 
 def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 
 from lunarsci.spectra.mgm.assemblages import BandPrior
+from lunarsci.spectra.mgm.data import MgmData
+from lunarsci.spectra.mgm.model import MgmModel
 from lunarsci.spectra.spectrum import FloatArray
 
 __all__ = ["FittedBand", "MgmFailure", "MgmFit", "StrengthRatio", "band_strength_ratios"]
@@ -28,7 +30,7 @@ class FittedBand:
     center_calibration_nm, fwhm_calibration_nm, strength_calibration : standard deviation from the errors that all
         channels share (`Spectrum.systematic`), by linear response of the fit; None where none is known. [nm, nm, -]
     shrinkage : by parameter, 1 - (posterior sigma / prior sigma)^2: 1 where the data decide, 0 where the prior does.
-    at_bound : names of the parameters that ended on a bound; their errors are those of the unbounded curvature.
+    at_bound : names of the parameters that ended on a bound; their error is the root mean square distance from it.
     """
 
     name: str
@@ -80,7 +82,7 @@ class FittedBand:
 
     def curve(self, wavelength_nm: FloatArray) -> FloatArray:
         """The band alone, in ln reflectance, on wavelengths in nm; shape as given."""
-        from lunarsci.spectra.mgm.kernel import FWHM_OVER_SIGMA
+        from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA
 
         x = (wavelength_nm - self.center_nm) * FWHM_OVER_SIGMA / self.fwhm_nm
         return self.strength * np.exp(-0.5 * x**2)
@@ -112,6 +114,7 @@ class MgmFit:
 
     Attributes
     ----------
+    prior : `map`, where the prior is part of the objective, or `damping`, where it only shortens the steps.
     converged, status : whether the minimum was reached, and a sentence about it.
     rms_ln : root mean square of ln R - model. [-]
     reduced_chi2 : chi-square, with channel noise and model error, over channels less the number of parameters that the
@@ -120,13 +123,16 @@ class MgmFit:
     continuum_coefficients : of the polynomial in the mapped variable of `continuum_basis`. [-]
     nbsr : `um1` and `um2`, None where the spectrum does not reach over both bands, where their strengths together are
         so small that the ratio's standard error reaches 0.5, or where they are not in the assemblage.
-    covariance : (p, p), continuum coefficients, then centre [um], FWHM [um], strength per band.
-    wavelength_nm, reflectance, continuum_reflectance : shape (n,), the fitted channels.
+    model, data : what was fitted to what.
+    parameters, covariance : (p,) and (p, p) in the order and units of `MgmModel`: continuum coefficients, then centre
+        [um], FWHM [um], strength per band.
+    objective : chi-square with the prior's share. [-]
     """
 
     id: str
     assemblage: str
     continuum: str
+    prior: str
     converged: bool
     status: str
     rms_ln: float
@@ -135,10 +141,27 @@ class MgmFit:
     continuum_coefficients: tuple[float, ...]
     bands: tuple[FittedBand, ...]
     nbsr: dict[str, StrengthRatio | None]
+    model: MgmModel
+    data: MgmData
+    parameters: FloatArray
     covariance: FloatArray
-    wavelength_nm: FloatArray
-    reflectance: FloatArray
-    continuum_reflectance: FloatArray
+    objective: float
+
+    @property
+    def wavelength_nm(self) -> FloatArray:
+        """The fitted channels, shape (n,). [nm]"""
+        return self.data.wavelength_nm
+
+    @property
+    def reflectance(self) -> FloatArray:
+        """What was fitted, shape (n,). [-]"""
+        return self.data.reflectance
+
+    @property
+    def continuum_reflectance(self) -> FloatArray:
+        """The continuum C on the fitted channels, shape (n,). [-]"""
+        level = self.model.basis(self.wavelength_nm) @ self.parameters[: self.model.degrees]
+        return np.exp(level) if self.model.logarithmic else level
 
     def ln_model(self) -> FloatArray:
         """ln R of the model on the fitted channels, shape (n,). [-]"""
@@ -174,7 +197,7 @@ class MgmFailure:
         return empty | named | {"converged": False, "bands": []}
 
 
-_SCALARS = ("id", "assemblage", "continuum", "converged", "status", "rms_ln", "reduced_chi2", "bic")
+_SCALARS = ("id", "assemblage", "continuum", "prior", "converged", "status", "rms_ln", "reduced_chi2", "bic")
 
 
 def band_strength_ratios(

@@ -14,8 +14,8 @@ import pytest
 from lunarsci.errors import DataError
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.bands import measure_bands
-from lunarsci.spectra.mgm.assemblages import assemblage
 from lunarsci.spectra.mgm.fit import fit_spectra
+from lunarsci.spectra.mgm.model import mgm_model
 from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.photometry import Geometry, PhaseFunction, phase_function
 from lunarsci.spectra.solar import solar_spectrum
@@ -333,7 +333,7 @@ def test_a_level_moves_no_band() -> None:
 
 
 def fitted(spectra: list[Spectrum]) -> list[MgmFit]:
-    fits = fit_spectra(spectra, assemblage("OL-OPX-CPX"))
+    fits = fit_spectra(spectra, mgm_model("OL-OPX-CPX"))
     assert all(isinstance(fit, MgmFit) for fit in fits)
     return fits  # type: ignore[return-value]
 

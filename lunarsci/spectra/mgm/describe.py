@@ -1,0 +1,123 @@
+"""From the kernel's numbers to an `MgmFit`: errors, shrinkage, bounds, calibration errors, remarks."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lunarsci.spectra.mgm.covariance import bounded_covariance
+from lunarsci.spectra.mgm.data import MgmData
+from lunarsci.spectra.mgm.forward import model_and_jacobian
+from lunarsci.spectra.mgm.kernel import CONVERGED, KernelFits
+from lunarsci.spectra.mgm.model import MgmModel
+from lunarsci.spectra.mgm.result import FittedBand, MgmFit, band_strength_ratios
+from lunarsci.spectra.spectrum import FloatArray
+
+__all__ = ["describe"]
+
+AMBIGUOUS_CHI2 = 4.0
+AMBIGUOUS_SIGMAS = 2.0
+STRAINED_SIGMAS = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solution:
+    """A point, what the model is there, its covariance with the model's misfit in it, and how it follows the data."""
+
+    point: FloatArray
+    ln_model: FloatArray
+    jacobian: FloatArray
+    covariance: FloatArray
+    response: FloatArray
+    reduced_chi2: float
+
+
+def describe(data: MgmData, model: MgmModel, solved: KernelFits, row: int, level: float) -> MgmFit:
+    """The fit of row `row`, whose ln R was shifted by -`level` before it was fitted."""
+    converged = solved.status[row] == CONVERGED
+    point, chi2 = _shifted_back(model, solved.parameters[row], level), float(solved.chi2[row])
+    solution = _solution(data, model, point, chi2)
+    shared = data.shifts @ (solution.jacobian * data.weight).T @ solution.response
+    bands = _bands(model, solution, shared)
+    m = model.degrees
+    return MgmFit(
+        id=data.id,
+        assemblage=model.assemblage.name,
+        continuum=model.continuum,
+        prior="map",
+        converged=bool(converged),
+        status=_status(model, solved, row, point, solution.covariance),
+        rms_ln=float(np.sqrt(np.mean((np.log(data.reflectance) - solution.ln_model) ** 2))),
+        reduced_chi2=solution.reduced_chi2,
+        bic=chi2 + int((~model.fixed).sum()) * float(np.log(data.reflectance.size)),
+        continuum_coefficients=tuple(point[:m].tolist()),
+        bands=bands,
+        nbsr=band_strength_ratios(bands, solution.covariance[m:, m:], shared[:, m:], data.wavelength_nm),
+        model=model,
+        data=data,
+        parameters=point,
+        covariance=solution.covariance,
+        objective=float(solved.objective[row]),
+    )
+
+
+def _shifted_back(model: MgmModel, parameters: FloatArray, level: float) -> FloatArray:
+    point, m = parameters.copy(), model.degrees
+    if model.logarithmic:
+        point[:1] += level if m else 0.0
+    else:
+        point[:m] *= np.exp(level)
+    return point
+
+
+def _solution(data: MgmData, model: MgmModel, point: FloatArray, chi2: float) -> _Solution:
+    found = model_and_jacobian(point, data.wavelength_nm / 1e3, model.basis(data.wavelength_nm), model.logarithmic)
+    if found is None:
+        shape = (point.size, data.wavelength_nm.size)
+        nothing = np.full((point.size, point.size), np.nan)
+        return _Solution(point, np.full(shape[1], np.nan), np.zeros(shape), nothing, nothing, np.nan)
+    ln_model, jacobian = found
+    fisher = (jacobian * data.weight) @ jacobian.T
+    used = float(np.trace(np.linalg.pinv(fisher + model.precision, hermitian=True) @ fisher))
+    reduced = chi2 / max(1.0, ln_model.size - used)
+    wide = max(1.0, reduced)
+    pull = model.precision @ (point - model.prior)
+    gradient = jacobian @ (data.weight * (np.log(data.reflectance) - ln_model)) / wide - pull
+    covariance = bounded_covariance(fisher / wide + model.precision, gradient, point, model)
+    response = bounded_covariance(fisher + model.precision, None, point, model)
+    return _Solution(point, ln_model, jacobian, covariance, response, reduced)
+
+
+def _bands(model: MgmModel, solution: _Solution, shared: FloatArray) -> tuple[FittedBand, ...]:
+    m, point = model.degrees, solution.point
+    sigma = np.sqrt(np.diag(solution.covariance))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shrinkage = np.nan_to_num(1 - (sigma[m:] / model.sigma[m:]) ** 2, nan=0.0).clip(0, 1)
+    together = np.sqrt((shared**2).sum(axis=0)) if len(shared) else np.full(point.size, np.nan)
+    values, errors, calibration = (v[m:].reshape(-1, 3) for v in (point, sigma, together))
+    at_bound = ((point <= model.lower) | (point >= model.upper))[m:].reshape(-1, 3)
+    return tuple(
+        FittedBand.from_kernel(band, *row)
+        for band, *row in zip(
+            model.assemblage.bands, values, errors, calibration, shrinkage.reshape(-1, 3), at_bound, strict=True
+        )
+    )
+
+
+def _status(model: MgmModel, solved: KernelFits, row: int, point: FloatArray, covariance: FloatArray) -> str:
+    if solved.status[row] != CONVERGED:
+        return f"not converged after {solved.iterations[row]:.0f} iterations; try another continuum or assemblage"
+    remarks = ["converged"]
+    if solved.rival[row] < AMBIGUOUS_CHI2 and solved.rival_sigmas[row] > AMBIGUOUS_SIGMAS:
+        remarks.append("ambiguous: another start ends in a different minimum that fits almost as well")
+    if strained := _strained(model, point):
+        remarks.append(f"strained: {', '.join(strained)} lie far from where these minerals have them")
+    return "; ".join(remarks)
+
+
+def _strained(model: MgmModel, point: FloatArray) -> list[str]:
+    """Bands that absorb and whose centre or width is more than three prior standard deviations off."""
+    m = model.degrees
+    with np.errstate(divide="ignore", invalid="ignore"):
+        off = np.nan_to_num(np.abs((point - model.prior) / model.sigma))[m:].reshape(-1, 3)[:, :2].max(axis=1)
+    far = (off > STRAINED_SIGMAS) & (point[m + 2 :: 3] < 0)
+    return [band.name for band, flagged in zip(model.assemblage.bands, far, strict=True) if flagged]

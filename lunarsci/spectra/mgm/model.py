@@ -1,0 +1,202 @@
+"""A Modified Gaussian Model ready to be fitted: parameters by name, their prior and their bounds."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lunarsci.errors import ParameterError
+from lunarsci.spectra.mgm.assemblages import Assemblage, BandPrior, assemblage
+from lunarsci.spectra.mgm.continuum import MgmContinuum, continuum_basis, is_logarithmic
+from lunarsci.spectra.spectrum import BoolArray, FloatArray
+
+__all__ = ["DEFAULT_CONTINUUM", "KINDS", "MgmModel", "mgm_model", "unit_of"]
+
+DEFAULT_CONTINUUM: MgmContinuum = "wavelength-quadratic"
+"""Second-order continua served best in comparisons on mafic minerals: Clenet et al. (2011), Icarus 213, 404,
+10.1016/j.icarus.2011.03.002; Han et al. (2020), arXiv:2003.07856."""
+BOUND_SIGMAS = 4.0
+MIN_FWHM_UM = 0.05
+KINDS = ("center_nm", "fwhm_nm", "strength")
+NM_PER_UM = 1e3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MgmModel:
+    """Parameters of a fit, in the kernel's units: wavelengths in micrometres.
+
+    Attributes
+    ----------
+    assemblage, continuum : bands and the polynomial under them.
+    names : p names: `c0`, `c1`, ... of the continuum, then `opx_1_center_nm`, `opx_1_fwhm_nm`, `opx_1_strength`, ...
+    prior : (p,) mean. [-, um, um, -]
+    precision : (p, p) inverse covariance of the prior; 0 where it is flat (continuum). Centres that follow the same
+        composition are correlated.
+    lower, upper : (p,) bounds; equal where a parameter is fixed.
+    """
+
+    assemblage: Assemblage
+    continuum: MgmContinuum
+    names: tuple[str, ...]
+    prior: FloatArray
+    precision: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+
+    @property
+    def degrees(self) -> int:
+        """Number m of continuum coefficients."""
+        return self.prior.size - 3 * len(self.assemblage.bands)
+
+    @property
+    def logarithmic(self) -> bool:
+        """Whether the polynomial is ln C."""
+        return is_logarithmic(self.continuum)
+
+    @property
+    def sigma(self) -> FloatArray:
+        """(p,) standard deviation of the prior; infinite where it is flat, 0 for fixed ones. [as `prior`]"""
+        sigma = np.full(self.prior.size, np.inf)
+        sigma[self.degrees :] = np.sqrt(np.diag(np.linalg.inv(self.precision[self.degrees :, self.degrees :])))
+        sigma[self.fixed] = 0.0
+        return sigma
+
+    @property
+    def fixed(self) -> BoolArray:
+        """(p,) True for parameters that may not move."""
+        return np.asarray(self.lower == self.upper)
+
+    @property
+    def scale_free(self) -> bool:
+        """Whether a constant factor of the reflectance changes nothing but the continuum coefficients."""
+        m = self.degrees
+        unbounded = np.isinf(self.lower[:m]).all() and np.isinf(self.upper[:m]).all()
+        return m > 0 and bool(unbounded and not self.precision[:m].any())
+
+    def basis(self, wavelength_nm: FloatArray) -> FloatArray:
+        """Continuum basis, (n, m), on wavelengths in nm."""
+        return continuum_basis(self.continuum, wavelength_nm)
+
+    def index(self, name: str) -> int:
+        """Position of a parameter. Raises ParameterError when there is none of that name."""
+        if name not in self.names:
+            raise ParameterError(f"there is no parameter '{name}'; {self.assemblage.name} has: {', '.join(self.names)}")
+        return self.names.index(name)
+
+    def bounded(self, name: str, lower: float, upper: float) -> "MgmModel":
+        """With a parameter kept between two values in the unit of its name; equal values fix it.
+
+        Raises ParameterError for an unknown name, bounds that are the wrong way round, widths not above 0 and
+        strengths above 0.
+        """
+        k, unit = self.index(name), unit_of(name)
+        if not lower <= upper:
+            raise ParameterError(f"{name}: bounds {lower:g} and {upper:g} are the wrong way round")
+        if name.endswith("fwhm_nm") and not lower > 0:
+            raise ParameterError(f"{name}: a width must stay above 0 nm; the lower bound is {lower:g}")
+        if name.endswith("strength") and upper > 0:
+            raise ParameterError(f"{name}: bands absorb, strengths are 0 or below; the upper bound is {upper:g}")
+        low, high = self.lower.copy(), self.upper.copy()
+        low[k], high[k] = lower / unit, upper / unit
+        return replace(self, lower=low, upper=high)
+
+    def tied(self, name: str, factor: float, other: str, offset: float) -> "MgmModel":
+        """With name = factor * other + offset, in the units of the names, exact to a thousandth of a nanometre.
+
+        Made by a prior that leaves no room beside that line; the bounds of both remain. Raises ParameterError for an
+        unknown name, one tied to itself, or a continuum coefficient tied to a band.
+        """
+        a, b = self.index(name), self.index(other)
+        if a == b:
+            raise ParameterError(f"{name} cannot be tied to itself")
+        if min(a, b) < self.degrees <= max(a, b):
+            raise ParameterError(f"{name} and {other}: a continuum coefficient cannot be tied to a band")
+        row = np.zeros(self.prior.size)
+        row[a], row[b] = 1.0, -factor * unit_of(other) / unit_of(name)
+        target = offset / unit_of(name)
+        weight = TIE_SIGMA**-2
+        precision = self.precision + weight * np.outer(row, row)
+        pull = self.precision @ self.prior + weight * target * row
+        prior = np.asarray(np.linalg.lstsq(precision, pull, rcond=None)[0], dtype=np.float64)
+        return replace(self, prior=prior, precision=precision)
+
+
+TIE_SIGMA = 1e-6
+"""Of a tie, in the kernel's units: a thousandth of a nanometre, a millionth of ln R."""
+
+
+def unit_of(name: str) -> float:
+    """Units of a parameter's name per unit of the kernel: 1000 for nanometres, else 1."""
+    return NM_PER_UM if name.endswith("_nm") else 1.0
+
+
+def mgm_model(
+    name: str = "OL-OPX-CPX",
+    continuum: MgmContinuum = DEFAULT_CONTINUUM,
+    compositions: Mapping[str, tuple[float, float]] | None = None,
+) -> MgmModel:
+    """The model of an assemblage: priors from its tables, bounds four prior standard deviations wide, strengths <= 0.
+
+    Parameters
+    ----------
+    name : see `assemblage`.
+    continuum : one of `MGM_CONTINUA`.
+    compositions : `fo`, `fs`, `wo` to mean and standard deviation, instead of the table's. [mol %]
+
+    Raises
+    ------
+    ParameterError for unknown names, and compositions outside 0-100 or that the assemblage does not have.
+    """
+    chosen = assemblage(name)
+    degrees = continuum_basis(continuum, np.array([1000.0])).shape[1]
+    beliefs = {item.key: (item.mean, item.sigma) for item in chosen.compositions}
+    shifts = _checked(beliefs, dict(compositions or {}), chosen.name)
+    bands = chosen.bands
+    centres = [band.center_nm + band.center_slope_nm * shifts.get(band.composition, (0.0, 0.0))[0] for band in bands]
+    prior = np.array(
+        [[centre / NM_PER_UM, band.fwhm_nm / NM_PER_UM, 0.0] for centre, band in zip(centres, bands, strict=True)]
+    )
+    covariance = _covariance(bands, {key: sigma for key, (_, sigma) in shifts.items()})
+    reach = BOUND_SIGMAS * np.sqrt(np.diag(covariance)).reshape(-1, 3)
+    lower, upper = prior - reach, prior + reach
+    lower[:, 1] = np.maximum(lower[:, 1], MIN_FWHM_UM)
+    lower[:, 2], upper[:, 2] = -np.inf, 0.0
+    precision = np.zeros((degrees + prior.size, degrees + prior.size))
+    precision[degrees:, degrees:] = np.linalg.inv(covariance)
+    flat = np.full(degrees, np.inf)
+    return MgmModel(
+        chosen,
+        continuum,
+        tuple(f"c{k}" for k in range(degrees)) + tuple(f"{band.key}_{kind}" for band in bands for kind in KINDS),
+        np.concatenate([np.zeros(degrees), prior.ravel()]),
+        precision,
+        np.concatenate([-flat, lower.ravel()]),
+        np.concatenate([flat, upper.ravel()]),
+    )
+
+
+def _checked(
+    beliefs: Mapping[str, tuple[float, float]], wanted: Mapping[str, tuple[float, float]], name: str
+) -> dict[str, tuple[float, float]]:
+    """By composition: how far its mean is from the table's, and its standard deviation. [mol %]"""
+    for key, (mean, sigma) in wanted.items():
+        if key not in beliefs:
+            known = ", ".join(beliefs) or "none"
+            raise ParameterError(f"composition '{key}' does not belong to {name}; it has: {known}")
+        if not (0 <= mean <= 100 and 0 < sigma <= 100):
+            raise ParameterError(f"composition {key} = {mean:g} +- {sigma:g}: give 0-100 mol % and an error above 0")
+    return {
+        key: (wanted[key][0] - mean, wanted[key][1]) if key in wanted else (0.0, sigma)
+        for key, (mean, sigma) in beliefs.items()
+    }
+
+
+def _covariance(bands: Sequence[BandPrior], spreads: Mapping[str, float]) -> FloatArray:
+    """Prior covariance of (centre, FWHM, strength) of all bands. [um, um, -]"""
+    sigma = [(band.center_sigma_nm / NM_PER_UM, band.fwhm_sigma_nm / NM_PER_UM, band.strength_sigma) for band in bands]
+    covariance = np.diag(np.ravel(sigma) ** 2)
+    for key, spread in spreads.items():
+        slope = np.zeros(3 * len(bands))
+        slope[::3] = [band.center_slope_nm / NM_PER_UM if band.composition == key else 0.0 for band in bands]
+        covariance += np.outer(slope, slope) * spread**2
+    return covariance
