@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from . import demo
+from . import demo, spectra_fit
 from .regolith import app as regolith
 from .spectra import app as spectra
 from .talk import FAILED, INTERRUPTED, failure_line, say
@@ -25,6 +25,7 @@ app = typer.Typer(
     "next drive is safe.",
     epilog=EXIT_CODES,
 )
+spectra_fit.add_to(spectra)
 app.add_typer(spectra, name="spectra")
 app.add_typer(regolith, name="regolith")
 app.add_typer(twin, name="twin")

@@ -10,7 +10,7 @@ from .options import Output
 from .progress import progress
 from .report import Report
 
-__all__ = ["app"]
+__all__ = ["Files", "ReflectanceUnit", "WavelengthUnit", "app"]
 
 app = typer.Typer(
     no_args_is_help=True, help="What the rock is made of: absorption bands and minerals from reflectance spectra."
@@ -166,45 +166,3 @@ def bands(
             batch.spectra, continuum_name=continuum, smooth_points=smooth, smooth_order=smooth_order, progress=update
         )
     return bands_report(batch, measured)
-
-
-@command(app, "fit")
-def fit(
-    files: Files,
-    output: Output,
-    assemblage: Annotated[
-        str, typer.Option(help="Minerals whose bands are fitted: OL, OPX, CPX, joined by hyphens.")
-    ] = "OL-OPX-CPX",
-    continuum: Annotated[
-        Literal[
-            "wavelength",
-            "wavelength-quadratic",
-            "wavelength-cubic",
-            "wavenumber",
-            "wavenumber-quadratic",
-            "wavenumber-cubic",
-            "log-quadratic",
-            "none",
-        ],
-        typer.Option(
-            help="Polynomial inside the logarithm, in wavelength or wavenumber; log-quadratic: of the logarithm itself."
-        ),
-    ] = "wavelength-quadratic",
-    model_error: Annotated[
-        float, typer.Option(help="Share of ln R the model cannot explain, added to the noise; above 0, below 1.")
-    ] = 0.02,
-    starts: Annotated[int, typer.Option(min=1, max=100, help="Starting points; the lowest minimum is reported.")] = 24,
-    wavelength_unit: WavelengthUnit = None,
-    reflectance_unit: ReflectanceUnit = None,
-) -> Report:
-    """Modified Gaussian Model: absorption bands of olivine, ortho- and clinopyroxene, with errors and NBSR."""
-    from lunarsci.spectra.mgm.fit import fit_spectra
-    from lunarsci.spectra.mgm.model import mgm_model
-
-    from .spectra_report import fit_report, read_batch
-
-    chosen = mgm_model(assemblage, continuum)
-    batch = read_batch(files, wavelength_unit, reflectance_unit)
-    with progress("fitting", quiet=output.quiet) as update:
-        fits = fit_spectra(batch.spectra, chosen, model_error=model_error, starts=starts, progress=update)
-    return fit_report(batch, fits)

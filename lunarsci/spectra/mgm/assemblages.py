@@ -1,8 +1,10 @@
 """Which bands a mineral assemblage has, where composition puts them, and how far their priors reach.
 
-Read from `mgm_bands.csv` and `mgm_compositions.csv`.
+Read from `mgm_bands.csv` and `mgm_compositions.csv`. A row may hold only `beside` another mineral: clinopyroxene alone may be
+anything from pigeonite to augite, beside orthopyroxene it is the calcium-rich partner across the miscibility gap.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from lunarsci.errors import ParameterError
@@ -26,6 +28,8 @@ class BandPrior:
     `region` is `uv`, `visible`, `um1` or `um2`; `composition` the key of a `CompositionPrior` or empty;
     `center_nm` holds at that composition's mean, `center_slope_nm` is its change per mol %, `center_sigma_nm` the
     scatter about that line; `source` a key of `sources.toml`; strengths in ln reflectance. [nm, -]
+    `second_composition` and `second_slope_nm` are a second composition that moves the centre. The strengths of the
+    bands of one mineral go together: `strength_loading` is the correlation of the strength with the mineral's amount.
     """
 
     name: str
@@ -39,6 +43,15 @@ class BandPrior:
     fwhm_sigma_nm: float
     strength_sigma: float
     source: str
+    second_composition: str = ""
+    second_slope_nm: float = 0.0
+    strength_loading: float = 0.0
+
+    @property
+    def slopes_nm(self) -> dict[str, float]:
+        """Change of the centre per mol % of each composition that moves it. [nm]"""
+        slopes = {self.composition: self.center_slope_nm, self.second_composition: self.second_slope_nm}
+        return {key: slope for key, slope in slopes.items() if key}
 
     @property
     def key(self) -> str:
@@ -48,7 +61,10 @@ class BandPrior:
 
 @dataclass(frozen=True, slots=True)
 class CompositionPrior:
-    """What is believed of a mineral's composition: Fo of olivine, Fs of orthopyroxene, Wo of clinopyroxene. [mol %]"""
+    """What is believed of a mineral's composition before its spectrum is seen. [mol %]
+
+    `key` is `fo` of olivine, `fs` of orthopyroxene, `wo` and `fs_cpx` (iron) of clinopyroxene.
+    """
 
     key: str
     mineral: str
@@ -83,43 +99,48 @@ def assemblage(name: str) -> Assemblage:
     if unknown or len(set(parts)) != len(parts):
         raise ParameterError(f"assemblage '{name}' is unknown; join some of {', '.join(MINERALS)} by '-', each once")
     ordered = [key for key in MINERALS if key in parts]
-    wanted = {"any", *(MINERALS[key] for key in ordered)}
-    return Assemblage(
-        "-".join(ordered),
-        tuple(band for band in _bands() if band.mineral in wanted),
-        tuple(composition for composition in _compositions() if composition.mineral in wanted),
+    minerals = {"any", *(MINERALS[key] for key in ordered)}
+    bands = tuple(_band(row) for row in _rows(BANDS, "band", minerals))
+    moving = {key for band in bands for key in band.slopes_nm}
+    rows = _rows(COMPOSITIONS, "composition", minerals)
+    return Assemblage("-".join(ordered), bands, tuple(_composition(row) for row in rows if row["composition"] in moving))
+
+
+def _rows(table: str, name: str, minerals: set[str]) -> list[Mapping[str, str]]:
+    """Rows for these minerals. One that holds beside a mineral takes the place of the row of the same name."""
+    chosen: dict[str, Mapping[str, str]] = {}
+    for row in table_rows(table):
+        if row["mineral"] in minerals and (not row["beside"] or row["beside"] in minerals):
+            chosen[row[name]] = row
+    return list(chosen.values())
+
+
+def _band(row: Mapping[str, str]) -> BandPrior:
+    return BandPrior(
+        row["band"],
+        row["mineral"],
+        row["region"],
+        row["composition"],
+        float(row["center_nm"]),
+        float(row["center_slope_nm"]),
+        float(row["center_prior_sigma_nm"]),
+        float(row["fwhm_nm"]),
+        float(row["fwhm_prior_sigma_nm"]),
+        float(row["strength_prior_sigma"]),
+        row["source"],
+        row["composition_2"],
+        float(row["center_slope_2_nm"]),
+        float(row["strength_loading"]),
     )
 
 
-def _bands() -> list[BandPrior]:
-    return [
-        BandPrior(
-            row["band"],
-            row["mineral"],
-            row["region"],
-            row["composition"],
-            float(row["center_nm"]),
-            float(row["center_slope_nm"]),
-            float(row["center_prior_sigma_nm"]),
-            float(row["fwhm_nm"]),
-            float(row["fwhm_prior_sigma_nm"]),
-            float(row["strength_prior_sigma"]),
-            row["source"],
-        )
-        for row in table_rows(BANDS)
-    ]
-
-
-def _compositions() -> list[CompositionPrior]:
-    return [
-        CompositionPrior(
-            row["composition"],
-            row["mineral"],
-            float(row["mean_percent"]),
-            float(row["sigma_percent"]),
-            float(row["lowest_percent"]),
-            float(row["highest_percent"]),
-            row["source"],
-        )
-        for row in table_rows(COMPOSITIONS)
-    ]
+def _composition(row: Mapping[str, str]) -> CompositionPrior:
+    return CompositionPrior(
+        row["composition"],
+        row["mineral"],
+        float(row["mean_percent"]),
+        float(row["sigma_percent"]),
+        float(row["lowest_percent"]),
+        float(row["highest_percent"]),
+        row["source"],
+    )

@@ -22,6 +22,7 @@ DEFAULT_STARTS = 24
 160 starts."""
 START_SIGMAS = 2.0
 FIRST_STRENGTH = -0.1
+HOP_SIGMAS = 4.0
 CONTINUUM_QUANTILE = 0.95
 TOLERANCE = 1e-4
 MAX_ITERATIONS = 1000
@@ -102,7 +103,7 @@ def fit_data(batch: Sequence[MgmData], model: MgmModel, starts: int) -> list[Mgm
     solved = fit_batch(
         shifted, np.array([data.weight for data in batch]), wavelength_nm / 1e3, model.basis(wavelength_nm),
         model.logarithmic, model.prior, model.precision, model.lower, model.upper,
-        starting_points(model, shifted, starts), TOLERANCE, MAX_ITERATIONS,
+        starting_points(model, shifted, starts), hops_of(model), TOLERANCE, MAX_ITERATIONS,
     )  # fmt: skip
     return [describe(data, model, solved, row, float(level[row])) for row, data in enumerate(batch)]
 
@@ -129,3 +130,14 @@ def starting_points(model: MgmModel, ln_reflectance: FloatArray, starts: int) ->
         first = level if model.logarithmic else np.exp(level)
         full[:, :, 0] = np.clip(first, model.lower[0], model.upper[0])
     return full
+
+
+def hops_of(model: MgmModel) -> FloatArray:
+    """Hops from the minimum found, (h, 2), as `fit_batch` takes them: every band deeper, its centre to both sides.
+
+    On simulated mixtures of three minerals the deeper bands alone find nearly all of the minima that one start misses.
+    """
+    m, count = model.degrees, len(model.assemblage.bands)
+    deeper = [(m + 3 * band + 2, -HOP_SIGMAS) for band in range(count)]
+    aside = [(m + 3 * band, sign * HOP_SIGMAS) for band in range(count) for sign in (-1, 1)]
+    return np.array(deeper + aside, dtype=float)

@@ -152,7 +152,9 @@ def mgm_model(
     beliefs = {item.key: (item.mean, item.sigma) for item in chosen.compositions}
     shifts = _checked(beliefs, dict(compositions or {}), chosen.name)
     bands = chosen.bands
-    centres = [band.center_nm + band.center_slope_nm * shifts.get(band.composition, (0.0, 0.0))[0] for band in bands]
+    centres = [
+        band.center_nm + sum(slope * shifts[key][0] for key, slope in band.slopes_nm.items()) for band in bands
+    ]
     prior = np.array(
         [[centre / NM_PER_UM, band.fwhm_nm / NM_PER_UM, 0.0] for centre, band in zip(centres, bands, strict=True)]
     )
@@ -197,6 +199,11 @@ def _covariance(bands: Sequence[BandPrior], spreads: Mapping[str, float]) -> Flo
     covariance = np.diag(np.ravel(sigma) ** 2)
     for key, spread in spreads.items():
         slope = np.zeros(3 * len(bands))
-        slope[::3] = [band.center_slope_nm / NM_PER_UM if band.composition == key else 0.0 for band in bands]
+        slope[::3] = [band.slopes_nm.get(key, 0.0) / NM_PER_UM for band in bands]
         covariance += np.outer(slope, slope) * spread**2
+    for mineral in {band.mineral for band in bands}:
+        shared = np.zeros(3 * len(bands))
+        shared[2::3] = [band.strength_sigma * band.strength_loading * (band.mineral == mineral) for band in bands]
+        together = np.outer(shared, shared)
+        covariance += together - np.diag(np.diag(together))
     return covariance

@@ -9,18 +9,18 @@ from typing import Any
 from lunarsci.compiled import VECTORS, compiled
 from lunarsci.spectra.mgm.cholesky import factorise, solve
 
-__all__ = ["damped_step", "gradient_of", "mark_free", "predicted_decrease", "prior_share", "products"]
+__all__ = ["damped", "damped_step", "gradient_of", "mark_free", "predicted_decrease", "prior_share", "products"]
 
 BLOCK = 4
 
 
 @compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
 def products(jacobian: Any, curvature: Any) -> None:
-    """Lower triangle of J J', in blocks of 4 x 4: each number read from memory is used four times."""
+    """Upper triangle of J J', in blocks of 4 x 4: each number read from memory is used four times."""
     channels = jacobian.shape[1]
     for p in range(0, jacobian.shape[0], BLOCK):
         p0, p1, p2, p3 = jacobian[p], jacobian[p + 1], jacobian[p + 2], jacobian[p + 3]
-        for q in range(0, p + 1, BLOCK):
+        for q in range(p, jacobian.shape[0], BLOCK):
             q0, q1, q2, q3 = jacobian[q], jacobian[q + 1], jacobian[q + 2], jacobian[q + 3]
             s00, s01, s02, s03, s10, s11, s12, s13 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             s20, s21, s22, s23, s30, s31, s32, s33 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -78,25 +78,27 @@ def prior_share(parameters: Any, prior: Any, precision: Any) -> float:
 
 
 @compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
-def _fill(curvature: Any, scale: float, precision: Any, free: Any, damping: float, matrix: Any) -> None:
-    """Upper triangle of the damped curvature; the rows and columns that are not free are those of the identity."""
-    size = free.size
+def damped(curvature: Any, scale: float, precision: Any, free: Any, damping: float, matrix: Any) -> None:
+    """Upper triangle of the damped curvature; rows and columns that are not free are those of the identity."""
+    size, side = free.size, matrix.shape[0]
     for p in range(size):
-        row, own = matrix[p], precision[p]
-        if not free[p]:
-            for q in range(p, size):
-                row[q] = 0.0
-            row[p] = 1.0
-            continue
+        row, own, held = matrix[p], curvature[p], precision[p]
         for q in range(p, size):
-            row[q] = curvature[q, p] * scale + own[q] if free[q] else 0.0
+            row[q] = own[q] * scale + held[q]
         row[p] *= 1.0 + damping
-    for p in range(matrix.shape[0]):
-        row = matrix[p]
-        for q in range(max(p, size), row.size):
+        for q in range(size, side):
             row[q] = 0.0
-        if p >= size:
-            row[p] = 1.0
+    for p in range(size, side):
+        for q in range(p, side):
+            matrix[p, q] = 0.0
+        matrix[p, p] = 1.0
+    for p in range(size):
+        if not free[p]:
+            for q in range(p):
+                matrix[q, p] = 0.0
+            for q in range(p, size):
+                matrix[p, q] = 0.0
+            matrix[p, p] = 1.0
 
 
 @compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
@@ -113,14 +115,16 @@ def damped_step(
     for p in range(size):
         step[p] = 0.0
     for _ in range(size):
-        _fill(curvature, scale, precision, free, damping, matrix)
+        damped(curvature, scale, precision, free, damping, matrix)
+        for p in range(trial.size):
+            trial[p] = 0.0
         for p in range(size):
             trial[p] = gradient[p] if free[p] else step[p]
         for q in range(size):
             if not free[q] and step[q] != 0.0:
                 for p in range(size):
                     if free[p]:
-                        coupling = curvature[max(p, q), min(p, q)] * scale + precision[p, q]
+                        coupling = curvature[min(p, q), max(p, q)] * scale + precision[p, q]
                         trial[p] -= coupling * step[q]
         if not factorise(matrix):
             return False
@@ -142,7 +146,7 @@ def predicted_decrease(curvature: Any, scale: float, precision: Any, gradient: A
     decrease, size = 0.0, step.size
     for p in range(size):
         bend, row, pull, own = 0.0, curvature[p], 0.0, precision[p]
-        for q in range(p):
+        for q in range(p + 1, size):
             bend += row[q] * step[q]
         for q in range(size):
             pull += own[q] * step[q]

@@ -29,6 +29,8 @@ class FittedBand:
     center_nm, fwhm_nm, strength and their standard errors : strength in ln reflectance, 0 or below. [nm, nm, -]
     center_calibration_nm, fwhm_calibration_nm, strength_calibration : standard deviation from the errors that all
         channels share (`Spectrum.systematic`), by linear response of the fit; None where none is known. [nm, nm, -]
+    center_continuum_nm, fwhm_continuum_nm, strength_continuum : standard deviation over the continua that were tried;
+        None where only one was. [nm, nm, -]
     shrinkage : by parameter, 1 - (posterior sigma / prior sigma)^2: 1 where the data decide, 0 where the prior does.
     at_bound : names of the parameters that ended on a bound; their error is the root mean square distance from it.
     """
@@ -47,6 +49,9 @@ class FittedBand:
     strength_calibration: float | None
     shrinkage: dict[str, float]
     at_bound: tuple[str, ...]
+    center_continuum_nm: float | None = None
+    fwhm_continuum_nm: float | None = None
+    strength_continuum: float | None = None
 
     @classmethod
     def from_kernel(
@@ -97,7 +102,8 @@ class StrengthRatio:
     """Normalised band strength ratio of orthopyroxene, s_OPX / (s_OPX + s_CPX), of clinopyroxene, and their sigma. [-]
 
     The sigma is that of the strengths, not of a mineral fraction; what fraction a ratio means depends on end members.
-    `calibration` is the standard deviation from errors that all channels share, None where none is known.
+    `calibration` is the standard deviation from errors that all channels share, None where none is known; `continuum`
+    that over the continua that were tried, None where only one was.
 
     Kanner, Mustard & Gendrin (2007), Icarus 187, 442, 10.1016/j.icarus.2006.10.025.
     """
@@ -106,6 +112,11 @@ class StrengthRatio:
     cpx: float
     sigma: float
     calibration: float | None
+    continuum: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain Python."""
+        return {name: getattr(self, name) for name in self.__slots__}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -170,10 +181,7 @@ class MgmFit:
     def to_dict(self) -> dict[str, Any]:
         """The keys of `lunarsci spectra fit --json`."""
         record = {name: getattr(self, name) for name in _SCALARS}
-        ratios = {
-            key: {"opx": r.opx, "cpx": r.cpx, "sigma": r.sigma, "calibration": r.calibration} if r else None
-            for key, r in self.nbsr.items()
-        }
+        ratios = {key: ratio.to_dict() if ratio else None for key, ratio in self.nbsr.items()}
         return record | {
             "continuum_coefficients": list(self.continuum_coefficients),
             "bands": [band.to_dict() for band in self.bands],

@@ -84,7 +84,7 @@ def test_the_minimum_is_that_of_lmfit() -> None:
     weight = np.full((1, GRID.size), noise**-2)
     found = fit_batch(
         data[None], weight, GRID, basis, False, prior, np.diag(sigma**-2.0), np.full(prior.size, -np.inf), upper,
-        start[None, None], 1e-8, 200,
+        start[None, None], np.empty((0, 2)), 1e-8, 200,
     )  # fmt: skip
 
     parameters = lmfit.Parameters()

@@ -1,0 +1,187 @@
+"""The report of `lunarsci spectra fit`."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from lunarsci.spectra.mgm.composition import mineral_compositions
+
+from lunarsci.spectra.mgm.assemblages import TABLES
+from lunarsci.spectra.mgm.result import FittedBand, MgmFit
+from lunarsci.tables import table_hashes
+
+from .fit_run import FitRequest, FitRun
+from .report import Report
+from .spectra_report import Batch, failures_of, flat, tables_of
+from .table import TextTable, plus_minus
+
+__all__ = ["fit_report"]
+
+MGM = "Sunshine, Pieters & Pratt (1990), J. Geophys. Res. 95, 6955, 10.1029/JB095iB05p06955"
+NBSR = "Kanner, Mustard & Gendrin (2007), Icarus 187, 442, 10.1016/j.icarus.2006.10.025"
+UNLIKE_RMS = 0.2
+"""A fit that misses ln R by more than this, root mean square, describes something else; assumed."""
+PERCENT_OF = {"fo": "Fo of olivine", "fs": "Fs of orthopyroxene", "wo": "Wo of clinopyroxene"}
+
+
+def fit_report(batch: Batch, run: FitRun, request: FitRequest) -> Report:
+    """The report of `spectra fit`."""
+    records = [_record(run, index, origin) for index, origin in enumerate(batch.origins)]
+    good = [item for item in run.results if isinstance(item, MgmFit)]
+    failures = failures_of(batch, run.results, bool(good))
+    start = {run.start_file.name: run.start_file.sha256} if run.start_file else {}
+
+    def figures() -> Any:
+        from lunarsci.spectra.figure import fit_pages
+
+        return fit_pages(good)
+
+    return Report(
+        schema="spectra-fit/1",
+        result={"spectra": records},
+        tables=_tables(good, records),
+        rows=[row for record in records for row in _band_rows(record)],
+        figures=figures,
+        formats={".fit": lambda _: _fit_file(good, run)},
+        inputs=batch.inputs | start,
+        data_tables=tables_of(batch) | table_hashes(*TABLES),
+        sources=[MGM, NBSR],
+        seed=request.seed if request.errors == "sample" else None,
+        untrusted=_untrusted(good),
+        failures=failures,
+    )
+
+
+def _untrusted(good: Sequence[MgmFit]) -> str:
+    unsettled = [item.id for item in good if not item.converged]
+    unlike = [item.id for item in good if item.rms_ln > UNLIKE_RMS]
+    doubts = [f"no convergence for {', '.join(unsettled)}"] if unsettled else []
+    doubts += [f"the model does not describe {', '.join(unlike)}"] if unlike else []
+    return f"not to be trusted: {'; '.join(doubts)}" if doubts else ""
+
+
+def _fit_file(good: Sequence[MgmFit], run: FitRun) -> bytes:
+    from lunarsci.errors import ParameterError
+    from lunarsci.spectra.mgm.fitfile import fit_file_text, read_fit_file
+    from lunarsci.spectra.mgm.fitfile_model import fit_file_of
+
+    if len(good) != 1:
+        raise ParameterError(f"a .fit file holds one spectrum, not {len(good)}; fit one at a time, or use --json")
+    header = read_fit_file(run.start_file) if run.start_file else None
+    return fit_file_text(fit_file_of(good[0], header)).encode()
+
+
+def _record(run: FitRun, index: int, origin: str) -> dict[str, Any]:
+    """The keys of one spectrum in `--json`."""
+    item = run.results[index]
+    choice, intervals = run.choices.get(index), run.intervals.get(index)
+    found = mineral_compositions(item) if isinstance(item, MgmFit) else ()
+    return item.to_dict() | {
+        "source": origin,
+        "compositions": {one.key: one.to_dict() for one in found},
+        "choice": choice.to_dict() if choice else None,
+        "intervals": intervals.to_dict() if intervals else None,
+    }
+
+
+def _tables(good: Sequence[MgmFit], records: Sequence[Mapping[str, Any]]) -> list[TextTable]:
+    alone = len(records) == 1 and bool(good)
+    overview = TextTable(
+        ["spectrum", "assemblage", "rms ln R [%]", "NBSR 1 µm OPX", "NBSR 2 µm OPX", "status"],
+        [_overview_row(record) for record in records],
+        notes=[*_shared_in_ratios(records[0]), *_composition_notes(records[0])] if alone else [],
+    )
+    if not alone:
+        return [overview]
+    tables = [_bands_table(good[0]), overview]
+    tables += [_intervals_table(records[0]["intervals"])] if records[0]["intervals"] else []
+    tables += [_choice_table(records[0]["choice"])] if records[0]["choice"] else []
+    return tables
+
+
+def _shared_in_ratios(record: Mapping[str, Any]) -> list[str]:
+    notes = []
+    for key, text in (
+        ("calibration", "calibration errors, which all channels share, add to the ratios"),
+        ("continuum", "the choice of the continuum moves the ratios by"),
+    ):
+        ratios = {name: (record["nbsr"] or {}).get(region) for region, name in (("um1", "1 µm"), ("um2", "2 µm"))}
+        parts = [f"± {r[key]:.3f} at {name}" for name, r in ratios.items() if r and r[key] is not None]
+        notes += [f"{text} {', '.join(parts)}"] if parts else []
+    return notes
+
+
+def _composition_notes(record: Mapping[str, Any]) -> list[str]:
+    return [
+        f"{PERCENT_OF[key]} from the band centres: {plus_minus(item['mean'], item['sigma'])} mol %"
+        for key, item in record["compositions"].items()
+        if item["mean"] is not None
+    ]
+
+
+def _overview_row(record: Mapping[str, Any]) -> list[str]:
+    ratios = record["nbsr"] or {}
+    cells = [plus_minus(r["opx"], r["sigma"], digits=2) if r else "-" for r in (ratios.get("um1"), ratios.get("um2"))]
+    rms = None if record["rms_ln"] is None else 100 * record["rms_ln"]
+    margin = _margin(record["choice"])
+    return [record["id"], record["assemblage"] + margin, plus_minus(rms, digits=2), *cells, record["status"]]
+
+
+def _margin(choice: Mapping[str, Any] | None) -> str:
+    return "" if not choice or choice["decisive"] else " (not decisive)"
+
+
+def _bands_table(fit: MgmFit) -> TextTable:
+    spread = any(band.center_continuum_nm is not None for band in fit.bands)
+    headers = ["band", "mineral", "centre [nm]", "FWHM [nm]", "strength [ln R]", "strength/σ"]
+    headers += ["shrinkage centre", "FWHM", *(["continua: centre [nm]", "strength"] if spread else [])]
+    notes = ["shrinkage: 1 where the data decide on centre or FWHM, 0 where the prior does"]
+    notes += ["continua: standard deviation over all of them, for the choice of one is a choice"] if spread else []
+    return TextTable(headers, [_band_row(band, spread) for band in fit.bands], notes=notes)
+
+
+def _band_row(band: FittedBand, spread: bool) -> list[str]:
+    certain = band.strength_sigma > 0
+    row = [
+        band.name,
+        band.mineral if band.mineral != "any" else "-",
+        plus_minus(band.center_nm, band.center_sigma_nm),
+        plus_minus(band.fwhm_nm, band.fwhm_sigma_nm),
+        plus_minus(band.strength, band.strength_sigma, digits=3),
+        f"{-band.strength / band.strength_sigma:.1f}" if certain else "-",
+        f"{band.shrinkage['center']:.2f}",
+        f"{band.shrinkage['fwhm']:.2f}",
+    ]
+    if spread:
+        row += [plus_minus(band.center_continuum_nm), plus_minus(band.strength_continuum, digits=3)]
+    return row
+
+
+def _intervals_table(intervals: Mapping[str, Any]) -> TextTable:
+    rows = []
+    for name, item in intervals["parameters"].items():
+        digits = 1 if name.endswith("_nm") else 3
+        low, high = (f"{item[key][0]:.{digits}f} to {item[key][1]:.{digits}f}" for key in ("interval68", "interval95"))
+        rows.append([name, f"{item['value']:.{digits}f}", low, high])
+    headers = ["parameter", intervals["value_is"], "68 % interval", "95 % interval"]
+    return TextTable(headers, rows, title=f"intervals by {intervals['method']}", notes=intervals["remarks"])
+
+
+def _choice_table(choice: Mapping[str, Any]) -> TextTable:
+    rows = [
+        [item["assemblage"], f"{item['ln_evidence']:.1f}", f"{item['bic']:.1f}", f"{100 * item['rms_ln']:.2f}"]
+        for item in choice["candidates"]
+    ]
+    headers = ["assemblage", "ln evidence", "BIC", "rms ln R [%]"]
+    return TextTable(headers, rows, title="all assemblages, the most evidence first", notes=[choice["status"]])
+
+
+def _band_rows(record: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """One row per band; a spectrum without a fit has one row with its status."""
+    common = {key: record[key] for key in ("source", "id", "assemblage", "continuum", "converged", "status", "rms_ln")}
+    for region in ("um1", "um2"):
+        ratio = (record["nbsr"] or {}).get(region)
+        common |= {
+            f"nbsr_{region}_opx": ratio["opx"] if ratio else None,
+            f"nbsr_{region}_sigma": ratio["sigma"] if ratio else None,
+        }
+    return [common | flat(band) for band in record["bands"]] or [common]

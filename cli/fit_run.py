@@ -1,0 +1,196 @@
+"""From the options of `lunarsci spectra fit` to fitted spectra."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from lunarsci.errors import ParameterError
+from lunarsci.inputs import InputFile, read_input
+from lunarsci.spectra.mgm.constraints import constrained, parse_compositions
+from lunarsci.spectra.mgm.continuum import MgmContinuum
+from lunarsci.spectra.mgm.fit import fit_spectra
+from lunarsci.spectra.mgm.model import MgmModel, mgm_model
+from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
+from lunarsci.spectra.spectrum import Spectrum
+
+from .progress import progress
+
+__all__ = ["FitRequest", "FitRun", "run_fit"]
+
+Result = MgmFit | MgmFailure
+Update = Callable[[int, int], None]
+LIMITS = (2e-3, 1e-6)
+"""Rms of ln R, and its improvement, at which `--prior damping` stops where no start file says so."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FitRequest:
+    """The options, as they were given."""
+
+    assemblage: str
+    continuum: MgmContinuum
+    composition: str | None
+    start: str | None
+    prior: str
+    model_error: float
+    starts: int
+    fixed: Sequence[str]
+    bounds: Sequence[str]
+    ties: Sequence[str]
+    errors: str
+    continuum_spread: bool
+    seed: int
+
+    @property
+    def automatic(self) -> bool:
+        """Whether the assemblage is to be chosen."""
+        return self.assemblage.lower() == "auto"
+
+    def check(self) -> None:
+        """Raise ParameterError for options that exclude each other."""
+        faults = (
+            (self.automatic and (self.fixed or self.bounds or self.ties), "--fix, --bound and --tie name bands of one "
+             "assemblage; give it instead of auto"),
+            (self.automatic and self.prior == "damping", "--assemblage auto compares evidence, which --prior damping "
+             "does not have; use --prior map"),
+            (self.prior == "damping" and self.errors != "laplace", "--prior damping has no posterior; use --errors "
+             "laplace, or --prior map"),
+            (self.prior == "damping" and self.bounds, "--prior damping knows no bounds; use --fix or --tie, or --prior "
+             "map"),
+            (self.prior == "damping" and self.continuum_spread, "--continuum-spread needs --prior map"),
+            (self.start and self.automatic, "--start brings its own bands; leave --assemblage auto out"),
+            (self.start and self.composition, "--start brings its own bands; leave --composition out"),
+            (self.start and self.continuum_spread, "--start brings its own continuum; leave --continuum-spread out"),
+        )  # fmt: skip
+        for wrong, text in faults:
+            if wrong:
+                raise ParameterError(text)
+
+    @property
+    def compositions(self) -> dict[str, tuple[float, float]] | None:
+        """Stated mean and standard deviation by key. [mol %]"""
+        return parse_compositions(self.composition) if self.composition else None
+
+    def model(self, assemblage: str, continuum: MgmContinuum) -> MgmModel:
+        """The model of an assemblage under a continuum, with composition and constraints."""
+        return self.held(mgm_model(assemblage, continuum, self.compositions))
+
+    def held(self, model: MgmModel) -> MgmModel:
+        """The model with the constraints."""
+        return constrained(model, fixed=self.fixed, bounds=self.bounds, ties=self.ties)
+
+
+@dataclass(slots=True)
+class FitRun:
+    """What came out: one result per spectrum, and by position what else was asked for."""
+
+    results: list[Result]
+    choices: dict[int, Any] = field(default_factory=dict)
+    intervals: dict[int, Any] = field(default_factory=dict)
+    start_file: InputFile | None = None
+
+
+def run_fit(spectra: Sequence[Spectrum], request: FitRequest, quiet: bool) -> FitRun:
+    """Fit all spectra as the options say."""
+    run = _fitted(spectra, request, quiet)
+    if request.continuum_spread:
+        _add_spread(spectra, request, run, quiet)
+    if request.errors != "laplace":
+        _add_intervals(request, run, quiet)
+    return run
+
+
+def _fitted(spectra: Sequence[Spectrum], request: FitRequest, quiet: bool) -> FitRun:
+    with progress("fitting", quiet=quiet) as update:
+        if request.automatic:
+            return _chosen(spectra, request, update)
+        if request.start:
+            return _from_file(spectra, request, update)
+        return FitRun(_by_prior(spectra, request.model(request.assemblage, request.continuum), request, LIMITS, update))
+
+
+def _by_prior(
+    spectra: Sequence[Spectrum], model: MgmModel, request: FitRequest, limits: tuple[float, float], update: Update
+) -> list[Result]:
+    if request.prior == "damping":
+        from lunarsci.spectra.mgm.damping import fit_damping
+
+        return fit_damping(
+            spectra,
+            model,
+            rms_limit=limits[0],
+            improvement_limit=limits[1],
+            model_error=request.model_error,
+            progress=update,
+        )
+    return fit_spectra(spectra, model, model_error=request.model_error, starts=request.starts, progress=update)
+
+
+def _from_file(spectra: Sequence[Spectrum], request: FitRequest, update: Update) -> FitRun:
+    from lunarsci.spectra.mgm.fitfile import read_fit_file
+    from lunarsci.spectra.mgm.fitfile_model import model_of, spectrum_within
+
+    source = read_input(str(request.start))
+    file = read_fit_file(source)
+    limits = (file.rms_limit, file.improvement_limit)
+    within = [spectrum_within(spectrum, file) for spectrum in spectra]
+    return FitRun(_by_prior(within, request.held(model_of(file)), request, limits, update), start_file=source)
+
+
+def _chosen(spectra: Sequence[Spectrum], request: FitRequest, update: Update) -> FitRun:
+    from lunarsci.spectra.mgm.selection import choose
+
+    found = choose(
+        spectra,
+        continuum=request.continuum,
+        compositions=request.compositions,
+        model_error=request.model_error,
+        starts=request.starts,
+        progress=update,
+    )
+    run = FitRun([])
+    for index, item in enumerate(found):
+        if isinstance(item, MgmFailure):
+            run.results.append(item)
+        else:
+            run.results.append(item.fit)
+            run.choices[index] = item
+    return run
+
+
+def _add_spread(spectra: Sequence[Spectrum], request: FitRequest, run: FitRun, quiet: bool) -> None:
+    from lunarsci.spectra.mgm.continua import fit_continua, with_continuum_spread
+
+    groups: dict[str, list[int]] = {}
+    for index, fit in enumerate(run.results):
+        if isinstance(fit, MgmFit):
+            groups.setdefault(fit.assemblage, []).append(index)
+    with progress("continua", quiet=quiet) as update:
+        for number, (name, members) in enumerate(groups.items()):
+            others = fit_continua(
+                [spectra[index] for index in members],
+                lambda continuum, name=name: request.model(name, continuum),  # type: ignore[misc]
+                model_error=request.model_error,
+                starts=request.starts,
+                progress=lambda done, total, before=number: update(before * total + done, len(groups) * total),  # type: ignore[misc]
+            )
+            for index, other in zip(members, others, strict=True):
+                run.results[index] = with_continuum_spread(run.results[index], other)  # type: ignore[arg-type]
+
+
+def _add_intervals(request: FitRequest, run: FitRun, quiet: bool) -> None:
+    fits = {index: fit for index, fit in enumerate(run.results) if isinstance(fit, MgmFit) and fit.converged}
+    with progress("intervals", quiet=quiet) as update:
+        if request.errors == "sample":
+            from lunarsci.spectra.mgm.sample import posterior_intervals, sample_batch
+
+            posteriors = sample_batch(list(fits.values()), seed=request.seed, progress=update)
+            run.intervals = {
+                index: posterior_intervals(posterior) for index, posterior in zip(fits, posteriors, strict=True)
+            }
+            return
+        from lunarsci.spectra.mgm.profile import profile_intervals
+
+        for done, (index, fit) in enumerate(fits.items(), start=1):
+            run.intervals[index] = profile_intervals(fit)
+            update(done, len(fits))

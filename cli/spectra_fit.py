@@ -1,0 +1,150 @@
+"""`lunarsci spectra fit`: the Modified Gaussian Model."""
+
+from typing import Annotated, Literal
+
+import typer
+
+from .command import command
+from .options import Output
+from .report import Report
+from .spectra import Files, ReflectanceUnit, WavelengthUnit
+
+__all__ = ["add_to"]
+
+MODEL, LIMITS, ANSWER = "Model", "Constraints", "Errors"
+
+Continuum = Literal[
+    "wavelength",
+    "wavelength-quadratic",
+    "wavelength-cubic",
+    "wavenumber",
+    "wavenumber-quadratic",
+    "wavenumber-cubic",
+    "log-quadratic",
+    "none",
+]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the command."""
+    command(app, "fit")(fit)
+
+
+def fit(
+    files: Files,
+    output: Output,
+    assemblage: Annotated[
+        str,
+        typer.Option(
+            help="Minerals whose bands are fitted: OL, OPX, CPX, PLG, joined by hyphens; auto compares all and takes "
+            "the one with the most evidence.",
+            rich_help_panel=MODEL,
+        ),
+    ] = "OL-OPX-CPX",
+    continuum: Annotated[
+        Continuum,
+        typer.Option(
+            help="Polynomial inside the logarithm, in wavelength or wavenumber; log-quadratic: of the logarithm.",
+            rich_help_panel=MODEL,
+        ),
+    ] = "wavelength-quadratic",
+    composition: Annotated[
+        str | None,
+        typer.Option(
+            metavar="KEY=MEAN:ERROR,…",
+            help="What is known of Fo, Fs, Wo [mol %], such as fo=70:5; moves the bands along their trends.",
+            rich_help_panel=MODEL,
+        ),
+    ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE.fit",
+            help="Bands, continuum and their uncertainties from a start file of the RELAB MGM program, instead of "
+            "--assemblage and --continuum.",
+            rich_help_panel=MODEL,
+        ),
+    ] = None,
+    prior: Annotated[
+        Literal["map", "damping"],
+        typer.Option(
+            help="map: priors count as measurements; damping: they only shorten steps, as in the RELAB MGM program.",
+            rich_help_panel=MODEL,
+        ),
+    ] = "map",
+    model_error: Annotated[
+        float,
+        typer.Option(
+            help="Share of ln R the model cannot explain, added to the noise; above 0, below 1.", rich_help_panel=MODEL
+        ),
+    ] = 0.02,
+    starts: Annotated[
+        int,
+        typer.Option(min=1, max=100, help="Starting points; the lowest minimum is reported.", rich_help_panel=MODEL),
+    ] = 4,
+    fix: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME[=VALUE]",
+            help="Hold a parameter, such as opx_1_center_nm=915; also c0, …_fwhm_nm, …_strength. May be repeated.",
+            rich_help_panel=LIMITS,
+        ),
+    ] = None,
+    bound: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=LOW:HIGH", help="Keep a parameter within a range. May be repeated.", rich_help_panel=LIMITS
+        ),
+    ] = None,
+    tie: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=K*OTHER+C", help="Make a parameter follow another. May be repeated.", rich_help_panel=LIMITS
+        ),
+    ] = None,
+    errors: Annotated[
+        Literal["laplace", "profile", "sample"],
+        typer.Option(
+            help="laplace: from the curvature; profile, sample: 68 and 95 % intervals that need not be symmetric, by "
+            "refitting or by drawing from the posterior; seconds per spectrum.",
+            rich_help_panel=ANSWER,
+        ),
+    ] = "laplace",
+    continuum_spread: Annotated[
+        bool,
+        typer.Option(
+            "--continuum-spread",
+            help="Fit under all continua and report the spread of every value as a systematic.",
+            rich_help_panel=ANSWER,
+        ),
+    ] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of --errors sample.", rich_help_panel=ANSWER)] = 0,
+    wavelength_unit: WavelengthUnit = None,
+    reflectance_unit: ReflectanceUnit = None,
+) -> Report:
+    """Modified Gaussian Model: absorption bands of olivine, pyroxenes and plagioclase, with errors and NBSR.
+
+    -o FILE.fit writes a result file of the RELAB MGM program (one spectrum).
+    """
+    from .fit_report import fit_report
+    from .fit_run import FitRequest, run_fit
+    from .spectra_report import read_batch
+
+    request = FitRequest(
+        assemblage=assemblage,
+        continuum=continuum,
+        composition=composition,
+        start=start,
+        prior=prior,
+        model_error=model_error,
+        starts=starts,
+        fixed=fix or (),
+        bounds=bound or (),
+        ties=tie or (),
+        errors=errors,
+        continuum_spread=continuum_spread,
+        seed=seed,
+    )
+    request.check()
+    batch = read_batch(files, wavelength_unit, reflectance_unit)
+    return fit_report(batch, run_fit(batch.spectra, request, output.quiet), request)

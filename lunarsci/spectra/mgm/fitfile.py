@@ -1,0 +1,236 @@
+"""Start and result files (`*.fit`) of the MGM program distributed by RELAB, read and written.
+
+Line 1 is a folder, 2 the file of the spectrum, 3 and 4 two axes of three numbers, of which the second begins with the
+shortest and longest wavelength [nm]; 5 the rms and the improvement of the rms at which a fit stops; 6 the letter of the
+continuum; 7 its coefficients c0 to c3 and 8 their uncertainties; 9 the number of bands; then for each band a line of
+centre [nm], FWHM [nm] and strength [ln reflectance] and a line of their uncertainties. Uncertainties are 1.96 standard
+deviations.
+"""
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from typing import NoReturn
+
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.inputs import InputFile, text
+
+__all__ = ["LETTERS", "FitBand", "FitFile", "fit_file_text", "read_fit_file"]
+
+LETTERS = {
+    "Q": "polynomial in wavenumber",
+    "T": "straight line in wavenumber",
+    "P": "polynomial in wavelength",
+    "S": "straight line in wavelength",
+    "N": "none",
+}
+"""The continua of a file."""
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?", re.ASCII)
+FIRST_BAND_LINE = 10
+LONGEST_SHOWN = 40
+Numbers = tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class FitBand:
+    """One band of a `.fit` file: values, and uncertainties of 1.96 standard deviations. [nm, nm, ln reflectance]"""
+
+    center_nm: float
+    fwhm_nm: float
+    strength: float
+    center_95_nm: float
+    fwhm_95_nm: float
+    strength_95: float
+
+    @property
+    def values(self) -> Numbers:
+        """Centre, FWHM and strength. [nm, nm, -]"""
+        return self.center_nm, self.fwhm_nm, self.strength
+
+    @property
+    def uncertainties(self) -> Numbers:
+        """Their uncertainties, 1.96 standard deviations. [nm, nm, -]"""
+        return self.center_95_nm, self.fwhm_95_nm, self.strength_95
+
+
+@dataclass(frozen=True, slots=True)
+class FitFile:
+    """The content of a `.fit` file.
+
+    Attributes
+    ----------
+    folder, spectrum : where the program looks for the spectrum, and its file.
+    plot_axis : three numbers of the plot's vertical axis; kept, not used.
+    wavelength_axis : shortest and longest wavelength [nm], and a third number; kept, not used.
+    rms_limit, improvement_limit : of ln R. [-]
+    continuum : Q polynomial and T straight line in wavenumber, P and S the same in wavelength, N none.
+    coefficients, coefficients_95 : c0 to c3 of a polynomial in wavenumber [cm^-1] or wavelength [nm], and 1.96 standard
+        deviations of each. T and S use the first two, N none.
+    bands : one or more. An uncertainty of 0 means that the value is fixed. A centre below 0 is that of a band of which
+        the spectrum sees only a wing.
+
+    Raises
+    ------
+    ParameterError when a value is not finite or out of range; the message begins with the line of the file.
+    """
+
+    folder: str
+    spectrum: str
+    plot_axis: Numbers
+    wavelength_axis: Numbers
+    rms_limit: float
+    improvement_limit: float
+    continuum: str
+    coefficients: Numbers
+    coefficients_95: Numbers
+    bands: tuple[FitBand, ...]
+
+    def __post_init__(self) -> None:
+        for line, fault in chain(_header_faults(self), _continuum_faults(self), _band_faults(self.bands)):
+            raise ParameterError(f"line {line}: {fault}")
+
+
+def _header_faults(file: FitFile) -> Iterator[tuple[int, str]]:
+    for line, name in ((1, file.folder), (2, file.spectrum)):
+        if name != name.strip() or re.search(r"[\r\n\0]", name):
+            yield line, f"name {_shown(name)} begins or ends with a blank or breaks the line; give it without"
+    if not file.spectrum:
+        yield 2, "is empty; it must name the file of the spectrum"
+    if not _are_numbers(file.plot_axis, 3):
+        yield 3, "the axis of the plot is not three finite numbers; give them"
+    if not (_are_numbers(file.wavelength_axis, 3) and 0 < file.wavelength_axis[0] < file.wavelength_axis[1]):
+        yield 4, "the wavelengths do not ascend from above 0; give the shortest, the longest [nm] and a third number"
+    if not _are_numbers((file.rms_limit, file.improvement_limit), 2, lowest=0):
+        yield 5, f"limits of the rms {file.rms_limit:g} and {file.improvement_limit:g}; give finite ones, 0 or above"
+
+
+def _continuum_faults(file: FitFile) -> Iterator[tuple[int, str]]:
+    if file.continuum not in LETTERS:
+        yield 6, f"continuum {_shown(file.continuum)} is unknown; give one letter of {', '.join(LETTERS)}"
+    if not _are_numbers(file.coefficients, 4):
+        yield 7, "the continuum is not four finite coefficients; give c0 to c3, 0 where unused"
+    if not _are_numbers(file.coefficients_95, 4, lowest=0):
+        yield 8, "the uncertainties of the continuum are not four finite numbers of 0 or above; give them"
+
+
+def _band_faults(bands: Sequence[FitBand]) -> Iterator[tuple[int, str]]:
+    if not bands:
+        yield 9, "no band; give one or more"
+    for number, band in enumerate(bands, start=1):
+        line = FIRST_BAND_LINE + 2 * (number - 1)
+        if not _are_numbers(band.values, 3):
+            yield line, f"band {number}: centre, FWHM or strength is not finite; give three numbers"
+        if band.center_nm == 0:
+            yield line, f"band {number}: centre of 0 nm, which has no wavenumber; give another"
+        if not band.fwhm_nm > 0:
+            yield line, f"band {number}: FWHM of {band.fwhm_nm:g} nm; give one above 0"
+        if not _are_numbers(band.uncertainties, 3, lowest=0):
+            fault = (
+                "uncertainties are not finite numbers of 0 or above; each band has a line of values, then one of them"
+            )
+            yield line + 1, f"band {number}: {fault}"
+
+
+def _are_numbers(values: Numbers, count: int, lowest: float = -math.inf) -> bool:
+    return len(values) == count and all(math.isfinite(value) and value >= lowest for value in values)
+
+
+def _shown(part: str) -> str:
+    return repr(part if len(part) <= LONGEST_SHOWN else part[:LONGEST_SHOWN] + "...")
+
+
+def read_fit_file(input: InputFile) -> FitFile:
+    """Read a `.fit` file. Blanks, tabs or commas part numbers; text behind the last number of a line is a comment.
+
+    Lines may end in LF, CR LF or CR. Warns with LunarSciWarning where a name is not UTF-8. Raises DataError, with file
+    and line, for anything that does not follow the layout.
+    """
+    lines = _Lines(input.name, [line.strip() for line in re.split(r"\r\n|\r|\n", text(input).rstrip())])
+    letter = re.match(r"[A-Z](?![A-Z0-9])", lines.line(6, "letter of the continuum").upper())
+    if not letter:
+        lines.refuse(6, f"begins with no letter that stands alone; give one of {', '.join(LETTERS)}")
+    rms_limit, improvement_limit = lines.numbers(5, 2, "limits of the rms and of its improvement")
+    try:
+        return FitFile(
+            folder=lines.rows[0],
+            spectrum=lines.line(2, "file of the spectrum"),
+            plot_axis=lines.numbers(3, 3, "axis of the plot"),
+            wavelength_axis=lines.numbers(4, 3, "shortest and longest wavelength, and a third number"),
+            rms_limit=rms_limit,
+            improvement_limit=improvement_limit,
+            continuum=letter.group(),
+            coefficients=lines.numbers(7, 4, "continuum c0, c1, c2, c3"),
+            coefficients_95=lines.numbers(8, 4, "uncertainties of the continuum"),
+            bands=_read_bands(lines),
+        )
+    except ParameterError as error:
+        raise DataError(f"{input.name}: {error}") from error
+
+
+def _read_bands(lines: "_Lines") -> tuple[FitBand, ...]:
+    [count] = lines.numbers(9, 1, "number of bands")
+    if count < 1 or not count.is_integer():
+        lines.refuse(9, f"{count:g} is no number of bands; give 1 or more")
+    bands = []
+    for number in range(1, int(count) + 1):
+        line, name = FIRST_BAND_LINE + 2 * (number - 1), f"band {number} of {count:g}"
+        values = lines.numbers(line, 3, f"centre, FWHM and strength of {name}")
+        bands.append(FitBand(*values, *lines.numbers(line + 1, 3, f"uncertainties of {name}")))
+    after = FIRST_BAND_LINE + 2 * len(bands)
+    for line in range(after, len(lines.rows) + 1):
+        if NUMBER.fullmatch(_parts(lines.rows[line - 1])[0]):
+            lines.refuse(line, f"holds numbers behind the last of {count:g} bands; correct line 9, or remove the line")
+    return tuple(bands)
+
+
+def _parts(line: str) -> list[str]:
+    """What stands between blanks, tabs and commas; one empty string where there is nothing."""
+    return [part for part in re.split(r"[\s,]+", line) if part] or [""]
+
+
+@dataclass(frozen=True, slots=True)
+class _Lines:
+    """Lines of a file; their numbers begin at 1."""
+
+    name: str
+    rows: list[str]
+
+    def refuse(self, number: int, fault: str) -> NoReturn:
+        raise DataError(f"{self.name}: line {number}: {fault}")
+
+    def line(self, number: int, what: str) -> str:
+        if number > len(self.rows):
+            self.refuse(number, f"is missing ({what}); the file looks cut off, restore its end")
+        if not self.rows[number - 1]:
+            self.refuse(number, f"is empty ({what}); fill it in, or remove it")
+        return self.rows[number - 1]
+
+    def numbers(self, number: int, count: int, what: str) -> Numbers:
+        parts = _parts(self.line(number, what))
+        values = [float(part.upper().replace("D", "E")) for part in parts[: count + 1] if NUMBER.fullmatch(part)]
+        if len(values) != count or not all(NUMBER.fullmatch(part) for part in parts[:count]):
+            self.refuse(number, f"{_shown(' '.join(parts))} are not {count} numbers ({what}); give them")
+        return tuple(values)
+
+
+def fit_file_text(file: FitFile) -> str:
+    """The file as text that `read_fit_file` reads back equal, every digit kept."""
+    rows = [
+        file.folder,
+        file.spectrum,
+        _row(file.plot_axis, ","),
+        _row(file.wavelength_axis, ","),
+        _row((file.rms_limit, file.improvement_limit), ","),
+        file.continuum,
+        _row(file.coefficients),
+        _row(file.coefficients_95),
+        str(len(file.bands)),
+        *(_row(values) for band in file.bands for values in (band.values, band.uncertainties)),
+    ]
+    return "\n".join(rows) + "\n"
+
+
+def _row(values: Numbers, separator: str = "\t") -> str:
+    return separator.join(repr(float(value)).removesuffix(".0") for value in values)

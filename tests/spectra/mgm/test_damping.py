@@ -1,0 +1,366 @@
+"""Damping mode against least squares of its own, its steps against the published formula, and what it says."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import approx_fprime, least_squares
+
+from lunarsci.errors import ParameterError
+from lunarsci.inputs import read_input
+from lunarsci.spectra.mgm.damping import fit_damping
+from lunarsci.spectra.mgm.fit import fit_spectra
+from lunarsci.spectra.mgm.fitfile import FitBand, FitFile
+from lunarsci.spectra.mgm.fitfile_model import fit_file_of, model_of
+from lunarsci.spectra.mgm.model import MgmModel, mgm_model
+from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
+from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.spectrum import Spectrum
+
+GRID = np.arange(450.0, 2396.0, 5.0)
+TRUTH = np.array([0.5, -1e-5, 650.0, 150.0, -0.2, 950.0, 200.0, -0.5, 1950.0, 500.0, -0.3])
+START = FitFile(
+    folder="",
+    spectrum="made.asc",
+    plot_axis=(-170.0, 25.0, 10.0),
+    wavelength_axis=(450.0, 2400.0, 1.0),
+    rms_limit=2e-3,
+    improvement_limit=1e-6,
+    continuum="T",
+    coefficients=(0.55, -1e-5, 0.0, 0.0),
+    coefficients_95=(10.0, 1e-3, 0.0, 0.0),
+    bands=(
+        FitBand(630.0, 170.0, -0.1, 200.0, 400.0, 10.0),
+        FitBand(970.0, 250.0, -0.3, 200.0, 400.0, 10.0),
+        FitBand(2000.0, 400.0, -0.2, 300.0, 400.0, 10.0),
+    ),
+)
+TO_THE_END = {"rms_limit": 0.0, "improvement_limit": 0.0}
+
+
+def ln_reflectance(p: np.ndarray) -> np.ndarray:
+    """The model as published, in the units of the file: c0 + c1 v in cm^-1, bands in nm."""
+    total = np.log(p[0] + p[1] * 1e7 / GRID)
+    for centre, fwhm, strength in p[2:].reshape(-1, 3):
+        total = total + strength * np.exp(-4 * np.log(2) * ((GRID - centre) / fwhm) ** 2)
+    return total
+
+
+def made(truth: np.ndarray = TRUTH, noise: float = 0.004, seed: int = 1) -> Spectrum:
+    reflectance = np.exp(ln_reflectance(truth) + np.random.default_rng(seed).normal(scale=noise, size=GRID.size))
+    return Spectrum("made", GRID, reflectance, 0.004 * reflectance)
+
+
+def fitted(spectrum: Spectrum, model: MgmModel, **options: object) -> MgmFit:
+    [fit] = fit_damping([spectrum], model, **options)  # type: ignore[arg-type]
+    assert isinstance(fit, MgmFit)
+    return fit
+
+
+def in_units_of_the_file(file: FitFile) -> tuple[np.ndarray, np.ndarray]:
+    values = [*file.coefficients[:2], *(value for band in file.bands for value in band.values)]
+    errors = [*file.coefficients_95[:2], *(value for band in file.bands for value in band.uncertainties)]
+    return np.array(values), np.array(errors)
+
+
+def test_it_ends_in_the_least_squares_minimum_with_the_errors_of_the_program() -> None:
+    """scipy's minimum of the unweighted residuals; 1.96 sqrt(diag((G'G)^-1 rms^2)) from its numerical derivatives."""
+    spectrum = made()
+    fit = fitted(spectrum, model_of(START), **TO_THE_END)
+    assert fit.converged
+    data = np.log(spectrum.reflectance)
+    scale = np.abs(TRUTH)
+    best = least_squares(
+        lambda q: data - ln_reflectance(q * scale),
+        np.sign(TRUTH),
+        jac="3-point",
+        xtol=1e-14,
+        ftol=1e-14,
+        gtol=1e-14,
+    )
+    rms = np.sqrt(np.mean(best.fun**2))
+    expected = 1.96 * np.sqrt(np.diag(np.linalg.inv(best.jac.T @ best.jac)) * rms**2) * scale
+    values, errors = in_units_of_the_file(fit_file_of(fit))
+    assert fit.rms_ln == pytest.approx(rms, rel=1e-9)
+    assert np.all(np.abs(values - best.x * scale) < 1e-4 * expected)
+    assert errors == pytest.approx(expected, rel=1e-4)
+    assert np.all(np.abs(values - TRUTH) < 2 * errors)
+
+
+def own_step(model: MgmModel, point: np.ndarray, data: np.ndarray) -> np.ndarray:
+    """(G'G + Cm^-1)^-1 G'r with numerical derivatives, in the model's units."""
+    m = model.degrees
+
+    def own(p: np.ndarray) -> np.ndarray:
+        total = np.log(model.basis(GRID) @ p[:m])
+        for centre, fwhm, strength in p[m:].reshape(-1, 3):
+            total = total + strength * np.exp(-4 * np.log(2) * ((GRID / 1e3 - centre) / fwhm) ** 2)
+        return total
+
+    slopes = approx_fprime(point, own, 1e-7)
+    return np.linalg.solve(slopes.T @ slopes + model.precision, slopes.T @ (data - own(point)))
+
+
+def test_one_iteration_is_the_published_step_without_a_pull_to_the_prior() -> None:
+    model, spectrum = model_of(START), made()
+    start = model.prior + np.tile([0.01, -0.02, 0.03], 4)[: model.prior.size]
+    step = own_step(model, start, np.log(spectrum.reflectance))
+    fit = fitted(spectrum, model, start=start, improvement_limit=1e9)
+    assert fit.parameters == pytest.approx(start + step, abs=1e-5)
+    assert np.abs(step).max() > 0.01
+
+
+def test_a_step_that_does_not_lower_the_rms_is_halved_until_it_does() -> None:
+    loose = tuple(replace(b, center_95_nm=1e6, fwhm_95_nm=1e6, strength_95=1e3) for b in START.bands)
+    model, spectrum = model_of(replace(START, bands=loose)), made()
+    data = np.log(spectrum.reflectance)
+    start = model.prior.copy()
+    start[5] = 1.15
+
+    def rms(p: np.ndarray) -> float:
+        total = np.log(model.basis(GRID) @ p[:2])
+        for centre, fwhm, strength in p[2:].reshape(-1, 3):
+            total = total + strength * np.exp(-4 * np.log(2) * ((GRID / 1e3 - centre) / fwhm) ** 2)
+        return float(np.sqrt(np.mean((data - total) ** 2)))
+
+    step = own_step(model, start, data)
+    trials = [start + step / 2**k for k in range(16)]
+    lower = [t[3::3].min() > 0 and rms(t) < rms(start) for t in trials]
+    assert not lower[0]
+    assert any(lower)
+    fit = fitted(spectrum, model, start=start, improvement_limit=1e9)
+    assert fit.parameters == pytest.approx(trials[lower.index(True)], abs=1e-3)
+    assert fit.rms_ln == pytest.approx(rms(fit.parameters), rel=1e-9)
+
+
+def test_the_prior_damps_and_does_not_pull() -> None:
+    shifted = replace(START, bands=tuple(replace(b, center_nm=b.center_nm + 60, strength=-0.6) for b in START.bands))
+    tight = [
+        model_of(replace(file, bands=tuple(replace(b, center_95_nm=20.0) for b in file.bands)))
+        for file in (START, shifted)
+    ]
+    spectrum = made()
+    first, second = (fitted(spectrum, model, start=tight[0].prior, **TO_THE_END) for model in tight)
+    sigma = np.sqrt(np.diag(first.covariance))
+    assert np.all(np.abs(first.parameters - second.parameters) < 1e-3 * sigma)
+    one, other = (fit_spectra([spectrum], model, model_error=0.02)[0] for model in tight)
+    assert isinstance(one, MgmFit)
+    assert isinstance(other, MgmFit)
+    assert np.abs((one.parameters - other.parameters) / sigma).max() > 3
+
+
+def test_each_rule_that_ends_a_fit_is_named() -> None:
+    model, spectrum = model_of(START), made()
+    assert fitted(spectrum, model, rms_limit=0.05).status == "converged: the rms is at most 0.05"
+    loosely = fitted(spectrum, model)
+    assert loosely.status == "converged: the rms fell by at most 1e-06"
+    assert loosely.rms_ln > fitted(spectrum, model, **TO_THE_END).rms_ln
+    exact = fitted(made(noise=0.0), model, **TO_THE_END)
+    assert exact.status == "converged: no part of a step lowers the rms"
+    assert exact.rms_ln < 1e-12
+
+
+def test_a_start_within_the_limit_stays_where_it_is() -> None:
+    model = model_of(START)
+    assert fitted(made(), model, rms_limit=10.0).parameters == pytest.approx(model.prior, abs=1e-12)
+
+
+def test_no_end_in_sight_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lunarsci.spectra.mgm.damping.MAX_ITERATIONS", 3)
+    fit = fitted(made(), model_of(START), **TO_THE_END)
+    assert not fit.converged
+    assert fit.status.startswith("not converged after 3 iterations; ")
+
+
+def test_steps_that_all_leave_the_range_of_the_model_are_said() -> None:
+    """Only one width is free, of a band of a millionth on data that have a positive one there: its linear step makes
+    it narrower by a million widths, and even 2^-15 of that is below zero."""
+    locked = [replace(b, center_95_nm=0.0, fwhm_95_nm=0.0, strength_95=0.0) for b in START.bands]
+    locked[1] = replace(locked[1], strength=-1e-6, fwhm_95_nm=1e12)
+    model = model_of(replace(START, coefficients_95=(0.0, 0.0, 0.0, 0.0), bands=tuple(locked)))
+    assert model.fixed.sum() == model.prior.size - 1
+    truth = np.array([*START.coefficients[:2], *(value for band in START.bands for value in band.values)])
+    truth[7] = 0.3
+    fit = fitted(made(truth), model)
+    assert not fit.converged
+    assert fit.status.startswith("not converged: continuum or width fell to zero")
+    assert fit.parameters == pytest.approx(model.prior)
+
+
+def test_a_start_without_a_continuum_gives_a_reason() -> None:
+    [result] = fit_damping([made()], model_of(replace(START, coefficients=(0.1, -1e-5, 0.0, 0.0))))
+    assert isinstance(result, MgmFailure)
+    assert result.status.startswith("no result: the continuum of the start is not above 0")
+
+
+def test_a_positive_strength_is_allowed_and_said() -> None:
+    truth = TRUTH.copy()
+    truth[7] = 0.3
+    fit = fitted(made(truth), model_of(START), **TO_THE_END)
+    assert fit.bands[1].strength == pytest.approx(0.3, abs=0.01)
+    assert fit.status.endswith("; positive strength, which is no absorption: band 2")
+
+
+def test_fixed_values_stay_and_ties_hold() -> None:
+    """A width tied to half another less 40 nm, and a centre fixed away from its prior's mean."""
+    model = model_of(START).bounded("band_3_center_nm", 1960, 1960).tied("band_2_fwhm_nm", 0.5, "band_3_fwhm_nm", -40.0)
+    fit = fitted(made(), model, **TO_THE_END)
+    assert fit.converged
+    second, third = fit.bands[1:]
+    assert third.center_nm == 1960.0
+    assert third.center_sigma_nm == 0.0
+    assert second.fwhm_nm == pytest.approx(0.5 * third.fwhm_nm - 40.0, abs=1e-6)
+    assert second.fwhm_sigma_nm == pytest.approx(0.5 * third.fwhm_sigma_nm, rel=1e-6)
+    free = fitted(made(), model_of(START), **TO_THE_END)
+    assert fit.rms_ln > free.rms_ln
+    assert (free.bic - free.objective) / np.log(GRID.size) == pytest.approx(11)
+    assert (fit.bic - fit.objective) / np.log(GRID.size) == pytest.approx(9)
+
+
+def test_a_tie_to_a_fixed_value_holds() -> None:
+    model = model_of(START).tied("band_2_center_nm", 0.5, "band_3_center_nm", 0.0)
+    fit = fitted(made(), model.bounded("band_3_center_nm", 1940, 1940), **TO_THE_END)
+    assert [band.center_nm for band in fit.bands[1:]] == pytest.approx([970.0, 1940.0], abs=1e-6)
+
+
+def test_nothing_free_is_a_fit_of_nothing() -> None:
+    bands = tuple(replace(b, center_95_nm=0.0, fwhm_95_nm=0.0, strength_95=0.0) for b in START.bands)
+    fit = fitted(made(), model_of(replace(START, bands=bands, coefficients_95=(0.0, 0.0, 0.0, 0.0))))
+    assert fit.parameters == pytest.approx(fit.model.prior)
+    assert not fit.covariance.any()
+
+
+def test_a_centre_below_zero_is_said_and_survives_a_file() -> None:
+    """Only the wing of a band is seen: nothing keeps its centre among the wavelengths."""
+    bands = (replace(START.bands[0], center_nm=-200.0, fwhm_nm=900.0, center_95_nm=0.0), *START.bands[1:])
+    fit = fitted(made(), model_of(replace(START, bands=bands)))
+    assert "centre not above 0 nm, the wing of something else: band 1" in fit.status
+    assert model_of(fit_file_of(fit)).prior == pytest.approx(fit.parameters)
+
+
+def test_what_the_data_do_not_determine_has_no_errors() -> None:
+    """Two bands in one place: only the sum of their strengths matters."""
+    twice = (START.bands[0], START.bands[1], START.bands[1])
+    fit = fitted(made(), model_of(replace(START, bands=twice)))
+    assert "no errors: the data leave a parameter undetermined" in fit.status
+    assert np.isnan(fit.bands[2].strength_sigma)
+    with pytest.raises(ParameterError, match="no errors"):
+        fit_file_of(fit)
+
+
+def test_chi_square_has_the_weights_of_the_other_mode() -> None:
+    """Noise of 0.004 and model error of 0.003 make 0.005 together; 390 channels, 11 parameters."""
+    fit = fitted(made(), model_of(START), model_error=0.003)
+    assert fit.objective == pytest.approx(390 * fit.rms_ln**2 / 0.005**2)
+    assert fit.reduced_chi2 == pytest.approx(fit.objective / 379)
+    assert fit.bic == pytest.approx(fit.objective + 11 * np.log(390))
+    assert (fit.prior, fit.bands[0].shrinkage, fit.bands[0].at_bound) == (
+        "damping",
+        {"center": 0.0, "fwhm": 0.0, "strength": 0.0},
+        (),
+    )
+
+
+def test_errors_that_all_channels_share_move_the_fit_as_they_do_the_data() -> None:
+    """A slope of 1 % across the spectrum: twice fitted, against the linear response."""
+    base = made()
+    slope = 0.01 * np.linspace(-1, 1, GRID.size) * base.reflectance
+    known = replace(base, systematic={"slope": slope})
+    moved = Spectrum("moved", GRID, base.reflectance + slope, base.uncertainty)
+    one, other = (fitted(s, model_of(START), **TO_THE_END) for s in (known, moved))
+    shifts = [abs(b.strength - a.strength) for a, b in zip(one.bands, other.bands, strict=True)]
+    assert [band.strength_calibration for band in one.bands] == pytest.approx(shifts, rel=0.1, abs=1e-4)
+    assert other.bands[0].strength_calibration is None
+
+
+@pytest.mark.parametrize("continuum", ["wavelength", "wavenumber-cubic", "log-quadratic", "none"])
+def test_models_of_assemblages_are_fitted_and_their_pyroxene_ratio_given(continuum: str) -> None:
+    """NBSR is s_OPX / (s_OPX + s_CPX): Kanner et al. (2007), 10.1016/j.icarus.2006.10.025."""
+    model = mgm_model("OPX-CPX", continuum)  # type: ignore[arg-type]
+    ln = np.zeros(GRID.size) if continuum == "none" else np.full(GRID.size, np.log(0.3))
+    strengths = {"OPX 1": -0.5, "CPX 1": -0.2, "OPX 2": -0.45, "CPX 2": -0.15}
+    for band in model.assemblage.bands:
+        x = (GRID - band.center_nm) / band.fwhm_nm
+        ln = ln + strengths.get(band.name, -0.05) * np.exp(-4 * np.log(2) * x**2)
+    fit = fitted(Spectrum("pyroxenes", GRID, np.exp(ln), 1e-3 * np.exp(ln)), model, rms_limit=1e-3)
+    assert fit.converged
+    ratio = fit.nbsr["um2"]
+    assert ratio is not None
+    assert ratio.opx == pytest.approx(0.75, abs=0.02)
+
+
+def test_no_ratio_where_a_pyroxene_band_is_positive() -> None:
+    model = mgm_model("OPX-CPX", "wavelength")
+    ln = np.full(GRID.size, np.log(0.3))
+    for band in model.assemblage.bands:
+        strength = {"OPX 2": -0.5, "CPX 2": 0.2}.get(band.name, -0.1)
+        ln = ln + strength * np.exp(-4 * np.log(2) * ((GRID - band.center_nm) / band.fwhm_nm) ** 2)
+    start = model.prior.copy()
+    start[0], start[4::3] = 0.3, -0.1
+    fit = fitted(Spectrum("bump", GRID, np.exp(ln), 1e-3 * np.exp(ln)), model, start=start, rms_limit=1e-4)
+    assert {band.name: band.strength for band in fit.bands}["CPX 2"] > 0
+    assert fit.nbsr["um2"] is None
+
+
+def test_spectra_that_cannot_be_fitted_say_why_in_their_place() -> None:
+    good = made()
+    few = Spectrum("few", GRID[:30], good.reflectance[:30])
+    calls: list[tuple[int, int]] = []
+    results = fit_damping([few, good], model_of(START), progress=lambda done, total: calls.append((done, total)))
+    assert calls == [(1, 2), (2, 2)]
+    assert isinstance(results[0], MgmFailure)
+    assert "30 usable channels" in results[0].status
+    assert isinstance(results[1], MgmFit)
+
+
+def test_starts_may_differ_between_spectra() -> None:
+    model = model_of(START)
+    starts = np.array([model.prior, model.prior])
+    starts[1, 2] += 0.02
+    first, second = fit_damping([made(), made()], model, start=starts, rms_limit=10.0)
+    assert isinstance(first, MgmFit)
+    assert isinstance(second, MgmFit)
+    assert second.bands[0].center_nm - first.bands[0].center_nm == pytest.approx(20.0)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"rms_limit": -1.0},
+        {"improvement_limit": np.nan},
+        {"improvement_limit": np.inf},
+        {"model_error": 0.0},
+        {"start": np.ones(3)},
+        {"start": np.full(11, np.nan)},
+        {"start": np.zeros(11)},
+    ],
+)
+def test_impossible_options_are_refused(options: dict[str, object]) -> None:
+    with pytest.raises(ParameterError):
+        fit_damping([made()], model_of(START), **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.reference
+def test_the_example_of_the_literature_on_measured_orthopyroxenes(reference_data: Path) -> None:
+    """Orthopyroxene bands lie at 0.90-0.935 and 1.80-1.95 um: Adams (1974), 10.1029/JB079i032p04829."""
+    bands = (
+        FitBand(333.0, 400.0, -20.0, 1e4, 1e4, 100.0),
+        FitBand(1000.0, 250.0, -1.0, 200.0, 400.0, 10.0),
+        FitBand(2000.0, 300.0, -1.0, 300.0, 400.0, 10.0),
+    )
+    example = replace(
+        START,
+        continuum="Q",
+        coefficients=(0.85, -1e-6, 0.0, 0.0),
+        coefficients_95=(10.0, 1e-4, 1e-7, 1e-7),
+        bands=bands,
+    )
+    spectra = read_spectra(read_input(str(reference_data / "spectra/relab/reflectance.csv")))
+    for fit in fit_damping([s for s in spectra if s.id in {"PE-CMP-030", "PE-CMP-031"}], model_of(example)):
+        assert isinstance(fit, MgmFit)
+        assert fit.rms_ln < 0.03
+        assert 900 <= fit.bands[1].center_nm <= 935
+        assert 1800 <= fit.bands[2].center_nm <= 1950
+        again = model_of(fit_file_of(fit, example))
+        assert again.prior == pytest.approx(fit.parameters, rel=1e-6)

@@ -1,0 +1,408 @@
+"""`.fit` files: an example of the literature read field by field, round trips, refusals, and models made from them."""
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lunarsci.errors import DataError, LunarSciWarning, ParameterError
+from lunarsci.inputs import InputFile, read_input
+from lunarsci.spectra.mgm.fit import fit_spectra
+from lunarsci.spectra.mgm.fitfile import FitBand, FitFile, fit_file_text, read_fit_file
+from lunarsci.spectra.mgm.fitfile_model import fit_file_of, model_of, spectrum_within
+from lunarsci.spectra.mgm.model import mgm_model
+from lunarsci.spectra.mgm.result import MgmFit
+from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.spectrum import Spectrum
+
+EXAMPLE = """C:\\data\\
+sample.asc
+-100,25,10
+450,2400,1
+2E-03,1E-06
+Q
+0.85 -1e-6 0 0
+10 1e-4 1e-7 1e-7
+3
+333 400 -20
+1e4 1e4 100
+1000 250 -1
+200 400 10
+2000 300 -1
+300 400 10
+"""
+ROWS = EXAMPLE.splitlines()
+GRID = np.arange(450.0, 2396.0, 5.0)
+
+
+def read(content: str | bytes) -> FitFile:
+    return read_fit_file(InputFile("start.fit", content.encode() if isinstance(content, str) else content))
+
+
+def with_row(number: int, row: str) -> str:
+    return "\n".join([*ROWS[: number - 1], row, *ROWS[number:]])
+
+
+FILE = read(EXAMPLE)
+
+
+def test_every_field_is_where_the_layout_has_it() -> None:
+    expected = FitFile(
+        folder="C:\\data\\",
+        spectrum="sample.asc",
+        plot_axis=(-100.0, 25.0, 10.0),
+        wavelength_axis=(450.0, 2400.0, 1.0),
+        rms_limit=0.002,
+        improvement_limit=1e-6,
+        continuum="Q",
+        coefficients=(0.85, -1e-6, 0.0, 0.0),
+        coefficients_95=(10.0, 1e-4, 1e-7, 1e-7),
+        bands=(
+            FitBand(333.0, 400.0, -20.0, 1e4, 1e4, 100.0),
+            FitBand(1000.0, 250.0, -1.0, 200.0, 400.0, 10.0),
+            FitBand(2000.0, 300.0, -1.0, 300.0, 400.0, 10.0),
+        ),
+    )
+    assert expected == FILE
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        EXAMPLE.replace("\n", "\r\n"),
+        EXAMPLE.replace("\n", "\r"),
+        EXAMPLE.rstrip("\n"),
+        EXAMPLE + "\n \n",
+        EXAMPLE.replace(" ", "\t"),
+        EXAMPLE.replace(" ", ", "),
+        EXAMPLE.replace("\n", "  \n "),
+        EXAMPLE.replace("1e4", "1.0D+04").replace("e-", "E-"),
+        with_row(6, "q  polynomial in wavenumber"),
+        with_row(6, "Q: cubic"),
+        with_row(9, "3 bands of 3 values"),
+        with_row(10, "333 400 -20 ! ultraviolet"),
+        EXAMPLE + "remarks below the bands\n",
+        b"\xef\xbb\xbf" + EXAMPLE.encode(),
+        EXAMPLE.encode("utf-16"),
+    ],
+)
+def test_spellings_of_the_same_file(content: str | bytes) -> None:
+    assert read(content) == FILE
+
+
+def test_folder_may_be_empty() -> None:
+    assert read(with_row(1, "")) == replace(FILE, folder="")
+
+
+def test_a_folder_that_is_not_utf8_is_read_and_remarked_on() -> None:
+    with pytest.warns(LunarSciWarning, match=r"start\.fit: is not valid UTF-8"):
+        assert read(with_row(1, "Donn\xe9es\\").encode("latin-1")).folder == "Donn\xe9es\\"
+
+
+@pytest.mark.parametrize("kept", range(1, len(ROWS)))
+def test_a_file_cut_off_at_any_line_is_refused(kept: int) -> None:
+    with pytest.raises(DataError, match=r"^start\.fit: line \d+: .*cut off") as caught:
+        read("\n".join(ROWS[:kept]))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("missing", range(1, len(ROWS) + 1))
+def test_a_file_without_one_of_its_lines_is_refused(missing: int) -> None:
+    with pytest.raises(DataError, match=r"^start\.fit: line \d+: "):
+        read("\n".join(ROWS[: missing - 1] + ROWS[missing:]))
+
+
+@pytest.mark.parametrize("empty", range(2, len(ROWS)))
+def test_an_empty_line_is_refused_by_its_number(empty: int) -> None:
+    with pytest.raises(DataError, match=rf"^start\.fit: line {empty}: is empty"):
+        read(with_row(empty, "  "))
+
+
+@pytest.mark.parametrize(
+    ("number", "row", "fault"),
+    [
+        (3, "-100,25", "not 3 numbers"),
+        (3, "-100,25,many", "not 3 numbers"),
+        (4, "2400,450,1", "ascend"),
+        (4, "0,2400,1", "ascend"),
+        (4, "450,2400,1,7", "not 3 numbers"),
+        (5, "-2e-3,1e-6", "0 or above"),
+        (5, "nan,1e-6", "not 2 numbers"),
+        (6, "X", "unknown; give one letter of Q, T, P, S, N"),
+        (6, "Quadratic", "letter"),
+        (6, "2", "letter"),
+        (7, "0.85 -1e-6 0", "not 4 numbers"),
+        (7, "0.85 inf 0 0", "not 4 numbers"),
+        (7, "0.85 1e999 0 0", "finite"),
+        (7, "0,85 -1e-6 0 0", "not 4 numbers"),
+        (8, "10 -1e-4 1e-7 1e-7", "0 or above"),
+        (8, "10 1_0 1e-7 1e-7", "not 4 numbers"),
+        (9, "0", "number of bands"),
+        (9, "-3", "number of bands"),
+        (9, "2.5", "number of bands"),
+        (9, "three", "not 1 numbers"),
+        (9, "1e999", "number of bands"),
+        (10, "0 400 -20", "centre of 0 nm"),
+        (10, "333 0 -20", "FWHM of 0 nm"),
+        (12, "1000 -250 -1", "FWHM of -250 nm"),
+        (12, "1000 250 NaN", "not 3 numbers"),
+        (12, "1000 250 \u0661", "not 3 numbers"),
+        (13, "200 400 -10", "line of values"),
+    ],
+)
+def test_what_does_not_follow_the_layout_is_refused_by_its_line(number: int, row: str, fault: str) -> None:
+    with pytest.raises(DataError, match=rf"^start\.fit: line {number}: .*{fault}") as caught:
+        read(with_row(number, row))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_wrong_number_of_bands_is_refused() -> None:
+    with pytest.raises(DataError, match="line 14: holds numbers behind the last of 2 bands; correct line 9"):
+        read(with_row(9, "2"))
+    for count in ("4", "1000000000"):
+        with pytest.raises(DataError, match="line 16: is missing"):
+            read(with_row(9, count))
+
+
+@pytest.mark.parametrize("content", [b"\0\1\2", b" \n \n", b"<html></html>", b"\xff\xfeQ"])
+def test_other_files_are_refused(content: bytes) -> None:
+    with pytest.raises(DataError, match=r"start\.fit"):
+        read(content)
+
+
+@given(st.binary(max_size=12), st.integers(0, len(EXAMPLE)), st.integers(0, 12))
+@settings(max_examples=300, deadline=None)
+def test_a_spoiled_file_is_read_or_refused_in_one_line(part: bytes, at: int, removed: int) -> None:
+    content = EXAMPLE.encode()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LunarSciWarning)
+        try:
+            file = read(content[:at] + part + content[at + removed :])
+        except DataError as error:
+            assert "\n" not in str(error)
+        else:
+            assert read(fit_file_text(file)) == file
+
+
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+ABOVE_0 = st.floats(0, exclude_min=True, allow_infinity=False)
+NOT_BELOW_0 = st.floats(0, allow_infinity=False)
+BANDS = st.builds(FitBand, ABOVE_0, ABOVE_0, FINITE, NOT_BELOW_0, NOT_BELOW_0, NOT_BELOW_0)
+
+
+@given(
+    st.builds(
+        FitFile,
+        folder=st.sampled_from(["", "C:\\data\\", "Größe", "a b, c"]),
+        spectrum=st.sampled_from(["sample.asc", "3 bands", "N"]),
+        plot_axis=st.tuples(FINITE, FINITE, FINITE),
+        wavelength_axis=st.tuples(st.floats(1, 400), st.floats(500, 1e9), FINITE),
+        rms_limit=NOT_BELOW_0,
+        improvement_limit=NOT_BELOW_0,
+        continuum=st.sampled_from("QTPSN"),
+        coefficients=st.tuples(*[FINITE] * 4),
+        coefficients_95=st.tuples(*[NOT_BELOW_0] * 4),
+        bands=st.lists(BANDS, min_size=1, max_size=4).map(tuple),
+    )
+)
+def test_what_is_written_reads_back_equal(file: FitFile) -> None:
+    assert read(fit_file_text(file)) == file
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"folder": "two\nlines"},
+        {"spectrum": " blank"},
+        {"spectrum": ""},
+        {"plot_axis": (1.0, 2.0)},
+        {"continuum": "log-quadratic"},
+        {"coefficients": (1.0, 0.0, 0.0, np.nan)},
+        {"coefficients_95": (1.0, 0.0)},
+        {"bands": ()},
+        {"bands": (FitBand(1000.0, np.inf, -1.0, 1.0, 1.0, 1.0),)},
+    ],
+)
+def test_a_file_that_could_not_be_read_back_cannot_be_made(change: dict[str, object]) -> None:
+    with pytest.raises(ParameterError, match=r"^line \d+: "):
+        replace(FILE, **change)  # type: ignore[arg-type]
+
+
+def raw_polynomial(letter: str, coefficients: tuple[float, ...], wavelength_nm: np.ndarray) -> np.ndarray:
+    """The continuum as the file writes it: c0 + c1 v + ... in cm^-1 (Q, T) or nm (P, S)."""
+    v = 1e7 / wavelength_nm if letter in "QT" else wavelength_nm
+    used = coefficients[: {"Q": 4, "P": 4, "T": 2, "S": 2}[letter]]
+    return sum(c * v**k for k, c in enumerate(used))  # type: ignore[return-value]
+
+
+RAW = {
+    "Q": ((0.85, -1e-5, 2e-10, 3e-15), (0.1, 1e-5, 1e-9, 1e-13)),
+    "T": ((0.85, -1e-5, 7.0, 7.0), (0.1, 1e-5, 1.0, 1.0)),
+    "P": ((0.2, 1e-4, -3e-8, 4e-12), (0.1, 1e-4, 1e-7, 1e-11)),
+    "S": ((0.2, 1e-4, 7.0, 7.0), (0.1, 1e-4, 1.0, 1.0)),
+}
+
+
+@pytest.mark.parametrize("letter", RAW)
+def test_continuum_and_its_prior_are_the_same_in_our_variable(letter: str) -> None:
+    """Mean of C by the raw polynomial; its variance sum over k of (sigma_k v^k)^2 by propagation of raw errors."""
+    values, errors = RAW[letter]
+    model = model_of(replace(FILE, continuum=letter, coefficients=values, coefficients_95=errors))
+    m, basis = model.degrees, model.basis(GRID)
+    assert basis @ model.prior[:m] == pytest.approx(raw_polynomial(letter, values, GRID), rel=1e-10)
+    squares = tuple((error / 1.96) ** 2 for error in errors)
+    v = 1e7 / GRID if letter in "QT" else GRID
+    expected = sum(s * v ** (2 * k) for k, s in enumerate(squares[:m]))
+    covariance = np.linalg.inv(model.precision[:m, :m])
+    assert np.einsum("ni,ij,nj->n", basis, covariance, basis) == pytest.approx(expected, rel=1e-6)
+
+
+def test_no_continuum() -> None:
+    model = model_of(replace(FILE, continuum="N"))
+    assert (model.continuum, model.degrees, model.prior.size) == ("none", 0, 9)
+
+
+def test_bands_become_a_prior_in_micrometres() -> None:
+    model = model_of(FILE)
+    assert model.continuum == "wavenumber-cubic"
+    assert [band.name for band in model.assemblage.bands] == ["band 1", "band 2", "band 3"]
+    assert [band.region for band in model.assemblage.bands] == ["uv", "um1", "um2"]
+    assert model.names[4:7] == ("band_1_center_nm", "band_1_fwhm_nm", "band_1_strength")
+    assert model.prior[7:10] == pytest.approx([1.0, 0.25, -1.0])
+    assert model.sigma[7:10] == pytest.approx([0.2 / 1.96, 0.4 / 1.96, 10 / 1.96])
+    assert model.upper[4:] == pytest.approx(np.inf)
+    assert np.all(model.lower[5::3] > 0)
+    assert np.all(np.isneginf(model.lower[6::3]))
+    assert not model.fixed.any()
+
+
+def test_regions_follow_the_centre() -> None:
+    centres = (399.0, 400.0, 749.0, 750.0, 1499.0, 1500.0)
+    bands = tuple(replace(FILE.bands[0], center_nm=centre) for centre in centres)
+    regions = [band.region for band in model_of(replace(FILE, bands=bands)).assemblage.bands]
+    assert regions == ["uv", "visible", "visible", "um1", "um1", "um2"]
+
+
+def made(noise: float = 0.003, seed: int = 1) -> Spectrum:
+    """Two bands on a straight line in wavenumber."""
+    ln = np.log(0.5 - 1e-5 * 1e7 / GRID)
+    for centre, fwhm, strength in ((950.0, 200.0, -0.5), (1950.0, 500.0, -0.3)):
+        ln = ln + strength * np.exp(-4 * np.log(2) * ((GRID - centre) / fwhm) ** 2)
+    ln = ln + np.random.default_rng(seed).normal(scale=noise, size=GRID.size)
+    return Spectrum("made by hand", GRID, np.exp(ln), noise * np.exp(ln))
+
+
+TWO = replace(FILE, continuum="T", coefficients=(0.6, 0.0, 0.0, 0.0), bands=FILE.bands[1:])
+
+
+def map_fit(file: FitFile) -> MgmFit:
+    [fit] = fit_spectra([made()], model_of(file), model_error=1e-3)
+    assert isinstance(fit, MgmFit)
+    assert fit.converged
+    return fit
+
+
+def test_map_mode_fits_the_model_of_a_file() -> None:
+    fit = map_fit(TWO)
+    assert fit.bands[0].center_nm == pytest.approx(950, abs=3)
+    assert fit.bands[1].strength == pytest.approx(-0.3, abs=0.01)
+    assert fit.rms_ln == pytest.approx(0.003, rel=0.1)
+
+
+def test_a_result_file_says_what_the_fit_says() -> None:
+    fit = map_fit(TWO)
+    file = fit_file_of(fit)
+    assert (file.folder, file.spectrum, file.continuum) == ("", "made by hand", "T")
+    assert file.wavelength_axis[:2] == (450.0, 2395.0)
+    assert raw_polynomial("T", file.coefficients, GRID) == pytest.approx(fit.continuum_reflectance, rel=1e-9)
+    assert file.coefficients == pytest.approx((0.5, -1e-5, 0, 0), rel=0.05)
+    gradient = np.vander(1e7 / GRID, 2, increasing=True)
+    basis = fit.model.basis(GRID)
+    covariance = np.linalg.lstsq(gradient, basis, rcond=None)[0]
+    covariance = covariance @ fit.covariance[:2, :2] @ covariance.T
+    assert file.coefficients_95 == pytest.approx([*(1.96 * np.sqrt(np.diag(covariance))), 0, 0], rel=1e-6)
+    for band, fitted in zip(file.bands, fit.bands, strict=True):
+        assert band.values == pytest.approx((fitted.center_nm, fitted.fwhm_nm, fitted.strength))
+        errors = (fitted.center_sigma_nm, fitted.fwhm_sigma_nm, fitted.strength_sigma)
+        assert band.uncertainties == pytest.approx([1.96 * error for error in errors])
+    assert model_of(read(fit_file_text(file))).prior == pytest.approx(fit.parameters)
+    assert fit_file_of(fit, FILE) == replace(
+        FILE, continuum="T", coefficients=file.coefficients, coefficients_95=file.coefficients_95, bands=file.bands
+    )
+
+
+@pytest.mark.parametrize("name", ["wavenumber", "wavenumber-quadratic", "wavelength-quadratic", "wavelength", "none"])
+def test_continua_survive_the_way_through_a_file(name: str) -> None:
+    [fit] = fit_spectra([made()], mgm_model("OPX", name))  # type: ignore[arg-type]
+    assert isinstance(fit, MgmFit)
+    again = model_of(fit_file_of(fit))
+    assert again.continuum == name
+    assert again.prior == pytest.approx(fit.parameters, rel=1e-9)
+
+
+def test_a_continuum_without_a_letter_is_refused() -> None:
+    [fit] = fit_spectra([made()], mgm_model("OPX", "log-quadratic"))
+    assert isinstance(fit, MgmFit)
+    with pytest.raises(ParameterError, match="no letter for the continuum log-quadratic"):
+        fit_file_of(fit)
+
+
+def test_a_fit_without_errors_is_refused() -> None:
+    fit = map_fit(TWO)
+    with pytest.raises(ParameterError, match="no errors"):
+        fit_file_of(replace(fit, covariance=np.full_like(fit.covariance, np.nan)))
+
+
+def test_an_uncertainty_of_0_fixes_a_value() -> None:
+    band = replace(FILE.bands[1], center_nm=940.0, center_95_nm=0.0)
+    fit = map_fit(replace(TWO, bands=(band, FILE.bands[2])))
+    assert fit.bands[0].center_nm == 940.0
+    assert fit.bands[0].center_sigma_nm == 0.0
+    assert fit_file_of(fit).bands[0].center_95_nm == 0.0
+    continuum = replace(TWO, coefficients=(0.5, -1e-5, 0, 0), coefficients_95=(0, 0, 0, 0))
+    assert fit_file_of(map_fit(continuum)).coefficients == pytest.approx((0.5, -1e-5, 0, 0), rel=1e-9)
+
+
+def test_one_fixed_continuum_coefficient_ties_ours() -> None:
+    """The slope is held to a millionth of the reflectance at the shortest wavelength, while the level is free."""
+    fit = map_fit(replace(TWO, coefficients=(0.6, -0.9e-5, 0, 0), coefficients_95=(10, 0, 0, 0)))
+    file = fit_file_of(fit)
+    assert file.coefficients[1] == pytest.approx(-0.9e-5, abs=1e-6 / 25000)
+    assert file.coefficients[0] == pytest.approx(0.5, abs=0.03)
+    assert file.coefficients_95[1] * 25000 < 1e-5 < file.coefficients_95[0]
+
+
+@pytest.mark.parametrize(
+    ("letter", "values", "errors", "continuum"),
+    [
+        ("Q", (0.5, 0, 0, 0), (1, 1, 1, 0), "wavenumber-quadratic"),
+        ("Q", (0.5, 0, 0, 0), (1, 1, 0, 0), "wavenumber"),
+        ("Q", (0.5, 0, 0, 0), (1, 1, 0, 1), "wavenumber-cubic"),
+        ("Q", (0.5, 0, 0, 1e-15), (1, 1, 1, 0), "wavenumber-cubic"),
+        ("P", (0.5, 0, 0, 0), (1, 1, 1, 0), "wavelength-quadratic"),
+        ("P", (0.5, 0, 0, 0), (1, 0, 0, 0), "wavelength"),
+    ],
+)
+def test_coefficients_fixed_at_0_lower_the_degree(
+    letter: str, values: tuple[float, ...], errors: tuple[float, ...], continuum: str
+) -> None:
+    assert model_of(replace(FILE, continuum=letter, coefficients=values, coefficients_95=errors)).continuum == continuum
+
+
+def test_channels_outside_the_range_of_the_file_are_masked() -> None:
+    cut = spectrum_within(made(), replace(FILE, wavelength_axis=(600.0, 1700.0, 1.0)))
+    assert cut.wavelength_nm[cut.usable][[0, -1]].tolist() == [600.0, 1700.0]
+
+
+@pytest.mark.reference
+def test_map_mode_on_a_measured_orthopyroxene(reference_data: Path) -> None:
+    """Orthopyroxene bands lie at 0.90-0.935 and 1.80-1.95 um: Adams (1974), 10.1029/JB079i032p04829."""
+    spectra = read_spectra(read_input(str(reference_data / "spectra/relab/reflectance.csv")))
+    [fit] = fit_spectra([s for s in spectra if s.id == "PE-CMP-030"], model_of(FILE), model_error=0.05, starts=1)
+    assert isinstance(fit, MgmFit)
+    assert 900 <= fit.bands[1].center_nm <= 935
+    assert 1800 <= fit.bands[2].center_nm <= 1950

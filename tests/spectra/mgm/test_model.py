@@ -1,0 +1,161 @@
+"""Parameters by name, priors that follow composition, and what can be fixed, bounded or tied."""
+
+import numpy as np
+import pytest
+
+from lunarsci.errors import ParameterError
+from lunarsci.spectra.mgm.assemblages import FAMILIES
+from lunarsci.spectra.mgm.constraints import constrained, parse_compositions
+from lunarsci.spectra.mgm.continuum import MGM_CONTINUA
+from lunarsci.spectra.mgm.fit import fit_spectra
+from lunarsci.spectra.mgm.model import MgmModel, mgm_model, unit_of
+from lunarsci.spectra.mgm.result import MgmFit
+from lunarsci.spectra.spectrum import Spectrum
+
+GRID = np.arange(450.0, 2396.0, 5.0)
+
+
+def two_pyroxenes(seed: int = 0) -> Spectrum:
+    """Bands at 925, 1030, 1920 and 2260 nm on a straight continuum."""
+    ln = np.log(0.2 + 4e-5 * GRID)
+    for centre, fwhm, strength in ((925, 190, -0.3), (1030, 210, -0.25), (1920, 500, -0.2), (2260, 540, -0.2)):
+        ln = ln + strength * np.exp(-4 * np.log(2) * ((GRID - centre) / fwhm) ** 2)
+    noise = np.random.default_rng(seed).normal(scale=0.003, size=GRID.size)
+    reflectance = np.exp(ln + noise)
+    return Spectrum("px", GRID, reflectance, 0.003 * reflectance)
+
+
+def fitted(model: MgmModel) -> MgmFit:
+    [fit] = fit_spectra([two_pyroxenes()], model, model_error=0.003)
+    assert isinstance(fit, MgmFit)
+    assert fit.converged
+    return fit
+
+
+def value(fit: MgmFit, name: str) -> float:
+    return float(fit.parameters[fit.model.index(name)] * unit_of(name))
+
+
+def test_every_family_has_a_model_under_every_continuum() -> None:
+    assert len(FAMILIES) == 15
+    for family in FAMILIES:
+        for continuum in MGM_CONTINUA:
+            model = mgm_model(family, continuum)
+            assert len(model.names) == model.prior.size == model.degrees + 3 * len(model.assemblage.bands)
+            bands = model.precision[model.degrees :, model.degrees :]
+            assert np.linalg.eigvalsh(bands)[0] > 0
+            assert np.all(model.lower <= model.upper)
+
+
+def test_centres_of_one_mineral_move_together_with_its_composition() -> None:
+    """The prior's covariance of two centres is slope x slope x variance of the composition, all from the table."""
+    model = mgm_model("OL")
+    bands = {band.name: band for band in model.assemblage.bands}
+    [olivine] = model.assemblage.compositions
+    covariance = np.linalg.inv(model.precision[model.degrees :, model.degrees :])
+    first, second = (model.index(name) - model.degrees for name in ("ol_m1_1_center_nm", "ol_m1_2_center_nm"))
+    expected = bands["OL M1-1"].center_slope_nm * bands["OL M1-2"].center_slope_nm * olivine.sigma**2 / 1e6
+    assert covariance[first, second] == pytest.approx(expected)
+    own = bands["OL M1-1"]
+    assert covariance[first, first] == pytest.approx(
+        (own.center_sigma_nm**2 + (own.center_slope_nm * olivine.sigma) ** 2) / 1e6
+    )
+
+
+def test_a_stated_composition_moves_the_starting_centres_along_the_trend() -> None:
+    table, stated = mgm_model("OL"), mgm_model("OL", compositions={"fo": (50, 2)})
+    [olivine] = table.assemblage.compositions
+    slope = next(band.center_slope_nm for band in table.assemblage.bands if band.name == "OL M2")
+    k = table.index("ol_m2_center_nm")
+    assert 1e3 * (stated.prior[k] - table.prior[k]) == pytest.approx(slope * (50 - olivine.mean))
+    assert stated.sigma[k] < table.sigma[k]
+
+
+def test_a_fixed_parameter_does_not_move_and_has_no_error() -> None:
+    fit = fitted(constrained(mgm_model("OPX-CPX"), fixed=["opx_1_center_nm=925"]))
+    assert value(fit, "opx_1_center_nm") == pytest.approx(925, abs=1e-9)
+    band = next(band for band in fit.bands if band.name == "OPX 1")
+    assert band.center_sigma_nm == 0
+    assert band.fwhm_sigma_nm > 0
+
+
+def test_a_bound_is_kept() -> None:
+    free = value(fitted(mgm_model("OPX-CPX")), "cpx_1_fwhm_nm")
+    fit = fitted(constrained(mgm_model("OPX-CPX"), bounds=[f"cpx_1_fwhm_nm=100:{free - 5}"]))
+    assert value(fit, "cpx_1_fwhm_nm") <= free - 5 + 1e-9
+
+
+def test_a_tie_is_kept_and_the_minimum_is_that_of_lmfit_with_the_same_expression() -> None:
+    import lmfit
+
+    from lunarsci.spectra.mgm.forward import model_and_jacobian
+
+    free = mgm_model("OPX-CPX")
+    model = constrained(free, ties=["cpx_1_fwhm_nm = 0.9*opx_1_fwhm_nm + 40"])
+    fit = fitted(model)
+    assert value(fit, "cpx_1_fwhm_nm") == pytest.approx(0.9 * value(fit, "opx_1_fwhm_nm") + 40, abs=0.01)
+    parameters = lmfit.Parameters()
+    for k, name in enumerate(free.names):
+        parameters.add(name, value=fit.parameters[k], min=free.lower[k], max=free.upper[k])
+    parameters["cpx_1_fwhm_nm"].expr = "0.9*opx_1_fwhm_nm + 0.040"
+    root = np.linalg.cholesky(free.precision[free.degrees :, free.degrees :])
+
+    def residual(current: lmfit.Parameters) -> np.ndarray:
+        point = np.array([current[name].value for name in free.names])
+        found = model_and_jacobian(point, GRID / 1e3, free.basis(GRID), free.logarithmic)
+        assert found is not None
+        data = np.sqrt(fit.data.weight) * (np.log(fit.reflectance) - found[0])
+        return np.concatenate([data, root.T @ (point - free.prior)[free.degrees :]])
+
+    best = lmfit.minimize(residual, parameters, scale_covar=False)
+    ours = float((residual(fit_parameters(parameters, fit)) ** 2).sum())
+    assert ours == pytest.approx(best.chisqr, abs=0.01)
+
+
+def fit_parameters(parameters: object, fit: MgmFit) -> object:
+    """lmfit parameters at the point of a fit."""
+    import copy
+
+    at = copy.deepcopy(parameters)
+    for k, name in enumerate(fit.model.names):
+        if at[name].expr is None:  # type: ignore[index]
+            at[name].value = fit.parameters[k]  # type: ignore[index]
+    return at
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"fixed": ["opx_9_center_nm=900"]}, "there is no parameter 'opx_9_center_nm'"),
+        ({"fixed": ["opx_1_center_nm=nan"]}, "is no number"),
+        ({"fixed": ["opx_1_fwhm_nm=0"]}, "must stay above 0 nm"),
+        ({"fixed": ["opx_1_strength=0.1"]}, "0 or below"),
+        ({"bounds": ["opx_1_center_nm=950:900"]}, "wrong way round"),
+        ({"bounds": ["opx_1_center_nm=900"]}, "NAME=LOW:HIGH"),
+        ({"ties": ["opx_1_center_nm=opx_1_center_nm"]}, "tied to itself"),
+        ({"ties": ["opx_1_center_nm=c0"]}, "cannot be tied to a band"),
+        ({"ties": ["opx_1_center_nm=sin(opx_2_center_nm)"]}, "NAME=FACTOR"),
+    ],
+)
+def test_impossible_constraints_say_why(options: dict[str, list[str]], said: str) -> None:
+    with pytest.raises(ParameterError, match=said.replace("(", r"\(")):
+        constrained(mgm_model("OPX-CPX"), **options)  # type: ignore[arg-type]
+
+
+def test_compositions_are_read_as_written() -> None:
+    assert parse_compositions("Fo=70:5, fs=30:10") == {"fo": (70, 5), "fs": (30, 10)}
+    for text in ("fo=70", "fo", "fo=a:5", ""):
+        with pytest.raises(ParameterError):
+            parse_compositions(text)
+    for stated in ({"fs": (30.0, 5.0)}, {"fo": (120.0, 5.0)}, {"fo": (50.0, 0.0)}):
+        with pytest.raises(ParameterError):
+            mgm_model("OL", compositions=stated)
+
+
+def test_a_constant_factor_of_a_spectrum_with_a_held_continuum_is_not_ignored() -> None:
+    """With c0 fixed the level of the spectrum matters; it is fitted as it is, not as a multiple."""
+    free = fitted(mgm_model("OPX-CPX"))
+    held = constrained(mgm_model("OPX-CPX"), fixed=[f"c0={free.continuum_coefficients[0]}"])
+    again = fitted(held)
+    sigma = np.sqrt(np.diag(free.covariance))[:3]
+    assert np.all(np.abs(again.parameters[:3] - free.parameters[:3]) < 0.05 * sigma)
