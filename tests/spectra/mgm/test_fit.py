@@ -110,24 +110,6 @@ def test_a_band_far_from_its_prior_is_said() -> None:
     assert "strained: " in fitted(Spectrum("odd", GRID, np.exp(ln), 0.002 * np.exp(ln)), model_error=0.002).status
 
 
-def test_alone_or_in_a_batch_and_in_any_order_is_the_same() -> None:
-    spectra = [made(STRENGTHS, seed=k, name=str(k)) for k in range(5)]
-    together = fit_spectra(spectra, MODEL)
-    for spectrum, batch in zip(spectra, together, strict=True):
-        alone = fitted(spectrum)
-        assert isinstance(batch, MgmFit)
-        assert np.allclose(alone.covariance, batch.covariance, rtol=1e-9)
-        assert [b.strength for b in alone.bands] == pytest.approx([b.strength for b in batch.bands], abs=1e-9)
-
-
-def test_a_constant_factor_changes_the_continuum_only() -> None:
-    base = made(STRENGTHS, seed=2)
-    scaled = Spectrum("scaled", GRID, 2.5 * base.reflectance, 2.5 * base.uncertainty)  # type: ignore[operator]
-    first, second = fitted(base), fitted(scaled)
-    assert [b.strength for b in second.bands] == pytest.approx([b.strength for b in first.bands], abs=1e-5)
-    assert np.allclose(np.array(second.continuum_coefficients), 2.5 * np.array(first.continuum_coefficients), rtol=1e-4)
-
-
 def test_masked_channels_do_not_count() -> None:
     base = made(STRENGTHS, seed=4)
     spoiled = base.reflectance.copy()
