@@ -50,10 +50,10 @@ def _one_sided(slope: float, bend: float) -> float:
     root = math.sqrt(bend)
     a = slope / root
     if a > TAIL:
-        return 2.0 / slope**2
+        return 2.0 / slope**2 * (1.0 - 5.0 / a**2)
     ratio = math.exp(-0.5 * a * a) * math.sqrt(2.0 / math.pi) / math.erfc(a / math.sqrt(2.0))
     return (1.0 + a * a - a * ratio) / bend
 
 
-TAIL = 20.0
-"""From here on the quadratic term no longer matters and the density is exponential."""
+TAIL = 30.0
+"""From here on the law is an exponential one with a first correction, to 1e-4, and the error function runs out."""
