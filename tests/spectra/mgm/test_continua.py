@@ -1,0 +1,65 @@
+"""The same spectrum under several continua, and what their spread says."""
+
+import numpy as np
+import pytest
+
+from lunarsci.spectra.mgm.continua import SPREAD_CONTINUA, fit_continua, with_continuum_spread
+from lunarsci.spectra.mgm.continuum import MGM_CONTINUA
+from lunarsci.spectra.mgm.fit import fit_spectra
+from lunarsci.spectra.mgm.model import mgm_model
+from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
+from lunarsci.spectra.spectrum import Spectrum
+
+GRID = np.arange(450.0, 2396.0, 5.0)
+
+
+def made(seed: int = 0) -> Spectrum:
+    """Two pyroxenes over a bent continuum."""
+    ln = np.log(0.12 + 9e-5 * GRID - 2e-8 * (GRID - 1500) ** 2)
+    for centre, fwhm, strength in ((920, 190, -0.2), (1030, 210, -0.2), (1890, 500, -0.15), (2280, 540, -0.2)):
+        ln = ln + strength * np.exp(-4 * np.log(2) * ((GRID - centre) / fwhm) ** 2)
+    reflectance = np.exp(ln + np.random.default_rng(seed).normal(scale=0.004, size=GRID.size))
+    return Spectrum("bent", GRID, reflectance, 0.004 * reflectance)
+
+
+def test_the_spread_is_the_standard_deviation_over_separate_fits() -> None:
+    spectra, calls = [made(0), Spectrum("short", GRID[:20], made().reflectance[:20]), made(1)], []
+    found = fit_continua(
+        spectra, lambda name: mgm_model("OPX-CPX", name), progress=lambda done, total: calls.append((done, total))
+    )
+    assert calls[-1] == (21, 21)
+    assert [isinstance(fit, MgmFailure) for fit in found[1].values()] == [True] * 7
+    separate = [fit_spectra([spectra[2]], mgm_model("OPX-CPX", name))[0] for name in SPREAD_CONTINUA]
+    centres = [next(b.center_nm for b in fit.bands if b.name == "OPX 2") for fit in separate]  # type: ignore[union-attr]
+    ratios = [fit.nbsr["um2"].opx for fit in separate]  # type: ignore[union-attr]
+    own = found[2]["wavelength-quadratic"]
+    assert isinstance(own, MgmFit)
+    spread = with_continuum_spread(own, found[2])
+    band = next(b for b in spread.bands if b.name == "OPX 2")
+    assert band.center_continuum_nm == pytest.approx(np.std(centres), rel=1e-9)
+    assert spread.nbsr["um2"].continuum == pytest.approx(np.std(ratios), rel=1e-9)  # type: ignore[union-attr]
+    assert band.center_nm == next(b for b in own.bands if b.name == "OPX 2").center_nm
+    assert spread.to_dict()["nbsr"]["um2"]["continuum"] == pytest.approx(np.std(ratios))
+
+
+def test_one_continuum_alone_has_no_spread() -> None:
+    [fit] = fit_spectra([made()], mgm_model("OPX-CPX"))
+    assert isinstance(fit, MgmFit)
+    assert with_continuum_spread(fit, {"wavelength-quadratic": fit}).bands[0].center_continuum_nm is None
+
+
+def test_a_spectrum_without_its_continuum_is_fitted_with_none() -> None:
+    """Divided by the continuum that made it: strengths come back without a polynomial."""
+    spectrum = made()
+    ratio = spectrum.reflectance / (0.12 + 9e-5 * GRID - 2e-8 * (GRID - 1500) ** 2)
+    [fit] = fit_spectra([Spectrum("ratio", GRID, ratio, 0.004 * ratio)], mgm_model("OPX-CPX", "none"), model_error=1e-3)
+    assert isinstance(fit, MgmFit)
+    assert fit.continuum_coefficients == ()
+    strengths = {band.name: band for band in fit.bands}
+    for name, truth in (("OPX 2", -0.15), ("CPX 2", -0.2)):
+        assert abs(strengths[name].strength - truth) < 3 * strengths[name].strength_sigma
+    assert np.allclose(fit.continuum_reflectance, 1.0)
+
+
+def test_no_continuum_is_no_part_of_the_spread() -> None:
+    assert set(MGM_CONTINUA) - set(SPREAD_CONTINUA) == {"none"}
