@@ -1,11 +1,11 @@
 """The report of `lunarsci spectra fit`."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
-from lunarsci.spectra.mgm.composition import mineral_compositions
-
 from lunarsci.spectra.mgm.assemblages import TABLES
+from lunarsci.spectra.mgm.composition import compositions
 from lunarsci.spectra.mgm.result import FittedBand, MgmFit
 from lunarsci.tables import table_hashes
 
@@ -20,7 +20,12 @@ MGM = "Sunshine, Pieters & Pratt (1990), J. Geophys. Res. 95, 6955, 10.1029/JB09
 NBSR = "Kanner, Mustard & Gendrin (2007), Icarus 187, 442, 10.1016/j.icarus.2006.10.025"
 UNLIKE_RMS = 0.2
 """A fit that misses ln R by more than this, root mean square, describes something else; assumed."""
-PERCENT_OF = {"fo": "Fo of olivine", "fs": "Fs of orthopyroxene", "wo": "Wo of clinopyroxene"}
+PERCENT_OF = {
+    "fo": "Fo of olivine",
+    "fs": "Fs of orthopyroxene",
+    "wo": "Wo of clinopyroxene",
+    "fs_cpx": "Fs of clinopyroxene",
+}
 
 
 def fit_report(batch: Batch, run: FitRun, request: FitRequest) -> Report:
@@ -74,10 +79,10 @@ def _record(run: FitRun, index: int, origin: str) -> dict[str, Any]:
     """The keys of one spectrum in `--json`."""
     item = run.results[index]
     choice, intervals = run.choices.get(index), run.intervals.get(index)
-    found = mineral_compositions(item) if isinstance(item, MgmFit) else ()
+    found = compositions(item) if isinstance(item, MgmFit) else ()
     return item.to_dict() | {
         "source": origin,
-        "compositions": {one.key: one.to_dict() for one in found},
+        "compositions": {one.key: asdict(one) for one in found},
         "choice": choice.to_dict() if choice else None,
         "intervals": intervals.to_dict() if intervals else None,
     }
@@ -147,7 +152,7 @@ def _band_row(band: FittedBand, spread: bool) -> list[str]:
         plus_minus(band.center_nm, band.center_sigma_nm),
         plus_minus(band.fwhm_nm, band.fwhm_sigma_nm),
         plus_minus(band.strength, band.strength_sigma, digits=3),
-        f"{-band.strength / band.strength_sigma:.1f}" if certain else "-",
+        f"{abs(band.strength) / band.strength_sigma:.1f}" if certain else "-",
         f"{band.shrinkage['center']:.2f}",
         f"{band.shrinkage['fwhm']:.2f}",
     ]
@@ -158,20 +163,20 @@ def _band_row(band: FittedBand, spread: bool) -> list[str]:
 
 def _intervals_table(intervals: Mapping[str, Any]) -> TextTable:
     rows = []
-    for name, item in intervals["parameters"].items():
-        digits = 1 if name.endswith("_nm") else 3
-        low, high = (f"{item[key][0]:.{digits}f} to {item[key][1]:.{digits}f}" for key in ("interval68", "interval95"))
-        rows.append([name, f"{item['value']:.{digits}f}", low, high])
-    headers = ["parameter", intervals["value_is"], "68 % interval", "95 % interval"]
+    for item in intervals["intervals"]:
+        digits = 1 if item["name"].endswith("_nm") else 3
+        value, *ends = (f"{item[key]:.{digits}f}" for key in ("value", "low68", "high68", "low95", "high95"))
+        rows.append([item["name"], value, f"{ends[0]} to {ends[1]}", f"{ends[2]} to {ends[3]}"])
+    headers = ["parameter", "best" if intervals["method"] == "profile" else "median", "68 %", "95 %"]
     return TextTable(headers, rows, title=f"intervals by {intervals['method']}", notes=intervals["remarks"])
 
 
 def _choice_table(choice: Mapping[str, Any]) -> TextTable:
     rows = [
-        [item["assemblage"], f"{item['ln_evidence']:.1f}", f"{item['bic']:.1f}", f"{100 * item['rms_ln']:.2f}"]
+        [item["assemblage"], f"{item['score']:.1f}", f"{item['ln_evidence']:.1f}", f"{item['bic']:.1f}"]
         for item in choice["candidates"]
     ]
-    headers = ["assemblage", "ln evidence", "BIC", "rms ln R [%]"]
+    headers = ["assemblage", "score", "ln evidence", "BIC"]
     return TextTable(headers, rows, title="all assemblages, the most evidence first", notes=[choice["status"]])
 
 

@@ -1,11 +1,12 @@
 """From the options of `lunarsci spectra fit` to fitted spectra."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from lunarsci.errors import ParameterError
 from lunarsci.inputs import InputFile, read_input
+from lunarsci.spectra.mgm.assemblages import assemblage as named_assemblage
 from lunarsci.spectra.mgm.constraints import constrained, parse_compositions
 from lunarsci.spectra.mgm.continuum import MgmContinuum
 from lunarsci.spectra.mgm.fit import fit_spectra
@@ -73,7 +74,11 @@ class FitRequest:
 
     def model(self, assemblage: str, continuum: MgmContinuum) -> MgmModel:
         """The model of an assemblage under a continuum, with composition and constraints."""
-        return self.held(mgm_model(assemblage, continuum, self.compositions))
+        stated = self.compositions
+        if stated and self.automatic:
+            own = {item.key for item in named_assemblage(assemblage).compositions}
+            stated = {key: value for key, value in stated.items() if key in own}
+        return self.held(mgm_model(assemblage, continuum, stated))
 
     def held(self, model: MgmModel) -> MgmModel:
         """The model with the constraints."""
@@ -138,33 +143,33 @@ def _from_file(spectra: Sequence[Spectrum], request: FitRequest, update: Update)
 
 
 def _chosen(spectra: Sequence[Spectrum], request: FitRequest, update: Update) -> FitRun:
-    from lunarsci.spectra.mgm.selection import choose
+    """Compare all assemblages, then fit each spectrum with its own."""
+    from lunarsci.spectra.mgm.selection import Choice, choose
 
-    found = choose(
-        spectra,
-        continuum=request.continuum,
-        compositions=request.compositions,
-        model_error=request.model_error,
-        starts=request.starts,
-        progress=update,
-    )
-    run = FitRun([])
-    for index, item in enumerate(found):
-        if isinstance(item, MgmFailure):
-            run.results.append(item)
-        else:
-            run.results.append(item.fit)
-            run.choices[index] = item
-    return run
+    found = choose(spectra, continuum=request.continuum, progress=update)
+    choices = {index: item for index, item in enumerate(found) if isinstance(item, Choice)}
+    results: dict[int, Result] = {index: item for index, item in enumerate(found) if isinstance(item, MgmFailure)}
+    for name, members in _groups({index: choice.assemblage for index, choice in choices.items()}).items():
+        model = request.model(name, request.continuum)
+        fits = fit_spectra(
+            [spectra[index] for index in members], model, model_error=request.model_error, starts=request.starts
+        )
+        results |= zip(members, fits, strict=True)
+    return FitRun([results[index] for index in range(len(spectra))], choices=choices)
+
+
+def _groups(names: Mapping[int, str]) -> dict[str, list[int]]:
+    """Positions by name."""
+    groups: dict[str, list[int]] = {}
+    for index, name in names.items():
+        groups.setdefault(name, []).append(index)
+    return groups
 
 
 def _add_spread(spectra: Sequence[Spectrum], request: FitRequest, run: FitRun, quiet: bool) -> None:
     from lunarsci.spectra.mgm.continua import fit_continua, with_continuum_spread
 
-    groups: dict[str, list[int]] = {}
-    for index, fit in enumerate(run.results):
-        if isinstance(fit, MgmFit):
-            groups.setdefault(fit.assemblage, []).append(index)
+    groups = _groups({index: fit.assemblage for index, fit in enumerate(run.results) if isinstance(fit, MgmFit)})
     with progress("continua", quiet=quiet) as update:
         for number, (name, members) in enumerate(groups.items()):
             others = fit_continua(

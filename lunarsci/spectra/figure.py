@@ -15,7 +15,13 @@ CONTINUUM_COLORS = {"conic": "#0072B2", "hull": "#D55E00", "linear": "#009E73"}
 PER_PAGE = 6
 INVISIBLE = 0.002
 """A band shallower than this in ln R is not drawn, so that the continuum stays visible."""
-COLORS = {"olivine": "#009E73", "orthopyroxene": "#0072B2", "clinopyroxene": "#D55E00", "any": "#999999"}
+COLORS = {
+    "olivine": "#009E73",
+    "orthopyroxene": "#0072B2",
+    "clinopyroxene": "#D55E00",
+    "plagioclase": "#CC79A7",
+    "any": "#999999",
+}
 """Colours that remain distinct under colour-vision deficiency: Okabe & Ito (2008), Color Universal Design."""
 
 

@@ -103,7 +103,9 @@ def assemblage(name: str) -> Assemblage:
     bands = tuple(_band(row) for row in _rows(BANDS, "band", minerals))
     moving = {key for band in bands for key in band.slopes_nm}
     rows = _rows(COMPOSITIONS, "composition", minerals)
-    return Assemblage("-".join(ordered), bands, tuple(_composition(row) for row in rows if row["composition"] in moving))
+    return Assemblage(
+        "-".join(ordered), bands, tuple(_composition(row) for row in rows if row["composition"] in moving)
+    )
 
 
 def _rows(table: str, name: str, minerals: set[str]) -> list[Mapping[str, str]]:

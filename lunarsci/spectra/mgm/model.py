@@ -1,16 +1,16 @@
 """A Modified Gaussian Model ready to be fitted: parameters by name, their prior and their bounds."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.mgm.assemblages import Assemblage, BandPrior, assemblage
+from lunarsci.spectra.mgm.assemblages import Assemblage, assemblage
 from lunarsci.spectra.mgm.continuum import MgmContinuum, continuum_basis, is_logarithmic
 from lunarsci.spectra.spectrum import BoolArray, FloatArray
 
-__all__ = ["DEFAULT_CONTINUUM", "KINDS", "MgmModel", "mgm_model", "unit_of"]
+__all__ = ["DEFAULT_CONTINUUM", "KINDS", "MgmModel", "center_slopes", "mgm_model", "prior_covariance", "unit_of"]
 
 DEFAULT_CONTINUUM: MgmContinuum = "wavelength-quadratic"
 """Second-order continua served best in comparisons on mafic minerals: Clenet et al. (2011), Icarus 213, 404,
@@ -151,14 +151,10 @@ def mgm_model(
     degrees = continuum_basis(continuum, np.array([1000.0])).shape[1]
     beliefs = {item.key: (item.mean, item.sigma) for item in chosen.compositions}
     shifts = _checked(beliefs, dict(compositions or {}), chosen.name)
+    chosen = _believing(chosen, shifts)
     bands = chosen.bands
-    centres = [
-        band.center_nm + sum(slope * shifts[key][0] for key, slope in band.slopes_nm.items()) for band in bands
-    ]
-    prior = np.array(
-        [[centre / NM_PER_UM, band.fwhm_nm / NM_PER_UM, 0.0] for centre, band in zip(centres, bands, strict=True)]
-    )
-    covariance = _covariance(bands, {key: sigma for key, (_, sigma) in shifts.items()})
+    prior = np.array([[band.center_nm / NM_PER_UM, band.fwhm_nm / NM_PER_UM, 0.0] for band in bands])
+    covariance = prior_covariance(chosen)
     reach = BOUND_SIGMAS * np.sqrt(np.diag(covariance)).reshape(-1, 3)
     lower, upper = prior - reach, prior + reach
     lower[:, 1] = np.maximum(lower[:, 1], MIN_FWHM_UM)
@@ -193,14 +189,39 @@ def _checked(
     }
 
 
-def _covariance(bands: Sequence[BandPrior], spreads: Mapping[str, float]) -> FloatArray:
-    """Prior covariance of (centre, FWHM, strength) of all bands. [um, um, -]"""
+def _believing(chosen: Assemblage, shifts: Mapping[str, tuple[float, float]]) -> Assemblage:
+    """The assemblage with the compositions that are believed, and its centres there."""
+    compositions = tuple(
+        replace(item, mean=item.mean + shifts[item.key][0], sigma=shifts[item.key][1]) for item in chosen.compositions
+    )
+    bands = tuple(
+        replace(
+            band,
+            center_nm=band.center_nm + sum(slope * shifts[key][0] for key, slope in band.slopes_nm.items()),
+        )
+        for band in chosen.bands
+    )
+    return replace(chosen, bands=bands, compositions=compositions)
+
+
+def center_slopes(assemblage: Assemblage) -> FloatArray:
+    """Change of (centre, FWHM, strength) of all bands per mol % of each composition, shape (k, c). [um, um, -]"""
+    slopes = np.zeros((3 * len(assemblage.bands), len(assemblage.compositions)))
+    for column, composition in enumerate(assemblage.compositions):
+        slopes[::3, column] = [band.slopes_nm.get(composition.key, 0.0) / NM_PER_UM for band in assemblage.bands]
+    return slopes
+
+
+def prior_covariance(assemblage: Assemblage) -> FloatArray:
+    """Prior covariance of (centre, FWHM, strength) of all bands, shape (k, k). [um, um, -]
+
+    Centres that follow the same composition vary together, and so do the strengths of one mineral's bands.
+    """
+    bands = assemblage.bands
     sigma = [(band.center_sigma_nm / NM_PER_UM, band.fwhm_sigma_nm / NM_PER_UM, band.strength_sigma) for band in bands]
     covariance = np.diag(np.ravel(sigma) ** 2)
-    for key, spread in spreads.items():
-        slope = np.zeros(3 * len(bands))
-        slope[::3] = [band.slopes_nm.get(key, 0.0) / NM_PER_UM for band in bands]
-        covariance += np.outer(slope, slope) * spread**2
+    spread = center_slopes(assemblage) * [composition.sigma for composition in assemblage.compositions]
+    covariance += spread @ spread.T
     for mineral in {band.mineral for band in bands}:
         shared = np.zeros(3 * len(bands))
         shared[2::3] = [band.strength_sigma * band.strength_loading * (band.mineral == mineral) for band in bands]

@@ -11,7 +11,6 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.mgm.assemblages import assemblage
 from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA
 from lunarsci.spectra.photometry import Geometry, phase_angle_deg
 from lunarsci.spectra.spectrum import FloatArray
@@ -25,11 +24,25 @@ FULL_STRENGTH = {
     "clinopyroxene": {"CPX 1": -0.50, "CPX 2": -0.40},
     "plagioclase": {"PLG": -0.06},
 }
-"""Strength in ln reflectance of each band of `mgm_bands.csv` where the mineral makes up everything; assumed."""
+"""Strength in ln reflectance of each band where the mineral makes up everything; assumed."""
 EVERYWHERE = {"uv": -0.30, "visible 1": -0.05, "visible 2": -0.03}
 """Strength of the bands that belong to no mineral; the same in every material, assumed. [ln reflectance]"""
-PLAGIOCLASE = (1250.0, 350.0)
-"""Centre and full width at half maximum of the plagioclase band, which the table does not have; assumed. [nm]"""
+SHAPES_NM = {
+    "uv": (330.0, 250.0),
+    "visible 1": (480.0, 150.0),
+    "visible 2": (640.0, 180.0),
+    "OL M1-1": (860.0, 215.0),
+    "OL M2": (1043.0, 171.0),
+    "OL M1-2": (1215.0, 429.0),
+    "OPX 1": (915.0, 190.0),
+    "CPX 1": (1015.0, 215.0),
+    "OPX 2": (1860.0, 520.0),
+    "CPX 2": (2300.0, 560.0),
+    "PLG": (1250.0, 350.0),
+}
+"""Centre and full width at half maximum of each band: about those of olivine Fo 85, orthopyroxene Fs 20 and augite in
+laboratory spectra, widths assumed. Not from the table of priors, so that a simulation does not know what a fit expects.
+[nm]"""
 ALBEDO_AT_NM = 750.0
 
 SWIR_STEP = timedelta(seconds=1.068)
@@ -201,8 +214,8 @@ def surface_reflectance(wavelength_nm: FloatArray, material: Material) -> FloatA
     """Reflectance factor at incidence 30, emission 0, phase 30 deg, shape (n,). [-]
 
     ln R = ln C + contrast · Σ fraction · full strength · Gaussian + Σ everywhere · Gaussian, C a straight line through
-    the albedo at 750 nm; centres and widths from `mgm_bands.csv`, full strengths assumed, proportional to the fraction
-    (a real mixture is not). Form after Sunshine, Pieters & Pratt (1990), J. Geophys. Res. 95, 6955,
+    the albedo at 750 nm; centres, widths and full strengths assumed, proportional to the fraction (a real
+    mixture is not). Form after Sunshine, Pieters & Pratt (1990), J. Geophys. Res. 95, 6955,
     10.1029/JB095iB05p06955.
 
     Raises ParameterError where the continuum is not above 0.
@@ -214,11 +227,10 @@ def surface_reflectance(wavelength_nm: FloatArray, material: Material) -> FloatA
     strength = dict(EVERYWHERE)
     for mineral, fraction in material.composition.fractions.items():
         strength |= {band: material.contrast * fraction * full for band, full in FULL_STRENGTH[mineral].items()}
-    shapes = {band.name: (band.center_nm, band.fwhm_nm) for band in assemblage("OL-OPX-CPX").bands}
-    shapes["PLG"] = PLAGIOCLASE
     ln = np.log(continuum)
-    for band, (center_nm, fwhm_nm) in shapes.items():
-        ln = ln + strength[band] * np.exp(-0.5 * ((wavelength - center_nm) * FWHM_OVER_SIGMA / fwhm_nm) ** 2)
+    for band, absorbed in strength.items():
+        center_nm, fwhm_nm = SHAPES_NM[band]
+        ln = ln + absorbed * np.exp(-0.5 * ((wavelength - center_nm) * FWHM_OVER_SIGMA / fwhm_nm) ** 2)
     reflectance: FloatArray = np.exp(ln)
     return reflectance
 

@@ -1,0 +1,196 @@
+"""`lunarsci spectra fit` with everything that can be asked of it."""
+
+import csv
+import io
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lunarsci.inputs import read_input
+from lunarsci.spectra.mgm.continua import SPREAD_CONTINUA
+from lunarsci.spectra.mgm.fitfile import read_fit_file
+
+Run = Callable[..., Any]
+
+START = """folder
+rock.asc
+-170,25,10
+600,2300,1
+2.000E-03,1.000E-06
+Q
+0.2\t-1e-6\t0\t0
+1\t1e-4\t1e-8\t0
+3
+333\t400\t-0.5
+40\t60\t1
+950\t250\t-0.3
+60\t100\t1
+2000\t500\t-0.3
+120\t150\t1
+"""
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Path:
+    """A start file of three bands over a polynomial in wavenumber."""
+    path = tmp_path / "start.fit"
+    path.write_text(START)
+    return path
+
+
+def fitted(run: Run, *arguments: object) -> dict[str, Any]:
+    done = run("spectra", "fit", *arguments, "--json")
+    assert done.code == 0, done.err
+    record: dict[str, Any] = json.loads(done.out)["result"]["spectra"][0]
+    return record
+
+
+def bands(record: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    return {band["name"]: band for band in record["bands"]}
+
+
+@pytest.mark.parametrize("continuum", SPREAD_CONTINUA)
+def test_every_continuum_can_be_chosen(run: Run, rock: Path, continuum: str) -> None:
+    record = fitted(run, rock, "--continuum", continuum)
+    assert record["continuum"] == continuum
+    assert record["rms_ln"] < 0.02
+
+
+def test_constraints_hold_and_are_in_the_provenance(run: Run, rock: Path) -> None:
+    done = run(
+        "spectra", "fit", rock, "--assemblage", "OPX-CPX", "--fix", "opx_1_center_nm=920", "--bound",
+        "cpx_1_fwhm_nm=150:210", "--tie", "visible_2_fwhm_nm=visible_1_fwhm_nm+10", "--json",
+    )  # fmt: skip
+    document = json.loads(done.out)
+    found = bands(document["result"]["spectra"][0])
+    assert found["OPX 1"]["center_nm"] == pytest.approx(920, abs=1e-6)
+    assert found["OPX 1"]["center_sigma_nm"] == 0
+    assert 150 <= found["CPX 1"]["fwhm_nm"] <= 210 + 1e-6
+    assert found["visible 2"]["fwhm_nm"] == pytest.approx(found["visible 1"]["fwhm_nm"] + 10, abs=0.01)
+    assert document["provenance"]["options"]["fix"] == ["opx_1_center_nm=920"]
+
+
+def test_a_stated_composition_moves_what_the_data_leave_open(run: Run, rock: Path) -> None:
+    low = fitted(run, rock, "--composition", "fo=10:2")["compositions"]
+    high = fitted(run, rock, "--composition", "fo=90:2")["compositions"]
+    known = [item["fo"]["mean"] for item in (low, high) if item["fo"]["mean"] is not None]
+    assert known == sorted(known)
+    centres = [bands(fitted(run, rock, "--composition", f"fo={fo}:2"))["OL M1-2"]["center_nm"] for fo in (10, 90)]
+    assert centres[0] > centres[1] + 30
+
+
+def test_the_spread_over_continua_is_a_column_of_its_own(run: Run, rock: Path) -> None:
+    record = fitted(run, rock, "--assemblage", "OPX-CPX", "--continuum-spread")
+    assert record["nbsr"]["um2"]["continuum"] > 0
+    assert bands(record)["OPX 2"]["center_continuum_nm"] > 0
+    table = run("spectra", "fit", rock, "--assemblage", "OPX-CPX", "--continuum-spread")
+    assert "continua: centre [nm]" in table.out
+    assert "the choice of the continuum moves the ratios by" in table.out
+
+
+@pytest.mark.parametrize("errors", ["profile", "sample"])
+def test_intervals_hold_their_value_and_the_wider_one_the_narrower(run: Run, rock: Path, errors: str) -> None:
+    record = fitted(run, rock, "--assemblage", "OPX-CPX", "--errors", errors)
+    intervals = record["intervals"]
+    assert intervals["method"] == errors
+    names = {item["name"] for item in intervals["intervals"]}
+    assert {"opx_1_center_nm", "cpx_2_strength", "nbsr_um2_opx"} <= names
+    for item in intervals["intervals"]:
+        low95, low68, high68, high95 = (item[key] for key in ("low95", "low68", "high68", "high95"))
+        if None not in (low95, low68, high68, high95):
+            assert low95 <= low68 <= item["value"] <= high68 <= high95, item
+    shown = run("spectra", "fit", rock, "--assemblage", "OPX-CPX", "--errors", errors).out
+    assert f"intervals by {errors}" in shown
+
+
+def test_equal_seeds_draw_equal_samples(run: Run, rock: Path) -> None:
+    options = (rock, "--assemblage", "OPX", "--errors", "sample", "--no-time")
+    first, second = (run("spectra", "fit", *options, "--seed", 3, "--json").out for _ in range(2))
+    other = run("spectra", "fit", *options, "--seed", 4, "--json").out
+    assert first == second
+    assert json.loads(first)["result"] != json.loads(other)["result"]
+
+
+def test_the_assemblage_can_be_chosen_by_the_spectrum(run: Run, rock: Path) -> None:
+    record = fitted(run, rock, "--assemblage", "auto", "--composition", "fo=70:10")
+    assert record["assemblage"] == record["choice"]["assemblage"] == record["choice"]["candidates"][0]["assemblage"]
+    assert len(record["choice"]["candidates"]) == 15
+    table = run("spectra", "fit", rock, "--assemblage", "auto").out
+    assert "all assemblages" in table
+    assert record["choice"]["status"] in table
+
+
+def test_a_start_file_brings_bands_and_continuum_and_a_result_file_comes_back(
+    run: Run, rock: Path, start: Path, tmp_path: Path
+) -> None:
+    result = tmp_path / "rock_fin.fit"
+    for prior in ("map", "damping"):
+        done = run("spectra", "fit", rock, "--start", start, "--prior", prior, "-o", result, "--force")
+        assert done.code == 0, done.err
+        file = read_fit_file(read_input(str(result)))
+        assert len(file.bands) == 3
+        assert file.continuum == "Q"
+        assert file.wavelength_axis[:2] == (600, 2300)
+        assert file.bands[1].center_nm == pytest.approx(960, abs=60)
+    record = fitted(run, rock, "--start", start, "--prior", "damping")
+    assert record["prior"] == "damping"
+    assert record["assemblage"] == "fit file"
+    document = json.loads(run("spectra", "fit", rock, "--start", start, "--json").out)
+    assert any(name.endswith("start.fit") for name in document["provenance"]["inputs"])
+
+
+def test_damping_with_the_named_bands(run: Run, rock: Path) -> None:
+    record = fitted(run, rock, "--prior", "damping", "--assemblage", "OPX-CPX")
+    assert record["prior"] == "damping"
+    assert 0.004 < record["rms_ln"] < 0.008, "the spectrum has noise of 0.005"
+
+
+def test_a_result_file_holds_one_spectrum(run: Run, rock: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.csv"
+    other.write_text(rock.read_text().replace("synthetic_rock", "second"))
+    done = run("spectra", "fit", rock, other, "--continuum", "wavelength", "-o", tmp_path / "two.fit")
+    assert done.code == 1
+    assert "a .fit file holds one spectrum, not 2" in done.err[-1]
+    assert not (tmp_path / "two.fit").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--assemblage", "auto", "--fix", "c0"), "--fix, --bound and --tie name bands of one assemblage"),
+        (("--assemblage", "auto", "--prior", "damping"), "compares evidence"),
+        (("--prior", "damping", "--errors", "profile"), "has no posterior"),
+        (("--prior", "damping", "--bound", "c0=0:1"), "knows no bounds"),
+        (("--prior", "damping", "--continuum-spread"), "needs --prior map"),
+        (("--start", "x.fit", "--assemblage", "auto"), "brings its own bands"),
+        (("--start", "x.fit", "--composition", "fo=1:1"), "brings its own bands"),
+        (("--start", "x.fit", "--continuum-spread"), "brings its own continuum"),
+        (("--start", "missing.fit"), "missing.fit"),
+        (("--fix", "opx_7_center_nm"), "there is no parameter 'opx_7_center_nm'"),
+        (("--composition", "fo=70"), "KEY=MEAN:ERROR"),
+        (("--composition", "an=70:5"), "'an' does not belong"),
+    ],
+)
+def test_options_that_exclude_each_other_say_what_to_do(
+    run: Run, rock: Path, options: tuple[str, ...], said: str
+) -> None:
+    done = run("spectra", "fit", rock, *options)
+    assert done.code == 1
+    assert said in done.err[-1]
+    assert len(done.err) == 1
+
+
+def test_the_csv_has_the_errors_of_every_band(run: Run, rock: Path) -> None:
+    rows = list(csv.DictReader(io.StringIO(run("spectra", "fit", rock, "--csv").out)))
+    assert {"center_nm", "center_sigma_nm", "shrinkage_center", "center_continuum_nm"} <= rows[0].keys()
+    assert len(rows) == len(fitted(run, rock)["bands"])
+
+
+def test_help_names_every_assemblage_and_error(run: Run) -> None:
+    text = re.sub(r"\s+", " ", run("spectra", "fit", "--help").out)
+    for word in ("PLG", "auto", "damping", "profile", "--tie", "--continuum-spread"):
+        assert word in text

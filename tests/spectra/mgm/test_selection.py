@@ -1,0 +1,142 @@
+"""The evidence against its definition by simulation, the orthant by its closed form, and choices on made spectra."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from lunarsci.errors import ParameterError
+from lunarsci.spectra.mgm.assemblages import BandPrior
+from lunarsci.spectra.mgm.evidence import ln_all_negative, ln_evidence
+from lunarsci.spectra.mgm.fit import fit_spectra
+from lunarsci.spectra.mgm.model import mgm_model
+from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
+from lunarsci.spectra.mgm.selection import STRONG, Choice, choose
+from lunarsci.spectra.spectrum import Spectrum
+
+GRID = np.arange(450.0, 2396.0, 5.0)
+OLIVINE = ((864, 212, 0.25), (1044, 176, 0.30), (1239, 445, 0.45))
+ORTHOPYROXENE = ((914, 206, 0.9), (1167, 262, 0.12), (1878, 570, 0.55))
+PLAGIOCLASE = ((1245, 445, 0.3),)
+FEW = ("OL", "OPX", "CPX", "OL-OPX", "PLG")
+
+
+def made(*minerals: tuple[tuple[float, float, float], ...], factor: float = 1.0) -> Spectrum:
+    ln = np.log(0.25 * factor) + 5e-5 * (GRID - 1500)
+    for centre, fwhm, strength in (band for mineral in minerals for band in mineral):
+        ln = ln - strength * np.exp(-4 * np.log(2) * ((GRID - centre) / fwhm) ** 2)
+    return Spectrum("made", GRID, np.exp(ln), 0.002 * np.exp(ln))
+
+
+def chosen(spectrum: Spectrum) -> Choice:
+    [choice] = choose([spectrum], families=FEW)
+    assert isinstance(choice, Choice)
+    return choice
+
+
+def band(mineral: str, loading: float) -> BandPrior:
+    return BandPrior(f"{mineral} {loading}", mineral, "um1", "", 1000, 0, 10, 200, 20, 1, "x", strength_loading=loading)
+
+
+def test_two_strengths_that_go_together() -> None:
+    """P(both negative) = 1/4 + arcsin(rho) / (2 pi) (Sheppard 1899), rho the product of the loadings; alone 1/2."""
+    assert ln_all_negative([band("a", 0.0)]) == pytest.approx(math.log(0.5))
+    rho = 0.9 * 0.8
+    both = math.log(0.25 + math.asin(rho) / (2 * math.pi))
+    assert ln_all_negative([band("a", 0.9), band("a", 0.8)]) == pytest.approx(both, abs=1e-4)
+    assert ln_all_negative([band("a", 0.9), band("a", 0.8), band("b", 0.5)]) == pytest.approx(
+        both - math.log(2), abs=1e-4
+    )
+
+
+def test_three_strengths_of_the_table() -> None:
+    bands = [b for b in mgm_model("OPX").assemblage.bands if b.mineral == "orthopyroxene"]
+    load = np.array([b.strength_loading for b in bands])
+    correlation = np.outer(load, load)
+    np.fill_diagonal(correlation, 1.0)
+    expected = multivariate_normal(cov=correlation).cdf(np.zeros(3))
+    assert ln_all_negative(bands) == pytest.approx(math.log(expected), abs=2e-3)
+
+
+def test_evidence_is_the_mean_of_the_likelihood_over_the_prior() -> None:
+    """200,000 draws from the prior of the plagioclase model without a continuum (nothing flat), on data so weak that
+    draws from the prior suffice. Strengths alone in their mineral are half normal."""
+    model = mgm_model("PLG", "none")
+    grid = np.arange(500.0, 2000.0, 25.0)
+    ln = -0.35 * np.exp(-4 * np.log(2) * ((grid - 1240) / 440) ** 2) - 0.2 * np.exp(-(((grid - 640) / 105) ** 2)) - 0.05
+    [fit] = fit_spectra([Spectrum("weak", grid, np.exp(ln), 1e-6 * np.exp(ln))], model, model_error=0.3)
+    assert isinstance(fit, MgmFit)
+    rng = np.random.default_rng(0)
+    draws = model.prior + rng.standard_normal((200_000, model.prior.size)) * model.sigma
+    total = np.zeros(200_000)
+    curves = np.zeros((200_000, grid.size))
+    for k in range(0, model.prior.size, 3):
+        centre, fwhm, strength = draws[:, k, None], draws[:, k + 1, None], -np.abs(draws[:, k + 2, None])
+        curves += strength * np.exp(-4 * np.log(2) * ((grid / 1e3 - centre) / fwhm) ** 2)
+    total = -0.5 * (fit.data.weight * (ln - curves) ** 2).sum(axis=1)
+    assert ln_evidence(fit) == pytest.approx(np.log(np.mean(np.exp(total))), abs=0.25)
+
+
+def test_evidence_of_a_fixed_parameter_is_refused() -> None:
+    model = mgm_model("OL").bounded("ol_m2_center_nm", 1040, 1040)
+    [fit] = fit_spectra([made(OLIVINE)], model)
+    assert isinstance(fit, MgmFit)
+    with pytest.raises(ParameterError, match="fixed"):
+        ln_evidence(fit)
+
+
+@pytest.mark.parametrize(
+    ("minerals", "expected"),
+    [((OLIVINE,), "OL"), ((ORTHOPYROXENE,), "OPX"), ((OLIVINE, ORTHOPYROXENE), "OL-OPX"), ((PLAGIOCLASE,), "PLG")],
+)
+def test_made_minerals_are_recognised(
+    minerals: tuple[tuple[tuple[float, float, float], ...], ...], expected: str
+) -> None:
+    assert chosen(made(*minerals)).assemblage == expected
+
+
+def test_margins_are_those_of_the_candidates() -> None:
+    choice = chosen(made(OLIVINE))
+    best, second = choice.candidates[:2]
+    assert [c.score for c in choice.candidates] == sorted((c.score for c in choice.candidates), reverse=True)
+    for candidate in choice.candidates:
+        assert candidate.score == pytest.approx(candidate.ln_evidence - STRONG * (candidate.assemblage.count("-") + 1))
+    assert choice.margin == pytest.approx(best.score - second.score)
+    assert choice.margin_ln_evidence == pytest.approx(best.ln_evidence - second.ln_evidence)
+    assert choice.margin_bic == pytest.approx(second.bic - best.bic)
+    assert choice.decisive == (choice.margin >= STRONG)
+    assert ("not decisive" in choice.status) != choice.decisive
+
+
+def test_a_factor_of_the_reflectance_does_not_matter() -> None:
+    first, second = chosen(made(ORTHOPYROXENE)), chosen(made(ORTHOPYROXENE, factor=0.3))
+    assert first.assemblage == second.assemblage
+    assert first.margin == pytest.approx(second.margin, abs=0.02)
+
+
+def test_a_flat_spectrum_decides_nothing() -> None:
+    flat = Spectrum("flat", GRID, np.full(GRID.size, 0.1), np.full(GRID.size, 1e-3))
+    choice = chosen(flat)
+    assert not choice.decisive
+    assert "cannot be excluded" in choice.status
+
+
+def test_order_failures_and_plain_output() -> None:
+    few = replace(made(OLIVINE), id="few", wavelength_nm=GRID[:20], reflectance=np.full(20, 0.1), uncertainty=None)
+    done: list[tuple[int, int]] = []
+    results = choose([few, made(OLIVINE)], families=("OL", "OPX"), progress=lambda *now: done.append(now))
+    assert isinstance(results[0], MgmFailure)
+    assert "20 usable channels" in results[0].status
+    assert isinstance(results[1], Choice)
+    assert results[1].to_dict()["assemblage"] == "OL"
+    assert done == [(1, 2), (2, 2)]
+
+
+@pytest.mark.parametrize(
+    "options", [{"families": ("OL",)}, {"families": ("OL", "ol")}, {"model_error": 0.0}, {"starts": 0}]
+)
+def test_impossible_options_are_refused(options: dict[str, object]) -> None:
+    with pytest.raises(ParameterError):
+        choose([made(OLIVINE)], **options)  # type: ignore[arg-type]
