@@ -1,7 +1,7 @@
 """Which bands a mineral assemblage has, where composition puts them, and how far their priors reach.
 
-Read from `mgm_bands.csv` and `mgm_compositions.csv`. A row may hold only `beside` another mineral: clinopyroxene alone may be
-anything from pigeonite to augite, beside orthopyroxene it is the calcium-rich partner across the miscibility gap.
+Read from `mgm_bands.csv` and `mgm_compositions.csv`. A row may hold only `beside` another mineral: clinopyroxene alone
+may be anything from pigeonite to augite, beside orthopyroxene it is the partner rich in calcium.
 """
 
 from collections.abc import Mapping

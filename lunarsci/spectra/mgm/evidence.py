@@ -18,7 +18,7 @@ LN_2PI = math.log(2.0 * math.pi)
 
 
 def ln_evidence(fit: MgmFit) -> float:
-    """ln of the probability of the spectrum given the assemblage, to a constant that depends on data and continuum only.
+    """ln of the probability of the spectrum given the assemblage, to a constant of the data and the continuum.
 
     The posterior is taken as normal about the fit: with f the objective there, Q the prior's precision, H half the
     Hessian of the objective (Gauss-Newton) and k the number of band parameters,
@@ -27,8 +27,9 @@ def ln_evidence(fit: MgmFit) -> float:
 
     powers of 2 pi cancelling but for the continuum's. Strengths are 0 or below: P is the share of the prior there and
     T that of the normal posterior. A parameter that the data press against a bound has the integral of a one-sided
-    normal law instead. Comparable between assemblages under the same continuum, data and model error; evidence that
-    depends on the prior's widths is all there is (no other one exists).
+    normal law instead. Comparable between assemblages under the same continuum, data and model error, and dependent on
+    the widths of the priors. Against sampling it is right to 0.02 where the data tell the bands, off by 0.1-0.4 where
+    strengths are within their errors of 0, and by up to 1.4 where errors are a hundredth of the bands or less.
 
     Raises
     ------

@@ -14,7 +14,7 @@ __all__ = ["Interval", "Intervals", "ratio_names", "ratio_rows", "ratios_of"]
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """One parameter's 68 % and 95 % intervals, in the unit of its name: nm for centres and widths.
+    """One parameter's 68.27 % and 95 % intervals, in the unit of its name: nm for centres and widths.
 
     `value` is the parameter at the minimum for a profile, the median for draws. An end that is a bound of the parameter
     is that bound; NaN where the interval could not be closed.

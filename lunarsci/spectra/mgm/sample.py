@@ -2,9 +2,10 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import ParameterError
@@ -12,6 +13,8 @@ from lunarsci.spectra.mgm.intervals import Interval, Intervals, ratios_of
 from lunarsci.spectra.mgm.model import MgmModel, unit_of
 from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.spectrum import FloatArray
+
+IntArray: TypeAlias = NDArray[np.int64]
 
 __all__ = ["Posterior", "posterior_intervals", "sample_batch", "sample_posterior"]
 
@@ -27,7 +30,7 @@ CONTINUUM_SPREAD = 0.5
 MOST_R_HAT, LEAST_EFFECTIVE, LEAST_ACCEPTANCE = 1.1, 100.0, 0.3
 LOWER_BY = 1.0
 MISFIT = 1.5
-PROBABILITIES = (0.5, 0.16, 0.84, 0.025, 0.975)
+PROBABILITIES = (0.5, 0.15865, 0.84135, 0.025, 0.975)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +96,7 @@ def sample_posterior(
     start = _continuum_start(fit)
     target, groups = _target(fit, start)
     population, factor = _prior_draws(fit, start, particles, generator)
-    families, report = np.arange(particles) % FAMILIES, np.empty(4)
+    families, report = np.arange(particles, dtype=np.int64) % FAMILIES, np.empty(4)
     rounds = -(-draws // particles)
     drawn, objective = np.empty((rounds, *population.shape)), np.empty((rounds, particles))
     run_population(target, groups, factor, generator, population, families, drawn, objective, report)
@@ -122,7 +125,7 @@ def sample_batch(
 
 
 def posterior_intervals(posterior: Posterior) -> Intervals:
-    """Median, central 68 % and central 95 % of every parameter, and of the band strength ratios of the pyroxenes."""
+    """Median, central 68.27 % and central 95 % of every parameter, and of the band strength ratios of the pyroxenes."""
     model = posterior.model
     columns = {name: posterior.draws[:, k] * unit_of(name) for k, name in enumerate(model.names)}
     columns |= ratios_of(posterior.draws, model, posterior.wavelength_nm)
@@ -180,7 +183,7 @@ def _prior_draws(
 
 
 def _posterior(
-    fit: MgmFit, drawn: FloatArray, objective: FloatArray, families: FloatArray, acceptance: float, draws: int
+    fit: MgmFit, drawn: FloatArray, objective: FloatArray, families: IntArray, acceptance: float, draws: int
 ) -> Posterior:
     effective, r_hat = _effective_size(drawn, families), _r_hat(drawn, families)
     effective, r_hat = np.where(fit.model.fixed, np.nan, effective), np.where(fit.model.fixed, np.nan, r_hat)
@@ -219,7 +222,7 @@ def _remarks(fit: MgmFit, lowest: float) -> list[str]:
     return remarks
 
 
-def _effective_size(drawn: FloatArray, families: FloatArray) -> FloatArray:
+def _effective_size(drawn: FloatArray, families: IntArray) -> FloatArray:
     """(p,) variance of the draws over that of their mean, which the sums over families tell."""
     rounds, count, _ = drawn.shape
     apart = drawn.mean(axis=0) - drawn.mean(axis=(0, 1))
@@ -229,7 +232,7 @@ def _effective_size(drawn: FloatArray, families: FloatArray) -> FloatArray:
         return np.asarray(np.minimum(drawn.var(axis=(0, 1)) / of_mean, rounds * count), dtype=np.float64)
 
 
-def _r_hat(drawn: FloatArray, families: FloatArray) -> FloatArray:
+def _r_hat(drawn: FloatArray, families: IntArray) -> FloatArray:
     """(p,) root of total over within-group variance; groups are families of the first and of the second half."""
     half = max(1, len(drawn) // 2)
     parts = [part for part in (drawn[:half], drawn[half:]) if len(part)]

@@ -32,6 +32,12 @@ FORGOTTEN = 0.5
 """Correlation of the most persistent parameter with its values before the moves, below which these were enough."""
 MOST_MOVES, FIRST_MOVES = 30, 10
 RIDGE = 1e-10
+LN_2, EXPONENT_BITS = math.log(2.0), 52
+ROOT_HALF = int(np.array(math.sqrt(0.5)).view(np.int64))
+"""The bits of the root of 1/2; numbers from there on count as of the next power of 2."""
+LEAST_CONTINUUM = 1e-12
+SEEN = 1.9
+"""Full widths from its centre up to which a band steers trajectories; it has fallen to 5e-5 there."""
 
 
 @compiled
@@ -63,7 +69,7 @@ def _force(target: Any, beta: float, point: Any, room: Any, force: Any) -> bool:
     fraction of a per cent only decides how many trajectories are accepted, by the energy on all channels.
     """
     (wavelength, columns, data, root_weight), logarithmic, prior, precision, start = target[1:6]
-    shapes, rest, level, powers = room[1]
+    shapes, rest, level, powers, spans = room[1]
     degrees, channels = columns.shape
     for i in range(channels):
         level[i] = 0.0
@@ -71,16 +77,21 @@ def _force(target: Any, beta: float, point: Any, room: Any, force: Any) -> bool:
         coefficient, column = point[m], columns[m]
         for i in range(channels):
             level[i] += column[i] * coefficient
-    if not _subtract_continuum(data, level, logarithmic, rest):
+    if not _subtract_continuum(data, level, logarithmic, powers, rest):
         return False
     for row in range(degrees, point.size, 3):
-        strength, shape = point[row + 2], shapes[row]
-        gaussian(wavelength, point[row], FWHM_OVER_SIGMA / point[row + 1], shape, powers)
-        for i in range(channels):
+        strength, shape, reach = point[row + 2], shapes[row], SEEN * point[row + 1]
+        first = np.searchsorted(wavelength, point[row] - reach)
+        last = np.searchsorted(wavelength, point[row] + reach)
+        spans[0, row], spans[1, row] = first, last
+        gaussian(
+            wavelength[first:last], point[row], FWHM_OVER_SIGMA / point[row + 1], shape[first:last], powers[first:last]
+        )
+        for i in range(first, last):
             rest[i] -= strength * shape[i]
     for i in range(channels):
         rest[i] *= root_weight[i] * root_weight[i] * beta
-    _project(point, wavelength, columns, rest, level, shapes, force)
+    _project(point, wavelength, columns, rest, level, shapes, spans, force)
     for p in range(point.size):
         pull, own = 0.0, precision[p]
         for q in range(point.size):
@@ -91,23 +102,40 @@ def _force(target: Any, beta: float, point: Any, room: Any, force: Any) -> bool:
     return True
 
 
-@compiled
-def _subtract_continuum(data: Any, level: Any, logarithmic: bool, rest: Any) -> bool:
-    """Fill `rest` with data - ln C and turn `level` into what a change of C means for ln C."""
+@compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
+def _subtract_continuum(data: Any, level: Any, logarithmic: bool, powers: Any, rest: Any) -> bool:
+    """Fill `rest` with data - ln C and turn `level` into what a change of C means for ln C.
+
+    ln C = k ln 2 + 2 artanh((f - 1) / (f + 1)) with f in 0.7-1.4; the series to the eleventh power leaves 1e-11.
+    """
     if logarithmic:
-        rest[:] = data - level
-        level[:] = 1.0
+        for i in range(level.size):
+            rest[i] = data[i] - level[i]
+            level[i] = 1.0
         return True
-    if not level.min() > 0.0:
-        return False
+    lowest = level[0]
     for i in range(level.size):
-        rest[i] = data[i] - math.log(level[i])
+        lowest = min(lowest, level[i])
+    if not lowest > LEAST_CONTINUUM:
+        return False
+    bits, fraction = level.view(np.int64), powers.view(np.float64)
+    for i in range(level.size):
+        exponent = (bits[i] - ROOT_HALF) >> EXPONENT_BITS
+        rest[i] = exponent * LN_2
+        powers[i] = bits[i] - (exponent << EXPONENT_BITS)
+    for i in range(level.size):
+        t = (fraction[i] - 1.0) / (fraction[i] + 1.0)
+        u = t * t
+        series = ((((u / 11.0 + 1.0 / 9.0) * u + 1.0 / 7.0) * u + 0.2) * u + 1.0 / 3.0) * u + 1.0
+        rest[i] = data[i] - rest[i] - 2.0 * t * series
         level[i] = 1.0 / level[i]
     return True
 
 
 @compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
-def _project(point: Any, wavelength: Any, columns: Any, rest: Any, level: Any, shapes: Any, force: Any) -> None:
+def _project(
+    point: Any, wavelength: Any, columns: Any, rest: Any, level: Any, shapes: Any, spans: Any, force: Any
+) -> None:
     """Sums of `rest` times the derivatives of ln R."""
     degrees, channels = columns.shape
     for m in range(degrees):
@@ -118,7 +146,7 @@ def _project(point: Any, wavelength: Any, columns: Any, rest: Any, level: Any, s
     for row in range(degrees, point.size, 3):
         centre, inverse, strength, shape = point[row], FWHM_OVER_SIGMA / point[row + 1], point[row + 2], shapes[row]
         by_centre, by_fwhm, by_strength = 0.0, 0.0, 0.0
-        for i in range(channels):
+        for i in range(spans[0, row], spans[1, row]):
             x = (wavelength[i] - centre) * inverse
             share = rest[i] * shape[i]
             by_strength += share
@@ -138,7 +166,7 @@ def _correct(target: Any, groups: Any, best: Any, room: Any) -> None:
     channels, coarse, logarithmic, _, precision = target[:5]
     _chi2(channels, logarithmic, best, room[0])
     coarse[2][:] = 0.0
-    _chi2(coarse, logarithmic, best, room[1])
+    _chi2(coarse, logarithmic, best, room[1][:4])
     jacobian, wanted, root_weight, model = room[1][0], np.zeros(room[1][1].size), coarse[3], room[1][1]
     for i in range(groups.size):
         wanted[groups[i]] += channels[3][i] * room[0][1][i] / root_weight[groups[i]]
@@ -242,7 +270,7 @@ def _trajectory(
         momentum[k] = generator.standard_normal()
         change -= 0.5 * momentum[k] ** 2
     trial[:] = point
-    leaps = min(MOST_LEAPS, int(math.ceil(TRAJECTORY / step)))
+    leaps = min(MOST_LEAPS, math.ceil(TRAJECTORY / step))
     if not _force(target, beta, trial, room, gradient):
         return 0.0
     for leap in range(leaps):
@@ -377,12 +405,11 @@ def _stage(
     _factor_of(particles, even, target[8], factor)
     _resample(weights, generator.random(), particles, energies, ancestors)
     _correct(target, groups, particles[np.argmin(energies[:, 0] + energies[:, 1])], room)
-    before = particles.copy()
-    for move in range(MOST_MOVES):
+    before, moves, kept = particles.copy(), 0, 1.0
+    while kept > FORGOTTEN and moves < MOST_MOVES:
         _move_all(target, beta, factor, tuning, generator, particles, energies, room)
-        if _correlation(before, particles, target[8]) < FORGOTTEN:
-            break
-    return beta, move + 1
+        kept, moves = _correlation(before, particles, target[8]), moves + 1
+    return beta, moves
 
 
 @compiled
@@ -411,7 +438,8 @@ def run_population(
     """
     free, (count, size) = target[8], particles.shape
     points = (np.empty(size), np.empty(free.size), np.empty(free.size), np.empty(size), np.empty(3))
-    room = (_room(size, target[0][0].size), _room(size, target[1][0].size), points)
+    steering = (*_room(size, target[1][0].size), np.empty((2, size), dtype=np.int64))
+    room = (_room(size, target[0][0].size), steering, points)
     tuning, weights, energies = np.array([FIRST_STEP, 0.0]), np.empty(count), np.empty((count, 3))
     for i in range(count):
         _energies(target, particles[i], room, energies[i])

@@ -131,7 +131,7 @@ def choose(
     ----------
     Kass & Raftery (1995), J. Am. Stat. Assoc. 90, 773, 10.1080/01621459.1995.10476572.
     """
-    models = [mgm_model(name, continuum) for name in families]
+    models = [mgm_model(name, continuum, coupled=True) for name in families]
     names = [model.assemblage.name for model in models]
     if len(names) < 2 or len(set(names)) < len(names):
         raise ParameterError("a choice needs two or more assemblages, each once")
