@@ -23,7 +23,7 @@ MAFIC = ("OL M1-2", "OPX 1", "CPX 1")
 
 def olivine_share(fit: MgmFit) -> float:
     """Strength of the olivine band near 1220 nm over that and the two pyroxene bands at 1 um; NaN where all are 0."""
-    strength = {band.name: -band.strength for band in fit.bands}
+    strength = {band.name: abs(band.strength) for band in fit.bands}
     total = sum(strength[name] for name in MAFIC)
     return strength[MAFIC[0]] / total if total > 0 else float("nan")
 
@@ -62,14 +62,7 @@ def rock_rows(data: Path) -> list[list[str]]:
 
 def rocks_table(data: Path) -> str:
     """The rows as Markdown."""
-    head = [
-        "boulder",
-        "rms ln R [%]",
-        "OPX : (OPX + CPX) at 2 µm [%]",
-        "over continua",
-        "olivine share [%]",
-        "over continua",
-    ]
+    head = ["boulder", "rms ln R [%]", "OPX in pyroxene [%]", "over continua", "olivine share [%]", "over continua"]
     lines = [head, ["---"] * len(head), *rock_rows(data)]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 

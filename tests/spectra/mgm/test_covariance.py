@@ -24,7 +24,7 @@ def model_of_two() -> MgmModel:
 
 @pytest.mark.parametrize("slope", [0.0, 0.5, 3.0, 30.0])
 def test_mean_square_distance_from_the_mode_at_a_bound(slope: float) -> None:
-    """Density exp(-(x' H x) / 2 + slope b) on b <= 0, summed at midpoints; its mode is at 0 where slope is 0 or more."""
+    """Density exp(-(x' H x) / 2 + slope b) on b <= 0, summed at midpoints; the mode is at 0 where slope >= 0."""
     curvature = np.array([[4.0, 1.5], [1.5, 2.0]])
     covariance = bounded_covariance(curvature, np.array([0.0, slope]), np.zeros(2), model_of_two())
     a, b = np.meshgrid(np.linspace(-8, 8, 2001), np.arange(-7.999, 0, 0.002), indexing="ij")
