@@ -13,16 +13,101 @@ __all__ = ["add_to"]
 
 MODEL, LIMITS, ANSWER = "Model", "Constraints", "Errors"
 
-Continuum = Literal[
-    "wavelength",
-    "wavelength-quadratic",
-    "wavelength-cubic",
-    "wavenumber",
-    "wavenumber-quadratic",
-    "wavenumber-cubic",
-    "log-quadratic",
-    "none",
+Assemblage = Annotated[
+    str,
+    typer.Option(
+        help="Minerals whose bands are fitted: OL, OPX, CPX, PLG, joined by hyphens; auto compares all and takes "
+        "the one with the most evidence.",
+        rich_help_panel=MODEL,
+    ),
 ]
+Continuum = Annotated[
+    Literal[
+        "wavelength",
+        "wavelength-quadratic",
+        "wavelength-cubic",
+        "wavenumber",
+        "wavenumber-quadratic",
+        "wavenumber-cubic",
+        "log-quadratic",
+        "none",
+    ],
+    typer.Option(
+        help="Polynomial inside the logarithm, in wavelength or wavenumber; log-quadratic: of the logarithm.",
+        rich_help_panel=MODEL,
+    ),
+]
+Composition = Annotated[
+    str | None,
+    typer.Option(
+        metavar="KEY=MEAN:ERROR,…",
+        help="What is known of Fo, Fs, Wo in mol %, such as fo=70:5; moves the bands along their trends.",
+        rich_help_panel=MODEL,
+    ),
+]
+Start = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FILE.fit",
+        help="Bands, continuum and their uncertainties from a start file of the RELAB MGM program, instead of "
+        "--assemblage and --continuum.",
+        rich_help_panel=MODEL,
+    ),
+]
+Prior = Annotated[
+    Literal["map", "damping"],
+    typer.Option(
+        help="map: priors count as measurements; damping: they only shorten steps, as in the RELAB MGM program.",
+        rich_help_panel=MODEL,
+    ),
+]
+ModelError = Annotated[
+    float,
+    typer.Option(
+        help="Share of ln R the model cannot explain, added to the noise; above 0, below 1.", rich_help_panel=MODEL
+    ),
+]
+Starts = Annotated[
+    int,
+    typer.Option(min=1, max=100, help="Starting points, beside a search around the lowest minimum found, which is reported.", rich_help_panel=MODEL),
+]
+Fix = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME[=VALUE]",
+        help="Hold a parameter, such as opx_1_center_nm=915; also c0, …_fwhm_nm, …_strength. May be repeated.",
+        rich_help_panel=LIMITS,
+    ),
+]
+Bound = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME=LOW:HIGH", help="Keep a parameter within a range. May be repeated.", rich_help_panel=LIMITS
+    ),
+]
+Tie = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME=K*OTHER+C", help="Make a parameter follow another. May be repeated.", rich_help_panel=LIMITS
+    ),
+]
+Errors = Annotated[
+    Literal["laplace", "profile", "sample"],
+    typer.Option(
+        help="laplace: from the curvature; profile, sample: 68 and 95 % intervals that need not be symmetric, by "
+        "refitting or by drawing from the posterior; seconds per spectrum.",
+        rich_help_panel=ANSWER,
+    ),
+]
+ContinuumSpread = Annotated[
+    bool,
+    typer.Option(
+        "--continuum-spread",
+        help="Fit under all continua and report the spread of every value as a systematic.",
+        rich_help_panel=ANSWER,
+    ),
+]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of --errors sample.", rich_help_panel=ANSWER)]
 
 
 def add_to(app: typer.Typer) -> None:
@@ -33,92 +118,19 @@ def add_to(app: typer.Typer) -> None:
 def fit(
     files: Files,
     output: Output,
-    assemblage: Annotated[
-        str,
-        typer.Option(
-            help="Minerals whose bands are fitted: OL, OPX, CPX, PLG, joined by hyphens; auto compares all and takes "
-            "the one with the most evidence.",
-            rich_help_panel=MODEL,
-        ),
-    ] = "OL-OPX-CPX",
-    continuum: Annotated[
-        Continuum,
-        typer.Option(
-            help="Polynomial inside the logarithm, in wavelength or wavenumber; log-quadratic: of the logarithm.",
-            rich_help_panel=MODEL,
-        ),
-    ] = "wavelength-quadratic",
-    composition: Annotated[
-        str | None,
-        typer.Option(
-            metavar="KEY=MEAN:ERROR,…",
-            help="What is known of Fo, Fs, Wo [mol %], such as fo=70:5; moves the bands along their trends.",
-            rich_help_panel=MODEL,
-        ),
-    ] = None,
-    start: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE.fit",
-            help="Bands, continuum and their uncertainties from a start file of the RELAB MGM program, instead of "
-            "--assemblage and --continuum.",
-            rich_help_panel=MODEL,
-        ),
-    ] = None,
-    prior: Annotated[
-        Literal["map", "damping"],
-        typer.Option(
-            help="map: priors count as measurements; damping: they only shorten steps, as in the RELAB MGM program.",
-            rich_help_panel=MODEL,
-        ),
-    ] = "map",
-    model_error: Annotated[
-        float,
-        typer.Option(
-            help="Share of ln R the model cannot explain, added to the noise; above 0, below 1.", rich_help_panel=MODEL
-        ),
-    ] = 0.02,
-    starts: Annotated[
-        int,
-        typer.Option(min=1, max=100, help="Starting points; the lowest minimum is reported.", rich_help_panel=MODEL),
-    ] = 4,
-    fix: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME[=VALUE]",
-            help="Hold a parameter, such as opx_1_center_nm=915; also c0, …_fwhm_nm, …_strength. May be repeated.",
-            rich_help_panel=LIMITS,
-        ),
-    ] = None,
-    bound: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=LOW:HIGH", help="Keep a parameter within a range. May be repeated.", rich_help_panel=LIMITS
-        ),
-    ] = None,
-    tie: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=K*OTHER+C", help="Make a parameter follow another. May be repeated.", rich_help_panel=LIMITS
-        ),
-    ] = None,
-    errors: Annotated[
-        Literal["laplace", "profile", "sample"],
-        typer.Option(
-            help="laplace: from the curvature; profile, sample: 68 and 95 % intervals that need not be symmetric, by "
-            "refitting or by drawing from the posterior; seconds per spectrum.",
-            rich_help_panel=ANSWER,
-        ),
-    ] = "laplace",
-    continuum_spread: Annotated[
-        bool,
-        typer.Option(
-            "--continuum-spread",
-            help="Fit under all continua and report the spread of every value as a systematic.",
-            rich_help_panel=ANSWER,
-        ),
-    ] = False,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of --errors sample.", rich_help_panel=ANSWER)] = 0,
+    assemblage: Assemblage = "OL-OPX-CPX",
+    continuum: Continuum = "wavelength-quadratic",
+    composition: Composition = None,
+    start: Start = None,
+    prior: Prior = "map",
+    model_error: ModelError = 0.02,
+    starts: Starts = 4,
+    fix: Fix = None,
+    bound: Bound = None,
+    tie: Tie = None,
+    errors: Errors = "laplace",
+    continuum_spread: ContinuumSpread = False,
+    seed: Seed = 0,
     wavelength_unit: WavelengthUnit = None,
     reflectance_unit: ReflectanceUnit = None,
 ) -> Report:

@@ -17,10 +17,9 @@ DEFAULT_MODEL_ERROR = 0.02
 """Share of ln R that Gaussians on a smooth continuum cannot explain, added to the channel noise; assumed. Pyroxene
 bands depart from Gaussians at this level: on the orthopyroxene-clinopyroxene powders of RELAB half of it lets the band
 of the absent mineral fill the wing of the present one, and under some continua the order of the mixtures is lost."""
-DEFAULT_STARTS = 24
-"""Enough that NBSR(2 um) of none of 172 laboratory and 88 rover spectra lies more than two standard errors from that of
-160 starts."""
+DEFAULT_STARTS = 4
 START_SIGMAS = 2.0
+START_SEED = 0
 FIRST_STRENGTH = -0.1
 HOP_SIGMAS = 4.0
 CONTINUUM_QUANTILE = 0.95
@@ -111,15 +110,13 @@ def fit_data(batch: Sequence[MgmData], model: MgmModel, starts: int) -> list[Mgm
 def starting_points(model: MgmModel, ln_reflectance: FloatArray, starts: int) -> FloatArray:
     """Starts, shape (starts, n_spectra, p): a level continuum and centres and widths displaced, number 0 not.
 
-    `ln_reflectance` has shape (n_spectra, n). The displacements are those of a Halton sequence, up to two prior
-    standard deviations, the same in every call: Halton (1960), Numer. Math. 2, 84, 10.1007/BF01386213.
+    `ln_reflectance` has shape (n_spectra, n). The displacements are uniform, up to two prior standard deviations, and
+    the same in every call.
     """
-    from scipy.stats import qmc
-
     m, bands = model.degrees, len(model.assemblage.bands)
     points = np.tile(model.prior, (starts, 1))
     points[:, m + 2 :: 3] = FIRST_STRENGTH
-    pattern = START_SIGMAS * (2 * qmc.Halton(2 * bands, scramble=False).random(starts) - 1)
+    pattern = START_SIGMAS * np.random.default_rng(START_SEED).uniform(-1, 1, size=(starts, 2 * bands))
     sigma = model.sigma
     for offset, shift in ((0, pattern[:, :bands]), (1, pattern[:, bands:])):
         points[1:, m + offset :: 3] += shift[1:] * sigma[m + offset :: 3]

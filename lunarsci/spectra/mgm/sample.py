@@ -23,8 +23,8 @@ DEFAULT_PARTICLES = 256
 LEAST_DRAWS, LEAST_PARTICLES = 100, 128
 FAMILIES = 16
 """Groups of particles that begin apart; how far their means differ at the end tells the error of the draws."""
-COARSE_UM = 0.02
-"""Width of the channels that steer trajectories; a third of the sigma of the narrowest band."""
+COARSE_UM = 0.015
+"""Width of the channels that steer trajectories; a quarter of the sigma of the narrowest band."""
 CONTINUUM_SPREAD = 0.5
 """Standard deviation of the continuum coefficients at the start, in units of the continuum."""
 MOST_R_HAT, LEAST_EFFECTIVE, LEAST_ACCEPTANCE = 1.1, 100.0, 0.3

@@ -28,16 +28,16 @@ FIRST_STEP, LEAST_STEP, MOST_STEP = 0.3, 1e-3, 0.7
 TRAJECTORY = 1.5
 """Length in standard deviations; a quarter of an oscillation, after which a normal law is forgotten, is pi / 2."""
 MOST_LEAPS, MOST_BOUNCES = 400, 200
-FORGOTTEN = 0.5
-"""Correlation of the most persistent parameter with its values before the moves, below which these were enough."""
-MOST_MOVES, FIRST_MOVES = 30, 10
+FORGOTTEN, SETTLED = 0.6, 0.25
+"""Correlation of the most persistent parameter with its values before the moves, below which these were enough: at a
+step of beta, and before draws are kept."""
+MOST_MOVES, MOST_SETTLING, FIRST_MOVES, FRESH = 30, 80, 10, 8
+"""Trajectories per particle at most; FRESH of them with one metric while the population settles."""
 RIDGE = 1e-10
 LN_2, EXPONENT_BITS = math.log(2.0), 52
 ROOT_HALF = int(np.array(math.sqrt(0.5)).view(np.int64))
 """The bits of the root of 1/2; numbers from there on count as of the next power of 2."""
 LEAST_CONTINUUM = 1e-12
-SEEN = 1.9
-"""Full widths from its centre up to which a band steers trajectories; it has fallen to 5e-5 there."""
 
 
 @compiled
@@ -69,7 +69,7 @@ def _force(target: Any, beta: float, point: Any, room: Any, force: Any) -> bool:
     fraction of a per cent only decides how many trajectories are accepted, by the energy on all channels.
     """
     (wavelength, columns, data, root_weight), logarithmic, prior, precision, start = target[1:6]
-    shapes, rest, level, powers, spans = room[1]
+    shapes, rest, level, powers = room[1]
     degrees, channels = columns.shape
     for i in range(channels):
         level[i] = 0.0
@@ -80,18 +80,13 @@ def _force(target: Any, beta: float, point: Any, room: Any, force: Any) -> bool:
     if not _subtract_continuum(data, level, logarithmic, powers, rest):
         return False
     for row in range(degrees, point.size, 3):
-        strength, shape, reach = point[row + 2], shapes[row], SEEN * point[row + 1]
-        first = np.searchsorted(wavelength, point[row] - reach)
-        last = np.searchsorted(wavelength, point[row] + reach)
-        spans[0, row], spans[1, row] = first, last
-        gaussian(
-            wavelength[first:last], point[row], FWHM_OVER_SIGMA / point[row + 1], shape[first:last], powers[first:last]
-        )
-        for i in range(first, last):
+        strength, shape = point[row + 2], shapes[row]
+        gaussian(wavelength, point[row], FWHM_OVER_SIGMA / point[row + 1], shape, powers)
+        for i in range(channels):
             rest[i] -= strength * shape[i]
     for i in range(channels):
         rest[i] *= root_weight[i] * root_weight[i] * beta
-    _project(point, wavelength, columns, rest, level, shapes, spans, force)
+    _project(point, wavelength, columns, rest, level, shapes, force)
     for p in range(point.size):
         pull, own = 0.0, precision[p]
         for q in range(point.size):
@@ -133,9 +128,7 @@ def _subtract_continuum(data: Any, level: Any, logarithmic: bool, powers: Any, r
 
 
 @compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
-def _project(
-    point: Any, wavelength: Any, columns: Any, rest: Any, level: Any, shapes: Any, spans: Any, force: Any
-) -> None:
+def _project(point: Any, wavelength: Any, columns: Any, rest: Any, level: Any, shapes: Any, force: Any) -> None:
     """Sums of `rest` times the derivatives of ln R."""
     degrees, channels = columns.shape
     for m in range(degrees):
@@ -146,7 +139,7 @@ def _project(
     for row in range(degrees, point.size, 3):
         centre, inverse, strength, shape = point[row], FWHM_OVER_SIGMA / point[row + 1], point[row + 2], shapes[row]
         by_centre, by_fwhm, by_strength = 0.0, 0.0, 0.0
-        for i in range(spans[0, row], spans[1, row]):
+        for i in range(channels):
             x = (wavelength[i] - centre) * inverse
             share = rest[i] * shape[i]
             by_strength += share
@@ -166,7 +159,7 @@ def _correct(target: Any, groups: Any, best: Any, room: Any) -> None:
     channels, coarse, logarithmic, _, precision = target[:5]
     _chi2(channels, logarithmic, best, room[0])
     coarse[2][:] = 0.0
-    _chi2(coarse, logarithmic, best, room[1][:4])
+    _chi2(coarse, logarithmic, best, room[1])
     jacobian, wanted, root_weight, model = room[1][0], np.zeros(room[1][1].size), coarse[3], room[1][1]
     for i in range(groups.size):
         wanted[groups[i]] += channels[3][i] * room[0][1][i] / root_weight[groups[i]]
@@ -413,6 +406,20 @@ def _stage(
 
 
 @compiled
+def _settle(
+    target: Any, factor: Any, tuning: Any, generator: Any, particles: Any, energies: Any, weights: Any, room: Any
+) -> int:
+    """Move on the posterior itself until the resampled copies have parted; returns how often."""
+    before, moves, kept = particles.copy(), 0, 1.0
+    while kept > SETTLED and moves < MOST_SETTLING:
+        if moves % FRESH == 0:
+            _factor_of(particles, weights, target[8], factor)
+        _move_all(target, 1.0, factor, tuning, generator, particles, energies, room)
+        kept, moves = _correlation(before, particles, target[8]), moves + 1
+    return moves
+
+
+@compiled
 def _room(size: int, channels: int) -> Any:
     return np.empty((size, channels)), np.empty(channels), np.empty(channels), np.empty(channels, dtype=np.int64)
 
@@ -438,8 +445,7 @@ def run_population(
     """
     free, (count, size) = target[8], particles.shape
     points = (np.empty(size), np.empty(free.size), np.empty(free.size), np.empty(size), np.empty(3))
-    steering = (*_room(size, target[1][0].size), np.empty((2, size), dtype=np.int64))
-    room = (_room(size, target[0][0].size), steering, points)
+    room = (_room(size, target[0][0].size), _room(size, target[1][0].size), points)
     tuning, weights, energies = np.array([FIRST_STEP, 0.0]), np.empty(count), np.empty((count, 3))
     for i in range(count):
         _energies(target, particles[i], room, energies[i])
@@ -453,7 +459,7 @@ def run_population(
         report[0] += 1
         report[1] += moves
     weights[:] = 1.0 / count
-    _factor_of(particles, weights, free, factor)
+    report[1] += _settle(target, factor, tuning, generator, particles, energies, weights, room)
     for r in range(draws.shape[0]):
         _move_all(target, 1.0, factor, tuning, generator, particles, energies, room)
         report[2] += tuning[1] / draws.shape[0]
