@@ -69,7 +69,9 @@ ModelError = Annotated[
 ]
 Starts = Annotated[
     int,
-    typer.Option(min=1, max=100, help="Starting points, beside a search around the lowest minimum found, which is reported.", rich_help_panel=MODEL),
+    typer.Option(
+        min=1, max=100, help="Starting points, beside a search around the lowest minimum.", rich_help_panel=MODEL
+    ),
 ]
 Fix = Annotated[
     list[str] | None,

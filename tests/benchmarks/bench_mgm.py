@@ -2,7 +2,7 @@
 
 Nine bands on a straight continuum (olivine, two pyroxenes, two bands of the visible and ultraviolet), truths drawn from
 the priors with every band present (strength 0.15, factor 1.5 either way), noise 0.005 in ln R, priors and bounds in
-every method, covariance included. Single threads; all rates are those of one core, in this process.
+every method, covariance included. Single threads; all rates are those of one core, in its own time.
 """
 
 import os
@@ -24,6 +24,9 @@ from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA, model_and_jacobian
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model
 
 NOISE = 0.005
+NINE = ("uv", "visible_2", "ol_m1_1", "ol_m2", "ol_m1_2", "opx_1", "opx_2", "cpx_1", "cpx_2")
+TOLERANCE = 1e-2
+"""Expected decrease of the objective, in chi-square, at which a fit has converged: a tenth of a standard error."""
 STRENGTH, STRENGTH_FACTOR = 0.15, 1.5
 RELATIVE = 1e-3
 GRIDS = {390: np.arange(450.0, 2396.0, 5.0), 85: np.linspace(460.0, 2400.0, 85)}
@@ -46,8 +49,8 @@ class Problem:
 def nine_bands() -> MgmModel:
     """Olivine, two pyroxenes, and two of the three bands that belong to no mineral."""
     whole = mgm_model("OL-OPX-CPX", "wavelength")
-    keep = np.array([not name.startswith("visible_1") for name in whole.names])
-    bands = tuple(band for band in whole.assemblage.bands if band.name != "visible 1")
+    bands = tuple(band for band in whole.assemblage.bands if band.key in NINE)
+    keep = np.array([name[1:].isdigit() or name.startswith(NINE) for name in whole.names])
     return replace(
         whole,
         assemblage=replace(whole.assemblage, bands=bands),
@@ -105,7 +108,7 @@ def objective_rows(case: Problem, number: int) -> tuple[Callable, Callable]:
 
 def lmfit_rate(case: Problem, count: int, analytic: bool) -> tuple[float, np.ndarray]:
     """Fits per second by lmfit's default method with bounds, and the objectives reached."""
-    reached, begun = [], time.perf_counter()
+    reached, begun = [], time.process_time()
     for number in range(count):
         residual, jacobian = objective_rows(case, number)
         parameters = lmfit.Parameters()
@@ -118,19 +121,19 @@ def lmfit_rate(case: Problem, count: int, analytic: bool) -> tuple[float, np.nda
         options = {"Dfun": lambda current: jacobian(values(current)), "col_deriv": 0} if analytic else {}  # noqa: B023
         fit = lmfit.minimize(lambda current: residual(values(current)), parameters, scale_covar=False, **options)  # noqa: B023
         reached.append(fit.chisqr)
-    return count / (time.perf_counter() - begun), np.array(reached)
+    return count / (time.process_time() - begun), np.array(reached)
 
 
 def scipy_rate(case: Problem, count: int) -> tuple[float, np.ndarray]:
     """Fits per second by scipy's trust-region method with our derivatives and bounds, and the objectives reached."""
-    reached, begun = [], time.perf_counter()
+    reached, begun = [], time.process_time()
     for number in range(count):
         residual, jacobian = objective_rows(case, number)
         start = np.clip(case.start[number], case.model.lower + 1e-9, case.model.upper - 1e-9)
         fit = least_squares(residual, start, jac=jacobian, bounds=(case.model.lower, case.model.upper), x_scale="jac")
         np.linalg.pinv(fit.jac.T @ fit.jac)
         reached.append(2 * fit.cost)
-    return count / (time.perf_counter() - begun), np.array(reached)
+    return count / (time.process_time() - begun), np.array(reached)
 
 
 def kernel_rate(case: Problem, starts: int, hops: np.ndarray) -> tuple[float, np.ndarray]:
@@ -144,14 +147,14 @@ def kernel_rate(case: Problem, starts: int, hops: np.ndarray) -> tuple[float, np
     def fit(rows: slice) -> kernel.KernelFits:
         return kernel.fit_batch(
             case.data[rows], weight[rows], case.wavelength_nm / 1e3, case.basis, case.model.logarithmic,
-            case.model.prior, case.model.precision, case.model.lower, case.model.upper, points[:, rows], hops, 1e-3,
-            1000,
+            case.model.prior, case.model.precision, case.model.lower, case.model.upper, points[:, rows], hops,
+            TOLERANCE, 1000,
         )  # fmt: skip
 
     fit(slice(0, 2))
-    begun = time.perf_counter()
+    begun = time.process_time()
     found = fit(slice(None))
-    return len(case.data) / (time.perf_counter() - begun), found.objective
+    return len(case.data) / (time.process_time() - begun), found.objective
 
 
 def dgemm_rate(size: int = 1024) -> float:
@@ -162,9 +165,9 @@ def dgemm_rate(size: int = 1024) -> float:
 
 
 def _timed(task: Callable[[], object]) -> float:
-    begun = time.perf_counter()
+    begun = time.process_time()
     task()
-    return time.perf_counter() - begun
+    return time.process_time() - begun
 
 
 def main() -> None:
@@ -191,7 +194,7 @@ def report(channels: int, count: int, slow: int, peak: float) -> None:
         "kernel, 1 start": kernel_rate(case, 1, np.empty((0, 2))),
         "kernel, 1 start, every band deeper": kernel_rate(case, 1, few),
         "kernel, 4 starts, all hops": kernel_rate(case, 4, hops),
-        "kernel, 40 starts, all hops": kernel_rate(case, 40, hops),
+        "kernel, 24 starts, all hops": kernel_rate(case, 24, hops),
     }
     best = np.full(count, np.inf)
     for _, reached in rows.values():
@@ -206,6 +209,8 @@ def report(channels: int, count: int, slow: int, peak: float) -> None:
     operations = n * p * (p + 1) + 40 * n * (p // 3)
     floor = operations / peak * 1e6
     print(f"one evaluation and its normal equations: {operations / 1e6:.2f} MFLOP, at dgemm's rate {floor:.1f} us")
+    for name in ("kernel, 1 start", "kernel, 1 start, every band deeper"):
+        print(f"{name}: the time of {1e6 / rows[name][0] / floor:.0f} of these at dgemm's rate")
 
 
 if __name__ == "__main__":

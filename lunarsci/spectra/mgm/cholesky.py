@@ -1,100 +1,146 @@
-"""Small positive definite systems, compiled: inner loops run along whole rows, so that they become vector instructions.
+"""Small positive definite systems, eight at a time, compiled.
 
-Matrices are square with a side that is a multiple of `LANES`, the unused rows and columns those of the identity. Only
-the upper triangle is read; it is overwritten by the factor U of A = U' U, on the diagonal by 1/U_kk. What lies below is
-overwritten by numbers without meaning.
+Matrices have the side - `TILE` rows of the system, padded to a multiple of `TILE` by those of the identity, and `TILE`
+columns more, of which the first is a right-hand side and the others are 0. The upper triangle is overwritten by the
+factor U of A = U' U, its diagonal by 1/U_kk; the factorisation solves U' y = b on its way. What lies below the diagonal
+has no meaning.
 """
 
-import math
 from typing import Any
 
-import numpy as np
+from lunarsci.compiled import compiled
+from lunarsci.spectra.mgm.lanes import aligned, highest, load, lowest, root, spread, store
+from lunarsci.spectra.spectrum import FloatArray
 
-from lunarsci.compiled import VECTORS, compiled
+__all__ = ["TILE", "back_substitute", "factorise", "invert", "matrix_side", "padded_matrix"]
 
-__all__ = ["LANES", "factorise", "invert", "padded", "solve"]
-
-LANES = 8
-"""Doubles in the widest vector registers; loops that begin and end on multiples of it have no remainders."""
-
-
-def padded(size: int) -> int:
-    """The next multiple of `LANES`."""
-    return -(-size // LANES) * LANES
+TILE = 4
+"""Rows and columns worked on together, so that each number read is used four times."""
+LEAST_PIVOT = 1e-300
 
 
-@compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
-def factorise(matrix: Any) -> bool:
-    """Overwrite the upper triangle by the factor U, its diagonal by 1/U_kk; False where there is no such factor."""
-    size = matrix.shape[0]
-    for k in range(size):
-        row = matrix[k]
-        if not row[k] > 0.0:
-            return False
-        inverse = 1.0 / math.sqrt(row[k])
-        for block in range(k // LANES * LANES, size, LANES):
-            for i in range(LANES):
-                row[block + i] *= inverse
-        for j in range(k + 1, size):
-            factor, other = row[j], matrix[j]
-            if factor != 0.0:
-                for block in range(j // LANES * LANES, size, LANES):
-                    for i in range(LANES):
-                        other[block + i] -= factor * row[block + i]
-        row[k] = inverse
-    return True
-
-
-@compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
-def solve(factor: Any, right: Any) -> None:
-    """Overwrite `right`, padded like the matrix, by the solution of U' U x = right."""
-    size = right.size
-    for k in range(size):
-        row = factor[k]
-        known = right[k] * row[k]
-        right[k] = known
-        for i in range(k + 1, size):
-            right[i] -= known * row[i]
-    for k in range(size - 1, -1, -1):
-        row, total = factor[k], 0.0
-        for i in range(k + 1, size):
-            total += row[i] * right[i]
-        right[k] = (right[k] - total) * row[k]
-
-
-@compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
-def invert(matrix: Any, inverse: Any) -> bool:
-    """Fill `inverse`, (size, size) of a matrix padded to more; False where it is not positive definite.
-
-    U' V = 1 by forward substitution on whole rows, then A^-1 = V' V with V lower triangular.
-    """
-    size, side = inverse.shape[0], matrix.shape[0]
-    if not factorise(matrix):
-        return False
-    rows = np.zeros((side, side))
-    for k in range(size):
-        own, source = rows[k], matrix[k]
-        last = padded_end(k)
-        own[k] = 1.0
-        for i in range(last):
-            own[i] *= source[k]
-        for j in range(k + 1, size):
-            factor, other = source[j], rows[j]
-            for i in range(last):
-                other[i] -= factor * own[i]
-    for p in range(size):
-        for q in range(size):
-            inverse[p, q] = 0.0
-    for k in range(size):
-        source = rows[k]
-        for p in range(k + 1):
-            factor, target = source[p], inverse[p]
-            for q in range(k + 1):
-                target[q] += factor * source[q]
-    return True
+def padded_matrix(size: int) -> FloatArray:
+    """Room for the matrix of a system of so many unknowns, (rows columns, 8)."""
+    rows = -(-size // TILE) * TILE
+    side = rows + TILE
+    matrix = aligned(rows * side)
+    for k in range(size, rows):
+        matrix[k * side + k] = 1.0
+    return matrix
 
 
 @compiled
-def padded_end(k: int) -> int:
-    """The first multiple of `LANES` beyond column k."""
-    return (k // LANES + 1) * LANES
+def matrix_side(matrix: Any) -> int:
+    """Columns of a matrix: rows (rows + `TILE`) = its size."""
+    rows = TILE
+    while rows * (rows + TILE) < matrix.shape[0]:
+        rows += TILE
+    return rows + TILE
+
+
+@compiled(forceinline=True)  # type: ignore[untyped-decorator]
+def _tile(matrix: Any, side: int, k: int, j: int) -> None:
+    """A_kj - sum_i U_ik U_ij, i < k, of `TILE` rows from k and columns from j, each sum in a register of its own."""
+    at = k * side + j
+    s00, s01, s02, s03 = load(matrix, at), load(matrix, at + 1), load(matrix, at + 2), load(matrix, at + 3)
+    at = (k + 1) * side + j
+    s10, s11, s12, s13 = load(matrix, at), load(matrix, at + 1), load(matrix, at + 2), load(matrix, at + 3)
+    at = (k + 2) * side + j
+    s20, s21, s22, s23 = load(matrix, at), load(matrix, at + 1), load(matrix, at + 2), load(matrix, at + 3)
+    at = (k + 3) * side + j
+    s30, s31, s32, s33 = load(matrix, at), load(matrix, at + 1), load(matrix, at + 2), load(matrix, at + 3)
+    for i in range(k):
+        left, above = i * side + k, i * side + j
+        a, b, c, d = load(matrix, above), load(matrix, above + 1), load(matrix, above + 2), load(matrix, above + 3)
+        own = load(matrix, left)
+        s00 -= own * a
+        s01 -= own * b
+        s02 -= own * c
+        s03 -= own * d
+        own = load(matrix, left + 1)
+        s10 -= own * a
+        s11 -= own * b
+        s12 -= own * c
+        s13 -= own * d
+        own = load(matrix, left + 2)
+        s20 -= own * a
+        s21 -= own * b
+        s22 -= own * c
+        s23 -= own * d
+        own = load(matrix, left + 3)
+        s30 -= own * a
+        s31 -= own * b
+        s32 -= own * c
+        s33 -= own * d
+    at = k * side + j
+    store(matrix, at, s00)
+    store(matrix, at + 1, s01)
+    store(matrix, at + 2, s02)
+    store(matrix, at + 3, s03)
+    at = (k + 1) * side + j
+    store(matrix, at, s10)
+    store(matrix, at + 1, s11)
+    store(matrix, at + 2, s12)
+    store(matrix, at + 3, s13)
+    at = (k + 2) * side + j
+    store(matrix, at, s20)
+    store(matrix, at + 1, s21)
+    store(matrix, at + 2, s22)
+    store(matrix, at + 3, s23)
+    at = (k + 3) * side + j
+    store(matrix, at, s30)
+    store(matrix, at + 1, s31)
+    store(matrix, at + 2, s32)
+    store(matrix, at + 3, s33)
+
+
+@compiled
+def factorise(matrix: Any, side: int) -> Any:
+    """Factor in place; the least pivot, which is not above 0 where there is no factor."""
+    least = spread(1.0)
+    for block in range(0, side - TILE, TILE):
+        for j in range(block, side, TILE):
+            _tile(matrix, side, block, j)
+        for k in range(block, block + TILE):
+            pivot = load(matrix, k * side + k)
+            least = lowest(pivot, least)
+            inverse = spread(1.0) / root(highest(pivot, spread(LEAST_PIVOT)))
+            store(matrix, k * side + k, inverse)
+            for j in range(k + 1, side):
+                store(matrix, k * side + j, load(matrix, k * side + j) * inverse)
+            for row in range(k + 1, block + TILE):
+                own = load(matrix, k * side + row)
+                for j in range(row, side):
+                    store(matrix, row * side + j, load(matrix, row * side + j) - own * load(matrix, k * side + j))
+    return least
+
+
+@compiled
+def back_substitute(matrix: Any, size: int, side: int, solution: Any) -> None:
+    """Solve U x = y, where y is the right-hand side of the factorised matrix."""
+    for k in range(size):
+        store(solution, k, load(matrix, (k + 1) * side - TILE))
+    for k in range(size - 1, -1, -1):
+        known = load(solution, k) * load(matrix, k * side + k)
+        store(solution, k, known)
+        for i in range(k):
+            store(solution, i, load(solution, i) - load(matrix, i * side + k) * known)
+
+
+@compiled
+def invert(matrix: Any, size: int, side: int, inverse: Any) -> None:
+    """Fill the upper triangle of `inverse` (size size, 8) from a factor: V = U^-1 row by row, then V V'."""
+    for p in range(size - 1, -1, -1):
+        own = load(matrix, p * side + p)
+        store(inverse, p * size + p, own)
+        for q in range(p + 1, size):
+            total = spread(0.0)
+            for k in range(p + 1, q + 1):
+                total += load(matrix, p * side + k) * load(inverse, k * size + q)
+            store(inverse, p * size + q, total * own * -1.0)
+    for p in range(size):
+        for q in range(p, size):
+            total = spread(0.0)
+            for k in range(q, size):
+                total += load(inverse, p * size + k) * load(inverse, q * size + k)
+            store(inverse, p * size + q, total)

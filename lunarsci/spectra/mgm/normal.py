@@ -1,73 +1,20 @@
-"""Normal equations of a fit and Marquardt's step within bounds, compiled.
+"""Normal equations of eight fits and Marquardt's step within bounds, compiled.
 
-The objective is `scale` times chi-square plus (p - prior)' precision (p - prior). Matrices are padded as `cholesky`
-wants them.
+The objective is `scale` times chi-square plus (p - prior)' precision (p - prior).
 """
 
 from typing import Any
 
 from lunarsci.compiled import VECTORS, compiled
-from lunarsci.spectra.mgm.cholesky import factorise, solve
+from lunarsci.spectra.mgm.cholesky import TILE, back_substitute, factorise, matrix_side
+from lunarsci.spectra.mgm.lanes import choose, highest, load, lowest, spread, store
 
-__all__ = ["damped", "damped_step", "gradient_of", "mark_free", "predicted_decrease", "prior_share", "products"]
-
-BLOCK = 4
-
-
-@compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
-def products(jacobian: Any, curvature: Any) -> None:
-    """Upper triangle of J J', in blocks of 4 x 4: each number read from memory is used four times."""
-    channels = jacobian.shape[1]
-    for p in range(0, jacobian.shape[0], BLOCK):
-        p0, p1, p2, p3 = jacobian[p], jacobian[p + 1], jacobian[p + 2], jacobian[p + 3]
-        for q in range(p, jacobian.shape[0], BLOCK):
-            q0, q1, q2, q3 = jacobian[q], jacobian[q + 1], jacobian[q + 2], jacobian[q + 3]
-            s00, s01, s02, s03, s10, s11, s12, s13 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            s20, s21, s22, s23, s30, s31, s32, s33 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for i in range(channels):
-                a, b, c, d = q0[i], q1[i], q2[i], q3[i]
-                s00 += p0[i] * a
-                s01 += p0[i] * b
-                s02 += p0[i] * c
-                s03 += p0[i] * d
-                s10 += p1[i] * a
-                s11 += p1[i] * b
-                s12 += p1[i] * c
-                s13 += p1[i] * d
-                s20 += p2[i] * a
-                s21 += p2[i] * b
-                s22 += p2[i] * c
-                s23 += p2[i] * d
-                s30 += p3[i] * a
-                s31 += p3[i] * b
-                s32 += p3[i] * c
-                s33 += p3[i] * d
-            c0, c1, c2, c3 = curvature[p], curvature[p + 1], curvature[p + 2], curvature[p + 3]
-            c0[q], c0[q + 1], c0[q + 2], c0[q + 3] = s00, s01, s02, s03
-            c1[q], c1[q + 1], c1[q + 2], c1[q + 3] = s10, s11, s12, s13
-            c2[q], c2[q + 1], c2[q + 2], c2[q + 3] = s20, s21, s22, s23
-            c3[q], c3[q + 1], c3[q + 2], c3[q + 3] = s30, s31, s32, s33
-
-
-@compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
-def gradient_of(
-    jacobian: Any, residual: Any, scale: float, parameters: Any, prior: Any, precision: Any, gradient: Any
-) -> None:
-    """scale J r - precision (p - prior), half the descent of the objective."""
-    size = parameters.size
-    for p in range(size):
-        slope, row = 0.0, jacobian[p]
-        for i in range(residual.size):
-            slope += row[i] * residual[i]
-        pull, own = 0.0, precision[p]
-        for q in range(size):
-            pull += own[q] * (parameters[q] - prior[q])
-        gradient[p] = scale * slope - pull
+__all__ = ["clip_to_bounds", "damped", "free_again", "predicted_decrease", "prior_pull", "prior_share", "solve_step"]
 
 
 @compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
 def prior_share(parameters: Any, prior: Any, precision: Any) -> float:
-    """(p - prior)' precision (p - prior)."""
+    """(p - prior)' precision (p - prior) of one point."""
     share = 0.0
     for p in range(parameters.size):
         pull, row = 0.0, precision[p]
@@ -77,87 +24,105 @@ def prior_share(parameters: Any, prior: Any, precision: Any) -> float:
     return share
 
 
-@compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
-def damped(curvature: Any, scale: float, precision: Any, free: Any, damping: float, matrix: Any) -> None:
-    """Upper triangle of the damped curvature; rows and columns that are not free are those of the identity."""
-    size, side = free.size, matrix.shape[0]
+@compiled
+def prior_pull(point: Any, prior: Any, precision: Any, pull: Any) -> Any:
+    """Fill `pull` with precision (p - prior); (p - prior)' precision (p - prior)."""
+    size, share = prior.size, spread(0.0)
     for p in range(size):
-        row, own, held = matrix[p], curvature[p], precision[p]
-        for q in range(p, size):
-            row[q] = own[q] * scale + held[q]
-        row[p] *= 1.0 + damping
-        for q in range(size, side):
-            row[q] = 0.0
-    for p in range(size, side):
-        for q in range(p, side):
-            matrix[p, q] = 0.0
-        matrix[p, p] = 1.0
-    for p in range(size):
-        if not free[p]:
-            for q in range(p):
-                matrix[q, p] = 0.0
-            for q in range(p, size):
-                matrix[p, q] = 0.0
-            matrix[p, p] = 1.0
-
-
-@compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
-def damped_step(
-    curvature: Any, scale: float, precision: Any, gradient: Any, point: Any, lower: Any, upper: Any, free: Any,
-    damping: float, matrix: Any, trial: Any, step: Any,
-) -> bool:  # fmt: skip
-    """Marquardt's step within the bounds: what would cross one stops there, and the others are solved again.
-
-    `free` is True for the parameters that may move and comes back without those that were stopped. False where the
-    damped curvature is not positive definite.
-    """
-    size = gradient.size
-    for p in range(size):
-        step[p] = 0.0
-    for _ in range(size):
-        damped(curvature, scale, precision, free, damping, matrix)
-        for p in range(trial.size):
-            trial[p] = 0.0
-        for p in range(size):
-            trial[p] = gradient[p] if free[p] else step[p]
+        total = spread(0.0)
         for q in range(size):
-            if not free[q] and step[q] != 0.0:
-                for p in range(size):
-                    if free[p]:
-                        coupling = curvature[min(p, q), max(p, q)] * scale + precision[p, q]
-                        trial[p] -= coupling * step[q]
-        if not factorise(matrix):
-            return False
-        solve(matrix, trial)
-        crossed = False
-        for p in range(size):
-            allowed = min(max(trial[p], lower[p] - point[p]), upper[p] - point[p])
-            if free[p] and allowed != trial[p]:
-                free[p], crossed = False, True
-            step[p] = allowed
-        if not crossed:
-            return True
-    return True
-
-
-@compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
-def predicted_decrease(curvature: Any, scale: float, precision: Any, gradient: Any, step: Any) -> float:
-    """By how much the quadratic model of the objective falls along a step."""
-    decrease, size = 0.0, step.size
-    for p in range(size):
-        bend, row, pull, own = 0.0, curvature[p], 0.0, precision[p]
-        for q in range(p + 1, size):
-            bend += row[q] * step[q]
-        for q in range(size):
-            pull += own[q] * step[q]
-        decrease += step[p] * (2.0 * gradient[p] - scale * (2.0 * bend + row[p] * step[p]) - pull)
-    return decrease
+            if precision[p, q] != 0.0:
+                total += (load(point, q) - prior[q]) * precision[p, q]
+        store(pull, p, total)
+        share += total * (load(point, p) - prior[p])
+    return share
 
 
 @compiled
-def mark_free(parameters: Any, gradient: Any, lower: Any, upper: Any, free: Any) -> None:
-    """A parameter on its bound is free only when the objective falls away from the bound."""
-    for p in range(parameters.size):
-        held_low = parameters[p] <= lower[p] and gradient[p] < 0.0
-        held_high = parameters[p] >= upper[p] and gradient[p] > 0.0
-        free[p] = not (held_low or held_high or lower[p] == upper[p])
+def damped(
+    curvature: Any, precision: Any, scale: Any, growth: Any, free: Any, size: int, side: int, matrix: Any
+) -> None:
+    """scale J J' + precision, its diagonal times `growth`; rows and columns that are not free are those of 1."""
+    for p in range(size):
+        own = load(free, p)
+        for q in range(p, size):
+            value = load(curvature, p * size + q) * scale + precision[p, q]
+            store(matrix, p * side + q, value * own * load(free, q))
+        diagonal = load(matrix, p * side + p) * growth
+        store(matrix, p * side + p, choose(own, diagonal, spread(1.0)))
+
+
+@compiled
+def _right_side(
+    curvature: Any, precision: Any, scale: Any, slope: Any, pull: Any, free: Any, step: Any, held_steps: int,
+    side: int, matrix: Any,
+) -> None:  # fmt: skip
+    """Half the descent of the objective, less what the steps of parameters that stop at a bound do to it."""
+    size = free.shape[0]
+    for p in range(size):
+        total = load(slope, p) * scale - load(pull, p)
+        for q in range(size * held_steps):
+            held = (spread(1.0) - load(free, q)) * load(step, q)
+            low, high = min(p, q), max(p, q)
+            total -= (load(curvature, low * size + high) * scale + precision[p, q]) * held
+        store(matrix, (p + 1) * side - TILE, choose(load(free, p), total, load(step, p)))
+
+
+@compiled
+def solve_step(
+    curvature: Any, precision: Any, scale: Any, growth: Any, slope: Any, pull: Any, free: Any, held_steps: int,
+    matrix: Any, step: Any,
+) -> Any:  # fmt: skip
+    """Marquardt's step of the free parameters, that of the others given; the least pivot."""
+    size, side = free.shape[0], matrix_side(matrix)
+    damped(curvature, precision, scale, growth, free, size, side, matrix)
+    _right_side(curvature, precision, scale, slope, pull, free, step, held_steps, side, matrix)
+    least = factorise(matrix, side)
+    back_substitute(matrix, size, side, step)
+    return least
+
+
+@compiled
+def clip_to_bounds(point: Any, lower: Any, upper: Any, step: Any, free: Any) -> Any:
+    """Stop at its bound each step that would cross it, and free its parameter no longer; above 0 where one did."""
+    crossed = spread(0.0)
+    for p in range(lower.size):
+        wanted, here, own = load(step, p), load(point, p), load(free, p)
+        allowed = lowest(highest(wanted, lower[p] - here), upper[p] - here)
+        beyond = (allowed - wanted) * (allowed - wanted) * own
+        store(step, p, choose(own, allowed, wanted))
+        store(free, p, choose(beyond, spread(0.0), own))
+        crossed = highest(crossed, choose(beyond, spread(1.0), spread(0.0)))
+    return crossed
+
+
+@compiled
+def free_again(
+    point: Any, lower: Any, upper: Any, scale: Any, slope: Any, pull: Any, renewed: Any, free: Any, step: Any
+) -> None:
+    """In the lanes where `renewed` is above 0: no step, and every parameter free but those on a bound away from which
+    the objective does not fall."""
+    for p in range(lower.size):
+        here, gradient = load(point, p), load(slope, p) * scale - load(pull, p)
+        zero, one = spread(0.0), spread(1.0)
+        if lower[p] == upper[p]:
+            own = zero
+        else:
+            off_lower = choose(here - lower[p], one, choose(gradient, one, zero))
+            off_upper = choose(upper[p] - here, one, choose(zero - gradient, one, zero))
+            own = off_lower * off_upper
+        store(free, p, choose(renewed, own, load(free, p)))
+        store(step, p, choose(renewed, zero, load(step, p)))
+
+
+@compiled
+def predicted_decrease(curvature: Any, precision: Any, scale: Any, slope: Any, pull: Any, step: Any) -> Any:
+    """By how much the quadratic model of the objective falls along a step."""
+    size, decrease = step.shape[0], spread(0.0)
+    for p in range(size):
+        own = load(step, p)
+        bend = (load(curvature, p * size + p) * scale + precision[p, p]) * own * 0.5
+        for q in range(p + 1, size):
+            bend += (load(curvature, p * size + q) * scale + precision[p, q]) * load(step, q)
+        decrease += own * (load(slope, p) * scale - load(pull, p) - bend) * 2.0
+    return decrease

@@ -12,6 +12,7 @@ from lunarsci.errors import ParameterError
 from lunarsci.spectra.mgm.intervals import Interval, Intervals, ratios_of
 from lunarsci.spectra.mgm.model import MgmModel, unit_of
 from lunarsci.spectra.mgm.result import MgmFit
+from lunarsci.spectra.mgm.sampler import FAMILIES, run_population
 from lunarsci.spectra.spectrum import FloatArray
 
 IntArray: TypeAlias = NDArray[np.int64]
@@ -21,8 +22,7 @@ __all__ = ["Posterior", "posterior_intervals", "sample_batch", "sample_posterior
 DEFAULT_DRAWS = 4000
 DEFAULT_PARTICLES = 256
 LEAST_DRAWS, LEAST_PARTICLES = 100, 128
-FAMILIES = 16
-"""Groups of particles that begin apart; how far their means differ at the end tells the error of the draws."""
+LEAST_FAMILIES = 4
 COARSE_UM = 0.015
 """Width of the channels that steer trajectories; a quarter of the sigma of the narrowest band."""
 CONTINUUM_SPREAD = 0.5
@@ -85,8 +85,6 @@ def sample_posterior(
     (2018), Biometrika 105, 609, 10.1093/biomet/asy028 (error from families); Vehtari et al. (2021), Bayesian Anal. 16,
     667, 10.1214/20-BA1221 (R-hat).
     """
-    from lunarsci.spectra.mgm.sampler import run_population
-
     for what, value, least in (("draws", draws, LEAST_DRAWS), ("particles", particles, LEAST_PARTICLES)):
         if value < least:
             raise ParameterError(f"{value} {what}; give {least} or more")
@@ -96,7 +94,7 @@ def sample_posterior(
     start = _continuum_start(fit)
     target, groups = _target(fit, start)
     population, factor = _prior_draws(fit, start, particles, generator)
-    families, report = np.arange(particles, dtype=np.int64) % FAMILIES, np.empty(4)
+    families, report = np.zeros(particles, dtype=np.int64), np.empty(4)
     rounds = -(-draws // particles)
     drawn, objective = np.empty((rounds, *population.shape)), np.empty((rounds, particles))
     run_population(target, groups, factor, generator, population, families, drawn, objective, report)
@@ -198,8 +196,8 @@ def _posterior(
 
 def _doubts(effective: FloatArray, r_hat: FloatArray, acceptance: float, families: int) -> list[str]:
     doubts = []
-    if families < FAMILIES / 2:
-        doubts.append(f"all descend from {families} of {FAMILIES} families of particles")
+    if families < LEAST_FAMILIES:
+        doubts.append(f"only {families} of {FAMILIES} families of particles are left")
     if not np.nanmax(r_hat) < MOST_R_HAT:
         doubts.append(f"R-hat reaches {np.nanmax(r_hat):.2f}, above {MOST_R_HAT:g}")
     if not np.nanmin(effective) > LEAST_EFFECTIVE:

@@ -19,21 +19,23 @@ from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA, residuals
 from lunarsci.spectra.mgm.gaussian import gaussian
 from lunarsci.spectra.mgm.normal import prior_share
 
-__all__ = ["run_population"]
+__all__ = ["FAMILIES", "run_population"]
 
 KEPT = 0.5
 """Share of the particles that a step of beta leaves, as an effective number."""
 WANTED_ACCEPTANCE, TUNING = 0.75, 1.0
 FIRST_STEP, LEAST_STEP, MOST_STEP = 0.3, 1e-3, 0.7
-TRAJECTORY = 1.5
-"""Length in standard deviations; a quarter of an oscillation, after which a normal law is forgotten, is pi / 2."""
+TRAJECTORY = 3.0
+"""Length in standard deviations. A normal law is forgotten after pi / 2; valleys here are curved and longer."""
 MOST_LEAPS, MOST_BOUNCES = 400, 200
-FORGOTTEN, SETTLED = 0.6, 0.25
+FORGOTTEN, SETTLED = 0.7, 0.15
 """Correlation of the most persistent parameter with its values before the moves, below which these were enough: at a
 step of beta, and before draws are kept."""
 MOST_MOVES, MOST_SETTLING, FIRST_MOVES, FRESH = 30, 80, 10, 8
 """Trajectories per particle at most; FRESH of them with one metric while the population settles."""
 RIDGE = 1e-10
+FAMILIES, PARTED = 16, 0.01
+"""Particles are labelled when beta passes this; the moves have forgotten by then where they came from."""
 LN_2, EXPONENT_BITS = math.log(2.0), 52
 ROOT_HALF = int(np.array(math.sqrt(0.5)).view(np.int64))
 """The bits of the root of 1/2; numbers from there on count as of the next power of 2."""
@@ -440,7 +442,7 @@ def run_population(
         priors have somewhere to begin.
     groups : (n,) to which coarse channel each channel belongs; the coarse data are overwritten.
     factor : (f, f) Cholesky factor of the prior's covariance, with that law in it; overwritten.
-    ancestors : (n,) labels that follow the particles.
+    ancestors : (n,) becomes to which of `FAMILIES` families each particle belongs.
     report : becomes steps of beta, trajectories per particle, mean acceptance and step length at the end.
     """
     free, (count, size) = target[8], particles.shape
@@ -452,12 +454,15 @@ def run_population(
     for _ in range(FIRST_MOVES):
         _move_all(target, 0.0, factor, tuning, generator, particles, energies, room)
     beta, report[:] = 0.0, 0.0
+    ancestors[:] = np.arange(count) % FAMILIES
     while beta < 1.0:
         beta, moves = _stage(
             target, groups, beta, factor, tuning, generator, particles, energies, ancestors, weights, room
         )
         report[0] += 1
         report[1] += moves
+        if beta < PARTED:
+            ancestors[:] = np.arange(count) % FAMILIES
     weights[:] = 1.0 / count
     report[1] += _settle(target, factor, tuning, generator, particles, energies, weights, room)
     for r in range(draws.shape[0]):

@@ -7,7 +7,7 @@ from lmfit.lineshapes import gaussian
 
 from lunarsci.spectra.mgm.continuum import MGM_CONTINUA, continuum_basis, is_logarithmic
 from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA, model_and_jacobian
-from lunarsci.spectra.mgm.kernel import fit_batch
+from lunarsci.spectra.mgm.kernel import CONVERGED, ITERATION_LIMIT, NOT_FINITE, KernelFits, fit_batch
 
 GRID_NM = np.arange(450.0, 2396.0, 5.0)
 GRID = GRID_NM / 1e3
@@ -102,3 +102,117 @@ def test_the_minimum_is_that_of_lmfit() -> None:
     assert np.all(np.abs(found.parameters[0] - theirs) < 1e-3 * errors)
     stderr = np.array([best.params[f"p{k}"].stderr for k in range(start.size)])
     assert np.allclose(errors, stderr, rtol=0.02)
+
+
+PRIOR = np.concatenate([[0, 0], np.array([[0.91, 0.2, 0], [1.03, 0.2, 0], [1.9, 0.5, 0], [2.3, 0.6, 0]]).ravel()])
+SIGMA = np.concatenate([[np.inf, np.inf], np.tile([0.02, 0.04, 0.5], 4)])
+UPPER = np.concatenate([[np.inf, np.inf], np.tile([np.inf, np.inf, 0.0], 4)])
+HOPS = np.array([[row, -4.0] for row in (4, 7, 10, 13)])
+BASIS = continuum_basis("wavelength", GRID_NM)
+
+
+def simulated(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Spectra whose bands differ, with weights that differ from channel to channel."""
+    rng = np.random.default_rng(seed)
+    data, sigma = np.empty((count, GRID.size)), rng.uniform(0.003, 0.02, (count, GRID.size))
+    for row in range(count):
+        point = POINT * rng.uniform(0.97, 1.03, POINT.size)
+        data[row] = written_out(point, BASIS) + rng.normal(size=GRID.size) * sigma[row]
+    return data, sigma**-2.0
+
+
+def kernel(data: np.ndarray, weight: np.ndarray, keep: object = slice(None), **changes: np.ndarray) -> KernelFits:
+    lower, upper = changes.get("lower", np.full(PRIOR.size, -np.inf)), changes.get("upper", UPPER)
+    first = PRIOR.copy()
+    first[0], first[4::3] = 0.4, -0.1
+    second = first + np.concatenate([[0, 0], np.tile([0.02, 0.02, -0.1], 4)])
+    starts = np.repeat(np.array([first, second])[:, None], len(data), axis=1)
+    return fit_batch(
+        data[:, keep], weight[:, keep], GRID[keep], BASIS[keep], False, changes.get("prior", PRIOR),
+        np.diag(SIGMA**-2.0), lower, upper, starts, HOPS, 1e-8, 300,
+    )  # fmt: skip
+
+
+def test_a_spectrum_does_not_depend_on_its_company() -> None:
+    """Any order, any number of others, any of the lanes."""
+    data, weight = simulated(21, 4)
+    together, backwards = kernel(data, weight), kernel(data[::-1], weight[::-1])
+    assert (together.status == CONVERGED).all()
+    assert np.allclose(together.parameters, backwards.parameters[::-1], rtol=1e-9, atol=1e-12)
+    assert np.allclose(together.covariance, backwards.covariance[::-1], rtol=1e-9, atol=1e-15)
+    for row in (0, 7, 8, 20):
+        alone = kernel(data[row : row + 1], weight[row : row + 1])
+        assert np.allclose(alone.parameters[0], together.parameters[row], rtol=1e-9, atol=1e-12)
+        assert alone.objective[0] == pytest.approx(together.objective[row], rel=1e-9)
+
+
+def test_nor_does_one_whose_steps_cross_bounds() -> None:
+    data, weight = simulated(21, 14)
+    reach = np.where(np.isfinite(SIGMA), 0.7 * SIGMA, np.inf)
+    bounds = {"lower": PRIOR - reach, "upper": np.minimum(PRIOR + reach, UPPER)}
+    bounds["lower"][4::3] = -0.3
+    together = kernel(data, weight, **bounds)
+    assert np.mean((together.parameters == bounds["lower"]) | (together.parameters == bounds["upper"])) > 0.1
+    for row in range(21):
+        alone = kernel(data[row : row + 1], weight[row : row + 1], **bounds)
+        assert np.array_equal(alone.parameters[0], together.parameters[row])
+        assert alone.iterations[0] == together.iterations[row]
+
+
+def test_masked_channels_are_as_if_removed() -> None:
+    data, weight = simulated(3, 6)
+    mask = np.random.default_rng(7).uniform(size=GRID.size) < 0.2
+    mask[:9] = mask[-3:] = True
+    masked_data, masked_weight = data.copy(), weight.copy()
+    masked_data[:, mask], masked_weight[:, mask] = np.nan, 0.0
+    masked, removed = kernel(masked_data, masked_weight), kernel(data, weight, keep=~mask)
+    errors = np.sqrt(np.diagonal(removed.covariance, axis1=1, axis2=2))
+    assert np.all(np.abs(masked.parameters - removed.parameters) < 1e-3 * errors)
+    assert np.allclose(masked.objective, removed.objective, rtol=1e-9)
+
+
+def test_bounds_hold_exactly_and_the_others_follow() -> None:
+    """A centre may not go where the data want it; the minimum under that bound is that of a fit with it fixed there."""
+    data, weight = simulated(4, 9)
+    free = kernel(data, weight)
+    lower = np.full(PRIOR.size, -np.inf)
+    lower[2] = free.parameters[:, 2].max() + 0.003
+    bounded = kernel(data, weight, lower=lower)
+    assert (bounded.status == CONVERGED).all()
+    assert (bounded.parameters[:, 2] == lower[2]).all()
+    assert (bounded.parameters[:, 4::3] <= 0).all()
+    upper = UPPER.copy()
+    upper[2] = lower[2]
+    fixed = kernel(data, weight, lower=lower, upper=upper)
+    assert (fixed.parameters[:, 2] == lower[2]).all()
+    assert np.allclose(bounded.objective, fixed.objective, rtol=1e-9)
+    assert (bounded.objective > free.objective).all()
+
+
+def test_spectra_without_a_fit_are_reported_and_leave_the_others_alone() -> None:
+    """A start with a continuum below zero, in the company of one that has none."""
+    data, weight = simulated(2, 12)
+    start = PRIOR.copy()
+    start[0], start[4::3] = 0.4, -0.1
+    starts = np.array([[start, start]])
+    starts[0, 0, 0] = -1.0
+    found = fit_batch(
+        data, weight, GRID, BASIS, False, PRIOR, np.diag(SIGMA**-2.0), np.full(PRIOR.size, -np.inf), UPPER, starts,
+        HOPS, 1e-8, 300,
+    )  # fmt: skip
+    assert found.status.tolist() == [NOT_FINITE, CONVERGED]
+    assert found.objective[0] == np.inf
+    alone = kernel(data[1:], weight[1:])
+    assert found.objective[1] == pytest.approx(alone.objective[0], rel=1e-9)
+
+
+def test_the_iteration_limit_is_reported() -> None:
+    data, weight = simulated(1, 3)
+    start = PRIOR.copy()
+    start[0], start[4::3] = 0.4, -0.1
+    found = fit_batch(
+        data, weight, GRID, BASIS, False, PRIOR, np.diag(SIGMA**-2.0), np.full(PRIOR.size, -np.inf), UPPER,
+        start[None, None], np.empty((0, 2)), 1e-12, 1,
+    )  # fmt: skip
+    assert found.status[0] == ITERATION_LIMIT
+    assert found.iterations[0] == 1

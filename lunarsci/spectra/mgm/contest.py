@@ -1,0 +1,179 @@
+"""The contest of the minima of some spectra: which is lowest, and how close comes the next.
+
+Descents on coarse spectra are cheap and find the candidates; only one that may be the lowest is finished on all
+channels. Hops from the lowest find what random starts rarely do, the minimum in which a neighbouring band does the
+work.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.spectra.mgm.coarse import coarse_size, coarsened, correct
+from lunarsci.spectra.mgm.covariances import inverses
+from lunarsci.spectra.mgm.descent import NOT_FINITE, Channels, Rules, Task, descend, room_for
+from lunarsci.spectra.spectrum import FloatArray
+
+__all__ = ["RIVAL_CHI2", "SAME_SIGMAS", "Contest"]
+
+IntArray = npt.NDArray[np.intp]
+
+COARSE_TOLERANCE, HOP_TOLERANCE = 1.0, 0.3
+"""Decrease to be expected, in chi-square, at which a descent on the coarse spectrum ends: of starts, of hops."""
+SAME_BASIN = 1.5
+"""In one parabolic basin the square of the distance, in standard deviations, is at most the rise of the objective; a
+point that is not farther than this factor allows is on its way back."""
+COARSE_DOUBT = 3.0
+"""By how much the order of two minima may differ between coarse and full spectrum."""
+MAX_ROUNDS = 4
+FIRST_DAMPING, LATER_DAMPING = 1e-3, 1e-6
+RIVAL_CHI2 = 5.0
+"""A minimum higher by this or more is no rival of the best."""
+SAME_SIGMAS = 0.5
+"""Minima within this of each other, in posterior standard deviations, are one."""
+
+
+class Contest:
+    """Fits of spectra (n rows) that share their channels.
+
+    Attributes
+    ----------
+    best, covariance, outcome : (n, p), (n, p, p) and (n, 4): chi-square, objective, iterations, status.
+    rival, rival_sigmas : (n,) how much higher the next minimum is, and how far it lies.
+    """
+
+    def __init__(self, fine: Channels, task: Task, tolerance: float, max_iterations: int) -> None:
+        rows, channels = fine.data.shape
+        size = task.prior.size
+        self.task, self.tolerance, self.max_iterations = task, tolerance, max_iterations
+        self.together = coarse_size(channels)
+        self.fine = fine
+        self.coarse = coarsened(fine, self.together)
+        self.used = [np.count_nonzero(spectra.root_weight, axis=1).astype(float) for spectra in (fine, self.coarse)]
+        self.rooms = tuple(room_for(size, task.degrees, spectra.data.shape[1]) for spectra in (fine, self.coarse))
+        self.best, self.outcome = np.empty((rows, size)), np.tile([np.nan, np.inf, 0.0, NOT_FINITE], (rows, 1))
+        self.covariance = np.full((rows, size, size), np.nan)
+        self.floor = np.full(rows, np.inf)
+        self.rival, self.rival_sigmas = np.full(rows, np.inf), np.zeros(rows)
+
+    def start(self, starts: FloatArray) -> None:
+        """Descend from every start, (s, n, p), and finish the lowest."""
+        count, rows, size = starts.shape
+        every = np.tile(np.arange(rows), count)
+        points, outcomes = self._explore(every, starts.reshape(-1, size), COARSE_TOLERANCE)
+        lowest = outcomes[:, 1].reshape(count, rows).argmin(axis=0) * rows + np.arange(rows)
+        self.best[:] = points[lowest]
+        alive = np.flatnonzero(np.isfinite(outcomes[lowest, 1]))
+        self._settle(alive)
+        floor = outcomes[lowest, 1][every]
+        others = np.isfinite(self.floor[every]) & (outcomes[:, 1] < floor + RIVAL_CHI2)
+        others[lowest] = False
+        others &= self._apart(every, points) > SAME_SIGMAS
+        self._challenge(every[others], points[others])
+
+    def hop(self, hops: FloatArray) -> None:
+        """Descend from every hop, (h, 2), away from the best; again from a better one where that finds it."""
+        rows = np.flatnonzero(np.isfinite(self.covariance[:, 0, 0]) & np.isfinite(self.floor))
+        for _ in range(MAX_ROUNDS):
+            if not (len(hops) and rows.size):
+                return
+            every, points = self._displaced(rows, hops)
+            points, outcomes = self._explore(every, points, HOP_TOLERANCE)
+            higher, apart = outcomes[:, 1] - self.floor[every], self._apart(every, points)
+            back = apart**2 < SAME_BASIN * (np.maximum(higher, 0.0) + HOP_TOLERANCE)
+            keep = (higher < RIVAL_CHI2 + COARSE_TOLERANCE) & ~back
+            rows = self._challenge(every[keep], points[keep])
+
+    def _displaced(self, rows: IntArray, hops: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Rows and points of all hops, the other parameters following their correlation."""
+        index = hops[:, 0].astype(int)
+        covariance = self.covariance[rows]
+        variance = covariance[:, index, index]
+        every, which = np.nonzero(variance > 0)
+        step = hops[which, 1] / np.sqrt(variance[every, which])
+        points = self.best[rows[every]] + step[:, None] * covariance[every, :, index[which]]
+        return rows[every], points
+
+    def _apart(self, rows: IntArray, points: FloatArray) -> FloatArray:
+        """Largest difference from the best of a parameter, in its standard deviations."""
+        variance = np.diagonal(self.covariance, axis1=1, axis2=2)[rows]
+        with np.errstate(invalid="ignore"):
+            sigma = np.where(variance > 0, np.sqrt(variance), np.inf)
+        return np.asarray(np.max(np.abs(points - self.best[rows]) / sigma, axis=1, initial=0.0))
+
+    def _explore(
+        self, rows: IntArray, points: FloatArray, tolerance: float, tempering: bool = True
+    ) -> tuple[FloatArray, FloatArray]:
+        """Where points lead to on the coarse spectrum, and the outcomes."""
+        found, outcomes = np.array(points), np.empty((len(rows), 4))
+        rules = Rules(tempering, FIRST_DAMPING if tempering else LATER_DAMPING, tolerance, self.max_iterations)
+        descend(
+            self.coarse, self.used[1], self.task, rules, rows, found, outcomes, self.rooms[1],
+            np.empty((0, 1, 1)),
+        )  # fmt: skip
+        return found, outcomes
+
+    def _finish(self, rows: IntArray, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Where points lead to on all channels, the outcomes and the covariances."""
+        found, outcomes = np.array(points), np.empty((len(rows), 4))
+        curvatures = np.empty((len(rows), found.shape[1], found.shape[1]))
+        rules = Rules(False, LATER_DAMPING, self.tolerance, self.max_iterations)
+        descend(self.fine, self.used[0], self.task, rules, rows, found, outcomes, self.rooms[0], curvatures)
+        return found, outcomes, inverses(curvatures, self.task, self.rooms[0])
+
+    def _settle(self, rows: IntArray) -> None:
+        """Finish the lowest coarse minima, the coarse data corrected there."""
+        if not rows.size:
+            return
+        points = self.best[rows]
+        if self.together > 1:
+            correct(self.fine, self.coarse, self.together, self.task, self.best, *self.rooms)
+        points, outcomes = self._explore(rows, points, self.tolerance, tempering=False)
+        self.floor[rows] = outcomes[:, 1]
+        self.best[rows], self.outcome[rows], self.covariance[rows] = self._finish(rows, points)
+
+    def _challenge(self, rows: IntArray, points: FloatArray) -> IntArray:
+        """Let minima of the coarse spectrum contend with the best; the rows in which one took the place."""
+        if not rows.size:
+            return rows
+        points, outcomes = self._explore(rows, points, self.tolerance, tempering=False)
+        higher, apart = outcomes[:, 1] - self.floor[rows], self._apart(rows, points)
+        keep = (higher < RIVAL_CHI2) & (apart > SAME_SIGMAS)
+        rows, points, higher, apart = rows[keep], points[keep], higher[keep], apart[keep]
+        order = self._distinct(rows, points, higher)
+        rows, points, higher, apart = rows[order], points[order], higher[order], apart[order]
+        doubtful = higher <= COARSE_DOUBT
+        self._note(rows[~doubtful], higher[~doubtful], apart[~doubtful])
+        return self._decide(rows[doubtful], points[doubtful], higher[doubtful])
+
+    def _distinct(self, rows: IntArray, points: FloatArray, higher: FloatArray) -> IntArray:
+        """Contenders by row and rising objective, without those that have come to the same place as the one before."""
+        order = np.lexsort((higher, rows))
+        sigma = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2)[rows[order]])
+        moved = np.diff(points[order], axis=0, prepend=np.inf)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            apart = np.nanmax(np.abs(moved) / sigma, axis=1, initial=0.0)
+        return np.asarray(order[(apart > SAME_SIGMAS) | (np.diff(rows[order], prepend=-1) > 0)])
+
+    def _decide(self, rows: IntArray, points: FloatArray, higher: FloatArray) -> IntArray:
+        """Finish the contenders; the rows in which one took the place."""
+        if not rows.size:
+            return rows
+        points, outcomes, covariance = self._finish(rows, points)
+        difference, apart = outcomes[:, 1] - self.outcome[rows, 1], self._apart(rows, points)
+        other = np.isfinite(difference) & (apart > SAME_SIGMAS)
+        order = np.lexsort((difference, rows))
+        order = order[other[order]]
+        order = order[np.diff(rows[order], prepend=-1) > 0]
+        better = order[difference[order] < 0]
+        self._note(rows[order], difference[order], apart[order])
+        won = rows[better]
+        self.floor[won] += higher[better]
+        self.best[won], self.outcome[won], self.covariance[won] = points[better], outcomes[better], covariance[better]
+        self.rival[won], self.rival_sigmas[won] = -difference[better], apart[better]
+        return np.asarray(won)
+
+    def _note(self, rows: IntArray, higher: FloatArray, apart: FloatArray) -> None:
+        """Remember the lowest of other minima."""
+        for row, value, sigmas in zip(rows, higher, apart, strict=True):
+            if value < self.rival[row]:
+                self.rival[row], self.rival_sigmas[row] = value, sigmas
