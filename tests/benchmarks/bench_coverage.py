@@ -8,6 +8,7 @@ Errors of the shares are from a bootstrap over spectra, whose parameters are not
 import argparse
 import time
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -130,7 +131,7 @@ def main() -> None:
             for name, rows in [*((kind, hits[:, :, k::3]) for k, kind in enumerate(KINDS)), ("all", hits)]:
                 text = [f"{100 * level:g} %: {share:.3f} +- {error:.3f}" for level, (share, error) in levels(rows)]
                 print(f"    {name:10s} {'   '.join(text)}")
-            for low, high in zip(BINS, BINS[1:], strict=False):
+            for low, high in pairwise(BINS):
                 chosen = np.repeat((ratio >= low) & (ratio < high), 3, axis=1)
                 if chosen.any():
                     print(

@@ -182,6 +182,12 @@ def main() -> None:
         report(channels, options.spectra, options.slow, peak)
 
 
+def near_1_um(model: MgmModel) -> np.ndarray:
+    """Hops of the mineral bands that overlap at 1 um, each deeper by the same as in `hops_of`."""
+    bands = [k for k, band in enumerate(model.assemblage.bands) if band.region == "um1"]
+    return np.array([hop for hop in hops_of(model) if (hop[0] - model.degrees - 2) / 3 in bands])
+
+
 def report(channels: int, count: int, slow: int, peak: float) -> None:
     """Rates and success of every method; success is measured against the lowest objective that any method found."""
     case = problem(channels, count)
@@ -192,6 +198,7 @@ def report(channels: int, count: int, slow: int, peak: float) -> None:
         "lmfit, our derivatives": lmfit_rate(case, slow, analytic=True),
         "scipy least_squares, our derivatives": scipy_rate(case, slow),
         "kernel, 1 start": kernel_rate(case, 1, np.empty((0, 2))),
+        "kernel, 1 start, bands at 1 um deeper": kernel_rate(case, 1, near_1_um(case.model)),
         "kernel, 1 start, every band deeper": kernel_rate(case, 1, few),
         "kernel, 4 starts, all hops": kernel_rate(case, 4, hops),
         "kernel, 24 starts, all hops": kernel_rate(case, 24, hops),

@@ -19,7 +19,9 @@ PROBABILITIES = (0.6827, 0.95)
 KINDS = ("center_nm", "strength")
 CLOSE = 0.01
 """Of the root of the rise of the objective, at which an end of an interval has been found."""
-MOST_STEPS = 25
+NARROW = 1e-3
+"""Of the standard error: a bracket narrower than this holds a jump of the profile, from one valley to another."""
+MOST_STEPS = 30
 LOWER_BY = 0.1
 MISFIT = 1.5
 TOLERANCE, MAX_ITERATIONS = 1e-4, 300
@@ -190,7 +192,7 @@ def _end(profile: _Profile, sign: int, bound: float, wanted: float, start: float
     """Where the root of the rise is `wanted`: outward in steps, then by the secant between the last two."""
     inner, inner_root = start, min(profile.known, key=lambda entry: abs(entry[0] - start))[1]
     step = max(profile.sigma, 1e-9) * max(wanted - inner_root, 0.1)
-    outer = outer_root = np.nan
+    outer, outer_root, narrow = np.nan, np.nan, NARROW * max(profile.sigma, 1e-9)
     for _ in range(MOST_STEPS):
         if np.isnan(outer):
             trial = inner + sign * step
@@ -199,7 +201,7 @@ def _end(profile: _Profile, sign: int, bound: float, wanted: float, start: float
             share = (wanted - inner_root) / (outer_root - inner_root) if np.isfinite(outer_root) else 0.5
             trial = inner + (outer - inner) * min(max(share, 0.1), 0.9)
         root = profile.rise(trial)
-        if abs(root - wanted) < CLOSE or (trial == bound and root <= wanted):
+        if abs(root - wanted) < CLOSE or (trial == bound and root <= wanted) or abs(outer - inner) < narrow:
             return trial
         if root > wanted:
             outer, outer_root = trial, root
