@@ -140,7 +140,7 @@ def test_a_start_file_brings_bands_and_continuum_and_a_result_file_comes_back(
     assert record["prior"] == "damping"
     assert record["assemblage"] == "fit file"
     document = json.loads(run("spectra", "fit", rock, "--start", start, "--json").out)
-    assert any(item["name"].endswith("start.fit") for item in document["provenance"]["inputs"])
+    assert any(item["path"].endswith("start.fit") for item in document["provenance"]["inputs"])
 
 
 def test_damping_with_the_named_bands(run: Run, rock: Path) -> None:

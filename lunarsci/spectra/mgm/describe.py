@@ -94,7 +94,7 @@ def _bands(model: MgmModel, solution: _Solution, shared: FloatArray) -> tuple[Fi
         shrinkage = np.nan_to_num(1 - (sigma[m:] / model.sigma[m:]) ** 2, nan=0.0).clip(0, 1)
     together = np.sqrt((shared**2).sum(axis=0)) if len(shared) else np.full(point.size, np.nan)
     values, errors, calibration = (v[m:].reshape(-1, 3) for v in (point, sigma, together))
-    at_bound = ((point <= model.lower) | (point >= model.upper))[m:].reshape(-1, 3)
+    at_bound = (~model.fixed & ((point <= model.lower) | (point >= model.upper)))[m:].reshape(-1, 3)
     return tuple(
         FittedBand.from_kernel(band, *row)
         for band, *row in zip(

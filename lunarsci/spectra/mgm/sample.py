@@ -12,7 +12,7 @@ from lunarsci.errors import ParameterError
 from lunarsci.spectra.mgm.intervals import Interval, Intervals, ratios_of
 from lunarsci.spectra.mgm.model import MgmModel, unit_of
 from lunarsci.spectra.mgm.result import MgmFit
-from lunarsci.spectra.mgm.sampler import FAMILIES, run_population
+from lunarsci.spectra.mgm.sampler import run_population
 from lunarsci.spectra.spectrum import FloatArray
 
 IntArray: TypeAlias = NDArray[np.int64]
@@ -22,6 +22,8 @@ __all__ = ["Posterior", "posterior_intervals", "sample_batch", "sample_posterior
 DEFAULT_DRAWS = 4000
 DEFAULT_PARTICLES = 256
 LEAST_DRAWS, LEAST_PARTICLES = 100, 128
+GROUPS = 8
+"""Into which the families of particles are put for R-hat."""
 LEAST_FAMILIES = 4
 COARSE_UM = 0.015
 """Width of the channels that steer trajectories; a quarter of the sigma of the narrowest band."""
@@ -197,7 +199,7 @@ def _posterior(
 def _doubts(effective: FloatArray, r_hat: FloatArray, acceptance: float, families: int) -> list[str]:
     doubts = []
     if families < LEAST_FAMILIES:
-        doubts.append(f"only {families} of {FAMILIES} families of particles are left")
+        doubts.append(f"all descend from {families} particles at an early step")
     if not np.nanmax(r_hat) < MOST_R_HAT:
         doubts.append(f"R-hat reaches {np.nanmax(r_hat):.2f}, above {MOST_R_HAT:g}")
     if not np.nanmin(effective) > LEAST_EFFECTIVE:
@@ -224,8 +226,8 @@ def _effective_size(drawn: FloatArray, families: IntArray) -> FloatArray:
     """(p,) variance of the draws over that of their mean, which the sums over families tell."""
     rounds, count, _ = drawn.shape
     apart = drawn.mean(axis=0) - drawn.mean(axis=(0, 1))
-    sums = np.array([apart[families == label].sum(axis=0) / count for label in range(FAMILIES)])
-    of_mean = (sums**2).sum(axis=0) * FAMILIES / (FAMILIES - 1)
+    sums = np.array([apart[families == label].sum(axis=0) / count for label in np.unique(families)])
+    of_mean = (sums**2).sum(axis=0) * count / (count - 1)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.minimum(drawn.var(axis=(0, 1)) / of_mean, rounds * count), dtype=np.float64)
 
@@ -234,7 +236,8 @@ def _r_hat(drawn: FloatArray, families: IntArray) -> FloatArray:
     """(p,) root of total over within-group variance; groups are families of the first and of the second half."""
     half = max(1, len(drawn) // 2)
     parts = [part for part in (drawn[:half], drawn[half:]) if len(part)]
-    groups = [part[:, families == label].reshape(-1, part.shape[2]) for part in parts for label in np.unique(families)]
+    labels = families % GROUPS
+    groups = [part[:, labels == label].reshape(-1, part.shape[2]) for part in parts for label in np.unique(labels)]
     sizes = np.array([len(group) for group in groups], dtype=np.float64)[:, None]
     means = np.array([group.mean(axis=0) for group in groups])
     within = (sizes * np.array([group.var(axis=0) for group in groups])).sum(axis=0) / sizes.sum()

@@ -17,21 +17,22 @@ import numpy as np
 from lunarsci.compiled import VECTORS, compiled
 from lunarsci.spectra.mgm.energy import RIDGE, correct_coarse, energies_of, force_of, lower_factor
 
-__all__ = ["FAMILIES", "run_population"]
+__all__ = ["run_population"]
 
 KEPT = 0.5
 """Share of the particles that a step of beta leaves, as an effective number."""
 WANTED_ACCEPTANCE, TUNING = 0.75, 1.0
 FIRST_STEP, LEAST_STEP, MOST_STEP = 0.3, 1e-3, 0.7
-TRAJECTORY = 3.0
-"""Length in standard deviations. A normal law is forgotten after pi / 2; valleys here are curved and longer."""
+SHORTEST, LONGEST = 0.5, 3.5
+"""Lengths of trajectories in standard deviations, uniformly at random: a normal law is forgotten after pi / 2 and back,
+mirrored, after pi; the curved valleys of this model are longer."""
 MOST_LEAPS, MOST_BOUNCES = 400, 200
-FORGOTTEN, SETTLED = 0.7, 0.15
+FORGOTTEN, SETTLED = 0.8, 0.12
 """Correlation of the most persistent parameter with its values before the moves, below which these were enough: at a
 step of beta, and before draws are kept."""
-MOST_MOVES, MOST_SETTLING, FIRST_MOVES, FRESH = 30, 80, 10, 8
-"""Trajectories per particle at most; FRESH of them with one metric while the population settles."""
-FAMILIES, PARTED = 16, 0.01
+MOST_MOVES, FIRST_MOVES, LEAST_SETTLING, MOST_SETTLING, FRESH = 30, 10, 24, 64, 8
+"""Trajectories per particle; FRESH of them with one metric while the population settles."""
+PARTED = 0.01
 """Particles are labelled when beta passes this; the moves have forgotten by then where they came from."""
 
 
@@ -91,7 +92,7 @@ def _trajectory(
         momentum[k] = generator.standard_normal()
         change -= 0.5 * momentum[k] ** 2
     trial[:] = point
-    leaps = min(MOST_LEAPS, math.ceil(TRAJECTORY / step))
+    leaps = min(MOST_LEAPS, math.ceil(generator.uniform(SHORTEST, LONGEST) / step))
     if not force_of(target, beta, trial, room, gradient):
         return 0.0
     for leap in range(leaps):
@@ -200,7 +201,7 @@ def _resample(weights: Any, offset: float, particles: Any, energies: Any, ancest
 
 @compiled
 def _correlation(before: Any, after: Any, free: Any) -> float:
-    """Largest over the free parameters of the correlation between two states of the population."""
+    """Largest over the free parameters, either sign, of the correlation between two states of the population."""
     largest, count = 0.0, before.shape[0]
     for k in range(free.size):
         p = free[k]
@@ -211,7 +212,7 @@ def _correlation(before: Any, after: Any, free: Any) -> float:
             ab += u * v
             aa += u * u
             bb += v * v
-        largest = max(largest, ab / math.sqrt(aa * bb) if aa > 0.0 and bb > 0.0 else 1.0)
+        largest = max(largest, abs(ab) / math.sqrt(aa * bb) if aa > 0.0 and bb > 0.0 else 1.0)
     return largest
 
 
@@ -239,7 +240,7 @@ def _settle(
 ) -> int:
     """Move on the posterior itself until the resampled copies have parted; returns how often."""
     before, moves, kept = particles.copy(), 0, 1.0
-    while kept > SETTLED and moves < MOST_SETTLING:
+    while moves < LEAST_SETTLING or (kept > SETTLED and moves < MOST_SETTLING):
         if moves % FRESH == 0:
             _factor_of(particles, weights, target[8], factor)
         _move_all(target, 1.0, factor, tuning, generator, particles, energies, room)
@@ -268,7 +269,7 @@ def run_population(
         priors have somewhere to begin.
     groups : (n,) to which coarse channel each channel belongs; the coarse data are overwritten.
     factor : (f, f) Cholesky factor of the prior's covariance, with that law in it; overwritten.
-    ancestors : (n,) becomes to which of `FAMILIES` families each particle belongs.
+    ancestors : (n,) becomes from which particle at beta = `PARTED` each descends.
     report : becomes steps of beta, trajectories per particle, mean acceptance and step length at the end.
     """
     free, (count, size) = target[8], particles.shape
@@ -280,7 +281,7 @@ def run_population(
     for _ in range(FIRST_MOVES):
         _move_all(target, 0.0, factor, tuning, generator, particles, energies, room)
     beta, report[:] = 0.0, 0.0
-    ancestors[:] = np.arange(count) % FAMILIES
+    ancestors[:] = np.arange(count)
     while beta < 1.0:
         beta, moves = _stage(
             target, groups, beta, factor, tuning, generator, particles, energies, ancestors, weights, room
@@ -288,7 +289,7 @@ def run_population(
         report[0] += 1
         report[1] += moves
         if beta < PARTED:
-            ancestors[:] = np.arange(count) % FAMILIES
+            ancestors[:] = np.arange(count)
     weights[:] = 1.0 / count
     report[1] += _settle(target, factor, tuning, generator, particles, energies, weights, room)
     for r in range(draws.shape[0]):

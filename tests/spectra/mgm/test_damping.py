@@ -282,7 +282,7 @@ def test_models_of_assemblages_are_fitted_and_their_pyroxene_ratio_given(continu
     strengths = {"OPX 1": -0.5, "CPX 1": -0.2, "OPX 2": -0.45, "CPX 2": -0.15}
     for band in model.assemblage.bands:
         x = (GRID - band.center_nm) / band.fwhm_nm
-        ln = ln + strengths.get(band.name, -0.05) * np.exp(-4 * np.log(2) * x**2)
+        ln = ln + strengths.get(band.name, -0.08) * np.exp(-4 * np.log(2) * x**2)
     fit = fitted(Spectrum("pyroxenes", GRID, np.exp(ln), 1e-3 * np.exp(ln)), model, rms_limit=1e-3)
     assert fit.converged
     ratio = fit.nbsr["um2"]

@@ -99,7 +99,8 @@ def test_a_strength_at_its_bound_follows_the_truncated_normal_law(peak: float) -
     assert ends == pytest.approx(law.ppf([0.025, 0.15865, 0.5, 0.84135, 0.975]), abs=0.08 * law.std())
 
 
-@pytest.mark.parametrize("second", [0.0297, 0.0300, 0.0303])
+@pytest.mark.slow
+@pytest.mark.parametrize("second", [0.0038, 0.0040, 0.0042])
 def test_two_minima_keep_their_weights(second: float) -> None:
     """One band, two absorptions: the posterior of centre and strength by a fine grid of both."""
     model = only(mgm_model("OPX", "none"), f"{OPX}_center_nm", f"{OPX}_strength")
@@ -110,9 +111,9 @@ def test_two_minima_keep_their_weights(second: float) -> None:
     precision[k, k] = 0.5**-2
     model = replace(model, precision=precision, prior=np.where(np.arange(model.prior.size) == k, 1.3, model.prior))
     fwhm = model.prior[k + 1] * 1e3
-    data = -0.03 * shape(1000, fwhm) - second * shape(1600, fwhm)
+    data = -0.004 * shape(1000, fwhm) - second * shape(1600, fwhm)
     fit = fitted(model, data)
-    centres, strengths = np.linspace(700, 1900, 1201), np.linspace(-0.04, 0, 401)
+    centres, strengths = np.linspace(700, 1900, 1201), np.linspace(-0.012, 0, 601)
     shapes = shape(centres, fwhm)
     cross, own = shapes @ data / NOISE**2, (shapes**2).sum(axis=1) / NOISE**2
     [band] = [band for band in model.assemblage.bands if band.key == OPX]
@@ -123,9 +124,9 @@ def test_two_minima_keep_their_weights(second: float) -> None:
     )
     density = np.exp(log_density - log_density.max()).sum(axis=0)
     weight = density[centres > 1300].sum() / density.sum()
-    assert 0.02 < weight < 0.98
-    drawn = [sample_posterior(fit, particles=512, seed=seed).draws[:, k] * 1e3 for seed in range(4)]
-    assert np.mean([(draws > 1300).mean() for draws in drawn]) == pytest.approx(weight, abs=0.07)
+    assert 0.1 < weight < 0.9
+    drawn = [sample_posterior(fit, particles=1024, seed=seed).draws[:, k] * 1e3 for seed in range(3)]
+    assert np.mean([(draws > 1300).mean() for draws in drawn]) == pytest.approx(weight, abs=0.08)
     spread = np.sqrt((density * (centres - 1600) ** 2)[centres > 1300].sum() / density[centres > 1300].sum())
     above = np.concatenate(drawn)
     assert np.sqrt(((above[above > 1300] - 1600) ** 2).mean()) == pytest.approx(spread, rel=0.1)

@@ -1,0 +1,46 @@
+"""Intervals hold the truth as often as they say. The full table is `tests/benchmarks/bench_coverage.py`."""
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from lunarsci.spectra.mgm.model import mgm_model
+
+
+@pytest.fixture(scope="module")
+def bench() -> ModuleType:
+    path = Path(__file__).parents[2] / "benchmarks/bench_coverage.py"
+    spec = importlib.util.spec_from_file_location("bench_coverage", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("method", "noise", "count"), [("profile", 0.005, 60), ("sample", 0.01, 40)])
+@pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
+def test_shares_that_hold_the_truth(bench: ModuleType, method: str, noise: float, count: int) -> None:
+    """Orthopyroxene and clinopyroxene drawn from their prior; three standard errors of so few spectra are allowed."""
+    truth, _, ends, _ = bench.measure(mgm_model("OPX-CPX"), noise, count, 1, [method])
+    for hits, nominal, most in zip(bench.inside(truth, ends[method]), (0.6827, 0.95), (0.025, 0.012), strict=True):
+        found, error = bench.share(hits)
+        assert error < most, "or the bounds below say nothing"
+        assert abs(found - nominal) < 3 * error + 0.01, (method, nominal, found, error)
+    assert np.all(np.diff(ends[method][:, :, [2, 0, 1, 3]], axis=2) >= 0), "68 % lies within 95 %"
+
+
+def test_the_truth_of_the_simulation_follows_the_prior(bench: ModuleType) -> None:
+    """Means and standard deviations of centres and widths; strengths half-normal: mean sigma (2 / pi)^1/2."""
+    model = mgm_model("OPX")
+    rng = np.random.default_rng(0)
+    truth = np.array([bench.draw_truth(model, rng) for _ in range(4000)])
+    sigma, m = model.sigma[model.degrees :], model.degrees
+    assert np.allclose(truth.mean(axis=0)[::3], model.prior[m::3], atol=0.08 * sigma[::3].max())
+    assert np.allclose(truth.std(axis=0)[::3], sigma[::3], rtol=0.06)
+    assert np.allclose(truth.std(axis=0)[1::3], sigma[1::3], rtol=0.06)
+    assert np.allclose(truth.mean(axis=0)[2::3], -sigma[2::3] * np.sqrt(2 / np.pi), rtol=0.06)
