@@ -10,6 +10,7 @@ from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.kernel import CONVERGED, KernelFits
 from lunarsci.spectra.mgm.model import MgmModel
 from lunarsci.spectra.mgm.result import FittedBand, MgmFit, band_strength_ratios
+from lunarsci.spectra.mgm.shared import follow_shifts
 from lunarsci.spectra.spectrum import FloatArray
 
 __all__ = ["describe"]
@@ -21,13 +22,12 @@ STRAINED_SIGMAS = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solution:
-    """A point, what the model is there, its covariance with the model's misfit in it, and how it follows the data."""
+    """A point, what the model is there, and its covariance with the model's misfit in it."""
 
     point: FloatArray
     ln_model: FloatArray
     jacobian: FloatArray
     covariance: FloatArray
-    response: FloatArray
     reduced_chi2: float
 
 
@@ -36,7 +36,7 @@ def describe(data: MgmData, model: MgmModel, solved: KernelFits, row: int, level
     converged = solved.status[row] == CONVERGED
     point, chi2 = _shifted_back(model, solved.parameters[row], level), float(solved.chi2[row])
     solution = _solution(data, model, point, chi2)
-    shared = data.shifts @ (solution.jacobian * data.weight).T @ solution.response
+    shared = follow_shifts(data, model, point, solution.ln_model, solution.jacobian)
     bands = _bands(model, solution, shared)
     m = model.degrees
     return MgmFit(
@@ -74,7 +74,7 @@ def _solution(data: MgmData, model: MgmModel, point: FloatArray, chi2: float) ->
     if found is None:
         shape = (point.size, data.wavelength_nm.size)
         nothing = np.full((point.size, point.size), np.nan)
-        return _Solution(point, np.full(shape[1], np.nan), np.zeros(shape), nothing, nothing, np.nan)
+        return _Solution(point, np.full(shape[1], np.nan), np.zeros(shape), nothing, np.nan)
     ln_model, jacobian = found
     fisher = (jacobian * data.weight) @ jacobian.T
     used = float(np.trace(np.linalg.pinv(fisher + model.precision, hermitian=True) @ fisher))
@@ -83,8 +83,7 @@ def _solution(data: MgmData, model: MgmModel, point: FloatArray, chi2: float) ->
     pull = model.precision @ (point - model.prior)
     gradient = jacobian @ (data.weight * (np.log(data.reflectance) - ln_model)) / wide - pull
     covariance = bounded_covariance(fisher / wide + model.precision, gradient, point, model)
-    response = bounded_covariance(fisher + model.precision, None, point, model)
-    return _Solution(point, ln_model, jacobian, covariance, response, reduced)
+    return _Solution(point, ln_model, jacobian, covariance, reduced)
 
 
 def _bands(model: MgmModel, solution: _Solution, shared: FloatArray) -> tuple[FittedBand, ...]:
