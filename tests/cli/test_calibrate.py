@@ -510,7 +510,10 @@ def test_two_hundred_observations_run_through_with_a_bar(
     sys.stdout.write(f"\n200 observations: {time.perf_counter() - start:.0f} s, {megabytes(drawn):.0f} MB\n")
     assert process.returncode == 1
     assert "calibrating" in drawn
-    assert {"0%", "50%", "99%"} <= set(re.findall(r"\d+%", drawn))
+    shares = [int(share) for share in re.findall(r"(\d+)%", drawn)]
+    assert min(shares) == 0
+    assert any(40 <= share <= 60 for share in shares)
+    assert max(shares) >= 95
     said = [line for line in re.sub(r"\x1b\[[0-9;?]*[A-Za-z]|\r", "", drawn).splitlines() if "error: " in line]
     assert len(said) == 1
     assert "_0077_B" in said[0]

@@ -103,7 +103,7 @@ def test_intervals_hold_their_value_and_the_wider_one_the_narrower(run: Run, roc
         low95, low68, high68, high95 = (item[key] for key in ("low95", "low68", "high68", "high95"))
         if None not in (low95, low68, high68, high95):
             assert low95 <= low68 <= item["value"] <= high68 <= high95, item
-    shown = run("spectra", "fit", rock, "--assemblage", "OPX-CPX", "--errors", errors).out
+    shown = run("spectra", "fit", rock, "--assemblage", "OPX", "--errors", errors).out
     assert f"intervals by {errors}" in shown
 
 
