@@ -132,7 +132,7 @@ def _overview_row(record: Mapping[str, Any]) -> list[str]:
 
 
 def _margin(choice: Mapping[str, Any] | None) -> str:
-    return "" if not choice or choice["decisive"] else " (not decisive)"
+    return "" if not choice or choice["strong"] else " (weak evidence)"
 
 
 def _bands_table(fit: MgmFit) -> TextTable:

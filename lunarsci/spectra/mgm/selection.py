@@ -59,8 +59,8 @@ class Choice:
     margin : by how much the score of the best exceeds that of the next. [-]
     margin_ln_evidence, margin_bic : ln evidence of the best less that of the next; BIC of the next less that of the
         best. Negative where simplicity, not evidence, decides. [-]
-    decisive : whether the margin reaches `STRONG`.
-    status : a sentence; it names what else is possible where the choice is not decisive.
+    strong : whether the margin reaches `STRONG`; of measured minerals five in six are right there.
+    status : a sentence; it names what else is possible where the evidence is not strong.
     """
 
     id: str
@@ -68,7 +68,7 @@ class Choice:
     margin: float
     margin_ln_evidence: float
     margin_bic: float
-    decisive: bool
+    strong: bool
     status: str
 
     @property
@@ -82,7 +82,7 @@ class Choice:
             {"assemblage": c.assemblage, "ln_evidence": c.ln_evidence, "bic": c.bic, "score": c.score}
             for c in self.candidates
         ]
-        names = ("id", "assemblage", "margin", "margin_ln_evidence", "margin_bic", "decisive", "status")
+        names = ("id", "assemblage", "margin", "margin_ln_evidence", "margin_bic", "strong", "status")
         return {name: getattr(self, name) for name in names} | {"candidates": rows}
 
 
@@ -111,8 +111,8 @@ def choose(
     On those 156 spectra the choice is right for 76 %, also where the settings are chosen without the series of samples
     they are judged on; for 86 % of single minerals and half of the mixtures. On 25 spectra of pyroxene and plagioclase
     in the USGS library, which served for nothing here, it is right for 14. It misses small shares of a second mineral,
-    olivine beside diopside, and pyroxene that is zoned. Where it is not decisive, take the candidates as equals; even
-    where it is, one in six is wrong.
+    olivine beside diopside, and pyroxene that is zoned. Where the evidence is not strong, take the candidates as
+    equals; even where it is, one in six is wrong.
 
     Parameters
     ----------
@@ -183,8 +183,8 @@ def _status(ranked: Sequence[Candidate]) -> str:
     best = ranked[0]
     others = [c.assemblage for c in ranked[1:] if best.score - c.score < STRONG]
     if not others:
-        return f"{best.assemblage}, decisive"
-    return f"{best.assemblage}, not decisive: {', '.join(others)} cannot be excluded"
+        return f"{best.assemblage}, by strong evidence"
+    return f"{best.assemblage}, by weak evidence: {', '.join(others)} cannot be excluded"
 
 
 def _depth(data: MgmData) -> float:

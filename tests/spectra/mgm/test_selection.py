@@ -116,8 +116,8 @@ def test_margins_are_those_of_the_candidates() -> None:
     assert choice.margin == pytest.approx(best.score - second.score)
     assert choice.margin_ln_evidence == pytest.approx(best.ln_evidence - second.ln_evidence)
     assert choice.margin_bic == pytest.approx(second.bic - best.bic)
-    assert choice.decisive == (choice.margin >= STRONG)
-    assert ("not decisive" in choice.status) != choice.decisive
+    assert choice.strong == (choice.margin >= STRONG)
+    assert ("by weak evidence" in choice.status) != choice.strong
 
 
 def test_a_factor_of_the_reflectance_does_not_matter() -> None:
@@ -129,7 +129,7 @@ def test_a_factor_of_the_reflectance_does_not_matter() -> None:
 def test_a_flat_spectrum_decides_nothing() -> None:
     flat = Spectrum("flat", GRID, np.full(GRID.size, 0.1), np.full(GRID.size, 1e-3))
     choice = chosen(flat)
-    assert not choice.decisive
+    assert not choice.strong
     assert "cannot be excluded" in choice.status
 
 
