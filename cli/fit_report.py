@@ -20,6 +20,8 @@ MGM = "Sunshine, Pieters & Pratt (1990), J. Geophys. Res. 95, 6955, 10.1029/JB09
 NBSR = "Kanner, Mustard & Gendrin (2007), Icarus 187, 442, 10.1016/j.icarus.2006.10.025"
 UNLIKE_RMS = 0.2
 """A fit that misses ln R by more than this, root mean square, describes something else; assumed."""
+UNMOVED = 0.9
+"""Share of the prior's standard deviation above which a composition is the prior's; assumed."""
 PERCENT_OF = {
     "fo": "Fo of olivine",
     "fs": "Fs of orthopyroxene",
@@ -46,7 +48,7 @@ def fit_report(batch: Batch, run: FitRun, request: FitRequest) -> Report:
         tables=_tables(good, records),
         rows=[row for record in records for row in _band_rows(record)],
         figures=figures,
-        formats={".fit": lambda _: _fit_file(good, run)},
+        formats={".fit": lambda _: _fit_file(good[0], run)},
         inputs=batch.inputs | start,
         data_tables=tables_of(batch) | table_hashes(*TABLES),
         sources=[MGM, NBSR],
@@ -64,15 +66,12 @@ def _untrusted(good: Sequence[MgmFit]) -> str:
     return f"not to be trusted: {'; '.join(doubts)}" if doubts else ""
 
 
-def _fit_file(good: Sequence[MgmFit], run: FitRun) -> bytes:
-    from lunarsci.errors import ParameterError
+def _fit_file(fit: MgmFit, run: FitRun) -> bytes:
     from lunarsci.spectra.mgm.fitfile import fit_file_text, read_fit_file
     from lunarsci.spectra.mgm.fitfile_model import fit_file_of
 
-    if len(good) != 1:
-        raise ParameterError(f"a .fit file holds one spectrum, not {len(good)}; fit one at a time, or use --json")
     header = read_fit_file(run.start_file) if run.start_file else None
-    return fit_file_text(fit_file_of(good[0], header)).encode()
+    return fit_file_text(fit_file_of(fit, header)).encode()
 
 
 def _record(run: FitRun, index: int, origin: str) -> dict[str, Any]:
@@ -93,7 +92,7 @@ def _tables(good: Sequence[MgmFit], records: Sequence[Mapping[str, Any]]) -> lis
     overview = TextTable(
         ["spectrum", "assemblage", "rms ln R [%]", "NBSR 1 µm OPX", "NBSR 2 µm OPX", "status"],
         [_overview_row(record) for record in records],
-        notes=[*_shared_in_ratios(records[0]), *_composition_notes(records[0])] if alone else [],
+        notes=[*_shared_in_ratios(records[0]), *_composition_notes(records[0])] if alone else _not_shown(records),
     )
     if not alone:
         return [overview]
@@ -101,6 +100,11 @@ def _tables(good: Sequence[MgmFit], records: Sequence[Mapping[str, Any]]) -> lis
     tables += [_intervals_table(records[0]["intervals"])] if records[0]["intervals"] else []
     tables += [_choice_table(records[0]["choice"])] if records[0]["choice"] else []
     return tables
+
+
+def _not_shown(records: Sequence[Mapping[str, Any]]) -> list[str]:
+    there = any(record["intervals"] for record in records)
+    return ["bands and intervals of several spectra: --csv or --json"] if there else ["bands: --csv or --json"]
 
 
 def _shared_in_ratios(record: Mapping[str, Any]) -> list[str]:
@@ -117,10 +121,17 @@ def _shared_in_ratios(record: Mapping[str, Any]) -> list[str]:
 
 def _composition_notes(record: Mapping[str, Any]) -> list[str]:
     return [
-        f"{PERCENT_OF[key]} from the band centres: {plus_minus(item['mean'], item['sigma'])} mol %"
+        f"{PERCENT_OF[key]} from the band centres: {plus_minus(item['mean'], item['sigma'])} mol %{_doubt(item)}"
         for key, item in record["compositions"].items()
         if item["mean"] is not None
     ]
+
+
+def _doubt(item: Mapping[str, Any]) -> str:
+    if not item["in_range"]:
+        return f", beyond the {item['lowest']:g}-{item['highest']:g} of the trend: do not use"
+    told = item["sigma"] <= UNMOVED * item["prior_sigma"]
+    return "" if told else ", the prior's: the spectrum says nothing"
 
 
 def _overview_row(record: Mapping[str, Any]) -> list[str]:
@@ -184,9 +195,29 @@ def _band_rows(record: Mapping[str, Any]) -> list[dict[str, Any]]:
     """One row per band; a spectrum without a fit has one row with its status."""
     common = {key: record[key] for key in ("source", "id", "assemblage", "continuum", "converged", "status", "rms_ln")}
     for region in ("um1", "um2"):
-        ratio = (record["nbsr"] or {}).get(region)
-        common |= {
-            f"nbsr_{region}_opx": ratio["opx"] if ratio else None,
-            f"nbsr_{region}_sigma": ratio["sigma"] if ratio else None,
-        }
-    return [common | flat(band) for band in record["bands"]] or [common]
+        ratio = (record["nbsr"] or {}).get(region) or {}
+        for key in ("opx", "sigma", "calibration", "continuum"):
+            common[f"nbsr_{region}_{key}"] = ratio.get(key)
+    for key, item in record["compositions"].items():
+        common |= {f"{key}_mean": item["mean"], f"{key}_sigma": item["sigma"], f"{key}_in_range": item["in_range"]}
+    if record["choice"]:
+        common |= {f"choice_{key}": record["choice"][key] for key in ("margin", "strong")}
+    ends = {item["name"]: item for item in record["intervals"]["intervals"]} if record["intervals"] else {}
+    common |= _interval_columns({name: name for name in ("nbsr_um1_opx", "nbsr_um2_opx") if name in ends}, ends)
+    return [common | flat(band) | _interval_columns(_of_band(band), ends) for band in record["bands"]] or [common]
+
+
+def _of_band(band: Mapping[str, Any]) -> dict[str, str]:
+    """Columns of a band by the name of its parameter."""
+    key = band["name"].lower().replace(" ", "_").replace("-", "_")
+    return {f"{key}_{kind}": kind for kind in ("center_nm", "fwhm_nm", "strength")}
+
+
+def _interval_columns(columns: Mapping[str, str], ends: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """`center_low68_nm` and the like."""
+    found: dict[str, Any] = {}
+    for name, column in columns.items():
+        stem, unit = (column[:-3], "_nm") if column.endswith("_nm") else (column, "")
+        if name in ends:
+            found |= {f"{stem}_{end}{unit}": ends[name][end] for end in ("low68", "high68", "low95", "high95")}
+    return found

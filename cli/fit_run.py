@@ -6,11 +6,10 @@ from typing import Any
 
 from lunarsci.errors import ParameterError
 from lunarsci.inputs import InputFile, read_input
-from lunarsci.spectra.mgm.assemblages import assemblage as named_assemblage
 from lunarsci.spectra.mgm.constraints import constrained, parse_compositions
 from lunarsci.spectra.mgm.continuum import MgmContinuum
 from lunarsci.spectra.mgm.fit import fit_spectra
-from lunarsci.spectra.mgm.model import MgmModel, mgm_model
+from lunarsci.spectra.mgm.model import DEFAULT_CONTINUUM, MgmModel, mgm_model
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 from lunarsci.spectra.spectrum import Spectrum
 
@@ -19,6 +18,7 @@ from .progress import progress
 __all__ = ["FitRequest", "FitRun", "run_fit"]
 
 Result = MgmFit | MgmFailure
+DEFAULT_ASSEMBLAGE = "OL-OPX-CPX"
 Update = Callable[[int, int], None]
 LIMITS = (2e-3, 1e-6)
 """Rms of ln R, and its improvement, at which `--prior damping` stops where no start file says so."""
@@ -41,6 +41,7 @@ class FitRequest:
     errors: str
     continuum_spread: bool
     seed: int
+    to_fit_file: bool
 
     @property
     def automatic(self) -> bool:
@@ -52,6 +53,8 @@ class FitRequest:
         faults = (
             (self.automatic and (self.fixed or self.bounds or self.ties), "--fix, --bound and --tie name bands of one "
              "assemblage; give it instead of auto"),
+            (self.to_fit_file and self.continuum == "log-quadratic", "-o FILE.fit has no letter for log-quadratic; "
+             "take another --continuum"),
             (self.automatic and self.prior == "damping", "--assemblage auto compares evidence, which --prior damping "
              "does not have; use --prior map"),
             (self.prior == "damping" and self.errors != "laplace", "--prior damping has no posterior; use --errors "
@@ -62,6 +65,10 @@ class FitRequest:
             (self.start and self.automatic, "--start brings its own bands; leave --assemblage auto out"),
             (self.start and self.composition, "--start brings its own bands; leave --composition out"),
             (self.start and self.continuum_spread, "--start brings its own continuum; leave --continuum-spread out"),
+            (self.start and self.assemblage != DEFAULT_ASSEMBLAGE, "--start brings its own bands; leave --assemblage "
+             "out"),
+            (self.start and self.continuum != DEFAULT_CONTINUUM, "--start brings its own continuum; leave --continuum "
+             "out"),
         )  # fmt: skip
         for wrong, text in faults:
             if wrong:
@@ -74,10 +81,11 @@ class FitRequest:
 
     def model(self, assemblage: str, continuum: MgmContinuum) -> MgmModel:
         """The model of an assemblage under a continuum, with composition and constraints."""
-        stated = self.compositions
-        if stated and self.automatic:
-            own = {item.key for item in named_assemblage(assemblage).compositions}
-            stated = {key: value for key, value in stated.items() if key in own}
+        stated: Mapping[str, tuple[float, float]] | None = self.compositions
+        if self.automatic:
+            from lunarsci.spectra.mgm.selection import stated_for
+
+            stated = stated_for(assemblage, stated)
         return self.held(mgm_model(assemblage, continuum, stated))
 
     def held(self, model: MgmModel) -> MgmModel:
@@ -97,6 +105,8 @@ class FitRun:
 
 def run_fit(spectra: Sequence[Spectrum], request: FitRequest, quiet: bool) -> FitRun:
     """Fit all spectra as the options say."""
+    if request.to_fit_file and len(spectra) != 1:
+        raise ParameterError(f"a .fit file holds one spectrum, not {len(spectra)}; fit one at a time, or use --json")
     run = _fitted(spectra, request, quiet)
     if request.continuum_spread:
         _add_spread(spectra, request, run, quiet)
@@ -146,7 +156,7 @@ def _chosen(spectra: Sequence[Spectrum], request: FitRequest, update: Update) ->
     """Compare all assemblages, then fit each spectrum with its own."""
     from lunarsci.spectra.mgm.selection import Choice, choose
 
-    found = choose(spectra, continuum=request.continuum, progress=update)
+    found = choose(spectra, continuum=request.continuum, compositions=request.compositions, progress=update)
     choices = {index: item for index, item in enumerate(found) if isinstance(item, Choice)}
     results: dict[int, Result] = {index: item for index, item in enumerate(found) if isinstance(item, MgmFailure)}
     for name, members in _groups({index: choice.assemblage for index, choice in choices.items()}).items():

@@ -17,7 +17,7 @@ Assemblage = Annotated[
     str,
     typer.Option(
         help="Minerals whose bands are fitted: OL, OPX, CPX, PLG, joined by hyphens; auto compares all and takes "
-        "the one with the most evidence.",
+        "the one with the most evidence (with an error of its own, not --model-error).",
         rich_help_panel=MODEL,
     ),
 ]
@@ -77,7 +77,8 @@ Fix = Annotated[
     list[str] | None,
     typer.Option(
         metavar="NAME[=VALUE]",
-        help="Hold a parameter, such as opx_1_center_nm=915; also c0, …_fwhm_nm, …_strength. May be repeated.",
+        help="Hold a parameter, such as opx_1_center_nm=915; also …_fwhm_nm, …_strength, and c0, c1, … of the "
+        "continuum, whose variable runs from -1 to 1 over 400-2600 nm. May be repeated.",
         rich_help_panel=LIMITS,
     ),
 ]
@@ -158,6 +159,7 @@ def fit(
         errors=errors,
         continuum_spread=continuum_spread,
         seed=seed,
+        to_fit_file=output.path is not None and output.path.suffix.lower() == ".fit",
     )
     request.check()
     batch = read_batch(files, wavelength_unit, reflectance_unit)

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import math
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -169,6 +170,9 @@ def test_a_result_file_holds_one_spectrum(run: Run, rock: Path, tmp_path: Path) 
         (("--start", "x.fit", "--assemblage", "auto"), "brings its own bands"),
         (("--start", "x.fit", "--composition", "fo=1:1"), "brings its own bands"),
         (("--start", "x.fit", "--continuum-spread"), "brings its own continuum"),
+        (("--start", "x.fit", "--assemblage", "OL"), "leave --assemblage out"),
+        (("--start", "x.fit", "--continuum", "none"), "leave --continuum out"),
+        (("-o", "x.fit", "--continuum", "log-quadratic"), "no letter for log-quadratic"),
         (("--start", "missing.fit"), "missing.fit"),
         (("--fix", "opx_7_center_nm"), "there is no parameter 'opx_7_center_nm'"),
         (("--composition", "fo=70"), "KEY=MEAN:ERROR"),
@@ -188,6 +192,41 @@ def test_the_csv_has_the_errors_of_every_band(run: Run, rock: Path) -> None:
     rows = list(csv.DictReader(io.StringIO(run("spectra", "fit", rock, "--csv").out)))
     assert {"center_nm", "center_sigma_nm", "shrinkage_center", "center_continuum_nm"} <= rows[0].keys()
     assert len(rows) == len(fitted(run, rock)["bands"])
+
+
+def test_the_csv_has_intervals_compositions_and_the_choice(run: Run, rock: Path) -> None:
+    options = (rock, "--assemblage", "OPX", "--errors", "profile")
+    done = run("spectra", "fit", *options, "--csv")
+    row = next(row for row in csv.DictReader(io.StringIO(done.out)) if row["name"] == "OPX 1")
+    item = next(i for i in fitted(run, *options)["intervals"]["intervals"] if i["name"] == "opx_1_center_nm")
+    assert [float(row[f"center_{end}_nm"]) for end in ("low95", "low68", "high68", "high95")] == pytest.approx(
+        [item[end] for end in ("low95", "low68", "high68", "high95")]
+    )
+    assert row["fs_in_range"] in ("true", "false")
+    auto = next(csv.DictReader(io.StringIO(run("spectra", "fit", rock, "--assemblage", "auto", "--csv").out)))
+    assert auto["choice_strong"] in ("true", "false")
+
+
+def test_a_stated_composition_takes_part_in_the_choice(run: Run, rock: Path) -> None:
+    plain = fitted(run, rock, "--assemblage", "auto")["choice"]["candidates"]
+    stated = fitted(run, rock, "--assemblage", "auto", "--composition", "fs=80:2")["choice"]["candidates"]
+    evidence = [{c["assemblage"]: c["ln_evidence"] for c in candidates} for candidates in (plain, stated)]
+    assert evidence[0]["OPX"] != pytest.approx(evidence[1]["OPX"], abs=0.1)
+    assert evidence[0]["OL"] == pytest.approx(evidence[1]["OL"])
+
+
+def test_strengths_of_a_start_file_may_be_positive_and_have_profiles(run: Run, rock: Path, start: Path) -> None:
+    record = fitted(run, rock, "--start", start, "--bound", "band_1_strength=-1:1", "--errors", "profile")
+    assert {"band_1_strength", "band_3_strength"} <= {item["name"] for item in record["intervals"]["intervals"]}
+
+
+def test_a_composition_beyond_its_trend_is_not_sold_as_one(run: Run, tmp_path: Path) -> None:
+    """A band at 820 nm, where no orthopyroxene has it."""
+    path = tmp_path / "odd.csv"
+    rows = [f"{nm},{0.3 * math.exp(-0.5 * math.exp(-((nm - 840) ** 2) / 2e4)):.6f}" for nm in range(450, 2400, 5)]
+    path.write_text("wavelength_nm,odd\n" + "\n".join(rows) + "\n")
+    done = run("spectra", "fit", path, "--assemblage", "OPX")
+    assert "of the trend: do not use" in done.out
 
 
 def test_help_names_every_assemblage_and_error(run: Run) -> None:

@@ -19,6 +19,8 @@ __all__ = ["fit_damping"]
 MAX_ITERATIONS = 2000
 """The program has no such limit; of 40 fits of laboratory spectra the slowest took 1918 to fall by less than 1e-6."""
 HALVINGS = 15
+MEANINGLESS_NM = 2000.0
+"""Standard error of a centre or width as wide as the spectrum."""
 STIFF = 1e-2 / TIE_SIGMA**2
 """A prior at least this narrow is a tie: no step goes along it."""
 RANK_TOLERANCE = 1e-13
@@ -272,6 +274,8 @@ def _remarks(bands: Sequence[FittedBand], covariance: FloatArray) -> list[str]:
         remarks.append(f"centre not above 0 nm, the wing of something else: {', '.join(beyond)}")
     if np.isnan(covariance).any():
         remarks.append("no errors: the data leave a parameter undetermined")
+    elif loose := [band.name for band in bands if max(band.center_sigma_nm, band.fwhm_sigma_nm) > MEANINGLESS_NM]:
+        remarks.append(f"undetermined, the errors span the spectrum: {', '.join(loose)}; true priors hold them")
     return remarks
 
 

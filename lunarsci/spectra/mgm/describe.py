@@ -77,7 +77,8 @@ def _solution(data: MgmData, model: MgmModel, point: FloatArray, chi2: float) ->
         return _Solution(point, np.full(shape[1], np.nan), np.zeros(shape), nothing, np.nan)
     ln_model, jacobian = found
     fisher = (jacobian * data.weight) @ jacobian.T
-    used = float(np.trace(np.linalg.pinv(fisher + model.precision, hermitian=True) @ fisher))
+    free = np.ix_(~model.fixed, ~model.fixed)
+    used = float(np.trace(np.linalg.pinv((fisher + model.precision)[free], hermitian=True) @ fisher[free]))
     reduced = chi2 / max(1.0, ln_model.size - used)
     wide = max(1.0, reduced)
     pull = model.precision @ (point - model.prior)
@@ -104,7 +105,9 @@ def _bands(model: MgmModel, solution: _Solution, shared: FloatArray) -> tuple[Fi
 
 def _status(model: MgmModel, solved: KernelFits, row: int, point: FloatArray, covariance: FloatArray) -> str:
     if solved.status[row] != CONVERGED:
-        return f"not converged after {solved.iterations[row]:.0f} iterations; try another continuum or assemblage"
+        return (
+            f"not converged after {solved.iterations[row]:.0f} iterations; try other bands, priors or another continuum"
+        )
     remarks = ["converged"]
     if solved.rival[row] < AMBIGUOUS_CHI2 and solved.rival_sigmas[row] > AMBIGUOUS_SIGMAS:
         remarks.append("ambiguous: another start ends in a different minimum that fits almost as well")

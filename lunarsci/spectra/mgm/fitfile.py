@@ -30,6 +30,8 @@ LETTERS = {
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?", re.ASCII)
 FIRST_BAND_LINE = 10
 LONGEST_SHOWN = 40
+LEAST_NM = 10.0
+"""Below it a wavelength is taken for one in um."""
 Numbers = tuple[float, ...]
 
 
@@ -102,6 +104,8 @@ def _header_faults(file: FitFile) -> Iterator[tuple[int, str]]:
         yield 3, "the axis of the plot is not three finite numbers; give them"
     if not (_are_numbers(file.wavelength_axis, 3) and 0 < file.wavelength_axis[0] < file.wavelength_axis[1]):
         yield 4, "the wavelengths do not ascend from above 0; give the shortest, the longest [nm] and a third number"
+    elif file.wavelength_axis[1] < LEAST_NM:
+        yield 4, f"wavelengths up to {file.wavelength_axis[1]:g} nm; these files are in nm, is this um?"
     if not _are_numbers((file.rms_limit, file.improvement_limit), 2, lowest=0):
         yield 5, f"limits of the rms {file.rms_limit:g} and {file.improvement_limit:g}; give finite ones, 0 or above"
 
@@ -124,6 +128,8 @@ def _band_faults(bands: Sequence[FitBand]) -> Iterator[tuple[int, str]]:
             yield line, f"band {number}: centre, FWHM or strength is not finite; give three numbers"
         if band.center_nm == 0:
             yield line, f"band {number}: centre of 0 nm, which has no wavenumber; give another"
+        if 0 < band.center_nm < LEAST_NM and 0 < band.fwhm_nm < LEAST_NM:
+            yield line, f"band {number}: centre of {band.center_nm:g} nm; these files are in nm, is this um?"
         if not band.fwhm_nm > 0:
             yield line, f"band {number}: FWHM of {band.fwhm_nm:g} nm; give one above 0"
         if not _are_numbers(band.uncertainties, 3, lowest=0):

@@ -25,6 +25,8 @@ LIMITS = (2e-3, 1e-6)
 """Rms of ln R, and improvement of it, at which a fit stops in the files that have been published."""
 PLOT_AXIS = (-170.0, 25.0, 10.0)
 NARROWEST_UM = 1e-3
+FLATTEST = 1e9
+"""Standard deviation, um or ln R, beyond which a wider one changes nothing but rounding."""
 ASSEMBLAGE = "fit file"
 REGIONS = (("uv", 400.0), ("visible", 750.0), ("um1", 1500.0), ("um2", math.inf))
 """Regions and their upper ends. [nm]"""
@@ -50,7 +52,7 @@ def model_of(file: FitFile) -> MgmModel:
     bands = tuple(_band_prior(number, band) for number, band in enumerate(file.bands, start=1))
     unit = np.array([NM_PER_UM, NM_PER_UM, 1.0])
     values = np.array([band.values for band in file.bands]) / unit
-    sigma = np.array([band.uncertainties for band in file.bands]) / unit / NORMAL_95
+    sigma = np.minimum(np.array([band.uncertainties for band in file.bands]) / unit / NORMAL_95, FLATTEST)
     locked = np.concatenate([fixed, (sigma < TIE_SIGMA).ravel()])
     prior = np.concatenate([mean, values.ravel()])
     m = mean.size

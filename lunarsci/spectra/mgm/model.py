@@ -86,15 +86,15 @@ class MgmModel:
     def bounded(self, name: str, lower: float, upper: float) -> "MgmModel":
         """With a parameter kept between two values in the unit of its name; equal values fix it.
 
-        Raises ParameterError for an unknown name, bounds that are the wrong way round, widths not above 0 and
-        strengths above 0.
+        Raises ParameterError for an unknown name, bounds that are the wrong way round, widths not above 0, and
+        strengths above 0 unless the model has them (`model_of` a `.fit` file).
         """
         k, unit = self.index(name), unit_of(name)
         if not lower <= upper:
             raise ParameterError(f"{name}: bounds {lower:g} and {upper:g} are the wrong way round")
         if name.endswith("fwhm_nm") and not lower > 0:
             raise ParameterError(f"{name}: a width must stay above 0 nm; the lower bound is {lower:g}")
-        if name.endswith("strength") and upper > 0:
+        if name.endswith("strength") and upper > 0 and self.upper[k] <= 0:
             raise ParameterError(f"{name}: bands absorb, strengths are 0 or below; the upper bound is {upper:g}")
         low, high = self.lower.copy(), self.upper.copy()
         low[k], high[k] = lower / unit, upper / unit

@@ -1,7 +1,7 @@
 """Which minerals a spectrum speaks for: every assemblage fitted, compared by evidence."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.continuum import upper_hull
-from lunarsci.spectra.mgm.assemblages import FAMILIES
+from lunarsci.spectra.mgm.assemblages import FAMILIES, assemblage
 from lunarsci.spectra.mgm.continuum import MgmContinuum
 from lunarsci.spectra.mgm.data import MgmData, prepare
 from lunarsci.spectra.mgm.evidence import ln_evidence
@@ -18,7 +18,7 @@ from lunarsci.spectra.mgm.model import DEFAULT_CONTINUUM, MgmModel, mgm_model
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 from lunarsci.spectra.spectrum import FloatArray, Spectrum
 
-__all__ = ["DEFAULT_CHOICE_STARTS", "STRONG", "Candidate", "Choice", "choose"]
+__all__ = ["DEFAULT_CHOICE_STARTS", "STRONG", "Candidate", "Choice", "choose", "stated_for"]
 
 STRONG = 3.0
 """ln of a Bayes factor of 20, from which on Kass & Raftery (1995) call evidence strong."""
@@ -91,6 +91,7 @@ def choose(
     *,
     families: Sequence[str] = FAMILIES,
     continuum: MgmContinuum = DEFAULT_CONTINUUM,
+    compositions: Mapping[str, tuple[float, float]] | None = None,
     model_error: float | None = None,
     starts: int = DEFAULT_CHOICE_STARTS,
     progress: Callable[[int, int], None] | None = None,
@@ -119,6 +120,7 @@ def choose(
     spectra : on any channels between 400 and 2600 nm; at least 40 usable ones, reaching over 800-1300 nm.
     families : names of assemblages, two or more, each once.
     continuum : the same for all, since evidence compares under one continuum only.
+    compositions : see `mgm_model`; each counts in the assemblages that have it. [mol %]
     model_error : of ln R, above 0 and below 1, instead of the error above. [-]
     starts : number of starting points of each fit, 1 or more.
     progress : called with (done, total) spectra.
@@ -131,7 +133,7 @@ def choose(
     ----------
     Kass & Raftery (1995), J. Am. Stat. Assoc. 90, 773, 10.1080/01621459.1995.10476572.
     """
-    models = [mgm_model(name, continuum, coupled=True) for name in families]
+    models = [mgm_model(name, continuum, stated_for(name, compositions), coupled=True) for name in families]
     names = [model.assemblage.name for model in models]
     if len(names) < 2 or len(set(names)) < len(names):
         raise ParameterError("a choice needs two or more assemblages, each once")
@@ -148,6 +150,12 @@ def choose(
         if progress:
             progress(number, len(spectra))
     return results
+
+
+def stated_for(name: str, compositions: Mapping[str, tuple[float, float]] | None) -> dict[str, tuple[float, float]]:
+    """Those of the compositions that an assemblage has."""
+    own = {item.key for item in assemblage(name).compositions}
+    return {key: value for key, value in (compositions or {}).items() if key in own}
 
 
 def _choice(spectrum: Spectrum, models: Sequence[MgmModel], model_error: float | None, starts: int) -> Choice:

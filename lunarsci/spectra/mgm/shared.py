@@ -10,6 +10,9 @@ from lunarsci.spectra.spectrum import FloatArray
 
 __all__ = ["follow_shifts", "misfit_curvature"]
 
+LEAST_KEPT = 0.1
+"""Share of the curvature that must be left for the first order to be believed; assumed."""
+
 
 def follow_shifts(
     data: MgmData, model: MgmModel, point: FloatArray, ln_model: FloatArray, jacobian: FloatArray
@@ -17,16 +20,17 @@ def follow_shifts(
     """First-order moves of the minimum at `point` under each of the data's `shifts`, shape (n_shifts, p).
 
     Half the objective's second derivatives decide them, the share of the misfit included: along the flat valleys of
-    this model even a small misfit bends the objective as much as the prior. At a point where these are not positive
-    definite, which is no minimum, the misfit's share is left out. Parameters on a bound stay there.
+    this model even a small misfit bends the objective as much as the prior. Where the misfit takes away most of the
+    curvature in some direction, the minimum is about to jump and no first order tells how far; the misfit's share is
+    left out there. Parameters on a bound stay on it.
     """
     if not len(data.shifts):
         return np.empty((0, point.size))
     fisher = (jacobian * data.weight) @ jacobian.T + model.precision
     pull = data.weight * (ln_model - np.log(data.reflectance))
     curvature = fisher + misfit_curvature(data, model, point, jacobian, pull)
-    free = ~model.fixed
-    if not _positive(curvature[np.ix_(free, free)]):
+    free = (point > model.lower) & (point < model.upper)
+    if not _mostly_kept(curvature[np.ix_(free, free)], fisher[np.ix_(free, free)]):
         curvature = fisher
     response = bounded_covariance(curvature, None, point, model)
     return np.asarray(data.shifts @ (jacobian * data.weight).T @ response, dtype=np.float64)
@@ -59,9 +63,10 @@ def misfit_curvature(
     return found
 
 
-def _positive(matrix: FloatArray) -> bool:
+def _mostly_kept(curvature: FloatArray, fisher: FloatArray) -> bool:
+    """Whether `curvature` exceeds `LEAST_KEPT` times `fisher` in every direction."""
     try:
-        np.linalg.cholesky(matrix)
+        np.linalg.cholesky(curvature - LEAST_KEPT * fisher)
     except np.linalg.LinAlgError:
         return False
     return True

@@ -129,6 +129,8 @@ def test_an_empty_line_is_refused_by_its_number(empty: int) -> None:
         (3, "-100,25,many", "not 3 numbers"),
         (4, "2400,450,1", "ascend"),
         (4, "0,2400,1", "ascend"),
+        (4, "0.45,2.4,1", "is this um"),
+        (10, "0.333 0.4 -20", "is this um"),
         (4, "450,2400,1,7", "not 3 numbers"),
         (5, "-2e-3,1e-6", "0 or above"),
         (5, "nan,1e-6", "not 2 numbers"),
@@ -191,7 +193,8 @@ def test_a_spoiled_file_is_read_or_refused_in_one_line(part: bytes, at: int, rem
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 ABOVE_0 = st.floats(0, exclude_min=True, allow_infinity=False)
 NOT_BELOW_0 = st.floats(0, allow_infinity=False)
-BANDS = st.builds(FitBand, ABOVE_0, ABOVE_0, FINITE, NOT_BELOW_0, NOT_BELOW_0, NOT_BELOW_0)
+CENTRES = st.floats(10, allow_infinity=False)
+BANDS = st.builds(FitBand, CENTRES, ABOVE_0, FINITE, NOT_BELOW_0, NOT_BELOW_0, NOT_BELOW_0)
 
 
 @given(

@@ -135,6 +135,14 @@ def fit_parameters(parameters: object, fit: MgmFit) -> object:
         ({"ties": ["opx_1_center_nm=opx_1_center_nm"]}, "tied to itself"),
         ({"ties": ["opx_1_center_nm=c0"]}, "cannot be tied to a band"),
         ({"ties": ["opx_1_center_nm=sin(opx_2_center_nm)"]}, "NAME=FACTOR"),
+        ({"fixed": ["opx_1_center_nm=900"], "bounds": ["opx_1_center_nm=890:910"]}, "is constrained 2 times"),
+        ({"fixed": ["opx_1_center_nm=900", "opx_1_center_nm=910"]}, "is constrained 2 times"),
+        ({"fixed": ["c0"]}, "write c0=VALUE"),
+        ({"fixed": ["opx_1_center_nm="]}, "is no number"),
+        ({"ties": ["cpx_1_fwhm_nm=opx_1_fwhm_nm+400"]}, "cannot hold"),
+        ({"ties": ["cpx_1_fwhm_nm=opx_1_fwhm_nm", "opx_1_fwhm_nm=cpx_1_fwhm_nm"]}, "circle"),
+        ({"fixed": ["opx_1_center_nm=900"], "ties": ["cpx_1_center_nm=opx_1_center_nm"]}, "cannot hold"),
+        ({"ties": ["opx_1_center_nm=1e300*cpx_1_center_nm"]}, "beyond"),
     ],
 )
 def test_impossible_constraints_say_why(options: dict[str, list[str]], said: str) -> None:
@@ -144,7 +152,7 @@ def test_impossible_constraints_say_why(options: dict[str, list[str]], said: str
 
 def test_compositions_are_read_as_written() -> None:
     assert parse_compositions("Fo=70:5, fs=30:10") == {"fo": (70, 5), "fs": (30, 10)}
-    for text in ("fo=70", "fo", "fo=a:5", ""):
+    for text in ("fo=70", "fo", "fo=a:5", "fo=70:5,fo=20:5", ""):
         with pytest.raises(ParameterError):
             parse_compositions(text)
     for stated in ({"fs": (30.0, 5.0)}, {"fo": (120.0, 5.0)}, {"fo": (50.0, 0.0)}):

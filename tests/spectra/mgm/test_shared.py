@@ -76,6 +76,39 @@ def test_the_minimum_moves_as_stated() -> None:
     assert np.allclose(stated[free] * effect, found * effect, rtol=0.05, atol=0.02 * np.abs(found * effect).max())
 
 
+def test_parameters_on_a_bound_stay_and_the_others_follow() -> None:
+    """Bands that are not there end at strength 0, where the objective may bend down; scipy again, with bounds."""
+    model = mgm_model("OL-OPX-CPX")
+    point = model.prior.copy()
+    point[:3], point[5::3] = (0.2, 0.0, 0.0), 0.0
+    for name in ("uv_strength", "opx_1_strength", "opx_2_strength"):
+        point[model.index(name)] = -0.4
+    ln = model_at(point, model)[0] + 0.05 * np.sin(GRID / 200)
+    shift = 0.05 * np.cos(GRID / 500)
+    data = MgmData("made", GRID, np.exp(ln), np.full(GRID.size, 0.02**-2), shift[None])
+    [fit] = fit_data([data], model, 4)
+    held = ((fit.parameters <= model.lower) | (fit.parameters >= model.upper)) & ~model.fixed
+    assert held.any()
+    [stated] = follow_shifts(data, model, fit.parameters, *model_at(fit.parameters, model))
+    assert not stated[held].any()
+    root = np.linalg.cholesky(model.precision + 1e-14 * np.eye(held.size)).T
+
+    def rows(values: FloatArray, ln: FloatArray) -> FloatArray:
+        moved = fit.parameters.copy()
+        moved[~held] = values
+        residual = np.sqrt(data.weight) * (model_at(moved, model)[0] - ln)
+        return np.concatenate([residual, root @ (moved - model.prior)])
+
+    ends = []
+    for share in (0.02, -0.02):
+        moved_ln = np.log(data.reflectance) + share * shift
+        end = least_squares(rows, fit.parameters[~held], args=(moved_ln,), x_scale="jac", xtol=1e-14, ftol=1e-14)
+        ends.append(end.x)
+    found = (ends[0] - ends[1]) / 0.04
+    effect = np.sqrt((model_at(fit.parameters, model)[1][~held] ** 2).sum(axis=1))
+    assert np.allclose(stated[~held] * effect, found * effect, rtol=0.05, atol=0.02 * np.abs(found * effect).max())
+
+
 def test_without_such_errors_nothing_is_said() -> None:
     model = mgm_model("OPX")
     fit = made(model, np.zeros(GRID.size))
