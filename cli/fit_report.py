@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
+from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
+from lunarsci.spectra.abundance.nbsr import TABLE as CALIBRATIONS
 from lunarsci.spectra.mgm.assemblages import TABLES
 from lunarsci.spectra.mgm.composition import compositions
 from lunarsci.spectra.mgm.result import FittedBand, MgmFit
@@ -20,6 +22,7 @@ MGM = "Sunshine, Pieters & Pratt (1990), J. Geophys. Res. 95, 6955, 10.1029/JB09
 NBSR = "Kanner, Mustard & Gendrin (2007), Icarus 187, 442, 10.1016/j.icarus.2006.10.025"
 UNLIKE_RMS = 0.2
 """A fit that misses ln R by more than this, root mean square, describes something else; assumed."""
+MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")
 UNMOVED = 0.9
 """Share of the prior's standard deviation above which a composition is the prior's; assumed."""
 PERCENT_OF = {
@@ -50,12 +53,16 @@ def fit_report(batch: Batch, run: FitRun, request: FitRequest) -> Report:
         figures=figures,
         formats={".fit": lambda _: _fit_file(good[0], run)},
         inputs=batch.inputs | start,
-        data_tables=tables_of(batch) | table_hashes(*TABLES),
+        data_tables=tables_of(batch) | table_hashes(*TABLES, *_abundance_tables(request)),
         sources=[MGM, NBSR],
         seed=request.seed if request.errors == "sample" else None,
         untrusted=_untrusted(good),
         failures=failures,
     )
+
+
+def _abundance_tables(request: FitRequest) -> tuple[str, ...]:
+    return (CALIBRATIONS,) if request.abundance == "nbsr" else (CALIBRATIONS, END_MEMBERS)
 
 
 def _untrusted(good: Sequence[MgmFit]) -> str:
@@ -78,12 +85,15 @@ def _record(run: FitRun, index: int, origin: str) -> dict[str, Any]:
     """The keys of one spectrum in `--json`."""
     item = run.results[index]
     choice, intervals = run.choices.get(index), run.intervals.get(index)
+    found_modes = [modes.to_dict() for modes in run.abundances.get(index, [])]
     found = compositions(item) if isinstance(item, MgmFit) else ()
     return item.to_dict() | {
         "source": origin,
         "compositions": {one.key: asdict(one) for one in found},
         "choice": choice.to_dict() if choice else None,
         "intervals": intervals.to_dict() if intervals else None,
+        "abundance": found_modes[0] if found_modes else None,
+        "abundances": {modes["method"]: modes for modes in found_modes},
     }
 
 
@@ -99,6 +109,7 @@ def _tables(good: Sequence[MgmFit], records: Sequence[Mapping[str, Any]]) -> lis
     tables = [_bands_table(good[0]), overview]
     tables += [_intervals_table(records[0]["intervals"])] if records[0]["intervals"] else []
     tables += [_choice_table(records[0]["choice"])] if records[0]["choice"] else []
+    tables += [_abundance_table(records[0]["abundances"])] if records[0]["abundances"] else []
     return tables
 
 
@@ -191,6 +202,32 @@ def _choice_table(choice: Mapping[str, Any]) -> TextTable:
     return TextTable(headers, rows, title="all assemblages, the most evidence first", notes=[choice["status"]])
 
 
+def _abundance_table(abundances: Mapping[str, Mapping[str, Any]]) -> TextTable:
+    rows, notes = [], []
+    for method, modes in abundances.items():
+        for mineral in MINERALS:
+            if share := modes.get(mineral):
+                ends = [
+                    f"{100 * share[low]:.0f} to {100 * share[high]:.0f}"
+                    for low, high in (("low", "high"), ("low95", "high95"))
+                ]
+                rows.append([method, mineral, f"{100 * share['fraction']:.0f}", *ends])
+        notes.append(f"{method}: {modes['status']}")
+    return TextTable(["method", "mineral", "share [%]", "68 %", "95 %"], rows, title="mineral shares", notes=notes)
+
+
+def _abundance_columns(abundances: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """`unmix_olivine`, `unmix_olivine_low` and the like, and whether the method applies."""
+    found: dict[str, Any] = {}
+    for method, modes in abundances.items():
+        found[f"{method}_in_domain"] = modes["in_domain"]
+        for mineral in MINERALS:
+            if share := modes.get(mineral):
+                found[f"{method}_{mineral}"] = share["fraction"]
+                found |= {f"{method}_{mineral}_{end}": share[end] for end in ("low", "high")}
+    return found
+
+
 def _band_rows(record: Mapping[str, Any]) -> list[dict[str, Any]]:
     """One row per band; a spectrum without a fit has one row with its status."""
     common = {key: record[key] for key in ("source", "id", "assemblage", "continuum", "converged", "status", "rms_ln")}
@@ -200,6 +237,7 @@ def _band_rows(record: Mapping[str, Any]) -> list[dict[str, Any]]:
             common[f"nbsr_{region}_{key}"] = ratio.get(key)
     for key, item in record["compositions"].items():
         common |= {f"{key}_mean": item["mean"], f"{key}_sigma": item["sigma"], f"{key}_in_range": item["in_range"]}
+    common |= _abundance_columns(record["abundances"])
     if record["choice"]:
         common |= {f"choice_{key}": record["choice"][key] for key in ("margin", "strong")}
     ends = {item["name"]: item for item in record["intervals"]["intervals"]} if record["intervals"] else {}

@@ -6,6 +6,8 @@ from typing import Any
 
 from lunarsci.errors import ParameterError
 from lunarsci.inputs import InputFile, read_input
+from lunarsci.spectra.abundance.nbsr import nbsr_abundance
+from lunarsci.spectra.abundance.result import Abundance
 from lunarsci.spectra.mgm.constraints import constrained, parse_compositions
 from lunarsci.spectra.mgm.continuum import MgmContinuum
 from lunarsci.spectra.mgm.fit import fit_spectra
@@ -42,6 +44,7 @@ class FitRequest:
     continuum_spread: bool
     seed: int
     to_fit_file: bool
+    abundance: str
 
     @property
     def automatic(self) -> bool:
@@ -100,6 +103,7 @@ class FitRun:
     results: list[Result]
     choices: dict[int, Any] = field(default_factory=dict)
     intervals: dict[int, Any] = field(default_factory=dict)
+    abundances: dict[int, list[Abundance]] = field(default_factory=dict)
     start_file: InputFile | None = None
 
 
@@ -112,6 +116,7 @@ def run_fit(spectra: Sequence[Spectrum], request: FitRequest, quiet: bool) -> Fi
         _add_spread(spectra, request, run, quiet)
     if request.errors != "laplace":
         _add_intervals(request, run, quiet)
+    _add_abundances(spectra, request, run, quiet)
     return run
 
 
@@ -208,4 +213,23 @@ def _add_intervals(request: FitRequest, run: FitRun, quiet: bool) -> None:
 
         for done, (index, fit) in enumerate(fits.items(), start=1):
             run.intervals[index] = profile_intervals(fit)
+            update(done, len(fits))
+
+
+def _add_abundances(spectra: Sequence[Spectrum], request: FitRequest, run: FitRun, quiet: bool) -> None:
+    """The method asked for first, then the ratio of band strengths."""
+    fits = {index: fit for index, fit in enumerate(run.results) if isinstance(fit, MgmFit) and fit.converged}
+    for index, fit in fits.items():
+        found = nbsr_abundance(fit)
+        run.abundances[index] = [found] if found else []
+    if request.abundance == "nbsr":
+        return
+    from lunarsci.spectra.abundance.estimate import estimate_abundance
+
+    with progress("unmixing", quiet=quiet) as update:
+        for done, (index, fit) in enumerate(fits.items(), start=1):
+            minerals = fit.model.assemblage.minerals
+            if len(minerals) > 1:
+                found = estimate_abundance(spectra[index], minerals, method=request.abundance)
+                run.abundances[index].insert(0, found)
             update(done, len(fits))

@@ -110,6 +110,14 @@ ContinuumSpread = Annotated[
         rich_help_panel=ANSWER,
     ),
 ]
+AbundanceMethod = Annotated[
+    Literal["nbsr", "unmix", "hapke", "absorbance"],
+    typer.Option(
+        help="Shares of the minerals: nbsr, from the pyroxenes' band strengths; unmix, with end members, by "
+        "two mixing laws weighted by their evidence; hapke or absorbance: one of them.",
+        rich_help_panel=ANSWER,
+    ),
+]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of --errors sample.", rich_help_panel=ANSWER)]
 
 
@@ -133,6 +141,7 @@ def fit(
     tie: Tie = None,
     errors: Errors = "laplace",
     continuum_spread: ContinuumSpread = False,
+    abundance: AbundanceMethod = "nbsr",
     seed: Seed = 0,
     wavelength_unit: WavelengthUnit = None,
     reflectance_unit: ReflectanceUnit = None,
@@ -159,6 +168,7 @@ def fit(
         errors=errors,
         continuum_spread=continuum_spread,
         seed=seed,
+        abundance=abundance,
         to_fit_file=output.path is not None and output.path.suffix.lower() == ".fit",
     )
     request.check()

@@ -229,6 +229,26 @@ def test_a_composition_beyond_its_trend_is_not_sold_as_one(run: Run, tmp_path: P
     assert "of the trend: do not use" in done.out
 
 
+@pytest.mark.parametrize("method", ["unmix", "hapke", "absorbance"])
+def test_shares_of_minerals_stand_beside_those_of_the_band_strengths(run: Run, rock: Path, method: str) -> None:
+    record = fitted(run, rock, "--abundance", method)
+    modes = record["abundance"]
+    assert modes["method"] == method
+    assert modes == record["abundances"][method]
+    shares = [modes[name] for name in ("olivine", "orthopyroxene", "clinopyroxene")]
+    assert sum(share["fraction"] for share in shares) == pytest.approx(1)
+    assert all(0 <= s["low95"] <= s["low"] <= s["fraction"] <= s["high"] <= s["high95"] <= 1 for s in shares)
+    assert isinstance(modes["in_domain"], bool)
+    pyroxenes = record["abundances"]["nbsr"]
+    assert "olivine" not in pyroxenes
+    assert pyroxenes["orthopyroxene"]["fraction"] + pyroxenes["clinopyroxene"]["fraction"] == pytest.approx(1)
+    assert fitted(run, rock)["abundance"] == pyroxenes
+    shown = run("spectra", "fit", rock, "--abundance", method)
+    assert "mineral shares" in shown.out
+    row = next(csv.DictReader(io.StringIO(run("spectra", "fit", rock, "--abundance", method, "--csv").out)))
+    assert float(row[f"{method}_olivine"]) == pytest.approx(shares[0]["fraction"])
+
+
 def test_help_names_every_assemblage_and_error(run: Run) -> None:
     text = re.sub(r"\s+", " ", run("spectra", "fit", "--help").out)
     for word in ("PLG", "auto", "damping", "profile", "--tie", "--continuum-spread"):

@@ -1,0 +1,77 @@
+"""Modes from the normalised band strength ratio of the pyroxenes, by lines made on mixtures of known modes."""
+
+import numpy as np
+
+from lunarsci.errors import ParameterError
+from lunarsci.spectra.abundance.result import Abundance, MineralFraction
+from lunarsci.spectra.mgm.composition import MineralComposition, compositions
+from lunarsci.spectra.mgm.result import MgmFit
+from lunarsci.tables import table_rows
+
+__all__ = ["TABLE", "calibrations", "nbsr_abundance"]
+
+TABLE = "nbsr_calibrations.csv"
+NORMAL_95 = 1.96
+OTHER_MINERALS = {"olivine", "plagioclase"}
+
+
+def calibrations() -> tuple[str, ...]:
+    """Names of the lines that are known."""
+    return tuple(row["name"] for row in table_rows(TABLE))
+
+
+def nbsr_abundance(fit: MgmFit, calibration: str = "opx-cpx") -> Abundance | None:
+    """Orthopyroxene and clinopyroxene as shares of all pyroxene; None where the ratio is not determined.
+
+    The line is OPX = slope * NBSR + offset; its scatter and the error of the ratio add in quadrature, and shares are
+    kept within 0 and 1. A line belongs to the minerals it was made on: `in_domain` is false where the fitted
+    compositions lie more than twice their error outside of those, or where olivine or plagioclase absorb as well, which
+    share the bands near 1 um. Errors out of domain are tens of per cent.
+
+    Raises ParameterError for an unknown calibration.
+
+    References
+    ----------
+    Sunshine & Pieters (1993), J. Geophys. Res. 98, 9075, 10.1029/93JE00677; Kanner, Mustard & Gendrin (2007), Icarus
+    187, 442, 10.1016/j.icarus.2006.10.025 (ratio).
+    """
+    rows = {row["name"]: row for row in table_rows(TABLE)}
+    if calibration not in rows:
+        raise ParameterError(f"calibration '{calibration}'; give one of {', '.join(rows)}")
+    row = rows[calibration]
+    ratio = fit.nbsr.get(row["region"])
+    if ratio is None:
+        return None
+    slope, offset, scatter = (float(row[key]) / 100 for key in ("slope_percent", "offset_percent", "sd_percent"))
+    share = float(np.clip(slope * ratio.opx + offset, 0.0, 1.0))
+    sigma = float(np.hypot(slope * ratio.sigma, scatter))
+    fractions = (_share("orthopyroxene", share, sigma), _share("clinopyroxene", 1.0 - share, sigma))
+    reasons = _reasons(fit, row["name"])
+    status = f"line {calibration}" if not reasons else f"out of domain of line {calibration}: {'; '.join(reasons)}"
+    return Abundance(fit.id, "nbsr", fractions, np.array([[1.0, -1.0], [-1.0, 1.0]]), not reasons, status, fit.rms_ln)
+
+
+def _share(mineral: str, share: float, sigma: float) -> MineralFraction:
+    ends = [float(np.clip(share + z * sigma, 0.0, 1.0)) for z in (-1.0, 1.0, -NORMAL_95, NORMAL_95)]
+    return MineralFraction(mineral, share, *ends)
+
+
+def _reasons(fit: MgmFit, name: str) -> list[str]:
+    row = next(row for row in table_rows(TABLE) if row["name"] == name)
+    reasons = []
+    for item in compositions(fit):
+        low, high = row.get(f"{item.key}_low", ""), row.get(f"{item.key}_high", "")
+        if low and _outside(item, float(low), float(high)):
+            reasons.append(f"{item.key} {item.mean:.0f} +- {item.sigma:.0f} mol %, made at {low}-{high}")
+    strong = {
+        band.mineral
+        for band in fit.bands
+        if band.mineral in OTHER_MINERALS and band.strength < -3 * band.strength_sigma
+    }
+    return reasons + [f"{mineral} absorbs as well" for mineral in sorted(strong)]
+
+
+def _outside(item: MineralComposition, low: float, high: float) -> bool:
+    if item.mean is None or item.sigma is None:
+        return False
+    return item.mean < low - 2 * item.sigma or item.mean > high + 2 * item.sigma

@@ -1,0 +1,86 @@
+"""What powders of one mineral look like: a mean and the ways in which end members differ from it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lunarsci.errors import ParameterError
+from lunarsci.spectra.abundance.end_members import MineralSpectrum
+from lunarsci.spectra.abundance.mixing import MixingLaw
+from lunarsci.spectra.spectrum import FloatArray
+
+__all__ = ["MineralPopulation", "population"]
+
+MOST_SHAPES = 8
+SPARE = 3
+"""Shapes are fewer than the end members by this many."""
+LEADING_SHAPES, RIDGE = 3, 0.3
+"""Level as a function of the first shapes, by ridge regression: iron moves bands and deepens them."""
+OWN_LEVEL = 0.4
+"""Standard deviation of a mineral's t beside what all minerals of a mixture share (its grain size); assumed."""
+UNUSUAL_WEIGHT = 0.3
+USUAL = {"fo": (40.0, 100.0), "fs": (3.0, 50.0)}
+"""Compositions outside these are rare on the Moon and count `UNUSUAL_WEIGHT`. [mol %]; assumed."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MineralPopulation:
+    """Normal law of t (see `mixing`) of a mineral's powders.
+
+    Attributes
+    ----------
+    mineral, count : name, and number of end members it was made from.
+    mean : (n,) t of the mean powder.
+    shapes : (k, n) shifts of t by one standard deviation each, independent of each other; the last is the level.
+    """
+
+    mineral: str
+    count: int
+    mean: FloatArray
+    shapes: FloatArray
+
+
+def population(
+    mineral: str, end_members: Sequence[MineralSpectrum], wavelength_nm: FloatArray, law: MixingLaw
+) -> MineralPopulation:
+    """The law of a mineral, from one end member or many.
+
+    A principal component analysis of t less its mean over the channels, the level. Levels of powders differ mostly by
+    grain size, which the minerals of one mixture share: `unmix` has a level common to all, and here stay the part that
+    goes with the first shapes and `OWN_LEVEL`. With one end member only the level varies.
+
+    Raises
+    ------
+    ParameterError where no end member of the mineral reaches over all channels.
+    """
+    own = [item for item in end_members if item.mineral == mineral]
+    values = np.array([item.at(wavelength_nm) for item in own]).reshape(len(own), wavelength_nm.size)
+    there = np.isfinite(values).all(axis=1)
+    if not there.any():
+        raise ParameterError(
+            f"no end member of {mineral} reaches from {wavelength_nm[0]:g} to {wavelength_nm[-1]:g} nm; give a library "
+            "that has one, or leave the mineral out"
+        )
+    element = law.element(values[there])
+    weight = np.array([_weight(item) for item, usable in zip(own, there, strict=True) if usable])
+    weight /= weight.sum()
+    level = element.mean(axis=1)
+    apart = element - level[:, None]
+    mean_shape, mean_level = weight @ apart, float(weight @ level)
+    centred = apart - mean_shape
+    _, sizes, directions = np.linalg.svd(centred * np.sqrt(weight)[:, None], full_matrices=False)
+    count = max(0, min(MOST_SHAPES, len(level) - SPARE))
+    shapes = sizes[:count, None] * directions[:count]
+    if count:
+        lead = min(LEADING_SHAPES, count)
+        scores = centred @ directions[:lead].T / sizes[:lead]
+        normal = scores.T @ (weight[:, None] * scores) + RIDGE * np.eye(lead)
+        shapes[:lead] += np.linalg.solve(normal, scores.T @ (weight * (level - mean_level)))[:, None]
+    flat = np.full((1, wavelength_nm.size), OWN_LEVEL)
+    return MineralPopulation(mineral, len(level), mean_shape + mean_level, np.concatenate([shapes, flat]))
+
+
+def _weight(item: MineralSpectrum) -> float:
+    outside = any(not low <= item.chemistry.get(key, low) <= high for key, (low, high) in USUAL.items())
+    return UNUSUAL_WEIGHT if outside else 1.0

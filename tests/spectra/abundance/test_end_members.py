@@ -1,0 +1,80 @@
+"""The embedded library: it rebuilds what it was made from, and its script makes it again."""
+
+import csv
+import io
+import runpy
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lunarsci.errors import ParameterError
+from lunarsci.inputs import read_input
+from lunarsci.spectra.abundance.end_members import FAMILY_OF, TABLE, MineralSpectrum, embedded_end_members
+from lunarsci.spectra.readers import read_spectra
+from lunarsci.tables import table_rows
+
+SCRIPT = Path(__file__).parents[3] / "spectra_data/make_end_members.py"
+GRID = np.arange(450.0, 2451.0, 5.0)
+
+
+def test_every_mineral_has_end_members_with_their_chemistry_in_range() -> None:
+    library = embedded_end_members(GRID)
+    assert {item.mineral for item in library} == set(FAMILY_OF)
+    assert len({item.id for item in library}) == len(library) > 100
+    for item in library:
+        assert np.all((item.reflectance > 0) & (item.reflectance < 1.1)), item.id
+        assert all(0 <= value <= 100 for value in item.chemistry.values()), item.id
+        if "wo" in item.chemistry:
+            assert sum(item.chemistry[key] for key in ("fs", "en", "wo")) == pytest.approx(100, abs=1.0), item.id
+
+
+@pytest.mark.reference
+def test_rebuilt_spectra_are_the_measured_ones(reference_data: Path) -> None:
+    """Root mean square of the difference of ln R against what the table says."""
+    source = read_input(str(reference_data / "spectra/relab/reflectance.csv"))
+    measured = {s.id: s for s in read_spectra(source)}
+    rows = {row["id"]: row for row in table_rows(TABLE)}
+    checked = 0
+    for item in embedded_end_members(GRID):
+        if item.id in measured:
+            spectrum = measured[item.id]
+            difference = np.log(item.at(spectrum.wavelength_nm) / spectrum.reflectance)
+            assert 100 * np.sqrt(np.mean(difference**2)) == pytest.approx(
+                float(rows[item.id]["rms_ln_percent"]), abs=0.02
+            ), item.id
+            checked += 1
+    assert checked > 100
+
+
+@pytest.mark.slow
+@pytest.mark.reference
+def test_the_script_makes_the_table_again(
+    reference_data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", [str(SCRIPT), str(reference_data / "spectra")])
+    with pytest.warns(UserWarning, match="left out 'fwhm_nm'"):
+        runpy.run_path(str(SCRIPT), run_name="__main__")
+    made = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
+    kept = table_rows(TABLE)
+    assert [row["id"] for row in made] == [row["id"] for row in kept]
+    for new, old in zip(made, kept, strict=True):
+        assert float(new["rms_ln_percent"]) == pytest.approx(float(old["rms_ln_percent"]), abs=0.02), new["id"]
+        assert {key: new[key] for key in ("mineral", "fo", "fs", "wo")} == {
+            key: old[key] for key in ("mineral", "fo", "fs", "wo")
+        }
+
+
+def test_channels_beyond_the_library_are_refused() -> None:
+    with pytest.raises(ParameterError, match="450 to 2450"):
+        embedded_end_members(np.array([400.0, 500.0]))
+
+
+@pytest.mark.parametrize(
+    ("mineral", "wavelength", "reflectance"),
+    [("ilmenite", [500, 600], [0.1, 0.1]), ("olivine", [600, 500], [0.1, 0.1]), ("olivine", [500, 600], [0.1, -0.1])],
+)
+def test_impossible_end_members_are_refused(mineral: str, wavelength: list[float], reflectance: list[float]) -> None:
+    with pytest.raises(ParameterError):
+        MineralSpectrum("x", "y", mineral, {}, np.array(wavelength, float), np.array(reflectance, float))
