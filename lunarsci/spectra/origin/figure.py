@@ -14,7 +14,8 @@ from lunarsci.spectra.spectrum import FloatArray
 __all__ = ["match_pages"]
 
 INK, HOST, PRIOR = "#26323a", "0.6", "#bfc7cd"
-COLORS = "viridis_r"
+COLORS = "YlGnBu"
+PALEST = 0.15
 NEAREST = 4
 MOST_SHOWN = 14
 WIDEST_RAY = 5.0
@@ -31,8 +32,9 @@ def match_pages(matches: Sequence[RockMatch], site: Point) -> Iterator[Figure]:
         scale = Normalize(0, max(0.05, *(item.posterior for item in match.craters)))
         distances = sorted(item.prior.distance_km + item.crater.diameter_km / 2 for item in match.craters)
         outside = sorted(item.prior.distance_km + item.crater.diameter_km / 2 for item in _delivering(match))
-        _draw_map(far, match, site, scale, 1.08 * distances[-1], "All candidates")
-        _draw_map(near, match, site, scale, 1.08 * outside[:NEAREST][-1], "Near the site")
+        reach = 1.12 * outside[:NEAREST][-1]
+        _draw_map(far, match, site, scale, 1.12 * distances[-1], "All candidates", reach)
+        _draw_map(near, match, site, scale, reach, "Near the site")
         _draw_bars(bars, match, scale)
         figure.suptitle(f"{match.rock.id}: {match.status}", fontsize=11, color=INK)
         yield figure
@@ -42,22 +44,25 @@ def _delivering(match: RockMatch) -> list[CraterMatch]:
     return [item for item in match.craters if not item.contains_site]
 
 
-def _colors() -> Any:
+def _color(scale: Normalize, posterior: float) -> Any:
     from matplotlib import colormaps
 
-    return colormaps[COLORS]
+    return colormaps[COLORS](PALEST + (1 - PALEST) * float(scale(posterior)))
 
 
-def _draw_map(axes: Any, match: RockMatch, site: Point, scale: Normalize, reach_km: float, title: str) -> None:
+def _draw_map(
+    axes: Any, match: RockMatch, site: Point, scale: Normalize, reach_km: float, title: str, unnamed_km: float = 0.0
+) -> None:
     for item in sorted(match.craters, key=lambda one: one.posterior):
         x, y = _on_map(site, *_rim(item))
         if item.contains_site:
             axes.plot(x, y, "--", color=HOST, linewidth=0.9)
         else:
-            color = _colors()(scale(item.posterior))
+            color = _color(scale, item.posterior)
             axes.fill(x, y, facecolor=color, alpha=0.35, edgecolor=color, linewidth=1.4)
             _draw_ray(axes, item, color)
-        _label(axes, item, x, y, reach_km)
+        if max(abs(x).max(), abs(y).max()) > unnamed_km:
+            _label(axes, item, x, y, reach_km)
     axes.plot(0, 0, "*", color="#c0392b", markersize=13, markeredgecolor="white", zorder=5, label="rock's site")
     axes.set_xlim(-reach_km, reach_km)
     axes.set_ylim(-reach_km, reach_km)
@@ -73,11 +78,7 @@ def _draw_ray(axes: Any, item: CraterMatch, color: Any) -> None:
         return
     heading = np.radians(item.azimuth_deg)
     x, y = item.prior.distance_km * np.sin(heading), item.prior.distance_km * np.cos(heading)
-    width = 0.4 + WIDEST_RAY * item.posterior
-    axes.annotate(
-        "", (0, 0), xytext=(x, y), zorder=3,
-        arrowprops={"arrowstyle": "->", "color": color, "linewidth": width, "shrinkA": 0, "shrinkB": 5},
-    )  # fmt: skip
+    axes.plot([x, 0], [y, 0], color=color, linewidth=0.4 + WIDEST_RAY * item.posterior, zorder=3)
 
 
 def _label(axes: Any, item: CraterMatch, x: FloatArray, y: FloatArray, reach_km: float) -> None:
@@ -110,7 +111,7 @@ def _draw_bars(axes: Any, match: RockMatch, scale: Normalize) -> None:
     rows = [(i.crater.name, i.prior.probability, i.posterior, _factor(i)) for i in items]
     rows.append((OTHER, match.other_prior, match.other_posterior, "0.0"))
     place = -np.arange(len(rows), dtype=float)
-    colors = [_colors()(scale(row[2])) for row in rows]
+    colors = [_color(scale, row[2]) for row in rows]
     axes.barh(place + 0.2, [row[1] for row in rows], 0.36, color=PRIOR, label="prior")
     axes.barh(place - 0.2, [row[2] for row in rows], 0.36, color=colors, label="posterior")
     largest = max(max(row[1], row[2]) for row in rows)
