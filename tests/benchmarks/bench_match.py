@@ -1,9 +1,9 @@
 """Whether the posteriors of `spectra match` are as often right as they say: `python tests/benchmarks/bench_match.py`.
 
 Rocks are drawn by hand: a crater from the prior, modes from its own (normal laws, those below 0 drawn again, divided by
-their sum), the disagreement of two methods and the measurement error added to each mode, values below 0 set to 0 and the
-sum to 1, as programs report them. Every posterior of every rock, other sources included, is one forecast; ten bins hold
-equally many. Then the same with rocks from a world that the prior or the errors describe wrongly.
+their sum), the disagreement of two methods and the measurement error added to each mode, values below 0 set to 0 and
+the sum to 1, as programs report them. Every posterior of every rock, other sources included, is one forecast; ten bins
+hold equally many. Then the same with rocks from a world that the prior or the errors describe wrongly.
 """
 
 import argparse

@@ -129,9 +129,9 @@ def ring_values(
     azimuth = (np.arange(SPOKES) + 0.5) * 360 / SPOKES
     latitude, longitude = destination(crater.center, np.tile(azimuth, RINGS), np.repeat(distance, SPOKES))
     x, y = _map_coordinates(dataset, latitude, longitude, file)
-    with np.errstate(invalid="ignore"):
-        columns, rows = ~dataset.transform * (x, y)
-    return _pixels(dataset, np.asarray(columns), np.asarray(rows))
+    inverse = ~dataset.transform
+    columns, rows = (inverse.a * x + inverse.b * y + inverse.c, inverse.d * x + inverse.e * y + inverse.f)
+    return _pixels(dataset, columns, rows)
 
 
 def _map_coordinates(

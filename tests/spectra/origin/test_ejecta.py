@@ -26,7 +26,7 @@ TABLE = {
     "Antoniadi": (968, 0.57, 0.14, 1.2),
     "Leibnitz": (470, 128, 29, 257),
 }
-"""Launch speed [m/s] and thickness [m] after Pike, McGetchin and Xie at the site, computed from the transient radius."""
+"""Launch speed [m/s] and thickness [m] at the site after Pike, McGetchin, Xie, computed from the transient radius."""
 CRATERS = {crater.name: crater for crater in embedded_catalogue()}
 
 

@@ -88,14 +88,17 @@ def test_the_papers_rock_is_not_decided_by_composition() -> None:
     assert "the prior does" in match.status
 
 
-def test_the_papers_conclusion_holds_or_not_with_what_is_assumed_of_re_excavation() -> None:
-    def first(**prior: object) -> str:
-        return max(matched(**prior).craters, key=lambda item: item.posterior).crater.name
+def test_the_papers_conclusion_hangs_on_what_is_assumed_of_re_excavation() -> None:
+    def first(craters: Any = None, **prior: object) -> str:
+        return max(matched(craters=craters, **prior).craters, key=lambda item: item.posterior).crater.name
 
     assert first(re_excavation=False) == "Zhinyu"
     assert first(exposure=False, re_excavation=False) == "Finsen"
-    assert first(gardening_m=Range(1e-4, 1e-4)) == "Zhinyu"
-    assert first(gardening_m=Range(0.1, 0.1)) == "Finsen"
+    assert first() == "Finsen"
+    assert first(craters=with_modes("Zhinyu", dict(PAPER_ROCK.composition.modes))) == "Zhinyu"
+    zhinyu = [by_name(matched(gardening_m=Range(g, g)))["Zhinyu"].posterior for g in (1e-4, 1e-3, 1e-2, 1e-1)]
+    assert zhinyu == sorted(zhinyu, reverse=True)
+    assert zhinyu[0] > 10 * zhinyu[-1]
 
 
 def test_even_if_zhinyus_ejecta_were_just_like_the_rock_composition_would_not_decide() -> None:

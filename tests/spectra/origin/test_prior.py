@@ -54,7 +54,8 @@ def test_survival_is_a_factor() -> None:
 def loop(ages: np.ndarray, thickness: np.ndarray, km: np.ndarray, life: float, garden: float) -> np.ndarray:
     """Amounts at the surface by stage, written out crater by crater."""
     amounts = np.zeros((3, len(ages)))
-    left = 2.0 ** -((ages / life) ** np.log(np.log(100) / np.log(2)) / np.log(3.75))
+    shape = np.log(np.log(100) / np.log(2)) / np.log(3.75)
+    left = 2.0 ** -((ages / life) ** shape)
     for c in range(len(ages)):
         amounts[0, c] = thickness[c] * left[c]
         for y in range(len(ages)):
