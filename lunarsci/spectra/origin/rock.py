@@ -68,7 +68,8 @@ def _records(document: Mapping[str, Any], file: str) -> list[Mapping[str, Any]]:
 def _from_fit(record: Mapping[str, Any], name: str) -> Rock | None:
     abundance = record.get("abundance")
     if abundance:
-        modes = {mineral: _interval(abundance[mineral]) for mineral in MINERALS if abundance.get(mineral)}
+        given = {mineral: abundance.get(mineral) or {} for mineral in MINERALS}
+        modes = {mineral: _interval(item) for mineral, item in given.items() if item.get("fraction") is not None}
         doubt = ["its abundances are outside the domain of their method"] if abundance.get("in_domain") is False else []
         return Rock(name, Composition(modes), ("modes are those of `abundance`", *doubt)) if len(modes) > 1 else None
     ratio = (record.get("nbsr") or {}).get("um2")

@@ -129,6 +129,15 @@ def test_projected_maps(tmp_path: Path, crs: CRS, one: Crater, bounds: tuple) ->
     assert found.std() < 0.8
 
 
+def test_a_window_too_large_is_read_coarsely(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write(tmp_path / "map.tif", lambda x, y: 30 + 2 * (y + 45), (0, -55, 20, -35), size=2000)
+    fine = values(path, crater(-45, 10))
+    monkeypatch.setattr("lunarsci.spectra.origin.mineral_map.LARGEST_SIDE", 60)
+    coarse = values(path, crater(-45, 10))
+    assert not np.array_equal(fine, coarse)
+    assert coarse == pytest.approx(fine, abs=2 * 4 / 60 + 0.05), "the ring is 4 deg high"
+
+
 def test_holes_edges_and_special_values_are_left_out(tmp_path: Path) -> None:
     def field(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         return np.where(x < 10, 30.0, np.where(y > -45, -9999.0, np.where(x < 10.6, np.nan, -3e38)))
