@@ -1,13 +1,14 @@
 """From the options of `lunarsci spectra match` to rocks, site and candidate craters."""
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import typer
 
 from lunarsci.errors import DataError, LunarSciError, ParameterError
 from lunarsci.inputs import expand_inputs, read_input
-from lunarsci.provenance import sha256
 from lunarsci.spectra.origin.catalogue import TABLE, Crater, embedded_catalogue, read_catalogue
 from lunarsci.spectra.origin.composition import MINERALS, Composition, Value
 from lunarsci.spectra.origin.exposure import Range
@@ -146,8 +147,14 @@ def _mapped(found: Candidates, maps: Sequence[str], annulus: str) -> Candidates:
         names[mineral] = file
     ring = span_from_zero(annulus)
     craters, reports = with_maps(found.craters, names, ring)
-    hashes = {file: sha256(read_input(file).data) for file in names.values()}
+    hashes = {file: _digest(file) for file in names.values()}
     return Candidates(craters, found.source, found.inputs | hashes, found.tables, reports)
+
+
+def _digest(file: str) -> str:
+    """SHA-256 of a map, which may not fit into memory."""
+    with Path(file).open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def span_from_zero(text: str) -> tuple[float, float]:

@@ -1,8 +1,11 @@
 """`lunarsci spectra match` from the shell: inputs, every option, outputs, and what goes wrong."""
 
 import csv
+import hashlib
 import io
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -109,6 +112,12 @@ def test_results_of_fit_and_bands_are_one_rock(run: Run, fitted: tuple[Path, Pat
     assert any("NBSR" in remark for remark in rock["remarks"])
 
 
+def test_a_pipe_from_the_fit(fitted: tuple[Path, Path]) -> None:
+    command = [sys.executable, "-m", "lunarsci.cli", "spectra", "match", "-", "--field", "rocks.0.id"]
+    done = subprocess.run(command, input=fitted[0].read_bytes(), capture_output=True)
+    assert (done.returncode, done.stdout) == (0, b"synthetic_rock\n"), done.stderr
+
+
 def test_several_rocks_and_a_bad_input_among_them(run: Run, fitted: tuple[Path, Path], tmp_path: Path) -> None:
     document = json.loads(fitted[0].read_text())
     second = document["result"]["spectra"][0] | {"id": "second"}
@@ -150,7 +159,10 @@ def test_maps_give_the_modes_and_a_hole_is_said(run: Run, tmp_path: Path) -> Non
         ) as file:  # fmt: skip
             file.write(np.full((200, 300), value, "float32"), 1)
         options += ["--map", f"{mineral}={path}"]
-    found = result(run, *MODES, *options)
+    document = json.loads(run("spectra", "match", *MODES, *options, "--json").out)
+    hashes = {item["path"]: item["sha256"] for item in document["provenance"]["inputs"]}
+    assert hashes == {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in tmp_path.glob("*.tif")}
+    found = document["result"]
     by_name = {item["name"]: item for item in found["rocks"][0]["craters"]}
     assert by_name["Zhinyu"]["log_bayes_factor"] > 1
     assert "maps" in by_name["Zhinyu"]["sources"]["composition"]
@@ -168,6 +180,19 @@ def test_the_map_is_drawn_and_repeatable(run: Run, tmp_path: Path, suffix: str) 
     if suffix == ".svg":
         text = pictures[0].read_text()
         assert "<!-- Finsen -->" in text or "Finsen" in text
+
+
+def test_the_map_of_a_polar_site_with_its_antipode(run: Run, tmp_path: Path) -> None:
+    file = tmp_path / "craters.csv"
+    file.write_text(HEADER + "Antipode,90,0,300\nOver the pole,-88,10,40\nHost,-89,0,500\n")
+    done = run("spectra", "match", *MODES, "--site", "-90,0", "--craters", file, "--plot", tmp_path / "a.png", "--json")
+    assert done.code == 0, done.err
+    found = {item["name"]: item for item in json.loads(done.out)["result"]["rocks"][0]["craters"]}
+    assert found["Antipode"]["azimuth_deg"] is None
+    assert found["Antipode"]["distance_km"] == pytest.approx(5458.2, abs=0.1)
+    assert (found["Host"]["contains_site"], found["Host"]["posterior"]) == (True, 0)
+    assert "ejecta converge" in " ".join(json.loads(done.out)["result"]["assumptions"])
+    assert (tmp_path / "a.png").stat().st_size > 10_000
 
 
 def test_equal_runs_give_equal_bytes(run: Run) -> None:
