@@ -2,8 +2,9 @@
 
 Rocks are drawn by hand: a crater from the prior, modes from its own (normal laws, those below 0 drawn again, divided by
 their sum), the disagreement of two methods and the measurement error added to each mode, values below 0 set to 0 and
-the sum to 1, as programs report them. Every posterior of every rock, other sources included, is one forecast; ten bins
-hold equally many. Then the same with rocks from a world that the prior or the errors describe wrongly.
+the sum to 1, as programs report them. Every posterior of every rock, other sources included, is one forecast, sorted
+into ten bins of equal count and of equal width. Then the same with rocks from a world that the prior or the
+errors describe wrongly.
 """
 
 import argparse
@@ -44,6 +45,11 @@ class Reliability(NamedTuple):
     def worst(self) -> float:
         """Largest difference between forecast and truth."""
         return float(np.abs(self.forecast - self.observed).max())
+
+    @property
+    def chance(self) -> np.ndarray:
+        """Standard error of the share that came true, if the forecasts are right and independent."""
+        return np.sqrt(np.maximum(self.forecast * (1 - self.forecast), 1e-9) / self.count)
 
 
 def complete_catalogue() -> list[Crater]:
@@ -98,8 +104,8 @@ def reliability(
     seed: int,
     world: PriorSettings | None = None,
     systematic: float | None = None,
-) -> tuple[Reliability, float]:
-    """Reliability of the posteriors, and the share of rocks whose likeliest source is the true one.
+) -> tuple[Reliability, Reliability, float]:
+    """Reliability in bins of equal count and of equal width, and how often the likeliest source is the true one.
 
     `world` and `systematic` are the truth that rocks are drawn from; left out, what the matching assumes.
     """
@@ -110,17 +116,26 @@ def reliability(
     posteriors = np.array([[*(item.posterior for item in m.craters), m.other_posterior] for m in matches])
     hits = np.arange(posteriors.shape[1]) == sources[:, None]
     possible = prior_vector(craters, settings.prior) > 0
-    return binned(posteriors[:, possible], hits[:, possible]), float(np.mean(posteriors.argmax(axis=1) == sources))
+    pairs = posteriors[:, possible].ravel(), hits[:, possible].ravel()
+    return by_count(*pairs), by_width(*pairs), float(np.mean(posteriors.argmax(axis=1) == sources))
 
 
-def binned(forecasts: np.ndarray, hits: np.ndarray) -> Reliability:
+def by_count(forecasts: np.ndarray, hits: np.ndarray) -> Reliability:
     """Ten bins with equally many forecasts each."""
-    order = np.argsort(forecasts, axis=None)
-    parts = [(forecasts.ravel()[part], hits.ravel()[part]) for part in np.array_split(order, BINS)]
+    return _reliability(np.array_split(np.argsort(forecasts), BINS), forecasts, hits)
+
+
+def by_width(forecasts: np.ndarray, hits: np.ndarray) -> Reliability:
+    """Ten bins of 0.1; those without forecasts left out."""
+    place = np.minimum((forecasts * BINS).astype(int), BINS - 1)
+    return _reliability([np.flatnonzero(place == k) for k in np.unique(place)], forecasts, hits)
+
+
+def _reliability(parts: Sequence[np.ndarray], forecasts: np.ndarray, hits: np.ndarray) -> Reliability:
     return Reliability(
-        np.array([f.mean() for f, _ in parts]),
-        np.array([h.mean() for _, h in parts]),
-        np.array([f.size for f, _ in parts]),
+        np.array([forecasts[part].mean() for part in parts]),
+        np.array([hits[part].mean() for part in parts]),
+        np.array([part.size for part in parts]),
     )
 
 
@@ -142,16 +157,20 @@ def main() -> None:
     options = parser.parse_args()
     settings = MatchSettings(prior=PriorSettings())
     for name, craters in (("embedded", embedded_catalogue()), ("with invented modes", complete_catalogue())):
-        table, right = reliability(craters, settings, options.rocks, options.seed)
-        print(f"\ncatalogue {name}, {options.rocks} rocks: likeliest source right {right:.2f}, worst {table.worst:.3f}")
-        for forecast, observed, count in zip(*table, strict=True):
-            error = np.sqrt(max(forecast * (1 - forecast), 1e-9) / count)
-            print(f"  posterior {forecast:.3f}   came true {observed:.3f}   chance {error:.3f}   n {count}")
+        count, width, right = reliability(craters, settings, options.rocks, options.seed)
+        print(f"\ncatalogue {name}, {options.rocks} rocks: likeliest source right {right:.2f}")
+        for kind, table in (("equal count", count), ("equal width", width)):
+            print(f"  bins of {kind}, worst {table.worst:.3f}")
+            for forecast, observed, number, error in zip(*table, table.chance, strict=True):
+                print(f"    posterior {forecast:.3f}   came true {observed:.3f}   chance {error:.3f}   n {number}")
     print("\nrocks from another world than assumed, catalogue with invented modes")
     for name, (change, systematic) in WRONG_WORLDS.items():
         world = replace(settings.prior, **change)
-        table, right = reliability(complete_catalogue(), settings, options.rocks, options.seed, world, systematic)
-        print(f"  {name:40s} likeliest right {right:.2f}   worst bin off by {table.worst:.3f}")
+        count, width, right = reliability(
+            complete_catalogue(), settings, options.rocks, options.seed, world, systematic
+        )
+        off = f"{count.worst:.3f} (equal count), {width.worst:.3f} (equal width)"
+        print(f"  {name:40s} likeliest right {right:.2f}   worst bin off by {off}")
 
 
 if __name__ == "__main__":

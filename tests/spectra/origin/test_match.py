@@ -63,9 +63,10 @@ def test_posterior_is_prior_times_the_factor_over_the_sum() -> None:
 def test_300_rocks_of_the_craters_are_as_often_right_as_said(bench: Any, seed: int) -> None:
     settings = MatchSettings(prior=PriorSettings())
     for craters in (bench.complete_catalogue(), embedded_catalogue()):
-        table, right = bench.reliability(craters, settings, 300, seed)
+        table, width, right = bench.reliability(craters, settings, 300, seed)
         assert table.worst < 0.05, table
         assert len(table.count) == 10
+        assert (np.abs(width.forecast - width.observed) < 0.05 + 2.5 * width.chance).all(), width
         assert right > 0.4
 
 
@@ -73,7 +74,7 @@ def test_300_rocks_of_the_craters_are_as_often_right_as_said(bench: Any, seed: i
 def test_a_world_with_larger_errors_is_noticed(bench: Any) -> None:
     """The same forecasts fail where methods disagree by three times what is assumed: the measure can fail."""
     settings = MatchSettings(prior=PriorSettings())
-    table, _ = bench.reliability(bench.complete_catalogue(), settings, 300, 0, systematic=0.3)
+    table, _, _ = bench.reliability(bench.complete_catalogue(), settings, 300, 0, systematic=0.3)
     assert table.worst > 0.1
 
 
