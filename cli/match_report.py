@@ -97,7 +97,7 @@ def _crater_row(item: CraterMatch) -> list[str]:
         item.crater.name,
         f"{item.prior.distance_km:.1f}",
         "-" if item.azimuth_deg is None else f"{item.azimuth_deg:.0f}",
-        "-" if item.prior.ejecta_m is None else f"{item.prior.ejecta_m:.2g}",
+        "-" if item.prior.ejecta_m is None else f"{item.prior.ejecta_m:.3g}",
         _came_by(item.prior.stages),
         f"{item.ln_bayes_factor:.2f}",
         f"{item.prior.probability:.3f}",
