@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from . import demo, spectra_fit
+from . import demo, spectra_fit, spectra_match
 from .regolith import app as regolith
 from .spectra import app as spectra
 from .talk import FAILED, INTERRUPTED, failure_line, say
@@ -26,6 +26,7 @@ app = typer.Typer(
     epilog=EXIT_CODES,
 )
 spectra_fit.add_to(spectra)
+spectra_match.add_to(spectra)
 app.add_typer(spectra, name="spectra")
 app.add_typer(regolith, name="regolith")
 app.add_typer(twin, name="twin")

@@ -17,6 +17,7 @@ Run = Callable[..., "object"]
 COMMANDS = {
     "bands": ("spectra", "bands"),
     "fit": ("spectra", "fit"),
+    "match": ("spectra", "match"),
     "identify": ("regolith", "identify"),
     "forces": ("regolith", "forces"),
 }
@@ -26,7 +27,8 @@ COMMANDS = {
 def command(request: pytest.FixtureRequest, rock: Path, states: Path) -> list[str]:
     """A command that works, with its input."""
     name = request.param
-    inputs = {"bands": [rock], "fit": [rock], "identify": [states], "forces": ["--sinkage", "0.008"]}
+    modes = ["--modes", "ol=0.2:0.1,opx=0.4:0.1"]
+    inputs = {"bands": [rock], "fit": [rock], "match": modes, "identify": [states], "forces": ["--sinkage", "0.008"]}
     return [*COMMANDS[name], *map(str, inputs[name])]
 
 

@@ -1,0 +1,1 @@
+"""The crater a rock came from: candidate craters, their ejecta, what is left of it, and the rock's composition."""

@@ -1,0 +1,129 @@
+"""The picture of a match: candidate craters around the site, and what prior and composition say of each."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+
+from lunarsci.spectra.origin.match import OTHER, CraterMatch, RockMatch
+from lunarsci.spectra.origin.sphere import Point, azimuth_deg, destination, distance_km
+from lunarsci.spectra.spectrum import FloatArray
+
+__all__ = ["match_pages"]
+
+INK, HOST, PRIOR = "#26323a", "0.6", "#bfc7cd"
+COLORS = "YlGnBu"
+PALEST = 0.15
+NEAREST = 4
+MOST_SHOWN = 14
+WIDEST_RAY = 5.0
+
+
+def match_pages(matches: Sequence[RockMatch], site: Point) -> Iterator[Figure]:
+    """One page per rock: all craters, those near the site, and bars of prior, posterior and ln Bayes factor.
+
+    Maps are azimuthal equidistant about the site: distances and directions from it are true, circles are rims.
+    """
+    for match in matches:
+        figure = Figure(figsize=(15.0, 6.4), layout="constrained")
+        far, near, bars = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 0.95))
+        scale = Normalize(0, max(0.05, *(item.posterior for item in match.craters)))
+        distances = sorted(item.prior.distance_km + item.crater.diameter_km / 2 for item in match.craters)
+        outside = sorted(item.prior.distance_km + item.crater.diameter_km / 2 for item in _delivering(match))
+        reach = 1.12 * outside[:NEAREST][-1]
+        _draw_map(far, match, site, scale, 1.12 * distances[-1], "All candidates", reach)
+        _draw_map(near, match, site, scale, reach, "Near the site")
+        _draw_bars(bars, match, scale)
+        figure.suptitle(f"{match.rock.id}: {match.status}", fontsize=11, color=INK)
+        yield figure
+
+
+def _delivering(match: RockMatch) -> list[CraterMatch]:
+    return [item for item in match.craters if not item.contains_site]
+
+
+def _color(scale: Normalize, posterior: float) -> Any:
+    from matplotlib import colormaps
+
+    return colormaps[COLORS](PALEST + (1 - PALEST) * float(scale(posterior)))
+
+
+def _draw_map(
+    axes: Any, match: RockMatch, site: Point, scale: Normalize, reach_km: float, title: str, unnamed_km: float = 0.0
+) -> None:
+    for item in sorted(match.craters, key=lambda one: one.posterior):
+        x, y = _on_map(site, *_rim(item))
+        if item.contains_site:
+            axes.plot(x, y, "--", color=HOST, linewidth=0.9)
+        else:
+            color = _color(scale, item.posterior)
+            axes.fill(x, y, facecolor=color, alpha=0.35, edgecolor=color, linewidth=1.4)
+            _draw_ray(axes, item, color)
+        if max(abs(x).max(), abs(y).max()) > unnamed_km:
+            _label(axes, item, x, y, reach_km)
+    axes.plot(0, 0, "*", color="#c0392b", markersize=13, markeredgecolor="white", zorder=5, label="rock's site")
+    axes.set_xlim(-reach_km, reach_km)
+    axes.set_ylim(-reach_km, reach_km)
+    axes.set_aspect("equal")
+    axes.set_xlabel("east of the site [km]")
+    axes.set_ylabel("north of the site [km]")
+    axes.set_title(f"{title}; site {site[0]:g}, {site[1]:g} deg", fontsize=10)
+    axes.legend(loc="lower left", fontsize=8, frameon=False)
+
+
+def _draw_ray(axes: Any, item: CraterMatch, color: Any) -> None:
+    if item.azimuth_deg is None:
+        return
+    heading = np.radians(item.azimuth_deg)
+    x, y = item.prior.distance_km * np.sin(heading), item.prior.distance_km * np.cos(heading)
+    axes.plot([x, 0], [y, 0], color=color, linewidth=0.4 + WIDEST_RAY * item.posterior, zorder=3)
+
+
+def _label(axes: Any, item: CraterMatch, x: FloatArray, y: FloatArray, reach_km: float) -> None:
+    top = int(np.argmax(y))
+    if max(abs(x[top]), abs(y[top])) > 0.93 * reach_km:
+        return
+    text = item.crater.name if item.contains_site else f"{item.crater.name}\n{item.posterior:.2f}"
+    axes.annotate(
+        text, (x[top], y[top]), xytext=(0, 3), textcoords="offset points", ha="center", va="bottom", fontsize=8,
+        color=HOST if item.contains_site else INK, zorder=6,
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5},
+    )  # fmt: skip
+
+
+def _rim(item: CraterMatch) -> tuple[FloatArray, FloatArray]:
+    azimuth = np.linspace(0, 360, 181)
+    return destination(item.crater.center, azimuth, np.full(azimuth.shape, item.crater.diameter_km / 2))
+
+
+def _on_map(site: Point, latitude: FloatArray, longitude: FloatArray) -> tuple[FloatArray, FloatArray]:
+    points = list(zip(latitude, longitude, strict=True))
+    distance = np.array([distance_km(site, point) for point in points])
+    heading = np.radians([azimuth_deg(site, point) or 0.0 for point in points])
+    return distance * np.sin(heading), distance * np.cos(heading)
+
+
+def _draw_bars(axes: Any, match: RockMatch, scale: Normalize) -> None:
+    """Prior (grey) and posterior, the likeliest above, with the ln Bayes factor as text."""
+    items = sorted(_delivering(match), key=lambda one: one.posterior, reverse=True)[:MOST_SHOWN]
+    rows = [(i.crater.name, i.prior.probability, i.posterior, _factor(i)) for i in items]
+    rows.append((OTHER, match.other_prior, match.other_posterior, "0.0"))
+    place = -np.arange(len(rows), dtype=float)
+    colors = [_color(scale, row[2]) for row in rows]
+    axes.barh(place + 0.2, [row[1] for row in rows], 0.36, color=PRIOR, label="prior")
+    axes.barh(place - 0.2, [row[2] for row in rows], 0.36, color=colors, label="posterior")
+    largest = max(max(row[1], row[2]) for row in rows)
+    for y, row in zip(place, rows, strict=True):
+        axes.text(max(row[1], row[2]) + 0.02 * largest, y, f"ln BF {row[3]}", va="center", fontsize=8, color=INK)
+    axes.set_yticks(place, [row[0] for row in rows], fontsize=9)
+    axes.set_xlim(0, 1.3 * largest)
+    axes.set_xlabel("probability [-]")
+    axes.set_title("Prior and posterior; ln BF: composition alone", fontsize=10)
+    axes.legend(loc="lower right", fontsize=8, frameon=False)
+
+
+def _factor(item: CraterMatch) -> str:
+    unknown = not (item.evidence.minerals or item.evidence.bands)
+    return "0 (composition unknown)" if unknown else f"{item.ln_bayes_factor:.1f}"

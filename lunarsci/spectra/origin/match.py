@@ -1,0 +1,192 @@
+"""The probability that a rock comes from each of the candidate craters, and what it is made of."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lunarsci.errors import ParameterError
+from lunarsci.spectra.origin.catalogue import Crater
+from lunarsci.spectra.origin.composition import Composition
+from lunarsci.spectra.origin.ejecta import launch_speed_m_s
+from lunarsci.spectra.origin.likelihood import CompositionEvidence, composition_evidence
+from lunarsci.spectra.origin.prior import CraterPrior, PriorSettings, crater_priors
+from lunarsci.spectra.origin.sphere import Point, azimuth_deg
+
+__all__ = ["OTHER", "CraterMatch", "MatchSettings", "Rock", "RockMatch", "match_rocks"]
+
+OTHER = "other source"
+LEADS, DECIDES = 0.5, 3.0
+"""Posterior from which a crater is called the likeliest, and ln Bayes factor from which composition decides (about
+20 : 1, 'strong' in Kass & Raftery 1995, 10.1080/01621459.1995.10476572)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rock:
+    """A rock: its name, what is known of its composition, and remarks on how that was read."""
+
+    id: str
+    composition: Composition
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MatchSettings:
+    """`systematic` of a mineral's share between two methods [-], of a band centre [nm], and the prior's settings."""
+
+    systematic: float = 0.10
+    band_systematic_nm: float = 10.0
+    use_modes: bool = True
+    use_bands: bool = True
+    prior: PriorSettings
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.systematic <= 1:
+            raise ParameterError(f"systematic is {self.systematic:g}; it is a fraction from 0 to 1")
+        if not 0 <= self.band_systematic_nm <= 500:
+            raise ParameterError(f"systematic of the bands is {self.band_systematic_nm:g} nm; it must be 0 to 500")
+
+
+@dataclass(frozen=True, slots=True)
+class CraterMatch:
+    """One rock and one crater; `posterior` is prior times exp of the ln Bayes factor, over the sum of all."""
+
+    crater: Crater
+    prior: CraterPrior
+    evidence: CompositionEvidence
+    posterior: float
+    azimuth_deg: float | None
+    launch_speed_m_s: float | None
+
+    @property
+    def ln_bayes_factor(self) -> float:
+        """Composition alone, against a rock of any composition."""
+        return self.evidence.ln_total
+
+    @property
+    def contains_site(self) -> bool:
+        """Whether the site lies within the rim, so that it has no ejecta there."""
+        return self.prior.ejecta_m is None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The keys of a crater in `lunarsci spectra match --json`."""
+        low, high = self.crater.age_ma
+        return {
+            "name": self.crater.name,
+            "latitude_deg": self.crater.latitude_deg,
+            "longitude_deg": self.crater.longitude_deg,
+            "diameter_km": self.crater.diameter_km,
+            "age_low_ma": low,
+            "age_high_ma": high,
+            "distance_km": self.prior.distance_km,
+            "azimuth_deg": self.azimuth_deg,
+            "contains_site": self.contains_site,
+            "ejecta_m": self.prior.ejecta_m,
+            "launch_speed_m_s": self.launch_speed_m_s,
+            "log_bayes_factor": self.ln_bayes_factor,
+            "log_bayes_factor_modes": self.evidence.ln_modes,
+            "log_bayes_factor_bands": self.evidence.ln_bands,
+            "compared": self.evidence.basis,
+            "prior": self.prior.probability,
+            "posterior": self.posterior,
+            "terms": {
+                "survival": self.prior.survival,
+                "above_surface": self.prior.above_surface,
+                "stages": dict(self.prior.stages),
+            },
+            "sources": dict(self.crater.sources),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class RockMatch:
+    """One rock: all craters in the catalogue's order, the probability of other sources, and a sentence."""
+
+    rock: Rock
+    craters: tuple[CraterMatch, ...]
+    other_prior: float
+    other_posterior: float
+    status: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """The keys of a rock in `lunarsci spectra match --json`."""
+        composition = self.rock.composition
+        best = max(self.craters, key=lambda item: item.posterior)
+        return {
+            "id": self.rock.id,
+            "modes": {name: {"fraction": v, "sigma": s} for name, (v, s) in composition.modes.items()},
+            "bands": {name: {"center_nm": v, "sigma_nm": s} for name, (v, s) in composition.bands.items()},
+            "craters": [item.to_dict() for item in self.craters],
+            "other": {"log_bayes_factor": 0.0, "prior": self.other_prior, "posterior": self.other_posterior},
+            "best": best.crater.name if best.posterior > self.other_posterior else OTHER,
+            "remarks": list(self.rock.remarks),
+            "status": self.status,
+        }
+
+
+def match_rocks(
+    rocks: Sequence[Rock], craters: Sequence[Crater], site: Point, settings: MatchSettings
+) -> list[RockMatch]:
+    """Match rocks found at one site (latitude, longitude in deg) with candidate craters.
+
+    Raises ParameterError where no crater can have delivered a rock to the site.
+    """
+    priors = crater_priors(craters, site, settings.prior)
+    return [_match(rock, craters, priors, site, settings) for rock in rocks]
+
+
+def _match(
+    rock: Rock, craters: Sequence[Crater], priors: Sequence[CraterPrior], site: Point, settings: MatchSettings
+) -> RockMatch:
+    seen = Composition(
+        rock.composition.modes if settings.use_modes else {},
+        rock.composition.bands if settings.use_bands else {},
+        rock.composition.correlation if settings.use_modes else None,
+    )
+    evidence = [
+        composition_evidence(
+            seen,
+            crater.composition,
+            systematic=settings.systematic,
+            band_systematic_nm=settings.band_systematic_nm,
+        )
+        for crater in craters
+    ]
+    other = settings.prior.other_weight
+    probabilities = _posterior([*(p.probability for p in priors), other], [*(e.ln_total for e in evidence), 0.0])
+    matches = tuple(
+        CraterMatch(
+            crater,
+            prior,
+            item,
+            probability,
+            azimuth_deg(site, crater.center),
+            launch_speed_m_s(crater.diameter_km, prior.distance_km),
+        )
+        for crater, prior, item, probability in zip(craters, priors, evidence, probabilities, strict=False)
+    )
+    return RockMatch(rock, matches, other, probabilities[-1], _status(matches, probabilities[-1], other))
+
+
+def _posterior(priors: Sequence[float], ln_factors: Sequence[float]) -> list[float]:
+    """Priors times exp of the ln Bayes factors, over their sum; exact however small they are."""
+    with np.errstate(divide="ignore"):
+        ln = np.log(np.array(priors)) + np.array(ln_factors)
+    weights = np.exp(ln - ln.max())
+    return [float(value) for value in weights / weights.sum()]
+
+
+def _status(matches: Sequence[CraterMatch], other: float, other_prior: float) -> str:
+    """One sentence: what leads, and whether it is composition or the prior that says so."""
+    compared = [item for item in matches if item.evidence.minerals or item.evidence.bands]
+    if not compared:
+        return "composition decides nothing: no crater has a composition to compare with; the posterior is the prior"
+    if other >= LEADS and other > 2 * other_prior:
+        return "goes with none of the craters whose composition is known: another source is likelier than all of them"
+    first = max(matches, key=lambda item: item.posterior)
+    lead = "likeliest" if first.posterior >= LEADS else "none is likely; the first is"
+    factors = [item.ln_bayes_factor for item in matches if not item.contains_site]
+    spread = max(factors) - min(factors)
+    decisive = "composition speaks strongly" if spread >= DECIDES else "composition hardly decides, the prior does"
+    return f"{lead} {first.crater.name} ({first.posterior:.2f}); {decisive} (ln Bayes factors differ by {spread:.1f})"

@@ -1,0 +1,211 @@
+"""Composition of craters' ejecta from a user's mineral maps, one GeoTIFF per mineral.
+
+Each map is read at points spread evenly, by area, over the ring of ejecta around the rim; their mean and standard
+deviation are those of the mineral there. Works for maps in degrees (-180 to 180 or 0 to 360, also across the seam) and
+for projected ones.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.spectra.origin.catalogue import Crater
+from lunarsci.spectra.origin.composition import LARGEST_SUM, MINERALS, Composition
+from lunarsci.spectra.origin.sphere import MOON_RADIUS_KM, destination
+from lunarsci.spectra.spectrum import FloatArray
+
+if TYPE_CHECKING:
+    from rasterio.io import DatasetReader
+
+__all__ = ["ANNULUS", "MapReport", "ring_values", "with_maps"]
+
+ANNULUS = (1.0, 2.0)
+"""Ring of ejecta, in rim radii from the centre; assumed: about the reach of the continuous blanket."""
+RINGS, SPOKES = 64, 256
+FEWEST_VALID = 50
+"""Points with a value below which a ring is taken as empty; assumed."""
+LARGEST_SIDE = 4096
+"""A window with more pixels a side than this is read at a lower resolution."""
+LONGITUDE_LATITUDE = f"+proj=longlat +R={1e3 * MOON_RADIUS_KM:.0f} +no_defs"
+PERCENT_FROM = 1.5
+"""A map with more than this in a ring is in percent."""
+HINT = "reading maps needs rasterio; install it with: pip install 'lunarsci[cubes]'"
+
+
+@dataclass(frozen=True, slots=True)
+class MapReport:
+    """What the maps gave for one crater: the share of the ring with values by mineral, and a sentence."""
+
+    crater: str
+    covered: Mapping[str, float]
+    status: str
+
+
+def with_maps(
+    craters: Sequence[Crater], maps: Mapping[str, str], annulus: tuple[float, float] = ANNULUS
+) -> tuple[list[Crater], list[MapReport]]:
+    """The craters with modes from maps (mineral to GeoTIFF), where those cover them, and what was found for each.
+
+    A crater keeps the catalogue's modes where fewer than two maps have values in its ring. Maps may be in fractions or
+    percent. Raises ParameterError for unknown minerals, fewer than two maps, a ring that is none, or missing rasterio;
+    DataError for files that cannot be read, 8-bit copies without a scale, several bands, and values that are no modes.
+    """
+    _check_request(maps, annulus)
+    rasterio = _rasterio()
+    values: dict[str, list[FloatArray]] = {}
+    for mineral, file in maps.items():
+        try:
+            with rasterio.open(file) as dataset:
+                check_map(dataset, file)
+                values[mineral] = [ring_values(dataset, crater, annulus, file) for crater in craters]
+        except rasterio.errors.RasterioError as error:
+            reason = " ".join(str(error).split())
+            raise DataError(f"{file}: cannot be read as a map ({reason}); give a GeoTIFF") from error
+    units = {mineral: _unit(rings, maps[mineral]) for mineral, rings in values.items()}
+    if len(set(units.values()) - {0.0}) > 1:
+        raise DataError(f"{', '.join(maps.values())}: some are in percent, others in fractions; bring them to one unit")
+    found = [
+        _with_values(crater, {name: values[name][k] / (units[name] or 1.0) for name in values}, maps)
+        for k, crater in enumerate(craters)
+    ]
+    return [crater for crater, _ in found], [report for _, report in found]
+
+
+def _check_request(maps: Mapping[str, str], annulus: tuple[float, float]) -> None:
+    unknown = [name for name in maps if name not in MINERALS]
+    if unknown:
+        raise ParameterError(f"'{unknown[0]}' is no mineral here; there are {', '.join(MINERALS)}")
+    if len(maps) < 2:
+        raise ParameterError("one map alone gives no shares; give maps of two minerals or more")
+    low, high = annulus
+    if not 0 <= low < high <= 20:
+        raise ParameterError(f"ring {low:g} to {high:g} must rise, from 0 to 20 rim radii")
+
+
+def _rasterio() -> Any:
+    try:
+        import rasterio
+        import rasterio.errors
+    except ImportError as error:
+        raise ParameterError(HINT) from error
+    return rasterio
+
+
+def check_map(dataset: "DatasetReader", file: str) -> None:
+    """Raise DataError for a raster that is no map of one quantity in physical units, or without a place on the Moon."""
+    if dataset.count != 1:
+        raise DataError(f"{file}: has {dataset.count} bands; give a file with the one band of the mineral")
+    plain = dataset.scales[0] == 1 and dataset.offsets[0] == 0
+    if dataset.dtypes[0] in ("uint8", "int8") and plain:
+        raise DataError(
+            f"{file}: holds 8-bit numbers without a scale: a picture stretched for display, whose numbers are no "
+            "modes; get the file with physical values, or set the band's scale and offset"
+        )
+    if dataset.dtypes[0].startswith("complex"):
+        raise DataError(f"{file}: holds complex numbers; a mode is a real one")
+    if dataset.transform.is_identity and dataset.crs is None:
+        raise DataError(f"{file}: has no georeference; give a GeoTIFF that says where on the Moon it lies")
+    if dataset.crs is None and not _looks_like_degrees(dataset):
+        raise DataError(f"{file}: has no coordinate system, and its bounds are not degrees; give it one")
+
+
+def _looks_like_degrees(dataset: "DatasetReader") -> bool:
+    left, bottom, right, top = dataset.bounds
+    return bool(left >= -181 and right <= 361 and bottom >= -91 and top <= 91)
+
+
+def ring_values(
+    dataset: "DatasetReader", crater: Crater, annulus: tuple[float, float], file: str = "map"
+) -> FloatArray:
+    """Values (RINGS x SPOKES,) of a map in the ring around a crater; NaN for holes and beyond the map's edge."""
+    radius = crater.diameter_km / 2
+    inner, outer = (1 - np.cos(ring * radius / MOON_RADIUS_KM) for ring in annulus)
+    middle = (np.arange(RINGS) + 0.5) / RINGS
+    distance = MOON_RADIUS_KM * np.arccos(1 - (inner + (outer - inner) * middle))
+    azimuth = (np.arange(SPOKES) + 0.5) * 360 / SPOKES
+    latitude, longitude = destination(crater.center, np.tile(azimuth, RINGS), np.repeat(distance, SPOKES))
+    x, y = _map_coordinates(dataset, latitude, longitude, file)
+    inverse = ~dataset.transform
+    columns, rows = (inverse.a * x + inverse.b * y + inverse.c, inverse.d * x + inverse.e * y + inverse.f)
+    return _pixels(dataset, columns, rows)
+
+
+def _map_coordinates(
+    dataset: "DatasetReader", latitude: FloatArray, longitude: FloatArray, file: str
+) -> tuple[FloatArray, FloatArray]:
+    if dataset.crs is None or dataset.crs.is_geographic:
+        left, right = dataset.bounds.left, dataset.bounds.right
+        start = left if right - left > 359 else (left + right) / 2 - 180
+        return (longitude - start) % 360 + start, latitude
+    from rasterio.errors import RasterioError
+    from rasterio.warp import transform
+
+    try:
+        x, y = transform(LONGITUDE_LATITUDE, dataset.crs, longitude.tolist(), latitude.tolist())
+    except (RasterioError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise DataError(f"{file}: its coordinate system is not one of the Moon's ({reason}); reproject it") from error
+    return np.asarray(x, float), np.asarray(y, float)
+
+
+def _pixels(dataset: "DatasetReader", columns: FloatArray, rows: FloatArray) -> FloatArray:
+    """Values at fractional pixel positions; NaN outside and where there is no data. Reads only what is needed."""
+    values = np.full(columns.shape, np.nan)
+    inside = np.isfinite(columns) & np.isfinite(rows)
+    inside &= (columns >= 0) & (columns < dataset.width) & (rows >= 0) & (rows < dataset.height)
+    if not inside.any():
+        return values
+    across = np.ptp(columns[inside]) > dataset.width / 2
+    sides = [columns < dataset.width / 2, columns >= dataset.width / 2] if across else [np.ones_like(inside)]
+    for side in sides:
+        chosen = inside & side
+        if chosen.any():
+            values[chosen] = _window_values(dataset, columns[chosen].astype(int), rows[chosen].astype(int))
+    return values
+
+
+def _window_values(dataset: "DatasetReader", columns: npt.NDArray[np.int_], rows: npt.NDArray[np.int_]) -> FloatArray:
+    from rasterio.windows import Window
+
+    left, top = int(columns.min()), int(rows.min())
+    width, height = int(columns.max()) - left + 1, int(rows.max()) - top + 1
+    shape = (min(height, LARGEST_SIDE), min(width, LARGEST_SIDE))
+    block = dataset.read(1, window=Window(left, top, width, height), out_shape=shape, masked=True)
+    found = np.ma.filled(block.astype(float), np.nan) * dataset.scales[0] + dataset.offsets[0]
+    picked = found[(rows - top) * shape[0] // height, (columns - left) * shape[1] // width]
+    # Special values that a file does not declare are far below 0; a mode is not.
+    return np.asarray(np.where(np.isfinite(picked) & (picked >= 0), picked, np.nan))
+
+
+def _unit(rings: Sequence[FloatArray], file: str) -> float:
+    """100 for a map in percent, 1 for fractions, 0 where it has no values at all. Raises DataError for others."""
+    values = np.concatenate(rings) if rings else np.empty(0)
+    values = values[np.isfinite(values)]
+    if not values.size:
+        return 0.0
+    largest = float(values.max())
+    unit = 100.0 if largest > PERCENT_FROM else 1.0
+    if largest > LARGEST_SUM * unit:
+        raise DataError(f"{file}: has a value of {largest:g}; a mode is 0 to 1, or 0 to 100 percent")
+    return unit
+
+
+def _with_values(crater: Crater, rings: Mapping[str, FloatArray], maps: Mapping[str, str]) -> tuple[Crater, MapReport]:
+    covered = {name: float(np.isfinite(values).mean()) for name, values in rings.items()}
+    usable = [name for name, values in rings.items() if np.isfinite(values).sum() >= FEWEST_VALID]
+    if len(usable) < 2:
+        status = "the maps have no values in its ring; its catalogue entry stands"
+        return crater, MapReport(crater.name, covered, status)
+    modes = {name: (min(float(np.nanmean(rings[name])), 1.0), float(np.nanstd(rings[name], ddof=1))) for name in usable}
+    try:
+        composition = Composition(modes, crater.composition.bands)
+    except ParameterError as error:
+        raise DataError(f"{', '.join(maps.values())}: {crater.name}: {error}") from error
+    sources = {**crater.sources, "composition": "maps: " + ", ".join(maps[name] for name in usable)}
+    least = min(covered[name] for name in usable)
+    status = f"modes of {', '.join(usable)} from the maps, {100 * least:.0f} % of its ring covered"
+    return replace(crater, composition=composition, sources=sources), MapReport(crater.name, covered, status)

@@ -1,0 +1,290 @@
+"""`lunarsci spectra match` from the shell: inputs, every option, outputs, and what goes wrong."""
+
+import csv
+import hashlib
+import io
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+Run = Callable[..., Any]
+MODES = ("--modes", "ol=0.25:0.05,opx=0.345:0.05,cpx=0.405:0.05")
+"""The rock of Ding et al. (2024): OPX : CPX 46 : 54, olivine 20-30 %."""
+HEADER = "name,latitude_deg,longitude_deg,diameter_km\n"
+
+
+def result(run: Run, *arguments: object) -> dict[str, Any]:
+    done = run("spectra", "match", *arguments, "--json")
+    assert done.code == 0, done.err
+    found: dict[str, Any] = json.loads(done.out)["result"]
+    return found
+
+
+def craters(run: Run, *arguments: object) -> dict[str, dict[str, Any]]:
+    return {item["name"]: item for item in result(run, *arguments)["rocks"][0]["craters"]}
+
+
+@pytest.fixture
+def fitted(run: Run, rock: Path, tmp_path: Path) -> tuple[Path, Path]:
+    """Results of `spectra fit` and `spectra bands` for one rock."""
+    fit, bands = tmp_path / "fit.json", tmp_path / "bands.json"
+    assert run("spectra", "fit", rock, "-o", fit).code == 0
+    assert run("spectra", "bands", rock, "-o", bands).code == 0
+    return fit, bands
+
+
+def test_the_keys_that_scripts_rely_on(run: Run) -> None:
+    document = json.loads(run("spectra", "match", *MODES, "--name", "fin", "--json").out)
+    assert document["schema"] == "lunarsci/spectra-match/1"
+    [rock] = document["result"]["rocks"]
+    assert rock["id"] == "fin"
+    for crater in rock["craters"]:
+        assert {"name", "distance_km", "ejecta_m", "log_bayes_factor", "prior", "posterior", "terms"} <= crater.keys()
+    total = sum(crater["posterior"] for crater in rock["craters"]) + rock["other"]["posterior"]
+    assert total == pytest.approx(1)
+    tables = document["provenance"]["tables"]
+    assert [table["name"] for table in tables] == ["source_craters.csv"]
+    assert any("Basilevsky" in source for source in document["provenance"]["sources"])
+    best = run("spectra", "match", *MODES, "--field", "rocks.0.best").out.strip()
+    assert best == max(rock["craters"], key=lambda crater: crater["posterior"])["name"]
+
+
+def test_the_table_says_what_is_assumed_and_the_csv_has_one_row_each(run: Run) -> None:
+    table = run("spectra", "match", *MODES).out
+    for words in ("composition unknown", "assumed", "contain the site", "Basilevsky", "other source", "Oberbeck"):
+        assert words in table, words
+    rows = list(csv.DictReader(io.StringIO(run("spectra", "match", *MODES, "--csv").out)))
+    assert len(rows) == len(craters(run, *MODES)) + 1
+    assert rows[-1]["name"] == "other source"
+    assert sum(float(row["posterior"]) for row in rows) == pytest.approx(1)
+
+
+def test_prior_posterior_and_composition_are_apart(run: Run) -> None:
+    default, uniform = craters(run, *MODES), craters(run, *MODES, "--prior", "uniform")
+    for name, crater in default.items():
+        assert uniform[name]["log_bayes_factor"] == crater["log_bayes_factor"]
+    assert default["Finsen"]["prior"] != uniform["Finsen"]["prior"]
+    assert uniform["Zhinyu"]["prior"] == pytest.approx(0.9 / 8)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--ejecta-law", "xie"),
+        ("--thickness-factor", "1"),
+        ("--no-exposure",),
+        ("--no-re-excavation",),
+        ("--rock-life", "200:400"),
+        ("--rock-size", "0.3"),
+        ("--stirring", "10"),
+        ("--gardening", "0.0001"),
+        ("--surface-age", "2000"),
+        ("--other", "0.5"),
+        ("--site", "-45.0,178"),
+        ("--seed", "5"),
+    ],
+)
+def test_every_term_of_the_prior_can_be_changed(run: Run, options: tuple[str, ...]) -> None:
+    default, changed = craters(run, *MODES), craters(run, *MODES, *options)
+    assert changed["Finsen"]["prior"] != default["Finsen"]["prior"]
+    assert changed["Finsen"]["log_bayes_factor"] == default["Finsen"]["log_bayes_factor"]
+
+
+def test_the_systematic_softens_composition(run: Run) -> None:
+    sharp, soft = (craters(run, *MODES, "--systematic", s)["Finsen"]["log_bayes_factor"] for s in ("0.02", "0.3"))
+    assert abs(soft) < abs(sharp)
+
+
+def test_results_of_fit_and_bands_are_one_rock(run: Run, fitted: tuple[Path, Path]) -> None:
+    fit, bands = fitted
+    [rock] = result(run, fit, bands)["rocks"]
+    assert rock["id"] == "synthetic_rock"
+    ratio = json.loads(fit.read_text())["result"]["spectra"][0]["nbsr"]["um2"]["opx"]
+    assert rock["modes"]["orthopyroxene"]["fraction"] == pytest.approx(ratio)
+    centre = json.loads(bands.read_text())["result"]["spectra"][0]["bc1000_nm"]
+    assert rock["bands"]["bc1000_nm"]["center_nm"] == pytest.approx(centre)
+    assert any("NBSR" in remark for remark in rock["remarks"])
+
+
+def test_a_pipe_from_the_fit(fitted: tuple[Path, Path]) -> None:
+    command = [sys.executable, "-m", "lunarsci.cli", "spectra", "match", "-", "--field", "rocks.0.id"]
+    done = subprocess.run(command, input=fitted[0].read_bytes(), capture_output=True)
+    assert (done.returncode, done.stdout) == (0, b"synthetic_rock\n"), done.stderr
+
+
+def test_several_rocks_and_a_bad_input_among_them(run: Run, fitted: tuple[Path, Path], tmp_path: Path) -> None:
+    document = json.loads(fitted[0].read_text())
+    second = document["result"]["spectra"][0] | {"id": "second"}
+    document["result"]["spectra"].append(second)
+    both, bad = tmp_path / "both.json", tmp_path / "bad.json"
+    both.write_text(json.dumps(document))
+    bad.write_text("{")
+    done = run("spectra", "match", both, bad)
+    assert done.code == 1
+    assert "second" in done.out
+    assert "bad.json: is no JSON" in done.err[-1]
+    alone = run("spectra", "match", bad)
+    assert (alone.code, alone.out) == (1, "")
+
+
+def test_a_catalogue_of_the_user_anywhere_on_the_moon(run: Run, tmp_path: Path) -> None:
+    file = tmp_path / "craters.csv"
+    file.write_text(
+        HEADER.strip() + ",age_low_ma,age_high_ma,bc1000_nm,bc1000_sigma_nm,source\n"
+        "Near,20.5,-29.5,8,20,60,915,5,me\nFar,24,330,40,3000,3500,985,5,me\n"
+    )
+    found = craters(run, "--bands", "bc1000=917:4", "--site", "20,-30", "--craters", file, "--rock-size", "2")
+    assert found["Near"]["log_bayes_factor"] > 1 > -3 > found["Far"]["log_bayes_factor"]
+    assert found["Near"]["posterior"] > 0.8
+    assert found["Near"]["terms"]["above_surface"] == 1
+    document = json.loads(run("spectra", "match", *MODES, "--craters", file, "--site", "20,330", "--json").out)
+    assert [item["path"] for item in document["provenance"]["inputs"]] == [str(file)]
+
+
+def test_maps_give_the_modes_and_a_hole_is_said(run: Run, tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    options: list[str] = []
+    for mineral, value in (("ol", 25.0), ("opx", 35.0), ("cpx", 40.0)):
+        path = tmp_path / f"{mineral}.tif"
+        transform = rasterio.transform.from_bounds(170, -50, 185, -40, 300, 200)
+        with rasterio.open(
+            path, "w", driver="GTiff", width=300, height=200, count=1, dtype="float32", transform=transform,
+            crs="+proj=longlat +R=1737400 +no_defs",
+        ) as file:  # fmt: skip
+            file.write(np.full((200, 300), value, "float32"), 1)
+        options += ["--map", f"{mineral}={path}"]
+    document = json.loads(run("spectra", "match", *MODES, *options, "--json").out)
+    hashes = {item["path"]: item["sha256"] for item in document["provenance"]["inputs"]}
+    assert hashes == {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in tmp_path.glob("*.tif")}
+    found = document["result"]
+    by_name = {item["name"]: item for item in found["rocks"][0]["craters"]}
+    assert by_name["Zhinyu"]["log_bayes_factor"] > 1
+    assert "maps" in by_name["Zhinyu"]["sources"]["composition"]
+    assert by_name["Maksutov"]["log_bayes_factor"] == 0
+    assert any("no values in its ring" in item["status"] for item in found["maps"])
+    assert "no values in its ring" in run("spectra", "match", *MODES, *options).out
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
+def test_the_map_is_drawn_and_repeatable(run: Run, tmp_path: Path, suffix: str) -> None:
+    pictures = [tmp_path / f"{name}{suffix}" for name in "ab"]
+    for picture in pictures:
+        assert run("spectra", "match", *MODES, "--plot", picture, "-q").code == 0
+    assert pictures[0].read_bytes() == pictures[1].read_bytes()
+    if suffix == ".svg":
+        text = pictures[0].read_text()
+        assert "<!-- Finsen -->" in text or "Finsen" in text
+
+
+def test_the_map_of_a_polar_site_with_its_antipode(run: Run, tmp_path: Path) -> None:
+    file = tmp_path / "craters.csv"
+    file.write_text(HEADER + "Antipode,90,0,300\nOver the pole,-88,10,40\nHost,-89,0,500\n")
+    done = run("spectra", "match", *MODES, "--site", "-90,0", "--craters", file, "--plot", tmp_path / "a.png", "--json")
+    assert done.code == 0, done.err
+    found = {item["name"]: item for item in json.loads(done.out)["result"]["rocks"][0]["craters"]}
+    assert found["Antipode"]["azimuth_deg"] is None
+    assert found["Antipode"]["distance_km"] == pytest.approx(5458.2, abs=0.1)
+    assert (found["Host"]["contains_site"], found["Host"]["posterior"]) == (True, 0)
+    assert "ejecta converge" in " ".join(json.loads(done.out)["result"]["assumptions"])
+    assert (tmp_path / "a.png").stat().st_size > 10_000
+
+
+def test_equal_runs_give_equal_bytes(run: Run) -> None:
+    first, second = (run("spectra", "match", *MODES, "--json", "--no-time").out for _ in range(2))
+    assert first == second
+
+
+def test_a_rock_that_goes_with_nothing_comes_from_elsewhere(run: Run, tmp_path: Path) -> None:
+    file = tmp_path / "craters.csv"
+    columns = "olivine,olivine_sigma,plagioclase,plagioclase_sigma\n"
+    file.write_text(HEADER.strip() + f",{columns}A,-45,178,10,0.05,0.02,0.95,0.02\nB,-44,178,10,0.1,0.02,0.9,0.02\n")
+    [rock] = result(run, "--modes", "ol=0.95:0.01,plg=0.05:0.01", "--craters", file)["rocks"]
+    assert rock["best"] == "other source"
+    assert rock["other"]["posterior"] > 0.99
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ((), "not both"),
+        ((*MODES, "x.json"), "not both"),
+        (("--modes", "ol=0.2"), "NAME=VALUE:ERROR"),
+        (("--modes", "ol=0.2:0.1,quartz=0.1:0.1"), "'quartz' is unknown"),
+        (("--modes", "ol=0.2:0.1,olivine=0.1:0.1"), "olivine is there twice"),
+        (("--modes", "ol=a:0.1,opx=0.1:0.1"), "'a' is not a number"),
+        (("--modes", "ol=nan:0.1,opx=0.1:0.1"), "not a finite number"),
+        ((*MODES, "--site", "95,0"), "latitude is 95"),
+        ((*MODES, "--site", "1"), "give latitude and longitude"),
+        ((*MODES, "--rock-life", "80:40"), "must rise"),
+        ((*MODES, "--rock-life", "1:2:3"), "LOW:HIGH"),
+        ((*MODES, "--map", "olivine"), "MINERAL=FILE.tif"),
+        ((*MODES, "--annulus", "1", "--map", "ol=a.tif", "--map", "opx=b.tif"), "IN:OUT"),
+    ],
+)
+def test_wrong_usage_is_one_line_and_exit_2(run: Run, options: tuple[str, ...], said: str) -> None:
+    done = run("spectra", "match", *options)
+    assert (done.code, done.out, len(done.err)) == (2, "", 1), done
+    assert said in done.err[0]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--modes", "ol=1.3:0.1,opx=0.1:0.1"), "a mode is a fraction from 0 to 1"),
+        (("--modes", "ol=25:5,opx=35:5"), "a mode is a fraction from 0 to 1"),
+        (("--modes", "ol=0.9:0.1,opx=0.8:0.1"), "modes add up to 1.7"),
+        (("--modes", "ol=0.9:0.1"), "olivine alone is no share"),
+        (("--bands", "bc1000=0.93:0.01"), "700 to 1300 nm"),
+        ((*MODES, "--craters", "missing.csv"), "missing.csv: no such file"),
+        ((*MODES, "--map", "ol=missing.tif", "--map", "opx=b.tif"), "missing.tif"),
+        ((*MODES, "--map", "ol=missing.tif"), "one map alone"),
+        ((*MODES, "--other", "1"), "weight of other sources"),
+        ((*MODES, "--thickness-factor", "0.1"), "must be 1 to 100"),
+        ((*MODES, "--systematic", "10"), "systematic is 10"),
+        (("missing.json",), "missing.json: no such file"),
+    ],
+)
+def test_what_cannot_be_done_is_one_line_and_exit_1(run: Run, options: tuple[str, ...], said: str) -> None:
+    done = run("spectra", "match", *options)
+    assert (done.code, done.out, len(done.err)) == (1, "", 1), done
+    assert said in done.err[0]
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("A,nan,2,3\n", "line 2: latitude_deg is 'nan'"),
+        ("A,95,2,3\n", "line 2: latitude is 95"),
+        ("A,5,2,-3\n", "line 2: diameter is -3"),
+        ("A,5,2,3\nA,6,2,3\n", "line 3: a second 'A'"),
+        ("A,-45.4,177.5,90\n", "every crater of the catalogue contains the site"),
+    ],
+)
+def test_hostile_catalogues(run: Run, tmp_path: Path, rows: str, said: str) -> None:
+    file = tmp_path / "craters.csv"
+    file.write_text(HEADER + rows)
+    done = run("spectra", "match", *MODES, "--craters", file)
+    assert (done.code, done.out, len(done.err)) == (1, "", 1), done
+    assert said in done.err[0]
+
+
+@pytest.mark.reference
+def test_every_real_rock_spectrum_has_an_answer(run: Run, reference_data: Path, tmp_path: Path) -> None:
+    """The boulders of Chang'E-4: fitted, measured and matched; NBSR does not decide between craters."""
+    source = reference_data / "spectra/ce4/reflectance_factor.csv"
+    fit, bands = tmp_path / "fit.json", tmp_path / "bands.json"
+    run("spectra", "fit", source, "--wavelength-unit", "nm", "-o", fit)
+    run("spectra", "bands", source, "--wavelength-unit", "nm", "-o", bands)
+    rocks = [rock for rock in result(run, fit, bands)["rocks"] if "rock" in rock["id"]]
+    assert len(rocks) == 9
+    for rock in rocks:
+        assert sum(c["posterior"] for c in rock["craters"]) + rock["other"]["posterior"] == pytest.approx(1)
+        factors = [c["log_bayes_factor"] for c in rock["craters"]]
+        assert np.isfinite(factors).all()
+        assert max(factors) < 3, "two pyroxenes cannot speak strongly with 10 % between methods"

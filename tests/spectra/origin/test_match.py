@@ -1,0 +1,169 @@
+"""Posteriors: arithmetic, calibration on simulated rocks, and the paper's rock on its published numbers."""
+
+import importlib.util
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lunarsci.errors import ParameterError
+from lunarsci.spectra.origin.catalogue import Crater, embedded_catalogue
+from lunarsci.spectra.origin.composition import Composition
+from lunarsci.spectra.origin.exposure import Range
+from lunarsci.spectra.origin.match import OTHER, MatchSettings, Rock, RockMatch, match_rocks
+from lunarsci.spectra.origin.prior import CHANG_E_4, PriorSettings
+
+PAPER_ROCK = Rock(
+    "fin-shaped rock",
+    Composition({"olivine": (0.25, 0.05), "orthopyroxene": (0.345, 0.05), "clinopyroxene": (0.405, 0.05)}),
+)
+"""Ding et al. (2024): OPX : CPX 46 : 54, olivine 20-30 % of the mafic minerals; the errors are half of that range."""
+
+
+@pytest.fixture(scope="module")
+def bench() -> Iterator[Any]:
+    path = Path(__file__).parents[2] / "benchmarks/bench_match.py"
+    spec = importlib.util.spec_from_file_location("bench_match", path)
+    assert spec and spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    yield module
+
+
+def matched(rock: Rock = PAPER_ROCK, craters: Any = None, **prior: object) -> RockMatch:
+    settings = MatchSettings(prior=PriorSettings(**prior))  # type: ignore[arg-type]
+    return match_rocks([rock], craters or embedded_catalogue(), CHANG_E_4, settings)[0]
+
+
+def by_name(match: RockMatch) -> dict[str, Any]:
+    return {item.crater.name: item for item in match.craters}
+
+
+def with_modes(name: str, modes: dict[str, tuple[float, float]]) -> list[Crater]:
+    return [
+        replace(crater, composition=Composition(modes)) if crater.name == name else crater
+        for crater in embedded_catalogue()
+    ]
+
+
+def test_posterior_is_prior_times_the_factor_over_the_sum() -> None:
+    match = matched()
+    weights = [item.prior.probability * np.exp(item.ln_bayes_factor) for item in match.craters]
+    total = sum(weights) + match.other_prior
+    assert [item.posterior for item in match.craters] == pytest.approx([w / total for w in weights])
+    assert match.other_posterior == pytest.approx(match.other_prior / total)
+    assert sum(item.prior.probability for item in match.craters) + match.other_prior == pytest.approx(1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
+def test_300_rocks_of_the_craters_are_as_often_right_as_said(bench: Any, seed: int) -> None:
+    settings = MatchSettings(prior=PriorSettings())
+    for craters in (bench.complete_catalogue(), embedded_catalogue()):
+        table, width, right = bench.reliability(craters, settings, 300, seed)
+        assert table.worst < 0.05, table
+        assert len(table.count) == 10
+        assert (np.abs(width.forecast - width.observed) < 0.05 + 2.5 * width.chance).all(), width
+        assert right > 0.4
+
+
+@pytest.mark.slow
+def test_a_world_with_larger_errors_is_noticed(bench: Any) -> None:
+    """The same forecasts fail where methods disagree by three times what is assumed: the measure can fail."""
+    settings = MatchSettings(prior=PriorSettings())
+    table, _, _ = bench.reliability(bench.complete_catalogue(), settings, 300, 0, systematic=0.3)
+    assert table.worst > 0.1
+
+
+def test_the_papers_rock_is_not_decided_by_composition() -> None:
+    """Finsen's published modes are too uncertain, Zhinyu's are not accessible: ln Bayes factors within 2."""
+    match = matched()
+    craters = by_name(match)
+    assert craters["Zhinyu"].ln_bayes_factor == 0
+    assert craters["Zhinyu"].evidence.basis.startswith("nothing: unknown")
+    assert 0 < craters["Finsen"].ln_bayes_factor < 2
+    assert craters["Finsen"].evidence.minerals == ("olivine", "orthopyroxene", "clinopyroxene")
+    assert "the prior does" in match.status
+
+
+def test_the_papers_conclusion_hangs_on_what_is_assumed_of_re_excavation() -> None:
+    def first(craters: Any = None, **prior: object) -> str:
+        return max(matched(craters=craters, **prior).craters, key=lambda item: item.posterior).crater.name
+
+    assert first(re_excavation=False) == "Zhinyu"
+    assert first(exposure=False, re_excavation=False) == "Finsen"
+    assert first() == "Finsen"
+    assert first(craters=with_modes("Zhinyu", dict(PAPER_ROCK.composition.modes))) == "Zhinyu"
+    zhinyu = [by_name(matched(gardening_m=Range(g, g)))["Zhinyu"].posterior for g in (1e-4, 1e-3, 1e-2, 1e-1)]
+    assert zhinyu == sorted(zhinyu, reverse=True)
+    assert zhinyu[0] > 10 * zhinyu[-1]
+
+
+def test_even_if_zhinyus_ejecta_were_just_like_the_rock_composition_would_not_decide() -> None:
+    """The most that the paper's argument can give, for it takes the rock's own modes for Zhinyu's."""
+    like = dict(PAPER_ROCK.composition.modes)
+    craters = by_name(matched(craters=with_modes("Zhinyu", like)))
+    assert 0 < craters["Zhinyu"].ln_bayes_factor - craters["Finsen"].ln_bayes_factor < 3
+
+
+def test_the_other_published_modes_of_finsen_change_little() -> None:
+    """Laboratory calibration, Astron. Astrophys. 658, A67 (2022): CPX : OPX : OL = 56 : 29 : 17."""
+    modes = {"olivine": (0.167, 0.1), "orthopyroxene": (0.284, 0.1), "clinopyroxene": (0.549, 0.1)}
+    other = by_name(matched(craters=with_modes("Finsen", modes)))["Finsen"].ln_bayes_factor
+    assert other == pytest.approx(by_name(matched())["Finsen"].ln_bayes_factor, abs=1.0)
+
+
+def test_a_rock_unlike_every_known_crater_comes_from_elsewhere() -> None:
+    rock = Rock(
+        "odd", Composition({"olivine": (0.98, 0.01), "orthopyroxene": (0.01, 0.01), "plagioclase": (0.01, 0.01)})
+    )
+    known = [
+        replace(
+            c,
+            composition=Composition(
+                {"olivine": (0.05, 0.02), "orthopyroxene": (0.3, 0.05), "plagioclase": (0.6, 0.05)}
+            ),
+        )
+        for c in embedded_catalogue()
+    ]
+    match = matched(rock, known)
+    assert match.other_posterior > 0.999
+    assert "goes with none of the craters" in match.status
+    assert match.to_dict()["best"] == OTHER
+    assert sum(item.posterior for item in match.craters) + match.other_posterior == pytest.approx(1)
+
+
+def test_with_no_room_for_other_sources_the_craters_share_everything() -> None:
+    match = matched(other_weight=0.0)
+    assert match.other_posterior == 0
+    assert sum(item.posterior for item in match.craters) == pytest.approx(1)
+
+
+def test_kinds_of_composition_can_be_switched_off() -> None:
+    rock = Rock("r", Composition(PAPER_ROCK.composition.modes, {"bc1000_nm": (930, 5)}))
+    crater = Composition(PAPER_ROCK.composition.modes, {"bc1000_nm": (990, 5)})
+    craters = [replace(c, composition=crater) if c.name == "Finsen" else c for c in embedded_catalogue()]
+
+    def found(**use: bool) -> Any:
+        settings = MatchSettings(prior=PriorSettings(), **use)
+        return by_name(match_rocks([rock], craters, CHANG_E_4, settings)[0])["Finsen"].evidence
+
+    both, modes, bands = found(), found(use_bands=False), found(use_modes=False)
+    assert (modes.ln_bands, bands.ln_modes) == (None, None)
+    assert both.ln_total == pytest.approx(modes.ln_total + bands.ln_total)
+    assert bands.ln_total < 0 < modes.ln_total
+
+
+def test_rocks_without_anything_to_compare_keep_the_prior() -> None:
+    match = matched(Rock("dark", Composition()))
+    assert [i.posterior for i in match.craters] == pytest.approx([i.prior.probability for i in match.craters])
+    assert match.status.startswith("composition decides nothing")
+
+
+@pytest.mark.parametrize("settings", [{"systematic": -0.1}, {"systematic": 2}, {"band_systematic_nm": -1}])
+def test_impossible_settings_are_refused(settings: dict) -> None:
+    with pytest.raises(ParameterError, match="systematic"):
+        MatchSettings(prior=PriorSettings(), **settings)
