@@ -105,11 +105,11 @@ def test_results_of_fit_and_bands_are_one_rock(run: Run, fitted: tuple[Path, Pat
     fit, bands = fitted
     [rock] = result(run, fit, bands)["rocks"]
     assert rock["id"] == "synthetic_rock"
-    ratio = json.loads(fit.read_text())["result"]["spectra"][0]["nbsr"]["um2"]["opx"]
-    assert rock["modes"]["orthopyroxene"]["fraction"] == pytest.approx(ratio)
+    modes = json.loads(fit.read_text())["result"]["spectra"][0]["abundance"]
+    assert rock["modes"]["orthopyroxene"]["fraction"] == pytest.approx(modes["orthopyroxene"]["fraction"])
     centre = json.loads(bands.read_text())["result"]["spectra"][0]["bc1000_nm"]
     assert rock["bands"]["bc1000_nm"]["center_nm"] == pytest.approx(centre)
-    assert any("NBSR" in remark for remark in rock["remarks"])
+    assert any("abundance" in remark for remark in rock["remarks"])
 
 
 def test_a_pipe_from_the_fit(fitted: tuple[Path, Path]) -> None:
