@@ -9,6 +9,8 @@ from lunarsci.inputs import expand_inputs, read_input
 from lunarsci.spectra.bands import BandFailure, SpectrumBands
 from lunarsci.spectra.mgm.result import MgmFailure
 from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.readers.envi import without_headers
+from lunarsci.spectra.readers.splib import without_wavelength_files
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.name import product_name
 from lunarsci.spectra.vnis.observation import one_per_observation
@@ -65,10 +67,10 @@ def _expanded(files: Sequence[str], failures: list[str]) -> list[str]:
             found = expand_inputs([file])
             if found != [file] and any(product_name(name) for name in found):
                 found = [name for name in found if not name.endswith(".json")]
-            names += found
+            names += without_wavelength_files(found)
         except DataError as error:
             failures.append(str(error))
-    return list(dict.fromkeys(names))
+    return without_headers(list(dict.fromkeys(names)))
 
 
 def tables_of(batch: Batch) -> dict[str, str]:
