@@ -20,7 +20,8 @@ Files = Annotated[
     list[str],
     typer.Argument(
         help="Spectra: ECSV, CSV or text (first column wavelength, then one or many spectra), RELAB .tab/.asc, FITS "
-        "table, ENVI library (.sli, .hdr), USGS splib07 text, VNIS products (.2BL, .2B); several files, folders or patterns; - is stdin."
+        "table, ENVI library (.sli, .hdr), USGS splib07 text, VNIS products (.2BL, .2B); several files, folders or "
+        "patterns; - is stdin."
     ),
 ]
 WavelengthUnit = Annotated[
