@@ -134,9 +134,9 @@ def _row(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _chemistry_tables(records: Sequence[Mapping[str, Any]]) -> list[TextTable]:
-    if not any(item for record in records for item in record["chemistry"].values()):
-        return []
-    return [_one_chemistry(records[0]) if len(records) == 1 else _many_chemistries(records)]
+    if len(records) == 1:
+        return [_one_chemistry(records[0])] if any(records[0]["chemistry"].values()) else []
+    return [_many_chemistries(records)] if _examples(records) else []
 
 
 def _one_chemistry(record: Mapping[str, Any]) -> TextTable:
@@ -160,9 +160,10 @@ def _many_chemistries(records: Sequence[Mapping[str, Any]]) -> TextTable:
 
 
 def _examples(records: Sequence[Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
-    """For each column, one of its entries."""
-    found = {key: next((r["chemistry"][key] for r in records if r["chemistry"][key]), None) for key in AT_A_GLANCE}
-    return {key: item for key, item in found.items() if item}
+    """For each column in which some spectrum has a value, one of its entries."""
+    columns = {key: [record["chemistry"][key] for record in records] for key in AT_A_GLANCE}
+    usable = {key: [item for item in items if item and item["in_range"]] for key, items in columns.items()}
+    return {key: items[0] for key, items in usable.items() if items}
 
 
 def _method(key: str) -> str:

@@ -5,10 +5,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.path import Path as MplPath
 
 from lunarsci.spectra.bands import SpectrumBands, measure_batch
 from lunarsci.spectra.chemistry import chemistry
 from lunarsci.spectra.chemistry.bands import from_centres
+from lunarsci.spectra.chemistry.figure import FIELDS
 from lunarsci.spectra.chemistry.gaffey import gaffey_pair
 from lunarsci.spectra.chemistry.regressions import regressions
 from lunarsci.spectra.mgm.fit import fit_spectra
@@ -117,6 +119,20 @@ def test_rocks_with_olivine_are_told_from_pyroxenes(found: pd.DataFrame, referen
     here = known.loc[flagged.index]
     assert flagged[here.pure].mean() < 0.03
     assert 0.35 < flagged[here.olivine > 0.25].mean() < 0.60
+
+
+def test_fields_of_the_picture_hold_the_pyroxenes(reference_data: Path) -> None:
+    """The counts in the caption of `FIELDS`."""
+    known = truth(reference_data)
+    known = known[known.pure & known.fs.notna()]
+    found = measure_batch(read_spectra(str(reference_data / "spectra/relab/reflectance.csv")), continuum_name="hull")
+    centres = {item.id: tuple(item.bands[key].center_nm for key in ("1000", "2000")) for item in found}
+    counts = []
+    for (_, corners, _), (low, high) in zip(FIELDS, ((-1, 5.01), (5.01, 25.5), (25.5, 60)), strict=True):
+        names = known.index[(known.wo > low) & (known.wo <= high)]
+        inside = sum(MplPath([*corners, corners[0]]).contains_point(centres[name]) for name in names)
+        counts.append((inside, len(names)))
+    assert counts == [(30, 31), (25, 27), (24, 24)]
 
 
 @pytest.mark.slow
