@@ -19,7 +19,7 @@ from lunarsci.tables import table_hashes
 
 from .report import together
 
-__all__ = ["Batch", "failures_of", "flat", "read_batch", "tables_of"]
+__all__ = ["Batch", "expanded", "failures_of", "flat", "read_batch", "tables_of"]
 
 PAPER = "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8"
 MGM = "Sunshine, Pieters & Pratt (1990), J. Geophys. Res. 95, 6955, 10.1029/JB095iB05p06955"
@@ -42,7 +42,7 @@ class Batch:
 def read_batch(files: Sequence[str], wavelength_unit: Any, reflectance_unit: Any) -> Batch:
     """Read every input; one that cannot be read is remembered. Raises DataError when none can."""
     batch = Batch([], [], {}, [])
-    for name in one_per_observation(_expanded(files, batch.failures)):
+    for name in one_per_observation(expanded(files, batch.failures)):
         try:
             source = read_input(name)
             found = read_spectra(source, wavelength_unit=wavelength_unit, reflectance_unit=reflectance_unit)
@@ -58,7 +58,7 @@ def read_batch(files: Sequence[str], wavelength_unit: Any, reflectance_unit: Any
     return batch
 
 
-def _expanded(files: Sequence[str], failures: list[str]) -> list[str]:
+def expanded(files: Sequence[str], failures: list[str]) -> list[str]:
     """The inputs with folders and patterns expanded, each once; one that matches nothing is remembered."""
     names: list[str] = []
     for file in files:

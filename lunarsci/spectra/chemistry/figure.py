@@ -33,7 +33,7 @@ FIELDS = (
     ),
 )
 """Name, corners and place of the name of each field. Drawn around RELAB pyroxenes of known composition, upper hull; 30
-of 31, 25 of 27 and 24 of 24 lie inside. After Adams (1974) and Cloutis & Gaffey (1991), whose tables were not at hand.
+of 31, 24 of 27 and 24 of 24 lie inside. After Adams (1974) and Cloutis & Gaffey (1991), whose tables were not at hand.
 """
 COLORS = ("#0072B2", "#E69F00", "#D55E00")
 OLIVINE_COLOR = "#009E73"

@@ -52,7 +52,7 @@ class EndMember:
     id : name of the spectrum, not empty.
     mineral : one of `MINERALS`; None where nobody said.
     wavelength_nm : shape (n,), n >= 1, finite, above 0, strictly ascending. [nm]
-    reflectance : shape (n,), finite, fraction of 1; what is not above 0 or above 1 is for `faults` to find. [-]
+    reflectance : shape (n,), finite, fraction of 1; what is not above 0 or above 1 is for `check_library` to find. [-]
     fo, fs, en, wo, an : forsterite, ferrosilite, enstatite, wollastonite, anorthite; mole fraction 0 to 1, or None. [-]
     min_um, max_um : grain sizes, 0 or more, min_um <= max_um, or None. [um]
     source : where the spectrum comes from.

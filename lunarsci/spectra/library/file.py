@@ -17,6 +17,7 @@ from lunarsci.provenance import plain
 from lunarsci.spectra.library.end_member import EndMember, mineral_named
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.readers.columns import assign_roles
+from lunarsci.spectra.readers.table import ReflectanceUnit, WavelengthUnit
 from lunarsci.spectra.spectrum import FloatArray, Spectrum
 
 __all__ = ["FORMAT", "end_member", "read_library", "to_ecsv"]
@@ -25,23 +26,33 @@ FORMAT = "lunarsci-library/1"
 _NUMBERS = ("fo", "fs", "en", "wo", "an", "min_um", "max_um")
 
 
-def read_library(source: InputFile) -> list[EndMember]:
+def read_library(
+    source: InputFile,
+    *,
+    wavelength_unit: WavelengthUnit | None = None,
+    reflectance_unit: ReflectanceUnit | None = None,
+) -> list[EndMember]:
     """Read the end members of a library, in file order; of any other file of spectra, without what describes them.
 
-    Raises DataError, one line with the file, when the file or an entry of its header cannot be used. Whether the
-    spectra are fit for use is another question: `faults` answers it.
+    Spectra without a reflectance in any channel are left out, which the reader's LunarSciWarning says. The units are
+    those of `read_spectra`. Raises DataError, one line with the file, when the file or an entry of its header cannot be
+    used. Whether the spectra are fit for use is another question: `check_library` answers it.
     """
-    members = []
-    for spectrum in read_spectra(source):
-        header = spectrum.metadata.get("header")
-        described = header.get("end_members") if isinstance(header, Mapping) else None
-        if described is not None and not isinstance(described, Mapping):
-            raise DataError(f"{source.name}: 'end_members' in the header is no mapping; write the library again")
-        column = str(spectrum.metadata.get("column", ""))
-        known = described is not None and column in described
-        sample = described[column] if described is not None and known else {}
-        members.append(_in_file(spectrum, column if known else spectrum.id, sample, source.name))
-    return members
+    spectra = read_spectra(source, wavelength_unit=wavelength_unit, reflectance_unit=reflectance_unit)
+    measured = [spectrum for spectrum in spectra if np.isfinite(spectrum.reflectance).any()]
+    if not measured:
+        raise DataError(f"{source.name}: none of its {len(spectra)} spectra has a reflectance; check the file")
+    return [_member(spectrum, source.name) for spectrum in measured]
+
+
+def _member(spectrum: Spectrum, file: str) -> EndMember:
+    header = spectrum.metadata.get("header")
+    described = header.get("end_members", {}) if isinstance(header, Mapping) else {}
+    if not isinstance(described, Mapping):
+        raise DataError(f"{file}: 'end_members' in the header is no mapping; write the library again")
+    column = str(spectrum.metadata.get("column", ""))
+    id = column if column in described else spectrum.id
+    return _in_file(spectrum, id, described.get(column, {}), file)
 
 
 def _in_file(spectrum: Spectrum, id: str, sample: Any, file: str) -> EndMember:
