@@ -33,10 +33,14 @@ class Imported:
     failures: list[str] = field(default_factory=list)
 
 
-def read_libraries(files: Sequence[str], wavelength_unit: Any = None, reflectance_unit: Any = None) -> Imported:
-    """Read every file; one that cannot be read is remembered. Raises DataError when none can."""
+def read_libraries(
+    files: Sequence[str], wavelength_unit: Any = None, reflectance_unit: Any = None, but: str | None = None
+) -> Imported:
+    """Read every file `but` one; what cannot be read is remembered. Raises DataError when nothing can."""
     found = Imported()
     for name in expanded(files, found.failures):
+        if but is not None and Path(name).resolve() == Path(but).resolve():
+            continue
         try:
             source = read_input(name)
             members = read_library(source, wavelength_unit=wavelength_unit, reflectance_unit=reflectance_unit)
@@ -46,7 +50,7 @@ def read_libraries(files: Sequence[str], wavelength_unit: Any = None, reflectanc
         except LunarSciError as error:
             found.failures.append(str(error) if name in str(error) else f"{name}: {error}")
     if not found.members:
-        raise DataError(together(found.failures))
+        raise DataError(together(found.failures) if found.failures else f"{files[0]}: holds no files of spectra")
     return found
 
 
@@ -61,7 +65,7 @@ def imported(
     """Read spectra and describe them: the table first, then the options, for what is still unknown."""
     table = read_input(metadata) if metadata else None
     told = read_metadata(table) if table else {}
-    found = read_libraries(files, wavelength_unit, reflectance_unit)
+    found = read_libraries(files, wavelength_unit, reflectance_unit, but=metadata)
     if table:
         found.inputs[table.name] = table.sha256
     kept = []

@@ -172,6 +172,14 @@ def test_a_library_is_not_written_as_a_list(run: Run, laboratory: Path, tmp_path
     assert ".ecsv" in wrong.err[0]
 
 
+def test_the_table_may_lie_among_the_spectra(run: Run, laboratory: Path, samples: Path) -> None:
+    moved = samples.rename(laboratory / "samples.csv")
+    done = run(*LIBRARY, "import", laboratory, "--metadata", moved, "--json", "-q")
+    assert (done.code, done.err) == (0, [])
+    only = run(*LIBRARY, "import", moved, "--metadata", moved)
+    assert (only.code, only.out, len(only.err)) == (1, "", 1)
+
+
 def test_a_bad_file_among_good_ones_is_named_and_the_rest_imported(run: Run, laboratory: Path) -> None:
     (laboratory / "bad.csv").write_text("wavelength_nm,x\n400,bright\n")
     done = run(*LIBRARY, "import", laboratory, "--mineral", "olivine", "--json", "-q")
@@ -183,3 +191,15 @@ def test_a_bad_file_among_good_ones_is_named_and_the_rest_imported(run: Run, lab
 def test_other_commands_read_a_library(run: Run, library: Path) -> None:
     done = run("spectra", "bands", library, "--json", "-q")
     assert {spectrum["id"] for spectrum in json.loads(done.out)["result"]["spectra"]} >= {"ol-csv", "px-envi"}
+
+
+@pytest.mark.reference
+def test_the_laboratory_collection_becomes_a_library(run: Run, reference_data: Path, tmp_path: Path) -> None:
+    """172 spectra with their modes: the pure ones in, the mixtures out, nothing to mend."""
+    folder, path = reference_data / "spectra/relab", tmp_path / "relab.ecsv"
+    spectra, table = folder / "reflectance.csv", folder / "manifest.csv"
+    assert run(*LIBRARY, "import", spectra, "--metadata", table, "-o", path, "-q").code == 0
+    minerals = [member.mineral for member in read_library(read_input(str(path)))]
+    counts = {mineral: minerals.count(mineral) for mineral in set(minerals)}
+    assert counts == {"olivine": 12, "orthopyroxene": 33, "clinopyroxene": 53, "plagioclase": 20}
+    assert run(*LIBRARY, "check", path, "-q").code == 0

@@ -1,5 +1,8 @@
 """Regressions at hand-computed points, against all pairs of lines, and errors against repeated draws."""
 
+import tomllib
+from importlib.resources import files
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,9 +12,10 @@ from lunarsci.spectra.bands import BandResult, SpectrumBands, measure_bands
 from lunarsci.spectra.chemistry import KEYS, chemistry
 from lunarsci.spectra.chemistry.bands import from_centres
 from lunarsci.spectra.chemistry.gaffey import gaffey_pair
-from lunarsci.spectra.chemistry.plane import anchors, objection
-from lunarsci.spectra.chemistry.regressions import regressions
+from lunarsci.spectra.chemistry.plane import PLANE_TABLE, anchors, objection
+from lunarsci.spectra.chemistry.regressions import TABLE, regressions
 from lunarsci.spectra.spectrum import Spectrum
+from lunarsci.tables import table_rows
 
 
 def at(bc1000: float, bc2000: float, sigma: float = 0.0) -> dict[str, float]:
@@ -133,6 +137,15 @@ def test_where_a_regression_belongs(place: str, bc1000: float, bc2000: float | N
     found = objection(place, bc1000, bc2000, ratio)
     assert word in found
     assert bool(found) == bool(word)
+
+
+def test_every_row_has_a_source_and_a_place() -> None:
+    sources = tomllib.loads((files("lunarsci.spectra_data") / "sources.toml").read_text("utf-8"))
+    for name in (TABLE, PLANE_TABLE):
+        assert all(sources[row["source"]]["table"] == name for row in table_rows(name))
+    places = {"pyroxene", "orthopyroxene", "hed", "olivine", "chondrite", "mixture", "any"}
+    assert {line.place for line in regressions().values()} == places
+    assert all(line.domain and line.error > 0 for line in regressions().values())
 
 
 def test_every_anchor_lies_among_the_pyroxenes() -> None:

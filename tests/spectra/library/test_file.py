@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
-from lunarsci.errors import DataError
+from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.library import EndMember, read_library, to_ecsv
 from lunarsci.spectra.readers import read_spectra
@@ -64,6 +64,12 @@ def test_a_plain_table_is_a_library_without_descriptions() -> None:
     (one,) = read_library(InputFile("ol.csv", b"wavelength_nm,reflectance\n500,0.1\n600,\n700,0.3\n"))
     assert (one.id, one.mineral, one.fo) == ("ol", None, None)
     np.testing.assert_array_equal(one.wavelength_nm, [500, 700])
+
+
+def test_spectra_without_a_channel_are_left_out_and_said() -> None:
+    with pytest.warns(LunarSciWarning, match="1 of 2 spectra have no usable channel: 'b'"):
+        members = read_library(InputFile("two.csv", b"wavelength_nm,a,b\n500,0.1,\n600,0.2,\n"))
+    assert [member.id for member in members] == ["a"]
 
 
 @pytest.mark.parametrize("id", ["a_sigma", "fwhm", "band", "sigma", "wavelength", "a_systematic_b", " "])
