@@ -141,12 +141,17 @@ def _chemistry_tables(records: Sequence[Mapping[str, Any]]) -> list[TextTable]:
 
 def _one_chemistry(record: Mapping[str, Any]) -> TextTable:
     rows = [
-        [f"{SHORT[item['quantity']]}{_unit(item)}", _method(key), _usable(item), item["reason"] or "may be used"]
+        [
+            f"{SHORT[item['quantity']]}{_unit(item)}",
+            _method(key),
+            _usable(item),
+            item["reason"] or f"if {item['domain']}",
+        ]
         for key, item in record["chemistry"].items()
         if item
     ]
-    notes = ["errors: the regression's, on laboratory minerals, and the band's; what no band can tell: --json, caveat"]
-    return TextTable(["from the bands", "by", "value", "here"], rows, notes=notes)
+    notes = ["errors: the regression's, on laboratory minerals, and the band's; temperature: --json, caveat"]
+    return TextTable(["from the bands", "by", "value", "holds"], rows, notes=notes)
 
 
 def _many_chemistries(records: Sequence[Mapping[str, Any]]) -> TextTable:

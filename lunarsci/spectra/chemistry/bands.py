@@ -33,7 +33,7 @@ def chemistry(measured: SpectrumBands) -> dict[str, Estimate]:
     """Estimates by key, of those regressions whose bands are there.
 
     The error of a centre is its standard error, half the spread over the continua and the calibration's share, added
-    in quadrature. That a regression holds for a kind of rock which bands cannot tell is in its caveat.
+    in quadrature. The kind of rock that a regression holds for, which bands cannot tell, is its domain.
     """
     one, two = measured.bands["1000"], measured.bands["2000"]
     if one.center_nm is None:
@@ -98,7 +98,8 @@ def _estimate(line: Regression, predictors: Predictors, depth_ratio: float, more
         sigma=line.sigma(x, sigma),
         in_range=not reason,
         reason=reason,
-        caveat=f"{line.domain}; {_temperature(line, x)}",
+        domain=line.domain,
+        caveat=_temperature(line, x),
         source=line.source,
     )
 
@@ -128,6 +129,7 @@ def _gaffey(predictors: Predictors, depth_ratio: float) -> dict[str, Estimate]:
         sigma=math.hypot(fs.sigma, wo.sigma),
         in_range=not reason,
         reason=reason,
+        domain=fs.domain,
         caveat=f"what Fs and Wo leave; {fs.caveat}",
         source=fs.source,
     )

@@ -17,7 +17,8 @@ class Estimate:
     value, sigma : with its standard deviation: error of the band and scatter of the regression. [unit]
     in_range : whether the regression may be used here, as far as the bands can tell.
     reason : why not; empty where it may.
-    caveat : what the bands cannot tell.
+    domain : rocks that the regression was made for, which bands cannot tell: nobody but the user knows.
+    caveat : what is not in the error.
     source : entry of `sources.toml`.
     """
 
@@ -27,6 +28,7 @@ class Estimate:
     sigma: float
     in_range: bool
     reason: str
+    domain: str
     caveat: str
     source: str
 
