@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from . import demo, spectra_fit, spectra_match
+from .library import app as library
 from .regolith import app as regolith
 from .spectra import app as spectra
 from .talk import FAILED, INTERRUPTED, failure_line, say
@@ -27,6 +28,7 @@ app = typer.Typer(
 )
 spectra_fit.add_to(spectra)
 spectra_match.add_to(spectra)
+spectra.add_typer(library, name="library")
 app.add_typer(spectra, name="spectra")
 app.add_typer(regolith, name="regolith")
 app.add_typer(twin, name="twin")

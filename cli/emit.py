@@ -2,9 +2,9 @@
 
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -17,6 +17,9 @@ from .report import Report
 from .table import render, to_csv
 from .talk import say
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 __all__ = ["emit"]
 
 
@@ -24,7 +27,8 @@ def emit(report: Report, output: Output, provenance: Provenance) -> None:
     """Write the pictures and the result, then say what was written and what to know about it."""
     contents: dict[Path, bytes] = {}
     if output.plot:
-        contents[output.plot] = _picture(report, output.plot)
+        contents[output.plot] = _picture(report.figures, output.plot)
+    contents |= {target: _picture(draw, target) for target, draw in report.pictures.items()}
     record = provenance.to_dict(time=not output.no_time)
     made = _as_file(report, output, record)
     text = "" if made else _as_text(report, output, record)
@@ -98,9 +102,9 @@ def _known(value: Any) -> str:
     return f"0 to {len(value) - 1}" if isinstance(value, list) and value else "nothing below it"
 
 
-def _picture(report: Report, target: Path) -> bytes:
-    if report.figures is None:
+def _picture(draw: "Callable[[], Iterable[Figure]] | None", target: Path) -> bytes:
+    if draw is None:
         raise ParameterError("there is nothing to draw; leave --plot out")
     from lunarsci.figure import picture_bytes
 
-    return picture_bytes(report.figures(), target)
+    return picture_bytes(draw(), target)

@@ -35,8 +35,8 @@ class Output:
         chosen = [n for n, on in (("--json", self.as_json), ("--csv", self.as_csv), ("--field", self.field_path)) if on]
         if len(chosen) > 1:
             raise typer.BadParameter(f"{' and '.join(chosen)} exclude each other; give one")
-        if self.plot and self.plot.suffix.lower() not in PLOT_SUFFIXES:
-            raise typer.BadParameter(f"--plot {self.plot}: the name must end in {', '.join(PLOT_SUFFIXES)}")
+        if self.plot:
+            _check_picture("--plot", self.plot)
         if self.path is not None and str(self.path) in ("", "."):
             raise typer.BadParameter("--output is empty; give a name")
         if self.path and self.plot and self.path.resolve() == self.plot.resolve():
@@ -47,6 +47,21 @@ class Output:
             check_target(self.path, force=self.force)
         if self.plot:
             check_target(self.plot, force=self.force)
+
+    def check_picture(self, name: str, path: Path | None) -> None:
+        """The same for a picture of the option `name`, beside those of --output and --plot."""
+        if path is None:
+            return
+        _check_picture(name, path)
+        for other, taken in (("--output", self.path), ("--plot", self.plot)):
+            if taken and taken.resolve() == path.resolve():
+                raise typer.BadParameter(f"{other} and {name} both name {path}; give two names")
+        check_target(path, force=self.force)
+
+
+def _check_picture(name: str, path: Path) -> None:
+    if path.suffix.lower() not in PLOT_SUFFIXES:
+        raise typer.BadParameter(f"{name} {path}: the name must end in {', '.join(PLOT_SUFFIXES)}")
 
 
 def _option(kind: Any, *names: str, text: str, metavar: str | None = None) -> Any:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .table import TextTable
@@ -24,6 +25,7 @@ class Report:
     tables : the same for people.
     rows : the same as one table for `--csv`; None where the result is no table.
     figures : draws the pictures of `--plot`, one per page; None where there is nothing to draw.
+    pictures : further pictures that were asked for, by the file that takes them.
     inputs, data_tables, sources, seed : for the provenance.
     formats : file suffixes of `--output` beyond .json and .csv, with what makes such a file from the provenance.
     files : for commands that fill a folder: file name to what makes its content.
@@ -36,6 +38,7 @@ class Report:
     tables: Sequence[TextTable]
     rows: Sequence[Mapping[str, Any]] | None = None
     figures: Callable[[], "Iterable[Figure]"] | None = None
+    pictures: Mapping[Path, Callable[[], "Iterable[Figure]"]] = field(default_factory=dict)
     inputs: Mapping[str, str] = field(default_factory=dict)
     data_tables: Mapping[str, str] = field(default_factory=dict)
     sources: Sequence[str] = ()

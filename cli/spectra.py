@@ -1,6 +1,7 @@
 """`lunarsci spectra`: what the rock is made of."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
@@ -20,7 +21,8 @@ Files = Annotated[
     list[str],
     typer.Argument(
         help="Spectra: ECSV, CSV or text (first column wavelength, then one or many spectra), RELAB .tab/.asc, FITS "
-        "table, VNIS products (.2BL, .2B); several files, folders or patterns; - is stdin."
+        "table, ENVI library (.sli, .hdr), USGS splib07 text, VNIS products (.2BL, .2B); several files, folders or "
+        "patterns; - is stdin."
     ),
 ]
 WavelengthUnit = Annotated[
@@ -152,17 +154,26 @@ def bands(
     ] = "conic",
     smooth: Annotated[int, typer.Option(min=0, help="Savitzky-Golay window [channels], odd; 0 for none.")] = 41,
     smooth_order: Annotated[int, typer.Option(min=0, help="Order of the smoothing polynomial.")] = 3,
+    plane: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Draw the 2 µm centre over the 1 µm centre among the pyroxenes (.png, …)."),
+    ] = None,
     wavelength_unit: WavelengthUnit = None,
     reflectance_unit: ReflectanceUnit = None,
 ) -> Report:
-    """Centre, depth and area of the 1 and 2 µm absorption bands, with standard errors."""
+    """Centre, depth and area of the 1 and 2 µm absorption bands, with standard errors.
+
+    Composition of pyroxene and olivine from them by published regressions, each with error and range.
+    """
     from lunarsci.spectra.bands import measure_batch
 
-    from .spectra_report import bands_report, read_batch
+    from .bands_report import bands_report
+    from .spectra_report import read_batch
 
+    output.check_picture("--plane", plane)
     batch = read_batch(files, wavelength_unit, reflectance_unit)
     with progress("measuring bands", quiet=output.quiet) as update:
         measured = measure_batch(
             batch.spectra, continuum_name=continuum, smooth_points=smooth, smooth_order=smooth_order, progress=update
         )
-    return bands_report(batch, measured)
+    return bands_report(batch, measured, plane)

@@ -6,19 +6,20 @@ from typing import Any
 
 from lunarsci.errors import DataError, LunarSciError
 from lunarsci.inputs import expand_inputs, read_input
-from lunarsci.spectra.bands import BandFailure, SpectrumBands
+from lunarsci.spectra.bands import BandFailure
 from lunarsci.spectra.mgm.result import MgmFailure
 from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.readers.envi import without_headers
+from lunarsci.spectra.readers.splib import without_wavelength_files
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.name import product_name
 from lunarsci.spectra.vnis.observation import one_per_observation
 from lunarsci.spectra.vnis.settings import default_settings
 from lunarsci.tables import table_hashes
 
-from .report import Report, together
-from .table import TextTable, counted, plus_minus
+from .report import together
 
-__all__ = ["Batch", "bands_report", "failures_of", "flat", "read_batch", "tables_of"]
+__all__ = ["Batch", "expanded", "failures_of", "flat", "read_batch", "tables_of"]
 
 PAPER = "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8"
 MGM = "Sunshine, Pieters & Pratt (1990), J. Geophys. Res. 95, 6955, 10.1029/JB095iB05p06955"
@@ -41,7 +42,7 @@ class Batch:
 def read_batch(files: Sequence[str], wavelength_unit: Any, reflectance_unit: Any) -> Batch:
     """Read every input; one that cannot be read is remembered. Raises DataError when none can."""
     batch = Batch([], [], {}, [])
-    for name in one_per_observation(_expanded(files, batch.failures)):
+    for name in one_per_observation(expanded(files, batch.failures)):
         try:
             source = read_input(name)
             found = read_spectra(source, wavelength_unit=wavelength_unit, reflectance_unit=reflectance_unit)
@@ -57,7 +58,7 @@ def read_batch(files: Sequence[str], wavelength_unit: Any, reflectance_unit: Any
     return batch
 
 
-def _expanded(files: Sequence[str], failures: list[str]) -> list[str]:
+def expanded(files: Sequence[str], failures: list[str]) -> list[str]:
     """The inputs with folders and patterns expanded, each once; one that matches nothing is remembered."""
     names: list[str] = []
     for file in files:
@@ -65,81 +66,16 @@ def _expanded(files: Sequence[str], failures: list[str]) -> list[str]:
             found = expand_inputs([file])
             if found != [file] and any(product_name(name) for name in found):
                 found = [name for name in found if not name.endswith(".json")]
-            names += found
+            names += without_wavelength_files(found)
         except DataError as error:
             failures.append(str(error))
-    return list(dict.fromkeys(names))
+    return without_headers(list(dict.fromkeys(names)))
 
 
 def tables_of(batch: Batch) -> dict[str, str]:
     """Tables of the calibration, where a spectrum was calibrated on the way."""
     calibrated = any("footprint" in spectrum.metadata for spectrum in batch.spectra)
     return table_hashes(*default_settings().tables) if calibrated else {}
-
-
-def bands_report(batch: Batch, measured: Sequence[SpectrumBands | BandFailure]) -> Report:
-    """The report of `spectra bands`."""
-    records = [item.to_dict() | {"source": origin} for item, origin in zip(measured, batch.origins, strict=True)]
-    good = [item for item in measured if isinstance(item, SpectrumBands)]
-    failures = failures_of(batch, measured, bool(good))
-
-    def figures() -> Any:
-        from lunarsci.spectra.figure import band_pages
-
-        return band_pages(good)
-
-    return Report(
-        schema="spectra-bands/1",
-        result={"spectra": records},
-        tables=[_bands_table(records)],
-        rows=[flat(record) for record in records],
-        figures=figures,
-        inputs=batch.inputs,
-        data_tables=tables_of(batch),
-        sources=[PAPER, SMOOTHING],
-        failures=failures,
-    )
-
-
-def _bands_table(records: Sequence[Mapping[str, Any]]) -> TextTable:
-    headers = ["spectrum"]
-    for name in ("1000", "2000"):
-        headers += [f"BC{name} [nm]", "spread [nm]", f"BD{name}", f"area{name} [nm]", "continuum"]
-    return TextTable(headers, [_bands_row(record) for record in records], notes=_band_notes(records))
-
-
-def _bands_row(record: Mapping[str, Any]) -> list[str]:
-    row = [record["id"]]
-    for key in ("1000", "2000"):
-        row += [
-            plus_minus(record[f"bc{key}_nm"], record[f"bc{key}_sigma_nm"]),
-            plus_minus(record[f"bc{key}_systematic_nm"]),
-            plus_minus(record[f"bd{key}"], record[f"bd{key}_sigma"], digits=3),
-            plus_minus(record[f"ba{key}_nm"], record[f"ba{key}_sigma_nm"]),
-            record["continuum"][key],
-        ]
-    return row
-
-
-def _band_notes(records: Sequence[Mapping[str, Any]]) -> list[str]:
-    lines = [
-        f"{band} band: {text}"
-        for record in records
-        for key, band in (("1000", "1 µm"), ("2000", "2 µm"))
-        for text in (record[f"band{key}_note"], record[f"band{key}_status"])
-        if text not in ("", "ok")
-    ]
-    return counted(sorted(lines), len(records), "spectra") + (_shared_errors(records[0]) if len(records) == 1 else [])
-
-
-def _shared_errors(record: Mapping[str, Any]) -> list[str]:
-    """What the errors that all channels share add, for a spectrum that knows them."""
-    parts = [
-        f"± {record[f'bc{key}_calibration_nm']:.1f} nm to BC{key}, ± {record[f'bd{key}_calibration']:.3f} to BD{key}"
-        for key in ("1000", "2000")
-        if record[f"bc{key}_calibration_nm"] is not None
-    ]
-    return [f"calibration errors, which all channels share, add {'; '.join(parts)}"] if parts else []
 
 
 def flat(record: Mapping[str, Any]) -> dict[str, Any]:

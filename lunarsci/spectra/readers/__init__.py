@@ -1,4 +1,4 @@
-"""Readers of reflectance spectra: ECSV, CSV and other text, RELAB and FITS tables; one file per format."""
+"""Readers of reflectance spectra: ECSV, text, RELAB, FITS tables, ENVI libraries, USGS splib07; one file per format."""
 
 from lunarsci.spectra.readers.dispatch import read_spectra
 

@@ -9,7 +9,9 @@ from lunarsci import inputs
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile, read_input
 from lunarsci.spectra.readers.assemble import spectra_of
+from lunarsci.spectra.readers.envi import looks_like_envi, read_envi
 from lunarsci.spectra.readers.relab import looks_like_relab, read_relab
+from lunarsci.spectra.readers.splib import looks_like_splib, read_splib
 from lunarsci.spectra.readers.table import ReflectanceUnit, SpectrumTable, StatedUnits, WavelengthUnit
 from lunarsci.spectra.readers.text import read_text
 from lunarsci.spectra.spectrum import Spectrum
@@ -17,8 +19,9 @@ from lunarsci.spectra.vnis.name import product_name
 
 __all__ = ["FORMATS", "read_spectra"]
 
-FORMATS = ("ecsv", "text", "relab", "fits")
+FORMATS = ("ecsv", "text", "relab", "fits", "envi", "splib")
 
+_READERS = {"text": read_text, "relab": read_relab, "envi": read_envi, "splib": read_splib}
 _PACKED = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip", b"BZh": "bzip2", b"\xfd7zXZ": "xz", b"\x28\xb5\x2f\xfd": "zstd"}
 _FOREIGN = {b"\x89HDF": "an HDF5 or netCDF-4 file", b"CDF": "a netCDF file", b"%PDF": "a PDF", b"\x89PNG": "a picture"}
 _FITS = b"SIMPLE  ="
@@ -35,7 +38,8 @@ def read_spectra(
 ) -> list[Spectrum]:
     """Read every spectrum of a file: wavelengths in nm, ascending; reflectance as a fraction of 1.
 
-    A file of a VNIS product stands for its observation, whose other files lie beside it.
+    A file of a VNIS product stands for its observation, whose other files lie beside it; one of the two files of an
+    ENVI library stands for both; the wavelengths of a USGS splib07 spectrum are looked for beside it and one folder up.
 
     Parameters
     ----------
@@ -81,7 +85,7 @@ def _reader(format: str) -> Callable[[InputFile], SpectrumTable]:
         from lunarsci.spectra.readers.fits import read_fits
 
         return read_fits
-    return read_relab if format == "relab" else read_text
+    return _READERS[format]
 
 
 def _format_of(source: InputFile) -> str:
@@ -93,6 +97,8 @@ def _format_of(source: InputFile) -> str:
             f"{source.name}: is named FITS but does not begin with 'SIMPLE  ='; fetch it again or rename it"
         )
     _refuse_by_magic(source)
+    if looks_like_envi(source):
+        return "envi"
     # The reader decodes the text again and says what there is to say about it.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LunarSciWarning)
@@ -105,6 +111,8 @@ def _format_of(source: InputFile) -> str:
         raise DataError(f"{source.name}: is an HTML or XML page, not a table (an error page saved?); fetch it again")
     if text.startswith("{"):
         raise DataError(f"{source.name}: is JSON or the like, not a table; save the spectra as CSV or ECSV")
+    if looks_like_splib(text):
+        return "splib"
     return "relab" if looks_like_relab(text, named_so=suffix in _RELAB_SUFFIXES) else "text"
 
 

@@ -1,0 +1,143 @@
+"""Chemistry from the measured bands of a spectrum."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+from lunarsci.spectra.bands import BandResult, SpectrumBands
+from lunarsci.spectra.chemistry.estimate import Estimate
+from lunarsci.spectra.chemistry.gaffey import gaffey_pair
+from lunarsci.spectra.chemistry.plane import objection
+from lunarsci.spectra.chemistry.regressions import Regression, regressions
+
+__all__ = ["KEYS", "chemistry", "error_nm", "from_centres"]
+
+KEYS = (
+    *("fs_gaffey", "wo_gaffey", "en_gaffey"),
+    *("fs_burbine_bc1000", "fs_burbine_bc2000", "wo_burbine_bc1000", "wo_burbine_bc2000"),
+    *("fs_trend_bc1000", "fs_trend_bc2000"),
+    *("fs_dunn", "fa_dunn", "ol_dunn"),
+    *("opx_cloutis", "fo_bc1000"),
+)
+"""What `chemistry` may hold, in this order."""
+NM_PER_KELVIN = {"bc2000": 0.2, "bc1000": 0.0}
+"""Shift of the band centres of ordinary chondrites with temperature, Sanchez et al. (2012), Icarus 220, 36,
+10.1016/j.icarus.2012.04.008: BC2000 at 300 K is BC2000 + 60 nm - 0.2 nm/K T, BC1000 hardly moves."""
+RATIO_PER_KELVIN = -0.00075
+"""The same of the area ratio: at room temperature it is ratio + 0.00075 T - 0.23."""
+
+Predictors = Mapping[str, tuple[float, float]]
+
+
+def chemistry(measured: SpectrumBands) -> dict[str, Estimate]:
+    """Estimates by key, of those regressions whose bands are there.
+
+    The error of a centre is its standard error, half the spread over the continua and the calibration's share, added
+    in quadrature. The kind of rock that a regression holds for, which bands cannot tell, is its domain.
+    """
+    one, two = measured.bands["1000"], measured.bands["2000"]
+    if one.center_nm is None:
+        return {}
+    predictors = _predictors(one, two)
+    ratio = (two.depth or 0.0) / one.depth if one.depth else 0.0
+    found = from_centres(predictors, ratio)
+    conic = {key for key, band in (("bc1000", one), ("bc2000", two)) if band.continuum == "conic"}
+    return {key: _told(item, conic) if key in _CENTRED else item for key, item in found.items()}
+
+
+_CENTRED = frozenset(key for key in KEYS if key not in ("ol_dunn", "opx_cloutis"))
+
+
+def from_centres(predictors: Predictors, depth_ratio: float = 0.0) -> dict[str, Estimate]:
+    """Estimates by key from (value, standard deviation) of `bc1000`, `bc2000` [nm], `bar` [-] or the olivine bands.
+
+    `depth_ratio` is the depth of the 2 um band over that of the 1 um band.
+    """
+    found = {
+        key: _estimate(line, predictors, depth_ratio)
+        for key, line in regressions().items()
+        if "gaffey" not in key and line.predictor in predictors
+    }
+    if {"bc1000", "bc2000"} <= predictors.keys():
+        found = _gaffey(predictors, depth_ratio) | found
+    return found
+
+
+def error_nm(band: BandResult) -> float:
+    """Standard error, half the spread over the continua and the calibration's share of a centre together. [nm]"""
+    parts = (band.center_sigma_nm, band.center_systematic_nm, band.center_calibration_nm)
+    return math.hypot(*(part or 0.0 for part in parts))
+
+
+def _predictors(one: BandResult, two: BandResult) -> dict[str, tuple[float, float]]:
+    predictors = {}
+    for key, band in (("bc1000", one), ("bc2000", two)):
+        if band.center_nm is not None:
+            predictors[key] = (band.center_nm, error_nm(band))
+    if one.area_nm and two.area_nm and one.area_nm > 0 and two.area_nm > 0:
+        ratio = two.area_nm / one.area_nm
+        shares = [
+            (error or 0.0) / area
+            for band, area in ((one, one.area_nm), (two, two.area_nm))
+            for error in (band.area_sigma_nm, band.area_calibration_nm)
+        ]
+        predictors["bar"] = (ratio, ratio * math.hypot(*shares))
+    return predictors
+
+
+def _estimate(line: Regression, predictors: Predictors, depth_ratio: float, more: str = "") -> Estimate:
+    x, sigma = predictors[line.predictor]
+    value = line.value(x)
+    centre = predictors.get("bc1000", (math.nan, 0.0))[0]
+    second = predictors["bc2000"][0] if "bc2000" in predictors else None
+    reason = objection(line.place, centre, second, depth_ratio) or line.objection(value) or more
+    return Estimate(
+        quantity=line.quantity,
+        unit=line.unit,
+        value=value,
+        sigma=line.sigma(x, sigma),
+        in_range=not reason,
+        reason=reason,
+        domain=line.domain,
+        caveat=_temperature(line, x),
+        source=line.source,
+    )
+
+
+def _temperature(line: Regression, x: float) -> str:
+    """What 100 K do, which is not corrected."""
+    rate = RATIO_PER_KELVIN if line.predictor == "bar" else NM_PER_KELVIN.get(line.predictor)
+    if rate is None:
+        return "not corrected for temperature"
+    if rate == 0.0:
+        return "not corrected for temperature, which hardly moves this band"
+    change, unit = 100 * rate * line.slope(x), "" if line.unit == "-" else f" {line.unit}"
+    return f"not corrected for temperature: 100 K above the laboratory's add about {change:+.2g}{unit}"
+
+
+def _gaffey(predictors: Predictors, depth_ratio: float) -> dict[str, Estimate]:
+    pair = gaffey_pair(predictors["bc1000"][0], predictors["bc2000"][0])
+    more = "" if pair.settled else "its lines for Fs and Wo do not agree on a pair"
+    fs, wo = (_estimate(line, predictors, depth_ratio, more) for line in (pair.fs, pair.wo))
+    value = 100 - fs.value - wo.value
+    beyond = "" if 0 <= value <= 100 else "beyond 0-100"
+    reason = fs.reason or wo.reason or beyond
+    enstatite = Estimate(
+        quantity="en",
+        unit="mol %",
+        value=value,
+        sigma=math.hypot(fs.sigma, wo.sigma),
+        in_range=not reason,
+        reason=reason,
+        domain=fs.domain,
+        caveat=f"what Fs and Wo leave; {fs.caveat}",
+        source=fs.source,
+    )
+    return {"fs_gaffey": fs, "wo_gaffey": wo, "en_gaffey": enstatite}
+
+
+def _told(item: Estimate, conic: set[str]) -> Estimate:
+    """The estimate with a word on the continuum where the conic was used."""
+    if not conic:
+        return item
+    return replace(item, caveat=f"{item.caveat}; made under a continuum of straight lines, not under the conic as here")

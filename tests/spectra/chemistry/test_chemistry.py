@@ -1,0 +1,196 @@
+"""Regressions at hand-computed points, against all pairs of lines, and errors against repeated draws."""
+
+import tomllib
+from importlib.resources import files
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lunarsci.spectra.bands import BandResult, SpectrumBands, measure_bands
+from lunarsci.spectra.chemistry import KEYS, chemistry
+from lunarsci.spectra.chemistry.bands import from_centres
+from lunarsci.spectra.chemistry.gaffey import gaffey_pair
+from lunarsci.spectra.chemistry.plane import PLANE_TABLE, anchors, objection
+from lunarsci.spectra.chemistry.regressions import TABLE, regressions
+from lunarsci.spectra.spectrum import Spectrum
+from lunarsci.tables import table_rows
+
+
+def at(bc1000: float, bc2000: float, sigma: float = 0.0) -> dict[str, float]:
+    return {
+        key: item.value for key, item in from_centres({"bc1000": (bc1000, sigma), "bc2000": (bc2000, sigma)}).items()
+    }
+
+
+@pytest.mark.parametrize(
+    ("key", "predictor", "x", "value"),
+    [
+        # Worked by hand from the published formulas, centres in um.
+        ("fs_gaffey_a", "bc2000", 1900.0, 268.2 * 1.9 - 483.7),
+        ("wo_gaffey_b", "bc1000", 920.0, 456.2 * 0.92 - 416.9),
+        ("fs_burbine_bc1000", "bc1000", 930.0, 37.942),
+        ("fs_burbine_bc2000", "bc2000", 1960.0, 39.1856),
+        ("wo_burbine_bc1000", "bc1000", 930.0, 7.8509),
+        ("wo_burbine_bc2000", "bc2000", 1960.0, 8.3138),
+        ("fs_dunn", "bc1000", 940.0, -879.1 * 0.8836 + 1824.9 * 0.94 - 921.7),
+        ("fa_dunn", "bc1000", 960.0, -1284.9 * 0.9216 + 2656.5 * 0.96 - 1342.3),
+        ("ol_dunn", "bar", 0.5, 0.607),
+        ("opx_cloutis", "bar", 1.0, 0.469),
+        ("fs_trend_bc1000", "bc1000", 905.8 + 0.42 * 40, 40.0),
+        ("fs_trend_bc2000", "bc2000", 1931.0, 40.0),
+        ("fo_m1_2", "m1_2", 1295.8 - 1.027 * 80, 80.0),
+    ],
+)
+def test_formulas_at_hand_computed_points(key: str, predictor: str, x: float, value: float) -> None:
+    line = regressions()[key]
+    assert line.predictor == predictor
+    assert line.value(x) == pytest.approx(value, abs=2e-3)
+
+
+def test_ordinary_chondrites_fall_where_they_are_classified() -> None:
+    """H chondrites have Fa 16-20, LL 26-32 (Dunn et al. 2010): 1 um centres near 0.93 and 0.98 um."""
+    fayalite = regressions()["fa_dunn"]
+    assert 16 < fayalite.value(930) < 20
+    assert 26 < fayalite.value(980) < 32
+
+
+@pytest.mark.parametrize("key", sorted(regressions()))
+def test_slopes_are_finite_differences(key: str) -> None:
+    line = regressions()[key]
+    x = {"bc1000": 950.0, "bc2000": 1950.0, "bar": 0.8}.get(line.predictor, 1000.0)
+    numeric = (line.value(x + 1e-4) - line.value(x - 1e-4)) / 2e-4
+    assert line.slope(x) == pytest.approx(numeric, rel=1e-5)
+
+
+def test_sigma_is_the_scatter_of_draws() -> None:
+    """Centre drawn about its value, regression about its line."""
+    rng = np.random.default_rng(1)
+    line = regressions()["fs_trend_bc1000"]
+    scatter = max(line.error / abs(line.coefficients[1]), line.error_relab)
+    drawn = line.value(920.0 + 4.0 * rng.standard_normal(20_000)) + scatter * rng.standard_normal(20_000)
+    assert line.sigma(920.0, 4.0) == pytest.approx(np.std(drawn), rel=0.02)
+    assert line.sigma(920.0, 0.0) == pytest.approx(scatter)
+
+
+@given(st.floats(890, 1080), st.floats(1750, 2400))
+def test_a_settled_pair_is_one_that_agrees(bc1000: float, bc2000: float) -> None:
+    """Brute force over all twelve pairs of lines."""
+    lines = regressions()
+    agreeing = {
+        (one.key, two.key)
+        for one in (lines[f"wo_gaffey_{letter}"] for letter in "abc")
+        for two in (lines[f"fs_gaffey_{letter}"] for letter in "abcd")
+        if one.when[0] <= two.value(bc2000) < one.when[1] and two.when[0] <= one.value(bc1000) < two.when[1]
+    }
+    pair = gaffey_pair(bc1000, bc2000)
+    if pair.settled:
+        assert (pair.wo.key, pair.fs.key) in agreeing
+    else:
+        assert from_centres({"bc1000": (bc1000, 1.0), "bc2000": (bc2000, 1.0)})["fs_gaffey"].in_range is False
+
+
+def test_lines_of_gaffey_cover_all_wo_and_fs_up_to_50() -> None:
+    lines = regressions()
+    for quantity, letters, end in (("wo", "abc", 50.0), ("fs", "abcd", np.inf)):
+        ranges = [lines[f"{quantity}_gaffey_{letter}"].when for letter in letters]
+        assert ranges[0][0] == -np.inf
+        assert [high for _, high in ranges[:-1]] == [low for low, _ in ranges[1:]]
+        assert ranges[-1][1] == end
+
+
+def test_synthetic_orthopyroxene_by_all_that_know_it() -> None:
+    """Fs 50 Wo 0, 926 and 1963 nm."""
+    found = from_centres({"bc1000": (926.0, 0.5), "bc2000": (1963.0, 2.0)})
+    assert found["fs_gaffey"].value == pytest.approx(43, abs=1)
+    assert found["fs_trend_bc2000"].value == pytest.approx(50, abs=5)
+    assert all(found[key].in_range for key in ("fs_gaffey", "wo_gaffey", "en_gaffey", "fs_trend_bc1000"))
+    assert found["en_gaffey"].value == pytest.approx(100 - found["fs_gaffey"].value - found["wo_gaffey"].value)
+    assert not found["fs_dunn"].in_range
+    assert "without olivine" in found["fs_dunn"].reason
+
+
+@pytest.mark.parametrize(
+    ("place", "bc1000", "bc2000", "ratio", "word"),
+    [
+        ("pyroxene", 926, 1963, 0.5, ""),
+        ("pyroxene", 1032, 2257, 0.5, ""),
+        ("pyroxene", 970, 1900, 0.5, "above the pyroxenes: olivine"),
+        ("pyroxene", 915, 2200, 0.5, "below the pyroxenes"),
+        ("pyroxene", 937, 2023, 0.5, "orthopyroxene with Fs 77"),
+        ("pyroxene", 1060, None, 0.0, "no 2 µm band"),
+        ("orthopyroxene", 926, 1963, 0.5, ""),
+        ("orthopyroxene", 999, 2169, 0.5, "not those of an orthopyroxene"),
+        ("hed", 930, 1960, 0.5, ""),
+        ("hed", 1000, 1960, 0.5, "not those of a howardite"),
+        ("chondrite", 960, 1940, 0.3, ""),
+        ("chondrite", 926, 1963, 0.3, "without olivine"),
+        ("chondrite", 1055, 1940, 0.3, "olivine or augite"),
+        ("olivine", 1060, None, 0.0, ""),
+        ("olivine", 1060, 1950, 0.3, "2 µm band"),
+        ("olivine", 930, None, 0.0, "between 1046 and 1090"),
+        ("any", 0, None, 0.0, ""),
+    ],
+)
+def test_where_a_regression_belongs(place: str, bc1000: float, bc2000: float | None, ratio: float, word: str) -> None:
+    found = objection(place, bc1000, bc2000, ratio)
+    assert word in found
+    assert bool(found) == bool(word)
+
+
+def test_every_row_has_a_source_and_a_place() -> None:
+    sources = tomllib.loads((files("lunarsci.spectra_data") / "sources.toml").read_text("utf-8"))
+    for name in (TABLE, PLANE_TABLE):
+        assert all(sources[row["source"]]["table"] == name for row in table_rows(name))
+    places = {"pyroxene", "orthopyroxene", "hed", "olivine", "chondrite", "mixture", "any"}
+    assert {line.place for line in regressions().values()} == places
+    assert all(line.domain and line.error > 0 for line in regressions().values())
+
+
+def test_every_anchor_lies_among_the_pyroxenes() -> None:
+    for anchor in anchors():
+        assert "the pyroxenes" not in objection("pyroxene", anchor.bc1000_nm, anchor.bc2000_nm, 0.5)
+
+
+def test_temperature_is_said_with_its_size() -> None:
+    """0.2 nm/K at 2 um (Sanchez et al. 2012): 100 K are 0.02 um, 268.2 per um in Fs."""
+    found = from_centres({"bc1000": (920.0, 1.0), "bc2000": (1900.0, 1.0), "bar": (1.0, 0.1)})
+    assert "100 K above the laboratory's add about +5.4 mol %" in found["fs_gaffey"].caveat
+    assert "hardly moves" in found["wo_gaffey"].caveat
+    assert "-0.031" in found["opx_cloutis"].caveat
+
+
+GRID = np.arange(450.0, 2451.0, 5.0)
+
+
+def rock(depth_2: float) -> Spectrum:
+    band = 1 - 0.4 * np.exp(-0.5 * ((GRID - 920) / 80) ** 2)
+    return Spectrum("r", GRID, 0.3 * band * (1 - depth_2 * np.exp(-0.5 * ((GRID - 1900) / 140) ** 2)))
+
+
+def test_measured_bands_speak_and_missing_ones_do_not() -> None:
+    both = chemistry(measure_bands(rock(0.3), continuum_name="hull"))
+    assert list(both) == [key for key in KEYS if key in both] and len(both) == len(KEYS)
+    one = chemistry(measure_bands(rock(0.0), continuum_name="hull"))
+    assert {key for key in one if one[key].in_range} == set()
+    assert "fs_gaffey" not in one and "opx_cloutis" not in one
+
+
+def test_every_kind_of_error_of_a_centre_counts() -> None:
+    def sigma(**extra: float) -> float:
+        one = BandResult(center_nm=930.0, center_sigma_nm=3.0, depth=0.3, continuum="hull", **extra)
+        bands = SpectrumBands("x", {"1000": one, "2000": BandResult(continuum="none")}, *(np.empty(0),) * 3, {})
+        return chemistry(bands)["fs_trend_bc1000"].sigma
+
+    scatter = regressions()["fs_trend_bc1000"].sigma(930.0, 0.0)
+    assert sigma() == pytest.approx(np.hypot(scatter, 3.0 / 0.42))
+    assert sigma(center_systematic_nm=4.0) == pytest.approx(np.hypot(scatter, 5.0 / 0.42))
+    assert sigma(center_systematic_nm=4.0, center_calibration_nm=12.0) == pytest.approx(np.hypot(scatter, 13.0 / 0.42))
+
+
+def test_the_conic_is_pointed_out() -> None:
+    conic = chemistry(measure_bands(rock(0.3), continuum_name="conic"))
+    hull = chemistry(measure_bands(rock(0.3), continuum_name="hull"))
+    assert any("conic" in item.caveat for item in conic.values())
+    assert not any("conic" in item.caveat for item in hull.values())
