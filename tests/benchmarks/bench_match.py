@@ -84,8 +84,10 @@ def simulate(
     rocks = []
     for number, source in enumerate(sources):
         truth = drawn_modes(craters[source] if source < len(craters) else None, rng)
-        seen = truth + rng.normal(0, systematic, truth.size) + rng.normal(0, ERROR, truth.size)
-        seen = np.maximum(seen, 0)
+        seen = np.zeros(truth.size)
+        while not seen.any():
+            seen = truth + rng.normal(0, systematic, truth.size) + rng.normal(0, ERROR, truth.size)
+            seen = np.maximum(seen, 0)
         modes = {name: (float(value), ERROR) for name, value in zip(MINERALS, seen / seen.sum(), strict=True)}
         rocks.append(Rock(str(number), Composition(modes)))
     return rocks, sources
