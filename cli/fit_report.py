@@ -38,7 +38,7 @@ def fit_report(batch: Batch, run: FitRun, request: FitRequest) -> Report:
     records = [_record(run, index, origin) for index, origin in enumerate(batch.origins)]
     good = [item for item in run.results if isinstance(item, MgmFit)]
     failures = failures_of(batch, run.results, bool(good))
-    start = {run.start_file.name: run.start_file.sha256} if run.start_file else {}
+    start = {file.name: file.sha256 for file in (run.start_file, run.library_file) if file}
 
     def figures() -> Any:
         from lunarsci.spectra.figure import fit_pages

@@ -6,6 +6,7 @@ from typing import Any
 
 from lunarsci.errors import ParameterError
 from lunarsci.inputs import InputFile, read_input
+from lunarsci.spectra.abundance.end_members import MineralSpectrum
 from lunarsci.spectra.abundance.nbsr import nbsr_abundance
 from lunarsci.spectra.abundance.result import Abundance
 from lunarsci.spectra.mgm.constraints import constrained, parse_compositions
@@ -45,6 +46,7 @@ class FitRequest:
     seed: int
     to_fit_file: bool
     abundance: str
+    library: str | None
 
     @property
     def automatic(self) -> bool:
@@ -65,6 +67,8 @@ class FitRequest:
             (self.prior == "damping" and self.bounds, "--prior damping knows no bounds; use --fix or --tie, or --prior "
              "map"),
             (self.prior == "damping" and self.continuum_spread, "--continuum-spread needs --prior map"),
+            (self.library and self.abundance == "nbsr", "--library serves --abundance unmix, hapke or absorbance; "
+             "give one of them"),
             (self.start and self.automatic, "--start brings its own bands; leave --assemblage auto out"),
             (self.start and self.composition, "--start brings its own bands; leave --composition out"),
             (self.start and self.continuum_spread, "--start brings its own continuum; leave --continuum-spread out"),
@@ -105,6 +109,7 @@ class FitRun:
     intervals: dict[int, Any] = field(default_factory=dict)
     abundances: dict[int, list[Abundance]] = field(default_factory=dict)
     start_file: InputFile | None = None
+    library_file: InputFile | None = None
 
 
 def run_fit(spectra: Sequence[Spectrum], request: FitRequest, quiet: bool) -> FitRun:
@@ -226,10 +231,22 @@ def _add_abundances(spectra: Sequence[Spectrum], request: FitRequest, run: FitRu
         return
     from lunarsci.spectra.abundance.estimate import estimate_abundance
 
+    end_members = _end_members(request, run)
     with progress("unmixing", quiet=quiet) as update:
         for done, (index, fit) in enumerate(fits.items(), start=1):
             minerals = fit.model.assemblage.minerals
             if len(minerals) > 1:
-                found = estimate_abundance(spectra[index], minerals, method=request.abundance)
+                found = estimate_abundance(spectra[index], minerals, method=request.abundance, end_members=end_members)
                 run.abundances[index].insert(0, found)
             update(done, len(fits))
+
+
+def _end_members(request: FitRequest, run: FitRun) -> list[MineralSpectrum] | None:
+    """Those of the user's library, None for the embedded ones."""
+    if request.library is None:
+        return None
+    from lunarsci.spectra.abundance.end_members import of_library
+    from lunarsci.spectra.library import read_library
+
+    run.library_file = read_input(request.library)
+    return of_library(read_library(run.library_file))

@@ -118,6 +118,14 @@ AbundanceMethod = Annotated[
         rich_help_panel=ANSWER,
     ),
 ]
+Library = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FILE",
+        help="End members for --abundance, instead of the embedded ones; see `spectra library`.",
+        rich_help_panel=ANSWER,
+    ),
+]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of --errors sample.", rich_help_panel=ANSWER)]
 
 
@@ -142,6 +150,7 @@ def fit(
     errors: Errors = "laplace",
     continuum_spread: ContinuumSpread = False,
     abundance: AbundanceMethod = "nbsr",
+    library: Library = None,
     seed: Seed = 0,
     wavelength_unit: WavelengthUnit = None,
     reflectance_unit: ReflectanceUnit = None,
@@ -169,6 +178,7 @@ def fit(
         continuum_spread=continuum_spread,
         seed=seed,
         abundance=abundance,
+        library=library,
         to_fit_file=output.path is not None and output.path.suffix.lower() == ".fit",
     )
     request.check()

@@ -253,3 +253,36 @@ def test_help_names_every_assemblage_and_error(run: Run) -> None:
     text = re.sub(r"\s+", " ", run("spectra", "fit", "--help").out)
     for word in ("PLG", "auto", "damping", "profile", "--tie", "--continuum-spread"):
         assert word in text
+
+
+def test_end_members_of_the_user_take_the_place_of_the_embedded_ones(run: Run, rock: Path, tmp_path: Path) -> None:
+    """Two invented minerals: a spectrum that is one of them must be called so."""
+    nm = range(450, 2455, 5)
+    bands = {"olivine": 1050, "orthopyroxene": 920}
+    libraries = []
+    for mineral, centre in bands.items():
+        path = tmp_path / f"{mineral}.csv"
+        values = [0.6 * math.exp(-0.6 * math.exp(-((w - centre) ** 2) / 1.5e4)) for w in nm]
+        path.write_text(
+            f"wavelength_nm,{mineral}\n" + "\n".join(f"{w},{v:.5f}" for w, v in zip(nm, values, strict=True)) + "\n"
+        )
+        made = run("spectra", "library", "import", path, "--mineral", mineral, "-o", tmp_path / f"{mineral}.ecsv")
+        assert made.code == 0, made.err
+        libraries.append(path)
+    both = tmp_path / "both.csv"
+    columns = [path.read_text().splitlines() for path in libraries]
+    both.write_text("\n".join(f"{a},{b.partition(',')[2]}" for a, b in zip(*columns, strict=True)) + "\n")
+    metadata = tmp_path / "metadata.csv"
+    metadata.write_text("id,mineral\nolivine,olivine\northopyroxene,orthopyroxene\n")
+    library = tmp_path / "library.ecsv"
+    assert run("spectra", "library", "import", both, "--metadata", metadata, "-o", library).code == 0
+    options = ("--assemblage", "OL-OPX", "--abundance", "hapke", "--library", library)
+    record = fitted(run, libraries[1], *options)
+    assert record["abundance"]["orthopyroxene"]["fraction"] > 0.9
+    embedded = fitted(run, libraries[1], *options[:4])
+    assert embedded["abundance"]["orthopyroxene"] != record["abundance"]["orthopyroxene"]
+    refused = run("spectra", "fit", rock, "--library", library)
+    assert (refused.code, "--library serves" in refused.err[-1]) == (1, True)
+    lacking = run("spectra", "fit", rock, "--abundance", "hapke", "--library", library)
+    assert lacking.code == 1
+    assert "no end member of clinopyroxene" in lacking.err[-1]

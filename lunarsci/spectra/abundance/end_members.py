@@ -1,17 +1,18 @@
 """End members: spectra of single minerals, embedded as bands and continuum, or the user's own."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from lunarsci.errors import ParameterError
+from lunarsci.spectra.library import EndMember
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.model import mgm_model, unit_of
 from lunarsci.spectra.spectrum import FloatArray
 from lunarsci.tables import table_rows
 
-__all__ = ["FAMILY_OF", "TABLE", "MineralSpectrum", "embedded_end_members"]
+__all__ = ["FAMILY_OF", "TABLE", "MineralSpectrum", "embedded_end_members", "of_library"]
 
 TABLE = "end_members.csv"
 FAMILY_OF = {"olivine": "OL", "orthopyroxene": "OPX", "clinopyroxene": "CPX", "plagioclase": "PLG"}
@@ -78,3 +79,18 @@ def _rebuilt(values: Mapping[str, str], wavelength_nm: FloatArray) -> MineralSpe
     return MineralSpectrum(
         values["id"], values["source"], values["mineral"], chemistry, wavelength_nm, np.exp(found[0])
     )
+
+
+def of_library(members: Sequence[EndMember]) -> list[MineralSpectrum]:
+    """Those of a user's library that are one of `FAMILY_OF`; channels without a reflectance above 0 are left out."""
+    found = []
+    for item in members:
+        if item.mineral in FAMILY_OF:
+            there = item.reflectance > 0
+            stated = {key: 100 * value for key in CHEMISTRY if (value := getattr(item, key)) is not None}
+            found.append(
+                MineralSpectrum(
+                    item.id, item.source, item.mineral, stated, item.wavelength_nm[there], item.reflectance[there]
+                )
+            )
+    return found
