@@ -115,5 +115,5 @@ def test_laboratory_mixtures_are_in_domain_and_rover_spectra_are_not(
     """Weathered soil and dark rock are no mixtures of laboratory minerals."""
     assert np.mean([abundance.in_domain for abundance in unmixed.values()]) >= 0.80
     rover = read_spectra(read_input(str(reference_data / "spectra/ce4/reflectance_factor.csv")))
-    rocks = [estimate_abundance(spectrum, tuple(COLUMNS)) for spectrum in rover]
+    rocks = [estimate_abundance(spectrum, tuple(COLUMNS)) for spectrum in rover[::4]]
     assert np.mean([item.in_domain for item in rocks]) <= 0.05
