@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
+from lunarsci.spectra.abundance.end_members import FAMILY_OF
 from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
 from lunarsci.spectra.abundance.nbsr import TABLE as CALIBRATIONS
 from lunarsci.spectra.mgm.assemblages import TABLES
@@ -20,9 +21,11 @@ __all__ = ["fit_report"]
 
 MGM = "Sunshine, Pieters & Pratt (1990), J. Geophys. Res. 95, 6955, 10.1029/JB095iB05p06955"
 NBSR = "Kanner, Mustard & Gendrin (2007), Icarus 187, 442, 10.1016/j.icarus.2006.10.025"
+HAPKE = "Hapke (1981), J. Geophys. Res. 86, 3039, 10.1029/JB086iB04p03039"
+ABSORBANCE = "Clark & Roush (1984), J. Geophys. Res. 89, 6329, 10.1029/JB089iB07p06329"
+UNMIXING = {"hapke": (HAPKE,), "absorbance": (ABSORBANCE,), "unmix": (HAPKE, ABSORBANCE)}
 UNLIKE_RMS = 0.2
 """A fit that misses ln R by more than this, root mean square, describes something else; assumed."""
-MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")
 UNMOVED = 0.9
 """Share of the prior's standard deviation above which a composition is the prior's; assumed."""
 PERCENT_OF = {
@@ -54,7 +57,7 @@ def fit_report(batch: Batch, run: FitRun, request: FitRequest) -> Report:
         formats={".fit": lambda _: _fit_file(good[0], run)},
         inputs=batch.inputs | start,
         data_tables=tables_of(batch) | table_hashes(*TABLES, *_abundance_tables(request)),
-        sources=[MGM, NBSR],
+        sources=[MGM, NBSR, *UNMIXING.get(request.abundance, ())],
         seed=request.seed if request.errors == "sample" else None,
         untrusted=_untrusted(good),
         failures=failures,
@@ -205,7 +208,7 @@ def _choice_table(choice: Mapping[str, Any]) -> TextTable:
 def _abundance_table(abundances: Mapping[str, Mapping[str, Any]]) -> TextTable:
     rows, notes = [], []
     for method, modes in abundances.items():
-        for mineral in MINERALS:
+        for mineral in FAMILY_OF:
             if share := modes.get(mineral):
                 ends = [
                     f"{100 * share[low]:.0f} to {100 * share[high]:.0f}"
@@ -221,7 +224,7 @@ def _abundance_columns(abundances: Mapping[str, Mapping[str, Any]]) -> dict[str,
     found: dict[str, Any] = {}
     for method, modes in abundances.items():
         found[f"{method}_in_domain"] = modes["in_domain"]
-        for mineral in MINERALS:
+        for mineral in FAMILY_OF:
             if share := modes.get(mineral):
                 found[f"{method}_{mineral}"] = share["fraction"]
                 found |= {f"{method}_{mineral}_{end}": share[end] for end in ("low", "high")}

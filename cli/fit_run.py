@@ -6,9 +6,9 @@ from typing import Any
 
 from lunarsci.errors import ParameterError
 from lunarsci.inputs import InputFile, read_input
-from lunarsci.spectra.abundance.end_members import MineralSpectrum
 from lunarsci.spectra.abundance.nbsr import nbsr_abundance
 from lunarsci.spectra.abundance.result import Abundance
+from lunarsci.spectra.library import EndMember
 from lunarsci.spectra.mgm.constraints import constrained, parse_compositions
 from lunarsci.spectra.mgm.continuum import MgmContinuum
 from lunarsci.spectra.mgm.fit import fit_spectra
@@ -241,12 +241,11 @@ def _add_abundances(spectra: Sequence[Spectrum], request: FitRequest, run: FitRu
             update(done, len(fits))
 
 
-def _end_members(request: FitRequest, run: FitRun) -> list[MineralSpectrum] | None:
+def _end_members(request: FitRequest, run: FitRun) -> list[EndMember] | None:
     """Those of the user's library, None for the embedded ones."""
     if request.library is None:
         return None
-    from lunarsci.spectra.abundance.end_members import of_library
     from lunarsci.spectra.library import read_library
 
     run.library_file = read_input(request.library)
-    return of_library(read_library(run.library_file))
+    return read_library(run.library_file)

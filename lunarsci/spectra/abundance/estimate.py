@@ -6,12 +6,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.spectra.abundance.end_members import MineralSpectrum, embedded_end_members
+from lunarsci.spectra.abundance.end_members import embedded_end_members
 from lunarsci.spectra.abundance.hapke import HapkeSurface
 from lunarsci.spectra.abundance.mixing import Absorbance, Albedo, MixingLaw
 from lunarsci.spectra.abundance.population import population
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction
 from lunarsci.spectra.abundance.unmix import Posterior, softmax, unmix
+from lunarsci.spectra.library import EndMember
 from lunarsci.spectra.spectrum import FloatArray, Spectrum
 
 __all__ = ["METHODS", "estimate_abundance", "mixing_laws"]
@@ -47,7 +48,7 @@ def estimate_abundance(
     minerals: Sequence[str],
     *,
     method: str = "unmix",
-    end_members: Sequence[MineralSpectrum] | None = None,
+    end_members: Sequence[EndMember] | None = None,
     surface: HapkeSurface | None = None,
     model_error: float = MODEL_ERROR,
 ) -> Abundance:

@@ -1,5 +1,7 @@
 """Modes from the normalised band strength ratio of the pyroxenes, by lines made on mixtures of known modes."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from lunarsci.errors import ParameterError
@@ -12,6 +14,8 @@ __all__ = ["TABLE", "calibrations", "nbsr_abundance"]
 
 TABLE = "nbsr_calibrations.csv"
 NORMAL_95 = 1.96
+SEEN_SIGMAS, APART_SIGMAS = 3.0, 2.0
+"""Standard errors from which another mineral absorbs, and a composition lies outside; assumed."""
 OTHER_MINERALS = {"olivine", "plagioclase"}
 
 
@@ -21,7 +25,7 @@ def calibrations() -> tuple[str, ...]:
 
 
 def nbsr_abundance(fit: MgmFit, calibration: str = "opx-cpx") -> Abundance | None:
-    """Orthopyroxene and clinopyroxene as shares of all pyroxene; None where the ratio is not determined.
+    """Orthopyroxene and clinopyroxene as shares by weight of all pyroxene; None where the ratio is not determined.
 
     The line is OPX = slope * NBSR + offset; its scatter and the error of the ratio add in quadrature, and shares are
     kept within 0 and 1. A line belongs to the minerals it was made on: `in_domain` is false where the fitted
@@ -46,8 +50,9 @@ def nbsr_abundance(fit: MgmFit, calibration: str = "opx-cpx") -> Abundance | Non
     share = float(np.clip(slope * ratio.opx + offset, 0.0, 1.0))
     sigma = float(np.hypot(slope * ratio.sigma, scatter))
     fractions = (_share("orthopyroxene", share, sigma), _share("clinopyroxene", 1.0 - share, sigma))
-    reasons = _reasons(fit, row["name"])
-    status = f"line {calibration}" if not reasons else f"out of domain of line {calibration}: {'; '.join(reasons)}"
+    reasons = _reasons(fit, row)
+    doubt = f"; out of domain: {'; '.join(reasons)}" if reasons else ""
+    status = f"line {calibration}, by weight{doubt}"
     return Abundance(fit.id, "nbsr", fractions, np.array([[1.0, -1.0], [-1.0, 1.0]]), not reasons, status, fit.rms_ln)
 
 
@@ -56,8 +61,7 @@ def _share(mineral: str, share: float, sigma: float) -> MineralFraction:
     return MineralFraction(mineral, share, *ends)
 
 
-def _reasons(fit: MgmFit, name: str) -> list[str]:
-    row = next(row for row in table_rows(TABLE) if row["name"] == name)
+def _reasons(fit: MgmFit, row: Mapping[str, str]) -> list[str]:
     reasons = []
     for item in compositions(fit):
         low, high = row.get(f"{item.key}_low", ""), row.get(f"{item.key}_high", "")
@@ -66,7 +70,7 @@ def _reasons(fit: MgmFit, name: str) -> list[str]:
     strong = {
         band.mineral
         for band in fit.bands
-        if band.mineral in OTHER_MINERALS and band.strength < -3 * band.strength_sigma
+        if band.mineral in OTHER_MINERALS and band.strength < -SEEN_SIGMAS * band.strength_sigma
     }
     return reasons + [f"{mineral} absorbs as well" for mineral in sorted(strong)]
 
@@ -74,4 +78,4 @@ def _reasons(fit: MgmFit, name: str) -> list[str]:
 def _outside(item: MineralComposition, low: float, high: float) -> bool:
     if item.mean is None or item.sigma is None:
         return False
-    return item.mean < low - 2 * item.sigma or item.mean > high + 2 * item.sigma
+    return item.mean < low - APART_SIGMAS * item.sigma or item.mean > high + APART_SIGMAS * item.sigma

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.abundance.end_members import MineralSpectrum
 from lunarsci.spectra.abundance.mixing import MixingLaw
+from lunarsci.spectra.library import EndMember
 from lunarsci.spectra.spectrum import FloatArray
 
 __all__ = ["MineralPopulation", "population"]
@@ -20,8 +20,8 @@ LEADING_SHAPES, RIDGE = 3, 0.3
 OWN_LEVEL = 0.4
 """Standard deviation of a mineral's t beside what all minerals of a mixture share (its grain size); assumed."""
 UNUSUAL_WEIGHT = 0.3
-USUAL = {"fo": (40.0, 100.0), "fs": (3.0, 50.0)}
-"""Compositions outside these are rare on the Moon and count `UNUSUAL_WEIGHT`. [mol %]; assumed."""
+USUAL = {"fo": (0.4, 1.0), "fs": (0.03, 0.5)}
+"""Mole fractions outside these are rare on the Moon and count `UNUSUAL_WEIGHT`; assumed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +42,7 @@ class MineralPopulation:
 
 
 def population(
-    mineral: str, end_members: Sequence[MineralSpectrum], wavelength_nm: FloatArray, law: MixingLaw
+    mineral: str, end_members: Sequence[EndMember], wavelength_nm: FloatArray, law: MixingLaw
 ) -> MineralPopulation:
     """The law of a mineral, from one end member or many.
 
@@ -55,7 +55,7 @@ def population(
     ParameterError where no end member of the mineral reaches over all channels.
     """
     own = [item for item in end_members if item.mineral == mineral]
-    values = np.array([item.at(wavelength_nm) for item in own]).reshape(len(own), wavelength_nm.size)
+    values = np.array([_at(item, wavelength_nm) for item in own]).reshape(len(own), wavelength_nm.size)
     there = np.isfinite(values).all(axis=1)
     if not there.any():
         raise ParameterError(
@@ -81,6 +81,14 @@ def population(
     return MineralPopulation(mineral, len(level), mean_shape + mean_level, np.concatenate([shapes, flat]))
 
 
-def _weight(item: MineralSpectrum) -> float:
-    outside = any(not low <= item.chemistry.get(key, low) <= high for key, (low, high) in USUAL.items())
-    return UNUSUAL_WEIGHT if outside else 1.0
+def _at(item: EndMember, wavelength_nm: FloatArray) -> FloatArray:
+    """Reflectance between the channels where it is above 0, NaN beyond them."""
+    there = item.reflectance > 0
+    if not there.any():
+        return np.full(wavelength_nm.size, np.nan)
+    return np.interp(wavelength_nm, item.wavelength_nm[there], item.reflectance[there], left=np.nan, right=np.nan)
+
+
+def _weight(item: EndMember) -> float:
+    known = {key: value for key in USUAL if (value := getattr(item, key)) is not None}
+    return 1.0 if all(USUAL[key][0] <= value <= USUAL[key][1] for key, value in known.items()) else UNUSUAL_WEIGHT

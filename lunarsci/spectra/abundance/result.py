@@ -10,7 +10,10 @@ __all__ = ["Abundance", "MineralFraction"]
 
 @dataclass(frozen=True, slots=True)
 class MineralFraction:
-    """Share of one mineral: the mean of its posterior, and its central 68 and 95 %. [-, by volume]"""
+    """Share of one mineral: the likeliest, and the central 68 and 95 % of its posterior.
+
+    By volume; of `nbsr` by weight. [-]
+    """
 
     mineral: str
     fraction: float

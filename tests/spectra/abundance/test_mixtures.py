@@ -7,9 +7,10 @@ import pandas as pd
 import pytest
 
 from lunarsci.inputs import read_input
-from lunarsci.spectra.abundance.end_members import MineralSpectrum, embedded_end_members
+from lunarsci.spectra.abundance.end_members import embedded_end_members
 from lunarsci.spectra.abundance.estimate import estimate_abundance
 from lunarsci.spectra.abundance.result import Abundance
+from lunarsci.spectra.library import EndMember
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
 
@@ -71,6 +72,7 @@ def test_a_library_without_the_series_errs_by_a_tenth(unmixed: dict[str, Abundan
     assert rmse(errors(unmixed, modes, "orthopyroxene")) < 10
     assert rmse(errors(unmixed, modes, "clinopyroxene")) < 14
     assert rmse(errors(unmixed, modes, "olivine")) < 16
+    assert rmse(errors(unmixed, modes, "plagioclase")) < 21
 
 
 @pytest.mark.xfail(strict=True, reason="aimed at, not reached with the generic library: 14 and 13 vol %")
@@ -87,6 +89,12 @@ def test_sixty_eight_per_cent_intervals_hold_about_that_share(
         for item in abundance.fractions
     ]
     assert 0.60 <= np.mean(inside) <= 0.76
+    wide = [
+        item.low95 <= modes.loc[name, COLUMNS[item.mineral]] <= item.high95
+        for name, abundance in unmixed.items()
+        for item in abundance.fractions
+    ]
+    assert np.mean(wide) > 0.8, "0.83 measured: they are too narrow, and the docs say so"
 
 
 @pytest.mark.parametrize(
@@ -102,7 +110,7 @@ def test_own_end_members_give_pyroxenes_within_five_per_cent(
     assert len(names) == 7
     minerals = ("orthopyroxene", "clinopyroxene")
     library = [
-        MineralSpectrum(name, "own", mineral, {}, spectra[name].wavelength_nm, spectra[name].reflectance)
+        EndMember(name, mineral, spectra[name].wavelength_nm, spectra[name].reflectance)
         for name, mineral in zip(end_members, minerals, strict=True)
     ]
     found = {name: estimate_abundance(spectra[name], minerals, end_members=library) for name in names}
@@ -115,5 +123,6 @@ def test_laboratory_mixtures_are_in_domain_and_rover_spectra_are_not(
     """Weathered soil and dark rock are no mixtures of laboratory minerals."""
     assert np.mean([abundance.in_domain for abundance in unmixed.values()]) >= 0.80
     rover = read_spectra(read_input(str(reference_data / "spectra/ce4/reflectance_factor.csv")))
-    rocks = [estimate_abundance(spectrum, tuple(COLUMNS)) for spectrum in rover[::4]]
-    assert np.mean([item.in_domain for item in rocks]) <= 0.05
+    rocks = [estimate_abundance(spectrum, tuple(COLUMNS)) for spectrum in rover]
+    assert len(rocks) == 88
+    assert not any(item.in_domain for item in rocks)

@@ -1,6 +1,7 @@
 """Posteriors: arithmetic, calibration on simulated rocks, and the paper's rock on its published numbers."""
 
 import importlib.util
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -100,6 +101,31 @@ def test_the_papers_conclusion_hangs_on_what_is_assumed_of_re_excavation() -> No
     zhinyu = [by_name(matched(gardening_m=Range(g, g)))["Zhinyu"].posterior for g in (1e-4, 1e-3, 1e-2, 1e-1)]
     assert zhinyu == sorted(zhinyu, reverse=True)
     assert zhinyu[0] > 10 * zhinyu[-1]
+
+
+def test_the_readme_gives_these_figures() -> None:
+    """What it says of the paper's rock, for the errors of the table above."""
+    text = " ".join((Path(__file__).parents[3] / "README.md").read_text(encoding="utf-8").split())
+    said = re.search(
+        r"ln BF is ([\d.]+) for Finsen.*?wins (\d+) : 1.*?Zhinyu has ([\d.]+), "
+        r".*?Finsen has ([\d.]+) and Zhinyu ([\d.]+)\."
+        r".*?ln BF would be ([\d.]+) and its posterior ([\d.]+)\.",
+        text,
+    )
+    assert said
+    default, buried = by_name(matched()), by_name(matched(re_excavation=False))
+    like = by_name(matched(craters=with_modes("Zhinyu", dict(PAPER_ROCK.composition.modes))))
+    thickness = [default[name].prior.ejecta_m for name in ("Finsen", "Zhinyu")]
+    found = [
+        default["Finsen"].ln_bayes_factor,
+        thickness[0] / thickness[1],
+        buried["Zhinyu"].posterior,
+        default["Finsen"].posterior,
+        default["Zhinyu"].posterior,
+        like["Zhinyu"].ln_bayes_factor,
+        like["Zhinyu"].posterior,
+    ]
+    assert [float(number) for number in said.groups()] == pytest.approx(found, rel=0.06)
 
 
 def test_even_if_zhinyus_ejecta_were_just_like_the_rock_composition_would_not_decide() -> None:
