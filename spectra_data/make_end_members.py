@@ -62,7 +62,7 @@ def sizes(row: pd.Series) -> dict[str, object]:
 
 
 def usgs(folder: Path) -> list[tuple[Spectrum, dict[str, object]]]:
-    """Minerals of the USGS library whose spectra reach over the whole range."""
+    """Minerals of the USGS library whose spectra reach over the whole range; grain sizes as in their names."""
     found = []
     for spectrum in read_spectra(read_input(str(folder / "usgs/splib07_aviris95_wide.csv"))):
         mineral = MINERAL_OF_NAME.get(re.split(r"[_ ]", spectrum.id)[0])
@@ -70,7 +70,10 @@ def usgs(folder: Path) -> list[tuple[Spectrum, dict[str, object]]]:
         if mineral is None or there.size < 80 or there[0] > 460 or there[-1] < 2440:
             continue
         fo = re.match(r"Olivine.*Fo(\d+)", spectrum.id)
-        found.append((spectrum, {"source": "usgs", "mineral": mineral, **({"fo": float(fo[1])} if fo else {})}))
+        size = re.search(r"_(\d+)um?$", spectrum.id)
+        stated = {"fo": float(fo[1])} if fo else {}
+        stated |= {"min_um": float(size[1]), "max_um": float(size[1])} if size else {}
+        found.append((spectrum, {"source": "usgs", "mineral": mineral, **stated}))
     return found
 
 

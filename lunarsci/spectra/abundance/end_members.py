@@ -50,6 +50,7 @@ def _rebuilt(values: Mapping[str, str], model: MgmModel, wavelength_nm: FloatArr
     if found is None:
         raise ParameterError(f"{TABLE}: {values['id']} has a continuum that is not above 0")
     chemistry = {key: float(values[key]) / 100 for key in CHEMISTRY if values[key]}
+    sizes = {key: float(values[key]) for key in ("min_um", "max_um") if values[key]}
     return EndMember(
-        values["id"], values["mineral"], wavelength_nm, np.exp(found[0]), source=values["source"], **chemistry
+        values["id"], values["mineral"], wavelength_nm, np.exp(found[0]), source=values["source"], **chemistry, **sizes
     )

@@ -1,7 +1,9 @@
 """Laws by which minerals of a powder mix: linear in single-scattering albedo, or in absorbance.
 
 Every law has a quantity x that mixes linearly by volume, and its own t, which grows by a constant where all absorption
-grows by a factor: a coarser powder of one mineral is, nearly, the same t moved up.
+grows by a factor: a coarser powder of one mineral is, nearly, the same t moved up by `size_exponent` times the logarithm
+of the grain size. Series of sieved powders (RELAB PE-CMP, PP-CMP; USGS PYX02, GDS70, seven to 180 um) give 0.8-1.2 in
+`Albedo` and 0.4-0.6 in `Absorbance`.
 """
 
 from dataclasses import dataclass
@@ -26,6 +28,14 @@ class MixingLaw(Protocol):
     def name(self) -> str:
         """As it stands in results."""
 
+    @property
+    def size_exponent(self) -> float:
+        """By how much t grows with the logarithm of the grain size."""
+
+    @property
+    def section(self) -> float:
+        """By how much the logarithm of cross-section per volume falls with t of grains that are coarser."""
+
     def element(self, reflectance: FloatArray) -> FloatArray:
         """t of a powder of one mineral."""
 
@@ -46,6 +56,8 @@ class Albedo:
 
     surface: HapkeSurface
     name: str = "hapke"
+    size_exponent: float = 1.0
+    section: float = 1.0
 
     def element(self, reflectance: FloatArray) -> FloatArray:
         """See `MixingLaw`."""
@@ -70,6 +82,8 @@ class Absorbance:
     """
 
     name: str = "absorbance"
+    size_exponent: float = 0.5
+    section: float = 0.0
 
     def element(self, reflectance: FloatArray) -> FloatArray:
         """See `MixingLaw`."""

@@ -1,7 +1,8 @@
 """What powders of one mineral look like: a mean and the ways in which end members differ from it."""
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,15 +11,19 @@ from lunarsci.spectra.abundance.mixing import MixingLaw
 from lunarsci.spectra.library import EndMember
 from lunarsci.spectra.spectrum import FloatArray
 
-__all__ = ["MineralPopulation", "population"]
+__all__ = ["MineralPopulation", "loosened", "population"]
 
 MOST_SHAPES = 8
 SPARE = 3
 """Shapes are fewer than the end members by this many."""
-LEADING_SHAPES, RIDGE = 3, 0.3
+LEADING_SHAPES, RIDGE = 5, 0.1
 """Level as a function of the first shapes, by ridge regression: iron moves bands and deepens them."""
-OWN_LEVEL = 0.4
+OWN_LEVEL = 0.5
 """Standard deviation of a mineral's t beside what all minerals of a mixture share (its grain size); assumed."""
+REFERENCE_UM, UNKNOWN_UM = 40.0, 60.0
+"""Grain size that end members are brought to, and the one taken where none is stated; the latter assumed."""
+SMOOTH, SMOOTH_NM, SMOOTH_KEPT = 0.05, 150.0, 0.999
+"""Standard deviation, width and share kept of what t of a real powder has beside its shapes; assumed."""
 UNUSUAL_WEIGHT = 0.3
 USUAL = {"fo": (0.4, 1.0), "fs": (0.03, 0.5)}
 """Mole fractions outside these are rare on the Moon and count `UNUSUAL_WEIGHT`; assumed."""
@@ -46,9 +51,10 @@ def population(
 ) -> MineralPopulation:
     """The law of a mineral, from one end member or many.
 
-    A principal component analysis of t less its mean over the channels, the level. Levels of powders differ mostly by
-    grain size, which the minerals of one mixture share: `unmix` has a level common to all, and here stay the part that
-    goes with the first shapes and `OWN_LEVEL`. With one end member only the level varies.
+    t of every end member is brought to `REFERENCE_UM` first. Then a principal component analysis of t less its mean over
+    the channels, the level. Levels of powders differ mostly by grain size, which the minerals of one mixture share:
+    `unmix` has a level common to all, and here stay the part that goes with the first shapes and `OWN_LEVEL`. With one
+    end member only the level varies, and its grain size does not count.
 
     Raises
     ------
@@ -62,7 +68,9 @@ def population(
             f"no end member of {mineral} reaches from {wavelength_nm[0]:g} to {wavelength_nm[-1]:g} nm; give a library "
             "that has one, or leave the mineral out"
         )
-    element = law.element(values[there])
+    coarser = np.array([_ln_size(item) for item, usable in zip(own, there, strict=True) if usable])
+    coarser *= len(coarser) > 1
+    element = law.element(values[there]) - law.size_exponent * coarser[:, None]
     weight = np.array([_weight(item) for item, usable in zip(own, there, strict=True) if usable])
     weight /= weight.sum()
     level = element.mean(axis=1)
@@ -79,6 +87,23 @@ def population(
         shapes[:lead] += np.linalg.solve(normal, scores.T @ (weight * (level - mean_level)))[:, None]
     flat = np.full((1, wavelength_nm.size), OWN_LEVEL)
     return MineralPopulation(mineral, len(level), mean_shape + mean_level, np.concatenate([shapes, flat]))
+
+
+def loosened(found: MineralPopulation, wavelength_nm: FloatArray) -> MineralPopulation:
+    """The law with smooth shapes beside those of its end members: many spectra show what one cannot."""
+    apart = (wavelength_nm[:, None] - wavelength_nm) / SMOOTH_NM
+    sizes, directions = np.linalg.eigh(SMOOTH**2 * np.exp(-0.5 * apart**2))
+    sizes, directions = sizes[::-1], directions[:, ::-1]
+    count = int(np.searchsorted(np.cumsum(sizes), SMOOTH_KEPT * sizes.sum())) + 1
+    smooth = np.sqrt(sizes[:count, None]) * directions[:, :count].T
+    return replace(found, shapes=np.concatenate([found.shapes[:-1], smooth, found.shapes[-1:]]))
+
+
+def _ln_size(item: EndMember) -> float:
+    """Logarithm of the grain size over `REFERENCE_UM`."""
+    if not item.max_um:
+        return math.log(UNKNOWN_UM / REFERENCE_UM)
+    return math.log(((item.min_um or 0.0) + item.max_um) / 2 / REFERENCE_UM)
 
 
 def _at(item: EndMember, wavelength_nm: FloatArray) -> FloatArray:
