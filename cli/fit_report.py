@@ -4,9 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from lunarsci.spectra.abundance.end_members import FAMILY_OF
+from lunarsci.spectra.abundance.end_members import FAMILY_OF, OPAQUE
 from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
 from lunarsci.spectra.abundance.nbsr import TABLE as CALIBRATIONS
+from lunarsci.spectra.abundance.weathering import TABLE as IRON
 from lunarsci.spectra.mgm.assemblages import TABLES
 from lunarsci.spectra.mgm.composition import compositions
 from lunarsci.spectra.mgm.result import FittedBand, MgmFit
@@ -23,6 +24,7 @@ MGM = "Sunshine, Pieters & Pratt (1990), J. Geophys. Res. 95, 6955, 10.1029/JB09
 NBSR = "Kanner, Mustard & Gendrin (2007), Icarus 187, 442, 10.1016/j.icarus.2006.10.025"
 HAPKE = "Hapke (1981), J. Geophys. Res. 86, 3039, 10.1029/JB086iB04p03039"
 ABSORBANCE = "Clark & Roush (1984), J. Geophys. Res. 89, 6329, 10.1029/JB089iB07p06329"
+WEATHERING = "Hapke (2001), J. Geophys. Res. 106, 10039, 10.1029/2000JE001338"
 UNMIXING = {"hapke": (HAPKE,), "absorbance": (ABSORBANCE,), "unmix": (HAPKE, ABSORBANCE)}
 UNLIKE_RMS = 0.2
 """A fit that misses ln R by more than this, root mean square, describes something else; assumed."""
@@ -41,7 +43,7 @@ def fit_report(batch: Batch, run: FitRun, request: FitRequest) -> Report:
     records = [_record(run, index, origin) for index, origin in enumerate(batch.origins)]
     good = [item for item in run.results if isinstance(item, MgmFit)]
     failures = failures_of(batch, run.results, bool(good))
-    start = {file.name: file.sha256 for file in (run.start_file, run.library_file) if file}
+    start = {file.name: file.sha256 for file in (run.start_file, run.library_file, run.known_file) if file}
 
     def figures() -> Any:
         from lunarsci.spectra.figure import fit_pages
@@ -57,7 +59,7 @@ def fit_report(batch: Batch, run: FitRun, request: FitRequest) -> Report:
         formats={".fit": lambda _: _fit_file(good[0], run)},
         inputs=batch.inputs | start,
         data_tables=tables_of(batch) | table_hashes(*TABLES, *_abundance_tables(request)),
-        sources=[MGM, NBSR, *UNMIXING.get(request.abundance, ())],
+        sources=[MGM, NBSR, *UNMIXING.get(request.abundance, ()), *([WEATHERING] if request.iron else [])],
         seed=request.seed if request.errors == "sample" else None,
         untrusted=_untrusted(good),
         failures=failures,
@@ -65,7 +67,8 @@ def fit_report(batch: Batch, run: FitRun, request: FitRequest) -> Report:
 
 
 def _abundance_tables(request: FitRequest) -> tuple[str, ...]:
-    return (CALIBRATIONS,) if request.abundance == "nbsr" else (CALIBRATIONS, END_MEMBERS)
+    iron = (IRON,) if request.iron else ()
+    return (CALIBRATIONS,) if request.abundance == "nbsr" else (CALIBRATIONS, END_MEMBERS, *iron)
 
 
 def _untrusted(good: Sequence[MgmFit]) -> str:
@@ -208,7 +211,7 @@ def _choice_table(choice: Mapping[str, Any]) -> TextTable:
 def _abundance_table(abundances: Mapping[str, Mapping[str, Any]]) -> TextTable:
     rows, notes = [], []
     for method, modes in abundances.items():
-        for mineral in FAMILY_OF:
+        for mineral in (*FAMILY_OF, OPAQUE):
             if share := modes.get(mineral):
                 ends = [
                     f"{100 * share[low]:.0f} to {100 * share[high]:.0f}"
@@ -224,7 +227,7 @@ def _abundance_columns(abundances: Mapping[str, Mapping[str, Any]]) -> dict[str,
     found: dict[str, Any] = {}
     for method, modes in abundances.items():
         found[f"{method}_in_domain"] = modes["in_domain"]
-        for mineral in FAMILY_OF:
+        for mineral in (*FAMILY_OF, OPAQUE):
             if share := modes.get(mineral):
                 found[f"{method}_{mineral}"] = share["fraction"]
                 found |= {f"{method}_{mineral}_{end}": share[end] for end in ("low", "high")}

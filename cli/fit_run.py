@@ -6,9 +6,7 @@ from typing import Any
 
 from lunarsci.errors import ParameterError
 from lunarsci.inputs import InputFile, read_input
-from lunarsci.spectra.abundance.nbsr import nbsr_abundance
 from lunarsci.spectra.abundance.result import Abundance
-from lunarsci.spectra.library import EndMember
 from lunarsci.spectra.mgm.constraints import constrained, parse_compositions
 from lunarsci.spectra.mgm.continuum import MgmContinuum
 from lunarsci.spectra.mgm.fit import fit_spectra
@@ -47,6 +45,10 @@ class FitRequest:
     to_fit_file: bool
     abundance: str
     library: str | None
+    together: bool
+    known: str | None
+    opaque: bool
+    iron: bool
 
     @property
     def automatic(self) -> bool:
@@ -69,6 +71,9 @@ class FitRequest:
             (self.prior == "damping" and self.continuum_spread, "--continuum-spread needs --prior map"),
             (self.library and self.abundance == "nbsr", "--library serves --abundance unmix, hapke or absorbance; "
              "give one of them"),
+            (self.abundance == "nbsr" and (self.together or self.known or self.opaque or self.iron), "--together, "
+             "--known, --opaque and --iron serve --abundance unmix, hapke or absorbance; give one of them"),
+            (self.abundance == "absorbance" and self.iron, "--iron needs --abundance hapke or unmix"),
             (self.start and self.automatic, "--start brings its own bands; leave --assemblage auto out"),
             (self.start and self.composition, "--start brings its own bands; leave --composition out"),
             (self.start and self.continuum_spread, "--start brings its own continuum; leave --continuum-spread out"),
@@ -110,10 +115,13 @@ class FitRun:
     abundances: dict[int, list[Abundance]] = field(default_factory=dict)
     start_file: InputFile | None = None
     library_file: InputFile | None = None
+    known_file: InputFile | None = None
 
 
 def run_fit(spectra: Sequence[Spectrum], request: FitRequest, quiet: bool) -> FitRun:
     """Fit all spectra as the options say."""
+    from .fit_abundance import add_abundances
+
     if request.to_fit_file and len(spectra) != 1:
         raise ParameterError(f"a .fit file holds one spectrum, not {len(spectra)}; fit one at a time, or use --json")
     run = _fitted(spectra, request, quiet)
@@ -121,7 +129,7 @@ def run_fit(spectra: Sequence[Spectrum], request: FitRequest, quiet: bool) -> Fi
         _add_spread(spectra, request, run, quiet)
     if request.errors != "laplace":
         _add_intervals(request, run, quiet)
-    _add_abundances(spectra, request, run, quiet)
+    add_abundances(spectra, request, run, quiet)
     return run
 
 
@@ -219,33 +227,3 @@ def _add_intervals(request: FitRequest, run: FitRun, quiet: bool) -> None:
         for done, (index, fit) in enumerate(fits.items(), start=1):
             run.intervals[index] = profile_intervals(fit)
             update(done, len(fits))
-
-
-def _add_abundances(spectra: Sequence[Spectrum], request: FitRequest, run: FitRun, quiet: bool) -> None:
-    """The method asked for first, then the ratio of band strengths."""
-    fits = {index: fit for index, fit in enumerate(run.results) if isinstance(fit, MgmFit) and fit.converged}
-    for index, fit in fits.items():
-        found = nbsr_abundance(fit)
-        run.abundances[index] = [found] if found else []
-    if request.abundance == "nbsr":
-        return
-    from lunarsci.spectra.abundance.estimate import estimate_abundance
-
-    end_members = _end_members(request, run)
-    with progress("unmixing", quiet=quiet) as update:
-        for done, (index, fit) in enumerate(fits.items(), start=1):
-            minerals = fit.model.assemblage.minerals
-            if len(minerals) > 1:
-                found = estimate_abundance(spectra[index], minerals, method=request.abundance, end_members=end_members)
-                run.abundances[index].insert(0, found)
-            update(done, len(fits))
-
-
-def _end_members(request: FitRequest, run: FitRun) -> list[EndMember] | None:
-    """Those of the user's library, None for the embedded ones."""
-    if request.library is None:
-        return None
-    from lunarsci.spectra.library import read_library
-
-    run.library_file = read_input(request.library)
-    return read_library(run.library_file)

@@ -126,6 +126,34 @@ Library = Annotated[
         rich_help_panel=ANSWER,
     ),
 ]
+Together = Annotated[
+    bool,
+    typer.Option(
+        "--together",
+        help="Take all spectra as mixtures of the same powders, which --abundance then finds far better than one by "
+        "one.",
+        rich_help_panel=ANSWER,
+    ),
+]
+Known = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FILE",
+        help="Table of id and one column per mineral, in shares of 1, of mixtures whose modes are known; empty cells "
+        "are sought, a 0 beside them is absent. Implies --together.",
+        rich_help_panel=ANSWER,
+    ),
+]
+Opaque = Annotated[
+    bool,
+    typer.Option("--opaque", help="Allow --abundance a dark, flat powder beside the minerals.", rich_help_panel=ANSWER),
+]
+Iron = Annotated[
+    bool,
+    typer.Option(
+        "--iron", help="Allow --abundance submicroscopic iron on all grains: space weathering.", rich_help_panel=ANSWER
+    ),
+]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of --errors sample.", rich_help_panel=ANSWER)]
 
 
@@ -151,6 +179,10 @@ def fit(
     continuum_spread: ContinuumSpread = False,
     abundance: AbundanceMethod = "nbsr",
     library: Library = None,
+    together: Together = False,
+    known: Known = None,
+    opaque: Opaque = False,
+    iron: Iron = False,
     seed: Seed = 0,
     wavelength_unit: WavelengthUnit = None,
     reflectance_unit: ReflectanceUnit = None,
@@ -179,6 +211,10 @@ def fit(
         seed=seed,
         abundance=abundance,
         library=library,
+        together=together or known is not None,
+        known=known,
+        opaque=opaque,
+        iron=iron,
         to_fit_file=output.path is not None and output.path.suffix.lower() == ".fit",
     )
     request.check()

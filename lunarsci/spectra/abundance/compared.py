@@ -44,7 +44,11 @@ def compared(spectra: Sequence[Spectrum]) -> Compared:
     table = np.array([[channels[index] for index in common] for channels in binned])
     wavelength = table[..., 0]
     apart = np.flatnonzero(np.ptp(wavelength, axis=0) <= FARTHEST_NM)
-    if not apart.size or common[apart[0]] * STEP_NM + LOWEST_NM > NEEDED_NM[0] or _end(common[apart[-1]]) < NEEDED_NM[1]:
+    if (
+        not apart.size
+        or common[apart[0]] * STEP_NM + LOWEST_NM > NEEDED_NM[0]
+        or _end(common[apart[-1]]) < NEEDED_NM[1]
+    ):
         raise DataError("the spectra have too few channels in common to be unmixed together; resample them alike")
     table = table[:, apart]
     return Compared(table[..., 0].mean(axis=0), table[..., 1], table[..., 2])

@@ -12,13 +12,16 @@ from lunarsci.spectra.mgm.model import MgmModel, mgm_model, unit_of
 from lunarsci.spectra.spectrum import FloatArray
 from lunarsci.tables import table_rows
 
-__all__ = ["CHEMISTRY", "FAMILY_OF", "TABLE", "embedded_end_members"]
+__all__ = ["CHEMISTRY", "FAMILY_OF", "OPAQUE", "TABLE", "embedded_end_members"]
 
 TABLE = "end_members.csv"
 FAMILY_OF = {"olivine": "OL", "orthopyroxene": "OPX", "clinopyroxene": "CPX", "plagioclase": "PLG"}
 """Assemblage by which a mineral's spectra are described; these are the minerals that can be unmixed."""
 CHEMISTRY = ("fo", "fs", "en", "wo", "an")
 """Columns of the table, in mol %."""
+OPAQUE = "opaque"
+OPAQUE_REFLECTANCE = 0.062
+"""Flat within 0.007 from 400 to 2500 nm: ilmenite HS231.3B of the USGS library (Kokaly et al. 2017, 10.3133/ds1035)."""
 REACH_NM = (450.0, 2450.0)
 KEPT_GRIDS = 8
 
@@ -28,7 +31,7 @@ def embedded_end_members(wavelength_nm: FloatArray) -> tuple[EndMember, ...]:
 
     Within `lowest_nm` to `highest_nm` of the table a rebuilt spectrum differs from the measured one by `rms_ln_percent`
     (0.5-1 %, root mean square of ln R); beyond, it is an extrapolation, so channels outside 450-2450 nm are refused.
-    Spectra on the grids asked for last are kept.
+    The last is `opaque`, a flat dark spectrum. Spectra on the grids asked for last are kept.
 
     Raises ParameterError for channels outside that range.
     """
@@ -41,7 +44,8 @@ def embedded_end_members(wavelength_nm: FloatArray) -> tuple[EndMember, ...]:
 def _on_grid(channels: bytes) -> tuple[EndMember, ...]:
     wavelength = np.frombuffer(channels)
     models = {mineral: mgm_model(family) for mineral, family in FAMILY_OF.items()}
-    return tuple(_rebuilt(row, models[row["mineral"]], wavelength) for row in table_rows(TABLE))
+    opaque = EndMember("ilmenite", OPAQUE, wavelength, np.full(wavelength.size, OPAQUE_REFLECTANCE), source="usgs")
+    return (*(_rebuilt(row, models[row["mineral"]], wavelength) for row in table_rows(TABLE)), opaque)
 
 
 def _rebuilt(values: Mapping[str, str], model: MgmModel, wavelength_nm: FloatArray) -> EndMember:

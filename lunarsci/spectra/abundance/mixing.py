@@ -1,9 +1,9 @@
 """Laws by which minerals of a powder mix: linear in single-scattering albedo, or in absorbance.
 
 Every law has a quantity x that mixes linearly by volume, and its own t, which grows by a constant where all absorption
-grows by a factor: a coarser powder of one mineral is, nearly, the same t moved up by `size_exponent` times the logarithm
-of the grain size. Series of sieved powders (RELAB PE-CMP, PP-CMP; USGS PYX02, GDS70, seven to 180 um) give 0.8-1.2 in
-`Albedo` and 0.4-0.6 in `Absorbance`.
+grows by a factor: a coarser powder of one mineral is, nearly, the same t moved up by `size_exponent` times the
+logarithm of the grain size. Series of sieved powders (RELAB PE-CMP, PP-CMP; USGS PYX02, GDS70; 7-180 um) give 0.8-1.2
+in `Albedo` and 0.4-0.6 in `Absorbance`.
 """
 
 from dataclasses import dataclass

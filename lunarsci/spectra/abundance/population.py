@@ -51,10 +51,10 @@ def population(
 ) -> MineralPopulation:
     """The law of a mineral, from one end member or many.
 
-    t of every end member is brought to `REFERENCE_UM` first. Then a principal component analysis of t less its mean over
-    the channels, the level. Levels of powders differ mostly by grain size, which the minerals of one mixture share:
-    `unmix` has a level common to all, and here stay the part that goes with the first shapes and `OWN_LEVEL`. With one
-    end member only the level varies, and its grain size does not count.
+    t of every end member is brought to `REFERENCE_UM` first. Then follows a principal component analysis of t less its
+    mean over the channels, the level. Levels of powders differ mostly by grain size, which the minerals of one mixture
+    share: `powders` has a level common to all, and here stay the part that goes with the first shapes and `OWN_LEVEL`.
+    With one end member only the level varies, and its grain size does not count.
 
     Raises
     ------

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -15,7 +16,7 @@ COMMON_LEVEL = 1.0
 """Standard deviation of the level that all minerals of a mixture share, their grain size; assumed."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Powders:
     """Powders of the minerals as functions of standard normal parameters: shapes of each in turn, then the level.
 
@@ -26,12 +27,12 @@ class Powders:
     law: MixingLaw
     minerals: Sequence[MineralPopulation]
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Number of parameters."""
         return sum(len(item.shapes) for item in self.minerals) + 1
 
-    @property
+    @cached_property
     def starts(self) -> list[int]:
         """Position of each mineral's first parameter."""
         counts = [len(item.shapes) for item in self.minerals]
@@ -52,7 +53,7 @@ class Powders:
         x, slope = (np.array(part) for part in zip(*pairs, strict=True))
         return x, slope
 
-    @property
+    @cached_property
     def sections(self) -> FloatArray:
         """Derivative of the logarithm of each mineral's cross-section per volume by the parameters, (m, size)."""
         rows = np.zeros((len(self.minerals), self.size))

@@ -2,12 +2,13 @@
 
 ln R_j = ln R(sum_i F_ji x_i) + g_j0 + g_j1 u + g_j2 (u^2 - mean),  F_ji ~ f_ji c_i,  f_ji = a_ji^2 / sum_i a_ji^2,
 
-with x_i the powder of mineral i (`powders`), shared by all spectra, c_i its cross-section per volume, u the wavelength in
-um from 1.45. The prior of a direction a is uniform, so that f follows a Dirichlet law with 1/2: a mineral may be absent.
-g is a neutral darkening or brightening (opaques, photometry, packing), tilted and bent.
+with x_i the powder of mineral i (`powders`), shared by all spectra, c_i its cross-section per volume, u the wavelength
+in um from 1.45. The prior of a direction a is uniform, so that f follows a Dirichlet law with 1/2: a mineral may be
+absent. g is a neutral darkening or brightening (opaques, photometry, packing), tilted and bent.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -43,7 +44,7 @@ class Equations:
     own: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Suite:
     """Spectra and what is known of them.
 
@@ -70,17 +71,17 @@ class Suite:
         """Their number, m."""
         return len(self.powders.minerals)
 
-    @property
+    @cached_property
     def sought(self) -> FloatArray:
         """(s, m) 1 where a root is free, else 0."""
         return np.asarray(self.present * np.isnan(self.known), dtype=np.float64)
 
-    @property
+    @cached_property
     def scale(self) -> FloatArray:
         """Prior standard deviations of a spectrum's own parameters, (q,)."""
         return np.concatenate([np.ones(self.minerals), NEUTRAL, np.ones(int(self.weathering is not None))])
 
-    @property
+    @cached_property
     def neutral(self) -> FloatArray:
         """(3, n)."""
         u = self.wavelength_nm / 1e3 - ORIGIN_UM
@@ -135,7 +136,7 @@ class Suite:
         own_slope[:, : self.minerals] *= self.sought
         own_block[:, : self.minerals, : self.minerals] += by_length[:, :, None] * by_length[:, None, :]
         extra = np.zeros((count, len(self.scale)))
-        slope = np.einsum("smn,sn->sm", bend, residual / self.sigma_ln)
+        slope = np.matmul(bend, (residual / self.sigma_ln)[:, :, None])[:, :, 0]
         extra[:, : self.minerals] = np.maximum(-slope, 0.0) * self.sought
         own_block += (extra + self.scale**-2)[:, :, None] * np.eye(len(self.scale))
         return Equations(
@@ -147,8 +148,10 @@ class Suite:
             own_block,
         )
 
-    def _derivatives(self, shared: FloatArray, own: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """ln R (s, n); its derivatives by shared (s, n, p) and own parameters (s, n, q); second ones by roots (s, m, n)."""
+    def _derivatives(
+        self, shared: FloatArray, own: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """ln R (s, n); derivatives by shared (s, n, p), own parameters (s, n, q); second ones by roots (s, m, n)."""
         x, slope = self.powders.at(shared)
         effective = self._effective(shared, own)
         mixed = effective @ x
@@ -168,7 +171,7 @@ class Suite:
         own_columns[:, :, : self.minerals] = (bend * own[:, : self.minerals, None]).transpose(0, 2, 1)
         stop = self.minerals + len(NEUTRAL)
         own_columns[:, :, self.minerals : stop] = self.neutral.T
-        shared_columns = np.einsum("smn,sm,mp->snp", by_share, effective, self.powders.sections)
+        shared_columns = (by_share * effective[:, :, None]).transpose(0, 2, 1) @ self.powders.sections
         for number, (where, rows) in enumerate(self.powders.by_parameters(slope)):
             weight = by_mixed * effective[:, number, None]
             shared_columns[:, :, where] += weight[:, :, None] * rows.T

@@ -15,18 +15,24 @@ DRAWS, SEED = 4000, 0
 LEVELS = (0.6827, 0.95)
 ABSENT = 0.005
 """Below this an interval is taken to begin at 0."""
-MOST_STRANGE = 0.2
-"""Misfit and strain together, per channel, up to which a spectrum counts as a mixture of the end members."""
+MOST_STRANGE = 0.15
+"""Misfit and strain together, per channel, up to which a spectrum counts as a mixture of the end members. One by one,
+43 of 53 laboratory mixtures are below (the others are coarser than 45 um), one of 95 spectra of lunar soil and rock,
+and six of 113 powders of one mineral with the three others named."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
-    """What `unmix` found for the spectra of a suite, under each law."""
+    """What `unmix` found for the spectra of a suite, under each law.
+
+    `untested` says why no measurement vouches for it; empty where one does.
+    """
 
     method: str
     minerals: tuple[str, ...]
     posteriors: tuple[Posterior, ...]
     model_error: float
+    untested: str = ""
 
 
 def abundances(names: Sequence[str], outcome: Outcome) -> list[Abundance]:
@@ -35,9 +41,8 @@ def abundances(names: Sequence[str], outcome: Outcome) -> list[Abundance]:
     weight = np.exp(evidence - evidence.max())
     weight /= weight.sum()
     counts = np.maximum(1, np.round(DRAWS * weight).astype(int))
-    draws = np.concatenate(
-        [item.draws(int(count), SEED + k) for k, (item, count) in enumerate(zip(outcome.posteriors, counts, strict=True))]
-    )
+    drawn = zip(outcome.posteriors, counts, strict=True)
+    draws = np.concatenate([item.draws(int(count), SEED + k) for k, (item, count) in enumerate(drawn)])
     misfit = sum(share * item.ln_residual**2 for share, item in zip(weight, outcome.posteriors, strict=True))
     strain = sum(share * item.strain for share, item in zip(weight, outcome.posteriors, strict=True))
     square = np.mean(misfit, axis=1)
@@ -59,11 +64,13 @@ def _abundance(name: str, outcome: Outcome, draws: FloatArray, rms: float, stran
         )
         for k, mineral in enumerate(outcome.minerals)
     )
-    inside = strange <= MOST_STRANGE
+    inside = strange <= MOST_STRANGE and not outcome.untested
     reason = (
         f"out of domain: less like these minerals than laboratory mixtures are (strangeness {strange:.2f}, up to "
         f"{MOST_STRANGE:g} is usual); coarse grains, weathering, opaques, glass or other minerals"
     )
+    if outcome.untested:
+        reason = f"out of domain: {outcome.untested}"
     status = "like laboratory mixtures of these minerals" if inside else reason
     return Abundance(name, outcome.method, fractions, _correlation(draws), inside, status, rms)
 
@@ -75,7 +82,7 @@ def _correlation(draws: FloatArray) -> FloatArray:
     scale = np.outer(spread, spread)
     found = np.divide(covariance, scale, out=np.zeros_like(covariance), where=scale > 0)
     np.fill_diagonal(found, 1.0)
-    return found
+    return np.asarray(found)
 
 
 def shortest_interval(draws: FloatArray, level: float) -> tuple[FloatArray, FloatArray]:

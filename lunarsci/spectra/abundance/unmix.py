@@ -9,7 +9,9 @@ from lunarsci.spectra.spectrum import FloatArray
 
 __all__ = ["Posterior", "unmix"]
 
-STEPS, DAMPING, HIGHEST_DAMPING, CONVERGED = 500, 1e-3, 1e8, 1e-5
+STEPS, DAMPING, HIGHEST_DAMPING = 500, 1e-3, 1e8
+NEAR, CONVERGED = 0.1, 1e-5
+"""Gains of a step at which starts are compared, and at which the best is done."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,11 +67,14 @@ def unmix(suite: Suite) -> Posterior:
     """
     favoured = [None, *(range(suite.minerals) if len(suite.ln_reflectance) == 1 else ())]
     shared = np.zeros(suite.powders.size)
-    ends = [_descend(suite, shared, suite.start(mineral)) for mineral in favoured]
-    return _posterior(suite, *min(ends, key=lambda end: end[2].value))
+    ends = [_descend(suite, shared, suite.start(mineral), NEAR) for mineral in favoured]
+    shared, own, _ = min(ends, key=lambda end: end[2].value)
+    return _posterior(suite, *_descend(suite, shared, own, CONVERGED))
 
 
-def _descend(suite: Suite, shared: FloatArray, own: FloatArray) -> tuple[FloatArray, FloatArray, Equations]:
+def _descend(
+    suite: Suite, shared: FloatArray, own: FloatArray, least_gain: float
+) -> tuple[FloatArray, FloatArray, Equations]:
     """Levenberg-Marquardt; parameters and the equations there."""
     damping, equations = DAMPING, suite.equations(shared, own)
     for _ in range(STEPS):
@@ -83,7 +88,7 @@ def _descend(suite: Suite, shared: FloatArray, own: FloatArray) -> tuple[FloatAr
         gained = equations.value - value
         shared, own, damping = shared + shared_step, own + own_step, damping / 5.0
         equations = suite.equations(shared, own)
-        if gained < CONVERGED:
+        if gained < least_gain:
             break
     return shared, own, equations
 

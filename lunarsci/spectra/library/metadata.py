@@ -4,18 +4,16 @@ Columns are `id` and any of `mineral`, `fo`, `fs`, `en`, `wo`, `an`, `min_um`, `
 the modes `vol_ol`, `vol_opx`, `vol_cpx`, `vol_plg`, and the chemistry of each pyroxene as `opx_fs`, `cpx_fs` and so on.
 """
 
-import csv
-import io
 import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from lunarsci import inputs
 from lunarsci.errors import DataError
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.library.end_member import CHEMISTRY, EndMember, mineral_named
-from lunarsci.spectra.readers.rows import number, separator_of, split_lines
+from lunarsci.spectra.readers.described import rows_by_id
+from lunarsci.spectra.readers.rows import number
 from lunarsci.spectra.readers.table import quoted
 
 __all__ = ["MIXTURE", "PURE", "read_metadata", "with_description"]
@@ -35,36 +33,7 @@ def read_metadata(source: InputFile) -> dict[str, dict[str, Any]]:
     Chemistry that the mineral does not have is left out: tables often fill it with zeros. Raises DataError for a table
     without ids, an id that comes twice, or a cell that is no number.
     """
-    rows = _rows(source)
-    described: dict[str, dict[str, Any]] = {}
-    for line, row in rows:
-        id = row["id"]
-        if not id:
-            raise DataError(f"{source.name}: line {line} has no id; complete it or delete the line")
-        if id in described:
-            raise DataError(f"{source.name}: line {line}: {quoted(id)} comes twice; keep one")
-        described[id] = _description(row, f"{source.name}: line {line}")
-    return described
-
-
-def _rows(source: InputFile) -> list[tuple[int, dict[str, str]]]:
-    text = inputs.text(source)
-    lines = split_lines(text)[0]
-    separator = separator_of(lines)
-    reader = csv.reader(io.StringIO("\n".join(line for _, line in lines)), delimiter=separator, strict=True)
-    try:
-        header, *body = [[cell.strip() for cell in row] for row in reader]
-    except csv.Error as error:
-        raise DataError(f"{source.name}: cannot be split into cells ({error}); check its quotes") from error
-    names = [name.casefold() for name in header]
-    if "id" not in names:
-        raise DataError(f"{source.name}: has no column 'id', only {', '.join(map(quoted, header[:5]))}; name it so")
-    if not body:
-        raise DataError(f"{source.name}: holds a header and no rows; check how it was made")
-    for (line, _), row in zip(lines[1:], body, strict=False):
-        if len(row) != len(names):
-            raise DataError(f"{source.name}: line {line} has {len(row)} cells, the header {len(names)}; correct it")
-    return [(line, dict(zip(names, row, strict=True))) for (line, _), row in zip(lines[1:], body, strict=False)]
+    return {id: _description(row, f"{source.name}: line {line}") for id, (line, row) in rows_by_id(source).items()}
 
 
 def _description(row: Mapping[str, str], place: str) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Unmixing against numerical derivatives, sampled posteriors and mixtures made by other code."""
+"""Unmixing against numerical derivatives, scipy's minimum, dense algebra and mixtures made by other code."""
 
 from dataclasses import replace
 
@@ -8,11 +8,14 @@ from scipy.optimize import least_squares
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.abundance.end_members import embedded_end_members
-from lunarsci.spectra.abundance.estimate import METHODS, estimate_abundance
+from lunarsci.spectra.abundance.estimate import METHODS, estimate_abundance, estimate_suite
 from lunarsci.spectra.abundance.hapke import HapkeSurface
 from lunarsci.spectra.abundance.mixing import Absorbance, Albedo, MixingLaw
-from lunarsci.spectra.abundance.population import population
-from lunarsci.spectra.abundance.unmix import NEUTRAL, _Problem, softmax, unmix
+from lunarsci.spectra.abundance.population import loosened, population
+from lunarsci.spectra.abundance.powders import Powders
+from lunarsci.spectra.abundance.suite import GAUGE, Suite
+from lunarsci.spectra.abundance.unmix import _posterior, shares, unmix
+from lunarsci.spectra.abundance.weathering import Weathering, iron_absorption
 from lunarsci.spectra.library import EndMember
 from lunarsci.spectra.spectrum import FloatArray, Spectrum
 
@@ -20,6 +23,7 @@ GRID = np.arange(460.0, 2441.0, 20.0)
 LAWS: list[MixingLaw] = [Albedo(HapkeSurface()), Absorbance()]
 MINERALS = ("olivine", "orthopyroxene", "clinopyroxene")
 SHARES = np.array([0.5, 0.3, 0.2])
+SEVERAL = np.array([[0.8, 0.2, 0.0], [0.5, 0.3, 0.2], [0.2, 0.3, 0.5], [0.1, 0.8, 0.1]])
 
 
 def own() -> dict[str, EndMember]:
@@ -30,7 +34,7 @@ def own() -> dict[str, EndMember]:
     return found
 
 
-def hapke_mixture(end_members: dict[str, EndMember], shares: FloatArray) -> FloatArray:
+def hapke_mixture(end_members: dict[str, EndMember], fractions: FloatArray) -> FloatArray:
     """By bisection for w and the formula written out: incidence 30, emission 0 deg, isotropic."""
     mu0 = np.cos(np.pi / 6)
 
@@ -40,7 +44,7 @@ def hapke_mixture(end_members: dict[str, EndMember], shares: FloatArray) -> Floa
         return np.asarray(w / (4 * (mu0 + 1)) * h[0] * h[1])
 
     mixed = 0.0
-    for mineral, share in zip(MINERALS, shares, strict=True):
+    for mineral, share in zip(MINERALS, fractions, strict=True):
         wanted = end_members[mineral].reflectance
         low, high = np.zeros_like(wanted), np.ones_like(wanted)
         for _ in range(60):
@@ -49,6 +53,27 @@ def hapke_mixture(end_members: dict[str, EndMember], shares: FloatArray) -> Floa
             low, high = np.where(below, middle, low), np.where(below, high, middle)
         mixed = mixed + share * low
     return reflectance(np.asarray(mixed))
+
+
+def made(fractions: FloatArray, id: str = "made", noise: float = 0.0) -> Spectrum:
+    ends = own()
+    reflectance = hapke_mixture(ends, fractions)
+    scatter = np.random.default_rng(sum(map(ord, id))).normal(scale=noise, size=reflectance.size)
+    return Spectrum(id, ends["olivine"].wavelength_nm, reflectance * np.exp(scatter))
+
+
+def suite(law: MixingLaw, count: int, *, iron: bool = False, known: FloatArray | None = None) -> Suite:
+    """Of the first mixtures of `SEVERAL`, on `GRID`."""
+    library = embedded_end_members(GRID)
+    minerals = [loosened(population(name, library, GRID, law), GRID) for name in MINERALS]
+    spectra = [made(row) for row in SEVERAL[:count]]
+    ln_reflectance = np.array([np.interp(GRID, item.wavelength_nm, np.log(item.reflectance)) for item in spectra])
+    fractions = np.full((count, 3), np.nan) if known is None else known
+    weathering = Weathering(iron_absorption(GRID)) if iron else None
+    held = np.ones((count, 3))
+    held[0, 2] = 0
+    sigma = np.full_like(ln_reflectance, 0.02)
+    return Suite(Powders(law, minerals), GRID, ln_reflectance, sigma, held, fractions, weathering)
 
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
@@ -62,31 +87,116 @@ def test_a_law_undoes_itself_and_has_its_derivatives(law: MixingLaw) -> None:
     assert by_mixed * slope == pytest.approx((ends[1] - ends[0]) / 2e-3, rel=2e-2)
 
 
+@pytest.mark.parametrize(("law", "iron"), [(LAWS[0], False), (LAWS[1], False), (LAWS[0], True)])
+def test_slopes_and_curvature_are_those_of_the_objective(law: MixingLaw, iron: bool) -> None:
+    """Slopes by differences; the curvature, Gauss-Newton, of the model by differences."""
+    one = suite(law, 3, iron=iron)
+    rng = np.random.default_rng(0)
+    shared = rng.normal(scale=0.3, size=one.powders.size)
+    start = one.start()
+    point = start + rng.normal(scale=0.05, size=start.shape) * np.concatenate(
+        [one.sought, np.ones((3, start.shape[1] - 3))], axis=1
+    )
+    equations = one.equations(shared, point)
+    assert equations.value == pytest.approx(one.value(shared, point))
+    for k in range(0, one.powders.size, 3):
+        step = np.zeros(one.powders.size)
+        step[k] = 1e-4
+        slope = (one.value(shared + step, point) - one.value(shared - step, point)) / 2e-4
+        assert -2 * equations.shared_slope[k] == pytest.approx(slope, rel=0.02, abs=0.3), k
+        column = (one.ln_model(shared + step, point) - one.ln_model(shared - step, point)) / 2e-4 / one.sigma_ln
+        assert equations.shared[k, k] == pytest.approx(float(np.sum(column**2)) + 1, rel=0.03)
+    for j, k in np.ndindex(point.shape):
+        step = np.zeros_like(point)
+        step[j, k] = 1e-5
+        slope = (one.value(shared, point + step) - one.value(shared, point - step)) / 2e-5
+        if k >= 3 or one.sought[j, k]:
+            assert -2 * equations.own_slope[j, k] == pytest.approx(slope, rel=0.02, abs=0.3), (j, k)
+
+
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
-def test_derivatives_of_the_model_agree_with_differences(law: MixingLaw) -> None:
-    library = embedded_end_members(GRID)
-    minerals = [population(name, library, GRID, law) for name in MINERALS]
-    u = GRID / 1e3 - 1.45
-    problem = _Problem(law, minerals, np.array([u**0, u, u**2]), np.zeros_like(u), np.ones_like(u))
-    point = np.random.default_rng(0).normal(scale=0.3, size=problem.size)
-    jacobian = problem.model(point)[1]
-    assert len(NEUTRAL) == 3
-    for k in range(problem.size):
-        step = np.zeros(problem.size)
-        step[k] = 1e-3
-        difference = (problem.model(point + step)[0] - problem.model(point - step)[0]) / 2e-3
-        assert np.allclose(jacobian[k], difference, rtol=0.03, atol=1e-3 * np.abs(jacobian).max()), k
+def test_the_minimum_is_that_of_scipy(law: MixingLaw) -> None:
+    one = suite(law, 2)
+    found = unmix(one)
+    size, shape = one.powders.size, one.start().shape
+
+    def rows(values: FloatArray) -> FloatArray:
+        shared, point = values[:size], values[size:].reshape(shape)
+        misfit = (one.ln_reflectance - one.ln_model(shared, point * held)) / one.sigma_ln
+        length = np.sum((point * held)[:, :3] ** 2, axis=1) - 1
+        return np.concatenate([misfit.ravel(), shared, (point / one.scale).ravel(), length / GAUGE])
+
+    held = np.concatenate([one.present, np.ones((2, shape[1] - 3))], axis=1)
+    best = least_squares(rows, np.concatenate([np.zeros(size), one.start().ravel()]))
+    assert found.objective == pytest.approx(2 * best.cost, rel=2e-3)
+    roots = best.x[size:].reshape(shape)[:, :3] * one.present
+    assert found.shares == pytest.approx(shares(roots), abs=0.01)
+
+
+def test_the_covariance_is_that_of_the_whole_matrix() -> None:
+    """Eliminating the spectra's own parameters gives what inverting everything at once gives."""
+    one = suite(LAWS[0], 3)
+    rng = np.random.default_rng(3)
+    shared, point = rng.normal(scale=0.2, size=one.powders.size), one.start(1)
+    equations = one.equations(shared, point)
+    found = _posterior(one, shared, point, equations)
+    size, (count, own_size) = one.powders.size, point.shape
+    dense = np.zeros((size + count * own_size,) * 2)
+    dense[:size, :size] = equations.shared
+    places = [slice(size + j * own_size, size + (j + 1) * own_size) for j in range(count)]
+    for j, at in enumerate(places):
+        dense[:size, at], dense[at, :size] = equations.across[j], equations.across[j].T
+        dense[at, at] = equations.own[j]
+    inverse = np.linalg.inv(dense)
+    for j, at in enumerate(places):
+        free = np.outer(one.sought[j], one.sought[j])
+        assert found.covariance[j] == pytest.approx(inverse[at, at][:3, :3] * free)
+    scale = np.concatenate([np.ones(size), np.tile(one.scale, count)])
+    volume = np.linalg.slogdet(dense * np.outer(scale, scale))[1]
+    assert found.ln_evidence == pytest.approx(-0.5 * (equations.value + volume))
 
 
 def test_a_mixture_of_the_end_members_themselves_is_found_in_full() -> None:
     """Made by the same physics written out; the level and the neutral part are free, so a little is lost to them."""
-    ends = own()
-    spectrum = Spectrum("made", ends["olivine"].wavelength_nm, hapke_mixture(ends, SHARES))
-    found = estimate_abundance(spectrum, MINERALS, method="hapke", end_members=list(ends.values()), model_error=0.002)
+    found = estimate_abundance(
+        made(SHARES), MINERALS, method="hapke", end_members=list(own().values()), model_error=0.002
+    )
     assert [item.fraction for item in found.fractions] == pytest.approx(SHARES, abs=0.03)
     assert found.in_domain
     for item, share in zip(found.fractions, SHARES, strict=True):
         assert item.low95 <= share <= item.high95
+
+
+def test_a_mineral_that_is_absent_comes_out_as_such() -> None:
+    shares_of_two = np.array([0.6, 0.4, 0.0])
+    found = estimate_abundance(
+        made(shares_of_two), MINERALS, method="hapke", end_members=list(own().values()), model_error=0.002
+    )
+    assert found.fractions[2].low == 0
+    assert found.fractions[2].fraction < 0.02
+
+
+def test_known_mixtures_teach_the_powders_of_the_others() -> None:
+    """End members of the library are others than those the mixtures were made of."""
+    ends = own()
+    library = [item for item in embedded_end_members(np.arange(450.0, 2451.0, 5.0)) if item.id != ends["olivine"].id]
+    library = [item for item in library if item.id not in {ends[name].id for name in MINERALS}]
+    spectra = [made(row, f"mix {number}", noise=0.002) for number, row in enumerate(SEVERAL)]
+    told = {f"mix {number}": dict(zip(MINERALS, map(float, SEVERAL[number]), strict=True)) for number in (0, 2, 3)}
+    alone = estimate_abundance(spectra[1], MINERALS, end_members=library, method="hapke")
+    taught = estimate_suite(spectra, MINERALS, end_members=library, method="hapke", known=told)
+    error = [abs(item.fraction - share) for item, share in zip(taught[1].fractions, SEVERAL[1], strict=True)]
+    before = [abs(item.fraction - share) for item, share in zip(alone.fractions, SEVERAL[1], strict=True)]
+    assert max(error) < 0.04 < max(before)
+    assert [item.fraction for item in taught[0].fractions] == pytest.approx(SEVERAL[0])
+    assert taught[0].fractions[0].low == pytest.approx(SEVERAL[0][0])
+
+
+def test_minerals_that_a_spectrum_cannot_hold_are_left_out() -> None:
+    spectra = [made(row, f"mix {number}") for number, row in enumerate(SEVERAL)]
+    found = estimate_suite(spectra, MINERALS, present={"mix 1": ("olivine", "orthopyroxene")})
+    assert found[1].fractions[2].fraction == found[1].fractions[2].high95 == 0
+    assert found[0].fractions[2].high95 > 0
 
 
 def test_absorbance_mixes_as_written() -> None:
@@ -102,28 +212,6 @@ def test_absorbance_mixes_as_written() -> None:
     assert right.rms_ln is not None
     assert wrong.rms_ln > 3 * right.rms_ln
     assert [i.fraction for i in both.fractions] == pytest.approx([i.fraction for i in right.fractions], abs=0.01)
-
-
-def test_the_minimum_is_that_of_scipy() -> None:
-    law = LAWS[0]
-    library = embedded_end_members(GRID)
-    minerals = [population(name, library, GRID, law) for name in MINERALS]
-    reflectance = np.exp(np.interp(GRID, own()["olivine"].wavelength_nm, np.log(hapke_mixture(own(), SHARES))))
-    sigma = np.full(GRID.size, 0.02)
-    found = unmix(GRID, reflectance, sigma, minerals, law)
-    u = GRID / 1e3 - 1.45
-    neutral = np.array([np.ones_like(u), u, u**2 - np.mean(u**2)])
-    problem = _Problem(law, minerals, neutral, np.log(reflectance), 1 / sigma)
-    scale = problem.scaled()
-
-    def rows(point: FloatArray) -> FloatArray:
-        return np.concatenate([(problem.model(point)[0] - problem.ln_reflectance) / sigma, point / scale])
-
-    starts = np.zeros((4, problem.size))
-    starts[[0, 1, 2], [0, 1, 2]] = 2.0
-    best = min((least_squares(rows, start) for start in starts), key=lambda end: float(end.cost))
-    assert found.objective == pytest.approx(2 * best.cost, rel=2e-3)
-    assert softmax(found.logits) == pytest.approx(softmax(best.x[:3]), abs=0.01)
 
 
 def test_one_end_member_varies_in_level_only() -> None:
@@ -148,30 +236,44 @@ def test_a_population_has_the_covariance_of_its_shapes() -> None:
     assert 0.9 < explained <= 1.0 + 1e-9
 
 
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
+@pytest.mark.parametrize("powder", ["PE-CMP-03", "PP-CMP-02", "Hypersthene_PYX02"])
+def test_levels_of_sieved_powders_follow_the_grain_size(law: MixingLaw, powder: str) -> None:
+    series = [item for item in embedded_end_members(GRID) if item.id.startswith(powder)]
+    level = np.array([law.element(item.reflectance).mean() for item in series])
+    size = np.log([(item.min_um + item.max_um) / 2 for item in series if item.max_um and item.min_um is not None])
+    assert len(size) == len(series) >= 3
+    assert np.polyfit(size, level, 1)[0] == pytest.approx(law.size_exponent, rel=0.3)
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_shares_sum_to_one_and_lie_in_their_intervals(method: str) -> None:
-    ends = own()
-    noise = np.random.default_rng(1).normal(scale=0.005, size=ends["olivine"].wavelength_nm.size)
-    reflectance = hapke_mixture(ends, SHARES) * np.exp(noise)
-    found = estimate_abundance(Spectrum("made", ends["olivine"].wavelength_nm, reflectance), MINERALS, method=method)
+    spectrum = made(SHARES, noise=0.005)
+    found = estimate_abundance(spectrum, MINERALS, method=method)
     assert sum(item.fraction for item in found.fractions) == pytest.approx(1.0)
     for item in found.fractions:
         assert 0 <= item.low95 <= item.low <= item.fraction <= item.high <= item.high95 <= 1
     assert found.correlation is not None
     assert np.allclose(np.diag(found.correlation), 1)
-    again = estimate_abundance(Spectrum("made", ends["olivine"].wavelength_nm, reflectance), MINERALS, method=method)
-    assert again.fractions == found.fractions
+    assert estimate_abundance(spectrum, MINERALS, method=method).fractions == found.fractions
 
 
 def test_units_order_and_a_mask_do_not_matter() -> None:
-    ends = own()
-    wavelength = ends["olivine"].wavelength_nm
-    reflectance = hapke_mixture(ends, SHARES)
+    spectrum = made(SHARES)
+    wavelength, reflectance = spectrum.wavelength_nm, spectrum.reflectance
     mask = np.arange(wavelength.size) % 40 == 7
     spoiled = np.where(mask, 3.0, reflectance)
     first = estimate_abundance(Spectrum("a", wavelength[~mask], reflectance[~mask]), MINERALS)
     second = estimate_abundance(Spectrum("a", wavelength, spoiled, mask=mask), MINERALS)
     assert first.fractions == second.fractions
+
+
+def test_the_order_of_a_suite_does_not_matter() -> None:
+    spectra = [made(row, f"mix {number}") for number, row in enumerate(SEVERAL)]
+    forward = estimate_suite(spectra, MINERALS)
+    backward = estimate_suite(spectra[::-1], MINERALS)[::-1]
+    for one, two in zip(forward, backward, strict=True):
+        assert [i.fraction for i in one.fractions] == pytest.approx([i.fraction for i in two.fractions], abs=0.01)
 
 
 def test_a_spectrum_of_something_else_is_out_of_domain() -> None:
@@ -189,13 +291,25 @@ def test_a_spectrum_of_something_else_is_out_of_domain() -> None:
         ({"minerals": ("olivine", "olivine")}, ParameterError),
         ({"minerals": ("olivine", "cheese")}, ParameterError),
         ({"method": "magic"}, ParameterError),
+        ({"method": "absorbance", "iron": True}, ParameterError),
         ({"model_error": 0.0}, ParameterError),
-        ({"spectrum": Spectrum("short", np.arange(800.0, 1200.0, 5), np.full(80, 0.2))}, DataError),
+        ({"spectra": []}, ParameterError),
+        ({"present": {"flat": ("plagioclase",)}}, ParameterError),
+        ({"known": {"flat": {"olivine": 0.5, "orthopyroxene": 0.2}}}, DataError),
+        ({"known": {"flat": {"olivine": 1.5, "orthopyroxene": -0.5}}}, DataError),
+        ({"spectra": [Spectrum("short", np.arange(800.0, 1200.0, 5), np.full(80, 0.2))]}, DataError),
     ],
 )
 def test_impossible_requests_are_refused(options: dict[str, object], error: type[Exception]) -> None:
     wavelength = own()["olivine"].wavelength_nm
-    arguments: dict[str, object] = {"spectrum": Spectrum("flat", wavelength, np.full(wavelength.size, 0.2))}
+    arguments: dict[str, object] = {"spectra": [Spectrum("flat", wavelength, np.full(wavelength.size, 0.2))]}
     arguments |= {"minerals": MINERALS} | options
     with pytest.raises(error):
-        estimate_abundance(**arguments)  # type: ignore[arg-type]
+        estimate_suite(**arguments)  # type: ignore[arg-type]
+
+
+def test_spectra_on_other_channels_are_not_taken_together() -> None:
+    first = made(SHARES)
+    moved = Spectrum("moved", first.wavelength_nm[::8], first.reflectance[::8])
+    with pytest.raises(DataError, match="resample"):
+        estimate_suite([first, moved], MINERALS)

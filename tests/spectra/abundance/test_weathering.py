@@ -1,0 +1,61 @@
+"""Submicroscopic iron: its absorption against Rayleigh's formula, its effect on a spectrum."""
+
+import numpy as np
+import pytest
+
+from lunarsci.spectra.abundance.estimate import estimate_abundance
+from lunarsci.spectra.abundance.hapke import HapkeSurface
+from lunarsci.spectra.abundance.mixing import Albedo
+from lunarsci.spectra.abundance.weathering import GRAIN_INDEX, Weathering, iron_absorption
+from lunarsci.spectra.spectrum import Spectrum
+from tests.spectra.abundance.test_unmix import MINERALS, SHARES, made
+
+GRID = np.arange(460.0, 2441.0, 20.0)
+
+
+def test_absorption_is_that_of_small_spheres() -> None:
+    """Rayleigh: proportional to Im((m^2 - 1) / (m^2 + 2)) / wavelength, m relative to the grain."""
+    index = {500.0: 1.996 + 3.067j, 1000.0: 2.868 + 4.192j, 2000.0: 3.483 + 6.879j}
+
+    def sphere(wavelength: float) -> float:
+        m = index[wavelength] / GRAIN_INDEX
+        return float(((m**2 - 1) / (m**2 + 2)).imag / wavelength)
+
+    expected = [sphere(wavelength) / sphere(1000.0) for wavelength in index]
+    assert iron_absorption(np.array(list(index))) == pytest.approx(expected, rel=1e-12)
+
+
+def test_iron_darkens_and_reddens() -> None:
+    weathering = Weathering(iron_absorption(GRID))
+    albedo = np.full((1, GRID.size), 0.9)
+    surface = HapkeSurface()
+    fresh = surface.reflectance(albedo)[0]
+    old = surface.reflectance(weathering.darken(albedo, np.zeros(1))[0])[0]
+    assert (old < fresh).all()
+    assert (np.diff(old / fresh) > 0).all()
+
+
+def test_derivatives_are_differences() -> None:
+    weathering = Weathering(iron_absorption(GRID))
+    albedo, amount = np.linspace(0.3, 0.99, GRID.size)[None], np.array([0.4])
+    _, by_albedo, by_amount = weathering.darken(albedo, amount)
+    step = 1e-6
+    up, down = (weathering.darken(albedo + sign * step, amount)[0] for sign in (1, -1))
+    assert by_albedo == pytest.approx((up - down) / (2 * step), rel=1e-6)
+    up, down = (weathering.darken(albedo, amount + sign * step)[0] for sign in (1, -1))
+    assert by_amount == pytest.approx((up - down) / (2 * step), rel=1e-6)
+
+
+def test_a_weathered_mixture_is_found_with_iron_and_missed_without() -> None:
+    fresh = made(SHARES)
+    law = Albedo(HapkeSurface())
+    albedo = law.surface.albedo(fresh.reflectance)[None]
+    channels = np.clip(fresh.wavelength_nm, 450, 2500)
+    darker = Weathering(iron_absorption(channels)).darken(albedo, np.array([0.3]))[0]
+    old = Spectrum("old", fresh.wavelength_nm, law.surface.reflectance(darker)[0])
+    errors = {}
+    for iron in (True, False):
+        found = estimate_abundance(old, MINERALS, method="hapke", iron=iron)
+        errors[iron] = max(abs(one.fraction - share) for one, share in zip(found.fractions, SHARES, strict=True))
+    assert errors[True] < 0.15 < errors[False]
+    assert not estimate_abundance(old, MINERALS, iron=True).in_domain
