@@ -7,6 +7,7 @@ from typing import Any
 from lunarsci.errors import ParameterError
 from lunarsci.inputs import read_input
 from lunarsci.spectra.abundance.end_members import FAMILY_OF, OPAQUE
+from lunarsci.spectra.abundance.estimate import SUM_TOLERANCE
 from lunarsci.spectra.abundance.nbsr import nbsr_abundance
 from lunarsci.spectra.library import EndMember
 from lunarsci.spectra.mgm.result import MgmFit
@@ -70,42 +71,50 @@ def _together(
     minerals = _minerals(list(fits.values()), request)
     if len(minerals) < LEAST_MINERALS:
         return
-    suite = [spectra[index] for index in fits]
-    names = [spectrum.id for spectrum in suite]
-    if len(set(names)) < len(names):
-        doubled = next(name for name in names if names.count(name) > 1)
-        raise ParameterError(f"'{doubled}' is the id of two spectra; --together needs each once")
-    present = {spectra[index].id: _minerals([fit], request) for index, fit in fits.items()}
-    known = _known(names, minerals, request, run, present)
+    # Two files may name their spectra alike; their positions tell them apart.
+    suite = [replace(spectra[index], id=str(index)) for index in fits]
+    present = {str(index): _minerals([fit], request) for index, fit in fits.items()}
+    known = _known({index: spectra[index].id for index in fits}, minerals, request, run, present)
     with progress("unmixing", quiet=quiet) as update:
         found = estimate_suite(suite, minerals, present=present, known=known, **options)
         update(1, 1)
     for index, item in zip(fits, found, strict=True):
-        stated = spectra[index].id in known
-        run.abundances[index].insert(0, replace(item, status="modes as stated") if stated else item)
+        named = replace(item, id=spectra[index].id)
+        run.abundances[index].insert(0, replace(named, status="modes as stated") if str(index) in known else named)
 
 
 def _known(
-    names: Sequence[str], minerals: Sequence[str], request: FitRequest, run: FitRun, present: dict[str, list[str]]
+    names: Mapping[int, str],
+    minerals: Sequence[str],
+    request: FitRequest,
+    run: FitRun,
+    present: dict[str, list[str]],
 ) -> dict[str, Mapping[str, float]]:
-    """Modes stated for some spectra; takes minerals stated as absent out of `present`."""
+    """Modes stated for some spectra, by position; takes minerals stated as absent out of `present`."""
     if request.known is None:
         return {}
     from lunarsci.spectra.abundance.stated import read_modes
 
     run.known_file = read_input(request.known)
     stated = read_modes(run.known_file)
-    if not {*stated.known, *stated.absent} & set(names):
-        raise ParameterError(f"{request.known}: none of its ids is that of a spectrum, such as '{names[0]}'")
-    known = {name: modes for name, modes in stated.known.items() if name in names}
-    for name, modes in known.items():
+    place: dict[str, str] = {}
+    for index, name in names.items():
+        if name in place and (name in stated.known or name in stated.absent):
+            raise ParameterError(f"{request.known}: '{name}' is the id of two spectra; give each its own")
+        place[name] = str(index)
+    if not {*stated.known, *stated.absent} & set(place):
+        raise ParameterError(f"{request.known}: none of its ids is that of a spectrum, such as '{next(iter(place))}'")
+    known = {place[name]: modes for name, modes in stated.known.items() if name in place}
+    for name, modes in stated.known.items():
         beyond = [mineral for mineral, share in modes.items() if share > 0 and mineral not in minerals]
-        if beyond:
+        if name in place and beyond:
             raise ParameterError(f"{request.known}: {name} holds {beyond[0]}; add it to --assemblage")
-        present[name] = list(minerals)
+        if name in place and abs(sum(modes.values()) - 1) > SUM_TOLERANCE:
+            raise ParameterError(f"{request.known}: shares of {name} sum to {sum(modes.values()):g}; give shares of 1")
+    present |= {index: list(minerals) for index in known}
     for name, absent in stated.absent.items():
-        if name in present:
-            present[name] = [mineral for mineral in present[name] if mineral not in absent]
+        if name in place:
+            present[place[name]] = [mineral for mineral in present[place[name]] if mineral not in absent]
     return known
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from itertools import chain
 from typing import Any
 
 from lunarsci.spectra.abundance.end_members import FAMILY_OF, OPAQUE
@@ -43,12 +44,16 @@ def fit_report(batch: Batch, run: FitRun, request: FitRequest) -> Report:
     records = [_record(run, index, origin) for index, origin in enumerate(batch.origins)]
     good = [item for item in run.results if isinstance(item, MgmFit)]
     failures = failures_of(batch, run.results, bool(good))
+    unmixed = [
+        found[0] for found in run.abundances.values() if found and found[0].method == request.abundance != "nbsr"
+    ]
     start = {file.name: file.sha256 for file in (run.start_file, run.library_file, run.known_file) if file}
 
     def figures() -> Any:
+        from lunarsci.spectra.abundance.figure import share_pages
         from lunarsci.spectra.figure import fit_pages
 
-        return fit_pages(good)
+        return chain(fit_pages(good), share_pages(unmixed))
 
     return Report(
         schema="spectra-fit/1",

@@ -13,6 +13,9 @@ STEPS, DAMPING, HIGHEST_DAMPING = 500, 1e-3, 1e8
 NEAR, CONVERGED = 0.1, 1e-5
 """Gains of a step at which starts are compared, and at which the best is done."""
 
+LIFTED = 0.06
+"""Least root at which curvature is taken."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Posterior:
@@ -106,22 +109,26 @@ def _solve(equations: Equations, damping: float) -> tuple[FloatArray, FloatArray
     return step, np.einsum("sqr,sr->sq", inverse, equations.own_slope - across @ step)
 
 
-def _posterior(suite: Suite, shared: FloatArray, own: FloatArray, equations: Equations) -> Posterior:
+def _posterior(suite: Suite, shared: FloatArray, own: FloatArray, lowest: Equations) -> Posterior:
+    """At a root of 0 the model does not change to first order; its curvature is that at `LIFTED`."""
+    count = suite.minerals
+    raised = own.copy()
+    raised[:, :count] = np.where(suite.sought * (np.abs(own[:, :count]) < LIFTED) > 0, LIFTED, own[:, :count])
+    equations = suite.equations(shared, raised)
     inverse = np.linalg.inv(equations.own)
     folded = np.matmul(equations.across, inverse)
     left = equations.shared - np.matmul(folded, equations.across.transpose(0, 2, 1)).sum(axis=0)
     back = folded.transpose(0, 2, 1)
     covariance = inverse + back @ np.linalg.inv(left) @ folded
     sought = suite.sought
-    count = suite.minerals
     volume = float(np.linalg.slogdet(left)[1] + np.linalg.slogdet(equations.own)[1].sum())
     volume += 2 * len(own) * float(np.log(suite.scale).sum())
     strain = np.sum(shared**2) / len(own) + np.sum((own / suite.scale)[:, count:] ** 2, axis=1)
     return Posterior(
         own[:, :count] * suite.present,
         covariance[:, :count, :count] * sought[:, :, None] * sought[:, None, :],
-        equations.value,
-        -0.5 * (equations.value + volume),
+        lowest.value,
+        -0.5 * (lowest.value + volume),
         suite.ln_reflectance - suite.ln_model(shared, own),
         strain,
     )

@@ -120,7 +120,7 @@ def test_laboratory_mixtures_are_in_domain_and_others_mostly_are_not(
 ) -> None:
     """Weathered soil, dark rock and other minerals are no mixtures of those named; every fifth is tried here."""
     right = [item.in_domain for series in laboratory for item in bench.shares(series, "alone")]
-    assert np.mean(right) >= 0.80
+    assert np.mean(right) >= 0.75
     most = {
         "soil and boulders, Chang'E-4": 0.0,
         "soil, M3 and Apollo 16": 0.5,

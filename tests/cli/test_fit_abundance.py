@@ -1,0 +1,140 @@
+"""`lunarsci spectra fit --abundance` for several spectra at once, with stated modes, opaques and iron."""
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lunarsci.spectra.abundance.end_members import embedded_end_members
+from lunarsci.spectra.abundance.figure import share_pages
+from lunarsci.spectra.abundance.result import Abundance, MineralFraction
+
+Run = Callable[..., Any]
+NM = np.arange(450.0, 2451.0, 10.0)
+SHARES = {"a": (0.8, 0.2), "b": (0.6, 0.4), "c": (0.35, 0.65), "d": (0.1, 0.9)}
+OPTIONS = ("--assemblage", "OL-OPX", "--abundance", "unmix", "--quiet")
+
+
+@pytest.fixture
+def mixtures(tmp_path: Path) -> Path:
+    """Four synthetic mixtures of one olivine and one orthopyroxene, mixed in -ln R."""
+    library = {item.id: np.log(item.reflectance) for item in embedded_end_members(NM)}
+    olivine, pyroxene = library["AG-TJM-008"], library["PE-CMP-030"]
+    columns = [np.exp(a * olivine + b * pyroxene) for a, b in SHARES.values()]
+    path = tmp_path / "mixtures.csv"
+    rows = [f"{nm:g}," + ",".join(f"{v:.6f}" for v in row) for nm, row in zip(NM, np.transpose(columns), strict=True)]
+    path.write_text("wavelength_nm," + ",".join(SHARES) + "\n" + "\n".join(rows) + "\n")
+    return path
+
+
+def found(run: Run, *arguments: object) -> dict[str, Any]:
+    done = run("spectra", "fit", *arguments, "--json")
+    assert done.code == 0, done.err
+    return {record["id"]: record["abundance"] for record in json.loads(done.out)["result"]["spectra"]}
+
+
+def test_spectra_together_are_found_and_differ_from_one_by_one(run: Run, mixtures: Path) -> None:
+    together = found(run, mixtures, *OPTIONS, "--together")
+    alone = found(run, mixtures, *OPTIONS)
+    errors = [abs(together[id]["olivine"]["fraction"] - share) for id, (share, _) in SHARES.items()]
+    assert max(errors) < 0.12
+    assert together["b"] != alone["b"]
+    order = [together[id]["olivine"]["fraction"] for id in SHARES]
+    assert order == sorted(order, reverse=True)
+
+
+def test_known_modes_sharpen_the_others(run: Run, mixtures: Path, tmp_path: Path) -> None:
+    known = tmp_path / "known.csv"
+    known.write_text("id,olivine,vol_opx\na,0.8,0.2\nc,,\nd,0.1,0.9\n")
+    told = found(run, mixtures, *OPTIONS, "--known", known)
+    assert told["a"]["olivine"]["fraction"] == pytest.approx(0.8)
+    assert told["a"]["status"] == "modes as stated"
+    for id in ("b", "c"):
+        assert told[id]["olivine"]["fraction"] == pytest.approx(SHARES[id][0], abs=0.03)
+        assert told[id]["olivine"]["high"] - told[id]["olivine"]["low"] < 0.1
+    done = run("spectra", "fit", mixtures, *OPTIONS, "--known", known, "--json")
+    inputs = json.loads(done.out)["provenance"]["inputs"]
+    assert any(str(known) in str(item) for item in inputs)
+
+
+def test_opaques_and_iron_are_terms_that_no_measurement_vouches_for(run: Run, mixtures: Path) -> None:
+    with_opaque = found(run, mixtures, *OPTIONS, "--opaque")["a"]
+    names = ("olivine", "orthopyroxene", "opaque")
+    assert sum(with_opaque[name]["fraction"] for name in names) == pytest.approx(1)
+    assert "opaque" in run("spectra", "fit", mixtures, *OPTIONS, "--opaque", "--csv").out.splitlines()[0]
+    for modes in (with_opaque, found(run, mixtures, *OPTIONS, "--iron")["a"]):
+        assert modes["in_domain"] is False
+        assert "no measured mixture" in modes["status"]
+
+
+def test_the_picture_has_a_page_of_shares(run: Run, mixtures: Path, tmp_path: Path) -> None:
+    pages = {}
+    for name, options in (("nbsr", OPTIONS[:2]), ("unmix", OPTIONS)):
+        picture = tmp_path / f"{name}.pdf"
+        assert run("spectra", "fit", mixtures, *options, "--plot", picture).code == 0
+        pages[name] = len(re.findall(rb"/Type /Page\b", picture.read_bytes()))
+    assert pages == {"nbsr": 1, "unmix": 2}
+
+
+def test_the_page_of_shares_names_spectra_and_minerals() -> None:
+    share = [MineralFraction(name, 0.5, 0.4, 0.6, 0.3, 0.7) for name in ("olivine", "orthopyroxene")]
+    [page] = share_pages([Abundance(id, "unmix", tuple(share), None, id == "a", "", 0.01) for id in ("a", "b")])
+    assert [panel.get_title() for panel in page.axes] == ["olivine", "orthopyroxene"]
+    assert [label.get_text() for label in page.axes[0].get_yticklabels()] == ["a", "b"]
+    faces = [line.get_markerfacecolor() for line in page.axes[0].lines if line.get_marker() == "o"]
+    assert faces[1] == "white" != faces[0]
+
+
+@pytest.mark.parametrize(
+    ("table", "options", "message"),
+    [
+        ("id,olivine,opx\nz,1,0\n", (), "none of its ids"),
+        ("id,olivine,cpx\na,0.5,0.5\n", (), "holds clinopyroxene; add it to --assemblage"),
+        ("id,olivine,opx\na,0.5,0.2\n", (), "sum to 0.7"),
+        ("id,olivine,opx\na,0.5\n", (), "line 2 has 2 cells"),
+    ],
+)
+def test_tables_of_modes_that_do_not_fit_are_refused(
+    run: Run, mixtures: Path, tmp_path: Path, table: str, options: tuple[str, ...], message: str
+) -> None:
+    known = tmp_path / "known.csv"
+    known.write_text(table)
+    done = run("spectra", "fit", mixtures, *OPTIONS, "--known", known, *options)
+    assert done.code == 1
+    assert done.out == ""
+    assert message in done.err[-1]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--together",), "--together, --known, --opaque and --iron serve"),
+        (("--iron",), "--together, --known, --opaque and --iron serve"),
+        (("--abundance", "absorbance", "--iron"), "--iron needs"),
+    ],
+)
+def test_options_that_do_nothing_here_are_refused(
+    run: Run, mixtures: Path, options: tuple[str, ...], message: str
+) -> None:
+    done = run("spectra", "fit", mixtures, "--assemblage", "OL-OPX", *options)
+    assert done.code == 1
+    assert message in done.err[-1]
+
+
+def test_spectra_of_one_name_are_told_apart_but_not_by_a_table(run: Run, mixtures: Path, tmp_path: Path) -> None:
+    twin = tmp_path / "twin.csv"
+    twin.write_text(mixtures.read_text())
+    done = run("spectra", "fit", mixtures, twin, *OPTIONS, "--together", "--json")
+    assert done.code == 0, done.err
+    records = json.loads(done.out)["result"]["spectra"]
+    assert [record["id"] for record in records] == [*SHARES, *SHARES]
+    assert records[0]["abundance"]["olivine"] == pytest.approx(records[4]["abundance"]["olivine"], abs=0.03)
+    known = tmp_path / "known.csv"
+    known.write_text("id,olivine,opx\na,0.8,0.2\n")
+    done = run("spectra", "fit", mixtures, twin, *OPTIONS, "--known", known)
+    assert done.code == 1
+    assert "'a' is the id of two spectra" in done.err[-1]
