@@ -209,7 +209,7 @@ def wheel_forces(
     """
     parts = np.broadcast_arrays(*(np.asarray(v, dtype=float) for v in (sinkage_m, slip_ratio, side_slip_deg)))
     z, s, beta = (part.ravel() for part in parts)
-    _check_states(z, s, beta, wheel.radius_m)
+    check_states(z, s, beta, wheel.radius_m)
     states = np.column_stack([z, s, np.radians(beta)])
     forces = _each_state(states, wheel.vector(), soil.vector(), reading_code(reading))
     if not np.isfinite(forces).all():
@@ -217,7 +217,7 @@ def wheel_forces(
     return WheelForces(*(forces[:, k].reshape(parts[0].shape) for k in range(4)))
 
 
-def _check_states(z: FloatArray, s: FloatArray, beta: FloatArray, radius: float) -> None:
+def check_states(z: FloatArray, s: FloatArray, beta: FloatArray, radius: float) -> None:
     for name, values, good, rule in (
         ("sinkage_m", z, (z >= LEAST_SINKAGE_M) & (z < radius), f"above 1e-7 and below the wheel radius of {radius} m"),
         ("slip_ratio", s, (s > -1) & (s < 1), "above -1 and below 1"),

@@ -1,0 +1,97 @@
+"""What a wheel-soil model takes into account beyond the closed form, each choice with its source."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from lunarsci.errors import ParameterError
+from lunarsci.regolith.forces import READINGS, Reading
+
+__all__ = ["BULLDOZING", "SHEAR_LAWS", "Bulldozing", "ContactModel", "ShearLaw"]
+
+ShearLaw = Literal["separate", "combined"]
+Bulldozing = Literal["none", "hegedus", "wong"]
+SHEAR_LAWS: tuple[str, ...] = get_args(ShearLaw)
+BULLDOZING: tuple[str, ...] = get_args(Bulldozing)
+MOON_GRAVITY_M_S2 = 1.622
+"""At the Chang'E-4 site; Lunar Sourcebook (1991)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ContactModel:
+    """Choices of the exact stress integrals.
+
+    Attributes
+    ----------
+    reading : of the sign of the longitudinal shear stress, see `lunarsci.regolith.forces`; with `separate` shear only.
+    shear : `separate` mobilises longitudinal and lateral stress each by its own displacement (Ding et al. 2024, Eqs 12,
+        16); `combined` by the length of both, along the sliding velocity (Pavlov & Johnson 2019), so that a wheel that
+        skids loses grip sideways.
+    bulldozing : force of the soil against the side face: `hegedus` (Hegedus 1960, as in Ishigami et al. 2007), `wong`
+        (passive earth pressure, Wong 2008), or `none` as in the source.
+    density_kg_m3, gravity_m_s2 : of the soil, and where; both above 0. Only bulldozing needs them. [kg m^-3, m s^-2]
+    skid_exponent_slip : n2 of N = n0 - n2 s in skid (Pavlov & Johnson 2019); None takes n1, as Eq. 7 does. [-]
+    rebound : share of the sinkage behind the wheel that springs back, 0 to 1: theta_2 = -arccos(1 - rebound z / r)
+        (Ishigami et al. 2007); None takes the wheel's c3. [-]
+    rut_m : how deep a wheel before has pressed the soil, 0 for none; it has risen and is loaded again linearly, and
+        sinkage counts from the risen ground. [m]
+    reload_n_m3, reload_rise_n_m4 : k_0 and A_u of that line, p = p_u - (k_0 + A_u z_u) (z_u - z) (Wong 2008); a rut
+        needs one of them. [N m^-3, N m^-4]
+
+    Raises
+    ------
+    ParameterError for a choice that is unknown or a number out of range.
+
+    References
+    ----------
+    Ding et al. (2024), 10.1038/s41467-024-46233-8; Pavlov & Johnson (2019), Proc. ISTVS 15th European-African Conf.,
+    and their code 3d-terramechanics; Ishigami, Miwa, Nagatani & Yoshida (2007), J. Field Robot. 24, 233,
+    10.1002/rob.20187; Wong (2008), Theory of Ground Vehicles, 4th ed., ch. 2.
+    """
+
+    reading: Reading = "signed"
+    shear: ShearLaw = "separate"
+    bulldozing: Bulldozing = "none"
+    density_kg_m3: float = 1500.0
+    gravity_m_s2: float = MOON_GRAVITY_M_S2
+    skid_exponent_slip: float | None = None
+    rebound: float | None = None
+    rut_m: float = 0.0
+    reload_n_m3: float = 0.0
+    reload_rise_n_m4: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value, choices in (
+            ("reading", self.reading, READINGS),
+            ("shear law", self.shear, SHEAR_LAWS),
+            ("bulldozing law", self.bulldozing, BULLDOZING),
+        ):
+            if value not in choices:
+                raise ParameterError(f"{name} '{value}' is unknown; choose one of: {', '.join(choices)}")
+        if self.shear == "combined" and self.reading != "signed":
+            raise ParameterError(f"reading '{self.reading}' belongs to separate shear; take reading 'signed'")
+        for name in ("density_kg_m3", "gravity_m_s2"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ParameterError(f"{name} is {getattr(self, name):g}; give a number above 0")
+        if self.rebound is not None and not 0 <= self.rebound <= 1:
+            raise ParameterError(f"rebound is {self.rebound:g}; give a share from 0 to 1")
+        for name in ("rut_m", "reload_n_m3", "reload_rise_n_m4"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ParameterError(f"{name} is {getattr(self, name):g}; give 0 or more")
+
+        if self.rut_m > 0 and self.reload_n_m3 + self.reload_rise_n_m4 == 0:
+            raise ParameterError("a rut needs the slope of reloading, reload_n_m3 or reload_rise_n_m4")
+
+    def vector(self, skid_default: float) -> tuple[float, float, float, float, float, float, float, float, float]:
+        """What the compiled integrals take; `skid_default` is n2 where the model has none."""
+        return (
+            float(READINGS.index(self.reading)),
+            float(SHEAR_LAWS.index(self.shear)),
+            float(BULLDOZING.index(self.bulldozing)),
+            self.density_kg_m3 * self.gravity_m_s2,
+            skid_default if self.skid_exponent_slip is None else self.skid_exponent_slip,
+            -1.0 if self.rebound is None else self.rebound,
+            self.rut_m,
+            self.reload_n_m3,
+            self.reload_rise_n_m4,
+        )
