@@ -82,14 +82,14 @@ class ContactModel:
         if self.rut_m > 0 and self.reload_n_m3 + self.reload_rise_n_m4 == 0:
             raise ParameterError("a rut needs the slope of reloading, reload_n_m3 or reload_rise_n_m4")
 
-    def vector(self, skid_default: float) -> tuple[float, float, float, float, float, float, float, float, float]:
-        """What the compiled integrals take; `skid_default` is n2 where the model has none."""
+    def vector(self) -> tuple[float, float, float, float, float, float, float, float, float]:
+        """What the compiled integrals take; NaN for an n2 and -1 for a rebound that are not given."""
         return (
             float(READINGS.index(self.reading)),
             float(SHEAR_LAWS.index(self.shear)),
             float(BULLDOZING.index(self.bulldozing)),
             self.density_kg_m3 * self.gravity_m_s2,
-            skid_default if self.skid_exponent_slip is None else self.skid_exponent_slip,
+            math.nan if self.skid_exponent_slip is None else self.skid_exponent_slip,
             -1.0 if self.rebound is None else self.rebound,
             self.rut_m,
             self.reload_n_m3,

@@ -92,7 +92,7 @@ def contact_kernel(sinkage: float, velocity: Any, wheel: Any, soil: Any, model: 
     rim = max(rim, SLOWEST * speed)
     travel, lateral = v_x / rim, v_y / rim
     slip = slip_ratio(travel)
-    exponent = n0 + n1 * slip if slip >= 0.0 else n0 - model[4] * slip
+    exponent = n0 + n1 * slip if slip >= 0.0 or math.isnan(model[4]) else n0 - model[4] * slip
     theta_1 = math.acos((r - sinkage) / r)
     theta_1e = math.acos((r - sinkage) / (r + h))
     theta_2 = c3 * theta_1 if model[5] < 0.0 else -math.acos(1.0 - model[5] * sinkage / r)
@@ -219,8 +219,7 @@ def moving_contact_forces(
 def _forces(
     wheel: Wheel, soil: Soil, z: FloatArray, velocity: FloatArray, model: ContactModel, shape: tuple[int, ...]
 ) -> ContactForces:
-    numbers = model.vector(-soil.sinkage_exponent_slip)
-    forces = _each(z, velocity, wheel.vector(), soil.vector(), numbers, NODES, WEIGHTS)
+    forces = _each(z, velocity, wheel.vector(), soil.vector(), model.vector(), NODES, WEIGHTS)
     if not np.isfinite(forces).all():
         raise ParameterError("the forces are beyond any number; check sinkage and soil parameters")
     return ContactForces(*(forces[:, k].reshape(shape) for k in range(6)))

@@ -20,6 +20,8 @@ LEADING_SHAPES, RIDGE = 5, 0.1
 """Level as a function of the first shapes, by ridge regression: iron moves bands and deepens them."""
 OWN_LEVEL = 0.5
 """Standard deviation of a mineral's t beside what all minerals of a mixture share (its grain size); assumed."""
+SINGLE_LEVEL = 0.05
+"""The same where one end member is given, which then is the powder itself; assumed."""
 REFERENCE_UM, UNKNOWN_UM = 40.0, 60.0
 """Grain size that end members are brought to, and the one taken where none is stated; the latter assumed."""
 SMOOTH, SMOOTH_NM, SMOOTH_KEPT = 0.05, 150.0, 0.999
@@ -54,7 +56,8 @@ def population(
     t of every end member is brought to `REFERENCE_UM` first. Then follows a principal component analysis of t less its
     mean over the channels, the level. Levels of powders differ mostly by grain size, which the minerals of one mixture
     share: `powders` has a level common to all, and here stay the part that goes with the first shapes and `OWN_LEVEL`.
-    With one end member only the level varies, and its grain size does not count.
+    One end member alone is taken as the powder itself: only its level varies, a little, and its grain size does not
+    count.
 
     Raises
     ------
@@ -85,7 +88,7 @@ def population(
         scores = centred @ directions[:lead].T / sizes[:lead]
         normal = scores.T @ (weight[:, None] * scores) + RIDGE * np.eye(lead)
         shapes[:lead] += np.linalg.solve(normal, scores.T @ (weight * (level - mean_level)))[:, None]
-    flat = np.full((1, wavelength_nm.size), OWN_LEVEL)
+    flat = np.full((1, wavelength_nm.size), OWN_LEVEL if len(level) > 1 else SINGLE_LEVEL)
     return MineralPopulation(mineral, len(level), mean_shape + mean_level, np.concatenate([shapes, flat]))
 
 

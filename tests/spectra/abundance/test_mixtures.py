@@ -65,23 +65,17 @@ def test_olivine_errs_by_ten_at_most_where_plagioclase_is_named_everywhere(bench
 
 
 def test_spectra_one_by_one_are_found_as_well_as_the_readme_says(bench: Any, laboratory: Any) -> None:
-    limits = {"alone": (17, 9, 11), "alone, present": (11, 8, 11)}
+    limits = {"alone": (17, 9, 11), "alone, present": (11, 9, 12)}
     for mode, most in limits.items():
         for mineral, limit in zip(MAFIC, most, strict=True):
             assert bench.rmse(laboratory, mode, mineral) <= limit, (mode, mineral)
 
 
-@pytest.mark.parametrize("mode", ["together", "together, present", "others known"])
-def test_sixty_eight_per_cent_intervals_of_suites_hold_about_that_share(bench: Any, laboratory: Any, mode: str) -> None:
+@pytest.mark.parametrize("mode", ["alone", "alone, present", "together", "together, present", "others known"])
+def test_sixty_eight_per_cent_intervals_hold_about_that_share(bench: Any, laboratory: Any, mode: str) -> None:
     one, two = bench.coverage(laboratory, mode)
     assert 0.60 <= one <= 0.76
     assert two >= 0.85
-
-
-def test_intervals_of_single_spectra_are_rather_too_wide(bench: Any, laboratory: Any) -> None:
-    one, two = bench.coverage(laboratory, "alone")
-    assert 0.68 <= one <= 0.85
-    assert two >= 0.95
 
 
 def test_the_readme_gives_these_errors(bench: Any, reference_data: Path) -> None:

@@ -1,0 +1,101 @@
+"""What is held of a soil beforehand: independent normal laws of transformed parameters."""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.errors import ParameterError
+from lunarsci.regolith.soil import Soil
+
+__all__ = ["PARAMETERS", "Law", "default_prior", "soil_of", "values_of"]
+
+FloatArray = npt.NDArray[np.float64]
+PARAMETERS = (
+    "stiffness_kpa_m_n",
+    "sinkage_exponent",
+    "sinkage_exponent_slip",
+    "cohesion_pa",
+    "friction_angle_deg",
+    "shear_modulus_mm",
+    "external_friction_angle_deg",
+    "lateral_modulus_mm",
+)
+TRANSFORMS = ("ln", "ln tan", "value")
+FIXED_SD = 1e-6
+"""Stands for a parameter that is known."""
+
+
+@dataclass(frozen=True, slots=True)
+class Law:
+    """Normal law of a parameter's transform.
+
+    Attributes
+    ----------
+    of : `ln`, `ln tan` (of an angle in deg) or `value`.
+    median : of the parameter, in its own unit; above 0 unless `of` is `value`, below 90 deg for angles.
+    sd : of the transform, above 0; 0 for a parameter that is known.
+    source : where it comes from.
+
+    Raises ParameterError for values out of range.
+    """
+
+    of: str
+    median: float
+    sd: float
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        if self.of not in TRANSFORMS:
+            raise ParameterError(f"a prior of '{self.of}' is unknown; give one of {', '.join(TRANSFORMS)}")
+        if not math.isfinite(self.median) or (self.of != "value" and not self.median > 0):
+            raise ParameterError(f"median of a prior is {self.median:g}; give a number above 0")
+        if self.of == "ln tan" and not self.median < 90:
+            raise ParameterError(f"median of an angle is {self.median:g}; give one below 90 deg")
+        if not 0 <= self.sd < math.inf:
+            raise ParameterError(f"standard deviation of a prior is {self.sd:g}; give 0 or more")
+
+    @property
+    def center(self) -> float:
+        """Transform of the median."""
+        return float(self.transformed(np.array(self.median)))
+
+    @property
+    def width(self) -> float:
+        """Standard deviation of the transform, above 0."""
+        return max(self.sd, FIXED_SD)
+
+    def transformed(self, value: FloatArray) -> FloatArray:
+        """From the parameter's unit."""
+        if self.of == "ln":
+            return np.log(value)
+        return np.log(np.tan(np.radians(value))) if self.of == "ln tan" else np.asarray(value, dtype=np.float64)
+
+    def back(self, transform: FloatArray) -> FloatArray:
+        """To the parameter's unit."""
+        if self.of == "ln":
+            return np.exp(transform)
+        return np.degrees(np.arctan(np.exp(transform))) if self.of == "ln tan" else np.asarray(transform)
+
+
+@cache
+def default_prior() -> Mapping[str, Law]:
+    """The laws of `priors.toml`, by parameter in the order of `PARAMETERS`."""
+    table = tomllib.loads((files(__package__) / "priors.toml").read_text("utf-8"))
+    return {name: Law(**table[name]) for name in PARAMETERS}
+
+
+def values_of(prior: Mapping[str, Law], transforms: FloatArray) -> FloatArray:
+    """Parameters in their units, (…, 8), from transforms of the same shape."""
+    columns = [prior[name].back(transforms[..., k]) for k, name in enumerate(PARAMETERS)]
+    return np.stack(columns, axis=-1)
+
+
+def soil_of(values: FloatArray) -> Soil:
+    """A soil from its parameters in the order of `PARAMETERS`."""
+    return Soil(**dict(zip(PARAMETERS, map(float, values), strict=True)))
