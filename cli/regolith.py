@@ -16,6 +16,8 @@ app = typer.Typer(
 )
 
 SOIL_PANEL = "Soil"
+EXACT = "Exact integrals"
+JOINT = "All states together"
 ERROR_PANEL = "Errors (where the file gives none)"
 
 
@@ -50,8 +52,29 @@ def forces(
     ] = None,
     lateral_modulus: Annotated[float | None, typer.Option(help="K_y [mm].", rich_help_panel=SOIL_PANEL)] = None,
     reading: Reading = "signed",
+    exact: Annotated[
+        bool,
+        typer.Option("--exact", help="Integrate the stresses (Eqs 1-17) instead of Eqs 21-24.", rich_help_panel=EXACT),
+    ] = False,
+    shear: Annotated[
+        Literal["separate", "combined"],
+        typer.Option(help="Strength along and across: apart, or shared by the sliding.", rich_help_panel=EXACT),
+    ] = "separate",
+    bulldozing: Annotated[
+        Literal["none", "hegedus", "wong"],
+        typer.Option(help="Soil against the side face, by Hegedus or by passive pressure.", rich_help_panel=EXACT),
+    ] = "none",
+    density: Annotated[
+        float, typer.Option(help="Soil density [kg/m³], for --bulldozing.", rich_help_panel=EXACT)
+    ] = 1500.0,
+    gravity: Annotated[float, typer.Option(help="Gravity [m/s²], for --bulldozing.", rich_help_panel=EXACT)] = 1.622,
+    rebound: Annotated[
+        float | None, typer.Option(help="Share of the sinkage that springs back behind, 0-1.", rich_help_panel=EXACT)
+    ] = None,
 ) -> Report:
     """Forces of the soil on one wheel, from its sinkage or its load."""
+    from lunarsci.regolith.contact import ContactModel
+
     from .regolith_report import forces_report
 
     changes = {
@@ -65,7 +88,18 @@ def forces(
     }
     if (sinkage is None) == (load is None):
         raise typer.BadParameter("give either --sinkage or --load")
-    return forces_report(rover, soil, changes, sinkage, load, slip, side_slip, reading)
+    beyond = shear != "separate" or bulldozing != "none" or rebound is not None
+    if beyond and not exact:
+        raise typer.BadParameter("--shear, --bulldozing and --rebound belong to --exact; add it")
+    model = ContactModel(
+        reading=reading,
+        shear=shear,
+        bulldozing=bulldozing,
+        density_kg_m3=density,
+        gravity_m_s2=gravity,
+        rebound=rebound,
+    )
+    return forces_report(rover, soil, changes, sinkage, load, slip, side_slip, reading, model if exact else None)
 
 
 @command(app, "identify")
@@ -97,6 +131,25 @@ def identify(
         float, _error("1σ of the travelled distance, relative; slip errs by it times 1 - |s|.")
     ] = 0.04 / 3,
     side_slip_error: Annotated[float, _error("1σ of the side slip, relative.")] = 0.04 / 3,
+    joint: Annotated[
+        bool,
+        typer.Option("--joint", help="All parameters from all states at once, as a posterior.", rich_help_panel=JOINT),
+    ] = False,
+    prior: Annotated[
+        str | None,
+        typer.Option(metavar="FILE.toml", help="Priors of --joint, in place of the lunar ones.", rich_help_panel=JOINT),
+    ] = None,
+    exact: Annotated[
+        bool,
+        typer.Option("--exact", help="Integrate the stresses in --joint instead of Eqs 21-24.", rich_help_panel=JOINT),
+    ] = False,
+    sample: Annotated[
+        bool,
+        typer.Option("--sample", help="Weight the draws of --joint by the exact posterior.", rich_help_panel=JOINT),
+    ] = False,
+    model_error: Annotated[
+        float, typer.Option(help="Share of the load by which the model may miss a force.", rich_help_panel=JOINT)
+    ] = 0.02,
 ) -> Report:
     """Soil parameters in three aspects (bearing, longitudinal and lateral shear) from wheel states, with errors.
 
@@ -107,8 +160,10 @@ def identify(
     from lunarsci.regolith.identify import identify as identify_soil
     from lunarsci.regolith.states import MeasurementErrors
 
-    from .regolith_report import identify_report, numbers, read_inputs
+    from .regolith_report import identify_report, infer, numbers, read_inputs
 
+    if not joint and (prior or exact or sample):
+        raise typer.BadParameter("--prior, --exact and --sample belong to --joint; add it")
     known = Assumptions(
         exponent=exponent,
         stiffness_kpa_m_n=stiffness,
@@ -129,4 +184,5 @@ def identify(
         found = identify_soil(
             given.states, given.wheel, known, reading=reading, draws=draws, seed=seed, progress=update
         )
-    return identify_report(given, found, seed)
+    together = infer(given, prior, exact, sample, model_error, seed) if joint else None
+    return identify_report(given, found, seed, together)

@@ -2,15 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from lunarsci.inputs import read_input
 from lunarsci.provenance import sha256
-from lunarsci.regolith.forces import Reading, wheel_forces
+from lunarsci.regolith.forces import Reading, WheelForces, wheel_forces
 from lunarsci.regolith.identify import Identification
 from lunarsci.regolith.load import sinkage_under_load
+from lunarsci.regolith.prior import prior_hash
 from lunarsci.regolith.soil import read_soil, soil_hash
 from lunarsci.regolith.states import MeasurementErrors, WheelStates, read_states
 from lunarsci.regolith.uncertainty import UNITS, Estimate
@@ -19,6 +20,11 @@ from lunarsci.rovers.description import read_rover
 
 from .report import Report
 from .table import TextTable
+
+if TYPE_CHECKING:
+    from lunarsci.regolith.contact import ContactModel
+    from lunarsci.regolith.integrals import ContactForces
+    from lunarsci.regolith.joint import SoilPosterior
 
 __all__ = ["forces_report", "identify_report", "numbers", "read_inputs"]
 
@@ -54,8 +60,9 @@ def forces_report(
     slip: float,
     side_slip_deg: float,
     reading: Reading,
+    model: "ContactModel | None" = None,
 ) -> Report:
-    """The report of `regolith forces`."""
+    """The report of `regolith forces`; with a model, by integration."""
     import warnings
 
     from lunarsci.errors import LunarSciWarning
@@ -67,8 +74,14 @@ def forces_report(
     if reading != "signed":
         warnings.warn(REPRODUCTION_ONLY.format(reading), LunarSciWarning, stacklevel=2)
     if sinkage_m is None:
-        sinkage_m = sinkage_under_load(wheel, soil, load_n or 0.0, slip, reading=reading)
-    found = wheel_forces(wheel, soil, sinkage_m, slip, side_slip_deg, reading=reading)
+        sinkage_m = sinkage_under_load(wheel, soil, load_n or 0.0, slip, side_slip_deg, reading=reading, model=model)
+    found: WheelForces | ContactForces
+    if model is None:
+        found = wheel_forces(wheel, soil, sinkage_m, slip, side_slip_deg, reading=reading)
+    else:
+        from lunarsci.regolith.integrals import contact_forces
+
+        found = contact_forces(wheel, soil, sinkage_m, slip, side_slip_deg, model)
     state = {"sinkage_m": sinkage_m, "slip_ratio": slip, "side_slip_deg": side_slip_deg}
     result = state | {name: float(getattr(found, name)) for name in found.__slots__} | {"soil": asdict(soil)}
 
@@ -80,7 +93,9 @@ def forces_report(
     row = {key: value for key, value in result.items() if key != "soil"}
     return Report(
         schema="regolith-forces/1",
-        result=result | {"reading": reading, "assumed_of_rover": list(description.assumed)},
+        result=result
+        | {"reading": reading, "assumed_of_rover": list(description.assumed)}
+        | {"model": asdict(model) if model else None},
         tables=[_forces_table(row)],
         rows=[row],
         figures=figures,
@@ -100,6 +115,9 @@ def _forces_table(row: Mapping[str, Any]) -> TextTable:
         ["lateral force", f"{row['lateral_force_n']:.2f}", "N"],
         ["resistance torque", f"{row['resistance_torque_nm']:.3f}", "N m"],
     ]
+    for name in ("steering_moment_nm", "overturning_moment_nm"):
+        if name in row:
+            cells.append([name.removesuffix("_nm").replace("_", " "), f"{row[name]:.3f}", "N m"])
     return TextTable(["quantity", "value", "unit"], cells)
 
 
@@ -132,8 +150,39 @@ def numbers(text: str | None, option: str) -> tuple[float, ...]:
         raise typer.BadParameter(f"{option} {text}: give one number, or several separated by commas") from None
 
 
-def identify_report(given: Given, found: Identification, seed: int) -> Report:
+@dataclass(frozen=True, slots=True)
+class Together:
+    """The joint posterior, and the file of priors it rests on."""
+
+    posterior: "SoilPosterior"
+    inputs: dict[str, str]
+
+
+def infer(given: Given, prior: str | None, exact: bool, sample: bool, model_error: float, seed: int) -> Together:
+    """The joint posterior of the states."""
+    from lunarsci.regolith.contact import ContactModel
+    from lunarsci.regolith.joint import infer_soil
+    from lunarsci.regolith.prior import read_prior
+
+    source = read_input(prior) if prior else None
+    found = infer_soil(
+        given.states,
+        given.wheel,
+        read_prior(source) if source else None,
+        model=ContactModel() if exact else None,
+        model_error=model_error,
+        sample=sample,
+        seed=seed,
+    )
+    return Together(found, {source.name: source.sha256} if source else {})
+
+
+def identify_report(given: Given, found: Identification, seed: int, together: Together | None = None) -> Report:
     """The report of `regolith identify`."""
+    from .regolith_joint import joint_record, joint_tables
+
+    own = joint_tables(together.posterior) if together else []
+    joint = {"joint": joint_record(together.posterior)} if together else {}
 
     def figures() -> Any:
         from lunarsci.regolith.figure import characteristic_curves
@@ -142,12 +191,12 @@ def identify_report(given: Given, found: Identification, seed: int) -> Report:
 
     return Report(
         schema="regolith-identify/1",
-        result=found.to_dict() | {"assumed_of_rover": list(given.assumed)},
-        tables=[*_observation_tables(found), _site_table(found)],
+        result=found.to_dict() | {"assumed_of_rover": list(given.assumed)} | joint,
+        tables=[*_observation_tables(found), _site_table(found), *own],
         rows=[_observation_row(row) for row in found.observations],
         figures=figures,
-        inputs=given.inputs,
-        data_tables=given.tables,
+        inputs=given.inputs | (together.inputs if together else {}),
+        data_tables=given.tables | (prior_hash() if together else {}),
         sources=[PAPER],
         seed=seed,
         untrusted=_untrusted(found),

@@ -25,7 +25,11 @@ FloatArray = npt.NDArray[np.float64]
 
 MODEL_ERROR = 0.02
 """Share of the load by which the model may miss each force; assumed."""
-STEPS, ROUNDS, CONVERGED = 100, 4, 1e-4
+STEPS, HIGHEST_DAMPING, CONVERGED = 100, 1e10, 1e-4
+LEAST_SINKAGE_M, DEEPEST, LARGEST_SLIP = 1e-5, 0.95, 0.99
+"""States beyond are left out: sinkage, as a share of the radius the deepest, and slip ratio."""
+LONGEST = 2.0
+"""Step, in standard deviations of the prior."""
 STEP = 1e-3
 """Of numerical derivatives, in standard deviations of the prior or the input."""
 OUTLIER = 1e-3
@@ -33,7 +37,8 @@ OUTLIER = 1e-3
 MOST_OUTLIERS = 0.2
 DETERMINED = 0.5
 """A parameter counts as determined where its standard deviation is below this share of the prior's."""
-HEAVY_TAIL, LEAST_EFFECTIVE = 5, 200
+HEAVY_TAIL, PROPOSED, LEAST_EFFECTIVE, CHUNK = 5, 3, 200, 200
+"""Degrees of freedom, proposals per draw, and effective draws below which there is no answer; draws at once."""
 LEVELS = (0.15865, 0.84135, 0.025, 0.975)
 
 
@@ -119,33 +124,32 @@ class _Problem:
         """Forces of all states, (n, 3), at transformed parameters."""
         return forces_at(values_of(self.prior, point), self.inputs, self.wheel, self.model)
 
-    def jacobian(self, point: FloatArray) -> FloatArray:
-        """(n, 3, 8)."""
-        columns = []
-        for k in range(len(PARAMETERS)):
-            step = np.zeros_like(point)
-            step[k] = STEP * self.width[k]
-            columns.append((self.at(point + step) - self.at(point - step)) / (2 * step[k]))
-        return np.stack(columns, axis=-1)
+    def white(self, points: FloatArray) -> FloatArray:
+        """Whitened residuals of all states, (d, n, 3), at transformed parameters (d, 8); 0 for forces not measured.
 
-    def whitening(self, point: FloatArray) -> FloatArray:
-        """(n, 3, 3) inverse roots of the residuals' covariance; rows of forces that were not measured are 0."""
-        values = values_of(self.prior, point)
-        covariance = np.zeros((len(self.inputs), 3, 3))
+        Errors of the inputs reach the forces through the model's derivatives at each point. NaN where a point is beyond
+        any soil.
+        """
+        values = values_of(self.prior, points)
         error = self.model_error * np.abs(self.forces[:, :1])
-        covariance[:, range(3), range(3)] = self.force_sigma**2 + error**2
+        variance = self.force_sigma**2 + error**2
+        covariance = np.zeros((len(points), *self.forces.shape, 3))
+        covariance[..., range(3), range(3)] = variance
         for k in range(3):
             step = np.zeros_like(self.inputs)
             step[:, k] = STEP * np.maximum(self.input_sigma[:, k], 1e-9)
-            ends = [forces_at(values, self.inputs + sign * step, self.wheel, self.model) for sign in (1, -1)]
+            ends = [forces_of_many(values, self.inputs + sign * step, self.wheel, self.model) for sign in (1, -1)]
             slope = (ends[0] - ends[1]) / (2 * step[:, k, None]) * self.input_sigma[:, k, None]
-            slope = np.where(np.isfinite(slope), slope, 0.0)
-            covariance += slope[:, :, None] * slope[:, None, :]
+            covariance += slope[..., :, None] * slope[..., None, :]
+        residual = self.forces - forces_of_many(values, self.inputs, self.wheel, self.model)
         missing = ~np.isfinite(self.forces)
-        covariance[missing[:, :, None] | missing[:, None, :]] = 0.0
-        covariance[:, range(3), range(3)] += missing
-        root = np.linalg.inv(np.linalg.cholesky(covariance))
-        return np.where(missing[:, None, :] | missing[:, :, None], 0.0, root)
+        covariance[:, missing[:, :, None] | missing[:, None, :]] = 0.0
+        covariance[..., range(3), range(3)] += missing
+        good = np.isfinite(covariance).all(axis=(1, 2, 3))
+        covariance[~good] = np.eye(3)
+        white = np.linalg.solve(np.linalg.cholesky(covariance), np.where(missing, 0.0, residual)[..., None])[..., 0]
+        white[~good] = np.nan
+        return np.asarray(white)
 
 
 def infer_soil(
@@ -183,16 +187,17 @@ def infer_soil(
     laws = dict(prior or default_prior())
     _check(laws, model_error, draws)
     known = np.isfinite(states.values)
-    usable = np.asarray(known[:, :2].all(axis=1) & known[:, 3:].any(axis=1), dtype=np.bool_)
+    inside = (states.values[:, 0] > LEAST_SINKAGE_M) & (states.values[:, 0] < wheel.radius_m * DEEPEST)
+    inside &= np.abs(states.values[:, 1]) < LARGEST_SLIP
+    usable = np.asarray(known[:, :2].all(axis=1) & known[:, 3:].any(axis=1) & inside, dtype=np.bool_)
     if not usable.any():
-        raise ParameterError("no state has a sinkage, a slip ratio and a force; the joint inference needs all three")
+        raise ParameterError("no state has a sinkage, a slip ratio and a force in range; the joint inference needs all")
     problem = _problem(states, usable, wheel, laws, model, model_error)
     names = [name for name, good in zip(states.id, usable, strict=True) if good]
-    kept, point, covariance, root = _without_outliers(problem)
+    kept, point, covariance = _without_outliers(problem)
     residual = problem.forces - problem.at(point)
-    white = _whitened(root, residual)
-    chosen = np.random.default_rng(seed)
-    drawn, effective = _drawn(_of(problem, kept), point, covariance, root[kept], draws, chosen, sample)
+    white = problem.white(point[None])[0]
+    drawn, effective = _drawn(_of(problem, kept), point, covariance, draws, np.random.default_rng(seed), sample)
     return SoilPosterior(
         point,
         covariance,
@@ -238,75 +243,61 @@ def _of(problem: _Problem, kept: npt.NDArray[np.bool_]) -> _Problem:
     return replace(problem, **parts)
 
 
-def _whitened(root: FloatArray, residual: FloatArray) -> FloatArray:
-    return np.asarray(np.einsum("nij,nj->ni", root, np.nan_to_num(residual)))
-
-
-def _without_outliers(problem: _Problem) -> tuple[npt.NDArray[np.bool_], FloatArray, FloatArray, FloatArray]:
-    """Which states are kept, the mode, its covariance, and the whitening of all states there."""
+def _without_outliers(problem: _Problem) -> tuple[npt.NDArray[np.bool_], FloatArray, FloatArray]:
+    """Which states are kept, the mode and its covariance."""
     kept = np.ones(len(problem.inputs), dtype=bool)
     point = problem.center
     while True:
         part = _of(problem, kept)
         point, covariance = _mode(part, point)
-        root = problem.whitening(point)
-        white = _whitened(root, problem.forces - problem.at(point))
+        white = problem.white(point[None])[0]
         measured = np.isfinite(problem.forces).sum(axis=1)
         limit = chi2.isf(OUTLIER / len(kept), np.maximum(measured, 1))
         excess = np.where(kept, np.sum(white**2, axis=1) / limit, 0.0)
         worst = int(np.argmax(excess))
         if excess[worst] <= 1 or (~kept).sum() + 1 > MOST_OUTLIERS * len(kept):
-            return kept, point, covariance, root
+            return kept, point, covariance
         kept[worst] = False
 
 
 def _mode(problem: _Problem, start: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Levenberg-Marquardt with the errors of the inputs carried over at each round's point."""
-    point, width = start.copy(), problem.width
-    curvature = np.diag(width**-2)
-    for _ in range(ROUNDS):
-        root = problem.whitening(point)
-        before = point
-        point, curvature = _descend(problem, point, root)
-        if np.all(np.abs(point - before) < 1e-3 * width):
-            break
-    return point, np.asarray(np.linalg.inv(curvature), dtype=np.float64)
+    """Levenberg-Marquardt on whitened residuals, whose errors of the inputs follow the parameters.
 
-
-def _descend(problem: _Problem, point: FloatArray, root: FloatArray) -> tuple[FloatArray, FloatArray]:
+    Minimising them with weights held fixed would flatten the dependence on sinkage, itself measured with error.
+    """
     width, center = problem.width, problem.center
 
-    def value(at: FloatArray) -> tuple[float, FloatArray]:
-        white = _whitened(root, problem.forces - problem.at(at))
-        total = float(np.sum(white**2) + np.sum(((at - center) / width) ** 2))
-        return (total if np.isfinite(total) else np.inf), white
+    def white(at: FloatArray) -> FloatArray:
+        return np.concatenate([problem.white(at[None])[0].ravel(), (at - center) / width])
 
-    damping = 1e-3
-    best, white = value(point)
+    point, damping = start.copy(), 1e-3
+    rows = white(point)
     curvature = np.diag(width**-2)
     for _ in range(STEPS):
-        scaled = np.einsum("nij,njk->nik", root, problem.jacobian(point)).reshape(-1, len(point))
-        curvature = scaled.T @ scaled + np.diag(width**-2)
-        slope = scaled.T @ white.ravel() - (point - center) / width**2
-        while damping < 1e10:
+        columns = [(white(point + step) - white(point - step)) / (2 * STEP) for step in np.diag(STEP * width)]
+        scaled = np.stack(columns, axis=-1) / width
+        curvature = scaled.T @ scaled
+        slope = -scaled.T @ rows
+        before = float(rows @ rows)
+        while damping < HIGHEST_DAMPING:
             step = np.linalg.solve(curvature + damping * np.diag(np.diag(curvature)), slope)
-            trial, trial_white = value(point + step)
-            if trial < best:
+            trial = white(point + np.clip(step, -LONGEST * width, LONGEST * width))
+            if float(trial @ trial) < before:
                 break
             damping *= 10
         else:
-            return point, curvature
-        gained, best, white, point, damping = best - trial, trial, trial_white, point + step, max(damping / 5, 1e-12)
-        if gained < CONVERGED:
-            return point, curvature
-    return point, curvature
+            break
+        point, rows = point + np.clip(step, -LONGEST * width, LONGEST * width), trial
+        damping = max(damping / 5, 1e-12)
+        if before - float(rows @ rows) < CONVERGED:
+            break
+    return point, np.asarray(np.linalg.inv(curvature), dtype=np.float64)
 
 
 def _drawn(
     problem: _Problem,
     point: FloatArray,
     covariance: FloatArray,
-    root: FloatArray,
     draws: int,
     rng: np.random.Generator,
     sample: bool,
@@ -315,21 +306,21 @@ def _drawn(
     factor = np.linalg.cholesky(covariance)
     if not sample:
         return point + rng.standard_normal((draws, len(point))) @ factor.T, None
-    proposed = rng.standard_normal((4 * draws, len(point)))
-    scale = np.sqrt(HEAVY_TAIL / rng.chisquare(HEAVY_TAIL, len(proposed)))
-    standard = proposed * scale[:, None]
+    scale = np.sqrt(HEAVY_TAIL / rng.chisquare(HEAVY_TAIL, PROPOSED * draws))
+    standard = rng.standard_normal((PROPOSED * draws, len(point))) * scale[:, None]
     points = point + standard @ factor.T
     ln_proposal = -0.5 * (HEAVY_TAIL + len(point)) * np.log1p(np.sum(standard**2, axis=1) / HEAVY_TAIL)
-    forces = forces_of_many(values_of(problem.prior, points), problem.inputs, problem.wheel, problem.model)
-    white = np.einsum("nij,dnj->dni", root, np.nan_to_num(problem.forces - forces))
-    ln_posterior = -0.5 * np.sum(white**2, axis=(1, 2))
-    ln_posterior -= 0.5 * np.sum(((points - problem.center) / problem.width) ** 2, axis=1)
-    weight = np.exp(ln_posterior - ln_proposal - np.max(ln_posterior - ln_proposal))
+    misfit = np.concatenate(
+        [np.sum(problem.white(points[k : k + CHUNK]) ** 2, axis=(1, 2)) for k in range(0, len(points), CHUNK)]
+    )
+    away = np.sum(((points - problem.center) / problem.width) ** 2, axis=1)
+    ln_weight = np.where(np.isfinite(misfit), -0.5 * (misfit + away) - ln_proposal, -np.inf)
+    weight = np.exp(ln_weight - ln_weight.max())
     weight /= weight.sum()
     effective = float(1 / np.sum(weight**2))
     if effective < LEAST_EFFECTIVE:
         raise ParameterError(
-            f"only {effective:.0f} of {len(points)} draws count; the posterior is far from normal: state more, or give "
-            "narrower priors"
+            f"only {effective:.0f} of {len(points)} draws count: the posterior is far from normal; use more states or "
+            "narrower priors, or leave the sampling out"
         )
     return points[rng.choice(len(points), draws, p=weight)], effective

@@ -10,12 +10,14 @@ from importlib.resources import files
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.errors import ParameterError
-from lunarsci.regolith.soil import Soil
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.inputs import InputFile, text
+from lunarsci.provenance import sha256
 
-__all__ = ["PARAMETERS", "Law", "default_prior", "soil_of", "values_of"]
+__all__ = ["PARAMETERS", "PRIORS", "Law", "default_prior", "prior_hash", "read_prior", "values_of"]
 
 FloatArray = npt.NDArray[np.float64]
+PRIORS = "priors.toml"
 PARAMETERS = (
     "stiffness_kpa_m_n",
     "sinkage_exponent",
@@ -86,16 +88,36 @@ class Law:
 @cache
 def default_prior() -> Mapping[str, Law]:
     """The laws of `priors.toml`, by parameter in the order of `PARAMETERS`."""
-    table = tomllib.loads((files(__package__) / "priors.toml").read_text("utf-8"))
+    table = tomllib.loads((files(__package__) / PRIORS).read_text("utf-8"))
     return {name: Law(**table[name]) for name in PARAMETERS}
+
+
+def prior_hash() -> dict[str, str]:
+    """Name and SHA-256 of the default laws' table."""
+    return {PRIORS: sha256((files(__package__) / PRIORS).read_bytes())}
+
+
+def read_prior(source: InputFile) -> dict[str, Law]:
+    """The default laws with those of a TOML file in their place: a table `of`, `median`, `sd` for each parameter.
+
+    Raises DataError for text that is no TOML, an unknown parameter, or a law out of range.
+    """
+    try:
+        document = tomllib.loads(text(source))
+    except tomllib.TOMLDecodeError as error:
+        raise DataError(f"{source.name}: not valid TOML: {error}") from error
+    laws = dict(default_prior())
+    for name, table in document.items():
+        if name not in laws:
+            raise DataError(f"{source.name}: '{name}' is not a soil parameter; these are: {', '.join(PARAMETERS)}")
+        try:
+            laws[name] = Law(**({"of": laws[name].of, "source": source.name} | table))
+        except (TypeError, ParameterError) as error:
+            raise DataError(f"{source.name}: [{name}] {error}") from error
+    return laws
 
 
 def values_of(prior: Mapping[str, Law], transforms: FloatArray) -> FloatArray:
     """Parameters in their units, (…, 8), from transforms of the same shape."""
     columns = [prior[name].back(transforms[..., k]) for k, name in enumerate(PARAMETERS)]
     return np.stack(columns, axis=-1)
-
-
-def soil_of(values: FloatArray) -> Soil:
-    """A soil from its parameters in the order of `PARAMETERS`."""
-    return Soil(**dict(zip(PARAMETERS, map(float, values), strict=True)))

@@ -1,0 +1,99 @@
+"""`lunarsci regolith forces --exact` and `identify --joint`."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lunarsci.regolith.integrals import contact_forces
+from lunarsci.regolith.prior import PARAMETERS
+from lunarsci.regolith.soil import read_soil
+from lunarsci.regolith.wheel import read_wheel
+
+Run = Callable[..., Any]
+FORCES = ("regolith", "forces", "--sinkage", "0.012", "--slip", "0.2", "--side-slip", "5")
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    """Synthetic: exact forces of lunar-typical soil at 24 states, without errors."""
+    rng = np.random.default_rng(0)
+    z, slip, side = rng.uniform(0.006, 0.018, 24), rng.uniform(-0.2, 0.4, 24), rng.uniform(1, 8, 24)
+    found = contact_forces(read_wheel("yutu2"), read_soil("lunar-typical"), z, slip, side)
+    columns = (z, slip, side, found.normal_force_n, found.drawbar_pull_n, found.lateral_force_n)
+    path = tmp_path / "drive.csv"
+    rows = [",".join(f"{value:.6f}" for value in row) for row in zip(*columns, strict=True)]
+    header = "sinkage_m,slip_ratio,side_slip_deg,normal_force_n,drawbar_pull_n,lateral_force_n"
+    path.write_text(header + "\n" + "\n".join(rows) + "\n")
+    return path
+
+
+def result(run: Run, *arguments: object) -> dict[str, Any]:
+    done = run(*arguments, "--json")
+    assert done.code == 0, done.err
+    found: dict[str, Any] = json.loads(done.out)["result"]
+    return found
+
+
+def test_exact_forces_lie_above_the_closed_form_and_have_moments(run: Run) -> None:
+    closed, exact = result(run, *FORCES), result(run, *FORCES, "--exact")
+    assert 1.04 <= exact["normal_force_n"] / closed["normal_force_n"] <= 1.18
+    assert "steering_moment_nm" not in closed
+    assert exact["overturning_moment_nm"] < 0
+    assert closed["model"] is None
+    assert exact["model"]["shear"] == "separate"
+    assert "overturning moment" in run(*FORCES, "--exact").out
+
+
+def test_bulldozing_and_rebound_are_taken_along(run: Run) -> None:
+    plain = result(run, *FORCES, "--exact")
+    more = result(run, *FORCES, "--exact", "--bulldozing", "hegedus", "--gravity", "9.81", "--rebound", "0.3")
+    assert more["lateral_force_n"] > plain["lateral_force_n"]
+    assert more["model"]["rebound"] == 0.3
+
+
+def test_a_load_is_carried_by_the_exact_integrals(run: Run) -> None:
+    found = result(run, "regolith", "forces", "--load", "37", "--slip", "0.2", "--exact", "--shear", "combined")
+    assert found["normal_force_n"] == pytest.approx(37, abs=1e-6)
+
+
+def test_choices_without_exact_are_refused(run: Run) -> None:
+    done = run(*FORCES, "--bulldozing", "wong")
+    assert done.code == 2
+    assert "belong to --exact" in done.err[-1]
+    done = run("regolith", "identify", "-", "--sample")
+    assert done.code == 2
+    assert "belong to --joint" in done.err[-1]
+
+
+def test_the_joint_posterior_holds_the_soil_that_made_the_states(run: Run, drive: Path) -> None:
+    joint = result(run, "regolith", "identify", drive, "--joint", "--exact")["joint"]
+    soil = read_soil("lunar-typical")
+    assert joint["order"] == list(PARAMETERS)
+    assert set(joint["parameters"]) == set(PARAMETERS)
+    for name, found in joint["parameters"].items():
+        assert found["low95"] <= found["low"] <= found["median"] <= found["high"] <= found["high95"]
+        if found["determined"]:
+            assert found["low95"] <= getattr(soil, name) <= found["high95"], name
+    assert joint["parameters"]["shear_modulus_mm"]["determined"]
+    assert joint["outliers"] == []
+    assert len(joint["correlation"]) == len(PARAMETERS)
+    shown = run("regolith", "identify", drive, "--joint")
+    assert "All states together" in shown.out
+    assert "known to" in shown.out
+
+
+def test_priors_of_the_user_are_used_and_named(run: Run, drive: Path, tmp_path: Path) -> None:
+    prior = tmp_path / "prior.toml"
+    prior.write_text("[cohesion_pa]\nmedian = 520\nsd = 0.01\n")
+    done = run("regolith", "identify", drive, "--joint", "--prior", prior, "--sample", "--json")
+    assert done.code == 0, done.err
+    document = json.loads(done.out)
+    found = document["result"]["joint"]
+    assert found["parameters"]["cohesion_pa"]["median"] == pytest.approx(520, rel=0.02)
+    assert found["effective_draws"] > 200
+    assert str(prior) in [item["path"] for item in document["provenance"]["inputs"]]
+    assert "joint" not in result(run, "regolith", "identify", drive)

@@ -1,0 +1,171 @@
+"""The joint posterior of a soil: coverage, what is determined, outliers, and its sampler."""
+
+import numpy as np
+import pytest
+
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.inputs import InputFile
+from lunarsci.regolith.contact import ContactModel
+from lunarsci.regolith.joint import SoilPosterior, infer_soil
+from lunarsci.regolith.joint_model import forces_at
+from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, read_prior, values_of
+from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates
+from lunarsci.regolith.wheel import read_wheel
+
+WHEEL = read_wheel("yutu2")
+PRIOR = default_prior()
+SOILS, STATES = 200, 30
+
+
+def measured(truth: np.ndarray, count: int, rng: np.random.Generator, model: ContactModel | None = None) -> WheelStates:
+    """Synthetic: states under loads of 20-50 N, with the errors of the paper drawn on everything measured."""
+    slip, side = rng.uniform(-0.2, 0.4, count), rng.uniform(0.5, 8, count) * rng.choice([-1, 1], count)
+    load = rng.uniform(20, 50, count)
+    low, high = np.full(count, 1e-4), np.full(count, 0.1)
+    for _ in range(50):
+        middle = (low + high) / 2
+        light = forces_at(truth, np.column_stack([middle, slip, side]), WHEEL, model)[:, 0] < load
+        low, high = np.where(light, middle, low), np.where(light, high, middle)
+    inputs = np.column_stack([low, slip, side])
+    values = np.column_stack([inputs, forces_at(truth, inputs, WHEEL, model)])
+    errors = MeasurementErrors()
+
+    def sigmas(of: np.ndarray) -> np.ndarray:
+        return np.column_stack([errors.of(name, of[:, k]) for k, name in enumerate(COLUMNS)])
+
+    noisy = values + sigmas(values) * rng.standard_normal(values.shape)
+    return WheelStates(tuple(map(str, range(count))), noisy, sigmas(noisy))
+
+
+def drawn_soil(rng: np.random.Generator) -> np.ndarray:
+    centers, widths = (np.array([getattr(PRIOR[name], key) for name in PARAMETERS]) for key in ("center", "width"))
+    return values_of(PRIOR, centers + widths * rng.standard_normal(len(PARAMETERS)))
+
+
+@pytest.fixture(scope="module")
+def recovered() -> list[tuple[np.ndarray, SoilPosterior]]:
+    rng = np.random.default_rng(1)
+    found = []
+    for seed in range(SOILS):
+        truth = drawn_soil(rng)
+        found.append((truth, infer_soil(measured(truth, STATES, rng), WHEEL, model_error=0.0, seed=seed)))
+    return found
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_intervals_hold_the_truth_as_often_as_they_say(
+    recovered: list[tuple[np.ndarray, SoilPosterior]], name: str
+) -> None:
+    """Of soils drawn from the prior; two standard errors of a share of 200 are 0.066."""
+    k = PARAMETERS.index(name)
+    inside = []
+    for truth, posterior in recovered:
+        if name in posterior.determined:
+            _, low, high, low95, high95 = posterior.intervals()[name]
+            inside.append((low <= truth[k] <= high, low95 <= truth[k] <= high95))
+    assert len(inside) > SOILS / 2
+    one, two = np.mean(inside, axis=0)
+    assert 0.61 <= one <= 0.79
+    assert two >= 0.90
+
+
+def test_what_the_states_cannot_tell_stays_as_wide_as_the_prior() -> None:
+    """One slip and no side force: neither the slope with slip nor the lateral pair is learned."""
+    rng = np.random.default_rng(2)
+    states = measured(drawn_soil(rng), 20, rng)
+    values = states.values.copy()
+    values[:, 5] = np.nan
+    posterior = infer_soil(WheelStates(states.id, values, states.sigmas), WHEEL)
+    for name in ("external_friction_angle_deg", "lateral_modulus_mm"):
+        assert posterior.shrinkage[name] == pytest.approx(0, abs=1e-6)
+        assert name not in posterior.determined
+
+
+def test_a_wrong_state_is_left_out_and_changes_little() -> None:
+    rng = np.random.default_rng(3)
+    states = measured(drawn_soil(rng), 30, rng)
+    values = states.values.copy()
+    values[7, 4] += 15.0
+    clean, spoiled = infer_soil(states, WHEEL), infer_soil(WheelStates(states.id, values, states.sigmas), WHEEL)
+    assert clean.outliers == ()
+    assert spoiled.outliers == ("7",)
+    assert np.abs(spoiled.mode - clean.mode).max() < 1.0 * clean.sd.max()
+
+
+def test_the_sampler_agrees_with_the_normal_approximation_where_states_are_many() -> None:
+    rng = np.random.default_rng(4)
+    states = measured(drawn_soil(rng), 200, rng)
+    plain, sampled = (infer_soil(states, WHEEL, sample=sample, seed=1) for sample in (False, True))
+    assert sampled.effective is not None
+    assert sampled.effective > 1000
+    for name in ("stiffness_kpa_m_n", "shear_modulus_mm", "sinkage_exponent"):
+        one, two = plain.intervals()[name], sampled.intervals()[name]
+        assert two[0] == pytest.approx(one[0], abs=0.5 * (one[2] - one[1]))
+        assert two[2] - two[1] == pytest.approx(one[2] - one[1], rel=0.3)
+
+
+def test_the_exact_model_recovers_what_it_made() -> None:
+    rng = np.random.default_rng(5)
+    truth = drawn_soil(rng)
+    states = measured(truth, 40, rng, ContactModel())
+    posterior = infer_soil(states, WHEEL, model=ContactModel(), model_error=0.0)
+    for k, name in enumerate(PARAMETERS):
+        *_, low95, high95 = posterior.intervals()[name]
+        assert 0.8 * low95 - 0.1 <= truth[k] <= 1.2 * high95 + 0.1, name
+    assert posterior.chi_square == pytest.approx(posterior.degrees, rel=0.4)
+
+
+def test_a_known_parameter_stays_where_it_is() -> None:
+    rng = np.random.default_rng(6)
+    prior = dict(PRIOR) | {"cohesion_pa": Law("ln", 520.0, 0.0)}
+    posterior = infer_soil(measured(drawn_soil(rng), 10, rng), WHEEL, prior)
+    assert posterior.intervals()["cohesion_pa"] == pytest.approx([520.0] * 5, rel=1e-4)
+
+
+def test_combinations_are_orthogonal_and_the_best_is_bearing() -> None:
+    rng = np.random.default_rng(7)
+    posterior = infer_soil(measured(drawn_soil(rng), 30, rng), WHEEL)
+    left, weights = posterior.combinations()[0]
+    assert left < 0.05
+    assert abs(weights["stiffness_kpa_m_n"]) > 0.3
+    rows = np.array([list(w.values()) for _, w in posterior.combinations()])
+    assert rows @ rows.T == pytest.approx(np.eye(8), abs=1e-9)
+
+
+def test_priors_of_a_file_take_the_place_of_the_default_ones() -> None:
+    text = b"[cohesion_pa]\nmedian = 1000\nsd = 0.1\n[sinkage_exponent_slip]\nof = 'value'\nmedian = 0\nsd = 0.01\n"
+    laws = read_prior(InputFile("mine.toml", text))
+    assert (laws["cohesion_pa"].of, laws["cohesion_pa"].median) == ("ln", 1000)
+    assert laws["sinkage_exponent_slip"].width == 0.01
+    assert laws["friction_angle_deg"] == PRIOR["friction_angle_deg"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (b"[cohesion_pa\n", "not valid TOML"),
+        (b"[colour]\nmedian = 1\nsd = 1\n", "'colour' is not a soil parameter"),
+        (b"[cohesion_pa]\nmedian = -1\nsd = 1\n", "median of a prior is -1"),
+        (b"[cohesion_pa]\nmedian = 1\n", "cohesion_pa"),
+        (b"[friction_angle_deg]\nmedian = 95\nsd = 1\n", "below 90 deg"),
+        (b"[cohesion_pa]\nof = 'sqrt'\nmedian = 1\nsd = 1\n", "unknown"),
+    ],
+)
+def test_priors_that_make_no_sense_are_refused(text: bytes, message: str) -> None:
+    with pytest.raises(DataError, match=message):
+        read_prior(InputFile("mine.toml", text))
+
+
+def test_states_without_slip_are_refused() -> None:
+    states = WheelStates(("a",), np.array([[0.01, np.nan, np.nan, 30.0, 1.0, np.nan]]), np.ones((1, 6)))
+    with pytest.raises(ParameterError, match="slip ratio"):
+        infer_soil(states, WHEEL)
+
+
+@pytest.mark.parametrize(
+    "options", [{"model_error": -0.1}, {"draws": 10}, {"prior": {"cohesion_pa": PRIOR["cohesion_pa"]}}]
+)
+def test_impossible_requests_are_refused(options: dict[str, object]) -> None:
+    rng = np.random.default_rng(8)
+    with pytest.raises(ParameterError):
+        infer_soil(measured(drawn_soil(rng), 5, rng), WHEEL, **options)  # type: ignore[arg-type]
