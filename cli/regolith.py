@@ -7,6 +7,7 @@ import typer
 from .command import command
 from .options import Output
 from .progress import progress
+from .regolith_compare import add_to as add_compare
 from .report import Report
 
 __all__ = ["app"]
@@ -186,3 +187,6 @@ def identify(
         )
     together = infer(given, prior, exact, sample, model_error, seed) if joint else None
     return identify_report(given, found, seed, together)
+
+
+add_compare(app)
