@@ -13,7 +13,7 @@ from lunarsci.regolith.identify import Identification
 from lunarsci.regolith.load import sinkage_under_load
 from lunarsci.regolith.prior import prior_hash
 from lunarsci.regolith.soil import read_soil, soil_hash
-from lunarsci.regolith.states import MeasurementErrors, WheelStates, read_states
+from lunarsci.regolith.states import MAX_VALID_SLIP, MeasurementErrors, WheelStates, read_states
 from lunarsci.regolith.uncertainty import UNITS, Estimate
 from lunarsci.regolith.wheel import Wheel, read_wheel
 from lunarsci.rovers.description import read_rover
@@ -73,6 +73,9 @@ def forces_report(
     soil = read_soil(soil_name).replace(**{name: value for name, value in changes.items() if value is not None})
     if reading != "signed":
         warnings.warn(REPRODUCTION_ONLY.format(reading), LunarSciWarning, stacklevel=2)
+    if abs(slip) > MAX_VALID_SLIP:
+        text = f"slip ratio {slip:g} is beyond {MAX_VALID_SLIP:g}, up to which the model was compared with wheels"
+        warnings.warn(text, LunarSciWarning, stacklevel=2)
     if sinkage_m is None:
         sinkage_m = sinkage_under_load(wheel, soil, load_n or 0.0, slip, side_slip_deg, reading=reading, model=model)
     found: WheelForces | ContactForces

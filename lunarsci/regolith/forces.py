@@ -30,7 +30,6 @@ __all__ = [
     "Reading",
     "WheelForces",
     "contact_angles",
-    "lateral_mobilisation",
     "longitudinal_mobilisation",
     "reading_code",
     "slip_ratio",
@@ -96,19 +95,16 @@ def longitudinal_mobilisation(
     """
     ratio = 1.0 / travel if code == 2 and travel > 1.0 else travel
     j = shearing_radius * ((theta_1e - theta_m) - ratio * (math.sin(theta_1e) - math.sin(theta_m)))
-    if code == 1:
-        direction = 1.0 if travel <= 1.0 else -1.0
-        return -direction * math.expm1(-j / modulus)
-    return mobilised(j, modulus)
+    return _signed_share(j, travel, modulus, code)
 
 
 @compiled
-def lateral_mobilisation(lateral: float, theta_1e: float, theta_m: float, radius: float, modulus: float) -> Any:
-    """Factor that turns c + sigma_m tan(phi_y) into tau_ym, with the sign of the side slip (Eqs 16, 17, 20). [-]
-
-    `lateral` is v_y / (r_s omega), the travel ratio times tan(beta).
-    """
-    return mobilised(radius * lateral * (theta_1e - theta_m), modulus)
+def _signed_share(j: float, travel: float, modulus: float, code: int) -> float:
+    """Mobilised share of the longitudinal strength in one of the readings. [-]"""
+    if code == 1:
+        direction = 1.0 if travel <= 1.0 else -1.0
+        return -direction * math.expm1(-j / modulus)
+    return float(mobilised(j, modulus))
 
 
 @compiled
@@ -125,14 +121,25 @@ def wheel_forces_kernel(
     wheel, soil : `Wheel.vector()`, `Soil.vector()`.
     code : reading, see `longitudinal_mobilisation`.
     """
-    r, b, _, r_s, _, _, _ = wheel
+    r, b, h, r_s, c1, c2, c3 = wheel
     stiffness, n0, n1, cohesion, tan_phi, k_x, tan_phi_y, k_y = soil
     slip = slip_ratio(travel)
-    theta_1, theta_1e, theta_2, theta_m = contact_angles(sinkage, slip, wheel)
-    a, b_moment, c_moment = stress_moments(theta_1, theta_2, theta_m)
-    sigma_m = stiffness * (r * (math.cos(theta_m) - math.cos(theta_1))) ** (n0 + n1 * slip)
-    tau_x = (cohesion + sigma_m * tan_phi) * longitudinal_mobilisation(travel, theta_1e, theta_m, r_s, k_x, code)
-    tau_y = (cohesion + sigma_m * tan_phi_y) * lateral_mobilisation(lateral, theta_1e, theta_m, r, k_y)
+    # Cosines of the entrance angles are known; taking them and their sines once halves the time.
+    cos_1, cos_1e = (r - sinkage) / r, (r - sinkage) / (r + h)
+    theta_1, theta_1e = math.acos(cos_1), math.acos(cos_1e)
+    sin_1, sin_1e = math.sqrt((1.0 - cos_1) * (1.0 + cos_1)), math.sqrt((1.0 - cos_1e) * (1.0 + cos_1e))
+    theta_2, theta_m = c3 * theta_1, (c1 + c2 * slip) * theta_1
+    cos_2, sin_2 = (1.0, 0.0) if theta_2 == 0.0 else (math.cos(theta_2), math.sin(theta_2))
+    cos_m, sin_m = math.cos(theta_m), math.sin(theta_m)
+    front, rear = theta_1 - theta_m, theta_m - theta_2
+    a = (cos_m - cos_2) / rear + (cos_m - cos_1) / front
+    b_moment = (sin_m - sin_2) / rear + (sin_m - sin_1) / front
+    c_moment = (theta_1 - theta_2) / 2.0
+    sigma_m = stiffness * (r * (cos_m - cos_1)) ** (n0 + n1 * slip)
+    ratio = 1.0 / travel if code == 2 and travel > 1.0 else travel
+    j_x = r_s * ((theta_1e - theta_m) - ratio * (sin_1e - sin_m))
+    tau_x = (cohesion + sigma_m * tan_phi) * _signed_share(j_x, travel, k_x, code)
+    tau_y = (cohesion + sigma_m * tan_phi_y) * mobilised(r * lateral * (theta_1e - theta_m), k_y)
     return (
         b * (r * sigma_m * a + r_s * tau_x * b_moment),
         b * (r_s * tau_x * a - r * sigma_m * b_moment),

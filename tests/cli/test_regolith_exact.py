@@ -97,3 +97,9 @@ def test_priors_of_the_user_are_used_and_named(run: Run, drive: Path, tmp_path: 
     assert found["effective_draws"] > 200
     assert str(prior) in [item["path"] for item in document["provenance"]["inputs"]]
     assert "joint" not in result(run, "regolith", "identify", drive)
+
+
+def test_slip_beyond_the_range_of_the_model_is_said(run: Run) -> None:
+    done = run("regolith", "forces", "--sinkage", "0.012", "--slip", "0.7")
+    assert done.code == 0
+    assert any("beyond 0.6" in line for line in done.err)
