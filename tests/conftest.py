@@ -16,6 +16,25 @@ STATE = hashlib.sha256(b"".join(path.read_bytes() for path in SOURCES)).hexdiges
 os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(tempfile.gettempdir()) / f"lunarsci-numba-{STATE}"))
 
 
+LONGEST = (
+    "test_wheel.py",
+    "test_laboratory.py",
+    "test_readme.py",
+    "test_coverage.py",
+    "test_mixtures.py",
+    "test_fit.py",
+    "test_joint.py",
+    "test_measurements.py",
+)
+"""Files that take longest; they start first, so that no worker is left with one at the end."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the longest files first."""
+    rank = {name: number for number, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: rank.get(item.path.name, len(LONGEST)))
+
+
 @pytest.fixture(scope="session")
 def reference_data() -> Path:
     """Folder of real measurements, named by LUNARSCI_REFERENCE_DATA."""
