@@ -15,6 +15,8 @@ SOURCES = sorted((Path(__file__).parents[1] / "lunarsci").rglob("*.py"))
 STATE = hashlib.sha256(b"".join(path.read_bytes() for path in SOURCES)).hexdigest()[:16]
 os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(tempfile.gettempdir()) / f"lunarsci-numba-{STATE}"))
 
+for _library in ("OPENBLAS", "OMP", "MKL"):  # several workers share the cores already
+    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 LONGEST = (
     "test_wheel.py",
