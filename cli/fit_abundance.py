@@ -1,20 +1,23 @@
 """Shares of minerals for fitted spectra, as the options of `lunarsci spectra fit` ask for them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING
 
 from lunarsci.errors import ParameterError
 from lunarsci.inputs import read_input
 from lunarsci.spectra.abundance.end_members import FAMILY_OF, OPAQUE
-from lunarsci.spectra.abundance.estimate import SUM_TOLERANCE
 from lunarsci.spectra.abundance.nbsr import nbsr_abundance
+from lunarsci.spectra.abundance.result import Abundance
 from lunarsci.spectra.library import EndMember
 from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.spectrum import Spectrum
 
 from .fit_run import FitRequest, FitRun
 from .progress import progress
+
+if TYPE_CHECKING:
+    from lunarsci.spectra.abundance.stated import StatedModes
 
 __all__ = ["add_abundances"]
 
@@ -29,93 +32,61 @@ def add_abundances(spectra: Sequence[Spectrum], request: FitRequest, run: FitRun
         run.abundances[index] = [found] if found else []
     if request.abundance == "nbsr":
         return
-    options: dict[str, Any] = {
-        "method": request.abundance,
-        "end_members": _end_members(request, run),
-        "iron": request.iron,
-    }
-    if request.together:
-        _together(spectra, fits, request, run, options, quiet)
-    else:
-        _one_by_one(spectra, fits, request, run, options, quiet)
-
-
-def _one_by_one(
-    spectra: Sequence[Spectrum],
-    fits: Mapping[int, MgmFit],
-    request: FitRequest,
-    run: FitRun,
-    options: Mapping[str, Any],
-    quiet: bool,
-) -> None:
-    from lunarsci.spectra.abundance.estimate import estimate_abundance
-
+    end_members = _end_members(request, run)
+    stated = _stated([spectra[index].id for index in fits], request, run)
+    suites = [list(fits)] if request.together else [[index] for index in fits]
     with progress("unmixing", quiet=quiet) as update:
-        for done, (index, fit) in enumerate(fits.items(), start=1):
-            minerals = _minerals([fit], request)
+        for done, suite in enumerate(suites, start=1):
+            minerals = _minerals([fits[index] for index in suite], request)
             if len(minerals) >= LEAST_MINERALS:
-                run.abundances[index].insert(0, estimate_abundance(spectra[index], minerals, **options))
-            update(done, len(fits))
+                may = [_minerals([fits[index]], request) for index in suite]
+                unmixed = _unmixed([spectra[index] for index in suite], minerals, may, stated, end_members, request)
+                for index, item in zip(suite, unmixed, strict=True):
+                    run.abundances[index].insert(0, item)
+            update(done, len(suites))
 
 
-def _together(
-    spectra: Sequence[Spectrum],
-    fits: Mapping[int, MgmFit],
+def _unmixed(
+    suite: Sequence[Spectrum],
+    minerals: Sequence[str],
+    may: Sequence[Sequence[str]],
+    stated: "StatedModes",
+    end_members: Sequence[EndMember] | None,
     request: FitRequest,
-    run: FitRun,
-    options: Mapping[str, Any],
-    quiet: bool,
-) -> None:
+) -> list[Abundance]:
+    """Shares of spectra taken together; `may` names the minerals of each fit."""
     from lunarsci.spectra.abundance.estimate import estimate_suite
 
-    minerals = _minerals(list(fits.values()), request)
-    if len(minerals) < LEAST_MINERALS:
-        return
-    # Two files may name their spectra alike; their positions tell them apart.
-    suite = [replace(spectra[index], id=str(index)) for index in fits]
-    present = {str(index): _minerals([fit], request) for index, fit in fits.items()}
-    known = _known({index: spectra[index].id for index in fits}, minerals, request, run, present)
-    with progress("unmixing", quiet=quiet) as update:
-        found = estimate_suite(suite, minerals, present=present, known=known, **options)
-        update(1, 1)
-    for index, item in zip(fits, found, strict=True):
-        named = replace(item, id=spectra[index].id)
-        run.abundances[index].insert(0, replace(named, status="modes as stated") if str(index) in known else named)
+    known = [stated.known.get(spectrum.id) for spectrum in suite]
+    absent = [stated.absent.get(spectrum.id, ()) for spectrum in suite]
+    present = [[name for name in own if name not in gone] for own, gone in zip(may, absent, strict=True)]
+    found = estimate_suite(
+        suite,
+        minerals,
+        method=request.abundance,
+        end_members=end_members,
+        iron=request.iron,
+        present=[None if told else own for told, own in zip(known, present, strict=True)],
+        known=known,
+    )
+    return [replace(item, status="modes as stated") if told else item for item, told in zip(found, known, strict=True)]
 
 
-def _known(
-    names: Mapping[int, str],
-    minerals: Sequence[str],
-    request: FitRequest,
-    run: FitRun,
-    present: dict[str, list[str]],
-) -> dict[str, Mapping[str, float]]:
-    """Modes stated for some spectra, by position; takes minerals stated as absent out of `present`."""
+def _stated(names: Sequence[str], request: FitRequest, run: FitRun) -> "StatedModes":
+    """Modes stated of the spectra."""
+    from lunarsci.spectra.abundance.stated import StatedModes, read_modes
+
     if request.known is None:
-        return {}
-    from lunarsci.spectra.abundance.stated import read_modes
-
+        return StatedModes({}, {})
     run.known_file = read_input(request.known)
     stated = read_modes(run.known_file)
-    place: dict[str, str] = {}
-    for index, name in names.items():
-        if name in place and (name in stated.known or name in stated.absent):
-            raise ParameterError(f"{request.known}: '{name}' is the id of two spectra; give each its own")
-        place[name] = str(index)
-    if not {*stated.known, *stated.absent} & set(place):
-        raise ParameterError(f"{request.known}: none of its ids is that of a spectrum, such as '{next(iter(place))}'")
-    known = {place[name]: modes for name, modes in stated.known.items() if name in place}
-    for name, modes in stated.known.items():
-        beyond = [mineral for mineral, share in modes.items() if share > 0 and mineral not in minerals]
-        if name in place and beyond:
-            raise ParameterError(f"{request.known}: {name} holds {beyond[0]}; add it to --assemblage")
-        if name in place and abs(sum(modes.values()) - 1) > SUM_TOLERANCE:
-            raise ParameterError(f"{request.known}: shares of {name} sum to {sum(modes.values()):g}; give shares of 1")
-    present |= {index: list(minerals) for index in known}
-    for name, absent in stated.absent.items():
-        if name in place:
-            present[place[name]] = [mineral for mineral in present[place[name]] if mineral not in absent]
-    return known
+    told = {*stated.known, *stated.absent}
+    doubled = [name for name in names if name in told and names.count(name) > 1]
+    if doubled:
+        raise ParameterError(f"{request.known}: '{doubled[0]}' is the id of two spectra; give each its own")
+    if names and not told & set(names):
+        raise ParameterError(f"{request.known}: none of its ids is that of a spectrum, such as '{names[0]}'")
+    return stated
 
 
 def _minerals(fits: Sequence[MgmFit], request: FitRequest) -> list[str]:

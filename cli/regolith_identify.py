@@ -94,6 +94,8 @@ def identify(
 
     if not joint and (prior or exact or sample):
         raise typer.BadParameter("--prior, --exact and --sample belong to --joint; add it")
+    if joint and reading != "signed":
+        raise typer.BadParameter(f"--reading {reading} only reproduces numbers; --joint needs --reading signed")
     known = Assumptions(
         exponent=exponent,
         stiffness_kpa_m_n=stiffness,

@@ -91,7 +91,7 @@ def forces_report(
     def figures() -> Any:
         from lunarsci.regolith.figure import forces_over_slip
 
-        return [forces_over_slip(wheel, soil, sinkage_m, slip, side_slip_deg, reading)]
+        return [forces_over_slip(wheel, soil, sinkage_m, slip, side_slip_deg, reading, model)]
 
     row = {key: value for key, value in result.items() if key != "soil"}
     return Report(

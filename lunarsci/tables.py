@@ -11,16 +11,16 @@ from lunarsci.provenance import sha256
 __all__ = ["table_hashes", "table_rows"]
 
 
+SPECTRA_DATA = "lunarsci.spectra_data"
+
+
 @cache
-def table_rows(name: str) -> tuple[Mapping[str, str], ...]:
-    """Rows of a table in `spectra_data`, by column name; read once, not to be changed."""
-    return tuple(MappingProxyType(row) for row in csv.DictReader(_bytes(name).decode("utf-8").splitlines()))
+def table_rows(name: str, package: str = SPECTRA_DATA) -> tuple[Mapping[str, str], ...]:
+    """Rows of a table in a package, by column name; read once, not to be changed."""
+    text = (files(package) / name).read_text("utf-8")
+    return tuple(MappingProxyType(row) for row in csv.DictReader(text.splitlines()))
 
 
-def table_hashes(*names: str) -> dict[str, str]:
-    """Name to SHA-256 of tables in `spectra_data`."""
-    return {name: sha256(_bytes(name)) for name in names}
-
-
-def _bytes(name: str) -> bytes:
-    return (files("lunarsci.spectra_data") / name).read_bytes()
+def table_hashes(*names: str, package: str = SPECTRA_DATA) -> dict[str, str]:
+    """Name to SHA-256 of tables in a package."""
+    return {name: sha256((files(package) / name).read_bytes()) for name in names}

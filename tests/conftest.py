@@ -5,9 +5,14 @@ therefore keep a cache of their own for each state of the sources.
 """
 
 import hashlib
+import importlib.util
 import os
+import sys
 import tempfile
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -47,3 +52,20 @@ def reference_data() -> Path:
     if not path.is_dir():
         pytest.fail(f"LUNARSCI_REFERENCE_DATA names {path}, which is no folder")
     return path
+
+
+@pytest.fixture(scope="session")
+def load_benchmark() -> Callable[[str], ModuleType]:
+    """`load_benchmark("wheels")`: a module of `tests/benchmarks`, loaded once."""
+
+    @cache
+    def load(name: str) -> ModuleType:
+        spec = importlib.util.spec_from_file_location(name, Path(__file__).parent / f"benchmarks/{name}.py")
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[name] = module
+        spec.loader.exec_module(module)
+        return module
+
+    return load

@@ -4,17 +4,15 @@ Parameters of different laws cannot be compared one by one, (K_s, N) least of al
 the parameters predict: bearing pressure over the sinkages of a wheel, shear strength over the stresses under it.
 """
 
-import csv
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 
 import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import ParameterError
-from lunarsci.provenance import sha256
+from lunarsci.tables import table_hashes, table_rows
 
 __all__ = [
     "KINDS",
@@ -118,16 +116,15 @@ def nearest(found: Sequence[Comparison], aspect: str) -> list[Comparison]:
 @cache
 def reference_soils() -> tuple[ReferenceSoil, ...]:
     """The table that comes with lunarsci."""
-    text = (files(__package__) / TABLE).read_text("utf-8")
-    return tuple(_soil(row) for row in csv.DictReader(text.splitlines()))
+    return tuple(_soil(row) for row in table_rows(TABLE, __package__))
 
 
 def reference_hash() -> dict[str, str]:
     """Name and SHA-256 of the table, for the provenance."""
-    return {TABLE: sha256((files(__package__) / TABLE).read_bytes())}
+    return table_hashes(TABLE, package=__package__)
 
 
-def _soil(row: dict[str, str]) -> ReferenceSoil:
+def _soil(row: Mapping[str, str]) -> ReferenceSoil:
     def number(name: str) -> float | None:
         return float(row[name]) if row[name] else None
 

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.forces import READINGS, Reading
 
@@ -13,8 +14,8 @@ ShearLaw = Literal["separate", "combined"]
 Bulldozing = Literal["none", "hegedus", "wong"]
 SHEAR_LAWS: tuple[str, ...] = get_args(ShearLaw)
 BULLDOZING: tuple[str, ...] = get_args(Bulldozing)
-MOON_GRAVITY_M_S2 = 1.622
-"""At the Chang'E-4 site; Lunar Sourcebook (1991)."""
+DENSITY_KG_M3 = 1500.0
+"""Of the upper 15 cm, Lunar Sourcebook (1991), ch. 9."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,8 +53,8 @@ class ContactModel:
     reading: Reading = "signed"
     shear: ShearLaw = "separate"
     bulldozing: Bulldozing = "none"
-    density_kg_m3: float = 1500.0
-    gravity_m_s2: float = MOON_GRAVITY_M_S2
+    density_kg_m3: float = DENSITY_KG_M3
+    gravity_m_s2: float = LUNAR_GRAVITY.value
     skid_exponent_slip: float | None = None
     rebound: float | None = None
     rut_m: float = 0.0

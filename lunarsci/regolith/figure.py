@@ -5,8 +5,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from lunarsci.regolith.forces import Reading, wheel_forces
+from lunarsci.regolith.contact import ContactModel
+from lunarsci.regolith.forces import Reading, WheelForces, wheel_forces
 from lunarsci.regolith.identify import Identification
+from lunarsci.regolith.integrals import ContactForces, contact_forces
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.wheel import Wheel
 
@@ -19,12 +21,23 @@ TYPICAL_SHEAR = (520.0, 42.0)
 
 
 def forces_over_slip(
-    wheel: Wheel, soil: Soil, sinkage_m: float, slip_ratio: float, side_slip_deg: float, reading: Reading
+    wheel: Wheel,
+    soil: Soil,
+    sinkage_m: float,
+    slip_ratio: float,
+    side_slip_deg: float,
+    reading: Reading,
+    model: ContactModel | None = None,
 ) -> Figure:
     """Normal force, drawbar pull and lateral force against slip at one sinkage, with the asked state marked."""
+
+    def forces(slip: Any) -> WheelForces | ContactForces:
+        if model is None:
+            return wheel_forces(wheel, soil, sinkage_m, slip, side_slip_deg, reading=reading)
+        return contact_forces(wheel, soil, sinkage_m, slip, side_slip_deg, model)
+
     slip = np.linspace(-0.6, 0.6, 241)
-    curves = wheel_forces(wheel, soil, sinkage_m, slip, side_slip_deg, reading=reading)
-    here = wheel_forces(wheel, soil, sinkage_m, slip_ratio, side_slip_deg, reading=reading)
+    curves, here = forces(slip), forces(slip_ratio)
     figure = Figure(figsize=(7.5, 5), layout="constrained")
     axes = figure.subplots()
     for name, label, color in (
@@ -37,7 +50,8 @@ def forces_over_slip(
     axes.axhline(0, color="0.8", linewidth=0.8, zorder=0)
     axes.axvline(0, color="0.8", linewidth=0.8, zorder=0)
     axes.set(xlabel="slip ratio [-]  (negative: skid)", ylabel="force on the wheel [N]")
-    axes.set_title(f"sinkage {1e3 * sinkage_m:.1f} mm, reading '{reading}'", fontsize=10)
+    form = f"exact integrals, {model.shear} shear" if model else "closed form"
+    axes.set_title(f"sinkage {1e3 * sinkage_m:.1f} mm, {form}, reading '{reading}'", fontsize=10)
     axes.legend(frameon=False)
     return figure
 

@@ -29,6 +29,7 @@ __all__ = [
     "READINGS",
     "Reading",
     "WheelForces",
+    "check_states",
     "contact_angles",
     "longitudinal_mobilisation",
     "reading_code",
@@ -124,7 +125,7 @@ def wheel_forces_kernel(
     r, b, h, r_s, c1, c2, c3 = wheel
     stiffness, n0, n1, cohesion, tan_phi, k_x, tan_phi_y, k_y = soil
     slip = slip_ratio(travel)
-    # Cosines of the entrance angles are known; taking them and their sines once halves the time.
+    # Cosines of the entrance angles are known; taking them and their sines once saves two fifths of the time.
     cos_1, cos_1e = (r - sinkage) / r, (r - sinkage) / (r + h)
     theta_1, theta_1e = math.acos(cos_1), math.acos(cos_1e)
     sin_1, sin_1e = math.sqrt((1.0 - cos_1) * (1.0 + cos_1)), math.sqrt((1.0 - cos_1e) * (1.0 + cos_1e))

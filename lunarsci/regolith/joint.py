@@ -5,6 +5,7 @@ those three reach the forces through the model's derivatives and make the residu
 posterior is normal around the mode in transformed parameters (Laplace), and sampled by importance on request.
 """
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -12,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2
 
-from lunarsci.errors import ParameterError
+from lunarsci.errors import LunarSciWarning, ParameterError
 from lunarsci.regolith.contact import ContactModel
 from lunarsci.regolith.joint_model import forces_at, forces_of_many
 from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, values_of
@@ -192,6 +193,11 @@ def infer_soil(
     usable = np.asarray(known[:, :2].all(axis=1) & known[:, 3:].any(axis=1) & inside, dtype=np.bool_)
     if not usable.any():
         raise ParameterError("no state has a sinkage, a slip ratio and a force in range; the joint inference needs all")
+    if not usable.all():
+        text = (
+            f"{(~usable).sum()} of {len(usable)} states lack a sinkage, slip ratio or force in range and are left out"
+        )
+        warnings.warn(text, LunarSciWarning, stacklevel=2)
     problem = _problem(states, usable, wheel, laws, model, model_error)
     names = [name for name, good in zip(states.id, usable, strict=True) if good]
     kept, point, covariance = _without_outliers(problem)
@@ -272,6 +278,8 @@ def _mode(problem: _Problem, start: FloatArray) -> tuple[FloatArray, FloatArray]
 
     point, damping = start.copy(), 1e-3
     rows = white(point)
+    if not np.isfinite(rows).all():
+        raise ParameterError("the model has no finite forces at the centre of the priors; check states and priors")
     curvature = np.diag(width**-2)
     for _ in range(STEPS):
         columns = [(white(point + step) - white(point - step)) / (2 * STEP) for step in np.diag(STEP * width)]

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile, text
-from lunarsci.provenance import sha256
+from lunarsci.tables import table_hashes
 
 __all__ = ["PARAMETERS", "PRIORS", "Law", "default_prior", "prior_hash", "read_prior", "values_of"]
 
@@ -94,7 +94,7 @@ def default_prior() -> Mapping[str, Law]:
 
 def prior_hash() -> dict[str, str]:
     """Name and SHA-256 of the default laws' table."""
-    return {PRIORS: sha256((files(__package__) / PRIORS).read_bytes())}
+    return table_hashes(PRIORS, package=__package__)
 
 
 def read_prior(source: InputFile) -> dict[str, Law]:

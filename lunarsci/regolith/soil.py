@@ -9,6 +9,7 @@ from typing import Any
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.provenance import sha256
+from lunarsci.tables import table_hashes
 
 __all__ = ["Soil", "known_soils", "read_soil", "soil_hash"]
 
@@ -86,7 +87,7 @@ def known_soils() -> dict[str, dict[str, Any]]:
 def soil_hash(soil: str) -> tuple[dict[str, str], dict[str, str]]:
     """Where a soil comes from, for the provenance: (user's file, own table) to SHA-256, one of them empty."""
     if soil in known_soils():
-        return {}, {"soils.toml": sha256((files(__package__) / "soils.toml").read_bytes())}
+        return {}, table_hashes("soils.toml", package=__package__)
     return {soil: sha256(Path(soil).read_bytes())}, {}
 
 

@@ -99,23 +99,23 @@ def rover(data: Path) -> tuple[Spectrum, ...]:
 def shares(series: Series, mode: str) -> tuple[Abundance, ...]:
     """What unmixing finds, in one of `MODES`."""
     modes = series.modes / series.modes.sum(axis=1, keepdims=True)
-    truth = {s.id: dict(zip(series.minerals, row, strict=True)) for s, row in zip(series.spectra, modes, strict=True)}
-    present = None
+    truth = [dict(zip(series.minerals, row, strict=True)) for row in modes]
+    present: list[list[str] | None] = [None] * len(truth)
     if mode.endswith("present"):
-        present = {id: [mineral for mineral, share in row.items() if share > 0] for id, row in truth.items()}
+        present = [[mineral for mineral, share in row.items() if share > 0] for row in truth]
     if mode.startswith("together"):
         found = estimate_suite(series.spectra, series.minerals, end_members=series.library, present=present)
         return tuple(found)
     if mode == "others known":
         return tuple(_left_out(series, truth, number) for number in range(len(series.spectra)))
     return tuple(
-        estimate_suite([spectrum], series.minerals, end_members=series.library, present=present)[0]
-        for spectrum in series.spectra
+        estimate_suite([spectrum], series.minerals, end_members=series.library, present=[own])[0]
+        for spectrum, own in zip(series.spectra, present, strict=True)
     )
 
 
-def _left_out(series: Series, truth: dict[str, dict[str, float]], number: int) -> Abundance:
-    known = {id: row for id, row in truth.items() if id != series.spectra[number].id}
+def _left_out(series: Series, truth: list[dict[str, float]], number: int) -> Abundance:
+    known = [None if index == number else row for index, row in enumerate(truth)]
     return estimate_suite(series.spectra, series.minerals, end_members=series.library, known=known)[number]
 
 

@@ -93,7 +93,7 @@ def test_the_page_of_shares_names_spectra_and_minerals() -> None:
     ("table", "options", "message"),
     [
         ("id,olivine,opx\nz,1,0\n", (), "none of its ids"),
-        ("id,olivine,cpx\na,0.5,0.5\n", (), "holds clinopyroxene; add it to --assemblage"),
+        ("id,olivine,cpx\na,0.5,0.5\n", (), "holds clinopyroxene"),
         ("id,olivine,opx\na,0.5,0.2\n", (), "sum to 0.7"),
         ("id,olivine,opx\na,0.5\n", (), "line 2 has 2 cells"),
     ],

@@ -99,6 +99,19 @@ def test_priors_of_the_user_are_used_and_named(run: Run, drive: Path, tmp_path: 
     assert "joint" not in result(run, "regolith", "identify", drive)
 
 
+def test_the_joint_posterior_has_one_reading(run: Run, drive: Path) -> None:
+    done = run("regolith", "identify", drive, "--joint", "--reading", "printed")
+    assert done.code == 2
+    assert "needs --reading signed" in done.err[-1]
+
+
+def test_the_picture_shows_the_forces_that_were_asked_for(run: Run, tmp_path: Path) -> None:
+    pictures = [tmp_path / "closed.svg", tmp_path / "exact.svg"]
+    assert run(*FORCES, "--plot", pictures[0]).code == 0
+    assert run(*FORCES, "--exact", "--plot", pictures[1]).code == 0
+    assert pictures[0].read_bytes() != pictures[1].read_bytes()
+
+
 def test_slip_beyond_the_range_of_the_model_is_said(run: Run) -> None:
     done = run("regolith", "forces", "--sinkage", "0.012", "--slip", "0.7")
     assert done.code == 0

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.contact import ContactModel
 from lunarsci.regolith.joint import SoilPosterior, infer_soil
@@ -82,7 +82,7 @@ def test_what_the_states_cannot_tell_stays_as_wide_as_the_prior() -> None:
 
 
 def test_a_wrong_state_is_left_out_and_changes_little() -> None:
-    rng = np.random.default_rng(3)
+    rng = np.random.default_rng(6)
     states = measured(drawn_soil(rng), 30, rng)
     values = states.values.copy()
     values[7, 4] += 15.0
@@ -154,6 +154,15 @@ def test_priors_of_a_file_take_the_place_of_the_default_ones() -> None:
 def test_priors_that_make_no_sense_are_refused(text: bytes, message: str) -> None:
     with pytest.raises(DataError, match=message):
         read_prior(InputFile("mine.toml", text))
+
+
+def test_states_that_cannot_be_used_are_counted() -> None:
+    rng = np.random.default_rng(9)
+    states = measured(drawn_soil(rng), 10, rng)
+    values = states.values.copy()
+    values[3, 1] = np.nan
+    with pytest.warns(LunarSciWarning, match="1 of 10 states"):
+        infer_soil(WheelStates(states.id, values, states.sigmas), WHEEL)
 
 
 def test_states_without_slip_are_refused() -> None:

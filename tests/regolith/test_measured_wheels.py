@@ -1,6 +1,6 @@
 """The model against measured wheels; the table is `tests/benchmarks/wheels.py`."""
 
-import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +12,8 @@ BEST = "combined, bulldozing by Hegedus"
 
 
 @pytest.fixture(scope="module")
-def bench() -> Any:
-    sys.path.insert(0, str(ROOT / "tests/benchmarks"))
-    try:
-        import wheels
-    finally:
-        sys.path.pop(0)
-    return wheels
+def bench(load_benchmark: Callable[[str], Any]) -> Any:
+    return load_benchmark("wheels")
 
 
 @pytest.fixture(scope="module")

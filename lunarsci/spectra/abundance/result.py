@@ -10,9 +10,9 @@ __all__ = ["Abundance", "MineralFraction"]
 
 @dataclass(frozen=True, slots=True)
 class MineralFraction:
-    """Share of one mineral: the likeliest, and the central 68 and 95 % of its posterior.
+    """Share of one mineral: the mean of its posterior, and the shortest intervals that hold 68 and 95 % of it.
 
-    By volume; of `nbsr` by weight. [-]
+    By volume; of `nbsr` by weight, with the calibrated value and central intervals. [-]
     """
 
     mineral: str

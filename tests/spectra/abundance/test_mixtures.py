@@ -1,7 +1,7 @@
 """Modes of measured mixtures by a library that holds nothing of their series; all in `tests/benchmarks/mixtures.py`."""
 
 import re
-import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +20,8 @@ MAFIC = ("olivine", "orthopyroxene", "clinopyroxene")
 
 
 @pytest.fixture(scope="module")
-def bench() -> Any:
-    sys.path.insert(0, str(ROOT / "tests/benchmarks"))
-    try:
-        import mixtures
-    finally:
-        sys.path.pop(0)
-    return mixtures
+def bench(load_benchmark: Callable[[str], Any]) -> Any:
+    return load_benchmark("mixtures")
 
 
 @pytest.fixture(scope="module")
@@ -107,6 +102,17 @@ def test_own_end_members_give_pyroxenes_within_five_per_cent(
     ]
     found = [estimate_abundance(spectra[name], minerals, end_members=library).fractions[0].fraction for name in names]
     assert 100 * np.sqrt(np.mean((found - rows.loc[names, "vol_opx"]) ** 2)) <= 5
+
+
+def test_iron_raises_the_plagioclase_of_a_highland_soil(reference_data: Path) -> None:
+    """Apollo 16 soil 62231, whose rocks are mostly plagioclase; measured: 27 and 47 %."""
+    path = reference_data / "spectra/lunar/apollo16_62231_relab_avg.csv"
+    soil = read_spectra(read_input(str(path)))[0]
+    minerals = (*MAFIC, "plagioclase")
+    without, with_iron = (
+        estimate_abundance(soil, minerals, method="hapke", iron=iron).fractions[3].fraction for iron in (False, True)
+    )
+    assert with_iron > without + 0.1
 
 
 def test_laboratory_mixtures_are_in_domain_and_others_mostly_are_not(

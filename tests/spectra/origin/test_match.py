@@ -1,8 +1,7 @@
 """Posteriors: arithmetic, calibration on simulated rocks, and the paper's rock on its published numbers."""
 
-import importlib.util
 import re
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,13 +24,8 @@ PAPER_ROCK = Rock(
 
 
 @pytest.fixture(scope="module")
-def bench() -> Iterator[Any]:
-    path = Path(__file__).parents[2] / "benchmarks/bench_match.py"
-    spec = importlib.util.spec_from_file_location("bench_match", path)
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    yield module
+def bench(load_benchmark: Callable[[str], Any]) -> Any:
+    return load_benchmark("bench_match")
 
 
 def matched(rock: Rock = PAPER_ROCK, craters: Any = None, **prior: object) -> RockMatch:
