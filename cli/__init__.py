@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from . import demo, spectra_fit, spectra_match
+from . import demo, reproduce, spectra_fit, spectra_match
 from .library import app as library
 from .regolith import app as regolith
 from .spectra import app as spectra
@@ -32,6 +32,7 @@ spectra.add_typer(library, name="library")
 app.add_typer(spectra, name="spectra")
 app.add_typer(regolith, name="regolith")
 app.add_typer(twin, name="twin")
+reproduce.add_to(app)
 demo.add_to(app)
 
 

@@ -35,7 +35,8 @@ ExternalFrictionAngle = Annotated[float | None, _soil("φ_y [deg].")]
 LateralModulus = Annotated[float | None, _soil("K_y [mm].")]
 Exact = Annotated[bool, _exact("Integrate the stresses (Eqs 1-17) instead of Eqs 21-24.", "--exact")]
 Shear = Annotated[
-    Literal["separate", "combined"], _exact("Strength along and across: each its own, or shared by the sliding.")
+    Literal["separate", "combined", "ellipse"],
+    _exact("Strength along and across: each its own, or one shared along the velocity or the displacement."),
 ]
 Bulldozing = Annotated[
     Literal["none", "hegedus", "wong"], _exact("Soil against the side face, by Hegedus or by passive pressure.")

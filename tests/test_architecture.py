@@ -14,6 +14,7 @@ SHARED = {
     "atomic",
     "inputs",
     "compiled",
+    "elementary",
     "figure",
     "rovers",
     "spectra_data",
@@ -23,6 +24,7 @@ ALLOWED = {
     "spectra": {"spectra", *SHARED},
     "regolith": {"regolith", *SHARED},
     "twin": {"twin", "regolith", *SHARED},
+    "reproduce": {"reproduce", "spectra", "regolith", "twin", *SHARED},
     "rovers": {"rovers", "errors"},
 }
 TREES = {

@@ -10,7 +10,7 @@ from lunarsci.regolith.forces import READINGS, Reading
 
 __all__ = ["BULLDOZING", "SHEAR_LAWS", "Bulldozing", "ContactModel", "ShearLaw"]
 
-ShearLaw = Literal["separate", "combined"]
+ShearLaw = Literal["separate", "combined", "ellipse"]
 Bulldozing = Literal["none", "hegedus", "wong"]
 SHEAR_LAWS: tuple[str, ...] = get_args(ShearLaw)
 BULLDOZING: tuple[str, ...] = get_args(Bulldozing)
@@ -26,8 +26,10 @@ class ContactModel:
     ----------
     reading : of the sign of the longitudinal shear stress, see `lunarsci.regolith.forces`; with `separate` shear only.
     shear : `separate` mobilises longitudinal and lateral stress each by its own displacement (Ding et al. 2024, Eqs 12,
-        16); `combined` by the length of both, along the sliding velocity (Pavlov & Johnson 2019), so that a wheel that
-        skids loses grip sideways.
+        16). The others mobilise one strength by the length of both displacements, each over its modulus, so that a
+        wheel that skids loses grip sideways: `combined` along the sliding velocity (Pavlov & Johnson 2019), which
+        jumps where a wheel without side slip passes from slip to skid; `ellipse` along the displacement itself, which
+        does not, and without side slip equals `separate` (an assumption made here, tried on measured wheels).
     bulldozing : force of the soil against the side face: `hegedus` (Hegedus 1960, as in Ishigami et al. 2007), `wong`
         (passive earth pressure, Wong 2008), or `none` as in the source.
     density_kg_m3, gravity_m_s2 : of the soil, and where; both above 0. Only bulldozing needs them. [kg m^-3, m s^-2]
@@ -69,7 +71,7 @@ class ContactModel:
         ):
             if value not in choices:
                 raise ParameterError(f"{name} '{value}' is unknown; choose one of: {', '.join(choices)}")
-        if self.shear == "combined" and self.reading != "signed":
+        if self.shear != "separate" and self.reading != "signed":
             raise ParameterError(f"reading '{self.reading}' belongs to separate shear; take reading 'signed'")
         for name in ("density_kg_m3", "gravity_m_s2"):
             if not 0 < getattr(self, name) < math.inf:

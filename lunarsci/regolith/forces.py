@@ -20,7 +20,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.compiled import compiled
+from lunarsci.compiled import compiled, in_lanes, pasted
+from lunarsci.elementary import arcsin, cosine, exp_minus_one, exponential, logarithm, sine
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.wheel import Wheel
@@ -108,11 +109,11 @@ def _signed_share(j: float, travel: float, modulus: float, code: int) -> float:
     return float(mobilised(j, modulus))
 
 
-@compiled
-def wheel_forces_kernel(
-    sinkage: float, travel: float, lateral: float, wheel: Any, soil: Any, code: int
-) -> tuple[float, float, float, float]:
+@pasted
+def wheel_forces_kernel(sinkage: Any, travel: Any, lateral: Any, wheel: Any, soil: Any, code: Any) -> Any:
     """F_N, F_DP, F_L, M_R of one wheel (Eqs 18-24). [N, N, N, N m]
+
+    Pasted into the loop that calls it and written without branches, so that the loop can run in vector lanes.
 
     Parameters
     ----------
@@ -124,23 +125,26 @@ def wheel_forces_kernel(
     """
     r, b, h, r_s, c1, c2, c3 = wheel
     stiffness, n0, n1, cohesion, tan_phi, k_x, tan_phi_y, k_y = soil
-    slip = slip_ratio(travel)
-    # Cosines of the entrance angles are known; taking them and their sines once saves two fifths of the time.
-    cos_1, cos_1e = (r - sinkage) / r, (r - sinkage) / (r + h)
-    theta_1, theta_1e = math.acos(cos_1), math.acos(cos_1e)
-    sin_1, sin_1e = math.sqrt((1.0 - cos_1) * (1.0 + cos_1)), math.sqrt((1.0 - cos_1e) * (1.0 + cos_1e))
+    slip = 1.0 - travel if travel <= 1.0 else 1.0 / travel - 1.0
+    # Half-angle forms: 1 - cos(theta_1) = z / r, for grouser tips (z + h) / (r + h).
+    q, q_e = sinkage / (2.0 * r), (sinkage + h) / (2.0 * (r + h))
+    half, half_e = math.sqrt(q), math.sqrt(q_e)
+    theta_1, theta_1e = 2.0 * arcsin(half), 2.0 * arcsin(half_e)
+    cos_1, sin_1, sin_1e = 1.0 - 2.0 * q, 2.0 * half * math.sqrt(1.0 - q), 2.0 * half_e * math.sqrt(1.0 - q_e)
     theta_2, theta_m = c3 * theta_1, (c1 + c2 * slip) * theta_1
-    cos_2, sin_2 = (1.0, 0.0) if theta_2 == 0.0 else (math.cos(theta_2), math.sin(theta_2))
-    cos_m, sin_m = math.cos(theta_m), math.sin(theta_m)
+    cos_2, sin_2, cos_m, sin_m = cosine(theta_2), sine(theta_2), cosine(theta_m), sine(theta_m)
     front, rear = theta_1 - theta_m, theta_m - theta_2
     a = (cos_m - cos_2) / rear + (cos_m - cos_1) / front
     b_moment = (sin_m - sin_2) / rear + (sin_m - sin_1) / front
     c_moment = (theta_1 - theta_2) / 2.0
-    sigma_m = stiffness * (r * (cos_m - cos_1)) ** (n0 + n1 * slip)
+    depth = r * (cos_m - cos_1)
+    sigma_m = stiffness * exponential((n0 + n1 * slip) * logarithm(depth)) if depth > 0.0 else math.nan
     ratio = 1.0 / travel if code == 2 and travel > 1.0 else travel
     j_x = r_s * ((theta_1e - theta_m) - ratio * (sin_1e - sin_m))
-    tau_x = (cohesion + sigma_m * tan_phi) * _signed_share(j_x, travel, k_x, code)
-    tau_y = (cohesion + sigma_m * tan_phi_y) * mobilised(r * lateral * (theta_1e - theta_m), k_y)
+    sign_x = (1.0 if travel <= 1.0 else -1.0) if code == 1 else math.copysign(1.0, j_x)
+    tau_x = (cohesion + sigma_m * tan_phi) * -sign_x * exp_minus_one((-j_x if code == 1 else -abs(j_x)) / k_x)
+    j_y = r * lateral * (theta_1e - theta_m)
+    tau_y = (cohesion + sigma_m * tan_phi_y) * -math.copysign(1.0, j_y) * exp_minus_one(-abs(j_y) / k_y)
     return (
         b * (r * sigma_m * a + r_s * tau_x * b_moment),
         b * (r_s * tau_x * a - r * sigma_m * b_moment),
@@ -149,13 +153,13 @@ def wheel_forces_kernel(
     )
 
 
-@compiled
-def _each_state(states: Any, wheel: Any, soil: Any, code: int) -> Any:
-    forces = np.empty((len(states), 4))
-    for i in range(len(states)):
-        z, slip, beta = states[i, 0], states[i, 1], states[i, 2]
-        travel = travel_ratio(slip)
-        forces[i] = wheel_forces_kernel(z, travel, travel * math.tan(beta), wheel, soil, code)
+@in_lanes
+def _each_state(sinkage: Any, travel: Any, lateral: Any, wheel: Any, soil: Any, code: int) -> Any:
+    forces = np.empty((4, len(sinkage)))
+    for i in range(len(sinkage)):
+        forces[0, i], forces[1, i], forces[2, i], forces[3, i] = wheel_forces_kernel(
+            sinkage[i], travel[i], lateral[i], wheel, soil, code
+        )
     return forces
 
 
@@ -218,11 +222,12 @@ def wheel_forces(
     parts = np.broadcast_arrays(*(np.asarray(v, dtype=float) for v in (sinkage_m, slip_ratio, side_slip_deg)))
     z, s, beta = (part.ravel() for part in parts)
     check_states(z, s, beta, wheel.radius_m)
-    states = np.column_stack([z, s, np.radians(beta)])
-    forces = _each_state(states, wheel.vector(), soil.vector(), reading_code(reading))
+    travel = np.where(s >= 0, 1 - s, 1 / (1 + s))
+    lateral = travel * np.tan(np.radians(beta))
+    forces = _each_state(z, travel, lateral, wheel.vector(), soil.vector(), reading_code(reading))
     if not np.isfinite(forces).all():
         raise ParameterError("the forces are beyond any number; check sinkage and soil parameters")
-    return WheelForces(*(forces[:, k].reshape(parts[0].shape) for k in range(4)))
+    return WheelForces(*(forces[k].reshape(parts[0].shape) for k in range(4)))
 
 
 def check_states(z: FloatArray, s: FloatArray, beta: FloatArray, radius: float) -> None:

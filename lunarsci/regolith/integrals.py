@@ -60,12 +60,13 @@ def _side_pressure(depth: float, cohesion: float, tan_phi: float, model: Any) ->
 def _shares(j_x: float, j_y: float, sliding: Any, soil: Any, model: Any, slip: float, slip_j: float) -> Any:
     """Shares of the strengths mobilised along and across the wheel, with their signs. [-]"""
     k_x, k_y = soil[5], soil[7]
-    if model[1] == 1.0:
-        length = math.hypot(sliding[0], sliding[1])
-        if length == 0.0:
-            return 0.0, 0.0
-        share = -math.expm1(-math.hypot(j_x / k_x, j_y / k_y))
-        return share * sliding[0] / length, share * sliding[1] / length
+    if model[1] > 0.0:
+        length = math.hypot(j_x / k_x, j_y / k_y)
+        share = -math.expm1(-length)
+        along, across = j_x / k_x, j_y / k_y
+        if model[1] == 1.0:
+            along, across, length = sliding[0], sliding[1], math.hypot(sliding[0], sliding[1])
+        return (share * along / length, share * across / length) if length > 0.0 else (0.0, 0.0)
     along = mobilised(j_x, k_x)
     if model[0] == 1.0:
         along = -math.expm1(-j_x / k_x) * (1.0 if slip >= 0.0 else -1.0)

@@ -1,13 +1,14 @@
 """Forces of many wheel states for one soil or many, as the joint inference needs them."""
 
+import math
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.compiled import compiled
+from lunarsci.compiled import compiled, in_lanes
 from lunarsci.regolith.contact import ContactModel
-from lunarsci.regolith.forces import travel_ratio, wheel_forces_kernel
+from lunarsci.regolith.forces import wheel_forces_kernel
 from lunarsci.regolith.integrals import NODES, WEIGHTS, contact_kernel
 from lunarsci.regolith.wheel import Wheel
 
@@ -17,34 +18,30 @@ FloatArray = npt.NDArray[np.float64]
 FORCES = ("normal_force_n", "drawbar_pull_n", "lateral_force_n")
 
 
-@compiled
-def _closed(soils: Any, inputs: Any, wheel: Any) -> Any:
-    forces = np.full((len(soils), len(inputs), 3), np.nan)
+@in_lanes
+def _closed(soils: Any, sinkage: Any, travel: Any, lateral: Any, wheel: Any) -> Any:
+    forces = np.empty((len(soils), 3, len(sinkage)))
     for d in range(len(soils)):
         s = soils[d]
         soil = (s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7])
-        for i in range(len(inputs)):
-            z, slip, beta = inputs[i]
-            if 0.0 < z < wheel[0] and -1.0 < slip < 1.0:
-                travel = travel_ratio(slip)
-                found = wheel_forces_kernel(z, travel, travel * np.tan(beta), wheel, soil, 0)
-                forces[d, i] = found[:3]
+        for i in range(len(sinkage)):
+            f_n, f_dp, f_l, _ = wheel_forces_kernel(sinkage[i], travel[i], lateral[i], wheel, soil, 0)
+            forces[d, 0, i], forces[d, 1, i], forces[d, 2, i] = f_n, f_dp, f_l
     return forces
 
 
 @compiled
-def _integrated(soils: Any, inputs: Any, wheel: Any, model: Any, nodes: Any, weights: Any) -> Any:
-    forces = np.full((len(soils), len(inputs), 3), np.nan)
+def _integrated(soils: Any, sinkage: Any, travel: Any, lateral: Any, wheel: Any, model: Any, rule: Any) -> Any:
+    forces = np.full((len(soils), 3, len(sinkage)), np.nan)
+    nodes, weights = rule
     for d in range(len(soils)):
         s = soils[d]
         soil = (s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7])
-        for i in range(len(inputs)):
-            z, slip, beta = inputs[i]
-            if 0.0 < z < wheel[0] and -1.0 < slip < 1.0:
-                travel = travel_ratio(slip)
-                moving = (travel, travel * np.tan(beta), 1.0)
-                found = contact_kernel(z, moving, wheel, soil, model, nodes, weights)
-                forces[d, i, 0], forces[d, i, 1], forces[d, i, 2] = found[0], found[1], found[2]
+        for i in range(len(sinkage)):
+            if math.isfinite(sinkage[i]):
+                moving = (travel[i], lateral[i], 1.0)
+                found = contact_kernel(sinkage[i], moving, wheel, soil, model, nodes, weights)
+                forces[d, 0, i], forces[d, 1, i], forces[d, 2, i] = found[0], found[1], found[2]
     return forces
 
 
@@ -61,11 +58,14 @@ def forces_of_many(values: FloatArray, inputs: FloatArray, wheel: Wheel, model: 
     soils[:, 0] *= 1e3
     soils[:, [4, 6]] = np.tan(np.radians(soils[:, [4, 6]]))
     soils[:, [5, 7]] *= 1e-3
-    states = np.array(inputs, dtype=np.float64)
-    states[:, 2] = np.radians(states[:, 2])
+    z, slip = inputs[:, 0], inputs[:, 1]
+    possible = (z > 0) & (z < wheel.radius_m) & (slip > -1) & (slip < 1)
+    slip = np.where(possible, slip, 0.0)
+    travel = np.where(slip >= 0, 1 - slip, 1 / (1 + slip))
+    states = (np.where(possible, z, np.nan), travel, travel * np.tan(np.radians(inputs[:, 2])), wheel.vector())
     if model is None:
-        return np.asarray(_closed(soils, states, wheel.vector()))
-    return np.asarray(_integrated(soils, states, wheel.vector(), model.vector(), NODES, WEIGHTS))
+        return np.asarray(_closed(soils, *states).transpose(0, 2, 1))
+    return np.asarray(_integrated(soils, *states, model.vector(), (NODES, WEIGHTS)).transpose(0, 2, 1))
 
 
 def forces_at(values: FloatArray, inputs: FloatArray, wheel: Wheel, model: ContactModel | None) -> FloatArray:

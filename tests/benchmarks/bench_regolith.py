@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lunarsci.regolith.forces import contact_angles, stress_moments, wheel_forces
+from lunarsci.regolith.forces import _each_state, contact_angles, stress_moments, wheel_forces
 from lunarsci.regolith.identify import identify
 from lunarsci.regolith.integrals import contact_forces
 from lunarsci.regolith.joint import infer_soil
@@ -85,11 +85,14 @@ def main() -> None:
     rng = np.random.default_rng(0)
     z, s, beta = rng.uniform(0.005, 0.02, STATES), rng.uniform(-0.5, 0.5, STATES), rng.uniform(-0.2, 0.2, STATES)
     compiled = seconds(lambda: wheel_forces(WHEEL, SOIL, z, s, np.degrees(beta))) / STATES
+    travel = np.where(s >= 0, 1 - s, 1 / (1 + s))
+    loop = seconds(lambda: _each_state(z, travel, travel * np.tan(beta), WHEEL.vector(), SOIL.vector(), 0)) / STATES
     arrays = seconds(lambda: in_numpy(z, s, beta)) / STATES
     python = seconds(lambda: [in_python(a, b) for a, b in zip(z[:2000], s[:2000], strict=True)]) / 2000
     exact = seconds(lambda: contact_forces(WHEEL, SOIL, z[:20000], s[:20000], np.degrees(beta[:20000]))) / 20000
-    print(f"closed form, compiled: {1e9 * compiled:.0f} ns a wheel; NumPy {arrays / compiled:.1f} times, Python (F_N "
-          f"only) {python / compiled:.0f} times; exact integrals {exact / compiled:.0f} times")  # fmt: skip
+    print(f"closed form, compiled: {1e9 * loop:.0f} ns a wheel, with checks {1e9 * compiled:.0f} ns; NumPy "
+          f"{arrays / loop:.1f} times, Python (F_N only) {python / loop:.0f} times; exact integrals {exact / loop:.0f} "
+          "times")  # fmt: skip
     one, many = states(1), states(200)
     print(f"a million draws of one state: {seconds(lambda: identify(one, WHEEL, draws=1_000_000), 2):.2f} s")
     print(f"joint posterior of 200 states: {seconds(lambda: infer_soil(many, WHEEL), 2):.2f} s, sampled "

@@ -69,6 +69,19 @@ def test_the_integrals_are_those_of_the_equations(state: tuple[float, float, flo
     assert values == pytest.approx(written_out(*state), rel=2e-3, abs=1e-3 * load)
 
 
+def test_the_ellipse_equals_separate_shear_in_one_direction_and_never_exceeds_the_strength() -> None:
+    for slip in (-0.3, 0.0, 0.3):
+        one, two = (
+            contact_forces(WHEEL, SOIL, 0.012, slip, 0.0, ContactModel(shear=law)) for law in ("separate", "ellipse")
+        )
+        assert float(two.drawbar_pull_n) == pytest.approx(float(one.drawbar_pull_n), rel=1e-12)
+    one, two = (
+        contact_forces(WHEEL, SOIL, 0.012, 0.3, 20.0, ContactModel(shear=law)) for law in ("separate", "ellipse")
+    )
+    assert 0 < float(two.lateral_force_n) < float(one.lateral_force_n)
+    assert 0 < float(two.resistance_torque_nm) < float(one.resistance_torque_nm)
+
+
 def test_integrals_and_closed_form_give_numbers_computed_by_another_program() -> None:
     """Slip 0.2, N 1, K_s 820, c 520 Pa, phi 42 deg, z 12 mm, lugs of 8 mm: F_N, F_DP, M_R of both."""
     wheel = Wheel(radius_m=0.15, width_m=0.15, grouser_height_m=0.008, grouser_shear_coefficient=0.65)
@@ -81,9 +94,11 @@ def test_integrals_and_closed_form_give_numbers_computed_by_another_program() ->
 
 def test_combined_shear_is_the_separate_one_without_side_slip() -> None:
     """At beta = 0 and full sliding one way both laws say the same."""
-    both = [contact_forces(WHEEL, SOIL, 0.015, 0.6, 0.0, ContactModel(shear=law)) for law in SHEAR_LAWS]
-    separate, combined = both
-    assert float(combined.drawbar_pull_n) == pytest.approx(float(separate.drawbar_pull_n), rel=1e-9)
+    pulls = [
+        float(contact_forces(WHEEL, SOIL, 0.015, 0.6, 0.0, ContactModel(shear=law)).drawbar_pull_n)  # type: ignore[arg-type]
+        for law in SHEAR_LAWS
+    ]
+    assert pulls == pytest.approx([pulls[0]] * 3, rel=1e-9)
 
 
 def test_skidding_takes_grip_sideways_under_combined_shear() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 pytestmark = pytest.mark.reference
 ROOT = Path(__file__).parents[2]
-BEST = "combined, bulldozing by Hegedus"
+BEST = "ellipse, bulldozing by Hegedus"
 
 
 @pytest.fixture(scope="module")
@@ -25,21 +25,39 @@ def test_runs_above_the_axle_are_kept(runs: Any) -> None:
     assert len(runs.sinkage) == 158
 
 
-@pytest.mark.parametrize("name", ["signed, separate", "signed, combined"])
+def test_every_state_was_run_three_times(runs: Any) -> None:
+    states = list(zip(runs.angle, runs.repetition, strict=True))
+    assert {n for _, n in states} == {1, 2, 3}
+    assert all(abs(sum(n == k for _, n in states) - len(states) / 3) < 3 for k in (1, 2, 3))
+
+
+@pytest.mark.parametrize("name", ["signed, separate", "signed, combined", "signed, ellipse"])
 def test_drawbar_pull_in_skid_and_slip_is_within_a_newton(bench: Any, runs: Any, name: str) -> None:
-    """Load 20-26 N, slip from locked to 0.9, trials that were not fitted."""
+    """Load 20-26 N, slip from -0.7 to 0.9, repetitions that were not fitted."""
     assert bench.errors(runs, name, True)[1] <= 1.1
 
 
-def test_side_forces_need_combined_shear_and_bulldozing(bench: Any, runs: Any) -> None:
-    """Measured: drawbar 3.6 N, lateral 2.1 N over slip angles of 0-75 deg, where they reach 39 and 51 N."""
+def test_the_ellipse_is_what_a_side_slipping_wheel_needs(bench: Any, runs: Any) -> None:
+    """Measured: drawbar 1.7 N, lateral 1.95 N over slip angles of 0-75 deg, where they reach 24 and 51 N."""
     _, drawbar, lateral = bench.errors(runs, BEST, False)
-    assert drawbar <= 4.0
-    assert lateral <= 2.3
-    assert lateral < 0.5 * bench.errors(runs, "signed, separate", False)[2]
+    assert drawbar <= 1.9
+    assert lateral <= 2.1
+    _, plain_drawbar, plain_lateral = bench.errors(runs, "signed, separate", False)
+    assert drawbar < 0.6 * plain_drawbar
+    assert lateral < 0.6 * plain_lateral
 
 
 def test_the_printed_reading_is_refuted(bench: Any, runs: Any) -> None:
-    """Locked wheels left out, where it has no finite answer; measured: five times at beta = 0, twice at all angles."""
+    """Refitted with all its freedom, its drawbar pull errs 3.6 times as much at no side slip, 2.7 times at all."""
     assert bench.errors(runs, "printed", True)[1] > 3 * bench.errors(runs, "signed, separate", True)[1]
-    assert bench.errors(runs, "printed", False)[1] > 2 * bench.errors(runs, BEST, False)[1]
+    assert bench.errors(runs, "printed", False)[1] > 2.5 * bench.errors(runs, BEST, False)[1]
+
+
+def test_points_of_published_curves(bench: Any, reference_data: Path) -> None:
+    """Nothing fitted. The soil of Ding's table bears out for the wheel with grousers; see the README for the others."""
+    found = bench.published_points(reference_data)
+    assert sum(point.points for point in found.values()) == 27
+    assert found["ding2011, grousers of 10 mm"].drawbar <= 0.05
+    assert found["ding2011, grousers of 0 mm"].drawbar <= 0.09
+    assert found["ding2011, grousers of 10 mm"].sinkage <= 0.009
+    assert all(found[f"wang_han_2016_kls1, grousers of {h} mm"].unborne == 5 for h in (0, 10))

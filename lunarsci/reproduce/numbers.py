@@ -1,0 +1,101 @@
+"""Published numbers, what is found for them, and the verdict."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from lunarsci.tables import table_hashes, table_rows
+
+__all__ = ["TABLE", "Answer", "Number", "judge", "published_hash", "published_numbers"]
+
+TABLE = "published.csv"
+REPRODUCED, NAMED = "reproduced", "reproduced under a named reading"
+DIFFERS, OPEN = "differs", "not determined by what is published"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer:
+    """What is found for a published number.
+
+    Attributes
+    ----------
+    value : None where what is published does not determine it.
+    low, high : 95 % interval, or the range over what is not published; None where there is none.
+    reading : an interpretation or assumption the value rests on, empty where none is needed.
+    reason : the evidence, or why it differs or is not determined.
+    """
+
+    value: float | None
+    low: float | None = None
+    high: float | None = None
+    reading: str = ""
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Number:
+    """A published number beside ours.
+
+    Attributes
+    ----------
+    id, part, quantity, unit, passage : what it is, and where it stands in Ding et al. (2024).
+    published, within : its value, and the largest difference that still counts as the same: its rounding, and three
+        sampling errors of 1024 draws where it is a standard deviation.
+    ours, low, high, reading, reason : see `Answer`.
+    verdict : `reproduced`, `reproduced under a named reading`, `differs`, or `not determined by what is published`.
+    """
+
+    id: str
+    part: str
+    quantity: str
+    unit: str
+    passage: str
+    published: float
+    within: float
+    ours: float | None
+    low: float | None
+    high: float | None
+    reading: str
+    reason: str
+    verdict: str
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain Python."""
+        return {name: getattr(self, name) for name in self.__slots__}
+
+
+def published_numbers(part: str) -> tuple[Mapping[str, str], ...]:
+    """Rows of the table that belong to a part."""
+    return tuple(row for row in table_rows(TABLE, __package__) if row["part"] == part)
+
+
+def published_hash() -> dict[str, str]:
+    """Name and SHA-256 of the table."""
+    return table_hashes(TABLE, package=__package__)
+
+
+def judge(row: Mapping[str, str], answer: Answer) -> Number:
+    """A row of the table and what was found for it."""
+    published, within = float(row["published"]), float(row["within"])
+    return Number(
+        id=row["id"],
+        part=row["part"],
+        quantity=row["quantity"],
+        unit=row["unit"],
+        passage=row["passage"],
+        published=published,
+        within=within,
+        ours=answer.value,
+        low=answer.low,
+        high=answer.high,
+        reading=answer.reading,
+        reason=answer.reason,
+        verdict=_verdict(answer, published, within),
+    )
+
+
+def _verdict(answer: Answer, published: float, within: float) -> str:
+    if answer.value is None:
+        return OPEN
+    if abs(answer.value - published) > within:
+        return DIFFERS
+    return NAMED if answer.reading else REPRODUCED

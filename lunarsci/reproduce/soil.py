@@ -1,0 +1,254 @@
+"""Soil parameters of Ding et al. (2024): which of their numbers follow from what they publish.
+
+Wheel forces are not published. Two of the numbers stand for them here: K_s at 8 mm gives F_N / b, and the friction
+angle at a slip ratio of -0.075 gives F_DP, under the one reading of the shear law that has a solution there.
+"""
+
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from lunarsci.errors import LunarSciWarning
+from lunarsci.regolith.compare import Site, compare_site, nearest
+from lunarsci.regolith.forces import WheelForces, contact_angles, wheel_forces
+from lunarsci.regolith.identify import Assumptions, Identification, identify
+from lunarsci.regolith.load import sinkage_under_load
+from lunarsci.regolith.soil import Soil
+from lunarsci.regolith.states import MeasurementErrors, WheelStates
+from lunarsci.regolith.wheel import Wheel, read_wheel
+from lunarsci.reproduce.numbers import Answer, Number, judge, published_numbers
+
+__all__ = ["soil_numbers"]
+
+MEAN_SINKAGE_M, SLIP = 0.008, -0.075
+STIFFNESS, TYPICAL, PHI_DEG, COHESION_PA = 1443.0, 820.0, 21.5, 520.0
+CORNER = (42.0, 3154.0)
+BEARING_DOTS = ((STIFFNESS, 1.0), (556.7, 1.0), (STIFFNESS, 0.87))
+LATERAL_CORNERS = ((13.0, 8.3), (40.0, 16.5))
+"""K_y [mm] and phi_y [deg] as paired by the rectangle of Fig. 4d."""
+SIDE_SLIPS_DEG = (0.5, 3.0)
+SHORT_LUG_M = 0.005
+DRAWS = 20_000
+EXACT = MeasurementErrors(sinkage_m=0, force_relative=0, travel_relative=0, side_slip_relative=0)
+WHEEL_LOAD = "F_N / b = 213.5 N/m, which only this number sets"
+SLIP_BRANCH = "slip branch of the shear law at |s|"
+
+
+def _soil(stiffness: float = STIFFNESS, cohesion: float = COHESION_PA, phi: float = PHI_DEG) -> Soil:
+    return Soil(
+        stiffness_kpa_m_n=stiffness,
+        sinkage_exponent=1.0,
+        cohesion_pa=cohesion,
+        friction_angle_deg=phi,
+        shear_modulus_mm=17.8,
+        external_friction_angle_deg=LATERAL_CORNERS[0][1],
+        lateral_modulus_mm=LATERAL_CORNERS[0][0],
+    )
+
+
+@cache
+def _forces(wheel: Wheel) -> WheelForces:
+    """On the mean wheel, by the two numbers that stand for them."""
+    return wheel_forces(wheel, _soil(), MEAN_SINKAGE_M, SLIP, reading="slip-branch")
+
+
+def _identified(
+    wheel: Wheel,
+    sinkage_m: float,
+    known: Assumptions | None = None,
+    *,
+    errors: MeasurementErrors = EXACT,
+    shear: bool = False,
+) -> Identification:
+    """Of one state with the forces of the mean wheel."""
+    forces = _forces(wheel)
+    values = np.array([[sinkage_m, SLIP, np.nan, float(forces.normal_force_n), float(forces.drawbar_pull_n), np.nan]])
+    columns = ("sinkage_m", "slip_ratio", "side_slip_deg", "normal_force_n", "drawbar_pull_n", "lateral_force_n")
+    sigmas = np.column_stack([errors.of(name, values[:, k]) for k, name in enumerate(columns)])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LunarSciWarning)
+        reading = "slip-branch" if shear else "signed"
+        return identify(WheelStates(("mean",), values, sigmas), wheel, known, reading=reading, draws=DRAWS)  # type: ignore[arg-type]
+
+
+def _value(found: Identification, name: str) -> float:
+    value = found.site[name].value
+    return float("nan") if value is None else value
+
+
+def _sd(found: Identification, name: str) -> float:
+    sigma = found.site[name].sigma
+    return float("nan") if sigma is None else sigma
+
+
+def _bearing(wheel: Wheel) -> dict[str, Callable[[], Answer]]:
+    stiff = Assumptions(stiffness_kpa_m_n=STIFFNESS)
+    both = MeasurementErrors()
+
+    def spread(errors: MeasurementErrors, reason: str) -> Answer:
+        return Answer(value=_sd(_identified(wheel, 0.005, stiff, errors=errors), "exponent"), reason=reason)
+
+    return {
+        "stiffness-8mm": lambda: Answer(
+            value=_value(_identified(wheel, 0.008), "stiffness_kpa_m_n"),
+            reading=WHEEL_LOAD,
+            reason="a width of 0.15 m would mean 32 N a wheel, 118 kg on six; b and F_N cannot be told apart",
+        ),
+        "stiffness-15mm": lambda: Answer(
+            value=_value(_identified(wheel, 0.015), "stiffness_kpa_m_n"), reason="same forces as at 8 mm"
+        ),
+        "exponent-8mm": lambda: Answer(
+            value=_value(_identified(wheel, 0.008, Assumptions(stiffness_kpa_m_n=TYPICAL)), "exponent"),
+            reason="does not depend on the forces",
+        ),
+        "exponent-5mm": lambda: Answer(
+            value=_value(_identified(wheel, 0.005, stiff), "exponent"), reason="same forces as at 8 mm"
+        ),
+        "sinkage-typical": lambda: _typical_sinkage(wheel),
+        "exponent-sd-sinkage": lambda: spread(replace(both, force_relative=0.0), "sinkage errs by 0.33 mm"),
+        "exponent-sd-forces": lambda: spread(
+            replace(both, sinkage_m=0.0), "forces err by 10 %/3, independently; the text names only the 10 %"
+        ),
+        "exponent-sd": lambda: spread(both, "0.33 mm and 10 %/3 together"),
+        "stiffness-sd-15mm": lambda: Answer(
+            value=_sd(_identified(wheel, 0.015, errors=both), "stiffness_kpa_m_n"), reason="0.33 mm and 10 %/3 together"
+        ),
+        "bearing-capacity": lambda: _capacity(wheel),
+        "nearest-terrestrial": lambda: _nearest_terrestrial(wheel),
+    }
+
+
+def _typical_sinkage(wheel: Wheel) -> Answer:
+    load = float(_forces(wheel).normal_force_n)
+    found = sinkage_under_load(wheel, _soil(TYPICAL), load, SLIP, reading="slip-branch")
+    return Answer(value=1e3 * found, reason=f"under the same {load:.1f} N; shear at c = 520 Pa, phi = 21.5 deg")
+
+
+def _capacity(wheel: Wheel) -> Answer:
+    forces = _forces(wheel)
+    theta_1 = contact_angles(MEAN_SINKAGE_M, SLIP, wheel.vector())[0]
+    mean = float(forces.normal_force_n) / (wheel.width_m * wheel.radius_m * theta_1)
+    largest = _value(_identified(wheel, MEAN_SINKAGE_M), "stiffness_kpa_m_n") * _depth(wheel)
+    return Answer(
+        value=mean / 1e3,
+        reading="mean pressure F_N / (r b theta_1)",
+        reason=f"the largest stress sigma_m is {largest:.1f} kPa",
+    )
+
+
+def _depth(wheel: Wheel) -> float:
+    theta_1, _, _, theta_m = contact_angles(MEAN_SINKAGE_M, SLIP, wheel.vector())
+    return float(wheel.radius_m * (np.cos(theta_m) - np.cos(theta_1)))
+
+
+def _nearest_terrestrial(wheel: Wheel) -> Answer:
+    """By the nearest of the three dots of Fig. 4a."""
+    best: dict[str, float] = {}
+    for stiffness, exponent in BEARING_DOTS:
+        site = Site(stiffness_kpa_m_n=stiffness, sinkage_exponent=exponent)
+        for item in nearest(compare_site(site, wheel.width_m), "bearing"):
+            if item.soil.kind == "terrestrial" and item.bearing is not None:
+                best[item.soil.name] = min(item.bearing, best.get(item.soil.name, np.inf))
+    order = sorted(best, key=lambda name: best[name])
+    own = next(name for name in order if "Michigan" in name)
+    return Answer(
+        value=float(order.index(own) + 1),
+        reason=f"rms ln ratio of pressures to the nearest of the three dots {best[own]:.2f}; next is {order[1]} with "
+        f"{best[order[1]]:.2f}",
+    )
+
+
+def _shear(wheel: Wheel) -> dict[str, Callable[[], Answer]]:
+    def angle() -> Answer:
+        found = _identified(wheel, MEAN_SINKAGE_M, shear=True)
+        physical = wheel_forces(wheel, _soil(), MEAN_SINKAGE_M, SLIP)
+        pull = float(physical.drawbar_pull_n)
+        slope = math.degrees(math.atan2(-pull, float(physical.normal_force_n)))
+        return Answer(
+            value=_value(found, "friction_angle_deg"),
+            reading=f"{SLIP_BRANCH}; F_DP = {float(_forces(wheel).drawbar_pull_n):.2f} N, which only this number sets",
+            reason=f"with the physical sign it would take {pull:.1f} N, a mean slope of {slope:.0f} deg, where the "
+            "steepest was 8.9 deg",
+        )
+
+    return {
+        "friction-angle": angle,
+        "friction-angle-sd": lambda: _angle_spread(wheel),
+        "cohesion": lambda: _cohesion(wheel),
+        "nearest-mission": lambda: _nearest_mission(wheel),
+    }
+
+
+def _angle_spread(wheel: Wheel) -> Answer:
+    def spread(of: Wheel) -> float:
+        found = _identified(of, MEAN_SINKAGE_M, errors=MeasurementErrors(sinkage_m=0.0), shear=True)
+        return _sd(found, "friction_angle_deg")
+
+    short = replace(wheel, grouser_height_m=SHORT_LUG_M)
+    stiffness = _value(_identified(short, 0.015), "stiffness_kpa_m_n")
+    return Answer(
+        value=spread(wheel),
+        reading=f"{SLIP_BRANCH}; slip ratio errs by 4 %/3 of the way",
+        reason=f"the lug height is not published: {1e3 * SHORT_LUG_M:.0f} mm instead of "
+        f"{1e3 * wheel.grouser_height_m:.0f} mm give {spread(short):.2f} deg, and {stiffness:.1f} kPa m^-N at 15 mm",
+    )
+
+
+def _cohesion(wheel: Wheel) -> Answer:
+    soil = _soil(cohesion=CORNER[1], phi=CORNER[0])
+    pull = float(wheel_forces(wheel, soil, MEAN_SINKAGE_M, -1e-6, reading="slip-branch").drawbar_pull_n)
+    return Answer(
+        value=None,
+        reason=f"lies on another curve of Fig. 4b, slip ratio -> 0, whose drawbar pull is not published; it takes "
+        f"{pull:.2f} N there and {float(_forces(wheel).drawbar_pull_n):.2f} N at -0.075",
+    )
+
+
+def _nearest_mission(wheel: Wheel) -> Answer:
+    """By the farthest corner of the rectangle of Fig. 4b."""
+    worst: dict[str, float] = {}
+    for cohesion in (COHESION_PA, CORNER[1]):
+        for phi in (PHI_DEG, CORNER[0]):
+            site = Site(cohesion_pa=cohesion, friction_angle_deg=phi)
+            for item in nearest(compare_site(site, wheel.width_m), "strength"):
+                if item.soil.kind == "lunar" and "Longji" not in item.soil.name and item.strength is not None:
+                    worst[item.soil.name] = max(item.strength, worst.get(item.soil.name, 0.0))
+    order = sorted(worst, key=lambda name: worst[name])
+    own = next(name for name in order if "Apollo 12, direct shear" in name)
+    return Answer(
+        value=float(order.index(own) + 1),
+        reason="its ranges (0.1-3.1 kPa, 13-56 deg) are the widest of all and hold nearly any soil; next is "
+        f"{order[1]} at {worst[order[1]]:.2f}",
+    )
+
+
+def _lateral(wheel: Wheel) -> dict[str, Callable[[], Answer]]:
+    def corner(k: int) -> Answer:
+        modulus, angle = LATERAL_CORNERS[k]
+        soil = replace(_soil(), external_friction_angle_deg=angle, lateral_modulus_mm=modulus)
+        forces = [
+            float(wheel_forces(wheel, soil, MEAN_SINKAGE_M, SLIP, beta).lateral_force_n) for beta in SIDE_SLIPS_DEG
+        ]
+        return Answer(
+            value=None,
+            reason=f"lateral forces are not published; with K_y = {modulus:g} mm it takes {forces[0]:.2f} N at 0.5 deg "
+            f"of side slip or {forces[1]:.2f} N at 3 deg, and no one force gives both ends of the range",
+        )
+
+    return {"external-friction-low": lambda: corner(0), "external-friction-high": lambda: corner(1)}
+
+
+def soil_numbers(wheel: Wheel | None = None) -> list[Number]:
+    """Every number of the soil beside ours, in the order of the table.
+
+    Parameters
+    ----------
+    wheel : Yutu-2's by default; its lug height is not published and moves some of the answers.
+    """
+    own = wheel or read_wheel("yutu2")
+    answers = _bearing(own) | _shear(own) | _lateral(own)
+    return [judge(row, answers[row["id"]]()) for row in published_numbers("soil")]
