@@ -15,8 +15,8 @@ __all__ = ["add_to"]
 ERRORS, JOINT = "Errors (where the file gives none)", "All states together"
 
 
-def _error(text: str) -> Any:
-    return typer.Option(help=text, rich_help_panel=ERRORS)
+def _error(text: str, *names: str) -> Any:
+    return typer.Option(*names, help=text, rich_help_panel=ERRORS)
 
 
 def _joint(text: str, *names: str, metavar: str | None = None) -> Any:
@@ -45,10 +45,12 @@ SinkageError = Annotated[float, _error("1σ of the sinkage [m].")]
 ForceError = Annotated[float, _error("1σ of the forces, relative.")]
 TravelError = Annotated[float, _error("1σ of the travelled distance, relative; slip errs by it times 1 - |s|.")]
 SideSlipError = Annotated[float, _error("1σ of the side slip, relative.")]
+Sensitivity = Annotated[bool, _error("How much of each variance comes from each measured quantity.", "--sensitivity")]
 Joint = Annotated[bool, _joint("All parameters from all states at once, as a posterior.", "--joint")]
 Prior = Annotated[str | None, _joint("Priors of --joint, in place of the lunar ones.", metavar="FILE.toml")]
 Exact = Annotated[bool, _joint("Integrate the stresses in --joint instead of Eqs 21-24.", "--exact")]
-Sample = Annotated[bool, _joint("Weight the draws of --joint by the exact posterior.", "--sample")]
+Sample = Annotated[bool, _joint("Draw from the posterior of --joint itself, not a normal law.", "--sample")]
+Profile = Annotated[bool, _joint("Intervals of --joint by profile: the best of all else at each value.", "--profile")]
 ModelError = Annotated[float, _joint("Share of the load by which the model of --joint may miss a force.")]
 
 
@@ -75,10 +77,12 @@ def identify(
     force_error: ForceError = 0.1 / 3,
     travel_error: TravelError = 0.04 / 3,
     side_slip_error: SideSlipError = 0.04 / 3,
+    sensitivity: Sensitivity = False,
     joint: Joint = False,
     prior: Prior = None,
     exact: Exact = False,
     sample: Sample = False,
+    profile: Profile = False,
     model_error: ModelError = 0.02,
 ) -> Report:
     """Soil parameters in three aspects (bearing, longitudinal and lateral shear) from wheel states, with errors.
@@ -88,12 +92,15 @@ def identify(
     """
     from lunarsci.regolith.identify import Assumptions
     from lunarsci.regolith.identify import identify as identify_soil
+    from lunarsci.regolith.sensitivity import sensitivities
     from lunarsci.regolith.states import MeasurementErrors
 
-    from .regolith_report import identify_report, infer, numbers, read_inputs
+    from .regolith_report import Intervals, identify_report, infer, numbers, read_inputs
 
-    if not joint and (prior or exact or sample):
-        raise typer.BadParameter("--prior, --exact and --sample belong to --joint; add it")
+    if not joint and (prior or exact or sample or profile):
+        raise typer.BadParameter("--prior, --exact, --sample and --profile belong to --joint; add it")
+    if sample and profile:
+        raise typer.BadParameter("--sample and --profile are two ways to the intervals; give one")
     if joint and reading != "signed":
         raise typer.BadParameter(f"--reading {reading} only reproduces numbers; --joint needs --reading signed")
     known = Assumptions(
@@ -116,5 +123,9 @@ def identify(
         found = identify_soil(
             given.states, given.wheel, known, reading=reading, draws=draws, seed=seed, progress=update
         )
-    together = infer(given, prior, exact, sample, model_error, seed) if joint else None
-    return identify_report(given, found, seed, together)
+    together = None
+    if joint:
+        with progress("the joint posterior", quiet=output.quiet) as update:
+            together = infer(given, prior, exact, Intervals(sample, profile), model_error, seed, update)
+    shares = sensitivities(given.states, given.wheel, known, reading=reading, seed=seed) if sensitivity else None
+    return identify_report(given, found, seed, together, shares)

@@ -20,6 +20,7 @@ LABELS = {
     "external_friction_angle_deg": ("external friction angle φ_y", "deg"),
     "lateral_modulus_mm": ("lateral shear modulus K_y", "mm"),
 }
+HOW = {"normal": "of a normal law", "sample": "of draws from the posterior", "profile": "by profile"}
 SHOWN_SHARE, SHOWN_WEIGHT, MOST_SHOWN = 0.5, 0.3, 3
 
 
@@ -44,7 +45,8 @@ def joint_record(found: SoilPosterior) -> dict[str, Any]:
         "outliers": list(found.outliers),
         "chi_square": found.chi_square,
         "degrees": found.degrees,
-        "effective_draws": found.effective,
+        "persistence": found.persistence,
+        "intervals": found.how,
     }
 
 
@@ -62,7 +64,7 @@ def joint_tables(found: SoilPosterior) -> list[TextTable]:
     if found.outliers:
         notes.append(f"left out as outliers: {', '.join(found.outliers)}")
     headers = ["parameter", "median", "68 %", "95 %", "unit", "from the states"]
-    return [TextTable(headers, rows, title="All states together", notes=notes)]
+    return [TextTable(headers, rows, title=f"All states together, intervals {HOW[found.how]}", notes=notes)]
 
 
 def _combinations(found: SoilPosterior) -> Sequence[str]:

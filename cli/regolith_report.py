@@ -1,6 +1,6 @@
 """From files and options to regolith results, and from these to a `Report`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -25,8 +25,9 @@ if TYPE_CHECKING:
     from lunarsci.regolith.contact import ContactModel
     from lunarsci.regolith.integrals import ContactForces
     from lunarsci.regolith.joint import SoilPosterior
+    from lunarsci.regolith.sensitivity import Sensitivity
 
-__all__ = ["forces_report", "identify_report", "numbers", "read_inputs"]
+__all__ = ["Intervals", "forces_report", "identify_report", "numbers", "read_inputs"]
 
 PAPER = "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8"
 LABELS = {
@@ -47,6 +48,14 @@ SYMBOLS = {
     "cohesion_pa": "c",
     "external_friction_angle_deg": "φ_y",
     "lateral_modulus_mm": "K_y",
+}
+INPUTS = {
+    "sinkage_m": "sinkage",
+    "slip_ratio": "slip ratio",
+    "side_slip_deg": "side slip",
+    "normal_force_n": "normal force",
+    "drawbar_pull_n": "drawbar pull",
+    "lateral_force_n": "lateral force",
 }
 MANY_STATES = 30
 
@@ -161,7 +170,23 @@ class Together:
     inputs: dict[str, str]
 
 
-def infer(given: Given, prior: str | None, exact: bool, sample: bool, model_error: float, seed: int) -> Together:
+@dataclass(frozen=True, slots=True)
+class Intervals:
+    """How the intervals of the joint posterior are made; a normal law where neither is set."""
+
+    sample: bool
+    profile: bool
+
+
+def infer(
+    given: Given,
+    prior: str | None,
+    exact: bool,
+    intervals: Intervals,
+    model_error: float,
+    seed: int,
+    progress: Callable[[int, int], None],
+) -> Together:
     """The joint posterior of the states."""
     from lunarsci.regolith.contact import ContactModel
     from lunarsci.regolith.joint import infer_soil
@@ -174,18 +199,29 @@ def infer(given: Given, prior: str | None, exact: bool, sample: bool, model_erro
         read_prior(source) if source else None,
         model=ContactModel() if exact else None,
         model_error=model_error,
-        sample=sample,
+        sample=intervals.sample,
+        profile=intervals.profile,
         seed=seed,
+        progress=progress,
     )
     return Together(found, {source.name: source.sha256} if source else {})
 
 
-def identify_report(given: Given, found: Identification, seed: int, together: Together | None = None) -> Report:
+def identify_report(
+    given: Given,
+    found: Identification,
+    seed: int,
+    together: Together | None = None,
+    shares: "Sequence[Sensitivity] | None" = None,
+) -> Report:
     """The report of `regolith identify`."""
     from .regolith_joint import joint_record, joint_tables
 
     own = joint_tables(together.posterior) if together else []
-    joint = {"joint": joint_record(together.posterior)} if together else {}
+    joint: dict[str, Any] = {"joint": joint_record(together.posterior)} if together else {}
+    if shares is not None:
+        joint["sensitivity"] = [asdict(share) for share in shares]
+        own = [_sensitivity_table(shares), *own]
 
     def figures() -> Any:
         from lunarsci.regolith.figure import characteristic_curves
@@ -204,6 +240,18 @@ def identify_report(given: Given, found: Identification, seed: int, together: To
         seed=seed,
         untrusted=_untrusted(found),
     )
+
+
+def _sensitivity_table(shares: "Sequence[Sensitivity]") -> TextTable:
+    rows = [
+        [SYMBOLS[share.parameter], INPUTS[share.quantity], _share(share.alone), _share(share.saved)] for share in shares
+    ]
+    notes = ["alone: share of the variance that its error makes by itself; saved: share that would go if it were exact"]
+    return TextTable(["parameter", "error of", "alone", "saved"], rows, title="Where the errors come from", notes=notes)
+
+
+def _share(value: float | None) -> str:
+    return "-" if value is None else f"{100 * value:.0f} %"
 
 
 def _untrusted(found: Identification) -> str:

@@ -33,7 +33,7 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
 
 def in_lanes(function: Callable[..., Any], **options: Any) -> Any:
     """Compile a loop that may work on several arguments at once: divisions unchecked, products fused, sums in order."""
-    return compiled(function, **LANES, **options)
+    return compiled(function, nogil=True, **LANES, **options)
 
 
 def pasted(function: Callable[..., Any]) -> Any:

@@ -2,20 +2,21 @@
 
 F_N, F_DP and F_L of every state are compared with the model at the measured sinkage, slip and side slip. The errors of
 those three reach the forces through the model's derivatives and make the residuals of one state correlated. The
-posterior is normal around the mode in transformed parameters (Laplace), and sampled by importance on request.
+posterior is normal around the mode in transformed parameters (Laplace), sampled, or profiled.
 """
 
 import warnings
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
 
 from lunarsci.errors import LunarSciWarning, ParameterError
 from lunarsci.regolith.contact import ContactModel
-from lunarsci.regolith.joint_model import forces_at, forces_of_many
+from lunarsci.regolith.joint_mode import mode_without_outliers, profile_limits
+from lunarsci.regolith.joint_problem import part_of, problem_of
+from lunarsci.regolith.joint_sampler import carry_population
 from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, values_of
 from lunarsci.regolith.states import WheelStates
 from lunarsci.regolith.wheel import Wheel
@@ -26,20 +27,12 @@ FloatArray = npt.NDArray[np.float64]
 
 MODEL_ERROR = 0.02
 """Share of the load by which the model may miss each force; assumed."""
-STEPS, HIGHEST_DAMPING, CONVERGED = 100, 1e10, 1e-4
 LEAST_SINKAGE_M, DEEPEST, LARGEST_SLIP = 1e-5, 0.95, 0.99
 """States beyond are left out: sinkage, as a share of the radius the deepest, and slip ratio."""
-LONGEST = 2.0
-"""Step, in standard deviations of the prior."""
-STEP = 1e-3
-"""Of numerical derivatives, in standard deviations of the prior or the input."""
-OUTLIER = 1e-3
-"""Chance that the largest residual of all good states is called an outlier."""
-MOST_OUTLIERS = 0.2
 DETERMINED = 0.5
 """A parameter counts as determined where its standard deviation is below this share of the prior's."""
-HEAVY_TAIL, PROPOSED, LEAST_EFFECTIVE, CHUNK = 5, 3, 200, 200
-"""Degrees of freedom, proposals per draw, and effective draws below which there is no answer; draws at once."""
+PARTICLES = 1000
+"""Of the sampler, at most."""
 LEVELS = (0.15865, 0.84135, 0.025, 0.975)
 
 
@@ -56,7 +49,9 @@ class SoilPosterior:
     outliers : ids of states left out.
     residuals : (n, 3) measured less model, F_N, F_DP, F_L, NaN where not measured. [N]
     chi_square, degrees : of the states kept, and their number of forces.
-    effective : effective number of importance draws, None for the normal approximation.
+    persistence : of sampled draws, the largest correlation left with where they were before their last moves; None for
+        the normal approximation.
+    profiled : (4, 8) 68 % and 95 % limits by profile, None where they were not asked for.
     """
 
     mode: FloatArray
@@ -67,7 +62,15 @@ class SoilPosterior:
     residuals: FloatArray = field(repr=False)
     chi_square: float
     degrees: int
-    effective: float | None = None
+    persistence: float | None = None
+    profiled: FloatArray | None = field(default=None, repr=False)
+
+    @property
+    def how(self) -> str:
+        """Where the intervals come from: `normal`, `sample` or `profile`."""
+        if self.profiled is not None:
+            return "profile"
+        return "normal" if self.persistence is None else "sample"
 
     @property
     def sd(self) -> FloatArray:
@@ -86,8 +89,11 @@ class SoilPosterior:
         return tuple(name for name, value in self.shrinkage.items() if value > 1 - DETERMINED)
 
     def intervals(self) -> dict[str, tuple[float, float, float, float, float]]:
-        """Median, 68 % and 95 % limits of each parameter, in its unit."""
-        ends = np.quantile(self.draws, (0.5, *LEVELS), axis=0)
+        """Median (of a profile the mode), 68 % and 95 % limits of each parameter, in its unit."""
+        if self.profiled is not None:
+            ends = np.vstack([values_of(self.prior, self.mode), self.profiled])
+        else:
+            ends = np.quantile(self.draws, (0.5, *LEVELS), axis=0)
         return {name: tuple(map(float, ends[:, k])) for k, name in enumerate(PARAMETERS)}  # type: ignore[misc]
 
     def combinations(self) -> list[tuple[float, dict[str, float]]]:
@@ -100,59 +106,6 @@ class SoilPosterior:
         ]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Problem:
-    """States, their forces and errors, and how the model is evaluated."""
-
-    inputs: FloatArray
-    input_sigma: FloatArray
-    forces: FloatArray
-    force_sigma: FloatArray
-    wheel: Wheel
-    model: ContactModel | None
-    prior: Mapping[str, Law]
-    model_error: float
-
-    @property
-    def center(self) -> FloatArray:
-        return np.array([self.prior[name].center for name in PARAMETERS])
-
-    @property
-    def width(self) -> FloatArray:
-        return np.array([self.prior[name].width for name in PARAMETERS])
-
-    def at(self, point: FloatArray) -> FloatArray:
-        """Forces of all states, (n, 3), at transformed parameters."""
-        return forces_at(values_of(self.prior, point), self.inputs, self.wheel, self.model)
-
-    def white(self, points: FloatArray) -> FloatArray:
-        """Whitened residuals of all states, (d, n, 3), at transformed parameters (d, 8); 0 for forces not measured.
-
-        Errors of the inputs reach the forces through the model's derivatives at each point. NaN where a point is beyond
-        any soil.
-        """
-        values = values_of(self.prior, points)
-        error = self.model_error * np.abs(self.forces[:, :1])
-        variance = self.force_sigma**2 + error**2
-        covariance = np.zeros((len(points), *self.forces.shape, 3))
-        covariance[..., range(3), range(3)] = variance
-        for k in range(3):
-            step = np.zeros_like(self.inputs)
-            step[:, k] = STEP * np.maximum(self.input_sigma[:, k], 1e-9)
-            ends = [forces_of_many(values, self.inputs + sign * step, self.wheel, self.model) for sign in (1, -1)]
-            slope = (ends[0] - ends[1]) / (2 * step[:, k, None]) * self.input_sigma[:, k, None]
-            covariance += slope[..., :, None] * slope[..., None, :]
-        residual = self.forces - forces_of_many(values, self.inputs, self.wheel, self.model)
-        missing = ~np.isfinite(self.forces)
-        covariance[:, missing[:, :, None] | missing[:, None, :]] = 0.0
-        covariance[..., range(3), range(3)] += missing
-        good = np.isfinite(covariance).all(axis=(1, 2, 3))
-        covariance[~good] = np.eye(3)
-        white = np.linalg.solve(np.linalg.cholesky(covariance), np.where(missing, 0.0, residual)[..., None])[..., 0]
-        white[~good] = np.nan
-        return np.asarray(white)
-
-
 def infer_soil(
     states: WheelStates,
     wheel: Wheel,
@@ -162,7 +115,9 @@ def infer_soil(
     model_error: float = MODEL_ERROR,
     draws: int = 4000,
     sample: bool = False,
+    profile: bool = False,
     seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
 ) -> SoilPosterior:
     """Posterior of the soil that all states share.
 
@@ -173,8 +128,12 @@ def infer_soil(
     model : the exact integrals with these choices; None for the closed form.
     model_error : share of the load added to the error of each force, 0 or more. [-]
     draws : from the posterior, 100 or more.
-    sample : weight draws from a heavy-tailed law by the exact posterior, instead of the normal approximation.
+    sample : draw from the posterior itself, by a population carried from the prior to the data, instead of from the
+        normal approximation; up to 1000 draws.
+    profile : intervals where the best of all other parameters costs as much as one and 1.96 standard deviations of a
+        normal law.
     seed : of the random numbers.
+    progress : of sampling or profiles, called with (done, total).
 
     Raises
     ------
@@ -183,7 +142,7 @@ def infer_soil(
     References
     ----------
     Ding et al. (2024), 10.1038/s41467-024-46233-8 (model, errors); Gelman et al. (2013), Bayesian Data Analysis, 3rd
-    ed., ch. 13 (normal approximation), 10 (importance resampling).
+    ed., ch. 13 (normal approximation).
     """
     laws = dict(prior or default_prior())
     _check(laws, model_error, draws)
@@ -198,12 +157,20 @@ def infer_soil(
             f"{(~usable).sum()} of {len(usable)} states lack a sinkage, slip ratio or force in range and are left out"
         )
         warnings.warn(text, LunarSciWarning, stacklevel=2)
-    problem = _problem(states, usable, wheel, laws, model, model_error)
+    problem = problem_of(states, usable, wheel, laws, model, model_error)
     names = [name for name, good in zip(states.id, usable, strict=True) if good]
-    kept, point, covariance = _without_outliers(problem)
+    kept, point, covariance = mode_without_outliers(problem)
     residual = problem.forces - problem.at(point)
     white = problem.white(point[None])[0]
-    drawn, effective = _drawn(_of(problem, kept), point, covariance, draws, np.random.default_rng(seed), sample)
+    part = part_of(problem, kept)
+    profiled = profile_limits(part, point, covariance, progress) if profile else None
+    rng, persistence = np.random.default_rng(seed), None
+    if sample:
+        drawn, persistence = carry_population(
+            part.ln_likelihood, problem.center, problem.width, min(draws, PARTICLES), rng, progress
+        )
+    else:
+        drawn = point + rng.standard_normal((draws, len(point))) @ np.linalg.cholesky(covariance).T
     return SoilPosterior(
         point,
         covariance,
@@ -213,7 +180,8 @@ def infer_soil(
         residual,
         float(np.sum(white[kept] ** 2)),
         int(np.isfinite(problem.forces[kept]).sum()),
-        effective,
+        persistence,
+        profiled,
     )
 
 
@@ -225,110 +193,3 @@ def _check(prior: Mapping[str, Law], model_error: float, draws: int) -> None:
         raise ParameterError(f"model error is {model_error:g}; give a share from 0 to below 1")
     if draws < 100:
         raise ParameterError(f"{draws} draws; give 100 or more")
-
-
-def _problem(
-    states: WheelStates,
-    usable: npt.NDArray[np.bool_],
-    wheel: Wheel,
-    prior: Mapping[str, Law],
-    model: ContactModel | None,
-    model_error: float,
-) -> _Problem:
-    values, sigmas = states.values[usable], states.sigmas[usable]
-    inputs, spread = values[:, :3].copy(), sigmas[:, :3].copy()
-    no_side = ~np.isfinite(inputs[:, 2])
-    inputs[no_side, 2], spread[no_side, 2] = 0.0, 0.0
-    forces = values[:, 3:].copy()
-    forces[no_side, 2] = np.nan
-    return _Problem(inputs, spread, forces, np.nan_to_num(sigmas[:, 3:]), wheel, model, prior, model_error)
-
-
-def _of(problem: _Problem, kept: npt.NDArray[np.bool_]) -> _Problem:
-    parts = {name: getattr(problem, name)[kept] for name in ("inputs", "input_sigma", "forces", "force_sigma")}
-    return replace(problem, **parts)
-
-
-def _without_outliers(problem: _Problem) -> tuple[npt.NDArray[np.bool_], FloatArray, FloatArray]:
-    """Which states are kept, the mode and its covariance."""
-    kept = np.ones(len(problem.inputs), dtype=bool)
-    point = problem.center
-    while True:
-        part = _of(problem, kept)
-        point, covariance = _mode(part, point)
-        white = problem.white(point[None])[0]
-        measured = np.isfinite(problem.forces).sum(axis=1)
-        limit = chi2.isf(OUTLIER / len(kept), np.maximum(measured, 1))
-        excess = np.where(kept, np.sum(white**2, axis=1) / limit, 0.0)
-        worst = int(np.argmax(excess))
-        if excess[worst] <= 1 or (~kept).sum() + 1 > MOST_OUTLIERS * len(kept):
-            return kept, point, covariance
-        kept[worst] = False
-
-
-def _mode(problem: _Problem, start: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Levenberg-Marquardt on whitened residuals, whose errors of the inputs follow the parameters.
-
-    Minimising them with weights held fixed would flatten the dependence on sinkage, itself measured with error.
-    """
-    width, center = problem.width, problem.center
-
-    def white(at: FloatArray) -> FloatArray:
-        return np.concatenate([problem.white(at[None])[0].ravel(), (at - center) / width])
-
-    point, damping = start.copy(), 1e-3
-    rows = white(point)
-    if not np.isfinite(rows).all():
-        raise ParameterError("the model has no finite forces at the centre of the priors; check states and priors")
-    curvature = np.diag(width**-2)
-    for _ in range(STEPS):
-        columns = [(white(point + step) - white(point - step)) / (2 * STEP) for step in np.diag(STEP * width)]
-        scaled = np.stack(columns, axis=-1) / width
-        curvature = scaled.T @ scaled
-        slope = -scaled.T @ rows
-        before = float(rows @ rows)
-        while damping < HIGHEST_DAMPING:
-            step = np.linalg.solve(curvature + damping * np.diag(np.diag(curvature)), slope)
-            trial = white(point + np.clip(step, -LONGEST * width, LONGEST * width))
-            if float(trial @ trial) < before:
-                break
-            damping *= 10
-        else:
-            break
-        point, rows = point + np.clip(step, -LONGEST * width, LONGEST * width), trial
-        damping = max(damping / 5, 1e-12)
-        if before - float(rows @ rows) < CONVERGED:
-            break
-    return point, np.asarray(np.linalg.inv(curvature), dtype=np.float64)
-
-
-def _drawn(
-    problem: _Problem,
-    point: FloatArray,
-    covariance: FloatArray,
-    draws: int,
-    rng: np.random.Generator,
-    sample: bool,
-) -> tuple[FloatArray, float | None]:
-    """Transformed parameters, (draws, 8), and the effective number of those weighted."""
-    factor = np.linalg.cholesky(covariance)
-    if not sample:
-        return point + rng.standard_normal((draws, len(point))) @ factor.T, None
-    scale = np.sqrt(HEAVY_TAIL / rng.chisquare(HEAVY_TAIL, PROPOSED * draws))
-    standard = rng.standard_normal((PROPOSED * draws, len(point))) * scale[:, None]
-    points = point + standard @ factor.T
-    ln_proposal = -0.5 * (HEAVY_TAIL + len(point)) * np.log1p(np.sum(standard**2, axis=1) / HEAVY_TAIL)
-    misfit = np.concatenate(
-        [np.sum(problem.white(points[k : k + CHUNK]) ** 2, axis=(1, 2)) for k in range(0, len(points), CHUNK)]
-    )
-    away = np.sum(((points - problem.center) / problem.width) ** 2, axis=1)
-    ln_weight = np.where(np.isfinite(misfit), -0.5 * (misfit + away) - ln_proposal, -np.inf)
-    weight = np.exp(ln_weight - ln_weight.max())
-    weight /= weight.sum()
-    effective = float(1 / np.sum(weight**2))
-    if effective < LEAST_EFFECTIVE:
-        raise ParameterError(
-            f"only {effective:.0f} of {len(points)} draws count: the posterior is far from normal; use more states or "
-            "narrower priors, or leave the sampling out"
-        )
-    return points[rng.choice(len(points), draws, p=weight)], effective

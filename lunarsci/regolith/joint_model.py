@@ -12,7 +12,7 @@ from lunarsci.regolith.forces import wheel_forces_kernel
 from lunarsci.regolith.integrals import NODES, WEIGHTS, contact_kernel
 from lunarsci.regolith.wheel import Wheel
 
-__all__ = ["FORCES", "forces_at", "forces_of_many"]
+__all__ = ["FORCES", "forces_at", "forces_of_many", "whitened"]
 
 FloatArray = npt.NDArray[np.float64]
 FORCES = ("normal_force_n", "drawbar_pull_n", "lateral_force_n")
@@ -30,7 +30,7 @@ def _closed(soils: Any, sinkage: Any, travel: Any, lateral: Any, wheel: Any) -> 
     return forces
 
 
-@compiled
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
 def _integrated(soils: Any, sinkage: Any, travel: Any, lateral: Any, wheel: Any, model: Any, rule: Any) -> Any:
     forces = np.full((len(soils), 3, len(sinkage)), np.nan)
     nodes, weights = rule
@@ -46,7 +46,7 @@ def _integrated(soils: Any, sinkage: Any, travel: Any, lateral: Any, wheel: Any,
 
 
 def forces_of_many(values: FloatArray, inputs: FloatArray, wheel: Wheel, model: ContactModel | None) -> FloatArray:
-    """F_N, F_DP, F_L, (d, n, 3), of d soils at n states; NaN for a state no wheel can have. [N]
+    """F_N, F_DP, F_L, (d, 3, n), of d soils at n states; NaN for a state no wheel can have. [N]
 
     Parameters
     ----------
@@ -64,10 +64,46 @@ def forces_of_many(values: FloatArray, inputs: FloatArray, wheel: Wheel, model: 
     travel = np.where(slip >= 0, 1 - slip, 1 / (1 + slip))
     states = (np.where(possible, z, np.nan), travel, travel * np.tan(np.radians(inputs[:, 2])), wheel.vector())
     if model is None:
-        return np.asarray(_closed(soils, *states).transpose(0, 2, 1))
-    return np.asarray(_integrated(soils, *states, model.vector(), (NODES, WEIGHTS)).transpose(0, 2, 1))
+        return np.asarray(_closed(soils, *states))
+    return np.asarray(_integrated(soils, *states, model.vector(), (NODES, WEIGHTS)))
 
 
 def forces_at(values: FloatArray, inputs: FloatArray, wheel: Wheel, model: ContactModel | None) -> FloatArray:
     """The same of one soil, (n, 3)."""
-    return np.asarray(forces_of_many(values[None], inputs, wheel, model)[0])
+    return np.asarray(forces_of_many(values[None], inputs, wheel, model)[0].T)
+
+
+@in_lanes
+def whitened(residual: Any, slopes: Any, variance: Any, missing: Any) -> Any:
+    """Residuals of every state over their errors, (d, 3, n).
+
+    Parameters
+    ----------
+    residual : (d, 3, n) measured less model; anything where not measured. [N]
+    slopes : (d, 3, 3, n) change of each force (axis 2) by one standard deviation of each input (axis 1). [N]
+    variance : (3, n) of the forces themselves. [N^2]
+    missing : (3, n) 1 where a force was not measured, else 0.
+    """
+    white = np.empty_like(residual)
+    for d in range(len(residual)):
+        for i in range(residual.shape[2]):
+            m_0, m_1, m_2 = 1.0 - missing[0, i], 1.0 - missing[1, i], 1.0 - missing[2, i]
+            a, b, c = slopes[d, 0, 0, i], slopes[d, 1, 0, i], slopes[d, 2, 0, i]
+            e, f, g = slopes[d, 0, 1, i], slopes[d, 1, 1, i], slopes[d, 2, 1, i]
+            p, q, r = slopes[d, 0, 2, i], slopes[d, 1, 2, i], slopes[d, 2, 2, i]
+            c_00 = (variance[0, i] + a * a + b * b + c * c) if m_0 > 0.0 else 1.0
+            c_11 = (variance[1, i] + e * e + f * f + g * g) if m_1 > 0.0 else 1.0
+            c_22 = (variance[2, i] + p * p + q * q + r * r) if m_2 > 0.0 else 1.0
+            c_10 = (a * e + b * f + c * g) if m_0 * m_1 > 0.0 else 0.0
+            c_20 = (a * p + b * q + c * r) if m_0 * m_2 > 0.0 else 0.0
+            c_21 = (e * p + f * q + g * r) if m_1 * m_2 > 0.0 else 0.0
+            l_00 = math.sqrt(c_00)
+            l_10, l_20 = c_10 / l_00, c_20 / l_00
+            l_11 = math.sqrt(c_11 - l_10 * l_10)
+            l_21 = (c_21 - l_20 * l_10) / l_11
+            l_22 = math.sqrt(c_22 - l_20 * l_20 - l_21 * l_21)
+            w_0 = (residual[d, 0, i] if m_0 > 0.0 else 0.0) / l_00
+            w_1 = ((residual[d, 1, i] if m_1 > 0.0 else 0.0) - l_10 * w_0) / l_11
+            w_2 = ((residual[d, 2, i] if m_2 > 0.0 else 0.0) - l_20 * w_0 - l_21 * w_1) / l_22
+            white[d, 0, i], white[d, 1, i], white[d, 2, i] = w_0, w_1, w_2
+    return white

@@ -94,7 +94,7 @@ def test_priors_of_the_user_are_used_and_named(run: Run, drive: Path, tmp_path: 
     document = json.loads(done.out)
     found = document["result"]["joint"]
     assert found["parameters"]["cohesion_pa"]["median"] == pytest.approx(520, rel=0.02)
-    assert found["effective_draws"] > 200
+    assert found["persistence"] < 0.25
     assert str(prior) in [item["path"] for item in document["provenance"]["inputs"]]
     assert "joint" not in result(run, "regolith", "identify", drive)
 

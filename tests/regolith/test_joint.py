@@ -1,5 +1,7 @@
 """The joint posterior of a soil: coverage, what is determined, outliers, and its sampler."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,8 +10,10 @@ from lunarsci.inputs import InputFile
 from lunarsci.regolith.contact import ContactModel
 from lunarsci.regolith.joint import SoilPosterior, infer_soil
 from lunarsci.regolith.joint_model import forces_at
+from lunarsci.regolith.joint_problem import problem_of
+from lunarsci.regolith.joint_sampler import carry_population
 from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, read_prior, values_of
-from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates
+from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates, read_states
 from lunarsci.regolith.wheel import read_wheel
 
 WHEEL = read_wheel("yutu2")
@@ -96,12 +100,65 @@ def test_the_sampler_agrees_with_the_normal_approximation_where_states_are_many(
     rng = np.random.default_rng(4)
     states = measured(drawn_soil(rng), 200, rng)
     plain, sampled = (infer_soil(states, WHEEL, sample=sample, seed=1) for sample in (False, True))
-    assert sampled.effective is not None
-    assert sampled.effective > 1000
+    assert sampled.persistence is not None
+    assert sampled.persistence < 0.25
     for name in ("stiffness_kpa_m_n", "shear_modulus_mm", "sinkage_exponent"):
         one, two = plain.intervals()[name], sampled.intervals()[name]
         assert two[0] == pytest.approx(one[0], abs=0.5 * (one[2] - one[1]))
         assert two[2] - two[1] == pytest.approx(one[2] - one[1], rel=0.3)
+
+
+def test_the_sampler_finds_a_bent_posterior_that_quadrature_gives() -> None:
+    """Two states, two free parameters: quantiles against a fine grid, where the normal approximation fails."""
+    states = read_states(
+        InputFile(
+            "s.csv",
+            b"sinkage_m,slip_ratio,side_slip_deg,normal_force_n,drawbar_pull_n,lateral_force_n\n"
+            b"0.008,0.3,0,30,8,\n0.010,0.2,0,36,7,\n",
+        ),
+        WHEEL,
+    )
+    free = ("cohesion_pa", "friction_angle_deg")
+    laws = {name: law if name in free else replace(law, sd=0.0) for name, law in PRIOR.items()}
+    laws["cohesion_pa"] = replace(PRIOR["cohesion_pa"], sd=1.5)
+    problem = problem_of(states, np.array([True, True]), WHEEL, laws, None, 0.02)
+    sampled, _ = carry_population(problem.ln_likelihood, problem.center, problem.width, 4000, np.random.default_rng(0))
+    at = [PARAMETERS.index(name) for name in free]
+    axes = [problem.center[k] + problem.width[k] * np.linspace(-6, 6, 241) for k in at]
+    points = np.tile(problem.center, (241 * 241, 1))
+    points[:, at] = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    ln_post = problem.ln_likelihood(points) - 0.5 * np.sum(((points - problem.center) / problem.width) ** 2, axis=1)
+    weight = np.exp(ln_post - np.nanmax(ln_post)).reshape(241, 241)
+    for k, axis in enumerate(axes):
+        cumulated = np.cumsum(weight.sum(axis=1 - k))
+        truth = np.interp([0.1, 0.25, 0.5, 0.75, 0.9], cumulated / cumulated[-1], axis)
+        spread = truth[-1] - truth[0]
+        assert np.quantile(sampled[:, at[k]], [0.1, 0.25, 0.5, 0.75, 0.9]) == pytest.approx(truth, abs=0.06 * spread)
+
+
+def test_profile_limits_are_those_of_the_normal_law_where_it_holds_and_bend_where_not() -> None:
+    rng = np.random.default_rng(4)
+    states = measured(drawn_soil(rng), 200, rng)
+    plain, profiled = (infer_soil(states, WHEEL, profile=profile) for profile in (False, True))
+    assert (plain.how, profiled.how) == ("normal", "profile")
+    for name in ("stiffness_kpa_m_n", "sinkage_exponent", "shear_modulus_mm"):
+        one, two = plain.intervals()[name], profiled.intervals()[name]
+        assert two[2] - two[1] == pytest.approx(one[2] - one[1], rel=0.15)
+        assert two[3] < two[1] < two[0] < two[2] < two[4]
+
+
+def test_a_profile_is_the_lowest_objective_along_a_parameter() -> None:
+    """At a limit by profile no point of a cloud around it with the same value of the parameter does better."""
+    rng = np.random.default_rng(7)
+    states = measured(drawn_soil(rng), 12, rng)
+    found = infer_soil(states, WHEEL, profile=True)
+    problem = problem_of(states, np.ones(12, dtype=bool), WHEEL, PRIOR, None, 0.02)
+    lowest, k = problem.objective(found.mode), PARAMETERS.index("friction_angle_deg")
+    edge = found.intervals()["friction_angle_deg"][2]
+    cloud = found.mode + rng.standard_normal((4000, 8)) @ np.linalg.cholesky(found.covariance).T
+    cloud[:, k] = PRIOR["friction_angle_deg"].transformed(np.array(edge))
+    best = min(problem.objective(point) for point in cloud) - lowest
+    assert 1.0 - 0.02 <= best < 3.0
 
 
 def test_the_exact_model_recovers_what_it_made() -> None:
