@@ -16,6 +16,12 @@ if TYPE_CHECKING:
 __all__ = ["add_to"]
 
 SHOWN = 8
+ASPECTS = ("bearing", "shear", "lateral")
+PAIRS = (
+    ("stiffness_kpa_m_n", "sinkage_exponent"),
+    ("cohesion_pa", "friction_angle_deg"),
+    ("lateral_modulus_mm", "external_friction_angle_deg"),
+)
 GIVEN = "The site, instead of a result"
 PAPER = "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8"
 _NAMES = {
@@ -23,6 +29,8 @@ _NAMES = {
     "sinkage_exponent": ("exponent", "sinkage_exponent"),
     "cohesion_pa": ("cohesion_pa", "cohesion_pa"),
     "friction_angle_deg": ("friction_angle_deg", "friction_angle_deg"),
+    "lateral_modulus_mm": ("lateral_modulus_mm", "lateral_modulus_mm"),
+    "external_friction_angle_deg": ("external_friction_angle_deg", "external_friction_angle_deg"),
 }
 """Name of a parameter of the site in the site value of `identify`, and in its joint posterior."""
 
@@ -45,7 +53,7 @@ def compare(
     """The site beside terrestrial soils, simulants and lunar sites: who is most alike under a wheel.
 
     Distances are those of bearing pressure over 5-20 mm of sinkage and of shear strength over 2-10 kPa, as root mean
-    square of the logarithm: 0.1 is about 10 %.
+    square of the logarithm: 0.1 is about 10 %. The picture also shows the curves of a result, and lateral shear.
     """
     from lunarsci.inputs import read_input
     from lunarsci.provenance import sha256
@@ -58,11 +66,12 @@ def compare(
         raise typer.BadParameter("give either a result of `regolith identify --json`, or --stiffness and its like")
     description = read_rover(rover)
     width = read_wheel(description).width_m
-    inputs = {}
+    inputs, curves = {}, None
     if result is not None:
         source = read_input(result)
         inputs = {source.name: source.sha256}
         site = _site_of(source.data, source.name)
+        curves = {aspect: json.loads(source.data)["result"][aspect]["curve"] for aspect in ASPECTS}
     else:
         site = Site(
             stiffness_kpa_m_n=stiffness,
@@ -76,7 +85,7 @@ def compare(
     def figures() -> Any:
         from lunarsci.regolith.compare_figure import comparison_figure
 
-        return [comparison_figure(site, found, width)]
+        return [comparison_figure(site, found, width, curves)]
 
     return Report(
         schema="regolith-compare/1",
@@ -100,11 +109,11 @@ def _site_of(data: bytes, name: str) -> "Site":
         if "joint" in found:
             values = {own: found["joint"]["parameters"][_NAMES[own][1]]["median"] for own in _NAMES}
         else:
-            pairs = found["bearing"] | found["shear"]
+            pairs = found["bearing"] | found["shear"] | found["lateral"]
             values = {own: pairs[_NAMES[own][0]]["value"] for own in _NAMES}
     except (ValueError, KeyError, TypeError) as error:
         raise DataError(f"{name}: is no result of `regolith identify --json`; make one, or give --stiffness") from error
-    for pair in (("stiffness_kpa_m_n", "sinkage_exponent"), ("cohesion_pa", "friction_angle_deg")):
+    for pair in PAIRS:
         if any(values[key] is None for key in pair):
             values |= dict.fromkeys(pair)
     return Site(**values)

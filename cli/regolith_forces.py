@@ -1,12 +1,15 @@
 """`lunarsci regolith forces`: forces of the soil on one wheel."""
 
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from .command import command
 from .regolith_options import Reading, Rover
 from .report import Report
+
+if TYPE_CHECKING:
+    from .regolith_forces_report import Asked
 
 __all__ = ["add_to"]
 
@@ -44,6 +47,14 @@ Bulldozing = Annotated[
 Density = Annotated[float, _exact("Soil density [kg/m³], for --bulldozing.")]
 Gravity = Annotated[float, _exact("Gravity [m/s²], for --bulldozing.")]
 Rebound = Annotated[float | None, _exact("Share of the sinkage that springs back behind the wheel, 0-1.")]
+Rut = Annotated[float, _exact("How deep a wheel before has pressed the soil [m]; needs --reload.")]
+Reload = Annotated[float, _exact("Slope of loading in a rut [N/m³], k_0 of Wong's reloading line.")]
+SlipSinkage = Annotated[
+    Literal["none", "lyasko", "linear"],
+    typer.Option(help="With --load: how slip deepens the sinkage of a wheel that does not slip."),
+]
+ReeceCohesive = Annotated[float | None, _soil("Reece's k_c' [-]; K_s then follows density and gravity.")]
+ReeceFrictional = Annotated[float | None, _soil("Reece's k_φ' [-], with k_c'.")]
 
 
 def add_to(app: typer.Typer) -> None:
@@ -72,11 +83,21 @@ def forces(
     density: Density = 1500.0,
     gravity: Gravity = 1.622,
     rebound: Rebound = None,
+    rut: Rut = 0.0,
+    reload: Reload = 0.0,
+    slip_sinkage: SlipSinkage = "none",
+    reece_cohesive: ReeceCohesive = None,
+    reece_frictional: ReeceFrictional = None,
 ) -> Report:
-    """Forces of the soil on one wheel, from its sinkage or its load."""
-    from lunarsci.regolith.contact import ContactModel
+    """Forces of the soil on one wheel, from its sinkage or its load.
 
-    from .regolith_report import forces_report
+    Slip beyond ±0.6 is said to be outside what was compared with wheels; a slip of -1, where Eqs 14 and 17 have no
+    value, and a sinkage of the wheel's radius or more are refused.
+    """
+    from lunarsci.regolith.contact import ContactModel
+    from lunarsci.regolith.wheel import read_wheel
+
+    from .regolith_forces_report import forces_report, soil_of
 
     changes = {
         "stiffness_kpa_m_n": stiffness,
@@ -87,10 +108,11 @@ def forces(
         "external_friction_angle_deg": external_friction_angle,
         "lateral_modulus_mm": lateral_modulus,
     }
-    if (sinkage is None) == (load is None):
-        raise typer.BadParameter("give either --sinkage or --load")
-    if not exact and (shear != "separate" or bulldozing != "none" or rebound is not None):
-        raise typer.BadParameter("--shear, --bulldozing and --rebound belong to --exact; add it")
+    beyond = shear != "separate" or bulldozing != "none" or rebound is not None or rut > 0 or reload > 0
+    if beyond and not exact:
+        raise typer.BadParameter("--shear, --bulldozing, --rebound, --rut and --reload belong to --exact; add it")
+    if reece_cohesive is not None and stiffness is not None:
+        raise typer.BadParameter("K_s comes from --stiffness or from Reece's moduli; give one")
     model = ContactModel(
         reading=reading,
         shear=shear,
@@ -98,5 +120,35 @@ def forces(
         density_kg_m3=density,
         gravity_m_s2=gravity,
         rebound=rebound,
+        rut_m=rut,
+        reload_n_m3=reload,
     )
-    return forces_report(rover, soil, changes, sinkage, load, slip, side_slip, reading, model if exact else None)
+    asked = _asked(sinkage, load, slip, side_slip, slip_sinkage)
+    given = soil_of(soil, changes, read_wheel(rover).width_m, _pair(reece_cohesive, reece_frictional), density, gravity)
+    return forces_report(rover, soil, given, asked, reading, model if exact else None)
+
+
+def _asked(
+    sinkage: float | None,
+    load: float | None,
+    slip: float,
+    side_slip: float,
+    slip_sinkage: Literal["none", "lyasko", "linear"],
+) -> "Asked":
+    from .regolith_forces_report import Asked
+
+    if (sinkage is None) == (load is None):
+        raise typer.BadParameter("give either --sinkage or --load")
+    if slip_sinkage == "none":
+        return Asked(sinkage, load, slip, side_slip)
+    if load is None or slip < 0:
+        raise typer.BadParameter("--slip-sinkage needs --load, and a slip of 0 or more; skid has no such law")
+    return Asked(sinkage, load, slip, side_slip, slip_sinkage)
+
+
+def _pair(cohesive: float | None, frictional: float | None) -> tuple[float, float] | None:
+    if cohesive is None and frictional is None:
+        return None
+    if cohesive is None or frictional is None:
+        raise typer.BadParameter("--reece-cohesive and --reece-frictional go together; give both")
+    return cohesive, frictional

@@ -1,6 +1,6 @@
 """`lunarsci regolith identify`: the soil that wheel states reveal."""
 
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -9,6 +9,9 @@ from .options import Output
 from .progress import progress
 from .regolith_options import Reading, Rover
 from .report import Report
+
+if TYPE_CHECKING:
+    from .regolith_report import Intervals
 
 __all__ = ["add_to"]
 
@@ -95,14 +98,9 @@ def identify(
     from lunarsci.regolith.sensitivity import sensitivities
     from lunarsci.regolith.states import MeasurementErrors
 
-    from .regolith_report import Intervals, identify_report, infer, numbers, read_inputs
+    from .regolith_report import identify_report, infer, numbers, read_inputs
 
-    if not joint and (prior or exact or sample or profile):
-        raise typer.BadParameter("--prior, --exact, --sample and --profile belong to --joint; add it")
-    if sample and profile:
-        raise typer.BadParameter("--sample and --profile are two ways to the intervals; give one")
-    if joint and reading != "signed":
-        raise typer.BadParameter(f"--reading {reading} only reproduces numbers; --joint needs --reading signed")
+    intervals = _intervals(joint, reading, prior, exact, sample, profile)
     known = Assumptions(
         exponent=exponent,
         stiffness_kpa_m_n=stiffness,
@@ -126,6 +124,18 @@ def identify(
     together = None
     if joint:
         with progress("the joint posterior", quiet=output.quiet) as update:
-            together = infer(given, prior, exact, Intervals(sample, profile), model_error, seed, update)
+            together = infer(given, prior, exact, intervals, model_error, seed, update)
     shares = sensitivities(given.states, given.wheel, known, reading=reading, seed=seed) if sensitivity else None
     return identify_report(given, found, seed, together, shares)
+
+
+def _intervals(joint: bool, reading: str, prior: str | None, exact: bool, sample: bool, profile: bool) -> "Intervals":
+    from .regolith_report import Intervals
+
+    if not joint and (prior or exact or sample or profile):
+        raise typer.BadParameter("--prior, --exact, --sample and --profile belong to --joint; add it")
+    if sample and profile:
+        raise typer.BadParameter("--sample and --profile are two ways to the intervals; give one")
+    if joint and reading != "signed":
+        raise typer.BadParameter(f"--reading {reading} only reproduces numbers; --joint needs --reading signed")
+    return Intervals(sample, profile)

@@ -1,4 +1,4 @@
-"""From files and options to regolith results, and from these to a `Report`."""
+"""From files and options of `lunarsci regolith identify` to its result, and from this to a `Report`."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -8,12 +8,9 @@ import typer
 
 from lunarsci.inputs import read_input
 from lunarsci.provenance import sha256
-from lunarsci.regolith.forces import Reading, WheelForces, wheel_forces
 from lunarsci.regolith.identify import Identification
-from lunarsci.regolith.load import sinkage_under_load
 from lunarsci.regolith.prior import prior_hash
-from lunarsci.regolith.soil import read_soil, soil_hash
-from lunarsci.regolith.states import MAX_VALID_SLIP, MeasurementErrors, WheelStates, read_states
+from lunarsci.regolith.states import MeasurementErrors, WheelStates, read_states
 from lunarsci.regolith.uncertainty import UNITS, Estimate
 from lunarsci.regolith.wheel import Wheel, read_wheel
 from lunarsci.rovers.description import read_rover
@@ -22,12 +19,10 @@ from .report import Report
 from .table import TextTable
 
 if TYPE_CHECKING:
-    from lunarsci.regolith.contact import ContactModel
-    from lunarsci.regolith.integrals import ContactForces
     from lunarsci.regolith.joint import SoilPosterior
     from lunarsci.regolith.sensitivity import Sensitivity
 
-__all__ = ["Intervals", "forces_report", "identify_report", "numbers", "read_inputs"]
+__all__ = ["Intervals", "identify_report", "numbers", "read_inputs"]
 
 PAPER = "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8"
 LABELS = {
@@ -57,80 +52,7 @@ INPUTS = {
     "drawbar_pull_n": "drawbar pull",
     "lateral_force_n": "lateral force",
 }
-MANY_STATES = 30
-
-
-def forces_report(
-    rover: str,
-    soil_name: str,
-    changes: Mapping[str, float | None],
-    sinkage_m: float | None,
-    load_n: float | None,
-    slip: float,
-    side_slip_deg: float,
-    reading: Reading,
-    model: "ContactModel | None" = None,
-) -> Report:
-    """The report of `regolith forces`; with a model, by integration."""
-    import warnings
-
-    from lunarsci.errors import LunarSciWarning
-    from lunarsci.regolith.identify import REPRODUCTION_ONLY
-
-    description = read_rover(rover)
-    wheel = read_wheel(description)
-    soil = read_soil(soil_name).replace(**{name: value for name, value in changes.items() if value is not None})
-    if reading != "signed":
-        warnings.warn(REPRODUCTION_ONLY.format(reading), LunarSciWarning, stacklevel=2)
-    if abs(slip) > MAX_VALID_SLIP:
-        text = f"slip ratio {slip:g} is beyond {MAX_VALID_SLIP:g}, up to which the model was compared with wheels"
-        warnings.warn(text, LunarSciWarning, stacklevel=2)
-    if sinkage_m is None:
-        sinkage_m = sinkage_under_load(wheel, soil, load_n or 0.0, slip, side_slip_deg, reading=reading, model=model)
-    found: WheelForces | ContactForces
-    if model is None:
-        found = wheel_forces(wheel, soil, sinkage_m, slip, side_slip_deg, reading=reading)
-    else:
-        from lunarsci.regolith.integrals import contact_forces
-
-        found = contact_forces(wheel, soil, sinkage_m, slip, side_slip_deg, model)
-    state = {"sinkage_m": sinkage_m, "slip_ratio": slip, "side_slip_deg": side_slip_deg}
-    result = state | {name: float(getattr(found, name)) for name in found.__slots__} | {"soil": asdict(soil)}
-
-    def figures() -> Any:
-        from lunarsci.regolith.figure import forces_over_slip
-
-        return [forces_over_slip(wheel, soil, sinkage_m, slip, side_slip_deg, reading, model)]
-
-    row = {key: value for key, value in result.items() if key != "soil"}
-    return Report(
-        schema="regolith-forces/1",
-        result=result
-        | {"reading": reading, "assumed_of_rover": list(description.assumed)}
-        | {"model": asdict(model) if model else None},
-        tables=[_forces_table(row)],
-        rows=[row],
-        figures=figures,
-        inputs=soil_hash(soil_name)[0],
-        data_tables={f"{rover} (rover)": sha256(description.text.encode())} | soil_hash(soil_name)[1],
-        sources=[PAPER],
-    )
-
-
-def _forces_table(row: Mapping[str, Any]) -> TextTable:
-    cells = [
-        ["sinkage", f"{1e3 * row['sinkage_m']:.2f}", "mm"],
-        ["slip ratio", f"{row['slip_ratio']:.4f}", "-"],
-        ["side slip", f"{row['side_slip_deg']:.2f}", "deg"],
-        ["normal force", f"{row['normal_force_n']:.2f}", "N"],
-        ["drawbar pull", f"{row['drawbar_pull_n']:.2f}", "N"],
-        ["lateral force", f"{row['lateral_force_n']:.2f}", "N"],
-        ["resistance torque", f"{row['resistance_torque_nm']:.3f}", "N m"],
-    ]
-    for name in ("steering_moment_nm", "overturning_moment_nm"):
-        if name in row:
-            cells.append([name.removesuffix("_nm").replace("_", " "), f"{row[name]:.3f}", "N m"])
-    return TextTable(["quantity", "value", "unit"], cells)
+MANY_STATES, LEAST_SHARE = 30, 0.005
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,7 +166,9 @@ def identify_report(
 
 def _sensitivity_table(shares: "Sequence[Sensitivity]") -> TextTable:
     rows = [
-        [SYMBOLS[share.parameter], INPUTS[share.quantity], _share(share.alone), _share(share.saved)] for share in shares
+        [SYMBOLS[share.parameter], INPUTS[share.quantity], _share(share.alone), _share(share.saved)]
+        for share in shares
+        if max(abs(share.alone or 0), abs(share.saved or 0)) >= LEAST_SHARE
     ]
     notes = ["alone: share of the variance that its error makes by itself; saved: share that would go if it were exact"]
     return TextTable(["parameter", "error of", "alone", "saved"], rows, title="Where the errors come from", notes=notes)

@@ -21,13 +21,14 @@ __all__ = [
     "ReferenceSoil",
     "Site",
     "compare_site",
+    "lateral_soils",
     "nearest",
     "reference_hash",
     "reference_soils",
 ]
 
 FloatArray = npt.NDArray[np.float64]
-TABLE = "reference_soils.csv"
+TABLE, LATERAL = "reference_soils.csv", "lateral_soils.csv"
 KINDS = ("terrestrial", "simulant", "lunar")
 SINKAGES_M = np.linspace(0.005, 0.02, 16)
 STRESSES_PA = np.linspace(2e3, 10e3, 17)
@@ -66,6 +67,8 @@ class ReferenceSoil:
 class Site:
     """What is known of the ground to compare: bearing pair, shear pair, or both; None for what is not.
 
+    The lateral pair is for the picture: too few soils are known to compare with.
+
     Raises ParameterError for half a pair, and values out of range.
     """
 
@@ -73,10 +76,14 @@ class Site:
     sinkage_exponent: float | None = None
     cohesion_pa: float | None = None
     friction_angle_deg: float | None = None
+    lateral_modulus_mm: float | None = None
+    external_friction_angle_deg: float | None = None
 
     def __post_init__(self) -> None:
         if (self.stiffness_kpa_m_n is None) != (self.sinkage_exponent is None):
             raise ParameterError("stiffness and exponent go together; give both or none")
+        if (self.lateral_modulus_mm is None) != (self.external_friction_angle_deg is None):
+            raise ParameterError("lateral modulus and external friction angle go together; give both or none")
         if (self.cohesion_pa is None) != (self.friction_angle_deg is None):
             raise ParameterError("cohesion and friction angle go together; give both or none")
         if self.stiffness_kpa_m_n is None and self.cohesion_pa is None:
@@ -119,9 +126,14 @@ def reference_soils() -> tuple[ReferenceSoil, ...]:
     return tuple(_soil(row) for row in table_rows(TABLE, __package__))
 
 
+def lateral_soils() -> tuple[Mapping[str, str], ...]:
+    """Rows of the table of lateral shear parameters."""
+    return table_rows(LATERAL, __package__)
+
+
 def reference_hash() -> dict[str, str]:
-    """Name and SHA-256 of the table, for the provenance."""
-    return table_hashes(TABLE, package=__package__)
+    """Names and SHA-256 of the tables, for the provenance."""
+    return table_hashes(TABLE, LATERAL, package=__package__)
 
 
 def _soil(row: Mapping[str, str]) -> ReferenceSoil:

@@ -27,6 +27,7 @@ from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.wheel import Wheel
 
 __all__ = [
+    "LEAST_SINKAGE_M",
     "READINGS",
     "Reading",
     "WheelForces",
@@ -144,7 +145,7 @@ def wheel_forces_kernel(sinkage: Any, travel: Any, lateral: Any, wheel: Any, soi
     sign_x = (1.0 if travel <= 1.0 else -1.0) if code == 1 else math.copysign(1.0, j_x)
     tau_x = (cohesion + sigma_m * tan_phi) * -sign_x * exp_minus_one((-j_x if code == 1 else -abs(j_x)) / k_x)
     j_y = r * lateral * (theta_1e - theta_m)
-    tau_y = (cohesion + sigma_m * tan_phi_y) * -math.copysign(1.0, j_y) * exp_minus_one(-abs(j_y) / k_y)
+    tau_y = (cohesion + sigma_m * tan_phi_y) * math.copysign(1.0, j_y) * (0.0 - exp_minus_one(-abs(j_y) / k_y))
     return (
         b * (r * sigma_m * a + r_s * tau_x * b_moment),
         b * (r_s * tau_x * a - r * sigma_m * b_moment),

@@ -2,12 +2,12 @@
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.contact import ContactModel
-from lunarsci.regolith.forces import Reading, wheel_forces
+from lunarsci.regolith.forces import LEAST_SINKAGE_M, Reading, wheel_forces
 from lunarsci.regolith.integrals import contact_forces
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.wheel import Wheel
 
-__all__ = ["sinkage_under_load"]
+__all__ = ["sinkage_under_load", "stiffness_under_load"]
 
 DEEPEST = 0.95
 """Deepest sinkage looked at, as a share of the wheel radius."""
@@ -42,15 +42,56 @@ def sinkage_under_load(
         raise ParameterError(f"load is {load_n:g} N; give a load above 0 N")
 
     def excess(sinkage_m: float) -> float:
-        if model is not None:
-            return (
-                float(contact_forces(wheel, soil, sinkage_m, slip_ratio, side_slip_deg, model).normal_force_n) - load_n
-            )
-        return float(wheel_forces(wheel, soil, sinkage_m, slip_ratio, reading=reading).normal_force_n) - load_n
+        return _normal_force(wheel, soil, sinkage_m, slip_ratio, side_slip_deg, reading, model) - load_n
 
-    shallow, deep = 1e-6 * wheel.radius_m, DEEPEST * wheel.radius_m
+    shallow, deep = LEAST_SINKAGE_M, DEEPEST * wheel.radius_m
     if excess(shallow) > 0:
         raise ParameterError(f"{load_n:g} N does not press the wheel in at all on this soil; check load and soil")
     if excess(deep) < 0:
         raise ParameterError(f"the soil carries less than {load_n:g} N at {deep:.3f} m sinkage; check load and soil")
     return float(brentq(excess, shallow, deep, xtol=1e-12))
+
+
+def stiffness_under_load(
+    wheel: Wheel,
+    soil: Soil,
+    load_n: float,
+    sinkage_m: float,
+    slip_ratio: float = 0.0,
+    side_slip_deg: float = 0.0,
+    *,
+    reading: Reading = "signed",
+    model: ContactModel | None = None,
+) -> float:
+    """Stiffness K_s at which the soil carries the load at a measured sinkage; F_N is linear in it. [kPa m^-N]
+
+    Parameters as in `sinkage_under_load`, and sinkage_m, above 1e-7 and below the radius [m]. In a rut, where F_N is
+    not linear, it is good to the first order.
+
+    Raises
+    ------
+    ParameterError where no stiffness above 0 does, as cohesion carries the load alone.
+    """
+    one, two = (
+        _normal_force(wheel, soil.replace(stiffness_kpa_m_n=k * soil.stiffness_kpa_m_n), sinkage_m, slip_ratio,
+                      side_slip_deg, reading, model)
+        for k in (1, 2)
+    )  # fmt: skip
+    times = 1 + (load_n - one) / (two - one)
+    if not times > 0:
+        raise ParameterError(f"cohesion alone carries {load_n:g} N at {sinkage_m:.4f} m; check load, sinkage and soil")
+    return times * soil.stiffness_kpa_m_n
+
+
+def _normal_force(
+    wheel: Wheel,
+    soil: Soil,
+    sinkage_m: float,
+    slip_ratio: float,
+    side_slip_deg: float,
+    reading: Reading,
+    model: ContactModel | None,
+) -> float:
+    if model is not None:
+        return float(contact_forces(wheel, soil, sinkage_m, slip_ratio, side_slip_deg, model).normal_force_n)
+    return float(wheel_forces(wheel, soil, sinkage_m, slip_ratio, reading=reading).normal_force_n)

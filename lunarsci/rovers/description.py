@@ -8,7 +8,9 @@ from typing import Any
 
 from lunarsci.errors import DataError
 
-__all__ = ["RoverDescription", "known_rovers", "read_rover"]
+__all__ = ["RoverDescription", "known_rovers", "known_wheels", "read_rover"]
+
+WHEELS = "wheels.toml"
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,17 +36,29 @@ class RoverDescription:
 
 def known_rovers() -> tuple[str, ...]:
     """Names of the rovers that come with lunarsci."""
-    return tuple(sorted(p.name.removesuffix(".toml") for p in files(__package__).iterdir() if p.name.endswith(".toml")))
+    tables = (path.name for path in files(__package__).iterdir() if path.name.endswith(".toml"))
+    return tuple(sorted(name.removesuffix(".toml") for name in tables if name != WHEELS))
+
+
+def known_wheels() -> tuple[str, ...]:
+    """Names of the wheels that come with lunarsci without a rover."""
+    return tuple(tomllib.loads(_own(WHEELS)))
 
 
 def read_rover(rover: str) -> RoverDescription:
-    """Read a rover by name (`yutu2`) or from a TOML file. Raises DataError for anything else."""
+    """Read a rover by name (`yutu2`) or from a TOML file. Raises DataError for anything else.
+
+    The name of a wheel gives a description that has a wheel and nothing else.
+    """
     if rover in known_rovers():
-        return _parse((files(__package__) / f"{rover}.toml").read_text("utf-8"), origin=rover)
+        return _parse(_own(f"{rover}.toml"), origin=rover)
+    if rover in known_wheels():
+        text = _own(WHEELS)
+        return _described({"wheel": tomllib.loads(text)[rover]}, rover, text)
     try:
         text = Path(rover).read_text("utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        known = ", ".join(known_rovers())
+        known = f"{', '.join(known_rovers())}; wheels: {', '.join(known_wheels())}"
         raise DataError(f"{rover}: not a rover lunarsci knows ({known}) nor a readable TOML file") from error
     return _parse(text, origin=rover)
 
@@ -54,12 +68,20 @@ def _parse(text: str, origin: str) -> RoverDescription:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise DataError(f"{origin}: not valid TOML: {error}") from error
+    return _described(document, origin, text)
+
+
+def _described(document: dict[str, Any], origin: str, text: str) -> RoverDescription:
     sections = {key: table for key, table in document.items() if isinstance(table, dict)}
     tables = {name: {key: _value(v) for key, v in table.items()} for name, table in sections.items()}
     assumed = tuple(
         f"{n}.{k}" for n, t in sections.items() for k, v in t.items() if isinstance(v, dict) and v.get("assumed")
     )
     return RoverDescription(str(document.get("name", origin)), tables, assumed, origin, text)
+
+
+def _own(name: str) -> str:
+    return (files(__package__) / name).read_text("utf-8")
 
 
 def _value(entry: Any) -> Any:

@@ -26,7 +26,7 @@ from scipy.optimize import least_squares
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.contact import ContactModel
 from lunarsci.regolith.integrals import contact_forces, moving_contact_forces
-from lunarsci.regolith.load import sinkage_under_load
+from lunarsci.regolith.load import sinkage_under_load, stiffness_under_load
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.wheel import Wheel
 
@@ -161,13 +161,14 @@ class PointErrors:
 
 
 def at_load(wheel: Wheel, soil: Soil, sinkage: np.ndarray, slip: np.ndarray, load: float) -> np.ndarray:
-    """Drawbar pull [N] at the stiffness that carries the load at this sinkage; forces are linear in it."""
-    one, two = (
-        contact_forces(wheel, soil.replace(stiffness_kpa_m_n=times * soil.stiffness_kpa_m_n), sinkage, slip)
-        for times in (1, 2)
-    )
-    share = (load - one.normal_force_n) / (two.normal_force_n - one.normal_force_n)
-    return one.drawbar_pull_n + share * (two.drawbar_pull_n - one.drawbar_pull_n)
+    """Drawbar pull [N] at the stiffness that carries the load at this sinkage."""
+    model = ContactModel()
+    pulls = []
+    for z, s in zip(sinkage, slip, strict=True):
+        stiffness = stiffness_under_load(wheel, soil, load, float(z), float(s), model=model)
+        found = contact_forces(wheel, soil.replace(stiffness_kpa_m_n=stiffness), z, s)
+        pulls.append(float(found.drawbar_pull_n))
+    return np.array(pulls)
 
 
 def sinkages(wheel: Wheel, soil: Soil, slip: np.ndarray, load: float) -> np.ndarray:

@@ -116,3 +116,61 @@ def test_slip_beyond_the_range_of_the_model_is_said(run: Run) -> None:
     done = run("regolith", "forces", "--sinkage", "0.012", "--slip", "0.7")
     assert done.code == 0
     assert any("beyond 0.6" in line for line in done.err)
+
+
+def test_slip_deepens_the_sinkage_and_the_soil_still_carries_the_load_alone(run: Run) -> None:
+    still = result(run, "regolith", "forces", "--load", "36")
+    found = result(run, "regolith", "forces", "--load", "36", "--slip", "0.3", "--slip-sinkage", "lyasko")
+    assert found["sinkage_m"] == pytest.approx(still["sinkage_m"] * 1.3 / 0.85, rel=1e-6)
+    assert found["normal_force_n"] == pytest.approx(36, rel=1e-6)
+    assert found["soil"]["stiffness_kpa_m_n"] < still["soil"]["stiffness_kpa_m_n"]
+
+
+def test_moduli_of_reece_make_the_moon_softer_than_the_earth(run: Run) -> None:
+    options = ("regolith", "forces", "--load", "36", "--reece-cohesive", "0", "--reece-frictional", "677")
+    moon, earth = (result(run, *options, "--gravity", g) for g in ("1.622", "9.81"))
+    assert moon["soil"]["stiffness_kpa_m_n"] / earth["soil"]["stiffness_kpa_m_n"] == pytest.approx(1.622 / 9.81)
+    assert moon["sinkage_m"] > earth["sinkage_m"]
+
+
+def test_a_rut_carries_more(run: Run) -> None:
+    plain = result(run, *FORCES, "--exact")
+    rut = result(run, *FORCES, "--exact", "--rut", "0.02", "--reload", "5e6")
+    assert rut["normal_force_n"] > plain["normal_force_n"]
+
+
+@pytest.mark.parametrize(
+    ("options", "hint"),
+    [
+        (("--sinkage", "0.01", "--slip", "0.1", "--slip-sinkage", "linear"), "needs --load"),
+        (("--load", "36", "--slip", "-0.1", "--slip-sinkage", "linear"), "skid has no such law"),
+        (("--load", "36", "--reece-cohesive", "1"), "go together"),
+        (("--load", "36", "--reece-cohesive", "1", "--reece-frictional", "1", "--stiffness", "800"), "give one"),
+        (("--load", "36", "--rut", "0.01"), "belong to --exact"),
+        (("--load", "36", "--slip", "-1"), "above -1"),
+        (
+            (
+                "--sinkage",
+                "0.16",
+            ),
+            "below the wheel radius",
+        ),
+    ],
+)
+def test_states_and_options_that_make_no_sense_are_refused(run: Run, options: tuple[str, ...], hint: str) -> None:
+    done = run("regolith", "forces", *options)
+    assert done.code in (1, 2)
+    assert hint in done.err[-1]
+    assert done.out == ""
+
+
+def test_slip_beyond_what_was_measured_is_said(run: Run) -> None:
+    assert "beyond 0.6" in run("regolith", "forces", "--load", "36", "--slip", "0.7").err[0]
+
+
+def test_sensitivity_and_profile_are_in_the_result(run: Run, drive: Path) -> None:
+    found = result(run, "regolith", "identify", drive, "--sensitivity", "--joint", "--profile")
+    assert found["joint"]["intervals"] == "profile"
+    assert {"parameter", "quantity", "alone", "saved"} == set(found["sensitivity"][0])
+    done = run("regolith", "identify", drive, "--joint", "--profile", "--sample")
+    assert done.code == 2

@@ -61,3 +61,18 @@ def test_the_picture_names_the_nearest() -> None:
     figure = comparison_figure(LONGJI, compare_site(LONGJI, 0.15), 0.15)
     names = {text.get_text() for axes in figure.axes for text in axes.texts}
     assert "Apollo 12, drive tube" in names
+
+
+def test_the_picture_has_four_panels_and_the_curves_of_the_wheel_states() -> None:
+    curve = [{"exponent": n, "stiffness_kpa_m_n": 1000.0, "low": 900.0, "high": 1100.0} for n in (0.9, 1.0)]
+    plain, drawn = (
+        comparison_figure(LONGJI, compare_site(LONGJI, 0.15), 0.15, curves) for curves in (None, {"bearing": curve})
+    )
+    assert len(plain.axes) == len(drawn.axes) == 4
+    assert len(drawn.axes[0].collections) == len(plain.axes[0].collections) + 1
+    assert {"FJS-1 simulant", "Longji at the lowest K_y"} <= {text.get_text() for text in plain.axes[3].texts}
+
+
+def test_half_a_lateral_pair_is_refused() -> None:
+    with pytest.raises(ParameterError, match="lateral"):
+        Site(cohesion_pa=500.0, friction_angle_deg=40.0, lateral_modulus_mm=20.0)

@@ -1,0 +1,43 @@
+"""Wheels by name."""
+
+import pytest
+
+from lunarsci.errors import DataError
+from lunarsci.regolith.forces import wheel_forces
+from lunarsci.regolith.load import sinkage_under_load, stiffness_under_load
+from lunarsci.regolith.soil import read_soil
+from lunarsci.regolith.wheel import read_wheel
+from lunarsci.rovers.description import known_rovers, known_wheels, read_rover
+
+SIZES = {"cmu-grouser": (0.058, 0.05, 0.005), "hit-grouser": (0.15735, 0.165, 0.01), "rashid-1": (0.1, 0.08, 0.02)}
+
+
+@pytest.mark.parametrize("name", known_wheels())
+def test_every_wheel_has_sizes_with_their_sources_and_carries_a_load(name: str) -> None:
+    wheel, soil = read_wheel(name), read_soil("lunar-typical")
+    assert 0 < sinkage_under_load(wheel, soil, 20.0) < wheel.radius_m / 2
+    assert f"[{name}]" in read_rover(name).text
+    table = read_rover(name).text.split(f"[{name}]")[1].split("\n[")[0]
+    assert all("source = " in line for line in table.strip().splitlines())
+
+
+def test_sizes_are_those_of_the_experiments() -> None:
+    for name, sizes in SIZES.items():
+        wheel = read_wheel(name)
+        assert (wheel.radius_m, wheel.width_m, wheel.grouser_height_m) == sizes
+
+
+def test_wheels_are_no_rovers() -> None:
+    assert not set(known_wheels()) & set(known_rovers())
+    assert "wheels" not in known_rovers()
+    with pytest.raises(DataError, match="no \\[mass\\] table"):
+        read_rover("lrv").table("mass")
+    with pytest.raises(DataError, match="cmu-grouser"):
+        read_rover("nothing")
+
+
+def test_the_stiffness_under_a_load_is_the_one_that_carries_it() -> None:
+    wheel, soil = read_wheel("yutu2"), read_soil("lunar-typical")
+    stiffness = stiffness_under_load(wheel, soil, 36.0, 0.012, 0.2)
+    found = wheel_forces(wheel, soil.replace(stiffness_kpa_m_n=stiffness), 0.012, 0.2)
+    assert float(found.normal_force_n) == pytest.approx(36.0, rel=1e-9)
