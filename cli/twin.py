@@ -40,7 +40,7 @@ def predict(
         int | None, typer.Option(min=1, help="Latin-hypercube samples of the ranges instead of the grid of all values.")
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the samples.")] = 0,
-    time_step: Annotated[float, typer.Option(help="Longest time step [s].")] = 0.05,
+    time_step: Annotated[float, typer.Option(help="Longest time step [s].")] = 0.1,
     sample: Annotated[float, typer.Option(help="Distance between recorded states [m].")] = 0.1,
 ) -> Report:
     """Drive a plan over many soils and say whether it stays within the limits: go, or no-go with exit code 3.

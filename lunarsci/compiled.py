@@ -38,7 +38,7 @@ def in_lanes(function: Callable[..., Any], **options: Any) -> Any:
 
 def pasted(function: Callable[..., Any]) -> Any:
     """Compile a function that is pasted into the loop that calls it, which `in_lanes` then compiles as one."""
-    return in_lanes(function, inline="always")
+    return in_lanes(function, forceinline=True)
 
 
 def each_in_threads(

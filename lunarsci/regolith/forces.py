@@ -39,6 +39,7 @@ __all__ = [
     "stress_moments",
     "travel_ratio",
     "wheel_forces",
+    "wheel_forces_and_slopes",
     "wheel_forces_kernel",
 ]
 
@@ -111,8 +112,8 @@ def _signed_share(j: float, travel: float, modulus: float, code: int) -> float:
 
 
 @pasted
-def wheel_forces_kernel(sinkage: Any, travel: Any, lateral: Any, wheel: Any, soil: Any, code: Any) -> Any:
-    """F_N, F_DP, F_L, M_R of one wheel (Eqs 18-24). [N, N, N, N m]
+def wheel_forces_and_slopes(sinkage: Any, travel: Any, lateral: Any, wheel: Any, soil: Any, code: Any) -> Any:
+    """F_N, F_DP, F_L, M_R of one wheel (Eqs 18-24), and how they change with its motion. [N, N, N, N m]
 
     Pasted into the loop that calls it and written without branches, so that the loop can run in vector lanes.
 
@@ -123,6 +124,11 @@ def wheel_forces_kernel(sinkage: Any, travel: Any, lateral: Any, wheel: Any, soi
     lateral : v_y / (r_s omega); F_L has its sign and acts against it. [-]
     wheel, soil : `Wheel.vector()`, `Soil.vector()`.
     code : reading, see `longitudinal_mobilisation`.
+
+    Returns
+    -------
+    The four forces, and their derivatives: F_N, F_DP and M_R by the travel ratio, F_L by the lateral one, as far as
+    they come from the shear displacement at a fixed stress (exact where c2 and n1 are 0), for reading 0.
     """
     r, b, h, r_s, c1, c2, c3 = wheel
     stiffness, n0, n1, cohesion, tan_phi, k_x, tan_phi_y, k_y = soil
@@ -143,15 +149,33 @@ def wheel_forces_kernel(sinkage: Any, travel: Any, lateral: Any, wheel: Any, soi
     ratio = 1.0 / travel if code == 2 and travel > 1.0 else travel
     j_x = r_s * ((theta_1e - theta_m) - ratio * (sin_1e - sin_m))
     sign_x = (1.0 if travel <= 1.0 else -1.0) if code == 1 else math.copysign(1.0, j_x)
-    tau_x = (cohesion + sigma_m * tan_phi) * -sign_x * exp_minus_one((-j_x if code == 1 else -abs(j_x)) / k_x)
+    share_x = -sign_x * exp_minus_one((-j_x if code == 1 else -abs(j_x)) / k_x)
+    strength_x, strength_y = cohesion + sigma_m * tan_phi, cohesion + sigma_m * tan_phi_y
+    tau_x = strength_x * share_x
     j_y = r * lateral * (theta_1e - theta_m)
-    tau_y = (cohesion + sigma_m * tan_phi_y) * math.copysign(1.0, j_y) * (0.0 - exp_minus_one(-abs(j_y) / k_y))
-    return (
+    share_y = math.copysign(1.0, j_y) * (0.0 - exp_minus_one(-abs(j_y) / k_y))
+    tau_y = strength_y * share_y
+    slope_x = -strength_x * (1.0 - abs(share_x)) / k_x * r_s * (sin_1e - sin_m)
+    slope_y = strength_y * (1.0 - abs(share_y)) / k_y * r * (theta_1e - theta_m)
+    forces = (
         b * (r * sigma_m * a + r_s * tau_x * b_moment),
         b * (r_s * tau_x * a - r * sigma_m * b_moment),
         r_s * b * tau_y * c_moment,
         r_s * r_s * b * tau_x * c_moment,
     )
+    slopes = (
+        b * r_s * slope_x * b_moment,
+        b * r_s * slope_x * a,
+        r_s * b * slope_y * c_moment,
+        r_s * r_s * b * slope_x * c_moment,
+    )
+    return forces, slopes
+
+
+@pasted
+def wheel_forces_kernel(sinkage: Any, travel: Any, lateral: Any, wheel: Any, soil: Any, code: Any) -> Any:
+    """The four forces of `wheel_forces_and_slopes` alone."""
+    return wheel_forces_and_slopes(sinkage, travel, lateral, wheel, soil, code)[0]
 
 
 @in_lanes

@@ -1,4 +1,4 @@
-"""Where a wheel meets the terrain, and the wrench of the soil on it.
+"""Where a wheel meets the terrain, the wrench of the soil on it, and its part in the equations of a step.
 
 The interaction plane is the terrain's tangent plane below the wheel centre. The wheel rolls along the line in which
 its own plane cuts the interaction plane; lateral and normal complete the contact frame.
@@ -11,11 +11,47 @@ overturning and steering torques M_O and M_S their leading parts.
 import math
 from typing import Any
 
-from lunarsci.compiled import compiled
-from lunarsci.regolith.forces import contact_angles, slip_ratio, wheel_forces_kernel
-from lunarsci.twin.dynamics import cross, dot
+from lunarsci.compiled import compiled, in_lanes, pasted
+from lunarsci.elementary import arcsin, cosine, sine
+from lunarsci.regolith.forces import wheel_forces_and_slopes
+from lunarsci.twin.lanes import (
+    ACCELERATION,
+    ACROSS,
+    ALONG,
+    ARM,
+    AXES,
+    AXLE,
+    BOGIE_SWING,
+    CENTER,
+    COEFFICIENT,
+    DRAWBAR,
+    DRIVE,
+    FORCE,
+    GROUND,
+    LANES,
+    LEVER,
+    MATRIX,
+    MOMENT,
+    NORMAL,
+    RIGHT,
+    ROTATION,
+    SINKAGE,
+    SOIL,
+    SPEED,
+    STIFF,
+    SWING,
+    VELOCITY,
+    cross,
+    dot,
+    get,
+    get3,
+    plus,
+    put,
+    put3,
+    times,
+)
 
-__all__ = ["DEEPEST", "NORMAL_DAMPING", "VALID_SLIP", "contact_frame", "wheel_contact"]
+__all__ = ["DEEPEST", "NORMAL_DAMPING", "SHALLOWEST", "VALID_SLIP", "add_wheel", "contact_frame"]
 
 # Assumed, for a calm touch-down: half of critical for a sixth of 135 kg on 7 kN/m; the soil's own is not published.
 NORMAL_DAMPING = 400.0
@@ -25,117 +61,188 @@ DEEPEST = 0.9
 VALID_SLIP = 0.6
 # Below this sinkage [m] the contact angles round to nothing.
 SHALLOWEST = 1e-9
-# Relative step of the finite differences.
-STEP = 1e-6
 
 
-@compiled
-def contact_frame(slope_x: float, slope_y: float, axle: Any) -> Any:
+@pasted
+def contact_frame(slope_x: Any, slope_y: Any, axle: Any) -> Any:
     """Forward, left and normal axis of the contact frame, from the terrain's gradient and the wheel's axle. [-]"""
     scale = 1.0 / math.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
     normal = (-slope_x * scale, -slope_y * scale, scale)
     x = cross(axle, normal)
-    length = math.sqrt(dot(x, x)) + 1e-300
-    forward = (x[0] / length, x[1] / length, x[2] / length)
+    forward = times(x, 1.0 / (math.sqrt(dot(x, x)) + 1e-300))
     return forward, cross(normal, forward), normal
 
 
-@compiled
-def fill_wrench(row: Any, forces: Any, approach: float, ahead: float, below: float) -> None:
-    """Force [N] and moment about the wheel centre [N m] of the soil on the wheel, in the contact frame.
+@pasted
+def shear_center(sinkage: Any, slip: Any, tyre: Any) -> Any:
+    """How far ahead of and below the axle the shear stress is centred. [m]"""
+    r, _, _, r_s, c1, c2, c3 = tyre
+    theta_1 = 2.0 * arcsin(math.sqrt(sinkage / (2.0 * r)))
+    middle = (1.0 + c3 + c1 + c2 * slip) * theta_1 / 3.0
+    return r_s * sine(middle), r_s * cosine(middle)
 
-    `forces` as `wheel_forces_kernel` returns them; `approach` is the velocity of the centre along the normal [m/s]; F_L
-    acts `ahead` and `below` of the centre [m]. The normal force never pulls.
+
+@pasted
+def seen_from(axes: Any, v: Any) -> Any:
+    """Components of a world vector along the three axes."""
+    return (dot(axes[0], v), dot(axes[1], v), dot(axes[2], v))
+
+
+@pasted
+def chosen(on: Any, values: Any) -> Any:
+    """The four values, or zeros in the air, where those of an absurd soil may be no numbers."""
+    return (
+        values[0] if on > 0.0 else 0.0,
+        values[1] if on > 0.0 else 0.0,
+        values[2] if on > 0.0 else 0.0,
+        values[3] if on > 0.0 else 0.0,
+    )
+
+
+@in_lanes
+def meet_ground(
+    body: Any, wheel: Any, tyre: Any, kg: float, gravity: float, bogie: int, rim: float, dt: float, shear: bool,
+) -> None:  # fmt: skip
+    """Contact frame, motion, wrench and its derivatives of one wheel.
+
+    The derivatives only steady the implicit step: those of the shear, and the stiffness of F_N ~ z^(n0 + 1/2). The
+    normal force never pulls.
     """
-    normal, drawbar, side, resistance = forces
-    row[0], row[1], row[2] = drawbar, -side, max(normal - NORMAL_DAMPING * approach, 0.0)
-    row[3], row[4], row[5] = -below * side, -resistance, -ahead * side
+    for lane in range(LANES):
+        arm, ground = get3(wheel, ARM, lane), get3(wheel, GROUND, lane)
+        axes = contact_frame(ground[1], ground[2], get3(wheel, AXLE, lane))
+        v_world = plus(get3(body, SPEED, lane), cross(get3(body, SPEED + 3, lane), arm))
+        v_world = plus(v_world, times(get3(wheel, SWING, lane), get(body, SPEED + 6, lane)))
+        v_world = plus(v_world, times(get3(wheel, BOGIE_SWING, lane), get(body, bogie, lane)))
+        v = seen_from(axes, v_world)
+        sinkage = tyre[0] - (get(wheel, CENTER + 2, lane) - ground[0]) * axes[2][2]
+        z = min(max(sinkage, SHALLOWEST), DEEPEST * tyre[0])
+        on = 1.0 if sinkage > SHALLOWEST else 0.0
+        slid = on if shear else 0.0
+        soil = (
+            get(wheel, SOIL, lane), get(wheel, SOIL + 1, lane), get(wheel, SOIL + 2, lane), get(wheel, SOIL + 3, lane),
+            get(wheel, SOIL + 4, lane), get(wheel, SOIL + 5, lane), get(wheel, SOIL + 6, lane),
+            get(wheel, SOIL + 7, lane),
+        )  # fmt: skip
+        travel, lateral = (v[0] / rim, v[1] / rim) if shear else (1.0, 0.0)
+        forces, slopes = wheel_forces_and_slopes(z, travel, lateral, tyre, soil, 0)
+        f_n, f_dp, f_l, m_r = chosen(on, forces)
+        slopes = chosen(on, slopes)
+        slip = 1.0 - travel if travel <= 1.0 else 1.0 / travel - 1.0
+        ahead, below = shear_center(z, slip, tyre)
+        damping = NORMAL_DAMPING * v[2] * slid
+        pressed = max(f_n - damping, 0.0) * on
+        bearing = 1.0 if pressed > 0.0 else 0.0
+        per = slid / rim
+        d_l = -per * slopes[2]
+        stiffness = on * (soil[1] + 0.5) * pressed / z
+        remaining = seen_from(axes, get3(wheel, ACCELERATION, lane))
+        put3(wheel, AXES, lane, axes[0])
+        put3(wheel, AXES + 3, lane, axes[1])
+        put3(wheel, AXES + 6, lane, axes[2])
+        put(wheel, FORCE, lane, slid * f_dp - kg * (gravity * axes[0][2] + remaining[0]))
+        put(wheel, FORCE + 1, lane, -slid * f_l - kg * (gravity * axes[1][2] + remaining[1]))
+        put(wheel, FORCE + 2, lane, pressed - kg * (gravity * axes[2][2] + remaining[2]))
+        put3(wheel, MOMENT, lane, (-slid * below * f_l, -slid * m_r, -slid * ahead * f_l))
+        put3(wheel, ALONG, lane, (per * slopes[1], per * bearing * slopes[0], -per * slopes[3]))
+        put3(wheel, ACROSS, lane, (d_l, below * d_l, ahead * d_l))
+        put(wheel, STIFF, lane, dt * slid * bearing * NORMAL_DAMPING + 0.5 * dt * dt * stiffness)
+        put(wheel, STIFF + 1, lane, dt * dt * stiffness * v[2])
+        put(wheel, SINKAGE, lane, sinkage)
+        put3(wheel, VELOCITY, lane, v)
+        put(wheel, NORMAL, lane, pressed + damping * bearing)
+        put3(wheel, DRAWBAR, lane, (slid * f_dp, slid * f_l, slid * m_r))
 
 
-@compiled
-def rolling_contact(z: float, v: Any, ground_speed: float, wheel: Any, soil: Any, wrench: Any, slopes: Any) -> None:
-    """Wrench and its derivatives by the three velocities (rows 0-2, per m/s) and the sinkage (row 3, per m).
+@pasted
+def put_row(wheel: Any, levers: Any, lane: Any, i: Any, own: Any, turn: Any, kg: Any, dt: Any) -> None:
+    """Levers, coefficients and right side of coordinate i, whose rate moves the centre by `own`, turns it by `turn`."""
+    along, across = get3(wheel, ALONG, lane), get3(wheel, ACROSS, lane)
+    put3(levers, LEVER + 3 * i, lane, own)
+    put3(
+        levers,
+        COEFFICIENT + 3 * i,
+        lane,
+        (
+            kg * own[0] - dt * (own[0] * along[0] + own[2] * along[1] + turn[1] * along[2]),
+            kg * own[1] - dt * (own[1] * across[0] + turn[0] * across[1] + turn[2] * across[2]),
+            (kg + get(wheel, STIFF, lane)) * own[2],
+        ),
+    )
+    work = dot(own, get3(wheel, FORCE, lane)) + dot(turn, get3(wheel, MOMENT, lane))
+    put(levers, DRIVE + i, lane, dt * work - own[2] * get(wheel, STIFF + 1, lane))
 
-    The derivatives only steady the implicit step, so they are as cheap as that allows: one more call, shifted forward
-    and sideways at once (F_L depends on the lateral velocity, the rest on the forward one), and the stiffness of
-    F_N ~ z^(n0 + 1/2).
+
+@in_lanes
+def find_levers(body: Any, wheel: Any, levers: Any, hung: float, side: float, kg: float, dt: float) -> None:
+    """How each coordinate moves the wheel along the contact axes, and what its row of the matrix follows from."""
+    for lane in range(LANES):
+        e, d, n = get3(wheel, AXES, lane), get3(wheel, AXES + 3, lane), get3(wheel, AXES + 6, lane)
+        arm, axes, still = get3(wheel, ARM, lane), (e, d, n), (0.0, 0.0, 0.0)
+        upright = (get(body, ROTATION + 1, lane), get(body, ROTATION + 4, lane), get(body, ROTATION + 7, lane))
+        turn, r_e, r_d, r_n = seen_from(axes, upright), cross(arm, e), cross(arm, d), cross(arm, n)
+        x, y, z = (e[0], d[0], n[0]), (e[1], d[1], n[1]), (e[2], d[2], n[2])
+        put_row(wheel, levers, lane, 0, x, still, kg, dt)
+        put_row(wheel, levers, lane, 1, y, still, kg, dt)
+        put_row(wheel, levers, lane, 2, z, still, kg, dt)
+        put_row(wheel, levers, lane, 3, (r_e[0], r_d[0], r_n[0]), x, kg, dt)
+        put_row(wheel, levers, lane, 4, (r_e[1], r_d[1], r_n[1]), y, kg, dt)
+        put_row(wheel, levers, lane, 5, (r_e[2], r_d[2], r_n[2]), z, kg, dt)
+        put_row(wheel, levers, lane, 6, seen_from(axes, get3(wheel, SWING, lane)), times(turn, side), kg, dt)
+        swing = seen_from(axes, get3(wheel, BOGIE_SWING, lane))
+        put_row(wheel, levers, lane, 7, swing, times(turn, hung), kg, dt)
+
+
+@pasted
+def raise_by(rows: Any, k: Any, lane: Any, value: Any) -> None:
+    """Add to one number."""
+    rows[k * LANES + lane] += value
+
+
+@pasted
+def add_row(levers: Any, system: Any, lane: Any, i: Any) -> None:
+    """Add row i of the wheel to its side of the system."""
+    row, c = MATRIX + 8 * i, get3(levers, COEFFICIENT + 3 * i, lane)
+    raise_by(system, row, lane, dot(c, get3(levers, LEVER, lane)))
+    raise_by(system, row + 1, lane, dot(c, get3(levers, LEVER + 3, lane)))
+    raise_by(system, row + 2, lane, dot(c, get3(levers, LEVER + 6, lane)))
+    raise_by(system, row + 3, lane, dot(c, get3(levers, LEVER + 9, lane)))
+    raise_by(system, row + 4, lane, dot(c, get3(levers, LEVER + 12, lane)))
+    raise_by(system, row + 5, lane, dot(c, get3(levers, LEVER + 15, lane)))
+    raise_by(system, row + 6, lane, dot(c, get3(levers, LEVER + 18, lane)))
+    raise_by(system, row + 7, lane, dot(c, get3(levers, LEVER + 21, lane)))
+    raise_by(system, RIGHT + i, lane, get(levers, DRIVE + i, lane))
+
+
+@in_lanes
+def add_rows(levers: Any, system: Any) -> None:
+    """Add a wheel to its side of the system."""
+    for lane in range(LANES):
+        add_row(levers, system, lane, 0)
+        add_row(levers, system, lane, 1)
+        add_row(levers, system, lane, 2)
+        add_row(levers, system, lane, 3)
+    for lane in range(LANES):
+        add_row(levers, system, lane, 4)
+        add_row(levers, system, lane, 5)
+        add_row(levers, system, lane, 6)
+        add_row(levers, system, lane, 7)
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def add_wheel(work: Any, w: int, rover: Any, tyre: Any, rim: float, dt: float, shear: bool) -> None:
+    """Add wheel `w`, its mass and the soil's wrench, to the system of a step, and keep what the contact found.
+
+    Parameters
+    ----------
+    work : with kinematics and ground of the wheel in place.
+    rover, tyre : `Rover.vector()`, `Wheel.vector()`.
+    rim : commanded speed of the rim over ground, r_s omega > 0. [m/s]
+    dt : step. [s]
+    shear : False leaves only the normal force, for a rover at rest.
     """
-    travel, lateral = v[0] / ground_speed, v[1] / ground_speed
-    theta_1, _, theta_2, theta_m = contact_angles(z, slip_ratio(travel), wheel)
-    center = (theta_1 + theta_2 + theta_m) / 3.0
-    ahead, below = wheel[3] * math.sin(center), wheel[3] * math.cos(center)
-    for k in range(2):
-        forces = wheel_forces_kernel(z, travel + STEP * k, lateral + STEP * k, wheel, soil, 0)
-        fill_wrench(slopes[3 * k], forces, v[2], ahead, below)
-    for i in range(6):
-        wrench[i] = slopes[0, i]
-    per_speed = 1.0 / (STEP * ground_speed)
-    for i in range(6):
-        change = (slopes[3, i] - wrench[i]) * per_speed
-        sideways = i == 1 or i == 3 or i == 5
-        slopes[0, i] = 0.0 if sideways else change
-        slopes[1, i] = change if sideways else 0.0
-        slopes[3, i] = 0.0
-    slopes[2, 2] = -NORMAL_DAMPING if wrench[2] > 0.0 else 0.0
-    slopes[3, 2] = (soil[1] + 0.5) * wrench[2] / z
-
-
-@compiled
-def wheel_contact(w: int, u: Any, ground_speed: float, wheel: Any, work: Any, shear: float) -> float:
-    """Fill contact axes, wrench, derivatives and state of wheel `w` in `work`; returns its sinkage. [m]
-
-    `work.node` holds the terrain below the wheel centre. State: x, y, sinkage, slip ratio, side slip [rad], F_N, F_DP,
-    F_L, M_R, valid (1 or 0). F_N is the soil's, without the damping that the step adds to it.
-    """
-    node, state, center = work.node, work.state[w], work.center[w]
-    frame = contact_frame(node[1], node[2], (work.axle[w, 0], work.axle[w, 1], work.axle[w, 2]))
-    jacobian, rows = work.jacobian[w], work.rows[w]
-    for a in range(3):
-        x, y, z = frame[a]
-        for i in range(9):
-            rows[a, i] = x * jacobian[0, i] + y * jacobian[1, i] + z * jacobian[2, i]
-            rows[3 + a, i] = x * jacobian[3, i] + y * jacobian[4, i] + z * jacobian[5, i]
-    v = (row_dot(rows[0], u), row_dot(rows[1], u), row_dot(rows[2], u))
-    sinkage: float = wheel[0] - (center[2] - node[0]) * frame[2][2]
-    z = min(sinkage, DEEPEST * wheel[0])
-    soil = (node[3], node[4], node[5], node[6], node[7], node[8], node[9], node[10])
-    wrench, slopes = work.wrench[w], work.slopes[w]
-    clear(wrench, slopes)
-    if z > SHALLOWEST:
-        motion = v if shear > 0.0 else (ground_speed, 0.0, 0.0)
-        rolling_contact(z, motion, ground_speed, wheel, soil, wrench, slopes)
-        if shear == 0.0:
-            keep_normal(wrench, slopes)
-    slip = slip_ratio(v[0] / ground_speed)
-    state[0], state[1], state[2], state[3] = center[0], center[1], max(sinkage, 0.0), slip
-    state[4] = math.atan2(v[1], abs(v[0]))
-    damping = NORMAL_DAMPING * v[2] if shear > 0.0 and wrench[2] > 0.0 else 0.0
-    state[5], state[6], state[7], state[8] = wrench[2] + damping, wrench[0], -wrench[1], -wrench[4]
-    state[9] = 1.0 if SHALLOWEST < sinkage <= z and abs(slip) <= VALID_SLIP else 0.0
-    return sinkage
-
-
-@compiled
-def clear(wrench: Any, slopes: Any) -> None:
-    """No contact: no wrench, no derivatives."""
-    for i in range(6):
-        wrench[i] = 0.0
-        for k in range(4):
-            slopes[k, i] = 0.0
-
-
-@compiled
-def keep_normal(wrench: Any, slopes: Any) -> None:
-    """Leave the normal force and its stiffness alone: the wheel at rest, before any shear."""
-    normal, stiffness = wrench[2], slopes[3, 2]
-    clear(wrench, slopes)
-    wrench[2], slopes[3, 2] = normal, stiffness
-
-
-@compiled
-def row_dot(row: Any, u: Any) -> float:
-    """Scalar product of two arrays of nine."""
-    total = 0.0
-    for i in range(9):
-        total += row[i] * u[i]
-    return total
+    side, kg = w % 2, rover.wheel_kg
+    wheel, system = work.wheels[w], work.sides[side]
+    meet_ground(work.body, wheel, tyre, kg, rover.gravity, SPEED + 7 + side, rim, dt, shear)
+    find_levers(work.body, wheel, work.levers, rover.hung[w], 1.0 - 2.0 * side, kg, dt)
+    add_rows(work.levers, system)

@@ -1,50 +1,49 @@
 """Kinematics, mass matrix and free forces of the rover: nine degrees of freedom, exact.
 
-Configuration `pose` (10): position of the origin in the world [m], unit quaternion body-to-world (w, x, y, z),
-differential angle rho, left and right bogie angle [rad]. Velocity `u` (9): world velocity of the origin [m/s], world
-angular velocity of the chassis [rad/s], rates of rho and of the two bogies [rad/s].
+Configuration (10): position of the origin in the world [m], unit quaternion body-to-world (w, x, y, z), differential
+angle rho, left and right bogie angle [rad]. Velocity (9): world velocity of the origin [m/s], world angular velocity of
+the chassis [rad/s], rates of rho and of the two bogies [rad/s]. A rover without bogies keeps their rows at rest.
 
-The tree is one rigid chassis and six point masses at the wheel centres, so the mass matrix is a sum of J^T m J and the
+The tree is one rigid chassis and point masses at the wheel centres, so the mass matrix is a sum of J^T m J and the
 inertial forces follow from the accelerations that remain at u-dot = 0; nothing is linearised. The wheels' own spin
-(0.02 N m s each at 0.05 m/s, gyroscopic torques of 1e-4 N m) is left out.
+(0.02 N m s each at 0.05 m/s, gyroscopic torques of 1e-4 N m) is left out. Wheels enter the equations in `contact`.
 """
 
 import math
 from typing import Any
 
-from lunarsci.compiled import compiled
+from lunarsci.compiled import compiled, in_lanes, pasted
+from lunarsci.elementary import cosine, sine
+from lunarsci.twin.lanes import (
+    ACCELERATION,
+    ARM,
+    AXLE,
+    BOGIE_SWING,
+    CENTER,
+    LANES,
+    MATRIX,
+    OMEGA,
+    POSE,
+    RIGHT,
+    ROTATION,
+    SPEED,
+    SWING,
+    cross,
+    dot,
+    get,
+    get3,
+    plus,
+    put,
+    put3,
+    times,
+)
 
-__all__ = ["cross", "dot", "inertia_and_free_force", "rotation_of", "wheel_jacobians"]
+__all__ = ["begin_system", "orient", "place_wheels"]
 
 
-@compiled
-def dot(a: Any, b: Any) -> Any:
-    """Scalar product of two triples."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@compiled
-def cross(a: Any, b: Any) -> Any:
-    """Vector product of two triples."""
-    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
-
-
-@compiled
-def triple(row: Any) -> Any:
-    """An array of three as a triple."""
-    return (row[0], row[1], row[2])
-
-
-@compiled
-def plus(a: Any, b: Any) -> Any:
-    """Sum of two triples."""
-    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
-
-
-@compiled
-def rotation_of(pose: Any) -> Any:
-    """Rows of the rotation matrix body-to-world of the quaternion in `pose`."""
-    w, x, y, z = pose[3], pose[4], pose[5], pose[6]
+@pasted
+def rotation_of(w: Any, x: Any, y: Any, z: Any) -> Any:
+    """Rows of the rotation matrix body-to-world of a unit quaternion."""
     return (
         (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
         (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
@@ -52,16 +51,15 @@ def rotation_of(pose: Any) -> Any:
     )
 
 
-@compiled
-def to_world(rotation: Any, v: Any) -> Any:
-    """R v."""
-    return (dot(rotation[0], v), dot(rotation[1], v), dot(rotation[2], v))
+@pasted
+def to_world(a: Any, b: Any, c: Any, v: Any) -> Any:
+    """R v, from the rows of R."""
+    return (dot(a, v), dot(b, v), dot(c, v))
 
 
-@compiled
-def to_body(rotation: Any, v: Any) -> Any:
-    """R^T v."""
-    a, b, c = rotation
+@pasted
+def to_body(a: Any, b: Any, c: Any, v: Any) -> Any:
+    """R^T v, from the rows of R."""
     return (
         a[0] * v[0] + b[0] * v[1] + c[0] * v[2],
         a[1] * v[0] + b[1] * v[1] + c[1] * v[2],
@@ -69,142 +67,158 @@ def to_body(rotation: Any, v: Any) -> Any:
     )
 
 
-@compiled
-def swung(angle: float, v: Any) -> Any:
+@pasted
+def swung(cos: Any, sin: Any, v: Any) -> Any:
     """`v` turned about the y axis."""
-    c, s = math.cos(angle), math.sin(angle)
-    return (c * v[0] + s * v[2], v[1], c * v[2] - s * v[0])
+    return (cos * v[0] + sin * v[2], v[1], cos * v[2] - sin * v[0])
 
 
-@compiled
-def steered_arm(rover: Any, wheel: int, angle: float) -> Any:
-    """Wheel centre from its pivot when steered by `angle` about an axis inboard of the wheel. [m]"""
-    arm = rover.arms[wheel]
-    offset = rover.steering_offset if wheel % 2 == 0 else -rover.steering_offset
-    return (arm[0] - offset * math.sin(angle), arm[1] + offset * (math.cos(angle) - 1.0), arm[2])
-
-
-@compiled
-def segment_acceleration(rate: Any, spin: Any, segment: Any) -> Any:
-    """Acceleration along a segment that turns at `rate`, when only `spin` (joint rate, chassis axis) changes direction.
+@pasted
+def turning(rate: Any, spin: Any, segment: Any) -> Any:
+    """Acceleration along a segment that turns at `rate`, when only `spin` (joint rate, about y) changes direction.
 
     rate x (rate x d) + (omega x spin) x d, where omega x spin = rate x spin as both differ by a multiple of spin.
     """
-    return plus(cross(rate, cross(rate, segment)), cross(cross(rate, spin), segment))
+    return plus(cross(rate, cross(rate, segment)), cross(cross(rate, (0.0, spin, 0.0)), segment))
 
 
-@compiled
-def fill_jacobian(
-    jacobian: Any, rotation: Any, arm: Any, from_rocker: Any, from_bogie: Any, sign: float, j: int
-) -> None:
-    """Jacobian (6, 9) of a wheel carrier, velocity of the wheel centre above angular velocity; arms in the body frame.
+@in_lanes
+def orient(body: Any) -> None:
+    """Fill the rotation and the angular velocity in the body frame."""
+    for lane in range(LANES):
+        w, x, y, z = get(body, 3, lane), get(body, 4, lane), get(body, 5, lane), get(body, 6, lane)
+        a, b, c = rotation_of(w, x, y, z)
+        put3(body, ROTATION, lane, a)
+        put3(body, ROTATION + 3, lane, b)
+        put3(body, ROTATION + 6, lane, c)
+        put3(body, OMEGA, lane, to_body(a, b, c, get3(body, SPEED + 3, lane)))
 
-    `j` is the column of the bogie the wheel hangs on, 0 for none.
+
+@in_lanes
+def place_wheel(body: Any, wheel: Any, rover: Any, w: int, cos_steer: float, sin_steer: float) -> None:
+    """Fill centre, arm, swings, axle and remaining acceleration of wheel `w`.
+
+    A steered wheel stands `steering_offset` outboard of its steering axis.
     """
-    r = to_world(rotation, arm)
-    swing = to_world(rotation, (from_rocker[2], 0.0, -from_rocker[0]))
-    jacobian[0, 4], jacobian[0, 5] = r[2], -r[1]
-    jacobian[1, 3], jacobian[1, 5] = -r[2], r[0]
-    jacobian[2, 3], jacobian[2, 4] = r[1], -r[0]
-    for i in range(3):
-        jacobian[i, 6] = sign * swing[i]
-        jacobian[3 + i, 6] = sign * rotation[i][1]
-    if j > 0:
-        swing = to_world(rotation, (from_bogie[2], 0.0, -from_bogie[0]))
-        for i in range(3):
-            jacobian[i, j] = swing[i]
-            jacobian[3 + i, j] = rotation[i][1]
+    side = 1.0 if w % 2 == 0 else -1.0
+    hung = rover.hung[w]
+    offset = side * rover.steering_offset
+    arm_x = rover.arms[w, 0] - offset * sin_steer
+    arm_y, arm_z = rover.arms[w, 1] + offset * (cos_steer - 1.0), rover.arms[w, 2]
+    pivot_y = side * rover.pivot_y
+    bogie_x, bogie_y, bogie_z = hung * rover.bogie[0], hung * side * rover.bogie[1], hung * rover.bogie[2]
+    joint = 8 if w % 2 == 0 else 9
+    for lane in range(LANES):
+        a, b, c = get3(body, ROTATION, lane), get3(body, ROTATION + 3, lane), get3(body, ROTATION + 6, lane)
+        omega = get3(body, OMEGA, lane)
+        rocker, rocker_spin = side * get(body, POSE + 7, lane), side * get(body, SPEED + 6, lane)
+        angle = rocker + hung * get(body, joint, lane)
+        spin = rocker_spin + hung * get(body, SPEED + joint - 1, lane)
+        cos_r, sin_r, cos_b, sin_b = cosine(rocker), sine(rocker), cosine(angle), sine(angle)
+        first = swung(cos_r, sin_r, (bogie_x, bogie_y, bogie_z))
+        last = swung(cos_b, sin_b, (arm_x, arm_y, arm_z))
+        pivot = (0.0, pivot_y, 0.0)
+        hang = plus(first, last)
+        arm = to_world(a, b, c, plus(pivot, hang))
+        centripetal = cross(omega, cross(omega, pivot))
+        by_rocker = turning((omega[0], omega[1] + rocker_spin, omega[2]), rocker_spin, first)
+        by_bogie = turning((omega[0], omega[1] + spin, omega[2]), spin, last)
+        put3(wheel, CENTER, lane, plus(get3(body, POSE, lane), arm))
+        put3(wheel, ARM, lane, arm)
+        put3(wheel, SWING, lane, to_world(a, b, c, (side * hang[2], 0.0, -side * hang[0])))
+        put3(wheel, BOGIE_SWING, lane, to_world(a, b, c, (hung * last[2], 0.0, -hung * last[0])))
+        put3(wheel, AXLE, lane, to_world(a, b, c, swung(cos_b, sin_b, (-sin_steer, cos_steer, 0.0))))
+        put3(wheel, ACCELERATION, lane, to_world(a, b, c, plus(centripetal, plus(by_rocker, by_bogie))))
 
 
-@compiled
-def wheel_jacobians(rover: Any, pose: Any, u: Any, steering: Any, work: Any) -> None:
-    """Fill centre, axle, jacobian and remaining acceleration of the six wheels (world frame) in `work`."""
-    rotation = rotation_of(pose)
-    omega = to_body(rotation, (u[3], u[4], u[5]))
-    for w in range(6):
-        side = w % 2
-        sign = 1.0 - 2.0 * side
-        column = 7 + side if w > 1 else 0
-        rocker_angle, rocker_spin = sign * pose[7], (0.0, sign * u[6], 0.0)
-        angle, spin = rocker_angle, rocker_spin
-        first, last = (0.0, 0.0, 0.0), steered_arm(rover, w, steering[w])
-        if column > 0:
-            angle += pose[column + 1]
-            spin = (0.0, rocker_spin[1] + u[column], 0.0)
-            first = swung(rocker_angle, (rover.bogie[0], sign * rover.bogie[1], rover.bogie[2]))
-        last = swung(angle, last)
-        pivot = (0.0, sign * rover.pivot_y, 0.0)
-        arm = plus(pivot, plus(first, last))
-        acceleration = plus(
-            cross(omega, cross(omega, pivot)),
-            plus(
-                segment_acceleration(plus(omega, rocker_spin), rocker_spin, first),
-                segment_acceleration(plus(omega, spin), spin, last),
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def place_wheels(rover: Any, steering: Any, work: Any) -> None:
+    """Kinematics of all wheels at the pose and velocity in `work`, steered by the given angles. [rad]"""
+    orient(work.body)
+    for w in range(len(rover.arms)):
+        place_wheel(work.body, work.wheels[w], rover, w, math.cos(steering[w]), math.sin(steering[w]))
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def begin_system(rover: Any, work: Any, dt: float) -> None:
+    """Fill matrix and right side of a step with the chassis: mass, moments, gyroscopic torque, joint friction.
+
+    Equations of motion: mass u-dot = force; the matrix is the mass so far, the right side dt times the force.
+    """
+    work.sides[:] = 0.0
+    idle = 0.0 if rover.bogies else 1.0
+    add_chassis(work.body, work.sides[0], rover, dt)
+    for side in range(2):
+        add_friction(work.body, work.sides[side], rover.joint_damping, idle, dt, SPEED + 7 + side)
+
+
+@in_lanes
+def add_friction(body: Any, system: Any, friction: float, idle: float, dt: float, bogie: int) -> None:
+    """Joint friction of one rocker and its bogie; `idle` keeps the row of a bogie that is not there."""
+    for lane in range(LANES):
+        put(system, MATRIX + 54, lane, dt * friction)
+        put(system, MATRIX + 63, lane, dt * friction + idle)
+        put(system, RIGHT + 6, lane, -dt * friction * get(body, SPEED + 6, lane))
+        put(system, RIGHT + 7, lane, -dt * friction * get(body, bogie, lane))
+
+
+@in_lanes
+def add_chassis(body: Any, system: Any, rover: Any, dt: float) -> None:
+    """The chassis' mass at its centre, its principal moments and gyroscopic torque."""
+    kg, gravity = rover.body_kg, rover.gravity
+    center_x, center_y, center_z = rover.center[0], rover.center[1], rover.center[2]
+    i_x, i_y, i_z = rover.inertia[0], rover.inertia[1], rover.inertia[2]
+    for lane in range(LANES):
+        a, b, c = get3(body, ROTATION, lane), get3(body, ROTATION + 3, lane), get3(body, ROTATION + 6, lane)
+        omega, center = get3(body, OMEGA, lane), (center_x, center_y, center_z)
+        x, y, z = to_world(a, b, c, center)
+        remaining = to_world(a, b, c, cross(omega, cross(omega, center)))
+        pull = (-kg * remaining[0], -kg * remaining[1], -kg * (gravity + remaining[2]))
+        torque = to_world(a, b, c, cross((i_x * omega[0], i_y * omega[1], i_z * omega[2]), omega))
+        put3(system, RIGHT, lane, times(pull, dt))
+        put3(system, RIGHT + 3, lane, times(plus(torque, cross((x, y, z), pull)), dt))
+        put_mass(system, lane, kg, x, y, z)
+        a_i, b_i = (a[0] * i_x, a[1] * i_y, a[2] * i_z), (b[0] * i_x, b[1] * i_y, b[2] * i_z)
+        c_i = (c[0] * i_x, c[1] * i_y, c[2] * i_z)
+        put_moments(
+            system, lane,
+            (
+                dot(a_i, a) + kg * (y * y + z * z), dot(b_i, b) + kg * (x * x + z * z),
+                dot(c_i, c) + kg * (x * x + y * y),
             ),
-        )
-        axle = swung(angle, (-math.sin(steering[w]), math.cos(steering[w]), 0.0))
-        fill_jacobian(work.jacobian[w], rotation, arm, plus(first, last), last, sign, column)
-        world_arm, world_axle = to_world(rotation, arm), to_world(rotation, axle)
-        world_acceleration = to_world(rotation, acceleration)
-        for i in range(3):
-            work.center[w, i] = pose[i] + world_arm[i]
-            work.axle[w, i] = world_axle[i]
-            work.acceleration[w, i] = world_acceleration[i]
+            (dot(a_i, b) - kg * x * y, dot(a_i, c) - kg * x * z, dot(b_i, c) - kg * y * z),
+        )  # fmt: skip
 
 
-@compiled
-def add_point_mass(mass: Any, force: Any, jacobian: Any, kg: float, acceleration: Any, gravity: float) -> None:
-    """Add J^T m J to `mass` (lower triangle) and J^T m (g - a) to `force`."""
-    a = (-acceleration[0] * kg, -acceleration[1] * kg, (-gravity - acceleration[2]) * kg)
-    for i in range(9):
-        x, y, z = jacobian[0, i], jacobian[1, i], jacobian[2, i]
-        force[i] += x * a[0] + y * a[1] + z * a[2]
-        x, y, z = x * kg, y * kg, z * kg
-        for k in range(i + 1):
-            mass[i, k] += x * jacobian[0, k] + y * jacobian[1, k] + z * jacobian[2, k]
+@pasted
+def put_mass(system: Any, lane: Any, kg: Any, x: Any, y: Any, z: Any) -> None:
+    """Mass, and its product with the arm x, y, z, in the rows of translation and rotation."""
+    put(system, MATRIX, lane, kg)
+    put(system, MATRIX + 9, lane, kg)
+    put(system, MATRIX + 18, lane, kg)
+    put(system, MATRIX + 4, lane, kg * z)
+    put(system, MATRIX + 5, lane, -kg * y)
+    put(system, MATRIX + 11, lane, -kg * z)
+    put(system, MATRIX + 13, lane, kg * x)
+    put(system, MATRIX + 19, lane, kg * y)
+    put(system, MATRIX + 20, lane, -kg * x)
+    put(system, MATRIX + 32, lane, kg * z)
+    put(system, MATRIX + 40, lane, -kg * y)
+    put(system, MATRIX + 25, lane, -kg * z)
+    put(system, MATRIX + 41, lane, kg * x)
+    put(system, MATRIX + 26, lane, kg * y)
+    put(system, MATRIX + 34, lane, -kg * x)
 
 
-@compiled
-def add_chassis(mass: Any, force: Any, rover: Any, rotation: Any, u: Any, work: Any) -> None:
-    """Add the chassis: its mass at its centre, its principal moments and its gyroscopic torque."""
-    omega = to_body(rotation, (u[3], u[4], u[5]))
-    center = triple(rover.center)
-    c = to_world(rotation, center)
-    jacobian = work.chassis_jacobian
-    jacobian[0, 4], jacobian[0, 5] = c[2], -c[1]
-    jacobian[1, 3], jacobian[1, 5] = -c[2], c[0]
-    jacobian[2, 3], jacobian[2, 4] = c[1], -c[0]
-    acceleration = to_world(rotation, cross(omega, cross(omega, center)))
-    add_point_mass(mass, force, jacobian, rover.body_kg, acceleration, rover.gravity)
-    moment = rover.inertia
-    spin = (moment[0] * omega[0], moment[1] * omega[1], moment[2] * omega[2])
-    torque = to_world(rotation, cross(spin, omega))
-    for i in range(3):
-        force[3 + i] += torque[i]
-        row = rotation[i]
-        for k in range(i + 1):
-            other = rotation[k]
-            for axis in range(3):
-                mass[3 + i, 3 + k] += row[axis] * moment[axis] * other[axis]
-
-
-@compiled
-def inertia_and_free_force(rover: Any, pose: Any, u: Any, work: Any) -> None:
-    """Fill `work.mass` (9, 9) and `work.force` (9): gravity, inertial forces and joint friction, without the ground.
-
-    `wheel_jacobians` must have run for the same pose and velocity. Equations of motion: mass u-dot = force.
-    """
-    mass, force = work.mass, work.force
-    for i in range(9):
-        force[i] = 0.0
-        for k in range(9):
-            mass[i, k] = 0.0
-    add_chassis(mass, force, rover, rotation_of(pose), u, work)
-    for w in range(6):
-        add_point_mass(mass, force, work.jacobian[w], rover.wheel_kg, work.acceleration[w], rover.gravity)
-    for i in range(9):
-        for k in range(i):
-            mass[k, i] = mass[i, k]
-    force[6] -= 2.0 * rover.joint_damping * u[6]
-    force[7] -= rover.joint_damping * u[7]
-    force[8] -= rover.joint_damping * u[8]
+@pasted
+def put_moments(system: Any, lane: Any, own: Any, mixed: Any) -> None:
+    """Moments of inertia about the origin along the world axes, and their products xy, xz, yz."""
+    put(system, MATRIX + 27, lane, own[0])
+    put(system, MATRIX + 36, lane, own[1])
+    put(system, MATRIX + 45, lane, own[2])
+    put(system, MATRIX + 28, lane, mixed[0])
+    put(system, MATRIX + 35, lane, mixed[0])
+    put(system, MATRIX + 29, lane, mixed[1])
+    put(system, MATRIX + 43, lane, mixed[1])
+    put(system, MATRIX + 37, lane, mixed[2])
+    put(system, MATRIX + 44, lane, mixed[2])

@@ -1,4 +1,4 @@
-"""One time step of a rover on the ground, linearly implicit.
+"""One time step of LANES rovers on the ground, linearly implicit.
 
 With forces f, C = df/dv and K = df/dp at the start of the step,
 
@@ -9,194 +9,212 @@ at any dt. First order in dt.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
-from lunarsci.compiled import compiled
-from lunarsci.twin.contact import row_dot, wheel_contact
-from lunarsci.twin.dynamics import inertia_and_free_force, wheel_jacobians
+from lunarsci.compiled import compiled, in_lanes, pasted
+from lunarsci.elementary import cosine, sine
+from lunarsci.twin.contact import add_wheel
+from lunarsci.twin.dynamics import begin_system, place_wheels
+from lunarsci.twin.lanes import (
+    CHANGE,
+    LANES,
+    MATRIX,
+    POSE,
+    RIGHT,
+    SINKAGE,
+    SPEED,
+    cross,
+    dot,
+    get,
+    get3,
+    plus,
+    put,
+    put3,
+    times,
+)
 from lunarsci.twin.outcomes import DIVERGED, FINISHED, OVERTURNED, SANK
-from lunarsci.twin.terrain import read_node
+from lunarsci.twin.terrain import read_ground
 
-__all__ = ["Work", "assemble", "eliminate", "evaluate", "health", "move", "new_work", "step"]
+__all__ = ["assemble", "check_health", "eliminate", "move"]
 
 COS_OVERTURNED = 0.5
 # Assumed: no part of a rover that drives at cm/s comes near this speed [m/s or rad/s] while the run has a meaning.
 FASTEST = 10.0
-FloatArray = npt.NDArray[np.float64]
 
 
-class Work(NamedTuple):
-    """Scratch arrays of one rover, so that a step allocates nothing."""
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def assemble(
+    rover: Any, tyre: Any, grid: Any, override: Any, steering: Any, speed: Any, dt: float, shear: bool, work: Any
+) -> None:
+    """Kinematics, ground contact and the linear system of a step at the pose and velocity in `work`.
 
-    jacobian: FloatArray
-    chassis_jacobian: FloatArray
-    center: FloatArray
-    axle: FloatArray
-    acceleration: FloatArray
-    node: FloatArray
-    rows: FloatArray
-    wrench: FloatArray
-    slopes: FloatArray
-    state: FloatArray
-    mass: FloatArray
-    force: FloatArray
-    system: FloatArray
-    change: FloatArray
+    `work.code` takes the outcome of lanes that were still FINISHED.
+    """
+    place_wheels(rover, steering, work)
+    begin_system(rover, work, dt)
+    for w in range(len(rover.arms)):
+        read_ground(grid, override, work.wheels[w], work.code)
+        add_wheel(work, w, rover, tyre, speed[w], dt, shear)
+    for w in range(len(rover.arms)):
+        for lane in range(LANES):
+            if work.code[lane] == FINISHED and work.wheels[w][SINKAGE * LANES + lane] > tyre[0]:
+                work.code[lane] = SANK
 
 
-@compiled
-def new_work() -> Any:
-    """Scratch arrays with the constant entries of the Jacobians in place."""
-    jacobian, chassis = np.zeros((6, 6, 9)), np.zeros((3, 9))
-    for i in range(3):
-        chassis[i, i] = 1.0
-        for w in range(6):
-            jacobian[w, i, i] = 1.0
-            jacobian[w, 3 + i, 3 + i] = 1.0
-    return Work(
-        jacobian,
-        chassis,
-        np.zeros((6, 3)),
-        np.zeros((6, 3)),
-        np.zeros((6, 3)),
-        np.zeros(11),
-        np.zeros((6, 6, 9)),
-        np.zeros((6, 6)),
-        np.zeros((6, 4, 6)),
-        np.zeros((6, 10)),
-        np.zeros((9, 9)),
-        np.zeros(9),
-        np.zeros((9, 10)),
-        np.zeros(9),
+@pasted
+def product(a: Any, b: Any) -> Any:
+    """Of two 3 x 3 matrices, each three rows."""
+    return (
+        plus(plus(times(b[0], a[0][0]), times(b[1], a[0][1])), times(b[2], a[0][2])),
+        plus(plus(times(b[0], a[1][0]), times(b[1], a[1][1])), times(b[2], a[1][2])),
+        plus(plus(times(b[0], a[2][0]), times(b[1], a[2][1])), times(b[2], a[2][2])),
     )
 
 
-@compiled
-def eliminate(system: Any, solution: Any) -> None:
-    """Solve the 9 x 9 system augmented by its right side, by Gaussian elimination with row pivoting."""
-    n = 9
-    for k in range(n):
-        pivot = k
-        for i in range(k + 1, n):
-            if abs(system[i, k]) > abs(system[pivot, k]):
-                pivot = i
-        if pivot != k:
-            for j in range(k, n + 1):
-                system[k, j], system[pivot, j] = system[pivot, j], system[k, j]
-        inverse = 1.0 / system[k, k] if system[k, k] != 0.0 else np.inf
-        for i in range(k + 1, n):
-            factor = system[i, k] * inverse
-            for j in range(k + 1, n + 1):
-                system[i, j] -= factor * system[k, j]
-    for k in range(n - 1, -1, -1):
-        total = system[k, n]
-        for j in range(k + 1, n):
-            total -= system[k, j] * solution[j]
-        solution[k] = total / system[k, k] if system[k, k] != 0.0 else np.inf
+@pasted
+def applied(a: Any, v: Any) -> Any:
+    """3 x 3 matrix times vector."""
+    return (dot(a[0], v), dot(a[1], v), dot(a[2], v))
 
 
-@compiled
-def evaluate(
-    rover: Any,
-    wheel: Any,
-    grid: Any,
-    override: Any,
-    pose: Any,
-    u: Any,
-    steering: Any,
-    speed: Any,
-    work: Any,
-    shear: float,
-) -> int:
-    """Kinematics and ground contact of all wheels at `pose`, `u`; returns an outcome, FINISHED when all is well."""
-    wheel_jacobians(rover, pose, u, steering, work)
-    code = FINISHED
-    for w in range(6):
-        found: int = read_node(grid, work.center[w, 0], work.center[w, 1], override, work.node)
-        if found != FINISHED:
-            return found
-        if wheel_contact(w, u, speed[w], wheel, work, shear) > wheel[0]:
-            code = SANK
-    return code
+@pasted
+def inverse(a: Any) -> Any:
+    """Of a 3 x 3 matrix, by its cofactors."""
+    x, y, z = cross(a[1], a[2]), cross(a[2], a[0]), cross(a[0], a[1])
+    one = 1.0 / dot(a[0], x)
+    return (
+        (x[0] * one, y[0] * one, z[0] * one),
+        (x[1] * one, y[1] * one, z[1] * one),
+        (x[2] * one, y[2] * one, z[2] * one),
+    )
 
 
-@compiled
-def assemble(rover: Any, pose: Any, u: Any, dt: float, work: Any) -> None:
-    """Fill `work.force` (all forces) and `work.system`, the linear system of the step."""
-    inertia_and_free_force(rover, pose, u, work)
-    system, force = work.system, work.force
-    for i in range(9):
-        system[i, 9] = 0.0
+@pasted
+def minus(a: Any, b: Any) -> Any:
+    """Difference of two triples."""
+    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
+
+
+@pasted
+def without(a: Any, b: Any) -> Any:
+    """Difference of two 3 x 3 matrices."""
+    return (minus(a[0], b[0]), minus(a[1], b[1]), minus(a[2], b[2]))
+
+
+@pasted
+def summed(one: Any, two: Any, k: Any, lane: Any) -> Any:
+    """Three successive rows of both sides added."""
+    return plus(get3(one, k, lane), get3(two, k, lane))
+
+
+@pasted
+def joint_columns(one: Any, two: Any, i: Any, lane: Any) -> Any:
+    """Row i of the three joints' columns: what both sides have of the differential, each side's own bogie."""
+    k = MATRIX + 8 * i
+    return (get(one, k + 6, lane) + get(two, k + 6, lane), get(one, k + 7, lane), get(two, k + 7, lane))
+
+
+@in_lanes
+def fold(one: Any, two: Any, scratch: Any) -> None:
+    """Add the second side to the first where they share coordinates, and keep the joints' block in `scratch`."""
+    for k in range(6):
+        for lane in range(LANES):
+            put3(one, MATRIX + 8 * k, lane, summed(one, two, MATRIX + 8 * k, lane))
+            put3(one, MATRIX + 8 * k + 3, lane, summed(one, two, MATRIX + 8 * k + 3, lane))
+            put3(scratch, 3 * k, lane, joint_columns(one, two, k, lane))
+    for lane in range(LANES):
+        put3(one, RIGHT, lane, summed(one, two, RIGHT, lane))
+        put3(one, RIGHT + 3, lane, summed(one, two, RIGHT + 3, lane))
+    for lane in range(LANES):
+        differential = joint_columns(one, two, 6, lane)
+        put3(scratch, 18, lane, differential)
+        put3(scratch, 21, lane, (get(one, MATRIX + 62, lane), get(one, MATRIX + 63, lane), 0.0))
+        put3(scratch, 24, lane, (get(two, MATRIX + 62, lane), 0.0, get(two, MATRIX + 63, lane)))
+        put3(scratch, 27, lane, summed(one, two, MATRIX + 48, lane))
+        put3(scratch, 30, lane, summed(one, two, MATRIX + 51, lane))
+        put(scratch, 33, lane, get(one, RIGHT + 6, lane) + get(two, RIGHT + 6, lane))
+        put(scratch, 34, lane, get(one, RIGHT + 7, lane))
+        put(scratch, 35, lane, get(two, RIGHT + 7, lane))
+
+
+@pasted
+def block(rows: Any, k: Any, stride: Any, lane: Any) -> Any:
+    """3 x 3 matrix whose rows begin at k, k + stride, k + 2 stride."""
+    return get3(rows, k, lane), get3(rows, k + stride, lane), get3(rows, k + 2 * stride, lane)
+
+
+@in_lanes
+def solve(one: Any, two: Any, scratch: Any, body: Any) -> None:
+    """Solve the folded systems by blocks of three coordinates; the mass keeps them far from singular."""
+    for lane in range(LANES):
+        a_11, a_12, a_13 = block(one, MATRIX, 8, lane), block(one, MATRIX + 3, 8, lane), block(scratch, 0, 3, lane)
+        a_21, a_22, a_23 = block(one, 24, 8, lane), block(one, 27, 8, lane), block(scratch, 9, 3, lane)
+        left, right = get3(one, MATRIX + 56, lane), get3(two, MATRIX + 56, lane)
+        a_31 = (get3(scratch, 27, lane), left, right)
+        a_32 = (get3(scratch, 30, lane), get3(one, MATRIX + 59, lane), get3(two, MATRIX + 59, lane))
+        a_33 = block(scratch, 18, 3, lane)
+        b_1, b_2, b_3 = get3(one, RIGHT, lane), get3(one, RIGHT + 3, lane), get3(scratch, 33, lane)
+        first = inverse(a_11)
+        below, lowest = product(a_21, first), product(a_31, first)
+        a_22, a_23 = without(a_22, product(below, a_12)), without(a_23, product(below, a_13))
+        a_32, a_33 = without(a_32, product(lowest, a_12)), without(a_33, product(lowest, a_13))
+        b_2, b_3 = minus(b_2, applied(below, b_1)), minus(b_3, applied(lowest, b_1))
+        second = inverse(a_22)
+        lowest = product(a_32, second)
+        x_3 = applied(inverse(without(a_33, product(lowest, a_23))), minus(b_3, applied(lowest, b_2)))
+        x_2 = applied(second, minus(b_2, applied(a_23, x_3)))
+        x_1 = applied(first, minus(minus(b_1, applied(a_12, x_2)), applied(a_13, x_3)))
+        put3(body, CHANGE, lane, x_1)
+        put3(body, CHANGE + 3, lane, x_2)
+        put3(body, CHANGE + 6, lane, x_3)
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def eliminate(work: Any) -> None:
+    """Solve the systems of a step; the changes of velocity go to the body's rows."""
+    one, two = work.sides[0], work.sides[1]
+    fold(one, two, work.levers)
+    solve(one, two, work.levers, work.body)
+
+
+@in_lanes
+def move(body: Any, dt: float) -> None:
+    """Advance the poses with the mean of old and new velocity, and the velocities to the new one."""
+    for lane in range(LANES):
+        for k in range(3):
+            put(body, POSE + k, lane, get(body, POSE + k, lane)
+                + dt * (get(body, SPEED + k, lane) + 0.5 * get(body, CHANGE + k, lane)))  # fmt: skip
+            put(body, POSE + 7 + k, lane, get(body, POSE + 7 + k, lane)
+                + dt * (get(body, SPEED + 6 + k, lane) + 0.5 * get(body, CHANGE + 6 + k, lane)))  # fmt: skip
+        x = get(body, SPEED + 3, lane) + 0.5 * get(body, CHANGE + 3, lane)
+        y = get(body, SPEED + 4, lane) + 0.5 * get(body, CHANGE + 4, lane)
+        z = get(body, SPEED + 5, lane) + 0.5 * get(body, CHANGE + 5, lane)
+        rate = math.sqrt(x * x + y * y + z * z)
+        half = min(0.5 * dt * rate, 1.6)
+        s = sine(half) / rate if rate > 1e-12 else 0.5 * dt
+        a, b, c, d = cosine(half), s * x, s * y, s * z
+        w, x, y, z = get(body, 3, lane), get(body, 4, lane), get(body, 5, lane), get(body, 6, lane)
+        new_w, new_x = a * w - b * x - c * y - d * z, a * x + b * w + c * z - d * y
+        new_y, new_z = a * y - b * z + c * w + d * x, a * z + b * y - c * x + d * w
+        scale = 1.0 / math.sqrt(new_w * new_w + new_x * new_x + new_y * new_y + new_z * new_z)
+        put(body, 3, lane, new_w * scale)
+        put(body, 4, lane, new_x * scale)
+        put(body, 5, lane, new_y * scale)
+        put(body, 6, lane, new_z * scale)
         for k in range(9):
-            system[i, k] = work.mass[i, k]
-    system[6, 6] += 2.0 * dt * rover.joint_damping
-    system[7, 7] += dt * rover.joint_damping
-    system[8, 8] += dt * rover.joint_damping
-    for w in range(6):
-        rows, wrench, slopes = work.rows[w], work.wrench[w], work.slopes[w]
-        sinking = dt * dt * row_dot(rows[2], u)
-        for i in range(9):
-            total, fx, fy, fn, fz = 0.0, 0.0, 0.0, 0.0, 0.0
-            for a in range(6):
-                lever = rows[a, i]
-                total += lever * wrench[a]
-                fx += lever * slopes[0, a]
-                fy += lever * slopes[1, a]
-                fn += lever * slopes[2, a]
-                fz += lever * slopes[3, a]
-            force[i] += total
-            system[i, 9] -= fz * sinking
-            # The sinkage falls when the centre rises along the normal: K = -fz rows[2].
-            fx, fy, fn = dt * fx, dt * fy, dt * fn - 0.5 * dt * dt * fz
-            for k in range(9):
-                system[i, k] -= fx * rows[0, k] + fy * rows[1, k] + fn * rows[2, k]
-    for i in range(9):
-        system[i, 9] += dt * force[i]
+            put(body, SPEED + k, lane, get(body, SPEED + k, lane) + get(body, CHANGE + k, lane))
 
 
-@compiled
-def move(pose: Any, u: Any, change: Any, dt: float) -> None:
-    """Advance `pose` with the mean of old and new velocity, and `u` to the new one."""
-    turn = (0.0, 0.0, 0.0)
-    for i in range(3):
-        pose[i] += dt * (u[i] + 0.5 * change[i])
-        pose[7 + i] += dt * (u[6 + i] + 0.5 * change[6 + i])
-    turn = (u[3] + 0.5 * change[3], u[4] + 0.5 * change[4], u[5] + 0.5 * change[5])
-    rate = math.sqrt(turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2])
-    half = 0.5 * dt * rate
-    s = math.sin(half) / rate if rate > 1e-12 else 0.5 * dt
-    a, b, c, d = math.cos(half), s * turn[0], s * turn[1], s * turn[2]
-    w, x, y, z = pose[3], pose[4], pose[5], pose[6]
-    w, x, y, z = (
-        a * w - b * x - c * y - d * z,
-        a * x + b * w + c * z - d * y,
-        a * y - b * z + c * w + d * x,
-        a * z + b * y - c * x + d * w,
-    )
-    norm = math.sqrt(w * w + x * x + y * y + z * z)
-    pose[3], pose[4], pose[5], pose[6] = w / norm, x / norm, y / norm, z / norm
-    for i in range(9):
-        u[i] += change[i]
-
-
-@compiled
-def health(pose: Any, u: Any) -> int:
-    """FINISHED, or why the state cannot be driven on."""
-    for i in range(9):
-        if not abs(u[i]) < FASTEST:
-            return DIVERGED
-    upright = 1.0 - 2.0 * (pose[4] * pose[4] + pose[5] * pose[5])
-    return FINISHED if upright > COS_OVERTURNED else OVERTURNED
-
-
-@compiled
-def step(rover: Any, pose: Any, u: Any, dt: float, work: Any) -> int:
-    """Advance `pose` and `u` by dt with the contacts that `evaluate` left in `work`; returns an outcome."""
-    assemble(rover, pose, u, dt, work)
-    eliminate(work.system, work.change)
-    move(pose, u, work.change, dt)
-    code: int = health(pose, u)
-    return code
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def check_health(work: Any) -> None:
+    """Note in `work.code` the lanes whose state cannot be driven on."""
+    body = work.body
+    for lane in range(LANES):
+        if work.code[lane] != FINISHED:
+            continue
+        for k in range(9):
+            if not abs(body[(SPEED + k) * LANES + lane]) < FASTEST:
+                work.code[lane] = DIVERGED
+        x, y = body[(POSE + 4) * LANES + lane], body[(POSE + 5) * LANES + lane]
+        if work.code[lane] == FINISHED and not 1.0 - 2.0 * (x * x + y * y) > COS_OVERTURNED:
+            work.code[lane] = OVERTURNED

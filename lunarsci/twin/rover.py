@@ -31,6 +31,8 @@ class RoverVector(NamedTuple):
     pivot_y: float
     bogie: FloatArray
     arms: FloatArray
+    hung: FloatArray
+    bogies: bool
     steering_offset: float
     joint_damping: float
     gravity: float
@@ -126,6 +128,8 @@ class Rover:
             float(self.rocker_pivot_y_m),
             np.array(self.bogie_pivot_m, dtype=float),
             arms,
+            np.array([0.0, 0.0, 1.0, 1.0, 1.0, 1.0]),
+            True,
             float(self.steering_offset_m),
             float(self.joint_damping_n_m_s),
             float(self.gravity_m_s2),

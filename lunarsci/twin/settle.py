@@ -1,12 +1,15 @@
-"""The rover at rest on the ground, before it drives."""
+"""The rovers at rest on the ground, before they drive."""
 
 import math
 from typing import Any
 
+import numpy as np
+
 from lunarsci.compiled import compiled
-from lunarsci.twin.integrate import assemble, eliminate, evaluate, health, move
-from lunarsci.twin.outcomes import FINISHED, HOLE, LEFT, UNSETTLED
-from lunarsci.twin.terrain import read_node
+from lunarsci.twin.integrate import assemble, eliminate, move
+from lunarsci.twin.lanes import CENTER, CHANGE, GROUND, LANES, MATRIX, POSE, RIGHT, SPEED
+from lunarsci.twin.outcomes import DIVERGED, FINISHED, HOLE, LEFT, OVERTURNED, SANK, UNSETTLED
+from lunarsci.twin.terrain import lay_soil, read_ground
 
 __all__ = ["place", "settle"]
 
@@ -14,109 +17,120 @@ SETTLE_ROUNDS = 300
 SETTLE_TOLERANCE = 1e-9
 # Longest move of a settling round [m or rad]: less than it takes to lift a wheel off its neighbour's plane.
 LONGEST_MOVE = 0.02
+COS_OVERTURNED = 0.5
 
 
-@compiled
-def place(rover: Any, wheel: Any, grid: Any, override: Any, start: Any, pose: Any, work: Any) -> int:
-    """Put the rover above the plane through the ground under its wheels, 1 cm deep, at x, y, heading of `start`."""
-    for i in range(10):
-        pose[i] = 0.0
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def place(rover: Any, tyre: Any, grid: Any, override: Any, start: Any, work: Any) -> None:
+    """Put the rovers above the plane through the ground under their wheels, 1 cm deep, at x, y, heading of `start`."""
     c, s = math.cos(start[2]), math.sin(start[2])
-    mean, along, across, long_2, wide_2, height = 0.0, 0.0, 0.0, 1e-12, 1e-12, 0.0
-    middle = (rover.arms[0, 0] + 2.0 * rover.bogie[0] + rover.arms[2, 0] + rover.arms[4, 0]) / 3.0
-    for w in range(6):
-        arm, inner = rover.arms[w], 1.0 if w > 1 else 0.0
-        side = 1.0 if w % 2 == 0 else -1.0
-        x = arm[0] + inner * rover.bogie[0]
-        y = arm[1] + side * (rover.pivot_y + inner * rover.bogie[1])
-        found: int = read_node(grid, start[0] + c * x - s * y, start[1] + s * x + c * y, override, work.node)
-        if found != FINISHED:
-            return found
-        mean += work.node[0] / 6.0
-        along += work.node[0] * (x - middle)
-        long_2 += (x - middle) ** 2
-        across += work.node[0] * y
-        wide_2 += y * y
-        height += (arm[2] + inner * rover.bogie[2]) / 6.0
-    rise, bank = along / long_2, across / wide_2
-    pose[0], pose[1] = start[0], start[1]
-    pose[2] = mean - rise * middle - height + (wheel[0] - 0.01) * math.sqrt(1.0 + rise * rise + bank * bank)
-    yaw, pitch, roll = 0.5 * start[2], -0.5 * math.atan(rise), 0.5 * math.atan(bank)
-    cy, sy, cp, sp, cr, sr = (
-        math.cos(yaw),
-        math.sin(yaw),
-        math.cos(pitch),
-        math.sin(pitch),
-        math.cos(roll),
-        math.sin(roll),
-    )
-    pose[3], pose[4] = cy * cp * cr + sy * sp * sr, cy * cp * sr - sy * sp * cr
-    pose[5], pose[6] = cy * sp * cr + sy * cp * sr, sy * cp * cr - cy * sp * sr
-    return FINISHED
+    count = len(rover.arms)
+    x, y, z = np.empty(count), np.empty(count), np.empty(count)
+    for w in range(count):
+        side, hung = 1.0 if w % 2 == 0 else -1.0, rover.hung[w]
+        x[w] = rover.arms[w, 0] + hung * rover.bogie[0]
+        y[w] = rover.arms[w, 1] + side * (rover.pivot_y + hung * rover.bogie[1])
+        z[w] = rover.arms[w, 2] + hung * rover.bogie[2]
+        for lane in range(LANES):
+            work.wheels[w, CENTER * LANES + lane] = start[0] + c * x[w] - s * y[w]
+            work.wheels[w, (CENTER + 1) * LANES + lane] = start[1] + s * x[w] + c * y[w]
+        lay_soil(grid, override, work.wheels[w])
+        read_ground(grid, override, work.wheels[w], work.code)
+    middle, height = x.mean(), z.mean()
+    long_2, wide_2 = 1e-12 + ((x - middle) ** 2).sum(), 1e-12 + (y * y).sum()
+    work.body[:] = 0.0
+    for lane in range(LANES):
+        mean, along, across = 0.0, 0.0, 0.0
+        for w in range(count):
+            ground = work.wheels[w, GROUND * LANES + lane]
+            mean += ground / count
+            along += ground * (x[w] - middle)
+            across += ground * y[w]
+        rise, bank = along / long_2, across / wide_2
+        lift = (tyre[0] - 0.01) * math.sqrt(1.0 + rise * rise + bank * bank)
+        yaw, pitch, roll = 0.5 * start[2], -0.5 * math.atan(rise), 0.5 * math.atan(bank)
+        cy, sy, cp, sp = math.cos(yaw), math.sin(yaw), math.cos(pitch), math.sin(pitch)
+        cr, sr = math.cos(roll), math.sin(roll)
+        values = (
+            start[0], start[1], mean - rise * middle - height + lift,
+            cy * cp * cr + sy * sp * sr, cy * cp * sr - sy * sp * cr,
+            cy * sp * cr + sy * cp * sr, sy * cp * cr - cy * sp * sr,
+        )  # fmt: skip
+        for k in range(7):
+            work.body[(POSE + k) * LANES + lane] = values[k]
 
 
-@compiled
-def lock(system: Any, force: Any) -> float:
-    """Hold x, y and yaw in `system`; returns the largest force left on the free coordinates. [N or N m]"""
-    largest = 0.0
-    for i in range(9):
-        if i == 0 or i == 1 or i == 5:
-            for k in range(10):
-                system[i, k] = 0.0
-            system[i, i] = 1.0
-        else:
-            largest = max(largest, abs(force[i]))
-    return largest
-
-
-@compiled
-def shorten(change: Any, most: float) -> None:
-    """Scale `change` so that no entry exceeds `most`."""
-    largest = 0.0
-    for i in range(9):
-        largest = max(largest, abs(change[i]))
-    if largest > most:
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def lock(work: Any, dt: float, tolerance: float, done: Any) -> None:
+    """Hold x, y and yaw; mark lanes as done whose largest force on the free coordinates is below tolerance [N, N m]."""
+    for lane in range(LANES):
+        largest = 0.0
         for i in range(9):
-            change[i] *= most / largest
+            own, row = (1, 7) if i == 8 else (0, i)
+            force = work.sides[own, (RIGHT + row) * LANES + lane]
+            if i < 7:
+                force += work.sides[1 - own, (RIGHT + row) * LANES + lane]
+            if i == 0 or i == 1 or i == 5:
+                for side in range(2):
+                    for k in range(8):
+                        work.sides[side, (MATRIX + 8 * i + k) * LANES + lane] = 0.0
+                    work.sides[side, (MATRIX + 9 * i) * LANES + lane] = 0.5
+                    work.sides[side, (RIGHT + i) * LANES + lane] = 0.0
+            else:
+                largest = max(largest, abs(force) / dt)
+        if largest < tolerance:
+            done[lane] = True
 
 
-@compiled
-def settle(
-    rover: Any,
-    wheel: Any,
-    grid: Any,
-    override: Any,
-    start: Any,
-    steering: Any,
-    speed: Any,
-    pose: Any,
-    u: Any,
-    work: Any,
-) -> int:
-    """Bring `pose` to static equilibrium at x, y, heading of `start`: normal forces only, x, y and yaw held.
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def shorten(work: Any, most: float, done: Any) -> None:
+    """Scale the changes so that no entry of a lane exceeds `most`; lanes that are done or lost stay."""
+    for lane in range(LANES):
+        largest = 0.0
+        for i in range(9):
+            largest = max(largest, abs(work.body[(CHANGE + i) * LANES + lane]))
+        share = 0.0 if done[lane] or not largest < np.inf else min(1.0, most / (largest + 1e-300))
+        for i in range(9):
+            work.body[(CHANGE + i) * LANES + lane] = (
+                share * work.body[(CHANGE + i) * LANES + lane] if share > 0.0 else 0.0
+            )
+        if not largest < np.inf and work.code[lane] == FINISHED:
+            work.code[lane] = UNSETTLED
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def settle(rover: Any, tyre: Any, grid: Any, override: Any, start: Any, steering: Any, speed: Any, work: Any) -> None:
+    """Bring the rovers to static equilibrium at x, y, heading of `start`: normal forces only, x, y and yaw held.
 
     Each round is a step from rest with a growing dt, which turns from damped dynamics into a Newton iteration.
-    Converged at 1e-9 of the weight. `u` is left at rest.
+    Converged at 1e-9 of the weight. Velocities are left at rest, outcomes in `work.code`.
     """
-    code: int = place(rover, wheel, grid, override, start, pose, work)
-    if code != FINISHED:
-        return code
-    weight = (rover.body_kg + 6.0 * rover.wheel_kg) * rover.gravity
+    work.code[:] = FINISHED
+    place(rover, tyre, grid, override, start, work)
+    weight = (rover.body_kg + len(rover.arms) * rover.wheel_kg) * rover.gravity
+    done = np.zeros(LANES, dtype=np.bool_)
     dt = 0.05
     for _ in range(SETTLE_ROUNDS):
-        for i in range(9):
-            u[i] = 0.0
-        code = evaluate(rover, wheel, grid, override, pose, u, steering, speed, work, 0.0)
-        if code in (LEFT, HOLE):
-            return code
-        assemble(rover, pose, u, dt, work)
-        residual = lock(work.system, work.force)
-        if residual < SETTLE_TOLERANCE * weight:
-            return code
-        eliminate(work.system, work.change)
-        shorten(work.change, 2.0 * LONGEST_MOVE / dt)
-        move(pose, u, work.change, dt)
+        work.body[SPEED * LANES : (SPEED + 9) * LANES] = 0.0
+        for lane in range(LANES):
+            if work.code[lane] == SANK and not done[lane]:
+                work.code[lane] = FINISHED
+        assemble(rover, tyre, grid, override, steering, speed, dt, False, work)
+        lock(work, dt, SETTLE_TOLERANCE * weight, done)
+        for lane in range(LANES):
+            if work.code[lane] in (LEFT, HOLE, OVERTURNED, UNSETTLED, DIVERGED):
+                done[lane] = True
+        if done.all():
+            break
+        eliminate(work)
+        shorten(work, 2.0 * LONGEST_MOVE / dt, done)
+        move(work.body, dt)
         dt = min(1.5 * dt, 30.0)
-        if health(pose, u) != FINISHED:
-            return UNSETTLED
-    return UNSETTLED
+        for lane in range(LANES):
+            x, y = work.body[(POSE + 4) * LANES + lane], work.body[(POSE + 5) * LANES + lane]
+            if work.code[lane] == FINISHED and not 1.0 - 2.0 * (x * x + y * y) > COS_OVERTURNED:
+                work.code[lane] = UNSETTLED
+    for lane in range(LANES):
+        if not done[lane]:
+            work.code[lane] = UNSETTLED
+    work.body[SPEED * LANES : (SPEED + 9) * LANES] = 0.0

@@ -14,14 +14,16 @@ import numpy.typing as npt
 from lunarsci.compiled import compiled
 from lunarsci.errors import DataError, OutputError, ParameterError
 from lunarsci.regolith.soil import Soil
-from lunarsci.twin.outcomes import FINISHED, HOLE, LEFT
+from lunarsci.twin.lanes import CENTER, GROUND, LANES, SOIL
+from lunarsci.twin.outcomes import FINISHED, HOLE, LEFT, SANK
 
 __all__ = [
     "SOIL_COLUMNS",
     "Grid",
     "Terrain",
     "build_terrain",
-    "read_node",
+    "lay_soil",
+    "read_ground",
     "read_terrain",
     "soil_override",
     "write_terrain",
@@ -43,12 +45,16 @@ SOIL_COLUMNS = {
 
 
 class Grid(NamedTuple):
-    """What the compiled formulas read of a terrain: height, its two gradients and the soil vector at each node."""
+    """What the compiled formulas read of a terrain, at each node.
+
+    `surface` (ny, nx, 3): height, two gradients; `soil` (ny, nx, 8), or (1, 1, 8) where it is the same everywhere.
+    """
 
     x0: float
     y0: float
     spacing: float
-    nodes: FloatArray
+    surface: FloatArray
+    soil: FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -109,10 +115,14 @@ class Terrain:
         return dataclasses.replace(self, soil=soil)
 
     def grid(self) -> Grid:
-        """The numbers that the compiled formulas take. Nodes: height, dh/dx, dh/dy, soil. (ny, nx, 11)"""
+        """The numbers that the compiled formulas take."""
         slope_y, slope_x = np.gradient(self.height_m, self.spacing_m)
-        nodes = np.concatenate([np.stack([self.height_m, slope_x, slope_y], axis=-1), self.soil], axis=-1)
-        return Grid(float(self.x0_m), float(self.y0_m), float(self.spacing_m), np.ascontiguousarray(nodes))
+        surface = np.stack([self.height_m, slope_x, slope_y], axis=-1)
+        first = self.soil[:1, :1]
+        soil = first if (self.soil == first).all() else self.soil
+        return Grid(
+            float(self.x0_m), float(self.y0_m), float(self.spacing_m), surface, np.ascontiguousarray(soil, dtype=float)
+        )
 
     def height_at(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> FloatArray:
         """Bilinear height, NaN outside the map and in holes. [m]"""
@@ -122,28 +132,53 @@ class Terrain:
         return np.asarray(interpolate((np.asarray(y_m, dtype=float), np.asarray(x_m, dtype=float))))
 
 
-@compiled
-def read_node(grid: Any, x: float, y: float, override: Any, node: Any) -> int:
-    """Interpolate all layers at x, y into `node` (11); returns FINISHED, LEFT outside the map, HOLE in a hole.
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def lay_soil(grid: Any, override: Any, wheel: Any) -> None:
+    """Soil of every lane: that of `override` (LANES, 8) where it is not NaN, else the terrain's first."""
+    for lane in range(LANES):
+        for k in range(8):
+            value = override[lane, k]
+            wheel[(SOIL + k) * LANES + lane] = grid.soil[0, 0, k] if np.isnan(value) else value
 
-    `override` (8) replaces the soil where it is not NaN.
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def read_ground(grid: Any, override: Any, wheel: Any, code: Any) -> None:
+    """Height, gradient and soil below a wheel of LANES rovers, bilinear; `code` takes who left the map or met a hole.
+
+    `override` (LANES, 8) replaces the soil where it is not NaN. Where the soil is the same everywhere it stays as
+    `lay_soil` left it. Lanes with another outcome keep what they had.
     """
-    ny, nx, layers = grid.nodes.shape
-    column, row = (x - grid.x0) / grid.spacing, (y - grid.y0) / grid.spacing
-    if not (0.0 <= column <= nx - 1 and 0.0 <= row <= ny - 1):
-        return LEFT
-    j, i = min(int(column), nx - 2), min(int(row), ny - 2)
-    a, b = column - j, row - i
-    for k in range(layers):
-        low = (1.0 - a) * grid.nodes[i, j, k] + a * grid.nodes[i, j + 1, k]
-        high = (1.0 - a) * grid.nodes[i + 1, j, k] + a * grid.nodes[i + 1, j + 1, k]
-        node[k] = (1.0 - b) * low + b * high
-    if not abs(node[0]) + abs(node[1]) + abs(node[2]) < np.inf:
-        return HOLE
-    for k in range(8):
-        if not np.isnan(override[k]):
-            node[3 + k] = override[k]
-    return FINISHED
+    ny, nx = grid.surface.shape[:2]
+    uniform = grid.soil.shape[0] == 1
+    for lane in range(LANES):
+        if code[lane] != FINISHED and code[lane] != SANK:
+            continue
+        x, y = wheel[CENTER * LANES + lane], wheel[(CENTER + 1) * LANES + lane]
+        column, row = (x - grid.x0) / grid.spacing, (y - grid.y0) / grid.spacing
+        if not (0.0 <= column <= nx - 1 and 0.0 <= row <= ny - 1):
+            code[lane] = LEFT
+            continue
+        j, i = min(int(column), nx - 2), min(int(row), ny - 2)
+        a, b = column - j, row - i
+        total = 0.0
+        for k in range(3):
+            low = (1.0 - a) * grid.surface[i, j, k] + a * grid.surface[i, j + 1, k]
+            high = (1.0 - a) * grid.surface[i + 1, j, k] + a * grid.surface[i + 1, j + 1, k]
+            value = (1.0 - b) * low + b * high
+            total += abs(value)
+            wheel[(GROUND + k) * LANES + lane] = value
+        if not total < np.inf:
+            code[lane] = HOLE
+            for k in range(3):
+                wheel[(GROUND + k) * LANES + lane] = 0.0
+            continue
+        if uniform:
+            continue
+        for k in range(8):
+            if np.isnan(override[lane, k]):
+                low = (1.0 - a) * grid.soil[i, j, k] + a * grid.soil[i, j + 1, k]
+                high = (1.0 - a) * grid.soil[i + 1, j, k] + a * grid.soil[i + 1, j + 1, k]
+                wheel[(SOIL + k) * LANES + lane] = (1.0 - b) * low + b * high
 
 
 def build_terrain(

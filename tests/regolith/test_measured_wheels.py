@@ -60,4 +60,5 @@ def test_points_of_published_curves(bench: Any, reference_data: Path) -> None:
     assert found["ding2011, grousers of 10 mm"].drawbar <= 0.05
     assert found["ding2011, grousers of 0 mm"].drawbar <= 0.09
     assert found["ding2011, grousers of 10 mm"].sinkage <= 0.009
-    assert all(found[f"wang_han_2016_kls1, grousers of {h} mm"].unborne == 5 for h in (0, 10))
+    assert found["wang_han_2016_kls1, grousers of 0 mm"].drawbar <= 0.08
+    assert all(found[f"wang_han_2016_kls1, grousers of {h} mm"].sinkage <= 0.022 for h in (0, 10))

@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 
 from lunarsci.regolith.soil import read_soil
-from lunarsci.twin.dynamics import inertia_and_free_force, wheel_jacobians
-from lunarsci.twin.integrate import evaluate, new_work, step
+from lunarsci.twin.integrate import assemble, check_health, eliminate, move
+from lunarsci.twin.lanes import BODY_ROWS, CHANGE, LANES, MATRIX, POSE, RIGHT, SPEED, Work, new_work
 from lunarsci.twin.outcomes import FINISHED
 from lunarsci.twin.rover import Rover, build_rover
-from lunarsci.twin.terrain import build_terrain
+from lunarsci.twin.terrain import Grid, build_terrain, lay_soil
 
-STRAIGHT = np.zeros(6)
+STRAIGHT, ROLLING = np.zeros(6), np.full(6, 0.05)
+ABYSS = build_terrain("far below", -50.0, -50.0, 10.0, np.full((11, 11), -100.0), read_soil("longji")).grid()
+OWN_SOIL = np.full((LANES, 8), np.nan)
 
 
 @pytest.fixture(scope="module")
@@ -29,6 +31,37 @@ def rover() -> Rover:
     )
 
 
+def ready(grid: Grid) -> Work:
+    """Scratch arrays with the terrain's soil under every wheel."""
+    work = new_work(6)
+    for wheel in work.wheels:
+        lay_soil(grid, OWN_SOIL, wheel)
+    return work
+
+
+def put_state(work: Work, pose: np.ndarray, u: np.ndarray) -> None:
+    """The same pose (10) and velocity (9) in every lane."""
+    rows = work.body.reshape(BODY_ROWS, LANES)
+    rows[POSE : POSE + 10], rows[SPEED : SPEED + 9] = pose[:, None], u[:, None]
+
+
+def state_of(work: Work, lane: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Pose and velocity of a lane."""
+    rows = work.body.reshape(BODY_ROWS, LANES)
+    return rows[POSE : POSE + 10, lane].copy(), rows[SPEED : SPEED + 9, lane].copy()
+
+
+def system_of(work: Work, lane: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Matrix (9, 9) and right side (9) of a lane, summed over both sides of the rover."""
+    matrix, right = np.zeros((9, 9)), np.zeros(9)
+    for side in range(2):
+        rows = work.sides[side].reshape(-1, LANES)[:, lane]
+        own = [*range(7), 7 + side]
+        matrix[np.ix_(own, own)] += rows[MATRIX : MATRIX + 64].reshape(8, 8)
+        right[own] += rows[RIGHT : RIGHT + 8]
+    return matrix, right
+
+
 def random_state(seed: int) -> tuple[np.ndarray, np.ndarray]:
     random = np.random.default_rng(seed)
     quaternion = random.normal(size=4)
@@ -37,10 +70,11 @@ def random_state(seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def equations(rover: Rover, pose: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    work, vector = new_work(), rover.vector()
-    wheel_jacobians(vector, pose, u, STRAIGHT, work)
-    inertia_and_free_force(vector, pose, u, work)
-    return work.mass.copy(), work.force.copy()
+    """Mass matrix and force: with no ground in reach, a step of 1 s has M as its matrix and the force on its right."""
+    work = ready(ABYSS)
+    put_state(work, pose, u)
+    assemble(rover.vector(), rover.wheel.vector(), ABYSS, OWN_SOIL, STRAIGHT, ROLLING, 1.0, True, work)
+    return system_of(work)
 
 
 def rotation(pose: np.ndarray) -> np.ndarray:
@@ -179,16 +213,38 @@ def mjcf(rover: Rover) -> str:
 
 
 def test_free_fall_is_exact(rover: Rover) -> None:
-    ground = build_terrain("deep", -5.0, -5.0, 1.0, np.full((11, 11), -100.0), read_soil("longji"))
-    vector, wheel, grid = rover.vector(), rover.wheel.vector(), ground.grid()
-    none, speed = np.full(8, np.nan), np.full(6, 0.05)
-    pose, u, work = np.zeros(10), np.zeros(9), new_work()
+    vector, tyre, work = rover.vector(), rover.wheel.vector(), ready(ABYSS)
+    pose, u = np.zeros(10), np.zeros(9)
     pose[3], u[:3] = 1.0, (0.1, -0.2, 0.3)
+    put_state(work, pose, u)
     dt = 0.05
     for k in range(1, 61):
-        assert evaluate(vector, wheel, grid, none, pose, u, STRAIGHT, speed, work, 1.0) == FINISHED
-        assert step(vector, pose, u, dt, work) == FINISHED
+        assemble(vector, tyre, ABYSS, OWN_SOIL, STRAIGHT, ROLLING, dt, True, work)
+        eliminate(work)
+        move(work.body, dt)
+        check_health(work)
+        assert (work.code == FINISHED).all()
         t = k * dt
         expected = np.array([0.1, -0.2, 0.3]) * t - np.array([0, 0, 0.5 * rover.gravity_m_s2 * t * t])
-        assert np.abs(pose[:3] - expected).max() < 1e-12
-        assert np.abs(pose[4:]).max() < 1e-12
+        for lane in range(LANES):
+            pose, _ = state_of(work, lane)
+            assert np.abs(pose[:3] - expected).max() < 1e-12
+            assert np.abs(pose[4:]).max() < 1e-12
+
+
+def test_the_blockwise_solution_solves_the_system(rover: Rover) -> None:
+    """On the ground, with all its stiffness and damping, against numpy."""
+    ground = build_terrain("ground", -50.0, -50.0, 10.0, np.zeros((11, 11)), read_soil("longji")).grid()
+    work = ready(ground)
+    for seed in range(5):
+        pose, u = random_state(seed)
+        pose[2:7] = 0.24, 1.0, 0.02, -0.03, 0.04
+        pose[3:7] /= np.linalg.norm(pose[3:7])
+        pose[7:] *= 0.05
+        put_state(work, pose, 0.02 * u)
+        assemble(rover.vector(), rover.wheel.vector(), ground, OWN_SOIL, STRAIGHT, ROLLING, 0.1, True, work)
+        matrix, right = system_of(work)
+        eliminate(work)
+        assert work.body.reshape(-1, LANES)[CHANGE : CHANGE + 9, 3] == pytest.approx(
+            np.linalg.solve(matrix, right), rel=1e-9, abs=1e-12
+        )

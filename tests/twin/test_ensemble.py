@@ -84,8 +84,9 @@ def test_steps_that_are_none_are_refused(yutu2: Rover, ground: Terrain, bad: dic
 
 def test_progress_counts_members(yutu2: Rover, ground: Terrain, straight) -> None:  # type: ignore[no-untyped-def]
     seen: list[tuple[int, int]] = []
-    predict(yutu2, ground, straight(0.5), sweep=SWEEP, progress=lambda done, total: seen.append((done, total)))
-    assert seen == [(k, 6) for k in range(1, 7)]
+    plan, sweep = straight(0.5), (parse_sweep("friction_angle_deg=30:40:40"),)
+    predict(yutu2, ground, plan, sweep=sweep, progress=lambda done, total: seen.append((done, total)))
+    assert seen == [(16, 40), (32, 40), (40, 40)]
 
 
 def test_ctrl_c_is_heard(yutu2: Rover, ground: Terrain, straight) -> None:  # type: ignore[no-untyped-def]

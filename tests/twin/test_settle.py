@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from lunarsci.twin.integrate import new_work
+from lunarsci.twin.lanes import LANES, NORMAL, new_work
 from lunarsci.twin.outcomes import FINISHED, HOLE, LEFT, SANK, UNSETTLED
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.settle import settle
@@ -15,12 +15,16 @@ from lunarsci.twin.terrain import Terrain, soil_override
 
 def loads(rover: Rover, terrain: Terrain, heading: float = 0.0, at: tuple[float, float] = (0.0, 0.0), **soil: float):  # type: ignore[no-untyped-def]
     """Outcome, F_N of FL, FR, ML, MR, RL, RR, and the pose."""
-    pose, u, work = np.zeros(10), np.zeros(9), new_work()
+    work = new_work(6)
     start = np.array([*at, heading, 0.05, 0.0])
-    still, speed = np.zeros(6), np.full(6, 0.05)
-    vector, wheel = rover.vector(), rover.wheel.vector()
-    code = settle(vector, wheel, terrain.grid(), soil_override(soil), start, still, speed, pose, u, work)
-    return code, work.state[:, 5].copy(), pose
+    still, speed, override = np.zeros(6), np.full(6, 0.05), np.tile(soil_override(soil), (LANES, 1))
+    settle(rover.vector(), rover.wheel.vector(), terrain.grid(), override, start, still, speed, work)
+    assert (work.code == work.code[0]).all()
+    return (
+        int(work.code[0]),
+        work.wheels.reshape(6, -1, LANES)[:, NORMAL, 0].copy(),
+        work.body.reshape(-1, LANES)[:10, 0].copy(),
+    )
 
 
 def levers(rover: Rover) -> np.ndarray:

@@ -9,13 +9,36 @@ import pytest
 
 from lunarsci.errors import DataError, OutputError, ParameterError
 from lunarsci.regolith.soil import Soil
+from lunarsci.twin.lanes import CENTER, GROUND, LANES, SOIL, new_work
 from lunarsci.twin.longji import CRATERS, crater_height, synthetic_longji
 from lunarsci.twin.outcomes import FINISHED, HOLE, LEFT
 from lunarsci.twin.path import planned_pose
 from lunarsci.twin.plan import read_plan
-from lunarsci.twin.terrain import Terrain, build_terrain, read_node, read_terrain, soil_override, write_terrain
+from lunarsci.twin.terrain import (
+    Grid,
+    Terrain,
+    build_terrain,
+    lay_soil,
+    read_ground,
+    read_terrain,
+    soil_override,
+    write_terrain,
+)
 
 NOTHING = np.full(8, np.nan)
+
+
+def read_node(grid: Grid, x: float, y: float, override: np.ndarray, node: np.ndarray) -> int:
+    """Height, gradient and soil (11) at a point, as every lane sees them, and what became of the rover there."""
+    work = new_work(1)
+    rows, every = work.wheels[0].reshape(-1, LANES), np.tile(override, (LANES, 1))
+    rows[CENTER], rows[CENTER + 1] = x, y
+    lay_soil(grid, every, work.wheels[0])
+    read_ground(grid, every, work.wheels[0], work.code)
+    assert (work.code == work.code[0]).all()
+    assert (rows[GROUND : SOIL + 8] == rows[GROUND : SOIL + 8, :1]).all()
+    node[:] = rows[GROUND : SOIL + 8, 0]
+    return int(work.code[0])
 
 
 def plane(soil: Soil, a: float = 0.1, b: float = -0.2, c: float = 3.0) -> Terrain:
