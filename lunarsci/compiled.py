@@ -6,7 +6,7 @@ from typing import Any
 
 import numba
 
-__all__ = ["LANES", "VECTORS", "compiled", "each_in_threads", "in_lanes", "pasted"]
+__all__ = ["LANES", "VECTORS", "compiled", "each_in_threads", "in_lanes", "joined", "pasted"]
 
 VECTORS = {"reassoc", "contract", "nsz", "arcp"}
 """`fastmath` that lets sums become vector instructions and still knows infinity and NaN."""
@@ -39,6 +39,11 @@ def in_lanes(function: Callable[..., Any], **options: Any) -> Any:
 def pasted(function: Callable[..., Any]) -> Any:
     """Compile a function that is pasted into the loop that calls it, which `in_lanes` then compiles as one."""
     return in_lanes(function, forceinline=True)
+
+
+def joined(function: Callable[..., Any]) -> Any:
+    """Compile a function that only calls others as a part of its callers: each of them would optimise it all anew."""
+    return compiled(function, nogil=True, inline="always")
 
 
 def each_in_threads(

@@ -11,7 +11,7 @@ overturning and steering torques M_O and M_S their leading parts.
 import math
 from typing import Any
 
-from lunarsci.compiled import compiled, in_lanes, pasted
+from lunarsci.compiled import in_lanes, joined, pasted
 from lunarsci.elementary import arcsin, cosine, sine
 from lunarsci.regolith.forces import wheel_forces_and_slopes
 from lunarsci.twin.lanes import (
@@ -26,6 +26,7 @@ from lunarsci.twin.lanes import (
     COEFFICIENT,
     DRAWBAR,
     DRIVE,
+    FIRST,
     FORCE,
     GROUND,
     LANES,
@@ -182,15 +183,15 @@ def find_levers(body: Any, wheel: Any, levers: Any, hung: float, side: float, kg
         upright = (get(body, ROTATION + 1, lane), get(body, ROTATION + 4, lane), get(body, ROTATION + 7, lane))
         turn, r_e, r_d, r_n = seen_from(axes, upright), cross(arm, e), cross(arm, d), cross(arm, n)
         x, y, z = (e[0], d[0], n[0]), (e[1], d[1], n[1]), (e[2], d[2], n[2])
-        put_row(wheel, levers, lane, 0, x, still, kg, dt)
-        put_row(wheel, levers, lane, 1, y, still, kg, dt)
-        put_row(wheel, levers, lane, 2, z, still, kg, dt)
-        put_row(wheel, levers, lane, 3, (r_e[0], r_d[0], r_n[0]), x, kg, dt)
-        put_row(wheel, levers, lane, 4, (r_e[1], r_d[1], r_n[1]), y, kg, dt)
-        put_row(wheel, levers, lane, 5, (r_e[2], r_d[2], r_n[2]), z, kg, dt)
-        put_row(wheel, levers, lane, 6, seen_from(axes, get3(wheel, SWING, lane)), times(turn, side), kg, dt)
+        put_row(wheel, levers, lane, FIRST + 0, x, still, kg, dt)
+        put_row(wheel, levers, lane, FIRST + 1, y, still, kg, dt)
+        put_row(wheel, levers, lane, FIRST + 2, z, still, kg, dt)
+        put_row(wheel, levers, lane, FIRST + 3, (r_e[0], r_d[0], r_n[0]), x, kg, dt)
+        put_row(wheel, levers, lane, FIRST + 4, (r_e[1], r_d[1], r_n[1]), y, kg, dt)
+        put_row(wheel, levers, lane, FIRST + 5, (r_e[2], r_d[2], r_n[2]), z, kg, dt)
+        put_row(wheel, levers, lane, FIRST + 6, seen_from(axes, get3(wheel, SWING, lane)), times(turn, side), kg, dt)
         swing = seen_from(axes, get3(wheel, BOGIE_SWING, lane))
-        put_row(wheel, levers, lane, 7, swing, times(turn, hung), kg, dt)
+        put_row(wheel, levers, lane, FIRST + 7, swing, times(turn, hung), kg, dt)
 
 
 @pasted
@@ -218,18 +219,18 @@ def add_row(levers: Any, system: Any, lane: Any, i: Any) -> None:
 def add_rows(levers: Any, system: Any) -> None:
     """Add a wheel to its side of the system."""
     for lane in range(LANES):
-        add_row(levers, system, lane, 0)
-        add_row(levers, system, lane, 1)
-        add_row(levers, system, lane, 2)
-        add_row(levers, system, lane, 3)
+        add_row(levers, system, lane, FIRST + 0)
+        add_row(levers, system, lane, FIRST + 1)
+        add_row(levers, system, lane, FIRST + 2)
+        add_row(levers, system, lane, FIRST + 3)
     for lane in range(LANES):
-        add_row(levers, system, lane, 4)
-        add_row(levers, system, lane, 5)
-        add_row(levers, system, lane, 6)
-        add_row(levers, system, lane, 7)
+        add_row(levers, system, lane, FIRST + 4)
+        add_row(levers, system, lane, FIRST + 5)
+        add_row(levers, system, lane, FIRST + 6)
+        add_row(levers, system, lane, FIRST + 7)
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@joined
 def add_wheel(work: Any, w: int, rover: Any, tyre: Any, rim: float, dt: float, shear: bool) -> None:
     """Add wheel `w`, its mass and the soil's wrench, to the system of a step, and keep what the contact found.
 

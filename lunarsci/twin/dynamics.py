@@ -12,7 +12,7 @@ inertial forces follow from the accelerations that remain at u-dot = 0; nothing 
 import math
 from typing import Any
 
-from lunarsci.compiled import compiled, in_lanes, pasted
+from lunarsci.compiled import in_lanes, joined, pasted
 from lunarsci.elementary import cosine, sine
 from lunarsci.twin.lanes import (
     ACCELERATION,
@@ -86,7 +86,12 @@ def turning(rate: Any, spin: Any, segment: Any) -> Any:
 def orient(body: Any) -> None:
     """Fill the rotation and the angular velocity in the body frame."""
     for lane in range(LANES):
-        w, x, y, z = get(body, 3, lane), get(body, 4, lane), get(body, 5, lane), get(body, 6, lane)
+        w, x, y, z = (
+            get(body, POSE + 3, lane),
+            get(body, POSE + 4, lane),
+            get(body, POSE + 5, lane),
+            get(body, POSE + 6, lane),
+        )
         a, b, c = rotation_of(w, x, y, z)
         put3(body, ROTATION, lane, a)
         put3(body, ROTATION + 3, lane, b)
@@ -131,7 +136,7 @@ def place_wheel(body: Any, wheel: Any, rover: Any, w: int, cos_steer: float, sin
         put3(wheel, ACCELERATION, lane, to_world(a, b, c, plus(centripetal, plus(by_rocker, by_bogie))))
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@joined
 def place_wheels(rover: Any, steering: Any, work: Any) -> None:
     """Kinematics of all wheels at the pose and velocity in `work`, steered by the given angles. [rad]"""
     orient(work.body)
@@ -139,7 +144,7 @@ def place_wheels(rover: Any, steering: Any, work: Any) -> None:
         place_wheel(work.body, work.wheels[w], rover, w, math.cos(steering[w]), math.sin(steering[w]))
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@joined
 def begin_system(rover: Any, work: Any, dt: float) -> None:
     """Fill matrix and right side of a step with the chassis: mass, moments, gyroscopic torque, joint friction.
 

@@ -11,13 +11,14 @@ at any dt. First order in dt.
 import math
 from typing import Any
 
-from lunarsci.compiled import compiled, in_lanes, pasted
+from lunarsci.compiled import compiled, in_lanes, joined, pasted
 from lunarsci.elementary import cosine, sine
 from lunarsci.twin.contact import add_wheel
 from lunarsci.twin.dynamics import begin_system, place_wheels
 from lunarsci.twin.lanes import (
     CHANGE,
     LANES,
+    LEVER,
     MATRIX,
     POSE,
     RIGHT,
@@ -30,6 +31,7 @@ from lunarsci.twin.lanes import (
     plus,
     put,
     put3,
+    rows,
     times,
 )
 from lunarsci.twin.outcomes import DIVERGED, FINISHED, OVERTURNED, SANK
@@ -38,11 +40,12 @@ from lunarsci.twin.terrain import read_ground
 __all__ = ["assemble", "check_health", "eliminate", "move"]
 
 COS_OVERTURNED = 0.5
+THREE, EIGHT = rows(3, 8)
 # Assumed: no part of a rover that drives at cm/s comes near this speed [m/s or rad/s] while the run has a meaning.
 FASTEST = 10.0
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@joined
 def assemble(
     rover: Any, tyre: Any, grid: Any, override: Any, steering: Any, speed: Any, dt: float, shear: bool, work: Any
 ) -> None:
@@ -121,20 +124,20 @@ def fold(one: Any, two: Any, scratch: Any) -> None:
         for lane in range(LANES):
             put3(one, MATRIX + 8 * k, lane, summed(one, two, MATRIX + 8 * k, lane))
             put3(one, MATRIX + 8 * k + 3, lane, summed(one, two, MATRIX + 8 * k + 3, lane))
-            put3(scratch, 3 * k, lane, joint_columns(one, two, k, lane))
+            put3(scratch, LEVER + 3 * k, lane, joint_columns(one, two, k, lane))
     for lane in range(LANES):
         put3(one, RIGHT, lane, summed(one, two, RIGHT, lane))
         put3(one, RIGHT + 3, lane, summed(one, two, RIGHT + 3, lane))
     for lane in range(LANES):
-        differential = joint_columns(one, two, 6, lane)
-        put3(scratch, 18, lane, differential)
-        put3(scratch, 21, lane, (get(one, MATRIX + 62, lane), get(one, MATRIX + 63, lane), 0.0))
-        put3(scratch, 24, lane, (get(two, MATRIX + 62, lane), 0.0, get(two, MATRIX + 63, lane)))
-        put3(scratch, 27, lane, summed(one, two, MATRIX + 48, lane))
-        put3(scratch, 30, lane, summed(one, two, MATRIX + 51, lane))
-        put(scratch, 33, lane, get(one, RIGHT + 6, lane) + get(two, RIGHT + 6, lane))
-        put(scratch, 34, lane, get(one, RIGHT + 7, lane))
-        put(scratch, 35, lane, get(two, RIGHT + 7, lane))
+        differential = joint_columns(one, two, LEVER + 6, lane)
+        put3(scratch, LEVER + 18, lane, differential)
+        put3(scratch, LEVER + 21, lane, (get(one, MATRIX + 62, lane), get(one, MATRIX + 63, lane), 0.0))
+        put3(scratch, LEVER + 24, lane, (get(two, MATRIX + 62, lane), 0.0, get(two, MATRIX + 63, lane)))
+        put3(scratch, LEVER + 27, lane, summed(one, two, MATRIX + 48, lane))
+        put3(scratch, LEVER + 30, lane, summed(one, two, MATRIX + 51, lane))
+        put(scratch, LEVER + 33, lane, get(one, RIGHT + 6, lane) + get(two, RIGHT + 6, lane))
+        put(scratch, LEVER + 34, lane, get(one, RIGHT + 7, lane))
+        put(scratch, LEVER + 35, lane, get(two, RIGHT + 7, lane))
 
 
 @pasted
@@ -147,13 +150,14 @@ def block(rows: Any, k: Any, stride: Any, lane: Any) -> Any:
 def solve(one: Any, two: Any, scratch: Any, body: Any) -> None:
     """Solve the folded systems by blocks of three coordinates; the mass keeps them far from singular."""
     for lane in range(LANES):
-        a_11, a_12, a_13 = block(one, MATRIX, 8, lane), block(one, MATRIX + 3, 8, lane), block(scratch, 0, 3, lane)
-        a_21, a_22, a_23 = block(one, 24, 8, lane), block(one, 27, 8, lane), block(scratch, 9, 3, lane)
+        a_11, a_12 = block(one, MATRIX, EIGHT, lane), block(one, MATRIX + 3, EIGHT, lane)
+        a_21, a_22 = block(one, MATRIX + 24, EIGHT, lane), block(one, MATRIX + 27, EIGHT, lane)
+        a_13, a_23 = block(scratch, LEVER, THREE, lane), block(scratch, LEVER + 9, THREE, lane)
         left, right = get3(one, MATRIX + 56, lane), get3(two, MATRIX + 56, lane)
-        a_31 = (get3(scratch, 27, lane), left, right)
-        a_32 = (get3(scratch, 30, lane), get3(one, MATRIX + 59, lane), get3(two, MATRIX + 59, lane))
-        a_33 = block(scratch, 18, 3, lane)
-        b_1, b_2, b_3 = get3(one, RIGHT, lane), get3(one, RIGHT + 3, lane), get3(scratch, 33, lane)
+        a_31 = (get3(scratch, LEVER + 27, lane), left, right)
+        a_32 = (get3(scratch, LEVER + 30, lane), get3(one, MATRIX + 59, lane), get3(two, MATRIX + 59, lane))
+        a_33 = block(scratch, LEVER + 18, THREE, lane)
+        b_1, b_2, b_3 = get3(one, RIGHT, lane), get3(one, RIGHT + 3, lane), get3(scratch, LEVER + 33, lane)
         first = inverse(a_11)
         below, lowest = product(a_21, first), product(a_31, first)
         a_22, a_23 = without(a_22, product(below, a_12)), without(a_23, product(below, a_13))
@@ -169,7 +173,7 @@ def solve(one: Any, two: Any, scratch: Any, body: Any) -> None:
         put3(body, CHANGE + 6, lane, x_3)
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@joined
 def eliminate(work: Any) -> None:
     """Solve the systems of a step; the changes of velocity go to the body's rows."""
     one, two = work.sides[0], work.sides[1]
@@ -193,14 +197,19 @@ def move(body: Any, dt: float) -> None:
         half = min(0.5 * dt * rate, 1.6)
         s = sine(half) / rate if rate > 1e-12 else 0.5 * dt
         a, b, c, d = cosine(half), s * x, s * y, s * z
-        w, x, y, z = get(body, 3, lane), get(body, 4, lane), get(body, 5, lane), get(body, 6, lane)
+        w, x, y, z = (
+            get(body, POSE + 3, lane),
+            get(body, POSE + 4, lane),
+            get(body, POSE + 5, lane),
+            get(body, POSE + 6, lane),
+        )
         new_w, new_x = a * w - b * x - c * y - d * z, a * x + b * w + c * z - d * y
         new_y, new_z = a * y - b * z + c * w + d * x, a * z + b * y - c * x + d * w
         scale = 1.0 / math.sqrt(new_w * new_w + new_x * new_x + new_y * new_y + new_z * new_z)
-        put(body, 3, lane, new_w * scale)
-        put(body, 4, lane, new_x * scale)
-        put(body, 5, lane, new_y * scale)
-        put(body, 6, lane, new_z * scale)
+        put(body, POSE + 3, lane, new_w * scale)
+        put(body, POSE + 4, lane, new_x * scale)
+        put(body, POSE + 5, lane, new_y * scale)
+        put(body, POSE + 6, lane, new_z * scale)
         for k in range(9):
             put(body, SPEED + k, lane, get(body, SPEED + k, lane) + get(body, CHANGE + k, lane))
 

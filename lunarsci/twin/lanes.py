@@ -19,24 +19,32 @@ FloatArray = npt.NDArray[np.float64]
 LANES = 16
 """Members in a group. With fewer the compiler, for the size of the code, would not check that rows do not overlap."""
 
+
+def rows(*offsets: int) -> tuple[Any, ...]:
+    """Offsets as numbers that the compiler folds, but does not compile a function anew for each."""
+    return tuple(np.int64(offset) for offset in offsets)
+
+
 # Rows of `Work.body`: pose (position, quaternion, three joint angles), velocity, rotation by rows, angular velocity in
 # the body frame, change of the velocity in a step.
-POSE, SPEED, ROTATION, OMEGA, CHANGE, BODY_ROWS = 0, 10, 19, 28, 31, 40
+POSE, SPEED, ROTATION, OMEGA, CHANGE, BODY_ROWS = rows(0, 10, 19, 28, 31, 40)
 # Rows of one wheel of `Work.wheels`, vectors in the world frame: centre; its arm from the origin; its velocity per rate
 # of the differential and of the bogie; axle; acceleration that remains without generalised acceleration; height and
 # gradient of the terrain; soil; then what the contact found.
-CENTER, ARM, SWING, BOGIE_SWING, AXLE, ACCELERATION, GROUND, SOIL = 0, 3, 6, 9, 12, 15, 18, 21
-SINKAGE, VELOCITY, NORMAL, DRAWBAR, SIDE, RESISTANCE = 29, 30, 33, 34, 35, 36
+CENTER, ARM, SWING, BOGIE_SWING, AXLE, ACCELERATION, GROUND, SOIL = rows(0, 3, 6, 9, 12, 15, 18, 21)
+SINKAGE, VELOCITY, NORMAL, DRAWBAR, SIDE, RESISTANCE = rows(29, 30, 33, 34, 35, 36)
 # Axes of the contact frame; force and moment of wheel and inertia along them; derivatives of the wrench by the forward
 # velocity (drawbar, normal, resistance) and by the lateral one (side force, its moments about the first and last axis);
 # what normal damping and stiffness add to the matrix, and to the right side.
-AXES, FORCE, MOMENT, ALONG, ACROSS, STIFF, WHEEL_ROWS = 37, 46, 49, 52, 55, 58, 60
+AXES, FORCE, MOMENT, ALONG, ACROSS, STIFF, WHEEL_ROWS = rows(37, 46, 49, 52, 55, 58, 60)
 # Rows of `Work.levers`, for coordinates 0 to 6 and the wheel's own bogie: velocity of the wheel centre along the axes
 # per rate of the coordinate; the coefficients of its row of the matrix; its right side.
-LEVER, COEFFICIENT, DRIVE, LEVER_ROWS = 0, 24, 48, 56
+LEVER, COEFFICIENT, DRIVE, LEVER_ROWS = rows(0, 24, 48, 56)
 # Rows of one side of `Work.sides`: the 8 x 8 matrix by rows, and the right side. The matrix of the nine coordinates is
 # the sum of both sides, the eighth coordinate being each side's own bogie.
-MATRIX, RIGHT, SIDE_ROWS = 0, 64, 72
+MATRIX, RIGHT, SIDE_ROWS = rows(0, 64, 72)
+# Numbers of the rows of one side.
+FIRST = np.int64(0)
 
 
 class Work(NamedTuple):
