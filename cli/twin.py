@@ -25,9 +25,9 @@ def predict(
     plan: Annotated[
         str | None, typer.Argument(help="Plan of the drive (TOML); the embedded one of Yutu-2 to the rock if left out.")
     ] = None,
-    rover: Annotated[str, typer.Option(help="Rover: a name (yutu2) or a TOML file.")] = "yutu2",
+    rover: Annotated[str, typer.Option(help="Rover: a name (yutu2, small-four) or a TOML file.")] = "yutu2",
     terrain: Annotated[
-        str, typer.Option(help="Terrain: synthetic-longji or an .npz file with x_m, y_m, height_m and soil layers.")
+        str, typer.Option(help="Terrain: synthetic-longji, or a file (.npz, GeoTIFF, ESRI ASCII .asc, CSV of nodes).")
     ] = "synthetic-longji",
     soil: Annotated[str, typer.Option(help="Soil where the terrain has none: a name or a TOML file.")] = "longji",
     sweep: Annotated[

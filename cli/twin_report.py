@@ -13,7 +13,8 @@ from lunarsci.twin.plan import Plan, read_plan
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.safety import Verdict, judge
 from lunarsci.twin.tables import endpoint_table, path_table, state_table
-from lunarsci.twin.terrain import Terrain, read_terrain
+from lunarsci.twin.terrain import Terrain
+from lunarsci.twin.terrain_files import read_terrain
 
 from .report import Report
 from .table import TextTable

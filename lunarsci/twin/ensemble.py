@@ -53,7 +53,7 @@ class Prediction:
     distance_m : commanded distance of the samples, 0 to the plan's length. (samples,)
     planned : planned x, y, heading. (samples, 3) [m, m, rad]
     paths : rover's origin, columns `PATH_COLUMNS`; pitch is positive nose down. (members, samples, 6)
-    states : wheels in the order of `WHEELS`, columns `STATE_COLUMNS`. (members, samples, 6, 10)
+    states : wheels in the order of `rover.wheels`, columns `STATE_COLUMNS`. (members, samples, wheels, 10)
     recorded : samples that each member reached; later rows repeat its last one and are no prediction. (members,)
     outcome : index into `OUTCOMES`. (members,)
     """

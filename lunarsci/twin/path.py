@@ -70,17 +70,17 @@ class Commands:
 
 
 def wheel_commands(rover: Rover, curvature_per_m: npt.ArrayLike, speed_m_s: float) -> Commands:
-    """Ackermann steering about a turning centre on the middle axle's line, for each curvature.
+    """Ackermann steering about a turning centre beside the wheels that do not steer, for each curvature.
 
     The wheels turn as fast as their centres move when nothing slips: r_s omega is the speed over ground, so slip ratio
     0 is the commanded drive. An unsteered wheel rolls at the forward part of its speed. With a steering offset the
     steering axis points at the turning centre and the wheel runs outside or inside of it. The point that follows the
-    path is the middle of the middle axle, which is below the origin when that axle lies at x = 0.
+    path lies midway between those that do not steer, or below the origin where all do.
     """
     curvature = np.asarray(curvature_per_m, dtype=float)[:, None]
-    position, side = rover.wheel_positions_m, np.array([1.0, -1.0] * 3)
+    position, side = rover.wheel_positions_m, np.tile([1.0, -1.0], len(rover.pairs))
     offset = np.where(rover.steered_mask, rover.steering_offset_m * side, 0.0)
-    x = position[:, 0] - position[2, 0]
+    x = position[:, 0] - rover.turning_x_m
     forward = 1.0 - curvature * (position[:, 1] - offset)
     across = curvature * x
     steering = np.where(rover.steered_mask, np.arctan2(across, forward), 0.0)

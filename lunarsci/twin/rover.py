@@ -13,10 +13,12 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.regolith.wheel import Wheel, read_wheel
 from lunarsci.rovers.description import RoverDescription, read_rover
 
-__all__ = ["WHEELS", "Rover", "RoverVector", "Vector3", "build_rover"]
+__all__ = ["BOGIES", "Rover", "RoverVector", "Vector3", "build_rover"]
 
-WHEELS = ("FL", "FR", "ML", "MR", "RL", "RR")
 PAIRS = ("front", "middle", "rear")
+BOGIES = ("rear", "front", "none")
+HUNG = {"rear": ("middle", "rear"), "front": ("front", "middle"), "none": ()}
+"""Pairs of wheels on the bogies, by where these are; the others are on the rockers."""
 Vector3 = tuple[float, float, float]
 FloatArray = npt.NDArray[np.float64]
 
@@ -40,27 +42,30 @@ class RoverVector(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rover:
-    """A six-wheeled rocker-bogie rover; x forward, y left, z up, origin midway between the rocker pivots.
+    """A rocker-bogie rover; x forward, y left, z up, origin midway between the rocker pivots.
 
     Attributes
     ----------
     name : as in the rover file.
-    wheel : the wheel of the wheel-soil formulas; the six are alike.
+    wheel : the wheel of the wheel-soil formulas; all are alike.
     body_kg, wheel_kg : mass of the chassis, and of one wheel with its share of the arm as a point mass. [kg]
     body_inertia_kg_m2 : principal moments of the chassis about its own centre of mass, along x, y, z. [kg m2]
     body_center_m : centre of mass of the chassis. [m]
     rocker_pivot_y_m : half the distance between the rocker pivots. [m]
-    front_wheel_m : front wheel centre from the rocker pivot. [m]
-    bogie_pivot_m : bogie pivot from the rocker pivot. [m]
-    middle_wheel_m, rear_wheel_m : wheel centres from the bogie pivot. [m]
+    bogie : `rear` carries middle and rear wheels on a bogie, `front` front and middle ones; `none` is a four-wheeler
+        whose front and rear wheels are on the rockers.
+    front_wheel_m, middle_wheel_m, rear_wheel_m : wheel centres, from the bogie pivot where they hang on a bogie, else
+        from the rocker pivot; middle_wheel_m is None without bogies. [m]
+    bogie_pivot_m : bogie pivot from the rocker pivot, None without bogies. [m]
     joint_damping_n_m_s : viscous friction of each pivot. [N m s]
     steered : which of `front`, `middle`, `rear` are steered.
     steering_offset_m : distance of a wheel from its steering axis, which is inboard of it. [m]
     max_speed_m_s : highest commanded speed. [m/s]
     gravity_m_s2 : acceleration of gravity. [m/s2]
 
-    The left rocker turns by +rho about the chassis' y axis, the right one by -rho (the differential); each bogie
-    turns about its rocker. Raises ParameterError for masses, moments or lengths that are not positive.
+    The left rocker turns by +rho about the chassis' y axis, the right one by -rho: a differential does that whether it
+    is a bar outside or gears inside the body. Each bogie turns about its rocker. Raises ParameterError for masses,
+    moments or lengths that are not positive, and for wheels that do not follow each other from front to rear.
     """
 
     name: str
@@ -71,12 +76,13 @@ class Rover:
     body_center_m: Vector3
     rocker_pivot_y_m: float
     front_wheel_m: Vector3
-    bogie_pivot_m: Vector3
-    middle_wheel_m: Vector3
     rear_wheel_m: Vector3
     joint_damping_n_m_s: float
     steered: tuple[str, ...]
     max_speed_m_s: float
+    bogie: str = "rear"
+    middle_wheel_m: Vector3 | None = None
+    bogie_pivot_m: Vector3 | None = None
     steering_offset_m: float = 0.0
     gravity_m_s2: float = LUNAR_GRAVITY.value
 
@@ -87,38 +93,72 @@ class Rover:
         for name in ("joint_damping_n_m_s", "steering_offset_m"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ParameterError(f"rover {name} is {getattr(self, name)}; give 0 or more")
-        for name in ("body_center_m", "front_wheel_m", "bogie_pivot_m", "middle_wheel_m", "rear_wheel_m"):
-            if not all(map(math.isfinite, getattr(self, name))):
-                raise ParameterError(f"rover {name} is {getattr(self, name)}; give three finite numbers")
+        self._check_bogie()
+        for name in ("body_center_m", "front_wheel_m", "rear_wheel_m", "middle_wheel_m", "bogie_pivot_m"):
+            value = getattr(self, name)
+            if value is not None and not all(map(math.isfinite, value)):
+                raise ParameterError(f"rover {name} is {value}; give three finite numbers")
         if not all(0 < moment < math.inf for moment in self.body_inertia_kg_m2):
             raise ParameterError(f"rover body_inertia_kg_m2 is {self.body_inertia_kg_m2}; give three numbers above 0")
-        if unknown := set(self.steered) - set(PAIRS):
-            raise ParameterError(f"rover steered_wheels has '{min(unknown)}'; choose from: {', '.join(PAIRS)}")
-        if not self.rear_wheel_m[0] < self.middle_wheel_m[0]:
-            raise ParameterError("rover middle_wheel_m must lie ahead of rear_wheel_m")
+        if unknown := set(self.steered) - set(self.pairs):
+            raise ParameterError(f"rover steered_wheels has '{min(unknown)}'; choose from: {', '.join(self.pairs)}")
+        x = self.wheel_positions_m[::2, 0]
+        if not (np.diff(x) < 0).all():
+            raise ParameterError("the rover's wheels must follow each other from front to rear; check their x")
+
+    def _check_bogie(self) -> None:
+        if self.bogie not in BOGIES:
+            raise ParameterError(f"rover bogie is '{self.bogie}'; choose from: {', '.join(BOGIES)}")
+        for name in ("middle_wheel_m", "bogie_pivot_m"):
+            if (getattr(self, name) is None) != (self.bogie == "none"):
+                wanted = "leave it out" if self.bogie == "none" else "give it"
+                raise ParameterError(f"rover with bogie '{self.bogie}': {wanted}: {name}")
+
+    @property
+    def pairs(self) -> tuple[str, ...]:
+        """Pairs of wheels, from front to rear."""
+        return PAIRS if self.bogie != "none" else ("front", "rear")
+
+    @property
+    def wheels(self) -> tuple[str, ...]:
+        """Names of the wheels in the order of all results: FL, FR, (ML, MR,) RL, RR."""
+        return tuple(pair[0].upper() + side for pair in self.pairs for side in "LR")
 
     @property
     def mass_kg(self) -> float:
         """Mass of the whole rover. [kg]"""
-        return self.body_kg + 6 * self.wheel_kg
+        return self.body_kg + len(self.wheels) * self.wheel_kg
 
     @property
     def wheel_positions_m(self) -> FloatArray:
-        """Wheel centres with all joints at zero, in the order of `WHEELS`. (6, 3) [m]"""
-        bogie = np.array(self.bogie_pivot_m)
-        rows = [np.array(self.front_wheel_m), bogie + self.middle_wheel_m, bogie + self.rear_wheel_m]
+        """Wheel centres with all joints at zero, in the order of `wheels`. (n, 3) [m]"""
         side = np.array([0.0, self.rocker_pivot_y_m, 0.0])
-        mirror = np.array([1.0, -1.0, 1.0])
-        return np.array([(row + side) * flip for row in rows for flip in (1.0, mirror)])
+        rows = [arm + side + hung * self._pivot() for arm, hung in zip(self._arms(), self._hung(), strict=True)]
+        return np.array([row * (1.0, sign, 1.0) for row in rows for sign in (1.0, -1.0)])
+
+    @property
+    def turning_x_m(self) -> float:
+        """Where along x the turning centre lies: beside the wheels that do not steer, or the origin if all do. [m]"""
+        fixed = ~self.steered_mask
+        return float(self.wheel_positions_m[fixed, 0].mean()) if fixed.any() else 0.0
+
+    def _arms(self) -> FloatArray:
+        return np.array([getattr(self, f"{pair}_wheel_m") for pair in self.pairs], dtype=float)
+
+    def _hung(self) -> FloatArray:
+        return np.array([float(pair in HUNG[self.bogie]) for pair in self.pairs])
+
+    def _pivot(self) -> FloatArray:
+        return np.array(self.bogie_pivot_m or (0.0, 0.0, 0.0), dtype=float)
 
     @property
     def steered_mask(self) -> npt.NDArray[np.bool_]:
-        """Which wheels are steered, in the order of `WHEELS`."""
-        return np.repeat([pair in self.steered for pair in PAIRS], 2)
+        """Which wheels are steered, in the order of `wheels`."""
+        return np.repeat([pair in self.steered for pair in self.pairs], 2)
 
     def vector(self) -> RoverVector:
         """The numbers that the compiled formulas take, in SI units."""
-        arms = np.repeat([self.front_wheel_m, self.middle_wheel_m, self.rear_wheel_m], 2, axis=0).astype(float)
+        arms = np.repeat(self._arms(), 2, axis=0)
         arms[1::2, 1] *= -1
         return RoverVector(
             float(self.body_kg),
@@ -126,10 +166,10 @@ class Rover:
             np.array(self.body_center_m, dtype=float),
             float(self.wheel_kg),
             float(self.rocker_pivot_y_m),
-            np.array(self.bogie_pivot_m, dtype=float),
+            self._pivot(),
             arms,
-            np.array([0.0, 0.0, 1.0, 1.0, 1.0, 1.0]),
-            True,
+            np.repeat(self._hung(), 2),
+            self.bogie != "none",
             float(self.steering_offset_m),
             float(self.joint_damping_n_m_s),
             float(self.gravity_m_s2),
@@ -148,7 +188,7 @@ def build_rover(rover: str | RoverDescription) -> Rover:
             **_numbers(mass, "body_kg", "wheel_kg"),
             **_vectors(mass, "body_inertia_kg_m2", "body_center_m"),
             **_numbers(suspension, "rocker_pivot_y_m", "joint_damping_n_m_s"),
-            **_vectors(suspension, "front_wheel_m", "bogie_pivot_m", "middle_wheel_m", "rear_wheel_m"),
+            **_suspension(suspension),
             steered=tuple(str(pair) for pair in steering["steered_wheels"]),
             steering_offset_m=float(steering.get("offset_m", 0.0)),
             **_numbers(drive, "max_speed_m_s"),
@@ -159,6 +199,12 @@ def build_rover(rover: str | RoverDescription) -> Rover:
         raise
     except (TypeError, ValueError) as error:
         raise DataError(f"{description.origin}: {error}") from error
+
+
+def _suspension(table: dict[str, Any]) -> dict[str, Any]:
+    bogie = str(table.get("bogie", "rear"))
+    own = ("front_wheel_m", "rear_wheel_m") + (() if bogie == "none" else ("middle_wheel_m", "bogie_pivot_m"))
+    return {"bogie": bogie} | _vectors(table, *own)
 
 
 def _numbers(table: dict[str, Any], *names: str) -> dict[str, Any]:

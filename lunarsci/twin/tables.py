@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lunarsci.twin.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction
-from lunarsci.twin.rover import WHEELS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,11 +24,12 @@ def state_table(prediction: Prediction) -> "pd.DataFrame":
     values = prediction.states[member, sample].reshape(-1, len(STATE_COLUMNS))
     table = pd.DataFrame(values, columns=list(STATE_COLUMNS))
     table["valid"] = table["valid"] > 0.5
-    count = len(WHEELS)
+    names = prediction.rover.wheels
+    count = len(names)
     table.insert(0, "member", np.repeat(member, count))
     table.insert(1, "distance_m", np.repeat(prediction.distance_m[sample], count))
     table.insert(2, "time_s", np.repeat(prediction.time_s[sample], count))
-    table.insert(3, "wheel", np.tile(WHEELS, len(member)))
+    table.insert(3, "wheel", np.tile(names, len(member)))
     return table
 
 

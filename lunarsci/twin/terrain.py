@@ -2,17 +2,14 @@
 
 import dataclasses
 import math
-import zipfile
-import zlib
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from lunarsci.compiled import compiled
-from lunarsci.errors import DataError, OutputError, ParameterError
+from lunarsci.errors import ParameterError
 from lunarsci.regolith.soil import Soil
 from lunarsci.twin.lanes import CENTER, GROUND, LANES, SOIL
 from lunarsci.twin.outcomes import FINISHED, HOLE, LEFT, SANK
@@ -22,11 +19,10 @@ __all__ = [
     "Grid",
     "Terrain",
     "build_terrain",
+    "from_si",
     "lay_soil",
     "read_ground",
-    "read_terrain",
     "soil_override",
-    "write_terrain",
 ]
 
 FloatArray = npt.NDArray[np.float64]
@@ -67,7 +63,7 @@ class Terrain:
     x0_m, y0_m : position of node [0, 0]. [m]
     spacing_m : distance of the nodes in x and y, > 0. [m]
     height_m : height, NaN where unknown; row is y, column is x. (ny, nx) [m]
-    soil : `Soil.vector()` at every node, in Pa and m. (ny, nx, 8)
+    soil : `Soil.vector()` in Pa and m, at every node or one for all. (ny, nx, 8) or (1, 1, 8)
     synthetic : True for a made-up terrain.
 
     Between nodes heights, gradients (central differences of the heights) and soil are bilinear. A hole therefore
@@ -86,8 +82,8 @@ class Terrain:
         shape = self.height_m.shape
         if len(shape) != 2 or min(shape) < 3:
             raise ParameterError(f"terrain height_m has shape {shape}; give a grid of at least 3 x 3 nodes")
-        if self.soil.shape != (*shape, 8):
-            raise ParameterError(f"terrain soil has shape {self.soil.shape}; give {(*shape, 8)}")
+        if self.soil.shape not in ((*shape, 8), (1, 1, 8)):
+            raise ParameterError(f"terrain soil has shape {self.soil.shape}; give {(*shape, 8)} or (1, 1, 8)")
         if not (0 < self.spacing_m < math.inf and math.isfinite(self.x0_m) and math.isfinite(self.y0_m)):
             raise ParameterError("terrain x0_m, y0_m and spacing_m must be finite, spacing_m above 0")
         if np.isinf(self.height_m).any():
@@ -109,17 +105,20 @@ class Terrain:
 
     def with_soil(self, **values: npt.ArrayLike) -> "Terrain":
         """The same ground with soil parameters changed; a number, or one value for each node (ny, nx)."""
-        soil = self.soil.copy()
-        for name, value in values.items():
-            soil[..., _column(name)] = _in_si(name, np.asarray(value, dtype=float))
+        own = {_column(name): _in_si(name, np.asarray(value, dtype=float)) for name, value in values.items()}
+        uniform = all(value.ndim == 0 for value in own.values())
+        soil = self.soil.copy() if uniform else np.broadcast_to(self.soil, (*self.height_m.shape, 8)).copy()
+        for column, value in own.items():
+            soil[..., column] = value
         return dataclasses.replace(self, soil=soil)
 
     def grid(self) -> Grid:
         """The numbers that the compiled formulas take."""
-        slope_y, slope_x = np.gradient(self.height_m, self.spacing_m)
-        surface = np.stack([self.height_m, slope_x, slope_y], axis=-1)
-        first = self.soil[:1, :1]
-        soil = first if (self.soil == first).all() else self.soil
+        surface = np.empty((*self.height_m.shape, 3))
+        surface[..., 0] = self.height_m
+        surface[..., 1] = np.gradient(self.height_m, self.spacing_m, axis=1)
+        surface[..., 2] = np.gradient(self.height_m, self.spacing_m, axis=0)
+        soil = self.soil if not (self.soil == self.soil[:1, :1]).all() else self.soil[:1, :1]
         return Grid(
             float(self.x0_m), float(self.y0_m), float(self.spacing_m), surface, np.ascontiguousarray(soil, dtype=float)
         )
@@ -193,14 +192,13 @@ def build_terrain(
 ) -> Terrain:
     """A terrain with the same soil everywhere; arguments as in `Terrain`."""
     height = np.array(height_m, dtype=np.float64)
-    layers = np.broadcast_to(np.array(soil.vector()), (*height.shape, 8)).copy()
     return Terrain(
         name=name,
         x0_m=x0_m,
         y0_m=y0_m,
         spacing_m=spacing_m,
         height_m=height,
-        soil=layers,
+        soil=np.array(soil.vector()).reshape(1, 1, 8),
         synthetic=synthetic,
     )
 
@@ -211,79 +209,6 @@ def soil_override(values: dict[str, float]) -> FloatArray:
     for name, value in values.items():
         override[_column(name)] = _in_si(name, np.asarray(value, dtype=float))
     return override
-
-
-def read_terrain(path: str | Path, soil: Soil) -> Terrain:
-    """Read a terrain from a NumPy archive (.npz).
-
-    Keys: `x_m` (nx,) and `y_m` (ny,), ascending and evenly spaced with one spacing; `height_m` (ny, nx) with NaN where
-    unknown; optionally any field of `Soil` under its own name and unit, a number or (ny, nx); optionally `name` and
-    `synthetic`. Parameters the file lacks come from `soil`. Raises DataError.
-    """
-    arrays = _load(Path(path))
-    known = {"x_m", "y_m", "height_m", "name", "synthetic", *SOIL_COLUMNS}
-    if unknown := set(arrays) - known:
-        raise DataError(f"{path}: '{min(unknown)}' is not a key of a terrain; these are: {', '.join(sorted(known))}")
-    for key in ("x_m", "y_m", "height_m"):
-        if key not in arrays:
-            raise DataError(f"{path}: no '{key}'; a terrain needs x_m, y_m and height_m")
-    try:
-        x, y, height = (np.asarray(arrays[key], dtype=np.float64) for key in ("x_m", "y_m", "height_m"))
-        if height.shape != (y.size, x.size):
-            raise DataError(f"height_m has shape {height.shape}; y_m and x_m say {(y.size, x.size)}")
-        spacing = _spacing(x, y)
-        name = str(arrays.get("name", Path(path).stem))
-        synthetic = bool(arrays.get("synthetic", False))
-        terrain = build_terrain(name, float(x[0]), float(y[0]), spacing, height, soil, synthetic=synthetic)
-        return terrain.with_soil(**{key: arrays[key] for key in SOIL_COLUMNS if key in arrays})
-    except (TypeError, ValueError) as error:
-        raise DataError(f"{path}: {error}") from error
-
-
-def write_terrain(terrain: Terrain, path: str | Path) -> None:
-    """Write a terrain as `read_terrain` reads it. Raises OutputError."""
-    from_si: dict[str, FloatArray] = {name: _from_si(name, terrain.soil[..., k]) for name, k in SOIL_COLUMNS.items()}
-    content: dict[str, Any] = {
-        "x_m": terrain.x_m,
-        "y_m": terrain.y_m,
-        "height_m": terrain.height_m,
-        "name": np.array(terrain.name),
-        "synthetic": np.array(terrain.synthetic),
-        **from_si,
-    }
-    try:
-        with Path(path).open("wb") as file:
-            np.savez_compressed(file, **content)
-    except OSError as error:
-        raise OutputError(f"{path}: {error.strerror}") from error
-
-
-def _load(path: Path) -> dict[str, Any]:
-    try:
-        archive = np.load(path, allow_pickle=False)
-        if not isinstance(archive, np.lib.npyio.NpzFile):
-            raise DataError(f"{path}: a single array, not a NumPy archive; write it with numpy.savez")
-        with archive:
-            return {key: archive[key] for key in archive.files}
-    except DataError:
-        raise
-    except OSError as error:
-        raise DataError(f"{path}: {error.strerror or 'not a NumPy archive; write it with numpy.savez'}") from error
-    except (
-        AttributeError, EOFError, MemoryError, NotImplementedError, SyntaxError, ValueError, zipfile.BadZipFile,
-        zlib.error,
-    ) as error:  # fmt: skip
-        raise DataError(f"{path}: not a NumPy archive that can be read; write it with numpy.savez") from error
-
-
-def _spacing(x: FloatArray, y: FloatArray) -> float:
-    if x.ndim != 1 or y.ndim != 1 or min(x.size, y.size) < 3:
-        raise DataError("x_m and y_m must be lists of at least 3 numbers")
-    spacing = float(x[-1] - x[0]) / (x.size - 1)
-    for name, axis in (("x_m", x), ("y_m", y)):
-        if not (spacing > 0 and np.allclose(np.diff(axis), spacing, rtol=0, atol=1e-4 * spacing)):
-            raise DataError(f"{name} must ascend in even steps, the same in x and y ({spacing:g} m from x_m)")
-    return spacing
 
 
 def _column(name: str) -> int:
@@ -314,7 +239,8 @@ def _to_si(name: str, values: FloatArray) -> FloatArray:
     return np.tan(np.radians(values)) if name.endswith("_deg") else values * _factor(name)
 
 
-def _from_si(name: str, values: FloatArray) -> FloatArray:
+def from_si(name: str, values: FloatArray) -> FloatArray:
+    """A soil parameter in the unit of its name."""
     return np.degrees(np.arctan(values)) if name.endswith("_deg") else values / _factor(name)
 
 

@@ -13,7 +13,8 @@ from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.longji import synthetic_longji
 from lunarsci.twin.outcomes import OUTCOMES
 from lunarsci.twin.plan import read_plan
-from lunarsci.twin.rover import Rover
+from lunarsci.twin.rover import Rover, build_rover
+from lunarsci.twin.tables import state_table
 from lunarsci.twin.terrain import build_terrain
 
 WEIGHT = 135.0 * 1.622
@@ -141,3 +142,15 @@ def test_absurd_soil_has_a_stated_outcome(yutu2: Rover, slope, straight, soil: d
     result = predict(yutu2, slope(-0.05).with_soil(**soil), straight(2.0), sweep=())
     assert result.outcome_text(0) in OUTCOMES
     assert np.isfinite(result.paths).all() and np.isfinite(result.states).all()
+
+
+def test_a_four_wheeler_drives_its_arc(slope, straight) -> None:  # type: ignore[no-untyped-def]
+    rover = build_rover("small-four")
+    result = predict(rover, slope(), straight(3.0, 0.2, speed_m_s=0.04), sweep=())
+    assert result.outcome_text(0) == "finished"
+    assert result.states.shape[2] == len(rover.wheels) == 4
+    exact = (math.sin(0.6) / 0.2, (1 - math.cos(0.6)) / 0.2)
+    assert result.endpoints_m[0] == pytest.approx(exact, abs=0.15)
+    weight = rover.mass_kg * rover.gravity_m_s2
+    assert column(result, "normal_force_n").sum() == pytest.approx(weight, rel=1e-3)
+    assert set(state_table(result)["wheel"]) == {"FL", "FR", "RL", "RR"}

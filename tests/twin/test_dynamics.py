@@ -12,28 +12,49 @@ from lunarsci.twin.outcomes import FINISHED
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.terrain import Grid, build_terrain, lay_soil
 
-STRAIGHT, ROLLING = np.zeros(6), np.full(6, 0.05)
+STRAIGHT, ROLLING = np.zeros(6), np.full(6, 0.05)  # a four-wheeler takes the first four
 ABYSS = build_terrain("far below", -50.0, -50.0, 10.0, np.full((11, 11), -100.0), read_soil("longji")).grid()
 OWN_SOIL = np.full((LANES, 8), np.nan)
 
 
-@pytest.fixture(scope="module")
-def rover() -> Rover:
-    """Yutu-2 without friction, and with lengths that break every symmetry that could hide a mistake."""
+BOGIE_LENGTHS = {
+    "rear": {
+        "front_wheel_m": (0.52, 0.04, -0.11),
+        "bogie_pivot_m": (-0.27, 0.02, -0.03),
+        "middle_wheel_m": (0.24, 0.01, -0.09),
+        "rear_wheel_m": (-0.29, 0.03, -0.07),
+    },
+    "front": {
+        "front_wheel_m": (0.27, 0.03, -0.07),
+        "bogie_pivot_m": (0.26, 0.02, -0.03),
+        "middle_wheel_m": (-0.22, 0.01, -0.09),
+        "rear_wheel_m": (-0.51, 0.04, -0.11),
+    },
+    "none": {
+        "front_wheel_m": (0.52, 0.04, -0.11),
+        "bogie_pivot_m": None,
+        "middle_wheel_m": None,
+        "rear_wheel_m": (-0.41, 0.03, -0.12),
+    },
+}
+
+
+@pytest.fixture(scope="module", params=list(BOGIE_LENGTHS))
+def rover(request: pytest.FixtureRequest) -> Rover:
+    """Without friction, and with lengths that break every symmetry that could hide a mistake."""
     return dataclasses.replace(
         build_rover("yutu2"),
+        bogie=request.param,
+        steered=("front", "rear"),
         joint_damping_n_m_s=0.0,
         body_center_m=(0.07, 0.03, 0.31),
-        front_wheel_m=(0.52, 0.04, -0.11),
-        bogie_pivot_m=(-0.27, 0.02, -0.03),
-        middle_wheel_m=(0.24, 0.01, -0.09),
-        rear_wheel_m=(-0.29, 0.03, -0.07),
+        **BOGIE_LENGTHS[request.param],
     )
 
 
-def ready(grid: Grid) -> Work:
+def ready(grid: Grid, rover: Rover) -> Work:
     """Scratch arrays with the terrain's soil under every wheel."""
-    work = new_work(6)
+    work = new_work(len(rover.wheels))
     for wheel in work.wheels:
         lay_soil(grid, OWN_SOIL, wheel)
     return work
@@ -71,7 +92,7 @@ def random_state(seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 def equations(rover: Rover, pose: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mass matrix and force: with no ground in reach, a step of 1 s has M as its matrix and the force on its right."""
-    work = ready(ABYSS)
+    work = ready(ABYSS, rover)
     put_state(work, pose, u)
     assemble(rover.vector(), rover.wheel.vector(), ABYSS, OWN_SOIL, STRAIGHT, ROLLING, 1.0, True, work)
     return system_of(work)
@@ -88,6 +109,16 @@ def about_y(angle: float) -> np.ndarray:
     return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
 
 
+def on_bogie(rover: Rover) -> list[tuple[float, float, float]]:
+    pairs = {"rear": ["middle", "rear"], "front": ["front", "middle"], "none": []}[rover.bogie]
+    return [getattr(rover, f"{pair}_wheel_m") for pair in pairs]
+
+
+def on_rocker(rover: Rover) -> list[tuple[float, float, float]]:
+    pairs = {"rear": ["front"], "front": ["rear"], "none": ["front", "rear"]}[rover.bogie]
+    return [getattr(rover, f"{pair}_wheel_m") for pair in pairs]
+
+
 def mass_points(rover: Rover, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Masses and world positions of chassis centre and wheels, from the rover's description alone."""
     points = [np.array(rover.body_center_m)]
@@ -95,11 +126,12 @@ def mass_points(rover: Rover, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]
         mirror = np.array([1.0, -1.0 if k else 1.0, 1.0])
         rocker = about_y(-pose[7] if k else pose[7])
         pivot = mirror * (0.0, rover.rocker_pivot_y_m, 0.0)
-        bogie = pivot + rocker @ (mirror * rover.bogie_pivot_m)
-        points.append(pivot + rocker @ (mirror * rover.front_wheel_m))
-        for arm in (rover.middle_wheel_m, rover.rear_wheel_m):
+        for arm in on_rocker(rover):
+            points.append(pivot + rocker @ (mirror * arm))
+        for arm in on_bogie(rover):
+            bogie = pivot + rocker @ (mirror * rover.bogie_pivot_m)
             points.append(bogie + rocker @ about_y(pose[8 + k]) @ (mirror * arm))
-    masses = np.array([rover.body_kg] + [rover.wheel_kg] * 6)
+    masses = np.array([rover.body_kg] + [rover.wheel_kg] * len(rover.wheels))
     return masses, pose[:3] + np.array(points) @ rotation(pose).T
 
 
@@ -127,6 +159,8 @@ def invariants(rover: Rover, pose: np.ndarray, u: np.ndarray) -> np.ndarray:
 def test_free_flight_conserves_momentum_angular_momentum_and_energy(rover: Rover) -> None:
     weightless = dataclasses.replace(rover, gravity_m_s2=1e-300)
     pose, u = random_state(3)
+    if rover.bogie == "none":
+        u[7:] = 0.0
     before = invariants(weightless, pose, u)
     dt = 2e-3
 
@@ -171,21 +205,29 @@ def test_mass_matrix_and_forces_agree_with_mujoco(rover: Rover) -> None:
     data = mujoco.MjData(model)
     for seed in range(5):
         pose, u = random_state(seed)
-        data.qpos[:] = np.concatenate([pose[:7], [pose[7], pose[8], -pose[7], pose[9]]])
-        into = np.zeros((10, 9))
+        bogies = rover.bogie != "none"
+        joints = [pose[7], pose[8], -pose[7], pose[9]] if bogies else [pose[7], -pose[7]]
+        data.qpos[:] = np.concatenate([pose[:7], joints])
+        into = np.zeros((len(data.qvel), 9))
         into[:3, :3] = np.eye(3)
         into[3:6, 3:6] = rotation(pose).T
-        into[6, 6], into[7, 7], into[8, 6], into[9, 8] = 1.0, 1.0, -1.0, 1.0
+        left, right = (6, 8) if bogies else (6, 7)
+        into[left, 6], into[right, 6] = 1.0, -1.0
+        if bogies:
+            into[7, 7], into[9, 8] = 1.0, 1.0
         data.qvel[:] = into @ u
         mujoco.mj_forward(model, data)
-        full = np.column_stack([mujoco_mass_times(mujoco, model, data, column) for column in np.eye(10)])
+        full = np.column_stack([mujoco_mass_times(mujoco, model, data, column) for column in np.eye(len(data.qvel))])
         mass, force = equations(rover, pose, u)
+        if not bogies:  # their rows stand idle
+            assert np.allclose(mass[7:], np.eye(9)[7:])
+            mass[7, 7] = mass[8, 8] = 0.0
         assert np.allclose(into.T @ full @ into, mass, atol=1e-6)
         assert np.allclose(-into.T @ data.qfrc_bias, force, atol=1e-6)
 
 
 def mujoco_mass_times(mujoco, model, data, column: np.ndarray) -> np.ndarray:  # type: ignore[no-untyped-def]
-    result = np.zeros(10)
+    result = np.zeros(len(column))
     mujoco.mj_mulM(model, data, result, column)
     return result
 
@@ -201,10 +243,10 @@ def mjcf(rover: Rover) -> str:
     def side(sign: float) -> str:
         mirror = np.array([1.0, sign, 1.0])
         hinge = '<joint type="hinge" axis="0 1 0"/><inertial pos="0 0 0" mass="1e-9" diaginertia="1e-9 1e-9 1e-9"/>'
-        wheels = "".join(point(mirror * arm) for arm in (rover.middle_wheel_m, rover.rear_wheel_m))
-        bogie = f'<body pos="{text(mirror * rover.bogie_pivot_m)}">{hinge}{wheels}</body>'
+        wheels = "".join(point(mirror * arm) for arm in on_bogie(rover))
+        bogie = f'<body pos="{text(mirror * rover.bogie_pivot_m)}">{hinge}{wheels}</body>' if wheels else ""
         pivot = text([0.0, sign * rover.rocker_pivot_y_m, 0.0])
-        return f'<body pos="{pivot}">{hinge}{point(mirror * rover.front_wheel_m)}{bogie}</body>'
+        return f'<body pos="{pivot}">{hinge}{"".join(point(mirror * arm) for arm in on_rocker(rover))}{bogie}</body>'
 
     return f"""<mujoco><option gravity="0 0 {-rover.gravity_m_s2}"/><worldbody><body><freejoint/>
       <inertial pos="{text(rover.body_center_m)}" mass="{rover.body_kg}"
@@ -213,7 +255,7 @@ def mjcf(rover: Rover) -> str:
 
 
 def test_free_fall_is_exact(rover: Rover) -> None:
-    vector, tyre, work = rover.vector(), rover.wheel.vector(), ready(ABYSS)
+    vector, tyre, work = rover.vector(), rover.wheel.vector(), ready(ABYSS, rover)
     pose, u = np.zeros(10), np.zeros(9)
     pose[3], u[:3] = 1.0, (0.1, -0.2, 0.3)
     put_state(work, pose, u)
@@ -235,7 +277,7 @@ def test_free_fall_is_exact(rover: Rover) -> None:
 def test_the_blockwise_solution_solves_the_system(rover: Rover) -> None:
     """On the ground, with all its stiffness and damping, against numpy."""
     ground = build_terrain("ground", -50.0, -50.0, 10.0, np.zeros((11, 11)), read_soil("longji")).grid()
-    work = ready(ground)
+    work = ready(ground, rover)
     for seed in range(5):
         pose, u = random_state(seed)
         pose[2:7] = 0.24, 1.0, 0.02, -0.03, 0.04

@@ -11,7 +11,7 @@ from lunarsci.twin.ensemble import Prediction, member_parameters, predict
 from lunarsci.twin.figure import path_fan
 from lunarsci.twin.longji import synthetic_longji
 from lunarsci.twin.plan import Limit, parse_sweep, read_plan
-from lunarsci.twin.rover import WHEELS, Rover
+from lunarsci.twin.rover import Rover
 from lunarsci.twin.safety import covering_circle, extremes, judge, tilt_deg
 from lunarsci.twin.tables import endpoint_table, path_table, state_table
 from lunarsci.twin.terrain import Terrain
@@ -162,7 +162,7 @@ def test_tables_hold_what_the_arrays_hold(prediction: Prediction) -> None:
         *("member", "distance_m", "time_s", "wheel", "x_m", "y_m", "sinkage_m", "slip_ratio", "side_slip_deg"),
         *("normal_force_n", "drawbar_pull_n", "lateral_force_n", "resistance_torque_nm", "valid"),
     ]
-    assert len(states) == 6 * samples * len(WHEELS) and states["valid"].dtype == bool
+    assert len(states) == 6 * samples * len(prediction.rover.wheels) and states["valid"].dtype == bool
     row = states[(states["member"] == 4) & (states["wheel"] == "RL")].iloc[10]
     assert row["sinkage_m"] == prediction.states[4, 10, 4, 2]
     assert row["time_s"] == pytest.approx(row["distance_m"] / 0.05)

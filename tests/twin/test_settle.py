@@ -8,21 +8,22 @@ import pytest
 
 from lunarsci.twin.lanes import LANES, NORMAL, new_work
 from lunarsci.twin.outcomes import FINISHED, HOLE, LEFT, SANK, UNSETTLED
-from lunarsci.twin.rover import Rover
+from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.settle import settle
 from lunarsci.twin.terrain import Terrain, soil_override
 
 
 def loads(rover: Rover, terrain: Terrain, heading: float = 0.0, at: tuple[float, float] = (0.0, 0.0), **soil: float):  # type: ignore[no-untyped-def]
     """Outcome, F_N of FL, FR, ML, MR, RL, RR, and the pose."""
-    work = new_work(6)
+    count = len(rover.wheels)
+    work = new_work(count)
     start = np.array([*at, heading, 0.05, 0.0])
-    still, speed, override = np.zeros(6), np.full(6, 0.05), np.tile(soil_override(soil), (LANES, 1))
+    still, speed, override = np.zeros(count), np.full(count, 0.05), np.tile(soil_override(soil), (LANES, 1))
     settle(rover.vector(), rover.wheel.vector(), terrain.grid(), override, start, still, speed, work)
     assert (work.code == work.code[0]).all()
     return (
         int(work.code[0]),
-        work.wheels.reshape(6, -1, LANES)[:, NORMAL, 0].copy(),
+        work.wheels.reshape(count, -1, LANES)[:, NORMAL, 0].copy(),
         work.body.reshape(-1, LANES)[:10, 0].copy(),
     )
 
@@ -60,6 +61,40 @@ def test_loads_follow_the_levers(yutu2: Rover, slope, changes) -> None:  # type:
     assert code == FINISHED
     assert normal == pytest.approx(levers(rover), rel=1e-6)
     assert normal.sum() == pytest.approx(rover.mass_kg * rover.gravity_m_s2, rel=1e-9)
+
+
+def test_a_bogie_at_the_front_mirrors_one_at_the_rear(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
+    """The same rover seen from behind, its centre of mass moved the other way."""
+    flip = np.array([-1.0, 1.0, 1.0])
+
+    def mirrored(arm: tuple[float, float, float] | None) -> tuple[float, ...]:
+        return tuple(map(float, flip * arm))
+
+    rear = dataclasses.replace(yutu2, body_center_m=(0.06, 0.05, 0.3), middle_wheel_m=(0.21, 0.0, -0.08))
+    front = dataclasses.replace(
+        rear,
+        bogie="front",
+        body_center_m=mirrored(rear.body_center_m),
+        front_wheel_m=mirrored(rear.rear_wheel_m),
+        middle_wheel_m=mirrored(rear.middle_wheel_m),
+        rear_wheel_m=mirrored(rear.front_wheel_m),
+        bogie_pivot_m=mirrored(rear.bogie_pivot_m),
+    )
+    one, two = (loads(rover, slope(), stiffness_kpa_m_n=1443.0 * 3e6)[1] for rover in (rear, front))
+    assert one[[4, 5, 2, 3, 0, 1]] == pytest.approx(two, rel=1e-6)
+
+
+def test_a_four_wheeler_rests_on_its_levers(slope) -> None:  # type: ignore[no-untyped-def]
+    rover = dataclasses.replace(build_rover("small-four"), body_center_m=(0.03, 0.02, 0.06))
+    code, normal, _ = loads(rover, slope(), stiffness_kpa_m_n=1443.0 * 3e6)
+    assert code == FINISHED
+    g, body = rover.gravity_m_s2, rover.body_kg * rover.gravity_m_s2
+    for k, sign in enumerate((1.0, -1.0)):
+        side = 0.5 * body * (1.0 + sign * 0.02 / rover.rocker_pivot_y_m)
+        moment = 0.5 * body * 0.03  # the differential gives both rockers the same
+        front = (moment - side * rover.rear_wheel_m[0]) / (rover.front_wheel_m[0] - rover.rear_wheel_m[0])
+        assert normal[k] == pytest.approx(front + rover.wheel_kg * g, rel=1e-6)
+        assert normal[2 + k] == pytest.approx(side - front + rover.wheel_kg * g, rel=1e-6)
 
 
 def test_loads_of_yutu2_are_equal_and_36_n(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]

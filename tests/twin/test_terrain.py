@@ -20,10 +20,9 @@ from lunarsci.twin.terrain import (
     build_terrain,
     lay_soil,
     read_ground,
-    read_terrain,
     soil_override,
-    write_terrain,
 )
+from lunarsci.twin.terrain_files import read_terrain, write_terrain
 
 NOTHING = np.full(8, np.nan)
 
@@ -108,12 +107,14 @@ def test_a_file_comes_back_as_it_was_written(tmp_path: Path, longji_soil: Soil) 
     assert back.synthetic and back.name == ground.name and back.spacing_m == pytest.approx(0.2)
     assert np.array_equal(back.height_m, ground.height_m, equal_nan=True)
     assert np.allclose(back.soil, ground.soil, rtol=1e-12)
+    write_terrain(synthetic_longji(spacing_m=0.2), tmp_path / "uniform.npz")
+    assert read_terrain(tmp_path / "uniform.npz", longji_soil).soil.shape == (1, 1, 8)
 
 
 def test_a_file_without_soil_takes_the_soil_given(tmp_path: Path, longji_soil: Soil) -> None:
     np.savez(tmp_path / "t.npz", x_m=np.arange(4.0), y_m=np.arange(3.0), height_m=np.zeros((3, 4)), cohesion_pa=170.0)
     ground = read_terrain(tmp_path / "t.npz", longji_soil)
-    assert ground.soil[1, 1] == pytest.approx(longji_soil.replace(cohesion_pa=170.0).vector())
+    assert ground.soil[0, 0] == pytest.approx(longji_soil.replace(cohesion_pa=170.0).vector())
     assert not ground.synthetic
 
 
