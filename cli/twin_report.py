@@ -12,6 +12,7 @@ from lunarsci.twin.longji import synthetic_longji
 from lunarsci.twin.plan import Plan, read_plan
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.safety import Verdict, judge
+from lunarsci.twin.sensitivity import EndpointSensitivity, endpoint_sensitivity, step_error_m
 from lunarsci.twin.tables import endpoint_table, path_table, state_table
 from lunarsci.twin.terrain import Terrain
 from lunarsci.twin.terrain_files import read_terrain
@@ -64,6 +65,7 @@ def read_scene(plan: str | None, rover: str, terrain: str, soil: str) -> Scene:
 def predict_report(scene: Scene, prediction: Prediction) -> Report:
     """The report of `twin predict`."""
     verdict = judge(prediction, scene.plan)
+    shares, step_error = endpoint_sensitivity(prediction), step_error_m(prediction)
 
     def figures() -> Any:
         from lunarsci.twin.figure import path_fan
@@ -72,8 +74,9 @@ def predict_report(scene: Scene, prediction: Prediction) -> Report:
 
     return Report(
         schema="twin-predict/1",
-        result=_result(scene, prediction, verdict),
-        tables=verdict_tables(scene, prediction, verdict),
+        result=_result(scene, prediction, verdict)
+        | {"sensitivity": [asdict(share) for share in shares], "step_error_m": step_error},
+        tables=[*verdict_tables(scene, prediction, verdict), *_sensitivity_tables(shares, step_error)],
         rows=[asdict(limit) for limit in verdict.limits],
         figures=figures,
         inputs=scene.inputs,
@@ -126,6 +129,15 @@ def verdict_tables(scene: Scene, prediction: Prediction, verdict: Verdict) -> li
     ]
     title = f"{verdict.verdict.upper()}: {scene.plan.name}; {prediction.members} drives on {scene.terrain.name}"
     return [TextTable(headers, rows, title=title, notes=[*_endpoint_notes(verdict), *verdict.reasons, *verdict.notes])]
+
+
+def _sensitivity_tables(shares: list[EndpointSensitivity], step_error: float | None) -> list[TextTable]:
+    rows = [[share.parameter, f"{share.x_m:.3f}", f"{share.y_m:.3f}", f"{100 * share.share:.0f} %"] for share in shares]
+    notes = [] if step_error is None else [f"the time step puts ends off by about {1e3 * step_error:.1f} mm"]
+    if not rows:
+        return [TextTable([], [], title=notes[0])] if notes else []
+    headers = ["over the range of", "x [m]", "y [m]", "of the variance"]
+    return [TextTable(headers, rows, title="What moves the end", notes=notes)]
 
 
 def _endpoint_notes(verdict: Verdict) -> list[str]:
