@@ -18,14 +18,11 @@ def test_one_parameter_at_a_time_moves_the_end_as_the_fit_says(yutu2: Rover) -> 
     """Against two drives at the ends of each range, the other parameter at its middle."""
     terrain, plan = synthetic_longji(rms_m=0.0), read_plan()
     found = {share.parameter: share for share in endpoint_sensitivity(predict(yutu2, terrain, plan, sweep=SWEEP))}
-    for name, others in (
-        ("friction_angle_deg", "lateral_modulus_mm=30:30:1"),
-        ("lateral_modulus_mm", "friction_angle_deg=40:40:1"),
+    for name, own, other in (
+        ("friction_angle_deg", "friction_angle_deg=25:55:2", "lateral_modulus_mm=30:30:1"),
+        ("lateral_modulus_mm", "lateral_modulus_mm=15:45:2", "friction_angle_deg=40:40:1"),
     ):
-        own = {"friction_angle_deg": "friction_angle_deg=25:55:2", "lateral_modulus_mm": "lateral_modulus_mm=15:45:2"}[
-            name
-        ]
-        pair = predict(yutu2, terrain, plan, sweep=(parse_sweep(own), parse_sweep(others)))
+        pair = predict(yutu2, terrain, plan, sweep=(parse_sweep(own), parse_sweep(other)))
         order = np.argsort(pair.parameters[name])
         shift = pair.endpoints_m[order[1]] - pair.endpoints_m[order[0]]
         assert np.hypot(*(shift - (found[name].x_m, found[name].y_m))) < 0.25 * np.hypot(*shift)
@@ -42,6 +39,10 @@ def test_the_stated_step_error_is_the_one_against_a_fine_step(yutu2: Rover, dt: 
     coarse, fine = (predict(yutu2, terrain, plan, sweep=(), time_step_s=step) for step in (dt, 0.002))
     error = float(np.hypot(*(coarse.endpoints_m[0] - fine.endpoints_m[0])))
     assert step_error_m(coarse) == pytest.approx(error, rel=0.3)
+
+
+def test_steps_too_fine_to_matter_are_not_halved(yutu2: Rover, slope, straight) -> None:  # type: ignore[no-untyped-def]
+    assert step_error_m(predict(yutu2, slope(), straight(0.2), sweep=(), time_step_s=0.005)) is None
 
 
 def test_a_drive_that_did_not_finish_has_no_step_error(yutu2: Rover, slope, straight) -> None:  # type: ignore[no-untyped-def]
