@@ -70,8 +70,7 @@ def compare(
     if result is not None:
         source = read_input(result)
         inputs = {source.name: source.sha256}
-        site = _site_of(source.data, source.name)
-        curves = {aspect: json.loads(source.data)["result"][aspect]["curve"] for aspect in ASPECTS}
+        site, curves = _site_of(source.data, source.name)
     else:
         site = Site(
             stiffness_kpa_m_n=stiffness,
@@ -99,13 +98,14 @@ def compare(
     )
 
 
-def _site_of(data: bytes, name: str) -> "Site":
-    """The joint posterior's medians where there is one, else the site values."""
+def _site_of(data: bytes, name: str) -> "tuple[Site, dict[str, Any]]":
+    """The joint posterior's medians where there is one, else the site values; and the curves by aspect."""
     from lunarsci.errors import DataError
     from lunarsci.regolith.compare import Site
 
     try:
         found = json.loads(data)["result"]
+        curves = {aspect: found[aspect]["curve"] for aspect in ASPECTS}
         if "joint" in found:
             values = {own: found["joint"]["parameters"][_NAMES[own][1]]["median"] for own in _NAMES}
         else:
@@ -116,7 +116,7 @@ def _site_of(data: bytes, name: str) -> "Site":
     for pair in PAIRS:
         if any(values[key] is None for key in pair):
             values |= dict.fromkeys(pair)
-    return Site(**values)
+    return Site(**values), curves
 
 
 def _record(item: "Comparison", width: float) -> dict[str, Any]:

@@ -44,8 +44,8 @@ Shear = Annotated[
 Bulldozing = Annotated[
     Literal["none", "hegedus", "wong"], _exact("Soil against the side face, by Hegedus or by passive pressure.")
 ]
-Density = Annotated[float, _exact("Soil density [kg/m³], for --bulldozing.")]
-Gravity = Annotated[float, _exact("Gravity [m/s²], for --bulldozing.")]
+Density = Annotated[float, _exact("Soil density [kg/m³], for --bulldozing and Reece's moduli.")]
+Gravity = Annotated[float, _exact("Gravity [m/s²], for --bulldozing and Reece's moduli.")]
 Rebound = Annotated[float | None, _exact("Share of the sinkage that springs back behind the wheel, 0-1.")]
 Rut = Annotated[float, _exact("How deep a wheel before has pressed the soil [m]; needs --reload.")]
 Reload = Annotated[float, _exact("Slope of loading in a rut [N/m³], k_0 of Wong's reloading line.")]

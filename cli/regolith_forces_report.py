@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 from lunarsci.provenance import sha256
 from lunarsci.regolith.bearing import SlipSinkageLaw, reece_stiffness, slip_sinkage
-from lunarsci.regolith.forces import Reading, WheelForces, wheel_forces
+from lunarsci.regolith.forces import Reading
+from lunarsci.regolith.integrals import forces_by
 from lunarsci.regolith.load import sinkage_under_load, stiffness_under_load
 from lunarsci.regolith.soil import Soil, read_soil, soil_hash
 from lunarsci.regolith.states import MAX_VALID_SLIP
@@ -18,7 +19,6 @@ from .table import TextTable
 
 if TYPE_CHECKING:
     from lunarsci.regolith.contact import ContactModel
-    from lunarsci.regolith.integrals import ContactForces
 
 __all__ = ["Asked", "forces_report", "soil_of"]
 
@@ -93,13 +93,7 @@ def forces_report(
         text = f"slip ratio {slip:g} is beyond {MAX_VALID_SLIP:g}, up to which the model was compared with wheels"
         warnings.warn(text, LunarSciWarning, stacklevel=2)
     sinkage_m, soil = _settled(wheel, soil, asked, reading, model)
-    found: WheelForces | ContactForces
-    if model is None:
-        found = wheel_forces(wheel, soil, sinkage_m, slip, side_slip_deg, reading=reading)
-    else:
-        from lunarsci.regolith.integrals import contact_forces
-
-        found = contact_forces(wheel, soil, sinkage_m, slip, side_slip_deg, model)
+    found = forces_by(model, wheel, soil, sinkage_m, slip, side_slip_deg, reading)
     state = {"sinkage_m": sinkage_m, "slip_ratio": slip, "side_slip_deg": side_slip_deg}
     result = state | {name: float(getattr(found, name)) for name in found.__slots__} | {"soil": asdict(soil)}
 

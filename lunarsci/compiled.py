@@ -6,11 +6,11 @@ from typing import Any
 
 import numba
 
-__all__ = ["LANES", "VECTORS", "compiled", "each_in_threads", "in_lanes", "joined", "pasted"]
+__all__ = ["LANE_OPTIONS", "VECTORS", "compiled", "each_in_threads", "in_lanes", "joined", "pasted"]
 
 VECTORS = {"reassoc", "contract", "nsz", "arcp"}
 """`fastmath` that lets sums become vector instructions and still knows infinity and NaN."""
-LANES: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz"}}
+LANE_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz"}}
 """Options of `in_lanes`."""
 
 
@@ -33,7 +33,7 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
 
 def in_lanes(function: Callable[..., Any], **options: Any) -> Any:
     """Compile a loop that may work on several arguments at once: divisions unchecked, products fused, sums in order."""
-    return compiled(function, nogil=True, **LANES, **options)
+    return compiled(function, nogil=True, **LANE_OPTIONS, **options)
 
 
 def pasted(function: Callable[..., Any]) -> Any:

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from lunarsci import elementary
-from lunarsci.compiled import LANES
+from lunarsci.compiled import LANE_OPTIONS
 from lunarsci.elementary import arcsin, cosine, exp_minus_one, exponential, logarithm, sine
 
 
 def over(function: Any, x: np.ndarray) -> tuple[np.ndarray, str]:
     """Values over an array, and the assembly of the loop."""
 
-    @numba.njit(**LANES)
+    @numba.njit(**LANE_OPTIONS)
     def loop(x: Any, out: Any) -> None:
         for i in range(len(x)):
             out[i] = function(x[i])

@@ -6,9 +6,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from lunarsci.regolith.contact import ContactModel
-from lunarsci.regolith.forces import Reading, WheelForces, wheel_forces
+from lunarsci.regolith.forces import Reading, WheelForces
 from lunarsci.regolith.identify import Identification
-from lunarsci.regolith.integrals import ContactForces, contact_forces
+from lunarsci.regolith.integrals import ContactForces, forces_by
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.wheel import Wheel
 
@@ -32,9 +32,7 @@ def forces_over_slip(
     """Normal force, drawbar pull and lateral force against slip at one sinkage, with the asked state marked."""
 
     def forces(slip: Any) -> WheelForces | ContactForces:
-        if model is None:
-            return wheel_forces(wheel, soil, sinkage_m, slip, side_slip_deg, reading=reading)
-        return contact_forces(wheel, soil, sinkage_m, slip, side_slip_deg, model)
+        return forces_by(model, wheel, soil, sinkage_m, slip, side_slip_deg, reading)
 
     slip = np.linspace(-0.6, 0.6, 241)
     curves, here = forces(slip), forces(slip_ratio)

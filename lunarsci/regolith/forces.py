@@ -34,6 +34,7 @@ __all__ = [
     "check_states",
     "contact_angles",
     "longitudinal_mobilisation",
+    "motion_ratios",
     "reading_code",
     "slip_ratio",
     "stress_moments",
@@ -50,14 +51,14 @@ LEAST_SINKAGE_M = 1e-7
 """Below this the contact angles round to nothing."""
 
 
-@compiled
-def travel_ratio(slip: float) -> float:
+@pasted
+def travel_ratio(slip: Any) -> Any:
     """v_x / (r_s omega) from the slip ratio of Eq. 8, s > -1: 1 - s in slip, 1/(1 + s) in skid. [-]"""
     return 1.0 - slip if slip >= 0.0 else 1.0 / (1.0 + slip)
 
 
-@compiled
-def slip_ratio(travel: float) -> float:
+@pasted
+def slip_ratio(travel: Any) -> Any:
     """Slip ratio of Eq. 8 from v_x / (r_s omega); the inverse of `travel_ratio`. [-]"""
     return 1.0 - travel if travel <= 1.0 else 1.0 / travel - 1.0
 
@@ -132,7 +133,7 @@ def wheel_forces_and_slopes(sinkage: Any, travel: Any, lateral: Any, wheel: Any,
     """
     r, b, h, r_s, c1, c2, c3 = wheel
     stiffness, n0, n1, cohesion, tan_phi, k_x, tan_phi_y, k_y = soil
-    slip = 1.0 - travel if travel <= 1.0 else 1.0 / travel - 1.0
+    slip = slip_ratio(travel)
     # Half-angle forms: 1 - cos(theta_1) = z / r, for grouser tips (z + h) / (r + h).
     q, q_e = sinkage / (2.0 * r), (sinkage + h) / (2.0 * (r + h))
     half, half_e = math.sqrt(q), math.sqrt(q_e)
@@ -247,12 +248,16 @@ def wheel_forces(
     parts = np.broadcast_arrays(*(np.asarray(v, dtype=float) for v in (sinkage_m, slip_ratio, side_slip_deg)))
     z, s, beta = (part.ravel() for part in parts)
     check_states(z, s, beta, wheel.radius_m)
-    travel = np.where(s >= 0, 1 - s, 1 / (1 + s))
-    lateral = travel * np.tan(np.radians(beta))
-    forces = _each_state(z, travel, lateral, wheel.vector(), soil.vector(), reading_code(reading))
+    forces = _each_state(z, *motion_ratios(s, beta), wheel.vector(), soil.vector(), reading_code(reading))
     if not np.isfinite(forces).all():
         raise ParameterError("the forces are beyond any number; check sinkage and soil parameters")
     return WheelForces(*(forces[k].reshape(parts[0].shape) for k in range(4)))
+
+
+def motion_ratios(slip_ratio: FloatArray, side_slip_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """v_x and v_y over r_s omega of states with s > -1, each of their shape. [-]"""
+    travel = np.where(slip_ratio >= 0, 1 - slip_ratio, 1 / (1 + slip_ratio))
+    return travel, travel * np.tan(np.radians(side_slip_deg))
 
 
 def check_states(z: FloatArray, s: FloatArray, beta: FloatArray, radius: float) -> None:

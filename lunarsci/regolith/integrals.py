@@ -14,11 +14,20 @@ import numpy.typing as npt
 from lunarsci.compiled import compiled
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.contact import ContactModel
-from lunarsci.regolith.forces import FloatArray, check_states, mobilised, slip_ratio, travel_ratio
+from lunarsci.regolith.forces import (
+    FloatArray,
+    Reading,
+    WheelForces,
+    check_states,
+    mobilised,
+    motion_ratios,
+    slip_ratio,
+    wheel_forces,
+)
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.wheel import Wheel
 
-__all__ = ["ContactForces", "contact_forces", "contact_kernel", "moving_contact_forces"]
+__all__ = ["ContactForces", "contact_forces", "contact_kernel", "forces_by", "moving_contact_forces"]
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(12)
 """On either side of the angle of maximum stress; doubling them moves forces by up to 1.3e-3 of the load."""
@@ -186,9 +195,23 @@ def contact_forces(
     parts = np.broadcast_arrays(*(np.asarray(v, dtype=float) for v in (sinkage_m, slip_ratio, side_slip_deg)))
     z, s, beta = (part.ravel() for part in parts)
     check_states(z, s, beta, wheel.radius_m)
-    travel = np.array([travel_ratio(value) for value in s])
-    velocity = np.column_stack([travel, travel * np.tan(np.radians(beta)), np.ones_like(travel)])
+    velocity = np.column_stack([*motion_ratios(s, beta), np.ones_like(s)])
     return _forces(wheel, soil, z, velocity, model or ContactModel(), parts[0].shape)
+
+
+def forces_by(
+    model: ContactModel | None,
+    wheel: Wheel,
+    soil: Soil,
+    sinkage_m: npt.ArrayLike,
+    slip_ratio: npt.ArrayLike,
+    side_slip_deg: npt.ArrayLike = 0.0,
+    reading: Reading = "signed",
+) -> WheelForces | ContactForces:
+    """`contact_forces` with a model, `wheel_forces` with a reading where it is None; arguments as theirs."""
+    if model is None:
+        return wheel_forces(wheel, soil, sinkage_m, slip_ratio, side_slip_deg, reading=reading)
+    return contact_forces(wheel, soil, sinkage_m, slip_ratio, side_slip_deg, model)
 
 
 def moving_contact_forces(

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from lunarsci.compiled import compiled, in_lanes
 from lunarsci.regolith.contact import ContactModel
-from lunarsci.regolith.forces import wheel_forces_kernel
+from lunarsci.regolith.forces import motion_ratios, wheel_forces_kernel
 from lunarsci.regolith.integrals import NODES, WEIGHTS, contact_kernel
 from lunarsci.regolith.wheel import Wheel
 
@@ -61,8 +61,7 @@ def forces_of_many(values: FloatArray, inputs: FloatArray, wheel: Wheel, model: 
     z, slip = inputs[:, 0], inputs[:, 1]
     possible = (z > 0) & (z < wheel.radius_m) & (slip > -1) & (slip < 1)
     slip = np.where(possible, slip, 0.0)
-    travel = np.where(slip >= 0, 1 - slip, 1 / (1 + slip))
-    states = (np.where(possible, z, np.nan), travel, travel * np.tan(np.radians(inputs[:, 2])), wheel.vector())
+    states = (np.where(possible, z, np.nan), *motion_ratios(slip, inputs[:, 2]), wheel.vector())
     if model is None:
         return np.asarray(_closed(soils, *states))
     return np.asarray(_integrated(soils, *states, model.vector(), (NODES, WEIGHTS)))

@@ -2,8 +2,8 @@
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.contact import ContactModel
-from lunarsci.regolith.forces import LEAST_SINKAGE_M, Reading, wheel_forces
-from lunarsci.regolith.integrals import contact_forces
+from lunarsci.regolith.forces import LEAST_SINKAGE_M, Reading
+from lunarsci.regolith.integrals import forces_by
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.wheel import Wheel
 
@@ -92,6 +92,5 @@ def _normal_force(
     reading: Reading,
     model: ContactModel | None,
 ) -> float:
-    if model is not None:
-        return float(contact_forces(wheel, soil, sinkage_m, slip_ratio, side_slip_deg, model).normal_force_n)
-    return float(wheel_forces(wheel, soil, sinkage_m, slip_ratio, reading=reading).normal_force_n)
+    found = forces_by(model, wheel, soil, sinkage_m, slip_ratio, side_slip_deg, reading)
+    return float(found.normal_force_n)

@@ -18,7 +18,7 @@ from lunarsci.regolith.forces import WheelForces, contact_angles, wheel_forces
 from lunarsci.regolith.identify import Assumptions, Identification, identify
 from lunarsci.regolith.load import sinkage_under_load
 from lunarsci.regolith.soil import Soil
-from lunarsci.regolith.states import MeasurementErrors, WheelStates
+from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates
 from lunarsci.regolith.wheel import Wheel, read_wheel
 from lunarsci.reproduce.numbers import Answer, Number, judge, published_numbers
 
@@ -67,8 +67,7 @@ def _identified(
     """Of one state with the forces of the mean wheel."""
     forces = _forces(wheel)
     values = np.array([[sinkage_m, SLIP, np.nan, float(forces.normal_force_n), float(forces.drawbar_pull_n), np.nan]])
-    columns = ("sinkage_m", "slip_ratio", "side_slip_deg", "normal_force_n", "drawbar_pull_n", "lateral_force_n")
-    sigmas = np.column_stack([errors.of(name, values[:, k]) for k, name in enumerate(columns)])
+    sigmas = np.column_stack([errors.of(name, values[:, k]) for k, name in enumerate(COLUMNS)])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LunarSciWarning)
         reading = "slip-branch" if shear else "signed"

@@ -13,7 +13,7 @@ from typing import Any
 
 from lunarsci.compiled import in_lanes, joined, pasted
 from lunarsci.elementary import arcsin, cosine, sine
-from lunarsci.regolith.forces import wheel_forces_and_slopes
+from lunarsci.regolith.forces import slip_ratio, wheel_forces_and_slopes
 from lunarsci.twin.lanes import (
     ACCELERATION,
     ACROSS,
@@ -129,8 +129,7 @@ def meet_ground(
         forces, slopes = wheel_forces_and_slopes(z, travel, lateral, tyre, soil, 0)
         f_n, f_dp, f_l, m_r = chosen(on, forces)
         slopes = chosen(on, slopes)
-        slip = 1.0 - travel if travel <= 1.0 else 1.0 / travel - 1.0
-        ahead, below = shear_center(z, slip, tyre)
+        ahead, below = shear_center(z, slip_ratio(travel), tyre)
         damping = NORMAL_DAMPING * v[2] * slid
         pressed = max(f_n - damping, 0.0) * on
         bearing = 1.0 if pressed > 0.0 else 0.0

@@ -37,7 +37,7 @@ from lunarsci.twin.lanes import (
 from lunarsci.twin.outcomes import DIVERGED, FINISHED, OVERTURNED, SANK
 from lunarsci.twin.terrain import read_ground
 
-__all__ = ["assemble", "check_health", "eliminate", "move"]
+__all__ = ["assemble", "check_health", "eliminate", "is_upright", "move"]
 
 COS_OVERTURNED = 0.5
 THREE, EIGHT = rows(3, 8)
@@ -215,6 +215,13 @@ def move(body: Any, dt: float) -> None:
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
+def is_upright(body: Any, lane: int) -> bool:
+    """Whether the chassis has not overturned; False for a pose that is no number."""
+    x, y = body[(POSE + 4) * LANES + lane], body[(POSE + 5) * LANES + lane]
+    return bool(1.0 - 2.0 * (x * x + y * y) > COS_OVERTURNED)
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
 def check_health(work: Any) -> None:
     """Note in `work.code` the lanes whose state cannot be driven on."""
     body = work.body
@@ -224,6 +231,5 @@ def check_health(work: Any) -> None:
         for k in range(9):
             if not abs(body[(SPEED + k) * LANES + lane]) < FASTEST:
                 work.code[lane] = DIVERGED
-        x, y = body[(POSE + 4) * LANES + lane], body[(POSE + 5) * LANES + lane]
-        if work.code[lane] == FINISHED and not 1.0 - 2.0 * (x * x + y * y) > COS_OVERTURNED:
+        if work.code[lane] == FINISHED and not is_upright(body, lane):
             work.code[lane] = OVERTURNED

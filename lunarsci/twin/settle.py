@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from lunarsci.compiled import compiled
-from lunarsci.twin.integrate import assemble, eliminate, move
+from lunarsci.twin.integrate import assemble, eliminate, is_upright, move
 from lunarsci.twin.lanes import CENTER, CHANGE, GROUND, LANES, MATRIX, POSE, RIGHT, SPEED
 from lunarsci.twin.outcomes import DIVERGED, FINISHED, HOLE, LEFT, OVERTURNED, SANK, UNSETTLED
 from lunarsci.twin.terrain import lay_soil, read_ground
@@ -17,7 +17,6 @@ SETTLE_ROUNDS = 300
 SETTLE_TOLERANCE = 1e-9
 # Longest move of a settling round [m or rad]: less than it takes to lift a wheel off its neighbour's plane.
 LONGEST_MOVE = 0.02
-COS_OVERTURNED = 0.5
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
@@ -127,8 +126,7 @@ def settle(rover: Any, tyre: Any, grid: Any, override: Any, start: Any, steering
         move(work.body, dt)
         dt = min(1.5 * dt, 30.0)
         for lane in range(LANES):
-            x, y = work.body[(POSE + 4) * LANES + lane], work.body[(POSE + 5) * LANES + lane]
-            if work.code[lane] == FINISHED and not 1.0 - 2.0 * (x * x + y * y) > COS_OVERTURNED:
+            if work.code[lane] == FINISHED and not is_upright(work.body, lane):
                 work.code[lane] = UNSETTLED
     for lane in range(LANES):
         if not done[lane]:

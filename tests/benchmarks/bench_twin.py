@@ -13,7 +13,7 @@ from pathlib import Path
 import numba
 import numpy as np
 
-from lunarsci.regolith.forces import contact_angles, wheel_forces_kernel
+from lunarsci.regolith.forces import wheel_forces_kernel
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ensemble import Prediction, predict
 from lunarsci.twin.longji import synthetic_longji
@@ -45,7 +45,7 @@ def forces_of(wheels: np.ndarray, tyre: tuple, soil: tuple) -> float:  # type: i
     total = 0.0
     for z, travel, lateral in wheels:
         f_n, f_dp, f_l, m_r = wheel_forces_kernel(z, travel, lateral, tyre, soil, 0)
-        total += f_n + f_dp + f_l + m_r + contact_angles(z, 0.0, tyre)[0]
+        total += f_n + f_dp + f_l + m_r
     return total
 
 

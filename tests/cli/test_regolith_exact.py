@@ -168,6 +168,15 @@ def test_slip_beyond_what_was_measured_is_said(run: Run) -> None:
     assert "beyond 0.6" in run("regolith", "forces", "--load", "36", "--slip", "0.7").err[0]
 
 
+def test_a_result_that_lacks_its_curves_is_refused_by_name(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "half.json"
+    path.write_text('{"result": {"joint": {"parameters": {}}}}')
+    done = run("regolith", "compare", path)
+    assert done.code == 1
+    assert "half.json" in done.err[-1]
+    assert "regolith identify --json" in done.err[-1]
+
+
 def test_sensitivity_and_profile_are_in_the_result(run: Run, drive: Path) -> None:
     found = result(run, "regolith", "identify", drive, "--sensitivity", "--joint", "--profile")
     assert found["joint"]["intervals"] == "profile"
