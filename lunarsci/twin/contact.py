@@ -35,6 +35,7 @@ from lunarsci.twin.lanes import (
     MOMENT,
     NORMAL,
     RIGHT,
+    RIM,
     ROTATION,
     SINKAGE,
     SOIL,
@@ -102,7 +103,7 @@ def chosen(on: Any, values: Any) -> Any:
 
 @in_lanes
 def meet_ground(
-    body: Any, wheel: Any, tyre: Any, kg: float, gravity: float, bogie: int, rim: float, dt: float, shear: bool,
+    body: Any, wheel: Any, tyre: Any, kg: float, gravity: float, bogie: int, dt: float, shear: bool,
 ) -> None:  # fmt: skip
     """Contact frame, motion, wrench and its derivatives of one wheel.
 
@@ -110,7 +111,7 @@ def meet_ground(
     normal force never pulls.
     """
     for lane in range(LANES):
-        arm, ground = get3(wheel, ARM, lane), get3(wheel, GROUND, lane)
+        arm, ground, rim = get3(wheel, ARM, lane), get3(wheel, GROUND, lane), abs(get(wheel, RIM, lane))
         axes = contact_frame(ground[1], ground[2], get3(wheel, AXLE, lane))
         v_world = plus(get3(body, SPEED, lane), cross(get3(body, SPEED + 3, lane), arm))
         v_world = plus(v_world, times(get3(wheel, SWING, lane), get(body, SPEED + 6, lane)))
@@ -230,19 +231,18 @@ def add_rows(levers: Any, system: Any) -> None:
 
 
 @joined
-def add_wheel(work: Any, w: int, rover: Any, tyre: Any, rim: float, dt: float, shear: bool) -> None:
+def add_wheel(work: Any, w: int, rover: Any, tyre: Any, dt: float, shear: bool) -> None:
     """Add wheel `w`, its mass and the soil's wrench, to the system of a step, and keep what the contact found.
 
     Parameters
     ----------
-    work : with kinematics and ground of the wheel in place.
+    work : with kinematics, ground and commands of the wheel in place; its rim must move.
     rover, tyre : `Rover.vector()`, `Wheel.vector()`.
-    rim : commanded speed of the rim over ground, r_s omega > 0. [m/s]
     dt : step. [s]
     shear : False leaves only the normal force, for a rover at rest.
     """
     side, kg = w % 2, rover.wheel_kg
     wheel, system = work.wheels[w], work.sides[side]
-    meet_ground(work.body, wheel, tyre, kg, rover.gravity, SPEED + 7 + side, rim, dt, shear)
+    meet_ground(work.body, wheel, tyre, kg, rover.gravity, SPEED + 7 + side, dt, shear)
     find_levers(work.body, wheel, work.levers, rover.hung[w], 1.0 - 2.0 * side, kg, dt)
     add_rows(work.levers, system)

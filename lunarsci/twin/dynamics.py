@@ -9,7 +9,6 @@ inertial forces follow from the accelerations that remain at u-dot = 0; nothing 
 (0.02 N m s each at 0.05 m/s, gyroscopic torques of 1e-4 N m) is left out. Wheels enter the equations in `contact`.
 """
 
-import math
 from typing import Any
 
 from lunarsci.compiled import in_lanes, joined, pasted
@@ -25,8 +24,10 @@ from lunarsci.twin.lanes import (
     OMEGA,
     POSE,
     RIGHT,
+    RIM,
     ROTATION,
     SPEED,
+    STEER,
     SWING,
     cross,
     dot,
@@ -100,16 +101,16 @@ def orient(body: Any) -> None:
 
 
 @in_lanes
-def place_wheel(body: Any, wheel: Any, rover: Any, w: int, cos_steer: float, sin_steer: float) -> None:
-    """Fill centre, arm, swings, axle and remaining acceleration of wheel `w`.
+def place_wheel(body: Any, wheel: Any, rover: Any, w: int) -> None:
+    """Fill centre, arm, swings, axle and remaining acceleration of wheel `w`, steered as its rows say.
 
-    A steered wheel stands `steering_offset` outboard of its steering axis.
+    A steered wheel stands `steering_offset` outboard of its steering axis. The axle of a wheel that turns backwards
+    points the other way, so that it rolls ahead along its contact frame like any other.
     """
     side = 1.0 if w % 2 == 0 else -1.0
     hung = rover.hung[w]
     offset = side * rover.steering_offset
-    arm_x = rover.arms[w, 0] - offset * sin_steer
-    arm_y, arm_z = rover.arms[w, 1] + offset * (cos_steer - 1.0), rover.arms[w, 2]
+    own_x, own_y, own_z = rover.arms[w, 0], rover.arms[w, 1], rover.arms[w, 2]
     pivot_y = side * rover.pivot_y
     bogie_x, bogie_y, bogie_z = hung * rover.bogie[0], hung * side * rover.bogie[1], hung * rover.bogie[2]
     joint = 8 if w % 2 == 0 else 9
@@ -120,8 +121,10 @@ def place_wheel(body: Any, wheel: Any, rover: Any, w: int, cos_steer: float, sin
         angle = rocker + hung * get(body, joint, lane)
         spin = rocker_spin + hung * get(body, SPEED + joint - 1, lane)
         cos_r, sin_r, cos_b, sin_b = cosine(rocker), sine(rocker), cosine(angle), sine(angle)
+        cos_s, sin_s = cosine(get(wheel, STEER, lane)), sine(get(wheel, STEER, lane))
+        ahead = 1.0 if get(wheel, RIM, lane) >= 0.0 else -1.0
         first = swung(cos_r, sin_r, (bogie_x, bogie_y, bogie_z))
-        last = swung(cos_b, sin_b, (arm_x, arm_y, arm_z))
+        last = swung(cos_b, sin_b, (own_x - offset * sin_s, own_y + offset * (cos_s - 1.0), own_z))
         pivot = (0.0, pivot_y, 0.0)
         hang = plus(first, last)
         arm = to_world(a, b, c, plus(pivot, hang))
@@ -132,16 +135,16 @@ def place_wheel(body: Any, wheel: Any, rover: Any, w: int, cos_steer: float, sin
         put3(wheel, ARM, lane, arm)
         put3(wheel, SWING, lane, to_world(a, b, c, (side * hang[2], 0.0, -side * hang[0])))
         put3(wheel, BOGIE_SWING, lane, to_world(a, b, c, (hung * last[2], 0.0, -hung * last[0])))
-        put3(wheel, AXLE, lane, to_world(a, b, c, swung(cos_b, sin_b, (-sin_steer, cos_steer, 0.0))))
+        put3(wheel, AXLE, lane, to_world(a, b, c, swung(cos_b, sin_b, (-ahead * sin_s, ahead * cos_s, 0.0))))
         put3(wheel, ACCELERATION, lane, to_world(a, b, c, plus(centripetal, plus(by_rocker, by_bogie))))
 
 
 @joined
-def place_wheels(rover: Any, steering: Any, work: Any) -> None:
-    """Kinematics of all wheels at the pose and velocity in `work`, steered by the given angles. [rad]"""
+def place_wheels(rover: Any, work: Any) -> None:
+    """Kinematics of all wheels at the pose and velocity in `work`."""
     orient(work.body)
     for w in range(len(rover.arms)):
-        place_wheel(work.body, work.wheels[w], rover, w, math.cos(steering[w]), math.sin(steering[w]))
+        place_wheel(work.body, work.wheels[w], rover, w)
 
 
 @joined

@@ -3,18 +3,21 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import ParameterError
-from lunarsci.twin.drive import drive
-from lunarsci.twin.lanes import LANES
+from lunarsci.twin.commands import Commands
+from lunarsci.twin.drive import begin, drive
+from lunarsci.twin.fixes import fix_errors, legs_from
+from lunarsci.twin.lanes import LANES, Work, new_work
 from lunarsci.twin.outcomes import OUTCOMES
-from lunarsci.twin.path import curvature_at, planned_pose, wheel_commands
 from lunarsci.twin.plan import Plan, Sweep, check_plan
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.schedule import Schedule, make_schedule, run_commands, start_motion
 from lunarsci.twin.terrain import Terrain, soil_override
 
 __all__ = ["PATH_COLUMNS", "STATE_COLUMNS", "Prediction", "member_parameters", "predict"]
@@ -50,7 +53,8 @@ class Prediction:
     ----------
     rover, terrain, plan, seed : what it was computed from; `time_step_s` as used.
     parameters : swept soil parameters, name to value for each member. (members,)
-    distance_m : commanded distance of the samples, 0 to the plan's length. (samples,)
+    time_s : time of the samples. (samples,) [s]
+    distance_m : their commanded distance, 0 to the plan's length; it stands still in spot turns and stops. (samples,)
     planned : planned x, y, heading. (samples, 3) [m, m, rad]
     paths : rover's origin, columns `PATH_COLUMNS`; pitch is positive nose down. (members, samples, 6)
     states : wheels in the order of `rover.wheels`, columns `STATE_COLUMNS`. (members, samples, wheels, 10)
@@ -64,6 +68,7 @@ class Prediction:
     seed: int
     time_step_s: float
     parameters: dict[str, FloatArray]
+    time_s: FloatArray
     distance_m: FloatArray
     planned: FloatArray
     paths: FloatArray
@@ -95,11 +100,6 @@ class Prediction:
     def miss_m(self) -> FloatArray:
         """Distance of each end from the planned destination. (members,) [m]"""
         return np.asarray(np.hypot(*(self.endpoints_m - self.planned[-1, :2]).T))
-
-    @property
-    def time_s(self) -> FloatArray:
-        """Time of the samples. (samples,) [s]"""
-        return self.distance_m / self.plan.speed_m_s
 
     def outcome_text(self, member: int) -> str:
         """The outcome of one member in words."""
@@ -164,18 +164,16 @@ def predict(
     _check_steps(time_step_s, sample_m, seed, plan)
     parameters = member_parameters(plan.sweep if sweep is None else sweep, members, seed)
     count = len(next(iter(parameters.values()))) if parameters else 1
-    samples = max(1, math.ceil(plan.length_m / sample_m - 1e-9))
+    schedule = make_schedule(plan, rover)
+    samples = max(1, math.ceil(schedule.duration_s * plan.speed_m_s / sample_m - 1e-9))
     if count * samples > MOST_SAMPLES:
         raise ParameterError(f"{count} members with {samples} samples do not fit into memory; give a longer sample_m")
-    every = max(1, math.ceil(plan.length_m / samples / plan.speed_m_s / time_step_s - 1e-9))
-    distance = np.linspace(0.0, plan.length_m, samples * every + 1)
-    commands = wheel_commands(rover, curvature_at(plan.arcs, distance, plan.blend_m), plan.speed_m_s)
-    dt = plan.length_m / plan.speed_m_s / (samples * every)
-    heading = math.radians(plan.heading_deg)
-    start = np.array([plan.x_m, plan.y_m, heading, plan.speed_m_s, plan.arcs[0].curvature_per_m])
-    fixed = (start, commands.steering_rad, commands.speed_m_s, dt, every)
+    every = max(1, math.ceil(schedule.duration_s / samples / time_step_s - 1e-9))
+    times = np.linspace(0.0, schedule.duration_s, samples * every + 1)
     overrides = np.array([soil_override({k: float(v[m]) for k, v in parameters.items()}) for m in range(count)])
-    paths, states, results = _drive_all(rover, terrain, overrides, fixed, samples + 1, progress)
+    scene = Scene(rover, terrain, schedule, times, every, seed)
+    paths, states, results = _drive_all(scene, overrides, samples + 1, progress)
+    start = schedule.pose_at(0.0)
     _hold_last(paths, states, results[:, 1], start, float(terrain.height_at(plan.x_m, plan.y_m)))
     paths[..., 3:] = np.degrees(paths[..., 3:])
     paths[..., 5] = np.degrees(np.unwrap(np.radians(paths[..., 5]), axis=1))
@@ -185,10 +183,11 @@ def predict(
         terrain=terrain,
         plan=plan,
         seed=seed,
-        time_step_s=dt,
+        time_step_s=float(times[1]),
         parameters=parameters,
-        distance_m=distance[::every],
-        planned=planned_pose(plan, distance[::every]),
+        time_s=times[::every],
+        distance_m=schedule.distance_at(times[::every]),
+        planned=schedule.pose_at(times[::every]),
         paths=paths,
         states=states,
         recorded=results[:, 1],
@@ -206,28 +205,49 @@ def _check_steps(time_step_s: float, sample_m: float, seed: int, plan: Plan) -> 
         raise ParameterError(f"seed is {seed}; give 0 or more")
 
 
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What all members share: who drives where, when, and at which times it is stepped."""
+
+    rover: Rover
+    terrain: Terrain
+    schedule: Schedule
+    times_s: FloatArray
+    every: int
+    seed: int
+
+    def pieces(self) -> list[slice]:
+        """The steps of each run: a step belongs to the run in which its middle lies."""
+        middles = 0.5 * (self.times_s[1:] + self.times_s[:-1])
+        ends = np.searchsorted(middles, [run.end_s for run in self.schedule.runs])
+        ends[-1] = len(middles)
+        return [slice(int(a), int(b)) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
+
+
 def _drive_all(
-    rover: Rover,
-    terrain: Terrain,
-    overrides: FloatArray,
-    fixed: tuple[FloatArray, FloatArray, FloatArray, float, int],
-    samples: int,
-    progress: Callable[[int, int], None] | None,
+    scene: Scene, overrides: FloatArray, samples: int, progress: Callable[[int, int], None] | None
 ) -> tuple[FloatArray, FloatArray, IntArray]:
     """Drive the members, LANES together and as many such groups at a time as numba has threads.
 
     The groups do not depend on the number of threads, and so neither do the results.
     """
-    count = len(overrides)
-    paths, states = np.zeros((count, samples, 6)), np.zeros((count, samples, len(rover.wheel_positions_m), 10))
+    count, wheels = len(overrides), len(scene.rover.wheels)
+    paths, states = np.zeros((count, samples, 6)), np.zeros((count, samples, wheels, 10))
     results = np.zeros((count, 2), dtype=np.int64)
-    known = (rover.vector(), rover.wheel.vector(), terrain.grid())
+    grid, errors = scene.terrain.grid(), fix_errors(scene.schedule, count, scene.seed)
     groups = [slice(k, min(k + LANES, count)) for k in range(0, count, LANES)]
+    common = _common_commands(scene) if scene.schedule.plan.fixes is None else None
 
     def group(number: int) -> None:
         own = groups[number]
-        lanes = overrides[np.minimum(np.arange(own.start, own.start + LANES), own.stop - 1)]
-        drive(*known, lanes, *fixed, paths[own], states[own], results[own])
+        lanes = np.minimum(np.arange(own.start, own.start + LANES), own.stop - 1)
+        known = (scene.rover.vector(), scene.rover.wheel.vector(), grid, overrides[lanes])
+        kept = (paths[own], states[own], results[own])
+        if common is None:
+            _drive_with_fixes(scene, known, errors[lanes], kept)
+        else:
+            work = _begin(scene, known, common)
+            drive(*known, common.steering_rad, common.speed_m_s, scene.times_s[1], 0, scene.every, True, work, *kept)
 
     def told(done: int, _: int) -> None:
         if progress is not None:
@@ -235,6 +255,42 @@ def _drive_all(
 
     each_in_threads(group, len(groups), told)
     return paths, states, results
+
+
+def _common_commands(scene: Scene) -> Commands:
+    """The commands of the whole drive, the same for all members. (1, steps, wheels)"""
+    runs: list[Commands] = []
+    for number, piece in enumerate(scene.pieces()):
+        times = scene.times_s[piece.start : piece.stop + 1]
+        runs.append(run_commands(scene.rover, scene.schedule, number, times, runs[-1] if runs else None, None))
+    return Commands(
+        np.concatenate([run.steering_rad for run in runs], axis=1),
+        np.concatenate([run.speed_m_s for run in runs], axis=1),
+    )
+
+
+def _begin(scene: Scene, known: tuple[Any, ...], commands: Commands) -> Work:
+    work: Work = new_work(len(scene.rover.wheels))
+    start = np.tile(scene.schedule.poses[0], (LANES, 1))
+    motion = np.array(start_motion(scene.schedule, scene.rover))
+    begin(*known, start, motion, commands.steering_rad, commands.speed_m_s, work)
+    return work
+
+
+def _drive_with_fixes(scene: Scene, known: tuple[Any, ...], errors: FloatArray, kept: tuple[Any, ...]) -> None:
+    """Drive run by run, each from where the rover then believes to be."""
+    work: Work | None = None
+    commands: Commands | None = None
+    legs: FloatArray | None = None
+    pieces = scene.pieces()
+    for number, piece in enumerate(pieces):
+        if work is not None:
+            legs = legs_from(scene.schedule, scene.rover, number, work, errors[:, number])
+        times = scene.times_s[piece.start : piece.stop + 1]
+        commands = run_commands(scene.rover, scene.schedule, number, times, commands, legs)
+        work = work or _begin(scene, known, commands)
+        told, last = (commands.steering_rad, commands.speed_m_s), number == len(pieces) - 1
+        drive(*known, *told, scene.times_s[1], piece.start, scene.every, last, work, *kept)
 
 
 def _hold_last(paths: FloatArray, states: FloatArray, recorded: IntArray, start: FloatArray, height: float) -> None:

@@ -198,7 +198,7 @@ def _draw_band(axes: "Axes", prediction: Prediction, verdict: Verdict, name: str
     for judgement in verdict.limits:
         if judgement.quantity == name:
             _draw_limit(axes, factor * judgement.limit)
-    for place in np.cumsum([arc.length_m for arc in prediction.plan.arcs])[:-1]:
+    for place in np.cumsum([leg.length_m for leg in prediction.plan.legs])[:-1]:
         axes.axvline(place, color=INK, linewidth=0.6, alpha=0.35)
     axes.set_xlim(0.0, float(prediction.distance_m[-1]))
     axes.set_ylabel(label)

@@ -46,18 +46,16 @@ FASTEST = 10.0
 
 
 @joined
-def assemble(
-    rover: Any, tyre: Any, grid: Any, override: Any, steering: Any, speed: Any, dt: float, shear: bool, work: Any
-) -> None:
-    """Kinematics, ground contact and the linear system of a step at the pose and velocity in `work`.
+def assemble(rover: Any, tyre: Any, grid: Any, override: Any, dt: float, shear: bool, work: Any) -> None:
+    """Kinematics, ground contact and the linear system of a step at the pose, velocity and commands in `work`.
 
     `work.code` takes the outcome of lanes that were still FINISHED.
     """
-    place_wheels(rover, steering, work)
+    place_wheels(rover, work)
     begin_system(rover, work, dt)
     for w in range(len(rover.arms)):
         read_ground(grid, override, work.wheels[w], work.code)
-        add_wheel(work, w, rover, tyre, speed[w], dt, shear)
+        add_wheel(work, w, rover, tyre, dt, shear)
     for w in range(len(rover.arms)):
         for lane in range(LANES):
             if work.code[lane] == FINISHED and work.wheels[w][SINKAGE * LANES + lane] > tyre[0]:

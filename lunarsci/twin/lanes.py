@@ -35,8 +35,9 @@ CENTER, ARM, SWING, BOGIE_SWING, AXLE, ACCELERATION, GROUND, SOIL = rows(0, 3, 6
 SINKAGE, VELOCITY, NORMAL, DRAWBAR, SIDE, RESISTANCE = rows(29, 30, 33, 34, 35, 36)
 # Axes of the contact frame; force and moment of wheel and inertia along them; derivatives of the wrench by the forward
 # velocity (drawbar, normal, resistance) and by the lateral one (side force, its moments about the first and last axis);
-# what normal damping and stiffness add to the matrix, and to the right side.
-AXES, FORCE, MOMENT, ALONG, ACROSS, STIFF, WHEEL_ROWS = rows(37, 46, 49, 52, 55, 58, 60)
+# what normal damping and stiffness add to the matrix, and to the right side. Commands: steering angle, and speed of the
+# rim over ground, r_s omega, negative backwards.
+AXES, FORCE, MOMENT, ALONG, ACROSS, STIFF, STEER, RIM, WHEEL_ROWS = rows(37, 46, 49, 52, 55, 58, 60, 61, 62)
 # Rows of `Work.levers`, for coordinates 0 to 6 and the wheel's own bogie: velocity of the wheel centre along the axes
 # per rate of the coordinate; the coefficients of its row of the matrix; its right side.
 LEVER, COEFFICIENT, DRIVE, LEVER_ROWS = rows(0, 24, 48, 56)

@@ -1,4 +1,4 @@
-"""The planned drive: arcs, speed, limits of safety, and which soil parameters are uncertain."""
+"""The planned drive: legs, speed, limits of safety, and which soil parameters are uncertain."""
 
 import math
 import tomllib
@@ -12,25 +12,79 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.terrain import soil_override
 
-__all__ = ["QUANTITIES", "Arc", "Limit", "Plan", "Sweep", "check_plan", "parse_sweep", "read_plan"]
+__all__ = [
+    "QUANTITIES",
+    "Fixes",
+    "Leg",
+    "Limit",
+    "Plan",
+    "Sweep",
+    "check_plan",
+    "parse_sweep",
+    "read_plan",
+    "tightest_per_m",
+]
 
 # Quantities that can be limited, and their units.
 QUANTITIES = {"slip_ratio": "-", "side_slip_deg": "deg", "sinkage_m": "m", "tilt_deg": "deg", "endpoint_miss_m": "m"}
-LONGEST_M = 1000.0
+LONGEST_M, LONGEST_STOP_S = 1000.0, 3600.0
 
 
 @dataclass(frozen=True, slots=True)
-class Arc:
-    """A piece of the path: length > 0 [m] and constant curvature, positive to the left [1/m]."""
+class Leg:
+    """A piece of the drive: an arc, a spot turn, or a stop.
 
-    length_m: float
-    curvature_per_m: float
+    Attributes
+    ----------
+    length_m : length of an arc, > 0; 0 for a turn or a stop. [m]
+    curvature_per_m : constant curvature of the arc, positive to the left; 0 is straight ahead. [1/m]
+    crab_deg : direction of the arc's travel seen from the heading, positive to the left, -180 to 180: 90 is sideways,
+        180 backwards. [deg]
+    turn_deg : spot turn, positive to the left, -360 to 360. [deg]
+    stop_s : time at a standstill, 1 s to an hour. [s]
+
+    Raises ParameterError unless exactly one of length_m, turn_deg and stop_s is given.
+    """
+
+    length_m: float = 0.0
+    curvature_per_m: float = 0.0
+    crab_deg: float = 0.0
+    turn_deg: float = 0.0
+    stop_s: float = 0.0
 
     def __post_init__(self) -> None:
-        if not 0 < self.length_m < math.inf:
-            raise ParameterError(f"arc length_m is {self.length_m}; give a length above 0 m")
+        if not 0 <= self.length_m <= LONGEST_M:
+            raise ParameterError(f"leg length_m is {self.length_m}; give more than 0, at most {LONGEST_M:g} m")
+        if not (self.stop_s == 0 or 1 <= self.stop_s <= LONGEST_STOP_S):
+            raise ParameterError(f"leg stop_s is {self.stop_s}; give 1 to {LONGEST_STOP_S:g} s")
+        for name, most in (("crab_deg", 180.0), ("turn_deg", 360.0)):
+            if not abs(getattr(self, name)) <= most:
+                raise ParameterError(f"leg {name} is {getattr(self, name)}; give -{most:g} to {most:g}")
         if not math.isfinite(self.curvature_per_m):
-            raise ParameterError(f"arc curvature_per_m is {self.curvature_per_m}; give a finite number")
+            raise ParameterError(f"leg curvature_per_m is {self.curvature_per_m}; give a finite number")
+        if sum(value != 0 for value in (self.length_m, self.turn_deg, self.stop_s)) != 1:
+            raise ParameterError("a leg needs exactly one of length_m, turn_deg and stop_s, and not 0")
+        if self.length_m == 0 and (self.curvature_per_m != 0 or self.crab_deg != 0):
+            raise ParameterError("curvature_per_m and crab_deg belong to a leg with length_m")
+
+
+@dataclass(frozen=True, slots=True)
+class Fixes:
+    """Position fixes at the end of each leg, as by visual localisation: the rover stops, learns where it is, and steers
+    the next leg from there to its planned end.
+
+    Attributes
+    ----------
+    position_sigma_m, heading_sigma_deg : standard errors of a fix in x and y, and in heading, >= 0. [m, deg]
+    """
+
+    position_sigma_m: float
+    heading_sigma_deg: float
+
+    def __post_init__(self) -> None:
+        for name in ("position_sigma_m", "heading_sigma_deg"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ParameterError(f"fixes {name} is {getattr(self, name)}; give 0 or more")
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,27 +126,29 @@ class Plan:
     ----------
     name, origin : what it is, and the file it comes from.
     x_m, y_m, heading_deg : start pose of the rover's origin; heading from x to the left. [m, m, deg]
-    arcs : the pieces of the path, in order.
+    legs : the pieces of the drive, in order.
     speed_m_s : commanded speed of the rover's origin, > 0. [m/s]
     blend_m : length over which the commanded curvature goes over from one arc to the next, >= 0. [m]
+    fixes : position fixes between legs; None drives without.
     limits : what counts as safe.
     sweep : uncertain soil parameters.
     """
 
     name: str
-    arcs: tuple[Arc, ...]
+    legs: tuple[Leg, ...]
     speed_m_s: float
     x_m: float = 0.0
     y_m: float = 0.0
     heading_deg: float = 0.0
     blend_m: float = 0.2
+    fixes: Fixes | None = None
     limits: tuple[Limit, ...] = ()
     sweep: tuple[Sweep, ...] = ()
     origin: str = ""
 
     def __post_init__(self) -> None:
-        if not self.arcs:
-            raise ParameterError("the plan has no arc; its length is zero, so there is nothing to drive")
+        if not self.legs:
+            raise ParameterError("the plan has no leg; its length is zero, so there is nothing to drive")
         if self.length_m > LONGEST_M:
             raise ParameterError(f"the plan is {self.length_m:g} m long; give at most {LONGEST_M:g} m")
         if not 0 < self.speed_m_s < math.inf:
@@ -105,7 +161,7 @@ class Plan:
     @property
     def length_m(self) -> float:
         """Length of the path. [m]"""
-        return math.fsum(arc.length_m for arc in self.arcs)
+        return math.fsum(leg.length_m for leg in self.legs)
 
 
 def check_plan(plan: Plan, rover: Rover) -> None:
@@ -114,13 +170,18 @@ def check_plan(plan: Plan, rover: Rover) -> None:
         raise ParameterError(
             f"the plan's speed_m_s is {plan.speed_m_s:g}; {rover.name} drives at most {rover.max_speed_m_s:g} m/s"
         )
-    tightest = 0.9 / (rover.rocker_pivot_y_m + rover.steering_offset_m)
-    for arc in plan.arcs:
-        if abs(arc.curvature_per_m) > tightest:
+    tightest = tightest_per_m(rover)
+    for leg in plan.legs:
+        if abs(leg.curvature_per_m) > tightest:
             raise ParameterError(
-                f"arc curvature_per_m is {arc.curvature_per_m:g}; the turning centre must lie outside the wheels, "
-                f"so give at most {tightest:.3g} 1/m"
+                f"leg curvature_per_m is {leg.curvature_per_m:g}; the turning centre must lie outside the wheels, "
+                f"so give at most {tightest:.3g} 1/m, or turn on the spot with turn_deg"
             )
+
+
+def tightest_per_m(rover: Rover) -> float:
+    """Largest curvature of an arc: the turning centre stays outside the wheels. [1/m]"""
+    return 0.9 / (rover.rocker_pivot_y_m + rover.steering_offset_m)
 
 
 def parse_sweep(text: str) -> Sweep:
@@ -156,7 +217,7 @@ def read_plan(path: str | Path | None = None) -> Plan:
 def _parse(text: str, origin: str) -> Plan:
     try:
         document = tomllib.loads(text)
-        _check_keys(document, ("name", "start", "drive", "arc", "limits", "sweep"), "the plan")
+        _check_keys(document, ("name", "start", "drive", "leg", "fixes", "limits", "sweep"), "the plan")
         start, drive = _table(document, "start"), _table(document, "drive")
         _check_keys(start, ("x_m", "y_m", "heading_deg"), "[start]")
         _check_keys(drive, ("speed_m_s", "blend_m"), "[drive]")
@@ -165,7 +226,8 @@ def _parse(text: str, origin: str) -> Plan:
         limits = _table(document, "limits") if "limits" in document else _default_limits()
         return Plan(
             name=str(document.get("name", origin)),
-            arcs=tuple(_arc(table) for table in _arcs(document)),
+            legs=tuple(_leg(table) for table in _legs(document)),
+            fixes=_fixes(document),
             limits=tuple(_limit(quantity, entry) for quantity, entry in limits.items()),
             sweep=tuple(parse_sweep(f"{name}={entry}") for name, entry in _table(document, "sweep").items()),
             origin=origin,
@@ -181,20 +243,27 @@ def _default_limits() -> dict[str, Any]:
     return dict(tomllib.loads((files(__package__) / "plan.toml").read_text("utf-8"))["limits"])
 
 
-def _arcs(document: dict[str, Any]) -> list[Any]:
-    arcs = document.get("arc", [])
-    if not isinstance(arcs, list):
-        raise ParameterError("write each arc as [[arc]], in double brackets")
-    return arcs
+def _legs(document: dict[str, Any]) -> list[Any]:
+    legs = document.get("leg", [])
+    if not isinstance(legs, list):
+        raise ParameterError("write each leg as [[leg]], in double brackets")
+    return legs
 
 
-def _arc(table: Any) -> Arc:
-    known = ("length_m", "curvature_per_m")
-    _check_keys(table, known, "[[arc]]")
+def _leg(table: Any) -> Leg:
+    _check_keys(table, ("length_m", "curvature_per_m", "crab_deg", "turn_deg", "stop_s"), "[[leg]]")
+    return Leg(**{name: _number(value, name) for name, value in table.items()})
+
+
+def _fixes(document: dict[str, Any]) -> Fixes | None:
+    if "fixes" not in document:
+        return None
+    table, known = _table(document, "fixes"), ("position_sigma_m", "heading_sigma_deg")
+    _check_keys(table, known, "[fixes]")
     for name in known:
         if name not in table:
-            raise ParameterError(f"an [[arc]] has no {name}")
-    return Arc(*(_number(table[name], name) for name in known))
+            raise ParameterError(f"[fixes] has no {name}")
+    return Fixes(*(_number(table[name], name) for name in known))
 
 
 def _limit(quantity: str, entry: Any) -> Limit:

@@ -21,8 +21,10 @@ LONGEST_MOVE = 0.02
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def place(rover: Any, tyre: Any, grid: Any, override: Any, start: Any, work: Any) -> None:
-    """Put the rovers above the plane through the ground under their wheels, 1 cm deep, at x, y, heading of `start`."""
-    c, s = math.cos(start[2]), math.sin(start[2])
+    """Put the rovers above the plane through the ground under their wheels, 1 cm deep.
+
+    `start` (LANES, 3) is x, y, heading.
+    """
     count = len(rover.arms)
     x, y, z = np.empty(count), np.empty(count), np.empty(count)
     for w in range(count):
@@ -31,8 +33,9 @@ def place(rover: Any, tyre: Any, grid: Any, override: Any, start: Any, work: Any
         y[w] = rover.arms[w, 1] + side * (rover.pivot_y + hung * rover.bogie[1])
         z[w] = rover.arms[w, 2] + hung * rover.bogie[2]
         for lane in range(LANES):
-            work.wheels[w, CENTER * LANES + lane] = start[0] + c * x[w] - s * y[w]
-            work.wheels[w, (CENTER + 1) * LANES + lane] = start[1] + s * x[w] + c * y[w]
+            c, s = math.cos(start[lane, 2]), math.sin(start[lane, 2])
+            work.wheels[w, CENTER * LANES + lane] = start[lane, 0] + c * x[w] - s * y[w]
+            work.wheels[w, (CENTER + 1) * LANES + lane] = start[lane, 1] + s * x[w] + c * y[w]
         lay_soil(grid, override, work.wheels[w])
         read_ground(grid, override, work.wheels[w], work.code)
     middle, height = x.mean(), z.mean()
@@ -47,11 +50,11 @@ def place(rover: Any, tyre: Any, grid: Any, override: Any, start: Any, work: Any
             across += ground * y[w]
         rise, bank = along / long_2, across / wide_2
         lift = (tyre[0] - 0.01) * math.sqrt(1.0 + rise * rise + bank * bank)
-        yaw, pitch, roll = 0.5 * start[2], -0.5 * math.atan(rise), 0.5 * math.atan(bank)
+        yaw, pitch, roll = 0.5 * start[lane, 2], -0.5 * math.atan(rise), 0.5 * math.atan(bank)
         cy, sy, cp, sp = math.cos(yaw), math.sin(yaw), math.cos(pitch), math.sin(pitch)
         cr, sr = math.cos(roll), math.sin(roll)
         values = (
-            start[0], start[1], mean - rise * middle - height + lift,
+            start[lane, 0], start[lane, 1], mean - rise * middle - height + lift,
             cy * cp * cr + sy * sp * sr, cy * cp * sr - sy * sp * cr,
             cy * sp * cr + sy * cp * sr, sy * cp * cr - cy * sp * sr,
         )  # fmt: skip
@@ -98,8 +101,10 @@ def shorten(work: Any, most: float, done: Any) -> None:
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
-def settle(rover: Any, tyre: Any, grid: Any, override: Any, start: Any, steering: Any, speed: Any, work: Any) -> None:
-    """Bring the rovers to static equilibrium at x, y, heading of `start`: normal forces only, x, y and yaw held.
+def settle(rover: Any, tyre: Any, grid: Any, override: Any, start: Any, work: Any) -> None:
+    """Bring the rovers, steered as `work` says, to static equilibrium at `start` (LANES, 3): x, y, heading.
+
+    Normal forces only, x, y and yaw held.
 
     Each round is a step from rest with a growing dt, which turns from damped dynamics into a Newton iteration.
     Converged at 1e-9 of the weight. Velocities are left at rest, outcomes in `work.code`.
@@ -114,7 +119,7 @@ def settle(rover: Any, tyre: Any, grid: Any, override: Any, start: Any, steering
         for lane in range(LANES):
             if work.code[lane] == SANK and not done[lane]:
                 work.code[lane] = FINISHED
-        assemble(rover, tyre, grid, override, steering, speed, dt, False, work)
+        assemble(rover, tyre, grid, override, dt, False, work)
         lock(work, dt, SETTLE_TOLERANCE * weight, done)
         for lane in range(LANES):
             if work.code[lane] in (LEFT, HOLE, OVERTURNED, UNSETTLED, DIVERGED):

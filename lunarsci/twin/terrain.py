@@ -40,17 +40,22 @@ SOIL_COLUMNS = {
 }
 
 
+INTERPOLATIONS = ("smooth", "triangles")
+
+
 class Grid(NamedTuple):
     """What the compiled formulas read of a terrain, at each node.
 
-    `surface` (ny, nx, 3): height, two gradients; `soil` (ny, nx, 8), or (1, 1, 8) where it is the same everywhere.
+    `height` (ny, nx); `soil` (ny, nx, 8), or (1, 1, 8) where it is the same everywhere; `triangles` between nodes, or
+    a smooth surface.
     """
 
     x0: float
     y0: float
     spacing: float
-    surface: FloatArray
+    height: FloatArray
     soil: FloatArray
+    triangles: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -65,9 +70,13 @@ class Terrain:
     height_m : height, NaN where unknown; row is y, column is x. (ny, nx) [m]
     soil : `Soil.vector()` in Pa and m, at every node or one for all. (ny, nx, 8) or (1, 1, 8)
     synthetic : True for a made-up terrain.
+    interpolation : the ground between nodes. `smooth` has a continuous gradient: cubic convolution (Keys 1981,
+        10.1109/TASSP.1981.1163711), whose gradient at a node is the central difference of its neighbours; beyond the
+        edge heights go on linearly. `triangles` is two planes a cell, split from its lowest x and y to its highest,
+        as in Ding et al. (2024); the wheels feel each edge.
 
-    Between nodes heights, gradients (central differences of the heights) and soil are bilinear. A hole therefore
-    reaches one node further than the missing heights. Raises ParameterError for arrays that do not fit together.
+    Soil is bilinear in tan phi, moduli and stiffness. On a smooth surface a hole reaches one node further than the
+    missing heights. Raises ParameterError for arrays that do not fit together.
     """
 
     name: str
@@ -77,6 +86,7 @@ class Terrain:
     height_m: FloatArray
     soil: FloatArray
     synthetic: bool = False
+    interpolation: str = "smooth"
 
     def __post_init__(self) -> None:
         shape = self.height_m.shape
@@ -86,6 +96,10 @@ class Terrain:
             raise ParameterError(f"terrain soil has shape {self.soil.shape}; give {(*shape, 8)} or (1, 1, 8)")
         if not (0 < self.spacing_m < math.inf and math.isfinite(self.x0_m) and math.isfinite(self.y0_m)):
             raise ParameterError("terrain x0_m, y0_m and spacing_m must be finite, spacing_m above 0")
+        if self.interpolation not in INTERPOLATIONS:
+            raise ParameterError(
+                f"terrain interpolation is '{self.interpolation}'; choose from: {', '.join(INTERPOLATIONS)}"
+            )
         if np.isinf(self.height_m).any():
             raise ParameterError("terrain height_m is infinite somewhere; use NaN where the height is unknown")
         if np.isnan(self.height_m).all():
@@ -114,21 +128,82 @@ class Terrain:
 
     def grid(self) -> Grid:
         """The numbers that the compiled formulas take."""
-        surface = np.empty((*self.height_m.shape, 3))
-        surface[..., 0] = self.height_m
-        surface[..., 1] = np.gradient(self.height_m, self.spacing_m, axis=1)
-        surface[..., 2] = np.gradient(self.height_m, self.spacing_m, axis=0)
         soil = self.soil if not (self.soil == self.soil[:1, :1]).all() else self.soil[:1, :1]
         return Grid(
-            float(self.x0_m), float(self.y0_m), float(self.spacing_m), surface, np.ascontiguousarray(soil, dtype=float)
+            float(self.x0_m),
+            float(self.y0_m),
+            float(self.spacing_m),
+            np.ascontiguousarray(self.height_m, dtype=float),
+            np.ascontiguousarray(soil, dtype=float),
+            self.interpolation == "triangles",
         )
 
-    def height_at(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> FloatArray:
-        """Bilinear height, NaN outside the map and in holes. [m]"""
-        from scipy.interpolate import RegularGridInterpolator
+    def surface_at(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> FloatArray:
+        """Height [m] and its gradient along x and y [-] below points, NaN outside the map and in holes. (..., 3)"""
+        x, y = np.broadcast_arrays(np.asarray(x_m, dtype=float), np.asarray(y_m, dtype=float))
+        result = np.empty((x.size, 3))
+        read_surface(self.grid(), x.ravel(), y.ravel(), result)
+        return result.reshape(*x.shape, 3)
 
-        interpolate = RegularGridInterpolator((self.y_m, self.x_m), self.height_m, bounds_error=False)
-        return np.asarray(interpolate((np.asarray(y_m, dtype=float), np.asarray(x_m, dtype=float))))
+    def height_at(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> FloatArray:
+        """Height below points, NaN outside the map and in holes. [m]"""
+        return self.surface_at(x_m, y_m)[..., 0]
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def cubic_weights(a: float, first: bool, last: bool) -> Any:
+    """Weights of the four nodes about a cell for value and slope at the share `a` of its width.
+
+    In the first and last cell the node that is not there goes on in line with the two next to it.
+    """
+    q = a * a
+    c = q * a
+    w0, w1, w2, w3 = -0.5 * (a + c) + q, 1.0 - 2.5 * q + 1.5 * c, 0.5 * a + 2.0 * q - 1.5 * c, 0.5 * (c - q)
+    d0, d1, d2, d3 = -0.5 + 2.0 * a - 1.5 * q, -5.0 * a + 4.5 * q, 0.5 + 4.0 * a - 4.5 * q, 1.5 * q - a
+    if first:
+        w0, w1, w2, d0, d1, d2 = 0.0, w1 + 2.0 * w0, w2 - w0, 0.0, d1 + 2.0 * d0, d2 - d0
+    if last:
+        w1, w2, w3, d1, d2, d3 = w1 - w3, w2 + 2.0 * w3, 0.0, d1 - d3, d2 + 2.0 * d3, 0.0
+    return (w0, w1, w2, w3), (d0, d1, d2, d3)
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def surface_in(grid: Any, i: int, j: int, a: float, b: float) -> Any:
+    """Height and gradient at shares a (in x) and b (in y) of the cell between nodes [i, j] and [i + 1, j + 1]."""
+    h, spacing = grid.height, grid.spacing
+    if grid.triangles:
+        near, far = h[i, j], h[i + 1, j + 1]
+        x = h[i, j + 1] - near if a >= b else far - h[i + 1, j]
+        y = far - h[i, j + 1] if a >= b else h[i + 1, j] - near
+        return near + a * x + b * y, x / spacing, y / spacing
+    ny, nx = h.shape
+    along, slope_along = cubic_weights(a, j == 0, j == nx - 2)
+    up, slope_up = cubic_weights(b, i == 0, i == ny - 2)
+    height, slope_x, slope_y = 0.0, 0.0, 0.0
+    for k in range(4):
+        row = min(max(i + k - 1, 0), ny - 1)
+        value, slope = 0.0, 0.0
+        for m in range(4):
+            node = h[row, min(max(j + m - 1, 0), nx - 1)]
+            value += along[m] * node
+            slope += slope_along[m] * node
+        height += up[k] * value
+        slope_x += up[k] * slope
+        slope_y += slope_up[k] * value
+    return height, slope_x / spacing, slope_y / spacing
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def read_surface(grid: Any, x: Any, y: Any, result: Any) -> None:
+    """Height and gradient below points (n,), NaN outside the map. (n, 3)"""
+    ny, nx = grid.height.shape
+    for k in range(len(x)):
+        column, row = (x[k] - grid.x0) / grid.spacing, (y[k] - grid.y0) / grid.spacing
+        if not (0.0 <= column <= nx - 1 and 0.0 <= row <= ny - 1):
+            result[k] = np.nan
+            continue
+        j, i = min(int(column), nx - 2), min(int(row), ny - 2)
+        result[k, 0], result[k, 1], result[k, 2] = surface_in(grid, i, j, column - j, row - i)
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
@@ -142,12 +217,12 @@ def lay_soil(grid: Any, override: Any, wheel: Any) -> None:
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def read_ground(grid: Any, override: Any, wheel: Any, code: Any) -> None:
-    """Height, gradient and soil below a wheel of LANES rovers, bilinear; `code` takes who left the map or met a hole.
+    """Height, gradient and soil below a wheel of LANES rovers; `code` takes who left the map or met a hole.
 
     `override` (LANES, 8) replaces the soil where it is not NaN. Where the soil is the same everywhere it stays as
     `lay_soil` left it. Lanes with another outcome keep what they had.
     """
-    ny, nx = grid.surface.shape[:2]
+    ny, nx = grid.height.shape
     uniform = grid.soil.shape[0] == 1
     for lane in range(LANES):
         if code[lane] != FINISHED and code[lane] != SANK:
@@ -159,17 +234,14 @@ def read_ground(grid: Any, override: Any, wheel: Any, code: Any) -> None:
             continue
         j, i = min(int(column), nx - 2), min(int(row), ny - 2)
         a, b = column - j, row - i
-        total = 0.0
-        for k in range(3):
-            low = (1.0 - a) * grid.surface[i, j, k] + a * grid.surface[i, j + 1, k]
-            high = (1.0 - a) * grid.surface[i + 1, j, k] + a * grid.surface[i + 1, j + 1, k]
-            value = (1.0 - b) * low + b * high
-            total += abs(value)
-            wheel[(GROUND + k) * LANES + lane] = value
-        if not total < np.inf:
+        height, slope_x, slope_y = surface_in(grid, i, j, a, b)
+        if not abs(height) + abs(slope_x) + abs(slope_y) < np.inf:
             code[lane] = HOLE
-            for k in range(3):
-                wheel[(GROUND + k) * LANES + lane] = 0.0
+            height, slope_x, slope_y = 0.0, 0.0, 0.0
+        wheel[GROUND * LANES + lane] = height
+        wheel[(GROUND + 1) * LANES + lane] = slope_x
+        wheel[(GROUND + 2) * LANES + lane] = slope_y
+        if code[lane] == HOLE:
             continue
         if uniform:
             continue

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lunarsci.regolith.soil import Soil, read_soil
-from lunarsci.twin.plan import Arc, Plan
+from lunarsci.twin.plan import Leg, Plan
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.terrain import Terrain, build_terrain
 
@@ -34,7 +34,7 @@ def slope():  # type: ignore[no-untyped-def]
 @pytest.fixture(scope="session")
 def straight():  # type: ignore[no-untyped-def]
     def make(length_m: float = 2.0, curvature_per_m: float = 0.0, **changes: float) -> Plan:
-        arcs = (Arc(length_m, curvature_per_m),)
-        return Plan(name="test", arcs=arcs, **({"speed_m_s": 0.05} | changes))
+        legs = (Leg(length_m, curvature_per_m),)
+        return Plan(name="test", legs=legs, **({"speed_m_s": 0.05} | changes))
 
     return make

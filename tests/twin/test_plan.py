@@ -9,15 +9,16 @@ import pytest
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.rovers.description import RoverDescription, read_rover
-from lunarsci.twin.path import curvature_at, planned_pose, wheel_commands
-from lunarsci.twin.plan import Arc, check_plan, parse_sweep, read_plan
+from lunarsci.twin.path import curvature_at
+from lunarsci.twin.plan import Leg, check_plan, parse_sweep, read_plan
 from lunarsci.twin.rover import Rover, build_rover
+from lunarsci.twin.schedule import make_schedule
 
 
 def test_the_embedded_plan_is_the_published_one() -> None:
     """Ding et al. (2024), Fig. 1d; 9.807 m in all, phi 25-55 deg, K_y 15-45 mm."""
     plan = read_plan()
-    assert [(arc.length_m, arc.curvature_per_m) for arc in plan.arcs] == [
+    assert [(leg.length_m, leg.curvature_per_m) for leg in plan.legs] == [
         (3.673, 0.154),
         (4.282, -0.132),
         (1.852, -0.138),
@@ -27,7 +28,7 @@ def test_the_embedded_plan_is_the_published_one() -> None:
     assert all(limit.assumed or limit.source for limit in plan.limits)
 
 
-ARC = "[[arc]]\nlength_m = 1.0\ncurvature_per_m = 0.0\n"
+ARC = "[[leg]]\nlength_m = 1.0\ncurvature_per_m = 0.0\n"
 DRIVE = "[drive]\nspeed_m_s = 0.05\n"
 
 
@@ -42,12 +43,19 @@ def test_a_plan_without_limits_gets_the_embedded_ones_and_sweeps_nothing(tmp_pat
     ("text", "says"),
     [
         (DRIVE, "length is zero"),
-        (DRIVE + "[[arc]]\nlength_m = 0\ncurvature_per_m = 0\n", "length_m"),
-        (DRIVE + "[[arc]]\nlength_m = nan\ncurvature_per_m = 0\n", "length_m"),
-        (DRIVE + "[[arc]]\nlength_m = 1\ncurvature_per_m = inf\n", "curvature_per_m"),
-        (DRIVE + "[[arc]]\nlength_m = 1\n", "no curvature_per_m"),
-        (DRIVE + "[[arc]]\nlength_m = 1e9\ncurvature_per_m = 0\n", "at most 1000 m"),
-        (DRIVE + "[arc]\nlength_m = 1\ncurvature_per_m = 0\n", "double brackets"),
+        (DRIVE + "[[leg]]\nlength_m = 0\ncurvature_per_m = 0\n", "length_m"),
+        (DRIVE + "[[leg]]\nlength_m = nan\ncurvature_per_m = 0\n", "length_m"),
+        (DRIVE + "[[leg]]\nlength_m = 1\ncurvature_per_m = inf\n", "curvature_per_m"),
+        (DRIVE + "[[leg]]\ncurvature_per_m = 0\n", "exactly one of length_m"),
+        (DRIVE + "[[leg]]\nlength_m = 1\nturn_deg = 30\n", "exactly one of length_m"),
+        (DRIVE + "[[leg]]\nturn_deg = 30\ncrab_deg = 10\n", "crab_deg"),
+        (DRIVE + "[[leg]]\nturn_deg = 361\n", "turn_deg"),
+        (DRIVE + "[[leg]]\nstop_s = 0.2\n", "1 to 3600 s"),
+        (DRIVE + "[[leg]]\nlength_m = -1\n", "length_m"),
+        (DRIVE + ARC + "[fixes]\nposition_sigma_m = 0.1\n", "heading_sigma_deg"),
+        (DRIVE + ARC + "[fixes]\nposition_sigma_m = -0.1\nheading_sigma_deg = 0\n", "position_sigma_m"),
+        (DRIVE + "[[leg]]\nlength_m = 1e9\ncurvature_per_m = 0\n", "at most 1000 m"),
+        (DRIVE + "[leg]\nlength_m = 1\ncurvature_per_m = 0\n", "double brackets"),
         ("[drive]\nspeed_m_s = -0.05\n" + ARC, "speed_m_s"),
         ("[drive]\nspeed_m_s = nan\n" + ARC, "speed_m_s"),
         ("[drive]\nspeed_m_s = true\n" + ARC, "give a number"),
@@ -84,7 +92,7 @@ def test_a_rover_can_refuse_a_plan(yutu2: Rover) -> None:
     with pytest.raises(ParameterError, match=r"at most 0\.055"):
         check_plan(dataclasses.replace(plan, speed_m_s=0.06), yutu2)
     with pytest.raises(ParameterError, match="turning centre"):
-        check_plan(dataclasses.replace(plan, arcs=(Arc(1.0, 3.0),)), yutu2)
+        check_plan(dataclasses.replace(plan, legs=(Leg(1.0, 3.0),)), yutu2)
 
 
 @pytest.mark.parametrize("text", ["", "a", "friction_angle_deg=1:2", "friction_angle_deg=2:1:3", "cohesion_pa=1:2:1"])
@@ -99,44 +107,29 @@ def test_a_sweep_reads_back() -> None:
     assert str(parse_sweep("cohesion_pa=520:520:1")) == "520:520:1"
 
 
-def test_the_path_is_the_integral_of_its_heading() -> None:
+def test_the_path_is_the_integral_of_its_heading(yutu2: Rover) -> None:
     """Quadrature of cos and sin of the heading, against the exact chords."""
     plan = dataclasses.replace(read_plan(), x_m=1.0, y_m=2.0, heading_deg=30.0)
     s = np.linspace(0.0, plan.length_m, 200001)
     middle = 0.5 * (s[1:] + s[:-1])
-    edges = np.cumsum([arc.length_m for arc in plan.arcs])
-    curvature = np.array([arc.curvature_per_m for arc in plan.arcs])[np.searchsorted(edges[:-1], middle)]
+    edges = np.cumsum([leg.length_m for leg in plan.legs])
+    curvature = np.array([leg.curvature_per_m for leg in plan.legs])[np.searchsorted(edges[:-1], middle)]
     heading = math.radians(30.0) + np.cumsum(curvature) * s[1] - 0.5 * curvature * s[1]
-    pose = planned_pose(plan, s)
+    pose = make_schedule(plan, yutu2).pose_at(s / plan.speed_m_s)
     assert pose[-1, 0] == pytest.approx(1.0 + np.sum(np.cos(heading)) * s[1], abs=1e-4)
     assert pose[-1, 1] == pytest.approx(2.0 + np.sum(np.sin(heading)) * s[1], abs=1e-4)
-    assert pose[-1, 2] == pytest.approx(math.radians(30.0) + sum(a.length_m * a.curvature_per_m for a in plan.arcs))
-    assert planned_pose(plan, [0.0])[0] == pytest.approx([1.0, 2.0, math.radians(30.0)])
+    assert pose[-1, 2] == pytest.approx(math.radians(30.0) + sum(a.length_m * a.curvature_per_m for a in plan.legs))
+    assert pose[0] == pytest.approx([1.0, 2.0, math.radians(30.0)])
 
 
 def test_the_blended_curvature_turns_as_far_as_the_arcs() -> None:
     plan = read_plan()
     s = np.linspace(0.0, plan.length_m, 100001)
-    blended = curvature_at(plan.arcs, s, 0.2)
-    assert np.sum(0.5 * (blended[1:] + blended[:-1])) * s[1] == pytest.approx(planned_pose(plan, s)[-1, 2], abs=1e-6)
+    blended = curvature_at(plan.legs, s, 0.2)
+    turned = sum(leg.length_m * leg.curvature_per_m for leg in plan.legs)
+    assert np.sum(0.5 * (blended[1:] + blended[:-1])) * s[1] == pytest.approx(turned, abs=1e-6)
     assert np.abs(np.diff(blended)).max() < 1.01 * 0.286 / 0.2 * s[1]
-    assert curvature_at(plan.arcs, [3.673], 0.2)[0] == pytest.approx(0.5 * (0.154 - 0.132))
-
-
-@pytest.mark.parametrize("offset", [0.0, 0.06])
-@pytest.mark.parametrize("curvature", [0.154, -0.5, 1e-9])
-def test_steered_wheels_roll_without_scrubbing(yutu2: Rover, curvature: float, offset: float) -> None:
-    """Each wheel centre moves as a point of a body that turns about one centre: velocity = speed (1 - k y, k x)."""
-    rover = dataclasses.replace(yutu2, steering_offset_m=offset)
-    commands = wheel_commands(rover, [curvature], 0.05)
-    side = np.array([1.0, -1.0] * 3)
-    turn = commands.steering_rad[0]
-    inward = np.where(rover.steered_mask, offset, 0.0) * side
-    x = rover.wheel_positions_m[:, 0] - inward * np.sin(turn)
-    y = rover.wheel_positions_m[:, 1] + inward * (np.cos(turn) - 1.0)
-    velocity = 0.05 * np.column_stack([1.0 - curvature * y, curvature * x])
-    heading = np.column_stack([np.cos(turn), np.sin(turn)])
-    assert velocity == pytest.approx(commands.speed_m_s[0][:, None] * heading, abs=1e-12)
+    assert curvature_at(plan.legs, [3.673], 0.2)[0] == pytest.approx(0.5 * (0.154 - 0.132))
 
 
 def test_the_rover_file_is_checked() -> None:

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from lunarsci.twin.lanes import LANES, NORMAL, new_work
+from lunarsci.twin.lanes import LANES, NORMAL, RIM, new_work
 from lunarsci.twin.outcomes import FINISHED, HOLE, LEFT, SANK, UNSETTLED
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.settle import settle
@@ -17,9 +17,9 @@ def loads(rover: Rover, terrain: Terrain, heading: float = 0.0, at: tuple[float,
     """Outcome, F_N of FL, FR, ML, MR, RL, RR, and the pose."""
     count = len(rover.wheels)
     work = new_work(count)
-    start = np.array([*at, heading, 0.05, 0.0])
-    still, speed, override = np.zeros(count), np.full(count, 0.05), np.tile(soil_override(soil), (LANES, 1))
-    settle(rover.vector(), rover.wheel.vector(), terrain.grid(), override, start, still, speed, work)
+    start, override = np.tile([*at, heading], (LANES, 1)), np.tile(soil_override(soil), (LANES, 1))
+    work.wheels.reshape(count, -1, LANES)[:, RIM] = 0.05
+    settle(rover.vector(), rover.wheel.vector(), terrain.grid(), override, start, work)
     assert (work.code == work.code[0]).all()
     return (
         int(work.code[0]),

@@ -1,19 +1,22 @@
 """Terrain: exact interpolation, files good and hostile, and the synthetic stand-in against the published numbers."""
 
+import dataclasses
 import io
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 
 from lunarsci.errors import DataError, OutputError, ParameterError
 from lunarsci.regolith.soil import Soil
 from lunarsci.twin.lanes import CENTER, GROUND, LANES, SOIL, new_work
 from lunarsci.twin.longji import CRATERS, crater_height, synthetic_longji
 from lunarsci.twin.outcomes import FINISHED, HOLE, LEFT
-from lunarsci.twin.path import planned_pose
 from lunarsci.twin.plan import read_plan
+from lunarsci.twin.rover import build_rover
+from lunarsci.twin.schedule import make_schedule
 from lunarsci.twin.terrain import (
     Grid,
     Terrain,
@@ -63,13 +66,48 @@ def test_the_corners_belong_to_the_map_and_beyond_it_is_nothing(longji_soil: Soi
         assert read_node(grid, x, y, NOTHING, node) == LEFT
 
 
-def test_a_bilinear_patch_between_four_nodes(longji_soil: Soil) -> None:
-    """Bilinear by hand: 0.25 * 0.5 of the one raised node."""
+@pytest.mark.parametrize("interpolation", ["smooth", "triangles"])
+def test_a_plane_is_a_plane_to_its_edges(longji_soil: Soil, interpolation: str) -> None:
+    ground = dataclasses.replace(plane(longji_soil), interpolation=interpolation)
+    x, y = np.meshgrid(np.linspace(1.0, 3.0, 41), np.linspace(-2.0, 1.0, 47))
+    surface = ground.surface_at(x, y)
+    assert np.allclose(surface, np.stack([0.1 * x - 0.2 * y + 3.0, 0.1 + 0 * x, -0.2 + 0 * y], axis=-1), atol=1e-12)
+    assert np.isnan(ground.height_at([0.9, 2.0], [0.0, 1.1])).all()
+
+
+def test_the_smooth_surface_is_a_catmull_rom_spline_with_its_own_gradient(longji_soil: Soil) -> None:
+    """Against scipy's cubic Hermite spline through central differences, and against differences of the heights."""
+    random = np.random.default_rng(5)
+    height = random.normal(size=(8, 9))
+    ground = build_terrain("rough", 0.0, 0.0, 0.5, height, longji_soil)
+    x = np.linspace(0.5, 3.5, 61)
+    row = CubicHermiteSpline(ground.x_m, height[3], np.gradient(height[3], 0.5))
+    assert ground.height_at(x, 1.5) == pytest.approx(row(x), abs=1e-12)
+    assert ground.surface_at(x, 1.5)[:, 1] == pytest.approx(row(x, 1), abs=1e-12)
+    px, py = 4.0 * random.random(200), 3.5 * random.random(200)
+    h = 1e-6
+    inside = (px > h) & (px < 4.0 - h) & (py > h) & (py < 3.5 - h)
+    px, py = px[inside], py[inside]
+    surface = ground.surface_at(px, py)
+    along = (ground.height_at(px + h, py) - ground.height_at(px - h, py)) / (2 * h)
+    across = (ground.height_at(px, py + h) - ground.height_at(px, py - h)) / (2 * h)
+    assert surface[:, 1] == pytest.approx(along, abs=1e-6)
+    assert surface[:, 2] == pytest.approx(across, abs=1e-6)
+    # The gradient does not jump where cells meet.
+    for k in range(1, 8):
+        left, right = ground.surface_at([0.5 * k - 1e-9, 0.5 * k + 1e-9], [1.23, 1.23])
+        assert left == pytest.approx(right, abs=1e-6)
+
+
+def test_triangles_are_planes_through_three_nodes(longji_soil: Soil) -> None:
+    """By hand: the raised node is the upper right corner of the cell, so both planes of the cell end in it."""
     height = np.zeros((5, 5))
     height[2, 2] = 8.0
-    grid, node = build_terrain("peak", 0.0, 0.0, 1.0, height, longji_soil).grid(), np.zeros(11)
-    assert read_node(grid, 1.25, 1.5, NOTHING, node) == FINISHED
-    assert node[0] == pytest.approx(8.0 * 0.25 * 0.5)
+    ground = dataclasses.replace(build_terrain("peak", 0.0, 0.0, 1.0, height, longji_soil), interpolation="triangles")
+    assert ground.surface_at(1.75, 1.25) == pytest.approx([8.0 * 0.25, 0.0, 8.0])
+    assert ground.surface_at(1.25, 1.75) == pytest.approx([8.0 * 0.25, 8.0, 0.0])
+    with pytest.raises(ParameterError, match="smooth, triangles"):
+        dataclasses.replace(ground, interpolation="bilinear")
 
 
 def test_holes_are_holes(longji_soil: Soil) -> None:
@@ -167,7 +205,8 @@ def test_what_is_no_archive_is_refused(tmp_path: Path, longji_soil: Soil) -> Non
 def slopes_along_the_plan(ground: Terrain) -> np.ndarray:
     """Tilt of the least-squares plane through 1 m x 1 m about each point of the planned path. [deg]"""
     plan, result = read_plan(), []
-    for x, y, _ in planned_pose(plan, np.linspace(0.0, plan.length_m, 99)):
+    schedule = make_schedule(plan, build_rover("yutu2"))
+    for x, y, _ in schedule.pose_at(np.linspace(0.0, schedule.duration_s, 99)):
         rows, columns = np.abs(ground.y_m - y) <= 0.5, np.abs(ground.x_m - x) <= 0.5
         px, py = np.meshgrid(ground.x_m[columns] - x, ground.y_m[rows] - y)
         matrix = np.column_stack([px.ravel(), py.ravel(), np.ones(px.size)])

@@ -1,0 +1,155 @@
+"""Legs in time, and the commands that make wheels roll without scrubbing."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from lunarsci.twin.commands import CREEP, wheel_commands
+from lunarsci.twin.ensemble import STATE_COLUMNS, predict
+from lunarsci.twin.plan import Fixes, Leg, Plan
+from lunarsci.twin.rover import Rover, build_rover
+from lunarsci.twin.schedule import make_schedule, run_commands
+
+
+def plan_of(*legs: Leg, **changes: object) -> Plan:
+    return Plan(name="test", legs=legs, **({"speed_m_s": 0.05} | changes))  # type: ignore[arg-type]
+
+
+MOTIONS = {
+    "arc": (1.0, 0.0, 0.154),
+    "right": (1.0, 0.0, -0.5),
+    "straight": (1.0, 0.0, 1e-9),
+    "back": (-1.0, 0.0, 0.2),
+    "spot turn": (0.0, 0.0, 1.4),
+    "spot turn to the right": (0.0, 0.0, -1.4),
+}
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.06])
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_steered_wheels_roll_without_scrubbing(yutu2: Rover, motion: str, offset: float) -> None:
+    """Each wheel centre moves as a point of a rigid body: velocity = speed (ahead - turn y, left + turn x)."""
+    rover = dataclasses.replace(yutu2, steering_offset_m=offset)
+    ahead, left, turn = MOTIONS[motion]
+    commands = wheel_commands(rover, ahead, left, turn, 0.05)
+    angle = commands.steering_rad
+    inward = np.where(rover.steered_mask, offset, 0.0) * [1.0, -1.0, 1.0, -1.0, 1.0, -1.0]
+    x = rover.wheel_positions_m[:, 0] - inward * np.sin(angle)
+    y = rover.wheel_positions_m[:, 1] + inward * (np.cos(angle) - 1.0)
+    velocity = 0.05 * np.column_stack([ahead - turn * y, left + turn * x])
+    heading = np.column_stack([np.cos(angle), np.sin(angle)])
+    assert velocity == pytest.approx(commands.speed_m_s[:, None] * heading, abs=1e-12)
+    assert np.abs(angle).max() <= 0.5 * math.pi
+
+
+def test_a_four_wheeler_can_crab() -> None:
+    commands = wheel_commands(build_rover("small-four"), math.cos(0.6), math.sin(0.6), 0.0, 0.04)
+    assert commands.steering_rad == pytest.approx(np.full(4, 0.6))
+    assert commands.speed_m_s == pytest.approx(np.full(4, 0.04))
+
+
+def test_arcs_of_one_direction_are_driven_without_a_halt(yutu2: Rover) -> None:
+    schedule = make_schedule(plan_of(Leg(1.0, 0.1), Leg(2.0, -0.1)), yutu2)
+    assert len(schedule.runs) == 1 and schedule.duration_s == pytest.approx(60.0)
+    assert schedule.distance_at([0.0, 30.0, 60.0]) == pytest.approx([0.0, 1.5, 3.0])
+
+
+MIXED = (Leg(1.0, 0.1), Leg(turn_deg=90.0), Leg(0.5), Leg(stop_s=20.0), Leg(0.5, 0.0, 180.0))
+
+
+def test_a_drive_with_halts_covers_its_legs_and_nothing_else(yutu2: Rover) -> None:
+    schedule = make_schedule(plan_of(*MIXED), yutu2)
+    assert [run.moves for run in schedule.runs] == [True, True, True, False, True]
+    distance = schedule.distance_at([run.end_s for run in schedule.runs])
+    assert distance == pytest.approx([1.0, 1.0, 1.5, 1.5, 2.0], abs=1e-12)
+    time = np.linspace(0.0, schedule.duration_s, 20001)
+    rate = np.diff(schedule.distance_at(time)) / time[1]
+    assert rate.max() < 0.05 * (1 + 1e-9) and rate.min() >= 0.0
+    # The turn takes the farthest wheel along a quarter circle of 0.673 m at 0.05 m/s; then the ramps of its two halts.
+    quarter = 0.5 * math.pi * math.hypot(0.5, 0.45) / 0.05
+    assert schedule.runs[1].cruise_s == pytest.approx(quarter - 2 * 0.3 * (1 - CREEP))
+    x, y, heading = schedule.pose_at(schedule.duration_s)
+    # Backwards takes back what the last straight leg gained.
+    assert (x, y) == pytest.approx((math.sin(0.1) / 0.1, (1 - math.cos(0.1)) / 0.1))
+    assert heading == pytest.approx(0.1 + 0.5 * math.pi)
+
+
+def test_commanded_speeds_add_up_to_the_leg_at_any_step(yutu2: Rover) -> None:
+    schedule = make_schedule(plan_of(*MIXED), yutu2)
+    run = schedule.runs[2]
+    for steps in (40, 171):
+        times = np.linspace(run.begin_s, run.end_s, steps + 1)
+        before = run_commands(yutu2, schedule, 1, np.linspace(schedule.runs[1].begin_s, run.begin_s, 99), None, None)
+        commands = run_commands(yutu2, schedule, 2, times, before, None)
+        driven = float(commands.speed_m_s[0, :, 2].sum() * (times[1] - times[0]))
+        assert driven == pytest.approx(0.5, abs=2 * CREEP * 0.05 * (run.steer_s + 1.0))
+        assert commands.steering_rad[0, 0] == pytest.approx(before.steering_rad[0, -1], abs=0.2)
+        assert commands.steering_rad[0, -1] == pytest.approx(np.zeros(6))
+
+
+def grip(soil):  # type: ignore[no-untyped-def]
+    """Ground that hardly shears."""
+    return soil.replace(
+        stiffness_kpa_m_n=1e6, shear_modulus_mm=0.05, lateral_modulus_mm=0.05, external_friction_angle_deg=42.0
+    )
+
+
+def test_the_rover_turns_on_the_spot_stops_and_drives_back(yutu2: Rover, longji_soil, slope) -> None:  # type: ignore[no-untyped-def]
+    rover = dataclasses.replace(yutu2, wheel=dataclasses.replace(yutu2.wheel, grouser_height_m=0.0))
+    result = predict(rover, slope(soil=grip(longji_soil)), plan_of(*MIXED), sweep=())
+    assert result.outcome_text(0) == "finished"
+    planned = result.planned[-1]
+    assert result.endpoints_m[0] == pytest.approx(planned[:2], abs=0.02)
+    assert result.paths[0, -1, 5] == pytest.approx(math.degrees(planned[2]), abs=2.0)
+    # It stands while it stops.
+    schedule = make_schedule(result.plan, rover)
+    still = (result.time_s > schedule.runs[3].begin_s) & (result.time_s < schedule.runs[3].end_s)
+    assert np.ptp(result.paths[0, still, :2], axis=0).max() < 1.5e-3
+    assert np.ptp(result.paths[0, still, 5]) < 0.1
+
+
+def test_a_four_wheeler_crabs_and_keeps_its_heading(longji_soil, slope) -> None:  # type: ignore[no-untyped-def]
+    rover = build_rover("small-four")
+    plan = plan_of(Leg(1.5, 0.0, 40.0), speed_m_s=0.04)
+    result = predict(rover, slope(soil=grip(longji_soil)), plan, sweep=())
+    assert result.endpoints_m[0] == pytest.approx(1.5 * np.array([np.cos(0.698132), np.sin(0.698132)]), abs=0.02)
+    assert abs(result.paths[0, -1, 5]) < 1.0
+
+
+def test_a_rover_whose_middle_wheels_do_not_steer_drags_them_when_it_crabs(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
+    result = predict(yutu2, slope(), plan_of(Leg(1.0, 0.0, 30.0)), sweep=())
+    side = np.abs(result.states[0, -1, :, STATE_COLUMNS.index("side_slip_deg")])
+    assert side[2:4].min() > 15.0 > 8.0 > side[[0, 1, 4, 5]].max()
+
+
+def test_a_halt_on_a_slope_holds(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
+    result = predict(yutu2, slope(-0.1, 0.05), plan_of(Leg(0.5), Leg(stop_s=60.0)), sweep=())
+    schedule = make_schedule(result.plan, yutu2)
+    still = result.time_s > schedule.runs[1].begin_s + 2.0
+    assert np.ptp(result.paths[0, still, :2], axis=0).max() < 0.01
+    assert np.isfinite(result.states).all()
+
+
+def test_position_fixes_take_the_rover_back_to_its_plan(yutu2: Rover, longji_soil, slope) -> None:  # type: ignore[no-untyped-def]
+    """A side slope pushes the open loop off; with exact fixes only the last leg's part of the push remains."""
+    legs = (Leg(2.0), Leg(2.0), Leg(2.0), Leg(1.0))
+    ground = slope(0.0, 0.05)
+    soils = {"sweep": (), "time_step_s": 0.2}
+    open_loop = predict(yutu2, ground, plan_of(*legs), **soils)
+    fixed = predict(yutu2, ground, plan_of(*legs, fixes=Fixes(0.0, 0.0)), **soils)
+    assert fixed.outcome_text(0) == "finished"
+    assert fixed.miss_m[0] < 0.35 * open_loop.miss_m[0]
+
+
+def test_errors_of_the_fixes_scatter_the_ends_and_follow_the_seed(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
+    from lunarsci.twin.plan import Sweep
+
+    plan = plan_of(Leg(1.0), Leg(2.0), fixes=Fixes(0.1, 0.0), speed_m_s=0.055)
+    sweep = (Sweep("cohesion_pa", 520.0, 520.001, 33),)
+    one, two, other = (predict(yutu2, slope(), plan, sweep=sweep, seed=s, time_step_s=0.2) for s in (3, 3, 4))
+    assert np.array_equal(one.paths, two.paths) and not np.array_equal(one.paths, other.paths)
+    # A fix that is off by e puts the end off by -e, whatever the direction; 33 of them, each of sigma 0.1 m.
+    off = one.endpoints_m - one.endpoints_m.mean(axis=0)
+    assert off[:, 0].std() == pytest.approx(0.1, rel=0.35) and off[:, 1].std() == pytest.approx(0.1, rel=0.35)
