@@ -61,6 +61,8 @@ NORMAL_DAMPING = 400.0
 DEEPEST = 0.9
 # Range of |s| that the source states for the model.
 VALID_SLIP = 0.6
+# Speeds [m/s] below this are none.
+SLOWEST = 1e-9
 # Below this sinkage [m] the contact angles round to nothing.
 SHALLOWEST = 1e-9
 
@@ -135,7 +137,11 @@ def meet_ground(
         pressed = max(f_n - damping, 0.0) * on
         bearing = 1.0 if pressed > 0.0 else 0.0
         per = slid / rim
-        d_l = -per * slopes[2]
+        # A step must not pass the speed at which nothing slips: from far away the force is taken to fall to 0 there.
+        brake = min(max(10.0 * abs(slip_ratio(travel)) - 2.0, 0.0), slid) / max(abs(rim - v[0]), SLOWEST)
+        skew = min(max(10.0 * abs(v[1]) / max(abs(v[0]), rim) - 3.0, 0.0), slid) / max(abs(v[1]), SLOWEST)
+        along = per * slopes[1] - brake * abs(f_dp)
+        d_l = -per * slopes[2] - skew * abs(f_l)
         stiffness = on * (soil[1] + 0.5) * pressed / z
         remaining = seen_from(axes, get3(wheel, ACCELERATION, lane))
         put3(wheel, AXES, lane, axes[0])
@@ -145,7 +151,7 @@ def meet_ground(
         put(wheel, FORCE + 1, lane, -slid * f_l - kg * (gravity * axes[1][2] + remaining[1]))
         put(wheel, FORCE + 2, lane, pressed - kg * (gravity * axes[2][2] + remaining[2]))
         put3(wheel, MOMENT, lane, (-slid * below * f_l, -slid * m_r, -slid * ahead * f_l))
-        put3(wheel, ALONG, lane, (per * slopes[1], per * bearing * slopes[0], -per * slopes[3]))
+        put3(wheel, ALONG, lane, (along, per * bearing * slopes[0], brake * abs(m_r) - per * slopes[3]))
         put3(wheel, ACROSS, lane, (d_l, below * d_l, ahead * d_l))
         put(wheel, STIFF, lane, dt * slid * bearing * NORMAL_DAMPING + 0.5 * dt * dt * stiffness)
         put(wheel, STIFF + 1, lane, dt * dt * stiffness * v[2])

@@ -34,7 +34,7 @@ from lunarsci.twin.lanes import (
     rows,
     times,
 )
-from lunarsci.twin.outcomes import DIVERGED, FINISHED, OVERTURNED, SANK
+from lunarsci.twin.outcomes import DIVERGED, FELL, FINISHED, OVERTURNED, SANK
 from lunarsci.twin.terrain import read_ground
 
 __all__ = ["assemble", "check_health", "eliminate", "is_upright", "move"]
@@ -43,6 +43,8 @@ COS_OVERTURNED = 0.5
 THREE, EIGHT = rows(3, 8)
 # Assumed: no part of a rover that drives at cm/s comes near this speed [m/s or rad/s] while the run has a meaning.
 FASTEST = 10.0
+# Speed of the rover that no drive reaches: a drop of 0.3 m on the Moon. [m/s]
+FALLING = 1.0
 
 
 @joined
@@ -226,6 +228,11 @@ def check_health(work: Any) -> None:
     for lane in range(LANES):
         if work.code[lane] != FINISHED:
             continue
+        fastest = 0.0
+        for k in range(3):
+            fastest = max(fastest, abs(body[(SPEED + k) * LANES + lane]))
+        if fastest >= FALLING:
+            work.code[lane] = FELL
         for k in range(9):
             if not abs(body[(SPEED + k) * LANES + lane]) < FASTEST:
                 work.code[lane] = DIVERGED
