@@ -1,6 +1,6 @@
 """How a drive can end."""
 
-__all__ = ["DIVERGED", "FELL", "FINISHED", "HOLE", "LEFT", "OUTCOMES", "OVERTURNED", "SANK", "UNSETTLED"]
+__all__ = ["CLIFF", "DIVERGED", "FELL", "FINISHED", "HOLE", "LEFT", "OUTCOMES", "OVERTURNED", "SANK", "UNSETTLED"]
 
 OUTCOMES = (
     "finished",
@@ -10,6 +10,7 @@ OUTCOMES = (
     "diverged: the state is no longer finite",
     "did not settle: no static equilibrium at the start pose",
     "sank: a wheel is buried to its axle",
+    "cliff: the ground below a wheel is steeper than 60 deg",
     "fell: it moved at more than 1 m/s, off a cliff or down a slope that does not hold it",
 )
-FINISHED, LEFT, HOLE, OVERTURNED, DIVERGED, UNSETTLED, SANK, FELL = range(8)
+FINISHED, LEFT, HOLE, OVERTURNED, DIVERGED, UNSETTLED, SANK, CLIFF, FELL = range(9)

@@ -8,7 +8,7 @@ import numpy as np
 from lunarsci.compiled import compiled
 from lunarsci.twin.integrate import assemble, eliminate, is_upright, move
 from lunarsci.twin.lanes import CENTER, CHANGE, GROUND, LANES, MATRIX, POSE, RIGHT, SPEED
-from lunarsci.twin.outcomes import DIVERGED, FINISHED, HOLE, LEFT, OVERTURNED, SANK, UNSETTLED
+from lunarsci.twin.outcomes import CLIFF, DIVERGED, FINISHED, HOLE, LEFT, OVERTURNED, SANK, UNSETTLED
 from lunarsci.twin.terrain import lay_soil, read_ground
 
 __all__ = ["place", "settle"]
@@ -122,7 +122,7 @@ def settle(rover: Any, tyre: Any, grid: Any, override: Any, start: Any, work: An
         assemble(rover, tyre, grid, override, dt, False, work)
         lock(work, dt, SETTLE_TOLERANCE * weight, done)
         for lane in range(LANES):
-            if work.code[lane] in (LEFT, HOLE, OVERTURNED, UNSETTLED, DIVERGED):
+            if work.code[lane] in (LEFT, HOLE, CLIFF, OVERTURNED, UNSETTLED, DIVERGED):
                 done[lane] = True
         if done.all():
             break

@@ -12,7 +12,7 @@ from lunarsci.compiled import compiled
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.soil import Soil
 from lunarsci.twin.lanes import CENTER, GROUND, LANES, SOIL
-from lunarsci.twin.outcomes import FINISHED, HOLE, LEFT, SANK
+from lunarsci.twin.outcomes import CLIFF, FINISHED, HOLE, LEFT, SANK
 
 __all__ = [
     "SOIL_COLUMNS",
@@ -40,6 +40,8 @@ SOIL_COLUMNS = {
 }
 
 
+STEEPEST = math.tan(math.radians(60.0))
+"""Assumed: no soil stands so steep, and a wheel no longer meets it in one plane. [-]"""
 INTERPOLATIONS = ("smooth", "triangles")
 
 
@@ -217,7 +219,7 @@ def lay_soil(grid: Any, override: Any, wheel: Any) -> None:
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def read_ground(grid: Any, override: Any, wheel: Any, code: Any) -> None:
-    """Height, gradient and soil below a wheel of LANES rovers; `code` takes who left the map or met a hole.
+    """Height, gradient and soil below a wheel of LANES rovers; `code` takes who left the map, met a hole or a cliff.
 
     `override` (LANES, 8) replaces the soil where it is not NaN. Where the soil is the same everywhere it stays as
     `lay_soil` left it. Lanes with another outcome keep what they had.
@@ -238,6 +240,8 @@ def read_ground(grid: Any, override: Any, wheel: Any, code: Any) -> None:
         if not abs(height) + abs(slope_x) + abs(slope_y) < np.inf:
             code[lane] = HOLE
             height, slope_x, slope_y = 0.0, 0.0, 0.0
+        elif slope_x * slope_x + slope_y * slope_y > STEEPEST * STEEPEST:
+            code[lane] = CLIFF
         wheel[GROUND * LANES + lane] = height
         wheel[(GROUND + 1) * LANES + lane] = slope_x
         wheel[(GROUND + 2) * LANES + lane] = slope_y

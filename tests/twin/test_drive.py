@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from lunarsci.errors import ParameterError
 from lunarsci.regolith.forces import wheel_forces
 from lunarsci.regolith.soil import Soil
 from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.longji import synthetic_longji
 from lunarsci.twin.outcomes import OUTCOMES
-from lunarsci.twin.plan import read_plan
+from lunarsci.twin.plan import Plan, read_plan
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.tables import state_table
 from lunarsci.twin.terrain import build_terrain
@@ -107,7 +108,7 @@ def holed(soil: Soil):  # type: ignore[no-untyped-def]
 
 @pytest.mark.parametrize(
     ("ground", "expected"),
-    [(hill, {"overturned"}), (cliff, {"fell"}), (holed, {"hole in the terrain"})],
+    [(hill, {"overturned"}), (cliff, {"cliff"}), (holed, {"hole in the terrain"})],
 )
 def test_bad_ground_ends_the_drive_with_its_reason(yutu2, longji_soil, straight, ground, expected) -> None:  # type: ignore[no-untyped-def]
     result = predict(yutu2, ground(longji_soil), straight(8.0), sweep=())
@@ -154,3 +155,21 @@ def test_a_four_wheeler_drives_its_arc(slope, straight) -> None:  # type: ignore
     weight = rover.mass_kg * rover.gravity_m_s2
     assert column(result, "normal_force_n").sum() == pytest.approx(weight, rel=1e-3)
     assert set(state_table(result)["wheel"]) == {"FL", "FR", "RL", "RR"}
+
+
+def test_a_slope_that_does_not_hold_the_rover_is_a_fall(yutu2: Rover, longji_soil: Soil, slope, straight) -> None:  # type: ignore[no-untyped-def]
+    """50 deg, above any friction angle: free of grip it would pass 1 m/s after 1 s."""
+    loose = longji_soil.replace(friction_angle_deg=25.0, cohesion_pa=0.0)
+    result = predict(yutu2, slope(-math.tan(math.radians(50.0)), soil=loose), straight(2.0), sweep=())
+    assert result.outcome_text(0).startswith("fell")
+    assert np.isfinite(result.paths).all()
+
+
+def test_steps_of_1_ms_and_of_half_a_second(yutu2: Rover, slope, straight) -> None:  # type: ignore[no-untyped-def]
+    assert predict(yutu2, slope(), straight(0.1), sweep=(), time_step_s=0.001).outcome_text(0) == "finished"
+    with pytest.raises(ParameterError, match=r"time_step_s is 0\.5.*0\.2"):
+        predict(yutu2, slope(), straight(0.1), sweep=(), time_step_s=0.5)
+    with pytest.raises(ParameterError, match="speed above 0"):
+        straight(1.0, speed_m_s=0.0)
+    with pytest.raises(ParameterError, match="length is zero"):
+        Plan(name="nothing", legs=(), speed_m_s=0.05)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lunarsci.twin.lanes import LANES, NORMAL, RIM, new_work
-from lunarsci.twin.outcomes import FINISHED, HOLE, LEFT, SANK, UNSETTLED
+from lunarsci.twin.outcomes import CLIFF, FINISHED, HOLE, LEFT, SANK, UNSETTLED
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.settle import settle
 from lunarsci.twin.terrain import Terrain, soil_override
@@ -125,7 +125,8 @@ def test_on_a_plane_the_chassis_lies_along_the_plane_and_carries_its_normal_weig
 
 def test_what_cannot_settle_says_so(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
     assert loads(yutu2, slope(), stiffness_kpa_m_n=1e-3)[0] in (UNSETTLED, SANK)
-    assert loads(yutu2, slope(3.0))[0] == UNSETTLED
+    assert loads(yutu2, slope(1.7))[0] == UNSETTLED
+    assert loads(yutu2, slope(3.0))[0] == CLIFF
     assert loads(yutu2, slope(), at=(50.0, 0.0))[0] == LEFT
     holed = slope()
     holed.height_m[14:19, 6:11] = np.nan
