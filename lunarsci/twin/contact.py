@@ -50,10 +50,21 @@ from lunarsci.twin.lanes import (
     plus,
     put,
     put3,
+    rows,
     times,
 )
 
-__all__ = ["DEEPEST", "NORMAL_DAMPING", "SHALLOWEST", "VALID_SLIP", "add_wheel", "contact_frame"]
+__all__ = [
+    "AT_REST",
+    "DEEPEST",
+    "DRIVEN",
+    "HELD",
+    "NORMAL_DAMPING",
+    "SHALLOWEST",
+    "VALID_SLIP",
+    "add_wheel",
+    "contact_frame",
+]
 
 # Assumed, for a calm touch-down: half of critical for a sixth of 135 kg on 7 kN/m; the soil's own is not published.
 NORMAL_DAMPING = 400.0
@@ -61,6 +72,7 @@ NORMAL_DAMPING = 400.0
 DEEPEST = 0.9
 # Range of |s| that the source states for the model.
 VALID_SLIP = 0.6
+AT_REST, DRIVEN, HELD = rows(0, 1, 2)
 # Speeds [m/s] below this are none.
 SLOWEST = 1e-9
 # Below this sinkage [m] the contact angles round to nothing.
@@ -105,7 +117,7 @@ def chosen(on: Any, values: Any) -> Any:
 
 @in_lanes
 def meet_ground(
-    body: Any, wheel: Any, tyre: Any, kg: float, gravity: float, bogie: int, dt: float, shear: bool,
+    body: Any, wheel: Any, tyre: Any, kg: float, gravity: float, bogie: int, dt: float, shear: bool, free: float,
 ) -> None:  # fmt: skip
     """Contact frame, motion, wrench and its derivatives of one wheel.
 
@@ -133,7 +145,7 @@ def meet_ground(
         f_n, f_dp, f_l, m_r = chosen(on, forces)
         slopes = chosen(on, slopes)
         ahead, below = shear_center(z, slip_ratio(travel), tyre)
-        damping = NORMAL_DAMPING * v[2] * slid
+        damping = free * NORMAL_DAMPING * v[2] * slid
         pressed = max(f_n - damping, 0.0) * on
         bearing = 1.0 if pressed > 0.0 else 0.0
         per = slid / rim
@@ -154,7 +166,7 @@ def meet_ground(
         put3(wheel, ALONG, lane, (along, per * bearing * slopes[0], brake * abs(m_r) - per * slopes[3]))
         put3(wheel, ACROSS, lane, (d_l, below * d_l, ahead * d_l))
         put(wheel, STIFF, lane, dt * slid * bearing * NORMAL_DAMPING + 0.5 * dt * dt * stiffness)
-        put(wheel, STIFF + 1, lane, dt * dt * stiffness * v[2])
+        put(wheel, STIFF + 1, lane, free * dt * dt * stiffness * v[2])
         put(wheel, SINKAGE, lane, sinkage)
         put3(wheel, VELOCITY, lane, v)
         put(wheel, NORMAL, lane, pressed + damping * bearing)
@@ -237,7 +249,7 @@ def add_rows(levers: Any, system: Any) -> None:
 
 
 @joined
-def add_wheel(work: Any, w: int, rover: Any, tyre: Any, dt: float, shear: bool) -> None:
+def add_wheel(work: Any, w: int, rover: Any, tyre: Any, dt: float, mode: int) -> None:
     """Add wheel `w`, its mass and the soil's wrench, to the system of a step, and keep what the contact found.
 
     Parameters
@@ -245,10 +257,13 @@ def add_wheel(work: Any, w: int, rover: Any, tyre: Any, dt: float, shear: bool) 
     work : with kinematics, ground and commands of the wheel in place; its rim must move.
     rover, tyre : `Rover.vector()`, `Wheel.vector()`.
     dt : step. [s]
-    shear : False leaves only the normal force, for a rover at rest.
+    mode : `DRIVEN`; `AT_REST` leaves only the normal force; `HELD` has the forces of the motion, but the step does not
+        take the rover along, so touch-down damping and the change of sinkage along the step are left out.
     """
     side, kg = w % 2, rover.wheel_kg
     wheel, system = work.wheels[w], work.sides[side]
-    meet_ground(work.body, wheel, tyre, kg, rover.gravity, SPEED + 7 + side, dt, shear)
+    meet_ground(
+        work.body, wheel, tyre, kg, rover.gravity, SPEED + 7 + side, dt, mode != AT_REST, 0.0 if mode == HELD else 1.0
+    )
     find_levers(work.body, wheel, work.levers, rover.hung[w], 1.0 - 2.0 * side, kg, dt)
     add_rows(work.levers, system)

@@ -5,7 +5,7 @@ from typing import Any
 
 from lunarsci.compiled import compiled
 from lunarsci.regolith.forces import slip_ratio
-from lunarsci.twin.contact import DEEPEST, SHALLOWEST, VALID_SLIP
+from lunarsci.twin.contact import DEEPEST, DRIVEN, SHALLOWEST, VALID_SLIP
 from lunarsci.twin.dynamics import orient
 from lunarsci.twin.integrate import assemble, check_health, eliminate, move
 from lunarsci.twin.lanes import (
@@ -118,7 +118,7 @@ def drive(
         if not (work.code[:members] == FINISHED).any():
             break
         take_commands(work, steering, speed, min(i, steps - 1))
-        assemble(rover, tyre, grid, override, dt, True, work)
+        assemble(rover, tyre, grid, override, dt, DRIVEN, work)
         if (first + i) % every == 0:
             for m in range(members):
                 if work.code[m] == FINISHED:

@@ -17,7 +17,7 @@ from lunarsci.twin.lanes import LANES, Work, new_work
 from lunarsci.twin.outcomes import OUTCOMES
 from lunarsci.twin.plan import Plan, Sweep, check_plan
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.schedule import Schedule, make_schedule, run_commands, start_motion
+from lunarsci.twin.schedule import Schedule, all_commands, make_schedule, run_commands, start_motion, steps_of_runs
 from lunarsci.twin.terrain import Terrain, soil_override
 
 __all__ = ["PATH_COLUMNS", "STATE_COLUMNS", "Prediction", "member_parameters", "predict"]
@@ -216,13 +216,6 @@ class Scene:
     every: int
     seed: int
 
-    def pieces(self) -> list[slice]:
-        """The steps of each run: a step belongs to the run in which its middle lies."""
-        middles = 0.5 * (self.times_s[1:] + self.times_s[:-1])
-        ends = np.searchsorted(middles, [run.end_s for run in self.schedule.runs])
-        ends[-1] = len(middles)
-        return [slice(int(a), int(b)) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
-
 
 def _drive_all(
     scene: Scene, overrides: FloatArray, samples: int, progress: Callable[[int, int], None] | None
@@ -236,7 +229,7 @@ def _drive_all(
     results = np.zeros((count, 2), dtype=np.int64)
     grid, errors = scene.terrain.grid(), fix_errors(scene.schedule, count, scene.seed)
     groups = [slice(k, min(k + LANES, count)) for k in range(0, count, LANES)]
-    common = _common_commands(scene) if scene.schedule.plan.fixes is None else None
+    common = all_commands(scene.rover, scene.schedule, scene.times_s) if scene.schedule.plan.fixes is None else None
 
     def group(number: int) -> None:
         own = groups[number]
@@ -257,18 +250,6 @@ def _drive_all(
     return paths, states, results
 
 
-def _common_commands(scene: Scene) -> Commands:
-    """The commands of the whole drive, the same for all members. (1, steps, wheels)"""
-    runs: list[Commands] = []
-    for number, piece in enumerate(scene.pieces()):
-        times = scene.times_s[piece.start : piece.stop + 1]
-        runs.append(run_commands(scene.rover, scene.schedule, number, times, runs[-1] if runs else None, None))
-    return Commands(
-        np.concatenate([run.steering_rad for run in runs], axis=1),
-        np.concatenate([run.speed_m_s for run in runs], axis=1),
-    )
-
-
 def _begin(scene: Scene, known: tuple[Any, ...], commands: Commands) -> Work:
     work: Work = new_work(len(scene.rover.wheels))
     start = np.tile(scene.schedule.poses[0], (LANES, 1))
@@ -282,7 +263,7 @@ def _drive_with_fixes(scene: Scene, known: tuple[Any, ...], errors: FloatArray, 
     work: Work | None = None
     commands: Commands | None = None
     legs: FloatArray | None = None
-    pieces = scene.pieces()
+    pieces = steps_of_runs(scene.schedule, scene.times_s)
     for number, piece in enumerate(pieces):
         if work is not None:
             legs = legs_from(scene.schedule, scene.rover, number, work, errors[:, number])

@@ -48,16 +48,17 @@ FALLING = 1.0
 
 
 @joined
-def assemble(rover: Any, tyre: Any, grid: Any, override: Any, dt: float, shear: bool, work: Any) -> None:
+def assemble(rover: Any, tyre: Any, grid: Any, override: Any, dt: float, mode: int, work: Any) -> None:
     """Kinematics, ground contact and the linear system of a step at the pose, velocity and commands in `work`.
 
+    `mode` as in `add_wheel`.
     `work.code` takes the outcome of lanes that were still FINISHED.
     """
     place_wheels(rover, work)
     begin_system(rover, work, dt)
     for w in range(len(rover.arms)):
         read_ground(grid, override, work.wheels[w], work.code)
-        add_wheel(work, w, rover, tyre, dt, shear)
+        add_wheel(work, w, rover, tyre, dt, mode)
     for w in range(len(rover.arms)):
         for lane in range(LANES):
             if work.code[lane] == FINISHED and work.wheels[w][SINKAGE * LANES + lane] > tyre[0]:

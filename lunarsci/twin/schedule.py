@@ -12,7 +12,16 @@ from lunarsci.twin.path import curvature_at, leg_end
 from lunarsci.twin.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
 
-__all__ = ["Run", "Schedule", "make_schedule", "run_commands", "start_motion"]
+__all__ = [
+    "Run",
+    "Schedule",
+    "all_commands",
+    "commands_at",
+    "make_schedule",
+    "run_commands",
+    "start_motion",
+    "steps_of_runs",
+]
 
 FloatArray = npt.NDArray[np.float64]
 EASE_S = 0.3
@@ -166,6 +175,35 @@ def run_commands(
     turned = np.clip((times_s[1:] - run.begin_s) / run.steer_s, 0.0, 1.0)[:, None]
     old = before.steering_rad[:, -1:]
     return Commands(old + turned * (commands.steering_rad - old), commands.speed_m_s)
+
+
+def all_commands(rover: Rover, schedule: Schedule, times_s: FloatArray) -> Commands:
+    """Commands of the whole drive as planned, over successive steps; arguments as in `run_commands`. (1, steps, n)"""
+    runs: list[Commands] = []
+    for number, piece in enumerate(steps_of_runs(schedule, times_s)):
+        times = times_s[piece.start : piece.stop + 1]
+        runs.append(run_commands(rover, schedule, number, times, runs[-1] if runs else None, None))
+    return Commands(
+        np.concatenate([run.steering_rad for run in runs], axis=1),
+        np.concatenate([run.speed_m_s for run in runs], axis=1),
+    )
+
+
+def commands_at(rover: Rover, schedule: Schedule, time_s: FloatArray) -> Commands:
+    """Commands as planned at some times, those of the step of 0.1 s or less that begins there. (n, wheels)"""
+    steps = max(1, math.ceil(schedule.duration_s / 0.1))
+    times = np.linspace(0.0, schedule.duration_s, steps + 1)
+    commands = all_commands(rover, schedule, times)
+    number = np.clip(np.searchsorted(times, time_s, side="right") - 1, 0, steps - 1)
+    return Commands(commands.steering_rad[0, number], commands.speed_m_s[0, number])
+
+
+def steps_of_runs(schedule: Schedule, times_s: FloatArray) -> list[slice]:
+    """The steps of each run: a step belongs to the run in which its middle lies."""
+    middles = 0.5 * (times_s[1:] + times_s[:-1])
+    ends = np.searchsorted(middles, [run.end_s for run in schedule.runs])
+    ends[-1] = len(middles)
+    return [slice(int(a), int(b)) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
 
 
 def start_motion(schedule: Schedule, rover: Rover) -> tuple[float, float, float]:

@@ -6,12 +6,13 @@ from typing import Any
 import numpy as np
 
 from lunarsci.compiled import compiled
+from lunarsci.twin.contact import AT_REST
 from lunarsci.twin.integrate import assemble, eliminate, is_upright, move
 from lunarsci.twin.lanes import CENTER, CHANGE, GROUND, LANES, MATRIX, POSE, RIGHT, SPEED
 from lunarsci.twin.outcomes import CLIFF, DIVERGED, FINISHED, HOLE, LEFT, OVERTURNED, SANK, UNSETTLED
 from lunarsci.twin.terrain import lay_soil, read_ground
 
-__all__ = ["place", "settle"]
+__all__ = ["balance", "place", "settle"]
 
 SETTLE_ROUNDS = 300
 SETTLE_TOLERANCE = 1e-9
@@ -63,8 +64,11 @@ def place(rover: Any, tyre: Any, grid: Any, override: Any, start: Any, work: Any
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
-def lock(work: Any, dt: float, tolerance: float, done: Any) -> None:
-    """Hold x, y and yaw; mark lanes as done whose largest force on the free coordinates is below tolerance [N, N m]."""
+def lock(work: Any, dt: float, tolerance: float, done: Any, left: Any) -> None:
+    """Hold x, y and yaw; mark lanes as done whose largest force on the free coordinates is below tolerance [N, N m].
+
+    `left` takes the forces on what is held.
+    """
     for lane in range(LANES):
         largest = 0.0
         for i in range(9):
@@ -73,6 +77,7 @@ def lock(work: Any, dt: float, tolerance: float, done: Any) -> None:
             if i < 7:
                 force += work.sides[1 - own, (RIGHT + row) * LANES + lane]
             if i == 0 or i == 1 or i == 5:
+                left[lane, min(i, 2)] = -force / dt
                 for side in range(2):
                     for k in range(8):
                         work.sides[side, (MATRIX + 8 * i + k) * LANES + lane] = 0.0
@@ -101,26 +106,24 @@ def shorten(work: Any, most: float, done: Any) -> None:
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
-def settle(rover: Any, tyre: Any, grid: Any, override: Any, start: Any, work: Any) -> None:
-    """Bring the rovers, steered as `work` says, to static equilibrium at `start` (LANES, 3): x, y, heading.
-
-    Normal forces only, x, y and yaw held.
+def balance(rover: Any, tyre: Any, grid: Any, override: Any, mode: int, velocity: Any, left: Any, work: Any) -> None:
+    """Bring the rovers into equilibrium at their x, y and yaw, with the forces of `mode` at `velocity` (LANES, 9).
 
     Each round is a step from rest with a growing dt, which turns from damped dynamics into a Newton iteration.
-    Converged at 1e-9 of the weight. Velocities are left at rest, outcomes in `work.code`.
+    Converged at 1e-9 of the weight. `left` (LANES, 3) takes the force in x and y [N] and the moment about the vertical
+    [N m] that hold the rover. Outcomes in `work.code`.
     """
-    work.code[:] = FINISHED
-    place(rover, tyre, grid, override, start, work)
     weight = (rover.body_kg + len(rover.arms) * rover.wheel_kg) * rover.gravity
     done = np.zeros(LANES, dtype=np.bool_)
     dt = 0.05
     for _ in range(SETTLE_ROUNDS):
-        work.body[SPEED * LANES : (SPEED + 9) * LANES] = 0.0
         for lane in range(LANES):
+            for i in range(9):
+                work.body[(SPEED + i) * LANES + lane] = velocity[lane, i]
             if work.code[lane] == SANK and not done[lane]:
                 work.code[lane] = FINISHED
-        assemble(rover, tyre, grid, override, dt, False, work)
-        lock(work, dt, SETTLE_TOLERANCE * weight, done)
+        assemble(rover, tyre, grid, override, dt, mode, work)
+        lock(work, dt, SETTLE_TOLERANCE * weight, done, left)
         for lane in range(LANES):
             if work.code[lane] in (LEFT, HOLE, CLIFF, OVERTURNED, UNSETTLED, DIVERGED):
                 done[lane] = True
@@ -128,6 +131,7 @@ def settle(rover: Any, tyre: Any, grid: Any, override: Any, start: Any, work: An
             break
         eliminate(work)
         shorten(work, 2.0 * LONGEST_MOVE / dt, done)
+        work.body[SPEED * LANES : (SPEED + 9) * LANES] = 0.0
         move(work.body, dt)
         dt = min(1.5 * dt, 30.0)
         for lane in range(LANES):
@@ -136,4 +140,15 @@ def settle(rover: Any, tyre: Any, grid: Any, override: Any, start: Any, work: An
     for lane in range(LANES):
         if not done[lane]:
             work.code[lane] = UNSETTLED
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def settle(rover: Any, tyre: Any, grid: Any, override: Any, start: Any, work: Any) -> None:
+    """Bring the rovers, steered as `work` says, to static equilibrium at `start` (LANES, 3): x, y, heading.
+
+    Normal forces only, x, y and yaw held. Velocities are left at rest, outcomes in `work.code`.
+    """
+    work.code[:] = FINISHED
+    place(rover, tyre, grid, override, start, work)
+    balance(rover, tyre, grid, override, AT_REST, np.zeros((LANES, 9)), np.zeros((LANES, 3)), work)
     work.body[SPEED * LANES : (SPEED + 9) * LANES] = 0.0

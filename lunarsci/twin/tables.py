@@ -36,7 +36,7 @@ def state_table(prediction: Prediction) -> "pd.DataFrame":
 def path_table(prediction: Prediction) -> "pd.DataFrame":
     """Pose of the rover's origin: one row for each member and distance, as far as the member came.
 
-    Columns member, distance_m, x_m, y_m, z_m, roll_deg, pitch_deg (positive nose down), yaw_deg.
+    Columns member, distance_m, time_s, x_m, y_m, z_m, roll_deg, pitch_deg (positive nose down), yaw_deg.
     """
     import pandas as pd
 
@@ -44,6 +44,7 @@ def path_table(prediction: Prediction) -> "pd.DataFrame":
     table = pd.DataFrame(prediction.paths[member, sample], columns=list(PATH_COLUMNS))
     table.insert(0, "member", member)
     table.insert(1, "distance_m", prediction.distance_m[sample])
+    table.insert(2, "time_s", prediction.time_s[sample])
     return table
 
 

@@ -1,0 +1,140 @@
+"""Forces along a given motion: the rover is held where it was, and its wheels carry it there."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.compiled import each_in_threads
+from lunarsci.errors import ParameterError
+from lunarsci.twin.contact import HELD
+from lunarsci.twin.drive import record, take_commands
+from lunarsci.twin.lanes import LANES, POSE, new_work
+from lunarsci.twin.motion import Motion
+from lunarsci.twin.outcomes import FINISHED
+from lunarsci.twin.rover import Rover
+from lunarsci.twin.settle import balance, settle
+from lunarsci.twin.terrain import Terrain
+
+__all__ = ["HeldForces", "forces_along"]
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class HeldForces:
+    """What the wheels do along a given motion.
+
+    Attributes
+    ----------
+    rover, terrain, motion : what it was computed from.
+    paths : poses as the ground puts them, columns `PATH_COLUMNS`. (n, 6)
+    states : columns `STATE_COLUMNS`. (n, wheels, 10)
+    missing_n : force ahead and to the left that the wheels do not supply: what would have to hold the rover to its
+        motion, were the ground as it is modelled. (n, 2) [N]
+    missing_nm : the same as a moment about the vertical. (n,) [N m]
+    outcome : index into `OUTCOMES`; where it is not 0 the row's forces are no numbers. (n,)
+    """
+
+    rover: Rover
+    terrain: Terrain
+    motion: Motion
+    paths: FloatArray
+    states: FloatArray
+    missing_n: FloatArray
+    missing_nm: FloatArray
+    outcome: IntArray
+
+    @property
+    def missing_share(self) -> float:
+        """Root mean square of the missing force, as a share of the rover's weight. [-]"""
+        weight = self.rover.mass_kg * self.rover.gravity_m_s2
+        known = self.outcome == FINISHED
+        return float(np.sqrt((self.missing_n[known] ** 2).sum(axis=1).mean()) / weight) if known.any() else np.nan
+
+
+def forces_along(rover: Rover, terrain: Terrain, motion: Motion) -> HeldForces:
+    """Sinkage, slip and forces of every wheel at each pose of a motion.
+
+    At each pose the rover first rests on the ground; differences between poses give its velocity; then height, attitude
+    and joints take their equilibrium under weight and wheel forces while x, y and yaw are held. The loads follow from
+    the levers of the suspension, sinkages from the loads, slip from the motion. The inertia of speeding up is left out:
+    at 0.05 m/s it is below a thousandth of the weight.
+
+    Raises ParameterError where the motion has commands for another number of wheels.
+    """
+    count, wheels = len(motion.time_s), len(rover.wheels)
+    if motion.speed_m_s.shape != (count, wheels) or motion.steering_deg.shape != (count, wheels):
+        raise ParameterError(f"the motion's commands have shape {motion.speed_m_s.shape}; {(count, wheels)} is wanted")
+    known = (rover.vector(), rover.wheel.vector(), terrain.grid(), np.full((LANES, 8), np.nan))
+    poses, velocities = np.full((count, 10), np.nan), np.zeros((count, 9))
+    paths, states, left = np.zeros((count, 6)), np.zeros((count, wheels, 10)), np.zeros((count, 3))
+    outcome = np.zeros(count, dtype=np.int64)
+    groups = [np.minimum(np.arange(k, k + LANES), count - 1) for k in range(0, count, LANES)]
+    works = [new_work(wheels) for _ in groups]
+
+    def rest(number: int) -> None:
+        own, work = groups[number], works[number]
+        _place(known, motion, own, work)
+        outcome[own] = work.code
+        poses[own] = np.where(work.code == FINISHED, work.body.reshape(-1, LANES)[POSE : POSE + 10], np.nan).T
+
+    def carry(number: int) -> None:
+        own, work = groups[number], works[number]
+        share = np.zeros((LANES, 3))
+        balance(*known, HELD, velocities[own], share, work)
+        outcome[own], left[own] = np.maximum(outcome[own], work.code), share
+        for lane, row in enumerate(own):
+            record(work, lane, known[1], paths[row], states[row])
+
+    each_in_threads(rest, len(groups))
+    moving = _velocities(motion.time_s, poses)
+    alone = ~np.isfinite(moving).all(axis=1)
+    outcome[alone] = np.max([np.roll(outcome, k) for k in (-1, 0, 1)], axis=0)[alone]
+    velocities[~alone] = moving[~alone]
+    each_in_threads(carry, len(groups))
+    return _results(rover, terrain, motion, (paths, states, left), outcome)
+
+
+def _place(known: tuple[Any, ...], motion: Motion, own: IntArray, work: Any) -> None:
+    """Let a group of rovers rest on the ground at its poses."""
+    start = np.column_stack([motion.x_m, motion.y_m, np.radians(motion.yaw_deg)])[own]
+    take_commands(work, np.radians(motion.steering_deg[own])[:, None], motion.speed_m_s[own][:, None], 0)
+    settle(*known, start, work)
+
+
+def _velocities(time_s: FloatArray, poses: FloatArray) -> FloatArray:
+    """Generalised velocities by differences of the poses, NaN beside poses that are. (n, 9)"""
+    from scipy.spatial.transform import Rotation
+
+    known: Any = np.isfinite(poses).all(axis=1)
+    turned = Rotation.from_quat(np.where(known[:, None], poses[:, [4, 5, 6, 3]], [0.0, 0.0, 0.0, 1.0]))
+    ahead, behind = np.append(np.arange(1, len(poses)), len(poses) - 1), np.append(0, np.arange(len(poses) - 1))
+    spin = (turned[ahead] * turned[behind].inv()).as_rotvec() / (time_s[ahead] - time_s[behind])[:, None]
+    rates = np.gradient(poses, time_s, axis=0)
+    return np.column_stack([rates[:, :3], spin, rates[:, 7:]])
+
+
+def _results(
+    rover: Rover, terrain: Terrain, motion: Motion, found: tuple[FloatArray, FloatArray, FloatArray], outcome: IntArray
+) -> HeldForces:
+    for part in found:
+        part[outcome != FINISHED] = np.nan
+    paths, states, left = found
+    paths[:, 3:5], states[..., 4] = np.degrees(paths[:, 3:5]), np.degrees(states[..., 4])
+    paths[:, 5] = motion.yaw_deg
+    yaw = np.radians(motion.yaw_deg)
+    ahead = np.cos(yaw) * left[:, 0] + np.sin(yaw) * left[:, 1]
+    aside = np.cos(yaw) * left[:, 1] - np.sin(yaw) * left[:, 0]
+    return HeldForces(
+        rover=rover,
+        terrain=terrain,
+        motion=motion,
+        paths=paths,
+        states=states,
+        missing_n=np.column_stack([ahead, aside]),
+        missing_nm=left[:, 2],
+        outcome=outcome,
+    )

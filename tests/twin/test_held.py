@@ -1,0 +1,162 @@
+"""Forces along a given motion, against the drive that the motion comes from and against levers and weights."""
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
+from lunarsci.twin.held import HeldForces, forces_along
+from lunarsci.twin.longji import synthetic_longji
+from lunarsci.twin.motion import Motion, read_motion
+from lunarsci.twin.outcomes import OUTCOMES
+from lunarsci.twin.plan import Leg, Plan
+from lunarsci.twin.rover import Rover
+from lunarsci.twin.schedule import commands_at, make_schedule
+
+PLAN = Plan(name="test", legs=(Leg(2.0, 0.15), Leg(2.0, -0.1)), speed_m_s=0.05)
+
+
+def motion_of(result: Prediction) -> Motion:
+    """The path of a prediction, with the commands it was driven by."""
+    commands = commands_at(result.rover, make_schedule(result.plan, result.rover), result.time_s)
+    x, y, yaw = (result.paths[0, :, k] for k in (0, 1, 5))
+    return Motion(
+        time_s=result.time_s,
+        x_m=x,
+        y_m=y,
+        yaw_deg=yaw,
+        steering_deg=np.degrees(commands.steering_rad),
+        speed_m_s=commands.speed_m_s,
+    )
+
+
+def column(states: np.ndarray, name: str) -> np.ndarray:
+    return states[..., STATE_COLUMNS.index(name)]
+
+
+@pytest.fixture(scope="module")
+def driven(yutu2: Rover) -> tuple[Prediction, HeldForces]:
+    terrain = synthetic_longji(rms_m=0.002)
+    result = predict(yutu2, terrain, PLAN, sweep=(), sample_m=0.05, time_step_s=0.05)
+    return result, forces_along(yutu2, terrain, motion_of(result))
+
+
+def test_a_drive_is_explained_by_its_own_motion(driven: tuple[Prediction, HeldForces]) -> None:
+    """All but the ends, where differences are one-sided and the drive still finds its speed."""
+    result, found = driven
+    inner = slice(10, -2)
+    assert (found.outcome == 0).all()
+    for name, off in (
+        ("normal_force_n", 1.0),
+        ("drawbar_pull_n", 1.0),
+        ("lateral_force_n", 1.0),
+        ("sinkage_m", 2e-4),
+        ("slip_ratio", 0.01),
+        ("side_slip_deg", 0.5),
+    ):
+        ours, theirs = column(found.states, name)[inner], column(result.states[0], name)[inner]
+        assert np.abs(ours - theirs).max() < off, name
+        assert np.median(np.abs(ours - theirs)) < 0.2 * off, name
+    assert np.abs(found.paths[inner, 2] - result.paths[0, inner, 2]).max() < 1e-3
+    assert np.abs(found.paths[inner, 3:5] - result.paths[0, inner, 3:5]).max() < 0.1
+    assert np.abs(found.missing_n[inner]).max() < 3.0
+    assert found.missing_share < 0.02
+
+
+def test_on_a_slope_what_is_missing_is_the_weight_that_the_wheels_do_not_hold(yutu2: Rover, longji_soil, slope) -> None:  # type: ignore[no-untyped-def]
+    """A rover said to roll with neither slip nor side slip across a slope needs to be held by someone."""
+    ground = slope(0.0, 0.1)
+    time = np.arange(0.0, 40.0, 2.0)
+    zeros = np.zeros((len(time), 6))
+    motion = Motion(
+        time_s=time, x_m=0.05 * time, y_m=0 * time, yaw_deg=0 * time, steering_deg=zeros, speed_m_s=zeros + 0.05
+    )
+    found = forces_along(yutu2, ground, motion)
+    weight = yutu2.mass_kg * yutu2.gravity_m_s2
+    lateral = column(found.states, "lateral_force_n")
+    assert np.abs(lateral).max() < 1e-3
+    # In the plane's own frame: the component of the weight along the slope, held by a horizontal force.
+    assert found.missing_n[5, 1] == pytest.approx(weight * 0.1, rel=1e-3)
+    assert abs(found.missing_nm[5]) < 0.5
+
+
+def test_weight_moves_to_the_rear_wheels_on_a_climb(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
+    """Moments about the line of wheel centres, where F_DP acts: the weight above it, and the soil's torques M_R."""
+    gradient = 0.15
+    result = predict(yutu2, slope(gradient), Plan(name="up", legs=(Leg(3.0),), speed_m_s=0.05), sweep=())
+    found = forces_along(yutu2, slope(gradient), motion_of(result))
+    load = column(found.states, "normal_force_n")[-5]
+    angle = math.atan(gradient)
+    weight = yutu2.mass_kg * yutu2.gravity_m_s2
+    assert load.sum() == pytest.approx(weight * math.cos(angle), rel=2e-3)
+    x = yutu2.wheel_positions_m[:, 0]
+    body = yutu2.body_kg * yutu2.gravity_m_s2 * math.sin(angle)
+    torque = column(found.states, "resistance_torque_nm")[-5].sum()
+    # The pivots stand 0.1 m above the wheel centres, the chassis' centre of mass above the pivots.
+    assert -(load @ x) == pytest.approx(body * (0.1 + yutu2.body_center_m[2]) + torque, rel=0.01)
+
+
+def test_poses_in_a_hole_and_beside_it_say_so(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
+    ground = slope()
+    ground.height_m[:, 20:22] = np.nan  # x = 3.0 to 3.25 m
+    time = np.arange(0.0, 60.0, 2.0)
+    zeros = np.zeros((len(time), 6))
+    motion = Motion(
+        time_s=time, x_m=0.05 * time, y_m=0 * time, yaw_deg=0 * time, steering_deg=zeros, speed_m_s=zeros + 0.05
+    )
+    found = forces_along(yutu2, ground, motion)
+    assert found.outcome[0] == 0 and np.isfinite(found.states[0]).all()
+    assert OUTCOMES[found.outcome[-1]].startswith("hole") and np.isnan(found.states[-1]).all()
+    assert np.isfinite(found.states[found.outcome == 0]).all()
+
+
+def test_a_motion_comes_from_the_tables_of_a_prediction(tmp_path: Path, yutu2: Rover, driven) -> None:  # type: ignore[no-untyped-def]
+    from lunarsci.twin.tables import path_table
+
+    result, _ = driven
+    path = tmp_path / "paths.csv"
+    path_table(result).to_csv(path, index=False)
+    motion, direct = read_motion(path, yutu2, PLAN), motion_of(result)
+    assert motion.x_m == pytest.approx(direct.x_m) and motion.time_s == pytest.approx(result.time_s)
+    assert motion.steering_deg == pytest.approx(direct.steering_deg)
+    table = path_table(result)
+    for k, wheel in enumerate(yutu2.wheels):
+        table[f"steering_{wheel}_deg"], table[f"speed_{wheel}_m_s"] = direct.steering_deg[:, k], direct.speed_m_s[:, k]
+    table.to_csv(path, index=False)
+    assert read_motion(path, yutu2).speed_m_s == pytest.approx(direct.speed_m_s)
+
+
+@pytest.mark.parametrize(
+    ("rows", "says"),
+    [
+        ("time_s,x_m,y_m\n0,0,0\n", "no column yaw_deg"),
+        ("time_s,x_m,y_m,yaw_deg\n0,0,0,0\n1,0,0,0\n", "at least 3"),
+        ("time_s,x_m,y_m,yaw_deg\n0,0,0,0\n2,0,0,0\n1,0,0,0\n", "does not ascend after pose 1"),
+        ("time_s,x_m,y_m,yaw_deg\n0,0,0,0\n1,nan,0,0\n2,0,0,0\n", "x_m is not finite at pose 1"),
+        ("time_s,x_m,y_m,yaw_deg\n0,0,0,0\n1,east,0,0\n2,0,0,0\n", "east"),
+        ("member,time_s,x_m,y_m,yaw_deg\n0,0,0,0,0\n1,1,0,0,0\n", "--member"),
+        ("time_s,x_m,y_m,yaw_deg,speed_FL_m_s\n0,0,0,0,1\n", "no column steering_FL_deg"),
+        ("", "No columns"),
+    ],
+)
+def test_a_bad_motion_is_one_line_that_names_the_file(tmp_path: Path, yutu2: Rover, rows: str, says: str) -> None:
+    path = tmp_path / "motion.csv"
+    path.write_text(rows)
+    with pytest.raises(DataError) as caught:
+        read_motion(path, yutu2, PLAN)
+    assert says in str(caught.value) and str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_commands_must_fit_the_rover(yutu2: Rover, slope, driven) -> None:  # type: ignore[no-untyped-def]
+    motion = motion_of(driven[0])
+    for changes, says in (
+        ({"speed_m_s": motion.speed_m_s[:, :4]}, "is wanted"),
+        ({"speed_m_s": 0 * motion.speed_m_s}, "is 0"),
+        ({"steering_deg": motion.steering_deg + 100.0}, "beyond 90 deg"),
+    ):
+        with pytest.raises(ParameterError, match=says):
+            forces_along(yutu2, slope(), dataclasses.replace(motion, **changes))
