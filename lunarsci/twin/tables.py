@@ -5,11 +5,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lunarsci.twin.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction
+from lunarsci.twin.held import HeldForces
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["endpoint_table", "path_table", "state_table"]
+__all__ = ["endpoint_table", "held_table", "path_table", "state_table"]
 
 
 def state_table(prediction: Prediction) -> "pd.DataFrame":
@@ -30,6 +31,26 @@ def state_table(prediction: Prediction) -> "pd.DataFrame":
     table.insert(1, "distance_m", np.repeat(prediction.distance_m[sample], count))
     table.insert(2, "time_s", np.repeat(prediction.time_s[sample], count))
     table.insert(3, "wheel", np.tile(names, len(member)))
+    return table
+
+
+def held_table(found: HeldForces) -> "pd.DataFrame":
+    """States and forces of each wheel along a given motion: one row for each pose and wheel.
+
+    Columns time_s, wheel, then as in `state_table`, then missing_ahead_n, missing_left_n, missing_moment_nm: what the
+    wheels together do not supply. Poses without equilibrium have no numbers.
+    """
+    import pandas as pd
+
+    names = found.rover.wheels
+    table = pd.DataFrame(found.states.reshape(-1, len(STATE_COLUMNS)), columns=list(STATE_COLUMNS))
+    table["valid"] = table["valid"] > 0.5
+    table.insert(0, "time_s", np.repeat(found.motion.time_s, len(names)))
+    table.insert(1, "wheel", np.tile(names, len(found.motion.time_s)))
+    for name, values in zip(
+        ("missing_ahead_n", "missing_left_n", "missing_moment_nm"), (*found.missing_n.T, found.missing_nm), strict=True
+    ):
+        table[name] = np.repeat(values, len(names))
     return table
 
 

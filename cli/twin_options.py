@@ -1,0 +1,52 @@
+"""Options that the commands of `lunarsci twin` share."""
+
+from typing import Annotated
+
+import typer
+
+__all__ = [
+    "Fixes",
+    "Interpolation",
+    "Members",
+    "PlanFile",
+    "RoverName",
+    "Sample",
+    "Samples",
+    "Seed",
+    "SoilName",
+    "Sweeps",
+    "TerrainName",
+    "TimeStep",
+]
+
+PlanFile = Annotated[
+    str | None, typer.Argument(help="Plan of the drive (TOML); the embedded one of Yutu-2 to the rock if left out.")
+]
+RoverName = Annotated[str, typer.Option(help="Rover: a name (yutu2, small-four) or a TOML file.")]
+TerrainName = Annotated[
+    str, typer.Option(help="Terrain: synthetic-longji, or a file (.npz, GeoTIFF, ESRI ASCII .asc, CSV of nodes).")
+]
+Interpolation = Annotated[
+    str, typer.Option(help="Ground between nodes: smooth (continuous gradient) or triangles (as in the paper).")
+]
+SoilName = Annotated[str, typer.Option(help="Soil where the terrain has none: a name or a TOML file.")]
+Sweeps = Annotated[
+    list[str] | None,
+    typer.Option(metavar="NAME=LOW:HIGH:N", help="Uncertain soil parameter, repeatable; replaces the plan's sweeps."),
+]
+Samples = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FILE", help="Soils to drive on instead of a sweep: CSV, a column for each soil parameter, a row each."
+    ),
+]
+Members = Annotated[
+    int | None, typer.Option(min=1, help="Latin-hypercube samples of the ranges instead of the grid of all values.")
+]
+Fixes = Annotated[
+    str | None,
+    typer.Option(metavar="M,DEG", help="Position fixes after each leg, standard errors in position and heading."),
+]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
+TimeStep = Annotated[float, typer.Option(help="Longest time step [s].")]
+Sample = Annotated[float, typer.Option(help="Distance between recorded states [m].")]
