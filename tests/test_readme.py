@@ -94,9 +94,7 @@ def commands_of(group: typer.Typer, above: str = "") -> list[str]:
     return [*own, *(name for names in below for name in names)]
 
 
-def test_options_named_in_the_readme_exist(
-    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_options_named_in_the_readme_exist(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Every `--option` in the prose is one of some command."""
     monkeypatch.setenv("COLUMNS", "200")
     for command in commands_of(app):
