@@ -24,16 +24,22 @@ for _library in ("OPENBLAS", "OMP", "MKL"):  # several workers share the cores a
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 LONGEST = (
-    "test_wheel.py",
-    "test_laboratory.py",
     "test_readme.py",
+    "test_calibrate.py",
     "test_coverage.py",
+    "test_laboratory.py",
     "test_mixtures.py",
-    "test_fit.py",
+    "test_wheel.py",
     "test_joint.py",
+    "test_sample.py",
+    "test_footprint.py",
     "test_measurements.py",
+    "test_fit.py",
+    "test_spoiled.py",
+    "test_bands.py",
 )
-"""Files that take longest; they start first, so that no worker is left with one at the end."""
+"""Files that take longest; they start first, so that no worker is left with one at the end. The README compiles nearly
+everything; beside it run files that need no compiled code, and the others, the wheel too, find it in the cache."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -303,7 +303,12 @@ def _fit_window(data: _Data, band: Band, ratio: FloatArray, inside: BoolArray, s
 def _fit_minimum(data: _Data, band: Band, tied: Continuum, inside: BoolArray, window: slice) -> BandResult:
     level = tied.values(data.smoothed)
     ratio = data.reflectance / level
-    sensitivity = np.diag(1 / level) - (ratio / level)[:, None] * (tied.operator @ data.smoothing)
+
+    def carried(by: FloatArray) -> FloatArray:
+        """Derivatives to each ratio into derivatives to each channel; from the left, which spares a large product."""
+        onto: FloatArray = by / level - (by * (ratio / level)) @ tied.operator @ data.smoothing
+        return onto
+
     middle, scale = _centre_and_scale(data.wavelength_nm[window])
     solver = np.linalg.pinv(_local_basis(data.wavelength_nm[window]))
     coefficients = solver @ ratio[window]
@@ -314,7 +319,9 @@ def _fit_minimum(data: _Data, band: Band, tied: Continuum, inside: BoolArray, wi
     powers = minimum ** np.arange(FIT_ORDER + 1)
     slopes = np.arange(FIT_ORDER + 1) * np.concatenate([[0.0], powers[:-1]])
     curvature = np.polynomial.Polynomial(coefficients).deriv(2)(minimum)
-    per_channel = solver @ sensitivity[window]
+    within = np.zeros((FIT_ORDER + 1, ratio.size))
+    within[:, window] = solver
+    per_channel = carried(within)
     depth, depth_sigma = 1 - powers @ coefficients, _sigma(powers @ per_channel, data.noise)
     if depth < max(MIN_SIGNIFICANCE * depth_sigma, MIN_DEPTH):
         return BandResult(continuum=tied.name, status=f"no band: its depth is within {MIN_SIGNIFICANCE:g} sigma of 0")
@@ -325,16 +332,17 @@ def _fit_minimum(data: _Data, band: Band, tied: Continuum, inside: BoolArray, wi
         )
     weights = np.where(inside, np.gradient(data.wavelength_nm), 0.0)
     of_center, of_depth = scale * (slopes @ per_channel) / curvature, powers @ per_channel
+    of_area = carried(weights)
     return BandResult(
         center_nm=float(middle + scale * minimum),
         center_calibration_nm=_shared(of_center, data.shifts),
         depth_calibration=_shared(of_depth, data.shifts),
-        area_calibration_nm=_shared(weights @ sensitivity, data.shifts),
+        area_calibration_nm=_shared(of_area, data.shifts),
         center_sigma_nm=center_sigma,
         depth=float(depth),
         depth_sigma=depth_sigma,
         area_nm=float(weights @ (1 - ratio)),
-        area_sigma_nm=_sigma(weights @ sensitivity, data.noise),
+        area_sigma_nm=_sigma(of_area, data.noise),
         continuum=tied.name,
     )
 

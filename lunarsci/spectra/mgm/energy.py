@@ -133,7 +133,7 @@ def _project(point: Any, wavelength: Any, columns: Any, rest: Any, level: Any, s
         force[row + 2] = by_strength
 
 
-@compiled
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
 def correct_coarse(target: Any, groups: Any, best: Any, room: Any) -> None:
     """Set the coarse data so that residuals and slope at `best` are those of all channels.
 

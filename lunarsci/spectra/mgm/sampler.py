@@ -1,8 +1,10 @@
-"""Sampler of the posterior of a Modified Gaussian Model, compiled: a population carried from the prior to the data.
+"""Sampler of the posterior of a Modified Gaussian Model: a population carried from the prior to the data.
 
 Particles begin as draws from the prior. The data's share beta of the objective is then raised in steps from 0 to 1; at
 each step the particles are weighted, resampled, and moved by Hamiltonian trajectories that bounce off the bounds. All
 that the prior allows is there at the start, so separate minima keep their weights.
+
+What touches every particle is compiled, the steps of beta are not: as one function they took twice as long to compile.
 
 Del Moral, Doucet & Jasra (2006), J. R. Stat. Soc. B 68, 411, 10.1111/j.1467-9868.2006.00553.x (sequential Monte Carlo);
 Neal (2011), Handbook of Markov Chain Monte Carlo, ch. 5, 10.1201/b10905 (Hamiltonian trajectories, bounds); Buchholz,
@@ -113,7 +115,7 @@ def _trajectory(
     return 1.0
 
 
-@compiled
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
 def _move_all(
     target: Any, beta: float, factor: Any, tuning: Any, generator: Any, particles: Any, energies: Any, room: Any
 ) -> None:
@@ -142,7 +144,7 @@ def _weights(energies: Any, rise: float, weights: Any) -> float:
     return total * total / squares
 
 
-@compiled
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
 def _next_beta(beta: float, energies: Any, weights: Any) -> float:
     """The beta that leaves the wanted share of the particles, 1 at most; fills their weights."""
     wanted = KEPT * weights.size
@@ -159,7 +161,7 @@ def _next_beta(beta: float, energies: Any, weights: Any) -> float:
     return beta + math.exp(low)
 
 
-@compiled
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
 def _factor_of(particles: Any, weights: Any, free: Any, factor: Any) -> bool:
     """Cholesky factor of the weighted covariance of the free parameters; False where it has none."""
     size = free.size
@@ -179,13 +181,15 @@ def _factor_of(particles: Any, weights: Any, free: Any, factor: Any) -> bool:
         covariance[k, k] *= 1.0 + RIDGE
     if not lower_factor(covariance):
         return False
-    factor[:, :] = covariance
+    for k in range(size):
+        for j in range(size):
+            factor[k, j] = covariance[k, j]
     return True
 
 
-@compiled
-def _resample(weights: Any, offset: float, particles: Any, energies: Any, ancestors: Any) -> None:
-    """Systematic resampling: particles, energies and ancestors drawn in proportion to the weights."""
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def _drawn(weights: Any, offset: float) -> Any:
+    """Systematic resampling: indices in proportion to the weights."""
     count = weights.size
     chosen = np.empty(count, dtype=np.int64)
     total, source = weights[0], 0
@@ -194,12 +198,10 @@ def _resample(weights: Any, offset: float, particles: Any, energies: Any, ancest
             source += 1
             total += weights[source]
         chosen[i] = source
-    particles[:, :] = particles[chosen].copy()
-    energies[:, :] = energies[chosen].copy()
-    ancestors[:] = ancestors[chosen].copy()
+    return chosen
 
 
-@compiled
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
 def _correlation(before: Any, after: Any, free: Any) -> float:
     """Largest over the free parameters, either sign, of the correlation between two states of the population."""
     largest, count = 0.0, before.shape[0]
@@ -216,7 +218,6 @@ def _correlation(before: Any, after: Any, free: Any) -> float:
     return largest
 
 
-@compiled
 def _stage(
     target: Any, groups: Any, beta: float, factor: Any, tuning: Any, generator: Any, particles: Any, energies: Any,
     ancestors: Any, weights: Any, room: Any,
@@ -225,7 +226,8 @@ def _stage(
     beta = _next_beta(beta, energies, weights)
     even = 0.5 * (weights + 1.0 / weights.size)
     _factor_of(particles, even, target[8], factor)
-    _resample(weights, generator.random(), particles, energies, ancestors)
+    chosen = _drawn(weights, generator.random())
+    particles[:], energies[:], ancestors[:] = particles[chosen], energies[chosen], ancestors[chosen]
     correct_coarse(target, groups, particles[np.argmin(energies[:, 0] + energies[:, 1])], room)
     before, moves, kept = particles.copy(), 0, 1.0
     while kept > FORGOTTEN and moves < MOST_MOVES:
@@ -234,7 +236,6 @@ def _stage(
     return beta, moves
 
 
-@compiled
 def _settle(
     target: Any, factor: Any, tuning: Any, generator: Any, particles: Any, energies: Any, weights: Any, room: Any
 ) -> int:
@@ -248,12 +249,16 @@ def _settle(
     return moves
 
 
-@compiled
 def _room(size: int, channels: int) -> Any:
     return np.empty((size, channels)), np.empty(channels), np.empty(channels), np.empty(channels, dtype=np.int64)
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
+def _energies_of_all(target: Any, particles: Any, room: Any, energies: Any) -> None:
+    for i in range(particles.shape[0]):
+        energies_of(target, particles[i], room, energies[i])
+
+
 def run_population(
     target: Any, groups: Any, factor: Any, generator: Any, particles: Any, ancestors: Any, draws: Any,
     objective: Any, report: Any,
@@ -276,8 +281,7 @@ def run_population(
     points = (np.empty(size), np.empty(free.size), np.empty(free.size), np.empty(size), np.empty(3))
     room = (_room(size, target[0][0].size), _room(size, target[1][0].size), points)
     tuning, weights, energies = np.array([FIRST_STEP, 0.0]), np.empty(count), np.empty((count, 3))
-    for i in range(count):
-        energies_of(target, particles[i], room, energies[i])
+    _energies_of_all(target, particles, room, energies)
     for _ in range(FIRST_MOVES):
         _move_all(target, 0.0, factor, tuning, generator, particles, energies, room)
     beta, report[:] = 0.0, 0.0
@@ -295,7 +299,5 @@ def run_population(
     for r in range(draws.shape[0]):
         _move_all(target, 1.0, factor, tuning, generator, particles, energies, room)
         report[2] += tuning[1] / draws.shape[0]
-        draws[r] = particles
-        for i in range(count):
-            objective[r, i] = 2.0 * (energies[i, 0] + energies[i, 1])
+        draws[r], objective[r] = particles, 2.0 * (energies[:, 0] + energies[:, 1])
     report[3] = tuning[0]

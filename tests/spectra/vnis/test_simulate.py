@@ -273,9 +273,10 @@ def test_noise_of_channels_has_the_stated_spread(random: float, pattern: float) 
     source = scene_radiance(PLAIN)
     exact = draw(source, EXACT)
     instrument = Instrument(pixel=0, random=random, pattern=pattern)
-    draws = [draw(source, instrument, seed) for seed in range(100)]
-    vnir = np.array([one.vnir[:, 0, 0] for one in draws]) / exact.vnir[:, 0, 0]
-    swir = np.array([one.swir for one in draws]) / exact.swir
+    draws = (draw(source, instrument, seed) for seed in range(100))
+    kept = [(one.vnir[:, 0, 0].copy(), one.swir) for one in draws]  # a pixel of each, not 100 cubes
+    vnir = np.array([pixel for pixel, _ in kept]) / exact.vnir[:, 0, 0]
+    swir = np.array([table for _, table in kept]) / exact.swir
     relative = np.concatenate([vnir[:, :90], swir], axis=1)
     for first, last, own, shared in MEASURED_NOISE:
         inside = (first <= SPLICED_NM) & (last >= SPLICED_NM)
