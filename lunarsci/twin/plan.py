@@ -114,7 +114,7 @@ def check_plan(plan: Plan, rover: Rover) -> None:
         raise ParameterError(
             f"the plan's speed_m_s is {plan.speed_m_s:g}; {rover.name} drives at most {rover.max_speed_m_s:g} m/s"
         )
-    tightest = 0.9 / (rover.rocker_pivot_y_m + rover.steering_offset_m)
+    tightest = rover.tightest_curvature_per_m
     for arc in plan.arcs:
         if abs(arc.curvature_per_m) > tightest:
             raise ParameterError(
