@@ -10,7 +10,7 @@ import typer
 
 from lunarsci.inputs import read_input
 from lunarsci.provenance import sha256
-from lunarsci.regolith.soil import Soil, read_soil, soil_hash
+from lunarsci.regolith.soil import read_soil, soil_hash
 from lunarsci.rovers.description import RoverDescription, read_rover
 from lunarsci.twin.hazards import GroundMaps, Traversability, assess, ground_maps, map_scales
 from lunarsci.twin.longji import synthetic_longji
@@ -118,14 +118,17 @@ def read_site(
     terrain: str, rover: str, soil: str, ground: Mapping[str, Any], limits: Mapping[str, float | None]
 ) -> Site:
     """Read or make the terrain, and read the rover with its limits."""
+    given = {name: value for name, value in ground.items() if value is not None}
+    for name in given:
+        if name not in MAKERS.get(terrain, (None, ()))[1]:
+            raise typer.BadParameter(f"{OPTION[name]} does not apply to {terrain}; leave it out")
     description = read_rover(rover)
     built, own_soil = build_rover(description), read_soil(soil)
     inputs, tables = soil_hash(soil)
-    given = {name: value for name, value in ground.items() if value is not None}
     if terrain not in MAKERS:
         inputs[terrain] = read_input(terrain).sha256
     return Site(
-        terrain=_ground(terrain, own_soil, given),
+        terrain=MAKERS[terrain][0](own_soil, **given) if terrain in MAKERS else read_terrain(terrain, own_soil),
         rover=built,
         description=description,
         mobility=read_mobility(description, built).with_limits(**limits),
@@ -134,14 +137,6 @@ def read_site(
         seed=given.get("seed"),
         rocks=bool(given.get("rock_share")),
     )
-
-
-def _ground(terrain: str, soil: Soil, given: Mapping[str, Any]) -> Terrain:
-    make, known = MAKERS.get(terrain, (None, ()))
-    for name in given:
-        if name not in known:
-            raise typer.BadParameter(f"{OPTION[name]} does not apply to {terrain}; leave it out")
-    return read_terrain(terrain, soil) if make is None else make(soil, **given)
 
 
 def _numbers(option: str, text: str, counts: tuple[int, ...]) -> tuple[float, ...]:

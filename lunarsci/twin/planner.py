@@ -101,9 +101,13 @@ def plan_path(
     The footprint keeps `clearance_m` from every node that exceeds a limit or has no known height, and from the edge of
     the map; the slope at the rover's origin must be known; the radius of the arcs is at least `min_turning_radius_m`
     and one that the rover can steer. The search is deterministic; it tries a lattice of arcs, which does not prove that
-    there is no path where it finds none. Raises ParameterError then, with what is in the way, and for a start or target
-    that is outside the map, on a hazard or too near to one.
+    there is no path where it finds none. Slope and roughness already look half a footprint ahead, so that hazards of
+    these count twice as wide as they are. Raises ParameterError where it finds none, with what is in the way, and for a
+    start or target that is outside the map, on a hazard or too near to one.
     """
+    speed = rover.max_speed_m_s if speed_m_s is None else speed_m_s
+    if not 0 < speed <= rover.max_speed_m_s:
+        raise ParameterError(f"speed_m_s is {speed}; {rover.name} drives at most {rover.max_speed_m_s:g} m/s")
     goal = (*target, math.nan if final_heading_deg is None else math.radians(final_heading_deg))
     pose = np.array([start[0], start[1], math.radians(start[2])])
     _check_place(surface, "start", start)
@@ -123,7 +127,7 @@ def plan_path(
         plan = Plan(
             name=name,
             arcs=tuple(Arc(float(length), float(curvature)) for length, curvature in course.arcs),
-            speed_m_s=rover.max_speed_m_s if speed_m_s is None else speed_m_s,
+            speed_m_s=speed,
             x_m=start[0],
             y_m=start[1],
             heading_deg=start[2],

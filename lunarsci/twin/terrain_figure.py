@@ -86,21 +86,15 @@ def _draw_relief(axes: "Axes", terrain: Terrain, every: tuple[slice, slice]) -> 
     shade = LightSource(315, 35).hillshade(height.filled(float(height.mean()))[::-1], 4.0, spacing, spacing)[::-1]
     shade = np.ma.masked_array(shade, mask=np.ma.getmaskarray(height))
     axes.set_facecolor(UNKNOWN)
-    axes.imshow(shade, extent=_extent(terrain), origin="lower", cmap="gray", vmin=-0.35, vmax=1.05)
+    drawn: Any = {"extent": _extent(terrain), "origin": "lower"}
+    axes.imshow(shade, cmap="gray", vmin=-0.35, vmax=1.05, **drawn)
+    _bar(axes, axes.imshow(height, cmap="cividis", alpha=0.3, **drawn), "Height [m]", extend="neither")
     span = float(height.max() - height.min())
     interval = next((value for value in CONTOURS if span / value <= 24), CONTOURS[-1])
     levels = np.arange(np.floor(float(height.min()) / interval), float(height.max()) / interval + 1) * interval
     if len(levels) > 2:
-        lines = axes.contour(
-            terrain.x_m[every[1]],
-            terrain.y_m[every[0]],
-            height,
-            levels=levels,
-            colors=INK,
-            linewidths=0.5,
-            alpha=0.6,
-            linestyles="solid",
-        )
+        style: Any = {"colors": INK, "linewidths": 0.5, "alpha": 0.6, "linestyles": "solid"}
+        lines = axes.contour(terrain.x_m[every[1]], terrain.y_m[every[0]], height, levels=levels, **style)
         axes.clabel(lines, np.asarray(lines.levels)[::4], fontsize=6, fmt="%g")
     axes.set_title(f"Relief, contours every {interval:g} m", fontsize=10)
 
