@@ -25,50 +25,52 @@ def terrain(
         str,
         typer.Argument(
             help="synthetic-longji, synthetic, or a file (.npz, GeoTIFF, ESRI ASCII .asc, CSV of nodes).",
-            metavar="[TERRAIN]",
+            metavar="TERRAIN",
         ),
     ] = "synthetic-longji",
     rover: Annotated[str, typer.Option(help="Rover: a name (yutu2, small-four) or a TOML file.")] = "yutu2",
     soil: Annotated[str, typer.Option(help="Soil where the terrain has none: a name or a TOML file.")] = "longji",
     baseline: Annotated[
-        float | None, typer.Option(help="Side of the square under which slope is measured [m]; the rover's by default.")
+        float | None, typer.Option(help="Side in m of the square whose slope is measured; the rover's by default.")
     ] = None,
     start: Annotated[
-        str, typer.Option(help="Pose of the rover [m, m, deg].", rich_help_panel=PATH, metavar="X,Y,HEADING")
+        str, typer.Option(help="Pose of the rover, in m and deg.", rich_help_panel=PATH, metavar="X,Y,HEADING")
     ] = "0,0,0",
     target: Annotated[
         str | None,
         typer.Option(
-            help="Where to plan a path to [m], with the heading there [deg].",
+            help="Where to plan a path to, in m; with the heading there, in deg.",
             rich_help_panel=PATH,
             metavar="X,Y[,HEADING]",
         ),
     ] = None,
     speed: Annotated[
-        float | None, typer.Option(help="Speed [m/s]; the rover's highest if left out.", rich_help_panel=PATH)
+        float | None, typer.Option(help="Speed in m/s; the rover's highest if left out.", rich_help_panel=PATH)
     ] = None,
-    max_slope: Annotated[float | None, typer.Option(help="Steepest slope [deg].", rich_help_panel=LIMITS)] = None,
-    max_step: Annotated[float | None, typer.Option(help="Highest step [m].", rich_help_panel=LIMITS)] = None,
-    max_roughness: Annotated[float | None, typer.Option(help="Largest roughness [m].", rich_help_panel=LIMITS)] = None,
+    max_slope: Annotated[float | None, typer.Option(help="Steepest slope, in deg.", rich_help_panel=LIMITS)] = None,
+    max_step: Annotated[float | None, typer.Option(help="Highest step, in m.", rich_help_panel=LIMITS)] = None,
+    max_roughness: Annotated[
+        float | None, typer.Option(help="Largest roughness, in m.", rich_help_panel=LIMITS)
+    ] = None,
     turning_radius: Annotated[
-        float | None, typer.Option(help="Smallest radius of an arc [m].", rich_help_panel=LIMITS)
+        float | None, typer.Option(help="Smallest radius of an arc, in m.", rich_help_panel=LIMITS)
     ] = None,
     clearance: Annotated[
-        float | None, typer.Option(help="Distance to keep from hazards and holes [m].", rich_help_panel=LIMITS)
+        float | None, typer.Option(help="Distance to keep from hazards and holes, in m.", rich_help_panel=LIMITS)
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed.", rich_help_panel=GROUND)] = None,
-    spacing: Annotated[float | None, typer.Option(help="Grid spacing [m].", rich_help_panel=GROUND)] = None,
+    spacing: Annotated[float | None, typer.Option(help="Grid spacing, in m.", rich_help_panel=GROUND)] = None,
     rocks: Annotated[
         float | None, typer.Option(help="Share of ground under rocks; 0.0021 at Chang'E-4.", rich_help_panel=GROUND)
     ] = None,
     roughness: Annotated[
-        float | None, typer.Option(help="Rms height of waves of 0.4 to 4 m [m].", rich_help_panel=GROUND)
+        float | None, typer.Option(help="Rms height of waves of 0.4 to 4 m, in m.", rich_help_panel=GROUND)
     ] = None,
     extent: Annotated[
-        float | None, typer.Option(help="Side of the square [m]; not of Longji.", rich_help_panel=GROUND)
+        float | None, typer.Option(help="Side of the square in m; not of Longji.", rich_help_panel=GROUND)
     ] = None,
     ground_slope: Annotated[
-        float | None, typer.Option(help="Slope along x [deg]; not of Longji.", rich_help_panel=GROUND)
+        float | None, typer.Option(help="Slope along x in deg; not of Longji.", rich_help_panel=GROUND)
     ] = None,
     craters: Annotated[
         int | None, typer.Option(help="Number of craters; not of Longji.", rich_help_panel=GROUND)

@@ -30,7 +30,7 @@ class GroundMaps:
     slope_deg : tilt of the plane fitted by least squares to the square footprint about the node. (ny, nx) [deg]
     roughness_m : rms of the residual about that plane. (ny, nx) [m]
     step_m : largest difference of heights in a square as wide as a wheel is high. (ny, nx) [m]
-    baseline_m : side of the footprint on this grid, an even number of spacings. [m]
+    baseline_m : side of the footprint on this grid, the nearest even number of spacings. [m]
     wheel_window_m : side of the square of the step. [m]
     """
 
@@ -169,7 +169,8 @@ def travel_cost(demand: npt.NDArray[np.floating]) -> FloatMap:
 
 
 def _half_width(side_m: float, spacing_m: float, shape: tuple[int, ...]) -> int:
-    half = max(1, math.floor(0.5 * side_m / spacing_m + 1e-6))
+    # Halves go up: a step is never looked for in less than a wheel.
+    half = max(1, math.floor(0.5 * side_m / spacing_m + 0.5 + 1e-6))
     if 2 * half + 1 > min(shape):
         raise ParameterError(
             f"the terrain of {shape[1]} x {shape[0]} nodes is smaller than a window of {2 * half * spacing_m:g} m; "

@@ -47,6 +47,7 @@ def test_table_and_csv_show_the_same_maps(run: Run) -> None:
         assert f"{float(row['p95']):.4g}" in table
 
 
+@pytest.mark.slow
 def test_a_planned_path_can_be_driven(run: Run, tmp_path: Path) -> None:
     folder, picture = tmp_path / "site", tmp_path / "site.png"
     done = run(*TERRAIN, *COARSE, *TARGET, "-o", folder, "--plot", picture, "--geotiff", "--json")
