@@ -4,14 +4,13 @@ from typing import Annotated
 
 import typer
 
+from . import twin_terrain_options as options
 from .command import command
 from .options import Output
 from .progress import progress
 from .report import Report
 
 __all__ = ["add_to"]
-
-GROUND, LIMITS, PATH = "Synthetic ground", "Limits, instead of those of the rover file", "Path"
 
 
 def add_to(app: typer.Typer) -> None:
@@ -33,48 +32,21 @@ def terrain(
     baseline: Annotated[
         float | None, typer.Option(help="Side in m of the square whose slope is measured; the rover's by default.")
     ] = None,
-    start: Annotated[
-        str, typer.Option(help="Pose of the rover, in m and deg.", rich_help_panel=PATH, metavar="X,Y,HEADING")
-    ] = "0,0,0",
-    target: Annotated[
-        str | None,
-        typer.Option(
-            help="Where to plan a path to, in m; with the heading there, in deg.",
-            rich_help_panel=PATH,
-            metavar="X,Y[,HEADING]",
-        ),
-    ] = None,
-    speed: Annotated[
-        float | None, typer.Option(help="Speed in m/s; the rover's highest if left out.", rich_help_panel=PATH)
-    ] = None,
-    max_slope: Annotated[float | None, typer.Option(help="Steepest slope, in deg.", rich_help_panel=LIMITS)] = None,
-    max_step: Annotated[float | None, typer.Option(help="Highest step, in m.", rich_help_panel=LIMITS)] = None,
-    max_roughness: Annotated[
-        float | None, typer.Option(help="Largest roughness, in m.", rich_help_panel=LIMITS)
-    ] = None,
-    turning_radius: Annotated[
-        float | None, typer.Option(help="Smallest radius of an arc, in m.", rich_help_panel=LIMITS)
-    ] = None,
-    clearance: Annotated[
-        float | None, typer.Option(help="Distance to keep from hazards and holes, in m.", rich_help_panel=LIMITS)
-    ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed.", rich_help_panel=GROUND)] = None,
-    spacing: Annotated[float | None, typer.Option(help="Grid spacing, in m.", rich_help_panel=GROUND)] = None,
-    rocks: Annotated[
-        float | None, typer.Option(help="Share of ground under rocks; 0.0021 at Chang'E-4.", rich_help_panel=GROUND)
-    ] = None,
-    roughness: Annotated[
-        float | None, typer.Option(help="Rms height of waves of 0.4 to 4 m, in m.", rich_help_panel=GROUND)
-    ] = None,
-    extent: Annotated[
-        float | None, typer.Option(help="Side of the square in m; not of Longji.", rich_help_panel=GROUND)
-    ] = None,
-    ground_slope: Annotated[
-        float | None, typer.Option(help="Slope along x in deg; not of Longji.", rich_help_panel=GROUND)
-    ] = None,
-    craters: Annotated[
-        int | None, typer.Option(help="Number of craters; not of Longji.", rich_help_panel=GROUND)
-    ] = None,
+    start: options.Start = "0,0,0",
+    target: options.Target = None,
+    speed: options.Speed = None,
+    max_slope: options.MaxSlope = None,
+    max_step: options.MaxStep = None,
+    max_roughness: options.MaxRoughness = None,
+    turning_radius: options.TurningRadius = None,
+    clearance: options.Clearance = None,
+    seed: options.Seed = None,
+    spacing: options.Spacing = None,
+    rocks: options.Rocks = None,
+    roughness: options.Roughness = None,
+    extent: options.Extent = None,
+    ground_slope: options.GroundSlope = None,
+    craters: options.Craters = None,
     geotiff: Annotated[bool, typer.Option("--geotiff", help="With -o, the maps also as maps.tif.")] = False,
 ) -> Report:
     """Maps of slope, roughness and step height of a terrain, and where a rover may drive; with --target, a path.
