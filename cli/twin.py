@@ -4,6 +4,7 @@ from typing import Annotated
 
 import typer
 
+from . import twin_terrain
 from .command import command
 from .options import Output
 from .progress import progress
@@ -12,6 +13,9 @@ from .report import Report
 __all__ = ["app"]
 
 app = typer.Typer(no_args_is_help=True, help="Whether the next drive is safe: a rover simulated on deformable ground.")
+
+
+twin_terrain.add_to(app)
 
 
 @app.callback()

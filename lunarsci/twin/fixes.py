@@ -8,7 +8,6 @@ import numpy.typing as npt
 
 from lunarsci.twin.lanes import LANES, POSE
 from lunarsci.twin.path import leg_end
-from lunarsci.twin.plan import tightest_per_m
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.schedule import Schedule
 
@@ -54,7 +53,7 @@ def legs_from(schedule: Schedule, rover: Rover, number: int, work: Any, errors: 
     aside = np.cos(travel) * (goal[1] - y) - np.sin(travel) * (goal[0] - x)
     chord = np.hypot(ahead, aside)
     half = np.clip(np.arctan2(aside, ahead), -0.5 * math.pi, 0.5 * math.pi)
-    tightest = tightest_per_m(rover)
+    tightest = rover.tightest_curvature_per_m
     curvature = np.clip(2.0 * np.sin(half) / np.maximum(chord, 1e-9), -tightest, tightest)
     return np.stack([chord / np.sinc(half / math.pi), curvature, np.zeros(LANES)], axis=-1)
 

@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.soil import Soil, read_soil
+from lunarsci.twin.rocks import scatter_rocks
 from lunarsci.twin.terrain import Terrain, build_terrain
 
 __all__ = ["CRATERS", "crater_height", "synthetic_longji"]
@@ -53,16 +54,22 @@ def roughness(x: FloatArray, y: FloatArray, rms_m: float, seed: int) -> FloatArr
 
 
 def synthetic_longji(
-    soil: Soil | None = None, *, seed: int = 41, spacing_m: float = 0.05, rms_m: float = 0.004
+    soil: Soil | None = None,
+    *,
+    seed: int = 41,
+    spacing_m: float = 0.05,
+    rms_m: float = 0.004,
+    rock_share: float = 0.0,
 ) -> Terrain:
     """Made-up ground with the published craters and slopes of the Longji site around the embedded plan.
 
     Parameters
     ----------
     soil : the same everywhere; `longji` by default.
-    seed : of the roughness.
+    seed : of the roughness and the rocks.
     spacing_m : grid spacing, 0.01 to 0.5. [m]
     rms_m : roughness, 0 to 0.05. [m]
+    rock_share : of the ground covered by rocks, 0 to 0.1; 0.0021 is what was measured there (see `scatter_rocks`).
 
     Raises ParameterError outside these ranges. Heights count from the start of the plan.
     """
@@ -78,5 +85,7 @@ def synthetic_longji(
     height = height - STEP[2] * np.tanh((x - STEP[0]) / STEP[1])
     for center_x, center_y, diameter in CRATERS:
         height += crater_height(np.hypot(x - center_x, y - center_y), diameter)
+    if rock_share:
+        height = scatter_rocks(x[0], y[:, 0], height, rock_share, seed)
     name = "synthetic stand-in for the Longji site"
     return build_terrain(name, -3.0, -7.0, spacing_m, height, soil or read_soil("longji"), synthetic=True)

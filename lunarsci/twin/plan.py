@@ -22,7 +22,6 @@ __all__ = [
     "check_plan",
     "parse_sweep",
     "read_plan",
-    "tightest_per_m",
 ]
 
 # Quantities that can be limited, and their units.
@@ -170,18 +169,13 @@ def check_plan(plan: Plan, rover: Rover) -> None:
         raise ParameterError(
             f"the plan's speed_m_s is {plan.speed_m_s:g}; {rover.name} drives at most {rover.max_speed_m_s:g} m/s"
         )
-    tightest = tightest_per_m(rover)
+    tightest = rover.tightest_curvature_per_m
     for leg in plan.legs:
         if abs(leg.curvature_per_m) > tightest:
             raise ParameterError(
                 f"leg curvature_per_m is {leg.curvature_per_m:g}; the turning centre must lie outside the wheels, "
                 f"so give at most {tightest:.3g} 1/m, or turn on the spot with turn_deg"
             )
-
-
-def tightest_per_m(rover: Rover) -> float:
-    """Largest curvature of an arc: the turning centre stays outside the wheels. [1/m]"""
-    return 0.9 / (rover.rocker_pivot_y_m + rover.steering_offset_m)
 
 
 def parse_sweep(text: str) -> Sweep:

@@ -142,6 +142,11 @@ class Rover:
         fixed = ~self.steered_mask
         return float(self.wheel_positions_m[fixed, 0].mean()) if fixed.any() else 0.0
 
+    @property
+    def tightest_curvature_per_m(self) -> float:
+        """Largest curvature whose turning centre lies outside the wheels, with a tenth to spare. [1/m]"""
+        return 0.9 / (self.rocker_pivot_y_m + self.steering_offset_m)
+
     def _arms(self) -> FloatArray:
         return np.array([getattr(self, f"{pair}_wheel_m") for pair in self.pairs], dtype=float)
 

@@ -1,5 +1,6 @@
 """Terrain files: NumPy archives, GeoTIFF, ESRI ASCII grids, and tables with a row for each node."""
 
+import io
 import zipfile
 import zlib
 from pathlib import Path
@@ -12,7 +13,7 @@ from lunarsci.errors import DataError, OutputError
 from lunarsci.regolith.soil import Soil
 from lunarsci.twin.terrain import SOIL_COLUMNS, Terrain, build_terrain, from_si
 
-__all__ = ["read_terrain", "write_terrain"]
+__all__ = ["read_terrain", "terrain_bytes", "write_terrain"]
 
 FloatArray = npt.NDArray[np.float64]
 HEADER = ("ncols", "nrows", "cellsize", "nodata_value", "xllcorner", "yllcorner", "xllcenter", "yllcenter")
@@ -141,8 +142,8 @@ def _read_table(path: Path, soil: Soil) -> Terrain:
     return build_terrain(path.stem, float(x[0]), float(y[0]), spacing, height, soil).with_soil(**layers)
 
 
-def write_terrain(terrain: Terrain, path: str | Path) -> None:
-    """Write a terrain as `read_terrain` reads it. Raises OutputError."""
+def terrain_bytes(terrain: Terrain) -> bytes:
+    """A terrain as the NumPy archive that `read_terrain` reads."""
     shape = terrain.height_m.shape if terrain.soil.shape[0] > 1 else ()
     layers = {name: from_si(name, terrain.soil[..., k]).reshape(shape) for name, k in SOIL_COLUMNS.items()}
     content: dict[str, Any] = {
@@ -153,9 +154,15 @@ def write_terrain(terrain: Terrain, path: str | Path) -> None:
         "synthetic": np.array(terrain.synthetic),
         **layers,
     }
+    archive = io.BytesIO()
+    np.savez_compressed(archive, **content)
+    return archive.getvalue()
+
+
+def write_terrain(terrain: Terrain, path: str | Path) -> None:
+    """Write a terrain as `read_terrain` reads it. Raises OutputError."""
     try:
-        with Path(path).open("wb") as file:
-            np.savez_compressed(file, **content)
+        Path(path).write_bytes(terrain_bytes(terrain))
     except OSError as error:
         raise OutputError(f"{path}: {error.strerror}") from error
 

@@ -29,6 +29,7 @@ LIST_MODULES = (
         ["spectra", "fit", "--help"],
         ["spectra", "match", "--help"],
         ["twin", "predict", "--help"],
+        ["twin", "terrain", "--help"],
     ],
 )
 def test_help_imports_only_what_it_needs(arguments: list[str]) -> None:

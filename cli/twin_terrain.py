@@ -1,0 +1,81 @@
+"""`lunarsci twin terrain`: look at a terrain and plan a path on it."""
+
+from typing import Annotated
+
+import typer
+
+from . import twin_terrain_options as options
+from .command import command
+from .options import Output
+from .progress import progress
+from .report import Report
+
+__all__ = ["add_to"]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the command."""
+    command(app, "terrain", folder=True)(terrain)
+
+
+def terrain(
+    output: Output,
+    terrain: Annotated[
+        str,
+        typer.Argument(
+            help="synthetic-longji, synthetic, or a file (.npz, GeoTIFF, ESRI ASCII .asc, CSV of nodes).",
+            metavar="TERRAIN",
+        ),
+    ] = "synthetic-longji",
+    rover: Annotated[str, typer.Option(help="Rover: a name (yutu2, small-four) or a TOML file.")] = "yutu2",
+    soil: Annotated[str, typer.Option(help="Soil where the terrain has none: a name or a TOML file.")] = "longji",
+    baseline: Annotated[
+        float | None, typer.Option(help="Side in m of the square whose slope is measured; the rover's by default.")
+    ] = None,
+    start: options.Start = "0,0,0",
+    target: options.Target = None,
+    speed: options.Speed = None,
+    max_slope: options.MaxSlope = None,
+    max_step: options.MaxStep = None,
+    max_roughness: options.MaxRoughness = None,
+    turning_radius: options.TurningRadius = None,
+    clearance: options.Clearance = None,
+    seed: options.Seed = None,
+    spacing: options.Spacing = None,
+    rocks: options.Rocks = None,
+    roughness: options.Roughness = None,
+    extent: options.Extent = None,
+    ground_slope: options.GroundSlope = None,
+    craters: options.Craters = None,
+    geotiff: Annotated[bool, typer.Option("--geotiff", help="With -o, the maps also as maps.tif.")] = False,
+) -> Report:
+    """Maps of slope, roughness and step height of a terrain, and where a rover may drive; with --target, a path.
+
+    With -o DIR the terrain goes to terrain.npz, the maps to maps.npz, and a path to plan.toml and path.csv:
+    `lunarsci twin predict DIR/plan.toml --terrain DIR/terrain.npz` drives it.
+    """
+    from .twin_terrain_report import Asked, read_site, terrain_report
+
+    ground = {
+        "seed": seed,
+        "spacing_m": spacing,
+        "rock_share": rocks,
+        "rms_m": roughness,
+        "extent_m": extent,
+        "slope_deg": ground_slope,
+        "craters": craters,
+    }
+    limits = {
+        "max_slope_deg": max_slope,
+        "max_step_m": max_step,
+        "max_roughness_m": max_roughness,
+        "min_turning_radius_m": turning_radius,
+        "clearance_m": clearance,
+    }
+    asked = Asked.parse(start, target, speed)
+    site = read_site(terrain, rover, soil, ground, limits)
+    with progress("looking at the ground", quiet=output.quiet) as update:
+        surface = site.surface(baseline, update)
+    with progress("planning", quiet=output.quiet) as update:
+        path = asked.plan(site, surface, update)
+    return terrain_report(site, surface, path, geotiff=geotiff)

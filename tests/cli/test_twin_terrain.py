@@ -1,0 +1,141 @@
+"""`lunarsci twin terrain`."""
+
+import csv
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lunarsci.twin.longji import synthetic_longji
+from lunarsci.twin.plan import read_plan
+
+Run = Callable[..., Any]
+TERRAIN = ("twin", "terrain")
+COARSE = ("--spacing", "0.1")
+TARGET = ("--target", "9.369,1.957", "--max-slope", "11")
+
+
+def test_a_terrain_is_described(run: Run) -> None:
+    done = run(*TERRAIN, "--json", "--no-time")
+    assert (done.code, done.err) == (0, [])
+    document = json.loads(done.out)
+    result = document["result"]
+    assert document["schema"] == "lunarsci/twin-terrain/1"
+    height = synthetic_longji().height_m
+    assert result["terrain"]["nodes"] == [341, 321] and result["terrain"]["spacing_m"] == 0.05
+    assert result["terrain"]["height_m"] == pytest.approx([height.min(), height.max()])
+    assert result["path"] is None and result["terrain"]["hole_share"] == 0.0
+    shares = [result[f"{name}_share"] for name in ("traversable", "hazard", "unknown")]
+    assert sum(shares) == pytest.approx(1.0)
+    assert shares[2] == pytest.approx(1.0 - 321 * 301 / (341 * 321)), "half a footprint along each edge"
+    assert result["limits"]["max_slope_deg"] == {"value": 20.0, "assumed": False}
+    assert result["limits"]["clearance_m"]["assumed"]
+    assert list(result["maps"]["slope_deg"]) == ["max", "p5", "p50", "p95"]
+    assert any("synthetic" in note for note in result["notes"])
+    assert any("smaller than two spacings" in note for note in result["notes"])
+
+
+def test_table_and_csv_show_the_same_maps(run: Run) -> None:
+    rows = list(csv.DictReader(io.StringIO(run(*TERRAIN, *COARSE, "--csv").out)))
+    assert [row["quantity"] for row in rows] == ["slope_deg", "roughness_m", "step_m"]
+    table = run(*TERRAIN, *COARSE).out
+    for row in rows:
+        assert f"{float(row['p95']):.4g}" in table
+
+
+@pytest.mark.slow
+def test_a_planned_path_can_be_driven(run: Run, tmp_path: Path) -> None:
+    folder, picture = tmp_path / "site", tmp_path / "site.png"
+    done = run(*TERRAIN, *COARSE, *TARGET, "-o", folder, "--plot", picture, "--geotiff", "--json")
+    assert done.code == 0, done.err
+    path = json.loads(done.out)["result"]["path"]
+    assert path["miss_m"] < 0.01 and path["min_clearance_m"] >= 0.2 and path["max_slope_deg"] <= 11.0
+    assert np.hypot(path["end"]["x_m"] - 9.369, path["end"]["y_m"] - 1.957) < 0.01
+    names = {"terrain.npz", "maps.npz", "maps.tif", "plan.toml", "path.csv", "result.json"}
+    assert {file.name for file in folder.iterdir()} == names
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    plan = read_plan(folder / "plan.toml")
+    assert [arc.length_m for arc in plan.legs] == [arc["length_m"] for arc in path["arcs"]]
+    driven = run(
+        "twin", "predict", folder / "plan.toml", "--terrain", folder / "terrain.npz", "--field", "verdict", "-q"
+    )
+    assert (driven.code, driven.out) == (0, "go\n")
+
+
+def test_the_maps_are_in_both_files(run: Run, tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    assert run(*TERRAIN, *COARSE, "-o", tmp_path / "d", "--geotiff", "-q").code == 0
+    with np.load(tmp_path / "d" / "maps.npz") as maps, rasterio.open(tmp_path / "d" / "maps.tif") as raster:
+        assert raster.descriptions == ("slope_deg", "roughness_m", "step_m", "demand")
+        for band, name in enumerate(raster.descriptions, start=1):
+            assert np.array_equal(raster.read(band)[::-1], maps[name], equal_nan=True)
+        row, column = raster.index(maps["x_m"][30], maps["y_m"][50])
+        assert raster.read(1)[row, column] == maps["slope_deg"][50, 30]
+
+
+def test_a_file_is_read_and_its_hash_kept(run: Run, tmp_path: Path) -> None:
+    assert run(*TERRAIN, *COARSE, "--rocks", "0.01", "-o", tmp_path / "d", "-q").code == 0
+    file = tmp_path / "d" / "terrain.npz"
+    one, two = (json.loads(run(*TERRAIN, *given, "--json").out) for given in ([file], [*COARSE, "--rocks", "0.01"]))
+    for key, spread in two["result"]["maps"].items():
+        assert one["result"]["maps"][key] == pytest.approx(spread, rel=1e-6)
+    assert [used["path"] for used in one["provenance"]["inputs"]] == [str(file)]
+    assert any("Golombek" in source for source in two["provenance"]["sources"])
+
+
+def test_synthetic_ground_has_its_options(run: Run) -> None:
+    options = ("--extent", "8", "--spacing", "0.1", "--ground-slope", "12", "--craters", "0", "--roughness", "0")
+    assert float(run(*TERRAIN, "synthetic", *options, "--field", "maps.slope_deg.p50").out) == pytest.approx(
+        12.0, abs=1e-3
+    )
+    for group in (["--max-slope", "11"], ["--max-roughness", "0.001"], ["--max-step", "0.01"]):
+        strict = run(*TERRAIN, "synthetic", *options, "--seed", "3", *group, "--field", "hazard_share")
+        assert (float(strict.out) > 0) == (group[0] != "--max-roughness")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--target", "1"],
+        ["--target", "a,b"],
+        ["--target", "1,2,3,4"],
+        ["--start", "0,0"],
+        ["--extent", "10"],
+        ["file.npz", "--rocks", "0.01"],
+    ],
+)
+def test_wrong_usage_is_one_line(run: Run, arguments: list[str]) -> None:
+    wrong = run(*TERRAIN, *arguments)
+    assert (wrong.code, wrong.out, len(wrong.err)) == (2, "", 1), wrong
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--target", "90,0"], "outside the map"),
+        (["--target", "nan,0"], "finite"),
+        (["--target", "9,2", "--max-slope", "3"], "slope"),
+        (["--target", "9,2", "--clearance", "-1"], "clearance_m"),
+        (["--target", "9,2", "--speed", "1"], "at most 0.055"),
+        (["--rocks", "3"], "rocks"),
+        (["--baseline", "100"], "baseline"),
+        (["missing.npz"], "no such file"),
+    ],
+)
+def test_what_cannot_be_done_is_one_line_and_nothing_is_written(
+    run: Run, tmp_path: Path, arguments: list[str], says: str
+) -> None:
+    ground = [] if arguments[0].endswith(".npz") else COARSE
+    failed = run(*TERRAIN, *ground, *arguments, "-o", tmp_path / "d", "-q")
+    assert (failed.code, failed.out, len(failed.err)) == (1, "", 1), failed
+    assert says in failed.err[0]
+    assert not (tmp_path / "d").exists()
+
+
+def test_equal_runs_are_byte_identical(run: Run) -> None:
+    first, second = (run(*TERRAIN, *COARSE, *TARGET, "--json", "--no-time").out for _ in range(2))
+    assert first == second
