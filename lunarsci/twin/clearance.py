@@ -1,0 +1,99 @@
+"""How far the underside of the chassis stays above the ground."""
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.compiled import compiled, each_in_threads
+from lunarsci.errors import ParameterError
+from lunarsci.twin.ensemble import Prediction
+from lunarsci.twin.rover import Body
+
+__all__ = ["belly_points", "clearance", "clearance_of_poses"]
+
+FloatArray = npt.NDArray[np.float64]
+
+MOST_POINTS = 1000
+"""Of the grid on the belly; a finer terrain is met at wider points."""
+BLOCK = 64
+
+
+def belly_points(body: Body, spacing_m: float) -> FloatArray:
+    """Grid of points on the underside, edges included, at most `spacing_m` apart while 1000 points do. (n, 3) [m]"""
+    spacing = max(spacing_m, math.sqrt(body.length_m * body.width_m / MOST_POINTS))
+    along, across = (
+        np.linspace(-0.5 * side, 0.5 * side, max(2, math.ceil(side / spacing - 1e-9) + 1))
+        for side in (body.length_m, body.width_m)
+    )
+    x, y = np.meshgrid(body.center_x_m + along, across, indexing="ij")
+    return np.column_stack([x.ravel(), y.ravel(), np.full(x.size, body.belly_z_m)])
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def least_above(height: Any, x0: float, y0: float, spacing: float, points: Any, poses: Any, out: Any) -> None:
+    """Least height of the points above the ground for each pose (n, 6: x, y, z, roll, pitch, yaw [rad]), into `out`.
+
+    `out` (n, 2) takes that height, NaN where no ground is known below, and the share of points without known ground.
+    """
+    ny, nx = height.shape
+    for k in range(len(poses)):
+        cr, sr = math.cos(poses[k, 3]), math.sin(poses[k, 3])
+        cp, sp = math.cos(poses[k, 4]), math.sin(poses[k, 4])
+        cy, sy = math.cos(poses[k, 5]), math.sin(poses[k, 5])
+        least, unknown = np.inf, 0
+        for n in range(len(points)):
+            px, py, pz = points[n, 0], points[n, 1], points[n, 2]
+            # Turned by roll about x, then by pitch about y, then by yaw about z.
+            ahead, left = cp * px + sp * (sr * py + cr * pz), cr * py - sr * pz
+            up = poses[k, 2] - sp * px + cp * (sr * py + cr * pz)
+            column = (poses[k, 0] + cy * ahead - sy * left - x0) / spacing
+            row = (poses[k, 1] + sy * ahead + cy * left - y0) / spacing
+            ground = np.nan
+            if 0.0 <= column <= nx - 1 and 0.0 <= row <= ny - 1:
+                j, i = min(int(column), nx - 2), min(int(row), ny - 2)
+                a, b = column - j, row - i
+                low = (1.0 - a) * height[i, j] + a * height[i, j + 1]
+                high = (1.0 - a) * height[i + 1, j] + a * height[i + 1, j + 1]
+                ground = (1.0 - b) * low + b * high
+            if np.isnan(ground):
+                unknown += 1
+            else:
+                least = min(least, up - ground)
+        out[k, 0] = least if least < np.inf else np.nan
+        out[k, 1] = unknown / len(points)
+
+
+def clearance_of_poses(prediction: Prediction, body: Body, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Clearance [m] and share of the belly over unknown ground [-] for poses with `PATH_COLUMNS`. (..., 6) to (...)"""
+    terrain = prediction.terrain
+    height = np.ascontiguousarray(terrain.height_m, dtype=float)
+    points = belly_points(body, terrain.spacing_m)
+    flat = np.ascontiguousarray(poses.reshape(-1, 6))
+    flat = np.concatenate([flat[:, :3], np.radians(flat[:, 3:])], axis=1)
+    out = np.empty((len(flat), 2))
+    known = (height, float(terrain.x0_m), float(terrain.y0_m), float(terrain.spacing_m), points)
+
+    def block(number: int) -> None:
+        own = slice(number * BLOCK, (number + 1) * BLOCK)
+        least_above(*known, flat[own], out[own])
+
+    each_in_threads(block, math.ceil(len(flat) / BLOCK))
+    return out[:, 0].reshape(poses.shape[:-1]), out[:, 1].reshape(poses.shape[:-1])
+
+
+def clearance(prediction: Prediction) -> tuple[FloatArray, FloatArray]:
+    """Least vertical distance of the underside of the chassis from the ground along each drive.
+
+    Returns it [m] and the share of the underside that is over ground of unknown height [-], (members, samples) both.
+    The distance counts the known ground only, is NaN where none is known, and negative where the chassis would be in
+    the ground; the drive itself goes on as if nothing had touched. Wheel tracks do not lower the ground. Heights are
+    bilinear between the nodes, on a grid of points that is no wider than the terrain's.
+
+    Raises ParameterError for a rover without a body.
+    """
+    body = prediction.rover.body
+    if body is None:
+        raise ParameterError(f"{prediction.rover.name} has no [body]; add the table to the rover file as in yutu2's")
+    return clearance_of_poses(prediction, body, prediction.paths)
