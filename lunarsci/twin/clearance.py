@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.compiled import compiled, each_in_threads
+from lunarsci.compiled import each_in_threads, in_lanes
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.rover import Body
@@ -17,7 +17,7 @@ FloatArray = npt.NDArray[np.float64]
 
 MOST_POINTS = 1000
 """Of the grid on the belly; a finer terrain is met at wider points."""
-BLOCK = 64
+BLOCK = 4096
 
 
 def belly_points(body: Body, spacing_m: float) -> FloatArray:
@@ -31,7 +31,7 @@ def belly_points(body: Body, spacing_m: float) -> FloatArray:
     return np.column_stack([x.ravel(), y.ravel(), np.full(x.size, body.belly_z_m)])
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@in_lanes
 def least_above(height: Any, x0: float, y0: float, spacing: float, points: Any, poses: Any, out: Any) -> None:
     """Least height of the points above the ground for each pose (n, 6: x, y, z, roll, pitch, yaw [rad]), into `out`.
 
@@ -41,26 +41,29 @@ def least_above(height: Any, x0: float, y0: float, spacing: float, points: Any, 
     for k in range(len(poses)):
         cr, sr = math.cos(poses[k, 3]), math.sin(poses[k, 3])
         cp, sp = math.cos(poses[k, 4]), math.sin(poses[k, 4])
-        cy, sy = math.cos(poses[k, 5]), math.sin(poses[k, 5])
+        cy, sy = math.cos(poses[k, 5]) / spacing, math.sin(poses[k, 5]) / spacing
         least, unknown = np.inf, 0
+        # Turned by roll about x, then by pitch about y, then by yaw about z: columns of that rotation.
+        column_x, column_y, column_z = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
+        row_x, row_y, row_z = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
+        up_x, up_y, up_z = -sp, cp * sr, cp * cr
+        column_0, row_0 = (poses[k, 0] - x0) / spacing, (poses[k, 1] - y0) / spacing
         for n in range(len(points)):
-            px, py, pz = points[n, 0], points[n, 1], points[n, 2]
-            # Turned by roll about x, then by pitch about y, then by yaw about z.
-            ahead, left = cp * px + sp * (sr * py + cr * pz), cr * py - sr * pz
-            up = poses[k, 2] - sp * px + cp * (sr * py + cr * pz)
-            column = (poses[k, 0] + cy * ahead - sy * left - x0) / spacing
-            row = (poses[k, 1] + sy * ahead + cy * left - y0) / spacing
-            ground = np.nan
-            if 0.0 <= column <= nx - 1 and 0.0 <= row <= ny - 1:
-                j, i = min(int(column), nx - 2), min(int(row), ny - 2)
-                a, b = column - j, row - i
-                low = (1.0 - a) * height[i, j] + a * height[i, j + 1]
-                high = (1.0 - a) * height[i + 1, j] + a * height[i + 1, j + 1]
-                ground = (1.0 - b) * low + b * high
-            if np.isnan(ground):
+            x, y, z = points[n, 0], points[n, 1], points[n, 2]
+            column = column_0 + column_x * x + column_y * y + column_z * z
+            row = row_0 + row_x * x + row_y * y + row_z * z
+            if not (0.0 <= column <= nx - 1 and 0.0 <= row <= ny - 1):
                 unknown += 1
-            else:
-                least = min(least, up - ground)
+                continue
+            j, i = min(np.int64(column), nx - 2), min(np.int64(row), ny - 2)
+            a, b = column - j, row - i
+            low = height[i, j] + a * (height[i, j + 1] - height[i, j])
+            high = height[i + 1, j] + a * (height[i + 1, j + 1] - height[i + 1, j])
+            above = poses[k, 2] + up_x * x + up_y * y + up_z * z - (low + b * (high - low))
+            if np.isnan(above):
+                unknown += 1
+            elif above < least:
+                least = above
         out[k, 0] = least if least < np.inf else np.nan
         out[k, 1] = unknown / len(points)
 

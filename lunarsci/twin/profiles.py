@@ -11,7 +11,7 @@ from lunarsci.twin.quantities import along
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["PROFILED", "profile_table", "spread"]
+__all__ = ["PROFILED", "available", "profile_table", "spread"]
 
 FloatArray = npt.NDArray[np.float64]
 
