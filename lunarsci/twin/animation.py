@@ -41,9 +41,8 @@ FORMATS = (".gif", ".mp4")
 MOST_FRAMES, PER_SECOND = 120, 12
 WIDTH_IN, HEIGHT_IN, DPI = 9.6, 5.4, 90
 MARGIN_M = 1.8
-# One below 256 stays free for pixels that do not change.
-COLORS = 240
-VIVID, REPEATED = 30, 20
+# Of the 256 colours of a GIF some stay free, one of them for pixels that do not change.
+GREYS, COLORS, VIVID = 80, 160, 30
 INSETS = ("tilt_deg", "slip_ratio")
 
 
@@ -107,14 +106,15 @@ def _gif(stage: "_Stage", samples: list[int], told: Callable[[int], None]) -> by
         stage.show(sample)
         return Image.fromarray(_pixels(stage.figure)).convert("RGB")
 
-    palette = Image.fromarray(_colorful(np.asarray(drawn(samples[-1])))).quantize(COLORS)
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(_palette(np.asarray(drawn(samples[-1]))))
     images = []
     for done, sample in enumerate(samples, start=1):
         images.append(drawn(sample).quantize(palette=palette, dither=Image.Dither.NONE))
         told(done)
     buffer = io.BytesIO()
     pause = round(1000 / PER_SECOND)
-    images[0].save(buffer, "GIF", save_all=True, append_images=images[1:], duration=pause, loop=0, optimize=False)
+    images[0].save(buffer, "GIF", save_all=True, append_images=images[1:], duration=pause, loop=0, optimize=True)
     return buffer.getvalue()
 
 
@@ -132,11 +132,17 @@ def _mp4(stage: "_Stage", samples: list[int], told: Callable[[int], None]) -> by
         return film.read_bytes()
 
 
-def _colorful(pixels: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    """The pixels as one row, colourful ones repeated, lest the many greys of the ground take the whole palette."""
+def _palette(pixels: npt.NDArray[np.uint8]) -> bytes:
+    """Greys for the ground, and what represents the colourful pixels best, as red, green, blue of each."""
+    from PIL import Image
+
     flat = pixels.reshape(-1, 3)
     vivid = flat[np.ptp(flat, axis=1) > VIVID]
-    return np.concatenate([flat, np.repeat(vivid, REPEATED, axis=0)])[None]
+    greys = np.repeat(np.linspace(0, 255, GREYS).astype(np.uint8), 3).tobytes()
+    if not len(vivid):
+        return greys
+    chosen = Image.fromarray(vivid[None]).quantize(COLORS).getpalette() or []
+    return greys + bytes(chosen[: 3 * COLORS])
 
 
 def _pixels(figure: "Figure") -> npt.NDArray[np.uint8]:
@@ -185,7 +191,7 @@ class _Stage:
             ground.add_collection(part, autolim=False)
         clock = ground.text(0.02, 0.03, "", transform=ground.transAxes, fontsize=9, color=INK)
         clock.set_bbox({"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 2.0})
-        marks = [axes.plot([], [], "o", color=LIMIT, markersize=5)[0] for axes in insets]
+        marks = [axes.plot([], [], "o", color=LIMIT, markersize=5, clip_on=False)[0] for axes in insets]
         return {"fan": fan, "body": body, "wheels": wheels, "clock": clock, "marks": marks}
 
     def show(self, sample: int) -> None:
@@ -203,6 +209,8 @@ class _Stage:
         parts["clock"].set_text(f"{time:.0f} s of {last:.0f} s, {prediction.distance_m[sample]:.1f} m")
 
     def _wheels(self, sample: int, yaw_deg: float) -> list[FloatArray]:
+        if not self.prediction.recorded[self.member]:
+            return []
         wheel = self.prediction.rover.wheel
         half = (wheel.radius_m, 0.5 * wheel.width_m)
         places = self.prediction.states[self.member, sample, :, :2]
@@ -239,6 +247,7 @@ def _draw_inset(axes: "Axes", prediction: Prediction, name: str, member: int) ->
     axes.set_xlim(float(where[0]), float(where[-1]))
     axes.set_xlabel(label, fontsize=8)
     axes.set_ylabel("Largest |s| of the wheels [-]" if name == "slip_ratio" else LABELS[name][0], fontsize=8)
+    axes.set_title("rover drawn; band: p05 to p95 of all", fontsize=8)
     axes.tick_params(labelsize=8)
     axes.grid(alpha=0.25, linewidth=0.5)
 
