@@ -182,7 +182,7 @@ def _endpoint_notes(verdict: Verdict) -> list[str]:
     if (ellipse := end.ellipse) is not None:
         notes.append(
             f"error ellipse: {ellipse.semi_major_m:.3f} m x {ellipse.semi_minor_m:.3f} m (1 σ), major axis at "
-            f"{ellipse.azimuth_deg:.0f}° from x; times {ellipse.factor_95:.2f} for 95 %, if normal"
+            f"{round(ellipse.azimuth_deg) % 180}° from x; times {ellipse.factor_95:.2f} for 95 %, if normal"
         )
     return notes
 

@@ -8,7 +8,7 @@ from lunarsci.twin.contact import DEEPEST, SHALLOWEST, VALID_SLIP
 from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction
 from lunarsci.twin.outcomes import HOLE, LEFT
 
-__all__ = ["CALIBRATED_SINKAGE_M", "Validity", "validity", "validity_notes"]
+__all__ = ["CALIBRATED_SINKAGE_M", "Validity", "percent", "validity", "validity_notes"]
 
 CALIBRATED_SINKAGE_M = (0.005, 0.015)
 """Sinkages that the calibration of Ding et al. (2024), 10.1038/s41467-024-46233-8, covers: wheels of Yutu-2. [m]"""
@@ -73,8 +73,9 @@ def validity_notes(found: Validity) -> list[str]:
             f"sink less than {low:g} mm or more than {high:g} mm, the range of Yutu-2's calibration (Ding et al. 2024)",
         ),
     )
-    return [f"{_percent(share)} of the wheel states {what}" for share, what in kinds if share > 0]
+    return [f"{percent(share)} of the wheel states {what}" for share, what in kinds if share > 0]
 
 
-def _percent(share: float) -> str:
+def percent(share: float) -> str:
+    """A share in words, never rounded to nothing."""
     return "less than 0.1 %" if share < 0.001 else f"{100 * share:.1f} %"
