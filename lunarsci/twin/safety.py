@@ -15,7 +15,7 @@ from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.outcomes import OUTCOMES
 from lunarsci.twin.plan import AT_LEAST, QUANTITIES, Limit, Plan
 from lunarsci.twin.quantities import along
-from lunarsci.twin.validity import Validity, validity, validity_notes
+from lunarsci.twin.validity import Validity, percent, validity, validity_notes
 
 __all__ = ["Judgement", "Verdict", "Worst", "extremes", "judge"]
 
@@ -256,9 +256,7 @@ def _clearance_notes(prediction: Prediction, limits: tuple[Limit, ...]) -> list[
     least, unknown = (values[prediction.reached] for values in clearance(prediction))
     notes = []
     if (share := float((unknown > 0).mean())) > 0:
-        notes.append(
-            f"at {100 * share:.2g} % of the samples part of the chassis is over unknown ground, left out there"
-        )
+        notes.append(f"at {percent(share)} of the samples part of the chassis is over unknown ground, left out")
     if (least < 0).any():
         notes.append("the chassis would touch the ground; the drives go on as if it did not")
     return notes
