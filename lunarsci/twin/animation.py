@@ -247,7 +247,7 @@ def _draw_inset(axes: "Axes", prediction: Prediction, name: str, member: int) ->
     axes.set_xlim(float(where[0]), float(where[-1]))
     axes.set_xlabel(label, fontsize=8)
     axes.set_ylabel("Largest |s| of the wheels [-]" if name == "slip_ratio" else LABELS[name][0], fontsize=8)
-    axes.set_title("rover drawn; band: p05 to p95 of all", fontsize=8)
+    axes.set_title("line: rover shown; band: p05 to p95", fontsize=8)
     axes.tick_params(labelsize=8)
     axes.grid(alpha=0.25, linewidth=0.5)
 

@@ -32,6 +32,7 @@ LABELS = {
     "normal_force_n": ("Normal force F$_N$ [N]", 1.0),
 }
 """Axis label, and factor from the quantity's unit to the label's."""
+SIGNED = ("slip_ratio", "side_slip_deg")
 WHEEL_COLORS = ("#0072b2", "#56b4e9", "#009e73", "#e69f00", "#d55e00", "#cc79a7")
 """Of Okabe & Ito, told apart by the colour-blind."""
 
@@ -93,7 +94,7 @@ def _unit(label: str) -> str:
 def _draw_limit(axes: "Axes", quantity: str, limit: float, unit: str) -> None:
     """Dashed lines where the limit is in sight, and its value in any case."""
     bottom, top = axes.get_ylim()
-    signed = bottom < 0 and quantity not in AT_LEAST
+    signed = bottom < 0 and quantity in SIGNED
     for line in (-limit, limit) if signed else (limit,):
         if bottom - 0.3 * (top - bottom) < line < top + 0.3 * (top - bottom):
             axes.axhline(line, color=LIMIT, linewidth=1.0, linestyle="--")

@@ -11,7 +11,7 @@ from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.figure import path_fan
 from lunarsci.twin.figure_boxes import box_pages, grouped
 from lunarsci.twin.figure_profiles import profile_page
-from lunarsci.twin.plan import KeepOut
+from lunarsci.twin.plan import KeepOut, Limit
 from lunarsci.twin.profiles import profile_table
 from lunarsci.twin.quantities import abscissa, along
 from lunarsci.twin.safety import judge
@@ -77,11 +77,12 @@ def test_a_rover_that_waits_is_drawn_against_time(driven: Prediction) -> None:
 
 
 def test_the_page_has_units_and_limits(uneven: Prediction) -> None:
-    figure = profile_page(uneven, judge(uneven))
+    miss = Limit("endpoint_miss_m", "m", 1.0, "test", False)
+    figure = profile_page(uneven, judge(uneven, dataclasses.replace(uneven.plan, limits=(miss,))))
     figure.canvas.draw()
     assert len(figure.axes) == 7 and all("[" in axes.get_ylabel() for axes in figure.axes)
     titles = [axes.get_title(loc="right") for axes in figure.axes]
-    assert titles == ["", "", "", "", "", "limit at least 0 m", ""]
+    assert titles == ["", "", "", "limit at the end 1 m", "", "limit at least 0 m", ""]
     loads = figure.axes[-1].get_legend()
     assert [text.get_text() for text in loads.get_texts()] == ["FL", "FR", "ML", "MR", "RL", "RR"]
 
