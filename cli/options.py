@@ -1,6 +1,7 @@
 """The options that every command shares, and the file that can hold any of them."""
 
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -48,20 +49,20 @@ class Output:
         if self.plot:
             check_target(self.plot, force=self.force)
 
-    def check_picture(self, name: str, path: Path | None) -> None:
-        """The same for a picture of the option `name`, beside those of --output and --plot."""
+    def check_picture(self, name: str, path: Path | None, suffixes: Sequence[str] = PLOT_SUFFIXES) -> None:
+        """The same for a picture or film of the option `name`, beside those of --output and --plot."""
         if path is None:
             return
-        _check_picture(name, path)
+        _check_picture(name, path, suffixes)
         for other, taken in (("--output", self.path), ("--plot", self.plot)):
             if taken and taken.resolve() == path.resolve():
                 raise typer.BadParameter(f"{other} and {name} both name {path}; give two names")
         check_target(path, force=self.force)
 
 
-def _check_picture(name: str, path: Path) -> None:
-    if path.suffix.lower() not in PLOT_SUFFIXES:
-        raise typer.BadParameter(f"{name} {path}: the name must end in {', '.join(PLOT_SUFFIXES)}")
+def _check_picture(name: str, path: Path, suffixes: Sequence[str] = PLOT_SUFFIXES) -> None:
+    if path.suffix.lower() not in suffixes:
+        raise typer.BadParameter(f"{name} {path}: the name must end in {', '.join(suffixes)}")
 
 
 def _option(kind: Any, *names: str, text: str, metavar: str | None = None) -> Any:

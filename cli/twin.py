@@ -1,5 +1,6 @@
 """`lunarsci twin`: whether the next drive is safe."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -46,11 +47,20 @@ def predict(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the samples.")] = 0,
     time_step: Annotated[float, typer.Option(help="Longest time step [s].")] = 0.1,
     sample: Annotated[float, typer.Option(help="Distance between recorded states [m].")] = 0.1,
+    animate: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The drive as a film: .gif, or .mp4 where ffmpeg is installed.")
+    ] = None,
 ) -> Report:
     """Drive a plan over many soils and say whether it stays within the limits: go, or no-go with exit code 3.
 
-    With -o DIR the wheel states and forces go to states.csv, the paths to paths.csv, the ends to endpoints.csv.
+    With -o DIR the wheel states and forces go to states.csv, the paths to paths.csv, the ends to endpoints.csv, the
+    spread of all quantities against distance to profiles.csv.
     """
+    if animate is not None:
+        from lunarsci.twin.animation import FORMATS, check_format
+
+        output.check_picture("--animate", animate, FORMATS)
+        check_format(animate)
     from lunarsci.twin.ensemble import predict as predict_drive
     from lunarsci.twin.plan import parse_sweep
 
@@ -69,4 +79,4 @@ def predict(
             sample_m=sample,
             progress=update,
         )
-    return predict_report(scene, prediction)
+    return predict_report(scene, prediction, film=animate, quiet=output.quiet)

@@ -1,6 +1,8 @@
 """From files to a scene, and from a predicted drive to a `Report`."""
 
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lunarsci.inputs import read_input
@@ -10,18 +12,21 @@ from lunarsci.rovers.description import RoverDescription, read_rover
 from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.longji import synthetic_longji
 from lunarsci.twin.plan import Plan, read_plan
+from lunarsci.twin.profiles import profile_table
 from lunarsci.twin.rover import Rover, build_rover
-from lunarsci.twin.safety import Verdict, judge
+from lunarsci.twin.safety import Judgement, Verdict, judge
 from lunarsci.twin.sensitivity import EndpointSensitivity, endpoint_sensitivity, step_error_m
 from lunarsci.twin.tables import endpoint_table, path_table, state_table
 from lunarsci.twin.terrain import Terrain
 from lunarsci.twin.terrain_files import read_terrain
 
+from .progress import progress
 from .report import Report
 from .table import TextTable
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
 __all__ = ["Scene", "csv_bytes", "predict_report", "read_scene", "verdict_tables"]
 
@@ -62,15 +67,10 @@ def read_scene(plan: str | None, rover: str, terrain: str, soil: str) -> Scene:
     )
 
 
-def predict_report(scene: Scene, prediction: Prediction) -> Report:
-    """The report of `twin predict`."""
+def predict_report(scene: Scene, prediction: Prediction, *, film: Path | None = None, quiet: bool = False) -> Report:
+    """The report of `twin predict`, with a film where a file for one is named."""
     verdict = judge(prediction, scene.plan)
     shares, step_error = endpoint_sensitivity(prediction), step_error_m(prediction)
-
-    def figures() -> Any:
-        from lunarsci.twin.figure import path_fan
-
-        return [path_fan(prediction, verdict)]
 
     return Report(
         schema="twin-predict/1",
@@ -78,7 +78,8 @@ def predict_report(scene: Scene, prediction: Prediction) -> Report:
         | {"sensitivity": [asdict(share) for share in shares], "step_error_m": step_error},
         tables=[*verdict_tables(scene, prediction, verdict), *_sensitivity_tables(shares, step_error)],
         rows=[asdict(limit) for limit in verdict.limits],
-        figures=figures,
+        figures=lambda: _pages(prediction, verdict),
+        films={} if film is None else {film: lambda: _film(prediction, verdict, film, quiet)},
         inputs=scene.inputs,
         data_tables=scene.tables,
         sources=SOURCES,
@@ -87,9 +88,27 @@ def predict_report(scene: Scene, prediction: Prediction) -> Report:
             "states.csv": lambda: csv_bytes(state_table(prediction)),
             "paths.csv": lambda: csv_bytes(path_table(prediction)),
             "endpoints.csv": lambda: csv_bytes(endpoint_table(prediction)),
+            "profiles.csv": lambda: csv_bytes(profile_table(prediction)),
         },
         untrusted="" if verdict.verdict == "go" else f"no-go: {'; '.join(verdict.reasons)}",
     )
+
+
+def _pages(prediction: Prediction, verdict: Verdict) -> "Iterator[Figure]":
+    from lunarsci.twin.figure import path_fan
+    from lunarsci.twin.figure_boxes import box_pages
+    from lunarsci.twin.figure_profiles import profile_page
+
+    yield path_fan(prediction, verdict)
+    yield profile_page(prediction, verdict)
+    yield from box_pages(prediction)
+
+
+def _film(prediction: Prediction, verdict: Verdict, target: Path, quiet: bool) -> bytes:
+    from lunarsci.twin.animation import animate
+
+    with progress("filming", quiet=quiet) as update:
+        return animate(prediction, verdict, target, progress=update)
 
 
 def _result(scene: Scene, prediction: Prediction, verdict: Verdict) -> dict[str, Any]:
@@ -109,18 +128,20 @@ def verdict_tables(scene: Scene, prediction: Prediction, verdict: Verdict) -> li
     rows = [
         [
             limit.quantity,
-            *(f"{value:.4g}" for value in (limit.p50, limit.p95, limit.max, limit.limit, limit.margin)),
+            *(f"{value:.4g}" for value in (limit.p50, limit.kept_by_95, limit.worst)),
+            _bound(limit),
+            f"{limit.margin:.4g}",
             limit.unit,
-            "ok" if limit.ok else "exceeded",
+            "ok" if limit.ok else "broken",
             "assumed" if limit.assumed else "",
         ]
         for limit in verdict.limits
     ]
     headers = [
-        "quantity (largest of each drive)",
+        "quantity (worst of each drive)",
         "p50",
-        "p95",
-        "max",
+        "95 % keep",
+        "worst",
         "limit",
         "margin",
         "unit",
@@ -128,7 +149,17 @@ def verdict_tables(scene: Scene, prediction: Prediction, verdict: Verdict) -> li
         "limit is",
     ]
     title = f"{verdict.verdict.upper()}: {scene.plan.name}; {prediction.members} drives on {scene.terrain.name}"
-    return [TextTable(headers, rows, title=title, notes=[*_endpoint_notes(verdict), *verdict.reasons, *verdict.notes])]
+    notes = [*_endpoint_notes(verdict), *verdict.reasons, *verdict.notes, _worst_note(verdict)]
+    return [TextTable(headers, rows, title=title, notes=notes)]
+
+
+def _bound(limit: Judgement) -> str:
+    return f"{'≤' if limit.sense == 'at most' else '≥'} {limit.limit:.4g}"
+
+
+def _worst_note(verdict: Verdict) -> str:
+    soil = ", ".join(f"{name} {value:.4g}" for name, value in verdict.worst.parameters.items())
+    return f"worst drive: member {verdict.worst.member}{f' ({soil})' if soil else ''}, {verdict.worst.why}"
 
 
 def _sensitivity_tables(shares: list[EndpointSensitivity], step_error: float | None) -> list[TextTable]:
@@ -144,10 +175,16 @@ def _endpoint_notes(verdict: Verdict) -> list[str]:
     end = verdict.endpoint
     if end is None:
         return []
-    return [
+    notes = [
         f"ends: mean {end.bias_m:.3f} m from the destination, all within {end.covering_radius_m:.3f} m of it, "
         f"within {end.scatter_radius_m:.3f} m of each other's middle"
     ]
+    if (ellipse := end.ellipse) is not None:
+        notes.append(
+            f"error ellipse: {ellipse.semi_major_m:.3f} m x {ellipse.semi_minor_m:.3f} m (1 σ), major axis at "
+            f"{round(ellipse.azimuth_deg) % 180}° from x; times {ellipse.factor_95:.2f} for 95 %, if normal"
+        )
+    return notes
 
 
 def csv_bytes(table: "pd.DataFrame") -> bytes:

@@ -39,7 +39,7 @@ def terrain(
     max_step: options.MaxStep = None,
     max_roughness: options.MaxRoughness = None,
     turning_radius: options.TurningRadius = None,
-    clearance: options.Clearance = None,
+    hazard_distance: options.HazardDistance = None,
     seed: options.Seed = None,
     spacing: options.Spacing = None,
     rocks: options.Rocks = None,
@@ -70,7 +70,7 @@ def terrain(
         "max_step_m": max_step,
         "max_roughness_m": max_roughness,
         "min_turning_radius_m": turning_radius,
-        "clearance_m": clearance,
+        "hazard_distance_m": hazard_distance,
     }
     asked = Asked.parse(start, target, speed)
     site = read_site(terrain, rover, soil, ground, limits)

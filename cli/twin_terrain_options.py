@@ -5,10 +5,10 @@ from typing import Annotated
 import typer
 
 __all__ = [
-    "Clearance",
     "Craters",
     "Extent",
     "GroundSlope",
+    "HazardDistance",
     "MaxRoughness",
     "MaxSlope",
     "MaxStep",
@@ -42,7 +42,7 @@ MaxSlope = Annotated[float | None, typer.Option(help="Steepest slope, in deg.", 
 MaxStep = Annotated[float | None, typer.Option(help="Highest step, in m.", rich_help_panel=LIMITS)]
 MaxRoughness = Annotated[float | None, typer.Option(help="Largest roughness, in m.", rich_help_panel=LIMITS)]
 TurningRadius = Annotated[float | None, typer.Option(help="Smallest radius of an arc, in m.", rich_help_panel=LIMITS)]
-Clearance = Annotated[
+HazardDistance = Annotated[
     float | None, typer.Option(help="Distance to keep from hazards and holes, in m.", rich_help_panel=LIMITS)
 ]
 Seed = Annotated[int | None, typer.Option(help="Seed.", rich_help_panel=GROUND)]

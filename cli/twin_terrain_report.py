@@ -211,7 +211,7 @@ def _result(site: Site, surface: Traversability, path: PlannedPath | None) -> di
 
 
 def _limit_names() -> tuple[str, ...]:
-    return ("max_slope_deg", "max_step_m", "max_roughness_m", "min_turning_radius_m", "clearance_m")
+    return ("max_slope_deg", "max_step_m", "max_roughness_m", "min_turning_radius_m", "hazard_distance_m")
 
 
 def _spreads(maps: GroundMaps) -> dict[str, dict[str, float | None]]:
@@ -237,7 +237,7 @@ def _path_result(path: PlannedPath) -> dict[str, Any]:
         "length_m": path.plan.length_m,
         "speed_m_s": path.plan.speed_m_s,
         "cost_m": path.cost_m,
-        "min_clearance_m": path.min_clearance_m,
+        "min_hazard_distance_m": path.min_hazard_distance_m,
         "max_slope_deg": path.max_slope_deg,
         "max_slope_on_path_deg": path.max_slope_on_path_deg,
         "max_step_m": path.max_step_m,
@@ -294,8 +294,8 @@ def _path_table(path: PlannedPath, surface: Traversability) -> TextTable:
         f"{path.plan.length_m:.3f} m long, ends at x {end[0]:.3f} m, y {end[1]:.3f} m, "
         f"heading {np.degrees(end[2]):.1f} deg, {1e3 * path.miss_m:.1f} mm from the target",
         f"under the footprint: slope {path.max_slope_deg:.2f} of {limits.max_slope_deg:g} deg, step "
-        f"{path.max_step_m:.3f} of {limits.max_step_m:g} m; clearance {path.min_clearance_m:.2f} m, "
-        f"{limits.clearance_m:g} m to be kept",
+        f"{path.max_step_m:.3f} of {limits.max_step_m:g} m; nearest hazard {path.min_hazard_distance_m:.2f} m, "
+        f"{limits.hazard_distance_m:g} m to be kept",
     ]
     return TextTable(["arc", "length [m]", "curvature [1/m]", "radius [m]"], rows, title=path.plan.name, notes=notes)
 

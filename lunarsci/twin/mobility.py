@@ -1,4 +1,4 @@
-"""What ground a rover may drive on: limits of slope, step, roughness, turning and clearance."""
+"""What ground a rover may drive on: limits of slope, step, roughness, turning, and distance from hazards."""
 
 import math
 from dataclasses import dataclass, fields, replace
@@ -26,7 +26,7 @@ class Mobility:
     max_step_m : highest step a wheel climbs, > 0. [m]
     max_roughness_m : largest rms residual about that plane, > 0; None where it is not limited. [m]
     min_turning_radius_m : of the path of the rover's origin, > 0. [m]
-    clearance_m : distance to keep between the footprint and what exceeds a limit or is unknown, >= 0. [m]
+    hazard_distance_m : distance to keep between the footprint and what exceeds a limit or is unknown, >= 0. [m]
     assumed : names of the limits that are guesses.
 
     Raises ParameterError outside these ranges.
@@ -35,7 +35,7 @@ class Mobility:
     max_slope_deg: float
     max_step_m: float
     min_turning_radius_m: float
-    clearance_m: float
+    hazard_distance_m: float
     max_roughness_m: float | None = None
     assumed: tuple[str, ...] = ()
 
@@ -46,8 +46,8 @@ class Mobility:
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
                 raise ParameterError(f"{name} is {value}; give a length above 0 m")
-        if not 0 <= self.clearance_m < math.inf:
-            raise ParameterError(f"clearance_m is {self.clearance_m}; give 0 m or more")
+        if not 0 <= self.hazard_distance_m < math.inf:
+            raise ParameterError(f"hazard_distance_m is {self.hazard_distance_m}; give 0 m or more")
 
     def with_limits(self, **limits: float | None) -> "Mobility":
         """The same with some limits replaced where they are not None; these are no longer assumed."""
@@ -59,7 +59,7 @@ class Mobility:
 def read_mobility(description: RoverDescription, rover: Rover) -> Mobility:
     """The [limits] table of a rover file; what it lacks is assumed from the size of the rover.
 
-    Assumed are then a slope of 15 deg, a step of one wheel radius, a turning radius of 1.5 tracks and a clearance of
+    Assumed are then a slope of 15 deg, a step of one wheel radius, a turning radius of 1.5 tracks and a distance from hazards of
     0.2 tracks; roughness is not limited. Raises DataError.
     """
     table = description.tables.get("limits", {})
@@ -71,7 +71,7 @@ def read_mobility(description: RoverDescription, rover: Rover) -> Mobility:
         "max_slope_deg": FALLBACK_SLOPE_DEG,
         "max_step_m": FALLBACK_STEP_IN_RADII * rover.wheel.radius_m,
         "min_turning_radius_m": FALLBACK_TURN_IN_TRACKS * track,
-        "clearance_m": FALLBACK_CLEARANCE_IN_TRACKS * track,
+        "hazard_distance_m": FALLBACK_CLEARANCE_IN_TRACKS * track,
     }
     assumed = {name for name in values if name not in table}
     assumed |= {key.removeprefix("limits.") for key in description.assumed if key.startswith("limits.")}

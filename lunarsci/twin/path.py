@@ -6,9 +6,9 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.twin.plan import Leg
+from lunarsci.twin.plan import Leg, Plan
 
-__all__ = ["arc_end", "curvature_at", "leg_end"]
+__all__ = ["along_legs", "arc_end", "curvature_at", "leg_end", "planned_pose"]
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -34,6 +34,27 @@ def leg_end(pose: FloatArray, leg: Leg, share: npt.ArrayLike = 1.0) -> FloatArra
     crab = math.radians(leg.crab_deg)
     x, y, travel = arc_end(x, y, heading + crab, leg.length_m * part, np.asarray(leg.curvature_per_m))
     return np.stack([x, y, travel - crab], axis=-1)
+
+
+def along_legs(start: FloatArray, legs: tuple[Leg, ...], distance_m: npt.ArrayLike) -> FloatArray:
+    """Pose at distances along legs that have a length, from x, y, heading at their start. (..., 3) [m, m, rad]"""
+    left = np.asarray(distance_m, dtype=float)
+    pose = np.broadcast_to(start, (*left.shape, 3))
+    for number, leg in enumerate(legs):
+        # The last arc goes on beyond its end, so that rounding never loses the end of the path.
+        piece = left if number == len(legs) - 1 else np.minimum(left, leg.length_m)
+        pose, left = leg_end(pose, leg, piece / leg.length_m), left - piece
+    return np.asarray(pose)
+
+
+def planned_pose(plan: Plan, distance_m: npt.ArrayLike) -> FloatArray:
+    """Planned x, y, heading at distances along a plan of arcs. (..., 3) [m, m, rad]
+
+    The blends of the commanded curvature are not in it: they shift the path by curvature step x blend^2 / 24, half a
+    millimetre for the embedded plan. `Schedule.pose_at` has turns and stops too.
+    """
+    start = np.array([plan.x_m, plan.y_m, math.radians(plan.heading_deg)])
+    return along_legs(start, plan.legs, distance_m)
 
 
 def curvature_at(legs: tuple[Leg, ...], distance_m: npt.ArrayLike, blend_m: float) -> FloatArray:

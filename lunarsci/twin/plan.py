@@ -6,15 +6,17 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.terrain import soil_override
 
 __all__ = [
+    "AT_LEAST",
     "QUANTITIES",
     "Fixes",
+    "KeepOut",
     "Leg",
     "Limit",
     "Plan",
@@ -25,7 +27,17 @@ __all__ = [
 ]
 
 # Quantities that can be limited, and their units.
-QUANTITIES = {"slip_ratio": "-", "side_slip_deg": "deg", "sinkage_m": "m", "tilt_deg": "deg", "endpoint_miss_m": "m"}
+QUANTITIES = {
+    "slip_ratio": "-",
+    "side_slip_deg": "deg",
+    "sinkage_m": "m",
+    "tilt_deg": "deg",
+    "endpoint_miss_m": "m",
+    "clearance_m": "m",
+    "keep_out_m": "m",
+}
+AT_LEAST = ("clearance_m", "keep_out_m")
+"""Of these small values are the dangerous ones: their limit is the smallest value that counts as safe."""
 LONGEST_M, LONGEST_STOP_S = 1000.0, 3600.0
 
 
@@ -88,13 +100,37 @@ class Fixes:
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """Largest value of a quantity that counts as safe, its unit, where the number comes from, whether it is a guess."""
+    """What counts as safe of a quantity, its unit, where the number comes from, whether it is a guess.
+
+    It is the largest safe value, or the smallest of the quantities in `AT_LEAST`; `sense` says which.
+    """
 
     quantity: str
     unit: str
     limit: float
     source: str
     assumed: bool
+
+    @property
+    def sense(self) -> Literal["at most", "at least"]:
+        """Whether values up to the limit are safe, or values from it on."""
+        return "at least" if self.quantity in AT_LEAST else "at most"
+
+
+@dataclass(frozen=True, slots=True)
+class KeepOut:
+    """A circle that no part of the rover may enter: name, centre [m] and radius > 0 [m]. Raises ParameterError."""
+
+    name: str
+    x_m: float
+    y_m: float
+    radius_m: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.x_m) and math.isfinite(self.y_m)):
+            raise ParameterError(f"keep_out '{self.name}' needs finite x_m and y_m")
+        if not 0 < self.radius_m < math.inf:
+            raise ParameterError(f"keep_out '{self.name}' has radius_m {self.radius_m}; give a radius above 0 m")
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +167,7 @@ class Plan:
     fixes : position fixes between legs; None drives without.
     limits : what counts as safe.
     sweep : uncertain soil parameters.
+    keep_out : circles that the rover must not enter.
     """
 
     name: str
@@ -143,6 +180,7 @@ class Plan:
     fixes: Fixes | None = None
     limits: tuple[Limit, ...] = ()
     sweep: tuple[Sweep, ...] = ()
+    keep_out: tuple[KeepOut, ...] = ()
     origin: str = ""
 
     def __post_init__(self) -> None:
@@ -156,6 +194,8 @@ class Plan:
             raise ParameterError(f"the plan's blend_m is {self.blend_m}; give 0 m or more")
         if not all(map(math.isfinite, (self.x_m, self.y_m, self.heading_deg))):
             raise ParameterError("the plan's start needs finite x_m, y_m and heading_deg")
+        if not self.keep_out and any(limit.quantity == "keep_out_m" for limit in self.limits):
+            raise ParameterError("limit keep_out_m without a [[keep_out]]; give the circles to keep out of")
 
     @property
     def length_m(self) -> float:
@@ -211,7 +251,7 @@ def read_plan(path: str | Path | None = None) -> Plan:
 def _parse(text: str, origin: str) -> Plan:
     try:
         document = tomllib.loads(text)
-        _check_keys(document, ("name", "start", "drive", "leg", "fixes", "limits", "sweep"), "the plan")
+        _check_keys(document, ("name", "start", "drive", "leg", "fixes", "limits", "sweep", "keep_out"), "the plan")
         start, drive = _table(document, "start"), _table(document, "drive")
         _check_keys(start, ("x_m", "y_m", "heading_deg"), "[start]")
         _check_keys(drive, ("speed_m_s", "blend_m"), "[drive]")
@@ -220,10 +260,11 @@ def _parse(text: str, origin: str) -> Plan:
         limits = _table(document, "limits") if "limits" in document else _default_limits()
         return Plan(
             name=str(document.get("name", origin)),
-            legs=tuple(_leg(table) for table in _legs(document)),
+            legs=tuple(_leg(table) for table in _list(document, "leg")),
             fixes=_fixes(document),
             limits=tuple(_limit(quantity, entry) for quantity, entry in limits.items()),
             sweep=tuple(parse_sweep(f"{name}={entry}") for name, entry in _table(document, "sweep").items()),
+            keep_out=tuple(_keep_out(table) for table in _list(document, "keep_out")),
             origin=origin,
             **{key: _number(value, key) for key, value in (start | drive).items()},
         )
@@ -237,11 +278,11 @@ def _default_limits() -> dict[str, Any]:
     return dict(tomllib.loads((files(__package__) / "plan.toml").read_text("utf-8"))["limits"])
 
 
-def _legs(document: dict[str, Any]) -> list[Any]:
-    legs = document.get("leg", [])
-    if not isinstance(legs, list):
-        raise ParameterError("write each leg as [[leg]], in double brackets")
-    return legs
+def _list(document: dict[str, Any], name: str) -> list[Any]:
+    tables = document.get(name, [])
+    if not isinstance(tables, list):
+        raise ParameterError(f"write each {name} as [[{name}]], in double brackets")
+    return tables
 
 
 def _leg(table: Any) -> Leg:
@@ -260,12 +301,22 @@ def _fixes(document: dict[str, Any]) -> Fixes | None:
     return Fixes(*(_number(table[name], name) for name in known))
 
 
+def _keep_out(table: Any) -> KeepOut:
+    known = ("name", "x_m", "y_m", "radius_m")
+    _check_keys(table, known, "[[keep_out]]")
+    for name in known:
+        if name not in table:
+            raise ParameterError(f"a [[keep_out]] has no {name}")
+    return KeepOut(str(table["name"]), *(_number(table[name], name) for name in known[1:]))
+
+
 def _limit(quantity: str, entry: Any) -> Limit:
     _check_keys({quantity: entry}, QUANTITIES, "[limits]")
     table = entry if isinstance(entry, dict) else {"value": entry, "source": "the plan"}
     _check_keys(table, ("value", "source", "assumed"), f"limit {quantity}")
     value = _number(table.get("value"), quantity)
-    if not 0 < value < math.inf:
+    lowest_fits = quantity in AT_LEAST and value == 0
+    if not (0 < value < math.inf or lowest_fits):
         raise ParameterError(f"limit {quantity} is {value}; give a number above 0")
     return Limit(quantity, QUANTITIES[quantity], value, str(table.get("source", "")), bool(table.get("assumed", False)))
 

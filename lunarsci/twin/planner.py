@@ -42,7 +42,7 @@ class PlannedPath:
     plan : start, arcs and speed.
     target_m : x, y that was asked for. [m]
     cost_m : length in metres of flat, clear ground. [m]
-    min_clearance_m : least distance of the footprint from a node that is a hazard or unknown, or from the edge of the
+    min_hazard_distance_m : least distance of the footprint from a node that is a hazard or unknown, or from the edge of the
         map; infinite where none is near. [m]
     max_slope_deg, max_roughness_m, max_step_m : largest over the nodes that the footprint sweeps. [deg, m, m]
     max_slope_on_path_deg : largest slope at the path of the rover's origin. [deg]
@@ -54,7 +54,7 @@ class PlannedPath:
     plan: Plan
     target_m: tuple[float, float]
     cost_m: float
-    min_clearance_m: float
+    min_hazard_distance_m: float
     max_slope_deg: float
     max_roughness_m: float
     max_step_m: float
@@ -98,7 +98,7 @@ def plan_path(
     speed_m_s, limits, name : of the plan; the speed is the rover's highest when None.
     progress : called with (stages done, stages).
 
-    The footprint keeps `clearance_m` from every node that exceeds a limit or has no known height, and from the edge of
+    The footprint keeps `hazard_distance_m` from every node that exceeds a limit or has no known height, and from the edge of
     the map; the slope at the rover's origin must be known; the radius of the arcs is at least `min_turning_radius_m`
     and one that the rover can steer. The search is deterministic; it tries a lattice of arcs, which does not prove that
     there is no path where it finds none. Slope and roughness already look half a footprint ahead, so that hazards of
@@ -134,7 +134,7 @@ def plan_path(
             limits=limits,
         )
         found = _measured(surface, ground, footprint, plan, course, target)
-        if found.min_clearance_m >= surface.mobility.clearance_m and found.miss_m <= ARRIVAL_M:
+        if found.min_hazard_distance_m >= surface.mobility.hazard_distance_m and found.miss_m <= ARRIVAL_M:
             return found
     raise ParameterError(_why_not(surface, ground, problem, footprint, nearest))
 
@@ -181,7 +181,7 @@ def _problem(
     mobility, spacing = surface.mobility, surface.terrain.spacing_m
     discs, radius = footprint.discs()
     # Between nodes and between places the distance may be less by a small part of the spacing.
-    need = radius + mobility.clearance_m + 0.25 * spacing + 0.005
+    need = radius + mobility.hazard_distance_m + 0.25 * spacing + 0.005
     return Problem(
         window=ground.window,
         discs=discs,
@@ -214,14 +214,14 @@ def _check_place(surface: Traversability, name: str, place: tuple[float, float, 
 def _check_room(
     surface: Traversability, ground: SearchGround, footprint: Footprint, name: str, poses: FloatArray
 ) -> None:
-    """Some of the poses must keep the clearance."""
-    clearance = surface.mobility.clearance_m
+    """Some of the poses must keep their distance from hazards."""
+    least = surface.mobility.hazard_distance_m
     x, y = _places(surface, ground)
     distance, point, _ = max(nearest_node(footprint, pose[None], x, y) for pose in poses)
-    if distance < clearance:
+    if distance < least:
         raise ParameterError(
-            f"at the {name} the footprint is {distance:.2f} m from an obstacle and {clearance:g} m are to be kept: "
-            f"{_obstacle(surface, ground, point)}; give another {name}, or less clearance"
+            f"at the {name} the footprint is {distance:.2f} m from an obstacle and {least:g} m are to be kept: "
+            f"{_obstacle(surface, ground, point)}; give another {name}, or a smaller distance"
         )
 
 
@@ -256,7 +256,7 @@ def _measured(
         plan=plan,
         target_m=target,
         cost_m=course.cost_m,
-        min_clearance_m=nearest_node(footprint, poses, *_places(surface, ground))[0],
+        min_hazard_distance_m=nearest_node(footprint, poses, *_places(surface, ground))[0],
         max_slope_deg=_largest(maps.slope_deg[swept]),
         max_roughness_m=_largest(maps.roughness_m[swept]),
         max_step_m=_largest(maps.step_m[swept]),
@@ -283,4 +283,6 @@ def _why_not(
     _, point, _ = nearest_node(footprint, end[None], *_places(surface, ground))
     if len(ground.border):
         text += f", next to where {_obstacle(surface, ground, point)}"
-    return f"{text}; try less clearance, tighter turns, a place on the way as a first target, or other limits"
+    return (
+        f"{text}; try a smaller hazard distance, tighter turns, a place on the way as a first target, or other limits"
+    )

@@ -13,7 +13,7 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.regolith.wheel import Wheel, read_wheel
 from lunarsci.rovers.description import RoverDescription, read_rover
 
-__all__ = ["BOGIES", "Rover", "RoverVector", "Vector3", "build_rover"]
+__all__ = ["BOGIES", "Body", "Rover", "RoverVector", "Vector3", "build_rover"]
 
 PAIRS = ("front", "middle", "rear")
 BOGIES = ("rear", "front", "none")
@@ -21,6 +21,33 @@ HUNG = {"rear": ("middle", "rear"), "front": ("front", "middle"), "none": ()}
 """Pairs of wheels on the bogies, by where these are; the others are on the rockers."""
 Vector3 = tuple[float, float, float]
 FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """Underside of the chassis: a rectangle in the rover's frame, level with it.
+
+    Attributes
+    ----------
+    length_m, width_m : along x and y, > 0. [m]
+    belly_z_m : its height above the rover's origin. [m]
+    center_x_m : its centre along x. [m]
+
+    Raises ParameterError for lengths that are not positive and numbers that are not finite.
+    """
+
+    length_m: float
+    width_m: float
+    belly_z_m: float
+    center_x_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("length_m", "width_m"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ParameterError(f"rover body {name} is {getattr(self, name)}; give a number above 0")
+        for name in ("belly_z_m", "center_x_m"):
+            if not math.isfinite(getattr(self, name)):
+                raise ParameterError(f"rover body {name} is {getattr(self, name)}; give a finite number")
 
 
 class RoverVector(NamedTuple):
@@ -62,6 +89,7 @@ class Rover:
     steering_offset_m : distance of a wheel from its steering axis, which is inboard of it. [m]
     max_speed_m_s : highest commanded speed. [m/s]
     gravity_m_s2 : acceleration of gravity. [m/s2]
+    body : underside of the chassis, None where unknown.
 
     The left rocker turns by +rho about the chassis' y axis, the right one by -rho: a differential does that whether it
     is a bar outside or gears inside the body. Each bogie turns about its rocker. Raises ParameterError for masses,
@@ -85,6 +113,7 @@ class Rover:
     bogie_pivot_m: Vector3 | None = None
     steering_offset_m: float = 0.0
     gravity_m_s2: float = LUNAR_GRAVITY.value
+    body: Body | None = None
 
     def __post_init__(self) -> None:
         for name in ("body_kg", "wheel_kg", "rocker_pivot_y_m", "max_speed_m_s", "gravity_m_s2"):
@@ -197,6 +226,7 @@ def build_rover(rover: str | RoverDescription) -> Rover:
             steered=tuple(str(pair) for pair in steering["steered_wheels"]),
             steering_offset_m=float(steering.get("offset_m", 0.0)),
             **_numbers(drive, "max_speed_m_s"),
+            body=_body(description.tables.get("body")),
         )
     except KeyError as error:
         raise DataError(f"{description.origin}: no {error}; add it as in the yutu2 file") from error
@@ -210,6 +240,12 @@ def _suspension(table: dict[str, Any]) -> dict[str, Any]:
     bogie = str(table.get("bogie", "rear"))
     own = ("front_wheel_m", "rear_wheel_m") + (() if bogie == "none" else ("middle_wheel_m", "bogie_pivot_m"))
     return {"bogie": bogie} | _vectors(table, *own)
+
+
+def _body(table: dict[str, Any] | None) -> Body | None:
+    if table is None:
+        return None
+    return Body(**_numbers(table, "length_m", "width_m", "belly_z_m"), center_x_m=float(table.get("center_x_m", 0.0)))
 
 
 def _numbers(table: dict[str, Any], *names: str) -> dict[str, Any]:

@@ -1,6 +1,6 @@
-"""Is the next drive safe: each limited quantity over the ensemble, the spread of the ends, and a verdict."""
+"""Is the next drive safe: each limited quantity over the ensemble, and a verdict."""
 
-import itertools
+import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Literal
@@ -9,31 +9,47 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import ParameterError
-from lunarsci.twin.contact import VALID_SLIP
-from lunarsci.twin.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction
+from lunarsci.twin.clearance import clearance
+from lunarsci.twin.endpoint import Endpoint, endpoint_spread
+from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.outcomes import OUTCOMES
-from lunarsci.twin.plan import Limit, Plan
+from lunarsci.twin.plan import AT_LEAST, QUANTITIES, Limit, Plan
+from lunarsci.twin.quantities import along
+from lunarsci.twin.validity import Validity, percent, validity, validity_notes
 
-__all__ = ["Endpoint", "Judgement", "Verdict", "covering_circle", "extremes", "judge", "tilt_deg"]
+__all__ = ["Judgement", "Verdict", "Worst", "extremes", "judge"]
 
 FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """One limited quantity: what each member reached at most, as p50, p95 and maximum over the members.
+    """One limited quantity over the members, each of which counts with the worst value of its drive.
 
-    p95 is the smallest value that at least 95 % of the members keep, so with fewer than 20 members it is the maximum.
-    `margin` is limit - p95; `ok` is p95 <= limit; `exceeding` counts the members above the limit; `worst_member`
-    reached the maximum. Unit in `unit`, source of the
-    limit in `source`, `assumed` when the limit is a guess.
+    Attributes
+    ----------
+    quantity, unit : what is limited.
+    sense : `at most` where large values are bad (the largest magnitude of each drive counts), `at least` where small
+        ones are (the smallest value counts).
+    limit : the largest or smallest safe value.
+    p05, p50, p95, min, max : over the members. p95 is the smallest value that at least 95 % of the members do not
+        exceed, p05 the largest that at least 95 % reach; with fewer than 20 members these are max and min.
+    margin : from the judged value to the limit, negative beyond it. The judged value is p95 for `at most`, p05 for
+        `at least`, and min for `keep_out_m`, which no drive may break.
+    ok : margin >= 0.
+    exceeding : number of members beyond the limit.
+    worst_member : the member with the worst value.
+    source, assumed : where the limit comes from, and whether it is a guess.
     """
 
     quantity: str
     unit: str
+    sense: Literal["at most", "at least"]
     limit: float
+    p05: float
     p50: float
     p95: float
+    min: float
     max: float
     margin: float
     ok: bool
@@ -42,29 +58,38 @@ class Judgement:
     source: str
     assumed: bool
 
+    @property
+    def worst(self) -> float:
+        """The worst value of any member."""
+        return self.max if self.sense == "at most" else self.min
+
+    @property
+    def kept_by_95(self) -> float:
+        """What at least 95 % of the members keep: p95 or p05."""
+        return self.p95 if self.sense == "at most" else self.p05
+
+    @property
+    def judged(self) -> float:
+        """The value that is held against the limit."""
+        return self.worst if self.quantity == "keep_out_m" else self.kept_by_95
+
+    @property
+    def used(self) -> float:
+        """Share of what the limit allows that the worst member uses, above 1 beyond the limit. [-]"""
+        if self.sense == "at most":
+            return self.worst / self.limit
+        if self.worst <= 0 or self.limit == 0:
+            return math.inf if self.worst < self.limit else 0.0
+        return self.limit / self.worst
+
 
 @dataclass(frozen=True, slots=True)
-class Endpoint:
-    """Where the drives end.
+class Worst:
+    """The member that comes nearest to a limit or furthest beyond it: its number, its soil, and why it is the worst."""
 
-    Attributes
-    ----------
-    planned_x_m, planned_y_m : planned destination. [m]
-    x_m, y_m : mean of the ends. [m]
-    bias_m : distance of the mean from the planned destination. [m]
-    covering_radius_m : smallest circle about the planned destination that holds every end. [m]
-    scatter_radius_m : smallest circle, wherever its centre, that holds every end. [m]
-    covariance_m2 : ((xx, xy), (xy, yy)) of the ends; zeros for a single member. [m2]
-    """
-
-    planned_x_m: float
-    planned_y_m: float
-    x_m: float
-    y_m: float
-    bias_m: float
-    covering_radius_m: float
-    scatter_radius_m: float
-    covariance_m2: tuple[tuple[float, float], tuple[float, float]]
+    member: int
+    parameters: dict[str, float]
+    why: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,10 +101,12 @@ class Verdict:
     verdict : `go` or `no-go`.
     reasons : why not, one sentence each; empty for `go`.
     notes : what a reader should know all the same.
-    limits : one entry for each limit of the plan; empty when no member finished.
+    limits : one entry for each limit of the plan that can be judged; empty when no member finished.
     endpoint : spread of the ends of the members that finished, None when none did.
     outcomes : outcome sentence to number of members.
-    invalid_share : share of wheel states outside the wheel model's validity (|s| > 0.6, unloaded, too deep).
+    invalid_share : share of wheel states outside the wheel model's validity (|s| > 0.6, in the air, too deep).
+    validity : the same by kind.
+    worst : the worst member.
     """
 
     verdict: Literal["go", "no-go"]
@@ -89,140 +116,127 @@ class Verdict:
     endpoint: Endpoint | None
     outcomes: dict[str, int]
     invalid_share: float
-
-
-def tilt_deg(roll_deg: npt.ArrayLike, pitch_deg: npt.ArrayLike) -> FloatArray:
-    """Angle between the chassis' z axis and the vertical, cos(tilt) = cos(roll) cos(pitch). [deg]"""
-    return np.asarray(np.degrees(np.arccos(np.cos(np.radians(roll_deg)) * np.cos(np.radians(pitch_deg)))))
+    validity: Validity
+    worst: Worst
 
 
 def extremes(prediction: Prediction, quantity: str) -> FloatArray:
-    """Largest magnitude of a quantity over wheels and distance, as far as each member came. (members,)"""
+    """Worst value of a quantity over wheels and distance, as far as each member came. (members,)
+
+    The largest magnitude, or the smallest value of a quantity in `AT_LEAST`; NaN where a member has none. Raises
+    ParameterError for what cannot be limited.
+    """
+    if quantity not in QUANTITIES:
+        raise ParameterError(f"'{quantity}' cannot be limited; these can: {', '.join(QUANTITIES)}")
     if quantity == "endpoint_miss_m":
         return prediction.miss_m
-    if quantity == "tilt_deg":
-        roll, pitch = (prediction.paths[..., PATH_COLUMNS.index(name)] for name in ("roll_deg", "pitch_deg"))
-        values = tilt_deg(roll, pitch)
-    elif quantity in STATE_COLUMNS:
-        values = np.abs(prediction.states[..., STATE_COLUMNS.index(quantity)]).max(axis=2)
-    else:
-        raise ParameterError(f"'{quantity}' cannot be limited")
+    values = along(prediction, quantity)
+    if quantity in AT_LEAST:
+        least = np.where(prediction.reached & ~np.isnan(values), values, np.inf).min(axis=1)
+        return np.asarray(np.where(np.isinf(least), np.nan, least))
+    values = np.abs(values) if values.ndim == 2 else np.abs(values).max(axis=2)
     return np.asarray(np.where(prediction.reached, values, 0.0).max(axis=1))
-
-
-def covering_circle(points_m: FloatArray) -> tuple[float, float, float]:
-    """Centre x, y and radius of the smallest circle that holds all points. (n, 2) [m]
-
-    It rests on two or three points of the convex hull, so all such circles are tried.
-    """
-    points = _hull(points_m)
-    best = (float(points[0, 0]), float(points[0, 1]), 0.0 if len(points) == 1 else math.inf)
-    for size in (2, 3):
-        for corners in itertools.combinations(points, size):
-            x, y = _circumcenter(*corners)
-            radius = float(np.hypot(*(points - (x, y)).T).max())
-            if radius < best[2]:
-                best = (x, y, radius)
-    return best
-
-
-def _hull(points: FloatArray) -> FloatArray:
-    from scipy.spatial import ConvexHull, QhullError
-
-    distinct = np.unique(points, axis=0)
-    try:
-        return np.asarray(distinct[ConvexHull(distinct).vertices]) if len(distinct) > 3 else distinct
-    except QhullError:
-        # All on a line: its ends span the circle, and lexicographic order puts them first and last.
-        return distinct[[0, -1]]
-
-
-def _circumcenter(a: FloatArray, b: FloatArray, c: FloatArray | None = None) -> tuple[float, float]:
-    if c is None:
-        return float(a[0] + b[0]) / 2.0, float(a[1] + b[1]) / 2.0
-    p, q = b - a, c - a
-    area = 2.0 * float(p[0] * q[1] - p[1] * q[0])
-    if area == 0.0:
-        return math.inf, math.inf
-    x = (q[1] * (p @ p) - p[1] * (q @ q)) / area
-    y = (p[0] * (q @ q) - q[0] * (p @ p)) / area
-    return float(a[0] + x), float(a[1] + y)
 
 
 def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
     """Hold a prediction against the limits of its plan.
 
-    It is `go` when every member finished and at least 95 % of them keep each limit. Members count alike: on a grid of
-    soils that is a share of the grid, not a probability. Per member
-    the largest value over wheels and distance counts, at the recorded samples. Percentiles are over the members that
-    finished. `plan` replaces the plan that was driven, to try other limits.
+    It is `go` when every member finished, at least 95 % of them keep each limit, and none enters a circle that the plan
+    keeps out of. Members count alike: on a grid of soils that is a share of the grid, not a probability. Per member
+    the worst value over wheels and distance counts, at the recorded samples. Percentiles are over the members that
+    finished. `plan` replaces the plan that was driven, to try other limits and circles.
     """
+    prediction = prediction if plan is None else dataclasses.replace(prediction, plan=plan)
     finished = prediction.finished
-    limits = (plan or prediction.plan).limits
-    judged = tuple(_judge_limit(prediction, limit) for limit in limits) if finished.any() else ()
+    limits = _limits(prediction.plan) if finished.any() else ()
+    judged = tuple(j for limit in limits if (j := _judge_limit(prediction, limit)) is not None)
     outcomes = {
         OUTCOMES[int(k)]: int(n) for k, n in zip(*np.unique(prediction.outcome, return_counts=True), strict=True)
     }
     reasons = [f"{n} of {prediction.members} members: {text}" for text, n in outcomes.items() if text != OUTCOMES[0]]
-    reasons += [f"{j.quantity}: p95 {j.p95:.3g} exceeds the limit {j.limit:g}" for j in judged if not j.ok]
-    invalid = _invalid_share(prediction)
+    reasons += [_reason(j) for j in judged if not j.ok]
+    found = validity(prediction)
     return Verdict(
         verdict="no-go" if reasons else "go",
         reasons=tuple(reasons),
-        notes=_notes(prediction, judged, invalid),
+        notes=_notes(prediction, limits, judged, found),
         limits=judged,
-        endpoint=_endpoint(prediction) if finished.any() else None,
+        endpoint=endpoint_spread(prediction) if finished.any() else None,
         outcomes=outcomes,
-        invalid_share=invalid,
+        invalid_share=found.invalid_share,
+        validity=found,
+        worst=_worst(prediction, judged),
     )
 
 
-def _judge_limit(prediction: Prediction, limit: Limit) -> Judgement:
-    members = np.flatnonzero(prediction.finished)
-    values = extremes(prediction, limit.quantity)[members]
-    p50, p95 = float(np.median(values)), float(np.quantile(values, 0.95, method="inverted_cdf"))
-    return Judgement(
+def _limits(plan: Plan) -> tuple[Limit, ...]:
+    """The limits of a plan, with that of its circles where it gives none of its own."""
+    if not plan.keep_out or any(limit.quantity == "keep_out_m" for limit in plan.limits):
+        return plan.limits
+    return *plan.limits, Limit("keep_out_m", QUANTITIES["keep_out_m"], 0.0, "circles of the plan", False)
+
+
+def _judge_limit(prediction: Prediction, limit: Limit) -> Judgement | None:
+    if limit.quantity == "clearance_m" and prediction.rover.body is None:
+        return None
+    values = extremes(prediction, limit.quantity)
+    members = np.flatnonzero(prediction.finished & ~np.isnan(values))
+    if not members.size:
+        return None
+    values = values[members]
+    sign = 1.0 if limit.sense == "at most" else -1.0
+    p95, p05 = (float(s * np.quantile(s * values, 0.95, method="inverted_cdf")) for s in (1.0, -1.0))
+    judgement = Judgement(
         quantity=limit.quantity,
         unit=limit.unit,
+        sense=limit.sense,
         limit=limit.limit,
-        p50=p50,
+        p05=p05,
+        p50=float(np.median(values)),
         p95=p95,
+        min=float(values.min()),
         max=float(values.max()),
-        margin=limit.limit - p95,
-        ok=p95 <= limit.limit,
-        exceeding=int((values > limit.limit).sum()),
-        worst_member=int(members[values.argmax()]),
+        margin=math.nan,
+        ok=False,
+        exceeding=int((sign * values > sign * limit.limit).sum()),
+        worst_member=int(members[(sign * values).argmax()]),
         source=limit.source,
         assumed=limit.assumed,
     )
+    margin = sign * (limit.limit - judgement.judged)
+    return dataclasses.replace(judgement, margin=margin, ok=margin >= 0)
 
 
-def _endpoint(prediction: Prediction) -> Endpoint:
-    ends = prediction.endpoints_m[prediction.finished]
-    target = prediction.planned[-1, :2]
-    mean = ends.mean(axis=0)
-    spread = np.cov(ends.T) if len(ends) > 1 else np.zeros((2, 2))
-    return Endpoint(
-        planned_x_m=float(target[0]),
-        planned_y_m=float(target[1]),
-        x_m=float(mean[0]),
-        y_m=float(mean[1]),
-        bias_m=float(np.hypot(*(mean - target))),
-        covering_radius_m=float(np.hypot(*(ends - target).T).max()),
-        scatter_radius_m=covering_circle(ends)[2],
-        covariance_m2=(
-            (float(spread[0, 0]), float(spread[0, 1])),
-            (float(spread[1, 0]), float(spread[1, 1])),
-        ),
-    )
+def _reason(judgement: Judgement) -> str:
+    if judgement.quantity == "keep_out_m":
+        return f"keep_out_m: {judgement.min:.3g} at the nearest is less than the limit {judgement.limit:g}"
+    if judgement.sense == "at least":
+        return f"{judgement.quantity}: p05 {judgement.p05:.3g} is less than the limit {judgement.limit:g}"
+    return f"{judgement.quantity}: p95 {judgement.p95:.3g} exceeds the limit {judgement.limit:g}"
 
 
-def _invalid_share(prediction: Prediction) -> float:
-    valid = prediction.states[..., STATE_COLUMNS.index("valid")][prediction.reached]
-    return float(1.0 - valid.mean()) if valid.size else 1.0
+def _worst(prediction: Prediction, judged: tuple[Judgement, ...]) -> Worst:
+    stopped = np.flatnonzero(~prediction.finished)
+    if stopped.size:
+        member, why = int(stopped[0]), prediction.outcome_text(int(stopped[0]))
+    elif judged:
+        tightest = max(judged, key=lambda j: j.used)
+        member, why = tightest.worst_member, _nearness(tightest)
+    else:
+        member = int(prediction.miss_m.argmax())
+        why = f"it misses the destination by {prediction.miss_m[member]:.3g} m, the most of all"
+    return Worst(member, {name: float(values[member]) for name, values in prediction.parameters.items()}, why)
 
 
-def _notes(prediction: Prediction, judged: tuple[Judgement, ...], invalid: float) -> tuple[str, ...]:
+def _nearness(judgement: Judgement) -> str:
+    unit = "" if judgement.unit == "-" else f" {judgement.unit}"
+    at = f"{judgement.quantity} of {judgement.worst:.3g}{unit}, limit {judgement.sense} {judgement.limit:g}{unit}"
+    return f"{at}: {'beyond' if judgement.exceeding else 'nearest to'} what is allowed"
+
+
+def _notes(
+    prediction: Prediction, limits: tuple[Limit, ...], judged: tuple[Judgement, ...], found: Validity
+) -> tuple[str, ...]:
     notes = []
     if prediction.terrain.synthetic:
         notes.append("the terrain is synthetic; the verdict says nothing about a real site")
@@ -230,11 +244,25 @@ def _notes(prediction: Prediction, judged: tuple[Judgement, ...], invalid: float
         notes.append(f"assumed limits: {', '.join(assumed)}")
     if not judged and prediction.finished.any():
         notes.append("the plan has no limits, so only the outcomes were judged")
-    if invalid > 0:
-        notes.append(
-            f"{invalid:.1%} of the wheel states lie outside the wheel model (|s| > {VALID_SLIP}, unloaded, or too deep)"
-        )
-    notes += [
-        f"{j.quantity}: {j.exceeding} of {prediction.members} drives exceed the limit" for j in judged if j.exceeding
+    return (*notes, *_clearance_notes(prediction, limits), *validity_notes(found), *_broken(prediction, judged))
+
+
+def _clearance_notes(prediction: Prediction, limits: tuple[Limit, ...]) -> list[str]:
+    """What the clearance leaves open, where it is limited."""
+    if not any(limit.quantity == "clearance_m" for limit in limits):
+        return []
+    if prediction.rover.body is None:
+        return ["clearance_m was not judged: the rover file has no [body]"]
+    least, unknown = (values[prediction.reached] for values in clearance(prediction))
+    notes = []
+    if (share := float((unknown > 0).mean())) > 0:
+        notes.append(f"at {percent(share)} of the samples part of the chassis is over unknown ground, left out")
+    if (least < 0).any():
+        notes.append("the chassis would touch the ground; the drives go on as if it did not")
+    return notes
+
+
+def _broken(prediction: Prediction, judged: tuple[Judgement, ...]) -> list[str]:
+    return [
+        f"{j.quantity}: {j.exceeding} of {prediction.members} drives break the limit" for j in judged if j.exceeding
     ]
-    return tuple(notes)

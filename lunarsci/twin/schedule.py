@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.twin.commands import CREEP, Commands, held, reach_m, wheel_commands
-from lunarsci.twin.path import curvature_at, leg_end
+from lunarsci.twin.path import along_legs, curvature_at, leg_end
 from lunarsci.twin.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
 
@@ -112,8 +112,7 @@ class Schedule:
     def pose_at(self, time_s: npt.ArrayLike) -> FloatArray:
         """Planned x, y, heading. (..., 3) [m, m, rad]
 
-        The blends of the commanded curvature are not in it: they shift the path by curvature step x blend^2 / 24, half
-        a millimetre for the embedded plan.
+        Without the blends of the commanded curvature, as `planned_pose`.
         """
         time = np.asarray(time_s, dtype=float)
         result = np.broadcast_to(self.poses[0], (*time.shape, 3)).copy()
@@ -274,9 +273,4 @@ def _along(run: Run, start: FloatArray, share: FloatArray) -> FloatArray:
     """Pose after a share of a run."""
     if run.length_m == 0:
         return leg_end(start, run.legs[0], share if run.moves else 0.0 * share)
-    pose, left = np.broadcast_to(start, (*share.shape, 3)), share * run.length_m
-    for number, leg in enumerate(run.legs):
-        # The last arc goes on beyond its end, so that rounding never loses the end of the path.
-        piece = left if number == len(run.legs) - 1 else np.minimum(left, leg.length_m)
-        pose, left = leg_end(pose, leg, piece / leg.length_m), left - piece
-    return np.asarray(pose)
+    return along_legs(start, run.legs, share * run.length_m)

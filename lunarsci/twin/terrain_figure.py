@@ -61,7 +61,7 @@ def _title(surface: Traversability, path: PlannedPath | None) -> str:
     if path is None:
         return ground
     return (
-        f"{ground}   ·   path of {path.plan.length_m:.2f} m, clearance {path.min_clearance_m:.2f} m, "
+        f"{ground}   ·   path of {path.plan.length_m:.2f} m, nearest hazard {path.min_hazard_distance_m:.2f} m, "
         f"slope up to {path.max_slope_deg:.1f} deg"
     )
 

@@ -56,7 +56,7 @@ def large_ground() -> Terrain:
 
 def joined(surface: Traversability, target: tuple[float, float]) -> bool:
     """Whether discs of half the rover's width and its clearance can get from the start to the target."""
-    clear = rover_footprint(ROVER).half_width_m + MOBILITY.clearance_m
+    clear = rover_footprint(ROVER).half_width_m + MOBILITY.hazard_distance_m
     ground = search_ground(surface, np.array([(0.0, 0.0), target]), 10.0)
     parts, _ = label(ground.window.values[..., 0] >= clear)
     window = ground.window

@@ -33,7 +33,7 @@ def test_a_terrain_is_described(run: Run) -> None:
     assert sum(shares) == pytest.approx(1.0)
     assert shares[2] == pytest.approx(1.0 - 321 * 301 / (341 * 321)), "half a footprint along each edge"
     assert result["limits"]["max_slope_deg"] == {"value": 20.0, "assumed": False}
-    assert result["limits"]["clearance_m"]["assumed"]
+    assert result["limits"]["hazard_distance_m"]["assumed"]
     assert list(result["maps"]["slope_deg"]) == ["max", "p5", "p50", "p95"]
     assert any("synthetic" in note for note in result["notes"])
     assert any("smaller than two spacings" in note for note in result["notes"])
@@ -53,7 +53,7 @@ def test_a_planned_path_can_be_driven(run: Run, tmp_path: Path) -> None:
     done = run(*TERRAIN, *COARSE, *TARGET, "-o", folder, "--plot", picture, "--geotiff", "--json")
     assert done.code == 0, done.err
     path = json.loads(done.out)["result"]["path"]
-    assert path["miss_m"] < 0.01 and path["min_clearance_m"] >= 0.2 and path["max_slope_deg"] <= 11.0
+    assert path["miss_m"] < 0.01 and path["min_hazard_distance_m"] >= 0.2 and path["max_slope_deg"] <= 11.0
     assert np.hypot(path["end"]["x_m"] - 9.369, path["end"]["y_m"] - 1.957) < 0.01
     names = {"terrain.npz", "maps.npz", "maps.tif", "plan.toml", "path.csv", "result.json"}
     assert {file.name for file in folder.iterdir()} == names
@@ -119,7 +119,7 @@ def test_wrong_usage_is_one_line(run: Run, arguments: list[str]) -> None:
         (["--target", "90,0"], "outside the map"),
         (["--target", "nan,0"], "finite"),
         (["--target", "9,2", "--max-slope", "3"], "slope"),
-        (["--target", "9,2", "--clearance", "-1"], "clearance_m"),
+        (["--target", "9,2", "--hazard-distance", "-1"], "hazard_distance_m"),
         (["--target", "9,2", "--speed", "1"], "at most 0.055"),
         (["--rocks", "3"], "rocks"),
         (["--baseline", "100"], "baseline"),

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from lunarsci.regolith.soil import Soil, read_soil
-from lunarsci.twin.plan import Leg, Plan
+from lunarsci.twin.ensemble import Prediction, predict
+from lunarsci.twin.plan import Leg, Plan, parse_sweep
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.terrain import Terrain, build_terrain
 
@@ -38,3 +39,10 @@ def straight():  # type: ignore[no-untyped-def]
         return Plan(name="test", legs=legs, **({"speed_m_s": 0.05} | changes))
 
     return make
+
+
+@pytest.fixture(scope="session")
+def driven(yutu2: Rover, slope, straight) -> Prediction:  # type: ignore[no-untyped-def]
+    """20 soils on 1 m of level ground, 11 samples; tests replace what they need to know exactly."""
+    sweep = (parse_sweep("friction_angle_deg=30:49:20"),)
+    return predict(yutu2, slope(), straight(1.0), sweep=sweep)

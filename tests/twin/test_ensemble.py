@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import ParameterError
+from lunarsci.twin.endpoint import covering_circle
 from lunarsci.twin.ensemble import Prediction, member_parameters, predict
 from lunarsci.twin.figure import path_fan
 from lunarsci.twin.longji import synthetic_longji
 from lunarsci.twin.plan import Limit, parse_sweep, read_plan
+from lunarsci.twin.quantities import tilt_deg
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.safety import covering_circle, extremes, judge, tilt_deg
+from lunarsci.twin.safety import extremes, judge
 from lunarsci.twin.tables import endpoint_table, path_table, state_table
 from lunarsci.twin.terrain import Terrain
 

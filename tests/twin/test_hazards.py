@@ -16,7 +16,7 @@ from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.terrain import Terrain, build_terrain
 
 SPACING = 0.05
-LIMITS = Mobility(max_slope_deg=20.0, max_step_m=0.2, min_turning_radius_m=1.5, clearance_m=0.2)
+LIMITS = Mobility(max_slope_deg=20.0, max_step_m=0.2, min_turning_radius_m=1.5, hazard_distance_m=0.2)
 
 
 def ground(height: np.ndarray, soil: Soil, spacing: float = SPACING) -> Terrain:
@@ -161,8 +161,8 @@ def test_the_limits_of_yutu_2_are_the_published_ones() -> None:
     description = read_rover("yutu2")
     mobility = read_mobility(description, build_rover(description))
     assert (mobility.max_slope_deg, mobility.max_step_m, mobility.max_roughness_m) == (20.0, 0.2, None)
-    assert mobility.assumed == ("clearance_m", "min_turning_radius_m")
-    assert mobility.with_limits(clearance_m=0.4, max_step_m=None).assumed == ("min_turning_radius_m",)
+    assert mobility.assumed == ("hazard_distance_m", "min_turning_radius_m")
+    assert mobility.with_limits(hazard_distance_m=0.4, max_step_m=None).assumed == ("min_turning_radius_m",)
 
 
 def test_a_rover_without_limits_gets_assumed_ones_and_a_wrong_one_is_refused() -> None:
@@ -170,7 +170,7 @@ def test_a_rover_without_limits_gets_assumed_ones_and_a_wrong_one_is_refused() -
     tables = {name: table for name, table in description.tables.items() if name != "limits"}
     bare = dataclasses.replace(description, tables=tables, assumed=())
     mobility = read_mobility(bare, rover)
-    assert mobility.assumed == ("clearance_m", "max_slope_deg", "max_step_m", "min_turning_radius_m")
+    assert mobility.assumed == ("hazard_distance_m", "max_slope_deg", "max_step_m", "min_turning_radius_m")
     assert (mobility.max_slope_deg, mobility.max_step_m) == (15.0, rover.wheel.radius_m)
     for entry in ({"max_slop_deg": 3.0}, {"max_slope_deg": "steep"}, {"max_slope_deg": -1.0}, {"max_step_m": [1]}):
         wrong = dataclasses.replace(bare, tables=tables | {"limits": entry})
@@ -179,7 +179,7 @@ def test_a_rover_without_limits_gets_assumed_ones_and_a_wrong_one_is_refused() -
 
 
 @pytest.mark.parametrize(
-    "limit", [{"max_slope_deg": 90.0}, {"max_step_m": 0.0}, {"max_roughness_m": math.nan}, {"clearance_m": -0.1}]
+    "limit", [{"max_slope_deg": 90.0}, {"max_step_m": 0.0}, {"max_roughness_m": math.nan}, {"hazard_distance_m": -0.1}]
 )
 def test_impossible_limits_are_refused(limit: dict[str, float]) -> None:
     with pytest.raises(ParameterError, match=next(iter(limit))):

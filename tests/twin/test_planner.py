@@ -73,8 +73,8 @@ def check(surface: Traversability, path: PlannedPath, target: tuple[float, float
     assert 1 <= len(path.plan.legs) <= 4
     assert max(abs(arc.curvature_per_m) for arc in path.plan.legs) <= 1.0 / surface.mobility.min_turning_radius_m
     check_plan(path.plan, YUTU2)
-    assert path.min_clearance_m >= surface.mobility.clearance_m
-    assert clearance_by_polygons(surface, path, 0.999 * surface.mobility.clearance_m / math.sqrt(2.0))
+    assert path.min_hazard_distance_m >= surface.mobility.hazard_distance_m
+    assert clearance_by_polygons(surface, path, 0.999 * surface.mobility.hazard_distance_m / math.sqrt(2.0))
     assert path.max_slope_deg <= surface.mobility.max_slope_deg and path.max_step_m <= surface.mobility.max_step_m
 
 
@@ -124,7 +124,7 @@ def test_a_low_wall_is_driven_over_and_a_stricter_limit_forbids_it() -> None:
 def test_a_hole_is_kept_clear_of() -> None:
     height = FLAT.copy()
     height[np.ix_(np.abs(Y) < 0.6, np.abs(X - 5.0) < 0.6)] = np.nan
-    surface = seen(height, clearance_m=0.5)
+    surface = seen(height, hazard_distance_m=0.5)
     path = plan_path(surface, YUTU2, START, (10.0, 0.0))
     check(surface, path, (10.0, 0.0))
     assert not np.isnan(surface.maps.slope_deg[_nodes(path)]).any()

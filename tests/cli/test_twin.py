@@ -1,0 +1,76 @@
+"""`lunarsci twin predict`: files, pages, films and the JSON that scripts read."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+Run = Callable[..., Any]
+
+PLAN = """
+[drive]
+speed_m_s = 0.05
+[[leg]]
+length_m = 1.0
+curvature_per_m = 0.0
+[sweep]
+friction_angle_deg = "30:45:4"
+"""
+CIRCLE = '[[keep_out]]\nname = "rock"\nx_m = 1.0\ny_m = {y}\nradius_m = 0.3\n'
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Path:
+    path = tmp_path / "plan.toml"
+    path.write_text(PLAN)
+    return path
+
+
+def test_a_folder_a_film_and_pages(run: Run, plan: Path, tmp_path: Path) -> None:
+    folder, film, pages = tmp_path / "drive", tmp_path / "drive.gif", tmp_path / "drive.pdf"
+    done = run("twin", "predict", plan, "-o", folder, "--animate", film, "--plot", pages)
+    assert done.code == 0, done.err
+    assert {path.name for path in folder.iterdir()} == {
+        *("states.csv", "paths.csv", "endpoints.csv", "profiles.csv", "result.json")
+    }
+    assert film.read_bytes().startswith(b"GIF89a") and not any("first page" in line for line in done.err)
+    assert pages.read_bytes().count(b"/Type /Page ") == 3
+    profiles = pd.read_csv(folder / "profiles.csv")
+    assert set(profiles.loc[profiles["quantity"] == "slip_ratio", "wheel"]) == {
+        *("all", "FL", "FR", "ML", "MR", "RL", "RR")
+    }
+    result = json.loads((folder / "result.json").read_text())["result"]
+    assert {"semi_major_m", "semi_minor_m", "azimuth_deg", "factor_95"} <= result["endpoint"]["ellipse"].keys()
+    limits = {limit["quantity"]: limit for limit in result["limits"]}
+    assert {name: limit["sense"] for name, limit in limits.items() if limit["sense"] == "at least"} == {
+        "clearance_m": "at least"
+    }
+    assert result["worst"].keys() == {"member", "parameters", "why"}
+    assert result["validity"]["invalid_share"] == result["invalid_share"] == 0.0
+    again = run("twin", "predict", plan, "--animate", film)
+    assert (again.code, again.out, len(again.err)) == (1, "", 1) and "--force" in again.err[0]
+
+
+@pytest.mark.parametrize(("y", "code"), [(0.7, 3), (1.1, 0)])
+def test_a_circle_in_the_way_is_a_no_go(run: Run, plan: Path, y: float, code: int) -> None:
+    """The wheels reach 0.525 m to the left, the circle from y - 0.3 m on; the drive strays by less than 0.1 m."""
+    plan.write_text(PLAN + CIRCLE.format(y=y))
+    done = run("twin", "predict", plan, "--json")
+    assert done.code == code
+    [limit] = [x for x in json.loads(done.out)["result"]["limits"] if x["quantity"] == "keep_out_m"]
+    assert limit["min"] == pytest.approx(y - 0.3 - 0.525, abs=0.1) and limit["ok"] == (code == 0)
+
+
+def test_the_table_names_sense_ellipse_and_worst_drive(run: Run, plan: Path) -> None:
+    text = run("twin", "predict", plan).out
+    assert "≥ 0.05" in text and "≤ 0.3" in text
+    assert "error ellipse" in text and "worst drive: member" in text
+
+
+@pytest.mark.parametrize("name", ["drive.bmp", "drive"])
+def test_a_film_of_another_kind_is_wrong_usage(run: Run, plan: Path, tmp_path: Path, name: str) -> None:
+    wrong = run("twin", "predict", plan, "--animate", tmp_path / name)
+    assert (wrong.code, wrong.out, len(wrong.err)) == (2, "", 1) and ".gif, .mp4" in wrong.err[0]

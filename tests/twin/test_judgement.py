@@ -1,0 +1,93 @@
+"""What percentiles, margins, validity and the worst member of a verdict mean."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction
+from lunarsci.twin.outcomes import HOLE, LEFT
+from lunarsci.twin.plan import Limit
+from lunarsci.twin.safety import judge
+from lunarsci.twin.validity import validity
+
+SINKAGE, SLIP, VALID = (STATE_COLUMNS.index(name) for name in ("sinkage_m", "slip_ratio", "valid"))
+
+
+def limited(prediction: Prediction, *limits: Limit) -> Prediction:
+    return dataclasses.replace(prediction, plan=dataclasses.replace(prediction.plan, limits=limits))
+
+
+def lifted(driven: Prediction, first: float) -> Prediction:
+    """Level on level ground, member k with `first` + k cm between its underside and the ground."""
+    paths = np.zeros_like(driven.paths)
+    paths[..., 2] = (first + 0.01 * np.arange(20) - driven.rover.body.belly_z_m)[:, None]
+    return dataclasses.replace(driven, paths=paths)
+
+
+def test_small_clearances_are_the_bad_ones(driven: Prediction) -> None:
+    """Of 20 drives 19 are 95 %: they keep 0.11 m and more; the smallest is 0.10 m."""
+    [limit] = judge(limited(lifted(driven, 0.1), Limit("clearance_m", "m", 0.105, "test", False))).limits
+    assert (limit.sense, limit.ok, limit.exceeding, limit.worst_member) == ("at least", True, 1, 0)
+    assert (limit.min, limit.p05, limit.p50, limit.p95, limit.max) == pytest.approx((0.10, 0.11, 0.195, 0.28, 0.29))
+    assert limit.margin == pytest.approx(0.005) and limit.judged == limit.kept_by_95 == limit.p05
+    verdict = judge(limited(lifted(driven, 0.1), Limit("clearance_m", "m", 0.115, "test", False)))
+    assert verdict.verdict == "no-go" and "p05 0.11 is less than the limit 0.115" in verdict.reasons[0]
+    assert any("2 of 20 drives break" in note for note in verdict.notes)
+
+
+def test_large_misses_are_the_bad_ones(driven: Prediction) -> None:
+    paths = driven.paths.copy()
+    paths[:, -1, :2] = driven.planned[-1, :2] + np.column_stack([0.01 * np.arange(1, 21), np.zeros(20)])
+    missed = dataclasses.replace(driven, paths=paths)
+    [limit] = judge(limited(missed, Limit("endpoint_miss_m", "m", 0.195, "test", False))).limits
+    assert (limit.sense, limit.ok, limit.exceeding, limit.worst_member) == ("at most", True, 1, 19)
+    assert (limit.min, limit.p05, limit.p50, limit.p95, limit.max) == pytest.approx((0.01, 0.02, 0.105, 0.19, 0.20))
+    assert limit.margin == pytest.approx(0.005)
+
+
+def test_a_chassis_in_the_ground_is_said(driven: Prediction) -> None:
+    verdict = judge(limited(lifted(driven, -0.01), Limit("clearance_m", "m", 0.05, "test", False)))
+    assert any("touch the ground" in note for note in verdict.notes) and verdict.verdict == "no-go"
+
+
+def test_the_worst_member_uses_most_of_a_limit(driven: Prediction) -> None:
+    """0.10 m of at least 0.08 m is 80 %; the tilt is 0 of 20 deg. A drive that stops is worse than any."""
+    limits = (Limit("tilt_deg", "deg", 20.0, "test", False), Limit("clearance_m", "m", 0.08, "test", False))
+    posed = limited(lifted(driven, 0.1), *limits)
+    worst = judge(posed).worst
+    assert worst.member == 0 and worst.parameters == {"friction_angle_deg": 30.0}
+    assert "clearance_m of 0.1 m" in worst.why and "nearest" in worst.why
+    outcome = posed.outcome.copy()
+    outcome[11] = LEFT
+    stopped = judge(dataclasses.replace(posed, outcome=outcome)).worst
+    assert (stopped.member, stopped.parameters) == (11, {"friction_angle_deg": 41.0}) and "left" in stopped.why
+    missed = judge(limited(driven)).worst
+    assert missed.member == driven.miss_m.argmax() and "misses" in missed.why
+
+
+def test_states_outside_of_the_model_are_counted_by_kind(driven: Prediction) -> None:
+    """1320 states: 20 members, 11 samples, 6 wheels."""
+    states = np.zeros_like(driven.states)
+    states[..., SINKAGE], states[..., VALID] = 0.008, 1.0
+    states[0, :, 0, SLIP], states[0, :, 0, VALID] = -0.7, 0.0
+    states[1, :, :2, SINKAGE], states[1, :, :2, VALID] = 0.0, 0.0
+    states[2, 0, 0, SINKAGE], states[2, 0, 0, VALID] = 0.14, 0.0
+    states[3, :, 1, SINKAGE] = 0.004
+    states[4, :, 1, SINKAGE] = 0.016
+    outcome = driven.outcome.copy()
+    outcome[5:7], outcome[7] = LEFT, HOLE
+    found = validity(dataclasses.replace(driven, states=states, outcome=outcome))
+    assert found.wheel_states == 1320
+    assert found.slip_share == pytest.approx(11 / 1320) and found.unloaded_share == pytest.approx(22 / 1320)
+    assert found.too_deep_share == pytest.approx(1 / 1320) and found.invalid_share == pytest.approx(34 / 1320)
+    assert found.uncalibrated_share == pytest.approx((11 + 11 + 1) / 1320)
+    assert (found.members_off_map, found.members_in_hole) == (2, 1)
+    notes = " ".join(judge(dataclasses.replace(driven, states=states)).notes)
+    for words in (
+        "0.8 % of the wheel states slip",
+        "1.7 % of the wheel states are in the air",
+        "5 mm or more than 15 mm",
+    ):
+        assert words in notes
+    assert "less than 0.1 % of the wheel states sink deeper" in notes
