@@ -29,7 +29,7 @@ def emit(report: Report, output: Output, provenance: Provenance) -> None:
     if output.plot:
         contents[output.plot] = _picture(report.figures, output.plot)
     contents |= {target: _picture(draw, target) for target, draw in report.pictures.items()}
-    contents |= {target: make() for target, make in report.films.items()}
+    contents |= {target: make() for target, make in report.extras.items()}
     record = provenance.to_dict(time=not output.no_time)
     made = _as_file(report, output, record)
     text = "" if made else _as_text(report, output, record)

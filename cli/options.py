@@ -37,7 +37,7 @@ class Output:
         if len(chosen) > 1:
             raise typer.BadParameter(f"{' and '.join(chosen)} exclude each other; give one")
         if self.plot:
-            _check_picture("--plot", self.plot)
+            _check_suffix("--plot", self.plot)
         if self.path is not None and str(self.path) in ("", "."):
             raise typer.BadParameter("--output is empty; give a name")
         if self.path and self.plot and self.path.resolve() == self.plot.resolve():
@@ -49,18 +49,18 @@ class Output:
         if self.plot:
             check_target(self.plot, force=self.force)
 
-    def check_picture(self, name: str, path: Path | None, suffixes: Sequence[str] = PLOT_SUFFIXES) -> None:
-        """The same for a picture or film of the option `name`, beside those of --output and --plot."""
+    def check_extra(self, name: str, path: Path | None, suffixes: Sequence[str] = PLOT_SUFFIXES) -> None:
+        """The same for a further file of the option `name`, beside those of --output and --plot."""
         if path is None:
             return
-        _check_picture(name, path, suffixes)
+        _check_suffix(name, path, suffixes)
         for other, taken in (("--output", self.path), ("--plot", self.plot)):
             if taken and taken.resolve() == path.resolve():
                 raise typer.BadParameter(f"{other} and {name} both name {path}; give two names")
         check_target(path, force=self.force)
 
 
-def _check_picture(name: str, path: Path, suffixes: Sequence[str] = PLOT_SUFFIXES) -> None:
+def _check_suffix(name: str, path: Path, suffixes: Sequence[str] = PLOT_SUFFIXES) -> None:
     if path.suffix.lower() not in suffixes:
         raise typer.BadParameter(f"{name} {path}: the name must end in {', '.join(suffixes)}")
 

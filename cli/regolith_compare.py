@@ -45,10 +45,10 @@ def compare(
         str | None, typer.Argument(metavar="[RESULT.json]", help="A result of `regolith identify --json`; - is stdin.")
     ] = None,
     rover: Annotated[str, typer.Option(help="Rover whose wheel sets the width: a name or a TOML file.")] = "yutu2",
-    stiffness: Annotated[float | None, typer.Option(help="K_s [kPa m^-N].", rich_help_panel=GIVEN)] = None,
+    stiffness: Annotated[float | None, typer.Option(help="K_s in kPa m^-N.", rich_help_panel=GIVEN)] = None,
     exponent: Annotated[float | None, typer.Option(help="Sinkage exponent N.", rich_help_panel=GIVEN)] = None,
-    cohesion: Annotated[float | None, typer.Option(help="Cohesion c [Pa].", rich_help_panel=GIVEN)] = None,
-    friction_angle: Annotated[float | None, typer.Option(help="φ [deg].", rich_help_panel=GIVEN)] = None,
+    cohesion: Annotated[float | None, typer.Option(help="Cohesion c in Pa.", rich_help_panel=GIVEN)] = None,
+    friction_angle: Annotated[float | None, typer.Option(help="φ in deg.", rich_help_panel=GIVEN)] = None,
 ) -> Report:
     """The site beside terrestrial soils, simulants and lunar sites: who is most alike under a wheel.
 

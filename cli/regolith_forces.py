@@ -24,10 +24,10 @@ def _exact(text: str, *names: str) -> Any:
     return typer.Option(*names, help=text, rich_help_panel=EXACT)
 
 
-Sinkage = Annotated[float | None, typer.Option(help="Sinkage [m], above 0, below the wheel radius.")]
-Load = Annotated[float | None, typer.Option(help="Wheel load [N]; the sinkage under it is solved for.")]
+Sinkage = Annotated[float | None, typer.Option(help="Sinkage in m, above 0, below the wheel radius.")]
+Load = Annotated[float | None, typer.Option(help="Wheel load in N; the sinkage under it is solved for.")]
 Slip = Annotated[float, typer.Option(help="Slip ratio [-], above -1, below 1; negative is skid.")]
-SideSlip = Annotated[float, typer.Option(help="Side slip angle [deg], within ±90.")]
+SideSlip = Annotated[float, typer.Option(help="Side slip angle in deg, within ±90.")]
 SoilName = Annotated[str, _soil("Soil: a name or a TOML file.")]
 Stiffness = Annotated[float | None, _soil("K_s [kPa m^-N].")]
 Exponent = Annotated[float | None, _soil("Sinkage exponent N.")]

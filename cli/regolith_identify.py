@@ -1,5 +1,6 @@
 """`lunarsci regolith identify`: the soil that wheel states reveal."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -11,6 +12,8 @@ from .regolith_options import Reading, Rover
 from .report import Report
 
 if TYPE_CHECKING:
+    from lunarsci.regolith.states import MeasurementErrors
+
     from .regolith_report import Intervals
 
 __all__ = ["add_to"]
@@ -34,14 +37,14 @@ States = Annotated[
     ),
 ]
 Exponent = Annotated[float | None, typer.Option(help="Assume N and solve K_s; 1.0 if neither is given.")]
-Stiffness = Annotated[float | None, typer.Option(help="Assume K_s [kPa m^-N] and solve N.")]
-Cohesion = Annotated[float | None, typer.Option(help="Assume c [Pa] and solve φ; 520 if neither is given.")]
-FrictionAngle = Annotated[float | None, typer.Option(help="Assume φ [deg] and solve c.")]
-ShearModulus = Annotated[float, typer.Option(help="Assumed K_x [mm].")]
+Stiffness = Annotated[float | None, typer.Option(help="Assume K_s in kPa m^-N and solve N.")]
+Cohesion = Annotated[float | None, typer.Option(help="Assume c in Pa and solve φ; 520 if neither is given.")]
+FrictionAngle = Annotated[float | None, typer.Option(help="Assume φ in deg and solve c.")]
+ShearModulus = Annotated[float, typer.Option(help="Assumed K_x in mm.")]
 LateralModulus = Annotated[
-    str | None, typer.Option(help="Assume K_y [mm], one or several by commas, and solve φ_y; 13,40 if not given.")
+    str | None, typer.Option(help="Assume K_y in mm, one or several by commas, and solve φ_y; 13,40 if not given.")
 ]
-ExternalFrictionAngle = Annotated[float | None, typer.Option(help="Assume φ_y [deg] and solve K_y.")]
+ExternalFrictionAngle = Annotated[float | None, typer.Option(help="Assume φ_y in deg and solve K_y.")]
 Draws = Annotated[int, typer.Option(min=2, max=1_000_000, help="Monte Carlo draws per state.")]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")]
 SinkageError = Annotated[float, _error("1σ of the sinkage [m].")]
@@ -55,6 +58,10 @@ Exact = Annotated[bool, _joint("Integrate the stresses in --joint instead of Eqs
 Sample = Annotated[bool, _joint("Draw from the posterior of --joint itself, not a normal law.", "--sample")]
 Profile = Annotated[bool, _joint("Intervals of --joint by profile: the best of all else at each value.", "--profile")]
 ModelError = Annotated[float, _joint("Share of the load by which the model of --joint may miss a force.")]
+
+Posterior = Annotated[
+    Path | None, _joint("Draws from the posterior of --joint as CSV, for `twin predict --samples`.", "--posterior")
+]
 
 
 def add_to(app: typer.Typer) -> None:
@@ -87,6 +94,7 @@ def identify(
     sample: Sample = False,
     profile: Profile = False,
     model_error: ModelError = 0.02,
+    posterior: Posterior = None,
 ) -> Report:
     """Soil parameters in three aspects (bearing, longitudinal and lateral shear) from wheel states, with errors.
 
@@ -96,10 +104,10 @@ def identify(
     from lunarsci.regolith.identify import Assumptions
     from lunarsci.regolith.identify import identify as identify_soil
     from lunarsci.regolith.sensitivity import sensitivities
-    from lunarsci.regolith.states import MeasurementErrors
 
     from .regolith_report import identify_report, infer, numbers, read_inputs
 
+    _check_posterior(output, posterior, joint)
     intervals = _intervals(joint, reading, prior, exact, sample, profile)
     known = Assumptions(
         exponent=exponent,
@@ -110,13 +118,7 @@ def identify(
         lateral_modulus_mm=numbers(lateral_modulus, "--lateral-modulus"),
         external_friction_angle_deg=external_friction_angle,
     )
-    errors = MeasurementErrors(
-        sinkage_m=sinkage_error,
-        force_relative=force_error,
-        travel_relative=travel_error,
-        side_slip_relative=side_slip_error,
-    )
-    given = read_inputs(states, rover, errors)
+    given = read_inputs(states, rover, _errors(sinkage_error, force_error, travel_error, side_slip_error))
     with progress("identifying", quiet=output.quiet) as update:
         found = identify_soil(
             given.states, given.wheel, known, reading=reading, draws=draws, seed=seed, progress=update
@@ -126,7 +128,21 @@ def identify(
         with progress("the joint posterior", quiet=output.quiet) as update:
             together = infer(given, prior, exact, intervals, model_error, seed, update)
     shares = sensitivities(given.states, given.wheel, known, reading=reading, seed=seed) if sensitivity else None
-    return identify_report(given, found, seed, together, shares)
+    return identify_report(given, found, seed, together, shares, posterior)
+
+
+def _errors(sinkage_m: float, force: float, travel: float, side_slip: float) -> "MeasurementErrors":
+    from lunarsci.regolith.states import MeasurementErrors
+
+    return MeasurementErrors(
+        sinkage_m=sinkage_m, force_relative=force, travel_relative=travel, side_slip_relative=side_slip
+    )
+
+
+def _check_posterior(output: Output, path: Path | None, joint: bool) -> None:
+    if path is not None and not joint:
+        raise typer.BadParameter("--posterior belongs to --joint; add it")
+    output.check_extra("--posterior", path, (".csv",))
 
 
 def _intervals(joint: bool, reading: str, prior: str | None, exact: bool, sample: bool, profile: bool) -> "Intervals":

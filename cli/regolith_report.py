@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -9,14 +10,14 @@ import typer
 from lunarsci.inputs import read_input
 from lunarsci.provenance import sha256
 from lunarsci.regolith.identify import Identification
-from lunarsci.regolith.prior import prior_hash
+from lunarsci.regolith.prior import PARAMETERS, prior_hash
 from lunarsci.regolith.states import MeasurementErrors, WheelStates, read_states
 from lunarsci.regolith.uncertainty import UNITS, Estimate
 from lunarsci.regolith.wheel import Wheel, read_wheel
 from lunarsci.rovers.description import read_rover
 
 from .report import Report
-from .table import TextTable
+from .table import TextTable, to_csv
 
 if TYPE_CHECKING:
     from lunarsci.regolith.joint import SoilPosterior
@@ -135,8 +136,9 @@ def identify_report(
     seed: int,
     together: Together | None = None,
     shares: "Sequence[Sensitivity] | None" = None,
+    draws: Path | None = None,
 ) -> Report:
-    """The report of `regolith identify`."""
+    """The report of `regolith identify`; `draws` names a file that takes draws from the joint posterior."""
     from .regolith_joint import joint_record, joint_tables
 
     own = joint_tables(together.posterior) if together else []
@@ -161,7 +163,13 @@ def identify_report(
         sources=[PAPER],
         seed=seed,
         untrusted=_untrusted(found),
+        extras={draws: lambda: _draws(together.posterior)} if draws and together else {},
     )
+
+
+def _draws(found: "SoilPosterior") -> bytes:
+    rows = [dict(zip(PARAMETERS, map(float, row), strict=True)) for row in found.draws]
+    return to_csv(rows).encode()
 
 
 def _sensitivity_table(shares: "Sequence[Sensitivity]") -> TextTable:

@@ -26,7 +26,7 @@ class Report:
     rows : the same as one table for `--csv`; None where the result is no table.
     figures : draws the pictures of `--plot`, one per page; None where there is nothing to draw.
     pictures : further pictures that were asked for, by the file that takes them.
-    films : films that were asked for, by the file that takes them.
+    extras : further files that were asked for, such as films, by name.
     inputs, data_tables, sources, seed : for the provenance.
     formats : file suffixes of `--output` beyond .json and .csv, with what makes such a file from the provenance.
     files : for commands that fill a folder: file name to what makes its content.
@@ -40,7 +40,7 @@ class Report:
     rows: Sequence[Mapping[str, Any]] | None = None
     figures: Callable[[], "Iterable[Figure]"] | None = None
     pictures: Mapping[Path, Callable[[], "Iterable[Figure]"]] = field(default_factory=dict)
-    films: Mapping[Path, Callable[[], bytes]] = field(default_factory=dict)
+    extras: Mapping[Path, Callable[[], bytes]] = field(default_factory=dict)
     inputs: Mapping[str, str] = field(default_factory=dict)
     data_tables: Mapping[str, str] = field(default_factory=dict)
     sources: Sequence[str] = ()

@@ -101,11 +101,11 @@ def simulate(
     rock: Annotated[
         str | None, typer.Option(metavar="MINERALS", help="The same for a rock in the image; none if left out.")
     ] = None,
-    rock_radius: Annotated[float, typer.Option(help="Radius of the rock [px]; the SWIR detector sees 53.8.")] = 54.0,
+    rock_radius: Annotated[float, typer.Option(help="Radius of the rock in px; the SWIR detector sees 53.8.")] = 54.0,
     shadow: Annotated[float, typer.Option(help="Share of the image in shadow, 0 to below 1.")] = 0.0,
-    incidence: Annotated[float, typer.Option(help="Angle of the Sun from the normal [deg].")] = 64.412,
-    emission: Annotated[float, typer.Option(help="Angle of the view from the normal [deg].")] = 45.557,
-    phase_angle: Annotated[float, typer.Option(help="Angle between Sun and view [deg].")] = 54.505,
+    incidence: Annotated[float, typer.Option(help="Angle of the Sun from the normal in deg.")] = 64.412,
+    emission: Annotated[float, typer.Option(help="Angle of the view from the normal in deg.")] = 45.557,
+    phase_angle: Annotated[float, typer.Option(help="Angle between Sun and view in deg.")] = 54.505,
     photometry: Annotated[
         Literal["lommel-seeliger", "akimov", "mcewen", "none"],
         typer.Option(help="Disk function that the ground obeys; none for the same reflectance at all angles."),
@@ -152,7 +152,7 @@ def bands(
             help="conic: through 700, 1345, 1580 nm, guarded; hull: upper convex hull; linear: between shoulders."
         ),
     ] = "conic",
-    smooth: Annotated[int, typer.Option(min=0, help="Savitzky-Golay window [channels], odd; 0 for none.")] = 41,
+    smooth: Annotated[int, typer.Option(min=0, help="Savitzky-Golay window in channels, odd; 0 for none.")] = 41,
     smooth_order: Annotated[int, typer.Option(min=0, help="Order of the smoothing polynomial.")] = 3,
     plane: Annotated[
         Path | None,
@@ -170,7 +170,7 @@ def bands(
     from .bands_report import bands_report
     from .spectra_report import read_batch
 
-    output.check_picture("--plane", plane)
+    output.check_extra("--plane", plane)
     batch = read_batch(files, wavelength_unit, reflectance_unit)
     with progress("measuring bands", quiet=output.quiet) as update:
         measured = measure_batch(

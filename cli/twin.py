@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from . import twin_terrain
+from . import twin_forces, twin_options, twin_terrain
 from .command import command
 from .options import Output
 from .progress import progress
@@ -17,6 +17,7 @@ app = typer.Typer(no_args_is_help=True, help="Whether the next drive is safe: a 
 
 
 twin_terrain.add_to(app)
+twin_forces.add_to(app)
 
 
 @app.callback()
@@ -27,26 +28,18 @@ def twin() -> None:
 @command(app, "predict", folder=True)
 def predict(
     output: Output,
-    plan: Annotated[
-        str | None, typer.Argument(help="Plan of the drive (TOML); the embedded one of Yutu-2 to the rock if left out.")
-    ] = None,
-    rover: Annotated[str, typer.Option(help="Rover: a name (yutu2, small-four) or a TOML file.")] = "yutu2",
-    terrain: Annotated[
-        str, typer.Option(help="Terrain: synthetic-longji, or a file (.npz, GeoTIFF, ESRI ASCII .asc, CSV of nodes).")
-    ] = "synthetic-longji",
-    soil: Annotated[str, typer.Option(help="Soil where the terrain has none: a name or a TOML file.")] = "longji",
-    sweep: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=LOW:HIGH:N", help="Uncertain soil parameter, repeatable; replaces the plan's sweeps."
-        ),
-    ] = None,
-    members: Annotated[
-        int | None, typer.Option(min=1, help="Latin-hypercube samples of the ranges instead of the grid of all values.")
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the samples.")] = 0,
-    time_step: Annotated[float, typer.Option(help="Longest time step [s].")] = 0.1,
-    sample: Annotated[float, typer.Option(help="Distance between recorded states [m].")] = 0.1,
+    plan: twin_options.PlanFile = None,
+    rover: twin_options.RoverName = "yutu2",
+    terrain: twin_options.TerrainName = "synthetic-longji",
+    interpolation: twin_options.Interpolation = "smooth",
+    soil: twin_options.SoilName = "longji",
+    sweep: twin_options.Sweeps = None,
+    members: twin_options.Members = None,
+    samples: twin_options.Samples = None,
+    fixes: twin_options.Fixes = None,
+    seed: twin_options.Seed = 0,
+    time_step: twin_options.TimeStep = 0.1,
+    sample: twin_options.Sample = 0.1,
     animate: Annotated[
         Path | None, typer.Option(metavar="FILE", help="The drive as a film: .gif, or .mp4 where ffmpeg is installed.")
     ] = None,
@@ -59,24 +52,13 @@ def predict(
     if animate is not None:
         from lunarsci.twin.animation import FORMATS, check_format
 
-        output.check_picture("--animate", animate, FORMATS)
+        output.check_extra("--animate", animate, FORMATS)
         check_format(animate)
-    from lunarsci.twin.ensemble import predict as predict_drive
-    from lunarsci.twin.plan import parse_sweep
-
+    from .twin_drive import Soils, drive
     from .twin_report import predict_report, read_scene
 
-    scene = read_scene(plan, rover, terrain, soil)
+    scene = read_scene(plan, rover, terrain, soil, interpolation, fixes)
+    soils = Soils.of(sweep, members, samples, seed)
     with progress("driving", quiet=output.quiet) as update:
-        prediction = predict_drive(
-            scene.rover,
-            scene.terrain,
-            scene.plan,
-            sweep=None if sweep is None else tuple(parse_sweep(text) for text in sweep),
-            members=members,
-            seed=seed,
-            time_step_s=time_step,
-            sample_m=sample,
-            progress=update,
-        )
+        prediction = drive(scene, soils, time_step, sample, update)
     return predict_report(scene, prediction, film=animate, quiet=output.quiet)

@@ -48,5 +48,5 @@ Fixes = Annotated[
     typer.Option(metavar="M,DEG", help="Position fixes after each leg, standard errors in position and heading."),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
-TimeStep = Annotated[float, typer.Option(help="Longest time step [s].")]
-Sample = Annotated[float, typer.Option(help="Distance between recorded states [m].")]
+TimeStep = Annotated[float, typer.Option(help="Longest time step in s.")]
+Sample = Annotated[float, typer.Option(help="Distance between recorded states in m.")]

@@ -1,7 +1,7 @@
 """From files to a scene, and from a predicted drive to a `Report`."""
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ from lunarsci.regolith.soil import read_soil, soil_hash
 from lunarsci.rovers.description import RoverDescription, read_rover
 from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.longji import synthetic_longji
-from lunarsci.twin.plan import Plan, read_plan
+from lunarsci.twin.plan import Plan, parse_fixes, read_plan
 from lunarsci.twin.profiles import profile_table
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.safety import Judgement, Verdict, judge
@@ -49,19 +49,23 @@ class Scene:
     tables: dict[str, str]
 
 
-def read_scene(plan: str | None, rover: str, terrain: str, soil: str) -> Scene:
-    """Read plan, rover, terrain and soil."""
+def read_scene(
+    plan: str | None, rover: str, terrain: str, soil: str, interpolation: str = "smooth", fixes: str | None = None
+) -> Scene:
+    """Read plan, rover, terrain and soil; `fixes` replaces those of the plan."""
     description = read_rover(rover)
     ground = read_soil(soil)
     inputs, tables = soil_hash(soil)
     for path in (plan, None if terrain == SYNTHETIC else terrain):
         if path is not None:
             inputs[path] = read_input(path).sha256
+    surface = synthetic_longji(ground) if terrain == SYNTHETIC else read_terrain(terrain, ground)
+    drive = read_plan(plan)
     return Scene(
         build_rover(description),
         description,
-        synthetic_longji(ground) if terrain == SYNTHETIC else read_terrain(terrain, ground),
-        read_plan(plan),
+        replace(surface, interpolation=interpolation),
+        drive if fixes is None else replace(drive, fixes=parse_fixes(fixes)),
         inputs,
         tables | {f"{rover} (rover)": sha256(description.text.encode())},
     )
@@ -79,7 +83,7 @@ def predict_report(scene: Scene, prediction: Prediction, *, film: Path | None = 
         tables=[*verdict_tables(scene, prediction, verdict), *_sensitivity_tables(shares, step_error)],
         rows=[asdict(limit) for limit in verdict.limits],
         figures=lambda: _pages(prediction, verdict),
-        films={} if film is None else {film: lambda: _film(prediction, verdict, film, quiet)},
+        extras={} if film is None else {film: lambda: _film(prediction, verdict, film, quiet)},
         inputs=scene.inputs,
         data_tables=scene.tables,
         sources=SOURCES,

@@ -1,7 +1,7 @@
 """Many drives over the same plan, each with another soil within its uncertainty."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy.typing as npt
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import ParameterError
 from lunarsci.twin.commands import Commands
+from lunarsci.twin.contact import DEEPEST, SHALLOWEST
 from lunarsci.twin.drive import begin, drive
 from lunarsci.twin.fixes import fix_errors, legs_from
 from lunarsci.twin.lanes import LANES, Work, new_work
@@ -41,6 +42,8 @@ STATE_COLUMNS = (
 LONGEST_STEP_S, LONGEST_SAMPLE_M = 0.2, 0.5
 """Beyond these the time-step error reaches centimetres, and the largest slip or tilt falls between samples."""
 MOST_MEMBERS = 100_000
+UNDER_WAY = 0.95
+"""Share of the full speed from which slip is counted: less is a halt, whose ramps are assumed."""
 # States of this many members times samples fill 1 GB.
 MOST_SAMPLES = 2_000_000
 
@@ -57,7 +60,9 @@ class Prediction:
     distance_m : their commanded distance, 0 to the plan's length; it stands still in spot turns and stops. (samples,)
     planned : planned x, y, heading. (samples, 3) [m, m, rad]
     paths : rover's origin, columns `PATH_COLUMNS`; pitch is positive nose down. (members, samples, 6)
-    states : wheels in the order of `rover.wheels`, columns `STATE_COLUMNS`. (members, samples, wheels, 10)
+    states : wheels in the order of `rover.wheels`, columns `STATE_COLUMNS`; at a halt, below 0.95 of the full speed,
+        slip ratio and side slip are 0, as they would compare with a speed that is not there.
+        (members, samples, wheels, 10)
     recorded : samples that each member reached; later rows repeat its last one and are no prediction. (members,)
     outcome : index into `OUTCOMES`. (members,)
     """
@@ -131,6 +136,19 @@ def member_parameters(sweep: tuple[Sweep, ...], members: int | None, seed: int) 
     return {entry.name: entry.low + (entry.high - entry.low) * samples[:, k] for k, entry in enumerate(sweep)}
 
 
+def _given_parameters(
+    samples: Mapping[str, npt.ArrayLike], sweep: tuple[Sweep, ...] | None, members: int | None
+) -> dict[str, FloatArray]:
+    if sweep is not None or members is not None:
+        raise ParameterError("the soils are given; leave out the sweep and the number of members")
+    values = {name: np.asarray(value, dtype=float) for name, value in samples.items()}
+    if len({value.shape for value in values.values()}) != 1 or next(iter(values.values())).ndim != 1:
+        raise ParameterError("give one value of each soil parameter for each member")
+    if not 0 < next(iter(values.values())).size <= MOST_MEMBERS:
+        raise ParameterError(f"give 1 to {MOST_MEMBERS} soils")
+    return values
+
+
 def predict(
     rover: Rover,
     terrain: Terrain,
@@ -138,6 +156,7 @@ def predict(
     *,
     sweep: tuple[Sweep, ...] | None = None,
     members: int | None = None,
+    samples: Mapping[str, npt.ArrayLike] | None = None,
     seed: int = 0,
     time_step_s: float = 0.1,
     sample_m: float = 0.1,
@@ -150,7 +169,8 @@ def predict(
     rover, terrain, plan : what drives where.
     sweep : uncertain soil parameters, the plan's by default; they replace the terrain's values at every node.
     members : number of Latin-hypercube samples of the sweeps' ranges; None takes the grid of all their values.
-    seed : of the Latin hypercube, >= 0.
+    samples : the soils themselves instead of a sweep: parameter to one value for each member.
+    seed : of the Latin hypercube and the errors of position fixes, >= 0.
     time_step_s : longest time step; shortened so that samples fall on steps. 0.1 s puts the end of the embedded plan
         within 1.5 mm. [s]
     sample_m : longest distance between samples; shortened so that the last is the end of the path. [m]
@@ -162,18 +182,22 @@ def predict(
     """
     check_plan(plan, rover)
     _check_steps(time_step_s, sample_m, seed, plan)
-    parameters = member_parameters(plan.sweep if sweep is None else sweep, members, seed)
+    if samples is None:
+        parameters = member_parameters(plan.sweep if sweep is None else sweep, members, seed)
+    else:
+        parameters = _given_parameters(samples, sweep, members)
     count = len(next(iter(parameters.values()))) if parameters else 1
     schedule = make_schedule(plan, rover)
-    samples = max(1, math.ceil(schedule.duration_s * plan.speed_m_s / sample_m - 1e-9))
-    if count * samples > MOST_SAMPLES:
-        raise ParameterError(f"{count} members with {samples} samples do not fit into memory; give a longer sample_m")
-    every = max(1, math.ceil(schedule.duration_s / samples / time_step_s - 1e-9))
-    times = np.linspace(0.0, schedule.duration_s, samples * every + 1)
+    stops = max(1, math.ceil(schedule.duration_s * plan.speed_m_s / sample_m - 1e-9))
+    if count * stops > MOST_SAMPLES:
+        raise ParameterError(f"{count} members with {stops} samples do not fit into memory; give a longer sample_m")
+    every = max(1, math.ceil(schedule.duration_s / stops / time_step_s - 1e-9))
+    times = np.linspace(0.0, schedule.duration_s, stops * every + 1)
     overrides = np.array([soil_override({k: float(v[m]) for k, v in parameters.items()}) for m in range(count)])
     scene = Scene(rover, terrain, schedule, times, every, seed)
-    paths, states, results = _drive_all(scene, overrides, samples + 1, progress)
+    paths, states, results = _drive_all(scene, overrides, stops + 1, progress)
     start = schedule.pose_at(0.0)
+    _calm_halts(states, schedule.pace_at(times[::every]), rover.wheel.radius_m)
     _hold_last(paths, states, results[:, 1], start, float(terrain.height_at(plan.x_m, plan.y_m)))
     paths[..., 3:] = np.degrees(paths[..., 3:])
     paths[..., 5] = np.degrees(np.unwrap(np.radians(paths[..., 5]), axis=1))
@@ -272,6 +296,14 @@ def _drive_with_fixes(scene: Scene, known: tuple[Any, ...], errors: FloatArray, 
         work = work or _begin(scene, known, commands)
         told, last = (commands.steering_rad, commands.speed_m_s), number == len(pieces) - 1
         drive(*known, *told, scene.times_s[1], piece.start, scene.every, last, work, *kept)
+
+
+def _calm_halts(states: FloatArray, pace: FloatArray, radius_m: float) -> None:
+    """Set slip and side slip to 0 at halts: they compare with a speed that is not there."""
+    still = states[:, pace < UNDER_WAY]
+    still[..., 3:5] = 0.0
+    still[..., 9] = (still[..., 2] > SHALLOWEST) & (still[..., 2] <= DEEPEST * radius_m)
+    states[:, pace < UNDER_WAY] = still
 
 
 def _hold_last(paths: FloatArray, states: FloatArray, recorded: IntArray, start: FloatArray, height: float) -> None:

@@ -27,7 +27,7 @@ COLORS = ("#0072B2", "#D55E00", "#009E73")
 
 def force_figure(
     wheels: tuple[str, ...],
-    axis: tuple[str, FloatArray],
+    axis: tuple[FloatArray, str],
     states: FloatArray,
     title: str,
     missing_n: FloatArray | None = None,
@@ -37,14 +37,14 @@ def force_figure(
     Parameters
     ----------
     wheels : their names, left and right in turn from front to rear.
-    axis : label and values along the drive. (n,)
+    axis : values along the drive (n,), and their label.
     states : wheel states, columns `STATE_COLUMNS`; the median over members where there are several.
         (n, wheels, 10) or (members, n, wheels, 10)
     missing_n : for a given motion, the force ahead and to the left that the wheels do not supply. (n, 2) [N]
     """
     from matplotlib.figure import Figure
 
-    label, along = axis
+    along, label = axis
     middle = np.nanmedian(states, axis=0) if states.ndim == 4 else states
     figure = Figure(figsize=(11.0, 8.6), dpi=130, layout="constrained", facecolor="white")
     rows: Any = figure.subplots(3 if missing_n is None else 4, 2, sharex=True, squeeze=False)

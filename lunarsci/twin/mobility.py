@@ -59,8 +59,8 @@ class Mobility:
 def read_mobility(description: RoverDescription, rover: Rover) -> Mobility:
     """The [limits] table of a rover file; what it lacks is assumed from the size of the rover.
 
-    Assumed are then a slope of 15 deg, a step of one wheel radius, a turning radius of 1.5 tracks and a distance from hazards of
-    0.2 tracks; roughness is not limited. Raises DataError.
+    Assumed are then a slope of 15 deg, a step of one wheel radius, a turning radius of 1.5 tracks and a distance from
+    hazards of 0.2 tracks; roughness is not limited. Raises DataError.
     """
     table = description.tables.get("limits", {})
     names = [field.name for field in fields(Mobility) if field.name != "assumed"]

@@ -22,6 +22,7 @@ __all__ = [
     "Plan",
     "Sweep",
     "check_plan",
+    "parse_fixes",
     "parse_sweep",
     "read_plan",
 ]
@@ -231,6 +232,15 @@ def parse_sweep(text: str) -> Sweep:
     if len(parts) != 3:
         raise ParameterError(f"sweep '{text}' is not NAME=LOW:HIGH:N, for example friction_angle_deg=25:55:9")
     return Sweep(name.strip(), low, high, count)
+
+
+def parse_fixes(text: str) -> Fixes:
+    """Read `POSITION,HEADING`, standard errors in m and deg, for example `0.1,0.5`. Raises ParameterError."""
+    try:
+        position, heading = map(float, text.split(","))
+    except ValueError as error:
+        raise ParameterError(f"fixes '{text}' are not M,DEG, for example 0.1,0.5") from error
+    return Fixes(position, heading)
 
 
 def read_plan(path: str | Path | None = None) -> Plan:

@@ -42,8 +42,8 @@ class PlannedPath:
     plan : start, arcs and speed.
     target_m : x, y that was asked for. [m]
     cost_m : length in metres of flat, clear ground. [m]
-    min_hazard_distance_m : least distance of the footprint from a node that is a hazard or unknown, or from the edge of the
-        map; infinite where none is near. [m]
+    min_hazard_distance_m : least distance of the footprint from a node that is a hazard or unknown, or from the edge of
+        the map; infinite where none is near. [m]
     max_slope_deg, max_roughness_m, max_step_m : largest over the nodes that the footprint sweeps. [deg, m, m]
     max_slope_on_path_deg : largest slope at the path of the rover's origin. [deg]
     max_curvature_per_m : largest magnitude. [1/m]
@@ -98,12 +98,12 @@ def plan_path(
     speed_m_s, limits, name : of the plan; the speed is the rover's highest when None.
     progress : called with (stages done, stages).
 
-    The footprint keeps `hazard_distance_m` from every node that exceeds a limit or has no known height, and from the edge of
-    the map; the slope at the rover's origin must be known; the radius of the arcs is at least `min_turning_radius_m`
-    and one that the rover can steer. The search is deterministic; it tries a lattice of arcs, which does not prove that
-    there is no path where it finds none. Slope and roughness already look half a footprint ahead, so that hazards of
-    these count twice as wide as they are. Raises ParameterError where it finds none, with what is in the way, and for a
-    start or target that is outside the map, on a hazard or too near to one.
+    The footprint keeps `hazard_distance_m` from every node that exceeds a limit or has no known height, and from the
+    edge of the map; the slope at the rover's origin must be known; the radius of the arcs is at least
+    `min_turning_radius_m` and one that the rover can steer. The search is deterministic; it tries a lattice of arcs,
+    which does not prove that there is no path where it finds none. Slope and roughness already look half a footprint
+    ahead, so that hazards of these count twice as wide as they are. Raises ParameterError where it finds none, with
+    what is in the way, and for a start or target that is outside the map, on a hazard or too near to one.
     """
     speed = rover.max_speed_m_s if speed_m_s is None else speed_m_s
     if not 0 < speed <= rover.max_speed_m_s:
@@ -283,6 +283,4 @@ def _why_not(
     _, point, _ = nearest_node(footprint, end[None], *_places(surface, ground))
     if len(ground.border):
         text += f", next to where {_obstacle(surface, ground, point)}"
-    return (
-        f"{text}; try a smaller hazard distance, tighter turns, a place on the way as a first target, or other limits"
-    )
+    return f"{text}; try a smaller hazard distance, tighter turns, a nearer target first, or other limits"

@@ -84,6 +84,17 @@ class Run:
             whole += RAMP_COUNTS_S
         return done / whole
 
+    def pace_at(self, time_s: npt.ArrayLike) -> FloatArray:
+        """Share of the full speed: 1 under way, less when starting and stopping, 0 before, after and in a stop."""
+        t = np.asarray(time_s, dtype=float) - self.begin_s - self.steer_s
+        length = self.end_s - self.begin_s - self.steer_s
+        pace = np.where((t >= 0.0) & (t <= length) & self.moves, 1.0, 0.0)
+        if self.starts:
+            pace *= np.exp(np.clip(t - RAMP_S, -RAMP_S, 0.0) / EASE_S)
+        if self.stops:
+            pace *= np.exp(-np.clip(t - length + RAMP_S, 0.0, RAMP_S) / EASE_S)
+        return np.asarray(pace)
+
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
@@ -108,6 +119,10 @@ class Schedule:
     def distance_at(self, time_s: npt.ArrayLike) -> FloatArray:
         """Commanded distance; it stands still while the rover turns on the spot or stops. [m]"""
         return np.asarray(sum(run.length_m * run.share_at(time_s) for run in self.runs))
+
+    def pace_at(self, time_s: npt.ArrayLike) -> FloatArray:
+        """Share of the full speed: 1 under way, 0 at a standstill."""
+        return np.asarray(np.max([run.pace_at(time_s) for run in self.runs], axis=0))
 
     def pose_at(self, time_s: npt.ArrayLike) -> FloatArray:
         """Planned x, y, heading. (..., 3) [m, m, rad]

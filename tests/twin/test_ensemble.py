@@ -8,7 +8,7 @@ import pytest
 
 from lunarsci.errors import ParameterError
 from lunarsci.twin.endpoint import covering_circle
-from lunarsci.twin.ensemble import Prediction, member_parameters, predict
+from lunarsci.twin.ensemble import PATH_COLUMNS, Prediction, member_parameters, predict
 from lunarsci.twin.figure import path_fan
 from lunarsci.twin.longji import synthetic_longji
 from lunarsci.twin.plan import Limit, parse_sweep, read_plan
@@ -169,7 +169,7 @@ def test_tables_hold_what_the_arrays_hold(prediction: Prediction) -> None:
     assert row["sinkage_m"] == prediction.states[4, 10, 4, 2]
     assert row["time_s"] == pytest.approx(row["distance_m"] / 0.05)
     paths = path_table(prediction)
-    assert list(paths.columns) == ["member", "distance_m", "x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg"]
+    assert list(paths.columns) == ["member", "distance_m", "time_s", *PATH_COLUMNS]
     assert len(paths) == 6 * samples
     ends = endpoint_table(prediction)
     assert list(ends.columns)[:3] == ["member", "friction_angle_deg", "lateral_modulus_mm"]

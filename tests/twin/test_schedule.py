@@ -70,6 +70,11 @@ def test_a_drive_with_halts_covers_its_legs_and_nothing_else(yutu2: Rover) -> No
     # The turn takes the farthest wheel along a quarter circle of 0.673 m at 0.05 m/s; then the ramps of its two halts.
     quarter = 0.5 * math.pi * math.hypot(0.5, 0.45) / 0.05
     assert schedule.runs[1].cruise_s == pytest.approx(quarter - 2 * 0.3 * (1 - CREEP))
+    # The pace is the rate of what is done, and nothing at the stop.
+    middle = 0.5 * (time[1:] + time[:-1])
+    turning = (middle > schedule.runs[1].begin_s) & (middle < schedule.runs[1].end_s)
+    assert rate[~turning] / 0.05 == pytest.approx(schedule.pace_at(middle)[~turning], abs=0.02)
+    assert schedule.pace_at(schedule.runs[3].begin_s + 10.0) == 0.0
     x, y, heading = schedule.pose_at(schedule.duration_s)
     # Backwards takes back what the last straight leg gained.
     assert (x, y) == pytest.approx((math.sin(0.1) / 0.1, (1 - math.cos(0.1)) / 0.1))

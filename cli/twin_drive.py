@@ -1,0 +1,57 @@
+"""From the options that say which soils to drive on to a prediction."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import typer
+
+from lunarsci.inputs import read_input
+from lunarsci.twin.ensemble import Prediction, predict
+from lunarsci.twin.plan import Sweep, parse_sweep
+from lunarsci.twin.soil_samples import read_soil_samples
+
+from .twin_report import Scene
+
+__all__ = ["Soils", "drive"]
+
+
+@dataclass(frozen=True, slots=True)
+class Soils:
+    """The soils of a prediction: a sweep, or samples from a file; and the seed."""
+
+    sweep: tuple[Sweep, ...] | None
+    members: int | None
+    samples: Mapping[str, npt.NDArray[np.float64]] | None
+    seed: int
+    inputs: Mapping[str, str]
+
+    @classmethod
+    def of(cls, sweep: list[str] | None, members: int | None, samples: str | None, seed: int) -> "Soils":
+        """Parse the options."""
+        if samples is None:
+            swept = None if sweep is None else tuple(parse_sweep(text) for text in sweep)
+            return cls(swept, members, None, seed, {})
+        if sweep is not None:
+            raise typer.BadParameter("--sweep and --samples are two ways to name the soils; give one")
+        return cls(None, None, read_soil_samples(samples, members, seed), seed, {samples: read_input(samples).sha256})
+
+
+def drive(
+    scene: Scene, soils: Soils, time_step_s: float, sample_m: float, progress: Callable[[int, int], None]
+) -> Prediction:
+    """Drive the scene's plan on these soils."""
+    scene.inputs.update(soils.inputs)
+    return predict(
+        scene.rover,
+        scene.terrain,
+        scene.plan,
+        sweep=soils.sweep,
+        members=soils.members,
+        samples=soils.samples,
+        seed=soils.seed,
+        time_step_s=time_step_s,
+        sample_m=sample_m,
+        progress=progress,
+    )

@@ -1,0 +1,92 @@
+"""`lunarsci twin forces` along predictions and given motions, and what passes between commands."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+Run = Callable[..., Any]
+PLAN = "[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 1.5\ncurvature_per_m = 0.1\n"
+WEIGHT = 135.0 * 1.622
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Path:
+    path = tmp_path / "plan.toml"
+    path.write_text(PLAN)
+    return path
+
+
+def test_forces_of_a_predicted_drive(run: Run, plan: Path, tmp_path: Path) -> None:
+    picture = tmp_path / "f.png"
+    done = run("twin", "forces", plan, "--json", "--plot", picture)
+    assert done.code == 0 and picture.stat().st_size > 20_000
+    result = json.loads(done.out)["result"]
+    assert result["of"] == "prediction" and result["missing"] is None
+    assert [wheel["wheel"] for wheel in result["wheels"]] == ["FL", "FR", "ML", "MR", "RL", "RR"]
+    mean = sum(wheel["normal_force_n"]["mean"] for wheel in result["wheels"])
+    assert mean == pytest.approx(WEIGHT, rel=0.01) and result["weight_n"] == pytest.approx(WEIGHT, rel=1e-3)
+    csv = run("twin", "forces", plan, "--csv").out.splitlines()
+    assert csv[0].startswith("member,distance_m,time_s,wheel") and len(csv) == 1 + 6 * 16
+
+
+def test_forces_of_several_soils_count_alike(run: Run, plan: Path) -> None:
+    done = run("twin", "forces", plan, "--sweep", "friction_angle_deg=30:50:3", "--field", "members")
+    assert done.code == 0 and done.out == "3\n"
+
+
+def test_a_motion_is_explained_by_its_soil_and_not_by_another(run: Run, plan: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "drive"
+    assert run("twin", "predict", plan, "-o", folder).code == 0
+    motion = ("twin", "forces", plan, "--motion", folder / "paths.csv")
+    done = run(*motion, "--json")
+    assert done.code == 0, done.err
+    missing = json.loads(done.out)["result"]["missing"]
+    assert missing["rms_share_of_weight"] < 0.01
+    # Poses of another place: on this slope the wheels would have to pull as they did not.
+    table = pd.read_csv(folder / "paths.csv")
+    table["x_m"] += 5.5
+    table.to_csv(tmp_path / "moved.csv", index=False)
+    moved = run("twin", "forces", plan, "--motion", tmp_path / "moved.csv")
+    assert moved.code == 3 and "unexplained" in moved.err[-1]
+    rows = run(*motion, "--csv").out.splitlines()
+    assert rows[0].endswith("missing_ahead_n,missing_left_n,missing_moment_nm")
+
+
+def test_a_motion_without_commands_asks_for_them(run: Run, plan: Path, tmp_path: Path) -> None:
+    path = tmp_path / "motion.csv"
+    path.write_text("time_s,x_m,y_m,yaw_deg\n0,0,0,0\n1,0.05,0,0\n2,0.1,0,0\n")
+    done = run("twin", "forces", "--motion", path)
+    assert done.code == 1 and "give the plan" in done.err[0] and done.out == ""
+    both = run("twin", "forces", "--motion", path, "--sweep", "cohesion_pa=1:2:2")
+    assert both.code == 2
+
+
+def test_a_posterior_passes_from_forces_to_the_next_prediction(run: Run, plan: Path, tmp_path: Path) -> None:
+    states, soils = tmp_path / "states.csv", tmp_path / "soils.csv"
+    assert run("twin", "forces", plan, "-o", states).code == 0
+    identified = run("regolith", "identify", states, "--joint", "--posterior", soils)
+    assert identified.code == 0, identified.err
+    draws = pd.read_csv(soils)
+    assert len(draws) == 4000 and draws["stiffness_kpa_m_n"].quantile(0.025) < 1443.0 < draws[
+        "stiffness_kpa_m_n"
+    ].quantile(0.975)
+    done = run("twin", "predict", plan, "--samples", soils, "--members", "20", "--json")
+    result = json.loads(done.out)
+    assert result["result"]["members"] == 20 and str(soils) in result["provenance"]["inputs"]
+    assert run("twin", "predict", plan, "--samples", soils, "--sweep", "cohesion_pa=1:2:2").code == 2
+    assert run("regolith", "identify", states, "--posterior", tmp_path / "x.csv").code == 2
+    assert run("regolith", "identify", states, "--joint", "--posterior", soils).code == 1  # it exists
+
+
+def test_fixes_and_interpolation_are_options(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "plan.toml"
+    path.write_text(PLAN + "[[leg]]\nturn_deg = 30\n[[leg]]\nlength_m = 0.5\n")
+    done = run("twin", "predict", path, "--fixes", "0.05,0.5", "--interpolation", "triangles", "--json")
+    assert done.code == 0, done.err
+    assert json.loads(done.out)["result"]["path_length_m"] == 2.0
+    for wrong in (("--fixes", "0.05"), ("--interpolation", "cubic")):
+        assert run("twin", "predict", path, *wrong).code == 1

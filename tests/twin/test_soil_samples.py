@@ -1,0 +1,63 @@
+"""Soils of the members from a table."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.twin.ensemble import predict
+from lunarsci.twin.plan import Sweep
+from lunarsci.twin.rover import Rover
+from lunarsci.twin.soil_samples import read_soil_samples
+
+TABLE = "friction_angle_deg,lateral_modulus_mm\n30,15\n35,25\n45,40\n"
+
+
+def test_samples_drive_like_the_sweeps_of_the_same_values(tmp_path: Path, yutu2: Rover, slope, straight) -> None:  # type: ignore[no-untyped-def]
+    path = tmp_path / "soils.csv"
+    path.write_text(TABLE)
+    samples = read_soil_samples(path)
+    assert samples["friction_angle_deg"].tolist() == [30.0, 35.0, 45.0]
+    ground, plan = slope(-0.05, 0.05), straight(1.0, 0.1)
+    given = predict(yutu2, ground, plan, samples=samples)
+    for m, (phi, modulus) in enumerate(((30.0, 15.0), (35.0, 25.0), (45.0, 40.0))):
+        sweep = (Sweep("friction_angle_deg", phi, phi, 1), Sweep("lateral_modulus_mm", modulus, modulus, 1))
+        assert np.array_equal(predict(yutu2, ground, plan, sweep=sweep).paths[0], given.paths[m])
+
+
+def test_fewer_members_are_drawn_by_the_seed_without_repetition(tmp_path: Path) -> None:
+    path = tmp_path / "soils.csv"
+    path.write_text("cohesion_pa\n" + "".join(f"{c}\n" for c in range(100)))
+    drawn = [read_soil_samples(path, 30, seed)["cohesion_pa"] for seed in (1, 1, 2)]
+    assert np.array_equal(drawn[0], drawn[1]) and not np.array_equal(drawn[0], drawn[2])
+    assert len(set(drawn[0])) == 30
+    with pytest.raises(DataError, match="at most 100"):
+        read_soil_samples(path, 101)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("phi\n30\n", "friction_angle_deg"),
+        ("friction_angle_deg\n", "a row for each"),
+        ("friction_angle_deg\n95\n", "friction_angle_deg"),
+        ("friction_angle_deg\nloose\n", "loose"),
+        ("friction_angle_deg\n30\nnan\n", "friction_angle_deg"),
+        ("", "No columns"),
+    ],
+)
+def test_a_bad_table_is_one_line_that_names_it(tmp_path: Path, text: str, says: str) -> None:
+    path = tmp_path / "soils.csv"
+    path.write_text(text)
+    with pytest.raises(DataError) as caught:
+        read_soil_samples(path)
+    assert says in str(caught.value) and str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_given_soils_leave_no_room_for_a_sweep(yutu2: Rover, slope, straight) -> None:  # type: ignore[no-untyped-def]
+    for extra in ({"members": 2}, {"sweep": ()}):
+        with pytest.raises(ParameterError, match="leave out"):
+            predict(yutu2, slope(), straight(1.0), samples={"cohesion_pa": [1.0]}, **extra)
+    with pytest.raises(ParameterError, match="one value of each"):
+        predict(yutu2, slope(), straight(1.0), samples={"cohesion_pa": [1.0], "friction_angle_deg": [30.0, 31.0]})
