@@ -24,7 +24,7 @@ __all__ = [
 ]
 
 FloatArray = npt.NDArray[np.float64]
-EASE_S = 0.3
+EASE_S = 0.6
 """Time constant of starting and stopping, assumed: long against the 12-18 ms in which shear follows a wheel."""
 RAMP_S = EASE_S * math.log(1.0 / CREEP)
 """From a creep to full speed, exponentially."""

@@ -10,7 +10,7 @@ from lunarsci.twin.commands import CREEP, wheel_commands
 from lunarsci.twin.ensemble import STATE_COLUMNS, predict
 from lunarsci.twin.plan import Fixes, Leg, Plan
 from lunarsci.twin.rover import Rover, build_rover
-from lunarsci.twin.schedule import make_schedule, run_commands
+from lunarsci.twin.schedule import EASE_S, make_schedule, run_commands
 
 
 def plan_of(*legs: Leg, **changes: object) -> Plan:
@@ -69,7 +69,7 @@ def test_a_drive_with_halts_covers_its_legs_and_nothing_else(yutu2: Rover) -> No
     assert rate.max() < 0.05 * (1 + 1e-9) and rate.min() >= 0.0
     # The turn takes the farthest wheel along a quarter circle of 0.673 m at 0.05 m/s; then the ramps of its two halts.
     quarter = 0.5 * math.pi * math.hypot(0.5, 0.45) / 0.05
-    assert schedule.runs[1].cruise_s == pytest.approx(quarter - 2 * 0.3 * (1 - CREEP))
+    assert schedule.runs[1].cruise_s == pytest.approx(quarter - 2 * EASE_S * (1 - CREEP))
     # The pace is the rate of what is done, and nothing at the stop.
     middle = 0.5 * (time[1:] + time[:-1])
     turning = (middle > schedule.runs[1].begin_s) & (middle < schedule.runs[1].end_s)
