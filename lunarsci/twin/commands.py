@@ -7,13 +7,16 @@ import numpy.typing as npt
 
 from lunarsci.twin.rover import Rover
 
-__all__ = ["CREEP", "Commands", "held", "reach_m", "wheel_commands"]
+__all__ = ["CREEP", "CREEP_M_S", "Commands", "held", "reach_m", "wheel_commands"]
 
 FloatArray = npt.NDArray[np.float64]
 SLOWEST_RIM = 0.02
 """Share of the rover's speed below which no rim falls while it drives: at zero the slip ratio has no meaning."""
 CREEP = 1e-3
-"""Share of the plan's speed at which the rims creep at a halt, for the same reason: 3 mm in a minute at 0.05 m/s."""
+"""Share of the plan's speed from which a start speeds up, and to which a stop slows down."""
+CREEP_M_S = 5e-5
+"""Speed at which the rims creep at a halt, for the same reason: 3 mm in a minute. Slower than that, shear outruns the
+time step and throws the rover about. [m/s]"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,9 +3,10 @@
 The interaction plane is the terrain's tangent plane below the wheel centre. The wheel rolls along the line in which
 its own plane cuts the interaction plane; lateral and normal complete the contact frame.
 
-F_DP and F_N act at the wheel centre and M_R about the axle, as in Eqs 21-24 of Ding et al. (2024),
-10.1038/s41467-024-46233-8. F_L acts where the shear stress is centred, r_s below and ahead of the axle, which gives the
-overturning and steering torques M_O and M_S their leading parts.
+F_DP and F_N act at the wheel centre and M_R about the lateral axis, as in Eqs 21-24 of Ding et al. (2024),
+10.1038/s41467-024-46233-8; about the axle itself, 10 m over a bump of 8 cm would end 8 mm off.
+F_L acts where the shear stress is centred, r_s below and ahead of the axle, which gives the overturning and steering
+torques M_O and M_S their leading parts.
 """
 
 import math

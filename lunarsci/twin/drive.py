@@ -127,6 +127,6 @@ def drive(
         if i < steps:
             eliminate(work)
             move(work.body, dt)
-            check_health(work)
+            check_health(work, rover.gravity * dt)
     for m in range(members):
         results[m, 0] = work.code[m]

@@ -223,17 +223,21 @@ def is_upright(body: Any, lane: int) -> bool:
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
-def check_health(work: Any) -> None:
-    """Note in `work.code` the lanes whose state cannot be driven on."""
+def check_health(work: Any, fall: float) -> None:
+    """Note in `work.code` the lanes whose state cannot be driven on.
+
+    `fall` is the speed gained in a step of free fall [m/s]: what gains twice that comes from the step, not from a fall.
+    """
     body = work.body
     for lane in range(LANES):
         if work.code[lane] != FINISHED:
             continue
-        fastest = 0.0
+        fastest, gained = 0.0, 0.0
         for k in range(3):
             fastest = max(fastest, abs(body[(SPEED + k) * LANES + lane]))
+            gained = max(gained, abs(body[(CHANGE + k) * LANES + lane]))
         if fastest >= FALLING:
-            work.code[lane] = FELL
+            work.code[lane] = FELL if gained < 2.0 * fall else DIVERGED
         for k in range(9):
             if not abs(body[(SPEED + k) * LANES + lane]) < FASTEST:
                 work.code[lane] = DIVERGED

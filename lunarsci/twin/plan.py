@@ -40,6 +40,8 @@ QUANTITIES = {
 AT_LEAST = ("clearance_m", "keep_out_m")
 """Of these small values are the dangerous ones: their limit is the smallest value that counts as safe."""
 LONGEST_M, LONGEST_STOP_S = 1000.0, 3600.0
+# Slower, the creep of a halt is no longer small, and shear follows the wheel faster than any time step.
+SLOWEST_M_S = 0.001
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +165,7 @@ class Plan:
     name, origin : what it is, and the file it comes from.
     x_m, y_m, heading_deg : start pose of the rover's origin; heading from x to the left. [m, m, deg]
     legs : the pieces of the drive, in order.
-    speed_m_s : commanded speed of the rover's origin, > 0. [m/s]
+    speed_m_s : commanded speed of the rover's origin, at least 0.001. [m/s]
     blend_m : length over which the commanded curvature goes over from one arc to the next, >= 0. [m]
     fixes : position fixes between legs; None drives without.
     limits : what counts as safe.
@@ -191,6 +193,8 @@ class Plan:
             raise ParameterError(f"the plan is {self.length_m:g} m long; give at most {LONGEST_M:g} m")
         if not 0 < self.speed_m_s < math.inf:
             raise ParameterError(f"the plan's speed_m_s is {self.speed_m_s}; give a speed above 0 m/s")
+        if self.speed_m_s < SLOWEST_M_S:
+            raise ParameterError(f"the plan's speed_m_s is {self.speed_m_s:g}; give at least {SLOWEST_M_S:g} m/s")
         if not 0 <= self.blend_m < math.inf:
             raise ParameterError(f"the plan's blend_m is {self.blend_m}; give 0 m or more")
         if not all(map(math.isfinite, (self.x_m, self.y_m, self.heading_deg))):

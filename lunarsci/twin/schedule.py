@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.twin.commands import CREEP, Commands, held, reach_m, wheel_commands
+from lunarsci.twin.commands import CREEP, CREEP_M_S, Commands, held, reach_m, wheel_commands
 from lunarsci.twin.path import along_legs, curvature_at, leg_end
 from lunarsci.twin.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
@@ -176,14 +176,14 @@ def run_commands(
     The speed is the mean over a step, so that the distance driven is exact; the curvature is that of the step's end: a
     velocity that a step arrives at is that of its end, which leaves a tenth of the error in the step.
     """
-    run, slowest = schedule.runs[number], CREEP * schedule.plan.speed_m_s
+    run = schedule.runs[number]
     if not run.moves:
         still = before or Commands(*(np.zeros((1, 1, len(rover.wheels))) for _ in range(2)))
         shape = (len(still.steering_rad), len(times_s) - 1, len(rover.wheels))
-        return held(Commands(*(np.broadcast_to(part[:, -1:], shape) for part in _halted(still))), slowest)
+        return held(Commands(*(np.broadcast_to(part[:, -1:], shape) for part in _halted(still))), CREEP_M_S)
     share = run.share_at(times_s)
     rates = np.diff(share) / np.diff(times_s)
-    commands = held(_motion(rover, schedule.plan, run, share[1:], rates, legs), slowest)
+    commands = held(_motion(rover, schedule.plan, run, share[1:], rates, legs), CREEP_M_S)
     if before is None or run.steer_s == 0:
         return commands
     turned = np.clip((times_s[1:] - run.begin_s) / run.steer_s, 0.0, 1.0)[:, None]

@@ -266,7 +266,7 @@ def test_free_fall_is_exact(rover: Rover) -> None:
         assemble(vector, tyre, ABYSS, OWN_SOIL, dt, DRIVEN, work)
         eliminate(work)
         move(work.body, dt)
-        check_health(work)
+        check_health(work, rover.gravity_m_s2 * dt)
         assert (work.code == FINISHED).all()
         t = k * dt
         expected = np.array([0.1, -0.2, 0.3]) * t - np.array([0, 0, 0.5 * rover.gravity_m_s2 * t * t])
