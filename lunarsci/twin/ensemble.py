@@ -173,8 +173,7 @@ def predict(
     overrides = np.array([soil_override({k: float(v[m]) for k, v in parameters.items()}) for m in range(count)])
     scene = Scene(rover, terrain, schedule, times, every, seed)
     paths, states, results = _drive_all(scene, overrides, samples + 1, progress)
-    start = schedule.pose_at(0.0)
-    _hold_last(paths, states, results[:, 1], start, float(terrain.height_at(plan.x_m, plan.y_m)))
+    _hold_last(paths, states, results[:, 1], schedule.poses[0], float(terrain.height_at(plan.x_m, plan.y_m)))
     paths[..., 3:] = np.degrees(paths[..., 3:])
     paths[..., 5] = np.degrees(np.unwrap(np.radians(paths[..., 5]), axis=1))
     states[..., 4] = np.degrees(states[..., 4])
@@ -263,10 +262,15 @@ def _common_commands(scene: Scene) -> Commands:
     for number, piece in enumerate(scene.pieces()):
         times = scene.times_s[piece.start : piece.stop + 1]
         runs.append(run_commands(scene.rover, scene.schedule, number, times, runs[-1] if runs else None, None))
-    return Commands(
+    return _told(
         np.concatenate([run.steering_rad for run in runs], axis=1),
         np.concatenate([run.speed_m_s for run in runs], axis=1),
     )
+
+
+def _told(steering: FloatArray, speed: FloatArray) -> Commands:
+    """Commands as plain arrays: for each other layout of its arguments numba would compile the drive anew, in 10 s."""
+    return Commands(np.array(steering, order="C"), np.array(speed, order="C"))
 
 
 def _begin(scene: Scene, known: tuple[Any, ...], commands: Commands) -> Work:
@@ -287,10 +291,12 @@ def _drive_with_fixes(scene: Scene, known: tuple[Any, ...], errors: FloatArray, 
         if work is not None:
             legs = legs_from(scene.schedule, scene.rover, number, work, errors[:, number])
         times = scene.times_s[piece.start : piece.stop + 1]
-        commands = run_commands(scene.rover, scene.schedule, number, times, commands, legs)
+        told = run_commands(scene.rover, scene.schedule, number, times, commands, legs)
+        commands = _told(told.steering_rad, told.speed_m_s)
         work = work or _begin(scene, known, commands)
-        told, last = (commands.steering_rad, commands.speed_m_s), number == len(pieces) - 1
-        drive(*known, *told, scene.times_s[1], piece.start, scene.every, last, work, *kept)
+        last = number == len(pieces) - 1
+        driven = (*known, commands.steering_rad, commands.speed_m_s, scene.times_s[1], piece.start, scene.every)
+        drive(*driven, last, work, *kept)
 
 
 def _hold_last(paths: FloatArray, states: FloatArray, recorded: IntArray, start: FloatArray, height: float) -> None:
