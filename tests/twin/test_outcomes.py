@@ -13,7 +13,7 @@ from lunarsci.twin.drive import begin, drive
 from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.longji import synthetic_longji
 from lunarsci.twin.outcomes import OUTCOMES
-from lunarsci.twin.plan import Fixes, Leg, Plan, parse_sweep
+from lunarsci.twin.plan import Fixes, Leg, Plan, parse_sweep, tightest_per_m
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.schedule import make_schedule
 from lunarsci.twin.terrain import Terrain, build_terrain
@@ -135,6 +135,19 @@ def test_a_long_plan_of_short_legs(yutu2: Rover, slope: GradientTerrain) -> None
     halts = plan_of(*(Leg(stop_s=1.0) for _ in range(1000)))
     still = predict(yutu2, slope(), halts, sweep=(), time_step_s=0.2)
     assert outcome(still) == "finished" and abs(still.endpoints_m[0, 0]) < 0.06
+
+
+@pytest.mark.parametrize(("length_m", "legs", "sigma_m"), [(0.005, 300, 0.01), (0.1, 40, 0.05)])
+def test_fixes_worse_than_a_leg_is_long_do_not_whirl_the_rover(
+    yutu2: Rover, slope: GradientTerrain, length_m: float, legs: int, sigma_m: float
+) -> None:
+    plan = plan_of(*(Leg(length_m) for _ in range(legs)), fixes=Fixes(sigma_m, 0.1))
+    result = predict(yutu2, slope(), plan, sweep=(), sample_m=0.05)
+    assert outcome(result) == "finished"
+    # No faster than twice the plan's speed, on a circle no tighter than the rover can drive.
+    rate = np.diff(result.paths[0, :, 5]) / np.diff(result.time_s)
+    assert np.abs(rate).max() < math.degrees(2.0 * 0.05 * tightest_per_m(yutu2))
+    assert result.miss_m[0] < 5.0 * sigma_m
 
 
 def test_every_kind_of_plan_drives_on_one_machine_code(yutu2: Rover, slope: GradientTerrain) -> None:
