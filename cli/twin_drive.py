@@ -8,6 +8,7 @@ import numpy.typing as npt
 import typer
 
 from lunarsci.inputs import read_input
+from lunarsci.regolith.belief import read_belief
 from lunarsci.twin.ensemble import Prediction, predict
 from lunarsci.twin.plan import Sweep, parse_sweep
 from lunarsci.twin.soil_samples import read_soil_samples
@@ -15,6 +16,9 @@ from lunarsci.twin.soil_samples import read_soil_samples
 from .twin_report import Scene
 
 __all__ = ["Soils", "drive"]
+
+OF_A_BELIEF = 64
+"""Drives on soils of a belief, where their number is not given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +39,12 @@ class Soils:
             return cls(swept, members, None, seed, {})
         if sweep is not None:
             raise typer.BadParameter("--sweep and --samples are two ways to name the soils; give one")
-        return cls(None, None, read_soil_samples(samples, members, seed), seed, {samples: read_input(samples).sha256})
+        source = read_input(samples)
+        if samples.lower().endswith(".json"):
+            drawn = read_belief(source).draws(members or OF_A_BELIEF, seed)
+        else:
+            drawn = read_soil_samples(samples, members, seed)
+        return cls(None, None, drawn, seed, {samples: source.sha256})
 
 
 def drive(

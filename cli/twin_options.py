@@ -37,7 +37,8 @@ Sweeps = Annotated[
 Samples = Annotated[
     str | None,
     typer.Option(
-        metavar="FILE", help="Soils to drive on instead of a sweep: CSV, a column for each soil parameter, a row each."
+        metavar="FILE",
+        help="Soils to drive on instead of a sweep: CSV, a row each, or a belief of `twin update` (.json).",
     ),
 ]
 Members = Annotated[

@@ -19,7 +19,7 @@ from lunarsci.twin.outcomes import OUTCOMES
 from lunarsci.twin.plan import Plan, Sweep, check_plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.schedule import Schedule, all_commands, make_schedule, run_commands, start_motion, steps_of_runs
-from lunarsci.twin.terrain import Terrain, soil_override
+from lunarsci.twin.terrain import Terrain, soil_overrides
 
 __all__ = ["PATH_COLUMNS", "STATE_COLUMNS", "Prediction", "member_parameters", "predict"]
 
@@ -193,7 +193,7 @@ def predict(
         raise ParameterError(f"{count} members with {stops} samples do not fit into memory; give a longer sample_m")
     every = max(1, math.ceil(schedule.duration_s / stops / time_step_s - 1e-9))
     times = np.linspace(0.0, schedule.duration_s, stops * every + 1)
-    overrides = np.array([soil_override({k: float(v[m]) for k, v in parameters.items()}) for m in range(count)])
+    overrides = soil_overrides(parameters, count)
     scene = Scene(rover, terrain, schedule, times, every, seed)
     paths, states, results = _drive_all(scene, overrides, stops + 1, progress)
     _calm_halts(states, schedule.pace_at(times[::every]), rover.wheel.radius_m)

@@ -1,6 +1,5 @@
 """Soils to drive on, one for each member, from a table: draws from a posterior, or any others."""
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ __all__ = ["read_soil_samples"]
 FloatArray = npt.NDArray[np.float64]
 
 
-def read_soil_samples(path: str | Path, members: int | None = None, seed: int = 0) -> Mapping[str, FloatArray]:
+def read_soil_samples(path: str | Path, members: int | None = None, seed: int = 0) -> dict[str, FloatArray]:
     """Read soils from CSV: a column for each parameter, by the names of `Soil`, and a row for each member.
 
     With fewer `members` than rows, that many rows are drawn without repetition, by `seed`. Parameters that have no

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -23,6 +24,7 @@ __all__ = [
     "lay_soil",
     "read_ground",
     "soil_override",
+    "soil_overrides",
 ]
 
 FloatArray = npt.NDArray[np.float64]
@@ -284,6 +286,14 @@ def soil_override(values: dict[str, float]) -> FloatArray:
     override = np.full(8, np.nan)
     for name, value in values.items():
         override[_column(name)] = _in_si(name, np.asarray(value, dtype=float))
+    return override
+
+
+def soil_overrides(parameters: Mapping[str, npt.ArrayLike], count: int) -> FloatArray:
+    """`soil_override` of several members at once, from one value of each parameter for each. (count, 8)"""
+    override = np.full((count, 8), np.nan)
+    for name, values in parameters.items():
+        override[:, _column(name)] = _in_si(name, np.asarray(values, dtype=float))
     return override
 
 

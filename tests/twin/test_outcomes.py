@@ -13,7 +13,7 @@ from lunarsci.twin.drive import begin, drive
 from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.longji import synthetic_longji
 from lunarsci.twin.outcomes import OUTCOMES
-from lunarsci.twin.plan import Fixes, Leg, Plan, parse_sweep, tightest_per_m
+from lunarsci.twin.plan import Fixes, Leg, Plan, parse_sweep
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.schedule import make_schedule
 from lunarsci.twin.terrain import Terrain, build_terrain
@@ -146,7 +146,7 @@ def test_fixes_worse_than_a_leg_is_long_do_not_whirl_the_rover(
     assert outcome(result) == "finished"
     # No faster than twice the plan's speed, on a circle no tighter than the rover can drive.
     rate = np.diff(result.paths[0, :, 5]) / np.diff(result.time_s)
-    assert np.abs(rate).max() < math.degrees(2.0 * 0.05 * tightest_per_m(yutu2))
+    assert np.abs(rate).max() < math.degrees(2.0 * 0.05 * yutu2.tightest_curvature_per_m)
     assert result.miss_m[0] < 5.0 * sigma_m
 
 

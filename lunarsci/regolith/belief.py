@@ -1,0 +1,149 @@
+"""What is believed of a soil: a normal law of its transformed parameters, kept between drives as a file."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.inputs import InputFile, text
+from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, values_of
+
+__all__ = ["SCHEMA", "SoilBelief", "belief_of", "first_belief", "read_belief"]
+
+FloatArray = npt.NDArray[np.float64]
+SCHEMA = "lunarsci/soil-belief/1"
+ASYMMETRY = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SoilBelief:
+    """A normal law of all eight parameters, in the transforms of the laws it began with.
+
+    Attributes
+    ----------
+    laws : the prior laws, by parameter in the order of `PARAMETERS`; they say what is transformed how, and how wide the
+        belief was before any drive.
+    mean : of the transforms. (8,)
+    covariance : of the transforms. (8, 8)
+    history : one entry for each update, oldest first: what it rests on.
+    population : transforms drawn from the belief where it is not normal; mean and covariance are theirs. (d, 8)
+
+    Raises ParameterError for a covariance that is not symmetric and positive definite.
+    """
+
+    laws: Mapping[str, Law]
+    mean: FloatArray
+    covariance: FloatArray
+    history: tuple[Mapping[str, Any], ...] = field(default=())
+    population: FloatArray | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        size = len(PARAMETERS)
+        if tuple(self.laws) != PARAMETERS or self.mean.shape != (size,) or self.covariance.shape != (size, size):
+            raise ParameterError(f"a belief needs laws, a mean and a covariance of {', '.join(PARAMETERS)}")
+        if not (np.isfinite(self.mean).all() and np.isfinite(self.covariance).all()):
+            raise ParameterError("a belief's mean and covariance must be finite")
+        if self.population is not None and (
+            self.population.ndim != 2 or self.population.shape[1] != size or not np.isfinite(self.population).all()
+        ):
+            raise ParameterError(f"a belief's population must be finite, {size} numbers for each draw")
+        scale = np.sqrt(np.abs(np.diag(self.covariance)))
+        if (np.abs(self.covariance - self.covariance.T) > ASYMMETRY * np.outer(scale, scale)).any():
+            raise ParameterError("a belief's covariance must be symmetric")
+        if not np.linalg.eigvalsh(self.covariance / np.outer(scale, scale))[0] > 0:
+            raise ParameterError("a belief's covariance must be positive definite")
+
+    @property
+    def left_of_prior(self) -> dict[str, float]:
+        """Standard deviation of each parameter's transform as a share of its first law's. [-]"""
+        spread = np.sqrt(np.diag(self.covariance))
+        return {name: float(sd / self.laws[name].width) for name, sd in zip(PARAMETERS, spread, strict=True)}
+
+    def intervals(self) -> dict[str, tuple[float, float, float]]:
+        """Median and 68 % limits of each parameter, in its unit."""
+        spread = np.sqrt(np.diag(self.covariance))
+        rows = values_of(self.laws, np.stack([self.mean, self.mean - spread, self.mean + spread]))
+        return {
+            name: (float(m), float(low), float(high)) for name, (m, low, high) in zip(PARAMETERS, rows.T, strict=True)
+        }
+
+    def draws(self, count: int, seed: int = 0) -> dict[str, FloatArray]:
+        """Soils drawn from the belief, by parameter in its unit: its population, in turn, or a normal law. (count,)"""
+        random = np.random.default_rng(seed)
+        if self.population is not None:
+            points = self.population[np.resize(random.permutation(len(self.population)), count)]
+        else:
+            noise = random.standard_normal((count, len(PARAMETERS)))
+            points = self.mean + noise @ np.linalg.cholesky(self.covariance).T
+        values = values_of(self.laws, points)
+        return {name: values[:, k] for k, name in enumerate(PARAMETERS)}
+
+    def forgotten(self, share: float) -> "SoilBelief":
+        """The belief as ground further on is believed to be: `share` of the way back to the first laws, 0 to 1.
+
+        Mean and covariance go back linearly, which keeps the covariance positive definite. Raises ParameterError.
+        """
+        if not 0 <= share <= 1:
+            raise ParameterError(f"forgetting is {share}; give 0 (all is kept) to 1 (all is forgotten)")
+        first = first_belief(self.laws)
+        off = self.mean - first.mean
+        covariance = (1 - share) * self.covariance + share * first.covariance + share * (1 - share) * np.outer(off, off)
+        return SoilBelief(self.laws, self.mean - share * off, covariance, self.history)
+
+    def to_json(self) -> str:
+        """As `read_belief` reads it."""
+        document = {
+            "schema": SCHEMA,
+            "order": list(PARAMETERS),
+            "laws": {name: asdict(law) for name, law in self.laws.items()},
+            "mean": self.mean.tolist(),
+            "covariance": self.covariance.tolist(),
+            "history": [dict(entry) for entry in self.history],
+            "population": None if self.population is None else self.population.tolist(),
+        }
+        return json.dumps(document, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def first_belief(laws: Mapping[str, Law] | None = None) -> SoilBelief:
+    """The prior laws, before any drive."""
+    laws = default_prior() if laws is None else laws
+    widths = np.array([laws[name].width for name in PARAMETERS])
+    return SoilBelief(laws, np.array([laws[name].center for name in PARAMETERS]), np.diag(widths**2))
+
+
+def belief_of(document: Mapping[str, Any]) -> SoilBelief:
+    """The belief of a parsed document. Raises ParameterError for what is none."""
+    if not isinstance(document, Mapping) or document.get("schema") != SCHEMA:
+        raise ParameterError(f"not a soil belief; its schema must be {SCHEMA}")
+    try:
+        if tuple(document["order"]) != PARAMETERS:
+            raise ParameterError(f"its parameters are not {', '.join(PARAMETERS)}")
+        laws = {name: Law(**document["laws"][name]) for name in PARAMETERS}
+        mean, covariance = (np.array(document[key], dtype=np.float64) for key in ("mean", "covariance"))
+        drawn = document.get("population")
+        population = None if drawn is None else np.array(drawn, dtype=np.float64)
+        return SoilBelief(laws, mean, covariance, tuple(document.get("history", ())), population)
+    except KeyError as error:
+        raise ParameterError(f"no {error} in it") from error
+    except (TypeError, ValueError) as error:
+        raise ParameterError(str(error)) from error
+
+
+def read_belief(source: InputFile) -> SoilBelief:
+    """Read a belief. Raises DataError for text that is no belief."""
+    try:
+        return belief_of(json.loads(text(source), parse_constant=_refuse))
+    except json.JSONDecodeError as error:
+        raise DataError(
+            f"{source.name}, line {error.lineno}: not valid JSON: {error.msg}; is the file complete?"
+        ) from error
+    except ParameterError as error:
+        raise DataError(f"{source.name}: {error}") from error
+
+
+def _refuse(name: str) -> float:
+    raise ParameterError(f"{name} is no number that a belief can have")

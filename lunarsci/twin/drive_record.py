@@ -1,0 +1,141 @@
+"""What was measured of a drive: states of the wheels at times, and positions from localisation."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.regolith.states import COLUMNS, MeasurementErrors
+from lunarsci.twin.rover import Rover
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["OBSERVED", "DriveRecord", "read_record"]
+
+FloatArray = npt.NDArray[np.float64]
+OBSERVED = COLUMNS
+"""Columns of the measured values: sinkage, slip ratio, side slip, normal force, drawbar pull, lateral force."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DriveRecord:
+    """Measured states and positions.
+
+    Attributes
+    ----------
+    time_s, wheel : when, since the start of the plan, and of which wheel each state is. (n,) [s]
+    values, sigmas : columns `OBSERVED`, NaN where not measured. (n, 6) [m, -, deg, N, N, N]
+    fix_time_s, fix_m, fix_covariance_m2 : positions of the rover's origin, and their errors. (f,), (f, 2), (f, 2, 2)
+
+    Raises ParameterError for shapes that do not fit, times that are no numbers or negative, and sigmas below 0.
+    """
+
+    time_s: FloatArray
+    wheel: tuple[str, ...]
+    values: FloatArray
+    sigmas: FloatArray
+    fix_time_s: FloatArray
+    fix_m: FloatArray
+    fix_covariance_m2: FloatArray
+
+    def __post_init__(self) -> None:
+        n, f = len(self.time_s), len(self.fix_time_s)
+        shapes = (self.values.shape, self.sigmas.shape, self.fix_m.shape, self.fix_covariance_m2.shape)
+        if shapes != ((n, 6), (n, 6), (f, 2), (f, 2, 2)) or len(self.wheel) != n:
+            raise ParameterError(f"a record's states and positions have shapes {shapes}; they do not fit its times")
+        for name, times in (("time_s", self.time_s), ("fix_time_s", self.fix_time_s)):
+            if not (np.isfinite(times).all() and (times >= 0).all()):
+                raise ParameterError(f"a record's {name} must be 0 or more: it counts from the start of the plan")
+        known = np.isfinite(self.values)
+        if not (np.isfinite(self.sigmas[known]).all() and (self.sigmas[known] >= 0).all()):
+            raise ParameterError("a record's sigmas must be 0 or more wherever a value is measured")
+        if not np.isfinite(self.fix_m).all() or not all(np.linalg.eigvalsh(c)[0] > 0 for c in self.fix_covariance_m2):
+            raise ParameterError("a record's positions need finite places and positive definite covariances")
+
+    @property
+    def whitening(self) -> FloatArray:
+        """Matrix that makes the error of each position a unit one. (f, 2, 2) [1/m]"""
+        return np.linalg.inv(np.linalg.cholesky(self.fix_covariance_m2)) if len(self.fix_m) else np.zeros((0, 2, 2))
+
+
+def read_record(
+    states: str | Path,
+    rover: Rover,
+    *,
+    positions: str | Path | None = None,
+    errors: MeasurementErrors | None = None,
+) -> DriveRecord:
+    """Read a record from CSV.
+
+    States have `time_s`, `wheel`, and any of the columns `OBSERVED` with their `NAME_sigma`; positions have `time_s`,
+    `x_m`, `y_m`, and `sigma_m` or `xx_m2`, `xy_m2`, `yy_m2`. Where no sigma is given it is that of `errors`. Raises
+    DataError.
+    """
+    table = _read(states, ("time_s", "wheel"))
+    names = [name for name in OBSERVED if name in table]
+    if not names:
+        raise DataError(f"{states}: no measured column; there can be {', '.join(OBSERVED)}")
+    errors = errors or MeasurementErrors()
+    values = np.column_stack([_numbers(states, table, name) for name in OBSERVED])
+    given = np.column_stack([_numbers(states, table, f"{name}_sigma") for name in OBSERVED])
+    own = np.column_stack([errors.of(name, np.nan_to_num(values[:, k])) for k, name in enumerate(OBSERVED)])
+    places = _positions(positions)
+    strange = sorted(set(table["wheel"].astype(str)) - set(rover.wheels))
+    if strange:
+        raise DataError(f"{states}: '{strange[0]}' is no wheel of {rover.name}; it has {', '.join(rover.wheels)}")
+    try:
+        return DriveRecord(
+            time_s=_numbers(states, table, "time_s"),
+            wheel=tuple(table["wheel"].astype(str)),
+            values=values,
+            sigmas=np.where(np.isfinite(given), given, own),
+            **places,
+        )
+    except ParameterError as error:
+        raise DataError(f"{states}: {error}") from error
+
+
+def _read(path: str | Path, needed: tuple[str, ...]) -> "pd.DataFrame":
+    import pandas as pd
+
+    try:
+        table = pd.read_csv(path, comment="#")
+    except OSError as error:
+        raise DataError(f"{path}: {error.strerror or error}") from error
+    except ValueError as error:
+        raise DataError(f"{path}: {error}") from error
+    for name in needed:
+        if name not in table:
+            raise DataError(f"{path}: no column {name}; there are: {', '.join(map(str, table.columns))}")
+    return table
+
+
+def _numbers(path: str | Path, table: "pd.DataFrame", name: str) -> FloatArray:
+    import pandas as pd
+
+    if name not in table:
+        return np.full(len(table), np.nan)
+    try:
+        return np.asarray(pd.to_numeric(table[name], errors="raise"), dtype=float)
+    except ValueError as error:
+        raise DataError(f"{path}: column {name}: {error}") from error
+
+
+def _positions(path: str | Path | None) -> dict[str, FloatArray]:
+    if path is None:
+        return {"fix_time_s": np.zeros(0), "fix_m": np.zeros((0, 2)), "fix_covariance_m2": np.zeros((0, 2, 2))}
+    table = _read(path, ("time_s", "x_m", "y_m"))
+    time, x, y = (_numbers(path, table, name) for name in ("time_s", "x_m", "y_m"))
+    if "sigma_m" in table:
+        sigma = _numbers(path, table, "sigma_m")
+        parts = (sigma**2, 0 * sigma, sigma**2)
+    elif all(name in table for name in ("xx_m2", "xy_m2", "yy_m2")):
+        parts = tuple(_numbers(path, table, name) for name in ("xx_m2", "xy_m2", "yy_m2"))  # type: ignore[assignment]
+    else:
+        raise DataError(f"{path}: no errors of the positions; add sigma_m, or xx_m2, xy_m2 and yy_m2")
+    covariance = np.stack([np.stack([parts[0], parts[1]], -1), np.stack([parts[1], parts[2]], -1)], -2)
+    return {"fix_time_s": time, "fix_m": np.column_stack([x, y]), "fix_covariance_m2": covariance}

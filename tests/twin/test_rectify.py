@@ -1,0 +1,108 @@
+"""What a drive says of the soil, against the soil that it was simulated on."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from lunarsci.errors import ParameterError
+from lunarsci.regolith.belief import first_belief
+from lunarsci.regolith.prior import PARAMETERS
+from lunarsci.regolith.states import MeasurementErrors
+from lunarsci.twin.drive_record import OBSERVED, DriveRecord
+from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
+from lunarsci.twin.longji import synthetic_longji
+from lunarsci.twin.plan import Leg, Plan
+from lunarsci.twin.rectify import Rectified, rectify
+from lunarsci.twin.rover import Rover
+from lunarsci.twin.terrain import Terrain
+
+PLAN = Plan(name="test", legs=(Leg(1.5, 0.15), Leg(1.5, -0.15)), speed_m_s=0.05)
+SOIL = {
+    "stiffness_kpa_m_n": 1100.0,
+    "sinkage_exponent": 1.0,
+    "sinkage_exponent_slip": 0.1,
+    "cohesion_pa": 400.0,
+    "friction_angle_deg": 32.0,
+    "shear_modulus_mm": 22.0,
+    "external_friction_angle_deg": 14.0,
+    "lateral_modulus_mm": 25.0,
+}
+
+
+def record_of(out: Prediction, seed: int = 0) -> DriveRecord:
+    """Every third sample with the errors that Ding et al. (2024) state."""
+    states = out.states[0, ::3]
+    truth = states[..., [STATE_COLUMNS.index(name) for name in OBSERVED]].reshape(-1, 6)
+    errors = MeasurementErrors(travel_relative=0.04, side_slip_relative=0.04)
+    sigma = np.column_stack([errors.of(name, truth[:, k]) for k, name in enumerate(OBSERVED)])
+    random = np.random.default_rng(seed)
+    return DriveRecord(
+        time_s=np.repeat(out.time_s[::3], 6),
+        wheel=out.rover.wheels * len(states),
+        values=truth + sigma * random.normal(size=truth.shape),
+        sigmas=sigma,
+        fix_time_s=out.time_s[-1:],
+        fix_m=out.endpoints_m + 0.04 * random.normal(size=(1, 2)),
+        fix_covariance_m2=0.04**2 * np.eye(2)[None],
+    )
+
+
+@pytest.fixture(scope="module")
+def ground() -> Terrain:
+    return synthetic_longji(rms_m=0.01)
+
+
+@pytest.fixture(scope="module")
+def record(yutu2: Rover, ground: Terrain) -> DriveRecord:
+    return record_of(predict(yutu2, ground, PLAN, samples={name: [value] for name, value in SOIL.items()}))
+
+
+@pytest.fixture(scope="module")
+def found(yutu2: Rover, ground: Terrain, record: DriveRecord) -> Rectified:
+    return rectify(yutu2, ground, PLAN, record, first_belief(), particles=64)
+
+
+@pytest.mark.slow
+def test_the_belief_holds_the_true_soil_and_predicts_the_next_drive(
+    yutu2: Rover, ground: Terrain, found: Rectified
+) -> None:
+    assert not found.refused and found.outliers.sum() == 0
+    assert 0.4 < found.reduced < 1.2
+    spread = np.sqrt(np.diag(found.belief.covariance))
+    truth = np.array([found.belief.laws[name].transformed(np.array(SOIL[name])) for name in PARAMETERS])
+    assert (np.abs(found.belief.mean - truth) < 3.0 * spread).all()
+    assert min(found.belief.left_of_prior.values()) < 0.3
+    ahead = dataclasses.replace(PLAN, legs=(Leg(4.0, -0.1),), x_m=3.0, y_m=0.5)
+    true = predict(yutu2, ground, ahead, samples={name: [value] for name, value in SOIL.items()}).endpoints_m[0]
+    ends = {
+        key: predict(yutu2, ground, ahead, samples=belief.draws(32)).endpoints_m
+        for key, belief in (("after", found.belief), ("before", first_belief()))
+    }
+    off = {key: float(np.hypot(*(np.median(cloud, axis=0) - true))) for key, cloud in ends.items()}
+    spread_of = {key: float(np.sqrt(np.var(cloud, axis=0).sum())) for key, cloud in ends.items()}
+    assert off["after"] < 0.1 and off["after"] < 0.5 * off["before"]
+    assert spread_of["after"] < 0.3 * spread_of["before"]
+
+
+@pytest.mark.slow
+def test_contradictory_telemetry_does_not_move_the_belief(yutu2: Rover, ground: Terrain, record: DriveRecord) -> None:
+    """A drive said to have sunk 60 mm deep while its loads stay those of the Moon."""
+    values = record.values.copy()
+    values[::3, 0] += 0.06
+    wrong = rectify(yutu2, ground, PLAN, dataclasses.replace(record, values=values), first_belief(), particles=32)
+    assert "explained by no soil" in wrong.refused
+    assert np.array_equal(wrong.belief.mean, first_belief().mean)
+
+
+def test_a_record_must_fit_the_rover(yutu2: Rover, ground: Terrain, record: DriveRecord) -> None:
+    alien = dataclasses.replace(record, wheel=("XX", *record.wheel[1:]))
+    with pytest.raises(ParameterError, match="'XX' is no wheel"):
+        rectify(yutu2, ground, PLAN, alien, first_belief())
+    empty = dataclasses.replace(record, values=np.full_like(record.values, np.nan))
+    with pytest.raises(ParameterError, match="fewer values"):
+        rectify(yutu2, ground, PLAN, empty, first_belief())
+    with pytest.raises(ParameterError, match="0 or more"):
+        dataclasses.replace(record, time_s=record.time_s - 1.0)
+    with pytest.raises(ParameterError, match="positive definite"):
+        dataclasses.replace(record, fix_covariance_m2=-record.fix_covariance_m2)
