@@ -45,7 +45,8 @@ def wheel_commands(
     The wheels turn as fast as their centres move when nothing slips: r_s omega is the speed over ground, so slip ratio
     0 is the commanded drive. A steered wheel points along its velocity, or against it and turns backwards, whichever
     needs less than a quarter turn. An unsteered wheel rolls at the forward part of its speed. With a steering offset
-    the wheel runs outside or inside of its steering axis.
+    the wheel runs outside or inside of its steering axis. That it also rolls while it is being steered is left out here
+    and in the ground contact: it is taken to keep pace with its steering.
 
     Parameters
     ----------

@@ -30,7 +30,8 @@ def legs_from(schedule: Schedule, rover: Rover, number: int, work: Any, errors: 
     """The leg of a run as each rover steers it, from its estimated pose to the planned end.
 
     An arc is the one that leaves in the leg's direction of travel and meets the planned end point, no tighter than the
-    rover can drive; a spot turn ends at the planned heading.
+    rover can drive; a spot turn ends at the planned heading. Either takes the time of the planned leg, so the speed
+    differs as the length does.
 
     Parameters
     ----------

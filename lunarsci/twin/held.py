@@ -92,7 +92,8 @@ def forces_along(rover: Rover, terrain: Terrain, motion: Motion) -> HeldForces:
     each_in_threads(rest, len(groups))
     moving = _velocities(motion.time_s, poses)
     alone = ~np.isfinite(moving).all(axis=1)
-    outcome[alone] = np.max([np.roll(outcome, k) for k in (-1, 0, 1)], axis=0)[alone]
+    beside = np.maximum(np.append(outcome[1:], FINISHED), np.append(FINISHED, outcome[:-1]))
+    outcome[:] = np.where(alone & (outcome == FINISHED), beside, outcome)
     velocities[~alone] = moving[~alone]
     each_in_threads(carry, len(groups))
     return _results(rover, terrain, motion, (paths, states, left), outcome)

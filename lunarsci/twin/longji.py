@@ -17,7 +17,7 @@ FloatArray = npt.NDArray[np.float64]
 # x, y of the centre and diameter [m]. The diameters are published (Ding et al. 2024, Fig. 1c, d); the places are chosen
 # to match the description: 6.1 m on the left, 11.2 m on the right, the drive ends just inside the rim of the 7.5 m one.
 CRATERS = ((4.72, 4.6, 6.1), (4.63, -5.98, 11.2), (12.44, 0.27, 7.5))
-# Wu et al. (2020), EPSL 553, 116666: mean depth/diameter 0.061 of the small craters at the landing site.
+# Wu et al. (2021), EPSL 553, 116666: mean depth/diameter 0.061 of the small craters at the landing site.
 DEPTH_TO_DIAMETER = 0.06
 # Regional gradient dh/dx, dh/dy, and a gentle step down across the passage (x, half width, half height [m]): chosen
 # with the places of the craters for the published slopes of the route, 8.86 deg at most and 5.38 deg at the end, as the

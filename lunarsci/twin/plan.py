@@ -164,7 +164,9 @@ class Plan:
     ----------
     name, origin : what it is, and the file it comes from.
     x_m, y_m, heading_deg : start pose of the rover's origin; heading from x to the left. [m, m, deg]
-    legs : the pieces of the drive, in order.
+    legs : the pieces of the drive, in order. They are planned for the rover's origin; where the wheels that do not
+        steer stand a distance before or behind it, the wheels can only make the point between those follow, and the
+        origin ends up to that distance times the angle turned off the plan.
     speed_m_s : commanded speed of the rover's origin, at least 0.001. [m/s]
     blend_m : length over which the commanded curvature goes over from one arc to the next, >= 0. [m]
     fixes : position fixes between legs; None drives without.

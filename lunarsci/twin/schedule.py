@@ -147,13 +147,13 @@ def make_schedule(plan: Plan, rover: Rover) -> Schedule:
     groups = _without_halts(plan)
     runs: list[Run] = []
     poses = [np.array([plan.x_m, plan.y_m, math.radians(plan.heading_deg)])]
-    steering = np.zeros(0)
+    steering = np.zeros(len(rover.wheels))
     for number, legs in enumerate(groups):
         first, last = number == 0, number == len(groups) - 1
         begin = runs[-1].end_s if runs else 0.0
         bare = Run(legs, begin, 0.0, 0.0, not first and legs[0].stop_s == 0, not last and legs[0].stop_s == 0)
         wanted = _steering(rover, legs[0]) if bare.moves else steering
-        turned = float(np.abs(wanted - steering).max()) if steering.size else 0.0
+        turned = 0.0 if first else float(np.abs(wanted - steering).max())
         cruise = max(_nominal_s(bare, plan, rover) - RAMP_COUNTS_S * (bare.starts + bare.stops), 0.0)
         runs.append(dataclasses.replace(bare, steer_s=turned / STEERING_RAD_S, cruise_s=cruise))
         steering = _steering(rover, legs[-1]) if bare.moves else steering
@@ -221,11 +221,12 @@ def steps_of_runs(schedule: Schedule, times_s: FloatArray) -> list[slice]:
 
 
 def start_motion(schedule: Schedule, rover: Rover) -> tuple[float, float, float]:
-    """Velocity ahead and to the left [m/s] and rate of turn [rad/s] with which the drive begins."""
+    """Velocity of the rover's origin ahead and to the left [m/s], and rate of turn [rad/s], as the drive begins."""
     leg, speed = schedule.runs[0].legs[0], schedule.plan.speed_m_s
     if leg.stop_s:
         return 0.0, 0.0, 0.0
-    return tuple(float(speed * part) for part in _unit_motion(rover, leg))  # type: ignore[return-value]
+    ahead, left, turn = (float(speed * part) for part in _unit_motion(rover, leg))
+    return ahead, left - turn * rover.turning_x_m, turn
 
 
 def _unit_motion(rover: Rover, leg: Leg) -> FloatArray:
