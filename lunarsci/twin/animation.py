@@ -24,7 +24,7 @@ from lunarsci.twin.figure_ground import (
     member_colors,
     shown_members,
 )
-from lunarsci.twin.outline import outline_corners, rover_outline
+from lunarsci.twin.footprint import Footprint, rover_outline
 from lunarsci.twin.profiles import spread
 from lunarsci.twin.quantities import abscissa, along
 from lunarsci.twin.safety import Verdict
@@ -200,7 +200,8 @@ class _Stage:
         paths = prediction.paths
         parts["fan"].set_segments([paths[m, : sample + 1, :2] for m in self.members])
         x, y, yaw = (float(paths[self.member, sample, PATH_COLUMNS.index(name)]) for name in ("x_m", "y_m", "yaw_deg"))
-        parts["body"].set_verts([outline_corners(rover_outline(prediction.rover), x, y, yaw)])
+        pose = np.array([x, y, np.radians(yaw)])
+        parts["body"].set_verts([rover_outline(prediction.rover).corners_m(pose)])
         parts["wheels"].set_verts(self._wheels(sample, yaw))
         where = abscissa(prediction)[0]
         for mark, values in zip(parts["marks"], self.insets, strict=True):
@@ -212,9 +213,9 @@ class _Stage:
         if not self.prediction.recorded[self.member]:
             return []
         wheel = self.prediction.rover.wheel
-        half = (wheel.radius_m, 0.5 * wheel.width_m)
+        rim = Footprint(rear_m=-wheel.radius_m, front_m=wheel.radius_m, half_width_m=0.5 * wheel.width_m)
         places = self.prediction.states[self.member, sample, :, :2]
-        return [outline_corners((-half[0], half[0], -half[1], half[1]), float(x), float(y), yaw_deg) for x, y in places]
+        return [rim.corners_m(np.array([x, y, np.radians(yaw_deg)])) for x, y in places]
 
 
 def _of_member(prediction: Prediction, quantity: str) -> FloatArray:

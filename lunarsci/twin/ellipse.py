@@ -56,8 +56,7 @@ def error_ellipse(points_m: FloatArray) -> ErrorEllipse | None:
     inside = np.abs(along) <= factor * major * (1 + 1e-9)
     if minor > 1e-9 * major:
         inside = (along / major) ** 2 + (across / minor) ** 2 <= factor**2
-    # The remainder of a tiny negative angle rounds to 180.
-    azimuth = math.degrees(math.atan2(vectors[1, 1], vectors[0, 1])) % 180.0 % 180.0
+    azimuth = math.degrees(math.atan2(vectors[1, 1], vectors[0, 1])) % 180.0
     return ErrorEllipse(
         semi_major_m=float(major),
         semi_minor_m=float(minor),

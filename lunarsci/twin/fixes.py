@@ -31,7 +31,7 @@ def legs_from(schedule: Schedule, rover: Rover, number: int, work: Any, errors: 
 
     An arc is the one that leaves in the leg's direction of travel and meets the planned end point, no tighter than the
     rover can drive; a spot turn ends at the planned heading. Either takes the time of the planned leg, so the speed
-    differs as the length does.
+    differs as the length does: the errors of the fixes should be small against the legs.
 
     Parameters
     ----------

@@ -6,7 +6,7 @@ import numpy.typing as npt
 from lunarsci.errors import ParameterError
 from lunarsci.twin.clearance import clearance
 from lunarsci.twin.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction
-from lunarsci.twin.outline import keep_out_distance
+from lunarsci.twin.keep_out import keep_out_distance
 
 __all__ = ["abscissa", "along", "tilt_deg"]
 
