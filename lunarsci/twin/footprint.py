@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.terrain import Terrain
 
 __all__ = ["Footprint", "nearest_node", "rover_footprint", "rover_outline", "swept_nodes"]
 

@@ -8,14 +8,14 @@ import numpy.typing as npt
 
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import ParameterError
-from lunarsci.twin.contact import HELD
-from lunarsci.twin.drive import record, take_commands
-from lunarsci.twin.lanes import LANES, POSE, new_work
-from lunarsci.twin.motion import Motion
-from lunarsci.twin.outcomes import FINISHED
+from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.settle import balance, settle
-from lunarsci.twin.terrain import Terrain
+from lunarsci.twin.simulation.contact import HELD
+from lunarsci.twin.simulation.drive import record, take_commands
+from lunarsci.twin.simulation.lanes import LANES, POSE, new_work
+from lunarsci.twin.simulation.outcomes import FINISHED
+from lunarsci.twin.simulation.settle import balance, settle
 
 __all__ = ["HeldForces", "forces_along"]
 

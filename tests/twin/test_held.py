@@ -9,13 +9,13 @@ import pytest
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
+from lunarsci.twin.ground.longji import synthetic_longji
 from lunarsci.twin.held import HeldForces, forces_along
-from lunarsci.twin.longji import synthetic_longji
-from lunarsci.twin.motion import Motion, read_motion
-from lunarsci.twin.outcomes import OUTCOMES
-from lunarsci.twin.plan import Leg, Plan
+from lunarsci.twin.plans.motion import Motion, read_motion
+from lunarsci.twin.plans.plan import Leg, Plan
+from lunarsci.twin.plans.schedule import commands_at, make_schedule
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.schedule import commands_at, make_schedule
+from lunarsci.twin.simulation.outcomes import OUTCOMES
 
 PLAN = Plan(name="test", legs=(Leg(2.0, 0.15), Leg(2.0, -0.1)), speed_m_s=0.05)
 
@@ -146,7 +146,7 @@ def test_a_pose_keeps_its_own_reason_beside_one_with_another(yutu2: Rover, slope
 
 
 def test_a_motion_comes_from_the_tables_of_a_prediction(tmp_path: Path, yutu2: Rover, driven) -> None:  # type: ignore[no-untyped-def]
-    from lunarsci.twin.tables import path_table
+    from lunarsci.twin.judgement.tables import path_table
 
     result, _ = driven
     path = tmp_path / "paths.csv"

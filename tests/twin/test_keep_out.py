@@ -9,10 +9,10 @@ import pytest
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.footprint import rover_outline
-from lunarsci.twin.keep_out import keep_out_distance
-from lunarsci.twin.plan import KeepOut, Limit, read_plan
+from lunarsci.twin.judgement.keep_out import keep_out_distance
+from lunarsci.twin.judgement.safety import judge
+from lunarsci.twin.plans.plan import KeepOut, Limit, read_plan
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.safety import judge
 
 
 def at(prediction: Prediction, x: float, y: float, yaw_deg: float) -> Prediction:

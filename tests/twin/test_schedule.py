@@ -6,11 +6,11 @@ import math
 import numpy as np
 import pytest
 
-from lunarsci.twin.commands import CREEP, wheel_commands
 from lunarsci.twin.ensemble import STATE_COLUMNS, predict
-from lunarsci.twin.plan import Fixes, Leg, Plan
+from lunarsci.twin.plans.commands import CREEP, wheel_commands
+from lunarsci.twin.plans.plan import Fixes, Leg, Plan
+from lunarsci.twin.plans.schedule import EASE_S, STEERING_RAD_S, all_commands, make_schedule, run_commands, start_motion
 from lunarsci.twin.rover import Rover, build_rover
-from lunarsci.twin.schedule import EASE_S, STEERING_RAD_S, all_commands, make_schedule, run_commands, start_motion
 
 
 def plan_of(*legs: Leg, **changes: object) -> Plan:
@@ -154,7 +154,7 @@ def test_position_fixes_take_the_rover_back_to_its_plan(yutu2: Rover, longji_soi
 
 
 def test_errors_of_the_fixes_scatter_the_ends_and_follow_the_seed(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
-    from lunarsci.twin.plan import Sweep
+    from lunarsci.twin.plans.plan import Sweep
 
     plan = plan_of(Leg(1.0), Leg(2.0), fixes=Fixes(0.1, 0.0), speed_m_s=0.055)
     sweep = (Sweep("cohesion_pa", 520.0, 520.001, 33),)

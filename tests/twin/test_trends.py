@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
-from lunarsci.twin.plan import parse_sweep
+from lunarsci.twin.plans.plan import parse_sweep
 
 
 def steady(prediction: Prediction, name: str) -> np.ndarray:
