@@ -203,9 +203,8 @@ def predict(
     overrides = np.array([soil_override({k: float(v[m]) for k, v in parameters.items()}) for m in range(count)])
     scene = Scene(rover, terrain, schedule, times, every, seed)
     paths, states, results = _drive_all(scene, overrides, stops + 1, progress)
-    start = schedule.pose_at(0.0)
     _calm_halts(states, schedule.pace_at(times[::every]), rover.wheel.radius_m)
-    _hold_last(paths, states, results[:, 1], start, float(terrain.height_at(plan.x_m, plan.y_m)))
+    _hold_last(paths, states, results[:, 1], schedule.poses[0], float(terrain.height_at(plan.x_m, plan.y_m)))
     paths[..., 3:] = np.degrees(paths[..., 3:])
     paths[..., 5] = np.degrees(np.unwrap(np.radians(paths[..., 5]), axis=1))
     states[..., 4] = np.degrees(states[..., 4])
@@ -301,8 +300,9 @@ def _drive_with_fixes(scene: Scene, known: tuple[Any, ...], errors: FloatArray, 
         times = scene.times_s[piece.start : piece.stop + 1]
         commands = run_commands(scene.rover, scene.schedule, number, times, commands, legs)
         work = work or _begin(scene, known, commands)
-        told, last = (commands.steering_rad, commands.speed_m_s), number == len(pieces) - 1
-        drive(*known, *told, scene.times_s[1], piece.start, scene.every, last, work, *kept)
+        last = number == len(pieces) - 1
+        driven = (*known, commands.steering_rad, commands.speed_m_s, scene.times_s[1], piece.start, scene.every)
+        drive(*driven, last, work, *kept)
 
 
 def _calm_halts(states: FloatArray, pace: FloatArray, radius_m: float) -> None:

@@ -12,17 +12,18 @@ from lunarsci.regolith.soil import Soil
 from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.ground.longji import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
-from lunarsci.twin.plans.plan import Leg, Plan, parse_sweep
+from lunarsci.twin.plans.plan import Fixes, Leg, Plan, parse_sweep
 from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.drive import begin, drive
 from lunarsci.twin.simulation.outcomes import OUTCOMES
 
 GradientTerrain = Callable[..., Terrain]
 TAN_20 = math.tan(math.radians(20.0))
 
 
-def plan_of(*legs: Leg, **changes: float) -> Plan:
-    return Plan(name="test", legs=legs, **({"speed_m_s": 0.05} | changes))
+def plan_of(*legs: Leg, **changes: object) -> Plan:
+    return Plan(name="test", legs=legs, **({"speed_m_s": 0.05} | changes))  # type: ignore[arg-type]
 
 
 def outcome(result: Prediction) -> str:
@@ -134,6 +135,30 @@ def test_a_long_plan_of_short_legs(yutu2: Rover, slope: GradientTerrain) -> None
     halts = plan_of(*(Leg(stop_s=1.0) for _ in range(1000)))
     still = predict(yutu2, slope(), halts, sweep=(), time_step_s=0.2)
     assert outcome(still) == "finished" and abs(still.endpoints_m[0, 0]) < 0.06
+
+
+@pytest.mark.parametrize(("length_m", "legs", "sigma_m"), [(0.005, 300, 0.01), (0.1, 40, 0.05)])
+def test_fixes_worse_than_a_leg_is_long_do_not_whirl_the_rover(
+    yutu2: Rover, slope: GradientTerrain, length_m: float, legs: int, sigma_m: float
+) -> None:
+    plan = plan_of(*(Leg(length_m) for _ in range(legs)), fixes=Fixes(sigma_m, 0.1))
+    result = predict(yutu2, slope(), plan, sweep=(), sample_m=0.05)
+    assert outcome(result) == "finished"
+    # No faster than twice the plan's speed, on a circle no tighter than the rover can drive.
+    rate = np.diff(result.paths[0, :, 5]) / np.diff(result.time_s)
+    assert np.abs(rate).max() < math.degrees(2.0 * 0.05 * yutu2.tightest_curvature_per_m)
+    assert result.miss_m[0] < 5.0 * sigma_m
+
+
+def test_every_kind_of_plan_drives_on_one_machine_code(yutu2: Rover, slope: GradientTerrain) -> None:
+    """A drive compiled anew for another layout of its commands would take 10 s instead of 10 ms."""
+    mixed = (Leg(0.1), Leg(stop_s=1.0), Leg(turn_deg=5.0), Leg(0.1))
+    plans = [plan_of(*legs, **extra) for legs in (mixed, mixed[1:]) for extra in ({}, {"fixes": Fixes(0.01, 0.1)})]
+    predict(yutu2, slope(), plan_of(Leg(0.1)), sweep=())
+    before = len(drive.signatures), len(begin.signatures)
+    for plan in (*plans, plan_of(Leg(stop_s=1.0))):
+        assert outcome(predict(yutu2, slope(), plan, sweep=())) == "finished"
+    assert (len(drive.signatures), len(begin.signatures)) == before
 
 
 def test_sweeps_of_one_value(yutu2: Rover, slope: GradientTerrain) -> None:

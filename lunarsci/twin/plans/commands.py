@@ -69,6 +69,10 @@ def wheel_commands(
 
 
 def held(commands: Commands, slowest_m_s: float) -> Commands:
-    """The commands with no rim slower than a creep."""
-    speed = commands.speed_m_s
-    return Commands(commands.steering_rad, np.copysign(np.maximum(np.abs(speed), slowest_m_s), speed))
+    """The commands with no rim slower than a creep.
+
+    As plain arrays: for each other layout of its arguments numba would compile the drive anew, in 10 s.
+    """
+    speed = np.array(commands.speed_m_s, order="C")
+    slowest = np.copysign(np.maximum(np.abs(speed), slowest_m_s), speed)
+    return Commands(np.array(commands.steering_rad, order="C"), slowest)

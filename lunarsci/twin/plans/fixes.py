@@ -30,8 +30,9 @@ def legs_from(schedule: Schedule, rover: Rover, number: int, work: Any, errors: 
     """The leg of a run as each rover steers it, from its estimated pose to the planned end.
 
     An arc is the one that leaves in the leg's direction of travel and meets the planned end point, no tighter than the
-    rover can drive; a spot turn ends at the planned heading. Either takes the time of the planned leg, so the speed
-    differs as the length does: the errors of the fixes should be small against the legs.
+    rover can drive and at most twice as long as planned; a goal already passed is not driven back to. A spot turn ends
+    at the planned heading. Either takes the time of the planned leg, so the speed differs as the length does: the
+    errors of the fixes should be small against the legs.
 
     Parameters
     ----------
@@ -52,11 +53,13 @@ def legs_from(schedule: Schedule, rover: Rover, number: int, work: Any, errors: 
     travel = heading + math.radians(leg.crab_deg)
     ahead = np.cos(travel) * (goal[0] - x) + np.sin(travel) * (goal[1] - y)
     aside = np.cos(travel) * (goal[1] - y) - np.sin(travel) * (goal[0] - x)
-    chord = np.hypot(ahead, aside)
-    half = np.clip(np.arctan2(aside, ahead), -0.5 * math.pi, 0.5 * math.pi)
+    # The leg has its planned time: what lies further than twice its length, or behind, is left to the next one.
+    chord = np.where(ahead > 0.0, np.hypot(ahead, aside), 0.0)
+    half = np.where(ahead > 0.0, np.arctan2(aside, ahead), 0.0)
     tightest = rover.tightest_curvature_per_m
     curvature = np.clip(2.0 * np.sin(half) / np.maximum(chord, 1e-9), -tightest, tightest)
-    return np.stack([chord / np.sinc(half / math.pi), curvature, np.zeros(LANES)], axis=-1)
+    length = np.minimum(chord / np.sinc(half / math.pi), 2.0 * leg.length_m)
+    return np.stack([length, curvature, np.zeros(LANES)], axis=-1)
 
 
 def _poses(work: Any) -> FloatArray:

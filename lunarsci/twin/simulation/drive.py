@@ -22,7 +22,7 @@ from lunarsci.twin.simulation.lanes import (
     STEER,
     VELOCITY,
 )
-from lunarsci.twin.simulation.outcomes import FINISHED
+from lunarsci.twin.simulation.outcomes import FINISHED, LEFT
 from lunarsci.twin.simulation.settle import settle
 
 __all__ = ["begin", "drive"]
@@ -114,6 +114,8 @@ def drive(
     results : (members, 2) outcome, and number of samples recorded so far.
     """
     members, steps = len(paths), steering.shape[1]
+    # Lanes beyond the members need no ground; what becomes of them is not looked at.
+    work.code[members:] = LEFT
     for i in range(steps + (1 if last else 0)):
         if not (work.code[:members] == FINISHED).any():
             break
