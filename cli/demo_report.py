@@ -16,8 +16,8 @@ from lunarsci.spectra.vnis.export import to_ecsv
 from lunarsci.spectra.vnis.settings import default_settings
 from lunarsci.tables import table_hashes
 from lunarsci.twin.ensemble import Prediction, predict
-from lunarsci.twin.safety import Verdict, judge
-from lunarsci.twin.tables import state_table
+from lunarsci.twin.judgement.safety import Verdict, judge
+from lunarsci.twin.judgement.tables import state_table
 
 from .demo_rock import Studied, finding, rock_findings, rock_pictures
 from .regolith_report import PAPER
@@ -141,7 +141,7 @@ def _pictures(the_rock: Studied, the_drive: Drive, soil: Identification) -> dict
         return picture_bytes(figures, Path(name))
 
     def path() -> bytes:
-        from lunarsci.twin.figure import path_fan
+        from lunarsci.twin.figures.figure import path_fan
 
         return picture("drive.png", [path_fan(the_drive.prediction, the_drive.verdict)])
 

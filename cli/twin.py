@@ -51,7 +51,7 @@ def predict(
     spread of all quantities against distance to profiles.csv.
     """
     if animate is not None:
-        from lunarsci.twin.animation import FORMATS, check_format
+        from lunarsci.twin.figures.animation import FORMATS, check_format
 
         output.check_extra("--animate", animate, FORMATS)
         check_format(animate)

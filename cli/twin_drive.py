@@ -10,7 +10,7 @@ import typer
 from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import read_belief
 from lunarsci.twin.ensemble import Prediction, predict
-from lunarsci.twin.plan import Sweep, parse_sweep
+from lunarsci.twin.plans.plan import Sweep, parse_sweep
 from lunarsci.twin.soil_samples import read_soil_samples
 
 from .twin_report import Scene

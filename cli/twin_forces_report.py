@@ -9,10 +9,10 @@ import numpy as np
 from lunarsci.inputs import read_input
 from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.held import HeldForces, forces_along
-from lunarsci.twin.motion import read_motion
-from lunarsci.twin.outcomes import FINISHED, OUTCOMES
-from lunarsci.twin.tables import held_table, state_table
-from lunarsci.twin.wheel_loads import Spread, WheelLoads, wheel_loads
+from lunarsci.twin.judgement.tables import held_table, state_table
+from lunarsci.twin.judgement.wheel_loads import Spread, WheelLoads, wheel_loads
+from lunarsci.twin.plans.motion import read_motion
+from lunarsci.twin.simulation.outcomes import FINISHED, OUTCOMES
 
 from .report import Report
 from .table import TextTable
@@ -43,8 +43,8 @@ def predicted_report(scene: Scene, prediction: Prediction) -> Report:
     title = f"Wheel forces of {drives}: {scene.plan.name}, on {scene.terrain.name}"
 
     def figures() -> Any:
-        from lunarsci.twin.figure_forces import force_figure
-        from lunarsci.twin.quantities import abscissa
+        from lunarsci.twin.figures.figure_forces import force_figure
+        from lunarsci.twin.judgement.quantities import abscissa
 
         return [force_figure(prediction.rover.wheels, abscissa(prediction), states, title)]
 
@@ -76,7 +76,7 @@ def held_report(scene: Scene, path: str, member: int | None, *, planned: bool) -
         notes.insert(0, _missing_note(missing))
 
     def figures() -> Any:
-        from lunarsci.twin.figure_forces import force_figure
+        from lunarsci.twin.figures.figure_forces import force_figure
 
         axis = (motion.time_s, "Time [s]")
         return [force_figure(scene.rover.wheels, axis, found.states, title, found.missing_n)]

@@ -10,15 +10,15 @@ from lunarsci.provenance import sha256
 from lunarsci.regolith.soil import read_soil, soil_hash
 from lunarsci.rovers.description import RoverDescription, read_rover
 from lunarsci.twin.ensemble import Prediction
-from lunarsci.twin.longji import synthetic_longji
-from lunarsci.twin.plan import Plan, parse_fixes, read_plan
-from lunarsci.twin.profiles import profile_table
+from lunarsci.twin.ground.longji import synthetic_longji
+from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.ground.terrain_files import read_terrain
+from lunarsci.twin.judgement.profiles import profile_table
+from lunarsci.twin.judgement.safety import Judgement, Verdict, judge
+from lunarsci.twin.judgement.sensitivity import EndpointSensitivity, endpoint_sensitivity, step_error_m
+from lunarsci.twin.judgement.tables import endpoint_table, path_table, state_table
+from lunarsci.twin.plans.plan import Plan, parse_fixes, read_plan
 from lunarsci.twin.rover import Rover, build_rover
-from lunarsci.twin.safety import Judgement, Verdict, judge
-from lunarsci.twin.sensitivity import EndpointSensitivity, endpoint_sensitivity, step_error_m
-from lunarsci.twin.tables import endpoint_table, path_table, state_table
-from lunarsci.twin.terrain import Terrain
-from lunarsci.twin.terrain_files import read_terrain
 
 from .progress import progress
 from .report import Report
@@ -99,9 +99,9 @@ def predict_report(scene: Scene, prediction: Prediction, *, film: Path | None = 
 
 
 def _pages(prediction: Prediction, verdict: Verdict) -> "Iterator[Figure]":
-    from lunarsci.twin.figure import path_fan
-    from lunarsci.twin.figure_boxes import box_pages
-    from lunarsci.twin.figure_profiles import profile_page
+    from lunarsci.twin.figures.figure import path_fan
+    from lunarsci.twin.figures.figure_boxes import box_pages
+    from lunarsci.twin.figures.figure_profiles import profile_page
 
     yield path_fan(prediction, verdict)
     yield profile_page(prediction, verdict)
@@ -109,7 +109,7 @@ def _pages(prediction: Prediction, verdict: Verdict) -> "Iterator[Figure]":
 
 
 def _film(prediction: Prediction, verdict: Verdict, target: Path, quiet: bool) -> bytes:
-    from lunarsci.twin.animation import animate
+    from lunarsci.twin.figures.animation import animate
 
     with progress("filming", quiet=quiet) as update:
         return animate(prediction, verdict, target, progress=update)

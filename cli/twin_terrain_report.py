@@ -12,17 +12,17 @@ from lunarsci.inputs import read_input
 from lunarsci.provenance import sha256
 from lunarsci.regolith.soil import read_soil, soil_hash
 from lunarsci.rovers.description import RoverDescription, read_rover
-from lunarsci.twin.hazards import GroundMaps, Traversability, assess, ground_maps, map_scales
-from lunarsci.twin.longji import synthetic_longji
-from lunarsci.twin.map_files import maps_bytes, maps_geotiff
-from lunarsci.twin.mobility import Mobility, read_mobility
-from lunarsci.twin.plan import read_plan
-from lunarsci.twin.plan_files import plan_text
-from lunarsci.twin.planner import PlannedPath, path_table, plan_path
+from lunarsci.twin.ground.hazards import GroundMaps, Traversability, assess, ground_maps, map_scales
+from lunarsci.twin.ground.longji import synthetic_longji
+from lunarsci.twin.ground.map_files import maps_bytes, maps_geotiff
+from lunarsci.twin.ground.mobility import Mobility, read_mobility
+from lunarsci.twin.ground.synthetic import synthetic_terrain
+from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.ground.terrain_files import read_terrain, terrain_bytes
+from lunarsci.twin.plans.plan import read_plan
+from lunarsci.twin.plans.plan_files import plan_text
+from lunarsci.twin.routes.planner import PlannedPath, path_table, plan_path
 from lunarsci.twin.rover import Rover, build_rover
-from lunarsci.twin.synthetic import synthetic_terrain
-from lunarsci.twin.terrain import Terrain
-from lunarsci.twin.terrain_files import read_terrain, terrain_bytes
 
 from .report import Report
 from .table import TextTable
@@ -163,7 +163,7 @@ def terrain_report(site: Site, surface: Traversability, path: PlannedPath | None
         files["path.csv"] = lambda: csv_bytes(path_table(path, surface))
 
     def figures() -> "list[Figure]":
-        from lunarsci.twin.terrain_figure import terrain_maps
+        from lunarsci.twin.figures.terrain_figure import terrain_maps
 
         return [terrain_maps(surface, path)]
 

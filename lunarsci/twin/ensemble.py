@@ -10,16 +10,23 @@ import numpy.typing as npt
 
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import ParameterError
-from lunarsci.twin.commands import Commands
-from lunarsci.twin.contact import DEEPEST, SHALLOWEST
-from lunarsci.twin.drive import begin, drive
-from lunarsci.twin.fixes import fix_errors, legs_from
-from lunarsci.twin.lanes import LANES, Work, new_work
-from lunarsci.twin.outcomes import OUTCOMES
-from lunarsci.twin.plan import Plan, Sweep, check_plan
+from lunarsci.twin.ground.terrain import Terrain, soil_overrides
+from lunarsci.twin.plans.commands import Commands
+from lunarsci.twin.plans.fixes import fix_errors, legs_from
+from lunarsci.twin.plans.plan import Plan, Sweep, check_plan
+from lunarsci.twin.plans.schedule import (
+    Schedule,
+    all_commands,
+    make_schedule,
+    run_commands,
+    start_motion,
+    steps_of_runs,
+)
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.schedule import Schedule, all_commands, make_schedule, run_commands, start_motion, steps_of_runs
-from lunarsci.twin.terrain import Terrain, soil_overrides
+from lunarsci.twin.simulation.contact import DEEPEST, SHALLOWEST
+from lunarsci.twin.simulation.drive import begin, drive
+from lunarsci.twin.simulation.lanes import LANES, Work, new_work
+from lunarsci.twin.simulation.outcomes import OUTCOMES
 
 __all__ = ["PATH_COLUMNS", "STATE_COLUMNS", "Prediction", "member_parameters", "predict"]
 

@@ -1,4 +1,4 @@
-"""The ground a rover covers: a rectangle about its wheels, and what that sweeps along a path."""
+"""The ground a rover covers: a rectangle about its wheels or all of it, and what that sweeps along a path."""
 
 import math
 from dataclasses import dataclass
@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.terrain import Terrain
 
-__all__ = ["Footprint", "nearest_node", "rover_footprint", "swept_nodes"]
+__all__ = ["Footprint", "nearest_node", "rover_footprint", "rover_outline", "swept_nodes"]
 
 FloatArray = npt.NDArray[np.float64]
 BoolMap = npt.NDArray[np.bool_]
@@ -45,8 +45,11 @@ class Footprint:
             0.5 * piece, self.half_width_m
         )
 
-    def distance_m(self, pose: FloatArray, x_m: FloatArray, y_m: FloatArray) -> FloatArray:
-        """Distance of points from the rectangle of a rover at x, y, heading [m, m, rad]; 0 within it. [m]"""
+    def distance_m(self, pose: FloatArray, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> FloatArray:
+        """Distance of points from the rectangle of a rover at x, y, heading; 0 within it. [m]
+
+        Poses (..., 3) [m, m, rad]; their leading axes and those of the points broadcast together.
+        """
         u, v = self._own(pose, x_m, y_m)
         beside = np.maximum(np.abs(v) - self.half_width_m, 0.0)
         return np.asarray(np.hypot(np.maximum(np.maximum(self.rear_m - u, u - self.front_m), 0.0), beside))
@@ -59,20 +62,30 @@ class Footprint:
         return np.column_stack([pose[0] + cos * u - sin * v, pose[1] + sin * u + cos * v])
 
     @staticmethod
-    def _own(pose: FloatArray, x_m: FloatArray, y_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        cos, sin = math.cos(pose[2]), math.sin(pose[2])
-        dx, dy = x_m - pose[0], y_m - pose[1]
+    def _own(pose: FloatArray, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+        cos, sin = np.cos(pose[..., 2]), np.sin(pose[..., 2])
+        dx, dy = np.asarray(x_m) - pose[..., 0], np.asarray(y_m) - pose[..., 1]
         return cos * dx + sin * dy, cos * dy - sin * dx
 
 
 def rover_footprint(rover: Rover) -> Footprint:
-    """The rectangle about the wheels as they stand when nothing is steered."""
+    """The rectangle about the wheels as they stand when nothing is steered: what needs ground to drive on."""
     wheels, wheel = rover.wheel_positions_m, rover.wheel
     return Footprint(
         rear_m=float(wheels[:, 0].min()) - wheel.radius_m,
         front_m=float(wheels[:, 0].max()) + wheel.radius_m,
         half_width_m=float(np.abs(wheels[:, 1]).max()) + 0.5 * wheel.width_m,
     )
+
+
+def rover_outline(rover: Rover) -> Footprint:
+    """The rectangle about the wheels with their lugs, as they stand when nothing is steered, and the body."""
+    wheels, lug = rover_footprint(rover), rover.wheel.grouser_height_m
+    rear, front, side = wheels.rear_m - lug, wheels.front_m + lug, wheels.half_width_m
+    if rover.body is not None:
+        center, half = rover.body.center_x_m, 0.5 * rover.body.length_m
+        rear, front, side = min(rear, center - half), max(front, center + half), max(side, 0.5 * rover.body.width_m)
+    return Footprint(rear_m=rear, front_m=front, half_width_m=side)
 
 
 def swept_nodes(footprint: Footprint, terrain: Terrain, poses: FloatArray) -> BoolMap:

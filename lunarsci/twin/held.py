@@ -8,14 +8,14 @@ import numpy.typing as npt
 
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import ParameterError
-from lunarsci.twin.contact import HELD
-from lunarsci.twin.drive import record, take_commands
-from lunarsci.twin.lanes import LANES, POSE, new_work
-from lunarsci.twin.motion import Motion
-from lunarsci.twin.outcomes import FINISHED
+from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.settle import balance, settle
-from lunarsci.twin.terrain import Terrain
+from lunarsci.twin.simulation.contact import HELD
+from lunarsci.twin.simulation.drive import record, take_commands
+from lunarsci.twin.simulation.lanes import LANES, POSE, new_work
+from lunarsci.twin.simulation.outcomes import FINISHED
+from lunarsci.twin.simulation.settle import balance, settle
 
 __all__ = ["HeldForces", "forces_along"]
 
@@ -92,7 +92,8 @@ def forces_along(rover: Rover, terrain: Terrain, motion: Motion) -> HeldForces:
     each_in_threads(rest, len(groups))
     moving = _velocities(motion.time_s, poses)
     alone = ~np.isfinite(moving).all(axis=1)
-    outcome[alone] = np.max([np.roll(outcome, k) for k in (-1, 0, 1)], axis=0)[alone]
+    beside = np.maximum(np.append(outcome[1:], FINISHED), np.append(FINISHED, outcome[:-1]))
+    outcome[:] = np.where(alone & (outcome == FINISHED), beside, outcome)
     velocities[~alone] = moving[~alone]
     each_in_threads(carry, len(groups))
     return _results(rover, terrain, motion, (paths, states, left), outcome)

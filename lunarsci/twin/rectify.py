@@ -19,9 +19,9 @@ from lunarsci.regolith.joint_sampler import carry_population
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.twin.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
-from lunarsci.twin.plan import Plan
+from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.terrain import Terrain
 
 __all__ = ["MODEL_ERRORS", "Rectified", "rectify"]
 

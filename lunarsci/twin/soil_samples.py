@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import DataError
-from lunarsci.twin.terrain import SOIL_COLUMNS, soil_override
+from lunarsci.twin.ground.terrain import SOIL_COLUMNS, soil_override
 
 __all__ = ["read_soil_samples"]
 

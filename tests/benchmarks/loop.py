@@ -18,11 +18,11 @@ from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.regolith.states import MeasurementErrors
 from lunarsci.twin.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
-from lunarsci.twin.longji import synthetic_longji
-from lunarsci.twin.plan import Leg, Plan, read_plan
+from lunarsci.twin.ground.longji import synthetic_longji
+from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.plans.plan import Leg, Plan, read_plan
 from lunarsci.twin.rectify import rectify
 from lunarsci.twin.rover import Rover, build_rover
-from lunarsci.twin.terrain import Terrain
 
 ERRORS = MeasurementErrors(sinkage_m=0.00033, force_relative=0.10 / 3, travel_relative=0.04, side_slip_relative=0.04)
 POSITION_SHARE = 0.04 / 3

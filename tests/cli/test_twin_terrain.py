@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lunarsci.twin.longji import synthetic_longji
-from lunarsci.twin.plan import read_plan
+from lunarsci.twin.ground.longji import synthetic_longji
+from lunarsci.twin.plans.plan import read_plan
 
 Run = Callable[..., Any]
 TERRAIN = ("twin", "terrain")

@@ -5,9 +5,9 @@ import pytest
 
 from lunarsci.regolith.soil import Soil, read_soil
 from lunarsci.twin.ensemble import Prediction, predict
-from lunarsci.twin.plan import Leg, Plan, parse_sweep
+from lunarsci.twin.ground.terrain import Terrain, build_terrain
+from lunarsci.twin.plans.plan import Leg, Plan, parse_sweep
 from lunarsci.twin.rover import Rover, build_rover
-from lunarsci.twin.terrain import Terrain, build_terrain
 
 
 @pytest.fixture(scope="session")

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import ParameterError
-from lunarsci.twin.endpoint import covering_circle
 from lunarsci.twin.ensemble import PATH_COLUMNS, Prediction, member_parameters, predict
-from lunarsci.twin.figure import path_fan
-from lunarsci.twin.longji import synthetic_longji
-from lunarsci.twin.plan import Limit, parse_sweep, read_plan
-from lunarsci.twin.quantities import tilt_deg
+from lunarsci.twin.figures.figure import path_fan
+from lunarsci.twin.ground.longji import synthetic_longji
+from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.judgement.endpoint import covering_circle
+from lunarsci.twin.judgement.quantities import tilt_deg
+from lunarsci.twin.judgement.safety import extremes, judge
+from lunarsci.twin.judgement.tables import endpoint_table, path_table, state_table
+from lunarsci.twin.plans.plan import Limit, parse_sweep, read_plan
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.safety import extremes, judge
-from lunarsci.twin.tables import endpoint_table, path_table, state_table
-from lunarsci.twin.terrain import Terrain
 
 SWEEP = tuple(map(parse_sweep, ("friction_angle_deg=25:55:3", "lateral_modulus_mm=15:45:2")))
 

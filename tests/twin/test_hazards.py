@@ -9,11 +9,11 @@ import pytest
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.regolith.soil import Soil
 from lunarsci.rovers.description import read_rover
-from lunarsci.twin.hazards import TILE, assess, ground_maps, map_scales, travel_cost
-from lunarsci.twin.longji import synthetic_longji
-from lunarsci.twin.mobility import Mobility, read_mobility
+from lunarsci.twin.ground.hazards import TILE, assess, ground_maps, map_scales, travel_cost
+from lunarsci.twin.ground.longji import synthetic_longji
+from lunarsci.twin.ground.mobility import Mobility, read_mobility
+from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.rover import Rover, build_rover
-from lunarsci.twin.terrain import Terrain, build_terrain
 
 SPACING = 0.05
 LIMITS = Mobility(max_slope_deg=20.0, max_step_m=0.2, min_turning_radius_m=1.5, hazard_distance_m=0.2)

@@ -9,13 +9,13 @@ import pytest
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
+from lunarsci.twin.ground.longji import synthetic_longji
 from lunarsci.twin.held import HeldForces, forces_along
-from lunarsci.twin.longji import synthetic_longji
-from lunarsci.twin.motion import Motion, read_motion
-from lunarsci.twin.outcomes import OUTCOMES
-from lunarsci.twin.plan import Leg, Plan
+from lunarsci.twin.plans.motion import Motion, read_motion
+from lunarsci.twin.plans.plan import Leg, Plan
+from lunarsci.twin.plans.schedule import commands_at, make_schedule
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.schedule import commands_at, make_schedule
+from lunarsci.twin.simulation.outcomes import OUTCOMES
 
 PLAN = Plan(name="test", legs=(Leg(2.0, 0.15), Leg(2.0, -0.1)), speed_m_s=0.05)
 
@@ -84,6 +84,25 @@ def test_on_a_slope_what_is_missing_is_the_weight_that_the_wheels_do_not_hold(yu
     assert abs(found.missing_nm[5]) < 0.5
 
 
+def test_a_rover_towed_up_a_slope_needs_what_weight_and_soil_take(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
+    """It rolls without slip, so its wheels only resist; a horizontal force H ahead holds it. Newton along the slope and
+    across it: H cos a + sum F_DP = W sin a, sum F_N = W cos a + H sin a."""
+    gradient = 0.2
+    angle = math.atan(gradient)
+    time = np.arange(0.0, 40.0, 2.0)
+    zeros = np.zeros((len(time), 6))
+    rims = zeros + 0.05 / math.cos(angle)
+    motion = Motion(time_s=time, x_m=0.05 * time, y_m=0 * time, yaw_deg=0 * time, steering_deg=zeros, speed_m_s=rims)
+    found = forces_along(yutu2, slope(gradient), motion)
+    weight = yutu2.mass_kg * yutu2.gravity_m_s2
+    assert np.abs(column(found.states, "slip_ratio")[1:-1]).max() < 1e-6
+    load, pull = (column(found.states, name)[5].sum() for name in ("normal_force_n", "drawbar_pull_n"))
+    ahead, aside = found.missing_n[5]
+    assert pull < 0.0 < ahead and aside == pytest.approx(0.0, abs=1e-6)
+    assert ahead * math.cos(angle) + pull == pytest.approx(weight * math.sin(angle), rel=1e-6)
+    assert load == pytest.approx(weight * math.cos(angle) + ahead * math.sin(angle), rel=1e-6)
+
+
 def test_weight_moves_to_the_rear_wheels_on_a_climb(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
     """Moments about the line of wheel centres, where F_DP acts: the weight above it, and the soil's torques M_R."""
     gradient = 0.15
@@ -114,8 +133,20 @@ def test_poses_in_a_hole_and_beside_it_say_so(yutu2: Rover, slope) -> None:  # t
     assert np.isfinite(found.states[found.outcome == 0]).all()
 
 
+def test_a_pose_keeps_its_own_reason_beside_one_with_another(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
+    ground = slope()
+    ground.height_m[:, 20:22] = np.nan
+    x, zeros = np.array([0.0, 0.5, 3.1, 100.0, 100.5]), np.zeros((5, 6))
+    time = np.arange(5.0)
+    motion = Motion(time_s=time, x_m=x, y_m=0 * x, yaw_deg=0 * x, steering_deg=zeros, speed_m_s=zeros + 0.05)
+    found = forces_along(yutu2, ground, motion)
+    reasons = [OUTCOMES[code].split(":")[0] for code in found.outcome]
+    assert reasons[2:] == ["hole in the terrain", "left the terrain", "left the terrain"]
+    assert reasons[0] == "finished"
+
+
 def test_a_motion_comes_from_the_tables_of_a_prediction(tmp_path: Path, yutu2: Rover, driven) -> None:  # type: ignore[no-untyped-def]
-    from lunarsci.twin.tables import path_table
+    from lunarsci.twin.judgement.tables import path_table
 
     result, _ = driven
     path = tmp_path / "paths.csv"

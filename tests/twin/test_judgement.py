@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction
-from lunarsci.twin.outcomes import HOLE, LEFT
-from lunarsci.twin.plan import Limit
-from lunarsci.twin.safety import judge
-from lunarsci.twin.validity import validity
+from lunarsci.twin.judgement.safety import judge
+from lunarsci.twin.judgement.validity import validity
+from lunarsci.twin.plans.plan import Limit
+from lunarsci.twin.simulation.outcomes import HOLE, LEFT
 
 SINKAGE, SLIP, VALID = (STATE_COLUMNS.index(name) for name in ("sinkage_m", "slip_ratio", "valid"))
 

@@ -14,12 +14,12 @@ import pytest
 
 from lunarsci.regolith.forces import wheel_forces_kernel
 from lunarsci.regolith.soil import Soil
-from lunarsci.twin.commands import reach_m, wheel_commands
-from lunarsci.twin.contact import NORMAL_DAMPING
 from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
-from lunarsci.twin.plan import Leg, Plan
+from lunarsci.twin.ground.terrain import Terrain, build_terrain
+from lunarsci.twin.plans.commands import reach_m, wheel_commands
+from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover, build_rover
-from lunarsci.twin.terrain import Terrain, build_terrain
+from lunarsci.twin.simulation.contact import NORMAL_DAMPING
 
 mujoco = pytest.importorskip("mujoco")
 

@@ -9,10 +9,10 @@ import pytest
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.rovers.description import RoverDescription, read_rover
-from lunarsci.twin.path import curvature_at
-from lunarsci.twin.plan import Leg, check_plan, parse_sweep, read_plan
+from lunarsci.twin.plans.path import curvature_at
+from lunarsci.twin.plans.plan import Leg, check_plan, parse_sweep, read_plan
+from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import Rover, build_rover
-from lunarsci.twin.schedule import make_schedule
 
 
 def test_the_embedded_plan_is_the_published_one() -> None:

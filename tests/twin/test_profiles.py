@@ -8,14 +8,14 @@ import pytest
 
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ensemble import Prediction
-from lunarsci.twin.figure import path_fan
-from lunarsci.twin.figure_boxes import box_pages, grouped
-from lunarsci.twin.figure_profiles import profile_page
-from lunarsci.twin.plan import KeepOut, Limit
-from lunarsci.twin.profiles import profile_table
-from lunarsci.twin.quantities import abscissa, along
-from lunarsci.twin.safety import judge
-from lunarsci.twin.tables import path_table, state_table
+from lunarsci.twin.figures.figure import path_fan
+from lunarsci.twin.figures.figure_boxes import box_pages, grouped
+from lunarsci.twin.figures.figure_profiles import profile_page
+from lunarsci.twin.judgement.profiles import profile_table
+from lunarsci.twin.judgement.quantities import abscissa, along
+from lunarsci.twin.judgement.safety import judge
+from lunarsci.twin.judgement.tables import path_table, state_table
+from lunarsci.twin.plans.plan import KeepOut, Limit
 
 
 @pytest.fixture(scope="module")

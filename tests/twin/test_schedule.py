@@ -6,11 +6,11 @@ import math
 import numpy as np
 import pytest
 
-from lunarsci.twin.commands import CREEP, wheel_commands
 from lunarsci.twin.ensemble import STATE_COLUMNS, predict
-from lunarsci.twin.plan import Fixes, Leg, Plan
+from lunarsci.twin.plans.commands import CREEP, wheel_commands
+from lunarsci.twin.plans.plan import Fixes, Leg, Plan
+from lunarsci.twin.plans.schedule import EASE_S, STEERING_RAD_S, all_commands, make_schedule, run_commands, start_motion
 from lunarsci.twin.rover import Rover, build_rover
-from lunarsci.twin.schedule import EASE_S, make_schedule, run_commands
 
 
 def plan_of(*legs: Leg, **changes: object) -> Plan:
@@ -154,7 +154,7 @@ def test_position_fixes_take_the_rover_back_to_its_plan(yutu2: Rover, longji_soi
 
 
 def test_errors_of_the_fixes_scatter_the_ends_and_follow_the_seed(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
-    from lunarsci.twin.plan import Sweep
+    from lunarsci.twin.plans.plan import Sweep
 
     plan = plan_of(Leg(1.0), Leg(2.0), fixes=Fixes(0.1, 0.0), speed_m_s=0.055)
     sweep = (Sweep("cohesion_pa", 520.0, 520.001, 33),)
@@ -163,3 +163,20 @@ def test_errors_of_the_fixes_scatter_the_ends_and_follow_the_seed(yutu2: Rover, 
     # A fix that is off by e puts the end off by -e, whatever the direction; 33 of them, each of sigma 0.1 m.
     off = one.endpoints_m - one.endpoints_m.mean(axis=0)
     assert off[:, 0].std() == pytest.approx(0.1, rel=0.35) and off[:, 1].std() == pytest.approx(0.1, rel=0.35)
+
+
+def test_after_a_stop_at_the_start_the_wheels_take_their_time_to_steer(yutu2: Rover) -> None:
+    schedule = make_schedule(plan_of(Leg(stop_s=5.0), Leg(turn_deg=90.0)), yutu2)
+    times = np.linspace(0.0, schedule.duration_s, 4001)
+    angle = all_commands(yutu2, schedule, times).steering_rad[0]
+    assert np.abs(angle[-1]).max() > 0.5
+    assert np.abs(np.diff(angle, axis=0)).max() <= 1.01 * STEERING_RAD_S * times[1]
+
+
+def test_a_drive_begins_with_the_wheels_that_do_not_steer_rolling_straight_on(yutu2: Rover) -> None:
+    """The turning centre lies beside the middle wheels, here 0.1 m behind the origin: v_y = turn x there must be 0."""
+    rover = dataclasses.replace(yutu2, middle_wheel_m=(0.15, 0.0, -0.08))
+    ahead, left, turn = start_motion(make_schedule(plan_of(Leg(2.0, 0.4)), rover), rover)
+    middle = rover.wheel_positions_m[2, 0]
+    assert middle == pytest.approx(-0.1) and turn == pytest.approx(0.4 * 0.05)
+    assert (ahead, left + turn * middle) == pytest.approx((0.05, 0.0), abs=1e-15)

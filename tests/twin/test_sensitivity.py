@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from lunarsci.twin.ensemble import predict
-from lunarsci.twin.longji import synthetic_longji
-from lunarsci.twin.plan import parse_sweep, read_plan
+from lunarsci.twin.ground.longji import synthetic_longji
+from lunarsci.twin.judgement.sensitivity import endpoint_sensitivity, step_error_m
+from lunarsci.twin.plans.plan import parse_sweep, read_plan
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.sensitivity import endpoint_sensitivity, step_error_m
 
 SWEEP = (parse_sweep("friction_angle_deg=25:55:5"), parse_sweep("lateral_modulus_mm=15:45:5"))
 

@@ -6,11 +6,11 @@ import math
 import numpy as np
 import pytest
 
-from lunarsci.twin.lanes import LANES, NORMAL, RIM, new_work
-from lunarsci.twin.outcomes import CLIFF, FINISHED, HOLE, LEFT, SANK, UNSETTLED
+from lunarsci.twin.ground.terrain import Terrain, soil_override
 from lunarsci.twin.rover import Rover, build_rover
-from lunarsci.twin.settle import settle
-from lunarsci.twin.terrain import Terrain, soil_override
+from lunarsci.twin.simulation.lanes import LANES, NORMAL, RIM, new_work
+from lunarsci.twin.simulation.outcomes import CLIFF, FINISHED, HOLE, LEFT, SANK, UNSETTLED
+from lunarsci.twin.simulation.settle import settle
 
 
 def loads(rover: Rover, terrain: Terrain, heading: float = 0.0, at: tuple[float, float] = (0.0, 0.0), **soil: float):  # type: ignore[no-untyped-def]

@@ -7,7 +7,7 @@ import pytest
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.twin.ensemble import predict
-from lunarsci.twin.plan import Sweep
+from lunarsci.twin.plans.plan import Sweep
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.soil_samples import read_soil_samples
 

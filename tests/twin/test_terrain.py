@@ -11,13 +11,8 @@ from scipy.interpolate import CubicHermiteSpline
 
 from lunarsci.errors import DataError, OutputError, ParameterError
 from lunarsci.regolith.soil import Soil
-from lunarsci.twin.lanes import CENTER, GROUND, LANES, SOIL, new_work
-from lunarsci.twin.longji import CRATERS, crater_height, synthetic_longji
-from lunarsci.twin.outcomes import FINISHED, HOLE, LEFT
-from lunarsci.twin.plan import read_plan
-from lunarsci.twin.rover import build_rover
-from lunarsci.twin.schedule import make_schedule
-from lunarsci.twin.terrain import (
+from lunarsci.twin.ground.longji import CRATERS, crater_height, synthetic_longji
+from lunarsci.twin.ground.terrain import (
     Grid,
     Terrain,
     build_terrain,
@@ -25,7 +20,12 @@ from lunarsci.twin.terrain import (
     read_ground,
     soil_override,
 )
-from lunarsci.twin.terrain_files import read_terrain, write_terrain
+from lunarsci.twin.ground.terrain_files import read_terrain, write_terrain
+from lunarsci.twin.plans.plan import read_plan
+from lunarsci.twin.plans.schedule import make_schedule
+from lunarsci.twin.rover import build_rover
+from lunarsci.twin.simulation.lanes import CENTER, GROUND, LANES, SOIL, new_work
+from lunarsci.twin.simulation.outcomes import FINISHED, HOLE, LEFT
 
 NOTHING = np.full(8, np.nan)
 

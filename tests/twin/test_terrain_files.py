@@ -7,7 +7,7 @@ import pytest
 
 from lunarsci.errors import DataError
 from lunarsci.regolith.soil import Soil
-from lunarsci.twin.terrain_files import read_terrain
+from lunarsci.twin.ground.terrain_files import read_terrain
 
 HEIGHT = np.arange(20.0).reshape(4, 5) ** 1.5 / 10
 """Row 0 is the southernmost."""

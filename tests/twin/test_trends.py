@@ -1,10 +1,12 @@
 """What physics demands of slip, side slip and sinkage as soil and slope change."""
 
+import math
+
 import numpy as np
 import pytest
 
 from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
-from lunarsci.twin.plan import parse_sweep
+from lunarsci.twin.plans.plan import parse_sweep
 
 
 def steady(prediction: Prediction, name: str) -> np.ndarray:
@@ -44,3 +46,20 @@ def test_sinkage_falls_with_stiffness_as_the_pressure_law_says(yutu2, slope, str
     sinkage = steady(predict(yutu2, slope(), straight(2.0), sweep=sweep), "sinkage_m")
     assert (np.diff(sinkage) < 0).all()
     assert sinkage[0] / sinkage[-1] == pytest.approx(4.0, rel=0.05)
+
+
+def test_a_climb_at_large_slip_balances_and_its_end_settles_with_the_step(yutu2, slope, straight) -> None:  # type: ignore[no-untyped-def]
+    """Where the step damps the slip most its steady state is still Newton's: sum F_DP = W sin a, sum F_N = W cos a."""
+    angle = math.radians(24.0)
+    runs = [
+        predict(yutu2, slope(math.tan(angle)), straight(1.0), sweep=(), time_step_s=step) for step in (0.1, 0.05, 0.025)
+    ]
+    weight = yutu2.mass_kg * yutu2.gravity_m_s2
+    slips = [steady(run, "slip_ratio")[0] for run in runs]
+    assert slips[0] > 0.4 and slips == pytest.approx(3 * [slips[0]], rel=1e-6)
+    for run in runs:
+        assert 6 * steady(run, "drawbar_pull_n")[0] == pytest.approx(weight * math.sin(angle), rel=1e-6)
+        assert 6 * steady(run, "normal_force_n")[0] == pytest.approx(weight * math.cos(angle), rel=1e-6)
+    coarse, middle, fine = (run.endpoints_m[0, 0] for run in runs)
+    assert (coarse - middle) / (middle - fine) == pytest.approx(2.0, abs=0.2), "an error of first order"
+    assert abs(coarse - fine) < 0.003

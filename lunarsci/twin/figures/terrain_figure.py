@@ -1,0 +1,182 @@
+"""The picture of a terrain as a rover meets it: relief, slope, roughness and steps, and where it may drive."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.twin.ground.hazards import Traversability
+from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.plans.path import planned_pose
+from lunarsci.twin.routes.planner import PlannedPath
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["terrain_maps"]
+
+FloatArray = npt.NDArray[np.float64]
+INK, PATH, HAZARD, UNKNOWN, GOLD = "#26323a", "#e6550d", "#b2182b", "#c9c9c9", "#f4c430"
+MOST_NODES = 900
+"""Nodes drawn along each side at most; beyond that every second, third ... one."""
+CONTOURS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+
+
+def terrain_maps(surface: Traversability, path: PlannedPath | None = None) -> "Figure":
+    """Four maps with one scale: relief with contours, slope, steps with roughness as contours, and traversability.
+
+    The path of the rover's origin is drawn on each, the ground that its footprint sweeps on the first and the last.
+    """
+    from matplotlib.figure import Figure
+
+    terrain = surface.terrain
+    wide = np.ptp(terrain.x_m) / np.ptp(terrain.y_m)
+    height = float(np.clip(10.2 / wide + 0.9, 6.0, 14.0))
+    figure = Figure(figsize=(12.6, height), dpi=130, layout="constrained", facecolor="white")
+    axes: Any = figure.subplots(2, 2, sharex=True, sharey=True)
+    step = max(1, -(-max(terrain.height_m.shape) // MOST_NODES))
+    every = (slice(None, None, step), slice(None, None, step))
+    _draw_relief(axes[0, 0], terrain, every)
+    _draw_slope(axes[0, 1], surface, every)
+    _draw_steps(axes[1, 0], surface, every)
+    _draw_traversability(axes[1, 1], surface, every)
+    for number, panel in enumerate(axes.flat):
+        panel.set_aspect("equal")
+        panel.label_outer()
+        panel.set_xlabel("x [m]" if number > 1 else "")
+        panel.set_ylabel("" if number % 2 else "y [m]")
+        if path is not None:
+            _draw_path(panel, path, terrain, outline=number in (0, 3))
+    if path is not None:
+        axes[0, 0].legend(loc="upper left", fontsize=8, framealpha=0.9, ncols=3)
+    figure.suptitle(_title(surface, path), fontsize=12, color=INK)
+    return figure
+
+
+def _title(surface: Traversability, path: PlannedPath | None) -> str:
+    ground = surface.terrain.name
+    if surface.terrain.synthetic and "synthetic" not in ground:
+        ground = f"{ground} (synthetic)"
+    if path is None:
+        return ground
+    return (
+        f"{ground}   ·   path of {path.plan.length_m:.2f} m, nearest hazard {path.min_hazard_distance_m:.2f} m, "
+        f"slope up to {path.max_slope_deg:.1f} deg"
+    )
+
+
+def _extent(terrain: Terrain) -> tuple[float, float, float, float]:
+    half = 0.5 * terrain.spacing_m
+    return (
+        float(terrain.x_m[0]) - half,
+        float(terrain.x_m[-1]) + half,
+        float(terrain.y_m[0]) - half,
+        float(terrain.y_m[-1]) + half,
+    )
+
+
+def _draw_relief(axes: "Axes", terrain: Terrain, every: tuple[slice, slice]) -> None:
+    """Shaded relief, light from the upper left, with contours."""
+    from matplotlib.colors import LightSource
+
+    height = np.ma.masked_invalid(terrain.height_m[every])
+    spacing = terrain.spacing_m * (every[0].step or 1)
+    # Matplotlib takes the first row for the north one.
+    shade = LightSource(315, 35).hillshade(height.filled(float(height.mean()))[::-1], 4.0, spacing, spacing)[::-1]
+    shade = np.ma.masked_array(shade, mask=np.ma.getmaskarray(height))
+    axes.set_facecolor(UNKNOWN)
+    drawn: Any = {"extent": _extent(terrain), "origin": "lower"}
+    axes.imshow(shade, cmap="gray", vmin=-0.35, vmax=1.05, **drawn)
+    _bar(axes, axes.imshow(height, cmap="cividis", alpha=0.3, **drawn), "Height [m]", extend="neither")
+    span = float(height.max() - height.min())
+    interval = next((value for value in CONTOURS if span / value <= 24), CONTOURS[-1])
+    levels = np.arange(np.floor(float(height.min()) / interval), float(height.max()) / interval + 1) * interval
+    if len(levels) > 2:
+        style: Any = {"colors": INK, "linewidths": 0.5, "alpha": 0.6, "linestyles": "solid"}
+        lines = axes.contour(terrain.x_m[every[1]], terrain.y_m[every[0]], height, levels=levels, **style)
+        axes.clabel(lines, np.asarray(lines.levels)[::4], fontsize=6, fmt="%g")
+    axes.set_title(f"Relief, contours every {interval:g} m", fontsize=10)
+
+
+def _draw_map(
+    axes: "Axes", surface: Traversability, values: npt.NDArray[np.float32], every: tuple[slice, slice], color_map: str,
+    top: float,
+) -> Any:  # fmt: skip
+    axes.set_facecolor(UNKNOWN)
+    shown = np.ma.masked_invalid(values[every])
+    extent = _extent(surface.terrain)
+    return axes.imshow(
+        shown, extent=extent, origin="lower", cmap=color_map, vmin=0.0, vmax=top, interpolation="nearest"
+    )
+
+
+def _top(values: npt.NDArray[np.float32], limit: float | None) -> float:
+    """Upper end of a colour scale: the 99.5th percentile, or the limit where that is within twice of it."""
+    known = values[~np.isnan(values)]
+    top = float(np.percentile(known, 99.5)) if known.size else 1.0
+    if limit is not None and 0.5 * limit < top:
+        return limit
+    return max(top, 1e-6)
+
+
+def _bar(axes: "Axes", image: Any, label: str, extend: str = "max") -> Any:
+    figure: Any = axes.figure
+    bar = figure.colorbar(image, ax=axes, fraction=0.046, pad=0.01, extend=extend)
+    bar.set_label(label, fontsize=9)
+    bar.ax.tick_params(labelsize=8)
+    return bar
+
+
+def _draw_slope(axes: "Axes", surface: Traversability, every: tuple[slice, slice]) -> None:
+    maps, limit = surface.maps, surface.mobility.max_slope_deg
+    image = _draw_map(axes, surface, maps.slope_deg, every, "viridis", _top(maps.slope_deg, limit))
+    _bar(axes, image, "Slope [deg]")
+    side = f"{maps.baseline_m:g} m x {maps.baseline_m:g} m"
+    axes.set_title(f"Slope of the plane through {side}; limit {limit:g} deg", fontsize=10)
+
+
+def _draw_steps(axes: "Axes", surface: Traversability, every: tuple[slice, slice]) -> None:
+    """Steps in colour, roughness as a few contours."""
+    maps, limit, terrain = surface.maps, surface.mobility.max_step_m, surface.terrain
+    image = _draw_map(axes, surface, maps.step_m, every, "magma", _top(maps.step_m, limit))
+    _bar(axes, image, f"Step within {maps.wheel_window_m:g} m [m]")
+    known = maps.roughness_m[~np.isnan(maps.roughness_m)]
+    levels = np.unique(np.percentile(known, (90, 97))) if known.size else np.empty(0)
+    if levels.size and float(levels[0]) > 0:
+        rough = np.ma.masked_invalid(maps.roughness_m[every])
+        x, y = terrain.x_m[every[1]], terrain.y_m[every[0]]
+        lines = axes.contour(x, y, rough, levels=levels, colors="white", linewidths=(0.5, 1.0))
+        axes.clabel(lines, fontsize=6, fmt=lambda value: f"{1e3 * value:.2g} mm")
+    axes.set_title(f"Steps, limit {limit:g} m; white: roughness (rms)", fontsize=10)
+
+
+def _draw_traversability(axes: "Axes", surface: Traversability, every: tuple[slice, slice]) -> None:
+    from matplotlib import colormaps
+
+    color_map = colormaps["cividis"].with_extremes(over=HAZARD, bad=UNKNOWN)
+    axes.set_facecolor(UNKNOWN)
+    image = axes.imshow(
+        np.ma.masked_invalid(surface.demand[every]), extent=_extent(surface.terrain), origin="lower", cmap=color_map,
+        vmin=0.0, vmax=1.0, interpolation="nearest",
+    )  # fmt: skip
+    _bar(axes, image, "Largest share of a limit [-]")
+    share = float((~surface.hazard & ~surface.unknown).mean())
+    axes.set_title(f"May be driven on: {share:.1%}; red: hazard, grey: unknown", fontsize=10)
+
+
+def _draw_path(axes: "Axes", path: PlannedPath, terrain: Terrain, *, outline: bool) -> None:
+    from matplotlib.patches import Polygon
+
+    poses = planned_pose(path.plan, np.linspace(0.0, path.plan.length_m, 400))
+    axes.plot(poses[:, 0], poses[:, 1], color="white", linewidth=2.8, zorder=4)
+    axes.plot(poses[:, 0], poses[:, 1], color=PATH, linewidth=1.5, zorder=5, label="path")
+    axes.plot(poses[0, 0], poses[0, 1], "o", color="white", markeredgecolor=INK, markersize=6, zorder=6, label="start")
+    axes.plot(*path.target_m, "*", color=GOLD, markeredgecolor=INK, markersize=13, zorder=6, label="target")
+    if not outline:
+        return
+    swept = path.swept.astype(float)
+    axes.contour(terrain.x_m, terrain.y_m, swept, levels=[0.5], colors=PATH, linewidths=0.9, linestyles="--", zorder=4)
+    for pose in (poses[0], poses[-1]):
+        corners = path.footprint.corners_m(pose)
+        axes.add_patch(Polygon(corners, fill=False, edgecolor="white", linewidth=1.3, zorder=5))

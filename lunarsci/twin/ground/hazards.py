@@ -1,0 +1,231 @@
+"""Maps of a terrain as a rover meets it: slope, roughness and step height, and where it may drive."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.errors import ParameterError
+from lunarsci.twin.ground.mobility import Mobility
+from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.rover import Rover
+
+__all__ = ["COST_CAP", "GroundMaps", "Traversability", "assess", "ground_maps", "map_scales", "travel_cost"]
+
+FloatArray = npt.NDArray[np.float64]
+FloatMap = npt.NDArray[np.float32]
+BoolMap = npt.NDArray[np.bool_]
+TILE = 512
+COST_CAP = 100.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class GroundMaps:
+    """What the ground asks of a rover, at every node; NaN where a hole or the edge lies within the window.
+
+    Attributes
+    ----------
+    slope_deg : tilt of the plane fitted by least squares to the square footprint about the node. (ny, nx) [deg]
+    roughness_m : rms of the residual about that plane. (ny, nx) [m]
+    step_m : largest difference of heights in a square as wide as a wheel is high. (ny, nx) [m]
+    baseline_m : side of the footprint on this grid, the nearest even number of spacings. [m]
+    wheel_window_m : side of the square of the step. [m]
+    """
+
+    slope_deg: FloatMap
+    roughness_m: FloatMap
+    step_m: FloatMap
+    baseline_m: float
+    wheel_window_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Traversability:
+    """Where a rover may drive.
+
+    Attributes
+    ----------
+    terrain, maps, mobility : what was compared with what.
+    demand : largest share of a limit that slope, step or roughness take up, above 1 in hazards; NaN unknown. (ny, nx)
+    """
+
+    terrain: Terrain
+    maps: GroundMaps
+    mobility: Mobility
+    demand: FloatMap
+
+    @property
+    def hazard(self) -> BoolMap:
+        """Some limit is exceeded. (ny, nx)"""
+        return np.asarray(self.demand > 1)
+
+    @property
+    def unknown(self) -> BoolMap:
+        """A hole or the edge of the map is too near to say. (ny, nx)"""
+        return np.isnan(self.demand)
+
+    def reason(self, row: int, column: int) -> str:
+        """What keeps a rover off a node, in words; empty where nothing does."""
+        at = f"at x {self.terrain.x_m[column]:.2f} m, y {self.terrain.y_m[row]:.2f} m"
+        if math.isnan(self.terrain.height_m[row, column]):
+            return f"the height is unknown {at}"
+        found = []
+        for name, value, limit, unit in self._limited():
+            if value[row, column] > limit:
+                found.append(f"the {name} is {value[row, column]:.4g} {unit}, above {limit:g} {unit}, {at}")
+        if not found and self.unknown[row, column]:
+            return f"a hole or the edge of the map is too near {at}"
+        return "; ".join(found)
+
+    def _limited(self) -> list[tuple[str, FloatMap, float, str]]:
+        rows = [
+            ("slope", self.maps.slope_deg, self.mobility.max_slope_deg, "deg"),
+            ("step", self.maps.step_m, self.mobility.max_step_m, "m"),
+        ]
+        if self.mobility.max_roughness_m is not None:
+            rows.append(("roughness", self.maps.roughness_m, self.mobility.max_roughness_m, "m"))
+        return rows
+
+
+def map_scales(rover: Rover) -> tuple[float, float]:
+    """Side of the footprint, the larger of wheelbase and track, and diameter of the wheels. [m, m]"""
+    wheels = rover.wheel_positions_m
+    return float(np.ptp(wheels[:, :2], axis=0).max()), 2.0 * rover.wheel.radius_m
+
+
+def ground_maps(
+    terrain: Terrain,
+    baseline_m: float,
+    wheel_window_m: float,
+    progress: Callable[[int, int], None] | None = None,
+) -> GroundMaps:
+    """Slope, roughness and step height at every node.
+
+    Parameters
+    ----------
+    terrain : heights on a grid.
+    baseline_m : side of the square footprint through which the plane is laid, > 0. [m]
+    wheel_window_m : side of the square of the step, > 0. [m]
+    progress : called with (tiles done, tiles).
+
+    On a square of (2 m + 1)^2 nodes the coordinates i, j are orthogonal to each other and to a constant, so the normal
+    equations of the plane are solved by dx = sum(i h) / sum(i^2), dy = sum(j h) / sum(j^2), and the residual is
+    sum(h^2) - n mean^2 - (dx^2 + dy^2) sum(i^2). Each sum is separable. Windows have at least 3 x 3 nodes, so on a
+    grid coarser than the rover the footprint is larger than asked for; `baseline_m` of the result tells. Tiles are
+    reduced to their own middle height, which keeps roughness true to about 1e-7 of a tile's relief. Raises
+    ParameterError.
+    """
+    from lunarsci.compiled import each_in_threads
+
+    for name, value in (("baseline_m", baseline_m), ("wheel_window_m", wheel_window_m)):
+        if not 0 < value < math.inf:
+            raise ParameterError(f"{name} is {value}; give a length above 0 m")
+    spacing, shape = terrain.spacing_m, terrain.height_m.shape
+    plane, wheel = (_half_width(value, spacing, shape) for value in (baseline_m, wheel_window_m))
+    layers = np.full((3, *shape), np.nan, dtype=np.float32)
+    corners = [(row, column) for row in range(0, shape[0], TILE) for column in range(0, shape[1], TILE)]
+
+    def fill(number: int) -> None:
+        row, column = corners[number]
+        _fill_tile(terrain, row, column, plane, wheel, layers)
+
+    each_in_threads(fill, len(corners), progress)
+    _blank_edges(layers[:2], plane)
+    _blank_edges(layers[2:], wheel)
+    slope, roughness, step = layers
+    return GroundMaps(
+        slope_deg=slope,
+        roughness_m=roughness,
+        step_m=step,
+        baseline_m=2 * plane * spacing,
+        wheel_window_m=2 * wheel * spacing,
+    )
+
+
+def assess(terrain: Terrain, maps: GroundMaps, mobility: Mobility) -> Traversability:
+    """Compare the maps with a rover's limits: demand = max(slope/limit, step/limit, roughness/limit).
+
+    The worst of several measures decides, as in GESTALT (Goldberg, Maimone & Matthies 2002, IEEE Aerospace,
+    10.1109/AERO.2002.1035370), which also looks at a plane through a patch as large as the rover, its residual and
+    steps; the shares of the limits instead of its scale of goodness are this program's choice.
+    """
+    demand = maps.slope_deg / np.float32(mobility.max_slope_deg)
+    np.maximum(demand, maps.step_m / np.float32(mobility.max_step_m), out=demand)
+    if mobility.max_roughness_m is not None:
+        np.maximum(demand, maps.roughness_m / np.float32(mobility.max_roughness_m), out=demand)
+    return Traversability(terrain=terrain, maps=maps, mobility=mobility, demand=demand)
+
+
+def travel_cost(demand: npt.NDArray[np.floating]) -> FloatMap:
+    """Cost of a metre, in metres of flat ground: 1 / (1 - demand^2), at most 100; also 100 for the unknown.
+
+    1.33 at half of a limit, 5.3 at nine tenths of it: an assumed form that grows without bound towards the limit.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cost = 1.0 / (1.0 - np.minimum(np.asarray(demand, dtype=np.float32), 1.0) ** 2)
+    return np.asarray(np.nan_to_num(np.minimum(cost, COST_CAP), nan=COST_CAP), dtype=np.float32)
+
+
+def _half_width(side_m: float, spacing_m: float, shape: tuple[int, ...]) -> int:
+    # Halves go up: a step is never looked for in less than a wheel.
+    half = max(1, math.floor(0.5 * side_m / spacing_m + 0.5 + 1e-6))
+    if 2 * half + 1 > min(shape):
+        raise ParameterError(
+            f"the terrain of {shape[1]} x {shape[0]} nodes is smaller than a window of {2 * half * spacing_m:g} m; "
+            "give a larger terrain or a shorter baseline"
+        )
+    return half
+
+
+def _fill_tile(terrain: Terrain, row: int, column: int, plane: int, wheel: int, layers: FloatMap) -> None:
+    """Maps of the nodes of one tile, from the heights of the tile and a margin about it."""
+    ny, nx = terrain.height_m.shape
+    margin = max(plane, wheel)
+    top, left = max(row - margin, 0), max(column - margin, 0)
+    bottom, right = min(row + TILE + margin, ny), min(column + TILE + margin, nx)
+    height = terrain.height_m[top:bottom, left:right]
+    hole = np.isnan(height)
+    if hole.all():
+        return
+    height = np.where(hole, 0.0, height - np.median(height[~hole]))
+    rows, columns = slice(row, min(row + TILE, ny)), slice(column, min(column + TILE, nx))
+    inner = slice(row - top, rows.stop - top), slice(column - left, columns.stop - left)
+    slope, roughness = _plane_maps(height, plane, terrain.spacing_m)
+    unknown = _near(hole, plane)
+    for layer, values in ((0, slope), (1, roughness)):
+        layers[layer, rows, columns] = np.where(unknown, np.nan, values)[inner]
+    layers[2, rows, columns] = np.where(_near(hole, wheel), np.nan, _step(height, wheel))[inner]
+
+
+def _plane_maps(height: FloatArray, half: int, spacing: float) -> tuple[FloatArray, FloatArray]:
+    from scipy.ndimage import correlate1d, uniform_filter, uniform_filter1d
+
+    side = 2 * half + 1
+    ramp = np.arange(-half, half + 1, dtype=float)
+    spread = float(ramp @ ramp)
+    along = correlate1d(uniform_filter1d(height, side, axis=0), ramp / spread, axis=1)
+    across = correlate1d(uniform_filter1d(height, side, axis=1), ramp / spread, axis=0)
+    gradient = along**2 + across**2
+    residual = uniform_filter(height**2, side) - uniform_filter(height, side) ** 2 - gradient * spread / side
+    slope = np.degrees(np.arctan(np.sqrt(gradient) / spacing))
+    return slope, np.sqrt(np.maximum(residual, 0.0))
+
+
+def _step(height: FloatArray, half: int) -> FloatArray:
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    side = 2 * half + 1
+    return np.asarray(maximum_filter(height, side) - minimum_filter(height, side))
+
+
+def _near(hole: BoolMap, half: int) -> BoolMap:
+    from scipy.ndimage import maximum_filter
+
+    return np.asarray(maximum_filter(hole, 2 * half + 1)) if hole.any() else hole
+
+
+def _blank_edges(layers: FloatMap, half: int) -> None:
+    layers[:, :half] = layers[:, -half:] = np.nan
+    layers[:, :, :half] = layers[:, :, -half:] = np.nan

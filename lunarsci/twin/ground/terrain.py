@@ -1,0 +1,334 @@
+"""Terrain: a regular grid of heights with soil parameters at every node."""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.compiled import compiled
+from lunarsci.errors import ParameterError
+from lunarsci.regolith.soil import Soil
+from lunarsci.twin.simulation.lanes import CENTER, GROUND, LANES, SOIL
+from lunarsci.twin.simulation.outcomes import CLIFF, FINISHED, HOLE, LEFT, SANK
+
+__all__ = [
+    "SOIL_COLUMNS",
+    "Grid",
+    "Terrain",
+    "build_terrain",
+    "from_si",
+    "lay_soil",
+    "read_ground",
+    "soil_override",
+    "soil_overrides",
+]
+
+FloatArray = npt.NDArray[np.float64]
+
+# Column of `Soil.vector()` that holds each parameter.
+SOIL_COLUMNS = {
+    "stiffness_kpa_m_n": 0,
+    "sinkage_exponent": 1,
+    "sinkage_exponent_slip": 2,
+    "cohesion_pa": 3,
+    "friction_angle_deg": 4,
+    "shear_modulus_mm": 5,
+    "external_friction_angle_deg": 6,
+    "lateral_modulus_mm": 7,
+}
+
+
+STEEPEST = math.tan(math.radians(60.0))
+"""Assumed: no soil stands so steep, and a wheel no longer meets it in one plane. [-]"""
+INTERPOLATIONS = ("smooth", "triangles")
+
+
+class Grid(NamedTuple):
+    """What the compiled formulas read of a terrain, at each node.
+
+    `height` (ny, nx); `soil` (ny, nx, 8), or (1, 1, 8) where it is the same everywhere; `triangles` between nodes, or
+    a smooth surface.
+    """
+
+    x0: float
+    y0: float
+    spacing: float
+    height: FloatArray
+    soil: FloatArray
+    triangles: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Terrain:
+    """Heights and soil on a regular grid, x to the east of the local frame, y to the north.
+
+    Attributes
+    ----------
+    name : what the terrain is.
+    x0_m, y0_m : position of node [0, 0]. [m]
+    spacing_m : distance of the nodes in x and y, > 0. [m]
+    height_m : height, NaN where unknown; row is y, column is x. (ny, nx) [m]
+    soil : `Soil.vector()` in Pa and m, at every node or one for all. (ny, nx, 8) or (1, 1, 8)
+    synthetic : True for a made-up terrain.
+    interpolation : the ground between nodes. `smooth` has a continuous gradient: cubic convolution (Keys 1981,
+        10.1109/TASSP.1981.1163711), whose gradient at a node is the central difference of its neighbours; beyond the
+        edge heights go on linearly. `triangles` is two planes a cell, split from its lowest x and y to its highest,
+        as in Ding et al. (2024); the wheels feel each edge.
+
+    Soil is bilinear in tan phi, moduli and stiffness. On a smooth surface a hole reaches one node further than the
+    missing heights. Raises ParameterError for arrays that do not fit together.
+    """
+
+    name: str
+    x0_m: float
+    y0_m: float
+    spacing_m: float
+    height_m: FloatArray
+    soil: FloatArray
+    synthetic: bool = False
+    interpolation: str = "smooth"
+
+    def __post_init__(self) -> None:
+        shape = self.height_m.shape
+        if len(shape) != 2 or min(shape) < 3:
+            raise ParameterError(f"terrain height_m has shape {shape}; give a grid of at least 3 x 3 nodes")
+        if self.soil.shape not in ((*shape, 8), (1, 1, 8)):
+            raise ParameterError(f"terrain soil has shape {self.soil.shape}; give {(*shape, 8)} or (1, 1, 8)")
+        if not (0 < self.spacing_m < math.inf and math.isfinite(self.x0_m) and math.isfinite(self.y0_m)):
+            raise ParameterError("terrain x0_m, y0_m and spacing_m must be finite, spacing_m above 0")
+        if self.interpolation not in INTERPOLATIONS:
+            raise ParameterError(
+                f"terrain interpolation is '{self.interpolation}'; choose from: {', '.join(INTERPOLATIONS)}"
+            )
+        if np.isinf(self.height_m).any():
+            raise ParameterError("terrain height_m is infinite somewhere; use NaN where the height is unknown")
+        if np.isnan(self.height_m).all():
+            raise ParameterError("terrain height_m has no known height")
+        if not np.isfinite(self.soil).all():
+            raise ParameterError("terrain soil has a value that is not finite")
+
+    @property
+    def x_m(self) -> FloatArray:
+        """Columns. (nx,) [m]"""
+        return self.x0_m + self.spacing_m * np.arange(self.height_m.shape[1], dtype=np.float64)
+
+    @property
+    def y_m(self) -> FloatArray:
+        """Rows. (ny,) [m]"""
+        return self.y0_m + self.spacing_m * np.arange(self.height_m.shape[0], dtype=np.float64)
+
+    def with_soil(self, **values: npt.ArrayLike) -> "Terrain":
+        """The same ground with soil parameters changed; a number, or one value for each node (ny, nx)."""
+        own = {_column(name): _in_si(name, np.asarray(value, dtype=float)) for name, value in values.items()}
+        uniform = all(value.ndim == 0 for value in own.values())
+        soil = self.soil.copy() if uniform else np.broadcast_to(self.soil, (*self.height_m.shape, 8)).copy()
+        for column, value in own.items():
+            soil[..., column] = value
+        return dataclasses.replace(self, soil=soil)
+
+    def grid(self) -> Grid:
+        """The numbers that the compiled formulas take."""
+        soil = self.soil if not (self.soil == self.soil[:1, :1]).all() else self.soil[:1, :1]
+        return Grid(
+            float(self.x0_m),
+            float(self.y0_m),
+            float(self.spacing_m),
+            np.ascontiguousarray(self.height_m, dtype=float),
+            np.ascontiguousarray(soil, dtype=float),
+            self.interpolation == "triangles",
+        )
+
+    def surface_at(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> FloatArray:
+        """Height [m] and its gradient along x and y [-] below points, NaN outside the map and in holes. (..., 3)"""
+        x, y = np.broadcast_arrays(np.asarray(x_m, dtype=float), np.asarray(y_m, dtype=float))
+        result = np.empty((x.size, 3))
+        read_surface(self.grid(), x.ravel(), y.ravel(), result)
+        return result.reshape(*x.shape, 3)
+
+    def height_at(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> FloatArray:
+        """Height below points, NaN outside the map and in holes. [m]"""
+        return self.surface_at(x_m, y_m)[..., 0]
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def cubic_weights(a: float, first: bool, last: bool) -> Any:
+    """Weights of the four nodes about a cell for value and slope at the share `a` of its width.
+
+    In the first and last cell the node that is not there goes on in line with the two next to it.
+    """
+    q = a * a
+    c = q * a
+    w0, w1, w2, w3 = -0.5 * (a + c) + q, 1.0 - 2.5 * q + 1.5 * c, 0.5 * a + 2.0 * q - 1.5 * c, 0.5 * (c - q)
+    d0, d1, d2, d3 = -0.5 + 2.0 * a - 1.5 * q, -5.0 * a + 4.5 * q, 0.5 + 4.0 * a - 4.5 * q, 1.5 * q - a
+    if first:
+        w0, w1, w2, d0, d1, d2 = 0.0, w1 + 2.0 * w0, w2 - w0, 0.0, d1 + 2.0 * d0, d2 - d0
+    if last:
+        w1, w2, w3, d1, d2, d3 = w1 - w3, w2 + 2.0 * w3, 0.0, d1 - d3, d2 + 2.0 * d3, 0.0
+    return (w0, w1, w2, w3), (d0, d1, d2, d3)
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def surface_in(grid: Any, i: int, j: int, a: float, b: float) -> Any:
+    """Height and gradient at shares a (in x) and b (in y) of the cell between nodes [i, j] and [i + 1, j + 1]."""
+    h, spacing = grid.height, grid.spacing
+    if grid.triangles:
+        near, far = h[i, j], h[i + 1, j + 1]
+        x = h[i, j + 1] - near if a >= b else far - h[i + 1, j]
+        y = far - h[i, j + 1] if a >= b else h[i + 1, j] - near
+        return near + a * x + b * y, x / spacing, y / spacing
+    ny, nx = h.shape
+    along, slope_along = cubic_weights(a, j == 0, j == nx - 2)
+    up, slope_up = cubic_weights(b, i == 0, i == ny - 2)
+    height, slope_x, slope_y = 0.0, 0.0, 0.0
+    for k in range(4):
+        row = min(max(i + k - 1, 0), ny - 1)
+        value, slope = 0.0, 0.0
+        for m in range(4):
+            node = h[row, min(max(j + m - 1, 0), nx - 1)]
+            value += along[m] * node
+            slope += slope_along[m] * node
+        height += up[k] * value
+        slope_x += up[k] * slope
+        slope_y += slope_up[k] * value
+    return height, slope_x / spacing, slope_y / spacing
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def read_surface(grid: Any, x: Any, y: Any, result: Any) -> None:
+    """Height and gradient below points (n,), NaN outside the map. (n, 3)"""
+    ny, nx = grid.height.shape
+    for k in range(len(x)):
+        column, row = (x[k] - grid.x0) / grid.spacing, (y[k] - grid.y0) / grid.spacing
+        if not (0.0 <= column <= nx - 1 and 0.0 <= row <= ny - 1):
+            result[k] = np.nan
+            continue
+        j, i = min(int(column), nx - 2), min(int(row), ny - 2)
+        result[k, 0], result[k, 1], result[k, 2] = surface_in(grid, i, j, column - j, row - i)
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def lay_soil(grid: Any, override: Any, wheel: Any) -> None:
+    """Soil of every lane: that of `override` (LANES, 8) where it is not NaN, else the terrain's first."""
+    for lane in range(LANES):
+        for k in range(8):
+            value = override[lane, k]
+            wheel[(SOIL + k) * LANES + lane] = grid.soil[0, 0, k] if np.isnan(value) else value
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def read_ground(grid: Any, override: Any, wheel: Any, code: Any) -> None:
+    """Height, gradient and soil below a wheel of LANES rovers; `code` takes who left the map, met a hole or a cliff.
+
+    `override` (LANES, 8) replaces the soil where it is not NaN. Where the soil is the same everywhere it stays as
+    `lay_soil` left it. Lanes with another outcome keep what they had.
+    """
+    ny, nx = grid.height.shape
+    uniform = grid.soil.shape[0] == 1
+    for lane in range(LANES):
+        if code[lane] != FINISHED and code[lane] != SANK:
+            continue
+        x, y = wheel[CENTER * LANES + lane], wheel[(CENTER + 1) * LANES + lane]
+        column, row = (x - grid.x0) / grid.spacing, (y - grid.y0) / grid.spacing
+        if not (0.0 <= column <= nx - 1 and 0.0 <= row <= ny - 1):
+            code[lane] = LEFT
+            continue
+        j, i = min(int(column), nx - 2), min(int(row), ny - 2)
+        a, b = column - j, row - i
+        height, slope_x, slope_y = surface_in(grid, i, j, a, b)
+        if not abs(height) + abs(slope_x) + abs(slope_y) < np.inf:
+            code[lane] = HOLE
+            height, slope_x, slope_y = 0.0, 0.0, 0.0
+        elif slope_x * slope_x + slope_y * slope_y > STEEPEST * STEEPEST:
+            code[lane] = CLIFF
+        wheel[GROUND * LANES + lane] = height
+        wheel[(GROUND + 1) * LANES + lane] = slope_x
+        wheel[(GROUND + 2) * LANES + lane] = slope_y
+        if code[lane] == HOLE:
+            continue
+        if uniform:
+            continue
+        for k in range(8):
+            if np.isnan(override[lane, k]):
+                low = (1.0 - a) * grid.soil[i, j, k] + a * grid.soil[i, j + 1, k]
+                high = (1.0 - a) * grid.soil[i + 1, j, k] + a * grid.soil[i + 1, j + 1, k]
+                wheel[(SOIL + k) * LANES + lane] = (1.0 - b) * low + b * high
+
+
+def build_terrain(
+    name: str,
+    x0_m: float,
+    y0_m: float,
+    spacing_m: float,
+    height_m: npt.ArrayLike,
+    soil: Soil,
+    *,
+    synthetic: bool = False,
+) -> Terrain:
+    """A terrain with the same soil everywhere; arguments as in `Terrain`."""
+    height = np.array(height_m, dtype=np.float64)
+    return Terrain(
+        name=name,
+        x0_m=x0_m,
+        y0_m=y0_m,
+        spacing_m=spacing_m,
+        height_m=height,
+        soil=np.array(soil.vector()).reshape(1, 1, 8),
+        synthetic=synthetic,
+    )
+
+
+def soil_override(values: dict[str, float]) -> FloatArray:
+    """Soil vector with the given parameters in SI units, NaN elsewhere. (8,)"""
+    override = np.full(8, np.nan)
+    for name, value in values.items():
+        override[_column(name)] = _in_si(name, np.asarray(value, dtype=float))
+    return override
+
+
+def soil_overrides(parameters: Mapping[str, npt.ArrayLike], count: int) -> FloatArray:
+    """`soil_override` of several members at once, from one value of each parameter for each. (count, 8)"""
+    override = np.full((count, 8), np.nan)
+    for name, values in parameters.items():
+        override[:, _column(name)] = _in_si(name, np.asarray(values, dtype=float))
+    return override
+
+
+def _column(name: str) -> int:
+    if name not in SOIL_COLUMNS:
+        raise ParameterError(f"'{name}' is not a soil parameter; these are: {', '.join(SOIL_COLUMNS)}")
+    return SOIL_COLUMNS[name]
+
+
+def _in_si(name: str, values: FloatArray) -> FloatArray:
+    # The allowed ranges are intervals, so two checked extremes vouch for every node.
+    anything = Soil(
+        stiffness_kpa_m_n=1.0,
+        sinkage_exponent=1.0,
+        cohesion_pa=0.0,
+        friction_angle_deg=0.0,
+        shear_modulus_mm=1.0,
+        external_friction_angle_deg=0.0,
+        lateral_modulus_mm=1.0,
+    )
+    for extreme in (values.min(), values.max()):
+        if not math.isfinite(extreme):
+            raise ParameterError(f"soil {name} has a value that is not finite")
+        anything.replace(**{name: float(extreme)})
+    return _to_si(name, values)
+
+
+def _to_si(name: str, values: FloatArray) -> FloatArray:
+    return np.tan(np.radians(values)) if name.endswith("_deg") else values * _factor(name)
+
+
+def from_si(name: str, values: FloatArray) -> FloatArray:
+    """A soil parameter in the unit of its name."""
+    return np.degrees(np.arctan(values)) if name.endswith("_deg") else values / _factor(name)
+
+
+def _factor(name: str) -> float:
+    return 1e3 if "_kpa" in name else 1e-3 if name.endswith("_mm") else 1.0

@@ -1,0 +1,1 @@
+"""What a prediction means: limits and verdict, ends, clearance, spread, tables."""

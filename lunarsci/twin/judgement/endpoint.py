@@ -1,0 +1,102 @@
+"""Where the drives of an ensemble end: bias, covering circles and error ellipse."""
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.twin.ensemble import Prediction
+from lunarsci.twin.judgement.ellipse import ErrorEllipse, error_ellipse
+
+__all__ = ["Endpoint", "covering_circle", "endpoint_spread"]
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoint:
+    """Where the drives end.
+
+    Attributes
+    ----------
+    planned_x_m, planned_y_m : planned destination. [m]
+    x_m, y_m : mean of the ends. [m]
+    bias_m : distance of the mean from the planned destination. [m]
+    covering_radius_m : smallest circle about the planned destination that holds every end. [m]
+    scatter_radius_m : smallest circle, wherever its centre, that holds every end. [m]
+    covariance_m2 : ((xx, xy), (xy, yy)) of the ends; zeros for a single member. [m2]
+    ellipse : error ellipse about the mean of the ends; None for a single member.
+    """
+
+    planned_x_m: float
+    planned_y_m: float
+    x_m: float
+    y_m: float
+    bias_m: float
+    covering_radius_m: float
+    scatter_radius_m: float
+    covariance_m2: tuple[tuple[float, float], tuple[float, float]]
+    ellipse: ErrorEllipse | None
+
+
+def covering_circle(points_m: FloatArray) -> tuple[float, float, float]:
+    """Centre x, y and radius of the smallest circle that holds all points. (n, 2) [m]
+
+    It rests on two or three points of the convex hull, so all such circles are tried.
+    """
+    points = _hull(points_m)
+    best = (float(points[0, 0]), float(points[0, 1]), 0.0 if len(points) == 1 else math.inf)
+    for size in (2, 3):
+        for corners in itertools.combinations(points, size):
+            x, y = _circumcenter(*corners)
+            radius = float(np.hypot(*(points - (x, y)).T).max())
+            if radius < best[2]:
+                best = (x, y, radius)
+    return best
+
+
+def _hull(points: FloatArray) -> FloatArray:
+    from scipy.spatial import ConvexHull, QhullError
+
+    distinct = np.unique(points, axis=0)
+    try:
+        return np.asarray(distinct[ConvexHull(distinct).vertices]) if len(distinct) > 3 else distinct
+    except QhullError:
+        # All on a line: its ends span the circle, and lexicographic order puts them first and last.
+        return distinct[[0, -1]]
+
+
+def _circumcenter(a: FloatArray, b: FloatArray, c: FloatArray | None = None) -> tuple[float, float]:
+    if c is None:
+        return float(a[0] + b[0]) / 2.0, float(a[1] + b[1]) / 2.0
+    p, q = b - a, c - a
+    area = 2.0 * float(p[0] * q[1] - p[1] * q[0])
+    if area == 0.0:
+        return math.inf, math.inf
+    x = (q[1] * (p @ p) - p[1] * (q @ q)) / area
+    y = (p[0] * (q @ q) - q[0] * (p @ p)) / area
+    return float(a[0] + x), float(a[1] + y)
+
+
+def endpoint_spread(prediction: Prediction) -> Endpoint:
+    """Spread of the ends of the members that finished, of which there must be one."""
+    ends = prediction.endpoints_m[prediction.finished]
+    target = prediction.planned[-1, :2]
+    mean = ends.mean(axis=0)
+    spread = np.cov(ends.T) if len(ends) > 1 else np.zeros((2, 2))
+    return Endpoint(
+        planned_x_m=float(target[0]),
+        planned_y_m=float(target[1]),
+        x_m=float(mean[0]),
+        y_m=float(mean[1]),
+        bias_m=float(np.hypot(*(mean - target))),
+        covering_radius_m=float(np.hypot(*(ends - target).T).max()),
+        scatter_radius_m=covering_circle(ends)[2],
+        covariance_m2=(
+            (float(spread[0, 0]), float(spread[0, 1])),
+            (float(spread[1, 0]), float(spread[1, 1])),
+        ),
+        ellipse=error_ellipse(ends),
+    )

@@ -1,0 +1,268 @@
+"""Is the next drive safe: each limited quantity over the ensemble, and a verdict."""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.errors import ParameterError
+from lunarsci.twin.ensemble import Prediction
+from lunarsci.twin.judgement.clearance import clearance
+from lunarsci.twin.judgement.endpoint import Endpoint, endpoint_spread
+from lunarsci.twin.judgement.quantities import along
+from lunarsci.twin.judgement.validity import Validity, percent, validity, validity_notes
+from lunarsci.twin.plans.plan import AT_LEAST, QUANTITIES, Limit, Plan
+from lunarsci.twin.simulation.outcomes import OUTCOMES
+
+__all__ = ["Judgement", "Verdict", "Worst", "extremes", "judge"]
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """One limited quantity over the members, each of which counts with the worst value of its drive.
+
+    Attributes
+    ----------
+    quantity, unit : what is limited.
+    sense : `at most` where large values are bad (the largest magnitude of each drive counts), `at least` where small
+        ones are (the smallest value counts).
+    limit : the largest or smallest safe value.
+    p05, p50, p95, min, max : over the members. p95 is the smallest value that at least 95 % of the members do not
+        exceed, p05 the largest that at least 95 % reach; with fewer than 20 members these are max and min.
+    margin : from the judged value to the limit, negative beyond it. The judged value is p95 for `at most`, p05 for
+        `at least`, and min for `keep_out_m`, which no drive may break.
+    ok : margin >= 0.
+    exceeding : number of members beyond the limit.
+    worst_member : the member with the worst value.
+    source, assumed : where the limit comes from, and whether it is a guess.
+    """
+
+    quantity: str
+    unit: str
+    sense: Literal["at most", "at least"]
+    limit: float
+    p05: float
+    p50: float
+    p95: float
+    min: float
+    max: float
+    margin: float
+    ok: bool
+    exceeding: int
+    worst_member: int
+    source: str
+    assumed: bool
+
+    @property
+    def worst(self) -> float:
+        """The worst value of any member."""
+        return self.max if self.sense == "at most" else self.min
+
+    @property
+    def kept_by_95(self) -> float:
+        """What at least 95 % of the members keep: p95 or p05."""
+        return self.p95 if self.sense == "at most" else self.p05
+
+    @property
+    def judged(self) -> float:
+        """The value that is held against the limit."""
+        return self.worst if self.quantity == "keep_out_m" else self.kept_by_95
+
+    @property
+    def used(self) -> float:
+        """Share of what the limit allows that the worst member uses, above 1 beyond the limit. [-]"""
+        if self.sense == "at most":
+            return self.worst / self.limit
+        if self.worst <= 0 or self.limit == 0:
+            return math.inf if self.worst < self.limit else 0.0
+        return self.limit / self.worst
+
+
+@dataclass(frozen=True, slots=True)
+class Worst:
+    """The member that comes nearest to a limit or furthest beyond it: its number, its soil, and why it is the worst."""
+
+    member: int
+    parameters: dict[str, float]
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """The judgement of a prediction.
+
+    Attributes
+    ----------
+    verdict : `go` or `no-go`.
+    reasons : why not, one sentence each; empty for `go`.
+    notes : what a reader should know all the same.
+    limits : one entry for each limit of the plan that can be judged; empty when no member finished.
+    endpoint : spread of the ends of the members that finished, None when none did.
+    outcomes : outcome sentence to number of members.
+    invalid_share : share of wheel states outside the wheel model's validity (|s| > 0.6, in the air, too deep).
+    validity : the same by kind.
+    worst : the worst member.
+    """
+
+    verdict: Literal["go", "no-go"]
+    reasons: tuple[str, ...]
+    notes: tuple[str, ...]
+    limits: tuple[Judgement, ...]
+    endpoint: Endpoint | None
+    outcomes: dict[str, int]
+    invalid_share: float
+    validity: Validity
+    worst: Worst
+
+
+def extremes(prediction: Prediction, quantity: str) -> FloatArray:
+    """Worst value of a quantity over wheels and distance, as far as each member came. (members,)
+
+    The largest magnitude, or the smallest value of a quantity in `AT_LEAST`; NaN where a member has none. Raises
+    ParameterError for what cannot be limited.
+    """
+    if quantity not in QUANTITIES:
+        raise ParameterError(f"'{quantity}' cannot be limited; these can: {', '.join(QUANTITIES)}")
+    if quantity == "endpoint_miss_m":
+        return prediction.miss_m
+    values = along(prediction, quantity)
+    if quantity in AT_LEAST:
+        least = np.where(prediction.reached & ~np.isnan(values), values, np.inf).min(axis=1)
+        return np.asarray(np.where(np.isinf(least), np.nan, least))
+    values = np.abs(values) if values.ndim == 2 else np.abs(values).max(axis=2)
+    return np.asarray(np.where(prediction.reached, values, 0.0).max(axis=1))
+
+
+def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
+    """Hold a prediction against the limits of its plan.
+
+    It is `go` when every member finished, at least 95 % of them keep each limit, and none enters a circle that the plan
+    keeps out of. Members count alike: on a grid of soils that is a share of the grid, not a probability. Per member
+    the worst value over wheels and distance counts, at the recorded samples. Percentiles are over the members that
+    finished. `plan` replaces the plan that was driven, to try other limits and circles.
+    """
+    prediction = prediction if plan is None else dataclasses.replace(prediction, plan=plan)
+    finished = prediction.finished
+    limits = _limits(prediction.plan) if finished.any() else ()
+    judged = tuple(j for limit in limits if (j := _judge_limit(prediction, limit)) is not None)
+    outcomes = {
+        OUTCOMES[int(k)]: int(n) for k, n in zip(*np.unique(prediction.outcome, return_counts=True), strict=True)
+    }
+    reasons = [f"{n} of {prediction.members} members: {text}" for text, n in outcomes.items() if text != OUTCOMES[0]]
+    reasons += [_reason(j) for j in judged if not j.ok]
+    found = validity(prediction)
+    return Verdict(
+        verdict="no-go" if reasons else "go",
+        reasons=tuple(reasons),
+        notes=_notes(prediction, limits, judged, found),
+        limits=judged,
+        endpoint=endpoint_spread(prediction) if finished.any() else None,
+        outcomes=outcomes,
+        invalid_share=found.invalid_share,
+        validity=found,
+        worst=_worst(prediction, judged),
+    )
+
+
+def _limits(plan: Plan) -> tuple[Limit, ...]:
+    """The limits of a plan, with that of its circles where it gives none of its own."""
+    if not plan.keep_out or any(limit.quantity == "keep_out_m" for limit in plan.limits):
+        return plan.limits
+    return *plan.limits, Limit("keep_out_m", QUANTITIES["keep_out_m"], 0.0, "circles of the plan", False)
+
+
+def _judge_limit(prediction: Prediction, limit: Limit) -> Judgement | None:
+    if limit.quantity == "clearance_m" and prediction.rover.body is None:
+        return None
+    values = extremes(prediction, limit.quantity)
+    members = np.flatnonzero(prediction.finished & ~np.isnan(values))
+    if not members.size:
+        return None
+    values = values[members]
+    sign = 1.0 if limit.sense == "at most" else -1.0
+    p95, p05 = (float(s * np.quantile(s * values, 0.95, method="inverted_cdf")) for s in (1.0, -1.0))
+    judgement = Judgement(
+        quantity=limit.quantity,
+        unit=limit.unit,
+        sense=limit.sense,
+        limit=limit.limit,
+        p05=p05,
+        p50=float(np.median(values)),
+        p95=p95,
+        min=float(values.min()),
+        max=float(values.max()),
+        margin=math.nan,
+        ok=False,
+        exceeding=int((sign * values > sign * limit.limit).sum()),
+        worst_member=int(members[(sign * values).argmax()]),
+        source=limit.source,
+        assumed=limit.assumed,
+    )
+    margin = sign * (limit.limit - judgement.judged)
+    return dataclasses.replace(judgement, margin=margin, ok=margin >= 0)
+
+
+def _reason(judgement: Judgement) -> str:
+    if judgement.quantity == "keep_out_m":
+        return f"keep_out_m: {judgement.min:.3g} at the nearest is less than the limit {judgement.limit:g}"
+    if judgement.sense == "at least":
+        return f"{judgement.quantity}: p05 {judgement.p05:.3g} is less than the limit {judgement.limit:g}"
+    return f"{judgement.quantity}: p95 {judgement.p95:.3g} exceeds the limit {judgement.limit:g}"
+
+
+def _worst(prediction: Prediction, judged: tuple[Judgement, ...]) -> Worst:
+    stopped = np.flatnonzero(~prediction.finished)
+    if stopped.size:
+        member, why = int(stopped[0]), prediction.outcome_text(int(stopped[0]))
+    elif judged:
+        tightest = max(judged, key=lambda j: j.used)
+        member, why = tightest.worst_member, _nearness(tightest)
+    else:
+        member = int(prediction.miss_m.argmax())
+        why = f"it misses the destination by {prediction.miss_m[member]:.3g} m, the most of all"
+    return Worst(member, {name: float(values[member]) for name, values in prediction.parameters.items()}, why)
+
+
+def _nearness(judgement: Judgement) -> str:
+    unit = "" if judgement.unit == "-" else f" {judgement.unit}"
+    at = f"{judgement.quantity} of {judgement.worst:.3g}{unit}, limit {judgement.sense} {judgement.limit:g}{unit}"
+    return f"{at}: {'beyond' if judgement.exceeding else 'nearest to'} what is allowed"
+
+
+def _notes(
+    prediction: Prediction, limits: tuple[Limit, ...], judged: tuple[Judgement, ...], found: Validity
+) -> tuple[str, ...]:
+    notes = []
+    if prediction.terrain.synthetic:
+        notes.append("the terrain is synthetic; the verdict says nothing about a real site")
+    if assumed := [j.quantity for j in judged if j.assumed]:
+        notes.append(f"assumed limits: {', '.join(assumed)}")
+    if not judged and prediction.finished.any():
+        notes.append("the plan has no limits, so only the outcomes were judged")
+    return (*notes, *_clearance_notes(prediction, limits), *validity_notes(found), *_broken(prediction, judged))
+
+
+def _clearance_notes(prediction: Prediction, limits: tuple[Limit, ...]) -> list[str]:
+    """What the clearance leaves open, where it is limited."""
+    if not any(limit.quantity == "clearance_m" for limit in limits):
+        return []
+    if prediction.rover.body is None:
+        return ["clearance_m was not judged: the rover file has no [body]"]
+    least, unknown = (values[prediction.reached] for values in clearance(prediction))
+    notes = []
+    if (share := float((unknown > 0).mean())) > 0:
+        notes.append(f"at {percent(share)} of the samples part of the chassis is over unknown ground, left out")
+    if (least < 0).any():
+        notes.append("the chassis would touch the ground; the drives go on as if it did not")
+    return notes
+
+
+def _broken(prediction: Prediction, judged: tuple[Judgement, ...]) -> list[str]:
+    return [
+        f"{j.quantity}: {j.exceeding} of {prediction.members} drives break the limit" for j in judged if j.exceeding
+    ]

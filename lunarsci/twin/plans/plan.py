@@ -1,0 +1,358 @@
+"""The planned drive: legs, speed, limits of safety, and which soil parameters are uncertain."""
+
+import math
+import tomllib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Literal
+
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.twin.ground.terrain import soil_override
+from lunarsci.twin.rover import Rover
+
+__all__ = [
+    "AT_LEAST",
+    "QUANTITIES",
+    "Fixes",
+    "KeepOut",
+    "Leg",
+    "Limit",
+    "Plan",
+    "Sweep",
+    "check_plan",
+    "parse_fixes",
+    "parse_sweep",
+    "read_plan",
+]
+
+# Quantities that can be limited, and their units.
+QUANTITIES = {
+    "slip_ratio": "-",
+    "side_slip_deg": "deg",
+    "sinkage_m": "m",
+    "tilt_deg": "deg",
+    "endpoint_miss_m": "m",
+    "clearance_m": "m",
+    "keep_out_m": "m",
+}
+AT_LEAST = ("clearance_m", "keep_out_m")
+"""Of these small values are the dangerous ones: their limit is the smallest value that counts as safe."""
+LONGEST_M, LONGEST_STOP_S = 1000.0, 3600.0
+# Slower, the creep of a halt is no longer small, and shear follows the wheel faster than any time step.
+SLOWEST_M_S = 0.001
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """A piece of the drive: an arc, a spot turn, or a stop.
+
+    Attributes
+    ----------
+    length_m : length of an arc, > 0; 0 for a turn or a stop. [m]
+    curvature_per_m : constant curvature of the arc, positive to the left; 0 is straight ahead. [1/m]
+    crab_deg : direction of the arc's travel seen from the heading, positive to the left, -180 to 180: 90 is sideways,
+        180 backwards. [deg]
+    turn_deg : spot turn, positive to the left, -360 to 360. [deg]
+    stop_s : time at a standstill, 1 s to an hour. [s]
+
+    Raises ParameterError unless exactly one of length_m, turn_deg and stop_s is given.
+    """
+
+    length_m: float = 0.0
+    curvature_per_m: float = 0.0
+    crab_deg: float = 0.0
+    turn_deg: float = 0.0
+    stop_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.length_m <= LONGEST_M:
+            raise ParameterError(f"leg length_m is {self.length_m}; give more than 0, at most {LONGEST_M:g} m")
+        if not (self.stop_s == 0 or 1 <= self.stop_s <= LONGEST_STOP_S):
+            raise ParameterError(f"leg stop_s is {self.stop_s}; give 1 to {LONGEST_STOP_S:g} s")
+        for name, most in (("crab_deg", 180.0), ("turn_deg", 360.0)):
+            if not abs(getattr(self, name)) <= most:
+                raise ParameterError(f"leg {name} is {getattr(self, name)}; give -{most:g} to {most:g}")
+        if not math.isfinite(self.curvature_per_m):
+            raise ParameterError(f"leg curvature_per_m is {self.curvature_per_m}; give a finite number")
+        if sum(value != 0 for value in (self.length_m, self.turn_deg, self.stop_s)) != 1:
+            raise ParameterError("a leg needs exactly one of length_m, turn_deg and stop_s, and not 0")
+        if self.length_m == 0 and (self.curvature_per_m != 0 or self.crab_deg != 0):
+            raise ParameterError("curvature_per_m and crab_deg belong to a leg with length_m")
+
+
+@dataclass(frozen=True, slots=True)
+class Fixes:
+    """Position fixes at the end of each leg, as by visual localisation: the rover stops, learns where it is, and steers
+    the next leg from there to its planned end.
+
+    Attributes
+    ----------
+    position_sigma_m, heading_sigma_deg : standard errors of a fix in x and y, and in heading, >= 0. [m, deg]
+    """
+
+    position_sigma_m: float
+    heading_sigma_deg: float
+
+    def __post_init__(self) -> None:
+        for name in ("position_sigma_m", "heading_sigma_deg"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ParameterError(f"fixes {name} is {getattr(self, name)}; give 0 or more")
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """What counts as safe of a quantity, its unit, where the number comes from, whether it is a guess.
+
+    It is the largest safe value, or the smallest of the quantities in `AT_LEAST`; `sense` says which.
+    """
+
+    quantity: str
+    unit: str
+    limit: float
+    source: str
+    assumed: bool
+
+    @property
+    def sense(self) -> Literal["at most", "at least"]:
+        """Whether values up to the limit are safe, or values from it on."""
+        return "at least" if self.quantity in AT_LEAST else "at most"
+
+
+@dataclass(frozen=True, slots=True)
+class KeepOut:
+    """A circle that no part of the rover may enter: name, centre [m] and radius > 0 [m]. Raises ParameterError."""
+
+    name: str
+    x_m: float
+    y_m: float
+    radius_m: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.x_m) and math.isfinite(self.y_m)):
+            raise ParameterError(f"keep_out '{self.name}' needs finite x_m and y_m")
+        if not 0 < self.radius_m < math.inf:
+            raise ParameterError(f"keep_out '{self.name}' has radius_m {self.radius_m}; give a radius above 0 m")
+
+
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """Range of one soil parameter, with the number of grid points; the unit is in the name, as in `Soil`."""
+
+    name: str
+    low: float
+    high: float
+    count: int
+
+    def __post_init__(self) -> None:
+        for value in (self.low, self.high):
+            soil_override({self.name: value})
+        fixed = self.low == self.high and self.count == 1
+        if not (fixed or (self.low < self.high and self.count >= 2)):
+            raise ParameterError(f"sweep {self.name}={self}: give LOW < HIGH and at least 2 values")
+
+    def __str__(self) -> str:
+        return f"{self.low:g}:{self.high:g}:{self.count}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """A planned drive.
+
+    Attributes
+    ----------
+    name, origin : what it is, and the file it comes from.
+    x_m, y_m, heading_deg : start pose of the rover's origin; heading from x to the left. [m, m, deg]
+    legs : the pieces of the drive, in order. They are planned for the rover's origin; where the wheels that do not
+        steer stand a distance before or behind it, the wheels can only make the point between those follow, and the
+        origin ends up to that distance times the angle turned off the plan.
+    speed_m_s : commanded speed of the rover's origin, at least 0.001. [m/s]
+    blend_m : length over which the commanded curvature goes over from one arc to the next, >= 0. [m]
+    fixes : position fixes between legs; None drives without.
+    limits : what counts as safe.
+    sweep : uncertain soil parameters.
+    keep_out : circles that the rover must not enter.
+    """
+
+    name: str
+    legs: tuple[Leg, ...]
+    speed_m_s: float
+    x_m: float = 0.0
+    y_m: float = 0.0
+    heading_deg: float = 0.0
+    blend_m: float = 0.2
+    fixes: Fixes | None = None
+    limits: tuple[Limit, ...] = ()
+    sweep: tuple[Sweep, ...] = ()
+    keep_out: tuple[KeepOut, ...] = ()
+    origin: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.legs:
+            raise ParameterError("the plan has no leg; its length is zero, so there is nothing to drive")
+        if self.length_m > LONGEST_M:
+            raise ParameterError(f"the plan is {self.length_m:g} m long; give at most {LONGEST_M:g} m")
+        if not 0 < self.speed_m_s < math.inf:
+            raise ParameterError(f"the plan's speed_m_s is {self.speed_m_s}; give a speed above 0 m/s")
+        if self.speed_m_s < SLOWEST_M_S:
+            raise ParameterError(f"the plan's speed_m_s is {self.speed_m_s:g}; give at least {SLOWEST_M_S:g} m/s")
+        if not 0 <= self.blend_m < math.inf:
+            raise ParameterError(f"the plan's blend_m is {self.blend_m}; give 0 m or more")
+        if not all(map(math.isfinite, (self.x_m, self.y_m, self.heading_deg))):
+            raise ParameterError("the plan's start needs finite x_m, y_m and heading_deg")
+        if not self.keep_out and any(limit.quantity == "keep_out_m" for limit in self.limits):
+            raise ParameterError("limit keep_out_m without a [[keep_out]]; give the circles to keep out of")
+
+    @property
+    def length_m(self) -> float:
+        """Length of the path. [m]"""
+        return math.fsum(leg.length_m for leg in self.legs)
+
+
+def check_plan(plan: Plan, rover: Rover) -> None:
+    """Raises ParameterError for a plan that the rover cannot follow."""
+    if plan.speed_m_s > rover.max_speed_m_s:
+        raise ParameterError(
+            f"the plan's speed_m_s is {plan.speed_m_s:g}; {rover.name} drives at most {rover.max_speed_m_s:g} m/s"
+        )
+    tightest = rover.tightest_curvature_per_m
+    for leg in plan.legs:
+        if abs(leg.curvature_per_m) > tightest:
+            raise ParameterError(
+                f"leg curvature_per_m is {leg.curvature_per_m:g}; the turning centre must lie outside the wheels, "
+                f"so give at most {tightest:.3g} 1/m, or turn on the spot with turn_deg"
+            )
+
+
+def parse_sweep(text: str) -> Sweep:
+    """Read `NAME=LOW:HIGH:N`, for example `friction_angle_deg=25:55:9`. Raises ParameterError."""
+    name, _, rest = text.partition("=")
+    parts = rest.split(":")
+    try:
+        low, high, count = float(parts[0]), float(parts[1]), int(parts[2])
+    except (IndexError, ValueError) as error:
+        raise ParameterError(
+            f"sweep '{text}' is not NAME=LOW:HIGH:N, for example friction_angle_deg=25:55:9"
+        ) from error
+    if len(parts) != 3:
+        raise ParameterError(f"sweep '{text}' is not NAME=LOW:HIGH:N, for example friction_angle_deg=25:55:9")
+    return Sweep(name.strip(), low, high, count)
+
+
+def parse_fixes(text: str) -> Fixes:
+    """Read `POSITION,HEADING`, standard errors in m and deg, for example `0.1,0.5`. Raises ParameterError."""
+    try:
+        position, heading = map(float, text.split(","))
+    except ValueError as error:
+        raise ParameterError(f"fixes '{text}' are not M,DEG, for example 0.1,0.5") from error
+    return Fixes(position, heading)
+
+
+def read_plan(path: str | Path | None = None) -> Plan:
+    """Read a plan from a TOML file, or the embedded one. Raises DataError.
+
+    A file without [limits] gets those of the embedded plan; one without [sweep] sweeps nothing.
+    """
+    embedded = (files(__package__) / "plan.toml").read_text("utf-8")
+    if path is None:
+        return _parse(embedded, "the embedded plan")
+    try:
+        text = Path(path).read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(f"{path}: not a readable TOML file") from error
+    return _parse(text, str(path))
+
+
+def _parse(text: str, origin: str) -> Plan:
+    try:
+        document = tomllib.loads(text)
+        _check_keys(document, ("name", "start", "drive", "leg", "fixes", "limits", "sweep", "keep_out"), "the plan")
+        start, drive = _table(document, "start"), _table(document, "drive")
+        _check_keys(start, ("x_m", "y_m", "heading_deg"), "[start]")
+        _check_keys(drive, ("speed_m_s", "blend_m"), "[drive]")
+        if "speed_m_s" not in drive:
+            raise ParameterError("[drive] has no speed_m_s")
+        limits = _table(document, "limits") if "limits" in document else _default_limits()
+        return Plan(
+            name=str(document.get("name", origin)),
+            legs=tuple(_leg(table) for table in _list(document, "leg")),
+            fixes=_fixes(document),
+            limits=tuple(_limit(quantity, entry) for quantity, entry in limits.items()),
+            sweep=tuple(parse_sweep(f"{name}={entry}") for name, entry in _table(document, "sweep").items()),
+            keep_out=tuple(_keep_out(table) for table in _list(document, "keep_out")),
+            origin=origin,
+            **{key: _number(value, key) for key, value in (start | drive).items()},
+        )
+    except tomllib.TOMLDecodeError as error:
+        raise DataError(f"{origin}: not valid TOML: {error}") from error
+    except ParameterError as error:
+        raise DataError(f"{origin}: {error}") from error
+
+
+def _default_limits() -> dict[str, Any]:
+    return dict(tomllib.loads((files(__package__) / "plan.toml").read_text("utf-8"))["limits"])
+
+
+def _list(document: dict[str, Any], name: str) -> list[Any]:
+    tables = document.get(name, [])
+    if not isinstance(tables, list):
+        raise ParameterError(f"write each {name} as [[{name}]], in double brackets")
+    return tables
+
+
+def _leg(table: Any) -> Leg:
+    _check_keys(table, ("length_m", "curvature_per_m", "crab_deg", "turn_deg", "stop_s"), "[[leg]]")
+    return Leg(**{name: _number(value, name) for name, value in table.items()})
+
+
+def _fixes(document: dict[str, Any]) -> Fixes | None:
+    if "fixes" not in document:
+        return None
+    table, known = _table(document, "fixes"), ("position_sigma_m", "heading_sigma_deg")
+    _check_keys(table, known, "[fixes]")
+    for name in known:
+        if name not in table:
+            raise ParameterError(f"[fixes] has no {name}")
+    return Fixes(*(_number(table[name], name) for name in known))
+
+
+def _keep_out(table: Any) -> KeepOut:
+    known = ("name", "x_m", "y_m", "radius_m")
+    _check_keys(table, known, "[[keep_out]]")
+    for name in known:
+        if name not in table:
+            raise ParameterError(f"a [[keep_out]] has no {name}")
+    return KeepOut(str(table["name"]), *(_number(table[name], name) for name in known[1:]))
+
+
+def _limit(quantity: str, entry: Any) -> Limit:
+    _check_keys({quantity: entry}, QUANTITIES, "[limits]")
+    table = entry if isinstance(entry, dict) else {"value": entry, "source": "the plan"}
+    _check_keys(table, ("value", "source", "assumed"), f"limit {quantity}")
+    value = _number(table.get("value"), quantity)
+    lowest_fits = quantity in AT_LEAST and value == 0
+    if not (0 < value < math.inf or lowest_fits):
+        raise ParameterError(f"limit {quantity} is {value}; give a number above 0")
+    return Limit(quantity, QUANTITIES[quantity], value, str(table.get("source", "")), bool(table.get("assumed", False)))
+
+
+def _table(document: dict[str, Any], name: str) -> dict[str, Any]:
+    table = document.get(name, {})
+    if not isinstance(table, dict):
+        raise ParameterError(f"[{name}] must be a table")
+    return table
+
+
+def _check_keys(table: Any, known: Iterable[str], where: str) -> None:
+    if not isinstance(table, dict):
+        raise ParameterError(f"{where} must be a table")
+    for key in table:
+        if key not in known:
+            raise ParameterError(f"'{key}' is not a key of {where}; these are: {', '.join(known)}")
+
+
+def _number(value: Any, name: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ParameterError(f"{name} is {value!r}; give a number")
+    return float(value)

@@ -1,0 +1,55 @@
+"""Plans as TOML files."""
+
+import json
+from pathlib import Path
+
+from lunarsci.errors import OutputError
+from lunarsci.twin.plans.plan import Leg, Plan
+
+__all__ = ["plan_text", "write_plan"]
+
+
+def plan_text(plan: Plan) -> str:
+    """The TOML text that `read_plan` reads back as the same plan, but for `origin`."""
+    lines = [
+        f"name = {_quoted(plan.name)}",
+        "",
+        "[start]",
+        *(f"{name} = {float(getattr(plan, name))!r}" for name in ("x_m", "y_m", "heading_deg")),
+        "",
+        "[drive]",
+        *(f"{name} = {float(getattr(plan, name))!r}" for name in ("speed_m_s", "blend_m")),
+    ]
+    for leg in plan.legs:
+        values = ((name, float(getattr(leg, name))) for name in Leg.__slots__)
+        lines += ["", "[[leg]]", *(f"{name} = {value!r}" for name, value in values if value)]
+    if plan.fixes is not None:
+        names = ("position_sigma_m", "heading_sigma_deg")
+        lines += ["", "[fixes]", *(f"{name} = {float(getattr(plan.fixes, name))!r}" for name in names)]
+    for circle in plan.keep_out:
+        places = (f"{name} = {float(getattr(circle, name))!r}" for name in ("x_m", "y_m", "radius_m"))
+        lines += ["", "[[keep_out]]", f"name = {_quoted(circle.name)}", *places]
+    lines += ["", "[limits]"]
+    for limit in plan.limits:
+        source, assumed = _quoted(limit.source), "true" if limit.assumed else "false"
+        lines.append(f"{limit.quantity} = {{ value = {limit.limit!r}, assumed = {assumed}, source = {source} }}")
+    lines += ["", "[sweep]"]
+    lines += [f"{sweep.name} = {_quoted(_range(sweep.low, sweep.high, sweep.count))}" for sweep in plan.sweep]
+    return "\n".join(lines) + "\n"
+
+
+def write_plan(plan: Plan, path: str | Path) -> None:
+    """Write a plan as `read_plan` reads it. Raises OutputError."""
+    try:
+        Path(path).write_text(plan_text(plan), "utf-8")
+    except OSError as error:
+        raise OutputError(f"{path}: {error.strerror}") from error
+
+
+def _range(low: float, high: float, count: int) -> str:
+    return f"{float(low)!r}:{float(high)!r}:{count}"
+
+
+def _quoted(text: str) -> str:
+    # The escapes of JSON are among those of TOML, which also forbids a bare delete character.
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

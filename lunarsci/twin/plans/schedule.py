@@ -1,0 +1,292 @@
+"""When a plan does what: its legs in time, with halts where the rover must stop to steer or to learn where it is."""
+
+import dataclasses
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.twin.plans.commands import CREEP, CREEP_M_S, Commands, held, reach_m, wheel_commands
+from lunarsci.twin.plans.path import along_legs, curvature_at, leg_end
+from lunarsci.twin.plans.plan import Leg, Plan
+from lunarsci.twin.rover import Rover
+
+__all__ = [
+    "Run",
+    "Schedule",
+    "all_commands",
+    "commands_at",
+    "make_schedule",
+    "run_commands",
+    "start_motion",
+    "steps_of_runs",
+]
+
+FloatArray = npt.NDArray[np.float64]
+EASE_S = 0.6
+"""Time constant of starting and stopping, assumed: long against the 12-18 ms in which shear follows a wheel."""
+RAMP_S = EASE_S * math.log(1.0 / CREEP)
+"""From a creep to full speed, exponentially."""
+RAMP_COUNTS_S = EASE_S * (1.0 - CREEP)
+"""What a ramp counts for in time at full speed."""
+STEERING_RAD_S = math.radians(10.0)
+"""Assumed rate of the steering motors; the wheels steer at a standstill between legs that need it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Legs that follow each other without a halt.
+
+    Attributes
+    ----------
+    legs : blended arcs of one direction of travel, or a single turn or stop.
+    begin_s : when it begins, with steering. [s]
+    steer_s : time to steer before it moves. [s]
+    cruise_s : time at full speed, without ramps. [s]
+    starts, stops : whether it speeds up from a halt, and slows down to one.
+    """
+
+    legs: tuple[Leg, ...]
+    begin_s: float
+    steer_s: float
+    cruise_s: float
+    starts: bool
+    stops: bool
+
+    @property
+    def length_m(self) -> float:
+        """Length of its path. [m]"""
+        return math.fsum(leg.length_m for leg in self.legs)
+
+    @property
+    def end_s(self) -> float:
+        """When it ends. [s]"""
+        return self.begin_s + self.steer_s + self.cruise_s + RAMP_S * (self.starts + self.stops)
+
+    @property
+    def moves(self) -> bool:
+        """False for a stop."""
+        return self.legs[0].stop_s == 0
+
+    def share_at(self, time_s: npt.ArrayLike) -> FloatArray:
+        """Share of its motion that is done, 0 before and 1 after it; 0 throughout for a stop."""
+        t = np.asarray(time_s, dtype=float) - self.begin_s - self.steer_s
+        if not self.moves:
+            return np.zeros_like(t)
+        done, whole = np.zeros_like(t), self.cruise_s
+        if self.starts:
+            done += EASE_S * (np.exp(np.clip(t - RAMP_S, -RAMP_S, 0.0) / EASE_S) - CREEP)
+            t, whole = t - RAMP_S, whole + RAMP_COUNTS_S
+        done += np.clip(t, 0.0, self.cruise_s)
+        if self.stops:
+            done += EASE_S * (1.0 - np.exp(-np.clip(t - self.cruise_s, 0.0, RAMP_S) / EASE_S))
+            whole += RAMP_COUNTS_S
+        return done / whole
+
+    def pace_at(self, time_s: npt.ArrayLike) -> FloatArray:
+        """Share of the full speed: 1 under way, less when starting and stopping, 0 before, after and in a stop."""
+        t = np.asarray(time_s, dtype=float) - self.begin_s - self.steer_s
+        length = self.end_s - self.begin_s - self.steer_s
+        pace = np.where((t >= 0.0) & (t <= length) & self.moves, 1.0, 0.0)
+        if self.starts:
+            pace *= np.exp(np.clip(t - RAMP_S, -RAMP_S, 0.0) / EASE_S)
+        if self.stops:
+            pace *= np.exp(-np.clip(t - length + RAMP_S, 0.0, RAMP_S) / EASE_S)
+        return np.asarray(pace)
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """A plan in time, for one rover.
+
+    Attributes
+    ----------
+    plan : what is driven.
+    runs : in order.
+    poses : nominal x, y, heading at the start of each run. [m, m, rad]
+    """
+
+    plan: Plan
+    runs: tuple[Run, ...]
+    poses: tuple[FloatArray, ...] = field(repr=False)
+
+    @property
+    def duration_s(self) -> float:
+        """From the first motion to the last. [s]"""
+        return self.runs[-1].end_s
+
+    def distance_at(self, time_s: npt.ArrayLike) -> FloatArray:
+        """Commanded distance; it stands still while the rover turns on the spot or stops. [m]"""
+        return np.asarray(sum(run.length_m * run.share_at(time_s) for run in self.runs))
+
+    def pace_at(self, time_s: npt.ArrayLike) -> FloatArray:
+        """Share of the full speed: 1 under way, 0 at a standstill."""
+        return np.asarray(np.max([run.pace_at(time_s) for run in self.runs], axis=0))
+
+    def pose_at(self, time_s: npt.ArrayLike) -> FloatArray:
+        """Planned x, y, heading. (..., 3) [m, m, rad]
+
+        Without the blends of the commanded curvature, as `planned_pose`.
+        """
+        time = np.asarray(time_s, dtype=float)
+        result = np.broadcast_to(self.poses[0], (*time.shape, 3)).copy()
+        for run, start in zip(self.runs, self.poses, strict=True):
+            on = time >= run.begin_s
+            result[on] = _along(run, start, run.share_at(time[on]))
+        return result
+
+
+def make_schedule(plan: Plan, rover: Rover) -> Schedule:
+    """Lay out the legs of a plan in time.
+
+    Arcs of one direction of travel are blended, without a halt, unless the plan has fixes. Around every other joint
+    the rover slows down, steers at a standstill, and speeds up; at the start and at the end of the plan it is under
+    way.
+    """
+    groups = _without_halts(plan)
+    runs: list[Run] = []
+    poses = [np.array([plan.x_m, plan.y_m, math.radians(plan.heading_deg)])]
+    steering = np.zeros(len(rover.wheels))
+    for number, legs in enumerate(groups):
+        first, last = number == 0, number == len(groups) - 1
+        begin = runs[-1].end_s if runs else 0.0
+        bare = Run(legs, begin, 0.0, 0.0, not first and legs[0].stop_s == 0, not last and legs[0].stop_s == 0)
+        wanted = _steering(rover, legs[0]) if bare.moves else steering
+        turned = 0.0 if first else float(np.abs(wanted - steering).max())
+        cruise = max(_nominal_s(bare, plan, rover) - RAMP_COUNTS_S * (bare.starts + bare.stops), 0.0)
+        runs.append(dataclasses.replace(bare, steer_s=turned / STEERING_RAD_S, cruise_s=cruise))
+        steering = _steering(rover, legs[-1]) if bare.moves else steering
+        poses.append(_along(bare, poses[-1], np.ones(1))[0])
+    return Schedule(plan, tuple(runs), tuple(poses[:-1]))
+
+
+def run_commands(
+    rover: Rover, schedule: Schedule, number: int, times_s: FloatArray, before: Commands | None, legs: FloatArray | None
+) -> Commands:
+    """Commands of one run over successive steps, for each of several rovers.
+
+    Parameters
+    ----------
+    number : which run.
+    times_s : begin of the first step and end of each, all within the run. (steps + 1,) [s]
+    before : the commands at the end of the run before, of each rover; None at the start of the drive.
+    legs : length [m], curvature [1/m] and turn [rad] of the run's single leg for each rover; None as planned. (n, 3)
+
+    The speed is the mean over a step, so that the distance driven is exact; the curvature is that of the step's end: a
+    velocity that a step arrives at is that of its end, which leaves a tenth of the error in the step.
+    """
+    run = schedule.runs[number]
+    if not run.moves:
+        still = before or Commands(*(np.zeros((1, 1, len(rover.wheels))) for _ in range(2)))
+        shape = (len(still.steering_rad), len(times_s) - 1, len(rover.wheels))
+        return held(Commands(*(np.broadcast_to(part[:, -1:], shape) for part in _halted(still))), CREEP_M_S)
+    share = run.share_at(times_s)
+    rates = np.diff(share) / np.diff(times_s)
+    commands = held(_motion(rover, schedule.plan, run, share[1:], rates, legs), CREEP_M_S)
+    if before is None or run.steer_s == 0:
+        return commands
+    turned = np.clip((times_s[1:] - run.begin_s) / run.steer_s, 0.0, 1.0)[:, None]
+    old = before.steering_rad[:, -1:]
+    return Commands(old + turned * (commands.steering_rad - old), commands.speed_m_s)
+
+
+def all_commands(rover: Rover, schedule: Schedule, times_s: FloatArray) -> Commands:
+    """Commands of the whole drive as planned, over successive steps; arguments as in `run_commands`. (1, steps, n)"""
+    runs: list[Commands] = []
+    for number, piece in enumerate(steps_of_runs(schedule, times_s)):
+        times = times_s[piece.start : piece.stop + 1]
+        runs.append(run_commands(rover, schedule, number, times, runs[-1] if runs else None, None))
+    return Commands(
+        np.concatenate([run.steering_rad for run in runs], axis=1),
+        np.concatenate([run.speed_m_s for run in runs], axis=1),
+    )
+
+
+def commands_at(rover: Rover, schedule: Schedule, time_s: FloatArray) -> Commands:
+    """Commands as planned at some times, those of the step of 0.1 s or less that begins there. (n, wheels)"""
+    steps = max(1, math.ceil(schedule.duration_s / 0.1))
+    times = np.linspace(0.0, schedule.duration_s, steps + 1)
+    commands = all_commands(rover, schedule, times)
+    number = np.clip(np.searchsorted(times, time_s, side="right") - 1, 0, steps - 1)
+    return Commands(commands.steering_rad[0, number], commands.speed_m_s[0, number])
+
+
+def steps_of_runs(schedule: Schedule, times_s: FloatArray) -> list[slice]:
+    """The steps of each run: a step belongs to the run in which its middle lies."""
+    middles = 0.5 * (times_s[1:] + times_s[:-1])
+    ends = np.searchsorted(middles, [run.end_s for run in schedule.runs])
+    ends[-1] = len(middles)
+    return [slice(int(a), int(b)) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
+
+
+def start_motion(schedule: Schedule, rover: Rover) -> tuple[float, float, float]:
+    """Velocity of the rover's origin ahead and to the left [m/s], and rate of turn [rad/s], as the drive begins."""
+    leg, speed = schedule.runs[0].legs[0], schedule.plan.speed_m_s
+    if leg.stop_s:
+        return 0.0, 0.0, 0.0
+    ahead, left, turn = (float(speed * part) for part in _unit_motion(rover, leg))
+    return ahead, left - turn * rover.turning_x_m, turn
+
+
+def _unit_motion(rover: Rover, leg: Leg) -> FloatArray:
+    """Ahead [-], left [-] and turn [rad/m] for each unit of speed; on the spot the farthest wheel has that speed."""
+    if leg.turn_deg:
+        return np.array([0.0, 0.0, math.copysign(1.0 / reach_m(rover), leg.turn_deg)])
+    crab = math.radians(leg.crab_deg)
+    return np.array([math.cos(crab), math.sin(crab), leg.curvature_per_m])
+
+
+def _motion(
+    rover: Rover, plan: Plan, run: Run, share: FloatArray, rates: FloatArray, legs: FloatArray | None
+) -> Commands:
+    """Commands at shares of the motion done, with rates of the share [1/s], one row for each rover."""
+    leg = run.legs[0]
+    ahead, left, turn = _unit_motion(rover, leg)
+    if leg.turn_deg:
+        angle = np.array([[math.radians(leg.turn_deg)]]) if legs is None else legs[:, 2:]
+        turns = np.broadcast_to(abs(turn) * np.sign(angle), (len(angle), len(share)))
+        return wheel_commands(rover, ahead, left, turns, np.abs(angle / turn) * rates)
+    if legs is None:
+        curvature = curvature_at(run.legs, share * run.length_m, plan.blend_m)[None, :]
+        return wheel_commands(rover, ahead, left, curvature, run.length_m * rates[None, :])
+    return wheel_commands(
+        rover, ahead, left, np.broadcast_to(legs[:, 1:2], (len(legs), len(share))), legs[:, :1] * rates
+    )
+
+
+def _halted(commands: Commands) -> tuple[FloatArray, FloatArray]:
+    """Steering as it was, rims at rest in the direction they had."""
+    return commands.steering_rad, 0.0 * commands.speed_m_s
+
+
+def _steering(rover: Rover, leg: Leg) -> FloatArray:
+    ahead, left, turn = _unit_motion(rover, leg)
+    return wheel_commands(rover, ahead, left, turn, 1.0).steering_rad
+
+
+def _nominal_s(run: Run, plan: Plan, rover: Rover) -> float:
+    leg = run.legs[0]
+    if leg.stop_s:
+        return leg.stop_s
+    return (abs(math.radians(leg.turn_deg)) * reach_m(rover) + run.length_m) / plan.speed_m_s
+
+
+def _without_halts(plan: Plan) -> list[tuple[Leg, ...]]:
+    """The legs in groups that are driven without a halt."""
+    if plan.fixes is not None:
+        return [(leg,) for leg in plan.legs]
+    groups: list[tuple[Leg, ...]] = []
+    for leg in plan.legs:
+        if groups and leg.length_m and groups[-1][0].length_m and leg.crab_deg == groups[-1][0].crab_deg:
+            groups[-1] = (*groups[-1], leg)
+        else:
+            groups.append((leg,))
+    return groups
+
+
+def _along(run: Run, start: FloatArray, share: FloatArray) -> FloatArray:
+    """Pose after a share of a run."""
+    if run.length_m == 0:
+        return leg_end(start, run.legs[0], share if run.moves else 0.0 * share)
+    return along_legs(start, run.legs, share * run.length_m)

@@ -1,0 +1,1 @@
+"""Search for a path of arcs between hazards."""

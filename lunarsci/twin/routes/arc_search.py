@@ -1,0 +1,273 @@
+"""Search for courses of arcs over a map of costs and clearances: a lattice of arcs, then a local refinement."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.twin.plans.path import arc_end
+from lunarsci.twin.routes.closing import close_on_point, close_on_pose
+from lunarsci.twin.routes.search_ground import Window, drive_arcs, drive_course
+
+__all__ = ["COARSEST_M", "FINEST_M", "Course", "Problem", "find_courses", "pose_after"]
+
+FloatArray = npt.NDArray[np.float64]
+
+MOST_ARCS = 4
+LENGTHS = 8
+"""Free arcs are 1/8, 2/8 ... 8/8 of the distance of the target long."""
+HALVINGS = 5
+"""and as curved as the tightest turn, half of it, ... a sixteenth, to the left and to the right, or straight."""
+LONGEST = 2.5
+"""A course is at most this many distances of the target long, and two tightest turns."""
+TURNING_M2 = 0.5
+"""Cost of a change of curvature by 1/m: assumed. [m2]"""
+ARC_M = 0.1
+"""Cost of each arc: assumed. [m]"""
+BEST, NEARLY = 5, 8
+"""How many courses of each number of arcs are refined, and how many that do not keep the clearance if none does."""
+SHORTEST_M, FINEST_M, COARSEST_M = 0.1, 0.1, 0.4
+SAME_PER_M = 1e-5
+"""Arcs whose curvatures differ by less are one."""
+PENALTY = 1e3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Problem:
+    """What a course is searched for.
+
+    Attributes
+    ----------
+    window, discs : what `drive_arc` looks up, and where.
+    start, goal : poses [m, m, rad]; the heading of the goal is NaN where any will do.
+    tightest_per_m : largest curvature. [1/m]
+    step_m : distance of the places looked at in the lattice; at most 0.1 m or a spacing in the refinement. [m]
+    need_m, wanted_m : as in `drive_arc`. [m]
+    """
+
+    window: Window
+    discs: FloatArray
+    start: FloatArray
+    goal: FloatArray
+    tightest_per_m: float
+    step_m: float
+    need_m: float
+    wanted_m: float
+
+    @property
+    def distance_m(self) -> float:
+        """From start to goal. [m]"""
+        return math.dist(self.start[:2], self.goal[:2])
+
+    def close(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Lengths and curvatures of the arcs that end at the goal. (n, 1) or (n, 2) [m, 1/m]"""
+        if math.isnan(self.goal[2]):
+            return close_on_point(poses, self.goal[:2])
+        return close_on_pose(poses, self.goal)
+
+    def drive(self, poses: FloatArray, lengths: FloatArray, curvatures: FloatArray) -> FloatArray:
+        """Cost, infinite where the clearance is not kept, and length driven. (n, 2) [m]"""
+        return np.asarray(
+            drive_arcs(self.window, self.discs, poses, lengths, curvatures, self.step_m, self.need_m, self.wanted_m)
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Course:
+    """Arcs (n, 2) of length [m] and curvature [1/m], and their cost [m]."""
+
+    arcs: FloatArray
+    cost_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Branches:
+    """Beginnings of courses that keep the clearance: arcs (n, k, 2), poses (n, 3), costs and lengths (n,)."""
+
+    arcs: FloatArray
+    poses: FloatArray
+    cost: FloatArray
+    length: FloatArray
+
+
+def find_courses(problem: Problem, progress: Callable[[int, int], None] | None = None) -> tuple[list[Course], Course]:
+    """Courses that end at the goal and keep the clearance, cheapest first, and the one that comes nearest to it.
+
+    Up to three arcs are tried first; a fourth where these find nothing. Then the courses that fall least short of the
+    clearance are refined until they keep it, if they can. All courses are deterministic.
+    """
+    closing = 1 if math.isnan(problem.goal[2]) else 2
+    branches = _Branches(arcs=np.empty((1, 0, 2)), poses=problem.start[None], cost=np.zeros(1), length=np.zeros(1))
+    found: list[Course] = []
+    nearly: list[Course] = []
+    nearest = (math.inf, Course(np.empty((0, 2)), 0.0))
+    for free in range(MOST_ARCS - closing + 1):
+        if free:
+            if free + closing == MOST_ARCS and found:
+                break
+            branches = _grow(problem, branches)
+        good, stopped = _closed(problem, branches)
+        found += good
+        nearest = min(nearest, stopped, key=lambda pair: pair[0])
+        if not found and free + closing < MOST_ARCS:
+            nearly += _shortest_falls(problem, branches)
+        if progress is not None:
+            progress(free + 1, MOST_ARCS)
+    fine = replace(problem, step_m=min(problem.step_m, max(FINEST_M, problem.window.spacing)))
+    refined = [course for course in (_refined(fine, course, closing) for course in found or nearly) if course]
+    if progress is not None:
+        progress(MOST_ARCS, MOST_ARCS)
+    return sorted(refined, key=lambda course: course.cost_m), nearest[1]
+
+
+def pose_after(pose: FloatArray, arcs: FloatArray) -> FloatArray:
+    """Pose at the end of arcs (n, 2). (3,) [m, m, rad]"""
+    end = pose[None]
+    for arc in arcs:
+        end = _moved(end, arc[None, 0], arc[None, 1])
+    return np.asarray(end[0])
+
+
+def _moved(poses: FloatArray, length: FloatArray, curvature: FloatArray) -> FloatArray:
+    """Poses (n, 3) after an arc each."""
+    return np.column_stack(arc_end(poses[:, 0], poses[:, 1], poses[:, 2], length, curvature))
+
+
+def _grow(problem: Problem, branches: _Branches) -> _Branches:
+    """Every branch with every arc of the lattice that keeps the clearance."""
+    distance = problem.distance_m
+    curved = problem.tightest_per_m * 0.5 ** np.arange(HALVINGS)
+    curvatures = np.concatenate([-curved, [0.0], curved[::-1]])
+    lengths = distance * np.arange(1, LENGTHS + 1) / LENGTHS
+    curvature, length = (grid.ravel() for grid in np.meshgrid(curvatures, lengths, indexing="ij"))
+    branch = np.repeat(np.arange(len(branches.poses)), curvature.size)
+    curvature, length = np.tile(curvature, len(branches.poses)), np.tile(length, len(branches.poses))
+    longest = LONGEST * distance + 4.0 * math.pi / problem.tightest_per_m
+    wanted = branches.length[branch] + length < longest
+    if branches.arcs.shape[1]:
+        wanted &= branches.arcs[branch, -1, 1] != curvature
+    branch, curvature, length = branch[wanted], curvature[wanted], length[wanted]
+    poses = branches.poses[branch]
+    cost = problem.drive(poses, length, curvature)[:, 0] + branches.cost[branch]
+    kept = np.isfinite(cost)
+    branch, curvature, length = branch[kept], curvature[kept], length[kept]
+    arcs = np.concatenate([branches.arcs[branch], np.stack([length, curvature], axis=-1)[:, None]], axis=1)
+    return _Branches(
+        arcs=arcs,
+        poses=_moved(poses[kept], length, curvature),
+        cost=cost[kept],
+        length=branches.length[branch] + length,
+    )
+
+
+def _closed(problem: Problem, branches: _Branches) -> tuple[list[Course], tuple[float, Course]]:
+    """The cheapest courses with closing arcs that keep the clearance, and the one that came nearest, with how near."""
+    lengths, curvatures = problem.close(branches.poses)
+    possible = (np.abs(curvatures) <= problem.tightest_per_m).all(axis=1)
+    arcs = np.concatenate([branches.arcs, np.stack([lengths, curvatures], axis=-1)], axis=1)[possible]
+    poses, cost = branches.poses[possible], branches.cost[possible]
+    ends, driven = poses, np.zeros(len(poses))
+    for number in range(lengths.shape[1]):
+        length, curvature = lengths[possible, number], curvatures[possible, number]
+        result = problem.drive(poses, length, curvature)
+        driven = np.where(np.isfinite(cost), result[:, 1], 0.0)
+        ends = np.where(np.isfinite(cost)[:, None], _moved(poses, driven, curvature), ends)
+        cost = cost + result[:, 0]
+        poses = _moved(poses, length, curvature)
+    total = cost + TURNING_M2 * _changes(arcs) + ARC_M * arcs.shape[1]
+    order = np.argsort(total, kind="stable")[:BEST]
+    good = [Course(arcs[number], float(total[number])) for number in order if math.isfinite(total[number])]
+    return good, _nearest(problem, branches, arcs, ends, driven)
+
+
+def _nearest(
+    problem: Problem, branches: _Branches, arcs: FloatArray, ends: FloatArray, driven: FloatArray
+) -> tuple[float, Course]:
+    """Of the branches, and of the courses as far as they could be driven, the one that ends nearest to the goal."""
+    goal = problem.goal[:2]
+    pairs = []
+    if len(branches.poses):
+        distance = np.hypot(*(branches.poses[:, :2] - goal).T)
+        pairs.append((float(distance.min()), Course(branches.arcs[distance.argmin()], 0.0)))
+    if len(ends) and math.isnan(problem.goal[2]):
+        distance = np.hypot(*(ends[:, :2] - goal).T)
+        number = int(distance.argmin())
+        cut = arcs[number].copy()
+        cut[-1, 0] = driven[number]
+        pairs.append((float(distance[number]), Course(cut, 0.0)))
+    return min(pairs, key=lambda pair: pair[0], default=(math.inf, Course(np.empty((0, 2)), 0.0)))
+
+
+def _shortest_falls(problem: Problem, branches: _Branches) -> list[Course]:
+    """Courses whose closing arcs fall least short of the clearance."""
+    lengths, curvatures = problem.close(branches.poses)
+    possible = (np.abs(curvatures) <= problem.tightest_per_m).all(axis=1)
+    arcs = np.concatenate([branches.arcs, np.stack([lengths, curvatures], axis=-1)], axis=1)[possible]
+    scores = np.array([_score(problem, course) for course in arcs])
+    return [Course(arcs[number], float(scores[number])) for number in np.argsort(scores, kind="stable")[:NEARLY]]
+
+
+def _score(problem: Problem, arcs: FloatArray) -> float:
+    """Cost with its number and changes of arcs, and a penalty on what falls short of the clearance. [m]"""
+    cost, shortfall = drive_course(
+        problem.window, problem.discs, problem.start, arcs, problem.step_m, problem.need_m, problem.wanted_m
+    )
+    return float(cost + PENALTY * shortfall + TURNING_M2 * _changes(arcs[None])[0] + ARC_M * len(arcs))
+
+
+def _changes(arcs: FloatArray) -> FloatArray:
+    """Sum of the changes of curvature along each course (n, k, 2), from straight on. (n,) [1/m]"""
+    return np.asarray(np.abs(np.diff(arcs[..., 1], axis=1, prepend=0.0)).sum(axis=1))
+
+
+def _refined(problem: Problem, course: Course, closing: int) -> Course | None:
+    """The course moved to the nearest least cost, None where it does not keep the clearance then."""
+    from scipy.optimize import minimize
+
+    free = course.arcs[: len(course.arcs) - closing]
+    scale = np.array([0.1 * problem.distance_m, 0.1 * problem.tightest_per_m])
+
+    def arcs_of(numbers: FloatArray) -> FloatArray:
+        own = free + numbers.reshape(-1, 2) * scale
+        pose = pose_after(problem.start, own)[None]
+        lengths, curvatures = problem.close(pose)
+        return np.concatenate([own, np.stack([lengths[0], curvatures[0]], axis=-1)])
+
+    def score(numbers: FloatArray) -> float:
+        arcs = arcs_of(numbers)
+        beyond = np.maximum(np.abs(arcs[:, 1]) - problem.tightest_per_m, 0.0).sum()
+        short = np.maximum(SHORTEST_M - arcs[:, 0], 0.0).sum()
+        if not np.isfinite(arcs).all() or short + beyond > 0:
+            return PENALTY * (1.0 + float(np.nan_to_num(short + beyond, nan=PENALTY)))
+        return _score(problem, arcs)
+
+    best = np.zeros(free.size)
+    if free.size:
+        simplex = np.vstack([best, np.eye(free.size)])
+        steps = 120 * free.size
+        found = minimize(
+            score, best, method="Nelder-Mead",
+            options={"initial_simplex": simplex, "maxiter": steps, "xatol": 1e-3, "fatol": 1e-4},
+        )  # fmt: skip
+        best = np.asarray(found.x)
+    arcs = _merged(arcs_of(best))
+    kept = np.isfinite(arcs).all() and _shortfall(problem, arcs) == 0 and score(best) < PENALTY
+    return Course(arcs, _score(problem, arcs)) if kept else None
+
+
+def _shortfall(problem: Problem, arcs: FloatArray) -> float:
+    window, step = problem.window, problem.step_m
+    return float(drive_course(window, problem.discs, problem.start, arcs, step, problem.need_m, problem.wanted_m)[1])
+
+
+def _merged(arcs: FloatArray) -> FloatArray:
+    """Neighbouring arcs of the same curvature as one."""
+    rows = [arcs[0]]
+    for length, curvature in arcs[1:]:
+        if abs(curvature - rows[-1][1]) < SAME_PER_M:
+            rows[-1] = np.array([rows[-1][0] + length, rows[-1][1]])
+        else:
+            rows.append(np.array([length, curvature]))
+    return np.array(rows)

@@ -1,0 +1,286 @@
+"""Plan a path of a few arcs from a pose to a place, within the limits of a rover and clear of hazards."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.errors import ParameterError
+from lunarsci.twin.footprint import Footprint, nearest_node, rover_footprint, swept_nodes
+from lunarsci.twin.ground.hazards import Traversability
+from lunarsci.twin.plans.path import planned_pose
+from lunarsci.twin.plans.plan import Leg, Limit, Plan
+from lunarsci.twin.routes.arc_search import COARSEST_M, FINEST_M, Course, Problem, find_courses, pose_after
+from lunarsci.twin.routes.search_ground import SearchGround, search_ground
+from lunarsci.twin.rover import Rover
+
+__all__ = ["ARRIVAL_M", "PlannedPath", "path_table", "plan_path"]
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FloatArray = npt.NDArray[np.float64]
+BoolMap = npt.NDArray[np.bool_]
+Progress = Callable[[int, int], None]
+
+ARRIVAL_M = 0.01
+"""A path ends at least this near to its target. [m]"""
+MARGIN_SHARE, MARGIN_M = 0.5, 3.0
+"""The search looks this share of the distance, and so far, beyond start and target."""
+PLACES_M = 0.02
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlannedPath:
+    """A path within the limits.
+
+    Attributes
+    ----------
+    plan : start, arcs and speed.
+    target_m : x, y that was asked for. [m]
+    cost_m : length in metres of flat, clear ground. [m]
+    min_hazard_distance_m : least distance of the footprint from a node that is a hazard or unknown, or from the edge of
+        the map; infinite where none is near. [m]
+    max_slope_deg, max_roughness_m, max_step_m : largest over the nodes that the footprint sweeps. [deg, m, m]
+    max_slope_on_path_deg : largest slope at the path of the rover's origin. [deg]
+    max_curvature_per_m : largest magnitude. [1/m]
+    footprint : what was swept along it.
+    swept : nodes that the footprint covers. (ny, nx)
+    """
+
+    plan: Plan
+    target_m: tuple[float, float]
+    cost_m: float
+    min_hazard_distance_m: float
+    max_slope_deg: float
+    max_roughness_m: float
+    max_step_m: float
+    max_slope_on_path_deg: float
+    max_curvature_per_m: float
+    footprint: Footprint
+    swept: BoolMap
+
+    @property
+    def end(self) -> FloatArray:
+        """Pose at the end of the plan. (3,) [m, m, rad]"""
+        return np.asarray(planned_pose(self.plan, [self.plan.length_m])[0])
+
+    @property
+    def miss_m(self) -> float:
+        """Distance of the end of the plan from the target. [m]"""
+        return float(np.hypot(*(self.end[:2] - self.target_m)))
+
+
+def plan_path(
+    surface: Traversability,
+    rover: Rover,
+    start: tuple[float, float, float],
+    target: tuple[float, float],
+    *,
+    final_heading_deg: float | None = None,
+    speed_m_s: float | None = None,
+    limits: tuple[Limit, ...] = (),
+    name: str = "planned path",
+    progress: Progress | None = None,
+) -> PlannedPath:
+    """The cheapest path of one to four arcs that was found.
+
+    Parameters
+    ----------
+    surface : where the rover may drive, and its limits.
+    rover : its footprint is swept along the path.
+    start : x, y, heading of its origin. [m, m, deg]
+    target : x, y that its origin shall reach. [m, m]
+    final_heading_deg : heading at the target; any when None. [deg]
+    speed_m_s, limits, name : of the plan; the speed is the rover's highest when None.
+    progress : called with (stages done, stages).
+
+    The footprint keeps `hazard_distance_m` from every node that exceeds a limit or has no known height, and from the
+    edge of the map; the slope at the rover's origin must be known; the radius of the arcs is at least
+    `min_turning_radius_m` and one that the rover can steer. The search is deterministic; it tries a lattice of arcs,
+    which does not prove that there is no path where it finds none. Slope and roughness already look half a footprint
+    ahead, so that hazards of these count twice as wide as they are. Raises ParameterError where it finds none, with
+    what is in the way, and for a start or target that is outside the map, on a hazard or too near to one.
+    """
+    speed = rover.max_speed_m_s if speed_m_s is None else speed_m_s
+    if not 0 < speed <= rover.max_speed_m_s:
+        raise ParameterError(f"speed_m_s is {speed}; {rover.name} drives at most {rover.max_speed_m_s:g} m/s")
+    goal = (*target, math.nan if final_heading_deg is None else math.radians(final_heading_deg))
+    pose = np.array([start[0], start[1], math.radians(start[2])])
+    _check_place(surface, "start", start)
+    _check_place(surface, "target", (*target, 0.0 if final_heading_deg is None else final_heading_deg))
+    distance = math.dist(start[:2], target)
+    if distance < ARRIVAL_M:
+        raise ParameterError("the target is where the rover stands; give another target")
+    footprint = rover_footprint(rover)
+    ends = np.array([start[:2], target])
+    ground = search_ground(surface, ends, MARGIN_SHARE * distance + MARGIN_M + footprint.reach_m)
+    _check_room(surface, ground, footprint, "start", pose[None])
+    headings = np.radians(np.arange(0.0, 360.0, 5.0)) if final_heading_deg is None else [goal[2]]
+    _check_room(surface, ground, footprint, "target", np.array([(*target, heading) for heading in headings]))
+    problem = _problem(surface, ground, footprint, rover, pose, np.array(goal))
+    courses, nearest = find_courses(problem, progress)
+    for course in courses:
+        plan = Plan(
+            name=name,
+            legs=tuple(Leg(float(length), float(curvature)) for length, curvature in course.arcs),
+            speed_m_s=speed,
+            x_m=start[0],
+            y_m=start[1],
+            heading_deg=start[2],
+            limits=limits,
+        )
+        found = _measured(surface, ground, footprint, plan, course, target)
+        if found.min_hazard_distance_m >= surface.mobility.hazard_distance_m and found.miss_m <= ARRIVAL_M:
+            return found
+    raise ParameterError(_why_not(surface, ground, problem, footprint, nearest))
+
+
+def path_table(path: PlannedPath, surface: Traversability, every_m: float = 0.1) -> "pd.DataFrame":
+    """Along the path: distance_m, x_m, y_m, heading_deg, height_m, and slope_deg, roughness_m, step_m at the origin."""
+    import pandas as pd
+
+    distance = np.linspace(0.0, path.plan.length_m, max(2, math.ceil(path.plan.length_m / every_m) + 1))
+    poses = planned_pose(path.plan, distance)
+    row, column = _nodes(surface, poses)
+    maps = surface.maps
+    return pd.DataFrame(
+        {
+            "distance_m": distance,
+            "x_m": poses[:, 0],
+            "y_m": poses[:, 1],
+            "heading_deg": np.degrees(poses[:, 2]),
+            "height_m": surface.terrain.height_at(poses[:, 0], poses[:, 1]),
+            "slope_deg": maps.slope_deg[row, column],
+            "roughness_m": maps.roughness_m[row, column],
+            "step_m": maps.step_m[row, column],
+        }
+    )
+
+
+def _nodes(surface: Traversability, poses: FloatArray) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Row and column of the node nearest to each pose."""
+    terrain = surface.terrain
+    return (
+        np.rint((poses[:, 1] - terrain.y0_m) / terrain.spacing_m).astype(np.int64),
+        np.rint((poses[:, 0] - terrain.x0_m) / terrain.spacing_m).astype(np.int64),
+    )
+
+
+def _problem(
+    surface: Traversability,
+    ground: SearchGround,
+    footprint: Footprint,
+    rover: Rover,
+    pose: FloatArray,
+    goal: FloatArray,
+) -> Problem:
+    mobility, spacing = surface.mobility, surface.terrain.spacing_m
+    discs, radius = footprint.discs()
+    # Between nodes and between places the distance may be less by a small part of the spacing.
+    need = radius + mobility.hazard_distance_m + 0.25 * spacing + 0.005
+    return Problem(
+        window=ground.window,
+        discs=discs,
+        start=pose,
+        goal=goal,
+        tightest_per_m=min(1.0 / mobility.min_turning_radius_m, rover.tightest_curvature_per_m),
+        step_m=min(max(FINEST_M, spacing, 0.01 * math.dist(pose[:2], goal[:2])), max(COARSEST_M, spacing)),
+        need_m=need,
+        wanted_m=need + footprint.half_width_m,
+    )
+
+
+def _check_place(surface: Traversability, name: str, place: tuple[float, float, float]) -> None:
+    x, y, _ = place
+    if not all(map(math.isfinite, place)):
+        raise ParameterError(f"the {name} is {place}; give finite numbers")
+    terrain = surface.terrain
+    if not (terrain.x_m[0] <= x <= terrain.x_m[-1] and terrain.y_m[0] <= y <= terrain.y_m[-1]):
+        raise ParameterError(
+            f"the {name} x {x:g} m, y {y:g} m lies outside the map, which goes from x {terrain.x_m[0]:g} to "
+            f"{terrain.x_m[-1]:g} m and from y {terrain.y_m[0]:g} to {terrain.y_m[-1]:g} m"
+        )
+    column, row = (
+        round((value - first) / terrain.spacing_m) for value, first in ((x, terrain.x0_m), (y, terrain.y0_m))
+    )
+    if reason := surface.reason(row, column):
+        raise ParameterError(f"the rover cannot be at the {name}: {reason}; give another {name}, or other limits")
+
+
+def _check_room(
+    surface: Traversability, ground: SearchGround, footprint: Footprint, name: str, poses: FloatArray
+) -> None:
+    """Some of the poses must keep their distance from hazards."""
+    least = surface.mobility.hazard_distance_m
+    x, y = _places(surface, ground)
+    distance, point, _ = max(nearest_node(footprint, pose[None], x, y) for pose in poses)
+    if distance < least:
+        raise ParameterError(
+            f"at the {name} the footprint is {distance:.2f} m from an obstacle and {least:g} m are to be kept: "
+            f"{_obstacle(surface, ground, point)}; give another {name}, or a smaller distance"
+        )
+
+
+def _places(surface: Traversability, ground: SearchGround) -> tuple[FloatArray, FloatArray]:
+    terrain = surface.terrain
+    row, column = ground.border.T.astype(np.float64)
+    return terrain.x0_m + terrain.spacing_m * column, terrain.y0_m + terrain.spacing_m * row
+
+
+def _obstacle(surface: Traversability, ground: SearchGround, point: int) -> str:
+    row, column = (int(number) for number in ground.border[point])
+    ny, nx = surface.demand.shape
+    if not (0 <= row < ny and 0 <= column < nx):
+        return "the map ends"
+    return surface.reason(row, column)
+
+
+def _measured(
+    surface: Traversability,
+    ground: SearchGround,
+    footprint: Footprint,
+    plan: Plan,
+    course: Course,
+    target: tuple[float, float],
+) -> PlannedPath:
+    """The path with its extremes, looked at every 2 cm."""
+    poses = planned_pose(plan, np.linspace(0.0, plan.length_m, max(2, math.ceil(plan.length_m / PLACES_M) + 1)))
+    terrain, maps = surface.terrain, surface.maps
+    swept = swept_nodes(footprint, terrain, poses)
+    row, column = _nodes(surface, poses)
+    return PlannedPath(
+        plan=plan,
+        target_m=target,
+        cost_m=course.cost_m,
+        min_hazard_distance_m=nearest_node(footprint, poses, *_places(surface, ground))[0],
+        max_slope_deg=_largest(maps.slope_deg[swept]),
+        max_roughness_m=_largest(maps.roughness_m[swept]),
+        max_step_m=_largest(maps.step_m[swept]),
+        max_slope_on_path_deg=_largest(maps.slope_deg[row, column]),
+        max_curvature_per_m=max(abs(leg.curvature_per_m) for leg in plan.legs),
+        footprint=footprint,
+        swept=swept,
+    )
+
+
+def _largest(values: npt.NDArray[np.float32]) -> float:
+    known = values[~np.isnan(values)]
+    return float(known.max()) if known.size else math.nan
+
+
+def _why_not(
+    surface: Traversability, ground: SearchGround, problem: Problem, footprint: Footprint, nearest: Course
+) -> str:
+    """What is in the way of the course that came nearest, and what to try."""
+    end = pose_after(problem.start, nearest.arcs)
+    left = math.dist(end[:2], problem.goal[:2])
+    text = f"no path within the limits was found; the nearest place reached is x {end[0]:.2f} m, y {end[1]:.2f} m"
+    text += f", {left:.2f} m from the target"
+    _, point, _ = nearest_node(footprint, end[None], *_places(surface, ground))
+    if len(ground.border):
+        text += f", next to where {_obstacle(surface, ground, point)}"
+    return f"{text}; try a smaller hazard distance, tighter turns, a nearer target first, or other limits"

@@ -1,0 +1,1 @@
+"""The compiled rover: kinematics, contact with the ground, time step, settling, driving."""
