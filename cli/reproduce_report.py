@@ -55,12 +55,15 @@ def found_numbers(part: str, rocks: Sequence[str], rover: str, *, quiet: bool = 
     parts = PARTS if part == "all" else (part,)
     if parts != ("spectra",):
         found.tables[f"{rover} (rover)"] = sha256(description.text.encode())
-    make = {"spectra": lambda update: _spectra(found, rocks, update), "soil": lambda _: _soil(found)}
+    make: dict[str, Callable[[Update], None]] = {
+        "spectra": lambda update: _spectra(found, rocks, update),
+        "soil": lambda _: _soil(found),
+        "drive": lambda update: _drive(found, update),
+    }
     with progress("reproducing", quiet=quiet) as update:
         total, before = sum(WORK[name] for name in parts), 0
         for name in parts:
-            own = make.get(name, lambda inner: _drive(found, inner))
-            own(_within(update, before, WORK[name], total))
+            make[name](_within(update, before, WORK[name], total))
             before += WORK[name]
             update(100 * before, 100 * total)
     return found

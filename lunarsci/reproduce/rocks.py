@@ -67,7 +67,7 @@ def fit_rocks(spectra: Sequence[Spectrum], progress: Callable[[int, int], None] 
     return Rocks(
         bands=tuple(measure_bands(spectrum) for spectrum in spectra),
         fits=by_name[DEFAULT_CONTINUUM],
-        over_continua=dict(by_name),
+        over_continua={str(name): fits for name, fits in by_name.items()},
         smoothed=_good(smoothed),
     )
 

@@ -131,7 +131,7 @@ def _spread(match: RockMatch) -> float:
 
 def _opx(fits: Sequence[MgmFit]) -> float | None:
     """Mean share of orthopyroxene in the strengths at 2 um, of the boulders that tell it. [%]"""
-    ratios = [fit.nbsr["um2"].opx for fit in fits if fit.nbsr["um2"]]  # type: ignore[union-attr]
+    ratios = [fit.nbsr["um2"].opx for fit in fits if fit.nbsr["um2"]]
     return 100.0 * float(np.mean(ratios)) if ratios else None
 
 
