@@ -1,17 +1,14 @@
 """`lunarsci reproduce`: the published numbers beside ours."""
 
-from collections import Counter
-from typing import Annotated, Any
+from typing import Annotated, Literal
 
 import typer
 
 from .command import command
+from .options import Output
 from .report import Report
-from .table import TextTable
 
 __all__ = ["add_to"]
-
-PAPER = "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8"
 
 
 def add_to(app: typer.Typer) -> None:
@@ -20,46 +17,28 @@ def add_to(app: typer.Typer) -> None:
 
 
 def reproduce(
-    rover: Annotated[str, typer.Option(help="Rover whose wheel is taken: a name or a TOML file.")] = "yutu2",
+    output: Output,
+    part: Annotated[
+        Literal["all", "spectra", "soil", "drive"],
+        typer.Option(help="Which of the numbers, and of the pages of --plot."),
+    ] = "all",
+    rocks: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="FILE",
+            help="Measured spectra of boulders of Chang'E-4, in any form that `spectra fit` reads; of files with other "
+            "targets too, those with 'rock' in their name. May be repeated.",
+        ),
+    ] = None,
+    rover: Annotated[str, typer.Option(help="Rover that drives, and whose wheel is taken: a name or a TOML file.")] = (
+        "yutu2"
+    ),
 ) -> Report:
-    """Soil numbers of Ding et al. (2024) beside what lunarsci makes of what they publish, with a verdict on each.
+    """Numbers of Ding et al. (2024) beside what lunarsci makes of what they publish, with a verdict on each.
 
-    Spectra and drive are not part of it yet.
+    -v prints the reading and the evidence of each number, --plot FILE.pdf draws the paper's figures. The paper comes
+    without its measured spectra and its terrain; with --rocks more of the numbers of the rock can be looked at.
     """
-    from lunarsci.provenance import sha256
-    from lunarsci.regolith.compare import reference_hash
-    from lunarsci.regolith.wheel import read_wheel
-    from lunarsci.reproduce.numbers import published_hash
-    from lunarsci.reproduce.soil import soil_numbers
-    from lunarsci.rovers.description import read_rover
+    from .reproduce_report import found_numbers, reproduce_report
 
-    description = read_rover(rover)
-    found = soil_numbers(read_wheel(description))
-    records = [number.to_dict() for number in found]
-    return Report(
-        schema="reproduce/1",
-        result={"numbers": records, "verdicts": dict(Counter(number.verdict for number in found))},
-        tables=[_table(found), _evidence(found)],
-        rows=records,
-        data_tables={f"{rover} (rover)": sha256(description.text.encode())} | published_hash() | reference_hash(),
-        sources=[PAPER],
-    )
-
-
-def _table(found: Any) -> TextTable:
-    rows = [
-        [number.id, number.quantity, f"{number.published:g}", _ours(number.ours), number.unit, number.verdict]
-        for number in found
-    ]
-    return TextTable(
-        ["number", "quantity", "published", "ours", "unit", "verdict"], rows, title="The numbers of the soil"
-    )
-
-
-def _ours(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4g}"
-
-
-def _evidence(found: Any) -> TextTable:
-    rows = [[number.id, "; ".join(part for part in (number.reading, number.reason) if part)] for number in found]
-    return TextTable(["number", "reading and evidence"], rows)
+    return reproduce_report(found_numbers(part, rocks or [], rover, quiet=output.quiet), verbose=output.verbose)

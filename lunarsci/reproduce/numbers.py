@@ -5,11 +5,24 @@ from dataclasses import dataclass
 
 from lunarsci.tables import table_hashes, table_rows
 
-__all__ = ["TABLE", "Answer", "Number", "judge", "published_hash", "published_numbers"]
+__all__ = [
+    "OPEN",
+    "PARTS",
+    "TABLE",
+    "VERDICTS",
+    "Answer",
+    "Number",
+    "judge",
+    "published_hash",
+    "published_numbers",
+    "published_value",
+]
 
 TABLE = "published.csv"
+PARTS = ("spectra", "soil", "drive")
 REPRODUCED, NAMED = "reproduced", "reproduced under a named reading"
 DIFFERS, OPEN = "differs", "not determined by what is published"
+VERDICTS = (REPRODUCED, NAMED, DIFFERS, OPEN)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,13 +31,16 @@ class Answer:
 
     Attributes
     ----------
-    value : None where what is published does not determine it.
+    value : None where nothing can be computed; an example where `determined` is False.
+    determined : whether what is published determines the value. An example rests on an assumption that is as good as
+        any other, and is not judged.
     low, high : 95 % interval, or the range over what is not published; None where there is none.
     reading : an interpretation or assumption the value rests on, empty where none is needed.
     reason : the evidence, or why it differs or is not determined.
     """
 
     value: float | None
+    determined: bool = True
     low: float | None = None
     high: float | None = None
     reading: str = ""
@@ -40,7 +56,7 @@ class Number:
     id, part, quantity, unit, passage : what it is, and where it stands in Ding et al. (2024).
     published, within : its value, and the largest difference that still counts as the same: its rounding, and three
         sampling errors of 1024 draws where it is a standard deviation.
-    ours, low, high, reading, reason : see `Answer`.
+    ours, low, high, reading, reason : see `Answer`; `ours` is an example where the verdict is `not determined ...`.
     verdict : `reproduced`, `reproduced under a named reading`, `differs`, or `not determined by what is published`.
     """
 
@@ -66,6 +82,11 @@ class Number:
 def published_numbers(part: str) -> tuple[Mapping[str, str], ...]:
     """Rows of the table that belong to a part."""
     return tuple(row for row in table_rows(TABLE, __package__) if row["part"] == part)
+
+
+def published_value(name: str) -> float:
+    """The published value of a number, by its id."""
+    return next(float(row["published"]) for row in table_rows(TABLE, __package__) if row["id"] == name)
 
 
 def published_hash() -> dict[str, str]:
@@ -94,7 +115,7 @@ def judge(row: Mapping[str, str], answer: Answer) -> Number:
 
 
 def _verdict(answer: Answer, published: float, within: float) -> str:
-    if answer.value is None:
+    if answer.value is None or not answer.determined:
         return OPEN
     if abs(answer.value - published) > within:
         return DIFFERS

@@ -22,7 +22,22 @@ from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates
 from lunarsci.regolith.wheel import Wheel, read_wheel
 from lunarsci.reproduce.numbers import Answer, Number, judge, published_numbers
 
-__all__ = ["soil_numbers"]
+__all__ = [
+    "BEARING_DOTS",
+    "COHESION_PA",
+    "CORNER",
+    "LATERAL_CORNERS",
+    "MEAN_SINKAGE_M",
+    "PHI_DEG",
+    "SIDE_SLIPS_DEG",
+    "SLIP",
+    "STIFFNESS",
+    "TYPICAL",
+    "identified",
+    "published_soil",
+    "soil_numbers",
+    "stand_in_forces",
+]
 
 MEAN_SINKAGE_M, SLIP = 0.008, -0.075
 STIFFNESS, TYPICAL, PHI_DEG, COHESION_PA = 1443.0, 820.0, 21.5, 520.0
@@ -38,7 +53,8 @@ WHEEL_LOAD = "F_N / b = 213.5 N/m, which only this number sets"
 SLIP_BRANCH = "slip branch of the shear law at |s|"
 
 
-def _soil(stiffness: float = STIFFNESS, cohesion: float = COHESION_PA, phi: float = PHI_DEG) -> Soil:
+def published_soil(stiffness: float = STIFFNESS, cohesion: float = COHESION_PA, phi: float = PHI_DEG) -> Soil:
+    """The soil of the published numbers: N = 1, K_x = 17.8 mm, lateral pair of one corner."""
     return Soil(
         stiffness_kpa_m_n=stiffness,
         sinkage_exponent=1.0,
@@ -51,12 +67,12 @@ def _soil(stiffness: float = STIFFNESS, cohesion: float = COHESION_PA, phi: floa
 
 
 @cache
-def _forces(wheel: Wheel) -> WheelForces:
+def stand_in_forces(wheel: Wheel) -> WheelForces:
     """On the mean wheel, by the two numbers that stand for them."""
-    return wheel_forces(wheel, _soil(), MEAN_SINKAGE_M, SLIP, reading="slip-branch")
+    return wheel_forces(wheel, published_soil(), MEAN_SINKAGE_M, SLIP, reading="slip-branch")
 
 
-def _identified(
+def identified(
     wheel: Wheel,
     sinkage_m: float,
     known: Assumptions | None = None,
@@ -64,8 +80,8 @@ def _identified(
     errors: MeasurementErrors = EXACT,
     shear: bool = False,
 ) -> Identification:
-    """Of one state with the forces of the mean wheel."""
-    forces = _forces(wheel)
+    """Of one state with the forces of the mean wheel; `shear` takes the slip branch."""
+    forces = stand_in_forces(wheel)
     values = np.array([[sinkage_m, SLIP, np.nan, float(forces.normal_force_n), float(forces.drawbar_pull_n), np.nan]])
     sigmas = np.column_stack([errors.of(name, values[:, k]) for k, name in enumerate(COLUMNS)])
     with warnings.catch_warnings():
@@ -89,23 +105,23 @@ def _bearing(wheel: Wheel) -> dict[str, Callable[[], Answer]]:
     both = MeasurementErrors()
 
     def spread(errors: MeasurementErrors, reason: str) -> Answer:
-        return Answer(value=_sd(_identified(wheel, 0.005, stiff, errors=errors), "exponent"), reason=reason)
+        return Answer(value=_sd(identified(wheel, 0.005, stiff, errors=errors), "exponent"), reason=reason)
 
     return {
         "stiffness-8mm": lambda: Answer(
-            value=_value(_identified(wheel, 0.008), "stiffness_kpa_m_n"),
+            value=_value(identified(wheel, 0.008), "stiffness_kpa_m_n"),
             reading=WHEEL_LOAD,
             reason="a width of 0.15 m would mean 32 N a wheel, 118 kg on six; b and F_N cannot be told apart",
         ),
         "stiffness-15mm": lambda: Answer(
-            value=_value(_identified(wheel, 0.015), "stiffness_kpa_m_n"), reason="same forces as at 8 mm"
+            value=_value(identified(wheel, 0.015), "stiffness_kpa_m_n"), reason="same forces as at 8 mm"
         ),
         "exponent-8mm": lambda: Answer(
-            value=_value(_identified(wheel, 0.008, Assumptions(stiffness_kpa_m_n=TYPICAL)), "exponent"),
+            value=_value(identified(wheel, 0.008, Assumptions(stiffness_kpa_m_n=TYPICAL)), "exponent"),
             reason="does not depend on the forces",
         ),
         "exponent-5mm": lambda: Answer(
-            value=_value(_identified(wheel, 0.005, stiff), "exponent"), reason="same forces as at 8 mm"
+            value=_value(identified(wheel, 0.005, stiff), "exponent"), reason="same forces as at 8 mm"
         ),
         "sinkage-typical": lambda: _typical_sinkage(wheel),
         "exponent-sd-sinkage": lambda: spread(replace(both, force_relative=0.0), "sinkage errs by 0.33 mm"),
@@ -114,7 +130,7 @@ def _bearing(wheel: Wheel) -> dict[str, Callable[[], Answer]]:
         ),
         "exponent-sd": lambda: spread(both, "0.33 mm and 10 %/3 together"),
         "stiffness-sd-15mm": lambda: Answer(
-            value=_sd(_identified(wheel, 0.015, errors=both), "stiffness_kpa_m_n"), reason="0.33 mm and 10 %/3 together"
+            value=_sd(identified(wheel, 0.015, errors=both), "stiffness_kpa_m_n"), reason="0.33 mm and 10 %/3 together"
         ),
         "bearing-capacity": lambda: _capacity(wheel),
         "nearest-terrestrial": lambda: _nearest_terrestrial(wheel),
@@ -122,16 +138,16 @@ def _bearing(wheel: Wheel) -> dict[str, Callable[[], Answer]]:
 
 
 def _typical_sinkage(wheel: Wheel) -> Answer:
-    load = float(_forces(wheel).normal_force_n)
-    found = sinkage_under_load(wheel, _soil(TYPICAL), load, SLIP, reading="slip-branch")
+    load = float(stand_in_forces(wheel).normal_force_n)
+    found = sinkage_under_load(wheel, published_soil(TYPICAL), load, SLIP, reading="slip-branch")
     return Answer(value=1e3 * found, reason=f"under the same {load:.1f} N; shear at c = 520 Pa, phi = 21.5 deg")
 
 
 def _capacity(wheel: Wheel) -> Answer:
-    forces = _forces(wheel)
+    forces = stand_in_forces(wheel)
     theta_1 = contact_angles(MEAN_SINKAGE_M, SLIP, wheel.vector())[0]
     mean = float(forces.normal_force_n) / (wheel.width_m * wheel.radius_m * theta_1)
-    largest = _value(_identified(wheel, MEAN_SINKAGE_M), "stiffness_kpa_m_n") * _depth(wheel)
+    largest = _value(identified(wheel, MEAN_SINKAGE_M), "stiffness_kpa_m_n") * _depth(wheel)
     return Answer(
         value=mean / 1e3,
         reading="mean pressure F_N / (r b theta_1)",
@@ -163,13 +179,14 @@ def _nearest_terrestrial(wheel: Wheel) -> Answer:
 
 def _shear(wheel: Wheel) -> dict[str, Callable[[], Answer]]:
     def angle() -> Answer:
-        found = _identified(wheel, MEAN_SINKAGE_M, shear=True)
-        physical = wheel_forces(wheel, _soil(), MEAN_SINKAGE_M, SLIP)
+        found = identified(wheel, MEAN_SINKAGE_M, shear=True)
+        own = float(stand_in_forces(wheel).drawbar_pull_n)
+        physical = wheel_forces(wheel, published_soil(), MEAN_SINKAGE_M, SLIP)
         pull = float(physical.drawbar_pull_n)
         slope = math.degrees(math.atan2(-pull, float(physical.normal_force_n)))
         return Answer(
             value=_value(found, "friction_angle_deg"),
-            reading=f"{SLIP_BRANCH}; F_DP = {float(_forces(wheel).drawbar_pull_n):.2f} N, which only this number sets",
+            reading=f"{SLIP_BRANCH}; F_DP = {own:.2f} N, which only this number sets",
             reason=f"with the physical sign it would take {pull:.1f} N, a mean slope of {slope:.0f} deg, where the "
             "steepest was 8.9 deg",
         )
@@ -184,11 +201,11 @@ def _shear(wheel: Wheel) -> dict[str, Callable[[], Answer]]:
 
 def _angle_spread(wheel: Wheel) -> Answer:
     def spread(of: Wheel) -> float:
-        found = _identified(of, MEAN_SINKAGE_M, errors=MeasurementErrors(sinkage_m=0.0), shear=True)
+        found = identified(of, MEAN_SINKAGE_M, errors=MeasurementErrors(sinkage_m=0.0), shear=True)
         return _sd(found, "friction_angle_deg")
 
     short = replace(wheel, grouser_height_m=SHORT_LUG_M)
-    stiffness = _value(_identified(short, 0.015), "stiffness_kpa_m_n")
+    stiffness = _value(identified(short, 0.015), "stiffness_kpa_m_n")
     return Answer(
         value=spread(wheel),
         reading=f"{SLIP_BRANCH}; slip ratio errs by 4 %/3 of the way",
@@ -198,12 +215,12 @@ def _angle_spread(wheel: Wheel) -> Answer:
 
 
 def _cohesion(wheel: Wheel) -> Answer:
-    soil = _soil(cohesion=CORNER[1], phi=CORNER[0])
+    soil = published_soil(cohesion=CORNER[1], phi=CORNER[0])
     pull = float(wheel_forces(wheel, soil, MEAN_SINKAGE_M, -1e-6, reading="slip-branch").drawbar_pull_n)
     return Answer(
         value=None,
         reason=f"lies on another curve of Fig. 4b, slip ratio -> 0, whose drawbar pull is not published; it takes "
-        f"{pull:.2f} N there and {float(_forces(wheel).drawbar_pull_n):.2f} N at -0.075",
+        f"{pull:.2f} N there and {float(stand_in_forces(wheel).drawbar_pull_n):.2f} N at -0.075",
     )
 
 
@@ -228,7 +245,7 @@ def _nearest_mission(wheel: Wheel) -> Answer:
 def _lateral(wheel: Wheel) -> dict[str, Callable[[], Answer]]:
     def corner(k: int) -> Answer:
         modulus, angle = LATERAL_CORNERS[k]
-        soil = replace(_soil(), external_friction_angle_deg=angle, lateral_modulus_mm=modulus)
+        soil = replace(published_soil(), external_friction_angle_deg=angle, lateral_modulus_mm=modulus)
         forces = [
             float(wheel_forces(wheel, soil, MEAN_SINKAGE_M, SLIP, beta).lateral_force_n) for beta in SIDE_SLIPS_DEG
         ]

@@ -1,0 +1,258 @@
+"""The drive of Ding et al. (2024): which of its numbers follow from what they publish.
+
+The elevation model of Longji, the dimensions of the rover and most soil parameters of their simulation are in a
+supplement that is not openly available. What a stand-in for them gives is shown as an example, with its range over
+four pieces of ground, and is not judged. What does not depend on the ground is.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from lunarsci.errors import DataError
+from lunarsci.regolith.soil import Soil, read_soil
+from lunarsci.reproduce.numbers import Answer, Number, judge, published_numbers, published_value
+from lunarsci.reproduce.rolling import Rolling
+from lunarsci.twin.ensemble import Prediction, predict
+from lunarsci.twin.longji import synthetic_longji
+from lunarsci.twin.path import planned_pose
+from lunarsci.twin.plan import Plan, Sweep, read_plan
+from lunarsci.twin.rover import Rover, build_rover
+from lunarsci.twin.terrain import Terrain, build_terrain
+
+__all__ = ["K_Y_MM", "PHI_DEG", "STAND_IN", "Drives", "drive_numbers", "medians", "predicted_drives"]
+
+SOIL, STAND_IN = "longji", "stand-in"
+PHI_DEG, K_Y_MM = (25.0, 55.0), (15.0, 45.0)
+VALUES = 7
+TYPICAL_PHI_DEG, TYPICAL_K_Y_MM = 40.0, 20.0
+"""The values of the sweep nearest to those of the uncorrected prediction, phi = 42 deg and K_y = 20 mm."""
+CORNERS = {"stiffness_kpa_m_n": (556.7, 1443.0), "cohesion_pa": (520.0, 3154.0)}
+"""The published ranges of what else the shear of a wheel depends on."""
+VIEW_M = 0.69
+"""Height of the spectrometer, which looks down at 45 deg, so that it sees the ground so far in front of itself."""
+FRONT_M = 0.75
+"""Half of the assumed 1.5 m of the rover, its origin to its front."""
+ON_STAND_IN = "synthetic stand-in for the ground of Longji"
+DEM = "the elevation model of Longji is not public"
+
+
+@dataclass(frozen=True, slots=True)
+class Drives:
+    """The planned drive over a grid of soils, phi 25-55 deg by K_y 15-45 mm, on several pieces of ground.
+
+    Attributes
+    ----------
+    rover, plan : what drove which plan.
+    on : `STAND_IN`, and planes by name, with the prediction on each.
+    """
+
+    rover: Rover
+    plan: Plan
+    on: Mapping[str, Prediction]
+
+    @property
+    def stand_in(self) -> Prediction:
+        """The prediction on the stand-in for Longji."""
+        return self.on[STAND_IN]
+
+
+def _plane(down_deg: float, across_deg: float, soil: Soil) -> Terrain:
+    """A plane that falls along x and rises to the left."""
+    x, y = np.arange(-4.0, 16.01, 0.5)[None, :], np.arange(-10.0, 10.01, 0.5)[:, None]
+    height = math.tan(math.radians(across_deg)) * y - math.tan(math.radians(down_deg)) * x
+    return build_terrain("plane", -4.0, -10.0, 0.5, height, soil, synthetic=True)
+
+
+def _grounds() -> dict[str, Terrain]:
+    soil = read_soil(SOIL)
+    slopes = {f"{published_value(name):g}° down": published_value(name) for name in ("slope-end", "slope-most")}
+    planes = {name: _plane(slope, 0.0, soil) for name, slope in slopes.items()}
+    return {STAND_IN: synthetic_longji(soil), **planes, "2° across": _plane(0.0, 2.0, soil)}
+
+
+def predicted_drives(rover: Rover | None = None, progress: Callable[[int, int], None] | None = None) -> Drives:
+    """Drive the embedded plan over the grid of soils, on each piece of ground.
+
+    Parameters
+    ----------
+    rover : Yutu-2 by default.
+    progress : called with pieces of ground done and in all.
+    """
+    own, plan, grounds = rover or build_rover("yutu2"), read_plan(), _grounds()
+    sweep = (
+        Sweep("friction_angle_deg", *PHI_DEG, VALUES),
+        Sweep("lateral_modulus_mm", *K_Y_MM, VALUES),
+    )
+    found = {}
+    for number, (name, terrain) in enumerate(grounds.items(), 1):
+        found[name] = predict(own, terrain, plan, sweep=sweep)
+        if progress:
+            progress(number, len(grounds))
+    if not found[STAND_IN].finished.any():
+        raise DataError(f"{own.name} does not finish the published plan: {found[STAND_IN].outcome_text(0)}")
+    return Drives(own, plan, found)
+
+
+def medians(prediction: Prediction, quantity: str, parameter: str) -> dict[float, float]:
+    """Median of |side slip| or of the slip ratio over samples, wheels and all else, for each value of a parameter."""
+    column = {"slip_ratio": 3, "side_slip_deg": 4}[quantity]
+    values, own = prediction.states[..., column], prediction.parameters[parameter]
+    values = np.abs(values) if quantity == "side_slip_deg" else values
+    return {
+        float(value): float(np.median(values[own == value][prediction.reached[own == value]]))
+        for value in np.unique(own)
+    }
+
+
+def _example(drives: Drives, of: Callable[[Prediction], float], reason: str, *, ranged: bool = True) -> Answer:
+    """The value on the stand-in, with the range over all grounds; not judged."""
+    values = {name: of(prediction) for name, prediction in drives.on.items() if prediction.finished.any()}
+    told = ", ".join(f"{name} {value:.3g}" for name, value in values.items() if name != STAND_IN)
+    return Answer(
+        value=values[STAND_IN],
+        determined=False,
+        low=min(values.values()) if ranged else None,
+        high=max(values.values()) if ranged else None,
+        reading=ON_STAND_IN,
+        reason=f"{reason}; on planes: {told}" if ranged else reason,
+    )
+
+
+def _path(plan: Plan) -> dict[str, Callable[[], Answer]]:
+    def rock() -> Answer:
+        x, y, heading = planned_pose(plan, plan.length_m)
+        reach = FRONT_M + VIEW_M
+        chord = math.hypot(x - plan.x_m, y - plan.y_m)
+        return Answer(
+            value=math.hypot(
+                x + reach * math.cos(heading) - plan.x_m,
+                y + reach * math.sin(heading) - plan.y_m,
+            ),
+            reading="at the end of the arcs the spectrometer sees the rock",
+            reason=f"the arcs end {chord:.2f} m from their start; {VIEW_M} m ahead of the front, which is "
+            f"{FRONT_M} m ahead of the origin (assumed); a straight approach of unpublished length is not counted",
+        )
+
+    length = math.fsum(leg.length_m for leg in plan.legs)
+    told = " + ".join(f"{leg.length_m:g}" for leg in plan.legs)
+    return {
+        "path-length": lambda: Answer(value=length, reason=f"{told} m"),
+        "rock-distance": rock,
+        "slope-most": lambda: Answer(value=None, reason=f"{DEM}; the stand-in is built to have this slope"),
+        "slope-end": lambda: Answer(value=None, reason=f"{DEM}; the stand-in is built to have this slope"),
+    }
+
+
+def _slip(drives: Drives) -> dict[str, Callable[[], Answer]]:
+    weak, strong = PHI_DEG
+
+    def weak_soil() -> Answer:
+        slope = Rolling.of(drives.rover).slope_deg(_soil(weak), published_value("slip-25deg"))
+        skid = {phi: _skid_share(drives.stand_in, phi) for phi in PHI_DEG}
+        return _example(
+            drives,
+            lambda found: medians(found, "slip_ratio", "friction_angle_deg")[weak],
+            f"the slope along the path sets it, and {DEM}; -0.035 takes steady rolling down {slope:.1f} deg; on the "
+            f"stand-in {100 * skid[weak]:.0f} % of the wheel states skid at {weak:g} deg, {100 * skid[strong]:.0f} % "
+            f"at {strong:g} deg",
+        )
+
+    def least() -> Answer:
+        return _example(
+            drives,
+            lambda found: float(found.states[..., 3][found.reached].min()),
+            f"the steepest ground sets it, and {DEM}",
+        )
+
+    return {"slip-25deg": weak_soil, "slip-55deg": lambda: _strong_soil(drives), "slip-least": least}
+
+
+def _soil(phi_deg: float, **values: float) -> Soil:
+    return replace(read_soil(SOIL), friction_angle_deg=phi_deg, **values)
+
+
+def _skid_share(prediction: Prediction, phi_deg: float) -> float:
+    own = prediction.parameters["friction_angle_deg"] == phi_deg
+    return float((prediction.states[own][..., 3][prediction.reached[own]] < 0).mean())
+
+
+def _strong_soil(drives: Drives) -> Answer:
+    """Slip at 55 deg on the slope that gives the published slip at 25 deg, over the corners of K_s and c."""
+    rolling, published = Rolling.of(drives.rover), published_value("slip-25deg")
+
+    def there(**values: float) -> tuple[float, float]:
+        slope = rolling.slope_deg(_soil(PHI_DEG[0], **values), published)
+        return slope, rolling.slip_ratio(_soil(PHI_DEG[1], **values), slope)
+
+    corners = [there(**dict(zip(CORNERS, pair, strict=True)))[1] for pair in product(*CORNERS.values())]
+    slope, slip = there()
+    ends = medians(drives.stand_in, "slip_ratio", "friction_angle_deg")
+    return Answer(
+        value=slip,
+        low=min(corners),
+        high=max(corners),
+        reading="steady rolling of six equal wheels, shear along its displacement (signed)",
+        reason=f"down the {slope:.1f} deg that give {published:g} at 25 deg; range over the published K_s and c. "
+        f"Stronger soil needs less slip against the rolling resistance, so slip falls as phi grows (stand-in "
+        f"{ends[PHI_DEG[0]]:+.3f} to {ends[PHI_DEG[1]]:+.3f}); it rises only beyond {_turn(rolling):.1f} deg downhill, "
+        f"where the steepest was {published_value('slope-most')} deg",
+    )
+
+
+def _turn(rolling: Rolling) -> float:
+    """Downhill slope on which the slip is the same at both ends of phi. [deg]"""
+    from scipy.optimize import brentq
+
+    weak, strong = map(_soil, PHI_DEG)
+
+    def rise(slope_deg: float) -> float:
+        return rolling.slip_ratio(strong, slope_deg) - rolling.slip_ratio(weak, slope_deg)
+
+    return float(brentq(rise, 0.0, 20.0, xtol=1e-3))
+
+
+def _side_slip(drives: Drives) -> dict[str, Callable[[], Answer]]:
+    found = medians(drives.stand_in, "side_slip_deg", "lateral_modulus_mm")
+    ratio = found[K_Y_MM[1]] / found[K_Y_MM[0]]
+    published = published_value("side-slip-45mm") / published_value("side-slip-15mm")
+
+    def at(modulus: float) -> Answer:
+        return _example(
+            drives,
+            lambda one: medians(one, "side_slip_deg", "lateral_modulus_mm")[modulus],
+            f"the slope across the path sets it, and {DEM}; it grows with K_y as published, {ratio:.2f} times from "
+            f"15 to 45 mm where {published:.2f} times are published",
+        )
+
+    return {f"side-slip-{modulus:g}mm": lambda modulus=modulus: at(modulus) for modulus in K_Y_MM}  # type: ignore[misc]
+
+
+def _ends(drives: Drives) -> dict[str, Callable[[], Answer]]:
+    parameters = drives.stand_in.parameters
+    typical = (parameters["friction_angle_deg"] == TYPICAL_PHI_DEG) & (
+        parameters["lateral_modulus_mm"] == TYPICAL_K_Y_MM
+    )
+    unknown = "the path of the return, its ground and the soil identified for it are not published"
+    return {
+        "ends-within": lambda: _example(
+            drives, lambda found: float(found.miss_m[found.finished].max()), f"{DEM}, nor are the rover's dimensions"
+        ),
+        "arrival": lambda: _example(
+            drives,
+            lambda found: float(found.miss_m[typical][0]),
+            f"measured on the Moon; the example is the prediction for phi = {TYPICAL_PHI_DEG:g} deg, "
+            f"K_y = {TYPICAL_K_Y_MM:g} mm",
+        ),
+        "return-identified": lambda: Answer(value=None, reason=unknown),
+        "return-typical": lambda: Answer(value=None, reason=unknown),
+    }
+
+
+def drive_numbers(drives: Drives) -> list[Number]:
+    """Every number of the drive beside ours, in the order of the table."""
+    answers = _path(drives.plan) | _slip(drives) | _side_slip(drives) | _ends(drives)
+    return [judge(row, answers[row["id"]]()) for row in published_numbers("drive")]

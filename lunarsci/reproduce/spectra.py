@@ -1,0 +1,210 @@
+"""The rock of Ding et al. (2024): which of its numbers follow from what they publish.
+
+Neither its spectrum nor the band centres, ratios and modes made from it are published as numbers. Without a measured
+spectrum only what concerns minerals and places can be checked; with spectra of boulders of Chang'E-4, the averages too.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.reproduce.numbers import Answer, Number, judge, published_numbers, published_value
+from lunarsci.reproduce.rocks import SMOOTHED_POINTS, Rocks, olivine_share
+from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
+from lunarsci.spectra.abundance.end_members import embedded_end_members
+from lunarsci.spectra.bands import measure_bands
+from lunarsci.spectra.mgm.result import MgmFit
+from lunarsci.spectra.origin.catalogue import TABLE as CRATERS
+from lunarsci.spectra.origin.catalogue import embedded_catalogue
+from lunarsci.spectra.origin.composition import Composition
+from lunarsci.spectra.origin.match import MatchSettings, Rock, RockMatch, match_rocks
+from lunarsci.spectra.origin.prior import CHANG_E_4, PriorSettings
+from lunarsci.spectra.origin.sphere import azimuth_deg, distance_km
+from lunarsci.spectra.spectrum import Spectrum
+
+__all__ = ["TABLES", "high_calcium", "low_calcium", "spectra_numbers"]
+
+FloatArray = npt.NDArray[np.float64]
+
+TABLES = (END_MEMBERS, CRATERS)
+"""Embedded tables that the numbers rest on."""
+LEAST_WO = 0.25
+"""Wo from which a clinopyroxene counts as high in calcium: above the pigeonites."""
+ZHINYU = (-45.34, 176.15)
+"""Its place in the abstract of Ding et al. (2024). [deg]"""
+MODE_SIGMA = 0.05
+"""Of the modes made of the published averages: half of the published 20-30 % of olivine."""
+NO_SPECTRUM = "needs measured spectra, which are not published with the paper; give spectra of boulders with --rocks"
+MINERALS = "laboratory spectra of lunarsci, centres under the upper hull"
+
+
+def _centres(mineral: str, least_wo: float = 0.0) -> FloatArray:
+    """Centres of both bands of the embedded end members of a mineral, NaN where there is none. (n, 2) [nm]"""
+    wavelength = np.arange(450.0, 2451.0, 5.0)
+    own = [m for m in embedded_end_members(wavelength) if m.mineral == mineral and (m.wo or 0.0) >= least_wo]
+    found = [measure_bands(Spectrum(m.id, wavelength, m.reflectance), continuum_name="hull") for m in own]
+    rows = [[item.bands[key].center_nm for key in ("1000", "2000")] for item in found]
+    return np.array(rows, dtype=float)
+
+
+def low_calcium() -> FloatArray:
+    """Band centres of the orthopyroxenes that come with lunarsci. (n, 2) [nm]"""
+    return _centres("orthopyroxene")
+
+
+def high_calcium() -> FloatArray:
+    """Band centres of the clinopyroxenes with Wo 25 and more that come with lunarsci. (n, 2) [nm]"""
+    return _centres("clinopyroxene", LEAST_WO)
+
+
+def _minerals() -> dict[str, Callable[[], Answer]]:
+    def centre(values: FloatArray, name: str, more: str = "") -> Answer:
+        known = values[np.isfinite(values)]
+        low, middle, high = (float(value) for value in np.percentile(known, (2.5, 50, 97.5)))
+        return Answer(value=middle, low=low, high=high, reason=f"median of {known.size} {name}, {MINERALS}{more}")
+
+    poor, rich = low_calcium(), high_calcium()
+    names = "orthopyroxenes", f"clinopyroxenes with Wo {100 * LEAST_WO:.0f} and more"
+    longest = f"; the longest is {np.nanmax(rich[:, 0]):.0f} nm, and centres beyond it are those of olivine"
+    return {
+        "lcp-1um": lambda: centre(poor[:, 0], names[0]),
+        "lcp-2um": lambda: centre(poor[:, 1], names[0]),
+        "hcp-1um": lambda: centre(rich[:, 0], names[1], longest),
+        "hcp-2um": lambda: centre(rich[:, 1], names[1]),
+    }
+
+
+def _places() -> dict[str, Callable[[], Answer]]:
+    where = "great circle from the rock, 45.44 S 177.56 E, to 45.34 S 176.15 E"
+    return {
+        "zhinyu-distance": lambda: Answer(value=distance_km(CHANG_E_4, ZHINYU), reason=where),
+        "zhinyu-azimuth": lambda: Answer(value=azimuth_deg(CHANG_E_4, ZHINYU), reason=where),
+        "source-crater": _source,
+    }
+
+
+def _published_rock() -> Rock:
+    """The rock by the published averages: the middle of the range of olivine, pyroxenes as their mean ratio."""
+    olivine = (published_value("olivine-low") + published_value("olivine-high")) / 200.0
+    opx = published_value("opx-share") / 100.0
+    modes = {
+        "olivine": olivine,
+        "orthopyroxene": (1.0 - olivine) * opx,
+        "clinopyroxene": (1.0 - olivine) * (1.0 - opx),
+    }
+    return Rock("fin", Composition({name: (value, MODE_SIGMA) for name, value in modes.items()}))
+
+
+def _source() -> Answer:
+    def matched(prior: PriorSettings) -> RockMatch:
+        return match_rocks([_published_rock()], embedded_catalogue(), CHANG_E_4, MatchSettings(prior=prior))[0]
+
+    own, undisturbed = matched(PriorSettings()), matched(PriorSettings(re_excavation=False))
+    ranks = [_rank(own), _rank(undisturbed)]
+    told = {item.crater.name: item.posterior for item in own.craters}
+    return Answer(
+        value=float(ranks[0]),
+        determined=False,
+        low=float(min(ranks)),
+        high=float(max(ranks)),
+        reading="buried ejecta are dug up again",
+        reason="the modes of Zhinyu's ejecta are in the supplement, and composition hardly decides (ln Bayes factors "
+        f"within {_spread(own):.1f}); posterior Zhinyu {told['Zhinyu']:.2f}, Finsen {told['Finsen']:.2f}; if nothing "
+        f"buried came up again, Zhinyu {_posterior(undisturbed):.2f}",
+    )
+
+
+def _rank(match: RockMatch) -> int:
+    order = sorted(match.craters, key=lambda item: -item.posterior)
+    return [item.crater.name for item in order].index("Zhinyu") + 1
+
+
+def _posterior(match: RockMatch) -> float:
+    return next(item.posterior for item in match.craters if item.crater.name == "Zhinyu")
+
+
+def _spread(match: RockMatch) -> float:
+    factors = [item.ln_bayes_factor for item in match.craters if not item.contains_site]
+    return max(factors) - min(factors)
+
+
+def _opx(fits: Sequence[MgmFit]) -> float | None:
+    """Mean share of orthopyroxene in the strengths at 2 um, of the boulders that tell it. [%]"""
+    ratios = [fit.nbsr["um2"].opx for fit in fits if fit.nbsr["um2"]]
+    return 100.0 * float(np.mean(ratios)) if ratios else None
+
+
+def _boulders(rocks: Rocks | None) -> dict[str, Callable[[], Answer]]:
+    if rocks is None:
+        nothing = Answer(value=None, reason=NO_SPECTRUM)
+        return {name: lambda: nothing for name in ("mgm-rms", "opx-share", "olivine-low", "olivine-high")}
+    return {
+        "mgm-rms": lambda: _rms(rocks),
+        "opx-share": lambda: _share(rocks),
+        "olivine-low": lambda: _olivine(rocks, np.nanmin),
+        "olivine-high": lambda: _olivine(rocks, np.nanmax),
+    }
+
+
+def _rms(rocks: Rocks) -> Answer:
+    values = [100.0 * fit.rms_ln for fit in rocks.smoothed]
+    raw = [100.0 * fit.rms_ln for fit in rocks.fits]
+    holds = "holds" if min(values) <= published_value("mgm-rms") <= max(values) else "does not hold"
+    return Answer(
+        value=float(np.median(values)),
+        determined=False,
+        low=min(values),
+        high=max(values),
+        reading=f"rms of ln R of spectra smoothed over {SMOOTHED_POINTS} points before the fit",
+        reason=f"the spectrum, D41N240, is not published; the example is {_given(rocks)}, whose range {holds} the "
+        f"published value; as measured, not smoothed, they fit to {min(raw):.2f}-{max(raw):.2f} %",
+    )
+
+
+def _given(rocks: Rocks) -> str:
+    return f"the median of {len(rocks.fits)} boulders that were given" if len(rocks.fits) > 1 else rocks.fits[0].id
+
+
+def _share(rocks: Rocks) -> Answer:
+    values = {name: _opx(fits) for name, fits in rocks.over_continua.items()}
+    known = [value for value in values.values() if value is not None]
+    own = _opx(rocks.fits)
+    if own is None:
+        return Answer(value=None, reason="the 2 µm bands of no boulder tell its pyroxenes apart")
+    published = published_value("opx-share")
+    inside = "within" if min(known) <= published <= max(known) else "outside of"
+    smoothed = _opx(rocks.smoothed)
+    return Answer(
+        value=own,
+        low=min(known),
+        high=max(known),
+        reading=f"mean NBSR at 2 µm of {len(rocks.fits)} boulders that were given, not the six of the paper",
+        reason=f"range over {len(known)} continua; the published value lies {inside} it; which continuum and "
+        f"boulders it rests on is not published" + (f"; smoothed spectra give {smoothed:.0f}" if smoothed else ""),
+    )
+
+
+def _olivine(rocks: Rocks, end: Callable[[FloatArray], float]) -> Answer:
+    by_name = [
+        [100.0 * olivine_share(fit) for fit in fits] for name, fits in rocks.over_continua.items() if fits and name
+    ]
+    values = [float(end(np.array(row))) for row in by_name if np.isfinite(row).any()]
+    return Answer(
+        value=float(end(np.array([100.0 * olivine_share(fit) for fit in rocks.fits]))),
+        low=min(values),
+        high=max(values),
+        reading=f"strength of olivine's 1.24 µm band over it and pyroxene's 1 µm bands, {len(rocks.fits)} boulders",
+        reason=f"range over {len(values)} continua; how the published share is defined is in the supplement",
+    )
+
+
+def spectra_numbers(rocks: Rocks | None = None) -> list[Number]:
+    """Every number of the rock beside ours, in the order of the table.
+
+    Parameters
+    ----------
+    rocks : fits of measured boulders; without them what rests on measured spectra is not determined.
+    """
+    answers = _minerals() | _boulders(rocks) | _places()
+    return [judge(row, answers[row["id"]]()) for row in published_numbers("spectra")]
