@@ -35,7 +35,8 @@ class Soils:
             return cls(swept, members, None, seed, {})
         if sweep is not None:
             raise typer.BadParameter("--sweep and --samples are two ways to name the soils; give one")
-        return cls(None, None, read_soil_samples(samples, members, seed), seed, {samples: read_input(samples).sha256})
+        source = read_input(samples)
+        return cls(None, None, read_soil_samples(source, members, seed), seed, {samples: source.sha256})
 
 
 def drive(
