@@ -26,7 +26,7 @@ def _exact(text: str, *names: str) -> Any:
 
 Sinkage = Annotated[float | None, typer.Option(help="Sinkage in m, above 0, below the wheel radius.")]
 Load = Annotated[float | None, typer.Option(help="Wheel load in N; the sinkage under it is solved for.")]
-Slip = Annotated[float, typer.Option(help="Slip ratio [-], above -1, below 1; negative is skid.")]
+Slip = Annotated[float, typer.Option(help="Slip ratio, above -1, below 1; negative is skid.")]
 SideSlip = Annotated[float, typer.Option(help="Side slip angle in deg, within ±90.")]
 SoilName = Annotated[str, _soil("Soil: a name or a TOML file.")]
 Stiffness = Annotated[float | None, _soil("K_s [kPa m^-N].")]

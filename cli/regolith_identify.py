@@ -47,7 +47,7 @@ LateralModulus = Annotated[
 ExternalFrictionAngle = Annotated[float | None, typer.Option(help="Assume φ_y in deg and solve K_y.")]
 Draws = Annotated[int, typer.Option(min=2, max=1_000_000, help="Monte Carlo draws per state.")]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")]
-SinkageError = Annotated[float, _error("1σ of the sinkage [m].")]
+SinkageError = Annotated[float, _error("1σ of the sinkage, in m.")]
 ForceError = Annotated[float, _error("1σ of the forces, relative.")]
 TravelError = Annotated[float, _error("1σ of the travelled distance, relative; slip errs by it times 1 - |s|.")]
 SideSlipError = Annotated[float, _error("1σ of the side slip, relative.")]

@@ -43,7 +43,7 @@ class Soils:
         if samples.lower().endswith(".json"):
             drawn = read_belief(source).draws(members or OF_A_BELIEF, seed)
         else:
-            drawn = read_soil_samples(samples, members, seed)
+            drawn = read_soil_samples(source, members, seed)
         return cls(None, None, drawn, seed, {samples: source.sha256})
 
 

@@ -58,6 +58,8 @@ def forces(
         if sweep is not None or members is not None or samples is not None:
             raise typer.BadParameter("--motion is held on one soil; leave out --sweep, --members and --samples")
         return held_report(scene, motion, member, planned=plan is not None)
+    if member is not None:
+        raise typer.BadParameter("--member chooses from the file of --motion; give that, or leave it out")
     alone = sweep is None and members is None and samples is None
     soils = Soils.of([] if alone else sweep, members, samples, seed)
     with progress("driving", quiet=output.quiet) as update:

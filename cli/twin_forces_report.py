@@ -64,8 +64,9 @@ def predicted_report(scene: Scene, prediction: Prediction) -> Report:
 
 def held_report(scene: Scene, path: str, member: int | None, *, planned: bool) -> Report:
     """Forces along a motion that is given."""
-    scene.inputs[path] = read_input(path).sha256
-    motion = read_motion(path, scene.rover, scene.plan if planned else None, member)
+    source = read_input(path)
+    scene.inputs[path] = source.sha256
+    motion = read_motion(source, scene.rover, scene.plan if planned else None, member)
     found = forces_along(scene.rover, scene.terrain, motion)
     loads = wheel_loads(scene.rover.wheels, found.states)
     title = f"Wheel forces along {path}, {len(motion.time_s)} poses on {scene.terrain.name}"

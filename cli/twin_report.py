@@ -152,7 +152,8 @@ def verdict_tables(scene: Scene, prediction: Prediction, verdict: Verdict) -> li
         "verdict",
         "limit is",
     ]
-    title = f"{verdict.verdict.upper()}: {scene.plan.name}; {prediction.members} drives on {scene.terrain.name}"
+    drives = "1 drive" if prediction.members == 1 else f"{prediction.members} drives"
+    title = f"{verdict.verdict.upper()}: {scene.plan.name}; {drives} on {scene.terrain.name}"
     notes = [*_endpoint_notes(verdict), *verdict.reasons, *verdict.notes, _worst_note(verdict)]
     return [TextTable(headers, rows, title=title, notes=notes)]
 

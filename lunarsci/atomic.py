@@ -31,7 +31,11 @@ def check_folder(folder: Path, *, force: bool) -> None:
         raise OutputError(f"{folder}: is not a folder; give another name")
     if folder.is_dir() and any(folder.iterdir()) and not force:
         raise OutputError(f"{folder}: holds files already; add --force to replace those of the same name")
-    check_target((folder if folder.is_dir() else folder.parent) / ".lunarsci-probe", force=False)
+    parent = folder if folder.is_dir() else folder.parent
+    if not parent.is_dir():
+        raise OutputError(f"{folder}: there is no folder {parent}; create it first")
+    if not os.access(parent, os.W_OK | os.X_OK):
+        raise OutputError(f"{folder}: no permission to write in {parent}; choose another folder")
 
 
 def write_files(contents: Mapping[Path, bytes], *, force: bool = False) -> None:

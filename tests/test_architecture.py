@@ -12,6 +12,7 @@ SHARED = {
     "constants",
     "provenance",
     "atomic",
+    "csv_table",
     "inputs",
     "compiled",
     "elementary",

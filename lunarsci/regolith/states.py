@@ -1,15 +1,14 @@
 """Wheel states: what a rover measures or simulates of one wheel at one moment, and how well it is known."""
 
-import csv
-import io
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.csv_table import numbers_of, read_csv_table
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
-from lunarsci.inputs import InputFile, text
+from lunarsci.inputs import InputFile
 from lunarsci.regolith.wheel import Wheel
 
 __all__ = ["COLUMNS", "MeasurementErrors", "WheelStates", "read_states"]
@@ -86,18 +85,10 @@ def read_states(source: InputFile, wheel: Wheel, errors: MeasurementErrors | Non
     """
     import pandas as pd
 
-    try:
-        content = text(source)
-        _check_widths(source.name, content)
-        frame = pd.read_csv(
-            io.StringIO(content), comment="#", skipinitialspace=True, dtype=str, index_col=False, skip_blank_lines=True
-        )
-    except (pd.errors.ParserError, pd.errors.EmptyDataError) as error:
-        raise DataError(f"{source.name}: not a CSV table ({' '.join(str(error).split())})") from error
-    frame.columns = frame.columns.str.strip()
+    frame = read_csv_table(source)
     _check_columns(source.name, list(frame.columns))
     used = [name for name in frame.columns if name in COLUMNS or name.removesuffix("_sigma") in COLUMNS]
-    numbers = {name: _numbers(source.name, name, frame[name]) for name in used}
+    numbers = {name: numbers_of(source.name, name, frame[name]) for name in used}
     keep = _kept_rows(source.name, frame.get("valid"), numbers)
     numbered = pd.Series([str(n) for n in range(1, len(frame) + 1)])
     ids = frame["id"].fillna(numbered) if "id" in frame else numbered
@@ -105,17 +96,6 @@ def read_states(source: InputFile, wheel: Wheel, errors: MeasurementErrors | Non
     _check_values(source.name, values[keep], np.flatnonzero(keep), wheel)
     sigmas = _sigmas(source.name, numbers, values, errors or MeasurementErrors())
     return WheelStates(tuple(ids[keep].astype(str)), values[keep], sigmas[keep])
-
-
-def _check_widths(name: str, content: str) -> None:
-    """Every row must have as many fields as the header: pandas would shift or pad the others in silence."""
-    width = 0
-    for number, row in enumerate(csv.reader(content.splitlines(), skipinitialspace=True), 1):
-        if not row or row[0].lstrip().startswith("#"):
-            continue
-        width = width or len(row)
-        if len(row) != width:
-            raise DataError(f"{name}, line {number}: {len(row)} fields, the header has {width}; is the file complete?")
 
 
 def _check_columns(name: str, columns: list[str]) -> None:
@@ -135,18 +115,6 @@ def _check_columns(name: str, columns: list[str]) -> None:
             raise DataError(f"{name}: column '{column}' is unknown; if it is '{guess[0]}', rename it")
     if unused:
         warnings.warn(f"{name}: columns not used: {', '.join(unused)}", LunarSciWarning, stacklevel=3)
-
-
-def _numbers(name: str, column: str, cells: "object") -> FloatArray:
-    import pandas as pd
-
-    series = pd.Series(cells)
-    numbers = pd.to_numeric(series, errors="coerce")
-    wrong = numbers.isna() & series.notna() & ~series.astype(str).str.strip().str.lower().isin(["nan", "na", "-", ""])
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise DataError(f"{name}, row {row + 1}, {column}: '{series.iloc[row]}' is no number")
-    return numbers.to_numpy(float)
 
 
 def _kept_rows(name: str, valid: "object", numbers: dict[str, FloatArray]) -> npt.NDArray[np.bool_]:

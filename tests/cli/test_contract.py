@@ -188,6 +188,13 @@ def test_help_shows_the_commands(run: Run, group: list[str]) -> None:
     assert "Usage" in run(*group, "--help").out
 
 
+def test_help_swallows_no_unit_in_brackets(run: Run) -> None:
+    """Rich takes [m] for markup and prints nothing."""
+    for arguments in (("identify",), ("forces",)):
+        text = " ".join(run("regolith", *arguments, "--help").out.split())
+        assert " ." not in text.replace(" ...", "") and "Slip ratio ," not in text
+
+
 def test_version(run: Run) -> None:
     from importlib.metadata import version
 

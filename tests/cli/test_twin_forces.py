@@ -63,6 +63,7 @@ def test_a_motion_without_commands_asks_for_them(run: Run, plan: Path, tmp_path:
     assert done.code == 1 and "give the plan" in done.err[0] and done.out == ""
     both = run("twin", "forces", "--motion", path, "--sweep", "cohesion_pa=1:2:2")
     assert both.code == 2
+    assert run("twin", "forces", "--member", "0").code == 2
 
 
 def test_a_posterior_passes_from_forces_to_the_next_prediction(run: Run, plan: Path, tmp_path: Path) -> None:
@@ -80,6 +81,19 @@ def test_a_posterior_passes_from_forces_to_the_next_prediction(run: Run, plan: P
     assert run("twin", "predict", plan, "--samples", soils, "--sweep", "cohesion_pa=1:2:2").code == 2
     assert run("regolith", "identify", states, "--posterior", tmp_path / "x.csv").code == 2
     assert run("regolith", "identify", states, "--joint", "--posterior", soils).code == 1  # it exists
+
+
+def test_states_at_a_halt_are_not_valid(run: Run, tmp_path: Path) -> None:
+    """Steering in place pulls at wheels without slip: taken as a soil's, such states put its friction at 89 deg."""
+    path, states = tmp_path / "plan.toml", tmp_path / "states.csv"
+    path.write_text(PLAN + "[[leg]]\nturn_deg = -30\n[[leg]]\nlength_m = 1.0\ncrab_deg = 180\n")
+    assert run("twin", "forces", path, "-o", states).code == 0
+    table = pd.read_csv(states)
+    assert 0 < (~table["valid"]).sum() < 0.6 * len(table)
+    assert (table.loc[~table["valid"], "slip_ratio"] == 0).all()
+    done = run("regolith", "identify", states, "--joint", "--json")
+    friction = json.loads(done.out)["result"]["joint"]["parameters"]["friction_angle_deg"]
+    assert friction["low95"] < 42.0 < friction["high95"] < 60.0
 
 
 def test_fixes_and_interpolation_are_options(run: Run, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.ground.longji import synthetic_longji
 from lunarsci.twin.held import HeldForces, forces_along
@@ -171,7 +171,9 @@ def test_a_motion_comes_from_the_tables_of_a_prediction(tmp_path: Path, yutu2: R
         ("time_s,x_m,y_m,yaw_deg\n0,0,0,0\n1,east,0,0\n2,0,0,0\n", "east"),
         ("member,time_s,x_m,y_m,yaw_deg\n0,0,0,0,0\n1,1,0,0,0\n", "--member"),
         ("time_s,x_m,y_m,yaw_deg,speed_FL_m_s\n0,0,0,0,1\n", "no column steering_FL_deg"),
-        ("", "No columns"),
+        ("time_s,x_m,y_m,yaw_deg\n0,0,0,0,7\n1,0,0,0,7\n2,0,0,0,7\n", "line 2: 5 fields"),
+        ("time_s,x_m,y_m,yaw_deg\n1e9,0,0,0\n1000000001,0,0,0\n1000000002,0,0,0\n", "from the start of the drive"),
+        ("", "is empty"),
     ],
 )
 def test_a_bad_motion_is_one_line_that_names_the_file(tmp_path: Path, yutu2: Rover, rows: str, says: str) -> None:
@@ -180,6 +182,19 @@ def test_a_bad_motion_is_one_line_that_names_the_file(tmp_path: Path, yutu2: Rov
     with pytest.raises(DataError) as caught:
         read_motion(path, yutu2, PLAN)
     assert says in str(caught.value) and str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("times", "says"),
+    [((0, 1, 2, 30, 31, 32), "no pose for 28 s after time_s 2"), ((0, 40, 80, 120), "1 of 4 poses lie outside")],
+)
+def test_gaps_and_times_beyond_the_plan_are_said(
+    tmp_path: Path, yutu2: Rover, times: tuple[int, ...], says: str
+) -> None:
+    path = tmp_path / "motion.csv"
+    path.write_text("time_s,x_m,y_m,yaw_deg\n" + "".join(f"{t},{0.05 * t},0,0\n" for t in times))
+    with pytest.warns(LunarSciWarning, match=says):
+        read_motion(path, yutu2, PLAN)
 
 
 def test_commands_must_fit_the_rover(yutu2: Rover, slope, driven) -> None:  # type: ignore[no-untyped-def]

@@ -95,6 +95,19 @@ def test_a_rover_can_refuse_a_plan(yutu2: Rover) -> None:
         check_plan(dataclasses.replace(plan, legs=(Leg(1.0, 3.0),)), yutu2)
 
 
+def test_a_bad_leg_is_told_by_its_number(tmp_path: Path, yutu2: Rover) -> None:
+    path = tmp_path / "plan.toml"
+    good = "[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 1\n[[leg]]\n"
+    for leg, says in (("length_m = nan", "length_m is nan"), ("turn = 30", "'turn' is not a key")):
+        path.write_text(good + leg)
+        with pytest.raises(DataError, match="leg 2: ") as caught:
+            read_plan(path)
+        assert says in str(caught.value)
+    path.write_text(good + "length_m = 1\ncurvature_per_m = 50")
+    with pytest.raises(ParameterError, match=r"plan\.toml: leg 2: curvature_per_m is 50"):
+        check_plan(read_plan(path), yutu2)
+
+
 @pytest.mark.parametrize("text", ["", "a", "friction_angle_deg=1:2", "friction_angle_deg=2:1:3", "cohesion_pa=1:2:1"])
 def test_a_bad_sweep_is_refused(text: str) -> None:
     with pytest.raises(ParameterError):

@@ -114,6 +114,11 @@ def test_a_wall_without_a_gap_or_with_one_too_narrow_is_not_passed() -> None:
             plan_path(seen(height), YUTU2, START, (9.5, 0.0))
 
 
+def test_on_open_ground_no_obstacle_is_blamed() -> None:
+    with pytest.raises(ParameterError, match="no obstacle within 1 m of it: its arcs may be too wide"):
+        plan_path(seen(FLAT), YUTU2, START, (START[0] + 0.5, START[1] + 0.5))
+
+
 def test_a_low_wall_is_driven_over_and_a_stricter_limit_forbids_it() -> None:
     height = 0.1 * wall()
     assert plan_path(seen(height), YUTU2, START, (9.5, 0.0)).max_step_m == pytest.approx(0.1)

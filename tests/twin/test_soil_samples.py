@@ -36,6 +36,13 @@ def test_fewer_members_are_drawn_by_the_seed_without_repetition(tmp_path: Path) 
         read_soil_samples(path, 101)
 
 
+def test_blanks_and_a_byte_order_mark_are_no_part_of_a_name(tmp_path: Path) -> None:
+    path = tmp_path / "soils.csv"
+    path.write_bytes(b"\xef\xbb\xbffriction_angle_deg , cohesion_pa\r\n35, 500\r\n")
+    samples = read_soil_samples(path)
+    assert (samples["friction_angle_deg"].tolist(), samples["cohesion_pa"].tolist()) == ([35.0], [500.0])
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -44,7 +51,12 @@ def test_fewer_members_are_drawn_by_the_seed_without_repetition(tmp_path: Path) 
         ("friction_angle_deg\n95\n", "friction_angle_deg"),
         ("friction_angle_deg\nloose\n", "loose"),
         ("friction_angle_deg\n30\nnan\n", "friction_angle_deg"),
-        ("", "No columns"),
+        ("friction_angle_deg\n30\ntrue\n", "row 2, friction_angle_deg: 'true' is no number"),
+        ("friction_angle_deg\n30\ninf\n", "row 2"),
+        ("friction_angle_deg,cohesion_pa\n30,500,7\n31,500,7\n", "line 2: 3 fields"),
+        ("cohesion_pa,cohesion_pa\n1,2\n", "two columns are called 'cohesion_pa'"),
+        ("friction_angle_deg\n30\n95\n31\n", "row 2"),
+        ("", "is empty"),
     ],
 )
 def test_a_bad_table_is_one_line_that_names_it(tmp_path: Path, text: str, says: str) -> None:

@@ -100,7 +100,10 @@ def test_rasters_that_do_not_fit_are_refused_with_a_way_out(tmp_path: Path, long
         ("t.csv", b"x_m,y_m,height_m,slope\n1,2,3,4\n", "'slope' is no column"),
         ("t.csv", b"x_m,y_m,height_m\n0,0,1\n1,0,1\n2.5,0,1\n0,1,1\n", "at least 3|even steps"),
         ("t.csv", b"x_m,y_m,height_m\n0,0,high\n", "high"),
-        ("t.csv", b"", "No columns"),
+        ("t.asc", b"ncols 1e400\nnrows 3\ncellsize 1\n1 2 3\n", "give counts"),
+        ("t.csv", b"x_m,y_m,height_m\n0,0,1,9\n", "line 2: 4 fields"),
+        ("t.csv", b"x_m,y_m,height_m\n0,0,1\n,0,1\n", "row 2: x_m or y_m is missing"),
+        ("t.csv", b"", "is empty"),
     ],
 )
 def test_broken_files_are_named(tmp_path: Path, longji_soil: Soil, name: str, content: bytes, hint: str) -> None:

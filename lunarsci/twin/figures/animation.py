@@ -233,7 +233,8 @@ def _background(figure: "Figure", prediction: Prediction, verdict: Verdict, memb
     draw_planned(ground, prediction)
     ground.plot(*prediction.planned[-1, :2], "*", color=GOLD, markeredgecolor=INK, markersize=12, zorder=6)
     kind = " (synthetic terrain)" if terrain.synthetic else ""
-    ground.set_title(f"{verdict.verdict.upper()}: {prediction.members} drives on {terrain.name}{kind}", fontsize=10)
+    drives = "1 drive" if prediction.members == 1 else f"{prediction.members} drives"
+    ground.set_title(f"{verdict.verdict.upper()}: {drives} on {terrain.name}{kind}", fontsize=10)
     for row, name in enumerate(INSETS):
         _draw_inset(figure.add_axes((0.765, 0.57 - 0.47 * row, 0.215, 0.33)), prediction, name, member)
     return _pixels(figure)

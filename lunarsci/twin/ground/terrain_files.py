@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.csv_table import numbers_of, read_csv_table
 from lunarsci.errors import DataError, OutputError
 from lunarsci.regolith.soil import Soil
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, build_terrain, from_si
@@ -109,6 +110,8 @@ def _read_ascii(path: Path, soil: Soil) -> Terrain:
                     f"{path}: no {name}; an ESRI ASCII grid begins with ncols, nrows, xllcorner, yllcorner, cellsize"
                 )
         heights = np.array(file.read().split(), dtype=np.float64)
+    if not all(1 <= header[name] < np.inf for name in ("ncols", "nrows")):
+        raise DataError(f"{path}: ncols {header['ncols']:g}, nrows {header['nrows']:g}; give counts of 1 or more")
     shape = int(header["nrows"]), int(header["ncols"])
     if heights.size != shape[0] * shape[1]:
         raise DataError(f"{path}: {heights.size} heights, {shape[0]} rows of {shape[1]} announced; is it cut short?")
@@ -121,14 +124,17 @@ def _read_ascii(path: Path, soil: Soil) -> Terrain:
 def _read_table(path: Path, soil: Soil) -> Terrain:
     import pandas as pd
 
-    table = pd.read_csv(path, comment="#")
+    table = read_csv_table(path)
     known = ("x_m", "y_m", "height_m", *SOIL_COLUMNS)
     for name in known[:3]:
         if name not in table:
             raise DataError(f"{path}: no column {name}; a terrain needs x_m, y_m and height_m")
     if unknown := {str(name) for name in table} - set(known):
         raise DataError(f"{path}: '{min(unknown)}' is no column of a terrain; these are: {', '.join(known)}")
-    values = table.apply(pd.to_numeric, errors="raise")
+    values = pd.DataFrame({name: numbers_of(str(path), str(name), cells) for name, cells in table.items()})
+    if np.isnan(values[["x_m", "y_m"]]).any(axis=None):
+        row = int(np.argmax(values[["x_m", "y_m"]].isna().any(axis=1)))
+        raise DataError(f"{path}, row {row + 1}: x_m or y_m is missing; leave the row out or fill it in")
     x, y = (np.unique(values[name].to_numpy(np.float64)) for name in ("x_m", "y_m"))
     spacing = _spacing(x, y)
     column, row = (np.rint((values[name] - axis[0]) / spacing).astype(int) for name, axis in (("x_m", x), ("y_m", y)))

@@ -18,13 +18,15 @@ def state_table(prediction: Prediction) -> "pd.DataFrame":
 
     Columns member, distance_m, time_s, wheel, x_m, y_m (wheel centre), sinkage_m, slip_ratio, side_slip_deg,
     normal_force_n, drawbar_pull_n, lateral_force_n, resistance_torque_nm, valid. `distance_m` is as commanded.
+    States at a halt are not valid: forces there belong to no slip, and a soil identified from them would be wrong.
     """
     import pandas as pd
 
     member, sample = np.nonzero(prediction.reached)
     values = prediction.states[member, sample].reshape(-1, len(STATE_COLUMNS))
     table = pd.DataFrame(values, columns=list(STATE_COLUMNS))
-    table["valid"] = table["valid"] > 0.5
+    halted = (table["slip_ratio"] == 0.0) & (table["side_slip_deg"] == 0.0)
+    table["valid"] = (table["valid"] > 0.5) & ~halted
     names = prediction.rover.wheels
     count = len(names)
     table.insert(0, "member", np.repeat(member, count))

@@ -1,5 +1,6 @@
 """A motion of the rover that is given, as from localisation: where it was when, and what its wheels were told."""
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -7,7 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.csv_table import numbers_of, read_csv_table
+from lunarsci.errors import DataError, LunarSciWarning, ParameterError
+from lunarsci.inputs import InputFile, read_input
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import commands_at, make_schedule
 from lunarsci.twin.rover import Rover
@@ -19,6 +22,10 @@ __all__ = ["Motion", "read_motion"]
 
 FloatArray = npt.NDArray[np.float64]
 POSE_COLUMNS = ("time_s", "x_m", "y_m", "yaw_deg")
+GAP = 5.0
+"""Times the median step between poses from which on a step is a gap; assumed."""
+CLOCK_S = 1.0
+"""How far the clocks of motion and plan may differ unsaid; assumed. [s]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -59,60 +66,100 @@ class Motion:
             raise ParameterError("motion speed_m_s is 0 somewhere; slip has no meaning for a wheel that does not turn")
 
 
-def read_motion(path: str | Path, rover: Rover, plan: Plan | None = None, member: int | None = None) -> Motion:
+def read_motion(
+    source: InputFile | str | Path, rover: Rover, plan: Plan | None = None, member: int | None = None
+) -> Motion:
     """Read a motion from CSV.
 
     Columns time_s, x_m, y_m, yaw_deg as in the `paths.csv` of a prediction; optionally member, of which one is read;
     and the commands of each wheel, `steering_FL_deg` and `speed_FL_m_s` and so on. Without these columns the commands
-    are those of `plan` at the same times. Raises DataError.
+    are those of `plan` at the same times. Raises DataError; warns of gaps and of poses outside the times of the plan.
     """
-    import pandas as pd
-
+    file = source if isinstance(source, InputFile) else read_input(str(source))
+    table = read_csv_table(file)
     try:
-        table = pd.read_csv(path, comment="#")
         missing = [name for name in POSE_COLUMNS if name not in table]
         if missing:
             raise ParameterError(f"no column {missing[0]}; a motion needs {', '.join(POSE_COLUMNS)}")
-        table = _one_member(table, member)
-        pose = {name: _column(table, name) for name in POSE_COLUMNS}
-        steering, speed = _commands(table, rover, plan, pose["time_s"])
-        return Motion(**pose, steering_deg=steering, speed_m_s=speed)
-    except OSError as error:
-        raise DataError(f"{path}: {error.strerror or error}") from error
+        columns = _one_member(_Columns(file.name, table), member)
+        pose = {name: columns[name] for name in POSE_COLUMNS}
+        steering, speed = _commands(columns, rover, plan, pose["time_s"])
+        motion = Motion(**pose, steering_deg=steering, speed_m_s=speed)
+    except DataError:
+        raise
     except ValueError as error:
-        raise DataError(f"{path}: {error}") from error
+        raise DataError(f"{file.name}: {error}") from error
+    _warn_of_gaps(file.name, motion.time_s)
+    return motion
 
 
-def _one_member(table: "pd.DataFrame", member: int | None) -> "pd.DataFrame":
-    if "member" not in table:
-        return table
-    numbers = table["member"].unique()
+class _Columns:
+    """Columns of a table as numbers, on demand: what is not used may hold any text."""
+
+    def __init__(self, file: str, table: "pd.DataFrame", rows: npt.NDArray[np.bool_] | None = None) -> None:
+        self.file, self.table, self.rows = file, table, rows
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.table
+
+    def __getitem__(self, name: str) -> FloatArray:
+        values = numbers_of(self.file, name, self.table[name])
+        return values if self.rows is None else values[self.rows]
+
+
+def _one_member(columns: _Columns, member: int | None) -> _Columns:
+    if "member" not in columns:
+        return columns
+    given = columns["member"]
+    numbers = np.unique(given[np.isfinite(given)])
     if member is None and len(numbers) > 1:
         raise ParameterError(f"{len(numbers)} members; choose one with --member")
+    if not len(numbers):
+        raise ParameterError("the column member holds no number; fill it in or drop it")
     chosen = numbers[0] if member is None else member
     if chosen not in numbers:
-        raise ParameterError(f"no member {chosen}; there are {numbers.min()} to {numbers.max()}")
-    return table[table["member"] == chosen]
+        raise ParameterError(f"no member {chosen}; there are {numbers[0]:g} to {numbers[-1]:g}")
+    return _Columns(columns.file, columns.table, given == chosen)
 
 
-def _column(table: "pd.DataFrame", name: str) -> FloatArray:
-    import pandas as pd
+def _warn_of_gaps(file: str, time_s: FloatArray) -> None:
+    steps = np.diff(time_s)
+    usual, longest = float(np.median(steps)), int(np.argmax(steps))
+    if steps[longest] > GAP * usual:
+        text = (
+            f"{file}: no pose for {steps[longest]:.4g} s after time_s {time_s[longest]:.6g}, {usual:.3g} s being "
+            "usual; velocities beside a gap are means over it"
+        )
+        warnings.warn(text, LunarSciWarning, stacklevel=3)
 
-    return np.asarray(pd.to_numeric(table[name], errors="raise"), dtype=float)
 
-
-def _commands(
-    table: "pd.DataFrame", rover: Rover, plan: Plan | None, time_s: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def _commands(columns: _Columns, rover: Rover, plan: Plan | None, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
     names = [(f"steering_{wheel}_deg", f"speed_{wheel}_m_s") for wheel in rover.wheels]
-    given = [name for pair in names for name in pair if name in table]
+    given = [name for pair in names for name in pair if name in columns]
     if len(given) == 2 * len(names):
-        steering, speed = ([_column(table, pair[k]) for pair in names] for k in range(2))
+        steering, speed = ([columns[pair[k]] for pair in names] for k in range(2))
         return np.column_stack(steering), np.column_stack(speed)
     if given:
-        missing = next(name for pair in names for name in pair if name not in table)
+        missing = next(name for pair in names for name in pair if name not in columns)
         raise ParameterError(f"no column {missing}, but {given[0]}; give the commands of all wheels, or a plan")
     if plan is None:
         raise ParameterError(f"no columns {names[0][0]}, {names[0][1]}, ...; add the commands, or give the plan")
-    commands = commands_at(rover, make_schedule(plan, rover), time_s)
+    schedule = make_schedule(plan, rover)
+    _check_times(columns.file, time_s, schedule.duration_s)
+    commands = commands_at(rover, schedule, time_s)
     return np.degrees(commands.steering_rad), commands.speed_m_s
+
+
+def _check_times(file: str, time_s: FloatArray, duration_s: float) -> None:
+    outside = (time_s < -CLOCK_S) | (time_s > duration_s + CLOCK_S)
+    if outside.all():
+        raise ParameterError(
+            f"time_s begins at {time_s[0]:g} s, but the plan lasts from 0 to {duration_s:.4g} s; count both from the "
+            "start of the drive, or add the commands"
+        )
+    if outside.any():
+        text = (
+            f"{file}: {outside.sum()} of {len(time_s)} poses lie outside the 0 to {duration_s:.4g} s of the plan; "
+            "they take its first or last commands"
+        )
+        warnings.warn(text, LunarSciWarning, stacklevel=4)

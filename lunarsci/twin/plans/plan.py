@@ -68,14 +68,14 @@ class Leg:
 
     def __post_init__(self) -> None:
         if not 0 <= self.length_m <= LONGEST_M:
-            raise ParameterError(f"leg length_m is {self.length_m}; give more than 0, at most {LONGEST_M:g} m")
+            raise ParameterError(f"length_m is {self.length_m}; give more than 0, at most {LONGEST_M:g} m")
         if not (self.stop_s == 0 or 1 <= self.stop_s <= LONGEST_STOP_S):
-            raise ParameterError(f"leg stop_s is {self.stop_s}; give 1 to {LONGEST_STOP_S:g} s")
+            raise ParameterError(f"stop_s is {self.stop_s}; give 1 to {LONGEST_STOP_S:g} s")
         for name, most in (("crab_deg", 180.0), ("turn_deg", 360.0)):
             if not abs(getattr(self, name)) <= most:
-                raise ParameterError(f"leg {name} is {getattr(self, name)}; give -{most:g} to {most:g}")
+                raise ParameterError(f"{name} is {getattr(self, name)}; give -{most:g} to {most:g}")
         if not math.isfinite(self.curvature_per_m):
-            raise ParameterError(f"leg curvature_per_m is {self.curvature_per_m}; give a finite number")
+            raise ParameterError(f"curvature_per_m is {self.curvature_per_m}; give a finite number")
         if sum(value != 0 for value in (self.length_m, self.turn_deg, self.stop_s)) != 1:
             raise ParameterError("a leg needs exactly one of length_m, turn_deg and stop_s, and not 0")
         if self.length_m == 0 and (self.curvature_per_m != 0 or self.crab_deg != 0):
@@ -212,16 +212,18 @@ class Plan:
 
 def check_plan(plan: Plan, rover: Rover) -> None:
     """Raises ParameterError for a plan that the rover cannot follow."""
+    where = f"{plan.origin}: " if plan.origin else ""
     if plan.speed_m_s > rover.max_speed_m_s:
         raise ParameterError(
-            f"the plan's speed_m_s is {plan.speed_m_s:g}; {rover.name} drives at most {rover.max_speed_m_s:g} m/s"
+            f"{where}the plan's speed_m_s is {plan.speed_m_s:g}; {rover.name} drives at most "
+            f"{rover.max_speed_m_s:g} m/s"
         )
     tightest = rover.tightest_curvature_per_m
-    for leg in plan.legs:
+    for number, leg in enumerate(plan.legs, 1):
         if abs(leg.curvature_per_m) > tightest:
             raise ParameterError(
-                f"leg curvature_per_m is {leg.curvature_per_m:g}; the turning centre must lie outside the wheels, "
-                f"so give at most {tightest:.3g} 1/m, or turn on the spot with turn_deg"
+                f"{where}leg {number}: curvature_per_m is {leg.curvature_per_m:g}; the turning centre must lie "
+                f"outside the wheels, so give at most {tightest:.3g} 1/m, or turn on the spot with turn_deg"
             )
 
 
@@ -276,7 +278,7 @@ def _parse(text: str, origin: str) -> Plan:
         limits = _table(document, "limits") if "limits" in document else _default_limits()
         return Plan(
             name=str(document.get("name", origin)),
-            legs=tuple(_leg(table) for table in _list(document, "leg")),
+            legs=_legs(_list(document, "leg")),
             fixes=_fixes(document),
             limits=tuple(_limit(quantity, entry) for quantity, entry in limits.items()),
             sweep=tuple(parse_sweep(f"{name}={entry}") for name, entry in _table(document, "sweep").items()),
@@ -299,6 +301,16 @@ def _list(document: dict[str, Any], name: str) -> list[Any]:
     if not isinstance(tables, list):
         raise ParameterError(f"write each {name} as [[{name}]], in double brackets")
     return tables
+
+
+def _legs(tables: list[Any]) -> tuple[Leg, ...]:
+    legs = []
+    for number, table in enumerate(tables, 1):
+        try:
+            legs.append(_leg(table))
+        except ParameterError as error:
+            raise ParameterError(f"leg {number}: {error}") from error
+    return tuple(legs)
 
 
 def _leg(table: Any) -> Leg:

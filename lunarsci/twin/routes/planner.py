@@ -26,6 +26,8 @@ FloatArray = npt.NDArray[np.float64]
 BoolMap = npt.NDArray[np.bool_]
 Progress = Callable[[int, int], None]
 
+NEAR_M = 1.0
+"""From a footprint farther than this an obstacle is not taken for what is in the way; assumed. [m]"""
 ARRIVAL_M = 0.01
 """A path ends at least this near to its target. [m]"""
 MARGIN_SHARE, MARGIN_M = 0.5, 3.0
@@ -280,7 +282,9 @@ def _why_not(
     left = math.dist(end[:2], problem.goal[:2])
     text = f"no path within the limits was found; the nearest place reached is x {end[0]:.2f} m, y {end[1]:.2f} m"
     text += f", {left:.2f} m from the target"
-    _, point, _ = nearest_node(footprint, end[None], *_places(surface, ground))
-    if len(ground.border):
+    clear, point, _ = nearest_node(footprint, end[None], *_places(surface, ground))
+    if NEAR_M < clear < math.inf:
+        text += f", with no obstacle within {NEAR_M:g} m of it: its arcs may be too wide for this target"
+    elif len(ground.border):
         text += f", next to where {_obstacle(surface, ground, point)}"
     return f"{text}; try a smaller hazard distance, tighter turns, a nearer target first, or other limits"
