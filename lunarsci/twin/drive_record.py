@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.csv_table import numbers_of, read_csv_table
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors
 from lunarsci.twin.rover import Rover
@@ -100,14 +101,7 @@ def read_record(
 
 
 def _read(path: str | Path, needed: tuple[str, ...]) -> "pd.DataFrame":
-    import pandas as pd
-
-    try:
-        table = pd.read_csv(path, comment="#")
-    except OSError as error:
-        raise DataError(f"{path}: {error.strerror or error}") from error
-    except ValueError as error:
-        raise DataError(f"{path}: {error}") from error
+    table = read_csv_table(path)
     for name in needed:
         if name not in table:
             raise DataError(f"{path}: no column {name}; there are: {', '.join(map(str, table.columns))}")
@@ -115,14 +109,7 @@ def _read(path: str | Path, needed: tuple[str, ...]) -> "pd.DataFrame":
 
 
 def _numbers(path: str | Path, table: "pd.DataFrame", name: str) -> FloatArray:
-    import pandas as pd
-
-    if name not in table:
-        return np.full(len(table), np.nan)
-    try:
-        return np.asarray(pd.to_numeric(table[name], errors="raise"), dtype=float)
-    except ValueError as error:
-        raise DataError(f"{path}: column {name}: {error}") from error
+    return numbers_of(str(path), name, table[name]) if name in table else np.full(len(table), np.nan)
 
 
 def _positions(path: str | Path | None) -> dict[str, FloatArray]:

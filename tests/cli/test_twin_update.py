@@ -1,0 +1,89 @@
+"""`lunarsci twin update`: from a drive to a belief, and from a belief to the next drive."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+Run = Callable[..., Any]
+PLAN = "[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 0.6\n"
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Path:
+    path = tmp_path / "plan.toml"
+    path.write_text(PLAN)
+    return path
+
+
+@pytest.fixture
+def states(run: Run, plan: Path, tmp_path: Path) -> Path:
+    """A drive on the terrain's soil, 10 states of each wheel, with errors."""
+    path = tmp_path / "states.csv"
+    assert run("twin", "forces", plan, "-o", path).code == 0
+    table = pd.read_csv(path)
+    random = np.random.default_rng(1)
+    table["sinkage_m"] += 0.00033 * random.normal(size=len(table))
+    table["slip_ratio"] += 0.01 * random.normal(size=len(table))
+    table.to_csv(path, index=False)
+    return path
+
+
+@pytest.mark.slow
+def test_a_belief_goes_from_drive_to_drive(run: Run, plan: Path, states: Path, tmp_path: Path) -> None:
+    belief, again = tmp_path / "belief.json", tmp_path / "again.json"
+    update = ("twin", "update", states, "--plan", plan, "--particles", "32")
+    done = run(*update, "--save", belief, "--json")
+    assert done.code == 0, done.err
+    result = json.loads(done.out)["result"]
+    assert result["refused"] is None and result["drives"] == 1 and result["outliers"] == 0
+    assert result["parameters"]["stiffness_kpa_m_n"]["left_of_prior"] < 0.9
+    # On the same seed the same belief, to the byte.
+    assert run(*update, "--save", again, "-q").code == 0
+    assert belief.read_bytes() == again.read_bytes()
+    predicted = run("twin", "predict", plan, "--samples", belief, "--members", "16", "--field", "members")
+    assert predicted.code == 0 and predicted.out == "16\n"
+    # The next update begins where this one ended, and refuses telemetry that no soil explains.
+    table = pd.read_csv(states)
+    table["sinkage_m"] += 0.05
+    table.to_csv(tmp_path / "wrong.csv", index=False)
+    wrong = run(
+        *("twin", "update", tmp_path / "wrong.csv", "--plan", plan, "--particles", "32"),
+        *("--belief", belief, "--forget", "0.1", "--save", tmp_path / "same.json"),
+    )
+    assert wrong.code == 3 and "nothing was learned" in wrong.err[-1]
+    kept = json.loads((tmp_path / "same.json").read_text())
+    assert len(kept["history"]) == 2 and kept["history"][1]["refused"]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("wheel,sinkage_m\nFL,0.01\n", "no column time_s"),
+        ("time_s,wheel\n1,FL\n", "no measured column"),
+        ("time_s,wheel,sinkage_m\n1,XX,0.01\n", "'XX' is no wheel"),
+        ("time_s,wheel,sinkage_m\n-1,FL,0.01\n", "0 or more"),
+        ("time_s,wheel,sinkage_m\n1,FL,deep\n", "deep"),
+        ("time_s,wheel,sinkage_m\n1,FL,0.01\n", "fewer values"),
+    ],
+)
+def test_bad_states_are_one_line_that_says_what_is_wrong(
+    run: Run, plan: Path, tmp_path: Path, text: str, says: str
+) -> None:
+    path = tmp_path / "states.csv"
+    path.write_text(text)
+    done = run("twin", "update", path, "--plan", plan)
+    assert done.code == 1 and says in done.err[0] and done.out == ""
+
+
+def test_positions_need_their_errors(run: Run, plan: Path, tmp_path: Path) -> None:
+    (tmp_path / "states.csv").write_text("time_s,wheel,sinkage_m\n1,FL,0.01\n")
+    (tmp_path / "fixes.csv").write_text("time_s,x_m,y_m\n1,0,0\n")
+    done = run("twin", "update", tmp_path / "states.csv", "--plan", plan, "--positions", tmp_path / "fixes.csv")
+    assert done.code == 1 and "add sigma_m" in done.err[0]
+    done = run("twin", "update", tmp_path / "states.csv", "--plan", plan, "--belief", plan)
+    assert done.code == 1 and "not valid JSON" in done.err[0]
