@@ -29,13 +29,13 @@ Load = Annotated[float | None, typer.Option(help="Wheel load in N; the sinkage u
 Slip = Annotated[float, typer.Option(help="Slip ratio, above -1, below 1; negative is skid.")]
 SideSlip = Annotated[float, typer.Option(help="Side slip angle in deg, within ±90.")]
 SoilName = Annotated[str, _soil("Soil: a name or a TOML file.")]
-Stiffness = Annotated[float | None, _soil("K_s [kPa m^-N].")]
+Stiffness = Annotated[float | None, _soil("K_s in kPa m^-N.")]
 Exponent = Annotated[float | None, _soil("Sinkage exponent N.")]
-Cohesion = Annotated[float | None, _soil("Cohesion c [Pa].")]
-FrictionAngle = Annotated[float | None, _soil("φ [deg].")]
-ShearModulus = Annotated[float | None, _soil("K_x [mm].")]
-ExternalFrictionAngle = Annotated[float | None, _soil("φ_y [deg].")]
-LateralModulus = Annotated[float | None, _soil("K_y [mm].")]
+Cohesion = Annotated[float | None, _soil("Cohesion c in Pa.")]
+FrictionAngle = Annotated[float | None, _soil("φ in deg.")]
+ShearModulus = Annotated[float | None, _soil("K_x in mm.")]
+ExternalFrictionAngle = Annotated[float | None, _soil("φ_y in deg.")]
+LateralModulus = Annotated[float | None, _soil("K_y in mm.")]
 Exact = Annotated[bool, _exact("Integrate the stresses (Eqs 1-17) instead of Eqs 21-24.", "--exact")]
 Shear = Annotated[
     Literal["separate", "combined", "ellipse"],
@@ -44,17 +44,17 @@ Shear = Annotated[
 Bulldozing = Annotated[
     Literal["none", "hegedus", "wong"], _exact("Soil against the side face, by Hegedus or by passive pressure.")
 ]
-Density = Annotated[float, _exact("Soil density [kg/m³], for --bulldozing and Reece's moduli.")]
-Gravity = Annotated[float, _exact("Gravity [m/s²], for --bulldozing and Reece's moduli.")]
+Density = Annotated[float, _exact("Soil density in kg/m³, for --bulldozing and Reece's moduli.")]
+Gravity = Annotated[float, _exact("Gravity in m/s², for --bulldozing and Reece's moduli.")]
 Rebound = Annotated[float | None, _exact("Share of the sinkage that springs back behind the wheel, 0-1.")]
-Rut = Annotated[float, _exact("How deep a wheel before has pressed the soil [m]; needs --reload.")]
-Reload = Annotated[float, _exact("Slope of loading in a rut [N/m³], k_0 of Wong's reloading line.")]
+Rut = Annotated[float, _exact("Depth in m to which a wheel before has pressed the soil; needs --reload.")]
+Reload = Annotated[float, _exact("Slope of loading in a rut in N/m³, k_0 of Wong's reloading line.")]
 SlipSinkage = Annotated[
     Literal["none", "lyasko", "linear"],
     typer.Option(help="With --load: how slip deepens the sinkage of a wheel that does not slip."),
 ]
-ReeceCohesive = Annotated[float | None, _soil("Reece's k_c' [-]; K_s then follows density and gravity.")]
-ReeceFrictional = Annotated[float | None, _soil("Reece's k_φ' [-], with k_c'.")]
+ReeceCohesive = Annotated[float | None, _soil("Reece's k_c'; K_s then follows density and gravity.")]
+ReeceFrictional = Annotated[float | None, _soil("Reece's k_φ', with k_c'.")]
 
 
 def add_to(app: typer.Typer) -> None:
