@@ -38,8 +38,10 @@ MODEL_ERRORS = {
 }
 """Assumed, beside the measured errors: what the twin may be off by where a measured error is next to nothing."""
 PARTICLES = 128
-STEP_S, SAMPLE_M = 0.2, 0.3
+STEP_S, SAMPLE_M = 0.2, 0.1
 """Of the simulated drives: ends are off by 1.4 mm, states are interpolated in time."""
+FIRST_S = 1.0
+"""The first second is left out: the simulated rover still finds its speed."""
 FARTHEST = 4.0
 """Standard deviations of the first laws that a soil may be from their centre."""
 HUBER = 4.0
@@ -157,7 +159,7 @@ class _Drives:
         if strange := set(record.wheel) - set(rover.wheels):
             raise ParameterError(f"'{min(strange)}' is no wheel of {rover.name}; it has {', '.join(rover.wheels)}")
         self.rover, self.terrain, self.plan, self.record, self.belief = rover, terrain, plan, record, belief
-        self.known = np.isfinite(record.values)
+        self.known = np.isfinite(record.values) & (record.time_s > FIRST_S)[:, None]
         if self.known.sum() + record.fix_m.size < len(PARAMETERS):
             raise ParameterError(f"the record has fewer values than a soil has parameters, {len(PARAMETERS)}")
         floor = np.array([MODEL_ERRORS[name] for name in OBSERVED])
