@@ -100,7 +100,7 @@ def reproduce_report(found: Found, *, verbose: bool) -> Report:
     records = [number.to_dict() for number in found.numbers]
     parts = [part for part in PARTS if any(number.part == part for number in found.numbers)]
     return Report(
-        schema="reproduce/2",
+        schema="reproduce/1",
         result={"numbers": records, "verdicts": _verdicts(found.numbers)},
         tables=[_table(found.numbers, parts, verbose)],
         rows=records,

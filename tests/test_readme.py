@@ -51,7 +51,7 @@ def same(shown: str, printed: str) -> None:
 
 
 def test_the_readme_has_examples() -> None:
-    assert {command.split()[1] for command, _ in CONSOLE} == {"demo", "spectra", "regolith", "twin"}
+    assert {command.split()[1] for command, _ in CONSOLE} == {"demo", "spectra", "regolith", "reproduce", "twin"}
 
 
 @pytest.mark.slow

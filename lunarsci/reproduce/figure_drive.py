@@ -172,11 +172,8 @@ def _rolling(axes: "Axes", drives: Drives) -> None:
             for phi, color in zip(PHI_DEG, (_colors(phis)[0], _colors(phis)[-1]), strict=True):
                 axes.plot(slope, medians(found, "slip_ratio", PHI)[phi], "o", color=color, markeredgecolor=INK)
     axes.plot([], [], "o", color="white", markeredgecolor=INK, label="the rover on planes")
-    axes.axvline(published_value("slope-most"), color="0.5", linewidth=1.0, linestyle=":")
-    low = axes.get_ylim()[0]
-    axes.text(
-        published_value("slope-most"), low, "steepest, published ", rotation=90, fontsize=8, ha="right", va="bottom"
-    )
+    steepest = published_value("slope-most")
+    axes.axvline(steepest, color="0.5", linewidth=1.2, linestyle=":", label=f"steepest, published: {steepest}°")
     axes.axhline(0, color="0.7", linewidth=0.8, zorder=0)
     axes.set_xlabel("slope, downhill [°]")
     axes.set_ylabel(NAMES["slip_ratio"])

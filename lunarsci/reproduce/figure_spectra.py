@@ -49,6 +49,6 @@ def _plane(rocks: Rocks | None) -> "Figure":
         axes.plot([], [], "o", color="black", markersize=4, label="boulders that were given")
     axes.set_xlim(885.0, np.nextafter(1110.0, 0))
     axes.legend(loc="upper left", fontsize=8, framealpha=0.9)
-    told = f"{len(rocks.bands)} boulders" if rocks else "no boulders: give their spectra with --rocks"
+    told = f"boulders' spectra given: {len(rocks.bands)}" if rocks else "no boulders: give their spectra with --rocks"
     axes.set_title(f"Band centres after Fig. 5b of Ding et al. (2024); {told}", fontsize=10)
     return figure

@@ -1,8 +1,10 @@
 """The slip at which a rover rolls steadily down a slope: six equal wheels, no terrain, no rover between them."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
+from lunarsci.errors import ParameterError
 from lunarsci.regolith.forces import wheel_forces
 from lunarsci.regolith.load import sinkage_under_load
 from lunarsci.regolith.soil import Soil
@@ -43,18 +45,23 @@ class Rolling:
     def slip_ratio(self, soil: Soil, slope_deg: float) -> float:
         """Slip ratio of steady rolling down a slope, negative for skid. [-]
 
-        Raises ValueError where no slip within 0.6 balances the weight.
+        Raises ParameterError where no slip within 0.6 balances the weight.
         """
-        from scipy.optimize import brentq
-
-        return float(brentq(lambda slip: self.surplus_n(soil, slope_deg, slip), *SLIPS, xtol=1e-9))
+        text = f"no slip within {SLIPS[1]} lets {self.weight_n:.1f} N a wheel roll steadily down {slope_deg:g} deg"
+        return _root(lambda slip: self.surplus_n(soil, slope_deg, slip), SLIPS, text)
 
     def slope_deg(self, soil: Soil, slip_ratio: float) -> float:
         """Slope down which a wheel rolls steadily at a slip ratio; negative is uphill. [deg]
 
-        Raises ValueError where none within 30 deg does.
+        Raises ParameterError where none within 30 deg does.
         """
-        from scipy.optimize import brentq
+        text = f"on no slope within {STEEPEST_DEG:g} deg {self.weight_n:.1f} N a wheel roll at a slip of {slip_ratio:g}"
+        return _root(lambda slope: self.surplus_n(soil, slope, slip_ratio), (-STEEPEST_DEG, STEEPEST_DEG), text)
 
-        span = (-STEEPEST_DEG, STEEPEST_DEG)
-        return float(brentq(lambda slope: self.surplus_n(soil, slope, slip_ratio), *span, xtol=1e-9))
+
+def _root(function: Callable[[float], float], span: tuple[float, float], text: str) -> float:
+    from scipy.optimize import brentq
+
+    if function(span[0]) * function(span[1]) > 0:
+        raise ParameterError(f"{text}; take another rover or soil")
+    return float(brentq(function, *span, xtol=1e-9))

@@ -60,6 +60,7 @@ def test_a_wheel_of_another_size_shows_that_only_load_by_width_is_known() -> Non
     ("answer", "verdict"),
     [
         (Answer(value=None), "not determined by what is published"),
+        (Answer(value=1.0, determined=False), "not determined by what is published"),
         (Answer(value=2.0), "differs"),
         (Answer(value=1.05), "reproduced"),
         (Answer(value=0.95, reading="a reading"), "reproduced under a named reading"),
