@@ -22,7 +22,8 @@ FORGOTTEN, FEWEST_MOVES, MOST_MOVES, LAST_MOVES = 0.8, 3, 20, 60
 """Correlation of the most persistent parameter with its values before the moves, below which a step has moved enough;
 moves at a step and at the last one, which goes on until that correlation is below SETTLED."""
 SETTLED = 0.2
-SMALLEST = 1e-9
+SMALLEST = 1e-6
+"""Width of a random walk where the population has none, in widths of the prior."""
 
 
 def carry_population(
