@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+README = Path(__file__).parents[2] / "README.md"
 KEYS = {
     "id", "part", "quantity", "unit", "passage", "published", "within", "ours", "low", "high", "reading", "reason",
     "verdict",
@@ -38,6 +39,11 @@ def test_the_table_and_its_json_say_the_same(run: Callable[..., Any]) -> None:
         shown = "-" if number["ours"] is None else f"{number['ours']:.4g}"
         assert (shown in line) or (f"({shown})" in line)
     assert "published.csv" in json.dumps(found["provenance"])
+    same, named, differ, unknown = found["result"]["verdicts"].values()
+    told = (
+        f"Of all {len(numbers)}, {same} are reproduced, {named} under a named reading, {differ} differ, and {unknown}"
+    )
+    assert told in README.read_text("utf-8")
 
 
 def test_examples_that_are_not_judged_stand_in_brackets(run: Callable[..., Any]) -> None:
