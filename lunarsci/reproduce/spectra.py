@@ -35,6 +35,8 @@ ZHINYU = (-45.34, 176.15)
 """Its place in the abstract of Ding et al. (2024). [deg]"""
 MODE_SIGMA = 0.05
 """Of the modes made of the published averages: half of the published 20-30 % of olivine."""
+LEAST_ROCKS = 6
+"""Boulders from which an average or a range is held against the published one, which is that of six."""
 NO_SPECTRUM = "needs measured spectra, which are not published with the paper; give spectra of boulders with --rocks"
 MINERALS = "laboratory spectra of lunarsci, centres under the upper hull"
 
@@ -151,19 +153,22 @@ def _rms(rocks: Rocks) -> Answer:
     values = [100.0 * fit.rms_ln for fit in rocks.smoothed]
     raw = [100.0 * fit.rms_ln for fit in rocks.fits]
     holds = "holds" if min(values) <= published_value("mgm-rms") <= max(values) else "does not hold"
+    several = len(raw) > 1
+    given = f"the median of {_count(rocks)}, whose range {holds} the published value" if several else rocks.fits[0].id
     return Answer(
         value=float(np.median(values)),
         determined=False,
-        low=min(values),
-        high=max(values),
+        low=min(values) if several else None,
+        high=max(values) if several else None,
         reading=f"rms of ln R of spectra smoothed over {SMOOTHED_POINTS} points before the fit",
-        reason=f"the spectrum, D41N240, is not published; the example is {_given(rocks)}, whose range {holds} the "
-        f"published value; as measured, not smoothed, they fit to {min(raw):.2f}-{max(raw):.2f} %",
+        reason=f"the spectrum, D41N240, is not published; the example is {given}; as measured, not smoothed, the fit "
+        f"leaves {min(raw):.2f}" + (f"-{max(raw):.2f} %" if several else " %"),
     )
 
 
-def _given(rocks: Rocks) -> str:
-    return f"the median of {len(rocks.fits)} boulders that were given" if len(rocks.fits) > 1 else rocks.fits[0].id
+def _count(rocks: Rocks) -> str:
+    count = len(rocks.fits)
+    return "1 boulder that was given" if count == 1 else f"{count} boulders that were given"
 
 
 def _share(rocks: Rocks) -> Answer:
@@ -179,7 +184,8 @@ def _share(rocks: Rocks) -> Answer:
         value=own,
         low=min(known),
         high=max(known),
-        reading=f"mean NBSR at 2 µm of {len(rocks.fits)} boulders that were given, not the six of the paper",
+        determined=len(rocks.fits) >= LEAST_ROCKS,
+        reading=f"mean NBSR at 2 µm of {_count(rocks)}, not of the six of the paper",
         reason=f"range over {len(known)} continua; the published value lies {inside} it; which continuum and "
         f"boulders it rests on is not published" + (f"; smoothed spectra give {smoothed:.0f}" if smoothed else ""),
     )
@@ -194,7 +200,8 @@ def _olivine(rocks: Rocks, end: Callable[[FloatArray], float]) -> Answer:
         value=float(end(np.array([100.0 * olivine_share(fit) for fit in rocks.fits]))),
         low=min(values),
         high=max(values),
-        reading=f"strength of olivine's 1.24 µm band over it and pyroxene's 1 µm bands, {len(rocks.fits)} boulders",
+        determined=len(rocks.fits) >= LEAST_ROCKS,
+        reading=f"strength of olivine's 1.24 µm band over it and pyroxene's 1 µm bands, of {_count(rocks)}",
         reason=f"range over {len(values)} continua; how the published share is defined is in the supplement",
     )
 

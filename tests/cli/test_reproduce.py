@@ -2,23 +2,25 @@
 
 import json
 import re
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+README = Path(__file__).parents[2] / "README.md"
 KEYS = {
     "id", "part", "quantity", "unit", "passage", "published", "within", "ours", "low", "high", "reading", "reason",
     "verdict",
 }  # fmt: skip
 ROVERS = ("yutu2", "small-four")
-VERDICTS = {
+VERDICTS = (
     "reproduced",
     "reproduced under a named reading",
     "differs",
     "not determined by what is published",
-}
+)
 
 
 def test_the_table_and_its_json_say_the_same(run: Callable[..., Any]) -> None:
@@ -38,6 +40,13 @@ def test_the_table_and_its_json_say_the_same(run: Callable[..., Any]) -> None:
         shown = "-" if number["ours"] is None else f"{number['ours']:.4g}"
         assert (shown in line) or (f"({shown})" in line)
     assert "published.csv" in json.dumps(found["provenance"])
+    counts = Counter(number["verdict"] for number in numbers)
+    assert found["result"]["verdicts"] == counts
+    same, named, differ, unknown = (counts[verdict] for verdict in VERDICTS)
+    told = (
+        f"Of all {len(numbers)}, {same} are reproduced, {named} under a named reading, {differ} differ, and {unknown}"
+    )
+    assert told in README.read_text("utf-8")
 
 
 def test_examples_that_are_not_judged_stand_in_brackets(run: Callable[..., Any]) -> None:

@@ -2,6 +2,7 @@
 
 import csv
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -121,7 +122,20 @@ def test_made_up_boulders_give_values_with_a_range(made_up: Rocks) -> None:
         assert number.ours is not None and number.low is not None and number.high is not None
         assert number.low <= number.ours <= number.high
         assert number.reading
+        assert number.verdict == "not determined by what is published"
+
+
+def test_averages_of_six_are_held_against_those_of_six(made_up: Rocks) -> None:
+    six = replace(made_up, fits=2 * made_up.fits, smoothed=2 * made_up.smoothed)
+    numbers = {number.id: number for number in spectra_numbers(six)}
+    for name in SPECTRA - {"mgm-rms"}:
+        assert numbers[name].verdict != "not determined by what is published"
+        assert "6 boulders" in numbers[name].reading
     assert numbers["mgm-rms"].verdict == "not determined by what is published"
+    one = replace(made_up, fits=made_up.fits[:1], smoothed=made_up.smoothed[:1])
+    numbers = {number.id: number for number in spectra_numbers(one)}
+    assert (numbers["mgm-rms"].low, numbers["mgm-rms"].high) == (None, None)
+    assert "1 boulder that" in numbers["opx-share"].reading
 
 
 def test_smoothing_is_what_brings_the_fitting_error_down(made_up: Rocks) -> None:
