@@ -141,7 +141,7 @@ def _pictures(the_rock: Studied, the_drive: Drive, soil: Identification) -> dict
         return picture_bytes(figures, Path(name))
 
     def path() -> bytes:
-        from lunarsci.twin.figures.figure import path_fan
+        from lunarsci.twin.figures.fan import path_fan
 
         return picture("drive.png", [path_fan(the_drive.prediction, the_drive.verdict)])
 

@@ -43,7 +43,7 @@ def predicted_report(scene: Scene, prediction: Prediction) -> Report:
     title = f"Wheel forces of {drives}: {scene.plan.name}, on {scene.terrain.name}"
 
     def figures() -> Any:
-        from lunarsci.twin.figures.figure_forces import force_figure
+        from lunarsci.twin.figures.forces import force_figure
         from lunarsci.twin.judgement.quantities import abscissa
 
         return [force_figure(prediction.rover.wheels, abscissa(prediction), states, title)]
@@ -77,7 +77,7 @@ def held_report(scene: Scene, path: str, member: int | None, *, planned: bool) -
         notes.insert(0, _missing_note(missing))
 
     def figures() -> Any:
-        from lunarsci.twin.figures.figure_forces import force_figure
+        from lunarsci.twin.figures.forces import force_figure
 
         axis = (motion.time_s, "Time [s]")
         return [force_figure(scene.rover.wheels, axis, found.states, title, found.missing_n)]

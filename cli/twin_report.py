@@ -99,9 +99,9 @@ def predict_report(scene: Scene, prediction: Prediction, *, film: Path | None = 
 
 
 def _pages(prediction: Prediction, verdict: Verdict) -> "Iterator[Figure]":
-    from lunarsci.twin.figures.figure import path_fan
-    from lunarsci.twin.figures.figure_boxes import box_pages
-    from lunarsci.twin.figures.figure_profiles import profile_page
+    from lunarsci.twin.figures.boxes import box_pages
+    from lunarsci.twin.figures.fan import path_fan
+    from lunarsci.twin.figures.profiles import profile_page
 
     yield path_fan(prediction, verdict)
     yield profile_page(prediction, verdict)

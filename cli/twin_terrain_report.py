@@ -163,7 +163,7 @@ def terrain_report(site: Site, surface: Traversability, path: PlannedPath | None
         files["path.csv"] = lambda: csv_bytes(path_table(path, surface))
 
     def figures() -> "list[Figure]":
-        from lunarsci.twin.figures.terrain_figure import terrain_maps
+        from lunarsci.twin.figures.terrain_maps import terrain_maps
 
         return [terrain_maps(surface, path)]
 

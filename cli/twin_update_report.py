@@ -18,9 +18,8 @@ from .twin_report import SOURCES, Scene, read_scene
 
 __all__ = ["Known", "update_report"]
 
-KEYS = ("median", "low", "high")
 SETTLED, SURPRISING = 0.3, 2.0
-"""Persistence of a population above which it has not spread out; surprise above which the ground is another."""
+"""Persistence of a population above which it has not spread out; surprise above which the ground differs; assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,15 +45,14 @@ class Known:
     ) -> "Known":
         """Read the files."""
         scene = read_scene(plan, rover, terrain, "longji", interpolation)
-        record = read_record(states, scene.rover, positions=positions)
+        files = {path: read_input(path) for path in (states, positions) if path is not None}
+        record = read_record(files[states], scene.rover, positions=files[positions] if positions else None)
         before = first_belief()
         if belief is not None:
             source = read_input(belief)
             before = read_belief(source)
             scene.inputs[belief] = source.sha256
-        for path in (states, positions):
-            if path is not None:
-                scene.inputs[path] = read_input(path).sha256
+        scene.inputs.update({path: file.sha256 for path, file in files.items()})
         return cls(scene, record, before.forgotten(forget) if forget else before, states)
 
     def rectified(self, particles: int, seed: int, progress: Callable[[int, int], None]) -> Rectified:

@@ -85,7 +85,7 @@ class SoilBelief:
     def forgotten(self, share: float) -> "SoilBelief":
         """The belief as ground further on is believed to be: `share` of the way back to the first laws, 0 to 1.
 
-        Mean and covariance go back linearly, which keeps the covariance positive definite. Raises ParameterError.
+        Mean and covariance are those of the mixture of both; a population is given up. Raises ParameterError.
         """
         if not 0 <= share <= 1:
             raise ParameterError(f"forgetting is {share}; give 0 (all is kept) to 1 (all is forgotten)")

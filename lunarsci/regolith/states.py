@@ -11,7 +11,7 @@ from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.wheel import Wheel
 
-__all__ = ["COLUMNS", "MeasurementErrors", "WheelStates", "read_states"]
+__all__ = ["COLUMNS", "MeasurementErrors", "WheelStates", "marked_valid", "read_states"]
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -123,7 +123,7 @@ def _kept_rows(name: str, valid: "object", numbers: dict[str, FloatArray]) -> np
     import pandas as pd
 
     complete = np.all([np.isfinite(numbers[column]) for column in REQUIRED], axis=0)
-    marked = np.ones(complete.shape, bool) if valid is None else _marked_valid(name, pd.Series(valid))
+    marked = np.ones(complete.shape, bool) if valid is None else marked_valid(name, pd.Series(valid))
     keep: npt.NDArray[np.bool_] = complete & np.asarray(marked)
     if not keep.any():
         raise DataError(f"{name}: no row has all of {', '.join(REQUIRED)}; fill them in")
@@ -136,7 +136,8 @@ def _kept_rows(name: str, valid: "object", numbers: dict[str, FloatArray]) -> np
     return keep
 
 
-def _marked_valid(name: str, cells: Any) -> npt.NDArray[np.bool_]:
+def marked_valid(name: str, cells: Any) -> npt.NDArray[np.bool_]:
+    """Which cells of a column `valid`, as text, say yes; blank is no. Raises DataError for other words."""
     words = cells.fillna("").str.strip().str.lower()
     unknown = ~words.isin([*YES, *NO])
     if unknown.any():

@@ -19,6 +19,7 @@ from lunarsci.reproduce.rolling import Rolling
 from lunarsci.twin.ensemble import Prediction, predict
 from lunarsci.twin.ground.longji import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
+from lunarsci.twin.judgement.quantities import along
 from lunarsci.twin.plans.path import planned_pose
 from lunarsci.twin.plans.plan import Plan, Sweep, read_plan
 from lunarsci.twin.rover import Rover, build_rover
@@ -33,7 +34,7 @@ TYPICAL_PHI_DEG, TYPICAL_K_Y_MM = 40.0, 20.0
 CORNERS = {"stiffness_kpa_m_n": (556.7, 1443.0), "cohesion_pa": (520.0, 3154.0)}
 """The published ranges of what else the shear of a wheel depends on."""
 VIEW_M = 0.69
-"""Height of the spectrometer, which looks down at 45 deg, so that it sees the ground so far in front of itself."""
+"""Height of the spectrometer, which looks down at 45 deg (Ding et al. 2024), and so sees so far ahead."""
 FRONT_M = 0.75
 """Half of the assumed 1.5 m of the rover, its origin to its front."""
 ON_STAND_IN = "synthetic stand-in for the ground of Longji"
@@ -99,8 +100,7 @@ def predicted_drives(rover: Rover | None = None, progress: Callable[[int, int], 
 
 def medians(prediction: Prediction, quantity: str, parameter: str) -> dict[float, float]:
     """Median of |side slip| or of the slip ratio over samples, wheels and all else, for each value of a parameter."""
-    column = {"slip_ratio": 3, "side_slip_deg": 4}[quantity]
-    values, own = prediction.states[..., column], prediction.parameters[parameter]
+    values, own = along(prediction, quantity), prediction.parameters[parameter]
     values = np.abs(values) if quantity == "side_slip_deg" else values
     return {
         float(value): float(np.median(values[own == value][prediction.reached[own == value]]))
@@ -164,7 +164,7 @@ def _slip(drives: Drives) -> dict[str, Callable[[], Answer]]:
     def least() -> Answer:
         return _example(
             drives,
-            lambda found: float(found.states[..., 3][found.reached].min()),
+            lambda found: float(along(found, "slip_ratio")[found.reached].min()),
             f"the steepest ground sets it, and {DEM}",
         )
 
@@ -177,7 +177,7 @@ def _soil(phi_deg: float, **values: float) -> Soil:
 
 def _skid_share(prediction: Prediction, phi_deg: float) -> float:
     own = prediction.parameters["friction_angle_deg"] == phi_deg
-    return float((prediction.states[own][..., 3][prediction.reached[own]] < 0).mean())
+    return float((along(prediction, "slip_ratio")[own][prediction.reached[own]] < 0).mean())
 
 
 def _strong_soil(drives: Drives) -> Answer:

@@ -19,7 +19,7 @@ from lunarsci.reproduce.drive import (
 from lunarsci.reproduce.numbers import published_value
 from lunarsci.reproduce.rolling import Rolling
 from lunarsci.twin.ensemble import Prediction
-from lunarsci.twin.figures.figure_ground import GOLD, INK, LIMIT, draw_ground, draw_planned, map_window
+from lunarsci.twin.figures.relief import GOLD, INK, LIMIT, draw_ground, draw_planned, map_window
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

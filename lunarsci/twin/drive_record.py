@@ -1,15 +1,16 @@
 """What was measured of a drive: states of the wheels at times, and positions from localisation."""
 
+import warnings
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from lunarsci.csv_table import numbers_of, read_csv_table
-from lunarsci.errors import DataError, ParameterError
-from lunarsci.regolith.states import COLUMNS, MeasurementErrors
+from lunarsci.errors import DataError, LunarSciWarning, ParameterError
+from lunarsci.inputs import InputFile
+from lunarsci.regolith.states import COLUMNS, MeasurementErrors, marked_valid
 from lunarsci.twin.rover import Rover
 
 if TYPE_CHECKING:
@@ -64,65 +65,72 @@ class DriveRecord:
 
 
 def read_record(
-    states: str | Path,
-    rover: Rover,
-    *,
-    positions: str | Path | None = None,
-    errors: MeasurementErrors | None = None,
+    states: InputFile, rover: Rover, *, positions: InputFile | None = None, errors: MeasurementErrors | None = None
 ) -> DriveRecord:
     """Read a record from CSV.
 
     States have `time_s`, `wheel`, and any of the columns `OBSERVED` with their `NAME_sigma`; positions have `time_s`,
-    `x_m`, `y_m`, and `sigma_m` or `xx_m2`, `xy_m2`, `yy_m2`. Where no sigma is given it is that of `errors`. Raises
-    DataError.
+    `x_m`, `y_m`, and `sigma_m` or `xx_m2`, `xy_m2`, `yy_m2`. Where no sigma is given it is that of `errors`. States
+    with `valid` false are left out with a warning. Raises DataError.
     """
-    table = _read(states, ("time_s", "wheel"))
+    file = states.name
+    table = _valid_rows(file, _read(states, ("time_s", "wheel")))
     names = [name for name in OBSERVED if name in table]
     if not names:
-        raise DataError(f"{states}: no measured column; there can be {', '.join(OBSERVED)}")
+        raise DataError(f"{file}: no measured column; there can be {', '.join(OBSERVED)}")
     errors = errors or MeasurementErrors()
-    values = np.column_stack([_numbers(states, table, name) for name in OBSERVED])
-    given = np.column_stack([_numbers(states, table, f"{name}_sigma") for name in OBSERVED])
+    values = np.column_stack([_numbers(file, table, name) for name in OBSERVED])
+    given = np.column_stack([_numbers(file, table, f"{name}_sigma") for name in OBSERVED])
     own = np.column_stack([errors.of(name, np.nan_to_num(values[:, k])) for k, name in enumerate(OBSERVED)])
     places = _positions(positions)
     strange = sorted(set(table["wheel"].astype(str)) - set(rover.wheels))
     if strange:
-        raise DataError(f"{states}: '{strange[0]}' is no wheel of {rover.name}; it has {', '.join(rover.wheels)}")
+        raise DataError(f"{file}: '{strange[0]}' is no wheel of {rover.name}; it has {', '.join(rover.wheels)}")
     try:
         return DriveRecord(
-            time_s=_numbers(states, table, "time_s"),
+            time_s=_numbers(file, table, "time_s"),
             wheel=tuple(table["wheel"].astype(str)),
             values=values,
             sigmas=np.where(np.isfinite(given), given, own),
             **places,
         )
     except ParameterError as error:
-        raise DataError(f"{states}: {error}") from error
+        raise DataError(f"{file}: {error}") from error
 
 
-def _read(path: str | Path, needed: tuple[str, ...]) -> "pd.DataFrame":
-    table = read_csv_table(path)
+def _valid_rows(file: str, table: "pd.DataFrame") -> "pd.DataFrame":
+    if "valid" not in table:
+        return table
+    kept = marked_valid(file, table["valid"])
+    if not kept.all():
+        text = f"{file}: {int((~kept).sum())} of {len(kept)} states left out, marked not valid"
+        warnings.warn(text, LunarSciWarning, stacklevel=3)
+    return table[kept].reset_index(drop=True)
+
+
+def _read(source: InputFile, needed: tuple[str, ...]) -> "pd.DataFrame":
+    table = read_csv_table(source)
     for name in needed:
         if name not in table:
-            raise DataError(f"{path}: no column {name}; there are: {', '.join(map(str, table.columns))}")
+            raise DataError(f"{source.name}: no column {name}; there are: {', '.join(map(str, table.columns))}")
     return table
 
 
-def _numbers(path: str | Path, table: "pd.DataFrame", name: str) -> FloatArray:
-    return numbers_of(str(path), name, table[name]) if name in table else np.full(len(table), np.nan)
+def _numbers(file: str, table: "pd.DataFrame", name: str) -> FloatArray:
+    return numbers_of(file, name, table[name]) if name in table else np.full(len(table), np.nan)
 
 
-def _positions(path: str | Path | None) -> dict[str, FloatArray]:
-    if path is None:
+def _positions(source: InputFile | None) -> dict[str, FloatArray]:
+    if source is None:
         return {"fix_time_s": np.zeros(0), "fix_m": np.zeros((0, 2)), "fix_covariance_m2": np.zeros((0, 2, 2))}
-    table = _read(path, ("time_s", "x_m", "y_m"))
-    time, x, y = (_numbers(path, table, name) for name in ("time_s", "x_m", "y_m"))
+    table, file = _read(source, ("time_s", "x_m", "y_m")), source.name
+    time, x, y = (_numbers(file, table, name) for name in ("time_s", "x_m", "y_m"))
     if "sigma_m" in table:
-        sigma = _numbers(path, table, "sigma_m")
+        sigma = _numbers(file, table, "sigma_m")
         parts = (sigma**2, 0 * sigma, sigma**2)
     elif all(name in table for name in ("xx_m2", "xy_m2", "yy_m2")):
-        parts = tuple(_numbers(path, table, name) for name in ("xx_m2", "xy_m2", "yy_m2"))  # type: ignore[assignment]
+        parts = tuple(_numbers(file, table, name) for name in ("xx_m2", "xy_m2", "yy_m2"))  # type: ignore[assignment]
     else:
-        raise DataError(f"{path}: no errors of the positions; add sigma_m, or xx_m2, xy_m2 and yy_m2")
+        raise DataError(f"{file}: no errors of the positions; add sigma_m, or xx_m2, xy_m2 and yy_m2")
     covariance = np.stack([np.stack([parts[0], parts[1]], -1), np.stack([parts[1], parts[2]], -1)], -2)
     return {"fix_time_s": time, "fix_m": np.column_stack([x, y]), "fix_covariance_m2": covariance}

@@ -50,9 +50,11 @@ LONGEST_STEP_S, LONGEST_SAMPLE_M = 0.2, 0.5
 """Beyond these the time-step error reaches centimetres, and the largest slip or tilt falls between samples."""
 MOST_MEMBERS = 100_000
 UNDER_WAY = 0.95
-"""Share of the full speed from which slip is counted: less is a halt, whose ramps are assumed."""
+"""Share of the full speed below which a sample is at a halt, assumed, as the ramps are: slip is not counted there."""
 # States of this many members times samples fill 1 GB.
 MOST_SAMPLES = 2_000_000
+MOST_STEPS = 1e7
+"""Minutes of computing for a single member."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -67,9 +69,9 @@ class Prediction:
     distance_m : their commanded distance, 0 to the plan's length; it stands still in spot turns and stops. (samples,)
     planned : planned x, y, heading. (samples, 3) [m, m, rad]
     paths : rover's origin, columns `PATH_COLUMNS`; pitch is positive nose down. (members, samples, 6)
-    states : wheels in the order of `rover.wheels`, columns `STATE_COLUMNS`; at a halt, below 0.95 of the full speed,
-        slip ratio and side slip are 0, as they would compare with a speed that is not there.
-        (members, samples, wheels, 10)
+    states : wheels in the order of `rover.wheels`, columns `STATE_COLUMNS`; at a halt slip ratio and side slip are 0,
+        as they would compare with a speed that is not there. (members, samples, wheels, 10)
+    halted : samples at a halt. (samples,)
     recorded : samples that each member reached; later rows repeat its last one and are no prediction. (members,)
     outcome : index into `OUTCOMES`. (members,)
     """
@@ -85,6 +87,7 @@ class Prediction:
     planned: FloatArray
     paths: FloatArray
     states: FloatArray
+    halted: npt.NDArray[np.bool_]
     recorded: IntArray
     outcome: IntArray
 
@@ -188,13 +191,15 @@ def predict(
     ParameterError for a plan the rover cannot follow or a value that is no step, seed or sweep.
     """
     check_plan(plan, rover)
-    _check_steps(time_step_s, sample_m, seed, plan)
+    _check_steps(time_step_s, sample_m, seed)
     if samples is None:
         parameters = member_parameters(plan.sweep if sweep is None else sweep, members, seed)
     else:
         parameters = _given_parameters(samples, sweep, members)
     count = len(next(iter(parameters.values()))) if parameters else 1
     schedule = make_schedule(plan, rover)
+    if schedule.duration_s / time_step_s > MOST_STEPS:
+        raise ParameterError(f"the drive takes over {MOST_STEPS:g} steps; give a longer time_step_s")
     stops = max(1, math.ceil(schedule.duration_s * plan.speed_m_s / sample_m - 1e-9))
     if count * stops > MOST_SAMPLES:
         raise ParameterError(f"{count} members with {stops} samples do not fit into memory; give a longer sample_m")
@@ -203,7 +208,8 @@ def predict(
     overrides = soil_overrides(parameters, count)
     scene = Scene(rover, terrain, schedule, times, every, seed)
     paths, states, results = _drive_all(scene, overrides, stops + 1, progress)
-    _calm_halts(states, schedule.pace_at(times[::every]), rover.wheel.radius_m)
+    halted = schedule.pace_at(times[::every]) < UNDER_WAY
+    _calm_halts(states, halted, rover.wheel.radius_m)
     _hold_last(paths, states, results[:, 1], schedule.poses[0], float(terrain.height_at(plan.x_m, plan.y_m)))
     paths[..., 3:] = np.degrees(paths[..., 3:])
     paths[..., 5] = np.degrees(np.unwrap(np.radians(paths[..., 5]), axis=1))
@@ -220,17 +226,16 @@ def predict(
         planned=schedule.pose_at(times[::every]),
         paths=paths,
         states=states,
+        halted=halted,
         recorded=results[:, 1],
         outcome=results[:, 0],
     )
 
 
-def _check_steps(time_step_s: float, sample_m: float, seed: int, plan: Plan) -> None:
+def _check_steps(time_step_s: float, sample_m: float, seed: int) -> None:
     for name, value, most in (("time_step_s", time_step_s, LONGEST_STEP_S), ("sample_m", sample_m, LONGEST_SAMPLE_M)):
         if not 0 < value <= most:
             raise ParameterError(f"{name} is {value:g}; give a number above 0, at most {most:g}")
-    if plan.length_m / plan.speed_m_s / time_step_s > 1e7 or plan.length_m / sample_m > 1e5:
-        raise ParameterError("the drive takes over 1e7 steps or 1e5 samples; give a longer time_step_s or sample_m")
     if seed < 0:
         raise ParameterError(f"seed is {seed}; give 0 or more")
 
@@ -305,12 +310,15 @@ def _drive_with_fixes(scene: Scene, known: tuple[Any, ...], errors: FloatArray, 
         drive(*driven, last, work, *kept)
 
 
-def _calm_halts(states: FloatArray, pace: FloatArray, radius_m: float) -> None:
+def _calm_halts(states: FloatArray, halted: npt.NDArray[np.bool_], radius_m: float) -> None:
     """Set slip and side slip to 0 at halts: they compare with a speed that is not there."""
-    still = states[:, pace < UNDER_WAY]
-    still[..., 3:5] = 0.0
-    still[..., 9] = (still[..., 2] > SHALLOWEST) & (still[..., 2] <= DEEPEST * radius_m)
-    states[:, pace < UNDER_WAY] = still
+    sinkage, slip, side_slip, valid = (
+        STATE_COLUMNS.index(name) for name in ("sinkage_m", "slip_ratio", "side_slip_deg", "valid")
+    )
+    still = states[:, halted]
+    still[..., [slip, side_slip]] = 0.0
+    still[..., valid] = (still[..., sinkage] > SHALLOWEST) & (still[..., sinkage] <= DEEPEST * radius_m)
+    states[:, halted] = still
 
 
 def _hold_last(paths: FloatArray, states: FloatArray, recorded: IntArray, start: FloatArray, height: float) -> None:

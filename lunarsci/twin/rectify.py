@@ -41,13 +41,13 @@ PARTICLES = 128
 STEP_S, SAMPLE_M = 0.2, 0.1
 """Of the simulated drives: ends are off by 1.4 mm, states are interpolated in time."""
 FIRST_S = 1.0
-"""The first second is left out: the simulated rover still finds its speed."""
+"""The first second is left out, assumed enough for the simulated rover to find its speed."""
 FARTHEST = 4.0
-"""Standard deviations of the first laws that a soil may be from their centre."""
+"""Standard deviations of the first laws that a soil may be from their centre; assumed."""
 HUBER = 4.0
 """Whitened residual beyond which a value counts by size, not square, and as an outlier: 1 in 16 000 by chance."""
 MOST_OUTLIERS, WORST_REDUCED = 0.05, 1.5
-"""Share of outliers, and reduced chi-square, beyond which the twin does not explain a drive, and nothing is learned."""
+"""Share of outliers, and reduced chi-square, beyond which the twin does not explain a drive; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -101,7 +101,7 @@ def rectify(
     ----------
     rover, terrain, plan : what was driven where; the belief takes the place of the terrain's soil.
     record : what was measured on the way.
-    belief : before the drive.
+    belief : before the drive; its mean and covariance count, not its population.
     particles : in the population, 32 or more.
     seed : of the population.
     progress : called with (done, total).

@@ -8,9 +8,9 @@ import pytest
 
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ensemble import Prediction
-from lunarsci.twin.figures.figure import path_fan
-from lunarsci.twin.figures.figure_boxes import box_pages, grouped
-from lunarsci.twin.figures.figure_profiles import profile_page
+from lunarsci.twin.figures.boxes import box_pages, grouped
+from lunarsci.twin.figures.fan import path_fan
+from lunarsci.twin.figures.profiles import profile_page
 from lunarsci.twin.judgement.profiles import profile_table
 from lunarsci.twin.judgement.quantities import abscissa, along
 from lunarsci.twin.judgement.safety import judge

@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from lunarsci.errors import OutputError, ParameterError
 from lunarsci.twin.ensemble import PATH_COLUMNS, Prediction
-from lunarsci.twin.figures.figure_bands import LABELS
-from lunarsci.twin.figures.figure_ground import (
+from lunarsci.twin.figures.bands import LABELS
+from lunarsci.twin.figures.relief import (
     ACCENT,
     GOLD,
     INK,

@@ -13,7 +13,7 @@ __all__ = ["Mobility", "read_mobility"]
 FALLBACK_SLOPE_DEG = 15.0
 FALLBACK_STEP_IN_RADII = 1.0
 FALLBACK_TURN_IN_TRACKS = 1.5
-FALLBACK_CLEARANCE_IN_TRACKS = 0.2
+FALLBACK_DISTANCE_IN_TRACKS = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,7 +71,7 @@ def read_mobility(description: RoverDescription, rover: Rover) -> Mobility:
         "max_slope_deg": FALLBACK_SLOPE_DEG,
         "max_step_m": FALLBACK_STEP_IN_RADII * rover.wheel.radius_m,
         "min_turning_radius_m": FALLBACK_TURN_IN_TRACKS * track,
-        "hazard_distance_m": FALLBACK_CLEARANCE_IN_TRACKS * track,
+        "hazard_distance_m": FALLBACK_DISTANCE_IN_TRACKS * track,
     }
     assumed = {name for name in values if name not in table}
     assumed |= {key.removeprefix("limits.") for key in description.assumed if key.startswith("limits.")}

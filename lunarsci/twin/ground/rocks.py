@@ -16,6 +16,7 @@ SHARE_AT_CHANGE_4 = 0.0021
 SCALE_M = 0.2
 """Decay length of the covered area with diameter: assumed. [m]"""
 SMALLEST_M, LARGEST_M = 0.1, 2.0
+"""Diameters that are laid: assumed; smaller ones are roughness. [m]"""
 HEIGHT_TO_DIAMETER = 0.5
 """A rock is half an ellipsoid of this height to diameter: assumed."""
 LARGEST_SHARE = 0.1

@@ -25,10 +25,9 @@ def state_table(prediction: Prediction) -> "pd.DataFrame":
     member, sample = np.nonzero(prediction.reached)
     values = prediction.states[member, sample].reshape(-1, len(STATE_COLUMNS))
     table = pd.DataFrame(values, columns=list(STATE_COLUMNS))
-    halted = (table["slip_ratio"] == 0.0) & (table["side_slip_deg"] == 0.0)
-    table["valid"] = (table["valid"] > 0.5) & ~halted
     names = prediction.rover.wheels
     count = len(names)
+    table["valid"] = (table["valid"] > 0.5) & ~np.repeat(prediction.halted[sample], count)
     table.insert(0, "member", np.repeat(member, count))
     table.insert(1, "distance_m", np.repeat(prediction.distance_m[sample], count))
     table.insert(2, "time_s", np.repeat(prediction.time_s[sample], count))

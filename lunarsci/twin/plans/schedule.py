@@ -178,9 +178,7 @@ def run_commands(
     """
     run = schedule.runs[number]
     if not run.moves:
-        still = before or Commands(*(np.zeros((1, 1, len(rover.wheels))) for _ in range(2)))
-        shape = (len(still.steering_rad), len(times_s) - 1, len(rover.wheels))
-        return held(Commands(*(np.broadcast_to(part[:, -1:], shape) for part in _halted(still))), CREEP_M_S)
+        return _standing(rover, before, len(times_s) - 1)
     share = run.share_at(times_s)
     rates = np.diff(share) / np.diff(times_s)
     commands = held(_motion(rover, schedule.plan, run, share[1:], rates, legs), CREEP_M_S)
@@ -255,9 +253,13 @@ def _motion(
     )
 
 
-def _halted(commands: Commands) -> tuple[FloatArray, FloatArray]:
-    """Steering as it was, rims at rest in the direction they had."""
-    return commands.steering_rad, 0.0 * commands.speed_m_s
+def _standing(rover: Rover, before: Commands | None, steps: int) -> Commands:
+    """A stop: steering as it was, straight at the start of a drive, rims at a creep in the direction they had."""
+    if before is None:
+        still = np.zeros((1, steps, len(rover.wheels)))
+        return held(Commands(still, still), CREEP_M_S)
+    steering, speed = (np.repeat(part[:, -1:], steps, axis=1) for part in (before.steering_rad, before.speed_m_s))
+    return held(Commands(steering, 0.0 * speed), CREEP_M_S)
 
 
 def _steering(rover: Rover, leg: Leg) -> FloatArray:

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.twin.ensemble import Prediction
-from lunarsci.twin.figures.figure_ground import ACCENT, INK, LIMIT
+from lunarsci.twin.figures.relief import ACCENT, INK, LIMIT
 from lunarsci.twin.judgement.profiles import spread
 from lunarsci.twin.judgement.quantities import abscissa, along
 from lunarsci.twin.judgement.safety import Verdict

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from lunarsci.twin.ensemble import Prediction
-from lunarsci.twin.figures.figure_bands import draw_band, draw_loads
+from lunarsci.twin.figures.bands import draw_band, draw_loads
 from lunarsci.twin.judgement.profiles import available
 from lunarsci.twin.judgement.quantities import abscissa
 from lunarsci.twin.judgement.safety import Verdict

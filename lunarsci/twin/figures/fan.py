@@ -3,8 +3,8 @@
 from typing import TYPE_CHECKING, Any
 
 from lunarsci.twin.ensemble import Prediction
-from lunarsci.twin.figures.figure_bands import draw_band
-from lunarsci.twin.figures.figure_ground import (
+from lunarsci.twin.figures.bands import draw_band
+from lunarsci.twin.figures.relief import (
     GOLD,
     INK,
     LIMIT,

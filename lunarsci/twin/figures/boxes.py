@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.twin.ensemble import Prediction
-from lunarsci.twin.figures.figure_bands import LABELS
-from lunarsci.twin.figures.figure_ground import ACCENT, INK, PARAMETERS
+from lunarsci.twin.figures.bands import LABELS
+from lunarsci.twin.figures.relief import ACCENT, INK, PARAMETERS
 from lunarsci.twin.judgement.quantities import along
 
 if TYPE_CHECKING:
