@@ -75,6 +75,7 @@ class Known:
             "values": found.values,
             "outliers": int(found.outliers.sum()),
             "chi_square": found.chi_square,
+            "inflation": dict(found.inflation),
             "surprise": found.surprise,
             "refused": found.refused,
         }
@@ -91,7 +92,7 @@ def update_report(known: Known, found: Rectified, seed: int, save: Path | None) 
         rows=_rows(found),
         inputs=known.scene.inputs,
         data_tables=known.scene.tables | prior_hash(),
-        sources=[*SOURCES, "Del Moral, Doucet & Jasra (2006), J. R. Stat. Soc. B 68, 411"],
+        sources=[*SOURCES, "Christen & Fox (2005), J. Comput. Graph. Stat. 14, 795"],
         seed=seed,
         extras={save: lambda: found.belief.to_json().encode()} if save else {},
         untrusted=_doubt(found),
@@ -113,6 +114,7 @@ def _result(found: Rectified) -> dict[str, Any]:
         "outliers": int(found.outliers.sum()),
         "chi_square": found.chi_square,
         "reduced_chi_square": found.reduced,
+        "inflation": dict(found.inflation),
         "surprise": found.surprise,
         "persistence": found.persistence,
         "refused": found.refused or None,
@@ -133,6 +135,8 @@ def _table(known: Known, found: Rectified) -> TextTable:
         f"{found.values} values, {int(found.outliers.sum())} outliers, reduced chi-square {found.reduced:.2f}; "
         f"surprise {found.surprise:.2f}",
     ]
+    for name, factor in found.inflation.items():
+        notes.append(f"errors of {name} are taken {factor:.1f} times as large: no soil explains it better")
     if found.surprise > SURPRISING and not found.refused:
         notes.append("the ground is hardly the one that was believed; forget more, or begin anew")
     if found.persistence > SETTLED:

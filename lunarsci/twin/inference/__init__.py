@@ -1,0 +1,1 @@
+"""What a drive says of a soil: misfit, coordinates, mode and population."""

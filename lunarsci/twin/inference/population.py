@@ -1,0 +1,177 @@
+"""Draws from a posterior whose mode is known: proposed by an emulator of the drives, judged by drives.
+
+Drives simulated about the mode train an emulator, chains on the emulator say where to simulate next, and after some
+rounds the chain's points are proposed to a population that accepts them by the true density, so that what the emulator
+misses is put right.
+
+Rasmussen (2003), Bayesian Statistics 7, 651 (posterior of an emulator as proposal); Christen & Fox (2005), J. Comput.
+Graph. Stat. 14, 795, 10.1198/106186005X76983 (approximation judged by the exact density); Robert & Casella (2004),
+Monte Carlo Statistical Methods, 2nd ed., ch. 7 (independence Metropolis).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.twin.inference.emulator import fit_emulator
+from lunarsci.twin.inference.misfit import HUBER
+
+if TYPE_CHECKING:
+    from lunarsci.twin.inference.mode import Mode
+    from lunarsci.twin.inference.posterior import Posterior
+
+__all__ = ["draw_population"]
+
+FloatArray = npt.NDArray[np.float64]
+FIRST, EACH, ROUNDS = 192, 128, 4
+"""Drives of the first round and of each later one, and rounds at most."""
+GOOD = 0.3
+"""Standard deviation of the emulator's ln density, at new draws, below which it is trained enough."""
+FREEDOM = 6.0
+"""Degrees of freedom of the Student law of the first round; assumed: tails heavier than a posterior's."""
+CHAIN, TUNED, ACCEPTED = 400, 200, 0.25
+"""Steps of a chain on the emulator, of which so many tune it; wanted share of accepted steps."""
+FEWEST_MOVES, MOST_MOVES, SETTLED = 3, 12, 0.1
+"""Proposals to the population: they end when its correlation with where it began is below SETTLED."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Drives:
+    """Simulated drives: points (d, p), residuals weighted as at the mode (d, r), ln density (d,)."""
+
+    points: FloatArray
+    rows: FloatArray
+    ln_density: FloatArray
+
+    def joined(self, more: "_Drives") -> "_Drives":
+        return _Drives(
+            np.vstack([self.points, more.points]),
+            np.vstack([self.rows, more.rows]),
+            np.concatenate([self.ln_density, more.ln_density]),
+        )
+
+
+def draw_population(
+    posterior: "Posterior",
+    mode: "Mode",
+    particles: int,
+    random: np.random.Generator,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[FloatArray, float]:
+    """Draws from a posterior.
+
+    Parameters
+    ----------
+    posterior : residuals and prior over straight coordinates.
+    mode : its most probable point.
+    particles : how many draws.
+    random : source of random numbers.
+    progress : called with (done, total).
+
+    Returns
+    -------
+    (particles, 8) coordinates, and the largest correlation of one of them with where the last moves began. [-]
+    """
+    told, total = progress or (lambda done, of: None), ROUNDS + MOST_MOVES
+    weight = _huber_weight(posterior, mode)
+    root: FloatArray = np.asarray(np.linalg.cholesky(mode.covariance), dtype=np.float64)
+    noise = random.standard_normal((FIRST, len(root))) @ root.T
+    spread = np.sqrt(random.chisquare(FREEDOM, FIRST) / FREEDOM)[:, None]
+    drives = _simulated(posterior, weight, np.vstack([mode.point, mode.point + noise / spread]))
+    for number in range(ROUNDS):
+        told(number, total)
+        emulated = _Emulated(posterior, drives, mode, root)
+        chain = emulated.chain(drives, EACH, random)
+        fresh = _simulated(posterior, weight, chain)
+        misses = fresh.ln_density - emulated.ln_density(fresh.points)
+        drives = drives.joined(fresh)
+        if len(misses) > EACH // 2 and np.std(misses) < GOOD:
+            break
+    emulated = _Emulated(posterior, drives, mode, root)
+    return _moved(posterior, emulated, drives, particles, random, lambda done: told(ROUNDS + done, total))
+
+
+def _huber_weight(posterior: "Posterior", mode: "Mode") -> FloatArray:
+    """Root of Huber's weight of each residual at the mode. (r,)"""
+    here = np.abs(posterior.residuals(mode.point[None])[0][0])
+    return np.asarray(np.sqrt(HUBER / np.maximum(here, HUBER)))
+
+
+def _simulated(posterior: "Posterior", weight: FloatArray, points: FloatArray) -> _Drives:
+    """Those that arrive."""
+    rows, ln_density = posterior.with_density(points)
+    arrived = np.isfinite(ln_density)
+    return _Drives(points[arrived], weight * rows[arrived], ln_density[arrived])
+
+
+class _Emulated:
+    """The posterior with drives by an emulator, prior and coordinates as they are."""
+
+    def __init__(self, posterior: "Posterior", drives: _Drives, mode: "Mode", root: FloatArray) -> None:
+        self.posterior = posterior
+        self.emulator = fit_emulator(drives.points, drives.rows, -2.0 * drives.ln_density, mode.point, root)
+
+    def ln_density(self, points: FloatArray) -> FloatArray:
+        """Up to the same constant as the true one; -inf where there is no soil. (points,)"""
+        return self.posterior.ln_prior(points) - 0.5 * self.emulator.cost(points)
+
+    def chain(self, drives: _Drives, count: int, random: np.random.Generator) -> FloatArray:
+        """Ends of as many random walks, begun at drives by their density. (count, p)"""
+        points = drives.points[_by_density(self.ln_density(drives.points), count, random)]
+        values, scale = self.ln_density(points), 2.38 / np.sqrt(points.shape[1])
+        root = np.linalg.inv(self.emulator.inverse)
+        for step in range(CHAIN):
+            if step % (TUNED // 4) == 0 and 0 < step <= TUNED:
+                root = np.linalg.cholesky(np.cov(points.T) + 1e-9 * root @ root.T)
+            trial = points + scale * random.standard_normal(points.shape) @ root.T
+            found = self.ln_density(trial)
+            accepted = np.log(random.random(count)) < found - values
+            points, values = np.where(accepted[:, None], trial, points), np.where(accepted, found, values)
+            if step < TUNED:
+                scale *= np.exp(0.3 * (accepted.mean() - ACCEPTED))
+        return points
+
+
+def _by_density(ln_density: FloatArray, count: int, random: np.random.Generator) -> npt.NDArray[np.int64]:
+    """Indices drawn by a flattened density, so that many of them differ. (count,)"""
+    power = 1.0
+    while True:
+        weight = np.exp(power * (ln_density - ln_density.max()))
+        weight /= weight.sum()
+        if 1.0 / (weight**2).sum() > min(count, len(weight)) / 4 or power < 1e-6:
+            return random.choice(len(weight), count, p=weight)
+        power *= 0.7
+
+
+def _moved(
+    posterior: "Posterior",
+    emulated: _Emulated,
+    drives: _Drives,
+    particles: int,
+    random: np.random.Generator,
+    told: Callable[[int], None],
+) -> tuple[FloatArray, float]:
+    """Independence Metropolis: draws of the emulator are accepted by how much denser the truth has them."""
+    points = emulated.chain(drives, particles, random)
+    excess = posterior.with_density(points)[1] - emulated.ln_density(points)
+    left, before = 1.0, points.copy()
+    for move in range(MOST_MOVES):
+        trial = emulated.chain(drives, particles, random)
+        found = posterior.with_density(trial)[1] - emulated.ln_density(trial)
+        accepted = ~(np.log(random.random(particles)) >= found - excess)
+        points, excess = np.where(accepted[:, None], trial, points), np.where(accepted, found, excess)
+        left = _persistence(before, points)
+        told(move + 1)
+        if move + 1 >= FEWEST_MOVES and left < SETTLED:
+            break
+    told(MOST_MOVES)
+    return points, left
+
+
+def _persistence(before: FloatArray, after: FloatArray) -> float:
+    one, two = before - before.mean(axis=0), after - after.mean(axis=0)
+    norm = np.sqrt((one**2).sum(axis=0) * (two**2).sum(axis=0))
+    return float(np.max((one * two).sum(axis=0) / np.where(norm > 0, norm, np.inf)))

@@ -1,0 +1,85 @@
+"""The posterior of a soil after a drive, in straight coordinates: residuals for its mode, density for its draws."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.twin.inference.misfit import Misfit, robust_cost
+from lunarsci.twin.inference.straight import Straight
+
+__all__ = ["Posterior", "posterior_of"]
+
+FloatArray = npt.NDArray[np.float64]
+SHALLOW_M = 1e-4
+"""Least typical sinkage: the coordinates need its logarithm."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Posterior:
+    """Misfit and prior over straight coordinates.
+
+    Attributes
+    ----------
+    misfit : of drives; its belief is the prior.
+    straight : the coordinates.
+    root : lower Cholesky factor of the belief's covariance. (8, 8)
+    """
+
+    misfit: Misfit
+    straight: Straight
+    root: FloatArray
+
+    def residuals(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Whitened residuals of the drive (points, r) and of the prior (points, 8), infinite where there is no soil."""
+        transforms = self.straight.transforms(points)
+        rows = self.misfit.residuals(transforms)
+        return rows, self.of_prior(np.where(np.isfinite(rows[:, :1]), transforms, np.inf))
+
+    def of_prior(self, transforms: FloatArray) -> FloatArray:
+        """Whitened distance from the belief's mean. (points, 8)"""
+        off = transforms - self.misfit.belief.mean
+        white = np.full(off.shape, np.inf)
+        known = np.isfinite(off).all(axis=1)
+        white[known] = np.linalg.solve(self.root, off[known].T).T
+        return white
+
+    def cost(self, points: FloatArray) -> FloatArray:
+        """-2 ln of likelihood times prior of the transforms, up to a constant. (points,)"""
+        return _cost(*self.residuals(points))
+
+    def with_density(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Whitened residuals of the drive (points, r), and ln of the density of the coordinates up to a constant, -inf
+        where there is no soil. (points,)"""
+        rows = self.residuals(points)[0]
+        known = np.isfinite(rows[:, 0])
+        density = np.full(len(points), -np.inf)
+        density[known] = self.ln_prior(points[known]) - 0.5 * robust_cost(rows[known]).sum(axis=1)
+        return rows, density
+
+    def ln_prior(self, points: FloatArray) -> FloatArray:
+        """ln of the prior density of the coordinates up to a constant; -inf where there is no soil. (points,)"""
+        transforms = self.straight.transforms(points)
+        known = self.misfit.near(transforms)
+        density = np.full(len(points), -np.inf)
+        inside = transforms[known]
+        density[known] = self.straight.ln_volume(inside) - 0.5 * (self.of_prior(inside) ** 2).sum(axis=1)
+        return density
+
+    def draw_prior(self, count: int, random: np.random.Generator) -> FloatArray:
+        """The belief's mean, and draws from it, as coordinates. (count, 8)"""
+        noise = random.standard_normal((count - 1, len(self.root)))
+        mean = self.misfit.belief.mean
+        return self.straight.straightened(np.vstack([mean, mean + noise @ self.root.T]))
+
+
+def _cost(drive: FloatArray, prior: FloatArray) -> FloatArray:
+    return np.asarray(robust_cost(drive).sum(axis=1) + (prior**2).sum(axis=1))
+
+
+def posterior_of(misfit: Misfit) -> Posterior:
+    """The posterior in the coordinates of its typical sinkage, 1 cm where none was measured."""
+    sinkage = misfit.record.values[misfit.known[:, 0], 0]
+    typical = float(np.median(sinkage)) if sinkage.size else 0.01
+    root = np.asarray(np.linalg.cholesky(misfit.belief.covariance), dtype=np.float64)
+    return Posterior(misfit, Straight(max(typical, SHALLOW_M)), root)

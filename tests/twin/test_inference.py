@@ -1,0 +1,136 @@
+"""Coordinates, mode, population and widened errors, against laws that are known."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lunarsci.regolith.belief import first_belief
+from lunarsci.twin.drive_record import OBSERVED
+from lunarsci.twin.inference.emulator import fit_emulator
+from lunarsci.twin.inference.inflation import inflation_of
+from lunarsci.twin.inference.mode import Mode, find_mode
+from lunarsci.twin.inference.population import draw_population
+from lunarsci.twin.inference.straight import Straight
+
+WHEELS = ("FL", "FR", "ML", "MR", "RL", "RR")
+
+
+def soils(count: int, seed: int = 3) -> np.ndarray:
+    first = first_belief()
+    noise = np.random.default_rng(seed).standard_normal((count, 8))
+    return first.mean + noise @ np.linalg.cholesky(first.covariance).T
+
+
+def test_coordinates_lead_back_to_the_soil() -> None:
+    straight, points = Straight(0.012), soils(200)
+    assert np.allclose(straight.transforms(straight.straightened(points)), points, atol=1e-9)
+    nothing = straight.straightened(points[0])
+    nothing[4] = nothing[3] - 1.0
+    assert np.isnan(straight.transforms(nothing)).all()
+
+
+def test_volume_is_that_of_the_jacobian_by_differences() -> None:
+    straight, step = Straight(0.012), 1e-6
+    for point in soils(5):
+        rows = [(straight.straightened(point + e) - straight.straightened(point - e)) / (2 * step)
+                for e in np.eye(8) * step]  # fmt: skip
+        assert straight.ln_volume(point) == pytest.approx(-np.log(abs(np.linalg.det(np.array(rows)))), abs=1e-6)
+
+
+def bent(points: np.ndarray) -> np.ndarray:
+    """Residual rows: x normal, y about x^2/2, z about x^3/10 (which no quadratic follows), the others normal."""
+    rows = points.copy()
+    rows[:, 1] = (points[:, 1] - 0.5 * points[:, 0] ** 2) / 0.25
+    rows[:, 2] = points[:, 2] - 0.1 * points[:, 0] ** 3
+    return rows
+
+
+def test_population_of_a_bent_law_has_its_moments() -> None:
+    """With x normal: E y = 1/2, var y = 1/2 + 1/16, var z = 1 + 15/100."""
+
+    def with_density(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        rows = bent(points)
+        return rows, -0.5 * (rows**2).sum(axis=1)
+
+    posterior: Any = SimpleNamespace(
+        with_density=with_density,
+        residuals=lambda points: (bent(points), points),
+        ln_prior=lambda points: np.zeros(len(points)),
+    )
+    mode = Mode(np.zeros(8), 0.0, np.diag([1.0, 0.25**2, *np.ones(6)]))
+    moments = []
+    for seed in range(4):
+        drawn, left = draw_population(posterior, mode, 512, np.random.default_rng(seed))
+        assert left < 0.15
+        moments.append([*drawn.mean(axis=0)[:2], *drawn.var(axis=0)])
+    mean, scatter = np.mean(moments, axis=0), 1.0 / np.sqrt(4 * 512)
+    assert mean[0] == pytest.approx(0.0, abs=4 * scatter)
+    assert mean[1] == pytest.approx(0.5, abs=4 * scatter)
+    assert mean[2:] == pytest.approx([1.0, 0.5625, 1.15, *np.ones(5)], rel=0.15)
+
+
+def test_emulator_follows_quadratic_residuals_exactly() -> None:
+    random = np.random.default_rng(1)
+    root, linear_part, bend = 0.3 * np.eye(8), random.normal(size=(8, 20)), random.normal(size=(8, 20))
+
+    def rows(points: np.ndarray) -> np.ndarray:
+        return points @ linear_part + points**2 @ bend - 1.0
+
+    trained, new = (0.3 * random.normal(size=(count, 8)) for count in (200, 50))
+    emulator = fit_emulator(trained, rows(trained), (rows(trained) ** 2).sum(axis=1), np.zeros(8), root)
+    assert emulator.cost(new) == pytest.approx((rows(new) ** 2).sum(axis=1), rel=1e-5)
+
+
+def linear(matrix: np.ndarray, measured: np.ndarray, cliff: float = np.inf) -> Any:
+    """A posterior whose residuals are linear; no soil where the first coordinate is above the cliff."""
+
+    def residuals(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        rows = points @ matrix.T - measured
+        rows[points[:, 0] > cliff] = np.inf
+        return rows, np.where(np.isfinite(rows[:, :1]), points, np.inf)
+
+    def cost(points: np.ndarray) -> np.ndarray:
+        return sum((part**2).sum(axis=1) for part in residuals(points))
+
+    def draw(count: int, random: np.random.Generator) -> np.ndarray:
+        return random.standard_normal((count, 8))
+
+    same = SimpleNamespace(transforms=lambda p: p, straightened=lambda p: p)
+    belief = SimpleNamespace(covariance=np.eye(8))
+    return SimpleNamespace(
+        residuals=residuals, cost=cost, draw_prior=draw, straight=same, misfit=SimpleNamespace(belief=belief)
+    )
+
+
+def test_mode_of_a_linear_problem_is_that_of_least_squares() -> None:
+    random = np.random.default_rng(5)
+    matrix, truth = 0.3 * random.normal(size=(40, 8)), 0.5 * random.normal(size=8)
+    measured = matrix @ truth
+    found = find_mode(linear(matrix, measured), np.random.default_rng(0))
+    assert found is not None
+    inverse = np.linalg.inv(matrix.T @ matrix + np.eye(8))
+    assert found.point == pytest.approx(inverse @ matrix.T @ measured, abs=5e-3)
+    assert found.covariance == pytest.approx(inverse, abs=1e-6)
+    nothing = find_mode(linear(matrix, measured, cliff=-1e9), np.random.default_rng(0))
+    assert nothing is None
+
+
+def test_errors_are_widened_by_what_is_alike_and_not_by_noise() -> None:
+    random = np.random.default_rng(2)
+    wheels = WHEELS * 32
+    misfit: Any = SimpleNamespace(known=np.ones((len(wheels), 6), dtype=bool), record=SimpleNamespace(wheel=wheels))
+    noise = random.normal(size=(len(wheels), 6))
+    assert inflation_of(misfit, noise) == {}
+    alike = noise.copy()
+    alike[:, 0] += np.where(np.array(wheels) == "RL", 2.0, 0.0)
+    alike[:, 1] *= 2.0
+    found = inflation_of(misfit, alike)
+    assert set(found) == {OBSERVED[0], OBSERVED[1]}
+    # A sixth of the batches of 8 has a mean of 2, so that 8 times the variance of the means is 1 + 32/6.
+    assert found[OBSERVED[0]] == pytest.approx(np.sqrt(1.0 + 32.0 / 6.0), rel=0.15)
+    assert found[OBSERVED[1]] == pytest.approx(2.0, rel=0.25)
+    wild = noise.copy()
+    wild[::40, 2] = 300.0
+    assert inflation_of(misfit, wild).get(OBSERVED[2], 1.0) < 2.0
