@@ -32,7 +32,7 @@ GOOD = 0.3
 """Standard deviation of the emulator's ln density, at new draws, below which it is trained enough."""
 FREEDOM = 6.0
 """Degrees of freedom of the Student law of the first round; assumed: tails heavier than a posterior's."""
-CHAIN, TUNED, ACCEPTED = 400, 200, 0.25
+CHAIN, TUNED, ACCEPTED = 600, 200, 0.25
 """Steps of a chain on the emulator, of which so many tune it; wanted share of accepted steps."""
 FEWEST_MOVES, MOST_MOVES, SETTLED = 3, 12, 0.1
 """Proposals to the population: they end when its correlation with where it began is below SETTLED."""
