@@ -199,8 +199,8 @@ def press(ruts, marks, width):  # type: ignore[no-untyped-def]
     ny, nx = ruts.depth.shape
     for x, y, left_x, left_y, depth in marks:
         for k in range(-6, 7):
-            j = int(round((x + k / 12.0 * width * left_x - ruts.x0) / ruts.spacing))
-            i = int(round((y + k / 12.0 * width * left_y - ruts.y0) / ruts.spacing))
+            j = round((x + k / 12.0 * width * left_x - ruts.x0) / ruts.spacing)
+            i = round((y + k / 12.0 * width * left_y - ruts.y0) / ruts.spacing)
             if 0 <= i < ny and 0 <= j < nx:
                 ruts.depth[i, j] = max(ruts.depth[i, j], depth)
 

@@ -20,7 +20,7 @@ embedded plan, and how long the drives take.
 import dataclasses
 import time
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from mujoco_rover import Driven, Law, Ruts, drive, fresh_ruts, joint_angles
@@ -51,7 +51,7 @@ class Physics:
 
     mujoco: bool = True
     exact: bool = True
-    model: ContactModel = ContactModel()
+    model: ContactModel = field(default_factory=ContactModel)
     rise_n_m4: float = 0.0
     spread: float = 0.0
 
