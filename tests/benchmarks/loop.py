@@ -4,14 +4,15 @@ Hidden soils, drawn from the default priors, on three synthetic terrains: the ro
 with the errors that Ding et al. (2024) state (sinkage 0.33 mm, slip and side slip 4 %, forces 10 %/3, positions 4 % of
 the way), the belief of the soil is rectified, and the return is predicted from it and from the belief before.
 
-Positions are read in two ways: 4 % as three standard deviations (`third`), and as one (`whole`).
+Positions are read in two ways: 4 % as three standard deviations (`third`), and as one (`whole`). The return begins
+where the rover truly stands.
 
 The truth is driven by the physics named (`other_physics.py` says what each has in it), the beliefs always by the twin.
 The same number is the same hidden soil in all of them, with the same errors of measurement. A soil on which the truth
 does not finish both ways is replaced by another draw, and counted.
 
 Each soil is one line of the file, and one that is there is not driven again, so that a run can be cut, go on, and be
-done in slices (`--first K --soils N`). `--report FILES` prints the tables.
+done in slices (`--first K --count N`). `--report FILES` prints the tables.
 """
 
 import argparse
@@ -226,7 +227,7 @@ def run(cases: list[Case], out: Path | None, jobs: int) -> list[dict[str, Any]]:
 def arguments() -> argparse.Namespace:
     """As given."""
     parser = argparse.ArgumentParser(description="The loop in numbers: how well a rectified soil predicts the return.")
-    parser.add_argument("--soils", type=int, default=45, help="hidden soils of each physics")
+    parser.add_argument("--soils", "--count", type=int, default=45, help="hidden soils of each physics")
     parser.add_argument("--first", type=int, default=0, help="number of the first soil")
     parser.add_argument("--physics", nargs="+", choices=PHYSICS, default=["same"], help="what the truth is driven by")
     parser.add_argument("--positions", nargs="+", choices=POSITION_SHARES, default=list(POSITION_SHARES))

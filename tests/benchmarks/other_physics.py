@@ -11,7 +11,9 @@
 | changing | MuJoCo | the integrals, and a soil that changes from place to place |
 | all | MuJoCo | the integrals with bulldozing, ruts and a soil that changes |
 
-The exponent of sinkage depends on slip in all of them, as far as the hidden soil's n1 says.
+The exponent of sinkage depends on slip in all of them, as far as the hidden soil's n1 says. Sinkage counts from the
+undisturbed ground, also in a rut, as one who knows the terrain of before measures it. A rut changes the bearing alone,
+not the shear strength, and its walls do not guide a wheel.
 
 `python tests/benchmarks/other_physics.py` prints how far MuJoCo with the closed form ends from the twin after the
 embedded plan, and how long the drives take.
