@@ -2,7 +2,8 @@
 
 Hidden soils, drawn from the default priors, on three synthetic terrains: the rover drives out, its wheels are measured
 with the errors that Ding et al. (2024) state (sinkage 0.33 mm, slip and side slip 4 %, forces 10 %/3, positions 4 % of
-the way), the belief of the soil is rectified, and the return is predicted from it and from the belief before.
+the way), the belief of the soil is rectified, and the return is predicted from it, from the belief before, and from
+the soil as it truly is: what is then left is the twin's own physics.
 
 Positions are read in two ways: 4 % as three standard deviations (`third`), and as one (`whole`). The return begins
 where the rover truly stands.
@@ -138,8 +139,8 @@ def experiment(case: Case) -> dict[str, Any]:
     terrain = terrains()[name]
     world, (out, true), replaced, drive_s = both_ways(case, rover, terrain, plan)
     back, end, theta = way_back(plan, out), true.poses[-1, :2], world.soil_along(out)
-    median = dict(zip(PARAMETERS, values_of(first.laws, first.mean), strict=True))
-    before = predict(rover, terrain.with_soil(**median), back, sweep=()).endpoints_m[0]
+    guesses = zip(PARAMETERS, values_of(first.laws, np.stack([first.mean, theta])).T, strict=True)
+    before, known = predict(rover, terrain, back, samples=dict(guesses)).endpoints_m
     result: dict[str, Any] = {
         "physics": case.physics,
         "soil": case.number,
@@ -149,6 +150,7 @@ def experiment(case: Case) -> dict[str, Any]:
         "drive_s": drive_s,
         "theta": theta.tolist(),
         "before_m": float(np.hypot(*(before - end))),
+        "known_m": float(np.hypot(*(known - end))),
         "updates": {},
     }
     for reading in case.positions:

@@ -74,11 +74,12 @@ def returns(rows: list[dict[str, Any]]) -> str:
         taken = [row for row in own if not row["refused"]]
         taken_after = f"{np.median(of(taken, 'after_m')):.3f}" if taken else "-"
         lines.append([name, terrain, str(len(own)), f"{before:.3f}", f"{after:.3f}", f"{after / before:.2f}",
+                      f"{np.median(of(own, 'known_m')):.3f}",
                       f"{np.quantile(of(own, 'after_m'), 0.9):.3f}", f"{np.median(of(own, 'radius_m')):.3f}",
                       interval(row["held"] for row in own), f"{len(own) - len(taken)}", taken_after,
                       interval(row["held"] for row in taken)])  # fmt: skip
-    head = ["physics", "terrain", "soils", "before [m]", "after [m]", "ratio", "90 % of errors < [m]", "spread [m]",
-            "90 % regions hold", "refused", "after, not refused [m]", "their regions hold"]  # fmt: skip
+    head = ["physics", "terrain", "soils", "before [m]", "after [m]", "ratio", "soil known [m]", "90 % of errors < [m]",
+            "spread [m]", "90 % regions hold", "refused", "after, not refused [m]", "their regions hold"]  # fmt: skip
     return f"Median error of the return's end ({WANTED})\n" + table(head, lines)
 
 
