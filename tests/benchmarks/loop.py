@@ -232,12 +232,17 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--soils", "--count", type=int, default=45, help="hidden soils of each physics")
     parser.add_argument("--first", type=int, default=0, help="number of the first soil")
     parser.add_argument("--physics", nargs="+", choices=PHYSICS, default=["same"], help="what the truth is driven by")
-    parser.add_argument("--positions", nargs="+", choices=POSITION_SHARES, default=list(POSITION_SHARES))
+    parser.add_argument(
+        "--positions", nargs="*", default=list(POSITION_SHARES), help="third, whole, or none: no update"
+    )
     parser.add_argument("--seed", type=int, default=41)
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--out", type=Path, help="file of results, one line a soil, added to")
     parser.add_argument("--report", type=Path, nargs="+", help="print the tables of these files, and drive nothing")
-    return parser.parse_args()
+    given = parser.parse_args()
+    if strange := set(given.positions) - set(POSITION_SHARES):
+        parser.error(f"--positions {min(strange)}: give third, whole, both or none of them")
+    return given
 
 
 def main() -> None:

@@ -56,14 +56,17 @@ def of(rows: list[dict[str, Any]], name: str) -> np.ndarray:
 
 
 def header(rows: list[dict[str, Any]]) -> str:
-    """How many soils, which were replaced, and what a true drive took."""
+    """How many soils, which were replaced, what a true drive took, and how far the return is off without any update."""
     lines = []
     for (name, _), own in groups(rows, terrains=False).items():
         reasons = [reason for row in own for reason in row["replaced"]]
         counts = ", ".join(f"{reasons.count(reason)} {reason.split(':')[0]}" for reason in dict.fromkeys(reasons))
         lines.append([name, str(len(own)), f"{len(reasons)}{f' ({counts})' if counts else ''}",
-                      f"{np.median(of(own, 'drive_s')):.2f}"])  # fmt: skip
-    return table(["physics", "soils", "replaced: the truth did not finish", "true drive [s]"], lines)
+                      f"{np.median(of(own, 'drive_s')):.2f}", f"{np.median(of(own, 'before_m')):.3f}",
+                      f"{np.median(of(own, 'known_m')):.3f}"])  # fmt: skip
+    head = ["physics", "soils", "replaced: the truth did not finish", "true drive [s]", "return, not rectified [m]",
+            "return, soil known [m]"]  # fmt: skip
+    return table(head, lines)
 
 
 def returns(rows: list[dict[str, Any]]) -> str:

@@ -81,7 +81,7 @@ def test_the_report_says_what_the_rows_do() -> None:
     rows = [row("same", n, 0.1 + 0.1 * n, n < 2) for n in range(3)]
     rows += [row("exact", n, 0.3 + 0.1 * n, n < 1, "why" if n == 2 else "") for n in range(3)]
     lines = [line.split() for line in report(rows).splitlines()]
-    assert ["same", "3", "3", "(3", "sank)", "2.00"] in lines
+    assert ["same", "3", "3", "(3", "sank)", "2.00", "1.000", "0.050"] in lines
     assert ["same", "all", "3", "1.000", "0.200", "0.20", "0.050", "0.280", "0.100"] in [line[:9] for line in lines]
     assert ["exact", "3", "0.200", "0.400", "2.00", "+200", "0.67", "->", "0.33"] in lines
     assert ["exact", "cohesion_pa", "0.50", "(0.01-0.99)", "1.00", "(0.16-1.00)", "0.50", "+1.00", "0.50"] in lines
