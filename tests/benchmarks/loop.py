@@ -189,14 +189,16 @@ def learned(
 def said(row: dict[str, Any]) -> str:
     """One line about a soil."""
     parts = [
-        f"{reading}: {u['after_m']:.3f} m, held {u['held']}, reduced chi-square {u['reduced']:.2f}, "
-        f"{u['took_s']:.1f} s{', refused' if u['refused'] else ''}"
-        for reading, u in row["updates"].items()
+        f"{row['physics']} {row['soil']:3d} {row['terrain']:7s} before {row['before_m']:.3f} m, "
+        f"soil known {row['known_m']:.3f} m",
+        *(
+            f"{reading}: {u['after_m']:.3f} m, held {u['held']}, reduced chi-square {u['reduced']:.2f}, "
+            f"{u['took_s']:.1f} s{', refused' if u['refused'] else ''}"
+            for reading, u in row["updates"].items()
+        ),
+        f"true drive {row['drive_s']:.1f} s, {len(row['replaced'])} soils replaced",
     ]
-    return (
-        f"{row['physics']} {row['soil']:3d} {row['terrain']:7s} before {row['before_m']:.3f} m; {'; '.join(parts)}; "
-        f"true drive {row['drive_s']:.1f} s, {len(row['replaced'])} soils replaced"
-    )
+    return "; ".join(parts)
 
 
 def rows_of(files: list[Path]) -> list[dict[str, Any]]:
