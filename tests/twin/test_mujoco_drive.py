@@ -1,7 +1,8 @@
 """MuJoCo drives the same rover over the same ground: its own kinematics, mass matrix and integrator.
 
-Shared are the wheel-soil formulas of `regolith.forces` and the commands. Written here anew: the tree of bodies, the
-ground as an analytic surface, the contact frame and where the forces of a wheel act, from the text of `twin.contact`.
+Shared are the wheel-soil formulas of `regolith.forces` and the commands. Written anew: the tree of bodies (in
+`benchmarks/mujoco_rover.py`), the ground as an analytic surface, the contact frame and where the forces of a wheel act,
+from the text of `twin.contact`.
 """
 
 import dataclasses
@@ -11,6 +12,7 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 import pytest
+from mujoco_rover import joint_angles, joint_names, mjcf
 
 from lunarsci.regolith.forces import wheel_forces_kernel
 from lunarsci.regolith.soil import Soil
@@ -54,51 +56,6 @@ class Track(NamedTuple):
     pose: np.ndarray
     joints: np.ndarray
     normal: np.ndarray
-
-
-def text(vector: object) -> str:
-    return " ".join(repr(float(v)) for v in np.ravel(vector))
-
-
-def steered_arm(rover: Rover, pair: str, k: int, angle: float) -> np.ndarray:
-    """Wheel centre on the left (k = 0) or right, `steering_offset_m` outboard of its steering axis."""
-    offset = (1.0 - 2.0 * k) * rover.steering_offset_m
-    straight = np.array(getattr(rover, f"{pair}_wheel_m")) * (1.0, 1.0 - 2.0 * k, 1.0)
-    return straight + offset * np.array([-math.sin(angle), math.cos(angle) - 1.0, 0.0])
-
-
-def mjcf(rover: Rover, steering: np.ndarray) -> str:
-    """The rover with its wheels standing as steered."""
-    tiny = 'diaginertia="1e-9 1e-9 1e-9"'
-    hinge = f'type="hinge" axis="0 1 0" damping="{rover.joint_damping_n_m_s}"'
-    hung = {"rear": ("middle", "rear"), "front": ("front", "middle"), "none": ()}[rover.bogie]
-
-    def wheel(pair: str, k: int) -> str:
-        angle = steering[2 * rover.pairs.index(pair) + k]
-        place = steered_arm(rover, pair, k, angle)
-        turned = text([math.cos(0.5 * angle), 0.0, 0.0, math.sin(0.5 * angle)])
-        return (
-            f'<body name="{pair}{k}" pos="{text(place)}" quat="{turned}">'
-            f'<inertial pos="0 0 0" mass="{rover.wheel_kg}" {tiny}/></body>'
-        )
-
-    def side(k: int) -> str:
-        mirror, empty = np.array([1.0, 1.0 - 2.0 * k, 1.0]), f'<inertial pos="0 0 0" mass="1e-9" {tiny}/>'
-        on_bogie = "".join(wheel(pair, k) for pair in hung)
-        bogie = on_bogie and (
-            f'<body pos="{text(mirror * rover.bogie_pivot_m)}"><joint name="bogie{k}" {hinge}/>{empty}{on_bogie}</body>'
-        )
-        on_rocker = "".join(wheel(pair, k) for pair in rover.pairs if pair not in hung)
-        pivot = text(mirror * (0.0, rover.rocker_pivot_y_m, 0.0))
-        return f'<body pos="{pivot}"><joint name="rocker{k}" {hinge}/>{empty}{on_rocker}{bogie}</body>'
-
-    return f"""<mujoco><option gravity="0 0 {-rover.gravity_m_s2}" integrator="implicitfast"/>
-      <worldbody><body><freejoint/>
-      <inertial pos="{text(rover.body_center_m)}" mass="{rover.body_kg}"
-        diaginertia="{text(rover.body_inertia_kg_m2)}"/>
-      {side(0)}{side(1)}</body></worldbody>
-      <equality><joint joint1="rocker1" joint2="rocker0" polycoef="0 -1 0 0 0"
-        solref="0.005 1" solimp="0.9999 0.9999 0.001"/></equality></mujoco>"""
 
 
 @numba.njit  # type: ignore[untyped-decorator]
@@ -165,8 +122,7 @@ def by_mujoco(result: Prediction, ground: Ground, step_s: float = STEP_S) -> Tra
     start = result.paths[0, 0]
     attitude = Rotation.from_euler("ZYX", start[[5, 4, 3]], degrees=True)
     data.qpos[:3], data.qpos[3:7] = start[:3], attitude.as_quat()[[3, 0, 1, 2]]
-    names = [name for name in ("rocker0", "rocker1", "bogie0", "bogie1") if "bogie" not in name or len(own) == 4]
-    address = [model.joint(name).qposadr[0] for name in names]
+    address = [model.joint(name).qposadr[0] for name in joint_names(rover)]
     data.qpos[address] = np.radians(own)
     data.qvel[:3], data.qvel[3:6] = attitude.apply([*velocity[:2], 0.0]), (0.0, 0.0, velocity[2])
     bodies = np.array([model.body(f"{pair}{k}").id for pair in rover.pairs for k in (0, 1)])
@@ -191,35 +147,8 @@ def column(result: Prediction, name: str) -> np.ndarray:
 
 def joints_of(result: Prediction) -> np.ndarray:
     """Left and right rocker angle, then bogies, from where the recorded wheel centres are. (samples, 4 or 2) [deg]"""
-    from scipy.spatial.transform import Rotation
-
-    rover, pose = result.rover, result.paths[0]
-    x, y, sinkage = (column(result, name) for name in ("x_m", "y_m", "sinkage_m"))
-    height, slope_x, slope_y = np.moveaxis(result.terrain.surface_at(x, y), -1, 0)
-    z = height + (rover.wheel.radius_m - sinkage) * np.sqrt(1.0 + slope_x**2 + slope_y**2)
-    inverse = Rotation.from_euler("ZYX", pose[:, [5, 4, 3]], degrees=True).inv()
-    seen = np.stack([inverse.apply(np.stack([x, y, z], -1)[:, w] - pose[:, :3]) for w in range(len(rover.wheels))], 1)
-    hung = {"rear": ("middle", "rear"), "front": ("front", "middle"), "none": ()}[rover.bogie]
-    lone = next(pair for pair in rover.pairs if pair not in hung)
-    steering = motion_of(rover, result.plan.legs[0])[1]
-
-    def arm_of(pair: str, k: int) -> tuple[np.ndarray, np.ndarray]:
-        number = 2 * rover.pairs.index(pair) + k
-        return steered_arm(rover, pair, k, steering[number]), seen[:, number]
-
-    angles = []
-    for k in (0, 1):
-        angles.append(turned_by(*arm_of(lone, k)))
-    for k in (0, 1):
-        if hung:
-            (arm_1, seen_1), (arm_2, seen_2) = arm_of(hung[0], k), arm_of(hung[1], k)
-            angles.append(turned_by(arm_1 - arm_2, seen_1 - seen_2) - angles[k])
-    return np.degrees(np.array(angles).T)
-
-
-def turned_by(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Angle about y that turns a segment's x, z part."""
-    return np.asarray(np.arctan2(-after[:, 2], after[:, 0]) - math.atan2(-before[2], before[0]))
+    steering = motion_of(result.rover, result.plan.legs[0])[1]
+    return np.degrees(joint_angles(result.rover, result.terrain, result.paths[0], result.states[0], steering))
 
 
 def motion_of(rover: Rover, leg: Leg) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

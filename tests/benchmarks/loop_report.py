@@ -1,0 +1,139 @@
+"""Tables of `loop.py`: how well the return is predicted, and whether beliefs hold what is true."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from lunarsci.regolith.prior import PARAMETERS
+
+WANTED = "wanted: after <= 0.09 m, ratio <= 0.20, regions 0.85-0.95"
+
+
+def interval(hits: Iterable[bool]) -> str:
+    """Share of hits, and the 95 % interval of Clopper and Pearson (1934) about it."""
+    from scipy.stats import binomtest
+
+    values = [bool(hit) for hit in hits]
+    if not values:
+        return "-"
+    low, high = binomtest(sum(values), len(values)).proportion_ci(0.95, method="exact")
+    return f"{np.mean(values):.2f} ({low:.2f}-{high:.2f})"
+
+
+def table(head: list[str], rows: list[list[str]]) -> str:
+    """Columns side by side."""
+    wide = [max(len(row[k]) for row in [head, *rows]) for k in range(len(head))]
+    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, wide, strict=True)) for row in [head, *rows]]
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def report(rows: list[dict[str, Any]]) -> str:
+    """All tables, one set for each reading of the positions."""
+    readings = list(dict.fromkeys(reading for row in rows for reading in row["updates"]))
+    parts = [header(rows)]
+    for reading in readings:
+        own = [row | row["updates"][reading] for row in rows if reading in row["updates"]]
+        parts += [f"\n# Positions known to 4 % of the way, read as {reading}\n", returns(own), "\n" + losses(own)]
+        parts += ["\n" + parameters(own), "\n" + health(own)]
+    return "\n".join(parts)
+
+
+def groups(rows: list[dict[str, Any]], terrains: bool = True) -> dict[tuple[str, str], list[dict[str, Any]]]:
+    """Rows by physics, over all terrains and on each."""
+    found: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for name in dict.fromkeys(row["physics"] for row in rows):
+        own = [row for row in rows if row["physics"] == name]
+        found[name, "all"] = own
+        for terrain in dict.fromkeys(row["terrain"] for row in own) if terrains else ():
+            found[name, terrain] = [row for row in own if row["terrain"] == terrain]
+    return found
+
+
+def of(rows: list[dict[str, Any]], name: str) -> np.ndarray:
+    """One number of every row."""
+    return np.array([row[name] for row in rows], dtype=float)
+
+
+def header(rows: list[dict[str, Any]]) -> str:
+    """How many soils, which were replaced, what a true drive took, and how far the return is off without any update."""
+    lines = []
+    for (name, _), own in groups(rows, terrains=False).items():
+        reasons = [reason for row in own for reason in row["replaced"]]
+        counts = ", ".join(f"{reasons.count(reason)} {reason.split(':')[0]}" for reason in dict.fromkeys(reasons))
+        lines.append([name, str(len(own)), f"{len(reasons)}{f' ({counts})' if counts else ''}",
+                      f"{np.median(of(own, 'drive_s')):.2f}", f"{np.median(of(own, 'before_m')):.3f}",
+                      f"{np.median(of(own, 'known_m')):.3f}"])  # fmt: skip
+    head = ["physics", "soils", "replaced: the truth did not finish", "true drive [s]", "return, not rectified [m]",
+            "return, soil known [m]"]  # fmt: skip
+    return table(head, lines)
+
+
+def returns(rows: list[dict[str, Any]]) -> str:
+    """Errors of the predicted return, by physics and terrain."""
+    lines = []
+    for (name, terrain), own in groups(rows).items():
+        before, after = np.median(of(own, "before_m")), np.median(of(own, "after_m"))
+        taken = [row for row in own if not row["refused"]]
+        taken_after = f"{np.median(of(taken, 'after_m')):.3f}" if taken else "-"
+        lines.append([name, terrain, str(len(own)), f"{before:.3f}", f"{after:.3f}", f"{after / before:.2f}",
+                      f"{np.median(of(own, 'known_m')):.3f}",
+                      f"{np.quantile(of(own, 'after_m'), 0.9):.3f}", f"{np.median(of(own, 'radius_m')):.3f}",
+                      interval(row["held"] for row in own), f"{len(own) - len(taken)}", taken_after,
+                      interval(row["held"] for row in taken)])  # fmt: skip
+    head = ["physics", "terrain", "soils", "before [m]", "after [m]", "ratio", "soil known [m]", "90 % of errors < [m]",
+            "spread [m]", "90 % regions hold", "refused", "after, not refused [m]", "their regions hold"]  # fmt: skip
+    return f"Median error of the return's end ({WANTED})\n" + table(head, lines)
+
+
+def losses(rows: list[dict[str, Any]]) -> str:
+    """What other physics cost: against `same` on the same soils, where the soil was not replaced in one of them."""
+    same = {(row["seed"], row["soil"]): row for row in rows if row["physics"] == "same"}
+    lines = []
+    for (name, _), own in groups(rows, terrains=False).items():
+        pairs = [
+            (row, same[key])
+            for row in own
+            if (key := (row["seed"], row["soil"])) in same and len(row["replaced"]) == len(same[key]["replaced"])
+        ]
+        if name == "same" or not pairs:
+            continue
+        mine, theirs = (np.array([pair[k]["after_m"] for pair in pairs]) for k in (0, 1))
+        held = [np.mean([pair[k]["held"] for pair in pairs]) for k in (0, 1)]
+        lines.append([name, str(len(pairs)), f"{np.median(theirs):.3f}", f"{np.median(mine):.3f}",
+                      f"{np.median(mine) / np.median(theirs):.2f}", f"{1e3 * np.median(mine - theirs):+.0f}",
+                      f"{held[1]:.2f} -> {held[0]:.2f}"])  # fmt: skip
+    head = ["physics", "soils", "same [m]", "this [m]", "ratio", "median difference [mm]", "regions hold"]
+    return "Loss against a truth of the twin's own physics, on the same soils\n" + table(head, lines) if lines else ""
+
+
+def parameters(rows: list[dict[str, Any]]) -> str:
+    """How often intervals hold the true parameters, and how much narrower they are than before the drive."""
+    lines = []
+    for (name, _), own in groups(rows, terrains=False).items():
+        taken = [row for row in own if not row["refused"]]
+        for k, key in enumerate(PARAMETERS) if taken else ():
+            z, left = np.array([row["z"][k] for row in taken]), np.array([row["left"][k] for row in taken])
+            lines.append([name, key, interval(np.abs(z) < 1.0), interval(np.abs(z) < 1.96),
+                          f"{left.mean():.2f}", f"{np.mean(z):+.2f}", f"{np.std(z):.2f}"])  # fmt: skip
+        if taken:
+            z = np.array([row["z"] for row in taken])
+            lines.append([name, "all", f"{(np.abs(z) < 1.0).mean():.2f}", f"{(np.abs(z) < 1.96).mean():.2f}",
+                          "", f"{z.mean():+.2f}", f"{z.std():.2f}"])  # fmt: skip
+    head = ["physics", "parameter", "68 % intervals hold", "95 % intervals hold", "width left", "mean z", "sd of z"]
+    return "Parameters, of updates that were not refused (width left: after as a share of before)\n" + table(
+        head, lines
+    )
+
+
+def health(rows: list[dict[str, Any]]) -> str:
+    """Refusals, and what the updates say of themselves."""
+    lines = []
+    for (name, _), own in groups(rows, terrains=False).items():
+        refused = [row for row in own if row["refused"]]
+        lines.append([name, interval(bool(row["refused"]) for row in own), f"{np.median(of(own, 'reduced')):.2f}",
+                      f"{np.median(of(own, 'surprise')):.2f}", f"{np.median(of(own, 'persistence')):.2f}",
+                      f"{np.median(of(own, 'took_s')):.1f}",
+                      f"{np.median(of(refused, 'reduced')):.2f}" if refused else "-"])  # fmt: skip
+    head = ["physics", "refused", "reduced chi-square", "surprise", "persistence", "update [s]", "chi-square, refused"]
+    return "Updates (medians)\n" + table(head, lines)
