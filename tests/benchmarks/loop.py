@@ -47,8 +47,8 @@ ERRORS = MeasurementErrors(sinkage_m=0.00033, force_relative=0.10 / 3, travel_re
 POSITION_SHARES = {"third": 0.04 / 3, "whole": 0.04}
 """Standard deviation of the position at the end, as a share of the way."""
 MEMBERS = 128
-CHI_SQUARE_90 = 4.605
-"""Of two degrees of freedom."""
+REGION = 0.9
+"""Share of the predicted ends that a region holds."""
 MOST_DRAWS = 20
 
 
@@ -86,10 +86,16 @@ def ends(rover: Rover, terrain: Terrain, plan: Plan, belief: SoilBelief) -> np.n
     return drives.endpoints_m[drives.finished]
 
 
+def middle(cloud: np.ndarray) -> np.ndarray:
+    """The predicted end: the median of the ends in x and in y, which a few soils that hardly move do not drag along."""
+    return np.median(cloud, axis=0)
+
+
 def distance_in(cloud: np.ndarray, point: np.ndarray) -> float:
-    """Squared distance of a point from the mean of a cloud, in its standard deviations."""
-    off = point - cloud.mean(axis=0)
-    return float(off @ np.linalg.solve(np.cov(cloud.T), off))
+    """Share of the ends of a cloud that are nearer to its mean than a point, in its standard deviations."""
+    off = np.vstack([cloud, point]) - cloud.mean(axis=0)
+    squares = np.einsum("ij,ij->i", off @ np.linalg.inv(np.cov(cloud.T)), off)
+    return float((squares[:-1] < squares[-1]).mean())
 
 
 @cache
@@ -170,13 +176,14 @@ def learned(
     sd = np.sqrt(np.diag(belief.covariance))
     ranks = None if belief.population is None else (belief.population < theta).mean(axis=0).tolist()
     return {
-        "after_m": float(np.hypot(*(cloud.mean(axis=0) - end))),
-        "distance2": distance_in(cloud, end),
-        "held": distance_in(cloud, end) < CHI_SQUARE_90,
+        "after_m": float(np.hypot(*(middle(cloud) - end))),
+        "within": distance_in(cloud, end),
+        "held": distance_in(cloud, end) <= REGION,
         "radius_m": float(np.sqrt(np.trace(np.cov(cloud.T)))),
         "members": len(cloud),
         "refused": found.refused,
         "reduced": found.reduced,
+        "inflation": dict(found.inflation),
         "surprise": found.surprise,
         "persistence": found.persistence,
         "z": ((belief.mean - theta) / sd).tolist(),
