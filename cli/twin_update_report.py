@@ -115,6 +115,7 @@ def _result(found: Rectified) -> dict[str, Any]:
         "chi_square": found.chi_square,
         "reduced_chi_square": found.reduced,
         "inflation": dict(found.inflation),
+        "wheel_errors": dict(found.wheel_errors),
         "surprise": found.surprise,
         "persistence": found.persistence,
         "refused": found.refused or None,
@@ -137,6 +138,8 @@ def _table(known: Known, found: Rectified) -> TextTable:
     ]
     for name, factor in found.inflation.items():
         notes.append(f"errors of {name} are taken {factor:.1f} times as large: no soil explains it better")
+    for name, size in found.wheel_errors.items():
+        notes.append(f"single wheels are off in {name} by {size:.2g} throughout, which was allowed for")
     if found.surprise > SURPRISING and not found.refused:
         notes.append("the ground is hardly the one that was believed; forget more, or begin anew")
     if found.persistence > SETTLED:

@@ -17,10 +17,11 @@ import numpy.typing as npt
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.prior import PARAMETERS
-from lunarsci.twin.drive_record import DriveRecord
+from lunarsci.twin.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.inference.inflation import inflation_of
+from lunarsci.twin.inference.discrepancy import MODEL_SHARES, Discrepancy
+from lunarsci.twin.inference.inflation import inflation_of, wheel_errors
 from lunarsci.twin.inference.misfit import HUBER, Misfit
 from lunarsci.twin.inference.mode import Mode, find_mode
 from lunarsci.twin.inference.population import draw_population
@@ -38,6 +39,10 @@ ROUNDS = 2
 """Of widening errors by what the best soil leaves, and looking for it again."""
 MOST_OUTLIERS, MOST_INFLATION = 0.05, 6.0
 """Share of outliers, and factor of the errors, beyond which the twin does not explain a drive; assumed."""
+MOST_OF_A_WHEEL = 0.3
+"""What single wheels may be off by throughout, of a slip of 1, of the mean sinkage or side slip, or of the load;
+assumed."""
+LARGE = {name: "normal_force_n" if name.endswith("_n") else name for name in OBSERVED}
 STILL = 1.1
 """Factor of the errors that is no longer worth another round."""
 
@@ -54,6 +59,7 @@ class Rectified:
         where not measured. [-]
     outliers : values of states that count as such. (n, 6)
     inflation : by quantity, what its errors were multiplied by as the twin's physics misses it by more; 1 otherwise.
+    wheel_errors : by quantity, standard deviation of what each wheel was found to be off by throughout, in its unit.
     chi_square, values : of the values that are no outliers, and their number, positions included.
     surprise : distance of the new mean from the old one in standard deviations of the old belief, root mean square over
         the parameters: about 1 or less where the ground is the one that was believed, above 2 it is not. [-]
@@ -67,6 +73,7 @@ class Rectified:
     residuals: FloatArray
     outliers: BoolArray
     inflation: Mapping[str, float]
+    wheel_errors: Mapping[str, float]
     chi_square: float
     values: int
     surprise: float
@@ -87,6 +94,7 @@ def rectify(
     belief: SoilBelief,
     *,
     particles: int = PARTICLES,
+    model_error: float = 1.0,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Rectified:
@@ -98,6 +106,7 @@ def rectify(
     record : what was measured on the way.
     belief : before the drive; its mean and covariance count, not its population.
     particles : in the population, 32 or more.
+    model_error : of the twin's physics, as a multiple of `MODEL_SHARES`; 0 where the drive is the twin's own. [-]
     seed : of the population.
     progress : called with (done, total).
 
@@ -107,12 +116,15 @@ def rectify(
     if particles < FEWEST_PARTICLES:
         raise ParameterError(f"{particles} particles are too few; give {FEWEST_PARTICLES} or more")
     random = np.random.default_rng(seed)
-    posterior, mode = _best_soil(Misfit(rover, terrain, plan, record, belief), random)
+    common = {name: model_error * share for name, share in MODEL_SHARES.items()}
+    misfit = Misfit(rover, terrain, plan, record, belief, discrepancy=Discrepancy(common))
+    posterior, mode = _best_soil(misfit, random)
     states, places = posterior.misfit.parts(posterior.residuals(mode.point[None])[0][0])
     known, inflation = posterior.misfit.known, posterior.misfit.inflation
     outliers = known & (np.abs(states) > HUBER)
     kept = known & ~outliers
-    refused = _refusal(int(outliers.sum()), int(known.sum()), inflation)
+    wheels = _in_units(posterior.misfit)
+    refused = _refusal(int(outliers.sum()), int(known.sum()), inflation, wheels, record)
     learned, left = belief, 0.0
     if not refused:
         drawn, left = draw_population(posterior, mode, particles, random, progress)
@@ -125,6 +137,7 @@ def rectify(
         residuals=np.where(known, states, np.nan),
         outliers=outliers,
         inflation=inflation,
+        wheel_errors=wheels,
         chi_square=float((states[kept] ** 2).sum() + (places**2).sum()),
         values=int(kept.sum() + places.size),
         surprise=float(np.sqrt(moved @ np.linalg.solve(belief.covariance, moved) / len(PARAMETERS))),
@@ -137,13 +150,19 @@ def _best_soil(misfit: Misfit, random: np.random.Generator) -> tuple[Posterior, 
     """The most probable soil, with errors widened to what it leaves."""
     posterior, mode = _found(misfit, random)
     for _ in range(ROUNDS):
-        states, _ = misfit.parts(posterior.residuals(mode.point[None])[0][0])
-        wider = inflation_of(misfit, states)
-        if all(factor < STILL for factor in wider.values()):
+        residual = posterior.residuals(mode.point[None])[0][0]
+        wheels = wheel_errors(misfit, misfit.states_as_measured(residual))
+        wider = inflation_of(misfit, misfit.parts(residual)[0])
+        grown = any(size > STILL * misfit.discrepancy.wheels.get(name, 0.0) for name, size in wheels.items())
+        if not grown and all(factor < STILL for factor in wider.values()):
             break
         known = dict(misfit.inflation)
         misfit = replace(
-            misfit, inflation=known | {name: factor * known.get(name, 1.0) for name, factor in wider.items()}
+            misfit,
+            inflation=known | {name: factor * known.get(name, 1.0) for name, factor in wider.items()},
+            discrepancy=replace(
+                misfit.discrepancy, wheels={name: size / wider.get(name, 1.0) for name, size in wheels.items()}
+            ),
         )
         posterior, mode = _found(misfit, random, mode.point[None])
     return posterior, mode
@@ -157,11 +176,23 @@ def _found(misfit: Misfit, random: np.random.Generator, starts: FloatArray | Non
     return posterior, mode
 
 
-def _refusal(outliers: int, values: int, inflation: Mapping[str, float]) -> str:
+def _in_units(misfit: Misfit) -> dict[str, float]:
+    """Errors that wheels have of their own, in the unit of the quantity."""
+    sigma = {name: misfit.sigma[misfit.known[:, k], k] for k, name in enumerate(OBSERVED)}
+    return {name: float(size * np.median(sigma[name])) for name, size in misfit.discrepancy.wheels.items()}
+
+
+def _refusal(
+    outliers: int, values: int, inflation: Mapping[str, float], wheels: Mapping[str, float], record: DriveRecord
+) -> str:
     look = "look for a wrong plan, terrain or clock, or begin anew with another belief"
     if outliers > MOST_OUTLIERS * values:
         return f"{outliers} of {values} values are explained by no soil of the belief; {look}"
     worst = max(inflation, key=lambda name: inflation[name], default="")
     if worst and inflation[worst] > MOST_INFLATION:
         return f"the best soil misses {worst} by {inflation[worst]:.1f} times its errors; {look}"
+    for name, size in wheels.items():
+        typical = float(np.nanmean(np.abs(record.values[:, OBSERVED.index(LARGE[name])])))
+        if size > MOST_OF_A_WHEEL * (1.0 if name == "slip_ratio" else typical):
+            return f"single wheels are off in {name} by {size:.3g} throughout; are wheels exchanged?"
     return ""

@@ -184,6 +184,7 @@ def learned(
         "refused": found.refused,
         "reduced": found.reduced,
         "inflation": dict(found.inflation),
+        "wheel_errors": dict(found.wheel_errors),
         "surprise": found.surprise,
         "persistence": found.persistence,
         "z": ((belief.mean - theta) / sd).tolist(),

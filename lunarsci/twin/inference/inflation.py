@@ -6,29 +6,53 @@ import numpy.typing as npt
 from lunarsci.twin.drive_record import OBSERVED
 from lunarsci.twin.inference.misfit import HUBER, Misfit
 
-__all__ = ["inflation_of"]
+__all__ = ["inflation_of", "wheel_errors"]
 
 FloatArray = npt.NDArray[np.float64]
 BATCH = 8
 """Values of one wheel that are averaged; assumed longer than what sensors remember, shorter than a drive."""
 CHANCE = 0.01
 """That a variance as large as found comes from the errors alone; below it, errors are widened."""
+MEDIAN_VARIANCE = np.pi / 2
+"""Of the median of n normal values, times n over theirs."""
 
 
-def inflation_of(misfit: Misfit, residuals: FloatArray) -> dict[str, float]:
-    """Factor of the errors of each quantity, 1 or more, from whitened residuals of the best soil. (n, 6)
+def wheel_errors(misfit: Misfit, residuals: FloatArray) -> dict[str, float]:
+    """Standard deviation of an error that each wheel has of its own, by quantity, in the errors of its values.
 
-    Independent residuals as large as their errors have means over batches of m values whose variance is 1/m. What the
-    physics misses is alike along a stretch or for a wheel, and these means scatter more: their variance times m is the
-    variance that errors need to have for as many values to count as independent (batch means; Flegal & Jones 2010,
-    10.1214/09-AOS735). Residuals count as at most `HUBER`, so that outliers remain outliers.
+    From whitened residuals of the best soil, such errors not removed (n, 6): the wheels' medians scatter more about
+    their mean than noise would let them, as where rear wheels follow in ruts and the twin's do not.
     """
     from scipy.stats import chi2
 
     result = {}
     for k, name in enumerate(OBSERVED):
-        known = misfit.known[:, k]
-        means = _batch_means(np.clip(residuals[:, k], -HUBER, HUBER), known, misfit.record.wheel)
+        parts = _by_wheel(misfit, residuals[:, k], k)
+        if len(parts) < 2:
+            continue
+        medians = np.array([np.median(part) for part in parts])
+        noise = np.array([MEDIAN_VARIANCE / part.size for part in parts])
+        apart = medians - np.average(medians, weights=1.0 / noise)
+        if (apart**2 / noise).sum() > chi2.isf(CHANCE, len(parts) - 1):
+            result[name] = float(np.sqrt((apart**2 - noise).sum() / (len(parts) - 1)))
+    return result
+
+
+def inflation_of(misfit: Misfit, residuals: FloatArray) -> dict[str, float]:
+    """Factor of the errors of each quantity, above 1, from whitened residuals of the best soil. (n, 6)
+
+    Independent residuals as large as their errors have means over batches of m values whose variance is 1/m. What the
+    physics misses is alike along a stretch, and these means scatter more: their variance times m is the variance that
+    errors need to have for as many values to count as independent (batch means; Flegal & Jones 2010,
+    10.1214/09-AOS735). What a wheel has of its own throughout is left to `wheel_errors`. Residuals count as at most
+    `HUBER`, so that outliers remain outliers.
+    """
+    from scipy.stats import chi2
+
+    result = {}
+    for k, name in enumerate(OBSERVED):
+        own = [part - np.median(part) for part in _by_wheel(misfit, residuals[:, k], k)]
+        means = _batch_means([np.clip(part, -HUBER, HUBER) for part in own])
         if means.size < 2:
             continue
         variance = float((means**2).mean())
@@ -37,11 +61,13 @@ def inflation_of(misfit: Misfit, residuals: FloatArray) -> dict[str, float]:
     return result
 
 
-def _batch_means(values: FloatArray, known: npt.NDArray[np.bool_], wheels: tuple[str, ...]) -> FloatArray:
-    """Sums over batches of each wheel, over the root of their size: unit variance where values are independent."""
-    names, found = np.array(wheels), []
-    for name in dict.fromkeys(wheels):
-        own = values[known & (names == name)]
-        for part in np.array_split(own, max(1, round(len(own) / BATCH))) if own.size else []:
-            found.append(part.sum() / np.sqrt(part.size))
-    return np.array(found)
+def _by_wheel(misfit: Misfit, values: FloatArray, k: int) -> list[FloatArray]:
+    known, wheels = misfit.known[:, k], np.array(misfit.record.wheel)
+    parts = [values[known & (wheels == name)] for name in dict.fromkeys(misfit.record.wheel)]
+    return [part for part in parts if part.size]
+
+
+def _batch_means(parts: list[FloatArray]) -> FloatArray:
+    """Sums over batches, over the root of their size: unit variance where values are independent."""
+    batches = [batch for part in parts for batch in np.array_split(part, max(1, round(len(part) / BATCH)))]
+    return np.array([batch.sum() / np.sqrt(batch.size) for batch in batches])

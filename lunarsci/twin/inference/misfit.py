@@ -12,6 +12,7 @@ from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.twin.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.inference.discrepancy import Discrepancy, Removed
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 
@@ -52,6 +53,7 @@ class Misfit:
     ----------
     rover, terrain, plan, record, belief : as in `rectify`.
     inflation : by quantity, what its errors are multiplied by, 1 where it is not named. [-]
+    discrepancy : errors that stay the same throughout a drive.
 
     Raises ParameterError for a record of another rover, or with fewer values than a soil has parameters.
     """
@@ -62,6 +64,8 @@ class Misfit:
     record: DriveRecord
     belief: SoilBelief
     inflation: Mapping[str, float] = field(default_factory=dict)
+    discrepancy: Discrepancy = field(default_factory=Discrepancy)
+    removed: Removed = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if strange := set(self.record.wheel) - set(self.rover.wheels):
@@ -70,6 +74,15 @@ class Misfit:
             )
         if self.known.sum() + self.record.fix_m.size < len(PARAMETERS):
             raise ParameterError(f"the record has fewer values than a soil has parameters, {len(PARAMETERS)}")
+        values = np.where(self.known, self.record.values, np.nan)
+        way = self.record.fix_m - (self.plan.x_m, self.plan.y_m)
+        removed = self.discrepancy.removed(values, self.sigma, self.wheel, way, self.record.whitening)
+        object.__setattr__(self, "removed", removed)
+
+    @property
+    def wheel(self) -> npt.NDArray[np.int64]:
+        """Number of the wheel of each state. (n,)"""
+        return np.array([self.rover.wheels.index(name) for name in self.record.wheel], dtype=np.int64)
 
     @property
     def known(self) -> npt.NDArray[np.bool_]:
@@ -99,13 +112,18 @@ class Misfit:
     def residuals(self, transforms: FloatArray) -> FloatArray:
         """Whitened residuals, simulated less measured, of states, then of positions. (points, r)
 
-        Infinite for soils that are too far from the first laws, and drives that do not arrive.
+        What `discrepancy` lets be the same throughout a drive is removed. Infinite for soils that are too far from the
+        first laws, and drives that do not arrive.
         """
         rows = np.full((len(transforms), self.record.values.size + self.record.fix_m.size), np.inf)
         near = self.near(transforms)
         if near.any():
             rows[near] = self._of(self.simulated(transforms[near]))
         return rows
+
+    def states_as_measured(self, residual: FloatArray) -> FloatArray:
+        """Those of states with nothing removed, over their errors. (n, 6)"""
+        return self.parts(self.removed.undone(residual))[0]
 
     def parts(self, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Those of states (n, 6), and of positions."""
@@ -114,7 +132,7 @@ class Misfit:
 
     def _of(self, drives: Prediction) -> FloatArray:
         record, count = self.record, len(drives.outcome)
-        wheel = np.array([self.rover.wheels.index(name) for name in record.wheel], dtype=np.int64)
+        wheel = self.wheel
         columns = [STATE_COLUMNS.index(name) for name in OBSERVED]
         low, share = _between(drives.time_s, record.time_s)
         found = (1.0 - share) * drives.states[:, low, wheel][..., columns]
@@ -123,7 +141,7 @@ class Misfit:
         low, share = _between(drives.time_s, record.fix_time_s)
         places = (1.0 - share) * drives.paths[:, low, :2] + share * drives.paths[:, low + 1, :2]
         white = np.einsum("fij,mfj->mfi", record.whitening, places - record.fix_m)
-        rows = np.concatenate([states.reshape(count, -1), white.reshape(count, -1)], axis=1)
+        rows = self.removed.applied(np.concatenate([states.reshape(count, -1), white.reshape(count, -1)], axis=1))
         rows[~drives.finished] = np.inf
         return rows
 
