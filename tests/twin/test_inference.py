@@ -6,10 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import first_belief
 from lunarsci.twin.drive_record import OBSERVED
+from lunarsci.twin.inference.discrepancy import Discrepancy
 from lunarsci.twin.inference.emulator import fit_emulator
-from lunarsci.twin.inference.inflation import inflation_of
+from lunarsci.twin.inference.inflation import inflation_of, wheel_errors
 from lunarsci.twin.inference.mode import Mode, find_mode
 from lunarsci.twin.inference.population import draw_population
 from lunarsci.twin.inference.straight import Straight
@@ -123,14 +125,40 @@ def test_errors_are_widened_by_what_is_alike_and_not_by_noise() -> None:
     misfit: Any = SimpleNamespace(known=np.ones((len(wheels), 6), dtype=bool), record=SimpleNamespace(wheel=wheels))
     noise = random.normal(size=(len(wheels), 6))
     assert inflation_of(misfit, noise) == {}
+    assert wheel_errors(misfit, noise) == {}
     alike = noise.copy()
     alike[:, 0] += np.where(np.array(wheels) == "RL", 2.0, 0.0)
     alike[:, 1] *= 2.0
+    alike[:, 2] += 3.0 * np.sign(np.sin(np.arange(len(wheels)) / 30.0))
     found = inflation_of(misfit, alike)
-    assert set(found) == {OBSERVED[0], OBSERVED[1]}
-    # A sixth of the batches of 8 has a mean of 2, so that 8 times the variance of the means is 1 + 32/6.
-    assert found[OBSERVED[0]] == pytest.approx(np.sqrt(1.0 + 32.0 / 6.0), rel=0.15)
+    assert set(found) == {OBSERVED[1], OBSERVED[2]}
     assert found[OBSERVED[1]] == pytest.approx(2.0, rel=0.25)
+    assert found[OBSERVED[2]] > 4.0
+    own = wheel_errors(misfit, alike)
+    # One wheel of six is off by 2: about their mean the six scatter with a variance of 4 (1/6) (5/6) 6/5.
+    assert set(own) >= {OBSERVED[0]}
+    assert own[OBSERVED[0]] == pytest.approx(np.sqrt(4.0 / 6.0), rel=0.3)
     wild = noise.copy()
     wild[::40, 2] = 300.0
     assert inflation_of(misfit, wild).get(OBSERVED[2], 1.0) < 2.0
+
+
+def test_errors_that_stay_are_removed_as_their_covariance_says() -> None:
+    """Whitening of I + B B^T against the dense inverse root; and back."""
+    random = np.random.default_rng(4)
+    values, sigma = 1.0 + random.random((24, 6)), 0.1 + random.random((24, 6))
+    wheel, way = np.arange(24) % 6, np.array([[3.0, 1.0]])
+    whitening = np.linalg.inv(np.linalg.cholesky(np.array([[[0.04, 0.01], [0.01, 0.02]]])))
+    removed = Discrepancy(wheels={"sinkage_m": 2.0}).removed(values, sigma, wheel, way, whitening)
+    basis = removed.vectors * removed.sizes
+    size, vectors = np.linalg.eigh(np.eye(24 * 6 + 2) + basis @ basis.T)
+    rows = random.normal(size=(3, 24 * 6 + 2))
+    assert removed.applied(rows) == pytest.approx(rows @ (vectors / np.sqrt(size)) @ vectors.T)
+    assert removed.undone(removed.applied(rows)) == pytest.approx(rows)
+    # A drive 25 % of whose slip is wrong, and which went that much too far, is explained to a large part.
+    wrong = np.zeros((24, 6))
+    wrong[:, 1] = 0.25 * values[:, 1].mean() / sigma[:, 1]
+    row = np.append(wrong, (whitening @ (-0.25 * values[:, 1].mean() * way[0])[None, :, None])[0])
+    assert np.linalg.norm(removed.applied(row)) == pytest.approx(1.0, abs=0.2)
+    with pytest.raises(ParameterError, match="model error of 'nothing'"):
+        Discrepancy({"nothing": 1.0})
