@@ -59,7 +59,7 @@ def predict(
     from .twin_report import predict_report, read_scene
 
     scene = read_scene(plan, rover, terrain, soil, interpolation, fixes)
-    soils = Soils.of(sweep, members, samples, seed)
+    soils = Soils.of(sweep, members, samples, seed, scene.soil)
     with progress("driving", quiet=output.quiet) as update:
         prediction = drive(scene, soils, time_step, sample, update)
     return predict_report(scene, prediction, film=animate, quiet=output.quiet)
