@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from . import twin_forces, twin_options, twin_terrain, twin_update
+from . import twin_forces, twin_history, twin_options, twin_terrain, twin_update
 from .command import command
 from .options import Output
 from .progress import progress
@@ -19,6 +19,7 @@ app = typer.Typer(no_args_is_help=True, help="Whether the next drive is safe: a 
 twin_terrain.add_to(app)
 twin_forces.add_to(app)
 twin_update.add_to(app)
+twin_history.add_to(app)
 
 
 @app.callback()

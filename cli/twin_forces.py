@@ -45,9 +45,9 @@ def forces(
 ) -> Report:
     """Load, drawbar pull, lateral force and torque of every wheel along a predicted drive, or along a given motion.
 
-    A predicted drive has the soil of the terrain unless --sweep, --samples or a belief as --soil name others. A given motion takes the
-    wheels' commands from columns such as steering_FL_deg and speed_FL_m_s, or else from the plan at the same times;
-    what its wheels do not supply of the force that the motion needs is said.
+    A predicted drive has the soil of the terrain unless --sweep, --samples or a belief as --soil name others. A given
+    motion takes the wheels' commands from columns such as steering_FL_deg and speed_FL_m_s, or else from the plan at
+    the same times; what its wheels do not supply of the force that the motion needs is said.
     """
     from .twin_drive import Soils, drive
     from .twin_forces_report import held_report, predicted_report

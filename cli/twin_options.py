@@ -32,8 +32,8 @@ Interpolation = Annotated[
 SoilName = Annotated[
     str,
     typer.Option(
-        help="Soil where the terrain has none: a name or a TOML file; or a belief of `twin update` (.json), which takes the "
-        "place of the terrain's soil: each drive has a soil drawn from it, 64 unless --members says otherwise."
+        help="Soil where the terrain has none: a name or a TOML file; or a belief of `twin update` (.json), which takes "
+        "the place of the terrain's soil: each drive has a soil drawn from it, 64 unless --members says otherwise."
     ),
 ]
 Sweeps = Annotated[
@@ -49,9 +49,7 @@ Samples = Annotated[
 ]
 Members = Annotated[
     int | None,
-    typer.Option(
-        min=1, help="Drives: samples of the ranges instead of the grid of all values, or of a belief or file."
-    ),
+    typer.Option(min=1, help="Number of drives: samples of the ranges instead of the grid of all values, or draws."),
 ]
 Fixes = Annotated[
     str | None,
