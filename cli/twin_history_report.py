@@ -133,7 +133,7 @@ def _parameters(belief: SoilBelief) -> dict[str, dict[str, float]]:
 
 def _rows(belief: SoilBelief, drives: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """One for each number of drives and parameter, from the priors on."""
-    first = {"drive": 0, "states": None, "plan": None, "refused": None, "moved_sd": None}
+    first: dict[str, Any] = {"drive": 0, "states": None, "plan": None, "refused": None, "moved_sd": None}
     first["parameters"] = _parameters(rolled_back(belief, 0))
     rows = []
     for drive in (first, *drives):

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -95,7 +96,7 @@ def moved_sd(belief: SoilBelief) -> list[dict[str, float] | None]:
     past = past_beliefs(belief)
     return [
         None if one is None or two is None else _named((two.mean - one.mean) / np.sqrt(np.diag(one.covariance)))
-        for one, two in zip(past, past[1:], strict=False)
+        for one, two in pairwise(past)
     ]
 
 
