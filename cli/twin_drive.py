@@ -58,6 +58,13 @@ class Soils:
             drawn = read_soil_samples(source, members, seed)
         return cls(None, None, drawn, seed, {samples: source.sha256})
 
+    def kind(self, scene: Scene) -> str:
+        """What the soils are: draws of a `belief`, other `samples`, a `sweep` of ranges, or `one`."""
+        if self.samples is not None:
+            path = next(iter(self.inputs), ".json" if scene.soil else "")
+            return "belief" if path.lower().endswith(".json") else "samples"
+        return "sweep" if (scene.plan.sweep if self.sweep is None else self.sweep) else "one"
+
 
 def _parsed(sweep: list[str]) -> tuple[Sweep, ...]:
     try:

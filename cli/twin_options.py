@@ -33,7 +33,7 @@ SoilName = Annotated[
     str,
     typer.Option(
         help="Soil where the terrain has none: a name or a TOML file; or a belief of `twin update` (.json), which "
-        "takes the place of the terrain's soil: each drive has a soil drawn from it, 64 unless --members says otherwise."
+        "takes the place of the terrain's soil: each drive has a soil drawn from it, 64 unless --members is given."
     ),
 ]
 Sweeps = Annotated[

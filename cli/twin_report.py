@@ -1,7 +1,8 @@
 """From files to a scene, and from a predicted drive to a `Report`."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,10 +10,11 @@ import typer
 
 from lunarsci.errors import ParameterError
 from lunarsci.inputs import read_input
-from lunarsci.provenance import sha256
+from lunarsci.provenance import sha256, to_json
 from lunarsci.regolith.belief import SoilBelief, read_belief
 from lunarsci.regolith.soil import read_soil, soil_hash
 from lunarsci.rovers.description import RoverDescription, read_rover
+from lunarsci.twin.comparison.forecast import FILE, forecast_document, forecast_of
 from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.ground.longji import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain
@@ -127,8 +129,10 @@ def soil_notes(scene: Scene, members: int) -> list[str]:
     ]
 
 
-def predict_report(scene: Scene, prediction: Prediction, *, film: Path | None = None, quiet: bool = False) -> Report:
-    """The report of `twin predict`, with a film where a file for one is named."""
+def predict_report(
+    scene: Scene, prediction: Prediction, soils: str = "sweep", *, film: Path | None = None, quiet: bool = False
+) -> Report:
+    """The report of `twin predict`, with a film where a file for one is named; `soils` says what they are."""
     verdict = judge(prediction, scene.plan)
     shares, step_error = endpoint_sensitivity(prediction), step_error_m(prediction)
 
@@ -145,13 +149,22 @@ def predict_report(scene: Scene, prediction: Prediction, *, film: Path | None = 
         sources=SOURCES,
         seed=prediction.seed,
         files={
-            "states.csv": lambda: csv_bytes(state_table(prediction)),
-            "paths.csv": lambda: csv_bytes(path_table(prediction)),
+            **_kept(scene, prediction, soils),
             "endpoints.csv": lambda: csv_bytes(endpoint_table(prediction)),
             "profiles.csv": lambda: csv_bytes(profile_table(prediction)),
         },
         untrusted="" if verdict.verdict == "go" else f"no-go: {'; '.join(verdict.reasons)}",
     )
+
+
+def _kept(scene: Scene, prediction: Prediction, soils: str) -> dict[str, Callable[[], bytes]]:
+    """What `twin compare` reads after the drive: every drive's states and paths, and what they belong to."""
+    tables = {
+        "states.csv": cache(lambda: csv_bytes(state_table(prediction))),
+        "paths.csv": cache(lambda: csv_bytes(path_table(prediction))),
+    }
+    kept = forecast_of(prediction, soils=soils, rover_sha256=sha256(scene.description.text.encode()))
+    return {**tables, FILE: lambda: to_json(forecast_document(kept, tables)).encode()}
 
 
 def _pages(prediction: Prediction, verdict: Verdict) -> "Iterator[Figure]":

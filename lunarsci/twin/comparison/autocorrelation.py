@@ -1,0 +1,29 @@
+"""How many independent values there are in a series whose neighbours are alike."""
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["correlation_length"]
+
+FloatArray = npt.NDArray[np.float64]
+WINDOW = 5.0
+"""The sum over lags ends where it is this many correlation lengths long (Sokal 1997)."""
+
+
+def correlation_length(series: FloatArray) -> float:
+    """Number of neighbouring values that count as one: 1 + 2 (sum of the autocorrelation), 1 to n. [-]
+
+    The sum ends where the lag passes five times what was summed so far: A. Sokal (1997), Monte Carlo methods in
+    statistical mechanics, 10.1007/978-1-4899-0319-8_6. The series is (n,), evenly sampled, about zero: its mean is not
+    taken off, so that a constant counts as one value.
+    """
+    count = len(series)
+    power = float(series @ series)
+    if count < 2 or power == 0:
+        return 1.0
+    length = 1.0
+    for lag in range(1, count):
+        length += 2.0 * float(series[lag:] @ series[:-lag]) / power
+        if lag >= WINDOW * length:
+            break
+    return float(np.clip(length, 1.0, count))

@@ -1,0 +1,103 @@
+"""Means of the wheels over pieces of a drive, measured and predicted, and how well the measured ones are known.
+
+Neighbouring values are alike: all of a drive share one soil, and errors of measurement are shared by neighbours and by
+wheels where they come from one smoothed motion. So a piece of the drive counts as one value. What the members share is
+in their covariance; the error of a measured mean is the larger of what the stated errors give, were they independent,
+and of what the scatter of the wheels' mean about its smooth course gives, with its correlation length.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.twin.comparison.autocorrelation import correlation_length
+from lunarsci.twin.comparison.meeting import Meeting
+from lunarsci.twin.drive_record import OBSERVED
+from lunarsci.twin.rectify import MODEL_ERRORS
+
+__all__ = ["PieceMeans", "most_pieces", "piece_edges", "piece_means"]
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+STEPS, MODES = 6, 3
+"""Places where the smooth course may step, ends included, and shapes that the members' differences give it."""
+LEAST_TIMES = 4
+"""In a piece, below which its mean says little of its own."""
+LEAST_FREE = 8
+"""Values beyond those that the smooth course takes, below which their scatter is not asked."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PieceMeans:
+    """Means of one quantity over the pieces.
+
+    Attributes
+    ----------
+    observed, members : measured (k,), predicted (M, k).
+    variance : of the error of the measured ones, with that of the model. (k,)
+    """
+
+    observed: FloatArray
+    members: FloatArray
+    variance: FloatArray
+
+
+def _times(meeting: Meeting, name: str) -> FloatArray:
+    column = OBSERVED.index(name)
+    return np.unique(meeting.record.time_s[meeting.known[:, column]])
+
+
+def most_pieces(meeting: Meeting, names: list[str], wanted: int) -> int:
+    """Pieces that leave each quantity four times in each, at most `wanted`; 0 where not even one does."""
+    fewest = min((len(_times(meeting, name)) for name in names), default=0)
+    return min(wanted, fewest // LEAST_TIMES)
+
+
+def piece_edges(meeting: Meeting, names: list[str], pieces: int) -> FloatArray:
+    """Times between pieces with as many measured times in each, of the quantity that has fewest. (pieces + 1,) [s]"""
+    times = min((_times(meeting, name) for name in names), key=len)
+    inner = [0.5 * (part[-1] + after[0]) for part, after in pairwise(np.array_split(times, pieces))]
+    return np.array([-np.inf, *inner, np.inf])
+
+
+def piece_means(meeting: Meeting, name: str, edges: FloatArray) -> PieceMeans | None:
+    """Means of a quantity over all wheels and the times between edges; None where a piece has no value."""
+    column = OBSERVED.index(name)
+    rows = meeting.known[:, column]
+    piece = np.searchsorted(edges, meeting.record.time_s[rows]) - 1
+    count = len(edges) - 1
+    size = np.bincount(piece, minlength=count)
+    if (size == 0).any():
+        return None
+    average = (np.arange(count)[:, None] == piece) / size[:, None]
+    measured, members = meeting.record.values[rows, column], meeting.predicted[:, rows, column]
+    floor = MODEL_ERRORS[name] ** 2
+    independent = (average**2) @ np.maximum(meeting.sigma[rows, column] ** 2 - floor, 0.0)
+    times = meeting.record.time_s[rows]
+    of_one, free = _scatter(times, measured - members.mean(axis=0), members - members.mean(axis=0))
+    moments = np.array([len(np.unique(times[piece == k])) for k in range(count)])
+    shared = of_one / moments if free >= LEAST_FREE else np.zeros(count)
+    return PieceMeans(average @ measured, members @ average.T, np.maximum(independent, shared) + floor)
+
+
+def _scatter(times: FloatArray, off: FloatArray, anomalies: FloatArray) -> tuple[float, int]:
+    """Variance of the wheels' mean at one time about its smooth course, times the correlation length of what is left.
+
+    The course may follow the shapes by which the members differ most, and step once where that serves best, so that a
+    soil that changes is not taken for noise. Also returned: how many values are left to tell.
+    """
+    moments, place = np.unique(times, return_inverse=True)
+    average = (np.arange(len(moments))[:, None] == place) / np.bincount(place)[:, None]
+    series, shapes = average @ off, anomalies @ average.T
+    _, _, modes = np.linalg.svd(shapes, full_matrices=False)
+    free = len(moments) - 2 - len(modes[:MODES])
+    if free < LEAST_FREE:
+        return 0.0, free
+    rests = []
+    for step in np.linspace(0, len(moments), STEPS + 1).astype(np.int64)[1:-1]:
+        known = np.column_stack([np.ones(len(moments)), np.arange(len(moments)) >= step, modes[:MODES].T])
+        rests.append(series - known @ np.linalg.lstsq(known, series, rcond=None)[0])
+    rest = min(rests, key=lambda one: float(one @ one))
+    return float(rest @ rest) / free * correlation_length(rest), free
