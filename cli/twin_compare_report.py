@@ -177,10 +177,10 @@ def _end(end: EndCheck) -> dict[str, Any]:
 def _band_row(check: BandCheck, found: Comparison) -> dict[str, Any]:
     """The probabilities are of all wheels together."""
     together = check.wheel == ALL
-    bias = found.bias.get(check.quantity) if together else None
+    bias = found.bias.quantities.get(check.quantity) if together and found.bias else None
     return asdict(check) | {
         "bias_p": None if bias is None else bias.p,
-        "coverage_p": found.coverage_p.get(check.quantity) if together else None,
+        "coverage_p": found.coverage.p.get(check.quantity) if together and found.coverage else None,
     }
 
 

@@ -10,12 +10,14 @@ WINDOW = 5.0
 """The sum over lags ends where it is this many correlation lengths long (Sokal 1997)."""
 
 
-def correlation_length(series: FloatArray) -> float:
+def correlation_length(series: FloatArray, taken: int = 0) -> float:
     """Number of neighbouring values that count as one: 1 + 2 (sum of the autocorrelation), 1 to n. [-]
 
     The sum ends where the lag passes five times what was summed so far: A. Sokal (1997), Monte Carlo methods in
     statistical mechanics, 10.1007/978-1-4899-0319-8_6. The series is (n,), evenly sampled, about zero: its mean is not
-    taken off, so that a constant counts as one value.
+    taken off, so that a constant counts as one value. Where a fit of `taken` numbers was taken off, it took about
+    taken/n from the autocorrelation at each lag, as the mean alone takes 1/n (M. Kendall (1954), Biometrika 41, 403,
+    10.1093/biomet/41.3-4.403); this is given back.
     """
     count = len(series)
     power = float(series @ series)
@@ -23,7 +25,7 @@ def correlation_length(series: FloatArray) -> float:
         return 1.0
     length = 1.0
     for lag in range(1, count):
-        length += 2.0 * float(series[lag:] @ series[:-lag]) / power
+        length += 2.0 * (float(series[lag:] @ series[:-lag]) / power + taken / count)
         if lag >= WINDOW * length:
             break
     return float(np.clip(length, 1.0, count))

@@ -11,14 +11,12 @@ from lunarsci.twin.comparison.scores import crps, predictive_rank
 from lunarsci.twin.drive_record import OBSERVED
 from lunarsci.twin.rectify import MODEL_ERRORS
 
-__all__ = ["ALL", "NOMINAL", "BandCheck", "check_bands", "coverage_probability", "half_band", "ranks", "standardised"]
+__all__ = ["ALL", "NOMINAL", "BandCheck", "check_bands", "half_band", "ranks", "standardised"]
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 ALL = "all"
 NOMINAL = 0.9
-MOST_REFERENCES = 400
-"""Members whose coverage is worked out, beside which that of the drive is held; more would add nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,39 +108,6 @@ def effective_values(meeting: Meeting, column: int, rows: BoolArray) -> float:
         series = standardised(meeting, column, own)[order]
         total += len(series) / correlation_length(series)
     return total
-
-
-def coverage_probability(meeting: Meeting, check: BandCheck, seed: int = 0) -> float | None:
-    """Probability of no larger a share in the 90 % bands than the drive has, were the prediction right.
-
-    By the members, each with errors of measurement beside the bands of the others: (1 + those with no larger share) /
-    (M + 1). Where none has, it falls from there as the binomial law does, with the effective number of values, from the
-    smallest share of a member. None with fewer than three members.
-    """
-    from scipy.stats import binom
-
-    if check.coverage_90 is None:
-        return None
-    column = OBSERVED.index(check.quantity)
-    rows = meeting.known[:, column]
-    shares = _shares_of_members(meeting.predicted[:, rows, column], meeting.sigma[rows, column], seed)
-    fewer = int((shares <= check.coverage_90 + 1e-12).sum())
-    values = max(int(check.effective), 1)
-    own, least = (binom.cdf(np.floor(share * values), values, NOMINAL) for share in (check.coverage_90, shares.min()))
-    return (1 + fewer) / (len(shares) + 1) * (1.0 if fewer else min(float(own / max(least, 1e-300)), 1.0))
-
-
-def _shares_of_members(members: FloatArray, sigma: FloatArray, seed: int) -> FloatArray:
-    count = len(members)
-    random, mean = np.random.default_rng(seed), members.mean(axis=0)
-    scatter = ((members - mean) ** 2).sum(axis=0)
-    shares = []
-    for m in np.unique(np.linspace(0, count - 1, min(count, MOST_REFERENCES)).astype(np.int64)):
-        off = members[m] - mean
-        variance = (scatter - count / (count - 1) * off**2) / (count - 2) * (1.0 + 1.0 / (count - 1)) + sigma**2
-        away = members[m] + sigma * random.standard_normal(sigma.shape) - (mean - off / (count - 1))
-        shares.append((np.abs(away) <= half_band(count - 1) * np.sqrt(variance)).mean())
-    return np.array(shares)
 
 
 def ranks(meeting: Meeting, name: str) -> FloatArray:

@@ -37,11 +37,13 @@ class PieceMeans:
     ----------
     observed, members : measured (k,), predicted (M, k).
     variance : of the error of the measured ones, with that of the model. (k,)
+    free : values that its estimate rests on; infinite where it follows from the stated errors.
     """
 
     observed: FloatArray
     members: FloatArray
     variance: FloatArray
+    free: float
 
 
 def _times(meeting: Meeting, name: str) -> FloatArray:
@@ -79,7 +81,8 @@ def piece_means(meeting: Meeting, name: str, edges: FloatArray) -> PieceMeans | 
     of_one, free = _scatter(times, measured - members.mean(axis=0), members - members.mean(axis=0))
     moments = np.array([len(np.unique(times[piece == k])) for k in range(count)])
     shared = of_one / moments if free >= LEAST_FREE else np.zeros(count)
-    return PieceMeans(average @ measured, members @ average.T, np.maximum(independent, shared) + floor)
+    known_from = float(free) if (shared > independent).any() else np.inf
+    return PieceMeans(average @ measured, members @ average.T, np.maximum(independent, shared) + floor, known_from)
 
 
 def _scatter(times: FloatArray, off: FloatArray, anomalies: FloatArray) -> tuple[float, int]:
@@ -100,4 +103,4 @@ def _scatter(times: FloatArray, off: FloatArray, anomalies: FloatArray) -> tuple
         known = np.column_stack([np.ones(len(moments)), np.arange(len(moments)) >= step, modes[:MODES].T])
         rests.append(series - known @ np.linalg.lstsq(known, series, rcond=None)[0])
     rest = min(rests, key=lambda one: float(one @ one))
-    return float(rest @ rest) / free * correlation_length(rest), free
+    return float(rest @ rest) / free * correlation_length(rest, len(moments) - free), free

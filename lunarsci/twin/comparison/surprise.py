@@ -10,7 +10,7 @@ from lunarsci.twin.comparison.meeting import Meeting
 from lunarsci.twin.comparison.tail import Tested, tested, tested_most
 from lunarsci.twin.drive_record import OBSERVED
 
-__all__ = ["Change", "Surprise", "find_change", "surprise", "tested_bias"]
+__all__ = ["Bias", "Change", "Surprise", "find_change", "mean_bias", "surprise"]
 
 FloatArray = npt.NDArray[np.float64]
 PIECES, FINE_PIECES = 4, 6
@@ -33,6 +33,15 @@ class Surprise:
     tested: Tested
     pieces: int
     quantities: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Bias:
+    """Means over the drive: each quantity against the members; the worst, and the probability of one as bad."""
+
+    quantities: dict[str, Tested]
+    worst: str
+    p: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,19 +68,19 @@ def surprise(meeting: Meeting, seed: int = 0) -> Surprise | None:
         found = _vector(meeting, names, pieces)
         if found is None or (found[0].size * MEMBERS_EACH > len(meeting.members) and pieces > 1):
             continue
-        result = tested(*found, seed)
+        result = tested(*found[:3], seed, found[3])
         own = (*names, *(["position"] if len(meeting.record.fix_time_s) else []))
         return None if result is None else Surprise(result, pieces, own)
     return None
 
 
-def _vector(meeting: Meeting, names: list[str], pieces: int) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Measured (d,), members (M, d) and covariance of the errors (d, d)."""
+def _vector(meeting: Meeting, names: list[str], pieces: int) -> tuple[FloatArray, FloatArray, FloatArray, float] | None:
+    """Measured (d,), members (M, d), covariance of the errors (d, d), and values that this rests on."""
     end = meeting.forecast.time_s[-1]
     edges = np.append(np.append(-np.inf, np.linspace(0.0, end, pieces + 1)[1:-1]), np.inf)
     if names:
         edges = piece_edges(meeting, names, pieces)
-    observed, members, blocks = [], [], []
+    observed, members, blocks, free = [], [], [], np.inf
     for name in names:
         means = piece_means(meeting, name, edges)
         if means is None:
@@ -79,6 +88,7 @@ def _vector(meeting: Meeting, names: list[str], pieces: int) -> tuple[FloatArray
         observed.append(means.observed)
         members.append(means.members)
         blocks.append(np.diag(means.variance))
+        free = min(free, means.free)
     for fix in _last_fixes(meeting.record.fix_time_s, edges):
         observed.append(meeting.record.fix_m[fix])
         members.append(meeting.places[:, fix])
@@ -87,7 +97,7 @@ def _vector(meeting: Meeting, names: list[str], pieces: int) -> tuple[FloatArray
         return None
     from scipy.linalg import block_diag
 
-    return np.concatenate(observed), np.concatenate(members, axis=1), np.asarray(block_diag(*blocks))
+    return np.concatenate(observed), np.concatenate(members, axis=1), np.asarray(block_diag(*blocks)), free
 
 
 def _last_fixes(times: FloatArray, edges: FloatArray) -> list[int]:
@@ -96,10 +106,19 @@ def _last_fixes(times: FloatArray, edges: FloatArray) -> list[int]:
     return [int(np.flatnonzero(piece == k)[times[piece == k].argmax()]) for k in np.unique(piece)]
 
 
-def tested_bias(meeting: Meeting, name: str, seed: int = 0) -> Tested | None:
-    """The mean of a quantity over the whole drive and all wheels, against the members."""
-    means = piece_means(meeting, name, np.array([-np.inf, np.inf]))
-    return None if means is None else tested(means.observed, means.members, np.diag(means.variance), seed)
+def mean_bias(meeting: Meeting, seed: int = 0) -> Bias | None:
+    """The mean of each quantity over the whole drive and all wheels, against the members; None with too few."""
+    names, whole = meeting.measured_quantities(), np.array([-np.inf, np.inf])
+    means = {name: one for name in names if (one := piece_means(meeting, name, whole)) is not None}
+    if not means:
+        return None
+    by_name = {name: tested(m.observed, m.members, np.diag(m.variance), seed, m.free) for name, m in means.items()}
+    observed = np.stack([one.observed for one in means.values()])
+    members = np.stack([one.members for one in means.values()], axis=1)
+    errors = np.stack([np.diag(one.variance) for one in means.values()])
+    most = tested_most(observed, members, errors, seed, min(one.free for one in means.values()))
+    found = {name: one for name, one in by_name.items() if one is not None}
+    return None if most is None else Bias(found, list(means)[most[0]], most[2])
 
 
 def find_change(meeting: Meeting, seed: int = 0) -> Change | None:
@@ -121,7 +140,8 @@ def find_change(meeting: Meeting, seed: int = 0) -> Change | None:
     observed = np.stack([parts @ one.observed for one in means], axis=-1)
     members = np.stack([one.members @ parts.T for one in means], axis=-1)
     errors = np.stack([parts**2 @ one.variance for one in means], axis=-1)
-    most = tested_most(observed, members, np.einsum("kd,de->kde", errors, np.eye(len(means))), seed)
+    free = min(one.free for one in means)
+    most = tested_most(observed, members, np.einsum("kd,de->kde", errors, np.eye(len(means))), seed, free)
     if most is None:
         return None
     place = float(np.interp(edges[most[0] + 1], meeting.forecast.time_s, meeting.forecast.distance_m))

@@ -82,14 +82,20 @@ def _squared(off: FloatArray, spread: FloatArray) -> float:
     return float(off @ np.linalg.solve(spread, off))
 
 
-def squared_distances(members: FloatArray, error: FloatArray, random: np.random.Generator) -> FloatArray:
+def squared_distances(
+    members: FloatArray, error: FloatArray, random: np.random.Generator, free: float = np.inf
+) -> FloatArray:
     """Squared distance of each member, with an error of measurement added, from the others. (M,)
 
-    Mean and scatter without a member follow from those of all by a change of rank one.
+    Where the size of the error is only known from `free` values, the errors added differ from it as much. Mean
+    and scatter without a member follow from those of all by a change of rank one.
     """
     count, size = members.shape
     # Rounding of an error of measurement that is 0 must not fail.
-    measured = members + random.multivariate_normal(np.zeros(size), error, count, method="eigh", check_valid="ignore")
+    noise = random.multivariate_normal(np.zeros(size), error, count, method="eigh", check_valid="ignore")
+    if np.isfinite(free):
+        noise *= np.sqrt(free / random.chisquare(free, count))[:, None]
+    measured = members + noise
     mean = members.mean(axis=0)
     off = members - mean
     scatter = off.T @ off
@@ -100,7 +106,9 @@ def squared_distances(members: FloatArray, error: FloatArray, random: np.random.
     return np.asarray(np.einsum("mi,mi->m", away, np.linalg.solve(spread, away[..., None])[..., 0]))
 
 
-def tested(observed: FloatArray, members: FloatArray, error: FloatArray, seed: int = 0) -> Tested | None:
+def tested(
+    observed: FloatArray, members: FloatArray, error: FloatArray, seed: int = 0, free: float = np.inf
+) -> Tested | None:
     """Hold a measured vector (d,) against members (M, d), with the covariance of its error (d, d).
 
     The probability is (1 + number of members farther off) / (M + 1), exact for draws of one law: G. A. Barnard (1963),
@@ -116,7 +124,7 @@ def tested(observed: FloatArray, members: FloatArray, error: FloatArray, seed: i
     spread = spread_of(scaled, error)
     off = observed / scale - scaled.mean(axis=0)
     squared = _squared(off, spread)
-    each = squared_distances(scaled, error, np.random.default_rng(seed))
+    each = squared_distances(scaled, error, np.random.default_rng(seed), free)
     ln_det = float(np.linalg.slogdet(spread)[1]) + 2.0 * float(np.log(scale).sum())
     return Tested(
         squared=squared,
@@ -136,7 +144,7 @@ def _probability(squared: float, each: FloatArray, dimensions: int) -> float:
 
 
 def tested_most(
-    observed: FloatArray, members: FloatArray, errors: FloatArray, seed: int = 0
+    observed: FloatArray, members: FloatArray, errors: FloatArray, seed: int = 0, free: float = np.inf
 ) -> tuple[int, float, float] | None:
     """The vector of several that is farthest off: its number, squared distance, and probability of one as far off.
 
@@ -150,6 +158,6 @@ def tested_most(
     for k in range(vectors):
         off = observed[k] - members[:, k].mean(axis=0)
         own[k] = _squared(off, spread_of(members[:, k], errors[k]))
-        each[k] = squared_distances(members[:, k], errors[k], np.random.default_rng([seed, k]))
+        each[k] = squared_distances(members[:, k], errors[k], np.random.default_rng([seed, k]), free)
     most = int(own.argmax())
     return most, float(own[most]), _probability(float(own[most]), each.max(axis=0), size)

@@ -6,12 +6,12 @@ from typing import Literal
 
 import numpy as np
 
-from lunarsci.twin.comparison.bands import ALL, BandCheck, check_bands, coverage_probability
+from lunarsci.twin.comparison.bands import ALL, BandCheck, check_bands
+from lunarsci.twin.comparison.coverage import Coverage, check_coverage
 from lunarsci.twin.comparison.ends import EndCheck, PathCheck, check_end, check_path
 from lunarsci.twin.comparison.forecast import Forecast
 from lunarsci.twin.comparison.meeting import Meeting
-from lunarsci.twin.comparison.surprise import Change, Surprise, find_change, surprise, tested_bias
-from lunarsci.twin.comparison.tail import Tested
+from lunarsci.twin.comparison.surprise import Bias, Change, Surprise, find_change, mean_bias, surprise
 from lunarsci.twin.drive_record import OBSERVED
 from lunarsci.twin.simulation.contact import DEEPEST, VALID_SLIP
 
@@ -38,8 +38,8 @@ class Comparison:
     members, finished : predicted drives, and those that came to their end, which alone count.
     end, path, surprise, change : None where not measured or not to be told.
     bands : each quantity of all wheels and of each.
-    bias : quantity to its mean over the drive, against the members.
-    coverage_p : quantity to the probability of so few values in their bands.
+    bias : of the means over the drive, against the members.
+    coverage : of the shares in the bands, against the members.
     invalid_share : measured states where the wheel model does not hold. [-]
     """
 
@@ -55,8 +55,8 @@ class Comparison:
     surprise: Surprise | None
     change: Change | None
     bands: tuple[BandCheck, ...]
-    bias: dict[str, Tested]
-    coverage_p: dict[str, float]
+    bias: Bias | None
+    coverage: Coverage | None
     invalid_share: float
 
 
@@ -70,9 +70,7 @@ def compare(meeting: Meeting, seed: int = 0) -> Comparison:
     bands = check_bands(meeting)
     whole, change = surprise(meeting, seed), find_change(meeting, seed)
     names = meeting.measured_quantities()
-    bias = {name: found for name in names if (found := tested_bias(meeting, name, seed)) is not None}
-    shares = {b.quantity: coverage_probability(meeting, b, seed) for b in bands if b.wheel == ALL}
-    coverage = {name: p for name, p in shares.items() if p is not None}
+    bias, coverage = mean_bias(meeting, seed), check_coverage(meeting, bands, seed)
     invalid = _invalid_share(meeting)
     reasons = [
         *_ensemble_reasons(forecast, len(meeting.members)),
@@ -96,7 +94,7 @@ def compare(meeting: Meeting, seed: int = 0) -> Comparison:
         change=change,
         bands=tuple(bands),
         bias=bias,
-        coverage_p=coverage,
+        coverage=coverage,
         invalid_share=invalid,
     )
 
@@ -134,18 +132,17 @@ def _end_reasons(end: EndCheck | None) -> list[str]:
     ]
 
 
-def _state_reasons(bands: Sequence[BandCheck], bias: dict[str, Tested], coverage: dict[str, float]) -> list[str]:
-    """The quantities share one chance of a false alarm."""
-    reasons, each = [], ALARM / max(len(bias), 1)
+def _state_reasons(bands: Sequence[BandCheck], bias: Bias | None, coverage: Coverage | None) -> list[str]:
+    """Where the worst quantity is none of chance: that one, and others that are as improbable by themselves."""
+    reasons = []
     for check in (band for band in bands if band.wheel == ALL):
-        own = bias.get(check.quantity)
-        if own is not None and own.p < each:
-            reasons.append(
-                f"{check.quantity} is off by {check.bias:+.3g} in the mean, {own.distance:.1f} standard deviations"
-            )
-        if coverage.get(check.quantity, 1.0) < each and check.coverage_90 is not None:
-            share = f"{100 * check.coverage_90:.0f} %"
-            reasons.append(f"{check.quantity}: only {share} of the values are in their 90 % bands")
+        name = check.quantity
+        if bias is not None and bias.p < ALARM and (name == bias.worst or bias.quantities[name].p < ALARM):
+            apart = bias.quantities[name].distance
+            reasons.append(f"{name} is off by {check.bias:+.3g} in the mean, {apart:.1f} standard deviations")
+        if coverage is not None and coverage.worst_p < ALARM and (name == coverage.worst or coverage.p[name] < ALARM):
+            share = 100 * (check.coverage_90 or 0.0)
+            reasons.append(f"{name}: only {share:.0f} % of the values are in their 90 % bands")
     return reasons
 
 

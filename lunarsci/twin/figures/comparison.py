@@ -53,7 +53,7 @@ def comparison_figure(meeting: Meeting, found: Comparison, title: str) -> "Figur
         panels = np.atleast_1d(columns[1].subplots(len(names), 1, sharex=True))
         for panel, name in zip(panels, names, strict=True):
             _draw_states(panel, meeting, name)
-        _legend_of_states(panels[0], meeting)
+        columns[1].legend(handles=_handles(meeting), loc="outside upper center", ncols=8, fontsize=8, frameon=False)
         panels[-1].set_xlabel("Time [s]")
     color = LIMIT if found.reasons else INK
     reason = f": {found.reasons[0]}" if found.reasons else ""
@@ -168,7 +168,7 @@ def _percentiles(values: FloatArray) -> FloatArray:
     return rows
 
 
-def _legend_of_states(axes: "Axes", meeting: Meeting) -> None:
+def _handles(meeting: Meeting) -> list[Any]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -180,9 +180,7 @@ def _legend_of_states(axes: "Axes", meeting: Meeting) -> None:
     for number, wheel in enumerate(meeting.forecast.wheels):
         color = WHEEL_COLORS[number % len(WHEEL_COLORS)]
         handles.append(Line2D([], [], marker="o", color=color, markersize=4, linewidth=0, label=wheel))
-    bottom, top = axes.get_ylim()
-    axes.set_ylim(bottom, top + 0.22 * (top - bottom))
-    axes.legend(handles=handles, loc="upper center", ncols=len(handles), fontsize=8, frameon=False, columnspacing=1.0)
+    return handles
 
 
 def _draw_standard(axes: "Axes", meeting: Meeting, names: list[str]) -> None:
