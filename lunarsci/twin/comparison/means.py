@@ -2,8 +2,8 @@
 
 Neighbouring values are alike: all of a drive share one soil, and errors of measurement are shared by neighbours and by
 wheels where they come from one smoothed motion. So a piece of the drive counts as one value. What the members share is
-in their covariance; the error of a measured mean is the larger of what the stated errors give, were they independent,
-and of what the scatter of the wheels' mean about its smooth course gives, with its correlation length.
+in their covariance; the error of a measured mean is what the stated errors give, were they independent, unless the
+scatter of the wheels' mean about its smooth course, with its correlation length, says clearly more.
 """
 
 from dataclasses import dataclass
@@ -25,6 +25,8 @@ STEPS, MODES = 6, 3
 """Places where the smooth course may step, ends included, and shapes that the members' differences give it."""
 LEAST_TIMES = 4
 """In a piece, below which its mean says little of its own."""
+CLEARLY = 2.0
+"""Times the variance of independent errors: from 16 values, an estimate is that large by chance in 1 of 100."""
 LEAST_FREE = 8
 """Values beyond those that the smooth course takes, below which their scatter is not asked."""
 
@@ -81,8 +83,9 @@ def piece_means(meeting: Meeting, name: str, edges: FloatArray) -> PieceMeans | 
     of_one, free = _scatter(times, measured - members.mean(axis=0), members - members.mean(axis=0))
     moments = np.array([len(np.unique(times[piece == k])) for k in range(count)])
     shared = of_one / moments if free >= LEAST_FREE else np.zeros(count)
-    known_from = float(free) if (shared > independent).any() else np.inf
-    return PieceMeans(average @ measured, members @ average.T, np.maximum(independent, shared) + floor, known_from)
+    own = np.where(shared > CLEARLY * independent, shared, independent)
+    known_from = float(free) if (own > independent).any() else np.inf
+    return PieceMeans(average @ measured, members @ average.T, own + floor, known_from)
 
 
 def _scatter(times: FloatArray, off: FloatArray, anomalies: FloatArray) -> tuple[float, int]:

@@ -57,7 +57,8 @@ def comparison_figure(meeting: Meeting, found: Comparison, title: str) -> "Figur
         panels[-1].set_xlabel("Time [s]")
     color = LIMIT if found.reasons else INK
     reason = f": {found.reasons[0]}" if found.reasons else ""
-    more = f" (and {len(found.reasons) - 1} more reasons)" if len(found.reasons) > 1 else ""
+    others = len(found.reasons) - 1
+    more = f" (and {others} more {'reason' if others == 1 else 'reasons'})" if others > 0 else ""
     figure.suptitle(f"{title}\n{found.verdict.upper()}{reason}{more}", fontsize=11, color=color)
     return figure
 
