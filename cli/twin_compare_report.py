@@ -17,7 +17,7 @@ from lunarsci.twin.comparison.bands import ALL, BandCheck
 from lunarsci.twin.comparison.ends import EndCheck, PathCheck
 from lunarsci.twin.comparison.forecast import Forecast, read_forecast
 from lunarsci.twin.comparison.meeting import Meeting, meet
-from lunarsci.twin.comparison.tail import Tested
+from lunarsci.twin.comparison.tail import Standing
 from lunarsci.twin.comparison.verdict import Comparison, compare
 from lunarsci.twin.drive_record import DriveRecord, read_record
 from lunarsci.twin.plans.plan import read_plan
@@ -151,13 +151,13 @@ def _result(meeting: Meeting, found: Comparison) -> dict[str, Any]:
         "quantities": [_band_row(check, found) for check in found.bands],
         "surprise": None
         if whole is None
-        else {"pieces": whole.pieces, "quantities": list(whole.quantities)} | _tested(whole.tested),
+        else {"pieces": whole.pieces, "quantities": list(whole.quantities)} | _standing(whole.standing),
         "change": None if found.change is None else asdict(found.change),
         "invalid_share": found.invalid_share,
     }
 
 
-def _tested(found: Tested | None) -> dict[str, Any]:
+def _standing(found: Standing | None) -> dict[str, Any]:
     if found is None:
         return {"mahalanobis": None, "dimensions": None, "p": None, "ln_density": None}
     return {
@@ -170,8 +170,8 @@ def _tested(found: Tested | None) -> dict[str, Any]:
 
 def _end(end: EndCheck) -> dict[str, Any]:
     rows = asdict(end)
-    rows.pop("tested")
-    return rows | _tested(end.tested)
+    rows.pop("standing")
+    return rows | _standing(end.standing)
 
 
 def _band_row(check: BandCheck, found: Comparison) -> dict[str, Any]:
@@ -210,9 +210,9 @@ def _end_rows(end: EndCheck | None) -> list[list[str]]:
         [place, "from the planned", f"{end.planned_error_m:.3f} m"],
         [place, "energy score", f"{end.energy_score_m:.3f} m"],
     ]
-    if end.tested is not None:
-        rows.append([place, "Mahalanobis distance", f"{end.tested.distance:.2f} sd"])
-        rows.append([place, "probability of such by chance", f"{end.tested.p:.2g}"])
+    if end.standing is not None:
+        rows.append([place, "Mahalanobis distance", f"{end.standing.distance:.2f} sd"])
+        rows.append([place, "probability of such by chance", f"{end.standing.p:.2g}"])
         held = [f"{share} %" for share, yes in end.regions.items() if yes]
         rows.append([place, "smallest region that holds it", held[0] if held else "none up to 99 %"])
     return rows
@@ -277,10 +277,10 @@ def _whole(found: Comparison) -> list[str]:
     lines = []
     if (whole := found.surprise) is not None:
         pieces = "1 piece" if whole.pieces == 1 else f"{whole.pieces} pieces"
+        own = whole.standing
         lines.append(
-            f"surprise of the whole: {whole.tested.distance:.1f} sd in {whole.tested.dimensions} dimensions ({pieces} "
-            f"of the drive, {', '.join(whole.quantities)}), probability by chance {whole.tested.p:.2g}, "
-            f"ln density {whole.tested.ln_density:.1f}"
+            f"surprise of the whole: {own.distance:.1f} sd in {own.dimensions} dimensions ({pieces} of the drive, "
+            f"{', '.join(whole.quantities)}), probability by chance {own.p:.2g}, ln density {own.ln_density:.1f}"
         )
     if (change := found.change) is not None:
         lines.append(f"largest change of the ground: about {change.distance_m:.1f} m on, by chance {change.p:.2g}")

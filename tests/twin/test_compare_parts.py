@@ -6,7 +6,7 @@ from scipy import integrate, stats
 
 from lunarsci.twin.comparison.autocorrelation import correlation_length
 from lunarsci.twin.comparison.scores import crps, energy_score, predictive_rank
-from lunarsci.twin.comparison.tail import inside, region_edge, squared_distances, tested, tested_most
+from lunarsci.twin.comparison.tail import inside, region_edge, squared_distances, standing, worst_of
 
 
 def test_crps_of_a_large_normal_ensemble_is_its_closed_form() -> None:
@@ -118,7 +118,7 @@ def test_probabilities_are_even_whatever_the_law(law: str) -> None:
     for _ in range(800):
         members = draw((64, 3))
         truth = draw(3) + np.sqrt(np.diag(error)) * random.normal(size=3)
-        one = tested(truth, members, error, int(random.integers(1 << 30)))
+        one = standing(truth, members, error, int(random.integers(1 << 30)))
         assert one is not None
         found.append(one.p)
     shares = {level: float(np.mean(np.array(found) < level)) for level in (0.01, 0.05, 0.5)}
@@ -129,11 +129,11 @@ def test_probabilities_are_even_whatever_the_law(law: str) -> None:
 def test_far_off_is_found_and_too_few_members_are_not_asked() -> None:
     random = np.random.default_rng(7)
     members = random.normal(size=(64, 3))
-    far = tested(np.array([8.0, 0.0, 0.0]), members, np.zeros((3, 3)))
+    far = standing(np.array([8.0, 0.0, 0.0]), members, np.zeros((3, 3)))
     assert far is not None and far.p < 1e-6 and far.farther == 0
-    near = tested(members.mean(axis=0), members, np.zeros((3, 3)))
+    near = standing(members.mean(axis=0), members, np.zeros((3, 3)))
     assert near is not None and near.p == pytest.approx(1.0) and near.ln_density > far.ln_density
-    assert tested(np.zeros(3), members[:5], np.zeros((3, 3))) is None
+    assert standing(np.zeros(3), members[:5], np.zeros((3, 3))) is None
     # The density is that of the normal law.
     law = stats.multivariate_normal(members.mean(axis=0), np.cov(members.T) * (1 + 1 / 64))
     assert near.ln_density == pytest.approx(law.logpdf(members.mean(axis=0)))
@@ -144,9 +144,9 @@ def test_the_most_improbable_of_several_counts_for_how_many_there_are() -> None:
     found = []
     for _ in range(500):
         members, truth = random.normal(size=(64, 5, 1)), random.normal(size=(5, 1))
-        one = tested_most(truth, members, np.zeros((5, 1, 1)), int(random.integers(1 << 30)))
+        one = worst_of(truth, members, np.zeros((5, 1, 1)), int(random.integers(1 << 30)))
         assert one is not None
         found.append(one[2])
     assert np.mean(np.array(found) < 0.1) == pytest.approx(0.1, abs=0.04)
-    one = tested_most(np.array([[0.0], [9.0]]), random.normal(size=(64, 2, 1)), np.zeros((2, 1, 1)))
+    one = worst_of(np.array([[0.0], [9.0]]), random.normal(size=(64, 2, 1)), np.zeros((2, 1, 1)))
     assert one is not None and one[0] == 1 and one[2] < 1e-6

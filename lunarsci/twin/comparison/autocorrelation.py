@@ -17,7 +17,7 @@ def correlation_length(series: FloatArray, taken: int = 0) -> float:
     statistical mechanics, 10.1007/978-1-4899-0319-8_6. The series is (n,), evenly sampled, about zero: its mean is not
     taken off, so that a constant counts as one value. Where a fit of `taken` numbers was taken off, it took about
     taken/n from the autocorrelation at each lag, as the mean alone takes 1/n (M. Kendall (1954), Biometrika 41, 403,
-    10.1093/biomet/41.3-4.403); this is given back.
+    10.1093/biomet/41.3-4.403); this is given back, up to the lag whose correlation is within chance, 1/sqrt(n).
     """
     count = len(series)
     power = float(series @ series)
@@ -25,7 +25,10 @@ def correlation_length(series: FloatArray, taken: int = 0) -> float:
         return 1.0
     length = 1.0
     for lag in range(1, count):
-        length += 2.0 * (float(series[lag:] @ series[:-lag]) / power + taken / count)
+        correlation = float(series[lag:] @ series[:-lag]) / power + taken / count
+        if taken and correlation < count**-0.5:
+            break
+        length += 2.0 * correlation
         if lag >= WINDOW * length:
             break
     return float(np.clip(length, 1.0, count))

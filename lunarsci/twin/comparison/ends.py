@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from lunarsci.twin.comparison.meeting import Meeting
 from lunarsci.twin.comparison.scores import energy_score
-from lunarsci.twin.comparison.tail import Tested, inside, region_edge, spread_of, tested
+from lunarsci.twin.comparison.tail import Standing, inside, region_edge, spread_of, standing
 from lunarsci.twin.judgement.ellipse import ErrorEllipse
 
 __all__ = ["REGIONS", "EndCheck", "FixCheck", "PathCheck", "check_end", "check_path", "region_ellipse"]
@@ -28,7 +28,7 @@ class EndCheck:
     x_m, y_m : measured. [m]
     predicted_x_m, predicted_y_m, planned_x_m, planned_y_m : mean of the members, and the plan, at that time. [m]
     error_m, planned_error_m : distance of the measured place from either. [m]
-    tested : against the members; None where they are too few.
+    standing : against the members; None where they are too few.
     regions : probability to whether the predicted region, error of the position included, holds the measured place.
     energy_score_m : as of `energy_score`. [m]
     """
@@ -43,7 +43,7 @@ class EndCheck:
     planned_y_m: float
     error_m: float
     planned_error_m: float
-    tested: Tested | None
+    standing: Standing | None
     regions: dict[str, bool]
     energy_score_m: float
 
@@ -99,7 +99,7 @@ def check_end(meeting: Meeting, seed: int = 0) -> EndCheck | None:
         planned_y_m=float(planned[1]),
         error_m=float(np.hypot(*off)),
         planned_error_m=float(np.hypot(*(measured - planned))),
-        tested=tested(measured, members, error, seed),
+        standing=standing(measured, members, error, seed),
         regions={f"{100 * share:g}": inside(off, members, error, share) for share in REGIONS} if enough else {},
         energy_score_m=energy_score(measured, members),
     )

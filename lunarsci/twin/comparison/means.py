@@ -2,8 +2,9 @@
 
 Neighbouring values are alike: all of a drive share one soil, and errors of measurement are shared by neighbours and by
 wheels where they come from one smoothed motion. So a piece of the drive counts as one value. What the members share is
-in their covariance; the error of a measured mean is what the stated errors give, were they independent, unless the
-scatter of the wheels' mean about its smooth course, with its correlation length, says clearly more.
+in their covariance. Stated errors count as shared by the wheels at each time, but for sinkage, and as independent from
+time to time, unless the scatter of the wheels' mean about its smooth course, with its correlation length, says clearly
+more. Errors shared over more than a quarter of the drive cannot be told from a soil that is not the one believed.
 """
 
 from dataclasses import dataclass
@@ -25,6 +26,8 @@ STEPS, MODES = 6, 3
 """Places where the smooth course may step, ends included, and shapes that the members' differences give it."""
 LEAST_TIMES = 4
 """In a piece, below which its mean says little of its own."""
+BY_WHEEL = ("sinkage_m",)
+"""Measured of each wheel by itself; slip and forces follow from the motion of the one body, and share its errors."""
 CLEARLY = 2.0
 """Times the variance of independent errors: from 16 values, an estimate is that large by chance in 1 of 100."""
 LEAST_FREE = 8
@@ -78,11 +81,13 @@ def piece_means(meeting: Meeting, name: str, edges: FloatArray) -> PieceMeans | 
     average = (np.arange(count)[:, None] == piece) / size[:, None]
     measured, members = meeting.record.values[rows, column], meeting.predicted[:, rows, column]
     floor = MODEL_ERRORS[name] ** 2
-    independent = (average**2) @ np.maximum(meeting.sigma[rows, column] ** 2 - floor, 0.0)
+    stated = np.maximum(meeting.sigma[rows, column] ** 2 - floor, 0.0)
     times = meeting.record.time_s[rows]
     of_one, free = _scatter(times, measured - members.mean(axis=0), members - members.mean(axis=0))
     moments = np.array([len(np.unique(times[piece == k])) for k in range(count)])
-    shared = of_one / moments if free >= LEAST_FREE else np.zeros(count)
+    enough = free >= LEAST_FREE
+    independent = (average**2) @ stated if name in BY_WHEEL and enough else average @ stated / moments
+    shared = of_one / moments if enough else np.zeros(count)
     own = np.where(shared > CLEARLY * independent, shared, independent)
     known_from = float(free) if (own > independent).any() else np.inf
     return PieceMeans(average @ measured, members @ average.T, own + floor, known_from)

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from lunarsci.twin.comparison.means import most_pieces, piece_edges, piece_means
 from lunarsci.twin.comparison.meeting import Meeting
-from lunarsci.twin.comparison.tail import Tested, tested, tested_most
+from lunarsci.twin.comparison.tail import Standing, standing, worst_of
 from lunarsci.twin.drive_record import OBSERVED
 
 __all__ = ["Bias", "Change", "Surprise", "find_change", "mean_bias", "surprise"]
@@ -25,12 +25,12 @@ class Surprise:
 
     Attributes
     ----------
-    tested : the vector of means and places.
+    standing : the vector of means and places.
     pieces : of the drive, each of which counts as one value of each quantity.
     quantities : in the vector, `position` among them.
     """
 
-    tested: Tested
+    standing: Standing
     pieces: int
     quantities: tuple[str, ...]
 
@@ -39,7 +39,7 @@ class Surprise:
 class Bias:
     """Means over the drive: each quantity against the members; the worst, and the probability of one as bad."""
 
-    quantities: dict[str, Tested]
+    quantities: dict[str, Standing]
     worst: str
     p: float
 
@@ -68,7 +68,7 @@ def surprise(meeting: Meeting, seed: int = 0) -> Surprise | None:
         found = _vector(meeting, names, pieces)
         if found is None or (found[0].size * MEMBERS_EACH > len(meeting.members) and pieces > 1):
             continue
-        result = tested(*found[:3], seed, found[3])
+        result = standing(*found[:3], seed, found[3])
         own = (*names, *(["position"] if len(meeting.record.fix_time_s) else []))
         return None if result is None else Surprise(result, pieces, own)
     return None
@@ -112,11 +112,11 @@ def mean_bias(meeting: Meeting, seed: int = 0) -> Bias | None:
     means = {name: one for name in names if (one := piece_means(meeting, name, whole)) is not None}
     if not means:
         return None
-    by_name = {name: tested(m.observed, m.members, np.diag(m.variance), seed, m.free) for name, m in means.items()}
+    by_name = {name: standing(m.observed, m.members, np.diag(m.variance), seed, m.free) for name, m in means.items()}
     observed = np.stack([one.observed for one in means.values()])
     members = np.stack([one.members for one in means.values()], axis=1)
     errors = np.stack([np.diag(one.variance) for one in means.values()])
-    most = tested_most(observed, members, errors, seed, min(one.free for one in means.values()))
+    most = worst_of(observed, members, errors, seed, min(one.free for one in means.values()))
     found = {name: one for name, one in by_name.items() if one is not None}
     return None if most is None else Bias(found, list(means)[most[0]], most[2])
 
@@ -141,7 +141,7 @@ def find_change(meeting: Meeting, seed: int = 0) -> Change | None:
     members = np.stack([one.members @ parts.T for one in means], axis=-1)
     errors = np.stack([parts**2 @ one.variance for one in means], axis=-1)
     free = min(one.free for one in means)
-    most = tested_most(observed, members, np.einsum("kd,de->kde", errors, np.eye(len(means))), seed, free)
+    most = worst_of(observed, members, np.einsum("kd,de->kde", errors, np.eye(len(means))), seed, free)
     if most is None:
         return None
     place = float(np.interp(edges[most[0] + 1], meeting.forecast.time_s, meeting.forecast.distance_m))

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Tested", "inside", "region_edge", "spread_of", "squared_distances", "tested", "tested_most"]
+__all__ = ["Standing", "inside", "region_edge", "spread_of", "squared_distances", "standing", "worst_of"]
 
 FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Tested:
+class Standing:
     """A drive held against the members.
 
     Attributes
@@ -106,9 +106,9 @@ def squared_distances(
     return np.asarray(np.einsum("mi,mi->m", away, np.linalg.solve(spread, away[..., None])[..., 0]))
 
 
-def tested(
+def standing(
     observed: FloatArray, members: FloatArray, error: FloatArray, seed: int = 0, free: float = np.inf
-) -> Tested | None:
+) -> Standing | None:
     """Hold a measured vector (d,) against members (M, d), with the covariance of its error (d, d).
 
     The probability is (1 + number of members farther off) / (M + 1), exact for draws of one law: G. A. Barnard (1963),
@@ -126,7 +126,7 @@ def tested(
     squared = _squared(off, spread)
     each = squared_distances(scaled, error, np.random.default_rng(seed), free)
     ln_det = float(np.linalg.slogdet(spread)[1]) + 2.0 * float(np.log(scale).sum())
-    return Tested(
+    return Standing(
         squared=squared,
         dimensions=size,
         p=_probability(squared, each, size),
@@ -143,7 +143,7 @@ def _probability(squared: float, each: FloatArray, dimensions: int) -> float:
     return (1 + farther) / (count + 1) * (1.0 if farther else min(fall, 1.0))
 
 
-def tested_most(
+def worst_of(
     observed: FloatArray, members: FloatArray, errors: FloatArray, seed: int = 0, free: float = np.inf
 ) -> tuple[int, float, float] | None:
     """The vector of several that is farthest off: its number, squared distance, and probability of one as far off.

@@ -123,12 +123,12 @@ def _ensemble_reasons(forecast: Forecast, finished: int) -> list[str]:
 
 
 def _end_reasons(end: EndCheck | None) -> list[str]:
-    if end is None or end.tested is None or end.tested.p >= ALARM:
+    if end is None or end.standing is None or end.standing.p >= ALARM:
         return []
     what = "the end" if end.at_end else f"the last position, at {end.time_s:.0f} s,"
     return [
         f"{what} lies outside of the predicted region of {100 * (1 - ALARM):g} %: {end.error_m:.3f} m from the middle, "
-        f"{end.tested.distance:.1f} standard deviations"
+        f"{end.standing.distance:.1f} standard deviations"
     ]
 
 
@@ -148,10 +148,10 @@ def _state_reasons(bands: Sequence[BandCheck], bias: Bias | None, coverage: Cove
 
 def _whole_reasons(whole: Surprise | None, change: Change | None) -> list[str]:
     reasons = []
-    if whole is not None and whole.tested.p < ALARM:
+    if whole is not None and whole.standing.p < ALARM:
         reasons.append(
-            f"the drive as a whole is none of those that were predicted: {whole.tested.distance:.1f} standard "
-            f"deviations from them in {whole.tested.dimensions} dimensions, p {_small(whole.tested.p)}"
+            f"the drive as a whole is none of those that were predicted: {whole.standing.distance:.1f} standard "
+            f"deviations from them in {whole.standing.dimensions} dimensions, p {_small(whole.standing.p)}"
         )
     if change is not None and change.p < ALARM:
         reasons.append(

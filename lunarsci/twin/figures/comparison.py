@@ -114,14 +114,14 @@ def _draw_end(axes: "Axes", meeting: Meeting, found: Comparison) -> None:
     end = found.end
     axes.plot(end.planned_x_m, end.planned_y_m, "*", color=GOLD, markeredgecolor=INK, markersize=13, label="planned")
     sd = np.sqrt(np.diag(meeting.record.fix_covariance_m2[last]))
-    dot: Any = {"color": LIMIT if found.end.tested and not end.regions.get("99", True) else MEASURED, "zorder": 6}
+    dot: Any = {"color": LIMIT if found.end.standing and not end.regions.get("99", True) else MEASURED, "zorder": 6}
     axes.errorbar(end.x_m, end.y_m, xerr=sd[0], yerr=sd[1], fmt="o", capsize=3, label="measured, 1 σ", **dot)
     _frame_map(axes)
     axes.margins(0.12)
     axes.legend(loc="best", fontsize=8, framealpha=0.9)
     where = "End" if end.at_end else f"Last position, at {end.time_s:.0f} s"
-    tested = "" if end.tested is None else f", {end.tested.distance:.1f} sd"
-    axes.set_title(f"{where}: {end.error_m:.3f} m from the middle of the predicted{tested}", fontsize=10)
+    standing = "" if end.standing is None else f", {end.standing.distance:.1f} sd"
+    axes.set_title(f"{where}: {end.error_m:.3f} m from the middle of the predicted{standing}", fontsize=10)
 
 
 def _draw_states(axes: "Axes", meeting: Meeting, name: str) -> None:
