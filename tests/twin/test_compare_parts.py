@@ -130,7 +130,7 @@ def test_far_off_is_found_and_too_few_members_are_not_asked() -> None:
     random = np.random.default_rng(7)
     members = random.normal(size=(64, 3))
     far = standing(np.array([8.0, 0.0, 0.0]), members, np.zeros((3, 3)))
-    assert far is not None and far.p < 1e-6 and far.farther == 0
+    assert far is not None and far.p < 1e-3 and far.farther == 0
     near = standing(members.mean(axis=0), members, np.zeros((3, 3)))
     assert near is not None and near.p == pytest.approx(1.0) and near.ln_density > far.ln_density
     assert standing(np.zeros(3), members[:5], np.zeros((3, 3))) is None
@@ -149,4 +149,4 @@ def test_the_most_improbable_of_several_counts_for_how_many_there_are() -> None:
         found.append(one[2])
     assert np.mean(np.array(found) < 0.1) == pytest.approx(0.1, abs=0.04)
     one = worst_of(np.array([[0.0], [9.0]]), random.normal(size=(64, 2, 1)), np.zeros((2, 1, 1)))
-    assert one is not None and one[0] == 1 and one[2] < 1e-6
+    assert one is not None and one[0] == 1 and one[2] < 1e-3

@@ -37,7 +37,10 @@ class Surprise:
 
 @dataclass(frozen=True, slots=True)
 class Bias:
-    """Means over the drive: each quantity against the members; the worst, and the probability of one as bad."""
+    """Means over the drive: each quantity against the members; the worst, and the probability of one as bad.
+
+    That is the smallest by itself times the number of quantities, at most 1 (Bonferroni).
+    """
 
     quantities: dict[str, Standing]
     worst: str
@@ -112,13 +115,12 @@ def mean_bias(meeting: Meeting, seed: int = 0) -> Bias | None:
     means = {name: one for name in names if (one := piece_means(meeting, name, whole)) is not None}
     if not means:
         return None
-    by_name = {name: standing(m.observed, m.members, np.diag(m.variance), seed, m.free) for name, m in means.items()}
-    observed = np.stack([one.observed for one in means.values()])
-    members = np.stack([one.members for one in means.values()], axis=1)
-    errors = np.stack([np.diag(one.variance) for one in means.values()])
-    most = worst_of(observed, members, errors, seed, min(one.free for one in means.values()))
-    found = {name: one for name, one in by_name.items() if one is not None}
-    return None if most is None else Bias(found, list(means)[most[0]], most[2])
+    own = {name: standing(m.observed, m.members, np.diag(m.variance), seed, m.free) for name, m in means.items()}
+    found = {name: one for name, one in own.items() if one is not None}
+    if not found:
+        return None
+    worst = min(found, key=lambda name: found[name].p)
+    return Bias(found, worst, min(1.0, len(found) * found[worst].p))
 
 
 def find_change(meeting: Meeting, seed: int = 0) -> Change | None:

@@ -3,7 +3,7 @@
 The drive that happens is one more draw of the law that the members are drawn from, if the prediction is right. So its
 distance from them is held against the distance of each member, errors of measurement included, from the others. That
 counts correlation between neighbours, wheels and quantities for what it is. Beyond the farthest member the probability
-falls on as in the normal law, for which the distance has an F law (Hotelling).
+falls on as it falls among the farthest of them, and not faster than in the normal law.
 """
 
 from dataclasses import dataclass
@@ -113,7 +113,9 @@ def standing(
 
     The probability is (1 + number of members farther off) / (M + 1), exact for draws of one law: G. A. Barnard (1963),
     J. R. Stat. Soc. B 25, 294; J. Besag & P. Clifford (1989), Biometrika 76, 633, 10.1093/biomet/76.4.633. Beyond all
-    members it falls from there as the F law does from the farthest of them. None with fewer than d + 3 members.
+    members it falls from there as a power of the distance, as steep as among the farthest sqrt(M) of them (B. Hill
+    (1975), Ann. Stat. 3, 1163, 10.1214/aos/1176343247), but not steeper than the F law of normal draws. None with fewer
+    than d + 3 members.
     """
     count, size = members.shape
     if count < size + 3:
@@ -139,8 +141,19 @@ def standing(
 def _probability(squared: float, each: FloatArray, dimensions: int) -> float:
     count = len(each)
     farther = int((each >= squared).sum())
-    fall = _beyond(squared, count, dimensions) / max(_beyond(float(each.max()), count, dimensions), 1e-300)
-    return (1 + farther) / (count + 1) * (1.0 if farther else min(fall, 1.0))
+    return (1 + farther) / (count + 1) * (1.0 if farther else _fall(squared, np.sort(each), dimensions))
+
+
+def _fall(squared: float, ordered: FloatArray, dimensions: int) -> float:
+    """Probability of this distance over that of the farthest member, which is nearer. [-]"""
+    count, most = len(ordered), float(ordered[-1])
+    if most <= 0.0:
+        return 0.0
+    normal = _beyond(squared, count, dimensions) / max(_beyond(most, count, dimensions), 1e-300)
+    few = max(2, round(count**0.5))
+    steps = np.log(ordered[-few:] / max(float(ordered[-few - 1]), 1e-12 * most)).mean() if count > few else np.inf
+    power = (most / squared) ** (1.0 / float(steps)) if steps > 0 else 0.0
+    return min(max(normal, power), 1.0)
 
 
 def worst_of(

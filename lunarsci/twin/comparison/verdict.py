@@ -12,6 +12,7 @@ from lunarsci.twin.comparison.ends import EndCheck, PathCheck, check_end, check_
 from lunarsci.twin.comparison.forecast import Forecast
 from lunarsci.twin.comparison.meeting import Meeting
 from lunarsci.twin.comparison.surprise import Bias, Change, Surprise, find_change, mean_bias, surprise
+from lunarsci.twin.comparison.tail import Standing
 from lunarsci.twin.drive_record import OBSERVED
 from lunarsci.twin.simulation.contact import DEEPEST, VALID_SLIP
 
@@ -20,6 +21,11 @@ __all__ = ["ALARM", "LEAST_MEMBERS", "Comparison", "compare"]
 ALARM = 0.01
 """Probability below which a drive is none of those that were predicted. Several such tests raise a false alarm in
 fewer than 5 of 100 drives; measured in the tests."""
+ALARM_OF_CHANGE = 0.003
+"""The same for a change of the ground: how well the measured means are known is estimated from the drive itself."""
+FAR, SELDOM = 4.0, 0.05
+"""Standard deviations beyond which a mean or an end is too far off also where a single odd member is farther, which
+hides more than it says, and how seldom it must be among the members; assumed."""
 LEAST_MEMBERS = 20
 """Drives that finished, below which a region of 90 % is not known; assumed."""
 MOST_INVALID, LEAST_FINISHED = 0.05, 0.5
@@ -123,7 +129,7 @@ def _ensemble_reasons(forecast: Forecast, finished: int) -> list[str]:
 
 
 def _end_reasons(end: EndCheck | None) -> list[str]:
-    if end is None or end.standing is None or end.standing.p >= ALARM:
+    if end is None or end.standing is None or not _improbable(end.standing, end.standing.p):
         return []
     what = "the end" if end.at_end else f"the last position, at {end.time_s:.0f} s,"
     return [
@@ -132,14 +138,19 @@ def _end_reasons(end: EndCheck | None) -> list[str]:
     ]
 
 
+def _improbable(standing: Standing, p: float) -> bool:
+    return p < ALARM or (standing.distance > FAR and standing.p < SELDOM)
+
+
 def _state_reasons(bands: Sequence[BandCheck], bias: Bias | None, coverage: Coverage | None) -> list[str]:
     """Where the worst quantity is none of chance: that one, and others that are as improbable by themselves."""
     reasons = []
     for check in (band for band in bands if band.wheel == ALL):
         name = check.quantity
-        if bias is not None and bias.p < ALARM and (name == bias.worst or bias.quantities[name].p < ALARM):
-            apart = bias.quantities[name].distance
-            reasons.append(f"{name} is off by {check.bias:+.3g} in the mean, {apart:.1f} standard deviations")
+        own = None if bias is None else bias.quantities.get(name)
+        if own is not None and bias is not None and _improbable(own, len(bias.quantities) * own.p):
+            away = f"{own.distance:.1f} standard deviations"
+            reasons.append(f"{name} is off by {check.bias:+.3g} in the mean, {away}")
         if coverage is not None and coverage.worst_p < ALARM and (name == coverage.worst or coverage.p[name] < ALARM):
             share = 100 * (check.coverage_90 or 0.0)
             reasons.append(f"{name}: only {share:.0f} % of the values are in their 90 % bands")
@@ -153,7 +164,7 @@ def _whole_reasons(whole: Surprise | None, change: Change | None) -> list[str]:
             f"the drive as a whole is none of those that were predicted: {whole.standing.distance:.1f} standard "
             f"deviations from them in {whole.standing.dimensions} dimensions, p {_small(whole.standing.p)}"
         )
-    if change is not None and change.p < ALARM:
+    if change is not None and change.p < ALARM_OF_CHANGE:
         reasons.append(
             f"the ground seems to change about {change.distance_m:.1f} m from the start, p {_small(change.p)}"
         )
