@@ -36,8 +36,8 @@ def belief(scale: float = 0.25) -> SoilBelief:
 def measured(out: Prediction, member: int, seed: int, *, shared: bool = False) -> DriveRecord:
     """A drive as it would be measured: states of every sample, a position every ten, and at the end.
 
-    With `shared`, errors are a moving mean over three times, and those of slip and side slip the same for all wheels, as
-    of one smoothed motion.
+    With `shared`, errors are a moving mean over three times, and those of slip and side slip the same for all wheels,
+    as of one smoothed motion.
     """
     random, times = np.random.default_rng([seed, member]), out.time_s
     truth = out.states[member][..., [STATE_COLUMNS.index(name) for name in OBSERVED]].reshape(-1, 6)
