@@ -100,7 +100,9 @@ def test_false_alarms_are_rare(forecast: Forecast, truths: Prediction, shared: b
     for k in range(3):
         assert np.mean([[b for b in one.bands if b.wheel == ALL][k].coverage_90 for one in found]) > 0.85
     whole = [one.surprise.standing.p for one in found if one.surprise]
-    assert len(whole) == 120 and np.mean(np.array(whole) < 0.1) < 0.13
+    # 120 drives beside one ensemble of 64: both make the share of 0.1 uncertain.
+    assert len(whole) == 120
+    assert np.mean(np.array(whole) < 0.1) < 0.1 + 2.0 * np.sqrt(0.09 / 120 + 0.09 / MEMBERS)
 
 
 def shifted(forecast: Forecast, yutu2: Rover, ground: Terrain, plan: Plan, **soil: float) -> Comparison:
