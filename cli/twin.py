@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from . import twin_forces, twin_options, twin_terrain, twin_update
+from . import twin_compare, twin_forces, twin_history, twin_options, twin_terrain, twin_update
 from .command import command
 from .options import Output
 from .progress import progress
@@ -19,6 +19,8 @@ app = typer.Typer(no_args_is_help=True, help="Whether the next drive is safe: a 
 twin_terrain.add_to(app)
 twin_forces.add_to(app)
 twin_update.add_to(app)
+twin_history.add_to(app)
+twin_compare.add_to(app)
 
 
 @app.callback()
@@ -48,7 +50,8 @@ def predict(
     """Drive a plan over many soils and say whether it stays within the limits: go, or no-go with exit code 3.
 
     With -o DIR the wheel states and forces go to states.csv, the paths to paths.csv, the ends to endpoints.csv, the
-    spread of all quantities against distance to profiles.csv.
+    spread of all quantities against distance to profiles.csv; with prediction.json `twin compare` sets them beside the
+    drive that follows.
     """
     if animate is not None:
         from lunarsci.twin.figures.animation import FORMATS, check_format
@@ -59,7 +62,7 @@ def predict(
     from .twin_report import predict_report, read_scene
 
     scene = read_scene(plan, rover, terrain, soil, interpolation, fixes)
-    soils = Soils.of(sweep, members, samples, seed)
+    soils = Soils.of(sweep, members, samples, seed, scene.soil)
     with progress("driving", quiet=output.quiet) as update:
         prediction = drive(scene, soils, time_step, sample, update)
-    return predict_report(scene, prediction, film=animate, quiet=output.quiet)
+    return predict_report(scene, prediction, soils.kind(scene), film=animate, quiet=output.quiet)

@@ -45,9 +45,9 @@ def forces(
 ) -> Report:
     """Load, drawbar pull, lateral force and torque of every wheel along a predicted drive, or along a given motion.
 
-    A predicted drive has the soil of the terrain unless --sweep or --samples name others. A given motion takes the
-    wheels' commands from columns such as steering_FL_deg and speed_FL_m_s, or else from the plan at the same times;
-    what its wheels do not supply of the force that the motion needs is said.
+    A predicted drive has the soil of the terrain unless --sweep, --samples or a belief as --soil name others. A given
+    motion takes the wheels' commands from columns such as steering_FL_deg and speed_FL_m_s, or else from the plan at
+    the same times; what its wheels do not supply of the force that the motion needs is said.
     """
     from .twin_drive import Soils, drive
     from .twin_forces_report import held_report, predicted_report
@@ -55,12 +55,14 @@ def forces(
 
     scene = read_scene(plan, rover, terrain, soil, interpolation, fixes)
     if motion is not None:
-        if sweep is not None or members is not None or samples is not None:
-            raise typer.BadParameter("--motion is held on one soil; leave out --sweep, --members and --samples")
+        if sweep is not None or members is not None or samples is not None or scene.soil is not None:
+            raise typer.BadParameter(
+                "--motion is held on one soil; leave out --sweep, --members, --samples and a belief as --soil"
+            )
         return held_report(scene, motion, member, planned=plan is not None)
     if member is not None:
         raise typer.BadParameter("--member chooses from the file of --motion; give that, or leave it out")
-    alone = sweep is None and members is None and samples is None
-    soils = Soils.of([] if alone else sweep, members, samples, seed)
+    alone = sweep is None and members is None and samples is None and scene.soil is None
+    soils = Soils.of([] if alone else sweep, members, samples, seed, scene.soil)
     with progress("driving", quiet=output.quiet) as update:
         return predicted_report(scene, drive(scene, soils, time_step, sample, update))

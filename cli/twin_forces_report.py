@@ -16,7 +16,7 @@ from lunarsci.twin.simulation.outcomes import FINISHED, OUTCOMES
 
 from .report import Report
 from .table import TextTable
-from .twin_report import SOURCES, Scene
+from .twin_report import SOURCES, Scene, soil_notes
 
 __all__ = ["held_report", "predicted_report"]
 
@@ -50,8 +50,14 @@ def predicted_report(scene: Scene, prediction: Prediction) -> Report:
 
     return Report(
         schema=SCHEMA,
-        result=_common(scene, loads) | {"of": "prediction", "members": prediction.members, "missing": None},
-        tables=_tables(title, loads, _notes(scene, failed)),
+        result=_common(scene, loads)
+        | {
+            "of": "prediction",
+            "members": prediction.members,
+            "missing": None,
+            "soil": None if scene.soil is None else scene.soil.to_dict(),
+        },
+        tables=_tables(title, loads, [*soil_notes(scene, prediction.members), *_notes(scene, failed)]),
         rows=_rows(state_table(prediction)),
         figures=figures,
         inputs=scene.inputs,

@@ -29,7 +29,13 @@ TerrainName = Annotated[
 Interpolation = Annotated[
     str, typer.Option(help="Ground between nodes: smooth (continuous gradient) or triangles (as in the paper).")
 ]
-SoilName = Annotated[str, typer.Option(help="Soil where the terrain has none: a name or a TOML file.")]
+SoilName = Annotated[
+    str,
+    typer.Option(
+        help="Soil where the terrain has none: a name or a TOML file; or a belief of `twin update` (.json), which "
+        "takes the place of the terrain's soil: each drive has a soil drawn from it, 64 unless --members is given."
+    ),
+]
 Sweeps = Annotated[
     list[str] | None,
     typer.Option(metavar="NAME=LOW:HIGH:N", help="Uncertain soil parameter, repeatable; replaces the plan's sweeps."),
@@ -42,7 +48,8 @@ Samples = Annotated[
     ),
 ]
 Members = Annotated[
-    int | None, typer.Option(min=1, help="Latin-hypercube samples of the ranges instead of the grid of all values.")
+    int | None,
+    typer.Option(min=1, help="Number of drives: samples of the ranges instead of the grid of all values, or draws."),
 ]
 Fixes = Annotated[
     str | None,

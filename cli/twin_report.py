@@ -1,14 +1,20 @@
 """From files to a scene, and from a predicted drive to a `Report`."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import typer
+
+from lunarsci.errors import ParameterError
 from lunarsci.inputs import read_input
-from lunarsci.provenance import sha256
+from lunarsci.provenance import sha256, to_json
+from lunarsci.regolith.belief import SoilBelief, read_belief
 from lunarsci.regolith.soil import read_soil, soil_hash
 from lunarsci.rovers.description import RoverDescription, read_rover
+from lunarsci.twin.comparison.forecast import FILE, forecast_document, forecast_of
 from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.ground.longji import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain
@@ -17,7 +23,7 @@ from lunarsci.twin.judgement.profiles import profile_table
 from lunarsci.twin.judgement.safety import Judgement, Verdict, judge
 from lunarsci.twin.judgement.sensitivity import EndpointSensitivity, endpoint_sensitivity, step_error_m
 from lunarsci.twin.judgement.tables import endpoint_table, path_table, state_table
-from lunarsci.twin.plans.plan import Plan, parse_fixes, read_plan
+from lunarsci.twin.plans.plan import Fixes, Plan, parse_fixes, read_plan
 from lunarsci.twin.rover import Rover, build_rover
 
 from .progress import progress
@@ -28,7 +34,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-__all__ = ["Scene", "csv_bytes", "predict_report", "read_scene", "verdict_tables"]
+__all__ = ["Scene", "SoilOfBelief", "csv_bytes", "predict_report", "read_scene", "soil_notes", "verdict_tables"]
 
 SYNTHETIC = "synthetic-longji"
 SOURCES = [
@@ -37,9 +43,30 @@ SOURCES = [
 ]
 
 
+UNDER_A_BELIEF = "longji"
+"""Laid on a terrain without soil, and nowhere used: a belief replaces every parameter."""
+
+
+@dataclass(frozen=True, slots=True)
+class SoilOfBelief:
+    """A belief that takes the place of the terrain's soil, and the file it comes from."""
+
+    path: str
+    belief: SoilBelief
+
+    @property
+    def learned(self) -> int:
+        """Drives that it rests on, without those from which nothing was learned."""
+        return sum(not entry.get("refused") for entry in self.belief.history)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For the result."""
+        return {"belief": self.path, "drives": len(self.belief.history), "learned_from": self.learned}
+
+
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What drives where: the parsed inputs of a prediction and their hashes."""
+    """What drives where: the parsed inputs of a prediction and their hashes; `soil` where that is a belief."""
 
     rover: Rover
     description: RoverDescription
@@ -47,15 +74,16 @@ class Scene:
     plan: Plan
     inputs: dict[str, str]
     tables: dict[str, str]
+    soil: SoilOfBelief | None = None
 
 
 def read_scene(
     plan: str | None, rover: str, terrain: str, soil: str, interpolation: str = "smooth", fixes: str | None = None
 ) -> Scene:
-    """Read plan, rover, terrain and soil; `fixes` replaces those of the plan."""
+    """Read plan, rover, terrain and soil, which may be a belief (.json); `fixes` replaces those of the plan."""
     description = read_rover(rover)
-    ground = read_soil(soil)
-    inputs, tables = soil_hash(soil)
+    believed, inputs, tables = _read_soil_hash(soil)
+    ground = read_soil(UNDER_A_BELIEF if believed else soil)
     for path in (plan, None if terrain == SYNTHETIC else terrain):
         if path is not None:
             inputs[path] = read_input(path).sha256
@@ -65,14 +93,46 @@ def read_scene(
         build_rover(description),
         description,
         replace(surface, interpolation=interpolation),
-        drive if fixes is None else replace(drive, fixes=parse_fixes(fixes)),
+        drive if fixes is None else replace(drive, fixes=_parsed_fixes(fixes)),
         inputs,
         tables | {f"{rover} (rover)": sha256(description.text.encode())},
+        believed,
     )
 
 
-def predict_report(scene: Scene, prediction: Prediction, *, film: Path | None = None, quiet: bool = False) -> Report:
-    """The report of `twin predict`, with a film where a file for one is named."""
+def _read_soil_hash(soil: str) -> tuple[SoilOfBelief | None, dict[str, str], dict[str, str]]:
+    """The belief, where the soil is one, and hashes of the user's files and of own tables."""
+    if not soil.lower().endswith(".json"):
+        return None, *soil_hash(soil)
+    source = read_input(soil)
+    return SoilOfBelief(soil, read_belief(source)), {soil: source.sha256}, {}
+
+
+def _parsed_fixes(text: str) -> Fixes:
+    try:
+        return parse_fixes(text)
+    except ParameterError as error:
+        raise typer.BadParameter(f"--{error}") from error
+
+
+def soil_notes(scene: Scene, members: int) -> list[str]:
+    """What a belief in the place of the terrain's soil means for the drives."""
+    if scene.soil is None:
+        return []
+    found = scene.soil
+    drives = "no drive yet, only on the priors" if not found.belief.history else f"{len(found.belief.history)} drive(s)"
+    unread = len(found.belief.history) - found.learned
+    less = f", {unread} of which taught nothing" if unread else ""
+    return [
+        f"soil: {members} drawn from the belief {found.path}, which rests on {drives}{less}; it takes the place of the "
+        "terrain's soil"
+    ]
+
+
+def predict_report(
+    scene: Scene, prediction: Prediction, soils: str = "sweep", *, film: Path | None = None, quiet: bool = False
+) -> Report:
+    """The report of `twin predict`, with a film where a file for one is named; `soils` says what they are."""
     verdict = judge(prediction, scene.plan)
     shares, step_error = endpoint_sensitivity(prediction), step_error_m(prediction)
 
@@ -89,13 +149,22 @@ def predict_report(scene: Scene, prediction: Prediction, *, film: Path | None = 
         sources=SOURCES,
         seed=prediction.seed,
         files={
-            "states.csv": lambda: csv_bytes(state_table(prediction)),
-            "paths.csv": lambda: csv_bytes(path_table(prediction)),
+            **_kept(scene, prediction, soils),
             "endpoints.csv": lambda: csv_bytes(endpoint_table(prediction)),
             "profiles.csv": lambda: csv_bytes(profile_table(prediction)),
         },
         untrusted="" if verdict.verdict == "go" else f"no-go: {'; '.join(verdict.reasons)}",
     )
+
+
+def _kept(scene: Scene, prediction: Prediction, soils: str) -> dict[str, Callable[[], bytes]]:
+    """What `twin compare` reads after the drive: every drive's states and paths, and what they belong to."""
+    tables = {
+        "states.csv": cache(lambda: csv_bytes(state_table(prediction))),
+        "paths.csv": cache(lambda: csv_bytes(path_table(prediction))),
+    }
+    kept = forecast_of(prediction, soils=soils, rover_sha256=sha256(scene.description.text.encode()))
+    return {**tables, FILE: lambda: to_json(forecast_document(kept, tables)).encode()}
 
 
 def _pages(prediction: Prediction, verdict: Verdict) -> "Iterator[Figure]":
@@ -122,6 +191,7 @@ def _result(scene: Scene, prediction: Prediction, verdict: Verdict) -> dict[str,
         "time_step_s": prediction.time_step_s,
         "plan": scene.plan.name,
         "terrain": {"name": scene.terrain.name, "synthetic": scene.terrain.synthetic},
+        "soil": None if scene.soil is None else scene.soil.to_dict(),
         "sweep": {name: {"low": values.min(), "high": values.max()} for name, values in prediction.parameters.items()},
         "assumed_of_rover": list(scene.description.assumed),
     }
@@ -154,7 +224,13 @@ def verdict_tables(scene: Scene, prediction: Prediction, verdict: Verdict) -> li
     ]
     drives = "1 drive" if prediction.members == 1 else f"{prediction.members} drives"
     title = f"{verdict.verdict.upper()}: {scene.plan.name}; {drives} on {scene.terrain.name}"
-    notes = [*_endpoint_notes(verdict), *verdict.reasons, *verdict.notes, _worst_note(verdict)]
+    notes = [
+        *soil_notes(scene, prediction.members),
+        *_endpoint_notes(verdict),
+        *verdict.reasons,
+        *verdict.notes,
+        _worst_note(verdict),
+    ]
     return [TextTable(headers, rows, title=title, notes=notes)]
 
 

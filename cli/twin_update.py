@@ -38,7 +38,7 @@ def update(
     ] = 0.0,
     save: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="The new belief (JSON): for --belief, and `twin predict --samples`."),
+        typer.Option(metavar="FILE", help="The new belief (JSON): for --belief, and `twin predict --soil`."),
     ] = None,
     rover: twin_options.RoverName = "yutu2",
     terrain: twin_options.TerrainName = "synthetic-longji",

@@ -8,6 +8,7 @@ from typing import Any
 
 from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
+from lunarsci.regolith.belief_history import with_drive
 from lunarsci.regolith.prior import prior_hash
 from lunarsci.twin.drive_record import DriveRecord, read_record
 from lunarsci.twin.rectify import Rectified, rectify
@@ -30,6 +31,8 @@ class Known:
     record: DriveRecord
     belief: SoilBelief
     states: str
+    parent_sha256: str | None = None
+    forgotten: float = 0.0
 
     @classmethod
     def read(
@@ -47,13 +50,13 @@ class Known:
         scene = read_scene(plan, rover, terrain, "longji", interpolation)
         files = {path: read_input(path) for path in (states, positions) if path is not None}
         record = read_record(files[states], scene.rover, positions=files[positions] if positions else None)
-        before = first_belief()
+        before, parent = first_belief(), None
         if belief is not None:
             source = read_input(belief)
             before = read_belief(source)
-            scene.inputs[belief] = source.sha256
+            scene.inputs[belief] = parent = source.sha256
         scene.inputs.update({path: file.sha256 for path, file in files.items()})
-        return cls(scene, record, before.forgotten(forget) if forget else before, states)
+        return cls(scene, record, before.forgotten(forget) if forget else before, states, parent, forget)
 
     def rectified(self, particles: int, seed: int, progress: Callable[[int, int], None]) -> Rectified:
         """The belief after the drive, with the drive in its history."""
@@ -79,7 +82,8 @@ class Known:
             "surprise": found.surprise,
             "refused": found.refused,
         }
-        belief = dataclasses.replace(found.belief, history=(*self.belief.history, entry))
+        parent, forgotten = self.parent_sha256, self.forgotten
+        belief = with_drive(found.belief, self.belief, entry, parent_sha256=parent, forgotten=forgotten)
         return dataclasses.replace(found, belief=belief)
 
 

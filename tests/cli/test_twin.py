@@ -34,7 +34,7 @@ def test_a_folder_a_film_and_pages(run: Run, plan: Path, tmp_path: Path) -> None
     done = run("twin", "predict", plan, "-o", folder, "--animate", film, "--plot", pages)
     assert done.code == 0, done.err
     assert {path.name for path in folder.iterdir()} == {
-        *("states.csv", "paths.csv", "endpoints.csv", "profiles.csv", "result.json")
+        *("states.csv", "paths.csv", "endpoints.csv", "profiles.csv", "prediction.json", "result.json")
     }
     assert film.read_bytes().startswith(b"GIF89a") and not any("first page" in line for line in done.err)
     assert pages.read_bytes().count(b"/Type /Page ") == 3

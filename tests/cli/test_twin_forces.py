@@ -8,6 +8,8 @@ from typing import Any
 import pandas as pd
 import pytest
 
+from lunarsci.regolith.belief import first_belief
+
 Run = Callable[..., Any]
 PLAN = "[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 1.5\ncurvature_per_m = 0.1\n"
 WEIGHT = 135.0 * 1.622
@@ -102,5 +104,26 @@ def test_fixes_and_interpolation_are_options(run: Run, tmp_path: Path) -> None:
     done = run("twin", "predict", path, "--fixes", "0.05,0.5", "--interpolation", "triangles", "--json")
     assert done.code == 0, done.err
     assert json.loads(done.out)["result"]["path_length_m"] == 2.0
-    for wrong in (("--fixes", "0.05"), ("--interpolation", "cubic")):
-        assert run("twin", "predict", path, *wrong).code == 1
+    for wrong, code in ((("--fixes", "0.05"), 2), (("--fixes", "-1,1"), 2), (("--interpolation", "cubic"), 1)):
+        assert run("twin", "predict", path, *wrong).code == code
+
+
+def test_a_belief_may_be_the_soil(run: Run, plan: Path, tmp_path: Path) -> None:
+    """Of `predict` and `forces`; broken beliefs are one line, other soils beside it wrong usage."""
+    belief = tmp_path / "belief.json"
+    belief.write_text(first_belief().to_json())
+    for command in ("predict", "forces"):
+        done = run("twin", command, plan, "--soil", belief, "--members", "8", "--json")
+        assert done.code == 0, done.err
+        document = json.loads(done.out)
+        assert document["result"]["members"] == 8
+        assert document["result"]["soil"] == {"belief": str(belief), "drives": 0, "learned_from": 0}
+        assert str(belief) in {file["path"] for file in document["provenance"]["inputs"]}
+        assert "rests on no drive yet" in run("twin", command, plan, "--soil", belief, "--members", "8").out
+        for other in (("--sweep", "cohesion_pa=1:2:2"), ("--samples", belief)):
+            wrong = run("twin", command, plan, "--soil", belief, *other)
+            assert wrong.code == 2 and "give one" in wrong.err[0]
+    for text, says in (("{}", "schema"), (belief.read_text()[:200], "is the file complete"), ("[]", "schema")):
+        belief.write_text(text)
+        done = run("twin", "predict", plan, "--soil", belief)
+        assert done.code == 1 and says in done.err[0] and str(belief) in done.err[0] and done.out == ""

@@ -9,6 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from lunarsci.provenance import sha256
+
 Run = Callable[..., Any]
 PLAN = "[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 0.6\n"
 
@@ -58,6 +60,12 @@ def test_a_belief_goes_from_drive_to_drive(run: Run, plan: Path, states: Path, t
     assert wrong.code == 3 and "nothing was learned" in wrong.err[-1]
     kept = json.loads((tmp_path / "same.json").read_text())
     assert len(kept["history"]) == 2 and kept["history"][1]["refused"]
+    # The history holds where each belief came from, and the way back to it.
+    assert [entry["parent_sha256"] for entry in kept["history"]] == [None, sha256(belief.read_bytes())]
+    assert [entry["forgotten"] for entry in kept["history"]] == [0.0, 0.1]
+    assert run("twin", "history", tmp_path / "same.json", "--rollback", "1", "--save", tmp_path / "back.json").code == 0
+    back, first = (json.loads(path.read_text()) for path in (tmp_path / "back.json", belief))
+    assert all(back[key] == first[key] for key in ("mean", "covariance", "history", "laws"))
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ __all__ = [
     "Sweep",
     "check_plan",
     "parse_fixes",
+    "parse_plan",
     "parse_sweep",
     "read_plan",
 ]
@@ -258,15 +259,16 @@ def read_plan(path: str | Path | None = None) -> Plan:
     """
     embedded = (files(__package__) / "plan.toml").read_text("utf-8")
     if path is None:
-        return _parse(embedded, "the embedded plan")
+        return parse_plan(embedded, "the embedded plan")
     try:
         text = Path(path).read_text("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(f"{path}: not a readable TOML file") from error
-    return _parse(text, str(path))
+    return parse_plan(text, str(path))
 
 
-def _parse(text: str, origin: str) -> Plan:
+def parse_plan(text: str, origin: str) -> Plan:
+    """The plan of a TOML text; `origin` is its file. Raises DataError."""
     try:
         document = tomllib.loads(text)
         _check_keys(document, ("name", "start", "drive", "leg", "fixes", "limits", "sweep", "keep_out"), "the plan")

@@ -1,0 +1,217 @@
+"""The picture of a prediction beside what happened: paths, ends, wheel states in their bands, and ranks."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.twin.comparison.bands import NOMINAL, half_band, ranks, standardised
+from lunarsci.twin.comparison.ends import region_ellipse
+from lunarsci.twin.comparison.meeting import Meeting
+from lunarsci.twin.comparison.verdict import Comparison
+from lunarsci.twin.drive_record import OBSERVED
+from lunarsci.twin.ensemble import STATE_COLUMNS
+from lunarsci.twin.figures.bands import LABELS, WHEEL_COLORS
+from lunarsci.twin.figures.relief import ACCENT, GOLD, INK, LIMIT
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["comparison_figure"]
+
+FloatArray = npt.NDArray[np.float64]
+MORE_LABELS = {
+    "drawbar_pull_n": ("Drawbar pull F$_{DP}$ [N]", 1.0),
+    "lateral_force_n": ("Lateral force F$_L$ [N]", 1.0),
+}
+MOST_PATHS, MOST_POINTS = 200, 1500
+DRAWN_REGIONS = (0.5, 0.9, 0.95)
+MEASURED = "#111111"
+
+
+def comparison_figure(meeting: Meeting, found: Comparison, title: str) -> "Figure":
+    """Paths and ends on the left, wheel states on the right, ranks and standardised differences below.
+
+    Bands span p05 to p95 over members and wheels; a measured state in red is outside of the 90 % band of its own wheel
+    and moment, in which its error counts. Regions of the ends hold the errors of the last position, too.
+    """
+    from matplotlib.figure import Figure
+
+    names = meeting.measured_quantities()
+    height = 9.4 if len(names) <= 4 else 2.2 * len(names) + 1.0
+    figure = Figure(figsize=(14.0, height), dpi=130, layout="constrained", facecolor="white")
+    columns: Any = figure.subfigures(1, 2, width_ratios=(1.0, 1.25))
+    rows: Any = columns[0].subfigures(2, 1, height_ratios=(2.3, 1.0))
+    above = rows[0].subplots(2, 1, height_ratios=(1.0, 1.15))
+    _draw_paths(above[0], meeting)
+    _draw_end(above[1], meeting, found)
+    below = rows[1].subplots(1, 2)
+    _draw_standard(below[0], meeting, names)
+    _draw_ranks(below[1], meeting, names)
+    if names:
+        panels = np.atleast_1d(columns[1].subplots(len(names), 1, sharex=True))
+        for panel, name in zip(panels, names, strict=True):
+            _draw_states(panel, meeting, name)
+        columns[1].legend(handles=_handles(meeting), loc="outside upper center", ncols=8, fontsize=8, frameon=False)
+        panels[-1].set_xlabel("Time [s]")
+    color = LIMIT if found.reasons else INK
+    reason = f": {found.reasons[0]}" if found.reasons else ""
+    others = len(found.reasons) - 1
+    more = f" (and {others} more {'reason' if others == 1 else 'reasons'})" if others > 0 else ""
+    figure.suptitle(f"{title}\n{found.verdict.upper()}{reason}{more}", fontsize=11, color=color)
+    return figure
+
+
+def _shown(meeting: Meeting) -> npt.NDArray[np.int64]:
+    count = len(meeting.members)
+    return meeting.members[np.unique(np.linspace(0, count - 1, min(count, MOST_PATHS)).astype(np.int64))]
+
+
+def _draw_paths(axes: "Axes", meeting: Meeting) -> None:
+    """The fan, the plan, and the measured positions with a thin line between them."""
+    forecast, record = meeting.forecast, meeting.record
+    for number, member in enumerate(_shown(meeting)):
+        path = forecast.paths[member]
+        label = "predicted" if number == 0 else None
+        axes.plot(path[:, 0], path[:, 1], color=ACCENT, linewidth=0.6, alpha=0.35, label=label)
+    axes.plot(*forecast.planned[:, :2].T, color=LIMIT, linewidth=1.2, linestyle=(0, (5, 2)), label="planned")
+    axes.plot(*forecast.planned[0, :2], "o", color="white", markeredgecolor=INK, markersize=6, zorder=6)
+    if len(record.fix_m):
+        order = np.argsort(record.fix_time_s)
+        look: Any = {"color": MEASURED, "linewidth": 0.9, "markersize": 4, "zorder": 5}
+        axes.plot(*record.fix_m[order].T, "o-", label="measured", **look)
+    _frame_map(axes)
+    axes.legend(loc="best", fontsize=8, framealpha=0.9)
+    axes.set_title("Paths of the rover's origin", fontsize=10)
+
+
+def _frame_map(axes: "Axes") -> None:
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.grid(alpha=0.25, linewidth=0.5)
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+
+
+def _draw_end(axes: "Axes", meeting: Meeting, found: Comparison) -> None:
+    """The predicted places at the last position, their regions, the plan and what was measured."""
+    from matplotlib.patches import Ellipse
+
+    if found.end is None:
+        axes.text(0.5, 0.5, "no positions were measured", ha="center", va="center", transform=axes.transAxes)
+        axes.set_axis_off()
+        return
+    last = int(meeting.record.fix_time_s.argmax())
+    members, error = meeting.places[:, last], meeting.place_error_m2[last]
+    axes.plot(*members.T, "o", color=ACCENT, markersize=3, alpha=0.6, linewidth=0, label="predicted")
+    for share, style in zip(DRAWN_REGIONS, ((0, (1, 1.5)), "-", "--"), strict=True):
+        ring = region_ellipse(members, error, share)
+        if ring is not None:
+            size = (2.0 * ring.semi_major_m, 2.0 * ring.semi_minor_m)
+            look: Any = {"fill": False, "edgecolor": INK, "linewidth": 1.2, "linestyle": style}
+            axes.add_patch(Ellipse(tuple(members.mean(axis=0)), *size, angle=ring.azimuth_deg, **look))
+            axes.plot([], [], color=INK, linewidth=1.2, linestyle=style, label=f"region of {100 * share:g} %")
+    end = found.end
+    axes.plot(end.planned_x_m, end.planned_y_m, "*", color=GOLD, markeredgecolor=INK, markersize=13, label="planned")
+    sd = np.sqrt(np.diag(meeting.record.fix_covariance_m2[last]))
+    dot: Any = {"color": LIMIT if found.end.standing and not end.regions.get("99", True) else MEASURED, "zorder": 6}
+    axes.errorbar(end.x_m, end.y_m, xerr=sd[0], yerr=sd[1], fmt="o", capsize=3, label="measured, 1 σ", **dot)
+    _frame_map(axes)
+    axes.margins(0.12)
+    axes.legend(loc="best", fontsize=8, framealpha=0.9)
+    where = "End" if end.at_end else f"Last position, at {end.time_s:.0f} s"
+    standing = "" if end.standing is None else f", {end.standing.distance:.1f} sd"
+    axes.set_title(f"{where}: {end.error_m:.3f} m from the middle of the predicted{standing}", fontsize=10)
+
+
+def _draw_states(axes: "Axes", meeting: Meeting, name: str) -> None:
+    """Band over members and wheels, and the measured states by wheel, those outside of their own band in red."""
+    label, factor = LABELS.get(name, MORE_LABELS.get(name, (name, 1.0)))
+    forecast, column = meeting.forecast, OBSERVED.index(name)
+    values = factor * forecast.states[meeting.members][..., STATE_COLUMNS.index(name)]
+    values[:, forecast.halted] = np.nan
+    low, middle, high = _percentiles(values)
+    axes.fill_between(forecast.time_s, low, high, color=ACCENT, alpha=0.22, linewidth=0)
+    axes.plot(forecast.time_s, middle, color=ACCENT, linewidth=1.4)
+    rows = meeting.known[:, column]
+    outside = np.abs(standardised(meeting, column, rows)) > half_band(len(meeting.members))
+    time, measured = meeting.record.time_s[rows], factor * meeting.record.values[rows, column]
+    wheel = np.array([forecast.wheels.index(one) for one in meeting.record.wheel])[rows]
+    every = max(1, len(time) // MOST_POINTS)
+    for number in range(len(forecast.wheels)):
+        own = np.flatnonzero(wheel == number)[::every]
+        color = WHEEL_COLORS[number % len(WHEEL_COLORS)]
+        axes.plot(time[own], measured[own], "o", color=color, markersize=3.2, alpha=0.85, linewidth=0)
+        red = own[outside[own]]
+        ring: Any = {"markerfacecolor": "none", "markeredgecolor": LIMIT, "markersize": 6, "linewidth": 0}
+        axes.plot(time[red], measured[red], "o", **ring)
+    check = next(one for one in _together(meeting, name))
+    axes.set_title(check, fontsize=9, loc="right")
+    axes.set_ylabel(label)
+    axes.set_xlim(float(forecast.time_s[0]), float(forecast.time_s[-1]))
+    axes.grid(alpha=0.25, linewidth=0.5)
+
+
+def _together(meeting: Meeting, name: str) -> list[str]:
+    column = OBSERVED.index(name)
+    standard = standardised(meeting, column, meeting.known[:, column])
+    share = float((np.abs(standard) <= half_band(len(meeting.members))).mean())
+    return [f"{100 * share:.0f} % of {len(standard)} values in their {100 * NOMINAL:.0f} % bands"]
+
+
+def _percentiles(values: FloatArray) -> FloatArray:
+    """p05, p50, p95 over members and wheels at each sample, NaN at halts. (3, samples)"""
+    rows = np.full((3, values.shape[1]), np.nan)
+    for sample in range(values.shape[1]):
+        own = values[:, sample][np.isfinite(values[:, sample])]
+        if own.size:
+            rows[:, sample] = np.percentile(own, (5, 50, 95))
+    return rows
+
+
+def _handles(meeting: Meeting) -> list[Any]:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    ring: Any = {"markerfacecolor": "none", "markeredgecolor": LIMIT, "markersize": 6, "linewidth": 0}
+    handles: list[Any] = [
+        Patch(facecolor=ACCENT, alpha=0.22, label="predicted, p05 to p95"),
+        Line2D([], [], marker="o", label="outside its own 90 % band", **ring),
+    ]
+    for number, wheel in enumerate(meeting.forecast.wheels):
+        color = WHEEL_COLORS[number % len(WHEEL_COLORS)]
+        handles.append(Line2D([], [], marker="o", color=color, markersize=4, linewidth=0, label=wheel))
+    return handles
+
+
+def _draw_standard(axes: "Axes", meeting: Meeting, names: list[str]) -> None:
+    """Standardised differences of the states beside the normal law that they should have, on the whole."""
+    edges = np.linspace(-5.0, 5.0, 26)
+    for number, name in enumerate(names):
+        column = OBSERVED.index(name)
+        values = np.clip(standardised(meeting, column, meeting.known[:, column]), -4.99, 4.99)
+        look: Any = {"histtype": "step", "linewidth": 1.5, "color": WHEEL_COLORS[2 * number % 6 + number // 3 % 2]}
+        axes.hist(values, bins=list(edges), density=True, label=_short(name), **look)
+    x = np.linspace(-5.0, 5.0, 200)
+    axes.plot(x, np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi), color=INK, linewidth=0.9, linestyle="--")
+    axes.set_xlabel("Measured less predicted [sd]")
+    axes.set_title("dashed: if all is right", fontsize=9)
+    axes.set_yticks([])
+    if names:
+        axes.legend(fontsize=8, frameon=False, loc="upper left")
+
+
+def _draw_ranks(axes: "Axes", meeting: Meeting, names: list[str]) -> None:
+    """How the measured states rank in what was predicted: even, over many drives, if the prediction is right."""
+    for number, name in enumerate(names):
+        look: Any = {"histtype": "step", "linewidth": 1.5, "color": WHEEL_COLORS[2 * number % 6 + number // 3 % 2]}
+        axes.hist(ranks(meeting, name), bins=list(np.linspace(0.0, 1.0, 11)), density=True, label=_short(name), **look)
+    axes.axhline(1.0, color=INK, linewidth=0.9, linestyle="--")
+    axes.set_xlim(0.0, 1.0)
+    axes.set_xlabel("Rank in the prediction [-]")
+    axes.set_title("one drive shares one soil: uneven is not wrong", fontsize=9)
+    axes.set_yticks([])
+
+
+def _short(name: str) -> str:
+    return name.rsplit("_", 1)[0].replace("_", " ")

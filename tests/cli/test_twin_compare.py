@@ -1,0 +1,155 @@
+"""`lunarsci twin compare`: the folder of a prediction beside a measured drive."""
+
+import csv
+import dataclasses
+import io
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from lunarsci.regolith.belief import SoilBelief, first_belief
+
+Run = Callable[..., Any]
+PLAN = '[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 1.2\ncurvature_per_m = 0.1\n[sweep]\ncohesion_pa = "300:600:4"\n'
+
+
+@dataclasses.dataclass(frozen=True)
+class Drive:
+    """The plan, the folder of its prediction, and what was measured of a drive."""
+
+    plan: Path
+    folder: Path
+    states: Path
+    positions: Path
+
+    def arguments(self) -> tuple[object, ...]:
+        return ("twin", "compare", self.folder, self.states, "--positions", self.positions)
+
+
+@pytest.fixture
+def drive(run: Run, tmp_path: Path) -> Drive:
+    """A prediction on 32 draws of a belief; measured is another draw, with errors (synthetic)."""
+    plan, belief, other = tmp_path / "plan.toml", tmp_path / "belief.json", tmp_path / "other"
+    plan.write_text(PLAN)
+    first = first_belief()
+    belief.write_text(SoilBelief(first.laws, first.mean, 0.05 * first.covariance).to_json())
+    predict = ("twin", "predict", plan, "--soil", belief, "-q")
+    assert run(*predict, "--members", "32", "-o", tmp_path / "drive").code == 0
+    assert run(*predict, "--members", "1", "--seed", "8", "-o", other).code == 0
+    states, path = pd.read_csv(other / "states.csv"), pd.read_csv(other / "paths.csv")
+    random = np.random.default_rng(1)
+    states["sinkage_m"] += 0.00033 * random.normal(size=len(states))
+    states["slip_ratio"] += 0.013 * random.normal(size=len(states))
+    columns = ["time_s", "wheel", "sinkage_m", "slip_ratio", "side_slip_deg", "valid"]
+    states[columns].to_csv(tmp_path / "measured.csv", index=False)
+    fixes = path[["time_s", "x_m", "y_m"]].iloc[4::4].copy()
+    fixes[["x_m", "y_m"]] += 0.01 * random.normal(size=(len(fixes), 2))
+    fixes.assign(sigma_m=0.01).to_csv(tmp_path / "positions.csv", index=False)
+    return Drive(plan, tmp_path / "drive", tmp_path / "measured.csv", tmp_path / "positions.csv")
+
+
+def test_a_drive_as_predicted_is_trusted(run: Run, drive: Drive, tmp_path: Path) -> None:
+    picture = tmp_path / "compare.png"
+    done = run(*drive.arguments(), "--plan", drive.plan, "--json", "--plot", picture)
+    assert done.code == 0, done.err
+    assert picture.stat().st_size > 50_000
+    document = json.loads(done.out)
+    assert document["schema"] == "lunarsci/twin-compare/1"
+    result = document["result"]
+    assert result["verdict"] == "trusted" and result["reasons"] == [] and result["soils"] == "belief"
+    assert result["members"] == result["finished"] == 32
+    assert result["end"]["at_end"] and result["end"]["regions"]["99"] and 0 < result["end"]["p"] <= 1
+    assert result["not_compared"]["normal_force_n"] == "not measured"
+    assert result["surprise"]["quantities"] == ["sinkage_m", "slip_ratio", "side_slip_deg", "position"]
+    used = {file["path"] for file in document["provenance"]["inputs"]}
+    assert used >= {str(drive.folder / "prediction.json"), str(drive.states), str(drive.positions), str(drive.plan)}
+    assert run(*drive.arguments(), "--json", "--no-time").out == run(*drive.arguments(), "--json", "--no-time").out
+    rows = list(csv.DictReader(io.StringIO(run(*drive.arguments(), "--csv").out)))
+    assert len(rows) == 3 * 7 and {"quantity", "wheel", "bias", "coverage_90", "crps", "bias_p"} <= rows[0].keys()
+    text = run(*drive.arguments()).out
+    assert text.startswith("TRUSTED") and "not compared: normal_force_n (not measured)" in text
+    # Without positions all else still compares.
+    assert run("twin", "compare", drive.folder, drive.states, "--field", "end").out == "null\n"
+
+
+def test_another_ground_is_not_to_be_trusted(run: Run, drive: Drive) -> None:
+    table = pd.read_csv(drive.states)
+    table["slip_ratio"] += 0.15
+    table.to_csv(drive.states, index=False)
+    done = run(*drive.arguments(), "--json")
+    assert done.code == 3 and "the prediction is not to be trusted: slip_ratio is off by +0.1" in done.err[-1]
+    assert json.loads(done.out)["result"]["verdict"] == "not to be trusted"
+
+
+def test_a_sweep_gives_no_probabilities_and_few_drives_no_trust(run: Run, drive: Drive, tmp_path: Path) -> None:
+    swept = tmp_path / "swept"
+    assert run("twin", "predict", drive.plan, "-o", swept, "-q").code == 0
+    done = run("twin", "compare", swept, drive.states, "--positions", drive.positions)
+    assert done.code == 3 and "rests on 4 drives" in done.err[-1] and "no probabilities" in done.out
+
+
+def broken(drive: Drive, how: str) -> None:
+    file, states = drive.folder / "prediction.json", drive.folder / "states.csv"
+    document = json.loads(file.read_text())
+    changes: dict[str, Callable[[], object]] = {
+        "gone": lambda: shutil.rmtree(drive.folder),
+        "no document": file.unlink,
+        "cut document": lambda: file.write_text(file.read_text()[:500]),
+        "other version": lambda: file.write_text(json.dumps(document | {"schema": "lunarsci/twin-prediction/0"})),
+        "no schema": lambda: file.write_text("[]"),
+        "no table": states.unlink,
+        "cut table": lambda: states.write_text(states.read_text()[:-2000]),
+        "other table": lambda: shutil.copy(drive.folder / "paths.csv", states),
+        "no time": lambda: file.write_text(json.dumps({k: v for k, v in document.items() if k != "time_s"})),
+        "short time": lambda: file.write_text(json.dumps(document | {"time_s": document["time_s"][:3]})),
+        "strange outcome": lambda: file.write_text(json.dumps(document | {"outcome": ["?"] * 32})),
+        "broken plan": lambda: file.write_text(json.dumps(document | {"plan": "[drive"})),
+    }
+    changes[how]()
+
+
+@pytest.mark.parametrize(
+    ("how", "says"),
+    [
+        ("gone", "no prediction.json"),
+        ("no document", "no prediction.json"),
+        ("cut document", "is the file complete"),
+        ("other version", "its schema is"),
+        ("no schema", "its schema is None"),
+        ("no table", "no such file"),
+        ("cut table", "not as it was written"),
+        ("other table", "not as it was written"),
+        ("no time", "'time_s'"),
+        ("short time", "not as it was written"),
+        ("strange outcome", "not as it was written"),
+        ("broken plan", "not valid TOML"),
+    ],
+)
+def test_a_broken_folder_is_one_line(run: Run, drive: Drive, how: str, says: str) -> None:
+    broken(drive, how)
+    done = run(*drive.arguments())
+    assert (done.code, done.out, len(done.err)) == (1, "", 1), done.err
+    assert says in done.err[0] and str(drive.folder) in done.err[0]
+
+
+def test_another_plan_rover_or_clock_is_refused(run: Run, drive: Drive, tmp_path: Path) -> None:
+    other = tmp_path / "other.toml"
+    other.write_text(PLAN.replace("1.2", "1.3"))
+    done = run(*drive.arguments(), "--plan", other)
+    assert done.code == 1 and "not the plan" in done.err[0]
+    # Limits and sweeps are no part of the drive.
+    other.write_text(PLAN.replace("300:600:4", "100:900:9") + "[limits]\nslip_ratio = 0.5\n")
+    assert run(*drive.arguments(), "--plan", other).code == 0
+    done = run(*drive.arguments(), "--rover", "small-four")
+    assert done.code == 1 and "give --rover as then" in done.err[0]
+    table = pd.read_csv(drive.states)
+    table["time_s"] += 1e6
+    table.to_csv(drive.states, index=False)
+    done = run("twin", "compare", drive.folder, drive.states)
+    assert done.code == 1 and "compare the clocks" in done.err[0] and str(drive.states) in done.err[0]

@@ -1,0 +1,94 @@
+"""`lunarsci twin history`: what a belief rests on, and the way back."""
+
+import csv
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lunarsci.inputs import read_input
+from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
+from lunarsci.regolith.belief_history import with_drive
+
+Run = Callable[..., Any]
+
+
+def update(before: SoilBelief, states: str, shift: float, refused: str = "") -> SoilBelief:
+    """A made-up update that moves every parameter by `shift` standard deviations."""
+    sd = np.sqrt(np.diag(before.covariance))
+    after = before if refused else SoilBelief(before.laws, before.mean + shift * sd, 0.5 * before.covariance)
+    drive = {"states": states, "sha256": "a" * 64, "plan": "out", "values": 100, "outliers": 2, "chi_square": 90.0}
+    return with_drive(after, before, {**drive, "surprise": abs(shift), "refused": refused}, parent_sha256="b" * 64)
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> tuple[Path, Path]:
+    """A belief of three drives, the second of which taught nothing, and another that shares the first."""
+    one = update(first_belief(), "1.csv", 0.5)
+    two = update(update(one, "2.csv", 0.0, refused="no soil explains it"), "3.csv", -0.25)
+    paths = tmp_path / "belief.json", tmp_path / "other.json"
+    for path, belief in zip(paths, (two, update(one, "4.csv", 1.0)), strict=True):
+        path.write_text(belief.to_json())
+    return paths
+
+
+def test_the_drives_and_what_each_moved(run: Run, files: tuple[Path, Path], tmp_path: Path) -> None:
+    picture = tmp_path / "history.png"
+    done = run("twin", "history", files[0], "--json", "--plot", picture)
+    assert done.code == 0, done.err
+    assert picture.stat().st_size > 20_000
+    document = json.loads(done.out)
+    assert document["schema"] == "lunarsci/twin-history/1"
+    drives = document["result"]["drives"]
+    assert [d["states"] for d in drives] == ["1.csv", "2.csv", "3.csv"]
+    assert [d["reduced_chi_square"] for d in drives] == [0.9] * 3 and drives[0]["parent_sha256"] == "b" * 64
+    assert [d["moved_sd"]["cohesion_pa"] for d in drives] == pytest.approx([0.5, 0.0, -0.25])
+    assert drives[1]["refused"] == "no soil explains it" and drives[0]["refused"] is None
+    assert document["result"]["against"] is None and document["result"]["rolled_back"] is None
+    text = run("twin", "history", files[0]).out
+    assert "rests on 2 drive(s)" in text and "drive 2 taught nothing: no soil explains it" in text
+    rows = list(csv.DictReader(io.StringIO(run("twin", "history", files[0], "--csv").out)))
+    assert len(rows) == 4 * 8 and rows[8]["drive"] == "1" and rows[0]["states"] == ""
+
+
+def test_another_belief_beside_it(run: Run, files: tuple[Path, Path]) -> None:
+    done = run("twin", "history", files[0], "--against", files[1], "--json")
+    found = json.loads(done.out)["result"]["against"]
+    assert found["shared_drives"] == 1 and found["bhattacharyya"] > 0
+    # From the state after the first drive: up by one of its sd against down by a quarter, variances halved each.
+    assert found["parameters"]["cohesion_pa"]["difference_sd"] == pytest.approx(1.25)
+    text = run("twin", "history", files[0], "--against", files[1]).out
+    assert "the same first 1 drive(s), and are no independent witnesses" in text
+
+
+def test_the_way_back(run: Run, files: tuple[Path, Path], tmp_path: Path) -> None:
+    back = tmp_path / "back.json"
+    done = run("twin", "history", files[0], "--rollback", "1", "--save", back)
+    assert done.code == 0 and "after 1 drive(s)" in done.out, done.err
+    found, first = read_belief(read_input(str(back))), first_belief()
+    assert found.mean == pytest.approx(first.mean + 0.5 * np.sqrt(np.diag(first.covariance)))
+    assert len(found.history) == 1 and found.population is None
+    assert run("twin", "history", files[0], "--rollback", "0", "--save", tmp_path / "zero.json").code == 0
+    assert np.array_equal(read_belief(read_input(str(tmp_path / "zero.json"))).mean, first.mean)
+    for wrong, code in ((("--rollback", "1"), 2), (("--save", tmp_path / "x.json"), 2), (("--rollback", "-1"), 2)):
+        assert run("twin", "history", files[0], *wrong).code == code
+    beyond = run("twin", "history", files[0], "--rollback", "7", "--save", tmp_path / "x.json")
+    assert beyond.code == 1 and "rests on 3" in beyond.err[0] and not (tmp_path / "x.json").exists()
+    assert run("twin", "history", files[0], "--rollback", "1", "--save", back).code == 1  # it exists
+
+
+def test_older_and_broken_files(run: Run, files: tuple[Path, Path], tmp_path: Path) -> None:
+    document = json.loads(files[0].read_text())
+    document["history"] = [{"states": "old.csv"}, {"states": "older.csv"}]
+    files[0].write_text(json.dumps(document))
+    done = run("twin", "history", files[0])
+    assert done.code == 0 and "no way back" in done.out and "old.csv" in done.out
+    files[0].write_text("{}")
+    wrong = run("twin", "history", files[0])
+    assert (wrong.code, wrong.out) == (1, "") and "schema" in wrong.err[0]
+    files[0].write_text(first_belief().to_json())
+    assert "rests on no drive" in run("twin", "history", files[0]).out
