@@ -1,0 +1,130 @@
+"""A drive as a line: where along the way each wheel stood, and residuals averaged over short pieces of the way."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.twin.drive_record import OBSERVED, DriveRecord
+from lunarsci.twin.ensemble import Prediction
+from lunarsci.twin.rover import Rover
+
+__all__ = ["Pieces", "Way", "averaged", "way_of", "wheel_places"]
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+PIECE_M, MOST_PIECES = 0.2, 200
+"""Length of way over which residuals are averaged, longer where the drive has more pieces; assumed."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Way:
+    """A drive as a line.
+
+    Attributes
+    ----------
+    time_s, distance_m, place_m : of the rover's origin; distance never falls. (n,), (n,) [m], (n, 2) [m]
+    reach_m : from the origin to its foremost or hindmost wheel. [m]
+    """
+
+    time_s: FloatArray
+    distance_m: FloatArray
+    place_m: FloatArray
+    reach_m: float
+
+    @property
+    def _moving(self) -> BoolArray:
+        return np.concatenate([[True], np.diff(self.distance_m) > 0])
+
+    def distance_at(self, time_s: npt.ArrayLike) -> FloatArray:
+        """Of the origin. [m]"""
+        return np.interp(np.asarray(time_s, dtype=float), self.time_s, self.distance_m)
+
+    def time_at(self, distance_m: float) -> float:
+        """When the origin passed a distance. [s]"""
+        return float(np.interp(distance_m, self.distance_m[self._moving], self.time_s[self._moving]))
+
+    def place_at(self, distance_m: npt.ArrayLike) -> FloatArray:
+        """Of the origin. (..., 2) [m]"""
+        stations = self.distance_m[self._moving]
+        places = self.place_m[self._moving]
+        wanted = np.asarray(distance_m, dtype=float)
+        return np.stack([np.interp(wanted, stations, places[:, k]) for k in (0, 1)], axis=-1)
+
+    def between(self, low_m: float, high_m: float) -> FloatArray:
+        """Places of the origin within a stretch, its ends included. (k, 2) [m]"""
+        low, high = (float(np.clip(value, self.distance_m[0], self.distance_m[-1])) for value in (low_m, high_m))
+        inside = self.distance_m[(self.distance_m > low) & (self.distance_m < high)]
+        return self.place_at(np.unique(np.concatenate([[low], inside, [high]])))
+
+
+def way_of(drive: Prediction) -> Way:
+    """The way of the first member of a prediction."""
+    wheels = drive.rover.wheel_positions_m
+    return Way(drive.time_s, drive.distance_m, drive.paths[0, :, :2], float(np.abs(wheels[:, 0]).max()))
+
+
+def wheel_places(rover: Rover, record: DriveRecord, way: Way) -> FloatArray:
+    """Distance along the way at which each wheel of a record stood. (n,) [m]
+
+    That of the origin, and how far ahead of it the wheel is on the rover: as on a drive straight ahead.
+    """
+    ahead = rover.wheel_positions_m[[rover.wheels.index(name) for name in record.wheel], 0]
+    return way.distance_at(record.time_s) + ahead
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pieces:
+    """Means of whitened residuals, measured less simulated, over pieces of the way in which all quantities are known.
+
+    Attributes
+    ----------
+    middle_m : of the pieces, along the way. (m,) [m]
+    names : quantities. (q,)
+    mean, weight : of each piece and quantity, and of how many values. (m, q)
+    slope : means of the derivatives of the simulated values by the soil, in widths of the first laws. (m, q, 8)
+    model : error of the twin itself in units of the residuals, alike over metres. (q,)
+    """
+
+    middle_m: FloatArray
+    names: tuple[str, ...]
+    mean: FloatArray
+    weight: FloatArray
+    slope: FloatArray
+    model: FloatArray
+
+    def part(self, kept: BoolArray) -> "Pieces":
+        """Some of the pieces."""
+        middle, mean, weight, slope = (part[kept] for part in (self.middle_m, self.mean, self.weight, self.slope))
+        return Pieces(middle, self.names, mean, weight, slope, self.model)
+
+
+def averaged(places: FloatArray, values: FloatArray, slopes: FloatArray, model: FloatArray) -> Pieces | None:
+    """Means over pieces of way; None where no piece has all the quantities that were measured at all.
+
+    Parameters
+    ----------
+    places : along the way. (n,) [m]
+    values : NaN where not measured. (n, 6)
+    slopes : of the values by the soil. (n, 6, 8)
+    model : of each quantity. (6,)
+    """
+    known = np.isfinite(values)
+    columns = np.flatnonzero(known.any(axis=0))
+    if not columns.size:
+        return None
+    length = max(PIECE_M, float(np.ptp(places)) / MOST_PIECES)
+    first = np.floor(places.min() / length)
+    number = (np.floor(places / length) - first).astype(np.int64)
+    weight = np.zeros((int(number.max()) + 1, len(columns)))
+    total, slope = np.zeros(weight.shape), np.zeros((*weight.shape, slopes.shape[-1]))
+    seen = known[:, columns]
+    np.add.at(weight, number, seen)
+    np.add.at(total, number, np.where(seen, values[:, columns], 0.0))
+    np.add.at(slope, number, np.where(seen[..., None], slopes[:, columns], 0.0))
+    full = (weight > 0).all(axis=1)
+    if not full.any():
+        return None
+    middle = (first + np.arange(len(weight)) + 0.5) * length
+    mean, slope = total[full] / weight[full], slope[full] / weight[full][..., None]
+    return Pieces(middle[full], tuple(OBSERVED[k] for k in columns), mean, weight[full], slope, model[columns])
