@@ -9,7 +9,11 @@ import typer
 
 from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import read_belief
+from lunarsci.twin.drive_pieces import planned_places
 from lunarsci.twin.ensemble import Prediction, predict
+from lunarsci.twin.ground.soil_layers import drawn_grounds
+from lunarsci.twin.ground.soil_map import SoilMap
+from lunarsci.twin.ground.soil_map_files import read_soil_map
 from lunarsci.twin.plans.plan import Sweep, parse_sweep
 from lunarsci.twin.soil_samples import read_soil_samples
 
@@ -30,10 +34,23 @@ class Soils:
     samples: Mapping[str, npt.NDArray[np.float64]] | None
     seed: int
     inputs: Mapping[str, str]
+    soil_map: SoilMap | None = None
 
     @classmethod
-    def of(cls, sweep: list[str] | None, members: int | None, samples: str | None, seed: int) -> "Soils":
+    def of(
+        cls,
+        sweep: list[str] | None,
+        members: int | None,
+        samples: str | None,
+        seed: int,
+        soil_map: str | None = None,
+    ) -> "Soils":
         """Parse the options."""
+        if soil_map is not None:
+            if sweep is not None or samples is not None:
+                raise typer.BadParameter("--soil-map names the soils already; leave out --sweep and --samples")
+            source = read_input(soil_map)
+            return cls(None, members, None, seed, {soil_map: source.sha256}, read_soil_map(source))
         if samples is None:
             swept = None if sweep is None else tuple(parse_sweep(text) for text in sweep)
             return cls(swept, members, None, seed, {})
@@ -52,13 +69,18 @@ def drive(
 ) -> Prediction:
     """Drive the scene's plan on these soils."""
     scene.inputs.update(soils.inputs)
+    grounds = None
+    if soils.soil_map is not None:
+        along, members = planned_places(scene.plan, scene.rover), soils.members or OF_A_BELIEF
+        grounds = drawn_grounds(soils.soil_map, scene.terrain, along, members, soils.seed)
     return predict(
         scene.rover,
         scene.terrain,
         scene.plan,
         sweep=soils.sweep,
-        members=soils.members,
+        members=soils.members if grounds is None else None,
         samples=soils.samples,
+        grounds=grounds,
         seed=soils.seed,
         time_step_s=time_step_s,
         sample_m=sample_m,

@@ -1,5 +1,6 @@
 """A drive as a line: where along the way each wheel stood, and residuals averaged over short pieces of the way."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,9 +8,11 @@ import numpy.typing as npt
 
 from lunarsci.twin.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.ensemble import Prediction
+from lunarsci.twin.plans.plan import Plan
+from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import Rover
 
-__all__ = ["Pieces", "Way", "averaged", "way_of", "wheel_places"]
+__all__ = ["Pieces", "Way", "averaged", "planned_places", "way_of", "wheel_places"]
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -38,7 +41,7 @@ class Way:
 
     def distance_at(self, time_s: npt.ArrayLike) -> FloatArray:
         """Of the origin. [m]"""
-        return np.interp(np.asarray(time_s, dtype=float), self.time_s, self.distance_m)
+        return np.asarray(np.interp(np.asarray(time_s, dtype=float), self.time_s, self.distance_m))
 
     def time_at(self, distance_m: float) -> float:
         """When the origin passed a distance. [s]"""
@@ -62,6 +65,13 @@ def way_of(drive: Prediction) -> Way:
     """The way of the first member of a prediction."""
     wheels = drive.rover.wheel_positions_m
     return Way(drive.time_s, drive.distance_m, drive.paths[0, :, :2], float(np.abs(wheels[:, 0]).max()))
+
+
+def planned_places(plan: Plan, rover: Rover) -> FloatArray:
+    """Places of the rover's origin along a plan, a decimetre or less apart. (k, 2) [m]"""
+    schedule = make_schedule(plan, rover)
+    count = max(2, math.ceil(schedule.duration_s * plan.speed_m_s / 0.1) + 1)
+    return schedule.pose_at(np.linspace(0.0, schedule.duration_s, count))[:, :2]
 
 
 def wheel_places(rover: Rover, record: DriveRecord, way: Way) -> FloatArray:

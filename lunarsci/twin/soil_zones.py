@@ -70,10 +70,9 @@ class SoilChange:
 
     @property
     def text(self) -> str:
-        """In words, such as `the soil changes at 4.9 m of the way (4.7 to 5.0 m): from there on sinkage_m is larger`."""
-        named = sorted(
-            (name for name in self.steps if abs(self.steps[name]) >= TOLD), key=lambda n: -abs(self.steps[n])
-        )
+        """In words, such as `the soil changes at 4.9 m of the way (4.7 to 5.0 m): from there on ...`."""
+        strong = sorted(self.steps, key=lambda name: -abs(self.steps[name]))
+        named = [name for name in strong if abs(self.steps[name]) >= TOLD]
         words = ", ".join(f"{name} is {'larger' if self.steps[name] > 0 else 'smaller'}" for name in named)
         place = f"{self.distance_m:.1f} m of the way ({self.low_m:.1f} to {self.high_m:.1f} m)"
         return f"the soil changes at {place}" + (f": from there on {words} than before" if words else "")
@@ -227,12 +226,12 @@ def driven_zones(
     """
     way = way_of(found.prediction)
 
-    def learned(low: float, high: float) -> tuple[DriveRecord, SoilBelief, Rectified | None]:
-        own, before = record_within(record, way, low, high), prior(way.between(low, high))
+    def learned(own: DriveRecord, low: float, high: float) -> _Part:
+        before = prior(way.between(low, high))
         if np.isfinite(own.values).sum() < FEWEST_VALUES:
-            return own, before, None
+            return _Part(low, high, own, before, None)
         drive = rectify(rover, terrain, plan, own, before, particles=particles, seed=seed, progress=progress)
-        return own, before, drive
+        return _Part(low, high, own, before, drive)
 
     open_parts = [_Part(-np.inf, np.inf, record, prior(way.place_m), found)]
     zones: list[DrivenZone] = []
@@ -241,15 +240,16 @@ def driven_zones(
         part = open_parts.pop(0)
         change = None
         if part.found is not None and len(changes) + 1 < MOST_ZONES:
-            settings: dict[str, float | int] = {"false_alarms": false_alarms, "seed": seed}
-            change = find_change(rover, terrain, plan, part.record, part.found, **settings)  # type: ignore[arg-type]
+            drive = (rover, terrain, plan, part.record, part.found)
+            change = find_change(*drive, false_alarms=false_alarms, seed=seed)
         if change is None:
             zones.append(part.zone(way))
             continue
         changes.append(change)
-        cut = change.distance_m
-        for low, high in ((part.low_m, cut), (cut, part.high_m)):
-            open_parts.append(_Part(low, high, *learned(low, high)))
+        before = record_within(part.record, way, -np.inf, change.low_m)
+        after = record_within(part.record, way, change.high_m, np.inf)
+        open_parts.append(learned(before, part.low_m, change.distance_m))
+        open_parts.append(learned(after, change.distance_m, part.high_m))
     return sorted(zones, key=lambda zone: zone.from_m), sorted(changes, key=lambda change: change.distance_m)
 
 

@@ -150,7 +150,7 @@ def _together(soil_map: SoilMap) -> FloatArray:
 
     trees = [cKDTree(zone.place_m) for zone in soil_map.zones]
     gap = np.array([[np.min(one.query(other.data)[0]) for other in trees] for one in trees], dtype=np.float64)
-    return np.asarray(np.exp(-np.maximum(gap - 2.0 * soil_map.reach_m, 0.0) / soil_map.correlation_m))
+    return np.asarray(np.exp(-np.maximum(gap - 2.0 * soil_map.reach_m, 0.0) / soil_map.correlation_m), dtype=np.float64)
 
 
 def _root(correlation: FloatArray) -> FloatArray:
