@@ -87,9 +87,9 @@ def _reach_m(scene: Scene) -> float:
     return round(float(across + 0.5 * scene.rover.wheel.width_m), 3)
 
 
-def found_changes(scene: Scene, record: DriveRecord, found: Rectified, seed: int) -> list[SoilChange]:
+def found_changes(record: DriveRecord, found: Rectified, seed: int) -> list[SoilChange]:
     """The clearest change of a drive, if there is one."""
-    change = find_change(scene.rover, scene.terrain, scene.plan, record, found, seed=seed)
+    change = find_change(record, found, seed=seed)
     return [] if change is None else [change]
 
 

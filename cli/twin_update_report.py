@@ -118,7 +118,7 @@ class Known:
         """What the drive says of one soil, where the soil changes, and, with a map, of the soil of each stretch."""
         found = self.rectified(particles, seed, progress)
         if self.soil_map is None:
-            return Learned(found, found_changes(self.scene, self.along, found, seed), None)
+            return Learned(found, found_changes(self.along, found, seed), None)
         settings = (self.forget, self.entry, particles, seed, progress)
         update = zoned(self.scene, self.along, found, self.soil_map, *settings)
         return Learned(found, update.changes, update)

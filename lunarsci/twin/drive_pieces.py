@@ -48,16 +48,29 @@ class Way:
         return float(np.interp(distance_m, self.distance_m[self._moving], self.time_s[self._moving]))
 
     def place_at(self, distance_m: npt.ArrayLike) -> FloatArray:
-        """Of the origin. (..., 2) [m]"""
-        stations = self.distance_m[self._moving]
-        places = self.place_m[self._moving]
+        """Of the origin, and of the wheels before its start and beyond its end: straight on. (..., 2) [m]"""
+        stations, places = self._line
         wanted = np.asarray(distance_m, dtype=float)
         return np.stack([np.interp(wanted, stations, places[:, k]) for k in (0, 1)], axis=-1)
 
+    @property
+    def _line(self) -> tuple[FloatArray, FloatArray]:
+        """Distances and places, with the ground of the wheels at both ends."""
+        stations, places = self.distance_m[self._moving], self.place_m[self._moving]
+        if len(stations) < 2:
+            return stations, places
+        ends = []
+        for end, inner in ((0, 1), (-1, -2)):
+            ahead = (places[end] - places[inner]) / max(float(np.linalg.norm(places[end] - places[inner])), 1e-9)
+            ends.append(places[end] + self.reach_m * ahead)
+        stations = np.concatenate([[stations[0] - self.reach_m], stations, [stations[-1] + self.reach_m]])
+        return stations, np.concatenate([ends[:1], places, ends[1:]])
+
     def between(self, low_m: float, high_m: float) -> FloatArray:
-        """Places of the origin within a stretch, its ends included. (k, 2) [m]"""
-        low, high = (float(np.clip(value, self.distance_m[0], self.distance_m[-1])) for value in (low_m, high_m))
-        inside = self.distance_m[(self.distance_m > low) & (self.distance_m < high)]
+        """Places of a stretch, its ends included; without limits from the hindmost wheel to the foremost. (k, 2) [m]"""
+        stations, _ = self._line
+        low, high = (float(np.clip(value, stations[0], stations[-1])) for value in (low_m, high_m))
+        inside = stations[(stations > low) & (stations < high)]
         return self.place_at(np.unique(np.concatenate([[low], inside, [high]])))
 
 

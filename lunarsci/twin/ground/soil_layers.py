@@ -136,7 +136,7 @@ def _zone_draws(soil_map: SoilMap, members: int, random: np.random.Generator) ->
     noise = random.standard_normal((members, count, len(PARAMETERS)))
     noise = np.einsum("ij,mjp->mip", _root(_together(soil_map)), noise)
     roots = zone_roots(soil_map)
-    drawn = np.empty_like(noise)
+    drawn = np.empty((members, count, len(PARAMETERS)))
     for k, zone in enumerate(soil_map.zones):
         normal = zone.belief.mean + noise[:, k] @ roots[k].T
         population = zone.belief.population

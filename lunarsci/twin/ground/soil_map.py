@@ -30,6 +30,7 @@ REACH_M = 0.6
 NEIGHBOURS = 4
 """Zones that a node looks at, the nearest ones; assumed."""
 NUGGET = 1e-9
+NEAREST_M = 1e-9
 NODES_AT_ONCE = 16_384
 HISTORY_SHARE = 0.05
 """Share of a zone in a blend from which on its drives are named in the history of it; assumed."""
@@ -130,7 +131,7 @@ class SoilMap:
         zone = np.lexsort((np.broadcast_to(-np.arange(len(self.zones)), distance.shape), distance), axis=1)[:, :j]
         distance = np.take_along_axis(distance, zone, axis=1)
         nearest = np.take_along_axis(nearest, zone[..., None], axis=1)
-        within = np.minimum(1.0, self.reach_m / np.maximum(distance, np.finfo(float).tiny))
+        within = np.minimum(1.0, self.reach_m / np.maximum(distance, NEAREST_M))
         taken = nearest + within[..., None] * (place_m[:, None] - nearest)
         gap = np.linalg.norm(taken[:, :, None] - taken[:, None], axis=-1)
         correlation = np.exp(-gap / self.correlation_m)
