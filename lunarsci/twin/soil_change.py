@@ -49,29 +49,33 @@ def largest_step(pieces: Pieces, random: np.random.Generator, simulations: int =
     simulations : of drives over one soil.
     """
     size, quantities = pieces.mean.shape
-    sigma, persistence = np.ones(quantities), np.zeros(quantities)
+    sigma = np.ones(quantities)
     for _ in range(2):
-        fits = _Fits(pieces, sigma, persistence)
+        fits = _Fits(pieces, sigma)
         statistic = fits.gain(fits.whitened(pieces.mean)[None])[0]
         best = int(np.argmax(statistic))
-        sigma, persistence = _noise(pieces, fits.rest(best))
-    fits = _Fits(pieces, sigma, persistence)
+        sigma, persistence = _noise(pieces, fits.rest(best), fits.numbers(best) / quantities)
+    fits = _Fits(pieces, sigma)
     statistic = fits.gain(fits.whitened(pieces.mean)[None])[0]
-    null = fits.gain(random.standard_normal((simulations, quantities * size))).max(axis=1)
+    roots = np.stack([_root(pieces, k, sigma[k], persistence[k]) for k in range(quantities)])
+    noise = np.einsum("qab,qbc,dqc->dqa", fits.inverse, roots, random.standard_normal((simulations, quantities, size)))
+    null = fits.gain(noise.reshape(simulations, -1)).max(axis=1)
     p_value = (1 + int((null >= statistic.max()).sum())) / (simulations + 1)
     tried = (0.5 * (pieces.middle_m[1:] + pieces.middle_m[:-1]))[fits.places]
     return Step(float(tried[int(np.argmax(statistic))]), p_value, tried, statistic)
 
 
 class _Fits:
-    """One soil, and two soils with a change at each place, fitted to noise of a known covariance."""
+    """One soil, and two soils with a change at each place, fitted as if noise did not persist.
 
-    def __init__(self, pieces: Pieces, sigma: FloatArray, persistence: FloatArray) -> None:
+    What that costs is in the simulated drives, whose noise does.
+    """
+
+    def __init__(self, pieces: Pieces, sigma: FloatArray) -> None:
         size, quantities = pieces.mean.shape
         self.pieces = pieces
         self.places = slice(FEWEST_PIECES - 1, size - FEWEST_PIECES)
-        self.roots = np.stack([_root(pieces, k, sigma[k], persistence[k]) for k in range(quantities)])
-        self.inverse = np.linalg.inv(self.roots)
+        self.inverse = np.linalg.inv(np.stack([_root(pieces, k, sigma[k], 0.0) for k in range(quantities)]))
         # Columns of the soil before each place, whitened: (places, quantities * pieces, 8).
         grown = np.cumsum(np.einsum("qab,bqp->bqap", self.inverse, pieces.slope), axis=0)
         self.whole = grown[-1].reshape(quantities * size, -1)
@@ -92,6 +96,11 @@ class _Fits:
         explained = np.einsum("dkp,kpr,dkr->dk", both, self.two, both, optimize=True)
         return np.asarray(explained - np.einsum("dp,pr,dr->d", whole, self.one, whole)[:, None])
 
+    def numbers(self, place: int) -> float:
+        """How many numbers two soils take from the data: the trace of what maps means to fitted ones. [-]"""
+        white = np.concatenate([self.before[place], self.whole - self.before[place]], axis=-1)
+        return float(np.trace(self.two[place] @ (white.T @ white)))
+
     def rest(self, place: int) -> FloatArray:
         """What two soils with the change at a place leave. (m, q)"""
         slope, mean = self.pieces.slope, self.pieces.mean
@@ -110,18 +119,17 @@ def _root(pieces: Pieces, quantity: int, sigma: float, persistence: float) -> Fl
     return np.linalg.cholesky(noise + pieces.model[quantity] ** 2 * np.exp(-lag / MODEL_M))
 
 
-def _noise(pieces: Pieces, rest: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _noise(pieces: Pieces, rest: FloatArray, fitted: float) -> tuple[FloatArray, FloatArray]:
     """Standard deviation of one value, no smaller than stated, and persistence from piece to piece. (q,), (q,)
 
-    A short series shows too little of its persistence: (1 + 3 r)/m is added, twice for two means (Kendall 1954,
-    Biometrika 41, 403), and `MARGIN` standard errors.
+    `fitted` numbers were taken from each series. Of n values, a mean taken away hides (1 + 3 r) / n of the persistence r
+    (Kendall 1954, Biometrika 41, 403), and so does, about, every other number; this and `MARGIN` are added.
     """
     size = len(rest)
     white = rest * np.sqrt(pieces.weight)
     square = np.maximum((white**2).sum(axis=0), np.finfo(float).tiny)
     lag = (white[1:] * white[:-1]).sum(axis=0) / square
-    lag = lag + 2.0 * (1.0 + 3.0 * np.maximum(lag, 0.0)) / size
+    lag = lag + fitted * (1.0 + 3.0 * np.maximum(lag, 0.0)) / size
     lag = lag + MARGIN * np.sqrt((1.0 - np.minimum(lag**2, 1.0)) / size)
-    # Without persistence to speak of, margins would only cost power.
-    kept = np.clip(np.where(lag > 3.0 / np.sqrt(size), lag, 0.0), 0.0, MOST_CORRELATED)
-    return np.maximum(np.sqrt(square / max(size - 2, 1)), 1.0), kept
+    sigma = np.sqrt(square / max(size - fitted, 0.25 * size))
+    return np.maximum(sigma, 1.0), np.clip(lag, 0.0, MOST_CORRELATED)

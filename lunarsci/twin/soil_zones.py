@@ -15,7 +15,7 @@ from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.twin.drive_pieces import Way, averaged, way_of, wheel_places
 from lunarsci.twin.drive_record import OBSERVED, DriveRecord
-from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
+from lunarsci.twin.ensemble import LONGEST_SAMPLE_M, LONGEST_STEP_S, STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rectify import MODEL_ERRORS, Rectified, rectify
@@ -128,8 +128,9 @@ def _drives(record: DriveRecord, found: Rectified) -> tuple[FloatArray, FloatArr
     nudges = NUDGE * np.diag([laws[name].width for name in PARAMETERS])
     values = values_of(laws, np.concatenate([best + nudges, best - nudges]))
     samples = {name: values[:, k] for k, name in enumerate(PARAMETERS)}
-    sample_m = float(drive.time_s[1]) * plan.speed_m_s * (1 + 1e-9)
-    step, count, scene = drive.time_step_s * (1 + 1e-9), len(PARAMETERS), (drive.rover, drive.terrain, plan)
+    sample_m = min(float(drive.time_s[1]) * plan.speed_m_s * (1 + 1e-9), LONGEST_SAMPLE_M)
+    step = min(drive.time_step_s * (1 + 1e-9), LONGEST_STEP_S)
+    count, scene = len(PARAMETERS), (drive.rover, drive.terrain, plan)
     moved = predict(*scene, samples=samples, time_step_s=step, sample_m=sample_m)
     states = states_at(moved, record)
     slopes = (states[:count] - states[count:]) / (2.0 * NUDGE)

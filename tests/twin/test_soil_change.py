@@ -166,8 +166,9 @@ def test_another_stiffness_is_found_at_its_place(yutu2: Rover, ground: Terrain, 
     assert change.time_s == pytest.approx(true_m / PLAN.speed_m_s, abs=9.0)
     assert np.sign(change.steps["sinkage_m"]) == (1 if share < 1 else -1)
     word = "larger" if share < 1 else "smaller"
+    assert change.text.endswith("than before")
     assert f"the soil changes at {change.distance_m:.1f} m of the way" in change.text
-    assert f"sinkage_m is {word} than before" in change.text
+    assert f"sinkage_m is {word}" in change.text
     assert len(residual_page(record, found, [change]).axes) == 3
     with pytest.raises(ParameterError, match=r"give 0\.001 to 0\.5"):
         find_change(record, found, false_alarms=0.0)
@@ -196,7 +197,7 @@ def test_a_way_goes_on_to_the_wheels_at_its_ends() -> None:
 
 @pytest.mark.slow
 def test_each_stretch_is_learned_on_its_own(yutu2: Rover, ground: Terrain) -> None:
-    """Stiffness halved at x = 2.5 m: two zones, whose beliefs hold the true soils, and the mean of neither the other's."""
+    """Stiffness halved at x = 2.5 m: two zones, whose beliefs hold the true soils."""
     out = predict(yutu2, parted(ground, 0.5), PLAN, sweep=(), time_step_s=0.1)
     record = record_of(out, 1)
     found = on_one_soil(yutu2, ground, record, 0.5)
@@ -229,17 +230,15 @@ def test_a_stretch_with_too_little_data_stays_as_it_was(
     """Only sinkage in the first 0.4 m behind the change: fewer than 16 values of times within it."""
     out = predict(yutu2, parted(ground, 0.4), PLAN, sweep=(), time_step_s=0.1)
     record = record_of(out, 0)
-    kept = record.time_s < (4.2 / PLAN.speed_m_s)
+    kept = record.time_s < (4.5 / PLAN.speed_m_s)
     record = dataclasses.replace(
         record,
         time_s=record.time_s[kept],
         wheel=tuple(np.array(record.wheel)[kept]),
-        values=record.values[kept],
+        values=np.where(record.time_s > 3.0 / PLAN.speed_m_s, 1.0, 1.0)[kept, None] * record.values[kept],
         sigmas=record.sigmas[kept],
     )
     found = on_one_soil(yutu2, ground, record, 0.4)
-    monkeypatch.setattr("lunarsci.twin.soil_zones.rectify", lambda *_, **__: found)
-    monkeypatch.setattr("lunarsci.twin.soil_zones.FEWEST_VALUES", 200)
     zones, changes = driven_zones(yutu2, ground, PLAN, record, found, lambda _: first_belief(), particles=32)
     assert changes and not zones[-1].learned and zones[-1].why_not == "too few values"
     assert zones[-1].belief.mean == pytest.approx(first_belief().mean)
