@@ -122,8 +122,8 @@ def _root(pieces: Pieces, quantity: int, sigma: float, persistence: float) -> Fl
 def _noise(pieces: Pieces, rest: FloatArray, fitted: float) -> tuple[FloatArray, FloatArray]:
     """Standard deviation of one value, no smaller than stated, and persistence from piece to piece. (q,), (q,)
 
-    `fitted` numbers were taken from each series. Of n values, a mean taken away hides (1 + 3 r) / n of the persistence r
-    (Kendall 1954, Biometrika 41, 403), and so does, about, every other number; this and `MARGIN` are added.
+    `fitted` numbers were taken from each series. In n values a mean taken away hides (1 + 3 r) / n of the persistence r
+    (Kendall 1954, Biometrika 41, 403), and so, about, does every other number; this and `MARGIN` are added.
     """
     size = len(rest)
     white = rest * np.sqrt(pieces.weight)
