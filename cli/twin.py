@@ -39,6 +39,10 @@ def predict(
     sweep: twin_options.Sweeps = None,
     members: twin_options.Members = None,
     samples: twin_options.Samples = None,
+    soil_map: Annotated[
+        str | None,
+        typer.Option(metavar="FILE", help="Soils drawn by place from a map of `twin update --save-map` (JSON)."),
+    ] = None,
     fixes: twin_options.Fixes = None,
     seed: twin_options.Seed = 0,
     time_step: twin_options.TimeStep = 0.1,
@@ -62,7 +66,7 @@ def predict(
     from .twin_report import predict_report, read_scene
 
     scene = read_scene(plan, rover, terrain, soil, interpolation, fixes)
-    soils = Soils.of(sweep, members, samples, seed, scene.soil)
+    soils = Soils.of(sweep, members, samples, seed, scene.soil, soil_map)
     with progress("driving", quiet=output.quiet) as update:
         prediction = drive(scene, soils, time_step, sample, update)
     return predict_report(scene, prediction, soils.kind(scene), film=animate, quiet=output.quiet)

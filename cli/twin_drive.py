@@ -10,7 +10,11 @@ import typer
 from lunarsci.errors import ParameterError
 from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import read_belief
+from lunarsci.twin.drive_pieces import planned_places
 from lunarsci.twin.ensemble import Prediction, predict
+from lunarsci.twin.ground.soil_layers import drawn_grounds
+from lunarsci.twin.ground.soil_map import SoilMap
+from lunarsci.twin.ground.soil_map_files import read_soil_map
 from lunarsci.twin.plans.plan import Sweep, parse_sweep
 from lunarsci.twin.soil_samples import read_soil_samples
 
@@ -31,6 +35,7 @@ class Soils:
     samples: Mapping[str, npt.NDArray[np.float64]] | None
     seed: int
     inputs: Mapping[str, str]
+    soil_map: SoilMap | None = None
 
     @classmethod
     def of(
@@ -40,13 +45,20 @@ class Soils:
         samples: str | None,
         seed: int,
         believed: SoilOfBelief | None = None,
+        soil_map: str | None = None,
     ) -> "Soils":
-        """Parse the options; a belief that is the soil leaves no room for others."""
+        """Parse the options; a belief that is the soil, or a soil map, leaves no room for others."""
+        ways = {"--soil-map": soil_map, "--sweep": sweep, "--samples": samples}
+        given = [name for name, value in ways.items() if value is not None]
+        if believed is not None and given:
+            raise typer.BadParameter(f"{given[0]} and a belief as --soil are two ways to name the soils; give one")
+        if soil_map is not None and len(given) > 1:
+            raise typer.BadParameter(f"--soil-map names the soils already; leave out {given[1]}")
         if believed is not None:
-            for name, given in (("--sweep", sweep), ("--samples", samples)):
-                if given is not None:
-                    raise typer.BadParameter(f"{name} and a belief as --soil are two ways to name the soils; give one")
             return cls(None, None, believed.belief.draws(members or OF_A_BELIEF, seed), seed, {})
+        if soil_map is not None:
+            source = read_input(soil_map)
+            return cls(None, members, None, seed, {soil_map: source.sha256}, read_soil_map(source))
         if samples is None:
             return cls(None if sweep is None else _parsed(sweep), members, None, seed, {})
         if sweep is not None:
@@ -60,6 +72,8 @@ class Soils:
 
     def kind(self, scene: Scene) -> str:
         """What the soils are: draws of a `belief`, other `samples`, a `sweep` of ranges, or `one`."""
+        if self.soil_map is not None:
+            return "belief"
         if self.samples is not None:
             path = next(iter(self.inputs), ".json" if scene.soil else "")
             return "belief" if path.lower().endswith(".json") else "samples"
@@ -78,13 +92,18 @@ def drive(
 ) -> Prediction:
     """Drive the scene's plan on these soils."""
     scene.inputs.update(soils.inputs)
+    grounds = None
+    if soils.soil_map is not None:
+        along, members = planned_places(scene.plan, scene.rover), soils.members or OF_A_BELIEF
+        grounds = drawn_grounds(soils.soil_map, scene.terrain, along, members, soils.seed)
     return predict(
         scene.rover,
         scene.terrain,
         scene.plan,
         sweep=soils.sweep,
-        members=soils.members,
+        members=soils.members if grounds is None else None,
         samples=soils.samples,
+        grounds=grounds,
         seed=soils.seed,
         time_step_s=time_step_s,
         sample_m=sample_m,

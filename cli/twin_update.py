@@ -40,6 +40,22 @@ def update(
         Path | None,
         typer.Option(metavar="FILE", help="The new belief (JSON): for --belief, and `twin predict --soil`."),
     ] = None,
+    map_before: Annotated[
+        str | None,
+        typer.Option("--map", metavar="FILE", help="Soil map before the drive (JSON), instead of --belief."),
+    ] = None,
+    save_map: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The soil map after it (JSON): each stretch of the way with its own soil."),
+    ] = None,
+    save_terrain: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The terrain with the median soil at every node, and what is known (.npz)."),
+    ] = None,
+    correlation: Annotated[
+        float | None,
+        typer.Option(min=0.1, help="Distance in m over which soils are alike; the map's, or 5, if left out."),
+    ] = None,
     rover: twin_options.RoverName = "yutu2",
     terrain: twin_options.TerrainName = "synthetic-longji",
     interpolation: twin_options.Interpolation = "smooth",
@@ -49,13 +65,19 @@ def update(
     """Rectify what is believed of the soil by a drive that happened: the twin drives it on many soils.
 
     Soils are kept as they meet the measured states and positions. Where no soil explains them, nothing is learned, it
-    is said why, and the exit code is 3.
+    is said why, and the exit code is 3. It is said, too, where along the way the soil changes; with a map each stretch
+    between changes is learned on its own, and far from all that was driven the map returns to the first priors.
     """
+    from .twin_update_map import MapFiles
     from .twin_update_report import Known, update_report
 
-    if save is not None:
-        output.check_extra("--save", save, (".json",))
-    known = Known.read(states, positions, belief, forget, plan, rover, terrain, interpolation)
+    if belief is not None and (map_before is not None or save_map is not None or save_terrain is not None):
+        raise typer.BadParameter("--belief is of one soil everywhere; give --map, or leave the map's options out")
+    output.check_extra("--save", save, (".json",))
+    output.check_extra("--save-map", save_map, (".json",))
+    output.check_extra("--save-terrain", save_terrain, (".npz",))
+    files_of_map = MapFiles(map_before, save_map, save_terrain, correlation)
+    known = Known.read(states, positions, belief, forget, plan, rover, terrain, interpolation, files_of_map)
     with progress("driving on many soils", quiet=output.quiet) as advance:
-        found = known.rectified(particles, seed, advance)
-    return update_report(known, found, seed, save)
+        learned = known.learned(particles, seed, advance)
+    return update_report(known, learned, seed, save, files_of_map)

@@ -1,23 +1,41 @@
 """From measured states and a belief to a new belief, and from this to a `Report`."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
 from lunarsci.regolith.belief_history import with_drive
 from lunarsci.regolith.prior import prior_hash
+from lunarsci.twin.drive_pieces import planned_places
 from lunarsci.twin.drive_record import DriveRecord, read_record
+from lunarsci.twin.ground.soil_map import SoilMap
 from lunarsci.twin.rectify import Rectified, rectify
+from lunarsci.twin.soil_zones import SoilChange
 
 from .report import Report
 from .table import TextTable
 from .twin_report import SOURCES, Scene, read_scene
+from .twin_update_map import (
+    MapFiles,
+    MapUpdate,
+    change_rows,
+    found_changes,
+    map_extras,
+    map_pages,
+    map_result,
+    read_map_before,
+    zone_tables,
+    zoned,
+)
 
-__all__ = ["Known", "update_report"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Known", "Learned", "update_report"]
 
 SETTLED, SURPRISING = 0.3, 2.0
 """Persistence of a population above which it has not spread out; surprise above which the ground differs; assumed."""
@@ -25,14 +43,20 @@ SETTLED, SURPRISING = 0.3, 2.0
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """What was driven and measured, and what was believed before."""
+    """What was driven and measured, and what was believed before.
+
+    `along` is the record without positions, for stretches of the drive; `soil_map` the map before, None where the soil
+    is not kept by place.
+    """
 
     scene: Scene
     record: DriveRecord
+    along: DriveRecord
     belief: SoilBelief
+    soil_map: SoilMap | None
+    forget: float
     states: str
     parent_sha256: str | None = None
-    forgotten: float = 0.0
 
     @classmethod
     def read(
@@ -45,18 +69,24 @@ class Known:
         rover: str,
         terrain: str,
         interpolation: str,
+        files_of_map: MapFiles,
     ) -> "Known":
         """Read the files."""
         scene = read_scene(plan, rover, terrain, "longji", interpolation)
         files = {path: read_input(path) for path in (states, positions) if path is not None}
         record = read_record(files[states], scene.rover, positions=files[positions] if positions else None)
+        soil_map = read_map_before(files_of_map, scene)
         before, parent = first_belief(), None
+        if soil_map is not None:
+            before = soil_map.belief_along(planned_places(scene.plan, scene.rover))
         if belief is not None:
             source = read_input(belief)
             before = read_belief(source)
             scene.inputs[belief] = parent = source.sha256
         scene.inputs.update({path: file.sha256 for path, file in files.items()})
-        return cls(scene, record, before.forgotten(forget) if forget else before, states, parent, forget)
+        along = record if positions is None else read_record(files[states], scene.rover)
+        before = before.forgotten(forget) if forget else before
+        return cls(scene, record, along, before, soil_map, forget, states, parent)
 
     def rectified(self, particles: int, seed: int, progress: Callable[[int, int], None]) -> Rectified:
         """The belief after the drive, with the drive in its history."""
@@ -71,10 +101,16 @@ class Known:
             seed=seed,
             progress=progress,
         )
-        entry = {
+        entry, parent = self.entry(found), self.parent_sha256
+        belief = with_drive(found.belief, self.belief, entry, parent_sha256=parent, forgotten=self.forget)
+        return dataclasses.replace(found, belief=belief)
+
+    def entry(self, found: Rectified) -> Mapping[str, Any]:
+        """The line of history of this drive."""
+        return {
             "states": Path(self.states).name,
-            "sha256": scene.inputs[self.states],
-            "plan": scene.plan.name,
+            "sha256": self.scene.inputs[self.states],
+            "plan": self.scene.plan.name,
             "values": found.values,
             "outliers": int(found.outliers.sum()),
             "chi_square": found.chi_square,
@@ -82,25 +118,55 @@ class Known:
             "surprise": found.surprise,
             "refused": found.refused,
         }
-        parent, forgotten = self.parent_sha256, self.forgotten
-        belief = with_drive(found.belief, self.belief, entry, parent_sha256=parent, forgotten=forgotten)
-        return dataclasses.replace(found, belief=belief)
+
+    def learned(self, particles: int, seed: int, progress: Callable[[int, int], None]) -> "Learned":
+        """What the drive says of one soil, where the soil changes, and, with a map, of the soil of each stretch."""
+        found = self.rectified(particles, seed, progress)
+        if self.soil_map is None:
+            return Learned(found, found_changes(self.along, found, seed), None)
+        settings = (self.forget, self.entry, particles, seed, progress)
+        update = zoned(self.scene, self.along, found, self.soil_map, *settings)
+        return Learned(found, update.changes, update)
 
 
-def update_report(known: Known, found: Rectified, seed: int, save: Path | None) -> Report:
+@dataclass(frozen=True, slots=True)
+class Learned:
+    """What a drive says of one soil, changes of the soil on its way, and the map after it."""
+
+    found: Rectified
+    changes: list[SoilChange]
+    update: MapUpdate | None
+
+
+def update_report(known: Known, learned: Learned, seed: int, save: Path | None, files_of_map: MapFiles) -> Report:
     """The report of `twin update`; `save` names a file that takes the new belief."""
+    found, update = learned.found, learned.update
+    extras: dict[Path, Callable[[], bytes]] = {save: lambda: found.belief.to_json().encode()} if save else {}
+    if update is not None:
+        extras |= map_extras(files_of_map, update, known.scene)
     return Report(
         schema="twin-update/1",
-        result=_result(found),
-        tables=[_table(known, found)],
+        result=_result(found)
+        | {"changes": change_rows(learned.changes)}
+        | (map_result(update) if update else {"zones": None, "map": None}),
+        tables=[_table(known, learned), *(zone_tables(update) if update else [])],
         rows=_rows(found),
+        figures=lambda: _pages(known, learned),
         inputs=known.scene.inputs,
         data_tables=known.scene.tables | prior_hash(),
         sources=[*SOURCES, "Christen & Fox (2005), J. Comput. Graph. Stat. 14, 795"],
         seed=seed,
-        extras={save: lambda: found.belief.to_json().encode()} if save else {},
-        untrusted=_doubt(found),
+        extras=extras,
+        untrusted=_doubt(learned),
     )
+
+
+def _pages(known: Known, learned: Learned) -> "Iterator[Figure]":
+    from lunarsci.twin.figures.soil_change import residual_page
+
+    yield residual_page(known.along, learned.found, learned.changes)
+    if learned.update is not None:
+        yield from map_pages(learned.update, known.scene)
 
 
 def _rows(found: Rectified) -> list[dict[str, Any]]:
@@ -127,7 +193,8 @@ def _result(found: Rectified) -> dict[str, Any]:
     }
 
 
-def _table(known: Known, found: Rectified) -> TextTable:
+def _table(known: Known, learned: Learned) -> TextTable:
+    found = learned.found
     rows = [
         [
             row["parameter"],
@@ -146,11 +213,19 @@ def _table(known: Known, found: Rectified) -> TextTable:
         notes.append(f"single wheels are off in {name} by {size:.2g} throughout, which was allowed for")
     if found.surprise > SURPRISING and not found.refused:
         notes.append("the ground is hardly the one that was believed; forget more, or begin anew")
+    notes.extend(change.text for change in learned.changes)
+    if learned.changes and learned.update is None:
+        notes.append("--save-map learns the soil of each stretch on its own")
     if found.persistence > SETTLED:
         notes.append("the soils have not spread out; take more particles, or intervals are too narrow")
     title = f"Soil after {known.states}: {known.scene.plan.name}"
     return TextTable(["parameter", "median", "68 % from", "to", "left of the prior"], rows, title=title, notes=notes)
 
 
-def _doubt(found: Rectified) -> str:
-    return f"nothing was learned: {found.refused}" if found.refused else ""
+def _doubt(learned: Learned) -> str:
+    found, update = learned.found, learned.update
+    if update is not None:
+        return "" if update.learned else f"nothing was learned: {update.zones[0].why_not}"
+    if not found.refused:
+        return ""
+    return "; ".join([f"nothing was learned: {found.refused}", *(change.text for change in learned.changes)])

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +28,7 @@ from lunarsci.twin.simulation.drive import begin, drive
 from lunarsci.twin.simulation.lanes import LANES, Work, new_work
 from lunarsci.twin.simulation.outcomes import OUTCOMES
 
-__all__ = ["PATH_COLUMNS", "STATE_COLUMNS", "Prediction", "member_parameters", "predict"]
+__all__ = ["PATH_COLUMNS", "STATE_COLUMNS", "Grounds", "Prediction", "member_parameters", "predict"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -57,6 +57,28 @@ MOST_STEPS = 1e7
 """Minutes of computing for a single member."""
 
 
+class Grounds(Protocol):
+    """A terrain for each member, where they do not share one.
+
+    Attributes
+    ----------
+    parameters : soil parameters that stand for each ground in tables, name to value. (members,)
+    """
+
+    @property
+    def parameters(self) -> Mapping[str, FloatArray]: ...
+
+    def __len__(self) -> int: ...
+
+    def terrain(self, member: int) -> Terrain:
+        """The ground of one member, of the shape of all others."""
+        ...
+
+    def only(self, member: int) -> Self:
+        """One of them alone."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Prediction:
     """Where the rover may go and what its wheels may meet, one row for each member of the ensemble.
@@ -74,6 +96,7 @@ class Prediction:
     halted : samples at a halt. (samples,)
     recorded : samples that each member reached; later rows repeat its last one and are no prediction. (members,)
     outcome : index into `OUTCOMES`. (members,)
+    grounds : what each member drove on, where they do not share the terrain's soil or one of `parameters`.
     """
 
     rover: Rover
@@ -90,6 +113,7 @@ class Prediction:
     halted: npt.NDArray[np.bool_]
     recorded: IntArray
     outcome: IntArray
+    grounds: Grounds | None = None
 
     @property
     def members(self) -> int:
@@ -147,7 +171,9 @@ def member_parameters(sweep: tuple[Sweep, ...], members: int | None, seed: int) 
 
 
 def _given_parameters(
-    samples: Mapping[str, npt.ArrayLike], sweep: tuple[Sweep, ...] | None, members: int | None
+    samples: Mapping[str, npt.ArrayLike] | Mapping[str, FloatArray],
+    sweep: tuple[Sweep, ...] | None,
+    members: int | None,
 ) -> dict[str, FloatArray]:
     if sweep is not None or members is not None:
         raise ParameterError("the soils are given; leave out the sweep and the number of members")
@@ -167,6 +193,7 @@ def predict(
     sweep: tuple[Sweep, ...] | None = None,
     members: int | None = None,
     samples: Mapping[str, npt.ArrayLike] | None = None,
+    grounds: Grounds | None = None,
     seed: int = 0,
     time_step_s: float = 0.1,
     sample_m: float = 0.1,
@@ -180,6 +207,7 @@ def predict(
     sweep : uncertain soil parameters, the plan's by default; they replace the terrain's values at every node.
     members : number of Latin-hypercube samples of the sweeps' ranges; None takes the grid of all their values.
     samples : the soils themselves instead of a sweep: parameter to one value for each member.
+    grounds : a terrain for each member instead, with the same nodes as `terrain`.
     seed : of the Latin hypercube and the errors of position fixes, >= 0.
     time_step_s : longest time step; shortened so that samples fall on steps. 0.1 s puts the end of the embedded plan
         within 1.5 mm. [s]
@@ -192,10 +220,13 @@ def predict(
     """
     check_plan(plan, rover)
     _check_steps(time_step_s, sample_m, seed)
-    if samples is None:
+    if grounds is not None and samples is not None:
+        raise ParameterError("samples and grounds are two ways to name the soils; give one")
+    given = samples if grounds is None else grounds.parameters
+    if given is None:
         parameters = member_parameters(plan.sweep if sweep is None else sweep, members, seed)
     else:
-        parameters = _given_parameters(samples, sweep, members)
+        parameters = _given_parameters(given, sweep, members)
     count = len(next(iter(parameters.values()))) if parameters else 1
     schedule = make_schedule(plan, rover)
     if schedule.duration_s / time_step_s > MOST_STEPS:
@@ -205,8 +236,8 @@ def predict(
         raise ParameterError(f"{count} members with {stops} samples do not fit into memory; give a longer sample_m")
     every = max(1, math.ceil(schedule.duration_s / stops / time_step_s - 1e-9))
     times = np.linspace(0.0, schedule.duration_s, stops * every + 1)
-    overrides = soil_overrides(parameters, count)
-    scene = Scene(rover, terrain, schedule, times, every, seed)
+    overrides = soil_overrides(parameters if grounds is None else {}, count)
+    scene = Scene(rover, terrain, schedule, times, every, seed, grounds)
     paths, states, results = _drive_all(scene, overrides, stops + 1, progress)
     halted = schedule.pace_at(times[::every]) < UNDER_WAY
     _calm_halts(states, halted, rover.wheel.radius_m)
@@ -229,6 +260,7 @@ def predict(
         halted=halted,
         recorded=results[:, 1],
         outcome=results[:, 0],
+        grounds=grounds,
     )
 
 
@@ -242,7 +274,7 @@ def _check_steps(time_step_s: float, sample_m: float, seed: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What all members share: who drives where, when, and at which times it is stepped."""
+    """What all members share: who drives where, when, and at which times it is stepped; or the ground of each."""
 
     rover: Rover
     terrain: Terrain
@@ -250,6 +282,7 @@ class Scene:
     times_s: FloatArray
     every: int
     seed: int
+    grounds: Grounds | None = None
 
 
 def _drive_all(
@@ -257,18 +290,21 @@ def _drive_all(
 ) -> tuple[FloatArray, FloatArray, IntArray]:
     """Drive the members, LANES together and as many such groups at a time as numba has threads.
 
-    The groups do not depend on the number of threads, and so neither do the results.
+    The groups do not depend on the number of threads, and so neither do the results. Members with a ground of their own
+    are a group each.
     """
     count, wheels = len(overrides), len(scene.rover.wheels)
     paths, states = np.zeros((count, samples, 6)), np.zeros((count, samples, wheels, 10))
     results = np.zeros((count, 2), dtype=np.int64)
-    grid, errors = scene.terrain.grid(), fix_errors(scene.schedule, count, scene.seed)
-    groups = [slice(k, min(k + LANES, count)) for k in range(0, count, LANES)]
+    shared, errors = scene.terrain.grid(), fix_errors(scene.schedule, count, scene.seed)
+    together = LANES if scene.grounds is None else 1
+    groups = [slice(k, min(k + together, count)) for k in range(0, count, together)]
     common = all_commands(scene.rover, scene.schedule, scene.times_s) if scene.schedule.plan.fixes is None else None
 
     def group(number: int) -> None:
         own = groups[number]
         lanes = np.minimum(np.arange(own.start, own.start + LANES), own.stop - 1)
+        grid = shared if scene.grounds is None else scene.grounds.terrain(number).grid()
         known = (scene.rover.vector(), scene.rover.wheel.vector(), grid, overrides[lanes])
         kept = (paths[own], states[own], results[own])
         if common is None:

@@ -55,8 +55,8 @@ class Rectified:
     ----------
     belief : after the drive; the one before it where `refused` says why nothing was learned.
     prediction : the drive on the soil that explains it best.
-    residuals : simulated less measured, over the errors as they were widened: states (n, 6), columns `OBSERVED`, NaN
-        where not measured. [-]
+    residuals : simulated less measured, over the errors of single values as they were widened: states (n, 6), columns
+        `OBSERVED`, NaN where not measured. [-]
     outliers : values of states that count as such. (n, 6)
     inflation : by quantity, what its errors were multiplied by as the twin's physics misses it by more; 1 otherwise.
     wheel_errors : by quantity, standard deviation of what each wheel was found to be off by throughout, in its unit.
@@ -119,7 +119,8 @@ def rectify(
     common = {name: model_error * share for name, share in MODEL_SHARES.items()}
     misfit = Misfit(rover, terrain, plan, record, belief, discrepancy=Discrepancy(common))
     posterior, mode = _best_soil(misfit, random)
-    states, places = posterior.misfit.parts(posterior.residuals(mode.point[None])[0][0])
+    residual = posterior.residuals(mode.point[None])[0][0]
+    states, places = posterior.misfit.parts(residual)
     known, inflation = posterior.misfit.known, posterior.misfit.inflation
     outliers = known & (np.abs(states) > HUBER)
     kept = known & ~outliers
@@ -134,7 +135,7 @@ def rectify(
     return Rectified(
         belief=learned,
         prediction=posterior.misfit.simulated(posterior.straight.transforms(mode.point[None])),
-        residuals=np.where(known, states, np.nan),
+        residuals=np.where(known, posterior.misfit.states_as_measured(residual), np.nan),
         outliers=outliers,
         inflation=inflation,
         wheel_errors=wheels,

@@ -9,7 +9,7 @@ from lunarsci.twin.comparison.autocorrelation import correlation_length
 from lunarsci.twin.comparison.meeting import Meeting
 from lunarsci.twin.comparison.scores import crps, predictive_rank
 from lunarsci.twin.drive_record import OBSERVED
-from lunarsci.twin.rectify import MODEL_ERRORS
+from lunarsci.twin.inference.misfit import MODEL_ERRORS
 
 __all__ = ["ALL", "NOMINAL", "BandCheck", "check_bands", "half_band", "ranks", "standardised"]
 

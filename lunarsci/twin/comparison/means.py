@@ -16,7 +16,7 @@ import numpy.typing as npt
 from lunarsci.twin.comparison.autocorrelation import correlation_length
 from lunarsci.twin.comparison.meeting import Meeting
 from lunarsci.twin.drive_record import OBSERVED
-from lunarsci.twin.rectify import MODEL_ERRORS
+from lunarsci.twin.inference.misfit import MODEL_ERRORS
 
 __all__ = ["PieceMeans", "most_pieces", "piece_edges", "piece_means"]
 

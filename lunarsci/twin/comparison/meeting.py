@@ -9,7 +9,7 @@ from lunarsci.errors import ParameterError
 from lunarsci.twin.comparison.forecast import Forecast
 from lunarsci.twin.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.ensemble import STATE_COLUMNS
-from lunarsci.twin.rectify import MODEL_ERRORS
+from lunarsci.twin.inference.misfit import MODEL_ERRORS
 
 __all__ = ["FIRST_S", "FIX_ERROR_M", "Meeting", "meet"]
 

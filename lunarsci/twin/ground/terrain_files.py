@@ -3,6 +3,7 @@
 import io
 import zipfile
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ __all__ = ["read_terrain", "terrain_bytes", "write_terrain"]
 
 FloatArray = npt.NDArray[np.float64]
 HEADER = ("ncols", "nrows", "cellsize", "nodata_value", "xllcorner", "yllcorner", "xllcenter", "yllcenter")
+LEFT = "_left_of_prior"
 EVEN = 1e-4
 """How evenly nodes must be spaced, as a share of the spacing."""
 
@@ -27,7 +29,7 @@ def read_terrain(path: str | Path, soil: Soil) -> Terrain:
 
     * `.npz`, NumPy archive: `x_m` (nx,) and `y_m` (ny,), ascending and evenly spaced with one spacing; `height_m`
       (ny, nx) with NaN where unknown; optionally any field of `Soil` under its own name and unit, a number or (ny, nx);
-      optionally `name` and `synthetic`.
+      optionally `name` and `synthetic`. Layers `PARAMETER_left_of_prior` of a soil map may be there, and are not read.
     * `.tif`, `.tiff`, GeoTIFF: first band, heights in m on square cells of a projection in m; needs the extra `cubes`.
     * `.asc`, ESRI ASCII grid, heights and cells in m.
     * `.csv`, a row for each node: `x_m`, `y_m`, `height_m`, and optionally fields of `Soil`; nodes that are not in the
@@ -50,6 +52,7 @@ def read_terrain(path: str | Path, soil: Soil) -> Terrain:
 def _read_archive(path: Path, soil: Soil) -> Terrain:
     arrays = _load(path)
     known = {"x_m", "y_m", "height_m", "name", "synthetic", *SOIL_COLUMNS}
+    arrays = {key: array for key, array in arrays.items() if key.removesuffix(LEFT) not in SOIL_COLUMNS or key in known}
     if unknown := set(arrays) - known:
         raise DataError(f"{path}: '{min(unknown)}' is not a key of a terrain; these are: {', '.join(sorted(known))}")
     for key in ("x_m", "y_m", "height_m"):
@@ -148,8 +151,11 @@ def _read_table(path: Path, soil: Soil) -> Terrain:
     return build_terrain(path.stem, float(x[0]), float(y[0]), spacing, height, soil).with_soil(**layers)
 
 
-def terrain_bytes(terrain: Terrain) -> bytes:
-    """A terrain as the NumPy archive that `read_terrain` reads."""
+def terrain_bytes(terrain: Terrain, *, left_of_prior: Mapping[str, FloatArray] | None = None) -> bytes:
+    """A terrain as the NumPy archive that `read_terrain` reads.
+
+    `left_of_prior` (ny, nx) of each parameter, of a soil map, goes to layers `PARAMETER_left_of_prior`, for people.
+    """
     shape = terrain.height_m.shape if terrain.soil.shape[0] > 1 else ()
     layers = {name: from_si(name, terrain.soil[..., k]).reshape(shape) for name, k in SOIL_COLUMNS.items()}
     content: dict[str, Any] = {
@@ -159,6 +165,7 @@ def terrain_bytes(terrain: Terrain) -> bytes:
         "name": np.array(terrain.name),
         "synthetic": np.array(terrain.synthetic),
         **layers,
+        **{f"{name}{LEFT}": values.astype(np.float32) for name, values in (left_of_prior or {}).items()},
     }
     archive = io.BytesIO()
     np.savez_compressed(archive, **content)

@@ -65,12 +65,15 @@ def step_error_m(prediction: Prediction) -> float | None:
     fixes = prediction.plan.fixes and Fixes(0.0, 0.0)
     plan = replace(prediction.plan, fixes=fixes)
     steps = (prediction.time_step_s, prediction.time_step_s / 2) if fixes else (prediction.time_step_s / 2,)
+    ground = prediction.grounds and prediction.grounds.only(member)
+    own = {name: values[member : member + 1] for name, values in prediction.parameters.items()}
     runs = [
         predict(
             prediction.rover,
             prediction.terrain,
             plan,
-            samples={name: values[member : member + 1] for name, values in prediction.parameters.items()} or None,
+            samples=(own or None) if ground is None else None,
+            grounds=ground,
             sweep=None if prediction.parameters else (),
             time_step_s=step * (1 + 1e-9),
             sample_m=float(prediction.time_s[1]) * plan.speed_m_s * (1 + 1e-9),

@@ -1,0 +1,89 @@
+"""Pictures of a soil map over a terrain: median soil at every node, and how much of the first laws' spread is left."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.regolith.prior import PARAMETERS
+from lunarsci.twin.ground.soil_layers import SoilLayers
+from lunarsci.twin.ground.soil_map import SoilMap
+from lunarsci.twin.ground.terrain import SOIL_COLUMNS, from_si
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["soil_pages"]
+
+FloatArray = npt.NDArray[np.float64]
+INK, PATH = "#26323a", "#e6550d"
+LABELS = {
+    "stiffness_kpa_m_n": "Stiffness [kPa/m$^N$]",
+    "sinkage_exponent": "Sinkage exponent [-]",
+    "sinkage_exponent_slip": "Sinkage exponent per slip [-]",
+    "cohesion_pa": "Cohesion [Pa]",
+    "friction_angle_deg": "Friction angle [deg]",
+    "shear_modulus_mm": "Shear modulus [mm]",
+    "external_friction_angle_deg": "External friction angle [deg]",
+    "lateral_modulus_mm": "Lateral modulus [mm]",
+}
+
+
+def soil_pages(layers: SoilLayers, soil_map: SoilMap) -> "Iterator[Figure]":
+    """Two pages of eight maps: medians, and what is left of the first laws' standard deviation; tracks are drawn."""
+    terrain, shape = layers.terrain, layers.terrain.height_m.shape
+    soil = {name: from_si(name, terrain.soil[..., SOIL_COLUMNS[name]]) for name in PARAMETERS}
+    medians = {name: np.broadcast_to(values, shape) for name, values in soil.items()}
+    length = f"{soil_map.correlation_m:g} m"
+    yield _page(layers, soil_map, medians, "Median soil at every node", None)
+    title = f"Left of the first laws' standard deviation: 1 = nothing known; soils alike over {length}, assumed"
+    yield _page(layers, soil_map, dict(layers.left_of_prior), title, (0.0, 1.0))
+
+
+def _page(
+    layers: SoilLayers,
+    soil_map: SoilMap,
+    values: dict[str, FloatArray],
+    title: str,
+    limits: tuple[float, float] | None,
+) -> "Figure":
+    from matplotlib.figure import Figure
+
+    terrain = layers.terrain
+    tall = float(np.clip(np.ptp(terrain.y_m) / np.ptp(terrain.x_m), 0.3, 2.0))
+    figure = Figure(figsize=(15.0, 2.0 * (3.0 * tall + 0.6) + 0.8), dpi=110, layout="constrained", facecolor="white")
+    axes: Any = figure.subplots(2, 4, sharex=True, sharey=True)
+    half = 0.5 * terrain.spacing_m
+    x, y = terrain.x_m, terrain.y_m
+    drawn: Any = {"extent": (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half), "origin": "lower"}
+    hole = np.isnan(terrain.height_m)
+    for panel, name in zip(axes.flat, PARAMETERS, strict=True):
+        shown = np.ma.masked_array(values[name], mask=hole)
+        low, high = limits or _limits(shown)
+        image = panel.imshow(shown, cmap="viridis" if limits is None else "magma_r", vmin=low, vmax=high, **drawn)
+        figure.colorbar(image, ax=panel, fraction=0.046, pad=0.01).ax.tick_params(labelsize=7)
+        panel.set_title(LABELS[name], fontsize=10, color=INK)
+        panel.set_aspect("equal")
+        panel.tick_params(labelsize=8)
+        _draw_tracks(panel, soil_map)
+    for panel in axes[1]:
+        panel.set_xlabel("x [m]")
+    for panel in axes[:, 0]:
+        panel.set_ylabel("y [m]")
+    synthetic = " (synthetic)" if terrain.synthetic and "synthetic" not in terrain.name else ""
+    figure.suptitle(f"{title}   ·   {terrain.name}{synthetic}", fontsize=12, color=INK)
+    return figure
+
+
+def _limits(values: FloatArray) -> tuple[float, float]:
+    """Of a colour scale; no narrower than 2 %, so that rounding makes no pattern."""
+    low, high = float(values.min()), float(values.max())
+    least = 0.02 * max(abs(low), abs(high), 1e-9)
+    return (low, high) if high - low > least else (0.5 * (low + high - least), 0.5 * (low + high + least))
+
+
+def _draw_tracks(panel: Any, soil_map: SoilMap) -> None:
+    for zone in soil_map.zones:
+        panel.plot(*zone.place_m.T, ".", color=PATH, markersize=1.0)
+        panel.plot(*zone.place_m[0], "o", color=PATH, markersize=3.0)

@@ -1,0 +1,215 @@
+"""What is believed of the soil at every place: beliefs of the zones that were driven, blended over the ground.
+
+The transforms of the soil parameters are a Gaussian process over the plane: by the first laws everywhere, with the
+correlation exp(-d / L) between places d apart. Zones are data whose values are known as well as their beliefs say. The
+blend is simple kriging (Rasmussen & Williams 2006, Gaussian Processes for Machine Learning, ch. 2, eq. 2.23-2.24, with
+the exponential kernel, eq. 4.18) with, as in a moving neighbourhood, the few zones nearest to a node, each taken at
+its place nearest to the node. Within the track of the rover the belief is the zone's own; far from all zones it is
+that of the first laws: in space, this is how a belief is forgotten.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.errors import ParameterError
+from lunarsci.regolith.belief import SoilBelief
+from lunarsci.regolith.prior import PARAMETERS, Law, default_prior
+
+__all__ = ["CORRELATION_M", "REACH_M", "Blend", "SoilMap", "Zone", "zone_roots"]
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+CORRELATION_M = 5.0
+"""Distance over which soils resemble each other, where none is given; assumed."""
+REACH_M = 0.6
+"""Half the width of ground that a drive speaks of: 0.45 m to a wheel's middle, and the wheel; assumed for Yutu-2."""
+NEIGHBOURS = 4
+"""Zones that a node looks at, the nearest ones; assumed."""
+NUGGET = 1e-9
+NEAREST_M = 1e-9
+NODES_AT_ONCE = 16_384
+HISTORY_SHARE = 0.05
+"""Share of a zone in a blend from which on its drives are named in the history of it; assumed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Zone:
+    """Ground of one soil that was driven.
+
+    Attributes
+    ----------
+    name : of the drive, and of the stretch.
+    place_m : places of the rover's origin, some decimetres apart at most. (k, 2) [m]
+    belief : of the soil there.
+
+    Raises ParameterError for places that are not finite, or none.
+    """
+
+    name: str
+    place_m: FloatArray
+    belief: SoilBelief
+
+    def __post_init__(self) -> None:
+        if self.place_m.ndim != 2 or self.place_m.shape[1:] != (2,) or not len(self.place_m):
+            raise ParameterError(f"zone '{self.name}' has places of shape {self.place_m.shape}; give x and y of each")
+        if not np.isfinite(self.place_m).all():
+            raise ParameterError(f"zone '{self.name}' has a place that is not finite")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Blend:
+    """How the soil at some nodes follows from zones.
+
+    Attributes
+    ----------
+    zone : which zones each node looks at. (n, j)
+    share : of each of them in the mean, 1 where the node lies in its track. (n, j)
+    correlation : of the places at which they are taken. (n, j, j)
+    unknown : share of the first laws' variance that no zone takes away, 0 to 1. (n,)
+    """
+
+    zone: IntArray
+    share: FloatArray
+    correlation: FloatArray
+    unknown: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SoilMap:
+    """Beliefs with places.
+
+    Attributes
+    ----------
+    laws : the first laws, which hold where nothing was driven; those of every zone.
+    correlation_m : distance L of the kernel exp(-d / L), above 0. [m]
+    reach_m : half the width of ground that a zone's belief holds for as it is, 0 or more. [m]
+    zones : oldest first.
+
+    Raises ParameterError.
+    """
+
+    laws: Mapping[str, Law] = field(default_factory=default_prior)
+    correlation_m: float = CORRELATION_M
+    reach_m: float = REACH_M
+    zones: tuple[Zone, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not 0 < self.correlation_m < np.inf:
+            raise ParameterError(f"the correlation length is {self.correlation_m:g}; give a length above 0 m")
+        if not 0 <= self.reach_m < np.inf:
+            raise ParameterError(f"the reach of a zone is {self.reach_m:g}; give 0 m or more")
+        for zone in self.zones:
+            if dict(zone.belief.laws) != dict(self.laws):
+                raise ParameterError(f"zone '{zone.name}' began with other first laws than the map's")
+
+    @property
+    def center(self) -> FloatArray:
+        """Mean of the first laws. (8,)"""
+        return np.array([self.laws[name].center for name in PARAMETERS])
+
+    @property
+    def width(self) -> FloatArray:
+        """Standard deviations of the first laws. (8,)"""
+        return np.array([self.laws[name].width for name in PARAMETERS])
+
+    def blend(self, place_m: FloatArray) -> Blend:
+        """How the soil at places (n, 2) follows from the zones."""
+        parts = [self._blend(place_m[k : k + NODES_AT_ONCE]) for k in range(0, max(len(place_m), 1), NODES_AT_ONCE)]
+        columns = zip(*((part.zone, part.share, part.correlation, part.unknown) for part in parts), strict=True)
+        return Blend(*(np.concatenate(column) for column in columns))
+
+    def _blend(self, place_m: FloatArray) -> Blend:
+        n, j = len(place_m), min(len(self.zones), NEIGHBOURS)
+        if not j:
+            return Blend(np.zeros((n, 0), dtype=np.int64), np.zeros((n, 0)), np.zeros((n, 0, 0)), np.ones(n))
+        distance, nearest = self._nearest(place_m)
+        # Of zones equally near the latest counts.
+        zone = np.lexsort((np.broadcast_to(-np.arange(len(self.zones)), distance.shape), distance), axis=1)[:, :j]
+        distance = np.take_along_axis(distance, zone, axis=1)
+        nearest = np.take_along_axis(nearest, zone[..., None], axis=1)
+        within = np.minimum(1.0, self.reach_m / np.maximum(distance, NEAREST_M))
+        taken = nearest + within[..., None] * (place_m[:, None] - nearest)
+        gap = np.linalg.norm(taken[:, :, None] - taken[:, None], axis=-1)
+        correlation = np.exp(-gap / self.correlation_m)
+        own = np.exp(-np.maximum(distance - self.reach_m, 0.0) / self.correlation_m)
+        share = np.linalg.solve(correlation + NUGGET * np.eye(j), own[..., None])[..., 0]
+        inside = distance[:, 0] <= self.reach_m
+        share[inside] = np.eye(j)[0]
+        unknown = np.where(inside, 0.0, np.clip(1.0 - (own * share).sum(axis=1), 0.0, 1.0))
+        return Blend(zone, share, correlation, unknown)
+
+    def _nearest(self, place_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Distance to every zone, (n, zones), and its nearest place, (n, zones, 2)."""
+        from scipy.spatial import cKDTree
+
+        found = [(zone.place_m, *cKDTree(zone.place_m).query(place_m)) for zone in self.zones]
+        distance = np.column_stack([distance for _, distance, _ in found])
+        return distance, np.stack([places[index] for places, _, index in found], axis=1)
+
+    def moments(self, place_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean (n, 8) and covariance (n, 8, 8) of the transforms at places (n, 2).
+
+        The covariance is sum_ij share_i share_j correlation_ij R_i R_j^T, plus `unknown` times that of the first laws,
+        with R the root of a zone's covariance: what two zones do not know they do not know together.
+        """
+        blend = self.blend(place_m)
+        first = np.diag(self.width**2)
+        if not self.zones:
+            return np.tile(self.center, (len(place_m), 1)), np.tile(first, (len(place_m), 1, 1))
+        means = np.array([zone.belief.mean for zone in self.zones]) - self.center
+        mean = self.center + np.einsum("nj,njp->np", blend.share, means[blend.zone])
+        roots = zone_roots(self)[blend.zone] * blend.share[..., None, None]
+        covariance = np.einsum("nij,nipr,njqr->npq", blend.correlation, roots, roots, optimize=True)
+        return mean, covariance + blend.unknown[:, None, None] * first
+
+    def spread(self, place_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean (n, 8) and standard deviation (n, 8) of the transforms at places (n, 2)."""
+        mean, deviation = np.empty((len(place_m), len(PARAMETERS))), np.empty((len(place_m), len(PARAMETERS)))
+        for k in range(0, len(place_m), NODES_AT_ONCE):
+            part = slice(k, k + NODES_AT_ONCE)
+            mean[part], covariance = self.moments(place_m[part])
+            deviation[part] = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+        return mean, deviation
+
+    def belief_along(self, place_m: FloatArray) -> SoilBelief:
+        """Of the soil at a place picked from these (n, 2) at random: mean and covariance of the mixture over them."""
+        mean, covariance = self.moments(place_m)
+        off = mean - mean.mean(axis=0)
+        mixed = covariance.mean(axis=0) + off.T @ off / len(off)
+        return SoilBelief(self.laws, mean.mean(axis=0), 0.5 * (mixed + mixed.T), self._history(self.blend(place_m)))
+
+    def _history(self, blend: Blend) -> tuple[Mapping[str, Any], ...]:
+        share = np.zeros(len(self.zones))
+        np.add.at(share, blend.zone, blend.share / max(len(blend.share), 1))
+        entries: list[Mapping[str, Any]] = []
+        for zone in (zone for zone, part in zip(self.zones, share, strict=True) if part > HISTORY_SHARE):
+            entries.extend(entry for entry in zone.belief.history if entry not in entries)
+        return tuple(entries)
+
+    def with_zones(self, zones: Sequence[Zone]) -> "SoilMap":
+        """The map after a drive: older zones end within the reach of new ones, whose beliefs rest on theirs."""
+        if not zones:
+            return self
+        from scipy.spatial import cKDTree
+
+        tree = cKDTree(np.concatenate([zone.place_m for zone in zones]))
+        kept = []
+        for zone in self.zones:
+            outside = np.asarray(tree.query(zone.place_m)[0] > self.reach_m)
+            if outside.any():
+                kept.append(zone if outside.all() else replace(zone, place_m=zone.place_m[outside]))
+        return replace(self, zones=(*kept, *zones))
+
+
+def zone_roots(soil_map: SoilMap) -> FloatArray:
+    """Roots R of the zones' covariances R R^T, symmetric in widths of the first laws. (z, 8, 8)"""
+    width = soil_map.width
+    roots = []
+    for zone in soil_map.zones:
+        values, vectors = np.linalg.eigh(zone.belief.covariance / np.outer(width, width))
+        roots.append(width[:, None] * (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+    return np.array(roots).reshape(-1, len(PARAMETERS), len(PARAMETERS))
