@@ -1,0 +1,293 @@
+"""Where the rover was and how it slipped, from its wheels, its heading and localised positions.
+
+The rover moves as its wheels say, but for a deviation of each of its three velocities, a share of the mean rim speed:
+a constant that is not known, plus a stationary process along the way, Matern 3/2 (Rasmussen & Williams 2006, ch. 4; as a
+state-space model Hartikainen & Sarkka 2010, 10.1109/MLSP.2010.5589113). Positions and headings observe it. A Kalman
+filter with the smoother of Rauch, Tung & Striebel (1965, 10.2514/3.3166), linearised anew about its own result until it
+stands still, is Gauss-Newton for the whole drive (Bell 1994, 10.1137/0804035).
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.errors import DataError
+
+__all__ = ["AHEAD", "MEANS", "SIZE", "Nodes", "Smoothed", "smooth"]
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+SIZE = 12
+"""State: x, y, heading; deviation and its derivative along the way of ahead, left and turn; their constant parts."""
+AHEAD = (3, 5, 7)
+MEANS = (9, 10, 11)
+LENGTH_M = 1.0
+"""Over which deviations change, assumed: the length of the rover, over which it averages the ground. [m]"""
+MEAN_SIGMA = (0.3, 0.1, 0.05)
+"""Of the constant deviations, ahead and left as shares, turn in 1/m: wide; assumed."""
+AMPLITUDES = (0.003, 0.01, 0.03, 0.1, 0.3)
+"""Candidates for the changing parts of ahead and left; those of turn are `TURN_SHARE` of them in 1/m."""
+TURN_SHARE = 0.5
+USUAL_LN, USUAL_WIDTH = math.log(0.03), 1.2
+"""What is believed of ln amplitude beforehand: slip changes by some percent; assumed."""
+START_M, START_RAD = 10.0, 1.0
+POSITION_M_PER_STEP = 2e-4
+"""What each step may be off by whatever the wheels do; assumed. [m]"""
+ROUNDS = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Nodes:
+    """The moments at which the motion is found.
+
+    Attributes
+    ----------
+    time_s : (n,) [s]
+    twist : mean velocity between nodes if nothing slips: ahead, left [m/s], turn [rad/s]. (n - 1, 3)
+    way_m : mean way of the rims between nodes. (n - 1,) [m]
+    loose : additional standard error of the way between nodes, as over a gap. (n - 1,) [m]
+    apart : steps over which deviations keep nothing, as at a halt. (n - 1,)
+    fix_m, fix_covariance_m2 : positions, NaN where there is none. (n, 2), (n, 2, 2)
+    yaw_rad, yaw_sigma_rad : headings, NaN where there is none. (n,)
+    """
+
+    time_s: FloatArray
+    twist: FloatArray
+    way_m: FloatArray
+    loose: FloatArray
+    apart: BoolArray
+    fix_m: FloatArray
+    fix_covariance_m2: FloatArray
+    yaw_rad: FloatArray
+    yaw_sigma_rad: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Smoothed:
+    """The motion at the nodes.
+
+    Attributes
+    ----------
+    state, covariance : mean and covariance of the state. (n, 12), (n, 12, 12)
+    amplitude : of the changing deviations ahead, left [-] and turn [1/m]. (3,)
+    misfit : Mahalanobis distance squared of each position from where all else puts it, NaN where there is none. (n,)
+    reduced_chi_square : of positions and headings.
+    """
+
+    state: FloatArray
+    covariance: FloatArray
+    amplitude: FloatArray
+    misfit: FloatArray
+    reduced_chi_square: float
+
+    @property
+    def deviation(self) -> FloatArray:
+        """Deviation of ahead, left and turn, as shares of the rims' mean speed. (n, 3) [-, -, 1/m]"""
+        return self.state[:, AHEAD] + self.state[:, MEANS]
+
+
+def smooth(nodes: Nodes, amplitude: FloatArray | None = None) -> Smoothed:
+    """The motion that explains positions and headings best, with its uncertainty.
+
+    Parameters
+    ----------
+    nodes : with two positions or more.
+    amplitude : of the changing deviations (3,); None weighs `AMPLITUDES` by how well each foretells the positions.
+
+    Raises DataError for fewer than two positions, or where the numbers do not hold.
+    """
+    if np.isfinite(nodes.fix_m).all(axis=1).sum() < 2:
+        raise DataError("fewer than two positions of use; slip needs two or more")
+    try:
+        chosen = _likely(nodes) if amplitude is None else amplitude
+        reference = _dead_reckoned(nodes)
+        for _ in range(ROUNDS):
+            model = _linearised(nodes, reference)
+            means, covariances, _ = _filtered(nodes, model, chosen[None])
+            state, covariance = _smoothed(nodes, model, chosen, means[:, 0], covariances[:, 0])
+            reference = state
+    except np.linalg.LinAlgError as error:
+        raise DataError("the motion cannot be found: errors of positions or headings are absurd") from error
+    misfit, chi_square, count = _misfits(nodes, state, covariance)
+    return Smoothed(
+        state=state,
+        covariance=covariance,
+        amplitude=chosen,
+        misfit=misfit,
+        reduced_chi_square=chi_square / max(count, 1),
+    )
+
+
+def _likely(nodes: Nodes) -> FloatArray:
+    """Amplitudes by their posterior mean in ln, over a grid; turn apart from ahead and left."""
+    reference = _dead_reckoned(nodes)
+    grid = np.array([[a, b, TURN_SHARE * c] for a in AMPLITUDES for b in AMPLITUDES for c in AMPLITUDES])
+    for _ in range(2):
+        start = np.array([[0.03, 0.03, 0.03 * TURN_SHARE]])
+        model = _linearised(nodes, reference)
+        means, covariances, _ = _filtered(nodes, model, start)
+        reference, _ = _smoothed(nodes, model, start[0], means[:, 0], covariances[:, 0])
+    _, _, ln_likelihood = _filtered(nodes, _linearised(nodes, reference), grid)
+    shares = grid / np.array([1.0, 1.0, TURN_SHARE])
+    ln_likelihood = ln_likelihood - 0.5 * (((np.log(shares) - USUAL_LN) / USUAL_WIDTH) ** 2).sum(axis=1)
+    weight = np.exp(ln_likelihood - ln_likelihood.max())
+    return np.asarray(np.exp(weight @ np.log(grid) / weight.sum()))
+
+
+def _dead_reckoned(nodes: Nodes) -> FloatArray:
+    """States along measured headings, or where there are none turned as the wheels say, through the first position."""
+    count = len(nodes.time_s)
+    steps = np.diff(nodes.time_s)
+    turned = np.append(0.0, np.cumsum(nodes.twist[:, 2] * steps))
+    known = np.isfinite(nodes.yaw_rad)
+    off = np.interp(np.arange(count), np.flatnonzero(known), (nodes.yaw_rad - turned)[known]) if known.any() else 0.0
+    yaw = turned + off
+    middle = 0.5 * (yaw[1:] + yaw[:-1])
+    ahead, left = nodes.twist[:, 0] * steps, nodes.twist[:, 1] * steps
+    state = np.zeros((count, SIZE))
+    state[1:, 0] = np.cumsum(np.cos(middle) * ahead - np.sin(middle) * left)
+    state[1:, 1] = np.cumsum(np.sin(middle) * ahead + np.cos(middle) * left)
+    state[:, 2] = yaw
+    first = int(np.argmax(np.isfinite(nodes.fix_m).all(axis=1)))
+    state[:, :2] += nodes.fix_m[first] - state[first, :2]
+    return state
+
+
+def _linearised(nodes: Nodes, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Matrix and constant of each step about a reference. (n - 1, 12, 12), (n - 1, 12)"""
+    steps, way = np.diff(nodes.time_s), nodes.way_m
+    matrix = np.zeros((len(steps), SIZE, SIZE))
+    rate = math.sqrt(3.0) / LENGTH_M
+    decay = np.where(nodes.apart, 0.0, np.exp(-rate * way))
+    for k in AHEAD:
+        matrix[:, k, k], matrix[:, k, k + 1] = decay * (1 + rate * way), decay * way
+        matrix[:, k + 1, k], matrix[:, k + 1, k + 1] = -decay * rate**2 * way, decay * (1 - rate * way)
+    for k in MEANS:
+        matrix[:, k, k] = 1.0
+    # Way ahead and left, and turn, in a step: what the wheels say and the deviation at its middle.
+    moved = nodes.twist * steps[:, None]
+    parts = np.zeros((len(steps), 3, SIZE))
+    for row, (k, mean) in enumerate(zip(AHEAD, MEANS, strict=True)):
+        parts[:, row, k], parts[:, row, k + 1], parts[:, row, mean] = way, 0.5 * way**2, way
+    before = reference[:-1]
+    full = moved + np.einsum("nij,nj->ni", parts, before)
+    middle = before[:, 2] + 0.5 * full[:, 2]
+    cos, sin = np.cos(middle), np.sin(middle)
+    by_turn = np.stack([-sin * full[:, 0] - cos * full[:, 1], cos * full[:, 0] - sin * full[:, 1]], axis=-1)
+    matrix[:, 0] = cos[:, None] * parts[:, 0] - sin[:, None] * parts[:, 1] + 0.5 * by_turn[:, :1] * parts[:, 2]
+    matrix[:, 1] = sin[:, None] * parts[:, 0] + cos[:, None] * parts[:, 1] + 0.5 * by_turn[:, 1:] * parts[:, 2]
+    matrix[:, 2] = parts[:, 2]
+    matrix[:, 0, 0] = matrix[:, 1, 1] = matrix[:, 2, 2] = 1.0
+    matrix[:, 0, 2], matrix[:, 1, 2] = by_turn[:, 0], by_turn[:, 1]
+    after = np.zeros((len(steps), SIZE))
+    after[:, 0] = before[:, 0] + cos * full[:, 0] - sin * full[:, 1]
+    after[:, 1] = before[:, 1] + sin * full[:, 0] + cos * full[:, 1]
+    after[:, 2] = before[:, 2] + full[:, 2]
+    after[:, 3:] = np.einsum("nij,nj->ni", matrix, before)[:, 3:]
+    return matrix, after - np.einsum("nij,nj->ni", matrix, before)
+
+
+def _noise(nodes: Nodes, matrix: FloatArray, amplitude: FloatArray, k: int) -> FloatArray:
+    """Covariance that a step adds, for each of several amplitudes (m, 3). (m, 12, 12)"""
+    result = np.zeros((len(amplitude), SIZE, SIZE))
+    rate = math.sqrt(3.0) / LENGTH_M
+    for channel, row in enumerate(AHEAD):
+        block = matrix[k, row : row + 2, row : row + 2]
+        still = np.diag([1.0, rate**2])
+        result[:, row : row + 2, row : row + 2] = (
+            amplitude[:, channel, None, None] ** 2 * (still - block @ still @ block.T)[None]
+        )
+    result[:, 0, 0] = result[:, 1, 1] = POSITION_M_PER_STEP**2 + nodes.loose[k] ** 2
+    result[:, 2, 2] = (nodes.loose[k] / LENGTH_M) ** 2
+    return result
+
+
+def _start(nodes: Nodes, amplitude: FloatArray) -> tuple[FloatArray, FloatArray]:
+    reference = _dead_reckoned(nodes)[0]
+    mean = np.zeros((len(amplitude), SIZE))
+    mean[:, :3] = reference[:3]
+    covariance = np.zeros((len(amplitude), SIZE, SIZE))
+    covariance[:, 0, 0] = covariance[:, 1, 1] = START_M**2
+    covariance[:, 2, 2] = START_RAD**2
+    for channel, row in enumerate(AHEAD):
+        covariance[:, row, row] = amplitude[:, channel] ** 2
+        covariance[:, row + 1, row + 1] = (amplitude[:, channel] * math.sqrt(3.0) / LENGTH_M) ** 2
+    for row, sigma in zip(MEANS, MEAN_SIGMA, strict=True):
+        covariance[:, row, row] = sigma**2
+    return mean, covariance
+
+
+def _filtered(
+    nodes: Nodes, model: tuple[FloatArray, FloatArray], amplitude: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Filter for each of several amplitudes (m, 3): means (n, m, 12), covariances, and ln likelihood (m,)."""
+    matrix, constant = model
+    mean, covariance = _start(nodes, amplitude)
+    means, covariances = [], []
+    ln_likelihood = np.zeros(len(amplitude))
+    for k in range(len(nodes.time_s)):
+        if k:
+            step = matrix[k - 1]
+            mean = mean @ step.T + constant[k - 1]
+            covariance = step @ covariance @ step.T + _noise(nodes, matrix, amplitude, k - 1)
+        seen, values, errors = _observed(nodes, k)
+        if seen:
+            off = values - mean[:, seen]
+            within = covariance[:, seen][:, :, seen] + errors
+            gain = np.linalg.solve(within, covariance[:, seen])
+            ln_likelihood += -0.5 * np.einsum("mi,mi->m", off, np.linalg.solve(within, off[..., None])[..., 0])
+            ln_likelihood += -0.5 * np.linalg.slogdet(within)[1]
+            mean = mean + np.einsum("mij,mi->mj", gain, off)
+            covariance = covariance - np.swapaxes(covariance[:, seen], 1, 2) @ gain
+            covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
+        means.append(mean)
+        covariances.append(covariance)
+    return np.array(means), np.array(covariances), ln_likelihood
+
+
+def _observed(nodes: Nodes, k: int) -> tuple[list[int], FloatArray, FloatArray]:
+    """What is measured at a node: which parts of the state, their values and their covariance."""
+    fixed, turned = bool(np.isfinite(nodes.fix_m[k]).all()), bool(np.isfinite(nodes.yaw_rad[k]))
+    seen = [0, 1] * fixed + [2] * turned
+    errors = np.zeros((len(seen), len(seen)))
+    if fixed:
+        errors[:2, :2] = nodes.fix_covariance_m2[k]
+    if turned:
+        errors[-1, -1] = nodes.yaw_sigma_rad[k] ** 2
+    return seen, np.array([*nodes.fix_m[k][: 2 * fixed], *[nodes.yaw_rad[k]] * turned]), errors
+
+
+def _smoothed(
+    nodes: Nodes,
+    model: tuple[FloatArray, FloatArray],
+    amplitude: FloatArray,
+    means: FloatArray,
+    covariances: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    matrix, constant = model
+    means, covariances = means.copy(), covariances.copy()
+    for k in range(len(means) - 2, -1, -1):
+        step = matrix[k]
+        ahead = step @ covariances[k] @ step.T + _noise(nodes, matrix, amplitude[None], k)[0]
+        gain = np.linalg.solve(ahead + 1e-18 * np.eye(SIZE), step @ covariances[k]).T
+        means[k] = means[k] + gain @ (means[k + 1] - step @ means[k] - constant[k])
+        covariances[k] = covariances[k] + gain @ (covariances[k + 1] - ahead) @ gain.T
+        covariances[k] = 0.5 * (covariances[k] + covariances[k].T)
+    return means, covariances
+
+
+def _misfits(nodes: Nodes, state: FloatArray, covariance: FloatArray) -> tuple[FloatArray, float, int]:
+    """Mahalanobis distance squared of each position from what all others say of it; chi-square, and its freedom."""
+    fixed = np.isfinite(nodes.fix_m).all(axis=1)
+    misfit = np.full(len(fixed), np.nan)
+    chi_square, count = 0.0, 0.0
+    for k in np.flatnonzero(fixed):
+        off, errors = nodes.fix_m[k] - state[k, :2], nodes.fix_covariance_m2[k]
+        left = errors - covariance[k, :2, :2]
+        value, axes = np.linalg.eigh(left)
+        misfit[k] = ((axes.T @ off) ** 2 / np.maximum(value, 1e-6 * np.trace(errors))).sum()
+        chi_square += float(off @ np.linalg.solve(errors, off))
+        count += float(np.trace(np.linalg.solve(errors, left)))
+    return misfit, chi_square, max(int(round(count)), 1)

@@ -1,0 +1,255 @@
+"""How the wheels turned: their encoders, checked against each other, the rates and the commands."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.errors import DataError
+from lunarsci.twin.rover import Rover
+from lunarsci.twin.telemetry.findings import Findings
+from lunarsci.twin.telemetry.record import Telemetry
+
+__all__ = ["WheelMotion", "wheel_motion"]
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+UNITS = {
+    np.pi / 180.0: "rad where degrees are wanted",
+    180.0 / np.pi: "degrees where rad are wanted",
+    100.0: "cm instead of m",
+    1000.0: "mm instead of m",
+    3.6: "km/h instead of m/s",
+    1.0 / 60.0: "turns a minute or a unit of minutes",
+    6.0: "degrees a second where turns a minute are meant",
+}
+"""Factors by which a value in the wrong unit is off."""
+ALIKE = 0.15
+"""How near, in ln, a ratio must come to such a factor; assumed."""
+APART = 0.5
+"""Share by which rate and commanded speed may differ in the median unsaid; assumed. A motor may be slower than told."""
+MISFIT = 0.25
+"""Share of the expected turn, and [deg] `MISFIT_DEG`, by which an encoder's step may differ from its rate; assumed."""
+MISFIT_DEG = 3.0
+STUCK_ROWS = 4
+"""Equal readings in a row of something that moves are a sensor that hangs; assumed."""
+STILL_SHARE = 0.05
+"""Share of the usual rim speed below which a wheel stands; assumed."""
+TOO_FAST = 3.0
+"""Times the rover's highest speed which no rim has; assumed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WheelMotion:
+    """How the rims moved between successive rows.
+
+    Attributes
+    ----------
+    rim_m_s : mean speed of each rim r_s omega between rows, NaN where unknown. (n - 1, wheels) [m/s]
+    measured : False where it is a command only. (n - 1, wheels)
+    trusted : wheels and times whose own states can be given. (n - 1, wheels)
+    usual_m_s : median speed of the rims while they turn. [m/s]
+    """
+
+    rim_m_s: FloatArray
+    measured: BoolArray
+    trusted: BoolArray
+    usual_m_s: float
+
+    @property
+    def moving(self) -> BoolArray:
+        """Whether any rim turns at more than a creep. (n - 1,)"""
+        return np.asarray((np.abs(np.nan_to_num(self.rim_m_s)) > STILL_SHARE * self.usual_m_s).any(axis=1))
+
+
+def wheel_motion(telemetry: Telemetry, rover: Rover, findings: Findings) -> WheelMotion:
+    """Rim speeds from encoders, where these fail from rates, else from commands.
+
+    Resets and wraps of an encoder, readings that hang, runs without a reading, and a clock that jumps against all
+    encoders are said. Raises DataError for values in another unit.
+    """
+    per_deg = np.radians(rover.wheel.shearing_radius_m)
+    told = _between(telemetry.speed_m_s) / per_deg
+    rate = _between(telemetry.rate_deg_s)
+    _check_scale(telemetry, rover, per_deg)
+    steps = np.diff(telemetry.time_s)[:, None]
+    expected = np.where(np.isfinite(rate), rate, told) * steps
+    angle, bad = _encoder_steps(telemetry, rover, expected, findings)
+    hung = _hanging(telemetry, rover, expected, findings)
+    angle[hung] = np.nan
+    measured = np.where(np.isfinite(angle), angle / steps, np.where(hung, np.nan, rate))
+    _clock_steps(telemetry, angle, expected, findings)
+    _missing(telemetry, rover, measured, hung, findings)
+    turn = np.where(np.isfinite(measured), measured, told)
+    rim = per_deg * turn
+    fast = np.abs(rim[np.isfinite(rim)])
+    usual = float(np.median(fast[fast > STILL_SHARE * fast.max()])) if fast.size and fast.max() > 0 else 0.0
+    if usual == 0:
+        raise DataError(f"{telemetry.file}: no wheel turns; there is no slip to find")
+    return WheelMotion(
+        rim_m_s=rim,
+        measured=np.isfinite(measured),
+        trusted=np.isfinite(measured) & ~bad | ~np.isfinite(telemetry.angle_deg).any() & np.isfinite(rim) & ~hung,
+        usual_m_s=usual,
+    )
+
+
+def _between(values: FloatArray) -> FloatArray:
+    """Mean of successive rows, of one where only that one is known. (n - 1, wheels)"""
+    before, after = values[:-1], values[1:]
+    both = 0.5 * (before + after)
+    return np.where(np.isfinite(both), both, np.where(np.isfinite(before), before, after))
+
+
+def _check_scale(telemetry: Telemetry, rover: Rover, per_deg: float) -> None:
+    """The units of rates, speeds and encoders."""
+    top = TOO_FAST * rover.max_speed_m_s
+    rim, told = per_deg * telemetry.rate_deg_s, telemetry.speed_m_s
+    if np.isfinite(told).any() and np.nanmax(np.abs(told)) > top:
+        largest = np.nanmax(np.abs(told))
+        raise DataError(
+            f"{telemetry.file}: commanded speeds reach {largest:.4g} m/s, {rover.name} drives at most "
+            f"{rover.max_speed_m_s:g} m/s; are they in cm/s, mm/s or deg/s? speed_W_m_s is r_s omega in m/s"
+        )
+    _check_ratio(telemetry.file, "rate_W_deg_s", "speed_W_m_s", rim, told)
+    turned = np.diff(telemetry.angle_deg, axis=0) / np.diff(telemetry.time_s)[:, None]
+    _check_ratio(telemetry.file, "angle_W_deg", "rate_W_deg_s", turned, _between(telemetry.rate_deg_s))
+    _check_ratio(telemetry.file, "angle_W_deg", "speed_W_m_s", per_deg * turned, _between(told))
+    if np.isfinite(rim).any() and np.nanpercentile(np.abs(rim), 90) > top:
+        raise DataError(
+            f"{telemetry.file}: rate_W_deg_s makes rims of up to {np.nanmax(np.abs(rim)):.4g} m/s; is it in another "
+            "unit than deg/s, or of another rover's wheels?"
+        )
+
+
+def _check_ratio(file: str, name: str, other: str, values: FloatArray, wanted: FloatArray) -> None:
+    known = np.isfinite(values) & np.isfinite(wanted)
+    known &= np.abs(wanted) > 0.3 * np.max(np.abs(wanted), where=known, initial=0.0)
+    if known.sum() < 3:
+        return
+    ratio = float(np.median(values[known] / wanted[known]))
+    if abs(ratio - 1.0) <= APART:
+        return
+    factor = next((k for k in UNITS for f in (k, 1 / k) if ratio > 0 and abs(np.log(ratio / f)) < ALIKE), None)
+    if ratio < 0:
+        raise DataError(f"{file}: {name} and {other} have opposite signs; forward is positive in both")
+    if abs(ratio) < 0.02 and factor is None:
+        raise DataError(f"{file}: {name} is {ratio:.3g} of what {other} says; do the wheels turn, or is a column wrong?")
+    hint = f" ({UNITS[factor]}?)" if factor else ""
+    raise DataError(f"{file}: {name} is {ratio:.4g} times what {other} says{hint}; convert one of them")
+
+
+def _encoder_steps(
+    telemetry: Telemetry, rover: Rover, expected: FloatArray, findings: Findings
+) -> tuple[FloatArray, BoolArray]:
+    """Turn between rows from the encoders, and where it was mended. (n - 1, wheels) [deg]"""
+    step = np.diff(telemetry.angle_deg, axis=0)
+    if not np.isfinite(step).any() or not np.isfinite(expected).any():
+        return step, np.zeros(step.shape, dtype=bool)
+    off = step - expected
+    largest = float(np.nanmax(np.abs(expected)))
+    wrong = np.abs(off) > np.maximum(MISFIT_DEG + MISFIT * np.abs(expected), 0.5 * largest)
+    # What all wheels do at once is the clock, not an encoder.
+    wrong &= ~(np.sum(wrong, axis=1) > 0.5 * wrong.shape[1])[:, None] | (np.sign(step) != np.sign(expected))
+    mended = np.zeros(step.shape, dtype=bool)
+    for k, wheel in enumerate(rover.wheels):
+        rows = np.flatnonzero(wrong[:, k])
+        if not rows.size:
+            continue
+        turns = off[rows, k] / 360.0
+        wrapped = np.abs(turns - np.rint(turns)) * 360.0 < MISFIT_DEG + MISFIT * np.abs(expected[rows, k])
+        wrapped &= np.rint(turns) != 0
+        step[rows[wrapped], k] -= 360.0 * np.rint(turns[wrapped])
+        step[rows[~wrapped], k] = np.nan
+        mended[rows[~wrapped], k] = True
+        first = float(telemetry.time_s[rows[0] + 1])
+        for kind, count, done in (
+            ("encoder wrap", int(wrapped.sum()), "whole turns added"),
+            ("encoder reset", int((~wrapped).sum()), "the rate taken for these steps"),
+        ):
+            if count:
+                what = f"the angle of wheel {wheel} jumps by {off[rows[0], k]:+.1f} deg against its rate"
+                findings.add(kind, what, done, count=count, time_s=first)
+    return step, mended
+
+
+def _hanging(telemetry: Telemetry, rover: Rover, expected: FloatArray, findings: Findings) -> BoolArray:
+    """Steps at which an encoder or a rate repeats itself while the wheel is told to turn. (n - 1, wheels)"""
+    hung = np.zeros(expected.shape, dtype=bool)
+    if not np.isfinite(expected).any():
+        return hung
+    told = _between(telemetry.speed_m_s)
+    told = told if np.isfinite(told).any() else expected
+    should = np.abs(np.nan_to_num(told)) > 0.3 * np.nanmax(np.abs(told))
+    angle = should & (np.diff(telemetry.angle_deg, axis=0) == 0)
+    for k, wheel in enumerate(rover.wheels):
+        runs = _long_runs(angle[:, k])
+        if runs.any():
+            hung[:, k] = runs
+            first = float(telemetry.time_s[int(np.argmax(runs))])
+            what = f"the angle of wheel {wheel} does not change while it is to turn: stuck wheel or sensor"
+            findings.add("stuck", what, "its states are not valid there", count=int(runs.sum()), time_s=first)
+    return hung
+
+
+def _long_runs(on: BoolArray, least: int = STUCK_ROWS) -> BoolArray:
+    """Where something holds for at least so many steps in a row."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], on.astype(np.int8), [0]])))
+    result = np.zeros(on.shape, dtype=bool)
+    for begin, end in edges.reshape(-1, 2):
+        result[begin:end] = end - begin >= least
+    return result
+
+
+def _clock_steps(telemetry: Telemetry, angle: FloatArray, expected: FloatArray, findings: Findings) -> None:
+    """Steps at which all encoders together say that another time went by than the clock says."""
+    steps = np.diff(telemetry.time_s)
+    turning = np.isfinite(angle) & (np.abs(expected) > 0.3 * np.nanmax(np.abs(expected), initial=0.0))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.where(turning, angle / expected, np.nan)
+    enough = turning.sum(axis=1) >= 0.5 * turning.shape[1]
+    if not enough.any():
+        return
+    shares = np.ones(len(steps))
+    shares[enough] = np.nanmedian(ratio[enough], axis=1)
+    went = shares * steps
+    usual = float(np.median(steps))
+    # A change of speed within a step is no step of the clock: rates before and after must agree.
+    rate = np.nanmedian(np.abs(telemetry.rate_deg_s), axis=1) if np.isfinite(telemetry.rate_deg_s).any() else None
+    steady = np.ones(len(steps), dtype=bool)
+    if rate is not None:
+        steady = np.abs(np.diff(rate)) < 0.2 * np.maximum(rate[1:], rate[:-1])
+    wrong = enough & steady & (np.abs(went - steps) > np.maximum(0.4 * np.minimum(steps, went), 0.4 * usual))
+    if wrong.any():
+        first = int(np.argmax(wrong))
+        findings.add(
+            "clock step",
+            f"the clock counts {steps[first]:.4g} s where the wheels turned for {went[first]:.4g} s",
+            "slip rests on the wheels' angles, but times after it do not fit those before",
+            count=int(wrong.sum()),
+            time_s=float(telemetry.time_s[first]),
+            doubt=True,
+        )
+
+
+def _missing(
+    telemetry: Telemetry, rover: Rover, measured: FloatArray, hung: BoolArray, findings: Findings
+) -> None:
+    lost = ~np.isfinite(measured) & ~hung
+    if not lost.any():
+        return
+    if lost.all():
+        done = "the commanded speeds are taken: slip holds as far as the wheels obeyed"
+        findings.add("no encoders", "neither angles nor rates of the wheels", done, count=len(lost))
+        return
+    for k, wheel in enumerate(rover.wheels):
+        if lost[:, k].any():
+            first = float(telemetry.time_s[int(np.argmax(lost[:, k]))])
+            what = f"neither angle nor rate of wheel {wheel}"
+            findings.add(
+                "missing readings",
+                what,
+                "its states are not valid there",
+                count=int(lost[:, k].sum()),
+                time_s=first,
+            )
