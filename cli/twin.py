@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from . import twin_forces, twin_options, twin_terrain, twin_update
+from . import twin_forces, twin_options, twin_simulate, twin_states, twin_terrain, twin_update
 from .command import command
 from .options import Output
 from .progress import progress
@@ -18,6 +18,8 @@ app = typer.Typer(no_args_is_help=True, help="Whether the next drive is safe: a 
 
 twin_terrain.add_to(app)
 twin_forces.add_to(app)
+twin_simulate.add_to(app)
+twin_states.add_to(app)
 twin_update.add_to(app)
 
 

@@ -23,16 +23,20 @@ SIZE = 12
 """State: x, y, heading; deviation and its derivative along the way of ahead, left and turn; their constant parts."""
 AHEAD = (3, 5, 7)
 MEANS = (9, 10, 11)
-LENGTH_M = 1.0
-"""Over which deviations change, assumed: the length of the rover, over which it averages the ground. [m]"""
+LENGTHS_M = (0.7, 1.4, 2.8)
+"""Candidates for the way over which deviations change: about the length of a rover, which averages the ground below it,
+and more where the ground is smooth. [m]"""
 MEAN_SIGMA = (0.3, 0.1, 0.05)
 """Of the constant deviations, ahead and left as shares, turn in 1/m: wide; assumed."""
-AMPLITUDES = (0.003, 0.01, 0.03, 0.1, 0.3)
-"""Candidates for the changing parts of ahead and left; those of turn are `TURN_SHARE` of them in 1/m."""
-TURN_SHARE = 0.5
-USUAL_LN, USUAL_WIDTH = math.log(0.03), 1.2
-"""What is believed of ln amplitude beforehand: slip changes by some percent; assumed."""
+AMPLITUDES = (0.003, 0.008, 0.02, 0.05, 0.12, 0.3)
+"""Candidates for the changing parts of ahead and left; times `SHARES`, the last in 1/m."""
+SHARES = np.array([1.0, 1.0, 0.3])
+USUAL, USUAL_WIDTH = 0.02, 1.0
+"""What is believed of the amplitude beforehand, and how widely in ln: slip changes by some percent; assumed."""
+SWEEPS = 2
 START_M, START_RAD = 10.0, 1.0
+LOOSE_M = 1.0
+"""Lever by which an error of the way over a gap becomes one of the heading; assumed. [m]"""
 POSITION_M_PER_STEP = 2e-4
 """What each step may be off by whatever the wheels do; assumed. [m]"""
 ROUNDS = 4
@@ -72,6 +76,7 @@ class Smoothed:
     ----------
     state, covariance : mean and covariance of the state. (n, 12), (n, 12, 12)
     amplitude : of the changing deviations ahead, left [-] and turn [1/m]. (3,)
+    length_m : over which each of them changes. (3,) [m]
     misfit : Mahalanobis distance squared of each position from where all else puts it, NaN where there is none. (n,)
     reduced_chi_square : of positions and headings.
     """
@@ -79,6 +84,7 @@ class Smoothed:
     state: FloatArray
     covariance: FloatArray
     amplitude: FloatArray
+    length_m: FloatArray
     misfit: FloatArray
     reduced_chi_square: float
 
@@ -88,25 +94,24 @@ class Smoothed:
         return self.state[:, AHEAD] + self.state[:, MEANS]
 
 
-def smooth(nodes: Nodes, amplitude: FloatArray | None = None) -> Smoothed:
+def smooth(nodes: Nodes, scales: tuple[FloatArray, FloatArray] | None = None) -> Smoothed:
     """The motion that explains positions and headings best, with its uncertainty.
 
     Parameters
     ----------
     nodes : with two positions or more.
-    amplitude : of the changing deviations (3,); None weighs `AMPLITUDES` by how well each foretells the positions.
+    scales : amplitude of the changing deviations (3,), and the way over which each changes (3,) [m]; None takes means of
+        `AMPLITUDES` and `LENGTHS_M`, weighed by how well each foretells the positions.
 
     Raises DataError for fewer than two positions, or where the numbers do not hold.
     """
     if np.isfinite(nodes.fix_m).all(axis=1).sum() < 2:
         raise DataError("fewer than two positions of use; slip needs two or more")
     try:
-        chosen = _likely(nodes) if amplitude is None else amplitude
+        chosen, length_m = scales or _likely(nodes)
         reference = _dead_reckoned(nodes)
         for _ in range(ROUNDS):
-            model = _linearised(nodes, reference)
-            means, covariances, _ = _filtered(nodes, model, chosen[None])
-            state, covariance = _smoothed(nodes, model, chosen, means[:, 0], covariances[:, 0])
+            state, covariance = _round(nodes, reference, chosen, length_m)
             reference = state
     except np.linalg.LinAlgError as error:
         raise DataError("the motion cannot be found: errors of positions or headings are absurd") from error
@@ -115,25 +120,40 @@ def smooth(nodes: Nodes, amplitude: FloatArray | None = None) -> Smoothed:
         state=state,
         covariance=covariance,
         amplitude=chosen,
+        length_m=length_m,
         misfit=misfit,
         reduced_chi_square=chi_square / max(count, 1),
     )
 
 
-def _likely(nodes: Nodes) -> FloatArray:
-    """Amplitudes by their posterior mean in ln, over a grid; turn apart from ahead and left."""
+def _round(
+    nodes: Nodes, reference: FloatArray, amplitude: FloatArray, length_m: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """States and their covariances from a filter and a smoother linearised about a reference."""
+    model = _linearised(nodes, reference, length_m)
+    means, covariances, _ = _filtered(nodes, model, amplitude[None])
+    return _smoothed(model, means[:, 0], covariances[:, 0], [_noise(nodes, model, amplitude[None], k)[0] for k in range(len(model.matrix))])
+
+
+def _likely(nodes: Nodes) -> tuple[FloatArray, FloatArray]:
+    """Amplitudes and lengths by their posterior means in ln, for one velocity after the other."""
+    amplitude, length = USUAL * SHARES, np.full(3, LENGTHS_M[1])
     reference = _dead_reckoned(nodes)
-    grid = np.array([[a, b, TURN_SHARE * c] for a in AMPLITUDES for b in AMPLITUDES for c in AMPLITUDES])
     for _ in range(2):
-        start = np.array([[0.03, 0.03, 0.03 * TURN_SHARE]])
-        model = _linearised(nodes, reference)
-        means, covariances, _ = _filtered(nodes, model, start)
-        reference, _ = _smoothed(nodes, model, start[0], means[:, 0], covariances[:, 0])
-    _, _, ln_likelihood = _filtered(nodes, _linearised(nodes, reference), grid)
-    shares = grid / np.array([1.0, 1.0, TURN_SHARE])
-    ln_likelihood = ln_likelihood - 0.5 * (((np.log(shares) - USUAL_LN) / USUAL_WIDTH) ** 2).sum(axis=1)
-    weight = np.exp(ln_likelihood - ln_likelihood.max())
-    return np.asarray(np.exp(weight @ np.log(grid) / weight.sum()))
+        reference, _ = _round(nodes, reference, amplitude, length)
+    believed = -0.5 * ((np.log(AMPLITUDES) - math.log(USUAL)) / USUAL_WIDTH) ** 2
+    for channel in (0, 1, 2) * SWEEPS:
+        tried = np.repeat(amplitude[None], len(AMPLITUDES), axis=0)
+        tried[:, channel] = np.array(AMPLITUDES) * SHARES[channel]
+        ln_weight = np.empty((len(LENGTHS_M), len(AMPLITUDES)))
+        for row, value in enumerate(LENGTHS_M):
+            length[channel] = value
+            ln_weight[row] = believed + _filtered(nodes, _linearised(nodes, reference, length), tried)[2]
+        weight = np.exp(ln_weight - ln_weight.max())
+        weight /= weight.sum()
+        amplitude[channel] = np.exp(weight.sum(axis=0) @ np.log(tried[:, channel]))
+        length[channel] = np.exp(weight.sum(axis=1) @ np.log(LENGTHS_M))
+    return amplitude, length
 
 
 def _dead_reckoned(nodes: Nodes) -> FloatArray:
@@ -155,13 +175,22 @@ def _dead_reckoned(nodes: Nodes) -> FloatArray:
     return state
 
 
-def _linearised(nodes: Nodes, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Matrix and constant of each step about a reference. (n - 1, 12, 12), (n - 1, 12)"""
+@dataclass(frozen=True, slots=True)
+class _Model:
+    """Matrix and constant of each step, (n - 1, 12, 12) and (n - 1, 12), and rates at which deviations forget. (3,) [1/m]"""
+
+    matrix: FloatArray
+    constant: FloatArray
+    rate: FloatArray
+
+
+def _linearised(nodes: Nodes, reference: FloatArray, length_m: FloatArray) -> _Model:
+    """The steps about a reference."""
     steps, way = np.diff(nodes.time_s), nodes.way_m
     matrix = np.zeros((len(steps), SIZE, SIZE))
-    rate = math.sqrt(3.0) / LENGTH_M
-    decay = np.where(nodes.apart, 0.0, np.exp(-rate * way))
-    for k in AHEAD:
+    rates = math.sqrt(3.0) / length_m
+    for k, rate in zip(AHEAD, rates, strict=True):
+        decay = np.where(nodes.apart, 0.0, np.exp(-rate * way))
         matrix[:, k, k], matrix[:, k, k + 1] = decay * (1 + rate * way), decay * way
         matrix[:, k + 1, k], matrix[:, k + 1, k + 1] = -decay * rate**2 * way, decay * (1 - rate * way)
     for k in MEANS:
@@ -186,25 +215,24 @@ def _linearised(nodes: Nodes, reference: FloatArray) -> tuple[FloatArray, FloatA
     after[:, 1] = before[:, 1] + sin * full[:, 0] + cos * full[:, 1]
     after[:, 2] = before[:, 2] + full[:, 2]
     after[:, 3:] = np.einsum("nij,nj->ni", matrix, before)[:, 3:]
-    return matrix, after - np.einsum("nij,nj->ni", matrix, before)
+    return _Model(matrix, after - np.einsum("nij,nj->ni", matrix, before), rates)
 
 
-def _noise(nodes: Nodes, matrix: FloatArray, amplitude: FloatArray, k: int) -> FloatArray:
+def _noise(nodes: Nodes, model: _Model, amplitude: FloatArray, k: int) -> FloatArray:
     """Covariance that a step adds, for each of several amplitudes (m, 3). (m, 12, 12)"""
     result = np.zeros((len(amplitude), SIZE, SIZE))
-    rate = math.sqrt(3.0) / LENGTH_M
     for channel, row in enumerate(AHEAD):
-        block = matrix[k, row : row + 2, row : row + 2]
-        still = np.diag([1.0, rate**2])
+        still = np.diag([1.0, model.rate[channel] ** 2])
+        block = model.matrix[k, row : row + 2, row : row + 2]
         result[:, row : row + 2, row : row + 2] = (
             amplitude[:, channel, None, None] ** 2 * (still - block @ still @ block.T)[None]
         )
     result[:, 0, 0] = result[:, 1, 1] = POSITION_M_PER_STEP**2 + nodes.loose[k] ** 2
-    result[:, 2, 2] = (nodes.loose[k] / LENGTH_M) ** 2
+    result[:, 2, 2] = (nodes.loose[k] / LOOSE_M) ** 2
     return result
 
 
-def _start(nodes: Nodes, amplitude: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _start(nodes: Nodes, amplitude: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
     reference = _dead_reckoned(nodes)[0]
     mean = np.zeros((len(amplitude), SIZE))
     mean[:, :3] = reference[:3]
@@ -213,25 +241,24 @@ def _start(nodes: Nodes, amplitude: FloatArray) -> tuple[FloatArray, FloatArray]
     covariance[:, 2, 2] = START_RAD**2
     for channel, row in enumerate(AHEAD):
         covariance[:, row, row] = amplitude[:, channel] ** 2
-        covariance[:, row + 1, row + 1] = (amplitude[:, channel] * math.sqrt(3.0) / LENGTH_M) ** 2
+        covariance[:, row + 1, row + 1] = (amplitude[:, channel] * rate[channel]) ** 2
     for row, sigma in zip(MEANS, MEAN_SIGMA, strict=True):
         covariance[:, row, row] = sigma**2
     return mean, covariance
 
 
 def _filtered(
-    nodes: Nodes, model: tuple[FloatArray, FloatArray], amplitude: FloatArray
+    nodes: Nodes, model: _Model, amplitude: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Filter for each of several amplitudes (m, 3): means (n, m, 12), covariances, and ln likelihood (m,)."""
-    matrix, constant = model
-    mean, covariance = _start(nodes, amplitude)
+    mean, covariance = _start(nodes, amplitude, model.rate)
     means, covariances = [], []
     ln_likelihood = np.zeros(len(amplitude))
     for k in range(len(nodes.time_s)):
         if k:
-            step = matrix[k - 1]
-            mean = mean @ step.T + constant[k - 1]
-            covariance = step @ covariance @ step.T + _noise(nodes, matrix, amplitude, k - 1)
+            step = model.matrix[k - 1]
+            mean = mean @ step.T + model.constant[k - 1]
+            covariance = step @ covariance @ step.T + _noise(nodes, model, amplitude, k - 1)
         seen, values, errors = _observed(nodes, k)
         if seen:
             off = values - mean[:, seen]
@@ -260,19 +287,15 @@ def _observed(nodes: Nodes, k: int) -> tuple[list[int], FloatArray, FloatArray]:
 
 
 def _smoothed(
-    nodes: Nodes,
-    model: tuple[FloatArray, FloatArray],
-    amplitude: FloatArray,
-    means: FloatArray,
-    covariances: FloatArray,
+    model: _Model, means: FloatArray, covariances: FloatArray, noises: list[FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    matrix, constant = model
+    """Means and covariances that know what came later too."""
     means, covariances = means.copy(), covariances.copy()
     for k in range(len(means) - 2, -1, -1):
-        step = matrix[k]
-        ahead = step @ covariances[k] @ step.T + _noise(nodes, matrix, amplitude[None], k)[0]
+        step = model.matrix[k]
+        ahead = step @ covariances[k] @ step.T + noises[k]
         gain = np.linalg.solve(ahead + 1e-18 * np.eye(SIZE), step @ covariances[k]).T
-        means[k] = means[k] + gain @ (means[k + 1] - step @ means[k] - constant[k])
+        means[k] = means[k] + gain @ (means[k + 1] - step @ means[k] - model.constant[k])
         covariances[k] = covariances[k] + gain @ (covariances[k + 1] - ahead) @ gain.T
         covariances[k] = 0.5 * (covariances[k] + covariances[k].T)
     return means, covariances

@@ -132,8 +132,14 @@ def states_of(
     check_frame(telemetry, twist, findings)
     nodes, rows = _nodes(telemetry, wheels, twist, way, gaps)
     smoothed, nodes, left_out = _without_outliers(nodes, findings)
-    motion = _motion(telemetry, rover, nodes, smoothed, wheels, steering, rows)
+    still = np.zeros((len(rows), 2))
+    first = forces_along(rover, terrain, _motion(telemetry, nodes, smoothed, wheels, steering, rows, still))
+    sway = _sway(rover, first.paths)
+    nodes = dataclasses.replace(nodes, fix_m=nodes.fix_m - sway)
+    smoothed = smooth(nodes, (smoothed.amplitude, smoothed.length_m))
+    motion = _motion(telemetry, nodes, smoothed, wheels, steering, rows, sway)
     held = forces_along(rover, terrain, motion)
+    _check_scatter(smoothed, findings)
     _check_attitude(telemetry, held, rows, findings)
     times = telemetry.time_s
     return DriveStates(
@@ -216,16 +222,16 @@ def _without_outliers(nodes: Nodes, findings: Findings) -> tuple[Smoothed, Nodes
     """Smooth, leave out the worst position while it fits no motion, smooth again."""
     count = int(np.isfinite(nodes.fix_m).all(axis=1).sum())
     left: list[list[float]] = []
-    coarse = np.array([0.1, 0.1, 0.05])
-    for amplitude in (coarse, None):
-        smoothed = smooth(nodes, amplitude)
+    coarse = (np.array([0.1, 0.1, 0.05]), np.full(3, 0.7))
+    for scales in (coarse, None):
+        smoothed = smooth(nodes, scales)
         while count - len(left) > 3 and np.nanmax(smoothed.misfit) > OUTLIER:
             worst = int(np.nanargmax(smoothed.misfit))
             left.append([float(nodes.time_s[worst]), *map(float, nodes.fix_m[worst])])
             fix = nodes.fix_m.copy()
             fix[worst] = np.nan
             nodes = dataclasses.replace(nodes, fix_m=fix)
-            smoothed = smooth(nodes, smoothed.amplitude)
+            smoothed = smooth(nodes, (smoothed.amplitude, smoothed.length_m))
             if len(left) > max(3, MOST_OUTLIERS * count):
                 break
     if left:
@@ -238,30 +244,46 @@ def _without_outliers(nodes: Nodes, findings: Findings) -> tuple[Smoothed, Nodes
             time_s=min(left)[0],
             doubt=many,
         )
+    return smoothed, nodes, np.array(sorted(left)).reshape(-1, 3)
+
+
+def _check_scatter(smoothed: Smoothed, findings: Findings) -> None:
     if smoothed.reduced_chi_square > WORST_CHI_SQUARE:
         what = f"positions scatter with a reduced chi-square of {smoothed.reduced_chi_square:.1f} about the motion"
         findings.add("positions scatter", what, "kept; their errors are too small, or they jump", doubt=True)
-    return smoothed, nodes, np.array(sorted(left)).reshape(-1, 3)
+
+
+def _sway(rover: Rover, paths: FloatArray) -> FloatArray:
+    """How far the rover's origin is from above the point that its wheels stand about, by roll and pitch. (n, 2) [m]
+
+    The wheels carry that point; the origin sways above it, which is no slip.
+    """
+    height = rover.wheel.radius_m - float(rover.wheel_positions_m[:, 2].mean())
+    roll, pitch, yaw = np.radians(np.nan_to_num(paths[:, 3:6])).T
+    ahead, left = np.sin(pitch) * np.cos(roll), -np.sin(roll)
+    return height * np.column_stack(
+        [np.cos(yaw) * ahead - np.sin(yaw) * left, np.sin(yaw) * ahead + np.cos(yaw) * left]
+    )
 
 
 def _motion(
     telemetry: Telemetry,
-    rover: Rover,
     nodes: Nodes,
     smoothed: Smoothed,
     wheels: WheelMotion,
     steering_rad: FloatArray,
     rows: IntArray,
+    sway_m: FloatArray,
 ) -> Motion:
-    """The smoothed motion, with the wheels as they were measured."""
+    """The smoothed motion of the rover's origin, with the wheels as they were measured."""
     rim = _at_nodes(telemetry.time_s, wheels.rim_m_s, rows)
     sign = np.where(rim < 0, -1.0, 1.0)
     rim = sign * np.maximum(np.abs(np.nan_to_num(rim)), CREEP_M_S)
     steered = np.column_stack([_mean_about(column, rows) for column in np.degrees(steering_rad).T])
     return Motion(
         time_s=nodes.time_s,
-        x_m=smoothed.state[:, 0],
-        y_m=smoothed.state[:, 1],
+        x_m=smoothed.state[:, 0] + sway_m[:, 0],
+        y_m=smoothed.state[:, 1] + sway_m[:, 1],
         yaw_deg=np.degrees(smoothed.state[:, 2]),
         steering_deg=np.clip(steered, -90.0, 90.0),
         speed_m_s=rim,
