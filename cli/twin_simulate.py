@@ -30,7 +30,9 @@ def simulate(
     fix_distance: Annotated[float, typer.Option(help="Way between localised positions in m.")] = 0.5,
     fix_sigma: Annotated[
         float | None,
-        typer.Option(help="Their standard error in m, in x and in y; a third of 4 % of the way between them by default."),
+        typer.Option(
+            help="Their standard error in m, in x and in y; a third of 4 % of the way between them by default."
+        ),
     ] = None,
     yaw_sigma: Annotated[float, typer.Option(help="Standard error of the heading in degrees; assumed.")] = 0.1,
     track_sigma: Annotated[float, typer.Option(help="Standard error of the track's depth in m.")] = 0.00033,

@@ -63,7 +63,7 @@ def simulate_report(scene: Scene, drive: SyntheticDrive) -> Report:
         schema="twin-simulate/1",
         result=result,
         tables=[_table(scene, drive, result)],
-        rows=list(drive.telemetry.astype(object).where(drive.telemetry.notna(), None).to_dict("records")),
+        rows=_plain(drive.telemetry),
         inputs=scene.inputs,
         data_tables=scene.tables,
         sources=SOURCES,
@@ -98,3 +98,7 @@ def _table(scene: Scene, drive: SyntheticDrive, result: dict[str, Any]) -> TextT
     ]
     title = f"Telemetry of a made-up drive: {scene.plan.name}, {result['duration_s']:.4g} s on {scene.terrain.name}"
     return TextTable(["measured", "values", "standard error"], rows, title=title, notes=notes)
+
+
+def _plain(table: Any) -> list[dict[str, Any]]:
+    return list(table.to_dict("records"))

@@ -6,7 +6,6 @@ import typer
 
 from . import twin_options
 from .command import command
-from .options import Output
 from .report import Report
 
 __all__ = ["add_to"]
@@ -21,8 +20,8 @@ def states(
     telemetry: Annotated[
         str,
         typer.Argument(
-            help="Telemetry: .csv, .ecsv or .parquet, - for CSV from stdin. time_s, x_m, y_m, sigma_m, yaw_deg, and of each "
-            "wheel such as FL angle_FL_deg, rate_FL_deg_s or speed_FL_m_s, and steered_FL_deg or steering_FL_deg."
+            help="Telemetry: .csv, .ecsv or .parquet, - for CSV from stdin. time_s, x_m, y_m, sigma_m, yaw_deg, and of "
+            "each wheel such as FL: angle_FL_deg, rate_FL_deg_s or speed_FL_m_s, and steered_FL_deg or steering_FL_deg."
         ),
     ],
     plan: Annotated[
@@ -42,8 +41,8 @@ def states(
     """Slip, side slip and sinkage of every wheel, with their errors, from the telemetry of a drive.
 
     Slip and side slip follow from positions, headings and wheels, one state between two positions at most. Sinkage
-    follows from the track, for the deepest wheel that passed; the others stay blank. What is wrong with the telemetry is
-    listed with what was done about it; where the result should not be trusted for it the exit code is 3.
+    follows from the track, for the deepest wheel that passed; the others stay blank. What is wrong with the telemetry
+    is listed with what was done about it; where the result should not be trusted for it the exit code is 3.
 
     With -o DIR the states go to states.csv, the positions to positions.csv, and the smoothed motion to motion.csv: what
     `lunarsci twin update` and `lunarsci twin forces` read.

@@ -74,7 +74,7 @@ def states_report(sent: Sent) -> Report:
         schema="twin-states/1",
         result=_result(sent, findings),
         tables=[_wheel_table(sent), *_finding_tables(findings)],
-        rows=list(table.astype(object).where(table.notna(), None).to_dict("records")),
+        rows=_plain(table),
         figures=figures,
         inputs=scene.inputs,
         data_tables=scene.tables,
@@ -183,3 +183,7 @@ def _finding_tables(findings: list[dict[str, Any]]) -> list[TextTable]:
         for entry in findings
     ]
     return [TextTable(["found", "first at [s]", "how many", "what", "done"], rows, title="Found in the telemetry")]
+
+
+def _plain(table: Any) -> list[dict[str, Any]]:
+    return list(table.to_dict("records"))

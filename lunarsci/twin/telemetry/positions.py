@@ -33,12 +33,12 @@ def usable_positions(telemetry: Telemetry, way_m: FloatArray, findings: Findings
     `way_m` is the way of the rims until each row. (n,) Raises DataError where fewer than two are left.
     """
     given = telemetry.fixed
-    half = np.isfinite(telemetry.fix_m).any(axis=1) & ~given
+    half: BoolArray = np.asarray(np.isfinite(telemetry.fix_m).any(axis=1)) & ~given
     _leave(findings, "half a position", "only one of x_m and y_m", half, telemetry)
     value = telemetry.fix_covariance_m2
     complete = np.isfinite(value).all(axis=(1, 2))
     bad = given & ~complete
-    least = np.linalg.eigvalsh(np.where(complete[:, None, None], value, np.eye(2)))[:, 0]
+    least: FloatArray = np.linalg.eigvalsh(np.where(complete[:, None, None], value, np.eye(2)))[:, 0]
     bad |= given & complete & (least <= 0)
     _leave(findings, "bad covariance", "errors that are missing, 0, negative, or no covariance", bad, telemetry)
     used = given & ~bad
@@ -155,10 +155,10 @@ def check_frame(telemetry: Telemetry, twist: FloatArray, findings: Findings) -> 
     astray = _astray_deg(moved[long], wanted[long])
     if astray <= ASTRAY_DEG:
         return
-    others = [
-        _astray_deg(reading.place(moved)[long], _displacements(telemetry, twist, rows, reading.heading(telemetry.yaw_deg))[long])
-        for reading in READINGS
-    ]  # fmt: skip
+    others = []
+    for reading in READINGS:
+        read = _displacements(telemetry, twist, rows, reading.heading(telemetry.yaw_deg))
+        others.append(_astray_deg(reading.place(moved)[long], read[long]))
     best = int(np.argmin(others))
     text = f"displacements point {astray:.0f} deg off the heading in the median"
     if others[best] < min(ASTRAY_DEG, 0.5 * astray):

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -202,7 +202,8 @@ def deepest_at(points_m: FloatArray, wheels: tuple[FloatArray, FloatArray, Float
         way = np.append(0.0, np.cumsum(np.hypot(np.diff(x[:, k]), np.diff(y[:, k]))))
         dense = np.linspace(0.0, way[-1], max(2, math.ceil(way[-1] / DENSE_M) + 1))
         place = np.column_stack([np.interp(dense, way, x[:, k]), np.interp(dense, way, y[:, k])])
-        distance, nearest = cKDTree(place).query(points_m, distance_upper_bound=reach_m)
+        found: Any = cKDTree(place).query(points_m, distance_upper_bound=reach_m)
+        distance, nearest = found
         near = np.isfinite(distance)
         result[near, k] = np.interp(dense, way, values[:, k])[nearest[near]]
     return result

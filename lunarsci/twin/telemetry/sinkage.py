@@ -16,6 +16,8 @@ __all__ = ["with_sinkage"]
 FloatArray = npt.NDArray[np.float64]
 ALONG = 0.5
 """Share of the states that a track must meet; below it is not the track of this drive; assumed."""
+MOST_ODD = 0.2
+"""Share of the depths that may be odd without doubt; assumed."""
 ABOVE = -3.0
 """Standard errors by which a rut may lie above the ground."""
 
@@ -31,7 +33,7 @@ def with_sinkage(drive: DriveStates, track: RutPoints | Terrain, before: Terrain
     rows, rover = drive.rows, drive.rover
     reach = 0.5 * rover.wheel.width_m
     places = rows.place_m.reshape(-1, 2)
-    known = np.isfinite(places).all(axis=1)
+    known = np.asarray(np.isfinite(places).all(axis=1))
     wheel = np.tile(np.arange(len(rover.wheels)), len(rows.node))
     points = rut_points(before, track, places[known], reach) if isinstance(track, Terrain) else track
     depth, sigma = np.full(len(places), np.nan), np.full(len(places), np.nan)
@@ -40,15 +42,15 @@ def with_sinkage(drive: DriveStates, track: RutPoints | Terrain, before: Terrain
     states = drive.held.states
     x, y, z = (_without_holes(states[..., STATE_COLUMNS.index(name)]) for name in ("x_m", "y_m", "sinkage_m"))
     own, spread = np.zeros(len(places), dtype=bool), np.zeros(len(places))
-    own[known], spread[known] = deepest_wheel(
-        places[known], wheel[known], (x, y), z, drive.nodes.time_s, reach
-    )
+    own[known], spread[known] = deepest_wheel(places[known], wheel[known], (x, y), z, drive.nodes.time_s, reach)
     sigma = np.hypot(sigma, spread)
     odd = own & ((depth < ABOVE * sigma) | (depth > rover.wheel.radius_m))
     if odd.any():
         first = float(drive.nodes.time_s[rows.node[int(np.flatnonzero(odd)[0]) // len(rover.wheels)]])
         what = f"depths from {depth[odd].min():.3g} to {depth[odd].max():.3g} m, which no wheel of this radius leaves"
-        drive.findings.add("odd depth", what, "left blank", count=int(odd.sum()), time_s=first, doubt=odd.sum() > 0.2 * own.sum())
+        drive.findings.add(
+            "odd depth", what, "left blank", count=int(odd.sum()), time_s=first, doubt=odd.sum() > 0.2 * own.sum()
+        )
     kept = own & ~odd & (rows.valid | _at_halt(drive)).ravel()
     shape = rows.slip_ratio.shape
     return dataclasses.replace(
@@ -76,14 +78,12 @@ def _without_holes(values: FloatArray) -> FloatArray:
     return np.nan_to_num(result)
 
 
-def _check_along(
-    drive: DriveStates, points: RutPoints, depth: FloatArray, known: npt.NDArray[np.bool_]
-) -> None:
+def _check_along(drive: DriveStates, points: RutPoints, depth: FloatArray, known: npt.NDArray[np.bool_]) -> None:
     met = float(np.isfinite(depth[known]).mean()) if known.any() else 0.0
     if met == 0:
         raise DataError(
-            f"the track has no point within half a wheel's width of a wheel; it lies about "
-            f"x {np.median(points.place_m[:, 0]):.4g} m, y {np.median(points.place_m[:, 1]):.4g} m: is it of this drive, in "
+            "the track has no point within half a wheel's width of a wheel; it lies about x "
+            f"{np.median(points.place_m[:, 0]):.4g} m, y {np.median(points.place_m[:, 1]):.4g} m: is it of this drive, in "
             "its frame, in m?"
         )
     if met < ALONG:

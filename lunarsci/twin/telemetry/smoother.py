@@ -1,8 +1,8 @@
 """Where the rover was and how it slipped, from its wheels, its heading and localised positions.
 
 The rover moves as its wheels say, but for a deviation of each of its three velocities, a share of the mean rim speed:
-a constant that is not known, plus a stationary process along the way, Matern 3/2 (Rasmussen & Williams 2006, ch. 4; as a
-state-space model Hartikainen & Sarkka 2010, 10.1109/MLSP.2010.5589113). Positions and headings observe it. A Kalman
+a constant that is not known, plus a stationary process along the way, Matern 3/2 (Rasmussen & Williams 2006, ch. 4; as
+a state-space model Hartikainen & Sarkka 2010, 10.1109/MLSP.2010.5589113). Positions and headings observe it. A Kalman
 filter with the smoother of Rauch, Tung & Striebel (1965, 10.2514/3.3166), linearised anew about its own result until it
 stands still, is Gauss-Newton for the whole drive (Bell 1994, 10.1137/0804035).
 """
@@ -100,8 +100,8 @@ def smooth(nodes: Nodes, scales: tuple[FloatArray, FloatArray] | None = None) ->
     Parameters
     ----------
     nodes : with two positions or more.
-    scales : amplitude of the changing deviations (3,), and the way over which each changes (3,) [m]; None takes means of
-        `AMPLITUDES` and `LENGTHS_M`, weighed by how well each foretells the positions.
+    scales : amplitude of the changing deviations (3,), and the way over which each changes (3,) [m]; None takes means
+        of `AMPLITUDES` and `LENGTHS_M`, weighed by how well each foretells the positions.
 
     Raises DataError for fewer than two positions, or where the numbers do not hold.
     """
@@ -132,7 +132,12 @@ def _round(
     """States and their covariances from a filter and a smoother linearised about a reference."""
     model = _linearised(nodes, reference, length_m)
     means, covariances, _ = _filtered(nodes, model, amplitude[None])
-    return _smoothed(model, means[:, 0], covariances[:, 0], [_noise(nodes, model, amplitude[None], k)[0] for k in range(len(model.matrix))])
+    return _smoothed(
+        model,
+        means[:, 0],
+        covariances[:, 0],
+        [_noise(nodes, model, amplitude[None], k)[0] for k in range(len(model.matrix))],
+    )
 
 
 def _likely(nodes: Nodes) -> tuple[FloatArray, FloatArray]:
@@ -177,7 +182,7 @@ def _dead_reckoned(nodes: Nodes) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class _Model:
-    """Matrix and constant of each step, (n - 1, 12, 12) and (n - 1, 12), and rates at which deviations forget. (3,) [1/m]"""
+    """Matrix (n - 1, 12, 12) and constant (n - 1, 12) of each step, and how fast deviations forget. (3,) [1/m]"""
 
     matrix: FloatArray
     constant: FloatArray
@@ -247,9 +252,7 @@ def _start(nodes: Nodes, amplitude: FloatArray, rate: FloatArray) -> tuple[Float
     return mean, covariance
 
 
-def _filtered(
-    nodes: Nodes, model: _Model, amplitude: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _filtered(nodes: Nodes, model: _Model, amplitude: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Filter for each of several amplitudes (m, 3): means (n, m, 12), covariances, and ln likelihood (m,)."""
     mean, covariance = _start(nodes, amplitude, model.rate)
     means, covariances = [], []
@@ -304,7 +307,7 @@ def _smoothed(
 def _misfits(nodes: Nodes, state: FloatArray, covariance: FloatArray) -> tuple[FloatArray, float, int]:
     """Mahalanobis distance squared of each position from what all others say of it; chi-square, and its freedom."""
     fixed = np.isfinite(nodes.fix_m).all(axis=1)
-    misfit = np.full(len(fixed), np.nan)
+    misfit = np.full(len(nodes.time_s), np.nan)
     chi_square, count = 0.0, 0.0
     for k in np.flatnonzero(fixed):
         off, errors = nodes.fix_m[k] - state[k, :2], nodes.fix_covariance_m2[k]
@@ -313,4 +316,4 @@ def _misfits(nodes: Nodes, state: FloatArray, covariance: FloatArray) -> tuple[F
         misfit[k] = ((axes.T @ off) ** 2 / np.maximum(value, 1e-6 * np.trace(errors))).sum()
         chi_square += float(off @ np.linalg.solve(errors, off))
         count += float(np.trace(np.linalg.solve(errors, left)))
-    return misfit, chi_square, max(int(round(count)), 1)
+    return misfit, chi_square, max(round(count), 1)

@@ -1,6 +1,7 @@
 """From telemetry to the states of the wheels: slip, side slip and sinkage, each with its error."""
 
 import dataclasses
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -15,6 +16,7 @@ from lunarsci.twin.plans.commands import CREEP_M_S
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.contact import VALID_SLIP
 from lunarsci.twin.telemetry.clock import ordered, time_gaps
 from lunarsci.twin.telemetry.commands_check import check_against_plan
 from lunarsci.twin.telemetry.findings import Findings
@@ -31,7 +33,7 @@ BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.intp]
 NODE_M = 0.1
 """Way between the moments at which the motion is found. [m]"""
-LEAST_ROW_M = 0.4
+LEAST_ROW_M = 0.3
 """Way between rows of states where positions are denser, assumed: a rover's slip does not change faster. [m]"""
 OUTLIER = 20.0
 """Mahalanobis distance squared from which a position is left out: once in 22 000 by chance (chi-square, 2 degrees)."""
@@ -42,7 +44,8 @@ GAP_SHARE = 0.2
 """Error of the way over a gap, as a share of it; assumed."""
 SLIP_FLOOR, SIDE_SLIP_FLOOR_DEG = 0.002, 0.1
 """What joints, ground between its nodes and measured steering leave, found on made-up drives. [-, deg]"""
-VALID_SLIP = 0.6
+ON_THE_SPOT = 0.1
+"""Speed of the rover as a share of that of its rims below which it turns on the spot; assumed."""
 ATTITUDE_DEG = 3.0
 """Median difference of roll or pitch from the terrain's beyond which the terrain is not the ground; assumed. [deg]"""
 
@@ -104,9 +107,9 @@ def states_of(
 ) -> DriveStates:
     """Slip and side slip of every wheel, at most once between two positions.
 
-    The motion is found by `smooth`; the twin, held to it on the terrain, gives the velocity of each wheel in its contact
-    plane, whatever the suspension does. Errors are those of the smoothed velocities; they do not hold errors that
-    all positions or headings share, such as a heading that is off throughout.
+    The motion is found by `smooth`; the twin, held to it on the terrain, gives the velocity of each wheel in its
+    contact plane, whatever the suspension does. Errors are those of the smoothed velocities; they do not hold errors
+    that all positions or headings share, such as a heading that is off throughout.
 
     Parameters
     ----------
@@ -179,7 +182,9 @@ def _mean_speed(rim_m_s: FloatArray) -> FloatArray:
 def _drives(wheels: WheelMotion, twist: FloatArray) -> BoolArray:
     """Between which rows the rover drives: not at a halt, nor turning on the spot. (n - 1,)"""
     speed = np.hypot(twist[:, 0], twist[:, 1])
-    return np.asarray(wheels.moving & (speed > 0.1 * _mean_speed(wheels.rim_m_s)) & (speed > STILL_SHARE * wheels.usual_m_s))
+    return np.asarray(
+        wheels.moving & (speed > 0.1 * _mean_speed(wheels.rim_m_s)) & (speed > STILL_SHARE * wheels.usual_m_s)
+    )
 
 
 def _nodes(
@@ -298,7 +303,9 @@ def _at_nodes(time_s: FloatArray, between: FloatArray, rows: IntArray) -> FloatA
     spent = np.vstack([np.zeros(between.shape[1]), np.cumsum(known * steps, axis=0)])
     low, high = rows[np.maximum(np.arange(len(rows)) - 1, 0)], rows[np.minimum(np.arange(len(rows)) + 1, len(rows) - 1)]
     with np.errstate(invalid="ignore"):
-        return np.asarray((total[high] - total[low]) / np.where(spent[high] > spent[low], spent[high] - spent[low], np.nan))
+        return np.asarray(
+            (total[high] - total[low]) / np.where(spent[high] > spent[low], spent[high] - spent[low], np.nan)
+        )
 
 
 def _mean_about(values: FloatArray, rows: IntArray) -> FloatArray:
@@ -342,7 +349,7 @@ def _state_rows(
 ) -> StateRows:
     speed = np.hypot(nodes.twist[:, 0], nodes.twist[:, 1])
     steps = np.diff(nodes.time_s)
-    drives = (speed > 0.1 * nodes.way_m / steps) & (speed > STILL_SHARE * wheels.usual_m_s)
+    drives = (speed > ON_THE_SPOT * nodes.way_m / steps) & (speed > STILL_SHARE * wheels.usual_m_s)
     distance = np.append(0.0, np.cumsum(np.where(drives, speed * steps, 0.0)))
     gap_nodes = np.add.reduceat(gaps.astype(int), rows[:-1]) > 0
     chosen, halted = _chosen(nodes, drives, distance, gap_nodes, telemetry.file)
@@ -392,7 +399,7 @@ def _chosen(
     calm[1:] &= ~gap
     result: list[int] = []
     last = -math.inf
-    for a, b in zip(fixes[:-1], fixes[1:], strict=True):
+    for a, b in itertools.pairwise(fixes):
         inside = np.arange(a, b + 1)[calm[a : b + 1]]
         middle = 0.5 * (distance_m[a] + distance_m[b])
         if not inside.size or gap[a:b].any() or distance_m[b] == distance_m[a]:

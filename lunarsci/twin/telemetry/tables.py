@@ -18,8 +18,8 @@ BASIS = "positions"
 def wheel_table(drive: DriveStates) -> "pd.DataFrame":
     """A row for each time and wheel: what `lunarsci twin update` reads as states.
 
-    Columns time_s, distance_m, wheel, x_m, y_m, sinkage_m, sinkage_m_sigma, slip_ratio, slip_ratio_sigma, side_slip_deg,
-    side_slip_deg_sigma, valid, slip_basis.
+    Columns time_s, distance_m, wheel, x_m, y_m, sinkage_m, sinkage_m_sigma, slip_ratio, slip_ratio_sigma,
+    side_slip_deg, side_slip_deg_sigma, valid, slip_basis.
     """
     import pandas as pd
 

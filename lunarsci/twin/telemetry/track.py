@@ -7,6 +7,7 @@ other wheels that ran in it, but that they sank no deeper.
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +28,7 @@ SIGMA_M = 0.00033
 GRID = 5
 """Places across a footprint at which two terrains are compared, each way."""
 TIE_M = 0.0005
-"""Predicted sinkages that differ by less do not say which wheel is the deepest: it is the last one then; assumed. [m]"""
+"""Predicted sinkages that differ by less do not say which wheel is the deepest: it is the last then; assumed. [m]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -49,7 +50,8 @@ class RutPoints:
         from scipy.spatial import cKDTree
 
         depth, sigma = np.full(len(places_m), np.nan), np.full(len(places_m), np.nan)
-        for row, near in enumerate(cKDTree(self.place_m).query_ball_point(places_m, reach_m)):
+        found: Any = cKDTree(self.place_m).query_ball_point(places_m, reach_m)
+        for row, near in enumerate(found):
             if near:
                 values = self.rut_m[near]
                 scatter = float(values.std(ddof=1)) / math.sqrt(len(near)) if len(near) > 1 else 0.0
@@ -83,8 +85,8 @@ def read_track(source: InputFile) -> RutPoints:
 def rut_points(before: Terrain, after: Terrain, places_m: FloatArray, reach_m: float) -> RutPoints:
     """Depths where wheels stood, from the ground before less that after the drive; NaN heights are left out.
 
-    Places (m, 2) are each compared at a grid of points within the distance. The error of a point is `SIGMA_M`; where the
-    two maps scatter more, `RutPoints.depth_at` adds it. Raises DataError where the maps have nothing in common.
+    Places (m, 2) are each compared at a grid of points within the distance. The error of a point is `SIGMA_M`; where
+    the two maps scatter more, `RutPoints.depth_at` adds it. Raises DataError where the maps have nothing in common.
     """
     steps = np.linspace(-0.7 * reach_m, 0.7 * reach_m, GRID)
     around = np.column_stack([part.ravel() for part in np.meshgrid(steps, steps)])
@@ -106,8 +108,8 @@ def deepest_wheel(
 ) -> tuple[BoolArray, FloatArray]:
     """Whether a wheel is the one whose depth the rut below it has, and what that may be off by.
 
-    Of the wheels that passed within the distance it is the one that is predicted to stand deepest. Where the predictions
-    do not tell, it is the last one, and their spread is an error.
+    Of the wheels that passed within the distance it is the one that is predicted to stand deepest. Where the
+    predictions do not tell, it is the last one, and their spread is an error.
 
     Parameters
     ----------

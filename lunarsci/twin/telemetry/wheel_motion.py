@@ -134,7 +134,7 @@ def _check_ratio(file: str, name: str, other: str, values: FloatArray, wanted: F
     if ratio < 0:
         raise DataError(f"{file}: {name} and {other} have opposite signs; forward is positive in both")
     if abs(ratio) < 0.02 and factor is None:
-        raise DataError(f"{file}: {name} is {ratio:.3g} of what {other} says; do the wheels turn, or is a column wrong?")
+        raise DataError(f"{file}: {name} is {ratio:.3g} of what {other} says; do the wheels turn, is a column wrong?")
     hint = f" ({UNITS[factor]}?)" if factor else ""
     raise DataError(f"{file}: {name} is {ratio:.4g} times what {other} says{hint}; convert one of them")
 
@@ -232,9 +232,7 @@ def _clock_steps(telemetry: Telemetry, angle: FloatArray, expected: FloatArray, 
         )
 
 
-def _missing(
-    telemetry: Telemetry, rover: Rover, measured: FloatArray, hung: BoolArray, findings: Findings
-) -> None:
+def _missing(telemetry: Telemetry, rover: Rover, measured: FloatArray, hung: BoolArray, findings: Findings) -> None:
     lost = ~np.isfinite(measured) & ~hung
     if not lost.any():
         return
