@@ -95,7 +95,7 @@ def _draw_states(panel: "Axes", drive: DriveStates, name: str) -> None:
         bad = ~rows.valid[:, k] & np.isfinite(values[:, k])
         color = WHEEL_COLORS[k]
         shown = np.where(good, values[:, k], np.nan)
-        panel.plot(where, shown, color=color, linewidth=0.8, alpha=0.6)
+        panel.plot(*_broken(where, shown, drive), color=color, linewidth=0.8, alpha=0.6)
         panel.errorbar(
             where, shown, np.where(good, sigmas[:, k], 0.0),
             fmt="o", color=color, markersize=3.5, elinewidth=1.0, capsize=1.5, label=wheel,
@@ -110,6 +110,13 @@ def _draw_states(panel: "Axes", drive: DriveStates, name: str) -> None:
         panel.axhline(0.0, color=INK, linewidth=0.6)
     if not np.isfinite(values).any():
         panel.text(0.5, 0.5, "no depth of the track was given", transform=panel.transAxes, ha="center", color=INK)
+
+
+def _broken(where: FloatArray, values: FloatArray, drive: DriveStates) -> tuple[FloatArray, FloatArray]:
+    """A line that ends at gaps."""
+    times = drive.nodes.time_s[drive.rows.node]
+    after = np.unique(np.searchsorted(times, drive.gaps[:, 0]))
+    return np.insert(where, after, np.nan), np.insert(values, after, np.nan)
 
 
 def _distance_at(drive: DriveStates, times: FloatArray) -> FloatArray:

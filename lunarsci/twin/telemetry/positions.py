@@ -33,13 +33,13 @@ def usable_positions(telemetry: Telemetry, way_m: FloatArray, findings: Findings
     `way_m` is the way of the rims until each row. (n,) Raises DataError where fewer than two are left.
     """
     given = telemetry.fixed
-    half: BoolArray = np.asarray(np.isfinite(telemetry.fix_m).any(axis=1)) & ~given
+    half = np.asarray(np.isfinite(telemetry.fix_m).any(axis=1)) & ~given
     _leave(findings, "half a position", "only one of x_m and y_m", half, telemetry)
     value = telemetry.fix_covariance_m2
-    complete = np.isfinite(value).all(axis=(1, 2))
+    complete: BoolArray = np.asarray(np.isfinite(value).all(axis=(1, 2)))
     bad = given & ~complete
     least: FloatArray = np.linalg.eigvalsh(np.where(complete[:, None, None], value, np.eye(2)))[:, 0]
-    bad |= given & complete & (least <= 0)
+    bad = np.asarray(bad | (given & complete & (least <= 0)))
     _leave(findings, "bad covariance", "errors that are missing, 0, negative, or no covariance", bad, telemetry)
     used = given & ~bad
     rows = np.flatnonzero(used)

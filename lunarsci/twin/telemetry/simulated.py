@@ -22,6 +22,8 @@ TRAVEL_SHARE = 0.04 / 3.0
 10.1038/s41467-024-46233-8."""
 FINER = 10
 """Steps of the wheel angle's sum in each interval between rows."""
+TRACK_WIDTHS = 0.7
+"""Way between points of the track in wheel widths, assumed: the error of a depth is that of one wheel's footprint."""
 DENSE_M = 0.01
 """Points of a wheel's path at which its rut is known. [m]"""
 
@@ -162,13 +164,13 @@ def _wheel_columns(
 
 
 def _track(prediction: Prediction, errors: SensorErrors, random: np.random.Generator) -> "pd.DataFrame":
-    """Points below every wheel at every sample, with the depth that the deepest wheel left there."""
+    """Points along the tracks, with the depth that the deepest wheel left there."""
     import pandas as pd
 
     count = int(prediction.recorded[0])
     states = prediction.states[0, :count]
     x, y, z = (states[..., STATE_COLUMNS.index(name)] for name in ("x_m", "y_m", "sinkage_m"))
-    points = np.column_stack([x.ravel(), y.ravel()])
+    points = _apart(np.column_stack([x.ravel(), y.ravel()]), TRACK_WIDTHS * prediction.rover.wheel.width_m)
     depth = deepest_at(points, (x, y, z), 0.5 * prediction.rover.wheel.width_m).max(axis=1)
     sigma = errors.track_m
     return pd.DataFrame(
@@ -180,6 +182,18 @@ def _track(prediction: Prediction, errors: SensorErrors, random: np.random.Gener
             "synthetic": ["true"] * len(depth),
         }
     )
+
+
+def _apart(points_m: FloatArray, least_m: float) -> FloatArray:
+    """Points without those nearer than a distance to an earlier one. (p, 2) [m]"""
+    from scipy.spatial import cKDTree
+
+    kept = np.ones(len(points_m), dtype=bool)
+    near: Any = cKDTree(points_m).query_ball_point(points_m, least_m)
+    for row, others in enumerate(near):
+        if kept[row]:
+            kept[[other for other in others if other > row]] = False
+    return points_m[kept]
 
 
 def deepest_at(points_m: FloatArray, wheels: tuple[FloatArray, FloatArray, FloatArray], reach_m: float) -> FloatArray:

@@ -83,8 +83,8 @@ def _check_along(drive: DriveStates, points: RutPoints, depth: FloatArray, known
     if met == 0:
         raise DataError(
             "the track has no point within half a wheel's width of a wheel; it lies about x "
-            f"{np.median(points.place_m[:, 0]):.4g} m, y {np.median(points.place_m[:, 1]):.4g} m: is it of this drive, in "
-            "its frame, in m?"
+            f"{np.median(points.place_m[:, 0]):.4g} m, y {np.median(points.place_m[:, 1]):.4g} m: is it of this "
+            "drive, in its frame, in m?"
         )
     if met < ALONG:
         what = f"the track meets {100 * met:.0f} % of the states: it is short, or not along this drive"
