@@ -40,7 +40,7 @@ def ordered(telemetry: Telemetry, findings: Findings) -> Telemetry:
         telemetry = taken(telemetry, timed)
     telemetry = _without_repeats(telemetry, findings)
     steps = np.diff(telemetry.time_s)
-    if (back := np.flatnonzero(steps < 0)).size:
+    if (back := np.flatnonzero(steps <= 0)).size:
         row = int(back[0])
         raise DataError(
             f"{telemetry.file}: time runs backwards {back.size} times, first from {telemetry.time_s[row]:.6g} to "
@@ -71,12 +71,16 @@ def _without_repeats(telemetry: Telemetry, findings: Findings) -> Telemetry:
     if not later.size:
         return telemetry
     alike = np.all((content[later] == content[earlier]) | (np.isnan(content[later]) & np.isnan(content[earlier])), 1)
-    if not alike.all():
-        row = int(later[np.argmin(alike)])
+    differ = ~alike & (later == earlier + 1)
+    if differ.any():
+        row = int(later[np.argmax(differ)])
         raise DataError(
             f"{telemetry.file}, row {row + 1}: time_s {telemetry.time_s[row]:.6g} has two rows that differ; keep the "
             "right one"
         )
+    later = later[alike]
+    if not later.size:
+        return telemetry
     first = float(telemetry.time_s[later[0]])
     findings.add("repeated rows", f"{later.size} rows repeat another one", "left out", count=later.size, time_s=first)
     kept = np.ones(len(telemetry.time_s), dtype=bool)

@@ -19,8 +19,8 @@ LONGEST_SHIFT_S = 120.0
 """Clocks are looked for so far apart; assumed. [s]"""
 SOME, MOST = 0.01, 0.2
 """Share of rows that may be off; beyond `MOST` it is another plan; assumed."""
-START_M = 0.5
-"""How far the first position may be from the plan's start; assumed. [m]"""
+START_M, HEADING_DEG = 0.5, 10.0
+"""How far the first position and heading may be from the plan's start; assumed. [m, deg]"""
 EDGE_S = 5.0
 """How much of a plan may be missing at its ends unsaid; assumed. [s]"""
 
@@ -34,6 +34,7 @@ def check_against_plan(telemetry: Telemetry, rover: Rover, plan: Plan, findings:
     _check_coverage(telemetry, schedule, findings)
     if plan.fixes is None:
         _check_commands(telemetry, rover, schedule, findings)
+    _check_heading(telemetry, plan, findings)
     rows = np.flatnonzero(telemetry.fixed)
     if rows.size and telemetry.time_s[rows[0]] < EDGE_S:
         off = float(np.hypot(*(telemetry.fix_m[rows[0]] - [plan.x_m, plan.y_m])))
@@ -41,6 +42,16 @@ def check_against_plan(telemetry: Telemetry, rover: Rover, plan: Plan, findings:
         if off > START_M + 5.0 * sigma:
             what = f"the first position is {off:.3g} m from the plan's start: another frame, or another plan"
             findings.add("another start", what, "kept as it is", doubt=True)
+
+
+def _check_heading(telemetry: Telemetry, plan: Plan, findings: Findings) -> None:
+    known = np.flatnonzero(np.isfinite(telemetry.yaw_deg))
+    if not known.size or telemetry.time_s[known[0]] > EDGE_S:
+        return
+    off = float(np.remainder(telemetry.yaw_deg[known[0]] - plan.heading_deg + 180.0, 360.0) - 180.0)
+    if abs(off) > HEADING_DEG:
+        what = f"the first heading is {off:.3g} deg off the plan's: another frame, or another plan"
+        findings.add("another start", what, "kept as it is", doubt=True)
 
 
 def _check_coverage(telemetry: Telemetry, schedule: Schedule, findings: Findings) -> None:

@@ -41,7 +41,7 @@ def body_twist(rover: Rover, rim_m_s: FloatArray, steering_rad: FloatArray) -> t
 
     Returns
     -------
-    Ahead [m/s], left [m/s], turn [rad/s] (n, 3), and by how much each rim turns faster than that. (n, wheels) [m/s]
+    Ahead [m/s], left [m/s], turn [rad/s] (n, 3), and root mean square of what the wheels differ from it. (n,) [m/s]
     """
     along, across = wheel_rows(rover, steering_rad)
     known = np.isfinite(rim_m_s)[..., None]
@@ -49,4 +49,5 @@ def body_twist(rover: Rover, rim_m_s: FloatArray, steering_rad: FloatArray) -> t
     right = np.concatenate([np.nan_to_num(rim_m_s), np.zeros_like(rim_m_s)], axis=1)
     normal = np.einsum("nki,nkj->nij", rows, rows)
     twist = np.linalg.solve(normal, np.einsum("nki,nk->ni", rows, right)[..., None])[..., 0]
-    return twist, rim_m_s - np.einsum("nki,ni->nk", along, twist)
+    off = right - np.einsum("nki,ni->nk", rows, twist)
+    return twist, np.sqrt((off**2).mean(axis=1))

@@ -23,6 +23,8 @@ CLEAR_DEG = 5.0
 LONGER, SHORTER = 2.5, 0.02
 """Displacement over way of the rims beyond which the unit is wrong; assumed: no rover glides so far, and one whose
 wheels only spin is met by `SHORTER`."""
+SHIFT = 0.5
+"""Share of the way between two positions by which they must be off to have shifted, the next ones fitting; assumed."""
 HANG_ROWS, HANG_DEG = 10, 1.0
 """Rows, or turn of the wheels [deg], over which a heading that stays the same hangs; assumed."""
 
@@ -52,7 +54,8 @@ def usable_positions(telemetry: Telemetry, way_m: FloatArray, findings: Findings
     used &= ~same
     if used.sum() < 2:
         raise DataError(
-            f"{telemetry.file}: {int(used.sum())} positions of use among {int(given.sum())}; slip needs two or more"
+            f"{telemetry.file}: {int(used.sum())} positions of use among {int(given.sum())} ({int(bad.sum())} have "
+            f"errors that are no covariance, {int(same.sum())} repeat another); slip needs two or more"
         )
     return dataclasses.replace(telemetry, fix_m=np.where(used[:, None], telemetry.fix_m, np.nan))
 
@@ -152,6 +155,7 @@ def check_frame(telemetry: Telemetry, twist: FloatArray, findings: Findings) -> 
     _check_turn(telemetry, twist, moved, wanted, long, findings)
     if not long.any():
         return
+    _check_shift(telemetry, rows, moved, wanted, np.hypot(sigma[1:], sigma[:-1]), findings)
     astray = _astray_deg(moved[long], wanted[long])
     if astray <= ASTRAY_DEG:
         return
@@ -167,6 +171,27 @@ def check_frame(telemetry: Telemetry, twist: FloatArray, findings: Findings) -> 
             "the map, y up, yaw_deg from x towards y in degrees: convert it"
         )
     findings.add("heading against motion", text, "kept as they are", count=int(long.sum()), doubt=True)
+
+
+def _check_shift(
+    telemetry: Telemetry,
+    rows: npt.NDArray[np.intp],
+    moved: FloatArray,
+    wanted: FloatArray,
+    sigma_m: FloatArray,
+    findings: Findings,
+) -> None:
+    """Positions that jump once and stay: another frame from then on. A single bad one jumps back."""
+    off, way = moved - wanted, np.hypot(*wanted.T)
+    size = np.hypot(*off.T)
+    calm = np.append(np.append(np.inf, size[:-1] / way[:-1]), np.inf), np.append(size[1:] / way[1:], np.inf)
+    for k in np.flatnonzero(size > np.maximum(SHIFT * way, 6.0 * sigma_m)):
+        before = k == 0 or calm[0][k] < 0.5 * SHIFT
+        after = k + 1 == len(size) or calm[1][k] < 0.5 * SHIFT
+        if before and after and 0 < k < len(size) - 1:
+            what = f"positions shift by {size[k]:.3g} m against the wheels and stay there: another frame from then on"
+            first = float(telemetry.time_s[rows[k + 1]])
+            findings.add("position shift", what, "kept; states beside it are wrong", time_s=first, doubt=True)
 
 
 def _displacements(
@@ -216,10 +241,7 @@ def _check_turn(
     if 20 < abs(slope) < 120:
         raise DataError(f"{text}: the steering angles look like rad; convert them to degrees")
     if slope < -0.5:
-        mirrored = long.any() and _astray_deg(moved[long], wanted[long]) < ASTRAY_DEG and _mirrored(moved[long])
-        which = "x, y and yaw_deg are those of a frame with z down (x north, y east)" if mirrored else (
-            "yaw_deg grows to the right"
-        )  # fmt: skip
+        which = _sense(telemetry, twist, moved, wanted, long)
         raise DataError(
             f"{text}: {which}, or steering is positive to the right; x, y, z of this program are east, north, up, "
             "yaw_deg and steering positive to the left: convert them"
@@ -227,6 +249,23 @@ def _check_turn(
     if not 0.5 < slope < 1.5:
         what = f"the heading turns {slope:.3g} times as far as the wheels make it"
         findings.add("heading against wheels", what, "kept as it is", doubt=True)
+
+
+def _sense(telemetry: Telemetry, twist: FloatArray, moved: FloatArray, wanted: FloatArray, long: BoolArray) -> str:
+    """What a heading that turns against the wheels means."""
+    if not long.any():
+        return "yaw_deg grows to the right"
+    if _astray_deg(moved[long], wanted[long]) < ASTRAY_DEG and _mirrored(moved[long]):
+        return "x, y and yaw_deg are those of a frame with z down (x north, y east)"
+    rows = np.flatnonzero(telemetry.fixed)
+    others = [
+        reading for reading in READINGS if "to the right, as" in reading.meaning or "clockwise" in reading.meaning
+    ]
+    off = [
+        _astray_deg(moved[long], _displacements(telemetry, twist, rows, reading.heading(telemetry.yaw_deg))[long])
+        for reading in others
+    ]
+    return others[int(np.argmin(off))].meaning
 
 
 def _mirrored(moved: FloatArray) -> bool:

@@ -47,6 +47,7 @@ def read_telemetry(source: InputFile, rover: Rover, findings: Findings) -> Telem
     _check_wheels(source.name, names, rover)
     _check_needed(source.name, names)
     values = {name: numbers_of(source.name, name, table[name]) for name in _known(names, rover)}
+    _blank_infinities(values, findings)
     count, wheels = len(table), len(rover.wheels)
     blank = np.full(count, np.nan)
     groups = {
@@ -75,6 +76,13 @@ def read_telemetry(source: InputFile, rover: Rover, findings: Findings) -> Telem
         **groups,
         synthetic="synthetic" in names and bool(table["synthetic"].astype(str).str.lower().isin(["true", "1"]).any()),
     )
+
+
+def _blank_infinities(values: dict[str, FloatArray], findings: Findings) -> None:
+    for name, column in values.items():
+        if (wrong := np.isinf(column)).any():
+            findings.add("infinite values", f"{name} is infinite", "taken as blank", count=int(wrong.sum()))
+            values[name] = np.where(wrong, np.nan, column)
 
 
 def read_table(source: InputFile, findings: Findings) -> "pd.DataFrame":
@@ -183,6 +191,15 @@ def _hint(needed: str, names: list[str]) -> str:
     return f"; is it '{near[0]}'? rename it" if near else f"; there are: {', '.join(names[:12])}"
 
 
+def _unit_hint(wanted: list[str], names: list[str]) -> str:
+    """The column of the same quantity and wheel in another unit."""
+    for name in wanted:
+        other = [found for found in names if UNIT.sub("", found) == UNIT.sub("", name)]
+        if other:
+            return f"; there is {other[0]}: convert it and call it {name}"
+    return ""
+
+
 def _check_wheels(file: str, names: list[str], rover: Rover) -> None:
     found = sorted({match[1] for name in names if (match := WHEEL.fullmatch(name))})
     strange = [wheel for wheel in found if wheel not in rover.wheels]
@@ -194,7 +211,7 @@ def _check_wheels(file: str, names: list[str], rover: Rover) -> None:
             units = {"rate": "deg_s", "speed": "m_s"}
             columns = [f"{form}_{wheel}_{units.get(form, 'deg')}" for form in forms]
             if not any(column in names for column in columns):
-                hint = _hint(columns[0], names) if found else f"; columns of wheels are such as {columns[-1]}"
+                hint = _unit_hint(columns, names) or (f"; the file has the wheels {', '.join(found)}" if found else "")
                 raise DataError(f"{file}: how {wheel} {what} is not given; add {' or '.join(columns)}{hint}")
 
 

@@ -78,7 +78,8 @@ class Smoothed:
     amplitude : of the changing deviations ahead, left [-] and turn [1/m]. (3,)
     length_m : over which each of them changes. (3,) [m]
     misfit : Mahalanobis distance squared of each position from where all else puts it, NaN where there is none. (n,)
-    reduced_chi_square : of positions and headings.
+    yaw_misfit : the same of each heading. (n,)
+    reduced_chi_square : of the positions.
     """
 
     state: FloatArray
@@ -86,6 +87,7 @@ class Smoothed:
     amplitude: FloatArray
     length_m: FloatArray
     misfit: FloatArray
+    yaw_misfit: FloatArray
     reduced_chi_square: float
 
     @property
@@ -122,6 +124,7 @@ def smooth(nodes: Nodes, scales: tuple[FloatArray, FloatArray] | None = None) ->
         amplitude=chosen,
         length_m=length_m,
         misfit=misfit,
+        yaw_misfit=_yaw_misfits(nodes, state, covariance),
         reduced_chi_square=chi_square / max(count, 1),
     )
 
@@ -302,6 +305,13 @@ def _smoothed(
         covariances[k] = covariances[k] + gain @ (covariances[k + 1] - ahead) @ gain.T
         covariances[k] = 0.5 * (covariances[k] + covariances[k].T)
     return means, covariances
+
+
+def _yaw_misfits(nodes: Nodes, state: FloatArray, covariance: FloatArray) -> FloatArray:
+    """The same of headings. (n,)"""
+    errors = nodes.yaw_sigma_rad**2
+    left = np.maximum(errors - covariance[:, 2, 2], 1e-3 * errors)
+    return np.asarray((nodes.yaw_rad - state[:, 2]) ** 2 / left)
 
 
 def _misfits(nodes: Nodes, state: FloatArray, covariance: FloatArray) -> tuple[FloatArray, float, int]:

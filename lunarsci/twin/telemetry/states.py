@@ -24,6 +24,7 @@ from lunarsci.twin.telemetry.odometry import body_twist, wheel_rows
 from lunarsci.twin.telemetry.positions import check_frame, usable_headings, usable_positions
 from lunarsci.twin.telemetry.record import Telemetry
 from lunarsci.twin.telemetry.smoother import AHEAD, MEANS, Nodes, Smoothed, smooth
+from lunarsci.twin.telemetry.steering import steering_angles
 from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion, wheel_motion
 
 __all__ = ["DriveStates", "StateRows", "states_of"]
@@ -40,14 +41,21 @@ OUTLIER = 20.0
 MOST_OUTLIERS = 0.2
 WORST_CHI_SQUARE = 4.0
 """Share of positions left out, and reduced chi-square, beyond which the result is in doubt; assumed."""
+LEAST_CHI_SQUARE, FINEST_M = 0.05, 5e-4
+"""Reduced chi-square and standard error [m] below which errors of positions are not believed; assumed."""
+GLIDE_DEG = 3.0
+"""Side slip all along from which on it is said: the largest that Ding et al. (2024) report. [deg]"""
 GAP_SHARE = 0.2
 """Error of the way over a gap, as a share of it; assumed."""
 SLIP_FLOOR, SIDE_SLIP_FLOOR_DEG = 0.002, 0.1
 """What joints, ground between its nodes and measured steering leave, found on made-up drives. [-, deg]"""
+DISAGREE = 0.03
+"""Median share of the usual rim speed by which wheels may differ from one motion; assumed."""
 ON_THE_SPOT = 0.1
 """Speed of the rover as a share of that of its rims below which it turns on the spot; assumed."""
-ATTITUDE_DEG = 3.0
-"""Median difference of roll or pitch from the terrain's beyond which the terrain is not the ground; assumed. [deg]"""
+ATTITUDE_DEG, FOLLOWS = 1.5, 0.6
+"""Median difference of roll or pitch from the terrain's beyond which the terrain is not the ground [deg]; and, where it
+slopes by more than 1 degree, as a share of the slope; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -123,16 +131,19 @@ def states_of(
     telemetry = ordered(telemetry, findings)
     gaps = time_gaps(telemetry, findings)
     wheels = wheel_motion(telemetry, rover, findings)
-    if plan is not None:
-        check_against_plan(telemetry, rover, plan, findings)
-    steering = np.radians(_filled(telemetry))
-    twist, _ = body_twist(rover, wheels.rim_m_s, 0.5 * (steering[1:] + steering[:-1]))
+    angle, known = steering_angles(telemetry, rover, findings)
+    wheels = dataclasses.replace(wheels, trusted=wheels.trusted & known[1:] & known[:-1])
+    steering = np.radians(angle)
+    twist, off = body_twist(rover, wheels.rim_m_s, 0.5 * (steering[1:] + steering[:-1]))
+    _check_wheels_agree(wheels, off, findings)
     steps = np.diff(telemetry.time_s)
     way = np.append(0.0, np.cumsum(_mean_speed(wheels.rim_m_s) * steps))
     turned = np.degrees(np.append(0.0, np.cumsum(twist[:, 2] * steps)))
     telemetry = usable_positions(telemetry, way, findings)
     telemetry = usable_headings(telemetry, turned, findings)
     check_frame(telemetry, twist, findings)
+    if plan is not None:
+        check_against_plan(telemetry, rover, plan, findings)
     nodes, rows = _nodes(telemetry, wheels, twist, way, gaps)
     smoothed, nodes, left_out = _without_outliers(nodes, findings)
     still = np.zeros((len(rows), 2))
@@ -142,7 +153,8 @@ def states_of(
     smoothed = smooth(nodes, (smoothed.amplitude, smoothed.length_m))
     motion = _motion(telemetry, nodes, smoothed, wheels, steering, rows, sway)
     held = forces_along(rover, terrain, motion)
-    _check_scatter(smoothed, findings)
+    _check_scatter(smoothed, nodes, findings)
+    _check_glide(smoothed, findings)
     _check_attitude(telemetry, held, rows, findings)
     times = telemetry.time_s
     return DriveStates(
@@ -159,17 +171,13 @@ def states_of(
     )
 
 
-def _filled(telemetry: Telemetry) -> FloatArray:
-    """Steering of every row, found from the rows beside it where it is not given. (n, wheels) [deg]"""
-    turned = telemetry.turned_deg.copy()
-    for k in range(turned.shape[1]):
-        known = np.isfinite(turned[:, k])
-        if not known.any():
-            raise DataError(f"{telemetry.file}: no steering angle of wheel {k + 1} in any row")
-        turned[:, k] = np.interp(telemetry.time_s, telemetry.time_s[known], turned[known, k])
-    if np.abs(turned).max() > 90.0:
-        raise DataError(f"{telemetry.file}: steering angles reach {np.abs(turned).max():.4g} deg; give -90 to 90 deg")
-    return turned
+def _check_wheels_agree(wheels: WheelMotion, off_m_s: FloatArray, findings: Findings) -> None:
+    """The wheels of one rigid rover must tell of one motion."""
+    share = off_m_s[wheels.moving] / wheels.usual_m_s
+    if share.size and float(np.median(share)) > DISAGREE:
+        what = f"rims and steering of the wheels differ by {100 * float(np.median(share)):.2g} % from any one motion"
+        done = "their best fit is taken; are the wheels named as they should be?"
+        findings.add("wheels disagree", what, done, doubt=True)
 
 
 def _mean_speed(rim_m_s: FloatArray) -> FloatArray:
@@ -227,9 +235,12 @@ def _without_outliers(nodes: Nodes, findings: Findings) -> tuple[Smoothed, Nodes
     """Smooth, leave out the worst position while it fits no motion, smooth again."""
     count = int(np.isfinite(nodes.fix_m).all(axis=1).sum())
     left: list[list[float]] = []
+    odd: list[float] = []
     coarse = (np.array([0.1, 0.1, 0.05]), np.full(3, 0.7))
     for scales in (coarse, None):
         smoothed = smooth(nodes, scales)
+        nodes, smoothed, lost = _without_odd_headings(nodes, smoothed)
+        odd += lost
         while count - len(left) > 3 and np.nanmax(smoothed.misfit) > OUTLIER:
             worst = int(np.nanargmax(smoothed.misfit))
             left.append([float(nodes.time_s[worst]), *map(float, nodes.fix_m[worst])])
@@ -239,6 +250,10 @@ def _without_outliers(nodes: Nodes, findings: Findings) -> tuple[Smoothed, Nodes
             smoothed = smooth(nodes, (smoothed.amplitude, smoothed.length_m))
             if len(left) > max(3, MOST_OUTLIERS * count):
                 break
+    if odd:
+        many = len(odd) > MOST_OUTLIERS * len(nodes.time_s)
+        what = f"{len(odd)} headings fit no motion of the wheels"
+        findings.add("odd heading", what, "left out", count=len(odd), time_s=min(odd), doubt=many)
     if left:
         many = len(left) > MOST_OUTLIERS * count
         findings.add(
@@ -252,10 +267,39 @@ def _without_outliers(nodes: Nodes, findings: Findings) -> tuple[Smoothed, Nodes
     return smoothed, nodes, np.array(sorted(left)).reshape(-1, 3)
 
 
-def _check_scatter(smoothed: Smoothed, findings: Findings) -> None:
+def _without_odd_headings(nodes: Nodes, smoothed: Smoothed) -> tuple[Nodes, Smoothed, list[float]]:
+    """Leave out the worst heading while it fits no motion; with the times of those left out."""
+    odd: list[float] = []
+    while np.nanmax(smoothed.yaw_misfit) > OUTLIER and len(odd) <= MOST_OUTLIERS * len(nodes.time_s):
+        worst = int(np.nanargmax(smoothed.yaw_misfit))
+        odd.append(float(nodes.time_s[worst]))
+        yaw = nodes.yaw_rad.copy()
+        yaw[worst] = np.nan
+        nodes = dataclasses.replace(nodes, yaw_rad=yaw)
+        smoothed = smooth(nodes, (smoothed.amplitude, smoothed.length_m))
+    return nodes, smoothed, odd
+
+
+def _check_scatter(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
+    fixed = np.isfinite(nodes.fix_m).all(axis=1)
+    sigma = float(np.median(np.sqrt(np.trace(nodes.fix_covariance_m2[fixed], axis1=1, axis2=2) / 2.0)))
+    if sigma < FINEST_M:
+        what = f"positions claim errors of {1e3 * sigma:.2g} mm, which no localisation of a rover reaches"
+        findings.add("errors too small", what, "kept; are they in another unit?", doubt=True)
+    if smoothed.reduced_chi_square < LEAST_CHI_SQUARE and fixed.sum() > 5 and sigma >= FINEST_M:
+        what = f"positions scatter {smoothed.reduced_chi_square:.2g} times as much as their errors of {sigma:.3g} m say"
+        findings.add("errors too large", what, "kept; are they in another unit?")
     if smoothed.reduced_chi_square > WORST_CHI_SQUARE:
         what = f"positions scatter with a reduced chi-square of {smoothed.reduced_chi_square:.1f} about the motion"
         findings.add("positions scatter", what, "kept; their errors are too small, or they jump", doubt=True)
+
+
+def _check_glide(smoothed: Smoothed, findings: Findings) -> None:
+    left, sigma = float(smoothed.state[-1, MEANS[1]]), float(np.sqrt(smoothed.covariance[-1, MEANS[1], MEANS[1]]))
+    middle = math.degrees(math.atan(float(np.median(smoothed.deviation[:, 1]))))
+    if abs(middle) > GLIDE_DEG and abs(left) > sigma:
+        what = f"the rover glides by {middle:.2g} deg all the way, positive to the left"
+        findings.add("constant side slip", what, "kept; a heading that is off throughout looks the same")
 
 
 def _sway(rover: Rover, paths: FloatArray) -> FloatArray:
@@ -324,14 +368,17 @@ def _check_attitude(telemetry: Telemetry, held: HeldForces, rows: IntArray, find
         known = np.isfinite(measured) & np.isfinite(stood)
         if known.sum() < 5:
             continue
-        off = float(np.median(np.abs(measured - stood)[known]))
-        if off <= ATTITUDE_DEG:
+        a, b = measured[known], stood[known]
+
+        def off(values: FloatArray, wanted: FloatArray = b) -> float:
+            return float(np.median(np.abs(values - wanted)))
+
+        size = float(np.median(np.abs(b)))
+        if off(a) <= max(ATTITUDE_DEG, FOLLOWS * size) and not (size > 1.0 and off(a) > FOLLOWS * size):
             continue
-        flipped = float(np.median(np.abs(measured + stood)[known]))
-        hint = "; it has the other sign" if flipped < 0.3 * off else ""
-        if not hint and float(np.median(np.abs(np.degrees(measured) - stood)[known])) < 0.3 * off:
-            hint = "; it looks like rad"
-        what = f"{name} is {off:.3g} deg off the terrain's in the median{hint}: another terrain, frame or sign"
+        hint = "; it has the other sign" if off(-a) < 0.4 * off(a) else ""
+        hint = "; it looks like rad" if off(np.degrees(a)) < 0.4 * off(a) else hint
+        what = f"{name} is {off(a):.3g} deg off the terrain's in the median{hint}: another terrain, frame or sign"
         findings.add("attitude against terrain", what, "the terrain's is taken", count=int(known.sum()), doubt=True)
 
 

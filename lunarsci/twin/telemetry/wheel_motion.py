@@ -35,6 +35,10 @@ STUCK_ROWS = 4
 """Equal readings in a row of something that moves are a sensor that hangs; assumed."""
 STILL_SHARE = 0.05
 """Share of the usual rim speed below which a wheel stands; assumed."""
+MOSTLY = 0.6
+"""Share of equal readings above which a channel is merely coarse or free of noise; assumed."""
+OBEYED = 0.03
+"""Share by which wheels may be off their commands unsaid; assumed."""
 TOO_FAST = 3.0
 """Times the rover's highest speed which no rim has; assumed."""
 
@@ -69,27 +73,30 @@ def wheel_motion(telemetry: Telemetry, rover: Rover, findings: Findings) -> Whee
     encoders are said. Raises DataError for values in another unit.
     """
     per_deg = np.radians(rover.wheel.shearing_radius_m)
-    told = _between(telemetry.speed_m_s) / per_deg
-    rate = _between(telemetry.rate_deg_s)
     _check_scale(telemetry, rover, per_deg)
     steps = np.diff(telemetry.time_s)[:, None]
+    told = _between(telemetry.speed_m_s) / per_deg
+    angle = np.diff(telemetry.angle_deg, axis=0)
+    hung = _hanging_angles(telemetry, rover, angle, np.where(np.isfinite(told), told, _between(telemetry.rate_deg_s)))
+    # The step at which an encoder that hung moves on holds all it missed.
+    angle[hung | np.vstack([np.zeros_like(hung[:1]), hung[:-1]])] = np.nan
+    rate = _between(_sound_rates(telemetry, rover, angle / steps, told, findings, hung))
     expected = np.where(np.isfinite(rate), rate, told) * steps
-    angle, bad = _encoder_steps(telemetry, rover, expected, findings)
-    hung = _hanging(telemetry, rover, expected, findings)
-    angle[hung] = np.nan
+    angle = _mended_steps(telemetry, rover, angle, expected, findings)
     measured = np.where(np.isfinite(angle), angle / steps, np.where(hung, np.nan, rate))
     _clock_steps(telemetry, angle, expected, findings)
     _missing(telemetry, rover, measured, hung, findings)
-    turn = np.where(np.isfinite(measured), measured, told)
-    rim = per_deg * turn
+    _check_obedience(measured, told, findings)
+    rim = per_deg * np.where(np.isfinite(measured), measured, told)
     fast = np.abs(rim[np.isfinite(rim)])
     usual = float(np.median(fast[fast > STILL_SHARE * fast.max()])) if fast.size and fast.max() > 0 else 0.0
     if usual == 0:
         raise DataError(f"{telemetry.file}: no wheel turns; there is no slip to find")
+    known = np.isfinite(measured)
     return WheelMotion(
         rim_m_s=rim,
-        measured=np.isfinite(measured),
-        trusted=np.isfinite(measured) & ~bad | ~np.isfinite(telemetry.angle_deg).any() & np.isfinite(rim) & ~hung,
+        measured=known,
+        trusted=known if known.any() else np.isfinite(rim),
         usual_m_s=usual,
     )
 
@@ -139,19 +146,16 @@ def _check_ratio(file: str, name: str, other: str, values: FloatArray, wanted: F
     raise DataError(f"{file}: {name} is {ratio:.4g} times what {other} says{hint}; convert one of them")
 
 
-def _encoder_steps(
-    telemetry: Telemetry, rover: Rover, expected: FloatArray, findings: Findings
-) -> tuple[FloatArray, BoolArray]:
-    """Turn between rows from the encoders, and where it was mended. (n - 1, wheels) [deg]"""
-    step = np.diff(telemetry.angle_deg, axis=0)
+def _mended_steps(
+    telemetry: Telemetry, rover: Rover, step: FloatArray, expected: FloatArray, findings: Findings
+) -> FloatArray:
+    """Turns between rows from the encoders, without wraps, NaN at resets. (n - 1, wheels) [deg]"""
     if not np.isfinite(step).any() or not np.isfinite(expected).any():
-        return step, np.zeros(step.shape, dtype=bool)
-    off = step - expected
-    largest = float(np.nanmax(np.abs(expected)))
-    wrong = np.abs(off) > np.maximum(MISFIT_DEG + MISFIT * np.abs(expected), 0.5 * largest)
-    # What all wheels do at once is the clock, not an encoder.
+        return step
+    step, off = step.copy(), step - expected
+    wrong = np.abs(off) > _tolerance(expected)
+    # What all wheels do at once, forwards, is the clock, not an encoder.
     wrong &= ~(np.sum(wrong, axis=1) > 0.5 * wrong.shape[1])[:, None] | (np.sign(step) != np.sign(expected))
-    mended = np.zeros(step.shape, dtype=bool)
     for k, wheel in enumerate(rover.wheels):
         rows = np.flatnonzero(wrong[:, k])
         if not rows.size:
@@ -161,35 +165,82 @@ def _encoder_steps(
         wrapped &= np.rint(turns) != 0
         step[rows[wrapped], k] -= 360.0 * np.rint(turns[wrapped])
         step[rows[~wrapped], k] = np.nan
-        mended[rows[~wrapped], k] = True
-        first = float(telemetry.time_s[rows[0] + 1])
-        for kind, count, done in (
-            ("encoder wrap", int(wrapped.sum()), "whole turns added"),
-            ("encoder reset", int((~wrapped).sum()), "the rate taken for these steps"),
+        for kind, which, done in (
+            ("encoder wrap", wrapped, "whole turns added"),
+            ("encoder reset", ~wrapped, "its rate, else the command, is taken for these steps"),
         ):
-            if count:
-                what = f"the angle of wheel {wheel} jumps by {off[rows[0], k]:+.1f} deg against its rate"
-                findings.add(kind, what, done, count=count, time_s=first)
-    return step, mended
+            if which.any():
+                row = rows[int(np.argmax(which))]
+                what = f"the angle of wheel {wheel} jumps by {off[row, k]:+.4g} deg against its rate"
+                first = float(telemetry.time_s[row + 1])
+                findings.add(kind, what, done, count=int(which.sum()), time_s=first)
+    return step
 
 
-def _hanging(telemetry: Telemetry, rover: Rover, expected: FloatArray, findings: Findings) -> BoolArray:
-    """Steps at which an encoder or a rate repeats itself while the wheel is told to turn. (n - 1, wheels)"""
-    hung = np.zeros(expected.shape, dtype=bool)
-    if not np.isfinite(expected).any():
-        return hung
-    told = _between(telemetry.speed_m_s)
-    told = told if np.isfinite(told).any() else expected
-    should = np.abs(np.nan_to_num(told)) > 0.3 * np.nanmax(np.abs(told))
-    angle = should & (np.diff(telemetry.angle_deg, axis=0) == 0)
-    for k, wheel in enumerate(rover.wheels):
-        runs = _long_runs(angle[:, k])
-        if runs.any():
-            hung[:, k] = runs
-            first = float(telemetry.time_s[int(np.argmax(runs))])
-            what = f"the angle of wheel {wheel} does not change while it is to turn: stuck wheel or sensor"
-            findings.add("stuck", what, "its states are not valid there", count=int(runs.sum()), time_s=first)
+def _tolerance(expected: FloatArray) -> FloatArray:
+    """How far an encoder's step may be off. [deg]"""
+    largest = float(np.max(np.abs(expected), where=np.isfinite(expected), initial=0.0))
+    usual = float(np.nanmedian(np.abs(expected))) if np.isfinite(expected).any() else 0.0
+    return np.maximum(MISFIT_DEG + MISFIT * np.abs(expected), 0.5 * min(usual, largest))
+
+
+def _hanging_angles(telemetry: Telemetry, rover: Rover, step: FloatArray, wanted: FloatArray) -> BoolArray:
+    """Steps at which an encoder repeats itself while its wheel should turn. (n - 1, wheels)"""
+    largest = float(np.max(np.abs(wanted), where=np.isfinite(wanted), initial=0.0))
+    should = np.abs(np.nan_to_num(wanted)) > 0.3 * largest
+    hung = np.zeros(step.shape, dtype=bool)
+    for k in range(step.shape[1]):
+        hung[:, k] = _long_runs(should[:, k] & (step[:, k] == 0))
     return hung
+
+
+def _sound_rates(
+    telemetry: Telemetry,
+    rover: Rover,
+    turned: FloatArray,
+    told: FloatArray,
+    findings: Findings,
+    stuck: BoolArray,
+) -> FloatArray:
+    """Rates without those that hang, or that encoder and command both deny. (n, wheels) [deg/s]"""
+    rate = telemetry.rate_deg_s.copy()
+    between = _between(rate)
+    for k, wheel in enumerate(rover.wheels):
+        hung = stuck[:, k]
+        if hung.any():
+            what = f"the angle of wheel {wheel} does not change while it is to turn: stuck wheel or sensor"
+            first = float(telemetry.time_s[int(np.argmax(hung))])
+            findings.add("stuck", what, "its states are not valid there", count=int(hung.sum()), time_s=first)
+        same = np.append(False, np.diff(rate[:, k]) == 0)
+        still = np.abs(np.nan_to_num(rate[:, k])) == 0
+        runs = _long_runs(same & ~still) if same.mean() < MOSTLY else np.zeros(len(same), dtype=bool)
+        both = np.abs(between[:, k] - told[:, k]) > MISFIT_DEG + MISFIT * np.abs(told[:, k])
+        both &= np.abs(turned[:, k] - told[:, k]) < MISFIT_DEG + MISFIT * np.abs(told[:, k])
+        odd = np.zeros(len(same), dtype=bool)
+        odd[:-1] |= both
+        odd[1:] |= both
+        odd &= ~runs
+        for kind, rows, what in (
+            ("stuck", runs, f"the rate of wheel {wheel} stays the same to the last digit"),
+            ("odd rate", odd, f"the rate of wheel {wheel} is denied by its angle and by its command"),
+        ):
+            if rows.any():
+                first = float(telemetry.time_s[int(np.argmax(rows))])
+                findings.add(kind, what, "left out; its angle is taken", count=int(rows.sum()), time_s=first)
+                rate[rows, k] = np.nan
+    return rate
+
+
+def _check_obedience(measured: FloatArray, told: FloatArray, findings: Findings) -> None:
+    """Whether wheels turn as fast as they are told."""
+    both = np.isfinite(measured) & np.isfinite(told)
+    both &= np.abs(told) > 0.3 * np.max(np.abs(told), where=np.isfinite(told), initial=0.0)
+    if not both.any():
+        return
+    share = float(np.median(measured[both] / told[both]))
+    if abs(share - 1.0) > OBEYED:
+        what = f"the wheels turn {share:.3g} times as fast as they are told"
+        findings.add("wheels against commands", what, "slip is of the measured speed; is the wheel radius right?")
 
 
 def _long_runs(on: BoolArray, least: int = STUCK_ROWS) -> BoolArray:
