@@ -153,6 +153,8 @@ def _wheel_table(sent: Sent) -> TextTable:
         notes.append("no sinkage: give the depth of the track with --track")
     else:
         notes.append("sinkage belongs to the deepest wheel that passed a place; of the others the track says nothing")
+    if not sent.planned:
+        notes.append("clock and commands were not compared with a plan: none was given")
     if drive.telemetry.synthetic:
         notes.append("the telemetry is synthetic")
     if sent.scene.terrain.synthetic:

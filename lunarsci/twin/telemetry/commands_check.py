@@ -17,8 +17,10 @@ STEERING_DEG, SPEED_SHARE = 2.0, 0.25
 """How far a row's commands may be off the plan's: steering, and rim speed as a share of the plan's; assumed."""
 LONGEST_SHIFT_S = 120.0
 """Clocks are looked for so far apart; assumed. [s]"""
-SOME, MOST = 0.01, 0.2
-"""Share of rows that may be off; beyond `MOST` it is another plan; assumed."""
+SOME, FITS, MOST = 0.01, 0.15, 0.4
+"""Share of rows that may be off; may be off at another time of the clock; beyond which it is another plan; assumed."""
+COVERED = 0.6
+"""Share of rows that must lie within a plan for its clock to be told; assumed."""
 START_M, HEADING_DEG = 0.5, 10.0
 """How far the first position and heading may be from the plan's start; assumed. [m, deg]"""
 EDGE_S = 5.0
@@ -76,7 +78,7 @@ def _check_commands(telemetry: Telemetry, rover: Rover, schedule: Schedule, find
 
     def share_off(shift: float) -> float:
         inside = (times - shift >= 0) & (times - shift <= schedule.duration_s)
-        if inside.sum() < 0.5 * len(times):
+        if inside.sum() < COVERED * len(times):
             return 1.0
         told = commands_at(rover, schedule, times[inside] - shift)
         off = np.abs(steering[inside] - np.degrees(told.steering_rad)) > STEERING_DEG
@@ -92,7 +94,7 @@ def _check_commands(telemetry: Telemetry, rover: Rover, schedule: Schedule, find
     good = np.flatnonzero(shares <= shares.min() + 1e-12)
     best = int(good[np.argmin(np.abs(shifts[good]))])
     text = f"the commands of {100 * now:.0f} % of the rows are not those of the plan at their times"
-    if shares[best] < 0.4 * now and shares[best] < MOST and abs(shifts[best]) > step:
+    if shares[best] < min(FITS, 0.5 * now) and abs(shifts[best]) > step:
         way = "late" if shifts[best] > 0 else "early"
         what = f"{text}; they fit if the clock is {abs(shifts[best]):.3g} s {way}"
         findings.add("clock offset", what, "times are kept as they are: mend them before `twin update`", doubt=True)

@@ -49,6 +49,8 @@ GAP_SHARE = 0.2
 """Error of the way over a gap, as a share of it; assumed."""
 SLIP_FLOOR, SIDE_SLIP_FLOOR_DEG = 0.002, 0.1
 """What joints, ground between its nodes and measured steering leave, found on made-up drives. [-, deg]"""
+UNEVEN = 0.2
+"""Change of speed, in ln, about a node from which on it is a start or a stop, without a state; assumed."""
 DISAGREE = 0.03
 """Median share of the usual rim speed by which wheels may differ from one motion; assumed."""
 ON_THE_SPOT = 0.1
@@ -130,7 +132,7 @@ def states_of(
     """
     telemetry = ordered(telemetry, findings)
     gaps = time_gaps(telemetry, findings)
-    wheels = wheel_motion(telemetry, rover, findings)
+    wheels = wheel_motion(telemetry, rover, gaps, findings, planned=plan is not None)
     angle, known = steering_angles(telemetry, rover, findings)
     wheels = dataclasses.replace(wheels, trusted=wheels.trusted & known[1:] & known[:-1])
     steering = np.radians(angle)
@@ -440,7 +442,9 @@ def _chosen(
     Nodes and whether each is a halt.
     """
     fixes = np.flatnonzero(np.isfinite(nodes.fix_m).all(axis=1))
-    calm = np.append(False, drives[1:] & drives[:-1])
+    pace = nodes.way_m / np.diff(nodes.time_s)
+    even = np.abs(np.log(np.maximum(pace[1:], 1e-12) / np.maximum(pace[:-1], 1e-12))) < UNEVEN
+    calm = np.append(False, drives[1:] & drives[:-1] & even)
     calm = np.append(calm, False)[: len(nodes.time_s)]
     calm[:-1] &= ~gap
     calm[1:] &= ~gap

@@ -31,6 +31,8 @@ APART = 0.5
 MISFIT = 0.25
 """Share of the expected turn, and [deg] `MISFIT_DEG`, by which an encoder's step may differ from its rate; assumed."""
 MISFIT_DEG = 3.0
+CLOCK_SHARE = 0.4
+"""Share of a step between rows by which the clock may differ from all wheels unsaid; assumed."""
 STUCK_ROWS = 4
 """Equal readings in a row of something that moves are a sensor that hangs; assumed."""
 STILL_SHARE = 0.05
@@ -66,11 +68,14 @@ class WheelMotion:
         return np.asarray((np.abs(np.nan_to_num(self.rim_m_s)) > STILL_SHARE * self.usual_m_s).any(axis=1))
 
 
-def wheel_motion(telemetry: Telemetry, rover: Rover, findings: Findings) -> WheelMotion:
+def wheel_motion(
+    telemetry: Telemetry, rover: Rover, gaps: BoolArray, findings: Findings, *, planned: bool = False
+) -> WheelMotion:
     """Rim speeds from encoders, where these fail from rates, else from commands.
 
-    Resets and wraps of an encoder, readings that hang, runs without a reading, and a clock that jumps against all
-    encoders are said. Raises DataError for values in another unit.
+    `gaps` are steps between rows over which nothing was sent (n - 1,); `planned` says that the clock will be compared
+    with a plan too. Resets and wraps of an encoder, readings that hang, runs without a reading, and a clock that jumps
+    against all encoders are said. Raises DataError for values in another unit.
     """
     per_deg = np.radians(rover.wheel.shearing_radius_m)
     _check_scale(telemetry, rover, per_deg)
@@ -82,9 +87,9 @@ def wheel_motion(telemetry: Telemetry, rover: Rover, findings: Findings) -> Whee
     angle[hung | np.vstack([np.zeros_like(hung[:1]), hung[:-1]])] = np.nan
     rate = _between(_sound_rates(telemetry, rover, angle / steps, told, findings, hung))
     expected = np.where(np.isfinite(rate), rate, told) * steps
-    angle = _mended_steps(telemetry, rover, angle, expected, findings)
+    angle = _mended_steps(telemetry, rover, angle, expected, gaps, findings)
     measured = np.where(np.isfinite(angle), angle / steps, np.where(hung, np.nan, rate))
-    _clock_steps(telemetry, angle, expected, findings)
+    _clock_steps(telemetry, angle, expected, gaps, findings, planned=planned)
     _missing(telemetry, rover, measured, hung, findings)
     _check_obedience(measured, told, findings)
     rim = per_deg * np.where(np.isfinite(measured), measured, told)
@@ -147,13 +152,20 @@ def _check_ratio(file: str, name: str, other: str, values: FloatArray, wanted: F
 
 
 def _mended_steps(
-    telemetry: Telemetry, rover: Rover, step: FloatArray, expected: FloatArray, findings: Findings
+    telemetry: Telemetry,
+    rover: Rover,
+    step: FloatArray,
+    expected: FloatArray,
+    gaps: BoolArray,
+    findings: Findings,
 ) -> FloatArray:
     """Turns between rows from the encoders, without wraps, NaN at resets. (n - 1, wheels) [deg]"""
     if not np.isfinite(step).any() or not np.isfinite(expected).any():
         return step
     step, off = step.copy(), step - expected
     wrong = np.abs(off) > _tolerance(expected)
+    # Over a gap the wheels may have stopped: any turn up to the expected one may be right.
+    wrong[gaps] &= (step * np.sign(expected) < -MISFIT_DEG)[gaps] | (np.abs(step) > 1.5 * np.abs(expected))[gaps]
     # What all wheels do at once, forwards, is the clock, not an encoder.
     wrong &= ~(np.sum(wrong, axis=1) > 0.5 * wrong.shape[1])[:, None] | (np.sign(step) != np.sign(expected))
     for k, wheel in enumerate(rover.wheels):
@@ -165,9 +177,13 @@ def _mended_steps(
         wrapped &= np.rint(turns) != 0
         step[rows[wrapped], k] -= 360.0 * np.rint(turns[wrapped])
         step[rows[~wrapped], k] = np.nan
+        if wrapped.any():
+            # Nobody knows how many whole turns a gap hides.
+            step[gaps, k] = np.nan
         for kind, which, done in (
             ("encoder wrap", wrapped, "whole turns added"),
-            ("encoder reset", ~wrapped, "its rate, else the command, is taken for these steps"),
+            ("encoder reset", ~wrapped & ~gaps[rows], "its rate, else the command, is taken for these steps"),
+            ("encoder over a gap", ~wrapped & gaps[rows], "its rate beside the gap is taken"),
         ):
             if which.any():
                 row = rows[int(np.argmax(which))]
@@ -252,35 +268,53 @@ def _long_runs(on: BoolArray, least: int = STUCK_ROWS) -> BoolArray:
     return result
 
 
-def _clock_steps(telemetry: Telemetry, angle: FloatArray, expected: FloatArray, findings: Findings) -> None:
+def _clock_steps(
+    telemetry: Telemetry,
+    angle: FloatArray,
+    expected: FloatArray,
+    gaps: BoolArray,
+    findings: Findings,
+    *,
+    planned: bool,
+) -> None:
     """Steps at which all encoders together say that another time went by than the clock says."""
     steps = np.diff(telemetry.time_s)
-    turning = np.isfinite(angle) & (np.abs(expected) > 0.3 * np.nanmax(np.abs(expected), initial=0.0))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = np.where(turning, angle / expected, np.nan)
+    largest = float(np.max(np.abs(expected[~gaps]), where=np.isfinite(expected[~gaps]), initial=0.0))
+    turning = np.isfinite(angle) & (np.abs(expected) > 0.3 * largest)
     enough = turning.sum(axis=1) >= 0.5 * turning.shape[1]
     if not enough.any():
         return
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.where(turning, angle / expected, np.nan)
     shares = np.ones(len(steps))
     shares[enough] = np.nanmedian(ratio[enough], axis=1)
-    went = shares * steps
-    usual = float(np.median(steps))
-    # A change of speed within a step is no step of the clock: rates before and after must agree.
-    rate = np.nanmedian(np.abs(telemetry.rate_deg_s), axis=1) if np.isfinite(telemetry.rate_deg_s).any() else None
-    steady = np.ones(len(steps), dtype=bool)
-    if rate is not None:
-        steady = np.abs(np.diff(rate)) < 0.2 * np.maximum(rate[1:], rate[:-1])
-    wrong = enough & steady & (np.abs(went - steps) > np.maximum(0.4 * np.minimum(steps, went), 0.4 * usual))
-    if wrong.any():
-        first = int(np.argmax(wrong))
-        findings.add(
-            "clock step",
-            f"the clock counts {steps[first]:.4g} s where the wheels turned for {went[first]:.4g} s",
-            "slip rests on the wheels' angles, but times after it do not fit those before",
-            count=int(wrong.sum()),
-            time_s=float(telemetry.time_s[first]),
-            doubt=True,
-        )
+    went, usual = shares * steps, float(np.median(steps))
+    wrong = (
+        enough & _steady(telemetry) & (np.abs(went - steps) > CLOCK_SHARE * np.maximum(np.minimum(steps, went), usual))
+    )
+    for kind, rows, why, doubt in (
+        ("clock step", wrong & ~gaps, "", True),
+        ("halt or clock step", wrong & gaps, ": they stopped within the gap, or the clock jumped", not planned),
+    ):
+        if rows.any():
+            first = int(np.argmax(rows))
+            findings.add(
+                kind,
+                f"the clock counts {steps[first]:.4g} s where the wheels turned for {went[first]:.4g} s{why}",
+                "slip rests on the wheels' angles, but times after it may not fit those before",
+                count=int(rows.sum()),
+                time_s=float(telemetry.time_s[first]),
+                doubt=doubt,
+            )
+
+
+def _steady(telemetry: Telemetry) -> BoolArray:
+    """Steps over which the wheels keep their rates: a change of speed is no step of the clock. (n - 1,)"""
+    rates = np.abs(telemetry.rate_deg_s)
+    if not np.isfinite(rates).any():
+        return np.ones(len(rates) - 1, dtype=bool)
+    rate = np.median(np.nan_to_num(rates), axis=1)
+    return np.asarray(np.abs(np.diff(rate)) <= 0.2 * np.maximum(rate[1:], rate[:-1]))
 
 
 def _missing(telemetry: Telemetry, rover: Rover, measured: FloatArray, hung: BoolArray, findings: Findings) -> None:
