@@ -17,10 +17,12 @@ from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact import VALID_SLIP
+from lunarsci.twin.telemetry.attitude import check_attitude, sway_m
 from lunarsci.twin.telemetry.clock import ordered, time_gaps
 from lunarsci.twin.telemetry.commands_check import check_against_plan
 from lunarsci.twin.telemetry.findings import Findings
 from lunarsci.twin.telemetry.odometry import body_twist, wheel_rows
+from lunarsci.twin.telemetry.outliers import check_glide, check_scatter, without_outliers
 from lunarsci.twin.telemetry.positions import check_frame, usable_headings, usable_positions
 from lunarsci.twin.telemetry.record import Telemetry
 from lunarsci.twin.telemetry.smoother import AHEAD, MEANS, Nodes, Smoothed, smooth
@@ -36,15 +38,6 @@ NODE_M = 0.1
 """Way between the moments at which the motion is found. [m]"""
 LEAST_ROW_M = 0.3
 """Way between rows of states where positions are denser, assumed: a rover's slip does not change faster. [m]"""
-OUTLIER = 20.0
-"""Mahalanobis distance squared from which a position is left out: once in 22 000 by chance (chi-square, 2 degrees)."""
-MOST_OUTLIERS = 0.2
-WORST_CHI_SQUARE = 4.0
-"""Share of positions left out, and reduced chi-square, beyond which the result is in doubt; assumed."""
-LEAST_CHI_SQUARE, FINEST_M = 0.05, 5e-4
-"""Reduced chi-square and standard error [m] below which errors of positions are not believed; assumed."""
-GLIDE_DEG = 3.0
-"""Side slip all along from which on it is said: the largest that Ding et al. (2024) report. [deg]"""
 GAP_SHARE = 0.2
 """Error of the way over a gap, as a share of it; assumed."""
 SLIP_FLOOR, SIDE_SLIP_FLOOR_DEG = 0.001, 0.08
@@ -56,9 +49,6 @@ DISAGREE = 0.03
 """Median share of the usual rim speed by which wheels may differ from one motion; assumed."""
 ON_THE_SPOT = 0.1
 """Speed of the rover as a share of that of its rims below which it turns on the spot; assumed."""
-ATTITUDE_DEG, FOLLOWS = 1.5, 0.6
-"""Median difference of roll or pitch from the terrain's beyond which the terrain is not the ground [deg]; and, where it
-slopes by more than 1 degree, as a share of the slope; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -148,17 +138,17 @@ def states_of(
     if plan is not None:
         check_against_plan(telemetry, rover, plan, findings)
     nodes, rows = _nodes(telemetry, wheels, twist, way, gaps)
-    smoothed, nodes, left_out = _without_outliers(nodes, findings)
+    smoothed, nodes, left_out = without_outliers(nodes, findings)
     still = np.zeros((len(rows), 2))
     first = forces_along(rover, terrain, _motion(telemetry, nodes, smoothed, wheels, steering, rows, still))
-    sway = _sway(rover, first.paths)
+    sway = sway_m(rover, first.paths)
     nodes = dataclasses.replace(nodes, fix_m=nodes.fix_m - sway)
     smoothed = smooth(nodes, (smoothed.amplitude, smoothed.length_m))
     motion = _motion(telemetry, nodes, smoothed, wheels, steering, rows, sway)
     held = forces_along(rover, terrain, motion)
-    _check_scatter(smoothed, nodes, findings)
-    _check_glide(smoothed, findings)
-    _check_attitude(telemetry, held, rows, findings)
+    check_scatter(smoothed, nodes, findings)
+    check_glide(smoothed, findings)
+    check_attitude(telemetry, held, rows, findings)
     times = telemetry.time_s
     return DriveStates(
         rover=rover,
@@ -234,90 +224,6 @@ def _nodes(
     )
 
 
-def _without_outliers(nodes: Nodes, findings: Findings) -> tuple[Smoothed, Nodes, FloatArray]:
-    """Smooth, leave out the worst position while it fits no motion, smooth again."""
-    count = int(np.isfinite(nodes.fix_m).all(axis=1).sum())
-    left: list[list[float]] = []
-    odd: list[float] = []
-    coarse = (np.array([0.1, 0.1, 0.05]), np.full(3, 0.7))
-    for scales in (coarse, None):
-        smoothed = smooth(nodes, scales)
-        nodes, smoothed, lost = _without_odd_headings(nodes, smoothed)
-        odd += lost
-        while count - len(left) > 3 and np.nanmax(smoothed.misfit) > OUTLIER:
-            worst = int(np.nanargmax(smoothed.misfit))
-            left.append([float(nodes.time_s[worst]), *map(float, nodes.fix_m[worst])])
-            fix = nodes.fix_m.copy()
-            fix[worst] = np.nan
-            nodes = dataclasses.replace(nodes, fix_m=fix)
-            smoothed = smooth(nodes, (smoothed.amplitude, smoothed.length_m))
-            if len(left) > max(3, MOST_OUTLIERS * count):
-                break
-    if odd:
-        many = len(odd) > MOST_OUTLIERS * len(nodes.time_s)
-        what = f"{len(odd)} headings fit no motion of the wheels"
-        findings.add("odd heading", what, "left out", count=len(odd), time_s=min(odd), doubt=many)
-    if left:
-        many = len(left) > MOST_OUTLIERS * count
-        findings.add(
-            "position jump",
-            f"{len(left)} of {count} positions fit no motion of the wheels",
-            "left out",
-            count=len(left),
-            time_s=min(left)[0],
-            doubt=many,
-        )
-    return smoothed, nodes, np.array(sorted(left)).reshape(-1, 3)
-
-
-def _without_odd_headings(nodes: Nodes, smoothed: Smoothed) -> tuple[Nodes, Smoothed, list[float]]:
-    """Leave out the worst heading while it fits no motion; with the times of those left out."""
-    odd: list[float] = []
-    while np.nanmax(smoothed.yaw_misfit) > OUTLIER and len(odd) <= MOST_OUTLIERS * len(nodes.time_s):
-        worst = int(np.nanargmax(smoothed.yaw_misfit))
-        odd.append(float(nodes.time_s[worst]))
-        yaw = nodes.yaw_rad.copy()
-        yaw[worst] = np.nan
-        nodes = dataclasses.replace(nodes, yaw_rad=yaw)
-        smoothed = smooth(nodes, (smoothed.amplitude, smoothed.length_m))
-    return nodes, smoothed, odd
-
-
-def _check_scatter(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
-    fixed = np.isfinite(nodes.fix_m).all(axis=1)
-    sigma = float(np.median(np.sqrt(np.trace(nodes.fix_covariance_m2[fixed], axis1=1, axis2=2) / 2.0)))
-    if sigma < FINEST_M:
-        what = f"positions claim errors of {1e3 * sigma:.2g} mm, which no localisation of a rover reaches"
-        findings.add("errors too small", what, "kept; are they in another unit?", doubt=True)
-    if smoothed.reduced_chi_square < LEAST_CHI_SQUARE and fixed.sum() > 5 and sigma >= FINEST_M:
-        what = f"positions scatter {smoothed.reduced_chi_square:.2g} times as much as their errors of {sigma:.3g} m say"
-        findings.add("errors too large", what, "kept; are they in another unit?")
-    if smoothed.reduced_chi_square > WORST_CHI_SQUARE:
-        what = f"positions scatter with a reduced chi-square of {smoothed.reduced_chi_square:.1f} about the motion"
-        findings.add("positions scatter", what, "kept; their errors are too small, or they jump", doubt=True)
-
-
-def _check_glide(smoothed: Smoothed, findings: Findings) -> None:
-    left, sigma = float(smoothed.state[-1, MEANS[1]]), float(np.sqrt(smoothed.covariance[-1, MEANS[1], MEANS[1]]))
-    middle = math.degrees(math.atan(float(np.median(smoothed.deviation[:, 1]))))
-    if abs(middle) > GLIDE_DEG and abs(left) > sigma:
-        what = f"the rover glides by {middle:.2g} deg all the way, positive to the left"
-        findings.add("constant side slip", what, "kept; a heading that is off throughout looks the same")
-
-
-def _sway(rover: Rover, paths: FloatArray) -> FloatArray:
-    """How far the rover's origin is from above the point that its wheels stand about, by roll and pitch. (n, 2) [m]
-
-    The wheels carry that point; the origin sways above it, which is no slip.
-    """
-    height = rover.wheel.radius_m - float(rover.wheel_positions_m[:, 2].mean())
-    roll, pitch, yaw = np.radians(np.nan_to_num(paths[:, 3:6])).T
-    ahead, left = np.sin(pitch) * np.cos(roll), -np.sin(roll)
-    return height * np.column_stack(
-        [np.cos(yaw) * ahead - np.sin(yaw) * left, np.sin(yaw) * ahead + np.cos(yaw) * left]
-    )
-
-
 def _motion(
     telemetry: Telemetry,
     nodes: Nodes,
@@ -362,27 +268,6 @@ def _mean_about(values: FloatArray, rows: IntArray) -> FloatArray:
         reach = min(row - rows[k - 1] if k else 0, rows[k + 1] - row if k + 1 < len(rows) else 0) // 2
         result[k] = values[row - reach : row + reach + 1].mean()
     return result
-
-
-def _check_attitude(telemetry: Telemetry, held: HeldForces, rows: IntArray, findings: Findings) -> None:
-    """Roll and pitch must be those of a rover that stands on this terrain."""
-    for column, name in ((3, "roll_deg"), (4, "pitch_deg")):
-        measured, stood = getattr(telemetry, name)[rows], held.paths[:, column]
-        known = np.isfinite(measured) & np.isfinite(stood)
-        if known.sum() < 5:
-            continue
-        a, b = measured[known], stood[known]
-
-        def off(values: FloatArray, wanted: FloatArray = b) -> float:
-            return float(np.median(np.abs(values - wanted)))
-
-        size = float(np.median(np.abs(b)))
-        if off(a) <= max(ATTITUDE_DEG, FOLLOWS * size) and not (size > 1.0 and off(a) > FOLLOWS * size):
-            continue
-        hint = "; it has the other sign" if off(-a) < 0.4 * off(a) else ""
-        hint = "; it looks like rad" if off(np.degrees(a)) < 0.4 * off(a) else hint
-        what = f"{name} is {off(a):.3g} deg off the terrain's in the median{hint}: another terrain, frame or sign"
-        findings.add("attitude against terrain", what, "the terrain's is taken", count=int(known.sum()), doubt=True)
 
 
 def _state_rows(
