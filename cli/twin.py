@@ -5,7 +5,16 @@ from typing import Annotated
 
 import typer
 
-from . import twin_compare, twin_forces, twin_history, twin_options, twin_terrain, twin_update
+from . import (
+    twin_compare,
+    twin_forces,
+    twin_history,
+    twin_options,
+    twin_simulate,
+    twin_states,
+    twin_terrain,
+    twin_update,
+)
 from .command import command
 from .options import Output
 from .progress import progress
@@ -16,11 +25,16 @@ __all__ = ["app"]
 app = typer.Typer(no_args_is_help=True, help="Whether the next drive is safe: a rover simulated on deformable ground.")
 
 
-twin_terrain.add_to(app)
-twin_forces.add_to(app)
-twin_update.add_to(app)
-twin_history.add_to(app)
-twin_compare.add_to(app)
+for part in (
+    twin_terrain,
+    twin_simulate,
+    twin_states,
+    twin_forces,
+    twin_update,
+    twin_compare,
+    twin_history,
+):
+    part.add_to(app)
 
 
 @app.callback()

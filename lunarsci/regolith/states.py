@@ -17,7 +17,10 @@ FloatArray = npt.NDArray[np.float64]
 
 REQUIRED = ("sinkage_m", "normal_force_n", "drawbar_pull_n")
 COLUMNS = ("sinkage_m", "slip_ratio", "side_slip_deg", "normal_force_n", "drawbar_pull_n", "lateral_force_n")
-IDENTIFIERS = ("id", "member", "wheel", "distance_m", "time_s", "x_m", "y_m", "resistance_torque_nm", "valid")
+IDENTIFIERS = (
+    *("id", "member", "wheel", "distance_m", "time_s", "x_m", "y_m", "resistance_torque_nm", "valid", "slip_basis"),
+    *("x_m_sigma", "y_m_sigma", "resistance_torque_nm_sigma", "synthetic"),
+)
 MAX_VALID_SLIP = 0.6
 LEAST_SINKAGE_M = 1e-6
 YES, NO = ("true", "1", "1.0", "yes"), ("false", "0", "0.0", "no")

@@ -71,7 +71,8 @@ def read_record(
 
     States have `time_s`, `wheel`, and any of the columns `OBSERVED` with their `NAME_sigma`; positions have `time_s`,
     `x_m`, `y_m`, and `sigma_m` or `xx_m2`, `xy_m2`, `yy_m2`. Where no sigma is given it is that of `errors`. States
-    with `valid` false are left out with a warning. Raises DataError.
+    with `valid` false are left out with a warning. With positions, slip and side slip of states whose `slip_basis` is
+    `positions` are left out with a warning: they would count what the positions say a second time. Raises DataError.
     """
     file = states.name
     table = _valid_rows(file, _read(states, ("time_s", "wheel")))
@@ -80,6 +81,8 @@ def read_record(
         raise DataError(f"{file}: no measured column; there can be {', '.join(OBSERVED)}")
     errors = errors or MeasurementErrors()
     values = np.column_stack([_numbers(file, table, name) for name in OBSERVED])
+    if positions is not None:
+        _forget_slips(file, table, values)
     given = np.column_stack([_numbers(file, table, f"{name}_sigma") for name in OBSERVED])
     own = np.column_stack([errors.of(name, np.nan_to_num(values[:, k])) for k, name in enumerate(OBSERVED)])
     places = _positions(positions)
@@ -106,6 +109,19 @@ def _valid_rows(file: str, table: "pd.DataFrame") -> "pd.DataFrame":
         text = f"{file}: {int((~kept).sum())} of {len(kept)} states left out, marked not valid"
         warnings.warn(text, LunarSciWarning, stacklevel=3)
     return table[kept].reset_index(drop=True)
+
+
+def _forget_slips(file: str, table: "pd.DataFrame", values: FloatArray) -> None:
+    """Blank slip and side slip that were derived from the positions which are given too."""
+    if "slip_basis" not in table:
+        return
+    derived = np.asarray(table["slip_basis"].fillna("").str.strip().str.lower() == "positions")
+    columns = np.array([OBSERVED.index(name) for name in ("slip_ratio", "side_slip_deg")])
+    used = int((np.isfinite(values[:, columns]) & derived[:, None]).any(axis=1).sum())
+    if used:
+        text = f"{file}: slip and side slip of {used} states derive from positions, which are given too; left out"
+        warnings.warn(f"{text}, so that nothing counts twice", LunarSciWarning, stacklevel=3)
+        values[np.ix_(derived, columns)] = np.nan
 
 
 def _read(source: InputFile, needed: tuple[str, ...]) -> "pd.DataFrame":

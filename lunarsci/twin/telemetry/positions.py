@@ -1,0 +1,274 @@
+"""Localised positions and headings: what of them can be used, and whether they share a frame with the wheels."""
+
+import dataclasses
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.errors import DataError
+from lunarsci.twin.telemetry.findings import Findings
+from lunarsci.twin.telemetry.record import Telemetry
+
+__all__ = ["check_frame", "usable_headings", "usable_positions"]
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+ASTRAY_DEG = 15.0
+"""Median angle between displacement and heading which no side slip makes; assumed. [deg]"""
+CLEAR_DEG = 5.0
+"""Turn that wheels must say before heading is compared with it; assumed. [deg]"""
+LONGER, SHORTER = 2.5, 0.02
+"""Displacement over way of the rims beyond which the unit is wrong; assumed: no rover glides so far, and one whose
+wheels only spin is met by `SHORTER`."""
+SHIFT = 0.5
+"""Share of the way between two positions by which they must be off to have shifted, the next ones fitting; assumed."""
+HANG_ROWS, HANG_DEG = 10, 1.0
+"""Rows, or turn of the wheels [deg], over which a heading that stays the same hangs; assumed."""
+
+
+def usable_positions(telemetry: Telemetry, way_m: FloatArray, findings: Findings) -> Telemetry:
+    """Positions without those that have no proper covariance or repeat the one before though the rims moved on.
+
+    `way_m` is the way of the rims until each row. (n,) Raises DataError where fewer than two are left.
+    """
+    given = telemetry.fixed
+    half = np.asarray(np.isfinite(telemetry.fix_m).any(axis=1)) & ~given
+    _leave(findings, "half a position", "only one of x_m and y_m", half, telemetry)
+    value = telemetry.fix_covariance_m2
+    complete: BoolArray = np.asarray(np.isfinite(value).all(axis=(1, 2)))
+    bad = given & ~complete
+    least: FloatArray = np.linalg.eigvalsh(np.where(complete[:, None, None], value, np.eye(2)))[:, 0]
+    bad = np.asarray(bad | (given & complete & (least <= 0)))
+    _leave(findings, "bad covariance", "errors that are missing, 0, negative, or no covariance", bad, telemetry)
+    used = given & ~bad
+    rows = np.flatnonzero(used)
+    same = np.zeros(len(used), dtype=bool)
+    if rows.size > 1:
+        sigma = np.sqrt(np.trace(value[rows[1:]], axis1=1, axis2=2))
+        repeated = (np.diff(telemetry.fix_m[rows], axis=0) == 0).all(axis=1)
+        same[rows[1:]] = repeated & (np.diff(way_m[rows]) > np.minimum(0.5 * sigma, 0.05))
+    _leave(findings, "stuck position", "it repeats the one before though the wheels turned", same, telemetry)
+    used &= ~same
+    if used.sum() < 2:
+        raise DataError(
+            f"{telemetry.file}: {int(used.sum())} positions of use among {int(given.sum())} ({int(bad.sum())} have "
+            f"errors that are no covariance, {int(same.sum())} repeat another); slip needs two or more"
+        )
+    return dataclasses.replace(telemetry, fix_m=np.where(used[:, None], telemetry.fix_m, np.nan))
+
+
+def _leave(findings: Findings, kind: str, what: str, rows: BoolArray, telemetry: Telemetry) -> None:
+    if rows.any():
+        first = float(telemetry.time_s[int(np.argmax(rows))])
+        findings.add(kind, what, "these positions are left out", count=int(rows.sum()), time_s=first)
+
+
+def usable_headings(telemetry: Telemetry, turned_deg: FloatArray, findings: Findings) -> Telemetry:
+    """Headings without full turns between rows, and without those that hang.
+
+    `turned_deg` is the turn that the wheels say until each row. (n,) Raises DataError where none is left.
+    """
+    yaw, sigma = telemetry.yaw_deg.copy(), telemetry.yaw_deg_sigma.copy()
+    blank = np.isfinite(yaw) & ~(np.isfinite(sigma) & (sigma > 0))
+    if blank.any():
+        first = float(telemetry.time_s[int(np.argmax(blank))])
+        findings.add(
+            "bad heading error",
+            "yaw_deg_sigma is missing, 0 or negative",
+            "these headings are left out",
+            count=int(blank.sum()),
+            time_s=first,
+        )
+        yaw[blank] = np.nan
+    known = np.flatnonzero(np.isfinite(yaw))
+    if known.size < 2:
+        raise DataError(f"{telemetry.file}: {known.size} headings of use; side slip needs yaw_deg")
+    hanging = _hanging(yaw, sigma, turned_deg, known)
+    if hanging.any():
+        first = float(telemetry.time_s[int(np.argmax(hanging))])
+        what = "yaw_deg stays the same to the last digit while the rover drives"
+        findings.add("stuck heading", what, "these headings are left out", count=int(hanging.sum()), time_s=first)
+        yaw[hanging] = np.nan
+        known = np.flatnonzero(np.isfinite(yaw))
+        if known.size < 2:
+            raise DataError(f"{telemetry.file}: yaw_deg is the same throughout while the wheels turn the rover")
+    lost = ~np.isfinite(yaw) & ~hanging & ~blank
+    if lost.any():
+        first = float(telemetry.time_s[int(np.argmax(lost))])
+        findings.add("missing headings", "rows without yaw_deg", "found from the others", count=int(lost.sum()),
+                     time_s=first)  # fmt: skip
+    yaw[known] = np.degrees(np.unwrap(np.radians(yaw[known])))
+    return dataclasses.replace(telemetry, yaw_deg=yaw)
+
+
+def _hanging(yaw: FloatArray, sigma: FloatArray, turned_deg: FloatArray, known: npt.NDArray[np.intp]) -> BoolArray:
+    result = np.zeros(len(yaw), dtype=bool)
+    values = yaw[known]
+    changes = np.abs(np.diff(values))
+    finest = float(np.min(changes[changes > 0], initial=np.inf))
+    begins = np.flatnonzero(np.append(True, changes > 0))
+    for begin, end in zip(begins, [*begins[1:], len(values)], strict=True):
+        rows = known[begin:end]
+        turn = float(np.ptp(turned_deg[rows]))
+        error = float(np.median(sigma[rows]))
+        long = len(rows) >= HANG_ROWS and finest < 0.5 * error and turn > 0
+        if len(rows) >= 3 and (turn > max(HANG_DEG, 5.0 * error) or long):
+            result[rows[1:]] = True
+    return result
+
+
+@dataclass(frozen=True, slots=True)
+class _Reading:
+    """Another way to read headings and positions, and what it would mean."""
+
+    meaning: str
+    heading: Callable[[FloatArray], FloatArray]
+    place: Callable[[FloatArray], FloatArray]
+
+
+READINGS = (
+    _Reading("x_m and y_m are exchanged", lambda yaw: yaw, lambda p: p[:, ::-1]),
+    _Reading("yaw_deg grows to the right, as in a frame with z down", lambda yaw: -yaw, lambda p: p),
+    _Reading("y_m points to the right of x_m", lambda yaw: yaw, lambda p: p * [1.0, -1.0]),
+    _Reading("yaw_deg is measured from y (north) clockwise", lambda yaw: 90.0 - yaw, lambda p: p),
+    _Reading("yaw_deg is measured from y", lambda yaw: 90.0 + yaw, lambda p: p),
+    _Reading("yaw_deg is in rad", np.degrees, lambda p: p),
+    _Reading("yaw_deg points backwards", lambda yaw: yaw + 180.0, lambda p: p),
+)
+
+
+def check_frame(telemetry: Telemetry, twist: FloatArray, findings: Findings) -> None:
+    """Whether positions, headings and wheels tell of the same motion in the same frame.
+
+    `twist` is the velocity that the wheels say between rows. (n - 1, 3) Raises DataError for a wrong unit or frame
+    where one reading explains what is seen; what no reading explains is a finding that puts the result in doubt.
+    """
+    rows = np.flatnonzero(telemetry.fixed)
+    moved = np.diff(telemetry.fix_m[rows], axis=0)
+    wanted = _displacements(telemetry, twist, rows, telemetry.yaw_deg)
+    sigma = np.sqrt(np.trace(telemetry.fix_covariance_m2[rows], axis1=1, axis2=2) / 2.0)
+    long = np.hypot(*wanted.T) > 4.0 * np.hypot(sigma[1:], sigma[:-1])
+    _check_lengths(telemetry.file, np.hypot(*moved.T), np.hypot(*wanted.T))
+    _check_turn(telemetry, twist, moved, wanted, long, findings)
+    if not long.any():
+        return
+    _check_shift(telemetry, rows, moved, wanted, np.hypot(sigma[1:], sigma[:-1]), findings)
+    astray = _astray_deg(moved[long], wanted[long])
+    if astray <= ASTRAY_DEG:
+        return
+    others = []
+    for reading in READINGS:
+        read = _displacements(telemetry, twist, rows, reading.heading(telemetry.yaw_deg))
+        others.append(_astray_deg(reading.place(moved)[long], read[long]))
+    best = int(np.argmin(others))
+    text = f"displacements point {astray:.0f} deg off the heading in the median"
+    if others[best] < min(ASTRAY_DEG, 0.5 * astray):
+        raise DataError(
+            f"{telemetry.file}: {text}, but {others[best]:.1f} deg if {READINGS[best].meaning}; x is to the right of "
+            "the map, y up, yaw_deg from x towards y in degrees: convert it"
+        )
+    findings.add("heading against motion", text, "kept as they are", count=int(long.sum()), doubt=True)
+
+
+def _check_shift(
+    telemetry: Telemetry,
+    rows: npt.NDArray[np.intp],
+    moved: FloatArray,
+    wanted: FloatArray,
+    sigma_m: FloatArray,
+    findings: Findings,
+) -> None:
+    """Positions that jump once and stay: another frame from then on. A single bad one jumps back."""
+    off, way = moved - wanted, np.hypot(*wanted.T)
+    size = np.hypot(*off.T)
+    calm = np.append(np.append(np.inf, size[:-1] / way[:-1]), np.inf), np.append(size[1:] / way[1:], np.inf)
+    for k in np.flatnonzero(size > np.maximum(SHIFT * way, 6.0 * sigma_m)):
+        before = k == 0 or calm[0][k] < 0.5 * SHIFT
+        after = k + 1 == len(size) or calm[1][k] < 0.5 * SHIFT
+        if before and after and 0 < k < len(size) - 1:
+            what = f"positions shift by {size[k]:.3g} m against the wheels and stay there: another frame from then on"
+            first = float(telemetry.time_s[rows[k + 1]])
+            findings.add("position shift", what, "kept; states beside it are wrong", time_s=first, doubt=True)
+
+
+def _displacements(
+    telemetry: Telemetry, twist: FloatArray, rows: npt.NDArray[np.intp], yaw_deg: FloatArray
+) -> FloatArray:
+    """Displacement between successive positions that wheels and headings say. (rows - 1, 2) [m]"""
+    known = np.isfinite(yaw_deg)
+    yaw = np.radians(np.interp(telemetry.time_s, telemetry.time_s[known], yaw_deg[known]))
+    middle, steps = 0.5 * (yaw[1:] + yaw[:-1]), np.diff(telemetry.time_s)
+    ahead, left = twist[:, 0] * steps, twist[:, 1] * steps
+    x = np.append(0.0, np.cumsum(np.cos(middle) * ahead - np.sin(middle) * left))
+    y = np.append(0.0, np.cumsum(np.sin(middle) * ahead + np.cos(middle) * left))
+    return np.diff(np.column_stack([x, y])[rows], axis=0)
+
+
+def _astray_deg(moved: FloatArray, wanted: FloatArray) -> float:
+    cross = wanted[:, 0] * moved[:, 1] - wanted[:, 1] * moved[:, 0]
+    return float(np.median(np.abs(np.degrees(np.arctan2(cross, (wanted * moved).sum(axis=1))))))
+
+
+def _check_lengths(file: str, moved_m: FloatArray, wanted_m: FloatArray) -> None:
+    ahead = wanted_m > 0.05
+    if not ahead.any():
+        return
+    ratio = float(np.median(moved_m[ahead] / wanted_m[ahead]))
+    units = {10.0: "dm", 100.0: "cm", 1000.0: "mm", 0.001: "km"}
+    unit = next((name for factor, name in units.items() if abs(math.log(max(ratio, 1e-12) / factor)) < 0.4), "")
+    hint = f": x_m and y_m look like {unit}" if unit else ": are x_m and y_m in m, and the wheels those of this rover?"
+    if ratio > LONGER or (ratio < SHORTER and unit):
+        raise DataError(f"{file}: positions move {ratio:.3g} times as far as the rims turn{hint}; convert them")
+
+
+def _check_turn(
+    telemetry: Telemetry, twist: FloatArray, moved: FloatArray, wanted: FloatArray, long: BoolArray, findings: Findings
+) -> None:
+    """Heading must turn as the wheels say, in sense and in size."""
+    turned = np.degrees(np.append(0.0, np.cumsum(twist[:, 2] * np.diff(telemetry.time_s))))
+    known = np.isfinite(telemetry.yaw_deg)
+    turn = turned[known] - turned[known].mean()
+    yaw = telemetry.yaw_deg[known] - telemetry.yaw_deg[known].mean()
+    if np.ptp(turn) < max(CLEAR_DEG, 20.0 * float(np.median(telemetry.yaw_deg_sigma[known]))):
+        return
+    slope = float((turn * yaw).sum() / (turn * turn).sum())
+    text = f"{telemetry.file}: the heading turns {slope:.3g} times as far as the wheels make it"
+    if 0.005 < slope < 0.06:
+        raise DataError(f"{text}: yaw_deg looks like rad; convert it to degrees")
+    if 20 < abs(slope) < 120:
+        raise DataError(f"{text}: the steering angles look like rad; convert them to degrees")
+    if slope < -0.5:
+        which = _sense(telemetry, twist, moved, wanted, long)
+        raise DataError(
+            f"{text}: {which}, or steering is positive to the right; x, y, z of this program are east, north, up, "
+            "yaw_deg and steering positive to the left: convert them"
+        )
+    if not 0.5 < slope < 1.5:
+        what = f"the heading turns {slope:.3g} times as far as the wheels make it"
+        findings.add("heading against wheels", what, "kept as it is", doubt=True)
+
+
+def _sense(telemetry: Telemetry, twist: FloatArray, moved: FloatArray, wanted: FloatArray, long: BoolArray) -> str:
+    """What a heading that turns against the wheels means."""
+    if not long.any():
+        return "yaw_deg grows to the right"
+    if _astray_deg(moved[long], wanted[long]) < ASTRAY_DEG and _mirrored(moved[long]):
+        return "x, y and yaw_deg are those of a frame with z down (x north, y east)"
+    rows = np.flatnonzero(telemetry.fixed)
+    others = [
+        reading for reading in READINGS if "to the right, as" in reading.meaning or "clockwise" in reading.meaning
+    ]
+    off = [
+        _astray_deg(moved[long], _displacements(telemetry, twist, rows, reading.heading(telemetry.yaw_deg))[long])
+        for reading in others
+    ]
+    return others[int(np.argmin(off))].meaning
+
+
+def _mirrored(moved: FloatArray) -> bool:
+    """Whether the way bends enough for its sense to be seen."""
+    course = np.unwrap(np.arctan2(moved[:, 1], moved[:, 0]))
+    return bool(np.ptp(course) > math.radians(CLEAR_DEG))

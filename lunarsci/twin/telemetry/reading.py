@@ -1,0 +1,225 @@
+"""Telemetry files: CSV, ECSV and Parquet, with columns by name."""
+
+import difflib
+import io
+import re
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.csv_table import numbers_of, read_csv_table
+from lunarsci.errors import DataError
+from lunarsci.inputs import InputFile
+from lunarsci.twin.rover import Rover
+from lunarsci.twin.telemetry.findings import Findings
+from lunarsci.twin.telemetry.record import POSE_COLUMNS, WHEEL_COLUMNS, Telemetry
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["read_table", "read_telemetry"]
+
+FloatArray = npt.NDArray[np.float64]
+NEEDED = ("time_s", "x_m", "y_m", "yaw_deg")
+ERRORS = ("xx_m2", "xy_m2", "yy_m2")
+WHEEL = re.compile(r"(?:speed|steering|angle|rate|steered)_([A-Za-z0-9]+)_(?:m_s|deg|deg_s)")
+UNIT = re.compile(r"_(?:ms|s|min|h|mm|cm|m|km|deg|rad|m2|mm2|cm2|deg_s|rad_s|m_s|mm_s|cm_s|km_h|rpm)$")
+YAW_SIGMA_DEG = 0.3
+"""Error of a heading whose error is not given; assumed. [deg]"""
+
+
+def read_telemetry(source: InputFile, rover: Rover, findings: Findings) -> Telemetry:
+    """Read telemetry, by the ending of its file: .ecsv, .parquet, else CSV.
+
+    Columns `time_s`, `x_m`, `y_m` (blank where there is no position), `sigma_m` or `xx_m2`, `xy_m2`, `yy_m2`,
+    `yaw_deg`; optionally `yaw_deg_sigma`, `roll_deg`, `pitch_deg`, `synthetic`; and of each wheel FL, FR, ...
+    `speed_FL_m_s`, `steering_FL_deg` (commanded), `angle_FL_deg`, `rate_FL_deg_s`, `steered_FL_deg` (measured). What a
+    wheel did must be there for all of them: angle or rate or speed, and steered or steering.
+
+    Rows stay in the order of the file. Raises DataError for columns that are missing, in another unit, or of another
+    rover's wheels, and for text among numbers.
+    """
+    table = read_table(source, findings)
+    names = [str(name) for name in table.columns]
+    _check_wheels(source.name, names, rover)
+    _check_needed(source.name, names)
+    values = {name: numbers_of(source.name, name, table[name]) for name in _known(names, rover)}
+    _blank_infinities(values, findings)
+    count, wheels = len(table), len(rover.wheels)
+    blank = np.full(count, np.nan)
+    groups = {
+        key: np.column_stack([values.get(form.format(wheel), blank) for wheel in rover.wheels])
+        for key, form in WHEEL_COLUMNS.items()
+    }
+    for group, column in groups.items():
+        present = [WHEEL_COLUMNS[group].format(wheel) in values for wheel in rover.wheels]
+        if any(present) and not all(present):
+            missing = WHEEL_COLUMNS[group].format(rover.wheels[present.index(False)])
+            raise DataError(f"{source.name}: no column {missing}, but those of other wheels; add it or drop them all")
+        if column.shape != (count, wheels):
+            raise DataError(f"{source.name}: columns of {group} have different lengths")
+    yaw_sigma = values.get("yaw_deg_sigma", blank)
+    if not np.isfinite(yaw_sigma).any():
+        done = f"{YAW_SIGMA_DEG:g} deg assumed; add a column yaw_deg_sigma"
+        findings.add("no heading error", "no errors of yaw_deg", done, count=count)
+        yaw_sigma = np.full(count, YAW_SIGMA_DEG)
+    return Telemetry(
+        file=source.name,
+        time_s=values["time_s"],
+        fix_m=np.column_stack([values["x_m"], values["y_m"]]),
+        fix_covariance_m2=_covariance(source.name, values),
+        **{name: values.get(name, blank) for name in POSE_COLUMNS if name != "yaw_deg_sigma"},
+        yaw_deg_sigma=yaw_sigma,
+        **groups,
+        synthetic="synthetic" in names and bool(table["synthetic"].astype(str).str.lower().isin(["true", "1"]).any()),
+    )
+
+
+def _blank_infinities(values: dict[str, FloatArray], findings: Findings) -> None:
+    for name, column in values.items():
+        if (wrong := np.isinf(column)).any():
+            findings.add("infinite values", f"{name} is infinite", "taken as blank", count=int(wrong.sum()))
+            values[name] = np.where(wrong, np.nan, column)
+
+
+def read_table(source: InputFile, findings: Findings) -> "pd.DataFrame":
+    """The cells of a table, by the ending of its file. Raises DataError."""
+    suffix = Path(source.name).suffix.lower()
+    if suffix == ".parquet":
+        table = _read_parquet(source)
+    elif suffix == ".ecsv":
+        table = _read_ecsv(source)
+    else:
+        table = read_csv_table(_whole_lines(source, findings))
+    if not len(table):
+        raise DataError(f"{source.name}: no rows; check how it was made or downloaded")
+    return table
+
+
+def _whole_lines(source: InputFile, findings: Findings) -> InputFile:
+    """The file without a last line that may be cut: one that does not end."""
+    if source.data.startswith((b"\xff\xfe", b"\xfe\xff")) or source.data.endswith((b"\n", b"\r")):
+        return source
+    whole, _, cut = source.data.rpartition(b"\n")
+    if not whole.strip():
+        return source
+    number = source.data.count(b"\n") + 1
+    what = f"line {number} has no end ('{cut[-20:].decode(errors='replace')}'): the file may be cut there"
+    findings.add("truncated", what, "the line is left out; end it with a new line if it is whole")
+    return InputFile(source.name, whole + b"\n")
+
+
+def _read_parquet(source: InputFile) -> "pd.DataFrame":
+    import pandas as pd
+
+    try:
+        import pyarrow
+    except ImportError as error:
+        raise DataError(f"{source.name}: Parquet needs pyarrow; pip install 'lunarsci[parquet]'") from error
+    try:
+        return _flat(source.name, pd.read_parquet(io.BytesIO(source.data), engine="pyarrow"))
+    except (OSError, ValueError, pyarrow.ArrowException) as error:
+        raise DataError(f"{source.name}: not a Parquet file that can be read ({_line(error)})") from error
+
+
+def _read_ecsv(source: InputFile) -> "pd.DataFrame":
+    from astropy.table import Table
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            table = Table.read(io.BytesIO(source.data), format="ascii.ecsv")
+            units = {name: str(table[name].unit) for name in table.colnames if table[name].unit is not None}
+            frame = _flat(source.name, table.to_pandas())
+    except Exception as error:
+        raise DataError(f"{source.name}: not an ECSV table that can be read ({_line(error)})") from error
+    for name, unit in units.items():
+        _check_unit(source.name, name, unit)
+    return frame
+
+
+def _check_unit(file: str, name: str, unit: str) -> None:
+    """A column must be in the unit that its name says."""
+    from astropy import units as u
+
+    ends = {"_m_s": "m/s", "_deg_s": "deg/s", "_m2": "m2", "_deg_sigma": "deg", "_deg": "deg", "_s": "s", "_m": "m"}
+    wanted = next((text for end, text in ends.items() if name.endswith(end)), None)
+    if wanted is not None and u.Unit(unit) != u.Unit(wanted):
+        raise DataError(f"{file}: {name} is in {unit}, its name says {wanted}; convert it")
+
+
+def _flat(file: str, table: "pd.DataFrame") -> "pd.DataFrame":
+    import pandas as pd
+
+    names = [str(name).strip() for name in table.columns]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise DataError(f"{file}: two columns are called '{twice}'; keep one of them")
+    table = table.reset_index(drop=True)
+    table.columns = pd.Index(names)
+    return table
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())[:120]
+
+
+def _known(names: list[str], rover: Rover) -> list[str]:
+    known = {*NEEDED, *POSE_COLUMNS, *ERRORS, "sigma_m"}
+    known |= {form.format(wheel) for form in WHEEL_COLUMNS.values() for wheel in rover.wheels}
+    return [name for name in names if name in known]
+
+
+def _check_needed(file: str, names: list[str]) -> None:
+    for needed in NEEDED:
+        if needed not in names:
+            raise DataError(f"{file}: no column {needed}{_hint(needed, names)}")
+    if "sigma_m" not in names and not all(name in names for name in ERRORS):
+        hint = _hint("sigma_m", names) if not any(name in names for name in ERRORS) else ""
+        raise DataError(f"{file}: no errors of the positions; add sigma_m, or xx_m2, xy_m2 and yy_m2{hint}")
+
+
+def _hint(needed: str, names: list[str]) -> str:
+    """The column that may be meant: the same quantity in another unit, or a name like it."""
+    bare = UNIT.sub("", needed)
+    other = [name for name in names if UNIT.sub("", name) == bare and name != needed]
+    if other:
+        return f"; there is {other[0]}: convert it and call it {needed}"
+    near = difflib.get_close_matches(needed, names, n=1, cutoff=0.7)
+    return f"; is it '{near[0]}'? rename it" if near else f"; there are: {', '.join(names[:12])}"
+
+
+def _unit_hint(wanted: list[str], names: list[str]) -> str:
+    """The column of the same quantity and wheel in another unit."""
+    for name in wanted:
+        other = [found for found in names if UNIT.sub("", found) == UNIT.sub("", name)]
+        if other:
+            return f"; there is {other[0]}: convert it and call it {name}"
+    return ""
+
+
+def _check_wheels(file: str, names: list[str], rover: Rover) -> None:
+    found = sorted({match[1] for name in names if (match := WHEEL.fullmatch(name))})
+    strange = [wheel for wheel in found if wheel not in rover.wheels]
+    own = ", ".join(rover.wheels)
+    if strange:
+        raise DataError(f"{file}: '{strange[0]}' is no wheel of {rover.name}, which has {own}; give the right --rover")
+    for wheel in rover.wheels:
+        for what, forms in (("turned", ("angle", "rate", "speed")), ("was steered", ("steered", "steering"))):
+            units = {"rate": "deg_s", "speed": "m_s"}
+            columns = [f"{form}_{wheel}_{units.get(form, 'deg')}" for form in forms]
+            if not any(column in names for column in columns):
+                hint = _unit_hint(columns, names) or (f"; the file has the wheels {', '.join(found)}" if found else "")
+                raise DataError(f"{file}: how {wheel} {what} is not given; add {' or '.join(columns)}{hint}")
+
+
+def _covariance(file: str, values: dict[str, FloatArray]) -> FloatArray:
+    if all(name in values for name in ERRORS):
+        xx, xy, yy = (values[name] for name in ERRORS)
+    else:
+        # A negative standard error would turn positive in the square.
+        xx = yy = np.copysign(values["sigma_m"] ** 2, values["sigma_m"])
+        xy = 0.0 * xx
+    return np.stack([np.stack([xx, xy], -1), np.stack([xy, yy], -1)], -2)

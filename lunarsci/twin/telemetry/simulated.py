@@ -1,0 +1,223 @@
+"""The telemetry a drive would send, sensor errors included: a made-up drive whose truth is known."""
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.errors import ParameterError
+from lunarsci.twin.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction
+from lunarsci.twin.plans.schedule import all_commands, commands_at, make_schedule
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["SensorErrors", "SyntheticDrive", "simulate_telemetry"]
+
+FloatArray = npt.NDArray[np.float64]
+TRAVEL_SHARE = 0.04 / 3.0
+"""Error of visual localisation as a share of the distance: 4 % read as three standard deviations, Ding et al. (2024),
+10.1038/s41467-024-46233-8."""
+FINER = 10
+"""Steps of the wheel angle's sum in each interval between rows."""
+TRACK_WIDTHS = 0.7
+"""Way between points of the track in wheel widths, assumed: the error of a depth is that of one wheel's footprint."""
+DENSE_M = 0.01
+"""Points of a wheel's path at which its rut is known. [m]"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorErrors:
+    """How often and how well a rover measures itself; errors are independent and normal.
+
+    Attributes
+    ----------
+    fix_distance_m : commanded distance between localised positions, > 0. [m]
+    fix_sigma_m : standard error of each in x and in y; None takes `TRAVEL_SHARE` of the distance between them. [m]
+    yaw_deg, tilt_deg : of heading, and of roll and pitch; assumed, as of an inertial unit with sun sightings. [deg]
+    wheel_angle_deg, wheel_rate_deg_s, steered_deg : of a wheel's angle, rate and steering; assumed. [deg, deg/s, deg]
+    track_m : of a track's depth: 1 mm as three standard deviations, Ding et al. (2024). [m]
+
+    Raises ParameterError for a distance that is not positive and errors below 0.
+    """
+
+    fix_distance_m: float = 0.5
+    fix_sigma_m: float | None = None
+    yaw_deg: float = 0.1
+    tilt_deg: float = 0.1
+    wheel_angle_deg: float = 0.1
+    wheel_rate_deg_s: float = 0.1
+    steered_deg: float = 0.1
+    track_m: float = 0.00033
+
+    def __post_init__(self) -> None:
+        if not 0 < self.fix_distance_m < math.inf:
+            raise ParameterError(f"fix distance is {self.fix_distance_m}; give a distance above 0 m")
+        for name in self.__slots__[1:]:
+            value = getattr(self, name)
+            if value is not None and not 0 <= value < math.inf:
+                raise ParameterError(f"sensor error {name} is {value}; give 0 or more")
+        if self.fix_sigma_m == 0:
+            raise ParameterError("sensor error fix_sigma_m is 0; positions need an error above 0 m")
+
+    @property
+    def position_m(self) -> float:
+        """Standard error of a localised position in x and in y. [m]"""
+        return TRAVEL_SHARE * self.fix_distance_m if self.fix_sigma_m is None else self.fix_sigma_m
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SyntheticDrive:
+    """A made-up drive.
+
+    Attributes
+    ----------
+    prediction : the drive itself, one member: the truth.
+    errors, seed : what its telemetry was blurred with.
+    telemetry : a row for each time, as a rover would send it; column `synthetic` is true throughout.
+    track : depth of the track at points along it, with its error.
+    """
+
+    prediction: Prediction
+    errors: SensorErrors
+    seed: int
+    telemetry: "pd.DataFrame"
+    track: "pd.DataFrame"
+
+
+def simulate_telemetry(prediction: Prediction, errors: SensorErrors, seed: int = 0) -> SyntheticDrive:
+    """Telemetry and track of the only member of a prediction.
+
+    A localised position is sent at the start, after each `fix_distance_m` of the commanded way, and at the end. The
+    wheels turn as commanded. Where a wheel passed, the track keeps the depth of the deepest one that did: the ground
+    neither rises again nor fills in.
+
+    Raises ParameterError for several members, a drive of no motion, or a plan with fixes, whose commands depend on
+    them.
+    """
+    if prediction.members != 1:
+        raise ParameterError(f"telemetry is of one drive, not of {prediction.members}; give one soil")
+    if prediction.plan.fixes is not None:
+        raise ParameterError("a plan with [fixes] steers by them, and they are drawn within; leave them out here")
+    if int(prediction.recorded[0]) < 3:
+        raise ParameterError(f"nothing to send: {prediction.outcome_text(0)}")
+    random = np.random.default_rng(seed)
+    return SyntheticDrive(
+        prediction=prediction,
+        errors=errors,
+        seed=seed,
+        telemetry=_telemetry(prediction, errors, random),
+        track=_track(prediction, errors, random),
+    )
+
+
+def _telemetry(prediction: Prediction, errors: SensorErrors, random: np.random.Generator) -> "pd.DataFrame":
+    import pandas as pd
+
+    count = int(prediction.recorded[0])
+    path = {name: prediction.paths[0, :count, k] for k, name in enumerate(PATH_COLUMNS)}
+    time = prediction.time_s[:count]
+    fixed, sigma = _fix_rows(prediction.distance_m[:count], errors.fix_distance_m), errors.position_m
+    columns: dict[str, npt.NDArray[np.float64] | list[str]] = {"time_s": time}
+    for name in ("x_m", "y_m"):
+        columns[name] = np.where(fixed, path[name] + sigma * random.normal(size=count), np.nan)
+    for name, value in (("xx_m2", sigma**2), ("xy_m2", 0.0), ("yy_m2", sigma**2)):
+        columns[name] = np.where(fixed, value, np.nan)
+    columns["yaw_deg"] = path["yaw_deg"] + errors.yaw_deg * random.normal(size=count)
+    columns["yaw_deg_sigma"] = np.full(count, errors.yaw_deg)
+    for name in ("roll_deg", "pitch_deg"):
+        columns[name] = path[name] + errors.tilt_deg * random.normal(size=count)
+    columns |= _wheel_columns(prediction, time, errors, random)
+    columns["synthetic"] = ["true"] * count
+    return pd.DataFrame(columns)
+
+
+def _fix_rows(distance_m: FloatArray, every_m: float) -> npt.NDArray[np.bool_]:
+    """The first rows at which each multiple of a distance is reached, and the last row. (n,)"""
+    stage = np.floor(distance_m / every_m + 1e-9)
+    rows = np.append(True, np.diff(stage) > 0)
+    rows[-1] = True
+    return np.asarray(rows)
+
+
+def _wheel_columns(
+    prediction: Prediction, time_s: FloatArray, errors: SensorErrors, random: np.random.Generator
+) -> dict[str, FloatArray]:
+    rover = prediction.rover
+    schedule = make_schedule(prediction.plan, rover)
+    told = commands_at(rover, schedule, time_s)
+    fine = np.interp(np.arange((len(time_s) - 1) * FINER + 1) / FINER, np.arange(len(time_s)), time_s)
+    speed = all_commands(rover, schedule, fine).speed_m_s[0]
+    way = np.vstack([np.zeros(len(rover.wheels)), np.cumsum(speed * np.diff(fine)[:, None], axis=0)])[::FINER]
+    per_m = math.degrees(1.0 / rover.wheel.shearing_radius_m)
+    columns: dict[str, FloatArray] = {}
+    for k, wheel in enumerate(rover.wheels):
+        blur = random.normal(size=(3, len(time_s)))
+        columns[f"speed_{wheel}_m_s"] = told.speed_m_s[:, k]
+        columns[f"steering_{wheel}_deg"] = np.degrees(told.steering_rad[:, k])
+        columns[f"angle_{wheel}_deg"] = per_m * way[:, k] + errors.wheel_angle_deg * blur[0]
+        columns[f"rate_{wheel}_deg_s"] = per_m * told.speed_m_s[:, k] + errors.wheel_rate_deg_s * blur[1]
+        columns[f"steered_{wheel}_deg"] = np.degrees(told.steering_rad[:, k]) + errors.steered_deg * blur[2]
+    return columns
+
+
+def _track(prediction: Prediction, errors: SensorErrors, random: np.random.Generator) -> "pd.DataFrame":
+    """Points along the tracks, with the depth that the deepest wheel left there."""
+    import pandas as pd
+
+    count = int(prediction.recorded[0])
+    states = prediction.states[0, :count]
+    x, y, z = (states[..., STATE_COLUMNS.index(name)] for name in ("x_m", "y_m", "sinkage_m"))
+    points = _apart(np.column_stack([x.ravel(), y.ravel()]), TRACK_WIDTHS * prediction.rover.wheel.width_m)
+    depth = deepest_at(points, (x, y, z), 0.5 * prediction.rover.wheel.width_m).max(axis=1)
+    sigma = errors.track_m
+    return pd.DataFrame(
+        {
+            "x_m": points[:, 0],
+            "y_m": points[:, 1],
+            "rut_m": depth + sigma * random.normal(size=len(depth)),
+            "rut_m_sigma": np.full(len(depth), sigma),
+            "synthetic": ["true"] * len(depth),
+        }
+    )
+
+
+def _apart(points_m: FloatArray, least_m: float) -> FloatArray:
+    """Points without those nearer than a distance to an earlier one. (p, 2) [m]"""
+    from scipy.spatial import cKDTree
+
+    kept = np.ones(len(points_m), dtype=bool)
+    near: Any = cKDTree(points_m).query_ball_point(points_m, least_m)
+    for row, others in enumerate(near):
+        if kept[row]:
+            kept[[other for other in others if other > row]] = False
+    return points_m[kept]
+
+
+def deepest_at(points_m: FloatArray, wheels: tuple[FloatArray, FloatArray, FloatArray], reach_m: float) -> FloatArray:
+    """Value of each wheel where its path passes within a distance of points, -inf where it does not.
+
+    Parameters
+    ----------
+    points_m : (p, 2) [m]
+    wheels : x, y [m] and the value of every wheel along the drive. (n, wheels)
+
+    Returns
+    -------
+    (p, wheels); of several passes of a wheel the one that comes nearest.
+    """
+    from scipy.spatial import cKDTree
+
+    x, y, values = wheels
+    result = np.full((len(points_m), x.shape[1]), -np.inf)
+    for k in range(x.shape[1]):
+        way = np.append(0.0, np.cumsum(np.hypot(np.diff(x[:, k]), np.diff(y[:, k]))))
+        dense = np.linspace(0.0, way[-1], max(2, math.ceil(way[-1] / DENSE_M) + 1))
+        place = np.column_stack([np.interp(dense, way, x[:, k]), np.interp(dense, way, y[:, k])])
+        found: Any = cKDTree(place).query(points_m, distance_upper_bound=reach_m)
+        distance, nearest = found
+        near = np.isfinite(distance)
+        result[near, k] = np.interp(dense, way, values[:, k])[nearest[near]]
+    return result

@@ -1,0 +1,129 @@
+"""`lunarsci twin simulate` and `lunarsci twin states`: there and back, on made-up drives."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+Run = Callable[..., Any]
+PLAN = "[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 2.5\ncurvature_per_m = 0.15\n"
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Path:
+    path = tmp_path / "plan.toml"
+    path.write_text(PLAN)
+    return path
+
+
+@pytest.fixture
+def sent(run: Run, plan: Path, tmp_path: Path) -> Path:
+    """A folder with the telemetry of a made-up drive."""
+    folder = tmp_path / "drive"
+    done = run("twin", "simulate", plan, "-o", folder)
+    assert done.code == 0, done.err
+    return folder
+
+
+def test_a_made_up_drive_is_marked_and_repeatable(run: Run, plan: Path, sent: Path, tmp_path: Path) -> None:
+    again = tmp_path / "again"
+    assert run("twin", "simulate", plan, "-o", again, "-q").code == 0
+    for name in ("telemetry.csv", "track.csv", "truth.csv"):
+        content = (sent / name).read_bytes()
+        assert content.startswith(b"# synthetic") and content == (again / name).read_bytes()
+    other = tmp_path / "other"
+    assert run("twin", "simulate", plan, "-o", other, "--seed", "1", "-q").code == 0
+    assert (other / "telemetry.csv").read_bytes() != (sent / "telemetry.csv").read_bytes()
+    result = json.loads(run("twin", "simulate", plan, "--json").out)
+    assert result["schema"] == "lunarsci/twin-simulate/1" and result["result"]["synthetic"] is True
+
+
+def test_from_telemetry_to_states_and_on(run: Run, plan: Path, sent: Path, tmp_path: Path) -> None:
+    found, picture = tmp_path / "found", tmp_path / "states.png"
+    done = run(
+        *("twin", "states", sent / "telemetry.csv", plan, "--track", sent / "track.csv"),
+        *("-o", found, "--plot", picture, "--json"),
+    )
+    assert done.code == 0, done.err
+    document = json.loads(done.out)
+    result = document["result"]
+    assert document["schema"] == "lunarsci/twin-states/1"
+    assert result["findings"] == [] and result["synthetic"] is True
+    assert 18 <= result["states"] <= 6 * (result["positions"] - 1) and result["valid"] == result["states"]
+    assert set(result["wheels"]) == {"FL", "FR", "ML", "MR", "RL", "RR"}
+    assert abs(result["wheels"]["FL"]["slip_ratio"]["median"]) < 0.1
+    assert result["wheels"]["FL"]["sinkage_m"]["median"] == pytest.approx(0.009, abs=0.002)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    states = pd.read_csv(found / "states.csv")
+    measured = ("sinkage_m", "slip_ratio", "side_slip_deg")
+    both = [column for name in measured for column in (name, f"{name}_sigma")]
+    assert list(states.columns) == ["time_s", "distance_m", "wheel", "x_m", "y_m", *both, "valid", "slip_basis"]
+    assert list(pd.read_csv(found / "positions.csv").columns) == ["time_s", "x_m", "y_m", "xx_m2", "xy_m2", "yy_m2"]
+    forces = run("twin", "forces", "--motion", found / "motion.csv", "-o", tmp_path / "forces.csv")
+    assert forces.code == 0, forces.err
+    # With forces beside them, the states are what the regolith is identified from, without a warning.
+    states = states[states["sinkage_m"].notna()].assign(
+        normal_force_n=36.0, normal_force_n_sigma=1.0, drawbar_pull_n=-1.0, drawbar_pull_n_sigma=0.1
+    )
+    states.to_csv(tmp_path / "joined.csv", index=False)
+    identified = run("regolith", "identify", tmp_path / "joined.csv", "--json")
+    assert identified.code in (0, 3), identified.err
+    assert not any("columns not used" in line for line in identified.err)
+
+
+def test_what_is_found_is_listed_and_doubt_is_exit_3(run: Run, plan: Path, sent: Path, tmp_path: Path) -> None:
+    table = pd.read_csv(sent / "telemetry.csv", comment="#")
+    gap = table[(table["time_s"] < 15) | (table["time_s"] > 30)]
+    gap.to_csv(tmp_path / "gap.csv", index=False)
+    done = run("twin", "states", tmp_path / "gap.csv", plan)
+    assert done.code == 0 and "gap" in done.out
+    assert any(line.startswith("warning: ") and "gap at time_s" in line for line in done.err)
+    [finding] = json.loads(run("twin", "states", tmp_path / "gap.csv", plan, "--json").out)["result"]["findings"]
+    assert finding["kind"] == "gap" and finding["doubt"] is False and finding["time_s"] == pytest.approx(14, abs=1.1)
+    table.assign(pitch_deg=table["pitch_deg"] + 8.0).to_csv(tmp_path / "tilted.csv", index=False)
+    doubted = run("twin", "states", tmp_path / "tilted.csv", plan)
+    assert doubted.code == 3 and "attitude against terrain" in doubted.err[-1] and "slip" in doubted.out
+    table.assign(yaw_deg=-table["yaw_deg"]).to_csv(tmp_path / "mirrored.csv", index=False)
+    refused = run("twin", "states", tmp_path / "mirrored.csv", plan, "-o", tmp_path / "none")
+    assert (refused.code, refused.out, len(refused.err)) == (1, "", 1)
+    assert not (tmp_path / "none").exists()
+
+
+def test_telemetry_comes_from_stdin_too(run: Run, sent: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import io
+    import sys
+
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO((sent / "telemetry.csv").read_bytes())))
+    done = run("twin", "states", "-", "--field", "synthetic")
+    assert (done.code, done.out) == (0, "true\n"), done.err
+
+
+def test_the_ground_after_the_drive_is_a_track(run: Run, plan: Path, sent: Path, tmp_path: Path) -> None:
+    """A ground that lies 9 mm lower throughout: every wheel that a depth belongs to sank 9 mm."""
+    assert run("twin", "terrain", "synthetic-longji", "-o", tmp_path / "ground", "-q").code == 0
+    import numpy as np
+
+    with np.load(tmp_path / "ground" / "terrain.npz") as archive:
+        content = dict(archive)
+    content["height_m"] = content["height_m"] - 0.009
+    np.savez(tmp_path / "after.npz", **content)
+    done = run("twin", "states", sent / "telemetry.csv", plan, "--track", tmp_path / "after.npz", "--json")
+    assert done.code == 0, done.err
+    wheels = json.loads(done.out)["result"]["wheels"]
+    deep = [wheel["sinkage_m"]["median"] for wheel in wheels.values() if wheel["sinkage_m"]["count"]]
+    assert deep and deep == pytest.approx([0.009] * len(deep), abs=1e-5)
+
+
+def test_without_a_track_or_a_plan_it_is_said(run: Run, sent: Path) -> None:
+    done = run("twin", "states", sent / "telemetry.csv")
+    assert done.code == 0 and "give the depth of the track with --track" in done.out
+    assert "not compared with a plan" in done.out
+
+
+def test_a_plan_with_fixes_is_not_simulated(run: Run, plan: Path, tmp_path: Path) -> None:
+    plan.write_text(PLAN + "[fixes]\nposition_sigma_m = 0.1\nheading_sigma_deg = 0.5\n")
+    done = run("twin", "simulate", plan)
+    assert (done.code, done.out) == (1, "") and "leave them out" in done.err[0]

@@ -1,0 +1,287 @@
+"""Telemetry that is wrong in one way each: it is found, said, and moves no state unsaid. All of it is synthetic."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.inputs import InputFile
+from lunarsci.twin.ensemble import STATE_COLUMNS, predict
+from lunarsci.twin.ground.longji import synthetic_longji
+from lunarsci.twin.plans.plan import Leg, Plan
+from lunarsci.twin.rover import Rover, build_rover
+from lunarsci.twin.telemetry.findings import Findings
+from lunarsci.twin.telemetry.reading import read_telemetry
+from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
+from lunarsci.twin.telemetry.states import DriveStates, states_of
+
+Spoil = Callable[[pd.DataFrame], pd.DataFrame]
+PLAN = Plan(name="test", legs=(Leg(3.0, 0.15), Leg(2.0, -0.13)), speed_m_s=0.05)
+GROUND = synthetic_longji()
+WHEELS = ("FL", "FR", "ML", "MR", "RL", "RR")
+
+
+@pytest.fixture(scope="module")
+def drive(yutu2: Rover) -> SyntheticDrive:
+    prediction = predict(yutu2, GROUND, PLAN, sweep=(), time_step_s=0.05, sample_m=0.05)
+    return simulate_telemetry(prediction, SensorErrors(), 3)
+
+
+def states(data: bytes, rover: Rover, plan: Plan | None = PLAN) -> DriveStates:
+    findings = Findings("sent.csv")
+    return states_of(read_telemetry(InputFile("sent.csv", data), rover, findings), rover, GROUND, findings, plan)
+
+
+def csv(table: pd.DataFrame) -> bytes:
+    return table.to_csv(index=False).encode()
+
+
+def worst(found: DriveStates, drive: SyntheticDrive) -> float:
+    """Largest error of a valid slip or side slip in standard errors."""
+    rows, prediction = found.rows, drive.prediction
+    times = found.nodes.time_s[rows.node]
+    largest = 0.0
+    for name in ("slip_ratio", "side_slip_deg"):
+        column = STATE_COLUMNS.index(name)
+        true = np.column_stack(
+            [np.interp(times, prediction.time_s, prediction.states[0, :, w, column]) for w in range(6)]
+        )
+        error = np.abs(getattr(rows, name) - true) / getattr(rows, f"{name}_sigma")
+        largest = max(largest, float(error[rows.valid].max()))
+    return largest
+
+
+def fix(table: pd.DataFrame, number: int) -> int:
+    """Row of a localised position."""
+    return int(table.index[table["x_m"].notna()][number])
+
+
+def columns(*forms: str) -> list[str]:
+    return [form.format(wheel) for wheel in WHEELS for form in forms]
+
+
+def set_to(rows: object, names: object, change: Callable[[pd.DataFrame], object]) -> Spoil:
+    """A spoiler that changes some cells of a copy."""
+
+    def spoil(table: pd.DataFrame) -> pd.DataFrame:
+        table = table.copy()
+        table.loc[rows, names] = change(table.loc[rows, names])  # type: ignore[index]
+        return table
+
+    return spoil
+
+
+def at_fix(number: int, names: list[str], change: Callable[[pd.DataFrame], object], stays: bool = False) -> Spoil:
+    def spoil(table: pd.DataFrame) -> pd.DataFrame:
+        first = fix(table, number)
+        return set_to(slice(first, None if stays else first), names, change)(table)
+
+    return spoil
+
+
+def repeated_fix(table: pd.DataFrame) -> pd.DataFrame:
+    table = table.copy()
+    for number in (5, 6):
+        table.loc[fix(table, number), ["x_m", "y_m"]] = table.loc[fix(table, 4), ["x_m", "y_m"]]
+    return table
+
+
+def test_a_sound_drive_has_no_findings(drive: SyntheticDrive, yutu2: Rover) -> None:
+    found = states(csv(drive.telemetry), yutu2)
+    assert found.findings.entries == [] and found.findings.doubt == ""
+    assert worst(found, drive) < 3.5
+
+
+ALL, POSITION = slice(None), ["x_m", "y_m"]
+SAID: dict[str, tuple[Spoil, str, bool]] = {
+    "gap": (lambda t: t[(t.time_s < 30) | (t.time_s > 55)], "gap", False),
+    "the same row twice": (lambda t: pd.concat([t.iloc[:20], t.iloc[19:]]), "repeated rows", False),
+    "no time": (set_to(slice(30, 33), "time_s", lambda v: np.nan), "no time", False),
+    "late": (lambda t: t.iloc[20:], "late begin", False),
+    "cut short": (lambda t: t.iloc[:60], "early end", False),
+    "clock late": (set_to(ALL, "time_s", lambda v: v + 8.0), "clock offset", True),
+    "clock slow": (set_to(ALL, "time_s", lambda v: v * 1.1), "clock offset", True),
+    "clock jumps": (set_to(slice(50, None), "time_s", lambda v: v + 3.0), "clock step", True),
+    "encoder reset": (set_to(slice(40, None), "angle_FL_deg", lambda v: v - v.iloc[0]), "encoder reset", False),
+    "encoder wraps": (set_to(ALL, columns("angle_{}_deg"), lambda v: v % 360.0), "encoder wrap", False),
+    "stuck encoder": (set_to(slice(30, 60), "angle_ML_deg", lambda v: v.iloc[0]), "stuck", False),
+    "stuck rate": (set_to(slice(30, 60), "rate_ML_deg_s", lambda v: v.iloc[0]), "stuck", False),
+    "dead rate": (set_to(slice(30, 60), "rate_ML_deg_s", lambda v: 0.0), "odd rate", False),
+    "stuck steering": (set_to(ALL, "steered_FL_deg", lambda v: 3.0), "stuck", False),
+    "spike of steering": (set_to(44, "steered_FL_deg", lambda v: 60.0), "odd steering", False),
+    "stuck heading": (set_to(slice(30, 60), "yaw_deg", lambda v: v.iloc[0]), "stuck heading", False),
+    "stuck position": (repeated_fix, "stuck position", False),
+    "blank wheel": (
+        set_to(slice(30, 60), ["angle_ML_deg", "rate_ML_deg_s"], lambda v: np.nan), "missing readings", False,
+    ),
+    "blank heading": (set_to(slice(30, 60), "yaw_deg", lambda v: np.nan), "missing headings", False),
+    "blank steering": (
+        set_to(slice(30, 60), columns("steering_{}_deg", "steered_{}_deg"), lambda v: np.nan),
+        "missing steering", False,
+    ),
+    "infinite": (at_fix(4, ["x_m"], lambda v: np.inf), "infinite values", False),
+    "no encoders": (lambda t: t.drop(columns=columns("angle_{}_deg", "rate_{}_deg_s")), "no encoders", False),
+    "no heading errors": (lambda t: t.drop(columns="yaw_deg_sigma"), "no heading error", False),
+    "position jumps": (at_fix(5, ["x_m"], lambda v: v + 0.3), "position jump", False),
+    "positions shift": (at_fix(5, ["x_m"], lambda v: v + 0.5, stays=True), "position shift", True),
+    "negative variance": (at_fix(5, ["xx_m2"], lambda v: -v), "bad covariance", False),
+    "no covariance": (at_fix(5, ["xy_m2"], lambda v: 1.0), "bad covariance", False),
+    "errors in another unit": (set_to(ALL, ["xx_m2", "yy_m2"], lambda v: v * 1e6), "errors too large", False),
+    "errors far too small": (set_to(ALL, ["xx_m2", "yy_m2"], lambda v: v * 1e-4), "errors too small", True),
+    "frame turned": (
+        lambda t: t.assign(x_m=-t.y_m, y_m=t.x_m, yaw_deg=t.yaw_deg + 90.0), "attitude against terrain", True,
+    ),
+    "pitch nose up": (set_to(ALL, "pitch_deg", lambda v: -v), "attitude against terrain", True),
+    "heading off": (set_to(ALL, "yaw_deg", lambda v: v + 5.0), "constant side slip", False),
+    "wheels of another size": (
+        set_to(ALL, columns("angle_{}_deg", "rate_{}_deg_s"), lambda v: v * 0.93), "wheels against commands", False,
+    ),
+}  # fmt: skip
+# What a finding says has moved: a heading that is off is side slip, and the truth is of other wheels.
+MOVED = ("heading off", "wheels of another size", "no encoders")
+
+
+@pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
+@pytest.mark.parametrize("name", list(SAID))
+def test_what_is_wrong_is_said_and_does_no_harm(name: str, drive: SyntheticDrive, yutu2: Rover) -> None:
+    spoil, kind, doubt = SAID[name]
+    spoiled = spoil(drive.telemetry)
+    with pytest.warns(LunarSciWarning, match=kind):
+        found = states(csv(spoiled), yutu2)
+    entries = [entry for entry in found.findings.entries if entry.kind == kind]
+    assert entries and entries[0].what and entries[0].done and entries[0].count >= 1
+    assert any(entry.doubt for entry in entries) is doubt
+    assert bool(found.findings.doubt) is doubt
+    if not doubt and name not in MOVED:
+        assert worst(found, drive) < 3.8
+
+
+REFUSED: dict[str, tuple[Spoil, str]] = {
+    "two contents of one time": (
+        lambda t: pd.concat([t.iloc[:20], t.iloc[19:20].assign(yaw_deg=9.0), t.iloc[20:]]), "has two rows that differ",
+    ),
+    "clock reset": (set_to(slice(50, None), "time_s", lambda v: v - v.iloc[0]), "time runs backwards"),
+    "clock in ms": (set_to(ALL, "time_s", lambda v: 1000.0 * v), "times what rate_W_deg_s says"),
+    "heading in rad": (set_to(ALL, "yaw_deg", np.radians), "yaw_deg looks like rad"),
+    "rates in rad": (set_to(ALL, columns("rate_{}_deg_s"), np.radians), "rad where degrees are wanted"),
+    "angles in rad": (set_to(ALL, columns("angle_{}_deg"), np.radians), "rad where degrees are wanted"),
+    "speeds in cm": (set_to(ALL, columns("speed_{}_m_s"), lambda v: 100.0 * v), "are they in cm/s"),
+    "measured steering in rad": (set_to(ALL, columns("steered_{}_deg"), np.radians), "steered_W_deg looks like rad"),
+    "positions in mm": (set_to(ALL, POSITION, lambda v: 1000.0 * v), "look like mm"),
+    "x and y exchanged": (lambda t: t.assign(x_m=t.y_m, y_m=t.x_m), "x_m and y_m are exchanged"),
+    "y to the right": (set_to(ALL, "y_m", lambda v: -v), "y_m points to the right"),
+    "heading to the right": (set_to(ALL, "yaw_deg", lambda v: -v), "yaw_deg grows to the right"),
+    "z down": (lambda t: t.assign(y_m=-t.y_m, yaw_deg=-t.yaw_deg), "frame with z down"),
+    "compass": (set_to(ALL, "yaw_deg", lambda v: 90.0 - v), r"from y \(north\) clockwise"),
+    "backwards": (set_to(ALL, "yaw_deg", lambda v: v + 180.0), "points backwards"),
+    "no covariance at all": (set_to(ALL, ["xx_m2"], lambda v: -v), "11 have errors that are no covariance"),
+    "one position": (lambda t: t.assign(x_m=t.x_m.where(t.index == 0)), "1 positions of use"),
+    "wheels of another rover": (
+        lambda t: t.rename(columns=lambda c: c.replace("_ML_", "_M1_").replace("_MR_", "_M2_")), "'M1' is no wheel",
+    ),
+    "too few wheels": (
+        lambda t: t.drop(columns=[c for c in t if "_ML_" in c or "_MR_" in c]), "file has the wheels FL, FR, RL, RR",
+    ),
+    "a column less": (lambda t: t.drop(columns="angle_RR_deg"), "no column angle_RR_deg"),
+    "no errors": (lambda t: t.drop(columns=["xx_m2", "xy_m2", "yy_m2"]), "no errors of the positions"),
+    "a name with rad": (lambda t: t.rename(columns={"yaw_deg": "yaw_rad"}), "there is yaw_rad: convert it"),
+    "a name with mm": (lambda t: t.rename(columns={"x_m": "x_mm"}), "there is x_mm: convert it"),
+    "text": (lambda t: t.assign(yaw_deg=["east", *t.yaw_deg[1:]]), "'east' is no number"),
+    "too short": (lambda t: t.iloc[:4], "4 rows with a time"),
+    "before the plan": (set_to(ALL, "time_s", lambda v: v - 5.0), "counts from the start of the plan"),
+    "still": (
+        set_to(ALL, columns("angle_{}_deg", "rate_{}_deg_s", "speed_{}_m_s"), lambda v: 0.0 * v), "no wheel turns",
+    ),
+    "no heading": (lambda t: t.assign(yaw_deg=np.nan), "side slip needs yaw_deg"),
+    "steering beyond": (set_to(ALL, columns("steered_{}_deg", "steering_{}_deg"), lambda v: v + 100.0), "-90 to 90"),
+}  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
+@pytest.mark.parametrize("name", list(REFUSED))
+def test_what_cannot_be_used_is_refused_with_a_reason(name: str, drive: SyntheticDrive, yutu2: Rover) -> None:
+    spoil, says = REFUSED[name]
+    with pytest.raises(DataError, match=says) as raised:
+        states(csv(spoil(drive.telemetry)), yutu2)
+    assert "sent.csv" in str(raised.value) and "\n" not in str(raised.value)
+
+
+@pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
+@pytest.mark.parametrize(
+    "plan",
+    [
+        Plan(name="other", legs=(Leg(3.0, -0.15), Leg(2.0, 0.13)), speed_m_s=0.05),
+        Plan(name="slower", legs=PLAN.legs, speed_m_s=0.03),
+    ],
+    ids=["other way", "other speed"],
+)
+def test_telemetry_of_another_plan_is_refused(plan: Plan, drive: SyntheticDrive, yutu2: Rover) -> None:
+    with pytest.raises(DataError, match="give the plan that was driven"):
+        states(csv(drive.telemetry), yutu2, plan)
+
+
+def test_another_start_is_said(drive: SyntheticDrive, yutu2: Rover) -> None:
+    import dataclasses
+
+    with pytest.warns(LunarSciWarning, match="another start"):
+        found = states(csv(drive.telemetry), yutu2, dataclasses.replace(PLAN, x_m=3.0))
+    assert "plan's start" in found.findings.doubt
+
+
+@pytest.mark.parametrize("spoil", [set_to(ALL, columns("steered_{}_deg", "steering_{}_deg"), lambda v: -v)])
+def test_wheels_that_contradict_each_other_are_in_doubt_without_a_plan(
+    spoil: Spoil, drive: SyntheticDrive, yutu2: Rover
+) -> None:
+    with pytest.warns(LunarSciWarning, match="wheels disagree"):
+        found = states(csv(spoil(drive.telemetry)), yutu2, None)
+    assert "wheels disagree" in found.findings.doubt
+
+
+@pytest.mark.parametrize("letters", [3, 40, 300])
+def test_a_last_line_that_is_cut_is_left_out(letters: int, drive: SyntheticDrive, yutu2: Rover) -> None:
+    data = csv(drive.telemetry)
+    with pytest.warns(LunarSciWarning, match="truncated"):
+        found = states(data[:-letters], yutu2)
+    assert len(found.telemetry.time_s) == len(drive.telemetry) - 1
+    assert worst(found, drive) < 3.5
+
+
+def test_a_line_cut_in_the_middle_of_a_file_is_refused(drive: SyntheticDrive, yutu2: Rover) -> None:
+    lines = csv(drive.telemetry).splitlines(keepends=True)
+    lines[40] = lines[40][:60] + b"\n"
+    with pytest.raises(DataError, match=r"line 41: .* fields"):
+        states(b"".join(lines), yutu2)
+
+
+def test_there_are_no_states_within_a_gap(drive: SyntheticDrive, yutu2: Rover) -> None:
+    table = drive.telemetry
+    with pytest.warns(LunarSciWarning, match="gap"):
+        found = states(csv(table[(table.time_s < 30) | (table.time_s > 55)]), yutu2)
+    times = found.nodes.time_s[found.rows.node]
+    assert not ((times > 29) & (times < 56)).any()
+    assert found.gaps == pytest.approx(np.array([[29.0, 56.0]]), abs=1.01)
+
+
+def test_a_blank_sensor_makes_its_own_states_not_valid(drive: SyntheticDrive, yutu2: Rover) -> None:
+    blank = set_to(slice(30, 60), ["angle_ML_deg", "rate_ML_deg_s"], lambda v: np.nan)
+    with pytest.warns(LunarSciWarning, match="missing readings"):
+        found = states(csv(blank(drive.telemetry)), yutu2)
+    times = found.nodes.time_s[found.rows.node]
+    inside = (times > 31) & (times < 59)
+    assert inside.any() and not found.rows.valid[inside, 2].any()
+    assert found.rows.valid[:, [0, 1, 3, 4, 5]].all()
+
+
+def test_headings_that_pass_half_a_turn_are_the_same(drive: SyntheticDrive, yutu2: Rover) -> None:
+    plain = states(csv(drive.telemetry), yutu2)
+    table = drive.telemetry.copy()
+    table["yaw_deg"] += 360.0 * (table.index % 2)
+    wrapped = states(csv(table), yutu2)
+    assert wrapped.rows.slip_ratio == pytest.approx(plain.rows.slip_ratio, abs=1e-9)
+
+
+def test_another_rover_needs_its_own_wheels(drive: SyntheticDrive) -> None:
+    with pytest.raises(DataError, match="'ML' is no wheel of"):
+        states(csv(drive.telemetry), build_rover("small-four"), None)
