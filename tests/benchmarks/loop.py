@@ -114,6 +114,7 @@ class Case:
     number: int
     seed: int
     positions: tuple[str, ...]
+    model_error: float = 1.0
 
     def hidden(self, draw: int) -> np.ndarray:
         """Transforms of a soil drawn from the first laws."""
@@ -153,6 +154,7 @@ def experiment(case: Case) -> dict[str, Any]:
         "seed": case.seed,
         "terrain": name,
         "replaced": replaced,
+        "model_error": case.model_error,
         "drive_s": drive_s,
         "theta": theta.tolist(),
         "before_m": float(np.hypot(*(before - end))),
@@ -161,16 +163,23 @@ def experiment(case: Case) -> dict[str, Any]:
     }
     for reading in case.positions:
         record = measured(rover, plan, out, POSITION_SHARES[reading], case.seed + 1000 * case.number)
-        result["updates"][reading] = learned(rover, terrain, plan, record, back, end, theta)
+        result["updates"][reading] = learned(rover, terrain, plan, record, back, end, theta, case.model_error)
     return result
 
 
 def learned(
-    rover: Rover, terrain: Terrain, plan: Plan, record: DriveRecord, back: Plan, end: np.ndarray, theta: np.ndarray
+    rover: Rover,
+    terrain: Terrain,
+    plan: Plan,
+    record: DriveRecord,
+    back: Plan,
+    end: np.ndarray,
+    theta: np.ndarray,
+    model_error: float,
 ) -> dict[str, Any]:
     """What one update makes of a record, beside the true end of the return and the true soil."""
     first, begin = first_belief(), time.perf_counter()
-    found = rectify(rover, terrain, plan, record, first)
+    found = rectify(rover, terrain, plan, record, first, model_error=model_error)
     took, belief = time.perf_counter() - begin, found.belief
     cloud = ends(rover, terrain, back, belief)
     sd = np.sqrt(np.diag(belief.covariance))
@@ -246,6 +255,9 @@ def arguments() -> argparse.Namespace:
         "--positions", nargs="*", default=list(POSITION_SHARES), help="third, whole, or none: no update"
     )
     parser.add_argument("--seed", type=int, default=41)
+    parser.add_argument(
+        "--model-error", type=float, help="as `rectify` takes it; by default 0 for `same` and `closed`, 1 for others"
+    )
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--out", type=Path, help="file of results, one line a soil, added to")
     parser.add_argument("--report", type=Path, nargs="+", help="print the tables of these files, and drive nothing")
@@ -255,6 +267,13 @@ def arguments() -> argparse.Namespace:
     return given
 
 
+def model_error(given: float | None, physics: str) -> float:
+    """What the twin is told of its own errors: none where the truth is its own."""
+    if given is not None:
+        return given
+    return 1.0 if PHYSICS[physics].exact else 0.0
+
+
 def main() -> None:
     """Drive, and report."""
     given = arguments()
@@ -262,7 +281,13 @@ def main() -> None:
         print(report(rows_of(given.report)))
         return
     cases = [
-        Case(physics=name, number=number, seed=given.seed, positions=tuple(given.positions))
+        Case(
+            physics=name,
+            number=number,
+            seed=given.seed,
+            positions=tuple(given.positions),
+            model_error=model_error(given.model_error, name),
+        )
         for number in range(given.first, given.first + given.soils)
         for name in given.physics
     ]
