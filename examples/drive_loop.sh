@@ -1,0 +1,79 @@
+#!/usr/bin/env bash
+# One turn of the loop: predict a drive, drive it, learn the soil from its telemetry, predict the way back.
+#
+#     examples/drive_loop.sh [FOLDER [SEED]]
+#
+# The rover is simulated on a soil that the twin does not know (hidden_soil.toml), with errors of its sensors drawn from
+# SEED; with real telemetry leave out the two lines that say `twin simulate`. Everything is written to FOLDER, which must
+# not exist; the same seed gives the same bytes. Stops where a prediction says no-go or telemetry cannot be trusted.
+set -euo pipefail
+
+here=$(cd "$(dirname "$0")" && pwd)
+folder=${1:-drive-loop}
+seed=${2:-1}
+common=(--no-time --quiet)
+
+say() { printf '\n== %s\n' "$*"; }
+
+# Exit code 3: there is a result, but it says no-go or is not to be trusted. Go on only where that was expected.
+stop_at_3() {
+    local status=0
+    "$@" || status=$?
+    if [ "$status" -eq 3 ]; then
+        echo "stopped: $1 $2 $3 gives no go-ahead (exit code 3), see above" >&2
+    fi
+    return "$status"
+}
+
+mkdir "$folder"
+cd "$folder"
+
+say "1. Before the drive: where will it lead, over all that is believed of lunar soil?"
+stop_at_3 lunarsci twin predict "${common[@]}" --seed "$seed" -o 1-predicted >1-predicted.txt
+sed -n 1p 1-predicted.txt
+
+say "2. The drive (simulated; the twin sees its telemetry alone)"
+lunarsci twin simulate "${common[@]}" --soil "$here/hidden_soil.toml" --seed "$seed" -o 2-drive >2-drive.txt
+
+say "3. From telemetry to slip, side slip and sinkage of every wheel"
+stop_at_3 lunarsci twin states "${common[@]}" 2-drive/telemetry.csv --track 2-drive/track.csv \
+    -o 3-states --plot 3-states.png
+
+say "4. From states to the forces of every wheel"
+stop_at_3 lunarsci twin forces "${common[@]}" --motion 3-states/motion.csv --states 3-states/states.csv \
+    --seed "$seed" --csv >4-forces.csv
+head -n 3 4-forces.csv
+
+say "5. From forces to the mechanical properties of the soil"
+lunarsci regolith identify "${common[@]}" --joint --seed "$seed" - <4-forces.csv
+
+say "6. What the whole drive says of the soil, kept for the next one"
+stop_at_3 lunarsci twin update "${common[@]}" 3-states/states.csv --positions 3-states/positions.csv \
+    --seed "$seed" --save belief.json
+
+say "7. The way back, predicted from that soil and, to compare, from what was believed before"
+# The same arcs backwards, from where the rover stands now: the last row of the smoothed motion.
+{
+    echo 'name = "way back"'
+    awk -F, 'NR == 1 { for (k = 1; k <= NF; k++) at[$k] = k } END {
+        printf "[start]\nx_m = %.4f\ny_m = %.4f\nheading_deg = %.3f\n", $at["x_m"], $at["y_m"], $at["yaw_deg"] }' \
+        3-states/motion.csv
+    printf '[drive]\nspeed_m_s = 0.05\nblend_m = 0.2\n'
+    for leg in "1.852 0.138" "4.282 0.132" "3.673 -0.154"; do
+        printf '[[leg]]\nlength_m = %s\ncurvature_per_m = %s\ncrab_deg = 180.0\n' $leg
+    done
+    printf '[limits]\nslip_ratio = 0.3\nsinkage_m = 0.05\ntilt_deg = 20.0\nendpoint_miss_m = 1.5\n'
+} >return.toml
+stop_at_3 lunarsci twin predict "${common[@]}" return.toml --soil belief.json --seed "$seed" -o 7-predicted \
+    >7-predicted.txt
+sed -n 1p 7-predicted.txt
+lunarsci twin predict "${common[@]}" return.toml --soil lunar-typical --seed "$seed" -o 7-unrectified \
+    >7-unrectified.txt || [ $? -eq 3 ]
+
+say "8. The return (simulated), and how right the prediction was"
+lunarsci twin simulate "${common[@]}" return.toml --soil "$here/hidden_soil.toml" --seed "$((seed + 1))" -o 8-drive \
+    >8-drive.txt
+stop_at_3 lunarsci twin states "${common[@]}" 8-drive/telemetry.csv return.toml --track 8-drive/track.csv \
+    -o 8-states >8-states.txt
+stop_at_3 lunarsci twin compare "${common[@]}" 7-predicted 8-states/states.csv --positions 8-states/positions.csv \
+    --plot 8-compared.png
