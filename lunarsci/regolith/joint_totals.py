@@ -18,7 +18,7 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.joint_mode import find_mode
 from lunarsci.regolith.joint_model import forces_of_many
-from lunarsci.regolith.prior import values_of
+from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.regolith.wheel import Wheel
 
 __all__ = ["BalancedStates", "TotalsPosterior", "infer_from_totals"]
@@ -30,6 +30,8 @@ MODEL_ERROR = 0.02
 """Share of the load by which the model may miss each force, as in the joint inference; assumed."""
 NEWTON, FIRST_SINKAGE, SHALLOWEST, DEEPEST, LEAST_POWER = 8, 0.05, 1e-6, 0.95, 0.2
 """Steps to the sinkage under a load, where they begin and its range in radii, and the least power of F_N in it."""
+FREEZES = 3
+"""Fits, each with the model's errors as they are at the soil of the one before."""
 HUBER = 3.0
 """Whitened residuals beyond count linearly, so that single bad states do not lead."""
 
@@ -45,6 +47,9 @@ class BalancedStates:
     levers : what a newton of drawbar pull and of lateral force of each wheel adds to the totals. (p, 3, m, 2) [-, -, m]
     totals, totals_sigma : force ahead, force to the left, moment about the vertical. (p, 3) [N, N, N m]
 
+    alike : number of neighbouring poses whose errors of slip, side slip and totals are alike, 1 or more: so many count
+        as one.
+
     Errors of sinkage are the wheels' own. Those of slip and side slip come from the rover's motion, so that at a pose
     they are taken as common to all wheels.
     """
@@ -56,6 +61,7 @@ class BalancedStates:
     levers: FloatArray
     totals: FloatArray
     totals_sigma: FloatArray
+    alike: float = 1.0
 
     def __post_init__(self) -> None:
         p, m = self.load.shape
@@ -94,13 +100,19 @@ class TotalsPosterior:
 
 @dataclass(frozen=True, slots=True)
 class _Problem:
-    """As `find_mode` reads it: points are the belief's, whitened."""
+    """As `find_mode` reads it: points are the belief's, whitened.
+
+    Errors of the inputs follow the soil through the model's slopes, as the true inputs are unknowns of their own. What
+    the model itself misses does not: `frozen` is its sinkage for each newton at the soil of the last fit. Otherwise
+    soils that make sinkages vague would be preferred.
+    """
 
     states: BalancedStates
     wheel: Wheel
     belief: SoilBelief
     root: FloatArray
     model_error: float
+    frozen: FloatArray
 
     @property
     def center(self) -> FloatArray:
@@ -132,20 +144,27 @@ class _Problem:
         by_input = np.zeros((p, m + 3, m + 2))  # own loads, then the common slip and side slip
         place = np.arange(m)
         deeper = 1.0 / slopes[..., 0, 0]
-        by_input[:, place, place] = deeper * np.hypot(states.load_sigma, own)
+        by_input[:, place, place] = deeper * states.load_sigma
         by_input[:, :m, m:] = -deeper[..., None] * slopes[..., 1:, 0]
         at_load = slopes[:, :, 1:, 1:] - (deeper[..., None] * slopes[..., 1:, 0])[..., None] * slopes[:, :, :1, 1:]
         by_load = slopes[:, :, 0, 1:] * by_input[:, place, place][..., None]
         by_input[:, m:, :m] = np.einsum("ptmf,pmf->ptm", states.levers, by_load)
         by_input[:, m:, m:] = np.einsum("ptmf,pmkf->ptk", states.levers, at_load)
         spread = np.einsum("ptmf,pm->pt", states.levers**2, own**2)
-        variance = np.concatenate([states.input_sigma[..., 0] ** 2, states.totals_sigma**2 + spread], axis=1)
+        by_input[:, :, m:] *= np.sqrt(states.alike)
+        sinkages = states.input_sigma[..., 0] ** 2 + (self.frozen * own) ** 2
+        variance = np.concatenate([sinkages, states.alike * states.totals_sigma**2 + spread], axis=1)
         by_input = np.where(kept[..., None], by_input, 0.0)
         covariance = by_input @ by_input.transpose(0, 2, 1)
         diagonal = np.arange(m + 3)
         covariance[:, diagonal, diagonal] += np.where(kept, variance, 1.0)
         factor = np.linalg.cholesky(covariance)
         return np.asarray(np.linalg.solve(factor, np.where(kept, off, 0.0)[..., None])[..., 0])
+
+    def deeper(self, point: FloatArray) -> FloatArray:
+        """Sinkage for each newton of load. (p, m) [m/N]"""
+        soil = values_of(self.belief.laws, self.belief.mean + self.root @ point)
+        return np.asarray(1.0 / self._under_load(soil)[2][..., 0, 0])
 
     def _under_load(self, soil: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Sinkage at which each wheel carries its load (p, m), the forces there (p, m, 3), and their slopes.
@@ -191,14 +210,18 @@ def infer_from_totals(
 
     Raises ParameterError where the model has no finite forces. The posterior is normal around its mode (Laplace).
     """
-    root = np.linalg.cholesky(belief.covariance)
-    problem = _Problem(states, wheel, belief, root, model_error)
-    point, covariance = find_mode(problem, np.zeros(len(root)))  # type: ignore[arg-type]
-    after = root @ covariance @ root.T
-    rows = problem.residuals(point)
+    root, start = np.linalg.cholesky(belief.covariance), np.zeros(len(PARAMETERS))
+    problem = _Problem(states, wheel, belief, root, model_error, np.zeros_like(states.load))
+    for _ in range(FREEZES):
+        problem = replace(problem, frozen=problem.deeper(start))
+        start, covariance = find_mode(problem, start)  # type: ignore[arg-type]
+    covariance = root @ covariance @ root.T
+    rows = problem.residuals(start)
     wheels = states.load.shape[1]
     return TotalsPosterior(
-        replace(belief, mean=belief.mean + root @ point, covariance=0.5 * (after + after.T), population=None),
+        replace(
+            belief, mean=belief.mean + root @ start, covariance=0.5 * (covariance + covariance.T), population=None
+        ),
         (float((rows[:, :wheels] ** 2).sum()), float((rows[:, wheels:] ** 2).sum())),
         (int(states.known.sum()), 3 * int(states.whole.sum())),
     )

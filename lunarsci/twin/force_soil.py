@@ -123,7 +123,7 @@ def force_soil(
 def verdict_of(rounds: list[Round]) -> str:
     """`converged`, `oscillates` or `does not converge`, after some rounds."""
     last = rounds[-1]
-    if last.soil < SOIL_STILL or last.forces < FORCES_STILL:
+    if last.soil < SOIL_STILL and last.forces < FORCES_STILL:
         return "converged"
     if len(rounds) > 1:
         one, two = rounds[-2].step, last.step
@@ -153,7 +153,6 @@ def balanced_states(forces: UncertainForces, states: PoseStates, balance_error: 
     alike = 1.0
     if told.sum() > 1 and np.ptp(rolled) > 0:
         alike = max(1.0, forces.correlation_m * (told.sum() - 1) / float(np.ptp(rolled)))
-    sigmas = sigmas * np.sqrt([1.0, alike, alike])
     return BalancedStates(
         inputs=values,
         input_sigma=sigmas,
@@ -161,7 +160,8 @@ def balanced_states(forces: UncertainForces, states: PoseStates, balance_error: 
         load_sigma=np.nan_to_num(load_sigma),
         levers=np.nan_to_num(levers),
         totals=totals,
-        totals_sigma=np.tile(error * np.sqrt(alike), (len(times), 1)),
+        totals_sigma=np.tile(error, (len(times), 1)),
+        alike=alike,
     )
 
 

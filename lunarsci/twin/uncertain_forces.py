@@ -62,6 +62,7 @@ class UncertainForces:
     missing_before, missing_after : mean of what the wheels do not supply: ahead, left, moment. (n, 3) [N, N, N m]
     total_before, total_after : standard deviations of what all wheels supply of these. (n, 3) [N, N, N m]
     carried : share of the draws with an equilibrium, at each pose. (n,)
+    surprise : chi-square of what is missing before, for each of its three values, against the draws. (n,) [-]
     correlation_m : of the motion's errors. [m]
     """
 
@@ -76,6 +77,7 @@ class UncertainForces:
     total_before: FloatArray
     total_after: FloatArray
     carried: FloatArray
+    surprise: FloatArray
     correlation_m: float
 
     @property
@@ -178,7 +180,7 @@ def _balanced(held: HeldForces, drawn: list[_Drawn], error: FloatArray, correlat
     before, after = np.full(shape, np.nan), np.full(shape, np.nan)
     parts, kept = np.full((4, *shape), np.nan), np.full((4, *shape), np.nan)
     gap, left = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
-    total, rest = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
+    total, rest, surprise = np.full((count, 3), np.nan), np.full((count, 3), np.nan), np.full(count, np.nan)
     carried = np.all([part.carried for part in drawn], axis=0)
     levers = levers_of(held)
     known = held.known & (carried.mean(axis=0) >= LEAST_CARRIED)
@@ -195,6 +197,7 @@ def _balanced(held: HeldForces, drawn: list[_Drawn], error: FloatArray, correlat
         sums = np.einsum("twf,wfk->tk", levers[k], gain.reshape(wheels, 3, 3))
         gap[k] = own[0][1].mean(axis=0)
         left[k] = gap[k] + sums @ gap[k]
+        surprise[k] = gap[k] @ np.linalg.solve(np.cov(own[0][1].T) + np.diag(error**2), gap[k]) / len(error)
         total[k] = np.einsum("twf,dwf->dt", levers[k], own[0][0]).std(axis=0, ddof=1)
         spread = np.einsum("twf,dwf->dt", levers[k], moved[0]).var(axis=0, ddof=1)
         rest[k] = np.sqrt(spread + ((sums * error) ** 2).sum(axis=1))
@@ -210,6 +213,7 @@ def _balanced(held: HeldForces, drawn: list[_Drawn], error: FloatArray, correlat
         total_before=total,
         total_after=rest,
         carried=carried.mean(axis=0),
+        surprise=surprise,
         correlation_m=correlation_m,
     )
 
