@@ -31,8 +31,8 @@ def command(
     """Register a function that returns a `Report` as a command with the shared output options.
 
     A function with a parameter `output` is handed the `Output`, for its progress bar. With `folder`, `--output` names a
-    folder that takes the report's `files`, and the result itself always goes to stdout. With None it does where the name
-    has no suffix.
+    folder that takes the report's `files`, and the result itself always goes to stdout; with None this is so where the
+    name has no suffix.
     """
     shared = shared_options(folder, default_path)
 

@@ -30,8 +30,9 @@ MODEL_ERROR = 0.02
 """Share of the load by which the model may miss each force, as in the joint inference; assumed."""
 NEWTON, FIRST_SINKAGE, SHALLOWEST, DEEPEST, LEAST_POWER = 8, 0.05, 1e-6, 0.95, 0.2
 """Steps to the sinkage under a load, where they begin and its range in radii, and the least power of F_N in it."""
-FREEZES = 3
-"""Fits, each with the model's errors as they are at the soil of the one before."""
+FREEZES = 2
+"""Fits before the last one: of the first the model's errors follow the soil, of others they are those of the soil before.
+The first finds the way from far off."""
 HUBER = 3.0
 """Whitened residuals beyond count linearly, so that single bad states do not lead."""
 
@@ -80,7 +81,9 @@ class BalancedStates:
     @property
     def whole(self) -> npt.NDArray[np.bool_]:
         """Poses whose wheels are all known, with side slips, so that their forces can be added up. (p,)"""
-        return self.known.all(axis=1) & np.isfinite(self.inputs[..., 2]).all(axis=1) & np.isfinite(self.totals).all(axis=1)
+        return (
+            self.known.all(axis=1) & np.isfinite(self.inputs[..., 2]).all(axis=1) & np.isfinite(self.totals).all(axis=1)
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,7 +106,7 @@ class _Problem:
     """As `find_mode` reads it: points are the belief's, whitened.
 
     Errors of the inputs follow the soil through the model's slopes, as the true inputs are unknowns of their own. What
-    the model itself misses does not: `frozen` is its sinkage for each newton at the soil of the last fit. Otherwise
+    the model itself misses does not: `frozen` is its sinkage for each newton at the soil of an earlier fit. Otherwise
     soils that make sinkages vague would be preferred.
     """
 
@@ -112,7 +115,7 @@ class _Problem:
     belief: SoilBelief
     root: FloatArray
     model_error: float
-    frozen: FloatArray
+    frozen: FloatArray | None
 
     @property
     def center(self) -> FloatArray:
@@ -152,7 +155,8 @@ class _Problem:
         by_input[:, m:, m:] = np.einsum("ptmf,pmkf->ptk", states.levers, at_load)
         spread = np.einsum("ptmf,pm->pt", states.levers**2, own**2)
         by_input[:, :, m:] *= np.sqrt(states.alike)
-        sinkages = states.input_sigma[..., 0] ** 2 + (self.frozen * own) ** 2
+        missed = own * (deeper if self.frozen is None else self.frozen)
+        sinkages = states.input_sigma[..., 0] ** 2 + missed**2
         variance = np.concatenate([sinkages, states.alike * states.totals_sigma**2 + spread], axis=1)
         by_input = np.where(kept[..., None], by_input, 0.0)
         covariance = by_input @ by_input.transpose(0, 2, 1)
@@ -193,7 +197,7 @@ class _Problem:
 
     def _at(self, soil: FloatArray, sinkage: FloatArray, slip: FloatArray) -> FloatArray:
         """Forces (3, n)."""
-        return forces_of_many(soil[None], np.column_stack([sinkage, slip]), self.wheel, None)[0]
+        return np.asarray(forces_of_many(soil[None], np.column_stack([sinkage, slip]), self.wheel, None)[0])
 
 
 def infer_from_totals(
@@ -210,18 +214,18 @@ def infer_from_totals(
 
     Raises ParameterError where the model has no finite forces. The posterior is normal around its mode (Laplace).
     """
-    root, start = np.linalg.cholesky(belief.covariance), np.zeros(len(PARAMETERS))
-    problem = _Problem(states, wheel, belief, root, model_error, np.zeros_like(states.load))
+    root: FloatArray = np.linalg.cholesky(belief.covariance)
+    start = np.zeros(len(PARAMETERS))
+    problem = _Problem(states, wheel, belief, root, model_error, None)
     for _ in range(FREEZES):
-        problem = replace(problem, frozen=problem.deeper(start))
         start, covariance = find_mode(problem, start)  # type: ignore[arg-type]
+        problem = replace(problem, frozen=problem.deeper(start))
+    start, covariance = find_mode(problem, start)  # type: ignore[arg-type]
     covariance = root @ covariance @ root.T
     rows = problem.residuals(start)
     wheels = states.load.shape[1]
     return TotalsPosterior(
-        replace(
-            belief, mean=belief.mean + root @ start, covariance=0.5 * (covariance + covariance.T), population=None
-        ),
+        replace(belief, mean=belief.mean + root @ start, covariance=0.5 * (covariance + covariance.T), population=None),
         (float((rows[:, :wheels] ** 2).sum()), float((rows[:, wheels:] ** 2).sum())),
         (int(states.known.sum()), 3 * int(states.whole.sum())),
     )

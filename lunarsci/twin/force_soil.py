@@ -143,16 +143,16 @@ def balanced_states(forces: UncertainForces, states: PoseStates, balance_error: 
     times, values, sigmas = states.by_pose(len(rover.wheels))
     load, load_sigma = (part[..., 0] for part in (forces.after, forces.after_sigma))
     levers = levers_of(held)
-    known = (load, load_sigma, levers[..., 1:], needed_of(held, levers))
-    known = tuple(np.where(forces.known.reshape(-1, *([1] * (part.ndim - 1))), part, np.nan) for part in known)
-    load, load_sigma, levers, totals = (at_times(times, held.motion.time_s, part) for part in known)
+    told = (load, load_sigma, levers[..., 1:], needed_of(held, levers))
+    kept = [np.where(forces.known.reshape(-1, *([1] * (part.ndim - 1))), part, np.nan) for part in told]
+    load, load_sigma, levers, totals = (at_times(times, held.motion.time_s, part) for part in kept)
     reach = float(np.hypot(*rover.wheel_positions_m[:, :2].T).max())
     error = balance_error * rover.mass_kg * rover.gravity_m_s2 * np.array([1.0, 1.0, reach])
-    told = np.isfinite(totals).all(axis=1) & np.isfinite(values[..., :2]).all(axis=(1, 2))
-    rolled = np.interp(times[told], held.motion.time_s, held.motion.rolled_m)
+    used = np.isfinite(totals).all(axis=1) & np.isfinite(values[..., :2]).any(axis=(1, 2))
+    rolled = np.interp(times[used], held.motion.time_s, held.motion.rolled_m)
     alike = 1.0
-    if told.sum() > 1 and np.ptp(rolled) > 0:
-        alike = max(1.0, forces.correlation_m * (told.sum() - 1) / float(np.ptp(rolled)))
+    if used.sum() > 1 and np.ptp(rolled) > 0:
+        alike = max(1.0, forces.correlation_m * (used.sum() - 1) / float(np.ptp(rolled)))
     return BalancedStates(
         inputs=values,
         input_sigma=sigmas,

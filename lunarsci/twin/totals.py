@@ -49,6 +49,9 @@ def needed_of(found: HeldForces, levers: FloatArray) -> FloatArray:
 def _shear_centers(found: HeldForces) -> tuple[FloatArray, FloatArray]:
     sinkage, slip = (found.states[..., STATE_COLUMNS.index(name)] for name in ("sinkage_m", "slip_ratio"))
     tyre = found.rover.wheel.vector()
-    pairs = [shear_center(z, s, tyre) if np.isfinite(z) else (np.nan, np.nan) for z, s in zip(sinkage.flat, slip.flat)]
+    pairs = [
+        shear_center(z, s, tyre) if np.isfinite(z) else (np.nan, np.nan)
+        for z, s in zip(sinkage.flat, slip.flat, strict=True)
+    ]
     both = np.array(pairs).reshape(*sinkage.shape, 2)
     return both[..., 0], both[..., 1]

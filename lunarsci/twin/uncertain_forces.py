@@ -18,7 +18,6 @@ from lunarsci.twin.held import HeldForces, forces_along
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.motion_draws import drawn_motions
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.simulation.outcomes import FINISHED
 from lunarsci.twin.totals import COLUMNS, levers_of, missing_of
 
 __all__ = ["BALANCE_ERROR", "DRAWS", "Shares", "UncertainForces", "uncertain_forces"]

@@ -29,7 +29,8 @@ def force_band_figure(found: UncertainForces, title: str) -> "Figure":
     wheels = found.held.rover.wheels
     columns = len(wheels) // 2
     figure = Figure(figsize=(4.3 * columns, 11.0), dpi=130, layout="constrained", facecolor="white")
-    upper, lower = figure.subfigures(2, 1, height_ratios=(3.1, 1.0))
+    parts: Any = figure.subfigures(2, 1, height_ratios=(3.1, 1.0))
+    upper, lower = parts
     panels: Any = upper.subplots(3, columns, sharex=True, sharey="row", squeeze=False)
     along = found.held.motion.rolled_m
     for force, row in enumerate(panels):

@@ -67,6 +67,4 @@ def _motions(motion: Motion, count: int, place: FloatArray, rng: np.random.Gener
         wave, size = rng.standard_normal((3, WAVES, 1)), rng.standard_normal((2, 3, WAVES, 1)) / np.sqrt(WAVES)
         error = (size[0] * np.cos(wave * place) + size[1] * np.sin(wave * place)).sum(axis=1)
         x, y, yaw = error * motion.sigmas.T
-        yield dataclasses.replace(
-            motion, x_m=motion.x_m + x, y_m=motion.y_m + y, yaw_deg=motion.yaw_deg + yaw
-        )
+        yield dataclasses.replace(motion, x_m=motion.x_m + x, y_m=motion.y_m + y, yaw_deg=motion.yaw_deg + yaw)
