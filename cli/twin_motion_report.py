@@ -135,8 +135,8 @@ def _notes(known: Known, told: Told, scene: Scene) -> list[str]:
         notes.append("no states are given: sinkages in the table are those of the assumed soil, and tell nothing of it")
     elif told.iterate is None:
         notes.append(
-            "errors of single pulls are one soil's, alike at all poses; `regolith identify` takes them as independent and "
-            "is too sure of what it finds, --iterate is not so"
+            "errors of single pulls are one soil's, alike at all poses; `regolith identify` takes them as independent "
+            "and is too sure of what it finds, --iterate is not"
         )
     if scene.terrain.synthetic:
         notes.append("the terrain is synthetic")

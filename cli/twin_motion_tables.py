@@ -153,7 +153,7 @@ def _total_table(found: UncertainForces, notes: Sequence[str]) -> TextTable:
     rows = [[f"{name} [{UNITS[name]}]", *(f"{row[key]:.2f}" for key in row)] for name, row in _totals(found).items()]
     headers = ["of all wheels", "missing, assumed soil", "balanced", "± assumed soil", "± balanced"]
     rows_notes = [
-        "what all wheels supply together is known by the balance; how it shares out among them stays the assumed soil's",
+        "all wheels together supply what the balance asks for; how it shares out among them stays the assumed soil's",
         *notes,
     ]
     return TextTable(headers, rows, title="What the wheels do not supply, root mean square", notes=rows_notes)

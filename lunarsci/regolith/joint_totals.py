@@ -1,8 +1,8 @@
 """A soil from sinkages under known loads, and from what the wheels' pulls and lateral forces add up to.
 
 The load of each wheel follows from the levers of a suspension, and the sum of all drawbar pulls and lateral forces from
-weight and slope; neither needs a soil. How the sum shares out among the wheels does, so it is not used here: forces that
-came from a soil cannot prove it.
+weight and slope; neither needs a soil. How the sum shares out among the wheels does, so it is not used here: forces
+that came from a soil cannot prove it.
 
 Each soil puts every wheel as deep as its load asks for. That depth is compared with the measured one, and what the
 wheels pull there, at their measured slips, with the totals. Taking the pulls at the measured depths instead would make
@@ -31,8 +31,8 @@ MODEL_ERROR = 0.02
 NEWTON, FIRST_SINKAGE, SHALLOWEST, DEEPEST, LEAST_POWER = 8, 0.05, 1e-6, 0.95, 0.2
 """Steps to the sinkage under a load, where they begin and its range in radii, and the least power of F_N in it."""
 FREEZES = 2
-"""Fits before the last one: of the first the model's errors follow the soil, of others they are those of the soil before.
-The first finds the way from far off."""
+"""Fits before the last one: in the first the model's errors follow the soil, which finds the way from far off; in the
+others they are those of the soil before."""
 HUBER = 3.0
 """Whitened residuals beyond count linearly, so that single bad states do not lead."""
 
@@ -76,14 +76,13 @@ class BalancedStates:
     @property
     def known(self) -> npt.NDArray[np.bool_]:
         """Wheels with a sinkage, a slip ratio and a load. (p, m)"""
-        return np.isfinite(self.inputs[..., :2]).all(axis=2) & np.isfinite(self.load)
+        return np.asarray(np.isfinite(self.inputs[..., :2]).all(axis=2) & np.isfinite(self.load), dtype=np.bool_)
 
     @property
     def whole(self) -> npt.NDArray[np.bool_]:
         """Poses whose wheels are all known, with side slips, so that their forces can be added up. (p,)"""
-        return (
-            self.known.all(axis=1) & np.isfinite(self.inputs[..., 2]).all(axis=1) & np.isfinite(self.totals).all(axis=1)
-        )
+        sided = np.isfinite(self.inputs[..., 2]).all(axis=1)
+        return np.asarray(self.known.all(axis=1) & sided & np.isfinite(self.totals).all(axis=1), dtype=np.bool_)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,7 +213,7 @@ def infer_from_totals(
 
     Raises ParameterError where the model has no finite forces. The posterior is normal around its mode (Laplace).
     """
-    root: FloatArray = np.linalg.cholesky(belief.covariance)
+    root = np.asarray(np.linalg.cholesky(belief.covariance), dtype=np.float64)
     start = np.zeros(len(PARAMETERS))
     problem = _Problem(states, wheel, belief, root, model_error, None)
     for _ in range(FREEZES):

@@ -52,7 +52,7 @@ class PoseStates:
 
 
 def read_pose_states(source: InputFile, rover: Rover) -> PoseStates:
-    """Read states from CSV: `time_s`, `wheel`, any of `MEASURED` with `NAME_sigma`, `valid`; others are kept as they are.
+    """Read states from CSV: `time_s`, `wheel`, any of `MEASURED` with `NAME_sigma`, `valid`; others are only kept.
 
     Where no sigma is given it is that of `MeasurementErrors`. Raises DataError.
     """
@@ -88,7 +88,7 @@ def read_pose_states(source: InputFile, rover: Rover) -> PoseStates:
 
 
 def at_times(time_s: FloatArray, poses_s: FloatArray, values: FloatArray) -> FloatArray:
-    """Values at poses (n, ...), as straight lines between them: (t, ...); NaN outside, and beside poses that are NaN."""
+    """Values at poses (n, ...) by straight lines between them: (t, ...); NaN outside, and beside poses that are NaN."""
     place = np.clip(np.searchsorted(poses_s, time_s, side="right") - 1, 0, len(poses_s) - 2)
     share = (time_s - poses_s[place]) / (poses_s[place + 1] - poses_s[place])
     share = share.reshape(-1, *([1] * (values.ndim - 1)))

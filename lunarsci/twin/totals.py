@@ -18,8 +18,8 @@ COLUMNS = [STATE_COLUMNS.index(name) for name in FORCES]
 def levers_of(found: HeldForces) -> FloatArray:
     """What one newton of each wheel's forces adds to the totals. (n, 3 totals, wheels, 3 forces) [-, -, m]
 
-    The forces act along the normal, ahead along and sideways against the contact axes at the wheel's centre; the lateral
-    one where the shear stress is centred.
+    The forces act along the normal, ahead along and sideways against the contact axes at the wheel's centre; the
+    lateral one where the shear stress is centred.
     """
     ahead, below = _shear_centers(found)
     e, d, n = (found.axes[:, :, k] for k in range(3))

@@ -37,8 +37,8 @@ class Shares:
     """Where the variance of a force comes from, over all wheels and poses; the shares add up to 1. [-]
 
     `soil` and `motion` are what each brings alone, `balance` the error of the totals, `together` what soil and motion
-    bring only jointly (and sampling error; it may be below 0). `of_force` is the standard deviation that the soil brings,
-    as a share of the force itself (root mean squares).
+    bring only jointly (and sampling error; it may be below 0). `of_force` is the standard deviation that the soil
+    brings, as a share of the force itself (root mean squares).
     """
 
     soil: float
@@ -82,12 +82,12 @@ class UncertainForces:
     @property
     def before_sigma(self) -> FloatArray:
         """Standard deviation before the balance. (n, wheels, 3) [N]"""
-        return np.sqrt(np.maximum(self.before_parts.sum(axis=0), 0.0))
+        return np.asarray(np.sqrt(np.maximum(self.before_parts.sum(axis=0), 0.0)))
 
     @property
     def after_sigma(self) -> FloatArray:
         """Standard deviation after the balance. (n, wheels, 3) [N]"""
-        return np.sqrt(np.maximum(self.after_parts.sum(axis=0), 0.0))
+        return np.asarray(np.sqrt(np.maximum(self.after_parts.sum(axis=0), 0.0)))
 
     def shares(self, force: int, *, balanced: bool) -> Shares:
         """Of one force, by its place in `FORCES`."""
@@ -148,27 +148,27 @@ def uncertain_forces(
     motions = list(drawn_motions(motion, len(rows), correlation_m, np.random.default_rng(seed)))
     still, same = [motion] * len(rows), np.tile(center, (len(rows), 1))
     pairs = [(motions, rows), (still, rows), (motions, same)] if motion.sigmas is not None else [(still, rows)]
-    done, total = 0, len(pairs) * len(rows)
-    drawn = []
-    for run in pairs:
-        drawn.append(_along(rover, terrain, run[0], run[1], lambda k, d=done: progress and progress(d + k, total)))
-        done += len(rows)
+    counted, total = iter(range(1, len(pairs) * len(rows) + 1)), len(pairs) * len(rows)
+
+    def told() -> None:
+        if progress is not None:
+            progress(next(counted), total)
+
+    drawn = [_along(rover, terrain, each, on, told) for each, on in pairs]
     held = forces_along(rover, terrain, motion, center)
     reach = float(np.hypot(*rover.wheel_positions_m[:, :2].T).max())
     error = balance_error * rover.mass_kg * rover.gravity_m_s2 * np.array([1.0, 1.0, reach])
     return _balanced(held, drawn, error, correlation_m)
 
 
-def _along(
-    rover: Rover, terrain: Terrain, motions: list[Motion], rows: FloatArray, told: Callable[[int], object]
-) -> _Drawn:
+def _along(rover: Rover, terrain: Terrain, motions: list[Motion], rows: FloatArray, told: Callable[[], None]) -> _Drawn:
     forces, missing, carried = [], [], []
-    for number, (motion, row) in enumerate(zip(motions, rows, strict=True), start=1):
+    for motion, row in zip(motions, rows, strict=True):
         found = forces_along(rover, terrain, motion, row)
         forces.append(found.states[..., COLUMNS])
         missing.append(missing_of(found))
         carried.append(found.known)
-        told(number)
+        told()
     return _Drawn(np.array(forces), np.array(missing), np.array(carried))
 
 
@@ -191,7 +191,8 @@ def _balanced(held: HeldForces, drawn: list[_Drawn], error: FloatArray, correlat
         noise = ((gain * error) ** 2).sum(axis=1).reshape(wheels, 3)
         before[k], after[k] = own[0][0].mean(axis=0), moved[0].mean(axis=0)
         parts[:, k] = _parts([forces for forces, _ in own], np.zeros((wheels, 3)))
-        kept[:, k] = _parts(moved, noise)
+        # The gain was fitted to these draws: three numbers of their freedom are gone.
+        kept[:, k] = _parts(moved, noise, (len(flat) - 1) / (len(flat) - 4))
         # What is missing shrinks by as much as the forces of all wheels grow.
         sums = np.einsum("twf,wfk->tk", levers[k], gain.reshape(wheels, 3, 3))
         gap[k] = own[0][1].mean(axis=0)
@@ -224,8 +225,8 @@ def _gain(forces: FloatArray, missing: FloatArray, error: FloatArray) -> FloatAr
     return np.asarray(np.linalg.solve(lacking.T @ lacking / count + np.diag(error**2), lacking.T @ off / count).T)
 
 
-def _parts(forces: list[FloatArray], noise: FloatArray) -> FloatArray:
+def _parts(forces: list[FloatArray], noise: FloatArray, fitted: float = 1.0) -> FloatArray:
     """Variances by soil, by motion, by the balance and together. (4, wheels, 3)"""
-    whole = forces[0].var(axis=0, ddof=1)
+    whole = fitted * forces[0].var(axis=0, ddof=1)
     soil, motion = (part.var(axis=0, ddof=1) for part in forces[1:]) if len(forces) == 3 else (whole, 0 * whole)
     return np.stack([soil, motion, noise, whole - soil - motion])

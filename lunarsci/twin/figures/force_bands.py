@@ -38,10 +38,12 @@ def force_band_figure(found: UncertainForces, title: str) -> "Figure":
             for side, color in enumerate((LEFT, RIGHT)):
                 _draw_band(panel, along, found, 2 * axle + side, force, color)
             _frame(panel, LABELS[force] if axle == 0 else "", along)
-            if force == 0:
-                panel.legend(loc="upper center", ncols=2, fontsize=7.5, frameon=False)
-                bottom, top = panel.get_ylim()
-                panel.set_ylim(bottom, top + 0.1 * (top - bottom) / columns)
+    for panel in panels[0]:
+        panel.legend(loc="upper center", ncols=2, fontsize=7.5, frameon=False)
+    bottom, top = panels[0, 0].get_ylim()
+    panels[0, 0].set_ylim(bottom, top + 0.22 * (top - bottom))
+    for panel in panels.ravel():
+        _zero(panel)
     _draw_missing(lower.subplots(1, 3, sharex=True), along, found)
     figure.suptitle(
         f"{title}\npale: ±1 standard deviation after the balance of totals; dark: what the assumed soil brings of it",
@@ -66,6 +68,7 @@ def _draw_missing(panels: Any, along: FloatArray, found: UncertainForces) -> Non
         panel.plot(along, before, color=INK, linewidth=1.0, linestyle=":", label="before the balance, ±σ")
         panel.plot(along, found.missing_after[:, k], color=INK, linewidth=1.4, label="after")
         _frame(panel, MISSING[k], along)
+        _zero(panel)
         panel.set_xlabel("Distance rolled [m]")
     panels[0].legend(loc="best", fontsize=7.5, frameon=False)
 
@@ -74,5 +77,8 @@ def _frame(panel: Any, text: str, along: FloatArray) -> None:
     panel.set_ylabel(text)
     panel.set_xlim(float(along[0]), float(along[-1]))
     panel.grid(alpha=0.25, linewidth=0.5)
+
+
+def _zero(panel: Any) -> None:
     if panel.get_ylim()[0] < 0 < panel.get_ylim()[1]:
         panel.axhline(0.0, color=INK, linewidth=0.6)

@@ -18,11 +18,11 @@ __all__ = ["force_table"]
 def force_table(found: UncertainForces, states: PoseStates | None = None) -> "pd.DataFrame":
     """Forces of each wheel after the balance: one row for each measured state, or for each pose and wheel.
 
-    The columns of the measured states stay as they were read; normal_force_n, drawbar_pull_n, lateral_force_n, each with
-    `_sigma`, are those of their times, between the poses of the motion. Without measured states there are time_s,
-    distance_m (rolled by the rims), wheel, x_m, y_m, sinkage_m, slip_ratio, side_slip_deg as the held motion has them on
-    the middle one of the soils. `valid` is false for states that were not valid, at and beside halts and gaps, and where
-    there are no forces.
+    The columns of the measured states stay as they were read; normal_force_n, drawbar_pull_n, lateral_force_n, each
+    with `_sigma`, are those of their times, between the poses of the motion. Without measured states there are time_s,
+    distance_m (rolled by the rims), wheel, x_m, y_m, sinkage_m, slip_ratio, side_slip_deg as the held motion has them
+    on the middle one of the soils. `valid` is false for states that were not valid, at and beside halts and gaps, and
+    where there are no forces.
     """
     import pandas as pd
 

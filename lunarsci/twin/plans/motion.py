@@ -113,8 +113,8 @@ def read_motion(
     Columns time_s, x_m, y_m, yaw_deg as in the `paths.csv` of a prediction; optionally member, of which one is read;
     and the commands of each wheel, `steering_FL_deg` and `speed_FL_m_s` and so on. Without these columns the commands
     are those of `plan` at the same times. Columns `x_m_sigma`, `y_m_sigma`, `yaw_deg_sigma` are standard errors. At a
-    halt the rims turn at less than half their usual speed, or the plan is not under way. Raises DataError; warns of gaps
-    and of poses outside the times of the plan.
+    halt the rims turn at less than half their usual speed, or the plan is not under way. Raises DataError; warns of
+    gaps and of poses outside the times of the plan.
     """
     file = source if isinstance(source, InputFile) else read_input(str(source))
     table = read_csv_table(file)

@@ -19,10 +19,10 @@ WAVES = 48
 
 
 def correlation_of(motion: Motion, slip_ratio: FloatArray, slip_sigma: FloatArray) -> float | None:
-    """Distance over which the motion's errors stay alike, as the errors of the slips that were derived from it tell. [m]
+    """Distance over which the motion's errors stay alike, as the errors of slips that were derived from it tell. [m]
 
-    Errors of x and y of sigma, alike over a length l, are errors of sigma / l in the speed over ground as a share of the
-    rims', and so of the slip ratio's travel v / (r_s omega) = 1 - s. None where the motion or the slips have no errors.
+    Errors of x and y of sigma, alike over a length l, are errors of sigma / l in the speed over ground as a share of
+    the rims', and so of the slip ratio's travel v / (r_s omega) = 1 - s. None where motion or slips have no errors.
 
     Parameters
     ----------
