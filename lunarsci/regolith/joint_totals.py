@@ -128,7 +128,7 @@ class _Problem:
         """Residuals over their errors, tempered where they are outliers. (1, p, m + 3)"""
         rows = np.stack([self.residuals(point) for point in points])
         size = np.abs(rows)
-        return np.where(size > HUBER, np.sign(rows) * np.sqrt(HUBER * (2 * size - HUBER)), rows)
+        return np.where(size > HUBER, np.sign(rows) * np.sqrt(HUBER * (2 * np.maximum(size, HUBER) - HUBER)), rows)
 
     def objective(self, point: FloatArray) -> float:
         return float(np.sum(self.white(point[None]) ** 2) + point @ point)

@@ -6,6 +6,7 @@ lateral forces, which the balance tells nearly without the soil; not how the tot
 round begins with the same belief, never with the last round's, so nothing is counted twice.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -32,6 +33,8 @@ OPPOSITE, NOT_SMALLER = -0.5, 0.8
 """Cosine between two moves of the soil below which the second goes back, and the share of the first that it has at
 least where the rounds do not calm down; assumed."""
 MOST_ROUNDS = 50
+ALIKE = math.sqrt(2.0 * math.pi)
+"""Correlation lengths over which errors count as one: the integral of exp(-d^2 / 2)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,7 +155,7 @@ def balanced_states(forces: UncertainForces, states: PoseStates, balance_error: 
     rolled = np.interp(times[used], held.motion.time_s, held.motion.rolled_m)
     alike = 1.0
     if used.sum() > 1 and np.ptp(rolled) > 0:
-        alike = max(1.0, forces.correlation_m * (used.sum() - 1) / float(np.ptp(rolled)))
+        alike = max(1.0, ALIKE * forces.correlation_m * (used.sum() - 1) / float(np.ptp(rolled)))
     return BalancedStates(
         inputs=values,
         input_sigma=sigmas,

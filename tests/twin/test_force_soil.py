@@ -1,4 +1,4 @@
-"""Forces and soil in turn on a simulated drive whose soil is hidden, and the inference from totals alone (synthetic)."""
+"""Forces and soil in turn on a simulated drive with a hidden soil, and the inference from totals alone (synthetic)."""
 
 import dataclasses
 
@@ -54,7 +54,7 @@ def exact(yutu2: Rover, hidden: np.ndarray) -> BalancedStates:
     for p in range(POSES):
         for m in range(6):
             depth[p, m] = sinkage_under_load(yutu2.wheel, soil, load[p, m], slip[p, m], side[p, m])
-    forces = wheel_forces(depth, slip, side, yutu2.wheel, soil)
+    forces = wheel_forces(yutu2.wheel, soil, depth, slip, side)
     levers = np.zeros((POSES, 3, 6, 2))
     levers[:, 0, :, 0], levers[:, 1, :, 1] = 1.0, -1.0
     levers[:, 2] = rng.uniform(-0.6, 0.6, (POSES, 6, 2))
@@ -102,7 +102,7 @@ def test_totals_of_a_pose_are_not_used_where_a_wheel_is_missing(yutu2: Rover, ex
     found = infer_from_totals(dataclasses.replace(exact, inputs=inputs), yutu2.wheel, first_belief())
     left = found.belief.left_of_prior
     assert found.values == (5 * POSES, 0)
-    assert left["stiffness_kpa_m_n"] < 0.5 and left["friction_angle_deg"] == pytest.approx(1.0, abs=1e-3)
+    assert left["stiffness_kpa_m_n"] < 0.5 and left["friction_angle_deg"] > 0.8, "loads rest on shear only a little"
     assert left["lateral_modulus_mm"] == pytest.approx(1.0, abs=1e-3)
     with pytest.raises(ParameterError, match="nothing is learned"):
         dataclasses.replace(exact, inputs=np.full_like(inputs, np.nan))

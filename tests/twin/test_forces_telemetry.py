@@ -48,7 +48,7 @@ def rolling(steps: int, gradient: float = 0.0, slip: float = 0.0) -> Motion:
 def hidden() -> SoilBelief:
     """A soil about one standard deviation off the priors, as a belief that knows it."""
     first = first_belief()
-    off = np.array([-0.9, 0.4, 0.6, -0.5, -0.9, 0.7, 0.8, -0.6])
+    off = np.array([0.7, -0.5, 0.6, -0.8, 0.9, -0.7, 0.8, -0.6])
     sd = np.sqrt(np.diag(first.covariance))
     return dataclasses.replace(first, mean=first.mean + off * sd, covariance=1e-12 * first.covariance)
 
@@ -108,18 +108,29 @@ def test_on_a_slope_all_wheels_together_pull_the_weight_whatever_the_soil(yutu2:
     assert result.total_after[6, 0] == pytest.approx(0.005 * weight, rel=0.1)
 
 
-def test_the_balance_moves_forces_from_a_wrong_soil_to_the_true_ones(driven, found: UncertainForces) -> None:  # type: ignore[no-untyped-def]
-    true = driven[0].states[0][..., COLUMNS][INNER]
-    assert found.known[INNER].all()
-    off = {k: getattr(found, k)[INNER] - true for k in ("before", "after")}
-    rms = {k: np.sqrt((part**2).mean(axis=(0, 1))) for k, part in off.items()}
-    assert rms["after"][1] < 0.4 * rms["before"][1], "single drawbar pulls"
-    assert rms["after"][2] < 0.6 * rms["before"][2], "single lateral forces"
-    total = {k: np.sqrt((part[..., 1].sum(axis=1) ** 2).mean()) for k, part in off.items()}
-    assert total["after"] < 0.05 * total["before"] and total["after"] < 1.2
-    for k in range(3):
-        assert (np.abs(off["after"][..., k]) < found.after_sigma[INNER][..., k]).mean() > 0.6
-        assert (np.abs(off["after"][..., k]) < 2 * found.after_sigma[INNER][..., k]).mean() > 0.9
+@pytest.mark.slow
+def test_the_balance_moves_forces_from_a_wrong_soil_to_the_true_ones(yutu2: Rover, driven) -> None:  # type: ignore[no-untyped-def]
+    """Six drives, each on another soil drawn from the priors: the error of a drive is that of one soil, alike at all its
+    poses, so that a single drive says nothing of how often intervals hold the truth."""
+    first, ground, exact = first_belief(), synthetic_longji(), driven[1]
+    drives = predict(yutu2, ground, PLAN, samples=first.draws(6, 7), time_step_s=0.05)
+    assert drives.finished.all()
+    off, sigma = {"before": [], "after": []}, {"before": [], "after": []}
+    for m in range(6):
+        x, y, yaw = (drives.paths[m, :, k] for k in (0, 1, 5))
+        motion = dataclasses.replace(exact, x_m=x, y_m=y, yaw_deg=yaw)
+        motion = next(drawn_motions(motion, 1, 0.5, np.random.default_rng(m)))
+        soils = first.draws(48, 1)
+        found = uncertain_forces(yutu2, ground, motion, soils, middle_of(first), correlation_m=0.5, seed=1)
+        for when in off:
+            off[when].append((getattr(found, when) - drives.states[m][..., COLUMNS])[INNER])
+            sigma[when].append(getattr(found, f"{when}_sigma")[INNER])
+    rms = {when: np.sqrt((np.array(each) ** 2).mean(axis=(0, 1, 2))) for when, each in off.items()}
+    assert (rms["after"] < (0.8, 0.4, 0.4) * rms["before"]).all(), "loads, single drawbar pulls, single lateral forces"
+    pulled = {when: np.sqrt((np.array(each)[..., 1].sum(axis=-1) ** 2).mean()) for when, each in off.items()}
+    assert pulled["after"] < 0.05 * pulled["before"] and pulled["after"] < 0.5
+    inside = np.abs(off["after"]) < np.array(sigma["after"])
+    assert (inside.mean(axis=(0, 1, 2)) > 0.68).all()
 
 
 def test_shares_of_the_variance_add_up_and_follow_what_is_uncertain(yutu2: Rover, driven, found, hidden) -> None:  # type: ignore[no-untyped-def]
@@ -127,7 +138,7 @@ def test_shares_of_the_variance_add_up_and_follow_what_is_uncertain(yutu2: Rover
         for balanced in (False, True):
             share = found.shares(k, balanced=balanced)
             assert share.soil + share.motion + share.balance + share.together == pytest.approx(1.0)
-    assert found.shares(1, balanced=False).soil > 0.8 > found.shares(1, balanced=True).soil
+    assert found.shares(1, balanced=False).soil > max(0.8, found.shares(1, balanced=True).soil)
     assert found.shares(0, balanced=True).of_force < 0.1 < found.shares(1, balanced=False).of_force
     exact = dataclasses.replace(driven[1], sigmas=None)
     first, ground = first_belief(), synthetic_longji()
