@@ -70,6 +70,15 @@ SavedBelief = Annotated[
 ]
 
 
+MotionFile = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FILE",
+        help="A motion that was measured, instead of a predicted one: CSV with time_s, x_m, y_m, yaw_deg.",
+    ),
+]
+
+
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
     command(app, "forces", folder=None)(forces)
@@ -78,13 +87,7 @@ def add_to(app: typer.Typer) -> None:
 def forces(
     output: Output,
     plan: twin_options.PlanFile = None,
-    motion: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE",
-            help="A motion that was measured, instead of a predicted one: CSV with time_s, x_m, y_m, yaw_deg.",
-        ),
-    ] = None,
+    motion: MotionFile = None,
     member: Annotated[
         int | None, typer.Option(min=0, help="Which member of the motion's file, where it has several.")
     ] = None,

@@ -110,8 +110,8 @@ def test_on_a_slope_all_wheels_together_pull_the_weight_whatever_the_soil(yutu2:
 
 @pytest.mark.slow
 def test_the_balance_moves_forces_from_a_wrong_soil_to_the_true_ones(yutu2: Rover, driven) -> None:  # type: ignore[no-untyped-def]
-    """Six drives, each on another soil drawn from the priors: the error of a drive is that of one soil, alike at all its
-    poses, so that a single drive says nothing of how often intervals hold the truth."""
+    """Six drives, each on another soil drawn from the priors: the error of a drive is that of one soil, alike at all
+    its poses, so that a single drive says nothing of how often intervals hold the truth."""
     first, ground, exact = first_belief(), synthetic_longji(), driven[1]
     drives = predict(yutu2, ground, PLAN, samples=first.draws(6, 7), time_step_s=0.05)
     assert drives.finished.all()
@@ -133,7 +133,7 @@ def test_the_balance_moves_forces_from_a_wrong_soil_to_the_true_ones(yutu2: Rove
     assert (inside.mean(axis=(0, 1, 2)) > 0.68).all()
 
 
-def test_shares_of_the_variance_add_up_and_follow_what_is_uncertain(yutu2: Rover, driven, found, hidden) -> None:  # type: ignore[no-untyped-def]
+def test_shares_add_up_and_follow_what_is_uncertain(yutu2: Rover, driven, found, hidden) -> None:  # type: ignore[no-untyped-def]
     for k in range(3):
         for balanced in (False, True):
             share = found.shares(k, balanced=balanced)
@@ -149,7 +149,7 @@ def test_shares_of_the_variance_add_up_and_follow_what_is_uncertain(yutu2: Rover
 
 
 def test_errors_of_a_motion_are_smooth_and_as_large_as_said() -> None:
-    """Correlation exp(-1/2) over one length, and speeds off by sigma / l of the speed, as differentiating twice says."""
+    """Correlation exp(-1/2) over one length, and speeds off by sigma / l of the speed, as differentiation says."""
     length, motion = 0.4, rolling(41)
     motion = dataclasses.replace(motion, sigmas=np.tile((0.004, 0.008, 0.5), (41, 1)))
     drawn = list(drawn_motions(motion, 4000, length, np.random.default_rng(0)))
