@@ -30,6 +30,8 @@ MODEL_ERROR = 0.02
 """Share of the load by which the model may miss each force, as in the joint inference; assumed."""
 NEWTON, FIRST_SINKAGE, SHALLOWEST, DEEPEST, LEAST_POWER = 8, 0.05, 1e-6, 0.95, 0.2
 """Steps to the sinkage under a load, where they begin and its range in radii, and the least power of F_N in it."""
+ROUGH = 5.0
+"""Times the error of sinkages in a fit that only finds the way."""
 FREEZES = 2
 """Fits before the last one: in the first the model's errors follow the soil, which finds the way from far off; in the
 others they are those of the soil before."""
@@ -199,6 +201,17 @@ class _Problem:
         return np.asarray(forces_of_many(soil[None], np.column_stack([sinkage, slip]), self.wheel, None)[0])
 
 
+def _way_in(problem: _Problem, start: FloatArray) -> FloatArray:
+    """The best of several modes: from the belief's mean, and by way of fits that take errors as less alike, or loads
+    and sinkages as known less well. Soils far from the belief lead a single fit into a side valley."""
+    states, found = problem.states, [start]
+    rough = states.input_sigma * [ROUGH, 1.0, 1.0]
+    for way in (states, replace(states, alike=1.0), replace(states, input_sigma=rough)):
+        first, _ = find_mode(replace(problem, states=way), start)  # type: ignore[arg-type]
+        found.append(find_mode(problem, first)[0])  # type: ignore[arg-type]
+    return min(found, key=problem.objective)
+
+
 def infer_from_totals(
     states: BalancedStates, wheel: Wheel, belief: SoilBelief, *, model_error: float = MODEL_ERROR
 ) -> TotalsPosterior:
@@ -216,8 +229,9 @@ def infer_from_totals(
     root = np.asarray(np.linalg.cholesky(belief.covariance), dtype=np.float64)
     start = np.zeros(len(PARAMETERS))
     problem = _Problem(states, wheel, belief, root, model_error, None)
+    start = _way_in(problem, start)
     for _ in range(FREEZES):
-        start, covariance = find_mode(problem, start)  # type: ignore[arg-type]
+        start, _ = find_mode(problem, start)  # type: ignore[arg-type]
         problem = replace(problem, frozen=problem.deeper(start))
     start, covariance = find_mode(problem, start)  # type: ignore[arg-type]
     covariance = root @ covariance @ root.T
