@@ -26,12 +26,13 @@ __all__ = ["command"]
 
 
 def command(
-    app: typer.Typer, name: str, *, folder: bool = False, default_path: str | None = None
+    app: typer.Typer, name: str, *, folder: bool | None = False, default_path: str | None = None
 ) -> Callable[[Callable[..., Report]], Callable[..., None]]:
     """Register a function that returns a `Report` as a command with the shared output options.
 
     A function with a parameter `output` is handed the `Output`, for its progress bar. With `folder`, `--output` names a
-    folder that takes the report's `files`, and the result itself always goes to stdout.
+    folder that takes the report's `files`, and the result itself always goes to stdout; with None this is so where the
+    name has no suffix.
     """
     shared = shared_options(folder, default_path)
 
@@ -41,7 +42,10 @@ def command(
 
         @functools.wraps(function)
         def run(context: typer.Context, config: Path | None = None, **options: Any) -> None:
-            output = Output(**{key: options.pop(key) for key in shared}, folder=folder)
+            chosen = {key: options.pop(key) for key in shared}
+            path = chosen["path"]
+            named = path is not None and not path.suffix if folder is None else folder
+            output = Output(**chosen, folder=named)
             output.check()
             try:
                 with heard_warnings(output) as heard:

@@ -69,11 +69,13 @@ def _option(kind: Any, *names: str, text: str, metavar: str | None = None) -> An
     return Annotated[kind, typer.Option(*names, help=text, metavar=metavar, rich_help_panel=PANEL)]
 
 
-def shared_options(folder: bool, default_path: str | None) -> dict[str, tuple[Any, Any]]:
+def shared_options(folder: bool | None, default_path: str | None) -> dict[str, tuple[Any, Any]]:
     """Name of the parameter to its annotation and default."""
     file_text, metavar = "Write the result to a file instead of stdout.", "FILE"
     if folder:
         file_text, metavar = "Folder for the tables and pictures; the result still goes to stdout.", "DIR"
+    elif folder is None:
+        file_text = "Write the result to a file instead of stdout; a name without a suffix is a folder for all tables."
     flags = {
         "as_json": ("--json", "One JSON document, with provenance."),
         "as_csv": ("--csv", "The result as one CSV table."),

@@ -9,12 +9,13 @@ import numpy.typing as npt
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.plans.commands import CREEP_M_S
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact import HELD
 from lunarsci.twin.simulation.drive import record, take_commands
-from lunarsci.twin.simulation.lanes import LANES, POSE, new_work
-from lunarsci.twin.simulation.outcomes import FINISHED
+from lunarsci.twin.simulation.lanes import ARM, AXES, LANES, POSE, new_work
+from lunarsci.twin.simulation.outcomes import DIVERGED, FINISHED, SANK, UNSETTLED
 from lunarsci.twin.simulation.settle import balance, settle
 
 __all__ = ["HeldForces", "forces_along"]
@@ -36,6 +37,8 @@ class HeldForces:
         motion, were the ground as it is modelled. (n, 2) [N]
     missing_nm : the same as a moment about the vertical. (n,) [N m]
     outcome : index into `OUTCOMES`; where it is not 0 the row's forces are no numbers. (n,)
+    axes : forward, left and normal axis of each wheel's contact. (n, wheels, 3, 3)
+    arms : from the rover's origin to the wheels' centres. (n, wheels, 3) [m]
     """
 
     rover: Rover
@@ -46,32 +49,41 @@ class HeldForces:
     missing_n: FloatArray
     missing_nm: FloatArray
     outcome: IntArray
+    axes: FloatArray
+    arms: FloatArray
+
+    @property
+    def known(self) -> npt.NDArray[np.bool_]:
+        """Poses with forces: in equilibrium, and neither at a halt nor beside a halt or gap. (n,)"""
+        return np.asarray((self.outcome == FINISHED) & ~self.motion.no_speed)
 
     @property
     def missing_share(self) -> float:
         """Root mean square of the missing force, as a share of the rover's weight. [-]"""
         weight = self.rover.mass_kg * self.rover.gravity_m_s2
-        known = self.outcome == FINISHED
+        known = self.known
         return float(np.sqrt((self.missing_n[known] ** 2).sum(axis=1).mean()) / weight) if known.any() else np.nan
 
 
-def forces_along(rover: Rover, terrain: Terrain, motion: Motion) -> HeldForces:
+def forces_along(rover: Rover, terrain: Terrain, motion: Motion, soil: FloatArray | None = None) -> HeldForces:
     """Sinkage, slip and forces of every wheel at each pose of a motion.
 
     At each pose the rover first rests on the ground; differences between poses give its velocity; then height, attitude
     and joints take their equilibrium under weight and wheel forces while x, y and yaw are held. The loads follow from
     the levers of the suspension, sinkages from the loads, slip from the motion. The inertia of speeding up is left out:
-    at 0.05 m/s it is below a thousandth of the weight.
+    at 0.05 m/s it is below a thousandth of the weight. `soil` takes the place of the terrain's at every node, a row of
+    `soil_overrides`. (8,)
 
     Raises ParameterError where the motion has commands for another number of wheels.
     """
     count, wheels = len(motion.time_s), len(rover.wheels)
     if motion.speed_m_s.shape != (count, wheels) or motion.steering_deg.shape != (count, wheels):
         raise ParameterError(f"the motion's commands have shape {motion.speed_m_s.shape}; {(count, wheels)} is wanted")
-    known = (rover.vector(), rover.wheel.vector(), terrain.grid(), np.full((LANES, 8), np.nan))
+    override = np.full((LANES, 8), np.nan) if soil is None else np.tile(soil, (LANES, 1))
+    known = (rover.vector(), rover.wheel.vector(), terrain.grid(), override)
     poses, velocities = np.full((count, 10), np.nan), np.zeros((count, 9))
     paths, states, left = np.zeros((count, 6)), np.zeros((count, wheels, 10)), np.zeros((count, 3))
-    outcome = np.zeros(count, dtype=np.int64)
+    outcome, frames = np.zeros(count, dtype=np.int64), np.zeros((count, wheels, 12))
     groups = [np.minimum(np.arange(k, k + LANES), count - 1) for k in range(0, count, LANES)]
     works = [new_work(wheels) for _ in groups]
 
@@ -86,6 +98,8 @@ def forces_along(rover: Rover, terrain: Terrain, motion: Motion) -> HeldForces:
         share = np.zeros((LANES, 3))
         balance(*known, HELD, velocities[own], share, work)
         outcome[own], left[own] = np.maximum(outcome[own], work.code), share
+        seen = work.wheels.reshape(wheels, -1, LANES)
+        frames[own] = np.concatenate([seen[:, AXES : AXES + 9], seen[:, ARM : ARM + 3]], axis=1).transpose(2, 0, 1)
         for lane, row in enumerate(own):
             record(work, lane, known[1], paths[row], states[row])
 
@@ -96,13 +110,14 @@ def forces_along(rover: Rover, terrain: Terrain, motion: Motion) -> HeldForces:
     outcome[:] = np.where(alone & (outcome == FINISHED), beside, outcome)
     velocities[~alone] = moving[~alone]
     each_in_threads(carry, len(groups))
-    return _results(rover, terrain, motion, (paths, states, left), outcome)
+    return _results(rover, terrain, motion, (paths, states, left, frames), outcome)
 
 
 def _place(known: tuple[Any, ...], motion: Motion, own: IntArray, work: Any) -> None:
     """Let a group of rovers rest on the ground at its poses."""
     start = np.column_stack([motion.x_m, motion.y_m, np.radians(motion.yaw_deg)])[own]
-    take_commands(work, np.radians(motion.steering_deg[own])[:, None], motion.speed_m_s[own][:, None], 0)
+    speed = np.where(motion.speed_m_s == 0, CREEP_M_S, motion.speed_m_s)
+    take_commands(work, np.radians(motion.steering_deg[own])[:, None], speed[own][:, None], 0)
     settle(*known, start, work)
 
 
@@ -119,11 +134,17 @@ def _velocities(time_s: FloatArray, poses: FloatArray) -> FloatArray:
 
 
 def _results(
-    rover: Rover, terrain: Terrain, motion: Motion, found: tuple[FloatArray, FloatArray, FloatArray], outcome: IntArray
+    rover: Rover,
+    terrain: Terrain,
+    motion: Motion,
+    found: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    outcome: IntArray,
 ) -> HeldForces:
+    # What a speed that is not known leads to says nothing of the ground.
+    outcome[motion.no_speed & np.isin(outcome, (DIVERGED, SANK, UNSETTLED))] = FINISHED
     for part in found:
-        part[outcome != FINISHED] = np.nan
-    paths, states, left = found
+        part[(outcome != FINISHED) | motion.no_speed] = np.nan
+    paths, states, left, frames = found
     paths[:, 3:5], states[..., 4] = np.degrees(paths[:, 3:5]), np.degrees(states[..., 4])
     paths[:, 5] = motion.yaw_deg
     yaw = np.radians(motion.yaw_deg)
@@ -138,4 +159,6 @@ def _results(
         missing_n=np.column_stack([ahead, aside]),
         missing_nm=left[:, 2],
         outcome=outcome,
+        axes=frames[..., :9].reshape(*frames.shape[:2], 3, 3),
+        arms=frames[..., 9:],
     )

@@ -26,6 +26,10 @@ GAP = 5.0
 """Times the median step between poses from which on a step is a gap; assumed."""
 CLOCK_S = 1.0
 """How far the clocks of motion and plan may differ unsaid; assumed. [s]"""
+UNDER_WAY, STANDSTILL = 0.95, 0.5
+"""Share of the full speed of the plan, and of the usual speed of the commanded rims, below which it is a halt; assumed:
+slip compares with a speed that is not there."""
+SIGMAS = ("x_m_sigma", "y_m_sigma", "yaw_deg_sigma")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -37,9 +41,12 @@ class Motion:
     time_s : ascending. (n,) [s]
     x_m, y_m, yaw_deg : pose in the plane of the map, yaw from x to the left. (n,) [m, m, deg]
     steering_deg : steering angle of each wheel, positive to the left, -90 to 90. (n, wheels) [deg]
-    speed_m_s : speed of each rim over ground, r_s omega, not 0; negative backwards. (n, wheels) [m/s]
+    speed_m_s : speed of each rim over ground, r_s omega, not 0 but at a halt; negative backwards. (n, wheels) [m/s]
+    sigmas : standard errors of x, y and yaw, None where they are not known. (n, 3) [m, m, deg]
+    halted : poses at a halt, None where there is none. (n,)
 
-    Raises ParameterError for fewer than three poses, times that do not ascend, or values that are not finite.
+    Raises ParameterError for fewer than three poses, times that do not ascend, values that are not finite, or errors
+    below 0.
     """
 
     time_s: FloatArray
@@ -48,6 +55,8 @@ class Motion:
     yaw_deg: FloatArray
     steering_deg: FloatArray
     speed_m_s: FloatArray
+    sigmas: FloatArray | None = None
+    halted: npt.NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         if len(self.time_s) < 3:
@@ -62,8 +71,38 @@ class Motion:
             raise ParameterError(f"motion time_s does not ascend after pose {late[0]}; sort it and drop duplicates")
         if (np.abs(self.steering_deg) > 90.0).any():
             raise ParameterError("motion steering_deg is beyond 90 deg; a wheel that runs backwards has speed < 0")
-        if (self.speed_m_s == 0).any():
+        moving = np.ones(len(self.time_s), dtype=bool) if self.halted is None else ~self.halted
+        if not moving.any() or (self.speed_m_s[moving] == 0).any():
             raise ParameterError("motion speed_m_s is 0 somewhere; slip has no meaning for a wheel that does not turn")
+        if self.sigmas is not None:
+            self._check_sigmas(self.sigmas)
+
+    def _check_sigmas(self, sigmas: FloatArray) -> None:
+        if sigmas.shape != (len(self.time_s), 3):
+            raise ParameterError(f"the motion's errors have shape {sigmas.shape}; {(len(self.time_s), 3)} is wanted")
+        for name, column in zip(SIGMAS, sigmas.T, strict=True):
+            wrong = np.flatnonzero(~(np.isfinite(column) & (column >= 0)))
+            if wrong.size:
+                raise ParameterError(f"motion {name} is {column[wrong[0]]:g} at pose {wrong[0]}; give 0 or more")
+
+    @property
+    def no_speed(self) -> npt.NDArray[np.bool_]:
+        """Poses whose speed the poses do not tell: at a halt, and beside a halt or a gap. (n,)"""
+        still = np.zeros(len(self.time_s), dtype=bool) if self.halted is None else self.halted
+        lost = still.copy()
+        lost[1:] |= still[:-1]
+        lost[:-1] |= still[1:]
+        gap = np.diff(self.time_s) > GAP * np.median(np.diff(self.time_s))
+        lost[1:] |= gap
+        lost[:-1] |= gap
+        return lost
+
+    @property
+    def rolled_m(self) -> FloatArray:
+        """Mean distance that the rims have rolled since the first pose. (n,) [m]"""
+        speed = np.abs(self.speed_m_s).mean(axis=1)
+        steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(self.time_s)
+        return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def read_motion(
@@ -73,7 +112,9 @@ def read_motion(
 
     Columns time_s, x_m, y_m, yaw_deg as in the `paths.csv` of a prediction; optionally member, of which one is read;
     and the commands of each wheel, `steering_FL_deg` and `speed_FL_m_s` and so on. Without these columns the commands
-    are those of `plan` at the same times. Raises DataError; warns of gaps and of poses outside the times of the plan.
+    are those of `plan` at the same times. Columns `x_m_sigma`, `y_m_sigma`, `yaw_deg_sigma` are standard errors. At a
+    halt the rims turn at less than half their usual speed, or the plan is not under way. Raises DataError; warns of
+    gaps and of poses outside the times of the plan.
     """
     file = source if isinstance(source, InputFile) else read_input(str(source))
     table = read_csv_table(file)
@@ -83,8 +124,8 @@ def read_motion(
             raise ParameterError(f"no column {missing[0]}; a motion needs {', '.join(POSE_COLUMNS)}")
         columns = _one_member(_Columns(file.name, table), member)
         pose = {name: columns[name] for name in POSE_COLUMNS}
-        steering, speed = _commands(columns, rover, plan, pose["time_s"])
-        motion = Motion(**pose, steering_deg=steering, speed_m_s=speed)
+        steering, speed, halted = _commands(columns, rover, plan, pose["time_s"])
+        motion = Motion(**pose, steering_deg=steering, speed_m_s=speed, sigmas=_sigmas(columns), halted=halted)
     except DataError:
         raise
     except ValueError as error:
@@ -107,8 +148,20 @@ class _Columns:
         return values if self.rows is None else values[self.rows]
 
 
+def _sigmas(columns: _Columns) -> FloatArray | None:
+    given = [name for name in SIGMAS if name in columns]
+    if not given:
+        return None
+    if len(given) < len(SIGMAS):
+        missing = next(name for name in SIGMAS if name not in columns)
+        raise ParameterError(f"no column {missing}, but {given[0]}; give the errors of x, y and yaw, or of none")
+    return np.column_stack([columns[name] for name in SIGMAS])
+
+
 def _one_member(columns: _Columns, member: int | None) -> _Columns:
     if "member" not in columns:
+        if member is not None:
+            raise ParameterError(f"no column member to choose member {member} from; leave it out")
         return columns
     given = columns["member"]
     numbers = np.unique(given[np.isfinite(given)])
@@ -133,12 +186,17 @@ def _warn_of_gaps(file: str, time_s: FloatArray) -> None:
         warnings.warn(text, LunarSciWarning, stacklevel=3)
 
 
-def _commands(columns: _Columns, rover: Rover, plan: Plan | None, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _commands(
+    columns: _Columns, rover: Rover, plan: Plan | None, time_s: FloatArray
+) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+    """Steering, speeds, and which poses are at a halt."""
     names = [(f"steering_{wheel}_deg", f"speed_{wheel}_m_s") for wheel in rover.wheels]
     given = [name for pair in names for name in pair if name in columns]
     if len(given) == 2 * len(names):
         steering, speed = ([columns[pair[k]] for pair in names] for k in range(2))
-        return np.column_stack(steering), np.column_stack(speed)
+        if plan is not None:
+            raise ParameterError(f"has the commands of all wheels ({given[0]}, ...); leave out the plan")
+        return np.column_stack(steering), np.column_stack(speed), _standing(np.column_stack(speed))
     if given:
         missing = next(name for pair in names for name in pair if name not in columns)
         raise ParameterError(f"no column {missing}, but {given[0]}; give the commands of all wheels, or a plan")
@@ -147,7 +205,13 @@ def _commands(columns: _Columns, rover: Rover, plan: Plan | None, time_s: FloatA
     schedule = make_schedule(plan, rover)
     _check_times(columns.file, time_s, schedule.duration_s)
     commands = commands_at(rover, schedule, time_s)
-    return np.degrees(commands.steering_rad), commands.speed_m_s
+    return np.degrees(commands.steering_rad), commands.speed_m_s, schedule.pace_at(time_s) < UNDER_WAY
+
+
+def _standing(speed_m_s: FloatArray) -> npt.NDArray[np.bool_]:
+    mean = np.abs(speed_m_s).mean(axis=1)
+    turning = mean[mean > 0]
+    return np.asarray(mean < STANDSTILL * np.median(turning) if turning.size else mean == 0)
 
 
 def _check_times(file: str, time_s: FloatArray, duration_s: float) -> None:

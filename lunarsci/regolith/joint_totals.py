@@ -1,0 +1,244 @@
+"""A soil from sinkages under known loads, and from what the wheels' pulls and lateral forces add up to.
+
+The load of each wheel follows from the levers of a suspension, and the sum of all drawbar pulls and lateral forces from
+weight and slope; neither needs a soil. How the sum shares out among the wheels does, so it is not used here: forces
+that came from a soil cannot prove it.
+
+Each soil puts every wheel as deep as its load asks for. That depth is compared with the measured one, and what the
+wheels pull there, at their measured slips, with the totals. Taking the pulls at the measured depths instead would make
+the errors of these, which are not small beside them, errors of the soil.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.errors import ParameterError
+from lunarsci.regolith.belief import SoilBelief
+from lunarsci.regolith.joint_mode import find_mode
+from lunarsci.regolith.joint_model import forces_of_many
+from lunarsci.regolith.prior import PARAMETERS, values_of
+from lunarsci.regolith.wheel import Wheel
+
+__all__ = ["BalancedStates", "TotalsPosterior", "infer_from_totals"]
+
+FloatArray = npt.NDArray[np.float64]
+STEP = 1e-3
+"""Of numerical derivatives by the inputs, in their standard errors."""
+MODEL_ERROR = 0.02
+"""Share of the load by which the model may miss each force, as in the joint inference; assumed."""
+NEWTON, FIRST_SINKAGE, SHALLOWEST, DEEPEST, LEAST_POWER = 8, 0.05, 1e-6, 0.95, 0.2
+"""Steps to the sinkage under a load, where they begin and its range in radii, and the least power of F_N in it."""
+ROUGH = 5.0
+"""Times the error of sinkages in a fit that only finds the way."""
+FREEZES = 2
+"""Fits before the last one: in the first the model's errors follow the soil, which finds the way from far off; in the
+others they are those of the soil before."""
+HUBER = 3.0
+"""Whitened residuals beyond count linearly, so that single bad states do not lead."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BalancedStates:
+    """States of all m wheels of a rover at p poses, their loads, and what their other forces add up to.
+
+    Attributes
+    ----------
+    inputs, input_sigma : sinkage, slip ratio, side slip, NaN where not measured. (p, m, 3) [m, -, deg]
+    load, load_sigma : normal forces. (p, m) [N]
+    levers : what a newton of drawbar pull and of lateral force of each wheel adds to the totals. (p, 3, m, 2) [-, -, m]
+    totals, totals_sigma : force ahead, force to the left, moment about the vertical. (p, 3) [N, N, N m]
+
+    alike : number of neighbouring poses whose errors of slip, side slip and totals are alike, 1 or more: so many count
+        as one.
+
+    Errors of sinkage are the wheels' own. Those of slip and side slip come from the rover's motion, so that at a pose
+    they are taken as common to all wheels.
+    """
+
+    inputs: FloatArray
+    input_sigma: FloatArray
+    load: FloatArray
+    load_sigma: FloatArray
+    levers: FloatArray
+    totals: FloatArray
+    totals_sigma: FloatArray
+    alike: float = 1.0
+
+    def __post_init__(self) -> None:
+        p, m = self.load.shape
+        wanted = {"inputs": (p, m, 3), "levers": (p, 3, m, 2), "totals": (p, 3), "totals_sigma": (p, 3)}
+        for name, shape in wanted.items():
+            if getattr(self, name).shape != shape:
+                raise ParameterError(f"{name} has shape {getattr(self, name).shape}; {shape} is wanted")
+        if not (self.known.any() and (self.totals_sigma > 0).all()):
+            raise ParameterError("no wheel has a sinkage, a slip ratio and a load; without these nothing is learned")
+
+    @property
+    def known(self) -> npt.NDArray[np.bool_]:
+        """Wheels with a sinkage, a slip ratio and a load. (p, m)"""
+        return np.asarray(np.isfinite(self.inputs[..., :2]).all(axis=2) & np.isfinite(self.load), dtype=np.bool_)
+
+    @property
+    def whole(self) -> npt.NDArray[np.bool_]:
+        """Poses whose wheels are all known, with side slips, so that their forces can be added up. (p,)"""
+        sided = np.isfinite(self.inputs[..., 2]).all(axis=1)
+        return np.asarray(self.known.all(axis=1) & sided & np.isfinite(self.totals).all(axis=1), dtype=np.bool_)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TotalsPosterior:
+    """The belief after it, chi-square of sinkages and of totals, and how many of each there were."""
+
+    belief: SoilBelief
+    chi_square: tuple[float, float]
+    values: tuple[int, int]
+
+    @property
+    def reduced(self) -> tuple[float, float]:
+        """Chi-squares over the number of values."""
+        sinkages, totals = (c / max(n, 1) for c, n in zip(self.chi_square, self.values, strict=True))
+        return sinkages, totals
+
+
+@dataclass(frozen=True, slots=True)
+class _Problem:
+    """As `find_mode` reads it: points are the belief's, whitened.
+
+    Errors of the inputs follow the soil through the model's slopes, as the true inputs are unknowns of their own. What
+    the model itself misses does not: `frozen` is its sinkage for each newton at the soil of an earlier fit. Otherwise
+    soils that make sinkages vague would be preferred.
+    """
+
+    states: BalancedStates
+    wheel: Wheel
+    belief: SoilBelief
+    root: FloatArray
+    model_error: float
+    frozen: FloatArray | None
+
+    @property
+    def center(self) -> FloatArray:
+        return np.zeros(len(self.root))
+
+    @property
+    def width(self) -> FloatArray:
+        return np.ones(len(self.root))
+
+    def white(self, points: FloatArray) -> FloatArray:
+        """Residuals over their errors, tempered where they are outliers. (1, p, m + 3)"""
+        rows = np.stack([self.residuals(point) for point in points])
+        size = np.abs(rows)
+        return np.where(size > HUBER, np.sign(rows) * np.sqrt(HUBER * (2 * np.maximum(size, HUBER) - HUBER)), rows)
+
+    def objective(self, point: FloatArray) -> float:
+        return float(np.sum(self.white(point[None]) ** 2) + point @ point)
+
+    def residuals(self, point: FloatArray) -> FloatArray:
+        """Whitened residuals of sinkages, then of totals. (p, m + 3)"""
+        states = self.states
+        soil = values_of(self.belief.laws, self.belief.mean + self.root @ point)
+        sinkage, force, slopes = self._under_load(soil)
+        p, m = states.load.shape
+        kept = np.concatenate([states.known, np.repeat(states.whole[:, None], 3, axis=1)], axis=1)
+        supplied = np.einsum("ptmf,pmf->pt", states.levers, force[..., 1:])
+        off = np.concatenate([states.inputs[..., 0] - sinkage, states.totals - supplied], axis=1)
+        own = self.model_error * states.load
+        by_input = np.zeros((p, m + 3, m + 2))  # own loads, then the common slip and side slip
+        place = np.arange(m)
+        deeper = 1.0 / slopes[..., 0, 0]
+        by_input[:, place, place] = deeper * states.load_sigma
+        by_input[:, :m, m:] = -deeper[..., None] * slopes[..., 1:, 0]
+        at_load = slopes[:, :, 1:, 1:] - (deeper[..., None] * slopes[..., 1:, 0])[..., None] * slopes[:, :, :1, 1:]
+        by_load = slopes[:, :, 0, 1:] * by_input[:, place, place][..., None]
+        by_input[:, m:, :m] = np.einsum("ptmf,pmf->ptm", states.levers, by_load)
+        by_input[:, m:, m:] = np.einsum("ptmf,pmkf->ptk", states.levers, at_load)
+        spread = np.einsum("ptmf,pm->pt", states.levers**2, own**2)
+        by_input[:, :, m:] *= np.sqrt(states.alike)
+        missed = own * (deeper if self.frozen is None else self.frozen)
+        sinkages = states.input_sigma[..., 0] ** 2 + missed**2
+        variance = np.concatenate([sinkages, states.alike * states.totals_sigma**2 + spread], axis=1)
+        by_input = np.where(kept[..., None], by_input, 0.0)
+        covariance = by_input @ by_input.transpose(0, 2, 1)
+        diagonal = np.arange(m + 3)
+        covariance[:, diagonal, diagonal] += np.where(kept, variance, 1.0)
+        factor = np.linalg.cholesky(covariance)
+        return np.asarray(np.linalg.solve(factor, np.where(kept, off, 0.0)[..., None])[..., 0])
+
+    def deeper(self, point: FloatArray) -> FloatArray:
+        """Sinkage for each newton of load. (p, m) [m/N]"""
+        soil = values_of(self.belief.laws, self.belief.mean + self.root @ point)
+        return np.asarray(1.0 / self._under_load(soil)[2][..., 0, 0])
+
+    def _under_load(self, soil: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Sinkage at which each wheel carries its load (p, m), the forces there (p, m, 3), and their slopes.
+
+        Slopes (p, m, 3 inputs, 3 forces): by sinkage for each metre, by slip and side slip for each standard error.
+        Newton's method in logarithms, as F_N goes nearly with a power of the sinkage.
+        """
+        states, radius = self.states, self.wheel.radius_m
+        slip = np.nan_to_num(states.inputs[..., 1:]).reshape(-1, 2)
+        load = np.where(states.known, states.load, 1.0).ravel()
+        sigma = np.nan_to_num(states.input_sigma[..., 1:]).reshape(-1, 2)
+        z = np.full(len(load), FIRST_SINKAGE * radius)
+        for _ in range(NEWTON):
+            found = self._at(soil, np.concatenate([z, (1 + STEP) * z]), np.concatenate([slip, slip]))[0]
+            here, beside = found[: len(z)], found[len(z) :]
+            power = np.maximum(np.log(beside / here) / np.log1p(STEP), LEAST_POWER)
+            z = np.clip(z * np.exp(np.log(load / here) / power), SHALLOWEST * radius, DEEPEST * radius)
+        step = np.column_stack([STEP * z, STEP * np.maximum(sigma, 1e-9)])
+        center = np.column_stack([z, slip])
+        moved = [center, *(center + sign * step * (np.arange(3) == k) for k in range(3) for sign in (1.0, -1.0))]
+        rows = np.concatenate(moved)
+        force = self._at(soil, rows[:, 0], rows[:, 1:]).reshape(3, 7, len(z))
+        slopes = (force[:, 1::2] - force[:, 2::2]) / (2 * step.T) * np.vstack([np.ones_like(z), sigma.T])
+        shape = states.load.shape
+        return z.reshape(shape), force[:, 0].T.reshape(*shape, 3), slopes.transpose(2, 1, 0).reshape(*shape, 3, 3)
+
+    def _at(self, soil: FloatArray, sinkage: FloatArray, slip: FloatArray) -> FloatArray:
+        """Forces (3, n)."""
+        return np.asarray(forces_of_many(soil[None], np.column_stack([sinkage, slip]), self.wheel, None)[0])
+
+
+def _way_in(problem: _Problem, start: FloatArray) -> FloatArray:
+    """The best of several modes: from the belief's mean, and by way of fits that take errors as less alike, or loads
+    and sinkages as known less well. Soils far from the belief lead a single fit into a side valley."""
+    states, found = problem.states, [start]
+    rough = states.input_sigma * [ROUGH, 1.0, 1.0]
+    for way in (states, replace(states, alike=1.0), replace(states, input_sigma=rough)):
+        first, _ = find_mode(replace(problem, states=way), start)  # type: ignore[arg-type]
+        found.append(find_mode(problem, first)[0])  # type: ignore[arg-type]
+    return min(found, key=problem.objective)
+
+
+def infer_from_totals(
+    states: BalancedStates, wheel: Wheel, belief: SoilBelief, *, model_error: float = MODEL_ERROR
+) -> TotalsPosterior:
+    """The soil that all states share, from their loads and the totals alone.
+
+    Parameters
+    ----------
+    states : of whole poses; where a wheel or a side slip is missing, the totals of that pose are not used.
+    wheel : the wheel of all states.
+    belief : what is held of the soil before.
+    model_error : share of the load by which the model misses each force, 0 or more. [-]
+
+    Raises ParameterError where the model has no finite forces. The posterior is normal around its mode (Laplace).
+    """
+    root = np.asarray(np.linalg.cholesky(belief.covariance), dtype=np.float64)
+    start = np.zeros(len(PARAMETERS))
+    problem = _Problem(states, wheel, belief, root, model_error, None)
+    start = _way_in(problem, start)
+    for _ in range(FREEZES):
+        start, _ = find_mode(problem, start)  # type: ignore[arg-type]
+        problem = replace(problem, frozen=problem.deeper(start))
+    start, covariance = find_mode(problem, start)  # type: ignore[arg-type]
+    covariance = root @ covariance @ root.T
+    rows = problem.residuals(start)
+    wheels = states.load.shape[1]
+    return TotalsPosterior(
+        replace(belief, mean=belief.mean + root @ start, covariance=0.5 * (covariance + covariance.T), population=None),
+        (float((rows[:, :wheels] ** 2).sum()), float((rows[:, wheels:] ** 2).sum())),
+        (int(states.known.sum()), 3 * int(states.whole.sum())),
+    )

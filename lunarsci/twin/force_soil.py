@@ -1,0 +1,178 @@
+"""Forces and soil in turn: forces on the believed soil, the soil from measured states and these forces, and so on.
+
+Forces that came from a soil cannot prove it. What is new is measured: sinkage under the load of each wheel, and slip
+against what all wheels together have to pull. Only these two are used: the loads, and the totals of drawbar pulls and
+lateral forces, which the balance tells nearly without the soil; not how the totals share out among the wheels. Every
+round begins with the same belief, never with the last round's, so nothing is counted twice.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.errors import ParameterError
+from lunarsci.regolith.belief import SoilBelief
+from lunarsci.regolith.joint_totals import BalancedStates, TotalsPosterior, infer_from_totals
+from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.plans.motion import Motion
+from lunarsci.twin.pose_states import PoseStates, at_times
+from lunarsci.twin.rover import Rover
+from lunarsci.twin.totals import levers_of, needed_of
+from lunarsci.twin.uncertain_forces import BALANCE_ERROR, DRAWS, UncertainForces, uncertain_forces
+
+__all__ = ["ForceSoil", "Round", "balanced_states", "force_soil", "verdict_of"]
+
+FloatArray = npt.NDArray[np.float64]
+SOIL_STILL, FORCES_STILL = 0.1, 0.01
+"""Largest move of the soil's mean, in what remains of its standard deviations, and of pulls and lateral forces as a
+share of themselves, in a round that has converged."""
+OPPOSITE, NOT_SMALLER = -0.5, 0.8
+"""Cosine between two moves of the soil below which the second goes back, and the share of the first that it has at
+least where the rounds do not calm down; assumed."""
+MOST_ROUNDS = 50
+ALIKE = math.sqrt(2.0 * math.pi)
+"""Correlation lengths over which errors count as one: the integral of exp(-d^2 / 2)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Round:
+    """What one round changed.
+
+    `soil` and `forces` are moves as in `SOIL_STILL` and `FORCES_STILL`; `step` is the soil's, by parameter, in standard
+    deviations that remain (8,); `left_of_prior` what remains of those before any drive; reduced chi-squares.
+    """
+
+    soil: float
+    forces: float
+    step: FloatArray
+    left_of_prior: dict[str, float]
+    reduced_sinkages: float
+    reduced_totals: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForceSoil:
+    """The soil and the forces on it after the last round, the rounds, and whether they converged."""
+
+    posterior: TotalsPosterior
+    forces: UncertainForces
+    rounds: tuple[Round, ...]
+    verdict: str
+
+    @property
+    def converged(self) -> bool:
+        """Whether the last round changed next to nothing."""
+        return self.verdict == "converged"
+
+
+def force_soil(
+    rover: Rover,
+    terrain: Terrain,
+    motion: Motion,
+    states: PoseStates,
+    belief: SoilBelief,
+    *,
+    rounds: int,
+    draws: int = DRAWS,
+    correlation_m: float,
+    balance_error: float = BALANCE_ERROR,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> ForceSoil:
+    """Forces and soil in turn, until a round changes next to nothing.
+
+    Parameters
+    ----------
+    rover, terrain, motion, correlation_m, balance_error : as in `uncertain_forces`.
+    states : measured states; sinkage and slip ratio are needed.
+    belief : what is held of the soil before this drive, every round's beginning.
+    rounds : at most, 1 to 50.
+    draws : soils and motions on which the forces of each round are computed.
+    seed : of these; the same in each round, so that rounds differ by their soils alone.
+    progress : called with (done, total).
+
+    Raises ParameterError for rounds out of range, and states without anything to learn from.
+    """
+    if not 1 <= rounds <= MOST_ROUNDS:
+        raise ParameterError(f"{rounds} rounds; give 1 to {MOST_ROUNDS}")
+
+    def forces_on(soil: SoilBelief, number: int) -> UncertainForces:
+        return uncertain_forces(
+            rover,
+            terrain,
+            motion,
+            soil.draws(draws, seed),
+            {name: middle for name, (middle, _, _) in soil.intervals().items()},
+            correlation_m=correlation_m,
+            balance_error=balance_error,
+            seed=seed,
+            progress=lambda done, total: progress(number * total + done, (rounds + 1) * total) if progress else None,
+        )
+
+    forces, before, done = forces_on(belief, 0), belief, list[Round]()
+    while True:
+        found = infer_from_totals(balanced_states(forces, states, balance_error), rover.wheel, belief)
+        after = forces_on(found.belief, len(done) + 1)
+        done.append(_round(before, found, forces, after))
+        forces, before = after, found.belief
+        verdict = verdict_of(done)
+        if verdict == "converged" or len(done) == rounds:
+            return ForceSoil(found, forces, tuple(done), verdict)
+
+
+def verdict_of(rounds: list[Round]) -> str:
+    """`converged`, `oscillates` or `does not converge`, after some rounds."""
+    last = rounds[-1]
+    if last.soil < SOIL_STILL and last.forces < FORCES_STILL:
+        return "converged"
+    if len(rounds) > 1:
+        one, two = rounds[-2].step, last.step
+        size = float(np.linalg.norm(one) * np.linalg.norm(two))
+        if one @ two < OPPOSITE * size and np.linalg.norm(two) > NOT_SMALLER * np.linalg.norm(one):
+            return "oscillates"
+    return "does not converge"
+
+
+def balanced_states(forces: UncertainForces, states: PoseStates, balance_error: float) -> BalancedStates:
+    """Measured states with the loads and totals of their times.
+
+    Errors of the motion, and of the slope in the balance, are alike over the correlation length; the states within it
+    count together as one.
+    """
+    held, rover = forces.held, forces.held.rover
+    times, values, sigmas = states.by_pose(len(rover.wheels))
+    load, load_sigma = (part[..., 0] for part in (forces.after, forces.after_sigma))
+    levers = levers_of(held)
+    told = (load, load_sigma, levers[..., 1:], needed_of(held, levers))
+    kept = [np.where(forces.known.reshape(-1, *([1] * (part.ndim - 1))), part, np.nan) for part in told]
+    load, load_sigma, levers, totals = (at_times(times, held.motion.time_s, part) for part in kept)
+    reach = float(np.hypot(*rover.wheel_positions_m[:, :2].T).max())
+    error = balance_error * rover.mass_kg * rover.gravity_m_s2 * np.array([1.0, 1.0, reach])
+    used = np.isfinite(totals).all(axis=1) & np.isfinite(values[..., :2]).any(axis=(1, 2))
+    rolled = np.interp(times[used], held.motion.time_s, held.motion.rolled_m)
+    alike = 1.0
+    if used.sum() > 1 and np.ptp(rolled) > 0:
+        alike = max(1.0, ALIKE * forces.correlation_m * (used.sum() - 1) / float(np.ptp(rolled)))
+    return BalancedStates(
+        inputs=values,
+        input_sigma=sigmas,
+        load=load,
+        load_sigma=np.nan_to_num(load_sigma),
+        levers=np.nan_to_num(levers),
+        totals=totals,
+        totals_sigma=np.tile(error, (len(times), 1)),
+        alike=alike,
+    )
+
+
+def _round(before: SoilBelief, found: TotalsPosterior, one: UncertainForces, two: UncertainForces) -> Round:
+    sd = np.sqrt(np.diag(found.belief.covariance))
+    step = (found.belief.mean - before.mean) / sd
+    known = one.known & two.known
+    pulls = two.after[known, :, 1:]
+    moved = np.sqrt(np.mean((pulls - one.after[known, :, 1:]) ** 2) / np.mean(pulls**2))
+    sinkages, totals = found.reduced
+    return Round(float(np.abs(step).max()), float(moved), step, found.belief.left_of_prior, sinkages, totals)

@@ -1,0 +1,232 @@
+"""Wheel forces along a measured motion, with their uncertainty: soils and motions are drawn, and the totals balanced.
+
+A soil has to be assumed: it says what a wheel with this slip pulls. What all wheels pull together needs no soil, since
+they have to carry the rover against weight and slope. So forces are computed on many soils and motions, and their joint
+law, taken as normal, is conditioned on the force and the moment that are missing being none (a Kalman update). The
+totals are then known well; how they share out among the wheels remains the assumed soil's.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.errors import ParameterError
+from lunarsci.twin.ground.terrain import Terrain, soil_overrides
+from lunarsci.twin.held import HeldForces, forces_along
+from lunarsci.twin.plans.motion import Motion
+from lunarsci.twin.plans.motion_draws import drawn_motions
+from lunarsci.twin.rover import Rover
+from lunarsci.twin.totals import COLUMNS, levers_of, missing_of
+
+__all__ = ["BALANCE_ERROR", "DRAWS", "Shares", "UncertainForces", "uncertain_forces"]
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+DRAWS, FEWEST_DRAWS = 64, 16
+BALANCE_ERROR = 0.005
+"""Standard error of the balance as a share of the weight, for a slope that is off by 0.3 deg, and inertia; assumed."""
+LEAST_CARRIED = 0.5
+"""Share of the soils that have to carry the rover at a pose for its forces to be told; assumed."""
+TOTALS = ("ahead", "left", "moment")
+
+
+@dataclass(frozen=True, slots=True)
+class Shares:
+    """Where the variance of a force comes from, over all wheels and poses; the shares add up to 1. [-]
+
+    `soil` and `motion` are what each brings alone, `balance` the error of the totals, `together` what soil and motion
+    bring only jointly (and sampling error; it may be below 0). `of_force` is the standard deviation that the soil
+    brings, as a share of the force itself (root mean squares).
+    """
+
+    soil: float
+    motion: float
+    balance: float
+    together: float
+    of_force: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class UncertainForces:
+    """Forces of all wheels at all poses, columns `FORCES`, before and after the balance of totals.
+
+    Attributes
+    ----------
+    held : along the measured motion on the middle one of the soils.
+    known : poses with forces. (n,)
+    before, after : mean. (n, wheels, 3) [N]
+    before_parts, after_parts : variances: soil alone, motion alone, balance, together. (4, n, wheels, 3) [N^2]
+    missing_before, missing_after : mean of what the wheels do not supply: ahead, left, moment. (n, 3) [N, N, N m]
+    total_before, total_after : standard deviations of what all wheels supply of these. (n, 3) [N, N, N m]
+    carried : share of the draws with an equilibrium, at each pose. (n,)
+    surprise : chi-square of what is missing before, for each of its three values, against the draws. (n,) [-]
+    correlation_m : of the motion's errors. [m]
+    """
+
+    held: HeldForces
+    known: BoolArray
+    before: FloatArray
+    after: FloatArray
+    before_parts: FloatArray
+    after_parts: FloatArray
+    missing_before: FloatArray
+    missing_after: FloatArray
+    total_before: FloatArray
+    total_after: FloatArray
+    carried: FloatArray
+    surprise: FloatArray
+    correlation_m: float
+
+    @property
+    def before_sigma(self) -> FloatArray:
+        """Standard deviation before the balance. (n, wheels, 3) [N]"""
+        return np.asarray(np.sqrt(np.maximum(self.before_parts.sum(axis=0), 0.0)))
+
+    @property
+    def after_sigma(self) -> FloatArray:
+        """Standard deviation after the balance. (n, wheels, 3) [N]"""
+        return np.asarray(np.sqrt(np.maximum(self.after_parts.sum(axis=0), 0.0)))
+
+    def shares(self, force: int, *, balanced: bool) -> Shares:
+        """Of one force, by its place in `FORCES`."""
+        parts = (self.after_parts if balanced else self.before_parts)[..., force][:, self.known].mean(axis=(1, 2))
+        size = np.mean((self.after if balanced else self.before)[..., force][self.known] ** 2)
+        whole = max(float(parts.sum()), 1e-30)
+        soil, motion, balance, together = (float(part) / whole for part in parts)
+        return Shares(soil, motion, balance, together, float(np.sqrt(parts[0] / max(size, 1e-30))))
+
+
+@dataclass(frozen=True, slots=True)
+class _Drawn:
+    """Forces (d, n, wheels, 3), what is missing of the totals (d, n, 3), and where there was an equilibrium (d, n)."""
+
+    forces: FloatArray
+    missing: FloatArray
+    carried: BoolArray
+
+
+def uncertain_forces(
+    rover: Rover,
+    terrain: Terrain,
+    motion: Motion,
+    soils: Mapping[str, FloatArray],
+    middle: Mapping[str, float],
+    *,
+    correlation_m: float,
+    balance_error: float = BALANCE_ERROR,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> UncertainForces:
+    """Forces along a motion whose errors, and whose soil, are known by draws.
+
+    Parameters
+    ----------
+    rover, terrain, motion : what was driven where; the motion's `sigmas` are its errors.
+    soils : every parameter of `Soil` to one value for each draw, 16 or more. They replace those of the terrain.
+    middle : the soil in their middle.
+    correlation_m : distance over which the motion's errors stay alike, above 0. [m]
+    balance_error : standard error of the totals as a share of the weight, above 0; of the moment with the rover's reach
+        as the lever. [-]
+    seed : of the drawn motions.
+    progress : called with (done, total).
+
+    Raises ParameterError for fewer draws, or an error of 0.
+
+    References
+    ----------
+    Kalman (1960), J. Basic Eng. 82, 35, 10.1115/1.3662552; by draws: Evensen (2003), Ocean Dynamics 53, 343,
+    10.1007/s10236-003-0036-9.
+    """
+    rows = soil_overrides(soils, len(next(iter(soils.values()))))
+    if len(rows) < FEWEST_DRAWS:
+        raise ParameterError(f"{len(rows)} draws are too few for a standard deviation; give {FEWEST_DRAWS} or more")
+    if not 0 < balance_error < 1:
+        raise ParameterError(f"the error of the balance is {balance_error:g}; give a share above 0 and below 1")
+    center = soil_overrides({name: np.array([value]) for name, value in middle.items()}, 1)[0]
+    motions = list(drawn_motions(motion, len(rows), correlation_m, np.random.default_rng(seed)))
+    still, same = [motion] * len(rows), np.tile(center, (len(rows), 1))
+    pairs = [(motions, rows), (still, rows), (motions, same)] if motion.sigmas is not None else [(still, rows)]
+    counted, total = iter(range(1, len(pairs) * len(rows) + 1)), len(pairs) * len(rows)
+
+    def told() -> None:
+        if progress is not None:
+            progress(next(counted), total)
+
+    drawn = [_along(rover, terrain, each, on, told) for each, on in pairs]
+    held = forces_along(rover, terrain, motion, center)
+    reach = float(np.hypot(*rover.wheel_positions_m[:, :2].T).max())
+    error = balance_error * rover.mass_kg * rover.gravity_m_s2 * np.array([1.0, 1.0, reach])
+    return _balanced(held, drawn, error, correlation_m)
+
+
+def _along(rover: Rover, terrain: Terrain, motions: list[Motion], rows: FloatArray, told: Callable[[], None]) -> _Drawn:
+    forces, missing, carried = [], [], []
+    for motion, row in zip(motions, rows, strict=True):
+        found = forces_along(rover, terrain, motion, row)
+        forces.append(found.states[..., COLUMNS])
+        missing.append(missing_of(found))
+        carried.append(found.known)
+        told()
+    return _Drawn(np.array(forces), np.array(missing), np.array(carried))
+
+
+def _balanced(held: HeldForces, drawn: list[_Drawn], error: FloatArray, correlation_m: float) -> UncertainForces:
+    """Pose by pose; `drawn` is with soil and motion both drawn, then with each alone."""
+    count, wheels = held.states.shape[:2]
+    shape = (count, wheels, 3)
+    before, after = np.full(shape, np.nan), np.full(shape, np.nan)
+    parts, kept = np.full((4, *shape), np.nan), np.full((4, *shape), np.nan)
+    gap, left = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
+    total, rest, surprise = np.full((count, 3), np.nan), np.full((count, 3), np.nan), np.full(count, np.nan)
+    carried = np.all([part.carried for part in drawn], axis=0)
+    levers = levers_of(held)
+    known = held.known & (carried.mean(axis=0) >= LEAST_CARRIED)
+    for k in np.flatnonzero(known):
+        own = [(part.forces[carried[:, k], k], part.missing[carried[:, k], k]) for part in drawn]
+        flat = own[0][0].reshape(len(own[0][0]), -1)
+        gain = _gain(flat, own[0][1], error)
+        moved = [(forces.reshape(len(flat), -1) - missing @ gain.T).reshape(forces.shape) for forces, missing in own]
+        noise = ((gain * error) ** 2).sum(axis=1).reshape(wheels, 3)
+        before[k], after[k] = own[0][0].mean(axis=0), moved[0].mean(axis=0)
+        parts[:, k] = _parts([forces for forces, _ in own], np.zeros((wheels, 3)))
+        # The gain was fitted to these draws: three numbers of their freedom are gone.
+        kept[:, k] = _parts(moved, noise, (len(flat) - 1) / (len(flat) - 4))
+        # What is missing shrinks by as much as the forces of all wheels grow.
+        sums = np.einsum("twf,wfk->tk", levers[k], gain.reshape(wheels, 3, 3))
+        gap[k] = own[0][1].mean(axis=0)
+        left[k] = gap[k] + sums @ gap[k]
+        surprise[k] = gap[k] @ np.linalg.solve(np.cov(own[0][1].T) + np.diag(error**2), gap[k]) / len(error)
+        total[k] = np.einsum("twf,dwf->dt", levers[k], own[0][0]).std(axis=0, ddof=1)
+        spread = np.einsum("twf,dwf->dt", levers[k], moved[0]).var(axis=0, ddof=1)
+        rest[k] = np.sqrt(spread + ((sums * error) ** 2).sum(axis=1))
+    return UncertainForces(
+        held=held,
+        known=known,
+        before=before,
+        after=after,
+        before_parts=parts,
+        after_parts=kept,
+        missing_before=gap,
+        missing_after=left,
+        total_before=total,
+        total_after=rest,
+        carried=carried.mean(axis=0),
+        surprise=surprise,
+        correlation_m=correlation_m,
+    )
+
+
+def _gain(forces: FloatArray, missing: FloatArray, error: FloatArray) -> FloatArray:
+    """Change of the forces (d, f) for what is missing (d, 3): their covariance over that of the latter. (f, 3)"""
+    off, lacking = forces - forces.mean(axis=0), missing - missing.mean(axis=0)
+    count = len(forces) - 1
+    return np.asarray(np.linalg.solve(lacking.T @ lacking / count + np.diag(error**2), lacking.T @ off / count).T)
+
+
+def _parts(forces: list[FloatArray], noise: FloatArray, fitted: float = 1.0) -> FloatArray:
+    """Variances by soil, by motion, by the balance and together. (4, wheels, 3)"""
+    whole = fitted * forces[0].var(axis=0, ddof=1)
+    soil, motion = (part.var(axis=0, ddof=1) for part in forces[1:]) if len(forces) == 3 else (whole, 0 * whole)
+    return np.stack([soil, motion, noise, whole - soil - motion])
