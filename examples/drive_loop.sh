@@ -62,7 +62,7 @@ say "7. The way back, predicted from that soil and, to compare, from what was be
     for leg in "1.852 0.138" "4.282 0.132" "3.673 -0.154"; do
         printf '[[leg]]\nlength_m = %s\ncurvature_per_m = %s\ncrab_deg = 180.0\n' $leg
     done
-    printf '[limits]\nslip_ratio = 0.3\nsinkage_m = 0.05\ntilt_deg = 20.0\nendpoint_miss_m = 1.5\n'
+    printf '[limits]\nslip_ratio = 0.3\nsinkage_m = 0.05\ntilt_deg = 20.0\nendpoint_miss_m = 3.0\n'
 } >return.toml
 stop_at_3 lunarsci twin predict "${common[@]}" return.toml --soil belief.json --seed "$seed" -o 7-predicted \
     >7-predicted.txt

@@ -37,12 +37,14 @@ BoolArray = npt.NDArray[np.bool_]
 PARTICLES, FEWEST_PARTICLES = 128, 32
 ROUNDS = 2
 """Of widening errors by what the best soil leaves, and looking for it again."""
-MOST_OUTLIERS, MOST_INFLATION = 0.05, 6.0
+MOST_OUTLIERS, MOST_INFLATION = 0.05, 5.0
 """Share of outliers, and factor of the errors, beyond which the twin does not explain a drive; assumed."""
 MOST_OF_A_WHEEL = 0.3
 """What single wheels may be off by throughout, of a slip of 1, of the mean sinkage or side slip, or of the load;
 assumed."""
 LARGE = {name: "normal_force_n" if name.endswith("_n") else name for name in OBSERVED}
+LEAST_FLOOR = 0.05
+"""Multiple of `MODEL_ERRORS` that is always added, so that a force of 0 measured to 3 % has an error."""
 STILL = 1.1
 """Factor of the errors that is no longer worth another round."""
 
@@ -106,7 +108,8 @@ def rectify(
     record : what was measured on the way.
     belief : before the drive; its mean and covariance count, not its population.
     particles : in the population, 32 or more.
-    model_error : of the twin's physics, as a multiple of `MODEL_SHARES`; 0 where the drive is the twin's own. [-]
+    model_error : of the twin's physics, as a multiple of `MODEL_SHARES` and `MODEL_ERRORS`; 0 where the drive is the
+        twin's own. [-]
     seed : of the population.
     progress : called with (done, total).
 
@@ -115,9 +118,12 @@ def rectify(
     """
     if particles < FEWEST_PARTICLES:
         raise ParameterError(f"{particles} particles are too few; give {FEWEST_PARTICLES} or more")
+    if not 0 <= model_error < np.inf:
+        raise ParameterError(f"model error is {model_error}; give 0 or more")
     random = np.random.default_rng(seed)
     common = {name: model_error * share for name, share in MODEL_SHARES.items()}
-    misfit = Misfit(rover, terrain, plan, record, belief, discrepancy=Discrepancy(common))
+    floor = max(model_error, LEAST_FLOOR)
+    misfit = Misfit(rover, terrain, plan, record, belief, discrepancy=Discrepancy(common), floor=floor)
     posterior, mode = _best_soil(misfit, random)
     residual = posterior.residuals(mode.point[None])[0][0]
     states, places = posterior.misfit.parts(residual)

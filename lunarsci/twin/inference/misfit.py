@@ -55,6 +55,7 @@ class Misfit:
     rover, terrain, plan, record, belief : as in `rectify`.
     inflation : by quantity, what its errors are multiplied by, 1 where it is not named. [-]
     discrepancy : errors that stay the same throughout a drive.
+    floor : multiple of `MODEL_ERRORS` that is added to the measured errors, above 0. [-]
 
     Raises ParameterError for a record of another rover, or with fewer values than a soil has parameters.
     """
@@ -66,6 +67,7 @@ class Misfit:
     belief: SoilBelief
     inflation: Mapping[str, float] = field(default_factory=dict)
     discrepancy: Discrepancy = field(default_factory=Discrepancy)
+    floor: float = 1.0
     removed: Removed = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -93,7 +95,7 @@ class Misfit:
     @property
     def sigma(self) -> FloatArray:
         """Their errors, 1 elsewhere. (n, 6)"""
-        floor = np.array([MODEL_ERRORS[name] for name in OBSERVED])
+        floor = self.floor * np.array([MODEL_ERRORS[name] for name in OBSERVED])
         factor = np.array([self.inflation.get(name, 1.0) for name in OBSERVED])
         return np.where(self.known, factor * np.hypot(self.record.sigmas, floor), 1.0)
 
