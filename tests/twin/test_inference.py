@@ -123,15 +123,16 @@ def test_errors_are_widened_by_what_is_alike_and_not_by_noise() -> None:
     random = np.random.default_rng(2)
     wheels = WHEELS * 32
     misfit: Any = SimpleNamespace(known=np.ones((len(wheels), 6), dtype=bool), record=SimpleNamespace(wheel=wheels))
+    # By chance alone 1 in 100 quantities is widened: 2.4 of 240 are expected, 8 or more happen once in 300 times.
+    for alarm in (inflation_of, wheel_errors):
+        assert sum(len(alarm(misfit, random.normal(size=(len(wheels), 6)))) for _ in range(40)) < 8
     noise = random.normal(size=(len(wheels), 6))
-    assert inflation_of(misfit, noise) == {}
-    assert wheel_errors(misfit, noise) == {}
     alike = noise.copy()
     alike[:, 0] += np.where(np.array(wheels) == "RL", 2.0, 0.0)
     alike[:, 1] *= 2.0
     alike[:, 2] += 3.0 * np.sign(np.sin(np.arange(len(wheels)) / 30.0))
     found = inflation_of(misfit, alike)
-    assert set(found) == {OBSERVED[1], OBSERVED[2]}
+    assert {OBSERVED[1], OBSERVED[2]} <= set(found) <= {*OBSERVED[1:]}
     assert found[OBSERVED[1]] == pytest.approx(2.0, rel=0.25)
     assert found[OBSERVED[2]] > 4.0
     own = wheel_errors(misfit, alike)

@@ -130,6 +130,8 @@ def on_one_soil(rover: Rover, ground: Terrain, record: DriveRecord, share: float
         prediction=drive,
         residuals=residuals,
         outliers=np.abs(residuals) > 4,
+        inflation={},
+        wheel_errors={},
         chi_square=0.0,
         values=1,
         surprise=0.0,
