@@ -174,7 +174,7 @@ def _predicted(output: Output, given: dict[str, Any], used: set[str], scenery: t
     sweep, members, samples = (given[name] for name in ("--sweep", "--members", "--samples"))
     plan, rover, terrain, interpolation = scenery
     if samples is not None and samples.lower().endswith(".json"):
-        refuse(used, ("--soil",), "has no use beside the soils of a belief; leave it out")
+        refuse(used, ("--soil",), "and a belief as --samples are two ways to name the soils; give one")
     scene = read_scene(plan, rover, terrain, given["--soil"] or "longji", interpolation, given["--fixes"])
     drawn = scene.soil is not None or members is not None or scene.plan.fixes is not None
     if not drawn and not (samples or "").lower().endswith(".json"):

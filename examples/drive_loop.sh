@@ -4,8 +4,8 @@
 #     examples/drive_loop.sh [FOLDER [SEED]]
 #
 # The rover is simulated on a soil that the twin does not know (hidden_soil.toml), with errors of its sensors drawn from
-# SEED; with real telemetry leave out the two lines that say `twin simulate`. Everything is written to FOLDER, which must
-# not exist; the same seed gives the same bytes. Stops where a prediction says no-go or telemetry cannot be trusted.
+# SEED; with real telemetry leave out the two commands `twin simulate`. Everything is written to FOLDER, which must not
+# exist; the same seed gives the same bytes. Stops where a prediction says no-go or telemetry cannot be trusted.
 set -euo pipefail
 
 here=$(cd "$(dirname "$0")" && pwd)
@@ -15,8 +15,8 @@ common=(--no-time --quiet)
 
 say() { printf '\n== %s\n' "$*"; }
 
-# Exit code 3: there is a result, but it says no-go or is not to be trusted. Go on only where that was expected.
-stop_at_3() {
+# Exit code 3: there is a result, but it says no-go or is not to be trusted.
+go_or_stop() {
     local status=0
     "$@" || status=$?
     if [ "$status" -eq 3 ]; then
@@ -29,18 +29,18 @@ mkdir "$folder"
 cd "$folder"
 
 say "1. Before the drive: where will it lead, over all that is believed of lunar soil?"
-stop_at_3 lunarsci twin predict "${common[@]}" --seed "$seed" -o 1-predicted >1-predicted.txt
+go_or_stop lunarsci twin predict "${common[@]}" --seed "$seed" -o 1-predicted >1-predicted.txt
 sed -n 1p 1-predicted.txt
 
 say "2. The drive (simulated; the twin sees its telemetry alone)"
 lunarsci twin simulate "${common[@]}" --soil "$here/hidden_soil.toml" --seed "$seed" -o 2-drive >2-drive.txt
 
 say "3. From telemetry to slip, side slip and sinkage of every wheel"
-stop_at_3 lunarsci twin states "${common[@]}" 2-drive/telemetry.csv --track 2-drive/track.csv \
+go_or_stop lunarsci twin states "${common[@]}" 2-drive/telemetry.csv --track 2-drive/track.csv \
     -o 3-states --plot 3-states.png
 
 say "4. From states to the forces of every wheel"
-stop_at_3 lunarsci twin forces "${common[@]}" --motion 3-states/motion.csv --states 3-states/states.csv \
+go_or_stop lunarsci twin forces "${common[@]}" --motion 3-states/motion.csv --states 3-states/states.csv \
     --seed "$seed" --csv >4-forces.csv
 head -n 3 4-forces.csv
 
@@ -48,7 +48,7 @@ say "5. From forces to the mechanical properties of the soil"
 lunarsci regolith identify "${common[@]}" --joint --seed "$seed" - <4-forces.csv
 
 say "6. What the whole drive says of the soil, kept for the next one"
-stop_at_3 lunarsci twin update "${common[@]}" 3-states/states.csv --positions 3-states/positions.csv \
+go_or_stop lunarsci twin update "${common[@]}" 3-states/states.csv --positions 3-states/positions.csv \
     --seed "$seed" --save belief.json
 
 say "7. The way back, predicted from that soil and, to compare, from what was believed before"
@@ -64,7 +64,7 @@ say "7. The way back, predicted from that soil and, to compare, from what was be
     done
     printf '[limits]\nslip_ratio = 0.3\nsinkage_m = 0.05\ntilt_deg = 20.0\nendpoint_miss_m = 3.0\n'
 } >return.toml
-stop_at_3 lunarsci twin predict "${common[@]}" return.toml --soil belief.json --seed "$seed" -o 7-predicted \
+go_or_stop lunarsci twin predict "${common[@]}" return.toml --soil belief.json --seed "$seed" -o 7-predicted \
     >7-predicted.txt
 sed -n 1p 7-predicted.txt
 lunarsci twin predict "${common[@]}" return.toml --soil lunar-typical --seed "$seed" -o 7-unrectified \
@@ -73,7 +73,13 @@ lunarsci twin predict "${common[@]}" return.toml --soil lunar-typical --seed "$s
 say "8. The return (simulated), and how right the prediction was"
 lunarsci twin simulate "${common[@]}" return.toml --soil "$here/hidden_soil.toml" --seed "$((seed + 1))" -o 8-drive \
     >8-drive.txt
-stop_at_3 lunarsci twin states "${common[@]}" 8-drive/telemetry.csv return.toml --track 8-drive/track.csv \
+go_or_stop lunarsci twin states "${common[@]}" 8-drive/telemetry.csv return.toml --track 8-drive/track.csv \
     -o 8-states >8-states.txt
-stop_at_3 lunarsci twin compare "${common[@]}" 7-predicted 8-states/states.csv --positions 8-states/positions.csv \
+go_or_stop lunarsci twin compare "${common[@]}" 7-predicted 8-states/states.csv --positions 8-states/positions.csv \
     --plot 8-compared.png
+
+after=$(lunarsci twin compare -q 7-predicted 8-states/states.csv --positions 8-states/positions.csv --field end.error_m)
+before=$(lunarsci twin compare -q 7-unrectified 8-states/states.csv --positions 8-states/positions.csv \
+    --field end.error_m 2>/dev/null) || [ $? -eq 3 ]
+printf '\nThe return ended %.3f m from where it was predicted to, %.3f m from the prediction with a typical lunar soil.\n' \
+    "$after" "$before"

@@ -51,7 +51,7 @@ def test_a_belief_goes_from_drive_to_drive(run: Run, plan: Path, states: Path, t
     assert predicted.code == 0 and predicted.out == "16\n"
     # The next update begins where this one ended, and refuses telemetry that no soil explains.
     table = pd.read_csv(states)
-    table["sinkage_m"] += 0.05
+    table.loc[table["wheel"] == "FL", "sinkage_m"] += 0.05
     table.to_csv(tmp_path / "wrong.csv", index=False)
     wrong = run(
         *("twin", "update", tmp_path / "wrong.csv", "--plan", plan, "--particles", "32"),
