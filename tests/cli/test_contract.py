@@ -408,7 +408,7 @@ def test_ctrl_c_leaves_nothing_behind(tmp_path: Path) -> None:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
-    # Python loses an interrupt that falls into a destructor or callback, as while numba loads: press again, as one does.
+    # Python loses an interrupt that falls into a destructor or callback, as while numba loads; one presses again.
     for _ in range(5):
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(timeout=4)
