@@ -161,11 +161,12 @@ def _best_soil(misfit: Misfit, random: np.random.Generator) -> tuple[Posterior, 
         wheels = wheel_errors(misfit, misfit.states_as_measured(residual))
         wider = inflation_of(misfit, misfit.parts(residual)[0])
         grown = any(size > STILL * misfit.discrepancy.wheels.get(name, 0.0) for name, size in wheels.items())
-        if not grown and all(factor < STILL for factor in wider.values()):
+        if not grown and all(factor < STILL for factor in wider.values()) and misfit.expected is not None:
             break
         known = dict(misfit.inflation)
         misfit = replace(
             misfit,
+            expected=misfit.states_of(residual),
             inflation=known | {name: factor * known.get(name, 1.0) for name, factor in wider.items()},
             discrepancy=replace(
                 misfit.discrepancy, wheels={name: size / wider.get(name, 1.0) for name, size in wheels.items()}

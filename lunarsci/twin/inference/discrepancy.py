@@ -20,8 +20,8 @@ MODEL_SHARES = {
     "drawbar_pull_n": 0.015,
     "lateral_force_n": 0.06,
 }
-"""Common error of each quantity as a share of its mean size: what the closed form differs by from the full stress
-integrals on the same soil, over nine hidden soils (`tests/benchmarks/other_physics.py`). Loads follow from the
+"""Error that all wheels share, of each quantity, as a share of its size: what the closed form differs by from the full
+stress integrals on the same soil, over nine hidden soils (`tests/benchmarks/other_physics.py`). Loads follow from the
 suspension's levers and are not concerned."""
 
 
@@ -31,7 +31,8 @@ class Discrepancy:
 
     Attributes
     ----------
-    common : by quantity, of an error that all wheels share, as a share of the quantity's mean size. [-]
+    common : by quantity, of errors that all wheels share: one constant, as a share of the quantity's mean size, and one
+        that goes with the quantity. [-]
     wheels : by quantity, of one that each wheel has of its own, in the errors of its values. [-]
 
     Raises ParameterError for negative shares and unknown quantities.
@@ -52,6 +53,7 @@ class Discrepancy:
         wheel: npt.NDArray[np.int64],
         way: FloatArray,
         whitening: FloatArray,
+        expected: FloatArray,
     ) -> "Removed":
         """For a record.
 
@@ -59,6 +61,7 @@ class Discrepancy:
         ----------
         values, sigma, wheel : measured, NaN where they do not count; their errors; number of their wheel. (n, 6), (n,)
         way, whitening : from the start to each position; its whitening. (f, 2), (f, 2, 2)
+        expected : values without their noise. (n, 6)
 
         An error of the slip that all wheels share shortens the way, one of the side slip turns it.
         """
@@ -66,9 +69,11 @@ class Discrepancy:
         for k, name in enumerate(OBSERVED):
             known = np.isfinite(values[:, k])
             if self.common.get(name) and known.any():
-                size = self.common[name] * float(np.abs(values[known, k]).mean())
-                states = _states(values.shape, k, known * size / sigma[:, k])
-                columns.append(np.append(states, np.einsum("fij,fj->fi", whitening, size * _moved(name, way))))
+                sizes = self.common[name] * np.where(known, expected[:, k], 0.0)
+                for own in (np.full(len(sizes), np.abs(sizes[known]).mean()), sizes):
+                    states = _states(values.shape, k, known * own / sigma[:, k])
+                    moved = own[known].mean() * _moved(name, way)
+                    columns.append(np.append(states, np.einsum("fij,fj->fi", whitening, moved)))
             if self.wheels.get(name):
                 for w in np.unique(wheel):
                     states = _states(values.shape, k, self.wheels[name] * (known & (wheel == w)))

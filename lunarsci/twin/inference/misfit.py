@@ -55,6 +55,7 @@ class Misfit:
     rover, terrain, plan, record, belief : as in `rectify`.
     inflation : by quantity, what its errors are multiplied by, 1 where it is not named. [-]
     discrepancy : errors that stay the same throughout a drive.
+    expected : states without their noise, as of the best soil so far; None takes the measured ones. (n, 6)
     floor : multiple of `MODEL_ERRORS` that is added to the measured errors, above 0. [-]
 
     Raises ParameterError for a record of another rover, or with fewer values than a soil has parameters.
@@ -68,6 +69,7 @@ class Misfit:
     inflation: Mapping[str, float] = field(default_factory=dict)
     discrepancy: Discrepancy = field(default_factory=Discrepancy)
     floor: float = 1.0
+    expected: FloatArray | None = field(default=None, repr=False)
     removed: Removed = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -79,7 +81,8 @@ class Misfit:
             raise ParameterError(f"the record has fewer values than a soil has parameters, {len(PARAMETERS)}")
         values = np.where(self.known, self.record.values, np.nan)
         way = self.record.fix_m - (self.plan.x_m, self.plan.y_m)
-        removed = self.discrepancy.removed(values, self.sigma, self.wheel, way, self.record.whitening)
+        expected = values if self.expected is None else self.expected
+        removed = self.discrepancy.removed(values, self.sigma, self.wheel, way, self.record.whitening, expected)
         object.__setattr__(self, "removed", removed)
 
     @property
@@ -123,6 +126,11 @@ class Misfit:
         if near.any():
             rows[near] = self._of(self.simulated(transforms[near]))
         return rows
+
+    def states_of(self, residual: FloatArray) -> FloatArray:
+        """Simulated states that have these residuals, NaN where nothing counts. (n, 6)"""
+        states = self.record.values + self.sigma * self.states_as_measured(residual)
+        return np.where(self.known, states, np.nan)
 
     def states_as_measured(self, residual: FloatArray) -> FloatArray:
         """Those of states with nothing removed, over their errors. (n, 6)"""
