@@ -129,18 +129,29 @@ def soil_notes(scene: Scene, members: int) -> list[str]:
     ]
 
 
+CORRELATED = ("belief", "samples")
+"""Kinds of soils whose parameters go together, so that none of them moves the end by itself."""
+
+
 def predict_report(
     scene: Scene, prediction: Prediction, soils: str = "sweep", *, film: Path | None = None, quiet: bool = False
 ) -> Report:
     """The report of `twin predict`, with a film where a file for one is named; `soils` says what they are."""
     verdict = judge(prediction, scene.plan)
-    shares, step_error = endpoint_sensitivity(prediction), step_error_m(prediction)
+    shares = [] if soils in CORRELATED else endpoint_sensitivity(prediction)
+    step_error = step_error_m(prediction)
 
     return Report(
         schema="twin-predict/1",
         result=_result(scene, prediction, verdict)
-        | {"sensitivity": [asdict(share) for share in shares], "step_error_m": step_error},
-        tables=[*verdict_tables(scene, prediction, verdict), *_sensitivity_tables(shares, step_error)],
+        | {
+            "sensitivity": None if soils in CORRELATED else [asdict(share) for share in shares],
+            "step_error_m": step_error,
+        },
+        tables=[
+            *verdict_tables(scene, prediction, verdict),
+            *_sensitivity_tables([] if soils in CORRELATED else shares, step_error),
+        ],
         rows=[asdict(limit) for limit in verdict.limits],
         figures=lambda: _pages(prediction, verdict),
         extras={} if film is None else {film: lambda: _film(prediction, verdict, film, quiet)},

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lunarsci.errors import DataError
 from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
 from lunarsci.regolith.belief_history import with_drive
@@ -83,6 +84,7 @@ class Known:
             source = read_input(belief)
             before = read_belief(source)
             scene.inputs[belief] = parent = source.sha256
+            _refuse_known(before, files[states].sha256, states, belief)
         scene.inputs.update({path: file.sha256 for path, file in files.items()})
         along = record if positions is None else read_record(files[states], scene.rover)
         before = before.forgotten(forget) if forget else before
@@ -167,6 +169,11 @@ def _pages(known: Known, learned: Learned) -> "Iterator[Figure]":
     yield residual_page(known.along, learned.found, learned.changes)
     if learned.update is not None:
         yield from map_pages(learned.update, known.scene)
+
+
+def _refuse_known(before: SoilBelief, sha256: str, states: str, belief: str) -> None:
+    if any(entry.get("sha256") == sha256 and not entry.get("refused") for entry in before.history):
+        raise DataError(f"{belief} has learned from {states} already; the same drive does not count twice")
 
 
 def _rows(found: Rectified) -> list[dict[str, Any]]:

@@ -78,7 +78,10 @@ class BalancedStates:
     @property
     def known(self) -> npt.NDArray[np.bool_]:
         """Wheels with a sinkage, a slip ratio and a load. (p, m)"""
-        return np.asarray(np.isfinite(self.inputs[..., :2]).all(axis=2) & np.isfinite(self.load), dtype=np.bool_)
+        return np.asarray(
+            np.isfinite(self.inputs[..., :2]).all(axis=2) & (self.load > 0) & (np.abs(self.inputs[..., 1]) < 1),
+            dtype=np.bool_,
+        )
 
     @property
     def whole(self) -> npt.NDArray[np.bool_]:
@@ -144,7 +147,8 @@ class _Problem:
         kept = np.concatenate([states.known, np.repeat(states.whole[:, None], 3, axis=1)], axis=1)
         supplied = np.einsum("ptmf,pmf->pt", states.levers, force[..., 1:])
         off = np.concatenate([states.inputs[..., 0] - sinkage, states.totals - supplied], axis=1)
-        own = self.model_error * states.load
+        # What the model is off by is the same at every pose, so that all of them count as one.
+        own = self.model_error * np.sqrt(max(1, states.known.any(axis=1).sum())) * states.load
         by_input = np.zeros((p, m + 3, m + 2))  # own loads, then the common slip and side slip
         place = np.arange(m)
         deeper = 1.0 / slopes[..., 0, 0]

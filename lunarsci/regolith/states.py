@@ -11,7 +11,7 @@ from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.wheel import Wheel
 
-__all__ = ["COLUMNS", "MeasurementErrors", "WheelStates", "marked_valid", "read_states"]
+__all__ = ["COLUMNS", "IDENTIFIERS", "MeasurementErrors", "WheelStates", "marked_valid", "read_states"]
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -10,7 +10,8 @@ import numpy.typing as npt
 from lunarsci.csv_table import numbers_of, read_csv_table
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
-from lunarsci.regolith.states import COLUMNS, MeasurementErrors, marked_valid
+from lunarsci.regolith.states import COLUMNS, IDENTIFIERS, MeasurementErrors, marked_valid
+from lunarsci.twin.record_checks import check_columns, check_sinkage, one_member, without_repeats
 from lunarsci.twin.rover import Rover
 
 if TYPE_CHECKING:
@@ -21,6 +22,8 @@ __all__ = ["OBSERVED", "DriveRecord", "read_record"]
 FloatArray = npt.NDArray[np.float64]
 OBSERVED = COLUMNS
 """Columns of the measured values: sinkage, slip ratio, side slip, normal force, drawbar pull, lateral force."""
+KNOWN = (*OBSERVED, *IDENTIFIERS, "yaw_deg")
+KNOWN_PLACES = ("time_s", "x_m", "y_m", "z_m", "yaw_deg", "sigma_m", "xx_m2", "xy_m2", "yy_m2", "synthetic")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -72,15 +75,18 @@ def read_record(
     States have `time_s`, `wheel`, and any of the columns `OBSERVED` with their `NAME_sigma`; positions have `time_s`,
     `x_m`, `y_m`, and `sigma_m` or `xx_m2`, `xy_m2`, `yy_m2`. Where no sigma is given it is that of `errors`. States
     with `valid` false are left out with a warning. With positions, slip and side slip of states whose `slip_basis` is
-    `positions` are left out with a warning: they would count what the positions say a second time. Raises DataError.
+    `positions` are left out with a warning: they would count what the positions say a second time. Rows that are there
+    twice count once, with a warning. Raises DataError, also for rows that contradict each other, several members,
+    columns that are nearly known ones, and sinkages of a wrong sign or unit.
     """
     file = states.name
-    table = _valid_rows(file, _read(states, ("time_s", "wheel")))
+    table = _valid_rows(file, _read(states, ("time_s", "wheel"), KNOWN))
     names = [name for name in OBSERVED if name in table]
     if not names:
         raise DataError(f"{file}: no measured column; there can be {', '.join(OBSERVED)}")
     errors = errors or MeasurementErrors()
     values = np.column_stack([_numbers(file, table, name) for name in OBSERVED])
+    check_sinkage(file, values[:, 0], rover.wheel.radius_m)
     if positions is not None:
         _forget_slips(file, table, values)
     given = np.column_stack([_numbers(file, table, f"{name}_sigma") for name in OBSERVED])
@@ -124,12 +130,14 @@ def _forget_slips(file: str, table: "pd.DataFrame", values: FloatArray) -> None:
         values[np.ix_(derived, columns)] = np.nan
 
 
-def _read(source: InputFile, needed: tuple[str, ...]) -> "pd.DataFrame":
+def _read(source: InputFile, needed: tuple[str, ...], known: tuple[str, ...]) -> "pd.DataFrame":
     table = read_csv_table(source)
     for name in needed:
         if name not in table:
             raise DataError(f"{source.name}: no column {name}; there are: {', '.join(map(str, table.columns))}")
-    return table
+    one_member(source.name, table)
+    check_columns(source.name, table, known)
+    return without_repeats(source.name, table, [name for name in ("time_s", "wheel") if name in needed])
 
 
 def _numbers(file: str, table: "pd.DataFrame", name: str) -> FloatArray:
@@ -139,7 +147,7 @@ def _numbers(file: str, table: "pd.DataFrame", name: str) -> FloatArray:
 def _positions(source: InputFile | None) -> dict[str, FloatArray]:
     if source is None:
         return {"fix_time_s": np.zeros(0), "fix_m": np.zeros((0, 2)), "fix_covariance_m2": np.zeros((0, 2, 2))}
-    table, file = _read(source, ("time_s", "x_m", "y_m")), source.name
+    table, file = _read(source, ("time_s", "x_m", "y_m"), KNOWN_PLACES), source.name
     time, x, y = (_numbers(file, table, name) for name in ("time_s", "x_m", "y_m"))
     if "sigma_m" in table:
         sigma = _numbers(file, table, "sigma_m")

@@ -153,9 +153,8 @@ def balanced_states(forces: UncertainForces, states: PoseStates, balance_error: 
     error = balance_error * rover.mass_kg * rover.gravity_m_s2 * np.array([1.0, 1.0, reach])
     used = np.isfinite(totals).all(axis=1) & np.isfinite(values[..., :2]).any(axis=(1, 2))
     rolled = np.interp(times[used], held.motion.time_s, held.motion.rolled_m)
-    alike = 1.0
-    if used.sum() > 1 and np.ptp(rolled) > 0:
-        alike = max(1.0, ALIKE * forces.correlation_m * (used.sum() - 1) / float(np.ptp(rolled)))
+    poses, way = int(used.sum()), float(np.ptp(rolled)) if used.any() else 0.0
+    alike = float(np.clip(ALIKE * forces.correlation_m * (poses - 1) / way, 1.0, poses)) if way > 0 else max(1.0, poses)
     return BalancedStates(
         inputs=values,
         input_sigma=sigmas,

@@ -102,6 +102,9 @@ def rectify(
 ) -> Rectified:
     """Update the belief of a soil by a drive.
 
+    What the twin's physics is off by is drawn anew for each drive, though it is much the same on the next: many updates
+    on the same ground narrow a belief more than they should.
+
     Parameters
     ----------
     rover, terrain, plan : what was driven where; the belief takes the place of the terrain's soil.
@@ -131,7 +134,8 @@ def rectify(
     outliers = known & (np.abs(states) > HUBER)
     kept = known & ~outliers
     wheels = _in_units(posterior.misfit)
-    refused = _refusal(int(outliers.sum()), int(known.sum()), inflation, wheels, record)
+    expected = posterior.misfit.states_at(posterior.straight.transforms(mode.point))
+    refused = _refusal(int(outliers.sum()), int(known.sum()), inflation, wheels, expected)
     learned, left = belief, 0.0
     if not refused:
         drawn, left = draw_population(posterior, mode, particles, random, progress)
@@ -159,14 +163,14 @@ def _best_soil(misfit: Misfit, random: np.random.Generator) -> tuple[Posterior, 
     for _ in range(ROUNDS):
         residual = posterior.residuals(mode.point[None])[0][0]
         wheels = wheel_errors(misfit, misfit.states_as_measured(residual))
-        wider = inflation_of(misfit, misfit.parts(residual)[0])
+        wider = inflation_of(misfit, *misfit.parts(residual))
         grown = any(size > STILL * misfit.discrepancy.wheels.get(name, 0.0) for name, size in wheels.items())
         if not grown and all(factor < STILL for factor in wider.values()) and misfit.expected is not None:
             break
         known = dict(misfit.inflation)
         misfit = replace(
             misfit,
-            expected=misfit.states_of(residual),
+            expected=misfit.states_at(posterior.straight.transforms(mode.point)),
             inflation=known | {name: factor * known.get(name, 1.0) for name, factor in wider.items()},
             discrepancy=replace(
                 misfit.discrepancy, wheels={name: size / wider.get(name, 1.0) for name, size in wheels.items()}
@@ -191,7 +195,7 @@ def _in_units(misfit: Misfit) -> dict[str, float]:
 
 
 def _refusal(
-    outliers: int, values: int, inflation: Mapping[str, float], wheels: Mapping[str, float], record: DriveRecord
+    outliers: int, values: int, inflation: Mapping[str, float], wheels: Mapping[str, float], expected: FloatArray
 ) -> str:
     look = "look for a wrong plan, terrain or clock, or begin anew with another belief"
     if outliers > MOST_OUTLIERS * values:
@@ -200,7 +204,7 @@ def _refusal(
     if worst and inflation[worst] > MOST_INFLATION:
         return f"the best soil misses {worst} by {inflation[worst]:.1f} times its errors; {look}"
     for name, size in wheels.items():
-        typical = float(np.nanmean(np.abs(record.values[:, OBSERVED.index(LARGE[name])])))
+        typical = float(np.abs(expected[:, OBSERVED.index(LARGE[name])]).mean())
         if size > MOST_OF_A_WHEEL * (1.0 if name == "slip_ratio" else typical):
             return f"single wheels are off in {name} by {size:.3g} throughout; are wheels exchanged?"
     return ""

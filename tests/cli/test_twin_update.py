@@ -76,7 +76,7 @@ def test_a_belief_goes_from_drive_to_drive(run: Run, plan: Path, states: Path, t
         ("time_s,wheel,sinkage_m\n1,XX,0.01\n", "'XX' is no wheel"),
         ("time_s,wheel,sinkage_m\n-1,FL,0.01\n", "0 or more"),
         ("time_s,wheel,sinkage_m\n1,FL,deep\n", "deep"),
-        ("time_s,wheel,sinkage_m\n1,FL,0.01\n", "fewer values"),
+        ("time_s,wheel,sinkage_m\n1,FL,0.01\n", "fewer than a soil"),
     ],
 )
 def test_bad_states_are_one_line_that_says_what_is_wrong(

@@ -9,18 +9,13 @@ from lunarsci.errors import ParameterError
 from lunarsci.twin.comparison.forecast import Forecast
 from lunarsci.twin.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.ensemble import STATE_COLUMNS
-from lunarsci.twin.inference.misfit import MODEL_ERRORS
+from lunarsci.twin.inference.misfit import FIX_ERROR_M, LATE, MODEL_ERRORS
 
-__all__ = ["FIRST_S", "FIX_ERROR_M", "Meeting", "meet"]
+__all__ = ["Meeting", "meet"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
-
-FIX_ERROR_M = 0.0015
-"""What the time step of 0.1 s puts ends off by, and more than the interpolation between samples does. [m]"""
-FIRST_S = 1.0
-"""The first second is left out, assumed enough for the simulated rover to find its speed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -79,7 +74,8 @@ def meet(forecast: Forecast, record: DriveRecord, independent: BoolArray | None 
     states = forecast.states[members][..., columns]
     predicted = _mixed(states[:, low, wheel], states[:, low + 1, wheel], share[:, None])
     moving = ~(forecast.halted[low] | forecast.halted[low + 1])
-    timely = moving & (record.time_s > FIRST_S) & (record.time_s <= forecast.time_s[-1])
+    timely = moving & (record.time_s > forecast.time_s[1]) & (record.time_s <= forecast.time_s[-1])
+    _check_clock(forecast, record)
     known = np.isfinite(record.values) & timely[:, None]
     floor = np.array([MODEL_ERRORS[name] for name in OBSERVED])
     if not known.any() and not len(record.fix_time_s):
@@ -111,3 +107,14 @@ def _between(times: FloatArray, wanted: FloatArray) -> tuple[IntArray, FloatArra
 
 def _mixed(before: FloatArray, after: FloatArray, share: FloatArray) -> FloatArray:
     return np.asarray((1.0 - share) * before + share * after)
+
+
+def _check_clock(forecast: Forecast, record: DriveRecord) -> None:
+    end = forecast.time_s[-1] + forecast.time_s[1]
+    for what, times in (("states", record.time_s), ("positions", record.fix_time_s)):
+        late = int((times > end).sum())
+        if late > LATE * len(times):
+            raise ParameterError(
+                f"{late} of {len(times)} {what} are later than the end of the predicted drive at "
+                f"{forecast.time_s[-1]:.0f} s; is it the plan that was driven, and time_s in seconds from its start?"
+            )

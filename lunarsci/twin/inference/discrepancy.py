@@ -21,8 +21,12 @@ MODEL_SHARES = {
     "lateral_force_n": 0.06,
 }
 """Error that all wheels share, of each quantity, as a share of its size: what the closed form differs by from the full
-stress integrals on the same soil, over nine hidden soils (`tests/benchmarks/other_physics.py`). Loads follow from the
-suspension's levers and are not concerned."""
+stress integrals on the same soil, measured once, over nine hidden soils, with the truth of
+`tests/benchmarks/other_physics.py`. Loads follow from the suspension's levers and are not concerned."""
+
+
+SHARED = 0.5**0.5
+"""Of an error's share for the part that is constant, and for the one that goes with the quantity."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,18 +65,18 @@ class Discrepancy:
         ----------
         values, sigma, wheel : measured, NaN where they do not count; their errors; number of their wheel. (n, 6), (n,)
         way, whitening : from the start to each position; its whitening. (f, 2), (f, 2, 2)
-        expected : values without their noise. (n, 6)
+        expected : values without their noise, also of quantities that were not measured. (n, 6)
 
         An error of the slip that all wheels share shortens the way, one of the side slip turns it.
         """
         columns = []
         for k, name in enumerate(OBSERVED):
-            known = np.isfinite(values[:, k])
-            if self.common.get(name) and known.any():
-                sizes = self.common[name] * np.where(known, expected[:, k], 0.0)
-                for own in (np.full(len(sizes), np.abs(sizes[known]).mean()), sizes):
+            known, measured = np.isfinite(values[:, k]), np.isfinite(expected[:, k])
+            if self.common.get(name) and measured.any():
+                sizes = SHARED * self.common[name] * np.where(measured, expected[:, k], 0.0)
+                for own in (np.full(len(sizes), np.abs(sizes[measured]).mean()), sizes):
                     states = _states(values.shape, k, known * own / sigma[:, k])
-                    moved = own[known].mean() * _moved(name, way)
+                    moved = own[measured].mean() * _moved(name, way)
                     columns.append(np.append(states, np.einsum("fij,fj->fi", whitening, moved)))
             if self.wheels.get(name):
                 for w in np.unique(wheel):

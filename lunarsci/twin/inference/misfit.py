@@ -10,15 +10,17 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.twin.drive_record import OBSERVED, DriveRecord
-from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
+from lunarsci.twin.ensemble import STATE_COLUMNS, UNDER_WAY, Prediction, predict
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.inference.discrepancy import Discrepancy, Removed
 from lunarsci.twin.plans.plan import Plan
+from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import Rover
 
-__all__ = ["HUBER", "MODEL_ERRORS", "Misfit", "robust_cost"]
+__all__ = ["FIX_ERROR_M", "HUBER", "LATE", "MODEL_ERRORS", "POSITION", "Misfit", "robust_cost"]
 
 FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
 
 MODEL_ERRORS = {
     "sinkage_m": 5e-5,
@@ -30,12 +32,15 @@ MODEL_ERRORS = {
 }
 """Assumed, beside the measured errors: what the twin may be off by where a measured error is next to nothing.
 Side slip in bends is off by 0.04 deg at a time step of 0.1 s."""
+FIX_ERROR_M = 0.0015
+"""What the time step of 0.1 s puts ends off by, and more than the interpolation between samples does. [m]"""
 STEP_S, SAMPLE_M = 0.1, 0.1
 """Of the simulated drives: ends are off by 0.8 mm, states are interpolated in time."""
-FIRST_S = 1.0
-"""The first second is left out, assumed enough for the simulated rover to find its speed."""
 FARTHEST = 4.0
 """Standard deviations of the first laws that a soil may be from their centre; assumed."""
+POSITION = "position"
+LATE = 0.05
+"""Share of states or positions after the end of the plan beyond which the clock is not the plan's; assumed."""
 HUBER = 4.0
 """Whitened residual beyond which a value counts by size, not square, and as an outlier: 1 in 16 000 by chance."""
 
@@ -53,7 +58,7 @@ class Misfit:
     Attributes
     ----------
     rover, terrain, plan, record, belief : as in `rectify`.
-    inflation : by quantity, what its errors are multiplied by, 1 where it is not named. [-]
+    inflation : by quantity, or for `position`, what its errors are multiplied by, 1 where it is not named. [-]
     discrepancy : errors that stay the same throughout a drive.
     expected : states without their noise, as of the best soil so far; None takes the measured ones. (n, 6)
     floor : multiple of `MODEL_ERRORS` that is added to the measured errors, above 0. [-]
@@ -70,6 +75,7 @@ class Misfit:
     discrepancy: Discrepancy = field(default_factory=Discrepancy)
     floor: float = 1.0
     expected: FloatArray | None = field(default=None, repr=False)
+    known: BoolArray = field(init=False, repr=False)
     removed: Removed = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -77,12 +83,17 @@ class Misfit:
             raise ParameterError(
                 f"'{min(strange)}' is no wheel of {self.rover.name}; it has {', '.join(self.rover.wheels)}"
             )
+        self._check_times()
+        object.__setattr__(self, "known", self._comparable())
         if self.known.sum() + self.record.fix_m.size < len(PARAMETERS):
-            raise ParameterError(f"the record has fewer values than a soil has parameters, {len(PARAMETERS)}")
+            raise ParameterError(
+                f"{self.known.sum() + self.record.fix_m.size} values can be compared with a drive of the plan, fewer "
+                f"than a soil has parameters, {len(PARAMETERS)}; are there states under way, and in time?"
+            )
         values = np.where(self.known, self.record.values, np.nan)
         way = self.record.fix_m - (self.plan.x_m, self.plan.y_m)
         expected = values if self.expected is None else self.expected
-        removed = self.discrepancy.removed(values, self.sigma, self.wheel, way, self.record.whitening, expected)
+        removed = self.discrepancy.removed(values, self.sigma, self.wheel, way, self.whitening, expected)
         object.__setattr__(self, "removed", removed)
 
     @property
@@ -90,10 +101,29 @@ class Misfit:
         """Number of the wheel of each state. (n,)"""
         return np.array([self.rover.wheels.index(name) for name in self.record.wheel], dtype=np.int64)
 
-    @property
-    def known(self) -> npt.NDArray[np.bool_]:
-        """Values that count. (n, 6)"""
-        return np.isfinite(self.record.values) & (self.record.time_s > FIRST_S)[:, None]
+    def _check_times(self) -> None:
+        """Refuse a clock that is not the plan's."""
+        end = make_schedule(self.plan, self.rover).duration_s
+        spacing = SAMPLE_M / self.plan.speed_m_s
+        for what, times in (("states", self.record.time_s), ("positions", self.record.fix_time_s)):
+            late = int((times > end + spacing).sum())
+            if late > LATE * len(times):
+                raise ParameterError(
+                    f"{late} of {len(times)} {what} are later than the end of the plan at {end:.0f} s; is it the plan "
+                    "that was driven, and time_s in seconds from its start?"
+                )
+
+    def _comparable(self) -> BoolArray:
+        """Values that count: measured, under way, and from the second sample on. (n, 6)
+
+        States between two samples are interpolated, and at the first one the simulated rover has not found its speed.
+        """
+        schedule, spacing = make_schedule(self.plan, self.rover), SAMPLE_M / self.plan.speed_m_s
+        time = self.record.time_s
+        about = np.stack([time - spacing, time, time + spacing]).clip(spacing, schedule.duration_s)
+        moving = (schedule.pace_at(about) >= UNDER_WAY).all(axis=0)
+        moving &= (time > spacing) & (time <= schedule.duration_s)
+        return np.asarray(np.isfinite(self.record.values) & moving[:, None], dtype=np.bool_)
 
     @property
     def sigma(self) -> FloatArray:
@@ -101,6 +131,14 @@ class Misfit:
         floor = self.floor * np.array([MODEL_ERRORS[name] for name in OBSERVED])
         factor = np.array([self.inflation.get(name, 1.0) for name in OBSERVED])
         return np.where(self.known, factor * np.hypot(self.record.sigmas, floor), 1.0)
+
+    @property
+    def whitening(self) -> FloatArray:
+        """Matrix that makes the error of each position a unit one. (f, 2, 2) [1/m]"""
+        if not self.record.fix_m.size:
+            return np.zeros((0, 2, 2))
+        covariance = self.record.fix_covariance_m2 + (self.floor * FIX_ERROR_M) ** 2 * np.eye(2)
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)) / self.inflation.get(POSITION, 1.0))
 
     def simulated(self, transforms: FloatArray) -> Prediction:
         """Drives on soils of these transforms. (points, 8)"""
@@ -127,10 +165,9 @@ class Misfit:
             rows[near] = self._of(self.simulated(transforms[near]))
         return rows
 
-    def states_of(self, residual: FloatArray) -> FloatArray:
-        """Simulated states that have these residuals, NaN where nothing counts. (n, 6)"""
-        states = self.record.values + self.sigma * self.states_as_measured(residual)
-        return np.where(self.known, states, np.nan)
+    def states_at(self, transforms: FloatArray) -> FloatArray:
+        """Simulated states of one soil at the times of the measured ones. (n, 6)"""
+        return np.asarray(self._states(self.simulated(transforms[None]))[0], dtype=np.float64)
 
     def states_as_measured(self, residual: FloatArray) -> FloatArray:
         """Those of states with nothing removed, over their errors. (n, 6)"""
@@ -143,18 +180,19 @@ class Misfit:
 
     def _of(self, drives: Prediction) -> FloatArray:
         record, count = self.record, len(drives.outcome)
-        wheel = self.wheel
-        columns = [STATE_COLUMNS.index(name) for name in OBSERVED]
-        low, share = _between(drives.time_s, record.time_s)
-        found = (1.0 - share) * drives.states[:, low, wheel][..., columns]
-        found += share * drives.states[:, low + 1, wheel][..., columns]
-        states = np.where(self.known, (found - np.nan_to_num(record.values)) / self.sigma, 0.0)
+        states = np.where(self.known, (self._states(drives) - np.nan_to_num(record.values)) / self.sigma, 0.0)
         low, share = _between(drives.time_s, record.fix_time_s)
         places = (1.0 - share) * drives.paths[:, low, :2] + share * drives.paths[:, low + 1, :2]
-        white = np.einsum("fij,mfj->mfi", record.whitening, places - record.fix_m)
+        white = np.einsum("fij,mfj->mfi", self.whitening, places - record.fix_m)
         rows = self.removed.applied(np.concatenate([states.reshape(count, -1), white.reshape(count, -1)], axis=1))
         rows[~drives.finished] = np.inf
         return rows
+
+    def _states(self, drives: Prediction) -> FloatArray:
+        columns = [STATE_COLUMNS.index(name) for name in OBSERVED]
+        low, share = _between(drives.time_s, self.record.time_s)
+        before, after = drives.states[:, low, self.wheel], drives.states[:, low + 1, self.wheel]
+        return np.asarray((1.0 - share) * before[..., columns] + share * after[..., columns], dtype=np.float64)
 
 
 def _between(times: FloatArray, wanted: FloatArray) -> tuple[npt.NDArray[np.int64], FloatArray]:

@@ -76,7 +76,8 @@ def _width(posterior: "Posterior", point: FloatArray) -> FloatArray:
 def _local(posterior: "Posterior", points: FloatArray, width: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Curvature (k, 8, 8) and slope (k, 8) of half the cost at points (k, 8), from central differences.
 
-    Where one neighbour carries no rover the difference is one-sided; where neither does it is 0.
+    Where one neighbour carries no rover the difference is one-sided; where neither does it is 0, and the
+    curvature that of the prior.
     """
     count, size = points.shape
     steps = np.vstack([np.zeros(size), np.diag(WIDTH * width), -np.diag(WIDTH * width)])
@@ -90,6 +91,8 @@ def _local(posterior: "Posterior", points: FloatArray, width: FloatArray) -> tup
         weight[-size:] = 1.0
         curvature[k] = (columns * weight) @ columns.T
         slope[k] = (columns * weight) @ here
+        idle = np.diag(curvature[k]) == 0.0
+        curvature[k][idle, idle] = width[idle] ** -2
     return curvature, slope
 
 

@@ -168,7 +168,8 @@ def _moved(
         if move + 1 >= FEWEST_MOVES and left < SETTLED:
             break
     told(MOST_MOVES)
-    return points, left
+    arrived = np.flatnonzero(np.isfinite(excess))
+    return points[arrived[np.arange(particles) % len(arrived)]], left
 
 
 def _persistence(before: FloatArray, after: FloatArray) -> float:
