@@ -186,10 +186,11 @@ def test_predicted_values_are_those_of_the_samples(forecast: Forecast, truths: P
     after = np.minimum(times + 1, len(forecast.time_s) - 1)
     expected = 0.5 * (forecast.states[5, times, wheel, 2] + forecast.states[5, after, wheel, 2])
     assert between == pytest.approx(expected[:-6], abs=1e-12)
-    # The first second and what is after the end do not count.
-    assert not meeting.known[out.time_s < 1.0].any() and meeting.known[out.time_s > 1.0, 0].all()
-    late = meet(forecast, dataclasses.replace(out, time_s=out.time_s + 20.0))
-    assert not late.known[out.time_s + 20.0 > forecast.time_s[-1]].any()
+    # What is before the second sample does not count; a clock that goes on after the end is not the plan's.
+    second = forecast.time_s[1]
+    assert not meeting.known[out.time_s <= second].any() and meeting.known[out.time_s > second, 0].all()
+    with pytest.raises(ParameterError, match="later than the end of the predicted drive"):
+        meet(forecast, dataclasses.replace(out, time_s=out.time_s + 20.0))
 
 
 def without(record: DriveRecord, *, states: bool = False, fixes: bool = False) -> DriveRecord:

@@ -161,7 +161,7 @@ def test_forces_and_soil_in_turn_converge_and_hold_the_hidden_soil(turned: Force
     belief = turned.posterior.belief
     assert np.abs(off_by(belief, hidden)).max() < 3.0
     left = belief.left_of_prior
-    assert left["stiffness_kpa_m_n"] < 0.5 and left["sinkage_exponent_slip"] < 0.3
+    assert left["stiffness_kpa_m_n"] < 0.5 and left["sinkage_exponent_slip"] < 0.7
     assert left["cohesion_pa"] > 0.7, "slips of a few per cent cannot tell cohesion from friction"
     assert max(turned.posterior.reduced) < 1.5
 
