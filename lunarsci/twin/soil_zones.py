@@ -15,10 +15,11 @@ from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.twin.drive_pieces import Way, averaged, way_of, wheel_places
 from lunarsci.twin.drive_record import OBSERVED, DriveRecord
-from lunarsci.twin.ensemble import LONGEST_SAMPLE_M, LONGEST_STEP_S, STATE_COLUMNS, Prediction, predict
+from lunarsci.twin.ensemble import LONGEST_SAMPLE_M, LONGEST_STEP_S, Prediction, predict
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.inference.misfit import MODEL_ERRORS
 from lunarsci.twin.plans.plan import Plan
+from lunarsci.twin.record_times import states_at
 from lunarsci.twin.rectify import Rectified, rectify
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.soil_change import FEWEST_PIECES, Step, largest_step
@@ -110,7 +111,8 @@ def find_change(
     model = np.where(known, MODEL_SHARE * floor / typical, 0.0)
     places = wheel_places(found.prediction.rover, record, way)
     slopes, finer = _drives(record, found)
-    residuals = found.residuals + finer / sigma
+    widened = np.array([found.inflation.get(name, 1.0) for name in OBSERVED])
+    residuals = widened * found.residuals + finer / sigma
     unexplained = -np.clip(residuals, -LARGEST, LARGEST)
     pieces = averaged(places, unexplained, slopes / sigma[..., None], model)
     if pieces is None or len(pieces.middle_m) < 2 * FEWEST_PIECES:
@@ -133,23 +135,16 @@ def _drives(record: DriveRecord, found: Rectified) -> tuple[FloatArray, FloatArr
     step = min(drive.time_step_s * (1 + 1e-9), LONGEST_STEP_S)
     count, scene = len(PARAMETERS), (drive.rover, drive.terrain, plan)
     moved = predict(*scene, samples=samples, time_step_s=step, sample_m=sample_m)
-    states = states_at(moved, record)
+    states = _states(moved, record)
     slopes = (states[:count] - states[count:]) / (2.0 * NUDGE)
     arrived = moved.finished[:count] & moved.finished[count:]
     fine = predict(*scene, samples=drive.parameters, time_step_s=step * FINER, sample_m=sample_m)
-    finer = (states_at(fine, record) - states_at(drive, record))[0] * fine.finished[0]
+    finer = (_states(fine, record) - _states(drive, record))[0] * fine.finished[0]
     return np.moveaxis(np.where(arrived[:, None, None], slopes, 0.0), 0, -1), finer
 
 
-def states_at(drives: Prediction, record: DriveRecord) -> FloatArray:
-    """Simulated values at the times and wheels of a record. (members, n, 6)"""
-    columns = [STATE_COLUMNS.index(name) for name in OBSERVED]
-    wheel = np.array([drives.rover.wheels.index(name) for name in record.wheel], dtype=np.int64)
-    place = np.interp(record.time_s, drives.time_s, np.arange(len(drives.time_s)))
-    low = np.minimum(place.astype(np.int64), len(drives.time_s) - 2)
-    share = (place - low)[:, None]
-    states = drives.states[..., columns]
-    return np.asarray((1.0 - share) * states[:, low, wheel] + share * states[:, low + 1, wheel])
+def _states(drives: Prediction, record: DriveRecord) -> FloatArray:
+    return states_at(record, drives.time_s, drives.states, drives.rover.wheels)
 
 
 def _change(step: Step, way: Way, places: FloatArray, values: FloatArray) -> SoilChange:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from lunarsci.cli import main
 
@@ -69,4 +70,25 @@ def states(tmp_path: Path) -> Path:
     """The published wheel state as CSV, with a slip that has a solution."""
     path = tmp_path / "states.csv"
     path.write_text("sinkage_m,slip_ratio,normal_force_n,drawbar_pull_n\n0.008,0.05,32.03,-1.30\n")
+    return path
+
+
+@pytest.fixture
+def short_plan(tmp_path: Path) -> Path:
+    """Sixty centimetres straight ahead."""
+    path = tmp_path / "plan.toml"
+    path.write_text("[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 0.6\n")
+    return path
+
+
+@pytest.fixture
+def short_states(run: Callable[..., Ran], short_plan: Path, tmp_path: Path) -> Path:
+    """That drive on the terrain's soil, 10 states of each wheel, with errors of sinkage and slip."""
+    path = tmp_path / "states.csv"
+    assert run("twin", "forces", short_plan, "-o", path).code == 0
+    table = pd.read_csv(path)
+    random = np.random.default_rng(1)
+    table["sinkage_m"] += 0.00033 * random.normal(size=len(table))
+    table["slip_ratio"] += 0.01 * random.normal(size=len(table))
+    table.to_csv(path, index=False)
     return path

@@ -6,35 +6,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 
 Run = Callable[..., Any]
-PLAN = "[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 0.6\n"
-
-
-@pytest.fixture
-def plan(tmp_path: Path) -> Path:
-    path = tmp_path / "plan.toml"
-    path.write_text(PLAN)
-    return path
-
-
-@pytest.fixture
-def states(run: Run, plan: Path, tmp_path: Path) -> Path:
-    """A drive on the terrain's soil, 10 states of each wheel, with errors."""
-    path = tmp_path / "states.csv"
-    assert run("twin", "forces", plan, "-o", path).code == 0
-    table = pd.read_csv(path)
-    table["sinkage_m"] += 0.00033 * np.random.default_rng(1).normal(size=len(table))
-    table.to_csv(path, index=False)
-    return path
 
 
 @pytest.mark.slow
-def test_a_map_goes_from_drive_to_drive(run: Run, plan: Path, states: Path, tmp_path: Path) -> None:
+def test_a_map_goes_from_drive_to_drive(run: Run, short_plan: Path, short_states: Path, tmp_path: Path) -> None:
     soil_map, again, layers = tmp_path / "map.json", tmp_path / "again.json", tmp_path / "layers.npz"
-    update = ("twin", "update", states, "--plan", plan, "--particles", "32", "-q")
+    update = ("twin", "update", short_states, "--plan", short_plan, "--particles", "32", "-q")
     files = ("--save-map", soil_map, "--save-terrain", layers, "--correlation", "3", "--plot", tmp_path / "u.png")
     done = run(*update, *files, "--json")
     assert done.code == 0, done.err
@@ -52,21 +32,21 @@ def test_a_map_goes_from_drive_to_drive(run: Run, plan: Path, states: Path, tmp_
     assert after < 1.1 * known
     kept = json.loads(again.read_text())
     assert kept["correlation_m"] == 3.0 and len(kept["zones"]) == 1 and len(kept["zones"][0]["belief"]["history"]) == 2
-    ahead = ("twin", "predict", plan, "-q", "--members", "4", "--time-step", "0.2", "--field", "members")
+    ahead = ("twin", "predict", short_plan, "-q", "--members", "4", "--time-step", "0.2", "--field", "members")
     predicted = run(*ahead, "--soil-map", soil_map)
     assert predicted.code == 0 and predicted.out == "4\n"
-    both = run("twin", "predict", plan, "--soil-map", soil_map, "--sweep", "cohesion_pa=100:500:3")
+    both = run("twin", "predict", short_plan, "--soil-map", soil_map, "--sweep", "cohesion_pa=100:500:3")
     assert both.code == 2 and "leave out --sweep" in " ".join(both.err)
 
 
-def test_options_of_a_map_are_checked_before_anything_is_driven(run: Run, plan: Path, tmp_path: Path) -> None:
+def test_options_of_a_map_are_checked_before_anything_is_driven(run: Run, short_plan: Path, tmp_path: Path) -> None:
     text = tmp_path / "states.csv"
     text.write_text("time_s,wheel,sinkage_m\n1,FL,0.01\n")
-    done = run("twin", "update", text, "--plan", plan, "--belief", "b.json", "--save-map", tmp_path / "m.json")
+    done = run("twin", "update", text, "--plan", short_plan, "--belief", "b.json", "--save-map", tmp_path / "m.json")
     assert done.code == 2 and "--belief is of one soil everywhere" in " ".join(done.err)
-    done = run("twin", "update", text, "--plan", plan, "--map", plan)
+    done = run("twin", "update", text, "--plan", short_plan, "--map", short_plan)
     assert done.code == 1 and "not valid JSON" in done.err[0]
-    done = run("twin", "update", text, "--plan", plan, "--save-map", tmp_path / "m.txt")
+    done = run("twin", "update", text, "--plan", short_plan, "--save-map", tmp_path / "m.txt")
     assert done.code == 2
-    done = run("twin", "predict", plan, "--soil-map", plan)
+    done = run("twin", "predict", short_plan, "--soil-map", short_plan)
     assert done.code == 1 and "not valid JSON" in done.err[0]

@@ -5,40 +5,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import pytest
 
 from lunarsci.provenance import sha256
 
 Run = Callable[..., Any]
-PLAN = "[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 0.6\n"
-
-
-@pytest.fixture
-def plan(tmp_path: Path) -> Path:
-    path = tmp_path / "plan.toml"
-    path.write_text(PLAN)
-    return path
-
-
-@pytest.fixture
-def states(run: Run, plan: Path, tmp_path: Path) -> Path:
-    """A drive on the terrain's soil, 10 states of each wheel, with errors."""
-    path = tmp_path / "states.csv"
-    assert run("twin", "forces", plan, "-o", path).code == 0
-    table = pd.read_csv(path)
-    random = np.random.default_rng(1)
-    table["sinkage_m"] += 0.00033 * random.normal(size=len(table))
-    table["slip_ratio"] += 0.01 * random.normal(size=len(table))
-    table.to_csv(path, index=False)
-    return path
 
 
 @pytest.mark.slow
-def test_a_belief_goes_from_drive_to_drive(run: Run, plan: Path, states: Path, tmp_path: Path) -> None:
+def test_a_belief_goes_from_drive_to_drive(run: Run, short_plan: Path, short_states: Path, tmp_path: Path) -> None:
     belief, again = tmp_path / "belief.json", tmp_path / "again.json"
-    update = ("twin", "update", states, "--plan", plan, "--particles", "32")
+    update = ("twin", "update", short_states, "--plan", short_plan, "--particles", "32")
     done = run(*update, "--save", belief, "--json")
     assert done.code == 0, done.err
     result = json.loads(done.out)["result"]
@@ -47,14 +25,14 @@ def test_a_belief_goes_from_drive_to_drive(run: Run, plan: Path, states: Path, t
     # On the same seed the same belief, to the byte.
     assert run(*update, "--save", again, "-q").code == 0
     assert belief.read_bytes() == again.read_bytes()
-    predicted = run("twin", "predict", plan, "--samples", belief, "--members", "16", "--field", "members")
+    predicted = run("twin", "predict", short_plan, "--samples", belief, "--members", "16", "--field", "members")
     assert predicted.code == 0 and predicted.out == "16\n"
     # The next update begins where this one ended, and refuses telemetry that no soil explains.
-    table = pd.read_csv(states)
+    table = pd.read_csv(short_states)
     table.loc[table["wheel"] == "FL", "sinkage_m"] += 0.05
     table.to_csv(tmp_path / "wrong.csv", index=False)
     wrong = run(
-        *("twin", "update", tmp_path / "wrong.csv", "--plan", plan, "--particles", "32"),
+        *("twin", "update", tmp_path / "wrong.csv", "--plan", short_plan, "--particles", "32"),
         *("--belief", belief, "--forget", "0.1", "--save", tmp_path / "same.json"),
     )
     assert wrong.code == 3 and "nothing was learned" in wrong.err[-1]
@@ -80,18 +58,18 @@ def test_a_belief_goes_from_drive_to_drive(run: Run, plan: Path, states: Path, t
     ],
 )
 def test_bad_states_are_one_line_that_says_what_is_wrong(
-    run: Run, plan: Path, tmp_path: Path, text: str, says: str
+    run: Run, short_plan: Path, tmp_path: Path, text: str, says: str
 ) -> None:
     path = tmp_path / "states.csv"
     path.write_text(text)
-    done = run("twin", "update", path, "--plan", plan)
+    done = run("twin", "update", path, "--plan", short_plan)
     assert done.code == 1 and says in done.err[0] and done.out == ""
 
 
-def test_positions_need_their_errors(run: Run, plan: Path, tmp_path: Path) -> None:
+def test_positions_need_their_errors(run: Run, short_plan: Path, tmp_path: Path) -> None:
     (tmp_path / "states.csv").write_text("time_s,wheel,sinkage_m\n1,FL,0.01\n")
     (tmp_path / "fixes.csv").write_text("time_s,x_m,y_m\n1,0,0\n")
-    done = run("twin", "update", tmp_path / "states.csv", "--plan", plan, "--positions", tmp_path / "fixes.csv")
+    done = run("twin", "update", tmp_path / "states.csv", "--plan", short_plan, "--positions", tmp_path / "fixes.csv")
     assert done.code == 1 and "add sigma_m" in done.err[0]
-    done = run("twin", "update", tmp_path / "states.csv", "--plan", plan, "--belief", plan)
+    done = run("twin", "update", tmp_path / "states.csv", "--plan", short_plan, "--belief", short_plan)
     assert done.code == 1 and "not valid JSON" in done.err[0]

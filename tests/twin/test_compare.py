@@ -189,7 +189,7 @@ def test_predicted_values_are_those_of_the_samples(forecast: Forecast, truths: P
     # What is before the second sample does not count; a clock that goes on after the end is not the plan's.
     second = forecast.time_s[1]
     assert not meeting.known[out.time_s <= second].any() and meeting.known[out.time_s > second, 0].all()
-    with pytest.raises(ParameterError, match="later than the end of the predicted drive"):
+    with pytest.raises(ParameterError, match="later than the end of the drive"):
         meet(forecast, dataclasses.replace(out, time_s=out.time_s + 20.0))
 
 

@@ -83,5 +83,5 @@ def test_positions_that_no_soil_explains_teach_nothing(yutu2: Rover, flat: Terra
     assert "misses position" in refused.refused
     assert np.array_equal(refused.belief.mean, first_belief().mean)
     late = dataclasses.replace(right, fix_time_s=1e3 * right.fix_time_s)
-    with pytest.raises(ParameterError, match="5 of 5 positions are later than the end of the plan at 40 s"):
+    with pytest.raises(ParameterError, match="5 of 5 positions are later than the end of the drive at 40 s"):
         rectify(yutu2, flat, PLAN, late, first_belief())

@@ -17,10 +17,11 @@ from lunarsci.twin.figures.soil_change import residual_page
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.inference.misfit import MODEL_ERRORS
 from lunarsci.twin.plans.plan import Leg, Plan
+from lunarsci.twin.record_times import states_at
 from lunarsci.twin.rectify import Rectified, rectify
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.soil_change import FEWEST_PIECES, largest_step
-from lunarsci.twin.soil_zones import driven_zones, find_change, record_within, states_at
+from lunarsci.twin.soil_zones import driven_zones, find_change, record_within
 
 SOIL = {
     "stiffness_kpa_m_n": 1100.0,
@@ -123,7 +124,7 @@ def on_one_soil(rover: Rover, ground: Terrain, record: DriveRecord, share: float
     soil = SOIL | {"stiffness_kpa_m_n": SOIL["stiffness_kpa_m_n"] * share**0.5}
     drive = predict(rover, ground, PLAN, samples={name: [v] for name, v in soil.items()}, time_step_s=0.2)
     sigma = np.hypot(record.sigmas, [MODEL_ERRORS[name] for name in OBSERVED])
-    residuals = (states_at(drive, record)[0] - record.values) / sigma
+    residuals = (states_at(record, drive.time_s, drive.states, rover.wheels)[0] - record.values) / sigma
     residuals[record.time_s <= 1.0] = np.nan
     return Rectified(
         belief=first_belief(),
@@ -243,6 +244,19 @@ def test_a_stretch_with_too_little_data_stays_as_it_was(yutu2: Rover, ground: Te
     zones, changes = driven_zones(yutu2, ground, PLAN, record, found, lambda _: first_belief(), particles=32)
     assert changes and not zones[-1].learned and zones[-1].why_not == "too few values"
     assert zones[-1].belief.mean == pytest.approx(first_belief().mean)
+
+
+def test_errors_that_were_widened_hide_no_change(yutu2: Rover, ground: Terrain) -> None:
+    """The same residuals in other units: what is found does not depend on how much `rectify` widened the errors."""
+    out = predict(yutu2, parted(ground, 0.5), PLAN, sweep=(), time_step_s=0.2)
+    record = record_of(out, 0)
+    plain = on_one_soil(yutu2, ground, record, 0.5)
+    factor = np.array([3.0 if name == "sinkage_m" else 1.0 for name in OBSERVED])
+    widened = dataclasses.replace(plain, residuals=plain.residuals / factor, inflation={"sinkage_m": 3.0})
+    one, two = find_change(record, plain), find_change(record, widened)
+    assert one is not None and two is not None
+    assert (one.distance_m, one.p_value) == (two.distance_m, two.p_value)
+    assert one.steps == pytest.approx(two.steps)
 
 
 def test_rectify_hands_on_what_a_change_is_looked_for_in(yutu2: Rover, ground: Terrain) -> None:

@@ -8,8 +8,8 @@ import numpy.typing as npt
 from lunarsci.errors import ParameterError
 from lunarsci.twin.comparison.forecast import Forecast
 from lunarsci.twin.drive_record import OBSERVED, DriveRecord
-from lunarsci.twin.ensemble import STATE_COLUMNS
-from lunarsci.twin.inference.misfit import FIX_ERROR_M, LATE, MODEL_ERRORS
+from lunarsci.twin.inference.misfit import FIX_ERROR_M, MODEL_ERRORS
+from lunarsci.twin.record_times import check_clock, check_wheels, samples_about, states_at, values_at
 
 __all__ = ["Meeting", "meet"]
 
@@ -60,61 +60,31 @@ def meet(forecast: Forecast, record: DriveRecord, independent: BoolArray | None 
     `independent` (n, 6) is False where a value was derived from the positions that the record also holds. Raises
     ParameterError for wheels that the predicted rover has not, and where nothing compares.
     """
-    if strange := set(record.wheel) - set(forecast.wheels):
-        raise ParameterError(
-            f"'{min(strange)}' is no wheel of {forecast.rover}, for which the drive was predicted; "
-            f"it has {', '.join(forecast.wheels)}"
-        )
+    check_wheels(record, forecast.wheels, f"{forecast.rover}, for which the drive was predicted")
+    check_clock(record, float(forecast.time_s[-1]), float(forecast.time_s[1]))
     members = np.flatnonzero(forecast.finished)
     if not members.size:
         raise ParameterError("no predicted drive came to its end, so there is nothing to compare with")
-    wheel = np.array([forecast.wheels.index(name) for name in record.wheel], dtype=np.int64)
-    low, share = _between(forecast.time_s, record.time_s)
-    columns = [STATE_COLUMNS.index(name) for name in OBSERVED]
-    states = forecast.states[members][..., columns]
-    predicted = _mixed(states[:, low, wheel], states[:, low + 1, wheel], share[:, None])
+    low, _ = samples_about(forecast.time_s, record.time_s)
     moving = ~(forecast.halted[low] | forecast.halted[low + 1])
     timely = moving & (record.time_s > forecast.time_s[1]) & (record.time_s <= forecast.time_s[-1])
-    _check_clock(forecast, record)
     known = np.isfinite(record.values) & timely[:, None]
     floor = np.array([MODEL_ERRORS[name] for name in OBSERVED])
     if not known.any() and not len(record.fix_time_s):
         raise ParameterError("no measured value falls into the time of the predicted drive; compare the clocks")
-    low_fix, share_fix = _between(forecast.time_s, record.fix_time_s)
-    paths = forecast.paths[members][..., :2]
+    courses = np.concatenate([forecast.paths[members][..., :2], forecast.planned[None, :, :2]])
+    places = values_at(forecast.time_s, record.fix_time_s, courses)
     return Meeting(
         forecast=forecast,
         record=record,
         members=members,
-        predicted=predicted,
+        predicted=states_at(record, forecast.time_s, forecast.states[members], forecast.wheels),
         sigma=np.where(known, np.hypot(record.sigmas, floor), np.nan),
         known=known,
         independent=np.ones(known.shape, dtype=bool) if independent is None else independent,
         distance_m=np.interp(record.time_s, forecast.time_s, forecast.distance_m),
-        places=_mixed(paths[:, low_fix], paths[:, low_fix + 1], share_fix[:, None]),
+        places=places[:-1],
         place_error_m2=record.fix_covariance_m2 + FIX_ERROR_M**2 * np.eye(2),
         fix_distance_m=np.interp(record.fix_time_s, forecast.time_s, forecast.distance_m),
-        planned=_mixed(forecast.planned[low_fix, :2], forecast.planned[low_fix + 1, :2], share_fix[:, None]),
+        planned=places[-1],
     )
-
-
-def _between(times: FloatArray, wanted: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Sample before each wanted time, and the share of the way to the next; beyond the ends it is the end."""
-    place = np.interp(wanted, times, np.arange(len(times)))
-    low = np.minimum(place.astype(np.int64), len(times) - 2)
-    return low, place - low
-
-
-def _mixed(before: FloatArray, after: FloatArray, share: FloatArray) -> FloatArray:
-    return np.asarray((1.0 - share) * before + share * after)
-
-
-def _check_clock(forecast: Forecast, record: DriveRecord) -> None:
-    end = forecast.time_s[-1] + forecast.time_s[1]
-    for what, times in (("states", record.time_s), ("positions", record.fix_time_s)):
-        late = int((times > end).sum())
-        if late > LATE * len(times):
-            raise ParameterError(
-                f"{late} of {len(times)} {what} are later than the end of the predicted drive at "
-                f"{forecast.time_s[-1]:.0f} s; is it the plan that was driven, and time_s in seconds from its start?"
-            )

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -10,14 +11,15 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.twin.drive_record import OBSERVED, DriveRecord
-from lunarsci.twin.ensemble import STATE_COLUMNS, UNDER_WAY, Prediction, predict
+from lunarsci.twin.ensemble import UNDER_WAY, Prediction, predict
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.inference.discrepancy import Discrepancy, Removed
 from lunarsci.twin.plans.plan import Plan
-from lunarsci.twin.plans.schedule import make_schedule
+from lunarsci.twin.plans.schedule import Schedule, make_schedule
+from lunarsci.twin.record_times import check_clock, check_wheels, states_at, values_at, wheel_numbers
 from lunarsci.twin.rover import Rover
 
-__all__ = ["FIX_ERROR_M", "HUBER", "LATE", "MODEL_ERRORS", "POSITION", "Misfit", "robust_cost"]
+__all__ = ["FIX_ERROR_M", "HUBER", "MODEL_ERRORS", "POSITION", "Misfit", "robust_cost"]
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -39,8 +41,6 @@ STEP_S, SAMPLE_M = 0.1, 0.1
 FARTHEST = 4.0
 """Standard deviations of the first laws that a soil may be from their centre; assumed."""
 POSITION = "position"
-LATE = 0.05
-"""Share of states or positions after the end of the plan beyond which the clock is not the plan's; assumed."""
 HUBER = 4.0
 """Whitened residual beyond which a value counts by size, not square, and as an outlier: 1 in 16 000 by chance."""
 
@@ -51,7 +51,7 @@ def robust_cost(white: FloatArray) -> FloatArray:
     return np.where(off < HUBER, off**2, HUBER * (2.0 * off - HUBER))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Misfit:
     """Simulated drives beside a measured one.
 
@@ -75,70 +75,64 @@ class Misfit:
     discrepancy: Discrepancy = field(default_factory=Discrepancy)
     floor: float = 1.0
     expected: FloatArray | None = field(default=None, repr=False)
-    known: BoolArray = field(init=False, repr=False)
-    removed: Removed = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if strange := set(self.record.wheel) - set(self.rover.wheels):
+        check_wheels(self.record, self.rover.wheels, self.rover.name)
+        check_clock(self.record, self.schedule.duration_s, self.spacing_s)
+        if (values := int(self.known.sum()) + self.record.fix_m.size) < len(PARAMETERS):
             raise ParameterError(
-                f"'{min(strange)}' is no wheel of {self.rover.name}; it has {', '.join(self.rover.wheels)}"
+                f"{values} values can be compared with a drive of the plan, fewer than a soil has parameters, "
+                f"{len(PARAMETERS)}; are there states under way, and in time?"
             )
-        self._check_times()
-        object.__setattr__(self, "known", self._comparable())
-        if self.known.sum() + self.record.fix_m.size < len(PARAMETERS):
-            raise ParameterError(
-                f"{self.known.sum() + self.record.fix_m.size} values can be compared with a drive of the plan, fewer "
-                f"than a soil has parameters, {len(PARAMETERS)}; are there states under way, and in time?"
-            )
-        values = np.where(self.known, self.record.values, np.nan)
-        way = self.record.fix_m - (self.plan.x_m, self.plan.y_m)
-        expected = values if self.expected is None else self.expected
-        removed = self.discrepancy.removed(values, self.sigma, self.wheel, way, self.whitening, expected)
-        object.__setattr__(self, "removed", removed)
+
+    @cached_property
+    def schedule(self) -> Schedule:
+        """When the rover was to be where."""
+        return make_schedule(self.plan, self.rover)
 
     @property
+    def spacing_s(self) -> float:
+        """Time between samples of a simulated drive, at most. [s]"""
+        return SAMPLE_M / self.plan.speed_m_s
+
+    @cached_property
     def wheel(self) -> npt.NDArray[np.int64]:
         """Number of the wheel of each state. (n,)"""
-        return np.array([self.rover.wheels.index(name) for name in self.record.wheel], dtype=np.int64)
+        return wheel_numbers(self.record, self.rover.wheels)
 
-    def _check_times(self) -> None:
-        """Refuse a clock that is not the plan's."""
-        end = make_schedule(self.plan, self.rover).duration_s
-        spacing = SAMPLE_M / self.plan.speed_m_s
-        for what, times in (("states", self.record.time_s), ("positions", self.record.fix_time_s)):
-            late = int((times > end + spacing).sum())
-            if late > LATE * len(times):
-                raise ParameterError(
-                    f"{late} of {len(times)} {what} are later than the end of the plan at {end:.0f} s; is it the plan "
-                    "that was driven, and time_s in seconds from its start?"
-                )
-
-    def _comparable(self) -> BoolArray:
+    @cached_property
+    def known(self) -> BoolArray:
         """Values that count: measured, under way, and from the second sample on. (n, 6)
 
         States between two samples are interpolated, and at the first one the simulated rover has not found its speed.
         """
-        schedule, spacing = make_schedule(self.plan, self.rover), SAMPLE_M / self.plan.speed_m_s
-        time = self.record.time_s
-        about = np.stack([time - spacing, time, time + spacing]).clip(spacing, schedule.duration_s)
-        moving = (schedule.pace_at(about) >= UNDER_WAY).all(axis=0)
-        moving &= (time > spacing) & (time <= schedule.duration_s)
+        time, spacing, end = self.record.time_s, self.spacing_s, self.schedule.duration_s
+        about = np.stack([time - spacing, time, time + spacing]).clip(spacing, end)
+        moving = (self.schedule.pace_at(about) >= UNDER_WAY).all(axis=0) & (time > spacing) & (time <= end)
         return np.asarray(np.isfinite(self.record.values) & moving[:, None], dtype=np.bool_)
 
-    @property
+    @cached_property
     def sigma(self) -> FloatArray:
         """Their errors, 1 elsewhere. (n, 6)"""
         floor = self.floor * np.array([MODEL_ERRORS[name] for name in OBSERVED])
         factor = np.array([self.inflation.get(name, 1.0) for name in OBSERVED])
         return np.where(self.known, factor * np.hypot(self.record.sigmas, floor), 1.0)
 
-    @property
+    @cached_property
     def whitening(self) -> FloatArray:
         """Matrix that makes the error of each position a unit one. (f, 2, 2) [1/m]"""
         if not self.record.fix_m.size:
             return np.zeros((0, 2, 2))
         covariance = self.record.fix_covariance_m2 + (self.floor * FIX_ERROR_M) ** 2 * np.eye(2)
         return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)) / self.inflation.get(POSITION, 1.0))
+
+    @cached_property
+    def removed(self) -> Removed:
+        """What whitens the errors that stay the same throughout the drive."""
+        values = np.where(self.known, self.record.values, np.nan)
+        way = self.record.fix_m - (self.plan.x_m, self.plan.y_m)
+        expected = values if self.expected is None else self.expected
+        return self.discrepancy.removed(values, self.sigma, self.wheel, way, self.whitening, expected)
 
     def simulated(self, transforms: FloatArray) -> Prediction:
         """Drives on soils of these transforms. (points, 8)"""
@@ -167,7 +161,7 @@ class Misfit:
 
     def states_at(self, transforms: FloatArray) -> FloatArray:
         """Simulated states of one soil at the times of the measured ones. (n, 6)"""
-        return np.asarray(self._states(self.simulated(transforms[None]))[0], dtype=np.float64)
+        return np.asarray(self._states(self.simulated(transforms[None]))[0])
 
     def states_as_measured(self, residual: FloatArray) -> FloatArray:
         """Those of states with nothing removed, over their errors. (n, 6)"""
@@ -181,22 +175,11 @@ class Misfit:
     def _of(self, drives: Prediction) -> FloatArray:
         record, count = self.record, len(drives.outcome)
         states = np.where(self.known, (self._states(drives) - np.nan_to_num(record.values)) / self.sigma, 0.0)
-        low, share = _between(drives.time_s, record.fix_time_s)
-        places = (1.0 - share) * drives.paths[:, low, :2] + share * drives.paths[:, low + 1, :2]
+        places = values_at(drives.time_s, record.fix_time_s, drives.paths[..., :2])
         white = np.einsum("fij,mfj->mfi", self.whitening, places - record.fix_m)
         rows = self.removed.applied(np.concatenate([states.reshape(count, -1), white.reshape(count, -1)], axis=1))
         rows[~drives.finished] = np.inf
         return rows
 
     def _states(self, drives: Prediction) -> FloatArray:
-        columns = [STATE_COLUMNS.index(name) for name in OBSERVED]
-        low, share = _between(drives.time_s, self.record.time_s)
-        before, after = drives.states[:, low, self.wheel], drives.states[:, low + 1, self.wheel]
-        return np.asarray((1.0 - share) * before[..., columns] + share * after[..., columns], dtype=np.float64)
-
-
-def _between(times: FloatArray, wanted: FloatArray) -> tuple[npt.NDArray[np.int64], FloatArray]:
-    """Sample before each wanted time, and the share of the way to the next. (n,), (n, 1)"""
-    place = np.interp(wanted, times, np.arange(len(times)))
-    low = np.minimum(place.astype(np.int64), len(times) - 2)
-    return low, (place - low)[:, None]
+        return states_at(self.record, drives.time_s, drives.states, self.rover.wheels)

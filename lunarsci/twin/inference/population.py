@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.regolith.joint_sampler import persistence
 from lunarsci.twin.inference.emulator import fit_emulator
 from lunarsci.twin.inference.misfit import HUBER
 
@@ -163,16 +164,10 @@ def _moved(
         found = posterior.with_density(trial)[1] - emulated.ln_density(trial)
         accepted = ~(np.log(random.random(particles)) >= found - excess)
         points, excess = np.where(accepted[:, None], trial, points), np.where(accepted, found, excess)
-        left = _persistence(before, points)
+        left = persistence(before, points)
         told(move + 1)
         if move + 1 >= FEWEST_MOVES and left < SETTLED:
             break
     told(MOST_MOVES)
     arrived = np.flatnonzero(np.isfinite(excess))
     return points[arrived[np.arange(particles) % len(arrived)]], left
-
-
-def _persistence(before: FloatArray, after: FloatArray) -> float:
-    one, two = before - before.mean(axis=0), after - after.mean(axis=0)
-    norm = np.sqrt((one**2).sum(axis=0) * (two**2).sum(axis=0))
-    return float(np.max((one * two).sum(axis=0) / np.where(norm > 0, norm, np.inf)))
