@@ -33,6 +33,7 @@ __all__ = [
     "WheelForces",
     "check_states",
     "contact_angles",
+    "contact_forces",
     "longitudinal_mobilisation",
     "motion_ratios",
     "reading_code",
@@ -113,27 +114,32 @@ def _signed_share(j: float, travel: float, modulus: float, code: int) -> float:
 
 
 @pasted
-def wheel_forces_and_slopes(sinkage: Any, travel: Any, lateral: Any, wheel: Any, soil: Any, code: Any) -> Any:
-    """F_N, F_DP, F_L, M_R of one wheel (Eqs 18-24), and how they change with its motion. [N, N, N, N m]
+def contact_forces(
+    sinkage: Any, slip: Any, travel: Any, lateral: Any, rut: Any, wheel: Any, soil: Any, code: Any
+) -> Any:
+    """F_N, F_DP, F_L, M_R of one wheel (Eqs 18-24), how they change with its motion, and what the soil can hold.
 
     Pasted into the loop that calls it and written without branches, so that the loop can run in vector lanes.
 
     Parameters
     ----------
-    sinkage : z, 0 < z < r. [m]
-    travel : v_x / (r_s omega) >= 0. [-]
+    sinkage : z below the ground that the wheel meets, 0 < z < r. [m]
+    slip : slip ratio that exponent of sinkage and angle of maximum stress follow, -1 to 1. [-]
+    travel : v_x / (r_s omega). [-]
     lateral : v_y / (r_s omega); F_L has its sign and acts against it. [-]
+    rut : how deep a wheel before pressed the ground, and how deep it is still, both below the undisturbed one; zeros
+        where none was there. Between the two the soil is loaded again along a line (Wong 2008, ch. 2). [m]
     wheel, soil : `Wheel.vector()`, `Soil.vector()`.
     code : reading, see `longitudinal_mobilisation`.
 
     Returns
     -------
-    The four forces, and their derivatives: F_N, F_DP and M_R by the travel ratio, F_L by the lateral one, as far as
-    they come from the shear displacement at a fixed stress (exact where c2 and n1 are 0), for reading 0.
+    The four forces; their derivatives: F_N, F_DP and M_R by the travel ratio, F_L by the lateral one, as far as they
+    come from the shear displacement at a fixed stress (exact where c2 and n1 are 0), for reading 0; the largest shear
+    force along the wheel, the resistance of the ground in front of it, and the largest lateral force. [N, N m]
     """
     r, b, h, r_s, c1, c2, c3 = wheel
     stiffness, n0, n1, cohesion, tan_phi, k_x, tan_phi_y, k_y = soil
-    slip = slip_ratio(travel)
     # Half-angle forms: 1 - cos(theta_1) = z / r, for grouser tips (z + h) / (r + h).
     q, q_e = sinkage / (2.0 * r), (sinkage + h) / (2.0 * (r + h))
     half, half_e = math.sqrt(q), math.sqrt(q_e)
@@ -146,7 +152,10 @@ def wheel_forces_and_slopes(sinkage: Any, travel: Any, lateral: Any, wheel: Any,
     b_moment = (sin_m - sin_2) / rear + (sin_m - sin_1) / front
     c_moment = (theta_1 - theta_2) / 2.0
     depth = r * (cos_m - cos_1)
-    sigma_m = stiffness * exponential((n0 + n1 * slip) * logarithm(depth)) if depth > 0.0 else math.nan
+    pressed, left = rut
+    again = min(depth / (pressed - left), 1.0) if pressed > left else 1.0
+    below = max(left + depth, pressed)
+    sigma_m = again * stiffness * exponential((n0 + n1 * slip) * logarithm(below)) if depth > 0.0 else math.nan
     ratio = 1.0 / travel if code == 2 and travel > 1.0 else travel
     j_x = r_s * ((theta_1e - theta_m) - ratio * (sin_1e - sin_m))
     sign_x = (1.0 if travel <= 1.0 else -1.0) if code == 1 else math.copysign(1.0, j_x)
@@ -170,6 +179,17 @@ def wheel_forces_and_slopes(sinkage: Any, travel: Any, lateral: Any, wheel: Any,
         r_s * b * slope_y * c_moment,
         r_s * r_s * b * slope_x * c_moment,
     )
+    reach = (b * r_s * strength_x * a, b * r * sigma_m * b_moment, r_s * b * strength_y * c_moment)
+    return forces, slopes, reach
+
+
+@pasted
+def wheel_forces_and_slopes(sinkage: Any, travel: Any, lateral: Any, wheel: Any, soil: Any, code: Any) -> Any:
+    """Forces and derivatives of `contact_forces` on undisturbed ground, with the slip that the travel ratio stands for.
+
+    `travel` is v_x / (r_s omega) >= 0. [-]
+    """
+    forces, slopes, _ = contact_forces(sinkage, slip_ratio(travel), travel, lateral, (0.0, 0.0), wheel, soil, code)
     return forces, slopes
 
 

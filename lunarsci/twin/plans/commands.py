@@ -7,16 +7,17 @@ import numpy.typing as npt
 
 from lunarsci.twin.rover import Rover
 
-__all__ = ["CREEP", "CREEP_M_S", "Commands", "held", "reach_m", "wheel_commands"]
+__all__ = ["CREEP", "CREEP_M_S", "Commands", "plain", "reach_m", "wheel_commands"]
 
 FloatArray = npt.NDArray[np.float64]
 SLOWEST_RIM = 0.02
 """Share of the rover's speed below which no rim falls while it drives: at zero the slip ratio has no meaning."""
-CREEP = 1e-3
+CREEP = 2e-2
 """Share of the plan's speed from which a start speeds up, and to which a stop slows down."""
 CREEP_M_S = 5e-5
-"""Speed at which the rims creep at a halt, for the same reason: 3 mm in a minute. Slower than that, shear outruns the
-time step and throws the rover about. [m/s]"""
+"""Rim speed that stands for none where a slip ratio is wanted all the same. [m/s]"""
+STILL_M_S = 1e-9
+"""A rim slower than this stands still. [m/s]"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +69,11 @@ def wheel_commands(
     return Commands(np.broadcast_to(steering, rim.shape), rim * np.asarray(speed_m_s, dtype=float)[..., None])
 
 
-def held(commands: Commands, slowest_m_s: float) -> Commands:
-    """The commands with no rim slower than a creep.
+def plain(commands: Commands) -> Commands:
+    """The commands as plain arrays, with rims that stand still at a zero that keeps the sign of their last motion.
 
-    As plain arrays: for each other layout of its arguments numba would compile the drive anew, in 10 s.
+    For each other layout of its arguments numba would compile the drive anew, in 10 s.
     """
     speed = np.array(commands.speed_m_s, order="C")
-    slowest = np.copysign(np.maximum(np.abs(speed), slowest_m_s), speed)
-    return Commands(np.array(commands.steering_rad, order="C"), slowest)
+    still = np.abs(speed) < STILL_M_S
+    return Commands(np.array(commands.steering_rad, order="C"), np.where(still, np.copysign(0.0, speed), speed))

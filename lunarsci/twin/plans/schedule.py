@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.twin.plans.commands import CREEP, CREEP_M_S, Commands, held, reach_m, wheel_commands
+from lunarsci.twin.plans.commands import CREEP, Commands, plain, reach_m, wheel_commands
 from lunarsci.twin.plans.path import along_legs, curvature_at, leg_end
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
@@ -181,7 +181,7 @@ def run_commands(
         return _standing(rover, before, len(times_s) - 1)
     share = run.share_at(times_s)
     rates = np.diff(share) / np.diff(times_s)
-    commands = held(_motion(rover, schedule.plan, run, share[1:], rates, legs), CREEP_M_S)
+    commands = plain(_motion(rover, schedule.plan, run, share[1:], rates, legs))
     if before is None or run.steer_s == 0:
         return commands
     turned = np.clip((times_s[1:] - run.begin_s) / run.steer_s, 0.0, 1.0)[:, None]
@@ -254,12 +254,12 @@ def _motion(
 
 
 def _standing(rover: Rover, before: Commands | None, steps: int) -> Commands:
-    """A stop: steering as it was, straight at the start of a drive, rims at a creep in the direction they had."""
+    """A stop: steering as it was, straight at the start of a drive, rims at rest."""
     if before is None:
         still = np.zeros((1, steps, len(rover.wheels)))
-        return held(Commands(still, still), CREEP_M_S)
+        return plain(Commands(still, still))
     steering, speed = (np.repeat(part[:, -1:], steps, axis=1) for part in (before.steering_rad, before.speed_m_s))
-    return held(Commands(steering, 0.0 * speed), CREEP_M_S)
+    return plain(Commands(steering, 0.0 * speed))
 
 
 def _steering(rover: Rover, leg: Leg) -> FloatArray:

@@ -12,9 +12,9 @@ torques M_O and M_S their leading parts.
 import math
 from typing import Any
 
-from lunarsci.compiled import in_lanes, joined, pasted
+from lunarsci.compiled import compiled, in_lanes, joined, pasted
 from lunarsci.elementary import arcsin, cosine, sine
-from lunarsci.regolith.forces import slip_ratio, wheel_forces_and_slopes
+from lunarsci.regolith.forces import contact_forces, slip_ratio
 from lunarsci.twin.simulation.lanes import (
     ACCELERATION,
     ACROSS,
@@ -30,6 +30,7 @@ from lunarsci.twin.simulation.lanes import (
     FIRST,
     FORCE,
     GROUND,
+    HOLD,
     LANES,
     LEVER,
     MATRIX,
@@ -38,11 +39,15 @@ from lunarsci.twin.simulation.lanes import (
     RIGHT,
     RIM,
     ROTATION,
+    RUT,
     SINKAGE,
+    SLIP,
     SOIL,
     SPEED,
     STIFF,
     SWING,
+    TRAVEL,
+    TWIST,
     VELOCITY,
     cross,
     dot,
@@ -62,6 +67,7 @@ __all__ = [
     "HELD",
     "NORMAL_DAMPING",
     "SHALLOWEST",
+    "SLOWEST",
     "VALID_SLIP",
     "add_wheel",
     "contact_frame",
@@ -74,8 +80,16 @@ DEEPEST = 0.9
 # Range of |s| that the source states for the model.
 VALID_SLIP = 0.6
 AT_REST, DRIVEN, HELD = rows(0, 1, 2)
-# Speeds [m/s] below this are none.
+# Speeds [m/s] below this are none; a rim as slow as that stands still.
 SLOWEST = 1e-9
+# Travel over which the bearing takes up a change of slip [m]: at a creep it does not follow at once. Assumed, short
+# against the contact, so that a step under way passes it.
+TAKE_UP_M = 1e-3
+# Of the ground under a wheel that stands, along its surface [N/m, N s/m]: stiff, so that it gives by less than a
+# millimetre before it yields, and about half of critical for a sixth of 135 kg. Assumed; unloading of the soil's own.
+STAND_STIFFNESS, STAND_DAMPING = 1e5, 1500.0
+# A wheel that yields comes to rest when it moves by less than this share of what the stiffness gives in a step.
+CAUGHT = 0.01
 # Below this sinkage [m] the contact angles round to nothing.
 SHALLOWEST = 1e-9
 
@@ -120,13 +134,15 @@ def chosen(on: Any, values: Any) -> Any:
 def meet_ground(
     body: Any, wheel: Any, tyre: Any, kg: float, gravity: float, bogie: int, dt: float, shear: bool, free: float,
 ) -> None:  # fmt: skip
-    """Contact frame, motion, wrench and its derivatives of one wheel.
+    """Contact frame, motion, wrench and its derivatives of one wheel that rolls.
 
     The derivatives only steady the implicit step: those of the shear, and the stiffness of F_N ~ z^(n0 + 1/2). The
-    normal force never pulls.
+    normal force never pulls. Below a rim that stands still the stress along the wheel stays as it was; `stand` then puts
+    in what holds it.
     """
     for lane in range(LANES):
-        arm, ground, rim = get3(wheel, ARM, lane), get3(wheel, GROUND, lane), abs(get(wheel, RIM, lane))
+        arm, ground, turning = get3(wheel, ARM, lane), get3(wheel, GROUND, lane), abs(get(wheel, RIM, lane))
+        rim = max(turning, SLOWEST)
         axes = contact_frame(ground[1], ground[2], get3(wheel, AXLE, lane))
         v_world = plus(get3(body, SPEED, lane), cross(get3(body, SPEED + 3, lane), arm))
         v_world = plus(v_world, times(get3(wheel, SWING, lane), get(body, SPEED + 6, lane)))
@@ -142,20 +158,28 @@ def meet_ground(
             get(wheel, SOIL + 7, lane),
         )  # fmt: skip
         travel, lateral = (v[0] / rim, v[1] / rim) if shear else (1.0, 0.0)
-        forces, slopes = wheel_forces_and_slopes(z, travel, lateral, tyre, soil, 0)
+        travel = get(wheel, TRAVEL, lane) if turning < SLOWEST and free > 0.0 else travel
+        taken = get(wheel, SLIP, lane)
+        taken_up = min(turning * dt / TAKE_UP_M, 1.0) if free > 0.0 else 1.0
+        slip = taken + taken_up * (min(slip_ratio(travel), 1.0) - taken)
+        rut = (get(wheel, RUT, lane), get(wheel, RUT + 1, lane))
+        forces, slopes, _ = contact_forces(z, slip, travel, lateral, rut, tyre, soil, 0)
         f_n, f_dp, f_l, m_r = chosen(on, forces)
         slopes = chosen(on, slopes)
-        ahead, below = shear_center(z, slip_ratio(travel), tyre)
-        damping = free * NORMAL_DAMPING * v[2] * slid
+        ahead, below = shear_center(z, slip, tyre)
+        stiffness = on * (soil[1] + 0.5) * max(f_n, 0.0) / z
+        # A step must not ring on ground that is stiffer than it can follow.
+        rate = max(NORMAL_DAMPING, 0.5 * dt * stiffness)
+        damping = free * rate * v[2] * slid
         pressed = max(f_n - damping, 0.0) * on
         bearing = 1.0 if pressed > 0.0 else 0.0
+        stiffness = on * (soil[1] + 0.5) * pressed / z
         per = slid / rim
         # A step must not pass the speed at which nothing slips: from far away the force is taken to fall to 0 there.
         brake = min(max(10.0 * abs(slip_ratio(travel)) - 2.0, 0.0), slid) / max(abs(rim - v[0]), SLOWEST)
         skew = min(max(10.0 * abs(v[1]) / max(abs(v[0]), rim) - 3.0, 0.0), slid) / max(abs(v[1]), SLOWEST)
         along = per * slopes[1] - brake * abs(f_dp)
         d_l = -per * slopes[2] - skew * abs(f_l)
-        stiffness = on * (soil[1] + 0.5) * pressed / z
         remaining = seen_from(axes, get3(wheel, ACCELERATION, lane))
         put3(wheel, AXES, lane, axes[0])
         put3(wheel, AXES + 3, lane, axes[1])
@@ -166,12 +190,109 @@ def meet_ground(
         put3(wheel, MOMENT, lane, (-slid * below * f_l, -slid * m_r, -slid * ahead * f_l))
         put3(wheel, ALONG, lane, (along, per * bearing * slopes[0], brake * abs(m_r) - per * slopes[3]))
         put3(wheel, ACROSS, lane, (d_l, below * d_l, ahead * d_l))
-        put(wheel, STIFF, lane, dt * slid * bearing * NORMAL_DAMPING + 0.5 * dt * dt * stiffness)
+        put(wheel, STIFF, lane, dt * slid * bearing * rate + 0.5 * dt * dt * stiffness)
         put(wheel, STIFF + 1, lane, free * dt * dt * stiffness * v[2])
         put(wheel, SINKAGE, lane, sinkage)
         put3(wheel, VELOCITY, lane, v)
         put(wheel, NORMAL, lane, pressed + damping * bearing)
         put3(wheel, DRAWBAR, lane, (slid * f_dp, slid * f_l, slid * m_r))
+        put(wheel, SLIP, lane, slip)
+        put(wheel, TRAVEL, lane, travel)
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def any_stands(wheel: Any) -> bool:
+    """Whether a rim of the group stands still."""
+    for lane in range(LANES):
+        if abs(wheel[RIM * LANES + lane]) < SLOWEST:
+            return True
+    return False
+
+
+@in_lanes
+def keep_hold(wheel: Any) -> None:
+    """Keep what the soil did to the wheel along its surface in the step before, as it stood in the world."""
+    for lane in range(LANES):
+        e, d = get3(wheel, AXES, lane), get3(wheel, AXES + 3, lane)
+        f_dp, f_l, m_r = get3(wheel, DRAWBAR, lane)
+        put3(wheel, HOLD, lane, plus(times(e, f_dp), times(d, -f_l)))
+        put3(wheel, TWIST, lane, times(d, m_r))
+
+
+@pasted
+def yielding(before: Any, speed: Any, low: Any, high: Any, dt: Any) -> Any:
+    """Force that holds along one direction, and the viscous share of an implicit step. [N, N s/m]
+
+    A spring that gives by the way of the last step, from `before`, within what the soil can hold: Cundall & Strack
+    (1979), 10.1680/geot.1979.29.1.47. Beyond, the force stays and is taken to fall to 0 where the wheel stops.
+    """
+    step = STAND_STIFFNESS * dt
+    wanted = before - step * speed
+    force = min(max(wanted, low), high)
+    caught = abs(speed) * step < CAUGHT * (high - low)
+    rate = STAND_DAMPING + step if force == wanted or caught else abs(force) / max(abs(speed), SLOWEST)
+    return force, rate, (rate * speed if force == wanted or caught else 0.0)
+
+
+@in_lanes
+def stand(wheel: Any, tyre: Any, dt: float) -> None:
+    """What holds a wheel whose rim stands still: static friction, in the place of what `meet_ground` found.
+
+    The force along the surface and the torque about the axle are those of the moment when the rim came to rest, and
+    change as the wheel moves against the ground. They stay within the shear strength at the wheel's sinkage, and ahead
+    the resistance of the ground that the wheel has piled up is added: the ends of the law of a wheel that rolls.
+    """
+    for lane in range(LANES):
+        e, d, v = get3(wheel, AXES, lane), get3(wheel, AXES + 3, lane), get3(wheel, VELOCITY, lane)
+        held, twist = get3(wheel, HOLD, lane), get3(wheel, TWIST, lane)
+        still = abs(get(wheel, RIM, lane)) < SLOWEST
+        on = get(wheel, NORMAL, lane) > 0.0
+        z = min(max(get(wheel, SINKAGE, lane), SHALLOWEST), DEEPEST * tyre[0])
+        soil = (
+            get(wheel, SOIL, lane), get(wheel, SOIL + 1, lane), get(wheel, SOIL + 2, lane), get(wheel, SOIL + 3, lane),
+            get(wheel, SOIL + 4, lane), get(wheel, SOIL + 5, lane), get(wheel, SOIL + 6, lane),
+            get(wheel, SOIL + 7, lane),
+        )  # fmt: skip
+        slip, rut = get(wheel, SLIP, lane), (get(wheel, RUT, lane), get(wheel, RUT + 1, lane))
+        _, _, reach = contact_forces(z, slip, 1.0 - slip, 0.0, rut, tyre, soil, 0)
+        ahead, below = shear_center(z, slip, tyre)
+        shear, piled, side = (reach[0], reach[1], reach[2]) if on else (0.0, 0.0, 0.0)
+        along = yielding(dot(held, e), v[0], -shear - piled, max(shear - piled, 0.0), dt)
+        across = yielding(dot(held, d), v[1], -side, side, dt)
+        torque = dot(twist, d) + below * (along[0] - dot(held, e)) if on else 0.0
+        old = get3(wheel, DRAWBAR, lane)
+        put(wheel, FORCE, lane, get(wheel, FORCE, lane) + (along[0] - along[2] - old[0] if still else 0.0))
+        put(wheel, FORCE + 1, lane, get(wheel, FORCE + 1, lane) + (across[0] - across[2] + old[1] if still else 0.0))
+        moment, a, c = get3(wheel, MOMENT, lane), get3(wheel, ALONG, lane), get3(wheel, ACROSS, lane)
+        put3(wheel, MOMENT, lane, (
+            below * (across[0] - across[2]) if still else moment[0],
+            below * along[2] - torque if still else moment[1],
+            ahead * (across[0] - across[2]) if still else moment[2],
+        ))  # fmt: skip
+        put3(wheel, ALONG, lane, (
+            -along[1] if still else a[0], 0.0 if still else a[1], below * along[1] if still else a[2],
+        ))  # fmt: skip
+        put3(wheel, ACROSS, lane, (
+            -across[1] if still else c[0], -below * across[1] if still else c[1],
+            -ahead * across[1] if still else c[2],
+        ))  # fmt: skip
+        put3(wheel, DRAWBAR, lane, (
+            along[0] if still else old[0], -across[0] if still else old[1], torque if still else old[2],
+        ))  # fmt: skip
+
+
+@in_lanes
+def lean(wheel: Any, tyre: Any) -> None:
+    """Put the force of `HOLD`, as far as it lies along the surface, on a wheel that rests."""
+    for lane in range(LANES):
+        e, d, held = get3(wheel, AXES, lane), get3(wheel, AXES + 3, lane), get3(wheel, HOLD, lane)
+        z = min(max(get(wheel, SINKAGE, lane), SHALLOWEST), DEEPEST * tyre[0])
+        ahead, below = shear_center(z, 0.0, tyre)
+        x, y = dot(held, e), dot(held, d)
+        put(wheel, FORCE, lane, get(wheel, FORCE, lane) + x)
+        put(wheel, FORCE + 1, lane, get(wheel, FORCE + 1, lane) + y)
+        put3(wheel, MOMENT, lane, (below * y, -below * x, ahead * y))
+        put3(wheel, DRAWBAR, lane, (x, -y, below * x))
 
 
 @pasted
@@ -255,16 +376,24 @@ def add_wheel(work: Any, w: int, rover: Any, tyre: Any, dt: float, mode: int) ->
 
     Parameters
     ----------
-    work : with kinematics, ground and commands of the wheel in place; its rim must move.
+    work : with kinematics, ground and commands of the wheel in place.
     rover, tyre : `Rover.vector()`, `Wheel.vector()`.
     dt : step. [s]
-    mode : `DRIVEN`; `AT_REST` leaves only the normal force; `HELD` has the forces of the motion, but the step does not
+    mode : `DRIVEN`, where a rim that does not turn is held by static friction; `AT_REST` has the normal force and, along
+        the surface, the force in the rows of `HOLD`; `HELD`, of rims that turn, has the forces of the motion, but the step does not
         take the rover along, so touch-down damping and the change of sinkage along the step are left out.
     """
     side, kg = w % 2, rover.wheel_kg
     wheel, system = work.wheels[w], work.sides[side]
+    stands = mode == DRIVEN and any_stands(wheel)
+    if stands:
+        keep_hold(wheel)
     meet_ground(
         work.body, wheel, tyre, kg, rover.gravity, SPEED + 7 + side, dt, mode != AT_REST, 0.0 if mode == HELD else 1.0
     )
+    if stands:
+        stand(wheel, tyre, dt)
+    if mode == AT_REST:
+        lean(wheel, tyre)
     find_levers(work.body, wheel, work.levers, rover.hung[w], 1.0 - 2.0 * side, kg, dt)
     add_rows(work.levers, system)

@@ -5,7 +5,7 @@ from typing import Any
 
 from lunarsci.compiled import compiled
 from lunarsci.regolith.forces import slip_ratio
-from lunarsci.twin.simulation.contact import DEEPEST, DRIVEN, SHALLOWEST, VALID_SLIP
+from lunarsci.twin.simulation.contact import DEEPEST, DRIVEN, SHALLOWEST, SLOWEST, VALID_SLIP
 from lunarsci.twin.simulation.dynamics import orient
 from lunarsci.twin.simulation.integrate import assemble, check_health, eliminate, move
 from lunarsci.twin.simulation.lanes import (
@@ -66,7 +66,8 @@ def record(work: Any, lane: int, tyre: Any, path: Any, states: Any) -> None:
         wheel, state = work.wheels[w], states[w]
         sinkage = wheel[SINKAGE * LANES + lane]
         forward, across = wheel[VELOCITY * LANES + lane], wheel[(VELOCITY + 1) * LANES + lane]
-        slip = slip_ratio(forward / abs(wheel[RIM * LANES + lane]))
+        rim = abs(wheel[RIM * LANES + lane])
+        slip = slip_ratio(forward / rim) if rim >= SLOWEST else 0.0
         state[0], state[1] = wheel[CENTER * LANES + lane], wheel[(CENTER + 1) * LANES + lane]
         state[2], state[3], state[4] = max(sinkage, 0.0), slip, math.atan2(across, abs(forward))
         state[5], state[6] = wheel[NORMAL * LANES + lane], wheel[DRAWBAR * LANES + lane]

@@ -9,6 +9,7 @@ inertial forces follow from the accelerations that remain at u-dot = 0; nothing 
 (0.02 N m s each at 0.05 m/s, gyroscopic torques of 1e-4 N m) is left out. Wheels enter the equations in `contact`.
 """
 
+import math
 from typing import Any
 
 from lunarsci.compiled import in_lanes, joined, pasted
@@ -105,7 +106,8 @@ def place_wheel(body: Any, wheel: Any, rover: Any, w: int) -> None:
     """Fill centre, arm, swings, axle and remaining acceleration of wheel `w`, steered as its rows say.
 
     A steered wheel stands `steering_offset` outboard of its steering axis. The axle of a wheel that turns backwards
-    points the other way, so that it rolls ahead along its contact frame like any other.
+    points the other way, so that it rolls ahead along its contact frame like any other; at rest the sign of the zero
+    tells.
     """
     side = 1.0 if w % 2 == 0 else -1.0
     hung = rover.hung[w]
@@ -122,7 +124,7 @@ def place_wheel(body: Any, wheel: Any, rover: Any, w: int) -> None:
         spin = rocker_spin + hung * get(body, SPEED + joint - 1, lane)
         cos_r, sin_r, cos_b, sin_b = cosine(rocker), sine(rocker), cosine(angle), sine(angle)
         cos_s, sin_s = cosine(get(wheel, STEER, lane)), sine(get(wheel, STEER, lane))
-        ahead = 1.0 if get(wheel, RIM, lane) >= 0.0 else -1.0
+        ahead = math.copysign(1.0, get(wheel, RIM, lane))
         first = swung(cos_r, sin_r, (bogie_x, bogie_y, bogie_z))
         last = swung(cos_b, sin_b, (own_x - offset * sin_s, own_y + offset * (cos_s - 1.0), own_z))
         pivot = (0.0, pivot_y, 0.0)

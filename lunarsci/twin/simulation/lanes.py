@@ -37,7 +37,10 @@ SINKAGE, VELOCITY, NORMAL, DRAWBAR, SIDE, RESISTANCE = rows(29, 30, 33, 34, 35, 
 # velocity (drawbar, normal, resistance) and by the lateral one (side force, its moments about the first and last axis);
 # what normal damping and stiffness add to the matrix, and to the right side. Commands: steering angle, and speed of the
 # rim over ground, r_s omega, negative backwards.
-AXES, FORCE, MOMENT, ALONG, ACROSS, STIFF, STEER, RIM, WHEEL_ROWS = rows(37, 46, 49, 52, 55, 58, 60, 61, 62)
+AXES, FORCE, MOMENT, ALONG, ACROSS, STIFF, STEER, RIM = rows(37, 46, 49, 52, 55, 58, 60, 61)
+# What the contact remembers: the slip ratio that the bearing has taken up, the travel ratio before the rim stood still,
+# force and torque that hold a wheel at rest. How deep wheels before pressed the ground, and how deep it is still.
+SLIP, TRAVEL, HOLD, TWIST, RUT, WHEEL_ROWS = rows(62, 63, 64, 67, 70, 72)
 # Rows of `Work.levers`, for coordinates 0 to 6 and the wheel's own bogie: velocity of the wheel centre along the axes
 # per rate of the coordinate; the coefficients of its row of the matrix; its right side.
 LEVER, COEFFICIENT, DRIVE, LEVER_ROWS = rows(0, 24, 48, 56)

@@ -9,7 +9,22 @@ from lunarsci.compiled import compiled
 from lunarsci.twin.ground.terrain import lay_soil, read_ground
 from lunarsci.twin.simulation.contact import AT_REST
 from lunarsci.twin.simulation.integrate import assemble, eliminate, is_upright, move
-from lunarsci.twin.simulation.lanes import CENTER, CHANGE, GROUND, LANES, MATRIX, POSE, RIGHT, SPEED
+from lunarsci.twin.simulation.lanes import (
+    ARM,
+    AXES,
+    CENTER,
+    CHANGE,
+    GROUND,
+    HOLD,
+    LANES,
+    MATRIX,
+    NORMAL,
+    POSE,
+    RIGHT,
+    SLIP,
+    SPEED,
+    TRAVEL,
+)
 from lunarsci.twin.simulation.outcomes import CLIFF, DIVERGED, FINISHED, HOLE, LEFT, OVERTURNED, SANK, UNSETTLED
 
 __all__ = ["balance", "place", "settle"]
@@ -106,12 +121,60 @@ def shorten(work: Any, most: float, done: Any) -> None:
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
+def lean_on(work: Any, left: Any, done: Any, tolerance: float) -> None:
+    """Let the ground hold what `left` (LANES, 3) says has to hold the rovers: along its surface under every wheel.
+
+    How the forces share out among the wheels is not determined; each takes as much of its load as the others, along
+    the way in which the rover would start to slide and turn. Lanes where more than `tolerance` [N, N m] is left are not
+    done.
+    """
+    share, moved = np.empty((3, 3)), np.empty((3, 3))
+    for lane in range(LANES):
+        if not abs(left[lane, 0]) + abs(left[lane, 1]) + abs(left[lane, 2]) < np.inf:
+            continue
+        share[:] = 0.0
+        for w in range(len(work.wheels)):
+            normal = work.wheels[w, NORMAL * LANES + lane]
+            slide_along(work.wheels[w], lane, moved)
+            for i in range(3):
+                for k in range(3):
+                    # Both columns lie in the surface.
+                    for m in range(3):
+                        share[i, k] += normal * moved[m, i] * moved[m, k]
+        for i in range(3):
+            share[i, i] += 1e-300
+            if abs(left[lane, i]) > tolerance:
+                done[lane] = False
+        if not np.linalg.det(share) > 0.0:
+            continue
+        pull = np.linalg.solve(share, left[lane])
+        for w in range(len(work.wheels)):
+            normal = work.wheels[w, NORMAL * LANES + lane]
+            slide_along(work.wheels[w], lane, moved)
+            for m in range(3):
+                for i in range(3):
+                    work.wheels[w, (HOLD + m) * LANES + lane] += normal * moved[m, i] * pull[i]
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def slide_along(wheel: Any, lane: int, moved: Any) -> None:
+    """Way of a wheel's centre along the surface as the rover moves in x, in y and turns about the vertical. (3, 3)"""
+    x, y = wheel[ARM * LANES + lane], wheel[(ARM + 1) * LANES + lane]
+    n = (AXES + 6) * LANES + lane
+    n_x, n_y, n_z = wheel[n], wheel[n + LANES], wheel[n + 2 * LANES]
+    for i in range(3):
+        v_x, v_y = (1.0, 0.0) if i == 0 else (0.0, 1.0) if i == 1 else (-y, x)
+        out = v_x * n_x + v_y * n_y
+        moved[0, i], moved[1, i], moved[2, i] = v_x - out * n_x, v_y - out * n_y, -out * n_z
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
 def balance(rover: Any, tyre: Any, grid: Any, override: Any, mode: int, velocity: Any, left: Any, work: Any) -> None:
     """Bring the rovers into equilibrium at their x, y and yaw, with the forces of `mode` at `velocity` (LANES, 9).
 
     Each round is a step from rest with a growing dt, which turns from damped dynamics into a Newton iteration.
     Converged at 1e-9 of the weight. `left` (LANES, 3) takes the force in x and y [N] and the moment about the vertical
-    [N m] that hold the rover. Outcomes in `work.code`.
+    [N m] that hold the rover beside the wheels; none is left `AT_REST`, where the ground does. Outcomes in `work.code`.
     """
     weight = (rover.body_kg + len(rover.arms) * rover.wheel_kg) * rover.gravity
     done = np.zeros(LANES, dtype=np.bool_)
@@ -124,6 +187,8 @@ def balance(rover: Any, tyre: Any, grid: Any, override: Any, mode: int, velocity
                 work.code[lane] = FINISHED
         assemble(rover, tyre, grid, override, dt, mode, work)
         lock(work, dt, SETTLE_TOLERANCE * weight, done, left)
+        if mode == AT_REST:
+            lean_on(work, left, done, SETTLE_TOLERANCE * weight)
         for lane in range(LANES):
             if work.code[lane] in (LEFT, HOLE, CLIFF, OVERTURNED, UNSETTLED, DIVERGED):
                 done[lane] = True
@@ -146,9 +211,14 @@ def balance(rover: Any, tyre: Any, grid: Any, override: Any, mode: int, velocity
 def settle(rover: Any, tyre: Any, grid: Any, override: Any, start: Any, work: Any) -> None:
     """Bring the rovers, steered as `work` says, to static equilibrium at `start` (LANES, 3): x, y, heading.
 
-    Normal forces only, x, y and yaw held. Velocities are left at rest, outcomes in `work.code`.
+    The ground holds them, along its surface too, whatever its strength. Velocities are left at rest, outcomes in
+    `work.code`.
     """
     work.code[:] = FINISHED
+    for w in range(len(work.wheels)):
+        work.wheels[w, SLIP * LANES : (SLIP + 1) * LANES] = 0.0
+        work.wheels[w, TRAVEL * LANES : (TRAVEL + 1) * LANES] = 1.0
+        work.wheels[w, HOLD * LANES : (HOLD + 3) * LANES] = 0.0
     place(rover, tyre, grid, override, start, work)
     balance(rover, tyre, grid, override, AT_REST, np.zeros((LANES, 9)), np.zeros((LANES, 3)), work)
     work.body[SPEED * LANES : (SPEED + 9) * LANES] = 0.0
