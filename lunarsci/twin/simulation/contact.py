@@ -12,6 +12,8 @@ torques M_O and M_S their leading parts.
 import math
 from typing import Any
 
+import numpy as np
+
 from lunarsci.compiled import compiled, in_lanes, joined, pasted
 from lunarsci.elementary import arcsin, cosine, sine
 from lunarsci.regolith.forces import contact_forces, slip_ratio
@@ -73,8 +75,9 @@ __all__ = [
     "contact_frame",
 ]
 
-# Assumed, for a calm touch-down: half of critical for a sixth of 135 kg on 7 kN/m; the soil's own is not published.
-NORMAL_DAMPING = 400.0
+# Assumed, for a calm touch-down: half of critical for this mass on a wheel [kg] on 7 kN/m, and for another in
+# proportion; the soil's own is not published. [N s/m]
+NORMAL_DAMPING, MASS_ON_WHEEL = 400.0, 22.5
 # The closed form has no meaning once the wheel is buried to its axle; beyond this share of r the force stays constant.
 DEEPEST = 0.9
 # Range of |s| that the source states for the model.
@@ -86,7 +89,8 @@ SLOWEST = 1e-9
 # against the contact, so that a step under way passes it.
 TAKE_UP_M = 1e-3
 # Of the ground under a wheel that stands, along its surface [N/m, N s/m]: stiff, so that it gives by less than a
-# millimetre before it yields, and about half of critical for a sixth of 135 kg. Assumed; unloading of the soil's own.
+# millimetre before it yields, and about half of critical; of the same mass. Assumed: no unloading of regolith along
+# the surface is published.
 STAND_STIFFNESS, STAND_DAMPING = 1e5, 1500.0
 # A wheel that yields comes to rest when it moves by less than this share of what the stiffness gives in a step.
 CAUGHT = 0.01
@@ -133,12 +137,13 @@ def chosen(on: Any, values: Any) -> Any:
 @in_lanes
 def meet_ground(
     body: Any, wheel: Any, tyre: Any, kg: float, gravity: float, bogie: int, dt: float, shear: bool, free: float,
+    calm: float,
 ) -> None:  # fmt: skip
     """Contact frame, motion, wrench and its derivatives of one wheel that rolls.
 
     The derivatives only steady the implicit step: those of the shear, and the stiffness of F_N ~ z^(n0 + 1/2). The
-    normal force never pulls. Below a rim that stands still the stress along the wheel stays as it was; `stand` then puts
-    in what holds it.
+    normal force never pulls. Below a rim that stands still the stress along the wheel stays as it was; `stand` then
+    puts in what holds it. `calm` is the damping of a touch-down. [N s/m]
     """
     for lane in range(LANES):
         arm, ground, turning = get3(wheel, ARM, lane), get3(wheel, GROUND, lane), abs(get(wheel, RIM, lane))
@@ -169,7 +174,7 @@ def meet_ground(
         ahead, below = shear_center(z, slip, tyre)
         stiffness = on * (soil[1] + 0.5) * max(f_n, 0.0) / z
         # A step must not ring on ground that is stiffer than it can follow.
-        rate = max(NORMAL_DAMPING, 0.5 * dt * stiffness)
+        rate = max(calm, 0.5 * dt * stiffness)
         damping = free * rate * v[2] * slid
         pressed = max(f_n - damping, 0.0) * on
         bearing = 1.0 if pressed > 0.0 else 0.0
@@ -203,10 +208,7 @@ def meet_ground(
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def any_stands(wheel: Any) -> bool:
     """Whether a rim of the group stands still."""
-    for lane in range(LANES):
-        if abs(wheel[RIM * LANES + lane]) < SLOWEST:
-            return True
-    return False
+    return bool(np.abs(wheel[RIM * LANES : (RIM + 1) * LANES]).min() < SLOWEST)
 
 
 @in_lanes
@@ -220,22 +222,22 @@ def keep_hold(wheel: Any) -> None:
 
 
 @pasted
-def yielding(before: Any, speed: Any, low: Any, high: Any, dt: Any) -> Any:
+def yielding(before: Any, speed: Any, low: Any, high: Any, dt: Any, load: Any) -> Any:
     """Force that holds along one direction, and the viscous share of an implicit step. [N, N s/m]
 
     A spring that gives by the way of the last step, from `before`, within what the soil can hold: Cundall & Strack
     (1979), 10.1680/geot.1979.29.1.47. Beyond, the force stays and is taken to fall to 0 where the wheel stops.
     """
-    step = STAND_STIFFNESS * dt
+    step = load * STAND_STIFFNESS * dt
     wanted = before - step * speed
     force = min(max(wanted, low), high)
     caught = abs(speed) * step < CAUGHT * (high - low)
-    rate = STAND_DAMPING + step if force == wanted or caught else abs(force) / max(abs(speed), SLOWEST)
+    rate = load * STAND_DAMPING + step if force == wanted or caught else abs(force) / max(abs(speed), SLOWEST)
     return force, rate, (rate * speed if force == wanted or caught else 0.0)
 
 
 @in_lanes
-def stand(wheel: Any, tyre: Any, dt: float) -> None:
+def stand(wheel: Any, tyre: Any, dt: float, load: float) -> None:
     """What holds a wheel whose rim stands still: static friction, in the place of what `meet_ground` found.
 
     The force along the surface and the torque about the axle are those of the moment when the rim came to rest, and
@@ -257,8 +259,8 @@ def stand(wheel: Any, tyre: Any, dt: float) -> None:
         _, _, reach = contact_forces(z, slip, 1.0 - slip, 0.0, rut, tyre, soil, 0)
         ahead, below = shear_center(z, slip, tyre)
         shear, piled, side = (reach[0], reach[1], reach[2]) if on else (0.0, 0.0, 0.0)
-        along = yielding(dot(held, e), v[0], -shear - piled, max(shear - piled, 0.0), dt)
-        across = yielding(dot(held, d), v[1], -side, side, dt)
+        along = yielding(dot(held, e), v[0], -shear - piled, max(shear - piled, 0.0), dt, load)
+        across = yielding(dot(held, d), v[1], -side, side, dt, load)
         torque = dot(twist, d) + below * (along[0] - dot(held, e)) if on else 0.0
         old = get3(wheel, DRAWBAR, lane)
         put(wheel, FORCE, lane, get(wheel, FORCE, lane) + (along[0] - along[2] - old[0] if still else 0.0))
@@ -379,20 +381,23 @@ def add_wheel(work: Any, w: int, rover: Any, tyre: Any, dt: float, mode: int) ->
     work : with kinematics, ground and commands of the wheel in place.
     rover, tyre : `Rover.vector()`, `Wheel.vector()`.
     dt : step. [s]
-    mode : `DRIVEN`, where a rim that does not turn is held by static friction; `AT_REST` has the normal force and, along
-        the surface, the force in the rows of `HOLD`; `HELD`, of rims that turn, has the forces of the motion, but the step does not
-        take the rover along, so touch-down damping and the change of sinkage along the step are left out.
+    mode : `DRIVEN`, where a rim that does not turn is held by static friction; `AT_REST` has the normal force and,
+        along the surface, the force in the rows of `HOLD`; `HELD`, of rims that turn, has the forces of the motion, but
+        the step does not take the rover along, so touch-down damping and the change of sinkage along the step are left
+        out.
     """
     side, kg = w % 2, rover.wheel_kg
     wheel, system = work.wheels[w], work.sides[side]
+    load = (rover.body_kg / len(rover.arms) + kg) / MASS_ON_WHEEL
     stands = mode == DRIVEN and any_stands(wheel)
     if stands:
         keep_hold(wheel)
     meet_ground(
-        work.body, wheel, tyre, kg, rover.gravity, SPEED + 7 + side, dt, mode != AT_REST, 0.0 if mode == HELD else 1.0
-    )
+        work.body, wheel, tyre, kg, rover.gravity, SPEED + 7 + side, dt, mode != AT_REST,
+        0.0 if mode == HELD else 1.0, load * NORMAL_DAMPING,
+    )  # fmt: skip
     if stands:
-        stand(wheel, tyre, dt)
+        stand(wheel, tyre, dt, load)
     if mode == AT_REST:
         lean(wheel, tyre)
     find_levers(work.body, wheel, work.levers, rover.hung[w], 1.0 - 2.0 * side, kg, dt)
