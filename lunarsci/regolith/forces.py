@@ -115,7 +115,7 @@ def _signed_share(j: float, travel: float, modulus: float, code: int) -> float:
 
 @pasted
 def contact_forces(
-    sinkage: Any, slip: Any, travel: Any, lateral: Any, rut: Any, wheel: Any, soil: Any, code: Any
+    sinkage: Any, slip: Any, travel: Any, lateral: Any, before: Any, rut: Any, wheel: Any, soil: Any, code: Any
 ) -> Any:
     """F_N, F_DP, F_L, M_R of one wheel (Eqs 18-24), how they change with its motion, and what the soil can hold.
 
@@ -127,6 +127,7 @@ def contact_forces(
     slip : slip ratio that exponent of sinkage and angle of maximum stress follow, -1 to 1. [-]
     travel : v_x / (r_s omega). [-]
     lateral : v_y / (r_s omega); F_L has its sign and acts against it. [-]
+    before : the travel ratio whose shear stress helps to carry the wheel; in steady motion it is `travel`. [-]
     rut : how deep a wheel before pressed the ground, and how deep it is still, both below the undisturbed one; zeros
         where none was there. Between the two the soil is loaded again along a line (Wong 2008, ch. 2). [m]
     wheel, soil : `Wheel.vector()`, `Soil.vector()`.
@@ -162,13 +163,16 @@ def contact_forces(
     share_x = -sign_x * exp_minus_one((-j_x if code == 1 else -abs(j_x)) / k_x)
     strength_x, strength_y = cohesion + sigma_m * tan_phi, cohesion + sigma_m * tan_phi_y
     tau_x = strength_x * share_x
+    j_before = r_s * ((theta_1e - theta_m) - before * (sin_1e - sin_m))
+    share_before = -math.copysign(1.0, j_before) * exp_minus_one(-abs(j_before) / k_x)
+    tau_before = strength_x * share_before if code == 0 else tau_x
     j_y = r * lateral * (theta_1e - theta_m)
     share_y = math.copysign(1.0, j_y) * (0.0 - exp_minus_one(-abs(j_y) / k_y))
     tau_y = strength_y * share_y
     slope_x = -strength_x * (1.0 - abs(share_x)) / k_x * r_s * (sin_1e - sin_m)
     slope_y = strength_y * (1.0 - abs(share_y)) / k_y * r * (theta_1e - theta_m)
     forces = (
-        b * (r * sigma_m * a + r_s * tau_x * b_moment),
+        b * (r * sigma_m * a + r_s * tau_before * b_moment),
         b * (r_s * tau_x * a - r * sigma_m * b_moment),
         r_s * b * tau_y * c_moment,
         r_s * r_s * b * tau_x * c_moment,
@@ -189,7 +193,9 @@ def wheel_forces_and_slopes(sinkage: Any, travel: Any, lateral: Any, wheel: Any,
 
     `travel` is v_x / (r_s omega) >= 0. [-]
     """
-    forces, slopes, _ = contact_forces(sinkage, slip_ratio(travel), travel, lateral, (0.0, 0.0), wheel, soil, code)
+    forces, slopes, _ = contact_forces(
+        sinkage, slip_ratio(travel), travel, lateral, travel, (0.0, 0.0), wheel, soil, code
+    )
     return forces, slopes
 
 

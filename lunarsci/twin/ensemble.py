@@ -1,6 +1,8 @@
 """Many drives over the same plan, each with another soil within its uncertainty."""
 
+import dataclasses
 import math
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol, Self
@@ -9,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.compiled import each_in_threads
-from lunarsci.errors import ParameterError
+from lunarsci.errors import LunarSciWarning, ParameterError
 from lunarsci.twin.ground.terrain import Terrain, soil_overrides
-from lunarsci.twin.plans.commands import Commands
+from lunarsci.twin.plans.commands import Commands, reach_m
 from lunarsci.twin.plans.fixes import fix_errors, legs_from
 from lunarsci.twin.plans.plan import Plan, Sweep, check_plan
 from lunarsci.twin.plans.schedule import (
@@ -27,6 +29,7 @@ from lunarsci.twin.simulation.contact import DEEPEST, SHALLOWEST
 from lunarsci.twin.simulation.drive import begin, drive
 from lunarsci.twin.simulation.lanes import LANES, Work, new_work
 from lunarsci.twin.simulation.outcomes import OUTCOMES
+from lunarsci.twin.simulation.ruts import SPACING_M, with_ruts
 
 __all__ = ["PATH_COLUMNS", "STATE_COLUMNS", "Grounds", "Prediction", "member_parameters", "predict"]
 
@@ -51,6 +54,10 @@ LONGEST_STEP_S, LONGEST_SAMPLE_M = 0.2, 0.5
 MOST_MEMBERS = 100_000
 UNDER_WAY = 0.95
 """Share of the full speed below which a sample is at a halt, assumed, as the ramps are: slip is not counted there."""
+OUTLINE = 2000
+"""Places along a plan about which ruts are kept."""
+STRAY_M = 1.5
+"""How far from its plan a rover still meets ruts; assumed. [m]"""
 # States of this many members times samples fill 1 GB.
 MOST_SAMPLES = 2_000_000
 MOST_STEPS = 1e7
@@ -97,6 +104,8 @@ class Prediction:
     recorded : samples that each member reached; later rows repeat its last one and are no prediction. (members,)
     outcome : index into `OUTCOMES`. (members,)
     grounds : what each member drove on, where they do not share the terrain's soil or one of `parameters`.
+    ruts : whether wheels met what others had left.
+    before : the plan that each member had driven on the same ground before, whose ruts it met.
     """
 
     rover: Rover
@@ -114,6 +123,8 @@ class Prediction:
     recorded: IntArray
     outcome: IntArray
     grounds: Grounds | None = None
+    ruts: bool = False
+    before: Plan | None = None
 
     @property
     def members(self) -> int:
@@ -197,6 +208,8 @@ def predict(
     seed: int = 0,
     time_step_s: float = 0.1,
     sample_m: float = 0.1,
+    ruts: bool = True,
+    before: Plan | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Prediction:
     """Drive the plan once for each soil of the ensemble.
@@ -212,6 +225,8 @@ def predict(
     time_step_s : longest time step; shortened so that samples fall on steps. 0.1 s puts the end of the embedded plan
         within 1.5 mm. [s]
     sample_m : longest distance between samples; shortened so that the last is the end of the path. [m]
+    ruts : whether wheels meet the ruts of those before them, as `lunarsci.twin.simulation.ruts` has them.
+    before : a plan that each member has driven on the same ground before, so that it meets those ruts too.
     progress : called with members done and members in all, after each of them.
 
     Raises
@@ -220,6 +235,12 @@ def predict(
     """
     check_plan(plan, rover)
     _check_steps(time_step_s, sample_m, seed)
+    if before is not None:
+        check_plan(before, rover)
+        if not ruts:
+            raise ParameterError(
+                "a plan driven before leaves nothing but ruts, which are left out; give one or neither"
+            )
     if grounds is not None and samples is not None:
         raise ParameterError("samples and grounds are two ways to name the soils; give one")
     given = samples if grounds is None else grounds.parameters
@@ -237,8 +258,9 @@ def predict(
     every = max(1, math.ceil(schedule.duration_s / stops / time_step_s - 1e-9))
     times = np.linspace(0.0, schedule.duration_s, stops * every + 1)
     overrides = soil_overrides(parameters if grounds is None else {}, count)
-    scene = Scene(rover, terrain, schedule, times, every, seed, grounds)
-    paths, states, results = _drive_all(scene, overrides, stops + 1, progress)
+    scene = Scene(rover, terrain, schedule, times, every, seed, grounds, ruts)
+    earlier = None if before is None else _scene_before(scene, before, time_step_s)
+    paths, states, results = _drive_all(scene, earlier, overrides, stops + 1, progress)
     halted = schedule.pace_at(times[::every]) < UNDER_WAY
     _calm_halts(states, halted, rover.wheel.radius_m)
     _hold_last(paths, states, results[:, 1], schedule.poses[0], float(terrain.height_at(plan.x_m, plan.y_m)))
@@ -261,6 +283,8 @@ def predict(
         recorded=results[:, 1],
         outcome=results[:, 0],
         grounds=grounds,
+        ruts=ruts,
+        before=before,
     )
 
 
@@ -283,10 +307,44 @@ class Scene:
     every: int
     seed: int
     grounds: Grounds | None = None
+    ruts: bool = True
+
+    @property
+    def pressing(self) -> int:
+        """Steps between marks in the ruts, at most a spacing apart; 0 without ruts."""
+        step = float(self.times_s[1]) * self.schedule.plan.speed_m_s
+        return max(1, math.floor(SPACING_M / step)) if self.ruts else 0
+
+
+def _scene_before(scene: Scene, plan: Plan, time_step_s: float) -> Scene:
+    """The same, of a plan that was driven before; its drives are not kept."""
+    schedule = make_schedule(plan, scene.rover)
+    steps = max(1, math.ceil(schedule.duration_s / time_step_s))
+    if steps > MOST_STEPS:
+        raise ParameterError(f"the plan driven before takes over {MOST_STEPS:g} steps; give a longer time_step_s")
+    times = np.linspace(0.0, schedule.duration_s, steps + 1)
+    return dataclasses.replace(scene, schedule=schedule, times_s=times, every=steps)
+
+
+def _fresh_work(scene: Scene, earlier: Scene | None) -> Work:
+    """Scratch arrays, with undisturbed ground under the plans."""
+    work: Work = new_work(len(scene.rover.wheels))
+    if not scene.ruts:
+        return work
+    schedules = [part.schedule for part in (scene, earlier) if part is not None]
+    places = np.concatenate([s.pose_at(np.linspace(0.0, s.duration_s, OUTLINE))[:, :2] for s in schedules])
+    found = with_ruts(work, scene.schedule.poses[0], places, reach_m(scene.rover) + STRAY_M)
+    if found is None:
+        warnings.warn("the plan is too long for ruts, which are left out", LunarSciWarning, stacklevel=2)
+    return found or work
 
 
 def _drive_all(
-    scene: Scene, overrides: FloatArray, samples: int, progress: Callable[[int, int], None] | None
+    scene: Scene,
+    earlier: Scene | None,
+    overrides: FloatArray,
+    samples: int,
+    progress: Callable[[int, int], None] | None,
 ) -> tuple[FloatArray, FloatArray, IntArray]:
     """Drive the members, LANES together and as many such groups at a time as numba has threads.
 
@@ -300,18 +358,19 @@ def _drive_all(
     together = LANES if scene.grounds is None else 1
     groups = [slice(k, min(k + together, count)) for k in range(0, count, together)]
     common = all_commands(scene.rover, scene.schedule, scene.times_s) if scene.schedule.plan.fixes is None else None
+    before = None if earlier is None else fix_errors(earlier.schedule, count, scene.seed)
 
     def group(number: int) -> None:
         own = groups[number]
         lanes = np.minimum(np.arange(own.start, own.start + LANES), own.stop - 1)
         grid = shared if scene.grounds is None else scene.grounds.terrain(number).grid()
         known = (scene.rover.vector(), scene.rover.wheel.vector(), grid, overrides[lanes])
-        kept = (paths[own], states[own], results[own])
-        if common is None:
-            _drive_with_fixes(scene, known, errors[lanes], kept)
-        else:
-            work = _begin(scene, known, common)
-            drive(*known, common.steering_rad, common.speed_m_s, scene.times_s[1], 0, scene.every, True, work, *kept)
+        work = _fresh_work(scene, earlier)
+        if earlier is not None and before is not None:
+            size = own.stop - own.start
+            unkept = (np.zeros((size, 2, 6)), np.zeros((size, 2, wheels, 10)), np.zeros((size, 2), dtype=np.int64))
+            _drive_one(earlier, known, None, before[lanes], work, unkept)
+        _drive_one(scene, known, common, errors[lanes], work, (paths[own], states[own], results[own]))
 
     def told(done: int, _: int) -> None:
         if progress is not None:
@@ -321,29 +380,42 @@ def _drive_all(
     return paths, states, results
 
 
-def _begin(scene: Scene, known: tuple[Any, ...], commands: Commands) -> Work:
-    work: Work = new_work(len(scene.rover.wheels))
+def _begin(scene: Scene, known: tuple[Any, ...], commands: Commands, work: Work) -> None:
     start = np.tile(scene.schedule.poses[0], (LANES, 1))
     motion = np.array(start_motion(scene.schedule, scene.rover))
     begin(*known, start, motion, commands.steering_rad, commands.speed_m_s, work)
-    return work
 
 
-def _drive_with_fixes(scene: Scene, known: tuple[Any, ...], errors: FloatArray, kept: tuple[Any, ...]) -> None:
-    """Drive run by run, each from where the rover then believes to be."""
-    work: Work | None = None
+def _drive_one(
+    scene: Scene,
+    known: tuple[Any, ...],
+    common: Commands | None,
+    errors: FloatArray,
+    work: Work,
+    kept: tuple[Any, ...],
+) -> None:
+    """Drive a group's plan, run by run where each of it leads from where the rover then believes to be."""
+    plan, pressing = scene.schedule.plan, scene.pressing if work.ruts.shape[1] > 1 else 0
+    if plan.fixes is None:
+        common = common or all_commands(scene.rover, scene.schedule, scene.times_s)
+        _begin(scene, known, common, work)
+        rims = (common.steering_rad, common.speed_m_s, scene.times_s[1])
+        drive(*known, *rims, 0, scene.every, True, pressing, work, *kept)
+        return
     commands: Commands | None = None
     legs: FloatArray | None = None
     pieces = steps_of_runs(scene.schedule, scene.times_s)
     for number, piece in enumerate(pieces):
-        if work is not None:
+        if commands is not None:
             legs = legs_from(scene.schedule, scene.rover, number, work, errors[:, number])
         times = scene.times_s[piece.start : piece.stop + 1]
+        begins = commands is None
         commands = run_commands(scene.rover, scene.schedule, number, times, commands, legs)
-        work = work or _begin(scene, known, commands)
+        if begins:
+            _begin(scene, known, commands, work)
         last = number == len(pieces) - 1
         driven = (*known, commands.steering_rad, commands.speed_m_s, scene.times_s[1], piece.start, scene.every)
-        drive(*driven, last, work, *kept)
+        drive(*driven, last, pressing, work, *kept)
 
 
 def _calm_halts(states: FloatArray, halted: npt.NDArray[np.bool_], radius_m: float) -> None:

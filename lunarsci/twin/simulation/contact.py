@@ -34,10 +34,12 @@ from lunarsci.twin.simulation.lanes import (
     GROUND,
     HOLD,
     LANES,
+    LAST,
     LEVER,
     MATRIX,
     MOMENT,
     NORMAL,
+    RATE,
     RIGHT,
     RIM,
     ROTATION,
@@ -163,12 +165,14 @@ def meet_ground(
             get(wheel, SOIL + 7, lane),
         )  # fmt: skip
         travel, lateral = (v[0] / rim, v[1] / rim) if shear else (1.0, 0.0)
-        travel = get(wheel, TRAVEL, lane) if turning < SLOWEST and free > 0.0 else travel
-        taken = get(wheel, SLIP, lane)
-        taken_up = min(turning * dt / TAKE_UP_M, 1.0) if free > 0.0 else 1.0
-        slip = taken + taken_up * (min(slip_ratio(travel), 1.0) - taken)
+        # Speed and rim of the same instant, the end of the step before; the rim may be faster now.
+        last, lags = get(wheel, LAST, lane), shear and free > 0.0
+        ended = v[0] / last if last >= SLOWEST else get(wheel, TRAVEL, lane)
+        travel = ended if lags and turning < SLOWEST else travel
+        taken, taken_up = get(wheel, SLIP, lane), min(last * dt / TAKE_UP_M, 1.0)
+        slip = taken + taken_up * (min(slip_ratio(ended), 1.0) - taken) if lags else min(slip_ratio(travel), 1.0)
         rut = (get(wheel, RUT, lane), get(wheel, RUT + 1, lane))
-        forces, slopes, _ = contact_forces(z, slip, travel, lateral, rut, tyre, soil, 0)
+        forces, slopes, _ = contact_forces(z, slip, travel, lateral, ended if lags else travel, rut, tyre, soil, 0)
         f_n, f_dp, f_l, m_r = chosen(on, forces)
         slopes = chosen(on, slopes)
         ahead, below = shear_center(z, slip, tyre)
@@ -193,7 +197,9 @@ def meet_ground(
         put(wheel, FORCE + 1, lane, -slid * f_l - kg * (gravity * axes[1][2] + remaining[1]))
         put(wheel, FORCE + 2, lane, pressed - kg * (gravity * axes[2][2] + remaining[2]))
         put3(wheel, MOMENT, lane, (-slid * below * f_l, -slid * m_r, -slid * ahead * f_l))
-        put3(wheel, ALONG, lane, (along, per * bearing * slopes[0], brake * abs(m_r) - per * slopes[3]))
+        put3(
+            wheel, ALONG, lane, (along, 0.0 if lags else per * bearing * slopes[0], brake * abs(m_r) - per * slopes[3])
+        )
         put3(wheel, ACROSS, lane, (d_l, below * d_l, ahead * d_l))
         put(wheel, STIFF, lane, dt * slid * bearing * rate + 0.5 * dt * dt * stiffness)
         put(wheel, STIFF + 1, lane, free * dt * dt * stiffness * v[2])
@@ -202,7 +208,8 @@ def meet_ground(
         put(wheel, NORMAL, lane, pressed + damping * bearing)
         put3(wheel, DRAWBAR, lane, (slid * f_dp, slid * f_l, slid * m_r))
         put(wheel, SLIP, lane, slip)
-        put(wheel, TRAVEL, lane, travel)
+        put(wheel, TRAVEL, lane, ended if lags else travel)
+        put(wheel, LAST, lane, turning)
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
@@ -213,12 +220,19 @@ def any_stands(wheel: Any) -> bool:
 
 @in_lanes
 def keep_hold(wheel: Any) -> None:
-    """Keep what the soil did to the wheel along its surface in the step before, as it stood in the world."""
+    """Keep what the soil did to the wheel along its surface in the step before, as it stood in the world.
+
+    A step that rolled ended with the force of its own end: what it began with, and the change by its derivatives.
+    """
     for lane in range(LANES):
-        e, d = get3(wheel, AXES, lane), get3(wheel, AXES + 3, lane)
+        e, d, v = get3(wheel, AXES, lane), get3(wheel, AXES + 3, lane), get3(wheel, VELOCITY, lane)
         f_dp, f_l, m_r = get3(wheel, DRAWBAR, lane)
-        put3(wheel, HOLD, lane, plus(times(e, f_dp), times(d, -f_l)))
-        put3(wheel, TWIST, lane, times(d, m_r))
+        rolled = 1.0 if get(wheel, LAST, lane) >= SLOWEST else 0.0
+        along, across = rolled * get(wheel, ALONG, lane), rolled * get(wheel, ACROSS, lane)
+        torque = -rolled * get(wheel, ALONG + 2, lane)
+        put3(wheel, HOLD, lane, plus(times(e, f_dp - along * v[0]), times(d, -f_l - across * v[1])))
+        put3(wheel, TWIST, lane, times(d, m_r - torque * v[0]))
+        put3(wheel, RATE, lane, (along, across, torque))
 
 
 @pasted
@@ -246,7 +260,8 @@ def stand(wheel: Any, tyre: Any, dt: float, load: float) -> None:
     """
     for lane in range(LANES):
         e, d, v = get3(wheel, AXES, lane), get3(wheel, AXES + 3, lane), get3(wheel, VELOCITY, lane)
-        held, twist = get3(wheel, HOLD, lane), get3(wheel, TWIST, lane)
+        held, twist, rate = get3(wheel, HOLD, lane), get3(wheel, TWIST, lane), get3(wheel, RATE, lane)
+        held_x, held_y = dot(held, e) + rate[0] * v[0], dot(held, d) + rate[1] * v[1]
         still = abs(get(wheel, RIM, lane)) < SLOWEST
         on = get(wheel, NORMAL, lane) > 0.0
         z = min(max(get(wheel, SINKAGE, lane), SHALLOWEST), DEEPEST * tyre[0])
@@ -256,12 +271,12 @@ def stand(wheel: Any, tyre: Any, dt: float, load: float) -> None:
             get(wheel, SOIL + 7, lane),
         )  # fmt: skip
         slip, rut = get(wheel, SLIP, lane), (get(wheel, RUT, lane), get(wheel, RUT + 1, lane))
-        _, _, reach = contact_forces(z, slip, 1.0 - slip, 0.0, rut, tyre, soil, 0)
+        _, _, reach = contact_forces(z, slip, 1.0, 0.0, 1.0, rut, tyre, soil, 0)
         ahead, below = shear_center(z, slip, tyre)
         shear, piled, side = (reach[0], reach[1], reach[2]) if on else (0.0, 0.0, 0.0)
-        along = yielding(dot(held, e), v[0], -shear - piled, max(shear - piled, 0.0), dt, load)
-        across = yielding(dot(held, d), v[1], -side, side, dt, load)
-        torque = dot(twist, d) + below * (along[0] - dot(held, e)) if on else 0.0
+        along = yielding(held_x, v[0], -shear - piled, max(shear - piled, 0.0), dt, load)
+        across = yielding(held_y, v[1], -side, side, dt, load)
+        torque = dot(twist, d) + rate[2] * v[0] + below * (along[0] - held_x) if on else 0.0
         old = get3(wheel, DRAWBAR, lane)
         put(wheel, FORCE, lane, get(wheel, FORCE, lane) + (along[0] - along[2] - old[0] if still else 0.0))
         put(wheel, FORCE + 1, lane, get(wheel, FORCE + 1, lane) + (across[0] - across[2] + old[1] if still else 0.0))

@@ -7,7 +7,7 @@ from lunarsci.compiled import compiled
 from lunarsci.regolith.forces import slip_ratio
 from lunarsci.twin.simulation.contact import DEEPEST, DRIVEN, SHALLOWEST, SLOWEST, VALID_SLIP
 from lunarsci.twin.simulation.dynamics import orient
-from lunarsci.twin.simulation.integrate import assemble, check_health, eliminate, move
+from lunarsci.twin.simulation.integrate import assemble, check_health, check_sense, eliminate, move
 from lunarsci.twin.simulation.lanes import (
     CENTER,
     DRAWBAR,
@@ -16,6 +16,7 @@ from lunarsci.twin.simulation.lanes import (
     RESISTANCE,
     RIM,
     ROTATION,
+    RUT,
     SIDE,
     SINKAGE,
     SPEED,
@@ -23,6 +24,7 @@ from lunarsci.twin.simulation.lanes import (
     VELOCITY,
 )
 from lunarsci.twin.simulation.outcomes import FINISHED, LEFT
+from lunarsci.twin.simulation.ruts import press_ruts
 from lunarsci.twin.simulation.settle import settle
 
 __all__ = ["begin", "drive"]
@@ -54,7 +56,7 @@ def roll_on(work: Any, ahead: float, left: float, turn: float) -> None:
 def record(work: Any, lane: int, tyre: Any, path: Any, states: Any) -> None:
     """Pose (x, y, z, roll, pitch, yaw [rad]) and wheel states of one rover at this instant, one row of the results.
 
-    State: x, y, sinkage, slip ratio, side slip [rad], F_N, F_DP, F_L, M_R, valid (1 or 0).
+    State: x, y, sinkage below the undisturbed ground, slip ratio, side slip [rad], F_N, F_DP, F_L, M_R, valid (1 or 0).
     A wheel that turns backwards is seen along its own direction of travel.
     """
     body = work.body
@@ -64,7 +66,7 @@ def record(work: Any, lane: int, tyre: Any, path: Any, states: Any) -> None:
     path[5] = math.atan2(body[(ROTATION + 3) * LANES + lane], body[ROTATION * LANES + lane])
     for w in range(len(states)):
         wheel, state = work.wheels[w], states[w]
-        sinkage = wheel[SINKAGE * LANES + lane]
+        sinkage = wheel[SINKAGE * LANES + lane] + wheel[(RUT + 1) * LANES + lane]
         forward, across = wheel[VELOCITY * LANES + lane], wheel[(VELOCITY + 1) * LANES + lane]
         rim = abs(wheel[RIM * LANES + lane])
         slip = slip_ratio(forward / rim) if rim >= SLOWEST else 0.0
@@ -97,6 +99,7 @@ def drive(
     first: int,
     every: int,
     last: bool,
+    pressing: int,
     work: Any,
     paths: Any,
     states: Any,
@@ -111,6 +114,7 @@ def drive(
     dt, first : step [s], and number of the first one since the drive began.
     every : steps between records.
     last : whether the drive ends here, which is recorded too.
+    pressing : steps between marks in the ruts of `work`; 0 where it has none.
     paths, states : (members, samples, 6) and (members, samples, wheels, 10), filled on.
     results : (members, 2) outcome, and number of samples recorded so far.
     """
@@ -122,6 +126,9 @@ def drive(
             break
         take_commands(work, steering, speed, min(i, steps - 1))
         assemble(rover, tyre, grid, override, dt, DRIVEN, work)
+        check_sense(work, rover, tyre, dt, first + i == 0)
+        if pressing > 0 and (first + i) % pressing == 0:
+            press_ruts(work, tyre[1])
         if (first + i) % every == 0:
             for m in range(members):
                 if work.code[m] == FINISHED:

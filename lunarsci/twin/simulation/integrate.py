@@ -17,14 +17,26 @@ from lunarsci.twin.ground.terrain import read_ground
 from lunarsci.twin.simulation.contact import add_wheel
 from lunarsci.twin.simulation.dynamics import begin_system, place_wheels
 from lunarsci.twin.simulation.lanes import (
+    CENTER,
     CHANGE,
+    ENERGY,
+    EXCESS,
     LANES,
     LEVER,
     MATRIX,
+    NORMAL,
+    OMEGA,
     POSE,
+    POWER,
+    RESISTANCE,
     RIGHT,
+    RIM,
+    ROTATION,
+    RUT,
     SINKAGE,
+    SOIL,
     SPEED,
+    VELOCITY,
     cross,
     dot,
     get,
@@ -36,8 +48,9 @@ from lunarsci.twin.simulation.lanes import (
     times,
 )
 from lunarsci.twin.simulation.outcomes import DIVERGED, FELL, FINISHED, OVERTURNED, SANK
+from lunarsci.twin.simulation.ruts import read_ruts
 
-__all__ = ["assemble", "check_health", "eliminate", "is_upright", "move"]
+__all__ = ["assemble", "check_health", "check_sense", "eliminate", "is_upright", "move"]
 
 COS_OVERTURNED = 0.5
 THREE, EIGHT = rows(3, 8)
@@ -45,6 +58,11 @@ THREE, EIGHT = rows(3, 8)
 FASTEST = 10.0
 # Speed of the rover that no drive reaches: a drop of 0.3 m on the Moon. [m/s]
 FALLING = 1.0
+# Wheel load as a share of the weight beyond which a run has lost its meaning, but in an impact: a wheel that comes down
+# at more than this speed [m/s], 3 mm of free fall on the Moon.
+MOST_LOAD, IMPACT = 2.0, 0.1
+# Energy from nowhere, as a share of what lifts the rover by a wheel's radius, beyond which a run has lost its meaning.
+MOST_EXCESS = 0.05
 
 
 @joined
@@ -58,10 +76,13 @@ def assemble(rover: Any, tyre: Any, grid: Any, override: Any, dt: float, mode: i
     begin_system(rover, work, dt)
     for w in range(len(rover.arms)):
         read_ground(grid, override, work.wheels[w], work.code)
+        if work.ruts.shape[1] > 1:
+            read_ruts(work, w, tyre[1])
         add_wheel(work, w, rover, tyre, dt, mode)
     for w in range(len(rover.arms)):
         for lane in range(LANES):
-            if work.code[lane] == FINISHED and work.wheels[w][SINKAGE * LANES + lane] > tyre[0]:
+            deep = work.wheels[w][SINKAGE * LANES + lane] + work.wheels[w][(RUT + 1) * LANES + lane]
+            if work.code[lane] == FINISHED and deep > tyre[0]:
                 work.code[lane] = SANK
 
 
@@ -220,6 +241,62 @@ def is_upright(body: Any, lane: int) -> bool:
     """Whether the chassis has not overturned; False for a pose that is no number."""
     x, y = body[(POSE + 4) * LANES + lane], body[(POSE + 5) * LANES + lane]
     return bool(1.0 - 2.0 * (x * x + y * y) > COS_OVERTURNED)
+
+
+@in_lanes
+def weigh(body: Any, wheel: Any, tyre: Any, kg: float, gravity: float) -> None:
+    """Add a wheel's energy, with that of the ground it has pressed, to `ENERGY`, and what its rim gives to `POWER`."""
+    for lane in range(LANES):
+        v, sinkage = get3(wheel, VELOCITY, lane), max(get(wheel, SINKAGE, lane), 0.0)
+        pressed = get(wheel, NORMAL, lane) * sinkage / (get(wheel, SOIL + 1, lane) + 1.5)
+        own = kg * (0.5 * dot(v, v) + gravity * get(wheel, CENTER + 2, lane))
+        put(body, ENERGY, lane, get(body, ENERGY, lane) + own + pressed)
+        rim = abs(get(wheel, RIM, lane)) / tyre[3]
+        put(body, POWER, lane, get(body, POWER, lane) + max(get(wheel, RESISTANCE, lane), 0.0) * rim)
+
+
+@in_lanes
+def weigh_chassis(body: Any, rover: Any) -> None:
+    """Put the energy of the chassis into `ENERGY`, 0 into `POWER`."""
+    kg, gravity = rover.body_kg, rover.gravity
+    center_x, center_y, center_z = rover.center[0], rover.center[1], rover.center[2]
+    i_x, i_y, i_z = rover.inertia[0], rover.inertia[1], rover.inertia[2]
+    for lane in range(LANES):
+        a, b, c = get3(body, ROTATION, lane), get3(body, ROTATION + 3, lane), get3(body, ROTATION + 6, lane)
+        center, spin = (center_x, center_y, center_z), get3(body, OMEGA, lane)
+        arm = applied((a, b, c), center)
+        v = plus(get3(body, SPEED, lane), cross(get3(body, SPEED + 3, lane), arm))
+        turning = i_x * spin[0] * spin[0] + i_y * spin[1] * spin[1] + i_z * spin[2] * spin[2]
+        height = get(body, POSE + 2, lane) + arm[2]
+        put(body, ENERGY, lane, 0.5 * kg * dot(v, v) + 0.5 * turning + kg * gravity * height)
+        put(body, POWER, lane, 0.0)
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def check_sense(work: Any, rover: Any, tyre: Any, dt: float, begins: bool) -> None:
+    """Note in `work.code` the lanes with loads or energy that no drive has; called when a step is assembled.
+
+    Energy comes from the rims alone. A load is an impact's where the wheel comes down or the rover falls.
+    """
+    body, wheels = work.body, len(work.wheels)
+    before = body[ENERGY * LANES : (EXCESS + 1) * LANES].copy()
+    weigh_chassis(body, rover)
+    for w in range(wheels):
+        weigh(body, work.wheels[w], tyre, rover.wheel_kg, rover.gravity)
+    weight = (rover.body_kg + wheels * rover.wheel_kg) * rover.gravity
+    for lane in range(LANES):
+        gained = body[ENERGY * LANES + lane] - before[lane] - dt * before[LANES + lane]
+        excess = 0.0 if begins else max(0.0, before[2 * LANES + lane] + gained)
+        body[EXCESS * LANES + lane] = excess
+        if work.code[lane] != FINISHED:
+            continue
+        if excess > MOST_EXCESS * weight * tyre[0]:
+            work.code[lane] = DIVERGED
+        for w in range(wheels):
+            if work.wheels[w, NORMAL * LANES + lane] > MOST_LOAD * weight:
+                coming_down = work.wheels[w, (VELOCITY + 2) * LANES + lane]
+                if not max(-coming_down, abs(body[(SPEED + 2) * LANES + lane])) > IMPACT:
+                    work.code[lane] = DIVERGED
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]

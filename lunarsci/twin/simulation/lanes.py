@@ -27,7 +27,8 @@ def rows(*offsets: int) -> tuple[Any, ...]:
 
 # Rows of `Work.body`: pose (position, quaternion, three joint angles), velocity, rotation by rows, angular velocity in
 # the body frame, change of the velocity in a step.
-POSE, SPEED, ROTATION, OMEGA, CHANGE, BODY_ROWS = rows(0, 10, 19, 28, 31, 40)
+# At last energy [J], power of the rims [W], and energy that came from nowhere [J].
+POSE, SPEED, ROTATION, OMEGA, CHANGE, ENERGY, POWER, EXCESS, BODY_ROWS = rows(0, 10, 19, 28, 31, 40, 41, 42, 43)
 # Rows of one wheel of `Work.wheels`, vectors in the world frame: centre; its arm from the origin; its velocity per rate
 # of the differential and of the bogie; axle; acceleration that remains without generalised acceleration; height and
 # gradient of the terrain; soil; then what the contact found.
@@ -38,9 +39,10 @@ SINKAGE, VELOCITY, NORMAL, DRAWBAR, SIDE, RESISTANCE = rows(29, 30, 33, 34, 35, 
 # what normal damping and stiffness add to the matrix, and to the right side. Commands: steering angle, and speed of the
 # rim over ground, r_s omega, negative backwards.
 AXES, FORCE, MOMENT, ALONG, ACROSS, STIFF, STEER, RIM = rows(37, 46, 49, 52, 55, 58, 60, 61)
-# What the contact remembers: the slip ratio that the bearing has taken up, the travel ratio before the rim stood still,
-# force and torque that hold a wheel at rest. How deep wheels before pressed the ground, and how deep it is still.
-SLIP, TRAVEL, HOLD, TWIST, RUT, WHEEL_ROWS = rows(62, 63, 64, 67, 70, 72)
+# What the contact remembers: the slip ratio that the bearing has taken up; the travel ratio before the rim stood still;
+# the speed of the rim in the step before; force and torque along the surface at the end of it, for a wheel that does
+# not move, and how they change with its speed. How deep wheels before pressed the ground, and how deep it is still.
+SLIP, TRAVEL, LAST, HOLD, TWIST, RATE, RUT, WHEEL_ROWS = rows(62, 63, 64, 65, 68, 71, 74, 76)
 # Rows of `Work.levers`, for coordinates 0 to 6 and the wheel's own bogie: velocity of the wheel centre along the axes
 # per rate of the coordinate; the coefficients of its row of the matrix; its right side.
 LEVER, COEFFICIENT, DRIVE, LEVER_ROWS = rows(0, 24, 48, 56)
@@ -52,24 +54,33 @@ FIRST = np.int64(0)
 
 
 class Work(NamedTuple):
-    """Scratch arrays of a group of rovers, so that a step allocates nothing; `code` is the outcome of each lane."""
+    """Scratch arrays of a group of rovers, so that a step allocates nothing.
+
+    `code` is the outcome of each lane. `ruts` (LANES, ny, nx) has the depths that wheels have pressed [m], a single
+    node where ruts are left out; `frame` says where: x, y of the start, cosine and sine of its heading over the
+    spacing, and its column and row.
+    """
 
     body: FloatArray
     wheels: FloatArray
     levers: FloatArray
     sides: FloatArray
     code: npt.NDArray[np.int64]
+    ruts: FloatArray
+    frame: FloatArray
 
 
 @compiled
 def new_work(wheels: int) -> Any:
-    """Scratch arrays for a group of rovers with this many wheels."""
+    """Scratch arrays for a group of rovers with this many wheels, without ruts."""
     return Work(
         np.zeros(BODY_ROWS * LANES),
         np.zeros((wheels, WHEEL_ROWS * LANES)),
         np.zeros(LEVER_ROWS * LANES),
         np.zeros((2, SIDE_ROWS * LANES)),
         np.zeros(LANES, dtype=np.int64),
+        np.zeros((LANES, 1, 1)),
+        np.zeros(6),
     )
 
 

@@ -7,7 +7,8 @@ OUTCOMES = (
     "left the terrain: a wheel passed the edge of the map",
     "hole in the terrain: no height below a wheel",
     "overturned: the chassis tilted by more than 60 deg",
-    "diverged: the time step does not hold this soil at this speed; give a shorter time_step_s",
+    "diverged: loads or energy that no drive has; the time step does not hold this soil at this speed; give a shorter "
+    "time_step_s",
     "did not settle: no static equilibrium at the start pose",
     "sank: a wheel is buried to its axle",
     "cliff: the ground below a wheel is steeper than 60 deg",

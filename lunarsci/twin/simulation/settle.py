@@ -17,6 +17,7 @@ from lunarsci.twin.simulation.lanes import (
     GROUND,
     HOLD,
     LANES,
+    LAST,
     MATRIX,
     NORMAL,
     POSE,
@@ -217,6 +218,7 @@ def settle(rover: Any, tyre: Any, grid: Any, override: Any, start: Any, work: An
     work.code[:] = FINISHED
     for w in range(len(work.wheels)):
         work.wheels[w, SLIP * LANES : (SLIP + 1) * LANES] = 0.0
+        work.wheels[w, LAST * LANES : (LAST + 1) * LANES] = 0.0
         work.wheels[w, TRAVEL * LANES : (TRAVEL + 1) * LANES] = 1.0
         work.wheels[w, HOLD * LANES : (HOLD + 3) * LANES] = 0.0
     place(rover, tyre, grid, override, start, work)

@@ -1,0 +1,144 @@
+"""The ground that wheels leave behind, and what the next wheel meets in it, for LANES rovers.
+
+Every rover presses its own ruts into a grid of nodes: how deep below the undisturbed ground a wheel has been. When the
+wheel has gone the soil springs back, and a wheel that follows loads it again along a line that meets the first loading
+where that ended (Wong 2008, Theory of Ground Vehicles, 4th ed., ch. 2):
+
+    p = p_u - (k_0 + A_u z_u) (z_u - z),   k_0 = p_u / z_u.
+
+A rut changes height and bearing of the ground; its walls lift the side of a wheel that is not in it. Its shear strength
+stays as it was.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.compiled import compiled
+from lunarsci.elementary import exponential, logarithm
+from lunarsci.twin.simulation.lanes import AXLE, CENTER, GROUND, LANES, RIM, RUT, SINKAGE, SOIL, Work
+from lunarsci.twin.simulation.outcomes import FINISHED
+
+__all__ = ["SPACING_M", "press_ruts", "read_ruts", "with_ruts"]
+
+FloatArray = npt.NDArray[np.float64]
+RISE_N_M4 = 503e6
+"""A_u of a dry sand (LETE sand, Wong 2008, table 2.4), assumed for regolith, of which none is published. [N m^-4]"""
+SPACING_M = 0.0251
+"""Of the nodes, assumed: a sixth of a wheel's width, and no whole part of anything on a rover."""
+BEHIND = 3.0
+"""How far behind the axle a rut is left, in spacings: where the wheel that presses it does not meet it."""
+MOST_NODES = 2e7
+"""Of one rover's grid; memory is taken only where a wheel rolls."""
+
+
+def with_ruts(work: Work, start: FloatArray, places: FloatArray, margin_m: float) -> Work | None:
+    """`work` with undisturbed ground for ruts, None where that would be too large.
+
+    Parameters
+    ----------
+    start : x, y, heading, along which the grid lies. (3,) [m, m, rad]
+    places : x, y that the rover's origin is to pass. (n, 2) [m]
+    margin_m : how far from these it is covered; beyond there are no ruts. [m]
+    """
+    c, s = math.cos(start[2]), math.sin(start[2])
+    off = places - start[:2]
+    along, aside = c * off[:, 0] + s * off[:, 1], c * off[:, 1] - s * off[:, 0]
+    # Alike on both sides of the start, so that a mirrored drive has mirrored nodes.
+    wide = math.ceil((float(np.abs(aside).max()) + margin_m) / SPACING_M)
+    back = math.ceil((margin_m - float(along.min())) / SPACING_M)
+    ahead = math.ceil((margin_m + float(along.max())) / SPACING_M)
+    shape = (2 * wide + 1, back + ahead + 1)
+    if shape[0] * shape[1] > MOST_NODES:
+        return None
+    frame = np.array([start[0], start[1], c / SPACING_M, s / SPACING_M, back, wide], dtype=np.float64)
+    return work._replace(ruts=np.zeros((LANES, *shape)), frame=frame)
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def depth_at(ruts: Any, column: float, row: float) -> float:
+    """How deep the ground was pressed at a place between nodes, 0 beyond them. [m]"""
+    ny, nx = ruts.shape
+    if not (0.0 <= column < nx - 1 and 0.0 <= row < ny - 1):
+        return 0.0
+    j, i = int(column), int(row)
+    a, b = column - j, row - i
+    low = (1.0 - a) * ruts[i, j] + a * ruts[i, j + 1]
+    return float((1.0 - b) * low + b * ((1.0 - a) * ruts[i + 1, j] + a * ruts[i + 1, j + 1]))
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def still_deep(pressed: float, stiffness: float, exponent: float) -> float:
+    """Depth of a rut when the wheel has gone. [m]"""
+    if not pressed > 0.0:
+        return 0.0
+    load = stiffness * exponential(exponent * logarithm(pressed))
+    return float(pressed - pressed / (1.0 + RISE_N_M4 * pressed * pressed / load))
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def read_ruts(work: Any, w: int, width: float) -> None:
+    """Lower and bank the ground of wheel `w` as the ruts below its two halves say."""
+    frame, wheel = work.frame, work.wheels[w]
+    side = width / 3.0
+    for lane in range(LANES):
+        if work.code[lane] != FINISHED:
+            continue
+        axle_x, axle_y = wheel[AXLE * LANES + lane], wheel[(AXLE + 1) * LANES + lane]
+        scale = 1.0 / math.sqrt(axle_x * axle_x + axle_y * axle_y + 1e-300)
+        x, y = wheel[CENTER * LANES + lane] - frame[0], wheel[(CENTER + 1) * LANES + lane] - frame[1]
+        column, row = frame[2] * x + frame[3] * y + frame[4], frame[2] * y - frame[3] * x + frame[5]
+        across = side * scale * (frame[2] * axle_x + frame[3] * axle_y)
+        up = side * scale * (frame[2] * axle_y - frame[3] * axle_x)
+        left = depth_at(work.ruts[lane], column + across, row + up)
+        right = depth_at(work.ruts[lane], column - across, row - up)
+        stiffness, exponent = wheel[SOIL * LANES + lane], wheel[(SOIL + 1) * LANES + lane]
+        low, high = still_deep(left, stiffness, exponent), still_deep(right, stiffness, exponent)
+        wheel[RUT * LANES + lane] = 0.5 * (left + right)
+        wheel[(RUT + 1) * LANES + lane] = 0.5 * (low + high)
+        if left + right > 0.0:
+            bank = (high - low) / (2.0 * side) * scale
+            slope_x = wheel[(GROUND + 1) * LANES + lane] + bank * axle_x
+            slope_y = wheel[(GROUND + 2) * LANES + lane] + bank * axle_y
+            wheel[(GROUND + 1) * LANES + lane], wheel[(GROUND + 2) * LANES + lane] = slope_x, slope_y
+            # Sinkage counts along the normal.
+            wheel[GROUND * LANES + lane] -= 0.5 * (low + high) * math.sqrt(1.0 + slope_x**2 + slope_y**2)
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def press_ruts(work: Any, width: float) -> None:
+    """Leave the ruts of all wheels that roll, two spacings long, with edges that run out over another."""
+    frame = work.frame
+    half = 0.5 * width * math.sqrt(frame[2] ** 2 + frame[3] ** 2)
+    for w in range(len(work.wheels)):
+        wheel = work.wheels[w]
+        for lane in range(LANES):
+            sinkage = wheel[SINKAGE * LANES + lane]
+            if work.code[lane] != FINISHED or not sinkage > 0.0 or wheel[RIM * LANES + lane] == 0.0:
+                continue
+            axle_x, axle_y = wheel[AXLE * LANES + lane], wheel[(AXLE + 1) * LANES + lane]
+            across, up = frame[2] * axle_x + frame[3] * axle_y, frame[2] * axle_y - frame[3] * axle_x
+            scale = 1.0 / math.sqrt(across * across + up * up + 1e-300)
+            across, up = scale * across, scale * up
+            x, y = wheel[CENTER * LANES + lane] - frame[0], wheel[(CENTER + 1) * LANES + lane] - frame[1]
+            # Ahead is a quarter turn from the axle to the right.
+            column = frame[2] * x + frame[3] * y + frame[4] - BEHIND * up
+            row = frame[2] * y - frame[3] * x + frame[5] + BEHIND * across
+            depth = sinkage + wheel[(RUT + 1) * LANES + lane]
+            press(work.ruts[lane], column, row, across, up, half, depth)
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def press(ruts: Any, column: float, row: float, across: float, up: float, half: float, depth: float) -> None:
+    """Press a strip about a place, in spacings: `half` its width to either side along (across, up), 1 along the way."""
+    ny, nx = ruts.shape
+    reach_x = (half + 1.0) * abs(across) + 2.0 * abs(up)
+    reach_y = (half + 1.0) * abs(up) + 2.0 * abs(across)
+    for i in range(max(0, math.ceil(row - reach_y)), min(ny - 1, math.floor(row + reach_y)) + 1):
+        for j in range(max(0, math.ceil(column - reach_x)), min(nx - 1, math.floor(column + reach_x)) + 1):
+            a, b = j - column, i - row
+            out = min(half + 1.0 - abs(a * across + b * up), 2.0 - abs(a * up - b * across), 1.0)
+            if out * depth > ruts[i, j]:
+                ruts[i, j] = out * depth
