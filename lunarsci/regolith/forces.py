@@ -137,7 +137,8 @@ def contact_forces(
     -------
     The four forces; their derivatives: F_N, F_DP and M_R by the travel ratio, F_L by the lateral one, as far as they
     come from the shear displacement at a fixed stress (exact where c2 and n1 are 0), for reading 0; the largest shear
-    force along the wheel, the resistance of the ground in front of it, and the largest lateral force. [N, N m]
+    force along the wheel, the resistance of the ground in front of it, the largest lateral force, and F_DP at the
+    travel ratio `before`. [N, N m]
     """
     r, b, h, r_s, c1, c2, c3 = wheel
     stiffness, n0, n1, cohesion, tan_phi, k_x, tan_phi_y, k_y = soil
@@ -183,7 +184,8 @@ def contact_forces(
         r_s * b * slope_y * c_moment,
         r_s * r_s * b * slope_x * c_moment,
     )
-    reach = (b * r_s * strength_x * a, b * r * sigma_m * b_moment, r_s * b * strength_y * c_moment)
+    pull_before = b * (r_s * tau_before * a - r * sigma_m * b_moment)
+    reach = (b * r_s * strength_x * a, b * r * sigma_m * b_moment, r_s * b * strength_y * c_moment, pull_before)
     return forces, slopes, reach
 
 

@@ -28,7 +28,7 @@ from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact import DEEPEST, SHALLOWEST
 from lunarsci.twin.simulation.drive import begin, drive
 from lunarsci.twin.simulation.lanes import LANES, Work, new_work
-from lunarsci.twin.simulation.outcomes import OUTCOMES
+from lunarsci.twin.simulation.outcomes import DIVERGED, OUTCOMES
 from lunarsci.twin.simulation.ruts import SPACING_M, with_ruts
 
 __all__ = ["PATH_COLUMNS", "STATE_COLUMNS", "Grounds", "Prediction", "member_parameters", "predict"]
@@ -56,6 +56,8 @@ UNDER_WAY = 0.95
 """Share of the full speed below which a sample is at a halt, assumed, as the ramps are: slip is not counted there."""
 OUTLINE = 2000
 """Places along a plan about which ruts are kept."""
+FINER = (4, 16)
+"""How many times shorter steps are where a soil is not held by the step asked for."""
 STRAY_M = 1.5
 """How far from its plan a rover still meets ruts; assumed. [m]"""
 # States of this many members times samples fill 1 GB.
@@ -106,6 +108,8 @@ class Prediction:
     grounds : what each member drove on, where they do not share the terrain's soil or one of `parameters`.
     ruts : whether wheels met what others had left.
     before : the plan that each member had driven on the same ground before, whose ruts it met.
+    finer : how many times shorter the step was with which each member was driven; more than 1 where `time_step_s` did
+        not hold its soil. (members,)
     """
 
     rover: Rover
@@ -125,6 +129,7 @@ class Prediction:
     grounds: Grounds | None = None
     ruts: bool = False
     before: Plan | None = None
+    finer: IntArray | None = None
 
     @property
     def members(self) -> int:
@@ -222,7 +227,8 @@ def predict(
     samples : the soils themselves instead of a sweep: parameter to one value for each member.
     grounds : a terrain for each member instead, with the same nodes as `terrain`.
     seed : of the Latin hypercube and the errors of position fixes, >= 0.
-    time_step_s : longest time step; shortened so that samples fall on steps. 0.1 s puts the end of the embedded plan
+    time_step_s : longest time step; shortened so that samples fall on steps, and for members whose soil it does not
+        hold. 0.1 s puts the end of the embedded plan
         within 1.5 mm. [s]
     sample_m : longest distance between samples; shortened so that the last is the end of the path. [m]
     ruts : whether wheels meet the ruts of those before them, as `lunarsci.twin.simulation.ruts` has them.
@@ -261,6 +267,7 @@ def predict(
     scene = Scene(rover, terrain, schedule, times, every, seed, grounds, ruts)
     earlier = None if before is None else _scene_before(scene, before, time_step_s)
     paths, states, results = _drive_all(scene, earlier, overrides, stops + 1, progress)
+    finer = _drive_finer(scene, earlier, overrides, (paths, states, results))
     halted = schedule.pace_at(times[::every]) < UNDER_WAY
     _calm_halts(states, halted, rover.wheel.radius_m)
     _hold_last(paths, states, results[:, 1], schedule.poses[0], float(terrain.height_at(plan.x_m, plan.y_m)))
@@ -285,6 +292,7 @@ def predict(
         grounds=grounds,
         ruts=ruts,
         before=before,
+        finer=finer,
     )
 
 
@@ -298,7 +306,10 @@ def _check_steps(time_step_s: float, sample_m: float, seed: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What all members share: who drives where, when, and at which times it is stepped; or the ground of each."""
+    """What all members share: who drives where, when, and at which times it is stepped; or the ground of each.
+
+    `only` are the numbers of the members, where it is not all of them.
+    """
 
     rover: Rover
     terrain: Terrain
@@ -308,6 +319,7 @@ class Scene:
     seed: int
     grounds: Grounds | None = None
     ruts: bool = True
+    only: IntArray | None = None
 
     @property
     def pressing(self) -> int:
@@ -354,16 +366,17 @@ def _drive_all(
     count, wheels = len(overrides), len(scene.rover.wheels)
     paths, states = np.zeros((count, samples, 6)), np.zeros((count, samples, wheels, 10))
     results = np.zeros((count, 2), dtype=np.int64)
-    shared, errors = scene.terrain.grid(), fix_errors(scene.schedule, count, scene.seed)
+    numbers = np.arange(count) if scene.only is None else scene.only
+    shared, errors = scene.terrain.grid(), fix_errors(scene.schedule, int(numbers[-1]) + 1, scene.seed)[numbers]
     together = LANES if scene.grounds is None else 1
     groups = [slice(k, min(k + together, count)) for k in range(0, count, together)]
     common = all_commands(scene.rover, scene.schedule, scene.times_s) if scene.schedule.plan.fixes is None else None
-    before = None if earlier is None else fix_errors(earlier.schedule, count, scene.seed)
+    before = None if earlier is None else fix_errors(earlier.schedule, int(numbers[-1]) + 1, scene.seed)[numbers]
 
     def group(number: int) -> None:
         own = groups[number]
         lanes = np.minimum(np.arange(own.start, own.start + LANES), own.stop - 1)
-        grid = shared if scene.grounds is None else scene.grounds.terrain(number).grid()
+        grid = shared if scene.grounds is None else scene.grounds.terrain(int(numbers[number])).grid()
         known = (scene.rover.vector(), scene.rover.wheel.vector(), grid, overrides[lanes])
         work = _fresh_work(scene, earlier)
         if earlier is not None and before is not None:
@@ -378,6 +391,25 @@ def _drive_all(
 
     each_in_threads(group, len(groups), told)
     return paths, states, results
+
+
+def _drive_finer(
+    scene: Scene, earlier: Scene | None, overrides: FloatArray, kept: tuple[FloatArray, FloatArray, IntArray]
+) -> IntArray:
+    """Drive members again whose soil the step does not hold, with a shorter one; how many times shorter. (members,)"""
+    paths, states, results = kept
+    finer = np.ones(len(overrides), dtype=np.int64)
+    for factor in FINER:
+        again = np.flatnonzero(results[:, 0] == DIVERGED)
+        if not again.size or (len(scene.times_s) - 1) * factor > MOST_STEPS:
+            break
+        steps = (len(scene.times_s) - 1) * factor
+        times = np.linspace(0.0, scene.times_s[-1], steps + 1)
+        own = dataclasses.replace(scene, times_s=times, every=scene.every * factor, only=again)
+        found = _drive_all(own, earlier, overrides[again], paths.shape[1], None)
+        paths[again], states[again], results[again] = found
+        finer[again] = factor
+    return finer
 
 
 def _begin(scene: Scene, known: tuple[Any, ...], commands: Commands, work: Work) -> None:

@@ -158,9 +158,9 @@ def test_a_four_wheeler_drives_its_arc(slope, straight) -> None:  # type: ignore
 
 
 def test_a_slope_that_does_not_hold_the_rover_is_a_fall(yutu2: Rover, longji_soil: Soil, slope, straight) -> None:  # type: ignore[no-untyped-def]
-    """50 deg, above any friction angle: free of grip it would pass 1 m/s after 1 s."""
+    """35 deg, above the friction angle: with what grip there is it passes 1 m/s after 3 s."""
     loose = longji_soil.replace(friction_angle_deg=25.0, cohesion_pa=0.0)
-    result = predict(yutu2, slope(-math.tan(math.radians(50.0)), soil=loose), straight(2.0), sweep=())
+    result = predict(yutu2, slope(-math.tan(math.radians(35.0)), soil=loose), straight(2.0), sweep=())
     assert result.outcome_text(0).startswith("fell")
     assert np.isfinite(result.paths).all()
 

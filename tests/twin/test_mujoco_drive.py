@@ -21,7 +21,7 @@ from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.plans.commands import reach_m, wheel_commands
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover, build_rover
-from lunarsci.twin.simulation.contact import NORMAL_DAMPING
+from lunarsci.twin.simulation.contact import MASS_ON_WHEEL, NORMAL_DAMPING
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -65,7 +65,7 @@ def unit_cross(a, b):  # type: ignore[no-untyped-def]
 
 
 @numba.njit  # type: ignore[untyped-decorator]
-def push_wheels(bodies, place, turn, motion, about, rim, ground, tyre, soil, applied, normal):  # type: ignore[no-untyped-def]
+def push_wheels(bodies, place, turn, motion, about, rim, ground, tyre, soil, damping, applied, normal):  # type: ignore[no-untyped-def]
     """The wrench of the soil on every wheel into `applied` (bodies, 6), world axes at the wheel centre."""
     r, r_s, c1, c2, c3 = tyre[0], tyre[3], tyre[4], tyre[5], tyre[6]
     for w in range(len(bodies)):
@@ -94,7 +94,7 @@ def push_wheels(bodies, place, turn, motion, about, rim, ground, tyre, soil, app
         middle = (theta_1 + c3 * theta_1 + (c1 + c2 * slip) * theta_1) / 3.0
         lever = r_s * (math.sin(middle) * ahead - math.cos(middle) * up)
         sideways = -f_l * left
-        applied[body, :3] = max(f_n - NORMAL_DAMPING * (v @ up), 0.0) * up + f_dp * ahead + sideways
+        applied[body, :3] = max(f_n - damping * (v @ up), 0.0) * up + f_dp * ahead + sideways
         applied[body, 3:] = np.cross(lever, sideways) - m_r * left
 
 
@@ -129,9 +129,10 @@ def by_mujoco(result: Prediction, ground: Ground, step_s: float = STEP_S) -> Tra
     tyre, soil = rover.wheel.vector(), soil_of(result.terrain)
     seen = (data.xpos, data.xmat, data.cvel, data.subtree_com[1])
     normal, rows = np.zeros(len(bodies)), []
+    damping = NORMAL_DAMPING * result.rover.mass_kg / len(result.rover.wheels) / MASS_ON_WHEEL
     for k in range((len(result.time_s) - 1) * steps + 1):
         mujoco.mj_step1(model, data)
-        push_wheels(bodies, *seen, rim, ground, tyre, soil, data.xfrc_applied, normal)
+        push_wheels(bodies, *seen, rim, ground, tyre, soil, damping, data.xfrc_applied, normal)
         if k % steps == 0:
             pose = np.concatenate([data.qpos[:3], angles_of(data.qpos[3:7])])
             rows.append((pose, np.degrees(data.qpos[address]), normal.copy()))
@@ -164,7 +165,7 @@ def motion_of(rover: Rover, leg: Leg) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 def drive(rover: Rover, ground: Ground, leg: Leg, soil: Soil, step_s: float, y_m: float = 0.0) -> Prediction:
     plan = Plan(name="test", legs=(leg,), speed_m_s=SPEED_M_S, y_m=y_m)
-    result = predict(rover, ground.terrain(soil), plan, sweep=(), time_step_s=step_s, sample_m=0.1)
+    result = predict(rover, ground.terrain(soil), plan, sweep=(), time_step_s=step_s, sample_m=0.1, ruts=False)
     assert result.outcome_text(0) == "finished"
     return result
 

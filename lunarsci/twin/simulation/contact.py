@@ -37,6 +37,7 @@ from lunarsci.twin.simulation.lanes import (
     LAST,
     LEVER,
     MATRIX,
+    MISSED,
     MOMENT,
     NORMAL,
     RATE,
@@ -69,6 +70,7 @@ __all__ = [
     "DEEPEST",
     "DRIVEN",
     "HELD",
+    "MASS_ON_WHEEL",
     "NORMAL_DAMPING",
     "SHALLOWEST",
     "SLOWEST",
@@ -94,6 +96,8 @@ TAKE_UP_M = 1e-3
 # millimetre before it yields, and about half of critical; of the same mass. Assumed: no unloading of regolith along
 # the surface is published.
 STAND_STIFFNESS, STAND_DAMPING = 1e5, 1500.0
+# A rim whose speed changes by less than this share in a step is under way.
+STEADY = 0.02
 # A wheel that yields comes to rest when it moves by less than this share of what the stiffness gives in a step.
 CAUGHT = 0.01
 # Below this sinkage [m] the contact angles round to nothing.
@@ -172,7 +176,7 @@ def meet_ground(
         taken, taken_up = get(wheel, SLIP, lane), min(last * dt / TAKE_UP_M, 1.0)
         slip = taken + taken_up * (min(slip_ratio(ended), 1.0) - taken) if lags else min(slip_ratio(travel), 1.0)
         rut = (get(wheel, RUT, lane), get(wheel, RUT + 1, lane))
-        forces, slopes, _ = contact_forces(z, slip, travel, lateral, ended if lags else travel, rut, tyre, soil, 0)
+        forces, slopes, reach = contact_forces(z, slip, travel, lateral, ended if lags else travel, rut, tyre, soil, 0)
         f_n, f_dp, f_l, m_r = chosen(on, forces)
         slopes = chosen(on, slopes)
         ahead, below = shear_center(z, slip, tyre)
@@ -190,6 +194,10 @@ def meet_ground(
         along = per * slopes[1] - brake * abs(f_dp)
         d_l = -per * slopes[2] - skew * abs(f_l)
         remaining = seen_from(axes, get3(wheel, ACCELERATION, lane))
+        taken_for = get(wheel, DRAWBAR, lane) + get(wheel, ALONG, lane) * (v[0] - get(wheel, VELOCITY, lane))
+        steady = lags and last >= SLOWEST and abs(turning - last) < STEADY * last
+        missed = abs(reach[3] - taken_for) if steady and on > 0.0 else 0.0
+        put(wheel, MISSED, lane, missed)
         put3(wheel, AXES, lane, axes[0])
         put3(wheel, AXES + 3, lane, axes[1])
         put3(wheel, AXES + 6, lane, axes[2])

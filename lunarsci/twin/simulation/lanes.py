@@ -27,8 +27,11 @@ def rows(*offsets: int) -> tuple[Any, ...]:
 
 # Rows of `Work.body`: pose (position, quaternion, three joint angles), velocity, rotation by rows, angular velocity in
 # the body frame, change of the velocity in a step.
-# At last energy [J], power of the rims [W], and energy that came from nowhere [J].
-POSE, SPEED, ROTATION, OMEGA, CHANGE, ENERGY, POWER, EXCESS, BODY_ROWS = rows(0, 10, 19, 28, 31, 40, 41, 42, 43)
+# At last energy [J], power of the rims [W], energy that came from nowhere [J], and how far forces along the wheels are
+# from what the steps took them to be, in the mean of the last steps [N].
+POSE, SPEED, ROTATION, OMEGA, CHANGE, ENERGY, POWER, EXCESS, ERROR, BODY_ROWS = rows(
+    0, 10, 19, 28, 31, 40, 41, 42, 43, 44
+)
 # Rows of one wheel of `Work.wheels`, vectors in the world frame: centre; its arm from the origin; its velocity per rate
 # of the differential and of the bogie; axle; acceleration that remains without generalised acceleration; height and
 # gradient of the terrain; soil; then what the contact found.
@@ -42,7 +45,8 @@ AXES, FORCE, MOMENT, ALONG, ACROSS, STIFF, STEER, RIM = rows(37, 46, 49, 52, 55,
 # What the contact remembers: the slip ratio that the bearing has taken up; the travel ratio before the rim stood still;
 # the speed of the rim in the step before; force and torque along the surface at the end of it, for a wheel that does
 # not move, and how they change with its speed. How deep wheels before pressed the ground, and how deep it is still.
-SLIP, TRAVEL, LAST, HOLD, TWIST, RATE, RUT, WHEEL_ROWS = rows(62, 63, 64, 65, 68, 71, 74, 76)
+# How far the force of a step's end was from what the step had taken it to be.
+SLIP, TRAVEL, LAST, HOLD, TWIST, RATE, RUT, MISSED, WHEEL_ROWS = rows(62, 63, 64, 65, 68, 71, 74, 76, 77)
 # Rows of `Work.levers`, for coordinates 0 to 6 and the wheel's own bogie: velocity of the wheel centre along the axes
 # per rate of the coordinate; the coefficients of its row of the matrix; its right side.
 LEVER, COEFFICIENT, DRIVE, LEVER_ROWS = rows(0, 24, 48, 56)

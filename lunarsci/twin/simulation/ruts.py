@@ -6,8 +6,8 @@ where that ended (Wong 2008, Theory of Ground Vehicles, 4th ed., ch. 2):
 
     p = p_u - (k_0 + A_u z_u) (z_u - z),   k_0 = p_u / z_u.
 
-A rut changes height and bearing of the ground; its walls lift the side of a wheel that is not in it. Its shear strength
-stays as it was.
+A rut changes height and bearing of the ground, not its shear strength. A wheel that is partly on its wall is carried
+partly by the undisturbed ground. That the wall also pushes against the side of a wheel is left out.
 """
 
 import math
@@ -80,7 +80,7 @@ def still_deep(pressed: float, stiffness: float, exponent: float) -> float:
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def read_ruts(work: Any, w: int, width: float) -> None:
-    """Lower and bank the ground of wheel `w` as the ruts below its two halves say."""
+    """Lower the ground of wheel `w` by the mean of the ruts below its two halves."""
     frame, wheel = work.frame, work.wheels[w]
     side = width / 3.0
     for lane in range(LANES):
@@ -99,10 +99,7 @@ def read_ruts(work: Any, w: int, width: float) -> None:
         wheel[RUT * LANES + lane] = 0.5 * (left + right)
         wheel[(RUT + 1) * LANES + lane] = 0.5 * (low + high)
         if left + right > 0.0:
-            bank = (high - low) / (2.0 * side) * scale
-            slope_x = wheel[(GROUND + 1) * LANES + lane] + bank * axle_x
-            slope_y = wheel[(GROUND + 2) * LANES + lane] + bank * axle_y
-            wheel[(GROUND + 1) * LANES + lane], wheel[(GROUND + 2) * LANES + lane] = slope_x, slope_y
+            slope_x, slope_y = wheel[(GROUND + 1) * LANES + lane], wheel[(GROUND + 2) * LANES + lane]
             # Sinkage counts along the normal.
             wheel[GROUND * LANES + lane] -= 0.5 * (low + high) * math.sqrt(1.0 + slope_x**2 + slope_y**2)
 

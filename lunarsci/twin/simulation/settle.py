@@ -122,39 +122,36 @@ def shorten(work: Any, most: float, done: Any) -> None:
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
-def lean_on(work: Any, left: Any, done: Any, tolerance: float) -> None:
+def lean_on(work: Any, left: Any, pull: Any, leaning: Any, done: Any, tolerance: float) -> None:
     """Let the ground hold what `left` (LANES, 3) says has to hold the rovers: along its surface under every wheel.
 
     How the forces share out among the wheels is not determined; each takes as much of its load as the others, along
-    the way in which the rover would start to slide and turn. Lanes where more than `tolerance` [N, N m] is left are not
-    done.
+    the way in which the rover would start to slide and turn, which `pull` (LANES, 3) keeps. Lanes are `leaning` from
+    when they first stand; those where more than `tolerance` [N, N m] is left are not done.
     """
     share, moved = np.empty((3, 3)), np.empty((3, 3))
     for lane in range(LANES):
-        if not abs(left[lane, 0]) + abs(left[lane, 1]) + abs(left[lane, 2]) < np.inf:
+        if not leaning[lane]:
+            leaning[lane], done[lane] = done[lane], False
+        if not leaning[lane] or not abs(left[lane, 0]) + abs(left[lane, 1]) + abs(left[lane, 2]) < np.inf:
             continue
         share[:] = 0.0
         for w in range(len(work.wheels)):
-            normal = work.wheels[w, NORMAL * LANES + lane]
             slide_along(work.wheels[w], lane, moved)
             for i in range(3):
                 for k in range(3):
-                    # Both columns lie in the surface.
                     for m in range(3):
-                        share[i, k] += normal * moved[m, i] * moved[m, k]
+                        share[i, k] += work.wheels[w, NORMAL * LANES + lane] * moved[m, i] * moved[m, k]
         for i in range(3):
-            share[i, i] += 1e-300
             if abs(left[lane, i]) > tolerance:
                 done[lane] = False
-        if not np.linalg.det(share) > 0.0:
-            continue
-        pull = np.linalg.solve(share, left[lane])
+        if not done[lane] and np.linalg.det(share) > 0.0:
+            pull[lane] += np.linalg.solve(share, left[lane])
         for w in range(len(work.wheels)):
-            normal = work.wheels[w, NORMAL * LANES + lane]
             slide_along(work.wheels[w], lane, moved)
             for m in range(3):
-                for i in range(3):
-                    work.wheels[w, (HOLD + m) * LANES + lane] += normal * moved[m, i] * pull[i]
+                along = moved[m, 0] * pull[lane, 0] + moved[m, 1] * pull[lane, 1] + moved[m, 2] * pull[lane, 2]
+                work.wheels[w, (HOLD + m) * LANES + lane] = work.wheels[w, NORMAL * LANES + lane] * along
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
@@ -178,7 +175,7 @@ def balance(rover: Any, tyre: Any, grid: Any, override: Any, mode: int, velocity
     [N m] that hold the rover beside the wheels; none is left `AT_REST`, where the ground does. Outcomes in `work.code`.
     """
     weight = (rover.body_kg + len(rover.arms) * rover.wheel_kg) * rover.gravity
-    done = np.zeros(LANES, dtype=np.bool_)
+    done, leaning, pull = np.zeros(LANES, dtype=np.bool_), np.zeros(LANES, dtype=np.bool_), np.zeros((LANES, 3))
     dt = 0.05
     for _ in range(SETTLE_ROUNDS):
         for lane in range(LANES):
@@ -187,9 +184,10 @@ def balance(rover: Any, tyre: Any, grid: Any, override: Any, mode: int, velocity
             if work.code[lane] == SANK and not done[lane]:
                 work.code[lane] = FINISHED
         assemble(rover, tyre, grid, override, dt, mode, work)
+        done[leaning] = False
         lock(work, dt, SETTLE_TOLERANCE * weight, done, left)
         if mode == AT_REST:
-            lean_on(work, left, done, SETTLE_TOLERANCE * weight)
+            lean_on(work, left, pull, leaning, done, SETTLE_TOLERANCE * weight)
         for lane in range(LANES):
             if work.code[lane] in (LEFT, HOLE, CLIFF, OVERTURNED, UNSETTLED, DIVERGED):
                 done[lane] = True
