@@ -19,8 +19,8 @@ def add_to(app: typer.Typer) -> None:
 def reproduce(
     output: Output,
     part: Annotated[
-        Literal["all", "spectra", "soil", "drive"],
-        typer.Option(help="Which of the numbers, and of the pages of --plot."),
+        Literal["all", "spectra", "rock", "soil", "drive"],
+        typer.Option(help="Which of the numbers, and of the pages of --plot; rock is another name of spectra."),
     ] = "all",
     rocks: Annotated[
         list[str] | None,
@@ -41,4 +41,7 @@ def reproduce(
     """
     from .reproduce_report import found_numbers, reproduce_report
 
-    return reproduce_report(found_numbers(part, rocks or [], rover, quiet=output.quiet), verbose=output.verbose)
+    return reproduce_report(
+        found_numbers("spectra" if part == "rock" else part, rocks or [], rover, quiet=output.quiet),
+        verbose=output.verbose,
+    )
