@@ -25,7 +25,10 @@ __all__ = [
 PATH, LIMITS, GROUND = "Path", "Limits, instead of those of the rover file", "Synthetic ground"
 
 Start = Annotated[
-    str, typer.Option(help="Pose of the rover, in m and deg.", rich_help_panel=PATH, metavar="X,Y,HEADING")
+    str | None,
+    typer.Option(
+        help="Pose of the rover, in m and deg.", rich_help_panel=PATH, metavar="X,Y,HEADING", show_default="0,0,0"
+    ),
 ]
 Target = Annotated[
     str | None,
