@@ -46,21 +46,26 @@ class RoverCheck:
         if path is None or not plan.own_limits:
             return self._judged_by_its_own(plan, path) if judged else plan
         made = plan.made_for
-        if self._note("plan", made, path) != "other" or made is None:
-            return plan
+        if made is not None and made.kinship(self.description) == "other":
+            self._refuse(plan, made, path, judged=judged)
+        self._note("plan", made, path)
+        return plan
+
+    def _refuse(self, plan: Plan, made: MadeFor, path: str, *, judged: bool) -> None:
+        """A usage error where nobody asked for this rover, or where the limits allow more than its own."""
+        own = self.description.origin
         if not self.asked:
             raise typer.BadParameter(
-                f"{path} was made for {made.name}; give --rover {made.rover}, or --rover {self.description.origin} to "
-                "drive it with that all the same"
+                f"{path} was made for {made.name}; give --rover {made.rover}, or --rover {own} to drive it with that "
+                "all the same"
             )
         beyond = laxer(plan.limits, self.description, self.rover) if judged else []
         if beyond:
             raise typer.BadParameter(
                 f"{path} was made for {made.name}, and its limits are laxer than those of {self.rover.name} "
-                f"({', '.join(beyond)}); plan with `twin terrain --rover {self.description.origin}`, or write its "
-                "[limits] for this rover and take [made_for] out"
+                f"({', '.join(beyond)}); plan with `twin terrain --rover {own}`, or write its [limits] for this rover "
+                "and take [made_for] out"
             )
-        return plan
 
     def terrain(self, made: MadeFor | None, path: str) -> None:
         """Say it where a terrain was looked at for another rover."""
@@ -84,17 +89,16 @@ class RoverCheck:
         self.say(f"{what} is judged by what is assumed of {self.rover.name}: {', '.join(changed)}")
         return replace(plan, limits=limits)
 
-    def _note(self, what: str, made: MadeFor | None, path: str) -> str:
-        """Keep and say what rover a file was made for; `same`, `changed` or `other`."""
+    def _note(self, what: str, made: MadeFor | None, path: str) -> None:
+        """Keep what rover a file was made for, and say so where it is not this one."""
         if made is None:
-            return "same"
+            return
         kinship = made.kinship(self.description)
         self.made_for[what] = {"rover": made.rover, "name": made.name, "kinship": kinship, "limits": dict(made.limits)}
         if kinship == "changed":
             self.say(f"{path} was made for {made.rover} when its file was another; make it anew if limits changed")
-        if kinship == "other" and (what == "terrain" or self.asked):
+        if kinship == "other":
             kept = ", ".join(f"{name} {value:g}" for name, value in made.limits.items())
             self.say(
                 f"{path} was made for {made.name}, not for {self.rover.name}: its limits are {kept or 'not known'}"
             )
-        return kinship
