@@ -109,6 +109,7 @@ def reproduce_report(found: Found, *, verbose: bool) -> Report:
         inputs=found.inputs,
         data_tables=found.tables,
         sources=[PAPER],
+        options={} if parts == ["spectra"] else {"rover": found.description.origin},
     )
 
 

@@ -20,6 +20,7 @@ from lunarsci.twin.ground.driven_soil import DrivenSoil, lay_soil_on, soil_recor
 from lunarsci.twin.ground.longji import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.ground.terrain_files import TerrainFile, read_terrain_file
+from lunarsci.twin.judgement.load_check import check_loads, load_notes
 from lunarsci.twin.judgement.profiles import profile_table
 from lunarsci.twin.judgement.safety import Judgement, Verdict, judge
 from lunarsci.twin.judgement.sensitivity import EndpointSensitivity, endpoint_sensitivity, step_error_m
@@ -128,6 +129,8 @@ def read_scene(
     if soil_counts and (driven.rest or driven.name) in known_soils():
         tables |= soil_hash(driven.rest or driven.name)[1]
     drive = read_plan(plan)
+    if fixes is not None and len(drive.legs) < 2:
+        raise typer.BadParameter(f"--fixes steer the next leg, and {drive.origin} has only one; leave them out")
     check = RoverCheck(description, built, asked=rover is not None)
     drive = check.plan(drive, plan, judged=judged)
     check.terrain(file.made_for, terrain)
@@ -274,6 +277,7 @@ def _result(scene: Scene, prediction: Prediction, verdict: Verdict) -> dict[str,
         "time_step_s": prediction.time_step_s,
         "plan": scene.plan.name,
         "terrain": {"name": scene.terrain.name, "synthetic": scene.terrain.synthetic},
+        "loads": asdict(check_loads(prediction)),
         "rover": scene.rover.name,
         "made_for": scene.made_for,
         "sweep": {name: {"low": values.min(), "high": values.max()} for name, values in prediction.parameters.items()},
@@ -314,6 +318,7 @@ def verdict_tables(scene: Scene, prediction: Prediction, verdict: Verdict) -> li
         *_endpoint_notes(verdict),
         *verdict.reasons,
         *verdict.notes,
+        *load_notes(check_loads(prediction)),
         _worst_note(verdict),
     ]
     return [TextTable(headers, rows, title=title, notes=notes)]

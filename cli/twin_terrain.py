@@ -1,6 +1,6 @@
 """`lunarsci twin terrain`: look at a terrain and plan a path on it."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable
 from typing import Annotated
 
 import typer
@@ -29,16 +29,8 @@ def terrain(
         ),
     ] = "synthetic-longji",
     rover: Annotated[str, typer.Option(help="Rover: a name (yutu2, small-four) or a TOML file.")] = "yutu2",
-    soil: Annotated[
-        str | None,
-        typer.Option(
-            help="With -o, soil of terrain.npz in place of the terrain's: a name or a TOML file.",
-            show_default="the terrain's, or longji",
-        ),
-    ] = None,
-    baseline: Annotated[
-        float | None, typer.Option(help="Side in m of the square whose slope is measured; the rover's by default.")
-    ] = None,
+    soil: options.SoilName = None,
+    baseline: options.Baseline = None,
     start: options.Start = None,
     target: options.Target = None,
     speed: options.Speed = None,
@@ -80,14 +72,11 @@ def terrain(
         "min_turning_radius_m": turning_radius,
         "hazard_distance_m": hazard_distance,
     }
-    of_a_path = {
-        "--start": start, "--speed": speed, "--turning-radius": turning_radius, "--hazard-distance": hazard_distance
-    }  # fmt: skip
-    _refuse_idle(target, of_a_path)
-    if output.path is None and (soil is not None or geotiff):
-        raise typer.BadParameter(
-            f"{'--geotiff' if geotiff else '--soil'} goes into a file; give -o DIR, or leave it out"
-        )
+    of_a_path = (("--start", start), ("--speed", speed), ("--turning-radius", turning_radius))
+    if target is None:
+        _refuse((*of_a_path, ("--hazard-distance", hazard_distance)), "is of a path; give --target, or leave it out")
+    if output.path is None:
+        _refuse((("--soil", soil), ("--geotiff", geotiff or None)), "goes into a file; give -o DIR, or leave it out")
     asked = Asked.parse(start or "0,0,0", target, speed)
     site = read_site(terrain, rover, soil, ground, limits)
     with progress("looking at the ground", quiet=output.quiet) as update:
@@ -97,8 +86,8 @@ def terrain(
     return terrain_report(site, surface, path, geotiff=geotiff)
 
 
-def _refuse_idle(target: str | None, of_a_path: Mapping[str, object]) -> None:
+def _refuse(given: Iterable[tuple[str, object]], why: str) -> None:
     """Options that would do nothing are a mistake to be said."""
-    for name, value in of_a_path.items():
-        if target is None and value is not None:
-            raise typer.BadParameter(f"{name} is of a path; give --target, or leave it out")
+    for name, value in given:
+        if value is not None:
+            raise typer.BadParameter(f"{name} {why}")

@@ -110,3 +110,18 @@ def test_another_rover_drives_otherwise(run: Callable[..., Any]) -> None:
     field = "numbers.9.ours"
     ours, other = (run("reproduce", "--part", "drive", "--rover", name, "--field", field).out for name in ROVERS)
     assert float(other) > float(ours) > 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--part", "rock", "--rover", "yutu2"), "nothing drives"),
+        (("--part", "soil", "--rocks", "rock.csv"), "give --part spectra"),
+        (("--part", "stones"), "'spectra', 'rock', 'soil', 'drive'"),
+    ],
+)
+def test_options_that_would_do_nothing_are_refused(
+    run: Callable[..., Any], arguments: tuple[str, ...], says: str
+) -> None:
+    done = run("reproduce", *arguments)
+    assert (done.code, done.out, len(done.err)) == (2, "", 1) and says in done.err[0]

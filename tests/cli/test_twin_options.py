@@ -177,6 +177,11 @@ def test_options_that_would_do_nothing_are_refused(run: Run, arguments: tuple[st
     assert (done.code, done.out, len(done.err)) == (2, "", 1) and says in done.err[0]
 
 
+def test_fixes_need_a_leg_after_them(run: Run, short_plan: Path) -> None:
+    done = run("twin", "predict", short_plan, "--fixes", "0.1,0.5")
+    assert (done.code, done.out, len(done.err)) == (2, "", 1) and "has only one" in done.err[0]
+
+
 def test_a_seed_that_draws_nothing_is_said(run: Run, short_plan: Path) -> None:
     grid = ("twin", "predict", short_plan, "--sweep", "cohesion_pa=100:500:2", "--field", "members")
     assert any("--seed has nothing to draw" in line for line in run(*grid, "--seed", "3").err)
