@@ -69,7 +69,8 @@ def predict(
 
     With -o DIR the wheel states and forces go to states.csv, the paths to paths.csv, the ends to endpoints.csv, the
     spread of all quantities against distance to profiles.csv; with prediction.json `twin compare` sets them beside the
-    drive that follows.
+    drive that follows. A plan of `twin terrain` is driven by the rover that it was made for, unless --rover says
+    otherwise.
     """
     if animate is not None:
         from lunarsci.twin.figures.animation import FORMATS, check_format
@@ -85,4 +86,5 @@ def predict(
     with progress("driving", quiet=output.quiet) as update:
         prediction = drive(scene, soils, time_step, sample, update)
     ground = soils.record(scene)
-    return predict_report(scene, prediction, soils.kind(scene), ground, film=animate, quiet=output.quiet)
+    seed = soils.drawn_by(scene)
+    return predict_report(scene, prediction, soils.kind(scene), ground, seed=seed, film=animate, quiet=output.quiet)

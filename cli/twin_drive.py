@@ -94,13 +94,15 @@ class Soils:
                 )
             scene.tables.pop(SOIL_TABLE, None)
             scene.options.pop("soil", None)
-        if seed_given and not self._draws(scene):
+        if seed_given and self.drawn_by(scene) is None:
             text = "--seed has nothing to draw here: the soils are given or a grid, and the plan has no fixes"
             warnings.warn(text, LunarSciWarning, stacklevel=2)
 
-    def _draws(self, scene: Scene) -> bool:
+    def drawn_by(self, scene: Scene) -> int | None:
+        """The seed, or None where it draws nothing."""
         believed = scene.soil is not None or self.soil_map is not None or self.kind(scene) == "belief"
-        return believed or self.members is not None or self.thinned or scene.plan.fixes is not None
+        drawn = believed or self.members is not None or self.thinned or scene.plan.fixes is not None
+        return self.seed if drawn else None
 
     def _named(self, scene: Scene) -> str:
         return next(iter(self.inputs), scene.plan.origin if self.sweep is None else "--sweep")

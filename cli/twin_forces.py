@@ -183,4 +183,4 @@ def _predicted(output: Output, given: dict[str, Any], used: set[str], scenery: t
     soils.check(scene)
     with progress("driving", quiet=output.quiet) as update:
         prediction = drive(scene, soils, given["--time-step"] or 0.1, given["--sample"] or 0.1, update)
-        return predicted_report(scene, prediction, soils.record(scene))
+        return predicted_report(scene, prediction, soils.record(scene), soils.drawn_by(scene))

@@ -34,7 +34,7 @@ COLUMNS = {
 }
 
 
-def predicted_report(scene: Scene, prediction: Prediction, soil: dict[str, Any]) -> Report:
+def predicted_report(scene: Scene, prediction: Prediction, soil: dict[str, Any], seed: int | None) -> Report:
     """Forces along a predicted drive, on a `soil` as the result names it; those of all members count alike."""
     states = np.where(prediction.reached[..., None, None], prediction.states, np.nan)
     loads = wheel_loads(prediction.rover.wheels, states)
@@ -57,13 +57,13 @@ def predicted_report(scene: Scene, prediction: Prediction, soil: dict[str, Any])
             "missing": None,
             "soil": soil,
         },
-        tables=_tables(title, loads, [*soil_notes(scene, prediction.members), *_notes(scene, failed)]),
+        tables=_tables(title, loads, [*soil_notes(scene, prediction), *_notes(scene, failed)]),
         rows=_rows(state_table(prediction)),
         figures=figures,
         inputs=scene.inputs,
         data_tables=scene.tables,
         sources=SOURCES,
-        seed=prediction.seed,
+        seed=seed,
         untrusted=f"not driven to the end: {'; '.join(failed)}" if failed else "",
         options=scene.options,
     )

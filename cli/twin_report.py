@@ -18,7 +18,7 @@ from lunarsci.twin.comparison.forecast import FILE, forecast_document, forecast_
 from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.ground.driven_soil import DrivenSoil, lay_soil_on, soil_record
 from lunarsci.twin.ground.longji import synthetic_longji
-from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain
 from lunarsci.twin.ground.terrain_files import TerrainFile, read_terrain_file
 from lunarsci.twin.judgement.load_check import check_loads, load_notes
 from lunarsci.twin.judgement.profiles import profile_table
@@ -179,10 +179,13 @@ def _parsed_fixes(text: str) -> Fixes:
         raise typer.BadParameter(f"--{error}") from error
 
 
-def soil_notes(scene: Scene, members: int) -> list[str]:
-    """What a belief in the place of the terrain's soil means for the drives."""
+def soil_notes(scene: Scene, prediction: Prediction) -> list[str]:
+    """Which soil the drives have, where it is not the common one, and what a belief in its place means for them."""
     if scene.soil is None:
-        return []
+        named = scene.driven.of != "default" and len(prediction.parameters) < len(SOIL_COLUMNS)
+        rest = f", what it lacks of {scene.driven.rest}" if scene.driven.rest else ""
+        return [f"soil: that of {scene.driven.name}{rest}"] if named else []
+    members = prediction.members
     found = scene.soil
     drives = "no drive yet, only on the priors" if not found.belief.history else f"{len(found.belief.history)} drive(s)"
     unread = len(found.belief.history) - found.learned
@@ -203,12 +206,13 @@ def predict_report(
     soils: str,
     soil: dict[str, Any],
     *,
+    seed: int | None = None,
     film: Path | None = None,
     quiet: bool = False,
 ) -> Report:
     """The report of `twin predict`, with a film where a file for one is named.
 
-    `soils` says what the soils are, `soil` is their record for the result.
+    `soils` says what the soils are, `soil` is their record for the result, `seed` what something was drawn by.
     """
     verdict = judge(prediction, scene.plan)
     shares = [] if soils in CORRELATED else endpoint_sensitivity(prediction)
@@ -232,7 +236,7 @@ def predict_report(
         inputs=scene.inputs,
         data_tables=scene.tables,
         sources=SOURCES,
-        seed=prediction.seed,
+        seed=seed,
         files={
             **_kept(scene, prediction, soils, soil),
             "endpoints.csv": lambda: csv_bytes(endpoint_table(prediction)),
@@ -313,7 +317,7 @@ def verdict_tables(scene: Scene, prediction: Prediction, verdict: Verdict) -> li
     drives = "1 drive" if prediction.members == 1 else f"{prediction.members} drives"
     title = f"{verdict.verdict.upper()}: {scene.plan.name}; {drives} on {scene.terrain.name}"
     notes = [
-        *soil_notes(scene, prediction.members),
+        *soil_notes(scene, prediction),
         *scene.remarks,
         *_endpoint_notes(verdict),
         *verdict.reasons,

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,8 @@ import pytest
 
 from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.soil import read_soil
+from lunarsci.rovers.description import read_rover
+from lunarsci.rovers.made_for import MadeFor, made_for
 from lunarsci.twin.ground.soil_map import SoilMap
 from lunarsci.twin.ground.soil_map_files import soil_map_bytes
 from lunarsci.twin.plans.plan import read_plan
@@ -87,6 +90,7 @@ def test_what_the_terrain_lacks_is_filled_in_and_named(run: Run, site: Path, sho
     part = ("--terrain", tmp_path / "part.npz")
     found, provenance = driven(run("twin", "forces", short_plan, *part, *QUICK))
     assert (found["soil"]["of"], found["soil"]["rest_of"]) == ("terrain", "longji")
+    assert "part.npz, what it lacks of longji" in run("twin", "forces", short_plan, *part, *QUICK[:-2]).out
     assert found["soil"]["parameters"]["friction_angle_deg"] == {"low": 30.0, "high": 40.0}
     assert "soils.toml" in tables(provenance)
 
@@ -142,6 +146,26 @@ def test_a_plan_for_another_rover_is_not_driven_by_the_default_one(run: Run, sma
     assert sum("not for Yutu-2" in line for line in done.err) == 2
 
 
+def test_the_record_of_a_rover_knows_it_again() -> None:
+    own = read_rover("yutu2")
+    record = made_for(own, {"max_slope_deg": 11.0, "max_roughness_m": None})
+    again = MadeFor.from_table(json.loads(record.to_json()))
+    assert again == record and again.limits == {"max_slope_deg": 11.0}
+    changed, copied = replace(own, text=own.text + "#"), replace(own, origin="mine.toml")
+    assert [record.kinship(one) for one in (own, copied, changed)] == ["same", "same", "changed"]
+    assert record.kinship(replace(changed, origin="mine.toml")) == record.kinship(read_rover("small-four")) == "other"
+
+
+@pytest.mark.parametrize(
+    "table", ["made_for = 3", '[made_for]\nrover = "a"', '[made_for]\nrover = 1\nname = "a"\nsha256 = ""']
+)
+def test_a_record_that_is_none_is_one_line(run: Run, short_plan: Path, table: str) -> None:
+    text = short_plan.read_text()
+    short_plan.write_text(f"{table}\n{text}")
+    done = run("twin", "predict", short_plan)
+    assert (done.code, done.out, len(done.err)) == (1, "", 1) and "made_for" in done.err[0]
+
+
 def test_limits_of_a_larger_rover_do_not_judge_a_smaller_one(run: Run, site: Path, short_plan: Path) -> None:
     done = run("twin", "predict", site / "plan.toml", "--rover", "small-four")
     assert done.code == 2 and "sinkage_m 0.05 > 0.025, tilt_deg 20 > 15" in done.err[0]
@@ -183,6 +207,7 @@ def test_fixes_need_a_leg_after_them(run: Run, short_plan: Path) -> None:
 
 
 def test_a_seed_that_draws_nothing_is_said(run: Run, short_plan: Path) -> None:
-    grid = ("twin", "predict", short_plan, "--sweep", "cohesion_pa=100:500:2", "--field", "members")
-    assert any("--seed has nothing to draw" in line for line in run(*grid, "--seed", "3").err)
-    assert run(*grid).err == run(*grid, "--seed", "3", "--members", "2").err == []
+    grid = ("twin", "predict", short_plan, "--sweep", "cohesion_pa=100:500:2", *QUICK)
+    idle, drawn = run(*grid, "--seed", "3"), run(*grid, "--seed", "3", "--members", "2")
+    assert any("--seed has nothing to draw" in line for line in idle.err) and drawn.err == []
+    assert [driven(done)[1]["seed"] for done in (idle, drawn)] == [None, 3]
