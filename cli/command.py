@@ -79,7 +79,7 @@ def _extended(signature: inspect.Signature, shared_options: Mapping[str, tuple[A
 def _provenance(context: typer.Context, report: Report, options: Mapping[str, Any], heard: list[str]) -> Provenance:
     return Provenance(
         command=context.command_path,
-        options={key: plain(value) for key, value in options.items()},
+        options={key: plain(value) for key, value in options.items()} | dict(report.options),
         inputs=report.inputs,
         tables=report.data_tables,
         sources=report.sources,

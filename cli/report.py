@@ -32,6 +32,7 @@ class Report:
     files : for commands that fill a folder: file name to what makes its content.
     untrusted : one sentence, why the result is printed but should not be trusted or acted on; empty if it may be.
     failures : inputs that gave no result, one sentence each.
+    options : what was taken for options that were left out, for the provenance.
     """
 
     schema: str
@@ -49,6 +50,7 @@ class Report:
     files: Mapping[str, Callable[[], bytes]] = field(default_factory=dict)
     untrusted: str = ""
     failures: Sequence[str] = ()
+    options: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def exit_code(self) -> int:

@@ -19,8 +19,8 @@ def add_to(app: typer.Typer) -> None:
 def reproduce(
     output: Output,
     part: Annotated[
-        Literal["all", "spectra", "soil", "drive"],
-        typer.Option(help="Which of the numbers, and of the pages of --plot."),
+        Literal["all", "spectra", "rock", "soil", "drive"],
+        typer.Option(help="Which of the numbers, and of the pages of --plot; rock is another name of spectra."),
     ] = "all",
     rocks: Annotated[
         list[str] | None,
@@ -30,9 +30,10 @@ def reproduce(
             "targets too, those with 'rock' in their name. May be repeated.",
         ),
     ] = None,
-    rover: Annotated[str, typer.Option(help="Rover that drives, and whose wheel is taken: a name or a TOML file.")] = (
-        "yutu2"
-    ),
+    rover: Annotated[
+        str | None,
+        typer.Option(help="Rover that drives, and whose wheel is taken: a name or a TOML file.", show_default="yutu2"),
+    ] = None,
 ) -> Report:
     """Numbers of Ding et al. (2024) beside what lunarsci makes of what they publish, with a verdict on each.
 
@@ -41,4 +42,10 @@ def reproduce(
     """
     from .reproduce_report import found_numbers, reproduce_report
 
-    return reproduce_report(found_numbers(part, rocks or [], rover, quiet=output.quiet), verbose=output.verbose)
+    of_the_rock = part in ("spectra", "rock")
+    if of_the_rock and rover is not None:
+        raise typer.BadParameter(f"--rover has no use with --part {part}, where nothing drives; leave it out")
+    if rocks and part in ("soil", "drive"):
+        raise typer.BadParameter(f"--rocks has no use with --part {part}; give --part spectra, or leave it out")
+    found = found_numbers("spectra" if of_the_rock else part, rocks or [], rover or "yutu2", quiet=output.quiet)
+    return reproduce_report(found, verbose=output.verbose)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from lunarsci.inputs import expand_inputs, read_input
 from lunarsci.provenance import sha256
 from lunarsci.regolith.compare import reference_hash
+from lunarsci.regolith.prior import prior_hash
 from lunarsci.regolith.soil import soil_hash
 from lunarsci.regolith.wheel import read_wheel
 from lunarsci.reproduce.drive import SOIL, Drives, drive_numbers, predicted_drives
@@ -85,7 +86,7 @@ def _spectra(found: Found, rocks: Sequence[str], update: Update) -> None:
 
 
 def _soil(found: Found) -> None:
-    found.tables |= reference_hash()
+    found.tables |= reference_hash() | prior_hash()
     found.numbers += soil_numbers(read_wheel(found.description))
 
 
@@ -108,6 +109,7 @@ def reproduce_report(found: Found, *, verbose: bool) -> Report:
         inputs=found.inputs,
         data_tables=found.tables,
         sources=[PAPER],
+        options={} if parts == ["spectra"] else {"rover": found.description.origin},
     )
 
 

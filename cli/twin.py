@@ -46,10 +46,10 @@ def twin() -> None:
 def predict(
     output: Output,
     plan: twin_options.PlanFile = None,
-    rover: twin_options.RoverName = "yutu2",
+    rover: twin_options.RoverName = None,
     terrain: twin_options.TerrainName = "synthetic-longji",
     interpolation: twin_options.Interpolation = "smooth",
-    soil: twin_options.SoilName = "longji",
+    soil: twin_options.SoilName = None,
     sweep: twin_options.Sweeps = None,
     members: twin_options.Members = None,
     samples: twin_options.Samples = None,
@@ -58,7 +58,7 @@ def predict(
         typer.Option(metavar="FILE", help="Soils drawn by place from a map of `twin update --save-map` (JSON)."),
     ] = None,
     fixes: twin_options.Fixes = None,
-    seed: twin_options.Seed = 0,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of everything random.", show_default="0")] = None,
     time_step: twin_options.TimeStep = 0.1,
     sample: twin_options.Sample = 0.1,
     animate: Annotated[
@@ -69,7 +69,8 @@ def predict(
 
     With -o DIR the wheel states and forces go to states.csv, the paths to paths.csv, the ends to endpoints.csv, the
     spread of all quantities against distance to profiles.csv; with prediction.json `twin compare` sets them beside the
-    drive that follows.
+    drive that follows. A plan of `twin terrain` is driven by the rover that it was made for, unless --rover says
+    otherwise.
     """
     if animate is not None:
         from lunarsci.twin.figures.animation import FORMATS, check_format
@@ -79,8 +80,11 @@ def predict(
     from .twin_drive import Soils, drive
     from .twin_report import predict_report, read_scene
 
-    scene = read_scene(plan, rover, terrain, soil, interpolation, fixes)
-    soils = Soils.of(sweep, members, samples, seed, scene.soil, soil_map)
+    scene = read_scene(plan, rover, terrain, soil, interpolation, fixes, judged=True)
+    soils = Soils.of(sweep, members, samples, seed or 0, scene.soil, soil_map)
+    soils.check(scene, seed_given=seed is not None)
     with progress("driving", quiet=output.quiet) as update:
         prediction = drive(scene, soils, time_step, sample, update)
-    return predict_report(scene, prediction, soils.kind(scene), film=animate, quiet=output.quiet)
+    ground = soils.record(scene)
+    seed = soils.drawn_by(scene)
+    return predict_report(scene, prediction, soils.kind(scene), ground, seed=seed, film=animate, quiet=output.quiet)

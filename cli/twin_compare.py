@@ -50,4 +50,4 @@ def compare(
     """
     from .twin_compare_report import compare_report, read_meeting
 
-    return compare_report(read_meeting(predicted, states, positions, plan, rover), seed)
+    return compare_report(read_meeting(predicted, states, positions, plan, rover or "yutu2"), seed)

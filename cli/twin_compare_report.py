@@ -80,7 +80,7 @@ def read_meeting(predicted: Path, states: str, positions: str | None, plan: str 
 def _check_plan(plan: str, forecast: Forecast) -> None:
     """Legs, start, speed and fixes must be those that were predicted; limits, sweeps and circles do not count."""
     driven, predicted = (
-        plan_text(dataclasses.replace(one, name="", limits=(), sweep=(), keep_out=()))
+        plan_text(dataclasses.replace(one, name="", limits=(), sweep=(), keep_out=(), made_for=None))
         for one in (read_plan(plan), forecast.plan)
     )
     if driven != predicted:
@@ -142,6 +142,7 @@ def _result(meeting: Meeting, found: Comparison) -> dict[str, Any]:
         "rover": forecast.rover,
         "terrain": {"name": forecast.terrain, "synthetic": forecast.synthetic},
         "soils": forecast.soils,
+        "soil": dict(forecast.soil) or {"of": "not kept"},
         "members": found.members,
         "finished": found.finished,
         "compared": list(found.compared),

@@ -1,20 +1,24 @@
 """From the options that say which soils to drive on to a prediction."""
 
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import typer
 
-from lunarsci.errors import ParameterError
+from lunarsci.errors import LunarSciWarning, ParameterError
 from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import read_belief
 from lunarsci.twin.drive_pieces import planned_places
 from lunarsci.twin.ensemble import Prediction, predict
+from lunarsci.twin.ground.driven_soil import DrivenSoil, Origin
 from lunarsci.twin.ground.soil_layers import drawn_grounds
 from lunarsci.twin.ground.soil_map import SoilMap
 from lunarsci.twin.ground.soil_map_files import read_soil_map
+from lunarsci.twin.ground.terrain import SOIL_COLUMNS
 from lunarsci.twin.plans.plan import Sweep, parse_sweep
 from lunarsci.twin.soil_samples import read_soil_samples
 
@@ -22,13 +26,14 @@ from .twin_report import Scene, SoilOfBelief
 
 __all__ = ["Soils", "drive"]
 
+SOIL_TABLE = "soils.toml"
 OF_A_BELIEF = 64
 """Drives on soils of a belief, where their number is not given."""
 
 
 @dataclass(frozen=True, slots=True)
 class Soils:
-    """The soils of a prediction: a sweep, or samples from a file; and the seed."""
+    """The soils of a prediction: a sweep, or samples from a file, of which some may be drawn; and the seed."""
 
     sweep: tuple[Sweep, ...] | None
     members: int | None
@@ -36,6 +41,7 @@ class Soils:
     seed: int
     inputs: Mapping[str, str]
     soil_map: SoilMap | None = None
+    thinned: bool = False
 
     @classmethod
     def of(
@@ -68,7 +74,46 @@ class Soils:
             drawn = read_belief(source).draws(members or OF_A_BELIEF, seed)
         else:
             drawn = read_soil_samples(source, members, seed)
-        return cls(None, None, drawn, seed, {samples: source.sha256})
+        return cls(None, None, drawn, seed, {samples: source.sha256}, thinned=members is not None)
+
+    def drawn(self, scene: Scene) -> tuple[str, ...]:
+        """Soil parameters that each drive has for itself, whatever lies on the terrain."""
+        if self.soil_map is not None:
+            return tuple(SOIL_COLUMNS)
+        if self.samples is not None:
+            return tuple(self.samples)
+        return tuple(sweep.name for sweep in (scene.plan.sweep if self.sweep is None else self.sweep))
+
+    def check(self, scene: Scene, *, seed_given: bool = False) -> None:
+        """Refuse a soil that no drive meets, keep it out of the provenance, and say where a seed draws nothing."""
+        if scene.soil is None and set(self.drawn(scene)) >= set(SOIL_COLUMNS):
+            if scene.driven.of == "option":
+                raise typer.BadParameter(
+                    f"--soil {scene.driven.name} has no use beside {self._named(scene)}, which has every parameter of "
+                    "the soil; leave it out"
+                )
+            scene.tables.pop(SOIL_TABLE, None)
+            scene.options.pop("soil", None)
+        if seed_given and self.drawn_by(scene) is None:
+            text = "--seed has nothing to draw here: the soils are given or a grid, and the plan has no fixes"
+            warnings.warn(text, LunarSciWarning, stacklevel=2)
+
+    def drawn_by(self, scene: Scene) -> int | None:
+        """The seed, or None where it draws nothing."""
+        believed = scene.soil is not None or self.soil_map is not None or self.kind(scene) == "belief"
+        drawn = believed or self.members is not None or self.thinned or scene.plan.fixes is not None
+        return self.seed if drawn else None
+
+    def _named(self, scene: Scene) -> str:
+        return next(iter(self.inputs), scene.plan.origin if self.sweep is None else "--sweep")
+
+    def record(self, scene: Scene) -> dict[str, Any]:
+        """The soil that is driven on, for the result."""
+        named = None
+        if scene.soil is None and (self.soil_map is not None or self.samples is not None):
+            of: Origin = "map" if self.soil_map is not None else "samples"
+            named = DrivenSoil(self._named(scene), of, scene.driven.carried, scene.driven.rest)
+        return scene.soil_record(self.drawn(scene), named)
 
     def kind(self, scene: Scene) -> str:
         """What the soils are: draws of a `belief`, other `samples`, a `sweep` of ranges, or `one`."""

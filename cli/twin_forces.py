@@ -98,12 +98,10 @@ def forces(
     balance_error: BalanceError = None,
     iterate: Rounds = None,
     save: SavedBelief = None,
-    rover: twin_options.RoverName = "yutu2",
+    rover: twin_options.RoverName = None,
     terrain: twin_options.TerrainName = "synthetic-longji",
     interpolation: twin_options.Interpolation = "smooth",
-    soil: Annotated[
-        str | None, typer.Option(help="Soil where the terrain has none: a name or a TOML file; longji if left out.")
-    ] = None,
+    soil: twin_options.SoilName = None,
     sweep: twin_options.Sweeps = None,
     members: twin_options.Members = None,
     samples: twin_options.Samples = None,
@@ -142,10 +140,11 @@ def forces(
     refuse(used, PREDICTED, "has no use with --motion, which is measured and not driven; leave it out")
     from .twin_report import read_scene
 
-    scene = read_scene(plan, rover, terrain, soil or "longji", interpolation)
+    drawn = bool(used & set(UNCERTAIN))
+    scene = read_scene(plan, rover, terrain, soil, interpolation, soil_counts=not drawn)
     if scene.soil is not None:
         raise typer.BadParameter("--motion is held on one soil; give the belief as --belief")
-    if not used & set(UNCERTAIN):
+    if not drawn:
         from .twin_forces_report import held_report
 
         refuse(used, ("--seed",), "draws nothing here; give --draws or --belief, or leave it out")
@@ -175,12 +174,13 @@ def _predicted(output: Output, given: dict[str, Any], used: set[str], scenery: t
     plan, rover, terrain, interpolation = scenery
     if samples is not None and samples.lower().endswith(".json"):
         refuse(used, ("--soil",), "and a belief as --samples are two ways to name the soils; give one")
-    scene = read_scene(plan, rover, terrain, given["--soil"] or "longji", interpolation, given["--fixes"])
+    scene = read_scene(plan, rover, terrain, given["--soil"], interpolation, given["--fixes"])
     drawn = scene.soil is not None or members is not None or scene.plan.fixes is not None
     if not drawn and not (samples or "").lower().endswith(".json"):
         refuse(used, ("--seed",), "has nothing to draw; give --members, --samples or --fixes, or leave it out")
     alone = sweep is None and members is None and samples is None and scene.soil is None
     soils = Soils.of([] if alone else sweep, members, samples, given["--seed"] or 0, scene.soil)
+    soils.check(scene)
     with progress("driving", quiet=output.quiet) as update:
         prediction = drive(scene, soils, given["--time-step"] or 0.1, given["--sample"] or 0.1, update)
-        return predicted_report(scene, prediction)
+        return predicted_report(scene, prediction, soils.record(scene), soils.drawn_by(scene))

@@ -34,8 +34,8 @@ COLUMNS = {
 }
 
 
-def predicted_report(scene: Scene, prediction: Prediction) -> Report:
-    """Forces along a predicted drive; those of all members count alike."""
+def predicted_report(scene: Scene, prediction: Prediction, soil: dict[str, Any], seed: int | None) -> Report:
+    """Forces along a predicted drive, on a `soil` as the result names it; those of all members count alike."""
     states = np.where(prediction.reached[..., None, None], prediction.states, np.nan)
     loads = wheel_loads(prediction.rover.wheels, states)
     failed = sorted({prediction.outcome_text(int(m)) for m in np.flatnonzero(~prediction.finished)})
@@ -55,16 +55,17 @@ def predicted_report(scene: Scene, prediction: Prediction) -> Report:
             "of": "prediction",
             "members": prediction.members,
             "missing": None,
-            "soil": None if scene.soil is None else scene.soil.to_dict(),
+            "soil": soil,
         },
-        tables=_tables(title, loads, [*soil_notes(scene, prediction.members), *_notes(scene, failed)]),
+        tables=_tables(title, loads, [*soil_notes(scene, prediction), *_notes(scene, failed)]),
         rows=_rows(state_table(prediction)),
         figures=figures,
         inputs=scene.inputs,
         data_tables=scene.tables,
         sources=SOURCES,
-        seed=prediction.seed,
+        seed=seed,
         untrusted=f"not driven to the end: {'; '.join(failed)}" if failed else "",
+        options=scene.options,
     )
 
 
@@ -90,7 +91,8 @@ def held_report(scene: Scene, path: str, member: int | None, *, planned: bool) -
 
     return Report(
         schema=SCHEMA,
-        result=_common(scene, loads) | {"of": "motion", "members": 1, "missing": missing or None},
+        result=_common(scene, loads)
+        | {"of": "motion", "members": 1, "missing": missing or None, "soil": scene.soil_record()},
         tables=_tables(title, loads, notes),
         rows=_rows(held_table(found)),
         figures=figures,
@@ -98,12 +100,15 @@ def held_report(scene: Scene, path: str, member: int | None, *, planned: bool) -
         data_tables=scene.tables,
         sources=SOURCES,
         untrusted=_doubt(missing, failed),
+        options=scene.options,
     )
 
 
 def _common(scene: Scene, loads: Sequence[WheelLoads]) -> dict[str, Any]:
     return {
         "terrain": {"name": scene.terrain.name, "synthetic": scene.terrain.synthetic},
+        "rover": scene.rover.name,
+        "made_for": scene.made_for,
         "weight_n": scene.rover.mass_kg * scene.rover.gravity_m_s2,
         "assumed_of_rover": list(scene.description.assumed),
         "wheels": [
@@ -145,7 +150,7 @@ def _doubt(missing: dict[str, float], failed: Sequence[str]) -> str:
 
 
 def _notes(scene: Scene, failed: Sequence[str]) -> list[str]:
-    notes = list(failed)
+    notes = [*failed, *scene.remarks]
     if scene.terrain.synthetic:
         notes.append("the terrain is synthetic")
     return notes

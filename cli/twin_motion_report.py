@@ -11,8 +11,9 @@ import typer
 
 from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
-from lunarsci.regolith.prior import prior_hash
+from lunarsci.regolith.prior import PARAMETERS, prior_hash
 from lunarsci.twin.force_soil import ForceSoil, force_soil
+from lunarsci.twin.ground.driven_soil import DrivenSoil, soil_record
 from lunarsci.twin.judgement.force_table import force_table
 from lunarsci.twin.plans.motion import Motion, read_motion
 from lunarsci.twin.plans.motion_draws import CORRELATION_M, correlation_of
@@ -94,7 +95,8 @@ def motion_report(scene: Scene, told: Told, progress: Callable[[int, int], None]
 
     return Report(
         schema="twin-forces/1",
-        result=motion_result(scene, found, turned, draws, options, known.basis, known.motion.sigmas is not None),
+        result=motion_result(scene, found, turned, draws, options, known.basis, known.motion.sigmas is not None)
+        | {"soil": soil_record(_soil_of(told), scene.terrain, PARAMETERS)},
         tables=motion_tables(scene, found, turned, title, _notes(known, told, scene)),
         rows=list(table.to_dict("records")),  # type: ignore[arg-type]
         figures=figures,
@@ -105,6 +107,7 @@ def motion_report(scene: Scene, told: Told, progress: Callable[[int, int], None]
         files={"forces.csv": lambda: csv_bytes(table)},
         extras=_saved(scene, told, turned),
         untrusted=doubt_of(found, turned),
+        options=scene.options,
     )
 
 
@@ -141,6 +144,10 @@ def _notes(known: Known, told: Told, scene: Scene) -> list[str]:
     if scene.terrain.synthetic:
         notes.append("the terrain is synthetic")
     return notes
+
+
+def _soil_of(told: Told) -> DrivenSoil:
+    return DrivenSoil("priors", "priors") if told.belief is None else DrivenSoil(told.belief, "belief")
 
 
 def _saved(scene: Scene, told: Told, turned: ForceSoil | None) -> dict[Path, Callable[[], bytes]]:

@@ -34,6 +34,8 @@ def motion_result(
     """The key `result`."""
     return {
         "of": "uncertain motion",
+        "rover": scene.rover.name,
+        "made_for": scene.made_for,
         "terrain": {"name": scene.terrain.name, "synthetic": scene.terrain.synthetic},
         "weight_n": scene.rover.mass_kg * scene.rover.gravity_m_s2,
         "assumed_of_rover": list(scene.description.assumed),

@@ -22,7 +22,10 @@ __all__ = [
 PlanFile = Annotated[
     str | None, typer.Argument(help="Plan of the drive (TOML); the embedded one of Yutu-2 to the rock if left out.")
 ]
-RoverName = Annotated[str, typer.Option(help="Rover: a name (yutu2, small-four) or a TOML file.")]
+RoverName = Annotated[
+    str | None,
+    typer.Option(help="Rover: a name (yutu2, small-four) or a TOML file.", show_default="yutu2"),
+]
 TerrainName = Annotated[
     str, typer.Option(help="Terrain: synthetic-longji, or a file (.npz, GeoTIFF, ESRI ASCII .asc, CSV of nodes).")
 ]
@@ -30,10 +33,11 @@ Interpolation = Annotated[
     str, typer.Option(help="Ground between nodes: smooth (continuous gradient) or triangles (as in the paper).")
 ]
 SoilName = Annotated[
-    str,
+    str | None,
     typer.Option(
-        help="Soil where the terrain has none: a name or a TOML file; or a belief of `twin update` (.json), which "
-        "takes the place of the terrain's soil: each drive has a soil drawn from it, 64 unless --members is given."
+        help="Soil, in place of the terrain's: a name or a TOML file; or a belief of `twin update` (.json), and each "
+        "drive has a soil drawn from it, 64 unless --members is given.",
+        show_default="the terrain's, or longji",
     ),
 ]
 Sweeps = Annotated[

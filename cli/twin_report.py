@@ -1,7 +1,7 @@
 """From files to a scene, and from a predicted drive to a `Report`."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,13 +12,15 @@ from lunarsci.errors import ParameterError
 from lunarsci.inputs import read_input
 from lunarsci.provenance import sha256, to_json
 from lunarsci.regolith.belief import SoilBelief, read_belief
-from lunarsci.regolith.soil import read_soil, soil_hash
+from lunarsci.regolith.soil import known_soils, read_soil, soil_hash
 from lunarsci.rovers.description import RoverDescription, read_rover
 from lunarsci.twin.comparison.forecast import FILE, forecast_document, forecast_of
 from lunarsci.twin.ensemble import Prediction
+from lunarsci.twin.ground.driven_soil import DrivenSoil, lay_soil_on, soil_record
 from lunarsci.twin.ground.longji import synthetic_longji
-from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.ground.terrain_files import read_terrain
+from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain
+from lunarsci.twin.ground.terrain_files import TerrainFile, read_terrain_file
+from lunarsci.twin.judgement.load_check import check_loads, load_notes
 from lunarsci.twin.judgement.profiles import profile_table
 from lunarsci.twin.judgement.safety import Judgement, Verdict, judge
 from lunarsci.twin.judgement.sensitivity import EndpointSensitivity, endpoint_sensitivity, step_error_m
@@ -29,12 +31,22 @@ from lunarsci.twin.rover import Rover, build_rover
 from .progress import progress
 from .report import Report
 from .table import TextTable
+from .twin_made_for import RoverCheck
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-__all__ = ["Scene", "SoilOfBelief", "csv_bytes", "predict_report", "read_scene", "soil_notes", "verdict_tables"]
+__all__ = [
+    "DEFAULT_SOIL",
+    "Scene",
+    "SoilOfBelief",
+    "csv_bytes",
+    "predict_report",
+    "read_scene",
+    "soil_notes",
+    "verdict_tables",
+]
 
 SYNTHETIC = "synthetic-longji"
 SOURCES = [
@@ -43,8 +55,8 @@ SOURCES = [
 ]
 
 
-UNDER_A_BELIEF = "longji"
-"""Laid on a terrain without soil, and nowhere used: a belief replaces every parameter."""
+DEFAULT_ROVER, DEFAULT_SOIL = "yutu2", "longji"
+"""Where none is given; the soil also lies under a belief, where it is nowhere used: this replaces every parameter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +78,11 @@ class SoilOfBelief:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What drives where: the parsed inputs of a prediction and their hashes; `soil` where that is a belief."""
+    """What drives where: the parsed inputs of a prediction and their hashes; `soil` where that is a belief.
+
+    `driven` says where the soil of the terrain comes from, `options` what was taken for options that were left out,
+    `made_for` which rovers plan and terrain were made for, and `remarks` what there is to say about these.
+    """
 
     rover: Rover
     description: RoverDescription
@@ -74,34 +90,82 @@ class Scene:
     plan: Plan
     inputs: dict[str, str]
     tables: dict[str, str]
+    driven: DrivenSoil
     soil: SoilOfBelief | None = None
+    options: dict[str, Any] = field(default_factory=dict)
+    made_for: dict[str, Any] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
+
+    def soil_record(self, drawn: Iterable[str] = (), named: DrivenSoil | None = None) -> dict[str, Any]:
+        """The soil for a result; `drawn` are the parameters that every drive has for itself, `named` their file."""
+        found = soil_record(named or self.driven, self.terrain, drawn)
+        return found if self.soil is None else found | self.soil.to_dict()
 
 
 def read_scene(
-    plan: str | None, rover: str, terrain: str, soil: str, interpolation: str = "smooth", fixes: str | None = None
+    plan: str | None,
+    rover: str | None,
+    terrain: str,
+    soil: str | None = None,
+    interpolation: str = "smooth",
+    fixes: str | None = None,
+    *,
+    soil_counts: bool = True,
+    judged: bool = False,
 ) -> Scene:
-    """Read plan, rover, terrain and soil, which may be a belief (.json); `fixes` replaces those of the plan."""
-    description = read_rover(rover)
+    """Read plan, rover, terrain and soil, which may be a belief (.json); `fixes` replaces those of the plan.
+
+    A rover that is None is Yutu-2. A soil that is given lies everywhere, whatever the terrain's file carries; without
+    one this is driven on, and where it has none, `longji`. Where soils are of no account (`soil_counts`) none is said
+    to be used. The limits of a plan that is `judged` must be those of the rover, or no laxer.
+    """
+    description = read_rover(rover or DEFAULT_ROVER)
+    built = build_rover(description)
     believed, inputs, tables = _read_soil_hash(soil)
-    ground = read_soil(UNDER_A_BELIEF if believed else soil)
     for path in (plan, None if terrain == SYNTHETIC else terrain):
         if path is not None:
             inputs[path] = read_input(path).sha256
-    surface = synthetic_longji(ground) if terrain == SYNTHETIC else read_terrain(terrain, ground)
+    file, surface, driven = _read_ground(terrain, soil, believed)
+    if soil_counts and (driven.rest or driven.name) in known_soils():
+        tables |= soil_hash(driven.rest or driven.name)[1]
     drive = read_plan(plan)
+    if fixes is not None and len(drive.legs) < 2:
+        raise typer.BadParameter(f"--fixes steer the next leg, and {drive.origin} has only one; leave them out")
+    check = RoverCheck(description, built, asked=rover is not None)
+    drive = check.plan(drive, plan, judged=judged)
+    check.terrain(file.made_for, terrain)
+    if soil_counts:
+        check.soil(driven, terrain)
     return Scene(
-        build_rover(description),
+        built,
         description,
         replace(surface, interpolation=interpolation),
         drive if fixes is None else replace(drive, fixes=_parsed_fixes(fixes)),
         inputs,
-        tables | {f"{rover} (rover)": sha256(description.text.encode())},
+        tables | {f"{description.origin} (rover)": sha256(description.text.encode())},
+        driven,
         believed,
+        {"rover": description.origin} | ({"soil": driven.name} if driven.of == "default" and soil_counts else {}),
+        check.made_for,
+        tuple(check.remarks),
     )
 
 
-def _read_soil_hash(soil: str) -> tuple[SoilOfBelief | None, dict[str, str], dict[str, str]]:
+def _read_ground(
+    terrain: str, soil: str | None, believed: SoilOfBelief | None
+) -> tuple[TerrainFile, Terrain, DrivenSoil]:
+    """The terrain's file, the terrain with the soil that is driven on, and where this comes from."""
+    name = DEFAULT_SOIL if soil is None or believed else soil
+    own = read_soil(name)
+    file = TerrainFile(synthetic_longji(own)) if terrain == SYNTHETIC else read_terrain_file(terrain, own)
+    surface, driven = lay_soil_on(file, terrain, own, name, asked=soil is not None and believed is None)
+    return file, surface, driven if believed is None else DrivenSoil(believed.path, "belief")
+
+
+def _read_soil_hash(soil: str | None) -> tuple[SoilOfBelief | None, dict[str, str], dict[str, str]]:
     """The belief, where the soil is one, and hashes of the user's files and of own tables."""
+    if soil is None:
+        return None, {}, {}
     if not soil.lower().endswith(".json"):
         return None, *soil_hash(soil)
     source = read_input(soil)
@@ -115,10 +179,13 @@ def _parsed_fixes(text: str) -> Fixes:
         raise typer.BadParameter(f"--{error}") from error
 
 
-def soil_notes(scene: Scene, members: int) -> list[str]:
-    """What a belief in the place of the terrain's soil means for the drives."""
+def soil_notes(scene: Scene, prediction: Prediction) -> list[str]:
+    """Which soil the drives have, where it is not the common one, and what a belief in its place means for them."""
     if scene.soil is None:
-        return []
+        named = scene.driven.of != "default" and len(prediction.parameters) < len(SOIL_COLUMNS)
+        rest = f", what it lacks of {scene.driven.rest}" if scene.driven.rest else ""
+        return [f"soil: that of {scene.driven.name}{rest}"] if named else []
+    members = prediction.members
     found = scene.soil
     drives = "no drive yet, only on the priors" if not found.belief.history else f"{len(found.belief.history)} drive(s)"
     unread = len(found.belief.history) - found.learned
@@ -134,9 +201,19 @@ CORRELATED = ("belief", "samples")
 
 
 def predict_report(
-    scene: Scene, prediction: Prediction, soils: str = "sweep", *, film: Path | None = None, quiet: bool = False
+    scene: Scene,
+    prediction: Prediction,
+    soils: str,
+    soil: dict[str, Any],
+    *,
+    seed: int | None = None,
+    film: Path | None = None,
+    quiet: bool = False,
 ) -> Report:
-    """The report of `twin predict`, with a film where a file for one is named; `soils` says what they are."""
+    """The report of `twin predict`, with a film where a file for one is named.
+
+    `soils` says what the soils are, `soil` is their record for the result, `seed` what something was drawn by.
+    """
     verdict = judge(prediction, scene.plan)
     shares = [] if soils in CORRELATED else endpoint_sensitivity(prediction)
     step_error = step_error_m(prediction)
@@ -145,6 +222,7 @@ def predict_report(
         schema="twin-predict/1",
         result=_result(scene, prediction, verdict)
         | {
+            "soil": soil,
             "sensitivity": None if soils in CORRELATED else [asdict(share) for share in shares],
             "step_error_m": step_error,
         },
@@ -158,23 +236,24 @@ def predict_report(
         inputs=scene.inputs,
         data_tables=scene.tables,
         sources=SOURCES,
-        seed=prediction.seed,
+        seed=seed,
         files={
-            **_kept(scene, prediction, soils),
+            **_kept(scene, prediction, soils, soil),
             "endpoints.csv": lambda: csv_bytes(endpoint_table(prediction)),
             "profiles.csv": lambda: csv_bytes(profile_table(prediction)),
         },
         untrusted="" if verdict.verdict == "go" else f"no-go: {'; '.join(verdict.reasons)}",
+        options=scene.options | {"seed": prediction.seed},
     )
 
 
-def _kept(scene: Scene, prediction: Prediction, soils: str) -> dict[str, Callable[[], bytes]]:
+def _kept(scene: Scene, prediction: Prediction, soils: str, soil: dict[str, Any]) -> dict[str, Callable[[], bytes]]:
     """What `twin compare` reads after the drive: every drive's states and paths, and what they belong to."""
     tables = {
         "states.csv": cache(lambda: csv_bytes(state_table(prediction))),
         "paths.csv": cache(lambda: csv_bytes(path_table(prediction))),
     }
-    kept = forecast_of(prediction, soils=soils, rover_sha256=sha256(scene.description.text.encode()))
+    kept = forecast_of(prediction, soils=soils, rover_sha256=sha256(scene.description.text.encode()), soil=soil)
     return {**tables, FILE: lambda: to_json(forecast_document(kept, tables)).encode()}
 
 
@@ -202,7 +281,9 @@ def _result(scene: Scene, prediction: Prediction, verdict: Verdict) -> dict[str,
         "time_step_s": prediction.time_step_s,
         "plan": scene.plan.name,
         "terrain": {"name": scene.terrain.name, "synthetic": scene.terrain.synthetic},
-        "soil": None if scene.soil is None else scene.soil.to_dict(),
+        "loads": asdict(check_loads(prediction)),
+        "rover": scene.rover.name,
+        "made_for": scene.made_for,
         "sweep": {name: {"low": values.min(), "high": values.max()} for name, values in prediction.parameters.items()},
         "assumed_of_rover": list(scene.description.assumed),
     }
@@ -236,10 +317,12 @@ def verdict_tables(scene: Scene, prediction: Prediction, verdict: Verdict) -> li
     drives = "1 drive" if prediction.members == 1 else f"{prediction.members} drives"
     title = f"{verdict.verdict.upper()}: {scene.plan.name}; {drives} on {scene.terrain.name}"
     notes = [
-        *soil_notes(scene, prediction.members),
+        *soil_notes(scene, prediction),
+        *scene.remarks,
         *_endpoint_notes(verdict),
         *verdict.reasons,
         *verdict.notes,
+        *load_notes(check_loads(prediction)),
         _worst_note(verdict),
     ]
     return [TextTable(headers, rows, title=title, notes=notes)]

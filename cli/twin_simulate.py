@@ -21,12 +21,16 @@ def add_to(app: typer.Typer) -> None:
 def simulate(
     output: Output,
     plan: twin_options.PlanFile = None,
-    rover: twin_options.RoverName = "yutu2",
+    rover: twin_options.RoverName = None,
     terrain: twin_options.TerrainName = "synthetic-longji",
     interpolation: twin_options.Interpolation = "smooth",
     soil: Annotated[
-        str, typer.Option(help="The true soil where the terrain has none: a name or a TOML file.")
-    ] = "longji",
+        str | None,
+        typer.Option(
+            help="The true soil, in place of the terrain's: a name or a TOML file.",
+            show_default="the terrain's, or longji",
+        ),
+    ] = None,
     fix_distance: Annotated[float, typer.Option(help="Way between localised positions in m.")] = 0.5,
     fix_sigma: Annotated[
         float | None,
@@ -52,6 +56,8 @@ def simulate(
 
     errors = SensorErrors(fix_distance_m=fix_distance, fix_sigma_m=fix_sigma, yaw_deg=yaw_sigma, track_m=track_sigma)
     scene = read_scene(plan, rover, terrain, soil, interpolation)
+    if scene.soil is not None:
+        raise typer.BadParameter(f"--soil {soil} is a belief, and the truth is one soil; give a name or a TOML file")
     with progress("driving", quiet=output.quiet) as update:
         drive = simulated(scene, errors, seed, time_step, sample, update)
     return simulate_report(scene, drive)

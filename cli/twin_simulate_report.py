@@ -51,6 +51,9 @@ def simulate_report(scene: Scene, drive: SyntheticDrive) -> Report:
         "synthetic": True,
         "plan": scene.plan.name,
         "terrain": {"name": scene.terrain.name, "synthetic": scene.terrain.synthetic},
+        "rover": scene.rover.name,
+        "made_for": scene.made_for,
+        "soil": scene.soil_record(),
         "rows": len(drive.telemetry),
         "positions": int(np.isfinite(drive.telemetry["x_m"]).sum()),
         "track_points": len(drive.track),
@@ -74,6 +77,7 @@ def simulate_report(scene: Scene, drive: SyntheticDrive) -> Report:
             "truth.csv": lambda: _marked(state_table(prediction)),
         },
         untrusted="" if prediction.finished[0] else f"the drive did not reach its end: {prediction.outcome_text(0)}",
+        options=scene.options,
     )
 
 

@@ -27,7 +27,7 @@ def states(
     plan: Annotated[
         str | None, typer.Argument(help="Plan that was driven (TOML), to compare clock and commands with.")
     ] = None,
-    rover: twin_options.RoverName = "yutu2",
+    rover: twin_options.RoverName = None,
     terrain: twin_options.TerrainName = "synthetic-longji",
     interpolation: twin_options.Interpolation = "smooth",
     track: Annotated[

@@ -37,10 +37,10 @@ class Sent:
 
     @classmethod
     def read(
-        cls, telemetry: str, plan: str | None, rover: str, terrain: str, interpolation: str, track: str | None
+        cls, telemetry: str, plan: str | None, rover: str | None, terrain: str, interpolation: str, track: str | None
     ) -> "Sent":
         """Read the files and find the states."""
-        scene = read_scene(plan, rover, terrain, "longji", interpolation)
+        scene = read_scene(plan, rover, terrain, None, interpolation, soil_counts=False)
         source = read_input(telemetry)
         scene.inputs[telemetry] = source.sha256
         findings = Findings(source.name)
@@ -85,6 +85,7 @@ def states_report(sent: Sent) -> Report:
             "motion.csv": lambda: csv_bytes(motion_table(drive)),
         },
         untrusted=drive.findings.doubt,
+        options=scene.options,
     )
 
 
@@ -99,6 +100,8 @@ def _result(sent: Sent, findings: list[dict[str, object]]) -> dict[str, Any]:
     return {
         "synthetic": drive.telemetry.synthetic,
         "terrain": {"name": sent.scene.terrain.name, "synthetic": sent.scene.terrain.synthetic},
+        "rover": sent.scene.rover.name,
+        "made_for": sent.scene.made_for,
         "plan": sent.scene.plan.name if sent.planned else None,
         "states": int(rows.slip_ratio.size),
         "valid": int(rows.valid.sum()),

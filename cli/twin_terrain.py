@@ -1,5 +1,6 @@
 """`lunarsci twin terrain`: look at a terrain and plan a path on it."""
 
+from collections.abc import Iterable
 from typing import Annotated
 
 import typer
@@ -28,11 +29,9 @@ def terrain(
         ),
     ] = "synthetic-longji",
     rover: Annotated[str, typer.Option(help="Rover: a name (yutu2, small-four) or a TOML file.")] = "yutu2",
-    soil: Annotated[str, typer.Option(help="Soil where the terrain has none: a name or a TOML file.")] = "longji",
-    baseline: Annotated[
-        float | None, typer.Option(help="Side in m of the square whose slope is measured; the rover's by default.")
-    ] = None,
-    start: options.Start = "0,0,0",
+    soil: options.SoilName = None,
+    baseline: options.Baseline = None,
+    start: options.Start = None,
     target: options.Target = None,
     speed: options.Speed = None,
     max_slope: options.MaxSlope = None,
@@ -52,7 +51,8 @@ def terrain(
     """Maps of slope, roughness and step height of a terrain, and where a rover may drive; with --target, a path.
 
     With -o DIR the terrain goes to terrain.npz, the maps to maps.npz, and a path to plan.toml and path.csv:
-    `lunarsci twin predict DIR/plan.toml --terrain DIR/terrain.npz` drives it.
+    `lunarsci twin predict DIR/plan.toml --terrain DIR/terrain.npz` drives it. Plan and terrain keep the rover and the
+    limits that they were made for.
     """
     from .twin_terrain_report import Asked, read_site, terrain_report
 
@@ -72,10 +72,22 @@ def terrain(
         "min_turning_radius_m": turning_radius,
         "hazard_distance_m": hazard_distance,
     }
-    asked = Asked.parse(start, target, speed)
+    of_a_path = (("--start", start), ("--speed", speed), ("--turning-radius", turning_radius))
+    if target is None:
+        _refuse((*of_a_path, ("--hazard-distance", hazard_distance)), "is of a path; give --target, or leave it out")
+    if output.path is None:
+        _refuse((("--soil", soil), ("--geotiff", geotiff or None)), "goes into a file; give -o DIR, or leave it out")
+    asked = Asked.parse(start or "0,0,0", target, speed)
     site = read_site(terrain, rover, soil, ground, limits)
     with progress("looking at the ground", quiet=output.quiet) as update:
         surface = site.surface(baseline, update)
     with progress("planning", quiet=output.quiet) as update:
         path = asked.plan(site, surface, update)
     return terrain_report(site, surface, path, geotiff=geotiff)
+
+
+def _refuse(given: Iterable[tuple[str, object]], why: str) -> None:
+    """Options that would do nothing are a mistake to be said."""
+    for name, value in given:
+        if value is not None:
+            raise typer.BadParameter(f"{name} {why}")

@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 __all__ = [
+    "Baseline",
     "Craters",
     "Extent",
     "GroundSlope",
@@ -15,6 +16,7 @@ __all__ = [
     "Rocks",
     "Roughness",
     "Seed",
+    "SoilName",
     "Spacing",
     "Speed",
     "Start",
@@ -22,10 +24,23 @@ __all__ = [
     "TurningRadius",
 ]
 
+SoilName = Annotated[
+    str | None,
+    typer.Option(
+        help="With -o, soil of terrain.npz in place of the terrain's: a name or a TOML file.",
+        show_default="the terrain's, or longji",
+    ),
+]
+Baseline = Annotated[
+    float | None, typer.Option(help="Side in m of the square whose slope is measured; the rover's by default.")
+]
 PATH, LIMITS, GROUND = "Path", "Limits, instead of those of the rover file", "Synthetic ground"
 
 Start = Annotated[
-    str, typer.Option(help="Pose of the rover, in m and deg.", rich_help_panel=PATH, metavar="X,Y,HEADING")
+    str | None,
+    typer.Option(
+        help="Pose of the rover, in m and deg.", rich_help_panel=PATH, metavar="X,Y,HEADING", show_default="0,0,0"
+    ),
 ]
 Target = Annotated[
     str | None,

@@ -1,7 +1,7 @@
 """From a terrain to maps, from a target to a path, and from both to a `Report`."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,21 +12,25 @@ from lunarsci.inputs import read_input
 from lunarsci.provenance import sha256
 from lunarsci.regolith.soil import read_soil, soil_hash
 from lunarsci.rovers.description import RoverDescription, read_rover
+from lunarsci.rovers.made_for import MadeFor, made_for
+from lunarsci.twin.ground.driven_soil import DrivenSoil, lay_soil_on, soil_record
 from lunarsci.twin.ground.hazards import GroundMaps, Traversability, assess, ground_maps, map_scales
 from lunarsci.twin.ground.longji import synthetic_longji
 from lunarsci.twin.ground.map_files import maps_bytes, maps_geotiff
 from lunarsci.twin.ground.mobility import Mobility, read_mobility
 from lunarsci.twin.ground.synthetic import synthetic_terrain
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.ground.terrain_files import read_terrain, terrain_bytes
+from lunarsci.twin.ground.terrain_files import TerrainFile, read_terrain_file, terrain_bytes
 from lunarsci.twin.plans.plan import read_plan
 from lunarsci.twin.plans.plan_files import plan_text
+from lunarsci.twin.plans.rover_limits import limits_of_rover
 from lunarsci.twin.routes.planner import PlannedPath, path_table, plan_path
 from lunarsci.twin.rover import Rover, build_rover
 
 from .report import Report
 from .table import TextTable
-from .twin_report import csv_bytes
+from .twin_made_for import RoverCheck
+from .twin_report import DEFAULT_SOIL, csv_bytes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -74,6 +78,13 @@ class Site:
     tables: dict[str, str]
     seed: int | None
     rocks: bool
+    driven: DrivenSoil
+    check: RoverCheck
+
+    @property
+    def made_for(self) -> MadeFor:
+        """The rover and the limits, for what is written."""
+        return made_for(self.description, {name: getattr(self.mobility, name) for name in _limit_names()})
 
     def surface(self, baseline_m: float | None, progress: Progress) -> Traversability:
         """The maps, compared with the limits."""
@@ -101,21 +112,22 @@ class Asked:
         if self.target is None:
             return None
         x, y, *heading = self.target
-        return plan_path(
+        found = plan_path(
             surface,
             site.rover,
             (self.start[0], self.start[1], self.start[2]),
             (x, y),
             final_heading_deg=heading[0] if heading else None,
             speed_m_s=self.speed_m_s,
-            limits=read_plan().limits,
+            limits=limits_of_rover(read_plan().limits, site.description, site.rover),
             name=f"path to x {x:g} m, y {y:g} m on {site.terrain.name}",
             progress=progress,
         )
+        return replace(found, plan=replace(found.plan, made_for=site.made_for))
 
 
 def read_site(
-    terrain: str, rover: str, soil: str, ground: Mapping[str, Any], limits: Mapping[str, float | None]
+    terrain: str, rover: str, soil: str | None, ground: Mapping[str, Any], limits: Mapping[str, float | None]
 ) -> Site:
     """Read or make the terrain, and read the rover with its limits."""
     given = {name: value for name, value in ground.items() if value is not None}
@@ -123,19 +135,27 @@ def read_site(
         if name not in MAKERS.get(terrain, (None, ()))[1]:
             raise typer.BadParameter(f"{OPTION[name]} does not apply to {terrain}; leave it out")
     description = read_rover(rover)
-    built, own_soil = build_rover(description), read_soil(soil)
-    inputs, tables = soil_hash(soil)
-    if terrain not in MAKERS:
-        inputs[terrain] = read_input(terrain).sha256
+    built, own_soil = build_rover(description), read_soil(soil or DEFAULT_SOIL)
+    inputs: dict[str, str] = {} if terrain in MAKERS else {terrain: read_input(terrain).sha256}
+    made = TerrainFile(MAKERS[terrain][0](own_soil, **given)) if terrain in MAKERS else None
+    file = made or read_terrain_file(terrain, own_soil)
+    laid, driven = lay_soil_on(file, terrain, own_soil, soil or DEFAULT_SOIL, asked=soil is not None)
+    unused = driven.of == "terrain" and not driven.rest
+    used, tables = ({}, {}) if unused else soil_hash(soil or DEFAULT_SOIL)
+    check = RoverCheck(description, built, asked=True)
+    check.terrain(file.made_for, terrain)
+    check.soil(driven, terrain)
     return Site(
-        terrain=MAKERS[terrain][0](own_soil, **given) if terrain in MAKERS else read_terrain(terrain, own_soil),
+        terrain=laid,
         rover=built,
         description=description,
         mobility=read_mobility(description, built).with_limits(**limits),
-        inputs=inputs,
+        inputs=inputs | used,
         tables=tables | {f"{rover} (rover)": sha256(description.text.encode())},
         seed=given.get("seed"),
         rocks=bool(given.get("rock_share")),
+        driven=driven,
+        check=check,
     )
 
 
@@ -153,7 +173,7 @@ def _numbers(option: str, text: str, counts: tuple[int, ...]) -> tuple[float, ..
 def terrain_report(site: Site, surface: Traversability, path: PlannedPath | None, *, geotiff: bool) -> Report:
     """The report of `twin terrain`."""
     files: dict[str, Callable[[], bytes]] = {
-        "terrain.npz": lambda: terrain_bytes(site.terrain),
+        "terrain.npz": lambda: terrain_bytes(site.terrain, made_for=site.made_for),
         "maps.npz": lambda: maps_bytes(surface),
     }
     if geotiff:
@@ -179,6 +199,7 @@ def terrain_report(site: Site, surface: Traversability, path: PlannedPath | None
         sources=[*SOURCES, *(ROCK_SOURCES if site.rocks else [])],
         seed=site.seed,
         files=files,
+        options={"soil": site.driven.name} if site.driven.of == "default" else {},
     )
 
 
@@ -198,6 +219,8 @@ def _result(site: Site, surface: Traversability, path: PlannedPath | None) -> di
             "hole_share": float(np.isnan(terrain.height_m).mean()),
         },
         "rover": site.description.name,
+        "made_for": site.check.made_for,
+        "soil": soil_record(site.driven, terrain),
         "baseline_m": surface.maps.baseline_m,
         "wheel_window_m": surface.maps.wheel_window_m,
         "maps": _spreads(surface.maps),
@@ -247,7 +270,7 @@ def _path_result(path: PlannedPath) -> dict[str, Any]:
 
 
 def _notes(site: Site, surface: Traversability) -> list[str]:
-    notes = [UNSEEN]
+    notes = [UNSEEN, *site.check.remarks]
     if site.terrain.synthetic:
         notes.append("the terrain is synthetic; this says nothing about a real site")
     if site.mobility.assumed:

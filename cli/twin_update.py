@@ -56,7 +56,7 @@ def update(
         float | None,
         typer.Option(min=0.1, help="Distance in m over which soils are alike; the map's, or 5, if left out."),
     ] = None,
-    rover: twin_options.RoverName = "yutu2",
+    rover: twin_options.RoverName = None,
     terrain: twin_options.TerrainName = "synthetic-longji",
     interpolation: twin_options.Interpolation = "smooth",
     particles: Annotated[int, typer.Option(min=32, help="Soils that carry the belief.")] = 128,
@@ -73,6 +73,10 @@ def update(
 
     if belief is not None and (map_before is not None or save_map is not None or save_terrain is not None):
         raise typer.BadParameter("--belief is of one soil everywhere; give --map, or leave the map's options out")
+    if correlation is not None and map_before is None and save_map is None and save_terrain is None:
+        raise typer.BadParameter("--correlation is of a soil map; give --map, --save-map or --save-terrain")
+    if forget and belief is None and map_before is None:
+        raise typer.BadParameter("--forget has nothing to forget, as the priors are believed; give --belief or --map")
     output.check_extra("--save", save, (".json",))
     output.check_extra("--save-map", save_map, (".json",))
     output.check_extra("--save-terrain", save_terrain, (".npz",))

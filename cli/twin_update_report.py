@@ -10,9 +10,10 @@ from lunarsci.errors import DataError
 from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
 from lunarsci.regolith.belief_history import with_drive
-from lunarsci.regolith.prior import prior_hash
+from lunarsci.regolith.prior import PARAMETERS, prior_hash
 from lunarsci.twin.drive_pieces import planned_places
 from lunarsci.twin.drive_record import DriveRecord, read_record
+from lunarsci.twin.ground.driven_soil import DrivenSoil, soil_record
 from lunarsci.twin.ground.soil_map import SoilMap
 from lunarsci.twin.rectify import Rectified, rectify
 from lunarsci.twin.soil_zones import SoilChange
@@ -58,6 +59,7 @@ class Known:
     forget: float
     states: str
     parent_sha256: str | None = None
+    belief_file: str | None = None
 
     @classmethod
     def read(
@@ -67,13 +69,13 @@ class Known:
         belief: str | None,
         forget: float,
         plan: str | None,
-        rover: str,
+        rover: str | None,
         terrain: str,
         interpolation: str,
         files_of_map: MapFiles,
     ) -> "Known":
         """Read the files."""
-        scene = read_scene(plan, rover, terrain, "longji", interpolation)
+        scene = read_scene(plan, rover, terrain, None, interpolation, soil_counts=False)
         files = {path: read_input(path) for path in (states, positions) if path is not None}
         record = read_record(files[states], scene.rover, positions=files[positions] if positions else None)
         soil_map = read_map_before(files_of_map, scene)
@@ -88,7 +90,7 @@ class Known:
         scene.inputs.update({path: file.sha256 for path, file in files.items()})
         along = record if positions is None else read_record(files[states], scene.rover)
         before = before.forgotten(forget) if forget else before
-        return cls(scene, record, along, before, soil_map, forget, states, parent)
+        return cls(scene, record, along, before, soil_map, forget, states, parent, belief)
 
     def rectified(self, particles: int, seed: int, progress: Callable[[int, int], None]) -> Rectified:
         """The belief after the drive, with the drive in its history."""
@@ -149,7 +151,8 @@ def update_report(known: Known, learned: Learned, seed: int, save: Path | None, 
     return Report(
         schema="twin-update/1",
         result=_result(found)
-        | {"changes": change_rows(learned.changes)}
+        | {"changes": change_rows(learned.changes), "made_for": known.scene.made_for}
+        | {"rover": known.scene.rover.name, "soil": _soil(known, files_of_map)}
         | (map_result(update) if update else {"zones": None, "map": None}),
         tables=[_table(known, learned), *(zone_tables(update) if update else [])],
         rows=_rows(found),
@@ -160,7 +163,17 @@ def update_report(known: Known, learned: Learned, seed: int, save: Path | None, 
         seed=seed,
         extras=extras,
         untrusted=_doubt(learned),
+        options=known.scene.options,
     )
+
+
+def _soil(known: Known, files_of_map: MapFiles) -> dict[str, Any]:
+    """Where the soils come from that the drive was tried on."""
+    if known.soil_map is not None:
+        driven = DrivenSoil(files_of_map.before or "priors", "map" if files_of_map.before else "priors")
+    else:
+        driven = DrivenSoil(known.belief_file or "priors", "belief" if known.belief_file else "priors")
+    return soil_record(driven, known.scene.terrain, PARAMETERS)
 
 
 def _pages(known: Known, learned: Learned) -> "Iterator[Figure]":

@@ -28,10 +28,6 @@ go_or_stop() {
 mkdir "$folder"
 cd "$folder"
 
-# The process that compiles the formulas, once after installing, differs from later ones in the last digits; its numbers
-# are not kept.
-lunarsci twin predict --quiet --members 1 >/dev/null || [ $? -eq 3 ]
-
 say "1. Before the drive: where will it lead, over all that is believed of lunar soil?"
 go_or_stop lunarsci twin predict "${common[@]}" --seed "$seed" -o 1-predicted >1-predicted.txt
 sed -n 1p 1-predicted.txt

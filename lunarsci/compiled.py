@@ -6,6 +6,8 @@ from typing import Any
 
 import numba
 
+from lunarsci.machine_code import keep_copies_apart, tend_cache
+
 __all__ = ["LANE_OPTIONS", "VECTORS", "compiled", "each_in_threads", "in_lanes", "joined", "pasted"]
 
 VECTORS = {"reassoc", "contract", "nsz", "arcp"}
@@ -20,15 +22,17 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     On a read-only installation without a writable home numba refuses `cache=True`; the function is then compiled
     anew in each process, which is slower to start and gives the same numbers.
 
-    The cache of a function is renewed when its own file changes, not when the file of a function it calls does: after
-    such an edit remove the `__pycache__` folders (`make clean` does).
+    The cache of a function is renewed when its own file changes, or any that it imports; see `machine_code`.
     """
     if function is None:
         return lambda f: compiled(f, **options)
+    keep_copies_apart()
     try:
-        return numba.njit(cache=True, **options)(function)
+        made = numba.njit(cache=True, **options)(function)
     except RuntimeError:
         return numba.njit(**options)(function)
+    tend_cache(made)
+    return made
 
 
 def in_lanes(function: Callable[..., Any], **options: Any) -> Any:

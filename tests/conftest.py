@@ -1,10 +1,5 @@
-"""Shared fixtures: the measured reference data, where present, and a cache of compiled code that is never stale.
+"""Shared fixtures: the measured reference data, where present, and a cache of compiled code beside that of users."""
 
-Numba keys its cache by the file of the compiled function, not by the files of the functions it calls; the tests
-therefore keep a cache of their own for each state of the sources.
-"""
-
-import hashlib
 import importlib.util
 import os
 import sys
@@ -16,9 +11,7 @@ from types import ModuleType
 
 import pytest
 
-SOURCES = sorted((Path(__file__).parents[1] / "lunarsci").rglob("*.py"))
-STATE = hashlib.sha256(b"".join(path.read_bytes() for path in SOURCES)).hexdigest()[:16]
-os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(tempfile.gettempdir()) / f"lunarsci-numba-{STATE}"))
+os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(tempfile.gettempdir()) / "lunarsci-numba"))
 
 for _library in ("OPENBLAS", "OMP", "MKL"):  # several workers share the cores already
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")

@@ -15,6 +15,7 @@ SHARED = {
     "csv_table",
     "inputs",
     "compiled",
+    "machine_code",
     "elementary",
     "figure",
     "rovers",

@@ -21,8 +21,9 @@ __all__ = [
 TABLE = "published.csv"
 PARTS = ("spectra", "soil", "drive")
 REPRODUCED, NAMED = "reproduced", "reproduced under a named reading"
+CONSISTENT = "consistent with one free force"
 DIFFERS, OPEN = "differs", "not determined by what is published"
-VERDICTS = (REPRODUCED, NAMED, DIFFERS, OPEN)
+VERDICTS = (REPRODUCED, NAMED, CONSISTENT, DIFFERS, OPEN)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,6 +35,8 @@ class Answer:
     value : None where nothing can be computed; an example where `determined` is False.
     determined : whether what is published determines the value. An example rests on an assumption that is as good as
         any other, and is not judged.
+    set_by_itself : whether a force that the value rests on, and that is not published, was set so that the published
+        value comes out. That shows that such a force exists, and no more.
     low, high : 95 % interval, or the range over what is not published; None where there is none.
     reading : an interpretation or assumption the value rests on, empty where none is needed.
     reason : the evidence, or why it differs or is not determined.
@@ -41,6 +44,7 @@ class Answer:
 
     value: float | None
     determined: bool = True
+    set_by_itself: bool = False
     low: float | None = None
     high: float | None = None
     reading: str = ""
@@ -57,7 +61,8 @@ class Number:
     published, within : its value, and the largest difference that still counts as the same: its rounding, and three
         sampling errors of 1024 draws where it is a standard deviation.
     ours, low, high, reading, reason : see `Answer`; `ours` is an example where the verdict is `not determined ...`.
-    verdict : `reproduced`, `reproduced under a named reading`, `differs`, or `not determined by what is published`.
+    verdict : `reproduced`, `reproduced under a named reading`, `consistent with one free force` (see `set_by_itself`),
+        `differs`, or `not determined by what is published`. Outside its own range no value is reproduced.
     """
 
     id: str
@@ -117,6 +122,12 @@ def judge(row: Mapping[str, str], answer: Answer) -> Number:
 def _verdict(answer: Answer, published: float, within: float) -> str:
     if answer.value is None or not answer.determined:
         return OPEN
-    if abs(answer.value - published) > within:
+    if abs(answer.value - published) > within or _outside(answer, published):
         return DIFFERS
+    if answer.set_by_itself:
+        return CONSISTENT
     return NAMED if answer.reading else REPRODUCED
+
+
+def _outside(answer: Answer, published: float) -> bool:
+    return (answer.low is not None and published < answer.low) or (answer.high is not None and published > answer.high)

@@ -13,7 +13,8 @@ from functools import cache
 import numpy as np
 
 from lunarsci.errors import LunarSciWarning
-from lunarsci.regolith.compare import Site, compare_site, nearest
+from lunarsci.regolith.belief import first_belief
+from lunarsci.regolith.compare import Site, compare_site, nearest, reference_soils
 from lunarsci.regolith.forces import WheelForces, contact_angles, wheel_forces
 from lunarsci.regolith.identify import Assumptions, Identification, identify
 from lunarsci.regolith.load import sinkage_under_load
@@ -48,6 +49,8 @@ LATERAL_CORNERS = ((13.0, 8.3), (40.0, 16.5))
 SIDE_SLIPS_DEG = (0.5, 3.0)
 SHORT_LUG_M = 0.005
 DRAWS = 20_000
+SOILS, NO_EVIDENCE = 400, 0.5
+"""Soils to measure what chance gives, and the share of them from which on a rank says nothing; assumed."""
 EXACT = MeasurementErrors(sinkage_m=0, force_relative=0, travel_relative=0, side_slip_relative=0)
 WHEEL_LOAD = "F_N / b = 213.5 N/m, which only this number sets"
 SLIP_BRANCH = "slip branch of the shear law at |s|"
@@ -110,6 +113,7 @@ def _bearing(wheel: Wheel) -> dict[str, Callable[[], Answer]]:
     return {
         "stiffness-8mm": lambda: Answer(
             value=_value(identified(wheel, 0.008), "stiffness_kpa_m_n"),
+            set_by_itself=True,
             reading=WHEEL_LOAD,
             reason="a width of 0.15 m would mean 32 N a wheel, 118 kg on six; b and F_N cannot be told apart",
         ),
@@ -118,7 +122,7 @@ def _bearing(wheel: Wheel) -> dict[str, Callable[[], Answer]]:
         ),
         "exponent-8mm": lambda: Answer(
             value=_value(identified(wheel, 0.008, Assumptions(stiffness_kpa_m_n=TYPICAL)), "exponent"),
-            reason="does not depend on the forces",
+            reason="follows from K_s = 1443 at N = 1 and 8 mm whatever the force, which both share",
         ),
         "exponent-5mm": lambda: Answer(
             value=_value(identified(wheel, 0.005, stiff), "exponent"), reason="same forces as at 8 mm"
@@ -173,7 +177,8 @@ def _nearest_terrestrial(wheel: Wheel) -> Answer:
     return Answer(
         value=float(order.index(own) + 1),
         reason=f"rms ln ratio of pressures to the nearest of the three dots {best[own]:.2f}; next is {order[1]} with "
-        f"{best[order[1]]:.2f}",
+        f"{best[order[1]]:.2f}; of {SOILS} soils drawn from the lunar priors it is the nearest to "
+        f"{100 * _share_of_soils(own, 'bearing', wheel):.0f} %",
     )
 
 
@@ -186,6 +191,7 @@ def _shear(wheel: Wheel) -> dict[str, Callable[[], Answer]]:
         slope = math.degrees(math.atan2(-pull, float(physical.normal_force_n)))
         return Answer(
             value=_value(found, "friction_angle_deg"),
+            set_by_itself=True,
             reading=f"{SLIP_BRANCH}; F_DP = {own:.2f} N, which only this number sets",
             reason=f"with the physical sign it would take {pull:.1f} N, a mean slope of {slope:.0f} deg, where the "
             "steepest was 8.9 deg",
@@ -235,11 +241,33 @@ def _nearest_mission(wheel: Wheel) -> Answer:
                     worst[item.soil.name] = max(item.strength, worst.get(item.soil.name, 0.0))
     order = sorted(worst, key=lambda name: worst[name])
     own = next(name for name in order if "Apollo 12, direct shear" in name)
+    share = _share_of_soils(own, "strength", wheel)
     return Answer(
         value=float(order.index(own) + 1),
-        reason="its ranges (0.1-3.1 kPa, 13-56 deg) are the widest of all and hold nearly any soil; next is "
-        f"{order[1]} at {worst[order[1]]:.2f}",
+        determined=share < NO_EVIDENCE,
+        reason=f"of {SOILS} soils drawn from the lunar priors none is nearer to {100 * share:.0f} %, whatever they "
+        f"are: its ranges (0.1-3.1 kPa, 13-56 deg) are the widest of all; next here is {order[1]} at "
+        f"{worst[order[1]]:.2f}",
     )
+
+
+def _share_of_soils(name: str, aspect: str, wheel: Wheel) -> float:
+    """Share of soils of the priors to which no reference of a kind is nearer than the named one: what chance gives.
+
+    Missions (`strength`) but the site itself, or terrestrial soils (`bearing`).
+    """
+    kind = "lunar" if aspect == "strength" else "terrestrial"
+    soils = [soil for soil in reference_soils() if soil.kind == kind and "Longji" not in soil.name]
+    drawn = first_belief().draws(SOILS, seed=0)
+    names = ("cohesion_pa", "friction_angle_deg") if kind == "lunar" else ("stiffness_kpa_m_n", "sinkage_exponent")
+    hits = 0
+    for values in zip(*(drawn[each] for each in names), strict=True):
+        site = Site(**dict(zip(names, map(float, values), strict=True)))
+        found = {
+            item.soil.name: getattr(item, aspect) for item in nearest(compare_site(site, wheel.width_m, soils), aspect)
+        }
+        hits += found[name] <= min(found.values())
+    return hits / SOILS
 
 
 def _lateral(wheel: Wheel) -> dict[str, Callable[[], Answer]]:

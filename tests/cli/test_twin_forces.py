@@ -117,7 +117,9 @@ def test_a_belief_may_be_the_soil(run: Run, plan: Path, tmp_path: Path) -> None:
         assert done.code == 0, done.err
         document = json.loads(done.out)
         assert document["result"]["members"] == 8
-        assert document["result"]["soil"] == {"belief": str(belief), "drives": 0, "learned_from": 0}
+        soil = document["result"]["soil"]
+        assert soil.items() >= {"belief": str(belief), "drives": 0, "learned_from": 0, "of": "belief"}.items()
+        assert soil["parameters"] == {} and len(soil["drawn"]) == 8 and document["provenance"]["options"]["soil"]
         assert str(belief) in {file["path"] for file in document["provenance"]["inputs"]}
         assert "rests on no drive yet" in run("twin", command, plan, "--soil", belief, "--members", "8").out
         for other in (("--sweep", "cohesion_pa=1:2:2"), ("--samples", belief)):

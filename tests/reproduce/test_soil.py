@@ -1,13 +1,15 @@
 """Every published number of the soil: found, found under a named reading, different, or not determined."""
 
+import re
 from dataclasses import replace
 
 import pytest
 
 from lunarsci.regolith.wheel import read_wheel
 from lunarsci.reproduce.numbers import Answer, Number, judge, published_numbers
-from lunarsci.reproduce.soil import soil_numbers
+from lunarsci.reproduce.soil import published_soil, soil_numbers
 
+RANKS = ("mission", "terrestrial")
 REPRODUCED = {
     "stiffness-15mm",
     "exponent-8mm",
@@ -18,10 +20,10 @@ REPRODUCED = {
     "exponent-sd",
     "stiffness-sd-15mm",
     "nearest-terrestrial",
-    "nearest-mission",
 }
-NAMED = {"stiffness-8mm", "bearing-capacity", "friction-angle"}
-OPEN = {"cohesion", "external-friction-low", "external-friction-high"}
+NAMED = {"bearing-capacity"}
+SET_BY_ITSELF = {"stiffness-8mm", "friction-angle"}
+OPEN = {"cohesion", "external-friction-low", "external-friction-high", "nearest-mission"}
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +41,25 @@ def test_verdicts(numbers: dict[str, Number]) -> None:
     assert {name for name, verdict in verdicts.items() if verdict == "reproduced"} == REPRODUCED
     assert {name for name, verdict in verdicts.items() if verdict == "reproduced under a named reading"} == NAMED
     assert {name for name, verdict in verdicts.items() if verdict.startswith("not determined")} == OPEN
+    assert {name for name, verdict in verdicts.items() if verdict == "consistent with one free force"} == SET_BY_ITSELF
     assert verdicts["friction-angle-sd"] == "differs"
+
+
+def test_what_a_number_was_set_by_comes_out_whatever_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another published stiffness and angle come out just as well: that shows a force, and nothing of the method."""
+    from lunarsci.reproduce import soil
+
+    monkeypatch.setattr(soil, "published_soil", lambda *_, **__: published_soil(stiffness=1000.0, phi=25.0))
+    soil.stand_in_forces.cache_clear()
+    other = {number.id: number.ours for number in soil.soil_numbers()}
+    soil.stand_in_forces.cache_clear()
+    assert [other[name] for name in sorted(SET_BY_ITSELF)] == pytest.approx([25.0, 1000.0], rel=1e-4)
+
+
+def test_a_rank_that_any_soil_has_is_no_evidence(numbers: dict[str, Number]) -> None:
+    """Apollo 12's ranges hold nearly all soils of the priors; Michigan's sandy loam is the nearest to few."""
+    share = {name: int(re.findall(r"(\d+) %", numbers[f"nearest-{name}"].reason)[-1]) for name in RANKS}
+    assert share["mission"] > 80 and share["terrestrial"] < 25
 
 
 def test_numbers_that_differ_are_near_and_say_what_would_bring_them_together(numbers: dict[str, Number]) -> None:
@@ -64,6 +84,10 @@ def test_a_wheel_of_another_size_shows_that_only_load_by_width_is_known() -> Non
         (Answer(value=2.0), "differs"),
         (Answer(value=1.05), "reproduced"),
         (Answer(value=0.95, reading="a reading"), "reproduced under a named reading"),
+        (Answer(value=0.95, reading="a reading", set_by_itself=True), "consistent with one free force"),
+        (Answer(value=2.0, set_by_itself=True), "differs"),
+        (Answer(value=1.05, low=1.01, high=1.2), "differs"),
+        (Answer(value=1.05, low=0.99, high=1.2), "reproduced"),
     ],
 )
 def test_verdicts_follow_from_the_difference(answer: Answer, verdict: str) -> None:

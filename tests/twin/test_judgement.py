@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction
+from lunarsci.twin.judgement.load_check import check_loads, load_notes
 from lunarsci.twin.judgement.safety import judge
 from lunarsci.twin.judgement.validity import validity
 from lunarsci.twin.plans.plan import Limit
 from lunarsci.twin.simulation.outcomes import HOLE, LEFT
 
-SINKAGE, SLIP, VALID = (STATE_COLUMNS.index(name) for name in ("sinkage_m", "slip_ratio", "valid"))
+SINKAGE, SLIP, LOAD, VALID = map(STATE_COLUMNS.index, ("sinkage_m", "slip_ratio", "normal_force_n", "valid"))
 
 
 def limited(prediction: Prediction, *limits: Limit) -> Prediction:
@@ -91,3 +92,24 @@ def test_states_outside_of_the_model_are_counted_by_kind(driven: Prediction) -> 
     ):
         assert words in notes
     assert "less than 0.1 % of the wheel states sink deeper" in notes
+
+
+def test_wheels_that_hang_or_carry_too_much_are_counted(driven: Prediction) -> None:
+    """One state of 0 N in one drive, two beyond twice the weight in another; what was not driven does not count."""
+    weight = driven.rover.mass_kg * driven.rover.gravity_m_s2
+    states = driven.states.copy()
+    states[..., LOAD] = weight / 6
+    assert load_notes(check_loads(dataclasses.replace(driven, states=states))) == []
+    states[3, 2, 0, LOAD] = 0.0
+    states[5, 1:3, 4, LOAD] = 2.1 * weight
+    states[7, -1, 0, LOAD] = -1.0
+    recorded = driven.recorded.copy()
+    recorded[7] = states.shape[1] - 1
+    found = check_loads(dataclasses.replace(driven, states=states, recorded=recorded))
+    count = states[..., LOAD].size - states.shape[2]
+    assert (found.hanging_members, found.overloaded_members) == (1, 1)
+    assert (found.hanging_share, found.overloaded_share) == pytest.approx((1 / count, 2 / count))
+    assert (found.least_n, found.most_n) == pytest.approx((0.0, 2.1 * weight))
+    assert "carries nothing" in load_notes(found)[0] and "more than twice" in load_notes(found)[1]
+    nothing = check_loads(dataclasses.replace(driven, recorded=np.zeros_like(recorded)))
+    assert (nothing.least_n, nothing.most_n, nothing.hanging_members) == (None, None, 0)

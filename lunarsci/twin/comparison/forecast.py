@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,6 +44,7 @@ class Forecast:
     terrain, synthetic : name of the terrain, and whether it is synthetic.
     soils : `belief`, `samples`, `sweep` or `one`: what its soils are. Only those of a belief or of samples are draws of
         a law, whose shares are probabilities.
+    soil : the soil as the result of the prediction named it; empty in folders of older versions.
     plan, time_s, distance_m, planned, paths, states, halted, recorded, outcome : as of `Prediction`.
     """
 
@@ -64,6 +65,7 @@ class Forecast:
     halted: BoolArray
     recorded: IntArray
     outcome: IntArray
+    soil: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def members(self) -> int:
@@ -76,7 +78,9 @@ class Forecast:
         return np.asarray(self.outcome == 0)
 
 
-def forecast_of(prediction: Prediction, *, soils: str = "samples", rover_sha256: str = "") -> Forecast:
+def forecast_of(
+    prediction: Prediction, *, soils: str = "samples", rover_sha256: str = "", soil: Mapping[str, Any] | None = None
+) -> Forecast:
     """A prediction that was just made, as a forecast."""
     rover, terrain = prediction.rover, prediction.terrain
     return Forecast(
@@ -88,6 +92,7 @@ def forecast_of(prediction: Prediction, *, soils: str = "samples", rover_sha256:
         terrain=terrain.name,
         synthetic=terrain.synthetic,
         soils=soils,
+        soil=soil or {},
         **{name: getattr(prediction, name) for name in _ALIKE},
     )
 
@@ -107,6 +112,7 @@ def forecast_document(forecast: Forecast, tables: Mapping[str, Callable[[], byte
         },
         "terrain": {"name": forecast.terrain, "synthetic": forecast.synthetic},
         "soils": forecast.soils,
+        "soil": dict(forecast.soil),
         "plan": plan_text(forecast.plan),
         "time_s": forecast.time_s.tolist(),
         "distance_m": forecast.distance_m.tolist(),
@@ -182,6 +188,7 @@ def _forecast(origin: str, document: Any, states: "pd.DataFrame", paths: "pd.Dat
         terrain=str(document["terrain"]["name"]),
         synthetic=bool(document["terrain"]["synthetic"]),
         soils=str(document["soils"]),
+        soil=dict(document.get("soil") or {}),
         plan=plan,
         time_s=times,
         distance_m=_checked(document["distance_m"], shape[1:]),

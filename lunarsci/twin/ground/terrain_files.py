@@ -1,9 +1,11 @@
 """Terrain files: NumPy archives, GeoTIFF, ESRI ASCII grids, and tables with a row for each node."""
 
 import io
+import json
 import zipfile
 import zlib
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +15,10 @@ import numpy.typing as npt
 from lunarsci.csv_table import numbers_of, read_csv_table
 from lunarsci.errors import DataError, OutputError
 from lunarsci.regolith.soil import Soil
+from lunarsci.rovers.made_for import MadeFor
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, build_terrain, from_si
 
-__all__ = ["read_terrain", "terrain_bytes", "write_terrain"]
+__all__ = ["TerrainFile", "read_terrain", "read_terrain_file", "terrain_bytes", "write_terrain"]
 
 FloatArray = npt.NDArray[np.float64]
 HEADER = ("ncols", "nrows", "cellsize", "nodata_value", "xllcorner", "yllcorner", "xllcenter", "yllcenter")
@@ -24,12 +27,34 @@ EVEN = 1e-4
 """How evenly nodes must be spaced, as a share of the spacing."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class TerrainFile:
+    """What a terrain file says.
+
+    Attributes
+    ----------
+    terrain : with a soil everywhere.
+    carries : soil parameters that the file itself has; the others are of the soil that was laid under them.
+    made_for : the rover in whose sight it was written, where the file says so.
+    """
+
+    terrain: Terrain
+    carries: tuple[str, ...] = ()
+    made_for: MadeFor | None = None
+
+
 def read_terrain(path: str | Path, soil: Soil) -> Terrain:
+    """The terrain of `read_terrain_file`."""
+    return read_terrain_file(path, soil).terrain
+
+
+def read_terrain_file(path: str | Path, soil: Soil) -> TerrainFile:
     """Read a terrain, by the ending of its file.
 
     * `.npz`, NumPy archive: `x_m` (nx,) and `y_m` (ny,), ascending and evenly spaced with one spacing; `height_m`
       (ny, nx) with NaN where unknown; optionally any field of `Soil` under its own name and unit, a number or (ny, nx);
-      optionally `name` and `synthetic`. Layers `PARAMETER_left_of_prior` of a soil map may be there, and are not read.
+      optionally `name` and `synthetic`, and `made_for`, the JSON of a rover. Layers `PARAMETER_left_of_prior` of a soil
+      map may be there, and are not read.
     * `.tif`, `.tiff`, GeoTIFF: first band, heights in m on square cells of a projection in m; needs the extra `cubes`.
     * `.asc`, ESRI ASCII grid, heights and cells in m.
     * `.csv`, a row for each node: `x_m`, `y_m`, `height_m`, and optionally fields of `Soil`; nodes that are not in the
@@ -49,9 +74,9 @@ def read_terrain(path: str | Path, soil: Soil) -> Terrain:
         raise DataError(f"{path}: {error}") from error
 
 
-def _read_archive(path: Path, soil: Soil) -> Terrain:
+def _read_archive(path: Path, soil: Soil) -> TerrainFile:
     arrays = _load(path)
-    known = {"x_m", "y_m", "height_m", "name", "synthetic", *SOIL_COLUMNS}
+    known = {"x_m", "y_m", "height_m", "name", "synthetic", "made_for", *SOIL_COLUMNS}
     arrays = {key: array for key, array in arrays.items() if key.removesuffix(LEFT) not in SOIL_COLUMNS or key in known}
     if unknown := set(arrays) - known:
         raise DataError(f"{path}: '{min(unknown)}' is not a key of a terrain; these are: {', '.join(sorted(known))}")
@@ -66,12 +91,14 @@ def _read_archive(path: Path, soil: Soil) -> Terrain:
         name = str(arrays.get("name", path.stem))
         synthetic = bool(arrays.get("synthetic", False))
         terrain = build_terrain(name, float(x[0]), float(y[0]), spacing, height, soil, synthetic=synthetic)
-        return terrain.with_soil(**{key: arrays[key] for key in SOIL_COLUMNS if key in arrays})
+        carried = {key: arrays[key] for key in SOIL_COLUMNS if key in arrays}
+        maker = MadeFor.from_table(json.loads(str(arrays["made_for"]))) if "made_for" in arrays else None
+        return TerrainFile(terrain.with_soil(**carried), tuple(carried), maker)
     except (TypeError, ValueError) as error:
         raise DataError(f"{path}: {error}") from error
 
 
-def _read_geotiff(path: Path, soil: Soil) -> Terrain:
+def _read_geotiff(path: Path, soil: Soil) -> TerrainFile:
     try:
         import rasterio
         from rasterio.errors import RasterioIOError
@@ -96,10 +123,11 @@ def _read_geotiff(path: Path, soil: Soil) -> Terrain:
     y0 = transform.f + 0.5 * transform.e
     if transform.e < 0:
         height, y0 = height[::-1], y0 + transform.e * (len(height) - 1)
-    return build_terrain(path.stem, transform.c + 0.5 * transform.a, y0, float(transform.a), height, soil)
+    x0 = transform.c + 0.5 * transform.a
+    return TerrainFile(build_terrain(path.stem, x0, y0, float(transform.a), height, soil))
 
 
-def _read_ascii(path: Path, soil: Soil) -> Terrain:
+def _read_ascii(path: Path, soil: Soil) -> TerrainFile:
     with path.open("r", encoding="utf-8", errors="strict") as file:
         header: dict[str, float] = {}
         position = file.tell()
@@ -121,10 +149,10 @@ def _read_ascii(path: Path, soil: Soil) -> Terrain:
     heights[heights == header.get("nodata_value", -9999.0)] = np.nan
     half = 0.5 * header["cellsize"]
     x0, y0 = (header.get(f"{axis}llcenter", header.get(f"{axis}llcorner", 0.0) + half) for axis in "xy")
-    return build_terrain(path.stem, x0, y0, header["cellsize"], heights.reshape(shape)[::-1], soil)
+    return TerrainFile(build_terrain(path.stem, x0, y0, header["cellsize"], heights.reshape(shape)[::-1], soil))
 
 
-def _read_table(path: Path, soil: Soil) -> Terrain:
+def _read_table(path: Path, soil: Soil) -> TerrainFile:
     import pandas as pd
 
     table = read_csv_table(path)
@@ -148,11 +176,14 @@ def _read_table(path: Path, soil: Soil) -> Terrain:
         layers[name] = np.full((y.size, x.size), np.nan if name == "height_m" else values[name].median())
         layers[name][row, column] = values[name]
     height = layers.pop("height_m")
-    return build_terrain(path.stem, float(x[0]), float(y[0]), spacing, height, soil).with_soil(**layers)
+    terrain = build_terrain(path.stem, float(x[0]), float(y[0]), spacing, height, soil).with_soil(**layers)
+    return TerrainFile(terrain, tuple(layers))
 
 
-def terrain_bytes(terrain: Terrain, *, left_of_prior: Mapping[str, FloatArray] | None = None) -> bytes:
-    """A terrain as the NumPy archive that `read_terrain` reads.
+def terrain_bytes(
+    terrain: Terrain, *, left_of_prior: Mapping[str, FloatArray] | None = None, made_for: MadeFor | None = None
+) -> bytes:
+    """A terrain as the NumPy archive that `read_terrain` reads; `made_for` names the rover that it was looked at for.
 
     `left_of_prior` (ny, nx) of each parameter, of a soil map, goes to layers `PARAMETER_left_of_prior`, for people.
     """
@@ -164,6 +195,7 @@ def terrain_bytes(terrain: Terrain, *, left_of_prior: Mapping[str, FloatArray] |
         "height_m": terrain.height_m,
         "name": np.array(terrain.name),
         "synthetic": np.array(terrain.synthetic),
+        **({} if made_for is None else {"made_for": np.array(made_for.to_json())}),
         **layers,
         **{f"{name}{LEFT}": values.astype(np.float32) for name, values in (left_of_prior or {}).items()},
     }

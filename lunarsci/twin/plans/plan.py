@@ -3,12 +3,13 @@
 import math
 import tomllib
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal
 
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.rovers.made_for import MadeFor
 from lunarsci.twin.ground.terrain import soil_override
 from lunarsci.twin.rover import Rover
 
@@ -40,6 +41,7 @@ QUANTITIES = {
 }
 AT_LEAST = ("clearance_m", "keep_out_m")
 """Of these small values are the dangerous ones: their limit is the smallest value that counts as safe."""
+_KEYS = ("name", "made_for", "start", "drive", "leg", "fixes", "limits", "sweep", "keep_out")
 LONGEST_M, LONGEST_STOP_S = 1000.0, 3600.0
 # Slower, the creep of a halt is no longer small, and shear follows the wheel faster than any time step.
 SLOWEST_M_S = 0.001
@@ -174,6 +176,8 @@ class Plan:
     limits : what counts as safe.
     sweep : uncertain soil parameters.
     keep_out : circles that the rover must not enter.
+    made_for : the rover that it was planned for, where that is known.
+    own_limits : whether its file has limits; without, they are those of the embedded plan, which is Yutu-2's.
     """
 
     name: str
@@ -188,6 +192,8 @@ class Plan:
     sweep: tuple[Sweep, ...] = ()
     keep_out: tuple[KeepOut, ...] = ()
     origin: str = ""
+    made_for: MadeFor | None = None
+    own_limits: bool = field(default=True, compare=False)
 
     def __post_init__(self) -> None:
         if not self.legs:
@@ -271,7 +277,7 @@ def parse_plan(text: str, origin: str) -> Plan:
     """The plan of a TOML text; `origin` is its file. Raises DataError."""
     try:
         document = tomllib.loads(text)
-        _check_keys(document, ("name", "start", "drive", "leg", "fixes", "limits", "sweep", "keep_out"), "the plan")
+        _check_keys(document, _KEYS, "the plan")
         start, drive = _table(document, "start"), _table(document, "drive")
         _check_keys(start, ("x_m", "y_m", "heading_deg"), "[start]")
         _check_keys(drive, ("speed_m_s", "blend_m"), "[drive]")
@@ -286,6 +292,8 @@ def parse_plan(text: str, origin: str) -> Plan:
             sweep=tuple(parse_sweep(f"{name}={entry}") for name, entry in _table(document, "sweep").items()),
             keep_out=tuple(_keep_out(table) for table in _list(document, "keep_out")),
             origin=origin,
+            made_for=MadeFor.from_table(document["made_for"]) if "made_for" in document else None,
+            own_limits="limits" in document,
             **{key: _number(value, key) for key, value in (start | drive).items()},
         )
     except tomllib.TOMLDecodeError as error:

@@ -13,6 +13,7 @@ def plan_text(plan: Plan) -> str:
     """The TOML text that `read_plan` reads back as the same plan, but for `origin`."""
     lines = [
         f"name = {_quoted(plan.name)}",
+        *_maker_lines(plan),
         "",
         "[start]",
         *(f"{name} = {float(getattr(plan, name))!r}" for name in ("x_m", "y_m", "heading_deg")),
@@ -44,6 +45,14 @@ def write_plan(plan: Plan, path: str | Path) -> None:
         Path(path).write_text(plan_text(plan), "utf-8")
     except OSError as error:
         raise OutputError(f"{path}: {error.strerror}") from error
+
+
+def _maker_lines(plan: Plan) -> list[str]:
+    if plan.made_for is None:
+        return []
+    table = plan.made_for.to_table().items()
+    rows = (f"{name} = {_quoted(value) if isinstance(value, str) else repr(float(value))}" for name, value in table)
+    return ["", "[made_for]", *rows]
 
 
 def _range(low: float, high: float, count: int) -> str:

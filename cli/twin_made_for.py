@@ -1,0 +1,104 @@
+"""Whether a plan and a terrain were made for the rover that is to drive, and whose soil lies on the ground."""
+
+import warnings
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import typer
+
+from lunarsci.errors import LunarSciWarning
+from lunarsci.rovers.description import RoverDescription
+from lunarsci.rovers.made_for import MadeFor
+from lunarsci.twin.ground.driven_soil import DrivenSoil
+from lunarsci.twin.ground.terrain import SOIL_COLUMNS
+from lunarsci.twin.plans.plan import Plan
+from lunarsci.twin.plans.rover_limits import laxer, limits_of_rover
+from lunarsci.twin.rover import Rover
+
+__all__ = ["RoverCheck"]
+
+EMBEDDED = "the embedded plan"
+
+
+@dataclass(slots=True)
+class RoverCheck:
+    """The rover that drives, whether it was asked for, and what was found about files that were made for another.
+
+    `made_for` is for the result; `remarks` has one sentence for each warning.
+    """
+
+    description: RoverDescription
+    rover: Rover
+    asked: bool
+    made_for: dict[str, Any] = field(default_factory=lambda: {"plan": None, "terrain": None})
+    remarks: list[str] = field(default_factory=list)
+
+    def say(self, text: str) -> None:
+        """Warn, and keep the sentence."""
+        self.remarks.append(text)
+        warnings.warn(text, LunarSciWarning, stacklevel=3)
+
+    def plan(self, plan: Plan, path: str | None, *, judged: bool) -> Plan:
+        """The plan with limits of this rover. Raises a usage error for a plan that another rover should drive.
+
+        A plan without limits of its own, and the embedded one, is judged by the rover's own.
+        """
+        if path is None or not plan.own_limits:
+            return self._judged_by_its_own(plan, path) if judged else plan
+        made = plan.made_for
+        if made is not None and made.kinship(self.description) == "other":
+            self._refuse(plan, made, path, judged=judged)
+        self._note("plan", made, path)
+        return plan
+
+    def _refuse(self, plan: Plan, made: MadeFor, path: str, *, judged: bool) -> None:
+        """A usage error where nobody asked for this rover, or where the limits allow more than its own."""
+        own = self.description.origin
+        if not self.asked:
+            raise typer.BadParameter(
+                f"{path} was made for {made.name}; give --rover {made.rover}, or --rover {own} to drive it with that "
+                "all the same"
+            )
+        beyond = laxer(plan.limits, self.description, self.rover) if judged else []
+        if beyond:
+            raise typer.BadParameter(
+                f"{path} was made for {made.name}, and its limits are laxer than those of {self.rover.name} "
+                f"({', '.join(beyond)}); plan with `twin terrain --rover {own}`, or write its [limits] for this rover "
+                "and take [made_for] out"
+            )
+
+    def terrain(self, made: MadeFor | None, path: str) -> None:
+        """Say it where a terrain was looked at for another rover."""
+        self._note("terrain", made, path)
+
+    def soil(self, driven: DrivenSoil, path: str) -> None:
+        """Say it where a soil takes the place of the one that the terrain's file carries."""
+        if not driven.replaced:
+            return
+        what = "" if len(driven.replaced) == len(SOIL_COLUMNS) else f" ({', '.join(driven.replaced)})"
+        self.say(
+            f"--soil {driven.name} takes the place of the soil that {path} carries{what}; leave it out to keep that"
+        )
+
+    def _judged_by_its_own(self, plan: Plan, path: str | None) -> Plan:
+        limits = limits_of_rover(plan.limits, self.description, self.rover)
+        if limits == plan.limits:
+            return plan
+        changed = [f"{limit.quantity} {limit.limit:.3g}" for limit in limits if limit not in plan.limits]
+        what = f"{EMBEDDED}, made for Yutu-2," if path is None else f"{path} has no [limits] and"
+        self.say(f"{what} is judged by what is assumed of {self.rover.name}: {', '.join(changed)}")
+        return replace(plan, limits=limits)
+
+    def _note(self, what: str, made: MadeFor | None, path: str) -> None:
+        """Keep what rover a file was made for, and say so where it is not this one."""
+        if made is None:
+            return
+        kinship = made.kinship(self.description)
+        self.made_for[what] = {"rover": made.rover, "name": made.name, "kinship": kinship, "limits": dict(made.limits)}
+        if kinship == "changed":
+            self.say(f"{path} was made for {made.rover} when its file was another; make it anew if limits changed")
+        if kinship == "other":
+            kept = ", ".join(f"{name} {value:g}" for name, value in made.limits.items())
+            self.say(
+                f"{path} was made for {made.name}, not for {self.rover.name}: its limits are {kept or 'not known'}"
+            )

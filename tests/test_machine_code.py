@@ -1,0 +1,146 @@
+"""Compiled code: the same digits from whoever compiles, and a cache that notices changed sources and damage."""
+
+import importlib.util
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+import llvmlite.binding as llvm
+import pytest
+
+from lunarsci import machine_code
+from lunarsci.compiled import compiled
+from lunarsci.machine_code import sources_digest
+
+MODULE = """
+from lunarsci.compiled import compiled
+
+@compiled
+def twice(x):
+    return 2.0 * x
+"""
+PLAN = "[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 0.5\ncurvature_per_m = 0.1\n"
+
+
+def steps(n: int) -> float:
+    return 1.0 if n < 2 else 1.1 * steps(n - 1) + 0.9 * steps(n - 2)
+
+
+def total(n: int) -> float:
+    return counted(n) + counted(n + 1)
+
+
+steps = compiled(steps)
+counted = steps
+
+
+def test_a_function_keeps_its_copies_of_others_to_itself() -> None:
+    """A weak copy gives way to any other of its name that is loaded already, and that may round differently."""
+    caller = compiled(total)
+    assert caller(5) == pytest.approx(steps.py_func(5) + steps.py_func(6))
+    [found] = caller.overloads.values()
+    linkages = {f.name: f.linkage for f in found.library._final_module.functions if not f.is_declaration}
+    assert any("steps" in name for name in linkages), "the copy is not inlined, or this test shows nothing"
+    assert [name for name, linkage in linkages.items() if linkage == llvm.Linkage.linkonce_odr] == []
+
+
+@pytest.fixture
+def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], ModuleType]:
+    """Import a small module with a compiled function anew, its cache in `tmp_path / "cache"`."""
+    import numba
+
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
+    file = tmp_path / "small.py"
+    file.write_text(MODULE)
+
+    def again() -> ModuleType:
+        spec = importlib.util.spec_from_file_location("small", file)
+        assert spec is not None and spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module
+
+    return again
+
+
+@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
+@pytest.mark.parametrize("damage", [lambda b: b"", lambda b: b[: len(b) // 2], lambda b: b[:-9] + b"123456789"])
+def test_a_damaged_cache_is_made_anew(
+    load: Callable[[], ModuleType], tmp_path: Path, suffix: str, damage: Callable[[bytes], bytes]
+) -> None:
+    assert load().twice(1.5) == 3.0
+    again = load()
+    assert again.twice(1.5) == 3.0 and sum(again.twice.stats.cache_hits.values()) == 1
+    [file] = (tmp_path / "cache").rglob(f"*{suffix}")
+    file.write_bytes(damage(file.read_bytes()))
+    found = load()
+    assert found.twice(1.5) == 3.0 and sum(found.twice.stats.cache_misses.values()) == 1
+    assert load().twice(1.5) == 3.0
+    healed = load()
+    assert healed.twice(1.5) == 3.0 and sum(healed.twice.stats.cache_hits.values()) == 1
+
+
+def test_a_disk_that_takes_nothing_is_no_failure(
+    load: Callable[[], ModuleType], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = load()
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(machine_code._Entries, "_open_for_write", full)
+    assert module.twice(1.5) == 3.0
+
+
+def test_code_is_stale_when_a_file_changes_that_its_file_imports(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(machine_code, "PACKAGE", tmp_path)
+
+    def digest() -> str:
+        for kept in (machine_code._imported, machine_code._content, sources_digest):
+            kept.cache_clear()
+        return sources_digest(str(tmp_path / "top.py"))
+
+    (tmp_path / "inner").mkdir()
+    (tmp_path / "inner" / "__init__.py").write_text("")
+    (tmp_path / "inner" / "deep.py").write_text("X = 1\n")
+    (tmp_path / "middle.py").write_text("def late():\n    from lunarsci.inner import (\n        deep,\n    )\n")
+    (tmp_path / "apart.py").write_text("Y = 1\n")
+    (tmp_path / "top.py").write_text("from lunarsci.middle import late\n")
+    first = digest()
+    (tmp_path / "apart.py").write_text("Y = 2\n")
+    assert digest() == first
+    (tmp_path / "inner" / "deep.py").write_text("X = 2\n")
+    assert digest() != first
+    (tmp_path / "inner" / "deep.py").write_text("X = 1\n")
+    assert digest() == first
+
+
+def test_a_time_step_depends_on_the_formulas_of_the_wheel() -> None:
+    from lunarsci.twin.simulation import contact, drive
+
+    assert Path(contact.__file__) in reached(Path(drive.__file__))
+
+
+def reached(path: Path) -> set[Path]:
+    found, wanted = {path}, [path]
+    while wanted:
+        for more in machine_code._imported(wanted.pop()) - found:
+            found.add(more)
+            wanted.append(more)
+    return found
+
+
+@pytest.mark.slow
+def test_the_process_that_compiles_gives_the_bytes_of_later_ones(tmp_path: Path) -> None:
+    plan = tmp_path / "plan.toml"
+    plan.write_text(PLAN)
+    predict = ("twin", "predict", plan, "--sweep", "friction_angle_deg=30:40:3", "--members", "4", "--json")
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "NUMBA_NUM_THREADS": "1"}
+    command = [sys.executable, "-m", "lunarsci.cli", *map(str, predict), "--no-time", "--quiet"]
+    cold, warm = (subprocess.run(command, capture_output=True, env=environment, check=True).stdout for _ in range(2))
+    assert len(cold) > 1000 and cold == warm
