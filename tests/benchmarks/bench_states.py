@@ -178,8 +178,8 @@ def case(task: tuple[str, str, int, tuple[str, ...], str]) -> list[dict[str, Any
                 "sent": setting,
                 "seed": seed,
                 "scores": scores(states, out),
-                "amplitude": states.smoothed.amplitude,
-                "length_m": states.smoothed.length_m,
+                "amplitude": states.smoothed.change.usual,
+                "length_m": states.smoothed.change.usual_length_m,
             }
         )
     return rows

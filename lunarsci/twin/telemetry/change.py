@@ -1,0 +1,112 @@
+"""How fast slip changes: found from the data, for it decides how far positions tell of the slip between them.
+
+The changing deviations of `filter` have an amplitude and a length each. What positions and headings are probable for is
+known from the filter (its marginal likelihood); with what is believed beforehand it gives weights to candidates. No one
+of them is chosen: the motion is averaged over them, so that what is not known of them widens its errors.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.twin.telemetry.filter import Nodes, dead_reckoned, filtered, linearised, smoothed_back
+
+__all__ = ["Change", "change_of"]
+
+FloatArray = npt.NDArray[np.float64]
+LENGTHS_M = (0.35, 0.7, 1.4, 2.8)
+"""Candidates for the way over which deviations change: from half the length of a rover, which averages the ground below
+it, to much more where the ground is smooth. [m]"""
+AMPLITUDES = (0.0007, 0.0017, 0.004, 0.01, 0.025, 0.06, 0.15)
+"""Candidates for the changing parts of ahead and left; times `SHARES`, the last in 1/m."""
+SHARES = np.array([1.0, 1.0, 0.3])
+USUAL, USUAL_WIDTH = 0.004, 1.5
+"""What is believed of the amplitude beforehand, and how widely in ln: what slopes and curvature do not explain changes
+by some tenths of a percent to some percent; assumed."""
+ORDER = (2, 1, 0)
+"""Of the velocities, the best known first: headings tell how the turn changes."""
+DRAWN = 12
+STRIDES = (1, 5, 7)
+"""By which the draws of the three deviations are mixed: without a common divisor with `DRAWN`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Change:
+    """How the deviations ahead [-], left [-] and turn [1/m] change along the way.
+
+    Attributes
+    ----------
+    amplitude, length_m : equally probable candidates. (m, 3), (m, 3) [m]
+    usual, usual_length_m : their means in ln. (3,)
+    spread : standard deviation of ln amplitude. (3,)
+    told : share of what was believed beforehand of ln amplitude that the data left; 1 where they tell nothing. (3,)
+    """
+
+    amplitude: FloatArray
+    length_m: FloatArray
+    usual: FloatArray
+    usual_length_m: FloatArray
+    spread: FloatArray
+    told: FloatArray
+
+    @classmethod
+    def fixed(cls, amplitude: FloatArray, length_m: FloatArray) -> "Change":
+        """Known amplitudes and lengths. (3,), (3,) [m]"""
+        zero = np.zeros(3)
+        return cls(
+            amplitude=amplitude[None],
+            length_m=length_m[None],
+            usual=amplitude,
+            usual_length_m=length_m,
+            spread=zero,
+            told=zero,
+        )
+
+    @classmethod
+    def usually(cls) -> "Change":
+        """What is believed beforehand."""
+        return cls.fixed(USUAL * SHARES, np.full(3, LENGTHS_M[1]))
+
+
+def change_of(nodes: Nodes) -> Change:
+    """How deviations change, from positions and headings: each in turn, the others as they are found to be."""
+    amplitude, length = USUAL * SHARES, np.full(3, LENGTHS_M[2])
+    reference = dead_reckoned(nodes)
+    for _ in range(2):
+        model = linearised(nodes, reference, amplitude[None], length[None])
+        reference = smoothed_back(model, *filtered(nodes, model)[:2])[0][:, 0]
+    ln_a, ln_l = (part.ravel() for part in np.meshgrid(np.log(AMPLITUDES), np.log(LENGTHS_M), indexing="ij"))
+    believed = np.exp(-0.5 * ((ln_a - math.log(USUAL)) / USUAL_WIDTH) ** 2)
+    weights = np.tile(believed / believed.sum(), (3, 1))
+    for channel in ORDER:
+        tried_a, tried_l = np.repeat(amplitude[None], len(ln_a), axis=0), np.repeat(length[None], len(ln_a), axis=0)
+        tried_a[:, channel], tried_l[:, channel] = np.exp(ln_a) * SHARES[channel], np.exp(ln_l)
+        likelihood = filtered(nodes, linearised(nodes, reference, tried_a, tried_l))[2]
+        weight = believed * np.exp(likelihood - likelihood.max())
+        weights[channel] = weight / weight.sum()
+        amplitude[channel] = math.exp(weights[channel] @ ln_a) * SHARES[channel]
+        length[channel] = math.exp(weights[channel] @ ln_l)
+    own = believed / believed.sum()
+    spread = np.sqrt([weight @ (ln_a - weight @ ln_a) ** 2 for weight in weights])
+    before = math.sqrt(own @ (ln_a - own @ ln_a) ** 2)
+    drawn = _draws(weights)
+    return Change(
+        amplitude=np.exp(ln_a[drawn]) * SHARES,
+        length_m=np.exp(ln_l[drawn]),
+        usual=amplitude,
+        usual_length_m=length,
+        spread=spread,
+        told=spread / before,
+    )
+
+
+def _draws(weights: FloatArray) -> npt.NDArray[np.intp]:
+    """Candidates of each deviation, as often as they are probable, mixed with those of the others. (m, 3)"""
+    levels = (np.arange(DRAWN) + 0.5) / DRAWN
+    columns = []
+    for weight, stride in zip(weights, STRIDES, strict=True):
+        picked = np.minimum(np.searchsorted(np.cumsum(weight), levels), len(weight) - 1)
+        columns.append(picked[(stride * np.arange(DRAWN)) % DRAWN])
+    return np.column_stack(columns)
