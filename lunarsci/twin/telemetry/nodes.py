@@ -166,7 +166,7 @@ def on_ground(rover: Rover, nodes: Nodes, held: HeldForces, sway_m: FloatArray) 
     for stiffness in STIFFNESSES:
         tried = _with_effects(rover, nodes, held, sway_m, stiffness)
         state, ln_likelihood = probable(tried, Change.usually())
-        along, across = np.maximum(state[-1, EFFECTS[:2]], LEAST_EFFECT)
+        along, across = np.maximum(state[list(EFFECTS[:2])], LEAST_EFFECT)
         ln_weight.append(ln_likelihood - 0.5 * (np.log(stiffness * across / along) / AGREEMENT) ** 2)
     weight = np.exp(np.array(ln_weight) - max(ln_weight))
     mean = float(np.exp(weight @ np.log(STIFFNESSES) / weight.sum()))

@@ -26,7 +26,7 @@ from lunarsci.twin.telemetry.filter import (
 __all__ = ["MEANS", "Change", "Nodes", "Smoothed", "probable", "smooth"]
 
 FloatArray = npt.NDArray[np.float64]
-ROUNDS, PROBED = 3, 2
+ROUNDS = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -105,12 +105,11 @@ def smooth(nodes: Nodes, change: Change | None = None) -> Smoothed:
 
 
 def probable(nodes: Nodes, change: Change) -> tuple[FloatArray, float]:
-    """State (n, 16), and ln of how probable positions and headings are, up to a constant."""
-    reference = dead_reckoned(nodes)
-    for _ in range(PROBED):
-        reference, _ = _round(nodes, reference, change.usual[None], change.usual_length_m[None])
-    model = linearised(nodes, reference, change.usual[None], change.usual_length_m[None])
-    return reference, float(filtered(nodes, model)[2][0])
+    """State at the end (16,), and ln of how probable positions and headings are, up to a constant."""
+    amplitude, length_m = change.usual[None], change.usual_length_m[None]
+    reference, _ = _round(nodes, dead_reckoned(nodes), amplitude, length_m)
+    means, _, ln_likelihood = filtered(nodes, linearised(nodes, reference, amplitude, length_m))
+    return means[-1, 0], float(ln_likelihood[0])
 
 
 def _round(
