@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.twin.telemetry.filter import Nodes, dead_reckoned, filtered, linearised, smoothed_back
+from lunarsci.twin.telemetry.filter import EFFECT_MEAN, Nodes, dead_reckoned, filtered, linearised, smoothed_back
 
-__all__ = ["Change", "change_of"]
+__all__ = ["Change", "believed_change", "change_of"]
 
 FloatArray = npt.NDArray[np.float64]
 LENGTHS_M = (0.35, 0.7, 1.4, 2.8)
@@ -22,9 +22,14 @@ it, to much more where the ground is smooth. [m]"""
 AMPLITUDES = (0.0007, 0.0017, 0.004, 0.01, 0.025, 0.06, 0.15)
 """Candidates for the changing parts of ahead and left; times `SHARES`, the last in 1/m."""
 SHARES = np.array([1.0, 1.0, 0.3])
-USUAL, USUAL_WIDTH = 0.004, 1.5
-"""What is believed of the amplitude beforehand, and how widely in ln: what slopes and curvature do not explain changes
-by some tenths of a percent to some percent; assumed."""
+LEAST, UNEXPLAINED, STEP_M = 0.0005, 0.15, 0.5
+"""What is believed of the amplitude beforehand: so much, and such a share of what slopes are thought to change over so
+long a way. Assumed: linear effects of slopes leave 0.02 to 0.15 of it in drives by the twin and by MuJoCo with stress
+integrals, and 0.2 to 0.5, or more sideways, where the soil changes too."""
+UNKNOWN = 0.02
+"""The same where the slopes are not known; assumed."""
+WIDTH = 1.3
+"""How widely it is believed, in ln; assumed."""
 ORDER = (2, 1, 0)
 """Of the velocities, the best known first: headings tell how the turn changes."""
 DRAWN = 12
@@ -64,33 +69,29 @@ class Change:
             told=zero,
         )
 
-    @classmethod
-    def usually(cls) -> "Change":
-        """What is believed beforehand."""
-        return cls.fixed(USUAL * SHARES, np.full(3, LENGTHS_M[1]))
+
+def believed_change(nodes: Nodes) -> Change:
+    """What is believed before positions and headings say anything."""
+    return Change.fixed(_believed(nodes), np.full(3, LENGTHS_M[1]))
 
 
 def change_of(nodes: Nodes) -> Change:
     """How deviations change, from positions and headings: each in turn, the others as they are found to be."""
-    amplitude, length = USUAL * SHARES, np.full(3, LENGTHS_M[2])
-    reference = dead_reckoned(nodes)
-    for _ in range(2):
-        model = linearised(nodes, reference, amplitude[None], length[None])
-        reference = smoothed_back(model, *filtered(nodes, model)[:2])[0][:, 0]
+    believed = _believed(nodes)
+    amplitude, length = believed.copy(), np.full(3, LENGTHS_M[1])
+    model = linearised(nodes, dead_reckoned(nodes), amplitude[None], length[None])
+    reference = smoothed_back(model, *filtered(nodes, model)[:2])[0][:, 0]
     ln_a, ln_l = (part.ravel() for part in np.meshgrid(np.log(AMPLITUDES), np.log(LENGTHS_M), indexing="ij"))
-    believed = np.exp(-0.5 * ((ln_a - math.log(USUAL)) / USUAL_WIDTH) ** 2)
-    weights = np.tile(believed / believed.sum(), (3, 1))
+    prior = -0.5 * ((ln_a + np.log(SHARES)[:, None] - np.log(believed)[:, None]) / WIDTH) ** 2
+    weights = np.empty_like(prior)
     for channel in ORDER:
         tried_a, tried_l = np.repeat(amplitude[None], len(ln_a), axis=0), np.repeat(length[None], len(ln_a), axis=0)
         tried_a[:, channel], tried_l[:, channel] = np.exp(ln_a) * SHARES[channel], np.exp(ln_l)
         likelihood = filtered(nodes, linearised(nodes, reference, tried_a, tried_l))[2]
-        weight = believed * np.exp(likelihood - likelihood.max())
-        weights[channel] = weight / weight.sum()
+        weights[channel] = _normed(prior[channel] + likelihood)
         amplitude[channel] = math.exp(weights[channel] @ ln_a) * SHARES[channel]
         length[channel] = math.exp(weights[channel] @ ln_l)
-    own = believed / believed.sum()
-    spread = np.sqrt([weight @ (ln_a - weight @ ln_a) ** 2 for weight in weights])
-    before = math.sqrt(own @ (ln_a - own @ ln_a) ** 2)
+    spread, before = (np.array([_spread(weight, ln_a) for weight in part]) for part in (weights, map(_normed, prior)))
     drawn = _draws(weights)
     return Change(
         amplitude=np.exp(ln_a[drawn]) * SHARES,
@@ -100,6 +101,26 @@ def change_of(nodes: Nodes) -> Change:
         spread=spread,
         told=spread / before,
     )
+
+
+def _believed(nodes: Nodes) -> FloatArray:
+    """Amplitudes believed beforehand: ahead, left, and turn, for which slopes do little. (3,)"""
+    if nodes.effect is None:
+        return UNKNOWN * SHARES
+    effect = nodes.effect[:, :2] @ np.array(EFFECT_MEAN)
+    way = np.append(0.0, np.cumsum(nodes.way_m))
+    later = np.column_stack([np.interp(way + STEP_M, way, column) for column in effect.T])
+    ahead, left = LEAST + UNEXPLAINED * np.sqrt(((later - effect) ** 2).mean(axis=0))
+    return np.array([ahead, left, ahead]) * SHARES
+
+
+def _normed(ln_weight: FloatArray) -> FloatArray:
+    weight = np.exp(ln_weight - ln_weight.max())
+    return np.asarray(weight / weight.sum())
+
+
+def _spread(weight: FloatArray, values: FloatArray) -> float:
+    return math.sqrt(weight @ (values - weight @ values) ** 2)
 
 
 def _draws(weights: FloatArray) -> npt.NDArray[np.intp]:

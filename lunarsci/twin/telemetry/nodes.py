@@ -10,7 +10,7 @@ from lunarsci.twin.held import HeldForces
 from lunarsci.twin.plans.commands import CREEP_M_S
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.telemetry.change import Change
+from lunarsci.twin.telemetry.change import believed_change
 from lunarsci.twin.telemetry.filter import EFFECTS, Nodes
 from lunarsci.twin.telemetry.ground_effect import shape_effect, slope_effect
 from lunarsci.twin.telemetry.record import Telemetry
@@ -165,7 +165,7 @@ def on_ground(rover: Rover, nodes: Nodes, held: HeldForces, sway_m: FloatArray) 
     ln_weight = []
     for stiffness in STIFFNESSES:
         tried = _with_effects(rover, nodes, held, sway_m, stiffness)
-        state, ln_likelihood = probable(tried, Change.usually())
+        state, ln_likelihood = probable(tried, believed_change(tried))
         along, across = np.maximum(state[list(EFFECTS[:2])], LEAST_EFFECT)
         ln_weight.append(ln_likelihood - 0.5 * (np.log(stiffness * across / along) / AGREEMENT) ** 2)
     weight = np.exp(np.array(ln_weight) - max(ln_weight))
