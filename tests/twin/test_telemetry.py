@@ -330,7 +330,9 @@ def test_the_depth_of_a_rut_goes_to_the_deepest_wheel() -> None:
         own, spread = deepest_wheel(place, wheel, (x, y), np.tile(depths, (21, 1)), time, 0.075)
         return own.tolist(), spread.tolist()
 
-    assert owners(0.010, 0.008, 0.009) == ([True, False, False], pytest.approx([0.0] * 3))
+    assert owners(0.010, 0.008, 0.0084) == ([True, False, False], pytest.approx([0.0] * 3))
+    # Ground that is loaded again sinks further: who was deepest is open then.
+    assert owners(0.010, 0.008, 0.009) == ([False, False, False], pytest.approx([0.0] * 3))
     assert owners(0.010, 0.008, 0.0098) == ([False, False, True], pytest.approx([0.0002] * 3))
     ahead = deepest_wheel(
         np.array([[2.8, 0.0]]), np.array([0]), (x, y), np.tile([0.005, 0.01, 0.01], (21, 1)), time, 0.075

@@ -28,7 +28,7 @@ long a way. Assumed: linear effects of slopes leave 0.02 to 0.15 of it in drives
 integrals, and 0.2 to 0.5, or more sideways, where the soil changes too."""
 UNKNOWN = 0.02
 """The same where the slopes are not known; assumed."""
-WIDTH = 1.3
+WIDTH = 1.7
 """How widely it is believed, in ln; assumed."""
 ORDER = (2, 1, 0)
 """Of the velocities, the best known first: headings tell how the turn changes."""
@@ -111,7 +111,7 @@ def _believed(nodes: Nodes) -> FloatArray:
     way = np.append(0.0, np.cumsum(nodes.way_m))
     later = np.column_stack([np.interp(way + STEP_M, way, column) for column in effect.T])
     ahead, left = LEAST + UNEXPLAINED * np.sqrt(((later - effect) ** 2).mean(axis=0))
-    return np.array([ahead, left, ahead]) * SHARES
+    return np.asarray(np.array([ahead, left, ahead]) * SHARES)
 
 
 def _normed(ln_weight: FloatArray) -> FloatArray:
