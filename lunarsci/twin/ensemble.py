@@ -210,7 +210,7 @@ def predict(
     grounds : a terrain for each member instead, with the same nodes as `terrain`.
     seed : of the Latin hypercube and the errors of position fixes, >= 0.
     time_step_s : longest time step; shortened so that samples fall on steps. 0.1 s puts the end of the embedded plan
-        within 1.5 mm. [s]
+        within 1.5 mm, which holds for no other ground: 5 m over a ramp 10 cm high and long end 9 to 37 mm off. [s]
     sample_m : longest distance between samples; shortened so that the last is the end of the path. [m]
     progress : called with members done and members in all, after each of them.
 

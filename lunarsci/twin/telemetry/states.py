@@ -102,9 +102,11 @@ def states_of(
 ) -> DriveStates:
     """Slip and side slip of every wheel, at most once between two positions.
 
-    The motion is found by `smooth`; the twin, held to it on the terrain, gives the velocity of each wheel in its
-    contact plane, whatever the suspension does. Errors are those of the smoothed velocities; they do not hold errors
-    that all positions or headings share, such as a heading that is off throughout.
+    They are those of the moment of a row, not means about it. The motion is found by `smooth`; the twin, held to it on
+    the terrain, gives the velocity of each wheel in its contact plane, whatever the suspension does, and how slopes and
+    loads make the rover slip, in proportions that the data tell. Errors are those of the smoothed velocities, averaged
+    over how fast slip may change; they do not hold errors that all positions or headings share, such as a heading that
+    is off throughout, nor those of the terrain.
 
     Parameters
     ----------

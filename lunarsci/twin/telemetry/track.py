@@ -32,7 +32,7 @@ TIE_M = 0.0005
 
 EARLIER = 0.15
 """Share by which a wheel must be predicted deeper than those after it to be the deepest: ground that is loaded again
-sinks further than the prediction, which knows no ruts, says. Assumed: 0.14 in drives with ruts that are loaded again."""
+sinks further than the prediction, which knows no ruts, says; assumed, 0.14 in drives by MuJoCo with such ruts."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
