@@ -118,10 +118,10 @@ def _result(sent: Sent, findings: list[dict[str, object]]) -> dict[str, Any]:
 
 
 def _changes(drive: DriveStates) -> dict[str, Any]:
-    """How fast the deviations change that slopes do not explain; `told` is 1 where the data tell nothing of it."""
+    """How fast the deviations change that slopes do not explain; no information where the data tell nothing of it."""
     change = drive.smoothed.change
-    columns = (change.usual, np.exp(change.spread), change.usual_length_m, change.told)
-    keys = ("amplitude", "amplitude_factor", "length_m", "told")
+    columns = (change.usual, np.exp(change.spread), change.usual_length_m, change.information)
+    keys = ("amplitude", "amplitude_factor", "length_m", "information_nat")
     rows = zip(*columns, strict=True)
     return {
         name: dict(zip(keys, map(float, row), strict=True))

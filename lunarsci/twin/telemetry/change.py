@@ -46,7 +46,8 @@ class Change:
     amplitude, length_m : equally probable candidates. (m, 3), (m, 3) [m]
     usual, usual_length_m : their means in ln. (3,)
     spread : standard deviation of ln amplitude. (3,)
-    told : share of what was believed beforehand of ln amplitude that the data left; 1 where they tell nothing. (3,)
+    information : what the data tell of amplitude and length beside what was believed, as the Kullback-Leibler
+        divergence; 0 where they tell nothing. (3,) [nat]
     """
 
     amplitude: FloatArray
@@ -54,7 +55,7 @@ class Change:
     usual: FloatArray
     usual_length_m: FloatArray
     spread: FloatArray
-    told: FloatArray
+    information: FloatArray
 
     @classmethod
     def fixed(cls, amplitude: FloatArray, length_m: FloatArray) -> "Change":
@@ -66,7 +67,7 @@ class Change:
             usual=amplitude,
             usual_length_m=length_m,
             spread=zero,
-            told=zero,
+            information=zero,
         )
 
 
@@ -91,7 +92,7 @@ def change_of(nodes: Nodes) -> Change:
         weights[channel] = _normed(prior[channel] + likelihood)
         amplitude[channel] = math.exp(weights[channel] @ ln_a) * SHARES[channel]
         length[channel] = math.exp(weights[channel] @ ln_l)
-    spread, before = (np.array([_spread(weight, ln_a) for weight in part]) for part in (weights, map(_normed, prior)))
+    spread, believed_weights = np.array([_spread(weight, ln_a) for weight in weights]), [_normed(row) for row in prior]
     drawn = _draws(weights)
     return Change(
         amplitude=np.exp(ln_a[drawn]) * SHARES,
@@ -99,7 +100,7 @@ def change_of(nodes: Nodes) -> Change:
         usual=amplitude,
         usual_length_m=length,
         spread=spread,
-        told=spread / before,
+        information=np.array([_divergence(*pair) for pair in zip(weights, believed_weights, strict=True)]),
     )
 
 
@@ -121,6 +122,10 @@ def _normed(ln_weight: FloatArray) -> FloatArray:
 
 def _spread(weight: FloatArray, values: FloatArray) -> float:
     return math.sqrt(weight @ (values - weight @ values) ** 2)
+
+
+def _divergence(weight: FloatArray, believed: FloatArray) -> float:
+    return float(weight @ np.log(np.maximum(weight, 1e-300) / believed))
 
 
 def _draws(weights: FloatArray) -> npt.NDArray[np.intp]:

@@ -19,10 +19,10 @@ WORST_CHI_SQUARE = 4.0
 """Share of positions left out, and reduced chi-square, beyond which the result is in doubt; assumed."""
 LEAST_CHI_SQUARE, FINEST_M = 0.05, 5e-4
 """Reduced chi-square and standard error [m] below which errors of positions are not believed; assumed."""
-COARSE, FINE, LENGTHS_M = np.array([0.1, 0.1, 0.05]), np.array([0.03, 0.03, 0.01]), np.full(3, 0.7)
+COARSE, FINE, LENGTHS_M = np.array([0.1, 0.1, 0.05]), np.array([0.03, 0.03, 0.05]), np.full(3, 0.7)
 """How slip changes on ground that is not known yet, first widely, then as on ground of some degrees; assumed."""
-SPARSE = 0.85
-"""Share of what was believed of how slip changes, beyond which positions are said to tell nothing of it; assumed."""
+SPARSE = 0.05
+"""Information about how slip changes below which positions are said to tell nothing of it; assumed. [nat]"""
 GLIDE_DEG = 3.0
 """Side slip all along from which on it is said: the largest that Ding et al. (2024) report. [deg]"""
 
@@ -101,7 +101,7 @@ def check_glide(smoothed: Smoothed, findings: Findings) -> None:
 
 def check_change(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
     """Say positions that are too few or too coarse to tell how slip changes."""
-    if smoothed.change.told[0] > SPARSE:
+    if smoothed.change.information[0] < SPARSE:
         count = int(np.isfinite(nodes.fix_m).all(axis=1).sum())
         what = f"{count} positions over {float(nodes.way_m.sum()):.3g} m do not tell how fast slip changes"
         findings.add("sparse positions", what, "errors of slip rest on what is assumed of it", count=count)
