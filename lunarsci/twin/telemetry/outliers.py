@@ -21,7 +21,7 @@ LEAST_CHI_SQUARE, FINEST_M = 0.05, 5e-4
 """Reduced chi-square and standard error [m] below which errors of positions are not believed; assumed."""
 COARSE, FINE, LENGTHS_M = np.array([0.1, 0.1, 0.05]), np.array([0.03, 0.03, 0.05]), np.full(3, 0.7)
 """How slip changes on ground that is not known yet, first widely, then as on ground of some degrees; assumed."""
-SPARSE = 0.05
+SPARSE = 0.02
 """Information about how slip changes below which positions are said to tell nothing of it; assumed. [nat]"""
 GLIDE_DEG = 3.0
 """Side slip all along from which on it is said: the largest that Ding et al. (2024) report. [deg]"""
