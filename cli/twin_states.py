@@ -40,9 +40,11 @@ def states(
 ) -> Report:
     """Slip, side slip and sinkage of every wheel, with their errors, from the telemetry of a drive.
 
-    Slip and side slip follow from positions, headings and wheels, one state between two positions at most. Sinkage
-    follows from the track, for the deepest wheel that passed; the others stay blank. What is wrong with the telemetry
-    is listed with what was done about it; where the result should not be trusted for it the exit code is 3.
+    Slip and side slip follow from positions, headings and wheels, and from the slopes of the terrain, one state between
+    two positions at most; they are those at its time. How fast they change beside the slopes is found from the data and
+    stated; where positions are too few or too coarse to tell, a finding says so. Sinkage follows from the track, for
+    the deepest wheel that passed; the others stay blank. What is wrong with the telemetry is listed with what was done
+    about it; where the result should not be trusted for it the exit code is 3.
 
     With -o DIR the states go to states.csv, the positions to positions.csv, and the smoothed motion to motion.csv: what
     `lunarsci twin update` and `lunarsci twin forces` read.

@@ -9,6 +9,7 @@ from lunarsci.inputs import read_input
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.ground.terrain_files import read_terrain
+from lunarsci.twin.telemetry.filter import EFFECTS
 from lunarsci.twin.telemetry.findings import Findings
 from lunarsci.twin.telemetry.reading import read_telemetry
 from lunarsci.twin.telemetry.sinkage import with_sinkage
@@ -111,15 +112,32 @@ def _result(sent: Sent, findings: list[dict[str, object]]) -> dict[str, Any]:
         "duration_s": float(drive.telemetry.time_s[-1] - drive.telemetry.time_s[0]),
         "distance_m": float(rows.distance_m[-1]),
         "reduced_chi_square": drive.smoothed.reduced_chi_square,
-        "slip_changes": {
-            name: {"amplitude": float(amplitude), "length_m": float(length)}
-            for name, amplitude, length in zip(
-                ("ahead", "left", "turn_per_m"), drive.smoothed.amplitude, drive.smoothed.length_m, strict=True
-            )
-        },
+        "slip_changes": _changes(drive),
+        "slope_effects": _slope_effects(drive),
         "findings": findings,
         "wheels": {wheel: _of_wheel(drive, k) for k, wheel in enumerate(drive.rover.wheels)},
         "assumed_of_rover": list(sent.scene.description.assumed),
+    }
+
+
+def _changes(drive: DriveStates) -> dict[str, Any]:
+    """How fast the deviations change that slopes do not explain; no information where the data tell nothing of it."""
+    change = drive.smoothed.change
+    columns = (change.usual, np.exp(change.spread), change.usual_length_m, change.information)
+    keys = ("amplitude", "amplitude_factor", "length_m", "information_nat")
+    rows = zip(*columns, strict=True)
+    return {
+        name: dict(zip(keys, map(float, row), strict=True))
+        for name, row in zip(("ahead", "left", "turn_per_m"), rows, strict=True)
+    }
+
+
+def _slope_effects(drive: DriveStates) -> dict[str, Any]:
+    """Slip and side slip, as a tangent, for slopes of 45 degrees along and across, were they proportional."""
+    state, covariance = drive.smoothed.state[-1], drive.smoothed.covariance[-1]
+    return {
+        name: {"value": float(state[k]), "sigma": float(np.sqrt(covariance[k, k]))}
+        for name, k in zip(("slip", "side_slip"), EFFECTS[:2], strict=True)
     }
 
 
@@ -146,11 +164,13 @@ def _wheel_table(sent: Sent) -> TextTable:
     for k, wheel in enumerate(drive.rover.wheels):
         found = _of_wheel(drive, k)
         rows.append([wheel, str(found["valid"]), *(_cell(found[name], MEASURED[name]) for name in MEASURED)])
-    sway = drive.smoothed
+    sway, changes = drive.smoothed, _changes(drive)["ahead"]
     notes = [
         f"{int(np.isfinite(drive.nodes.fix_m).all(axis=1).sum())} positions over "
         f"{drive.telemetry.time_s[-1] - drive.telemetry.time_s[0]:.4g} s; they scatter about the motion with a reduced "
         f"chi-square of {sway.reduced_chi_square:.2f}",
+        f"beside what slopes do, slip changes by {changes['amplitude']:.2g} (times or by "
+        f"{changes['amplitude_factor']:.2g}) within {changes['length_m']:.2g} m",
     ]
     if not np.isfinite(drive.rows.sinkage_m).any():
         notes.append("no sinkage: give the depth of the track with --track")

@@ -228,8 +228,8 @@ def predict(
     grounds : a terrain for each member instead, with the same nodes as `terrain`.
     seed : of the Latin hypercube and the errors of position fixes, >= 0.
     time_step_s : longest time step; shortened so that samples fall on steps, and for members whose soil it does not
-        hold. 0.1 s puts the end of the embedded plan
-        within 1.5 mm. [s]
+        hold. 0.1 s puts the end of the embedded plan within 1.5 mm, which holds for no other ground: 5 m over a ramp
+        10 cm high and long end 9 to 37 mm off. [s]
     sample_m : longest distance between samples; shortened so that the last is the end of the path. [m]
     ruts : whether wheels meet the ruts of those before them, as `lunarsci.twin.simulation.ruts` has them.
     before : a plan that each member has driven on the same ground before, so that it meets those ruts too.

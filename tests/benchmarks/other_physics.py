@@ -133,8 +133,8 @@ def smooth_fields(terrain: Terrain, seed: int) -> np.ndarray:
     return np.stack(layers, axis=-1)
 
 
-def true_drive(world: World, plan: Plan, step_s: float = STEP_S) -> Driven:
-    """Drive a plan by the world's physics; ruts stay in the world."""
+def true_drive(world: World, plan: Plan, step_s: float = STEP_S, sample_s: float = 2.0) -> Driven:
+    """Drive a plan by the world's physics, MuJoCo's recorded every `sample_s`; ruts stay in the world."""
     rover, terrain = world.rover, world.terrain
     if not world.physics.mujoco:
         out = predict(rover, terrain, plan, sweep=())
@@ -146,7 +146,7 @@ def true_drive(world: World, plan: Plan, step_s: float = STEP_S) -> Driven:
         return Driven(time_s=begun.time_s, poses=begun.paths[0], states=begun.states[0], outcome=begun.outcome_text(0))
     joints = joint_angles(rover, terrain, begun.paths[0, :1], begun.states[0, :1], steering_of(rover, first))[0]
     start = (begun.paths[0, 0], joints)
-    return drive(rover, terrain, plan, world.physics.law, start, world.ruts, step_s=step_s)
+    return drive(rover, terrain, plan, world.physics.law, start, world.ruts, step_s=step_s, sample_s=sample_s)
 
 
 def steering_of(rover: Rover, leg: Leg) -> np.ndarray:

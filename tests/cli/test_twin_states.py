@@ -51,7 +51,11 @@ def test_from_telemetry_to_states_and_on(run: Run, plan: Path, sent: Path, tmp_p
     document = json.loads(done.out)
     result = document["result"]
     assert document["schema"] == "lunarsci/twin-states/1"
-    assert result["findings"] == [] and result["synthetic"] is True
+    assert {entry["kind"] for entry in result["findings"]} <= {"sparse positions"} and result["synthetic"] is True
+    changes = result["slip_changes"]["ahead"]
+    assert set(changes) == {"amplitude", "amplitude_factor", "length_m", "information_nat"}
+    assert 0 < changes["amplitude"] < 0.05 and changes["amplitude_factor"] > 1 and 0.3 < changes["length_m"] < 3
+    assert set(result["slope_effects"]) == {"slip", "side_slip"}
     assert 18 <= result["states"] <= 6 * (result["positions"] - 1) and result["valid"] == result["states"]
     assert set(result["wheels"]) == {"FL", "FR", "ML", "MR", "RL", "RR"}
     assert abs(result["wheels"]["FL"]["slip_ratio"]["median"]) < 0.1

@@ -85,7 +85,7 @@ def test_the_end_converges_with_first_order_in_the_time_step(yutu2) -> None:  # 
     errors = np.array([np.hypot(*(end - ends[-1])) for end in ends[:-1]])
     slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
     assert 0.8 < slope < 1.3, (slope, errors)
-    assert errors[1] < 1.5e-3, "the default step of 0.1 s must hold the end to 1.5 mm"
+    assert errors[1] < 1.5e-3, "the default step of 0.1 s must hold the end of the embedded plan to 1.5 mm"
 
 
 def hill(soil: Soil):  # type: ignore[no-untyped-def]

@@ -35,9 +35,10 @@ MODEL_ERRORS = {
 """Assumed, beside the measured errors: what the twin may be off by where a measured error is next to nothing.
 Side slip in bends is off by 0.04 deg at a time step of 0.1 s."""
 FIX_ERROR_M = 0.0015
-"""What the time step of 0.1 s puts ends off by, and more than the interpolation between samples does. [m]"""
+"""What the time step of 0.1 s puts the end of the embedded plan off by, and more than the interpolation between
+samples does; over obstacles it is more. [m]"""
 STEP_S, SAMPLE_M = 0.1, 0.1
-"""Of the simulated drives: ends are off by 0.8 mm, states are interpolated in time."""
+"""Of the simulated drives: on the embedded plan ends are off by 0.8 mm, states are interpolated in time."""
 FARTHEST = 4.0
 """Standard deviations of the first laws that a soil may be from their centre; assumed."""
 POSITION = "position"

@@ -5,7 +5,7 @@ import numpy.typing as npt
 
 from lunarsci.twin.rover import Rover
 
-__all__ = ["body_twist", "wheel_rows"]
+__all__ = ["body_twist", "fitted_twist", "wheel_rows"]
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -44,10 +44,35 @@ def body_twist(rover: Rover, rim_m_s: FloatArray, steering_rad: FloatArray) -> t
     Ahead [m/s], left [m/s], turn [rad/s] (n, 3), and root mean square of what the wheels differ from it. (n,) [m/s]
     """
     along, across = wheel_rows(rover, steering_rad)
-    known = np.isfinite(rim_m_s)[..., None]
-    rows = np.concatenate([np.where(known, along, 0.0), across], axis=1)
-    right = np.concatenate([np.nan_to_num(rim_m_s), np.zeros_like(rim_m_s)], axis=1)
-    normal = np.einsum("nki,nkj->nij", rows, rows)
-    twist = np.linalg.solve(normal, np.einsum("nki,nk->ni", rows, right)[..., None])[..., 0]
-    off = right - np.einsum("nki,ni->nk", rows, twist)
+    known = np.isfinite(rim_m_s)
+    rows = np.where(known[..., None], along, 0.0)
+    right = np.nan_to_num(rim_m_s)
+    twist = fitted_twist(rows, across, right, np.zeros_like(right))
+    off = np.concatenate([right - np.einsum("nki,ni->nk", rows, twist), np.einsum("nki,ni->nk", across, twist)], axis=1)
     return twist, np.sqrt((off**2).mean(axis=1))
+
+
+def fitted_twist(
+    along: FloatArray,
+    across: FloatArray,
+    v_x_m_s: FloatArray,
+    v_y_m_s: FloatArray,
+    weight: tuple[FloatArray, FloatArray] | None = None,
+) -> FloatArray:
+    """Velocity of the rover's origin that fits speeds of the wheels along and across their planes best.
+
+    Parameters
+    ----------
+    along, across : rows of `wheel_rows`, zeros for what is not known. (n, wheels, 3)
+    v_x_m_s, v_y_m_s : speeds along and across. (n, wheels) [m/s]
+    weight : of each of these, positive; None takes all alike. (n, wheels), (n, wheels)
+
+    Returns
+    -------
+    Ahead [m/s], left [m/s], turn [rad/s]. (n, 3)
+    """
+    rows = np.concatenate([along, across], axis=1)
+    right = np.concatenate([v_x_m_s, v_y_m_s], axis=1)
+    weights = np.ones_like(right) if weight is None else np.concatenate(weight, axis=1)
+    normal = np.einsum("nk,nki,nkj->nij", weights, rows, rows)
+    return np.asarray(np.linalg.solve(normal, np.einsum("nk,nki,nk->ni", weights, rows, right)[..., None])[..., 0])

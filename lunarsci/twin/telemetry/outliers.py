@@ -7,9 +7,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.twin.telemetry.findings import Findings
-from lunarsci.twin.telemetry.smoother import MEANS, Nodes, Smoothed, smooth
+from lunarsci.twin.telemetry.smoother import MEANS, Change, Nodes, Smoothed, smooth
 
-__all__ = ["check_glide", "check_scatter", "without_outliers"]
+__all__ = ["check_change", "check_glide", "check_scatter", "without_outliers"]
 
 FloatArray = npt.NDArray[np.float64]
 OUTLIER = 20.0
@@ -19,6 +19,10 @@ WORST_CHI_SQUARE = 4.0
 """Share of positions left out, and reduced chi-square, beyond which the result is in doubt; assumed."""
 LEAST_CHI_SQUARE, FINEST_M = 0.05, 5e-4
 """Reduced chi-square and standard error [m] below which errors of positions are not believed; assumed."""
+COARSE, FINE, LENGTHS_M = np.array([0.1, 0.1, 0.05]), np.array([0.03, 0.03, 0.05]), np.full(3, 0.7)
+"""How slip changes on ground that is not known yet, first widely, then as on ground of some degrees; assumed."""
+SPARSE = 0.02
+"""Information about how slip changes below which positions are said to tell nothing of it; assumed. [nat]"""
 GLIDE_DEG = 3.0
 """Side slip all along from which on it is said: the largest that Ding et al. (2024) report. [deg]"""
 
@@ -28,9 +32,8 @@ def without_outliers(nodes: Nodes, findings: Findings) -> tuple[Smoothed, Nodes,
     count = int(np.isfinite(nodes.fix_m).all(axis=1).sum())
     left: list[list[float]] = []
     odd: list[float] = []
-    coarse = (np.array([0.1, 0.1, 0.05]), np.full(3, 0.7))
-    for scales in (coarse, None):
-        smoothed = smooth(nodes, scales)
+    for change in (Change.fixed(COARSE, LENGTHS_M), Change.fixed(FINE, LENGTHS_M)):
+        smoothed = smooth(nodes, change)
         nodes, smoothed, lost = _without_odd_headings(nodes, smoothed)
         odd += lost
         while count - len(left) > 3 and np.nanmax(smoothed.misfit) > OUTLIER:
@@ -39,7 +42,7 @@ def without_outliers(nodes: Nodes, findings: Findings) -> tuple[Smoothed, Nodes,
             fix = nodes.fix_m.copy()
             fix[worst] = np.nan
             nodes = dataclasses.replace(nodes, fix_m=fix)
-            smoothed = smooth(nodes, (smoothed.amplitude, smoothed.length_m))
+            smoothed = smooth(nodes, smoothed.change)
             if len(left) > max(3, MOST_OUTLIERS * count):
                 break
     if odd:
@@ -68,7 +71,7 @@ def _without_odd_headings(nodes: Nodes, smoothed: Smoothed) -> tuple[Nodes, Smoo
         yaw = nodes.yaw_rad.copy()
         yaw[worst] = np.nan
         nodes = dataclasses.replace(nodes, yaw_rad=yaw)
-        smoothed = smooth(nodes, (smoothed.amplitude, smoothed.length_m))
+        smoothed = smooth(nodes, smoothed.change)
     return nodes, smoothed, odd
 
 
@@ -94,3 +97,11 @@ def check_glide(smoothed: Smoothed, findings: Findings) -> None:
     if abs(middle) > GLIDE_DEG and abs(left) > sigma:
         what = f"the rover glides by {middle:.2g} deg all the way, positive to the left"
         findings.add("constant side slip", what, "kept; a heading that is off throughout looks the same")
+
+
+def check_change(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
+    """Say positions that are too few or too coarse to tell how slip changes."""
+    if smoothed.change.information[0] < SPARSE:
+        count = int(np.isfinite(nodes.fix_m).all(axis=1).sum())
+        what = f"{count} positions over {float(nodes.way_m.sum()):.3g} m do not tell how fast slip changes"
+        findings.add("sparse positions", what, "errors of slip rest on what is assumed of it", count=count)

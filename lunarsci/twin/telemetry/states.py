@@ -9,10 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import DataError
-from lunarsci.twin.ensemble import STATE_COLUMNS
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.held import HeldForces, forces_along
-from lunarsci.twin.plans.commands import CREEP_M_S
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
@@ -20,29 +18,25 @@ from lunarsci.twin.simulation.contact import VALID_SLIP
 from lunarsci.twin.telemetry.attitude import check_attitude, sway_m
 from lunarsci.twin.telemetry.clock import ordered, time_gaps
 from lunarsci.twin.telemetry.commands_check import check_against_plan
+from lunarsci.twin.telemetry.filter import Nodes
 from lunarsci.twin.telemetry.findings import Findings
-from lunarsci.twin.telemetry.odometry import body_twist, wheel_rows
-from lunarsci.twin.telemetry.outliers import check_glide, check_scatter, without_outliers
+from lunarsci.twin.telemetry.nodes import denser, mean_speed, motion_at, nodes_of, on_ground
+from lunarsci.twin.telemetry.odometry import body_twist
+from lunarsci.twin.telemetry.outliers import check_change, check_glide, check_scatter, without_outliers
 from lunarsci.twin.telemetry.positions import check_frame, usable_headings, usable_positions
 from lunarsci.twin.telemetry.record import Telemetry
-from lunarsci.twin.telemetry.smoother import AHEAD, MEANS, Nodes, Smoothed, smooth
+from lunarsci.twin.telemetry.smoother import Smoothed, smooth
 from lunarsci.twin.telemetry.steering import steering_angles
 from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion, wheel_motion
+from lunarsci.twin.telemetry.wheel_slip import slips_of, wheel_velocities
 
 __all__ = ["DriveStates", "StateRows", "states_of"]
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.intp]
-NODE_M = 0.1
-"""Way between the moments at which the motion is found. [m]"""
 LEAST_ROW_M = 0.3
 """Way between rows of states where positions are denser, assumed: a rover's slip does not change faster. [m]"""
-GAP_SHARE = 0.2
-"""Error of the way over a gap, as a share of it; assumed."""
-SLIP_FLOOR, SIDE_SLIP_FLOOR_DEG = 0.001, 0.08
-"""What is left where all sensors are all but perfect: 0.0005 to 0.0009 and 0.04 to 0.06 deg on six made-up drives over
-ground of 0 to 5 mm roughness; the steering's own error of 0.1 deg, of which a few rows are averaged, adds 0.06 deg."""
 UNEVEN = 0.2
 """Change of speed, in ln, about a node from which on it is a start or a stop, without a state; assumed."""
 DISAGREE = 0.03
@@ -108,9 +102,11 @@ def states_of(
 ) -> DriveStates:
     """Slip and side slip of every wheel, at most once between two positions.
 
-    The motion is found by `smooth`; the twin, held to it on the terrain, gives the velocity of each wheel in its
-    contact plane, whatever the suspension does. Errors are those of the smoothed velocities; they do not hold errors
-    that all positions or headings share, such as a heading that is off throughout.
+    They are those of the moment of a row, not means about it. The motion is found by `smooth`; the twin, held to it on
+    the terrain, gives the velocity of each wheel in its contact plane, whatever the suspension does, and how slopes and
+    loads make the rover slip, in proportions that the data tell. Errors are those of the smoothed velocities, averaged
+    over how fast slip may change; they do not hold errors that all positions or headings share, such as a heading that
+    is off throughout, nor those of the terrain.
 
     Parameters
     ----------
@@ -127,29 +123,43 @@ def states_of(
     angle, known = steering_angles(telemetry, rover, findings)
     wheels = dataclasses.replace(wheels, trusted=wheels.trusted & known[1:] & known[:-1])
     steering = np.radians(angle)
-    twist, off = body_twist(rover, wheels.rim_m_s, 0.5 * (steering[1:] + steering[:-1]))
+    twist, off, way = _way(rover, telemetry, wheels, steering)
     _check_wheels_agree(wheels, off, findings)
-    steps = np.diff(telemetry.time_s)
-    way = np.append(0.0, np.cumsum(_mean_speed(wheels.rim_m_s) * steps))
-    turned = np.degrees(np.append(0.0, np.cumsum(twist[:, 2] * steps)))
+    turned = np.degrees(np.append(0.0, np.cumsum(twist[:, 2] * np.diff(telemetry.time_s))))
     telemetry = usable_positions(telemetry, way, findings)
     telemetry = usable_headings(telemetry, turned, findings)
     check_frame(telemetry, twist, findings)
     if plan is not None:
         check_against_plan(telemetry, rover, plan, findings)
-    nodes, rows = _nodes(telemetry, wheels, twist, way, gaps)
+    return _along_the_ground(telemetry, rover, terrain, wheels, steering, gaps, findings)
+
+
+def _along_the_ground(
+    telemetry: Telemetry,
+    rover: Rover,
+    terrain: Terrain,
+    wheels: WheelMotion,
+    steering_rad: FloatArray,
+    gaps: BoolArray,
+    findings: Findings,
+) -> DriveStates:
+    """Find the motion, and how wheels that carry the rover along it over the ground slip; `findings` takes doubts."""
+    times = telemetry.time_s
+    between = np.column_stack([times[:-1][gaps], times[1:][gaps]])
+    dense, wheels, steering, gaps = denser(telemetry, wheels, steering_rad, gaps)
+    twist, _, way = _way(rover, dense, wheels, steering)
+    nodes, rows = nodes_of(dense, wheels, twist, way, gaps)
     smoothed, nodes, left_out = without_outliers(nodes, findings)
-    still = np.zeros((len(rows), 2))
-    first = forces_along(rover, terrain, _motion(telemetry, nodes, smoothed, wheels, steering, rows, still))
+    first = forces_along(rover, terrain, motion_at(dense, nodes, smoothed, wheels, steering, rows, np.zeros((1, 2))))
     sway = sway_m(rover, first.paths)
-    nodes = dataclasses.replace(nodes, fix_m=nodes.fix_m - sway)
-    smoothed = smooth(nodes, (smoothed.amplitude, smoothed.length_m))
-    motion = _motion(telemetry, nodes, smoothed, wheels, steering, rows, sway)
+    nodes = on_ground(rover, nodes, first, sway)
+    smoothed = smooth(nodes)
+    motion = motion_at(dense, nodes, smoothed, wheels, steering, rows, sway)
     held = forces_along(rover, terrain, motion)
     check_scatter(smoothed, nodes, findings)
     check_glide(smoothed, findings)
-    check_attitude(telemetry, held, rows, findings)
-    times = telemetry.time_s
+    check_change(smoothed, nodes, findings)
+    check_attitude(dense, held, rows, findings)
     return DriveStates(
         rover=rover,
         telemetry=telemetry,
@@ -157,11 +167,20 @@ def states_of(
         smoothed=smoothed,
         motion=motion,
         held=held,
-        rows=_state_rows(telemetry, rover, wheels, nodes, smoothed, motion, held, rows, gaps, findings),
-        gaps=np.column_stack([times[:-1][gaps], times[1:][gaps]]),
+        rows=_state_rows(dense, rover, wheels, nodes, smoothed, motion, held, rows, gaps, findings),
+        gaps=between,
         left_out=left_out,
         findings=findings,
     )
+
+
+def _way(
+    rover: Rover, telemetry: Telemetry, wheels: WheelMotion, steering_rad: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Twist that wheels without slip say between rows, how far they differ from it [m/s], and the way of the rims."""
+    twist, off = body_twist(rover, wheels.rim_m_s, 0.5 * (steering_rad[1:] + steering_rad[:-1]))
+    way = np.append(0.0, np.cumsum(mean_speed(wheels.rim_m_s) * np.diff(telemetry.time_s)))
+    return twist, off, way
 
 
 def _check_wheels_agree(wheels: WheelMotion, off_m_s: FloatArray, findings: Findings) -> None:
@@ -171,103 +190,6 @@ def _check_wheels_agree(wheels: WheelMotion, off_m_s: FloatArray, findings: Find
         what = f"rims and steering of the wheels differ by {100 * float(np.median(share)):.2g} % from any one motion"
         done = "their best fit is taken; are the wheels named as they should be?"
         findings.add("wheels disagree", what, done, doubt=True)
-
-
-def _mean_speed(rim_m_s: FloatArray) -> FloatArray:
-    """Root mean square of the known rims. (n,)"""
-    known = np.isfinite(rim_m_s)
-    squares = np.where(known, np.nan_to_num(rim_m_s) ** 2, 0.0).sum(axis=1)
-    return np.asarray(np.sqrt(squares / np.maximum(known.sum(axis=1), 1)))
-
-
-def _drives(wheels: WheelMotion, twist: FloatArray) -> BoolArray:
-    """Between which rows the rover drives: not at a halt, nor turning on the spot. (n - 1,)"""
-    speed = np.hypot(twist[:, 0], twist[:, 1])
-    return np.asarray(
-        wheels.moving & (speed > 0.1 * _mean_speed(wheels.rim_m_s)) & (speed > STILL_SHARE * wheels.usual_m_s)
-    )
-
-
-def _nodes(
-    telemetry: Telemetry, wheels: WheelMotion, twist: FloatArray, way_m: FloatArray, gaps: BoolArray
-) -> tuple[Nodes, IntArray]:
-    """Nodes and the rows they are."""
-    drives = _drives(wheels, twist)
-    stage = np.floor(way_m / NODE_M)
-    chosen = telemetry.fixed | np.append(True, np.diff(stage) > 0)
-    chosen[:-1] |= np.append(False, drives[1:] != drives[:-1]) | gaps
-    chosen[1:] |= gaps
-    chosen[-1] = True
-    rows = np.flatnonzero(chosen)
-    times = telemetry.time_s
-    steps = np.diff(times)
-
-    def total(values: FloatArray) -> FloatArray:
-        return np.asarray(np.add.reduceat(values, rows[:-1], axis=0))
-
-    length = np.diff(times[rows])
-    blind = total((gaps * steps * np.nan_to_num(_mean_speed(wheels.rim_m_s))).astype(float))
-    kinds = drives[rows[:-1]]
-    return (
-        Nodes(
-            time_s=times[rows],
-            twist=total(twist * steps[:, None]) / length[:, None],
-            way_m=np.diff(way_m[rows]),
-            loose=GAP_SHARE * blind,
-            apart=np.append(False, kinds[1:] != kinds[:-1]),
-            fix_m=telemetry.fix_m[rows],
-            fix_covariance_m2=telemetry.fix_covariance_m2[rows],
-            yaw_rad=np.radians(telemetry.yaw_deg[rows]),
-            yaw_sigma_rad=np.radians(telemetry.yaw_deg_sigma[rows]),
-        ),
-        rows,
-    )
-
-
-def _motion(
-    telemetry: Telemetry,
-    nodes: Nodes,
-    smoothed: Smoothed,
-    wheels: WheelMotion,
-    steering_rad: FloatArray,
-    rows: IntArray,
-    sway_m: FloatArray,
-) -> Motion:
-    """The smoothed motion of the rover's origin, with the wheels as they were measured."""
-    rim = _at_nodes(telemetry.time_s, wheels.rim_m_s, rows)
-    sign = np.where(rim < 0, -1.0, 1.0)
-    rim = sign * np.maximum(np.abs(np.nan_to_num(rim)), CREEP_M_S)
-    steered = np.column_stack([_mean_about(column, rows) for column in np.degrees(steering_rad).T])
-    return Motion(
-        time_s=nodes.time_s,
-        x_m=smoothed.state[:, 0] + sway_m[:, 0],
-        y_m=smoothed.state[:, 1] + sway_m[:, 1],
-        yaw_deg=np.degrees(smoothed.state[:, 2]),
-        steering_deg=np.clip(steered, -90.0, 90.0),
-        speed_m_s=rim,
-    )
-
-
-def _at_nodes(time_s: FloatArray, between: FloatArray, rows: IntArray) -> FloatArray:
-    """Means between the nodes before and after each node, from means between rows. (nodes, wheels)"""
-    steps = np.diff(time_s)[:, None]
-    known = np.isfinite(between)
-    total = np.vstack([np.zeros(between.shape[1]), np.cumsum(np.where(known, between, 0.0) * steps, axis=0)])
-    spent = np.vstack([np.zeros(between.shape[1]), np.cumsum(known * steps, axis=0)])
-    low, high = rows[np.maximum(np.arange(len(rows)) - 1, 0)], rows[np.minimum(np.arange(len(rows)) + 1, len(rows) - 1)]
-    with np.errstate(invalid="ignore"):
-        return np.asarray(
-            (total[high] - total[low]) / np.where(spent[high] > spent[low], spent[high] - spent[low], np.nan)
-        )
-
-
-def _mean_about(values: FloatArray, rows: IntArray) -> FloatArray:
-    """Mean of a column over the rows nearer to each node than to others, both ways alike."""
-    result = np.empty(len(rows))
-    for k, row in enumerate(rows):
-        reach = min(row - rows[k - 1] if k else 0, rows[k + 1] - row if k + 1 < len(rows) else 0) // 2
-        result[k] = values[row - reach : row + reach + 1].mean()
-    return result
 
 
 def _state_rows(
@@ -288,9 +210,8 @@ def _state_rows(
     distance = np.append(0.0, np.cumsum(np.where(drives, speed * steps, 0.0)))
     gap_nodes = np.add.reduceat(gaps.astype(int), rows[:-1]) > 0
     chosen, halted = _chosen(nodes, drives, distance, gap_nodes, telemetry.file)
-    columns = {name: k for k, name in enumerate(STATE_COLUMNS)}
-    slip, side = (held.states[chosen][..., columns[name]].copy() for name in ("slip_ratio", "side_slip_deg"))
-    slip_sigma, side_sigma = _sigmas(rover, nodes, smoothed, motion, chosen, slip)
+    velocities = wheel_velocities(rover, nodes, smoothed, held)
+    slip, side, slip_sigma, side_sigma = (part[chosen] for part in slips_of(velocities, motion))
     low, high = rows[np.maximum(chosen - 1, 0)], rows[np.minimum(chosen + 1, len(rows) - 1)]
     trusted = np.array([wheels.trusted[a:b].all(axis=0) for a, b in zip(low, high, strict=True)])
     sound = held.outcome[chosen] == 0
@@ -352,26 +273,3 @@ def _chosen(
         raise DataError(f"{file}: no two positions with a drive between them that has neither gap nor halt; no slip")
     nodes_found = np.array(sorted({*result, *halts}), dtype=np.intp)
     return nodes_found, np.isin(nodes_found, halts)
-
-
-def _sigmas(
-    rover: Rover, nodes: Nodes, smoothed: Smoothed, motion: Motion, chosen: IntArray, slip: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Standard errors of slip and side slip, from those of the rover's velocities. (m, wheels) [-, deg]"""
-    pick = np.zeros((3, smoothed.state.shape[1]))
-    for row, (k, mean) in enumerate(zip(AHEAD, MEANS, strict=True)):
-        pick[row, k] = pick[row, mean] = 1.0
-    before, after = np.maximum(chosen - 1, 0), np.minimum(chosen, len(nodes.way_m) - 1)
-    span = np.diff(nodes.time_s)
-    pace = 0.5 * (nodes.way_m[before] / span[before] + nodes.way_m[after] / span[after])
-    twist = 0.5 * (nodes.twist[before] + nodes.twist[after]) + pace[:, None] * smoothed.deviation[chosen]
-    covariance = pick @ smoothed.covariance[chosen] @ pick.T * pace[:, None, None] ** 2
-    along, across = wheel_rows(rover, np.radians(motion.steering_deg[chosen]))
-    v_x, v_y = (np.einsum("mwi,mi->mw", part, twist) for part in (along, across))
-    rim = np.abs(motion.speed_m_s[chosen])
-    travel_sigma = np.sqrt(np.einsum("mwi,mij,mwj->mw", along, covariance, along)) / rim
-    steep = np.where(slip >= 0, 1.0, (1.0 + np.minimum(slip, 0.0)) ** 2)
-    squared = v_x**2 + v_y**2
-    weights = (across * np.abs(v_x)[..., None] - along * (np.sign(v_x) * v_y)[..., None]) / squared[..., None]
-    side_sigma = np.degrees(np.sqrt(np.einsum("mwi,mij,mwj->mw", weights, covariance, weights)))
-    return np.hypot(steep * travel_sigma, SLIP_FLOOR), np.hypot(side_sigma, SIDE_SLIP_FLOOR_DEG)

@@ -1,0 +1,201 @@
+"""From rows of telemetry to the nodes at which the motion is found, and from these to a motion."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.twin.held import HeldForces
+from lunarsci.twin.plans.commands import CREEP_M_S
+from lunarsci.twin.plans.motion import Motion
+from lunarsci.twin.rover import Rover
+from lunarsci.twin.telemetry.change import believed_change
+from lunarsci.twin.telemetry.filter import EFFECTS, Nodes
+from lunarsci.twin.telemetry.ground_effect import shape_effect, slope_effect
+from lunarsci.twin.telemetry.record import Telemetry
+from lunarsci.twin.telemetry.smoother import Smoothed, probable
+from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion
+
+__all__ = ["denser", "mean_speed", "motion_at", "nodes_of", "on_ground", "pace_at", "twist_at"]
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.intp]
+NODE_M = 0.1
+"""Way between the moments at which the motion is found. [m]"""
+STIFFNESSES = (0.1, 0.17, 0.28, 0.48, 0.8)
+"""Candidates for the stiffness of the ground against side slip, as a share of that against slip; assumed."""
+AGREEMENT, LEAST_EFFECT = 0.4, 0.1
+"""How well, in ln, the stiffness and the coefficients of slip and side slip agree, and the least of these; assumed."""
+GAP_SHARE = 0.2
+"""Error of the way over a gap, as a share of it; assumed."""
+
+
+def mean_speed(rim_m_s: FloatArray) -> FloatArray:
+    """Root mean square of the known rims. (n,)"""
+    known = np.isfinite(rim_m_s)
+    squares = np.where(known, np.nan_to_num(rim_m_s) ** 2, 0.0).sum(axis=1)
+    return np.asarray(np.sqrt(squares / np.maximum(known.sum(axis=1), 1)))
+
+
+def denser(
+    telemetry: Telemetry, wheels: WheelMotion, steering_rad: FloatArray, gaps: BoolArray
+) -> tuple[Telemetry, WheelMotion, FloatArray, BoolArray]:
+    """The same with rows between those that are far apart, but over gaps: the ground changes within a wheel's way.
+
+    Wheels turn evenly between rows; positions, headings and attitude are blank in the new ones.
+    """
+    way = mean_speed(wheels.rim_m_s) * np.diff(telemetry.time_s)
+    parts = np.where(gaps, 1, np.maximum(np.rint(way / NODE_M), 1)).astype(int)
+    if (parts == 1).all():
+        return telemetry, wheels, steering_rad, gaps
+    step = np.repeat(np.arange(len(parts)), parts)
+    own = np.append(0, np.cumsum(parts))
+    count = own[-1] + 1
+    times = np.interp(np.arange(count), own, telemetry.time_s)
+    columns: dict[str, Any] = {"time_s": times}
+    for field in dataclasses.fields(telemetry):
+        values = getattr(telemetry, field.name)
+        if isinstance(values, np.ndarray) and field.name != "time_s":
+            columns[field.name] = np.full((count, *values.shape[1:]), np.nan)
+            columns[field.name][own] = values
+    between = {name: getattr(wheels, name)[step] for name in ("rim_m_s", "measured", "trusted")}
+    steered = np.column_stack([np.interp(times, telemetry.time_s, column) for column in steering_rad.T])
+    return dataclasses.replace(telemetry, **columns), dataclasses.replace(wheels, **between), steered, gaps[step]
+
+
+def _drives(wheels: WheelMotion, twist: FloatArray) -> BoolArray:
+    """Between which rows the rover drives: not at a halt, nor turning on the spot. (n - 1,)"""
+    speed = np.hypot(twist[:, 0], twist[:, 1])
+    return np.asarray(
+        wheels.moving & (speed > 0.1 * mean_speed(wheels.rim_m_s)) & (speed > STILL_SHARE * wheels.usual_m_s)
+    )
+
+
+def nodes_of(
+    telemetry: Telemetry, wheels: WheelMotion, twist: FloatArray, way_m: FloatArray, gaps: BoolArray
+) -> tuple[Nodes, IntArray]:
+    """Nodes and the rows they are."""
+    drives = _drives(wheels, twist)
+    stage = np.floor(way_m / NODE_M)
+    chosen = telemetry.fixed | np.append(True, np.diff(stage) > 0)
+    chosen[:-1] |= np.append(False, drives[1:] != drives[:-1]) | gaps
+    chosen[1:] |= gaps
+    chosen[-1] = True
+    rows = np.flatnonzero(chosen)
+    times = telemetry.time_s
+    steps = np.diff(times)
+
+    def total(values: FloatArray) -> FloatArray:
+        return np.asarray(np.add.reduceat(values, rows[:-1], axis=0))
+
+    length = np.diff(times[rows])
+    blind = total((gaps * steps * np.nan_to_num(mean_speed(wheels.rim_m_s))).astype(float))
+    kinds = drives[rows[:-1]]
+    return (
+        Nodes(
+            time_s=times[rows],
+            twist=total(twist * steps[:, None]) / length[:, None],
+            way_m=np.diff(way_m[rows]),
+            loose=GAP_SHARE * blind,
+            apart=np.append(False, kinds[1:] != kinds[:-1]),
+            fix_m=telemetry.fix_m[rows],
+            fix_covariance_m2=telemetry.fix_covariance_m2[rows],
+            yaw_rad=np.radians(telemetry.yaw_deg[rows]),
+            yaw_sigma_rad=np.radians(telemetry.yaw_deg_sigma[rows]),
+        ),
+        rows,
+    )
+
+
+def motion_at(
+    telemetry: Telemetry,
+    nodes: Nodes,
+    smoothed: Smoothed,
+    wheels: WheelMotion,
+    steering_rad: FloatArray,
+    rows: IntArray,
+    sway_m: FloatArray,
+) -> Motion:
+    """The smoothed motion of the rover's origin, with the wheels as they were measured."""
+    rim = _at_nodes(telemetry.time_s, wheels.rim_m_s, rows)
+    sign = np.where(rim < 0, -1.0, 1.0)
+    rim = sign * np.maximum(np.abs(np.nan_to_num(rim)), CREEP_M_S)
+    steered = np.column_stack([_mean_about(column, rows) for column in np.degrees(steering_rad).T])
+    return Motion(
+        time_s=nodes.time_s,
+        x_m=smoothed.state[:, 0] + sway_m[:, 0],
+        y_m=smoothed.state[:, 1] + sway_m[:, 1],
+        yaw_deg=np.degrees(smoothed.state[:, 2]),
+        steering_deg=np.clip(steered, -90.0, 90.0),
+        speed_m_s=rim,
+    )
+
+
+def _at_nodes(time_s: FloatArray, between: FloatArray, rows: IntArray) -> FloatArray:
+    """Means between the nodes before and after each node, from means between rows. (nodes, wheels)"""
+    steps = np.diff(time_s)[:, None]
+    known = np.isfinite(between)
+    total = np.vstack([np.zeros(between.shape[1]), np.cumsum(np.where(known, between, 0.0) * steps, axis=0)])
+    spent = np.vstack([np.zeros(between.shape[1]), np.cumsum(known * steps, axis=0)])
+    low, high = rows[np.maximum(np.arange(len(rows)) - 1, 0)], rows[np.minimum(np.arange(len(rows)) + 1, len(rows) - 1)]
+    with np.errstate(invalid="ignore"):
+        return np.asarray(
+            (total[high] - total[low]) / np.where(spent[high] > spent[low], spent[high] - spent[low], np.nan)
+        )
+
+
+def _mean_about(values: FloatArray, rows: IntArray) -> FloatArray:
+    """Mean of a column over the rows nearer to each node than to others, both ways alike."""
+    result = np.empty(len(rows))
+    for k, row in enumerate(rows):
+        reach = min(row - rows[k - 1] if k else 0, rows[k + 1] - row if k + 1 < len(rows) else 0) // 2
+        result[k] = values[row - reach : row + reach + 1].mean()
+    return result
+
+
+def on_ground(rover: Rover, nodes: Nodes, held: HeldForces, sway_m: FloatArray) -> Nodes:
+    """Nodes that know what the shape and the slopes of the ground do to the motion, from a motion that is about right.
+
+    How stiff the ground is against side slip is a mean in ln over `STIFFNESSES`, weighed by how probable each makes
+    positions and headings, and by how it agrees with the coefficients that it leads to: their inverse ratio.
+    `sway_m` is that of the rover's origin (see `sway_m` of `attitude`), which `held` contains. (n, 2) [m]
+    """
+    ln_weight = []
+    for stiffness in STIFFNESSES:
+        tried = _with_effects(rover, nodes, held, sway_m, stiffness)
+        state, ln_likelihood = probable(tried, believed_change(tried))
+        along, across = np.maximum(state[list(EFFECTS[:2])], LEAST_EFFECT)
+        ln_weight.append(ln_likelihood - 0.5 * (np.log(stiffness * across / along) / AGREEMENT) ** 2)
+    weight = np.exp(np.array(ln_weight) - max(ln_weight))
+    mean = float(np.exp(weight @ np.log(STIFFNESSES) / weight.sum()))
+    return _with_effects(rover, nodes, held, sway_m, mean)
+
+
+def _with_effects(rover: Rover, nodes: Nodes, held: HeldForces, sway_m: FloatArray, stiffness: float) -> Nodes:
+    place = np.column_stack([held.motion.x_m, held.motion.y_m]) - sway_m
+    shape = shape_effect(rover, held, place, stiffness)
+    effect = np.zeros((len(place), 3, len(EFFECTS)))
+    effect[:, :, :2] = slope_effect(rover, held, stiffness)
+    effect[:, 2, 2] = effect[:, 1, 3] = about(nodes, nodes.twist)[:, 2] / pace_at(nodes)
+    return dataclasses.replace(
+        nodes, twist=nodes.twist + 0.5 * (shape[1:] + shape[:-1]), fix_m=nodes.fix_m - sway_m, effect=effect
+    )
+
+
+def about(nodes: Nodes, between: FloatArray) -> FloatArray:
+    """Means at nodes of what is known between them, (n - 1, ...)."""
+    rows = np.arange(len(nodes.time_s))
+    before, after = np.maximum(rows - 1, 0), np.minimum(rows, len(between) - 1)
+    return np.asarray(0.5 * (between[before] + between[after]))
+
+
+def pace_at(nodes: Nodes) -> FloatArray:
+    """Mean speed of the rims at the nodes. (n,) [m/s]"""
+    return about(nodes, nodes.way_m / np.diff(nodes.time_s))
+
+
+def twist_at(nodes: Nodes, smoothed: Smoothed) -> FloatArray:
+    """Velocity ahead, to the left, and turn at the nodes. (n, 3) [m/s, m/s, rad/s]"""
+    return np.asarray(about(nodes, nodes.twist) + pace_at(nodes)[:, None] * smoothed.deviation)
