@@ -206,7 +206,10 @@ def frame(law: Law, ground: Ground, pose: Any, c: Any, axle: Any) -> Any:
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def push(scene: Any, command: Any, pose: Any, q: FloatArray, i: int, points: FloatArray, state: FloatArray) -> Any:
-    """Force [N] and moment [N m] on wheel i by the ground; its state, and its points as `place` gives them."""
+    """Force [N] and moment [N m] on wheel i by the ground; its state, and its points as `place` gives them.
+
+    As in the twin, the state looks where the wheel rolls to, and the lateral force has the sign of the side slip.
+    """
     rover, law, ground = scene
     steer, rims, before, since, _ = command
     spin, moving_x, moving_y = 0.0, 0.0, 0.0
@@ -224,7 +227,9 @@ def push(scene: Any, command: Any, pose: Any, q: FloatArray, i: int, points: Flo
     ahead, left, rim = dot(velocity, ex), dot(velocity, ey), rims[i] + law.shearing_radius * spin
     fn, fx, fy, torque, over, about, slip = wheel_forces(law, sinkage, ahead, left, rim)
     valid = 1.0 if 0.0 < sinkage < law.radius and abs(slip) <= 0.6 else 0.0
-    found = (x, y, sinkage, slip, math.degrees(math.atan2(left, abs(ahead))), fn, fx, fy, torque, valid)
+    way = 1.0 if rim >= 0.0 else -1.0
+    side_slip = math.degrees(math.atan2(way * left, abs(ahead)))
+    found = (x, y, sinkage, slip, side_slip, fn, way * fx, -way * fy, way * torque, valid)
     for k in range(10):
         state[k] = found[k]
     fx, fy, fn = (fx * ex[0] + fy * ey[0] + fn * normal[0], fx * ex[1] + fy * ey[1] + fn * normal[1],
