@@ -36,6 +36,8 @@ OUTCOMES = ("finished", "no equilibrium", "left the map")
 TIGHT = 1e-11
 LOOSE = 1e-8
 """Largest sums of forces over the weight, and of moments over the weight times 1 m: aimed at, and accepted."""
+PACES = (1.0, 0.9, 0.7, 1.2, 0.4, 1.6, 0.1)
+"""Shares of the last speed at which an equilibrium is looked for where the one at hand is lost; assumed."""
 NUDGE, LONGEST_STEP, MOST_TRIALS = 1e-7, 0.005, 80
 """Of Newton's iteration: differences for its derivatives, and its longest step, in m, rad, m/s and rad/s."""
 
@@ -185,9 +187,12 @@ class _Follower:
         if since < math.inf:
             self.q += since * self.rate
         self.wheels, error = equilibrium(self.scene, command, self.now, self.q)
-        if error >= LOOSE:
+        for share in PACES:
+            if not error >= LOOSE:
+                break
+            # The equilibrium is lost, as where more slip means less pull: look for one at another pace.
             self.q = touch_down(self.scene, steer, self.now, self.depth)
-            self.q[:3] = before[:3]
+            self.q[:3] = share * before[:3]
             self.wheels, error = equilibrium(self.scene, command, self.now, self.q)
         self.rate[3:] = (self.q - before)[3:] / since if 0.0 < since < math.inf else self.rate[3:]
         return OUTCOMES[0 if error < LOOSE else 1 if error >= LOOSE else 2]
@@ -266,7 +271,7 @@ def _first_depth(law: Law, load_n: float) -> float:
     low, high = 0.0, 0.5 * law.radius
     for _ in range(40):
         middle = 0.5 * (low + high)
-        deeper = wheel_forces(law, middle, 0.05, 0.0, 0.05)[0] < load_n
+        deeper = wheel_forces(law, middle, 0.05, 0.0, 0.05, 0.0)[0] < load_n
         low, high = (middle, high) if deeper else (low, middle)
     return middle
 

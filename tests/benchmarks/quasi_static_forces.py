@@ -42,19 +42,27 @@ class Ground(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def wheel_forces(law: Law, z: float, ahead: float, left: float, rim: float) -> Any:
-    """Normal, drawbar and lateral force [N], moments about axle, travel and normal [N m], slip ratio.
+def slip_of(ahead: float, rim: float) -> float:
+    """Slip ratio (Ding et al. 2024, Eq. 8) at a velocity and a rim speed."""
+    way = 1.0 if rim >= 0.0 else -1.0
+    v, rim = way * ahead, max(way * rim, SLOWEST_RIM_M_S)
+    return 1.0 - v / rim if rim >= v else rim / v - 1.0
 
-    For sinkage z, velocity of the wheel ahead and to the left, and rim speed r_s omega. Forces act at the axle.
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def wheel_forces(law: Law, z: float, ahead: float, left: float, rim: float, dug: float) -> Any:
+    """Normal, drawbar and lateral force [N], moments about axle, travel and normal [N m].
+
+    For sinkage z, velocity ahead and to the left, and rim speed r_s omega. Forces act at the axle. `dug` is
+    the slip ratio that has dug the wheel in: of the steady motion, as slip sinkage takes travel to build up.
     """
     way = 1.0 if rim >= 0.0 else -1.0
     v, rim = way * ahead, max(way * rim, SLOWEST_RIM_M_S)
-    s = 1.0 - v / rim if rim >= v else rim / v - 1.0
     if z <= 0.0:
-        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, s
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     r, rs, z = law.radius, law.shearing_radius, min(z, 0.9 * law.radius)
     stiff, n0, n1, c, tan_phi, kx, tan_y, ky = law.soil
-    bounded = min(max(s, -1.0), 1.0)
+    bounded = min(max(dug, -1.0), 1.0)
     exponent = max(n0 + n1 * bounded, 0.05)
     first, last = math.acos(1.0 - z / r), -math.acos(1.0 - law.rebound * z / r)
     shear_from = math.acos((r - z) / law.entry_radius)
@@ -90,7 +98,7 @@ def wheel_forces(law: Law, z: float, ahead: float, left: float, rim: float) -> A
             fy += t_area * ty + side
             over += (t_area * rs * ty + side * r) * cos_t
             steer += (t_area * rs * ty + side * r) * sin_t
-    return fn, way * fx, fy, way * torque, over, way * steer, s
+    return fn, way * fx, fy, way * torque, over, way * steer
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -224,8 +232,10 @@ def push(scene: Any, command: Any, pose: Any, q: FloatArray, i: int, points: Flo
     x, y, sinkage, along, across, ex, ey, normal = frame(law, ground, pose, c, points[1])
     vx, vy = q[0] - q[2] * c[1] + moving_x, q[1] + q[2] * c[0] + moving_y
     velocity = (vx, vy, along * vx + across * vy)
+    steady = (vx - moving_x, vy - moving_y, velocity[2] - along * moving_x - across * moving_y)
     ahead, left, rim = dot(velocity, ex), dot(velocity, ey), rims[i] + law.shearing_radius * spin
-    fn, fx, fy, torque, over, about, slip = wheel_forces(law, sinkage, ahead, left, rim)
+    dug, slip = slip_of(dot(steady, ex), rims[i]), slip_of(ahead, rim)
+    fn, fx, fy, torque, over, about = wheel_forces(law, sinkage, ahead, left, rim, dug)
     valid = 1.0 if 0.0 < sinkage < law.radius and abs(slip) <= 0.6 else 0.0
     way = 1.0 if rim >= 0.0 else -1.0
     side_slip = math.degrees(math.atan2(way * left, abs(ahead)))

@@ -110,10 +110,10 @@ def test_a_smooth_wheel_that_hardly_sinks_meets_bekker(yutu2: Rover, peak: float
     soil = SOIL | {"cohesion_pa": 0.0, "friction_angle_deg": 0.0, "sinkage_exponent_slip": 0.0}
     smooth = dataclasses.replace(yutu2, wheel=dataclasses.replace(yutu2.wheel, grouser_height_m=0.0))
     law, z = law_of(smooth, soil, QuasiStatic(peak_c1=peak, peak_c2=0.0, rebound=0.0, nodes=20)), 1e-6
-    fn, fx, fy, torque, over, about, slip = wheel_forces(law, z, 0.05, 0.0, 0.05)
+    fn, fx, fy, torque, over, about = wheel_forces(law, z, 0.05, 0.0, 0.05, 0.0)
     share = (2.0 / 3.0 - peak + peak**3 / 3.0) / (1.0 - peak)
     assert fn == pytest.approx(share * 1e3 * soil["stiffness_kpa_m_n"] * 0.15 * z * math.sqrt(2.0 * 0.15 * z), rel=1e-4)
-    assert (fy, torque, over, about, slip) == (0.0, 0.0, 0.0, 0.0, 0.0)
+    assert (fy, torque, over, about) == (0.0, 0.0, 0.0, 0.0)
     assert -math.acos(1.0 - z / 0.15) * fn < fx < 0.0
 
 
@@ -122,9 +122,9 @@ def test_shear_shares_one_ellipse_and_keeps_its_limits(yutu2: Rover) -> None:
     soil |= {"shear_modulus_mm": 1e-3, "lateral_modulus_mm": 1e-3, "stiffness_kpa_m_n": 1e-6}
     law = law_of(yutu2, soil, QuasiStatic(side_share=0.0, rebound=0.0))
     z, arc = 0.01, yutu2.wheel.shearing_radius_m * yutu2.wheel.width_m * math.acos(1.0 - 0.01 / 0.15)
-    ahead = wheel_forces(law, z, 0.0, 0.0, 0.05)
-    aside = wheel_forces(law, z, 0.0, -0.05, 1e-9)
-    both = wheel_forces(law, z, 0.0, -0.05, 0.05)
+    ahead = wheel_forces(law, z, 0.0, 0.0, 0.05, 0.0)
+    aside = wheel_forces(law, z, 0.0, -0.05, 1e-9, 0.0)
+    both = wheel_forces(law, z, 0.0, -0.05, 0.05, 0.0)
     assert ahead[3] == pytest.approx(1000.0 * arc * yutu2.wheel.shearing_radius_m, rel=1e-3)
     assert aside[2] == pytest.approx(1000.0 * arc, rel=1e-3)
     assert math.hypot(both[3] / ahead[3], both[2] / aside[2]) == pytest.approx(1.0, abs=1e-3)
@@ -133,8 +133,8 @@ def test_shear_shares_one_ellipse_and_keeps_its_limits(yutu2: Rover) -> None:
 
 def test_the_side_face_adds_resistance_to_side_slip_alone(yutu2: Rover) -> None:
     with_face, without = (law_of(yutu2, SOIL, QuasiStatic(side_share=share)) for share in (1.0, 0.0))
-    assert wheel_forces(with_face, 0.01, 0.05, 0.0, 0.05) == wheel_forces(without, 0.01, 0.05, 0.0, 0.05)
-    left = [wheel_forces(law, 0.01, 0.05, 0.005, 0.05)[2] for law in (with_face, without)]
+    assert wheel_forces(with_face, 0.01, 0.05, 0.0, 0.05, 0.0) == wheel_forces(without, 0.01, 0.05, 0.0, 0.05, 0.0)
+    left = [wheel_forces(law, 0.01, 0.05, 0.005, 0.05, 0.0)[2] for law in (with_face, without)]
     assert left[0] < left[1] < 0.0
 
 
