@@ -58,6 +58,8 @@ def predict(
         typer.Option(metavar="FILE", help="Soils drawn by place from a map of `twin update --save-map` (JSON)."),
     ] = None,
     fixes: twin_options.Fixes = None,
+    ruts: twin_options.Ruts = True,
+    before: twin_options.Before = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of everything random.", show_default="0")] = None,
     time_step: twin_options.TimeStep = 0.1,
     sample: twin_options.Sample = 0.1,
@@ -80,7 +82,7 @@ def predict(
     from .twin_drive import Soils, drive
     from .twin_report import predict_report, read_scene
 
-    scene = read_scene(plan, rover, terrain, soil, interpolation, fixes, judged=True)
+    scene = read_scene(plan, rover, terrain, soil, interpolation, fixes, judged=True, ruts=ruts, before=before)
     soils = Soils.of(sweep, members, samples, seed or 0, scene.soil, soil_map)
     soils.check(scene, seed_given=seed is not None)
     with progress("driving", quiet=output.quiet) as update:

@@ -152,5 +152,7 @@ def drive(
         seed=soils.seed,
         time_step_s=time_step_s,
         sample_m=sample_m,
+        ruts=scene.ruts,
+        before=scene.before,
         progress=progress,
     )

@@ -59,6 +59,13 @@ Fixes = Annotated[
     str | None,
     typer.Option(metavar="M,DEG", help="Position fixes after each leg, standard errors in position and heading."),
 ]
+Ruts = Annotated[
+    bool, typer.Option("--ruts/--no-ruts", help="Whether wheels meet the ruts that others, and they themselves, left.")
+]
+Before = Annotated[
+    str | None,
+    typer.Option(metavar="PLAN", help="A plan that was driven on the same ground before; its ruts are met, too."),
+]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
 TimeStep = Annotated[float, typer.Option(help="Longest time step in s.")]
 Sample = Annotated[float, typer.Option(help="Distance between recorded states in m.")]

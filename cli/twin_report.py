@@ -95,6 +95,8 @@ class Scene:
     options: dict[str, Any] = field(default_factory=dict)
     made_for: dict[str, Any] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
+    ruts: bool = True
+    before: Plan | None = None
 
     def soil_record(self, drawn: Iterable[str] = (), named: DrivenSoil | None = None) -> dict[str, Any]:
         """The soil for a result; `drawn` are the parameters that every drive has for itself, `named` their file."""
@@ -112,17 +114,22 @@ def read_scene(
     *,
     soil_counts: bool = True,
     judged: bool = False,
+    ruts: bool = True,
+    before: str | None = None,
 ) -> Scene:
     """Read plan, rover, terrain and soil, which may be a belief (.json); `fixes` replaces those of the plan.
 
     A rover that is None is Yutu-2. A soil that is given lies everywhere, whatever the terrain's file carries; without
     one this is driven on, and where it has none, `longji`. Where soils are of no account (`soil_counts`) none is said
-    to be used. The limits of a plan that is `judged` must be those of the rover, or no laxer.
+    to be used. The limits of a plan that is `judged` must be those of the rover, or no laxer. `before` is a plan that
+    was driven on the same ground before, whose `ruts` are met.
     """
     description = read_rover(rover or DEFAULT_ROVER)
     built = build_rover(description)
     believed, inputs, tables = _read_soil_hash(soil)
-    for path in (plan, None if terrain == SYNTHETIC else terrain):
+    if before is not None and not ruts:
+        raise typer.BadParameter("--before leaves nothing but ruts, which --no-ruts leaves out; give one of them")
+    for path in (plan, None if terrain == SYNTHETIC else terrain, before):
         if path is not None:
             inputs[path] = read_input(path).sha256
     file, surface, driven = _read_ground(terrain, soil, believed)
@@ -148,6 +155,8 @@ def read_scene(
         {"rover": description.origin} | ({"soil": driven.name} if driven.of == "default" and soil_counts else {}),
         check.made_for,
         tuple(check.remarks),
+        ruts,
+        None if before is None else read_plan(before),
     )
 
 
@@ -279,6 +288,9 @@ def _result(scene: Scene, prediction: Prediction, verdict: Verdict) -> dict[str,
         "members": prediction.members,
         "path_length_m": scene.plan.length_m,
         "time_step_s": prediction.time_step_s,
+        "finer_members": prediction.finer_members,
+        "ruts": prediction.ruts,
+        "before": None if prediction.before is None else prediction.before.name,
         "plan": scene.plan.name,
         "terrain": {"name": scene.terrain.name, "synthetic": scene.terrain.synthetic},
         "loads": asdict(check_loads(prediction)),

@@ -31,6 +31,8 @@ def simulate(
             show_default="the terrain's, or longji",
         ),
     ] = None,
+    ruts: twin_options.Ruts = True,
+    before: twin_options.Before = None,
     fix_distance: Annotated[float, typer.Option(help="Way between localised positions in m.")] = 0.5,
     fix_sigma: Annotated[
         float | None,
@@ -55,7 +57,7 @@ def simulate(
     from .twin_simulate_report import simulate_report, simulated
 
     errors = SensorErrors(fix_distance_m=fix_distance, fix_sigma_m=fix_sigma, yaw_deg=yaw_sigma, track_m=track_sigma)
-    scene = read_scene(plan, rover, terrain, soil, interpolation)
+    scene = read_scene(plan, rover, terrain, soil, interpolation, ruts=ruts, before=before)
     if scene.soil is not None:
         raise typer.BadParameter(f"--soil {soil} is a belief, and the truth is one soil; give a name or a TOML file")
     with progress("driving", quiet=output.quiet) as update:

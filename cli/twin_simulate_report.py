@@ -38,6 +38,8 @@ def simulated(
         sweep=(),
         time_step_s=time_step_s,
         sample_m=sample_m,
+        ruts=scene.ruts,
+        before=scene.before,
         progress=progress,
     )
     return simulate_telemetry(prediction, errors, seed)

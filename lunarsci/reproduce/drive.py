@@ -90,7 +90,7 @@ def predicted_drives(rover: Rover | None = None, progress: Callable[[int, int], 
     )
     found = {}
     for number, (name, terrain) in enumerate(grounds.items(), 1):
-        found[name] = predict(own, terrain, plan, sweep=sweep)
+        found[name] = predict(own, terrain, plan, sweep=sweep, ruts=False)
         if progress:
             progress(number, len(grounds))
     if not found[STAND_IN].finished.any():

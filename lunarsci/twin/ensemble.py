@@ -142,6 +142,11 @@ class Prediction:
         return np.asarray(self.outcome == 0)
 
     @property
+    def finer_members(self) -> int:
+        """Members that were driven with a shorter step than `time_step_s`."""
+        return 0 if self.finer is None else int((self.finer > 1).sum())
+
+    @property
     def reached(self) -> npt.NDArray[np.bool_]:
         """Samples that were driven, not repeated. (members, samples)"""
         return np.asarray(np.arange(len(self.distance_m)) < self.recorded[:, None])

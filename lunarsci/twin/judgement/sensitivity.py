@@ -77,6 +77,8 @@ def step_error_m(prediction: Prediction) -> float | None:
             sweep=None if prediction.parameters else (),
             time_step_s=step * (1 + 1e-9),
             sample_m=float(prediction.time_s[1]) * plan.speed_m_s * (1 + 1e-9),
+            ruts=prediction.ruts,
+            before=prediction.before,
         )
         for step in steps
     ]

@@ -1,0 +1,69 @@
+"""The ground that wheels leave: by hand, and beside an independent simulation of it."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from lunarsci.errors import ParameterError
+from lunarsci.regolith.soil import Soil
+from lunarsci.twin.ensemble import Prediction, predict
+from lunarsci.twin.plans.plan import Leg, Plan
+from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.lanes import LANES, new_work
+from lunarsci.twin.simulation.ruts import RISE_N_M4, depth_at, press, still_deep, with_ruts
+
+STRAIGHT = Plan(name="straight", x_m=-2.0, speed_m_s=0.05, legs=(Leg(3.0),), sweep=())
+
+
+def sinkage(prediction: Prediction) -> np.ndarray:
+    """Mean sinkage of front, middle and rear wheels, in the second half of the way. [m]"""
+    half = prediction.states[0, len(prediction.time_s) // 2 :, :, 2]
+    return np.asarray(half.reshape(len(half), 3, 2).mean(axis=(0, 2)))
+
+
+def test_what_springs_back_is_wongs_line() -> None:
+    """p_u / (k_0 + A_u z_u) with k_0 = p_u / z_u."""
+    stiffness, exponent, pressed = 1.4e6, 1.0, 0.008
+    load = stiffness * pressed**exponent
+    risen = load / (load / pressed + RISE_N_M4 * pressed)
+    assert still_deep(pressed, stiffness, exponent) == pytest.approx(pressed - risen, rel=1e-12)
+    assert still_deep(0.0, stiffness, exponent) == 0.0
+
+
+def test_a_strip_is_as_wide_as_the_wheel_and_stays_deepest() -> None:
+    nodes = np.zeros((40, 60))
+    press(nodes, 30.0, 20.0, 0.0, 1.0, 3.0, 0.01)
+    assert nodes[20, 30] == 0.01 and nodes[23, 31] == 0.01 and nodes[17, 29] == 0.01
+    assert nodes[25, 30] == 0.0 and nodes[20, 33] == 0.0 and depth_at(nodes, 30.0, 23.5) == pytest.approx(0.005)
+    press(nodes, 30.0, 20.0, 0.0, 1.0, 3.0, 0.004)
+    assert nodes[20, 30] == 0.01
+    assert depth_at(nodes, -1.0, 5.0) == 0.0
+
+
+def test_a_grid_that_would_be_too_large_is_none() -> None:
+    far = np.array([[0.0, 0.0], [3e3, 3e3]])
+    assert with_ruts(new_work(6), np.zeros(3), far, 2.0) is None
+    near = with_ruts(new_work(6), np.zeros(3), far / 1e3, 2.0)
+    assert near is not None and near.ruts.shape[0] == LANES
+
+
+def test_wheels_that_follow_go_deeper_and_a_way_back_deeper_still(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
+    """Each wheel carries about the same; the first one finds undisturbed ground and sinks as without ruts."""
+    fresh = sinkage(predict(yutu2, slope(), STRAIGHT, ruts=False))
+    ruts = sinkage(predict(yutu2, slope(), STRAIGHT))
+    back = dataclasses.replace(STRAIGHT, x_m=1.0, legs=(Leg(3.0, 0.0, 180.0),))
+    again = sinkage(predict(yutu2, slope(), back, before=STRAIGHT))
+    assert ruts[0] == pytest.approx(fresh[0], rel=0.02)
+    assert ruts[1] > 1.08 * fresh[1] and ruts[2] > ruts[1]
+    # Backwards the rear wheels lead, in the ruts of three.
+    assert again[2] > 1.02 * ruts[2]
+    with pytest.raises(ParameterError, match="leaves nothing but ruts"):
+        predict(yutu2, slope(), back, before=STRAIGHT, ruts=False)
+
+
+def test_a_rut_beside_the_way_is_not_met(yutu2: Rover, slope, longji_soil: Soil) -> None:  # type: ignore[no-untyped-def]
+    aside = dataclasses.replace(STRAIGHT, y_m=0.4)
+    one = predict(yutu2, slope(), STRAIGHT)
+    two = predict(yutu2, slope(), STRAIGHT, before=aside)
+    assert two.paths == pytest.approx(one.paths, abs=1e-12)
