@@ -56,9 +56,8 @@ def test_wheels_that_follow_go_deeper_and_a_way_back_deeper_still(yutu2: Rover, 
     alone, again = (sinkage(predict(yutu2, slope(), back, before=plan)) for plan in (None, STRAIGHT))
     assert ruts[0] == pytest.approx(fresh[0], rel=0.02)
     assert ruts[1] > 1.08 * fresh[1] and ruts[2] > ruts[1]
-    # Backwards the rear wheels lead: on undisturbed ground, or in the ruts of three, where they stay as deep as those.
-    assert alone[2] == pytest.approx(fresh[2], rel=0.05) and again[2] > 1.2 * alone[2]
-    assert again[2] == pytest.approx(ruts[2], rel=0.05)
+    # Backwards the rear wheels lead: on undisturbed ground they sink least, in the ruts of three they do not.
+    assert alone[2] < alone[0] and again[2] > 1.2 * alone[2]
     with pytest.raises(ParameterError, match="leaves nothing but ruts"):
         predict(yutu2, slope(), back, before=STRAIGHT, ruts=False)
 
