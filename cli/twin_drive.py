@@ -1,5 +1,7 @@
 """From the options that say which soils to drive on to a prediction."""
 
+import dataclasses
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -7,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 import typer
 
-from lunarsci.errors import ParameterError
+from lunarsci.errors import LunarSciWarning, ParameterError
 from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import read_belief
+from lunarsci.regolith.fit_verdict import FitVerdict, doubt, read_verdict
 from lunarsci.twin.drive_pieces import planned_places
 from lunarsci.twin.ensemble import Prediction, predict
 from lunarsci.twin.ground.soil_layers import drawn_grounds
@@ -18,9 +21,10 @@ from lunarsci.twin.ground.soil_map_files import read_soil_map
 from lunarsci.twin.plans.plan import Sweep, parse_sweep
 from lunarsci.twin.soil_samples import read_soil_samples
 
+from .report import Report
 from .twin_report import Scene, SoilOfBelief
 
-__all__ = ["Soils", "drive"]
+__all__ = ["Soils", "drive", "with_verdict"]
 
 OF_A_BELIEF = 64
 """Drives on soils of a belief, where their number is not given."""
@@ -36,6 +40,7 @@ class Soils:
     seed: int
     inputs: Mapping[str, str]
     soil_map: SoilMap | None = None
+    verdict: FitVerdict | None = None
 
     @classmethod
     def of(
@@ -55,7 +60,8 @@ class Soils:
         if soil_map is not None and len(given) > 1:
             raise typer.BadParameter(f"--soil-map names the soils already; leave out {given[1]}")
         if believed is not None:
-            return cls(None, None, believed.belief.draws(members or OF_A_BELIEF, seed), seed, {})
+            drawn = believed.belief.draws(members or OF_A_BELIEF, seed)
+            return cls(None, None, drawn, seed, {}, verdict=believed.belief.verdict)
         if soil_map is not None:
             source = read_input(soil_map)
             return cls(None, members, None, seed, {soil_map: source.sha256}, read_soil_map(source))
@@ -68,7 +74,7 @@ class Soils:
             drawn = read_belief(source).draws(members or OF_A_BELIEF, seed)
         else:
             drawn = read_soil_samples(source, members, seed)
-        return cls(None, None, drawn, seed, {samples: source.sha256})
+        return cls(None, None, drawn, seed, {samples: source.sha256}, verdict=read_verdict(source))
 
     def kind(self, scene: Scene) -> str:
         """What the soils are: draws of a `belief`, other `samples`, a `sweep` of ranges, or `one`."""
@@ -78,6 +84,20 @@ class Soils:
             path = next(iter(self.inputs), ".json" if scene.soil else "")
             return "belief" if path.lower().endswith(".json") else "samples"
         return "sweep" if (scene.plan.sweep if self.sweep is None else self.sweep) else "one"
+
+
+def with_verdict(report: Report, verdict: FitVerdict | None) -> Report:
+    """The report of a drive on soils that carry the verdict of a fit: repeated, and not trusted where that is not."""
+    if verdict is None:
+        return report
+    reason = doubt(verdict)
+    if reason:
+        warnings.warn(reason, LunarSciWarning, stacklevel=2)
+    return dataclasses.replace(
+        report,
+        result={**report.result, "soil_verdict": verdict.to_dict()},
+        untrusted="; ".join(part for part in (report.untrusted, reason) if part),
+    )
 
 
 def _parsed(sweep: list[str]) -> tuple[Sweep, ...]:
