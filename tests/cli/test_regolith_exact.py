@@ -202,3 +202,58 @@ def test_sensitivity_and_profile_are_in_the_result(run: Run, drive: Path) -> Non
     assert {"parameter", "quantity", "alone", "saved"} == set(found["sensitivity"][0])
     done = run("regolith", "identify", drive, "--joint", "--profile", "--sample")
     assert done.code == 2
+
+
+@pytest.fixture
+def turned(drive: Path, tmp_path: Path) -> Path:
+    """The same states with the sign of the drawbar pull turned, and 5 % of scatter."""
+    rng, lines = np.random.default_rng(2), drive.read_text().splitlines()
+    rows = [[float(cell) for cell in line.split(",")] for line in lines[1:]]
+    path = tmp_path / "turned.csv"
+    body = [",".join(f"{v * (-1 if k == 4 else 1) * (1 + 0.05 * rng.standard_normal() * (k > 2)):.6f}"
+                     for k, v in enumerate(row)) for row in rows]  # fmt: skip
+    path.write_text("\n".join([lines[0], *body]) + "\n")
+    return path
+
+
+def test_a_fit_that_explains_nothing_is_said_kept_and_repeated_by_the_drive(
+    run: Run, turned: Path, tmp_path: Path
+) -> None:
+    soils, belief = tmp_path / "soils.csv", tmp_path / "belief.json"
+    for path in (soils, belief):
+        done = run("regolith", "identify", turned, "--joint", "--posterior", path, "--json")
+        assert done.code == 3
+        assert "drawbar_pull_n" in done.err[-1]
+    verdict = json.loads(done.out)["result"]["joint"]["verdict"]
+    assert not verdict["trusted"]
+    assert json.loads(belief.read_text())["verdict"] == verdict
+    for option in (("--samples", soils), ("--soil", belief)):
+        done = run("twin", "predict", *option, "--members", "2", "--json")
+        assert done.code == 3
+        assert json.loads(done.out)["result"]["soil_verdict"] == verdict
+        assert any("fit that is not to be trusted" in line for line in done.err)
+
+
+def test_the_law_is_chosen_by_its_score_and_predicts_another_wheel(run: Run, drive: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.csv"
+    other.write_text("slip_ratio,normal_force_n\n0.2,20\n0.4,20\n")
+    found = result(
+        run,
+        "regolith",
+        "identify",
+        drive,
+        "--joint",
+        "--law",
+        "auto",
+        "--predict",
+        other,
+        "--predict-rover",
+        "cmu-smooth",
+    )["joint"]
+    assert found["verdict"]["trusted"]
+    assert {law["law"] for law in found["laws"]} >= {"closed", "separate", "combined + contact angles"}
+    pulls = [state["drawbar_pull_n"] for state in found["predicted"]["states"]]
+    assert all(pull["low90"] < pull["value"] < pull["high90"] for pull in pulls)
+    assert pulls[0]["value"] < pulls[1]["value"]
+    assert run("regolith", "identify", drive, "--joint", "--law", "auto", "--exact").code == 2
+    assert run("regolith", "identify", drive, "--joint", "--contact").code == 2
