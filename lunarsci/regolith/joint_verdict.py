@@ -192,6 +192,11 @@ def _assumed(mode: Mode, given: bool, stated: bool, reduced: float | None) -> tu
                     "states count as one")  # fmt: skip
     if reduced is not None and reduced < REDUCED[0] and not stated:
         said.append(f"errors that the states do not show (reduced chi-square {reduced:.2g}), so intervals are wide")
+    if reduced is None:
+        said.append("that the law holds: there are no more forces than parameters to test it")
+    model = mode.problem.model
+    if model is not None and model.bulldozing != "none":
+        said.append(f"soil of {model.density_kg_m3:g} kg/m3 under {model.gravity_m_s2:g} m/s2 beside the wheel")
     if not np.isfinite(mode.problem.forces[:, 2]).any():
         said.append("nothing of lateral forces, which were not measured")
     return tuple(said)
