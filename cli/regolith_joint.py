@@ -163,6 +163,7 @@ def joint_record(together: Together) -> dict[str, Any]:
         "intervals": found.how,
         "verdict": found.verdict.to_dict(),
         "tail": found.tail,
+        "stretch": list(found.stretch),
         "laws": [asdict(score) | {"law": score.law.name} for score in together.scores],
         "predicted": together.predicted.to_dict() if together.predicted else None,
     }

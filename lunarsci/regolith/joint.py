@@ -19,6 +19,7 @@ from lunarsci.errors import LunarSciWarning, ParameterError
 from lunarsci.regolith.contact import ContactModel
 from lunarsci.regolith.fit_verdict import FitVerdict
 from lunarsci.regolith.joint_error import tail_of
+from lunarsci.regolith.joint_left_out import stretch_of
 from lunarsci.regolith.joint_mode import Mode, find_mode, mode_with_errors, mode_without_outliers, profile_limits
 from lunarsci.regolith.joint_problem import part_of, problem_of
 from lunarsci.regolith.joint_sampler import carry_population
@@ -56,6 +57,7 @@ class SoilPosterior:
     model : choices of the exact integrals; None for the closed form.
     verdict : whether a soil of the model explains the states, and the model's error.
     tail : degrees of freedom of the Student law that the residuals follow.
+    stretch : how many times wider than stated errors of F_N, F_DP, F_L are where neighbouring states were left out.
     persistence : of sampled draws, the largest correlation left with where they were before their last moves; None for
         the normal approximation.
     profiled : (4, p) 68 % and 95 % limits by profile, None where they were not asked for.
@@ -72,6 +74,7 @@ class SoilPosterior:
     model: ContactModel | None
     verdict: FitVerdict
     tail: float
+    stretch: tuple[float, float, float] = (1.0, 1.0, 1.0)
     persistence: float | None = None
     profiled: FloatArray | None = field(default=None, repr=False)
 
@@ -194,6 +197,7 @@ def infer_soil(
         model,
         judge(found, law_name(model, contact), model_error is not None, states.stated, float(np.mean(~usable))),
         tail_of(white[measured]),
+        stretch_of(found),
         persistence,
         profiled,
     )

@@ -19,8 +19,8 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.contact import DENSITY_KG_M3, ContactModel
 from lunarsci.regolith.joint import fit_soil, law_name, usable_states
 from lunarsci.regolith.joint_error import error_covariance, neighbours
+from lunarsci.regolith.joint_left_out import left_out
 from lunarsci.regolith.joint_mode import Mode
-from lunarsci.regolith.joint_problem import STEP
 from lunarsci.regolith.prior import Law, contact_prior, default_prior
 from lunarsci.regolith.states import WheelStates
 from lunarsci.regolith.wheel import Wheel
@@ -104,7 +104,7 @@ def compare_laws(
         try:
             priors = {**contact_prior(), **(prior or default_prior())}
             found = fit_soil(states, usable, wheel, priors, law.model, law.contact, model_error)
-            parts.append(_left_out(found, groups))
+            parts.append(_densities(found, groups))
             errors.append(found.problem.model_error)
         except (ParameterError, np.linalg.LinAlgError):
             parts.append(None)
@@ -130,31 +130,16 @@ def _score(
     return WheelLawScore(law, float(part.sum()), float(away.sum()), sigma, error)
 
 
-def _left_out(mode: Mode, groups: npt.NDArray[np.intp]) -> FloatArray:
-    """Logarithm of the predictive density of each group given all others. (groups,)
-
-    With rows w of whitened residuals of a group, J their derivatives, H the curvature of all others and a states alike,
-    the residuals of a fit without it are (1 + J H^-1 J' / a) w, and their covariance is 1 + J H^-1 J'.
-    """
-    problem, width = mode.problem, mode.problem.width
-    rows = problem.white(mode.point[None])[0]
-    moved = problem.white(mode.point + np.diag(STEP * width))
-    slopes = (moved - rows).transpose(1, 2, 0) / (STEP * width)
-    errors = error_covariance(
-        problem, problem.residuals_and_slopes(mode.point[None])[1][0], np.array(problem.model_error)
+def _densities(mode: Mode, groups: npt.NDArray[np.intp]) -> FloatArray:
+    """Logarithm of the predictive density of each group given all others. (groups,)"""
+    problem = mode.problem
+    slopes = problem.residuals_and_slopes(mode.point[None])[1][0]
+    sizes = 0.5 * np.linalg.slogdet(error_covariance(problem, slopes, np.array(problem.model_error)))[1]
+    return np.array(
+        [
+            -0.5 * left.away @ np.linalg.solve(left.spread, left.away)
+            - 0.5 * np.linalg.slogdet(left.spread)[1]
+            - sizes[left.states].sum()
+            for left in left_out(mode, groups)
+        ]
     )
-    sizes = 0.5 * np.linalg.slogdet(errors)[1]
-    alike, own_slopes = mode.alike, slopes[mode.kept].reshape(-1, len(width))
-    curvature = np.diag(width**-2) + own_slopes.T @ own_slopes / alike
-    found = []
-    for number in range(groups.max() + 1):
-        own = groups == number
-        inside = slopes[own & mode.kept].reshape(-1, len(width))
-        rest = np.linalg.inv(curvature - inside.T @ inside / alike)
-        j, w = slopes[own].reshape(-1, len(width)), rows[own].ravel()
-        unknown = j @ rest @ j.T
-        away, spread = w + unknown @ w / alike, np.eye(len(w)) + unknown
-        found.append(
-            -0.5 * away @ np.linalg.solve(spread, away) - 0.5 * np.linalg.slogdet(spread)[1] - sizes[own].sum()
-        )
-    return np.array(found)

@@ -73,7 +73,8 @@ def predict_forces(
     Returns
     -------
     Draws of the soil, of its contact, of the errors of measurement, and of the model's: a Student law with the tails of
-    the residuals, for each force and state its own. Where the sinkage follows from the load, F_N is the load.
+    the residuals, for each force and state its own; all as many times wider as states left out ask for. Where the
+    sinkage follows from the load, F_N is the load.
 
     Raises ParameterError for loads out of range.
     """
@@ -103,7 +104,7 @@ def predict_forces(
     noise += said.force_relative * np.abs(value) * random.standard_normal(all_forces.shape)
     if given is None:
         noise[..., 0], all_forces[..., 0], value[:, 0] = 0.0, load, load
-    return PredictedForces(value, all_forces + noise, depth)
+    return PredictedForces(value, value + np.array(posterior.stretch) * (all_forces + noise - value), depth)
 
 
 def _spread(errors: MeasurementErrors, states: FloatArray) -> FloatArray:

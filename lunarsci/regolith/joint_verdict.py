@@ -163,11 +163,13 @@ def _misfit(mode: Mode, reduced: float | None, stated: bool) -> list[str]:
 
 def _ceilings(mode: Mode, given: bool) -> list[str]:
     names = ("normal force", "drawbar pull", "lateral force")
-    return [
-        f"no soil of the model explains the states: it misses the {names[k]} by {mode.problem.model_error[k]:.2f} of "
-        f"the load (at most {CEILINGS[k]:g})"
+    missed = [
+        f"the {names[k]} by {mode.problem.model_error[k]:.2f} (at most {CEILINGS[k]:g})"
         for k in ([] if given else _above(mode))
     ]
+    if not missed:
+        return []
+    return [f"no soil of the model explains the states: it misses, as a share of the load, {', '.join(missed)}"]
 
 
 def _above(mode: Mode) -> list[int]:

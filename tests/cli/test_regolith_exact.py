@@ -227,8 +227,10 @@ def test_a_fit_that_explains_nothing_is_said_kept_and_repeated_by_the_drive(
     verdict = json.loads(done.out)["result"]["joint"]["verdict"]
     assert not verdict["trusted"]
     assert json.loads(belief.read_text())["verdict"] == verdict
+    plan = tmp_path / "plan.toml"
+    plan.write_text("[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 0.2\n")
     for option in (("--samples", soils), ("--soil", belief)):
-        done = run("twin", "predict", *option, "--members", "2", "--json")
+        done = run("twin", "predict", plan, *option, "--members", "1", "--json")
         assert done.code == 3
         assert json.loads(done.out)["result"]["soil_verdict"] == verdict
         assert any("fit that is not to be trusted" in line for line in done.err)
