@@ -152,9 +152,10 @@ def _share(value: float | None) -> str:
 
 
 def _untrusted(found: Identification, together: "Together | None") -> str:
+    """Why not to trust it: the joint fit's own verdict where there is one, else what single states leave open."""
     reasons = [f"no {LABELS[name]}: {found.site[name].reason}" for name in found.unsolved]
-    if together is not None and not together.posterior.verdict.trusted:
-        reasons.insert(0, together.posterior.verdict.reason)
+    if together is not None:
+        reasons = [together.posterior.verdict.reason] if not together.posterior.verdict.trusted else []
     return f"not to be trusted: {'; '.join(reasons)}" if reasons else ""
 
 

@@ -40,8 +40,6 @@ READINGS: tuple[tuple[str, float, str], ...] = (
 UNITS: tuple[tuple[str, float, str], ...] = (
     *((name, factor, f"newtons in place of {unit}") for name in COLUMNS[3:] for factor, unit in (
         (KILOGRAM, "kilograms"), (POUND, "pounds"), (1e-3, "millinewtons"))),
-    ("sinkage_m", 0.1, "a tenth of it: metres, not decimetres"),
-    ("sinkage_m", 10.0, "ten times it: metres, not decametres"),
     ("slip_ratio", 0.01, "a share in place of per cent"),
 )  # fmt: skip
 

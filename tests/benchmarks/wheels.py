@@ -65,6 +65,8 @@ MODELS = {
 }
 JOINT = WheelLaw(MODELS["combined, bulldozing by Hegedus"], True)
 """The law that the comparison of laws takes for all runs."""
+RIMS = (1.0, 4.0, 6.5, 9.0, 11.0, 16.0, 30.0, 70.0)
+"""Between the nine rim speeds, of slip -1, -0.7, -0.5, -0.2, 0, 0.2, 0.5, 0.75 and 0.9 without side slip. [mm/s]"""
 DEEPEST = 0.95
 START = np.array([math.log(1e3), 1.0, 0.2, 0.2, math.log(800), 31.0, math.log(12), 31.0, math.log(12), 0.4, 0.15, -0.1])
 WIDTH = np.array([1.5, 0.4, 0.3, 0.4, 1.0, 6.0, 0.7, 8.0, 0.7, 0.1, 0.15, 0.15])
@@ -289,12 +291,14 @@ def published_verdicts(data: Path) -> dict[str, FitVerdict]:
 def joint_tables(data: Path) -> None:
     """Print what the joint inference predicts of runs that it has not seen, and its verdicts."""
     runs, wheel = grouser_runs(data), read_wheel("cmu-grouser")
-    states, rim = states_of(runs), np.round(1e3 * runs.velocity[:, 2], -1)
+    states = states_of(runs)
+    rim = np.digitize(1e3 * runs.velocity[:, 2], RIMS)
     print("law | score | behind | +- | model error of F_N, F_DP, F_L")
     for score in compare_laws(states, wheel, candidates(states, *EARTH.values()))[1]:
         print(f"{score.law.name} | {score.score} | {score.behind} | {score.behind_sigma} | {score.model_error}")
     print("left out | F_DP without and with side slip, F_L: rms / load | F_N, F_DP, F_L: held by 90 % intervals")
-    for name, groups in (("repetition", runs.repetition), ("slip", rim), ("angle", runs.angle)):
+    folds = {"repetition": runs.repetition, "slip": rim, "slip range": (rim + 1) // 2, "angle": runs.angle}
+    for name, groups in folds.items():
         misses, held, which = left_out(states, wheel, JOINT, groups)
         straight = runs.angle[which] == 0
         parts = (misses[straight, 1], misses[~straight, 1], misses[:, 2])

@@ -236,6 +236,18 @@ def test_a_fit_that_explains_nothing_is_said_kept_and_repeated_by_the_drive(
         assert any("fit that is not to be trusted" in line for line in done.err)
 
 
+def test_straight_drives_are_trusted_together_though_single_states_leave_the_lateral_pair_open(
+    run: Run, drive: Path, tmp_path: Path
+) -> None:
+    lines = [line.split(",") for line in drive.read_text().splitlines()]
+    straight = tmp_path / "straight.csv"
+    rows = [[*line[:2], "0", *line[3:5], "0.01"] for line in lines[1:]]
+    straight.write_text("\n".join(",".join(line) for line in (lines[0], *rows)) + "\n")
+    assert run("regolith", "identify", straight).code == 3
+    verdict = result(run, "regolith", "identify", straight, "--joint")["joint"]["verdict"]
+    assert verdict["trusted"]
+
+
 def test_the_law_is_chosen_by_its_score_and_predicts_another_wheel(run: Run, drive: Path, tmp_path: Path) -> None:
     other = tmp_path / "other.csv"
     other.write_text("slip_ratio,normal_force_n\n0.2,20\n0.4,20\n")
