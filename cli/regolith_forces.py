@@ -26,7 +26,7 @@ def _exact(text: str, *names: str) -> Any:
 
 Sinkage = Annotated[float | None, typer.Option(help="Sinkage in m, above 0, below the wheel radius.")]
 Load = Annotated[float | None, typer.Option(help="Wheel load in N; the sinkage under it is solved for.")]
-Slip = Annotated[float, typer.Option(help="Slip ratio, above -1, below 1; negative is skid.")]
+Slip = Annotated[float, typer.Option(help="Slip ratio, -1 (locked) to 1 (no travel); negative is skid.")]
 SideSlip = Annotated[float, typer.Option(help="Side slip angle in deg, within ±90.")]
 SoilName = Annotated[str, _soil("Soil: a name or a TOML file.")]
 Stiffness = Annotated[float | None, _soil("K_s in kPa m^-N.")]
@@ -91,8 +91,9 @@ def forces(
 ) -> Report:
     """Forces of the soil on one wheel, from its sinkage or its load.
 
-    Slip beyond ±0.6 is said to be outside what was compared with wheels; a slip of -1, where Eqs 14 and 17 have no
-    value, and a sinkage of the wheel's radius or more are refused.
+    Slip beyond ±0.6 is said to be outside what was compared with wheels. At a slip of -1, where the wheel is locked,
+    and at a side slip of 90 deg, forces are the limits of the equations. Where cohesion alone would pull more than the
+    wheel presses, as at next to no sinkage, the exit code is 3. A sinkage of the wheel's radius or more is refused.
     """
     from lunarsci.regolith.contact import ContactModel
     from lunarsci.regolith.wheel import read_wheel

@@ -4,9 +4,11 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from lunarsci.provenance import sha256
 from lunarsci.regolith.bearing import SlipSinkageLaw, reece_stiffness, slip_sinkage
-from lunarsci.regolith.forces import Reading
+from lunarsci.regolith.forces import MOST_COHESION, Reading, cohesion_share
 from lunarsci.regolith.integrals import forces_by
 from lunarsci.regolith.load import sinkage_under_load, stiffness_under_load
 from lunarsci.regolith.soil import Soil, read_soil, soil_hash
@@ -95,6 +97,7 @@ def forces_report(
     sinkage_m, soil = _settled(wheel, soil, asked, reading, model)
     found = forces_by(model, wheel, soil, sinkage_m, slip, side_slip_deg, reading)
     state = {"sinkage_m": sinkage_m, "slip_ratio": slip, "side_slip_deg": side_slip_deg}
+    share = float(cohesion_share(wheel, soil, np.array(sinkage_m), np.asarray(found.normal_force_n)))
     result = state | {name: float(getattr(found, name)) for name in found.__slots__} | {"soil": asdict(soil)}
 
     def figures() -> Any:
@@ -107,13 +110,23 @@ def forces_report(
         schema="regolith-forces/1",
         result=result
         | {"reading": reading, "assumed_of_rover": list(description.assumed)}
-        | {"model": asdict(model) if model else None},
+        | {"model": asdict(model) if model else None, "cohesion_share": share},
         tables=[_forces_table(row)],
         rows=[row],
         figures=figures,
         inputs=soil_hash(soil_name)[0],
         data_tables={f"{rover} (rover)": sha256(description.text.encode())} | soil_hash(soil_name)[1],
         sources=[PAPER],
+        untrusted=_hardly_in_touch(share),
+    )
+
+
+def _hardly_in_touch(share: float) -> str:
+    if 0 <= share <= MOST_COHESION:
+        return ""
+    return (
+        f"not to be trusted: cohesion alone would pull {share:.3g} times what presses the wheel, as the contact is "
+        "nearly without load; give a deeper sinkage, or less cohesion"
     )
 
 

@@ -1,7 +1,7 @@
 """`lunarsci regolith identify`: the soil that wheel states reveal."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -14,7 +14,7 @@ from .report import Report
 if TYPE_CHECKING:
     from lunarsci.regolith.states import MeasurementErrors
 
-    from .regolith_report import Intervals
+    from .regolith_joint import Intervals
 
 __all__ = ["add_to"]
 
@@ -55,12 +55,35 @@ Sensitivity = Annotated[bool, _error("How much of each variance comes from each 
 Joint = Annotated[bool, _joint("All parameters from all states at once, as a posterior.", "--joint")]
 Prior = Annotated[str | None, _joint("Priors of --joint, in place of the lunar ones.", metavar="FILE.toml")]
 Exact = Annotated[bool, _joint("Integrate the stresses in --joint instead of Eqs 21-24.", "--exact")]
+TheLaw = Annotated[
+    Literal["given", "auto"],
+    _joint("Wheel-soil law: as the options say, or the one that predicts states left out best; prints the scores."),
+]
+Shear = Annotated[Literal["separate", "combined", "ellipse"], _joint("With --exact: as in `regolith forces`.")]
+Bulldozing = Annotated[Literal["none", "hegedus", "wong"], _joint("With --exact: as in `regolith forces`.")]
+Density = Annotated[float, _joint("Soil density in kg/m³, for --bulldozing and --law auto.")]
+Gravity = Annotated[float, _joint("Gravity in m/s², for --bulldozing and --law auto.")]
+Contact = Annotated[
+    bool, _joint("With --exact: contact angles c1-c3 and the exponent's slope in skid are unknown too.", "--contact")
+]
+Predict = Annotated[
+    str | None,
+    _joint("Wheel states whose forces the soil predicts: slip_ratio, side_slip_deg, normal_force_n, and where known "
+           "sinkage_m.", metavar="FILE.csv"),
+]  # fmt: skip
+PredictRover = Annotated[str | None, _joint("Wheel of --predict; that of the states if not given.")]
 Sample = Annotated[bool, _joint("Draw from the posterior of --joint itself, not a normal law.", "--sample")]
 Profile = Annotated[bool, _joint("Intervals of --joint by profile: the best of all else at each value.", "--profile")]
-ModelError = Annotated[float, _joint("Share of the load by which the model of --joint may miss a force.")]
-
+ModelError = Annotated[
+    float | None,
+    _joint("Share of the load by which the model of --joint misses a force; found from the residuals if not given."),
+]
 Posterior = Annotated[
-    Path | None, _joint("Draws from the posterior of --joint as CSV, for `twin predict --samples`.", "--posterior")
+    Path | None,
+    _joint(
+        "Soils of --joint for `twin predict --samples`: draws as CSV, a belief as JSON; both carry the verdict.",
+        "--posterior",
+    ),
 ]
 
 
@@ -91,33 +114,35 @@ def identify(
     joint: Joint = False,
     prior: Prior = None,
     exact: Exact = False,
+    law: TheLaw = "given",
+    shear: Shear = "separate",
+    bulldozing: Bulldozing = "none",
+    density: Density = 1500.0,
+    gravity: Gravity = 1.622,
+    contact: Contact = False,
     sample: Sample = False,
     profile: Profile = False,
-    model_error: ModelError = 0.02,
+    model_error: ModelError = None,
     posterior: Posterior = None,
+    predict: Predict = None,
+    predict_rover: PredictRover = None,
 ) -> Report:
     """Soil parameters in three aspects (bearing, longitudinal and lateral shear) from wheel states, with errors.
 
     Of each pair (K_s, N), (c, φ), (K_y, φ_y) what is assumed is given and the other is solved for; with both given,
-    each is solved at the other's value.
+    each is solved at the other's value. --joint ends with exit code 3 where no soil of the law explains the states.
     """
-    from lunarsci.regolith.identify import Assumptions
     from lunarsci.regolith.identify import identify as identify_soil
     from lunarsci.regolith.sensitivity import sensitivities
 
-    from .regolith_report import identify_report, infer, numbers, read_inputs
+    from .regolith_joint import JointAsked, infer
+    from .regolith_report import assumptions, identify_report, read_inputs
 
     _check_posterior(output, posterior, joint)
-    intervals = _intervals(joint, reading, prior, exact, sample, profile)
-    known = Assumptions(
-        exponent=exponent,
-        stiffness_kpa_m_n=stiffness,
-        cohesion_pa=cohesion,
-        friction_angle_deg=friction_angle,
-        shear_modulus_mm=shear_modulus,
-        lateral_modulus_mm=numbers(lateral_modulus, "--lateral-modulus"),
-        external_friction_angle_deg=external_friction_angle,
-    )
+    intervals = _intervals(joint, reading, prior, exact or law == "auto" or predict is not None, sample, profile)
+    asked = JointAsked(prior, law, exact, shear, bulldozing, density, gravity, contact, model_error, seed, intervals)
+    pairs = (exponent, stiffness, cohesion, friction_angle, shear_modulus, external_friction_angle)
+    known = assumptions(pairs, lateral_modulus)
     given = read_inputs(states, rover, _errors(sinkage_error, force_error, travel_error, side_slip_error))
     with progress("identifying", quiet=output.quiet) as update:
         found = identify_soil(
@@ -126,7 +151,7 @@ def identify(
     together = None
     if joint:
         with progress("the joint posterior", quiet=output.quiet) as update:
-            together = infer(given, prior, exact, intervals, model_error, seed, update)
+            together = infer(given, asked, predict, predict_rover, update)
     shares = sensitivities(given.states, given.wheel, known, reading=reading, seed=seed) if sensitivity else None
     return identify_report(given, found, seed, together, shares, posterior)
 
@@ -142,14 +167,14 @@ def _errors(sinkage_m: float, force: float, travel: float, side_slip: float) -> 
 def _check_posterior(output: Output, path: Path | None, joint: bool) -> None:
     if path is not None and not joint:
         raise typer.BadParameter("--posterior belongs to --joint; add it")
-    output.check_extra("--posterior", path, (".csv",))
+    output.check_extra("--posterior", path, (".csv", ".json"))
 
 
 def _intervals(joint: bool, reading: str, prior: str | None, exact: bool, sample: bool, profile: bool) -> "Intervals":
-    from .regolith_report import Intervals
+    from .regolith_joint import Intervals
 
     if not joint and (prior or exact or sample or profile):
-        raise typer.BadParameter("--prior, --exact, --sample and --profile belong to --joint; add it")
+        raise typer.BadParameter("--prior, --exact, --law, --sample, --profile and --predict belong to --joint; add it")
     if sample and profile:
         raise typer.BadParameter("--sample and --profile are two ways to the intervals; give one")
     if joint and reading != "signed":

@@ -1,6 +1,6 @@
 """From files and options of `lunarsci regolith identify` to its result, and from this to a `Report`."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,21 +9,22 @@ import typer
 
 from lunarsci.inputs import read_input
 from lunarsci.provenance import sha256
-from lunarsci.regolith.identify import Identification
-from lunarsci.regolith.prior import PARAMETERS, prior_hash
+from lunarsci.regolith.identify import Assumptions, Identification
+from lunarsci.regolith.prior import prior_hash
 from lunarsci.regolith.states import MeasurementErrors, WheelStates, read_states
 from lunarsci.regolith.uncertainty import UNITS, Estimate
 from lunarsci.regolith.wheel import Wheel, read_wheel
 from lunarsci.rovers.description import read_rover
 
 from .report import Report
-from .table import TextTable, to_csv
+from .table import TextTable
 
 if TYPE_CHECKING:
-    from lunarsci.regolith.joint import SoilPosterior
     from lunarsci.regolith.sensitivity import Sensitivity
 
-__all__ = ["Intervals", "identify_report", "numbers", "read_inputs"]
+    from .regolith_joint import Together
+
+__all__ = ["Given", "assumptions", "identify_report", "read_inputs"]
 
 PAPER = "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8"
 LABELS = {
@@ -77,7 +78,21 @@ def read_inputs(states: str, rover: str, errors: MeasurementErrors) -> Given:
     return Given(read_states(source, wheel, errors), wheel, {source.name: source.sha256}, tables, assumed)
 
 
-def numbers(text: str | None, option: str) -> tuple[float, ...]:
+def assumptions(pairs: tuple[float | None, ...], lateral_modulus: str | None) -> Assumptions:
+    """What is assumed of the soil: N, K_s, c, phi, K_x and phi_y as given, and K_y, one or several by commas."""
+    exponent, stiffness, cohesion, friction_angle, shear_modulus, external_friction_angle = pairs
+    return Assumptions(
+        exponent=exponent,
+        stiffness_kpa_m_n=stiffness,
+        cohesion_pa=cohesion,
+        friction_angle_deg=friction_angle,
+        shear_modulus_mm=shear_modulus or 0.0,
+        lateral_modulus_mm=_numbers(lateral_modulus, "--lateral-modulus"),
+        external_friction_angle_deg=external_friction_angle,
+    )
+
+
+def _numbers(text: str | None, option: str) -> tuple[float, ...]:
     """Numbers separated by commas. Raises a usage error for anything else."""
     try:
         return tuple(float(part) for part in text.split(",")) if text else ()
@@ -85,64 +100,19 @@ def numbers(text: str | None, option: str) -> tuple[float, ...]:
         raise typer.BadParameter(f"{option} {text}: give one number, or several separated by commas") from None
 
 
-@dataclass(frozen=True, slots=True)
-class Together:
-    """The joint posterior, and the file of priors it rests on."""
-
-    posterior: "SoilPosterior"
-    inputs: dict[str, str]
-
-
-@dataclass(frozen=True, slots=True)
-class Intervals:
-    """How the intervals of the joint posterior are made; a normal law where neither is set."""
-
-    sample: bool
-    profile: bool
-
-
-def infer(
-    given: Given,
-    prior: str | None,
-    exact: bool,
-    intervals: Intervals,
-    model_error: float,
-    seed: int,
-    progress: Callable[[int, int], None],
-) -> Together:
-    """The joint posterior of the states."""
-    from lunarsci.regolith.contact import ContactModel
-    from lunarsci.regolith.joint import infer_soil
-    from lunarsci.regolith.prior import read_prior
-
-    source = read_input(prior) if prior else None
-    found = infer_soil(
-        given.states,
-        given.wheel,
-        read_prior(source) if source else None,
-        model=ContactModel() if exact else None,
-        model_error=model_error,
-        sample=intervals.sample,
-        profile=intervals.profile,
-        seed=seed,
-        progress=progress,
-    )
-    return Together(found, {source.name: source.sha256} if source else {})
-
-
 def identify_report(
     given: Given,
     found: Identification,
     seed: int,
-    together: Together | None = None,
+    together: "Together | None" = None,
     shares: "Sequence[Sensitivity] | None" = None,
     draws: Path | None = None,
 ) -> Report:
     """The report of `regolith identify`; `draws` names a file that takes draws from the joint posterior."""
-    from .regolith_joint import joint_record, joint_tables
+    from .regolith_joint import joint_record, joint_tables, soil_file
 
-    own = joint_tables(together.posterior) if together else []
-    joint: dict[str, Any] = {"joint": joint_record(together.posterior)} if together else {}
+    own = joint_tables(together) if together else []
+    joint: dict[str, Any] = {"joint": joint_record(together)} if together else {}
     if shares is not None:
         joint["sensitivity"] = [asdict(share) for share in shares]
         own = [_sensitivity_table(shares), *own]
@@ -162,14 +132,9 @@ def identify_report(
         data_tables=given.tables | (prior_hash() if together else {}),
         sources=[PAPER],
         seed=seed,
-        untrusted=_untrusted(found),
-        extras={draws: lambda: _draws(together.posterior)} if draws and together else {},
+        untrusted=_untrusted(found, together),
+        extras={draws: lambda: soil_file(together.posterior, draws)} if draws and together else {},
     )
-
-
-def _draws(found: "SoilPosterior") -> bytes:
-    rows = [dict(zip(PARAMETERS, map(float, row), strict=True)) for row in found.draws]
-    return to_csv(rows).encode()
 
 
 def _sensitivity_table(shares: "Sequence[Sensitivity]") -> TextTable:
@@ -186,8 +151,11 @@ def _share(value: float | None) -> str:
     return "-" if value is None else f"{100 * value:.0f} %"
 
 
-def _untrusted(found: Identification) -> str:
+def _untrusted(found: Identification, together: "Together | None") -> str:
+    """Why not to trust it: the joint fit's own verdict where there is one, else what single states leave open."""
     reasons = [f"no {LABELS[name]}: {found.site[name].reason}" for name in found.unsolved]
+    if together is not None:
+        reasons = [together.posterior.verdict.reason] if not together.posterior.verdict.trusted else []
     return f"not to be trusted: {'; '.join(reasons)}" if reasons else ""
 
 

@@ -79,7 +79,7 @@ def predict(
 
         output.check_extra("--animate", animate, FORMATS)
         check_format(animate)
-    from .twin_drive import Soils, drive
+    from .twin_drive import Soils, drive, with_verdict
     from .twin_report import predict_report, read_scene
 
     scene = read_scene(plan, rover, terrain, soil, interpolation, fixes, judged=True, ruts=ruts, before=before)
@@ -89,4 +89,6 @@ def predict(
         prediction = drive(scene, soils, time_step, sample, update)
     ground = soils.record(scene)
     seed = soils.drawn_by(scene)
-    return predict_report(scene, prediction, soils.kind(scene), ground, seed=seed, film=animate, quiet=output.quiet)
+    kind = soils.kind(scene)
+    report = predict_report(scene, prediction, kind, ground, seed=seed, film=animate, quiet=output.quiet)
+    return with_verdict(report, soils.verdict)

@@ -1,5 +1,6 @@
 """From the options that say which soils to drive on to a prediction."""
 
+import dataclasses
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ import typer
 from lunarsci.errors import LunarSciWarning, ParameterError
 from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import read_belief
+from lunarsci.regolith.fit_verdict import FitVerdict, doubt, read_verdict
 from lunarsci.twin.drive_pieces import planned_places
 from lunarsci.twin.ensemble import Prediction, predict
 from lunarsci.twin.ground.driven_soil import DrivenSoil, Origin
@@ -22,9 +24,10 @@ from lunarsci.twin.ground.terrain import SOIL_COLUMNS
 from lunarsci.twin.plans.plan import Sweep, parse_sweep
 from lunarsci.twin.soil_samples import read_soil_samples
 
+from .report import Report
 from .twin_report import Scene, SoilOfBelief
 
-__all__ = ["Soils", "drive"]
+__all__ = ["Soils", "drive", "with_verdict"]
 
 SOIL_TABLE = "soils.toml"
 OF_A_BELIEF = 64
@@ -42,6 +45,7 @@ class Soils:
     inputs: Mapping[str, str]
     soil_map: SoilMap | None = None
     thinned: bool = False
+    verdict: FitVerdict | None = None
 
     @classmethod
     def of(
@@ -61,7 +65,8 @@ class Soils:
         if soil_map is not None and len(given) > 1:
             raise typer.BadParameter(f"--soil-map names the soils already; leave out {given[1]}")
         if believed is not None:
-            return cls(None, None, believed.belief.draws(members or OF_A_BELIEF, seed), seed, {})
+            drawn = believed.belief.draws(members or OF_A_BELIEF, seed)
+            return cls(None, None, drawn, seed, {}, verdict=believed.belief.verdict)
         if soil_map is not None:
             source = read_input(soil_map)
             return cls(None, members, None, seed, {soil_map: source.sha256}, read_soil_map(source))
@@ -74,7 +79,8 @@ class Soils:
             drawn = read_belief(source).draws(members or OF_A_BELIEF, seed)
         else:
             drawn = read_soil_samples(source, members, seed)
-        return cls(None, None, drawn, seed, {samples: source.sha256}, thinned=members is not None)
+        thinned, verdict = members is not None, read_verdict(source)
+        return cls(None, None, drawn, seed, {samples: source.sha256}, thinned=thinned, verdict=verdict)
 
     def drawn(self, scene: Scene) -> tuple[str, ...]:
         """Soil parameters that each drive has for itself, whatever lies on the terrain."""
@@ -123,6 +129,20 @@ class Soils:
             path = next(iter(self.inputs), ".json" if scene.soil else "")
             return "belief" if path.lower().endswith(".json") else "samples"
         return "sweep" if (scene.plan.sweep if self.sweep is None else self.sweep) else "one"
+
+
+def with_verdict(report: Report, verdict: FitVerdict | None) -> Report:
+    """The report of a drive on soils that carry the verdict of a fit: repeated, and not trusted where that is not."""
+    if verdict is None:
+        return report
+    reason = doubt(verdict)
+    if reason:
+        warnings.warn(reason, LunarSciWarning, stacklevel=2)
+    return dataclasses.replace(
+        report,
+        result={**report.result, "soil_verdict": verdict.to_dict()},
+        untrusted="; ".join(part for part in (report.untrusted, reason) if part),
+    )
 
 
 def _parsed(sweep: list[str]) -> tuple[Sweep, ...]:

@@ -196,7 +196,8 @@ def soil_notes(scene: Scene, prediction: Prediction) -> list[str]:
         return [f"soil: that of {scene.driven.name}{rest}"] if named else []
     members = prediction.members
     found = scene.soil
-    drives = "no drive yet, only on the priors" if not found.belief.history else f"{len(found.belief.history)} drive(s)"
+    start = "no drive yet, only on " + ("the priors" if found.belief.verdict is None else "a fit to wheel states")
+    drives = start if not found.belief.history else f"{len(found.belief.history)} drive(s)"
     unread = len(found.belief.history) - found.learned
     less = f", {unread} of which taught nothing" if unread else ""
     return [

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile, text
+from lunarsci.regolith.fit_verdict import FitVerdict, verdict_of
 from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, values_of
 
 __all__ = ["SCHEMA", "SoilBelief", "belief_of", "first_belief", "read_belief"]
@@ -31,6 +32,7 @@ class SoilBelief:
     covariance : of the transforms. (8, 8)
     history : one entry for each update, oldest first: what it rests on.
     population : transforms drawn from the belief where it is not normal; mean and covariance are theirs. (d, 8)
+    verdict : of the fit to wheel states that it comes from, None where it does not.
 
     Raises ParameterError for a covariance that is not symmetric and positive definite.
     """
@@ -40,6 +42,7 @@ class SoilBelief:
     covariance: FloatArray
     history: tuple[Mapping[str, Any], ...] = field(default=())
     population: FloatArray | None = field(default=None, repr=False)
+    verdict: FitVerdict | None = None
 
     def __post_init__(self) -> None:
         size = len(PARAMETERS)
@@ -105,6 +108,8 @@ class SoilBelief:
             "history": [dict(entry) for entry in self.history],
             "population": None if self.population is None else self.population.tolist(),
         }
+        if self.verdict is not None:
+            document["verdict"] = self.verdict.to_dict()
         return json.dumps(document, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
 
 
@@ -126,7 +131,8 @@ def belief_of(document: Mapping[str, Any]) -> SoilBelief:
         mean, covariance = (np.array(document[key], dtype=np.float64) for key in ("mean", "covariance"))
         drawn = document.get("population")
         population = None if drawn is None else np.array(drawn, dtype=np.float64)
-        return SoilBelief(laws, mean, covariance, tuple(document.get("history", ())), population)
+        verdict = verdict_of(document.get("verdict"))
+        return SoilBelief(laws, mean, covariance, tuple(document.get("history", ())), population, verdict)
     except KeyError as error:
         raise ParameterError(f"no {error} in it") from error
     except (TypeError, ValueError) as error:

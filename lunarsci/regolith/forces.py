@@ -28,10 +28,12 @@ from lunarsci.regolith.wheel import Wheel
 
 __all__ = [
     "LEAST_SINKAGE_M",
+    "MOST_COHESION",
     "READINGS",
     "Reading",
     "WheelForces",
     "check_states",
+    "cohesion_share",
     "contact_angles",
     "contact_forces",
     "longitudinal_mobilisation",
@@ -48,6 +50,9 @@ __all__ = [
 Reading = Literal["signed", "printed", "slip-branch"]
 READINGS: tuple[str, ...] = get_args(Reading)
 FloatArray = npt.NDArray[np.float64]
+MOST_COHESION = 1.0
+"""Share of the normal force that cohesion alone may pull; beyond, forces are those of a wheel hardly in touch. Assumed:
+wheels that were compared with the model pull less than their load."""
 LEAST_SINKAGE_M = 1e-7
 """Below this the contact angles round to nothing."""
 
@@ -257,8 +262,8 @@ def wheel_forces(
     ----------
     wheel, soil : the two sides of the contact.
     sinkage_m : z, within 0 to r. [m]
-    slip_ratio : s of Eq. 8, above -1 and below 1; the model is accurate for |s| up to 0.6. [-]
-    side_slip_deg : beta, within -90 to 90. [deg]
+    slip_ratio : s of Eq. 8, -1 (locked) to 1 (no travel); the model is accurate for |s| up to 0.6. [-]
+    side_slip_deg : beta, -90 to 90, not 90 at a slip of 1. [deg]
     reading : how the sign of the shear stress is read, see the module's text.
 
     The three states broadcast against each other.
@@ -283,17 +288,40 @@ def wheel_forces(
 
 
 def motion_ratios(slip_ratio: FloatArray, side_slip_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """v_x and v_y over r_s omega of states with s > -1, each of their shape. [-]"""
-    travel = np.where(slip_ratio >= 0, 1 - slip_ratio, 1 / (1 + slip_ratio))
-    return travel, travel * np.tan(np.radians(side_slip_deg))
+    """v_x and v_y over r_s omega of states, each of their shape; infinite where the wheel is locked or beta is 90. [-]
+
+    A locked wheel and one that slides sideways are limits of the formulas: of s to -1 and of beta to 90 deg.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        travel = np.where(slip_ratio >= 0, 1 - slip_ratio, 1 / (1 + slip_ratio))
+        tangent = np.where(
+            np.abs(side_slip_deg) < 90, np.tan(np.radians(side_slip_deg)), np.sign(side_slip_deg) * np.inf
+        )
+        return travel, np.where(tangent == 0, 0.0, travel * tangent)
+
+
+def cohesion_share(wheel: Wheel, soil: Soil, sinkage_m: FloatArray, normal_force_n: FloatArray) -> FloatArray:
+    """What cohesion alone can pull over the contact (b r_s c C of Eqs 19, 24), as a share of the normal force. [-]
+
+    It goes with the contact's length, the normal force with a higher power of the sinkage, so that in the limit of no
+    sinkage a wheel without load would pull.
+    """
+    theta_1 = np.arccos((wheel.radius_m - sinkage_m) / wheel.radius_m)
+    span = (1 - wheel.exit_c3) * theta_1 / 2
+    return np.asarray(wheel.width_m * wheel.shearing_radius_m * soil.cohesion_pa * span / normal_force_n)
 
 
 def check_states(z: FloatArray, s: FloatArray, beta: FloatArray, radius: float) -> None:
     for name, values, good, rule in (
         ("sinkage_m", z, (z >= LEAST_SINKAGE_M) & (z < radius), f"above 1e-7 and below the wheel radius of {radius} m"),
-        ("slip_ratio", s, (s > -1) & (s < 1), "above -1 and below 1"),
-        ("side_slip_deg", beta, np.abs(beta) < 90, "above -90 and below 90 deg"),
+        ("slip_ratio", s, np.abs(s) <= 1, "within -1 to 1"),
+        ("side_slip_deg", beta, np.abs(beta) <= 90, "within -90 to 90 deg"),
     ):
         if not good.all():
             first = int(np.argmin(good))
             raise ParameterError(f"{name} is {values[first]:g} in state {first + 1}; it must lie {rule}")
+    if (open_ := (s == 1) & (np.abs(beta) == 90)).any():
+        raise ParameterError(
+            f"state {int(np.argmax(open_)) + 1} has slip 1 and side slip 90 deg, which leave open how fast the wheel "
+            "slides sideways beside its rim; give a side slip or a slip a little smaller"
+        )

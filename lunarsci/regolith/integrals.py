@@ -27,12 +27,13 @@ from lunarsci.regolith.forces import (
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.wheel import Wheel
 
-__all__ = ["ContactForces", "contact_forces", "contact_kernel", "forces_by", "moving_contact_forces"]
+__all__ = ["ContactForces", "contact_forces", "contact_kernel", "forces_by", "moving_contact_forces", "velocities"]
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(12)
 """On either side of the angle of maximum stress; doubling them moves forces by up to 1.3e-3 of the load."""
-SLOWEST = 1e-6
-"""A wheel turns at least at this share of its speed, so that a locked one has no infinite displacement."""
+SLOWEST, FORWARD = 1e-12, 1e-6
+"""A wheel turns at least at this share of its speed, so that a locked one has no infinite displacement, and then moves
+forward at this one, so that a locked wheel that slides sideways is the limit of those that skid."""
 
 
 @compiled
@@ -50,19 +51,20 @@ def _normal_stress(depth: float, stiffness: float, exponent: float, model: Any) 
 
 
 @compiled
-def _side_pressure(depth: float, cohesion: float, tan_phi: float, model: Any) -> float:
-    """Force of the soil per length of a vertical face that moves against it. [N/m]"""
-    if depth <= 0.0 or model[2] == 0.0:
-        return 0.0
+def _side_pressure(cohesion: float, tan_phi: float, model: Any) -> tuple[float, float]:
+    """Force of the soil per length of a vertical face that moves against it: its factors of depth and depth squared.
+    [N m^-2, N m^-3]"""
+    if model[2] == 0.0:
+        return 0.0, 0.0
     phi = math.atan(tan_phi)
     if model[2] == 1.0:
         angle = math.pi / 4 - phi / 2
         cot = 1.0 / math.tan(angle)
         d_1 = cot + math.tan(angle + phi)
         d_2 = cot + cot * cot * tan_phi
-        return float(d_1 * (cohesion * depth + 0.5 * d_2 * model[3] * depth * depth))
+        return float(d_1 * cohesion), float(0.5 * d_1 * d_2 * model[3])
     cot = math.tan(math.pi / 4 + phi / 2)
-    return float(0.5 * model[3] * depth * depth * cot * cot * (1 + 0.5 * cot * tan_phi) + 2 * depth * cohesion * cot)
+    return float(2 * cohesion * cot), float(0.5 * model[3] * cot * cot * (1 + 0.5 * cot * tan_phi))
 
 
 @compiled
@@ -99,7 +101,8 @@ def contact_kernel(sinkage: float, velocity: Any, wheel: Any, soil: Any, model: 
     stiffness, n0, n1, cohesion, tan_phi, _, tan_phi_y, _ = soil
     v_x, v_y, rim = velocity
     speed = math.hypot(v_x, v_y)
-    rim = max(rim, SLOWEST * speed)
+    if rim < SLOWEST * speed:
+        rim, v_x = SLOWEST * speed, max(v_x, FORWARD * speed)
     travel, lateral = v_x / rim, v_y / rim
     slip = slip_ratio(travel)
     exponent = n0 + n1 * slip if slip >= 0.0 or math.isnan(model[4]) else n0 - model[4] * slip
@@ -109,6 +112,7 @@ def contact_kernel(sinkage: float, velocity: Any, wheel: Any, soil: Any, model: 
     theta_m = min(max((c1 + c2 * slip) * theta_1, theta_2 + 1e-3 * theta_1), 0.999 * theta_1)
     slip_travel = 1.0 / travel if travel > 1.0 else travel
     side = v_y / speed if speed > 0.0 else 0.0
+    by_depth, by_square = _side_pressure(cohesion, tan_phi, model)
     sums = np.zeros(6)
     for part in range(2):
         start, stop = (theta_2, theta_m) if part == 0 else (theta_m, theta_1)
@@ -122,14 +126,15 @@ def contact_kernel(sinkage: float, velocity: Any, wheel: Any, soil: Any, model: 
             ahead, rise = theta_1e - theta, math.sin(theta_1e) - math.sin(theta)
             sliding = (1.0 - travel * math.cos(theta), lateral)
             along, across = _shares(
-                r_s * (ahead - travel * rise), r_s * lateral * ahead, sliding, soil, model, slip,
+                r_s * (ahead - travel * rise), r * lateral * ahead, sliding, soil, model, slip,
                 r_s * (ahead - slip_travel * rise),
             )  # fmt: skip
             tau_x, tau_y = (cohesion + sigma * tan_phi) * along, (cohesion + sigma * tan_phi_y) * across
             depth = r * (math.cos(theta) - math.cos(theta_1))
-            bulldozed = _side_pressure(depth, cohesion, tan_phi, model) * (r - depth * math.cos(theta)) * side
-            step = weights[k] * half
             cos, sin = math.cos(theta), math.sin(theta)
+            wall = depth * (by_depth + by_square * depth) if depth > 0.0 else 0.0
+            bulldozed = wall * (r - depth * cos) * side
+            step = weights[k] * half
             sideways = r_s * b * tau_y + bulldozed
             sums[0] += step * b * (r * sigma * cos + r_s * tau_x * sin)
             sums[1] += step * b * (r_s * tau_x * cos - r * sigma * sin)
@@ -182,8 +187,8 @@ def contact_forces(
     ----------
     wheel, soil : the two sides of the contact.
     sinkage_m : z, above 1e-7 and below r. [m]
-    slip_ratio : s of Eq. 8, above -1 and below 1; the model is accurate for |s| up to 0.6. [-]
-    side_slip_deg : beta, within -90 to 90. [deg]
+    slip_ratio : s of Eq. 8, -1 (locked) to 1 (no travel); the model is accurate for |s| up to 0.6. [-]
+    side_slip_deg : beta, -90 to 90, not 90 at a slip of 1. [deg]
     model : `ContactModel()` by default, the stresses of Ding et al. (2024).
 
     The three states broadcast against each other.
@@ -195,8 +200,16 @@ def contact_forces(
     parts = np.broadcast_arrays(*(np.asarray(v, dtype=float) for v in (sinkage_m, slip_ratio, side_slip_deg)))
     z, s, beta = (part.ravel() for part in parts)
     check_states(z, s, beta, wheel.radius_m)
-    velocity = np.column_stack([*motion_ratios(s, beta), np.ones_like(s)])
-    return _forces(wheel, soil, z, velocity, model or ContactModel(), parts[0].shape)
+    return _forces(wheel, soil, z, velocities(s, beta), model or ContactModel(), parts[0].shape)
+
+
+def velocities(slip_ratio: FloatArray, side_slip_deg: FloatArray) -> FloatArray:
+    """v_x, v_y, r_s omega of n states in a common unit, (n, 3), as `contact_kernel` takes them, limits included."""
+    travel, lateral = motion_ratios(np.minimum(slip_ratio, 1 - FORWARD), side_slip_deg)
+    angle, locked = np.radians(side_slip_deg), np.isinf(travel)
+    x = np.where(locked, np.cos(angle), travel)
+    y = np.where(locked, np.sin(angle), np.where(np.isinf(lateral), np.sign(lateral) / FORWARD, lateral))
+    return np.column_stack([x, y, np.where(locked, 0.0, 1.0)])
 
 
 def forces_by(

@@ -3,6 +3,9 @@
 F_N, F_DP and F_L of every state are compared with the model at the measured sinkage, slip and side slip. The errors of
 those three reach the forces through the model's derivatives and make the residuals of one state correlated. The
 posterior is normal around the mode in transformed parameters (Laplace), sampled, or profiled.
+
+How far the model itself misses the forces is found from what the fit leaves over, unless it is given, and a verdict
+says whether a soil of the model explains the states at all.
 """
 
 import warnings
@@ -14,21 +17,23 @@ import numpy.typing as npt
 
 from lunarsci.errors import LunarSciWarning, ParameterError
 from lunarsci.regolith.contact import ContactModel
-from lunarsci.regolith.joint_mode import mode_without_outliers, profile_limits
+from lunarsci.regolith.fit_verdict import FitVerdict
+from lunarsci.regolith.joint_error import tail_of
+from lunarsci.regolith.joint_left_out import stretch_of
+from lunarsci.regolith.joint_mode import Mode, find_mode, mode_with_errors, mode_without_outliers, profile_limits
 from lunarsci.regolith.joint_problem import part_of, problem_of
 from lunarsci.regolith.joint_sampler import carry_population
-from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, values_of
+from lunarsci.regolith.joint_verdict import judge
+from lunarsci.regolith.prior import CONTACT, PARAMETERS, Law, contact_prior, default_prior, values_of
 from lunarsci.regolith.states import WheelStates
 from lunarsci.regolith.wheel import Wheel
 
-__all__ = ["SoilPosterior", "infer_soil"]
+__all__ = ["SoilPosterior", "fit_soil", "infer_soil", "law_name", "usable_states"]
 
 FloatArray = npt.NDArray[np.float64]
 
-MODEL_ERROR = 0.02
-"""Share of the load by which the model may miss each force; assumed."""
-LEAST_SINKAGE_M, DEEPEST, LARGEST_SLIP = 1e-5, 0.95, 0.99
-"""States beyond are left out: sinkage, as a share of the radius the deepest, and slip ratio."""
+LEAST_SINKAGE_M, DEEPEST = 1e-5, 0.95
+"""States beyond are left out: sinkage, as a share of the radius the deepest."""
 DETERMINED = 0.5
 """A parameter counts as determined where its standard deviation is below this share of the prior's."""
 PARTICLES = 1000
@@ -42,16 +47,20 @@ class SoilPosterior:
 
     Attributes
     ----------
-    mode, sd : (8,) of the transformed parameters, in the order of `PARAMETERS`.
-    covariance : (8, 8) of these.
-    draws : (d, 8) parameters in their units, from the posterior.
-    shrinkage : by parameter, 1 - posterior over prior standard deviation: 0 learned nothing, 1 everything. [-]
+    mode : (p,) of the transformed parameters, in the order of `names`: those of `PARAMETERS`, and of `CONTACT` where
+        the contact was unknown too.
+    covariance : (p, p) of these.
+    draws : (d, p) parameters in their units, from the posterior.
     outliers : ids of states left out.
     residuals : (n, 3) measured less model, F_N, F_DP, F_L, NaN where not measured. [N]
     chi_square, degrees : of the states kept, and their number of forces.
+    model : choices of the exact integrals; None for the closed form.
+    verdict : whether a soil of the model explains the states, and the model's error.
+    tail : degrees of freedom of the Student law that the residuals follow.
+    stretch : how many times wider than stated errors of F_N, F_DP, F_L are where neighbouring states were left out.
     persistence : of sampled draws, the largest correlation left with where they were before their last moves; None for
         the normal approximation.
-    profiled : (4, 8) 68 % and 95 % limits by profile, None where they were not asked for.
+    profiled : (4, p) 68 % and 95 % limits by profile, None where they were not asked for.
     """
 
     mode: FloatArray
@@ -62,8 +71,17 @@ class SoilPosterior:
     residuals: FloatArray = field(repr=False)
     chi_square: float
     degrees: int
+    model: ContactModel | None
+    verdict: FitVerdict
+    tail: float
+    stretch: tuple[float, float, float] = (1.0, 1.0, 1.0)
     persistence: float | None = None
     profiled: FloatArray | None = field(default=None, repr=False)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the parameters, in their order."""
+        return (*PARAMETERS, *CONTACT)[: len(self.mode)]
 
     @property
     def how(self) -> str:
@@ -79,9 +97,9 @@ class SoilPosterior:
 
     @property
     def shrinkage(self) -> dict[str, float]:
-        """See the class."""
-        widths = [self.prior[name].width for name in PARAMETERS]
-        return {name: float(1 - sd / width) for name, sd, width in zip(PARAMETERS, self.sd, widths, strict=True)}
+        """By parameter, 1 - posterior over prior standard deviation: 0 learned nothing, 1 everything. [-]"""
+        widths = [self.prior[name].width for name in self.names]
+        return {name: float(1 - sd / width) for name, sd, width in zip(self.names, self.sd, widths, strict=True)}
 
     @property
     def determined(self) -> tuple[str, ...]:
@@ -94,14 +112,14 @@ class SoilPosterior:
             ends = np.vstack([values_of(self.prior, self.mode), self.profiled])
         else:
             ends = np.quantile(self.draws, (0.5, *LEVELS), axis=0)
-        return {name: tuple(map(float, ends[:, k])) for k, name in enumerate(PARAMETERS)}  # type: ignore[misc]
+        return {name: tuple(map(float, ends[:, k])) for k, name in enumerate(self.names)}  # type: ignore[misc]
 
     def combinations(self) -> list[tuple[float, dict[str, float]]]:
         """Directions in prior-scaled parameters and the share of the prior deviation left in each, best known first."""
-        widths = np.array([self.prior[name].width for name in PARAMETERS])
+        widths = np.array([self.prior[name].width for name in self.names])
         sizes, directions = np.linalg.eigh(self.covariance / np.outer(widths, widths))
         return [
-            (float(np.sqrt(max(size, 0.0))), dict(zip(PARAMETERS, map(float, column), strict=True)))
+            (float(np.sqrt(max(size, 0.0))), dict(zip(self.names, map(float, column), strict=True)))
             for size, column in zip(sizes, directions.T, strict=True)
         ]
 
@@ -112,7 +130,8 @@ def infer_soil(
     prior: Mapping[str, Law] | None = None,
     *,
     model: ContactModel | None = None,
-    model_error: float = MODEL_ERROR,
+    contact: bool = False,
+    model_error: float | None = None,
     draws: int = 4000,
     sample: bool = False,
     profile: bool = False,
@@ -124,9 +143,11 @@ def infer_soil(
     Parameters
     ----------
     states, wheel : what was measured, and with which wheel. States need a slip ratio.
-    prior : law of every parameter in `PARAMETERS`; `default_prior()`.
+    prior : law of every parameter in `PARAMETERS`; `default_prior()`. Of `CONTACT` too, else `contact_prior()`.
     model : the exact integrals with these choices; None for the closed form.
-    model_error : share of the load added to the error of each force, 0 or more. [-]
+    contact : the parameters of `CONTACT` are unknown too; needs a model.
+    model_error : share of the load by which the model misses each force, 0 or more; None finds it, for each of the
+        forces, from what the fit leaves over. [-]
     draws : from the posterior, 100 or more.
     sample : draw from the posterior itself, by a population carried from the prior to the data, instead of from the
         normal approximation; up to 1000 draws.
@@ -144,11 +165,66 @@ def infer_soil(
     Ding et al. (2024), 10.1038/s41467-024-46233-8 (model, errors); Gelman et al. (2013), Bayesian Data Analysis, 3rd
     ed., ch. 13 (normal approximation).
     """
-    laws = dict(prior or default_prior())
-    _check(laws, model_error, draws)
+    laws = {**(contact_prior() if contact else {}), **(prior or default_prior())}
+    _check(laws, model_error, draws, contact and model is None)
+    usable = usable_states(states, wheel)
+    found = fit_soil(states, usable, wheel, laws, model, contact, model_error)
+    fitted, point = found.fitted, found.point
+    part = part_of(fitted, found.kept)
+    profiled = None
+    if profile:
+        start = point if found.alike == 1 else find_mode(part, point)[0]
+        profiled = profile_limits(part, start, found.covariance, progress)
+    rng, persistence = np.random.default_rng(seed), None
+    if sample:
+        drawn, persistence = carry_population(
+            part.ln_likelihood, fitted.center, fitted.width, min(draws, PARTICLES), rng, progress
+        )
+    else:
+        drawn = point + rng.standard_normal((draws, len(point))) @ np.linalg.cholesky(found.covariance).T
+    names = [name for name, good in zip(states.id, usable, strict=True) if good]
+    white = found.problem.white(point[None])[0][found.kept]
+    measured = np.isfinite(fitted.forces[found.kept])
+    return SoilPosterior(
+        point,
+        found.covariance,
+        values_of(laws, drawn),
+        laws,
+        tuple(name for name, good in zip(names, found.kept, strict=True) if not good),
+        fitted.forces - fitted.at(point),
+        float(np.sum(white**2)),
+        int(measured.sum()),
+        model,
+        judge(found, law_name(model, contact), model_error is not None, states.stated, float(np.mean(~usable))),
+        tail_of(white[measured]),
+        stretch_of(found),
+        persistence,
+        profiled,
+    )
+
+
+def fit_soil(
+    states: WheelStates,
+    usable: npt.NDArray[np.bool_],
+    wheel: Wheel,
+    laws: Mapping[str, Law],
+    model: ContactModel | None,
+    contact: bool,
+    model_error: float | None,
+) -> Mode:
+    """The mode of the posterior, with the model's errors; arguments as of `infer_soil`."""
+    problem = problem_of(states, usable, wheel, laws, model, (model_error or 0.0,) * 3, contact)
+    return mode_with_errors(problem) if model_error is None else mode_without_outliers(problem)
+
+
+def usable_states(states: WheelStates, wheel: Wheel) -> npt.NDArray[np.bool_]:
+    """States with a slip and a force whose sinkage the model can describe. (n,) Warns where some are not.
+
+    Raises ParameterError where none is.
+    """
     known = np.isfinite(states.values)
     inside = (states.values[:, 0] > LEAST_SINKAGE_M) & (states.values[:, 0] < wheel.radius_m * DEEPEST)
-    inside &= np.abs(states.values[:, 1]) < LARGEST_SLIP
+    inside &= ~((states.values[:, 1] == 1) & (np.abs(states.values[:, 2]) == 90))
     usable = np.asarray(known[:, :2].all(axis=1) & known[:, 3:].any(axis=1) & inside, dtype=np.bool_)
     if not usable.any():
         raise ParameterError("no state has a sinkage, a slip ratio and a force in range; the joint inference needs all")
@@ -156,40 +232,25 @@ def infer_soil(
         text = (
             f"{(~usable).sum()} of {len(usable)} states lack a sinkage, slip ratio or force in range and are left out"
         )
-        warnings.warn(text, LunarSciWarning, stacklevel=2)
-    problem = problem_of(states, usable, wheel, laws, model, model_error)
-    names = [name for name, good in zip(states.id, usable, strict=True) if good]
-    kept, point, covariance = mode_without_outliers(problem)
-    residual = problem.forces - problem.at(point)
-    white = problem.white(point[None])[0]
-    part = part_of(problem, kept)
-    profiled = profile_limits(part, point, covariance, progress) if profile else None
-    rng, persistence = np.random.default_rng(seed), None
-    if sample:
-        drawn, persistence = carry_population(
-            part.ln_likelihood, problem.center, problem.width, min(draws, PARTICLES), rng, progress
-        )
-    else:
-        drawn = point + rng.standard_normal((draws, len(point))) @ np.linalg.cholesky(covariance).T
-    return SoilPosterior(
-        point,
-        covariance,
-        values_of(laws, drawn),
-        laws,
-        tuple(name for name, good in zip(names, kept, strict=True) if not good),
-        residual,
-        float(np.sum(white[kept] ** 2)),
-        int(np.isfinite(problem.forces[kept]).sum()),
-        persistence,
-        profiled,
-    )
+        warnings.warn(text, LunarSciWarning, stacklevel=3)
+    return usable
 
 
-def _check(prior: Mapping[str, Law], model_error: float, draws: int) -> None:
+def law_name(model: ContactModel | None, contact: bool) -> str:
+    """How a wheel-soil law is called: `closed`, or the shear law of the integrals and what goes beyond it."""
+    if model is None:
+        return "closed"
+    more = [] if model.bulldozing == "none" else [f"bulldozing {model.bulldozing}"]
+    return " + ".join([model.shear, *more, *(["contact angles"] if contact else [])])
+
+
+def _check(prior: Mapping[str, Law], model_error: float | None, draws: int, contact_without_model: bool) -> None:
     missing = [name for name in PARAMETERS if name not in prior]
     if missing:
         raise ParameterError(f"no prior for {', '.join(missing)}; give every parameter one")
-    if not 0 <= model_error < 1:
+    if model_error is not None and not 0 <= model_error < 1:
         raise ParameterError(f"model error is {model_error:g}; give a share from 0 to below 1")
     if draws < 100:
         raise ParameterError(f"{draws} draws; give 100 or more")
+    if contact_without_model:
+        raise ParameterError("contact angles are unknown to the exact integrals only; give a model")

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -9,38 +10,103 @@ from scipy.optimize import brentq
 from scipy.stats import chi2, norm
 
 from lunarsci.errors import ParameterError
+from lunarsci.regolith.joint_error import common_share, shares_of, states_alike
 from lunarsci.regolith.joint_problem import STEP, Problem, part_of
 from lunarsci.regolith.prior import values_of
 
-__all__ = ["mode_without_outliers", "profile_limits"]
+__all__ = ["ROUGH", "Mode", "find_mode", "mode_with_errors", "mode_without_outliers", "profile_limits"]
 
 FloatArray = npt.NDArray[np.float64]
-STEPS, HIGHEST_DAMPING, CONVERGED = 100, 1e10, 1e-4
+STEPS, HIGHEST_DAMPING, CONVERGED, ROUGH = 100, 1e10, 1e-4, 0.1
 LONGEST = 2.0
 """Step, in standard deviations of the prior."""
 OUTLIER = 1e-3
 """Chance that the largest residual of all good states is called an outlier."""
 MOST_OUTLIERS = 0.2
+FIRST_SHARE, ROUNDS, SETTLED = 0.2, 8, 0.05
+"""Model error that the search for it begins with, large so that the way is smooth; fits at most; change of its
+logarithm that ends it."""
 RISES = (1.0, float(norm.isf(0.025)) ** 2)
 """Of -2 ln posterior at the 68 and 95 % limits of a normal law."""
 FARTHEST, PROFILE_TOLERANCE = 8.0, 0.01
 """How far limits are looked for, in standard deviations of the prior; to what share of the posterior's."""
 
 
-def mode_without_outliers(problem: Problem) -> tuple[npt.NDArray[np.bool_], FloatArray, FloatArray]:
-    """Which states are kept, the mode and its covariance."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Mode:
+    """Which states are kept, the most probable parameters, their covariance, and the problem with its model errors.
+
+    `fitted` carries the share of the load that weighs all forces alike in the fit, `problem` one for each force. Errors
+    that are alike in neighbouring states widen the covariance; they do not draw the mode nearer to the prior.
+    """
+
+    kept: npt.NDArray[np.bool_]
+    point: FloatArray
+    covariance: FloatArray
+    problem: Problem
+    fitted: Problem
+
+    @property
+    def alike(self) -> float:
+        """How many states count as one, as their errors are alike. [-]"""
+        return self.fitted.alike
+
+    @property
+    def freedom(self) -> float:
+        """How many parameters the states have determined, in all. [-]"""
+        return float(np.sum(1 - np.diag(self.covariance) / self.problem.width**2))
+
+
+def mode_with_errors(problem: Problem, start: FloatArray | None = None) -> Mode:
+    """The mode, with the model's errors found from what it leaves over; states beyond them are left out.
+
+    In the fit all forces have the same share, as a share of its own would let it give up the force that fits worst.
+    """
+    kept, share = np.ones(len(problem.inputs), dtype=bool), FIRST_SHARE
+    point = problem.center if start is None else start
+    for _ in range(ROUNDS):
+        fitted = replace(problem, model_error=(share,) * 3)
+        part = part_of(fitted, kept)
+        point, covariance = find_mode(part, point, tolerance=ROUGH)
+        freedom = float(np.sum(1 - np.diag(covariance) / problem.width**2))
+        own = replace(problem, model_error=shares_of(part, point, freedom))
+        found, before = common_share(part, point, freedom), (share, kept)
+        share, kept = found, _within(own, point, kept)
+        if abs(math.log(share / before[0])) < SETTLED and (kept == before[1]).all():
+            break
+    fitted = replace(problem, model_error=(share,) * 3)
+    point, covariance = find_mode(part_of(fitted, kept), point)
+    alike, law = states_alike(part_of(own, kept), point), np.diag(problem.width**-2)
+    wide = np.linalg.inv(law + (np.linalg.inv(covariance) - law) / alike)
+    return Mode(kept, point, np.asarray(0.5 * (wide + wide.T), dtype=np.float64), own, replace(fitted, alike=alike))
+
+
+def _within(problem: Problem, point: FloatArray, kept: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """States that are no outliers; of too many, the worst are none of the others' business."""
+    excess = _excess(problem, point)
+    limit = max(1.0, float(np.sort(excess)[::-1][int(MOST_OUTLIERS * len(kept))]))
+    return np.asarray(excess <= limit, dtype=np.bool_)
+
+
+def _excess(problem: Problem, point: FloatArray) -> FloatArray:
+    """Squared residuals of each state over what the worst of as many good ones may have. (n,)"""
+    white = problem.white(point[None])[0]
+    measured = np.isfinite(problem.forces).sum(axis=1)
+    limit = chi2.isf(OUTLIER / len(white), np.maximum(measured, 1))
+    return np.asarray(np.sum(white**2, axis=1) / limit)
+
+
+def mode_without_outliers(problem: Problem) -> Mode:
+    """The mode at the model errors that the problem has, without states that they do not explain."""
     kept = np.ones(len(problem.inputs), dtype=bool)
     point = problem.center
     while True:
         part = part_of(problem, kept)
         point, covariance = find_mode(part, point)
-        white = problem.white(point[None])[0]
-        measured = np.isfinite(problem.forces).sum(axis=1)
-        limit = chi2.isf(OUTLIER / len(kept), np.maximum(measured, 1))
-        excess = np.where(kept, np.sum(white**2, axis=1) / limit, 0.0)
+        excess = np.where(kept, _excess(problem, point), 0.0)
         worst = int(np.argmax(excess))
         if excess[worst] <= 1 or (~kept).sum() + 1 > MOST_OUTLIERS * len(kept):
-            return kept, point, covariance
+            return Mode(kept, point, covariance, problem, problem)
         kept[worst] = False
 
 
@@ -79,11 +145,12 @@ def _limit(problem: Problem, mode: FloatArray, k: int, side: int, rise: float, s
 
 
 def find_mode(
-    problem: Problem, start: FloatArray, fixed: npt.NDArray[np.bool_] | None = None
+    problem: Problem, start: FloatArray, fixed: npt.NDArray[np.bool_] | None = None, tolerance: float = CONVERGED
 ) -> tuple[FloatArray, FloatArray]:
     """Levenberg-Marquardt on whitened residuals, whose errors of the inputs follow the parameters.
 
-    Parameters marked as fixed stay where they start.
+    Parameters marked as fixed stay where they start. It ends where a step lowers -2 ln posterior by less than the
+    tolerance.
     Minimising them with weights held fixed would flatten the dependence on sinkage, itself measured with error.
     """
     width, center = problem.width, problem.center
@@ -97,7 +164,7 @@ def find_mode(
         raise ParameterError("the model has no finite forces at the centre of the priors; check states and priors")
     curvature, held = np.diag(width**-2), np.diag(np.zeros(len(start)) if fixed is None else 1.0 * fixed)
     for _ in range(STEPS):
-        columns = [(white(point + step) - white(point - step)) / (2 * STEP) for step in np.diag(STEP * width)]
+        columns = [(white(point + step) - rows) / STEP for step in np.diag(STEP * width)]
         scaled = np.stack(columns, axis=-1) / width
         if fixed is not None:
             scaled[:, fixed] = 0.0
@@ -114,6 +181,6 @@ def find_mode(
             break
         point, rows = point + np.clip(step, -LONGEST * width, LONGEST * width), trial
         damping = max(damping / 5, 1e-12)
-        if before - float(rows @ rows) < CONVERGED:
+        if before - float(rows @ rows) < tolerance:
             break
     return point, np.asarray(np.linalg.inv(curvature), dtype=np.float64)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from lunarsci.compiled import compiled, in_lanes
 from lunarsci.regolith.contact import ContactModel
 from lunarsci.regolith.forces import motion_ratios, wheel_forces_kernel
-from lunarsci.regolith.integrals import NODES, WEIGHTS, contact_kernel
+from lunarsci.regolith.integrals import NODES, WEIGHTS, contact_kernel, velocities
 from lunarsci.regolith.wheel import Wheel
 
 __all__ = ["FORCES", "forces_at", "forces_of_many", "whitened"]
@@ -31,40 +31,45 @@ def _closed(soils: Any, sinkage: Any, travel: Any, lateral: Any, wheel: Any) -> 
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
-def _integrated(soils: Any, sinkage: Any, travel: Any, lateral: Any, wheel: Any, model: Any, rule: Any) -> Any:
+def _integrated(soils: Any, contacts: Any, sinkage: Any, velocity: Any, wheel: Any, model: Any, rule: Any) -> Any:
     forces = np.full((len(soils), 3, len(sinkage)), np.nan)
     nodes, weights = rule
+    r, b, h, r_s = wheel
     for d in range(len(soils)):
-        s = soils[d]
+        s, c = soils[d], contacts[d]
         soil = (s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7])
+        own = (r, b, h, r_s, c[1], c[2], c[3])
+        choices = (model[0], model[1], model[2], model[3], c[0], model[5], model[6], model[7], model[8])
         for i in range(len(sinkage)):
             if math.isfinite(sinkage[i]):
-                moving = (travel[i], lateral[i], 1.0)
-                found = contact_kernel(sinkage[i], moving, wheel, soil, model, nodes, weights)
+                moving = (velocity[i, 0], velocity[i, 1], velocity[i, 2])
+                found = contact_kernel(sinkage[i], moving, own, soil, choices, nodes, weights)
                 forces[d, 0, i], forces[d, 1, i], forces[d, 2, i] = found[0], found[1], found[2]
     return forces
 
 
 def forces_of_many(values: FloatArray, inputs: FloatArray, wheel: Wheel, model: ContactModel | None) -> FloatArray:
-    """F_N, F_DP, F_L, (d, 3, n), of d soils at n states; NaN for a state no wheel can have. [N]
+    """F_N, F_DP, F_L, (d, 3, n), of d soils at n states; NaN for a sinkage no wheel can have. [N]
 
     Parameters
     ----------
-    values : (d, 8) in the order and units of `PARAMETERS`.
-    inputs : (n, 3) sinkage [m], slip ratio, side slip [deg].
+    values : (d, 8) in the order and units of `PARAMETERS`, or (d, 12) with those of `CONTACT`, which then take the
+        place of the model's and the wheel's; these need a model.
+    inputs : (n, 3) sinkage [m], slip ratio and side slip [deg], which end at -1 and 1, -90 and 90.
     model : choices of the exact integrals, None for the closed form.
     """
-    soils = np.array(values, dtype=np.float64)
+    soils = np.array(values[:, :8], dtype=np.float64)
     soils[:, 0] *= 1e3
     soils[:, [4, 6]] = np.tan(np.radians(soils[:, [4, 6]]))
     soils[:, [5, 7]] *= 1e-3
-    z, slip = inputs[:, 0], inputs[:, 1]
-    possible = (z > 0) & (z < wheel.radius_m) & (slip > -1) & (slip < 1)
-    slip = np.where(possible, slip, 0.0)
-    states = (np.where(possible, z, np.nan), *motion_ratios(slip, inputs[:, 2]), wheel.vector())
+    z, slip, side = inputs[:, 0], np.clip(inputs[:, 1], -1.0, 1.0), np.clip(inputs[:, 2], -90.0, 90.0)
+    z = np.where((z > 0) & (z < wheel.radius_m), z, np.nan)
     if model is None:
-        return np.asarray(_closed(soils, *states))
-    return np.asarray(_integrated(soils, *states, model.vector(), (NODES, WEIGHTS)))
+        return np.asarray(_closed(soils, z, *motion_ratios(slip, side), wheel.vector()))
+    own = np.array([model.vector()[4], *wheel.vector()[4:]])
+    contacts = np.ascontiguousarray(values[:, 8:]) if values.shape[1] > 8 else np.tile(own, (len(values), 1))
+    geometry, rule = wheel.vector()[:4], (NODES, WEIGHTS)
+    return np.asarray(_integrated(soils, contacts, z, velocities(slip, side), geometry, model.vector(), rule))
 
 
 def forces_at(values: FloatArray, inputs: FloatArray, wheel: Wheel, model: ContactModel | None) -> FloatArray:

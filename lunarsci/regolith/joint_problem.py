@@ -9,7 +9,7 @@ import numpy.typing as npt
 from lunarsci.compiled import each_in_threads
 from lunarsci.regolith.contact import ContactModel
 from lunarsci.regolith.joint_model import forces_at, forces_of_many, whitened
-from lunarsci.regolith.prior import PARAMETERS, Law, values_of
+from lunarsci.regolith.prior import CONTACT, PARAMETERS, Law, values_of
 from lunarsci.regolith.states import WheelStates
 from lunarsci.regolith.wheel import Wheel
 
@@ -24,7 +24,12 @@ CHUNK = 32
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """States, their forces and errors, and how the model is evaluated."""
+    """States, their forces and errors, and how the model is evaluated.
+
+    `model_error` is a share of the load for each of F_N, F_DP, F_L. With `contact` the parameters of `CONTACT` are
+    unknown too. Residuals beyond `huber` standard errors count linearly. Errors of so many states are `alike` that they
+    count as one.
+    """
 
     inputs: FloatArray
     input_sigma: FloatArray
@@ -33,42 +38,60 @@ class Problem:
     wheel: Wheel
     model: ContactModel | None
     prior: Mapping[str, Law]
-    model_error: float
+    model_error: tuple[float, float, float]
+    contact: bool = False
+    huber: float = np.inf
+    alike: float = 1.0
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the parameters, in their order."""
+        return (*PARAMETERS, *CONTACT) if self.contact else PARAMETERS
 
     @property
     def center(self) -> FloatArray:
-        return np.array([self.prior[name].center for name in PARAMETERS])
+        return np.array([self.prior[name].center for name in self.names])
 
     @property
     def width(self) -> FloatArray:
-        return np.array([self.prior[name].width for name in PARAMETERS])
+        return np.array([self.prior[name].width for name in self.names])
 
     def at(self, point: FloatArray) -> FloatArray:
         """Forces of all states, (n, 3), at transformed parameters."""
         return forces_at(values_of(self.prior, point), self.inputs, self.wheel, self.model)
 
+    def residuals_and_slopes(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Measured less model (d, 3, n), and by how much each force (axis 2) changes with one standard deviation of
+        each input (axis 1), (d, 3, 3, n), at transformed parameters (d, p)."""
+        values = values_of(self.prior, points)
+        count, step = len(self.inputs), STEP * np.maximum(self.input_sigma, 1e-9)
+        moved, used = [self.inputs], [k for k in range(3) if (self.input_sigma[:, k] > 0).any()]
+        for k in used:
+            moved.append(self.inputs.copy())
+            moved[-1][:, k] -= np.where(self.inputs[:, k] > 0, 1, -1) * step[:, k]
+        forces = forces_of_many(values, np.concatenate(moved), self.wheel, self.model)
+        parts = forces.reshape(len(points), 3, len(moved), count).transpose(0, 2, 1, 3)
+        slopes = np.zeros((len(points), 3, 3, count))
+        share = (np.where(self.inputs > 0, 1, -1) * self.input_sigma / step).T[:, None]
+        slopes[:, used] = (parts[:, :1] - parts[:, 1:]) * share[used]
+        return self.forces.T - parts[:, 0], slopes
+
     def white(self, points: FloatArray) -> FloatArray:
         """Residuals over their errors, (d, n, 3), 0 for forces not measured.
 
-        At transformed parameters (d, 8). Errors of the inputs reach the forces through the model's derivatives at each
+        At transformed parameters (d, p). Errors of the inputs reach the forces through the model's derivatives at each
         point. NaN where a point is beyond any soil.
         """
-        values = values_of(self.prior, points)
-        count, step = len(self.inputs), STEP * np.maximum(self.input_sigma, 1e-9)
-        moved = [self.inputs]
-        for k in range(3):
-            for sign in (1, -1):
-                moved.append(self.inputs.copy())
-                moved[-1][:, k] += sign * step[:, k]
-        forces = forces_of_many(values, np.concatenate(moved), self.wheel, self.model)
-        parts = forces.reshape(len(points), 3, 7, count).transpose(0, 2, 1, 3)
-        share = (self.input_sigma / (2 * step)).T[:, None]
-        slopes = (parts[:, 1::2] - parts[:, 2::2]) * share
-        variance = self.force_sigma**2 + (self.model_error * np.abs(self.forces[:, :1])) ** 2
+        residual, slopes = self.residuals_and_slopes(points)
+        variance = self.force_sigma**2 + (np.array(self.model_error) * np.abs(self.forces[:, :1])) ** 2
         missing = ~np.isfinite(self.forces)
-        residual = self.forces.T - parts[:, 0]
         white = whitened(residual, slopes, np.where(missing, 0.0, variance).T.copy(), missing.T.astype(float))
-        return np.asarray(white.transpose(0, 2, 1))
+        rows = white.transpose(0, 2, 1) / np.sqrt(self.alike)
+        size = np.abs(rows)
+        if np.isinf(self.huber):
+            return np.asarray(rows)
+        linear = np.sign(rows) * np.sqrt(self.huber * (2 * np.maximum(size, self.huber) - self.huber))
+        return np.asarray(np.where(size > self.huber, linear, rows))
 
     def objective(self, point: FloatArray) -> float:
         """-2 ln of the posterior at a point, up to a constant."""
@@ -76,7 +99,7 @@ class Problem:
         return float(np.sum(self.white(point[None]) ** 2) + np.sum(away**2))
 
     def ln_likelihood(self, points: FloatArray) -> FloatArray:
-        """Of transformed parameters (d, 8), up to a constant, in as many threads as there are cores.
+        """Of transformed parameters (d, p), up to a constant, in as many threads as there are cores.
 
         Without the determinant of the errors: the true inputs are unknowns of their own here, and with it K_s and N of
         simulated soils are off by more than their standard deviation.
@@ -97,7 +120,8 @@ def problem_of(
     wheel: Wheel,
     prior: Mapping[str, Law],
     model: ContactModel | None,
-    model_error: float,
+    model_error: tuple[float, float, float],
+    contact: bool = False,
 ) -> Problem:
     values, sigmas = states.values[usable], states.sigmas[usable]
     inputs, spread = values[:, :3].copy(), sigmas[:, :3].copy()
@@ -105,9 +129,9 @@ def problem_of(
     inputs[no_side, 2], spread[no_side, 2] = 0.0, 0.0
     forces = values[:, 3:].copy()
     forces[no_side, 2] = np.nan
-    return Problem(inputs, spread, forces, np.nan_to_num(sigmas[:, 3:]), wheel, model, prior, model_error)
+    return Problem(inputs, spread, forces, np.nan_to_num(sigmas[:, 3:]), wheel, model, prior, model_error, contact)
 
 
-def part_of(problem: Problem, kept: npt.NDArray[np.bool_]) -> Problem:
+def part_of(problem: Problem, kept: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> Problem:
     parts = {name: getattr(problem, name)[kept] for name in ("inputs", "input_sigma", "forces", "force_sigma")}
     return replace(problem, **parts)

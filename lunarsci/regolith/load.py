@@ -28,8 +28,8 @@ def sinkage_under_load(
     Parameters
     ----------
     load_n : wheel load W > 0. [N]
-    slip_ratio : s, above -1 and below 1. [-]
-    side_slip_deg : beta, within -90 to 90; it only matters to a model with combined shear. [deg]
+    slip_ratio : s, -1 to 1. [-]
+    side_slip_deg : beta, -90 to 90; it only matters to a model with combined shear. [deg]
     model : exact integrals with these choices; None for the closed form.
 
     Raises

@@ -14,7 +14,17 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile, text
 from lunarsci.tables import table_hashes
 
-__all__ = ["PARAMETERS", "PRIORS", "Law", "default_prior", "prior_hash", "read_prior", "values_of"]
+__all__ = [
+    "CONTACT",
+    "PARAMETERS",
+    "PRIORS",
+    "Law",
+    "contact_prior",
+    "default_prior",
+    "prior_hash",
+    "read_prior",
+    "values_of",
+]
 
 FloatArray = npt.NDArray[np.float64]
 PRIORS = "priors.toml"
@@ -28,6 +38,8 @@ PARAMETERS = (
     "external_friction_angle_deg",
     "lateral_modulus_mm",
 )
+CONTACT = ("skid_exponent_slip", "max_stress_c1", "max_stress_c2", "exit_c3")
+"""What a contact may have unknown beside its soil: n2 of `ContactModel`, c1-c3 of `Wheel`."""
 TRANSFORMS = ("ln", "ln tan", "value")
 FIXED_SD = 1e-6
 """Stands for a parameter that is known."""
@@ -92,13 +104,22 @@ def default_prior() -> Mapping[str, Law]:
     return {name: Law(**table[name]) for name in PARAMETERS}
 
 
+@cache
+def contact_prior() -> Mapping[str, Law]:
+    """The laws of `priors.toml` for the parameters of `CONTACT`, in their order."""
+    table = tomllib.loads((files(__package__) / PRIORS).read_text("utf-8"))
+    return {name: Law(**table[name]) for name in CONTACT}
+
+
 def prior_hash() -> dict[str, str]:
     """Name and SHA-256 of the default laws' table."""
     return table_hashes(PRIORS, package=__package__)
 
 
-def read_prior(source: InputFile) -> dict[str, Law]:
+def read_prior(source: InputFile, contact: bool = False) -> dict[str, Law]:
     """The default laws with those of a TOML file in their place: a table `of`, `median`, `sd` for each parameter.
+
+    With `contact` also those of `CONTACT`.
 
     Raises DataError for text that is no TOML, an unknown parameter, or a law out of range.
     """
@@ -106,10 +127,10 @@ def read_prior(source: InputFile) -> dict[str, Law]:
         document = tomllib.loads(text(source))
     except tomllib.TOMLDecodeError as error:
         raise DataError(f"{source.name}: not valid TOML: {error}") from error
-    laws = dict(default_prior())
+    laws = {**default_prior(), **(contact_prior() if contact else {})}
     for name, table in document.items():
         if name not in laws:
-            raise DataError(f"{source.name}: '{name}' is not a soil parameter; these are: {', '.join(PARAMETERS)}")
+            raise DataError(f"{source.name}: '{name}' is not a soil parameter; these are: {', '.join(laws)}")
         try:
             laws[name] = Law(**({"of": laws[name].of, "source": source.name} | table))
         except (TypeError, ParameterError) as error:
@@ -118,6 +139,7 @@ def read_prior(source: InputFile) -> dict[str, Law]:
 
 
 def values_of(prior: Mapping[str, Law], transforms: FloatArray) -> FloatArray:
-    """Parameters in their units, (…, 8), from transforms of the same shape."""
-    columns = [prior[name].back(transforms[..., k]) for k, name in enumerate(PARAMETERS)]
+    """Parameters in their units, (…, 8) or with those of `CONTACT` (…, 12), from transforms of the same shape."""
+    names = (*PARAMETERS, *CONTACT)[: transforms.shape[-1]]
+    columns = [prior[name].back(transforms[..., k]) for k, name in enumerate(names)]
     return np.stack(columns, axis=-1)

@@ -63,11 +63,13 @@ class WheelStates:
     id : n names.
     values, sigmas : shape (n, 6), columns in the order of `COLUMNS` [m, -, deg, N, N, N]; NaN in `values` where a
         slip, side slip or lateral force was not measured.
+    stated : whether the errors of the forces come from the file, not from `MeasurementErrors`.
     """
 
     id: tuple[str, ...]
     values: FloatArray
     sigmas: FloatArray
+    stated: bool = False
 
     def __len__(self) -> int:
         return len(self.id)
@@ -98,7 +100,8 @@ def read_states(source: InputFile, wheel: Wheel, errors: MeasurementErrors | Non
     values = np.column_stack([numbers.get(name, np.full(len(frame), np.nan)) for name in COLUMNS])
     _check_values(source.name, values[keep], np.flatnonzero(keep), wheel)
     sigmas = _sigmas(source.name, numbers, values, errors or MeasurementErrors())
-    return WheelStates(tuple(ids[keep].astype(str)), values[keep], sigmas[keep])
+    stated = any(f"{name}_sigma" in numbers for name in COLUMNS[3:])
+    return WheelStates(tuple(ids[keep].astype(str)), values[keep], sigmas[keep], stated)
 
 
 def _check_columns(name: str, columns: list[str]) -> None:
@@ -159,8 +162,8 @@ def _check_values(name: str, values: FloatArray, rows: npt.NDArray[np.intp], whe
             ~((z >= LEAST_SINKAGE_M) & (z < wheel.radius_m)),
             f"above 1e-6 and below the wheel radius of {wheel.radius_m:g} m",
         ),
-        ("slip_ratio", (s <= -1) | (s >= 1), "above -1 and below 1"),
-        ("side_slip_deg", np.abs(beta) >= 90, "above -90 and below 90 deg"),
+        ("slip_ratio", np.abs(s) > 1, "within -1 to 1"),
+        ("side_slip_deg", np.abs(beta) > 90, "within -90 to 90 deg"),
         ("normal_force_n", ~(load > 0), "above 0 N"),
     ):
         if bad.any():

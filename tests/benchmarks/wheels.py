@@ -5,6 +5,9 @@ Soil and contact angles are fitted to one repetition of each state, the other tw
 each of the three in turn. Left out are runs deeper than the wheel's radius, most of those at 90 deg, and locked wheels,
 for which Eq. 13 has no shear; `--locked` takes them in.
 
+The joint inference (`lunarsci.regolith.joint`) is left to predict what it has not seen: one repetition, one slip, one
+slip angle in turn, locked wheels included, at measured sinkage; then sets of states with the sign of one column wrong.
+
 Points read off published curves (Ding 2011, Wang & Han 2016, Hurrell 2025) are predicted with the soils of the tables
 and nothing fitted: drawbar pull at measured sinkage and load, and sinkage under the load.
 
@@ -24,12 +27,29 @@ from scipy.optimize import least_squares
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.contact import ContactModel
+from lunarsci.regolith.fit_verdict import FitVerdict
 from lunarsci.regolith.integrals import contact_forces, moving_contact_forces
+from lunarsci.regolith.joint import infer_soil
+from lunarsci.regolith.joint_laws import WheelLaw, candidates, compare_laws
+from lunarsci.regolith.joint_predict import predict_forces
 from lunarsci.regolith.load import sinkage_under_load, stiffness_under_load
 from lunarsci.regolith.soil import Soil
-from lunarsci.regolith.wheel import Wheel
+from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates
+from lunarsci.regolith.wheel import Wheel, read_wheel
 
-__all__ = ["MODELS", "PointErrors", "Runs", "errors", "grouser_runs", "published_points"]
+__all__ = [
+    "JOINT",
+    "MODELS",
+    "PointErrors",
+    "Runs",
+    "errors",
+    "grouser_runs",
+    "left_out",
+    "published_points",
+    "published_verdicts",
+    "states_of",
+    "with_sign_turned",
+]
 
 RADIUS_M, WIDTH_M, GROUSER_M = 0.058, 0.05, 0.005
 EARTH = {"density_kg_m3": 1330.0, "gravity_m_s2": 9.81}
@@ -43,6 +63,10 @@ MODELS = {
     "ellipse, bulldozing by Wong": ContactModel(shear="ellipse", bulldozing="wong", **EARTH),
     "printed": ContactModel(reading="printed", **EARTH),
 }
+JOINT = WheelLaw(MODELS["combined, bulldozing by Hegedus"], True)
+"""The law that the comparison of laws takes for all runs."""
+RIMS = (1.0, 4.0, 6.5, 9.0, 11.0, 16.0, 30.0, 70.0)
+"""Between the nine rim speeds, of slip -1, -0.7, -0.5, -0.2, 0, 0.2, 0.5, 0.75 and 0.9 without side slip. [mm/s]"""
 DEEPEST = 0.95
 START = np.array([math.log(1e3), 1.0, 0.2, 0.2, math.log(800), 31.0, math.log(12), 31.0, math.log(12), 0.4, 0.15, -0.1])
 WIDTH = np.array([1.5, 0.4, 0.3, 0.4, 1.0, 6.0, 0.7, 8.0, 0.7, 0.1, 0.15, 0.15])
@@ -149,6 +173,50 @@ def errors(runs: Runs, name: str, straight: bool, locked: bool = False) -> tuple
     return tuple(map(float, np.sqrt(np.mean(np.concatenate(squares), axis=0))))  # type: ignore[return-value]
 
 
+def states_of(runs: Runs) -> WheelStates:
+    """The runs as wheel states: slip by the speed along the heading, errors as the paper states them."""
+    travel, rim = runs.velocity[:, 0], runs.velocity[:, 2]
+    faster = travel <= rim
+    slip = np.where(faster, 1 - travel / np.maximum(rim, 1e-12), rim / np.maximum(travel, 1e-12) - 1)
+    slip = np.where(rim > 0, slip, -1.0)
+    return _stated(np.column_stack([runs.sinkage, slip, runs.angle, runs.forces]))
+
+
+def _stated(values: np.ndarray) -> WheelStates:
+    sigmas = np.column_stack([MeasurementErrors().of(name, values[:, k]) for k, name in enumerate(COLUMNS)])
+    return WheelStates(tuple(str(n) for n in range(len(values))), values, np.nan_to_num(sigmas))
+
+
+def part_of(states: WheelStates, chosen: np.ndarray) -> WheelStates:
+    """Some of the states."""
+    ids = tuple(name for name, good in zip(states.id, chosen, strict=True) if good)
+    return WheelStates(ids, states.values[chosen], states.sigmas[chosen])
+
+
+def with_sign_turned(states: WheelStates, column: str) -> WheelStates:
+    """The states with the sign of one column turned."""
+    values = states.values.copy()
+    values[:, COLUMNS.index(column)] *= -1
+    return WheelStates(states.id, values, states.sigmas)
+
+
+def left_out(
+    states: WheelStates, wheel: Wheel, law: WheelLaw, groups: np.ndarray, folds: tuple[float, ...] = ()
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Predicted less measured F_N, F_DP, F_L as shares of the load, and whether 90 % intervals hold, of each group (or
+    those in `folds`) from all others; and which states these are."""
+    misses, held, which = [], [], []
+    for group in folds or np.unique(groups):
+        out = groups == group
+        found = infer_soil(part_of(states, ~out), wheel, model=law.model, contact=law.contact)
+        depth, slip, side, load = states.values[out, :4].T
+        told = predict_forces(found, wheel, slip, side, load, depth)
+        misses.append((told.value - states.values[out, 3:]) / load[:, None])
+        held.append(told.holds(states.values[out, 3:]))
+        which.append(np.flatnonzero(out))
+    return np.concatenate(misses), np.concatenate(held), np.concatenate(which)
+
+
 @dataclass(frozen=True, slots=True)
 class PointErrors:
     """Points, rmse of the drawbar pull by the load and of the sinkage [m]."""
@@ -203,6 +271,45 @@ def published_points(data: Path) -> dict[str, PointErrors]:
     return found
 
 
+def published_verdicts(data: Path) -> dict[str, FitVerdict]:
+    """Of joint fits to points of published curves, by source and grouser height, with the law that predicts best."""
+    rows = pd.read_csv(data / "wheel/roverdevkit_single_wheel_experiments.csv")
+    found = {}
+    for (source, height), group in rows.groupby(["source", "grouser_height_m"]):
+        first = group.iloc[0]
+        wheel = Wheel(radius_m=first.wheel_radius_m, width_m=first.wheel_width_m, grouser_height_m=height)
+        names = ("meas_sinkage_m", "slip", "vertical_load_n", "meas_drawbar_pull_n")
+        sinkage, slip, load, pull = (group[name].to_numpy(float) for name in names)
+        blank = np.full(len(group), np.nan)
+        states = _stated(np.column_stack([sinkage, slip, blank, load, pull, blank]))
+        law, _ = compare_laws(states, wheel, candidates(states))
+        posterior = infer_soil(states, wheel, model=law.model, contact=law.contact)
+        found[f"{source}, grousers of {1e3 * height:.0f} mm"] = posterior.verdict
+    return found
+
+
+def joint_tables(data: Path) -> None:
+    """Print what the joint inference predicts of runs that it has not seen, and its verdicts."""
+    runs, wheel = grouser_runs(data), read_wheel("cmu-grouser")
+    states = states_of(runs)
+    rim = np.digitize(1e3 * runs.velocity[:, 2], RIMS)
+    print("law | score | behind | +- | model error of F_N, F_DP, F_L")
+    for score in compare_laws(states, wheel, candidates(states, *EARTH.values()))[1]:
+        print(f"{score.law.name} | {score.score} | {score.behind} | {score.behind_sigma} | {score.model_error}")
+    print("left out | F_DP without and with side slip, F_L: rms / load | F_N, F_DP, F_L: held by 90 % intervals")
+    folds = {"repetition": runs.repetition, "slip": rim, "slip range": (rim + 1) // 2, "angle": runs.angle}
+    for name, groups in folds.items():
+        misses, held, which = left_out(states, wheel, JOINT, groups)
+        straight = runs.angle[which] == 0
+        parts = (misses[straight, 1], misses[~straight, 1], misses[:, 2])
+        print(name, *(f"{np.sqrt(np.mean(part**2)):.3f}" for part in parts), *(f"{x:.2f}" for x in held.mean(axis=0)))
+    for column in ("slip_ratio", "side_slip_deg", "drawbar_pull_n", "lateral_force_n"):
+        turned = infer_soil(with_sign_turned(states, column), wheel, model=JOINT.model, contact=True).verdict
+        print(f"sign of {column} turned: {'trusted' if turned.trusted else turned.reason}")
+    for name, verdict in published_verdicts(data).items():
+        print(name, verdict.model, verdict.reduced_chi_square, verdict.model_error, verdict.reason or "trusted")
+
+
 def main() -> None:
     """Print the tables."""
     data = Path(os.environ["LUNARSCI_REFERENCE_DATA"])
@@ -212,6 +319,7 @@ def main() -> None:
     for name in MODELS:
         straight, every = errors(runs, name, True, locked), errors(runs, name, False, locked)
         print(f"| {name} | " + " | ".join(f"{value:.2f}" for value in (*straight[:2], *every)) + " |")
+    joint_tables(data)
     print("points of published curves: rmse of drawbar pull [% of load], of sinkage [mm], points")
     for name, point in published_points(data).items():
         print(f"| {name} | {100 * point.drawbar:.1f} | {1e3 * point.sinkage:.1f} | {point.points} |")

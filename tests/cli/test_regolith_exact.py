@@ -147,7 +147,8 @@ def test_a_rut_carries_more(run: Run) -> None:
         (("--load", "36", "--reece-cohesive", "1"), "go together"),
         (("--load", "36", "--reece-cohesive", "1", "--reece-frictional", "1", "--stiffness", "800"), "give one"),
         (("--load", "36", "--rut", "0.01"), "belong to --exact"),
-        (("--load", "36", "--slip", "-1"), "above -1"),
+        (("--load", "36", "--slip", "-1.1"), "within -1 to 1"),
+        (("--load", "36", "--slip", "1", "--side-slip", "90"), "leave open"),
         (
             (
                 "--sinkage",
@@ -162,6 +163,24 @@ def test_states_and_options_that_make_no_sense_are_refused(run: Run, options: tu
     assert done.code in (1, 2)
     assert hint in done.err[-1]
     assert done.out == ""
+
+
+@pytest.mark.parametrize("exact", [(), ("--exact", "--shear", "combined")])
+def test_locked_wheels_and_side_slip_of_90_degrees_have_forces(run: Run, exact: tuple[str, ...]) -> None:
+    at = ("regolith", "forces", "--sinkage", "0.012", *exact)
+    locked, still = result(run, *at, "--slip", "-1"), result(run, *at, "--slip", "1", "--side-slip", "10")
+    sideways = result(run, *at, "--slip", "0.1", "--side-slip", "90")
+    assert locked["drawbar_pull_n"] < result(run, *at, "--slip", "-0.6")["drawbar_pull_n"] < 0
+    assert [locked["lateral_force_n"], still["lateral_force_n"]] == pytest.approx([0, 0], abs=1e-5)
+    assert sideways["lateral_force_n"] > result(run, *at, "--slip", "0.1", "--side-slip", "60")["lateral_force_n"] > 0
+
+
+@pytest.mark.parametrize("exact", [(), ("--exact",)])
+def test_a_pull_that_only_cohesion_gives_is_not_to_be_trusted(run: Run, exact: tuple[str, ...]) -> None:
+    done = run("regolith", "forces", "--sinkage", "2e-7", "--slip", "0.2", *exact, "--json")
+    assert done.code == 3
+    assert "cohesion alone would pull" in done.err[-1]
+    assert json.loads(done.out)["result"]["cohesion_share"] > 10
 
 
 def test_slip_beyond_what_was_measured_is_said(run: Run) -> None:
@@ -183,3 +202,72 @@ def test_sensitivity_and_profile_are_in_the_result(run: Run, drive: Path) -> Non
     assert {"parameter", "quantity", "alone", "saved"} == set(found["sensitivity"][0])
     done = run("regolith", "identify", drive, "--joint", "--profile", "--sample")
     assert done.code == 2
+
+
+@pytest.fixture
+def turned(drive: Path, tmp_path: Path) -> Path:
+    """The same states with the sign of the drawbar pull turned, and 5 % of scatter."""
+    rng, lines = np.random.default_rng(2), drive.read_text().splitlines()
+    rows = [[float(cell) for cell in line.split(",")] for line in lines[1:]]
+    path = tmp_path / "turned.csv"
+    body = [",".join(f"{v * (-1 if k == 4 else 1) * (1 + 0.05 * rng.standard_normal() * (k > 2)):.6f}"
+                     for k, v in enumerate(row)) for row in rows]  # fmt: skip
+    path.write_text("\n".join([lines[0], *body]) + "\n")
+    return path
+
+
+def test_a_fit_that_explains_nothing_is_said_kept_and_repeated_by_the_drive(
+    run: Run, turned: Path, tmp_path: Path
+) -> None:
+    soils, belief = tmp_path / "soils.csv", tmp_path / "belief.json"
+    for path in (soils, belief):
+        done = run("regolith", "identify", turned, "--joint", "--posterior", path, "--json")
+        assert done.code == 3
+        assert "drawbar_pull_n" in done.err[-1]
+    verdict = json.loads(done.out)["result"]["joint"]["verdict"]
+    assert not verdict["trusted"]
+    assert json.loads(belief.read_text())["verdict"] == verdict
+    plan = tmp_path / "plan.toml"
+    plan.write_text("[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 0.2\n")
+    for option in (("--samples", soils), ("--soil", belief)):
+        done = run("twin", "predict", plan, *option, "--members", "1", "--json")
+        assert done.code == 3
+        assert json.loads(done.out)["result"]["soil_verdict"] == verdict
+        assert any("fit that is not to be trusted" in line for line in done.err)
+
+
+def test_straight_drives_are_trusted_together_though_single_states_leave_the_lateral_pair_open(
+    run: Run, drive: Path, tmp_path: Path
+) -> None:
+    lines = [line.split(",") for line in drive.read_text().splitlines()]
+    straight = tmp_path / "straight.csv"
+    rows = [[*line[:2], "0", *line[3:5], "0.01"] for line in lines[1:]]
+    straight.write_text("\n".join(",".join(line) for line in (lines[0], *rows)) + "\n")
+    assert run("regolith", "identify", straight).code == 3
+    verdict = result(run, "regolith", "identify", straight, "--joint")["joint"]["verdict"]
+    assert verdict["trusted"]
+
+
+def test_the_law_is_chosen_by_its_score_and_predicts_another_wheel(run: Run, drive: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.csv"
+    other.write_text("slip_ratio,normal_force_n\n0.2,20\n0.4,20\n")
+    found = result(
+        run,
+        "regolith",
+        "identify",
+        drive,
+        "--joint",
+        "--law",
+        "auto",
+        "--predict",
+        other,
+        "--predict-rover",
+        "cmu-smooth",
+    )["joint"]
+    assert found["verdict"]["trusted"]
+    assert {law["law"] for law in found["laws"]} >= {"closed", "separate", "combined + contact angles"}
+    pulls = [state["drawbar_pull_n"] for state in found["predicted"]["states"]]
+    assert all(pull["low90"] < pull["value"] < pull["high90"] for pull in pulls)
+    assert pulls[0]["value"] < pulls[1]["value"]
+    assert run("regolith", "identify", drive, "--joint", "--law", "auto", "--exact").code == 2
+    assert run("regolith", "identify", drive, "--joint", "--contact").code == 2

@@ -9,7 +9,15 @@ import pytest
 from scipy.integrate import quad
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.regolith.forces import READINGS, slip_ratio, stress_moments, travel_ratio, wheel_forces
+from lunarsci.regolith.forces import (
+    MOST_COHESION,
+    READINGS,
+    cohesion_share,
+    slip_ratio,
+    stress_moments,
+    travel_ratio,
+    wheel_forces,
+)
 from lunarsci.regolith.load import sinkage_under_load
 from lunarsci.regolith.soil import Soil, known_soils, read_soil
 from lunarsci.regolith.wheel import Wheel, read_wheel, shearing_radius
@@ -92,6 +100,29 @@ def test_lateral_force_is_odd_in_side_slip_and_saturates_at_the_strength() -> No
     assert right == pytest.approx(WHEEL.shearing_radius_m * 0.15 * strength * theta_1 / 2, rel=1e-3)
 
 
+@pytest.mark.parametrize(("state", "near"), [
+    ((-1.0, 0.0), (-1 + 1e-7, 0.0)), ((-1.0, 20.0), (-1 + 1e-7, 20.0)), ((1.0, 30.0), (1 - 1e-7, 30.0)),
+    ((0.2, 90.0), (0.2, 90 - 1e-6)), ((-0.5, -90.0), (-0.5, -90 + 1e-6)), ((-1.0, 90.0), (-1 + 1e-7, 89.999)),
+])  # fmt: skip
+def test_a_locked_wheel_and_side_slip_of_90_degrees_are_limits(
+    state: tuple[float, float], near: tuple[float, float]
+) -> None:
+    both = [wheel_forces(WHEEL, SOIL, 0.009, *at) for at in (state, near)]
+    for name in both[0].__slots__:
+        one, two = (float(getattr(found, name)) for found in both)
+        assert one == pytest.approx(two, abs=1e-3 * float(both[0].normal_force_n)), name
+
+
+def test_cohesion_of_a_contact_without_load_is_told() -> None:
+    """By hand: b r_s c theta_1 / 2 over F_N. At 0.2 micrometres the closed form pulls 173 times its load."""
+    z = np.array([2e-7, 0.009])
+    load = wheel_forces(WHEEL, SOIL, z, 0.2).normal_force_n
+    theta_1 = np.arccos((0.15 - z) / 0.15)
+    expected = 0.15 * WHEEL.shearing_radius_m * 520 * theta_1 / 2 / load
+    assert cohesion_share(WHEEL, SOIL, z, load) == pytest.approx(expected)
+    assert expected[0] > 10 * MOST_COHESION > 20 * expected[1]
+
+
 @pytest.mark.parametrize("slip", [-0.9, -0.3, 0.0, 0.2, 0.9])
 def test_travel_ratio_and_slip_ratio_are_inverse(slip: float) -> None:
     assert slip_ratio(travel_ratio(slip)) == pytest.approx(slip, abs=1e-12)
@@ -120,9 +151,11 @@ def test_impossible_loads_are_refused(load: float) -> None:
         ((0.0, 0.0, 0.0), "sinkage_m"),
         ((0.15, 0.0, 0.0), "sinkage_m"),
         ((math.nan, 0.0, 0.0), "sinkage_m"),
-        ((0.01, -1.0, 0.0), "slip_ratio"),
-        ((0.01, 1.0, 0.0), "slip_ratio"),
-        ((0.01, 0.0, 90.0), "side_slip_deg"),
+        ((0.01, -1.01, 0.0), "slip_ratio"),
+        ((0.01, 1.01, 0.0), "slip_ratio"),
+        ((0.01, math.nan, 0.0), "slip_ratio"),
+        ((0.01, 0.0, 90.1), "side_slip_deg"),
+        ((0.01, 1.0, 90.0), "leave open"),
     ],
 )
 def test_impossible_states_are_refused(state: tuple[float, float, float], name: str) -> None:

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import quad
 
 from lunarsci.errors import ParameterError
-from lunarsci.regolith.contact import SHEAR_LAWS, ContactModel
+from lunarsci.regolith.contact import SHEAR_LAWS, ContactModel, ShearLaw
 from lunarsci.regolith.forces import wheel_forces
 from lunarsci.regolith.integrals import contact_forces, moving_contact_forces
 from lunarsci.regolith.soil import Soil
@@ -45,7 +45,7 @@ def written_out(z: float, s: float, beta_deg: float) -> list[float]:
         return (520 + sigma(t) * math.tan(math.radians(38))) * math.copysign(1 - math.exp(-abs(j) / 17.8e-3), j)
 
     def tau_y(t: float) -> float:
-        j = r_s * travel * math.tan(math.radians(beta_deg)) * (theta_1e - t)
+        j = r * travel * math.tan(math.radians(beta_deg)) * (theta_1e - t)  # r, where Eq. 13 has r_s
         return (520 + sigma(t) * math.tan(math.radians(14))) * math.copysign(1 - math.exp(-abs(j) / 20e-3), j)
 
     def whole(of: Callable[[float], float]) -> float:
@@ -189,7 +189,28 @@ def test_choices_out_of_range_are_refused(options: dict[str, object]) -> None:
         ContactModel(**options)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("state", [(0.0, 0.1, 0.0), (0.2, 0.1, 0.0), (0.01, -1.0, 0.0), (0.01, 0.0, 90.0)])
+def test_the_lateral_displacement_has_r_where_the_longitudinal_has_the_shearing_radius() -> None:
+    """Eq. 17 where shear has just begun, so that nothing saturates: with r_s it would be 2.2 % more."""
+    found = float(contact_forces(WHEEL, SOIL, 0.012, 0.2, 0.5).lateral_force_n)
+    assert found == pytest.approx(written_out(0.012, 0.2, 0.5)[2], rel=2e-3)
+
+
+@pytest.mark.parametrize("law", SHEAR_LAWS)
+@pytest.mark.parametrize(("state", "near"), [
+    ((-1.0, 0.0), (-1 + 1e-7, 0.0)), ((-1.0, 20.0), (-1 + 1e-7, 20.0)), ((1.0, 30.0), (1 - 1e-7, 30.0)),
+    ((0.2, 90.0), (0.2, 90 - 1e-6)), ((-0.5, -90.0), (-0.5, -90 + 1e-6)), ((-1.0, 90.0), (-1 + 1e-9, 89.9999)),
+])  # fmt: skip
+def test_a_locked_wheel_and_side_slip_of_90_degrees_are_limits(
+    law: ShearLaw, state: tuple[float, float], near: tuple[float, float]
+) -> None:
+    model = ContactModel(shear=law, skid_exponent_slip=0.3, bulldozing="hegedus")
+    both = [contact_forces(WHEEL, SOIL, 0.012, *at, model) for at in (state, near)]
+    for name in both[0].__slots__:
+        one, two = (float(getattr(found, name)) for found in both)
+        assert one == pytest.approx(two, abs=1e-3 * float(both[0].normal_force_n)), name
+
+
+@pytest.mark.parametrize("state", [(0.0, 0.1, 0.0), (0.2, 0.1, 0.0), (0.01, -1.1, 0.0), (0.01, 0.0, 91.0)])
 def test_states_no_wheel_can_have_are_refused(state: tuple[float, float, float]) -> None:
     with pytest.raises(ParameterError):
         contact_forces(WHEEL, SOIL, *state)

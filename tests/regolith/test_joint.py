@@ -121,7 +121,7 @@ def test_the_sampler_finds_a_bent_posterior_that_quadrature_gives() -> None:
     free = ("cohesion_pa", "friction_angle_deg")
     laws = {name: law if name in free else replace(law, sd=0.0) for name, law in PRIOR.items()}
     laws["cohesion_pa"] = replace(PRIOR["cohesion_pa"], sd=1.5)
-    problem = problem_of(states, np.array([True, True]), WHEEL, laws, None, 0.02)
+    problem = problem_of(states, np.array([True, True]), WHEEL, laws, None, (0.02,) * 3)
     sampled, _ = carry_population(problem.ln_likelihood, problem.center, problem.width, 4000, np.random.default_rng(0))
     at = [PARAMETERS.index(name) for name in free]
     axes = [problem.center[k] + problem.width[k] * np.linspace(-6, 6, 241) for k in at]
@@ -151,8 +151,8 @@ def test_a_profile_is_the_lowest_objective_along_a_parameter() -> None:
     """At a limit by profile no point of a cloud around it with the same value of the parameter does better."""
     rng = np.random.default_rng(7)
     states = measured(drawn_soil(rng), 12, rng)
-    found = infer_soil(states, WHEEL, profile=True)
-    problem = problem_of(states, np.ones(12, dtype=bool), WHEEL, PRIOR, None, 0.02)
+    found = infer_soil(states, WHEEL, model_error=0.02, profile=True)
+    problem = problem_of(states, np.ones(12, dtype=bool), WHEEL, PRIOR, None, (0.02,) * 3)
     lowest, k = problem.objective(found.mode), PARAMETERS.index("friction_angle_deg")
     edge = found.intervals()["friction_angle_deg"][2]
     cloud = found.mode + rng.standard_normal((4000, 8)) @ np.linalg.cholesky(found.covariance).T

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytestmark = pytest.mark.reference
@@ -62,3 +63,32 @@ def test_points_of_published_curves(bench: Any, reference_data: Path) -> None:
     assert found["ding2011, grousers of 10 mm"].sinkage <= 0.009
     assert found["wang_han_2016_kls1, grousers of 0 mm"].drawbar <= 0.08
     assert all(found[f"wang_han_2016_kls1, grousers of {h} mm"].sinkage <= 0.022 for h in (0, 10))
+
+
+def test_a_joint_fit_explains_the_measured_wheel_and_predicts_repetitions_left_out(bench: Any, runs: Any) -> None:
+    """Measured over all repetitions: drawbar 0.06 of the load without and 0.10 with side slip, lateral 0.09."""
+    states, wheel = bench.states_of(runs), bench.read_wheel("cmu-grouser")
+    found = bench.infer_soil(states, wheel, model=bench.JOINT.model, contact=True)
+    assert found.verdict.trusted, found.verdict.reason
+    assert 0.5 <= (found.verdict.reduced_chi_square or 0) <= 2
+    misses, held, which = bench.left_out(states, wheel, bench.JOINT, runs.repetition, (1,))
+    straight = runs.angle[which] == 0
+    assert np.sqrt(np.mean(misses[straight, 1] ** 2)) <= 0.10
+    assert np.sqrt(np.mean(misses[~straight, 1] ** 2)) <= 0.12
+    assert np.sqrt(np.mean(misses[:, 2] ** 2)) <= 0.12
+    assert 0.82 <= held.mean() <= 0.97
+
+
+@pytest.mark.parametrize("column", ["slip_ratio", "drawbar_pull_n", "lateral_force_n"])
+def test_a_wrong_sign_of_one_column_of_the_measured_wheel_is_refused(bench: Any, runs: Any, column: str) -> None:
+    """Of a third of the runs; the column is named where a law explains the others."""
+    states, wheel = bench.states_of(runs), bench.read_wheel("cmu-grouser")
+    some = bench.part_of(bench.with_sign_turned(states, column), np.arange(len(states)) % 3 == 0)
+    verdict = bench.infer_soil(some, wheel, model=bench.JOINT.model, contact=True).verdict
+    assert not verdict.trusted
+    assert f"column {column}" in verdict.reason
+
+
+def test_the_closed_form_does_not_explain_the_measured_wheel(bench: Any, runs: Any) -> None:
+    states, wheel = bench.states_of(runs), bench.read_wheel("cmu-grouser")
+    assert "no soil of the model explains the states" in bench.infer_soil(states, wheel).verdict.reason

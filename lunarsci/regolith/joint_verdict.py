@@ -1,0 +1,202 @@
+"""Does a soil of the model explain the states? If not, which column would have to be otherwise?"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.errors import ParameterError
+from lunarsci.regolith.fit_verdict import FitVerdict
+from lunarsci.regolith.joint_error import error_covariance
+from lunarsci.regolith.joint_mode import ROUGH, Mode, find_mode, mode_with_errors
+from lunarsci.regolith.joint_problem import Problem, part_of
+
+__all__ = ["CEILINGS", "Suspect", "judge", "suspects"]
+
+FloatArray = npt.NDArray[np.float64]
+CEILINGS = (0.35, 0.15, 0.15)
+"""Share of the load by which the law may miss F_N, F_DP, F_L before no soil of it counts as an explanation; assumed. A
+pull that errs by 0.15 is a slope of 8.5 deg; a normal force at a measured sinkage errs most, as it goes with a power of
+it: 0.35 of the load is a fifth of the sinkage."""
+REDUCED = (0.5, 2.0)
+"""Range of a reduced chi-square that agrees with the errors stated."""
+MOST_LEFT_OUT = 0.1
+GOOD, GOOD_REDUCED, STRANGE = 0.02, 1.5, 3.0
+"""A law that misses no force by more than this share of the load, without outliers, with such a reduced chi-square and
+no parameter so many standard deviations off its prior, leaves nothing for another reading of a column to explain."""
+DECISIVE = 12.0
+"""By how much -2 ln posterior must be better for another reading of a column to count: odds of 400."""
+HUBER, MOST_STATES = 3.0, 60
+COLUMNS = ("sinkage_m", "slip_ratio", "side_slip_deg", "normal_force_n", "drawbar_pull_n", "lateral_force_n")
+POUND, KILOGRAM = 4.44822, 9.80665
+"""Newtons of a pound and a kilogram of force."""
+READINGS: tuple[tuple[str, float, str], ...] = (
+    ("slip_ratio", -1.0, "its sign turned: slip is positive where the rim is faster than the wheel travels"),
+    ("drawbar_pull_n", -1.0, "its sign turned: a pull forward is positive, a resistance negative"),
+    ("lateral_force_n", -1.0, "its sign (or that of side_slip_deg) turned: they have the same sign"),
+    ("side_slip_deg", math.degrees(1.0), "degrees in place of radians"),
+)
+UNITS: tuple[tuple[str, float, str], ...] = (
+    *((name, factor, f"newtons in place of {unit}") for name in COLUMNS[3:] for factor, unit in (
+        (KILOGRAM, "kilograms"), (POUND, "pounds"), (1e-3, "millinewtons"))),
+    ("slip_ratio", 0.01, "a share in place of per cent"),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Suspect:
+    """A column that would explain the states better if read otherwise, and by how much in -2 ln posterior."""
+
+    column: str
+    how: str
+    gain: float
+
+
+def suspects(mode: Mode, units: bool = False) -> list[Suspect]:
+    """Columns whose sign, or with `units` unit, the states contradict, worst first.
+
+    All states, or 60 of them spread evenly, are fitted anew as they are and with each column read otherwise, with the
+    same errors; residuals beyond 3 standard errors count linearly, so that no few states decide. With `units`, as of
+    states that the law misses by more than it may, the other reading must bring that to an end.
+    """
+    some = np.unique(np.linspace(0, len(mode.kept) - 1, MOST_STATES).astype(int))
+    plain = replace(part_of(mode.problem, some), huber=HUBER)
+    before = _best(plain, mode.point)
+    found: list[Suspect] = []
+    for column, factor, how in (*READINGS, *(UNITS if units else ())):
+        other = _read_otherwise(plain, column, factor)
+        if other is None:
+            continue
+        gain = before - _best(other, plain.center) + _stretch(plain, column, factor)
+        if gain > DECISIVE and not (units and _above(mode_with_errors(replace(other, huber=np.inf)))):
+            found.append(Suspect(column, how, gain))
+    return sorted(found, key=lambda suspect: -suspect.gain)
+
+
+def _best(problem: Problem, start: FloatArray) -> float:
+    """-2 ln posterior at its mode, from a start, with the determinant of the errors; infinite where there is none."""
+    try:
+        found = find_mode(problem, start, tolerance=ROUGH)[0]
+        slopes = problem.residuals_and_slopes(found[None])[1][0]
+        covariance = error_covariance(problem, slopes, np.array(problem.model_error))
+        return problem.objective(found) + float(np.linalg.slogdet(covariance)[1].sum())
+    except (ParameterError, np.linalg.LinAlgError):
+        return math.inf
+
+
+def _stretch(problem: Problem, column: str, factor: float) -> float:
+    """What -2 ln of a density of measured forces owes to their unit."""
+    measured = int(np.isfinite(problem.forces[:, COLUMNS.index(column) % 3]).sum())
+    return 2 * measured * math.log(abs(factor)) if column in COLUMNS[3:] else 0.0
+
+
+def _read_otherwise(problem: Problem, column: str, factor: float) -> Problem | None:
+    """The problem with a column times a factor; None where no wheel could have such states, or nothing changes."""
+    k = COLUMNS.index(column)
+    name, errors = ("inputs", "input_sigma") if k < 3 else ("forces", "force_sigma")
+    values, sigmas = getattr(problem, name).copy(), getattr(problem, errors).copy()
+    values[:, k % 3] *= factor
+    sigmas[:, k % 3] *= abs(factor)
+    if not np.nan_to_num(values[:, k % 3]).any():
+        return None
+    if k < 3 and not (
+        (np.abs(values[:, 1]) <= 1).all()
+        and (np.abs(values[:, 2]) <= 90).all()
+        and (values[:, 0] < problem.wheel.radius_m).all()
+    ):
+        return None
+    return replace(problem, **{name: values, errors: sigmas})
+
+
+def reduced_chi_square(mode: Mode) -> float | None:
+    """Of the states kept over the forces left after what the fit used up; None where none is left."""
+    white = mode.problem.white(mode.point[None])[0][mode.kept]
+    left = int(np.isfinite(mode.problem.forces[mode.kept]).sum()) - mode.freedom
+    return float(np.sum(white**2) / left) if left >= 1 else None
+
+
+def judge(mode: Mode, model: str, given: bool, stated: bool, unusable: float) -> FitVerdict:
+    """The verdict of a fit.
+
+    Parameters
+    ----------
+    model : the law's name.
+    given : whether the model error was given, not found from the residuals.
+    stated : whether the errors of measurement were stated, not assumed.
+    unusable : share of all states that could not be used at all.
+    """
+    shares, reduced = mode.problem.model_error, reduced_chi_square(mode)
+    reasons = [*_misfit(mode, reduced, stated), *_ceilings(mode, given), *_left_out(mode, unusable)]
+    strange = float(np.max(np.abs(mode.point - mode.problem.center) / mode.problem.width))
+    good = max(shares) <= GOOD and (reduced or 1.0) < GOOD_REDUCED and mode.kept.all() and strange < STRANGE
+    good = good and not reasons
+    turned = [] if good else suspects(mode, units=bool(reasons))
+    if turned:
+        first = turned[0]
+        reasons.insert(0, f"column {first.column} agrees with the others only with {first.how}")
+    elif reasons:
+        reasons.append("look at the signs and units of slip_ratio, side_slip_deg, drawbar_pull_n and lateral_force_n, "
+                       "at the wheel (--rover), or let --law auto look for a law that fits")  # fmt: skip
+    return FitVerdict(
+        trusted=not reasons,
+        reason="; ".join(reasons),
+        model=model,
+        model_error=shares,
+        model_error_from="given" if given else "residuals",
+        reduced_chi_square=reduced,
+        assumed=_assumed(mode, given, stated, reduced),
+    )
+
+
+def _misfit(mode: Mode, reduced: float | None, stated: bool) -> list[str]:
+    low, high = REDUCED
+    after = "model error " + ", ".join(f"{share:.3g}" for share in dict.fromkeys(mode.problem.model_error))
+    if reduced is None or low <= reduced <= high or (reduced < low and not stated):
+        return []
+    if reduced < low:
+        return [f"reduced chi-square {reduced:.2g} is below {low:g}: the stated errors are too large for these states"]
+    return [f"no soil of the model explains the states: reduced chi-square {reduced:.3g} after a {after} of the load"]
+
+
+def _ceilings(mode: Mode, given: bool) -> list[str]:
+    names = ("normal force", "drawbar pull", "lateral force")
+    missed = [
+        f"the {names[k]} by {mode.problem.model_error[k]:.2f} (at most {CEILINGS[k]:g})"
+        for k in ([] if given else _above(mode))
+    ]
+    if not missed:
+        return []
+    return [f"no soil of the model explains the states: it misses, as a share of the load, {', '.join(missed)}"]
+
+
+def _above(mode: Mode) -> list[int]:
+    """Which of the forces that were measured the law misses by more than it may."""
+    measured, shares = np.isfinite(mode.problem.forces), mode.problem.model_error
+    return [k for k in range(3) if shares[k] > CEILINGS[k] and measured[:, k].any()]
+
+
+def _left_out(mode: Mode, unusable: float) -> list[str]:
+    share = float(np.mean(~mode.kept))
+    reasons = [f"{100 * share:.0f} % of the states are outliers"] if share > MOST_LEFT_OUT else []
+    return [*reasons, f"{100 * unusable:.0f} % of the states cannot be used"] if unusable > 0.5 else reasons
+
+
+def _assumed(mode: Mode, given: bool, stated: bool, reduced: float | None) -> tuple[str, ...]:
+    """What the fit had to assume, in sentences."""
+    said = ["priors of priors.toml where none are given"]
+    if not stated:
+        said.append("errors of measurement as Ding et al. (2024) state them, as the file gives none")
+    if not given:
+        said.append(f"errors of the model normal, a share of the load, so much alike that {mode.alike:.1f} "
+                    "states count as one")  # fmt: skip
+    if reduced is not None and reduced < REDUCED[0] and not stated:
+        said.append(f"errors that the states do not show (reduced chi-square {reduced:.2g}), so intervals are wide")
+    if reduced is None:
+        said.append("that the law holds: there are no more forces than parameters to test it")
+    model = mode.problem.model
+    if model is not None and model.bulldozing != "none":
+        said.append(f"soil of {model.density_kg_m3:g} kg/m3 under {model.gravity_m_s2:g} m/s2 beside the wheel")
+    if not np.isfinite(mode.problem.forces[:, 2]).any():
+        said.append("nothing of lateral forces, which were not measured")
+    return tuple(said)
