@@ -76,11 +76,11 @@ def predict(
 
         output.check_extra("--animate", animate, FORMATS)
         check_format(animate)
-    from .twin_drive import Soils, drive
+    from .twin_drive import Soils, drive, with_physics
     from .twin_report import predict_report, read_scene
 
     scene = read_scene(plan, rover, terrain, soil, interpolation, fixes)
     soils = Soils.of(sweep, members, samples, seed, scene.soil, soil_map)
     with progress("driving", quiet=output.quiet) as update:
-        prediction = drive(scene, soils, time_step, sample, update)
+        prediction = with_physics(scene, soils, drive(scene, soils, time_step, sample, update))
     return predict_report(scene, prediction, soils.kind(scene), film=animate, quiet=output.quiet)

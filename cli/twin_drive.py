@@ -10,17 +10,19 @@ import typer
 from lunarsci.errors import ParameterError
 from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import read_belief
+from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.twin.drive_pieces import planned_places
 from lunarsci.twin.ensemble import Prediction, predict
 from lunarsci.twin.ground.soil_layers import drawn_grounds
 from lunarsci.twin.ground.soil_map import SoilMap
 from lunarsci.twin.ground.soil_map_files import read_soil_map
+from lunarsci.twin.path_discrepancy import with_discrepancy
 from lunarsci.twin.plans.plan import Sweep, parse_sweep
 from lunarsci.twin.soil_samples import read_soil_samples
 
 from .twin_report import Scene, SoilOfBelief
 
-__all__ = ["Soils", "drive"]
+__all__ = ["Soils", "drive", "with_physics"]
 
 OF_A_BELIEF = 64
 """Drives on soils of a belief, where their number is not given."""
@@ -28,7 +30,10 @@ OF_A_BELIEF = 64
 
 @dataclass(frozen=True, slots=True)
 class Soils:
-    """The soils of a prediction: a sweep, or samples from a file; and the seed."""
+    """The soils of a prediction: a sweep, or samples from a file; and the seed.
+
+    `discrepancy` is what a belief knows of the twin's physics, None where the soils are of no belief.
+    """
 
     sweep: tuple[Sweep, ...] | None
     members: int | None
@@ -36,6 +41,7 @@ class Soils:
     seed: int
     inputs: Mapping[str, str]
     soil_map: SoilMap | None = None
+    discrepancy: PhysicsDiscrepancy | None = None
 
     @classmethod
     def of(
@@ -55,7 +61,8 @@ class Soils:
         if soil_map is not None and len(given) > 1:
             raise typer.BadParameter(f"--soil-map names the soils already; leave out {given[1]}")
         if believed is not None:
-            return cls(None, None, believed.belief.draws(members or OF_A_BELIEF, seed), seed, {})
+            drawn = believed.belief.draws(members or OF_A_BELIEF, seed)
+            return cls(None, None, drawn, seed, {}, discrepancy=believed.belief.discrepancy)
         if soil_map is not None:
             source = read_input(soil_map)
             return cls(None, members, None, seed, {soil_map: source.sha256}, read_soil_map(source))
@@ -64,11 +71,12 @@ class Soils:
         if sweep is not None:
             raise typer.BadParameter("--sweep and --samples are two ways to name the soils; give one")
         source = read_input(samples)
-        if samples.lower().endswith(".json"):
-            drawn = read_belief(source).draws(members or OF_A_BELIEF, seed)
-        else:
-            drawn = read_soil_samples(source, members, seed)
-        return cls(None, None, drawn, seed, {samples: source.sha256})
+        inputs = {samples: source.sha256}
+        if not samples.lower().endswith(".json"):
+            return cls(None, None, read_soil_samples(source, members, seed), seed, inputs)
+        belief = read_belief(source)
+        drawn = belief.draws(members or OF_A_BELIEF, seed)
+        return cls(None, None, drawn, seed, inputs, discrepancy=belief.discrepancy)
 
     def kind(self, scene: Scene) -> str:
         """What the soils are: draws of a `belief`, other `samples`, a `sweep` of ranges, or `one`."""
@@ -109,3 +117,11 @@ def drive(
         sample_m=sample_m,
         progress=progress,
     )
+
+
+def with_physics(scene: Scene, soils: Soils, prediction: Prediction) -> Prediction:
+    """With what the twin's physics is off by, where the soils are of a belief or a map of beliefs."""
+    law = soils.discrepancy
+    if soils.soil_map is not None:
+        law = soils.soil_map.belief_along(planned_places(scene.plan, scene.rover)).discrepancy
+    return prediction if law is None else with_discrepancy(prediction, law, soils.seed)

@@ -101,11 +101,21 @@ class Known:
             self.belief,
             particles=particles,
             seed=seed,
+            teach=not self.belief.discrepancy.has_scored(self.scene.inputs[self.states]),
             progress=progress,
         )
         entry, parent = self.entry(found), self.parent_sha256
-        belief = with_drive(found.belief, self.belief, entry, parent_sha256=parent, forgotten=self.forget)
+        belief = with_drive(self.scored(found), self.belief, entry, parent_sha256=parent, forgotten=self.forget)
         return dataclasses.replace(found, belief=belief)
+
+    def scored(self, found: Rectified) -> SoilBelief:
+        """The belief found, whose discrepancy says that it rests on this drive's end, if it does."""
+        belief, digest = found.belief, self.scene.inputs[self.states]
+        law = belief.discrepancy
+        if found.refused or law.has_scored(digest) or not len(self.record.fix_time_s):
+            return belief
+        line = {"states": Path(self.states).name, "sha256": digest, "plan": self.scene.plan.name, "how": "own end"}
+        return dataclasses.replace(belief, discrepancy=law.with_score(**line))
 
     def entry(self, found: Rectified) -> Mapping[str, Any]:
         """The line of history of this drive."""

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile, text
+from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy
 from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, values_of
 
 __all__ = ["SCHEMA", "SoilBelief", "belief_of", "first_belief", "read_belief"]
@@ -31,6 +32,7 @@ class SoilBelief:
     covariance : of the transforms. (8, 8)
     history : one entry for each update, oldest first: what it rests on.
     population : transforms drawn from the belief where it is not normal; mean and covariance are theirs. (d, 8)
+    discrepancy : what drives are off by beside the soil; that of no drive where a file has none.
 
     Raises ParameterError for a covariance that is not symmetric and positive definite.
     """
@@ -40,6 +42,7 @@ class SoilBelief:
     covariance: FloatArray
     history: tuple[Mapping[str, Any], ...] = field(default=())
     population: FloatArray | None = field(default=None, repr=False)
+    discrepancy: PhysicsDiscrepancy = FIRST
 
     def __post_init__(self) -> None:
         size = len(PARAMETERS)
@@ -85,14 +88,16 @@ class SoilBelief:
     def forgotten(self, share: float) -> "SoilBelief":
         """The belief as ground further on is believed to be: `share` of the way back to the first laws, 0 to 1.
 
-        Mean and covariance are those of the mixture of both; a population is given up. Raises ParameterError.
+        Mean and covariance are those of the mixture of both; a population is given up. The discrepancy is forgotten
+        alike. Raises ParameterError.
         """
         if not 0 <= share <= 1:
             raise ParameterError(f"forgetting is {share}; give 0 (all is kept) to 1 (all is forgotten)")
         first = first_belief(self.laws)
         off = self.mean - first.mean
         covariance = (1 - share) * self.covariance + share * first.covariance + share * (1 - share) * np.outer(off, off)
-        return SoilBelief(self.laws, self.mean - share * off, covariance, self.history)
+        discrepancy = self.discrepancy.forgotten(share)
+        return SoilBelief(self.laws, self.mean - share * off, covariance, self.history, discrepancy=discrepancy)
 
     def to_json(self) -> str:
         """As `read_belief` reads it."""
@@ -104,6 +109,7 @@ class SoilBelief:
             "covariance": self.covariance.tolist(),
             "history": [dict(entry) for entry in self.history],
             "population": None if self.population is None else self.population.tolist(),
+            "discrepancy": self.discrepancy.to_dict(),
         }
         return json.dumps(document, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
 
@@ -126,7 +132,9 @@ def belief_of(document: Mapping[str, Any]) -> SoilBelief:
         mean, covariance = (np.array(document[key], dtype=np.float64) for key in ("mean", "covariance"))
         drawn = document.get("population")
         population = None if drawn is None else np.array(drawn, dtype=np.float64)
-        return SoilBelief(laws, mean, covariance, tuple(document.get("history", ())), population)
+        kept = document.get("discrepancy")
+        discrepancy = FIRST if kept is None else PhysicsDiscrepancy.of(kept)
+        return SoilBelief(laws, mean, covariance, tuple(document.get("history", ())), population, discrepancy)
     except KeyError as error:
         raise ParameterError(f"no {error} in it") from error
     except (TypeError, ValueError) as error:

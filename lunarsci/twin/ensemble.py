@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import ParameterError
+from lunarsci.twin.drawn_discrepancy import DrawnDiscrepancy
 from lunarsci.twin.ground.terrain import Terrain, soil_overrides
 from lunarsci.twin.plans.commands import Commands
 from lunarsci.twin.plans.fixes import fix_errors, legs_from
@@ -28,12 +29,13 @@ from lunarsci.twin.simulation.drive import begin, drive
 from lunarsci.twin.simulation.lanes import LANES, Work, new_work
 from lunarsci.twin.simulation.outcomes import OUTCOMES
 
-__all__ = ["PATH_COLUMNS", "STATE_COLUMNS", "Grounds", "Prediction", "member_parameters", "predict"]
+__all__ = ["OFFSET_COLUMNS", "PATH_COLUMNS", "STATE_COLUMNS", "Grounds", "Prediction", "member_parameters", "predict"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 PATH_COLUMNS = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg")
+OFFSET_COLUMNS = ("offset_x_m", "offset_y_m")
 STATE_COLUMNS = (
     "x_m",
     "y_m",
@@ -97,6 +99,8 @@ class Prediction:
     recorded : samples that each member reached; later rows repeat its last one and are no prediction. (members,)
     outcome : index into `OUTCOMES`. (members,)
     grounds : what each member drove on, where they do not share the terrain's soil or one of `parameters`.
+    discrepancy : what members were moved by, as the twin's physics is off; None where that was not asked. Their states
+        hold it, their paths do not: see `places_m`.
     """
 
     rover: Rover
@@ -114,6 +118,7 @@ class Prediction:
     recorded: IntArray
     outcome: IntArray
     grounds: Grounds | None = None
+    discrepancy: DrawnDiscrepancy | None = None
 
     @property
     def members(self) -> int:
@@ -131,9 +136,15 @@ class Prediction:
         return np.asarray(np.arange(len(self.distance_m)) < self.recorded[:, None])
 
     @property
+    def places_m(self) -> FloatArray:
+        """x, y of each member: of its path, and of what the physics is off by. (members, samples, 2) [m]"""
+        places: FloatArray = self.paths[..., :2]
+        return places if self.discrepancy is None else places + self.discrepancy.offsets_m
+
+    @property
     def endpoints_m(self) -> FloatArray:
         """x, y where each member ended. (members, 2) [m]"""
-        return self.paths[:, -1, :2]
+        return self.places_m[:, -1]
 
     @property
     def miss_m(self) -> FloatArray:
