@@ -3,18 +3,15 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from lunarsci.errors import DataError
 from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import SoilBelief, read_belief
-from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.twin.comparison.learning import Miss, taught
 
-from .table import TextTable
 from .twin_compare_report import Met
 
-__all__ = ["Lesson", "discrepancy_table", "learn", "miss_rows"]
+__all__ = ["Lesson", "learn", "miss_rows"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,22 +60,3 @@ def miss_rows(miss: Miss | None) -> list[list[str]]:
             f"{miss.soil_m:.3f} m, {miss.position_m:.3f} m, {miss.physics_m:.3f} m",
         ],
     ]
-
-
-def discrepancy_table(after: PhysicsDiscrepancy, before: PhysicsDiscrepancy | None = None) -> TextTable:
-    """What the twin's physics is off by, for people; beside what was believed before."""
-    headers = ["share", "68 %", "95 %", "rests on [drives]", *(["68 % before"] if before else [])]
-    parts = {"way, along": "along", "way, across": "across", **{name: name for name in sorted(after.quantities)}}
-    rows = []
-    for label, key in parts.items():
-        one, old = (_law(law, key) for law in (after, before or after))
-        cells = [f"± {100 * one.half_width(p):.2g} %" for p in (0.68, 0.95)]
-        rows.append(
-            [label, *cells, f"{one.degrees:.1f}", *([f"± {100 * old.half_width(0.68):.2g} %"] if before else [])]
-        )
-    note = f"learned from {len(after.scored)} drive(s); regions of predictions hold it beside the soil's spread"
-    return TextTable(headers, rows, title="What the twin's physics is off by, beside the soil", notes=[note])
-
-
-def _law(law: PhysicsDiscrepancy, key: str) -> Any:
-    return law.quantities[key] if key in law.quantities else getattr(law, key)

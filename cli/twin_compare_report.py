@@ -27,6 +27,7 @@ from lunarsci.twin.rover import Rover, build_rover
 
 from .report import Report
 from .table import TextTable
+from .twin_discrepancy import discrepancy_table
 
 if TYPE_CHECKING:
     from .twin_compare_learning import Lesson
@@ -114,8 +115,6 @@ def _record(
 
 def compare_report(met: Met, seed: int, lesson: "Lesson | None" = None) -> Report:
     """The report of `twin compare`; `lesson` is what it taught a belief."""
-    from .twin_compare_learning import discrepancy_table
-
     meeting, found = met.meeting, compare(met.meeting, seed)
     taught = [] if lesson is None else [discrepancy_table(lesson.after.discrepancy, lesson.before.discrepancy)]
     origin = meeting.forecast.origin

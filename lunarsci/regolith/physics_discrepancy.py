@@ -23,7 +23,7 @@ SHARED = ("sinkage_m", "drawbar_pull_n", "lateral_force_n")
 """Quantities of the wheels with a share of their own. Slip and side slip follow from those of the way."""
 FEWEST_DEGREES, MOST_DEGREES = 2.5, 40.0
 """Of freedom: below 2 there is no variance, and drives on other ground are never all alike; assumed."""
-GRID, REACH = 25, 5.0
+GRID, REACH = 41, 8.0
 """Points over the logarithm of a variance, and how many of its standard deviations they reach to either side."""
 
 

@@ -24,6 +24,7 @@ from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
 
 MOST_DRAWS = 20
+DRIVEN_BY = tuple(PHYSICS)
 
 
 @cache

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loop import ERRORS, Case, measured, rows_of, way_back
+from loop import ERRORS, measured, rows_of
 from loop_report import interval, report
 from mujoco_rover import Driven
+from true_drives import Case, way_back
 
 from lunarsci.regolith.belief import first_belief
 from lunarsci.twin.drive_record import OBSERVED
