@@ -27,7 +27,7 @@ from lunarsci.twin.inference.misfit import FIX_ERROR_M, HUBER, POSITION, Misfit
 from lunarsci.twin.inference.mode import Mode, find_mode
 from lunarsci.twin.inference.population import draw_population
 from lunarsci.twin.inference.posterior import Posterior, posterior_of
-from lunarsci.twin.path_discrepancy import way_matrix
+from lunarsci.twin.path_discrepancy import exposed, way_matrix
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.record_times import values_at
 from lunarsci.twin.rover import Rover
@@ -123,8 +123,8 @@ def rectify(
 ) -> Rectified:
     """Update the belief of a soil by a drive.
 
-    The belief's discrepancy learns how far the best soil misses the last position, with twice the variance, as the soil
-    followed it. What the twin's physics is off by is drawn anew for each drive, though it is much the same on the next:
+    The belief's discrepancy learns what the best soil leaves unexplained of the states, and how far it misses the last
+    position, with twice the variance, as the soil followed it. What the twin's physics is off by is drawn anew for each drive, though it is much the same on the next:
     many updates on the same ground narrow a belief more than they should.
 
     Parameters
@@ -164,7 +164,7 @@ def rectify(
     if not refused:
         drawn, left = draw_population(posterior, mode, particles, random, progress)
         points = posterior.straight.transforms(drawn)
-        discrepancy = taught_by_end(belief.discrepancy, posterior.misfit, best) if teach else belief.discrepancy
+        discrepancy = _taught(belief.discrepancy, posterior.misfit, expected, best) if teach else belief.discrepancy
         moments = (points.mean(axis=0), np.cov(points.T))
         learned = SoilBelief(belief.laws, *moments, belief.history, points, discrepancy)
     moved = posterior.straight.transforms(mode.point) - belief.mean if refused else learned.mean - belief.mean
@@ -220,17 +220,38 @@ def _in_units(misfit: Misfit) -> dict[str, float]:
     return {name: float(size * np.median(sigma[name])) for name, size in misfit.discrepancy.wheels.items()}
 
 
-def taught_by_end(before: PhysicsDiscrepancy, misfit: Misfit, best: Prediction) -> PhysicsDiscrepancy:
-    """The discrepancy after the last measured position of a drive, beside the drive on the soil that explains it."""
+def _taught(before: PhysicsDiscrepancy, misfit: Misfit, expected: FloatArray, best: Prediction) -> PhysicsDiscrepancy:
+    """The discrepancy after a drive, by what the soil that explains it best leaves of its states and of its end."""
+    law = before
+    if misfit.known[:, :3].any():
+        law = law.with_states(unexplained_share(misfit, expected, best))
     times = misfit.record.fix_time_s
     if not len(times):
-        return before
+        return law
     last = int(times.argmax())
     place = values_at(best.time_s, times[last : last + 1], best.paths[..., :2])[0, 0]
     so_far = slice(0, int(np.searchsorted(best.time_s, times[last])) + 1)
     known = misfit.record.fix_covariance_m2[last] + FIX_ERROR_M**2 * np.eye(2)
     miss = FOLLOWED * (misfit.record.fix_m[last] - place)
-    return before.with_miss(miss, known, way_matrix(best.planned[so_far, :2], best.paths[:, so_far, :3]))
+    return law.with_miss(miss, known, way_matrix(best.planned[so_far, :2], best.paths[:, so_far, :3]))
+
+
+def unexplained_share(misfit: Misfit, expected: FloatArray, best: Prediction) -> float:
+    """What errors of sinkage, slip and side slip were widened by, root of the summed squares. [-]
+
+    As a share of the mean sinkage, and of the part of the way that the physics can be off in.
+    """
+    planned, paths = best.planned[:, :2], best.paths[..., :3]
+    way = float(exposed(planned, paths).mean())
+    total = 0.0
+    for k, name in enumerate(OBSERVED[:3]):
+        own, factor = misfit.known[:, k], misfit.inflation.get(name, 1.0)
+        if not own.any() or factor <= 1.0:
+            continue
+        added = float(np.median(misfit.sigma[own, k])) * np.sqrt(1.0 - factor**-2)
+        size = float(np.abs(expected[own, k]).mean()) if name == "sinkage_m" else way
+        total += ((np.radians(added) if name == "side_slip_deg" else added) / max(size, 1e-9)) ** 2
+    return float(np.sqrt(total))
 
 
 def _refusal(misfit: Misfit, outliers: int, wheels: Mapping[str, float], expected: FloatArray, best: Prediction) -> str:
