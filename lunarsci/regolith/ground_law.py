@@ -20,17 +20,19 @@ __all__ = ["OTHER_PHYSICS", "GroundInterval", "ground_intervals", "ground_moment
 FloatArray = npt.NDArray[np.float64]
 OTHER_PHYSICS: Mapping[str, float] = MappingProxyType(
     {
-        "stiffness_kpa_m_n": 0.5,
+        "stiffness_kpa_m_n": 0.7,
         "sinkage_exponent": 0.4,
-        "sinkage_exponent_slip": 1.3,
-        "cohesion_pa": 1.2,
-        "friction_angle_deg": 0.8,
+        "sinkage_exponent_slip": 1.9,
+        "cohesion_pa": 0.7,
+        "friction_angle_deg": 1.0,
         "shear_modulus_mm": 0.4,
-        "external_friction_angle_deg": 0.8,
-        "lateral_modulus_mm": 0.4,
+        "external_friction_angle_deg": 0.6,
+        "lateral_modulus_mm": 0.5,
     }
 )
-"""Standard deviation between effective and own values, in widths of the first laws. [-]"""
+"""Standard deviation between effective and own values, in widths of the first laws: the most probable of 19 updates by
+stress integrals, ruts and changing soils, drawn towards their common 0.8, on the grounds and soils that
+`tests/benchmarks/loop.py --training --seed 1701` drives on, which no reported number is of. [-]"""
 NINETY_FIVE = 1.959964
 
 

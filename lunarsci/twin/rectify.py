@@ -124,8 +124,9 @@ def rectify(
     """Update the belief of a soil by a drive.
 
     The belief's discrepancy learns what the best soil leaves unexplained of the states, and how far it misses the last
-    position, with twice the variance, as the soil followed it. What the twin's physics is off by is drawn anew for each drive, though it is much the same on the next:
-    many updates on the same ground narrow a belief more than they should.
+    position, with twice the variance, as the soil followed it. What the twin's physics is off by is drawn anew for each
+    drive, though it is much the same on the next: many updates on the same ground narrow a belief more than they
+    should.
 
     Parameters
     ----------

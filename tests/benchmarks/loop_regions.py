@@ -55,6 +55,9 @@ def after_past_returns(rows: list[dict[str, Any]], past: int) -> list[dict[str, 
     """
     found = []
     for k, row in enumerate(rows):
+        if not row["model_error"]:
+            found.append(row)
+            continue
         law = PhysicsDiscrepancy.of(row["discrepancy"]) if not past else FIRST
         for other in (rows[(k + 1 + n) % len(rows)] for n in range(min(past, len(rows) - 1))):
             ends = np.array(other["soil_ends_m"])
