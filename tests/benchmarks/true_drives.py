@@ -6,6 +6,7 @@ code that drives changes.
 """
 
 import dataclasses
+import importlib
 import pickle
 import time
 from dataclasses import dataclass
@@ -17,14 +18,16 @@ from mujoco_rover import Driven
 from other_physics import PHYSICS, true_drive, widths, world_of
 
 from lunarsci.regolith.belief import first_belief
-from lunarsci.regolith.prior import PARAMETERS
+from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.twin.ground.longji import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
 
 MOST_DRAWS = 20
-DRIVEN_BY = tuple(PHYSICS)
+QUASI_STATIC = "quasi-static"
+"""A rover in equilibrium wherever it is, with a wheel-soil law of its own for each soil: `quasi_static.py`."""
+DRIVEN_BY = (*PHYSICS, QUASI_STATIC)
 
 
 @cache
@@ -113,30 +116,52 @@ def chain(case: Case, rover: Rover, plan: Plan, kept: Path | None = None) -> Cha
     return found
 
 
+class _Quasistatic:
+    """As `World`, by the simulator that shares no code with the twin; its choices are drawn for each soil."""
+
+    def __init__(self, case: Case, rover: Rover, draw: int) -> None:
+        self.module = importlib.import_module("quasi_static")
+        self.rover, self.terrain, self.theta = rover, terrains(case.training)[case.ground], case.hidden(draw)
+        self.physics = self.module.draw_physics(case.seed + case.number)
+
+    def drive(self, plan: Plan) -> Driven:
+        values = values_of(first_belief().laws, self.theta)
+        soil = dict(zip(PARAMETERS, map(float, values), strict=True))
+        driven: Driven = self.module.drive(self.rover, self.terrain, plan, soil, self.physics)
+        return driven
+
+    def soil_along(self, driven: Driven) -> np.ndarray:
+        return self.theta
+
+
+class _Bodies:
+    """A world of `other_physics.py`."""
+
+    def __init__(self, case: Case, rover: Rover, draw: int) -> None:
+        ground, physics, seed = terrains(case.training)[case.ground], PHYSICS[case.physics], case.seed + case.number
+        self.world = world_of(rover, ground, physics, case.hidden(draw), seed=seed)
+        self.soil_along = self.world.soil_along
+
+    def drive(self, plan: Plan) -> Driven:
+        return true_drive(self.world, plan)
+
+
 def driven_chain(case: Case, rover: Rover, plan: Plan) -> Chain:
     """The drives of a case, driven now."""
     replaced: list[str] = []
     for draw in range(MOST_DRAWS):
-        world = world_of(
-            rover,
-            terrains(case.training)[case.ground],
-            PHYSICS[case.physics],
-            case.hidden(draw),
-            seed=case.seed + case.number,
-        )
-        begin, plans, drives = time.perf_counter(), [plan], [true_drive(world, plan)]
+        world = (_Quasistatic if case.physics == QUASI_STATIC else _Bodies)(case, rover, draw)
+        begin, plans, drives = time.perf_counter(), [plan], [world.drive(plan)]
         while drives[-1].finished and len(drives) < max(case.drives, 2):
             plans.append(way_back(plans[-1], drives[-1]))
-            drives.append(true_drive(world, plans[-1]))
+            drives.append(world.drive(plans[-1]))
         took = (time.perf_counter() - begin) / len(drives)
         finished = sum(drive.finished for drive in drives)
         if finished >= 2:
-            own = slice(0, finished)
-            thetas = tuple(world.soil_along(drive) for drive in drives[own])
             return Chain(
-                plans=tuple(plans[own]),
-                drives=tuple(drives[own]),
-                thetas=thetas,
+                plans=tuple(plans[:finished]),
+                drives=tuple(drives[:finished]),
+                thetas=tuple(world.soil_along(drive) for drive in drives[:finished]),
                 replaced=tuple(replaced),
                 drive_s=took,
             )
