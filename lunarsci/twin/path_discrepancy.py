@@ -89,11 +89,11 @@ def _states(
     """A rover that comes a share of the way farther slips less by it; one that comes to the left slips sidewards."""
     states, moving = prediction.states.copy(), ~prediction.halted
     ahead, left = (np.concatenate([part[:, :1], part], axis=1)[:, moving, None] for part in (along, across))
-    slip, side_slip = (STATE_COLUMNS.index(name) for name in ("slip_ratio", "side_slip_deg"))
-    states[:, moving, :, slip] -= ahead
-    states[:, moving, :, side_slip] += np.degrees(left)
+    column = {name: states[..., k] for k, name in enumerate(STATE_COLUMNS)}
+    column["slip_ratio"][:, moving] -= ahead
+    column["side_slip_deg"][:, moving] += np.degrees(left)
     for name, share in shares.items():
-        states[:, moving, :, STATE_COLUMNS.index(name)] *= 1.0 + share[:, None, None]
+        column[name][:, moving] *= 1.0 + share[:, None, None]
     return states
 
 

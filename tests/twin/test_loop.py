@@ -118,7 +118,7 @@ def test_the_report_says_what_the_rows_do() -> None:
 
 def test_past_returns_teach_the_region_of_the_next() -> None:
     """Each return is 0.5 of the exposed way short: outside of the first region, inside after ten others that were."""
-    rows = [row("exact", n, 0.1, True) for n in range(11)]
+    rows = [one | one["updates"]["third"] for one in (row("exact", n, 0.1, True) for n in range(11))]
     none, ten = (after_past_returns(rows, past) for past in (0, 10))
     assert not any(one["held"] for one in none) and all(one["held"] for one in ten)
     assert np.median([one["radius_m"] for one in ten]) > 3.0 * np.median([one["radius_m"] for one in none])

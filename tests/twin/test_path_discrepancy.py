@@ -52,10 +52,11 @@ def test_draws_have_the_covariance_of_the_law(many: Prediction) -> None:
     expected = law.covariance_m2(way_matrix(many.planned[:, :2], many.paths[..., :3]))
     ends = moved.endpoints_m - many.endpoints_m
     assert np.sqrt(np.diag(np.cov(ends.T))) == pytest.approx(np.sqrt(np.diag(expected)), rel=0.1)
-    # The rover that comes farther slips less: the lost way of the wheels is that of the path.
+    # The rover that comes farther slips less: what the wheels lose is what the path does.
     slip = STATE_COLUMNS.index("slip_ratio")
-    less = (many.states - moved.states)[:, 1:, 0, slip] @ np.diff(many.planned[:, 0])
-    assert less == pytest.approx(ends[:, 0], abs=1e-9)
+    less = many.states[:, 5, 0, slip] - moved.states[:, 5, 0, slip]
+    farther = np.diff(moved.discrepancy.offsets_m[:, 4:6, 0])[:, 0]
+    assert less == pytest.approx(farther / np.diff(many.planned[4:6, 0])[0], abs=1e-12)
     sinkage = STATE_COLUMNS.index("sinkage_m")
     ratio = moved.states[:, 5, 0, sinkage] / many.states[:, 5, 0, sinkage] - 1.0
     assert ratio == pytest.approx(moved.discrepancy.shares["sinkage_m"])
@@ -70,7 +71,7 @@ def test_the_verdict_holds_it(driven: Prediction) -> None:
     plan = dataclasses.replace(
         driven.plan,
         limits=(Limit("endpoint_miss_m", "m", 1.2 * soils, "test", False),),
-        keep_out=(KeepOut(0.5, 0.95, 0.1),),
+        keep_out=(KeepOut("stone", 0.5, 0.95, 0.1),),
     )
     alone, both = judge(driven, plan), judge(with_discrepancy(driven, law), plan)
     assert alone.verdict == "go" and alone.endpoint is not None and alone.endpoint.physics_share is None
