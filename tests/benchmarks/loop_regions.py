@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy, across_of
+from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy, across_of
 
 REGIONS = {"held": 0.9, "held_50": 0.5}
 """Share of the predicted ends that a region holds."""
@@ -48,7 +48,7 @@ def moved(cloud: np.ndarray, law: PhysicsDiscrepancy, way_m2: np.ndarray, seed: 
 
 
 def after_past_returns(rows: list[dict[str, Any]], past: int) -> list[dict[str, Any]]:
-    """Regions of each return where the discrepancy learned from so many other returns by the same physics.
+    """Regions of each return where its discrepancy also learned from so many other returns by the same physics.
 
     Those are the next ones in the order of the rows, in a circle, each scored by its measured end. Fewer where there
     are not as many.
@@ -58,7 +58,7 @@ def after_past_returns(rows: list[dict[str, Any]], past: int) -> list[dict[str, 
         if not row["model_error"]:
             found.append(row)
             continue
-        law = PhysicsDiscrepancy.of(row["discrepancy"]) if not past else FIRST
+        law = PhysicsDiscrepancy.of(row["discrepancy"])
         for other in (rows[(k + 1 + n) % len(rows)] for n in range(min(past, len(rows) - 1))):
             ends = np.array(other["soil_ends_m"])
             known = np.cov(ends.T) + np.array(other["place_m2"])
