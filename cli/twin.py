@@ -70,6 +70,9 @@ def predict(
     With -o DIR the wheel states and forces go to states.csv, the paths to paths.csv, the ends to endpoints.csv, the
     spread of all quantities against distance to profiles.csv; with prediction.json `twin compare` sets them beside the
     drive that follows.
+
+    On soils of a belief every drive also carries a draw of what the twin's physics is off by, in its place, slip, side
+    slip, sinkage and forces; the result says how much of the ends' variance that is.
     """
     if animate is not None:
         from lunarsci.twin.figures.animation import FORMATS, check_format
