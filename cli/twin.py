@@ -73,20 +73,23 @@ def predict(
     spread of all quantities against distance to profiles.csv; with prediction.json `twin compare` sets them beside the
     drive that follows. A plan of `twin terrain` is driven by the rover that it was made for, unless --rover says
     otherwise.
+
+    On soils of a belief every drive also carries a draw of what the twin's physics is off by, in its place, slip, side
+    slip, sinkage and forces; the result says how much of the ends' variance that is.
     """
     if animate is not None:
         from lunarsci.twin.figures.animation import FORMATS, check_format
 
         output.check_extra("--animate", animate, FORMATS)
         check_format(animate)
-    from .twin_drive import Soils, drive, with_verdict
+    from .twin_drive import Soils, drive, with_physics, with_verdict
     from .twin_report import predict_report, read_scene
 
     scene = read_scene(plan, rover, terrain, soil, interpolation, fixes, judged=True, ruts=ruts, before=before)
     soils = Soils.of(sweep, members, samples, seed or 0, scene.soil, soil_map)
     soils.check(scene, seed_given=seed is not None)
     with progress("driving", quiet=output.quiet) as update:
-        prediction = drive(scene, soils, time_step, sample, update)
+        prediction = with_physics(scene, soils, drive(scene, soils, time_step, sample, update))
     ground = soils.record(scene)
     seed = soils.drawn_by(scene)
     kind = soils.kind(scene)

@@ -38,6 +38,16 @@ def compare(
     plan: Annotated[
         str | None, typer.Option(metavar="FILE", help="Plan that was driven (TOML): refused if another was predicted.")
     ] = None,
+    belief: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE",
+            help="Belief (JSON) whose discrepancy of the twin's physics learns from the miss, for --save.",
+        ),
+    ] = None,
+    save: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Takes the belief of --belief with what was learned (JSON).")
+    ] = None,
     rover: twin_options.RoverName = "yutu2",
     seed: twin_options.Seed = 0,
 ) -> Report:
@@ -47,7 +57,15 @@ def compare(
     prediction is right, the real drive is one more of them; where it is farther off than all but 1 in 100 would be, the
     prediction was not to be trusted, it is said why, and the exit code is 3. Times count from the start of the plan.
     What was not measured is named and not judged.
+
+    With --belief and --save, how far the drive missed teaches a belief how far the twin's physics is off, beside its
+    soil: regions of later predictions grow or shrink with it. Compare first, then `twin update` the saved belief.
     """
+    from .twin_compare_learning import learn
     from .twin_compare_report import compare_report, read_meeting
 
-    return compare_report(read_meeting(predicted, states, positions, plan, rover or "yutu2"), seed)
+    if (belief is None) != (save is None):
+        raise typer.BadParameter("--belief FILE and --save FILE belong together; give both, or neither")
+    output.check_extra("--save", save, (".json",))
+    met = read_meeting(predicted, states, positions, plan, rover or "yutu2")
+    return compare_report(met, seed, None if belief is None or save is None else learn(met, belief, save))

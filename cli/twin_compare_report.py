@@ -4,7 +4,7 @@ import dataclasses
 import warnings
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,7 @@ from lunarsci.rovers.description import read_rover
 from lunarsci.twin.comparison.bands import ALL, BandCheck
 from lunarsci.twin.comparison.ends import EndCheck, PathCheck
 from lunarsci.twin.comparison.forecast import Forecast, read_forecast
+from lunarsci.twin.comparison.learning import miss_of
 from lunarsci.twin.comparison.meeting import Meeting, meet
 from lunarsci.twin.comparison.tail import Standing
 from lunarsci.twin.comparison.verdict import Comparison, compare
@@ -26,6 +27,10 @@ from lunarsci.twin.rover import Rover, build_rover
 
 from .report import Report
 from .table import TextTable
+from .twin_discrepancy import discrepancy_table
+
+if TYPE_CHECKING:
+    from .twin_compare_learning import Lesson
 
 __all__ = ["Met", "compare_report", "read_meeting"]
 
@@ -108,9 +113,10 @@ def _record(
     return record, np.isfinite(once.values)
 
 
-def compare_report(met: Met, seed: int) -> Report:
-    """The report of `twin compare`."""
+def compare_report(met: Met, seed: int, lesson: "Lesson | None" = None) -> Report:
+    """The report of `twin compare`; `lesson` is what it taught a belief."""
     meeting, found = met.meeting, compare(met.meeting, seed)
+    taught = [] if lesson is None else [discrepancy_table(lesson.after.discrepancy, lesson.before.discrepancy)]
     origin = meeting.forecast.origin
 
     def figures() -> Any:
@@ -120,14 +126,16 @@ def compare_report(met: Met, seed: int) -> Report:
 
     return Report(
         schema="twin-compare/1",
-        result=_result(meeting, found),
-        tables=_tables(meeting, found, met.states),
+        result=_result(meeting, found)
+        | {"discrepancy": None if lesson is None else lesson.after.discrepancy.to_dict()},
+        tables=[*_tables(meeting, found, met.states), *taught],
         rows=[_band_row(check, found) for check in found.bands],
         figures=figures,
         inputs=met.inputs,
         data_tables=met.tables,
         sources=SOURCES,
         seed=seed,
+        extras={} if lesson is None else lesson.extras,
         untrusted=f"the prediction is not to be trusted: {'; '.join(found.reasons)}" if found.reasons else "",
     )
 
@@ -148,6 +156,7 @@ def _result(meeting: Meeting, found: Comparison) -> dict[str, Any]:
         "compared": list(found.compared),
         "not_compared": found.not_compared,
         "end": None if found.end is None else _end(found.end),
+        "miss": None if (miss := miss_of(meeting)) is None else asdict(miss),
         "path": None if found.path is None else asdict(found.path),
         "quantities": [_band_row(check, found) for check in found.bands],
         "surprise": None
@@ -186,6 +195,8 @@ def _band_row(check: BandCheck, found: Comparison) -> dict[str, Any]:
 
 
 def _tables(meeting: Meeting, found: Comparison, states: str) -> list[TextTable]:
+    from .twin_compare_learning import miss_rows
+
     forecast = meeting.forecast
     drives = (
         f"{found.finished} of {found.members} drives" if found.finished < found.members else f"{found.members} drives"
@@ -193,7 +204,10 @@ def _tables(meeting: Meeting, found: Comparison, states: str) -> list[TextTable]
     title = f"{found.verdict.upper()}: {forecast.plan.name}, {drives} of {forecast.origin}, beside {states}"
     notes = [f"because {reason}" for reason in found.reasons]
     head = TextTable(
-        ["place", "what", "value"], [*_end_rows(found.end), *_path_rows(found.path)], title=title, notes=notes
+        ["place", "what", "value"],
+        [*_end_rows(found.end), *miss_rows(miss_of(meeting)), *_path_rows(found.path)],
+        title=title,
+        notes=notes,
     )
     tables = [head if head.rows else TextTable([], [], title=title, notes=notes)]
     if found.bands:

@@ -14,6 +14,7 @@ from lunarsci.errors import LunarSciWarning, ParameterError
 from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import read_belief
 from lunarsci.regolith.fit_verdict import FitVerdict, doubt, read_verdict
+from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.twin.drive_pieces import planned_places
 from lunarsci.twin.ensemble import Prediction, predict
 from lunarsci.twin.ground.driven_soil import DrivenSoil, Origin
@@ -21,13 +22,14 @@ from lunarsci.twin.ground.soil_layers import drawn_grounds
 from lunarsci.twin.ground.soil_map import SoilMap
 from lunarsci.twin.ground.soil_map_files import read_soil_map
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS
+from lunarsci.twin.path_discrepancy import with_discrepancy
 from lunarsci.twin.plans.plan import Sweep, parse_sweep
 from lunarsci.twin.soil_samples import read_soil_samples
 
 from .report import Report
 from .twin_report import Scene, SoilOfBelief
 
-__all__ = ["Soils", "drive", "with_verdict"]
+__all__ = ["Soils", "drive", "with_physics", "with_verdict"]
 
 SOIL_TABLE = "soils.toml"
 OF_A_BELIEF = 64
@@ -36,7 +38,10 @@ OF_A_BELIEF = 64
 
 @dataclass(frozen=True, slots=True)
 class Soils:
-    """The soils of a prediction: a sweep, or samples from a file, of which some may be drawn; and the seed."""
+    """The soils of a prediction: a sweep, or samples from a file, of which some may be drawn; and the seed.
+
+    `discrepancy` is what a belief knows of the twin's physics, None where the soils are of no belief.
+    """
 
     sweep: tuple[Sweep, ...] | None
     members: int | None
@@ -46,6 +51,7 @@ class Soils:
     soil_map: SoilMap | None = None
     thinned: bool = False
     verdict: FitVerdict | None = None
+    discrepancy: PhysicsDiscrepancy | None = None
 
     @classmethod
     def of(
@@ -66,7 +72,8 @@ class Soils:
             raise typer.BadParameter(f"--soil-map names the soils already; leave out {given[1]}")
         if believed is not None:
             drawn = believed.belief.draws(members or OF_A_BELIEF, seed)
-            return cls(None, None, drawn, seed, {}, verdict=believed.belief.verdict)
+            known = believed.belief
+            return cls(None, None, drawn, seed, {}, verdict=known.verdict, discrepancy=known.discrepancy)
         if soil_map is not None:
             source = read_input(soil_map)
             return cls(None, members, None, seed, {soil_map: source.sha256}, read_soil_map(source))
@@ -75,12 +82,13 @@ class Soils:
         if sweep is not None:
             raise typer.BadParameter("--sweep and --samples are two ways to name the soils; give one")
         source = read_input(samples)
-        if samples.lower().endswith(".json"):
-            drawn = read_belief(source).draws(members or OF_A_BELIEF, seed)
-        else:
+        inputs, thinned, verdict = {samples: source.sha256}, members is not None, read_verdict(source)
+        if not samples.lower().endswith(".json"):
             drawn = read_soil_samples(source, members, seed)
-        thinned, verdict = members is not None, read_verdict(source)
-        return cls(None, None, drawn, seed, {samples: source.sha256}, thinned=thinned, verdict=verdict)
+            return cls(None, None, drawn, seed, inputs, thinned=thinned, verdict=verdict)
+        belief = read_belief(source)
+        drawn, law = belief.draws(members or OF_A_BELIEF, seed), belief.discrepancy
+        return cls(None, None, drawn, seed, inputs, thinned=thinned, verdict=verdict, discrepancy=law)
 
     def drawn(self, scene: Scene) -> tuple[str, ...]:
         """Soil parameters that each drive has for itself, whatever lies on the terrain."""
@@ -176,3 +184,11 @@ def drive(
         before=scene.before,
         progress=progress,
     )
+
+
+def with_physics(scene: Scene, soils: Soils, prediction: Prediction) -> Prediction:
+    """With what the twin's physics is off by, where the soils are of a belief or a map of beliefs."""
+    law = soils.discrepancy
+    if soils.soil_map is not None:
+        law = soils.soil_map.belief_along(planned_places(scene.plan, scene.rover)).discrepancy
+    return prediction if law is None else with_discrepancy(prediction, law, soils.seed)

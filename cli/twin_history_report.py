@@ -15,10 +15,12 @@ from lunarsci.regolith.belief_history import (
     past_beliefs,
     rolled_back,
 )
+from lunarsci.regolith.ground_law import ground_intervals
 from lunarsci.regolith.prior import PARAMETERS
 
 from .report import Report
 from .table import TextTable
+from .twin_discrepancy import discrepancy_table
 
 __all__ = ["Beliefs", "history_report", "read_beliefs"]
 
@@ -66,7 +68,8 @@ def history_report(beliefs: Beliefs, rollback: int | None, save: Path | None) ->
         back = None if rollback is None else rolled_back(belief, rollback)
     except ParameterError as error:
         raise DataError(f"{name}: {error}") from error
-    tables = [_drive_table(name, drives), _moved_table(drives), _now_table(belief, "What is believed now")]
+    now = [_now_table(belief, "What is believed now"), _physics_table(belief)]
+    tables = [_drive_table(name, drives), _moved_table(drives), *now]
     if distance is not None:
         tables.append(_distance_table(beliefs, distance))
     if back is not None:
@@ -83,6 +86,7 @@ def history_report(beliefs: Beliefs, rollback: int | None, save: Path | None) ->
         result={
             "drives": drives,
             "parameters": _parameters(belief),
+            "discrepancy": belief.discrepancy.to_dict(),
             "against": None if distance is None else asdict(distance),
             "rolled_back": None if back is None else {"drives": rollback, "parameters": _parameters(back)},
         },
@@ -124,9 +128,10 @@ def _reduced(entry: Mapping[str, Any]) -> float | None:
 
 
 def _parameters(belief: SoilBelief) -> dict[str, dict[str, float]]:
-    left = belief.left_of_prior
+    left, ground = belief.left_of_prior, ground_intervals(belief)
     return {
         name: {"median": median, "low": low, "high": high, "left_of_prior": left[name]}
+        | {f"ground_{key}": value for key, value in asdict(ground[name]).items()}
         for name, (median, low, high) in belief.intervals().items()
     }
 
@@ -177,12 +182,20 @@ def _now_table(belief: SoilBelief, title: str) -> TextTable:
     rows = [
         [
             name,
-            *(f"{row[key]:.4g}" for key in ("median", "low", "high")),
+            *(f"{row[key]:.4g}" for key in ("median", "low", "high", "ground_low_68", "ground_high_68")),
             f"{100 * row['left_of_prior']:.0f} %",
         ]
         for name, row in _parameters(belief).items()
     ]
-    return TextTable(["parameter", "median", "68 % from", "to", "left of the prior"], rows, title=title)
+    headers = ["effective value", "median", "68 % from", "to", "ground's own from", "to", "left of the prior"]
+    return TextTable(headers, rows, title=title)
+
+
+def _physics_table(belief: SoilBelief) -> TextTable:
+    """What the twin's physics is off by, and the drives that taught it."""
+    found = discrepancy_table(belief.discrepancy)
+    lines = [f"taught by {one.get('states')} ({one.get('how')})" for one in belief.discrepancy.scored]
+    return TextTable(found.headers, found.rows, title=found.title, notes=[*found.notes, *lines])
 
 
 def _distance_table(beliefs: Beliefs, distance: BeliefDistance) -> TextTable:

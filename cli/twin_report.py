@@ -297,9 +297,19 @@ def _result(scene: Scene, prediction: Prediction, verdict: Verdict) -> dict[str,
         "loads": asdict(check_loads(prediction)),
         "rover": scene.rover.name,
         "made_for": scene.made_for,
+        "physics": _physics(prediction, verdict),
         "sweep": {name: {"low": values.min(), "high": values.max()} for name, values in prediction.parameters.items()},
         "assumed_of_rover": list(scene.description.assumed),
     }
+
+
+def _physics(prediction: Prediction, verdict: Verdict) -> dict[str, Any] | None:
+    """What the twin is off by beside its soils, and its part of the variance of the ends; None where none was asked."""
+    if prediction.discrepancy is None:
+        return None
+    law = prediction.discrepancy.law
+    share = None if verdict.endpoint is None else verdict.endpoint.physics_share
+    return {"discrepancy": law.to_dict(), "learned_from": len(law.scored), "share_of_end_variance": share}
 
 
 def verdict_tables(scene: Scene, prediction: Prediction, verdict: Verdict) -> list[TextTable]:
@@ -367,6 +377,11 @@ def _endpoint_notes(verdict: Verdict) -> list[str]:
         f"ends: mean {end.bias_m:.3f} m from the destination, all within {end.covering_radius_m:.3f} m of it, "
         f"within {end.scatter_radius_m:.3f} m of each other's middle"
     ]
+    if (share := end.physics_share) is not None:
+        notes.append(
+            f"of the variance of the ends {100 * (1 - share):.0f} % is soil, {100 * share:.0f} % what the physics "
+            "is off by; limits are held against both"
+        )
     if (ellipse := end.ellipse) is not None:
         notes.append(
             f"error ellipse: {ellipse.semi_major_m:.3f} m x {ellipse.semi_minor_m:.3f} m (1 σ), major axis at "

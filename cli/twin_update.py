@@ -67,6 +67,9 @@ def update(
     Soils are kept as they meet the measured states and positions. Where no soil explains them, nothing is learned, it
     is said why, and the exit code is 3. It is said, too, where along the way the soil changes; with a map each stretch
     between changes is learned on its own, and far from all that was driven the map returns to the first priors.
+
+    Values are effective ones, with which the twin's law drives as the rover did; the ground's own have wider intervals.
+    What no soil explains teaches how far the twin's physics is off, which predictions from the belief then carry.
     """
     from .twin_update_map import MapFiles
     from .twin_update_report import Known, update_report

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +10,7 @@ from lunarsci.errors import DataError
 from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
 from lunarsci.regolith.belief_history import with_drive
+from lunarsci.regolith.ground_law import ground_intervals
 from lunarsci.regolith.prior import PARAMETERS, prior_hash
 from lunarsci.twin.drive_pieces import planned_places
 from lunarsci.twin.drive_record import DriveRecord, read_record
@@ -20,6 +21,7 @@ from lunarsci.twin.soil_zones import SoilChange
 
 from .report import Report
 from .table import TextTable
+from .twin_discrepancy import discrepancy_table
 from .twin_report import SOURCES, Scene, read_scene
 from .twin_update_map import (
     MapFiles,
@@ -39,6 +41,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Known", "Learned", "update_report"]
 
+EFFECTIVE = (
+    "medians and 68 % are effective values, with which the twin's law drives as the rover did; the ground's own, which "
+    "another law or instrument would find, are known less well"
+)
 SETTLED, SURPRISING = 0.3, 2.0
 """Persistence of a population above which it has not spread out; surprise above which the ground differs; assumed."""
 
@@ -103,11 +109,21 @@ class Known:
             self.belief,
             particles=particles,
             seed=seed,
+            teach=not self.belief.discrepancy.has_scored(self.scene.inputs[self.states]),
             progress=progress,
         )
         entry, parent = self.entry(found), self.parent_sha256
-        belief = with_drive(found.belief, self.belief, entry, parent_sha256=parent, forgotten=self.forget)
+        belief = with_drive(self.scored(found), self.belief, entry, parent_sha256=parent, forgotten=self.forget)
         return dataclasses.replace(found, belief=belief)
+
+    def scored(self, found: Rectified) -> SoilBelief:
+        """The belief found, whose discrepancy says that it rests on this drive's end, if it does."""
+        belief, digest = found.belief, self.scene.inputs[self.states]
+        law = belief.discrepancy
+        if found.refused or law.has_scored(digest) or not len(self.record.fix_time_s):
+            return belief
+        line = {"states": Path(self.states).name, "sha256": digest, "plan": self.scene.plan.name, "how": "own end"}
+        return dataclasses.replace(belief, discrepancy=law.with_score(**line))
 
     def entry(self, found: Rectified) -> Mapping[str, Any]:
         """The line of history of this drive."""
@@ -154,7 +170,11 @@ def update_report(known: Known, learned: Learned, seed: int, save: Path | None, 
         | {"changes": change_rows(learned.changes), "made_for": known.scene.made_for}
         | {"rover": known.scene.rover.name, "soil": _soil(known, files_of_map)}
         | (map_result(update) if update else {"zones": None, "map": None}),
-        tables=[_table(known, learned), *(zone_tables(update) if update else [])],
+        tables=[
+            _table(known, learned),
+            discrepancy_table(found.belief.discrepancy),
+            *(zone_tables(update) if update else []),
+        ],
         rows=_rows(found),
         figures=lambda: _pages(known, learned),
         inputs=known.scene.inputs,
@@ -190,9 +210,10 @@ def _refuse_known(before: SoilBelief, sha256: str, states: str, belief: str) -> 
 
 
 def _rows(found: Rectified) -> list[dict[str, Any]]:
-    left = found.belief.left_of_prior
+    left, ground = found.belief.left_of_prior, ground_intervals(found.belief)
     return [
         {"parameter": name, "median": median, "low": low, "high": high, "left_of_prior": left[name]}
+        | {f"ground_{key}": value for key, value in asdict(ground[name]).items()}
         for name, (median, low, high) in found.belief.intervals().items()
     ]
 
@@ -210,6 +231,7 @@ def _result(found: Rectified) -> dict[str, Any]:
         "persistence": found.persistence,
         "refused": found.refused or None,
         "drives": len(found.belief.history),
+        "discrepancy": found.belief.discrepancy.to_dict(),
     }
 
 
@@ -218,7 +240,7 @@ def _table(known: Known, learned: Learned) -> TextTable:
     rows = [
         [
             row["parameter"],
-            *(f"{row[key]:.4g}" for key in ("median", "low", "high")),
+            *(f"{row[key]:.4g}" for key in ("median", "low", "high", "ground_low_68", "ground_high_68")),
             f"{100 * row['left_of_prior']:.0f} %",
         ]
         for row in _rows(found)
@@ -238,8 +260,10 @@ def _table(known: Known, learned: Learned) -> TextTable:
         notes.append("--save-map learns the soil of each stretch on its own")
     if found.persistence > SETTLED:
         notes.append("the soils have not spread out; take more particles, or intervals are too narrow")
+    notes.append(EFFECTIVE)
     title = f"Soil after {known.states}: {known.scene.plan.name}"
-    return TextTable(["parameter", "median", "68 % from", "to", "left of the prior"], rows, title=title, notes=notes)
+    headers = ["effective value", "median", "68 % from", "to", "ground's own from", "to", "left of the prior"]
+    return TextTable(headers, rows, title=title, notes=notes)
 
 
 def _doubt(learned: Learned) -> str:

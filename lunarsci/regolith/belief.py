@@ -11,6 +11,7 @@ import numpy.typing as npt
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile, text
 from lunarsci.regolith.fit_verdict import FitVerdict, verdict_of
+from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy
 from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, values_of
 
 __all__ = ["SCHEMA", "SoilBelief", "belief_of", "first_belief", "read_belief"]
@@ -33,6 +34,7 @@ class SoilBelief:
     history : one entry for each update, oldest first: what it rests on.
     population : transforms drawn from the belief where it is not normal; mean and covariance are theirs. (d, 8)
     verdict : of the fit to wheel states that it comes from, None where it does not.
+    discrepancy : what drives are off by beside the soil; that of no drive where a file has none.
 
     Raises ParameterError for a covariance that is not symmetric and positive definite.
     """
@@ -43,6 +45,7 @@ class SoilBelief:
     history: tuple[Mapping[str, Any], ...] = field(default=())
     population: FloatArray | None = field(default=None, repr=False)
     verdict: FitVerdict | None = None
+    discrepancy: PhysicsDiscrepancy = FIRST
 
     def __post_init__(self) -> None:
         size = len(PARAMETERS)
@@ -88,14 +91,17 @@ class SoilBelief:
     def forgotten(self, share: float) -> "SoilBelief":
         """The belief as ground further on is believed to be: `share` of the way back to the first laws, 0 to 1.
 
-        Mean and covariance are those of the mixture of both; a population is given up. Raises ParameterError.
+        Mean and covariance are those of the mixture of both; a population is given up. The discrepancy is forgotten
+        alike. Raises ParameterError.
         """
         if not 0 <= share <= 1:
             raise ParameterError(f"forgetting is {share}; give 0 (all is kept) to 1 (all is forgotten)")
         first = first_belief(self.laws)
         off = self.mean - first.mean
         covariance = (1 - share) * self.covariance + share * first.covariance + share * (1 - share) * np.outer(off, off)
-        return SoilBelief(self.laws, self.mean - share * off, covariance, self.history)
+        discrepancy = self.discrepancy.forgotten(share)
+        mean = self.mean - share * off
+        return SoilBelief(self.laws, mean, covariance, self.history, verdict=self.verdict, discrepancy=discrepancy)
 
     def to_json(self) -> str:
         """As `read_belief` reads it."""
@@ -107,6 +113,7 @@ class SoilBelief:
             "covariance": self.covariance.tolist(),
             "history": [dict(entry) for entry in self.history],
             "population": None if self.population is None else self.population.tolist(),
+            "discrepancy": self.discrepancy.to_dict(),
         }
         if self.verdict is not None:
             document["verdict"] = self.verdict.to_dict()
@@ -131,8 +138,10 @@ def belief_of(document: Mapping[str, Any]) -> SoilBelief:
         mean, covariance = (np.array(document[key], dtype=np.float64) for key in ("mean", "covariance"))
         drawn = document.get("population")
         population = None if drawn is None else np.array(drawn, dtype=np.float64)
-        verdict = verdict_of(document.get("verdict"))
-        return SoilBelief(laws, mean, covariance, tuple(document.get("history", ())), population, verdict)
+        verdict, kept = verdict_of(document.get("verdict")), document.get("discrepancy")
+        discrepancy = FIRST if kept is None else PhysicsDiscrepancy.of(kept)
+        history = tuple(document.get("history", ()))
+        return SoilBelief(laws, mean, covariance, history, population, verdict, discrepancy)
     except KeyError as error:
         raise ParameterError(f"no {error} in it") from error
     except (TypeError, ValueError) as error:

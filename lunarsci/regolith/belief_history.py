@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief, first_belief
+from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy
 from lunarsci.regolith.prior import PARAMETERS
 
 __all__ = [
@@ -46,7 +47,11 @@ def with_drive(
     parent_sha256 : of the file that held the belief before; None where it was the priors.
     forgotten : share of the way back to the priors that was gone before the drive counted, 0 to 1.
     """
-    state = {"mean": after.mean.tolist(), "covariance": after.covariance.tolist()}
+    state = {
+        "mean": after.mean.tolist(),
+        "covariance": after.covariance.tolist(),
+        "discrepancy": after.discrepancy.to_dict(),
+    }
     entry = {**drive, "parent_sha256": parent_sha256, "forgotten": forgotten, **state}
     return dataclasses.replace(after, history=(*before.history, entry))
 
@@ -68,8 +73,10 @@ def _state(belief: SoilBelief, entry: Mapping[str, Any], number: int) -> SoilBel
         return None
     try:
         mean, covariance = (np.array(entry[key], dtype=np.float64) for key in STATE)
-        return SoilBelief(belief.laws, mean, covariance, belief.history[:number])
-    except (TypeError, ValueError) as error:
+        kept = entry.get("discrepancy")
+        discrepancy = FIRST if kept is None else PhysicsDiscrepancy.of(kept)
+        return SoilBelief(belief.laws, mean, covariance, belief.history[:number], discrepancy=discrepancy)
+    except (KeyError, TypeError, ValueError) as error:
         raise ParameterError(f"history, drive {number}: {error}") from error
 
 

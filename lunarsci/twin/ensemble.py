@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import LunarSciWarning, ParameterError
+from lunarsci.twin.drawn_discrepancy import DrawnDiscrepancy
 from lunarsci.twin.ground.terrain import Terrain, soil_overrides
 from lunarsci.twin.plans.commands import Commands, reach_m
 from lunarsci.twin.plans.fixes import fix_errors, legs_from
@@ -31,12 +32,13 @@ from lunarsci.twin.simulation.lanes import LANES, Work, new_work
 from lunarsci.twin.simulation.outcomes import DIVERGED, OUTCOMES
 from lunarsci.twin.simulation.ruts import SPACING_M, with_ruts
 
-__all__ = ["PATH_COLUMNS", "STATE_COLUMNS", "Grounds", "Prediction", "member_parameters", "predict"]
+__all__ = ["OFFSET_COLUMNS", "PATH_COLUMNS", "STATE_COLUMNS", "Grounds", "Prediction", "member_parameters", "predict"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 PATH_COLUMNS = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg")
+OFFSET_COLUMNS = ("offset_x_m", "offset_y_m")
 STATE_COLUMNS = (
     "x_m",
     "y_m",
@@ -110,6 +112,8 @@ class Prediction:
     before : the plan that each member had driven on the same ground before, whose ruts it met.
     finer : how many times shorter the step was with which each member was driven; more than 1 where `time_step_s` did
         not hold its soil. (members,)
+    discrepancy : what members were moved by, as the twin's physics is off; None where that was not asked. Their states
+        hold it, their paths do not: see `places_m`.
     """
 
     rover: Rover
@@ -130,6 +134,7 @@ class Prediction:
     ruts: bool = False
     before: Plan | None = None
     finer: IntArray | None = None
+    discrepancy: DrawnDiscrepancy | None = None
 
     @property
     def members(self) -> int:
@@ -152,9 +157,15 @@ class Prediction:
         return np.asarray(np.arange(len(self.distance_m)) < self.recorded[:, None])
 
     @property
+    def places_m(self) -> FloatArray:
+        """x, y of each member: of its path, and of what the physics is off by. (members, samples, 2) [m]"""
+        places: FloatArray = self.paths[..., :2]
+        return places if self.discrepancy is None else places + self.discrepancy.offsets_m
+
+    @property
     def endpoints_m(self) -> FloatArray:
         """x, y where each member ended. (members, 2) [m]"""
-        return self.paths[:, -1, :2]
+        return self.places_m[:, -1]
 
     @property
     def miss_m(self) -> FloatArray:

@@ -16,17 +16,20 @@ import numpy.typing as npt
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
+from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.twin.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.inference.discrepancy import MODEL_SHARES, Discrepancy
 from lunarsci.twin.inference.inflation import inflation_of, wheel_errors
-from lunarsci.twin.inference.misfit import HUBER, Misfit
+from lunarsci.twin.inference.misfit import FIX_ERROR_M, HUBER, POSITION, Misfit
 from lunarsci.twin.inference.mode import Mode, find_mode
 from lunarsci.twin.inference.population import draw_population
 from lunarsci.twin.inference.posterior import Posterior, posterior_of
+from lunarsci.twin.path_discrepancy import exposed, way_matrix
 from lunarsci.twin.plans.plan import Plan
+from lunarsci.twin.record_times import values_at
 from lunarsci.twin.rover import Rover
 
 __all__ = ["Rectified", "rectify"]
@@ -38,13 +41,30 @@ PARTICLES, FEWEST_PARTICLES = 128, 32
 ROUNDS = 2
 """Of widening errors by what the best soil leaves, and looking for it again."""
 MOST_OUTLIERS, MOST_INFLATION = 0.05, 5.0
-"""Share of outliers, and factor of the errors, beyond which the twin does not explain a drive; assumed."""
+"""Share of outliers beyond which the twin does not explain a drive, and factor of the errors beyond which it is asked
+whether it does: sensors that measure better than the twin's law holds are no fault of the drive. Assumed."""
+UNEXPLAINED = 0.8
+"""Root mean square of what the best soil leaves of a quantity, as a share of that of the quantity, from which on the
+twin explains nothing of it, as with a wrong sign or unit; of a position, as a share of the way, a tenth. Assumed."""
+UNEXPLAINED_OF_WAY = 0.1
+SLIGHT = {
+    "sinkage_m": 0.002,
+    "slip_ratio": 0.03,
+    "side_slip_deg": 1.0,
+    "normal_force_n": 1.0,
+    "drawbar_pull_n": 0.5,
+    "lateral_force_n": 0.5,
+}
+"""What is left of a quantity and is no reason to refuse, however small the quantity; assumed."""
 MOST_OF_A_WHEEL = 0.3
 """What single wheels may be off by throughout, of a slip of 1, of the mean sinkage or side slip, or of the load;
 assumed."""
 LARGE = {name: "normal_force_n" if name.endswith("_n") else name for name in OBSERVED}
 LEAST_FLOOR = 0.05
 """Multiple of `MODEL_ERRORS` that is always added, so that a force of 0 measured to 3 % has an error."""
+FOLLOWED = 2.0**0.5
+"""By which the miss of an end is taken larger than what the soil that was found with it leaves: the variance that held
+for returns in an independent simulator; assumed elsewhere."""
 STILL = 1.1
 """Factor of the errors that is no longer worth another round."""
 
@@ -98,12 +118,15 @@ def rectify(
     particles: int = PARTICLES,
     model_error: float = 1.0,
     seed: int = 0,
+    teach: bool = True,
     progress: Callable[[int, int], None] | None = None,
 ) -> Rectified:
     """Update the belief of a soil by a drive.
 
-    What the twin's physics is off by is drawn anew for each drive, though it is much the same on the next: many updates
-    on the same ground narrow a belief more than they should.
+    The belief's discrepancy learns what the best soil leaves unexplained of the states, and how far it misses the last
+    position, with twice the variance, as the soil followed it. What the twin's physics is off by is drawn anew for each
+    drive, though it is much the same on the next: many updates on the same ground narrow a belief more than they
+    should.
 
     Parameters
     ----------
@@ -114,6 +137,7 @@ def rectify(
     model_error : of the twin's physics, as a multiple of `MODEL_SHARES` and `MODEL_ERRORS`; 0 where the drive is the
         twin's own. [-]
     seed : of the population.
+    teach : whether the discrepancy learns, False where a comparison taught it this drive already.
     progress : called with (done, total).
 
     Raises ParameterError for a record of another rover, with fewer values than parameters, or a drive that no soil of
@@ -135,16 +159,19 @@ def rectify(
     kept = known & ~outliers
     wheels = _in_units(posterior.misfit)
     expected = posterior.misfit.states_at(posterior.straight.transforms(mode.point))
-    refused = _refusal(int(outliers.sum()), int(known.sum()), inflation, wheels, expected)
+    best = posterior.misfit.simulated(posterior.straight.transforms(mode.point[None]))
+    refused = _refusal(posterior.misfit, int(outliers.sum()), wheels, expected, best)
     learned, left = belief, 0.0
     if not refused:
         drawn, left = draw_population(posterior, mode, particles, random, progress)
         points = posterior.straight.transforms(drawn)
-        learned = SoilBelief(belief.laws, points.mean(axis=0), np.cov(points.T), belief.history, points)
+        discrepancy = _taught(belief.discrepancy, posterior.misfit, expected, best) if teach else belief.discrepancy
+        moments = (points.mean(axis=0), np.cov(points.T))
+        learned = SoilBelief(belief.laws, *moments, belief.history, points, belief.verdict, discrepancy)
     moved = posterior.straight.transforms(mode.point) - belief.mean if refused else learned.mean - belief.mean
     return Rectified(
         belief=learned,
-        prediction=posterior.misfit.simulated(posterior.straight.transforms(mode.point[None])),
+        prediction=best,
         residuals=np.where(known, posterior.misfit.states_as_measured(residual), np.nan),
         outliers=outliers,
         inflation=inflation,
@@ -194,17 +221,72 @@ def _in_units(misfit: Misfit) -> dict[str, float]:
     return {name: float(size * np.median(sigma[name])) for name, size in misfit.discrepancy.wheels.items()}
 
 
-def _refusal(
-    outliers: int, values: int, inflation: Mapping[str, float], wheels: Mapping[str, float], expected: FloatArray
-) -> str:
+def _taught(before: PhysicsDiscrepancy, misfit: Misfit, expected: FloatArray, best: Prediction) -> PhysicsDiscrepancy:
+    """The discrepancy after a drive, by what the soil that explains it best leaves of its states and of its end."""
+    law = before
+    if misfit.known[:, :3].any():
+        law = law.with_states(unexplained_share(misfit, expected, best))
+    times = misfit.record.fix_time_s
+    if not len(times):
+        return law
+    last = int(times.argmax())
+    place = values_at(best.time_s, times[last : last + 1], best.paths[..., :2])[0, 0]
+    so_far = slice(0, int(np.searchsorted(best.time_s, times[last])) + 1)
+    known = misfit.record.fix_covariance_m2[last] + FIX_ERROR_M**2 * np.eye(2)
+    miss = FOLLOWED * (misfit.record.fix_m[last] - place)
+    return law.with_miss(miss, known, way_matrix(best.planned[so_far, :2], best.paths[:, so_far, :3]))
+
+
+def unexplained_share(misfit: Misfit, expected: FloatArray, best: Prediction) -> float:
+    """What errors of sinkage, slip and side slip were widened by, root of the summed squares. [-]
+
+    As a share of the mean sinkage, and of the part of the way that the physics can be off in.
+    """
+    planned, paths = best.planned[:, :2], best.paths[..., :3]
+    way = float(exposed(planned, paths).mean())
+    total = 0.0
+    for k, name in enumerate(OBSERVED[:3]):
+        own, factor = misfit.known[:, k], misfit.inflation.get(name, 1.0)
+        if not own.any() or factor <= 1.0:
+            continue
+        added = float(np.median(misfit.sigma[own, k])) * np.sqrt(1.0 - factor**-2)
+        size = float(np.abs(expected[own, k]).mean()) if name == "sinkage_m" else way
+        total += ((np.radians(added) if name == "side_slip_deg" else added) / max(size, 1e-9)) ** 2
+    return float(np.sqrt(total))
+
+
+def _refusal(misfit: Misfit, outliers: int, wheels: Mapping[str, float], expected: FloatArray, best: Prediction) -> str:
     look = "look for a wrong plan, terrain or clock, or begin anew with another belief"
-    if outliers > MOST_OUTLIERS * values:
+    if outliers > MOST_OUTLIERS * (values := int(misfit.known.sum())):
         return f"{outliers} of {values} values are explained by no soil of the belief; {look}"
-    worst = max(inflation, key=lambda name: inflation[name], default="")
-    if worst and inflation[worst] > MOST_INFLATION:
-        return f"the best soil misses {worst} by {inflation[worst]:.1f} times its errors; {look}"
+    left = _unexplained(misfit, expected, best)
+    worst = max(left, key=lambda name: left[name], default="")
+    if worst and left[worst] > 1.0:
+        factor = misfit.inflation[worst]
+        return f"the best soil misses {worst} by {factor:.1f} times its errors; look at its sign and unit, or {look}"
     for name, size in wheels.items():
         typical = float(np.abs(expected[:, OBSERVED.index(LARGE[name])]).mean())
         if size > MOST_OF_A_WHEEL * (1.0 if name == "slip_ratio" else typical):
             return f"single wheels are off in {name} by {size:.3g} throughout; are wheels exchanged?"
     return ""
+
+
+def _unexplained(misfit: Misfit, expected: FloatArray, best: Prediction) -> dict[str, float]:
+    """What the best soil leaves of each quantity whose errors were widened most, over what it may leave. [-]"""
+    result = {}
+    for name in (name for name, factor in misfit.inflation.items() if factor > MOST_INFLATION):
+        if name == POSITION:
+            places = values_at(best.time_s, misfit.record.fix_time_s, best.paths[..., :2])[0]
+            off = np.hypot(*(places - misfit.record.fix_m).T)
+            way = np.interp(misfit.record.fix_time_s, best.time_s, best.distance_m)
+            result[name] = _rms(off) / max(UNEXPLAINED_OF_WAY * _rms(way), FIX_ERROR_M)
+            continue
+        k = OBSERVED.index(name)
+        own = misfit.known[:, k]
+        values = misfit.record.values[own, k]
+        result[name] = _rms(values - expected[own, k]) / max(UNEXPLAINED * _rms(values), SLIGHT[name])
+    return result
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt((values**2).mean()))

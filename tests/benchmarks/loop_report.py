@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
+from loop_regions import after_past_returns
 
 from lunarsci.regolith.prior import PARAMETERS
 
@@ -35,7 +36,7 @@ def report(rows: list[dict[str, Any]]) -> str:
     for reading in readings:
         own = [row | row["updates"][reading] for row in rows if reading in row["updates"]]
         parts += [f"\n# Positions known to 4 % of the way, read as {reading}\n", returns(own), "\n" + losses(own)]
-        parts += ["\n" + parameters(own), "\n" + health(own)]
+        parts += ["\n" + regions(own), "\n" + parameters(own), "\n" + health(own)]
     return "\n".join(parts)
 
 
@@ -86,6 +87,24 @@ def returns(rows: list[dict[str, Any]]) -> str:
     return f"Median error of the return's end ({WANTED})\n" + table(head, lines)
 
 
+PAST = (0, 2, 5, 8)
+"""Returns that the discrepancy learned from."""
+
+
+def regions(rows: list[dict[str, Any]]) -> str:
+    """Whether regions hold: of the soil alone, with the discrepancy, and with one that past returns taught."""
+    lines = []
+    for (name, _), own in groups(rows, terrains=False).items():
+        kinds = {"soil alone": [row["soil_only"] for row in own], "after the drive out": own}
+        kinds |= {f"after {past} past returns": after_past_returns(own, past) for past in PAST if 0 < past < len(own)}
+        for kind, found in kinds.items():
+            lines.append([name, kind, interval(one["held"] for one in found), interval(one["held_50"] for one in found),
+                          f"{np.median(of(found, 'radius_m')):.3f}",
+                          f"{np.median(of(found, 'radius_90_m')):.3f}"])  # fmt: skip
+    head = ["physics", "discrepancy", "90 % regions hold", "50 % regions hold", "spread [m]", "radius of 90 % [m]"]
+    return "Regions of the return (wanted: 0.85-0.95, 0.40-0.60, spread <= 0.15 m)\n" + table(head, lines)
+
+
 def losses(rows: list[dict[str, Any]]) -> str:
     """What other physics cost: against `same` on the same soils, where the soil was not replaced in one of them."""
     same = {(row["seed"], row["soil"]): row for row in rows if row["physics"] == "same"}
@@ -114,13 +133,17 @@ def parameters(rows: list[dict[str, Any]]) -> str:
         taken = [row for row in own if not row["refused"]]
         for k, key in enumerate(PARAMETERS) if taken else ():
             z, left = np.array([row["z"][k] for row in taken]), np.array([row["left"][k] for row in taken])
+            own = np.abs([row["ground_z"][k] for row in taken])
             lines.append([name, key, interval(np.abs(z) < 1.0), interval(np.abs(z) < 1.96),
+                          f"{(own < 1.0).mean():.2f}", f"{(own < 1.96).mean():.2f}",
                           f"{left.mean():.2f}", f"{np.mean(z):+.2f}", f"{np.std(z):.2f}"])  # fmt: skip
         if taken:
-            z = np.array([row["z"] for row in taken])
+            z, own = np.array([row["z"] for row in taken]), np.abs([row["ground_z"] for row in taken])
             lines.append([name, "all", f"{(np.abs(z) < 1.0).mean():.2f}", f"{(np.abs(z) < 1.96).mean():.2f}",
+                          f"{(own < 1.0).mean():.2f}", f"{(own < 1.96).mean():.2f}",
                           "", f"{z.mean():+.2f}", f"{z.std():.2f}"])  # fmt: skip
-    head = ["physics", "parameter", "68 % intervals hold", "95 % intervals hold", "width left", "mean z", "sd of z"]
+    head = ["physics", "parameter", "68 % intervals hold", "95 % intervals hold", "ground's own 68 %", "95 %",
+            "width left", "mean z", "sd of z"]  # fmt: skip
     return "Parameters, of updates that were not refused (width left: after as a share of before)\n" + table(
         head, lines
     )

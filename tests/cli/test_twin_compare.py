@@ -13,7 +13,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lunarsci.regolith.belief import SoilBelief, first_belief
+from lunarsci.inputs import read_input
+from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
 
 Run = Callable[..., Any]
 PLAN = '[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 1.2\ncurvature_per_m = 0.1\n[sweep]\ncohesion_pa = "300:600:4"\n'
@@ -76,6 +77,27 @@ def test_a_drive_as_predicted_is_trusted(run: Run, drive: Drive, tmp_path: Path)
     assert text.startswith("TRUSTED") and "not compared: normal_force_n (not measured)" in text
     # Without positions all else still compares.
     assert run("twin", "compare", drive.folder, drive.states, "--field", "end").out == "null\n"
+
+
+def test_a_miss_teaches_the_belief_of_the_twins_physics(run: Run, drive: Drive, tmp_path: Path) -> None:
+    """An end 0.1 m beside the predicted one, 1 cm known: later regions are wider, and the drive counts once."""
+    belief, after = tmp_path / "belief.json", tmp_path / "after.json"
+    fixes = pd.read_csv(drive.positions)
+    fixes["y_m"] += 0.1
+    fixes.to_csv(drive.positions, index=False)
+    done = run(*drive.arguments(), "--belief", belief, "--save", after, "--json")
+    assert done.code == 3, done.err
+    result = json.loads(done.out)["result"]
+    assert result["miss"]["across_m"] == pytest.approx(0.1, abs=0.05) and result["miss"]["way_m"] == 1.2
+    before, learned = (read_belief(read_input(str(path))) for path in (belief, after))
+    assert learned.discrepancy.across.scale > 1.5 * before.discrepancy.across.scale
+    assert np.array_equal(learned.mean, before.mean) and learned.history == before.history
+    predict = ("twin", "predict", drive.plan, "--members", "32", "--field", "endpoint.physics_covariance_m2", "--soil")
+    narrow, wide = (np.array(json.loads(run(*predict, path).out)) for path in (belief, after))
+    assert wide[1, 1] > 1.5 * narrow[1, 1] > 0
+    again = run(*drive.arguments(), "--belief", after, "--save", tmp_path / "twice.json")
+    assert again.code == 1 and "compare first, then update by the drive" in again.err[-1]
+    assert run(*drive.arguments(), "--save", after).code == 2
 
 
 def test_another_ground_is_not_to_be_trusted(run: Run, drive: Drive) -> None:

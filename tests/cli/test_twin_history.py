@@ -1,6 +1,7 @@
 """`lunarsci twin history`: what a belief rests on, and the way back."""
 
 import csv
+import dataclasses
 import io
 import json
 from collections.abc import Callable
@@ -13,6 +14,7 @@ import pytest
 from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
 from lunarsci.regolith.belief_history import with_drive
+from lunarsci.regolith.physics_discrepancy import FIRST
 
 Run = Callable[..., Any]
 
@@ -53,6 +55,21 @@ def test_the_drives_and_what_each_moved(run: Run, files: tuple[Path, Path], tmp_
     assert "rests on 2 drive(s)" in text and "drive 2 taught nothing: no soil explains it" in text
     rows = list(csv.DictReader(io.StringIO(run("twin", "history", files[0], "--csv").out)))
     assert len(rows) == 4 * 8 and rows[8]["drive"] == "1" and rows[0]["states"] == ""
+
+
+def test_what_the_physics_is_off_by_and_what_taught_it(run: Run, files: tuple[Path, Path]) -> None:
+    belief = read_belief(read_input(str(files[0])))
+    law = FIRST.with_miss(np.array([0.3, 0.0]), 1e-4 * np.eye(2), np.diag([1.0, 0.0]))
+    law = law.with_score(states="back.csv", sha256="c" * 64, how="comparison")
+    files[0].write_text(dataclasses.replace(belief, discrepancy=law).to_json())
+    done = run("twin", "history", files[0], "--json")
+    found = json.loads(done.out)["result"]
+    assert found["discrepancy"]["along"]["scale"] == pytest.approx(law.along.scale)
+    own = found["parameters"]["cohesion_pa"]
+    assert own["ground_low_95"] < own["ground_low_68"] < own["low"] and own["ground_high_68"] > own["high"]
+    text = run("twin", "history", files[0]).out
+    assert "What the twin's physics is off by" in text and "taught by back.csv (comparison)" in text
+    assert "effective value" in text and "ground's own" in text
 
 
 def test_another_belief_beside_it(run: Run, files: tuple[Path, Path]) -> None:

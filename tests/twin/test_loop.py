@@ -6,11 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loop import ERRORS, Case, measured, rows_of, way_back
+from loop import ERRORS, measured, rows_of
+from loop_regions import after_past_returns, region
 from loop_report import interval, report
 from mujoco_rover import Driven
+from true_drives import Case, way_back
 
 from lunarsci.regolith.belief import first_belief
+from lunarsci.regolith.physics_discrepancy import FIRST
 from lunarsci.twin.drive_record import OBSERVED
 from lunarsci.twin.ensemble import STATE_COLUMNS
 from lunarsci.twin.plans.plan import read_plan
@@ -70,11 +73,23 @@ def test_files_go_on_after_a_cut(tmp_path: Path) -> None:
     assert [(row["soil"], row["before_m"]) for row in rows_of([file, tmp_path / "none"])] == [(0, 3.0), (1, 2.0)]
 
 
+def soil_ends(number: int) -> dict[str, Any]:
+    """A return of 10 m that was 0.5 m short, on soils that leave 1 cm open."""
+    random = np.random.default_rng(number)
+    cloud = 0.01 * random.standard_normal((64, 2))
+    alone = {"held": False, "held_50": False, "radius_m": 0.014, "radius_90_m": 0.02}
+    return {"soil_ends_m": cloud.tolist(), "end_m": [-0.5, 0.0], "place_m": [-0.5, 0.0], "soil_only": alone,
+            "place_m2": (1e-4 * np.eye(2)).tolist(), "way_m2": [[1.0, 0.0], [0.0, 0.0]],
+            "discrepancy": FIRST.to_dict()}  # fmt: skip
+
+
 def row(physics: str, number: int, after_m: float, held: bool, refused: str = "") -> dict[str, Any]:
     update = {"after_m": after_m, "held": held, "refused": refused, "radius_m": 0.1, "reduced": 1.0, "surprise": 1.0,
-              "persistence": 0.1, "took_s": 2.0, "z": [0.5 if number else 1.5] * 8, "left": [0.5] * 8}  # fmt: skip
+              "persistence": 0.1, "took_s": 2.0, "z": [0.5 if number else 1.5] * 8, "left": [0.5] * 8,
+              "held_50": False, "radius_90_m": 0.2, "ground_z": [0.3] * 8, **soil_ends(number)}  # fmt: skip
     return {"physics": physics, "seed": 1, "soil": number, "terrain": "longji", "replaced": ["sank: deep"] * number,
-            "drive_s": 2.0, "before_m": 1.0, "known_m": 0.05, "updates": {"third": update}}  # fmt: skip
+            "drive_s": 2.0, "model_error": 1.0, "before_m": 1.0, "known_m": 0.05,
+            "updates": {"third": update}}  # fmt: skip
 
 
 def test_the_report_says_what_the_rows_do() -> None:
@@ -84,7 +99,37 @@ def test_the_report_says_what_the_rows_do() -> None:
     assert ["same", "3", "3", "(3", "sank)", "2.00", "1.000", "0.050"] in lines
     assert ["same", "all", "3", "1.000", "0.200", "0.20", "0.050", "0.280", "0.100"] in [line[:9] for line in lines]
     assert ["exact", "3", "0.200", "0.400", "2.00", "+200", "0.67", "->", "0.33"] in lines
-    assert ["exact", "cohesion_pa", "0.50", "(0.01-0.99)", "1.00", "(0.16-1.00)", "0.50", "+1.00", "0.50"] in lines
+    own = [
+        "exact",
+        "cohesion_pa",
+        "0.50",
+        "(0.01-0.99)",
+        "1.00",
+        "(0.16-1.00)",
+        "1.00",
+        "1.00",
+        "0.50",
+        "+1.00",
+        "0.50",
+    ]
+    assert own in lines
+    assert ["exact", "soil", "alone", "0.00", "(0.00-0.71)", "0.00", "(0.00-0.71)", "0.014", "0.020"] in lines
+
+
+def test_past_returns_teach_the_region_of_the_next() -> None:
+    """Each return is 0.5 of the exposed way short: outside of the first region, inside after ten others that were."""
+    rows = [one | one["updates"]["third"] for one in (row("exact", n, 0.1, True) for n in range(11))]
+    none, ten = (after_past_returns(rows, past) for past in (0, 10))
+    assert not any(one["held"] for one in none) and all(one["held"] for one in ten)
+    assert np.median([one["radius_m"] for one in ten]) > 3.0 * np.median([one["radius_m"] for one in none])
+
+
+def test_a_region_of_draws_of_one_law_holds_its_share() -> None:
+    """Student's t with 3 degrees of freedom: by rank, tails do not matter."""
+    random = np.random.default_rng(0)
+    found = [region(random.standard_t(3.0, (128, 2)), random.standard_t(3.0, 2)) for _ in range(400)]
+    assert np.mean([one["held"] for one in found]) == pytest.approx(0.9, abs=0.04)
+    assert np.mean([one["held_50"] for one in found]) == pytest.approx(0.5, abs=0.07)
 
 
 def test_intervals_are_those_of_clopper_and_pearson() -> None:

@@ -12,7 +12,9 @@ import numpy.typing as npt
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile, read_input, text
 from lunarsci.provenance import sha256
-from lunarsci.twin.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction
+from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
+from lunarsci.twin.drawn_discrepancy import DrawnDiscrepancy
+from lunarsci.twin.ensemble import OFFSET_COLUMNS, PATH_COLUMNS, STATE_COLUMNS, Prediction
 from lunarsci.twin.plans.plan import Plan, parse_plan
 from lunarsci.twin.plans.plan_files import plan_text
 from lunarsci.twin.simulation.outcomes import OUTCOMES
@@ -45,7 +47,9 @@ class Forecast:
     soils : `belief`, `samples`, `sweep` or `one`: what its soils are. Only those of a belief or of samples are draws of
         a law, whose shares are probabilities.
     soil : the soil as the result of the prediction named it; empty in folders of older versions.
-    plan, time_s, distance_m, planned, paths, states, halted, recorded, outcome : as of `Prediction`.
+    plan, time_s, distance_m, planned, paths, states, halted, recorded, outcome : as of `Prediction`, but x and y of the
+        paths are its `places_m`, which hold what the twin's physics is off by.
+    discrepancy : that part of them, and of the states; None where there is none.
     """
 
     origin: str
@@ -66,6 +70,7 @@ class Forecast:
     recorded: IntArray
     outcome: IntArray
     soil: Mapping[str, Any] = field(default_factory=dict)
+    discrepancy: DrawnDiscrepancy | None = None
 
     @property
     def members(self) -> int:
@@ -82,7 +87,8 @@ def forecast_of(
     prediction: Prediction, *, soils: str = "samples", rover_sha256: str = "", soil: Mapping[str, Any] | None = None
 ) -> Forecast:
     """A prediction that was just made, as a forecast."""
-    rover, terrain = prediction.rover, prediction.terrain
+    rover, terrain, paths = prediction.rover, prediction.terrain, prediction.paths.copy()
+    paths[..., :2] = prediction.places_m
     return Forecast(
         origin="",
         rover=rover.name,
@@ -93,11 +99,12 @@ def forecast_of(
         synthetic=terrain.synthetic,
         soils=soils,
         soil=soil or {},
+        paths=paths,
         **{name: getattr(prediction, name) for name in _ALIKE},
     )
 
 
-_ALIKE = ("plan", "time_s", "distance_m", "planned", "paths", "states", "halted", "recorded", "outcome")
+_ALIKE = ("plan", "time_s", "distance_m", "planned", "states", "halted", "recorded", "outcome", "discrepancy")
 
 
 def forecast_document(forecast: Forecast, tables: Mapping[str, Callable[[], bytes]]) -> dict[str, Any]:
@@ -120,8 +127,21 @@ def forecast_document(forecast: Forecast, tables: Mapping[str, Callable[[], byte
         "halted": forecast.halted.tolist(),
         "recorded": forecast.recorded.tolist(),
         "outcome": [OUTCOMES[code] for code in forecast.outcome],
+        "discrepancy": None if forecast.discrepancy is None else _discrepancy_document(forecast.discrepancy),
         "tables": {name: sha256(tables[name]()) for name in TABLES},
     }
+
+
+def _discrepancy_document(drawn: DrawnDiscrepancy) -> dict[str, Any]:
+    """Without the offsets, which are in the table of paths, and without what the law rests on."""
+    law = drawn.law.to_dict() | {"scored": []}
+    return {"law": law, "shares": {name: share.tolist() for name, share in drawn.shares.items()}}
+
+
+def _drawn(document: Any, offsets_m: FloatArray) -> DrawnDiscrepancy:
+    members = offsets_m.shape[:1]
+    shares = {name: _checked(document["shares"][name], members) for name in document["shares"]}
+    return DrawnDiscrepancy(PhysicsDiscrepancy.of(document["law"]), offsets_m, shares)
 
 
 def read_forecast(folder: str | Path) -> tuple[Forecast, dict[str, str]]:
@@ -179,6 +199,7 @@ def _forecast(origin: str, document: Any, states: "pd.DataFrame", paths: "pd.Dat
     shape = (len(recorded), len(times))
     plan = parse_plan(document["plan"], origin)
     reached = np.arange(len(times)) < recorded[:, None]
+    found = document.get("discrepancy")
     return Forecast(
         origin=origin,
         rover=str(rover["name"]),
@@ -198,6 +219,9 @@ def _forecast(origin: str, document: Any, states: "pd.DataFrame", paths: "pd.Dat
         halted=np.array(document["halted"], dtype=bool),
         recorded=recorded,
         outcome=np.array([OUTCOMES.index(name) for name in document["outcome"]], dtype=np.int64),
+        discrepancy=None
+        if found is None
+        else _drawn(found, _spread_out(paths[list(OFFSET_COLUMNS)].to_numpy(float), reached, (2,))),
     )
 
 

@@ -76,8 +76,8 @@ def map_window(prediction: Prediction, terrain: Terrain, margin_m: float = MARGI
     rows, columns = (
         np.flatnonzero((axis >= points.min() - margin_m) & (axis <= points.max() + margin_m))
         for axis, points in (
-            (terrain.y_m, np.append(prediction.paths[..., 1], prediction.planned[:, 1])),
-            (terrain.x_m, np.append(prediction.paths[..., 0], prediction.planned[:, 0])),
+            (terrain.y_m, np.append(prediction.places_m[..., 1], prediction.planned[:, 1])),
+            (terrain.x_m, np.append(prediction.places_m[..., 0], prediction.planned[:, 0])),
         )
     )
     whole = (slice(0, len(terrain.y_m)), slice(0, len(terrain.x_m)))
@@ -112,8 +112,9 @@ def draw_ground(axes: "Axes", terrain: Terrain, window: tuple[slice, slice], int
 
 def draw_paths(axes: "Axes", prediction: Prediction, colors: Any, width: float) -> None:
     """The paths of the shown members as far as they came, and the planned one."""
+    places = prediction.places_m
     for m in shown_members(prediction):
-        part = prediction.paths[m, : max(int(prediction.recorded[m]), 1)]
+        part = places[m, : max(int(prediction.recorded[m]), 1)]
         axes.plot(part[:, 0], part[:, 1], color=colors[m], linewidth=width, alpha=0.85, zorder=3)
     draw_planned(axes, prediction)
 

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
+from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy
 from lunarsci.regolith.prior import PARAMETERS, Law, default_prior
 
 __all__ = ["CORRELATION_M", "REACH_M", "Blend", "SoilMap", "Zone", "zone_roots"]
@@ -176,15 +177,31 @@ class SoilMap:
         return mean, deviation
 
     def belief_along(self, place_m: FloatArray) -> SoilBelief:
-        """Of the soil at a place picked from these (n, 2) at random: mean and covariance of the mixture over them."""
+        """Of the soil at a place picked from these (n, 2) at random: mean and covariance of the mixture over them.
+
+        The discrepancy is that of the zone which counts most there, forgotten as far as none is known.
+        """
         mean, covariance = self.moments(place_m)
         off = mean - mean.mean(axis=0)
         mixed = covariance.mean(axis=0) + off.T @ off / len(off)
-        return SoilBelief(self.laws, mean.mean(axis=0), 0.5 * (mixed + mixed.T), self._history(self.blend(place_m)))
+        blend = self.blend(place_m)
+        history, discrepancy = self._history(blend), self._discrepancy(blend)
+        return SoilBelief(self.laws, mean.mean(axis=0), 0.5 * (mixed + mixed.T), history, discrepancy=discrepancy)
 
-    def _history(self, blend: Blend) -> tuple[Mapping[str, Any], ...]:
+    def _discrepancy(self, blend: Blend) -> PhysicsDiscrepancy:
+        if not self.zones:
+            return FIRST
+        first = self.zones[int(self._zone_shares(blend).argmax())].belief.discrepancy
+        return first.forgotten(float(np.clip(blend.unknown.mean(), 0.0, 1.0)))
+
+    def _zone_shares(self, blend: Blend) -> FloatArray:
+        """What each zone counts for, on average over the places. (zones,) [-]"""
         share = np.zeros(len(self.zones))
         np.add.at(share, blend.zone, blend.share / max(len(blend.share), 1))
+        return share
+
+    def _history(self, blend: Blend) -> tuple[Mapping[str, Any], ...]:
+        share = self._zone_shares(blend)
         entries: list[Mapping[str, Any]] = []
         for zone in (zone for zone, part in zip(self.zones, share, strict=True) if part > HISTORY_SHARE):
             entries.extend(entry for entry in zone.belief.history if entry not in entries)

@@ -9,10 +9,12 @@ import numpy.typing as npt
 
 from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.judgement.ellipse import ErrorEllipse, error_ellipse
+from lunarsci.twin.path_discrepancy import way_matrix
 
 __all__ = ["Endpoint", "covering_circle", "endpoint_spread"]
 
 FloatArray = npt.NDArray[np.float64]
+Matrix = tuple[tuple[float, float], tuple[float, float]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +30,8 @@ class Endpoint:
     scatter_radius_m : smallest circle, wherever its centre, that holds every end. [m]
     covariance_m2 : ((xx, xy), (xy, yy)) of the ends; zeros for a single member. [m2]
     ellipse : error ellipse about the mean of the ends; None for a single member.
+    soil_covariance_m2, physics_covariance_m2 : the parts of it that the soils leave, and that the twin's physics is off
+        by, the latter by its law; None where no discrepancy was asked. [m2]
     """
 
     planned_x_m: float
@@ -37,8 +41,18 @@ class Endpoint:
     bias_m: float
     covering_radius_m: float
     scatter_radius_m: float
-    covariance_m2: tuple[tuple[float, float], tuple[float, float]]
+    covariance_m2: Matrix
     ellipse: ErrorEllipse | None
+    soil_covariance_m2: Matrix | None = None
+    physics_covariance_m2: Matrix | None = None
+
+    @property
+    def physics_share(self) -> float | None:
+        """Of the variance of the ends, by the two parts; None where no discrepancy was asked. [-]"""
+        if self.soil_covariance_m2 is None or self.physics_covariance_m2 is None:
+            return None
+        soil, physics = (part[0][0] + part[1][1] for part in (self.soil_covariance_m2, self.physics_covariance_m2))
+        return physics / (soil + physics) if soil + physics > 0 else 0.0
 
 
 def covering_circle(points_m: FloatArray) -> tuple[float, float, float]:
@@ -85,7 +99,7 @@ def endpoint_spread(prediction: Prediction) -> Endpoint:
     ends = prediction.endpoints_m[prediction.finished]
     target = prediction.planned[-1, :2]
     mean = ends.mean(axis=0)
-    spread = np.cov(ends.T) if len(ends) > 1 else np.zeros((2, 2))
+    soil, physics = _parts(prediction)
     return Endpoint(
         planned_x_m=float(target[0]),
         planned_y_m=float(target[1]),
@@ -94,9 +108,28 @@ def endpoint_spread(prediction: Prediction) -> Endpoint:
         bias_m=float(np.hypot(*(mean - target))),
         covering_radius_m=float(np.hypot(*(ends - target).T).max()),
         scatter_radius_m=covering_circle(ends)[2],
-        covariance_m2=(
-            (float(spread[0, 0]), float(spread[0, 1])),
-            (float(spread[1, 0]), float(spread[1, 1])),
-        ),
+        covariance_m2=_spread(ends),
         ellipse=error_ellipse(ends),
+        soil_covariance_m2=soil,
+        physics_covariance_m2=physics,
     )
+
+
+def _parts(prediction: Prediction) -> tuple[Matrix | None, Matrix | None]:
+    """What soils and physics each give to the covariance of the ends."""
+    if prediction.discrepancy is None:
+        return None, None
+    driven = prediction.paths[prediction.finished]
+    way_m2 = way_matrix(prediction.planned[:, :2], driven[..., :3])
+    return (
+        _spread(driven[:, -1, :2]),
+        _matrix(prediction.discrepancy.law.covariance_m2(way_m2)),
+    )
+
+
+def _spread(ends: FloatArray) -> Matrix:
+    return _matrix(np.cov(ends.T) if len(ends) > 1 else np.zeros((2, 2)))
+
+
+def _matrix(values: FloatArray) -> Matrix:
+    return (float(values[0, 0]), float(values[0, 1])), (float(values[1, 0]), float(values[1, 1]))

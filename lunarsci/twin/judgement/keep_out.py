@@ -20,7 +20,7 @@ def keep_out_distance(prediction: Prediction, circles: tuple[KeepOut, ...] | Non
     below the rover, the distance is minus its radius.
     """
     outline, paths = rover_outline(prediction.rover), prediction.paths
-    poses = np.concatenate([paths[..., :2], np.radians(paths[..., 5:])], axis=-1)
+    poses = np.concatenate([prediction.places_m, np.radians(paths[..., 5:])], axis=-1)
     nearest = np.full(poses.shape[:-1], np.inf)
     for circle in prediction.plan.keep_out if circles is None else circles:
         nearest = np.minimum(nearest, outline.distance_m(poses, circle.x_m, circle.y_m) - circle.radius_m)

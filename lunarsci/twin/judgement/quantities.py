@@ -28,7 +28,7 @@ def along(prediction: Prediction, quantity: str) -> FloatArray:
     if quantity == "tilt_deg":
         return tilt_deg(along(prediction, "roll_deg"), along(prediction, "pitch_deg"))
     if quantity == "miss_m":
-        return np.asarray(np.hypot(*np.moveaxis(prediction.paths[..., :2] - prediction.planned[:, :2], -1, 0)))
+        return np.asarray(np.hypot(*np.moveaxis(prediction.places_m - prediction.planned[:, :2], -1, 0)))
     if quantity == "clearance_m":
         return clearance(prediction)[0]
     if quantity == "keep_out_m":

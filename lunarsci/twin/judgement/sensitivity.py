@@ -84,5 +84,5 @@ def step_error_m(prediction: Prediction) -> float | None:
     ]
     if not all(run.finished[0] for run in runs):
         return None
-    whole = runs[0].endpoints_m[0] if fixes else prediction.endpoints_m[member]
+    whole = runs[0].endpoints_m[0] if fixes else prediction.paths[member, -1, :2]
     return float(2 * np.hypot(*(runs[-1].endpoints_m[0] - whole)))

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lunarsci.twin.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction
+from lunarsci.twin.ensemble import OFFSET_COLUMNS, PATH_COLUMNS, STATE_COLUMNS, Prediction
 from lunarsci.twin.held import HeldForces
 
 if TYPE_CHECKING:
@@ -58,12 +58,16 @@ def held_table(found: HeldForces) -> "pd.DataFrame":
 def path_table(prediction: Prediction) -> "pd.DataFrame":
     """Pose of the rover's origin: one row for each member and distance, as far as the member came.
 
-    Columns member, distance_m, time_s, x_m, y_m, z_m, roll_deg, pitch_deg (positive nose down), yaw_deg.
+    Columns member, distance_m, time_s, x_m, y_m, z_m, roll_deg, pitch_deg (positive nose down), yaw_deg. With a
+    discrepancy of the physics also offset_x_m and offset_y_m, which x_m and y_m hold; the other columns do not.
     """
     import pandas as pd
 
     member, sample = np.nonzero(prediction.reached)
     table = pd.DataFrame(prediction.paths[member, sample], columns=list(PATH_COLUMNS))
+    table[["x_m", "y_m"]] = prediction.places_m[member, sample]
+    if prediction.discrepancy is not None:
+        table[list(OFFSET_COLUMNS)] = prediction.discrepancy.offsets_m[member, sample]
     table.insert(0, "member", member)
     table.insert(1, "distance_m", prediction.distance_m[sample])
     table.insert(2, "time_s", prediction.time_s[sample])

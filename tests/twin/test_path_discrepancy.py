@@ -1,0 +1,125 @@
+"""Drives moved by what the twin's physics is off by."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy, VarianceLaw
+from lunarsci.twin.comparison.forecast import forecast_of
+from lunarsci.twin.comparison.learning import miss_of, taught
+from lunarsci.twin.comparison.meeting import meet
+from lunarsci.twin.drive_record import DriveRecord
+from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction
+from lunarsci.twin.judgement.safety import judge
+from lunarsci.twin.path_discrepancy import ALIKE_M, ALWAYS, exposed, way_matrix, with_discrepancy
+from lunarsci.twin.plans.plan import KeepOut, Limit
+
+LINE = np.column_stack([np.linspace(0.0, 40.0, 401), np.zeros(401)])
+
+
+def on_the_level(planned: np.ndarray, lost: float = 0.0) -> np.ndarray:
+    return np.column_stack([(1.0 - lost) * planned, np.zeros(len(planned))])
+
+
+def test_the_discrepancy_grows_with_the_way_and_with_what_is_lost_on_it() -> None:
+    """As the way where it is alike all along, as its root far beyond; by the closed form of an exponential."""
+    for length in (1.0, 10.0, 40.0):
+        own = LINE[: int(10 * length) + 1]
+        n = length / ALIKE_M
+        closed = (ALWAYS * ALIKE_M) ** 2 * 2.0 * (n - 1.0 + np.exp(-n))
+        assert way_matrix(own, on_the_level(own))[0, 0] == pytest.approx(closed, rel=0.01)
+    lost = way_matrix(LINE, on_the_level(LINE, 0.2))
+    assert lost[0, 0] / way_matrix(LINE, on_the_level(LINE))[0, 0] == pytest.approx(((ALWAYS + 0.2) / ALWAYS) ** 2)
+    # Back to the start it has grown all the same, and a place where only the heading turns adds nothing.
+    there = np.concatenate([LINE, LINE[-1:], LINE[::-1]])
+    assert way_matrix(there, on_the_level(there))[0, 0] > 1.5 * way_matrix(LINE, on_the_level(LINE))[0, 0]
+    assert exposed(there, on_the_level(there))[400] == ALWAYS
+
+
+@pytest.fixture(scope="module")
+def many(driven: Prediction) -> Prediction:
+    """The 20 drives of 1 m, each 200 times."""
+    chosen = np.tile(np.arange(20), 200)
+    changes = {name: getattr(driven, name)[chosen] for name in ("paths", "states", "recorded", "outcome")}
+    return dataclasses.replace(driven, parameters={}, **changes)
+
+
+def test_draws_have_the_covariance_of_the_law(many: Prediction) -> None:
+    law = dataclasses.replace(FIRST, along=VarianceLaw(40.0, 0.5), across=VarianceLaw(40.0, 0.1))
+    moved = with_discrepancy(many, law, seed=1)
+    assert moved.discrepancy is not None and np.array_equal(moved.paths, many.paths)
+    expected = law.covariance_m2(way_matrix(many.planned[:, :2], many.paths[..., :3]))
+    ends = moved.endpoints_m - many.endpoints_m
+    assert np.sqrt(np.diag(np.cov(ends.T))) == pytest.approx(np.sqrt(np.diag(expected)), rel=0.1)
+    # The rover that comes farther slips less: what the wheels lose is what the path does.
+    slip = STATE_COLUMNS.index("slip_ratio")
+    less = many.states[:, 5, 0, slip] - moved.states[:, 5, 0, slip]
+    farther = np.diff(moved.discrepancy.offsets_m[:, 4:6, 0])[:, 0]
+    assert less == pytest.approx(farther / np.diff(many.planned[4:6, 0])[0], abs=1e-12)
+    sinkage = STATE_COLUMNS.index("sinkage_m")
+    ratio = moved.states[:, 5, 0, sinkage] / many.states[:, 5, 0, sinkage] - 1.0
+    assert ratio == pytest.approx(moved.discrepancy.shares["sinkage_m"])
+    again = with_discrepancy(many, law, seed=1)
+    assert np.array_equal(again.endpoints_m, moved.endpoints_m) and np.array_equal(again.states, moved.states)
+
+
+def test_the_verdict_holds_it(driven: Prediction) -> None:
+    """Limits on the miss and circles are kept by the soils alone, and not with a discrepancy; it says what is whose."""
+    law = dataclasses.replace(FIRST, along=VarianceLaw(10.0, 3.0), across=VarianceLaw(10.0, 3.0))
+    soils = driven.miss_m.max()
+    plan = dataclasses.replace(
+        driven.plan,
+        limits=(Limit("endpoint_miss_m", "m", 1.2 * soils, "test", False),),
+        keep_out=(KeepOut("stone", 0.5, 0.95, 0.1),),
+    )
+    alone, both = judge(driven, plan), judge(with_discrepancy(driven, law), plan)
+    assert alone.verdict == "go" and alone.endpoint is not None and alone.endpoint.physics_share is None
+    assert both.verdict == "no-go" and both.endpoint is not None
+    assert any("endpoint_miss_m" in reason for reason in both.reasons)
+    assert both.endpoint.covering_radius_m > 1.5 * alone.endpoint.covering_radius_m
+    assert both.endpoint.soil_covariance_m2 == pytest.approx(np.array(alone.endpoint.covariance_m2))
+    assert both.endpoint.physics_share is not None and both.endpoint.physics_share > 0.5
+    clear = [{j.quantity: j.min for j in one.limits}["keep_out_m"] for one in (alone, both)]
+    assert clear[1] < clear[0]
+
+
+def a_fix(out: Prediction, off: tuple[float, float]) -> DriveRecord:
+    """One position at the end, known to 1 mm, off the middle of the soils."""
+    return DriveRecord(
+        time_s=np.zeros(0), wheel=(), values=np.zeros((0, 6)), sigmas=np.zeros((0, 6)), fix_time_s=out.time_s[-1:],
+        fix_m=(np.median(out.paths[:, -1, :2], axis=0) + off)[None], fix_covariance_m2=1e-6 * np.eye(2)[None],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("law", [None, FIRST])
+def test_a_comparison_scores_the_miss_and_learns(driven: Prediction, law: PhysicsDiscrepancy | None) -> None:
+    """Measured against the middle of the soils, whether or not the prediction held a discrepancy."""
+    predicted = driven if law is None else with_discrepancy(driven, law)
+    meeting = meet(forecast_of(predicted, soils="belief"), a_fix(driven, (-0.2, 0.05)))
+    miss = miss_of(meeting)
+    assert miss is not None and (miss.along_m, miss.across_m) == pytest.approx((-0.2, 0.05), abs=1e-3)
+    assert miss.along_share == pytest.approx(-0.2, abs=2e-3) and (miss.physics_m > 0) == (law is not None)
+    after = taught(meeting, FIRST)
+    assert after.along.scale > 1.2 * FIRST.along.scale
+    near = taught(meet(forecast_of(predicted, soils="belief"), a_fix(driven, (0.0, 0.0))), FIRST)
+    assert near.along.scale < FIRST.along.scale and near.across.scale < FIRST.across.scale
+    assert near.quantities == FIRST.quantities
+
+
+def test_sinkage_is_scored_by_its_mean(driven: Prediction) -> None:
+    """Every wheel sinks 1.5 times as deep as the middle soil says."""
+    middle = driven.states[10, 1:]
+    values = np.full((middle.shape[0] * 6, 6), np.nan)
+    values[:, 0] = 1.5 * middle[..., STATE_COLUMNS.index("sinkage_m")].ravel()
+    record = DriveRecord(
+        time_s=np.repeat(driven.time_s[1:], 6), wheel=driven.rover.wheels * len(middle), values=values,
+        sigmas=np.full(values.shape, 1e-5), fix_time_s=np.zeros(0), fix_m=np.zeros((0, 2)),
+        fix_covariance_m2=np.zeros((0, 2, 2)),
+    )  # fmt: skip
+    before = dataclasses.replace(FIRST, quantities={**FIRST.quantities, "sinkage_m": VarianceLaw(5.0, 0.1)})
+    for predicted in (driven, with_discrepancy(driven, before)):
+        after = taught(meet(forecast_of(predicted, soils="belief"), record), before)
+        share = after.quantities["sinkage_m"]
+        assert 0.15 < share.scale < 0.35 and share.degrees > 4.5
+        assert (after.along, after.across) == (before.along, before.across)
