@@ -5,7 +5,7 @@ import numpy.typing as npt
 
 from lunarsci.twin.ensemble import STATE_COLUMNS
 from lunarsci.twin.held import HeldForces
-from lunarsci.twin.simulation.contact import shear_center
+from lunarsci.twin.simulation.contact_frame import shear_center
 
 __all__ = ["FORCES", "levers_of", "missing_of", "needed_of"]
 

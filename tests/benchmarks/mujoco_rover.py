@@ -18,7 +18,8 @@ from lunarsci.twin.ensemble import STATE_COLUMNS
 from lunarsci.twin.ground.terrain import Terrain, surface_in
 from lunarsci.twin.plans.schedule import all_commands, make_schedule, start_motion
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.simulation.contact import DEEPEST, NORMAL_DAMPING, SHALLOWEST, VALID_SLIP
+from lunarsci.twin.simulation.contact import NORMAL_DAMPING
+from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST, VALID_SLIP
 
 ACROSS = np.linspace(-0.5, 0.5, 7)
 """Where a wheel looks at the rut below it, as shares of its width."""

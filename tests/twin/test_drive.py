@@ -44,7 +44,7 @@ def test_without_slip_the_rover_drives_the_commanded_arc(yutu2, longji_soil, slo
 
 @pytest.mark.parametrize("gradient", [0.0, -0.1, 0.08])
 def test_steady_drive_on_a_slope_balances_the_weight(yutu2, longji_soil, slope, straight, gradient) -> None:  # type: ignore[no-untyped-def]
-    result = predict(yutu2, slope(gradient), straight(5.0), sweep=())
+    result = predict(yutu2, slope(gradient), straight(5.0), sweep=(), ruts=False)
     angle = math.atan(gradient)
     assert column(result, "normal_force_n").sum() == pytest.approx(WEIGHT * math.cos(angle), rel=1e-4)
     assert column(result, "drawbar_pull_n").sum() == pytest.approx(WEIGHT * math.sin(angle), abs=2e-3)
@@ -60,7 +60,7 @@ def test_steady_drive_on_a_slope_balances_the_weight(yutu2, longji_soil, slope, 
 
 
 def test_recorded_forces_are_those_of_the_recorded_states(yutu2, longji_soil, slope, straight) -> None:  # type: ignore[no-untyped-def]
-    result = predict(yutu2, slope(-0.05, 0.03), straight(4.0, 0.1), sweep=())
+    result = predict(yutu2, slope(-0.05, 0.03), straight(4.0, 0.1), sweep=(), ruts=False)
     forces = wheel_forces(
         yutu2.wheel, longji_soil, *(column(result, name) for name in ("sinkage_m", "slip_ratio", "side_slip_deg"))
     )
@@ -72,7 +72,7 @@ def test_recorded_forces_are_those_of_the_recorded_states(yutu2, longji_soil, sl
 
 
 def test_a_side_slope_pushes_downhill_and_the_lateral_force_holds_against_it(yutu2, slope, straight) -> None:  # type: ignore[no-untyped-def]
-    result = predict(yutu2, slope(0.0, 0.03), straight(5.0), sweep=())
+    result = predict(yutu2, slope(0.0, 0.03), straight(5.0), sweep=(), ruts=False)
     assert result.endpoints_m[0, 1] < -0.05
     assert (column(result, "side_slip_deg") < 0).all()
     assert column(result, "lateral_force_n").sum() == pytest.approx(-WEIGHT * 0.03, rel=0.02)

@@ -41,7 +41,7 @@ def column(states: np.ndarray, name: str) -> np.ndarray:
 @pytest.fixture(scope="module")
 def driven(yutu2: Rover) -> tuple[Prediction, HeldForces]:
     terrain = synthetic_longji(rms_m=0.002)
-    result = predict(yutu2, terrain, PLAN, sweep=(), sample_m=0.05, time_step_s=0.05)
+    result = predict(yutu2, terrain, PLAN, sweep=(), sample_m=0.05, time_step_s=0.05, ruts=False)
     return result, forces_along(yutu2, terrain, motion_of(result))
 
 
@@ -106,7 +106,7 @@ def test_a_rover_towed_up_a_slope_needs_what_weight_and_soil_take(yutu2: Rover, 
 def test_weight_moves_to_the_rear_wheels_on_a_climb(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
     """Moments about the line of wheel centres, where F_DP acts: the weight above it, and the soil's torques M_R."""
     gradient = 0.15
-    result = predict(yutu2, slope(gradient), Plan(name="up", legs=(Leg(3.0),), speed_m_s=0.05), sweep=())
+    result = predict(yutu2, slope(gradient), Plan(name="up", legs=(Leg(3.0),), speed_m_s=0.05), sweep=(), ruts=False)
     found = forces_along(yutu2, slope(gradient), motion_of(result))
     load = column(found.states, "normal_force_n")[-5]
     angle = math.atan(gradient)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction
-from lunarsci.twin.simulation.contact import DEEPEST, SHALLOWEST, VALID_SLIP
+from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST, VALID_SLIP
 from lunarsci.twin.simulation.outcomes import HOLE, LEFT
 
 __all__ = ["CALIBRATED_SINKAGE_M", "Validity", "percent", "validity", "validity_notes"]

@@ -9,14 +9,20 @@ F_L acts where the shear stress is centred, r_s below and ahead of the axle, whi
 torques M_O and M_S their leading parts.
 """
 
-import math
 from typing import Any
 
-import numpy as np
-
-from lunarsci.compiled import compiled, in_lanes, joined, pasted
-from lunarsci.elementary import arcsin, cosine, sine
+from lunarsci.compiled import in_lanes, joined, pasted
 from lunarsci.regolith.forces import contact_forces, slip_ratio
+from lunarsci.twin.simulation.contact_frame import (
+    DEEPEST,
+    SHALLOWEST,
+    SLOWEST,
+    contact_frame,
+    seen_from,
+    shear_center,
+    soil_below,
+    velocity_of,
+)
 from lunarsci.twin.simulation.lanes import (
     ACCELERATION,
     ACROSS,
@@ -32,7 +38,6 @@ from lunarsci.twin.simulation.lanes import (
     FIRST,
     FORCE,
     GROUND,
-    HOLD,
     LANES,
     LAST,
     LEVER,
@@ -40,93 +45,39 @@ from lunarsci.twin.simulation.lanes import (
     MISSED,
     MOMENT,
     NORMAL,
-    RATE,
     RIGHT,
     RIM,
     ROTATION,
     RUT,
     SINKAGE,
     SLIP,
-    SOIL,
     SPEED,
     STIFF,
     SWING,
     TRAVEL,
-    TWIST,
     VELOCITY,
     cross,
     dot,
     get,
     get3,
-    plus,
     put,
     put3,
     rows,
     times,
 )
+from lunarsci.twin.simulation.standing import any_stands, keep_hold, lean, stand
 
-__all__ = [
-    "AT_REST",
-    "DEEPEST",
-    "DRIVEN",
-    "HELD",
-    "MASS_ON_WHEEL",
-    "NORMAL_DAMPING",
-    "SHALLOWEST",
-    "SLOWEST",
-    "VALID_SLIP",
-    "add_wheel",
-    "contact_frame",
-]
+__all__ = ["AT_REST", "DRIVEN", "HELD", "MASS_ON_WHEEL", "NORMAL_DAMPING", "add_wheel"]
 
 # Assumed, for a calm touch-down: half of critical for this mass on a wheel [kg] on 7 kN/m, and for another in
 # proportion; the soil's own is not published. [N s/m]
 NORMAL_DAMPING, MASS_ON_WHEEL = 400.0, 22.5
-# The closed form has no meaning once the wheel is buried to its axle; beyond this share of r the force stays constant.
-DEEPEST = 0.9
-# Range of |s| that the source states for the model.
-VALID_SLIP = 0.6
 AT_REST, DRIVEN, HELD = rows(0, 1, 2)
-# Speeds [m/s] below this are none; a rim as slow as that stands still.
-SLOWEST = 1e-9
 # Travel over which the bearing takes up a change of slip [m]: at a creep it does not follow at once. Assumed, short
 # against the contact, so that a step under way passes it.
 TAKE_UP_M = 1e-3
-# Of the ground under a wheel that stands, along its surface [N/m, N s/m]: stiff, so that it gives by less than a
-# millimetre before it yields, and about half of critical; of the same mass. Assumed: no unloading of regolith along
-# the surface is published.
-STAND_STIFFNESS, STAND_DAMPING = 1e5, 1500.0
 # A rim whose speed changes by less than this share in a step is under way.
 STEADY = 0.02
-# A wheel that yields comes to rest when it moves by less than this share of what the stiffness gives in a step.
-CAUGHT = 0.01
-# Below this sinkage [m] the contact angles round to nothing.
-SHALLOWEST = 1e-9
-
-
-@pasted
-def contact_frame(slope_x: Any, slope_y: Any, axle: Any) -> Any:
-    """Forward, left and normal axis of the contact frame, from the terrain's gradient and the wheel's axle. [-]"""
-    scale = 1.0 / math.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
-    normal = (-slope_x * scale, -slope_y * scale, scale)
-    x = cross(axle, normal)
-    forward = times(x, 1.0 / (math.sqrt(dot(x, x)) + 1e-300))
-    return forward, cross(normal, forward), normal
-
-
-@pasted
-def shear_center(sinkage: Any, slip: Any, tyre: Any) -> Any:
-    """How far ahead of and below the axle the shear stress is centred. [m]"""
-    r, _, _, r_s, c1, c2, c3 = tyre
-    theta_1 = 2.0 * arcsin(math.sqrt(sinkage / (2.0 * r)))
-    middle = (1.0 + c3 + c1 + c2 * slip) * theta_1 / 3.0
-    return r_s * sine(middle), r_s * cosine(middle)
-
-
-@pasted
-def seen_from(axes: Any, v: Any) -> Any:
-    """Components of a world vector along the three axes."""
-    return (dot(axes[0], v), dot(axes[1], v), dot(axes[2], v))
 
 
 @pasted
@@ -138,6 +89,26 @@ def chosen(on: Any, values: Any) -> Any:
         values[2] if on > 0.0 else 0.0,
         values[3] if on > 0.0 else 0.0,
     )
+
+
+@pasted
+def put_axes(wheel: Any, lane: Any, axes: Any) -> None:
+    """Store the axes of the contact frame."""
+    put3(wheel, AXES, lane, axes[0])
+    put3(wheel, AXES + 3, lane, axes[1])
+    put3(wheel, AXES + 6, lane, axes[2])
+
+
+@pasted
+def steadied(v: Any, rim: Any, travel: Any, slid: Any, forces: Any, slopes: Any) -> Any:
+    """Derivatives of the forces ahead and to the left by the velocity there, and the share that stops the slip.
+
+    A step must not pass the speed at which nothing slips: from far away the force is taken to fall to 0 there.
+    """
+    brake = min(max(10.0 * abs(slip_ratio(travel)) - 2.0, 0.0), slid) / max(abs(rim - v[0]), SLOWEST)
+    skew = min(max(10.0 * abs(v[1]) / max(abs(v[0]), rim) - 3.0, 0.0), slid) / max(abs(v[1]), SLOWEST)
+    per = slid / rim
+    return per * slopes[0] - brake * abs(forces[0]), -per * slopes[1] - skew * abs(forces[1]), brake
 
 
 @in_lanes
@@ -155,19 +126,12 @@ def meet_ground(
         arm, ground, turning = get3(wheel, ARM, lane), get3(wheel, GROUND, lane), abs(get(wheel, RIM, lane))
         rim = max(turning, SLOWEST)
         axes = contact_frame(ground[1], ground[2], get3(wheel, AXLE, lane))
-        v_world = plus(get3(body, SPEED, lane), cross(get3(body, SPEED + 3, lane), arm))
-        v_world = plus(v_world, times(get3(wheel, SWING, lane), get(body, SPEED + 6, lane)))
-        v_world = plus(v_world, times(get3(wheel, BOGIE_SWING, lane), get(body, bogie, lane)))
-        v = seen_from(axes, v_world)
+        v = seen_from(axes, velocity_of(body, wheel, arm, bogie, lane))
         sinkage = tyre[0] - (get(wheel, CENTER + 2, lane) - ground[0]) * axes[2][2]
         z = min(max(sinkage, SHALLOWEST), DEEPEST * tyre[0])
         on = 1.0 if sinkage > SHALLOWEST else 0.0
         slid = on if shear else 0.0
-        soil = (
-            get(wheel, SOIL, lane), get(wheel, SOIL + 1, lane), get(wheel, SOIL + 2, lane), get(wheel, SOIL + 3, lane),
-            get(wheel, SOIL + 4, lane), get(wheel, SOIL + 5, lane), get(wheel, SOIL + 6, lane),
-            get(wheel, SOIL + 7, lane),
-        )  # fmt: skip
+        soil = soil_below(wheel, lane)
         travel, lateral = (v[0] / rim, v[1] / rim) if shear else (1.0, 0.0)
         # Speed and rim of the same instant, the end of the step before; the rim may be faster now.
         last, lags = get(wheel, LAST, lane), shear and free > 0.0
@@ -188,22 +152,18 @@ def meet_ground(
         bearing = 1.0 if pressed > 0.0 else 0.0
         stiffness = on * (soil[1] + 0.5) * pressed / z
         per = slid / rim
-        # A step must not pass the speed at which nothing slips: from far away the force is taken to fall to 0 there.
-        brake = min(max(10.0 * abs(slip_ratio(travel)) - 2.0, 0.0), slid) / max(abs(rim - v[0]), SLOWEST)
-        skew = min(max(10.0 * abs(v[1]) / max(abs(v[0]), rim) - 3.0, 0.0), slid) / max(abs(v[1]), SLOWEST)
-        along = per * slopes[1] - brake * abs(f_dp)
-        d_l = -per * slopes[2] - skew * abs(f_l)
+        along, d_l, brake = steadied(v, rim, travel, slid, (f_dp, f_l), (slopes[1], slopes[2]))
         remaining = seen_from(axes, get3(wheel, ACCELERATION, lane))
         taken_for = get(wheel, DRAWBAR, lane) + get(wheel, ALONG, lane) * (v[0] - get(wheel, VELOCITY, lane))
         steady = lags and last >= SLOWEST and abs(turning - last) < STEADY * last
         missed = abs(reach[3] - taken_for) if steady and on > 0.0 else 0.0
         put(wheel, MISSED, lane, missed)
-        put3(wheel, AXES, lane, axes[0])
-        put3(wheel, AXES + 3, lane, axes[1])
-        put3(wheel, AXES + 6, lane, axes[2])
-        put(wheel, FORCE, lane, slid * f_dp - kg * (gravity * axes[0][2] + remaining[0]))
-        put(wheel, FORCE + 1, lane, -slid * f_l - kg * (gravity * axes[1][2] + remaining[1]))
-        put(wheel, FORCE + 2, lane, pressed - kg * (gravity * axes[2][2] + remaining[2]))
+        put_axes(wheel, lane, axes)
+        put3(wheel, FORCE, lane, (
+            slid * f_dp - kg * (gravity * axes[0][2] + remaining[0]),
+            -slid * f_l - kg * (gravity * axes[1][2] + remaining[1]),
+            pressed - kg * (gravity * axes[2][2] + remaining[2]),
+        ))  # fmt: skip
         put3(wheel, MOMENT, lane, (-slid * below * f_l, -slid * m_r, -slid * ahead * f_l))
         put3(
             wheel, ALONG, lane, (along, 0.0 if lags else per * bearing * slopes[0], brake * abs(m_r) - per * slopes[3])
@@ -218,106 +178,6 @@ def meet_ground(
         put(wheel, SLIP, lane, slip)
         put(wheel, TRAVEL, lane, ended if lags else travel)
         put(wheel, LAST, lane, turning)
-
-
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def any_stands(wheel: Any) -> bool:
-    """Whether a rim of the group stands still."""
-    return bool(np.abs(wheel[RIM * LANES : (RIM + 1) * LANES]).min() < SLOWEST)
-
-
-@in_lanes
-def keep_hold(wheel: Any) -> None:
-    """Keep what the soil did to the wheel along its surface in the step before, as it stood in the world.
-
-    A step that rolled ended with the force of its own end: what it began with, and the change by its derivatives.
-    """
-    for lane in range(LANES):
-        e, d, v = get3(wheel, AXES, lane), get3(wheel, AXES + 3, lane), get3(wheel, VELOCITY, lane)
-        f_dp, f_l, m_r = get3(wheel, DRAWBAR, lane)
-        rolled = 1.0 if get(wheel, LAST, lane) >= SLOWEST else 0.0
-        along, across = rolled * get(wheel, ALONG, lane), rolled * get(wheel, ACROSS, lane)
-        torque = -rolled * get(wheel, ALONG + 2, lane)
-        put3(wheel, HOLD, lane, plus(times(e, f_dp - along * v[0]), times(d, -f_l - across * v[1])))
-        put3(wheel, TWIST, lane, times(d, m_r - torque * v[0]))
-        put3(wheel, RATE, lane, (along, across, torque))
-
-
-@pasted
-def yielding(before: Any, speed: Any, low: Any, high: Any, dt: Any, load: Any) -> Any:
-    """Force that holds along one direction, and the viscous share of an implicit step. [N, N s/m]
-
-    A spring that gives by the way of the last step, from `before`, within what the soil can hold: Cundall & Strack
-    (1979), 10.1680/geot.1979.29.1.47. Beyond, the force stays and is taken to fall to 0 where the wheel stops.
-    """
-    step = load * STAND_STIFFNESS * dt
-    wanted = before - step * speed
-    force = min(max(wanted, low), high)
-    caught = abs(speed) * step < CAUGHT * (high - low)
-    rate = load * STAND_DAMPING + step if force == wanted or caught else abs(force) / max(abs(speed), SLOWEST)
-    return force, rate, (rate * speed if force == wanted or caught else 0.0)
-
-
-@in_lanes
-def stand(wheel: Any, tyre: Any, dt: float, load: float) -> None:
-    """What holds a wheel whose rim stands still: static friction, in the place of what `meet_ground` found.
-
-    The force along the surface and the torque about the axle are those of the moment when the rim came to rest, and
-    change as the wheel moves against the ground. They stay within the shear strength at the wheel's sinkage, and ahead
-    the resistance of the ground that the wheel has piled up is added: the ends of the law of a wheel that rolls.
-    """
-    for lane in range(LANES):
-        e, d, v = get3(wheel, AXES, lane), get3(wheel, AXES + 3, lane), get3(wheel, VELOCITY, lane)
-        held, twist, rate = get3(wheel, HOLD, lane), get3(wheel, TWIST, lane), get3(wheel, RATE, lane)
-        held_x, held_y = dot(held, e) + rate[0] * v[0], dot(held, d) + rate[1] * v[1]
-        still = abs(get(wheel, RIM, lane)) < SLOWEST
-        on = get(wheel, NORMAL, lane) > 0.0
-        z = min(max(get(wheel, SINKAGE, lane), SHALLOWEST), DEEPEST * tyre[0])
-        soil = (
-            get(wheel, SOIL, lane), get(wheel, SOIL + 1, lane), get(wheel, SOIL + 2, lane), get(wheel, SOIL + 3, lane),
-            get(wheel, SOIL + 4, lane), get(wheel, SOIL + 5, lane), get(wheel, SOIL + 6, lane),
-            get(wheel, SOIL + 7, lane),
-        )  # fmt: skip
-        slip, rut = get(wheel, SLIP, lane), (get(wheel, RUT, lane), get(wheel, RUT + 1, lane))
-        _, _, reach = contact_forces(z, slip, 1.0, 0.0, 1.0, rut, tyre, soil, 0)
-        ahead, below = shear_center(z, slip, tyre)
-        shear, piled, side = (reach[0], reach[1], reach[2]) if on else (0.0, 0.0, 0.0)
-        along = yielding(held_x, v[0], -shear - piled, max(shear - piled, 0.0), dt, load)
-        across = yielding(held_y, v[1], -side, side, dt, load)
-        torque = dot(twist, d) + rate[2] * v[0] + below * (along[0] - held_x) if on else 0.0
-        old = get3(wheel, DRAWBAR, lane)
-        put(wheel, FORCE, lane, get(wheel, FORCE, lane) + (along[0] - along[2] - old[0] if still else 0.0))
-        put(wheel, FORCE + 1, lane, get(wheel, FORCE + 1, lane) + (across[0] - across[2] + old[1] if still else 0.0))
-        moment, a, c = get3(wheel, MOMENT, lane), get3(wheel, ALONG, lane), get3(wheel, ACROSS, lane)
-        put3(wheel, MOMENT, lane, (
-            below * (across[0] - across[2]) if still else moment[0],
-            below * along[2] - torque if still else moment[1],
-            ahead * (across[0] - across[2]) if still else moment[2],
-        ))  # fmt: skip
-        put3(wheel, ALONG, lane, (
-            -along[1] if still else a[0], 0.0 if still else a[1], below * along[1] if still else a[2],
-        ))  # fmt: skip
-        put3(wheel, ACROSS, lane, (
-            -across[1] if still else c[0], -below * across[1] if still else c[1],
-            -ahead * across[1] if still else c[2],
-        ))  # fmt: skip
-        put3(wheel, DRAWBAR, lane, (
-            along[0] if still else old[0], -across[0] if still else old[1], torque if still else old[2],
-        ))  # fmt: skip
-
-
-@in_lanes
-def lean(wheel: Any, tyre: Any) -> None:
-    """Put the force of `HOLD`, as far as it lies along the surface, on a wheel that rests."""
-    for lane in range(LANES):
-        e, d, held = get3(wheel, AXES, lane), get3(wheel, AXES + 3, lane), get3(wheel, HOLD, lane)
-        z = min(max(get(wheel, SINKAGE, lane), SHALLOWEST), DEEPEST * tyre[0])
-        ahead, below = shear_center(z, 0.0, tyre)
-        x, y = dot(held, e), dot(held, d)
-        put(wheel, FORCE, lane, get(wheel, FORCE, lane) + x)
-        put(wheel, FORCE + 1, lane, get(wheel, FORCE + 1, lane) + y)
-        put3(wheel, MOMENT, lane, (below * y, -below * x, ahead * y))
-        put3(wheel, DRAWBAR, lane, (x, -y, below * x))
 
 
 @pasted

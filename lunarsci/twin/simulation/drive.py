@@ -5,7 +5,8 @@ from typing import Any
 
 from lunarsci.compiled import compiled
 from lunarsci.regolith.forces import slip_ratio
-from lunarsci.twin.simulation.contact import DEEPEST, DRIVEN, SHALLOWEST, SLOWEST, VALID_SLIP
+from lunarsci.twin.simulation.contact import DRIVEN
+from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST, SLOWEST, VALID_SLIP
 from lunarsci.twin.simulation.dynamics import orient
 from lunarsci.twin.simulation.integrate import assemble, check_health, check_sense, eliminate, move
 from lunarsci.twin.simulation.lanes import (

@@ -14,7 +14,7 @@ from lunarsci.twin.held import HeldForces, forces_along
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.simulation.contact import VALID_SLIP
+from lunarsci.twin.simulation.contact_frame import VALID_SLIP
 from lunarsci.twin.telemetry.attitude import check_attitude, sway_m
 from lunarsci.twin.telemetry.clock import ordered, time_gaps
 from lunarsci.twin.telemetry.commands_check import check_against_plan
