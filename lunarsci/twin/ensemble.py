@@ -13,9 +13,6 @@ from lunarsci.twin.ground.terrain import Terrain, soil_overrides
 from lunarsci.twin.members import MOST_STEPS, Grounds, Scene, drive_all, drive_finer, scene_before
 from lunarsci.twin.plans.plan import Plan, Sweep, check_plan
 from lunarsci.twin.plans.schedule import Schedule, make_schedule
-    Schedule,
-    make_schedule,
-)
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST
 from lunarsci.twin.simulation.outcomes import OUTCOMES
