@@ -34,6 +34,9 @@ SETTLE_ROUNDS = 300
 SETTLE_TOLERANCE = 1e-9
 # Longest move of a settling round [m or rad]: less than it takes to lift a wheel off its neighbour's plane.
 LONGEST_MOVE = 0.02
+# Share of a change of the forces along the surface that a round makes: with all of it loads and forces chase each other
+# on steep ground.
+CALM = 0.4
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
@@ -146,12 +149,14 @@ def lean_on(work: Any, left: Any, pull: Any, leaning: Any, done: Any, tolerance:
             if abs(left[lane, i]) > tolerance:
                 done[lane] = False
         if not done[lane] and np.linalg.det(share) > 0.0:
-            pull[lane] += np.linalg.solve(share, left[lane])
+            pull[lane] += CALM * np.linalg.solve(share, left[lane])
         for w in range(len(work.wheels)):
             slide_along(work.wheels[w], lane, moved)
             for m in range(3):
                 along = moved[m, 0] * pull[lane, 0] + moved[m, 1] * pull[lane, 1] + moved[m, 2] * pull[lane, 2]
-                work.wheels[w, (HOLD + m) * LANES + lane] = work.wheels[w, NORMAL * LANES + lane] * along
+                row = (HOLD + m) * LANES + lane
+                wanted = work.wheels[w, NORMAL * LANES + lane] * along
+                work.wheels[w, row] += CALM * (wanted - work.wheels[w, row])
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
