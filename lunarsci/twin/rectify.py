@@ -119,6 +119,7 @@ def rectify(
     model_error: float = 1.0,
     seed: int = 0,
     teach: bool = True,
+    ruts: bool = True,
     progress: Callable[[int, int], None] | None = None,
 ) -> Rectified:
     """Update the belief of a soil by a drive.
@@ -137,6 +138,7 @@ def rectify(
     model_error : of the twin's physics, as a multiple of `MODEL_SHARES` and `MODEL_ERRORS`; 0 where the drive is the
         twin's own. [-]
     seed : of the population.
+    ruts : whether simulated wheels meet the ruts of those before them.
     teach : whether the discrepancy learns, False where a comparison taught it this drive already.
     progress : called with (done, total).
 
@@ -150,7 +152,7 @@ def rectify(
     random = np.random.default_rng(seed)
     common = {name: model_error * share for name, share in MODEL_SHARES.items()}
     floor = max(model_error, LEAST_FLOOR)
-    misfit = Misfit(rover, terrain, plan, record, belief, discrepancy=Discrepancy(common), floor=floor)
+    misfit = Misfit(rover, terrain, plan, record, belief, discrepancy=Discrepancy(common), floor=floor, ruts=ruts)
     posterior, mode = _best_soil(misfit, random)
     residual = posterior.residuals(mode.point[None])[0][0]
     states, places = posterior.misfit.parts(residual)

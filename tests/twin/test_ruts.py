@@ -29,6 +29,7 @@ def test_what_springs_back_is_wongs_line() -> None:
     risen = load / (load / pressed + RISE_N_M4 * pressed)
     assert still_deep(pressed, stiffness, exponent) == pytest.approx(pressed - risen, rel=1e-12)
     assert still_deep(0.0, stiffness, exponent) == 0.0
+    assert 0.0 <= still_deep(1e-17, stiffness, 2.0) <= 1e-17
 
 
 def test_a_strip_is_as_wide_as_the_wheel_and_stays_deepest() -> None:

@@ -63,6 +63,7 @@ class Misfit:
     discrepancy : errors that stay the same throughout a drive.
     expected : states without their noise, as of the best soil so far; None takes the measured ones. (n, 6)
     floor : multiple of `MODEL_ERRORS` that is added to the measured errors, above 0. [-]
+    ruts : whether simulated wheels meet the ruts of those before them.
 
     Raises ParameterError for a record of another rover, or with fewer values than a soil has parameters.
     """
@@ -76,6 +77,7 @@ class Misfit:
     discrepancy: Discrepancy = field(default_factory=Discrepancy)
     floor: float = 1.0
     expected: FloatArray | None = field(default=None, repr=False)
+    ruts: bool = True
 
     def __post_init__(self) -> None:
         check_wheels(self.record, self.rover.wheels, self.rover.name)
@@ -139,7 +141,9 @@ class Misfit:
         """Drives on soils of these transforms. (points, 8)"""
         values = values_of(self.belief.laws, transforms)
         samples = {name: values[:, k] for k, name in enumerate(PARAMETERS)}
-        return predict(self.rover, self.terrain, self.plan, samples=samples, time_step_s=STEP_S, sample_m=SAMPLE_M)
+        return predict(
+            self.rover, self.terrain, self.plan, samples=samples, time_step_s=STEP_S, sample_m=SAMPLE_M, ruts=self.ruts
+        )
 
     def near(self, transforms: FloatArray) -> npt.NDArray[np.bool_]:
         """Soils that are no farther from the first laws than `FARTHEST`. (points,)"""

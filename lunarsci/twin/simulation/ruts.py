@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from lunarsci.compiled import compiled
 from lunarsci.elementary import exponential, logarithm
+from lunarsci.twin.simulation.contact_frame import SHALLOWEST
 from lunarsci.twin.simulation.lanes import AXLE, CENTER, GROUND, LANES, RIM, RUT, SINKAGE, SOIL, Work
 from lunarsci.twin.simulation.outcomes import FINISHED
 
@@ -72,10 +73,10 @@ def depth_at(ruts: Any, column: float, row: float) -> float:
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def still_deep(pressed: float, stiffness: float, exponent: float) -> float:
     """Depth of a rut when the wheel has gone. [m]"""
-    if not pressed > 0.0:
+    if not pressed > SHALLOWEST:
         return 0.0
     load = stiffness * exponential(exponent * logarithm(pressed))
-    return float(pressed - pressed / (1.0 + RISE_N_M4 * pressed * pressed / load))
+    return float(pressed - pressed * load / (load + RISE_N_M4 * pressed * pressed))
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
