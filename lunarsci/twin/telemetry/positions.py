@@ -120,6 +120,10 @@ def _hanging(yaw: FloatArray, sigma: FloatArray, turned_deg: FloatArray, known: 
     return result
 
 
+ALIKE_DEG = 0.3
+"""Readings that differ by less are told apart by their order."""
+
+
 @dataclass(frozen=True, slots=True)
 class _Reading:
     """Another way to read headings and positions, and what it would mean."""
@@ -131,8 +135,8 @@ class _Reading:
 
 READINGS = (
     _Reading("x_m and y_m are exchanged", lambda yaw: yaw, lambda p: p[:, ::-1]),
-    _Reading("yaw_deg grows to the right, as in a frame with z down", lambda yaw: -yaw, lambda p: p),
     _Reading("y_m points to the right of x_m", lambda yaw: yaw, lambda p: p * [1.0, -1.0]),
+    _Reading("yaw_deg grows to the right, as in a frame with z down", lambda yaw: -yaw, lambda p: p),
     _Reading("yaw_deg is measured from y (north) clockwise", lambda yaw: 90.0 - yaw, lambda p: p),
     _Reading("yaw_deg is measured from y", lambda yaw: 90.0 + yaw, lambda p: p),
     _Reading("yaw_deg is in rad", np.degrees, lambda p: p),
@@ -163,7 +167,8 @@ def check_frame(telemetry: Telemetry, twist: FloatArray, findings: Findings) -> 
     for reading in READINGS:
         read = _displacements(telemetry, twist, rows, reading.heading(telemetry.yaw_deg))
         others.append(_astray_deg(reading.place(moved)[long], read[long]))
-    best = int(np.argmin(others))
+    # A mirrored heading and mirrored positions fit alike; a heading that turns against the wheels is found before.
+    best = int(np.argmax(np.array(others) <= min(others) + ALIKE_DEG))
     text = f"displacements point {astray:.0f} deg off the heading in the median"
     if others[best] < min(ASTRAY_DEG, 0.5 * astray):
         raise DataError(
