@@ -33,13 +33,15 @@ def test_what_springs_back_is_wongs_line() -> None:
 
 
 def test_a_strip_is_as_wide_as_the_wheel_and_stays_deepest() -> None:
-    nodes = np.zeros((40, 60))
-    press(nodes, 30.0, 20.0, 0.0, 1.0, 3.0, 0.01)
-    assert nodes[20, 30] == 0.01 and nodes[23, 31] == 0.01 and nodes[17, 29] == 0.01
-    assert nodes[25, 30] == 0.0 and nodes[20, 33] == 0.0 and depth_at(nodes, 30.0, 23.5) == pytest.approx(0.005)
-    press(nodes, 30.0, 20.0, 0.0, 1.0, 3.0, 0.004)
-    assert nodes[20, 30] == 0.01
-    assert depth_at(nodes, -1.0, 5.0) == 0.0
+    nodes = np.zeros((40, 60, 2))
+    press(nodes, 30.0, 20.0, 0.0, 1.0, 3.0, 0.01, 0.008)
+    pressed = nodes[..., 0]
+    assert pressed[20, 30] == 0.01 and pressed[23, 31] == 0.01 and pressed[17, 29] == 0.01 and nodes[20, 30, 1] == 0.008
+    assert pressed[25, 30] == 0.0 and pressed[20, 33] == 0.0
+    assert depth_at(nodes, 30.0, 23.5) == pytest.approx((0.005, 0.004))
+    press(nodes, 30.0, 20.0, 0.0, 1.0, 3.0, 0.004, 0.003)
+    assert pressed[20, 30] == 0.01
+    assert depth_at(nodes, -1.0, 5.0) == (0.0, 0.0)
 
 
 def test_a_grid_that_would_be_too_large_is_none() -> None:

@@ -60,9 +60,9 @@ FIRST = np.int64(0)
 class Work(NamedTuple):
     """Scratch arrays of a group of rovers, so that a step allocates nothing.
 
-    `code` is the outcome of each lane. `ruts` (LANES, ny, nx) has the depths that wheels have pressed [m], a single
-    node where ruts are left out; `frame` says where: x, y of the start, cosine and sine of its heading over the
-    spacing, and its column and row.
+    `code` is the outcome of each lane. `ruts` (LANES, ny, nx, 2) has the depths that wheels have pressed and that are
+    left of them [m], a single node where ruts are left out; `frame` says where: x, y of the start, cosine and sine of
+    its heading over the spacing, and its column and row.
     """
 
     body: FloatArray
@@ -83,7 +83,7 @@ def new_work(wheels: int) -> Any:
         np.zeros(LEVER_ROWS * LANES),
         np.zeros((2, SIDE_ROWS * LANES)),
         np.zeros(LANES, dtype=np.int64),
-        np.zeros((LANES, 1, 1)),
+        np.zeros((LANES, 1, 1, 2)),
         np.zeros(6),
     )
 

@@ -55,19 +55,22 @@ def with_ruts(work: Work, start: FloatArray, places: FloatArray, margin_m: float
     if shape[0] * shape[1] > MOST_NODES:
         return None
     frame = np.array([start[0], start[1], c / SPACING_M, s / SPACING_M, back, wide], dtype=np.float64)
-    return work._replace(ruts=np.zeros((LANES, *shape)), frame=frame)
+    return work._replace(ruts=np.zeros((LANES, *shape, 2)), frame=frame)
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
-def depth_at(ruts: Any, column: float, row: float) -> float:
-    """How deep the ground was pressed at a place between nodes, 0 beyond them. [m]"""
-    ny, nx = ruts.shape
+def depth_at(ruts: Any, column: float, row: float) -> tuple[float, float]:
+    """How deep the ground was pressed at a place between nodes, and how deep it is still; 0 beyond them. [m]"""
+    ny, nx = ruts.shape[0], ruts.shape[1]
     if not (0.0 <= column < nx - 1 and 0.0 <= row < ny - 1):
-        return 0.0
+        return 0.0, 0.0
     j, i = int(column), int(row)
     a, b = column - j, row - i
-    low = (1.0 - a) * ruts[i, j] + a * ruts[i, j + 1]
-    return float((1.0 - b) * low + b * ((1.0 - a) * ruts[i + 1, j] + a * ruts[i + 1, j + 1]))
+    w_0, w_1, w_2, w_3 = (1.0 - a) * (1.0 - b), a * (1.0 - b), (1.0 - a) * b, a * b
+    return (
+        w_0 * ruts[i, j, 0] + w_1 * ruts[i, j + 1, 0] + w_2 * ruts[i + 1, j, 0] + w_3 * ruts[i + 1, j + 1, 0],
+        w_0 * ruts[i, j, 1] + w_1 * ruts[i, j + 1, 1] + w_2 * ruts[i + 1, j, 1] + w_3 * ruts[i + 1, j + 1, 1],
+    )
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
@@ -93,10 +96,8 @@ def read_ruts(work: Any, w: int, width: float) -> None:
         column, row = frame[2] * x + frame[3] * y + frame[4], frame[2] * y - frame[3] * x + frame[5]
         across = side * scale * (frame[2] * axle_x + frame[3] * axle_y)
         up = side * scale * (frame[2] * axle_y - frame[3] * axle_x)
-        left = depth_at(work.ruts[lane], column + across, row + up)
-        right = depth_at(work.ruts[lane], column - across, row - up)
-        stiffness, exponent = wheel[SOIL * LANES + lane], wheel[(SOIL + 1) * LANES + lane]
-        low, high = still_deep(left, stiffness, exponent), still_deep(right, stiffness, exponent)
+        left, low = depth_at(work.ruts[lane], column + across, row + up)
+        right, high = depth_at(work.ruts[lane], column - across, row - up)
         wheel[RUT * LANES + lane] = 0.5 * (left + right)
         wheel[(RUT + 1) * LANES + lane] = 0.5 * (low + high)
         if left + right > 0.0:
@@ -125,18 +126,24 @@ def press_ruts(work: Any, width: float) -> None:
             column = frame[2] * x + frame[3] * y + frame[4] - BEHIND * up
             row = frame[2] * y - frame[3] * x + frame[5] + BEHIND * across
             depth = sinkage + wheel[(RUT + 1) * LANES + lane]
-            press(work.ruts[lane], column, row, across, up, half, depth)
+            still = still_deep(depth, wheel[SOIL * LANES + lane], wheel[(SOIL + 1) * LANES + lane])
+            press(work.ruts[lane], column, row, across, up, half, depth, still)
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
-def press(ruts: Any, column: float, row: float, across: float, up: float, half: float, depth: float) -> None:
-    """Press a strip about a place, in spacings: `half` its width to either side along (across, up), 1 along the way."""
-    ny, nx = ruts.shape
+def press(
+    ruts: Any, column: float, row: float, across: float, up: float, half: float, depth: float, still: float
+) -> None:
+    """Press a strip about a place, in spacings: `half` its width to either side along (across, up), 1 along the way.
+
+    Where it becomes deepest, `depth` is how deep it is pressed, and `still` how deep it stays. [m]
+    """
+    ny, nx = ruts.shape[0], ruts.shape[1]
     reach_x = (half + 1.0) * abs(across) + 2.0 * abs(up)
     reach_y = (half + 1.0) * abs(up) + 2.0 * abs(across)
     for i in range(max(0, math.ceil(row - reach_y)), min(ny - 1, math.floor(row + reach_y)) + 1):
         for j in range(max(0, math.ceil(column - reach_x)), min(nx - 1, math.floor(column + reach_x)) + 1):
             a, b = j - column, i - row
             out = min(half + 1.0 - abs(a * across + b * up), 2.0 - abs(a * up - b * across), 1.0)
-            if out * depth > ruts[i, j]:
-                ruts[i, j] = out * depth
+            if out * depth > ruts[i, j, 0]:
+                ruts[i, j, 0], ruts[i, j, 1] = out * depth, out * still
