@@ -86,9 +86,9 @@ class Scene:
 
     @property
     def pressing(self) -> int:
-        """Steps between marks in the ruts, at most a spacing apart; 0 without ruts."""
+        """Steps between marks in the ruts, at most one and a half spacings apart; 0 without ruts."""
         step = float(self.times_s[1]) * self.schedule.plan.speed_m_s
-        return max(1, math.floor(SPACING_M / step)) if self.ruts else 0
+        return max(1, math.floor(1.5 * SPACING_M / step)) if self.ruts else 0
 
 
 def scene_before(scene: Scene, plan: Plan, time_step_s: float) -> Scene:

@@ -32,16 +32,18 @@ def test_what_springs_back_is_wongs_line() -> None:
     assert 0.0 <= still_deep(1e-17, stiffness, 2.0) <= 1e-17
 
 
-def test_a_strip_is_as_wide_as_the_wheel_and_stays_deepest() -> None:
-    nodes = np.zeros((40, 60, 2))
-    press(nodes, 30.0, 20.0, 0.0, 1.0, 3.0, 0.01, 0.008)
+def test_a_strip_counts_as_far_as_a_wheel_is_on_it_and_stays_deepest() -> None:
+    grid = np.zeros((1, 40, 60, 2))
+    nodes = grid[0]
+    press(grid, 0, 30.0, 20.0, 0.0, 1.0, 4.0, 0.01, 0.008)
     pressed = nodes[..., 0]
-    assert pressed[20, 30] == 0.01 and pressed[23, 31] == 0.01 and pressed[17, 29] == 0.01 and nodes[20, 30, 1] == 0.008
-    assert pressed[25, 30] == 0.0 and pressed[20, 33] == 0.0
-    assert depth_at(nodes, 30.0, 23.5) == pytest.approx((0.005, 0.004))
-    press(nodes, 30.0, 20.0, 0.0, 1.0, 3.0, 0.004, 0.003)
-    assert pressed[20, 30] == 0.01
-    assert depth_at(nodes, -1.0, 5.0) == (0.0, 0.0)
+    assert pressed[20, 29:32] == pytest.approx(0.01) and nodes[20, 30, 1] == pytest.approx(0.008)
+    # Half its width aside a wheel has half of it in common, a whole width aside nothing.
+    assert pressed[[18, 22], 30] == pytest.approx(0.005) and pressed[[16, 24], 30] == pytest.approx(0.0)
+    assert pressed[20, 32] == 0.0 and depth_at(grid, 0, 30.0, 22.5) == pytest.approx((0.00375, 0.003))
+    press(grid, 0, 30.0, 20.0, 0.0, 1.0, 4.0, 0.004, 0.003)
+    assert pressed[20, 30] == pytest.approx(0.01)
+    assert depth_at(grid, 0, -1.0, 5.0) == (0.0, 0.0)
 
 
 def test_a_grid_that_would_be_too_large_is_none() -> None:

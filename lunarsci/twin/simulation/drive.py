@@ -126,6 +126,8 @@ def drive(
         if not (work.code[:members] == FINISHED).any():
             break
         take_commands(work, steering, speed, min(i, steps - 1))
+        # The ground of a rut changes over a spacing, of which a step is a sixth or less.
+        work.frame[6] = 0.0 if pressing > 8 and (first + i) % 2 else 1.0
         assemble(rover, tyre, grid, override, dt, DRIVEN, work)
         check_sense(work, rover, tyre, dt, first + i == 0)
         if pressing > 0 and (first + i) % pressing == 0:
@@ -139,5 +141,6 @@ def drive(
             eliminate(work)
             move(work.body, dt)
             check_health(work, rover.gravity * dt)
+    work.frame[6] = 1.0
     for m in range(members):
         results[m, 0] = work.code[m]

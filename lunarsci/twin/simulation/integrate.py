@@ -83,7 +83,7 @@ def assemble(rover: Any, tyre: Any, grid: Any, override: Any, dt: float, mode: i
     for w in range(len(rover.arms)):
         read_ground(grid, override, work.wheels[w], work.code)
         if work.ruts.shape[1] > 1:
-            read_ruts(work, w, tyre[1])
+            read_ruts(work, w)
         add_wheel(work, w, rover, tyre, dt, mode)
     for w in range(len(rover.arms)):
         for lane in range(LANES):

@@ -62,7 +62,7 @@ class Work(NamedTuple):
 
     `code` is the outcome of each lane. `ruts` (LANES, ny, nx, 2) has the depths that wheels have pressed and that are
     left of them [m], a single node where ruts are left out; `frame` says where: x, y of the start, cosine and sine of
-    its heading over the spacing, and its column and row.
+    its heading over the spacing, its column and row, and 0 where a step does not look ruts up again.
     """
 
     body: FloatArray
@@ -84,7 +84,7 @@ def new_work(wheels: int) -> Any:
         np.zeros((2, SIDE_ROWS * LANES)),
         np.zeros(LANES, dtype=np.int64),
         np.zeros((LANES, 1, 1, 2)),
-        np.zeros(6),
+        np.ones(7),
     )
 
 

@@ -6,8 +6,9 @@ where that ended (Wong 2008, Theory of Ground Vehicles, 4th ed., ch. 2):
 
     p = p_u - (k_0 + A_u z_u) (z_u - z),   k_0 = p_u / z_u.
 
-A rut changes height and bearing of the ground, not its shear strength. A wheel that is partly on its wall is carried
-partly by the undisturbed ground. That the wall also pushes against the side of a wheel is left out.
+A rut changes height and bearing of the ground, not its shear strength. Beside a track a wheel meets the share of it
+that both widths have in common, so that one that is partly on the wall is carried partly by the undisturbed ground.
+That the wall also pushes against the side of a wheel is left out.
 """
 
 import math
@@ -27,9 +28,9 @@ __all__ = ["SPACING_M", "press_ruts", "read_ruts", "with_ruts"]
 FloatArray = npt.NDArray[np.float64]
 RISE_N_M4 = 503e6
 """A_u of a dry sand (LETE sand, Wong 2008, table 2.4), assumed for regolith, of which none is published. [N m^-4]"""
-SPACING_M = 0.0251
-"""Of the nodes, assumed: a sixth of a wheel's width, and no whole part of anything on a rover."""
-BEHIND = 3.0
+SPACING_M = 0.0353
+"""Of the nodes, assumed: a quarter of a wheel's width, and no whole part of anything on a rover."""
+BEHIND = 2.2
 """How far behind the axle a rut is left, in spacings: where the wheel that presses it does not meet it."""
 MOST_NODES = 2e7
 """Of one rover's grid; memory is taken only where a wheel rolls."""
@@ -54,22 +55,23 @@ def with_ruts(work: Work, start: FloatArray, places: FloatArray, margin_m: float
     shape = (2 * wide + 1, back + ahead + 1)
     if shape[0] * shape[1] > MOST_NODES:
         return None
-    frame = np.array([start[0], start[1], c / SPACING_M, s / SPACING_M, back, wide], dtype=np.float64)
+    frame = np.array([start[0], start[1], c / SPACING_M, s / SPACING_M, back, wide, 1.0], dtype=np.float64)
     return work._replace(ruts=np.zeros((LANES, *shape, 2)), frame=frame)
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
-def depth_at(ruts: Any, column: float, row: float) -> tuple[float, float]:
+def depth_at(ruts: Any, lane: int, column: float, row: float) -> tuple[float, float]:
     """How deep the ground was pressed at a place between nodes, and how deep it is still; 0 beyond them. [m]"""
-    ny, nx = ruts.shape[0], ruts.shape[1]
+    ny, nx = ruts.shape[1], ruts.shape[2]
     if not (0.0 <= column < nx - 1 and 0.0 <= row < ny - 1):
         return 0.0, 0.0
     j, i = int(column), int(row)
     a, b = column - j, row - i
     w_0, w_1, w_2, w_3 = (1.0 - a) * (1.0 - b), a * (1.0 - b), (1.0 - a) * b, a * b
+    k, m = i + 1, j + 1
     return (
-        w_0 * ruts[i, j, 0] + w_1 * ruts[i, j + 1, 0] + w_2 * ruts[i + 1, j, 0] + w_3 * ruts[i + 1, j + 1, 0],
-        w_0 * ruts[i, j, 1] + w_1 * ruts[i, j + 1, 1] + w_2 * ruts[i + 1, j, 1] + w_3 * ruts[i + 1, j + 1, 1],
+        w_0 * ruts[lane, i, j, 0] + w_1 * ruts[lane, i, m, 0] + w_2 * ruts[lane, k, j, 0] + w_3 * ruts[lane, k, m, 0],
+        w_0 * ruts[lane, i, j, 1] + w_1 * ruts[lane, i, m, 1] + w_2 * ruts[lane, k, j, 1] + w_3 * ruts[lane, k, m, 1],
     )
 
 
@@ -83,34 +85,29 @@ def still_deep(pressed: float, stiffness: float, exponent: float) -> float:
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
-def read_ruts(work: Any, w: int, width: float) -> None:
-    """Lower the ground of wheel `w` by the mean of the ruts below its two halves."""
+def read_ruts(work: Any, w: int) -> None:
+    """Lower the ground of wheel `w` by what is left of the ruts below it, looked up anew where `frame` says so."""
     frame, wheel = work.frame, work.wheels[w]
-    side = width / 3.0
     for lane in range(LANES):
         if work.code[lane] != FINISHED:
             continue
-        axle_x, axle_y = wheel[AXLE * LANES + lane], wheel[(AXLE + 1) * LANES + lane]
-        scale = 1.0 / math.sqrt(axle_x * axle_x + axle_y * axle_y + 1e-300)
-        x, y = wheel[CENTER * LANES + lane] - frame[0], wheel[(CENTER + 1) * LANES + lane] - frame[1]
-        column, row = frame[2] * x + frame[3] * y + frame[4], frame[2] * y - frame[3] * x + frame[5]
-        across = side * scale * (frame[2] * axle_x + frame[3] * axle_y)
-        up = side * scale * (frame[2] * axle_y - frame[3] * axle_x)
-        left, low = depth_at(work.ruts[lane], column + across, row + up)
-        right, high = depth_at(work.ruts[lane], column - across, row - up)
-        wheel[RUT * LANES + lane] = 0.5 * (left + right)
-        wheel[(RUT + 1) * LANES + lane] = 0.5 * (low + high)
-        if left + right > 0.0:
+        if frame[6] > 0.0:
+            x, y = wheel[CENTER * LANES + lane] - frame[0], wheel[(CENTER + 1) * LANES + lane] - frame[1]
+            column, row = frame[2] * x + frame[3] * y + frame[4], frame[2] * y - frame[3] * x + frame[5]
+            found = depth_at(work.ruts, lane, column, row)
+            wheel[RUT * LANES + lane], wheel[(RUT + 1) * LANES + lane] = found
+        left = wheel[(RUT + 1) * LANES + lane]
+        if left > 0.0:
             slope_x, slope_y = wheel[(GROUND + 1) * LANES + lane], wheel[(GROUND + 2) * LANES + lane]
             # Sinkage counts along the normal.
-            wheel[GROUND * LANES + lane] -= 0.5 * (low + high) * math.sqrt(1.0 + slope_x**2 + slope_y**2)
+            wheel[GROUND * LANES + lane] -= left * math.sqrt(1.0 + slope_x**2 + slope_y**2)
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def press_ruts(work: Any, width: float) -> None:
-    """Leave the ruts of all wheels that roll, two spacings long, with edges that run out over another."""
+    """Leave the ruts of all wheels that roll, two spacings long, with ends that run out over another."""
     frame = work.frame
-    half = 0.5 * width * math.sqrt(frame[2] ** 2 + frame[3] ** 2)
+    wide = width * math.sqrt(frame[2] ** 2 + frame[3] ** 2)
     for w in range(len(work.wheels)):
         wheel = work.wheels[w]
         for lane in range(LANES):
@@ -127,23 +124,23 @@ def press_ruts(work: Any, width: float) -> None:
             row = frame[2] * y - frame[3] * x + frame[5] + BEHIND * across
             depth = sinkage + wheel[(RUT + 1) * LANES + lane]
             still = still_deep(depth, wheel[SOIL * LANES + lane], wheel[(SOIL + 1) * LANES + lane])
-            press(work.ruts[lane], column, row, across, up, half, depth, still)
+            press(work.ruts, lane, column, row, across, up, wide, depth, still)
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def press(
-    ruts: Any, column: float, row: float, across: float, up: float, half: float, depth: float, still: float
+    ruts: Any, lane: int, column: float, row: float, across: float, up: float, wide: float, depth: float, still: float
 ) -> None:
-    """Press a strip about a place, in spacings: `half` its width to either side along (across, up), 1 along the way.
+    """Press a strip about a place, in spacings: for a wheel as `wide` along (across, up), 1 ahead and behind.
 
-    Where it becomes deepest, `depth` is how deep it is pressed, and `still` how deep it stays. [m]
+    To the side the share falls to 0 where a wheel of that width has nothing in common with it. Where it becomes
+    deepest, `depth` is how deep it is pressed, and `still` how deep it stays. [m]
     """
-    ny, nx = ruts.shape[0], ruts.shape[1]
-    reach_x = (half + 1.0) * abs(across) + 2.0 * abs(up)
-    reach_y = (half + 1.0) * abs(up) + 2.0 * abs(across)
+    ny, nx = ruts.shape[1], ruts.shape[2]
+    reach_x, reach_y = wide * abs(across) + 2.0 * abs(up), wide * abs(up) + 2.0 * abs(across)
     for i in range(max(0, math.ceil(row - reach_y)), min(ny - 1, math.floor(row + reach_y)) + 1):
         for j in range(max(0, math.ceil(column - reach_x)), min(nx - 1, math.floor(column + reach_x)) + 1):
             a, b = j - column, i - row
-            out = min(half + 1.0 - abs(a * across + b * up), 2.0 - abs(a * up - b * across), 1.0)
-            if out * depth > ruts[i, j, 0]:
-                ruts[i, j, 0], ruts[i, j, 1] = out * depth, out * still
+            out = min(1.0 - abs(a * across + b * up) / wide, 2.0 - abs(a * up - b * across), 1.0)
+            if out * depth > ruts[lane, i, j, 0]:
+                ruts[lane, i, j, 0], ruts[lane, i, j, 1] = out * depth, out * still
