@@ -95,7 +95,7 @@ class Scene:
     options: dict[str, Any] = field(default_factory=dict)
     made_for: dict[str, Any] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
-    ruts: bool = True
+    ruts: bool = False
     before: Plan | None = None
 
     def soil_record(self, drawn: Iterable[str] = (), named: DrivenSoil | None = None) -> dict[str, Any]:
@@ -114,7 +114,7 @@ def read_scene(
     *,
     soil_counts: bool = True,
     judged: bool = False,
-    ruts: bool = True,
+    ruts: bool = False,
     before: str | None = None,
 ) -> Scene:
     """Read plan, rover, terrain and soil, which may be a belief (.json); `fixes` replaces those of the plan.
@@ -128,7 +128,7 @@ def read_scene(
     built = build_rover(description)
     believed, inputs, tables = _read_soil_hash(soil)
     if before is not None and not ruts:
-        raise typer.BadParameter("--before leaves nothing but ruts, which --no-ruts leaves out; give one of them")
+        raise typer.BadParameter("--before leaves nothing but ruts, which are left out; give --ruts, too")
     for path in (plan, None if terrain == SYNTHETIC else terrain, before):
         if path is not None:
             inputs[path] = read_input(path).sha256

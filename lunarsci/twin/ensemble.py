@@ -185,7 +185,7 @@ def predict(
     seed: int = 0,
     time_step_s: float = 0.1,
     sample_m: float = 0.1,
-    ruts: bool = True,
+    ruts: bool = False,
     before: Plan | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Prediction:
@@ -203,7 +203,8 @@ def predict(
         hold. 0.1 s puts the end of the embedded plan within 1.5 mm, which holds for no other ground: 5 m over a ramp
         10 cm high and long end 9 to 37 mm off. [s]
     sample_m : longest distance between samples; shortened so that the last is the end of the path. [m]
-    ruts : whether wheels meet the ruts of those before them, as `lunarsci.twin.simulation.ruts` has them.
+    ruts : whether wheels meet the ruts of those before them, as `lunarsci.twin.simulation.ruts` has them. What makes
+        forces or soils of states takes every wheel's ground as undisturbed.
     before : a plan that each member has driven on the same ground before, so that it meets those ruts too.
     progress : called with members done and members in all, after each of them.
 
@@ -216,7 +217,7 @@ def predict(
     if before is not None:
         check_plan(before, rover)
         if not ruts:
-            raise ParameterError("a plan driven before leaves nothing but ruts, which are left out; give one of them")
+            raise ParameterError("a plan driven before leaves nothing but ruts, which are left out; ask for ruts, too")
     if grounds is not None and samples is not None:
         raise ParameterError("samples and grounds are two ways to name the soils; give one")
     given = samples if grounds is None else grounds.parameters
@@ -272,7 +273,7 @@ def _check_plans(plan: Plan, before: Plan | None, rover: Rover, ruts: bool) -> N
     if before is not None:
         check_plan(before, rover)
         if not ruts:
-            raise ParameterError("a plan driven before leaves nothing but ruts, which are left out; give one of them")
+            raise ParameterError("a plan driven before leaves nothing but ruts, which are left out; ask for ruts, too")
 
 
 def _check_steps(time_step_s: float, sample_m: float, seed: int) -> None:

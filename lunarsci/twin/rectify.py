@@ -119,7 +119,7 @@ def rectify(
     model_error: float = 1.0,
     seed: int = 0,
     teach: bool = True,
-    ruts: bool = True,
+    ruts: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Rectified:
     """Update the belief of a soil by a drive.

@@ -20,7 +20,6 @@ done in slices (`--first K --count N`). `--report FILES` prints the tables.
 
 import argparse
 import json
-import os
 import time
 import warnings
 from concurrent.futures import ProcessPoolExecutor
@@ -50,7 +49,6 @@ from lunarsci.twin.rover import Rover, build_rover
 ERRORS = MeasurementErrors(sinkage_m=0.00033, force_relative=0.10 / 3, travel_relative=0.04, side_slip_relative=0.04)
 POSITION_SHARES = {"third": 0.04 / 3, "whole": 0.04}
 """Standard deviation of the position at the end, as a share of the way."""
-RUTS = os.environ.get("RUTS", "1") == "1"
 MEMBERS = 128
 
 
@@ -125,9 +123,9 @@ def learned(
 ) -> dict[str, Any]:
     """What one update makes of a record, beside the true end of the return and the true soil."""
     first, begin = first_belief(), time.perf_counter()
-    found = rectify(rover, terrain, plan, record, first, model_error=model_error, ruts=RUTS)
+    found = rectify(rover, terrain, plan, record, first, model_error=model_error)
     took, belief = time.perf_counter() - begin, found.belief
-    predicted = predict(rover, terrain, back, samples=belief.draws(MEMBERS), ruts=RUTS, before=plan if RUTS else None)
+    predicted = predict(rover, terrain, back, samples=belief.draws(MEMBERS))
     if model_error:
         predicted = with_discrepancy(predicted, belief.discrepancy)
     done = predicted.finished

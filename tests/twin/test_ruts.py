@@ -56,19 +56,19 @@ def test_a_grid_that_would_be_too_large_is_none() -> None:
 def test_wheels_that_follow_go_deeper_and_a_way_back_deeper_still(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
     """Each wheel carries about the same; the first one finds undisturbed ground and sinks as without ruts."""
     fresh = sinkage(predict(yutu2, slope(), STRAIGHT, ruts=False))
-    ruts = sinkage(predict(yutu2, slope(), STRAIGHT))
+    ruts = sinkage(predict(yutu2, slope(), STRAIGHT, ruts=True))
     back = dataclasses.replace(STRAIGHT, x_m=3.0, legs=(Leg(3.0, 0.0, 180.0),))
-    alone, again = (sinkage(predict(yutu2, slope(), back, before=plan)) for plan in (None, STRAIGHT))
+    alone, again = (sinkage(predict(yutu2, slope(), back, ruts=True, before=plan)) for plan in (None, STRAIGHT))
     assert ruts[0] == pytest.approx(fresh[0], rel=0.02)
     assert ruts[1] > 1.08 * fresh[1] and ruts[2] > ruts[1]
     # Backwards the rear wheels lead: on undisturbed ground they sink least, in the ruts of three they do not.
     assert alone[2] < alone[0] and again[2] > 1.2 * alone[2]
     with pytest.raises(ParameterError, match="leaves nothing but ruts"):
-        predict(yutu2, slope(), back, before=STRAIGHT, ruts=False)
+        predict(yutu2, slope(), back, before=STRAIGHT)
 
 
 def test_a_rut_beside_the_way_is_not_met(yutu2: Rover, slope, longji_soil: Soil) -> None:  # type: ignore[no-untyped-def]
     aside = dataclasses.replace(STRAIGHT, y_m=0.45)
-    one = predict(yutu2, slope(), STRAIGHT)
-    two = predict(yutu2, slope(), STRAIGHT, before=aside)
+    one = predict(yutu2, slope(), STRAIGHT, ruts=True)
+    two = predict(yutu2, slope(), STRAIGHT, ruts=True, before=aside)
     assert two.paths == pytest.approx(one.paths, abs=1e-12)

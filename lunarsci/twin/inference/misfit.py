@@ -77,7 +77,7 @@ class Misfit:
     discrepancy: Discrepancy = field(default_factory=Discrepancy)
     floor: float = 1.0
     expected: FloatArray | None = field(default=None, repr=False)
-    ruts: bool = True
+    ruts: bool = False
 
     def __post_init__(self) -> None:
         check_wheels(self.record, self.rover.wheels, self.rover.name)
