@@ -271,5 +271,5 @@ def _doubt(learned: Learned) -> str:
     if update is not None:
         return "" if update.learned else f"nothing was learned: {update.zones[0].why_not}"
     if not found.refused:
-        return ""
+        return found.doubt
     return "; ".join([f"nothing was learned: {found.refused}", *(change.text for change in learned.changes)])

@@ -257,6 +257,9 @@ def test_errors_that_were_widened_hide_no_change(yutu2: Rover, ground: Terrain) 
     assert one is not None and two is not None
     assert (one.distance_m, one.p_value) == (two.distance_m, two.p_value)
     assert one.steps == pytest.approx(two.steps)
+    # A soil that explains a drive only with errors far larger is learned, and doubted.
+    assert plain.doubt == widened.doubt == ""
+    assert "sinkage_m only with 6.0 times" in dataclasses.replace(plain, inflation={"sinkage_m": 6.0}).doubt
 
 
 def test_rectify_hands_on_what_a_change_is_looked_for_in(yutu2: Rover, ground: Terrain) -> None:
