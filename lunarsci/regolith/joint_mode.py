@@ -164,7 +164,7 @@ def find_mode(
         raise ParameterError("the model has no finite forces at the centre of the priors; check states and priors")
     curvature, held = np.diag(width**-2), np.diag(np.zeros(len(start)) if fixed is None else 1.0 * fixed)
     for _ in range(STEPS):
-        columns = [(white(point + step) - rows) / STEP for step in np.diag(STEP * width)]
+        columns = [(white(point + step) - white(point - step)) / (2 * STEP) for step in np.diag(STEP * width)]
         scaled = np.stack(columns, axis=-1) / width
         if fixed is not None:
             scaled[:, fixed] = 0.0

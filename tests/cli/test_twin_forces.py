@@ -73,7 +73,7 @@ def test_a_posterior_passes_from_forces_to_the_next_prediction(run: Run, plan: P
     assert run("twin", "forces", plan, "-o", states).code == 0
     identified = run("regolith", "identify", states, "--joint", "--posterior", soils)
     assert identified.code == 0, identified.err
-    draws = pd.read_csv(soils)
+    draws = pd.read_csv(soils, comment="#")
     assert len(draws) == 4000 and draws["stiffness_kpa_m_n"].quantile(0.025) < 1443.0 < draws[
         "stiffness_kpa_m_n"
     ].quantile(0.975)
