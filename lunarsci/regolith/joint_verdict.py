@@ -21,7 +21,7 @@ pull that errs by 0.15 is a slope of 8.5 deg; a normal force at a measured sinka
 it: 0.35 of the load is a fifth of the sinkage."""
 REDUCED = (0.5, 2.0)
 """Range of a reduced chi-square that agrees with the errors stated."""
-LEAST_REDUCED = 0.02
+LEAST_REDUCED = 0.04
 """Below this the errors stated are refused as too large; above it they may be alike in all states, as those of forces
 that were computed with one soil. Assumed."""
 MOST_LEFT_OUT = 0.1
@@ -158,9 +158,7 @@ def _misfit(mode: Mode, reduced: float | None, stated: bool) -> list[str]:
     if reduced is None or low <= reduced <= high or (reduced < low and not (stated and reduced < LEAST_REDUCED)):
         return []
     if reduced < low:
-        return [
-            f"reduced chi-square {reduced:.2g} is below {LEAST_REDUCED:g}: the stated errors are too large for these states"
-        ]
+        return [f"reduced chi-square {reduced:.2g} is below {LEAST_REDUCED:g}: the stated errors are too large"]
     return [f"no soil of the model explains the states: reduced chi-square {reduced:.3g} after a {after} of the load"]
 
 
