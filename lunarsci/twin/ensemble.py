@@ -10,7 +10,7 @@ import numpy.typing as npt
 from lunarsci.errors import ParameterError
 from lunarsci.twin.drawn_discrepancy import DrawnDiscrepancy
 from lunarsci.twin.ground.terrain import Terrain, soil_overrides
-from lunarsci.twin.members import MOST_STEPS, Grounds, Scene, drive_all, drive_finer, scene_before
+from lunarsci.twin.members import MOST_STEPS, Grounds, Scene, drive_all, drive_finer
 from lunarsci.twin.plans.plan import Plan, Sweep, check_plan
 from lunarsci.twin.plans.schedule import Schedule, make_schedule
 from lunarsci.twin.rover import Rover
@@ -205,19 +205,16 @@ def predict(
     sample_m : longest distance between samples; shortened so that the last is the end of the path. [m]
     ruts : whether wheels meet the ruts of those before them, as `lunarsci.twin.simulation.ruts` has them. What makes
         forces or soils of states takes every wheel's ground as undisturbed.
-    before : a plan that each member has driven on the same ground before, so that it meets those ruts too.
+    before : a plan that each member has driven on the same ground before, so that it meets those ruts too. Where that
+        drive did not end, this one has its outcome.
     progress : called with members done and members in all, after each of them.
 
     Raises
     ------
     ParameterError for a plan the rover cannot follow or a value that is no step, seed or sweep.
     """
-    check_plan(plan, rover)
+    _check_plans(plan, before, rover, ruts)
     _check_steps(time_step_s, sample_m, seed)
-    if before is not None:
-        check_plan(before, rover)
-        if not ruts:
-            raise ParameterError("a plan driven before leaves nothing but ruts, which are left out; ask for ruts, too")
     if grounds is not None and samples is not None:
         raise ParameterError("samples and grounds are two ways to name the soils; give one")
     given = samples if grounds is None else grounds.parameters
@@ -230,9 +227,9 @@ def predict(
     times, every = _steps(schedule, count, time_step_s, sample_m)
     overrides = soil_overrides(parameters if grounds is None else {}, count)
     scene = Scene(rover, terrain, schedule, times, every, seed, grounds, ruts)
-    earlier = None if before is None else scene_before(scene, before, time_step_s)
-    paths, states, results = drive_all(scene, earlier, overrides, len(times[::every]), progress)
-    finer = drive_finer(scene, earlier, overrides, (paths, states, results))
+    scene = scene if before is None else scene.after(before, time_step_s)
+    paths, states, results = drive_all(scene, overrides, len(times[::every]), progress)
+    finer = drive_finer(scene, overrides, (paths, states, results))
     halted = schedule.pace_at(times[::every]) < UNDER_WAY
     _for_people(scene, paths, states, results[:, 1], halted)
     return Prediction(

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol, Self
@@ -11,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.compiled import each_in_threads
-from lunarsci.errors import LunarSciWarning, ParameterError
+from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.commands import Commands, reach_m
 from lunarsci.twin.plans.fixes import fix_errors, legs_from
@@ -27,10 +26,10 @@ from lunarsci.twin.plans.schedule import (
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.drive import begin, drive
 from lunarsci.twin.simulation.lanes import LANES, Work, new_work
-from lunarsci.twin.simulation.outcomes import DIVERGED
-from lunarsci.twin.simulation.ruts import SPACING_M, with_ruts
+from lunarsci.twin.simulation.outcomes import DIVERGED, FINISHED
+from lunarsci.twin.simulation.ruts import SPACING_M, RutGrid, rut_grid, with_ruts
 
-__all__ = ["MOST_STEPS", "Grounds", "Scene", "drive_all", "drive_finer", "scene_before"]
+__all__ = ["MOST_STEPS", "Grounds", "Scene", "drive_all", "drive_finer"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -38,7 +37,7 @@ IntArray = npt.NDArray[np.int64]
 MOST_STEPS = 1e7
 """Minutes of computing for a single member."""
 FINER = (4, 16)
-"""How many times shorter steps are where a soil is not held by the step asked for."""
+"""How many times shorter steps are where a soil is not held by the step asked for; assumed."""
 OUTLINE = 2000
 """Places along a plan about which ruts are kept."""
 STRAY_M = 1.5
@@ -71,7 +70,8 @@ class Grounds(Protocol):
 class Scene:
     """What all members share: who drives where, when, and at which times it is stepped; or the ground of each.
 
-    `only` are the numbers of the members, where it is not all of them.
+    With `ruts` wheels meet those of others, and of the scene that was driven `earlier`. `only` are the numbers of the
+    members, where it is not all of them.
     """
 
     rover: Rover
@@ -81,7 +81,8 @@ class Scene:
     every: int
     seed: int
     grounds: Grounds | None = None
-    ruts: bool = True
+    ruts: bool = False
+    earlier: "Scene | None" = None
     only: IntArray | None = None
 
     @property
@@ -90,63 +91,72 @@ class Scene:
         step = float(self.times_s[1]) * self.schedule.plan.speed_m_s
         return max(1, math.floor(1.5 * SPACING_M / step)) if self.ruts else 0
 
+    def after(self, plan: Plan, time_step_s: float) -> "Scene":
+        """The same where this plan was driven before."""
+        schedule = make_schedule(plan, self.rover)
+        steps = max(1, math.ceil(schedule.duration_s / time_step_s))
+        if steps > MOST_STEPS:
+            raise ParameterError(f"the plan driven before takes over {MOST_STEPS:g} steps; give a longer time_step_s")
+        times = np.linspace(0.0, schedule.duration_s, steps + 1)
+        earlier = dataclasses.replace(self, schedule=schedule, times_s=times, every=steps)
+        return dataclasses.replace(self, earlier=earlier)
 
-def scene_before(scene: Scene, plan: Plan, time_step_s: float) -> Scene:
-    """The same, of a plan that was driven before; its drives are not kept."""
-    schedule = make_schedule(plan, scene.rover)
-    steps = max(1, math.ceil(schedule.duration_s / time_step_s))
-    if steps > MOST_STEPS:
-        raise ParameterError(f"the plan driven before takes over {MOST_STEPS:g} steps; give a longer time_step_s")
-    times = np.linspace(0.0, schedule.duration_s, steps + 1)
-    return dataclasses.replace(scene, schedule=schedule, times_s=times, every=steps)
+    def finer(self, factor: int, only: IntArray) -> "Scene":
+        """Some of its members in steps so many times shorter, with samples at the same times."""
+        times = np.linspace(0.0, self.times_s[-1], (len(self.times_s) - 1) * factor + 1)
+        earlier = self.earlier and self.earlier.finer(factor, only)
+        return dataclasses.replace(self, times_s=times, every=self.every * factor, earlier=earlier, only=only)
 
+    def fix_errors(self, members: int) -> FloatArray:
+        """Errors of the position fixes of each member. (members, runs, 3) [m, m, rad]"""
+        numbers = np.arange(members) if self.only is None else self.only
+        return fix_errors(self.schedule, int(numbers[-1]) + 1, self.seed)[numbers]
 
-def _fresh_work(scene: Scene, earlier: Scene | None) -> Work:
-    """Scratch arrays, with undisturbed ground under the plans."""
-    work: Work = new_work(len(scene.rover.wheels))
-    if not scene.ruts:
-        return work
-    schedules = [part.schedule for part in (scene, earlier) if part is not None]
-    places = np.concatenate([s.pose_at(np.linspace(0.0, s.duration_s, OUTLINE))[:, :2] for s in schedules])
-    found = with_ruts(work, scene.schedule.poses[0], places, reach_m(scene.rover) + STRAY_M)
-    if found is None:
-        warnings.warn("the plan is too long for ruts, which are left out", LunarSciWarning, stacklevel=2)
-    return found or work
+    def commands(self) -> Commands | None:
+        """Commands that all members share; None where each drives from where it believes to be."""
+        if self.schedule.plan.fixes is not None:
+            return None
+        return all_commands(self.rover, self.schedule, self.times_s)
+
+    def rut_grid(self) -> RutGrid | None:
+        """Where ruts are kept, None without them. Raises ParameterError for a plan that is too long."""
+        if not self.ruts:
+            return None
+        schedules = [self.schedule] if self.earlier is None else [self.schedule, self.earlier.schedule]
+        places = np.concatenate([s.pose_at(np.linspace(0.0, s.duration_s, OUTLINE))[:, :2] for s in schedules])
+        return rut_grid(self.schedule.poses[0], places, reach_m(self.rover) + STRAY_M)
 
 
 def drive_all(
-    scene: Scene,
-    earlier: Scene | None,
-    overrides: FloatArray,
-    samples: int,
-    progress: Callable[[int, int], None] | None,
+    scene: Scene, overrides: FloatArray, samples: int, progress: Callable[[int, int], None] | None
 ) -> tuple[FloatArray, FloatArray, IntArray]:
     """Drive the members, LANES together and as many such groups at a time as numba has threads.
 
     The groups do not depend on the number of threads, and so neither do the results. Members with a ground of their own
-    are a group each.
+    are a group each. A member whose drive before did not end has the outcome of that.
     """
     count, wheels = len(overrides), len(scene.rover.wheels)
     paths, states = np.zeros((count, samples, 6)), np.zeros((count, samples, wheels, 10))
     results = np.zeros((count, 2), dtype=np.int64)
     numbers = np.arange(count) if scene.only is None else scene.only
-    shared, errors = scene.terrain.grid(), fix_errors(scene.schedule, int(numbers[-1]) + 1, scene.seed)[numbers]
+    shared, ruts = scene.terrain.grid(), scene.rut_grid()
     together = LANES if scene.grounds is None else 1
     groups = [slice(k, min(k + together, count)) for k in range(0, count, together)]
-    common = all_commands(scene.rover, scene.schedule, scene.times_s) if scene.schedule.plan.fixes is None else None
-    before = None if earlier is None else fix_errors(earlier.schedule, int(numbers[-1]) + 1, scene.seed)[numbers]
+    drives = [(part, part.commands(), part.fix_errors(count)) for part in (scene.earlier, scene) if part is not None]
 
     def group(number: int) -> None:
         own = groups[number]
         lanes = np.minimum(np.arange(own.start, own.start + LANES), own.stop - 1)
         grid = shared if scene.grounds is None else scene.grounds.terrain(int(numbers[number])).grid()
         known = (scene.rover.vector(), scene.rover.wheel.vector(), grid, overrides[lanes])
-        work = _fresh_work(scene, earlier)
-        if earlier is not None and before is not None:
-            size = own.stop - own.start
+        work = new_work(wheels) if ruts is None else with_ruts(new_work(wheels), ruts)
+        size, before = own.stop - own.start, np.full(own.stop - own.start, FINISHED)
+        for part, common, errors in drives:
             unkept = (np.zeros((size, 2, 6)), np.zeros((size, 2, wheels, 10)), np.zeros((size, 2), dtype=np.int64))
-            _drive_one(earlier, known, None, before[lanes], work, unkept)
-        _drive_one(scene, known, common, errors[lanes], work, (paths[own], states[own], results[own]))
+            kept = (paths[own], states[own], results[own]) if part is scene else unkept
+            _drive_group(part, known, common, errors[lanes], work, kept)
+            kept[2][:, 0] = np.where(before == FINISHED, kept[2][:, 0], before)
+            before = kept[2][:, 0]
 
     def told(done: int, _: int) -> None:
         if progress is not None:
@@ -156,9 +166,7 @@ def drive_all(
     return paths, states, results
 
 
-def drive_finer(
-    scene: Scene, earlier: Scene | None, overrides: FloatArray, kept: tuple[FloatArray, FloatArray, IntArray]
-) -> IntArray:
+def drive_finer(scene: Scene, overrides: FloatArray, kept: tuple[FloatArray, FloatArray, IntArray]) -> IntArray:
     """Drive members again whose soil the step does not hold, with a shorter one; how many times shorter. (members,)"""
     paths, states, results = kept
     finer = np.ones(len(overrides), dtype=np.int64)
@@ -166,10 +174,7 @@ def drive_finer(
         again = np.flatnonzero(results[:, 0] == DIVERGED)
         if not again.size or (len(scene.times_s) - 1) * factor > MOST_STEPS:
             break
-        steps = (len(scene.times_s) - 1) * factor
-        times = np.linspace(0.0, scene.times_s[-1], steps + 1)
-        own = dataclasses.replace(scene, times_s=times, every=scene.every * factor, only=again)
-        found = drive_all(own, earlier, overrides[again], paths.shape[1], None)
+        found = drive_all(scene.finer(factor, again), overrides[again], paths.shape[1], None)
         paths[again], states[again], results[again] = found
         finer[again] = factor
     return finer
@@ -181,7 +186,7 @@ def _begin(scene: Scene, known: tuple[Any, ...], commands: Commands, work: Work)
     begin(*known, start, motion, commands.steering_rad, commands.speed_m_s, work)
 
 
-def _drive_one(
+def _drive_group(
     scene: Scene,
     known: tuple[Any, ...],
     common: Commands | None,
@@ -190,12 +195,10 @@ def _drive_one(
     kept: tuple[Any, ...],
 ) -> None:
     """Drive a group's plan, run by run where each of it leads from where the rover then believes to be."""
-    plan, pressing = scene.schedule.plan, scene.pressing if work.ruts.shape[1] > 1 else 0
-    if plan.fixes is None:
-        common = common or all_commands(scene.rover, scene.schedule, scene.times_s)
+    if common is not None:
         _begin(scene, known, common, work)
         rims = (common.steering_rad, common.speed_m_s, scene.times_s[1])
-        drive(*known, *rims, 0, scene.every, True, pressing, work, *kept)
+        drive(*known, *rims, 0, scene.every, True, scene.pressing, work, *kept)
         return
     commands: Commands | None = None
     legs: FloatArray | None = None
@@ -210,4 +213,4 @@ def _drive_one(
             _begin(scene, known, commands, work)
         last = number == len(pieces) - 1
         driven = (*known, commands.steering_rad, commands.speed_m_s, scene.times_s[1], piece.start, scene.every)
-        drive(*driven, last, pressing, work, *kept)
+        drive(*driven, last, scene.pressing, work, *kept)

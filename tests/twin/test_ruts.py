@@ -10,8 +10,18 @@ from lunarsci.regolith.soil import Soil
 from lunarsci.twin.ensemble import Prediction, predict
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.simulation.lanes import LANES, new_work
-from lunarsci.twin.simulation.ruts import RISE_N_M4, depth_at, press, still_deep, with_ruts
+from lunarsci.twin.simulation.lanes import AXLE, CENTER, LANES, RIM, RUT, SINKAGE, SOIL, new_work
+from lunarsci.twin.simulation.ruts import (
+    RISE_N_M4,
+    SPACING_M,
+    depth_at,
+    press,
+    press_ruts,
+    read_ruts,
+    rut_grid,
+    still_deep,
+    with_ruts,
+)
 
 STRAIGHT = Plan(name="straight", speed_m_s=0.05, legs=(Leg(3.0),), sweep=())
 
@@ -46,11 +56,36 @@ def test_a_strip_counts_as_far_as_a_wheel_is_on_it_and_stays_deepest() -> None:
     assert depth_at(grid, 0, -1.0, 5.0) == (0.0, 0.0)
 
 
-def test_a_grid_that_would_be_too_large_is_none() -> None:
+def test_a_grid_that_would_be_too_large_is_refused() -> None:
     far = np.array([[0.0, 0.0], [3e3, 3e3]])
-    assert with_ruts(new_work(6), np.zeros(3), far, 2.0) is None
-    near = with_ruts(new_work(6), np.zeros(3), far / 1e3, 2.0)
-    assert near is not None and near.ruts.shape[0] == LANES
+    with pytest.raises(ParameterError, match="too long for ruts"):
+        rut_grid(np.zeros(3), far, 2.0)
+    near = with_ruts(new_work(6), rut_grid(np.zeros(3), far / 1e3, 2.0))
+    assert near.ruts.shape[0] == LANES and not near.ruts.any()
+
+
+@pytest.mark.parametrize("heading", np.arange(0.0, 6.3, 0.7))
+def test_a_wheel_does_not_meet_the_rut_that_it_leaves(heading: float) -> None:
+    """What a wheel at the origin presses lies behind it; one that follows meets it whole."""
+    work = with_ruts(new_work(1), rut_grid(np.zeros(3), np.zeros((1, 2)), 2.0))
+    rows = work.wheels.reshape(1, -1, LANES)
+    rows[0, [AXLE, AXLE + 1, RIM, SINKAGE, SOIL, SOIL + 1]] = np.array(
+        [-np.sin(heading), np.cos(heading), 0.05, 0.01, 1.4e6, 1.0]
+    )[:, None]
+    press_ruts(work, 0.15)
+    read_ruts(work, 0)
+    assert not rows[0, [RUT, RUT + 1]].any()
+    behind = 3.0 * SPACING_M
+    rows[0, [CENTER, CENTER + 1]] = np.array([-behind * np.cos(heading), -behind * np.sin(heading)])[:, None]
+    read_ruts(work, 0)
+    # Between nodes the top of the strip's cross section, a triangle of 4.2 spacings a side, is cut.
+    assert rows[0, RUT, 0] == pytest.approx(0.01, rel=0.2)
+
+
+def test_a_drive_whose_drive_before_did_not_end_does_not_end(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
+    lost = dataclasses.replace(STRAIGHT, legs=(Leg(20.0),))
+    result = predict(yutu2, slope(), STRAIGHT, ruts=True, before=lost)
+    assert result.outcome_text(0).startswith("left the terrain")
 
 
 def test_wheels_that_follow_go_deeper_and_a_way_back_deeper_still(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]

@@ -12,38 +12,48 @@ That the wall also pushes against the side of a wheel is left out.
 """
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from lunarsci.compiled import compiled
 from lunarsci.elementary import exponential, logarithm
+from lunarsci.errors import ParameterError
 from lunarsci.twin.simulation.contact_frame import SHALLOWEST
 from lunarsci.twin.simulation.lanes import AXLE, CENTER, GROUND, LANES, RIM, RUT, SINKAGE, SOIL, Work
 from lunarsci.twin.simulation.outcomes import FINISHED
 
-__all__ = ["SPACING_M", "press_ruts", "read_ruts", "with_ruts"]
+__all__ = ["SPACING_M", "RutGrid", "press_ruts", "read_ruts", "rut_grid", "with_ruts"]
 
 FloatArray = npt.NDArray[np.float64]
 RISE_N_M4 = 503e6
 """A_u of a dry sand (LETE sand, Wong 2008, table 2.4), assumed for regolith, of which none is published. [N m^-4]"""
 SPACING_M = 0.0353
 """Of the nodes, assumed: a quarter of a wheel's width, and no whole part of anything on a rover."""
-BEHIND = 2.2
-"""How far behind the axle a rut is left, in spacings: where the wheel that presses it does not meet it."""
+BEHIND = 3.0
+"""How far behind the axle a rut is left, in spacings: its strip reaches 2 ahead, and a wheel meets nodes 1 off."""
 MOST_NODES = 2e7
 """Of one rover's grid; memory is taken only where a wheel rolls."""
 
 
-def with_ruts(work: Work, start: FloatArray, places: FloatArray, margin_m: float) -> Work | None:
-    """`work` with undisturbed ground for ruts, None where that would be too large.
+class RutGrid(NamedTuple):
+    """Where ruts are kept: nodes (rows, columns), and `Work.frame`."""
+
+    shape: tuple[int, int]
+    frame: FloatArray
+
+
+def rut_grid(start: FloatArray, places: FloatArray, margin_m: float) -> RutGrid:
+    """The nodes about a way.
 
     Parameters
     ----------
     start : x, y, heading, along which the grid lies. (3,) [m, m, rad]
     places : x, y that the rover's origin is to pass. (n, 2) [m]
     margin_m : how far from these it is covered; beyond there are no ruts. [m]
+
+    Raises ParameterError for more than 20 million nodes.
     """
     c, s = math.cos(start[2]), math.sin(start[2])
     off = places - start[:2]
@@ -54,9 +64,13 @@ def with_ruts(work: Work, start: FloatArray, places: FloatArray, margin_m: float
     ahead = math.ceil((margin_m + float(along.max())) / SPACING_M)
     shape = (2 * wide + 1, back + ahead + 1)
     if shape[0] * shape[1] > MOST_NODES:
-        return None
-    frame = np.array([start[0], start[1], c / SPACING_M, s / SPACING_M, back, wide, 1.0], dtype=np.float64)
-    return work._replace(ruts=np.zeros((LANES, *shape, 2)), frame=frame)
+        raise ParameterError("the plan is too long for ruts; leave them out, or drive it in parts")
+    return RutGrid(shape, np.array([start[0], start[1], c / SPACING_M, s / SPACING_M, back, wide, 1.0]))
+
+
+def with_ruts(work: Work, grid: RutGrid) -> Work:
+    """`work` with undisturbed ground for ruts."""
+    return work._replace(ruts=np.zeros((LANES, *grid.shape, 2)), frame=grid.frame.copy())
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
