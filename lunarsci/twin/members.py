@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import ParameterError
-from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.ground.terrain import STEEPEST, Terrain
 from lunarsci.twin.plans.commands import Commands, reach_m
 from lunarsci.twin.plans.fixes import fix_errors, legs_from
 from lunarsci.twin.plans.plan import Plan
@@ -26,7 +26,7 @@ from lunarsci.twin.plans.schedule import (
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.drive import begin, drive
 from lunarsci.twin.simulation.lanes import LANES, Work, new_work
-from lunarsci.twin.simulation.outcomes import DIVERGED, FINISHED
+from lunarsci.twin.simulation.outcomes import CLIFF, DIVERGED, FINISHED
 from lunarsci.twin.simulation.ruts import SPACING_M, RutGrid, rut_grid, with_ruts
 
 __all__ = ["MOST_STEPS", "Grounds", "Scene", "drive_all", "drive_finer"]
@@ -177,7 +177,22 @@ def drive_finer(scene: Scene, overrides: FloatArray, kept: tuple[FloatArray, Flo
         found = drive_all(scene.finer(factor, again), overrides[again], paths.shape[1], None)
         paths[again], states[again], results[again] = found
         finer[again] = factor
+    for member in np.flatnonzero((results[:, 0] == DIVERGED) & (results[:, 1] > 0)):
+        own = scene.terrain if scene.grounds is None else scene.grounds.terrain(int(member))
+        if _meets_cliff(scene, own, states[member, results[member, 1] - 1, :, :2]):
+            results[member, 0] = CLIFF
     return finer
+
+
+def _meets_cliff(scene: Scene, terrain: Terrain, wheels_m: FloatArray) -> bool:
+    """Whether a wheel last seen there can have met ground too steep: its load is then the cliff's, whatever the step."""
+    sample_m = scene.schedule.plan.speed_m_s * scene.times_s[1] * scene.every
+    far, angles = scene.rover.wheel.radius_m + sample_m, np.linspace(0.0, 2.0 * math.pi, 33)[:-1]
+    radii = np.linspace(0.0, far, math.ceil(4.0 * far / terrain.spacing_m) + 1)
+    around = radii[:, None, None] * np.stack((np.cos(angles), np.sin(angles)), axis=1)
+    x, y = np.moveaxis(wheels_m[:, None, None] + around, -1, 0)
+    slopes = terrain.surface_at(x, y)[..., 1:]
+    return bool((np.hypot(slopes[..., 0], slopes[..., 1]) > STEEPEST).any())
 
 
 def _begin(scene: Scene, known: tuple[Any, ...], commands: Commands, work: Work) -> None:

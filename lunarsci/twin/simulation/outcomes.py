@@ -11,7 +11,7 @@ OUTCOMES = (
     "time_step_s",
     "did not settle: no static equilibrium at the start pose",
     "sank: a wheel is buried to its axle",
-    "cliff: the ground below a wheel is steeper than 60 deg",
+    "cliff: the ground below or before a wheel is steeper than 60 deg",
     "fell: it moved at more than 1 m/s, off a cliff or down a slope that does not hold it",
 )
 FINISHED, LEFT, HOLE, OVERTURNED, DIVERGED, UNSETTLED, SANK, CLIFF, FELL = range(9)
