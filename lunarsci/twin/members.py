@@ -185,7 +185,7 @@ def drive_finer(scene: Scene, overrides: FloatArray, kept: tuple[FloatArray, Flo
 
 
 def _meets_cliff(scene: Scene, terrain: Terrain, wheels_m: FloatArray) -> bool:
-    """Whether a wheel last seen there can have met ground too steep: its load is then the cliff's, whatever the step."""
+    """Whether a wheel last seen there can have met ground too steep: its load is then the cliff's, not the step's."""
     sample_m = scene.schedule.plan.speed_m_s * scene.times_s[1] * scene.every
     far, angles = scene.rover.wheel.radius_m + sample_m, np.linspace(0.0, 2.0 * math.pi, 33)[:-1]
     radii = np.linspace(0.0, far, math.ceil(4.0 * far / terrain.spacing_m) + 1)

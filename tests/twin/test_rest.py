@@ -71,8 +71,7 @@ def test_five_minutes_of_rest_change_nothing(name: str, kind: str, longji_soil: 
     through = predict(rover, out.terrain, dataclasses.replace(PLAN, legs=(Leg(0.8), Leg(0.4))), samples=drawn)
     assert np.array_equal(out.finished[held], through.finished[held])
     deepest = [drives.states[held][..., 2].max(axis=(1, 2)) for drives in (out, through)]
-    # Stopping and starting again digs: 5 mm deeper in the softest soils.
-    assert np.quantile(np.abs(deepest[0] - deepest[1]), 0.9) < 6e-3
+    assert np.quantile(np.abs(deepest[0] - deepest[1]), 0.9) < 2e-3
     assert judge(out, PLAN).verdict == judge(through, through.plan).verdict
 
 

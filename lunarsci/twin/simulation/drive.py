@@ -3,6 +3,8 @@
 import math
 from typing import Any
 
+import numpy as np
+
 from lunarsci.compiled import compiled
 from lunarsci.regolith.forces import slip_ratio
 from lunarsci.twin.simulation.contact import DRIVEN
@@ -29,6 +31,10 @@ from lunarsci.twin.simulation.ruts import press_ruts
 from lunarsci.twin.simulation.settle import settle
 
 __all__ = ["begin", "drive"]
+
+# Steps are parted where all rims turn slower than this [m/s], assumed: slip, and with it the wheel's force, changes much
+# there with little motion. In whole steps wheels on slopes swing as they start, and dig 4 mm deeper than in short ones.
+SLOW, SLOW_PARTS = 0.02, 4
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
@@ -128,19 +134,24 @@ def drive(
         take_commands(work, steering, speed, min(i, steps - 1))
         # The ground of a rut changes over a spacing, of which a step is a sixth or less.
         work.frame[6] = 0.0 if pressing > 8 and (first + i) % 2 else 1.0
-        assemble(rover, tyre, grid, override, dt, DRIVEN, work)
-        check_sense(work, rover, tyre, dt, first + i == 0)
-        if pressing > 0 and (first + i) % pressing == 0:
-            press_ruts(work, tyre[1])
-        if (first + i) % every == 0:
-            for m in range(members):
-                if work.code[m] == FINISHED:
-                    record(work, m, tyre, paths[m, results[m, 1]], states[m, results[m, 1]])
-                    results[m, 1] += 1
-        if i < steps:
-            eliminate(work)
-            move(work.body, dt)
-            check_health(work, rover.gravity * dt)
+        pace = np.abs(speed[:, min(i, steps - 1)]).max()
+        parts = SLOW_PARTS if 0.0 < pace < SLOW and i < steps else 1
+        step = dt / parts
+        for part in range(parts):
+            assemble(rover, tyre, grid, override, step, DRIVEN, work)
+            if part == 0:
+                check_sense(work, rover, tyre, dt, first + i == 0)
+                if pressing > 0 and (first + i) % pressing == 0:
+                    press_ruts(work, tyre[1])
+                if (first + i) % every == 0:
+                    for m in range(members):
+                        if work.code[m] == FINISHED:
+                            record(work, m, tyre, paths[m, results[m, 1]], states[m, results[m, 1]])
+                            results[m, 1] += 1
+            if i < steps:
+                eliminate(work)
+                move(work.body, step)
+                check_health(work, rover.gravity * step)
     work.frame[6] = 1.0
     for m in range(members):
         results[m, 0] = work.code[m]
