@@ -32,7 +32,7 @@ from lunarsci.twin.simulation.settle import settle
 
 __all__ = ["begin", "drive"]
 
-# Steps are parted where all rims turn slower than this [m/s], assumed: slip, and with it the wheel's force, changes much
+# Steps are parted where all rims turn slower than this [m/s], assumed: slip, and with it the force, changes much
 # there with little motion. In whole steps wheels on slopes swing as they start, and dig 4 mm deeper than in short ones.
 SLOW, SLOW_PARTS = 0.02, 4
 
