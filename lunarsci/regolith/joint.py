@@ -195,7 +195,7 @@ def infer_soil(
         float(np.sum(white**2)),
         int(measured.sum()),
         model,
-        judge(found, law_name(model, contact), model_error is not None, states.stated, float(np.mean(~usable))),
+        judge(found, law_name(model, contact), model_error is not None, states, float(np.mean(~usable))),
         tail_of(white[measured]),
         stretch_of(found),
         persistence,

@@ -11,6 +11,7 @@ from lunarsci.regolith.fit_verdict import FitVerdict
 from lunarsci.regolith.joint_error import error_covariance
 from lunarsci.regolith.joint_mode import ROUGH, Mode, find_mode, mode_with_errors
 from lunarsci.regolith.joint_problem import Problem, part_of
+from lunarsci.regolith.states import WheelStates
 
 __all__ = ["CEILINGS", "Suspect", "judge", "suspects"]
 
@@ -20,10 +21,7 @@ CEILINGS = (0.35, 0.15, 0.15)
 pull that errs by 0.15 is a slope of 8.5 deg; a normal force at a measured sinkage errs most, as it goes with a power of
 it: 0.35 of the load is a fifth of the sinkage."""
 REDUCED = (0.5, 2.0)
-"""Range of a reduced chi-square that agrees with the errors stated."""
-LEAST_REDUCED = 0.04
-"""Below this the errors stated are refused as too large; above it they may be alike in all states, as those of forces
-that were computed with one soil. Assumed."""
+"""Range of a reduced chi-square that agrees with the errors stated; errors alike in all states make it small."""
 MOST_LEFT_OUT = 0.1
 GOOD, GOOD_REDUCED, STRANGE = 0.02, 1.5, 3.0
 """A law that misses no force by more than this share of the load, without outliers, with such a reduced chi-square and
@@ -119,18 +117,18 @@ def reduced_chi_square(mode: Mode) -> float | None:
     return float(np.sum(white**2) / left) if left >= 1 else None
 
 
-def judge(mode: Mode, model: str, given: bool, stated: bool, unusable: float) -> FitVerdict:
+def judge(mode: Mode, model: str, given: bool, states: WheelStates, unusable: float) -> FitVerdict:
     """The verdict of a fit.
 
     Parameters
     ----------
     model : the law's name.
     given : whether the model error was given, not found from the residuals.
-    stated : whether the errors of measurement were stated, not assumed.
+    states : those that were fitted.
     unusable : share of all states that could not be used at all.
     """
     shares, reduced = mode.problem.model_error, reduced_chi_square(mode)
-    reasons = [*_misfit(mode, reduced, stated), *_ceilings(mode, given), *_left_out(mode, unusable)]
+    reasons = [*_misfit(mode, reduced, states), *_ceilings(mode, given), *_left_out(mode, unusable)]
     strange = float(np.max(np.abs(mode.point - mode.problem.center) / mode.problem.width))
     good = max(shares) <= GOOD and (reduced or 1.0) < GOOD_REDUCED and mode.kept.all() and strange < STRANGE
     good = good and not reasons
@@ -148,17 +146,17 @@ def judge(mode: Mode, model: str, given: bool, stated: bool, unusable: float) ->
         model_error=shares,
         model_error_from="given" if given else "residuals",
         reduced_chi_square=reduced,
-        assumed=_assumed(mode, given, stated, reduced),
+        assumed=_assumed(mode, given, states, reduced),
     )
 
 
-def _misfit(mode: Mode, reduced: float | None, stated: bool) -> list[str]:
+def _misfit(mode: Mode, reduced: float | None, states: WheelStates) -> list[str]:
     low, high = REDUCED
     after = "model error " + ", ".join(f"{share:.3g}" for share in dict.fromkeys(mode.problem.model_error))
-    if reduced is None or low <= reduced <= high or (reduced < low and not (stated and reduced < LEAST_REDUCED)):
+    if reduced is None or low <= reduced <= high or (reduced < low and (states.alike or not states.stated)):
         return []
     if reduced < low:
-        return [f"reduced chi-square {reduced:.2g} is below {LEAST_REDUCED:g}: the stated errors are too large"]
+        return [f"reduced chi-square {reduced:.2g} is below {low:g}: the stated errors are too large"]
     return [f"no soil of the model explains the states: reduced chi-square {reduced:.3g} after a {after} of the load"]
 
 
@@ -185,15 +183,15 @@ def _left_out(mode: Mode, unusable: float) -> list[str]:
     return [*reasons, f"{100 * unusable:.0f} % of the states cannot be used"] if unusable > 0.5 else reasons
 
 
-def _assumed(mode: Mode, given: bool, stated: bool, reduced: float | None) -> tuple[str, ...]:
+def _assumed(mode: Mode, given: bool, states: WheelStates, reduced: float | None) -> tuple[str, ...]:
     """What the fit had to assume, in sentences."""
     said = ["priors of priors.toml where none are given"]
-    if not stated:
+    if not states.stated:
         said.append("errors of measurement as Ding et al. (2024) state them, as the file gives none")
     if not given:
         said.append(f"errors of the model normal, a share of the load, so much alike that {mode.alike:.1f} "
                     "states count as one")  # fmt: skip
-    if reduced is not None and reduced < REDUCED[0] and not stated:
+    if reduced is not None and reduced < REDUCED[0]:
         said.append(f"errors that the states do not show (reduced chi-square {reduced:.2g}), so intervals are wide")
     if reduced is None:
         said.append("that the law holds: there are no more forces than parameters to test it")

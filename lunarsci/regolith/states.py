@@ -64,12 +64,14 @@ class WheelStates:
     values, sigmas : shape (n, 6), columns in the order of `COLUMNS` [m, -, deg, N, N, N]; NaN in `values` where a
         slip, side slip or lateral force was not measured.
     stated : whether the errors of the forces come from the file, not from `MeasurementErrors`.
+    alike : whether they are alike in all states, as those of forces that were computed of a motion with drawn soils.
     """
 
     id: tuple[str, ...]
     values: FloatArray
     sigmas: FloatArray
     stated: bool = False
+    alike: bool = False
 
     def __len__(self) -> int:
         return len(self.id)
@@ -101,7 +103,9 @@ def read_states(source: InputFile, wheel: Wheel, errors: MeasurementErrors | Non
     _check_values(source.name, values[keep], np.flatnonzero(keep), wheel)
     sigmas = _sigmas(source.name, numbers, values, errors or MeasurementErrors())
     stated = any(f"{name}_sigma" in numbers for name in COLUMNS[3:])
-    return WheelStates(tuple(ids[keep].astype(str)), values[keep], sigmas[keep], stated)
+    # What no instrument gives: `twin forces` computed these.
+    alike = "resistance_torque_nm_sigma" in frame
+    return WheelStates(tuple(ids[keep].astype(str)), values[keep], sigmas[keep], stated, alike)
 
 
 def _check_columns(name: str, columns: list[str]) -> None:

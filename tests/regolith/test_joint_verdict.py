@@ -97,9 +97,13 @@ def test_a_model_error_that_is_given_is_held_to_its_chi_square() -> None:
 
 def test_errors_that_are_stated_too_large_are_refused() -> None:
     plain = states(measured())
-    verdict = infer_soil(WheelStates(plain.id, plain.values, 20 * plain.sigmas, True), WHEEL).verdict
+    verdict = infer_soil(WheelStates(plain.id, plain.values, 8 * plain.sigmas, True), WHEEL).verdict
     assert not verdict.trusted
     assert "too large" in verdict.reason
+    # Forces that were computed with drawn soils err alike.
+    alike = infer_soil(WheelStates(plain.id, plain.values, 8 * plain.sigmas, True, True), WHEEL).verdict
+    assert alike.trusted
+    assert any("errors that the states do not show" in said for said in alike.assumed)
 
 
 def test_locked_wheels_and_any_side_slip_are_states_to_learn_from() -> None:
