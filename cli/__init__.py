@@ -55,6 +55,7 @@ def lunarsci(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code; a failure is one line on stderr."""
+    as_program = arguments is None
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     _prepare_process()
     try:
@@ -67,6 +68,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         code = _report(error, verbose="-v" in arguments or "--verbose" in arguments)
     _settle_stdout()
+    if as_program and code == INTERRUPTED:
+        # Python would wait for threads that still compute.
+        sys.stderr.flush()
+        os._exit(INTERRUPTED)
     return int(code)
 
 

@@ -56,13 +56,14 @@ def each_in_threads(
     """Call `task(0)` to `task(count - 1)` in as many threads as numba has; each must be its own computation.
 
     Gives two cores to functions compiled with `nogil=True`. `progress` is called with (done, count). An error, and
-    Ctrl-C, drops the tasks that have not begun.
+    Ctrl-C, drops the tasks that have not begun; Ctrl-C does not wait for the others.
     """
-    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
-        try:
-            for done, _ in enumerate(pool.map(task, range(count)), start=1):
-                if progress is not None:
-                    progress(done, count)
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+    pool = ThreadPoolExecutor(numba.get_num_threads())
+    try:
+        for done, _ in enumerate(pool.map(task, range(count)), start=1):
+            if progress is not None:
+                progress(done, count)
+    except BaseException as error:
+        pool.shutdown(wait=not isinstance(error, KeyboardInterrupt), cancel_futures=True)
+        raise
+    pool.shutdown()
