@@ -131,11 +131,11 @@ def test_the_middle_soil_is_trusted_and_one_far_away_is_not(
 def test_a_soil_that_changes_is_found_where_it_does(
     forecast: Forecast, yutu2: Rover, plan: Plan, ground: Terrain
 ) -> None:
-    """The front of the map is the middle soil, from x = 1 m on it has two fifths of the stiffness."""
+    """The front of the map is the middle soil, from x = 1 m on it has half the stiffness."""
     middle = {name: value for name, (value, _, _) in belief().intervals().items()}
     x = ground.x_m
     layers = {name: np.full(ground.height_m.shape, value) for name, value in middle.items()}
-    layers["stiffness_kpa_m_n"][:, x > 1.0] *= 0.4
+    layers["stiffness_kpa_m_n"][:, x > 1.0] *= 0.5
     assert tuple(layers) == PARAMETERS
     out = predict(yutu2, ground.with_soil(**layers), plan, sweep=())
     found = compare(meet(forecast, measured(out, 0, 6)))
