@@ -132,8 +132,8 @@ def drive(
         if not (work.code[:members] == FINISHED).any():
             break
         take_commands(work, steering, speed, min(i, steps - 1))
-        # The ground of a rut changes over a spacing, of which a step is a sixth or less.
-        work.frame[6] = 0.0 if pressing > 8 and (first + i) % 2 else 1.0
+        # The ground of a rut changes over a spacing, of which three steps are less than a half.
+        work.frame[6] = 0.0 if pressing > 8 and (first + i) % 3 else 1.0
         pace = np.abs(speed[:, min(i, steps - 1)]).max()
         parts = SLOW_PARTS if 0.0 < pace < SLOW and i < steps else 1
         step = dt / parts
