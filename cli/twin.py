@@ -58,7 +58,7 @@ def predict(
         typer.Option(metavar="FILE", help="Soils drawn by place from a map of `twin update --save-map` (JSON)."),
     ] = None,
     fixes: twin_options.Fixes = None,
-    ruts: twin_options.Ruts = False,
+    ruts: twin_options.Ruts = None,
     before: twin_options.Before = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of everything random.", show_default="0")] = None,
     time_step: twin_options.TimeStep = 0.1,

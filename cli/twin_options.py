@@ -60,7 +60,12 @@ Fixes = Annotated[
     typer.Option(metavar="M,DEG", help="Position fixes after each leg, standard errors in position and heading."),
 ]
 Ruts = Annotated[
-    bool, typer.Option("--ruts/--no-ruts", help="Whether wheels meet the ruts that others, and they themselves, left.")
+    bool | None,
+    typer.Option(
+        "--ruts/--no-ruts",
+        help="Whether wheels meet the ruts that others, and they themselves, left. With --soil of a belief as its last "
+        "drive did, else no, if left out.",
+    ),
 ]
 Before = Annotated[
     str | None,

@@ -114,7 +114,7 @@ def read_scene(
     *,
     soil_counts: bool = True,
     judged: bool = False,
-    ruts: bool = False,
+    ruts: bool | None = None,
     before: str | None = None,
 ) -> Scene:
     """Read plan, rover, terrain and soil, which may be a belief (.json); `fixes` replaces those of the plan.
@@ -122,13 +122,16 @@ def read_scene(
     A rover that is None is Yutu-2. A soil that is given lies everywhere, whatever the terrain's file carries; without
     one this is driven on, and where it has none, `longji`. Where soils are of no account (`soil_counts`) none is said
     to be used. The limits of a plan that is `judged` must be those of the rover, or no laxer. `before` is a plan that
-    was driven on the same ground before, whose `ruts` are met.
+    was driven on the same ground before, whose ruts are met. `ruts` that are None are met with such a plan, and where
+    the belief's last drive met them.
     """
     description = read_rover(rover or DEFAULT_ROVER)
     built = build_rover(description)
     believed, inputs, tables = _read_soil_hash(soil)
-    if before is not None and not ruts:
-        raise typer.BadParameter("--before leaves nothing but ruts, which are left out; give --ruts, too")
+    if before is not None and ruts is False:
+        raise typer.BadParameter("--before leaves nothing but ruts, and --no-ruts leaves them out; give one of them")
+    if ruts is None:
+        ruts = before is not None or (believed is not None and believed.belief.ruts)
     for path in (plan, None if terrain == SYNTHETIC else terrain, before):
         if path is not None:
             inputs[path] = read_input(path).sha256

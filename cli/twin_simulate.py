@@ -31,7 +31,7 @@ def simulate(
             show_default="the terrain's, or longji",
         ),
     ] = None,
-    ruts: twin_options.Ruts = False,
+    ruts: twin_options.Ruts = None,
     before: twin_options.Before = None,
     fix_distance: Annotated[float, typer.Option(help="Way between localised positions in m.")] = 0.5,
     fix_sigma: Annotated[

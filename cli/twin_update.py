@@ -60,6 +60,12 @@ def update(
     terrain: twin_options.TerrainName = "synthetic-longji",
     interpolation: twin_options.Interpolation = "smooth",
     particles: Annotated[int, typer.Option(min=32, help="Soils that carry the belief.")] = 128,
+    ruts: Annotated[
+        bool | None,
+        typer.Option(
+            "--ruts/--no-ruts", help="Whether wheels met the ruts of others; as explains the drive better, if left out."
+        ),
+    ] = None,
     seed: twin_options.Seed = 0,
 ) -> Report:
     """Rectify what is believed of the soil by a drive that happened: the twin drives it on many soils.
@@ -86,5 +92,5 @@ def update(
     files_of_map = MapFiles(map_before, save_map, save_terrain, correlation)
     known = Known.read(states, positions, belief, forget, plan, rover, terrain, interpolation, files_of_map)
     with progress("driving on many soils", quiet=output.quiet) as advance:
-        learned = known.learned(particles, seed, advance)
+        learned = known.learned(particles, seed, ruts, advance)
     return update_report(known, learned, seed, save, files_of_map)

@@ -98,7 +98,9 @@ class Known:
         before = before.forgotten(forget) if forget else before
         return cls(scene, record, along, before, soil_map, forget, states, parent, belief)
 
-    def rectified(self, particles: int, seed: int, progress: Callable[[int, int], None]) -> Rectified:
+    def rectified(
+        self, particles: int, seed: int, ruts: bool | None, progress: Callable[[int, int], None]
+    ) -> Rectified:
         """The belief after the drive, with the drive in its history."""
         scene = self.scene
         found = rectify(
@@ -109,6 +111,7 @@ class Known:
             self.belief,
             particles=particles,
             seed=seed,
+            ruts=ruts,
             teach=not self.belief.discrepancy.has_scored(self.scene.inputs[self.states]),
             progress=progress,
         )
@@ -135,13 +138,14 @@ class Known:
             "outliers": int(found.outliers.sum()),
             "chi_square": found.chi_square,
             "inflation": dict(found.inflation),
+            "ruts": found.prediction.ruts,
             "surprise": found.surprise,
             "refused": found.refused,
         }
 
-    def learned(self, particles: int, seed: int, progress: Callable[[int, int], None]) -> "Learned":
+    def learned(self, particles: int, seed: int, ruts: bool | None, progress: Callable[[int, int], None]) -> "Learned":
         """What the drive says of one soil, where the soil changes, and, with a map, of the soil of each stretch."""
-        found = self.rectified(particles, seed, progress)
+        found = self.rectified(particles, seed, ruts, progress)
         if self.soil_map is None:
             return Learned(found, found_changes(self.along, found, seed), None)
         settings = (self.forget, self.entry, particles, seed, progress)
@@ -227,6 +231,7 @@ def _result(found: Rectified) -> dict[str, Any]:
         "reduced_chi_square": found.reduced,
         "inflation": dict(found.inflation),
         "wheel_errors": dict(found.wheel_errors),
+        "ruts": found.prediction.ruts,
         "surprise": found.surprise,
         "persistence": found.persistence,
         "refused": found.refused or None,
@@ -249,6 +254,8 @@ def _table(known: Known, learned: Learned) -> TextTable:
         f"{found.values} values, {int(found.outliers.sum())} outliers, reduced chi-square {found.reduced:.2f}; "
         f"surprise {found.surprise:.2f}",
     ]
+    if found.prediction.ruts:
+        notes.append("wheels that follow met the ruts of those before them; so they will where this soil is driven on")
     for name, factor in found.inflation.items():
         notes.append(f"errors of {name} are taken {factor:.1f} times as large: no soil explains it better")
     for name, size in found.wheel_errors.items():

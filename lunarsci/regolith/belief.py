@@ -64,6 +64,11 @@ class SoilBelief:
             raise ParameterError("a belief's covariance must be positive definite")
 
     @property
+    def ruts(self) -> bool:
+        """Whether its values are those with which wheels that follow meet the ruts of others, as in its last drive."""
+        return bool(self.history and self.history[-1].get("ruts", False))
+
+    @property
     def left_of_prior(self) -> dict[str, float]:
         """Standard deviation of each parameter's transform as a share of its first law's. [-]"""
         spread = np.sqrt(np.diag(self.covariance))

@@ -133,7 +133,7 @@ def rectify(
     model_error: float = 1.0,
     seed: int = 0,
     teach: bool = True,
-    ruts: bool = False,
+    ruts: bool | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Rectified:
     """Update the belief of a soil by a drive.
@@ -152,7 +152,8 @@ def rectify(
     model_error : of the twin's physics, as a multiple of `MODEL_SHARES` and `MODEL_ERRORS`; 0 where the drive is the
         twin's own. [-]
     seed : of the population.
-    ruts : whether simulated wheels meet the ruts of those before them.
+    ruts : whether simulated wheels meet the ruts of those before them; None takes what explains the drive better, and
+        `Rectified.prediction` says which that is.
     teach : whether the discrepancy learns, False where a comparison taught it this drive already.
     progress : called with (done, total).
 
@@ -166,8 +167,8 @@ def rectify(
     random = np.random.default_rng(seed)
     common = {name: model_error * share for name, share in MODEL_SHARES.items()}
     floor = max(model_error, LEAST_FLOOR)
-    misfit = Misfit(rover, terrain, plan, record, belief, discrepancy=Discrepancy(common), floor=floor, ruts=ruts)
-    posterior, mode = _best_soil(misfit, random)
+    misfit = Misfit(rover, terrain, plan, record, belief, discrepancy=Discrepancy(common), floor=floor)
+    posterior, mode = _best_soil(misfit, random, ruts)
     residual = posterior.residuals(mode.point[None])[0][0]
     states, places = posterior.misfit.parts(residual)
     known, inflation = posterior.misfit.known, posterior.misfit.inflation
@@ -200,9 +201,12 @@ def rectify(
     )
 
 
-def _best_soil(misfit: Misfit, random: np.random.Generator) -> tuple[Posterior, Mode]:
-    """The most probable soil, with errors widened to what it leaves."""
-    posterior, mode = _found(misfit, random)
+def _best_soil(misfit: Misfit, random: np.random.Generator, ruts: bool | None) -> tuple[Posterior, Mode]:
+    """The most probable soil, with or without ruts, and with errors widened to what it leaves."""
+    posterior, mode = _found(replace(misfit, ruts=bool(ruts)), random)
+    if ruts is None:
+        posterior, mode = _with_ruts_if_better(posterior, mode, random)
+    misfit = posterior.misfit
     for _ in range(ROUNDS):
         residual = posterior.residuals(mode.point[None])[0][0]
         wheels = wheel_errors(misfit, misfit.states_as_measured(residual))
@@ -229,6 +233,13 @@ def _found(misfit: Misfit, random: np.random.Generator, starts: FloatArray | Non
     if mode is None:
         raise ParameterError("no soil of the belief carries the rover to the end; was this the plan that was driven?")
     return posterior, mode
+
+
+def _with_ruts_if_better(posterior: Posterior, mode: Mode, random: np.random.Generator) -> tuple[Posterior, Mode]:
+    """The same, or the most probable soil with ruts where that explains the drive better, by errors not yet widened."""
+    other = posterior_of(replace(posterior.misfit, ruts=True))
+    found = find_mode(other, random, mode.point[None])
+    return (posterior, mode) if found is None or found.cost >= mode.cost else (other, found)
 
 
 def _in_units(misfit: Misfit) -> dict[str, float]:

@@ -134,11 +134,11 @@ def _drives(record: DriveRecord, found: Rectified) -> tuple[FloatArray, FloatArr
     sample_m = min(float(drive.time_s[1]) * plan.speed_m_s * (1 + 1e-9), LONGEST_SAMPLE_M)
     step = min(drive.time_step_s * (1 + 1e-9), LONGEST_STEP_S)
     count, scene = len(PARAMETERS), (drive.rover, drive.terrain, plan)
-    moved = predict(*scene, samples=samples, time_step_s=step, sample_m=sample_m)
+    moved = predict(*scene, samples=samples, time_step_s=step, sample_m=sample_m, ruts=drive.ruts)
     states = _states(moved, record)
     slopes = (states[:count] - states[count:]) / (2.0 * NUDGE)
     arrived = moved.finished[:count] & moved.finished[count:]
-    fine = predict(*scene, samples=drive.parameters, time_step_s=step * FINER, sample_m=sample_m)
+    fine = predict(*scene, samples=drive.parameters, time_step_s=step * FINER, sample_m=sample_m, ruts=drive.ruts)
     finer = (_states(fine, record) - _states(drive, record))[0] * fine.finished[0]
     return np.moveaxis(np.where(arrived[:, None, None], slopes, 0.0), 0, -1), finer
 
@@ -235,7 +235,13 @@ def driven_zones(
         before = prior(way.between(low, high))
         if np.isfinite(own.values).sum() < FEWEST_VALUES:
             return _Part(low, high, own, before, None)
-        drive = rectify(rover, terrain, plan, own, before, particles=particles, seed=seed, progress=progress)
+        drive = rectify(
+            *(rover, terrain, plan, own, before),
+            particles=particles,
+            seed=seed,
+            ruts=found.prediction.ruts,
+            progress=progress,
+        )
         return _Part(low, high, own, before, drive)
 
     open_parts = [_Part(-np.inf, np.inf, record, prior(way.place_m), found)]

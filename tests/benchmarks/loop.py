@@ -125,7 +125,8 @@ def learned(
     first, begin = first_belief(), time.perf_counter()
     found = rectify(rover, terrain, plan, record, first, model_error=model_error)
     took, belief = time.perf_counter() - begin, found.belief
-    predicted = predict(rover, terrain, back, samples=belief.draws(MEMBERS))
+    ruts = found.prediction.ruts
+    predicted = predict(rover, terrain, back, samples=belief.draws(MEMBERS), ruts=ruts, before=plan if ruts else None)
     if model_error:
         predicted = with_discrepancy(predicted, belief.discrepancy)
     done = predicted.finished
@@ -141,6 +142,7 @@ def learned(
         "way_m2": way_matrix(predicted.planned[:, :2], driven[..., :3]).tolist(),
         "discrepancy": belief.discrepancy.to_dict(),
         "members": int(done.sum()),
+        "ruts": ruts,
         "refused": found.refused,
         "reduced": found.reduced,
         "inflation": dict(found.inflation),
