@@ -19,7 +19,7 @@ from lunarsci.twin.plans.schedule import Schedule, make_schedule
 from lunarsci.twin.record_times import check_clock, check_wheels, states_at, values_at, wheel_numbers
 from lunarsci.twin.rover import Rover
 
-__all__ = ["FIX_ERROR_M", "HUBER", "MODEL_ERRORS", "POSITION", "Misfit", "robust_cost"]
+__all__ = ["FIX_ERROR_M", "HUBER", "MODEL_ERRORS", "POSITION", "Misfit", "cost_of", "robust_cost"]
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -50,6 +50,11 @@ def robust_cost(white: FloatArray) -> FloatArray:
     """Huber's (1964, 10.1214/aoms/1177703732) cost of whitened residuals, their square where they are small."""
     off = np.abs(white)
     return np.where(off < HUBER, off**2, HUBER * (2.0 * off - HUBER))
+
+
+def cost_of(drive: FloatArray, prior: FloatArray) -> FloatArray:
+    """-2 ln of likelihood times prior of whitened residuals (points, r), (points, 8), up to a constant. (points,)"""
+    return np.asarray(robust_cost(drive).sum(axis=1) + (prior**2).sum(axis=1))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,12 +1,12 @@
 """The most probable soils after a drive: damped Gauss-Newton from many starts at once."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.twin.inference.misfit import HUBER
+from lunarsci.twin.inference.misfit import HUBER, cost_of
 
 if TYPE_CHECKING:
     from lunarsci.twin.inference.posterior import Posterior
@@ -41,28 +41,51 @@ def find_mode(posterior: "Posterior", random: np.random.Generator, starts: Float
     Descents begin at `starts` (k, 8), or at draws from the belief.
     """
     starts = posterior.draw_prior(STARTS, random) if starts is None else starts
-    costs = posterior.cost(starts)
-    chosen = np.argsort(costs)[:DESCENTS]
-    points, costs = starts[chosen], costs[chosen]
-    points, costs = points[np.isfinite(costs)], costs[np.isfinite(costs)]
-    if not costs.size:
+    looked = _Looked.at(posterior, starts)
+    best = looked.best_first()[:DESCENTS]
+    here = looked.part(best[np.isfinite(looked.costs[best])])
+    if not here.costs.size:
         return None
-    width = _width(posterior, points[0])
+    width = _width(posterior, here.points[0])
     for step in range(STEPS):
-        curvature, slope = _local(posterior, points, width)
-        trial, found = _best_trials(posterior, points, curvature, slope, width)
-        falls = np.where(found < costs, costs - found, 0.0)
-        points = np.where(falls[:, None] > 0, trial, points)
-        costs = costs - falls
-        best = int(np.argmin(costs))
-        if falls[best] < CONVERGED and step >= PATIENCE:
+        curvature, slope = _local(posterior, here, width)
+        trials = _best_trials(posterior, here.points, curvature, slope, width)
+        falls = here.costs - trials.costs
+        here = here.replaced(trials, falls > 0.0)
+        first = here.best_first()[0]
+        if falls[first] < CONVERGED and step >= PATIENCE:
             break
         if step >= PATIENCE:
-            kept = costs < costs[best] + BEHIND
-            points, costs = points[kept], costs[kept]
-    best = int(np.argmin(costs))
-    curvature, _ = _local(posterior, points[best : best + 1], width)
-    return Mode(points[best], float(costs[best]), np.asarray(np.linalg.inv(curvature[0])))
+            here = here.part(here.costs < here.costs[first] + BEHIND)
+    found = here.part(here.best_first()[:1])
+    curvature, _ = _local(posterior, found, width)
+    return Mode(found.points[0], float(found.costs[0]), np.asarray(np.linalg.inv(curvature[0])))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Looked:
+    """Points (k, 8), their whitened residuals of drive and prior (k, r + 8), and their costs (k,)."""
+
+    points: FloatArray
+    rows: FloatArray
+    costs: FloatArray
+
+    @classmethod
+    def at(cls, posterior: "Posterior", points: FloatArray) -> "_Looked":
+        drive, prior = posterior.residuals(points)
+        return cls(points, np.concatenate([drive, prior], axis=1), cost_of(drive, prior))
+
+    def part(self, which: npt.NDArray[Any]) -> "_Looked":
+        return _Looked(self.points[which], self.rows[which], self.costs[which])
+
+    def best_first(self) -> npt.NDArray[np.intp]:
+        return np.argsort(self.costs)
+
+    def replaced(self, other: "_Looked", where: npt.NDArray[np.bool_]) -> "_Looked":
+        points, rows = (
+            np.where(where[:, None], a, b) for a, b in ((other.points, self.points), (other.rows, self.rows))
+        )
+        return _Looked(points, rows, np.where(where, other.costs, self.costs))
 
 
 def _width(posterior: "Posterior", point: FloatArray) -> FloatArray:
@@ -73,19 +96,19 @@ def _width(posterior: "Posterior", point: FloatArray) -> FloatArray:
     return np.asarray(np.abs(np.diag(moved - point)))
 
 
-def _local(posterior: "Posterior", points: FloatArray, width: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _local(posterior: "Posterior", at: _Looked, width: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Curvature (k, 8, 8) and slope (k, 8) of half the cost at points (k, 8), from central differences.
 
     Where one neighbour carries no rover the difference is one-sided; where neither does it is 0, and the
     curvature that of the prior.
     """
-    count, size = points.shape
-    steps = np.vstack([np.zeros(size), np.diag(WIDTH * width), -np.diag(WIDTH * width)])
-    drive, prior = posterior.residuals((points[:, None] + steps[None]).reshape(-1, size))
+    count, size = at.points.shape
+    steps = np.vstack([np.diag(WIDTH * width), -np.diag(WIDTH * width)])
+    drive, prior = posterior.residuals((at.points[:, None] + steps[None]).reshape(-1, size))
     rows = np.concatenate([drive, prior], axis=1).reshape(count, len(steps), -1)
     curvature, slope = np.zeros((count, size, size)), np.zeros((count, size))
     for k in range(count):
-        here, up, down = rows[k, 0], rows[k, 1 : size + 1], rows[k, size + 1 :]
+        here, up, down = at.rows[k], rows[k, :size], rows[k, size:]
         columns = _differences(here, up, down) / (WIDTH * width)[:, None]
         weight = np.minimum(1.0, HUBER / np.maximum(np.abs(here), HUBER))
         weight[-size:] = 1.0
@@ -109,15 +132,14 @@ def _differences(here: FloatArray, up: FloatArray, down: FloatArray) -> FloatArr
 
 def _best_trials(
     posterior: "Posterior", points: FloatArray, curvature: FloatArray, slope: FloatArray, width: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """The best of several damped steps from each point, and its cost. (k, 8), (k,)"""
+) -> _Looked:
+    """The best of several damped steps from each point."""
     trials = np.empty((len(points), len(DAMPINGS), points.shape[1]))
     for k, (matrix, side) in enumerate(zip(curvature, slope, strict=True)):
         scale = np.diag(np.maximum(np.diag(matrix), width**-2))
         for m, damping in enumerate(DAMPINGS):
             step = -np.linalg.solve(matrix + damping * scale, side)
             trials[k, m] = points[k] + np.clip(step, -LONGEST * width, LONGEST * width)
-    found = posterior.cost(trials.reshape(-1, points.shape[1])).reshape(len(points), -1)
-    best = np.argmin(found, axis=1)
-    own = np.arange(len(points))
-    return trials[own, best], found[own, best]
+    looked = _Looked.at(posterior, trials.reshape(-1, points.shape[1]))
+    best = np.argmin(looked.costs.reshape(len(points), -1), axis=1)
+    return looked.part(len(DAMPINGS) * np.arange(len(points)) + best)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.twin.inference.misfit import Misfit, robust_cost
+from lunarsci.twin.inference.misfit import Misfit, cost_of, robust_cost
 from lunarsci.twin.inference.straight import Straight
 
 __all__ = ["Posterior", "posterior_of"]
@@ -46,7 +46,7 @@ class Posterior:
 
     def cost(self, points: FloatArray) -> FloatArray:
         """-2 ln of likelihood times prior of the transforms, up to a constant. (points,)"""
-        return _cost(*self.residuals(points))
+        return cost_of(*self.residuals(points))
 
     def with_density(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Whitened residuals of the drive (points, r), and ln of the density of the coordinates up to a constant, -inf
@@ -71,10 +71,6 @@ class Posterior:
         noise = random.standard_normal((count - 1, len(self.root)))
         mean = self.misfit.belief.mean
         return self.straight.straightened(np.vstack([mean, mean + noise @ self.root.T]))
-
-
-def _cost(drive: FloatArray, prior: FloatArray) -> FloatArray:
-    return np.asarray(robust_cost(drive).sum(axis=1) + (prior**2).sum(axis=1))
 
 
 def posterior_of(misfit: Misfit) -> Posterior:
