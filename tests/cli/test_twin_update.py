@@ -9,6 +9,8 @@ import pandas as pd
 import pytest
 
 from lunarsci.provenance import sha256
+from lunarsci.regolith.belief import first_belief
+from lunarsci.regolith.belief_history import with_drive
 
 Run = Callable[..., Any]
 
@@ -27,6 +29,7 @@ def test_a_belief_goes_from_drive_to_drive(run: Run, short_plan: Path, short_sta
     assert belief.read_bytes() == again.read_bytes()
     predicted = run("twin", "predict", short_plan, "--samples", belief, "--members", "16", "--field", "members")
     assert predicted.code == 0 and predicted.out == "16\n"
+    assert result["ruts"] is False
     # The next update begins where this one ended, and refuses telemetry that no soil explains.
     table = pd.read_csv(short_states)
     table.loc[table["wheel"] == "FL", "sinkage_m"] += 0.05
@@ -44,6 +47,35 @@ def test_a_belief_goes_from_drive_to_drive(run: Run, short_plan: Path, short_sta
     assert run("twin", "history", tmp_path / "same.json", "--rollback", "1", "--save", tmp_path / "back.json").code == 0
     back, first = (json.loads(path.read_text()) for path in (tmp_path / "back.json", belief))
     assert all(back[key] == first[key] for key in ("mean", "covariance", "history", "laws"))
+
+
+def test_ruts_are_driven_as_options_and_belief_say(run: Run, short_plan: Path, tmp_path: Path) -> None:
+    """Asked for, met by the belief's last drive, or left by a plan that was driven before."""
+    quick = ("--time-step", "0.2", "--json")
+    met, none = (tmp_path / name for name in ("met.json", "none.json"))
+    first = first_belief()
+    for path, ruts in ((met, True), (none, False)):
+        entry = {"states": "a.csv", "sha256": "0" * 64, "plan": "a", "values": 9, "outliers": 0, "chi_square": 9.0}
+        path.write_text(with_drive(first, first, entry | {"surprise": 0.1, "refused": "", "ruts": ruts}).to_json())
+
+    def driven(*more: object) -> tuple[Any, Any, float]:
+        done = run("twin", "predict", short_plan, *quick, *more)
+        assert done.code in (0, 3), done.err
+        result = json.loads(done.out)["result"]
+        return (
+            result["ruts"],
+            result["before"],
+            max(row["max"] for row in result["limits"] if "sinkage" in row["quantity"]),
+        )
+
+    plain, ruts, back = driven(), driven("--ruts"), driven("--before", short_plan)
+    assert plain[:2] == (False, None) and ruts[:2] == (True, None)
+    assert back[0] is True and back[1] is not None
+    assert plain[2] < ruts[2] < back[2]
+    assert [driven("--soil", path, "--members", "4")[0] for path in (met, none)] == [True, False]
+    assert driven("--soil", met, "--members", "4", "--no-ruts")[0] is False
+    idle = run("twin", "predict", short_plan, "--before", short_plan, "--no-ruts")
+    assert idle.code == 2 and "--no-ruts" in idle.err[0]
 
 
 @pytest.mark.parametrize(

@@ -63,6 +63,19 @@ def found(yutu2: Rover, ground: Terrain, record: DriveRecord) -> Rectified:
     return rectify(yutu2, ground, PLAN, record, first_belief(), particles=64, model_error=0.0)
 
 
+def test_ruts_are_taken_where_they_explain_the_drive_better(yutu2: Rover, ground: Terrain, found: Rectified) -> None:
+    """On a soft soil rear wheels that sink in the ruts of the front ones are explained by no soil without ruts."""
+    soft = {name: [value] for name, value in (SOIL | {"stiffness_kpa_m_n": 600.0}).items()}
+    drive = predict(yutu2, ground, PLAN, samples=soft, ruts=True)
+    both = [
+        rectify(yutu2, ground, PLAN, record_of(drive), first_belief(), particles=32, model_error=0.0, ruts=ruts)
+        for ruts in (None, False)
+    ]
+    assert both[0].prediction.ruts and not both[1].prediction.ruts and not found.prediction.ruts
+    assert not both[0].refused and max(both[0].inflation.values(), default=1.0) < 1.2
+    assert both[1].refused or max(both[1].inflation.values()) > 2.0
+
+
 @pytest.mark.slow
 def test_the_belief_holds_the_true_soil_and_predicts_the_next_drive(
     yutu2: Rover, ground: Terrain, found: Rectified
