@@ -63,11 +63,12 @@ FALLING = 1.0
 # Wheel load as a share of the weight beyond which a run has lost its meaning, but in an impact: a wheel that comes down
 # at more than this speed [m/s], 3 mm of free fall on the Moon.
 MOST_LOAD, IMPACT = 2.0, 0.1
-# Energy from nowhere, as a share of what lifts the rover by a wheel's radius, beyond which a run has lost its meaning.
+# Energy from nowhere, as a share of what lifts the rover by a wheel's radius, beyond which a run has lost its meaning;
+# assumed: 3 cm for a wheel of 15 cm, more than any rounding and less than a jump.
 MOST_EXCESS = 0.2
 # Forces along the wheels under way that the steps miss, as a share of the weight, beyond which a run has lost its
-# meaning, and the share of the last step in their mean. With shear moduli of 0.05-18 mm, on four grounds, drives of
-# 1.5 m with more than this were 1-80 cm off at their ends, those with less within 1 cm.
+# meaning, and the share of the last step in their mean (assumed: some ten steps). With shear moduli of 0.05-18 mm, on
+# four grounds, drives of 1.5 m with more than this were 1-80 cm off at their ends, those with less within 1 cm.
 MOST_ERROR, MEMORY = 0.25, 0.1
 
 
