@@ -113,7 +113,7 @@ def forces_along(rover: Rover, terrain: Terrain, motion: Motion, soil: FloatArra
     return _results(rover, terrain, motion, (paths, states, left, frames), outcome)
 
 
-def _place(known: tuple[Any, ...], motion: Motion, own: IntArray, work: Any) -> None:
+def _place(known: tuple[Any, Any, Any, Any], motion: Motion, own: IntArray, work: Any) -> None:
     """Let a group of rovers rest on the ground at its poses."""
     start = np.column_stack([motion.x_m, motion.y_m, np.radians(motion.yaw_deg)])[own]
     speed = np.where(motion.speed_m_s == 0, CREEP_M_S, motion.speed_m_s)

@@ -195,7 +195,7 @@ def _meets_cliff(scene: Scene, terrain: Terrain, wheels_m: FloatArray) -> bool:
     return bool((np.hypot(slopes[..., 0], slopes[..., 1]) > STEEPEST).any())
 
 
-def _begin(scene: Scene, known: tuple[Any, ...], commands: Commands, work: Work) -> None:
+def _begin(scene: Scene, known: tuple[Any, Any, Any, Any], commands: Commands, work: Work) -> None:
     start = np.tile(scene.schedule.poses[0], (LANES, 1))
     motion = np.array(start_motion(scene.schedule, scene.rover))
     begin(*known, start, motion, commands.steering_rad, commands.speed_m_s, work)
@@ -203,7 +203,7 @@ def _begin(scene: Scene, known: tuple[Any, ...], commands: Commands, work: Work)
 
 def _drive_group(
     scene: Scene,
-    known: tuple[Any, ...],
+    known: tuple[Any, Any, Any, Any],
     common: Commands | None,
     errors: FloatArray,
     work: Work,

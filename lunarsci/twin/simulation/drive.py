@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from lunarsci.compiled import compiled
 from lunarsci.regolith.forces import slip_ratio
@@ -25,12 +26,15 @@ from lunarsci.twin.simulation.lanes import (
     SPEED,
     STEER,
     VELOCITY,
+    Work,
 )
 from lunarsci.twin.simulation.outcomes import FINISHED, LEFT
 from lunarsci.twin.simulation.ruts import press_ruts
 from lunarsci.twin.simulation.settle import settle
 
 __all__ = ["begin", "drive"]
+
+FloatArray = npt.NDArray[np.float64]
 
 # Steps are parted where all rims turn slower than this [m/s], assumed: slip, and with it the force, changes much
 # there with little motion. In whole steps wheels on slopes swing as they start, and dig 4 mm deeper than in short ones.
@@ -47,16 +51,13 @@ def take_commands(work: Any, steering: Any, speed: Any, step: int) -> None:
             work.wheels[w, RIM * LANES + lane] = speed[min(lane, last), step, w]
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def roll_on(work: Any, ahead: float, left: float, turn: float) -> None:
+def roll_on(work: Work, ahead: float, left: float, turn: float) -> None:
     """Start velocity: as commanded, along the chassis' x and y axes [m/s] and about its z axis [rad/s]."""
-    body = work.body
-    orient(body)
-    for lane in range(LANES):
-        for i in range(3):
-            row = (ROTATION + 3 * i) * LANES + lane
-            body[(SPEED + i) * LANES + lane] = ahead * body[row] + left * body[row + LANES]
-            body[(SPEED + 3 + i) * LANES + lane] = turn * body[row + 2 * LANES]
+    orient(work.body)
+    rows = work.body.reshape(-1, LANES)
+    axes = rows[ROTATION : ROTATION + 9].reshape(3, 3, LANES)
+    rows[SPEED : SPEED + 3] = ahead * axes[:, 0] + left * axes[:, 1]
+    rows[SPEED + 3 : SPEED + 6] = turn * axes[:, 2]
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
@@ -84,14 +85,21 @@ def record(work: Any, lane: int, tyre: Any, path: Any, states: Any) -> None:
         state[9] = 1.0 if SHALLOWEST < sinkage <= DEEPEST * tyre[0] and abs(slip) <= VALID_SLIP else 0.0
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
 def begin(
-    rover: Any, tyre: Any, grid: Any, override: Any, start: Any, motion: Any, steering: Any, speed: Any, work: Any
+    rover: Any,
+    tyre: Any,
+    grid: Any,
+    override: Any,
+    start: FloatArray,
+    motion: FloatArray,
+    steering: Any,
+    speed: Any,
+    work: Work,
 ) -> None:
     """Settle the rovers at `start` (LANES, 3), steered by their first commands, and give them `motion` (3)."""
     take_commands(work, steering, speed, 0)
     settle(rover, tyre, grid, override, start, work)
-    roll_on(work, motion[0], motion[1], motion[2])
+    roll_on(work, *motion)
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
@@ -134,7 +142,10 @@ def drive(
         take_commands(work, steering, speed, min(i, steps - 1))
         # The ground of a rut changes over a spacing, of which three steps are less than a half.
         work.frame[6] = 0.0 if pressing > 8 and (first + i) % 3 else 1.0
-        pace = np.abs(speed[:, min(i, steps - 1)]).max()
+        pace = 0.0
+        for rims in speed[:, min(i, steps - 1)]:
+            for rim in rims:
+                pace = max(pace, abs(rim))
         parts = SLOW_PARTS if 0.0 < pace < SLOW and i < steps else 1
         step = dt / parts
         for part in range(parts):

@@ -1,9 +1,10 @@
 """The rovers at rest on the ground, before they drive."""
 
-import math
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from lunarsci.compiled import compiled
 from lunarsci.twin.ground.terrain import lay_soil, read_ground
@@ -25,10 +26,13 @@ from lunarsci.twin.simulation.lanes import (
     SLIP,
     SPEED,
     TRAVEL,
+    Work,
 )
 from lunarsci.twin.simulation.outcomes import CLIFF, DIVERGED, FINISHED, HOLE, LEFT, OVERTURNED, SANK, UNSETTLED
 
 __all__ = ["balance", "place", "settle"]
+
+FloatArray = npt.NDArray[np.float64]
 
 SETTLE_ROUNDS = 300
 SETTLE_TOLERANCE = 1e-9
@@ -39,47 +43,29 @@ LONGEST_MOVE = 0.02
 CALM = 0.4
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def place(rover: Any, tyre: Any, grid: Any, override: Any, start: Any, work: Any) -> None:
+def place(rover: Any, tyre: Any, grid: Any, override: Any, start: FloatArray, work: Work) -> None:
     """Put the rovers above the plane through the ground under their wheels, 1 cm deep.
 
-    `start` (LANES, 3) is x, y, heading.
+    `start` (LANES, 3) is x, y, heading. Done once for a drive, and so not compiled.
     """
-    count = len(rover.arms)
-    x, y, z = np.empty(count), np.empty(count), np.empty(count)
-    for w in range(count):
-        side, hung = 1.0 if w % 2 == 0 else -1.0, rover.hung[w]
-        x[w] = rover.arms[w, 0] + hung * rover.bogie[0]
-        y[w] = rover.arms[w, 1] + side * (rover.pivot_y + hung * rover.bogie[1])
-        z[w] = rover.arms[w, 2] + hung * rover.bogie[2]
-        for lane in range(LANES):
-            c, s = math.cos(start[lane, 2]), math.sin(start[lane, 2])
-            work.wheels[w, CENTER * LANES + lane] = start[lane, 0] + c * x[w] - s * y[w]
-            work.wheels[w, (CENTER + 1) * LANES + lane] = start[lane, 1] + s * x[w] + c * y[w]
-        lay_soil(grid, override, work.wheels[w])
-        read_ground(grid, override, work.wheels[w], work.code)
-    middle, height = x.mean(), z.mean()
-    long_2, wide_2 = 1e-12 + ((x - middle) ** 2).sum(), 1e-12 + (y * y).sum()
+    side = np.where(np.arange(len(rover.arms)) % 2 == 0, 1.0, -1.0)
+    x = rover.arms[:, 0] + rover.hung * rover.bogie[0]
+    y = rover.arms[:, 1] + side * (rover.pivot_y + rover.hung * rover.bogie[1])
+    z = rover.arms[:, 2] + rover.hung * rover.bogie[2]
+    c, s = np.cos(start[:, 2]), np.sin(start[:, 2])
+    rows = work.wheels.reshape(len(x), -1, LANES)
+    rows[:, CENTER] = start[:, 0] + np.multiply.outer(x, c) - np.multiply.outer(y, s)
+    rows[:, CENTER + 1] = start[:, 1] + np.multiply.outer(x, s) + np.multiply.outer(y, c)
+    for wheel in work.wheels:
+        lay_soil(grid, override, wheel)
+        read_ground(grid, override, wheel, work.code)
+    ground, ahead = rows[:, GROUND], x - x.mean()
+    rise, bank = ahead @ ground / (1e-12 + ahead @ ahead), y @ ground / (1e-12 + y @ y)
+    height = ground.mean(axis=0) - rise * x.mean() - z.mean() + (tyre[0] - 0.01) * np.sqrt(1.0 + rise**2 + bank**2)
+    turned = Rotation.from_euler("ZYX", np.column_stack([start[:, 2], -np.arctan(rise), np.arctan(bank)]))
     work.body[:] = 0.0
-    for lane in range(LANES):
-        mean, along, across = 0.0, 0.0, 0.0
-        for w in range(count):
-            ground = work.wheels[w, GROUND * LANES + lane]
-            mean += ground / count
-            along += ground * (x[w] - middle)
-            across += ground * y[w]
-        rise, bank = along / long_2, across / wide_2
-        lift = (tyre[0] - 0.01) * math.sqrt(1.0 + rise * rise + bank * bank)
-        yaw, pitch, roll = 0.5 * start[lane, 2], -0.5 * math.atan(rise), 0.5 * math.atan(bank)
-        cy, sy, cp, sp = math.cos(yaw), math.sin(yaw), math.cos(pitch), math.sin(pitch)
-        cr, sr = math.cos(roll), math.sin(roll)
-        values = (
-            start[lane, 0], start[lane, 1], mean - rise * middle - height + lift,
-            cy * cp * cr + sy * sp * sr, cy * cp * sr - sy * sp * cr,
-            cy * sp * cr + sy * cp * sr, sy * cp * cr - cy * sp * sr,
-        )  # fmt: skip
-        for k in range(7):
-            work.body[(POSE + k) * LANES + lane] = values[k]
+    quaternion = turned.as_quat(scalar_first=True)
+    work.body.reshape(-1, LANES)[POSE : POSE + 7] = np.column_stack([start[:, :2], height, quaternion]).T
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
@@ -148,8 +134,10 @@ def lean_on(work: Any, left: Any, pull: Any, leaning: Any, done: Any, tolerance:
         for i in range(3):
             if abs(left[lane, i]) > tolerance:
                 done[lane] = False
-        if not done[lane] and np.linalg.det(share) > 0.0:
-            pull[lane] += CALM * np.linalg.solve(share, left[lane])
+        if not done[lane]:
+            found = solved(share, left[lane])
+            for i in range(3):
+                pull[lane, i] += CALM * found[i]
         for w in range(len(work.wheels)):
             slide_along(work.wheels[w], lane, moved)
             for m in range(3):
@@ -157,6 +145,23 @@ def lean_on(work: Any, left: Any, pull: Any, leaning: Any, done: Any, tolerance:
                 row = (HOLD + m) * LANES + lane
                 wanted = work.wheels[w, NORMAL * LANES + lane] * along
                 work.wheels[w, row] += CALM * (wanted - work.wheels[w, row])
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def solved(matrix: Any, side: Any) -> tuple[float, float, float]:
+    """Solution of a symmetric system of three, zeros where it has none; compiled sooner than the library's."""
+    a, b, c = matrix[0, 0], matrix[0, 1], matrix[0, 2]
+    d, e, f = matrix[1, 1], matrix[1, 2], matrix[2, 2]
+    aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
+    bb, bc, cc = a * f - c * c, b * c - a * e, a * d - b * b
+    whole = a * aa + b * ab + c * ac
+    if not whole > 0.0:
+        return 0.0, 0.0, 0.0
+    return (
+        (aa * side[0] + ab * side[1] + ac * side[2]) / whole,
+        (ab * side[0] + bb * side[1] + bc * side[2]) / whole,
+        (ac * side[0] + bc * side[1] + cc * side[2]) / whole,
+    )
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
@@ -189,14 +194,16 @@ def balance(rover: Any, tyre: Any, grid: Any, override: Any, mode: int, velocity
             if work.code[lane] == SANK and not done[lane]:
                 work.code[lane] = FINISHED
         assemble(rover, tyre, grid, override, dt, mode, work)
-        done[leaning] = False
+        for lane in range(LANES):
+            done[lane] = done[lane] and not leaning[lane]
         lock(work, dt, SETTLE_TOLERANCE * weight, done, left)
         if mode == AT_REST:
             lean_on(work, left, pull, leaning, done, SETTLE_TOLERANCE * weight)
+        open_lanes = 0
         for lane in range(LANES):
-            if work.code[lane] in (LEFT, HOLE, CLIFF, OVERTURNED, UNSETTLED, DIVERGED):
-                done[lane] = True
-        if done.all():
+            done[lane] = done[lane] or work.code[lane] in (LEFT, HOLE, CLIFF, OVERTURNED, UNSETTLED, DIVERGED)
+            open_lanes += not done[lane]
+        if open_lanes == 0:
             break
         eliminate(work)
         shorten(work, 2.0 * LONGEST_MOVE / dt, done)
@@ -211,19 +218,15 @@ def balance(rover: Any, tyre: Any, grid: Any, override: Any, mode: int, velocity
             work.code[lane] = UNSETTLED
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def settle(rover: Any, tyre: Any, grid: Any, override: Any, start: Any, work: Any) -> None:
+def settle(rover: Any, tyre: Any, grid: Any, override: Any, start: FloatArray, work: Work) -> None:
     """Bring the rovers, steered as `work` says, to static equilibrium at `start` (LANES, 3): x, y, heading.
 
     The ground holds them, along its surface too, whatever its strength. Velocities are left at rest, outcomes in
     `work.code`.
     """
     work.code[:] = FINISHED
-    for w in range(len(work.wheels)):
-        work.wheels[w, SLIP * LANES : (SLIP + 1) * LANES] = 0.0
-        work.wheels[w, LAST * LANES : (LAST + 1) * LANES] = 0.0
-        work.wheels[w, TRAVEL * LANES : (TRAVEL + 1) * LANES] = 1.0
-        work.wheels[w, HOLD * LANES : (HOLD + 3) * LANES] = 0.0
+    rows = work.wheels.reshape(len(work.wheels), -1, LANES)
+    rows[:, [SLIP, LAST, HOLD, HOLD + 1, HOLD + 2]], rows[:, TRAVEL] = 0.0, 1.0
     place(rover, tyre, grid, override, start, work)
     balance(rover, tyre, grid, override, AT_REST, np.zeros((LANES, 9)), np.zeros((LANES, 3)), work)
     work.body[SPEED * LANES : (SPEED + 9) * LANES] = 0.0
