@@ -9,8 +9,7 @@ from typing import Any
 from lunarsci.errors import DataError, LunarSciError, LunarSciWarning, ParameterError
 from lunarsci.inputs import read_input
 from lunarsci.spectra.library import EndMember, read_library, to_ecsv
-from lunarsci.spectra.library.check import Finding, check_library
-from lunarsci.spectra.library.metadata import MIXTURE, read_metadata, with_description
+from lunarsci.spectra.library.check import MIXTURE, Finding, check_library, read_metadata, with_description
 
 from .report import Report, together
 from .spectra_report import expanded

@@ -3,8 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from lunarsci.spectra.origin.ejecta import LAW_SOURCES
-from lunarsci.spectra.origin.exposure import SURVIVAL_SOURCE
+from lunarsci.spectra.origin.ejecta import LAW_SOURCES, SURVIVAL_SOURCE
 from lunarsci.spectra.origin.match import OTHER, CraterMatch, MatchSettings, RockMatch
 from lunarsci.spectra.origin.prior import surface_age_ma
 from lunarsci.spectra.origin.sphere import Point

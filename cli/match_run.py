@@ -11,7 +11,7 @@ from lunarsci.errors import DataError, LunarSciError, ParameterError
 from lunarsci.inputs import expand_inputs, read_input
 from lunarsci.spectra.origin.catalogue import TABLE, Crater, embedded_catalogue, read_catalogue
 from lunarsci.spectra.origin.composition import MINERALS, Composition, Value
-from lunarsci.spectra.origin.exposure import Range
+from lunarsci.spectra.origin.ejecta import Range
 from lunarsci.spectra.origin.match import Rock
 from lunarsci.spectra.origin.mineral_map import MapReport, with_maps
 from lunarsci.spectra.origin.rock import joined, read_rocks

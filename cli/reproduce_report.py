@@ -13,9 +13,8 @@ from lunarsci.regolith.soil import soil_hash
 from lunarsci.regolith.wheel import read_wheel
 from lunarsci.reproduce.drive import SOIL, Drives, drive_numbers, predicted_drives
 from lunarsci.reproduce.numbers import OPEN, PARTS, VERDICTS, Number, published_hash
-from lunarsci.reproduce.rocks import Rocks, boulders, fit_rocks
 from lunarsci.reproduce.soil import soil_numbers
-from lunarsci.reproduce.spectra import TABLES, spectra_numbers
+from lunarsci.reproduce.spectra import TABLES, Rocks, boulders, fit_rocks, spectra_numbers
 from lunarsci.rovers.description import RoverDescription, read_rover
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.tables import table_hashes

@@ -12,9 +12,9 @@ from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.readers.envi import without_headers
 from lunarsci.spectra.readers.splib import without_wavelength_files
 from lunarsci.spectra.spectrum import Spectrum
+from lunarsci.spectra.vnis.calibrate import default_settings
 from lunarsci.spectra.vnis.name import product_name
 from lunarsci.spectra.vnis.observation import one_per_observation
-from lunarsci.spectra.vnis.settings import default_settings
 from lunarsci.tables import table_hashes
 
 from .report import together

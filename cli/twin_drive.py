@@ -15,7 +15,6 @@ from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import read_belief
 from lunarsci.regolith.fit_verdict import FitVerdict, doubt, read_verdict
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
-from lunarsci.twin.drive_pieces import planned_places
 from lunarsci.twin.ensemble import Prediction, predict
 from lunarsci.twin.ground.driven_soil import DrivenSoil, Origin
 from lunarsci.twin.ground.soil_layers import drawn_grounds
@@ -24,6 +23,7 @@ from lunarsci.twin.ground.soil_map_files import read_soil_map
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS
 from lunarsci.twin.path_discrepancy import with_discrepancy
 from lunarsci.twin.plans.plan import Sweep, parse_sweep
+from lunarsci.twin.soil_change import planned_places
 from lunarsci.twin.soil_samples import read_soil_samples
 
 from .report import Report

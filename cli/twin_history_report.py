@@ -76,7 +76,7 @@ def history_report(beliefs: Beliefs, rollback: int | None, save: Path | None) ->
         tables.append(_now_table(back, f"What was believed after {rollback} drive(s), written to {save}"))
 
     def figures() -> Any:
-        from lunarsci.regolith.belief_figure import belief_history_figure
+        from lunarsci.regolith.figure import belief_history_figure
 
         names = (name, beliefs.other_source.name if beliefs.other_source else "")
         return [belief_history_figure(belief, f"{name}: belief of the soil by drive", beliefs.other, names)]

@@ -14,7 +14,7 @@ from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
 from lunarsci.regolith.prior import PARAMETERS, prior_hash
 from lunarsci.twin.force_soil import ForceSoil, force_soil
 from lunarsci.twin.ground.driven_soil import DrivenSoil, soil_record
-from lunarsci.twin.judgement.force_table import force_table
+from lunarsci.twin.judgement.load_check import force_table
 from lunarsci.twin.plans.motion import Motion, read_motion
 from lunarsci.twin.plans.motion_draws import CORRELATION_M, correlation_of
 from lunarsci.twin.pose_states import PoseStates, read_pose_states

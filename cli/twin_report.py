@@ -17,14 +17,13 @@ from lunarsci.rovers.description import RoverDescription, read_rover
 from lunarsci.twin.comparison.forecast import FILE, forecast_document, forecast_of
 from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.ground.driven_soil import DrivenSoil, lay_soil_on, soil_record
-from lunarsci.twin.ground.longji import synthetic_longji
+from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain
 from lunarsci.twin.ground.terrain_files import TerrainFile, read_terrain_file
 from lunarsci.twin.judgement.load_check import check_loads, load_notes
-from lunarsci.twin.judgement.profiles import profile_table
 from lunarsci.twin.judgement.safety import Judgement, Verdict, judge
 from lunarsci.twin.judgement.sensitivity import EndpointSensitivity, endpoint_sensitivity, step_error_m
-from lunarsci.twin.judgement.tables import endpoint_table, path_table, state_table
+from lunarsci.twin.judgement.tables import endpoint_table, path_table, profile_table, state_table
 from lunarsci.twin.plans.plan import Fixes, Plan, parse_fixes, read_plan
 from lunarsci.twin.rover import Rover, build_rover
 
@@ -271,9 +270,8 @@ def _kept(scene: Scene, prediction: Prediction, soils: str, soil: dict[str, Any]
 
 
 def _pages(prediction: Prediction, verdict: Verdict) -> "Iterator[Figure]":
-    from lunarsci.twin.figures.boxes import box_pages
+    from lunarsci.twin.figures.boxes import box_pages, profile_page
     from lunarsci.twin.figures.fan import path_fan
-    from lunarsci.twin.figures.profiles import profile_page
 
     yield path_fan(prediction, verdict)
     yield profile_page(prediction, verdict)

@@ -15,12 +15,10 @@ from lunarsci.rovers.description import RoverDescription, read_rover
 from lunarsci.rovers.made_for import MadeFor, made_for
 from lunarsci.twin.ground.driven_soil import DrivenSoil, lay_soil_on, soil_record
 from lunarsci.twin.ground.hazards import GroundMaps, Traversability, assess, ground_maps, map_scales
-from lunarsci.twin.ground.longji import synthetic_longji
-from lunarsci.twin.ground.map_files import maps_bytes, maps_geotiff
 from lunarsci.twin.ground.mobility import Mobility, read_mobility
-from lunarsci.twin.ground.synthetic import synthetic_terrain
+from lunarsci.twin.ground.synthetic import synthetic_longji, synthetic_terrain
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.ground.terrain_files import TerrainFile, read_terrain_file, terrain_bytes
+from lunarsci.twin.ground.terrain_files import TerrainFile, maps_bytes, maps_geotiff, read_terrain_file, terrain_bytes
 from lunarsci.twin.plans.plan import read_plan
 from lunarsci.twin.plans.plan_files import plan_text
 from lunarsci.twin.plans.rover_limits import limits_of_rover

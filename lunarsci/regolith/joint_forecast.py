@@ -1,4 +1,9 @@
-"""A soil that was learned, carried on: as a belief for drives, and to wheel states whose forces are to be told."""
+"""A soil that was learned, carried on: as a belief for drives, and to wheel states whose forces are to be told.
+
+Forces that a soil, learned from one wheel, predicts for any wheel, with its uncertainty and the model's error.
+
+Groups of neighbouring states predicted from all others, without fitting anew.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,18 +12,199 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.csv_table import numbers_of, read_csv_table
-from lunarsci.errors import DataError
+from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.joint import SoilPosterior
-from lunarsci.regolith.joint_model import FORCES
-from lunarsci.regolith.joint_predict import predict_forces
-from lunarsci.regolith.prior import PARAMETERS
+from lunarsci.regolith.joint_error import neighbours
+from lunarsci.regolith.joint_mode import Mode
+from lunarsci.regolith.joint_model import FORCES, forces_of_many
+from lunarsci.regolith.joint_problem import STEP
+from lunarsci.regolith.prior import PARAMETERS, values_of
+from lunarsci.regolith.states import MeasurementErrors
 from lunarsci.regolith.wheel import Wheel
 
-__all__ = ["PredictedStates", "belief_after", "predict_states"]
+__all__ = [
+    "LeftOut",
+    "PredictedForces",
+    "PredictedStates",
+    "belief_after",
+    "left_out",
+    "predict_forces",
+    "predict_states",
+    "stretch_of",
+]
 
 FloatArray = npt.NDArray[np.float64]
+MOST_STRETCH = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LeftOut:
+    """Residuals of a group of g states that was left out, whitened, state by state F_N, F_DP, F_L.
+
+    Attributes
+    ----------
+    states : which of all states. (n,)
+    away : residuals. (3 g,)
+    spread : their covariance, from the errors (1 on the diagonal) and the parameters. (3 g, 3 g)
+    """
+
+    states: npt.NDArray[np.bool_]
+    away: FloatArray
+    spread: FloatArray
+
+
+def left_out(mode: Mode, groups: npt.NDArray[np.intp]) -> list[LeftOut]:
+    """Each group predicted from the others, in a linear step from the mode.
+
+    With rows w of whitened residuals of a group, J their derivatives, H the curvature of all others and a states alike,
+    the residuals of a fit without it are (1 + J H^-1 J' / a) w, and their covariance is 1 + J H^-1 J'.
+    """
+    problem, width = mode.problem, mode.problem.width
+    rows = problem.white(mode.point[None])[0]
+    moved = problem.white(mode.point + np.diag(STEP * width))
+    slopes = (moved - rows).transpose(1, 2, 0) / (STEP * width)
+    kept = slopes[mode.kept].reshape(-1, len(width))
+    curvature = np.diag(width**-2) + kept.T @ kept / mode.alike
+    found = []
+    for number in range(groups.max() + 1):
+        own = np.asarray(groups == number, dtype=np.bool_)
+        inside = slopes[own & mode.kept].reshape(-1, len(width))
+        rest = np.linalg.inv(curvature - inside.T @ inside / mode.alike)
+        j, w = slopes[own].reshape(-1, len(width)), rows[own].ravel()
+        unknown = j @ rest @ j.T
+        found.append(LeftOut(own, w + unknown @ w / mode.alike, np.eye(len(w)) + unknown))
+    return found
+
+
+def stretch_of(mode: Mode) -> tuple[float, float, float]:
+    """How many times wider than stated errors of F_N, F_DP and F_L are where neighbours were left out, 1 to 3. [-]"""
+    groups = neighbours(mode.problem.inputs, mode.problem.wheel.radius_m)
+    squares, count = np.zeros(3), np.zeros(3)
+    for left in left_out(mode, groups):
+        good = np.isfinite(mode.problem.forces[left.states]) & mode.kept[left.states, None]
+        ratio = (left.away**2 / np.diag(left.spread)).reshape(-1, 3)
+        squares += np.where(good, ratio, 0.0).sum(axis=0)
+        count += good.sum(axis=0)
+    wide = np.clip(np.sqrt(squares / np.maximum(count, 1)), 1.0, MOST_STRETCH)
+    return (float(wide[0]), float(wide[1]), float(wide[2]))
+
+
+DRAWS = 200
+STEPS, SHALLOWEST, DEEPEST = 24, 1e-4, 0.95
+"""Halvings to the sinkage under a load; its range as a share of the radius."""
+LEAST_CARRIED = 0.05
+"""Share of its load that a wheel carries at least where the model misses the normal force."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PredictedForces:
+    """F_N, F_DP, F_L of n states.
+
+    Attributes
+    ----------
+    value : (n, 3) of the most probable soil. [N]
+    draws : (d, n, 3) of the predictive distribution of measured forces. [N]
+    sinkage_m : (d, n) at which they hold. [m]
+    """
+
+    value: FloatArray
+    draws: FloatArray
+    sinkage_m: FloatArray
+
+    def interval(self, share: float = 0.9) -> tuple[FloatArray, FloatArray]:
+        """Limits that hold measured forces with that probability, (n, 3) each. [N]"""
+        low, high = np.nanquantile(self.draws, (0.5 - share / 2, 0.5 + share / 2), axis=0)
+        return np.asarray(low), np.asarray(high)
+
+    def holds(self, measured: FloatArray, share: float = 0.9) -> npt.NDArray[np.bool_]:
+        """Whether measured forces (n, 3) lie in the interval of that share."""
+        low, high = self.interval(share)
+        return np.asarray((low <= measured) & (measured <= high))
+
+
+def predict_forces(
+    posterior: SoilPosterior,
+    wheel: Wheel,
+    slip_ratio: npt.ArrayLike,
+    side_slip_deg: npt.ArrayLike,
+    load_n: npt.ArrayLike,
+    sinkage_m: npt.ArrayLike | None = None,
+    *,
+    errors: MeasurementErrors | None = None,
+    draws: int = DRAWS,
+    seed: int = 0,
+) -> PredictedForces:
+    """What a wheel meets on the soil of a posterior.
+
+    Parameters
+    ----------
+    wheel : any, by its own radius, width and grousers; contact angles are the posterior's where it inferred them.
+    slip_ratio, side_slip_deg : (n,) s from -1 to 1, beta from -90 to 90. [-, deg]
+    load_n : (n,) above 0; the model's error is a share of it. [N]
+    sinkage_m : (n,) where it is known; else that under the load, of each draw. [m]
+    errors : of the states given and of the forces that will be measured; all zero for the forces themselves.
+
+    Returns
+    -------
+    Draws of the soil, of its contact, of the errors of measurement, and of the model's: a Student law with the tails of
+    the residuals, for each force and state its own; all as many times wider as states left out ask for. Where the
+    sinkage follows from the load, F_N is the load.
+
+    Raises ParameterError for loads out of range.
+    """
+    states = np.column_stack(np.broadcast_arrays(slip_ratio, side_slip_deg, load_n)).astype(float)
+    load, random = states[:, 2], np.random.default_rng(seed)
+    if not (load > 0).all():
+        raise ParameterError("a load is not above 0 N; forces are predicted as shares of it")
+    said = errors or MeasurementErrors()
+    best = values_of(posterior.prior, posterior.mode)
+    soils = posterior.draws[random.choice(len(posterior.draws), draws, replace=len(posterior.draws) < draws)]
+    share, depth, forces = np.array(posterior.verdict.model_error), np.empty((draws, len(load))), []
+    given = None if sinkage_m is None else np.broadcast_to(np.asarray(sinkage_m, dtype=float), load.shape)
+    for k, soil in enumerate(soils):
+        moved = states[:, :2] + random.standard_normal((len(load), 2)) * _spread(said, states)
+        if given is None:
+            carried = load * np.maximum(1 + share[0] * random.standard_normal(load.shape), LEAST_CARRIED)
+            depth[k] = _under(soil, moved, carried, wheel, posterior)
+        else:
+            deep = given + said.sinkage_m * random.standard_normal(load.shape)
+            depth[k] = np.clip(deep, SHALLOWEST * wheel.radius_m, DEEPEST * wheel.radius_m)
+        forces.append(_forces(soil, depth[k], moved, wheel, posterior))
+    all_forces = np.stack(forces)
+    here = _under(best, states[:, :2], load, wheel, posterior) if given is None else given
+    value = _forces(best, here, states[:, :2], wheel, posterior)
+    scale = np.sqrt((posterior.tail - 2) / posterior.tail)
+    noise = scale * random.standard_t(posterior.tail, all_forces.shape) * share * load[:, None]
+    noise += said.force_relative * np.abs(value) * random.standard_normal(all_forces.shape)
+    if given is None:
+        noise[..., 0], all_forces[..., 0], value[:, 0] = 0.0, load, load
+    return PredictedForces(value, value + np.array(posterior.stretch) * (all_forces + noise - value), depth)
+
+
+def _spread(errors: MeasurementErrors, states: FloatArray) -> FloatArray:
+    """Standard deviations of slip and side slip, (n, 2)."""
+    return np.column_stack([errors.of("slip_ratio", states[:, 0]), errors.of("side_slip_deg", states[:, 1])])
+
+
+def _forces(soil: FloatArray, z: FloatArray, motion: FloatArray, wheel: Wheel, posterior: SoilPosterior) -> FloatArray:
+    found = forces_of_many(soil[None], np.column_stack([z, motion]), wheel, posterior.model)[0]
+    return np.array(found.T, dtype=np.float64)
+
+
+def _under(
+    soil: FloatArray, motion: FloatArray, load: FloatArray, wheel: Wheel, posterior: SoilPosterior
+) -> FloatArray:
+    """Sinkage under loads; the deepest one where the soil carries less. (n,)"""
+    low, high = np.full(load.shape, SHALLOWEST * wheel.radius_m), np.full(load.shape, DEEPEST * wheel.radius_m)
+    for _ in range(STEPS):
+        middle = np.sqrt(low * high)
+        light = _forces(soil, middle, motion, wheel, posterior)[:, 0] < load
+        low, high = np.where(light, middle, low), np.where(light, high, middle)
+    return np.asarray(low)
+
+
 NAMES = ("value", "low90", "high90", "low68", "high68")
 
 

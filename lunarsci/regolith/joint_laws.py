@@ -19,7 +19,7 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.contact import DENSITY_KG_M3, ContactModel
 from lunarsci.regolith.joint import fit_soil, law_name, usable_states
 from lunarsci.regolith.joint_error import error_covariance, neighbours
-from lunarsci.regolith.joint_left_out import left_out
+from lunarsci.regolith.joint_forecast import left_out
 from lunarsci.regolith.joint_mode import Mode
 from lunarsci.regolith.prior import Law, contact_prior, default_prior
 from lunarsci.regolith.states import WheelStates

@@ -15,9 +15,9 @@ import numpy as np
 from lunarsci.errors import DataError
 from lunarsci.regolith.soil import Soil, read_soil
 from lunarsci.reproduce.numbers import Answer, Number, judge, published_numbers, published_value
-from lunarsci.reproduce.rolling import Rolling
+from lunarsci.reproduce.soil import Rolling
 from lunarsci.twin.ensemble import Prediction, predict
-from lunarsci.twin.ground.longji import synthetic_longji
+from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.judgement.quantities import along
 from lunarsci.twin.plans.path import planned_pose

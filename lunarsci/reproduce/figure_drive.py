@@ -17,7 +17,7 @@ from lunarsci.reproduce.drive import (
     medians,
 )
 from lunarsci.reproduce.numbers import published_value
-from lunarsci.reproduce.rolling import Rolling
+from lunarsci.reproduce.soil import Rolling
 from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.figures.relief import GOLD, INK, LIMIT, draw_ground, draw_planned, map_window
 

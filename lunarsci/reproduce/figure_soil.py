@@ -1,17 +1,23 @@
-"""Figures 4 and S13 of Ding et al. (2024): regions of the soil parameters, and Monte Carlo histograms."""
+"""Figures 4 and S13 of Ding et al. (2024): regions of the soil parameters, and Monte Carlo histograms.
+
+Names beside the points of a figure, kept off each other.
+
+Monte Carlo draws behind the published standard deviations, as the histograms of Ding et al. (2024), Fig. S13.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from lunarsci.regolith import inversion
 from lunarsci.regolith.compare import ReferenceSoil, lateral_soils, reference_soils
 from lunarsci.regolith.forces import reading_code, wheel_forces
+from lunarsci.regolith.identify import DRAWS
+from lunarsci.regolith.states import COLUMNS, MeasurementErrors
 from lunarsci.regolith.wheel import Wheel
-from lunarsci.reproduce.draws import SHEAR_MODULUS_M, histograms
-from lunarsci.reproduce.labels import place_names
 from lunarsci.reproduce.numbers import published_value
 from lunarsci.reproduce.soil import (
     BEARING_DOTS,
@@ -22,6 +28,7 @@ from lunarsci.reproduce.soil import (
     PHI_DEG,
     SIDE_SLIPS_DEG,
     SLIP,
+    STIFFNESS,
     TYPICAL,
     identified,
     published_soil,
@@ -31,8 +38,109 @@ from lunarsci.reproduce.soil import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.transforms import Bbox
 
-__all__ = ["soil_pages"]
+__all__ = ["Histogram", "histograms", "place_names", "soil_pages"]
+
+FloatArray = npt.NDArray[np.float64]
+SHEAR_MODULUS_M = 0.0178
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Histogram:
+    """Draws of a quantity, with the ids of its published mean and standard deviation, and a label with its unit."""
+
+    label: str
+    mean_id: str
+    sd_id: str
+    draws: FloatArray
+
+
+def histograms(wheel: Wheel, draws: int = DRAWS, seed: int = 0) -> tuple[Histogram, Histogram, Histogram]:
+    """N at 5 mm and K_s = 1443, K_s at 15 mm and N = 1, phi at c = 520 Pa and a slip ratio of -0.075.
+
+    Parameters
+    ----------
+    wheel : its lug height is not published and moves the last two a little.
+    draws : Monte Carlo sample size, 2 or more; the paper's 1024 by default. [-]
+    seed : of the random numbers, >= 0.
+
+    Draws without a solution are left out. Errors are those of `MeasurementErrors`, for phi without the sinkage's.
+    """
+    rng = np.random.default_rng(seed)
+
+    def stresses(sinkage_m: float, errors: MeasurementErrors, reading: str) -> FloatArray:
+        forces = stand_in_forces(wheel)
+        nominal = (sinkage_m, SLIP, np.nan, float(forces.normal_force_n), float(forces.drawbar_pull_n), np.nan)
+        values = np.array([nominal])
+        sigmas = np.column_stack([errors.of(name, values[:, k]) for k, name in enumerate(COLUMNS)])
+        sample = values + sigmas * rng.standard_normal((draws, len(COLUMNS)))
+        return np.asarray(inversion.invert_states(sample, wheel.vector(), SHEAR_MODULUS_M, reading_code(reading)))
+
+    shallow = stresses(0.005, MeasurementErrors(), "signed")
+    deep = stresses(0.015, MeasurementErrors(), "signed")
+    sheared = stresses(MEAN_SINKAGE_M, MeasurementErrors(sinkage_m=0.0), "slip-branch")
+    with np.errstate(all="ignore"):
+        exponent = inversion.sinkage_exponent(shallow[:, 0], shallow[:, 3], STIFFNESS)
+        stiffness = inversion.stiffness(deep[:, 0], deep[:, 3], 1.0)
+        angle = inversion.friction_angle(sheared[:, 0], sheared[:, 1], sheared[:, 4], COHESION_PA)
+    return (
+        _histogram("sinkage exponent N at 5 mm [-]", "exponent-5mm", "exponent-sd", exponent),
+        _histogram("stiffness K$_s$ at 15 mm [kPa m$^{-N}$]", "stiffness-15mm", "stiffness-sd-15mm", stiffness),
+        _histogram("internal friction angle φ at c = 520 Pa [°]", "friction-angle", "friction-angle-sd", angle),
+    )
+
+
+def _histogram(label: str, mean_id: str, sd_id: str, values: FloatArray) -> Histogram:
+    return Histogram(label, mean_id, sd_id, values[np.isfinite(values)])
+
+
+SIZE = 7.0
+PLACES = (
+    *((5.0, y, "left") for y in (3.0, -9.0, 12.0, -18.0)),
+    *((-5.0, y, "right") for y in (3.0, -9.0, 12.0, -18.0)),
+)
+"""Offsets that are tried in this order, and the side of the name that is at the point. [points]"""
+
+
+def place_names(axes: "Axes", points: Mapping[str, tuple[float, float]]) -> None:
+    """Name points in data coordinates, each at the first place where it covers no other name, no legend and no edge.
+
+    The figure must have been laid out. A name that finds no such place is left at its first one.
+    """
+    legend = axes.get_legend()
+    taken = [axes.transData.transform([point]).repeat(2, axis=0) for point in points.values()]
+    boxes = [_around(corners) for corners in taken]
+    if legend is not None:
+        boxes.append(legend.get_window_extent())
+    for name, point in points.items():
+        boxes.append(_place(axes, name, point, boxes))
+
+
+def _around(corners: object) -> "Bbox":
+    """A box of a marker's size about a point in pixels."""
+    from matplotlib.transforms import Bbox
+
+    return Bbox(corners).padded(3.0)  # type: ignore[arg-type]
+
+
+def _place(axes: "Axes", name: str, point: tuple[float, float], boxes: list["Bbox"]) -> "Bbox":
+    tried = []
+    for x, y, side in PLACES:
+        text = axes.annotate(
+            name, point, xytext=(x, y), textcoords="offset points", ha=side, fontsize=SIZE, color="0.35", zorder=5
+        )
+        box = text.get_window_extent()
+        inside = axes.bbox.x0 <= box.x0 and box.x1 <= axes.bbox.x1
+        if inside and not any(box.overlaps(other) for other in boxes):
+            break
+        tried.append((text, box))
+    else:
+        text, box = tried.pop(0)
+    for other, _ in tried:
+        other.remove()
+    return box
+
 
 Named = dict[str, tuple[float, float]]
 

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lunarsci.reproduce.numbers import published_value
-from lunarsci.reproduce.rocks import SMOOTHED_POINTS, Rocks
-from lunarsci.reproduce.spectra import high_calcium, low_calcium
+from lunarsci.reproduce.spectra import SMOOTHED_POINTS, Rocks, high_calcium, low_calcium
 from lunarsci.spectra.chemistry.figure import plane_pages
 from lunarsci.spectra.figure import fit_pages
 

@@ -2,17 +2,19 @@
 
 Wheel forces are not published. Two of the numbers stand for them here: K_s at 8 mm gives F_N / b, and the friction
 angle at a slip ratio of -0.075 gives F_DP, under the one reading of the shear law that has a solution there.
+
+The slip at which a rover rolls steadily down a slope: six equal wheels, no terrain, no rover between them.
 """
 
 import math
 import warnings
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 
-from lunarsci.errors import LunarSciWarning
+from lunarsci.errors import LunarSciWarning, ParameterError
 from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.compare import Site, compare_site, nearest, reference_soils
 from lunarsci.regolith.forces import WheelForces, contact_angles, wheel_forces
@@ -22,6 +24,7 @@ from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates
 from lunarsci.regolith.wheel import Wheel, read_wheel
 from lunarsci.reproduce.numbers import Answer, Number, judge, published_numbers
+from lunarsci.twin.rover import Rover
 
 __all__ = [
     "BEARING_DOTS",
@@ -34,11 +37,66 @@ __all__ = [
     "SLIP",
     "STIFFNESS",
     "TYPICAL",
+    "Rolling",
     "identified",
     "published_soil",
     "soil_numbers",
     "stand_in_forces",
 ]
+
+STEEPEST_DEG = 30.0
+SLIPS = (-0.6, 0.6)
+
+
+@dataclass(frozen=True, slots=True)
+class Rolling:
+    """A rover whose wheels share its weight equally and hold it back or push it alike, reading `signed`.
+
+    Attributes
+    ----------
+    wheel : of the rover.
+    weight_n : of the rover on each wheel, > 0. [N]
+    """
+
+    wheel: Wheel
+    weight_n: float
+
+    @classmethod
+    def of(cls, rover: Rover) -> "Rolling":
+        """The mean wheel of a rover."""
+        return cls(rover.wheel, rover.mass_kg * rover.gravity_m_s2 / len(rover.wheels))
+
+    def surplus_n(self, soil: Soil, slope_deg: float, slip_ratio: float) -> float:
+        """Force along a slope, downhill positive, that speeds a wheel up at a slip ratio; 0 in steady rolling. [N]"""
+        slope = math.radians(slope_deg)
+        sinkage = sinkage_under_load(self.wheel, soil, self.weight_n * math.cos(slope), slip_ratio)
+        pull = wheel_forces(self.wheel, soil, sinkage, slip_ratio).drawbar_pull_n
+        return float(pull) + self.weight_n * math.sin(slope)
+
+    def slip_ratio(self, soil: Soil, slope_deg: float) -> float:
+        """Slip ratio of steady rolling down a slope, negative for skid. [-]
+
+        Raises ParameterError where no slip within 0.6 balances the weight.
+        """
+        text = f"no slip within {SLIPS[1]} lets {self.weight_n:.1f} N a wheel roll steadily down {slope_deg:g} deg"
+        return _root(lambda slip: self.surplus_n(soil, slope_deg, slip), SLIPS, text)
+
+    def slope_deg(self, soil: Soil, slip_ratio: float) -> float:
+        """Slope down which a wheel rolls steadily at a slip ratio; negative is uphill. [deg]
+
+        Raises ParameterError where none within 30 deg does.
+        """
+        text = f"on no slope within {STEEPEST_DEG:g} deg {self.weight_n:.1f} N a wheel roll at a slip of {slip_ratio:g}"
+        return _root(lambda slope: self.surplus_n(soil, slope, slip_ratio), (-STEEPEST_DEG, STEEPEST_DEG), text)
+
+
+def _root(function: Callable[[float], float], span: tuple[float, float], text: str) -> float:
+    from scipy.optimize import brentq
+
+    if function(span[0]) * function(span[1]) > 0:
+        raise ParameterError(f"{text}; take another rover or soil")
+    return float(brentq(function, *span, xtol=1e-9))
+
 
 MEAN_SINKAGE_M, SLIP = 0.008, -0.075
 STIFFNESS, TYPICAL, PHI_DEG, COHESION_PA = 1443.0, 820.0, 21.5, 520.0

@@ -14,8 +14,7 @@ import numpy as np
 
 from lunarsci.errors import DataError
 from lunarsci.spectra.continuum import CONTINUA, Continuum, ContinuumName, continuum
-from lunarsci.spectra.noise import channel_noise
-from lunarsci.spectra.smoothing import savitzky_golay_operator
+from lunarsci.spectra.smoothing import channel_noise, savitzky_golay_operator
 from lunarsci.spectra.spectrum import BoolArray, FloatArray, Spectrum
 
 __all__ = ["BANDS", "Band", "BandFailure", "BandResult", "SpectrumBands", "measure_bands", "measure_batch"]

@@ -21,8 +21,7 @@ from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.twin.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.inference.discrepancy import MODEL_SHARES, Discrepancy
-from lunarsci.twin.inference.inflation import inflation_of, wheel_errors
+from lunarsci.twin.inference.discrepancy import MODEL_SHARES, Discrepancy, inflation_of, wheel_errors
 from lunarsci.twin.inference.misfit import FIX_ERROR_M, HUBER, POSITION, Misfit
 from lunarsci.twin.inference.mode import Mode, find_mode
 from lunarsci.twin.inference.population import draw_population

@@ -16,11 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from lunarsci.spectra.sun import sun_moon_distance_au
-from lunarsci.spectra.vnis.calibrate import calibrate
+from lunarsci.spectra.solar import sun_moon_distance_au
+from lunarsci.spectra.vnis.calibrate import calibrate, default_settings
 from lunarsci.spectra.vnis.detector import irradiance_at
 from lunarsci.spectra.vnis.observation import find_parts, read_observation
-from lunarsci.spectra.vnis.settings import default_settings
 from lunarsci.spectra.vnis.simulation.instrument import simulate
 from lunarsci.spectra.vnis.simulation.products import product_files
 from lunarsci.spectra.vnis.simulation.scene import Rock, Scene

@@ -27,7 +27,7 @@ from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction, predict
-from lunarsci.twin.ground.longji import roughness, synthetic_longji
+from lunarsci.twin.ground.synthetic import roughness, synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import build_rover

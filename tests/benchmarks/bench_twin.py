@@ -16,7 +16,7 @@ import numpy as np
 from lunarsci.regolith.forces import wheel_forces_kernel
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ensemble import Prediction, predict
-from lunarsci.twin.ground.longji import synthetic_longji
+from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.plans.plan import read_plan
 from lunarsci.twin.rover import build_rover
 

@@ -31,7 +31,7 @@ from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.contact import ContactModel
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.twin.ensemble import predict
-from lunarsci.twin.ground.longji import synthetic_longji
+from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.commands import wheel_commands
 from lunarsci.twin.plans.plan import Leg, Plan, read_plan

@@ -29,7 +29,7 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.forces import READINGS, wheel_forces
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ensemble import Prediction, predict
-from lunarsci.twin.ground.longji import synthetic_longji
+from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.plans.plan import read_plan
 from lunarsci.twin.rover import build_rover

@@ -19,7 +19,7 @@ from other_physics import PHYSICS, true_drive, widths, world_of
 
 from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.prior import PARAMETERS, values_of
-from lunarsci.twin.ground.longji import synthetic_longji
+from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover

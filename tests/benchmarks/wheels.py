@@ -30,8 +30,8 @@ from lunarsci.regolith.contact import ContactModel
 from lunarsci.regolith.fit_verdict import FitVerdict
 from lunarsci.regolith.integrals import contact_forces, moving_contact_forces
 from lunarsci.regolith.joint import infer_soil
+from lunarsci.regolith.joint_forecast import predict_forces
 from lunarsci.regolith.joint_laws import WheelLaw, candidates, compare_laws
-from lunarsci.regolith.joint_predict import predict_forces
 from lunarsci.regolith.load import sinkage_under_load, stiffness_under_load
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lunarsci.twin.ground.longji import synthetic_longji
+from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.plans.plan import read_plan
 
 Run = Callable[..., Any]

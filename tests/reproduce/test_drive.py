@@ -11,7 +11,7 @@ from lunarsci.regolith.load import sinkage_under_load
 from lunarsci.regolith.soil import read_soil
 from lunarsci.reproduce.drive import STAND_IN, Drives, drive_numbers, medians, predicted_drives
 from lunarsci.reproduce.numbers import Number, published_numbers
-from lunarsci.reproduce.rolling import Rolling
+from lunarsci.reproduce.soil import Rolling
 from lunarsci.twin.rover import build_rover
 
 ARCS = ((3.673, 0.154), (4.282, -0.132), (1.852, -0.138))

@@ -12,15 +12,13 @@ from matplotlib.patches import Circle, Rectangle
 
 from lunarsci.figure import picture_bytes
 from lunarsci.regolith.wheel import read_wheel
-from lunarsci.reproduce.draws import histograms
 from lunarsci.reproduce.drive import Drives, predicted_drives
 from lunarsci.reproduce.figure_drive import drive_pages
-from lunarsci.reproduce.figure_soil import soil_pages
+from lunarsci.reproduce.figure_soil import histograms, place_names, soil_pages
 from lunarsci.reproduce.figure_spectra import spectra_pages
-from lunarsci.reproduce.labels import place_names
 from lunarsci.reproduce.numbers import published_value
-from lunarsci.reproduce.rocks import fit_rocks
 from lunarsci.reproduce.soil import soil_numbers
+from lunarsci.reproduce.spectra import fit_rocks
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.simulation.scene import Composition, Material, surface_reflectance
 

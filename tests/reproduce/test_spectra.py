@@ -11,8 +11,15 @@ import pytest
 from lunarsci.errors import DataError
 from lunarsci.inputs import read_input
 from lunarsci.reproduce.numbers import Number, published_numbers
-from lunarsci.reproduce.rocks import Rocks, boulders, fit_rocks, olivine_share
-from lunarsci.reproduce.spectra import high_calcium, low_calcium, spectra_numbers
+from lunarsci.reproduce.spectra import (
+    Rocks,
+    boulders,
+    fit_rocks,
+    high_calcium,
+    low_calcium,
+    olivine_share,
+    spectra_numbers,
+)
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.simulation.scene import Composition, Material, surface_reflectance

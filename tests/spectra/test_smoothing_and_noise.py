@@ -5,8 +5,7 @@ import pytest
 from scipy.signal import savgol_filter
 
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.noise import channel_noise, scatter_noise
-from lunarsci.spectra.smoothing import savitzky_golay_operator
+from lunarsci.spectra.smoothing import channel_noise, savitzky_golay_operator, scatter_noise
 from lunarsci.spectra.spectrum import Spectrum
 
 GRID = np.arange(450.0, 2396.0, 5.0)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.sun import sun_moon_distance_au
+from lunarsci.spectra.solar import sun_moon_distance_au
 
 WITHOUT_NETWORK = """
 import socket
@@ -21,7 +21,7 @@ def refuse(*arguments, **options):
 
 socket.socket = socket.create_connection = socket.getaddrinfo = refuse
 from datetime import UTC, datetime
-from lunarsci.spectra.sun import sun_moon_distance_au
+from lunarsci.spectra.solar import sun_moon_distance_au
 for year in (1950, 2019, 2024, 2099):
     sun_moon_distance_au(datetime(year, 7, 1, tzinfo=UTC))
 import sys

@@ -11,7 +11,7 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.forces import wheel_forces
 from lunarsci.regolith.soil import Soil
 from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
-from lunarsci.twin.ground.longji import synthetic_longji
+from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import build_terrain
 from lunarsci.twin.judgement.tables import state_table
 from lunarsci.twin.plans.plan import Plan, read_plan

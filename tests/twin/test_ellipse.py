@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from lunarsci.twin.judgement.ellipse import error_ellipse, scale_of
+from lunarsci.twin.judgement.endpoint import error_ellipse, scale_of
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 30.0, 90.0, 179.0])

@@ -9,7 +9,7 @@ import pytest
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ensemble import PATH_COLUMNS, Prediction, member_parameters, predict
 from lunarsci.twin.figures.fan import path_fan
-from lunarsci.twin.ground.longji import synthetic_longji
+from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.judgement.endpoint import covering_circle
 from lunarsci.twin.judgement.quantities import tilt_deg

@@ -15,7 +15,7 @@ from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.regolith.soil import Soil
 from lunarsci.twin.ensemble import STATE_COLUMNS, predict
 from lunarsci.twin.force_soil import ForceSoil, Round, force_soil, verdict_of
-from lunarsci.twin.ground.longji import synthetic_longji
+from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.held import forces_along
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.motion_draws import drawn_motions

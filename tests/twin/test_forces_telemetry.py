@@ -14,9 +14,9 @@ from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
-from lunarsci.twin.ground.longji import synthetic_longji
+from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.held import forces_along
-from lunarsci.twin.judgement.force_table import force_table
+from lunarsci.twin.judgement.load_check import force_table
 from lunarsci.twin.plans.motion import Motion, read_motion
 from lunarsci.twin.plans.motion_draws import correlation_of, drawn_motions
 from lunarsci.twin.plans.plan import Leg, Plan

@@ -9,7 +9,7 @@ import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
-from lunarsci.twin.ground.longji import synthetic_longji
+from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.held import HeldForces, forces_along
 from lunarsci.twin.plans.motion import Motion, read_motion
 from lunarsci.twin.plans.plan import Leg, Plan

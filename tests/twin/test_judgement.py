@@ -7,8 +7,7 @@ import pytest
 
 from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction
 from lunarsci.twin.judgement.load_check import check_loads, load_notes
-from lunarsci.twin.judgement.safety import judge
-from lunarsci.twin.judgement.validity import validity
+from lunarsci.twin.judgement.safety import judge, validity
 from lunarsci.twin.plans.plan import Limit
 from lunarsci.twin.simulation.outcomes import HOLE, LEFT
 

@@ -16,7 +16,7 @@ from lunarsci.regolith.integrals import NODES, WEIGHTS, contact_forces
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.regolith.soil import Soil
 from lunarsci.twin.ensemble import STATE_COLUMNS, predict
-from lunarsci.twin.ground.longji import synthetic_longji
+from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover

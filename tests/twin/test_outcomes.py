@@ -10,7 +10,7 @@ import pytest
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.soil import Soil
 from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
-from lunarsci.twin.ground.longji import synthetic_longji
+from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.plans.plan import Fixes, Leg, Plan, parse_sweep
 from lunarsci.twin.plans.schedule import make_schedule

@@ -13,13 +13,13 @@ from lunarsci.regolith.soil import read_soil
 from lunarsci.rovers.description import read_rover
 from lunarsci.twin.footprint import rover_footprint, swept_nodes
 from lunarsci.twin.ground.hazards import Traversability, assess, ground_maps, map_scales
-from lunarsci.twin.ground.longji import synthetic_longji
 from lunarsci.twin.ground.mobility import read_mobility
+from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.plans.path import arc_end, planned_pose
 from lunarsci.twin.plans.plan import check_plan, parse_sweep, read_plan
 from lunarsci.twin.plans.plan_files import plan_text, write_plan
-from lunarsci.twin.routes.closing import close_on_point, close_on_pose
+from lunarsci.twin.routes.arc_search import close_on_point, close_on_pose
 from lunarsci.twin.routes.planner import PlannedPath, path_table, plan_path
 from lunarsci.twin.rover import Rover, build_rover
 

@@ -10,7 +10,7 @@ from quasi_static_forces import height_of, wheel_forces
 
 from lunarsci.regolith.soil import Soil, read_soil
 from lunarsci.twin.ensemble import STATE_COLUMNS
-from lunarsci.twin.ground.longji import synthetic_longji
+from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover, build_rover

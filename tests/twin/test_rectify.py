@@ -11,7 +11,7 @@ from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.regolith.states import MeasurementErrors
 from lunarsci.twin.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
-from lunarsci.twin.ground.longji import synthetic_longji
+from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rectify import Rectified, rectify

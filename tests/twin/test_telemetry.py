@@ -13,7 +13,7 @@ from lunarsci.inputs import InputFile
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.drive_record import read_record
 from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
-from lunarsci.twin.ground.longji import synthetic_longji
+from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.plans.motion import read_motion
 from lunarsci.twin.plans.plan import Fixes, Leg, Plan, read_plan

@@ -9,7 +9,7 @@ import pytest
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
 from lunarsci.twin.ensemble import STATE_COLUMNS, predict
-from lunarsci.twin.ground.longji import synthetic_longji
+from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.telemetry.findings import Findings

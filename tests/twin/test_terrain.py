@@ -11,7 +11,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from lunarsci.errors import DataError, OutputError, ParameterError
 from lunarsci.regolith.soil import Soil
-from lunarsci.twin.ground.longji import CRATERS, crater_height, synthetic_longji
+from lunarsci.twin.ground.synthetic import CRATERS, crater_height, synthetic_longji
 from lunarsci.twin.ground.terrain import (
     Grid,
     Terrain,

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.spectra.mgm.data import MgmData, prepare
 from lunarsci.spectra.mgm.fit import CONTINUUM_QUANTILE, DEFAULT_MODEL_ERROR, FIRST_STRENGTH
 from lunarsci.spectra.mgm.forward import model_and_jacobian
-from lunarsci.spectra.mgm.model import TIE_SIGMA, MgmModel
+from lunarsci.spectra.mgm.model import TIE_SIGMA, MgmData, MgmModel, prepare
 from lunarsci.spectra.mgm.result import FittedBand, MgmFailure, MgmFit, StrengthRatio, band_strength_ratios
 from lunarsci.spectra.spectrum import FloatArray, Spectrum
 

@@ -10,11 +10,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lunarsci.compiled import compiled
-from lunarsci.spectra.mgm.cholesky import padded_matrix
-from lunarsci.spectra.mgm.curvature import update
+from lunarsci.spectra.mgm.covariance import update
 from lunarsci.spectra.mgm.lanes import LANES, aligned, load, store
 from lunarsci.spectra.mgm.moments import BLOCK, ORIGIN, evaluate, rows_of_sums, rows_of_work
-from lunarsci.spectra.mgm.normal import clip_to_bounds, free_again, predicted_decrease, prior_pull, solve_step
+from lunarsci.spectra.mgm.normal import (
+    clip_to_bounds,
+    free_again,
+    padded_matrix,
+    predicted_decrease,
+    prior_pull,
+    solve_step,
+)
 
 __all__ = [
     "CONVERGED", "ITERATION_LIMIT", "NOT_FINITE", "Channels", "Room", "Rules", "Task", "channels_of", "descend",

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from lunarsci.compiled import VECTORS, compiled
-from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA, residuals
-from lunarsci.spectra.mgm.gaussian import gaussian
+from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA, gaussian, residuals
 from lunarsci.spectra.mgm.normal import prior_share
 
 __all__ = ["RIDGE", "correct_coarse", "energies_of", "force_of", "lower_factor", "solve_lower"]

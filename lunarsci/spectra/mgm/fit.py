@@ -5,9 +5,8 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.spectra.mgm.data import MgmData, prepare
 from lunarsci.spectra.mgm.describe import describe
-from lunarsci.spectra.mgm.model import MgmModel
+from lunarsci.spectra.mgm.model import MgmData, MgmModel, prepare
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 from lunarsci.spectra.spectrum import FloatArray, Spectrum
 

@@ -8,8 +8,7 @@ sums are taken over a few channels at a time, which stay in the fastest memory.
 from typing import Any
 
 from lunarsci.compiled import compiled
-from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA
-from lunarsci.spectra.mgm.gaussian import bell, logarithm
+from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA, bell, logarithm
 from lunarsci.spectra.mgm.lanes import choose, load, lowest, spread, store
 
 __all__ = ["BLOCK", "MOMENTS", "ORIGIN", "evaluate", "rows_of_sums", "rows_of_work"]

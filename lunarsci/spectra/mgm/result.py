@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from lunarsci.spectra.mgm.assemblages import BandPrior
-from lunarsci.spectra.mgm.data import MgmData
-from lunarsci.spectra.mgm.model import MgmModel
+from lunarsci.spectra.mgm.model import MgmData, MgmModel
 from lunarsci.spectra.spectrum import FloatArray
 
 __all__ = ["FittedBand", "MgmFailure", "MgmFit", "StrengthRatio", "band_strength_ratios"]

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.mgm.intervals import Interval, Intervals, ratios_of
 from lunarsci.spectra.mgm.model import MgmModel, unit_of
+from lunarsci.spectra.mgm.profile import Interval, Intervals, ratios_of
 from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.mgm.sampler import run_population
 from lunarsci.spectra.spectrum import FloatArray

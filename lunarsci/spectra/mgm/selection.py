@@ -1,7 +1,10 @@
-"""Which minerals a spectrum speaks for: every assemblage fitted, compared by evidence."""
+"""Which minerals a spectrum speaks for: every assemblage fitted, compared by evidence.
+
+How much a spectrum speaks for an assemblage: Laplace's approximation of the logarithm of the evidence.
+"""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,16 +12,116 @@ import numpy as np
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.continuum import upper_hull
-from lunarsci.spectra.mgm.assemblages import FAMILIES, assemblage
+from lunarsci.spectra.mgm.assemblages import FAMILIES, BandPrior, assemblage
 from lunarsci.spectra.mgm.continuum import MgmContinuum
-from lunarsci.spectra.mgm.data import MgmData, prepare
-from lunarsci.spectra.mgm.evidence import ln_evidence
 from lunarsci.spectra.mgm.fit import fit_data
-from lunarsci.spectra.mgm.model import DEFAULT_CONTINUUM, MgmModel, mgm_model
+from lunarsci.spectra.mgm.forward import model_and_jacobian
+from lunarsci.spectra.mgm.model import DEFAULT_CONTINUUM, MgmData, MgmModel, mgm_model, prepare
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
-from lunarsci.spectra.spectrum import FloatArray, Spectrum
+from lunarsci.spectra.spectrum import BoolArray, FloatArray, Spectrum
 
-__all__ = ["DEFAULT_CHOICE_STARTS", "STRONG", "Candidate", "Choice", "choose", "stated_for"]
+__all__ = [
+    "DEFAULT_CHOICE_STARTS",
+    "STRONG",
+    "Candidate",
+    "Choice",
+    "choose",
+    "ln_all_negative",
+    "ln_evidence",
+    "stated_for",
+]
+
+NODES = 80
+LN_2PI = math.log(2.0 * math.pi)
+
+
+def ln_evidence(fit: MgmFit) -> float:
+    """ln of the probability of the spectrum given the assemblage, to a constant of the data and the continuum.
+
+    The posterior is taken as normal about the fit: with f the objective there, Q the prior's precision, H half the
+    Hessian of the objective (Gauss-Newton) and k the number of band parameters,
+
+        ln Z = -f/2 + ln det(Q)/2 - ln P - ln det(H)/2 + ln T,
+
+    powers of 2 pi cancelling but for the continuum's. Strengths are 0 or below: P is the share of the prior there and
+    T that of the normal posterior. A parameter that the data press against a bound has the integral of a one-sided
+    normal law instead. Comparable between assemblages under the same continuum, data and model error, and dependent on
+    the widths of the priors. Against sampling it is right to 0.02 where the data tell the bands, off by 0.1-0.4 where
+    strengths are within their errors of 0, and by up to 1.4 where errors are a hundredth of the bands or less.
+
+    Raises
+    ------
+    ParameterError for a model with fixed parameters, whose prior is not normalised here. NaN where the fit has no
+    finite curvature.
+
+    References
+    ----------
+    Kass & Raftery (1995), J. Am. Stat. Assoc. 90, 773, 10.1080/01621459.1995.10476572.
+    """
+    model, point = fit.model, fit.parameters
+    if model.fixed.any():
+        raise ParameterError(f"{fit.id}: the evidence of a model with fixed parameters is not defined; free them")
+    wavelength = fit.data.wavelength_nm
+    found = model_and_jacobian(point, wavelength / 1e3, model.basis(wavelength), model.logarithmic)
+    if found is None:
+        return math.nan
+    ln_model, jacobian = found
+    m, away = model.degrees, point - model.prior
+    residual = np.log(fit.data.reflectance) - ln_model
+    pull = model.precision @ away
+    objective = float(fit.data.weight @ residual**2 + away @ pull)
+    gradient = pull - jacobian @ (fit.data.weight * residual)
+    curvature = (jacobian * fit.data.weight) @ jacobian.T + model.precision
+    held = (point <= model.lower) | (point >= model.upper)
+    prior = 0.5 * _ln_det(model.precision[m:, m:]) - ln_all_negative(model.assemblage.bands)
+    width = 0.5 * m * LN_2PI + _ln_volume(curvature, gradient, point, held, m)
+    return -0.5 * objective + prior + width
+
+
+def ln_all_negative(bands: Iterable[BandPrior]) -> float:
+    """ln of the prior probability that all strengths are below 0, were they normal with mean 0 and not bounded.
+
+    Strengths of one mineral share its amount a: P = integral of N(a) product over bands of Phi(-l a / sqrt(1 - l^2)),
+    l the loading of the band; a half for a band alone. By Gauss-Hermite quadrature.
+    """
+    from scipy.special import log_ndtr
+
+    nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
+    loadings: dict[str, list[float]] = {}
+    for band in bands:
+        loadings.setdefault(band.mineral, []).append(band.strength_loading)
+    total = 0.0
+    for shared in loadings.values():
+        load = np.array(shared)
+        steep = -load / np.sqrt(1.0 - load**2)
+        inside = np.exp(log_ndtr(np.outer(nodes, steep)).sum(axis=1))
+        total += math.log(float(weights @ inside) / math.sqrt(2.0 * math.pi))
+    return total
+
+
+def _ln_det(matrix: FloatArray) -> float:
+    sign, value = np.linalg.slogdet(matrix)
+    return float(value) if sign > 0 else math.nan
+
+
+def _ln_volume(curvature: FloatArray, gradient: FloatArray, point: FloatArray, held: BoolArray, m: int) -> float:
+    """ln of the integral of the posterior over its value at `point`, less k/2 ln 2 pi and m/2 ln 2 pi."""
+    from scipy.special import erfcx, log_ndtr
+
+    free = ~held
+    block = curvature[np.ix_(free, free)]
+    if math.isnan(volume := -0.5 * _ln_det(block)):
+        return math.nan
+    inverse = np.linalg.inv(block)
+    cross = curvature[np.ix_(held, free)]
+    bend = np.diag(curvature[np.ix_(held, held)] - cross @ inverse @ cross.T)
+    slope = np.abs(gradient[held]) / np.sqrt(bend)
+    volume += float(np.sum(np.log(0.5 * erfcx(slope / math.sqrt(2.0))) - 0.5 * np.log(bend)))
+    strengths = np.arange(m + 2, point.size, 3)
+    strengths = strengths[free[strengths]]
+    sigma = np.sqrt(np.diag(inverse))[np.cumsum(free)[strengths] - 1]
+    return volume + float(log_ndtr(-point[strengths] / sigma).sum())
+
 
 STRONG = 3.0
 """ln of a Bayes factor of 20, from which on Kass & Raftery (1995) call evidence strong."""

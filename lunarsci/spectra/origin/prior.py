@@ -21,8 +21,14 @@ import numpy as np
 
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.origin.catalogue import OLDEST_MA, Crater
-from lunarsci.spectra.origin.ejecta import EjectaLaw, ejecta_thickness_m, local_to_ejecta_ratio
-from lunarsci.spectra.origin.exposure import MEASURED_SIZE_M, Range, survival
+from lunarsci.spectra.origin.ejecta import (
+    MEASURED_SIZE_M,
+    EjectaLaw,
+    Range,
+    ejecta_thickness_m,
+    local_to_ejecta_ratio,
+    survival,
+)
 from lunarsci.spectra.origin.sphere import Point, distance_km
 from lunarsci.spectra.spectrum import FloatArray
 

@@ -1,7 +1,14 @@
 """Photometry of the Moon: from the reflectance factor seen at some geometry to that at 30, 0, 30 deg."""
 
-from lunarsci.spectra.photometry.correction import correction_factor, model_spread, remarks
-from lunarsci.spectra.photometry.disk import DISKS, akimov, lommel_seeliger, mcewen
+from lunarsci.spectra.photometry.correction import (
+    DISKS,
+    akimov,
+    correction_factor,
+    lommel_seeliger,
+    mcewen,
+    model_spread,
+    remarks,
+)
 from lunarsci.spectra.photometry.geometry import STANDARD, Geometry, phase_angle_deg
 from lunarsci.spectra.photometry.phase import (
     PHASE_FUNCTIONS,

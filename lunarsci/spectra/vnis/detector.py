@@ -5,11 +5,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from lunarsci.spectra.noise import scatter_noise
 from lunarsci.spectra.photometry import Geometry, correction_factor
-from lunarsci.spectra.solar import SolarSpectrum, in_band_irradiance
+from lunarsci.spectra.smoothing import scatter_noise
+from lunarsci.spectra.solar import SolarSpectrum, in_band_irradiance, sun_moon_distance_au
 from lunarsci.spectra.spectrum import FloatArray
-from lunarsci.spectra.sun import sun_moon_distance_au
+from lunarsci.spectra.vnis.calibrate import Settings
 from lunarsci.spectra.vnis.channels import (
     SUB_BAND_STEP_NM,
     SWIR_NM,
@@ -21,7 +21,6 @@ from lunarsci.spectra.vnis.channels import (
 )
 from lunarsci.spectra.vnis.label import Label
 from lunarsci.spectra.vnis.reflectance import reflectance_factor
-from lunarsci.spectra.vnis.settings import Settings
 
 __all__ = ["DetectorSpectrum", "irradiance_at", "measure"]
 

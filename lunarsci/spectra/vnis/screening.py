@@ -1,4 +1,7 @@
-"""What of an observation is used, and what the reader should know: pixels, channels, levels, factors of the joining."""
+"""What of an observation is used, and what the reader should know: pixels, channels, levels, factors of the joining.
+
+Channels that cannot be radiances of lit ground: too bright, too dark, or far from their neighbours.
+"""
 
 import warnings
 
@@ -7,16 +10,65 @@ import numpy as np
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.spectra.photometry import remarks
 from lunarsci.spectra.spectrum import BoolArray, FloatArray
+from lunarsci.spectra.vnis.calibrate import Settings
 from lunarsci.spectra.vnis.channels import SWIR_NM, VNIR_NM, Detector
 from lunarsci.spectra.vnis.detector import DetectorSpectrum, measure
 from lunarsci.spectra.vnis.footprint import SHADOW_BAND_NM, Footprint, average_footprint
 from lunarsci.spectra.vnis.label import Label
 from lunarsci.spectra.vnis.observation import Observation
-from lunarsci.spectra.vnis.outliers import check_jumps, outlying
-from lunarsci.spectra.vnis.settings import Settings
 from lunarsci.spectra.vnis.splice import GAIN_LIMIT, STEP_LIMIT, Splice, find_splice
 
-__all__ = ["Notes", "bad_swir", "bad_vnir", "closing_remarks", "lit_footprint", "measured", "spliced"]
+__all__ = [
+    "Notes",
+    "bad_swir",
+    "bad_vnir",
+    "check_jumps",
+    "closing_remarks",
+    "lit_footprint",
+    "measured",
+    "outlying",
+    "spliced",
+]
+
+_RANGE = (0.001, 2.0)
+"""Reflectance factors that lit lunar ground may have; assumed. [-]"""
+_NEIGHBOURS = 11
+_FAR = 0.3
+"""ln R this far from the median of eleven channels is no rock: the steepest of 172 laboratory spectra (RELAB, 5 nm)
+deviates by less than 0.1. [-]"""
+_SIDE = 5
+
+
+def outlying(reflectance: FloatArray) -> BoolArray:
+    """True for channels outside 0.001-2 or more than a third off the median of their neighbours; shape (n,)."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        absurd = np.isfinite(reflectance) & ~((reflectance >= _RANGE[0]) & (reflectance <= _RANGE[1]))
+        ln = np.log(np.where(absurd | ~(reflectance > 0), np.nan, reflectance))
+    known = np.flatnonzero(np.isfinite(ln))
+    if known.size < _NEIGHBOURS:
+        return absurd
+    padded = np.pad(ln[known], _NEIGHBOURS // 2, mode="reflect")
+    middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, _NEIGHBOURS), axis=1)
+    far = np.zeros_like(absurd)
+    far[known] = np.abs(ln[known] - middle) > _FAR
+    return np.asarray(absurd | far, dtype=np.bool_)
+
+
+def check_jumps(id: str, name: str, wavelength_nm: FloatArray, reflectance: FloatArray) -> None:
+    """Raise DataError where five channels and the next five differ by more than a third: blocks of another scale."""
+    known = np.flatnonzero(np.isfinite(reflectance))
+    if known.size < 2 * _SIDE:
+        return
+    middle = np.median(np.lib.stride_tricks.sliding_window_view(np.log(reflectance[known]), _SIDE), axis=1)
+    jump = np.abs(middle[_SIDE:] - middle[:-_SIDE])
+    worst = int(jump.argmax())
+    if jump[worst] > _FAR:
+        place = wavelength_nm[known[worst + _SIDE]]
+        share = 100 * (np.exp(jump[worst]) - 1)
+        raise DataError(
+            f"{id}: {name} jumps by {share:.0f} % near {place:g} nm, which no rock does; fetch its data file again"
+        )
+
 
 # What is too little, too dark or too bright to go on with: assumed, each far from what the public spectra have.
 _LEAST_LIT = 0.01

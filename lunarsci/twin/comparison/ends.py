@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.twin.comparison.meeting import Meeting
-from lunarsci.twin.comparison.scores import energy_score
 from lunarsci.twin.comparison.tail import Standing, inside, region_edge, spread_of, standing
-from lunarsci.twin.judgement.ellipse import ErrorEllipse
+from lunarsci.twin.comparison.verdict import energy_score
+from lunarsci.twin.judgement.endpoint import ErrorEllipse
 
 __all__ = ["REGIONS", "EndCheck", "FixCheck", "PathCheck", "check_end", "check_path", "region_ellipse"]
 

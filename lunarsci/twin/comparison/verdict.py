@@ -1,13 +1,18 @@
-"""A prediction held against a drive, and whether it was to be trusted."""
+"""A prediction held against a drive, and whether it was to be trusted.
+
+Whether the bands of the wheel states hold as many of them as they should.
+
+How well a sharp prediction met what came: continuous ranked probability score, energy score, and ranks.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
-from lunarsci.twin.comparison.bands import ALL, BandCheck, check_bands
-from lunarsci.twin.comparison.coverage import Coverage, check_coverage
+from lunarsci.twin.comparison.bands import ALL, NOMINAL, BandCheck, check_bands, half_band
 from lunarsci.twin.comparison.ends import EndCheck, PathCheck, check_end, check_path
 from lunarsci.twin.comparison.forecast import Forecast
 from lunarsci.twin.comparison.meeting import Meeting
@@ -16,7 +21,130 @@ from lunarsci.twin.comparison.tail import Standing
 from lunarsci.twin.drive_record import OBSERVED
 from lunarsci.twin.simulation.contact_frame import DEEPEST, VALID_SLIP
 
-__all__ = ["ALARM", "LEAST_MEMBERS", "Comparison", "compare"]
+__all__ = [
+    "ALARM",
+    "LEAST_MEMBERS",
+    "Comparison",
+    "Coverage",
+    "check_coverage",
+    "compare",
+    "crps",
+    "energy_score",
+    "predictive_rank",
+]
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def crps(observed: FloatArray, members: FloatArray) -> FloatArray:
+    """Continuous ranked probability score of ensembles (M, n) for observed values (n,), in their unit; 0 is best.
+
+    E|X - y| - E|X - X'|/2, the second without pairs of a member with itself, so that small ensembles are not punished:
+    T. Gneiting & A. Raftery (2007), J. Am. Stat. Assoc. 102, 359, 10.1198/016214506000001437; C. Ferro (2014), Q. J. R.
+    Meteorol. Soc. 140, 1917, 10.1002/qj.2270. For a single member it is the absolute error.
+    """
+    count = len(members)
+    near = np.abs(members - observed).mean(axis=0)
+    if count < 2:
+        return np.asarray(near)
+    weights = 2.0 * np.arange(1, count + 1) - count - 1.0
+    pairs = (weights[:, None] * np.sort(members, axis=0)).sum(axis=0)
+    return np.asarray(near - pairs / (count * (count - 1.0)))
+
+
+def energy_score(observed: FloatArray, members: FloatArray) -> float:
+    """The same for a place (2,) and the members' places (M, 2), with distances in the place of differences. [m]"""
+    count = len(members)
+    near = float(np.hypot(*(members - observed).T).mean())
+    if count < 2:
+        return near
+    from scipy.spatial.distance import pdist
+
+    return near - float(pdist(members).mean()) / 2.0
+
+
+def predictive_rank(observed: FloatArray, sigma: FloatArray, members: FloatArray) -> FloatArray:
+    """Probability that the prediction gave to less than each observed value, 0 to 1: even if the prediction is right.
+
+    The prediction of a measured value is the mixture of the members (M, n) with normal errors sigma (n,): probability
+    integral transform of A. P. Dawid (1984), J. R. Stat. Soc. A 147, 278, 10.2307/2981683. Half a rank keeps it off 0
+    and 1.
+    """
+    from scipy.special import ndtr
+
+    total = np.zeros(observed.shape)
+    for member in members:
+        total += ndtr((observed - member) / sigma)
+    return np.asarray((total + 0.5) / (len(members) + 1.0))
+
+
+MOST_REFERENCES = 400
+"""Members whose coverage is worked out, beside which that of the drive is held; more would add nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Coverage:
+    """Shares of values in their 90 % bands, against those that members have.
+
+    Attributes
+    ----------
+    p : quantity to the probability of no larger a share, were the prediction right.
+    worst, worst_p : the quantity with the smallest, and the probability that any has one as small.
+    """
+
+    p: dict[str, float]
+    worst: str
+    worst_p: float
+
+
+def check_coverage(meeting: Meeting, bands: Sequence[BandCheck], seed: int = 0) -> Coverage | None:
+    """Hold the shares of all wheels against those of the members.
+
+    Each member, with errors of measurement, is put beside the bands of the others: (1 + those with no larger share) /
+    (M + 1) is the probability, whatever values share. Where no member has so small a share, it falls from there as the
+    binomial law does, with the effective number of values. None with fewer than three members or without values.
+    """
+    checks = [band for band in bands if band.wheel == ALL and band.coverage_90 is not None]
+    if not checks or len(meeting.members) < 4:
+        return None
+    members = np.stack([_shares(meeting, check.quantity, [seed, k]) for k, check in enumerate(checks)])
+    own = np.array([check.coverage_90 for check in checks], dtype=float)
+    count = members.shape[1]
+    fewer = (members <= own[:, None] + 1e-12).sum(axis=1)
+    falls = [_fall(check, *pair) for check, *pair in zip(checks, own, members.min(axis=1), strict=True)]
+    each = (1 + fewer) / (count + 1) * np.where(fewer > 0, 1.0, falls)
+    ranked = (members[:, None, :] <= members[:, :, None] + 1e-12).sum(axis=2) / (count + 1)
+    worst = int(each.argmin())
+    as_bad = int((ranked.min(axis=0) <= (1 + fewer[worst]) / (count + 1) - 1e-12).sum()) if fewer[worst] else 0
+    together = (1 + as_bad) / (count + 1) * (1.0 if fewer[worst] else falls[worst])
+    names = [check.quantity for check in checks]
+    return Coverage(dict(zip(names, map(float, each), strict=True)), names[worst], float(together))
+
+
+def _fall(check: BandCheck, share: float, least: float) -> float:
+    """Binomial probability of the share over that of the least share of a member, at most 1. [-]"""
+    from scipy.stats import binom
+
+    values = max(int(check.effective), 1)
+    own, other = (binom.cdf(np.floor(one * values), values, NOMINAL) for one in (share, least))
+    return min(float(own / max(other, 1e-300)), 1.0)
+
+
+def _shares(meeting: Meeting, name: str, seed: Sequence[int]) -> FloatArray:
+    """Share of each member's values in the bands of the others."""
+    column = OBSERVED.index(name)
+    rows = meeting.known[:, column]
+    members, sigma = meeting.predicted[:, rows, column], meeting.sigma[rows, column]
+    count, random, mean = len(members), np.random.default_rng(seed), members.mean(axis=0)
+    scatter = ((members - mean) ** 2).sum(axis=0)
+    shares = []
+    for m in np.unique(np.linspace(0, count - 1, min(count, MOST_REFERENCES)).astype(np.int64)):
+        off = members[m] - mean
+        variance = (scatter - count / (count - 1) * off**2) / (count - 2) * (1.0 + 1.0 / (count - 1)) + sigma**2
+        away = members[m] + sigma * random.standard_normal(sigma.shape) - (mean - off / (count - 1))
+        shares.append((np.abs(away) <= half_band(count - 1) * np.sqrt(variance)).mean())
+    return np.array(shares)
+
 
 ALARM = 0.01
 """Probability below which a drive is none of those that were predicted. All tests together raise a false alarm in 2 to

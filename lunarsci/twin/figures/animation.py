@@ -25,9 +25,9 @@ from lunarsci.twin.figures.relief import (
     shown_members,
 )
 from lunarsci.twin.footprint import Footprint, rover_outline
-from lunarsci.twin.judgement.profiles import spread
 from lunarsci.twin.judgement.quantities import abscissa, along
 from lunarsci.twin.judgement.safety import Verdict
+from lunarsci.twin.judgement.tables import spread
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

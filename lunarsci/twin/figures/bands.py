@@ -7,9 +7,9 @@ import numpy.typing as npt
 
 from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.figures.relief import ACCENT, INK, LIMIT
-from lunarsci.twin.judgement.profiles import spread
 from lunarsci.twin.judgement.quantities import abscissa, along
 from lunarsci.twin.judgement.safety import Verdict
+from lunarsci.twin.judgement.tables import spread
 from lunarsci.twin.plans.plan import AT_LEAST
 
 if TYPE_CHECKING:

@@ -17,8 +17,7 @@ from lunarsci.twin.figures.relief import (
     shown_members,
 )
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.judgement.ellipse import ErrorEllipse, scale_of
-from lunarsci.twin.judgement.endpoint import Endpoint
+from lunarsci.twin.judgement.endpoint import Endpoint, ErrorEllipse, scale_of
 from lunarsci.twin.judgement.quantities import abscissa
 from lunarsci.twin.judgement.safety import Verdict
 

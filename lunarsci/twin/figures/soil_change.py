@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lunarsci.twin.drive_pieces import way_of, wheel_places
 from lunarsci.twin.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.rectify import Rectified
+from lunarsci.twin.soil_change import way_of, wheel_places
 from lunarsci.twin.soil_zones import SoilChange
 
 if TYPE_CHECKING:

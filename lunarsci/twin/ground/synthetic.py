@@ -1,4 +1,7 @@
-"""Made-up ground of stated slope, craters, rocks and roughness."""
+"""Made-up ground of stated slope, craters, rocks and roughness.
+
+A synthetic stand-in for the terrain at Longji, whose elevation model is not public.
+"""
 
 import math
 
@@ -7,13 +10,90 @@ import numpy.typing as npt
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.soil import Soil, read_soil
-from lunarsci.twin.ground.longji import crater_height, roughness
 from lunarsci.twin.ground.rocks import scatter_rocks
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 
-__all__ = ["synthetic_terrain"]
+__all__ = ["CRATERS", "crater_height", "synthetic_longji", "synthetic_terrain"]
 
 FloatArray = npt.NDArray[np.float64]
+
+# x, y of the centre and diameter [m]. The diameters are published (Ding et al. 2024, Fig. 1c, d); the places are chosen
+# to match the description: 6.1 m on the left, 11.2 m on the right, the drive ends just inside the rim of the 7.5 m one.
+CRATERS = ((4.72, 4.6, 6.1), (4.63, -5.98, 11.2), (12.44, 0.27, 7.5))
+# Wu et al. (2021), EPSL 553, 116666: mean depth/diameter 0.061 of the small craters at the landing site.
+DEPTH_TO_DIAMETER = 0.06
+# Regional gradient dh/dx, dh/dy, and a gentle step down across the passage (x, half width, half height [m]): chosen
+# with the places of the craters for the published slopes of the route, 8.86 deg at most and 5.38 deg at the end, as the
+# tilt of the plane through 1 m x 1 m of ground, downhill and nearly without side slope.
+REGIONAL = (-0.04, 0.0064)
+STEP = (6.895, 1.5, 0.1877)
+
+
+def crater_height(
+    radius_m: npt.ArrayLike, diameter_m: float, depth_to_diameter: float = DEPTH_TO_DIAMETER
+) -> FloatArray:
+    """Height over the surroundings of a smooth, degraded crater at a distance from its centre. [m]
+
+    h = -d0 (1 - 2 u) exp(-2 u), u = (2 radius / diameter)^2: the rim crest is at the radius and stands 0.12 depths
+    above the surroundings; depth is counted from crest to floor. An assumed shape, chosen for being smooth.
+    """
+    u = (2.0 * np.asarray(radius_m, dtype=float) / diameter_m) ** 2
+    floor = depth_to_diameter * diameter_m / (1.0 + math.exp(-2.0))
+    return np.asarray(-floor * (1.0 - 2.0 * u) * np.exp(-2.0 * u))
+
+
+def roughness(x: FloatArray, y: FloatArray, rms_m: float, seed: int) -> FloatArray:
+    """Random ground of wavelengths 0.4 to 4 m, amplitude proportional to wavelength. [m]"""
+    random = np.random.default_rng(seed)
+    waves = 80
+    length = 0.4 * 10.0 ** random.random(waves)
+    direction, phase = 2.0 * math.pi * random.random((2, waves))
+    amplitude = length * rms_m / math.sqrt(0.5 * float(np.sum(length**2)))
+    kx, ky = 2.0 * math.pi / length * np.cos(direction), 2.0 * math.pi / length * np.sin(direction)
+    total = np.zeros(np.broadcast_shapes(x.shape, y.shape))
+    for a, p, q, shift in zip(amplitude, kx, ky, phase, strict=True):
+        total += a * np.cos(p * x + q * y + shift)
+    return total
+
+
+def synthetic_longji(
+    soil: Soil | None = None,
+    *,
+    seed: int = 41,
+    spacing_m: float = 0.05,
+    rms_m: float = 0.004,
+    rock_share: float = 0.0,
+) -> Terrain:
+    """Made-up ground with the published craters and slopes of the Longji site around the embedded plan.
+
+    Parameters
+    ----------
+    soil : the same everywhere; `longji` by default.
+    seed : of the roughness and the rocks.
+    spacing_m : grid spacing, 0.01 to 0.5. [m]
+    rms_m : roughness, 0 to 0.05. [m]
+    rock_share : of the ground covered by rocks, 0 to 0.1; 0.0021 is what was measured there (see `scatter_rocks`).
+
+    Raises ParameterError outside these ranges. Heights count from the start of the plan.
+    """
+    if not 0.01 <= spacing_m <= 0.5:
+        raise ParameterError(f"spacing_m is {spacing_m}; give 0.01 to 0.5 m")
+    if not 0 <= rms_m <= 0.05:
+        raise ParameterError(f"rms_m is {rms_m}; give 0 to 0.05 m")
+    if seed < 0:
+        raise ParameterError(f"seed is {seed}; give 0 or more")
+    x = np.arange(-3.0, 14.0 + 0.5 * spacing_m, spacing_m)[None, :]
+    y = np.arange(-7.0, 9.0 + 0.5 * spacing_m, spacing_m)[:, None]
+    height = roughness(x, y, rms_m, seed) + REGIONAL[0] * x + REGIONAL[1] * y
+    height = height - STEP[2] * np.tanh((x - STEP[0]) / STEP[1])
+    for center_x, center_y, diameter in CRATERS:
+        height += crater_height(np.hypot(x - center_x, y - center_y), diameter)
+    if rock_share:
+        height = scatter_rocks(x[0], y[:, 0], height, rock_share, seed)
+    name = "synthetic stand-in for the Longji site"
+    return build_terrain(name, -3.0, -7.0, spacing_m, height, soil or read_soil("longji"), synthetic=True)
+
+
 MOST_NODES = 4_000_000
 SMALLEST_CRATER_M = 1.0
 

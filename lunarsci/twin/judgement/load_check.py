@@ -1,12 +1,141 @@
-"""Whether the wheels of a prediction carry what wheels of a slow rover can carry."""
+"""Whether the wheels of a prediction carry what wheels of a slow rover can carry.
 
+What each wheel carried and pulled along a drive, as a few numbers.
+
+Forces with their uncertainty as a table: the input of the joint identification of a soil.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction
+from lunarsci.twin.pose_states import PoseStates, at_times
+from lunarsci.twin.totals import FORCES
+from lunarsci.twin.uncertain_forces import UncertainForces
 
-__all__ = ["MOST_IN_WEIGHTS", "LoadCheck", "check_loads", "load_notes"]
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = [
+    "MOST_IN_WEIGHTS",
+    "QUANTITIES",
+    "LoadCheck",
+    "Spread",
+    "WheelLoads",
+    "check_loads",
+    "force_table",
+    "load_notes",
+    "wheel_loads",
+]
+
+
+def force_table(found: UncertainForces, states: PoseStates | None = None) -> "pd.DataFrame":
+    """Forces of each wheel after the balance: one row for each measured state, or for each pose and wheel.
+
+    The columns of the measured states stay as they were read; normal_force_n, drawbar_pull_n, lateral_force_n, each
+    with `_sigma`, are those of their times, between the poses of the motion. Without measured states there are time_s,
+    distance_m (rolled by the rims), wheel, x_m, y_m, sinkage_m, slip_ratio, side_slip_deg as the held motion has them
+    on the middle one of the soils. `valid` is false for states that were not valid, at and beside halts and gaps, and
+    where there are no forces.
+    """
+    import pandas as pd
+
+    if states is None:
+        return _of_the_motion(found)
+    table = states.table.copy()
+    gone = [f"{name}{end}" for name in FORCES for end in ("", "_sigma")]
+    table = table.drop(columns=[name for name in (*gone, "valid") if name in table])
+    poses = found.held.motion.time_s
+    rows = np.arange(len(table))
+    mean, sigma = (
+        at_times(states.time_s, poses, part)[rows, states.wheel] for part in (found.after, found.after_sigma)
+    )
+    for k, name in enumerate(FORCES):
+        table[name], table[f"{name}_sigma"] = mean[:, k], sigma[:, k]
+    table["valid"] = states.valid & np.isfinite(mean).all(axis=1) & (mean[:, 0] > 0)
+    return pd.DataFrame(table)
+
+
+def _of_the_motion(found: UncertainForces) -> "pd.DataFrame":
+    import pandas as pd
+
+    held, wheels = found.held, found.held.rover.wheels
+    count = len(held.motion.time_s)
+    flat = held.states.reshape(-1, len(STATE_COLUMNS))
+    columns = {
+        "time_s": np.repeat(held.motion.time_s, len(wheels)),
+        "distance_m": np.repeat(held.motion.rolled_m, len(wheels)),
+        "wheel": np.tile(wheels, count),
+    }
+    names = ("x_m", "y_m", "sinkage_m", "slip_ratio", "side_slip_deg")
+    columns |= {name: flat[:, STATE_COLUMNS.index(name)] for name in names}
+    mean, sigma = found.after.reshape(-1, 3), found.after_sigma.reshape(-1, 3)
+    for k, name in enumerate(FORCES):
+        columns |= {name: mean[:, k], f"{name}_sigma": sigma[:, k]}
+    marked = flat[:, STATE_COLUMNS.index("valid")] > 0.5
+    columns["valid"] = marked & np.isfinite(mean).all(axis=1) & (mean[:, 0] > 0)
+    return pd.DataFrame(columns)
+
+
+FloatArray = npt.NDArray[np.float64]
+QUANTITIES = (
+    "normal_force_n",
+    "drawbar_pull_n",
+    "lateral_force_n",
+    "resistance_torque_nm",
+    "sinkage_m",
+    "slip_ratio",
+    "side_slip_deg",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Of one quantity over the poses of a drive, and over the members of an ensemble, all counted alike."""
+
+    mean: float
+    min: float
+    p05: float
+    p50: float
+    p95: float
+    max: float
+
+
+@dataclass(frozen=True, slots=True)
+class WheelLoads:
+    """One wheel: quantity, with its unit, to its spread; and in how many of its states the wheel model holds. [-]"""
+
+    wheel: str
+    quantities: dict[str, Spread]
+    valid_share: float
+
+
+def wheel_loads(wheels: Sequence[str], states: FloatArray) -> list[WheelLoads]:
+    """Summaries of wheel states (..., wheels, 10), columns `STATE_COLUMNS`; states that are no numbers are left out.
+
+    Empty where no state is a number.
+    """
+    flat = states.reshape(-1, len(wheels), states.shape[-1])
+    flat = flat[np.isfinite(flat).all(axis=(1, 2))]
+    if not len(flat):
+        return []
+    valid = flat[..., STATE_COLUMNS.index("valid")].mean(axis=0)
+    return [
+        WheelLoads(
+            wheel, {name: _spread(flat[:, k, STATE_COLUMNS.index(name)]) for name in QUANTITIES}, float(valid[k])
+        )
+        for k, wheel in enumerate(wheels)
+    ]
+
+
+def _spread(values: FloatArray) -> Spread:
+    p05, p50, p95 = np.percentile(values, (5, 50, 95))
+    return Spread(float(values.mean()), float(values.min()), float(p05), float(p50), float(p95), float(values.max()))
+
 
 MOST_IN_WEIGHTS = 2.0
 """Times the rover's weight that one wheel carries at most unless it falls or hits something; assumed."""

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from lunarsci.errors import DataError
 from lunarsci.twin.telemetry.findings import Findings
-from lunarsci.twin.telemetry.record import Telemetry
+from lunarsci.twin.telemetry.reading import Telemetry
 
 __all__ = ["ordered", "taken", "time_gaps"]
 

@@ -13,7 +13,7 @@ from lunarsci.twin.rover import Rover
 from lunarsci.twin.telemetry.change import believed_change
 from lunarsci.twin.telemetry.filter import EFFECTS, Nodes
 from lunarsci.twin.telemetry.ground_effect import shape_effect, slope_effect
-from lunarsci.twin.telemetry.record import Telemetry
+from lunarsci.twin.telemetry.reading import Telemetry
 from lunarsci.twin.telemetry.smoother import Smoothed, probable
 from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion
 

@@ -15,18 +15,16 @@ from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import VALID_SLIP
-from lunarsci.twin.telemetry.attitude import check_attitude, sway_m
 from lunarsci.twin.telemetry.clock import ordered, time_gaps
-from lunarsci.twin.telemetry.commands_check import check_against_plan
+from lunarsci.twin.telemetry.commands_check import check_against_plan, steering_angles
 from lunarsci.twin.telemetry.filter import Nodes
 from lunarsci.twin.telemetry.findings import Findings
 from lunarsci.twin.telemetry.nodes import denser, mean_speed, motion_at, nodes_of, on_ground
 from lunarsci.twin.telemetry.odometry import body_twist
 from lunarsci.twin.telemetry.outliers import check_change, check_glide, check_scatter, without_outliers
-from lunarsci.twin.telemetry.positions import check_frame, usable_headings, usable_positions
-from lunarsci.twin.telemetry.record import Telemetry
+from lunarsci.twin.telemetry.positions import check_attitude, check_frame, sway_m, usable_headings, usable_positions
+from lunarsci.twin.telemetry.reading import Telemetry
 from lunarsci.twin.telemetry.smoother import Smoothed, smooth
-from lunarsci.twin.telemetry.steering import steering_angles
 from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion, wheel_motion
 from lunarsci.twin.telemetry.wheel_slip import slips_of, wheel_velocities
 

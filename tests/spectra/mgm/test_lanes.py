@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 
 from lunarsci.compiled import compiled
-from lunarsci.spectra.mgm.cholesky import back_substitute, factorise, invert, matrix_side, padded_matrix
-from lunarsci.spectra.mgm.coarse import coarsened, correct
+from lunarsci.spectra.mgm.contest import coarsened, correct
 from lunarsci.spectra.mgm.continuum import continuum_basis
-from lunarsci.spectra.mgm.curvature import update
+from lunarsci.spectra.mgm.covariance import update
 from lunarsci.spectra.mgm.descent import Channels, Task, channels_of, fill_lane, room_for
-from lunarsci.spectra.mgm.forward import model_and_jacobian
-from lunarsci.spectra.mgm.gaussian import bell, logarithm
+from lunarsci.spectra.mgm.forward import bell, logarithm, model_and_jacobian
 from lunarsci.spectra.mgm.lanes import LANES, aligned, load, spread, store
 from lunarsci.spectra.mgm.moments import evaluate
+from lunarsci.spectra.mgm.normal import back_substitute, factorise, invert, matrix_side, padded_matrix
 
 GRID_NM = np.arange(450.0, 2396.0, 5.0)
 BANDS = np.array([[0.3, 0.25, -0.5], [0.92, 0.19, -0.35], [1.02, 0.05, -0.20], [1.86, 0.52, -0.25]])

@@ -8,11 +8,10 @@ from scipy.stats import multivariate_normal
 
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.mgm.assemblages import BandPrior
-from lunarsci.spectra.mgm.evidence import ln_all_negative, ln_evidence
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import mgm_model
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
-from lunarsci.spectra.mgm.selection import STRONG, Choice, choose
+from lunarsci.spectra.mgm.selection import STRONG, Choice, choose, ln_all_negative, ln_evidence
 from lunarsci.spectra.spectrum import Spectrum
 
 GRID = np.arange(450.0, 2396.0, 5.0)

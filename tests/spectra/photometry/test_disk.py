@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.photometry import DISKS, STANDARD, Geometry, akimov, lommel_seeliger, mcewen
-from lunarsci.spectra.photometry.disk import MCEWEN_PHASE_DEG, disk_function, mcewen_weight, outside
+from lunarsci.spectra.photometry.correction import MCEWEN_PHASE_DEG, disk_function, mcewen_weight, outside
 
 ANGLE = st.floats(0, 80)
 SEEN = Geometry(60, 45, 90)

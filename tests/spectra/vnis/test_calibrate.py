@@ -20,14 +20,13 @@ from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.photometry import Geometry, phase_function
 from lunarsci.spectra.solar import SolarSpectrum, solar_spectrum
-from lunarsci.spectra.vnis.calibrate import calibrate, calibrate_files
+from lunarsci.spectra.vnis.calibrate import Settings, calibrate, calibrate_files, default_settings
 from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure
 from lunarsci.spectra.vnis.channels import SPLICED_NM, SWIR_NM, VNIR_NM, fwhm_nm
 from lunarsci.spectra.vnis.detector import irradiance_at
 from lunarsci.spectra.vnis.label import read_label
-from lunarsci.spectra.vnis.observation import Observation, read_observation
+from lunarsci.spectra.vnis.observation import Observation, SwirTable, read_observation
 from lunarsci.spectra.vnis.reflectance import ChannelFactors
-from lunarsci.spectra.vnis.settings import Settings, default_settings
 from lunarsci.spectra.vnis.simulation.instrument import (
     Instrument,
     SceneRadiance,
@@ -38,7 +37,6 @@ from lunarsci.spectra.vnis.simulation.instrument import (
 )
 from lunarsci.spectra.vnis.simulation.products import product_files
 from lunarsci.spectra.vnis.simulation.scene import ROCK, Rock, Scene
-from lunarsci.spectra.vnis.table import SwirTable
 
 Files = dict[str, bytes]
 Write = Callable[[Mapping[str, bytes]], Path]
@@ -549,7 +547,7 @@ def irradiance_once() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         for module in ("calibrate", "detector", "systematics"):
             patch.setattr(f"lunarsci.spectra.vnis.{module}.irradiance_at", once)
-        patch.setattr("lunarsci.spectra.vnis.systematics.solar_spectrum", functools.cache(solar_spectrum))
+        patch.setattr("lunarsci.spectra.vnis.calibrate.solar_spectrum", functools.cache(solar_spectrum))
         yield
 
 

@@ -9,8 +9,7 @@ import pytest
 
 from lunarsci.errors import DataError
 from lunarsci.spectra.vnis.channels import fixed_pattern, random_noise
-from lunarsci.spectra.vnis.splice import Splice, find_splice
-from lunarsci.spectra.vnis.step import Step
+from lunarsci.spectra.vnis.splice import Splice, Step, find_splice
 
 VNIR = 450 + 5.0 * np.arange(100)
 SWIR = 900 + 5.0 * np.arange(300)
