@@ -13,6 +13,13 @@ from .report import Report
 
 __all__ = ["add_to"]
 
+Ruts = Annotated[
+    bool | None,
+    typer.Option(
+        "--ruts/--no-ruts", help="Whether wheels met the ruts of others; as explains the drive better, if left out."
+    ),
+]
+
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
@@ -60,12 +67,7 @@ def update(
     terrain: twin_options.TerrainName = "synthetic-longji",
     interpolation: twin_options.Interpolation = "smooth",
     particles: Annotated[int, typer.Option(min=32, help="Soils that carry the belief.")] = 128,
-    ruts: Annotated[
-        bool | None,
-        typer.Option(
-            "--ruts/--no-ruts", help="Whether wheels met the ruts of others; as explains the drive better, if left out."
-        ),
-    ] = None,
+    ruts: Ruts = None,
     seed: twin_options.Seed = 0,
 ) -> Report:
     """Rectify what is believed of the soil by a drive that happened: the twin drives it on many soils.

@@ -57,7 +57,7 @@ def _bearing(axes: Any, site: Site, found: Sequence[Comparison], width_m: float,
         if soil.sinkage_exponent is not None and stiffness is not None and stiffness > 0:
             axes.plot(soil.sinkage_exponent, stiffness, MARKERS[soil.kind], color=COLORS[soil.kind], markersize=5)
             _name(axes, soil.sinkage_exponent, stiffness, soil.name if soil.name in names else "")
-    _curve(axes, curve, "exponent", "stiffness_kpa_m_n")
+    _law_curve(axes, curve, "exponent", "stiffness_kpa_m_n")
     if site.stiffness_kpa_m_n is not None:
         axes.plot(site.sinkage_exponent, site.stiffness_kpa_m_n, "*", color=SITE, markersize=15)
     axes.set(xlabel="sinkage exponent N [-]", ylabel="stiffness K$_s$ [kPa m$^{-N}$]", yscale="log")
@@ -74,7 +74,7 @@ def _shear(axes: Any, site: Site, found: Sequence[Comparison], curve: Sequence[A
         axes.plot([middle[0]] * 2, angle, color=color, linewidth=0.8)
         axes.plot(*middle, MARKERS[soil.kind], color=color, markersize=4)
         _name(axes, *middle, soil.name if soil.name in names else "")
-    _curve(axes, [point for point in curve if point["cohesion_pa"] >= LEAST_PA], "cohesion_pa", "friction_angle_deg")
+    _law_curve(axes, [point for point in curve if point["cohesion_pa"] >= LEAST_PA], "cohesion_pa", "friction_angle_deg")
     if site.cohesion_pa is not None:
         axes.plot(max(site.cohesion_pa, LEAST_PA), site.friction_angle_deg, "*", color=SITE, markersize=15)
     axes.set(xlabel="cohesion c [Pa], 10 and below at the edge", ylabel="internal friction angle φ [°]", xscale="log")
@@ -85,13 +85,13 @@ def _lateral(axes: Any, site: Site, curve: Sequence[Any]) -> None:
         point = float(row["lateral_modulus_mm"]), float(row["external_friction_angle_deg"])
         axes.plot(*point, MARKERS[row["kind"]], color=COLORS[row["kind"]], markersize=5)
         _name(axes, *point, row["name"])
-    _curve(axes, curve, "lateral_modulus_mm", "external_friction_angle_deg")
+    _law_curve(axes, curve, "lateral_modulus_mm", "external_friction_angle_deg")
     if site.lateral_modulus_mm is not None:
         axes.plot(site.lateral_modulus_mm, site.external_friction_angle_deg, "*", color=SITE, markersize=15)
     axes.set(xlabel="lateral shear modulus K$_y$ [mm]", ylabel="external friction angle φ$_y$ [°]")
 
 
-def _curve(axes: Any, points: Sequence[Mapping[str, Any]], x: str, y: str) -> None:
+def _law_curve(axes: Any, points: Sequence[Mapping[str, Any]], x: str, y: str) -> None:
     solved = [point for point in points if point[y] is not None and point["low"] is not None]
     if solved:
         at = [point[x] for point in solved]

@@ -13,9 +13,9 @@ import numpy as np
 from lunarsci.spectra.spectrum import FloatArray
 from lunarsci.tables import table_rows
 
-__all__ = ["TABLE", "Weathering", "iron_absorption"]
+__all__ = ["IRON_TABLE", "Weathering", "iron_absorption"]
 
-TABLE = "iron_optical_constants.csv"
+IRON_TABLE = "iron_optical_constants.csv"
 GRAIN_INDEX = 1.7
 """Refractive index of the silicate around the iron; assumed, pyroxene and olivine have 1.65-1.75."""
 UNIT_NM = 1000.0
@@ -25,7 +25,7 @@ TYPICAL_LN, SPREAD_LN = -1.0, 1.5
 
 def iron_absorption(wavelength_nm: FloatArray) -> FloatArray:
     """Absorption of submicroscopic iron, 1 at 1000 nm, from 450 to 2500 nm. [-]"""
-    rows = [tuple(map(float, row.values())) for row in table_rows(TABLE)]
+    rows = [tuple(map(float, row.values())) for row in table_rows(IRON_TABLE)]
     table_nm, index, extinction = (np.array(column) for column in list(zip(*rows, strict=True))[:3])
 
     def at(wanted: FloatArray) -> FloatArray:

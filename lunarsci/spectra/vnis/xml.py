@@ -49,7 +49,7 @@ def parse_xml(source: InputFile) -> Element:
     parser.CharacterDataHandler = builder.data
     parser.StartDoctypeDeclHandler = refuse
     try:
-        parser.Parse(_text(source).encode("utf-8"), True)
+        parser.Parse(_element_text(source).encode("utf-8"), True)
     except expat.ExpatError as error:
         where = f"line {error.lineno}, column {error.offset + 1}"
         reason = expat.errors.messages[error.code]
@@ -61,7 +61,7 @@ def _local(tag: str) -> str:
     return tag.rpartition(":")[2].lower()
 
 
-def _text(source: InputFile) -> str:
+def _element_text(source: InputFile) -> str:
     """Chinese descriptions come in UTF-8 or GB 18030, whatever the declaration says; numbers and names are ASCII."""
     if source.data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         encodings = ["utf-16"]

@@ -37,7 +37,7 @@ def force_band_figure(found: UncertainForces, title: str) -> "Figure":
         for axle, panel in enumerate(row):
             for side, color in enumerate((LEFT, RIGHT)):
                 _draw_band(panel, along, found, 2 * axle + side, force, color)
-            _frame(panel, LABELS[force] if axle == 0 else "", along)
+            _band_frame(panel, LABELS[force] if axle == 0 else "", along)
     for panel in panels[0]:
         panel.legend(loc="upper center", ncols=2, fontsize=7.5, frameon=False)
     bottom, top = panels[0, 0].get_ylim()
@@ -67,13 +67,13 @@ def _draw_missing(panels: Any, along: FloatArray, found: UncertainForces) -> Non
         panel.fill_between(along, before - sigma, before + sigma, color=INK, alpha=0.15, linewidth=0)
         panel.plot(along, before, color=INK, linewidth=1.0, linestyle=":", label="before the balance, ±σ")
         panel.plot(along, found.missing_after[:, k], color=INK, linewidth=1.4, label="after")
-        _frame(panel, MISSING[k], along)
+        _band_frame(panel, MISSING[k], along)
         _zero(panel)
         panel.set_xlabel("Distance rolled [m]")
     panels[0].legend(loc="best", fontsize=7.5, frameon=False)
 
 
-def _frame(panel: Any, text: str, along: FloatArray) -> None:
+def _band_frame(panel: Any, text: str, along: FloatArray) -> None:
     panel.set_ylabel(text)
     panel.set_xlim(float(along[0]), float(along[-1]))
     panel.grid(alpha=0.25, linewidth=0.5)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 __all__ = ["residual_page"]
 
-INK, DOT, MEAN, CHANGE = "#26323a", "#9fb4c0", "#08519c", "#e6550d"
+DOT, MEAN, CHANGE = "#9fb4c0", "#08519c", "#e6550d"
 HIGHEST = 8.0
 """Residuals beyond are drawn at the edge."""
 WINDOW_M = 0.4
