@@ -12,7 +12,7 @@ from lunarsci.regolith.soil import Soil, read_soil
 from lunarsci.regolith.states import read_states
 from lunarsci.regolith.wheel import read_wheel
 from lunarsci.spectra.mgm.assemblages import TABLES
-from lunarsci.spectra.vnis.calibrate import default_settings
+from lunarsci.spectra.vnis.detector import default_settings
 from lunarsci.spectra.vnis.export import to_ecsv
 from lunarsci.tables import table_hashes
 from lunarsci.twin.ensemble import Prediction, predict

@@ -7,8 +7,8 @@ from typing import Any
 
 from lunarsci.spectra.abundance.end_members import FAMILY_OF, OPAQUE
 from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
+from lunarsci.spectra.abundance.hapke import IRON_TABLE as IRON
 from lunarsci.spectra.abundance.nbsr import TABLE as CALIBRATIONS
-from lunarsci.spectra.abundance.weathering import IRON_TABLE as IRON
 from lunarsci.spectra.mgm.assemblages import TABLES
 from lunarsci.spectra.mgm.composition import compositions
 from lunarsci.spectra.mgm.result import FittedBand, MgmFit

@@ -82,7 +82,7 @@ def compare(
     records = [_record(item, width) for item in found]
 
     def figures() -> Any:
-        from lunarsci.regolith.compare_figure import comparison_figure
+        from lunarsci.regolith.figure import comparison_figure
 
         return [comparison_figure(site, found, width, curves)]
 

@@ -12,7 +12,7 @@ from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.readers.envi import without_headers
 from lunarsci.spectra.readers.splib import without_wavelength_files
 from lunarsci.spectra.spectrum import Spectrum
-from lunarsci.spectra.vnis.calibrate import default_settings
+from lunarsci.spectra.vnis.detector import default_settings
 from lunarsci.spectra.vnis.name import product_name
 from lunarsci.spectra.vnis.observation import one_per_observation
 from lunarsci.tables import table_hashes

@@ -18,8 +18,7 @@ from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.twin.ensemble import Prediction, predict
 from lunarsci.twin.ground.driven_soil import DrivenSoil, Origin
 from lunarsci.twin.ground.soil_layers import drawn_grounds
-from lunarsci.twin.ground.soil_map import SoilMap
-from lunarsci.twin.ground.soil_map_files import read_soil_map
+from lunarsci.twin.ground.soil_map import SoilMap, read_soil_map
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS
 from lunarsci.twin.path_discrepancy import with_discrepancy
 from lunarsci.twin.plans.plan import Sweep, parse_sweep

@@ -7,12 +7,13 @@ from typing import Any
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile, read_input
-from lunarsci.regolith.belief import SoilBelief, read_belief
-from lunarsci.regolith.belief_history import (
+from lunarsci.regolith.belief import (
     BeliefDistance,
+    SoilBelief,
     compare_beliefs,
     moved_sd,
     past_beliefs,
+    read_belief,
     rolled_back,
 )
 from lunarsci.regolith.ground_law import ground_intervals

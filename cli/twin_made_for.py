@@ -7,8 +7,7 @@ from typing import Any
 import typer
 
 from lunarsci.errors import LunarSciWarning
-from lunarsci.rovers.description import RoverDescription
-from lunarsci.rovers.made_for import MadeFor
+from lunarsci.rovers.description import MadeFor, RoverDescription
 from lunarsci.twin.ground.driven_soil import DrivenSoil
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS
 from lunarsci.twin.plans.plan import Plan

@@ -15,8 +15,7 @@ from lunarsci.regolith.prior import PARAMETERS, prior_hash
 from lunarsci.twin.force_soil import ForceSoil, force_soil
 from lunarsci.twin.ground.driven_soil import DrivenSoil, soil_record
 from lunarsci.twin.judgement.load_check import force_table
-from lunarsci.twin.plans.motion import Motion, read_motion
-from lunarsci.twin.plans.motion_draws import CORRELATION_M, correlation_of
+from lunarsci.twin.plans.motion import CORRELATION_M, Motion, correlation_of, read_motion
 from lunarsci.twin.pose_states import PoseStates, read_pose_states
 from lunarsci.twin.uncertain_forces import BALANCE_ERROR, DRAWS, uncertain_forces
 
@@ -89,7 +88,7 @@ def motion_report(scene: Scene, told: Told, progress: Callable[[int, int], None]
     title = f"Wheel forces along {told.motion}, {poses}, on {scene.terrain.name}"
 
     def figures() -> Any:
-        from lunarsci.twin.figures.force_bands import force_band_figure
+        from lunarsci.twin.figures.forces import force_band_figure
 
         return [force_band_figure(found, title)]
 

@@ -11,8 +11,7 @@ import typer
 from lunarsci.inputs import read_input
 from lunarsci.provenance import sha256
 from lunarsci.regolith.soil import read_soil, soil_hash
-from lunarsci.rovers.description import RoverDescription, read_rover
-from lunarsci.rovers.made_for import MadeFor, made_for
+from lunarsci.rovers.description import MadeFor, RoverDescription, made_for, read_rover
 from lunarsci.twin.ground.driven_soil import DrivenSoil, lay_soil_on, soil_record
 from lunarsci.twin.ground.hazards import GroundMaps, Traversability, assess, ground_maps, map_scales
 from lunarsci.twin.ground.mobility import Mobility, read_mobility

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from lunarsci.errors import DataError
 from lunarsci.inputs import read_input
-from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
-from lunarsci.regolith.belief_history import with_drive
+from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief, with_drive
 from lunarsci.regolith.ground_law import ground_intervals
 from lunarsci.regolith.prior import PARAMETERS, prior_hash
 from lunarsci.twin.drive_record import DriveRecord, read_record
@@ -201,7 +200,7 @@ def _soil(known: Known, files_of_map: MapFiles) -> dict[str, Any]:
 
 
 def _pages(known: Known, learned: Learned) -> "Iterator[Figure]":
-    from lunarsci.twin.figures.soil_change import residual_page
+    from lunarsci.twin.figures.soil_layers import residual_page
 
     yield residual_page(known.along, learned.found, learned.changes)
     if learned.update is not None:

@@ -9,9 +9,9 @@ from lunarsci.inputs import expand_inputs, read_input
 from lunarsci.spectra.photometry import PHASE_FUNCTIONS, phase_function, read_phase_function
 from lunarsci.spectra.solar import SOLAR_SPECTRA, solar_spectrum
 from lunarsci.spectra.solar_table import read_solar_spectrum
-from lunarsci.spectra.vnis.calibrate import Settings
 from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure
 from lunarsci.spectra.vnis.channels import SPLICED_NM
+from lunarsci.spectra.vnis.detector import Settings
 from lunarsci.spectra.vnis.name import product_name
 from lunarsci.spectra.vnis.observation import one_per_observation
 from lunarsci.spectra.vnis.reflectance import read_channel_factors

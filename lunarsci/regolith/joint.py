@@ -18,10 +18,15 @@ import numpy.typing as npt
 from lunarsci.errors import LunarSciWarning, ParameterError
 from lunarsci.regolith.contact import ContactModel
 from lunarsci.regolith.fit_verdict import FitVerdict
-from lunarsci.regolith.joint_error import tail_of
-from lunarsci.regolith.joint_forecast import stretch_of
-from lunarsci.regolith.joint_mode import Mode, find_mode, mode_with_errors, mode_without_outliers, profile_limits
-from lunarsci.regolith.joint_problem import part_of, problem_of
+from lunarsci.regolith.joint_mode import (
+    Mode,
+    find_mode,
+    mode_with_errors,
+    mode_without_outliers,
+    profile_limits,
+    stretch_of,
+)
+from lunarsci.regolith.joint_problem import part_of, problem_of, tail_of
 from lunarsci.regolith.joint_sampler import carry_population
 from lunarsci.regolith.joint_verdict import judge
 from lunarsci.regolith.prior import CONTACT, PARAMETERS, Law, contact_prior, default_prior, values_of

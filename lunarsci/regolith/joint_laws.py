@@ -18,9 +18,8 @@ from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.contact import DENSITY_KG_M3, ContactModel
 from lunarsci.regolith.joint import fit_soil, law_name, usable_states
-from lunarsci.regolith.joint_error import error_covariance, neighbours
-from lunarsci.regolith.joint_forecast import left_out
-from lunarsci.regolith.joint_mode import Mode
+from lunarsci.regolith.joint_mode import Mode, left_out
+from lunarsci.regolith.joint_problem import error_covariance, neighbours
 from lunarsci.regolith.prior import Law, contact_prior, default_prior
 from lunarsci.regolith.states import WheelStates
 from lunarsci.regolith.wheel import Wheel

@@ -12,11 +12,13 @@ import numpy.typing as npt
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.terrain import STEEPEST, Terrain
-from lunarsci.twin.plans.commands import Commands, fix_errors, legs_from, reach_m
+from lunarsci.twin.plans.commands import Commands, reach_m
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import (
     Schedule,
     all_commands,
+    fix_errors,
+    legs_from,
     make_schedule,
     run_commands,
     start_motion,

@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from lunarsci.spectra.solar import sun_moon_distance_au
-from lunarsci.spectra.vnis.calibrate import calibrate, default_settings
-from lunarsci.spectra.vnis.detector import irradiance_at
+from lunarsci.spectra.vnis.calibrate import calibrate
+from lunarsci.spectra.vnis.detector import default_settings, irradiance_at
 from lunarsci.spectra.vnis.observation import find_parts, read_observation
 from lunarsci.spectra.vnis.simulation.instrument import simulate
 from lunarsci.spectra.vnis.simulation.products import product_files

@@ -11,10 +11,8 @@ import pytest
 
 from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.soil import read_soil
-from lunarsci.rovers.description import read_rover
-from lunarsci.rovers.made_for import MadeFor, made_for
-from lunarsci.twin.ground.soil_map import SoilMap
-from lunarsci.twin.ground.soil_map_files import soil_map_bytes
+from lunarsci.rovers.description import MadeFor, made_for, read_rover
+from lunarsci.twin.ground.soil_map import SoilMap, soil_map_bytes
 from lunarsci.twin.plans.plan import read_plan
 
 Run = Callable[..., Any]

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import ParameterError
-from lunarsci.regolith.belief import SoilBelief, belief_of, first_belief
-from lunarsci.regolith.belief_history import (
+from lunarsci.regolith.belief import (
+    SoilBelief,
+    belief_of,
     compare_beliefs,
+    first_belief,
     moved_sd,
     past_beliefs,
     rolled_back,

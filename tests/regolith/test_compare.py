@@ -6,7 +6,7 @@ import pytest
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.compare import KINDS, Site, compare_site, nearest, reference_soils
-from lunarsci.regolith.compare_figure import comparison_figure
+from lunarsci.regolith.figure import comparison_figure
 
 LONGJI = Site(stiffness_kpa_m_n=1443, sinkage_exponent=1.0, cohesion_pa=520, friction_angle_deg=42)
 

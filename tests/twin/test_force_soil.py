@@ -17,8 +17,7 @@ from lunarsci.twin.ensemble import STATE_COLUMNS, predict
 from lunarsci.twin.force_soil import ForceSoil, Round, force_soil, verdict_of
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.held import forces_along
-from lunarsci.twin.plans.motion import Motion
-from lunarsci.twin.plans.motion_draws import drawn_motions
+from lunarsci.twin.plans.motion import Motion, drawn_motions
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.plans.schedule import commands_at, make_schedule
 from lunarsci.twin.pose_states import PoseStates

@@ -17,8 +17,7 @@ from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.held import forces_along
 from lunarsci.twin.judgement.load_check import force_table
-from lunarsci.twin.plans.motion import Motion, read_motion
-from lunarsci.twin.plans.motion_draws import correlation_of, drawn_motions
+from lunarsci.twin.plans.motion import Motion, correlation_of, drawn_motions, read_motion
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.plans.schedule import commands_at, make_schedule
 from lunarsci.twin.pose_states import at_times, read_pose_states

@@ -15,8 +15,7 @@ from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ensemble import predict
 from lunarsci.twin.figures.soil_layers import soil_pages
 from lunarsci.twin.ground.soil_layers import drawn_grounds, soil_layers
-from lunarsci.twin.ground.soil_map import SoilMap, Zone
-from lunarsci.twin.ground.soil_map_files import read_soil_map, soil_map_bytes
+from lunarsci.twin.ground.soil_map import SoilMap, Zone, read_soil_map, soil_map_bytes
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, build_terrain
 from lunarsci.twin.ground.terrain_files import read_terrain, terrain_bytes
 from lunarsci.twin.judgement.sensitivity import step_error_m

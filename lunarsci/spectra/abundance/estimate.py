@@ -12,14 +12,13 @@ import numpy as np
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.abundance.end_members import OPAQUE, embedded_end_members
-from lunarsci.spectra.abundance.hapke import HapkeSurface
+from lunarsci.spectra.abundance.hapke import HapkeSurface, Weathering, iron_absorption
 from lunarsci.spectra.abundance.mixing import Absorbance, Albedo, MixingLaw
 from lunarsci.spectra.abundance.population import loosened, population
 from lunarsci.spectra.abundance.powders import Powders
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction
 from lunarsci.spectra.abundance.suite import Suite
 from lunarsci.spectra.abundance.unmix import Posterior, unmix
-from lunarsci.spectra.abundance.weathering import Weathering, iron_absorption
 from lunarsci.spectra.library import EndMember
 from lunarsci.spectra.spectrum import FloatArray, Spectrum
 

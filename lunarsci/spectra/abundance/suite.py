@@ -12,8 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
+from lunarsci.spectra.abundance.hapke import Weathering
 from lunarsci.spectra.abundance.powders import Powders
-from lunarsci.spectra.abundance.weathering import Weathering
 from lunarsci.spectra.spectrum import FloatArray
 
 __all__ = ["Equations", "Suite"]

@@ -5,34 +5,27 @@ Errors that all channels share: each is one shift of both detectors, carried thr
 The absolute calibration and the irradiance were established before the flight or by others, the photometric model is a
 choice among several: repeating the measurement does not make these errors smaller, and they do not scatter.
 
-What a calibration can be told: irradiance, photometric model, shadow limit, units, factors.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
-from lunarsci.errors import DataError, LunarSciError, ParameterError
-from lunarsci.spectra.photometry import Geometry, PhaseFunction, model_spread, phase_function
-from lunarsci.spectra.photometry.phase import TABLE as PHASE_TABLE
-from lunarsci.spectra.photometry.phase import SelenePhase
+from lunarsci.errors import DataError, LunarSciError
+from lunarsci.spectra.photometry import Geometry, model_spread
 from lunarsci.spectra.solar import (
     M3_TABLE,
-    SOLAR_SPECTRA,
-    SolarSpectrum,
     solar_spectrum,
     sun_moon_distance_au,
-    table_name,
 )
 from lunarsci.spectra.spectrum import FloatArray
 from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure
-from lunarsci.spectra.vnis.channels import SPLICED_NM, SWIR_NM, TABLES, VNIR_NM
-from lunarsci.spectra.vnis.detector import DetectorSpectrum, irradiance_at
+from lunarsci.spectra.vnis.channels import SPLICED_NM, SWIR_NM, VNIR_NM
+from lunarsci.spectra.vnis.detector import RADIANCE_UNITS, DetectorSpectrum, Settings, default_settings, irradiance_at
 from lunarsci.spectra.vnis.footprint import SHADOW_BAND_NM, registration_error, shadow_limit_shift
 from lunarsci.spectra.vnis.label import Label
 from lunarsci.spectra.vnis.observation import Observation, read_observation
-from lunarsci.spectra.vnis.reflectance import IN_FLIGHT_VERSION, ChannelFactors, reflectance_factor
+from lunarsci.spectra.vnis.reflectance import IN_FLIGHT_VERSION, reflectance_factor
 from lunarsci.spectra.vnis.screening import (
     Notes,
     bad_swir,
@@ -47,73 +40,11 @@ from lunarsci.tables import table_rows
 
 __all__ = [
     "CALIBRATION",
-    "RADIANCE_UNITS",
-    "Settings",
     "Shift",
     "calibrate",
     "calibrate_files",
-    "default_settings",
     "shared_errors",
 ]
-
-RADIANCE_UNITS: Mapping[str, float] = {"nm": 1.0, "um": 1e-3}
-"""W m-2 sr-1 per nm or per um, and what brings it to per nm. The labels state no unit; the files are per nm."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Settings:
-    """How to calibrate.
-
-    Attributes
-    ----------
-    solar : irradiance at 1 AU. other_solar : a second spectrum; the difference of the two is the irradiance's error.
-    disk : `lommel-seeliger`, `akimov`, `mcewen`, or None to leave the reflectance factor at the angles of measurement.
-    phase : phase function, used with a disk function only.
-    shadow_limit : pixels with a reflectance factor below it at 465 nm are shadows, 0 to below 1. [-]
-    radiance_unit : `nm` or `um`, the wavelength that radiance is per.
-    remove_vnir_steps : whether steps between the sub-bands of VNIR are removed, not only their error stated.
-    factors : for products from before the in-flight calibration.
-
-    Raises ParameterError outside these.
-    """
-
-    solar: SolarSpectrum
-    other_solar: SolarSpectrum
-    disk: str | None
-    phase: PhaseFunction
-    shadow_limit: float = 0.02
-    radiance_unit: str = "nm"
-    remove_vnir_steps: bool = False
-    factors: ChannelFactors | None = None
-    inputs: Mapping[str, str] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.shadow_limit < 1:
-            raise ParameterError(f"the shadow limit is {self.shadow_limit:g}; give a reflectance from 0 to below 1")
-        if self.radiance_unit not in RADIANCE_UNITS:
-            raise ParameterError(f"radiance per '{self.radiance_unit}' is unknown; use {' or '.join(RADIANCE_UNITS)}")
-
-    @property
-    def tables(self) -> tuple[str, ...]:
-        """Files of `spectra_data` that a calibration reads, for the provenance."""
-        solar = sorted({self.solar.name, self.other_solar.name} & set(SOLAR_SPECTRA))
-        phase = [PHASE_TABLE] if self.disk is not None and isinstance(self.phase, SelenePhase) else []
-        return (*TABLES, *map(table_name, solar), M3_TABLE, *phase)
-
-
-def default_settings() -> Settings:
-    """What `lunarsci spectra calibrate` does without options, and what other commands do with a label.
-
-    The disk function is that of Ding et al. (2024). Of the two solar spectra E490 leaves less structure from channel to
-    channel: on the median of 88 Chang'E-4 spectra the second differences are 4 to 20 % smaller in four of six ranges
-    and equal in the other two; G173 is sampled at 5 nm from 1705 nm on.
-    """
-    return Settings(
-        solar=solar_spectrum("e490"),
-        other_solar=solar_spectrum("g173"),
-        disk="lommel-seeliger",
-        phase=phase_function("sp-mid"),
-    )
 
 
 CALIBRATION = {"vnir": 0.05, "swir": 0.07}

@@ -19,9 +19,8 @@ from lunarsci.inputs import InputFile, read_input
 from lunarsci.spectra.spectrum import BoolArray, FloatArray
 from lunarsci.spectra.vnis.channels import SWIR_NM, VNIR_NM
 from lunarsci.spectra.vnis.cube import CUBE_BYTES, Cube, read_cube
-from lunarsci.spectra.vnis.label import Label, read_label
+from lunarsci.spectra.vnis.label import LABEL_BYTES, Label, read_label
 from lunarsci.spectra.vnis.name import ProductName, check_supported, product_name
-from lunarsci.spectra.vnis.xml import LABEL_BYTES
 
 __all__ = [
     "Observation",

@@ -10,9 +10,8 @@ import numpy as np
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.spectra.photometry import remarks
 from lunarsci.spectra.spectrum import BoolArray, FloatArray
-from lunarsci.spectra.vnis.calibrate import Settings
 from lunarsci.spectra.vnis.channels import SWIR_NM, VNIR_NM, Detector
-from lunarsci.spectra.vnis.detector import DetectorSpectrum, measure
+from lunarsci.spectra.vnis.detector import DetectorSpectrum, Settings, measure
 from lunarsci.spectra.vnis.footprint import SHADOW_BAND_NM, Footprint, average_footprint
 from lunarsci.spectra.vnis.label import Label
 from lunarsci.spectra.vnis.observation import Observation

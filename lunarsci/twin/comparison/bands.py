@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.twin.comparison.ends import crps, predictive_rank
 from lunarsci.twin.comparison.meeting import Meeting
 from lunarsci.twin.comparison.surprise import correlation_length
-from lunarsci.twin.comparison.verdict import crps, predictive_rank
 from lunarsci.twin.drive_record import OBSERVED
 from lunarsci.twin.inference.misfit import MODEL_ERRORS
 

@@ -7,9 +7,16 @@ import numpy.typing as npt
 
 from lunarsci.errors import ParameterError
 from lunarsci.twin.comparison.forecast import Forecast
-from lunarsci.twin.drive_record import OBSERVED, DriveRecord
+from lunarsci.twin.drive_record import (
+    OBSERVED,
+    DriveRecord,
+    check_clock,
+    check_wheels,
+    samples_about,
+    states_at,
+    values_at,
+)
 from lunarsci.twin.inference.misfit import FIX_ERROR_M, MODEL_ERRORS
-from lunarsci.twin.record_times import check_clock, check_wheels, samples_about, states_at, values_at
 
 __all__ = ["Meeting", "meet"]
 

@@ -6,21 +6,35 @@ blend is simple kriging (Rasmussen & Williams 2006, Gaussian Processes for Machi
 the exponential kernel, eq. 4.18) with, as in a moving neighbourhood, the few zones nearest to a node, each taken at
 its place nearest to the node. Within the track of the rover the belief is the zone's own; far from all zones it is
 that of the first laws: in space, this is how a belief is forgotten.
+
+Soil maps as files: JSON with the beliefs of the zones and their places.
 """
 
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.errors import ParameterError
-from lunarsci.regolith.belief import SoilBelief
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.inputs import InputFile, text
+from lunarsci.regolith.belief import SoilBelief, belief_of
 from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy
 from lunarsci.regolith.prior import PARAMETERS, Law, default_prior
 
-__all__ = ["CORRELATION_M", "REACH_M", "Blend", "SoilMap", "Zone", "zone_roots"]
+__all__ = [
+    "CORRELATION_M",
+    "REACH_M",
+    "SCHEMA",
+    "Blend",
+    "SoilMap",
+    "Zone",
+    "read_soil_map",
+    "soil_map_bytes",
+    "zone_roots",
+]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -230,3 +244,63 @@ def zone_roots(soil_map: SoilMap) -> FloatArray:
         values, vectors = np.linalg.eigh(zone.belief.covariance / np.outer(width, width))
         roots.append(width[:, None] * (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
     return np.array(roots).reshape(-1, len(PARAMETERS), len(PARAMETERS))
+
+
+SCHEMA = "lunarsci/soil-map/1"
+
+
+def soil_map_bytes(soil_map: SoilMap) -> bytes:
+    """As `read_soil_map` reads it; places to a millimetre."""
+    document = {
+        "schema": SCHEMA,
+        "correlation_m": soil_map.correlation_m,
+        "reach_m": soil_map.reach_m,
+        "laws": {name: asdict(law) for name, law in soil_map.laws.items()},
+        "zones": [
+            {
+                "name": zone.name,
+                "x_m": np.round(zone.place_m[:, 0], 3).tolist(),
+                "y_m": np.round(zone.place_m[:, 1], 3).tolist(),
+                "belief": json.loads(zone.belief.to_json()),
+            }
+            for zone in soil_map.zones
+        ],
+    }
+    return (json.dumps(document, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n").encode()
+
+
+def read_soil_map(source: InputFile) -> SoilMap:
+    """Read a soil map. Raises DataError for text that is none."""
+    try:
+        return _soil_map(json.loads(text(source), parse_constant=_refuse))
+    except json.JSONDecodeError as error:
+        raise DataError(
+            f"{source.name}, line {error.lineno}: not valid JSON: {error.msg}; is the file complete?"
+        ) from error
+    except ParameterError as error:
+        raise DataError(f"{source.name}: {error}") from error
+
+
+def _soil_map(document: Any) -> SoilMap:
+    if not isinstance(document, Mapping) or document.get("schema") != SCHEMA:
+        raise ParameterError(f"not a soil map; its schema must be {SCHEMA}; `twin update --save-map` writes one")
+    try:
+        return SoilMap(
+            laws={name: Law(**document["laws"][name]) for name in PARAMETERS},
+            correlation_m=float(document["correlation_m"]),
+            reach_m=float(document["reach_m"]),
+            zones=tuple(_zone(entry) for entry in document["zones"]),
+        )
+    except KeyError as error:
+        raise ParameterError(f"no {error} in it") from error
+    except (TypeError, ValueError) as error:
+        raise ParameterError(str(error)) from error
+
+
+def _zone(entry: Mapping[str, Any]) -> Zone:
+    places = [np.array(entry[key], dtype=np.float64) for key in ("x_m", "y_m")]
+    return Zone(name=str(entry["name"]), place_m=np.column_stack(places), belief=belief_of(entry["belief"]))
+
+
+def _refuse(name: str) -> float:
+    raise ParameterError(f"{name} is no number that a soil map can have")

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from lunarsci.csv_table import numbers_of, read_csv_table
 from lunarsci.errors import DataError, OutputError, ParameterError
 from lunarsci.regolith.soil import Soil
-from lunarsci.rovers.made_for import MadeFor
+from lunarsci.rovers.description import MadeFor
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, build_terrain, from_si
 

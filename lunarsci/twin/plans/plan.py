@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.rovers.made_for import MadeFor
+from lunarsci.rovers.description import MadeFor
 from lunarsci.twin.ground.terrain import soil_override
 from lunarsci.twin.rover import Rover
 

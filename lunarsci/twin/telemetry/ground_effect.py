@@ -5,6 +5,7 @@ must carry a part of the weight, and slip for it. A wheel's pull grows with its 
 slip, both as its load; so the three velocities of a rigid rover are those that fit all wheels best, weighed by their
 loads, and those across by how much stiffer the ground is against side slip than against slip. This is the balance of
 forces where slips are small, and inertia is none.
+
 """
 
 import numpy as np

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from lunarsci.spectra.abundance.estimate import estimate_abundance
-from lunarsci.spectra.abundance.hapke import HapkeSurface
+from lunarsci.spectra.abundance.hapke import GRAIN_INDEX, HapkeSurface, Weathering, iron_absorption
 from lunarsci.spectra.abundance.mixing import Albedo
-from lunarsci.spectra.abundance.weathering import GRAIN_INDEX, Weathering, iron_absorption
 from lunarsci.spectra.spectrum import Spectrum
 from tests.spectra.abundance.test_unmix import MINERALS, SHARES, made
 

@@ -20,10 +20,10 @@ from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.photometry import Geometry, phase_function
 from lunarsci.spectra.solar import SolarSpectrum, solar_spectrum
-from lunarsci.spectra.vnis.calibrate import Settings, calibrate, calibrate_files, default_settings
+from lunarsci.spectra.vnis.calibrate import calibrate, calibrate_files
 from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure
 from lunarsci.spectra.vnis.channels import SPLICED_NM, SWIR_NM, VNIR_NM, fwhm_nm
-from lunarsci.spectra.vnis.detector import irradiance_at
+from lunarsci.spectra.vnis.detector import Settings, default_settings, irradiance_at
 from lunarsci.spectra.vnis.label import read_label
 from lunarsci.spectra.vnis.observation import Observation, SwirTable, read_observation
 from lunarsci.spectra.vnis.reflectance import ChannelFactors

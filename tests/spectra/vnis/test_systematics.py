@@ -21,9 +21,10 @@ from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.photometry import Geometry, PhaseFunction, phase_function
 from lunarsci.spectra.solar import solar_spectrum
 from lunarsci.spectra.spectrum import Spectrum
-from lunarsci.spectra.vnis.calibrate import calibrate, default_settings
+from lunarsci.spectra.vnis.calibrate import calibrate
 from lunarsci.spectra.vnis.calibration import Calibration
 from lunarsci.spectra.vnis.channels import SPLICED_NM, footprint_mask
+from lunarsci.spectra.vnis.detector import default_settings
 from lunarsci.spectra.vnis.label import read_label
 from lunarsci.spectra.vnis.observation import Observation, SwirTable
 from lunarsci.spectra.vnis.simulation.instrument import Instrument, simulate
