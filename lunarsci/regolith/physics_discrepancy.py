@@ -231,5 +231,5 @@ FIRST = PhysicsDiscrepancy(
 """Before any drive. The likelihood of 17 returns by stress integrals, ruts and changing soils is largest near half of
 these shares of the way, with `STATES_TO_WAY` and `STATES_WORTH` as they are (`tests/benchmarks/loop.py --training
 --seed 1701`: grounds and soils that no reported number is of); about doubled for laws that none of these has, assumed,
-as far as the median spread of their ends stays below 0.15 m there and on the soils of `--seed 41`, whose returns had been
-seen by then. Those of wheel states are assumed."""
+as far as the median spread of their ends stays below 0.15 m there and on soils of `--seed 41`, whose returns were known
+by then. Those of wheel states are assumed."""
