@@ -54,7 +54,7 @@ def bands_report(batch: Batch, measured: Sequence[SpectrumBands | BandFailure], 
     failures = failures_of(batch, measured, bool(good))
 
     def figures() -> Any:
-        from lunarsci.spectra.figure import band_pages
+        from lunarsci.spectra.mgm.figure import band_pages
 
         return band_pages(good)
 

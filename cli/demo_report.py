@@ -15,9 +15,9 @@ from lunarsci.spectra.mgm.assemblages import TABLES
 from lunarsci.spectra.vnis.detector import default_settings
 from lunarsci.spectra.vnis.export import to_ecsv
 from lunarsci.tables import table_hashes
-from lunarsci.twin.ensemble import Prediction, predict
 from lunarsci.twin.judgement.safety import Verdict, judge
 from lunarsci.twin.judgement.tables import state_table
+from lunarsci.twin.simulation.ensemble import Prediction, predict
 
 from .demo_rock import Studied, finding, rock_findings, rock_pictures
 from .regolith_report import PAPER

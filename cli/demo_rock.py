@@ -95,12 +95,12 @@ def rock_pictures(the_rock: Studied) -> dict[str, Callable[[], bytes]]:
         return picture_bytes(calibration_pages([the_rock.calibration]), Path("calibration.png"))
 
     def bands() -> bytes:
-        from lunarsci.spectra.figure import band_pages
+        from lunarsci.spectra.mgm.figure import band_pages
 
         return picture_bytes(band_pages([the_rock.bands]), Path("bands.png"))
 
     def fit() -> bytes:
-        from lunarsci.spectra.figure import fit_pages
+        from lunarsci.spectra.mgm.figure import fit_pages
 
         return picture_bytes(fit_pages([the_rock.fit]), Path("fit.png"))
 

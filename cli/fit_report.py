@@ -51,7 +51,7 @@ def fit_report(batch: Batch, run: FitRun, request: FitRequest) -> Report:
 
     def figures() -> Any:
         from lunarsci.spectra.abundance.figure import share_pages
-        from lunarsci.spectra.figure import fit_pages
+        from lunarsci.spectra.mgm.figure import fit_pages
 
         return chain(fit_pages(good), share_pages(unmixed))
 

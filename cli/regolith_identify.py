@@ -135,8 +135,8 @@ def identify(
     from lunarsci.regolith.identify import identify as identify_soil
     from lunarsci.regolith.sensitivity import sensitivities
 
-    from .regolith_joint import JointAsked, infer
-    from .regolith_report import assumptions, identify_report, read_inputs
+    from .regolith_joint import JointAsked, infer, read_inputs
+    from .regolith_report import assumptions, identify_report
 
     _check_posterior(output, posterior, joint)
     intervals = _intervals(joint, reading, prior, exact or law == "auto" or predict is not None, sample, profile)

@@ -3,25 +3,35 @@
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
 from lunarsci.inputs import read_input
+from lunarsci.provenance import sha256
 from lunarsci.regolith.contact import Bulldozing, ContactModel, ShearLaw
 from lunarsci.regolith.fit_verdict import verdict_line
 from lunarsci.regolith.joint import SoilPosterior, infer_soil
 from lunarsci.regolith.joint_forecast import PredictedStates, belief_after, predict_states
 from lunarsci.regolith.joint_laws import WheelLaw, WheelLawScore, candidates, compare_laws
 from lunarsci.regolith.prior import CONTACT, PARAMETERS, read_prior
-from lunarsci.regolith.wheel import read_wheel
+from lunarsci.regolith.states import MeasurementErrors, WheelStates, read_states
+from lunarsci.regolith.wheel import Wheel, read_wheel
+from lunarsci.rovers.description import read_rover
 
 from .table import TextTable, to_csv
 
-if TYPE_CHECKING:
-    from .regolith_report import Given
-
-__all__ = ["Intervals", "JointAsked", "Together", "infer", "joint_record", "joint_tables", "soil_file"]
+__all__ = [
+    "Given",
+    "Intervals",
+    "JointAsked",
+    "Together",
+    "infer",
+    "joint_record",
+    "joint_tables",
+    "read_inputs",
+    "soil_file",
+]
 
 LABELS = {
     "stiffness_kpa_m_n": ("stiffness K_s", "kPa/m^N"),
@@ -39,6 +49,27 @@ LABELS = {
 }
 HOW = {"normal": "of a normal law", "sample": "of draws from the posterior", "profile": "by profile"}
 SHOWN_SHARE, SHOWN_WEIGHT, MOST_SHOWN, MOST_STATES = 0.5, 0.3, 3, 30
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """What `regolith identify` starts from."""
+
+    states: WheelStates
+    wheel: Wheel
+    inputs: dict[str, str]
+    tables: dict[str, str]
+    assumed: tuple[str, ...]
+
+
+def read_inputs(states: str, rover: str, errors: MeasurementErrors) -> Given:
+    """Read the wheel states and the wheel."""
+    description = read_rover(rover)
+    wheel = read_wheel(description)
+    source = read_input(states)
+    tables = {f"{rover} (rover)": sha256(description.text.encode())}
+    assumed = tuple(name for name in description.assumed if name.startswith("wheel."))
+    return Given(read_states(source, wheel, errors), wheel, {source.name: source.sha256}, tables, assumed)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,20 +1,15 @@
 """From files and options of `lunarsci regolith identify` to its result, and from this to a `Report`."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from lunarsci.inputs import read_input
-from lunarsci.provenance import sha256
 from lunarsci.regolith.identify import Assumptions, Identification
 from lunarsci.regolith.prior import prior_hash
-from lunarsci.regolith.states import MeasurementErrors, WheelStates, read_states
 from lunarsci.regolith.uncertainty import UNITS, Estimate
-from lunarsci.regolith.wheel import Wheel, read_wheel
-from lunarsci.rovers.description import read_rover
 
 from .report import Report
 from .table import TextTable
@@ -22,9 +17,9 @@ from .table import TextTable
 if TYPE_CHECKING:
     from lunarsci.regolith.sensitivity import Sensitivity
 
-    from .regolith_joint import Together
+    from .regolith_joint import Given, Together
 
-__all__ = ["Given", "assumptions", "identify_report", "read_inputs"]
+__all__ = ["assumptions", "identify_report"]
 
 PAPER = "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8"
 LABELS = {
@@ -57,27 +52,6 @@ INPUTS = {
 MANY_STATES, LEAST_SHARE = 30, 0.005
 
 
-@dataclass(frozen=True, slots=True)
-class Given:
-    """What `regolith identify` starts from."""
-
-    states: WheelStates
-    wheel: Wheel
-    inputs: dict[str, str]
-    tables: dict[str, str]
-    assumed: tuple[str, ...]
-
-
-def read_inputs(states: str, rover: str, errors: MeasurementErrors) -> Given:
-    """Read the wheel states and the wheel."""
-    description = read_rover(rover)
-    wheel = read_wheel(description)
-    source = read_input(states)
-    tables = {f"{rover} (rover)": sha256(description.text.encode())}
-    assumed = tuple(name for name in description.assumed if name.startswith("wheel."))
-    return Given(read_states(source, wheel, errors), wheel, {source.name: source.sha256}, tables, assumed)
-
-
 def assumptions(pairs: tuple[float | None, ...], lateral_modulus: str | None) -> Assumptions:
     """What is assumed of the soil: N, K_s, c, phi, K_x and phi_y as given, and K_y, one or several by commas."""
     exponent, stiffness, cohesion, friction_angle, shear_modulus, external_friction_angle = pairs
@@ -101,7 +75,7 @@ def _numbers(text: str | None, option: str) -> tuple[float, ...]:
 
 
 def identify_report(
-    given: Given,
+    given: "Given",
     found: Identification,
     seed: int,
     together: "Together | None" = None,

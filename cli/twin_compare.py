@@ -61,8 +61,7 @@ def compare(
     With --belief and --save, how far the drive missed teaches a belief how far the twin's physics is off, beside its
     soil: regions of later predictions grow or shrink with it. Compare first, then `twin update` the saved belief.
     """
-    from .twin_compare_learning import learn
-    from .twin_compare_report import compare_report, read_meeting
+    from .twin_compare_report import compare_report, learn, read_meeting
 
     if (belief is None) != (save is None):
         raise typer.BadParameter("--belief FILE and --save FILE belong together; give both, or neither")

@@ -2,9 +2,10 @@
 
 import dataclasses
 import warnings
-from dataclasses import asdict, dataclass
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,15 +13,16 @@ import numpy.typing as npt
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile, read_input
 from lunarsci.provenance import sha256
+from lunarsci.regolith.belief import SoilBelief, read_belief
 from lunarsci.rovers.description import read_rover
 from lunarsci.twin.comparison.bands import ALL, BandCheck
 from lunarsci.twin.comparison.ends import EndCheck, PathCheck
 from lunarsci.twin.comparison.forecast import Forecast, read_forecast
-from lunarsci.twin.comparison.learning import miss_of
+from lunarsci.twin.comparison.learning import Miss, miss_of, taught
 from lunarsci.twin.comparison.meeting import Meeting, meet
 from lunarsci.twin.comparison.tail import Standing
 from lunarsci.twin.comparison.verdict import Comparison, compare
-from lunarsci.twin.drive_record import DriveRecord, read_record
+from lunarsci.twin.inference.drive_record import DriveRecord, read_record
 from lunarsci.twin.plans.plan import read_plan
 from lunarsci.twin.plans.plan_files import plan_text
 from lunarsci.twin.rover import Rover, build_rover
@@ -29,10 +31,7 @@ from .report import Report
 from .table import TextTable
 from .twin_discrepancy import discrepancy_table
 
-if TYPE_CHECKING:
-    from .twin_compare_learning import Lesson
-
-__all__ = ["Met", "compare_report", "read_meeting"]
+__all__ = ["Lesson", "Met", "compare_report", "learn", "read_meeting"]
 
 SOURCES = [
     "Hotelling (1931), Ann. Math. Stat. 2, 360, 10.1214/aoms/1177732979",
@@ -113,7 +112,36 @@ def _record(
     return record, np.isfinite(once.values)
 
 
-def compare_report(met: Met, seed: int, lesson: "Lesson | None" = None) -> Report:
+@dataclass(frozen=True, slots=True, eq=False)
+class Lesson:
+    """A belief before and after a comparison, and the file that takes the latter."""
+
+    before: SoilBelief
+    after: SoilBelief
+    save: Path
+
+    @property
+    def extras(self) -> dict[Path, Callable[[], bytes]]:
+        """The file that was asked for."""
+        return {self.save: lambda: self.after.to_json().encode()}
+
+
+def learn(met: Met, belief: str, save: Path) -> Lesson:
+    """Teach the belief of a file. Raises DataError for one that knows the drive, and predictions of no belief."""
+    source = read_input(belief)
+    before, digest = read_belief(source), met.inputs[met.states]
+    if met.meeting.forecast.soils != "belief":
+        raise DataError(f"{met.meeting.forecast.origin}: predicted on ranges of soils, and teaches nothing of a belief")
+    if before.discrepancy.has_scored(digest):
+        raise DataError(f"{belief} has learned from {met.states} already; compare first, then update by the drive")
+    met.inputs[belief] = source.sha256
+    law = taught(met.meeting, before.discrepancy).with_score(
+        states=Path(met.states).name, sha256=digest, plan=met.meeting.forecast.plan.name, how="comparison"
+    )
+    return Lesson(before, replace(before, discrepancy=law), save)
+
+
+def compare_report(met: Met, seed: int, lesson: Lesson | None = None) -> Report:
     """The report of `twin compare`; `lesson` is what it taught a belief."""
     meeting, found = met.meeting, compare(met.meeting, seed)
     taught = [] if lesson is None else [discrepancy_table(lesson.after.discrepancy, lesson.before.discrepancy)]
@@ -195,8 +223,6 @@ def _band_row(check: BandCheck, found: Comparison) -> dict[str, Any]:
 
 
 def _tables(meeting: Meeting, found: Comparison, states: str) -> list[TextTable]:
-    from .twin_compare_learning import miss_rows
-
     forecast = meeting.forecast
     drives = (
         f"{found.finished} of {found.members} drives" if found.finished < found.members else f"{found.members} drives"
@@ -300,3 +326,22 @@ def _whole(found: Comparison) -> list[str]:
     if (change := found.change) is not None:
         lines.append(f"largest change of the ground: about {change.distance_m:.1f} m on, by chance {change.p:.2g}")
     return lines
+
+
+def miss_rows(miss: Miss | None) -> list[list[str]]:
+    """The last position beside the middle of the soils, for people."""
+    if miss is None:
+        return []
+    return [
+        ["miss", "along, across (left)", f"{miss.along_m:+.3f} m, {miss.across_m:+.3f} m"],
+        [
+            "miss",
+            "as shares of the way",
+            f"{100 * miss.along_share:+.2f} %, {100 * miss.across_share:+.2f} % of {miss.way_m:.1f} m",
+        ],
+        [
+            "miss",
+            "1 sd of soils, place, physics",
+            f"{miss.soil_m:.3f} m, {miss.position_m:.3f} m, {miss.physics_m:.3f} m",
+        ],
+    ]

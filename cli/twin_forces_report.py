@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from lunarsci.inputs import read_input
-from lunarsci.twin.ensemble import Prediction
-from lunarsci.twin.held import HeldForces, forces_along
 from lunarsci.twin.judgement.load_check import Spread, WheelLoads, wheel_loads
 from lunarsci.twin.judgement.tables import held_table, state_table
+from lunarsci.twin.loads.held import HeldForces, forces_along
+from lunarsci.twin.outcomes import FINISHED, OUTCOMES
 from lunarsci.twin.plans.motion import read_motion
-from lunarsci.twin.simulation.outcomes import FINISHED, OUTCOMES
+from lunarsci.twin.simulation.ensemble import Prediction
 
 from .report import Report
 from .table import TextTable

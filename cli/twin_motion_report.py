@@ -12,12 +12,12 @@ import typer
 from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
 from lunarsci.regolith.prior import PARAMETERS, prior_hash
-from lunarsci.twin.force_soil import ForceSoil, force_soil
 from lunarsci.twin.ground.driven_soil import DrivenSoil, soil_record
 from lunarsci.twin.judgement.load_check import force_table
+from lunarsci.twin.loads.force_soil import ForceSoil, force_soil
+from lunarsci.twin.loads.pose_states import PoseStates, read_pose_states
+from lunarsci.twin.loads.uncertain_forces import BALANCE_ERROR, DRAWS, uncertain_forces
 from lunarsci.twin.plans.motion import CORRELATION_M, Motion, correlation_of, read_motion
-from lunarsci.twin.pose_states import PoseStates, read_pose_states
-from lunarsci.twin.uncertain_forces import BALANCE_ERROR, DRAWS, uncertain_forces
 
 from .report import Report
 from .twin_motion_tables import doubt_of, motion_result, motion_tables

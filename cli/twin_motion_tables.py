@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from lunarsci.twin.force_soil import ForceSoil
-from lunarsci.twin.simulation.outcomes import FINISHED, OUTCOMES
-from lunarsci.twin.totals import FORCES
-from lunarsci.twin.uncertain_forces import TOTALS, Shares, UncertainForces
+from lunarsci.twin.loads.force_soil import ForceSoil
+from lunarsci.twin.loads.totals import FORCES
+from lunarsci.twin.loads.uncertain_forces import TOTALS, Shares, UncertainForces
+from lunarsci.twin.outcomes import FINISHED, OUTCOMES
 
 from .table import TextTable
 from .twin_report import Scene

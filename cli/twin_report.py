@@ -15,7 +15,6 @@ from lunarsci.regolith.belief import SoilBelief, read_belief
 from lunarsci.regolith.soil import known_soils, read_soil, soil_hash
 from lunarsci.rovers.description import RoverDescription, read_rover
 from lunarsci.twin.comparison.forecast import FILE, forecast_document, forecast_of
-from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.ground.driven_soil import DrivenSoil, lay_soil_on, soil_record
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain
@@ -26,6 +25,7 @@ from lunarsci.twin.judgement.sensitivity import EndpointSensitivity, endpoint_se
 from lunarsci.twin.judgement.tables import endpoint_table, path_table, profile_table, state_table
 from lunarsci.twin.plans.plan import Fixes, Plan, parse_fixes, read_plan
 from lunarsci.twin.rover import Rover, build_rover
+from lunarsci.twin.simulation.ensemble import Prediction
 
 from .progress import progress
 from .report import Report

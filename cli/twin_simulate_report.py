@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lunarsci.twin.ensemble import predict
 from lunarsci.twin.judgement.tables import state_table
+from lunarsci.twin.simulation.ensemble import predict
 from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
 
 from .report import Report

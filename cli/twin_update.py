@@ -20,6 +20,8 @@ Ruts = Annotated[
     ),
 ]
 
+Particles = Annotated[int, typer.Option(min=32, help="Soils that carry the belief.")]
+
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
@@ -37,8 +39,7 @@ def update(
         str | None, typer.Option(metavar="FILE", help="Positions from localisation (CSV): time_s, x_m, y_m, sigma_m.")
     ] = None,
     belief: Annotated[
-        str | None,
-        typer.Option(metavar="FILE", help="What was believed before (JSON); the priors if left out."),
+        str | None, typer.Option(metavar="FILE", help="What was believed before (JSON); the priors if left out.")
     ] = None,
     forget: Annotated[
         float, typer.Option(min=0, max=1, help="Share of the way back to the first priors, for ground further on.")
@@ -66,7 +67,7 @@ def update(
     rover: twin_options.RoverName = None,
     terrain: twin_options.TerrainName = "synthetic-longji",
     interpolation: twin_options.Interpolation = "smooth",
-    particles: Annotated[int, typer.Option(min=32, help="Soils that carry the belief.")] = 128,
+    particles: Particles = 128,
     ruts: Ruts = None,
     seed: twin_options.Seed = 0,
 ) -> Report:

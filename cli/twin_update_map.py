@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 from lunarsci.inputs import read_input
 from lunarsci.regolith.prior import PARAMETERS
-from lunarsci.twin.drive_record import DriveRecord
 from lunarsci.twin.ground.soil_layers import soil_layers
 from lunarsci.twin.ground.soil_map import SoilMap, Zone, read_soil_map, soil_map_bytes
 from lunarsci.twin.ground.terrain_files import terrain_bytes
-from lunarsci.twin.rectify import Rectified
-from lunarsci.twin.soil_zones import DrivenZone, SoilChange, driven_zones, find_change
+from lunarsci.twin.inference.drive_record import DriveRecord
+from lunarsci.twin.inference.rectify import Rectified
+from lunarsci.twin.inference.soil_zones import DrivenZone, SoilChange, driven_zones, find_change
 
 from .table import TextTable
 from .twin_report import Scene

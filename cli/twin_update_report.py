@@ -11,12 +11,12 @@ from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief, with_drive
 from lunarsci.regolith.ground_law import ground_intervals
 from lunarsci.regolith.prior import PARAMETERS, prior_hash
-from lunarsci.twin.drive_record import DriveRecord, read_record
 from lunarsci.twin.ground.driven_soil import DrivenSoil, soil_record
 from lunarsci.twin.ground.soil_map import SoilMap
-from lunarsci.twin.rectify import Rectified, rectify
-from lunarsci.twin.soil_change import planned_places
-from lunarsci.twin.soil_zones import SoilChange
+from lunarsci.twin.inference.drive_record import DriveRecord, read_record
+from lunarsci.twin.inference.rectify import Rectified, rectify
+from lunarsci.twin.inference.soil_change import planned_places
+from lunarsci.twin.inference.soil_zones import SoilChange
 
 from .report import Report
 from .table import TextTable

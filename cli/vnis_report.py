@@ -7,8 +7,8 @@ from typing import Any
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import expand_inputs, read_input
 from lunarsci.spectra.photometry import PHASE_FUNCTIONS, phase_function, read_phase_function
+from lunarsci.spectra.readers.solar_table import read_solar_spectrum
 from lunarsci.spectra.solar import SOLAR_SPECTRA, solar_spectrum
-from lunarsci.spectra.solar_table import read_solar_spectrum
 from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure
 from lunarsci.spectra.vnis.channels import SPLICED_NM
 from lunarsci.spectra.vnis.detector import Settings

@@ -1,6 +1,7 @@
 """The shape of the house: which part may import which, what the library may not touch, and what is packaged."""
 
 import ast
+import graphlib
 import tomllib
 from pathlib import Path
 
@@ -129,3 +130,34 @@ def test_every_number_of_a_rover_file_has_a_source() -> None:
         for table in tomllib.loads(path.read_text("utf-8")).values():
             for key, entry in table.items() if isinstance(table, dict) else []:
                 assert entry["source"], f"{path.name}: {key}"
+
+
+def circle_in(arrows: dict[str, set[str]]) -> list[str]:
+    try:
+        list(graphlib.TopologicalSorter(arrows).static_order())
+    except graphlib.CycleError as found:
+        return list(found.args[1])
+    return []
+
+
+def test_no_folder_of_the_library_imports_in_a_circle() -> None:
+    """At every level, imports inside of functions counted."""
+    files = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in TREES}
+    folders = {name.removesuffix(".__init__") for name, path in files.items() if path.name == "__init__.py"}
+    arrows: dict[str, set[str]] = {}
+    for name, path in files.items():
+        if ROOT / "lunarsci" in path.parents:
+            own = name.rpartition(".")[0]
+            used = {part if part in folders else part.rpartition(".")[0] for part in imports(TREES[path])}
+            arrows.setdefault(own, set()).update(used & folders - {own})
+    assert sum(map(len, arrows.values())) > 30, "or nothing was looked at"
+    assert circle_in(arrows) == []
+
+
+def test_no_module_of_the_command_line_imports_in_a_circle() -> None:
+    arrows: dict[str, set[str]] = {}
+    for path, tree in TREES.items():
+        if ROOT / "cli" in path.parents and path.name != "__init__.py":
+            nodes = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.level == 1]
+            arrows[path.stem] = {node.module.split(".")[0] for node in nodes if node.module}
+    assert circle_in(arrows) == []

@@ -16,13 +16,13 @@ from lunarsci.errors import DataError
 from lunarsci.regolith.soil import Soil, read_soil
 from lunarsci.reproduce.numbers import Answer, Number, judge, published_numbers, published_value
 from lunarsci.reproduce.soil import Rolling
-from lunarsci.twin.ensemble import Prediction, predict
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.judgement.quantities import along
 from lunarsci.twin.plans.path import planned_pose
 from lunarsci.twin.plans.plan import Plan, Sweep, read_plan
 from lunarsci.twin.rover import Rover, build_rover
+from lunarsci.twin.simulation.ensemble import Prediction, predict
 
 __all__ = ["K_Y_MM", "PHI_DEG", "STAND_IN", "Drives", "drive_numbers", "medians", "predicted_drives"]
 

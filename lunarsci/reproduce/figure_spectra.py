@@ -9,7 +9,7 @@ import numpy as np
 from lunarsci.reproduce.numbers import published_value
 from lunarsci.reproduce.spectra import SMOOTHED_POINTS, Rocks, high_calcium, low_calcium
 from lunarsci.spectra.chemistry.figure import plane_pages
-from lunarsci.spectra.figure import fit_pages
+from lunarsci.spectra.mgm.figure import fit_pages
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

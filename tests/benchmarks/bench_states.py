@@ -26,11 +26,11 @@ from lunarsci.inputs import InputFile
 from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.regolith.soil import read_soil
-from lunarsci.twin.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.ground.synthetic import roughness, synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import build_rover
+from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.telemetry.findings import Findings
 from lunarsci.twin.telemetry.reading import read_telemetry
 from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry

@@ -15,7 +15,7 @@ from scipy.ndimage import label
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.soil import read_soil
 from lunarsci.rovers.description import read_rover
-from lunarsci.twin.footprint import rover_footprint
+from lunarsci.twin.ground.footprint import rover_footprint
 from lunarsci.twin.ground.hazards import Traversability, assess, ground_maps, map_scales
 from lunarsci.twin.ground.mobility import read_mobility
 from lunarsci.twin.ground.rocks import scatter_rocks

@@ -15,10 +15,10 @@ import numpy as np
 
 from lunarsci.regolith.forces import wheel_forces_kernel
 from lunarsci.regolith.soil import read_soil
-from lunarsci.twin.ensemble import Prediction, predict
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.plans.plan import read_plan
 from lunarsci.twin.rover import build_rover
+from lunarsci.twin.simulation.ensemble import Prediction, predict
 
 ROVER, TERRAIN, PLAN = build_rover("yutu2"), synthetic_longji(), read_plan()
 MEMBERS, CHECKED = 1024, 64

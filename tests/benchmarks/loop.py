@@ -38,13 +38,13 @@ from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.ground_law import ground_moments
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.regolith.states import MeasurementErrors
-from lunarsci.twin.drive_record import OBSERVED, DriveRecord
-from lunarsci.twin.ensemble import STATE_COLUMNS, predict
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.path_discrepancy import way_matrix, with_discrepancy
+from lunarsci.twin.inference.drive_record import OBSERVED, DriveRecord
+from lunarsci.twin.inference.rectify import rectify
 from lunarsci.twin.plans.plan import Plan, read_plan
-from lunarsci.twin.rectify import rectify
 from lunarsci.twin.rover import Rover, build_rover
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict
+from lunarsci.twin.simulation.path_discrepancy import way_matrix, with_discrepancy
 
 ERRORS = MeasurementErrors(sinkage_m=0.00033, force_relative=0.10 / 3, travel_relative=0.04, side_slip_relative=0.04)
 POSITION_SHARES = {"third": 0.04 / 3, "whole": 0.04}

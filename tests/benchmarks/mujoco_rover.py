@@ -14,12 +14,12 @@ import numpy as np
 from lunarsci.compiled import compiled
 from lunarsci.regolith.forces import slip_ratio, wheel_forces_kernel
 from lunarsci.regolith.integrals import NODES, WEIGHTS, contact_kernel
-from lunarsci.twin.ensemble import STATE_COLUMNS
 from lunarsci.twin.ground.terrain import Terrain, surface_in
 from lunarsci.twin.plans.schedule import all_commands, make_schedule, start_motion
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact import NORMAL_DAMPING
 from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST, VALID_SLIP
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 
 ACROSS = np.linspace(-0.5, 0.5, 7)
 """Where a wheel looks at the rut below it, as shares of its width."""

@@ -30,12 +30,12 @@ from mujoco_rover import Driven, Law, Ruts, drive, fresh_ruts, joint_angles
 from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.contact import ContactModel
 from lunarsci.regolith.prior import PARAMETERS, values_of
-from lunarsci.twin.ensemble import predict
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.commands import wheel_commands
 from lunarsci.twin.plans.plan import Leg, Plan, read_plan
 from lunarsci.twin.rover import Rover, build_rover
+from lunarsci.twin.simulation.ensemble import predict
 
 STEP_S = 0.004
 """Of MuJoCo; half of it moves the end of the embedded plan by 0.3 mm."""

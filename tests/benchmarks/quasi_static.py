@@ -22,11 +22,11 @@ from quasi_static_forces import Ground, Law, balance, height_of, place, plane_at
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.prior import default_prior, values_of
-from lunarsci.twin.ensemble import predict
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Leg, Plan, read_plan
 from lunarsci.twin.rover import Rover, build_rover
+from lunarsci.twin.simulation.ensemble import predict
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -28,11 +28,11 @@ from scipy.optimize import brentq
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.forces import READINGS, wheel_forces
 from lunarsci.regolith.soil import read_soil
-from lunarsci.twin.ensemble import Prediction, predict
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.plans.plan import read_plan
 from lunarsci.twin.rover import build_rover
+from lunarsci.twin.simulation.ensemble import Prediction, predict
 
 ROVER, PLAN, SOIL = build_rover("yutu2"), read_plan(), read_soil("longji")
 PHI_DEG, K_Y_MM = (25.0, 40.0, 55.0), (15.0, 30.0, 45.0)

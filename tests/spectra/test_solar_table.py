@@ -10,8 +10,8 @@ from scipy.integrate import quad, trapezoid
 
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
+from lunarsci.spectra.readers.solar_table import read_solar_spectrum
 from lunarsci.spectra.solar import SOLAR_SPECTRA, solar_spectrum
-from lunarsci.spectra.solar_table import read_solar_spectrum
 
 PLANCK_NM = np.arange(400.0, 2601.0, 2.0)
 

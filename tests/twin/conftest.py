@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from lunarsci.regolith.soil import Soil, read_soil
-from lunarsci.twin.ensemble import Prediction, predict
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.plans.plan import Leg, Plan, parse_sweep
 from lunarsci.twin.rover import Rover, build_rover
+from lunarsci.twin.simulation.ensemble import Prediction, predict
 
 
 @pytest.fixture(scope="session")

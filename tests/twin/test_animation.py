@@ -9,9 +9,9 @@ import pytest
 from PIL import Image
 
 from lunarsci.errors import ParameterError
-from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.figures.animation import animate, check_format, median_member
 from lunarsci.twin.judgement.safety import judge
+from lunarsci.twin.simulation.ensemble import Prediction
 
 
 @pytest.fixture(scope="module")

@@ -8,11 +8,11 @@ from scipy.spatial.transform import Rotation
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.rovers.description import read_rover
-from lunarsci.twin.ensemble import Prediction, predict
 from lunarsci.twin.judgement.clearance import belly_points, clearance, clearance_of_poses
 from lunarsci.twin.judgement.safety import judge
 from lunarsci.twin.plans.plan import Limit
 from lunarsci.twin.rover import Body, Rover, build_rover
+from lunarsci.twin.simulation.ensemble import Prediction, predict
 
 BODY = Body(length_m=1.2, width_m=0.8, belly_z_m=0.05, center_x_m=0.1)
 CORNERS = np.array([[0.1 + 0.6 * a, 0.4 * b, 0.05] for a in (-1, 1) for b in (-1, 1)])

@@ -16,11 +16,11 @@ from lunarsci.twin.comparison.ends import check_end, check_path
 from lunarsci.twin.comparison.forecast import Forecast, forecast_of
 from lunarsci.twin.comparison.meeting import Meeting, meet
 from lunarsci.twin.comparison.verdict import Comparison, compare
-from lunarsci.twin.drive_record import OBSERVED, DriveRecord
-from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.inference.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
 
 ERRORS = MeasurementErrors()
 FIX_M = 0.01

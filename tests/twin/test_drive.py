@@ -10,13 +10,13 @@ from scipy.optimize import brentq
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.forces import wheel_forces
 from lunarsci.regolith.soil import Soil
-from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import build_terrain
 from lunarsci.twin.judgement.tables import state_table
+from lunarsci.twin.outcomes import OUTCOMES
 from lunarsci.twin.plans.plan import Plan, read_plan
 from lunarsci.twin.rover import Rover, build_rover
-from lunarsci.twin.simulation.outcomes import OUTCOMES
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
 
 WEIGHT = 135.0 * 1.622
 

@@ -7,11 +7,11 @@ import pytest
 
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.terrain import Grid, build_terrain, lay_soil
+from lunarsci.twin.lanes import BODY_ROWS, CHANGE, LANES, MATRIX, POSE, RIGHT, RIM, SPEED, Work, new_work
+from lunarsci.twin.outcomes import FELL, FINISHED
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.contact import DRIVEN
 from lunarsci.twin.simulation.integrate import assemble, check_health, eliminate, move
-from lunarsci.twin.simulation.lanes import BODY_ROWS, CHANGE, LANES, MATRIX, POSE, RIGHT, RIM, SPEED, Work, new_work
-from lunarsci.twin.simulation.outcomes import FELL, FINISHED
 
 ROLLING = 0.05
 ABYSS = build_terrain("far below", -50.0, -50.0, 10.0, np.full((11, 11), -100.0), read_soil("longji")).grid()

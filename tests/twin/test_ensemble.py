@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import ParameterError
-from lunarsci.twin.ensemble import PATH_COLUMNS, Prediction, member_parameters, predict
 from lunarsci.twin.figures.fan import path_fan
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain
@@ -17,6 +16,7 @@ from lunarsci.twin.judgement.safety import extremes, judge
 from lunarsci.twin.judgement.tables import endpoint_table, path_table, state_table
 from lunarsci.twin.plans.plan import Limit, parse_sweep, read_plan
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, Prediction, member_parameters, predict
 
 SWEEP = tuple(map(parse_sweep, ("friction_angle_deg=25:55:3", "lateral_modulus_mm=15:45:2")))
 

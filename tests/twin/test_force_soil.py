@@ -13,16 +13,16 @@ from lunarsci.regolith.joint_totals import BalancedStates, infer_from_totals
 from lunarsci.regolith.load import sinkage_under_load
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.regolith.soil import Soil
-from lunarsci.twin.ensemble import STATE_COLUMNS, predict
-from lunarsci.twin.force_soil import ForceSoil, Round, force_soil, verdict_of
 from lunarsci.twin.ground.synthetic import synthetic_longji
-from lunarsci.twin.held import forces_along
+from lunarsci.twin.loads.force_soil import ForceSoil, Round, force_soil, verdict_of
+from lunarsci.twin.loads.held import forces_along
+from lunarsci.twin.loads.pose_states import PoseStates
+from lunarsci.twin.loads.totals import COLUMNS
 from lunarsci.twin.plans.motion import Motion, drawn_motions
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.plans.schedule import commands_at, make_schedule
-from lunarsci.twin.pose_states import PoseStates
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.totals import COLUMNS
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict
 
 OFF = np.array([-0.9, 0.4, 0.6, -0.5, -0.7, 0.7, 0.8, -0.6])
 """The hidden soil, in standard deviations of the priors."""

@@ -13,17 +13,17 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.regolith.prior import PARAMETERS
-from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.ground.synthetic import synthetic_longji
-from lunarsci.twin.held import forces_along
 from lunarsci.twin.judgement.load_check import force_table
+from lunarsci.twin.loads.held import forces_along
+from lunarsci.twin.loads.pose_states import at_times, read_pose_states
+from lunarsci.twin.loads.totals import COLUMNS, levers_of, missing_of
+from lunarsci.twin.loads.uncertain_forces import UncertainForces, uncertain_forces
 from lunarsci.twin.plans.motion import Motion, correlation_of, drawn_motions, read_motion
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.plans.schedule import commands_at, make_schedule
-from lunarsci.twin.pose_states import at_times, read_pose_states
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.totals import COLUMNS, levers_of, missing_of
-from lunarsci.twin.uncertain_forces import UncertainForces, uncertain_forces
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
 
 PLAN = Plan(name="test", legs=(Leg(2.5, 0.15), Leg(2.5, -0.1)), speed_m_s=0.05)
 SIGMAS = (0.005, 0.005, 0.3)

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
-from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.ground.synthetic import synthetic_longji
-from lunarsci.twin.held import HeldForces, forces_along
+from lunarsci.twin.loads.held import HeldForces, forces_along
+from lunarsci.twin.outcomes import OUTCOMES
 from lunarsci.twin.plans.motion import Motion, read_motion
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.plans.schedule import commands_at, make_schedule
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.simulation.outcomes import OUTCOMES
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
 
 PLAN = Plan(name="test", legs=(Leg(2.0, 0.15), Leg(2.0, -0.1)), speed_m_s=0.05)
 

@@ -8,8 +8,8 @@ import pytest
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import first_belief
-from lunarsci.twin.drive_record import OBSERVED
 from lunarsci.twin.inference.discrepancy import Discrepancy
+from lunarsci.twin.inference.drive_record import OBSERVED
 from lunarsci.twin.inference.mode import Mode, find_mode
 from lunarsci.twin.inference.population import draw_population, fit_emulator
 from lunarsci.twin.inference.posterior import Straight, inflation_of, wheel_errors

@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction
 from lunarsci.twin.judgement.load_check import check_loads, load_notes
 from lunarsci.twin.judgement.safety import judge, validity
+from lunarsci.twin.outcomes import HOLE, LEFT
 from lunarsci.twin.plans.plan import Limit
-from lunarsci.twin.simulation.outcomes import HOLE, LEFT
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
 
 SINKAGE, SLIP, LOAD, VALID = map(STATE_COLUMNS.index, ("sinkage_m", "slip_ratio", "normal_force_n", "valid"))
 

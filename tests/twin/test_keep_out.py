@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.twin.ensemble import Prediction
-from lunarsci.twin.footprint import rover_outline
+from lunarsci.twin.ground.footprint import rover_outline
 from lunarsci.twin.judgement.quantities import keep_out_distance
 from lunarsci.twin.judgement.safety import judge
 from lunarsci.twin.plans.plan import KeepOut, Limit, read_plan
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.ensemble import Prediction
 
 
 def at(prediction: Prediction, x: float, y: float, yaw_deg: float) -> Prediction:

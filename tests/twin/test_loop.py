@@ -14,11 +14,11 @@ from true_drives import Case, way_back
 
 from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.physics_discrepancy import FIRST
-from lunarsci.twin.drive_record import OBSERVED
-from lunarsci.twin.ensemble import STATE_COLUMNS
+from lunarsci.twin.inference.drive_record import OBSERVED
 from lunarsci.twin.plans.plan import read_plan
 from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 
 PLAN = read_plan()
 

@@ -15,11 +15,11 @@ from lunarsci.regolith.contact import ContactModel
 from lunarsci.regolith.integrals import NODES, WEIGHTS, contact_forces
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.regolith.soil import Soil
-from lunarsci.twin.ensemble import STATE_COLUMNS, predict
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict
 
 pytest.importorskip("mujoco")
 

@@ -9,14 +9,14 @@ import pytest
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.soil import Soil
-from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
+from lunarsci.twin.outcomes import OUTCOMES
 from lunarsci.twin.plans.plan import Fixes, Leg, Plan, parse_sweep
 from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.drive import begin, drive
-from lunarsci.twin.simulation.outcomes import OUTCOMES
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
 
 GradientTerrain = Callable[..., Terrain]
 TAN_20 = math.tan(math.radians(20.0))

@@ -9,11 +9,11 @@ from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy, Var
 from lunarsci.twin.comparison.forecast import forecast_of
 from lunarsci.twin.comparison.learning import miss_of, taught
 from lunarsci.twin.comparison.meeting import meet
-from lunarsci.twin.drive_record import DriveRecord
-from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction
+from lunarsci.twin.inference.drive_record import DriveRecord
 from lunarsci.twin.judgement.safety import judge
-from lunarsci.twin.path_discrepancy import ALIKE_M, ALWAYS, exposed, way_matrix, with_discrepancy
 from lunarsci.twin.plans.plan import KeepOut, Limit
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
+from lunarsci.twin.simulation.path_discrepancy import ALIKE_M, ALWAYS, exposed, way_matrix, with_discrepancy
 
 LINE = np.column_stack([np.linspace(0.0, 40.0, 401), np.zeros(401)])
 

@@ -7,13 +7,13 @@ import pandas as pd
 import pytest
 
 from lunarsci.errors import ParameterError
-from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.figures.boxes import box_pages, grouped, profile_page
 from lunarsci.twin.figures.fan import path_fan
 from lunarsci.twin.judgement.quantities import abscissa, along
 from lunarsci.twin.judgement.safety import judge
 from lunarsci.twin.judgement.tables import path_table, profile_table, state_table
 from lunarsci.twin.plans.plan import KeepOut, Limit
+from lunarsci.twin.simulation.ensemble import Prediction
 
 
 @pytest.fixture(scope="module")

@@ -9,11 +9,11 @@ from quasi_static import QuasiStatic, _ground, draw_physics, drive, law_of, moti
 from quasi_static_forces import height_of, wheel_forces
 
 from lunarsci.regolith.soil import Soil, read_soil
-from lunarsci.twin.ensemble import STATE_COLUMNS
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover, build_rover
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 
 SOIL = dataclasses.asdict(read_soil("longji")) | {"sinkage_exponent_slip": 0.2}
 PLAIN = QuasiStatic()

@@ -10,10 +10,10 @@ import pytest
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import first_belief
-from lunarsci.twin.drive_record import DriveRecord, read_record
 from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.inference.drive_record import DriveRecord, read_record
+from lunarsci.twin.inference.rectify import rectify
 from lunarsci.twin.plans.plan import Leg, Plan
-from lunarsci.twin.rectify import rectify
 from lunarsci.twin.rover import Rover
 
 HEAD = "time_s,wheel,sinkage_m,slip_ratio\n"

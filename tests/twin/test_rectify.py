@@ -9,13 +9,13 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.regolith.states import MeasurementErrors
-from lunarsci.twin.drive_record import OBSERVED, DriveRecord
-from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.inference.drive_record import OBSERVED, DriveRecord
+from lunarsci.twin.inference.rectify import Rectified, rectify
 from lunarsci.twin.plans.plan import Leg, Plan
-from lunarsci.twin.rectify import Rectified, rectify
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
 
 PLAN = Plan(name="test", legs=(Leg(1.5, 0.15), Leg(1.5, -0.15)), speed_m_s=0.05)
 SOIL = {

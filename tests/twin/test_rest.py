@@ -8,12 +8,12 @@ import pytest
 
 from lunarsci.regolith.prior import PARAMETERS, default_prior, values_of
 from lunarsci.regolith.soil import Soil
-from lunarsci.twin.ensemble import Prediction, predict
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.judgement.safety import judge
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import Rover, build_rover
+from lunarsci.twin.simulation.ensemble import Prediction, predict
 
 SOILS, REST_S, SETTLED_S = 45, 300.0, 1.0
 """Rest begins when the rims have stood for a second: by then what is left of the motion is gone."""

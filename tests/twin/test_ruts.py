@@ -7,10 +7,10 @@ import pytest
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.soil import Soil
-from lunarsci.twin.ensemble import Prediction, predict
+from lunarsci.twin.lanes import AXLE, CENTER, LANES, RIM, RUT, SINKAGE, SOIL, new_work
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.simulation.lanes import AXLE, CENTER, LANES, RIM, RUT, SINKAGE, SOIL, new_work
+from lunarsci.twin.simulation.ensemble import Prediction, predict
 from lunarsci.twin.simulation.ruts import (
     RISE_N_M4,
     SPACING_M,

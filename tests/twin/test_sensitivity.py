@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from lunarsci.twin.ensemble import predict
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.judgement.sensitivity import endpoint_sensitivity, step_error_m
 from lunarsci.twin.plans.plan import parse_sweep, read_plan
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.ensemble import predict
 
 SWEEP = (parse_sweep("friction_angle_deg=25:55:5"), parse_sweep("lateral_modulus_mm=15:45:5"))
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from lunarsci.twin.ground.terrain import Terrain, soil_override
+from lunarsci.twin.lanes import LANES, NORMAL, RIM, new_work
+from lunarsci.twin.outcomes import CLIFF, FINISHED, HOLE, LEFT, SANK, UNSETTLED
 from lunarsci.twin.rover import Rover, build_rover
-from lunarsci.twin.simulation.lanes import LANES, NORMAL, RIM, new_work
-from lunarsci.twin.simulation.outcomes import CLIFF, FINISHED, HOLE, LEFT, SANK, UNSETTLED
 from lunarsci.twin.simulation.settle import settle
 
 

@@ -10,16 +10,16 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.regolith.states import MeasurementErrors
-from lunarsci.twin.drive_record import OBSERVED, DriveRecord, states_at
-from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.figures.soil_layers import residual_page
 from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.inference.drive_record import OBSERVED, DriveRecord, states_at
 from lunarsci.twin.inference.misfit import MODEL_ERRORS
+from lunarsci.twin.inference.rectify import Rectified, rectify
+from lunarsci.twin.inference.soil_change import FEWEST_PIECES, Pieces, Way, averaged, largest_step, way_of, wheel_places
+from lunarsci.twin.inference.soil_zones import driven_zones, find_change, record_within
 from lunarsci.twin.plans.plan import Leg, Plan
-from lunarsci.twin.rectify import Rectified, rectify
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.soil_change import FEWEST_PIECES, Pieces, Way, averaged, largest_step, way_of, wheel_places
-from lunarsci.twin.soil_zones import driven_zones, find_change, record_within
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
 
 SOIL = {
     "stiffness_kpa_m_n": 1100.0,

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.terrain import Terrain, build_terrain, soil_override
+from lunarsci.twin.lanes import LANES, NORMAL, RIM, new_work
+from lunarsci.twin.outcomes import FINISHED
 from lunarsci.twin.rover import Rover, build_rover
-from lunarsci.twin.simulation.lanes import LANES, NORMAL, RIM, new_work
-from lunarsci.twin.simulation.outcomes import FINISHED
 from lunarsci.twin.simulation.settle import settle
 
 LIFT_M = 0.004

@@ -11,14 +11,14 @@ import pytest
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.soil import read_soil
-from lunarsci.twin.drive_record import read_record
-from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
+from lunarsci.twin.inference.drive_record import read_record
 from lunarsci.twin.plans.motion import read_motion
 from lunarsci.twin.plans.plan import Fixes, Leg, Plan, read_plan
 from lunarsci.twin.plans.schedule import commands_at, make_schedule
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.telemetry.findings import Findings
 from lunarsci.twin.telemetry.odometry import body_twist
 from lunarsci.twin.telemetry.reading import read_telemetry

@@ -8,10 +8,10 @@ from bench_states import LEVELS, PLAN, SENT, coarser, found_in, scores, truth_of
 
 from lunarsci.errors import LunarSciWarning
 from lunarsci.regolith.soil import read_soil
-from lunarsci.twin.ensemble import STATE_COLUMNS, predict
 from lunarsci.twin.ground.terrain import build_terrain
 from lunarsci.twin.plans.plan import Leg
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict
 from lunarsci.twin.telemetry.change import AMPLITUDES, LENGTHS_M, change_of
 from lunarsci.twin.telemetry.simulated import SensorErrors, simulate_telemetry
 from lunarsci.twin.telemetry.smoother import Nodes

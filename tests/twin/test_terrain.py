@@ -21,11 +21,11 @@ from lunarsci.twin.ground.terrain import (
     soil_override,
 )
 from lunarsci.twin.ground.terrain_files import read_terrain, write_terrain
+from lunarsci.twin.lanes import CENTER, GROUND, LANES, SOIL, new_work
+from lunarsci.twin.outcomes import FINISHED, HOLE, LEFT
 from lunarsci.twin.plans.plan import read_plan
 from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import build_rover
-from lunarsci.twin.simulation.lanes import CENTER, GROUND, LANES, SOIL, new_work
-from lunarsci.twin.simulation.outcomes import FINISHED, HOLE, LEFT
 
 NOTHING = np.full(8, np.nan)
 

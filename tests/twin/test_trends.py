@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.plans.plan import parse_sweep
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
 
 
 def steady(prediction: Prediction, name: str) -> np.ndarray:

@@ -7,10 +7,10 @@ import pytest
 
 from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.physics_discrepancy import FIRST
-from lunarsci.twin.drive_record import OBSERVED, DriveRecord
-from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction
+from lunarsci.twin.inference.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.inference.misfit import Misfit
-from lunarsci.twin.rectify import _refusal, _taught, unexplained_share
+from lunarsci.twin.inference.rectify import _refusal, _taught, unexplained_share
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
 
 SIGMA = np.array([0.00033, 0.01, 0.1, 1.0, 0.05, 0.1])
 

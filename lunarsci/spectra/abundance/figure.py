@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from lunarsci.spectra.abundance.result import Abundance
-from lunarsci.spectra.figure import COLORS
+from lunarsci.spectra.mgm.figure import COLORS
 
 __all__ = ["share_pages"]
 

@@ -7,8 +7,7 @@ from lunarsci.errors import DataError
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.library.end_member import mineral_named
 from lunarsci.spectra.readers.columns import rows_by_id
-from lunarsci.spectra.readers.rows import number
-from lunarsci.spectra.readers.table import quoted
+from lunarsci.spectra.rows import number, quoted
 
 __all__ = ["StatedModes", "read_modes"]
 

@@ -10,8 +10,7 @@ from lunarsci import inputs
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.photometry.geometry import STANDARD
-from lunarsci.spectra.readers.rows import Row, check_widths, number, numbers, separator_of, split_fields, split_lines
-from lunarsci.spectra.readers.table import quoted
+from lunarsci.spectra.rows import Row, check_widths, number, numbers, quoted, separator_of, split_fields, split_lines
 from lunarsci.spectra.spectrum import FloatArray
 from lunarsci.tables import table_rows
 

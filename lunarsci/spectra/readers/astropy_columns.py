@@ -8,8 +8,9 @@ from astropy import units as u
 from lunarsci.errors import DataError
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.readers.columns import assign_roles, is_not_a_spectrum, is_wavelength
-from lunarsci.spectra.readers.table import Column, SpectrumTable, quoted
+from lunarsci.spectra.readers.table import Column, SpectrumTable
 from lunarsci.spectra.readers.units import length_unit
+from lunarsci.spectra.rows import quoted
 from lunarsci.spectra.spectrum import FloatArray
 
 __all__ = ["one_line", "plain", "spectrum_table"]

@@ -11,9 +11,9 @@ import numpy as np
 from lunarsci import inputs
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile, read_input
-from lunarsci.spectra.readers.rows import number
-from lunarsci.spectra.readers.table import Column, SpectrumTable, quoted
+from lunarsci.spectra.readers.table import Column, SpectrumTable
 from lunarsci.spectra.readers.units import length_unit
+from lunarsci.spectra.rows import number, quoted
 from lunarsci.spectra.spectrum import FloatArray
 
 __all__ = ["DATA_SUFFIXES", "looks_like_envi", "read_envi", "without_headers"]

@@ -7,7 +7,8 @@ from typing import Any
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.readers.astropy_columns import one_line, spectrum_table
-from lunarsci.spectra.readers.table import SpectrumTable, quoted
+from lunarsci.spectra.readers.table import SpectrumTable
+from lunarsci.spectra.rows import quoted
 
 __all__ = ["read_fits"]
 

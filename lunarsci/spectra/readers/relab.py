@@ -5,8 +5,8 @@ import re
 from lunarsci import inputs
 from lunarsci.errors import DataError
 from lunarsci.inputs import InputFile
-from lunarsci.spectra.readers.rows import Row, check_widths, number, numbers, split_lines
-from lunarsci.spectra.readers.table import Column, SpectrumTable, quoted
+from lunarsci.spectra.readers.table import Column, SpectrumTable
+from lunarsci.spectra.rows import Row, check_widths, number, numbers, quoted, split_lines
 
 __all__ = ["looks_like_relab", "read_relab"]
 

@@ -13,8 +13,8 @@ import numpy as np
 from lunarsci import inputs
 from lunarsci.errors import DataError
 from lunarsci.inputs import InputFile, read_input
-from lunarsci.spectra.readers.rows import Row, numbers, split_lines
-from lunarsci.spectra.readers.table import Column, SpectrumTable, quoted
+from lunarsci.spectra.readers.table import Column, SpectrumTable
+from lunarsci.spectra.rows import Row, numbers, quoted, split_lines
 from lunarsci.spectra.spectrum import FloatArray
 
 __all__ = ["looks_like_splib", "read_splib", "without_wavelength_files"]

@@ -5,19 +5,14 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from lunarsci.inputs import InputFile
+from lunarsci.spectra.rows import quoted
 from lunarsci.spectra.spectrum import FloatArray
 
-__all__ = ["Column", "ReflectanceUnit", "SpectrumTable", "StatedUnits", "WavelengthUnit", "quoted"]
+__all__ = ["Column", "ReflectanceUnit", "SpectrumTable", "StatedUnits", "WavelengthUnit"]
 
-_LONGEST_SHOWN = 40
 
 WavelengthUnit = Literal["nm", "um"]
 ReflectanceUnit = Literal["fraction", "percent"]
-
-
-def quoted(text: str) -> str:
-    """Text of a file as a message shows it: on one line, and not too long."""
-    return repr(text if len(text) <= _LONGEST_SHOWN else text[:_LONGEST_SHOWN] + "...")
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,17 +7,18 @@ from lunarsci import inputs
 from lunarsci.errors import DataError
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.readers.columns import Roles, assign_roles, is_wavelength
-from lunarsci.spectra.readers.rows import (
+from lunarsci.spectra.readers.table import Column, SpectrumTable
+from lunarsci.spectra.rows import (
     Row,
     check_widths,
     is_missing,
     number,
     numbers,
+    quoted,
     separator_of,
     split_fields,
     split_lines,
 )
-from lunarsci.spectra.readers.table import Column, SpectrumTable, quoted
 
 __all__ = ["read_text"]
 

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from lunarsci.errors import DataError, LunarSciWarning
-from lunarsci.spectra.readers.table import Column, ReflectanceUnit, WavelengthUnit, quoted
+from lunarsci.spectra.readers.table import Column, ReflectanceUnit, WavelengthUnit
+from lunarsci.spectra.rows import quoted
 from lunarsci.spectra.spectrum import FloatArray
 
 __all__ = [

@@ -8,7 +8,7 @@ import numpy as np
 from lunarsci import inputs
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile
-from lunarsci.spectra.readers.rows import Row, check_widths, number, separator_of, split_fields, split_lines
+from lunarsci.spectra.rows import Row, check_widths, number, separator_of, split_fields, split_lines
 from lunarsci.spectra.spectrum import FloatArray
 from lunarsci.spectra.vnis.channels import SWIR_NM, VNIR_NM, Detector
 

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from lunarsci.twin.comparison.ends import crps, predictive_rank
 from lunarsci.twin.comparison.meeting import Meeting
 from lunarsci.twin.comparison.surprise import correlation_length
-from lunarsci.twin.drive_record import OBSERVED
+from lunarsci.twin.inference.drive_record import OBSERVED
 from lunarsci.twin.inference.misfit import MODEL_ERRORS
 
 __all__ = ["ALL", "NOMINAL", "BandCheck", "check_bands", "half_band", "ranks", "standardised"]

@@ -13,11 +13,11 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile, read_input, text
 from lunarsci.provenance import sha256
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
-from lunarsci.twin.drawn_discrepancy import DrawnDiscrepancy
-from lunarsci.twin.ensemble import OFFSET_COLUMNS, PATH_COLUMNS, STATE_COLUMNS, Prediction
+from lunarsci.twin.outcomes import OUTCOMES
 from lunarsci.twin.plans.plan import Plan, parse_plan
 from lunarsci.twin.plans.plan_files import plan_text
-from lunarsci.twin.simulation.outcomes import OUTCOMES
+from lunarsci.twin.simulation.drawn_discrepancy import DrawnDiscrepancy
+from lunarsci.twin.simulation.ensemble import OFFSET_COLUMNS, PATH_COLUMNS, STATE_COLUMNS, Prediction
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -7,9 +7,9 @@ import numpy.typing as npt
 
 from lunarsci.regolith.physics_discrepancy import SHARED, PhysicsDiscrepancy
 from lunarsci.twin.comparison.meeting import Meeting
-from lunarsci.twin.drive_record import OBSERVED, values_at
+from lunarsci.twin.inference.drive_record import OBSERVED, values_at
 from lunarsci.twin.inference.misfit import MODEL_ERRORS
-from lunarsci.twin.path_discrepancy import way_matrix
+from lunarsci.twin.simulation.path_discrepancy import way_matrix
 
 __all__ = ["Miss", "miss_of", "taught"]
 

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from lunarsci.errors import ParameterError
 from lunarsci.twin.comparison.forecast import Forecast
-from lunarsci.twin.drive_record import (
+from lunarsci.twin.inference.drive_record import (
     OBSERVED,
     DriveRecord,
     check_clock,

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from lunarsci.twin.comparison.meeting import Meeting
 from lunarsci.twin.comparison.tail import Standing, standing, worst_of
-from lunarsci.twin.drive_record import OBSERVED
+from lunarsci.twin.inference.drive_record import OBSERVED
 from lunarsci.twin.inference.misfit import MODEL_ERRORS
 
 __all__ = [

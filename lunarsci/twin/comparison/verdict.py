@@ -17,7 +17,7 @@ from lunarsci.twin.comparison.forecast import Forecast
 from lunarsci.twin.comparison.meeting import Meeting
 from lunarsci.twin.comparison.surprise import Bias, Change, Surprise, find_change, mean_bias, surprise
 from lunarsci.twin.comparison.tail import Standing
-from lunarsci.twin.drive_record import OBSERVED
+from lunarsci.twin.inference.drive_record import OBSERVED
 from lunarsci.twin.simulation.contact_frame import DEEPEST, VALID_SLIP
 
 __all__ = [

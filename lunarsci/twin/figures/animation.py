@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import OutputError, ParameterError
-from lunarsci.twin.ensemble import PATH_COLUMNS, Prediction
 from lunarsci.twin.figures.bands import LABELS
 from lunarsci.twin.figures.relief import (
     ACCENT,
@@ -24,10 +23,11 @@ from lunarsci.twin.figures.relief import (
     member_colors,
     shown_members,
 )
-from lunarsci.twin.footprint import Footprint, rover_outline
+from lunarsci.twin.ground.footprint import Footprint, rover_outline
 from lunarsci.twin.judgement.quantities import abscissa, along
 from lunarsci.twin.judgement.safety import Verdict
 from lunarsci.twin.judgement.tables import spread
+from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, Prediction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

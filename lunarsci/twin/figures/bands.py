@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.figures.relief import ACCENT, INK, LIMIT
 from lunarsci.twin.judgement.quantities import abscissa, along
 from lunarsci.twin.judgement.safety import Verdict
 from lunarsci.twin.judgement.tables import spread
 from lunarsci.twin.plans.plan import AT_LEAST
+from lunarsci.twin.simulation.ensemble import Prediction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

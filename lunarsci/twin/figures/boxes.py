@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.figures.bands import LABELS, draw_band, draw_loads
 from lunarsci.twin.figures.relief import ACCENT, INK, PARAMETERS
 from lunarsci.twin.judgement.quantities import abscissa, along
 from lunarsci.twin.judgement.safety import Verdict
 from lunarsci.twin.judgement.tables import available
+from lunarsci.twin.simulation.ensemble import Prediction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

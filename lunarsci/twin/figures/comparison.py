@@ -9,10 +9,10 @@ from lunarsci.twin.comparison.bands import NOMINAL, half_band, ranks, standardis
 from lunarsci.twin.comparison.ends import region_ellipse
 from lunarsci.twin.comparison.meeting import Meeting
 from lunarsci.twin.comparison.verdict import Comparison
-from lunarsci.twin.drive_record import OBSERVED
-from lunarsci.twin.ensemble import STATE_COLUMNS
 from lunarsci.twin.figures.bands import LABELS, WHEEL_COLORS
 from lunarsci.twin.figures.relief import ACCENT, GOLD, INK, LIMIT
+from lunarsci.twin.inference.drive_record import OBSERVED
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -2,7 +2,6 @@
 
 from typing import TYPE_CHECKING, Any
 
-from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.figures.bands import draw_band
 from lunarsci.twin.figures.relief import (
     GOLD,
@@ -20,6 +19,7 @@ from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.judgement.endpoint import Endpoint, ErrorEllipse, scale_of
 from lunarsci.twin.judgement.quantities import abscissa
 from lunarsci.twin.judgement.safety import Verdict
+from lunarsci.twin.simulation.ensemble import Prediction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.twin.ensemble import STATE_COLUMNS
-from lunarsci.twin.uncertain_forces import UncertainForces
+from lunarsci.twin.loads.uncertain_forces import UncertainForces
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.simulation.ensemble import Prediction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,13 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.regolith.prior import PARAMETERS
-from lunarsci.twin.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.ground.soil_layers import SoilLayers
 from lunarsci.twin.ground.soil_map import SoilMap
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, from_si
-from lunarsci.twin.rectify import Rectified
-from lunarsci.twin.soil_change import way_of, wheel_places
-from lunarsci.twin.soil_zones import SoilChange
+from lunarsci.twin.inference.drive_record import OBSERVED, DriveRecord
+from lunarsci.twin.inference.rectify import Rectified
+from lunarsci.twin.inference.soil_change import way_of, wheel_places
+from lunarsci.twin.inference.soil_zones import SoilChange
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

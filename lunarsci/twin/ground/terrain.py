@@ -12,8 +12,8 @@ import numpy.typing as npt
 from lunarsci.compiled import compiled
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.soil import Soil
-from lunarsci.twin.simulation.lanes import CENTER, GROUND, LANES, SOIL
-from lunarsci.twin.simulation.outcomes import CLIFF, FINISHED, HOLE, LEFT, SANK
+from lunarsci.twin.lanes import CENTER, GROUND, LANES, SOIL
+from lunarsci.twin.outcomes import CLIFF, FINISHED, HOLE, LEFT, SANK
 
 __all__ = [
     "SOIL_COLUMNS",

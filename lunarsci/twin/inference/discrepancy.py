@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import ParameterError
-from lunarsci.twin.drive_record import OBSERVED
+from lunarsci.twin.inference.drive_record import OBSERVED
 
 __all__ = ["MODEL_SHARES", "Discrepancy", "Removed"]
 

@@ -10,7 +10,9 @@ import numpy.typing as npt
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.prior import PARAMETERS, values_of
-from lunarsci.twin.drive_record import (
+from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.inference.discrepancy import Discrepancy, Removed
+from lunarsci.twin.inference.drive_record import (
     OBSERVED,
     DriveRecord,
     check_clock,
@@ -19,12 +21,10 @@ from lunarsci.twin.drive_record import (
     values_at,
     wheel_numbers,
 )
-from lunarsci.twin.ensemble import UNDER_WAY, Prediction, predict
-from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.inference.discrepancy import Discrepancy, Removed
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import Schedule, make_schedule
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.ensemble import UNDER_WAY, Prediction, predict
 
 __all__ = ["FIX_ERROR_M", "HUBER", "MODEL_ERRORS", "POSITION", "Misfit", "cost_of", "robust_cost"]
 

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.regolith.prior import PARAMETERS
-from lunarsci.twin.drive_record import OBSERVED
+from lunarsci.twin.inference.drive_record import OBSERVED
 from lunarsci.twin.inference.misfit import HUBER, POSITION, Misfit, cost_of, robust_cost
 
 __all__ = ["PRESSURE_PA", "Posterior", "Straight", "inflation_of", "posterior_of", "wheel_errors"]

@@ -8,8 +8,8 @@ import numpy.typing as npt
 
 from lunarsci.compiled import each_in_threads, in_lanes
 from lunarsci.errors import ParameterError
-from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.rover import Body
+from lunarsci.twin.simulation.ensemble import Prediction
 
 __all__ = ["belly_points", "clearance", "clearance_of_poses"]
 

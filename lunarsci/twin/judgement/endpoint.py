@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.twin.ensemble import Prediction
-from lunarsci.twin.path_discrepancy import way_matrix
+from lunarsci.twin.simulation.ensemble import Prediction
+from lunarsci.twin.simulation.path_discrepancy import way_matrix
 
 __all__ = ["Endpoint", "ErrorEllipse", "covering_circle", "endpoint_spread", "error_ellipse", "scale_of"]
 

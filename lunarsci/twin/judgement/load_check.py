@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction
-from lunarsci.twin.pose_states import PoseStates, at_times
-from lunarsci.twin.totals import FORCES
-from lunarsci.twin.uncertain_forces import UncertainForces
+from lunarsci.twin.loads.pose_states import PoseStates, at_times
+from lunarsci.twin.loads.totals import FORCES
+from lunarsci.twin.loads.uncertain_forces import UncertainForces
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
 
 if TYPE_CHECKING:
     import pandas as pd

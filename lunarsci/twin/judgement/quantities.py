@@ -7,10 +7,10 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import ParameterError
-from lunarsci.twin.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction
-from lunarsci.twin.footprint import rover_outline
+from lunarsci.twin.ground.footprint import rover_outline
 from lunarsci.twin.judgement.clearance import clearance
 from lunarsci.twin.plans.plan import KeepOut
+from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction
 
 __all__ = ["abscissa", "along", "keep_out_distance", "tilt_deg"]
 

@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lunarsci.twin.ensemble import Prediction, predict
 from lunarsci.twin.plans.plan import Fixes
+from lunarsci.twin.simulation.ensemble import Prediction, predict
 
 __all__ = ["EndpointSensitivity", "endpoint_sensitivity", "step_error_m"]
 

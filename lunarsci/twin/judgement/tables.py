@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.twin.ensemble import OFFSET_COLUMNS, PATH_COLUMNS, STATE_COLUMNS, Prediction
-from lunarsci.twin.held import HeldForces
 from lunarsci.twin.judgement.quantities import along
+from lunarsci.twin.loads.held import HeldForces
+from lunarsci.twin.simulation.ensemble import OFFSET_COLUMNS, PATH_COLUMNS, STATE_COLUMNS, Prediction
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.twin.lanes import LANES, POSE
 from lunarsci.twin.plans.commands import CREEP, Commands, plain, reach_m, wheel_commands
 from lunarsci.twin.plans.path import along_legs, curvature_at, leg_end
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.simulation.lanes import LANES, POSE
 
 __all__ = [
     "Run",

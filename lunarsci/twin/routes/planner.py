@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import ParameterError
-from lunarsci.twin.footprint import Footprint, nearest_node, rover_footprint, swept_nodes
+from lunarsci.twin.ground.footprint import Footprint, nearest_node, rover_footprint, swept_nodes
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.plans.path import planned_pose
 from lunarsci.twin.plans.plan import Leg, Limit, Plan

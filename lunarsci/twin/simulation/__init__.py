@@ -1,1 +1,1 @@
-"""The compiled rover: kinematics, contact with the ground, time step, settling, driving."""
+"""The compiled rover: kinematics, contact with the ground, time step, settling, driving; many drives at once."""

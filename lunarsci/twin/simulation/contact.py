@@ -13,17 +13,7 @@ from typing import Any
 
 from lunarsci.compiled import in_lanes, joined, pasted
 from lunarsci.regolith.forces import contact_forces, slip_ratio
-from lunarsci.twin.simulation.contact_frame import (
-    DEEPEST,
-    SHALLOWEST,
-    SLOWEST,
-    contact_frame,
-    seen_from,
-    shear_center,
-    soil_below,
-    velocity_of,
-)
-from lunarsci.twin.simulation.lanes import (
+from lunarsci.twin.lanes import (
     ACCELERATION,
     ACROSS,
     ALONG,
@@ -64,6 +54,16 @@ from lunarsci.twin.simulation.lanes import (
     put3,
     rows,
     times,
+)
+from lunarsci.twin.simulation.contact_frame import (
+    DEEPEST,
+    SHALLOWEST,
+    SLOWEST,
+    contact_frame,
+    seen_from,
+    shear_center,
+    soil_below,
+    velocity_of,
 )
 from lunarsci.twin.simulation.standing import any_stands, keep_hold, lean, stand
 

@@ -5,7 +5,7 @@ from typing import Any
 
 from lunarsci.compiled import pasted
 from lunarsci.elementary import arcsin, cosine, sine
-from lunarsci.twin.simulation.lanes import BOGIE_SWING, SOIL, SPEED, SWING, cross, dot, get, get3, plus, times
+from lunarsci.twin.lanes import BOGIE_SWING, SOIL, SPEED, SWING, cross, dot, get, get3, plus, times
 
 __all__ = [
     "DEEPEST",

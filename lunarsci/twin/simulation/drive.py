@@ -8,11 +8,7 @@ import numpy.typing as npt
 
 from lunarsci.compiled import compiled
 from lunarsci.regolith.forces import slip_ratio
-from lunarsci.twin.simulation.contact import DRIVEN
-from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST, SLOWEST, VALID_SLIP
-from lunarsci.twin.simulation.dynamics import orient
-from lunarsci.twin.simulation.integrate import assemble, check_health, check_sense, eliminate, move
-from lunarsci.twin.simulation.lanes import (
+from lunarsci.twin.lanes import (
     CENTER,
     DRAWBAR,
     LANES,
@@ -28,7 +24,11 @@ from lunarsci.twin.simulation.lanes import (
     VELOCITY,
     Work,
 )
-from lunarsci.twin.simulation.outcomes import FINISHED, LEFT
+from lunarsci.twin.outcomes import FINISHED, LEFT
+from lunarsci.twin.simulation.contact import DRIVEN
+from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST, SLOWEST, VALID_SLIP
+from lunarsci.twin.simulation.dynamics import orient
+from lunarsci.twin.simulation.integrate import assemble, check_health, check_sense, eliminate, move
 from lunarsci.twin.simulation.ruts import press_ruts
 from lunarsci.twin.simulation.settle import settle
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from lunarsci.compiled import in_lanes, joined, pasted
 from lunarsci.elementary import cosine, sine
-from lunarsci.twin.simulation.lanes import (
+from lunarsci.twin.lanes import (
     ACCELERATION,
     ARM,
     AXLE,

@@ -14,9 +14,7 @@ from typing import Any
 from lunarsci.compiled import compiled, in_lanes, joined, pasted
 from lunarsci.elementary import cosine, sine
 from lunarsci.twin.ground.terrain import read_ground
-from lunarsci.twin.simulation.contact import add_wheel
-from lunarsci.twin.simulation.dynamics import begin_system, place_wheels
-from lunarsci.twin.simulation.lanes import (
+from lunarsci.twin.lanes import (
     CENTER,
     CHANGE,
     ENERGY,
@@ -49,7 +47,9 @@ from lunarsci.twin.simulation.lanes import (
     rows,
     times,
 )
-from lunarsci.twin.simulation.outcomes import DIVERGED, FELL, FINISHED, OVERTURNED, SANK
+from lunarsci.twin.outcomes import DIVERGED, FELL, FINISHED, OVERTURNED, SANK
+from lunarsci.twin.simulation.contact import add_wheel
+from lunarsci.twin.simulation.dynamics import begin_system, place_wheels
 from lunarsci.twin.simulation.ruts import read_ruts
 
 __all__ = ["assemble", "check_health", "check_sense", "eliminate", "is_upright", "move"]

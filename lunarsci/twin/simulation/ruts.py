@@ -20,9 +20,9 @@ import numpy.typing as npt
 from lunarsci.compiled import compiled
 from lunarsci.elementary import exponential, logarithm
 from lunarsci.errors import ParameterError
+from lunarsci.twin.lanes import AXLE, CENTER, GROUND, LANES, RIM, RUT, SINKAGE, SOIL, Work
+from lunarsci.twin.outcomes import FINISHED
 from lunarsci.twin.simulation.contact_frame import SHALLOWEST
-from lunarsci.twin.simulation.lanes import AXLE, CENTER, GROUND, LANES, RIM, RUT, SINKAGE, SOIL, Work
-from lunarsci.twin.simulation.outcomes import FINISHED
 
 __all__ = ["SPACING_M", "RutGrid", "press_ruts", "read_ruts", "rut_grid", "with_ruts"]
 

@@ -8,9 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from lunarsci.compiled import compiled
 from lunarsci.twin.ground.terrain import lay_soil, read_ground
-from lunarsci.twin.simulation.contact import AT_REST
-from lunarsci.twin.simulation.integrate import assemble, eliminate, is_upright, move
-from lunarsci.twin.simulation.lanes import (
+from lunarsci.twin.lanes import (
     ARM,
     AXES,
     CENTER,
@@ -28,7 +26,9 @@ from lunarsci.twin.simulation.lanes import (
     TRAVEL,
     Work,
 )
-from lunarsci.twin.simulation.outcomes import CLIFF, DIVERGED, FINISHED, HOLE, LEFT, OVERTURNED, SANK, UNSETTLED
+from lunarsci.twin.outcomes import CLIFF, DIVERGED, FINISHED, HOLE, LEFT, OVERTURNED, SANK, UNSETTLED
+from lunarsci.twin.simulation.contact import AT_REST
+from lunarsci.twin.simulation.integrate import assemble, eliminate, is_upright, move
 
 __all__ = ["balance", "place", "settle"]
 

@@ -6,8 +6,7 @@ import numpy as np
 
 from lunarsci.compiled import compiled, in_lanes, pasted
 from lunarsci.regolith.forces import contact_forces
-from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST, SLOWEST, shear_center, soil_below
-from lunarsci.twin.simulation.lanes import (
+from lunarsci.twin.lanes import (
     ACROSS,
     ALONG,
     AXES,
@@ -33,6 +32,7 @@ from lunarsci.twin.simulation.lanes import (
     put3,
     times,
 )
+from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST, SLOWEST, shear_center, soil_below
 
 __all__ = ["any_stands", "keep_hold", "lean", "stand"]
 

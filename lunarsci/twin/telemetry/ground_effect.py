@@ -11,9 +11,9 @@ forces where slips are small, and inertia is none.
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.twin.ensemble import STATE_COLUMNS
-from lunarsci.twin.held import HeldForces
+from lunarsci.twin.loads.held import HeldForces
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 from lunarsci.twin.telemetry.odometry import fitted_twist, wheel_rows
 
 __all__ = ["ground_velocities", "shape_effect", "slope_effect"]

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.twin.held import HeldForces
+from lunarsci.twin.loads.held import HeldForces
 from lunarsci.twin.plans.commands import CREEP_M_S
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.rover import Rover

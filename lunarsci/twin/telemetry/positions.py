@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import DataError
-from lunarsci.twin.held import HeldForces
+from lunarsci.twin.loads.held import HeldForces
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.telemetry.findings import Findings
 from lunarsci.twin.telemetry.reading import Telemetry

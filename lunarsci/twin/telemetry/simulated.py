@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import ParameterError
-from lunarsci.twin.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction
 from lunarsci.twin.plans.schedule import all_commands, commands_at, make_schedule
+from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction
 
 if TYPE_CHECKING:
     import pandas as pd

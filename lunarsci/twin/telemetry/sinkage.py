@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import DataError
-from lunarsci.twin.ensemble import STATE_COLUMNS
 from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 from lunarsci.twin.telemetry.states import DriveStates
 from lunarsci.twin.telemetry.track import RutPoints, deepest_wheel, rut_points
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from lunarsci.errors import DataError
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.held import HeldForces, forces_along
+from lunarsci.twin.loads.held import HeldForces, forces_along
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover

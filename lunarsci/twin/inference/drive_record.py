@@ -18,8 +18,8 @@ from lunarsci.csv_table import numbers_of, read_csv_table
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.states import COLUMNS, IDENTIFIERS, MeasurementErrors, marked_valid
-from lunarsci.twin.ensemble import STATE_COLUMNS
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 
 if TYPE_CHECKING:
     import pandas as pd

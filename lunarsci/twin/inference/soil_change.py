@@ -16,11 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.twin.drive_record import OBSERVED, DriveRecord
-from lunarsci.twin.ensemble import Prediction
+from lunarsci.twin.inference.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.ensemble import Prediction
 
 __all__ = [
     "FEWEST_PIECES",

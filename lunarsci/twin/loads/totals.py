@@ -3,9 +3,9 @@
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.twin.ensemble import STATE_COLUMNS
-from lunarsci.twin.held import HeldForces
+from lunarsci.twin.loads.held import HeldForces
 from lunarsci.twin.simulation.contact_frame import shear_center
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 
 __all__ = ["FORCES", "levers_of", "missing_of", "needed_of"]
 

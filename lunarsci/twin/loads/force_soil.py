@@ -17,11 +17,11 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.joint_totals import BalancedStates, TotalsPosterior, infer_from_totals
 from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.loads.pose_states import PoseStates, at_times
+from lunarsci.twin.loads.totals import levers_of, needed_of
+from lunarsci.twin.loads.uncertain_forces import BALANCE_ERROR, DRAWS, UncertainForces, uncertain_forces
 from lunarsci.twin.plans.motion import Motion
-from lunarsci.twin.pose_states import PoseStates, at_times
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.totals import levers_of, needed_of
-from lunarsci.twin.uncertain_forces import BALANCE_ERROR, DRAWS, UncertainForces, uncertain_forces
 
 __all__ = ["ForceSoil", "Round", "balanced_states", "force_soil", "verdict_of"]
 

@@ -14,10 +14,10 @@ import numpy.typing as npt
 
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.terrain import Terrain, soil_overrides
-from lunarsci.twin.held import HeldForces, forces_along
+from lunarsci.twin.loads.held import HeldForces, forces_along
+from lunarsci.twin.loads.totals import COLUMNS, levers_of, missing_of
 from lunarsci.twin.plans.motion import Motion, drawn_motions
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.totals import COLUMNS, levers_of, missing_of
 
 __all__ = ["BALANCE_ERROR", "DRAWS", "Shares", "UncertainForces", "uncertain_forces"]
 

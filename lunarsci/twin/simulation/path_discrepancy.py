@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
-from lunarsci.twin.drawn_discrepancy import DrawnDiscrepancy
-from lunarsci.twin.ensemble import STATE_COLUMNS, Prediction
+from lunarsci.twin.simulation.drawn_discrepancy import DrawnDiscrepancy
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
 
 __all__ = ["ALIKE_M", "ALWAYS", "exposed", "way_matrix", "with_discrepancy"]
 

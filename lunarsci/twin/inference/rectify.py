@@ -18,17 +18,17 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.regolith.prior import PARAMETERS
-from lunarsci.twin.drive_record import OBSERVED, DriveRecord, values_at
-from lunarsci.twin.ensemble import Prediction
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.inference.discrepancy import MODEL_SHARES, Discrepancy
+from lunarsci.twin.inference.drive_record import OBSERVED, DriveRecord, values_at
 from lunarsci.twin.inference.misfit import FIX_ERROR_M, HUBER, POSITION, Misfit
 from lunarsci.twin.inference.mode import Mode, find_mode
 from lunarsci.twin.inference.population import draw_population
 from lunarsci.twin.inference.posterior import Posterior, inflation_of, posterior_of, wheel_errors
-from lunarsci.twin.path_discrepancy import exposed, way_matrix
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.ensemble import Prediction
+from lunarsci.twin.simulation.path_discrepancy import exposed, way_matrix
 
 __all__ = ["Rectified", "rectify"]
 

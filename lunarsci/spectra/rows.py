@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from lunarsci.errors import DataError
-from lunarsci.spectra.readers.table import quoted
 from lunarsci.spectra.spectrum import FloatArray
 
 __all__ = [
@@ -18,10 +17,14 @@ __all__ = [
     "is_missing",
     "number",
     "numbers",
+    "quoted",
     "separator_of",
     "split_fields",
     "split_lines",
 ]
+
+_LONGEST_SHOWN = 40
+
 
 _COMMENT = ("#", "%", "!")
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eEdD][+-]?[0-9]+)?|[+-]?inf(?:inity)?", re.IGNORECASE)
@@ -116,3 +119,8 @@ def _bad_cell(row: Row, column: int, label: str, file: str, decimal_comma: bool)
     comma = "," in cell and not decimal_comma
     hint = "; a decimal comma needs ';' between the columns" if comma else "; correct it, or leave it blank if unknown"
     return f"{file}: line {row.line}, column {label}: {quoted(cell)} is not a number{hint}"
+
+
+def quoted(text: str) -> str:
+    """Text of a file as a message shows it: on one line, and not too long."""
+    return repr(text if len(text) <= _LONGEST_SHOWN else text[:_LONGEST_SHOWN] + "...")

@@ -13,14 +13,14 @@ import numpy.typing as npt
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.prior import PARAMETERS, values_of
-from lunarsci.twin.drive_record import OBSERVED, DriveRecord, states_at
-from lunarsci.twin.ensemble import LONGEST_SAMPLE_M, LONGEST_STEP_S, Prediction, predict
 from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.inference.drive_record import OBSERVED, DriveRecord, states_at
 from lunarsci.twin.inference.misfit import MODEL_ERRORS
+from lunarsci.twin.inference.rectify import Rectified, rectify
+from lunarsci.twin.inference.soil_change import FEWEST_PIECES, Step, Way, averaged, largest_step, way_of, wheel_places
 from lunarsci.twin.plans.plan import Plan
-from lunarsci.twin.rectify import Rectified, rectify
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.soil_change import FEWEST_PIECES, Step, Way, averaged, largest_step, way_of, wheel_places
+from lunarsci.twin.simulation.ensemble import LONGEST_SAMPLE_M, LONGEST_STEP_S, Prediction, predict
 
 __all__ = ["FALSE_ALARMS", "DrivenZone", "SoilChange", "driven_zones", "find_change", "record_within"]
 

@@ -11,18 +11,18 @@ from lunarsci import inputs
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.readers.columns import is_wavelength
-from lunarsci.spectra.readers.rows import (
+from lunarsci.spectra.readers.units import length_unit, name_tokens, wavelength_unit_in
+from lunarsci.spectra.rows import (
     Row,
     check_widths,
     is_missing,
     number,
     numbers,
+    quoted,
     separator_of,
     split_fields,
     split_lines,
 )
-from lunarsci.spectra.readers.table import quoted
-from lunarsci.spectra.readers.units import length_unit, name_tokens, wavelength_unit_in
 from lunarsci.spectra.solar import COVERED_NM, SolarSpectrum
 from lunarsci.spectra.spectrum import FloatArray
 

@@ -12,6 +12,8 @@ import numpy.typing as npt
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.terrain import STEEPEST, Terrain
+from lunarsci.twin.lanes import LANES, Work, new_work
+from lunarsci.twin.outcomes import CLIFF, DIVERGED, FINISHED
 from lunarsci.twin.plans.commands import Commands, reach_m
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import (
@@ -26,8 +28,6 @@ from lunarsci.twin.plans.schedule import (
 )
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.drive import begin, drive
-from lunarsci.twin.simulation.lanes import LANES, Work, new_work
-from lunarsci.twin.simulation.outcomes import CLIFF, DIVERGED, FINISHED
 from lunarsci.twin.simulation.ruts import SPACING_M, RutGrid, rut_grid, with_ruts
 
 __all__ = ["MOST_STEPS", "Grounds", "Scene", "drive_all", "drive_finer"]

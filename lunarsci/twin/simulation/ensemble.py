@@ -8,14 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import ParameterError
-from lunarsci.twin.drawn_discrepancy import DrawnDiscrepancy
 from lunarsci.twin.ground.terrain import Terrain, soil_overrides
-from lunarsci.twin.members import MOST_STEPS, Grounds, Scene, drive_all, drive_finer
+from lunarsci.twin.outcomes import OUTCOMES
 from lunarsci.twin.plans.plan import Plan, Sweep, check_plan
 from lunarsci.twin.plans.schedule import Schedule, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST
-from lunarsci.twin.simulation.outcomes import OUTCOMES
+from lunarsci.twin.simulation.drawn_discrepancy import DrawnDiscrepancy
+from lunarsci.twin.simulation.members import MOST_STEPS, Grounds, Scene, drive_all, drive_finer
 
 __all__ = ["OFFSET_COLUMNS", "PATH_COLUMNS", "STATE_COLUMNS", "Grounds", "Prediction", "member_parameters", "predict"]
 

@@ -9,13 +9,13 @@ import numpy.typing as npt
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.lanes import ARM, AXES, LANES, POSE, new_work
+from lunarsci.twin.outcomes import DIVERGED, FINISHED, SANK, UNSETTLED
 from lunarsci.twin.plans.commands import CREEP_M_S
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact import HELD
 from lunarsci.twin.simulation.drive import record, take_commands
-from lunarsci.twin.simulation.lanes import ARM, AXES, LANES, POSE, new_work
-from lunarsci.twin.simulation.outcomes import DIVERGED, FINISHED, SANK, UNSETTLED
 from lunarsci.twin.simulation.settle import balance, settle
 
 __all__ = ["HeldForces", "forces_along"]
