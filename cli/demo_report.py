@@ -24,7 +24,7 @@ from .regolith_report import PAPER
 from .report import Report
 from .spectra_report import MGM, NBSR
 from .table import TextTable, plus_minus
-from .twin_report import Scene, csv_bytes, read_scene
+from .twin_report import DriveInputs, csv_bytes, read_scene
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,7 +38,7 @@ SOIL = "longji"
 class Drive:
     """The swept prediction, its verdict, and the wheel states of one drive on a known soil."""
 
-    scene: Scene
+    scene: DriveInputs
     prediction: Prediction
     verdict: Verdict
     states: bytes

@@ -19,7 +19,7 @@ from lunarsci.spectra.vnis.channels import SPLICED_NM
 from lunarsci.spectra.vnis.observation import read_observation
 from lunarsci.spectra.vnis.simulation.instrument import Truth, simulate
 from lunarsci.spectra.vnis.simulation.products import product_files
-from lunarsci.spectra.vnis.simulation.scene import FULL_STRENGTH, Rock, Scene
+from lunarsci.spectra.vnis.simulation.scene import FULL_STRENGTH, Scene, SceneRock
 
 __all__ = ["Studied", "finding", "rock", "rock_findings", "rock_pictures"]
 
@@ -37,7 +37,7 @@ class Studied:
 
 def rock(seed: int) -> Studied:
     """Simulate what the spectrometer sees of a rock, write and calibrate the products, measure and fit the spectrum."""
-    simulation = simulate(Scene(rock=Rock(), shadow_fraction=0.05), seed=seed)
+    simulation = simulate(Scene(rock=SceneRock(), shadow_fraction=0.05), seed=seed)
     products = product_files(simulation)
     with TemporaryDirectory() as folder:
         for name, content in products.items():

@@ -9,7 +9,7 @@ from typing import Any
 from lunarsci.errors import DataError, LunarSciError, LunarSciWarning, ParameterError
 from lunarsci.inputs import read_input
 from lunarsci.spectra.library import EndMember, read_library, to_ecsv
-from lunarsci.spectra.library.check import MIXTURE, Finding, check_library, read_metadata, with_description
+from lunarsci.spectra.library.check import MIXTURE, LibraryFinding, check_library, read_metadata, with_description
 
 from .report import Report, together
 from .spectra_report import expanded
@@ -202,7 +202,7 @@ def check_report(found: Imported) -> Report:
     )
 
 
-def _checked(member: EndMember, findings: Sequence[Finding]) -> dict[str, Any]:
+def _checked(member: EndMember, findings: Sequence[LibraryFinding]) -> dict[str, Any]:
     return {
         "id": member.id,
         "mineral": member.mineral,

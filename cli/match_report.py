@@ -8,7 +8,7 @@ from lunarsci.spectra.origin.match import OTHER, CraterMatch, MatchSettings, Roc
 from lunarsci.spectra.origin.prior import surface_age_ma
 from lunarsci.spectra.origin.sphere import Point
 
-from .match_run import Candidates, Given
+from .match_run import Candidates, MatchInputs
 from .report import Report
 from .table import TextTable, counted
 
@@ -20,7 +20,7 @@ BEYOND_LAW_KM = 2729.0
 
 
 def match_report(
-    given: Given, found: Candidates, matches: Sequence[RockMatch], site: Point, settings: MatchSettings
+    given: MatchInputs, found: Candidates, matches: Sequence[RockMatch], site: Point, settings: MatchSettings
 ) -> Report:
     """The report of `spectra match`."""
     assumptions = _assumptions(matches, found, site, settings)

@@ -20,14 +20,14 @@ from lunarsci.tables import table_hashes
 
 from .report import together
 
-__all__ = ["Candidates", "Given", "candidates", "rocks_from", "span", "stated_site"]
+__all__ = ["Candidates", "MatchInputs", "candidates", "rocks_from", "span", "stated_site"]
 
 SHORT = {"ol": "olivine", "opx": "orthopyroxene", "cpx": "clinopyroxene", "plg": "plagioclase"}
 BAND_NAMES = {"bc1000": "bc1000_nm", "bc2000": "bc2000_nm", "bc1000_nm": "bc1000_nm", "bc2000_nm": "bc2000_nm"}
 
 
 @dataclass(frozen=True, slots=True)
-class Given:
+class MatchInputs:
     """The rocks, the inputs' hashes, and what could not be read."""
 
     rocks: list[Rock]
@@ -79,7 +79,7 @@ def _number(text: str, where: str) -> float:
     return value
 
 
-def rocks_from(files: Sequence[str], modes: str | None, bands: str | None, name: str) -> Given:
+def rocks_from(files: Sequence[str], modes: str | None, bands: str | None, name: str) -> MatchInputs:
     """The rocks of files, or the one that the options state. Raises DataError when no file can be read."""
     stated = modes is not None or bands is not None
     if stated == bool(files):
@@ -89,11 +89,11 @@ def rocks_from(files: Sequence[str], modes: str | None, bands: str | None, name:
             _pairs(modes, "--modes", SHORT | {mineral: mineral for mineral in MINERALS}),
             _pairs(bands, "--bands", BAND_NAMES),
         )
-        return Given([Rock(name, composition)])
+        return MatchInputs([Rock(name, composition)])
     return _read(files)
 
 
-def _read(files: Sequence[str]) -> Given:
+def _read(files: Sequence[str]) -> MatchInputs:
     rocks: list[Rock] = []
     hashes: dict[str, str] = {}
     failures: list[str] = []
@@ -107,7 +107,7 @@ def _read(files: Sequence[str]) -> Given:
             failures.append(str(error) if file in str(error) else f"{file}: {error}")
     if not rocks:
         raise DataError(together(failures))
-    return Given(joined(rocks), hashes, failures)
+    return MatchInputs(joined(rocks), hashes, failures)
 
 
 def _pairs(text: str | None, option: str, names: dict[str, str]) -> dict[str, Value]:

@@ -11,7 +11,7 @@ from .report import Report
 from .table import TextTable
 
 if TYPE_CHECKING:
-    from lunarsci.regolith.compare import Comparison, Site
+    from lunarsci.regolith.compare import Site, SoilComparison
 
 __all__ = ["add_to"]
 
@@ -119,7 +119,7 @@ def _site_of(data: bytes, name: str) -> "tuple[Site, dict[str, Any]]":
     return Site(**values), curves
 
 
-def _record(item: "Comparison", width: float) -> dict[str, Any]:
+def _record(item: "SoilComparison", width: float) -> dict[str, Any]:
     soil = item.soil
     return {
         "name": soil.name,
@@ -136,7 +136,7 @@ def _record(item: "Comparison", width: float) -> dict[str, Any]:
     }
 
 
-def _tables(found: "list[Comparison]") -> list[TextTable]:
+def _tables(found: "list[SoilComparison]") -> list[TextTable]:
     from lunarsci.regolith.compare import nearest
 
     tables = []
@@ -152,7 +152,7 @@ def _tables(found: "list[Comparison]") -> list[TextTable]:
     return tables
 
 
-def _own(item: "Comparison", aspect: str) -> list[str]:
+def _own(item: "SoilComparison", aspect: str) -> list[str]:
     soil = item.soil
     if aspect == "bearing":
         return ["-" if value is None else f"{value:g}" for value in (soil.sinkage_exponent, soil.k_c, soil.k_phi)]

@@ -9,7 +9,7 @@ from .regolith_options import Reading, Rover
 from .report import Report
 
 if TYPE_CHECKING:
-    from .regolith_forces_report import Asked
+    from .regolith_forces_report import ForcesRequest
 
 __all__ = ["add_to"]
 
@@ -135,16 +135,16 @@ def _asked(
     slip: float,
     side_slip: float,
     slip_sinkage: Literal["none", "lyasko", "linear"],
-) -> "Asked":
-    from .regolith_forces_report import Asked
+) -> "ForcesRequest":
+    from .regolith_forces_report import ForcesRequest
 
     if (sinkage is None) == (load is None):
         raise typer.BadParameter("give either --sinkage or --load")
     if slip_sinkage == "none":
-        return Asked(sinkage, load, slip, side_slip)
+        return ForcesRequest(sinkage, load, slip, side_slip)
     if load is None or slip < 0:
         raise typer.BadParameter("--slip-sinkage needs --load, and a slip of 0 or more; skid has no such law")
-    return Asked(sinkage, load, slip, side_slip, slip_sinkage)
+    return ForcesRequest(sinkage, load, slip, side_slip, slip_sinkage)
 
 
 def _pair(cohesive: float | None, frictional: float | None) -> tuple[float, float] | None:

@@ -22,13 +22,13 @@ from .table import TextTable
 if TYPE_CHECKING:
     from lunarsci.regolith.contact import ContactModel
 
-__all__ = ["Asked", "forces_report", "soil_of"]
+__all__ = ["ForcesRequest", "forces_report", "soil_of"]
 
 PAPER = "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8"
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class ForcesRequest:
     """The state of the wheel: sinkage [m] or load [N], slip ratio, side slip [deg], and how slip deepens sinkage."""
 
     sinkage_m: float | None
@@ -62,7 +62,7 @@ def soil_of(
 
 
 def _settled(
-    wheel: Wheel, soil: Soil, asked: Asked, reading: Reading, model: "ContactModel | None"
+    wheel: Wheel, soil: Soil, asked: ForcesRequest, reading: Reading, model: "ContactModel | None"
 ) -> tuple[float, Soil]:
     """Sinkage, and the soil: where slip deepens the one, it softens the other, which carries no more than the load."""
     if asked.sinkage_m is not None:
@@ -78,7 +78,12 @@ def _settled(
 
 
 def forces_report(
-    rover: str, soil_name: str, soil: "Soil", asked: Asked, reading: Reading, model: "ContactModel | None" = None
+    rover: str,
+    soil_name: str,
+    soil: "Soil",
+    asked: ForcesRequest,
+    reading: Reading,
+    model: "ContactModel | None" = None,
 ) -> Report:
     """The report of `regolith forces`; with a model, by integration."""
     import warnings

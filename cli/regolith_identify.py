@@ -14,7 +14,7 @@ from .report import Report
 if TYPE_CHECKING:
     from lunarsci.regolith.states import MeasurementErrors
 
-    from .regolith_joint import Intervals
+    from .regolith_joint import IntervalRequest
 
 __all__ = ["add_to"]
 
@@ -135,12 +135,12 @@ def identify(
     from lunarsci.regolith.identify import identify as identify_soil
     from lunarsci.regolith.sensitivity import sensitivities
 
-    from .regolith_joint import JointAsked, infer, read_inputs
+    from .regolith_joint import JointRequest, infer, read_inputs
     from .regolith_report import assumptions, identify_report
 
     _check_posterior(output, posterior, joint)
     intervals = _intervals(joint, reading, prior, exact or law == "auto" or predict is not None, sample, profile)
-    asked = JointAsked(prior, law, exact, shear, bulldozing, density, gravity, contact, model_error, seed, intervals)
+    asked = JointRequest(prior, law, exact, shear, bulldozing, density, gravity, contact, model_error, seed, intervals)
     pairs = (exponent, stiffness, cohesion, friction_angle, shear_modulus, external_friction_angle)
     known = assumptions(pairs, lateral_modulus)
     given = read_inputs(states, rover, _errors(sinkage_error, force_error, travel_error, side_slip_error))
@@ -170,8 +170,10 @@ def _check_posterior(output: Output, path: Path | None, joint: bool) -> None:
     output.check_extra("--posterior", path, (".csv", ".json"))
 
 
-def _intervals(joint: bool, reading: str, prior: str | None, exact: bool, sample: bool, profile: bool) -> "Intervals":
-    from .regolith_joint import Intervals
+def _intervals(
+    joint: bool, reading: str, prior: str | None, exact: bool, sample: bool, profile: bool
+) -> "IntervalRequest":
+    from .regolith_joint import IntervalRequest
 
     if not joint and (prior or exact or sample or profile):
         raise typer.BadParameter("--prior, --exact, --law, --sample, --profile and --predict belong to --joint; add it")
@@ -179,4 +181,4 @@ def _intervals(joint: bool, reading: str, prior: str | None, exact: bool, sample
         raise typer.BadParameter("--sample and --profile are two ways to the intervals; give one")
     if joint and reading != "signed":
         raise typer.BadParameter(f"--reading {reading} only reproduces numbers; --joint needs --reading signed")
-    return Intervals(sample, profile)
+    return IntervalRequest(sample, profile)

@@ -22,9 +22,9 @@ from lunarsci.rovers.description import read_rover
 from .table import TextTable, to_csv
 
 __all__ = [
-    "Given",
-    "Intervals",
-    "JointAsked",
+    "IdentifyInputs",
+    "IntervalRequest",
+    "JointRequest",
     "Together",
     "infer",
     "joint_record",
@@ -52,7 +52,7 @@ SHOWN_SHARE, SHOWN_WEIGHT, MOST_SHOWN, MOST_STATES = 0.5, 0.3, 3, 30
 
 
 @dataclass(frozen=True, slots=True)
-class Given:
+class IdentifyInputs:
     """What `regolith identify` starts from."""
 
     states: WheelStates
@@ -62,18 +62,18 @@ class Given:
     assumed: tuple[str, ...]
 
 
-def read_inputs(states: str, rover: str, errors: MeasurementErrors) -> Given:
+def read_inputs(states: str, rover: str, errors: MeasurementErrors) -> IdentifyInputs:
     """Read the wheel states and the wheel."""
     description = read_rover(rover)
     wheel = read_wheel(description)
     source = read_input(states)
     tables = {f"{rover} (rover)": sha256(description.text.encode())}
     assumed = tuple(name for name in description.assumed if name.startswith("wheel."))
-    return Given(read_states(source, wheel, errors), wheel, {source.name: source.sha256}, tables, assumed)
+    return IdentifyInputs(read_states(source, wheel, errors), wheel, {source.name: source.sha256}, tables, assumed)
 
 
 @dataclass(frozen=True, slots=True)
-class Intervals:
+class IntervalRequest:
     """How the intervals of the joint posterior are made; a normal law where neither is set."""
 
     sample: bool
@@ -81,7 +81,7 @@ class Intervals:
 
 
 @dataclass(frozen=True, slots=True)
-class JointAsked:
+class JointRequest:
     """What `--joint` is asked for: priors, law and its choices, model error, seed, intervals."""
 
     prior: str | None
@@ -94,7 +94,7 @@ class JointAsked:
     contact: bool
     model_error: float | None
     seed: int
-    intervals: Intervals
+    intervals: IntervalRequest
 
     def given(self) -> WheelLaw:
         """The law that the options name. Raises a usage error for choices of integrals without --exact."""
@@ -125,8 +125,8 @@ class Together:
 
 
 def infer(
-    given: "Given",
-    asked: JointAsked,
+    given: "IdentifyInputs",
+    asked: JointRequest,
     predict: str | None,
     predict_rover: str | None,
     progress: Callable[[int, int], None],

@@ -17,7 +17,7 @@ from .table import TextTable
 if TYPE_CHECKING:
     from lunarsci.regolith.sensitivity import Sensitivity
 
-    from .regolith_joint import Given, Together
+    from .regolith_joint import IdentifyInputs, Together
 
 __all__ = ["assumptions", "identify_report"]
 
@@ -75,7 +75,7 @@ def _numbers(text: str | None, option: str) -> tuple[float, ...]:
 
 
 def identify_report(
-    given: "Given",
+    given: "IdentifyInputs",
     found: Identification,
     seed: int,
     together: "Together | None" = None,

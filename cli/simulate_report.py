@@ -13,7 +13,7 @@ from lunarsci.spectra.solar import SOLAR_SPECTRA, table_name
 from lunarsci.spectra.vnis.channels import TABLES
 from lunarsci.spectra.vnis.simulation.instrument import Simulation
 from lunarsci.spectra.vnis.simulation.products import product_files
-from lunarsci.spectra.vnis.simulation.scene import Composition
+from lunarsci.spectra.vnis.simulation.scene import SceneComposition
 from lunarsci.tables import table_hashes
 
 from .report import Report
@@ -25,7 +25,7 @@ _KEYS = {**{key.lower(): name for key, name in MINERALS.items()}, "plg": "plagio
 _NAMES = {**_KEYS, **{name: name for name in _KEYS.values()}}
 
 
-def composition(text: str) -> Composition:
+def composition(text: str) -> SceneComposition:
     """A composition from `ol=0.1,opx=0.3,cpx=0.2,plg=0.4`. Raises ParameterError for anything else."""
     fractions: dict[str, float] = {}
     for part in text.split(","):
@@ -39,7 +39,7 @@ def composition(text: str) -> Composition:
             fractions[name] = float(value)
         except ValueError as error:
             raise ParameterError(f"composition '{text[:60]}': '{value}' is no number; write ol=0.1,opx=0.9") from error
-    return Composition(**fractions)
+    return SceneComposition(**fractions)
 
 
 def moment(text: str) -> datetime:

@@ -125,13 +125,13 @@ def simulate(
     from lunarsci.spectra.photometry import Geometry
     from lunarsci.spectra.vnis.simulation.instrument import Instrument
     from lunarsci.spectra.vnis.simulation.instrument import simulate as simulated
-    from lunarsci.spectra.vnis.simulation.scene import ROCK, SOIL, Rock, Scene
+    from lunarsci.spectra.vnis.simulation.scene import ROCK, SOIL, Scene, SceneRock
 
     from .simulate_report import composition, moment, simulate_report
 
     scene = Scene(
         soil=replace(SOIL, composition=composition(soil)),
-        rock=Rock(replace(ROCK, composition=composition(rock)), radius_px=rock_radius) if rock else None,
+        rock=SceneRock(replace(ROCK, composition=composition(rock)), radius_px=rock_radius) if rock else None,
         shadow_fraction=shadow,
         geometry=Geometry(incidence, emission, phase_angle),
         disk=None if photometry == "none" else photometry,

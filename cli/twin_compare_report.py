@@ -21,7 +21,7 @@ from lunarsci.twin.comparison.forecast import Forecast, read_forecast
 from lunarsci.twin.comparison.learning import Miss, miss_of, taught
 from lunarsci.twin.comparison.meeting import Meeting, meet
 from lunarsci.twin.comparison.tail import Standing
-from lunarsci.twin.comparison.verdict import Comparison, compare
+from lunarsci.twin.comparison.verdict import DriveComparison, compare
 from lunarsci.twin.inference.drive_record import DriveRecord, read_record
 from lunarsci.twin.plans.plan import read_plan
 from lunarsci.twin.plans.plan_files import plan_text
@@ -168,7 +168,7 @@ def compare_report(met: Met, seed: int, lesson: Lesson | None = None) -> Report:
     )
 
 
-def _result(meeting: Meeting, found: Comparison) -> dict[str, Any]:
+def _result(meeting: Meeting, found: DriveComparison) -> dict[str, Any]:
     forecast, whole = meeting.forecast, found.surprise
     return {
         "verdict": found.verdict,
@@ -212,7 +212,7 @@ def _end(end: EndCheck) -> dict[str, Any]:
     return rows | _standing(end.standing)
 
 
-def _band_row(check: BandCheck, found: Comparison) -> dict[str, Any]:
+def _band_row(check: BandCheck, found: DriveComparison) -> dict[str, Any]:
     """The probabilities are of all wheels together."""
     together = check.wheel == ALL
     bias = found.bias.quantities.get(check.quantity) if together and found.bias else None
@@ -222,7 +222,7 @@ def _band_row(check: BandCheck, found: Comparison) -> dict[str, Any]:
     }
 
 
-def _tables(meeting: Meeting, found: Comparison, states: str) -> list[TextTable]:
+def _tables(meeting: Meeting, found: DriveComparison, states: str) -> list[TextTable]:
     forecast = meeting.forecast
     drives = (
         f"{found.finished} of {found.members} drives" if found.finished < found.members else f"{found.members} drives"
@@ -271,7 +271,7 @@ def _path_rows(path: PathCheck | None) -> list[list[str]]:
     return rows
 
 
-def _band_table(found: Comparison) -> TextTable:
+def _band_table(found: DriveComparison) -> TextTable:
     headers = [
         "quantity",
         "wheel",
@@ -313,7 +313,7 @@ def _or_dash(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
 
 
-def _whole(found: Comparison) -> list[str]:
+def _whole(found: DriveComparison) -> list[str]:
     """The surprise of the whole drive and what was looked for along it."""
     lines = []
     if (whole := found.surprise) is not None:

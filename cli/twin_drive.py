@@ -26,7 +26,7 @@ from lunarsci.twin.simulation.path_discrepancy import with_discrepancy
 from lunarsci.twin.simulation.soil_samples import read_soil_samples
 
 from .report import Report
-from .twin_report import Scene, SoilOfBelief
+from .twin_report import DriveInputs, SoilOfBelief
 
 __all__ = ["Soils", "drive", "with_physics", "with_verdict"]
 
@@ -89,7 +89,7 @@ class Soils:
         drawn, law = belief.draws(members or OF_A_BELIEF, seed), belief.discrepancy
         return cls(None, None, drawn, seed, inputs, thinned=thinned, verdict=verdict, discrepancy=law)
 
-    def drawn(self, scene: Scene) -> tuple[str, ...]:
+    def drawn(self, scene: DriveInputs) -> tuple[str, ...]:
         """Soil parameters that each drive has for itself, whatever lies on the terrain."""
         if self.soil_map is not None:
             return tuple(SOIL_COLUMNS)
@@ -97,7 +97,7 @@ class Soils:
             return tuple(self.samples)
         return tuple(sweep.name for sweep in (scene.plan.sweep if self.sweep is None else self.sweep))
 
-    def check(self, scene: Scene, *, seed_given: bool = False) -> None:
+    def check(self, scene: DriveInputs, *, seed_given: bool = False) -> None:
         """Refuse a soil that no drive meets, keep it out of the provenance, and say where a seed draws nothing."""
         if scene.soil is None and set(self.drawn(scene)) >= set(SOIL_COLUMNS):
             if scene.driven.of == "option":
@@ -111,16 +111,16 @@ class Soils:
             text = "--seed has nothing to draw here: the soils are given or a grid, and the plan has no fixes"
             warnings.warn(text, LunarSciWarning, stacklevel=2)
 
-    def drawn_by(self, scene: Scene) -> int | None:
+    def drawn_by(self, scene: DriveInputs) -> int | None:
         """The seed, or None where it draws nothing."""
         believed = scene.soil is not None or self.soil_map is not None or self.kind(scene) == "belief"
         drawn = believed or self.members is not None or self.thinned or scene.plan.fixes is not None
         return self.seed if drawn else None
 
-    def _named(self, scene: Scene) -> str:
+    def _named(self, scene: DriveInputs) -> str:
         return next(iter(self.inputs), scene.plan.origin if self.sweep is None else "--sweep")
 
-    def record(self, scene: Scene) -> dict[str, Any]:
+    def record(self, scene: DriveInputs) -> dict[str, Any]:
         """The soil that is driven on, for the result."""
         named = None
         if scene.soil is None and (self.soil_map is not None or self.samples is not None):
@@ -128,7 +128,7 @@ class Soils:
             named = DrivenSoil(self._named(scene), of, scene.driven.carried, scene.driven.rest)
         return scene.soil_record(self.drawn(scene), named)
 
-    def kind(self, scene: Scene) -> str:
+    def kind(self, scene: DriveInputs) -> str:
         """What the soils are: draws of a `belief`, other `samples`, a `sweep` of ranges, or `one`."""
         if self.soil_map is not None:
             return "belief"
@@ -160,7 +160,7 @@ def _parsed(sweep: list[str]) -> tuple[Sweep, ...]:
 
 
 def drive(
-    scene: Scene, soils: Soils, time_step_s: float, sample_m: float, progress: Callable[[int, int], None]
+    scene: DriveInputs, soils: Soils, time_step_s: float, sample_m: float, progress: Callable[[int, int], None]
 ) -> Prediction:
     """Drive the scene's plan on these soils."""
     scene.inputs.update(soils.inputs)
@@ -185,7 +185,7 @@ def drive(
     )
 
 
-def with_physics(scene: Scene, soils: Soils, prediction: Prediction) -> Prediction:
+def with_physics(scene: DriveInputs, soils: Soils, prediction: Prediction) -> Prediction:
     """With what the twin's physics is off by, where the soils are of a belief or a map of beliefs."""
     law = soils.discrepancy
     if soils.soil_map is not None:

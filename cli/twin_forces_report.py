@@ -16,7 +16,7 @@ from lunarsci.twin.simulation.ensemble import Prediction
 
 from .report import Report
 from .table import TextTable
-from .twin_report import SOURCES, Scene, soil_notes
+from .twin_report import SOURCES, DriveInputs, soil_notes
 
 __all__ = ["held_report", "predicted_report"]
 
@@ -34,7 +34,7 @@ COLUMNS = {
 }
 
 
-def predicted_report(scene: Scene, prediction: Prediction, soil: dict[str, Any], seed: int | None) -> Report:
+def predicted_report(scene: DriveInputs, prediction: Prediction, soil: dict[str, Any], seed: int | None) -> Report:
     """Forces along a predicted drive, on a `soil` as the result names it; those of all members count alike."""
     states = np.where(prediction.reached[..., None, None], prediction.states, np.nan)
     loads = wheel_loads(prediction.rover.wheels, states)
@@ -69,7 +69,7 @@ def predicted_report(scene: Scene, prediction: Prediction, soil: dict[str, Any],
     )
 
 
-def held_report(scene: Scene, path: str, member: int | None, *, planned: bool) -> Report:
+def held_report(scene: DriveInputs, path: str, member: int | None, *, planned: bool) -> Report:
     """Forces along a motion that is given."""
     source = read_input(path)
     scene.inputs[path] = source.sha256
@@ -104,7 +104,7 @@ def held_report(scene: Scene, path: str, member: int | None, *, planned: bool) -
     )
 
 
-def _common(scene: Scene, loads: Sequence[WheelLoads]) -> dict[str, Any]:
+def _common(scene: DriveInputs, loads: Sequence[WheelLoads]) -> dict[str, Any]:
     return {
         "terrain": {"name": scene.terrain.name, "synthetic": scene.terrain.synthetic},
         "rover": scene.rover.name,
@@ -149,7 +149,7 @@ def _doubt(missing: dict[str, float], failed: Sequence[str]) -> str:
     return ""
 
 
-def _notes(scene: Scene, failed: Sequence[str]) -> list[str]:
+def _notes(scene: DriveInputs, failed: Sequence[str]) -> list[str]:
     notes = [*failed, *scene.remarks]
     if scene.terrain.synthetic:
         notes.append("the terrain is synthetic")

@@ -21,7 +21,7 @@ from lunarsci.twin.plans.motion import CORRELATION_M, Motion, correlation_of, re
 
 from .report import Report
 from .twin_motion_tables import doubt_of, motion_result, motion_tables
-from .twin_report import SOURCES, Scene, csv_bytes
+from .twin_report import SOURCES, DriveInputs, csv_bytes
 
 __all__ = ["Told", "motion_report"]
 
@@ -55,7 +55,7 @@ class Told:
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
+class MotionInputs:
     """What was read."""
 
     motion: Motion
@@ -65,7 +65,7 @@ class Known:
     basis: str
 
 
-def motion_report(scene: Scene, told: Told, progress: Callable[[int, int], None], *, planned: bool) -> Report:
+def motion_report(scene: DriveInputs, told: Told, progress: Callable[[int, int], None], *, planned: bool) -> Report:
     """The report of `twin forces --motion` with drawn soils and motions."""
     known = _read(scene, told, planned=planned)
     options: dict[str, Any] = {
@@ -110,7 +110,7 @@ def motion_report(scene: Scene, told: Told, progress: Callable[[int, int], None]
     )
 
 
-def _read(scene: Scene, told: Told, *, planned: bool) -> Known:
+def _read(scene: DriveInputs, told: Told, *, planned: bool) -> MotionInputs:
     files = {path: read_input(path) for path in (told.motion, told.states, told.belief) if path is not None}
     scene.inputs.update({path: file.sha256 for path, file in files.items()})
     motion = read_motion(files[told.motion], scene.rover, scene.plan if planned else None, told.member)
@@ -124,10 +124,10 @@ def _read(scene: Scene, told: Told, *, planned: bool) -> Known:
         length, basis = correlation_of(motion, states.values[shown, 1], states.sigmas[shown, 1]), "slip errors"
     if length is None:
         length, basis = CORRELATION_M, "assumed"
-    return Known(motion, states, belief, length, basis)
+    return MotionInputs(motion, states, belief, length, basis)
 
 
-def _notes(known: Known, told: Told, scene: Scene) -> list[str]:
+def _notes(known: MotionInputs, told: Told, scene: DriveInputs) -> list[str]:
     notes = []
     if known.motion.sigmas is None:
         notes.append("the motion has no columns x_m_sigma, y_m_sigma, yaw_deg_sigma; it counts as exact")
@@ -149,7 +149,7 @@ def _soil_of(told: Told) -> DrivenSoil:
     return DrivenSoil("priors", "priors") if told.belief is None else DrivenSoil(told.belief, "belief")
 
 
-def _saved(scene: Scene, told: Told, turned: ForceSoil | None) -> dict[Path, Callable[[], bytes]]:
+def _saved(scene: DriveInputs, told: Told, turned: ForceSoil | None) -> dict[Path, Callable[[], bytes]]:
     if turned is None or told.save is None or told.states is None:
         return {}
     belief, path = turned.posterior.belief, told.states

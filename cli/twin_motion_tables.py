@@ -12,7 +12,7 @@ from lunarsci.twin.loads.uncertain_forces import TOTALS, Shares, UncertainForces
 from lunarsci.twin.outcomes import FINISHED, OUTCOMES
 
 from .table import TextTable
-from .twin_report import Scene
+from .twin_report import DriveInputs
 
 __all__ = ["doubt_of", "motion_result", "motion_tables"]
 
@@ -23,7 +23,7 @@ SURPRISING, WORST_REDUCED = 4.0, 1.5
 
 
 def motion_result(
-    scene: Scene,
+    scene: DriveInputs,
     found: UncertainForces,
     turned: ForceSoil | None,
     draws: int,
@@ -113,7 +113,7 @@ def _iteration(turned: ForceSoil) -> dict[str, Any]:
 
 
 def motion_tables(
-    scene: Scene, found: UncertainForces, turned: ForceSoil | None, title: str, notes: Sequence[str]
+    scene: DriveInputs, found: UncertainForces, turned: ForceSoil | None, title: str, notes: Sequence[str]
 ) -> list[TextTable]:
     """For people: forces of each wheel, where their uncertainty comes from, totals, rounds."""
     if not found.known.any():

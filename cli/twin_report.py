@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DEFAULT_SOIL",
-    "Scene",
+    "DriveInputs",
     "SoilOfBelief",
     "csv_bytes",
     "predict_report",
@@ -76,7 +76,7 @@ class SoilOfBelief:
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class DriveInputs:
     """What drives where: the parsed inputs of a prediction and their hashes; `soil` where that is a belief.
 
     `driven` says where the soil of the terrain comes from, `options` what was taken for options that were left out,
@@ -115,7 +115,7 @@ def read_scene(
     judged: bool = False,
     ruts: bool | None = None,
     before: str | None = None,
-) -> Scene:
+) -> DriveInputs:
     """Read plan, rover, terrain and soil, which may be a belief (.json); `fixes` replaces those of the plan.
 
     A rover that is None is Yutu-2. A soil that is given lies everywhere, whatever the terrain's file carries; without
@@ -145,7 +145,7 @@ def read_scene(
     check.terrain(file.made_for, terrain)
     if soil_counts:
         check.soil(driven, terrain)
-    return Scene(
+    return DriveInputs(
         built,
         description,
         replace(surface, interpolation=interpolation),
@@ -190,7 +190,7 @@ def _parsed_fixes(text: str) -> Fixes:
         raise typer.BadParameter(f"--{error}") from error
 
 
-def soil_notes(scene: Scene, prediction: Prediction) -> list[str]:
+def soil_notes(scene: DriveInputs, prediction: Prediction) -> list[str]:
     """Which soil the drives have, where it is not the common one, and what a belief in its place means for them."""
     if scene.soil is None:
         named = scene.driven.of != "default" and len(prediction.parameters) < len(SOIL_COLUMNS)
@@ -213,7 +213,7 @@ CORRELATED = ("belief", "samples")
 
 
 def predict_report(
-    scene: Scene,
+    scene: DriveInputs,
     prediction: Prediction,
     soils: str,
     soil: dict[str, Any],
@@ -259,7 +259,9 @@ def predict_report(
     )
 
 
-def _kept(scene: Scene, prediction: Prediction, soils: str, soil: dict[str, Any]) -> dict[str, Callable[[], bytes]]:
+def _kept(
+    scene: DriveInputs, prediction: Prediction, soils: str, soil: dict[str, Any]
+) -> dict[str, Callable[[], bytes]]:
     """What `twin compare` reads after the drive: every drive's states and paths, and what they belong to."""
     tables = {
         "states.csv": cache(lambda: csv_bytes(state_table(prediction))),
@@ -285,7 +287,7 @@ def _film(prediction: Prediction, verdict: Verdict, target: Path, quiet: bool) -
         return animate(prediction, verdict, target, progress=update)
 
 
-def _result(scene: Scene, prediction: Prediction, verdict: Verdict) -> dict[str, Any]:
+def _result(scene: DriveInputs, prediction: Prediction, verdict: Verdict) -> dict[str, Any]:
     return asdict(verdict) | {
         "members": prediction.members,
         "path_length_m": scene.plan.length_m,
@@ -313,7 +315,7 @@ def _physics(prediction: Prediction, verdict: Verdict) -> dict[str, Any] | None:
     return {"discrepancy": law.to_dict(), "learned_from": len(law.scored), "share_of_end_variance": share}
 
 
-def verdict_tables(scene: Scene, prediction: Prediction, verdict: Verdict) -> list[TextTable]:
+def verdict_tables(scene: DriveInputs, prediction: Prediction, verdict: Verdict) -> list[TextTable]:
     """The verdict for people: head line, limits, notes."""
     rows = [
         [

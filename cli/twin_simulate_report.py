@@ -12,7 +12,7 @@ from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simu
 
 from .report import Report
 from .table import TextTable
-from .twin_report import SOURCES, Scene, csv_bytes
+from .twin_report import SOURCES, DriveInputs, csv_bytes
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -23,7 +23,7 @@ REMARK = b"# synthetic: made up by `lunarsci twin simulate`, not a measurement\n
 
 
 def simulated(
-    scene: Scene,
+    scene: DriveInputs,
     errors: SensorErrors,
     seed: int,
     time_step_s: float,
@@ -45,7 +45,7 @@ def simulated(
     return simulate_telemetry(prediction, errors, seed)
 
 
-def simulate_report(scene: Scene, drive: SyntheticDrive) -> Report:
+def simulate_report(scene: DriveInputs, drive: SyntheticDrive) -> Report:
     """The report of `twin simulate`; its files are the telemetry, the track and the truth."""
     prediction = drive.prediction
     errors = {name: value for name, value in asdict(drive.errors).items() if name != "fix_sigma_m"}
@@ -87,7 +87,7 @@ def _marked(table: "pd.DataFrame") -> bytes:
     return REMARK + csv_bytes(table)
 
 
-def _table(scene: Scene, drive: SyntheticDrive, result: dict[str, Any]) -> TextTable:
+def _table(scene: DriveInputs, drive: SyntheticDrive, result: dict[str, Any]) -> TextTable:
     errors = drive.errors
     rows = [
         ["localised positions", str(result["positions"]), f"{1e3 * errors.position_m:.3g} mm"],

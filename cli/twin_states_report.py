@@ -19,7 +19,7 @@ from lunarsci.twin.telemetry.track import RutPoints, is_table_of_ruts, read_trac
 
 from .report import Report
 from .table import TextTable
-from .twin_report import SOURCES, Scene, csv_bytes, read_scene
+from .twin_report import SOURCES, DriveInputs, csv_bytes, read_scene
 
 __all__ = ["Sent", "states_report"]
 
@@ -31,7 +31,7 @@ MEASURED = {"slip_ratio": 1.0, "side_slip_deg": 1.0, "sinkage_m": 1e3}
 class Sent:
     """What came down of a drive, and what is made of it."""
 
-    scene: Scene
+    scene: DriveInputs
     name: str
     planned: bool
     drive: DriveStates
@@ -52,7 +52,7 @@ class Sent:
         return cls(scene, source.name, plan is not None, drive)
 
 
-def _read_track(scene: Scene, path: str, interpolation: str) -> RutPoints | Terrain:
+def _read_track(scene: DriveInputs, path: str, interpolation: str) -> RutPoints | Terrain:
     source = read_input(path)
     scene.inputs[path] = source.sha256
     if is_table_of_ruts(source):

@@ -54,7 +54,7 @@ def terrain(
     `lunarsci twin predict DIR/plan.toml --terrain DIR/terrain.npz` drives it. Plan and terrain keep the rover and the
     limits that they were made for.
     """
-    from .twin_terrain_report import Asked, read_site, terrain_report
+    from .twin_terrain_report import PathRequest, read_site, terrain_report
 
     ground = {
         "seed": seed,
@@ -77,7 +77,7 @@ def terrain(
         _refuse((*of_a_path, ("--hazard-distance", hazard_distance)), "is of a path; give --target, or leave it out")
     if output.path is None:
         _refuse((("--soil", soil), ("--geotiff", geotiff or None)), "goes into a file; give -o DIR, or leave it out")
-    asked = Asked.parse(start or "0,0,0", target, speed)
+    asked = PathRequest.parse(start or "0,0,0", target, speed)
     site = read_site(terrain, rover, soil, ground, limits)
     with progress("looking at the ground", quiet=output.quiet) as update:
         surface = site.surface(baseline, update)

@@ -32,7 +32,7 @@ from .twin_report import DEFAULT_SOIL, csv_bytes
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Asked", "Site", "read_site", "terrain_report"]
+__all__ = ["PathRequest", "TerrainInputs", "read_site", "terrain_report"]
 
 Progress = Callable[[int, int], None]
 SOURCES = [
@@ -64,7 +64,7 @@ UNSEEN = "rocks and edges smaller than two spacings of the grid are not in it"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Site:
+class TerrainInputs:
     """What is looked at, with what rover in mind, and the hashes of the inputs."""
 
     terrain: Terrain
@@ -91,7 +91,7 @@ class Site:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Asked:
+class PathRequest:
     """The path that is wanted: start pose, target with or without a heading, speed. [m, m, deg], [m/s]"""
 
     start: tuple[float, ...]
@@ -99,12 +99,12 @@ class Asked:
     speed_m_s: float | None
 
     @classmethod
-    def parse(cls, start: str, target: str | None, speed_m_s: float | None) -> "Asked":
+    def parse(cls, start: str, target: str | None, speed_m_s: float | None) -> "PathRequest":
         """From the text of the options."""
         place = None if target is None else _numbers("--target", target, (2, 3))
         return cls(start=_numbers("--start", start, (3,)), target=place, speed_m_s=speed_m_s)
 
-    def plan(self, site: Site, surface: Traversability, progress: Progress) -> PlannedPath | None:
+    def plan(self, site: TerrainInputs, surface: Traversability, progress: Progress) -> PlannedPath | None:
         """The path, None without a target."""
         if self.target is None:
             return None
@@ -125,7 +125,7 @@ class Asked:
 
 def read_site(
     terrain: str, rover: str, soil: str | None, ground: Mapping[str, Any], limits: Mapping[str, float | None]
-) -> Site:
+) -> TerrainInputs:
     """Read or make the terrain, and read the rover with its limits."""
     given = {name: value for name, value in ground.items() if value is not None}
     for name in given:
@@ -142,7 +142,7 @@ def read_site(
     check = RoverCheck(description, built, asked=True)
     check.terrain(file.made_for, terrain)
     check.soil(driven, terrain)
-    return Site(
+    return TerrainInputs(
         terrain=laid,
         rover=built,
         description=description,
@@ -167,7 +167,7 @@ def _numbers(option: str, text: str, counts: tuple[int, ...]) -> tuple[float, ..
     return numbers
 
 
-def terrain_report(site: Site, surface: Traversability, path: PlannedPath | None, *, geotiff: bool) -> Report:
+def terrain_report(site: TerrainInputs, surface: Traversability, path: PlannedPath | None, *, geotiff: bool) -> Report:
     """The report of `twin terrain`."""
     files: dict[str, Callable[[], bytes]] = {
         "terrain.npz": lambda: terrain_bytes(site.terrain, made_for=site.made_for),
@@ -200,7 +200,7 @@ def terrain_report(site: Site, surface: Traversability, path: PlannedPath | None
     )
 
 
-def _result(site: Site, surface: Traversability, path: PlannedPath | None) -> dict[str, Any]:
+def _result(site: TerrainInputs, surface: Traversability, path: PlannedPath | None) -> dict[str, Any]:
     terrain, mobility = site.terrain, site.mobility
     hazard, unknown = float(surface.hazard.mean()), float(surface.unknown.mean())
     limits = {name: getattr(mobility, name) for name in _limit_names()}
@@ -266,7 +266,7 @@ def _path_result(path: PlannedPath) -> dict[str, Any]:
     }
 
 
-def _notes(site: Site, surface: Traversability) -> list[str]:
+def _notes(site: TerrainInputs, surface: Traversability) -> list[str]:
     notes = [UNSEEN, *site.check.remarks]
     if site.terrain.synthetic:
         notes.append("the terrain is synthetic; this says nothing about a real site")
@@ -280,7 +280,7 @@ def _notes(site: Site, surface: Traversability) -> list[str]:
     return notes
 
 
-def _ground_table(site: Site, surface: Traversability, result: Mapping[str, Any]) -> TextTable:
+def _ground_table(site: TerrainInputs, surface: Traversability, result: Mapping[str, Any]) -> TextTable:
     terrain, limits = result["terrain"], site.mobility
     unlimited = {"slope_deg": limits.max_slope_deg, "roughness_m": limits.max_roughness_m, "step_m": limits.max_step_m}
     rows = []

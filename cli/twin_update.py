@@ -81,7 +81,7 @@ def update(
     What no soil explains teaches how far the twin's physics is off, which predictions from the belief then carry.
     """
     from .twin_update_map import MapFiles
-    from .twin_update_report import Known, update_report
+    from .twin_update_report import UpdateInputs, update_report
 
     if belief is not None and (map_before is not None or save_map is not None or save_terrain is not None):
         raise typer.BadParameter("--belief is of one soil everywhere; give --map, or leave the map's options out")
@@ -93,7 +93,7 @@ def update(
     output.check_extra("--save-map", save_map, (".json",))
     output.check_extra("--save-terrain", save_terrain, (".npz",))
     files_of_map = MapFiles(map_before, save_map, save_terrain, correlation)
-    known = Known.read(states, positions, belief, forget, plan, rover, terrain, interpolation, files_of_map)
+    known = UpdateInputs.read(states, positions, belief, forget, plan, rover, terrain, interpolation, files_of_map)
     with progress("driving on many soils", quiet=output.quiet) as advance:
         learned = known.learned(particles, seed, ruts, advance)
     return update_report(known, learned, seed, save, files_of_map)

@@ -16,7 +16,7 @@ from lunarsci.twin.inference.rectify import Rectified
 from lunarsci.twin.inference.soil_zones import DrivenZone, SoilChange, driven_zones, find_change
 
 from .table import TextTable
-from .twin_report import Scene
+from .twin_report import DriveInputs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -66,7 +66,7 @@ class MapUpdate:
         return any(zone.learned for zone in self.zones)
 
 
-def read_map_before(files: MapFiles, scene: Scene) -> SoilMap | None:
+def read_map_before(files: MapFiles, scene: DriveInputs) -> SoilMap | None:
     """The map before the drive, one of the first laws alone where none is named; None where no map is wanted."""
     if not files.wanted:
         return None
@@ -80,7 +80,7 @@ def read_map_before(files: MapFiles, scene: Scene) -> SoilMap | None:
     return dataclasses.replace(soil_map, correlation_m=files.correlation_m)
 
 
-def _reach_m(scene: Scene) -> float:
+def _reach_m(scene: DriveInputs) -> float:
     """From the middle of the track to the outer edge of its wheels."""
     across = abs(scene.rover.wheel_positions_m[:, 1]).max()
     return round(float(across + 0.5 * scene.rover.wheel.width_m), 3)
@@ -93,7 +93,7 @@ def found_changes(record: DriveRecord, found: Rectified, seed: int) -> list[Soil
 
 
 def zoned(
-    scene: Scene,
+    scene: DriveInputs,
     record: DriveRecord,
     found: Rectified,
     before: SoilMap,
@@ -119,7 +119,7 @@ def zoned(
     return MapUpdate(zones, changes, before.with_zones(kept))
 
 
-def _named(scene: Scene, zone: DrivenZone, entry: Entry) -> Zone:
+def _named(scene: DriveInputs, zone: DrivenZone, entry: Entry) -> Zone:
     line = dict(entry(zone.found)) if zone.found else {}
     line |= {"from_m": round(zone.from_m, 3), "to_m": round(zone.to_m, 3)}
     belief = dataclasses.replace(zone.belief, history=(*zone.before.history, line))
@@ -171,7 +171,7 @@ def zone_tables(update: MapUpdate) -> list[TextTable]:
     return [TextTable(headers, rows, title=title, notes=notes)]
 
 
-def map_extras(files: MapFiles, update: MapUpdate, scene: Scene) -> dict[Path, Callable[[], bytes]]:
+def map_extras(files: MapFiles, update: MapUpdate, scene: DriveInputs) -> dict[Path, Callable[[], bytes]]:
     """The files that were asked for."""
     extras: dict[Path, Callable[[], bytes]] = {}
     if files.after is not None:
@@ -181,12 +181,12 @@ def map_extras(files: MapFiles, update: MapUpdate, scene: Scene) -> dict[Path, C
     return extras
 
 
-def _layer_bytes(soil_map: SoilMap, scene: Scene) -> bytes:
+def _layer_bytes(soil_map: SoilMap, scene: DriveInputs) -> bytes:
     layers = soil_layers(soil_map, scene.terrain)
     return terrain_bytes(layers.terrain, left_of_prior=layers.left_of_prior)
 
 
-def map_pages(update: MapUpdate, scene: Scene) -> "Iterator[Figure]":
+def map_pages(update: MapUpdate, scene: DriveInputs) -> "Iterator[Figure]":
     """Median soil at every node, and what is left of the prior."""
     from lunarsci.twin.figures.soil_layers import soil_pages
 

@@ -21,7 +21,7 @@ from lunarsci.twin.inference.soil_zones import SoilChange
 from .report import Report
 from .table import TextTable
 from .twin_discrepancy import discrepancy_table
-from .twin_report import SOURCES, Scene, read_scene
+from .twin_report import SOURCES, DriveInputs, read_scene
 from .twin_update_map import (
     MapFiles,
     MapUpdate,
@@ -38,7 +38,7 @@ from .twin_update_map import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Known", "Learned", "update_report"]
+__all__ = ["Learned", "UpdateInputs", "update_report"]
 
 EFFECTIVE = (
     "medians and 68 % are effective values, with which the twin's law drives as the rover did; the ground's own, which "
@@ -49,14 +49,14 @@ SETTLED, SURPRISING = 0.3, 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
+class UpdateInputs:
     """What was driven and measured, and what was believed before.
 
     `along` is the record without positions, for stretches of the drive; `soil_map` the map before, None where the soil
     is not kept by place.
     """
 
-    scene: Scene
+    scene: DriveInputs
     record: DriveRecord
     along: DriveRecord
     belief: SoilBelief
@@ -78,7 +78,7 @@ class Known:
         terrain: str,
         interpolation: str,
         files_of_map: MapFiles,
-    ) -> "Known":
+    ) -> "UpdateInputs":
         """Read the files."""
         scene = read_scene(plan, rover, terrain, None, interpolation, soil_counts=False)
         files = {path: read_input(path) for path in (states, positions) if path is not None}
@@ -161,7 +161,9 @@ class Learned:
     update: MapUpdate | None
 
 
-def update_report(known: Known, learned: Learned, seed: int, save: Path | None, files_of_map: MapFiles) -> Report:
+def update_report(
+    known: UpdateInputs, learned: Learned, seed: int, save: Path | None, files_of_map: MapFiles
+) -> Report:
     """The report of `twin update`; `save` names a file that takes the new belief."""
     found, update = learned.found, learned.update
     extras: dict[Path, Callable[[], bytes]] = {save: lambda: found.belief.to_json().encode()} if save else {}
@@ -190,7 +192,7 @@ def update_report(known: Known, learned: Learned, seed: int, save: Path | None, 
     )
 
 
-def _soil(known: Known, files_of_map: MapFiles) -> dict[str, Any]:
+def _soil(known: UpdateInputs, files_of_map: MapFiles) -> dict[str, Any]:
     """Where the soils come from that the drive was tried on."""
     if known.soil_map is not None:
         driven = DrivenSoil(files_of_map.before or "priors", "map" if files_of_map.before else "priors")
@@ -199,7 +201,7 @@ def _soil(known: Known, files_of_map: MapFiles) -> dict[str, Any]:
     return soil_record(driven, known.scene.terrain, PARAMETERS)
 
 
-def _pages(known: Known, learned: Learned) -> "Iterator[Figure]":
+def _pages(known: UpdateInputs, learned: Learned) -> "Iterator[Figure]":
     from lunarsci.twin.figures.soil_layers import residual_page
 
     yield residual_page(known.along, learned.found, learned.changes)
@@ -239,7 +241,7 @@ def _result(found: Rectified) -> dict[str, Any]:
     }
 
 
-def _table(known: Known, learned: Learned) -> TextTable:
+def _table(known: UpdateInputs, learned: Learned) -> TextTable:
     found = learned.found
     rows = [
         [

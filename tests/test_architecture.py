@@ -3,6 +3,7 @@
 import ast
 import graphlib
 import tomllib
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -161,3 +162,8 @@ def test_no_module_of_the_command_line_imports_in_a_circle() -> None:
             nodes = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.level == 1]
             arrows[path.stem] = {node.module.split(".")[0] for node in nodes if node.module}
     assert circle_in(arrows) == []
+
+
+def test_no_class_name_is_used_twice() -> None:
+    classes = [node.name for tree in TREES.values() for node in tree.body if isinstance(node, ast.ClassDef)]
+    assert [name for name, count in Counter(classes).items() if count > 1] == []

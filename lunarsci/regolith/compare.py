@@ -17,9 +17,9 @@ from lunarsci.tables import table_hashes, table_rows
 __all__ = [
     "KINDS",
     "TABLE",
-    "Comparison",
     "ReferenceSoil",
     "Site",
+    "SoilComparison",
     "compare_site",
     "lateral_soils",
     "nearest",
@@ -99,7 +99,7 @@ class Site:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class SoilComparison:
     """A reference soil beside the site.
 
     Attributes
@@ -114,7 +114,7 @@ class Comparison:
     strength: float | None
 
 
-def nearest(found: Sequence[Comparison], aspect: str) -> list[Comparison]:
+def nearest(found: Sequence[SoilComparison], aspect: str) -> list[SoilComparison]:
     """Those known in an aspect, `bearing` or `strength`, the most alike first."""
     known = [(getattr(item, aspect), item.soil.name, item) for item in found]
     return [item for _, _, item in sorted((row for row in known if row[0] is not None), key=lambda row: row[:2])]
@@ -152,7 +152,7 @@ def _soil(row: Mapping[str, str]) -> ReferenceSoil:
     )
 
 
-def compare_site(site: Site, width_m: float, soils: Sequence[ReferenceSoil] | None = None) -> list[Comparison]:
+def compare_site(site: Site, width_m: float, soils: Sequence[ReferenceSoil] | None = None) -> list[SoilComparison]:
     """Reference soils and their distances from the site; `nearest` puts them in order.
 
     Parameters
@@ -166,7 +166,7 @@ def compare_site(site: Site, width_m: float, soils: Sequence[ReferenceSoil] | No
     if not 0 < width_m <= LARGEST_WIDTH_M:
         raise ParameterError(f"width is {width_m:g} m; give a number above 0, up to {LARGEST_WIDTH_M:g}")
     known = soils or reference_soils()
-    return [Comparison(soil, _bearing(site, soil, width_m), _strength(site, soil)) for soil in known]
+    return [SoilComparison(soil, _bearing(site, soil, width_m), _strength(site, soil)) for soil in known]
 
 
 def _bearing(site: Site, soil: ReferenceSoil, width_m: float) -> float | None:

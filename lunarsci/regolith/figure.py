@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from lunarsci.regolith.belief import SoilBelief, past_beliefs, rolled_back, shared_drives
-from lunarsci.regolith.compare import KINDS, Comparison, Site, lateral_soils, nearest
+from lunarsci.regolith.compare import KINDS, Site, SoilComparison, lateral_soils, nearest
 from lunarsci.regolith.contact import ContactModel
 from lunarsci.regolith.forces import Reading, WheelForces
 from lunarsci.regolith.identify import Identification
@@ -34,7 +34,9 @@ LEAST_PA = 10.0
 Curves = Mapping[str, Sequence[Mapping[str, Any]]]
 
 
-def comparison_figure(site: Site, found: Sequence[Comparison], width_m: float, curves: Curves | None = None) -> Figure:
+def comparison_figure(
+    site: Site, found: Sequence[SoilComparison], width_m: float, curves: Curves | None = None
+) -> Figure:
     """Bearing; shear beside terrestrial soils and simulants; shear beside lunar missions; lateral shear.
 
     Parameters
@@ -64,7 +66,7 @@ def comparison_figure(site: Site, found: Sequence[Comparison], width_m: float, c
     return figure
 
 
-def _bearing(axes: Any, site: Site, found: Sequence[Comparison], width_m: float, curve: Sequence[Any]) -> None:
+def _bearing(axes: Any, site: Site, found: Sequence[SoilComparison], width_m: float, curve: Sequence[Any]) -> None:
     names = {item.soil.name for item in nearest(found, "bearing")[:NAMED]}
     for item in found:
         soil, stiffness = item.soil, item.soil.stiffness(width_m)
@@ -77,7 +79,7 @@ def _bearing(axes: Any, site: Site, found: Sequence[Comparison], width_m: float,
     axes.set(xlabel="sinkage exponent N [-]", ylabel="stiffness K$_s$ [kPa m$^{-N}$]", yscale="log")
 
 
-def _shear(axes: Any, site: Site, found: Sequence[Comparison], curve: Sequence[Any]) -> None:
+def _shear(axes: Any, site: Site, found: Sequence[SoilComparison], curve: Sequence[Any]) -> None:
     names = {item.soil.name for item in nearest(found, "strength")[:NAMED]}
     for item in found:
         soil, color = item.soil, COLORS[item.soil.kind]

@@ -13,7 +13,15 @@ from scipy.optimize import brentq
 from scipy.stats import chi2, norm
 
 from lunarsci.errors import ParameterError
-from lunarsci.regolith.joint_problem import STEP, Problem, common_share, neighbours, part_of, shares_of, states_alike
+from lunarsci.regolith.joint_problem import (
+    STEP,
+    JointProblem,
+    common_share,
+    neighbours,
+    part_of,
+    shares_of,
+    states_alike,
+)
 from lunarsci.regolith.prior import values_of
 
 __all__ = [
@@ -55,8 +63,8 @@ class Mode:
     kept: npt.NDArray[np.bool_]
     point: FloatArray
     covariance: FloatArray
-    problem: Problem
-    fitted: Problem
+    problem: JointProblem
+    fitted: JointProblem
 
     @property
     def alike(self) -> float:
@@ -69,7 +77,7 @@ class Mode:
         return float(np.sum(1 - np.diag(self.covariance) / self.problem.width**2))
 
 
-def mode_with_errors(problem: Problem, start: FloatArray | None = None) -> Mode:
+def mode_with_errors(problem: JointProblem, start: FloatArray | None = None) -> Mode:
     """The mode, with the model's errors found from what it leaves over; states beyond them are left out.
 
     In the fit all forces have the same share, as a share of its own would let it give up the force that fits worst.
@@ -93,14 +101,14 @@ def mode_with_errors(problem: Problem, start: FloatArray | None = None) -> Mode:
     return Mode(kept, point, np.asarray(0.5 * (wide + wide.T), dtype=np.float64), own, replace(fitted, alike=alike))
 
 
-def _within(problem: Problem, point: FloatArray, kept: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+def _within(problem: JointProblem, point: FloatArray, kept: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     """States that are no outliers; of too many, the worst are none of the others' business."""
     excess = _excess(problem, point)
     limit = max(1.0, float(np.sort(excess)[::-1][int(MOST_OUTLIERS * len(kept))]))
     return np.asarray(excess <= limit, dtype=np.bool_)
 
 
-def _excess(problem: Problem, point: FloatArray) -> FloatArray:
+def _excess(problem: JointProblem, point: FloatArray) -> FloatArray:
     """Squared residuals of each state over what the worst of as many good ones may have. (n,)"""
     white = problem.white(point[None])[0]
     measured = np.isfinite(problem.forces).sum(axis=1)
@@ -108,7 +116,7 @@ def _excess(problem: Problem, point: FloatArray) -> FloatArray:
     return np.asarray(np.sum(white**2, axis=1) / limit)
 
 
-def mode_without_outliers(problem: Problem) -> Mode:
+def mode_without_outliers(problem: JointProblem) -> Mode:
     """The mode at the model errors that the problem has, without states that they do not explain."""
     kept = np.ones(len(problem.inputs), dtype=bool)
     point = problem.center
@@ -123,7 +131,7 @@ def mode_without_outliers(problem: Problem) -> Mode:
 
 
 def profile_limits(
-    problem: Problem, mode: FloatArray, covariance: FloatArray, progress: Callable[[int, int], None] | None = None
+    problem: JointProblem, mode: FloatArray, covariance: FloatArray, progress: Callable[[int, int], None] | None = None
 ) -> FloatArray:
     """Low and high 68 %, low and high 95 % limits of every parameter in its unit, (4, 8).
 
@@ -138,7 +146,7 @@ def profile_limits(
     return values_of(problem.prior, limits)
 
 
-def _limit(problem: Problem, mode: FloatArray, k: int, side: int, rise: float, sd: float) -> float:
+def _limit(problem: JointProblem, mode: FloatArray, k: int, side: int, rise: float, sd: float) -> float:
     """Of parameter k, transformed; at most FARTHEST away."""
     fixed, lowest, start = np.arange(len(mode)) == k, problem.objective(mode), mode.copy()
 
@@ -157,7 +165,7 @@ def _limit(problem: Problem, mode: FloatArray, k: int, side: int, rise: float, s
 
 
 def find_mode(
-    problem: Problem, start: FloatArray, fixed: npt.NDArray[np.bool_] | None = None, tolerance: float = CONVERGED
+    problem: JointProblem, start: FloatArray, fixed: npt.NDArray[np.bool_] | None = None, tolerance: float = CONVERGED
 ) -> tuple[FloatArray, FloatArray]:
     """Levenberg-Marquardt on whitened residuals, whose errors of the inputs follow the parameters.
 

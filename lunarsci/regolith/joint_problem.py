@@ -20,7 +20,7 @@ from lunarsci.regolith.wheel import Wheel
 
 __all__ = [
     "STEP",
-    "Problem",
+    "JointProblem",
     "common_share",
     "error_covariance",
     "neighbours",
@@ -39,7 +39,7 @@ CHUNK = 32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Problem:
+class JointProblem:
     """States, their forces and errors, and how the model is evaluated.
 
     `model_error` is a share of the load for each of F_N, F_DP, F_L. With `contact` the parameters of `CONTACT` are
@@ -138,17 +138,17 @@ def problem_of(
     model: ContactModel | None,
     model_error: tuple[float, float, float],
     contact: bool = False,
-) -> Problem:
+) -> JointProblem:
     values, sigmas = states.values[usable], states.sigmas[usable]
     inputs, spread = values[:, :3].copy(), sigmas[:, :3].copy()
     no_side = ~np.isfinite(inputs[:, 2])
     inputs[no_side, 2], spread[no_side, 2] = 0.0, 0.0
     forces = values[:, 3:].copy()
     forces[no_side, 2] = np.nan
-    return Problem(inputs, spread, forces, np.nan_to_num(sigmas[:, 3:]), wheel, model, prior, model_error, contact)
+    return JointProblem(inputs, spread, forces, np.nan_to_num(sigmas[:, 3:]), wheel, model, prior, model_error, contact)
 
 
-def part_of(problem: Problem, kept: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> Problem:
+def part_of(problem: JointProblem, kept: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> JointProblem:
     parts = {name: getattr(problem, name)[kept] for name in ("inputs", "input_sigma", "forces", "force_sigma")}
     return replace(problem, **parts)
 
@@ -161,7 +161,7 @@ TAILS = (3.0, 4.0, 6.0, 10.0, 30.0)
 """Degrees of freedom of the Student law that residuals are compared with."""
 
 
-def error_covariance(problem: Problem, slopes: FloatArray, shares: FloatArray) -> FloatArray:
+def error_covariance(problem: JointProblem, slopes: FloatArray, shares: FloatArray) -> FloatArray:
     """Of the forces of each state: measurement, what input errors make of it, and the model's. (n, 3, 3) [N^2]
 
     `slopes` (3 inputs, 3 forces, n) are those of one standard deviation; forces not measured get a variance of 1.
@@ -176,13 +176,13 @@ def error_covariance(problem: Problem, slopes: FloatArray, shares: FloatArray) -
     return covariance
 
 
-def _ln_likelihood(problem: Problem, residual: FloatArray, slopes: FloatArray, shares: FloatArray) -> float:
+def _ln_likelihood(problem: JointProblem, residual: FloatArray, slopes: FloatArray, shares: FloatArray) -> float:
     root = np.linalg.cholesky(error_covariance(problem, slopes, shares))
     white = np.linalg.solve(root, residual[:, :, None])[:, :, 0]
     return float(-0.5 * (white**2).sum() - np.log(np.diagonal(root, axis1=1, axis2=2)).sum())
 
 
-def _fitted(problem: Problem, point: FloatArray, freedom: float, common: bool) -> FloatArray:
+def _fitted(problem: JointProblem, point: FloatArray, freedom: float, common: bool) -> FloatArray:
     found, slopes = problem.residuals_and_slopes(point[None])
     measured = np.isfinite(problem.forces)
     count = int(measured.sum())
@@ -199,7 +199,7 @@ def _fitted(problem: Problem, point: FloatArray, freedom: float, common: bool) -
     return np.asarray(np.maximum(np.exp(np.broadcast_to(best, (3,))), LEAST_SHARE), dtype=np.float64)
 
 
-def common_share(problem: Problem, point: FloatArray, freedom: float) -> float:
+def common_share(problem: JointProblem, point: FloatArray, freedom: float) -> float:
     """One share for all forces, with which the residuals at a point are as large as their errors say.
 
     The likeliest one under a wide law around 0.03; `freedom` is the number of parameters that the fit has used up.
@@ -207,7 +207,7 @@ def common_share(problem: Problem, point: FloatArray, freedom: float) -> float:
     return float(_fitted(problem, point, freedom, True)[0])
 
 
-def shares_of(problem: Problem, point: FloatArray, freedom: float) -> tuple[float, float, float]:
+def shares_of(problem: JointProblem, point: FloatArray, freedom: float) -> tuple[float, float, float]:
     """A share for each of F_N, F_DP, F_L; otherwise as `common_share`."""
     found = _fitted(problem, point, freedom, False)
     return (float(found[0]), float(found[1]), float(found[2]))
@@ -232,7 +232,7 @@ def neighbours(values: FloatArray, radius: float) -> npt.NDArray[np.intp]:
     return numbers
 
 
-def states_alike(problem: Problem, point: FloatArray) -> float:
+def states_alike(problem: JointProblem, point: FloatArray) -> float:
     """Of how many states the errors are so much alike that they count as one, 1 or more.
 
     The variance of sums of whitened residuals over groups of neighbours, over what it would be if each were on its own

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.fit_verdict import FitVerdict
 from lunarsci.regolith.joint_mode import ROUGH, Mode, find_mode, mode_with_errors
-from lunarsci.regolith.joint_problem import Problem, error_covariance, part_of
+from lunarsci.regolith.joint_problem import JointProblem, error_covariance, part_of
 from lunarsci.regolith.states import WheelStates
 
 __all__ = ["CEILINGS", "Suspect", "judge", "suspects"]
@@ -74,7 +74,7 @@ def suspects(mode: Mode, units: bool = False) -> list[Suspect]:
     return sorted(found, key=lambda suspect: -suspect.gain)
 
 
-def _best(problem: Problem, start: FloatArray) -> float:
+def _best(problem: JointProblem, start: FloatArray) -> float:
     """-2 ln posterior at its mode, from a start, with the determinant of the errors; infinite where there is none."""
     try:
         found = find_mode(problem, start, tolerance=ROUGH)[0]
@@ -85,13 +85,13 @@ def _best(problem: Problem, start: FloatArray) -> float:
         return math.inf
 
 
-def _stretch(problem: Problem, column: str, factor: float) -> float:
+def _stretch(problem: JointProblem, column: str, factor: float) -> float:
     """What -2 ln of a density of measured forces owes to their unit."""
     measured = int(np.isfinite(problem.forces[:, COLUMNS.index(column) % 3]).sum())
     return 2 * measured * math.log(abs(factor)) if column in COLUMNS[3:] else 0.0
 
 
-def _read_otherwise(problem: Problem, column: str, factor: float) -> Problem | None:
+def _read_otherwise(problem: JointProblem, column: str, factor: float) -> JointProblem | None:
     """The problem with a column times a factor; None where no wheel could have such states, or nothing changes."""
     k = COLUMNS.index(column)
     name, errors = ("inputs", "input_sigma") if k < 3 else ("forces", "force_sigma")

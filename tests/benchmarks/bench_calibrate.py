@@ -22,7 +22,7 @@ from lunarsci.spectra.vnis.detector import default_settings, irradiance_at
 from lunarsci.spectra.vnis.observation import find_parts, read_observation
 from lunarsci.spectra.vnis.simulation.instrument import simulate
 from lunarsci.spectra.vnis.simulation.products import product_files
-from lunarsci.spectra.vnis.simulation.scene import Rock, Scene
+from lunarsci.spectra.vnis.simulation.scene import Scene, SceneRock
 
 
 def ours(label: str) -> Callable[[], np.ndarray]:
@@ -74,7 +74,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=15)
     repeats = parser.parse_args().repeats
-    scene = Scene(rock=Rock(), disk=None)
+    scene = Scene(rock=SceneRock(), disk=None)
     with tempfile.TemporaryDirectory() as folder:
         for name, content in product_files(simulate(scene, seed=1)).items():
             (Path(folder) / name).write_bytes(content)

@@ -11,7 +11,7 @@ import pytest
 from lunarsci.cli import main
 
 from lunarsci.spectra.vnis.channels import SPLICED_NM
-from lunarsci.spectra.vnis.simulation.scene import Composition, Material, surface_reflectance
+from lunarsci.spectra.vnis.simulation.scene import Material, SceneComposition, surface_reflectance
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def drawn_on() -> Callable[[int], str]:
 @pytest.fixture
 def rock(tmp_path: Path) -> Path:
     """A synthetic rock as CSV, with deep bands and noise of 0.5 %."""
-    material = Material(Composition(0.15, 0.35, 0.40, 0.10), albedo=0.12, red_slope=0.25, contrast=1.5)
+    material = Material(SceneComposition(0.15, 0.35, 0.40, 0.10), albedo=0.12, red_slope=0.25, contrast=1.5)
     clean = surface_reflectance(SPLICED_NM, material)
     noisy = clean * np.exp(0.005 * np.random.default_rng(0).standard_normal(clean.size))
     rows = (f"{w:g},{r:.6f},{0.005 * r:.6f}" for w, r in zip(SPLICED_NM, noisy, strict=True))

@@ -19,7 +19,7 @@ import pytest
 
 from lunarsci.spectra.vnis.simulation.instrument import Instrument, simulate
 from lunarsci.spectra.vnis.simulation.products import product_files
-from lunarsci.spectra.vnis.simulation.scene import Rock, Scene
+from lunarsci.spectra.vnis.simulation.scene import Scene, SceneRock
 
 Run = Callable[..., Any]
 Files = dict[str, bytes]
@@ -30,7 +30,7 @@ GRID = [450 + 5.0 * k for k in range(390)]
 @pytest.fixture(scope="session")
 def one() -> Files:
     """One synthetic observation, number 1."""
-    return product_files(simulate(Scene(rock=Rock(), shadow_fraction=0.05), seed=3))
+    return product_files(simulate(Scene(rock=SceneRock(), shadow_fraction=0.05), seed=3))
 
 
 @pytest.fixture(scope="session")

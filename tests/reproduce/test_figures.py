@@ -20,7 +20,7 @@ from lunarsci.reproduce.numbers import published_value
 from lunarsci.reproduce.soil import soil_numbers
 from lunarsci.reproduce.spectra import fit_rocks
 from lunarsci.spectra.spectrum import Spectrum
-from lunarsci.spectra.vnis.simulation.scene import Composition, Material, surface_reflectance
+from lunarsci.spectra.vnis.simulation.scene import Material, SceneComposition, surface_reflectance
 
 WHEEL = read_wheel("yutu2")
 
@@ -92,7 +92,7 @@ def test_the_published_circle_is_about_the_destination(drives: Drives) -> None:
 
 def test_rocks_add_a_page() -> None:
     wavelength = np.arange(450.0, 2396.0, 5.0)
-    reflectance = surface_reflectance(wavelength, Material(Composition(0.2, 0.5, 0.3), albedo=0.15))
+    reflectance = surface_reflectance(wavelength, Material(SceneComposition(0.2, 0.5, 0.3), albedo=0.15))
     noise = np.exp(0.005 * np.random.default_rng(0).standard_normal(wavelength.size))
     rocks = fit_rocks([Spectrum("fin", wavelength, reflectance * noise)])
     plane, fit = spectra_pages(rocks)

@@ -22,13 +22,13 @@ from lunarsci.reproduce.spectra import (
 )
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
-from lunarsci.spectra.vnis.simulation.scene import Composition, Material, surface_reflectance
+from lunarsci.spectra.vnis.simulation.scene import Material, SceneComposition, surface_reflectance
 
 SPECTRA = {"mgm-rms", "opx-share", "olivine-low", "olivine-high"}
 WAVELENGTH = np.arange(450.0, 2396.0, 5.0)
 
 
-def rock(name: str, composition: Composition, seed: int) -> Spectrum:
+def rock(name: str, composition: SceneComposition, seed: int) -> Spectrum:
     """A made-up boulder with noise that the fit has to find its way through."""
     clean = surface_reflectance(WAVELENGTH, Material(composition, albedo=0.15))
     noise = np.random.default_rng(seed).standard_normal(WAVELENGTH.size)
@@ -42,7 +42,7 @@ def alone() -> dict[str, Number]:
 
 @pytest.fixture(scope="module")
 def made_up() -> Rocks:
-    return fit_rocks([rock(f"rock-{k}", Composition(0.2, 0.5, 0.3), k) for k in range(3)])
+    return fit_rocks([rock(f"rock-{k}", SceneComposition(0.2, 0.5, 0.3), k) for k in range(3)])
 
 
 def test_every_number_of_the_table_has_a_verdict_with_evidence(alone: dict[str, Number]) -> None:

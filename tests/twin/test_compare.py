@@ -15,7 +15,7 @@ from lunarsci.twin.comparison.bands import ALL
 from lunarsci.twin.comparison.ends import check_end, check_path
 from lunarsci.twin.comparison.forecast import Forecast, forecast_of
 from lunarsci.twin.comparison.meeting import Meeting, meet
-from lunarsci.twin.comparison.verdict import Comparison, compare
+from lunarsci.twin.comparison.verdict import DriveComparison, compare
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.inference.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.plans.plan import Plan
@@ -105,7 +105,7 @@ def test_false_alarms_are_rare(forecast: Forecast, truths: Prediction, shared: b
     assert np.mean(np.array(whole) < 0.1) < 0.1 + 2.0 * np.sqrt(0.09 / 120 + 0.09 / MEMBERS)
 
 
-def shifted(forecast: Forecast, yutu2: Rover, ground: Terrain, plan: Plan, **soil: float) -> Comparison:
+def shifted(forecast: Forecast, yutu2: Rover, ground: Terrain, plan: Plan, **soil: float) -> DriveComparison:
     """The comparison with a drive on the middle soil of the belief, but for some parameters."""
     middle = {name: value for name, (value, _, _) in belief().intervals().items()} | soil
     out = predict(yutu2, ground, plan, samples={name: [value] for name, value in middle.items()})

@@ -10,7 +10,7 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import first_belief
 from lunarsci.twin.inference.discrepancy import Discrepancy
 from lunarsci.twin.inference.drive_record import OBSERVED
-from lunarsci.twin.inference.mode import Mode, find_mode
+from lunarsci.twin.inference.mode import PosteriorMode, find_mode
 from lunarsci.twin.inference.population import draw_population, fit_emulator
 from lunarsci.twin.inference.posterior import Straight, inflation_of, wheel_errors
 
@@ -59,7 +59,7 @@ def test_population_of_a_bent_law_has_its_moments() -> None:
         residuals=lambda points: (bent(points), points),
         ln_prior=lambda points: np.zeros(len(points)),
     )
-    mode = Mode(np.zeros(8), 0.0, np.diag([1.0, 0.5**2, *np.ones(6)]))
+    mode = PosteriorMode(np.zeros(8), 0.0, np.diag([1.0, 0.5**2, *np.ones(6)]))
     moments = []
     for seed in range(4):
         drawn, left = draw_population(posterior, mode, 512, np.random.default_rng(seed))

@@ -24,7 +24,7 @@ from lunarsci.twin.telemetry.odometry import body_twist
 from lunarsci.twin.telemetry.reading import read_telemetry
 from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
 from lunarsci.twin.telemetry.sinkage import with_sinkage
-from lunarsci.twin.telemetry.smoother import Change, Nodes, smooth
+from lunarsci.twin.telemetry.smoother import Nodes, SlipProcess, smooth
 from lunarsci.twin.telemetry.states import DriveStates, states_of
 from lunarsci.twin.telemetry.tables import motion_table, position_table, wheel_table
 from lunarsci.twin.telemetry.track import RutPoints, deepest_wheel, read_track, rut_points
@@ -167,7 +167,7 @@ def test_the_smoother_is_the_generalised_least_squares_of_its_model() -> None:
         yaw_sigma_rad=np.full(count, 1e-6),
     )
     amplitude, length = 0.03, 1.0
-    result = smooth(nodes, Change.fixed(np.array([amplitude, 1e-6, 1e-6]), np.full(3, length)))
+    result = smooth(nodes, SlipProcess.fixed(np.array([amplitude, 1e-6, 1e-6]), np.full(3, length)))
     # x_k = x_0 + sum of 0.1 (1 + d_j + m), d a Matern 3/2 process at the middles of the steps, m a constant.
     places = way * np.arange(count)
     middles = places[:-1] + 0.5 * way

@@ -18,7 +18,7 @@ from lunarsci.spectra.abundance.population import loosened, population
 from lunarsci.spectra.abundance.powders import Powders
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction
 from lunarsci.spectra.abundance.suite import Suite
-from lunarsci.spectra.abundance.unmix import Posterior, unmix
+from lunarsci.spectra.abundance.unmix import SharesPosterior, unmix
 from lunarsci.spectra.library import EndMember
 from lunarsci.spectra.spectrum import FloatArray, Spectrum
 
@@ -53,7 +53,7 @@ class Outcome:
 
     method: str
     minerals: tuple[str, ...]
-    posteriors: tuple[Posterior, ...]
+    posteriors: tuple[SharesPosterior, ...]
     model_error: float
     untested: str = ""
 

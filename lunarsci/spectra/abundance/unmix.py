@@ -7,7 +7,7 @@ import numpy as np
 from lunarsci.spectra.abundance.suite import Equations, Suite
 from lunarsci.spectra.spectrum import FloatArray
 
-__all__ = ["Posterior", "unmix"]
+__all__ = ["SharesPosterior", "unmix"]
 
 STEPS, DAMPING, HIGHEST_DAMPING = 500, 1e-3, 1e8
 NEAR, CONVERGED = 0.1, 1e-5
@@ -18,7 +18,7 @@ LIFTED = 0.06
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Posterior:
+class SharesPosterior:
     """Normal approximation around the lowest minimum.
 
     Attributes
@@ -58,7 +58,7 @@ def shares(roots: FloatArray) -> FloatArray:
     return np.asarray(squares / squares.sum(axis=-1, keepdims=True))
 
 
-def unmix(suite: Suite) -> Posterior:
+def unmix(suite: Suite) -> SharesPosterior:
     """Fit all spectra of a suite with powders common to all.
 
     One spectrum alone is started from equal shares and from each mineral in front, and the lowest minimum counts; a
@@ -109,7 +109,7 @@ def _solve(equations: Equations, damping: float) -> tuple[FloatArray, FloatArray
     return step, np.einsum("sqr,sr->sq", inverse, equations.own_slope - across @ step)
 
 
-def _posterior(suite: Suite, shared: FloatArray, own: FloatArray, lowest: Equations) -> Posterior:
+def _posterior(suite: Suite, shared: FloatArray, own: FloatArray, lowest: Equations) -> SharesPosterior:
     """At a root of 0 the model does not change to first order; its curvature is that at `LIFTED`."""
     count = suite.minerals
     raised = own.copy()
@@ -124,7 +124,7 @@ def _posterior(suite: Suite, shared: FloatArray, own: FloatArray, lowest: Equati
     volume = float(np.linalg.slogdet(left)[1] + np.linalg.slogdet(equations.own)[1].sum())
     volume += 2 * len(own) * float(np.log(suite.scale).sum())
     strain = np.sum(shared**2) / len(own) + np.sum((own / suite.scale)[:, count:] ** 2, axis=1)
-    return Posterior(
+    return SharesPosterior(
         own[:, :count] * suite.present,
         covariance[:, :count, :count] * sought[:, :, None] * sought[:, None, :],
         lowest.value,

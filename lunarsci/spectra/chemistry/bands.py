@@ -17,7 +17,7 @@ from lunarsci.spectra.bands import BandResult, SpectrumBands
 from lunarsci.spectra.chemistry.plane import objection
 from lunarsci.spectra.chemistry.regressions import Regression, regressions
 
-__all__ = ["KEYS", "Estimate", "GaffeyPair", "chemistry", "error_nm", "from_centres", "gaffey_pair"]
+__all__ = ["KEYS", "CompositionEstimate", "GaffeyPair", "chemistry", "error_nm", "from_centres", "gaffey_pair"]
 
 _START = "wo_gaffey_c"
 _TURNS = 12
@@ -54,7 +54,7 @@ def _lines(quantity: str) -> list[Regression]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Estimate:
+class CompositionEstimate:
     """A quantity by one regression.
 
     Attributes
@@ -101,7 +101,7 @@ RATIO_PER_KELVIN = -0.00075
 Predictors = Mapping[str, tuple[float, float]]
 
 
-def chemistry(measured: SpectrumBands) -> dict[str, Estimate]:
+def chemistry(measured: SpectrumBands) -> dict[str, CompositionEstimate]:
     """Estimates by key, of those regressions whose bands are there.
 
     The error of a centre is its standard error, half the spread over the continua and the calibration's share, added
@@ -120,7 +120,7 @@ def chemistry(measured: SpectrumBands) -> dict[str, Estimate]:
 _CENTRED = frozenset(key for key in KEYS if key not in ("ol_dunn", "opx_cloutis"))
 
 
-def from_centres(predictors: Predictors, depth_ratio: float = 0.0) -> dict[str, Estimate]:
+def from_centres(predictors: Predictors, depth_ratio: float = 0.0) -> dict[str, CompositionEstimate]:
     """Estimates by key from (value, standard deviation) of `bc1000`, `bc2000` [nm], `bar` [-] or the olivine bands.
 
     `depth_ratio` is the depth of the 2 um band over that of the 1 um band.
@@ -157,13 +157,13 @@ def _predictors(one: BandResult, two: BandResult) -> dict[str, tuple[float, floa
     return predictors
 
 
-def _estimate(line: Regression, predictors: Predictors, depth_ratio: float, more: str = "") -> Estimate:
+def _estimate(line: Regression, predictors: Predictors, depth_ratio: float, more: str = "") -> CompositionEstimate:
     x, sigma = predictors[line.predictor]
     value = line.value(x)
     centre = predictors.get("bc1000", (math.nan, 0.0))[0]
     second = predictors["bc2000"][0] if "bc2000" in predictors else None
     reason = objection(line.place, centre, second, depth_ratio) or line.objection(value) or more
-    return Estimate(
+    return CompositionEstimate(
         quantity=line.quantity,
         unit=line.unit,
         value=value,
@@ -187,14 +187,14 @@ def _temperature(line: Regression, x: float) -> str:
     return f"not corrected for temperature: 100 K above the laboratory's add about {change:+.2g}{unit}"
 
 
-def _gaffey(predictors: Predictors, depth_ratio: float) -> dict[str, Estimate]:
+def _gaffey(predictors: Predictors, depth_ratio: float) -> dict[str, CompositionEstimate]:
     pair = gaffey_pair(predictors["bc1000"][0], predictors["bc2000"][0])
     more = "" if pair.settled else "its lines for Fs and Wo do not agree on a pair"
     fs, wo = (_estimate(line, predictors, depth_ratio, more) for line in (pair.fs, pair.wo))
     value = 100 - fs.value - wo.value
     beyond = "" if 0 <= value <= 100 else "beyond 0-100"
     reason = fs.reason or wo.reason or beyond
-    enstatite = Estimate(
+    enstatite = CompositionEstimate(
         quantity="en",
         unit="mol %",
         value=value,
@@ -208,7 +208,7 @@ def _gaffey(predictors: Predictors, depth_ratio: float) -> dict[str, Estimate]:
     return {"fs_gaffey": fs, "wo_gaffey": wo, "en_gaffey": enstatite}
 
 
-def _told(item: Estimate, conic: set[str]) -> Estimate:
+def _told(item: CompositionEstimate, conic: set[str]) -> CompositionEstimate:
     """The estimate with a word on the continuum where the conic was used."""
     if not conic:
         return item

@@ -20,7 +20,7 @@ from lunarsci.spectra.library.end_member import CHEMISTRY, EndMember, mineral_na
 from lunarsci.spectra.readers.columns import rows_by_id
 from lunarsci.spectra.rows import number, quoted
 
-__all__ = ["MIXTURE", "PURE", "Finding", "check_library", "read_metadata", "with_description"]
+__all__ = ["MIXTURE", "PURE", "LibraryFinding", "check_library", "read_metadata", "with_description"]
 
 MIXTURE = "mixture"
 """What stands for the mineral of a sample that is none."""
@@ -102,7 +102,7 @@ NEEDED_NM = (700.0, 2400.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class LibraryFinding:
     """One thing found in one end member.
 
     `must_mend` is False where the spectrum can be used but with less than one might expect; `text` says what and where.
@@ -112,14 +112,14 @@ class Finding:
     text: str
 
 
-def check_library(members: Sequence[EndMember]) -> list[tuple[Finding, ...]]:
+def check_library(members: Sequence[EndMember]) -> list[tuple[LibraryFinding, ...]]:
     """What is found in each end member, in their order; first what must be mended."""
     counts = Counter(member.id for member in members)
     return [
         (
-            *(Finding(True, text) for text in _duplicates(counts[member.id])),
-            *(Finding(True, text) for text in _faults(member)),
-            *(Finding(False, text) for text in _remarks(member)),
+            *(LibraryFinding(True, text) for text in _duplicates(counts[member.id])),
+            *(LibraryFinding(True, text) for text in _faults(member)),
+            *(LibraryFinding(False, text) for text in _remarks(member)),
         )
         for member in members
     ]

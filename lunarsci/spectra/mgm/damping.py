@@ -79,7 +79,7 @@ def fit_damping(
         try:
             data = prepare(spectrum, model_error)
             first = _first(model, data) if starts is None else starts[index]
-            problem = _Problem(data, model, model.basis(data.wavelength_nm), directions)
+            problem = _DampedProblem(data, model, model.basis(data.wavelength_nm), directions)
             first = anchor + directions @ (directions.T @ (first - anchor))
             results.append(_described(problem, *_descent(problem, first, rms_limit, improvement_limit)))
         except DataError as error:
@@ -145,7 +145,7 @@ class _State:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Problem:
+class _DampedProblem:
     """One spectrum and the directions, (p, q), in which its parameters may move."""
 
     data: MgmData
@@ -198,7 +198,7 @@ def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def _descent(
-    problem: _Problem, first: FloatArray, rms_limit: float, improvement_limit: float
+    problem: _DampedProblem, first: FloatArray, rms_limit: float, improvement_limit: float
 ) -> tuple[_State, bool, str]:
     """Where the steps lead, whether a rule of convergence ended them, and which."""
     here = problem.at(first)
@@ -218,7 +218,7 @@ def _descent(
     return here, False, f"not converged after {MAX_ITERATIONS} iterations; try another start or a looser prior"
 
 
-def _shortened(problem: _Problem, here: _State) -> tuple[_State | None, bool]:
+def _shortened(problem: _DampedProblem, here: _State) -> tuple[_State | None, bool]:
     """The longest of the step, its half, ... that lowers the rms; if none, whether the shortest was off limits."""
     step, there = problem.step(here), None
     for halving in range(HALVINGS + 1):
@@ -228,7 +228,7 @@ def _shortened(problem: _Problem, here: _State) -> tuple[_State | None, bool]:
     return None, there is None
 
 
-def _described(problem: _Problem, end: _State, converged: bool, status: str) -> MgmFit:
+def _described(problem: _DampedProblem, end: _State, converged: bool, status: str) -> MgmFit:
     data, model, m = problem.data, problem.model, problem.model.degrees
     inverse = problem.covariance(end)
     covariance = inverse * end.rms**2

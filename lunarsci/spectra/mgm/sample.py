@@ -17,7 +17,7 @@ from lunarsci.spectra.spectrum import FloatArray
 
 IntArray: TypeAlias = NDArray[np.int64]
 
-__all__ = ["Posterior", "posterior_intervals", "sample_batch", "sample_posterior"]
+__all__ = ["FitPosterior", "posterior_intervals", "sample_batch", "sample_posterior"]
 
 DEFAULT_DRAWS = 4000
 DEFAULT_PARTICLES = 256
@@ -36,7 +36,7 @@ PROBABILITIES = (0.5, 0.15865, 0.84135, 0.025, 0.975)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Posterior:
+class FitPosterior:
     """Draws from exp(-objective / 2) within the bounds.
 
     Attributes
@@ -63,7 +63,7 @@ class Posterior:
 
 def sample_posterior(
     fit: MgmFit, *, draws: int = DEFAULT_DRAWS, seed: int = 0, particles: int = DEFAULT_PARTICLES
-) -> Posterior:
+) -> FitPosterior:
     """Draw from the posterior of a fit: density exp(-objective / 2) within the bounds, flat where the prior is.
 
     Particles begin as draws from the prior and are carried to the posterior through powers of the likelihood
@@ -110,12 +110,12 @@ def sample_batch(
     seed: int = 0,
     particles: int = DEFAULT_PARTICLES,
     progress: Callable[[int, int], None] | None = None,
-) -> list[Posterior]:
+) -> list[FitPosterior]:
     """`sample_posterior` of many fits in all threads, in the order given; each as if it were alone.
 
     `progress` is called with (done, total). Raises what `sample_posterior` raises.
     """
-    found: dict[int, Posterior] = {}
+    found: dict[int, FitPosterior] = {}
 
     def one(index: int) -> None:
         found[index] = sample_posterior(fits[index], draws=draws, seed=seed, particles=particles)
@@ -124,7 +124,7 @@ def sample_batch(
     return [found[index] for index in range(len(fits))]
 
 
-def posterior_intervals(posterior: Posterior) -> Intervals:
+def posterior_intervals(posterior: FitPosterior) -> Intervals:
     """Median, central 68.27 % and central 95 % of every parameter, and of the band strength ratios of the pyroxenes."""
     model = posterior.model
     columns = {name: posterior.draws[:, k] * unit_of(name) for k, name in enumerate(model.names)}
@@ -184,13 +184,13 @@ def _prior_draws(
 
 def _posterior(
     fit: MgmFit, drawn: FloatArray, objective: FloatArray, families: IntArray, acceptance: float, draws: int
-) -> Posterior:
+) -> FitPosterior:
     effective, r_hat = _effective_size(drawn, families), _r_hat(drawn, families)
     effective, r_hat = np.where(fit.model.fixed, np.nan, effective), np.where(fit.model.fixed, np.nan, r_hat)
     doubts = _doubts(effective, r_hat, acceptance, len(np.unique(families)))
     remarks = _remarks(fit, float(objective.min()))
     status = "; ".join(([f"do not trust these draws: {', '.join(doubts)}"] if doubts else []) + remarks) or "sampled"
-    return Posterior(
+    return FitPosterior(
         fit.model, fit.wavelength_nm, drawn.reshape(-1, drawn.shape[2])[:draws], objective.ravel()[:draws],
         effective, r_hat, acceptance, not doubts, status,
     )  # fmt: skip

@@ -24,7 +24,7 @@ from lunarsci.twin.inference.misfit import MODEL_ERRORS
 
 __all__ = [
     "Bias",
-    "Change",
+    "GroundChange",
     "PieceMeans",
     "Surprise",
     "correlation_length",
@@ -193,7 +193,7 @@ class Bias:
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class GroundChange:
     """Where the ground seems to change: the commanded distance [m], and the probability of such by chance."""
 
     distance_m: float
@@ -268,7 +268,7 @@ def mean_bias(meeting: Meeting, seed: int = 0) -> Bias | None:
     return Bias(found, worst, min(1.0, len(found) * found[worst].p))
 
 
-def find_change(meeting: Meeting, seed: int = 0) -> Change | None:
+def find_change(meeting: Meeting, seed: int = 0) -> GroundChange | None:
     """Where the means after and before differ from what was predicted most, of five places in the drive.
 
     A soil that is not the one believed shows on the whole way; one that changes shows in the difference. None where
@@ -292,4 +292,4 @@ def find_change(meeting: Meeting, seed: int = 0) -> Change | None:
     if most is None:
         return None
     place = float(np.interp(edges[most[0] + 1], meeting.forecast.time_s, meeting.forecast.distance_m))
-    return Change(place, most[2])
+    return GroundChange(place, most[2])

@@ -15,7 +15,7 @@ from lunarsci.twin.comparison.bands import ALL, NOMINAL, BandCheck, check_bands,
 from lunarsci.twin.comparison.ends import EndCheck, PathCheck, check_end, check_path
 from lunarsci.twin.comparison.forecast import Forecast
 from lunarsci.twin.comparison.meeting import Meeting
-from lunarsci.twin.comparison.surprise import Bias, Change, Surprise, find_change, mean_bias, surprise
+from lunarsci.twin.comparison.surprise import Bias, GroundChange, Surprise, find_change, mean_bias, surprise
 from lunarsci.twin.comparison.tail import Standing
 from lunarsci.twin.inference.drive_record import OBSERVED
 from lunarsci.twin.simulation.contact_frame import DEEPEST, VALID_SLIP
@@ -23,8 +23,8 @@ from lunarsci.twin.simulation.contact_frame import DEEPEST, VALID_SLIP
 __all__ = [
     "ALARM",
     "LEAST_MEMBERS",
-    "Comparison",
     "Coverage",
+    "DriveComparison",
     "check_coverage",
     "compare",
 ]
@@ -115,7 +115,7 @@ MOST_INVALID, LEAST_FINISHED = 0.05, 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Comparison:
+class DriveComparison:
     """What was predicted beside what happened.
 
     Attributes
@@ -141,14 +141,14 @@ class Comparison:
     end: EndCheck | None
     path: PathCheck | None
     surprise: Surprise | None
-    change: Change | None
+    change: GroundChange | None
     bands: tuple[BandCheck, ...]
     bias: Bias | None
     coverage: Coverage | None
     invalid_share: float
 
 
-def compare(meeting: Meeting, seed: int = 0) -> Comparison:
+def compare(meeting: Meeting, seed: int = 0) -> DriveComparison:
     """Hold a forecast against the record that it was brought together with.
 
     `seed` is of the errors of measurement that are given to the members.
@@ -168,7 +168,7 @@ def compare(meeting: Meeting, seed: int = 0) -> Comparison:
     ]
     if invalid > MOST_INVALID:
         reasons.append(f"{100 * invalid:.0f} % of the measured states lie outside of what the wheel model holds for")
-    return Comparison(
+    return DriveComparison(
         verdict="not to be trusted" if reasons else "trusted",
         reasons=tuple(reasons),
         notes=tuple(_notes(meeting, end, whole)),
@@ -239,7 +239,7 @@ def _state_reasons(bands: Sequence[BandCheck], bias: Bias | None, coverage: Cove
     return reasons
 
 
-def _whole_reasons(whole: Surprise | None, change: Change | None) -> list[str]:
+def _whole_reasons(whole: Surprise | None, change: GroundChange | None) -> list[str]:
     reasons = []
     if whole is not None and whole.standing.p < ALARM:
         reasons.append(

@@ -23,7 +23,7 @@ from lunarsci.twin.figures.relief import (
     member_colors,
     shown_members,
 )
-from lunarsci.twin.ground.footprint import Footprint, rover_outline
+from lunarsci.twin.ground.footprint import RoverFootprint, rover_outline
 from lunarsci.twin.judgement.quantities import abscissa, along
 from lunarsci.twin.judgement.safety import Verdict
 from lunarsci.twin.judgement.tables import spread
@@ -213,7 +213,7 @@ class _Stage:
         if not self.prediction.recorded[self.member]:
             return []
         wheel = self.prediction.rover.wheel
-        rim = Footprint(rear_m=-wheel.radius_m, front_m=wheel.radius_m, half_width_m=0.5 * wheel.width_m)
+        rim = RoverFootprint(rear_m=-wheel.radius_m, front_m=wheel.radius_m, half_width_m=0.5 * wheel.width_m)
         places = self.prediction.states[self.member, sample, :, :2]
         return [rim.corners_m(np.array([x, y, np.radians(yaw_deg)])) for x, y in places]
 

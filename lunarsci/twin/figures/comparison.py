@@ -8,7 +8,7 @@ import numpy.typing as npt
 from lunarsci.twin.comparison.bands import NOMINAL, half_band, ranks, standardised
 from lunarsci.twin.comparison.ends import region_ellipse
 from lunarsci.twin.comparison.meeting import Meeting
-from lunarsci.twin.comparison.verdict import Comparison
+from lunarsci.twin.comparison.verdict import DriveComparison
 from lunarsci.twin.figures.bands import LABELS, WHEEL_COLORS
 from lunarsci.twin.figures.relief import ACCENT, GOLD, INK, LIMIT
 from lunarsci.twin.inference.drive_record import OBSERVED
@@ -30,7 +30,7 @@ DRAWN_REGIONS = (0.5, 0.9, 0.95)
 MEASURED = "#111111"
 
 
-def comparison_figure(meeting: Meeting, found: Comparison, title: str) -> "Figure":
+def comparison_figure(meeting: Meeting, found: DriveComparison, title: str) -> "Figure":
     """Paths and ends on the left, wheel states on the right, ranks and standardised differences below.
 
     Bands span p05 to p95 over members and wheels; a measured state in red is outside of the 90 % band of its own wheel
@@ -93,7 +93,7 @@ def _frame_map(axes: "Axes") -> None:
     axes.set_ylabel("y [m]")
 
 
-def _draw_end(axes: "Axes", meeting: Meeting, found: Comparison) -> None:
+def _draw_end(axes: "Axes", meeting: Meeting, found: DriveComparison) -> None:
     """The predicted places at the last position, their regions, the plan and what was measured."""
     from matplotlib.patches import Ellipse
 

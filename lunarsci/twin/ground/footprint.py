@@ -9,7 +9,7 @@ import numpy.typing as npt
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.rover import Rover
 
-__all__ = ["Footprint", "nearest_node", "rover_footprint", "rover_outline", "swept_nodes"]
+__all__ = ["RoverFootprint", "nearest_node", "rover_footprint", "rover_outline", "swept_nodes"]
 
 FloatArray = npt.NDArray[np.float64]
 BoolMap = npt.NDArray[np.bool_]
@@ -18,7 +18,7 @@ OVERHANG = 1.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Footprint:
+class RoverFootprint:
     """A rectangle in the rover's frame, x forward, y left, symmetric about x.
 
     Attributes
@@ -68,27 +68,27 @@ class Footprint:
         return cos * dx + sin * dy, cos * dy - sin * dx
 
 
-def rover_footprint(rover: Rover) -> Footprint:
+def rover_footprint(rover: Rover) -> RoverFootprint:
     """The rectangle about the wheels as they stand when nothing is steered: what needs ground to drive on."""
     wheels, wheel = rover.wheel_positions_m, rover.wheel
-    return Footprint(
+    return RoverFootprint(
         rear_m=float(wheels[:, 0].min()) - wheel.radius_m,
         front_m=float(wheels[:, 0].max()) + wheel.radius_m,
         half_width_m=float(np.abs(wheels[:, 1]).max()) + 0.5 * wheel.width_m,
     )
 
 
-def rover_outline(rover: Rover) -> Footprint:
+def rover_outline(rover: Rover) -> RoverFootprint:
     """The rectangle about the wheels with their lugs, as they stand when nothing is steered, and the body."""
     wheels, lug = rover_footprint(rover), rover.wheel.grouser_height_m
     rear, front, side = wheels.rear_m - lug, wheels.front_m + lug, wheels.half_width_m
     if rover.body is not None:
         center, half = rover.body.center_x_m, 0.5 * rover.body.length_m
         rear, front, side = min(rear, center - half), max(front, center + half), max(side, 0.5 * rover.body.width_m)
-    return Footprint(rear_m=rear, front_m=front, half_width_m=side)
+    return RoverFootprint(rear_m=rear, front_m=front, half_width_m=side)
 
 
-def swept_nodes(footprint: Footprint, terrain: Terrain, poses: FloatArray) -> BoolMap:
+def swept_nodes(footprint: RoverFootprint, terrain: Terrain, poses: FloatArray) -> BoolMap:
     """Nodes of a terrain that lie within the footprint at some of the poses (n, 3) [m, m, rad]. (ny, nx)"""
     swept = np.zeros(terrain.height_m.shape, dtype=bool)
     x, y = terrain.x_m, terrain.y_m
@@ -102,7 +102,9 @@ def swept_nodes(footprint: Footprint, terrain: Terrain, poses: FloatArray) -> Bo
     return swept
 
 
-def nearest_node(footprint: Footprint, poses: FloatArray, x_m: FloatArray, y_m: FloatArray) -> tuple[float, int, int]:
+def nearest_node(
+    footprint: RoverFootprint, poses: FloatArray, x_m: FloatArray, y_m: FloatArray
+) -> tuple[float, int, int]:
     """Least distance of points (m,) from the footprint along the poses (n, 3), the point and the pose. [m]
 
     Without any point the distance is infinite and both numbers are 0.

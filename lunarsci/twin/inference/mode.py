@@ -9,9 +9,9 @@ import numpy.typing as npt
 from lunarsci.twin.inference.misfit import HUBER, cost_of
 
 if TYPE_CHECKING:
-    from lunarsci.twin.inference.posterior import Posterior
+    from lunarsci.twin.inference.posterior import DrivePosterior
 
-__all__ = ["Mode", "find_mode"]
+__all__ = ["PosteriorMode", "find_mode"]
 
 FloatArray = npt.NDArray[np.float64]
 STARTS, DESCENTS, STEPS = 64, 4, 16
@@ -27,7 +27,7 @@ PATIENCE = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Mode:
+class PosteriorMode:
     """The most probable point, its cost, and the inverse of the curvature there. (8,), (8, 8)"""
 
     point: FloatArray
@@ -35,7 +35,9 @@ class Mode:
     covariance: FloatArray
 
 
-def find_mode(posterior: "Posterior", random: np.random.Generator, starts: FloatArray | None = None) -> Mode | None:
+def find_mode(
+    posterior: "DrivePosterior", random: np.random.Generator, starts: FloatArray | None = None
+) -> PosteriorMode | None:
     """The lowest cost that any descent reached; None where no soil of the belief carries the rover to the end.
 
     Descents begin at `starts` (k, 8), or at draws from the belief.
@@ -59,7 +61,7 @@ def find_mode(posterior: "Posterior", random: np.random.Generator, starts: Float
             here = here.part(here.costs < here.costs[first] + BEHIND)
     found = here.part(here.best_first()[:1])
     curvature, _ = _local(posterior, found, width)
-    return Mode(found.points[0], float(found.costs[0]), np.asarray(np.linalg.inv(curvature[0])))
+    return PosteriorMode(found.points[0], float(found.costs[0]), np.asarray(np.linalg.inv(curvature[0])))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +73,7 @@ class _Looked:
     costs: FloatArray
 
     @classmethod
-    def at(cls, posterior: "Posterior", points: FloatArray) -> "_Looked":
+    def at(cls, posterior: "DrivePosterior", points: FloatArray) -> "_Looked":
         drive, prior = posterior.residuals(points)
         return cls(points, np.concatenate([drive, prior], axis=1), cost_of(drive, prior))
 
@@ -88,7 +90,7 @@ class _Looked:
         return _Looked(points, rows, np.where(where, other.costs, self.costs))
 
 
-def _width(posterior: "Posterior", point: FloatArray) -> FloatArray:
+def _width(posterior: "DrivePosterior", point: FloatArray) -> FloatArray:
     """Of the prior along each coordinate, others held. (8,)"""
     transforms = posterior.straight.transforms(point)
     spread = np.sqrt(np.diag(posterior.misfit.belief.covariance))
@@ -96,7 +98,7 @@ def _width(posterior: "Posterior", point: FloatArray) -> FloatArray:
     return np.asarray(np.abs(np.diag(moved - point)))
 
 
-def _local(posterior: "Posterior", at: _Looked, width: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _local(posterior: "DrivePosterior", at: _Looked, width: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Curvature (k, 8, 8) and slope (k, 8) of half the cost at points (k, 8), from central differences.
 
     Where one neighbour carries no rover the difference is one-sided; where neither does it is 0, and the
@@ -131,7 +133,7 @@ def _differences(here: FloatArray, up: FloatArray, down: FloatArray) -> FloatArr
 
 
 def _best_trials(
-    posterior: "Posterior", points: FloatArray, curvature: FloatArray, slope: FloatArray, width: FloatArray
+    posterior: "DrivePosterior", points: FloatArray, curvature: FloatArray, slope: FloatArray, width: FloatArray
 ) -> _Looked:
     """The best of several damped steps from each point."""
     trials = np.empty((len(points), len(DAMPINGS), points.shape[1]))

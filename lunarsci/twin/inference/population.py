@@ -25,8 +25,8 @@ from lunarsci.regolith.joint_sampler import persistence
 from lunarsci.twin.inference.misfit import HUBER
 
 if TYPE_CHECKING:
-    from lunarsci.twin.inference.mode import Mode
-    from lunarsci.twin.inference.posterior import Posterior
+    from lunarsci.twin.inference.mode import PosteriorMode
+    from lunarsci.twin.inference.posterior import DrivePosterior
 
 __all__ = ["Emulator", "draw_population", "fit_emulator"]
 
@@ -123,8 +123,8 @@ class _Drives:
 
 
 def draw_population(
-    posterior: "Posterior",
-    mode: "Mode",
+    posterior: "DrivePosterior",
+    mode: "PosteriorMode",
     particles: int,
     random: np.random.Generator,
     progress: Callable[[int, int], None] | None = None,
@@ -162,13 +162,13 @@ def draw_population(
     return _moved(posterior, emulated, drives, particles, random, lambda done: told(ROUNDS + done, total))
 
 
-def _huber_weight(posterior: "Posterior", mode: "Mode") -> FloatArray:
+def _huber_weight(posterior: "DrivePosterior", mode: "PosteriorMode") -> FloatArray:
     """Root of Huber's weight of each residual at the mode. (r,)"""
     here = np.abs(posterior.residuals(mode.point[None])[0][0])
     return np.asarray(np.sqrt(HUBER / np.maximum(here, HUBER)))
 
 
-def _simulated(posterior: "Posterior", weight: FloatArray, points: FloatArray) -> _Drives:
+def _simulated(posterior: "DrivePosterior", weight: FloatArray, points: FloatArray) -> _Drives:
     """Those that arrive."""
     rows, ln_density = posterior.with_density(points)
     arrived = np.isfinite(ln_density)
@@ -178,7 +178,7 @@ def _simulated(posterior: "Posterior", weight: FloatArray, points: FloatArray) -
 class _Emulated:
     """The posterior with drives by an emulator, prior and coordinates as they are."""
 
-    def __init__(self, posterior: "Posterior", drives: _Drives, mode: "Mode", root: FloatArray) -> None:
+    def __init__(self, posterior: "DrivePosterior", drives: _Drives, mode: "PosteriorMode", root: FloatArray) -> None:
         self.posterior = posterior
         self.emulator = fit_emulator(drives.points, drives.rows, -2.0 * drives.ln_density, mode.point, root)
 
@@ -215,7 +215,7 @@ def _by_density(ln_density: FloatArray, count: int, random: np.random.Generator)
 
 
 def _moved(
-    posterior: "Posterior",
+    posterior: "DrivePosterior",
     emulated: _Emulated,
     drives: _Drives,
     particles: int,

@@ -18,7 +18,7 @@ from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.twin.inference.drive_record import OBSERVED
 from lunarsci.twin.inference.misfit import HUBER, POSITION, Misfit, cost_of, robust_cost
 
-__all__ = ["PRESSURE_PA", "Posterior", "Straight", "inflation_of", "posterior_of", "wheel_errors"]
+__all__ = ["PRESSURE_PA", "DrivePosterior", "Straight", "inflation_of", "posterior_of", "wheel_errors"]
 
 FloatArray = npt.NDArray[np.float64]
 BATCH = 8
@@ -144,7 +144,7 @@ SHALLOW_M = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Posterior:
+class DrivePosterior:
     """Misfit and prior over straight coordinates.
 
     Attributes
@@ -201,9 +201,9 @@ class Posterior:
         return self.straight.straightened(np.vstack([mean, mean + noise @ self.root.T]))
 
 
-def posterior_of(misfit: Misfit) -> Posterior:
+def posterior_of(misfit: Misfit) -> DrivePosterior:
     """The posterior in the coordinates of its typical sinkage, 1 cm where none was measured."""
     sinkage = misfit.record.values[misfit.known[:, 0], 0]
     typical = float(np.median(sinkage)) if sinkage.size else 0.01
     root = np.asarray(np.linalg.cholesky(misfit.belief.covariance), dtype=np.float64)
-    return Posterior(misfit, Straight(max(typical, SHALLOW_M)), root)
+    return DrivePosterior(misfit, Straight(max(typical, SHALLOW_M)), root)

@@ -22,9 +22,9 @@ from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.inference.discrepancy import MODEL_SHARES, Discrepancy
 from lunarsci.twin.inference.drive_record import OBSERVED, DriveRecord, values_at
 from lunarsci.twin.inference.misfit import FIX_ERROR_M, HUBER, POSITION, Misfit
-from lunarsci.twin.inference.mode import Mode, find_mode
+from lunarsci.twin.inference.mode import PosteriorMode, find_mode
 from lunarsci.twin.inference.population import draw_population
-from lunarsci.twin.inference.posterior import Posterior, inflation_of, posterior_of, wheel_errors
+from lunarsci.twin.inference.posterior import DrivePosterior, inflation_of, posterior_of, wheel_errors
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import Prediction
@@ -199,7 +199,7 @@ def rectify(
     )
 
 
-def _best_soil(misfit: Misfit, random: np.random.Generator, ruts: bool | None) -> tuple[Posterior, Mode]:
+def _best_soil(misfit: Misfit, random: np.random.Generator, ruts: bool | None) -> tuple[DrivePosterior, PosteriorMode]:
     """The most probable soil, with or without ruts, and with errors widened to what it leaves."""
     posterior, mode = _found(replace(misfit, ruts=bool(ruts)), random)
     if ruts is None:
@@ -225,7 +225,9 @@ def _best_soil(misfit: Misfit, random: np.random.Generator, ruts: bool | None) -
     return posterior, mode
 
 
-def _found(misfit: Misfit, random: np.random.Generator, starts: FloatArray | None = None) -> tuple[Posterior, Mode]:
+def _found(
+    misfit: Misfit, random: np.random.Generator, starts: FloatArray | None = None
+) -> tuple[DrivePosterior, PosteriorMode]:
     posterior = posterior_of(misfit)
     mode = find_mode(posterior, random, starts)
     if mode is None:
@@ -233,7 +235,9 @@ def _found(misfit: Misfit, random: np.random.Generator, starts: FloatArray | Non
     return posterior, mode
 
 
-def _with_ruts_if_better(posterior: Posterior, mode: Mode, random: np.random.Generator) -> tuple[Posterior, Mode]:
+def _with_ruts_if_better(
+    posterior: DrivePosterior, mode: PosteriorMode, random: np.random.Generator
+) -> tuple[DrivePosterior, PosteriorMode]:
     """The same, or the most probable soil with ruts where that explains the drive better, by errors not yet widened."""
     other = posterior_of(replace(posterior.misfit, ruts=True))
     found = find_mode(other, random, mode.point[None])

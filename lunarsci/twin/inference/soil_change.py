@@ -25,7 +25,7 @@ from lunarsci.twin.simulation.ensemble import Prediction
 __all__ = [
     "FEWEST_PIECES",
     "Pieces",
-    "Step",
+    "SoilStep",
     "Way",
     "averaged",
     "largest_step",
@@ -185,7 +185,7 @@ within the uncertainty, as in Berger & Boos (1994), J. Am. Stat. Assoc. 89, 1012
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Step:
+class SoilStep:
     """The most likely change: where, p-value, places tried and how much more two soils explain there. (k,), (k,)"""
 
     after_m: float
@@ -194,7 +194,7 @@ class Step:
     statistic: FloatArray
 
 
-def largest_step(pieces: Pieces, random: np.random.Generator, simulations: int = SIMULATIONS) -> Step:
+def largest_step(pieces: Pieces, random: np.random.Generator, simulations: int = SIMULATIONS) -> SoilStep:
     """The most likely change and its p-value, no smaller than 1 / (simulations + 1).
 
     Parameters
@@ -217,7 +217,7 @@ def largest_step(pieces: Pieces, random: np.random.Generator, simulations: int =
     null = fits.gain(noise.reshape(simulations, -1)).max(axis=1)
     p_value = (1 + int((null >= statistic.max()).sum())) / (simulations + 1)
     tried = (0.5 * (pieces.middle_m[1:] + pieces.middle_m[:-1]))[fits.places]
-    return Step(float(tried[int(np.argmax(statistic))]), p_value, tried, statistic)
+    return SoilStep(float(tried[int(np.argmax(statistic))]), p_value, tried, statistic)
 
 
 class _Fits:

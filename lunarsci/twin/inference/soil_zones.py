@@ -17,7 +17,15 @@ from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.inference.drive_record import OBSERVED, DriveRecord, states_at
 from lunarsci.twin.inference.misfit import MODEL_ERRORS
 from lunarsci.twin.inference.rectify import Rectified, rectify
-from lunarsci.twin.inference.soil_change import FEWEST_PIECES, Step, Way, averaged, largest_step, way_of, wheel_places
+from lunarsci.twin.inference.soil_change import (
+    FEWEST_PIECES,
+    SoilStep,
+    Way,
+    averaged,
+    largest_step,
+    way_of,
+    wheel_places,
+)
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import LONGEST_SAMPLE_M, LONGEST_STEP_S, Prediction, predict
@@ -145,7 +153,7 @@ def _states(drives: Prediction, record: DriveRecord) -> FloatArray:
     return states_at(record, drives.time_s, drives.states, drives.rover.wheels)
 
 
-def _change(step: Step, way: Way, places: FloatArray, values: FloatArray) -> SoilChange:
+def _change(step: SoilStep, way: Way, places: FloatArray, values: FloatArray) -> SoilChange:
     near = step.tried_m[step.statistic >= step.statistic.max() - WITHIN_95]
     half = 0.5 * float(np.diff(step.tried_m).min()) if len(step.tried_m) > 1 else 0.1
     measured = [k for k in range(values.shape[1]) if np.isfinite(values[:, k]).any()]

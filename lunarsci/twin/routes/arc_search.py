@@ -16,8 +16,8 @@ from lunarsci.twin.routes.search_ground import Window, drive_arcs, drive_course
 __all__ = [
     "COARSEST_M",
     "FINEST_M",
+    "ArcProblem",
     "Course",
-    "Problem",
     "close_on_point",
     "close_on_pose",
     "find_courses",
@@ -88,7 +88,7 @@ PENALTY = 1e3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Problem:
+class ArcProblem:
     """What a course is searched for.
 
     Attributes
@@ -145,7 +145,9 @@ class _Branches:
     length: FloatArray
 
 
-def find_courses(problem: Problem, progress: Callable[[int, int], None] | None = None) -> tuple[list[Course], Course]:
+def find_courses(
+    problem: ArcProblem, progress: Callable[[int, int], None] | None = None
+) -> tuple[list[Course], Course]:
     """Courses that end at the goal and keep the clearance, cheapest first, and the one that comes nearest to it.
 
     Up to three arcs are tried first; a fourth where these find nothing. Then the courses that fall least short of the
@@ -188,7 +190,7 @@ def _moved(poses: FloatArray, length: FloatArray, curvature: FloatArray) -> Floa
     return np.column_stack(arc_end(poses[:, 0], poses[:, 1], poses[:, 2], length, curvature))
 
 
-def _grow(problem: Problem, branches: _Branches) -> _Branches:
+def _grow(problem: ArcProblem, branches: _Branches) -> _Branches:
     """Every branch with every arc of the lattice that keeps the clearance."""
     distance = problem.distance_m
     curved = problem.tightest_per_m * 0.5 ** np.arange(HALVINGS)
@@ -215,7 +217,7 @@ def _grow(problem: Problem, branches: _Branches) -> _Branches:
     )
 
 
-def _closed(problem: Problem, branches: _Branches) -> tuple[list[Course], tuple[float, Course]]:
+def _closed(problem: ArcProblem, branches: _Branches) -> tuple[list[Course], tuple[float, Course]]:
     """The cheapest courses with closing arcs that keep the clearance, and the one that came nearest, with how near."""
     lengths, curvatures = problem.close(branches.poses)
     possible = (np.abs(curvatures) <= problem.tightest_per_m).all(axis=1)
@@ -236,7 +238,7 @@ def _closed(problem: Problem, branches: _Branches) -> tuple[list[Course], tuple[
 
 
 def _nearest(
-    problem: Problem, branches: _Branches, arcs: FloatArray, ends: FloatArray, driven: FloatArray
+    problem: ArcProblem, branches: _Branches, arcs: FloatArray, ends: FloatArray, driven: FloatArray
 ) -> tuple[float, Course]:
     """Of the branches, and of the courses as far as they could be driven, the one that ends nearest to the goal."""
     goal = problem.goal[:2]
@@ -253,7 +255,7 @@ def _nearest(
     return min(pairs, key=lambda pair: pair[0], default=(math.inf, Course(np.empty((0, 2)), 0.0)))
 
 
-def _shortest_falls(problem: Problem, branches: _Branches) -> list[Course]:
+def _shortest_falls(problem: ArcProblem, branches: _Branches) -> list[Course]:
     """Courses whose closing arcs fall least short of the clearance."""
     lengths, curvatures = problem.close(branches.poses)
     possible = (np.abs(curvatures) <= problem.tightest_per_m).all(axis=1)
@@ -262,7 +264,7 @@ def _shortest_falls(problem: Problem, branches: _Branches) -> list[Course]:
     return [Course(arcs[number], float(scores[number])) for number in np.argsort(scores, kind="stable")[:NEARLY]]
 
 
-def _score(problem: Problem, arcs: FloatArray) -> float:
+def _score(problem: ArcProblem, arcs: FloatArray) -> float:
     """Cost with its number and changes of arcs, and a penalty on what falls short of the clearance. [m]"""
     cost, shortfall = drive_course(
         problem.window, problem.discs, problem.start, arcs, problem.step_m, problem.need_m, problem.wanted_m
@@ -275,7 +277,7 @@ def _changes(arcs: FloatArray) -> FloatArray:
     return np.asarray(np.abs(np.diff(arcs[..., 1], axis=1, prepend=0.0)).sum(axis=1))
 
 
-def _refined(problem: Problem, course: Course, closing: int) -> Course | None:
+def _refined(problem: ArcProblem, course: Course, closing: int) -> Course | None:
     """The course moved to the nearest least cost, None where it does not keep the clearance then."""
     from scipy.optimize import minimize
 
@@ -310,7 +312,7 @@ def _refined(problem: Problem, course: Course, closing: int) -> Course | None:
     return Course(arcs, _score(problem, arcs)) if kept else None
 
 
-def _shortfall(problem: Problem, arcs: FloatArray) -> float:
+def _shortfall(problem: ArcProblem, arcs: FloatArray) -> float:
     window, step = problem.window, problem.step_m
     return float(drive_course(window, problem.discs, problem.start, arcs, step, problem.need_m, problem.wanted_m)[1])
 

@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import ParameterError
-from lunarsci.twin.ground.footprint import Footprint, nearest_node, rover_footprint, swept_nodes
+from lunarsci.twin.ground.footprint import RoverFootprint, nearest_node, rover_footprint, swept_nodes
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.plans.path import planned_pose
 from lunarsci.twin.plans.plan import Leg, Limit, Plan
-from lunarsci.twin.routes.arc_search import COARSEST_M, FINEST_M, Course, Problem, find_courses, pose_after
+from lunarsci.twin.routes.arc_search import COARSEST_M, FINEST_M, ArcProblem, Course, find_courses, pose_after
 from lunarsci.twin.routes.search_ground import SearchGround, search_ground
 from lunarsci.twin.rover import Rover
 
@@ -62,7 +62,7 @@ class PlannedPath:
     max_step_m: float
     max_slope_on_path_deg: float
     max_curvature_per_m: float
-    footprint: Footprint
+    footprint: RoverFootprint
     swept: BoolMap
 
     @property
@@ -175,16 +175,16 @@ def _nodes(surface: Traversability, poses: FloatArray) -> tuple[npt.NDArray[np.i
 def _problem(
     surface: Traversability,
     ground: SearchGround,
-    footprint: Footprint,
+    footprint: RoverFootprint,
     rover: Rover,
     pose: FloatArray,
     goal: FloatArray,
-) -> Problem:
+) -> ArcProblem:
     mobility, spacing = surface.mobility, surface.terrain.spacing_m
     discs, radius = footprint.discs()
     # Between nodes and between places the distance may be less by a small part of the spacing.
     need = radius + mobility.hazard_distance_m + 0.25 * spacing + 0.005
-    return Problem(
+    return ArcProblem(
         window=ground.window,
         discs=discs,
         start=pose,
@@ -214,7 +214,7 @@ def _check_place(surface: Traversability, name: str, place: tuple[float, float, 
 
 
 def _check_room(
-    surface: Traversability, ground: SearchGround, footprint: Footprint, name: str, poses: FloatArray
+    surface: Traversability, ground: SearchGround, footprint: RoverFootprint, name: str, poses: FloatArray
 ) -> None:
     """Some of the poses must keep their distance from hazards."""
     least = surface.mobility.hazard_distance_m
@@ -244,7 +244,7 @@ def _obstacle(surface: Traversability, ground: SearchGround, point: int) -> str:
 def _measured(
     surface: Traversability,
     ground: SearchGround,
-    footprint: Footprint,
+    footprint: RoverFootprint,
     plan: Plan,
     course: Course,
     target: tuple[float, float],
@@ -275,7 +275,7 @@ def _largest(values: npt.NDArray[np.float32]) -> float:
 
 
 def _why_not(
-    surface: Traversability, ground: SearchGround, problem: Problem, footprint: Footprint, nearest: Course
+    surface: Traversability, ground: SearchGround, problem: ArcProblem, footprint: RoverFootprint, nearest: Course
 ) -> str:
     """What is in the way of the course that came nearest, and what to try."""
     end = pose_after(problem.start, nearest.arcs)

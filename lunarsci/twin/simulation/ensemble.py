@@ -15,7 +15,7 @@ from lunarsci.twin.plans.schedule import Schedule, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST
 from lunarsci.twin.simulation.drawn_discrepancy import DrawnDiscrepancy
-from lunarsci.twin.simulation.members import MOST_STEPS, Grounds, Scene, drive_all, drive_finer
+from lunarsci.twin.simulation.members import MOST_STEPS, DriveSetup, Grounds, drive_all, drive_finer
 
 __all__ = ["OFFSET_COLUMNS", "PATH_COLUMNS", "STATE_COLUMNS", "Grounds", "Prediction", "member_parameters", "predict"]
 
@@ -226,7 +226,7 @@ def predict(
     schedule = make_schedule(plan, rover)
     times, every = _steps(schedule, count, time_step_s, sample_m)
     overrides = soil_overrides(parameters if grounds is None else {}, count)
-    scene = Scene(rover, terrain, schedule, times, every, seed, grounds, ruts)
+    scene = DriveSetup(rover, terrain, schedule, times, every, seed, grounds, ruts)
     scene = scene if before is None else scene.after(before, time_step_s)
     paths, states, results = drive_all(scene, overrides, len(times[::every]), progress)
     finer = drive_finer(scene, overrides, (paths, states, results))
@@ -281,7 +281,9 @@ def _check_steps(time_step_s: float, sample_m: float, seed: int) -> None:
         raise ParameterError(f"seed is {seed}; give 0 or more")
 
 
-def _for_people(scene: Scene, paths: FloatArray, states: FloatArray, recorded: IntArray, halted: BoolArray) -> None:
+def _for_people(
+    scene: DriveSetup, paths: FloatArray, states: FloatArray, recorded: IntArray, halted: BoolArray
+) -> None:
     """Halts without slip, drives that ended early filled up, angles in degrees."""
     start, plan = scene.schedule.poses[0], scene.schedule.plan
     _calm_halts(states, halted, scene.rover.wheel.radius_m)

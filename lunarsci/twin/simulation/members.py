@@ -30,7 +30,7 @@ from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.drive import begin, drive
 from lunarsci.twin.simulation.ruts import SPACING_M, RutGrid, rut_grid, with_ruts
 
-__all__ = ["MOST_STEPS", "Grounds", "Scene", "drive_all", "drive_finer"]
+__all__ = ["MOST_STEPS", "DriveSetup", "Grounds", "drive_all", "drive_finer"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -68,7 +68,7 @@ class Grounds(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class DriveSetup:
     """What all members share: who drives where, when, and at which times it is stepped; or the ground of each.
 
     With `ruts` wheels meet those of others, and of the scene that was driven `earlier`. `only` are the numbers of the
@@ -83,7 +83,7 @@ class Scene:
     seed: int
     grounds: Grounds | None = None
     ruts: bool = False
-    earlier: "Scene | None" = None
+    earlier: "DriveSetup | None" = None
     only: IntArray | None = None
 
     @property
@@ -92,7 +92,7 @@ class Scene:
         step = float(self.times_s[1]) * self.schedule.plan.speed_m_s
         return max(1, math.floor(1.5 * SPACING_M / step)) if self.ruts else 0
 
-    def after(self, plan: Plan, time_step_s: float) -> "Scene":
+    def after(self, plan: Plan, time_step_s: float) -> "DriveSetup":
         """The same where this plan was driven before."""
         schedule = make_schedule(plan, self.rover)
         steps = max(1, math.ceil(schedule.duration_s / time_step_s))
@@ -102,7 +102,7 @@ class Scene:
         earlier = dataclasses.replace(self, schedule=schedule, times_s=times, every=steps)
         return dataclasses.replace(self, earlier=earlier)
 
-    def finer(self, factor: int, only: IntArray) -> "Scene":
+    def finer(self, factor: int, only: IntArray) -> "DriveSetup":
         """Some of its members in steps so many times shorter, with samples at the same times."""
         times = np.linspace(0.0, self.times_s[-1], (len(self.times_s) - 1) * factor + 1)
         earlier = self.earlier and self.earlier.finer(factor, only)
@@ -129,7 +129,7 @@ class Scene:
 
 
 def drive_all(
-    scene: Scene, overrides: FloatArray, samples: int, progress: Callable[[int, int], None] | None
+    scene: DriveSetup, overrides: FloatArray, samples: int, progress: Callable[[int, int], None] | None
 ) -> tuple[FloatArray, FloatArray, IntArray]:
     """Drive the members, LANES together and as many such groups at a time as numba has threads.
 
@@ -167,7 +167,7 @@ def drive_all(
     return paths, states, results
 
 
-def drive_finer(scene: Scene, overrides: FloatArray, kept: tuple[FloatArray, FloatArray, IntArray]) -> IntArray:
+def drive_finer(scene: DriveSetup, overrides: FloatArray, kept: tuple[FloatArray, FloatArray, IntArray]) -> IntArray:
     """Drive members again whose soil the step does not hold, with a shorter one; how many times shorter. (members,)"""
     paths, states, results = kept
     finer = np.ones(len(overrides), dtype=np.int64)
@@ -185,7 +185,7 @@ def drive_finer(scene: Scene, overrides: FloatArray, kept: tuple[FloatArray, Flo
     return finer
 
 
-def _meets_cliff(scene: Scene, terrain: Terrain, wheels_m: FloatArray) -> bool:
+def _meets_cliff(scene: DriveSetup, terrain: Terrain, wheels_m: FloatArray) -> bool:
     """Whether a wheel last seen there can have met ground too steep: its load is then the cliff's, not the step's."""
     sample_m = scene.schedule.plan.speed_m_s * scene.times_s[1] * scene.every
     far, angles = scene.rover.wheel.radius_m + sample_m, np.linspace(0.0, 2.0 * math.pi, 33)[:-1]
@@ -196,14 +196,14 @@ def _meets_cliff(scene: Scene, terrain: Terrain, wheels_m: FloatArray) -> bool:
     return bool((np.hypot(slopes[..., 0], slopes[..., 1]) > STEEPEST).any())
 
 
-def _begin(scene: Scene, known: tuple[Any, Any, Any, Any], commands: Commands, work: Work) -> None:
+def _begin(scene: DriveSetup, known: tuple[Any, Any, Any, Any], commands: Commands, work: Work) -> None:
     start = np.tile(scene.schedule.poses[0], (LANES, 1))
     motion = np.array(start_motion(scene.schedule, scene.rover))
     begin(*known, start, motion, commands.steering_rad, commands.speed_m_s, work)
 
 
 def _drive_group(
-    scene: Scene,
+    scene: DriveSetup,
     known: tuple[Any, Any, Any, Any],
     common: Commands | None,
     errors: FloatArray,

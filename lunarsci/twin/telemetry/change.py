@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from lunarsci.twin.telemetry.filter import EFFECT_MEAN, Nodes, dead_reckoned, filtered, linearised, smoothed_back
 
-__all__ = ["Change", "believed_change", "change_of"]
+__all__ = ["SlipProcess", "believed_change", "change_of"]
 
 FloatArray = npt.NDArray[np.float64]
 LENGTHS_M = (0.35, 0.7, 1.4, 2.8)
@@ -38,7 +38,7 @@ STRIDES = (1, 5, 7)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Change:
+class SlipProcess:
     """How the deviations ahead [-], left [-] and turn [1/m] change along the way.
 
     Attributes
@@ -58,7 +58,7 @@ class Change:
     information: FloatArray
 
     @classmethod
-    def fixed(cls, amplitude: FloatArray, length_m: FloatArray) -> "Change":
+    def fixed(cls, amplitude: FloatArray, length_m: FloatArray) -> "SlipProcess":
         """Known amplitudes and lengths. (3,), (3,) [m]"""
         zero = np.zeros(3)
         return cls(
@@ -71,12 +71,12 @@ class Change:
         )
 
 
-def believed_change(nodes: Nodes) -> Change:
+def believed_change(nodes: Nodes) -> SlipProcess:
     """What is believed before positions and headings say anything."""
-    return Change.fixed(_believed(nodes), np.full(3, LENGTHS_M[1]))
+    return SlipProcess.fixed(_believed(nodes), np.full(3, LENGTHS_M[1]))
 
 
-def change_of(nodes: Nodes) -> Change:
+def change_of(nodes: Nodes) -> SlipProcess:
     """How deviations change, from positions and headings: each in turn, the others as they are found to be."""
     believed = _believed(nodes)
     amplitude, length = believed.copy(), np.full(3, LENGTHS_M[1])
@@ -94,7 +94,7 @@ def change_of(nodes: Nodes) -> Change:
         length[channel] = math.exp(weights[channel] @ ln_l)
     spread, believed_weights = np.array([_spread(weight, ln_a) for weight in weights]), [_normed(row) for row in prior]
     drawn = _draws(weights)
-    return Change(
+    return SlipProcess(
         amplitude=np.exp(ln_a[drawn]) * SHARES,
         length_m=np.exp(ln_l[drawn]),
         usual=amplitude,

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.twin.telemetry.findings import Findings
-from lunarsci.twin.telemetry.smoother import MEANS, Change, Nodes, Smoothed, smooth
+from lunarsci.twin.telemetry.smoother import MEANS, Nodes, SlipProcess, Smoothed, smooth
 
 __all__ = ["check_change", "check_glide", "check_scatter", "without_outliers"]
 
@@ -32,7 +32,7 @@ def without_outliers(nodes: Nodes, findings: Findings) -> tuple[Smoothed, Nodes,
     count = int(np.isfinite(nodes.fix_m).all(axis=1).sum())
     left: list[list[float]] = []
     odd: list[float] = []
-    for change in (Change.fixed(COARSE, LENGTHS_M), Change.fixed(FINE, LENGTHS_M)):
+    for change in (SlipProcess.fixed(COARSE, LENGTHS_M), SlipProcess.fixed(FINE, LENGTHS_M)):
         smoothed = smooth(nodes, change)
         nodes, smoothed, lost = _without_odd_headings(nodes, smoothed)
         odd += lost

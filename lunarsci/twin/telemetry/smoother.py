@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import DataError
-from lunarsci.twin.telemetry.change import Change, change_of
+from lunarsci.twin.telemetry.change import SlipProcess, change_of
 from lunarsci.twin.telemetry.filter import (
     AHEAD,
     EFFECTS,
@@ -23,7 +23,7 @@ from lunarsci.twin.telemetry.filter import (
     smoothed_back,
 )
 
-__all__ = ["MEANS", "Change", "Nodes", "Smoothed", "probable", "smooth"]
+__all__ = ["MEANS", "Nodes", "SlipProcess", "Smoothed", "probable", "smooth"]
 
 FloatArray = npt.NDArray[np.float64]
 ROUNDS = 2
@@ -46,7 +46,7 @@ class Smoothed:
     state: FloatArray
     covariance: FloatArray
     effect: FloatArray
-    change: Change
+    change: SlipProcess
     misfit: FloatArray
     yaw_misfit: FloatArray
     reduced_chi_square: float
@@ -72,7 +72,7 @@ class Smoothed:
         return np.asarray(picks @ self.covariance @ np.swapaxes(picks, 1, 2))
 
 
-def smooth(nodes: Nodes, change: Change | None = None) -> Smoothed:
+def smooth(nodes: Nodes, change: SlipProcess | None = None) -> Smoothed:
     """The motion that explains positions and headings best, with its uncertainty.
 
     Parameters
@@ -104,7 +104,7 @@ def smooth(nodes: Nodes, change: Change | None = None) -> Smoothed:
     )
 
 
-def probable(nodes: Nodes, change: Change) -> tuple[FloatArray, float]:
+def probable(nodes: Nodes, change: SlipProcess) -> tuple[FloatArray, float]:
     """State at the end (16,), and ln of how probable positions and headings are, up to a constant."""
     amplitude, length_m = change.usual[None], change.usual_length_m[None]
     reference, _ = _round(nodes, dead_reckoned(nodes), amplitude, length_m)

@@ -11,7 +11,7 @@ from lunarsci.errors import ParameterError
 from lunarsci.spectra.mgm.fit import fit_data
 from lunarsci.spectra.mgm.model import MgmData, MgmModel, mgm_model
 from lunarsci.spectra.mgm.result import MgmFit
-from lunarsci.spectra.mgm.sample import Posterior, posterior_intervals, sample_batch, sample_posterior
+from lunarsci.spectra.mgm.sample import FitPosterior, posterior_intervals, sample_batch, sample_posterior
 
 GRID = np.arange(450.0, 2396.0, 5.0)
 NOISE = 0.005
@@ -41,7 +41,7 @@ def noisy(ln: np.ndarray, seed: int = 1) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def curved() -> tuple[MgmFit, Posterior]:
+def curved() -> tuple[MgmFit, FitPosterior]:
     """Orthopyroxene with everything free."""
     model = mgm_model("OPX")
     ln = np.log(0.15 + 5e-5 * GRID)
@@ -131,7 +131,7 @@ def test_two_minima_keep_their_weights(second: float) -> None:
     assert np.sqrt(((above[above > 1300] - 1600) ** 2).mean()) == pytest.approx(spread, rel=0.1)
 
 
-def test_a_hard_case_is_sampled_about_its_minimum(curved: tuple[MgmFit, Posterior]) -> None:
+def test_a_hard_case_is_sampled_about_its_minimum(curved: tuple[MgmFit, FitPosterior]) -> None:
     fit, posterior = curved
     assert posterior.trusted, posterior.status
     assert posterior.draws.shape == (4000, fit.model.prior.size)
@@ -143,7 +143,7 @@ def test_a_hard_case_is_sampled_about_its_minimum(curved: tuple[MgmFit, Posterio
     assert 0.5 * free < above.mean() < 1.5 * free, "half the objective is about a chi-square law's"
 
 
-def test_objectives_are_those_of_the_draws(curved: tuple[MgmFit, Posterior]) -> None:
+def test_objectives_are_those_of_the_draws(curved: tuple[MgmFit, FitPosterior]) -> None:
     """Chi-square and prior written out for some draws."""
     fit, posterior = curved
     m = fit.model.degrees
@@ -156,7 +156,7 @@ def test_objectives_are_those_of_the_draws(curved: tuple[MgmFit, Posterior]) -> 
         assert objective == pytest.approx(expected, rel=1e-9)
 
 
-def test_equal_seeds_give_equal_draws_in_any_number_of_threads(curved: tuple[MgmFit, Posterior]) -> None:
+def test_equal_seeds_give_equal_draws_in_any_number_of_threads(curved: tuple[MgmFit, FitPosterior]) -> None:
     fit, _ = curved
     alone = sample_posterior(fit, draws=300, seed=7, particles=128)
     threads = numba.get_num_threads()
@@ -170,7 +170,7 @@ def test_equal_seeds_give_equal_draws_in_any_number_of_threads(curved: tuple[Mgm
     assert not np.array_equal(other.draws, alone.draws)
 
 
-def test_too_few_draws_are_not_trusted(curved: tuple[MgmFit, Posterior]) -> None:
+def test_too_few_draws_are_not_trusted(curved: tuple[MgmFit, FitPosterior]) -> None:
     """100 draws of the fewest particles: now and then they are good enough, mostly not."""
     posteriors = [sample_posterior(curved[0], draws=100, particles=128, seed=seed) for seed in range(5)]
     doubted = [posterior for posterior in posteriors if not posterior.trusted]
@@ -180,18 +180,18 @@ def test_too_few_draws_are_not_trusted(curved: tuple[MgmFit, Posterior]) -> None
         assert posterior_intervals(posterior).remarks == (posterior.status,)
 
 
-def test_a_fit_above_its_minimum_is_said(curved: tuple[MgmFit, Posterior]) -> None:
+def test_a_fit_above_its_minimum_is_said(curved: tuple[MgmFit, FitPosterior]) -> None:
     worse = replace(curved[0], objective=curved[0].objective + 100)
     assert "below the objective of the fit" in sample_posterior(worse, draws=300).status
 
 
-def test_progress_and_order(curved: tuple[MgmFit, Posterior]) -> None:
+def test_progress_and_order(curved: tuple[MgmFit, FitPosterior]) -> None:
     told: list[tuple[int, int]] = []
     sample_batch([curved[0]] * 2, draws=128, particles=128, progress=lambda done, total: told.append((done, total)))
     assert told == [(1, 2), (2, 2)]
 
 
 @pytest.mark.parametrize("options", [{"draws": 99}, {"particles": 127}, {"seed": -1}])
-def test_impossible_numbers_are_refused(curved: tuple[MgmFit, Posterior], options: dict[str, int]) -> None:
+def test_impossible_numbers_are_refused(curved: tuple[MgmFit, FitPosterior], options: dict[str, int]) -> None:
     with pytest.raises(ParameterError):
         sample_posterior(curved[0], **options)

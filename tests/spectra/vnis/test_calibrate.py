@@ -36,7 +36,7 @@ from lunarsci.spectra.vnis.simulation.instrument import (
     simulate,
 )
 from lunarsci.spectra.vnis.simulation.products import product_files
-from lunarsci.spectra.vnis.simulation.scene import ROCK, Rock, Scene
+from lunarsci.spectra.vnis.simulation.scene import ROCK, Scene, SceneRock
 
 Files = dict[str, bytes]
 Write = Callable[[Mapping[str, bytes]], Path]
@@ -191,7 +191,7 @@ def test_at_the_standard_geometry_nothing_is_corrected(disk: str, phase: str) ->
 
 # -- Simulated ground without noise -----------------------------------------------------------------------------------
 
-ROCKY = Scene(rock=Rock(radius_px=35, center_sample=80), shadow_fraction=0.12, shadow_shape="half-plane")
+ROCKY = Scene(rock=SceneRock(radius_px=35, center_sample=80), shadow_fraction=0.12, shadow_shape="half-plane")
 
 
 def check_truth(found: Calibration, simulation: Simulation, rel: float) -> None:
@@ -219,8 +219,8 @@ def test_a_scene_comes_back_under_its_own_photometry(disk: str, phase: str) -> N
     [
         Scene(),
         Scene(disk=None, texture=0.15),
-        Scene(rock=Rock()),
-        Scene(rock=Rock(radius_px=20, center_line=100)),
+        Scene(rock=SceneRock()),
+        Scene(rock=SceneRock(radius_px=20, center_line=100)),
         Scene(shadow_fraction=0.05, texture=0.1),
         Scene(geometry=Geometry(47.0, 38.0, 85.0), solar="g173", time=datetime(2019, 2, 3, tzinfo=UTC)),
         Scene(swir_incidence_deg=62.0),
@@ -517,8 +517,8 @@ def test_a_bad_observation_does_not_stop_the_others(products: Files, write: Writ
 COUNT = 500
 SCENES = (
     Scene(),
-    Scene(rock=Rock(radius_px=40), shadow_fraction=0.15),
-    Scene(rock=Rock(ROCK), geometry=Geometry(50, 45, 70), disk="lommel-seeliger", phase="sp-mid", solar="g173"),
+    Scene(rock=SceneRock(radius_px=40), shadow_fraction=0.15),
+    Scene(rock=SceneRock(ROCK), geometry=Geometry(50, 45, 70), disk="lommel-seeliger", phase="sp-mid", solar="g173"),
     Scene(disk=None, texture=0.1, geometry=Geometry(70, 45, 60)),
 )
 INDEPENDENT = ("splice_gain", "splice_step")

@@ -20,7 +20,7 @@ from lunarsci.spectra.vnis.export import columns, to_ecsv, to_fits
 from lunarsci.spectra.vnis.observation import read_observation
 from lunarsci.spectra.vnis.simulation.instrument import simulate
 from lunarsci.spectra.vnis.simulation.products import product_files
-from lunarsci.spectra.vnis.simulation.scene import Rock, Scene
+from lunarsci.spectra.vnis.simulation.scene import Scene, SceneRock
 
 PROVENANCE = {"command": "lunarsci spectra calibrate", "inputs": [{"path": "a.2BL", "sha256": "0" * 64}], "seed": None}
 WRITERS = {"ecsv": to_ecsv, "fits": to_fits}
@@ -31,7 +31,7 @@ both_formats = pytest.mark.parametrize("suffix", list(WRITERS))
 def pair(tmp_path_factory: pytest.TempPathFactory) -> list[Calibration]:
     """Two observations; the second has a missing channel."""
     made = []
-    for sequence, scene in ((12, Scene(sequence=12)), (13, Scene(sequence=13, rock=Rock(), shadow_fraction=0.1))):
+    for sequence, scene in ((12, Scene(sequence=12)), (13, Scene(sequence=13, rock=SceneRock(), shadow_fraction=0.1))):
         folder = tmp_path_factory.mktemp(f"n{sequence}")
         for name, content in product_files(simulate(scene, seed=sequence)).items():
             if sequence == 13 and "-SD_SCI" in name and name.endswith("B"):

@@ -15,12 +15,12 @@ from lunarsci.spectra.solar import in_band_irradiance, solar_spectrum
 from lunarsci.spectra.vnis.channels import SPLICED_NM, SWIR_NM, VNIR_NM, fwhm_nm
 from lunarsci.spectra.vnis.simulation.instrument import Instrument, Simulation, draw, scene_radiance, simulate
 from lunarsci.spectra.vnis.simulation.products import product_files
-from lunarsci.spectra.vnis.simulation.scene import Composition, Material, Rock, Scene, surface_reflectance
+from lunarsci.spectra.vnis.simulation.scene import Material, Scene, SceneComposition, SceneRock, surface_reflectance
 
 EXACT = Instrument(noise=0)
 PLAIN = Scene(texture=0, disk=None)
 MIXED = Scene(
-    rock=Rock(radius_px=40),
+    rock=SceneRock(radius_px=40),
     shadow_fraction=0.1,
     geometry=Geometry(60.0, 45.0, 70.0),
     swir_incidence_deg=59.5,
@@ -63,11 +63,11 @@ def reflectance_factor(radiance: np.ndarray, wavelength_nm: np.ndarray, detector
 )
 def test_fractions_that_are_no_composition_are_refused(fractions: tuple[float, ...]) -> None:
     with pytest.raises(ParameterError, match="fraction"):
-        Composition(*fractions)
+        SceneComposition(*fractions)
 
 
 def test_a_surface_without_mineral_bands_is_the_continuum_with_the_bands_of_every_surface() -> None:
-    bare = Material(Composition(plagioclase=1), albedo=0.2, red_slope=0.5, contrast=0)
+    bare = Material(SceneComposition(plagioclase=1), albedo=0.2, red_slope=0.5, contrast=0)
     far = np.array([1750.0, 2395.0])
     assert surface_reflectance(far, bare) == pytest.approx(0.2 * (1 + 0.5 * (far - 750) / 1000), rel=1e-6)
     # exp(-0.30 exp(-0.5 (2.3548 120/250)^2) - 0.05 exp(-0.5 (2.3548 30/150)^2) - 0.03 exp(-0.5 (2.3548 190/180)^2))
@@ -83,7 +83,7 @@ def test_band_strengths_go_with_fraction_and_contrast() -> None:
     grid = np.array([2300.0])
 
     def absorption(contrast: float, **fractions: float) -> float:
-        material = Material(Composition(**fractions), contrast=contrast)
+        material = Material(SceneComposition(**fractions), contrast=contrast)
         return math.log(
             surface_reflectance(grid, material)[0] / surface_reflectance(grid, replace(material, contrast=0))[0]
         )
@@ -97,7 +97,7 @@ def test_band_strengths_go_with_fraction_and_contrast() -> None:
 
 def test_plagioclase_is_weak_at_1250_nm_and_pyroxene_deep_at_1_and_2_um() -> None:
     def depth(at_nm: float, **fractions: float) -> float:
-        material = Material(Composition(**fractions))
+        material = Material(SceneComposition(**fractions))
         grid = np.array([at_nm])
         return 1 - surface_reflectance(grid, material)[0] / surface_reflectance(grid, replace(material, contrast=0))[0]
 
@@ -133,13 +133,13 @@ def test_instruments_out_of_range_are_refused(change: dict) -> None:
 
 
 def test_materials_and_rocks_out_of_range_are_refused() -> None:
-    soil = Composition(plagioclase=1)
+    soil = SceneComposition(plagioclase=1)
     for make in (
         lambda: Material(soil, albedo=0),
         lambda: Material(soil, red_slope=5),
         lambda: Material(soil, contrast=-1),
-        lambda: Rock(radius_px=0),
-        lambda: Rock(center_line=1e4),
+        lambda: SceneRock(radius_px=0),
+        lambda: SceneRock(center_line=1e4),
     ):
         with pytest.raises(ParameterError, match="give one from"):
             make()
@@ -226,8 +226,8 @@ def test_the_short_wave_pixel_averages_the_whole_footprint_with_its_shadows(mixe
 
 
 @pytest.mark.parametrize("shape", ["half-plane", "blobs"])
-@pytest.mark.parametrize("rock", [None, Rock(radius_px=30)])
-def test_the_shadow_has_the_share_and_is_compact(shape: str, rock: Rock | None) -> None:
+@pytest.mark.parametrize("rock", [None, SceneRock(radius_px=30)])
+def test_the_shadow_has_the_share_and_is_compact(shape: str, rock: SceneRock | None) -> None:
     scene = replace(PLAIN, shadow_fraction=0.2, shadow_shape=shape, rock=rock)
     shadow = scene_radiance(scene, seed=1).frame.shadow
     assert shadow.sum() == round(0.2 * 65536)
@@ -236,7 +236,7 @@ def test_the_shadow_has_the_share_and_is_compact(shape: str, rock: Rock | None) 
 
 
 def test_blobs_lie_beside_the_rock() -> None:
-    rock = Rock(center_line=60, center_sample=190, radius_px=30)
+    rock = SceneRock(center_line=60, center_sample=190, radius_px=30)
     shadow = scene_radiance(replace(PLAIN, rock=rock, shadow_fraction=0.02), seed=2).frame.shadow
     line, sample = np.argwhere(shadow).mean(axis=0)
     assert 10 < math.hypot(line - 60, sample - 190) < 60

@@ -29,7 +29,7 @@ from lunarsci.spectra.vnis.label import read_label
 from lunarsci.spectra.vnis.observation import Observation, SwirTable
 from lunarsci.spectra.vnis.simulation.instrument import Instrument, simulate
 from lunarsci.spectra.vnis.simulation.products import product_files
-from lunarsci.spectra.vnis.simulation.scene import Composition, Material, Rock, Scene
+from lunarsci.spectra.vnis.simulation.scene import Material, Scene, SceneComposition, SceneRock
 
 Write = Callable[[Mapping[str, bytes]], Path]
 
@@ -38,12 +38,12 @@ WITHOUT_MODEL = {
     *("splice_gain", "splice_overlap", "splice_step", "vnir_step_632", "vnir_step_758"),
 }
 WITH_MODEL = WITHOUT_MODEL | {"photometry_1", "photometry_2", "phase_edge"}
-MAFIC = Material(Composition(0.3, 0.35, 0.35, 0.0), albedo=0.1, red_slope=0.4, contrast=1.5)
+MAFIC = Material(SceneComposition(0.3, 0.35, 0.35, 0.0), albedo=0.1, red_slope=0.4, contrast=1.5)
 
 
 @functools.cache
 def observation(soil: Material | None = None, noise: float = 1.0) -> Observation:
-    scene = Scene(rock=Rock(), solar="g173") if soil is None else Scene(soil=soil, solar="g173")
+    scene = Scene(rock=SceneRock(), solar="g173") if soil is None else Scene(soil=soil, solar="g173")
     made = simulate(scene, Instrument(noise=noise), seed=7)
     files = product_files(made)
     vd, sd = (

@@ -30,7 +30,7 @@ from lunarsci.spectra.vnis.channels import (
     fwhm_nm,
     random_noise,
 )
-from lunarsci.spectra.vnis.simulation.scene import Composition, Material, Rock, Scene, surface_reflectance
+from lunarsci.spectra.vnis.simulation.scene import Material, Scene, SceneComposition, SceneRock, surface_reflectance
 
 __all__ = [
     "Frame",
@@ -87,7 +87,7 @@ def frame(scene: Scene, seed: int) -> Frame:
     return Frame(rock, shadow, brightness)
 
 
-def _disk(rock: Rock) -> BoolArray:
+def _disk(rock: SceneRock) -> BoolArray:
     lines, samples = np.ogrid[: SHAPE[0], : SHAPE[1]]
     inside: BoolArray = (lines - rock.center_line) ** 2 + (samples - rock.center_sample) ** 2 <= rock.radius_px**2
     return inside
@@ -120,7 +120,7 @@ def _half_plane(angle: float) -> FloatArray:
     return depth
 
 
-def _blobs(rock: Rock | None, angle: float, rng: np.random.Generator) -> FloatArray:
+def _blobs(rock: SceneRock | None, angle: float, rng: np.random.Generator) -> FloatArray:
     """A smooth random field; deeper towards the rim of the rock that looks away from the sun."""
     field = _smooth_field(rng, BLOB_SCALE_PX)
     if rock is None:
@@ -197,7 +197,7 @@ class Truth:
     reflectance: FloatArray
     soil_reflectance: FloatArray
     rock_reflectance: FloatArray | None
-    composition: Composition
+    composition: SceneComposition
     rock_fraction: float
     shadow_fraction: float
 
@@ -322,7 +322,7 @@ def _truth(scene: Scene, materials: list[Material], pixels: Frame) -> Truth:
         reflectance=_shares(pixels, lit, count) @ spectra,
         soil_reflectance=spectra[0],
         rock_reflectance=spectra[1] if scene.rock is not None else None,
-        composition=Composition(**mixed),
+        composition=SceneComposition(**mixed),
         rock_fraction=rock_share,
         shadow_fraction=float((seen & pixels.shadow).sum()) / int(seen.sum()),
     )

@@ -16,7 +16,7 @@ from lunarsci.spectra.photometry import Geometry, phase_angle_deg
 from lunarsci.spectra.spectrum import FloatArray
 from lunarsci.spectra.vnis.channels import CUBE_SHAPE, FOOTPRINT, SWIR_NM, VNIR_NM
 
-__all__ = ["FULL_STRENGTH", "ROCK", "SOIL", "Composition", "Material", "Rock", "Scene", "surface_reflectance"]
+__all__ = ["FULL_STRENGTH", "ROCK", "SOIL", "Material", "Scene", "SceneComposition", "SceneRock", "surface_reflectance"]
 
 FULL_STRENGTH = {
     "olivine": {"OL M1-1": -0.25, "OL M2": -0.45, "OL M1-2": -0.35},
@@ -61,7 +61,7 @@ def _within(what: str, value: float, low: float, high: float, unit: str = "") ->
 
 
 @dataclass(frozen=True, slots=True)
-class Composition:
+class SceneComposition:
     """Fractions of the minerals, each within 0-1, sum 1 (within 1e-6). Raises ParameterError for anything else. [-]"""
 
     olivine: float = 0.0
@@ -97,7 +97,7 @@ class Material:
     Raises ParameterError outside these ranges.
     """
 
-    composition: Composition
+    composition: SceneComposition
     albedo: float = 0.10
     red_slope: float = 0.6
     contrast: float = 1.0
@@ -108,13 +108,13 @@ class Material:
         _within("the contrast", self.contrast, 0, 3)
 
 
-SOIL = Material(Composition(0.05, 0.20, 0.20, 0.55), albedo=0.10, red_slope=0.6, contrast=0.6)
-ROCK = Material(Composition(0.10, 0.35, 0.25, 0.30), albedo=0.09, red_slope=0.55)
+SOIL = Material(SceneComposition(0.05, 0.20, 0.20, 0.55), albedo=0.10, red_slope=0.6, contrast=0.6)
+ROCK = Material(SceneComposition(0.10, 0.35, 0.25, 0.30), albedo=0.09, red_slope=0.55)
 """A soil and a rock as there might be at the Chang'E-4 site; assumed."""
 
 
 @dataclass(frozen=True, slots=True)
-class Rock:
+class SceneRock:
     """A disk of another material in the image; as large as the short-wave field of view if nothing else is said.
 
     `center_line` and `center_sample` count from 0, in the image or up to its own width outside it; radius above 0. [px]
@@ -158,7 +158,7 @@ class Scene:
     """
 
     soil: Material = SOIL
-    rock: Rock | None = None
+    rock: SceneRock | None = None
     texture: float = 0.05
     texture_scale_px: float = 4.0
     shadow_fraction: float = 0.0
