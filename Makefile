@@ -1,17 +1,23 @@
-# Two commands, each from a bare clone with nothing but Python 3.11 or newer: `make demo` and `make test`.
+# From a bare clone with nothing but Python 3.11 or newer: `make demo` and `make test`; `make help` names all targets.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test check clean
+.PHONY: help demo test quick check clean
 
-demo: $(VENV)/.installed
+help: ## this list
+	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 8
+
+demo: $(VENV)/.installed ## the whole chain on embedded data, with pictures in lunarsci-demo
 	$(BIN)/lunarsci demo --force
 
-test: $(VENV)/.tested
+test: $(VENV)/.tested ## the whole suite
 	$(BIN)/python -m pytest
 
-check: $(VENV)/.developed
+quick: $(VENV)/.tested ## the quick part of the suite
+	$(BIN)/python -m pytest -m quick
+
+check: $(VENV)/.developed ## linter, formatter, types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -32,6 +38,6 @@ $(VENV)/.developed: $(VENV)/.tested
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@
 
-clean:
+clean: ## removes what make has made
 	rm -rf $(VENV) build dist *.egg-info lunarsci-demo .pytest_cache .mypy_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

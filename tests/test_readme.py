@@ -102,3 +102,19 @@ def test_options_named_in_the_readme_exist(capfd: pytest.CaptureFixture[str], mo
     known = capfd.readouterr().out
     for option in set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", TEXT)):
         assert option in known, option
+
+
+@pytest.mark.parametrize("name", ["CONTRIBUTING.md", "docs/architecture.md"])
+def test_files_and_targets_that_documents_name_exist(name: str) -> None:
+    text = (ROOT / name).read_text("utf-8")
+    here = [path.relative_to(ROOT).as_posix() for top in ("lunarsci", "cli", "spectra_data", "tests", "docs") 
+            for path in (ROOT / top).rglob("*")]  # fmt: skip
+    named = set(re.findall(r"`([\w./]+\.(?:py|csv|toml|md)|[\w/]+/[\w/]+)`", text)) - {
+        "lunarsci/spectra/readers/NAME.py"
+    }
+    assert len(named) > 20
+    known = ["/" + path for path in here] + ["/" + path.name for path in ROOT.iterdir()]
+    missing = [path for path in named if not any(one.endswith("/" + path) for one in known)]
+    assert missing == []
+    targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
+    assert set(re.findall(r"`make (\w+)`", text)) <= set(targets)
