@@ -545,7 +545,7 @@ def irradiance_once() -> Iterator[None]:
     """The irradiance of the channels is the same for all: integrate it once."""
     once = functools.cache(irradiance_at)
     with pytest.MonkeyPatch.context() as patch:
-        for module in ("calibrate", "detector", "systematics"):
+        for module in ("calibrate", "detector"):
             patch.setattr(f"lunarsci.spectra.vnis.{module}.irradiance_at", once)
         patch.setattr("lunarsci.spectra.vnis.calibrate.solar_spectrum", functools.cache(solar_spectrum))
         yield
