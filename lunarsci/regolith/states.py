@@ -11,7 +11,7 @@ from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.wheel import Wheel
 
-__all__ = ["COLUMNS", "IDENTIFIERS", "MeasurementErrors", "WheelStates", "marked_valid", "read_states"]
+__all__ = ["COLUMNS", "FROM_MOTION", "IDENTIFIERS", "MeasurementErrors", "WheelStates", "marked_valid", "read_states"]
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -19,8 +19,10 @@ REQUIRED = ("sinkage_m", "normal_force_n", "drawbar_pull_n")
 COLUMNS = ("sinkage_m", "slip_ratio", "side_slip_deg", "normal_force_n", "drawbar_pull_n", "lateral_force_n")
 IDENTIFIERS = (
     *("id", "member", "wheel", "distance_m", "time_s", "x_m", "y_m", "resistance_torque_nm", "valid", "slip_basis"),
-    *("x_m_sigma", "y_m_sigma", "resistance_torque_nm_sigma", "synthetic"),
+    *("x_m_sigma", "y_m_sigma", "resistance_torque_nm_sigma", "synthetic", "forces_from"),
 )
+FROM_MOTION = "motion"
+"""In the column `forces_from`: forces that were computed of a motion with drawn soils, not measured."""
 MAX_VALID_SLIP = 0.6
 LEAST_SINKAGE_M = 1e-6
 YES, NO = ("true", "1", "1.0", "yes"), ("false", "0", "0.0", "no")
@@ -83,7 +85,8 @@ def read_states(source: InputFile, wheel: Wheel, errors: MeasurementErrors | Non
     Lateral forces have the sign of the side slip they act against.
 
     Columns: `sinkage_m`, `normal_force_n`, `drawbar_pull_n` (required), `slip_ratio`, `side_slip_deg`,
-    `lateral_force_n`, and `NAME_sigma` for the standard deviation of NAME. Rows marked `valid = false` and rows without
+    `lateral_force_n`, and `NAME_sigma` for the standard deviation of NAME; `forces_from` is `motion` where forces were
+    computed of a motion. Rows marked `valid = false` and rows without
     a required value are left out with a warning.
 
     Raises
@@ -103,8 +106,7 @@ def read_states(source: InputFile, wheel: Wheel, errors: MeasurementErrors | Non
     _check_values(source.name, values[keep], np.flatnonzero(keep), wheel)
     sigmas = _sigmas(source.name, numbers, values, errors or MeasurementErrors())
     stated = any(f"{name}_sigma" in numbers for name in COLUMNS[3:])
-    # What no instrument gives: `twin forces` computed these.
-    alike = "resistance_torque_nm_sigma" in frame
+    alike = "forces_from" in frame and bool((frame["forces_from"] == FROM_MOTION).any())
     return WheelStates(tuple(ids[keep].astype(str)), values[keep], sigmas[keep], stated, alike)
 
 

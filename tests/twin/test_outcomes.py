@@ -15,8 +15,9 @@ from lunarsci.twin.outcomes import OUTCOMES
 from lunarsci.twin.plans.plan import Fixes, Leg, Plan, parse_sweep
 from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.simulation.drive import begin, drive
+from lunarsci.twin.simulation.drive import drive
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
+from lunarsci.twin.simulation.settle import balance
 
 GradientTerrain = Callable[..., Terrain]
 TAN_20 = math.tan(math.radians(20.0))
@@ -155,10 +156,10 @@ def test_every_kind_of_plan_drives_on_one_machine_code(yutu2: Rover, slope: Grad
     mixed = (Leg(0.1), Leg(stop_s=1.0), Leg(turn_deg=5.0), Leg(0.1))
     plans = [plan_of(*legs, **extra) for legs in (mixed, mixed[1:]) for extra in ({}, {"fixes": Fixes(0.01, 0.1)})]
     predict(yutu2, slope(), plan_of(Leg(0.1)), sweep=())
-    before = len(drive.signatures), len(begin.signatures)
+    before = len(drive.signatures), len(balance.signatures)
     for plan in (*plans, plan_of(Leg(stop_s=1.0))):
         assert outcome(predict(yutu2, slope(), plan, sweep=())) == "finished"
-    assert (len(drive.signatures), len(begin.signatures)) == before
+    assert (len(drive.signatures), len(balance.signatures)) == before
 
 
 def test_sweeps_of_one_value(yutu2: Rover, slope: GradientTerrain) -> None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.regolith.states import FROM_MOTION
 from lunarsci.twin.loads.pose_states import PoseStates, at_times
 from lunarsci.twin.loads.totals import FORCES
 from lunarsci.twin.loads.uncertain_forces import UncertainForces
@@ -40,7 +41,7 @@ def force_table(found: UncertainForces, states: PoseStates | None = None) -> "pd
     with `_sigma`, are those of their times, between the poses of the motion. Without measured states there are time_s,
     distance_m (rolled by the rims), wheel, x_m, y_m, sinkage_m, slip_ratio, side_slip_deg as the held motion has them
     on the middle one of the soils. `valid` is false for states that were not valid, at and beside halts and gaps, and
-    where there are no forces.
+    where there are no forces. `forces_from` says that these were computed of a motion, so that their errors are alike.
     """
     import pandas as pd
 
@@ -56,6 +57,7 @@ def force_table(found: UncertainForces, states: PoseStates | None = None) -> "pd
     )
     for k, name in enumerate(FORCES):
         table[name], table[f"{name}_sigma"] = mean[:, k], sigma[:, k]
+    table["forces_from"] = FROM_MOTION
     table["valid"] = states.valid & np.isfinite(mean).all(axis=1) & (mean[:, 0] > 0)
     return pd.DataFrame(table)
 
@@ -76,6 +78,7 @@ def _of_the_motion(found: UncertainForces) -> "pd.DataFrame":
     mean, sigma = found.after.reshape(-1, 3), found.after_sigma.reshape(-1, 3)
     for k, name in enumerate(FORCES):
         columns |= {name: mean[:, k], f"{name}_sigma": sigma[:, k]}
+    columns["forces_from"] = np.full(len(mean), FROM_MOTION)
     marked = flat[:, STATE_COLUMNS.index("valid")] > 0.5
     columns["valid"] = marked & np.isfinite(mean).all(axis=1) & (mean[:, 0] > 0)
     return pd.DataFrame(columns)
