@@ -35,10 +35,43 @@ LONGEST = (
 everything; beside it run files that need no compiled code, and the others, the wheel too, find it in the cache."""
 
 
+QUICK = (
+    *("test_architecture.py", "test_inputs.py", "test_tables.py", "test_elementary.py"),
+    *("test_spectrum.py", "test_continuum.py", "test_smoothing_and_noise.py", "test_solar.py", "test_sun.py"),
+    *("spectra/readers", "spectra/chemistry", "spectra/photometry", "spectra/origin", "mgm/test_model.py"),
+    *("test_forces.py", "test_bearing.py", "test_identify.py", "test_belief.py", "test_wheels.py"),
+    *("test_plan.py", "test_schedule.py", "test_terrain.py", "test_hazards.py", "test_judgement.py", "test_ellipse.py"),
+    *("twin/test_ensemble.py", "test_settle.py", "test_ruts.py", "test_physics_discrepancy.py"),
+    *(
+        "test_clearance.py",
+        "test_keep_out.py",
+        "test_drive_record.py",
+        "test_belief_history.py",
+        "test_soil_samples.py",
+    ),
+)
+"""Files and folders of `make quick`, but for what is marked slow: a look at every part in less than a minute."""
+
+
+def is_quick(path: Path) -> bool:
+    place = path.as_posix()
+    return place.endswith(QUICK) or any(f"tests/{part}/" in place for part in QUICK)
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """With `-m quick` other files are not even imported."""
+    if config.getoption("markexpr") == "quick" and collection_path.name.startswith("test_"):
+        return True if collection_path.is_file() and not is_quick(collection_path) else None
+    return None
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the longest files first."""
+    """Put the longest files first; mark the quick ones."""
     rank = {name: number for number, name in enumerate(LONGEST)}
     items.sort(key=lambda item: rank.get(item.path.name, len(LONGEST)))
+    for item in items:
+        if is_quick(item.path) and item.get_closest_marker("slow") is None:
+            item.add_marker("quick")
 
 
 @pytest.fixture(scope="session")
