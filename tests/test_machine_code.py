@@ -144,3 +144,22 @@ def test_the_process_that_compiles_gives_the_bytes_of_later_ones(tmp_path: Path)
     command = [sys.executable, "-m", "lunarsci.cli", *map(str, predict), "--no-time", "--quiet"]
     cold, warm = (subprocess.run(command, capture_output=True, env=environment, check=True).stdout for _ in range(2))
     assert len(cold) > 1000 and cold == warm
+
+
+def test_compiled_functions_run_as_plain_python_for_a_debugger() -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "lunarsci.cli",
+        "regolith",
+        "forces",
+        "--sinkage",
+        "0.01",
+        "--field",
+        "drawbar_pull_n",
+    ]
+    compiled_pull, plain_pull = (
+        subprocess.run(command, env=os.environ | extra, capture_output=True, text=True, check=True).stdout
+        for extra in ({}, {"NUMBA_DISABLE_JIT": "1"})
+    )
+    assert float(plain_pull) == pytest.approx(float(compiled_pull), rel=1e-12)

@@ -155,7 +155,7 @@ def _misfit(mode: Mode, reduced: float | None, states: WheelStates) -> list[str]
     if reduced is None or low <= reduced <= high or (reduced < low and (states.alike or not states.stated)):
         return []
     if reduced < low:
-        return [f"reduced chi-square {reduced:.2g} is below {low:g}: the stated errors are too large"]
+        return [f"reduced chi-square {reduced:.2g} is below {low:g}: the stated errors are too large for these states"]
     return [f"no soil of the model explains the states: reduced chi-square {reduced:.3g} after a {after} of the load"]
 
 

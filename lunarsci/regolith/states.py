@@ -106,7 +106,7 @@ def read_states(source: InputFile, wheel: Wheel, errors: MeasurementErrors | Non
     _check_values(source.name, values[keep], np.flatnonzero(keep), wheel)
     sigmas = _sigmas(source.name, numbers, values, errors or MeasurementErrors())
     stated = any(f"{name}_sigma" in numbers for name in COLUMNS[3:])
-    alike = "forces_from" in frame and bool((frame["forces_from"] == FROM_MOTION).any())
+    alike = "forces_from" in frame and bool((frame["forces_from"][keep] == FROM_MOTION).all())
     return WheelStates(tuple(ids[keep].astype(str)), values[keep], sigmas[keep], stated, alike)
 
 

@@ -285,3 +285,12 @@ def test_given_errors_go_before_the_defaults() -> None:
 def test_read_states_from_a_windows_file(tmp_path: Path) -> None:
     states = read("\ufeff" + HEAD.replace(",", " , ") + "\r\n.008, 0 ,32,-1\r\n")
     assert states.values[0, 3] == 32
+
+
+def test_errors_are_alike_only_where_all_forces_were_computed_of_a_motion() -> None:
+    head = "sinkage_m,normal_force_n,drawbar_pull_n,drawbar_pull_n_sigma,forces_from\n"
+    rows = ["0.01,38,2,0.1,motion\n", "0.02,38,2,0.1,motion\n", "0.03,38,2,0.1,\n"]
+    wheel = read_wheel("yutu2")
+    found = [read_states(InputFile("a.csv", (head + "".join(some)).encode()), wheel) for some in (rows[:2], rows)]
+    assert [states.alike for states in found] == [True, False]
+    assert all(states.stated for states in found)

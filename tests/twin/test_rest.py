@@ -10,7 +10,7 @@ from lunarsci.regolith.prior import PARAMETERS, default_prior, values_of
 from lunarsci.regolith.soil import Soil
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.judgement.safety import judge
-from lunarsci.twin.plans.plan import Leg, Plan
+from lunarsci.twin.plans.plan import Fixes, Leg, Plan
 from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import Prediction, predict
@@ -129,3 +129,12 @@ def test_soils_that_the_step_does_not_hold_are_driven_finer_or_refused(yutu2: Ro
     assert (out.finer[~out.finished] > 1).all()
     assert all(out.outcome_text(int(m)).startswith("diverged") for m in np.flatnonzero(~out.finished))
     assert out.states[out.finished][..., 5].max() < 2.0 * yutu2.mass_kg * yutu2.gravity_m_s2
+
+
+def test_a_drive_does_not_depend_on_those_beside_it(yutu2: Rover, longji_soil: Soil) -> None:
+    """Where each drives by its own commands, too, as after position fixes."""
+    plan = dataclasses.replace(PLAN, legs=(Leg(0.4), Leg(0.4, 0.2)), fixes=Fixes(0.05, 1.0))
+    some = {name: values[:3] for name, values in soils().items()}
+    rough = ground("rough", longji_soil)
+    alone = predict(yutu2, rough, plan, samples={name: values[:1] for name, values in some.items()})
+    assert np.array_equal(predict(yutu2, rough, plan, samples=some).paths[0], alone.paths[0])

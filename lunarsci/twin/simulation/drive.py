@@ -36,9 +36,9 @@ __all__ = ["begin", "drive"]
 
 FloatArray = npt.NDArray[np.float64]
 
-# Steps are parted where all rims turn slower than this [m/s], assumed: slip, and with it the force, changes much
-# there with little motion. In whole steps wheels on slopes swing as they start, and dig 4 mm deeper than in short ones.
-SLOW, SLOW_PARTS = 0.02, 4
+# Into how many parts a step is cut as the rover starts and stops, assumed. In whole steps wheels on slopes swing as
+# they start, and dig 4 mm deeper than in short ones.
+SLOW_PARTS = 4
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
@@ -115,6 +115,7 @@ def drive(
     every: int,
     last: bool,
     pressing: int,
+    slow: Any,
     work: Any,
     paths: Any,
     states: Any,
@@ -130,6 +131,7 @@ def drive(
     every : steps between records.
     last : whether the drive ends here, which is recorded too.
     pressing : steps between marks in the ruts of `work`; 0 where it has none.
+    slow : steps of the whole drive in which the rover starts or stops. (all steps + 1,)
     paths, states : (members, samples, 6) and (members, samples, wheels, 10), filled on.
     results : (members, 2) outcome, and number of samples recorded so far.
     """
@@ -142,11 +144,7 @@ def drive(
         take_commands(work, steering, speed, min(i, steps - 1))
         # The ground of a rut changes over a spacing, of which three steps are less than a half.
         work.frame[6] = 0.0 if pressing > 8 and (first + i) % 3 else 1.0
-        pace = 0.0
-        for rims in speed[:, min(i, steps - 1)]:
-            for rim in rims:
-                pace = max(pace, abs(rim))
-        parts = SLOW_PARTS if 0.0 < pace < SLOW and i < steps else 1
+        parts = SLOW_PARTS if slow[first + i] and i < steps else 1
         step = dt / parts
         for part in range(parts):
             assemble(rover, tyre, grid, override, step, DRIVEN, work)

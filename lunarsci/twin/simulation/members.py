@@ -34,11 +34,14 @@ __all__ = ["MOST_STEPS", "DriveSetup", "Grounds", "drive_all", "drive_finer"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
 
 MOST_STEPS = 1e7
 """Minutes of computing for a single member."""
 FINER = (4, 16)
 """How many times shorter steps are where a soil is not held by the step asked for; assumed."""
+SLOW = 0.4
+"""Share of the full speed below which a step counts as one of a start or a stop; assumed."""
 OUTLINE = 2000
 """Places along a plan about which ruts are kept."""
 STRAY_M = 1.5
@@ -91,6 +94,12 @@ class DriveSetup:
         """Steps between marks in the ruts, at most one and a half spacings apart; 0 without ruts."""
         step = float(self.times_s[1]) * self.schedule.plan.speed_m_s
         return max(1, math.floor(1.5 * SPACING_M / step)) if self.ruts else 0
+
+    @property
+    def slow(self) -> BoolArray:
+        """Steps in which the rover starts or stops: slip, and with it the force, changes much with little motion."""
+        pace = self.schedule.pace_at(self.times_s)
+        return np.asarray((pace > 0.0) & (pace < SLOW))
 
     def after(self, plan: Plan, time_step_s: float) -> "DriveSetup":
         """The same where this plan was driven before."""
@@ -214,7 +223,7 @@ def _drive_group(
     if common is not None:
         _begin(scene, known, common, work)
         rims = (common.steering_rad, common.speed_m_s, scene.times_s[1])
-        drive(*known, *rims, 0, scene.every, True, scene.pressing, work, *kept)
+        drive(*known, *rims, 0, scene.every, True, scene.pressing, scene.slow, work, *kept)
         return
     commands: Commands | None = None
     legs: FloatArray | None = None
@@ -229,4 +238,4 @@ def _drive_group(
             _begin(scene, known, commands, work)
         last = number == len(pieces) - 1
         driven = (*known, commands.steering_rad, commands.speed_m_s, scene.times_s[1], piece.start, scene.every)
-        drive(*driven, last, scene.pressing, work, *kept)
+        drive(*driven, last, scene.pressing, scene.slow, work, *kept)
