@@ -1,0 +1,196 @@
+"""What every command answered before the rooms were moved, to 1e-12: `former_results.json`, made by running this file.
+
+A change of a number on purpose is recorded by `python tests/test_former_results.py --write`, and said in CHANGELOG.md. Digits
+depend on the processor and on the libraries: the table says which it was made with, and on others the bound is 1e-6.
+"""
+
+import contextlib
+import io
+import json
+import math
+import os
+import platform
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from lunarsci.cli import main
+
+TABLE = Path(__file__).with_name("former_results.json")
+SAME_MACHINE, OTHER_MACHINE = 1e-12, 1e-6
+LONG = 8
+ROCK = "ol=0.1,opx=0.4,cpx=0.2,plg=0.3"
+SHORT = 'name = "short"\n[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 1.0\n[[leg]]\nlength_m = 0.8\ncurvature_per_m = 0.2\n'
+"""Steps that write the files of the later ones; then each command whose `result` is in the table."""
+COMMANDS: dict[str, str] = {
+    "simulate": f"spectra simulate --rock {ROCK} --seed 3 -o scene",
+    "calibrate": "spectra calibrate scene",
+    "calibrate other": "spectra calibrate scene --photometry akimov --phase sp-high --solar g173 --vnir-steps remove",
+    "write spectra": "spectra calibrate scene -o rock.ecsv",
+    "bands": "spectra bands rock.ecsv",
+    "bands hull": "spectra bands rock.ecsv --continuum hull --smooth 0",
+    "fit": "spectra fit rock.ecsv",
+    "fit auto": "spectra fit rock.ecsv --assemblage auto --starts 2",
+    "fit damping": "spectra fit rock.ecsv --continuum wavenumber-cubic --prior damping",
+    "fit spread": "spectra fit rock.ecsv --continuum-spread --starts 2 --model-error 0.01",
+    "fit profile": "spectra fit rock.ecsv --assemblage OPX-CPX --errors profile --composition wo=42:3 --starts 2",
+    "fit sample": "spectra fit rock.ecsv --assemblage OPX-CPX --errors sample --seed 4 --starts 2",
+    "fit held": "spectra fit rock.ecsv --fix opx_1_center_nm=915 --bound cpx_2_center_nm=2150:2350 --starts 1 "
+    "--tie cpx_1_fwhm_nm=1.0*opx_1_fwhm_nm+10",
+    "unmix": "spectra fit rock.ecsv --abundance unmix --starts 1 --opaque",
+    "unmix hapke": "spectra fit rock.ecsv --abundance hapke --iron --starts 1",
+    "unmix known": "spectra fit rock.ecsv --abundance unmix --together --starts 1",
+    "match modes": "spectra match --modes ol=0.25:0.05,opx=0.345:0.05,cpx=0.405:0.05 --name fin",
+    "match bands": "spectra match bands.json --site=-45,177 --ejecta-law housen",
+    "write library": "spectra library import rock.ecsv --mineral other -o library.ecsv",
+    "library check": "spectra library check library.ecsv",
+    "forces": "regolith forces --load 36.5 --slip -0.05 --side-slip 2",
+    "forces exact": "regolith forces --load 36.5 --slip 0.2 --side-slip 5 --exact --shear ellipse --bulldozing hegedus",
+    "forces grouser": "regolith forces --load 20 --rover cmu-grouser --slip 0.3 --slip-sinkage lyasko",
+    "wheel loads": "twin forces short.toml",
+    "identify": "regolith identify states.csv --lateral-modulus 20",
+    "identify solved": "regolith identify states.csv --reading signed",
+    "identify joint": "regolith identify states.csv --joint --seed 2",
+    "compare soils": "regolith compare soil.json",
+    "terrain": "twin terrain --max-slope 11 --target 8.5,2.5 -o site",
+    "terrain synthetic": "twin terrain synthetic --craters 5 --rocks 0.02 --seed 7",
+    "predict sweep": "twin predict short.toml --sweep friction_angle_deg=30:50:3",
+    "predict": "twin predict short.toml --soil lunar-typical --sweep stiffness_kpa_m_n=800:1600:2 --ruts -o predicted",
+    "simulate drive": "twin simulate short.toml --seed 5 -o drive",
+    "states": "twin states drive/telemetry.csv short.toml --track drive/track.csv -o states",
+    "loads of paths": "twin forces short.toml --motion predicted/paths.csv --member 1",
+    "loads of states": "twin forces --motion states/motion.csv --states states/states.csv --seed 1",
+    "update": "twin update states/states.csv --plan short.toml --positions states/positions.csv --seed 1 --particles 32 "
+    "--save belief.json --save-map map.json --no-ruts",
+    "predict belief": "twin predict short.toml --soil belief.json --members 4",
+    "predict map": "twin predict short.toml --soil-map map.json --members 4",
+    "compare drives": "twin compare predicted states/states.csv --positions states/positions.csv",
+    "history": "twin history belief.json",
+    "reproduce": "reproduce --part soil",
+}
+FILES = {"bands.json": "bands", "soil.json": "identify joint"}
+"""Files that hold the document of an earlier command."""
+CSV_FILES = {"states.csv": "wheel loads"}
+
+
+def machine() -> dict[str, str]:
+    import numba
+    import numpy
+    import scipy
+
+    lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
+    model = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
+    return {
+        "processor": model or platform.processor(),
+        "python": platform.python_version(),
+        "numba": numba.__version__,
+        "numpy": numpy.__version__,
+        "scipy": scipy.__version__,
+    }
+
+
+def said(arguments: list[str]) -> tuple[int, str]:
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(io.StringIO()):
+        code = main(arguments)
+    return code, out.getvalue()
+
+
+def short(value: Any) -> Any:
+    """Long lists of numbers as their length, ends and moments, other long lists as their length and ends."""
+    if isinstance(value, dict):
+        return {key: short(item) for key, item in value.items()}
+    if not isinstance(value, list):
+        return value
+    if len(value) <= LONG:
+        return [short(item) for item in value]
+    kept = {
+        "length": len(value),
+        "first": short(value[0]),
+        "middle": short(value[len(value) // 2]),
+        "last": short(value[-1]),
+    }
+    if all(isinstance(item, float) for item in value):
+        kept |= {"sum": math.fsum(value), "squares": math.fsum(item * item for item in value)}
+    return kept
+
+
+def answers(folder: Path) -> dict[str, dict[str, Any]]:
+    """The `result` of every command, run in a folder."""
+    found: dict[str, dict[str, Any]] = {}
+    before = Path.cwd()
+    os.chdir(folder)
+    try:
+        Path("short.toml").write_text(SHORT)
+        for name, line in COMMANDS.items():
+            wanted = [] if name.startswith("write") else ["--json"]
+            code, text = said([*line.split(), *wanted, "--no-time", "-q"])
+            assert code in (0, 3), (name, code)
+            if not wanted:
+                continue
+            document = json.loads(text)
+            found[name] = {"exit": code, "schema": document["schema"], "result": short(document["result"])}
+            for path, of in FILES.items():
+                if of == name:
+                    Path(path).write_text(text, "utf-8")
+            for path, of in CSV_FILES.items():
+                if of == name:
+                    Path(path).write_text(said([*line.split(), "--csv", "-q"])[1], "utf-8")
+    finally:
+        os.chdir(before)
+    return found
+
+
+def differences(former: Any, now: Any, bound: float, place: str = "") -> list[str]:
+    """Keys that are gone and values that are not the same; keys that came since are none."""
+    if isinstance(former, dict):
+        if not isinstance(now, dict):
+            return [f"{place}: no longer a table of keys"]
+        gone = [f"{place}.{key}: gone" for key in former.keys() - now.keys()]
+        return gone + [
+            text
+            for key in former.keys() & now.keys()
+            for text in differences(former[key], now[key], bound, f"{place}.{key}")
+        ]
+    if isinstance(former, list):
+        if not isinstance(now, list) or len(now) != len(former):
+            return [f"{place}: another length"]
+        pairs = enumerate(zip(former, now, strict=True))
+        return [text for index, (one, other) in pairs for text in differences(one, other, bound, f"{place}.{index}")]
+    numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in (former, now))
+    if numbers and math.isclose(former, now, rel_tol=bound, abs_tol=bound):
+        return []
+    return [] if former == now and type(former) is type(now) else [f"{place}: {former!r} was, {now!r} is"]
+
+
+@pytest.fixture(scope="module")
+def now(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
+    return answers(tmp_path_factory.mktemp("former"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", json.loads(TABLE.read_text("utf-8"))["answers"] if TABLE.exists() else [])
+def test_an_answer_is_the_former_one(name: str, now: dict[str, dict[str, Any]]) -> None:
+    table = json.loads(TABLE.read_text("utf-8"))
+    bound = SAME_MACHINE if table["machine"] == machine() else OTHER_MACHINE
+    assert differences(table["answers"][name], now[name], bound) == []
+
+
+def test_a_difference_is_seen() -> None:
+    former = {"a": [1.0, {"b": "x"}], "c": None, "d": 2}
+    assert differences(former, former | {"new": 1}, 1e-12) == []
+    assert differences(former, former | {"d": 2 + 1e-11}, 1e-12) == [".d: 2 was, 2.00000000001 is"]
+    assert differences(former, {"a": [1.0, {}], "c": 0, "d": 2}, 1e-12)
+
+
+if __name__ == "__main__":
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        made = answers(Path(folder))
+    if "--write" in sys.argv:
+        TABLE.write_text(json.dumps({"machine": machine(), "answers": made}, indent=0, sort_keys=True) + "\n", "utf-8")
+    else:
+        table = json.loads(TABLE.read_text("utf-8"))
+        print("\n".join(differences(table["answers"], made, SAME_MACHINE)) or "as before")  # noqa: T201
