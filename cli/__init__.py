@@ -8,11 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
-from . import demo, reproduce, spectra_fit, spectra_match
-from .library import app as library
+from . import demo, reproduce
 from .regolith import app as regolith
+from .shared.talk import FAILED, INTERRUPTED, failure_line, say
 from .spectra import app as spectra
-from .talk import FAILED, INTERRUPTED, failure_line, say
 from .twin import app as twin
 
 __all__ = ["app", "main"]
@@ -26,9 +25,6 @@ app = typer.Typer(
     "next drive is safe.",
     epilog=EXIT_CODES,
 )
-spectra_fit.add_to(spectra)
-spectra_match.add_to(spectra)
-spectra.add_typer(library, name="library")
 app.add_typer(spectra, name="spectra")
 app.add_typer(regolith, name="regolith")
 app.add_typer(twin, name="twin")

@@ -4,10 +4,10 @@ from typing import Annotated
 
 import typer
 
-from .command import command
-from .options import Output
-from .report import Report
-from .talk import say
+from .shared.command import command
+from .shared.options import Output
+from .shared.report import Report
+from .shared.talk import say
 
 __all__ = ["add_to"]
 

@@ -20,11 +20,11 @@ from lunarsci.twin.judgement.tables import state_table
 from lunarsci.twin.simulation.ensemble import Prediction, predict
 
 from .demo_rock import Studied, finding, rock_findings, rock_pictures
-from .regolith_report import PAPER
-from .report import Report
-from .spectra_report import MGM, NBSR
-from .table import TextTable, plus_minus
-from .twin_report import DriveInputs, csv_bytes, read_scene
+from .regolith.identify_report import PAPER
+from .shared.report import Report
+from .shared.table import TextTable, plus_minus
+from .spectra.batch import MGM, NBSR
+from .twin.predict_report import DriveInputs, csv_bytes, read_scene
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -4,9 +4,9 @@ from typing import Annotated, Literal
 
 import typer
 
-from .command import command
-from .options import Output
-from .report import Report
+from .shared.command import command
+from .shared.options import Output
+from .shared.report import Report
 
 __all__ = ["add_to"]
 

@@ -20,9 +20,9 @@ from lunarsci.spectra.readers import read_spectra
 from lunarsci.tables import table_hashes
 from lunarsci.twin.rover import build_rover
 
-from .progress import progress
-from .report import Report
-from .table import TextTable
+from .shared.progress import progress
+from .shared.report import Report
+from .shared.table import TextTable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

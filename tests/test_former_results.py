@@ -1,7 +1,8 @@
 """What every command answered before the rooms were moved, to 1e-12: `former_results.json`, made by running this file.
 
-A change of a number on purpose is recorded by `python tests/test_former_results.py --write`, and said in CHANGELOG.md. Digits
-depend on the processor and on the libraries: the table says which it was made with, and on others the bound is 1e-6.
+A change of a number on purpose is recorded by `python tests/test_former_results.py --write`, and said in CHANGELOG.md.
+Digits depend on the processor and on the libraries: the table says which it was made with, and on others the bound is
+1e-6.
 """
 
 import contextlib
@@ -21,7 +22,15 @@ TABLE = Path(__file__).with_name("former_results.json")
 SAME_MACHINE, OTHER_MACHINE = 1e-12, 1e-6
 LONG = 8
 ROCK = "ol=0.1,opx=0.4,cpx=0.2,plg=0.3"
-SHORT = 'name = "short"\n[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 1.0\n[[leg]]\nlength_m = 0.8\ncurvature_per_m = 0.2\n'
+SHORT = """name = "short"
+[drive]
+speed_m_s = 0.05
+[[leg]]
+length_m = 1.0
+[[leg]]
+length_m = 0.8
+curvature_per_m = 0.2
+"""
 """Steps that write the files of the later ones; then each command whose `result` is in the table."""
 COMMANDS: dict[str, str] = {
     "simulate": f"spectra simulate --rock {ROCK} --seed 3 -o scene",
@@ -61,8 +70,8 @@ COMMANDS: dict[str, str] = {
     "states": "twin states drive/telemetry.csv short.toml --track drive/track.csv -o states",
     "loads of paths": "twin forces short.toml --motion predicted/paths.csv --member 1",
     "loads of states": "twin forces --motion states/motion.csv --states states/states.csv --seed 1",
-    "update": "twin update states/states.csv --plan short.toml --positions states/positions.csv --seed 1 --particles 32 "
-    "--save belief.json --save-map map.json --no-ruts",
+    "update": "twin update states/states.csv --plan short.toml --positions states/positions.csv --seed 1 "
+    "--particles 32 --save belief.json --save-map map.json --no-ruts",
     "predict belief": "twin predict short.toml --soil belief.json --members 4",
     "predict map": "twin predict short.toml --soil-map map.json --members 4",
     "compare drives": "twin compare predicted states/states.csv --positions states/positions.csv",

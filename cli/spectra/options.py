@@ -1,0 +1,23 @@
+"""Options that the commands of `lunarsci spectra` share."""
+
+from typing import Annotated, Literal
+
+import typer
+
+__all__ = ["Files", "ReflectanceUnit", "WavelengthUnit"]
+
+Files = Annotated[
+    list[str],
+    typer.Argument(
+        help="Spectra: ECSV, CSV or text (first column wavelength, then one or many spectra), RELAB .tab/.asc, FITS "
+        "table, ENVI library (.sli, .hdr), USGS splib07 text, VNIS products (.2BL, .2B); several files, folders or "
+        "patterns; - is stdin."
+    ),
+]
+WavelengthUnit = Annotated[
+    Literal["nm", "um"] | None,
+    typer.Option("--wavelength-unit", help="State the unit of the wavelengths where the file does not."),
+]
+ReflectanceUnit = Annotated[
+    Literal["fraction", "percent"] | None, typer.Option("--reflectance-unit", help="State the unit of the reflectance.")
+]

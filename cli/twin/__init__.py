@@ -1,0 +1,13 @@
+"""`lunarsci twin`: whether the next drive is safe."""
+
+import typer
+
+from . import compare, forces, history, predict, simulate, states, terrain, update
+
+__all__ = ["app"]
+
+TEXT = "Whether the next drive is safe: a rover simulated on deformable ground."
+
+app = typer.Typer(no_args_is_help=True, help=TEXT)
+for part in (predict, terrain, simulate, states, forces, update, compare, history):
+    part.add_to(app)

@@ -1,0 +1,28 @@
+"""What the twin's physics is off by, as a table for people."""
+
+from typing import Any
+
+from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
+
+from ..shared.table import TextTable
+
+__all__ = ["discrepancy_table"]
+
+
+def discrepancy_table(after: PhysicsDiscrepancy, before: PhysicsDiscrepancy | None = None) -> TextTable:
+    """What the twin's physics is off by, for people; beside what was believed before."""
+    headers = ["share", "68 %", "95 %", "rests on [drives]", *(["68 % before"] if before else [])]
+    parts = {"way, along": "along", "way, across": "across", **{name: name for name in sorted(after.quantities)}}
+    rows = []
+    for label, key in parts.items():
+        one, old = (_law(law, key) for law in (after, before or after))
+        cells = [f"± {100 * one.half_width(p):.2g} %" for p in (0.68, 0.95)]
+        rows.append(
+            [label, *cells, f"{one.degrees:.1f}", *([f"± {100 * old.half_width(0.68):.2g} %"] if before else [])]
+        )
+    note = f"learned from {len(after.scored)} drive(s); regions of predictions hold it beside the soil's spread"
+    return TextTable(headers, rows, title="What the twin's physics is off by, beside the soil", notes=[note])
+
+
+def _law(law: PhysicsDiscrepancy, key: str) -> Any:
+    return law.quantities[key] if key in law.quantities else getattr(law, key)
