@@ -3,12 +3,13 @@
     LunarSciError
     ├── DataError         an input file or table cannot be used as it is
     ├── ParameterError    a value lies outside what the formula or the command accepts
+    │   └── RequestError  options of a job that are impossible, alone or together
     └── OutputError       a result cannot be written where it was asked for
 
 Each also inherits the builtin a caller would expect. The message is one line: what, where, and what to do.
 """
 
-__all__ = ["DataError", "LunarSciError", "LunarSciWarning", "OutputError", "ParameterError"]
+__all__ = ["DataError", "LunarSciError", "LunarSciWarning", "OutputError", "ParameterError", "RequestError"]
 
 
 class LunarSciError(Exception):
@@ -21,6 +22,13 @@ class DataError(LunarSciError, ValueError):
 
 class ParameterError(LunarSciError, ValueError):
     """A value lies outside what the formula or the command accepts."""
+
+
+class RequestError(ParameterError):
+    """Options of a job that are impossible, alone or together; the message names them in backticks, as in Python.
+
+    The command line shows `model_error` as --model-error and leaves with exit code 2.
+    """
 
 
 class OutputError(LunarSciError, OSError):

@@ -12,10 +12,20 @@ import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 
-__all__ = ["InputFile", "expand_inputs", "read_input", "text"]
+if TYPE_CHECKING:
+    from typing import IO
+
+    import pandas as pd
+    from astropy.table import Table
+
+__all__ = ["InputFile", "Source", "expand_inputs", "read_input", "text"]
+
+Source: TypeAlias = "str | Path | InputFile | IO[Any] | pd.DataFrame | Table"
+"""What can be read: a path, - for standard input, an open file, a table in memory, or what was read already."""
 
 _UNPRINTABLE = re.compile(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f-\x9f]")
 _UNPRINTABLE_SHARE = 0.1
@@ -45,8 +55,29 @@ class InputFile:
         return "stdin" if self.name == "<stdin>" else Path(self.name).stem
 
 
-def read_input(path: str) -> InputFile:
-    """Read a file, or standard input for `-`. Raises DataError when there is nothing to read."""
+def read_input(source: Source) -> InputFile:
+    """Read a file, standard input for `-`, an open file, or a table in memory (as CSV).
+
+    Quantities of a table are taken in the unit that their column's name ends in.
+
+    Raises DataError when there is nothing to read, ParameterError for what is none of these.
+    """
+    if isinstance(source, InputFile):
+        return source
+    if isinstance(source, str | Path):
+        return _read_path(str(source))
+    given: Any = source
+    if hasattr(given, "to_csv"):
+        return _filled("<table>", given.to_csv(index=False).encode())
+    if hasattr(given, "colnames"):
+        return _filled("<table>", _table_bytes(given))
+    if hasattr(given, "read"):
+        name, content = str(getattr(given, "name", "<file>")), given.read()
+        return _filled(name, content.encode() if isinstance(content, str) else content)
+    raise ParameterError(f"{type(source).__name__} cannot be read; give a path, an open file or a table")
+
+
+def _read_path(path: str) -> InputFile:
     name = "<stdin>" if path == "-" else path
     try:
         data = _read_stdin() if path == "-" else Path(path).read_bytes()
@@ -59,9 +90,30 @@ def read_input(path: str) -> InputFile:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise DataError(f"{name!r}: cannot be read ({reason}); check the path and the disk") from error
+    return _filled(name, data)
+
+
+def _filled(name: str, data: bytes) -> InputFile:
     if not data:
         raise DataError(f"{name}: is empty; check how it was made or downloaded")
     return InputFile(name, data)
+
+
+def _table_bytes(table: Any) -> bytes:
+    """An astropy table as ECSV with commas, which readers of CSV take too."""
+    import io
+
+    from astropy.io import ascii
+
+    from lunarsci.result import unit_of
+
+    plain = table.copy()
+    for name in plain.colnames:
+        if (unit := unit_of(name)) and getattr(plain[name], "unit", None) is not None:
+            plain[name] = plain[name].to(unit)
+    written = io.StringIO()
+    ascii.write(plain, written, format="ecsv", delimiter=",")
+    return written.getvalue().encode()
 
 
 def _read_stdin() -> bytes:

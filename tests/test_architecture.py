@@ -23,6 +23,7 @@ SHARED = {
     "rovers",
     "spectra_data",
     "tables",
+    "result",
 }
 ALLOWED = {
     "spectra": {"spectra", *SHARED},

@@ -4,21 +4,23 @@ A command parses its options, calls the library and returns a `Report`. `command
 hands the report to `emit`, the only place that writes to stdout or to a result file.
 """
 
+import dataclasses
 import functools
 import inspect
+import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import typer
 
-from lunarsci.errors import LunarSciWarning
+from lunarsci.errors import LunarSciWarning, RequestError
 from lunarsci.provenance import Provenance, plain
 
 from .emit import emit
-from .options import CONFIG, Output, shared_options
+from .options import CONFIG, Output, RequestOption, request_parameters, shared_options
 from .report import Report
 from .talk import INTERRUPTED, say
 
@@ -26,19 +28,31 @@ __all__ = ["command"]
 
 
 def command(
-    app: typer.Typer, name: str, *, folder: bool | None = False, default_path: str | None = None
+    app: typer.Typer,
+    name: str,
+    *,
+    folder: bool | None = False,
+    default_path: str | None = None,
+    request: type | None = None,
+    options: Mapping[str, RequestOption] | None = None,
 ) -> Callable[[Callable[..., Report]], Callable[..., None]]:
     """Register a function that returns a `Report` as a command with the shared output options.
 
     A function with a parameter `output` is handed the `Output`, for its progress bar. With `folder`, `--output` names a
     folder that takes the report's `files`, and the result itself always goes to stdout; with None this is so where the
     name has no suffix.
+
+    With `request`, a frozen dataclass of a job, and `options`, what the command line says of its fields, the function
+    is handed a `request` made of them; names, types and defaults are those of the dataclass. What it refuses is wrong
+    usage.
     """
     shared = shared_options(folder, default_path)
+    asked = [] if request is None else request_parameters(request, options or {})
 
     def register(function: Callable[..., Report]) -> Callable[..., None]:
         signature = inspect.signature(function)
         wants_output = "output" in signature.parameters
+        fields = [parameter.name for parameter in asked]
 
         @functools.wraps(function)
         def run(context: typer.Context, config: Path | None = None, **options: Any) -> None:
@@ -49,14 +63,19 @@ def command(
             output.check()
             try:
                 with heard_warnings(output) as heard:
-                    report = function(**options, **({"output": output} if wants_output else {}))
+                    handed = {key: value for key, value in options.items() if key not in fields}
+                    if request is not None:
+                        handed["request"] = request(**_fields(request, {key: options[key] for key in fields}))
+                    report = function(**handed, **({"output": output} if wants_output else {}))
                     emit(report, output, _provenance(context, report, options, heard))
+            except RequestError as error:
+                raise typer.BadParameter(_with_flags(str(error), context)) from error
             except KeyboardInterrupt:
                 say("interrupted; nothing was written")
                 raise typer.Exit(INTERRUPTED) from None
             raise typer.Exit(report.exit_code)
 
-        extended = _extended(signature, shared)
+        extended = _extended(signature, asked, shared)
         run.__signature__ = extended  # type: ignore[attr-defined]
         run.__annotations__ = {p.name: p.annotation for p in extended.parameters.values()}
         app.command(name)(run)
@@ -65,15 +84,32 @@ def command(
     return register
 
 
-def _extended(signature: inspect.Signature, shared_options: Mapping[str, tuple[Any, Any]]) -> inspect.Signature:
-    own = [p.replace(kind=p.KEYWORD_ONLY) for p in signature.parameters.values() if p.name != "output"]
+def _fields(request: type, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of a request: options that may be repeated are a tuple there, an empty one where they are not given."""
+    repeated = {item.name for item in dataclasses.fields(request) if isinstance(item.default, tuple)}
+    return {key: tuple(value or ()) if key in repeated else value for key, value in options.items()}
+
+
+def _with_flags(message: str, context: typer.Context) -> str:
+    """The message with names of options in backticks as they are typed."""
+    flags = {str(item.name): max(item.opts, key=len) for item in context.command.params}
+    return re.sub(r"`(\w+)`", lambda found: flags.get(found[1], found[0]), message)
+
+
+def _extended(
+    signature: inspect.Signature,
+    asked: Sequence[inspect.Parameter],
+    shared_options: Mapping[str, tuple[Any, Any]],
+) -> inspect.Signature:
+    taken = ("output", "request") if asked else ("output",)
+    own = [p.replace(kind=p.KEYWORD_ONLY) for p in signature.parameters.values() if p.name not in taken]
     context = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
     config = inspect.Parameter("config", inspect.Parameter.KEYWORD_ONLY, annotation=CONFIG, default=None)
     shared = [
         inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, annotation=annotation, default=default)
         for key, (annotation, default) in shared_options.items()
     ]
-    return inspect.Signature([context, *own, *shared, config], return_annotation=None)
+    return inspect.Signature([context, *own, *asked, *shared, config], return_annotation=None)
 
 
 def _provenance(context: typer.Context, report: Report, options: Mapping[str, Any], heard: list[str]) -> Provenance:

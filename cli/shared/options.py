@@ -1,16 +1,18 @@
 """The options that every command shares, and the file that can hold any of them."""
 
+import dataclasses
+import inspect
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_origin, get_type_hints
 
 import typer
 
 from lunarsci.atomic import check_folder, check_target
 
-__all__ = ["CONFIG", "Output", "shared_options"]
+__all__ = ["CONFIG", "Output", "RequestOption", "option", "request_parameters", "shared_options"]
 
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 PANEL = "Output"
@@ -136,3 +138,36 @@ CONFIG = Annotated[
         callback=_load_config,
     ),
 ]
+
+
+@dataclass(frozen=True, slots=True)
+class RequestOption:
+    """What the command line says of a field of a request: its typer option, and its type where that is another."""
+
+    told: Any
+    kind: Any = None
+
+
+def option(text: str, *flags: str, panel: str | None = None, kind: Any = None, **settings: Any) -> RequestOption:
+    """Help text, flags other than the field's name, panel of the help, and further settings of `typer.Option`."""
+    return RequestOption(typer.Option(*flags, help=text, rich_help_panel=panel, **settings), kind)
+
+
+def request_parameters(request: type, options: Mapping[str, RequestOption]) -> list[inspect.Parameter]:
+    """The fields of a request that have an option, as parameters of a command, in the order of the options.
+
+    A tuple is an option that may be repeated; a bool without flags of its own is a flag without --no-….
+    """
+    hints = get_type_hints(request)
+    fields = {field.name: field for field in dataclasses.fields(request)}
+    found: list[inspect.Parameter] = []
+    for name, said in options.items():
+        kind: Any = said.kind or hints[name]
+        default = fields[name].default
+        if get_origin(kind) is tuple:
+            kind, default = list[str] | None, (list(default) or None)  # type: ignore[arg-type]
+        if kind is bool and not said.told.param_decls:
+            said.told.param_decls = (f"--{name.replace('_', '-')}",)
+        annotation = Annotated[kind, said.told]
+        found.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=annotation, default=default))
+    return found

@@ -11,6 +11,8 @@ from .talk import FAILED, UNTRUSTED
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from lunarsci.result import Result
+
 __all__ = ["Report", "together"]
 
 
@@ -51,6 +53,23 @@ class Report:
     untrusted: str = ""
     failures: Sequence[str] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, result: "Result", tables: Sequence[TextTable], **more: Any) -> "Report":
+        """The report of a job's result; `more` are other attributes."""
+        made = result.made_from
+        parts: dict[str, Any] = {
+            "rows": result.rows(),
+            "figures": result.figures,
+            "inputs": made.inputs,
+            "data_tables": made.tables,
+            "sources": made.sources,
+            "seed": made.seed,
+            "options": made.options,
+            "untrusted": result.untrusted,
+            "failures": result.failures,
+        }
+        return cls(schema=result.schema, result=result.to_dict(), tables=tables, **(parts | more))
 
     @property
     def exit_code(self) -> int:

@@ -1,0 +1,176 @@
+"""What a job of lunarsci takes and gives: requests made of options, results that are tables, pictures and JSON.
+
+The functions of `import lunarsci` and the commands of the command line are the same jobs: a frozen request holds every
+option with its default, and a `Result` has what `--json`, `--csv` and `--plot` show.
+"""
+
+import dataclasses
+import html
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+
+from lunarsci.errors import ParameterError, RequestError
+from lunarsci.provenance import Provenance, document, plain, to_json
+
+if TYPE_CHECKING:
+    from astropy.table import QTable
+    from matplotlib.figure import Figure
+
+__all__ = ["MadeFrom", "Result", "request_of", "unit_of"]
+
+Request = TypeVar("Request")
+
+UNITS = {
+    "torque_nm": "N m",
+    "kpa_m_n": "",
+    "per_m": "1 / m",
+    "deg_s": "deg / s",
+    "m_s": "m / s",
+    "m2": "m2",
+    "nm": "nm",
+    "um": "um",
+    "mm": "mm",
+    "km": "km",
+    "ma": "Myr",
+    "deg": "deg",
+    "kpa": "kPa",
+    "pa": "Pa",
+    "kg": "kg",
+    "px": "pix",
+    "m": "m",
+    "n": "N",
+    "s": "s",
+    "j": "J",
+    "w": "W",
+}
+"""Unit by the last part of a key, the longest first; that of `stiffness_kpa_m_n` depends on the exponent, so none."""
+ENDS = ("_sigma", "_low", "_high", "_low68", "_high68", "_low95", "_high95")
+
+
+def unit_of(key: str) -> str:
+    """The unit that a key's suffix names, for astropy; '' where it names none.
+
+    >>> unit_of("center_nm"), unit_of("resistance_torque_nm"), unit_of("slip_ratio"), unit_of("sinkage_m_sigma")
+    ('nm', 'N m', '', 'm')
+    """
+    bare = next((key.removesuffix(end) for end in ENDS if key.endswith(end)), key)
+    return next((unit for suffix, unit in UNITS.items() if f"_{bare}".endswith(f"_{suffix}")), "")
+
+
+def request_of(kind: type[Request], request: Request | None, options: Mapping[str, Any]) -> Request:
+    """A request, or the one with all defaults, with some options replaced.
+
+    Raises RequestError for a name that is none of its options.
+    """
+    known = [item.name for item in dataclasses.fields(kind)]  # type: ignore[arg-type]
+    if wrong := next((name for name in options if name not in known), None):
+        raise RequestError(f"'{wrong}' is no option here; these are: {', '.join(sorted(known))}")
+    return kind(**options) if request is None else dataclasses.replace(request, **options)  # type: ignore[type-var]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MadeFrom:
+    """What a result was made from, for its provenance.
+
+    Attributes
+    ----------
+    inputs, tables : name to SHA-256, of what the user gave and of what came with lunarsci.
+    sources : what to cite.
+    seed : of the random numbers, None where none are drawn.
+    options : what was taken for options that were left out.
+    """
+
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    tables: Mapping[str, str] = field(default_factory=dict)
+    sources: Sequence[str] = ()
+    seed: int | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Result:
+    """What a job found; a job's own result says `to_dict`, `rows`, `figures`, `made_from` and `untrusted`.
+
+    Attributes
+    ----------
+    schema : name and version of its JSON, such as `spectra-fit/1`.
+    made_from : what it was made from.
+    untrusted : one sentence, why it should not be trusted or acted on; '' if it may be.
+    failures : inputs that gave no result, one sentence each.
+    """
+
+    __slots__ = ()
+    schema: ClassVar[str] = ""
+
+    @property
+    def made_from(self) -> MadeFrom:
+        return MadeFrom()
+
+    @property
+    def untrusted(self) -> str:
+        return ""
+
+    @property
+    def failures(self) -> Sequence[str]:
+        return ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """The `result` of `--json`, in plain Python, keys with their units."""
+        raise NotImplementedError
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """The rows of `--csv`."""
+        raise NotImplementedError
+
+    def figures(self) -> "Iterator[Figure]":
+        """The pages of `--plot`."""
+        return iter(())
+
+    def to_table(self) -> "QTable":
+        """The rows of `--csv`; a column with a unit in its name is a quantity, missing numbers are NaN."""
+        from astropy.table import QTable
+
+        rows = [plain(row) for row in self.rows()]
+        names = list(dict.fromkeys(name for row in rows for name in row))
+        return QTable({name: _column(name, [row.get(name) for row in rows]) for name in names})
+
+    def to_json(self, *, time: bool = True) -> str:
+        """The document of `--json`; without `time` two equal results give equal text."""
+        made = self.made_from
+        provenance = Provenance(
+            command=f"lunarsci.{type(self).__name__}",
+            options=made.options,
+            inputs=made.inputs,
+            tables=made.tables,
+            sources=made.sources,
+            seed=made.seed,
+        )
+        return to_json(document(self.schema, self.to_dict(), provenance.to_dict(time=time)))
+
+    def plot(self, page: int = 0) -> "Figure":
+        """A page of `--plot`, from 0. Raises ParameterError where there is no such page."""
+        found = next(islice(self.figures(), page, None), None)
+        if found is None:
+            raise ParameterError(f"page {page}: there is no such picture of this result")
+        return found
+
+    def _repr_html_(self) -> str:
+        doubt = f"<p><b>{html.escape(self.untrusted)}</b></p>" if self.untrusted else ""
+        lines = "".join(f"<p>{html.escape(text)}</p>" for text in self.failures)
+        shown: str = self.to_table()._repr_html_()
+        return f"{doubt}{lines}{shown}"
+
+
+def _column(name: str, cells: list[Any]) -> Any:
+    import numpy as np
+    from astropy import units
+
+    present = [cell for cell in cells if cell is not None]
+    if present and all(isinstance(cell, int | float) and not isinstance(cell, bool) for cell in present):
+        whole = len(present) == len(cells) and all(isinstance(cell, int) for cell in cells)
+        values = np.array([np.nan if cell is None else cell for cell in cells], int if whole else float)
+        return values * units.Unit(unit) if (unit := unit_of(name)) else values
+    if present and all(isinstance(cell, bool) for cell in cells):
+        return np.array(cells, bool)
+    return np.array(["" if cell is None else str(cell) for cell in cells])

@@ -1,0 +1,119 @@
+"""Results of jobs as tables, HTML and JSON; requests as options of a command."""
+
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import typer
+from astropy import units
+from astropy.table import QTable
+from lunarsci.cli.shared.command import command
+from lunarsci.cli.shared.options import option
+from lunarsci.cli.shared.report import Report
+from typer.testing import CliRunner
+
+from lunarsci.errors import ParameterError, RequestError
+from lunarsci.inputs import read_input
+from lunarsci.result import MadeFrom, Result, request_of
+
+
+@dataclass(frozen=True)
+class Asked:
+    load_n: float = 20.0
+    ties: tuple[str, ...] = ()
+    exact: bool = False
+
+    def __post_init__(self) -> None:
+        if self.load_n < 0:
+            raise RequestError(f"`load_n` is {self.load_n}; give 0 or more")
+
+
+@dataclass(frozen=True)
+class Found(Result):
+    schema = "found/1"
+    load_n: float
+    note: str
+
+    @property
+    def made_from(self) -> MadeFrom:
+        return MadeFrom(sources=["someone (2024)"], seed=3)
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"load_n": self.load_n, "note": self.note}
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        return [self.to_dict() | {"torque_nm": 2.0}, {"load_n": None, "note": "<b>"}]
+
+
+def test_a_table_has_units() -> None:
+    table = Found(1.5, "x").to_table()
+    assert table["load_n"].unit == units.N
+    assert table["torque_nm"].unit == units.N * units.m
+    assert np.isnan(table["load_n"][1])
+    assert list(table["note"]) == ["x", "<b>"]
+
+
+def test_html_says_what_it_shows() -> None:
+    shown = Found(1.5, "x")._repr_html_()
+    assert "1.5" in shown
+    assert "<b>" not in shown
+
+
+def test_json_has_provenance() -> None:
+    made = json.loads(Found(1.5, "x").to_json(time=False))
+    assert made["result"] == {"load_n": 1.5, "note": "x"}
+    assert made["schema"] == "lunarsci/found/1"
+    assert made["provenance"]["seed"] == 3
+
+
+def test_there_is_no_picture() -> None:
+    with pytest.raises(ParameterError, match="page 0"):
+        Found(1.5, "x").plot()
+
+
+def test_options_make_a_request() -> None:
+    assert request_of(Asked, None, {"load_n": 3.0}) == Asked(load_n=3.0)
+    assert request_of(Asked, Asked(exact=True), {"ties": ("a",)}) == Asked(ties=("a",), exact=True)
+    with pytest.raises(RequestError, match="'lode' is no option here; these are: exact, load_n, ties"):
+        request_of(Asked, None, {"lode": 1})
+
+
+def test_a_command_takes_the_fields_of_a_request() -> None:
+    app = typer.Typer()
+    seen = []
+
+    @command(
+        app, "try", request=Asked, options={"load_n": option("Load."), "ties": option("Tie."), "exact": option("")}
+    )
+    def run(request: Asked) -> Report:
+        seen.append(request)
+        return Report.of(Found(request.load_n, "x"), [])
+
+    runner = CliRunner()
+    assert runner.invoke(app, ["--load-n", "7", "--ties", "a", "--ties", "b", "--exact", "--json"]).exit_code == 0
+    assert runner.invoke(app, ["--json"]).exit_code == 0
+    assert seen == [Asked(7.0, ("a", "b"), True), Asked()]
+    wrong = runner.invoke(app, ["--load-n", "-1"])
+    assert wrong.exit_code == 2
+    assert "--load-n is -1.0; give 0 or more" in " ".join(wrong.output.replace("│", " ").split())
+
+
+@pytest.mark.parametrize("kind", ["file", "frame", "table"])
+def test_open_files_and_tables_are_inputs(kind: str) -> None:
+    frame = pd.DataFrame({"sinkage_m": [0.01, 0.02], "wheel": ["FL", "FR"]})
+    table = QTable({"sinkage_m": [1.0, 2.0] * units.cm, "wheel": ["FL", "FR"]})
+    given = {"file": io.StringIO(frame.to_csv(index=False)), "frame": frame, "table": table}[kind]
+    content = read_input(given).data.decode()
+    rows = [line.split(",") for line in content.splitlines() if not line.startswith("#")]
+    assert rows[0] == ["sinkage_m", "wheel"]
+    assert [float(row[0]) for row in rows[1:]] == [0.01, 0.02]
+
+
+def test_what_cannot_be_read_is_refused() -> None:
+    with pytest.raises(ParameterError, match="int cannot be read; give a path"):
+        read_input(3)  # type: ignore[arg-type]
