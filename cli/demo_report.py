@@ -11,6 +11,7 @@ from lunarsci.regolith.identify import Assumptions, Identification, identify
 from lunarsci.regolith.soil import Soil, read_soil
 from lunarsci.regolith.states import read_states
 from lunarsci.regolith.wheel import read_wheel
+from lunarsci.spectra.citations import MGM, NBSR
 from lunarsci.spectra.mgm.assemblages import TABLES
 from lunarsci.spectra.vnis.detector import default_settings
 from lunarsci.spectra.vnis.export import to_ecsv
@@ -23,7 +24,6 @@ from .demo_rock import Studied, finding, rock_findings, rock_pictures
 from .regolith.identify_report import PAPER
 from .shared.report import Report
 from .shared.table import TextTable, plus_minus
-from .spectra.batch import MGM, NBSR
 from .twin.predict_report import DriveInputs, csv_bytes, read_scene
 
 if TYPE_CHECKING:

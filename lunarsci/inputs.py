@@ -9,7 +9,7 @@ import hashlib
 import re
 import sys
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from astropy.table import Table
 
-__all__ = ["InputFile", "Source", "expand_inputs", "read_input", "text"]
+__all__ = ["InputFile", "Source", "expand_inputs", "read_input", "text", "together"]
 
 Source: TypeAlias = "str | Path | InputFile | IO[Any] | pd.DataFrame | Table"
 """What can be read: a path, - for standard input, an open file, a table in memory, or what was read already."""
@@ -149,6 +149,12 @@ def _decoded(input: InputFile) -> str:
         message = f"{input.name}: is not valid UTF-8 and was read as Latin-1; save it as UTF-8 if a name looks wrong"
         warnings.warn(message, LunarSciWarning, stacklevel=3)
     return decoded
+
+
+def together(failures: Sequence[str]) -> str:
+    """The first of some failures, and how many more inputs there are without a result."""
+    more = f" (and {len(failures) - 1} more inputs without a result)" if len(failures) > 1 else ""
+    return failures[0] + more
 
 
 def expand_inputs(paths: Iterable[str]) -> list[str]:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from astropy.table import QTable
     from matplotlib.figure import Figure
 
-__all__ = ["MadeFrom", "Result", "request_of", "unit_of"]
+__all__ = ["MadeFrom", "Result", "flat", "request_of", "unit_of"]
 
 Request = TypeVar("Request")
 
@@ -57,6 +57,21 @@ def unit_of(key: str) -> str:
     """
     bare = next((key.removesuffix(end) for end in ENDS if key.endswith(end)), key)
     return next((unit for suffix, unit in UNITS.items() if f"_{bare}".endswith(f"_{suffix}")), "")
+
+
+def flat(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Nested values under joined names; tuples and lists as text.
+
+    >>> flat({"name": "OPX 1", "shrinkage": {"center": 0.5}, "notes": ["a", "b"]})
+    {'name': 'OPX 1', 'shrinkage_center': 0.5, 'notes': 'a b'}
+    """
+    row: dict[str, Any] = {}
+    for key, value in record.items():
+        if isinstance(value, Mapping):
+            row |= {f"{key}_{inner}": item for inner, item in value.items()}
+        else:
+            row[key] = " ".join(map(str, value)) if isinstance(value, list | tuple) else value
+    return row
 
 
 def request_of(kind: type[Request], request: Request | None, options: Mapping[str, Any]) -> Request:

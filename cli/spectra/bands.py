@@ -42,9 +42,9 @@ def bands(
     Composition of pyroxene and olivine from them by published regressions, each with error and range.
     """
     from lunarsci.spectra.bands import measure_batch
+    from lunarsci.spectra.readers.batch import read_batch
 
     from .bands_report import bands_report
-    from .batch import read_batch
 
     output.check_extra("--plane", plane)
     batch = read_batch(files, wavelength_unit, reflectance_unit)

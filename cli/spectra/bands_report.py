@@ -4,15 +4,17 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from lunarsci.result import flat
 from lunarsci.spectra.bands import BandFailure, SpectrumBands
 from lunarsci.spectra.chemistry import KEYS, chemistry
 from lunarsci.spectra.chemistry.plane import PLANE_TABLE
 from lunarsci.spectra.chemistry.regressions import TABLE
+from lunarsci.spectra.citations import PAPER, SMOOTHING
+from lunarsci.spectra.readers.batch import SpectraBatch
 from lunarsci.tables import table_hashes
 
 from ..shared.report import Report
 from ..shared.table import TextTable, counted, plus_minus
-from .batch import PAPER, SMOOTHING, Batch, failures_of, flat, tables_of
 
 __all__ = ["bands_report"]
 
@@ -44,14 +46,14 @@ METHODS = {
 }
 
 
-def bands_report(batch: Batch, measured: Sequence[SpectrumBands | BandFailure], plane: Path | None) -> Report:
+def bands_report(batch: SpectraBatch, measured: Sequence[SpectrumBands | BandFailure], plane: Path | None) -> Report:
     """The report of `spectra bands`."""
     records = [
         item.to_dict() | {"chemistry": _chemistry(item), "source": origin}
         for item, origin in zip(measured, batch.origins, strict=True)
     ]
     good = [item for item in measured if isinstance(item, SpectrumBands)]
-    failures = failures_of(batch, measured, bool(good))
+    failures = batch.failures_among(measured, SpectrumBands)
 
     def figures() -> Any:
         from lunarsci.spectra.mgm.figure import band_pages
@@ -71,7 +73,7 @@ def bands_report(batch: Batch, measured: Sequence[SpectrumBands | BandFailure], 
         figures=figures,
         inputs=batch.inputs,
         pictures={plane: plane_figures} if plane else {},
-        data_tables=tables_of(batch) | table_hashes(TABLE, PLANE_TABLE),
+        data_tables=batch.tables | table_hashes(TABLE, PLANE_TABLE),
         sources=[PAPER, SMOOTHING, *CHEMISTRY],
         failures=failures,
     )

@@ -191,7 +191,8 @@ def fit(
 
     -o FILE.fit writes a result file of the RELAB MGM program (one spectrum).
     """
-    from .batch import read_batch
+    from lunarsci.spectra.readers.batch import read_batch
+
     from .fit_report import fit_report
     from .fit_run import FitRequest, run_fit
 

@@ -5,6 +5,7 @@ from dataclasses import asdict
 from itertools import chain
 from typing import Any
 
+from lunarsci.result import flat
 from lunarsci.spectra.abundance.end_members import FAMILY_OF, OPAQUE
 from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
 from lunarsci.spectra.abundance.hapke import IRON_TABLE as IRON
@@ -12,11 +13,11 @@ from lunarsci.spectra.abundance.nbsr import TABLE as CALIBRATIONS
 from lunarsci.spectra.mgm.assemblages import TABLES
 from lunarsci.spectra.mgm.composition import compositions
 from lunarsci.spectra.mgm.result import FittedBand, MgmFit
+from lunarsci.spectra.readers.batch import SpectraBatch
 from lunarsci.tables import table_hashes
 
 from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
-from .batch import Batch, failures_of, flat, tables_of
 from .fit_run import FitRequest, FitRun
 
 __all__ = ["fit_report"]
@@ -39,11 +40,11 @@ PERCENT_OF = {
 }
 
 
-def fit_report(batch: Batch, run: FitRun, request: FitRequest) -> Report:
+def fit_report(batch: SpectraBatch, run: FitRun, request: FitRequest) -> Report:
     """The report of `spectra fit`."""
     records = [_record(run, index, origin) for index, origin in enumerate(batch.origins)]
     good = [item for item in run.results if isinstance(item, MgmFit)]
-    failures = failures_of(batch, run.results, bool(good))
+    failures = batch.failures_among(run.results, MgmFit)
     unmixed = [
         found[0] for found in run.abundances.values() if found and found[0].method == request.abundance != "nbsr"
     ]
@@ -63,7 +64,7 @@ def fit_report(batch: Batch, run: FitRun, request: FitRequest) -> Report:
         figures=figures,
         formats={".fit": lambda _: _fit_file(good[0], run)},
         inputs=batch.inputs | start,
-        data_tables=tables_of(batch) | table_hashes(*TABLES, *_abundance_tables(request)),
+        data_tables=batch.tables | table_hashes(*TABLES, *_abundance_tables(request)),
         sources=[MGM, NBSR, *UNMIXING.get(request.abundance, ()), *([WEATHERING] if request.iron else [])],
         seed=request.seed if request.errors == "sample" else None,
         untrusted=_untrusted(good),

@@ -10,10 +10,10 @@ from lunarsci.errors import DataError, LunarSciError, LunarSciWarning, Parameter
 from lunarsci.inputs import read_input
 from lunarsci.spectra.library import EndMember, read_library, to_ecsv
 from lunarsci.spectra.library.check import MIXTURE, LibraryFinding, check_library, read_metadata, with_description
+from lunarsci.spectra.readers.batch import expanded
 
 from ..shared.report import Report, together
 from ..shared.table import TextTable, plus_minus
-from .batch import expanded
 
 __all__ = ["Imported", "check_report", "import_report", "imported", "list_report", "read_libraries"]
 
