@@ -13,8 +13,8 @@ from lunarsci.regolith.states import read_states
 from lunarsci.regolith.wheel import read_wheel
 from lunarsci.spectra.citations import MGM, NBSR
 from lunarsci.spectra.mgm.assemblages import TABLES
+from lunarsci.spectra.vnis.calibration import to_ecsv
 from lunarsci.spectra.vnis.detector import default_settings
-from lunarsci.spectra.vnis.export import to_ecsv
 from lunarsci.tables import table_hashes
 from lunarsci.twin.judgement.safety import Verdict, judge
 from lunarsci.twin.judgement.tables import state_table

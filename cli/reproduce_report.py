@@ -164,7 +164,7 @@ def _notes(numbers: Sequence[Number], verbose: bool) -> list[str]:
 def _pages(found: Found, parts: Sequence[str]) -> "Iterator[Figure]":
     from lunarsci.reproduce.figure_drive import drive_pages
     from lunarsci.reproduce.figure_soil import soil_pages
-    from lunarsci.reproduce.figure_spectra import spectra_pages
+    from lunarsci.reproduce.spectra import spectra_pages
 
     pages: dict[str, Callable[[], Any]] = {
         "spectra": lambda: spectra_pages(found.rocks),

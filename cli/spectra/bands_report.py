@@ -7,8 +7,7 @@ from typing import Any
 from lunarsci.result import flat
 from lunarsci.spectra.bands import BandFailure, SpectrumBands
 from lunarsci.spectra.chemistry import KEYS, chemistry
-from lunarsci.spectra.chemistry.plane import PLANE_TABLE
-from lunarsci.spectra.chemistry.regressions import TABLE
+from lunarsci.spectra.chemistry.plane import PLANE_TABLE, TABLE
 from lunarsci.spectra.citations import PAPER, SMOOTHING
 from lunarsci.spectra.readers.batch import SpectraBatch
 from lunarsci.tables import table_hashes
@@ -61,7 +60,7 @@ def bands_report(batch: SpectraBatch, measured: Sequence[SpectrumBands | BandFai
         return band_pages(good)
 
     def plane_figures() -> Any:
-        from lunarsci.spectra.chemistry.figure import plane_pages
+        from lunarsci.spectra.chemistry.bands import plane_pages
 
         return plane_pages(good)
 

@@ -11,10 +11,9 @@ from lunarsci.spectra.readers.solar_table import read_solar_spectrum
 from lunarsci.spectra.solar import SOLAR_SPECTRA, solar_spectrum
 from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure
 from lunarsci.spectra.vnis.channels import SPLICED_NM
-from lunarsci.spectra.vnis.detector import Settings
+from lunarsci.spectra.vnis.detector import Settings, read_channel_factors
 from lunarsci.spectra.vnis.name import product_name
 from lunarsci.spectra.vnis.observation import one_per_observation
-from lunarsci.spectra.vnis.reflectance import read_channel_factors
 from lunarsci.tables import table_hashes
 
 from ..shared.report import Report, together
@@ -102,12 +101,12 @@ def calibrate_report(results: Sequence[Calibration | CalibrationFailure], settin
         return calibration_pages(good)
 
     def ecsv(provenance: Mapping[str, Any]) -> bytes:
-        from lunarsci.spectra.vnis.export import to_ecsv
+        from lunarsci.spectra.vnis.calibration import to_ecsv
 
         return to_ecsv(good, provenance)
 
     def fits(provenance: Mapping[str, Any]) -> bytes:
-        from lunarsci.spectra.vnis.export import to_fits
+        from lunarsci.spectra.vnis.calibration import to_fits
 
         return to_fits(good, provenance)
 

@@ -134,7 +134,7 @@ def _listing(found: Imported) -> Report:
     records = [_record(member, origin) for member, origin in zip(found.members, found.origins, strict=True)]
 
     def figures() -> Any:
-        from lunarsci.spectra.library.figure import library_pages
+        from lunarsci.spectra.library.end_member import library_pages
 
         return library_pages(found.members)
 

@@ -3,10 +3,9 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from lunarsci.spectra.origin.ejecta import LAW_SOURCES, SURVIVAL_SOURCE
+from lunarsci.spectra.origin.catalogue import Point
 from lunarsci.spectra.origin.match import OTHER, CraterMatch, MatchSettings, RockMatch
-from lunarsci.spectra.origin.prior import surface_age_ma
-from lunarsci.spectra.origin.sphere import Point
+from lunarsci.spectra.origin.prior import LAW_SOURCES, SURVIVAL_SOURCE, surface_age_ma
 
 from ..shared.report import Report
 from ..shared.table import TextTable, counted

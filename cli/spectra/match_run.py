@@ -9,13 +9,10 @@ import typer
 
 from lunarsci.errors import DataError, LunarSciError, ParameterError
 from lunarsci.inputs import expand_inputs, read_input
-from lunarsci.spectra.origin.catalogue import TABLE, Crater, embedded_catalogue, read_catalogue
-from lunarsci.spectra.origin.composition import MINERALS, Composition, Value
-from lunarsci.spectra.origin.ejecta import Range
-from lunarsci.spectra.origin.match import Rock
+from lunarsci.spectra.origin.catalogue import TABLE, Crater, Point, checked_point, embedded_catalogue, read_catalogue
+from lunarsci.spectra.origin.composition import MINERALS, Composition, Rock, Value, joined, read_rocks
 from lunarsci.spectra.origin.mineral_map import MapReport, with_maps
-from lunarsci.spectra.origin.rock import joined, read_rocks
-from lunarsci.spectra.origin.sphere import Point, checked_point
+from lunarsci.spectra.origin.prior import Range
 from lunarsci.tables import table_hashes
 
 from ..shared.report import together

@@ -69,7 +69,7 @@ def simulate_report(simulation: Simulation) -> Report:
     }
 
     def figures() -> Any:
-        from lunarsci.spectra.vnis.simulation.figure import simulation_page
+        from lunarsci.spectra.vnis.simulation.products import simulation_page
 
         return [simulation_page(simulation)]
 

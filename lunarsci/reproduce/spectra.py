@@ -1,13 +1,13 @@
-"""The rock of Ding et al. (2024): which of its numbers follow from what they publish.
+"""The rock of Ding et al. (2024): which of its numbers follow from what they publish, and their figures 5b and 5c.
 
 Neither its spectrum nor the band centres, ratios and modes made from it are published as numbers. Without a measured
-spectrum only what concerns minerals and places can be checked; with spectra of boulders of Chang'E-4, the averages too.
-
-Measured spectra of boulders of Chang'E-4, fitted as Ding et al. (2024) fitted theirs.
+spectrum only what concerns minerals and places can be checked; with spectra of boulders of Chang'E-4, fitted as they
+fitted theirs, the averages too.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -17,18 +17,21 @@ from lunarsci.reproduce.numbers import Answer, Number, judge, published_numbers,
 from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
 from lunarsci.spectra.abundance.end_members import embedded_end_members
 from lunarsci.spectra.bands import SpectrumBands, measure_bands
+from lunarsci.spectra.chemistry.bands import plane_pages
 from lunarsci.spectra.mgm.continua import SPREAD_CONTINUA, fit_continua
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import DEFAULT_CONTINUUM, mgm_model
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 from lunarsci.spectra.origin.catalogue import TABLE as CRATERS
-from lunarsci.spectra.origin.catalogue import embedded_catalogue
-from lunarsci.spectra.origin.composition import Composition
-from lunarsci.spectra.origin.match import MatchSettings, Rock, RockMatch, match_rocks
+from lunarsci.spectra.origin.catalogue import azimuth_deg, distance_km, embedded_catalogue
+from lunarsci.spectra.origin.composition import Composition, Rock
+from lunarsci.spectra.origin.match import MatchSettings, RockMatch, match_rocks
 from lunarsci.spectra.origin.prior import CHANG_E_4, PriorSettings
-from lunarsci.spectra.origin.sphere import azimuth_deg, distance_km
 from lunarsci.spectra.smoothing import savitzky_golay_operator
 from lunarsci.spectra.spectrum import Spectrum
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = [
     "SMOOTHED_POINTS",
@@ -40,6 +43,7 @@ __all__ = [
     "low_calcium",
     "olivine_share",
     "spectra_numbers",
+    "spectra_pages",
 ]
 
 SMOOTHED_POINTS = 41
@@ -311,3 +315,42 @@ def spectra_numbers(rocks: Rocks | None = None) -> list[Number]:
     """
     answers = _minerals() | _boulders(rocks) | _places()
     return [judge(row, answers[row["id"]]()) for row in published_numbers("spectra")]
+
+
+PYROXENE_MARKS = (
+    ("low-calcium pyroxene", "lcp", low_calcium, "#0072B2"),
+    ("high-calcium pyroxene", "hcp", high_calcium, "#D55E00"),
+)
+PUBLISHED = "#c0392b"
+
+
+def spectra_pages(rocks: Rocks | None) -> "Iterator[Figure]":
+    """The plane of the centres (Fig. 5b) and, with boulders, the fit of the one that fits best when smoothed (5c)."""
+    from lunarsci.spectra.mgm.figure import fit_pages
+
+    yield _plane(rocks)
+    if rocks is not None:
+        best = min(rocks.smoothed, key=lambda fit: fit.rms_ln)
+        measured = [fit for fit in rocks.fits if fit.id == best.id]
+        smoothed = replace(best, id=f"{best.id} smoothed over {SMOOTHED_POINTS} points")
+        for figure in fit_pages([smoothed, *measured]):
+            figure.suptitle("Olivine and two pyroxenes after Fig. 5c of Ding et al. (2024)", fontsize=12)
+            yield figure
+
+
+def _plane(rocks: Rocks | None) -> "Figure":
+    """Fields and trend, the minerals behind them, what is published as about, and boulders where there are any."""
+    figure = next(iter(plane_pages(rocks.bands if rocks else ())))
+    axes = figure.axes[0]
+    for name, key, centres, color in PYROXENE_MARKS:
+        found = centres()
+        axes.plot(*found.T, ".", color=color, alpha=0.45, markersize=6, zorder=0.5, label=f"laboratory: {name}")
+        about = published_value(f"{key}-1um"), published_value(f"{key}-2um")
+        axes.plot(*about, "*", color=color, markeredgecolor=PUBLISHED, markersize=15, label=f"published: about, {name}")
+    if rocks:
+        axes.plot([], [], "o", color="black", markersize=4, label="boulders that were given")
+    axes.set_xlim(885.0, np.nextafter(1110.0, 0))
+    axes.legend(loc="upper left", fontsize=8, framealpha=0.9)
+    told = f"boulders' spectra given: {len(rocks.bands)}" if rocks else "no boulders: give their spectra with --rocks"
+    axes.set_title(f"Band centres after Fig. 5b of Ding et al. (2024); {told}", fontsize=10)
+    return figure

@@ -16,9 +16,8 @@ import numpy as np
 
 from lunarsci.spectra.origin.catalogue import Crater, embedded_catalogue
 from lunarsci.spectra.origin.composition import MINERALS, Composition
-from lunarsci.spectra.origin.ejecta import Range
 from lunarsci.spectra.origin.match import MatchSettings, Rock, match_rocks
-from lunarsci.spectra.origin.prior import CHANG_E_4, PriorSettings, crater_priors
+from lunarsci.spectra.origin.prior import CHANG_E_4, PriorSettings, Range, crater_priors
 
 ERROR = 0.05
 SCATTER = 0.05

@@ -15,10 +15,9 @@ from lunarsci.regolith.wheel import read_wheel
 from lunarsci.reproduce.drive import Drives, predicted_drives
 from lunarsci.reproduce.figure_drive import drive_pages
 from lunarsci.reproduce.figure_soil import histograms, place_names, soil_pages
-from lunarsci.reproduce.figure_spectra import spectra_pages
 from lunarsci.reproduce.numbers import published_value
 from lunarsci.reproduce.soil import soil_numbers
-from lunarsci.reproduce.spectra import fit_rocks
+from lunarsci.reproduce.spectra import fit_rocks, spectra_pages
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.simulation.scene import Material, SceneComposition, surface_reflectance
 

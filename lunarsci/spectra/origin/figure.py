@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from lunarsci.spectra.origin.catalogue import Point, azimuth_deg, destination, distance_km
 from lunarsci.spectra.origin.match import OTHER, CraterMatch, RockMatch
-from lunarsci.spectra.origin.sphere import Point, azimuth_deg, destination, distance_km
 from lunarsci.spectra.spectrum import FloatArray
 
 __all__ = ["match_pages"]

@@ -16,11 +16,9 @@ from typing import Any
 import numpy as np
 
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.origin.catalogue import Crater
-from lunarsci.spectra.origin.composition import MINERALS, Composition
-from lunarsci.spectra.origin.ejecta import launch_speed_m_s
-from lunarsci.spectra.origin.prior import CraterPrior, PriorSettings, crater_priors
-from lunarsci.spectra.origin.sphere import Point, azimuth_deg
+from lunarsci.spectra.origin.catalogue import Crater, Point, azimuth_deg
+from lunarsci.spectra.origin.composition import MINERALS, Composition, Rock
+from lunarsci.spectra.origin.prior import CraterPrior, PriorSettings, crater_priors, launch_speed_m_s
 from lunarsci.spectra.spectrum import FloatArray
 
 __all__ = [
@@ -29,7 +27,6 @@ __all__ = [
     "CompositionEvidence",
     "CraterMatch",
     "MatchSettings",
-    "Rock",
     "RockMatch",
     "composition_evidence",
     "ln_shares_broad",
@@ -175,15 +172,6 @@ OTHER = "other source"
 LEADS, DECIDES = 0.5, 3.0
 """Posterior from which a crater is called the likeliest, and ln Bayes factor from which composition decides (about
 20 : 1, 'strong' in Kass & Raftery 1995, 10.1080/01621459.1995.10476572)."""
-
-
-@dataclass(frozen=True, slots=True)
-class Rock:
-    """A rock: its name, what is known of its composition, and remarks on how that was read."""
-
-    id: str
-    composition: Composition
-    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

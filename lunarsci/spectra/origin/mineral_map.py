@@ -13,9 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.spectra.origin.catalogue import Crater
+from lunarsci.spectra.origin.catalogue import MOON_RADIUS_KM, Crater, destination
 from lunarsci.spectra.origin.composition import LARGEST_SUM, MINERALS, Composition
-from lunarsci.spectra.origin.sphere import MOON_RADIUS_KM, destination
 from lunarsci.spectra.spectrum import FloatArray
 
 if TYPE_CHECKING:

@@ -14,8 +14,7 @@ from dataclasses import dataclass, field
 from lunarsci import inputs
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
-from lunarsci.spectra.readers.table import Column
-from lunarsci.spectra.readers.units import name_tokens, without_unit
+from lunarsci.spectra.readers.table import Column, name_tokens, without_unit
 from lunarsci.spectra.rows import quoted, separator_of, split_lines
 
 __all__ = ["Roles", "assign_roles", "is_not_a_spectrum", "is_wavelength", "rows_by_id", "spectrum_ids"]

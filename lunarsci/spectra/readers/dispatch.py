@@ -1,23 +1,34 @@
-"""Which reader a file needs: told by its content first, then by its suffix."""
+"""Which reader a file needs, and the rules on rows, order, units and missing values that hold for every format."""
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
+
+import numpy as np
 
 from lunarsci import inputs
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile, read_input
-from lunarsci.spectra.readers.assemble import spectra_of
+from lunarsci.spectra.readers.columns import spectrum_ids
 from lunarsci.spectra.readers.envi import looks_like_envi, read_envi
-from lunarsci.spectra.readers.relab import looks_like_relab, read_relab
-from lunarsci.spectra.readers.splib import looks_like_splib, read_splib
-from lunarsci.spectra.readers.table import ReflectanceUnit, SpectrumTable, StatedUnits, WavelengthUnit
+from lunarsci.spectra.readers.laboratory import looks_like_relab, looks_like_splib, read_relab, read_splib
+from lunarsci.spectra.readers.table import (
+    Column,
+    ReflectanceUnit,
+    SpectrumTable,
+    StatedUnits,
+    WavelengthUnit,
+    reflectance_unit,
+    uncertainty_scale,
+    wavelength_nm,
+)
 from lunarsci.spectra.readers.text import read_text
-from lunarsci.spectra.spectrum import Spectrum
+from lunarsci.spectra.spectrum import BoolArray, FloatArray, Spectrum
 from lunarsci.spectra.vnis.name import product_name
 
-__all__ = ["FORMATS", "read_spectra"]
+__all__ = ["FORMATS", "read_spectra", "spectra_of"]
 
 FORMATS = ("ecsv", "text", "relab", "fits", "envi", "splib")
 
@@ -78,11 +89,11 @@ def _check(what: str, value: str | None, allowed: tuple[str, ...]) -> None:
 def _reader(format: str) -> Callable[[InputFile], SpectrumTable]:
     # astropy takes longer to import than a CSV file to read: only files that need it pay for it.
     if format == "ecsv":
-        from lunarsci.spectra.readers.ecsv import read_ecsv
+        from lunarsci.spectra.readers.astropy_tables import read_ecsv
 
         return read_ecsv
     if format == "fits":
-        from lunarsci.spectra.readers.fits import read_fits
+        from lunarsci.spectra.readers.astropy_tables import read_fits
 
         return read_fits
     return _READERS[format]
@@ -123,3 +134,161 @@ def _refuse_by_magic(source: InputFile) -> None:
     for magic, kind in _FOREIGN.items():
         if source.data.startswith(magic):
             raise DataError(f"{source.name}: is {kind}, not a table of spectra; save the spectra as CSV or ECSV")
+
+
+# ENVI and USGS write -1.23e34 for a deleted channel; no reflectance is anywhere near.
+_DELETED_BELOW = -1e30
+
+_SAID = {
+    "channels_unit_overruled": "values read in the reflectance unit that the file states, not in the one you stated",
+    "channels_unit_unlikely": "values read in the reflectance unit you stated, which their size makes unlikely",
+    "channels_deleted": "values that mark deleted channels (at or below -1e30), taken as missing",
+    "channels_not_positive": "values not above 0, masked",
+    "channels_without_uncertainty": "values whose uncertainty is missing or not above 0, masked",
+    "uncertainties_unknown": "values with only missing or zero uncertainties, which are taken as unknown",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class _Axis:
+    """Wavelengths of a table [nm], ascending, with the order that sorts its rows and what to record."""
+
+    wavelength: FloatArray
+    order: Any
+    record: dict[str, Any]
+
+
+def spectra_of(table: SpectrumTable, stated: StatedUnits) -> list[Spectrum]:
+    """Check a table and make its spectra, in file order; everything noteworthy is a LunarSciWarning.
+
+    Raises DataError when rows, units or values do not make sense, or a single spectrum has no usable channel.
+    """
+    file = table.source.name
+    kept, left_out = _rows_with_wavelength(table)
+    values, record = wavelength_nm(kept.wavelength, stated.wavelength, file)
+    order, order_name = _ascending(values, kept)
+    common = {
+        "source": file,
+        "sha256": table.source.sha256,
+        "format": table.format,
+        **record,
+        "order": order_name,
+        "rows_left_out": left_out,
+        **table.metadata,
+    }
+    axis = _Axis(values[order], order, common)
+    ids = spectrum_ids([column for column, _ in kept.spectra], table.source)
+    spectra = [_spectrum(ids[number], number, axis, stated, kept) for number in range(len(ids))]
+    _report(spectra, file)
+    return spectra
+
+
+def _rows_with_wavelength(table: SpectrumTable) -> tuple[SpectrumTable, int]:
+    file, wavelength = table.source.name, table.wavelength.values
+    with np.errstate(invalid="ignore"):
+        keep = np.isfinite(wavelength) & (wavelength > 0)
+    bad = np.flatnonzero(~keep)
+    if wavelength.size == 0:
+        raise DataError(f"{file}: holds no data rows; check how it was made or downloaded")
+    if bad.size == 0:
+        return table, 0
+    what = f"rows without a wavelength above 0: {bad.size} of {keep.size}, first {table.places[bad[0]]}"
+    if bad.size > keep.size / 2:
+        raise DataError(f"{file}: {what}; check that column {table.wavelength.label} is the wavelength")
+    _warn(f"{file}: left out {what}")
+    spectra = tuple((_rows(c, keep), None if s is None else _rows(s, keep)) for c, s in table.spectra)
+    places = tuple(np.array(table.places)[keep].tolist())
+    systematic = {k: tuple((n, _rows(c, keep)) for n, c in shifts) for k, shifts in table.systematic.items()}
+    wavelengths = _rows(table.wavelength, keep)
+    return replace(table, wavelength=wavelengths, spectra=spectra, places=places, systematic=systematic), bad.size
+
+
+def _rows(column: Column, keep: BoolArray) -> Column:
+    return replace(column, values=column.values[keep])
+
+
+def _ascending(wavelength: FloatArray, table: SpectrumTable) -> tuple[Any, str]:
+    """Order of the rows that makes wavelengths [nm] ascend, and its name. Raises DataError for duplicates."""
+    file = table.source.name
+    order = np.argsort(wavelength, kind="stable")
+    same = np.flatnonzero(np.diff(wavelength[order]) == 0)
+    if same.size:
+        first, second = table.places[order[same[0]]], table.places[order[same[0] + 1]]
+        value = wavelength[order[same[0]]]
+        raise DataError(f"{file}: {first} and {second} have the same wavelength, {value:.10g} nm; keep one of them")
+    steps = np.diff(wavelength)
+    if (steps > 0).all():
+        return order, "ascending"
+    if (steps < 0).all():
+        return order, "descending"
+    _warn(f"{file}: wavelengths are in no order; the rows are sorted")
+    return order, "unsorted"
+
+
+def _spectrum(id: str, number: int, axis: _Axis, stated: StatedUnits, table: SpectrumTable) -> Spectrum:
+    """Spectrum `number` of the table."""
+    file, (column, sigma) = table.source.name, table.spectra[number]
+    present, deleted = _present(column.values)
+    unit = reflectance_unit(replace(column, values=present), stated.reflectance, file)
+    reflectance = (present * unit.scale)[axis.order]
+    measured = int(np.isfinite(present).sum())
+    metadata = {
+        **axis.record,
+        "column": column.name or column.position,
+        "reflectance_unit": "percent" if unit.scale != 1.0 else "fraction",
+        "reflectance_unit_from": unit.origin,
+        "channels_unit_overruled": measured if unit.remark == "overruled" else 0,
+        "channels_unit_unlikely": measured if unit.remark == "unlikely" else 0,
+        "channels_missing": present.size - measured,
+        "channels_deleted": deleted,
+        "channels_not_positive": int((present <= 0).sum()),
+    }
+    uncertainty = None
+    if sigma is not None:
+        factor = uncertainty_scale(sigma, column, unit.scale, file)
+        uncertainty = (_present(sigma.values)[0] * factor)[axis.order]
+    uncertainty, mask, counts = _usable_uncertainty(reflectance, uncertainty, quiet=table.format == "relab")
+    systematic = {name: (c.values * unit.scale)[axis.order] for name, c in table.systematic.get(number, ())}
+    try:
+        return Spectrum(id, axis.wavelength, reflectance, uncertainty, mask, metadata | counts, systematic)
+    except DataError as error:
+        raise DataError(f"{file}: {error}") from error
+
+
+def _present(values: FloatArray) -> tuple[FloatArray, int]:
+    """Values with deleted and infinite ones made NaN, and the number of deleted ones."""
+    deleted = values <= _DELETED_BELOW
+    return np.where(deleted | ~np.isfinite(values), np.nan, values), int(deleted.sum())
+
+
+def _usable_uncertainty(
+    reflectance: FloatArray, uncertainty: FloatArray | None, *, quiet: bool
+) -> tuple[FloatArray | None, BoolArray | None, dict[str, int]]:
+    """Uncertainty, the channels it rules out, and counts to record; `quiet` where zeros mean unknown by convention."""
+    counts = {"channels_without_uncertainty": 0, "uncertainties_unknown": 0}
+    if uncertainty is None:
+        return None, None, counts
+    measured = reflectance > 0
+    lacking = measured & ~(uncertainty > 0)
+    if lacking.sum() == measured.sum():
+        negative = bool((uncertainty < 0).any())
+        return None, None, counts | {"uncertainties_unknown": 0 if quiet and not negative else int(lacking.sum())}
+    return uncertainty, lacking, counts | {"channels_without_uncertainty": int(lacking.sum())}
+
+
+def _report(spectra: Sequence[Spectrum], file: str) -> None:
+    for key, what in _SAID.items():
+        touched = [s for s in spectra if s.metadata[key]]
+        if touched:
+            where = f" in {len(touched)} of {len(spectra)} spectra, first '{touched[0].id}'" if len(spectra) > 1 else ""
+            _warn(f"{file}: {what}: {sum(s.metadata[key] for s in touched)}{where}")
+    unusable = [s.id for s in spectra if not s.usable.any()]
+    if unusable and len(spectra) == 1:
+        raise DataError(f"{file}: no reflectance above 0 in column {spectra[0].metadata['column']!r}; check the file")
+    if unusable:
+        listed = ", ".join(f"'{i}'" for i in unusable[:5]) + (", ..." if len(unusable) > 5 else "")
+        _warn(f"{file}: {len(unusable)} of {len(spectra)} spectra have no usable channel: {listed}")
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, LunarSciWarning, stacklevel=3)

@@ -11,8 +11,7 @@ import numpy as np
 from lunarsci import inputs
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile, read_input
-from lunarsci.spectra.readers.table import Column, SpectrumTable
-from lunarsci.spectra.readers.units import length_unit
+from lunarsci.spectra.readers.table import Column, SpectrumTable, length_unit
 from lunarsci.spectra.rows import number, quoted
 from lunarsci.spectra.spectrum import FloatArray
 

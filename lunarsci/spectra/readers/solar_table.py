@@ -11,7 +11,7 @@ from lunarsci import inputs
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.readers.columns import is_wavelength
-from lunarsci.spectra.readers.units import length_unit, name_tokens, wavelength_unit_in
+from lunarsci.spectra.readers.table import length_unit, name_tokens, wavelength_unit_in
 from lunarsci.spectra.rows import (
     Row,
     check_widths,
@@ -210,7 +210,7 @@ def _from_ecsv(content: str, file: str) -> _Table:
     from astropy import units as u
     from astropy.io import ascii
 
-    from lunarsci.spectra.readers.astropy_columns import one_line
+    from lunarsci.spectra.readers.astropy_tables import one_line
 
     # astropy raises a dozen kinds of errors for a broken table, a wrong unit or a word among numbers.
     try:

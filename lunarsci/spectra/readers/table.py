@@ -1,15 +1,39 @@
-"""What every format reader hands over: named columns with the units the file states, before any rule is applied."""
+"""What every format reader hands over, and its units: what a name says, what the values allow, and which of them holds.
 
+Readers give named columns with the units the file states, before any rule is applied. The file's word on a unit wins
+where the values do not contradict it; else the caller's; else, for wavelengths, the values decide and a LunarSciWarning
+says so.
+"""
+
+import re
+import unicodedata
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+import numpy as np
+
+from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.rows import quoted
 from lunarsci.spectra.spectrum import FloatArray
 
-__all__ = ["Column", "ReflectanceUnit", "SpectrumTable", "StatedUnits", "WavelengthUnit"]
-
+__all__ = [
+    "Column",
+    "ReflectanceChoice",
+    "ReflectanceUnit",
+    "SpectrumTable",
+    "StatedUnits",
+    "WavelengthUnit",
+    "length_unit",
+    "name_tokens",
+    "reflectance_unit",
+    "uncertainty_scale",
+    "wavelength_nm",
+    "wavelength_unit_in",
+    "without_unit",
+]
 
 WavelengthUnit = Literal["nm", "um"]
 ReflectanceUnit = Literal["fraction", "percent"]
@@ -69,3 +93,168 @@ class SpectrumTable:
     places: tuple[str, ...]
     metadata: Mapping[str, Any] = field(default_factory=dict)
     systematic: Mapping[int, tuple[tuple[str, Column], ...]] = field(default_factory=dict)
+
+
+_NM = {"nm", "nanometer", "nanometers", "nanometre", "nanometres"}
+_UM = {"um", "μm", "micron", "microns", "micrometer", "micrometers", "micrometre", "micrometres"}
+_OTHER = {
+    *("ev", "mev", "kev", "hz", "ghz", "thz", "energy", "frequency"),
+    *("cm", "cm1", "mm", "m", "pm", "å", "angstrom", "angstroms", "ångström", "wavenumber", "wavenumbers"),
+}
+_NOT_A_UNIT = {"in", "air", "vacuum", "vac", "center", "centre", "centers", "centres"}
+_BRACKETS = re.compile(r"[(\[{]([^)\]}]*)[)\]}]")
+_PERCENT = re.compile(r"\s*[(\[{]\s*(?:%|percent|pct)\s*[)\]}]$|_(?:percent|pct)$", re.IGNORECASE)
+_PERCENT_WORD = re.compile(
+    r"^(r|refl|reflectance|reflectivity|reflectance[ _]factor)[ _]?(?:%|percent|pct)$", re.IGNORECASE
+)
+_FRACTION = re.compile(r"\s*[(\[{]\s*(?:fraction|0-1|-)\s*[)\]}]$", re.IGNORECASE)
+
+_FACTOR_NM = {"nm": 1.0, "um": 1000.0}
+_SYMBOL = {"nm": "nm", "um": "µm"}
+_PLAUSIBLE_NM = (50.0, 200_000.0)
+_SURELY: dict[WavelengthUnit, tuple[float, float]] = {"nm": (200.0, 5000.0), "um": (0.2, 5.0)}
+_SCALE = {"fraction": 1.0, "percent": 0.01}
+_MAX_FRACTION = 2.0
+_MIN_PERCENT = 1.0
+_MAX_PERCENT = 200.0
+
+
+@dataclass(frozen=True, slots=True)
+class ReflectanceChoice:
+    """How a reflectance column is read.
+
+    `scale` turns it into fractions of 1; `origin` is who said so: 'file', 'caller' or 'values'; `remark` is
+    'overruled' when the file's word was taken against the caller's, 'unlikely' when the values speak against the
+    caller's, else None.
+    """
+
+    scale: float
+    origin: str
+    remark: str | None
+
+
+def name_tokens(name: str) -> list[str]:
+    """Lower-case words of a column name, both code points of µ made one: 'Wavelength (µm)' -> ['wavelength', 'μm']."""
+    return [t for t in re.split(r"[^\w%]+|_", unicodedata.normalize("NFKC", name).casefold()) if t]
+
+
+def length_unit(word: str) -> WavelengthUnit | None:
+    """Nanometres or micrometres by any of their usual words, else None."""
+    word = unicodedata.normalize("NFKC", word).casefold()
+    return "nm" if word in _NM else "um" if word in _UM else None
+
+
+def wavelength_unit_in(name: str, file: str) -> WavelengthUnit | None:
+    """Unit that a wavelength column's name states, or None. Raises DataError for a unit other than nm or µm."""
+    tokens = name_tokens(name)
+    units = {unit for unit in map(length_unit, tokens) if unit is not None}
+    if len(units) == 1:
+        return units.pop()
+    bracketed = [t for content in _BRACKETS.findall(name) for t in name_tokens(content) if t not in _NOT_A_UNIT]
+    unknown = bracketed or [t for t in tokens if t in _OTHER]
+    if units or unknown:
+        what = "two units" if units else f"the unit '{' '.join(unknown)[:40]}'"
+        raise DataError(
+            f"{file}: wavelength column {quoted(name)} has {what}; convert it and name it wavelength_nm or _um"
+        )
+    return None
+
+
+def wavelength_nm(column: Column, stated: WavelengthUnit | None, file: str) -> tuple[FloatArray, dict[str, Any]]:
+    """Convert wavelengths, all finite and above 0, to nm; also return what to record about the unit.
+
+    Raises DataError when the unit cannot be told, or the file's word contradicts the values and nothing is stated.
+    """
+    low, high = float(column.values.min()), float(column.values.max())
+    found = column.unit or wavelength_unit_in(column.name, file)
+    unit, origin = _wavelength_choice(
+        found, stated, low, high, f"{file}: wavelengths {low:g}-{high:g} (column {column.label})"
+    )
+    if origin == "file" and stated not in (None, unit):
+        _warn(f"{file}: wavelengths read as {_SYMBOL[unit]}, which the file states and the values allow, not {stated}")
+    record = {"wavelength_unit": column.unit_text or unit, "wavelength_unit_from": origin}
+    return column.values * _FACTOR_NM[unit], record
+
+
+def _wavelength_choice(
+    found: str | None, stated: WavelengthUnit | None, low: float, high: float, what: str
+) -> tuple[str, str]:
+    if found is not None and _plausible(found, low, high):
+        return found, "file"
+    if stated is not None:
+        if not _plausible(stated, low, high):
+            _warn(f"{what} read as {_SYMBOL[stated]} because it was stated; the values do not look like it")
+        return stated, "caller"
+    if found is not None:
+        raise DataError(f"{what} cannot be {_SYMBOL[found]} as the file says; state --wavelength-unit nm|um")
+    for unit, (least, most) in _SURELY.items():
+        if least <= low and high <= most:
+            _warn(
+                f"{what} read as {_SYMBOL[unit]}; name the column wavelength_{unit} or state --wavelength-unit {unit}"
+            )
+            return unit, "values"
+    raise DataError(f"{what} have no unit and the values do not tell it; state --wavelength-unit nm|um")
+
+
+def _plausible(unit: str, low: float, high: float) -> bool:
+    factor = _FACTOR_NM[unit]
+    return low * factor >= _PLAUSIBLE_NM[0] and high * factor <= _PLAUSIBLE_NM[1]
+
+
+def without_unit(name: str) -> str:
+    """Name of a reflectance column less the percent or fraction it states: 'rock (%)' -> 'rock'."""
+    return _PERCENT_WORD.sub(r"\1", _FRACTION.sub("", _PERCENT.sub("", name))).strip() or name
+
+
+def reflectance_unit(column: Column, stated: ReflectanceUnit | None, file: str) -> ReflectanceChoice:
+    """Decide the unit of a reflectance column from the file's word, the caller's, and the median above 0.
+
+    Raises DataError when the file's word contradicts the values and nothing is stated, or when without any word the
+    median is above 2.
+    """
+    above = column.values[column.values > 0]
+    median = float(np.median(above)) if above.size else float("nan")
+    found = _unit_of(column)
+    if found is not None and not _contradicts(found, median):
+        return ReflectanceChoice(_SCALE[found], "file", "overruled" if stated not in (None, found) else None)
+    if stated is not None:
+        return ReflectanceChoice(_SCALE[stated], "caller", "unlikely" if _contradicts(stated, median) else None)
+    what = f"{file}: column {column.label} has a median of {median:.4g}"
+    if median > _MAX_PERCENT:
+        raise DataError(f"{what}: looks like radiance or DN, not reflectance; calibrate it first")
+    if found is not None:
+        raise DataError(f"{what}, which is no {found} as the file says; state --reflectance-unit fraction|percent")
+    if _contradicts("fraction", median):
+        raise DataError(
+            f"{what}, no fraction; state --reflectance-unit percent, or calibrate it if it is radiance or DN"
+        )
+    return ReflectanceChoice(1.0, "values", None)
+
+
+def uncertainty_scale(sigma: Column, reflectance: Column, scale: float, file: str) -> float:
+    """Factor for a column of standard deviations: `scale`, that of its reflectance, unless the file says otherwise.
+
+    Raises DataError when only the column's name says otherwise: it might then mean per cent of the value.
+    """
+    found = _unit_of(sigma)
+    if found is None or found == _unit_of(reflectance) or _SCALE[found] == scale:
+        return scale
+    if sigma.unit is None:
+        raise DataError(f"{file}: column {sigma.label} is in {found} and its reflectance is not; give both in one unit")
+    return _SCALE[found]
+
+
+def _unit_of(column: Column) -> str | None:
+    if column.unit is not None:
+        return column.unit
+    if _PERCENT.search(column.name) or _PERCENT_WORD.search(column.name):
+        return "percent"
+    return "fraction" if _FRACTION.search(column.name) else None
+
+
+def _contradicts(unit: str, median: float) -> bool:
+    return median > _MAX_FRACTION if unit == "fraction" else median < _MIN_PERCENT or median > _MAX_PERCENT
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, LunarSciWarning, stacklevel=3)

@@ -21,11 +21,18 @@ from lunarsci.spectra.solar import (
 from lunarsci.spectra.spectrum import FloatArray
 from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure
 from lunarsci.spectra.vnis.channels import SPLICED_NM, SWIR_NM, VNIR_NM
-from lunarsci.spectra.vnis.detector import RADIANCE_UNITS, DetectorSpectrum, Settings, default_settings, irradiance_at
+from lunarsci.spectra.vnis.detector import (
+    IN_FLIGHT_VERSION,
+    RADIANCE_UNITS,
+    DetectorSpectrum,
+    Settings,
+    default_settings,
+    irradiance_at,
+    reflectance_factor,
+)
 from lunarsci.spectra.vnis.footprint import SHADOW_BAND_NM, registration_error, shadow_limit_shift
 from lunarsci.spectra.vnis.label import Label
 from lunarsci.spectra.vnis.observation import Observation, read_observation
-from lunarsci.spectra.vnis.reflectance import IN_FLIGHT_VERSION, reflectance_factor
 from lunarsci.spectra.vnis.screening import (
     Notes,
     bad_swir,

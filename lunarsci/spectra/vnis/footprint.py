@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from lunarsci.spectra.spectrum import BoolArray, FloatArray
 from lunarsci.spectra.vnis.channels import JOIN_NM, VNIR_NM, footprint_mask
-from lunarsci.spectra.vnis.cube import Cube
+from lunarsci.spectra.vnis.observation import Cube
 
 __all__ = [
     "SHADOW_BAND_NM",

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from lunarsci.spectra.bands import BandResult, SpectrumBands, measure_bands
 from lunarsci.spectra.chemistry import KEYS, chemistry
 from lunarsci.spectra.chemistry.bands import from_centres, gaffey_pair
-from lunarsci.spectra.chemistry.plane import PLANE_TABLE, anchors, objection
-from lunarsci.spectra.chemistry.regressions import TABLE, regressions
+from lunarsci.spectra.chemistry.plane import PLANE_TABLE, TABLE, anchors, objection, regressions
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.tables import table_rows
 

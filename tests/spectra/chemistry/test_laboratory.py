@@ -9,9 +9,8 @@ from matplotlib.path import Path as MplPath
 
 from lunarsci.spectra.bands import SpectrumBands, measure_batch
 from lunarsci.spectra.chemistry import chemistry
-from lunarsci.spectra.chemistry.bands import from_centres, gaffey_pair
-from lunarsci.spectra.chemistry.figure import FIELDS
-from lunarsci.spectra.chemistry.regressions import regressions
+from lunarsci.spectra.chemistry.bands import FIELDS, from_centres, gaffey_pair
+from lunarsci.spectra.chemistry.plane import regressions
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import mgm_model
 from lunarsci.spectra.mgm.result import MgmFit

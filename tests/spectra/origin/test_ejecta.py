@@ -5,16 +5,15 @@ import math
 import pytest
 
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.origin.catalogue import embedded_catalogue
-from lunarsci.spectra.origin.ejecta import (
+from lunarsci.spectra.origin.catalogue import MOON_RADIUS_KM, distance_km, embedded_catalogue
+from lunarsci.spectra.origin.prior import (
+    CHANG_E_4,
     LAWS,
     ejecta_thickness_m,
     launch_speed_m_s,
     local_to_ejecta_ratio,
     transient_radius_km,
 )
-from lunarsci.spectra.origin.prior import CHANG_E_4
-from lunarsci.spectra.origin.sphere import MOON_RADIUS_KM, distance_km
 
 TABLE = {
     "Zhinyu": (214, 0.0078, 0.0049, 0.016),

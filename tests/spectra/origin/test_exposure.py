@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.origin.ejecta import Range, survival
+from lunarsci.spectra.origin.prior import Range, survival
 
 
 @pytest.mark.parametrize(("half", "nearly_all"), [(40, 150), (80, 300)])

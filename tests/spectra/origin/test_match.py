@@ -11,10 +11,9 @@ import pytest
 
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.origin.catalogue import Crater, embedded_catalogue
-from lunarsci.spectra.origin.composition import Composition
-from lunarsci.spectra.origin.ejecta import Range
-from lunarsci.spectra.origin.match import OTHER, MatchSettings, Rock, RockMatch, match_rocks
-from lunarsci.spectra.origin.prior import CHANG_E_4, PriorSettings
+from lunarsci.spectra.origin.composition import Composition, Rock
+from lunarsci.spectra.origin.match import OTHER, MatchSettings, RockMatch, match_rocks
+from lunarsci.spectra.origin.prior import CHANG_E_4, PriorSettings, Range
 
 PAPER_ROCK = Rock(
     "fin-shaped rock",

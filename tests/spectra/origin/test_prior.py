@@ -5,8 +5,7 @@ import pytest
 
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.origin.catalogue import Crater, embedded_catalogue
-from lunarsci.spectra.origin.ejecta import Range, survival
-from lunarsci.spectra.origin.prior import CHANG_E_4, PriorSettings, crater_priors, surface_age_ma
+from lunarsci.spectra.origin.prior import CHANG_E_4, PriorSettings, Range, crater_priors, surface_age_ma, survival
 
 SURE = {"thickness_factor": 1.0, "other_weight": 0.0}
 """Nothing is uncertain but what a test makes so."""

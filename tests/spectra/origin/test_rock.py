@@ -8,9 +8,7 @@ import pytest
 
 from lunarsci.errors import DataError
 from lunarsci.inputs import InputFile
-from lunarsci.spectra.origin.composition import Composition
-from lunarsci.spectra.origin.match import Rock
-from lunarsci.spectra.origin.rock import joined, read_rocks
+from lunarsci.spectra.origin.composition import Composition, Rock, joined, read_rocks
 
 
 def read(kind: str, *records: Any) -> list[Rock]:

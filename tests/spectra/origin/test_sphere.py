@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.origin.sphere import MOON_RADIUS_KM, azimuth_deg, checked_point, destination, distance_km
+from lunarsci.spectra.origin.catalogue import MOON_RADIUS_KM, azimuth_deg, checked_point, destination, distance_km
 
 SITE = (-45.44, 177.56)
 HALF = np.pi * MOON_RADIUS_KM

@@ -23,10 +23,9 @@ from lunarsci.spectra.solar import SolarSpectrum, solar_spectrum
 from lunarsci.spectra.vnis.calibrate import calibrate, calibrate_files
 from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure
 from lunarsci.spectra.vnis.channels import SPLICED_NM, SWIR_NM, VNIR_NM, fwhm_nm
-from lunarsci.spectra.vnis.detector import Settings, default_settings, irradiance_at
+from lunarsci.spectra.vnis.detector import ChannelFactors, Settings, default_settings, irradiance_at
 from lunarsci.spectra.vnis.label import read_label
 from lunarsci.spectra.vnis.observation import Observation, SwirTable, read_observation
-from lunarsci.spectra.vnis.reflectance import ChannelFactors
 from lunarsci.spectra.vnis.simulation.instrument import (
     Instrument,
     SceneRadiance,

@@ -15,8 +15,7 @@ from lunarsci.inputs import InputFile
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.calibrate import calibrate
-from lunarsci.spectra.vnis.calibration import Calibration
-from lunarsci.spectra.vnis.export import columns, to_ecsv, to_fits
+from lunarsci.spectra.vnis.calibration import Calibration, columns, to_ecsv, to_fits
 from lunarsci.spectra.vnis.observation import read_observation
 from lunarsci.spectra.vnis.simulation.instrument import simulate
 from lunarsci.spectra.vnis.simulation.products import product_files

@@ -10,7 +10,7 @@ import pytest
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile
-from lunarsci.spectra.vnis.reflectance import read_channel_factors, reflectance_factor
+from lunarsci.spectra.vnis.detector import read_channel_factors, reflectance_factor
 
 VNIR = [str(450 + 5 * k) for k in range(100)]
 SWIR = [str(900 + 5 * k) for k in range(300)]

@@ -1,19 +1,27 @@
-"""From an astropy table to a `SpectrumTable`: roles by name and unit, units converted, masked values missing."""
+"""Tables that astropy reads: ECSV (APE 6) and FITS; roles by name and unit, units converted, masked values missing.
 
+A FITS binary table has one channel per row, or one row whose cells are whole spectra.
+"""
+
+import csv
+import io
+import re
+import warnings
+from collections import Counter
 from typing import Any
 
 import numpy as np
 from astropy import units as u
 
-from lunarsci.errors import DataError
+from lunarsci import inputs
+from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.readers.columns import assign_roles, is_not_a_spectrum, is_wavelength
-from lunarsci.spectra.readers.table import Column, SpectrumTable
-from lunarsci.spectra.readers.units import length_unit
+from lunarsci.spectra.readers.table import Column, SpectrumTable, length_unit
 from lunarsci.spectra.rows import quoted
 from lunarsci.spectra.spectrum import FloatArray
 
-__all__ = ["one_line", "plain", "spectrum_table"]
+__all__ = ["one_line", "plain", "read_ecsv", "read_fits", "spectrum_table"]
 
 _LISTS_KEPT = 200
 _DIMENSIONLESS = {"fraction", "reflectance", "i/f", "unitless", "dimensionless", "none", "-"}
@@ -145,3 +153,93 @@ def _reflectance(column: Column, unit: Any) -> Column:
     return Column(
         column.name, column.values * unit.to(u.dimensionless_unscaled), column.position, "fraction", str(unit)
     )
+
+
+_COMMA = re.compile(r"^# delimiter: *['\"]?,", re.MULTILINE)
+
+
+def read_ecsv(source: InputFile) -> SpectrumTable:
+    """Read an ECSV table; column units and header metadata are kept. Raises DataError when it is broken."""
+    text = inputs.text(source)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        table = _parsed(text, source.name)
+    _check_names(text, source.name)
+    for message in said:
+        warnings.warn(f"{source.name}: {one_line(message.message)}", LunarSciWarning, stacklevel=2)
+    return spectrum_table(table, source, "ecsv")
+
+
+def _check_names(text: str, file: str) -> None:
+    # astropy renames the second of two columns of one name and says nothing.
+    header = next((line for line in text.splitlines() if line.strip() and not line.startswith("#")), "")
+    delimiter = "," if _COMMA.search(text) else " "
+    names = next(csv.reader([header], delimiter=delimiter), [])
+    twice = [name for name, count in Counter(names).items() if name and count > 1]
+    if twice:
+        raise DataError(f"{file}: two columns are named {quoted(twice[0])}; give each column its own name")
+
+
+def _parsed(text: str, file: str) -> Any:
+    from astropy.io import ascii
+
+    try:
+        return ascii.read(text.splitlines(), format="ecsv", guess=False)
+    # astropy and its YAML parser raise a dozen kinds of errors for a broken file, and document none of them.
+    except Exception as error:
+        raise DataError(f"{file}: broken ECSV table ({one_line(error)}); correct it or fetch the file again") from error
+
+
+_BLOCK = 2880
+
+
+def read_fits(source: InputFile) -> SpectrumTable:
+    """Read the first table with two columns or more. Raises DataError when there is none, or the file is broken."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        table = _first_table(source)
+    messages = [one_line(m.message) for m in said]
+    if any("truncated" in m.lower() for m in messages) or (table is None and len(source.data) % _BLOCK):
+        raise DataError(f"{source.name}: truncated FITS file ({len(source.data)} bytes are too few); fetch it again")
+    if table is None:
+        raise DataError(f"{source.name}: no FITS table with two columns or more; store the spectra as a binary table")
+    for message in messages:
+        warnings.warn(f"{source.name}: {message}", LunarSciWarning, stacklevel=2)
+    return spectrum_table(_unrolled(table, source.name), source, "fits")
+
+
+def _first_table(source: InputFile) -> Any:
+    from astropy.io import fits
+    from astropy.table import Table
+
+    try:
+        with fits.open(io.BytesIO(source.data), memmap=False) as hdus:
+            for hdu in hdus:
+                if isinstance(hdu, fits.BinTableHDU | fits.TableHDU) and len(hdu.columns) >= 2:
+                    return Table.read(hdu)
+            return None
+    # A broken file makes astropy raise whatever its parts happen to raise: OSError, TypeError, ValueError, KeyError.
+    except Exception as error:
+        raise DataError(f"{source.name}: broken FITS file ({one_line(error)}; truncated?); fetch it again") from error
+
+
+def _unrolled(table: Any, file: str) -> Any:
+    """A table with one row of vector cells as one of scalar rows; its scalar cells become metadata."""
+    from astropy.table import Table
+
+    vectors = [name for name in table.colnames if table[name].ndim > 1]
+    if not vectors:
+        return table
+    if len(table) != 1:
+        raise DataError(f"{file}: {len(table)} rows of vector cells; give one row, or one channel per row")
+    lengths = {name: table[name].shape[1:] for name in vectors}
+    if len(set(lengths.values())) != 1:
+        listed = ", ".join(f"{quoted(name)} {shape}" for name, shape in lengths.items())
+        raise DataError(
+            f"{file}: vector cells differ in shape ({listed[:80]}); give wavelengths and spectra one length"
+        )
+    scalars = {name: str(table[name][0]) for name in table.colnames if name not in vectors}
+    unrolled = Table([table[name][0] for name in vectors], names=vectors, meta={**table.meta, **scalars})
+    for name in vectors:
+        unrolled[name].unit = table[name].unit
+    return unrolled
