@@ -1,23 +1,28 @@
 """CSV tables as text and as numbers, refused where a row does not fit its header."""
 
 import csv
+import difflib
 import io
+import warnings
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.errors import DataError
+from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile, read_input, text
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["numbers_of", "read_csv_table"]
+__all__ = ["check_columns", "numbers_of", "read_csv_table", "without_repeats"]
 
 FloatArray = npt.NDArray[np.float64]
 BLANK = ("nan", "na", "-", "")
+ALIKE = 0.72
+"""Likeness of two names (difflib's ratio) from which one is taken for a slip of the pen of the other; assumed."""
 
 
 def read_csv_table(source: InputFile | str | Path) -> "pd.DataFrame":
@@ -48,6 +53,39 @@ def numbers_of(name: str, column: str, cells: "pd.Series") -> FloatArray:
         row = int(np.argmax(wrong))
         raise DataError(f"{name}, row {row + 1}, {column}: '{cells.iloc[row]}' is no number")
     return numbers.to_numpy(float)
+
+
+def check_columns(file: str, columns: Iterable[str], known: Sequence[str], needed: Sequence[str] = ()) -> list[str]:
+    """Names of the columns that are not known.
+
+    Raises DataError for one that is needed and missing, and for one that is nearly a known one, such as `sinkage_mm`:
+    it would be left out without a word.
+    """
+    present = list(columns)
+    unused = [name for name in present if name not in known]
+    if missing := next((name for name in needed if name not in present), None):
+        guess = difflib.get_close_matches(missing, unused, n=1)
+        hint = f"is it '{guess[0]}'? rename it" if guess else f"there are: {', '.join(present)}"
+        raise DataError(f"{file}: no column {missing}; {hint}")
+    for name in unused:
+        near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=ALIKE)
+        if near and near[0] not in present:
+            raise DataError(f"{file}: column '{name}' is unknown; if it is '{near[0]}', rename it and mind the unit")
+    return unused
+
+
+def without_repeats(file: str, table: "pd.DataFrame", keys: Sequence[str]) -> "pd.DataFrame":
+    """Rows that are there twice count once, with a warning; DataError where rows of one key contradict each other."""
+    kept = table.drop_duplicates()
+    if len(kept) < len(table):
+        text = f"{file}: {len(table) - len(kept)} of {len(table)} rows are there twice; each counts once"
+        warnings.warn(text, LunarSciWarning, stacklevel=3)
+    again = kept.duplicated(list(keys))
+    if again.any():
+        row = kept[again].iloc[0]
+        said = ", ".join(f"{key} {row[key]}" for key in keys)
+        raise DataError(f"{file}: two rows of {said} contradict each other; keep the right one")
+    return kept.reset_index(drop=True)
 
 
 def _check_widths(name: str, content: str) -> None:

@@ -15,6 +15,7 @@ SHARED = {
     "provenance",
     "atomic",
     "csv_table",
+    "interpolation",
     "inputs",
     "compiled",
     "machine_code",

@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.csv_table import numbers_of, read_csv_table
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.joint import SoilPosterior
 from lunarsci.regolith.joint_model import FORCES, forces_of_many
 from lunarsci.regolith.prior import PARAMETERS, values_of
-from lunarsci.regolith.states import MeasurementErrors
+from lunarsci.regolith.states import COLUMNS, MeasurementErrors, read_state_table
 from lunarsci.regolith.wheel import Wheel
 
 __all__ = [
@@ -213,30 +212,23 @@ def predict_states(posterior: SoilPosterior, wheel: Wheel, source: InputFile, *,
     there is no `sinkage_m` it is found under the load; `drawbar_pull_n` and `lateral_force_n` are compared. Rows whose
     sinkage no wheel above its axle can have are refused. Raises DataError.
     """
-    frame = read_csv_table(source)
-    for name in ("slip_ratio", "normal_force_n"):
-        if name not in frame:
-            raise DataError(f"{source.name}: no column '{name}'; forces are predicted for a slip and a load")
-    columns = {name: numbers_of(source.name, name, frame[name]) for name in _COLUMNS if name in frame}
-    count = len(frame)
+    table = read_state_table(source, wheel, needed=("slip_ratio", "normal_force_n"), every=True)
+    columns, count = dict(zip(COLUMNS, table.values.T, strict=True)), len(table.values)
     load, slip = columns["normal_force_n"], columns["slip_ratio"]
-    side = np.nan_to_num(columns.get("side_slip_deg", np.zeros(count)))
-    depth = columns.get("sinkage_m")
+    side = np.nan_to_num(columns["side_slip_deg"])
+    depth = columns["sinkage_m"] if "sinkage_m" in table.table else None
     _check(source.name, "normal_force_n", load > 0, "above 0 N")
     _check(source.name, "slip_ratio", np.abs(slip) <= 1, "within -1 to 1")
     _check(source.name, "side_slip_deg", np.abs(side) <= 90, "within -90 to 90 deg")
     if depth is not None:
         _check(source.name, "sinkage_m", (depth > 0) & (depth < wheel.radius_m), "above 0 and below the wheel radius")
     found = predict_forces(posterior, wheel, slip, side, load, depth, seed=seed)
-    measured = np.column_stack([columns.get(name, np.full(count, np.nan)) for name in FORCES])
+    measured = np.column_stack([columns[name] for name in FORCES])
     if depth is None:
         measured[:, 0] = np.nan
-    ids = tuple(frame["id"].astype(str)) if "id" in frame else tuple(str(n) for n in range(1, count + 1))
+    ids = tuple(table.table["id"].astype(str)) if "id" in table.table else tuple(str(n) for n in range(1, count + 1))
     rows = np.stack([found.value, *found.interval(0.9), *found.interval(0.68)])
     return PredictedStates(ids, rows, np.median(found.sinkage_m, axis=0), load, measured)
-
-
-_COLUMNS = ("sinkage_m", "slip_ratio", "side_slip_deg", *FORCES)
 
 
 def _check(file: str, column: str, good: npt.NDArray[np.bool_], rule: str) -> None:

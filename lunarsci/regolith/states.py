@@ -1,26 +1,44 @@
-"""Wheel states: what a rover measures or simulates of one wheel at one moment, and how well it is known."""
+"""Wheel states: what a rover measures or simulates of one wheel at one moment, and how well it is known.
 
+All tables of wheel states are read and checked here, whatever they are for.
+"""
+
+import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.csv_table import numbers_of, read_csv_table
+from lunarsci.csv_table import check_columns, numbers_of, read_csv_table, without_repeats
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.wheel import Wheel
 
-__all__ = ["COLUMNS", "FROM_MOTION", "IDENTIFIERS", "MeasurementErrors", "WheelStates", "marked_valid", "read_states"]
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = [
+    "COLUMNS",
+    "FROM_MOTION",
+    "MeasurementErrors",
+    "StateTable",
+    "WheelStates",
+    "read_state_table",
+    "read_states",
+]
 
 FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
 
 REQUIRED = ("sinkage_m", "normal_force_n", "drawbar_pull_n")
 COLUMNS = ("sinkage_m", "slip_ratio", "side_slip_deg", "normal_force_n", "drawbar_pull_n", "lateral_force_n")
 IDENTIFIERS = (
     *("id", "member", "wheel", "distance_m", "time_s", "x_m", "y_m", "resistance_torque_nm", "valid", "slip_basis"),
-    *("x_m_sigma", "y_m_sigma", "resistance_torque_nm_sigma", "synthetic", "forces_from"),
+    *("x_m_sigma", "y_m_sigma", "resistance_torque_nm_sigma", "synthetic", "forces_from", "yaw_deg"),
 )
+KNOWN = (*COLUMNS, *(f"{name}_sigma" for name in COLUMNS), *IDENTIFIERS)
 FROM_MOTION = "motion"
 """In the column `forces_from`: forces that were computed of a motion with drawn soils, not measured."""
 MAX_VALID_SLIP = 0.6
@@ -79,88 +97,180 @@ class WheelStates:
         return len(self.id)
 
 
-def read_states(source: InputFile, wheel: Wheel, errors: MeasurementErrors | None = None) -> WheelStates:
-    """Read wheel states from CSV.
+@dataclass(frozen=True, slots=True, eq=False)
+class StateTable:
+    """A table of n wheel states, checked.
 
-    Lateral forces have the sign of the side slip they act against.
+    Attributes
+    ----------
+    file : where it comes from.
+    table : its cells as text, each row once.
+    values, sigmas : shape (n, 6), columns in the order of `COLUMNS` [m, -, deg, N, N, N]; NaN in `values` where blank.
+    valid : rows not marked otherwise. (n,)
+    unused : columns that nobody knows.
+    """
 
-    Columns: `sinkage_m`, `normal_force_n`, `drawbar_pull_n` (required), `slip_ratio`, `side_slip_deg`,
-    `lateral_force_n`, and `NAME_sigma` for the standard deviation of NAME; `forces_from` is `motion` where forces were
-    computed of a motion. Rows marked `valid = false` and rows without
-    a required value are left out with a warning.
+    file: str
+    table: "pd.DataFrame"
+    values: FloatArray
+    sigmas: FloatArray
+    valid: BoolArray
+    unused: tuple[str, ...]
+
+    def numbers(self, name: str) -> FloatArray:
+        """A column as numbers, NaN where blank or missing. (n,) Raises DataError for text."""
+        return _numbers(self.file, self.table, name)
+
+    @property
+    def wheels(self) -> tuple[str, ...]:
+        """Name of the wheel of each row."""
+        return tuple(self.table["wheel"].fillna("").str.strip())
+
+    def kept(self, rows: BoolArray) -> "StateTable":
+        """Some of the rows."""
+        table = self.table[rows].reset_index(drop=True)
+        return StateTable(self.file, table, self.values[rows], self.sigmas[rows], self.valid[rows], self.unused)
+
+
+def read_state_table(
+    source: InputFile,
+    wheel: Wheel,
+    *,
+    needed: Sequence[str] = (),
+    measured: Sequence[str] = COLUMNS,
+    wheels: Sequence[str] = (),
+    rover: str = "",
+    errors: MeasurementErrors | None = None,
+    every: bool = False,
+) -> StateTable:
+    """Read a table of wheel states from CSV.
+
+    Columns: those of `COLUMNS`, `NAME_sigma` for the standard deviation of NAME (else that of `errors`), `valid`, and
+    what tells states apart (`IDENTIFIERS`). Any other one that is nearly one of them is refused: a slip of the pen, or
+    another unit. Rows that are there twice count once, with a warning, where `time_s` and `wheel` tell.
+
+    Parameters
+    ----------
+    needed : columns that must be there.
+    measured : columns of which one must be there.
+    wheels, rover : of one drive of a rover: names of its wheels, one of which each state belongs to, at a time.
+    every : whether the caller checks the range of every value; else that of the medians is checked.
 
     Raises
     ------
-    DataError for a missing or misspelt column, text among numbers, a value no wheel can have, or nothing to use.
+    DataError for a missing or misspelt column, text among numbers, a blank time, rows that contradict each other,
+    several drives where one is read, and values that are mostly of a wrong sign or unit.
+    """
+    file, table = source.name, read_csv_table(source)
+    columns = [str(name) for name in table.columns]
+    unused = check_columns(file, columns, KNOWN, (*(("time_s", "wheel") if wheels else ()), *needed))
+    if not any(name in columns for name in measured):
+        raise DataError(f"{file}: no measured column; there can be {', '.join(measured)}")
+    if wheels:
+        _check_drive(file, table, wheels, rover)
+    if "time_s" in columns and "wheel" in columns:
+        table = without_repeats(file, table, ["time_s", "wheel", *(["member"] if "member" in columns else [])])
+    valid = _valid(file, table["valid"]) if "valid" in table else np.ones(len(table), dtype=bool)
+    values = np.column_stack([_numbers(file, table, name) for name in COLUMNS])
+    if not every:
+        _check_scale(file, values[valid], wheel.radius_m)
+    sigmas = _sigmas(file, table, values, errors or MeasurementErrors())
+    return StateTable(file, table, values, sigmas, valid, tuple(unused))
+
+
+def _numbers(file: str, table: "pd.DataFrame", name: str) -> FloatArray:
+    return numbers_of(file, name, table[name]) if name in table else np.full(len(table), np.nan)
+
+
+def _check_drive(file: str, table: "pd.DataFrame", wheels: Sequence[str], rover: str) -> None:
+    """Refuse several drives in one, as `twin predict` writes, blank times, and wheels that the rover has not."""
+    if "member" in table and table["member"].nunique() > 1:
+        raise DataError(f"{file}: {table['member'].nunique()} drives (column member); keep the rows of one")
+    if len(blank := np.flatnonzero(~np.isfinite(_numbers(file, table, "time_s")))):
+        raise DataError(f"{file}, row {blank[0] + 1}, time_s: is blank; every state needs a time")
+    if strange := sorted(set(table["wheel"].fillna("").str.strip()) - set(wheels)):
+        raise DataError(f"{file}: '{strange[0]}' is no wheel of {rover}; it has {', '.join(wheels)}")
+
+
+def _valid(file: str, cells: Any) -> BoolArray:
+    """Which cells of a column `valid`, as text, say yes; blank is no. Raises DataError for other words."""
+    words = cells.fillna("").str.strip().str.lower()
+    unknown = ~words.isin([*YES, *NO])
+    if unknown.any():
+        row = int(np.argmax(unknown))
+        raise DataError(f"{file}, row {row + 1}, valid: '{cells.iloc[row]}' is neither true nor false")
+    return np.asarray(words.isin(YES), dtype=bool)
+
+
+def _check_scale(file: str, values: FloatArray, radius_m: float) -> None:
+    """Refuse values that are mostly of a wrong sign or unit."""
+    for column, low, high, said in (
+        ("sinkage_m", 0.0, radius_m, f"it is in metres, down is positive, and the wheel's radius is {radius_m:g} m"),
+        ("slip_ratio", -1.0, 1.0, "it is a ratio from -1 to 1, no percentage"),
+        ("side_slip_deg", -90.0, 90.0, "it lies within -90 to 90 deg"),
+        ("normal_force_n", 0.0, np.inf, "the ground presses upwards, which is positive"),
+    ):
+        known = values[np.isfinite(values[:, COLUMNS.index(column)]), COLUMNS.index(column)]
+        middle = float(np.median(known)) if known.size else np.nan
+        if middle < low or middle > high or (column == "sinkage_m" and middle in (low, high)):
+            raise DataError(f"{file}: {column} has a median of {middle:.3g}; {said}")
+
+
+def _sigmas(file: str, table: "pd.DataFrame", values: FloatArray, errors: MeasurementErrors) -> FloatArray:
+    columns = []
+    for k, name in enumerate(COLUMNS):
+        given = _numbers(file, table, f"{name}_sigma")
+        if (wrong := (given < 0) | np.isinf(given)).any():
+            raise DataError(f"{file}, row {int(np.argmax(wrong)) + 1}, {name}_sigma: give 0 or more, or leave it blank")
+        columns.append(np.where(np.isfinite(given), given, errors.of(name, np.nan_to_num(values[:, k]))))
+    return np.column_stack(columns)
+
+
+def read_states(source: InputFile, wheel: Wheel, errors: MeasurementErrors | None = None) -> WheelStates:
+    """Read wheel states from CSV, as `read_state_table` does.
+
+    Lateral forces have the sign of the side slip they act against.
+
+    Columns `sinkage_m`, `normal_force_n` and `drawbar_pull_n` are required; `forces_from` is `motion` where forces were
+    computed of a motion. Rows marked `valid = false` and rows without a required value are left out with a warning,
+    columns of no use are named by one.
+
+    Raises
+    ------
+    DataError for what `read_state_table` refuses, a value no wheel can have, or nothing to use.
     """
     import pandas as pd
 
-    frame = read_csv_table(source)
-    _check_columns(source.name, list(frame.columns))
-    used = [name for name in frame.columns if name in COLUMNS or name.removesuffix("_sigma") in COLUMNS]
-    numbers = {name: numbers_of(source.name, name, frame[name]) for name in used}
-    keep = _kept_rows(source.name, frame.get("valid"), numbers)
+    found = read_state_table(source, wheel, needed=REQUIRED, errors=errors, every=True)
+    if found.unused:
+        warnings.warn(f"{found.file}: columns not used: {', '.join(found.unused)}", LunarSciWarning, stacklevel=2)
+    keep, frame = _kept_rows(found), found.table
+    values = found.values[keep]
+    _check_values(found.file, values, np.flatnonzero(keep), wheel)
     numbered = pd.Series([str(n) for n in range(1, len(frame) + 1)])
     ids = frame["id"].fillna(numbered) if "id" in frame else numbered
-    values = np.column_stack([numbers.get(name, np.full(len(frame), np.nan)) for name in COLUMNS])
-    _check_values(source.name, values[keep], np.flatnonzero(keep), wheel)
-    sigmas = _sigmas(source.name, numbers, values, errors or MeasurementErrors())
-    stated = any(f"{name}_sigma" in numbers for name in COLUMNS[3:])
+    stated = any(f"{name}_sigma" in frame for name in COLUMNS[3:])
     alike = "forces_from" in frame and bool((frame["forces_from"][keep] == FROM_MOTION).all())
-    return WheelStates(tuple(ids[keep].astype(str)), values[keep], sigmas[keep], stated, alike)
+    sigmas = np.where(np.isfinite(values), found.sigmas[keep], 0.0)
+    return WheelStates(tuple(ids[keep].astype(str)), values, sigmas, stated, alike)
 
 
-def _check_columns(name: str, columns: list[str]) -> None:
-    import difflib
-    import warnings
-
-    missing = [column for column in REQUIRED if column not in columns]
-    known = [*COLUMNS, *(f"{column}_sigma" for column in COLUMNS), *IDENTIFIERS]
-    unused = [column for column in columns if column not in known]
-    if missing:
-        guess = difflib.get_close_matches(missing[0], unused, n=1)
-        hint = f"; is it '{guess[0]}'? rename it" if guess else f"; there are: {', '.join(columns)}"
-        raise DataError(f"{name}: no column '{missing[0]}'{hint}")
-    misspelt = [(column, difflib.get_close_matches(column, known, n=1, cutoff=0.85)) for column in unused]
-    for column, guess in misspelt:
-        if guess:
-            raise DataError(f"{name}: column '{column}' is unknown; if it is '{guess[0]}', rename it")
-    if unused:
-        warnings.warn(f"{name}: columns not used: {', '.join(unused)}", LunarSciWarning, stacklevel=3)
-
-
-def _kept_rows(name: str, valid: "object", numbers: dict[str, FloatArray]) -> npt.NDArray[np.bool_]:
-    import warnings
-
-    import pandas as pd
-
-    complete = np.all([np.isfinite(numbers[column]) for column in REQUIRED], axis=0)
-    marked = np.ones(complete.shape, bool) if valid is None else marked_valid(name, pd.Series(valid))
-    keep: npt.NDArray[np.bool_] = complete & np.asarray(marked)
+def _kept_rows(found: StateTable) -> BoolArray:
+    complete = np.isfinite(found.values[:, [COLUMNS.index(name) for name in REQUIRED]]).all(axis=1)
+    keep = complete & found.valid
     if not keep.any():
-        raise DataError(f"{name}: no row has all of {', '.join(REQUIRED)}; fill them in")
+        raise DataError(f"{found.file}: no row has all of {', '.join(REQUIRED)}; fill them in")
     if not keep.all():
         warnings.warn(
-            f"{name}: {(~keep).sum()} of {keep.size} rows left out (a required value missing, or marked not valid)",
+            f"{found.file}: {(~keep).sum()} of {keep.size} rows left out (a required value missing, or marked not "
+            "valid)",
             LunarSciWarning,
             stacklevel=3,
         )
     return keep
 
 
-def marked_valid(name: str, cells: Any) -> npt.NDArray[np.bool_]:
-    """Which cells of a column `valid`, as text, say yes; blank is no. Raises DataError for other words."""
-    words = cells.fillna("").str.strip().str.lower()
-    unknown = ~words.isin([*YES, *NO])
-    if unknown.any():
-        row = int(np.argmax(unknown))
-        raise DataError(f"{name}, row {row + 1}, valid: '{cells.iloc[row]}' is neither true nor false")
-    return np.asarray(words.isin(YES), dtype=bool)
-
-
 def _check_values(name: str, values: FloatArray, rows: npt.NDArray[np.intp], wheel: Wheel) -> None:
-    import warnings
-
     z, s, beta, load = values[:, 0], values[:, 1], values[:, 2], values[:, 3]
     for column, bad, rule in (
         (
@@ -183,18 +293,3 @@ def _check_values(name: str, values: FloatArray, rows: npt.NDArray[np.intp], whe
             LunarSciWarning,
             stacklevel=3,
         )
-
-
-def _sigmas(name: str, numbers: dict[str, FloatArray], values: FloatArray, errors: MeasurementErrors) -> FloatArray:
-    columns = []
-    for k, column in enumerate(COLUMNS):
-        default = errors.of(column, values[:, k])
-        given = numbers.get(f"{column}_sigma", default)
-        wrong = (given < 0) | np.isinf(given)
-        if wrong.any():
-            raise DataError(
-                f"{name}, row {int(np.argmax(wrong)) + 1}, {column}_sigma: give 0 or more, or leave it blank"
-            )
-        columns.append(np.where(np.isfinite(given), given, default))
-    sigmas: FloatArray = np.nan_to_num(np.column_stack(columns))
-    return sigmas

@@ -16,7 +16,7 @@ from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.judgement.load_check import force_table
 from lunarsci.twin.loads.held import forces_along
-from lunarsci.twin.loads.pose_states import at_times, read_pose_states
+from lunarsci.twin.loads.pose_states import read_pose_states
 from lunarsci.twin.loads.totals import COLUMNS, levers_of, missing_of
 from lunarsci.twin.loads.uncertain_forces import UncertainForces, uncertain_forces
 from lunarsci.twin.plans.motion import Motion, correlation_of, drawn_motions, read_motion
@@ -202,12 +202,6 @@ def test_a_table_keeps_measured_states_and_gets_forces_of_their_times(tmp_path: 
     assert math.isnan(table["drawbar_pull_n"][2])
 
 
-def test_values_between_poses_are_no_numbers_beside_ones_that_are_not() -> None:
-    poses, values = np.array([0.0, 1.0, 2.0]), np.array([1.0, 3.0, np.nan])
-    assert at_times(np.array([0.0, 0.5, 1.0]), poses, values).tolist() == [1.0, 2.0, 3.0]
-    assert np.isnan(at_times(np.array([-0.1, 1.5, 2.0, 2.1]), poses, values)).all()
-
-
 def test_forces_on_a_given_soil_are_those_of_a_terrain_of_that_soil(yutu2: Rover, slope, longji_soil) -> None:  # type: ignore[no-untyped-def]
     from lunarsci.twin.ground.terrain import soil_overrides
 
@@ -242,7 +236,7 @@ def test_bad_errors_of_a_motion_are_one_line(tmp_path: Path, yutu2: Rover, chang
         ("time_s,wheel\n0,FL\n", "no measured column"),
         ("time_s,wheel,sinkage_m\n0,XX,0.01\n", "no wheel of"),
         ("time_s,wheel,sinkage_m\n,FL,0.01\n", "row 1, time_s: is blank"),
-        ("time_s,wheel,sinkage_m\n0,FL,0.01\n0,FL,0.02\n", "row 2: a second state"),
+        ("time_s,wheel,sinkage_m\n0,FL,0.01\n0,FL,0.02\n", "wheel FL contradict each other"),
         ("time_s,wheel,sinkage_m,sinkage_m_sigma\n0,FL,0.01,-1\n", "row 1, sinkage_m_sigma"),
     ],
 )

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.interpolation import at_times
 from lunarsci.regolith.physics_discrepancy import SHARED, PhysicsDiscrepancy
 from lunarsci.twin.comparison.meeting import Meeting
-from lunarsci.twin.inference.drive_record import OBSERVED, values_at
+from lunarsci.twin.inference.drive_record import OBSERVED
 from lunarsci.twin.inference.misfit import MODEL_ERRORS
 from lunarsci.twin.simulation.path_discrepancy import way_matrix
 
@@ -51,7 +52,7 @@ def _parts(meeting: Meeting) -> tuple[FloatArray, FloatArray, FloatArray, FloatA
     if forecast.discrepancy is not None:
         offsets = forecast.discrepancy.offsets_m[meeting.members]
         paths[..., :2] -= offsets
-        places = places - values_at(forecast.time_s, times[last : last + 1], offsets)[:, 0]
+        places = places - at_times(times[last : last + 1], forecast.time_s, offsets, axis=-2)[:, 0]
     so_far = slice(0, int(np.searchsorted(forecast.time_s, min(float(times[last]), float(forecast.time_s[-1])))) + 1)
     way_m2 = way_matrix(forecast.planned[so_far, :2], paths[:, so_far])
     middle = np.median(places, axis=0)

@@ -6,15 +6,14 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import ParameterError
+from lunarsci.interpolation import at_times, samples_about
 from lunarsci.twin.comparison.forecast import Forecast
 from lunarsci.twin.inference.drive_record import (
     OBSERVED,
     DriveRecord,
     check_clock,
     check_wheels,
-    samples_about,
     states_at,
-    values_at,
 )
 from lunarsci.twin.inference.misfit import FIX_ERROR_M, MODEL_ERRORS
 
@@ -80,7 +79,7 @@ def meet(forecast: Forecast, record: DriveRecord, independent: BoolArray | None 
     if not known.any() and not len(record.fix_time_s):
         raise ParameterError("no measured value falls into the time of the predicted drive; compare the clocks")
     courses = np.concatenate([forecast.paths[members][..., :2], forecast.planned[None, :, :2]])
-    places = values_at(forecast.time_s, record.fix_time_s, courses)
+    places = at_times(record.fix_time_s, forecast.time_s, courses, axis=-2)
     return Meeting(
         forecast=forecast,
         record=record,

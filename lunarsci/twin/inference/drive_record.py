@@ -5,7 +5,6 @@ Whether a table of measured states or positions can be one drive: members, repea
 Simulated drives at the times of a measured one.
 """
 
-import difflib
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,10 +13,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.csv_table import numbers_of, read_csv_table
+from lunarsci.csv_table import check_columns, numbers_of, read_csv_table, without_repeats
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
-from lunarsci.regolith.states import COLUMNS, IDENTIFIERS, MeasurementErrors, marked_valid
+from lunarsci.interpolation import samples_about
+from lunarsci.regolith.states import COLUMNS, MeasurementErrors, StateTable, read_state_table
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 
@@ -28,65 +28,15 @@ __all__ = [
     "OBSERVED",
     "DriveRecord",
     "check_clock",
-    "check_columns",
-    "check_sinkage",
     "check_wheels",
-    "one_member",
     "read_record",
-    "samples_about",
     "states_at",
-    "values_at",
     "wheel_numbers",
-    "without_repeats",
 ]
-
-ALIKE = 0.72
-"""Likeness of two names (difflib's ratio) from which one is taken for a slip of the pen of the other; assumed."""
-
-
-def check_columns(file: str, table: "pd.DataFrame", known: tuple[str, ...]) -> None:
-    """Refuse a column that is nearly a known one, such as `sinkage_mm`: it would be left out without a word."""
-    for name in table.columns:
-        near = difflib.get_close_matches(str(name).lower(), known, n=1, cutoff=ALIKE)
-        if name in known or str(name).removesuffix("_sigma") in known or not near or near[0] in table:
-            continue
-        raise DataError(f"{file}: column '{name}' is unknown; if it is '{near[0]}', rename it and mind the unit")
-
-
-def one_member(file: str, table: "pd.DataFrame") -> None:
-    """Refuse a table of several drives, as `twin predict` writes."""
-    if "member" in table and table["member"].nunique() > 1:
-        raise DataError(f"{file}: {table['member'].nunique()} drives (column member); keep the rows of one")
-
-
-def without_repeats(file: str, table: "pd.DataFrame", keys: list[str]) -> "pd.DataFrame":
-    """Rows that are there twice count once, with a warning; DataError where rows of one key contradict each other."""
-    kept = table.drop_duplicates()
-    if len(kept) < len(table):
-        text = f"{file}: {len(table) - len(kept)} of {len(table)} rows are there twice; each counts once"
-        warnings.warn(text, LunarSciWarning, stacklevel=3)
-    again = kept.duplicated(keys)
-    if again.any():
-        row = kept[again].iloc[0]
-        said = ", ".join(f"{key} {row[key]}" for key in keys)
-        raise DataError(f"{file}: two rows of {said} contradict each other; keep the right one")
-    return kept.reset_index(drop=True)
-
-
-def check_sinkage(file: str, sinkage_m: np.ndarray, radius_m: float) -> None:
-    """Refuse sinkages that are mostly negative, or deeper than the wheel: a wrong sign or unit."""
-    known = sinkage_m[np.isfinite(sinkage_m)]
-    if known.size and not 0 < np.median(known) < radius_m:
-        raise DataError(
-            f"{file}: sinkage_m has a median of {np.median(known):.3g}; it is in metres, down is positive, and the "
-            f"wheel's radius is {radius_m:g} m"
-        )
-
 
 FloatArray = npt.NDArray[np.float64]
 OBSERVED = COLUMNS
 """Columns of the measured values: sinkage, slip ratio, side slip, normal force, drawbar pull, lateral force."""
-KNOWN = (*OBSERVED, *IDENTIFIERS, "yaw_deg")
 KNOWN_PLACES = ("time_s", "x_m", "y_m", "z_m", "yaw_deg", "sigma_m", "xx_m2", "xy_m2", "yy_m2", "synthetic")
 
 
@@ -143,42 +93,28 @@ def read_record(
     twice count once, with a warning. Raises DataError, also for rows that contradict each other, several members,
     columns that are nearly known ones, and sinkages of a wrong sign or unit.
     """
-    file = states.name
-    table = _valid_rows(file, _read(states, ("time_s", "wheel"), KNOWN))
-    names = [name for name in OBSERVED if name in table]
-    if not names:
-        raise DataError(f"{file}: no measured column; there can be {', '.join(OBSERVED)}")
-    errors = errors or MeasurementErrors()
-    values = np.column_stack([_numbers(file, table, name) for name in OBSERVED])
-    check_sinkage(file, values[:, 0], rover.wheel.radius_m)
+    found = _valid_rows(read_state_table(states, rover.wheel, wheels=rover.wheels, rover=rover.name, errors=errors))
+    values = found.values
     if positions is not None:
-        _forget_slips(file, table, values)
-    given = np.column_stack([_numbers(file, table, f"{name}_sigma") for name in OBSERVED])
-    own = np.column_stack([errors.of(name, np.nan_to_num(values[:, k])) for k, name in enumerate(OBSERVED)])
-    places = _positions(positions)
-    strange = sorted(set(table["wheel"].astype(str)) - set(rover.wheels))
-    if strange:
-        raise DataError(f"{file}: '{strange[0]}' is no wheel of {rover.name}; it has {', '.join(rover.wheels)}")
+        _forget_slips(found.file, found.table, values)
     try:
         return DriveRecord(
-            time_s=_numbers(file, table, "time_s"),
-            wheel=tuple(table["wheel"].astype(str)),
+            time_s=found.numbers("time_s"),
+            wheel=found.wheels,
             values=values,
-            sigmas=np.where(np.isfinite(given), given, own),
-            **places,
+            sigmas=found.sigmas,
+            **_positions(positions),
         )
     except ParameterError as error:
-        raise DataError(f"{file}: {error}") from error
+        raise DataError(f"{found.file}: {error}") from error
 
 
-def _valid_rows(file: str, table: "pd.DataFrame") -> "pd.DataFrame":
-    if "valid" not in table:
-        return table
-    kept = marked_valid(file, table["valid"])
-    if not kept.all():
-        text = f"{file}: {int((~kept).sum())} of {len(kept)} states left out, marked not valid"
-        warnings.warn(text, LunarSciWarning, stacklevel=3)
-    return table[kept].reset_index(drop=True)
+def _valid_rows(found: StateTable) -> StateTable:
+    if found.valid.all():
+        return found
+    text = f"{found.file}: {int((~found.valid).sum())} of {len(found.valid)} states left out, marked not valid"
+    warnings.warn(text, LunarSciWarning, stacklevel=3)
+    return found.kept(found.valid)
 
 
 def _forget_slips(file: str, table: "pd.DataFrame", values: FloatArray) -> None:
@@ -194,30 +130,18 @@ def _forget_slips(file: str, table: "pd.DataFrame", values: FloatArray) -> None:
         values[np.ix_(derived, columns)] = np.nan
 
 
-def _read(source: InputFile, needed: tuple[str, ...], known: tuple[str, ...]) -> "pd.DataFrame":
-    table = read_csv_table(source)
-    for name in needed:
-        if name not in table:
-            raise DataError(f"{source.name}: no column {name}; there are: {', '.join(map(str, table.columns))}")
-    one_member(source.name, table)
-    check_columns(source.name, table, known)
-    return without_repeats(source.name, table, [name for name in ("time_s", "wheel") if name in needed])
-
-
-def _numbers(file: str, table: "pd.DataFrame", name: str) -> FloatArray:
-    return numbers_of(file, name, table[name]) if name in table else np.full(len(table), np.nan)
-
-
 def _positions(source: InputFile | None) -> dict[str, FloatArray]:
     if source is None:
         return {"fix_time_s": np.zeros(0), "fix_m": np.zeros((0, 2)), "fix_covariance_m2": np.zeros((0, 2, 2))}
-    table, file = _read(source, ("time_s", "x_m", "y_m"), KNOWN_PLACES), source.name
-    time, x, y = (_numbers(file, table, name) for name in ("time_s", "x_m", "y_m"))
+    file, table = source.name, read_csv_table(source)
+    check_columns(file, table.columns, KNOWN_PLACES, ("time_s", "x_m", "y_m"))
+    table = without_repeats(file, table, ["time_s"])
+    time, x, y = (numbers_of(file, name, table[name]) for name in ("time_s", "x_m", "y_m"))
     if "sigma_m" in table:
-        sigma = _numbers(file, table, "sigma_m")
+        sigma = numbers_of(file, "sigma_m", table["sigma_m"])
         parts = (sigma**2, 0 * sigma, sigma**2)
     elif all(name in table for name in ("xx_m2", "xy_m2", "yy_m2")):
-        parts = tuple(_numbers(file, table, name) for name in ("xx_m2", "xy_m2", "yy_m2"))  # type: ignore[assignment]
+        parts = tuple(numbers_of(file, name, table[name]) for name in ("xx_m2", "xy_m2", "yy_m2"))  # type: ignore[assignment]
     else:
         raise DataError(f"{file}: no errors of the positions; add sigma_m, or xx_m2, xy_m2 and yy_m2")
     covariance = np.stack([np.stack([parts[0], parts[1]], -1), np.stack([parts[1], parts[2]], -1)], -2)
@@ -249,19 +173,6 @@ def check_wheels(record: DriveRecord, wheels: Sequence[str], rover: str) -> None
 def wheel_numbers(record: DriveRecord, wheels: Sequence[str]) -> IntArray:
     """Which of the wheels each state is of. (n,)"""
     return np.array([wheels.index(name) for name in record.wheel], dtype=np.int64)
-
-
-def samples_about(times_s: FloatArray, wanted_s: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Sample before each wanted time, and the share of the way to the next; beyond the ends it is the end. (n,)"""
-    place = np.interp(wanted_s, times_s, np.arange(len(times_s)))
-    low = np.minimum(place.astype(np.int64), len(times_s) - 2)
-    return low, place - low
-
-
-def values_at(times_s: FloatArray, wanted_s: FloatArray, values: FloatArray) -> FloatArray:
-    """Values of samples (members, samples, k) at wanted times, by straight lines. (members, n, k)"""
-    low, share = samples_about(times_s, wanted_s)
-    return np.asarray((1.0 - share[:, None]) * values[:, low] + share[:, None] * values[:, low + 1])
 
 
 def states_at(record: DriveRecord, times_s: FloatArray, states: FloatArray, wheels: Sequence[str]) -> FloatArray:

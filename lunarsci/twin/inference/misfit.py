@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import ParameterError
+from lunarsci.interpolation import at_times
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.twin.ground.terrain import Terrain
@@ -18,7 +19,6 @@ from lunarsci.twin.inference.drive_record import (
     check_clock,
     check_wheels,
     states_at,
-    values_at,
     wheel_numbers,
 )
 from lunarsci.twin.plans.plan import Plan
@@ -192,7 +192,7 @@ class Misfit:
     def _of(self, drives: Prediction) -> FloatArray:
         record, count = self.record, len(drives.outcome)
         states = np.where(self.known, (self._states(drives) - np.nan_to_num(record.values)) / self.sigma, 0.0)
-        places = values_at(drives.time_s, record.fix_time_s, drives.paths[..., :2])
+        places = at_times(record.fix_time_s, drives.time_s, drives.paths[..., :2], axis=-2)
         white = np.einsum("fij,mfj->mfi", self.whitening, places - record.fix_m)
         rows = self.removed.applied(np.concatenate([states.reshape(count, -1), white.reshape(count, -1)], axis=1))
         rows[~drives.finished] = np.inf

@@ -15,12 +15,13 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import ParameterError
+from lunarsci.interpolation import at_times
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.inference.discrepancy import MODEL_SHARES, Discrepancy
-from lunarsci.twin.inference.drive_record import OBSERVED, DriveRecord, values_at
+from lunarsci.twin.inference.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.inference.misfit import FIX_ERROR_M, HUBER, POSITION, Misfit
 from lunarsci.twin.inference.mode import PosteriorMode, find_mode
 from lunarsci.twin.inference.population import draw_population
@@ -259,7 +260,7 @@ def _taught(before: PhysicsDiscrepancy, misfit: Misfit, expected: FloatArray, be
     if not len(times):
         return law
     last = int(times.argmax())
-    place = values_at(best.time_s, times[last : last + 1], best.paths[..., :2])[0, 0]
+    place = at_times(times[last : last + 1], best.time_s, best.paths[..., :2], axis=-2)[0, 0]
     so_far = slice(0, int(np.searchsorted(best.time_s, times[last])) + 1)
     known = misfit.record.fix_covariance_m2[last] + FIX_ERROR_M**2 * np.eye(2)
     miss = FOLLOWED * (misfit.record.fix_m[last] - place)
@@ -305,7 +306,7 @@ def _unexplained(misfit: Misfit, expected: FloatArray, best: Prediction) -> dict
     result = {}
     for name in (name for name, factor in misfit.inflation.items() if factor > MOST_INFLATION):
         if name == POSITION:
-            places = values_at(best.time_s, misfit.record.fix_time_s, best.paths[..., :2])[0]
+            places = at_times(misfit.record.fix_time_s, best.time_s, best.paths[..., :2], axis=-2)[0]
             off = np.hypot(*(places - misfit.record.fix_m).T)
             way = np.interp(misfit.record.fix_time_s, best.time_s, best.distance_m)
             result[name] = _rms(off) / max(UNEXPLAINED_OF_WAY * _rms(way), FIX_ERROR_M)

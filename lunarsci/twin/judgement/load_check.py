@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.interpolation import at_times
 from lunarsci.regolith.states import FROM_MOTION
-from lunarsci.twin.loads.pose_states import PoseStates, at_times
+from lunarsci.twin.loads.pose_states import PoseStates
 from lunarsci.twin.loads.totals import FORCES
 from lunarsci.twin.loads.uncertain_forces import UncertainForces
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
@@ -53,7 +54,8 @@ def force_table(found: UncertainForces, states: PoseStates | None = None) -> "pd
     poses = found.held.motion.time_s
     rows = np.arange(len(table))
     mean, sigma = (
-        at_times(states.time_s, poses, part)[rows, states.wheel] for part in (found.after, found.after_sigma)
+        at_times(states.time_s, poses, part, beyond=False)[rows, states.wheel]
+        for part in (found.after, found.after_sigma)
     )
     for k, name in enumerate(FORCES):
         table[name], table[f"{name}_sigma"] = mean[:, k], sigma[:, k]

@@ -14,10 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import ParameterError
+from lunarsci.interpolation import at_times
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.joint_totals import BalancedStates, TotalsPosterior, infer_from_totals
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.loads.pose_states import PoseStates, at_times
+from lunarsci.twin.loads.pose_states import PoseStates
 from lunarsci.twin.loads.totals import levers_of, needed_of
 from lunarsci.twin.loads.uncertain_forces import BALANCE_ERROR, DRAWS, UncertainForces, uncertain_forces
 from lunarsci.twin.plans.motion import Motion
@@ -148,7 +149,7 @@ def balanced_states(forces: UncertainForces, states: PoseStates, balance_error: 
     levers = levers_of(held)
     told = (load, load_sigma, levers[..., 1:], needed_of(held, levers))
     kept = [np.where(forces.known.reshape(-1, *([1] * (part.ndim - 1))), part, np.nan) for part in told]
-    load, load_sigma, levers, totals = (at_times(times, held.motion.time_s, part) for part in kept)
+    load, load_sigma, levers, totals = (at_times(times, held.motion.time_s, part, beyond=False) for part in kept)
     reach = float(np.hypot(*rover.wheel_positions_m[:, :2].T).max())
     error = balance_error * rover.mass_kg * rover.gravity_m_s2 * np.array([1.0, 1.0, reach])
     used = np.isfinite(totals).all(axis=1) & np.isfinite(values[..., :2]).any(axis=(1, 2))

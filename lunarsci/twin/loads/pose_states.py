@@ -6,16 +6,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.csv_table import numbers_of, read_csv_table
-from lunarsci.errors import DataError
 from lunarsci.inputs import InputFile
-from lunarsci.regolith.states import MeasurementErrors, marked_valid
+from lunarsci.regolith.states import COLUMNS, read_state_table
 from lunarsci.twin.rover import Rover
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["MEASURED", "PoseStates", "at_times", "read_pose_states"]
+__all__ = ["MEASURED", "PoseStates", "read_pose_states"]
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -56,42 +54,8 @@ def read_pose_states(source: InputFile, rover: Rover) -> PoseStates:
 
     Where no sigma is given it is that of `MeasurementErrors`. Raises DataError.
     """
-    table = read_csv_table(source)
-    for name in ("time_s", "wheel"):
-        if name not in table:
-            raise DataError(f"{source.name}: no column {name}; there are: {', '.join(map(str, table.columns))}")
-    if not any(name in table for name in MEASURED):
-        raise DataError(f"{source.name}: no measured column; there can be {', '.join(MEASURED)}")
-    time = numbers_of(source.name, "time_s", table["time_s"])
-    if len(strange := np.flatnonzero(~np.isfinite(time))):
-        raise DataError(f"{source.name}, row {strange[0] + 1}, time_s: is blank; every state needs a time")
-    names = table["wheel"].fillna("").str.strip()
-    unknown = sorted(set(names) - set(rover.wheels))
-    if unknown:
-        raise DataError(f"{source.name}: '{unknown[0]}' is no wheel of {rover.name}; it has {', '.join(rover.wheels)}")
-    wheel = np.array([rover.wheels.index(name) for name in names], dtype=np.int64)
-    twice = table.assign(time_s=time, wheel=wheel).duplicated(["time_s", "wheel"])
-    if twice.any():
-        raise DataError(f"{source.name}, row {int(np.argmax(twice)) + 1}: a second state of this wheel at this time")
-    blank, errors = np.full(len(table), np.nan), MeasurementErrors()
-
-    def numbers(name: str) -> FloatArray:
-        return numbers_of(source.name, name, table[name]) if name in table else blank
-
-    values = np.column_stack([numbers(name) for name in MEASURED])
-    given = np.column_stack([numbers(f"{name}_sigma") for name in MEASURED])
-    own = np.column_stack([errors.of(name, values[:, k]) for k, name in enumerate(MEASURED)])
-    if len(wrong := np.argwhere(given < 0)):
-        raise DataError(f"{source.name}, row {wrong[0][0] + 1}, {MEASURED[wrong[0][1]]}_sigma: give 0 or more")
-    valid = marked_valid(source.name, table["valid"]) if "valid" in table else np.ones(len(table), dtype=bool)
-    return PoseStates(table, time, wheel, values, np.where(np.isfinite(given), given, own), valid)
-
-
-def at_times(time_s: FloatArray, poses_s: FloatArray, values: FloatArray) -> FloatArray:
-    """Values at poses (n, ...) by straight lines between them: (t, ...); NaN outside, and beside poses that are NaN."""
-    place = np.clip(np.searchsorted(poses_s, time_s, side="right") - 1, 0, len(poses_s) - 2)
-    share = (time_s - poses_s[place]) / (poses_s[place + 1] - poses_s[place])
-    share = share.reshape(-1, *([1] * (values.ndim - 1)))
-    low, high = values[place], values[place + 1]
-    between = np.where(share == 0, low, np.where(share == 1, high, (1 - share) * low + share * high))
-    return np.where((share < 0) | (share > 1), np.nan, between)
+    found = read_state_table(source, rover.wheel, measured=MEASURED, wheels=rover.wheels, rover=rover.name)
+    wheel = np.array([rover.wheels.index(name) for name in found.wheels], dtype=np.int64)
+    columns = [COLUMNS.index(name) for name in MEASURED]
+    time = found.numbers("time_s")
+    return PoseStates(found.table, time, wheel, found.values[:, columns], found.sigmas[:, columns], found.valid)

@@ -1,0 +1,91 @@
+"""One reader of wheel states: identify, update and forces refuse the same tables."""
+
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.inputs import InputFile
+from lunarsci.regolith.states import COLUMNS, MeasurementErrors, read_state_table, read_states
+from lunarsci.twin.inference.drive_record import read_record
+from lunarsci.twin.loads.pose_states import read_pose_states
+from lunarsci.twin.rover import Rover
+
+HEAD = "time_s,wheel,sinkage_m,slip_ratio,normal_force_n,drawbar_pull_n"
+ROWS = ("10,FL,0.010,0.05,38,2", "10,FR,0.011,0.04,36,2", "20,FL,0.012,0.05,37,2")
+BAD = {
+    "another unit": (HEAD.replace("sinkage_m", "sinkage_mm"), ROWS, "sinkage_mm'"),
+    "misspelt": (HEAD.replace("slip_ratio", "slip_ration"), ROWS, "'slip_ration' is unknown; if it is 'slip_ratio'"),
+    "capital": (HEAD.replace("slip_ratio", "Slip_ratio"), ROWS, "if it is 'slip_ratio'"),
+    "misspelt error": (HEAD.replace("slip_ratio", "sinkage_m_sgima"), ROWS, "if it is 'sinkage_m_sigma'"),
+    "upwards": (HEAD, [row.replace(",0.01", ",-0.01") for row in ROWS], "sinkage_m"),
+    "millimetres": (HEAD, [row.replace(",0.01", ",9.81") for row in ROWS], "sinkage_m"),
+    "per cent": (HEAD, [row.replace(",0.0", ",5.0", 2) for row in ROWS], "sinkage_m|slip_ratio"),
+    "contradiction": (HEAD, (*ROWS, "20,FL,0.013,0.05,37,2"), "time_s 20, wheel FL contradict each other"),
+    "text": (HEAD, (*ROWS, "30,FL,deep,0.05,37,2"), "row 4, sinkage_m: 'deep' is no number"),
+    "error below 0": (HEAD + ",slip_ratio_sigma", [row + ",-0.1" for row in ROWS], "row 1, slip_ratio_sigma: give 0"),
+    "valid": (HEAD + ",valid", [row + ",perhaps" for row in ROWS], "neither true nor false"),
+}
+
+
+@pytest.fixture
+def readers(yutu2: Rover) -> list[Callable[[InputFile], object]]:
+    return [
+        lambda file: read_states(file, yutu2.wheel),
+        lambda file: read_record(file, yutu2),
+        lambda file: read_pose_states(file, yutu2),
+    ]
+
+
+def table(head: str, rows: object) -> InputFile:
+    return InputFile("states.csv", "\n".join([head, *rows, ""]).encode())  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_tables_are_refused_alike(readers: list[Callable[[InputFile], object]], case: str) -> None:
+    head, rows, says = BAD[case]
+    for read in readers:
+        with pytest.raises(DataError, match=f"^states.csv.*({says})"):
+            read(table(head, rows))
+
+
+def test_rows_that_are_there_twice_count_once(readers: list[Callable[[InputFile], object]]) -> None:
+    for read in readers:
+        with pytest.warns(LunarSciWarning, match="1 of 4 rows are there twice"):
+            read(table(HEAD, (*ROWS, ROWS[0])))
+
+
+def test_good_tables_are_read_alike(yutu2: Rover) -> None:
+    """Errors of the file go before those of `MeasurementErrors`: a slip's is that of the way, times 1 - |s|."""
+    file = table(HEAD + ",sinkage_m_sigma,remark", (ROWS[0] + ",0.001,a", ROWS[1] + ",,b"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", LunarSciWarning)
+        record, poses = read_record(file, yutu2), read_pose_states(file, yutu2)
+    with pytest.warns(LunarSciWarning, match="not used: remark"):
+        states = read_states(file, yutu2.wheel)
+    expected = [0.001, 0.95 * MeasurementErrors().travel_relative]
+    for values, sigmas in (
+        (record.values, record.sigmas),
+        (poses.values, poses.sigmas),
+        (states.values, states.sigmas),
+    ):
+        assert values[0, :2].tolist() == [0.010, 0.05]
+        assert sigmas[0, :2] == pytest.approx(expected)
+        assert sigmas[1, 0] == MeasurementErrors().sinkage_m
+    assert poses.table["remark"].tolist() == ["a", "b"]
+
+
+def test_members_of_an_ensemble_are_several_states_but_not_one_drive(yutu2: Rover) -> None:
+    file = table("member," + HEAD, [f"{k},{row}" for k in (0, 1) for row in ROWS])
+    assert len(read_states(file, yutu2.wheel)) == 6
+    for read in (read_record, read_pose_states):
+        with pytest.raises(DataError, match="2 drives"):
+            read(file, yutu2)
+
+
+def test_what_is_missing_is_blank(yutu2: Rover) -> None:
+    found = read_state_table(table("sinkage_m", ["0.01", "nan"]), yutu2.wheel)
+    assert found.values.shape == (2, len(COLUMNS)) and np.isfinite(found.values).sum() == 1
+    assert found.valid.all() and found.unused == ()
