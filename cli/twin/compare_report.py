@@ -15,14 +15,12 @@ from lunarsci.inputs import InputFile, read_input
 from lunarsci.provenance import sha256
 from lunarsci.regolith.belief import SoilBelief, read_belief
 from lunarsci.rovers.description import read_rover
-from lunarsci.twin.comparison.bands import ALL, BandCheck
-from lunarsci.twin.comparison.ends import EndCheck, PathCheck
+from lunarsci.twin.assimilation.drive_record import DriveRecord, read_record
+from lunarsci.twin.comparison.checks import ALL, BandCheck, EndCheck, PathCheck
 from lunarsci.twin.comparison.forecast import Forecast, read_forecast
-from lunarsci.twin.comparison.learning import Miss, miss_of, taught
-from lunarsci.twin.comparison.meeting import Meeting, meet
-from lunarsci.twin.comparison.tail import Standing
+from lunarsci.twin.comparison.matched import MatchedObservations, Miss, match_observations, miss_of, taught
+from lunarsci.twin.comparison.scores import Standing
 from lunarsci.twin.comparison.verdict import DriveComparison, compare
-from lunarsci.twin.inference.drive_record import DriveRecord, read_record
 from lunarsci.twin.plans.plan import read_plan
 from lunarsci.twin.plans.plan_files import plan_text
 from lunarsci.twin.rover import Rover, build_rover
@@ -53,7 +51,7 @@ UNITS = {
 class Met:
     """A prediction and a drive, and the files they come from."""
 
-    meeting: Meeting
+    matched: MatchedObservations
     inputs: dict[str, str]
     tables: dict[str, str]
     states: str
@@ -74,11 +72,11 @@ def read_meeting(predicted: Path, states: str, positions: str | None, plan: str 
     files = {path: read_input(path) for path in (states, positions) if path is not None}
     record, independent = _record(files[states], files[positions] if positions else None, build_rover(description))
     try:
-        meeting = meet(forecast, record, independent)
+        matched = match_observations(forecast, record, independent)
     except ParameterError as error:
         raise DataError(f"{states}: {error}") from error
     inputs.update({path: file.sha256 for path, file in files.items()})
-    return Met(meeting, inputs, {f"{rover} (rover)": digest}, states)
+    return Met(matched, inputs, {f"{rover} (rover)": digest}, states)
 
 
 def _check_plan(plan: str, forecast: Forecast) -> None:
@@ -130,33 +128,33 @@ def learn(met: Met, belief: str, save: Path) -> Lesson:
     """Teach the belief of a file. Raises DataError for one that knows the drive, and predictions of no belief."""
     source = read_input(belief)
     before, digest = read_belief(source), met.inputs[met.states]
-    if met.meeting.forecast.soils != "belief":
-        raise DataError(f"{met.meeting.forecast.origin}: predicted on ranges of soils, and teaches nothing of a belief")
+    if met.matched.forecast.soils != "belief":
+        raise DataError(f"{met.matched.forecast.origin}: predicted on ranges of soils, and teaches nothing of a belief")
     if before.discrepancy.has_scored(digest):
         raise DataError(f"{belief} has learned from {met.states} already; compare first, then update by the drive")
     met.inputs[belief] = source.sha256
-    law = taught(met.meeting, before.discrepancy).with_score(
-        states=Path(met.states).name, sha256=digest, plan=met.meeting.forecast.plan.name, how="comparison"
+    law = taught(met.matched, before.discrepancy).with_score(
+        states=Path(met.states).name, sha256=digest, plan=met.matched.forecast.plan.name, how="comparison"
     )
     return Lesson(before, replace(before, discrepancy=law), save)
 
 
 def compare_report(met: Met, seed: int, lesson: Lesson | None = None) -> Report:
     """The report of `twin compare`; `lesson` is what it taught a belief."""
-    meeting, found = met.meeting, compare(met.meeting, seed)
+    matched, found = met.matched, compare(met.matched, seed)
     taught = [] if lesson is None else [discrepancy_table(lesson.after.discrepancy, lesson.before.discrepancy)]
-    origin = meeting.forecast.origin
+    origin = matched.forecast.origin
 
     def figures() -> Any:
         from lunarsci.twin.figures.comparison import comparison_figure
 
-        return [comparison_figure(meeting, found, f"{origin} beside {met.states}")]
+        return [comparison_figure(matched, found, f"{origin} beside {met.states}")]
 
     return Report(
         schema="twin-compare/1",
-        result=_result(meeting, found)
+        result=_result(matched, found)
         | {"discrepancy": None if lesson is None else lesson.after.discrepancy.to_dict()},
-        tables=[*_tables(meeting, found, met.states), *taught],
+        tables=[*_tables(matched, found, met.states), *taught],
         rows=[_band_row(check, found) for check in found.bands],
         figures=figures,
         inputs=met.inputs,
@@ -168,8 +166,8 @@ def compare_report(met: Met, seed: int, lesson: Lesson | None = None) -> Report:
     )
 
 
-def _result(meeting: Meeting, found: DriveComparison) -> dict[str, Any]:
-    forecast, whole = meeting.forecast, found.surprise
+def _result(matched: MatchedObservations, found: DriveComparison) -> dict[str, Any]:
+    forecast, whole = matched.forecast, found.surprise
     return {
         "verdict": found.verdict,
         "reasons": list(found.reasons),
@@ -184,7 +182,7 @@ def _result(meeting: Meeting, found: DriveComparison) -> dict[str, Any]:
         "compared": list(found.compared),
         "not_compared": found.not_compared,
         "end": None if found.end is None else _end(found.end),
-        "miss": None if (miss := miss_of(meeting)) is None else asdict(miss),
+        "miss": None if (miss := miss_of(matched)) is None else asdict(miss),
         "path": None if found.path is None else asdict(found.path),
         "quantities": [_band_row(check, found) for check in found.bands],
         "surprise": None
@@ -222,8 +220,8 @@ def _band_row(check: BandCheck, found: DriveComparison) -> dict[str, Any]:
     }
 
 
-def _tables(meeting: Meeting, found: DriveComparison, states: str) -> list[TextTable]:
-    forecast = meeting.forecast
+def _tables(matched: MatchedObservations, found: DriveComparison, states: str) -> list[TextTable]:
+    forecast = matched.forecast
     drives = (
         f"{found.finished} of {found.members} drives" if found.finished < found.members else f"{found.members} drives"
     )
@@ -231,7 +229,7 @@ def _tables(meeting: Meeting, found: DriveComparison, states: str) -> list[TextT
     notes = [f"because {reason}" for reason in found.reasons]
     head = TextTable(
         ["place", "what", "value"],
-        [*_end_rows(found.end), *miss_rows(miss_of(meeting)), *_path_rows(found.path)],
+        [*_end_rows(found.end), *miss_rows(miss_of(matched)), *_path_rows(found.path)],
         title=title,
         notes=notes,
     )

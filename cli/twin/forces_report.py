@@ -9,7 +9,7 @@ import numpy as np
 from lunarsci.inputs import read_input
 from lunarsci.twin.judgement.load_check import Spread, WheelLoads, wheel_loads
 from lunarsci.twin.judgement.tables import held_table, state_table
-from lunarsci.twin.loads.held import HeldForces, forces_along
+from lunarsci.twin.loads.prescribed_motion import PrescribedLoads, prescribed_loads
 from lunarsci.twin.outcomes import FINISHED, OUTCOMES
 from lunarsci.twin.plans.motion import read_motion
 from lunarsci.twin.simulation.ensemble import Prediction
@@ -74,7 +74,7 @@ def held_report(scene: DriveInputs, path: str, member: int | None, *, planned: b
     source = read_input(path)
     scene.inputs[path] = source.sha256
     motion = read_motion(source, scene.rover, scene.plan if planned else None, member)
-    found = forces_along(scene.rover, scene.terrain, motion)
+    found = prescribed_loads(scene.rover, scene.terrain, motion)
     loads = wheel_loads(scene.rover.wheels, found.states)
     title = f"Wheel forces along {path}, {len(motion.time_s)} poses on {scene.terrain.name}"
     failed = sorted({OUTCOMES[int(code)] for code in found.outcome if code != FINISHED})
@@ -87,7 +87,7 @@ def held_report(scene: DriveInputs, path: str, member: int | None, *, planned: b
         from lunarsci.twin.figures.forces import force_figure
 
         axis = (motion.time_s, "Time [s]")
-        return [force_figure(scene.rover.wheels, axis, found.states, title, found.missing_n)]
+        return [force_figure(scene.rover.wheels, axis, found.states, title, found.residual_n)]
 
     return Report(
         schema=SCHEMA,
@@ -119,14 +119,14 @@ def _common(scene: DriveInputs, loads: Sequence[WheelLoads]) -> dict[str, Any]:
     }
 
 
-def _missing(found: HeldForces) -> dict[str, float]:
+def _missing(found: PrescribedLoads) -> dict[str, float]:
     known = found.outcome == FINISHED
-    ahead, left = found.missing_n[known].mean(axis=0)
+    ahead, left = found.residual_n[known].mean(axis=0)
     return {
-        "rms_share_of_weight": found.missing_share,
+        "rms_share_of_weight": found.residual_share,
         "mean_ahead_n": float(ahead),
         "mean_left_n": float(left),
-        "rms_moment_nm": float(np.sqrt((found.missing_nm[known] ** 2).mean())),
+        "rms_moment_nm": float(np.sqrt((found.residual_nm[known] ** 2).mean())),
     }
 
 

@@ -14,9 +14,9 @@ from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
 from lunarsci.regolith.prior import PARAMETERS, prior_hash
 from lunarsci.twin.ground.driven_soil import DrivenSoil, soil_record
 from lunarsci.twin.judgement.load_check import force_table
-from lunarsci.twin.loads.force_soil import ForceSoil, force_soil
+from lunarsci.twin.loads.alternating import AlternatingEstimate, alternate
+from lunarsci.twin.loads.load_ensemble import BALANCE_ERROR, DRAWS, draw_loads
 from lunarsci.twin.loads.pose_states import PoseStates, read_pose_states
-from lunarsci.twin.loads.uncertain_forces import BALANCE_ERROR, DRAWS, uncertain_forces
 from lunarsci.twin.plans.motion import CORRELATION_M, Motion, correlation_of, read_motion
 
 from ..shared.report import Report
@@ -77,12 +77,12 @@ def motion_report(scene: DriveInputs, told: Told, progress: Callable[[int, int],
     draws, turned = told.draws or DRAWS, None
     if told.iterate is not None and known.states is not None:
         sites = (scene.rover, scene.terrain, known.motion, known.states, known.belief)
-        turned = force_soil(*sites, rounds=told.iterate, draws=draws, **options)
+        turned = alternate(*sites, rounds=told.iterate, draws=draws, **options)
         found = turned.forces
     else:
         middle = {name: value for name, (value, _, _) in known.belief.intervals().items()}
         soils = known.belief.draws(draws, told.seed)
-        found = uncertain_forces(scene.rover, scene.terrain, known.motion, soils, middle, **options)
+        found = draw_loads(scene.rover, scene.terrain, known.motion, soils, middle, **options)
     table = force_table(found, known.states)
     poses = f"{int(found.known.sum())} of {len(found.known)} poses"
     title = f"Wheel forces along {told.motion}, {poses}, on {scene.terrain.name}"
@@ -149,7 +149,7 @@ def _soil_of(told: Told) -> DrivenSoil:
     return DrivenSoil("priors", "priors") if told.belief is None else DrivenSoil(told.belief, "belief")
 
 
-def _saved(scene: DriveInputs, told: Told, turned: ForceSoil | None) -> dict[Path, Callable[[], bytes]]:
+def _saved(scene: DriveInputs, told: Told, turned: AlternatingEstimate | None) -> dict[Path, Callable[[], bytes]]:
     if turned is None or told.save is None or told.states is None:
         return {}
     belief, path = turned.posterior.belief, told.states

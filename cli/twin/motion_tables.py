@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from lunarsci.twin.loads.force_soil import ForceSoil
-from lunarsci.twin.loads.totals import FORCES
-from lunarsci.twin.loads.uncertain_forces import TOTALS, Shares, UncertainForces
+from lunarsci.twin.loads.alternating import AlternatingEstimate
+from lunarsci.twin.loads.load_ensemble import TOTALS, LoadEnsemble, Shares
+from lunarsci.twin.loads.prescribed_motion import FORCES
 from lunarsci.twin.outcomes import FINISHED, OUTCOMES
 
 from ..shared.table import TextTable
@@ -24,8 +24,8 @@ SURPRISING, WORST_REDUCED = 4.0, 1.5
 
 def motion_result(
     scene: DriveInputs,
-    found: UncertainForces,
-    turned: ForceSoil | None,
+    found: LoadEnsemble,
+    turned: AlternatingEstimate | None,
     draws: int,
     options: dict[str, Any],
     basis: str,
@@ -58,7 +58,7 @@ def motion_result(
     }
 
 
-def _wheels(found: UncertainForces) -> list[dict[str, Any]]:
+def _wheels(found: LoadEnsemble) -> list[dict[str, Any]]:
     known = found.known
     if not known.any():
         return []
@@ -77,12 +77,12 @@ def _wheels(found: UncertainForces) -> list[dict[str, Any]]:
     ]
 
 
-def _totals(found: UncertainForces) -> dict[str, dict[str, float]]:
+def _totals(found: LoadEnsemble) -> dict[str, dict[str, float]]:
     known = found.known
     return {
         name: {
-            "missing_before": _rms(found.missing_before[known, k]),
-            "missing_after": _rms(found.missing_after[known, k]),
+            "missing_before": _rms(found.residual_before[known, k]),
+            "missing_after": _rms(found.residual_after[known, k]),
             "sigma_before": _rms(found.total_before[known, k]),
             "sigma_after": _rms(found.total_after[known, k]),
         }
@@ -90,7 +90,7 @@ def _totals(found: UncertainForces) -> dict[str, dict[str, float]]:
     }
 
 
-def _iteration(turned: ForceSoil) -> dict[str, Any]:
+def _iteration(turned: AlternatingEstimate) -> dict[str, Any]:
     belief = turned.posterior.belief
     left = belief.left_of_prior
     return {
@@ -113,7 +113,7 @@ def _iteration(turned: ForceSoil) -> dict[str, Any]:
 
 
 def motion_tables(
-    scene: DriveInputs, found: UncertainForces, turned: ForceSoil | None, title: str, notes: Sequence[str]
+    scene: DriveInputs, found: LoadEnsemble, turned: AlternatingEstimate | None, title: str, notes: Sequence[str]
 ) -> list[TextTable]:
     """For people: forces of each wheel, where their uncertainty comes from, totals, rounds."""
     if not found.known.any():
@@ -122,7 +122,7 @@ def motion_tables(
     return tables if turned is None else [*tables, _round_table(turned), _soil_table(turned)]
 
 
-def _force_table(found: UncertainForces, title: str) -> TextTable:
+def _force_table(found: LoadEnsemble, title: str) -> TextTable:
     rows = [
         [
             each["wheel"],
@@ -138,7 +138,7 @@ def _force_table(found: UncertainForces, title: str) -> TextTable:
     return TextTable(headers, rows, title=f"{title}; mean along the drive ± standard deviation at a pose")
 
 
-def _share_table(found: UncertainForces) -> TextTable:
+def _share_table(found: LoadEnsemble) -> TextTable:
     rows = []
     for k, name in enumerate(FORCES):
         for when, balanced in (("assumed", False), ("balanced", True)):
@@ -151,7 +151,7 @@ def _share_table(found: UncertainForces) -> TextTable:
     return TextTable(headers, rows, title="Where the variance of the forces comes from")
 
 
-def _total_table(found: UncertainForces, notes: Sequence[str]) -> TextTable:
+def _total_table(found: LoadEnsemble, notes: Sequence[str]) -> TextTable:
     rows = [[f"{name} [{UNITS[name]}]", *(f"{row[key]:.2f}" for key in row)] for name, row in _totals(found).items()]
     headers = ["of all wheels", "missing, assumed soil", "balanced", "± assumed soil", "± balanced"]
     rows_notes = [
@@ -161,7 +161,7 @@ def _total_table(found: UncertainForces, notes: Sequence[str]) -> TextTable:
     return TextTable(headers, rows, title="What the wheels do not supply, root mean square", notes=rows_notes)
 
 
-def _round_table(turned: ForceSoil) -> TextTable:
+def _round_table(turned: AlternatingEstimate) -> TextTable:
     rows = [
         [
             str(number),
@@ -182,7 +182,7 @@ def _round_table(turned: ForceSoil) -> TextTable:
     return TextTable(headers, rows, title=f"Forces and soil in turn: {said}", notes=notes)
 
 
-def _soil_table(turned: ForceSoil) -> TextTable:
+def _soil_table(turned: AlternatingEstimate) -> TextTable:
     found = _iteration(turned)["parameters"]
     rows = [
         [name, *(f"{row[key]:.4g}" for key in ("median", "low", "high")), f"{100 * row['left_of_prior']:.0f} %"]
@@ -192,7 +192,7 @@ def _soil_table(turned: ForceSoil) -> TextTable:
     return TextTable(headers, rows, title="The soil after the last round")
 
 
-def doubt_of(found: UncertainForces, turned: ForceSoil | None) -> str:
+def doubt_of(found: LoadEnsemble, turned: AlternatingEstimate | None) -> str:
     """Why the result is not to be trusted, or nothing."""
     failed = sorted({OUTCOMES[int(code)] for code in found.held.outcome if code != FINISHED})
     if failed:

@@ -15,11 +15,11 @@ from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import read_belief
 from lunarsci.regolith.fit_verdict import FitVerdict, doubt, read_verdict
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
+from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.ground.driven_soil import DrivenSoil, Origin
 from lunarsci.twin.ground.soil_layers import drawn_grounds
 from lunarsci.twin.ground.soil_map import SoilMap, read_soil_map
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS
-from lunarsci.twin.inference.soil_change import planned_places
 from lunarsci.twin.plans.plan import Sweep, parse_sweep
 from lunarsci.twin.simulation.ensemble import Prediction, predict
 from lunarsci.twin.simulation.path_discrepancy import with_discrepancy

@@ -10,12 +10,16 @@ from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.ground.terrain_files import read_terrain
 from lunarsci.twin.telemetry.filter import EFFECTS
-from lunarsci.twin.telemetry.findings import Findings
-from lunarsci.twin.telemetry.reading import read_telemetry
-from lunarsci.twin.telemetry.sinkage import with_sinkage
-from lunarsci.twin.telemetry.states import DriveStates, states_of
-from lunarsci.twin.telemetry.tables import finding_rows, motion_table, position_table, wheel_table
-from lunarsci.twin.telemetry.track import RutPoints, is_table_of_ruts, read_track
+from lunarsci.twin.telemetry.reading import Findings, read_telemetry
+from lunarsci.twin.telemetry.sinkage import RutPoints, is_table_of_ruts, read_track, with_sinkage
+from lunarsci.twin.telemetry.states import (
+    DriveStates,
+    finding_rows,
+    motion_table,
+    position_table,
+    states_of,
+    wheel_table,
+)
 
 from ..shared.report import Report
 from ..shared.table import TextTable

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 from lunarsci.inputs import read_input
 from lunarsci.regolith.prior import PARAMETERS
+from lunarsci.twin.assimilation.drive_record import DriveRecord
+from lunarsci.twin.assimilation.segments import Segment, SoilChange, drive_segments, find_change
+from lunarsci.twin.assimilation.update import SoilUpdate
 from lunarsci.twin.ground.soil_layers import soil_layers
 from lunarsci.twin.ground.soil_map import SoilMap, Zone, read_soil_map, soil_map_bytes
 from lunarsci.twin.ground.terrain_files import terrain_bytes
-from lunarsci.twin.inference.drive_record import DriveRecord
-from lunarsci.twin.inference.rectify import Rectified
-from lunarsci.twin.inference.soil_zones import DrivenZone, SoilChange, driven_zones, find_change
 
 from ..shared.table import TextTable
 from .predict_report import DriveInputs
@@ -34,7 +34,7 @@ __all__ = [
     "zoned",
 ]
 
-Entry = Callable[[Rectified], Mapping[str, Any]]
+Entry = Callable[[SoilUpdate], Mapping[str, Any]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class MapFiles:
 class MapUpdate:
     """Zones of a drive, changes between them, and the map with them."""
 
-    zones: list[DrivenZone]
+    zones: list[Segment]
     changes: list[SoilChange]
     after: SoilMap
 
@@ -86,7 +86,7 @@ def _reach_m(scene: DriveInputs) -> float:
     return round(float(across + 0.5 * scene.rover.wheel.width_m), 3)
 
 
-def found_changes(record: DriveRecord, found: Rectified, seed: int) -> list[SoilChange]:
+def found_changes(record: DriveRecord, found: SoilUpdate, seed: int) -> list[SoilChange]:
     """The clearest change of a drive, if there is one."""
     change = find_change(record, found, seed=seed)
     return [] if change is None else [change]
@@ -95,7 +95,7 @@ def found_changes(record: DriveRecord, found: Rectified, seed: int) -> list[Soil
 def zoned(
     scene: DriveInputs,
     record: DriveRecord,
-    found: Rectified,
+    found: SoilUpdate,
     before: SoilMap,
     forget: float,
     entry: Entry,
@@ -104,7 +104,7 @@ def zoned(
     progress: Callable[[int, int], None],
 ) -> MapUpdate:
     """The map after the drive; `entry` makes the line of history of a zone."""
-    zones, changes = driven_zones(
+    zones, changes = drive_segments(
         scene.rover,
         scene.terrain,
         scene.plan,
@@ -119,7 +119,7 @@ def zoned(
     return MapUpdate(zones, changes, before.with_zones(kept))
 
 
-def _named(scene: DriveInputs, zone: DrivenZone, entry: Entry) -> Zone:
+def _named(scene: DriveInputs, zone: Segment, entry: Entry) -> Zone:
     line = dict(entry(zone.found)) if zone.found else {}
     line |= {"from_m": round(zone.from_m, 3), "to_m": round(zone.to_m, 3)}
     belief = dataclasses.replace(zone.belief, history=(*zone.before.history, line))
@@ -140,7 +140,7 @@ def map_result(update: MapUpdate) -> dict[str, Any]:
             "to_m": zone.to_m,
             "learned": zone.learned,
             "why_not": zone.why_not or None,
-            "surprise": zone.found.surprise if zone.found else None,
+            "surprise": zone.found.prior_shift if zone.found else None,
             "parameters": {
                 name: {"median": m, "low": low, "high": high, "left_of_prior": zone.belief.left_of_prior[name]}
                 for name, (m, low, high) in zone.belief.intervals().items()

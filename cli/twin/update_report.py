@@ -11,12 +11,12 @@ from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief, with_drive
 from lunarsci.regolith.ground_law import ground_intervals
 from lunarsci.regolith.prior import PARAMETERS, prior_hash
+from lunarsci.twin.assimilation.change_point import planned_places
+from lunarsci.twin.assimilation.drive_record import DriveRecord, read_record
+from lunarsci.twin.assimilation.segments import SoilChange
+from lunarsci.twin.assimilation.update import SoilUpdate, assimilate
 from lunarsci.twin.ground.driven_soil import DrivenSoil, soil_record
 from lunarsci.twin.ground.soil_map import SoilMap
-from lunarsci.twin.inference.drive_record import DriveRecord, read_record
-from lunarsci.twin.inference.rectify import Rectified, rectify
-from lunarsci.twin.inference.soil_change import planned_places
-from lunarsci.twin.inference.soil_zones import SoilChange
 
 from ..shared.report import Report
 from ..shared.table import TextTable
@@ -99,10 +99,10 @@ class UpdateInputs:
 
     def rectified(
         self, particles: int, seed: int, ruts: bool | None, progress: Callable[[int, int], None]
-    ) -> Rectified:
+    ) -> SoilUpdate:
         """The belief after the drive, with the drive in its history."""
         scene = self.scene
-        found = rectify(
+        found = assimilate(
             scene.rover,
             scene.terrain,
             scene.plan,
@@ -118,7 +118,7 @@ class UpdateInputs:
         belief = with_drive(self.scored(found), self.belief, entry, parent_sha256=parent, forgotten=self.forget)
         return dataclasses.replace(found, belief=belief)
 
-    def scored(self, found: Rectified) -> SoilBelief:
+    def scored(self, found: SoilUpdate) -> SoilBelief:
         """The belief found, whose discrepancy says that it rests on this drive's end, if it does."""
         belief, digest = found.belief, self.scene.inputs[self.states]
         law = belief.discrepancy
@@ -127,7 +127,7 @@ class UpdateInputs:
         line = {"states": Path(self.states).name, "sha256": digest, "plan": self.scene.plan.name, "how": "own end"}
         return dataclasses.replace(belief, discrepancy=law.with_score(**line))
 
-    def entry(self, found: Rectified) -> Mapping[str, Any]:
+    def entry(self, found: SoilUpdate) -> Mapping[str, Any]:
         """The line of history of this drive."""
         return {
             "states": Path(self.states).name,
@@ -138,7 +138,7 @@ class UpdateInputs:
             "chi_square": found.chi_square,
             "inflation": dict(found.inflation),
             "ruts": found.prediction.ruts,
-            "surprise": found.surprise,
+            "surprise": found.prior_shift,
             "refused": found.refused,
         }
 
@@ -156,7 +156,7 @@ class UpdateInputs:
 class Learned:
     """What a drive says of one soil, changes of the soil on its way, and the map after it."""
 
-    found: Rectified
+    found: SoilUpdate
     changes: list[SoilChange]
     update: MapUpdate | None
 
@@ -214,7 +214,7 @@ def _refuse_known(before: SoilBelief, sha256: str, states: str, belief: str) -> 
         raise DataError(f"{belief} has learned from {states} already; the same drive does not count twice")
 
 
-def _rows(found: Rectified) -> list[dict[str, Any]]:
+def _rows(found: SoilUpdate) -> list[dict[str, Any]]:
     left, ground = found.belief.left_of_prior, ground_intervals(found.belief)
     return [
         {"parameter": name, "median": median, "low": low, "high": high, "left_of_prior": left[name]}
@@ -223,7 +223,7 @@ def _rows(found: Rectified) -> list[dict[str, Any]]:
     ]
 
 
-def _result(found: Rectified) -> dict[str, Any]:
+def _result(found: SoilUpdate) -> dict[str, Any]:
     return {
         "parameters": {row.pop("parameter"): row for row in _rows(found)},
         "values": found.values,
@@ -233,8 +233,8 @@ def _result(found: Rectified) -> dict[str, Any]:
         "inflation": dict(found.inflation),
         "wheel_errors": dict(found.wheel_errors),
         "ruts": found.prediction.ruts,
-        "surprise": found.surprise,
-        "persistence": found.persistence,
+        "surprise": found.prior_shift,
+        "persistence": found.autocorrelation,
         "refused": found.refused or None,
         "drives": len(found.belief.history),
         "discrepancy": found.belief.discrepancy.to_dict(),
@@ -253,7 +253,7 @@ def _table(known: UpdateInputs, learned: Learned) -> TextTable:
     ]
     notes = [
         f"{found.values} values, {int(found.outliers.sum())} outliers, reduced chi-square {found.reduced:.2f}; "
-        f"surprise {found.surprise:.2f}",
+        f"surprise {found.prior_shift:.2f}",
     ]
     if found.prediction.ruts:
         notes.append("wheels that follow met the ruts of those before them; so they will where this soil is driven on")
@@ -261,12 +261,12 @@ def _table(known: UpdateInputs, learned: Learned) -> TextTable:
         notes.append(f"errors of {name} are taken {factor:.1f} times as large: no soil explains it better")
     for name, size in found.wheel_errors.items():
         notes.append(f"single wheels are off in {name} by {size:.2g} throughout, which was allowed for")
-    if found.surprise > SURPRISING and not found.refused:
+    if found.prior_shift > SURPRISING and not found.refused:
         notes.append("the ground is hardly the one that was believed; forget more, or begin anew")
     notes.extend(change.text for change in learned.changes)
     if learned.changes and learned.update is None:
         notes.append("--save-map learns the soil of each stretch on its own")
-    if found.persistence > SETTLED:
+    if found.autocorrelation > SETTLED:
         notes.append("the soils have not spread out; take more particles, or intervals are too narrow")
     notes.append(EFFECTIVE)
     title = f"Soil after {known.states}: {known.scene.plan.name}"

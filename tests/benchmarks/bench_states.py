@@ -31,12 +31,10 @@ from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import build_rover
 from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction, predict
-from lunarsci.twin.telemetry.findings import Findings
-from lunarsci.twin.telemetry.reading import read_telemetry
+from lunarsci.twin.telemetry.reading import Findings, read_telemetry
 from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
-from lunarsci.twin.telemetry.sinkage import with_sinkage
+from lunarsci.twin.telemetry.sinkage import read_track, with_sinkage
 from lunarsci.twin.telemetry.states import DriveStates, states_of
-from lunarsci.twin.telemetry.track import read_track
 
 PLAN = Plan(name="arcs", legs=(Leg(3.5, 0.15), Leg(3.5, -0.13)), speed_m_s=0.05)
 GROUNDS = ("smooth", "rough", "rougher", "1.2 m", "2 m", "3 m", "6 m", "mixed")

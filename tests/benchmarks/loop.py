@@ -38,9 +38,9 @@ from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.ground_law import ground_moments
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.regolith.states import MeasurementErrors
+from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
+from lunarsci.twin.assimilation.update import assimilate
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.inference.drive_record import OBSERVED, DriveRecord
-from lunarsci.twin.inference.rectify import rectify
 from lunarsci.twin.plans.plan import Plan, read_plan
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict
@@ -123,7 +123,7 @@ def learned(
 ) -> dict[str, Any]:
     """What one update makes of a record, beside the true end of the return and the true soil."""
     first, begin = first_belief(), time.perf_counter()
-    found = rectify(rover, terrain, plan, record, first, model_error=model_error)
+    found = assimilate(rover, terrain, plan, record, first, model_error=model_error)
     took, belief = time.perf_counter() - begin, found.belief
     ruts = found.prediction.ruts
     predicted = predict(rover, terrain, back, samples=belief.draws(MEMBERS), ruts=ruts, before=plan if ruts else None)
@@ -147,8 +147,8 @@ def learned(
         "reduced": found.reduced,
         "inflation": dict(found.inflation),
         "wheel_errors": dict(found.wheel_errors),
-        "surprise": found.surprise,
-        "persistence": found.persistence,
+        "surprise": found.prior_shift,
+        "persistence": found.autocorrelation,
         "z": ((belief.mean - theta) / sd).tolist(),
         "ground_z": ((own - theta) / own_sd).tolist(),
         "rank": ranks,
@@ -211,7 +211,7 @@ def arguments() -> argparse.Namespace:
     )
     parser.add_argument("--seed", type=int, default=41)
     parser.add_argument(
-        "--model-error", type=float, help="as `rectify` takes it; by default 0 for `same` and `closed`, 1 for others"
+        "--model-error", type=float, help="as `assimilate` takes it; by default 0 for `same` and `closed`, 1 for others"
     )
     parser.add_argument("--kept", type=Path, help="folder of true drives, read where they lie there, and added to")
     parser.add_argument(

@@ -11,13 +11,12 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.regolith.states import MeasurementErrors
-from lunarsci.twin.comparison.bands import ALL
-from lunarsci.twin.comparison.ends import check_end, check_path
+from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
+from lunarsci.twin.comparison.checks import ALL, check_end, check_path
 from lunarsci.twin.comparison.forecast import Forecast, forecast_of
-from lunarsci.twin.comparison.meeting import Meeting, meet
+from lunarsci.twin.comparison.matched import MatchedObservations, match_observations
 from lunarsci.twin.comparison.verdict import DriveComparison, compare
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.inference.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
@@ -84,7 +83,7 @@ def truths(yutu2: Rover, ground: Terrain, plan: Plan) -> Prediction:
 
 
 def test_regions_of_the_ends_hold_their_share_of_true_ends(forecast: Forecast, truths: Prediction) -> None:
-    ends = [check_end(meet(forecast, measured(truths, m, 3))) for m in range(TRUTHS)]
+    ends = [check_end(match_observations(forecast, measured(truths, m, 3))) for m in range(TRUTHS)]
     shares = {share: np.mean([end.regions[share] for end in ends if end]) for share in ("50", "90", "95")}
     assert 0.85 <= shares["90"] <= 0.95, shares
     assert 0.40 <= shares["50"] <= 0.62 and 0.90 <= shares["95"] <= 0.99, shares
@@ -95,7 +94,7 @@ def test_regions_of_the_ends_hold_their_share_of_true_ends(forecast: Forecast, t
 @pytest.mark.parametrize("shared", [False, True])
 def test_false_alarms_are_rare(forecast: Forecast, truths: Prediction, shared: bool) -> None:
     """Fewer than 5 of 100, with errors of each value or shared by wheels and neighbours; bands hold their share."""
-    found = [compare(meet(forecast, measured(truths, m, 4, shared=shared)), m) for m in range(120)]
+    found = [compare(match_observations(forecast, measured(truths, m, 4, shared=shared)), m) for m in range(120)]
     assert np.mean([bool(one.reasons) for one in found]) < 0.05
     for k in range(3):
         assert np.mean([[b for b in one.bands if b.wheel == ALL][k].coverage_90 for one in found]) > 0.85
@@ -109,7 +108,7 @@ def shifted(forecast: Forecast, yutu2: Rover, ground: Terrain, plan: Plan, **soi
     """The comparison with a drive on the middle soil of the belief, but for some parameters."""
     middle = {name: value for name, (value, _, _) in belief().intervals().items()} | soil
     out = predict(yutu2, ground, plan, samples={name: [value] for name, value in middle.items()})
-    return compare(meet(forecast, measured(out, 0, 5)))
+    return compare(match_observations(forecast, measured(out, 0, 5)))
 
 
 def test_the_middle_soil_is_trusted_and_one_far_away_is_not(
@@ -138,7 +137,7 @@ def test_a_soil_that_changes_is_found_where_it_does(
     layers["stiffness_kpa_m_n"][:, x > 1.0] *= 0.5
     assert tuple(layers) == PARAMETERS
     out = predict(yutu2, ground.with_soil(**layers), plan, sweep=())
-    found = compare(meet(forecast, measured(out, 0, 6)))
+    found = compare(match_observations(forecast, measured(out, 0, 6)))
     assert found.change is not None and found.change.p < 0.01
     assert found.change.distance_m == pytest.approx(1.0, abs=0.45)
     assert any("the ground seems to change" in reason for reason in found.reasons)
@@ -152,7 +151,7 @@ def cut(forecast: Forecast, count: int) -> Forecast:
 def test_few_drives_are_said_and_give_no_regions(forecast: Forecast, truths: Prediction) -> None:
     record = measured(truths, 0, 7)
     for count, dimensions in ((1, 0), (2, 0), (10, 1)):
-        found = compare(meet(cut(forecast, count), record))
+        found = compare(match_observations(cut(forecast, count), record))
         assert any("rests on" in reason for reason in found.reasons)
         assert found.end is not None and bool(found.end.regions) == bool(dimensions)
         assert (found.bands[0].bias_standard is None) == (count < 3)
@@ -163,34 +162,34 @@ def test_drives_that_did_not_finish_are_left_out(forecast: Forecast, truths: Pre
     outcome, paths, states = (getattr(forecast, name).copy() for name in ("outcome", "paths", "states"))
     outcome[40:], paths[40:, 10:], states[40:, 10:] = 6, np.nan, np.nan
     stuck = dataclasses.replace(forecast, outcome=outcome, paths=paths, states=states)
-    found = compare(meet(stuck, measured(truths, 0, 7)))
+    found = compare(match_observations(stuck, measured(truths, 0, 7)))
     assert found.finished == 40 and found.members == 64 and "24 of 64" in " ".join(found.notes)
     assert not any("only 40" in reason for reason in found.reasons)
     outcome[10:] = 6
-    few = compare(meet(dataclasses.replace(stuck, outcome=outcome), measured(truths, 0, 7)))
+    few = compare(match_observations(dataclasses.replace(stuck, outcome=outcome), measured(truths, 0, 7)))
     assert any("only 10 of 64" in reason for reason in few.reasons)
     outcome[:] = 6
     with pytest.raises(ParameterError, match="no predicted drive"):
-        meet(dataclasses.replace(stuck, outcome=outcome), measured(truths, 0, 7))
+        match_observations(dataclasses.replace(stuck, outcome=outcome), measured(truths, 0, 7))
 
 
 def test_predicted_values_are_those_of_the_samples(forecast: Forecast, truths: Prediction) -> None:
     """A record of a member without errors at its own samples: its differences from itself are 0."""
     out = measured(truths, 0, 8)
-    meeting = meet(forecast, out)
+    matched = match_observations(forecast, out)
     times = np.searchsorted(forecast.time_s, out.time_s)
     wheel = [forecast.wheels.index(name) for name in out.wheel]
-    assert meeting.predicted[5, :, 0] == pytest.approx(forecast.states[5, times, wheel, 2], abs=1e-12)
+    assert matched.predicted[5, :, 0] == pytest.approx(forecast.states[5, times, wheel, 2], abs=1e-12)
     half = dataclasses.replace(out, time_s=out.time_s + 0.5 * forecast.time_s[1])
-    between = meet(forecast, half).predicted[5, :-6, 0]
+    between = match_observations(forecast, half).predicted[5, :-6, 0]
     after = np.minimum(times + 1, len(forecast.time_s) - 1)
     expected = 0.5 * (forecast.states[5, times, wheel, 2] + forecast.states[5, after, wheel, 2])
     assert between == pytest.approx(expected[:-6], abs=1e-12)
     # What is before the second sample does not count; a clock that goes on after the end is not the plan's.
     second = forecast.time_s[1]
-    assert not meeting.known[out.time_s <= second].any() and meeting.known[out.time_s > second, 0].all()
+    assert not matched.known[out.time_s <= second].any() and matched.known[out.time_s > second, 0].all()
     with pytest.raises(ParameterError, match="later than the end of the drive"):
-        meet(forecast, dataclasses.replace(out, time_s=out.time_s + 20.0))
+        match_observations(forecast, dataclasses.replace(out, time_s=out.time_s + 20.0))
 
 
 def without(record: DriveRecord, *, states: bool = False, fixes: bool = False) -> DriveRecord:
@@ -202,21 +201,21 @@ def without(record: DriveRecord, *, states: bool = False, fixes: bool = False) -
 
 def test_what_was_not_measured_is_named_and_not_judged(forecast: Forecast, truths: Prediction) -> None:
     record = measured(truths, 1, 9)
-    blind = compare(meet(forecast, without(record, fixes=True)))
+    blind = compare(match_observations(forecast, without(record, fixes=True)))
     assert blind.end is None and blind.path is None and blind.not_compared["position"] == "not measured"
     assert blind.surprise is not None and "position" not in blind.surprise.quantities
-    lost = compare(meet(forecast, without(record, states=True)))
+    lost = compare(match_observations(forecast, without(record, states=True)))
     assert lost.bands == () and lost.surprise is not None and lost.surprise.quantities == ("position",)
     assert lost.compared == ("position",) and lost.change is None
     with pytest.raises(ParameterError, match="compare the clocks"):
-        meet(forecast, without(record, states=True, fixes=True))
+        match_observations(forecast, without(record, states=True, fixes=True))
 
 
 def test_slip_from_positions_does_not_count_twice(forecast: Forecast, truths: Prediction) -> None:
     record = measured(truths, 1, 9)
     own = np.ones(record.values.shape, dtype=bool)
     own[:, 1:3] = False
-    found = compare(meet(forecast, record, own))
+    found = compare(match_observations(forecast, record, own))
     assert found.surprise is not None and found.surprise.quantities == ("sinkage_m", "position")
     assert {band.quantity for band in found.bands} == {"sinkage_m", "slip_ratio", "side_slip_deg"}
     assert any("second time" in note for note in found.notes)
@@ -225,7 +224,7 @@ def test_slip_from_positions_does_not_count_twice(forecast: Forecast, truths: Pr
 def test_states_outside_of_the_model_are_a_reason(forecast: Forecast, truths: Prediction) -> None:
     record = measured(truths, 1, 9)
     record.values[: len(record.values) // 2, 1] = 0.8
-    found = compare(meet(forecast, record))
+    found = compare(match_observations(forecast, record))
     assert found.invalid_share == pytest.approx(0.5, abs=0.06)
     assert any("wheel model" in reason for reason in found.reasons)
 
@@ -238,17 +237,17 @@ def test_an_early_last_position_is_compared_where_it_is(forecast: Forecast, trut
         fix_m=record.fix_m[:1],
         fix_covariance_m2=record.fix_covariance_m2[:1],
     )
-    end = check_end(meet(forecast, first))
+    end = check_end(match_observations(forecast, first))
     assert end is not None and not end.at_end and end.time_s == record.fix_time_s[0]
     assert end.error_m < 0.1
-    path = check_path(meet(forecast, record))
+    path = check_path(match_observations(forecast, record))
     assert path is not None and len(path.fixes) == len(record.fix_time_s)
     assert path.max_m == path.worst.error_m >= path.rms_m
 
 
 def test_the_same_seed_gives_the_same_comparison(forecast: Forecast, truths: Prediction) -> None:
-    meeting = meet(forecast, measured(truths, 2, 10))
-    assert compare(meeting, 3) == compare(meeting, 3)
+    matched = match_observations(forecast, measured(truths, 2, 10))
+    assert compare(matched, 3) == compare(matched, 3)
 
 
 @pytest.mark.parametrize("what", ["all", "no positions", "no states", "one member"])
@@ -259,7 +258,7 @@ def test_the_picture_is_drawn_with_what_there_is(
     from lunarsci.twin.figures.comparison import comparison_figure
 
     record = without(measured(truths, 2, 11), states=what == "no states", fixes=what == "no positions")
-    meeting: Meeting = meet(cut(forecast, 1) if what == "one member" else forecast, record)
-    figure = comparison_figure(meeting, compare(meeting), "a drive")
+    matched: MatchedObservations = match_observations(cut(forecast, 1) if what == "one member" else forecast, record)
+    figure = comparison_figure(matched, compare(matched), "a drive")
     assert len(picture_bytes([figure], tmp_path / "drive.png")) > 30_000
     assert len(figure.axes) == (4 if what == "no states" else 7)

@@ -4,9 +4,17 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from lunarsci.twin.comparison.ends import crps, energy_score, predictive_rank
-from lunarsci.twin.comparison.surprise import correlation_length
-from lunarsci.twin.comparison.tail import inside, region_edge, squared_distances, standing, worst_of
+from lunarsci.twin.comparison.scores import (
+    correlation_length,
+    crps,
+    energy_score,
+    inside,
+    predictive_rank,
+    region_edge,
+    squared_distances,
+    standing,
+    worst_of,
+)
 
 
 def test_crps_of_a_large_normal_ensemble_is_its_closed_form() -> None:

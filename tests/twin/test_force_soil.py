@@ -14,10 +14,9 @@ from lunarsci.regolith.load import sinkage_under_load
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.regolith.soil import Soil
 from lunarsci.twin.ground.synthetic import synthetic_longji
-from lunarsci.twin.loads.force_soil import ForceSoil, Round, force_soil, verdict_of
-from lunarsci.twin.loads.held import forces_along
+from lunarsci.twin.loads.alternating import AlternatingEstimate, Round, alternate, verdict_of
 from lunarsci.twin.loads.pose_states import PoseStates
-from lunarsci.twin.loads.totals import COLUMNS
+from lunarsci.twin.loads.prescribed_motion import COLUMNS, prescribed_loads
 from lunarsci.twin.plans.motion import Motion, drawn_motions
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.plans.schedule import commands_at, make_schedule
@@ -131,7 +130,9 @@ def drive(yutu2: Rover, hidden: np.ndarray) -> tuple[np.ndarray, Motion, PoseSta
     motion = next(drawn_motions(exact, 1, 0.5, rng))
     from lunarsci.twin.ground.terrain import soil_overrides
 
-    seen = forces_along(yutu2, synthetic_longji(), motion, soil_overrides(soil, 1)[0]).states  # slips of that motion
+    seen = prescribed_loads(
+        yutu2, synthetic_longji(), motion, soil_overrides(soil, 1)[0]
+    ).states  # slips of that motion
     true = result.states[0]
     depth = true[..., STATE_COLUMNS.index("sinkage_m")] + SINKAGE_SIGMA * rng.standard_normal(true.shape[:2])
     slip, side = (seen[..., STATE_COLUMNS.index(name)] for name in ("slip_ratio", "side_slip_deg"))
@@ -147,14 +148,16 @@ def drive(yutu2: Rover, hidden: np.ndarray) -> tuple[np.ndarray, Motion, PoseSta
 
 
 @pytest.fixture(scope="module")
-def turned(yutu2: Rover, drive: tuple[np.ndarray, Motion, PoseStates]) -> ForceSoil:
+def turned(yutu2: Rover, drive: tuple[np.ndarray, Motion, PoseStates]) -> AlternatingEstimate:
     _, motion, states = drive
     options = {"draws": 32, "correlation_m": 0.5, "seed": 2}
-    return force_soil(yutu2, synthetic_longji(), motion, states, first_belief(), rounds=8, **options)  # type: ignore[arg-type]
+    return alternate(yutu2, synthetic_longji(), motion, states, first_belief(), rounds=8, **options)  # type: ignore[arg-type]
 
 
 @pytest.mark.slow
-def test_forces_and_soil_in_turn_converge_and_hold_the_hidden_soil(turned: ForceSoil, hidden: np.ndarray) -> None:
+def test_forces_and_soil_in_turn_converge_and_hold_the_hidden_soil(
+    turned: AlternatingEstimate, hidden: np.ndarray
+) -> None:
     assert turned.converged and 1 < len(turned.rounds) < 8
     assert turned.rounds[-1].soil < 0.1 and turned.rounds[-1].forces < 0.01
     belief = turned.posterior.belief
@@ -166,7 +169,7 @@ def test_forces_and_soil_in_turn_converge_and_hold_the_hidden_soil(turned: Force
 
 
 @pytest.mark.slow
-def test_forces_on_the_soil_that_was_found_are_the_true_ones(turned: ForceSoil, drive) -> None:  # type: ignore[no-untyped-def]
+def test_forces_on_the_soil_that_was_found_are_the_true_ones(turned: AlternatingEstimate, drive) -> None:  # type: ignore[no-untyped-def]
     known = turned.forces.known.copy()
     known[:3] = known[-3:] = False
     off = (turned.forces.after - drive[0])[known]
@@ -176,11 +179,11 @@ def test_forces_on_the_soil_that_was_found_are_the_true_ones(turned: ForceSoil, 
 
 
 @pytest.mark.slow
-def test_the_soil_does_not_follow_from_where_the_rounds_begin(yutu2: Rover, turned: ForceSoil, drive) -> None:  # type: ignore[no-untyped-def]
+def test_the_soil_does_not_follow_from_where_the_rounds_begin(yutu2: Rover, turned: AlternatingEstimate, drive) -> None:  # type: ignore[no-untyped-def]
     """Forces that came from a soil must not prove it: with other soils drawn for them the same soil is found."""
     _, motion, states = drive
     options = {"draws": 32, "correlation_m": 0.5, "seed": 77}
-    other = force_soil(yutu2, synthetic_longji(), motion, states, first_belief(), rounds=8, **options)  # type: ignore[arg-type]
+    other = alternate(yutu2, synthetic_longji(), motion, states, first_belief(), rounds=8, **options)  # type: ignore[arg-type]
     one, two = turned.posterior.belief, other.posterior.belief
     assert np.abs((one.mean - two.mean) / np.sqrt(np.diag(one.covariance))).max() < 0.3
 
@@ -201,4 +204,4 @@ def test_rounds_converge_oscillate_or_neither() -> None:
 def test_rounds_out_of_range_are_refused(yutu2: Rover, drive) -> None:  # type: ignore[no-untyped-def]
     _, motion, states = drive
     with pytest.raises(ParameterError, match="1 to 50"):
-        force_soil(yutu2, synthetic_longji(), motion, states, first_belief(), rounds=0, correlation_m=0.5)
+        alternate(yutu2, synthetic_longji(), motion, states, first_belief(), rounds=0, correlation_m=0.5)

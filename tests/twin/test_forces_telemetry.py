@@ -15,10 +15,9 @@ from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.judgement.load_check import force_table
-from lunarsci.twin.loads.held import forces_along
+from lunarsci.twin.loads.load_ensemble import LoadEnsemble, draw_loads
 from lunarsci.twin.loads.pose_states import read_pose_states
-from lunarsci.twin.loads.totals import COLUMNS, levers_of, missing_of
-from lunarsci.twin.loads.uncertain_forces import UncertainForces, uncertain_forces
+from lunarsci.twin.loads.prescribed_motion import COLUMNS, contact_jacobian, prescribed_loads, residual_wrench
 from lunarsci.twin.plans.motion import Motion, correlation_of, drawn_motions, read_motion
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.plans.schedule import commands_at, make_schedule
@@ -72,19 +71,19 @@ def driven(yutu2: Rover, hidden: SoilBelief) -> tuple[Prediction, Motion]:
 
 
 @pytest.fixture(scope="module")
-def found(yutu2: Rover, driven: tuple[Prediction, Motion]) -> UncertainForces:
+def found(yutu2: Rover, driven: tuple[Prediction, Motion]) -> LoadEnsemble:
     """Forces with soils of the priors, whose middle is wrong."""
     first = first_belief()
     soils, middle = first.draws(64, 1), middle_of(first)
-    return uncertain_forces(yutu2, synthetic_longji(), driven[1], soils, middle, correlation_m=0.5, seed=1)
+    return draw_loads(yutu2, synthetic_longji(), driven[1], soils, middle, correlation_m=0.5, seed=1)
 
 
 def test_the_levers_of_all_forces_and_what_is_missing_are_newton_s_law(yutu2: Rover, driven) -> None:  # type: ignore[no-untyped-def]
     """Weights have no horizontal part, so that all forces on the wheels and what is missing add up to nothing; of the
     moment about the vertical the torques M_R of tilted wheels remain, under 1 N m on these slopes."""
-    held = forces_along(yutu2, synthetic_longji(), driven[1])
-    total = np.einsum("ntwf,nwf->nt", levers_of(held), held.states[..., COLUMNS]) + missing_of(held)
-    assert np.abs(missing_of(held)[:, :2]).max() > 1.0, "something is missing, or nothing is shown"
+    held = prescribed_loads(yutu2, synthetic_longji(), driven[1])
+    total = np.einsum("ntwf,nwf->nt", contact_jacobian(held), held.states[..., COLUMNS]) + residual_wrench(held)
+    assert np.abs(residual_wrench(held)[:, :2]).max() > 1.0, "something is missing, or nothing is shown"
     assert np.abs(total[:, :2]).max() < 0.01
     assert np.abs(total[:, 2]).max() < 1.0
 
@@ -96,7 +95,7 @@ def test_on_a_slope_all_wheels_together_pull_the_weight_whatever_the_soil(yutu2:
     weight = yutu2.mass_kg * yutu2.gravity_m_s2
     wanted = weight * math.sin(math.atan(gradient))
     first = first_belief()
-    result = uncertain_forces(
+    result = draw_loads(
         yutu2, slope(gradient), rolling(12, gradient, 0.1), first.draws(64), middle_of(first), correlation_m=0.5
     )
     before, after = (part[6, :, 1].sum() for part in (result.before, result.after))
@@ -120,7 +119,7 @@ def test_the_balance_moves_forces_from_a_wrong_soil_to_the_true_ones(yutu2: Rove
         motion = dataclasses.replace(exact, x_m=x, y_m=y, yaw_deg=yaw)
         motion = next(drawn_motions(motion, 1, 0.5, np.random.default_rng(m)))
         soils = first.draws(48, 1)
-        found = uncertain_forces(yutu2, ground, motion, soils, middle_of(first), correlation_m=0.5, seed=1)
+        found = draw_loads(yutu2, ground, motion, soils, middle_of(first), correlation_m=0.5, seed=1)
         for when in off:
             off[when].append((getattr(found, when) - drives.states[m][..., COLUMNS])[INNER])
             sigma[when].append(getattr(found, f"{when}_sigma")[INNER])
@@ -141,9 +140,9 @@ def test_shares_add_up_and_follow_what_is_uncertain(yutu2: Rover, driven, found,
     assert found.shares(0, balanced=True).of_force < 0.1 < found.shares(1, balanced=False).of_force
     exact = dataclasses.replace(driven[1], sigmas=None)
     first, ground = first_belief(), synthetic_longji()
-    only_soil = uncertain_forces(yutu2, ground, exact, first.draws(16), middle_of(first), correlation_m=0.5)
+    only_soil = draw_loads(yutu2, ground, exact, first.draws(16), middle_of(first), correlation_m=0.5)
     assert only_soil.shares(1, balanced=False).soil == pytest.approx(1.0)
-    known = uncertain_forces(yutu2, ground, driven[1], hidden.draws(16), middle_of(hidden), correlation_m=0.5)
+    known = draw_loads(yutu2, ground, driven[1], hidden.draws(16), middle_of(hidden), correlation_m=0.5)
     assert known.shares(1, balanced=False).soil < 1e-6 and known.shares(1, balanced=False).motion > 0.9
 
 
@@ -177,10 +176,10 @@ def test_halts_and_what_is_beside_them_have_no_forces(tmp_path: Path, yutu2: Rov
     table.to_csv(path, index=False)
     read = read_motion(path, yutu2)
     assert read.no_speed.nonzero()[0].tolist() == [5, 6, 7]
-    found = forces_along(yutu2, slope(), read)
+    found = prescribed_loads(yutu2, slope(), read)
     assert np.isnan(found.states[5:8]).all() and np.isfinite(found.states[[4, 8]]).all()
     first = first_belief()
-    result = uncertain_forces(yutu2, slope(), read, first.draws(16), middle_of(first), correlation_m=0.5)
+    result = draw_loads(yutu2, slope(), read, first.draws(16), middle_of(first), correlation_m=0.5)
     valid = force_table(result)["valid"].to_numpy().reshape(12, 6)
     assert not valid[5:8].any() and valid[[4, 8]].all()
 
@@ -207,10 +206,13 @@ def test_forces_on_a_given_soil_are_those_of_a_terrain_of_that_soil(yutu2: Rover
 
     other = longji_soil.replace(stiffness_kpa_m_n=700.0, cohesion_pa=900.0)
     row = soil_overrides({name: np.array([getattr(other, name)]) for name in PARAMETERS}, 1)[0]
-    one, two = forces_along(yutu2, slope(0.1), rolling(5), row), forces_along(yutu2, slope(0.1, soil=other), rolling(5))
+    one, two = (
+        prescribed_loads(yutu2, slope(0.1), rolling(5), row),
+        prescribed_loads(yutu2, slope(0.1, soil=other), rolling(5)),
+    )
     assert one.states == pytest.approx(two.states, rel=1e-9, abs=1e-12)
     depth = STATE_COLUMNS.index("sinkage_m")
-    assert (one.states[..., depth] > forces_along(yutu2, slope(0.1), rolling(5)).states[..., depth]).all()
+    assert (one.states[..., depth] > prescribed_loads(yutu2, slope(0.1), rolling(5)).states[..., depth]).all()
 
 
 @pytest.mark.parametrize(
@@ -252,8 +254,8 @@ def test_draws_and_errors_out_of_range_are_refused(yutu2: Rover, slope) -> None:
     first, motion = first_belief(), rolling(4)
     known = (yutu2, slope(), motion)
     with pytest.raises(ParameterError, match="too few"):
-        uncertain_forces(*known, first.draws(8), middle_of(first), correlation_m=0.5)
+        draw_loads(*known, first.draws(8), middle_of(first), correlation_m=0.5)
     with pytest.raises(ParameterError, match="error of the balance"):
-        uncertain_forces(*known, first.draws(16), middle_of(first), correlation_m=0.5, balance_error=0.0)
+        draw_loads(*known, first.draws(16), middle_of(first), correlation_m=0.5, balance_error=0.0)
     with pytest.raises(ParameterError, match="correlation length"):
-        uncertain_forces(*known, first.draws(16), middle_of(first), correlation_m=0.0)
+        draw_loads(*known, first.draws(16), middle_of(first), correlation_m=0.0)

@@ -9,7 +9,7 @@ import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.twin.ground.synthetic import synthetic_longji
-from lunarsci.twin.loads.held import HeldForces, forces_along
+from lunarsci.twin.loads.prescribed_motion import PrescribedLoads, prescribed_loads
 from lunarsci.twin.outcomes import OUTCOMES
 from lunarsci.twin.plans.motion import Motion, read_motion
 from lunarsci.twin.plans.plan import Leg, Plan
@@ -39,13 +39,13 @@ def column(states: np.ndarray, name: str) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def driven(yutu2: Rover) -> tuple[Prediction, HeldForces]:
+def driven(yutu2: Rover) -> tuple[Prediction, PrescribedLoads]:
     terrain = synthetic_longji(rms_m=0.002)
     result = predict(yutu2, terrain, PLAN, sweep=(), sample_m=0.05, time_step_s=0.05, ruts=False)
-    return result, forces_along(yutu2, terrain, motion_of(result))
+    return result, prescribed_loads(yutu2, terrain, motion_of(result))
 
 
-def test_a_drive_is_explained_by_its_own_motion(driven: tuple[Prediction, HeldForces]) -> None:
+def test_a_drive_is_explained_by_its_own_motion(driven: tuple[Prediction, PrescribedLoads]) -> None:
     """All but the ends, where differences are one-sided and the drive still finds its speed."""
     result, found = driven
     inner = slice(10, -2)
@@ -63,8 +63,8 @@ def test_a_drive_is_explained_by_its_own_motion(driven: tuple[Prediction, HeldFo
         assert np.median(np.abs(ours - theirs)) < 0.2 * off, name
     assert np.abs(found.paths[inner, 2] - result.paths[0, inner, 2]).max() < 1e-3
     assert np.abs(found.paths[inner, 3:5] - result.paths[0, inner, 3:5]).max() < 0.1
-    assert np.abs(found.missing_n[inner]).max() < 3.0
-    assert found.missing_share < 0.02
+    assert np.abs(found.residual_n[inner]).max() < 3.0
+    assert found.residual_share < 0.02
 
 
 def test_on_a_slope_what_is_missing_is_the_weight_that_the_wheels_do_not_hold(yutu2: Rover, longji_soil, slope) -> None:  # type: ignore[no-untyped-def]
@@ -75,13 +75,13 @@ def test_on_a_slope_what_is_missing_is_the_weight_that_the_wheels_do_not_hold(yu
     motion = Motion(
         time_s=time, x_m=0.05 * time, y_m=0 * time, yaw_deg=0 * time, steering_deg=zeros, speed_m_s=zeros + 0.05
     )
-    found = forces_along(yutu2, ground, motion)
+    found = prescribed_loads(yutu2, ground, motion)
     weight = yutu2.mass_kg * yutu2.gravity_m_s2
     lateral = column(found.states, "lateral_force_n")
     assert np.abs(lateral).max() < 1e-3
     # In the plane's own frame: the component of the weight along the slope, held by a horizontal force.
-    assert found.missing_n[5, 1] == pytest.approx(weight * 0.1, rel=1e-3)
-    assert abs(found.missing_nm[5]) < 0.5
+    assert found.residual_n[5, 1] == pytest.approx(weight * 0.1, rel=1e-3)
+    assert abs(found.residual_nm[5]) < 0.5
 
 
 def test_a_rover_towed_up_a_slope_needs_what_weight_and_soil_take(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
@@ -93,11 +93,11 @@ def test_a_rover_towed_up_a_slope_needs_what_weight_and_soil_take(yutu2: Rover, 
     zeros = np.zeros((len(time), 6))
     rims = zeros + 0.05 / math.cos(angle)
     motion = Motion(time_s=time, x_m=0.05 * time, y_m=0 * time, yaw_deg=0 * time, steering_deg=zeros, speed_m_s=rims)
-    found = forces_along(yutu2, slope(gradient), motion)
+    found = prescribed_loads(yutu2, slope(gradient), motion)
     weight = yutu2.mass_kg * yutu2.gravity_m_s2
     assert np.abs(column(found.states, "slip_ratio")[1:-1]).max() < 1e-6
     load, pull = (column(found.states, name)[5].sum() for name in ("normal_force_n", "drawbar_pull_n"))
-    ahead, aside = found.missing_n[5]
+    ahead, aside = found.residual_n[5]
     assert pull < 0.0 < ahead and aside == pytest.approx(0.0, abs=1e-6)
     assert ahead * math.cos(angle) + pull == pytest.approx(weight * math.sin(angle), rel=1e-6)
     assert load == pytest.approx(weight * math.cos(angle) + ahead * math.sin(angle), rel=1e-6)
@@ -107,7 +107,7 @@ def test_weight_moves_to_the_rear_wheels_on_a_climb(yutu2: Rover, slope) -> None
     """Moments about the line of wheel centres, where F_DP acts: the weight above it, and the soil's torques M_R."""
     gradient = 0.15
     result = predict(yutu2, slope(gradient), Plan(name="up", legs=(Leg(3.0),), speed_m_s=0.05), sweep=(), ruts=False)
-    found = forces_along(yutu2, slope(gradient), motion_of(result))
+    found = prescribed_loads(yutu2, slope(gradient), motion_of(result))
     load = column(found.states, "normal_force_n")[-5]
     angle = math.atan(gradient)
     weight = yutu2.mass_kg * yutu2.gravity_m_s2
@@ -127,7 +127,7 @@ def test_poses_in_a_hole_and_beside_it_say_so(yutu2: Rover, slope) -> None:  # t
     motion = Motion(
         time_s=time, x_m=0.05 * time, y_m=0 * time, yaw_deg=0 * time, steering_deg=zeros, speed_m_s=zeros + 0.05
     )
-    found = forces_along(yutu2, ground, motion)
+    found = prescribed_loads(yutu2, ground, motion)
     assert found.outcome[0] == 0 and np.isfinite(found.states[0]).all()
     assert OUTCOMES[found.outcome[-1]].startswith("hole") and np.isnan(found.states[-1]).all()
     assert np.isfinite(found.states[found.outcome == 0]).all()
@@ -139,7 +139,7 @@ def test_a_pose_keeps_its_own_reason_beside_one_with_another(yutu2: Rover, slope
     x, zeros = np.array([0.0, 0.5, 3.1, 100.0, 100.5]), np.zeros((5, 6))
     time = np.arange(5.0)
     motion = Motion(time_s=time, x_m=x, y_m=0 * x, yaw_deg=0 * x, steering_deg=zeros, speed_m_s=zeros + 0.05)
-    found = forces_along(yutu2, ground, motion)
+    found = prescribed_loads(yutu2, ground, motion)
     reasons = [OUTCOMES[code].split(":")[0] for code in found.outcome]
     assert reasons[2:] == ["hole in the terrain", "left the terrain", "left the terrain"]
     assert reasons[0] == "finished"
@@ -205,4 +205,4 @@ def test_commands_must_fit_the_rover(yutu2: Rover, slope, driven) -> None:  # ty
         ({"steering_deg": motion.steering_deg + 100.0}, "beyond 90 deg"),
     ):
         with pytest.raises(ParameterError, match=says):
-            forces_along(yutu2, slope(), dataclasses.replace(motion, **changes))
+            prescribed_loads(yutu2, slope(), dataclasses.replace(motion, **changes))

@@ -8,11 +8,10 @@ import pytest
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import first_belief
-from lunarsci.twin.inference.discrepancy import Discrepancy
-from lunarsci.twin.inference.drive_record import OBSERVED
-from lunarsci.twin.inference.mode import PosteriorMode, find_mode
-from lunarsci.twin.inference.population import draw_population, fit_emulator
-from lunarsci.twin.inference.posterior import Straight, inflation_of, wheel_errors
+from lunarsci.twin.assimilation.drive_record import OBSERVED
+from lunarsci.twin.assimilation.particles import draw_particles, fit_emulator
+from lunarsci.twin.assimilation.posterior import PosteriorMode, SoilCoordinates, find_mode, inflation_of, wheel_errors
+from lunarsci.twin.assimilation.residuals import DriveBias
 
 WHEELS = ("FL", "FR", "ML", "MR", "RL", "RR")
 
@@ -24,19 +23,19 @@ def soils(count: int, seed: int = 3) -> np.ndarray:
 
 
 def test_coordinates_lead_back_to_the_soil() -> None:
-    straight, points = Straight(0.012), soils(200)
-    assert np.allclose(straight.transforms(straight.straightened(points)), points, atol=1e-9)
-    nothing = straight.straightened(points[0])
+    coordinates, points = SoilCoordinates(0.012), soils(200)
+    assert np.allclose(coordinates.transforms(coordinates.from_transforms(points)), points, atol=1e-9)
+    nothing = coordinates.from_transforms(points[0])
     nothing[4] = nothing[3] - 1.0
-    assert np.isnan(straight.transforms(nothing)).all()
+    assert np.isnan(coordinates.transforms(nothing)).all()
 
 
 def test_volume_is_that_of_the_jacobian_by_differences() -> None:
-    straight, step = Straight(0.012), 1e-6
+    coordinates, step = SoilCoordinates(0.012), 1e-6
     for point in soils(5):
-        rows = [(straight.straightened(point + e) - straight.straightened(point - e)) / (2 * step)
+        rows = [(coordinates.from_transforms(point + e) - coordinates.from_transforms(point - e)) / (2 * step)
                 for e in np.eye(8) * step]  # fmt: skip
-        assert straight.ln_volume(point) == pytest.approx(-np.log(abs(np.linalg.det(np.array(rows)))), abs=1e-6)
+        assert coordinates.ln_volume(point) == pytest.approx(-np.log(abs(np.linalg.det(np.array(rows)))), abs=1e-6)
 
 
 def bent(points: np.ndarray) -> np.ndarray:
@@ -62,7 +61,7 @@ def test_population_of_a_bent_law_has_its_moments() -> None:
     mode = PosteriorMode(np.zeros(8), 0.0, np.diag([1.0, 0.5**2, *np.ones(6)]))
     moments = []
     for seed in range(4):
-        drawn, left = draw_population(posterior, mode, 512, np.random.default_rng(seed))
+        drawn, left = draw_particles(posterior, mode, 512, np.random.default_rng(seed))
         assert left < 0.15
         moments.append([*drawn.mean(axis=0)[:2], *drawn.var(axis=0)])
     mean, scatter = np.mean(moments, axis=0), 1.0 / np.sqrt(4 * 512)
@@ -97,10 +96,10 @@ def linear(matrix: np.ndarray, measured: np.ndarray, cliff: float = np.inf) -> A
     def draw(count: int, random: np.random.Generator) -> np.ndarray:
         return random.standard_normal((count, 8))
 
-    same = SimpleNamespace(transforms=lambda p: p, straightened=lambda p: p)
+    same = SimpleNamespace(transforms=lambda p: p, from_transforms=lambda p: p)
     belief = SimpleNamespace(covariance=np.eye(8))
     return SimpleNamespace(
-        residuals=residuals, cost=cost, draw_prior=draw, straight=same, misfit=SimpleNamespace(belief=belief)
+        residuals=residuals, cost=cost, draw_prior=draw, coordinates=same, drive=SimpleNamespace(belief=belief)
     )
 
 
@@ -120,27 +119,27 @@ def test_mode_of_a_linear_problem_is_that_of_least_squares() -> None:
 def test_errors_are_widened_by_what_is_alike_and_not_by_noise() -> None:
     random = np.random.default_rng(2)
     wheels = WHEELS * 32
-    misfit: Any = SimpleNamespace(known=np.ones((len(wheels), 6), dtype=bool), record=SimpleNamespace(wheel=wheels))
+    drive: Any = SimpleNamespace(known=np.ones((len(wheels), 6), dtype=bool), record=SimpleNamespace(wheel=wheels))
     # By chance alone 1 in 100 quantities is widened: 2.4 of 240 are expected, 8 or more happen once in 300 times.
     nowhere = np.zeros(0)
     for alarm in (lambda *given: inflation_of(*given, nowhere), wheel_errors):
-        assert sum(len(alarm(misfit, random.normal(size=(len(wheels), 6)))) for _ in range(40)) < 8
+        assert sum(len(alarm(drive, random.normal(size=(len(wheels), 6)))) for _ in range(40)) < 8
     noise = random.normal(size=(len(wheels), 6))
     alike = noise.copy()
     alike[:, 0] += np.where(np.array(wheels) == "RL", 2.0, 0.0)
     alike[:, 1] *= 2.0
     alike[:, 2] += 3.0 * np.sign(np.sin(np.arange(len(wheels)) / 30.0))
-    found = inflation_of(misfit, alike, nowhere)
+    found = inflation_of(drive, alike, nowhere)
     assert {OBSERVED[1], OBSERVED[2]} <= set(found) <= {*OBSERVED[1:]}
     assert found[OBSERVED[1]] == pytest.approx(2.0, rel=0.25)
     assert found[OBSERVED[2]] > 4.0
-    own = wheel_errors(misfit, alike)
+    own = wheel_errors(drive, alike)
     # One wheel of six is off by 2: about their mean the six scatter with a variance of 4 (1/6) (5/6) 6/5.
     assert set(own) >= {OBSERVED[0]}
     assert own[OBSERVED[0]] == pytest.approx(np.sqrt(4.0 / 6.0), rel=0.3)
     wild = noise.copy()
     wild[::40, 2] = 300.0
-    assert inflation_of(misfit, wild, nowhere).get(OBSERVED[2], 1.0) < 2.0
+    assert inflation_of(drive, wild, nowhere).get(OBSERVED[2], 1.0) < 2.0
 
 
 def test_errors_that_stay_are_removed_as_their_covariance_says() -> None:
@@ -149,16 +148,16 @@ def test_errors_that_stay_are_removed_as_their_covariance_says() -> None:
     values, sigma = 1.0 + random.random((24, 6)), 0.1 + random.random((24, 6))
     wheel, way = np.arange(24) % 6, np.array([[3.0, 1.0]])
     whitening = np.linalg.inv(np.linalg.cholesky(np.array([[[0.04, 0.01], [0.01, 0.02]]])))
-    removed = Discrepancy(wheels={"sinkage_m": 2.0}).removed(values, sigma, wheel, way, whitening, values)
-    basis = removed.vectors * removed.sizes
+    marginalised = DriveBias(wheels={"sinkage_m": 2.0}).marginalised(values, sigma, wheel, way, whitening, values)
+    basis = marginalised.vectors * marginalised.sizes
     size, vectors = np.linalg.eigh(np.eye(24 * 6 + 2) + basis @ basis.T)
     rows = random.normal(size=(3, 24 * 6 + 2))
-    assert removed.applied(rows) == pytest.approx(rows @ (vectors / np.sqrt(size)) @ vectors.T)
-    assert removed.undone(removed.applied(rows)) == pytest.approx(rows)
+    assert marginalised.applied(rows) == pytest.approx(rows @ (vectors / np.sqrt(size)) @ vectors.T)
+    assert marginalised.undone(marginalised.applied(rows)) == pytest.approx(rows)
     # A drive 25 % of whose slip is wrong, and which went that much too far, is explained to a large part.
     wrong = np.zeros((24, 6))
     wrong[:, 1] = 0.25 * values[:, 1].mean() / sigma[:, 1]
     row = np.append(wrong, (whitening @ (-0.25 * values[:, 1].mean() * way[0])[None, :, None])[0])
-    assert np.linalg.norm(row) > 5.0 and np.linalg.norm(removed.applied(row)) < np.sqrt(2.0)
+    assert np.linalg.norm(row) > 5.0 and np.linalg.norm(marginalised.applied(row)) < np.sqrt(2.0)
     with pytest.raises(ParameterError, match="model error of 'nothing'"):
-        Discrepancy({"nothing": 1.0})
+        DriveBias({"nothing": 1.0})

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy, VarianceLaw
+from lunarsci.twin.assimilation.drive_record import DriveRecord
 from lunarsci.twin.comparison.forecast import forecast_of
-from lunarsci.twin.comparison.learning import miss_of, taught
-from lunarsci.twin.comparison.meeting import meet
-from lunarsci.twin.inference.drive_record import DriveRecord
+from lunarsci.twin.comparison.matched import match_observations, miss_of, taught
 from lunarsci.twin.judgement.safety import judge
 from lunarsci.twin.plans.plan import KeepOut, Limit
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
@@ -96,13 +95,13 @@ def a_fix(out: Prediction, off: tuple[float, float]) -> DriveRecord:
 def test_a_comparison_scores_the_miss_and_learns(driven: Prediction, law: PhysicsDiscrepancy | None) -> None:
     """Measured against the middle of the soils, whether or not the prediction held a discrepancy."""
     predicted = driven if law is None else with_discrepancy(driven, law)
-    meeting = meet(forecast_of(predicted, soils="belief"), a_fix(driven, (-0.2, 0.05)))
-    miss = miss_of(meeting)
+    matched = match_observations(forecast_of(predicted, soils="belief"), a_fix(driven, (-0.2, 0.05)))
+    miss = miss_of(matched)
     assert miss is not None and (miss.along_m, miss.across_m) == pytest.approx((-0.2, 0.05), abs=1e-3)
     assert miss.along_share == pytest.approx(-0.2, abs=2e-3) and (miss.physics_m > 0) == (law is not None)
-    after = taught(meeting, FIRST)
+    after = taught(matched, FIRST)
     assert after.along.scale > 1.2 * FIRST.along.scale
-    near = taught(meet(forecast_of(predicted, soils="belief"), a_fix(driven, (0.0, 0.0))), FIRST)
+    near = taught(match_observations(forecast_of(predicted, soils="belief"), a_fix(driven, (0.0, 0.0))), FIRST)
     assert near.along.scale < FIRST.along.scale and near.across.scale < FIRST.across.scale
     assert near.quantities == FIRST.quantities
 
@@ -119,7 +118,7 @@ def test_sinkage_is_scored_by_its_mean(driven: Prediction) -> None:
     )  # fmt: skip
     before = dataclasses.replace(FIRST, quantities={**FIRST.quantities, "sinkage_m": VarianceLaw(5.0, 0.1)})
     for predicted in (driven, with_discrepancy(driven, before)):
-        after = taught(meet(forecast_of(predicted, soils="belief"), record), before)
+        after = taught(match_observations(forecast_of(predicted, soils="belief"), record), before)
         share = after.quantities["sinkage_m"]
         assert 0.15 < share.scale < 0.35 and share.degrees > 4.5
         assert (after.along, after.across) == (before.along, before.across)

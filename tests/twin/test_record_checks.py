@@ -10,9 +10,9 @@ import pytest
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import first_belief
+from lunarsci.twin.assimilation.drive_record import DriveRecord, read_record
+from lunarsci.twin.assimilation.update import assimilate
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.inference.drive_record import DriveRecord, read_record
-from lunarsci.twin.inference.rectify import rectify
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
 
@@ -76,12 +76,12 @@ def test_positions_that_no_soil_explains_teach_nothing(yutu2: Rover, flat: Terra
     """A flat ground, a straight plan, and a frame that is turned by 90 degrees, or a clock in milliseconds."""
     time = np.linspace(8.0, 40.0, 5)
     right = straight(0.049 * time, np.zeros(5), time)
-    learned = rectify(yutu2, flat, PLAN, right, first_belief(), particles=32)
+    learned = assimilate(yutu2, flat, PLAN, right, first_belief(), particles=32)
     assert not learned.refused and learned.inflation == {}
     turned = dataclasses.replace(right, fix_m=right.fix_m[:, ::-1])
-    refused = rectify(yutu2, flat, PLAN, turned, first_belief(), particles=32)
+    refused = assimilate(yutu2, flat, PLAN, turned, first_belief(), particles=32)
     assert "misses position" in refused.refused
     assert np.array_equal(refused.belief.mean, first_belief().mean)
     late = dataclasses.replace(right, fix_time_s=1e3 * right.fix_time_s)
     with pytest.raises(ParameterError, match="5 of 5 positions are later than the end of the drive at 40 s"):
-        rectify(yutu2, flat, PLAN, late, first_belief())
+        assimilate(yutu2, flat, PLAN, late, first_belief())

@@ -10,13 +10,21 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.regolith.states import MeasurementErrors
+from lunarsci.twin.assimilation.change_point import (
+    FEWEST_BINS,
+    TrackBins,
+    Traverse,
+    binned,
+    find_change_point,
+    traverse_of,
+    wheel_places,
+)
+from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord, states_at
+from lunarsci.twin.assimilation.residuals import MODEL_ERRORS
+from lunarsci.twin.assimilation.segments import drive_segments, find_change, record_within
+from lunarsci.twin.assimilation.update import SoilUpdate, assimilate
 from lunarsci.twin.figures.soil_layers import residual_page
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.inference.drive_record import OBSERVED, DriveRecord, states_at
-from lunarsci.twin.inference.misfit import MODEL_ERRORS
-from lunarsci.twin.inference.rectify import Rectified, rectify
-from lunarsci.twin.inference.soil_change import FEWEST_PIECES, Pieces, Way, averaged, largest_step, way_of, wheel_places
-from lunarsci.twin.inference.soil_zones import driven_zones, find_change, record_within
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
@@ -35,24 +43,24 @@ PLAN = Plan(name="test", legs=(Leg(3.0, 0.05), Leg(3.0, -0.05)), speed_m_s=0.05,
 CHANGE_X = 2.5
 
 
-def pieces_of(mean: np.ndarray, slope: np.ndarray | None = None) -> Pieces:
+def pieces_of(mean: np.ndarray, slope: np.ndarray | None = None) -> TrackBins:
     size, quantities = mean.shape
     slope = np.ones((size, quantities, 1)) if slope is None else slope
     names = OBSERVED[:quantities]
-    return Pieces(np.arange(size) * 0.2, names, mean, np.ones(mean.shape), slope, np.zeros(quantities))
+    return TrackBins(np.arange(size) * 0.2, names, mean, np.ones(mean.shape), slope, np.zeros(quantities))
 
 
 def test_the_statistic_is_that_of_two_means() -> None:
     """One parameter whose derivative is 1: two means, each shrunk by a prior of width 1, against one."""
     mean = np.array([0.3, -0.2, 0.1, -0.3, 0.2, 0.6, 0.1, 0.5, 0.2, 0.7, -0.1, 0.4])[:, None]
-    step = largest_step(pieces_of(mean), np.random.default_rng(0), 19)
+    step = find_change_point(pieces_of(mean), np.random.default_rng(0), 19)
     n = len(mean)
     wanted = [
         mean[:k].sum() ** 2 / (k + 1) + mean[k:].sum() ** 2 / (n - k + 1) - mean.sum() ** 2 / (n + 1)
-        for k in range(FEWEST_PIECES, n - FEWEST_PIECES + 1)
+        for k in range(FEWEST_BINS, n - FEWEST_BINS + 1)
     ]
     assert step.statistic == pytest.approx(wanted)
-    assert step.tried_m == pytest.approx([0.2 * k - 0.1 for k in range(FEWEST_PIECES, n - FEWEST_PIECES + 1)])
+    assert step.tried_m == pytest.approx([0.2 * k - 0.1 for k in range(FEWEST_BINS, n - FEWEST_BINS + 1)])
 
 
 def noise(count: int, size: int, persistence: float, random: np.random.Generator) -> np.ndarray:
@@ -71,10 +79,10 @@ def test_false_alarms_are_rare_and_a_change_is_found(persistence: float) -> None
     slope = random.normal(size=(40, 2, 8))
     slope[..., 0] = 1.0
     drives = noise(120, 40, persistence, random)
-    found = [largest_step(pieces_of(drive, slope), random, 99).p_value <= 0.01 for drive in drives]
+    found = [find_change_point(pieces_of(drive, slope), random, 99).p_value <= 0.01 for drive in drives]
     assert sum(found) <= 6
     drives[:40, 25:] += 3.0
-    steps = [largest_step(pieces_of(drive, slope), random, 99) for drive in drives[:40]]
+    steps = [find_change_point(pieces_of(drive, slope), random, 99) for drive in drives[:40]]
     assert np.mean([step.p_value <= 0.01 for step in steps]) > 0.9
     assert np.mean([abs(step.after_m - 4.9) <= 0.4 for step in steps]) > 0.9
 
@@ -83,12 +91,12 @@ def test_pieces_are_means_of_what_lies_in_them() -> None:
     values = np.full((5, 6), np.nan)
     values[:, 0], values[1:, 2] = [1.0, 3.0, 5.0, 7.0, 100.0], [2.0, 4.0, 6.0, 8.0]
     slopes = np.ones((5, 6, 8)) * np.arange(5.0)[:, None, None]
-    pieces = averaged(np.array([-0.1, -0.05, 0.1, 0.15, 0.9]), values, slopes, np.arange(6.0))
-    assert pieces is not None and pieces.names == ("sinkage_m", "side_slip_deg")
-    assert pieces.middle_m == pytest.approx([-0.1, 0.1, 0.9])
-    assert pieces.mean[:, 0] == pytest.approx([2.0, 6.0, 100.0]) and pieces.weight[0].tolist() == [2.0, 1.0]
-    assert pieces.slope[:, 0, 3] == pytest.approx([0.5, 2.5, 4.0]) and pieces.model.tolist() == [0.0, 2.0]
-    assert averaged(np.zeros(5), np.full((5, 6), np.nan), slopes, np.zeros(6)) is None
+    bins = binned(np.array([-0.1, -0.05, 0.1, 0.15, 0.9]), values, slopes, np.arange(6.0))
+    assert bins is not None and bins.names == ("sinkage_m", "side_slip_deg")
+    assert bins.middle_m == pytest.approx([-0.1, 0.1, 0.9])
+    assert bins.mean[:, 0] == pytest.approx([2.0, 6.0, 100.0]) and bins.weight[0].tolist() == [2.0, 1.0]
+    assert bins.slope[:, 0, 3] == pytest.approx([0.5, 2.5, 4.0]) and bins.model.tolist() == [0.0, 2.0]
+    assert binned(np.zeros(5), np.full((5, 6), np.nan), slopes, np.zeros(6)) is None
 
 
 def record_of(out: Prediction, seed: int) -> DriveRecord:
@@ -117,14 +125,14 @@ def parted(ground: Terrain, share: float) -> Terrain:
     return ground.with_soil(**layers)
 
 
-def on_one_soil(rover: Rover, ground: Terrain, record: DriveRecord, share: float) -> Rectified:
+def on_one_soil(rover: Rover, ground: Terrain, record: DriveRecord, share: float) -> SoilUpdate:
     """What a rectification would hand on whose best soil is the geometric mean of both."""
     soil = SOIL | {"stiffness_kpa_m_n": SOIL["stiffness_kpa_m_n"] * share**0.5}
     drive = predict(rover, ground, PLAN, samples={name: [v] for name, v in soil.items()}, time_step_s=0.2)
     sigma = np.hypot(record.sigmas, [MODEL_ERRORS[name] for name in OBSERVED])
     residuals = (states_at(record, drive.time_s, drive.states, rover.wheels)[0] - record.values) / sigma
     residuals[record.time_s <= 1.0] = np.nan
-    return Rectified(
+    return SoilUpdate(
         belief=first_belief(),
         prediction=drive,
         residuals=residuals,
@@ -133,8 +141,8 @@ def on_one_soil(rover: Rover, ground: Terrain, record: DriveRecord, share: float
         wheel_errors={},
         chi_square=0.0,
         values=1,
-        surprise=0.0,
-        persistence=0.0,
+        prior_shift=0.0,
+        autocorrelation=0.0,
         refused="",
     )
 
@@ -178,7 +186,7 @@ def test_another_stiffness_is_found_at_its_place(yutu2: Rover, ground: Terrain, 
 
 def test_states_astride_a_change_belong_to_no_stretch(yutu2: Rover, ground: Terrain) -> None:
     out = predict(yutu2, parted(ground, 0.5), PLAN, sweep=(), time_step_s=0.2)
-    record, way = record_of(out, 0), way_of(out)
+    record, way = record_of(out, 0), traverse_of(out)
     part = record_within(record, way, 2.0, 4.0)
     places = wheel_places(yutu2, part, way)
     assert places.min() >= 2.0 and places.max() <= 4.0 and np.ptp(places) > 1.7
@@ -188,7 +196,7 @@ def test_states_astride_a_change_belong_to_no_stretch(yutu2: Rover, ground: Terr
 
 def test_a_way_goes_on_to_the_wheels_at_its_ends() -> None:
     places = np.column_stack([np.zeros(4), np.array([0.0, 1.0, 1.0, 2.0])])
-    way = Way(np.arange(4.0), np.array([0.0, 1.0, 1.0, 2.0]), places, 0.5)
+    way = Traverse(np.arange(4.0), np.array([0.0, 1.0, 1.0, 2.0]), places, 0.5)
     assert way.between(-np.inf, np.inf) == pytest.approx(
         np.column_stack([np.zeros(5), np.array([-0.5, 0.0, 1.0, 2.0, 2.5])])
     )
@@ -209,20 +217,20 @@ def test_each_stretch_is_learned_on_its_own(yutu2: Rover, ground: Terrain) -> No
         asked.append(places)
         return first_belief()
 
-    zones, changes = driven_zones(yutu2, ground, PLAN, record, found, prior, particles=48, seed=0)
-    assert len(zones) == 2 and len(changes) == 1
-    assert all(zone.learned and zone.why_not == "" for zone in zones)
-    assert zones[0].to_m == zones[1].from_m == changes[0].distance_m
-    assert zones[0].place_m[:, 0].max() <= CHANGE_X + 0.5 and zones[1].place_m[:, 0].min() >= CHANGE_X - 0.5
-    for zone, share in zip(zones, (1.0, 0.5), strict=True):
+    segments, changes = drive_segments(yutu2, ground, PLAN, record, found, prior, particles=48, seed=0)
+    assert len(segments) == 2 and len(changes) == 1
+    assert all(segment.learned and segment.why_not == "" for segment in segments)
+    assert segments[0].to_m == segments[1].from_m == changes[0].distance_m
+    assert segments[0].place_m[:, 0].max() <= CHANGE_X + 0.5 and segments[1].place_m[:, 0].min() >= CHANGE_X - 0.5
+    for segment, share in zip(segments, (1.0, 0.5), strict=True):
         soil = SOIL | {"stiffness_kpa_m_n": SOIL["stiffness_kpa_m_n"] * share}
-        truth = np.array([zone.belief.laws[name].transformed(np.array(soil[name])) for name in PARAMETERS])
-        spread = np.sqrt(np.diag(zone.belief.covariance))
-        assert (np.abs(zone.belief.mean - truth) < 3.0 * spread).all()
+        truth = np.array([segment.belief.laws[name].transformed(np.array(soil[name])) for name in PARAMETERS])
+        spread = np.sqrt(np.diag(segment.belief.covariance))
+        assert (np.abs(segment.belief.mean - truth) < 3.0 * spread).all()
     # The sinkage of each zone's drive, its first or last metre, is the one measured there.
-    for zone, row in zip(zones, (5, -5), strict=True):
-        assert zone.found is not None
-        driven = zone.found.prediction.states[0, row, :, 2].mean()
+    for segment, row in zip(segments, (5, -5), strict=True):
+        assert segment.found is not None
+        driven = segment.found.prediction.states[0, row, :, 2].mean()
         assert driven == pytest.approx(out.states[0, row, :, 2].mean(), rel=0.05)
 
 
@@ -239,13 +247,13 @@ def test_a_stretch_with_too_little_data_stays_as_it_was(yutu2: Rover, ground: Te
         sigmas=record.sigmas[kept],
     )
     found = on_one_soil(yutu2, ground, record, 0.4)
-    zones, changes = driven_zones(yutu2, ground, PLAN, record, found, lambda _: first_belief(), particles=32)
-    assert changes and not zones[-1].learned and zones[-1].why_not == "too few values"
-    assert zones[-1].belief.mean == pytest.approx(first_belief().mean)
+    segments, changes = drive_segments(yutu2, ground, PLAN, record, found, lambda _: first_belief(), particles=32)
+    assert changes and not segments[-1].learned and segments[-1].why_not == "too few values"
+    assert segments[-1].belief.mean == pytest.approx(first_belief().mean)
 
 
 def test_errors_that_were_widened_hide_no_change(yutu2: Rover, ground: Terrain) -> None:
-    """The same residuals in other units: what is found does not depend on how much `rectify` widened the errors."""
+    """The same residuals in other units: what is found does not depend on how much `assimilate` widened the errors."""
     out = predict(yutu2, parted(ground, 0.5), PLAN, sweep=(), time_step_s=0.2)
     record = record_of(out, 0)
     plain = on_one_soil(yutu2, ground, record, 0.5)
@@ -260,11 +268,11 @@ def test_errors_that_were_widened_hide_no_change(yutu2: Rover, ground: Terrain) 
     assert "sinkage_m only with 6.0 times" in dataclasses.replace(plain, inflation={"sinkage_m": 6.0}).doubt
 
 
-def test_rectify_hands_on_what_a_change_is_looked_for_in(yutu2: Rover, ground: Terrain) -> None:
+def test_an_update_hands_on_what_a_change_is_looked_for_in(yutu2: Rover, ground: Terrain) -> None:
     """The best soil of a rectification stands in its prediction, by name, one member."""
     plan = dataclasses.replace(PLAN, legs=(Leg(1.0),))
     out = predict(yutu2, parted(ground, 1.0), plan, sweep=(), time_step_s=0.2)
-    found = rectify(yutu2, ground, plan, record_of(out, 0), first_belief(), particles=32)
+    found = assimilate(yutu2, ground, plan, record_of(out, 0), first_belief(), particles=32)
     assert set(found.prediction.parameters) == set(PARAMETERS) and found.prediction.members == 1
     assert found.residuals.shape == record_of(out, 0).values.shape
     assert find_change(record_of(out, 0), found) is None

@@ -12,12 +12,12 @@ from lunarsci.inputs import InputFile
 from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.regolith.prior import PARAMETERS, default_prior, values_of
 from lunarsci.regolith.soil import read_soil
+from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.figures.soil_layers import soil_pages
 from lunarsci.twin.ground.soil_layers import drawn_grounds, soil_layers
 from lunarsci.twin.ground.soil_map import SoilMap, Zone, read_soil_map, soil_map_bytes
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, build_terrain
 from lunarsci.twin.ground.terrain_files import read_terrain, terrain_bytes
-from lunarsci.twin.inference.soil_change import planned_places
 from lunarsci.twin.judgement.sensitivity import step_error_m
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover

@@ -11,23 +11,20 @@ import pytest
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.soil import read_soil
+from lunarsci.twin.assimilation.drive_record import read_record
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
-from lunarsci.twin.inference.drive_record import read_record
 from lunarsci.twin.plans.motion import read_motion
 from lunarsci.twin.plans.plan import Fixes, Leg, Plan, read_plan
 from lunarsci.twin.plans.schedule import commands_at, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
-from lunarsci.twin.telemetry.findings import Findings
 from lunarsci.twin.telemetry.odometry import body_twist
-from lunarsci.twin.telemetry.reading import read_telemetry
+from lunarsci.twin.telemetry.reading import Findings, read_telemetry
 from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
-from lunarsci.twin.telemetry.sinkage import with_sinkage
+from lunarsci.twin.telemetry.sinkage import RutPoints, deepest_wheel, read_track, rut_points, with_sinkage
 from lunarsci.twin.telemetry.smoother import Nodes, SlipProcess, smooth
-from lunarsci.twin.telemetry.states import DriveStates, states_of
-from lunarsci.twin.telemetry.tables import motion_table, position_table, wheel_table
-from lunarsci.twin.telemetry.track import RutPoints, deepest_wheel, read_track, rut_points
+from lunarsci.twin.telemetry.states import DriveStates, motion_table, position_table, states_of, wheel_table
 
 PLAN = Plan(name="test", legs=(Leg(3.0, 0.15), Leg(2.0, -0.13)), speed_m_s=0.05)
 HALTING = Plan(

@@ -12,9 +12,8 @@ from lunarsci.twin.ground.terrain import build_terrain
 from lunarsci.twin.plans.plan import Leg
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict
-from lunarsci.twin.telemetry.change import AMPLITUDES, LENGTHS_M, change_of
 from lunarsci.twin.telemetry.simulated import SensorErrors, simulate_telemetry
-from lunarsci.twin.telemetry.smoother import Nodes
+from lunarsci.twin.telemetry.smoother import AMPLITUDES, LENGTHS_M, Nodes, change_of
 
 
 def test_intervals_hold_on_waved_ground() -> None:
@@ -30,7 +29,7 @@ def test_intervals_hold_on_waved_ground() -> None:
     assert 0.5 < inner < 0.9 and outer > 0.85
 
 
-def way_of(deviation: np.ndarray, sigma_m: float, every: int, seed: int = 0) -> Nodes:
+def traverse_of(deviation: np.ndarray, sigma_m: float, every: int, seed: int = 0) -> Nodes:
     """A straight way along which the rover goes less or more far than its wheels by a share."""
     count, way = len(deviation) + 1, 0.1
     random = np.random.default_rng(seed)
@@ -54,7 +53,7 @@ def way_of(deviation: np.ndarray, sigma_m: float, every: int, seed: int = 0) -> 
 def test_amplitude_and_length_are_found_where_positions_are_good(amplitude: float, wave_m: float) -> None:
     """A process of Matern 3/2 is about as smooth as a wave is long over 4; its amplitude is that of the wave."""
     place = 0.1 * np.arange(100) + 0.05
-    found = change_of(way_of(amplitude * np.sqrt(2.0) * np.sin(2.0 * np.pi * place / wave_m), 0.002, 2))
+    found = change_of(traverse_of(amplitude * np.sqrt(2.0) * np.sin(2.0 * np.pi * place / wave_m), 0.002, 2))
     assert found.usual[0] == pytest.approx(amplitude, rel=0.6)
     assert found.usual[1] < 0.4 * amplitude or amplitude < 0.01
     assert found.information[0] > 0.3
@@ -64,8 +63,8 @@ def test_amplitude_and_length_are_found_where_positions_are_good(amplitude: floa
 
 def test_what_is_not_known_of_the_change_stays_open() -> None:
     """Coarse positions tell nothing: the candidates are as far apart as was believed."""
-    few = change_of(way_of(np.zeros(40), 0.5, 20))
-    many = change_of(way_of(np.zeros(100), 0.002, 2))
+    few = change_of(traverse_of(np.zeros(40), 0.5, 20))
+    many = change_of(traverse_of(np.zeros(100), 0.002, 2))
     assert few.information[0] < 0.05 and many.information[0] > 0.3
     assert np.ptp(np.log(few.amplitude[:, 0])) > 1.5
     assert set(np.round(np.log(few.amplitude[:, 0]), 9)) <= set(np.round(np.log(AMPLITUDES), 9))

@@ -12,8 +12,7 @@ from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict
-from lunarsci.twin.telemetry.findings import Findings
-from lunarsci.twin.telemetry.reading import read_telemetry
+from lunarsci.twin.telemetry.reading import Findings, read_telemetry
 from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
 from lunarsci.twin.telemetry.states import DriveStates, states_of
 

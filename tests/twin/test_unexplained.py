@@ -7,9 +7,9 @@ import pytest
 
 from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.physics_discrepancy import FIRST
-from lunarsci.twin.inference.drive_record import OBSERVED, DriveRecord
-from lunarsci.twin.inference.misfit import Misfit
-from lunarsci.twin.inference.rectify import _refusal, _taught, unexplained_share
+from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
+from lunarsci.twin.assimilation.residuals import DriveResiduals
+from lunarsci.twin.assimilation.update import _refusal, _taught, unexplained_share
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
 
 SIGMA = np.array([0.00033, 0.01, 0.1, 1.0, 0.05, 0.1])
@@ -30,7 +30,9 @@ def expected_of(best: Prediction) -> np.ndarray:
     return best.states[0, ::2][..., [STATE_COLUMNS.index(name) for name in OBSERVED]].reshape(-1, 6)
 
 
-def misfit(best: Prediction, factor: dict[str, float], inflation: dict[str, float], off_m: float = 0.0) -> Misfit:
+def drive(
+    best: Prediction, factor: dict[str, float], inflation: dict[str, float], off_m: float = 0.0
+) -> DriveResiduals:
     """The drive with quantities multiplied, its errors widened, and its end `off_m` to the left."""
     values = expected_of(best) * np.array([factor.get(name, 1.0) for name in OBSERVED])
     record = DriveRecord(
@@ -42,7 +44,7 @@ def misfit(best: Prediction, factor: dict[str, float], inflation: dict[str, floa
         fix_m=best.paths[0, -1:, :2] + (0.0, off_m),
         fix_covariance_m2=1e-6 * np.eye(2)[None],
     )
-    return Misfit(best.rover, best.terrain, best.plan, record, first_belief(), inflation=inflation)
+    return DriveResiduals(best.rover, best.terrain, best.plan, record, first_belief(), inflation=inflation)
 
 
 @pytest.mark.parametrize(
@@ -62,19 +64,19 @@ def misfit(best: Prediction, factor: dict[str, float], inflation: dict[str, floa
 def test_refused_is_what_no_physics_explains(
     best: Prediction, factor: dict[str, float], inflation: dict[str, float], off_m: float, says: str
 ) -> None:
-    found = _refusal(misfit(best, factor, inflation, off_m), 0, {}, expected_of(best), best)
+    found = _refusal(drive(best, factor, inflation, off_m), 0, {}, expected_of(best), best)
     assert says in found if says else found == ""
 
 
 def test_outliers_and_single_wheels_are_refused_as_before(best: Prediction) -> None:
-    plain, expected = misfit(best, {}, {}), expected_of(best)
+    plain, expected = drive(best, {}, {}), expected_of(best)
     assert "values are explained by no soil" in _refusal(plain, int(0.1 * plain.known.sum()), {}, expected, best)
     assert "are wheels exchanged" in _refusal(plain, 0, {"sinkage_m": 0.02}, expected, best)
 
 
 def test_what_states_leave_unexplained_widens_the_discrepancy(best: Prediction) -> None:
     expected = expected_of(best)
-    none, some = misfit(best, {}, {}), misfit(best, {}, {"sinkage_m": 10.0})
+    none, some = drive(best, {}, {}), drive(best, {}, {"sinkage_m": 10.0})
     assert unexplained_share(none, expected, best) == 0.0
     sinkage = np.abs(expected[some.known[:, 0], 0]).mean()
     own = np.hypot(0.00033, 5e-5) * np.sqrt(99.0) / sinkage
@@ -86,6 +88,6 @@ def test_what_states_leave_unexplained_widens_the_discrepancy(best: Prediction) 
 
 def test_an_end_that_the_best_soil_misses_widens_it(best: Prediction) -> None:
     expected = expected_of(best)
-    near, far = (_taught(FIRST, misfit(best, {}, {}, off_m), expected, best) for off_m in (0.0, 0.05))
+    near, far = (_taught(FIRST, drive(best, {}, {}, off_m), expected, best) for off_m in (0.0, 0.05))
     assert far.across.scale > 1.5 * near.across.scale
     assert far.along.scale == pytest.approx(near.along.scale, rel=0.2)

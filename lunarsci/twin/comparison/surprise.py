@@ -7,8 +7,6 @@ wheels where they come from one smoothed motion. So a piece of the drive counts 
 in their covariance. Stated errors count as shared by the wheels at each time, but for sinkage, and as independent from
 time to time, unless the scatter of the wheels' mean about its smooth course, with its correlation length, says clearly
 more. Errors shared over more than a quarter of the drive cannot be told from a soil that is not the one believed.
-
-How many independent values there are in a series whose neighbours are alike.
 """
 
 from dataclasses import dataclass
@@ -17,17 +15,16 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.twin.comparison.meeting import Meeting
-from lunarsci.twin.comparison.tail import Standing, standing, worst_of
-from lunarsci.twin.inference.drive_record import OBSERVED
-from lunarsci.twin.inference.misfit import MODEL_ERRORS
+from lunarsci.twin.assimilation.drive_record import OBSERVED
+from lunarsci.twin.assimilation.residuals import MODEL_ERRORS
+from lunarsci.twin.comparison.matched import MatchedObservations
+from lunarsci.twin.comparison.scores import Standing, correlation_length, standing, worst_of
 
 __all__ = [
     "Bias",
     "GroundChange",
     "PieceMeans",
     "Surprise",
-    "correlation_length",
     "find_change",
     "mean_bias",
     "most_pieces",
@@ -37,34 +34,6 @@ __all__ = [
 ]
 
 FloatArray = npt.NDArray[np.float64]
-WINDOW = 5.0
-"""The sum over lags ends where it is this many correlation lengths long (Sokal 1997)."""
-
-
-def correlation_length(series: FloatArray, taken: int = 0) -> float:
-    """Number of neighbouring values that count as one: 1 + 2 (sum of the autocorrelation), 1 to n. [-]
-
-    The sum ends where the lag passes five times what was summed so far: A. Sokal (1997), Monte Carlo methods in
-    statistical mechanics, 10.1007/978-1-4899-0319-8_6. The series is (n,), evenly sampled, about zero: its mean is not
-    taken off, so that a constant counts as one value. Where a fit of `taken` numbers was taken off, it took about
-    taken/n from the autocorrelation at each lag, as the mean alone takes 1/n (M. Kendall (1954), Biometrika 41, 403,
-    10.1093/biomet/41.3-4.403); this is given back, up to the lag whose correlation is within chance, 1/sqrt(n).
-    """
-    count = len(series)
-    power = float(series @ series)
-    if count < 2 or power == 0:
-        return 1.0
-    length = 1.0
-    for lag in range(1, count):
-        correlation = float(series[lag:] @ series[:-lag]) / power + taken / count
-        if taken and correlation < count**-0.5:
-            break
-        length += 2.0 * correlation
-        if lag >= WINDOW * length:
-            break
-    return float(np.clip(length, 1.0, count))
-
-
 BoolArray = npt.NDArray[np.bool_]
 STEPS, MODES = 6, 3
 """Places where the smooth course may step, ends included, and shapes that the members' differences give it."""
@@ -95,38 +64,38 @@ class PieceMeans:
     free: float
 
 
-def _times(meeting: Meeting, name: str) -> FloatArray:
+def _times(matched: MatchedObservations, name: str) -> FloatArray:
     column = OBSERVED.index(name)
-    return np.unique(meeting.record.time_s[meeting.known[:, column]])
+    return np.unique(matched.record.time_s[matched.known[:, column]])
 
 
-def most_pieces(meeting: Meeting, names: list[str], wanted: int) -> int:
+def most_pieces(matched: MatchedObservations, names: list[str], wanted: int) -> int:
     """Pieces that leave each quantity four times in each, at most `wanted`; 0 where not even one does."""
-    fewest = min((len(_times(meeting, name)) for name in names), default=0)
+    fewest = min((len(_times(matched, name)) for name in names), default=0)
     return min(wanted, fewest // LEAST_TIMES)
 
 
-def piece_edges(meeting: Meeting, names: list[str], pieces: int) -> FloatArray:
+def piece_edges(matched: MatchedObservations, names: list[str], pieces: int) -> FloatArray:
     """Times between pieces with as many measured times in each, of the quantity that has fewest. (pieces + 1,) [s]"""
-    times = min((_times(meeting, name) for name in names), key=len)
+    times = min((_times(matched, name) for name in names), key=len)
     inner = [0.5 * (part[-1] + after[0]) for part, after in pairwise(np.array_split(times, pieces))]
     return np.array([-np.inf, *inner, np.inf])
 
 
-def piece_means(meeting: Meeting, name: str, edges: FloatArray) -> PieceMeans | None:
+def piece_means(matched: MatchedObservations, name: str, edges: FloatArray) -> PieceMeans | None:
     """Means of a quantity over all wheels and the times between edges; None where a piece has no value."""
     column = OBSERVED.index(name)
-    rows = meeting.known[:, column]
-    piece = np.searchsorted(edges, meeting.record.time_s[rows]) - 1
+    rows = matched.known[:, column]
+    piece = np.searchsorted(edges, matched.record.time_s[rows]) - 1
     count = len(edges) - 1
     size = np.bincount(piece, minlength=count)
     if (size == 0).any():
         return None
     average = (np.arange(count)[:, None] == piece) / size[:, None]
-    measured, members = meeting.record.values[rows, column], meeting.predicted[:, rows, column]
+    measured, members = matched.record.values[rows, column], matched.predicted[:, rows, column]
     floor = MODEL_ERRORS[name] ** 2
-    stated = np.maximum(meeting.sigma[rows, column] ** 2 - floor, 0.0)
-    times = meeting.record.time_s[rows]
+    stated = np.maximum(matched.sigma[rows, column] ** 2 - floor, 0.0)
+    times = matched.record.time_s[rows]
     of_one, free = _scatter(times, measured - members.mean(axis=0), members - members.mean(axis=0))
     moments = np.array([len(np.unique(times[piece == k])) for k in range(count)])
     enough = free >= LEAST_FREE
@@ -200,47 +169,49 @@ class GroundChange:
     p: float
 
 
-def _names(meeting: Meeting) -> list[str]:
+def _names(matched: MatchedObservations) -> list[str]:
     """Quantities that are measured, and are no second reading of the positions."""
-    columns = {name: OBSERVED.index(name) for name in meeting.measured_quantities()}
-    return [name for name, k in columns.items() if meeting.independent[meeting.known[:, k], k].all()]
+    columns = {name: OBSERVED.index(name) for name in matched.measured_quantities()}
+    return [name for name, k in columns.items() if matched.independent[matched.known[:, k], k].all()]
 
 
-def surprise(meeting: Meeting, seed: int = 0) -> Surprise | None:
+def surprise(matched: MatchedObservations, seed: int = 0) -> Surprise | None:
     """Means of each quantity over all wheels and a piece of the drive, and the last position of each piece.
 
     As many pieces, at most four, as leave four members to a dimension. None where nothing fits even one piece.
     """
-    names = _names(meeting)
-    for pieces in range(most_pieces(meeting, names, PIECES) if names else PIECES, 0, -1):
-        found = _vector(meeting, names, pieces)
-        if found is None or (found[0].size * MEMBERS_EACH > len(meeting.members) and pieces > 1):
+    names = _names(matched)
+    for pieces in range(most_pieces(matched, names, PIECES) if names else PIECES, 0, -1):
+        found = _vector(matched, names, pieces)
+        if found is None or (found[0].size * MEMBERS_EACH > len(matched.members) and pieces > 1):
             continue
         result = standing(*found[:3], seed, found[3])
-        own = (*names, *(["position"] if len(meeting.record.fix_time_s) else []))
+        own = (*names, *(["position"] if len(matched.record.fix_time_s) else []))
         return None if result is None else Surprise(result, pieces, own)
     return None
 
 
-def _vector(meeting: Meeting, names: list[str], pieces: int) -> tuple[FloatArray, FloatArray, FloatArray, float] | None:
+def _vector(
+    matched: MatchedObservations, names: list[str], pieces: int
+) -> tuple[FloatArray, FloatArray, FloatArray, float] | None:
     """Measured (d,), members (M, d), covariance of the errors (d, d), and values that this rests on."""
-    end = meeting.forecast.time_s[-1]
+    end = matched.forecast.time_s[-1]
     edges = np.append(np.append(-np.inf, np.linspace(0.0, end, pieces + 1)[1:-1]), np.inf)
     if names:
-        edges = piece_edges(meeting, names, pieces)
+        edges = piece_edges(matched, names, pieces)
     observed, members, blocks, free = [], [], [], np.inf
     for name in names:
-        means = piece_means(meeting, name, edges)
+        means = piece_means(matched, name, edges)
         if means is None:
             return None
         observed.append(means.observed)
         members.append(means.members)
         blocks.append(np.diag(means.variance))
         free = min(free, means.free)
-    for fix in _last_fixes(meeting.record.fix_time_s, edges):
-        observed.append(meeting.record.fix_m[fix])
-        members.append(meeting.places[:, fix])
-        blocks.append(meeting.place_error_m2[fix])
+    for fix in _last_fixes(matched.record.fix_time_s, edges):
+        observed.append(matched.record.fix_m[fix])
+        members.append(matched.places[:, fix])
+        blocks.append(matched.place_error_m2[fix])
     if not blocks:
         return None
     from scipy.linalg import block_diag
@@ -254,10 +225,10 @@ def _last_fixes(times: FloatArray, edges: FloatArray) -> list[int]:
     return [int(np.flatnonzero(piece == k)[times[piece == k].argmax()]) for k in np.unique(piece)]
 
 
-def mean_bias(meeting: Meeting, seed: int = 0) -> Bias | None:
+def mean_bias(matched: MatchedObservations, seed: int = 0) -> Bias | None:
     """The mean of each quantity over the whole drive and all wheels, against the members; None with too few."""
-    names, whole = meeting.measured_quantities(), np.array([-np.inf, np.inf])
-    means = {name: one for name in names if (one := piece_means(meeting, name, whole)) is not None}
+    names, whole = matched.measured_quantities(), np.array([-np.inf, np.inf])
+    means = {name: one for name in names if (one := piece_means(matched, name, whole)) is not None}
     if not means:
         return None
     own = {name: standing(m.observed, m.members, np.diag(m.variance), seed, m.free) for name, m in means.items()}
@@ -268,18 +239,18 @@ def mean_bias(meeting: Meeting, seed: int = 0) -> Bias | None:
     return Bias(found, worst, min(1.0, len(found) * found[worst].p))
 
 
-def find_change(meeting: Meeting, seed: int = 0) -> GroundChange | None:
+def find_change(matched: MatchedObservations, seed: int = 0) -> GroundChange | None:
     """Where the means after and before differ from what was predicted most, of five places in the drive.
 
     A soil that is not the one believed shows on the whole way; one that changes shows in the difference. None where
     there are too few members, times or measured quantities.
     """
-    names = _names(meeting)
-    pieces = most_pieces(meeting, names, FINE_PIECES) if names else 0
+    names = _names(matched)
+    pieces = most_pieces(matched, names, FINE_PIECES) if names else 0
     if pieces < 2:
         return None
-    edges = piece_edges(meeting, names, pieces)
-    found = [piece_means(meeting, name, edges) for name in names]
+    edges = piece_edges(matched, names, pieces)
+    found = [piece_means(matched, name, edges) for name in names]
     parts = np.array([[0.0] * pieces] * (pieces - 1))
     for split in range(1, pieces):
         parts[split - 1, :split], parts[split - 1, split:] = -1.0 / split, 1.0 / (pieces - split)
@@ -291,5 +262,5 @@ def find_change(meeting: Meeting, seed: int = 0) -> GroundChange | None:
     most = worst_of(observed, members, np.einsum("kd,de->kde", errors, np.eye(len(means))), seed, free)
     if most is None:
         return None
-    place = float(np.interp(edges[most[0] + 1], meeting.forecast.time_s, meeting.forecast.distance_m))
+    place = float(np.interp(edges[most[0] + 1], matched.forecast.time_s, matched.forecast.distance_m))
     return GroundChange(place, most[2])

@@ -11,13 +11,22 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.twin.comparison.bands import ALL, NOMINAL, BandCheck, check_bands, half_band
-from lunarsci.twin.comparison.ends import EndCheck, PathCheck, check_end, check_path
+from lunarsci.twin.assimilation.drive_record import OBSERVED
+from lunarsci.twin.comparison.checks import (
+    ALL,
+    NOMINAL,
+    BandCheck,
+    EndCheck,
+    PathCheck,
+    check_bands,
+    check_end,
+    check_path,
+    half_band,
+)
 from lunarsci.twin.comparison.forecast import Forecast
-from lunarsci.twin.comparison.meeting import Meeting
+from lunarsci.twin.comparison.matched import MatchedObservations
+from lunarsci.twin.comparison.scores import Standing
 from lunarsci.twin.comparison.surprise import Bias, GroundChange, Surprise, find_change, mean_bias, surprise
-from lunarsci.twin.comparison.tail import Standing
-from lunarsci.twin.inference.drive_record import OBSERVED
 from lunarsci.twin.simulation.contact_frame import DEEPEST, VALID_SLIP
 
 __all__ = [
@@ -51,7 +60,7 @@ class Coverage:
     worst_p: float
 
 
-def check_coverage(meeting: Meeting, bands: Sequence[BandCheck], seed: int = 0) -> Coverage | None:
+def check_coverage(matched: MatchedObservations, bands: Sequence[BandCheck], seed: int = 0) -> Coverage | None:
     """Hold the shares of all wheels against those of the members.
 
     Each member, with errors of measurement, is put beside the bands of the others: (1 + those with no larger share) /
@@ -59,9 +68,9 @@ def check_coverage(meeting: Meeting, bands: Sequence[BandCheck], seed: int = 0) 
     binomial law does, with the effective number of values. None with fewer than three members or without values.
     """
     checks = [band for band in bands if band.wheel == ALL and band.coverage_90 is not None]
-    if not checks or len(meeting.members) < 4:
+    if not checks or len(matched.members) < 4:
         return None
-    members = np.stack([_shares(meeting, check.quantity, [seed, k]) for k, check in enumerate(checks)])
+    members = np.stack([_shares(matched, check.quantity, [seed, k]) for k, check in enumerate(checks)])
     own = np.array([check.coverage_90 for check in checks], dtype=float)
     count = members.shape[1]
     fewer = (members <= own[:, None] + 1e-12).sum(axis=1)
@@ -84,11 +93,11 @@ def _fall(check: BandCheck, share: float, least: float) -> float:
     return min(float(own / max(other, 1e-300)), 1.0)
 
 
-def _shares(meeting: Meeting, name: str, seed: Sequence[int]) -> FloatArray:
+def _shares(matched: MatchedObservations, name: str, seed: Sequence[int]) -> FloatArray:
     """Share of each member's values in the bands of the others."""
     column = OBSERVED.index(name)
-    rows = meeting.known[:, column]
-    members, sigma = meeting.predicted[:, rows, column], meeting.sigma[rows, column]
+    rows = matched.known[:, column]
+    members, sigma = matched.predicted[:, rows, column], matched.sigma[rows, column]
     count, random, mean = len(members), np.random.default_rng(seed), members.mean(axis=0)
     scatter = ((members - mean) ** 2).sum(axis=0)
     shares = []
@@ -148,20 +157,20 @@ class DriveComparison:
     invalid_share: float
 
 
-def compare(meeting: Meeting, seed: int = 0) -> DriveComparison:
+def compare(matched: MatchedObservations, seed: int = 0) -> DriveComparison:
     """Hold a forecast against the record that it was brought together with.
 
     `seed` is of the errors of measurement that are given to the members.
     """
-    forecast = meeting.forecast
-    end, path = check_end(meeting, seed), check_path(meeting)
-    bands = check_bands(meeting)
-    whole, change = surprise(meeting, seed), find_change(meeting, seed)
-    names = meeting.measured_quantities()
-    bias, coverage = mean_bias(meeting, seed), check_coverage(meeting, bands, seed)
-    invalid = _invalid_share(meeting)
+    forecast = matched.forecast
+    end, path = check_end(matched, seed), check_path(matched)
+    bands = check_bands(matched)
+    whole, change = surprise(matched, seed), find_change(matched, seed)
+    names = matched.measured_quantities()
+    bias, coverage = mean_bias(matched, seed), check_coverage(matched, bands, seed)
+    invalid = _invalid_share(matched)
     reasons = [
-        *_ensemble_reasons(forecast, len(meeting.members)),
+        *_ensemble_reasons(forecast, len(matched.members)),
         *_end_reasons(end),
         *_state_reasons(bands, bias, coverage),
         *_whole_reasons(whole, change),
@@ -171,11 +180,11 @@ def compare(meeting: Meeting, seed: int = 0) -> DriveComparison:
     return DriveComparison(
         verdict="not to be trusted" if reasons else "trusted",
         reasons=tuple(reasons),
-        notes=tuple(_notes(meeting, end, whole)),
+        notes=tuple(_notes(matched, end, whole)),
         compared=(*(["position"] if end else []), *names),
-        not_compared=_not_compared(meeting, end),
+        not_compared=_not_compared(matched, end),
         members=forecast.members,
-        finished=len(meeting.members),
+        finished=len(matched.members),
         end=end,
         path=path,
         surprise=whole,
@@ -187,15 +196,15 @@ def compare(meeting: Meeting, seed: int = 0) -> DriveComparison:
     )
 
 
-def _invalid_share(meeting: Meeting) -> float:
+def _invalid_share(matched: MatchedObservations) -> float:
     """Measured states with |s| beyond 0.6, or a sinkage below 0 or beyond 0.9 radii."""
-    values, rows = meeting.record.values, meeting.known.any(axis=1)
+    values, rows = matched.record.values, matched.known.any(axis=1)
     if not rows.any():
         return 0.0
     sinkage, slip = (values[rows, OBSERVED.index(name)] for name in ("sinkage_m", "slip_ratio"))
     # A sinkage near 0 may be measured below it.
-    lowest = -3.0 * np.nan_to_num(meeting.sigma[rows, OBSERVED.index("sinkage_m")])
-    strange = (np.abs(slip) > VALID_SLIP) | (sinkage > DEEPEST * meeting.forecast.wheel_radius_m) | (sinkage < lowest)
+    lowest = -3.0 * np.nan_to_num(matched.sigma[rows, OBSERVED.index("sinkage_m")])
+    strange = (np.abs(slip) > VALID_SLIP) | (sinkage > DEEPEST * matched.forecast.wheel_radius_m) | (sinkage < lowest)
     return float(strange.mean())
 
 
@@ -257,8 +266,8 @@ def _small(p: float) -> str:
     return f"{p:.2g}" if p >= 1e-6 else "below 1e-6"
 
 
-def _notes(meeting: Meeting, end: EndCheck | None, whole: Surprise | None) -> list[str]:
-    forecast, notes = meeting.forecast, []
+def _notes(matched: MatchedObservations, end: EndCheck | None, whole: Surprise | None) -> list[str]:
+    forecast, notes = matched.forecast, []
     if forecast.synthetic:
         notes.append("the terrain is synthetic")
     if forecast.soils in ("sweep", "one"):
@@ -266,25 +275,25 @@ def _notes(meeting: Meeting, end: EndCheck | None, whole: Surprise | None) -> li
             "the prediction swept ranges of the soil and did not draw from a belief: its regions and shares are those "
             "of the ranges, no probabilities; predict with --soil BELIEF.json"
         )
-    lost = forecast.members - len(meeting.members)
+    lost = forecast.members - len(matched.members)
     if lost:
         notes.append(f"{lost} of {forecast.members} predicted drives did not finish and were left out")
     if end is not None and not end.at_end:
         notes.append(f"the last position is of {end.time_s:.0f} s, before the end of the plan; ends are compared there")
-    late = int((meeting.record.time_s > forecast.time_s[-1]).sum())
+    late = int((matched.record.time_s > forecast.time_s[-1]).sum())
     if late:
-        notes.append(f"{late} of {len(meeting.record.time_s)} states are later than the end of the plan and left out")
+        notes.append(f"{late} of {len(matched.record.time_s)} states are later than the end of the plan and left out")
     if whole is None:
         notes.append("too few drives or values for a surprise of the whole drive")
-    if not meeting.independent[meeting.known].all():
+    if not matched.independent[matched.known].all():
         notes.append("slip that was derived from the positions does not count a second time in the surprise")
     return notes
 
 
-def _not_compared(meeting: Meeting, end: EndCheck | None) -> dict[str, str]:
+def _not_compared(matched: MatchedObservations, end: EndCheck | None) -> dict[str, str]:
     found = {} if end else {"position": "not measured"}
     for k, name in enumerate(OBSERVED):
-        if not meeting.known[:, k].any():
-            measured = np.isfinite(meeting.record.values[:, k]).any()
+        if not matched.known[:, k].any():
+            measured = np.isfinite(matched.record.values[:, k]).any()
             found[name] = "measured only at halts, in the first second or after the end" if measured else "not measured"
     return found

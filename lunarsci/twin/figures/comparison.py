@@ -5,13 +5,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.twin.comparison.bands import NOMINAL, half_band, ranks, standardised
-from lunarsci.twin.comparison.ends import region_ellipse
-from lunarsci.twin.comparison.meeting import Meeting
+from lunarsci.twin.assimilation.drive_record import OBSERVED
+from lunarsci.twin.comparison.checks import NOMINAL, half_band, ranks, region_ellipse, standardised
+from lunarsci.twin.comparison.matched import MatchedObservations
 from lunarsci.twin.comparison.verdict import DriveComparison
 from lunarsci.twin.figures.bands import LABELS, WHEEL_COLORS
 from lunarsci.twin.figures.relief import ACCENT, GOLD, INK, LIMIT
-from lunarsci.twin.inference.drive_record import OBSERVED
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 
 if TYPE_CHECKING:
@@ -30,7 +29,7 @@ DRAWN_REGIONS = (0.5, 0.9, 0.95)
 MEASURED = "#111111"
 
 
-def comparison_figure(meeting: Meeting, found: DriveComparison, title: str) -> "Figure":
+def comparison_figure(matched: MatchedObservations, found: DriveComparison, title: str) -> "Figure":
     """Paths and ends on the left, wheel states on the right, ranks and standardised differences below.
 
     Bands span p05 to p95 over members and wheels; a measured state in red is outside of the 90 % band of its own wheel
@@ -38,22 +37,22 @@ def comparison_figure(meeting: Meeting, found: DriveComparison, title: str) -> "
     """
     from matplotlib.figure import Figure
 
-    names = meeting.measured_quantities()
+    names = matched.measured_quantities()
     height = 9.4 if len(names) <= 4 else 2.2 * len(names) + 1.0
     figure = Figure(figsize=(14.0, height), dpi=130, layout="constrained", facecolor="white")
     columns: Any = figure.subfigures(1, 2, width_ratios=(1.0, 1.25))
     rows: Any = columns[0].subfigures(2, 1, height_ratios=(2.3, 1.0))
     above = rows[0].subplots(2, 1, height_ratios=(1.0, 1.15))
-    _draw_paths(above[0], meeting)
-    _draw_end(above[1], meeting, found)
+    _draw_paths(above[0], matched)
+    _draw_end(above[1], matched, found)
     below = rows[1].subplots(1, 2)
-    _draw_standard(below[0], meeting, names)
-    _draw_ranks(below[1], meeting, names)
+    _draw_standard(below[0], matched, names)
+    _draw_ranks(below[1], matched, names)
     if names:
         panels = np.atleast_1d(columns[1].subplots(len(names), 1, sharex=True))
         for panel, name in zip(panels, names, strict=True):
-            _draw_states(panel, meeting, name)
-        columns[1].legend(handles=_handles(meeting), loc="outside upper center", ncols=8, fontsize=8, frameon=False)
+            _draw_states(panel, matched, name)
+        columns[1].legend(handles=_handles(matched), loc="outside upper center", ncols=8, fontsize=8, frameon=False)
         panels[-1].set_xlabel("Time [s]")
     color = LIMIT if found.reasons else INK
     reason = f": {found.reasons[0]}" if found.reasons else ""
@@ -63,15 +62,15 @@ def comparison_figure(meeting: Meeting, found: DriveComparison, title: str) -> "
     return figure
 
 
-def _shown(meeting: Meeting) -> npt.NDArray[np.int64]:
-    count = len(meeting.members)
-    return meeting.members[np.unique(np.linspace(0, count - 1, min(count, MOST_PATHS)).astype(np.int64))]
+def _shown(matched: MatchedObservations) -> npt.NDArray[np.int64]:
+    count = len(matched.members)
+    return matched.members[np.unique(np.linspace(0, count - 1, min(count, MOST_PATHS)).astype(np.int64))]
 
 
-def _draw_paths(axes: "Axes", meeting: Meeting) -> None:
+def _draw_paths(axes: "Axes", matched: MatchedObservations) -> None:
     """The fan, the plan, and the measured positions with a thin line between them."""
-    forecast, record = meeting.forecast, meeting.record
-    for number, member in enumerate(_shown(meeting)):
+    forecast, record = matched.forecast, matched.record
+    for number, member in enumerate(_shown(matched)):
         path = forecast.paths[member]
         label = "predicted" if number == 0 else None
         axes.plot(path[:, 0], path[:, 1], color=ACCENT, linewidth=0.6, alpha=0.35, label=label)
@@ -93,7 +92,7 @@ def _frame_map(axes: "Axes") -> None:
     axes.set_ylabel("y [m]")
 
 
-def _draw_end(axes: "Axes", meeting: Meeting, found: DriveComparison) -> None:
+def _draw_end(axes: "Axes", matched: MatchedObservations, found: DriveComparison) -> None:
     """The predicted places at the last position, their regions, the plan and what was measured."""
     from matplotlib.patches import Ellipse
 
@@ -101,8 +100,8 @@ def _draw_end(axes: "Axes", meeting: Meeting, found: DriveComparison) -> None:
         axes.text(0.5, 0.5, "no positions were measured", ha="center", va="center", transform=axes.transAxes)
         axes.set_axis_off()
         return
-    last = int(meeting.record.fix_time_s.argmax())
-    members, error = meeting.places[:, last], meeting.place_error_m2[last]
+    last = int(matched.record.fix_time_s.argmax())
+    members, error = matched.places[:, last], matched.place_error_m2[last]
     axes.plot(*members.T, "o", color=ACCENT, markersize=3, alpha=0.6, linewidth=0, label="predicted")
     for share, style in zip(DRAWN_REGIONS, ((0, (1, 1.5)), "-", "--"), strict=True):
         ring = region_ellipse(members, error, share)
@@ -113,7 +112,7 @@ def _draw_end(axes: "Axes", meeting: Meeting, found: DriveComparison) -> None:
             axes.plot([], [], color=INK, linewidth=1.2, linestyle=style, label=f"region of {100 * share:g} %")
     end = found.end
     axes.plot(end.planned_x_m, end.planned_y_m, "*", color=GOLD, markeredgecolor=INK, markersize=13, label="planned")
-    sd = np.sqrt(np.diag(meeting.record.fix_covariance_m2[last]))
+    sd = np.sqrt(np.diag(matched.record.fix_covariance_m2[last]))
     dot: Any = {"color": LIMIT if found.end.standing and not end.regions.get("99", True) else MEASURED, "zorder": 6}
     axes.errorbar(end.x_m, end.y_m, xerr=sd[0], yerr=sd[1], fmt="o", capsize=3, label="measured, 1 σ", **dot)
     _frame_map(axes)
@@ -124,19 +123,19 @@ def _draw_end(axes: "Axes", meeting: Meeting, found: DriveComparison) -> None:
     axes.set_title(f"{where}: {end.error_m:.3f} m from the middle of the predicted{standing}", fontsize=10)
 
 
-def _draw_states(axes: "Axes", meeting: Meeting, name: str) -> None:
+def _draw_states(axes: "Axes", matched: MatchedObservations, name: str) -> None:
     """Band over members and wheels, and the measured states by wheel, those outside of their own band in red."""
     label, factor = LABELS.get(name, MORE_LABELS.get(name, (name, 1.0)))
-    forecast, column = meeting.forecast, OBSERVED.index(name)
-    values = factor * forecast.states[meeting.members][..., STATE_COLUMNS.index(name)]
+    forecast, column = matched.forecast, OBSERVED.index(name)
+    values = factor * forecast.states[matched.members][..., STATE_COLUMNS.index(name)]
     values[:, forecast.halted] = np.nan
     low, middle, high = _percentiles(values)
     axes.fill_between(forecast.time_s, low, high, color=ACCENT, alpha=0.22, linewidth=0)
     axes.plot(forecast.time_s, middle, color=ACCENT, linewidth=1.4)
-    rows = meeting.known[:, column]
-    outside = np.abs(standardised(meeting, column, rows)) > half_band(len(meeting.members))
-    time, measured = meeting.record.time_s[rows], factor * meeting.record.values[rows, column]
-    wheel = np.array([forecast.wheels.index(one) for one in meeting.record.wheel])[rows]
+    rows = matched.known[:, column]
+    outside = np.abs(standardised(matched, column, rows)) > half_band(len(matched.members))
+    time, measured = matched.record.time_s[rows], factor * matched.record.values[rows, column]
+    wheel = np.array([forecast.wheels.index(one) for one in matched.record.wheel])[rows]
     every = max(1, len(time) // MOST_POINTS)
     for number in range(len(forecast.wheels)):
         own = np.flatnonzero(wheel == number)[::every]
@@ -145,17 +144,17 @@ def _draw_states(axes: "Axes", meeting: Meeting, name: str) -> None:
         red = own[outside[own]]
         ring: Any = {"markerfacecolor": "none", "markeredgecolor": LIMIT, "markersize": 6, "linewidth": 0}
         axes.plot(time[red], measured[red], "o", **ring)
-    check = next(one for one in _together(meeting, name))
+    check = next(one for one in _together(matched, name))
     axes.set_title(check, fontsize=9, loc="right")
     axes.set_ylabel(label)
     axes.set_xlim(float(forecast.time_s[0]), float(forecast.time_s[-1]))
     axes.grid(alpha=0.25, linewidth=0.5)
 
 
-def _together(meeting: Meeting, name: str) -> list[str]:
+def _together(matched: MatchedObservations, name: str) -> list[str]:
     column = OBSERVED.index(name)
-    standard = standardised(meeting, column, meeting.known[:, column])
-    share = float((np.abs(standard) <= half_band(len(meeting.members))).mean())
+    standard = standardised(matched, column, matched.known[:, column])
+    share = float((np.abs(standard) <= half_band(len(matched.members))).mean())
     return [f"{100 * share:.0f} % of {len(standard)} values in their {100 * NOMINAL:.0f} % bands"]
 
 
@@ -169,7 +168,7 @@ def _percentiles(values: FloatArray) -> FloatArray:
     return rows
 
 
-def _handles(meeting: Meeting) -> list[Any]:
+def _handles(matched: MatchedObservations) -> list[Any]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -178,18 +177,18 @@ def _handles(meeting: Meeting) -> list[Any]:
         Patch(facecolor=ACCENT, alpha=0.22, label="predicted, p05 to p95"),
         Line2D([], [], marker="o", label="outside its own 90 % band", **ring),
     ]
-    for number, wheel in enumerate(meeting.forecast.wheels):
+    for number, wheel in enumerate(matched.forecast.wheels):
         color = WHEEL_COLORS[number % len(WHEEL_COLORS)]
         handles.append(Line2D([], [], marker="o", color=color, markersize=4, linewidth=0, label=wheel))
     return handles
 
 
-def _draw_standard(axes: "Axes", meeting: Meeting, names: list[str]) -> None:
+def _draw_standard(axes: "Axes", matched: MatchedObservations, names: list[str]) -> None:
     """Standardised differences of the states beside the normal law that they should have, on the whole."""
     edges = np.linspace(-5.0, 5.0, 26)
     for number, name in enumerate(names):
         column = OBSERVED.index(name)
-        values = np.clip(standardised(meeting, column, meeting.known[:, column]), -4.99, 4.99)
+        values = np.clip(standardised(matched, column, matched.known[:, column]), -4.99, 4.99)
         look: Any = {"histtype": "step", "linewidth": 1.5, "color": WHEEL_COLORS[2 * number % 6 + number // 3 % 2]}
         axes.hist(values, bins=list(edges), density=True, label=_short(name), **look)
     x = np.linspace(-5.0, 5.0, 200)
@@ -201,11 +200,11 @@ def _draw_standard(axes: "Axes", meeting: Meeting, names: list[str]) -> None:
         axes.legend(fontsize=8, frameon=False, loc="upper left")
 
 
-def _draw_ranks(axes: "Axes", meeting: Meeting, names: list[str]) -> None:
+def _draw_ranks(axes: "Axes", matched: MatchedObservations, names: list[str]) -> None:
     """How the measured states rank in what was predicted: even, over many drives, if the prediction is right."""
     for number, name in enumerate(names):
         look: Any = {"histtype": "step", "linewidth": 1.5, "color": WHEEL_COLORS[2 * number % 6 + number // 3 % 2]}
-        axes.hist(ranks(meeting, name), bins=list(np.linspace(0.0, 1.0, 11)), density=True, label=_short(name), **look)
+        axes.hist(ranks(matched, name), bins=list(np.linspace(0.0, 1.0, 11)), density=True, label=_short(name), **look)
     axes.axhline(1.0, color=INK, linewidth=0.9, linestyle="--")
     axes.set_xlim(0.0, 1.0)
     axes.set_xlabel("Rank in the prediction [-]")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.twin.loads.uncertain_forces import UncertainForces
+from lunarsci.twin.loads.load_ensemble import LoadEnsemble
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ LABELS = ("Normal force F$_N$ [N]", "Drawbar pull F$_{DP}$ [N]", "Lateral force 
 MISSING = ("Missing ahead [N]", "Missing to the left [N]", "Missing moment [N m]")
 
 
-def force_band_figure(found: UncertainForces, title: str) -> "Figure":
+def force_band_figure(found: LoadEnsemble, title: str) -> "Figure":
     """A column of panels for each axle: the three forces of its wheels, and below what is missing of the totals.
 
     Pale bands are one standard deviation after the balance; the dark band in it is what the assumed soil brings of it.
@@ -56,7 +56,7 @@ def force_band_figure(found: UncertainForces, title: str) -> "Figure":
     return figure
 
 
-def _draw_band(panel: Any, along: FloatArray, found: UncertainForces, wheel: int, force: int, color: str) -> None:
+def _draw_band(panel: Any, along: FloatArray, found: LoadEnsemble, wheel: int, force: int, color: str) -> None:
     mean, sigma = found.after[:, wheel, force], found.after_sigma[:, wheel, force]
     soil = np.minimum(np.sqrt(np.maximum(found.after_parts[0, :, wheel, force], 0.0)), sigma)
     name = found.held.rover.wheels[wheel]
@@ -65,12 +65,12 @@ def _draw_band(panel: Any, along: FloatArray, found: UncertainForces, wheel: int
     panel.plot(along, mean, color=color, linewidth=1.2, linestyle="-" if wheel % 2 == 0 else (0, (4, 2)))
 
 
-def _draw_missing(panels: Any, along: FloatArray, found: UncertainForces) -> None:
+def _draw_missing(panels: Any, along: FloatArray, found: LoadEnsemble) -> None:
     for k, panel in enumerate(panels):
-        before, sigma = found.missing_before[:, k], found.total_before[:, k]
+        before, sigma = found.residual_before[:, k], found.total_before[:, k]
         panel.fill_between(along, before - sigma, before + sigma, color=INK, alpha=0.15, linewidth=0)
         panel.plot(along, before, color=INK, linewidth=1.0, linestyle=":", label="before the balance, ±σ")
-        panel.plot(along, found.missing_after[:, k], color=INK, linewidth=1.4, label="after")
+        panel.plot(along, found.residual_after[:, k], color=INK, linewidth=1.4, label="after")
         _band_frame(panel, MISSING[k], along)
         _zero(panel)
         panel.set_xlabel("Distance rolled [m]")
@@ -105,7 +105,7 @@ def force_figure(
     axis: tuple[FloatArray, str],
     states: FloatArray,
     title: str,
-    missing_n: FloatArray | None = None,
+    residual_n: FloatArray | None = None,
 ) -> "Figure":
     """Forces, slip and side slip of each wheel.
 
@@ -122,7 +122,7 @@ def force_figure(
     along, label = axis
     middle = np.nanmedian(states, axis=0) if states.ndim == 4 else states
     figure = Figure(figsize=(11.0, 8.6), dpi=130, layout="constrained", facecolor="white")
-    rows: Any = figure.subplots(3 if missing_n is None else 4, 2, sharex=True, squeeze=False)
+    rows: Any = figure.subplots(3 if residual_n is None else 4, 2, sharex=True, squeeze=False)
     for panel, (name, text) in zip(rows.ravel(), PANELS.items(), strict=False):
         for k, wheel in enumerate(wheels):
             panel.plot(
@@ -134,8 +134,8 @@ def force_figure(
                 label=wheel,
             )
         _frame(panel, text)
-    if missing_n is not None:
-        for panel, values, text in zip(rows[3], missing_n.T, ("ahead", "to the left"), strict=True):
+    if residual_n is not None:
+        for panel, values, text in zip(rows[3], residual_n.T, ("ahead", "to the left"), strict=True):
             panel.plot(along, values, color="#26323a", linewidth=1.3)
             _frame(panel, f"Missing force {text} [N]")
     for panel in rows[-1]:

@@ -10,13 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.regolith.prior import PARAMETERS
+from lunarsci.twin.assimilation.change_point import traverse_of, wheel_places
+from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
+from lunarsci.twin.assimilation.segments import SoilChange
+from lunarsci.twin.assimilation.update import SoilUpdate
 from lunarsci.twin.ground.soil_layers import SoilLayers
 from lunarsci.twin.ground.soil_map import SoilMap
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, from_si
-from lunarsci.twin.inference.drive_record import OBSERVED, DriveRecord
-from lunarsci.twin.inference.rectify import Rectified
-from lunarsci.twin.inference.soil_change import way_of, wheel_places
-from lunarsci.twin.inference.soil_zones import SoilChange
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,14 +29,14 @@ HIGHEST = 8.0
 WINDOW_M = 0.4
 
 
-def residual_page(record: DriveRecord, found: Rectified, changes: list[SoilChange]) -> "Figure":
+def residual_page(record: DriveRecord, found: SoilUpdate, changes: list[SoilChange]) -> "Figure":
     """Measured less simulated on the best single soil, in errors, against the place of each wheel along the way.
 
     Lines are medians over 0.4 m; where the soil changes a line stands in the interval that holds it at 95 %.
     """
     from matplotlib.figure import Figure
 
-    places = wheel_places(found.prediction.rover, record, way_of(found.prediction))
+    places = wheel_places(found.prediction.rover, record, traverse_of(found.prediction))
     known = [k for k in range(len(OBSERVED)) if np.isfinite(found.residuals[:, k]).any()]
     figure = Figure(figsize=(9.0, 1.2 + 1.6 * max(len(known), 1)), dpi=110, layout="constrained", facecolor="white")
     axes: Any = figure.subplots(max(len(known), 1), 1, sharex=True, squeeze=False)[:, 0]

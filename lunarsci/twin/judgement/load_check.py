@@ -14,9 +14,9 @@ import numpy.typing as npt
 
 from lunarsci.interpolation import at_times
 from lunarsci.regolith.states import FROM_MOTION
+from lunarsci.twin.loads.load_ensemble import LoadEnsemble
 from lunarsci.twin.loads.pose_states import PoseStates
-from lunarsci.twin.loads.totals import FORCES
-from lunarsci.twin.loads.uncertain_forces import UncertainForces
+from lunarsci.twin.loads.prescribed_motion import FORCES
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ __all__ = [
 ]
 
 
-def force_table(found: UncertainForces, states: PoseStates | None = None) -> "pd.DataFrame":
+def force_table(found: LoadEnsemble, states: PoseStates | None = None) -> "pd.DataFrame":
     """Forces of each wheel after the balance: one row for each measured state, or for each pose and wheel.
 
     The columns of the measured states stay as they were read; normal_force_n, drawbar_pull_n, lateral_force_n, each
@@ -64,7 +64,7 @@ def force_table(found: UncertainForces, states: PoseStates | None = None) -> "pd
     return pd.DataFrame(table)
 
 
-def _of_the_motion(found: UncertainForces) -> "pd.DataFrame":
+def _of_the_motion(found: LoadEnsemble) -> "pd.DataFrame":
     import pandas as pd
 
     held, wheels = found.held, found.held.rover.wheels

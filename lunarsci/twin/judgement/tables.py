@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.twin.judgement.quantities import along
-from lunarsci.twin.loads.held import HeldForces
+from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
 from lunarsci.twin.simulation.ensemble import OFFSET_COLUMNS, PATH_COLUMNS, STATE_COLUMNS, Prediction
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ def state_table(prediction: Prediction) -> "pd.DataFrame":
     return table
 
 
-def held_table(found: HeldForces) -> "pd.DataFrame":
+def held_table(found: PrescribedLoads) -> "pd.DataFrame":
     """States and forces of each wheel along a given motion: one row for each pose and wheel.
 
     Columns time_s, wheel, then as in `state_table`, then missing_ahead_n, missing_left_n, missing_moment_nm: what the
@@ -122,7 +122,9 @@ def held_table(found: HeldForces) -> "pd.DataFrame":
     table.insert(0, "time_s", np.repeat(found.motion.time_s, len(names)))
     table.insert(1, "wheel", np.tile(names, len(found.motion.time_s)))
     for name, values in zip(
-        ("missing_ahead_n", "missing_left_n", "missing_moment_nm"), (*found.missing_n.T, found.missing_nm), strict=True
+        ("missing_ahead_n", "missing_left_n", "missing_moment_nm"),
+        (*found.residual_n.T, found.residual_nm),
+        strict=True,
     ):
         table[name] = np.repeat(values, len(names))
     return table

@@ -12,10 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import DataError
-from lunarsci.twin.loads.held import HeldForces
+from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.telemetry.findings import Findings
-from lunarsci.twin.telemetry.reading import Telemetry
+from lunarsci.twin.telemetry.reading import Findings, Telemetry
 
 __all__ = ["check_attitude", "check_frame", "sway_m", "usable_headings", "usable_positions"]
 
@@ -39,7 +38,7 @@ def sway_m(rover: Rover, paths: FloatArray) -> FloatArray:
     )
 
 
-def check_attitude(telemetry: Telemetry, held: HeldForces, rows: IntArray, findings: Findings) -> None:
+def check_attitude(telemetry: Telemetry, held: PrescribedLoads, rows: IntArray, findings: Findings) -> None:
     """Roll and pitch must be those of a rover that stands on this terrain."""
     for column, name in ((3, "roll_deg"), (4, "pitch_deg")):
         measured, stood = getattr(telemetry, name)[rows], held.paths[:, column]

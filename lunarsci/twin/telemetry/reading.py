@@ -1,13 +1,10 @@
-"""Telemetry files: CSV, ECSV and Parquet, with columns by name.
-
-Telemetry of a drive as numbers: when, where, which way, and what each wheel did.
-"""
+"""Telemetry of a drive as numbers: read from CSV, ECSV and Parquet by the columns' names, and what is wrong."""
 
 import difflib
 import io
 import re
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,18 +12,61 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.csv_table import numbers_of, read_csv_table
-from lunarsci.errors import DataError
+from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.telemetry.findings import Findings
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["POSE_COLUMNS", "WHEEL_COLUMNS", "Telemetry", "read_table", "read_telemetry"]
+__all__ = ["POSE_COLUMNS", "WHEEL_COLUMNS", "Finding", "Findings", "Telemetry", "read_table", "read_telemetry"]
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """One thing that is wrong with telemetry.
+
+    Attributes
+    ----------
+    kind : a word for it, such as `gap`.
+    count : how many rows, positions or wheels it concerns.
+    time_s : when it is first seen, None where it has no time. [s]
+    what, done : what was found, and what was done about it.
+    doubt : whether the result should not be trusted for it.
+    """
+
+    kind: str
+    count: int
+    time_s: float | None
+    what: str
+    done: str
+    doubt: bool = False
+
+
+@dataclass(slots=True)
+class Findings:
+    """The findings of one file, each said once as a warning when it is added."""
+
+    file: str
+    entries: list[Finding] = field(default_factory=list)
+
+    def add(
+        self, kind: str, what: str, done: str, *, count: int = 1, time_s: float | None = None, doubt: bool = False
+    ) -> None:
+        """Note and say one finding."""
+        self.entries.append(Finding(kind=kind, count=count, time_s=time_s, what=what, done=done, doubt=doubt))
+        when = "" if time_s is None else f" at time_s {time_s:.6g}"
+        warnings.warn(f"{self.file}: {kind}{when}: {what}; {done}", LunarSciWarning, stacklevel=3)
+
+    @property
+    def doubt(self) -> str:
+        """Why the result should not be trusted, empty if it may be."""
+        return "; ".join(f"{entry.kind}: {entry.what}" for entry in self.entries if entry.doubt)
+
+
 POSE_COLUMNS = ("yaw_deg", "yaw_deg_sigma", "roll_deg", "pitch_deg")
 WHEEL_COLUMNS = {
     "speed_m_s": "speed_{}_m_s",

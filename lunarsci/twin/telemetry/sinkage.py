@@ -1,19 +1,155 @@
-"""Sinkage of the wheels from the track they left."""
+"""Sinkage of the wheels from the track they left.
+
+A rut is as deep as the deepest wheel that passed: the ground does not rise again. It says nothing of the sinkage of the
+other wheels that ran in it, but that they sank no deeper.
+"""
 
 import dataclasses
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.csv_table import numbers_of, read_csv_table
 from lunarsci.errors import DataError
+from lunarsci.inputs import InputFile
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
+from lunarsci.twin.telemetry.simulated import deepest_at
 from lunarsci.twin.telemetry.states import DriveStates
-from lunarsci.twin.telemetry.track import RutPoints, deepest_wheel, rut_points
 
-__all__ = ["with_sinkage"]
+__all__ = ["RutPoints", "deepest_wheel", "read_track", "rut_points", "with_sinkage"]
 
 FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+SIGMA_M = 0.00033
+"""Error of a depth whose error is not given: 1 mm as three standard deviations, Ding et al. (2024),
+10.1038/s41467-024-46233-8. [m]"""
+GRID = 5
+"""Places across a footprint at which two terrains are compared, each way."""
+TIE_M = 0.0005
+"""Predicted sinkages that differ by less do not say which wheel is the deepest: it is the last then; assumed. [m]"""
+
+EARLIER = 0.15
+"""Share by which a wheel must be predicted deeper than those after it to be the deepest: ground that is loaded again
+sinks further than the prediction, which knows no ruts, says; assumed, 0.14 in drives by MuJoCo with such ruts."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RutPoints:
+    """Depth of a track below the undisturbed ground.
+
+    Attributes
+    ----------
+    place_m : (p, 2) [m]
+    rut_m, sigma_m : depth and its error, which points within one footprint share. (p,) [m]
+    """
+
+    place_m: FloatArray
+    rut_m: FloatArray
+    sigma_m: FloatArray
+
+    def depth_at(self, places_m: FloatArray, reach_m: float) -> tuple[FloatArray, FloatArray]:
+        """Mean depth within a distance of places (m, 2), and its error: that of a point, and the scatter. (m,) [m]"""
+        from scipy.spatial import cKDTree
+
+        depth, sigma = np.full(len(places_m), np.nan), np.full(len(places_m), np.nan)
+        found: Any = cKDTree(self.place_m).query_ball_point(places_m, reach_m)
+        for row, near in enumerate(found):
+            if near:
+                values = self.rut_m[near]
+                scatter = float(values.std(ddof=1)) / math.sqrt(len(near)) if len(near) > 1 else 0.0
+                depth[row] = values.mean()
+                sigma[row] = math.hypot(float(np.sqrt((self.sigma_m[near] ** 2).mean())), scatter)
+        return depth, sigma
+
+
+def read_track(source: InputFile) -> RutPoints:
+    """Depths of a track from CSV: x_m, y_m, rut_m, and optionally rut_m_sigma. Raises DataError."""
+    table = read_csv_table(source)
+    for name in ("x_m", "y_m", "rut_m"):
+        if name not in table:
+            near = [str(other) for other in table.columns if str(other).rpartition("_")[0] == name.rpartition("_")[0]]
+            hint = f"; there is {near[0]}: convert it" if near else f"; there are: {', '.join(map(str, table.columns))}"
+            raise DataError(f"{source.name}: no column {name}{hint}")
+    x, y, rut = (numbers_of(source.name, name, table[name]) for name in ("x_m", "y_m", "rut_m"))
+    sigma = np.full(len(rut), SIGMA_M)
+    if "rut_m_sigma" in table:
+        given = numbers_of(source.name, "rut_m_sigma", table["rut_m_sigma"])
+        if (given < 0).any():
+            row = int(np.argmax(given < 0))
+            raise DataError(f"{source.name}, row {row + 1}, rut_m_sigma: {given[row]:g}; give 0 or more")
+        sigma = np.where(np.isfinite(given), given, SIGMA_M)
+    known = np.isfinite(x) & np.isfinite(y) & np.isfinite(rut)
+    if not known.any():
+        raise DataError(f"{source.name}: no row has x_m, y_m and rut_m")
+    return RutPoints(place_m=np.column_stack([x, y])[known], rut_m=rut[known], sigma_m=sigma[known])
+
+
+def rut_points(before: Terrain, after: Terrain, places_m: FloatArray, reach_m: float) -> RutPoints:
+    """Depths where wheels stood, from the ground before less that after the drive; NaN heights are left out.
+
+    Places (m, 2) are each compared at a grid of points within the distance. The error of a point is `SIGMA_M`; where
+    the two maps scatter more, `RutPoints.depth_at` adds it. Raises DataError where the maps have nothing in common.
+    """
+    steps = np.linspace(-0.7 * reach_m, 0.7 * reach_m, GRID)
+    around = np.column_stack([part.ravel() for part in np.meshgrid(steps, steps)])
+    points = (places_m[:, None] + around).reshape(-1, 2)
+    rut = before.height_at(*points.T) - after.height_at(*points.T)
+    known = np.isfinite(rut)
+    if not known.any():
+        raise DataError(f"{after.name}: no height below any wheel; is it the ground of this drive?")
+    return RutPoints(place_m=points[known], rut_m=rut[known], sigma_m=np.full(int(known.sum()), SIGMA_M))
+
+
+def deepest_wheel(
+    places_m: FloatArray,
+    wheel: npt.NDArray[np.intp],
+    paths: tuple[FloatArray, FloatArray],
+    predicted_m: FloatArray,
+    time_s: FloatArray,
+    reach_m: float,
+) -> tuple[BoolArray, FloatArray]:
+    """Whether a wheel is the one whose depth the rut below it has, and what that may be off by.
+
+    Of the wheels that passed within the distance it is the one that is predicted to stand deepest. Where the
+    predictions do not tell, it is the last one, and their spread is an error. A wheel that others followed must be
+    deeper than they are by `EARLIER`, or the depth is no one's.
+
+    Parameters
+    ----------
+    places_m, wheel : where a wheel stood, and which. (m, 2) [m], (m,)
+    paths : x and y of every wheel along the drive. (n, wheels) [m]
+    predicted_m : sinkage that the twin gives each wheel on a soil that is assumed. (n, wheels) [m]
+    time_s : (n,) [s]
+    reach_m : half the wheel's width. [m]
+    """
+    depth = deepest_at(places_m, (*paths, predicted_m), reach_m)
+    times = np.repeat(time_s[:, None], paths[0].shape[1], axis=1)
+    passed = deepest_at(places_m, (*paths, times), reach_m)
+    tied = depth >= depth.max(axis=1, keepdims=True) - TIE_M
+    last = np.where(tied, passed, -np.inf).argmax(axis=1)
+    spread = np.where(tied, depth, np.nan)
+    alone = np.isfinite(depth).any(axis=1)
+    off = np.zeros(len(places_m))
+    off[alone] = np.nanmax(spread[alone], axis=1) - np.nanmin(spread[alone], axis=1)
+    rows = np.arange(len(places_m))
+    later = np.where(passed > passed[rows, last][:, None], depth, -np.inf).max(axis=1)
+    certain = later <= (1.0 - EARLIER) * depth[rows, last]
+    return alone & certain & (last == wheel), off
+
+
+def is_table_of_ruts(source: InputFile) -> bool:
+    """Whether a file is a CSV of depths; else it is a terrain."""
+    if Path(source.name).suffix.lower() != ".csv":
+        return False
+    return "height_m" not in read_csv_table(source)
+
+
 ALONG = 0.5
 """Share of the states that a track must meet; below it is not the track of this drive; assumed."""
 MOST_ODD = 0.2

@@ -1,18 +1,24 @@
 """Where the rover was and how it slipped, from its wheels, its heading and localised positions.
 
-The model is that of `filter`, how fast deviations change that of `change`. The smoother, linearised anew about its own
-result until it stands still, is Gauss-Newton for the whole drive (Bell 1994, 10.1137/0804035).
+The model is that of `filter`. How fast its deviations change decides how far positions tell of the slip between them:
+each has an amplitude and a length. What positions and headings are probable for is known from the filter (its
+marginal likelihood); with what is believed beforehand it gives weights to candidates. No one of them is chosen: the
+motion is averaged over them, so that what is not known of them widens its errors. The smoother, linearised anew about
+its own result until it stands still, is Gauss-Newton for the whole drive (Bell 1994, 10.1137/0804035). Positions and
+headings that fit no motion are left out.
 """
 
+import dataclasses
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import DataError
-from lunarsci.twin.telemetry.change import SlipProcess, change_of
 from lunarsci.twin.telemetry.filter import (
     AHEAD,
+    EFFECT_MEAN,
     EFFECTS,
     MEANS,
     SIZE,
@@ -22,10 +28,147 @@ from lunarsci.twin.telemetry.filter import (
     linearised,
     smoothed_back,
 )
+from lunarsci.twin.telemetry.reading import Findings
 
-__all__ = ["MEANS", "Nodes", "SlipProcess", "Smoothed", "probable", "smooth"]
+__all__ = [
+    "MEANS",
+    "Nodes",
+    "SlipProcess",
+    "Smoothed",
+    "believed_change",
+    "change_of",
+    "check_change",
+    "check_glide",
+    "check_scatter",
+    "probable",
+    "smooth",
+    "without_outliers",
+]
 
 FloatArray = npt.NDArray[np.float64]
+
+LENGTHS_M = (0.35, 0.7, 1.4, 2.8)
+"""Candidates for the way over which deviations change: from half the length of a rover, which averages the ground below
+it, to much more where the ground is smooth. [m]"""
+AMPLITUDES = (0.0007, 0.0017, 0.004, 0.01, 0.025, 0.06, 0.15)
+"""Candidates for the changing parts of ahead and left; times `SHARES`, the last in 1/m."""
+SHARES = np.array([1.0, 1.0, 0.3])
+LEAST, UNEXPLAINED, STEP_M = 0.0005, 0.15, 0.5
+"""What is believed of the amplitude beforehand: so much, and such a share of what slopes are thought to change over so
+long a way. Assumed: linear effects of slopes leave 0.02 to 0.15 of it in drives by the twin and by MuJoCo with stress
+integrals, and 0.2 to 0.5, or more sideways, where the soil changes too."""
+UNKNOWN = 0.02
+"""The same where the slopes are not known; assumed."""
+WIDTH = 1.7
+"""How widely it is believed, in ln; assumed."""
+ORDER = (2, 1, 0)
+"""Of the velocities, the best known first: headings tell how the turn changes."""
+DRAWN = 12
+STRIDES = (1, 5, 7)
+"""By which the draws of the three deviations are mixed: without a common divisor with `DRAWN`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SlipProcess:
+    """How the deviations ahead [-], left [-] and turn [1/m] change along the way.
+
+    Attributes
+    ----------
+    amplitude, length_m : equally probable candidates. (m, 3), (m, 3) [m]
+    usual, usual_length_m : their means in ln. (3,)
+    spread : standard deviation of ln amplitude. (3,)
+    information : what the data tell of amplitude and length beside what was believed, as the Kullback-Leibler
+        divergence; 0 where they tell nothing. (3,) [nat]
+    """
+
+    amplitude: FloatArray
+    length_m: FloatArray
+    usual: FloatArray
+    usual_length_m: FloatArray
+    spread: FloatArray
+    information: FloatArray
+
+    @classmethod
+    def fixed(cls, amplitude: FloatArray, length_m: FloatArray) -> "SlipProcess":
+        """Known amplitudes and lengths. (3,), (3,) [m]"""
+        zero = np.zeros(3)
+        return cls(
+            amplitude=amplitude[None],
+            length_m=length_m[None],
+            usual=amplitude,
+            usual_length_m=length_m,
+            spread=zero,
+            information=zero,
+        )
+
+
+def believed_change(nodes: Nodes) -> SlipProcess:
+    """What is believed before positions and headings say anything."""
+    return SlipProcess.fixed(_believed(nodes), np.full(3, LENGTHS_M[1]))
+
+
+def change_of(nodes: Nodes) -> SlipProcess:
+    """How deviations change, from positions and headings: each in turn, the others as they are found to be."""
+    believed = _believed(nodes)
+    amplitude, length = believed.copy(), np.full(3, LENGTHS_M[1])
+    model = linearised(nodes, dead_reckoned(nodes), amplitude[None], length[None])
+    reference = smoothed_back(model, *filtered(nodes, model)[:2])[0][:, 0]
+    ln_a, ln_l = (part.ravel() for part in np.meshgrid(np.log(AMPLITUDES), np.log(LENGTHS_M), indexing="ij"))
+    prior = -0.5 * ((ln_a + np.log(SHARES)[:, None] - np.log(believed)[:, None]) / WIDTH) ** 2
+    weights = np.empty_like(prior)
+    for channel in ORDER:
+        tried_a, tried_l = np.repeat(amplitude[None], len(ln_a), axis=0), np.repeat(length[None], len(ln_a), axis=0)
+        tried_a[:, channel], tried_l[:, channel] = np.exp(ln_a) * SHARES[channel], np.exp(ln_l)
+        likelihood = filtered(nodes, linearised(nodes, reference, tried_a, tried_l))[2]
+        weights[channel] = _normed(prior[channel] + likelihood)
+        amplitude[channel] = math.exp(weights[channel] @ ln_a) * SHARES[channel]
+        length[channel] = math.exp(weights[channel] @ ln_l)
+    spread, believed_weights = np.array([_spread(weight, ln_a) for weight in weights]), [_normed(row) for row in prior]
+    drawn = _draws(weights)
+    return SlipProcess(
+        amplitude=np.exp(ln_a[drawn]) * SHARES,
+        length_m=np.exp(ln_l[drawn]),
+        usual=amplitude,
+        usual_length_m=length,
+        spread=spread,
+        information=np.array([_divergence(*pair) for pair in zip(weights, believed_weights, strict=True)]),
+    )
+
+
+def _believed(nodes: Nodes) -> FloatArray:
+    """Amplitudes believed beforehand: ahead, left, and turn, for which slopes do little. (3,)"""
+    if nodes.effect is None:
+        return UNKNOWN * SHARES
+    effect = nodes.effect[:, :2] @ np.array(EFFECT_MEAN)
+    way = np.append(0.0, np.cumsum(nodes.way_m))
+    later = np.column_stack([np.interp(way + STEP_M, way, column) for column in effect.T])
+    ahead, left = LEAST + UNEXPLAINED * np.sqrt(((later - effect) ** 2).mean(axis=0))
+    return np.asarray(np.array([ahead, left, ahead]) * SHARES)
+
+
+def _normed(ln_weight: FloatArray) -> FloatArray:
+    weight = np.exp(ln_weight - ln_weight.max())
+    return np.asarray(weight / weight.sum())
+
+
+def _spread(weight: FloatArray, values: FloatArray) -> float:
+    return math.sqrt(weight @ (values - weight @ values) ** 2)
+
+
+def _divergence(weight: FloatArray, believed: FloatArray) -> float:
+    return float(weight @ np.log(np.maximum(weight, 1e-300) / believed))
+
+
+def _draws(weights: FloatArray) -> npt.NDArray[np.intp]:
+    """Candidates of each deviation, as often as they are probable, mixed with those of the others. (m, 3)"""
+    levels = (np.arange(DRAWN) + 0.5) / DRAWN
+    columns = []
+    for weight, stride in zip(weights, STRIDES, strict=True):
+        picked = np.minimum(np.searchsorted(np.cumsum(weight), levels), len(weight) - 1)
+        columns.append(picked[(stride * np.arange(DRAWN)) % DRAWN])
+    return np.column_stack(columns)
+
+
 ROUNDS = 2
 
 
@@ -38,8 +181,8 @@ class Smoothed:
     state, covariance : mean and covariance of the state. (n, 16), (n, 16, 16)
     effect : `Nodes.effects`. (n, 3, 4)
     change : how fast the deviations ahead, left and turn change.
-    misfit : Mahalanobis distance squared of each position from where all else puts it, NaN where there is none. (n,)
-    yaw_misfit : the same of each heading. (n,)
+    squared_distance : Mahalanobis distance squared of each position from where all else puts it, else NaN. (n,)
+    yaw_squared_distance : the same of each heading. (n,)
     reduced_chi_square : of the positions.
     """
 
@@ -47,8 +190,8 @@ class Smoothed:
     covariance: FloatArray
     effect: FloatArray
     change: SlipProcess
-    misfit: FloatArray
-    yaw_misfit: FloatArray
+    squared_distance: FloatArray
+    yaw_squared_distance: FloatArray
     reduced_chi_square: float
 
     @property
@@ -92,14 +235,14 @@ def smooth(nodes: Nodes, change: SlipProcess | None = None) -> Smoothed:
         state, covariance = _round(nodes, reference, change.amplitude, change.length_m)
     except np.linalg.LinAlgError as error:
         raise DataError("the motion cannot be found: errors of positions or headings are absurd") from error
-    misfit, chi_square, count = _misfits(nodes, state, covariance)
+    squared_distance, chi_square, count = _misfits(nodes, state, covariance)
     return Smoothed(
         state=state,
         covariance=covariance,
         effect=nodes.effects,
         change=change,
-        misfit=misfit,
-        yaw_misfit=_yaw_misfits(nodes, state, covariance),
+        squared_distance=squared_distance,
+        yaw_squared_distance=_yaw_misfits(nodes, state, covariance),
         reduced_chi_square=chi_square / max(count, 1),
     )
 
@@ -133,13 +276,108 @@ def _yaw_misfits(nodes: Nodes, state: FloatArray, covariance: FloatArray) -> Flo
 def _misfits(nodes: Nodes, state: FloatArray, covariance: FloatArray) -> tuple[FloatArray, float, int]:
     """Mahalanobis distance squared of each position from what all others say of it; chi-square, and its freedom."""
     fixed = np.isfinite(nodes.fix_m).all(axis=1)
-    misfit = np.full(len(nodes.time_s), np.nan)
+    squared_distance = np.full(len(nodes.time_s), np.nan)
     chi_square, count = 0.0, 0.0
     for k in np.flatnonzero(fixed):
         off, errors = nodes.fix_m[k] - state[k, :2], nodes.fix_covariance_m2[k]
         left = errors - covariance[k, :2, :2]
         value, axes = np.linalg.eigh(left)
-        misfit[k] = ((axes.T @ off) ** 2 / np.maximum(value, 1e-6 * np.trace(errors))).sum()
+        squared_distance[k] = ((axes.T @ off) ** 2 / np.maximum(value, 1e-6 * np.trace(errors))).sum()
         chi_square += float(off @ np.linalg.solve(errors, off))
         count += float(np.trace(np.linalg.solve(errors, left)))
-    return misfit, chi_square, max(round(count), 1)
+    return squared_distance, chi_square, max(round(count), 1)
+
+
+OUTLIER = 20.0
+"""Mahalanobis distance squared from which a position is left out: once in 22 000 by chance (chi-square, 2 degrees)."""
+MOST_OUTLIERS = 0.2
+WORST_CHI_SQUARE = 4.0
+"""Share of positions left out, and reduced chi-square, beyond which the result is in doubt; assumed."""
+LEAST_CHI_SQUARE, FINEST_M = 0.05, 5e-4
+"""Reduced chi-square and standard error [m] below which errors of positions are not believed; assumed."""
+COARSE, FINE, UNKNOWN_LENGTHS_M = np.array([0.1, 0.1, 0.05]), np.array([0.03, 0.03, 0.05]), np.full(3, 0.7)
+"""How slip changes on ground that is not known yet, first widely, then as on ground of some degrees; assumed."""
+SPARSE = 0.02
+"""Information about how slip changes below which positions are said to tell nothing of it; assumed. [nat]"""
+GLIDE_DEG = 3.0
+"""Side slip all along from which on it is said: the largest that Ding et al. (2024) report. [deg]"""
+
+
+def without_outliers(nodes: Nodes, findings: Findings) -> tuple[Smoothed, Nodes, FloatArray]:
+    """Smooth, leave out the worst position while it fits no motion, smooth again."""
+    count = int(np.isfinite(nodes.fix_m).all(axis=1).sum())
+    left: list[list[float]] = []
+    odd: list[float] = []
+    for change in (SlipProcess.fixed(COARSE, UNKNOWN_LENGTHS_M), SlipProcess.fixed(FINE, UNKNOWN_LENGTHS_M)):
+        smoothed = smooth(nodes, change)
+        nodes, smoothed, lost = _without_odd_headings(nodes, smoothed)
+        odd += lost
+        while count - len(left) > 3 and np.nanmax(smoothed.squared_distance) > OUTLIER:
+            worst = int(np.nanargmax(smoothed.squared_distance))
+            left.append([float(nodes.time_s[worst]), *map(float, nodes.fix_m[worst])])
+            fix = nodes.fix_m.copy()
+            fix[worst] = np.nan
+            nodes = dataclasses.replace(nodes, fix_m=fix)
+            smoothed = smooth(nodes, smoothed.change)
+            if len(left) > max(3, MOST_OUTLIERS * count):
+                break
+    if odd:
+        many = len(odd) > MOST_OUTLIERS * len(nodes.time_s)
+        what = f"{len(odd)} headings fit no motion of the wheels"
+        findings.add("odd heading", what, "left out", count=len(odd), time_s=min(odd), doubt=many)
+    if left:
+        many = len(left) > MOST_OUTLIERS * count
+        findings.add(
+            "position jump",
+            f"{len(left)} of {count} positions fit no motion of the wheels",
+            "left out",
+            count=len(left),
+            time_s=min(left)[0],
+            doubt=many,
+        )
+    return smoothed, nodes, np.array(sorted(left)).reshape(-1, 3)
+
+
+def _without_odd_headings(nodes: Nodes, smoothed: Smoothed) -> tuple[Nodes, Smoothed, list[float]]:
+    """Leave out the worst heading while it fits no motion; with the times of those left out."""
+    odd: list[float] = []
+    while np.nanmax(smoothed.yaw_squared_distance) > OUTLIER and len(odd) <= MOST_OUTLIERS * len(nodes.time_s):
+        worst = int(np.nanargmax(smoothed.yaw_squared_distance))
+        odd.append(float(nodes.time_s[worst]))
+        yaw = nodes.yaw_rad.copy()
+        yaw[worst] = np.nan
+        nodes = dataclasses.replace(nodes, yaw_rad=yaw)
+        smoothed = smooth(nodes, smoothed.change)
+    return nodes, smoothed, odd
+
+
+def check_scatter(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
+    """Say errors of positions that nobody can believe, and a scatter that they do not explain."""
+    fixed = np.isfinite(nodes.fix_m).all(axis=1)
+    sigma = float(np.median(np.sqrt(np.trace(nodes.fix_covariance_m2[fixed], axis1=1, axis2=2) / 2.0)))
+    if sigma < FINEST_M:
+        what = f"positions claim errors of {1e3 * sigma:.2g} mm, which no localisation of a rover reaches"
+        findings.add("errors too small", what, "kept; are they in another unit?", doubt=True)
+    if smoothed.reduced_chi_square < LEAST_CHI_SQUARE and fixed.sum() > 5 and sigma >= FINEST_M:
+        what = f"positions scatter {smoothed.reduced_chi_square:.2g} times as much as their errors of {sigma:.3g} m say"
+        findings.add("errors too large", what, "kept; are they in another unit?")
+    if smoothed.reduced_chi_square > WORST_CHI_SQUARE:
+        what = f"positions scatter with a reduced chi-square of {smoothed.reduced_chi_square:.1f} about the motion"
+        findings.add("positions scatter", what, "kept; their errors are too small, or they jump", doubt=True)
+
+
+def check_glide(smoothed: Smoothed, findings: Findings) -> None:
+    """Say a side slip that stays the same all along."""
+    left, sigma = float(smoothed.state[-1, MEANS[1]]), float(np.sqrt(smoothed.covariance[-1, MEANS[1], MEANS[1]]))
+    middle = math.degrees(math.atan(float(np.median(smoothed.deviation[:, 1]))))
+    if abs(middle) > GLIDE_DEG and abs(left) > sigma:
+        what = f"the rover glides by {middle:.2g} deg all the way, positive to the left"
+        findings.add("constant side slip", what, "kept; a heading that is off throughout looks the same")
+
+
+def check_change(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
+    """Say positions that are too few or too coarse to tell how slip changes."""
+    if smoothed.change.information[0] < SPARSE:
+        count = int(np.isfinite(nodes.fix_m).all(axis=1).sum())
+        what = f"{count} positions over {float(nodes.way_m.sum()):.3g} m do not tell how fast slip changes"
+        findings.add("sparse positions", what, "errors of slip rest on what is assumed of it", count=count)

@@ -1,94 +1,63 @@
-"""From telemetry to the states of the wheels: slip, side slip and sinkage, each with its error.
-
-Slip and side slip of the wheels from the motion of the rover that carries them over the ground.
-"""
+"""From telemetry to the states of the wheels: slip, side slip and sinkage, each with its error, and tables of them."""
 
 import dataclasses
 import itertools
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import DataError
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.loads.held import HeldForces, forces_along
+from lunarsci.twin.loads.prescribed_motion import PrescribedLoads, prescribed_loads
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import VALID_SLIP
-from lunarsci.twin.telemetry.clock import ordered, time_gaps
-from lunarsci.twin.telemetry.commands_check import check_against_plan, steering_angles
+from lunarsci.twin.telemetry.checks import check_against_plan, ordered, steering_angles, time_gaps
 from lunarsci.twin.telemetry.filter import Nodes
-from lunarsci.twin.telemetry.findings import Findings
-from lunarsci.twin.telemetry.ground_effect import ground_velocities
-from lunarsci.twin.telemetry.nodes import denser, mean_speed, motion_at, nodes_of, on_ground, pace_at, twist_at
-from lunarsci.twin.telemetry.odometry import body_twist, wheel_rows
-from lunarsci.twin.telemetry.outliers import check_change, check_glide, check_scatter, without_outliers
+from lunarsci.twin.telemetry.nodes import (
+    denser,
+    mean_speed,
+    motion_at,
+    nodes_of,
+    on_ground,
+    slips_of,
+    wheel_velocities,
+)
+from lunarsci.twin.telemetry.odometry import body_twist
 from lunarsci.twin.telemetry.positions import check_attitude, check_frame, sway_m, usable_headings, usable_positions
-from lunarsci.twin.telemetry.reading import Telemetry
-from lunarsci.twin.telemetry.smoother import Smoothed, smooth
+from lunarsci.twin.telemetry.reading import Findings, Telemetry
+from lunarsci.twin.telemetry.smoother import (
+    Smoothed,
+    check_change,
+    check_glide,
+    check_scatter,
+    smooth,
+    without_outliers,
+)
 from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion, wheel_motion
 
-__all__ = ["DriveStates", "StateRows", "WheelVelocities", "slips_of", "states_of", "wheel_velocities"]
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = [
+    "BASIS",
+    "DriveStates",
+    "StateRows",
+    "finding_rows",
+    "motion_table",
+    "position_table",
+    "states_of",
+    "wheel_table",
+]
 
 FloatArray = npt.NDArray[np.float64]
-SLIP_FLOOR, SIDE_SLIP_FLOOR_DEG = 0.001, 0.08
-"""What is left where all sensors are all but perfect: 0.0005 to 0.0009 and 0.04 to 0.06 deg on six made-up drives over
-ground of 0 to 5 mm roughness; the steering's own error of 0.1 deg, of which a few rows are averaged, adds 0.06 deg."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class WheelVelocities:
-    """Velocity of every wheel along and across its plane on the ground, at the nodes.
-
-    Attributes
-    ----------
-    v_x, v_y : forward as the rover has it, and to the left. (n, wheels) [m/s]
-    along, across : what they are per velocity of the rover (see `wheel_rows`). (n, wheels, 3)
-    covariance : of the rover's velocities. (n, 3, 3)
-    """
-
-    v_x: FloatArray
-    v_y: FloatArray
-    along: FloatArray
-    across: FloatArray
-    covariance: FloatArray
-
-
-def wheel_velocities(rover: Rover, nodes: Nodes, smoothed: Smoothed, held: HeldForces) -> WheelVelocities:
-    """Velocities of the wheels where the rover moves as smoothed, held to the ground."""
-    along, across = wheel_rows(rover, np.radians(held.motion.steering_deg))
-    off_x, off_y = ground_velocities(rover, held, smoothed.state[:, :2])
-    twist = twist_at(nodes, smoothed)
-    return WheelVelocities(
-        v_x=off_x + np.einsum("nwi,ni->nw", along, twist),
-        v_y=off_y + np.einsum("nwi,ni->nw", across, twist),
-        along=along,
-        across=across,
-        covariance=smoothed.deviation_covariance * pace_at(nodes)[:, None, None] ** 2,
-    )
-
-
-def slips_of(velocities: WheelVelocities, motion: Motion) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Slip ratio [-], side slip [deg], and their standard errors. (n, wheels) each"""
-    rim, sign = np.abs(motion.speed_m_s), np.sign(motion.speed_m_s)
-    v_x, v_y = sign * velocities.v_x, sign * velocities.v_y
-    travel = v_x / rim
-    slip = np.where(travel <= 1.0, 1.0 - travel, 1.0 / np.maximum(travel, 1.0) - 1.0)
-    side = np.degrees(np.arctan2(v_y, np.abs(v_x)))
-    along, across, covariance = velocities.along, velocities.across, velocities.covariance
-    travel_sigma = np.sqrt(np.einsum("mwi,mij,mwj->mw", along, covariance, along)) / rim
-    steep = np.where(slip >= 0, 1.0, (1.0 + np.minimum(slip, 0.0)) ** 2)
-    squared = v_x**2 + v_y**2
-    weights = (across * np.abs(v_x)[..., None] - along * (np.sign(v_x) * v_y)[..., None]) / squared[..., None]
-    side_sigma = np.degrees(np.sqrt(np.einsum("mwi,mij,mwj->mw", weights, covariance, weights)))
-    return slip, side, np.hypot(steep * travel_sigma, SLIP_FLOOR), np.hypot(side_sigma, SIDE_SLIP_FLOOR_DEG)
-
-
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.intp]
+
 LEAST_ROW_M = 0.3
 """Way between rows of states where positions are denser, assumed: a rover's slip does not change faster. [m]"""
 UNEVEN = 0.2
@@ -144,7 +113,7 @@ class DriveStates:
     nodes: Nodes
     smoothed: Smoothed
     motion: Motion
-    held: HeldForces
+    held: PrescribedLoads
     rows: StateRows
     gaps: FloatArray
     left_out: FloatArray
@@ -204,12 +173,14 @@ def _along_the_ground(
     twist, _, way = _way(rover, dense, wheels, steering)
     nodes, rows = nodes_of(dense, wheels, twist, way, gaps)
     smoothed, nodes, left_out = without_outliers(nodes, findings)
-    first = forces_along(rover, terrain, motion_at(dense, nodes, smoothed, wheels, steering, rows, np.zeros((1, 2))))
+    first = prescribed_loads(
+        rover, terrain, motion_at(dense, nodes, smoothed, wheels, steering, rows, np.zeros((1, 2)))
+    )
     sway = sway_m(rover, first.paths)
     nodes = on_ground(rover, nodes, first, sway)
     smoothed = smooth(nodes)
     motion = motion_at(dense, nodes, smoothed, wheels, steering, rows, sway)
-    held = forces_along(rover, terrain, motion)
+    held = prescribed_loads(rover, terrain, motion)
     check_scatter(smoothed, nodes, findings)
     check_glide(smoothed, findings)
     check_change(smoothed, nodes, findings)
@@ -253,7 +224,7 @@ def _state_rows(
     nodes: Nodes,
     smoothed: Smoothed,
     motion: Motion,
-    held: HeldForces,
+    held: PrescribedLoads,
     rows: IntArray,
     gaps: BoolArray,
     findings: Findings,
@@ -327,3 +298,82 @@ def _chosen(
         raise DataError(f"{file}: no two positions with a drive between them that has neither gap nor halt; no slip")
     nodes_found = np.array(sorted({*result, *halts}), dtype=np.intp)
     return nodes_found, np.isin(nodes_found, halts)
+
+
+BASIS = "positions"
+"""What slip and side slip rest on: the positions of `position_table`."""
+
+
+def wheel_table(drive: DriveStates) -> "pd.DataFrame":
+    """A row for each time and wheel: what `lunarsci twin update` reads as states.
+
+    Columns time_s, distance_m, wheel, x_m, y_m, sinkage_m, sinkage_m_sigma, slip_ratio, slip_ratio_sigma,
+    side_slip_deg, side_slip_deg_sigma, valid, slip_basis.
+    """
+    import pandas as pd
+
+    rows, names = drive.rows, drive.rover.wheels
+    each = len(names)
+    columns = {
+        "time_s": np.repeat(drive.nodes.time_s[rows.node], each),
+        "distance_m": np.repeat(rows.distance_m, each),
+        "wheel": np.tile(names, len(rows.node)),
+        "x_m": rows.place_m[..., 0].ravel(),
+        "y_m": rows.place_m[..., 1].ravel(),
+    }
+    for name in ("sinkage_m", "slip_ratio", "side_slip_deg"):
+        columns[name] = getattr(rows, name).ravel()
+        columns[f"{name}_sigma"] = getattr(rows, f"{name}_sigma").ravel()
+    columns["valid"] = rows.valid.ravel()
+    return pd.DataFrame(columns).assign(slip_basis=BASIS)
+
+
+def position_table(drive: DriveStates) -> "pd.DataFrame":
+    """The localised positions that were used: time_s, x_m, y_m, xx_m2, xy_m2, yy_m2."""
+    import pandas as pd
+
+    telemetry = drive.telemetry
+    rows = telemetry.fixed & ~np.isin(telemetry.time_s, drive.left_out[:, 0])
+    covariance = telemetry.fix_covariance_m2[rows]
+    return pd.DataFrame(
+        {
+            "time_s": telemetry.time_s[rows],
+            "x_m": telemetry.fix_m[rows, 0],
+            "y_m": telemetry.fix_m[rows, 1],
+            "xx_m2": covariance[:, 0, 0],
+            "xy_m2": covariance[:, 0, 1],
+            "yy_m2": covariance[:, 1, 1],
+        }
+    )
+
+
+def motion_table(drive: DriveStates) -> "pd.DataFrame":
+    """The smoothed motion with the wheels' measured commands: what `lunarsci twin forces --motion` reads.
+
+    Columns time_s, x_m, y_m, yaw_deg, their NAME_sigma, and steering_W_deg, speed_W_m_s of each wheel W.
+    """
+    import pandas as pd
+
+    motion, covariance = drive.motion, drive.smoothed.covariance
+    columns = {name: getattr(motion, name) for name in ("time_s", "x_m", "y_m", "yaw_deg")}
+    errors = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, :3])
+    columns |= {"x_m_sigma": errors[:, 0], "y_m_sigma": errors[:, 1], "yaw_deg_sigma": np.degrees(errors[:, 2])}
+    for k, wheel in enumerate(drive.rover.wheels):
+        columns[f"steering_{wheel}_deg"] = motion.steering_deg[:, k]
+        columns[f"speed_{wheel}_m_s"] = motion.speed_m_s[:, k]
+    return pd.DataFrame(columns)
+
+
+def finding_rows(drive: DriveStates) -> list[dict[str, object]]:
+    """Findings as plain rows: kind, when, how many, what, what was done, whether the result is in doubt for it."""
+    return [
+        {
+            "kind": entry.kind,
+            "time_s": entry.time_s,
+            "count": entry.count,
+            "what": entry.what,
+            "done": entry.done,
+            "doubt": entry.doubt,
+        }
+        for entry in drive.findings.entries
+    ]

@@ -7,8 +7,7 @@ import numpy.typing as npt
 
 from lunarsci.errors import DataError
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.telemetry.findings import Findings
-from lunarsci.twin.telemetry.reading import Telemetry
+from lunarsci.twin.telemetry.reading import Findings, Telemetry
 
 __all__ = ["WheelMotion", "wheel_motion"]
 

@@ -22,13 +22,12 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.regolith.joint_sampler import persistence
-from lunarsci.twin.inference.misfit import HUBER
+from lunarsci.twin.assimilation.residuals import HUBER
 
 if TYPE_CHECKING:
-    from lunarsci.twin.inference.mode import PosteriorMode
-    from lunarsci.twin.inference.posterior import DrivePosterior
+    from lunarsci.twin.assimilation.posterior import DrivePosterior, PosteriorMode
 
-__all__ = ["Emulator", "draw_population", "fit_emulator"]
+__all__ = ["Emulator", "draw_particles", "fit_emulator"]
 
 FloatArray = npt.NDArray[np.float64]
 SPARE = 1.5
@@ -122,7 +121,7 @@ class _Drives:
         )
 
 
-def draw_population(
+def draw_particles(
     posterior: "DrivePosterior",
     mode: "PosteriorMode",
     particles: int,

@@ -3,7 +3,7 @@ measured.
 
 Every simulated drive obeys the balance of forces, so that sinkage, slip and side slip along the whole path, and where
 it led, speak of the soil together, with or without measured forces. Soils that explain a drive lie along curves
-(cohesion, friction and shear modulus make up for each other), so the posterior is carried as a population, not taken
+(cohesion, friction and shear modulus make up for each other), so the posterior is carried as particles, not taken
 for normal. Where the best soil leaves residuals larger than the errors, or alike for long stretches, the twin's physics
 misses something, and errors are widened by as much before the soil is believed.
 """
@@ -19,19 +19,24 @@ from lunarsci.interpolation import at_times
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.regolith.prior import PARAMETERS
+from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
+from lunarsci.twin.assimilation.particles import draw_particles
+from lunarsci.twin.assimilation.posterior import (
+    DrivePosterior,
+    PosteriorMode,
+    find_mode,
+    inflation_of,
+    posterior_of,
+    wheel_errors,
+)
+from lunarsci.twin.assimilation.residuals import FIX_ERROR_M, HUBER, MODEL_SHARES, POSITION, DriveBias, DriveResiduals
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.inference.discrepancy import MODEL_SHARES, Discrepancy
-from lunarsci.twin.inference.drive_record import OBSERVED, DriveRecord
-from lunarsci.twin.inference.misfit import FIX_ERROR_M, HUBER, POSITION, Misfit
-from lunarsci.twin.inference.mode import PosteriorMode, find_mode
-from lunarsci.twin.inference.population import draw_population
-from lunarsci.twin.inference.posterior import DrivePosterior, inflation_of, posterior_of, wheel_errors
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import Prediction
 from lunarsci.twin.simulation.path_discrepancy import exposed, way_matrix
 
-__all__ = ["Rectified", "rectify"]
+__all__ = ["SoilUpdate", "assimilate"]
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -69,7 +74,7 @@ STILL = 1.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Rectified:
+class SoilUpdate:
     """What a drive says of the soil.
 
     Attributes
@@ -82,9 +87,9 @@ class Rectified:
     inflation : by quantity, what its errors were multiplied by as the twin's physics misses it by more; 1 otherwise.
     wheel_errors : by quantity, standard deviation of what each wheel was found to be off by throughout, in its unit.
     chi_square, values : of the values that are no outliers, and their number, positions included.
-    surprise : distance of the new mean from the old one in standard deviations of the old belief, root mean square over
-        the parameters: about 1 or less where the ground is the one that was believed, above 2 it is not. [-]
-    persistence : largest correlation of the population with where it was before its last moves; above 0.3 it has not
+    prior_shift : distance of the new mean from the old one in standard deviations of the old belief, root mean square
+        over the parameters: about 1 or less where the ground is the one that was believed, above 2 it is not. [-]
+    autocorrelation : largest correlation of the particles with where it was before its last moves; above 0.3 it has not
         spread out, and intervals are too narrow. [-]
     refused : empty, or why the belief was not moved.
     """
@@ -97,8 +102,8 @@ class Rectified:
     wheel_errors: Mapping[str, float]
     chi_square: float
     values: int
-    surprise: float
-    persistence: float
+    prior_shift: float
+    autocorrelation: float
     refused: str
 
     @property
@@ -121,7 +126,7 @@ class Rectified:
         )
 
 
-def rectify(
+def assimilate(
     rover: Rover,
     terrain: Terrain,
     plan: Plan,
@@ -134,7 +139,7 @@ def rectify(
     teach: bool = True,
     ruts: bool | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> Rectified:
+) -> SoilUpdate:
     """Update the belief of a soil by a drive.
 
     The belief's discrepancy learns what the best soil leaves unexplained of the states, and how far it misses the last
@@ -152,7 +157,7 @@ def rectify(
         twin's own. [-]
     seed : of the population.
     ruts : whether simulated wheels meet the ruts of those before them; None takes what explains the drive better, and
-        `Rectified.prediction` says which that is.
+        `SoilUpdate.prediction` says which that is.
     teach : whether the discrepancy learns, False where a comparison taught it this drive already.
     progress : called with (done, total).
 
@@ -166,70 +171,70 @@ def rectify(
     random = np.random.default_rng(seed)
     common = {name: model_error * share for name, share in MODEL_SHARES.items()}
     floor = max(model_error, LEAST_FLOOR)
-    misfit = Misfit(rover, terrain, plan, record, belief, discrepancy=Discrepancy(common), floor=floor)
-    posterior, mode = _best_soil(misfit, random, ruts)
+    drive = DriveResiduals(rover, terrain, plan, record, belief, bias=DriveBias(common), floor=floor)
+    posterior, mode = _best_soil(drive, random, ruts)
     residual = posterior.residuals(mode.point[None])[0][0]
-    states, places = posterior.misfit.parts(residual)
-    known, inflation = posterior.misfit.known, posterior.misfit.inflation
+    states, places = posterior.drive.parts(residual)
+    known, inflation = posterior.drive.known, posterior.drive.inflation
     outliers = known & (np.abs(states) > HUBER)
     kept = known & ~outliers
-    wheels = _in_units(posterior.misfit)
-    expected = posterior.misfit.states_at(posterior.straight.transforms(mode.point))
-    best = posterior.misfit.simulated(posterior.straight.transforms(mode.point[None]))
-    refused = _refusal(posterior.misfit, int(outliers.sum()), wheels, expected, best)
+    wheels = _in_units(posterior.drive)
+    expected = posterior.drive.states_at(posterior.coordinates.transforms(mode.point))
+    best = posterior.drive.simulated(posterior.coordinates.transforms(mode.point[None]))
+    refused = _refusal(posterior.drive, int(outliers.sum()), wheels, expected, best)
     learned, left = belief, 0.0
     if not refused:
-        drawn, left = draw_population(posterior, mode, particles, random, progress)
-        points = posterior.straight.transforms(drawn)
-        discrepancy = _taught(belief.discrepancy, posterior.misfit, expected, best) if teach else belief.discrepancy
+        drawn, left = draw_particles(posterior, mode, particles, random, progress)
+        points = posterior.coordinates.transforms(drawn)
+        discrepancy = _taught(belief.discrepancy, posterior.drive, expected, best) if teach else belief.discrepancy
         moments = (points.mean(axis=0), np.cov(points.T))
         learned = SoilBelief(belief.laws, *moments, belief.history, points, belief.verdict, discrepancy)
-    moved = posterior.straight.transforms(mode.point) - belief.mean if refused else learned.mean - belief.mean
-    return Rectified(
+    moved = posterior.coordinates.transforms(mode.point) - belief.mean if refused else learned.mean - belief.mean
+    return SoilUpdate(
         belief=learned,
         prediction=best,
-        residuals=np.where(known, posterior.misfit.states_as_measured(residual), np.nan),
+        residuals=np.where(known, posterior.drive.states_as_measured(residual), np.nan),
         outliers=outliers,
         inflation=inflation,
         wheel_errors=wheels,
         chi_square=float((states[kept] ** 2).sum() + (places**2).sum()),
         values=int(kept.sum() + places.size),
-        surprise=float(np.sqrt(moved @ np.linalg.solve(belief.covariance, moved) / len(PARAMETERS))),
-        persistence=left,
+        prior_shift=float(np.sqrt(moved @ np.linalg.solve(belief.covariance, moved) / len(PARAMETERS))),
+        autocorrelation=left,
         refused=refused,
     )
 
 
-def _best_soil(misfit: Misfit, random: np.random.Generator, ruts: bool | None) -> tuple[DrivePosterior, PosteriorMode]:
+def _best_soil(
+    drive: DriveResiduals, random: np.random.Generator, ruts: bool | None
+) -> tuple[DrivePosterior, PosteriorMode]:
     """The most probable soil, with or without ruts, and with errors widened to what it leaves."""
-    posterior, mode = _found(replace(misfit, ruts=bool(ruts)), random)
+    posterior, mode = _found(replace(drive, ruts=bool(ruts)), random)
     if ruts is None:
         posterior, mode = _with_ruts_if_better(posterior, mode, random)
-    misfit = posterior.misfit
+    drive = posterior.drive
     for _ in range(ROUNDS):
         residual = posterior.residuals(mode.point[None])[0][0]
-        wheels = wheel_errors(misfit, misfit.states_as_measured(residual))
-        wider = inflation_of(misfit, *misfit.parts(residual))
-        grown = any(size > STILL * misfit.discrepancy.wheels.get(name, 0.0) for name, size in wheels.items())
-        if not grown and all(factor < STILL for factor in wider.values()) and misfit.expected is not None:
+        wheels = wheel_errors(drive, drive.states_as_measured(residual))
+        wider = inflation_of(drive, *drive.parts(residual))
+        grown = any(size > STILL * drive.bias.wheels.get(name, 0.0) for name, size in wheels.items())
+        if not grown and all(factor < STILL for factor in wider.values()) and drive.expected is not None:
             break
-        known = dict(misfit.inflation)
-        misfit = replace(
-            misfit,
-            expected=misfit.states_at(posterior.straight.transforms(mode.point)),
+        known = dict(drive.inflation)
+        drive = replace(
+            drive,
+            expected=drive.states_at(posterior.coordinates.transforms(mode.point)),
             inflation=known | {name: factor * known.get(name, 1.0) for name, factor in wider.items()},
-            discrepancy=replace(
-                misfit.discrepancy, wheels={name: size / wider.get(name, 1.0) for name, size in wheels.items()}
-            ),
+            bias=replace(drive.bias, wheels={name: size / wider.get(name, 1.0) for name, size in wheels.items()}),
         )
-        posterior, mode = _found(misfit, random, mode.point[None])
+        posterior, mode = _found(drive, random, mode.point[None])
     return posterior, mode
 
 
 def _found(
-    misfit: Misfit, random: np.random.Generator, starts: FloatArray | None = None
+    drive: DriveResiduals, random: np.random.Generator, starts: FloatArray | None = None
 ) -> tuple[DrivePosterior, PosteriorMode]:
-    posterior = posterior_of(misfit)
+    posterior = posterior_of(drive)
     mode = find_mode(posterior, random, starts)
     if mode is None:
         raise ParameterError("no soil of the belief carries the rover to the end; was this the plan that was driven?")
@@ -240,34 +245,36 @@ def _with_ruts_if_better(
     posterior: DrivePosterior, mode: PosteriorMode, random: np.random.Generator
 ) -> tuple[DrivePosterior, PosteriorMode]:
     """The same, or the most probable soil with ruts where that explains the drive better, by errors not yet widened."""
-    other = posterior_of(replace(posterior.misfit, ruts=True))
+    other = posterior_of(replace(posterior.drive, ruts=True))
     found = find_mode(other, random, mode.point[None])
     return (posterior, mode) if found is None or found.cost >= mode.cost else (other, found)
 
 
-def _in_units(misfit: Misfit) -> dict[str, float]:
+def _in_units(drive: DriveResiduals) -> dict[str, float]:
     """Errors that wheels have of their own, in the unit of the quantity."""
-    sigma = {name: misfit.sigma[misfit.known[:, k], k] for k, name in enumerate(OBSERVED)}
-    return {name: float(size * np.median(sigma[name])) for name, size in misfit.discrepancy.wheels.items()}
+    sigma = {name: drive.sigma[drive.known[:, k], k] for k, name in enumerate(OBSERVED)}
+    return {name: float(size * np.median(sigma[name])) for name, size in drive.bias.wheels.items()}
 
 
-def _taught(before: PhysicsDiscrepancy, misfit: Misfit, expected: FloatArray, best: Prediction) -> PhysicsDiscrepancy:
+def _taught(
+    before: PhysicsDiscrepancy, drive: DriveResiduals, expected: FloatArray, best: Prediction
+) -> PhysicsDiscrepancy:
     """The discrepancy after a drive, by what the soil that explains it best leaves of its states and of its end."""
     law = before
-    if misfit.known[:, :3].any():
-        law = law.with_states(unexplained_share(misfit, expected, best))
-    times = misfit.record.fix_time_s
+    if drive.known[:, :3].any():
+        law = law.with_states(unexplained_share(drive, expected, best))
+    times = drive.record.fix_time_s
     if not len(times):
         return law
     last = int(times.argmax())
     place = at_times(times[last : last + 1], best.time_s, best.paths[..., :2], axis=-2)[0, 0]
     so_far = slice(0, int(np.searchsorted(best.time_s, times[last])) + 1)
-    known = misfit.record.fix_covariance_m2[last] + FIX_ERROR_M**2 * np.eye(2)
-    miss = FOLLOWED * (misfit.record.fix_m[last] - place)
+    known = drive.record.fix_covariance_m2[last] + FIX_ERROR_M**2 * np.eye(2)
+    miss = FOLLOWED * (drive.record.fix_m[last] - place)
     return law.with_miss(miss, known, way_matrix(best.planned[so_far, :2], best.paths[:, so_far, :3]))
 
 
-def unexplained_share(misfit: Misfit, expected: FloatArray, best: Prediction) -> float:
+def unexplained_share(drive: DriveResiduals, expected: FloatArray, best: Prediction) -> float:
     """What errors of sinkage, slip and side slip were widened by, root of the summed squares. [-]
 
     As a share of the mean sinkage, and of the part of the way that the physics can be off in.
@@ -276,23 +283,25 @@ def unexplained_share(misfit: Misfit, expected: FloatArray, best: Prediction) ->
     way = float(exposed(planned, paths).mean())
     total = 0.0
     for k, name in enumerate(OBSERVED[:3]):
-        own, factor = misfit.known[:, k], misfit.inflation.get(name, 1.0)
+        own, factor = drive.known[:, k], drive.inflation.get(name, 1.0)
         if not own.any() or factor <= 1.0:
             continue
-        added = float(np.median(misfit.sigma[own, k])) * np.sqrt(1.0 - factor**-2)
+        added = float(np.median(drive.sigma[own, k])) * np.sqrt(1.0 - factor**-2)
         size = float(np.abs(expected[own, k]).mean()) if name == "sinkage_m" else way
         total += ((np.radians(added) if name == "side_slip_deg" else added) / max(size, 1e-9)) ** 2
     return float(np.sqrt(total))
 
 
-def _refusal(misfit: Misfit, outliers: int, wheels: Mapping[str, float], expected: FloatArray, best: Prediction) -> str:
+def _refusal(
+    drive: DriveResiduals, outliers: int, wheels: Mapping[str, float], expected: FloatArray, best: Prediction
+) -> str:
     look = "look for a wrong plan, terrain or clock, or begin anew with another belief"
-    if outliers > MOST_OUTLIERS * (values := int(misfit.known.sum())):
+    if outliers > MOST_OUTLIERS * (values := int(drive.known.sum())):
         return f"{outliers} of {values} values are explained by no soil of the belief; {look}"
-    left = _unexplained(misfit, expected, best)
+    left = _unexplained(drive, expected, best)
     worst = max(left, key=lambda name: left[name], default="")
     if worst and left[worst] > 1.0:
-        factor = misfit.inflation[worst]
+        factor = drive.inflation[worst]
         return f"the best soil misses {worst} by {factor:.1f} times its errors; look at its sign and unit, or {look}"
     for name, size in wheels.items():
         typical = float(np.abs(expected[:, OBSERVED.index(LARGE[name])]).mean())
@@ -301,19 +310,19 @@ def _refusal(misfit: Misfit, outliers: int, wheels: Mapping[str, float], expecte
     return ""
 
 
-def _unexplained(misfit: Misfit, expected: FloatArray, best: Prediction) -> dict[str, float]:
+def _unexplained(drive: DriveResiduals, expected: FloatArray, best: Prediction) -> dict[str, float]:
     """What the best soil leaves of each quantity whose errors were widened most, over what it may leave. [-]"""
     result = {}
-    for name in (name for name, factor in misfit.inflation.items() if factor > MOST_INFLATION):
+    for name in (name for name, factor in drive.inflation.items() if factor > MOST_INFLATION):
         if name == POSITION:
-            places = at_times(misfit.record.fix_time_s, best.time_s, best.paths[..., :2], axis=-2)[0]
-            off = np.hypot(*(places - misfit.record.fix_m).T)
-            way = np.interp(misfit.record.fix_time_s, best.time_s, best.distance_m)
+            places = at_times(drive.record.fix_time_s, best.time_s, best.paths[..., :2], axis=-2)[0]
+            off = np.hypot(*(places - drive.record.fix_m).T)
+            way = np.interp(drive.record.fix_time_s, best.time_s, best.distance_m)
             result[name] = _rms(off) / max(UNEXPLAINED_OF_WAY * _rms(way), FIX_ERROR_M)
             continue
         k = OBSERVED.index(name)
-        own = misfit.known[:, k]
-        values = misfit.record.values[own, k]
+        own = drive.known[:, k]
+        values = drive.record.values[own, k]
         result[name] = _rms(values - expected[own, k]) / max(UNEXPLAINED * _rms(values), SLIGHT[name])
     return result
 

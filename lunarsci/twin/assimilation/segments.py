@@ -13,24 +13,24 @@ import numpy.typing as npt
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.prior import PARAMETERS, values_of
-from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.inference.drive_record import OBSERVED, DriveRecord, states_at
-from lunarsci.twin.inference.misfit import MODEL_ERRORS
-from lunarsci.twin.inference.rectify import Rectified, rectify
-from lunarsci.twin.inference.soil_change import (
-    FEWEST_PIECES,
-    SoilStep,
-    Way,
-    averaged,
-    largest_step,
-    way_of,
+from lunarsci.twin.assimilation.change_point import (
+    FEWEST_BINS,
+    ChangePoint,
+    Traverse,
+    binned,
+    find_change_point,
+    traverse_of,
     wheel_places,
 )
+from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord, states_at
+from lunarsci.twin.assimilation.residuals import MODEL_ERRORS
+from lunarsci.twin.assimilation.update import SoilUpdate, assimilate
+from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import LONGEST_SAMPLE_M, LONGEST_STEP_S, Prediction, predict
 
-__all__ = ["FALSE_ALARMS", "DrivenZone", "SoilChange", "driven_zones", "find_change", "record_within"]
+__all__ = ["FALSE_ALARMS", "Segment", "SoilChange", "drive_segments", "find_change", "record_within"]
 
 FloatArray = npt.NDArray[np.float64]
 NUDGE = 0.1
@@ -47,7 +47,7 @@ MODEL_SHARE = 2.0
 enough for what is left of the time step's errors."""
 FINER = 0.25
 """Of the time step."""
-MOST_ZONES = 16
+MOST_SEGMENTS = 16
 FEWEST_VALUES = 2 * len(PARAMETERS)
 """Of a stretch, assumed; with fewer it stays as it was believed to be."""
 TOLD = 1.0
@@ -90,7 +90,7 @@ class SoilChange:
 
 def find_change(
     record: DriveRecord,
-    found: Rectified,
+    found: SoilUpdate,
     *,
     false_alarms: float = FALSE_ALARMS,
     seed: int = 0,
@@ -100,7 +100,7 @@ def find_change(
     Parameters
     ----------
     record : what was measured.
-    found : what `rectify` made of it: its residuals, and the drive on the soil that left them.
+    found : what `assimilate` made of it: its residuals, and the drive on the soil that left them.
     false_alarms : wanted share of drives over one soil in which a change is found, 0.001 to 0.5.
     seed : of the simulated drives.
 
@@ -109,7 +109,7 @@ def find_change(
     """
     if not 0.001 <= false_alarms <= 0.5:
         raise ParameterError(f"the share of false alarms is {false_alarms:g}; give 0.001 to 0.5")
-    way = way_of(found.prediction)
+    way = traverse_of(found.prediction)
     floor = np.array([MODEL_ERRORS[name] for name in OBSERVED])
     sigma = np.where(np.isfinite(found.residuals), np.hypot(record.sigmas, floor), np.nan)
     known = np.isfinite(sigma).any(axis=0)
@@ -120,14 +120,14 @@ def find_change(
     widened = np.array([found.inflation.get(name, 1.0) for name in OBSERVED])
     residuals = widened * found.residuals + finer / sigma
     unexplained = -np.clip(residuals, -LARGEST, LARGEST)
-    pieces = averaged(places, unexplained, slopes / sigma[..., None], model)
-    if pieces is None or len(pieces.middle_m) < 2 * FEWEST_PIECES:
+    bins = binned(places, unexplained, slopes / sigma[..., None], model)
+    if bins is None or len(bins.middle_m) < 2 * FEWEST_BINS:
         return None
-    step = largest_step(pieces, np.random.default_rng(seed))
+    step = find_change_point(bins, np.random.default_rng(seed))
     return _change(step, way, places, -residuals) if step.p_value <= false_alarms else None
 
 
-def _drives(record: DriveRecord, found: Rectified) -> tuple[FloatArray, FloatArray]:
+def _drives(record: DriveRecord, found: SoilUpdate) -> tuple[FloatArray, FloatArray]:
     """Derivatives of the simulated values by the soil, in widths of the first laws; and what a finer time step adds.
 
     In bends a step of 0.2 s puts the side slip off by 0.1 deg, which would look like another soil. (n, 6, 8), (n, 6)
@@ -153,7 +153,7 @@ def _states(drives: Prediction, record: DriveRecord) -> FloatArray:
     return states_at(record, drives.time_s, drives.states, drives.rover.wheels)
 
 
-def _change(step: SoilStep, way: Way, places: FloatArray, values: FloatArray) -> SoilChange:
+def _change(step: ChangePoint, way: Traverse, places: FloatArray, values: FloatArray) -> SoilChange:
     near = step.tried_m[step.statistic >= step.statistic.max() - WITHIN_95]
     half = 0.5 * float(np.diff(step.tried_m).min()) if len(step.tried_m) > 1 else 0.1
     measured = [k for k in range(values.shape[1]) if np.isfinite(values[:, k]).any()]
@@ -176,7 +176,7 @@ def _change(step: SoilStep, way: Way, places: FloatArray, values: FloatArray) ->
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DrivenZone:
+class Segment:
     """A stretch of a drive over one soil.
 
     Attributes
@@ -191,7 +191,7 @@ class DrivenZone:
     to_m: float
     place_m: FloatArray
     before: SoilBelief
-    found: Rectified | None
+    found: SoilUpdate | None
 
     @property
     def learned(self) -> bool:
@@ -209,19 +209,19 @@ class DrivenZone:
         return "too few values" if self.found is None else self.found.refused
 
 
-def driven_zones(
+def drive_segments(
     rover: Rover,
     terrain: Terrain,
     plan: Plan,
     record: DriveRecord,
-    found: Rectified,
+    found: SoilUpdate,
     prior: Callable[[FloatArray], SoilBelief],
     *,
     particles: int,
     seed: int = 0,
     false_alarms: float = FALSE_ALARMS,
     progress: Callable[[int, int], None] | None = None,
-) -> tuple[list[DrivenZone], list[SoilChange]]:
+) -> tuple[list[Segment], list[SoilChange]]:
     """The stretches of a drive that have a soil of their own, what each says of it, and the changes between them.
 
     Parameters
@@ -229,19 +229,19 @@ def driven_zones(
     rover, terrain, plan : what was driven where.
     record, found, false_alarms : as in `find_change`.
     prior : what was believed of the soil at places (k, 2).
-    particles, seed, progress : as in `rectify`.
+    particles, seed, progress : as in `assimilate`.
 
     Of a stretch beside others count the states of times at which the whole rover stood in it, and no position: where
     it led depends on the soils before it, and what positions say of speed is in the slip. The twin drives the whole
     plan on each stretch's soil, so that it comes to the stretch some centimetres beside where the rover did.
     """
-    way = way_of(found.prediction)
+    way = traverse_of(found.prediction)
 
     def learned(own: DriveRecord, low: float, high: float) -> _Part:
         before = prior(way.between(low, high))
         if np.isfinite(own.values).sum() < FEWEST_VALUES:
             return _Part(low, high, own, before, None)
-        drive = rectify(
+        drive = assimilate(
             *(rover, terrain, plan, own, before),
             particles=particles,
             seed=seed,
@@ -251,22 +251,22 @@ def driven_zones(
         return _Part(low, high, own, before, drive)
 
     open_parts = [_Part(-np.inf, np.inf, record, prior(way.place_m), found)]
-    zones: list[DrivenZone] = []
+    segments: list[Segment] = []
     changes: list[SoilChange] = []
     while open_parts:
         part = open_parts.pop(0)
         change = None
-        if part.found is not None and len(changes) + 1 < MOST_ZONES:
+        if part.found is not None and len(changes) + 1 < MOST_SEGMENTS:
             change = find_change(part.record, part.found, false_alarms=false_alarms, seed=seed)
         if change is None:
-            zones.append(part.zone(way))
+            segments.append(part.segment(way))
             continue
         changes.append(change)
         before = record_within(part.record, way, -np.inf, change.low_m)
         after = record_within(part.record, way, change.high_m, np.inf)
         open_parts.append(learned(before, part.low_m, change.distance_m))
         open_parts.append(learned(after, change.distance_m, part.high_m))
-    return sorted(zones, key=lambda zone: zone.from_m), sorted(changes, key=lambda change: change.distance_m)
+    return sorted(segments, key=lambda segment: segment.from_m), sorted(changes, key=lambda change: change.distance_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -277,16 +277,16 @@ class _Part:
     high_m: float
     record: DriveRecord
     before: SoilBelief
-    found: Rectified | None
+    found: SoilUpdate | None
 
-    def zone(self, way: Way) -> DrivenZone:
+    def segment(self, way: Traverse) -> Segment:
         low, high = max(self.low_m, float(way.distance_m[0])), min(self.high_m, float(way.distance_m[-1]))
-        return DrivenZone(
+        return Segment(
             from_m=low, to_m=high, place_m=way.between(self.low_m, self.high_m), before=self.before, found=self.found
         )
 
 
-def record_within(record: DriveRecord, way: Way, low_m: float, high_m: float) -> DriveRecord:
+def record_within(record: DriveRecord, way: Traverse, low_m: float, high_m: float) -> DriveRecord:
     """States of the times at which the whole rover stood within a stretch of its way, without positions."""
     distance = way.distance_at(record.time_s)
     kept = (distance - way.reach_m >= low_m) & (distance + way.reach_m <= high_m)

@@ -4,6 +4,8 @@ The drive that happens is one more draw of the law that the members are drawn fr
 distance from them is held against the distance of each member, errors of measurement included, from the others. That
 counts correlation between neighbours, wheels and quantities for what it is. Beyond the farthest member the probability
 falls on as it falls among the farthest of them, and not faster than in the normal law.
+
+How well a sharp prediction met what came: continuous ranked probability score, energy score, and ranks.
 """
 
 from dataclasses import dataclass
@@ -11,7 +13,19 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Standing", "inside", "region_edge", "spread_of", "squared_distances", "standing", "worst_of"]
+__all__ = [
+    "Standing",
+    "correlation_length",
+    "crps",
+    "energy_score",
+    "inside",
+    "predictive_rank",
+    "region_edge",
+    "spread_of",
+    "squared_distances",
+    "standing",
+    "worst_of",
+]
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -174,3 +188,73 @@ def worst_of(
         each[k] = squared_distances(members[:, k], errors[k], np.random.default_rng([seed, k]), free)
     most = int(own.argmax())
     return most, float(own[most]), _probability(float(own[most]), each.max(axis=0), size)
+
+
+def crps(observed: FloatArray, members: FloatArray) -> FloatArray:
+    """Continuous ranked probability score of ensembles (M, n) for observed values (n,), in their unit; 0 is best.
+
+    E|X - y| - E|X - X'|/2, the second without pairs of a member with itself, so that small ensembles are not punished:
+    T. Gneiting & A. Raftery (2007), J. Am. Stat. Assoc. 102, 359, 10.1198/016214506000001437; C. Ferro (2014), Q. J. R.
+    Meteorol. Soc. 140, 1917, 10.1002/qj.2270. For a single member it is the absolute error.
+    """
+    count = len(members)
+    near = np.abs(members - observed).mean(axis=0)
+    if count < 2:
+        return np.asarray(near)
+    weights = 2.0 * np.arange(1, count + 1) - count - 1.0
+    pairs = (weights[:, None] * np.sort(members, axis=0)).sum(axis=0)
+    return np.asarray(near - pairs / (count * (count - 1.0)))
+
+
+def energy_score(observed: FloatArray, members: FloatArray) -> float:
+    """The same for a place (2,) and the members' places (M, 2), with distances in the place of differences. [m]"""
+    count = len(members)
+    near = float(np.hypot(*(members - observed).T).mean())
+    if count < 2:
+        return near
+    from scipy.spatial.distance import pdist
+
+    return near - float(pdist(members).mean()) / 2.0
+
+
+def predictive_rank(observed: FloatArray, sigma: FloatArray, members: FloatArray) -> FloatArray:
+    """Probability that the prediction gave to less than each observed value, 0 to 1: even if the prediction is right.
+
+    The prediction of a measured value is the mixture of the members (M, n) with normal errors sigma (n,): probability
+    integral transform of A. P. Dawid (1984), J. R. Stat. Soc. A 147, 278, 10.2307/2981683. Half a rank keeps it off 0
+    and 1.
+    """
+    from scipy.special import ndtr
+
+    total = np.zeros(observed.shape)
+    for member in members:
+        total += ndtr((observed - member) / sigma)
+    return np.asarray((total + 0.5) / (len(members) + 1.0))
+
+
+WINDOW = 5.0
+"""The sum over lags ends where it is this many correlation lengths long (Sokal 1997)."""
+
+
+def correlation_length(series: FloatArray, taken: int = 0) -> float:
+    """Number of neighbouring values that count as one: 1 + 2 (sum of the autocorrelation), 1 to n. [-]
+
+    The sum ends where the lag passes five times what was summed so far: A. Sokal (1997), Monte Carlo methods in
+    statistical mechanics, 10.1007/978-1-4899-0319-8_6. The series is (n,), evenly sampled, about zero: its mean is not
+    taken off, so that a constant counts as one value. Where a fit of `taken` numbers was taken off, it took about
+    taken/n from the autocorrelation at each lag, as the mean alone takes 1/n (M. Kendall (1954), Biometrika 41, 403,
+    10.1093/biomet/41.3-4.403); this is given back, up to the lag whose correlation is within chance, 1/sqrt(n).
+    """
+    count = len(series)
+    power = float(series @ series)
+    if count < 2 or power == 0:
+        return 1.0
+    length = 1.0
+    for lag in range(1, count):
+        correlation = float(series[lag:] @ series[:-lag]) / power + taken / count
+        if taken and correlation < count**-0.5:
+            break
+        length += 2.0 * correlation
+        if lag >= WINDOW * length:
+            break
+    return float(np.clip(length, 1.0, count))

@@ -1,4 +1,4 @@
-"""Forces and soil in turn: forces on the believed soil, the soil from measured states and these forces, and so on.
+"""Loads and soil in turn: loads on the believed soil, the soil from measured states and these loads, and so on.
 
 Forces that came from a soil cannot prove it. What is new is measured: sinkage under the load of each wheel, and slip
 against what all wheels together have to pull. Only these two are used: the loads, and the totals of drawbar pulls and
@@ -18,15 +18,16 @@ from lunarsci.interpolation import at_times
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.joint_totals import BalancedStates, TotalsPosterior, infer_from_totals
 from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.loads.load_ensemble import BALANCE_ERROR, DRAWS, LoadEnsemble, draw_loads
 from lunarsci.twin.loads.pose_states import PoseStates
-from lunarsci.twin.loads.totals import levers_of, needed_of
-from lunarsci.twin.loads.uncertain_forces import BALANCE_ERROR, DRAWS, UncertainForces, uncertain_forces
+from lunarsci.twin.loads.prescribed_motion import contact_jacobian, net_wrench
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.rover import Rover
 
-__all__ = ["ForceSoil", "Round", "balanced_states", "force_soil", "verdict_of"]
+__all__ = ["AlternatingEstimate", "Round", "alternate", "balanced_states", "verdict_of"]
 
 FloatArray = npt.NDArray[np.float64]
+
 SOIL_STILL, FORCES_STILL = 0.1, 0.01
 """Largest move of the soil's mean, in what remains of its standard deviations, and of pulls and lateral forces as a
 share of themselves, in a round that has converged."""
@@ -55,11 +56,11 @@ class Round:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ForceSoil:
+class AlternatingEstimate:
     """The soil and the forces on it after the last round, the rounds, and whether they converged."""
 
     posterior: TotalsPosterior
-    forces: UncertainForces
+    forces: LoadEnsemble
     rounds: tuple[Round, ...]
     verdict: str
 
@@ -69,7 +70,7 @@ class ForceSoil:
         return self.verdict == "converged"
 
 
-def force_soil(
+def alternate(
     rover: Rover,
     terrain: Terrain,
     motion: Motion,
@@ -82,12 +83,12 @@ def force_soil(
     balance_error: float = BALANCE_ERROR,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
-) -> ForceSoil:
+) -> AlternatingEstimate:
     """Forces and soil in turn, until a round changes next to nothing.
 
     Parameters
     ----------
-    rover, terrain, motion, correlation_m, balance_error : as in `uncertain_forces`.
+    rover, terrain, motion, correlation_m, balance_error : as in `draw_loads`.
     states : measured states; sinkage and slip ratio are needed.
     belief : what is held of the soil before this drive, every round's beginning.
     rounds : at most, 1 to 50.
@@ -100,8 +101,8 @@ def force_soil(
     if not 1 <= rounds <= MOST_ROUNDS:
         raise ParameterError(f"{rounds} rounds; give 1 to {MOST_ROUNDS}")
 
-    def forces_on(soil: SoilBelief, number: int) -> UncertainForces:
-        return uncertain_forces(
+    def forces_on(soil: SoilBelief, number: int) -> LoadEnsemble:
+        return draw_loads(
             rover,
             terrain,
             motion,
@@ -121,7 +122,7 @@ def force_soil(
         forces, before = after, found.belief
         verdict = verdict_of(done)
         if verdict == "converged" or len(done) == rounds:
-            return ForceSoil(found, forces, tuple(done), verdict)
+            return AlternatingEstimate(found, forces, tuple(done), verdict)
 
 
 def verdict_of(rounds: list[Round]) -> str:
@@ -137,7 +138,7 @@ def verdict_of(rounds: list[Round]) -> str:
     return "does not converge"
 
 
-def balanced_states(forces: UncertainForces, states: PoseStates, balance_error: float) -> BalancedStates:
+def balanced_states(forces: LoadEnsemble, states: PoseStates, balance_error: float) -> BalancedStates:
     """Measured states with the loads and totals of their times.
 
     Errors of the motion, and of the slope in the balance, are alike over the correlation length; the states within it
@@ -146,8 +147,8 @@ def balanced_states(forces: UncertainForces, states: PoseStates, balance_error: 
     held, rover = forces.held, forces.held.rover
     times, values, sigmas = states.by_pose(len(rover.wheels))
     load, load_sigma = (part[..., 0] for part in (forces.after, forces.after_sigma))
-    levers = levers_of(held)
-    told = (load, load_sigma, levers[..., 1:], needed_of(held, levers))
+    levers = contact_jacobian(held)
+    told = (load, load_sigma, levers[..., 1:], net_wrench(held, levers))
     kept = [np.where(forces.known.reshape(-1, *([1] * (part.ndim - 1))), part, np.nan) for part in told]
     load, load_sigma, levers, totals = (at_times(times, held.motion.time_s, part, beyond=False) for part in kept)
     reach = float(np.hypot(*rover.wheel_positions_m[:, :2].T).max())
@@ -168,7 +169,7 @@ def balanced_states(forces: UncertainForces, states: PoseStates, balance_error: 
     )
 
 
-def _round(before: SoilBelief, found: TotalsPosterior, one: UncertainForces, two: UncertainForces) -> Round:
+def _round(before: SoilBelief, found: TotalsPosterior, one: LoadEnsemble, two: LoadEnsemble) -> Round:
     sd = np.sqrt(np.diag(found.belief.covariance))
     step = (found.belief.mean - before.mean) / sd
     known = one.known & two.known

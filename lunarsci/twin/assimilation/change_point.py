@@ -16,32 +16,32 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.twin.inference.drive_record import OBSERVED, DriveRecord
+from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import Prediction
 
 __all__ = [
-    "FEWEST_PIECES",
-    "Pieces",
-    "SoilStep",
-    "Way",
-    "averaged",
-    "largest_step",
+    "FEWEST_BINS",
+    "ChangePoint",
+    "TrackBins",
+    "Traverse",
+    "binned",
+    "find_change_point",
     "planned_places",
-    "way_of",
+    "traverse_of",
     "wheel_places",
 ]
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
-PIECE_M, MOST_PIECES = 0.2, 200
+BIN_M, MOST_BINS = 0.2, 200
 """Length of way over which residuals are averaged, longer where the drive has more pieces; assumed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Way:
+class Traverse:
     """A drive as a line.
 
     Attributes
@@ -94,10 +94,10 @@ class Way:
         return self.place_at(np.unique(np.concatenate([[low], inside, [high]])))
 
 
-def way_of(drive: Prediction) -> Way:
+def traverse_of(drive: Prediction) -> Traverse:
     """The way of the first member of a prediction."""
     wheels = drive.rover.wheel_positions_m
-    return Way(drive.time_s, drive.distance_m, drive.paths[0, :, :2], float(np.abs(wheels[:, 0]).max()))
+    return Traverse(drive.time_s, drive.distance_m, drive.paths[0, :, :2], float(np.abs(wheels[:, 0]).max()))
 
 
 def planned_places(plan: Plan, rover: Rover) -> FloatArray:
@@ -107,7 +107,7 @@ def planned_places(plan: Plan, rover: Rover) -> FloatArray:
     return schedule.pose_at(np.linspace(0.0, schedule.duration_s, count))[:, :2]
 
 
-def wheel_places(rover: Rover, record: DriveRecord, way: Way) -> FloatArray:
+def wheel_places(rover: Rover, record: DriveRecord, way: Traverse) -> FloatArray:
     """Distance along the way at which each wheel of a record stood. (n,) [m]
 
     That of the origin, and how far ahead of it the wheel is on the rover: as on a drive straight ahead.
@@ -117,7 +117,7 @@ def wheel_places(rover: Rover, record: DriveRecord, way: Way) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pieces:
+class TrackBins:
     """Means of whitened residuals, measured less simulated, over pieces of the way in which all quantities are known.
 
     Attributes
@@ -136,13 +136,13 @@ class Pieces:
     slope: FloatArray
     model: FloatArray
 
-    def part(self, kept: BoolArray) -> "Pieces":
+    def part(self, kept: BoolArray) -> "TrackBins":
         """Some of the pieces."""
         middle, mean, weight, slope = (part[kept] for part in (self.middle_m, self.mean, self.weight, self.slope))
-        return Pieces(middle, self.names, mean, weight, slope, self.model)
+        return TrackBins(middle, self.names, mean, weight, slope, self.model)
 
 
-def averaged(places: FloatArray, values: FloatArray, slopes: FloatArray, model: FloatArray) -> Pieces | None:
+def binned(places: FloatArray, values: FloatArray, slopes: FloatArray, model: FloatArray) -> TrackBins | None:
     """Means over pieces of way; None where no piece has all the quantities that were measured at all.
 
     Parameters
@@ -156,7 +156,7 @@ def averaged(places: FloatArray, values: FloatArray, slopes: FloatArray, model: 
     columns = np.flatnonzero(known.any(axis=0))
     if not columns.size:
         return None
-    length = max(PIECE_M, float(np.ptp(places)) / MOST_PIECES)
+    length = max(BIN_M, float(np.ptp(places)) / MOST_BINS)
     first = np.floor(places.min() / length)
     number = (np.floor(places / length) - first).astype(np.int64)
     weight = np.zeros((int(number.max()) + 1, len(columns)))
@@ -170,22 +170,22 @@ def averaged(places: FloatArray, values: FloatArray, slopes: FloatArray, model: 
         return None
     middle = (first + np.arange(len(weight)) + 0.5) * length
     mean, slope = total[full] / weight[full], slope[full] / weight[full][..., None]
-    return Pieces(middle[full], tuple(OBSERVED[k] for k in columns), mean, weight[full], slope, model[columns])
+    return TrackBins(middle[full], tuple(OBSERVED[k] for k in columns), mean, weight[full], slope, model[columns])
 
 
-FEWEST_PIECES = 4
+FEWEST_BINS = 4
 """On either side of a change; assumed."""
 SIMULATIONS = 999
 MODEL_M = 3.0
 """Way over which errors of the twin itself are alike, such as an arc's; assumed. [m]"""
 MOST_CORRELATED = 0.95
 MARGIN = 1.0
-"""Standard errors by which noise counts as more persistent than it was found: the p-value is that of an unkind case
+"""Standard errors by which noise counts as more correlated than it was found: the p-value is that of an unkind case
 within the uncertainty, as in Berger & Boos (1994), J. Am. Stat. Assoc. 89, 1012."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SoilStep:
+class ChangePoint:
     """The most likely change: where, p-value, places tried and how much more two soils explain there. (k,), (k,)"""
 
     after_m: float
@@ -194,7 +194,7 @@ class SoilStep:
     statistic: FloatArray
 
 
-def largest_step(pieces: Pieces, random: np.random.Generator, simulations: int = SIMULATIONS) -> SoilStep:
+def find_change_point(bins: TrackBins, random: np.random.Generator, simulations: int = SIMULATIONS) -> ChangePoint:
     """The most likely change and its p-value, no smaller than 1 / (simulations + 1).
 
     Parameters
@@ -203,21 +203,21 @@ def largest_step(pieces: Pieces, random: np.random.Generator, simulations: int =
     random : source of random numbers.
     simulations : of drives over one soil.
     """
-    size, quantities = pieces.mean.shape
+    size, quantities = bins.mean.shape
     sigma = np.ones(quantities)
     for _ in range(2):
-        fits = _Fits(pieces, sigma)
-        statistic = fits.gain(fits.whitened(pieces.mean)[None])[0]
+        fits = _Fits(bins, sigma)
+        statistic = fits.gain(fits.whitened(bins.mean)[None])[0]
         best = int(np.argmax(statistic))
-        sigma, persistence = _noise(pieces, fits.rest(best), fits.numbers(best) / quantities)
-    fits = _Fits(pieces, sigma)
-    statistic = fits.gain(fits.whitened(pieces.mean)[None])[0]
-    roots = np.stack([_root(pieces, k, sigma[k], persistence[k]) for k in range(quantities)])
+        sigma, autocorrelation = _noise(bins, fits.rest(best), fits.numbers(best) / quantities)
+    fits = _Fits(bins, sigma)
+    statistic = fits.gain(fits.whitened(bins.mean)[None])[0]
+    roots = np.stack([_root(bins, k, sigma[k], autocorrelation[k]) for k in range(quantities)])
     noise = np.einsum("qab,qbc,dqc->dqa", fits.inverse, roots, random.standard_normal((simulations, quantities, size)))
     null = fits.gain(noise.reshape(simulations, -1)).max(axis=1)
     p_value = (1 + int((null >= statistic.max()).sum())) / (simulations + 1)
-    tried = (0.5 * (pieces.middle_m[1:] + pieces.middle_m[:-1]))[fits.places]
-    return SoilStep(float(tried[int(np.argmax(statistic))]), p_value, tried, statistic)
+    tried = (0.5 * (bins.middle_m[1:] + bins.middle_m[:-1]))[fits.places]
+    return ChangePoint(float(tried[int(np.argmax(statistic))]), p_value, tried, statistic)
 
 
 class _Fits:
@@ -226,13 +226,13 @@ class _Fits:
     What that costs is in the simulated drives, whose noise does.
     """
 
-    def __init__(self, pieces: Pieces, sigma: FloatArray) -> None:
-        size, quantities = pieces.mean.shape
-        self.pieces = pieces
-        self.places = slice(FEWEST_PIECES - 1, size - FEWEST_PIECES)
-        self.inverse = np.linalg.inv(np.stack([_root(pieces, k, sigma[k], 0.0) for k in range(quantities)]))
+    def __init__(self, bins: TrackBins, sigma: FloatArray) -> None:
+        size, quantities = bins.mean.shape
+        self.bins = bins
+        self.places = slice(FEWEST_BINS - 1, size - FEWEST_BINS)
+        self.inverse = np.linalg.inv(np.stack([_root(bins, k, sigma[k], 0.0) for k in range(quantities)]))
         # Columns of the soil before each place, whitened: (places, quantities * pieces, 8).
-        grown = np.cumsum(np.einsum("qab,bqp->bqap", self.inverse, pieces.slope), axis=0)
+        grown = np.cumsum(np.einsum("qab,bqp->bqap", self.inverse, bins.slope), axis=0)
         self.whole = grown[-1].reshape(quantities * size, -1)
         self.before = grown[:-1][self.places].reshape(-1, *self.whole.shape)
         both = np.concatenate([self.before, self.whole - self.before], axis=-1)
@@ -258,30 +258,31 @@ class _Fits:
 
     def rest(self, place: int) -> FloatArray:
         """What two soils with the change at a place leave. (m, q)"""
-        slope, mean = self.pieces.slope, self.pieces.mean
+        slope, mean = self.bins.slope, self.bins.mean
         first = np.arange(len(mean)) <= place + self.places.start
         columns = np.concatenate([slope * first[:, None, None], slope * ~first[:, None, None]], axis=-1)
         white = np.concatenate([self.before[place], self.whole - self.before[place]], axis=-1)
         return np.asarray(mean - columns @ (self.two[place] @ (white.T @ self.whitened(mean))))
 
 
-def _root(pieces: Pieces, quantity: int, sigma: float, persistence: float) -> FloatArray:
+def _root(bins: TrackBins, quantity: int, sigma: float, autocorrelation: float) -> FloatArray:
     """Root of the covariance of a quantity's means: noise of the values, and errors of the twin itself."""
-    lag = np.abs(pieces.middle_m[:, None] - pieces.middle_m)
-    number = np.rint(lag / max(float(np.min(np.diff(pieces.middle_m))), 1e-6))
-    scale = sigma / np.sqrt(pieces.weight[:, quantity])
-    noise = np.outer(scale, scale) * np.where(number > 0, persistence**number, 1.0)
-    return np.linalg.cholesky(noise + pieces.model[quantity] ** 2 * np.exp(-lag / MODEL_M))
+    lag = np.abs(bins.middle_m[:, None] - bins.middle_m)
+    number = np.rint(lag / max(float(np.min(np.diff(bins.middle_m))), 1e-6))
+    scale = sigma / np.sqrt(bins.weight[:, quantity])
+    noise = np.outer(scale, scale) * np.where(number > 0, autocorrelation**number, 1.0)
+    return np.linalg.cholesky(noise + bins.model[quantity] ** 2 * np.exp(-lag / MODEL_M))
 
 
-def _noise(pieces: Pieces, rest: FloatArray, fitted: float) -> tuple[FloatArray, FloatArray]:
-    """Standard deviation of one value, no smaller than stated, and persistence from piece to piece. (q,), (q,)
+def _noise(bins: TrackBins, rest: FloatArray, fitted: float) -> tuple[FloatArray, FloatArray]:
+    """Standard deviation of one value, no smaller than stated, and autocorrelation from bin to bin. (q,), (q,)
 
-    `fitted` numbers were taken from each series. In n values a mean taken away hides (1 + 3 r) / n of the persistence r
-    (Kendall 1954, Biometrika 41, 403), and so, about, does every other number; this and `MARGIN` are added.
+    `fitted` numbers were taken from each series. In n values a mean taken away hides (1 + 3 r) / n of their
+    autocorrelation r (Kendall 1954, Biometrika 41, 403), and so, about, does every other number; this and `MARGIN` are
+    added.
     """
     size = len(rest)
-    white = rest * np.sqrt(pieces.weight)
+    white = rest * np.sqrt(bins.weight)
     square = np.maximum((white**2).sum(axis=0), np.finfo(float).tiny)
     lag = (white[1:] * white[:-1]).sum(axis=0) / square
     lag = lag + fitted * (1.0 + 3.0 * np.maximum(lag, 0.0)) / size

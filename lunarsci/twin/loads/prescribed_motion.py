@@ -1,4 +1,8 @@
-"""Forces along a given motion: the rover is held where it was, and its wheels carry it there."""
+"""Wheel loads along a prescribed motion: the rover is held where it was, and its wheels carry it there.
+
+What they do not supply of force and moment is the residual wrench; the contact Jacobian says what one newton of each
+wheel's forces adds to the net wrench.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -15,17 +19,19 @@ from lunarsci.twin.plans.commands import CREEP_M_S
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact import HELD
+from lunarsci.twin.simulation.contact_frame import shear_center
 from lunarsci.twin.simulation.drive import record, take_commands
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 from lunarsci.twin.simulation.settle import balance, settle
 
-__all__ = ["HeldForces", "forces_along"]
+__all__ = ["FORCES", "PrescribedLoads", "contact_jacobian", "net_wrench", "prescribed_loads", "residual_wrench"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class HeldForces:
+class PrescribedLoads:
     """What the wheels do along a given motion.
 
     Attributes
@@ -46,8 +52,8 @@ class HeldForces:
     motion: Motion
     paths: FloatArray
     states: FloatArray
-    missing_n: FloatArray
-    missing_nm: FloatArray
+    residual_n: FloatArray
+    residual_nm: FloatArray
     outcome: IntArray
     axes: FloatArray
     arms: FloatArray
@@ -58,14 +64,14 @@ class HeldForces:
         return np.asarray((self.outcome == FINISHED) & ~self.motion.no_speed)
 
     @property
-    def missing_share(self) -> float:
+    def residual_share(self) -> float:
         """Root mean square of the missing force, as a share of the rover's weight. [-]"""
         weight = self.rover.mass_kg * self.rover.gravity_m_s2
         known = self.known
-        return float(np.sqrt((self.missing_n[known] ** 2).sum(axis=1).mean()) / weight) if known.any() else np.nan
+        return float(np.sqrt((self.residual_n[known] ** 2).sum(axis=1).mean()) / weight) if known.any() else np.nan
 
 
-def forces_along(rover: Rover, terrain: Terrain, motion: Motion, soil: FloatArray | None = None) -> HeldForces:
+def prescribed_loads(rover: Rover, terrain: Terrain, motion: Motion, soil: FloatArray | None = None) -> PrescribedLoads:
     """Sinkage, slip and forces of every wheel at each pose of a motion.
 
     At each pose the rover first rests on the ground; differences between poses give its velocity; then height, attitude
@@ -139,7 +145,7 @@ def _results(
     motion: Motion,
     found: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     outcome: IntArray,
-) -> HeldForces:
+) -> PrescribedLoads:
     # What a speed that is not known leads to says nothing of the ground.
     outcome[motion.no_speed & np.isin(outcome, (DIVERGED, SANK, UNSETTLED))] = FINISHED
     for part in found:
@@ -150,15 +156,62 @@ def _results(
     yaw = np.radians(motion.yaw_deg)
     ahead = np.cos(yaw) * left[:, 0] + np.sin(yaw) * left[:, 1]
     aside = np.cos(yaw) * left[:, 1] - np.sin(yaw) * left[:, 0]
-    return HeldForces(
+    return PrescribedLoads(
         rover=rover,
         terrain=terrain,
         motion=motion,
         paths=paths,
         states=states,
-        missing_n=np.column_stack([ahead, aside]),
-        missing_nm=left[:, 2],
+        residual_n=np.column_stack([ahead, aside]),
+        residual_nm=left[:, 2],
         outcome=outcome,
         axes=frames[..., :9].reshape(*frames.shape[:2], 3, 3),
         arms=frames[..., 9:],
     )
+
+
+FORCES = ("normal_force_n", "drawbar_pull_n", "lateral_force_n")
+"""Forces of a wheel, in the order of all arrays here."""
+COLUMNS = [STATE_COLUMNS.index(name) for name in FORCES]
+
+
+def contact_jacobian(found: PrescribedLoads) -> FloatArray:
+    """What one newton of each wheel's forces adds to the totals. (n, 3 totals, wheels, 3 forces) [-, -, m]
+
+    The forces act along the normal, ahead along and sideways against the contact axes at the wheel's centre; the
+    lateral one where the shear stress is centred.
+    """
+    ahead, below = _shear_centers(found)
+    e, d, n = (found.axes[:, :, k] for k in range(3))
+    along = np.stack([n, e, -d], axis=2)  # (n, wheels, forces, xyz)
+    turn = np.cross(found.arms[:, :, None], along)[..., 2]
+    turn[..., 2] += -below * e[..., 2] - ahead * n[..., 2]
+    yaw = np.radians(found.motion.yaw_deg)[:, None, None]
+    forward = np.cos(yaw) * along[..., 0] + np.sin(yaw) * along[..., 1]
+    left = np.cos(yaw) * along[..., 1] - np.sin(yaw) * along[..., 0]
+    return np.stack([forward, left, turn], axis=1)
+
+
+def residual_wrench(found: PrescribedLoads) -> FloatArray:
+    """What the wheels do not supply of the totals. (n, 3) [N, N, N m]"""
+    return np.column_stack([found.residual_n, found.residual_nm])
+
+
+def net_wrench(found: PrescribedLoads, levers: FloatArray) -> FloatArray:
+    """What drawbar pulls and lateral forces have to add up to for the motion: (n, 3) [N, N, N m]
+
+    Weight and slope are in the normal forces; these follow from the levers of the suspension and hardly from the soil.
+    """
+    forces = found.states[..., COLUMNS][..., 1:]
+    return np.asarray(np.einsum("ntwf,nwf->nt", levers[..., 1:], forces) + residual_wrench(found))
+
+
+def _shear_centers(found: PrescribedLoads) -> tuple[FloatArray, FloatArray]:
+    sinkage, slip = (found.states[..., STATE_COLUMNS.index(name)] for name in ("sinkage_m", "slip_ratio"))
+    tyre = found.rover.wheel.vector()
+    pairs = [
+        shear_center(z, s, tyre) if np.isfinite(z) else (np.nan, np.nan)
+        for z, s in zip(sinkage.flat, slip.flat, strict=True)
+    ]
+    both = np.array(pairs).reshape(*sinkage.shape, 2)
+    return both[..., 0], both[..., 1]

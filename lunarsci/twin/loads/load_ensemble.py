@@ -14,12 +14,17 @@ import numpy.typing as npt
 
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.terrain import Terrain, soil_overrides
-from lunarsci.twin.loads.held import HeldForces, forces_along
-from lunarsci.twin.loads.totals import COLUMNS, levers_of, missing_of
+from lunarsci.twin.loads.prescribed_motion import (
+    COLUMNS,
+    PrescribedLoads,
+    contact_jacobian,
+    prescribed_loads,
+    residual_wrench,
+)
 from lunarsci.twin.plans.motion import Motion, drawn_motions
 from lunarsci.twin.rover import Rover
 
-__all__ = ["BALANCE_ERROR", "DRAWS", "Shares", "UncertainForces", "uncertain_forces"]
+__all__ = ["BALANCE_ERROR", "DRAWS", "LoadEnsemble", "Shares", "draw_loads"]
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -48,7 +53,7 @@ class Shares:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class UncertainForces:
+class LoadEnsemble:
     """Forces of all wheels at all poses, columns `FORCES`, before and after the balance of totals.
 
     Attributes
@@ -64,14 +69,14 @@ class UncertainForces:
     correlation_m : of the motion's errors. [m]
     """
 
-    held: HeldForces
+    held: PrescribedLoads
     known: BoolArray
     before: FloatArray
     after: FloatArray
     before_parts: FloatArray
     after_parts: FloatArray
-    missing_before: FloatArray
-    missing_after: FloatArray
+    residual_before: FloatArray
+    residual_after: FloatArray
     total_before: FloatArray
     total_after: FloatArray
     carried: FloatArray
@@ -102,11 +107,11 @@ class _Drawn:
     """Forces (d, n, wheels, 3), what is missing of the totals (d, n, 3), and where there was an equilibrium (d, n)."""
 
     forces: FloatArray
-    missing: FloatArray
+    residual: FloatArray
     carried: BoolArray
 
 
-def uncertain_forces(
+def draw_loads(
     rover: Rover,
     terrain: Terrain,
     motion: Motion,
@@ -117,7 +122,7 @@ def uncertain_forces(
     balance_error: float = BALANCE_ERROR,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
-) -> UncertainForces:
+) -> LoadEnsemble:
     """Forces along a motion whose errors, and whose soil, are known by draws.
 
     Parameters
@@ -154,24 +159,24 @@ def uncertain_forces(
             progress(next(counted), total)
 
     drawn = [_along(rover, terrain, each, on, told) for each, on in pairs]
-    held = forces_along(rover, terrain, motion, center)
+    held = prescribed_loads(rover, terrain, motion, center)
     reach = float(np.hypot(*rover.wheel_positions_m[:, :2].T).max())
     error = balance_error * rover.mass_kg * rover.gravity_m_s2 * np.array([1.0, 1.0, reach])
     return _balanced(held, drawn, error, correlation_m)
 
 
 def _along(rover: Rover, terrain: Terrain, motions: list[Motion], rows: FloatArray, told: Callable[[], None]) -> _Drawn:
-    forces, missing, carried = [], [], []
+    forces, residual, carried = [], [], []
     for motion, row in zip(motions, rows, strict=True):
-        found = forces_along(rover, terrain, motion, row)
+        found = prescribed_loads(rover, terrain, motion, row)
         forces.append(found.states[..., COLUMNS])
-        missing.append(missing_of(found))
+        residual.append(residual_wrench(found))
         carried.append(found.known)
         told()
-    return _Drawn(np.array(forces), np.array(missing), np.array(carried))
+    return _Drawn(np.array(forces), np.array(residual), np.array(carried))
 
 
-def _balanced(held: HeldForces, drawn: list[_Drawn], error: FloatArray, correlation_m: float) -> UncertainForces:
+def _balanced(held: PrescribedLoads, drawn: list[_Drawn], error: FloatArray, correlation_m: float) -> LoadEnsemble:
     """Pose by pose; `drawn` is with soil and motion both drawn, then with each alone."""
     count, wheels = held.states.shape[:2]
     shape = (count, wheels, 3)
@@ -180,13 +185,13 @@ def _balanced(held: HeldForces, drawn: list[_Drawn], error: FloatArray, correlat
     gap, left = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
     total, rest, surprise = np.full((count, 3), np.nan), np.full((count, 3), np.nan), np.full(count, np.nan)
     carried = np.all([part.carried for part in drawn], axis=0)
-    levers = levers_of(held)
+    levers = contact_jacobian(held)
     known = held.known & (carried.mean(axis=0) >= LEAST_CARRIED)
     for k in np.flatnonzero(known):
-        own = [(part.forces[carried[:, k], k], part.missing[carried[:, k], k]) for part in drawn]
+        own = [(part.forces[carried[:, k], k], part.residual[carried[:, k], k]) for part in drawn]
         flat = own[0][0].reshape(len(own[0][0]), -1)
         gain = _gain(flat, own[0][1], error)
-        moved = [(forces.reshape(len(flat), -1) - missing @ gain.T).reshape(forces.shape) for forces, missing in own]
+        moved = [(forces.reshape(len(flat), -1) - residual @ gain.T).reshape(forces.shape) for forces, residual in own]
         noise = ((gain * error) ** 2).sum(axis=1).reshape(wheels, 3)
         before[k], after[k] = own[0][0].mean(axis=0), moved[0].mean(axis=0)
         parts[:, k] = _parts([forces for forces, _ in own], np.zeros((wheels, 3)))
@@ -200,15 +205,15 @@ def _balanced(held: HeldForces, drawn: list[_Drawn], error: FloatArray, correlat
         total[k] = np.einsum("twf,dwf->dt", levers[k], own[0][0]).std(axis=0, ddof=1)
         spread = np.einsum("twf,dwf->dt", levers[k], moved[0]).var(axis=0, ddof=1)
         rest[k] = np.sqrt(spread + ((sums * error) ** 2).sum(axis=1))
-    return UncertainForces(
+    return LoadEnsemble(
         held=held,
         known=known,
         before=before,
         after=after,
         before_parts=parts,
         after_parts=kept,
-        missing_before=gap,
-        missing_after=left,
+        residual_before=gap,
+        residual_after=left,
         total_before=total,
         total_after=rest,
         carried=carried.mean(axis=0),
@@ -217,9 +222,9 @@ def _balanced(held: HeldForces, drawn: list[_Drawn], error: FloatArray, correlat
     )
 
 
-def _gain(forces: FloatArray, missing: FloatArray, error: FloatArray) -> FloatArray:
+def _gain(forces: FloatArray, residual: FloatArray, error: FloatArray) -> FloatArray:
     """Change of the forces (d, f) for what is missing (d, 3): their covariance over that of the latter. (f, 3)"""
-    off, lacking = forces - forces.mean(axis=0), missing - missing.mean(axis=0)
+    off, lacking = forces - forces.mean(axis=0), residual - residual.mean(axis=0)
     count = len(forces) - 1
     return np.asarray(np.linalg.solve(lacking.T @ lacking / count + np.diag(error**2), lacking.T @ off / count).T)
 

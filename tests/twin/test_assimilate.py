@@ -9,10 +9,10 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.regolith.states import MeasurementErrors
+from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
+from lunarsci.twin.assimilation.update import SoilUpdate, assimilate
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.inference.drive_record import OBSERVED, DriveRecord
-from lunarsci.twin.inference.rectify import Rectified, rectify
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
@@ -59,16 +59,16 @@ def record(yutu2: Rover, ground: Terrain) -> DriveRecord:
 
 
 @pytest.fixture(scope="module")
-def found(yutu2: Rover, ground: Terrain, record: DriveRecord) -> Rectified:
-    return rectify(yutu2, ground, PLAN, record, first_belief(), particles=64, model_error=0.0)
+def found(yutu2: Rover, ground: Terrain, record: DriveRecord) -> SoilUpdate:
+    return assimilate(yutu2, ground, PLAN, record, first_belief(), particles=64, model_error=0.0)
 
 
-def test_ruts_are_taken_where_they_explain_the_drive_better(yutu2: Rover, ground: Terrain, found: Rectified) -> None:
+def test_ruts_are_taken_where_they_explain_the_drive_better(yutu2: Rover, ground: Terrain, found: SoilUpdate) -> None:
     """On a soft soil rear wheels that sink in the ruts of the front ones are explained by no soil without ruts."""
     soft = {name: [value] for name, value in (SOIL | {"stiffness_kpa_m_n": 600.0}).items()}
     drive = predict(yutu2, ground, PLAN, samples=soft, ruts=True)
     both = [
-        rectify(yutu2, ground, PLAN, record_of(drive), first_belief(), particles=32, model_error=0.0, ruts=ruts)
+        assimilate(yutu2, ground, PLAN, record_of(drive), first_belief(), particles=32, model_error=0.0, ruts=ruts)
         for ruts in (None, False)
     ]
     assert both[0].prediction.ruts and not both[1].prediction.ruts and not found.prediction.ruts
@@ -78,7 +78,7 @@ def test_ruts_are_taken_where_they_explain_the_drive_better(yutu2: Rover, ground
 
 @pytest.mark.slow
 def test_the_belief_holds_the_true_soil_and_predicts_the_next_drive(
-    yutu2: Rover, ground: Terrain, found: Rectified
+    yutu2: Rover, ground: Terrain, found: SoilUpdate
 ) -> None:
     assert not found.refused and found.outliers.sum() == 0
     assert 0.4 < found.reduced < 1.2
@@ -103,7 +103,7 @@ def test_contradictory_telemetry_does_not_move_the_belief(yutu2: Rover, ground: 
     """A drive said to have sunk 60 mm deep while its loads stay those of the Moon."""
     values = record.values.copy()
     values[::3, 0] += 0.06
-    wrong = rectify(yutu2, ground, PLAN, dataclasses.replace(record, values=values), first_belief(), particles=32)
+    wrong = assimilate(yutu2, ground, PLAN, dataclasses.replace(record, values=values), first_belief(), particles=32)
     assert "single wheels are off in sinkage_m" in wrong.refused
     assert np.array_equal(wrong.belief.mean, first_belief().mean)
 
@@ -111,10 +111,10 @@ def test_contradictory_telemetry_does_not_move_the_belief(yutu2: Rover, ground: 
 def test_a_record_must_fit_the_rover(yutu2: Rover, ground: Terrain, record: DriveRecord) -> None:
     alien = dataclasses.replace(record, wheel=("XX", *record.wheel[1:]))
     with pytest.raises(ParameterError, match="'XX' is no wheel"):
-        rectify(yutu2, ground, PLAN, alien, first_belief())
+        assimilate(yutu2, ground, PLAN, alien, first_belief())
     empty = dataclasses.replace(record, values=np.full_like(record.values, np.nan))
     with pytest.raises(ParameterError, match="fewer than a soil"):
-        rectify(yutu2, ground, PLAN, empty, first_belief())
+        assimilate(yutu2, ground, PLAN, empty, first_belief())
     with pytest.raises(ParameterError, match="0 or more"):
         dataclasses.replace(record, time_s=record.time_s - 1.0)
     with pytest.raises(ParameterError, match="positive definite"):

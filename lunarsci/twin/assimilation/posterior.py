@@ -1,0 +1,351 @@
+"""The posterior of a soil after a drive, in coordinates that linearise it: residuals, density and mode.
+
+Stiffness and exponent of sinkage make up for each other in the pressure at the sinkage that was measured, cohesion and
+friction in the strength under the pressure of the wheels. In coordinates of these, and not in the transforms of the
+prior, soils that explain a drive lie along straight lines, and a normal law is near enough to a posterior to draw from.
+The most probable soil is found by damped Gauss-Newton from many starts at once; how much wider than measured the errors
+must be for the twin's physics to explain a drive follows from what it leaves.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.regolith.prior import PARAMETERS
+from lunarsci.twin.assimilation.drive_record import OBSERVED
+from lunarsci.twin.assimilation.residuals import HUBER, POSITION, DriveResiduals, cost_of, robust_cost
+
+__all__ = [
+    "PRESSURE_PA",
+    "DrivePosterior",
+    "PosteriorMode",
+    "SoilCoordinates",
+    "find_mode",
+    "inflation_of",
+    "posterior_of",
+    "wheel_errors",
+]
+
+FloatArray = npt.NDArray[np.float64]
+
+BATCH = 8
+"""Values of one wheel that are averaged; assumed longer than what sensors remember, shorter than a drive."""
+CHANCE = 0.01
+"""That a variance as large as found comes from the errors alone; below it, errors are widened."""
+MEDIAN_VARIANCE = np.pi / 2
+"""Of the median of n normal values, times n over theirs."""
+
+
+def wheel_errors(drive: DriveResiduals, residuals: FloatArray) -> dict[str, float]:
+    """Standard deviation of an error that each wheel has of its own, by quantity, in the errors of its values.
+
+    From whitened residuals of the best soil, such errors not removed (n, 6): the wheels' medians scatter more about
+    their mean than noise would let them, as where rear wheels follow in ruts and the twin's do not (DerSimonian & Laird
+    1986, 10.1016/0197-2456(86)90046-2).
+    """
+    from scipy.stats import chi2
+
+    result = {}
+    for k, name in enumerate(OBSERVED):
+        parts = _by_wheel(drive, residuals[:, k], k)
+        if len(parts) < 2:
+            continue
+        medians = np.array([np.median(part) for part in parts])
+        noise = np.array([MEDIAN_VARIANCE / part.size for part in parts])
+        weight = 1.0 / noise
+        excess = (weight * (medians - np.average(medians, weights=weight)) ** 2).sum() - (len(parts) - 1)
+        if excess + len(parts) - 1 > chi2.isf(CHANCE, len(parts) - 1):
+            result[name] = float(np.sqrt(excess / (weight.sum() - (weight**2).sum() / weight.sum())))
+    return result
+
+
+def inflation_of(drive: DriveResiduals, residuals: FloatArray, places: FloatArray) -> dict[str, float]:
+    """Factor of the errors of each quantity, and of positions, above 1, from whitened residuals of the best soil.
+
+    Those are of states (n, 6), and of positions (2 f,), x and y in turn.
+
+    Independent residuals as large as their errors have means over batches of m values whose variance is 1/m. What the
+    physics misses is alike along a stretch, and these means scatter more: their variance times m is the variance that
+    errors need to have for as many values to count as independent (batch means; Flegal & Jones 2010,
+    10.1214/09-AOS735). What a wheel has of its own throughout is left to `wheel_errors`. Residuals count as at most
+    `HUBER`, so that outliers remain outliers, but those of positions, which are few.
+    """
+    from scipy.stats import chi2
+
+    series = {POSITION: [part for part in (places[::2], places[1::2]) if part.size]}
+    for k, name in enumerate(OBSERVED):
+        parts = [part - np.median(part) for part in _by_wheel(drive, residuals[:, k], k)]
+        series[name] = [np.clip(part, -HUBER, HUBER) for part in parts]
+    result = {}
+    for name, parts in series.items():
+        means = _batch_means(parts)
+        if means.size < 2:
+            continue
+        variance = float((means**2).mean())
+        if variance > chi2.isf(CHANCE, means.size) / means.size:
+            result[name] = float(np.sqrt(variance))
+    return result
+
+
+def _by_wheel(drive: DriveResiduals, values: FloatArray, k: int) -> list[FloatArray]:
+    known, wheels = drive.known[:, k], np.array(drive.record.wheel)
+    parts = [values[known & (wheels == name)] for name in dict.fromkeys(drive.record.wheel)]
+    return [part for part in parts if part.size]
+
+
+def _batch_means(parts: list[FloatArray]) -> FloatArray:
+    """Sums over batches, over the root of their size: unit variance where values are independent."""
+    batches = [batch for part in parts for batch in np.array_split(part, max(1, round(len(part) / BATCH)))]
+    return np.array([batch.sum() / np.sqrt(batch.size) for batch in batches])
+
+
+PRESSURE_PA = 5000.0
+"""Mean pressure below a wheel; assumed, near the 4 kPa of Ding et al. (2024), 10.1038/s41467-024-46233-8."""
+STIFFNESS, EXPONENT, COHESION, FRICTION = (
+    PARAMETERS.index(name) for name in ("stiffness_kpa_m_n", "sinkage_exponent", "cohesion_pa", "friction_angle_deg")
+)
+
+
+@dataclass(frozen=True, slots=True)
+class SoilCoordinates:
+    """From transforms (ln K, ln N, n1, ln c, ln tan phi, ln K_x, ln tan phi_y, ln K_y) and back.
+
+    ln K becomes ln K + N ln z, ln N becomes N, and ln tan phi becomes ln (c + sigma tan phi).
+
+    Attributes
+    ----------
+    sinkage_m : typical sinkage z of the drive, > 0. [m]
+    """
+
+    sinkage_m: float
+
+    def from_transforms(self, transforms: FloatArray) -> FloatArray:
+        """(..., 8) from transforms of the same shape."""
+        points = np.array(transforms, dtype=np.float64)
+        strength = np.exp(transforms[..., COHESION]) + PRESSURE_PA * np.exp(transforms[..., FRICTION])
+        points[..., EXPONENT] = np.exp(transforms[..., EXPONENT])
+        points[..., STIFFNESS] += np.log(self.sinkage_m) * points[..., EXPONENT]
+        points[..., FRICTION] = np.log(strength)
+        return points
+
+    def transforms(self, points: FloatArray) -> FloatArray:
+        """The inverse; NaN where no soil has such coordinates. (..., 8)"""
+        back = np.array(points, dtype=np.float64)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            frictional = np.exp(points[..., FRICTION]) - np.exp(points[..., COHESION])
+            back[..., FRICTION] = np.log(frictional / PRESSURE_PA)
+            back[..., EXPONENT] = np.log(points[..., EXPONENT])
+            back[..., STIFFNESS] -= np.log(self.sinkage_m) * points[..., EXPONENT]
+        back[~np.isfinite(back).all(axis=-1)] = np.nan
+        return back
+
+    def ln_volume(self, transforms: FloatArray) -> FloatArray:
+        """ln of the volume of transforms for each volume of coordinates. (...)"""
+        frictional = PRESSURE_PA * np.exp(transforms[..., FRICTION])
+        strength = np.exp(transforms[..., COHESION]) + frictional
+        return np.asarray(np.log(strength / frictional) - transforms[..., EXPONENT])
+
+
+SHALLOW_M = 1e-4
+"""Least typical sinkage: the coordinates need its logarithm."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrivePosterior:
+    """Misfit and prior over straight coordinates.
+
+    Attributes
+    ----------
+    misfit : of drives; its belief is the prior.
+    straight : the coordinates.
+    root : lower Cholesky factor of the belief's covariance. (8, 8)
+    """
+
+    drive: DriveResiduals
+    coordinates: SoilCoordinates
+    root: FloatArray
+
+    def residuals(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Whitened residuals of the drive (points, r) and of the prior (points, 8), infinite where there is no soil."""
+        transforms = self.coordinates.transforms(points)
+        rows = self.drive.residuals(transforms)
+        return rows, self.of_prior(np.where(np.isfinite(rows[:, :1]), transforms, np.inf))
+
+    def of_prior(self, transforms: FloatArray) -> FloatArray:
+        """Whitened distance from the belief's mean. (points, 8)"""
+        off = transforms - self.drive.belief.mean
+        white = np.full(off.shape, np.inf)
+        known = np.isfinite(off).all(axis=1)
+        white[known] = np.linalg.solve(self.root, off[known].T).T
+        return white
+
+    def cost(self, points: FloatArray) -> FloatArray:
+        """-2 ln of likelihood times prior of the transforms, up to a constant. (points,)"""
+        return cost_of(*self.residuals(points))
+
+    def with_density(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Whitened residuals of the drive (points, r), and ln of the density of the coordinates up to a constant, -inf
+        where there is no soil. (points,)"""
+        rows = self.residuals(points)[0]
+        known = np.isfinite(rows[:, 0])
+        density = np.full(len(points), -np.inf)
+        density[known] = self.ln_prior(points[known]) - 0.5 * robust_cost(rows[known]).sum(axis=1)
+        return rows, density
+
+    def ln_prior(self, points: FloatArray) -> FloatArray:
+        """ln of the prior density of the coordinates up to a constant; -inf where there is no soil. (points,)"""
+        transforms = self.coordinates.transforms(points)
+        known = self.drive.near(transforms)
+        density = np.full(len(points), -np.inf)
+        inside = transforms[known]
+        density[known] = self.coordinates.ln_volume(inside) - 0.5 * (self.of_prior(inside) ** 2).sum(axis=1)
+        return density
+
+    def draw_prior(self, count: int, random: np.random.Generator) -> FloatArray:
+        """The belief's mean, and draws from it, as coordinates. (count, 8)"""
+        noise = random.standard_normal((count - 1, len(self.root)))
+        mean = self.drive.belief.mean
+        return self.coordinates.from_transforms(np.vstack([mean, mean + noise @ self.root.T]))
+
+
+def posterior_of(drive: DriveResiduals) -> DrivePosterior:
+    """The posterior in the coordinates of its typical sinkage, 1 cm where none was measured."""
+    sinkage = drive.record.values[drive.known[:, 0], 0]
+    typical = float(np.median(sinkage)) if sinkage.size else 0.01
+    root = np.asarray(np.linalg.cholesky(drive.belief.covariance), dtype=np.float64)
+    return DrivePosterior(drive, SoilCoordinates(max(typical, SHALLOW_M)), root)
+
+
+STARTS, DESCENTS, STEPS = 64, 4, 16
+"""Soils looked at first, how many of them are followed down, and for how many steps at most."""
+DAMPINGS = (1e-3, 1e-1, 1.0, 10.0, 100.0)
+WIDTH = 0.03
+"""Of finite differences, in widths of the prior: above the noise of interpolated states, below curvature."""
+LONGEST = 1.0
+"""Step, in widths of the prior."""
+CONVERGED, BEHIND = 0.1, 60.0
+"""Fall of the cost that counts as none; how far behind the best a descent is given up after a few steps."""
+PATIENCE = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PosteriorMode:
+    """The most probable point, its cost, and the inverse of the curvature there. (8,), (8, 8)"""
+
+    point: FloatArray
+    cost: float
+    covariance: FloatArray
+
+
+def find_mode(
+    posterior: "DrivePosterior", random: np.random.Generator, starts: FloatArray | None = None
+) -> PosteriorMode | None:
+    """The lowest cost that any descent reached; None where no soil of the belief carries the rover to the end.
+
+    Descents begin at `starts` (k, 8), or at draws from the belief.
+    """
+    starts = posterior.draw_prior(STARTS, random) if starts is None else starts
+    looked = _Looked.at(posterior, starts)
+    best = looked.best_first()[:DESCENTS]
+    here = looked.part(best[np.isfinite(looked.costs[best])])
+    if not here.costs.size:
+        return None
+    width = _width(posterior, here.points[0])
+    for step in range(STEPS):
+        curvature, slope = _local(posterior, here, width)
+        trials = _best_trials(posterior, here.points, curvature, slope, width)
+        falls = here.costs - trials.costs
+        here = here.replaced(trials, falls > 0.0)
+        first = here.best_first()[0]
+        if falls[first] < CONVERGED and step >= PATIENCE:
+            break
+        if step >= PATIENCE:
+            here = here.part(here.costs < here.costs[first] + BEHIND)
+    found = here.part(here.best_first()[:1])
+    curvature, _ = _local(posterior, found, width)
+    return PosteriorMode(found.points[0], float(found.costs[0]), np.asarray(np.linalg.inv(curvature[0])))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Looked:
+    """Points (k, 8), their whitened residuals of drive and prior (k, r + 8), and their costs (k,)."""
+
+    points: FloatArray
+    rows: FloatArray
+    costs: FloatArray
+
+    @classmethod
+    def at(cls, posterior: "DrivePosterior", points: FloatArray) -> "_Looked":
+        drive, prior = posterior.residuals(points)
+        return cls(points, np.concatenate([drive, prior], axis=1), cost_of(drive, prior))
+
+    def part(self, which: npt.NDArray[Any]) -> "_Looked":
+        return _Looked(self.points[which], self.rows[which], self.costs[which])
+
+    def best_first(self) -> npt.NDArray[np.intp]:
+        return np.argsort(self.costs)
+
+    def replaced(self, other: "_Looked", where: npt.NDArray[np.bool_]) -> "_Looked":
+        points, rows = (
+            np.where(where[:, None], a, b) for a, b in ((other.points, self.points), (other.rows, self.rows))
+        )
+        return _Looked(points, rows, np.where(where, other.costs, self.costs))
+
+
+def _width(posterior: "DrivePosterior", point: FloatArray) -> FloatArray:
+    """Of the prior along each coordinate, others held. (8,)"""
+    transforms = posterior.coordinates.transforms(point)
+    spread = np.sqrt(np.diag(posterior.drive.belief.covariance))
+    moved = posterior.coordinates.from_transforms(transforms + np.diag(spread))
+    return np.asarray(np.abs(np.diag(moved - point)))
+
+
+def _local(posterior: "DrivePosterior", at: _Looked, width: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Curvature (k, 8, 8) and slope (k, 8) of half the cost at points (k, 8), from central differences.
+
+    Where one neighbour carries no rover the difference is one-sided; where neither does it is 0, and the
+    curvature that of the prior.
+    """
+    count, size = at.points.shape
+    steps = np.vstack([np.diag(WIDTH * width), -np.diag(WIDTH * width)])
+    drive, prior = posterior.residuals((at.points[:, None] + steps[None]).reshape(-1, size))
+    rows = np.concatenate([drive, prior], axis=1).reshape(count, len(steps), -1)
+    curvature, slope = np.zeros((count, size, size)), np.zeros((count, size))
+    for k in range(count):
+        here, up, down = at.rows[k], rows[k, :size], rows[k, size:]
+        columns = _differences(here, up, down) / (WIDTH * width)[:, None]
+        weight = np.minimum(1.0, HUBER / np.maximum(np.abs(here), HUBER))
+        weight[-size:] = 1.0
+        curvature[k] = (columns * weight) @ columns.T
+        slope[k] = (columns * weight) @ here
+        idle = np.diag(curvature[k]) == 0.0
+        curvature[k][idle, idle] = width[idle] ** -2
+    return curvature, slope
+
+
+def _differences(here: FloatArray, up: FloatArray, down: FloatArray) -> FloatArray:
+    """Of residuals (8, r) for one step along each coordinate."""
+    above, below = np.isfinite(up).all(axis=1), np.isfinite(down).all(axis=1)
+    result = np.zeros(up.shape)
+    both = above & below
+    result[both] = 0.5 * (up[both] - down[both])
+    result[above & ~below] = up[above & ~below] - here
+    result[below & ~above] = here - down[below & ~above]
+    return result
+
+
+def _best_trials(
+    posterior: "DrivePosterior", points: FloatArray, curvature: FloatArray, slope: FloatArray, width: FloatArray
+) -> _Looked:
+    """The best of several damped steps from each point."""
+    trials = np.empty((len(points), len(DAMPINGS), points.shape[1]))
+    for k, (matrix, side) in enumerate(zip(curvature, slope, strict=True)):
+        scale = np.diag(np.maximum(np.diag(matrix), width**-2))
+        for m, damping in enumerate(DAMPINGS):
+            step = -np.linalg.solve(matrix + damping * scale, side)
+            trials[k, m] = points[k] + np.clip(step, -LONGEST * width, LONGEST * width)
+    looked = _Looked.at(posterior, trials.reshape(-1, points.shape[1]))
+    best = np.argmin(looked.costs.reshape(len(points), -1), axis=1)
+    return looked.part(len(DAMPINGS) * np.arange(len(points)) + best)
