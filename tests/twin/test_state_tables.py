@@ -5,11 +5,11 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from lunarsci.twin.inference.drive_record import read_record
 
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, read_state_table, read_states
+from lunarsci.twin.assimilation.drive_record import read_record
 from lunarsci.twin.loads.pose_states import read_pose_states
 from lunarsci.twin.rover import Rover
 
