@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lunarsci.csv_table import csv_bytes
 from lunarsci.figure import picture_bytes
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.identify import Assumptions, Identification, identify
@@ -16,6 +17,7 @@ from lunarsci.spectra.mgm.assemblages import TABLES
 from lunarsci.spectra.vnis.calibration import to_ecsv
 from lunarsci.spectra.vnis.detector import default_settings
 from lunarsci.tables import table_hashes
+from lunarsci.twin.jobs.drive_inputs import DriveInputs, read_drive_inputs
 from lunarsci.twin.judgement.safety import Verdict, judge
 from lunarsci.twin.judgement.tables import state_table
 from lunarsci.twin.simulation.ensemble import Prediction, predict
@@ -24,7 +26,6 @@ from .demo_rock import Studied, finding, rock_findings, rock_pictures
 from .regolith.identify_report import PAPER
 from .shared.report import Report
 from .shared.table import TextTable, plus_minus
-from .twin.predict_report import DriveInputs, csv_bytes, read_scene
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,7 +47,7 @@ class Drive:
 
 def drive(seed: int) -> Drive:
     """Predict the embedded drive over its sweep, and once on the known soil."""
-    scene = read_scene(None, "yutu2", "synthetic-longji", SOIL)
+    scene = read_drive_inputs(None, "yutu2", "synthetic-longji", soil=SOIL)
     swept = predict(scene.rover, scene.terrain, scene.plan, seed=seed)
     once = predict(scene.rover, scene.terrain, scene.plan, sweep=(), seed=seed)
     return Drive(scene, swept, judge(swept, scene.plan), csv_bytes(state_table(once)))

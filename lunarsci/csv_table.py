@@ -17,7 +17,7 @@ from lunarsci.inputs import InputFile, read_input, text
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["check_columns", "numbers_of", "read_csv_table", "without_repeats"]
+__all__ = ["check_columns", "csv_bytes", "numbers_of", "read_csv_table", "without_repeats"]
 
 FloatArray = npt.NDArray[np.float64]
 BLANK = ("nan", "na", "-", "")
@@ -41,6 +41,12 @@ def read_csv_table(source: InputFile | str | Path) -> "pd.DataFrame":
         raise DataError(f"{file.name}: not a CSV table ({' '.join(str(error).split())})") from error
     table.columns = table.columns.str.strip()
     return table
+
+
+def csv_bytes(table: "pd.DataFrame") -> bytes:
+    """A table as CSV, nine significant digits."""
+    text: str = table.to_csv(index=False, float_format="%.9g", lineterminator="\n")
+    return text.encode()
 
 
 def numbers_of(name: str, column: str, cells: "pd.Series") -> FloatArray:

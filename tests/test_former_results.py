@@ -73,7 +73,7 @@ COMMANDS: dict[str, str] = {
     "update": "twin update states/states.csv --plan short.toml --positions states/positions.csv --seed 1 "
     "--particles 32 --save belief.json --save-map map.json --no-ruts",
     "predict belief": "twin predict short.toml --soil belief.json --members 4",
-    "predict map": "twin predict short.toml --soil-map map.json --members 4",
+    "predict map": "twin predict short.toml --soil map.json --members 4",
     "compare drives": "twin compare predicted states/states.csv --positions states/positions.csv",
     "history": "twin history belief.json",
     "reproduce": "reproduce --part soil",

@@ -138,11 +138,11 @@ def forces(
         refuse(used, ("--member", *UNCERTAIN), "belongs to --motion; give that, or leave it out")
         return _predicted(output, given, used, (plan, rover, terrain, interpolation))
     refuse(used, PREDICTED, "has no use with --motion, which is measured and not driven; leave it out")
-    from .predict_report import read_scene
+    from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
 
     drawn = bool(used & set(UNCERTAIN))
-    scene = read_scene(plan, rover, terrain, soil, interpolation, soil_counts=not drawn)
-    if scene.soil is not None:
+    scene = read_drive_inputs(plan, rover, terrain, interpolation, soil=soil, soil_counts=not drawn)
+    if not scene.given.one_soil:
         raise typer.BadParameter("--motion is held on one soil; give the belief as --belief")
     if not drawn:
         from .forces_report import held_report
@@ -166,21 +166,20 @@ def refuse(used: set[str], names: tuple[str, ...], why: str) -> None:
 
 
 def _predicted(output: Output, given: dict[str, Any], used: set[str], scenery: tuple[Any, ...]) -> Report:
-    from .forces_report import predicted_report
-    from .predict_report import read_scene
-    from .soils import Soils, drive
+    from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
+    from lunarsci.twin.jobs.soils import Soils
 
-    sweep, members, samples = (given[name] for name in ("--sweep", "--members", "--samples"))
+    from .forces_report import predicted_report
+    from .soils import drive
+
+    sweep, members = given["--sweep"], given["--members"]
     plan, rover, terrain, interpolation = scenery
-    if samples is not None and samples.lower().endswith(".json"):
-        refuse(used, ("--soil",), "and a belief as --samples are two ways to name the soils; give one")
-    scene = read_scene(plan, rover, terrain, given["--soil"], interpolation, given["--fixes"])
-    drawn = scene.soil is not None or members is not None or scene.plan.fixes is not None
-    if not drawn and not (samples or "").lower().endswith(".json"):
-        refuse(used, ("--seed",), "has nothing to draw; give --members, --samples or --fixes, or leave it out")
-    alone = sweep is None and members is None and samples is None and scene.soil is None
-    soils = Soils.of([] if alone else sweep, members, samples, given["--seed"] or 0, scene.soil)
-    soils.check(scene)
+    soil = [name for name in (given["--soil"], given["--samples"]) if name is not None]
+    scene = read_drive_inputs(plan, rover, terrain, interpolation, soil=soil, fixes=given["--fixes"])
+    alone = sweep is None and members is None and scene.given.one_soil
+    soils = Soils.of(scene, [] if alone else sweep, members, given["--seed"] or 0)
+    if soils.drawn_by is None:
+        refuse(used, ("--seed",), "has nothing to draw; give --members, --soil or --fixes, or leave it out")
     with progress("driving", quiet=output.quiet) as update:
-        prediction = drive(scene, soils, given["--time-step"] or 0.1, given["--sample"] or 0.1, update)
-        return predicted_report(scene, prediction, soils.record(scene), soils.drawn_by(scene))
+        prediction = drive(soils, given["--time-step"] or 0.1, given["--sample"] or 0.1, update)
+        return predicted_report(soils.inputs, prediction, soils.record(), soils.drawn_by)

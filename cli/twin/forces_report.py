@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from lunarsci.inputs import read_input
+from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs
 from lunarsci.twin.judgement.load_check import Spread, WheelLoads, wheel_loads
 from lunarsci.twin.judgement.tables import held_table, state_table
 from lunarsci.twin.loads.prescribed_motion import PrescribedLoads, prescribed_loads
@@ -16,7 +17,6 @@ from lunarsci.twin.simulation.ensemble import Prediction
 
 from ..shared.report import Report
 from ..shared.table import TextTable
-from .predict_report import SOURCES, DriveInputs, soil_notes
 
 __all__ = ["held_report", "predicted_report"]
 
@@ -38,6 +38,7 @@ def predicted_report(scene: DriveInputs, prediction: Prediction, soil: dict[str,
     """Forces along a predicted drive, on a `soil` as the result names it; those of all members count alike."""
     states = np.where(prediction.reached[..., None, None], prediction.states, np.nan)
     loads = wheel_loads(prediction.rover.wheels, states)
+    notes = scene.soil_notes(prediction.members, len(prediction.parameters))
     failed = sorted({prediction.outcome_text(int(m)) for m in np.flatnonzero(~prediction.finished)})
     drives = "1 drive" if prediction.members == 1 else f"{prediction.members} drives"
     title = f"Wheel forces of {drives}: {scene.plan.name}, on {scene.terrain.name}"
@@ -57,7 +58,7 @@ def predicted_report(scene: DriveInputs, prediction: Prediction, soil: dict[str,
             "missing": None,
             "soil": soil,
         },
-        tables=_tables(title, loads, [*soil_notes(scene, prediction), *_notes(scene, failed)]),
+        tables=_tables(title, loads, [*notes, *_notes(scene, failed)]),
         rows=_rows(state_table(prediction)),
         figures=figures,
         inputs=scene.inputs,

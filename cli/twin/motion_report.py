@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 import typer
 
+from lunarsci.csv_table import csv_bytes
 from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
 from lunarsci.regolith.prior import PARAMETERS, prior_hash
 from lunarsci.twin.ground.driven_soil import DrivenSoil, soil_record
+from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs
 from lunarsci.twin.judgement.load_check import force_table
 from lunarsci.twin.loads.alternating import AlternatingEstimate, alternate
 from lunarsci.twin.loads.load_ensemble import BALANCE_ERROR, DRAWS, draw_loads
@@ -21,7 +23,6 @@ from lunarsci.twin.plans.motion import CORRELATION_M, Motion, correlation_of, re
 
 from ..shared.report import Report
 from .motion_tables import doubt_of, motion_result, motion_tables
-from .predict_report import SOURCES, DriveInputs, csv_bytes
 
 __all__ = ["Told", "motion_report"]
 

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from lunarsci.twin.jobs.drive_inputs import DriveInputs
 from lunarsci.twin.loads.alternating import AlternatingEstimate
 from lunarsci.twin.loads.load_ensemble import TOTALS, LoadEnsemble, Shares
 from lunarsci.twin.loads.prescribed_motion import FORCES
 from lunarsci.twin.outcomes import FINISHED, OUTCOMES
 
 from ..shared.table import TextTable
-from .predict_report import DriveInputs
 
 __all__ = ["doubt_of", "motion_result", "motion_tables"]
 

@@ -58,16 +58,22 @@ def predict(
 
         output.check_extra("--animate", animate, FORMATS)
         check_format(animate)
-    from .predict_report import predict_report, read_scene
-    from .soils import Soils, drive, with_physics, with_verdict
+    from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
+    from lunarsci.twin.jobs.soils import Soils
 
-    scene = read_scene(plan, rover, terrain, soil, interpolation, fixes, judged=True, ruts=ruts, before=before)
-    soils = Soils.of(sweep, members, samples, seed or 0, scene.soil, soil_map)
-    soils.check(scene, seed_given=seed is not None)
+    from .predict_report import predict_report
+    from .soils import drive, with_physics, with_verdict
+
+    given = [name for name in (soil, samples, soil_map) if name is not None]
+    scene = read_drive_inputs(
+        plan, rover, terrain, interpolation, soil=given, fixes=fixes, judged=True, ruts=ruts, before=before
+    )
+    soils = Soils.of(scene, sweep, members, seed or 0)
+    soils.warn_of_seed(seed)
     with progress("driving", quiet=output.quiet) as update:
-        prediction = with_physics(scene, soils, drive(scene, soils, time_step, sample, update))
-    ground = soils.record(scene)
-    seed = soils.drawn_by(scene)
-    kind = soils.kind(scene)
-    report = predict_report(scene, prediction, kind, ground, seed=seed, film=animate, quiet=output.quiet)
+        prediction = with_physics(soils, drive(soils, time_step, sample, update))
+    ground = soils.record()
+    report = predict_report(
+        soils.inputs, prediction, soils.kind, ground, seed=soils.drawn_by, film=animate, quiet=output.quiet
+    )
     return with_verdict(report, soils.verdict)

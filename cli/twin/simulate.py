@@ -51,14 +51,14 @@ def simulate(
     With -o DIR the telemetry goes to telemetry.csv, the depth of the track to track.csv, and the truth behind both to
     truth.csv. All of it is made up and says so. `lunarsci twin states` reads the first two.
     """
+    from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
     from lunarsci.twin.telemetry.simulated import SensorErrors
 
-    from .predict_report import read_scene
     from .simulate_report import simulate_report, simulated
 
     errors = SensorErrors(fix_distance_m=fix_distance, fix_sigma_m=fix_sigma, yaw_deg=yaw_sigma, track_m=track_sigma)
-    scene = read_scene(plan, rover, terrain, soil, interpolation, ruts=ruts, before=before)
-    if scene.soil is not None:
+    scene = read_drive_inputs(plan, rover, terrain, interpolation, soil=soil, ruts=ruts, before=before)
+    if not scene.given.one_soil:
         raise typer.BadParameter(f"--soil {soil} is a belief, and the truth is one soil; give a name or a TOML file")
     with progress("driving", quiet=output.quiet) as update:
         drive = simulated(scene, errors, seed, time_step, sample, update)

@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lunarsci.csv_table import csv_bytes
+from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs
 from lunarsci.twin.judgement.tables import state_table
 from lunarsci.twin.simulation.ensemble import predict
 from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
 
 from ..shared.report import Report
 from ..shared.table import TextTable
-from .predict_report import SOURCES, DriveInputs, csv_bytes
 
 if TYPE_CHECKING:
     import pandas as pd

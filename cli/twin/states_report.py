@@ -5,10 +5,12 @@ from typing import Any
 
 import numpy as np
 
+from lunarsci.csv_table import csv_bytes
 from lunarsci.inputs import read_input
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.ground.terrain_files import read_terrain
+from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
 from lunarsci.twin.telemetry.filter import EFFECTS
 from lunarsci.twin.telemetry.reading import Findings, read_telemetry
 from lunarsci.twin.telemetry.sinkage import RutPoints, is_table_of_ruts, read_track, with_sinkage
@@ -23,7 +25,6 @@ from lunarsci.twin.telemetry.states import (
 
 from ..shared.report import Report
 from ..shared.table import TextTable
-from .predict_report import SOURCES, DriveInputs, csv_bytes, read_scene
 
 __all__ = ["Sent", "states_report"]
 
@@ -45,7 +46,7 @@ class Sent:
         cls, telemetry: str, plan: str | None, rover: str | None, terrain: str, interpolation: str, track: str | None
     ) -> "Sent":
         """Read the files and find the states."""
-        scene = read_scene(plan, rover, terrain, None, interpolation, soil_counts=False)
+        scene = read_drive_inputs(plan, rover, terrain, interpolation, soil_counts=False)
         source = read_input(telemetry)
         scene.inputs[telemetry] = source.sha256
         findings = Findings(source.name)

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import typer
 
+from lunarsci.csv_table import csv_bytes
 from lunarsci.inputs import read_input
 from lunarsci.provenance import sha256
 from lunarsci.regolith.soil import read_soil, soil_hash
@@ -18,16 +19,15 @@ from lunarsci.twin.ground.mobility import Mobility, read_mobility
 from lunarsci.twin.ground.synthetic import synthetic_longji, synthetic_terrain
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.ground.terrain_files import TerrainFile, maps_bytes, maps_geotiff, read_terrain_file, terrain_bytes
+from lunarsci.twin.jobs.drive_inputs import DEFAULT_SOIL
 from lunarsci.twin.plans.plan import read_plan
 from lunarsci.twin.plans.plan_files import plan_text
-from lunarsci.twin.plans.rover_limits import limits_of_rover
+from lunarsci.twin.plans.rover_check import RoverCheck, limits_of_rover
 from lunarsci.twin.routes.planner import PlannedPath, path_table, plan_path
 from lunarsci.twin.rover import Rover, build_rover
 
 from ..shared.report import Report
 from ..shared.table import TextTable
-from .made_for import RoverCheck
-from .predict_report import DEFAULT_SOIL, csv_bytes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,9 +14,9 @@ from lunarsci.twin.assimilation.update import SoilUpdate
 from lunarsci.twin.ground.soil_layers import soil_layers
 from lunarsci.twin.ground.soil_map import SoilMap, Zone, read_soil_map, soil_map_bytes
 from lunarsci.twin.ground.terrain_files import terrain_bytes
+from lunarsci.twin.jobs.drive_inputs import DriveInputs
 
 from ..shared.table import TextTable
-from .predict_report import DriveInputs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -17,11 +17,11 @@ from lunarsci.twin.assimilation.segments import SoilChange
 from lunarsci.twin.assimilation.update import SoilUpdate, assimilate
 from lunarsci.twin.ground.driven_soil import DrivenSoil, soil_record
 from lunarsci.twin.ground.soil_map import SoilMap
+from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
 
 from ..shared.report import Report
 from ..shared.table import TextTable
 from .discrepancy import discrepancy_table
-from .predict_report import SOURCES, DriveInputs, read_scene
 from .update_map import (
     MapFiles,
     MapUpdate,
@@ -80,7 +80,7 @@ class UpdateInputs:
         files_of_map: MapFiles,
     ) -> "UpdateInputs":
         """Read the files."""
-        scene = read_scene(plan, rover, terrain, None, interpolation, soil_counts=False)
+        scene = read_drive_inputs(plan, rover, terrain, interpolation, soil_counts=False)
         files = {path: read_input(path) for path in (states, positions) if path is not None}
         record = read_record(files[states], scene.rover, positions=files[positions] if positions else None)
         soil_map = read_map_before(files_of_map, scene)

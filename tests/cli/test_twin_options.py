@@ -207,5 +207,5 @@ def test_fixes_need_a_leg_after_them(run: Run, short_plan: Path) -> None:
 def test_a_seed_that_draws_nothing_is_said(run: Run, short_plan: Path) -> None:
     grid = ("twin", "predict", short_plan, "--sweep", "cohesion_pa=100:500:2", *QUICK)
     idle, drawn = run(*grid, "--seed", "3"), run(*grid, "--seed", "3", "--members", "2")
-    assert any("--seed has nothing to draw" in line for line in idle.err) and drawn.err == []
+    assert any("the seed has nothing to draw" in line for line in idle.err) and drawn.err == []
     assert [driven(done)[1]["seed"] for done in (idle, drawn)] == [None, 3]

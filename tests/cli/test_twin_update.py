@@ -74,7 +74,7 @@ def test_ruts_are_driven_as_options_and_belief_say(run: Run, short_plan: Path, t
     assert [driven("--soil", path, "--members", "4")[0] for path in (met, none)] == [True, False]
     assert driven("--soil", met, "--members", "4", "--no-ruts")[0] is False
     idle = run("twin", "predict", short_plan, "--before", short_plan, "--no-ruts")
-    assert idle.code == 2 and "--no-ruts" in idle.err[0]
+    assert idle.code == 2 and "--ruts are left out" in idle.err[0]
 
 
 @pytest.mark.parametrize(

@@ -5,10 +5,10 @@ import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from importlib.resources import files
-from pathlib import Path
 from typing import Any, Literal
 
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.inputs import Source, read_input
 from lunarsci.rovers.description import MadeFor
 from lunarsci.twin.ground.terrain import soil_override
 from lunarsci.twin.rover import Rover
@@ -258,19 +258,20 @@ def parse_fixes(text: str) -> Fixes:
     return Fixes(position, heading)
 
 
-def read_plan(path: str | Path | None = None) -> Plan:
+def read_plan(source: "Source | None" = None) -> Plan:
     """Read a plan from a TOML file, or the embedded one. Raises DataError.
 
     A file without [limits] gets those of the embedded plan; one without [sweep] sweeps nothing.
     """
     embedded = (files(__package__) / "plan.toml").read_text("utf-8")
-    if path is None:
+    if source is None:
         return parse_plan(embedded, "the embedded plan")
+    file = read_input(source)
     try:
-        text = Path(path).read_text("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"{path}: not a readable TOML file") from error
-    return parse_plan(text, str(path))
+        text = file.data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise DataError(f"{file.name}: not a readable TOML file") from error
+    return parse_plan(text, file.name)
 
 
 def parse_plan(text: str, origin: str) -> Plan:

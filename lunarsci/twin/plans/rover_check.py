@@ -1,20 +1,59 @@
-"""Whether a plan and a terrain were made for the rover that is to drive, and whose soil lies on the ground."""
+"""Whether a plan and a terrain were made for the rover that is to drive, and what is safe where a plan does not say."""
 
+import math
 import warnings
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import typer
-
-from lunarsci.errors import LunarSciWarning
+from lunarsci.errors import LunarSciWarning, RequestError
 from lunarsci.rovers.description import MadeFor, RoverDescription
 from lunarsci.twin.ground.driven_soil import DrivenSoil
+from lunarsci.twin.ground.mobility import read_mobility
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS
-from lunarsci.twin.plans.plan import Plan
-from lunarsci.twin.plans.rover_limits import laxer, limits_of_rover
+from lunarsci.twin.plans.plan import Limit, Plan
 from lunarsci.twin.rover import Rover
 
-__all__ = ["RoverCheck"]
+__all__ = ["RoverCheck", "laxer", "limits_of_rover"]
+
+SINKAGE_IN_RADII = 1.0 / 3.0
+"""Assumed, as in the embedded plan."""
+
+
+def limits_of_rover(limits: Iterable[Limit], description: RoverDescription, rover: Rover) -> tuple[Limit, ...]:
+    """Limits with those of the rover in place: sinkage a third of the wheel radius, tilt its steepest slope.
+
+    A limit that has this value already stays as it is. Both are assumed of the twin: no rover file has them.
+    """
+    own = _own(description, rover)
+    return tuple(_replaced(limit, *own[limit.quantity]) if limit.quantity in own else limit for limit in limits)
+
+
+def laxer(limits: Iterable[Limit], description: RoverDescription, rover: Rover) -> list[str]:
+    """Where limits allow more than those of the rover do: `sinkage_m 0.05 > 0.025`."""
+    own = _own(description, rover)
+    return [
+        f"{limit.quantity} {limit.limit:g} > {own[limit.quantity][0]:g}"
+        for limit in limits
+        if limit.quantity in own and limit.limit > own[limit.quantity][0] * (1 + 1e-9)
+    ]
+
+
+def _own(description: RoverDescription, rover: Rover) -> dict[str, tuple[float, str]]:
+    return {
+        "sinkage_m": (SINKAGE_IN_RADII * rover.wheel.radius_m, "a third of the wheel radius"),
+        "tilt_deg": (
+            read_mobility(description, rover).max_slope_deg,
+            "the steepest slope of the rover's limits, taken as a limit of the tilt",
+        ),
+    }
+
+
+def _replaced(limit: Limit, value: float, source: str) -> Limit:
+    if math.isclose(limit.limit, value, rel_tol=1e-9):
+        return limit
+    return replace(limit, limit=value, source=source, assumed=True)
+
 
 EMBEDDED = "the embedded plan"
 
@@ -38,7 +77,7 @@ class RoverCheck:
         warnings.warn(text, LunarSciWarning, stacklevel=3)
 
     def plan(self, plan: Plan, path: str | None, *, judged: bool) -> Plan:
-        """The plan with limits of this rover. Raises a usage error for a plan that another rover should drive.
+        """The plan with limits of this rover. Raises RequestError for a plan that another rover should drive.
 
         A plan without limits of its own, and the embedded one, is judged by the rover's own.
         """
@@ -51,18 +90,18 @@ class RoverCheck:
         return plan
 
     def _refuse(self, plan: Plan, made: MadeFor, path: str, *, judged: bool) -> None:
-        """A usage error where nobody asked for this rover, or where the limits allow more than its own."""
+        """RequestError where nobody asked for this rover, or where the limits allow more than its own."""
         own = self.description.origin
         if not self.asked:
-            raise typer.BadParameter(
-                f"{path} was made for {made.name}; give --rover {made.rover}, or --rover {own} to drive it with that "
+            raise RequestError(
+                f"{path} was made for {made.name}; give `rover` {made.rover}, or `rover` {own} to drive it with that "
                 "all the same"
             )
         beyond = laxer(plan.limits, self.description, self.rover) if judged else []
         if beyond:
-            raise typer.BadParameter(
+            raise RequestError(
                 f"{path} was made for {made.name}, and its limits are laxer than those of {self.rover.name} "
-                f"({', '.join(beyond)}); plan with `twin terrain --rover {own}`, or write its [limits] for this rover "
+                f"({', '.join(beyond)}); plan with `rover` {own}, or write its [limits] for this rover "
                 "and take [made_for] out"
             )
 
@@ -75,9 +114,7 @@ class RoverCheck:
         if not driven.replaced:
             return
         what = "" if len(driven.replaced) == len(SOIL_COLUMNS) else f" ({', '.join(driven.replaced)})"
-        self.say(
-            f"--soil {driven.name} takes the place of the soil that {path} carries{what}; leave it out to keep that"
-        )
+        self.say(f"soil {driven.name} takes the place of the soil that {path} carries{what}; leave it out to keep that")
 
     def _judged_by_its_own(self, plan: Plan, path: str | None) -> Plan:
         limits = limits_of_rover(plan.limits, self.description, self.rover)

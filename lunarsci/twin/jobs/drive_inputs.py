@@ -1,0 +1,274 @@
+"""What drives where: plan, rover, terrain and soil of a drive, read and checked against each other."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from lunarsci.errors import ParameterError, RequestError
+from lunarsci.inputs import InputFile, Source, read_input
+from lunarsci.provenance import sha256
+from lunarsci.regolith.belief import SoilBelief, read_belief
+from lunarsci.regolith.soil import known_soils, read_soil, soil_hash
+from lunarsci.rovers.description import RoverDescription, read_rover
+from lunarsci.twin.ground.driven_soil import DrivenSoil, lay_soil_on, soil_record
+from lunarsci.twin.ground.soil_map import SCHEMA as MAP_SCHEMA
+from lunarsci.twin.ground.soil_map import SoilMap, read_soil_map
+from lunarsci.twin.ground.synthetic import synthetic_longji
+from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain
+from lunarsci.twin.ground.terrain_files import TerrainFile, read_terrain_file
+from lunarsci.twin.plans.plan import Fixes, Plan, parse_fixes, read_plan
+from lunarsci.twin.plans.rover_check import RoverCheck
+from lunarsci.twin.rover import Rover, build_rover
+
+__all__ = ["DEFAULT_SOIL", "SOURCES", "DriveInputs", "GivenSoil", "named_option", "no_use", "read_drive_inputs"]
+
+SYNTHETIC = "synthetic-longji"
+SOURCES = [
+    "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8",
+    "Janosi & Hanamoto (1961), Proc. 1st Int. Conf. Mechanics of Soil-Vehicle Systems, Turin, 707",
+]
+DEFAULT_ROVER, DEFAULT_SOIL = "yutu2", "longji"
+"""Where none is given; the soil also lies under a belief, where it is nowhere used: this replaces every parameter."""
+
+
+@dataclass(frozen=True, slots=True)
+class GivenSoil:
+    """What was given as the soil: a soil that lies everywhere, and a file that has one for each drive.
+
+    Attributes
+    ----------
+    named : a soil's name, or its TOML file; None where none was given.
+    file, of : the file with soils for the drives, and what it is: a `belief`, a `map` of beliefs, or `samples` in rows.
+    belief, soil_map : what it holds.
+    """
+
+    named: str | None = None
+    file: InputFile | None = None
+    of: Literal["none", "belief", "map", "samples"] = "none"
+    belief: SoilBelief | None = None
+    soil_map: SoilMap | None = None
+
+    @classmethod
+    def read(cls, soil: str | Sequence[str] | None) -> "GivenSoil":
+        """Read names and files, each taken for what is in it.
+
+        Raises RequestError where one of them leaves no room for another, DataError for a file that is no soil.
+        """
+        found = cls()
+        for name in (soil,) if isinstance(soil, str) else soil or ():
+            found = found._with(name)
+        if found.named is not None and found.of in ("belief", "map"):
+            raise RequestError(no_use(found.named, found.name))
+        return found
+
+    @property
+    def name(self) -> str:
+        """Of the file with soils for the drives; '' where there is none."""
+        return "" if self.file is None else self.file.name
+
+    @property
+    def one_soil(self) -> bool:
+        """Whether all drives have one soil."""
+        return self.file is None
+
+    def _with(self, name: str) -> "GivenSoil":
+        file = None if _is_name(name) else read_input(name)
+        is_json = file is not None and (file.data.lstrip().startswith(b"{") or name.lower().endswith(".json"))
+        if file is None or (not is_json and _is_toml(file)):
+            if self.named is not None:
+                raise RequestError(f"{self.named} and {name} as `soil` are two ways to name the soil; give one")
+            return replace(self, named=name)
+        if self.file is not None:
+            raise RequestError(f"{self.name} and {name} as `soil` are two ways to name the soils; give one")
+        if not is_json:
+            return replace(self, file=file, of="samples")
+        if MAP_SCHEMA.encode() in file.data:
+            return replace(self, file=file, of="map", soil_map=read_soil_map(file))
+        return replace(self, file=file, of="belief", belief=read_belief(file))
+
+    def to_dict(self) -> dict[str, Any]:
+        """For the result: the drives that a belief rests on, and those of them that taught it something."""
+        if self.belief is None:
+            return {}
+        return {"belief": self.name, "drives": len(self.belief.history), "learned_from": self.learned}
+
+    @property
+    def learned(self) -> int:
+        """Drives that the belief rests on, without those from which nothing was learned."""
+        return sum(not entry.get("refused") for entry in self.belief.history) if self.belief else 0
+
+
+def _is_name(name: str) -> bool:
+    """Whether a soil is no file: what neither exists nor looks like a table is left to the list of known soils."""
+    return name in known_soils() or not (
+        name == "-" or Path(name).is_file() or name.lower().endswith((".json", ".csv"))
+    )
+
+
+def _is_toml(file: InputFile) -> bool:
+    """By the first line that is no comment: a key and its value, or a table's header."""
+    lines = (line.strip() for line in file.data.decode("utf-8", "replace").splitlines())
+    first = next((line for line in lines if line and not line.startswith("#")), "")
+    return "=" in first or first.startswith("[")
+
+
+def no_use(soil: str, other: str) -> str:
+    """Why a soil that no drive meets is refused."""
+    return f"`soil` {soil} has no use beside {other}, which has every parameter of the soil; leave it out"
+
+
+@dataclass(frozen=True, slots=True)
+class DriveInputs:
+    """What drives where: the parsed inputs of a drive and their hashes.
+
+    `driven` says where the soil of the terrain comes from, `given` which soils were asked for, `options` what was taken
+    for options that were left out, `made_for` which rovers plan and terrain were made for, and `remarks` what there is
+    to say about these.
+    """
+
+    rover: Rover
+    description: RoverDescription
+    terrain: Terrain
+    plan: Plan
+    inputs: dict[str, str]
+    tables: dict[str, str]
+    driven: DrivenSoil
+    given: GivenSoil = field(default_factory=GivenSoil)
+    options: dict[str, Any] = field(default_factory=dict)
+    made_for: dict[str, Any] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
+    ruts: bool = False
+    before: Plan | None = None
+
+    def soil_record(self, drawn: Iterable[str] = (), named: DrivenSoil | None = None) -> dict[str, Any]:
+        """The soil for a result; `drawn` are the parameters that every drive has for itself, `named` their file."""
+        return soil_record(named or self.driven, self.terrain, drawn) | self.given.to_dict()
+
+    def soil_notes(self, members: int, drawn: int) -> list[str]:
+        """Which soil `members` drives have, where it is not the common one, and what a belief in its place means.
+
+        `drawn` is how many parameters each drive has for itself.
+        """
+        belief = self.given.belief
+        if belief is None:
+            named = self.driven.of != "default" and drawn < len(SOIL_COLUMNS)
+            rest = f", what it lacks of {self.driven.rest}" if self.driven.rest else ""
+            return [f"soil: that of {self.driven.name}{rest}"] if named else []
+        start = "no drive yet, only on " + ("the priors" if belief.verdict is None else "a fit to wheel states")
+        drives = start if not belief.history else f"{len(belief.history)} drive(s)"
+        unread = len(belief.history) - self.given.learned
+        less = f", {unread} of which taught nothing" if unread else ""
+        return [
+            f"soil: {members} drawn from the belief {self.given.name}, which rests on {drives}{less}; it takes the "
+            "place of the terrain's soil"
+        ]
+
+    def about(self) -> dict[str, Any]:
+        """Terrain and rover, for a result."""
+        return {
+            "terrain": {"name": self.terrain.name, "synthetic": self.terrain.synthetic},
+            "rover": self.rover.name,
+            "made_for": self.made_for,
+            "assumed_of_rover": list(self.description.assumed),
+        }
+
+
+def read_drive_inputs(
+    plan: "Source | Plan | None",
+    rover: str | None,
+    terrain: str,
+    interpolation: str = "smooth",
+    *,
+    soil: str | Sequence[str] | None = None,
+    fixes: str | None = None,
+    soil_counts: bool = True,
+    judged: bool = False,
+    ruts: bool | None = None,
+    before: "Source | Plan | None" = None,
+) -> DriveInputs:
+    """Read plan, rover, terrain and soil, which may be a belief, a soil map or samples; `fixes` replaces the plan's.
+
+    A rover that is None is Yutu-2. A soil that is given lies everywhere, whatever the terrain's file carries; without
+    one this is driven on, and where it has none, `longji`. Where soils are of no account (`soil_counts`) none is said
+    to be used. The limits of a plan that is `judged` must be those of the rover, or no laxer. `before` is a plan that
+    was driven on the same ground before, whose ruts are met. `ruts` that are None are met with such a plan, and where
+    the belief's last drive met them.
+
+    Raises DataError for what cannot be read, RequestError for what does not belong together.
+    """
+    description = read_rover(rover or DEFAULT_ROVER)
+    built, given = build_rover(description), GivenSoil.read(soil)
+    if before is not None and ruts is False:
+        raise RequestError("`before` leaves nothing but ruts, and `ruts` are left out; give one of them")
+    if ruts is None:
+        ruts = before is not None or (given.belief is not None and given.belief.ruts)
+    file, surface, driven = _read_ground(terrain, given)
+    inputs, tables = _soil_hashes(given, driven if soil_counts else None)
+    drive, earlier = (_read_plan(one, inputs) for one in (plan, before))
+    drive = drive or read_plan()
+    if terrain != SYNTHETIC:
+        inputs[terrain] = read_input(terrain).sha256
+    if fixes is not None and len(drive.legs) < 2:
+        raise RequestError(f"`fixes` steer the next leg, and {drive.origin} has only one; leave them out")
+    check = RoverCheck(description, built, asked=rover is not None)
+    drive = check.plan(drive, None if plan is None else drive.origin, judged=judged)
+    check.terrain(file.made_for, terrain)
+    if soil_counts:
+        check.soil(driven, terrain)
+    return DriveInputs(
+        built,
+        description,
+        replace(surface, interpolation=interpolation),
+        drive if fixes is None else replace(drive, fixes=_parsed_fixes(fixes)),
+        inputs,
+        tables | {f"{description.origin} (rover)": sha256(description.text.encode())},
+        driven,
+        given,
+        {"rover": description.origin} | ({"soil": driven.name} if driven.of == "default" and soil_counts else {}),
+        check.made_for,
+        tuple(check.remarks),
+        ruts,
+        earlier,
+    )
+
+
+def _read_plan(plan: "Source | Plan | None", inputs: dict[str, str]) -> Plan | None:
+    """The plan of a file, whose hash goes to the `inputs`, or the one in memory."""
+    if plan is None or isinstance(plan, Plan):
+        return plan
+    file = read_input(plan)
+    inputs[file.name] = file.sha256
+    return read_plan(file)
+
+
+def _read_ground(terrain: str, given: GivenSoil) -> tuple[TerrainFile, Terrain, DrivenSoil]:
+    """The terrain's file, the terrain with the soil that is driven on, and where this comes from."""
+    name = given.named or DEFAULT_SOIL
+    own = read_soil(name)
+    file = TerrainFile(synthetic_longji(own)) if terrain == SYNTHETIC else read_terrain_file(terrain, own)
+    surface, driven = lay_soil_on(file, terrain, own, name, asked=given.named is not None)
+    return file, surface, driven if given.belief is None else DrivenSoil(given.name, "belief")
+
+
+def _soil_hashes(given: GivenSoil, driven: DrivenSoil | None) -> tuple[dict[str, str], dict[str, str]]:
+    """Hashes of the user's files and of own tables; of the latter only that of the soil that is `driven` on."""
+    inputs, tables = ({}, {}) if given.named is None else soil_hash(given.named)
+    if given.file is not None:
+        inputs = inputs | {given.name: given.file.sha256}
+    if driven is not None and (driven.rest or driven.name) in known_soils():
+        tables = tables | soil_hash(driven.rest or driven.name)[1]
+    return inputs, tables
+
+
+def _parsed_fixes(text: str) -> Fixes:
+    try:
+        return parse_fixes(text)
+    except ParameterError as error:
+        raise RequestError(named_option("fixes", error)) from error
+
+
+def named_option(name: str, error: Exception) -> str:
+    """What is wrong with an option's value, with its name in backticks."""
+    said = str(error)
+    return f"`{name}`{said.removeprefix(name)}" if said.startswith(name) else f"`{name}`: {said}"
