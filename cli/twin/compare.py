@@ -1,55 +1,62 @@
 """`lunarsci twin compare`: what was predicted beside what happened."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lunarsci.errors import RequestError
+from lunarsci.twin.jobs.compare import CompareRequest
+
 from ..shared.command import command
-from ..shared.options import Output
+from ..shared.options import Output, option
 from ..shared.report import Report
-from . import options
+from ..shared.table import TextTable
+
+if TYPE_CHECKING:
+    from lunarsci.twin.comparison.checks import EndCheck, PathCheck
+    from lunarsci.twin.comparison.matched import MatchedObservations, Miss
+    from lunarsci.twin.comparison.verdict import DriveComparison
 
 __all__ = ["add_to"]
+
+FILE: dict[str, Any] = {"kind": str | None, "metavar": "FILE"}
+OPTIONS = {
+    "positions": option("Measured positions (CSV): time_s, x_m, y_m, and sigma_m or xx_m2, xy_m2, yy_m2.", **FILE),
+    "plan": option("Plan that was driven (TOML): refused if another was predicted.", **FILE),
+    "belief": option("Belief (JSON) whose discrepancy of the twin's physics learns from the miss, for --save.", **FILE),
+    "rover": option("Rover: a name (yutu2, small-four) or a TOML file.", show_default="yutu2"),
+    "seed": option("Seed of everything random.", min=0),
+}
+Predicted = Annotated[
+    Path, typer.Argument(metavar="PREDICTED_DIR", help="Folder that `twin predict -o` wrote before the drive.")
+]
+States = Annotated[
+    str,
+    typer.Argument(
+        metavar="STATES.csv", help="Measured wheel states: time_s, wheel, sinkage_m, slip_ratio, ..., NAME_sigma."
+    ),
+]
+SavedBelief = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Takes the belief of --belief with what was learned (JSON).")
+]
+UNITS = {
+    "sinkage_m": ("mm", 1e3),
+    "slip_ratio": ("-", 1.0),
+    "side_slip_deg": ("deg", 1.0),
+    "normal_force_n": ("N", 1.0),
+    "drawbar_pull_n": ("N", 1.0),
+    "lateral_force_n": ("N", 1.0),
+}
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "compare")(compare)
+    command(app, "compare", request=CompareRequest, options=OPTIONS)(compare)
 
 
 def compare(
-    predicted: Annotated[
-        Path, typer.Argument(metavar="PREDICTED_DIR", help="Folder that `twin predict -o` wrote before the drive.")
-    ],
-    states: Annotated[
-        str,
-        typer.Argument(
-            metavar="STATES.csv", help="Measured wheel states: time_s, wheel, sinkage_m, slip_ratio, ..., NAME_sigma."
-        ),
-    ],
-    output: Output,
-    positions: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE", help="Measured positions (CSV): time_s, x_m, y_m, and sigma_m or xx_m2, xy_m2, yy_m2."
-        ),
-    ] = None,
-    plan: Annotated[
-        str | None, typer.Option(metavar="FILE", help="Plan that was driven (TOML): refused if another was predicted.")
-    ] = None,
-    belief: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE",
-            help="Belief (JSON) whose discrepancy of the twin's physics learns from the miss, for --save.",
-        ),
-    ] = None,
-    save: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Takes the belief of --belief with what was learned (JSON).")
-    ] = None,
-    rover: options.RoverName = "yutu2",
-    seed: options.Seed = 0,
+    predicted: Predicted, states: States, request: CompareRequest, output: Output, save: SavedBelief = None
 ) -> Report:
     """Was the prediction to be trusted: where the drive ended, its path and its wheel states beside what was predicted.
 
@@ -61,10 +68,143 @@ def compare(
     With --belief and --save, how far the drive missed teaches a belief how far the twin's physics is off, beside its
     soil: regions of later predictions grow or shrink with it. Compare first, then `twin update` the saved belief.
     """
-    from .compare_report import compare_report, learn, read_meeting
+    from lunarsci.twin.jobs.compare import compare
 
-    if (belief is None) != (save is None):
-        raise typer.BadParameter("--belief FILE and --save FILE belong together; give both, or neither")
+    from .belief_tables import discrepancy_table
+
+    if (request.belief is None) != (save is None):
+        raise RequestError("`belief` FILE and `save` FILE belong together; give both, or neither")
     output.check_extra("--save", save, (".json",))
-    met = read_meeting(predicted, states, positions, plan, rover or "yutu2")
-    return compare_report(met, seed, None if belief is None or save is None else learn(met, belief, save))
+    found = compare(predicted, states, request)
+    tables, before, after = _tables(found.matched, found.found, states), found.before, found.belief
+    if save is None or before is None or after is None:
+        return Report.of(found, tables)
+    lesson = discrepancy_table(after.discrepancy, before.discrepancy)
+    return Report.of(found, [*tables, lesson], extras={save: lambda: after.to_json().encode()})
+
+
+def _tables(matched: "MatchedObservations", found: "DriveComparison", states: str) -> list[TextTable]:
+    from lunarsci.twin.comparison.matched import miss_of
+
+    forecast = matched.forecast
+    drives = (
+        f"{found.finished} of {found.members} drives" if found.finished < found.members else f"{found.members} drives"
+    )
+    title = f"{found.verdict.upper()}: {forecast.plan.name}, {drives} of {forecast.origin}, beside {states}"
+    notes = [f"because {reason}" for reason in found.reasons]
+    head = TextTable(
+        ["place", "what", "value"],
+        [*_end_rows(found.end), *_miss_rows(miss_of(matched)), *_path_rows(found.path)],
+        title=title,
+        notes=notes,
+    )
+    tables = [head if head.rows else TextTable([], [], title=title, notes=notes)]
+    if found.bands:
+        tables.append(_band_table(found))
+    left_out = [f"not compared: {name} ({why})" for name, why in found.not_compared.items()]
+    return [*tables, TextTable([], [], title="What this rests on", notes=[*_whole(found), *found.notes, *left_out])]
+
+
+def _end_rows(end: "EndCheck | None") -> list[list[str]]:
+    if end is None:
+        return []
+    place = "end" if end.at_end else f"at {end.time_s:.0f} s"
+    rows = [
+        [place, "from the middle of the predicted", f"{end.error_m:.3f} m"],
+        [place, "from the planned", f"{end.planned_error_m:.3f} m"],
+        [place, "energy score", f"{end.energy_score_m:.3f} m"],
+    ]
+    if end.standing is not None:
+        rows.append([place, "Mahalanobis distance", f"{end.standing.distance:.2f} sd"])
+        rows.append([place, "probability of such by chance", f"{end.standing.p:.2g}"])
+        held = [f"{share} %" for share, yes in end.regions.items() if yes]
+        rows.append([place, "smallest region that holds it", held[0] if held else "none up to 99 %"])
+    return rows
+
+
+def _path_rows(path: "PathCheck | None") -> list[list[str]]:
+    if path is None:
+        return []
+    rows = [
+        ["path", f"rms error at {len(path.fixes)} positions", f"{path.rms_m:.3f} m"],
+        ["path", f"largest, at {path.worst.time_s:.0f} s, {path.worst.distance_m:.2f} m", f"{path.max_m:.3f} m"],
+    ]
+    if path.inside_90 is not None:
+        rows.append(["path", "positions in their 90 % regions", f"{100 * path.inside_90:.0f} %"])
+    return rows
+
+
+def _band_table(found: "DriveComparison") -> TextTable:
+    headers = [
+        "quantity",
+        "wheel",
+        "n",
+        "worth",
+        "bias",
+        "bias [sd]",
+        "rms",
+        "rms [sd]",
+        "in 90 % bands",
+        "CRPS",
+        "unit",
+    ]
+    rows = []
+    for check in found.bands:
+        unit, factor = UNITS[check.quantity]
+        rows.append(
+            [
+                check.quantity,
+                check.wheel,
+                str(check.n),
+                f"{check.effective:.1f}",
+                f"{factor * check.bias:+.3g}",
+                _or_dash(check.bias_standard, "+.2f"),
+                f"{factor * check.rms:.3g}",
+                _or_dash(check.rms_standard, ".2f"),
+                "-" if check.coverage_90 is None else f"{100 * check.coverage_90:.0f} %",
+                f"{factor * check.crps:.2g}",
+                unit,
+            ]
+        )
+    note = (
+        "bias: measured less predicted; worth: independent values, as neighbours are alike; bands hold measured errors"
+    )
+    return TextTable(headers, rows, title="Wheel states beside their predicted bands", notes=[note])
+
+
+def _or_dash(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+
+
+def _whole(found: "DriveComparison") -> list[str]:
+    """The surprise of the whole drive and what was looked for along it."""
+    lines = []
+    if (whole := found.surprise) is not None:
+        pieces = "1 piece" if whole.pieces == 1 else f"{whole.pieces} pieces"
+        own = whole.standing
+        lines.append(
+            f"surprise of the whole: {own.distance:.1f} sd in {own.dimensions} dimensions ({pieces} of the drive, "
+            f"{', '.join(whole.quantities)}), probability by chance {own.p:.2g}, ln density {own.ln_density:.1f}"
+        )
+    if (change := found.change) is not None:
+        lines.append(f"largest change of the ground: about {change.distance_m:.1f} m on, by chance {change.p:.2g}")
+    return lines
+
+
+def _miss_rows(miss: "Miss | None") -> list[list[str]]:
+    """The last position beside the middle of the soils, for people."""
+    if miss is None:
+        return []
+    return [
+        ["miss", "along, across (left)", f"{miss.along_m:+.3f} m, {miss.across_m:+.3f} m"],
+        [
+            "miss",
+            "as shares of the way",
+            f"{100 * miss.along_share:+.2f} %, {100 * miss.across_share:+.2f} % of {miss.way_m:.1f} m",
+        ],
+        [
+            "miss",
+            "1 sd of soils, place, physics",
+            f"{miss.soil_m:.3f} m, {miss.position_m:.3f} m, {miss.physics_m:.3f} m",
+        ],
+    ]

@@ -1,34 +1,55 @@
 """`lunarsci twin history`: what a belief of the soil rests on, and the way back."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lunarsci.errors import RequestError
+from lunarsci.twin.jobs.history import HistoryRequest
+
 from ..shared.command import command
-from ..shared.options import Output
+from ..shared.options import Output, option
 from ..shared.report import Report
+from ..shared.table import TextTable
+
+if TYPE_CHECKING:
+    from lunarsci.regolith.belief import BeliefDistance, SoilBelief
+    from lunarsci.twin.jobs.history import BeliefHistory
 
 __all__ = ["add_to"]
+
+OPTIONS = {
+    "against": option(
+        "Another belief (JSON) to set beside it, parameter by parameter.", kind=str | None, metavar="FILE"
+    ),
+    "rollback": option("Go back to what was believed after N drives; 0: the priors.", min=0, metavar="N"),
+}
+SavedBelief = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Takes the belief of --rollback (JSON), for `twin update`.")
+]
+SHORT = {
+    "stiffness_kpa_m_n": "K_s",
+    "sinkage_exponent": "N",
+    "sinkage_exponent_slip": "n_1",
+    "cohesion_pa": "c",
+    "friction_angle_deg": "φ",
+    "shear_modulus_mm": "K_x",
+    "external_friction_angle_deg": "φ_y",
+    "lateral_modulus_mm": "K_y",
+}
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "history")(history)
+    command(app, "history", request=HistoryRequest, options=OPTIONS)(history)
 
 
 def history(
     belief: Annotated[str, typer.Argument(metavar="BELIEF.json", help="A belief of `twin update --save`.")],
+    request: HistoryRequest,
     output: Output,
-    against: Annotated[
-        str | None, typer.Option(metavar="FILE", help="Another belief (JSON) to set beside it, parameter by parameter.")
-    ] = None,
-    rollback: Annotated[
-        int | None, typer.Option(min=0, metavar="N", help="Go back to what was believed after N drives; 0: the priors.")
-    ] = None,
-    save: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Takes the belief of --rollback (JSON), for `twin update`.")
-    ] = None,
+    save: SavedBelief = None,
 ) -> Report:
     """What drives a belief of the soil rests on, how each moved it, and where it differs from another.
 
@@ -37,9 +58,89 @@ def history(
     Nth: mean and covariance come back to the digit, soils drawn at that moment do not, so the belief is a normal law
     from there on.
     """
-    from .history_report import history_report, read_beliefs
+    from lunarsci.twin.jobs.history import history
 
-    if (rollback is None) != (save is None):
-        raise typer.BadParameter("--rollback N and --save FILE belong together; give both, or neither")
+    if (request.rollback is None) != (save is None):
+        raise RequestError("`rollback` N and `save` FILE belong together; give both, or neither")
     output.check_extra("--save", save, (".json",))
-    return history_report(read_beliefs(belief, against), rollback, save)
+    found = history(belief, request)
+    back = found.rolled_back
+    extras = {} if save is None or back is None else {save: lambda: back.to_json().encode()}
+    return Report.of(found, _tables(found, save), extras=extras)
+
+
+def _tables(found: "BeliefHistory", save: Path | None) -> list[TextTable]:
+    from lunarsci.regolith.ground_law import parameter_rows
+
+    from .belief_tables import parameter_table
+
+    now = parameter_table(parameter_rows(found.belief), "What is believed now")
+    drives = found.drives
+    tables = [_drive_table(found.source.name, drives), _moved_table(drives), now, _physics_table(found.belief)]
+    if found.distance is not None and found.other_source is not None:
+        tables.append(_distance_table((found.source.name, found.other_source.name), found.distance))
+    if found.rolled_back is not None:
+        title = f"What was believed after {found.rollback} drive(s), written to {save}"
+        tables.append(parameter_table(parameter_rows(found.rolled_back), title))
+    return [table for table in tables if table.rows or table.notes]
+
+
+def _drive_table(name: str, drives: list[dict[str, Any]]) -> TextTable:
+    headers = ["drive", "states", "plan", "values", "outliers", "reduced chi-square", "surprise", "forgotten before"]
+    rows = [
+        [
+            str(drive["drive"]),
+            *(str(drive[key] or "-") for key in ("states", "plan")),
+            *("-" if drive[key] is None else str(drive[key]) for key in ("values", "outliers")),
+            *("-" if drive[key] is None else f"{drive[key]:.2f}" for key in ("reduced_chi_square", "surprise")),
+            "-" if not drive["forgotten"] else f"{100 * drive['forgotten']:.0f} %",
+        ]
+        for drive in drives
+    ]
+    if not drives:
+        return TextTable([], [], title=f"{name} rests on no drive", notes=["it holds the priors"])
+    learned = sum(drive["refused"] is None for drive in drives)
+    notes = [f"drive {d['drive']} taught nothing: {d['refused']}" for d in drives if d["refused"]]
+    return TextTable(headers, rows, title=f"{name} rests on {learned} drive(s)", notes=notes)
+
+
+def _moved_table(drives: list[dict[str, Any]]) -> TextTable:
+    rows = [[str(d["drive"]), *(f"{d['moved_sd'][name]:+.2f}" for name in SHORT)] for d in drives if d["moved_sd"]]
+    lost = [str(d["drive"]) for d in drives if d["moved_sd"] is None]
+    older = "the file does not keep the states about drive(s)"
+    notes = [f"{older} {', '.join(lost)}, of an older version; to there is no way back"] if lost else []
+    title = "How far each drive moved the parameters, in standard deviations of what was believed before"
+    return TextTable(["drive", *SHORT.values()] if rows else [], rows, title=title, notes=notes)
+
+
+def _physics_table(belief: "SoilBelief") -> TextTable:
+    """What the twin's physics is off by, and the drives that taught it."""
+    from .belief_tables import discrepancy_table
+
+    found = discrepancy_table(belief.discrepancy)
+    lines = [f"taught by {one.get('states')} ({one.get('how')})" for one in belief.discrepancy.scored]
+    return TextTable(found.headers, found.rows, title=found.title, notes=[*found.notes, *lines])
+
+
+def _distance_table(names: tuple[str, str], distance: "BeliefDistance") -> TextTable:
+    rows = [
+        [
+            name,
+            *(f"{middle:.4g} ({low:.4g} to {high:.4g})" for middle, low, high in (row.one, row.other)),
+            f"{row.difference_sd:+.2f}",
+            f"{row.bhattacharyya:.3f}",
+        ]
+        for name, row in distance.parameters.items()
+    ]
+    one, other = distance.kullback_leibler
+    shared = f"both rest on the same first {distance.shared_drives} drive(s), and are no independent witnesses of them"
+    notes = [
+        f"as a whole {distance.difference_sd:.2f} combined standard deviations apart; Bhattacharyya distance "
+        f"{distance.bhattacharyya:.2f}; Kullback-Leibler {one:.2f} nat lost where the first stands for the second, "
+        f"{other:.2f} the other way round",
+        shared if distance.shared_drives else "they share no drive",
+    ]
+    title = f"{names[0]} beside {names[1]}: median (68 %)"
+    return TextTable(
+        ["parameter", "first", "second", "difference [sd]", "Bhattacharyya"], rows, title=title, notes=notes
+    )

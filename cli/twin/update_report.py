@@ -21,7 +21,7 @@ from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inp
 
 from ..shared.report import Report
 from ..shared.table import TextTable
-from .discrepancy import discrepancy_table
+from .belief_tables import discrepancy_table
 from .update_map import (
     MapFiles,
     MapUpdate,

@@ -6,7 +6,7 @@ so the ground's own, which another instrument would measure, are known less well
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from types import MappingProxyType
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy.typing as npt
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.prior import PARAMETERS, values_of
 
-__all__ = ["OTHER_PHYSICS", "GroundInterval", "ground_intervals", "ground_moments"]
+__all__ = ["OTHER_PHYSICS", "GroundInterval", "ground_intervals", "ground_moments", "parameter_rows"]
 
 FloatArray = npt.NDArray[np.float64]
 OTHER_PHYSICS: Mapping[str, float] = MappingProxyType(
@@ -70,3 +70,16 @@ def ground_intervals(belief: SoilBelief) -> dict[str, GroundInterval]:
     points = np.stack([mean + k * spread for k in (0.0, -1.0, 1.0, -NINETY_FIVE, NINETY_FIVE)])
     rows = values_of(belief.laws, points)
     return {name: GroundInterval(*map(float, column)) for name, column in zip(PARAMETERS, rows.T, strict=True)}
+
+
+def parameter_rows(belief: SoilBelief) -> dict[str, dict[str, float]]:
+    """By parameter: effective median and 68 % interval, posterior over prior standard deviation, and the ground's own.
+
+    Keys `median`, `low`, `high`, `left_of_prior`, and `ground_` with those of `GroundInterval`.
+    """
+    left, ground = belief.left_of_prior, ground_intervals(belief)
+    return {
+        name: {"median": median, "low": low, "high": high, "left_of_prior": left[name]}
+        | {f"ground_{key}": value for key, value in asdict(ground[name]).items()}
+        for name, (median, low, high) in belief.intervals().items()
+    }

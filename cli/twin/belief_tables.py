@@ -1,12 +1,27 @@
-"""What the twin's physics is off by, as a table for people."""
+"""What is believed of a soil, and of what the twin's physics is off by, as tables for people."""
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 
 from ..shared.table import TextTable
 
-__all__ = ["discrepancy_table"]
+__all__ = ["discrepancy_table", "parameter_table"]
+
+
+def parameter_table(rows: Mapping[str, Mapping[str, float]], title: str, notes: Sequence[str] = ()) -> TextTable:
+    """Effective values and the ground's own of each parameter, from `parameter_rows`."""
+    cells = [
+        [
+            name,
+            *(f"{row[key]:.4g}" for key in ("median", "low", "high", "ground_low_68", "ground_high_68")),
+            f"{100 * row['left_of_prior']:.0f} %",
+        ]
+        for name, row in rows.items()
+    ]
+    headers = ["effective value", "median", "68 % from", "to", "ground's own from", "to", "left of the prior"]
+    return TextTable(headers, cells, title=title, notes=notes)
 
 
 def discrepancy_table(after: PhysicsDiscrepancy, before: PhysicsDiscrepancy | None = None) -> TextTable:

@@ -1,0 +1,258 @@
+"""What was predicted beside what happened, and what a belief's discrepancy learns from the miss."""
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lunarsci.errors import DataError, LunarSciWarning, ParameterError
+from lunarsci.inputs import InputFile, Source, read_input
+from lunarsci.provenance import sha256
+from lunarsci.result import MadeFrom, Result, request_of
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+    from matplotlib.figure import Figure
+
+    from lunarsci.regolith.belief import SoilBelief
+    from lunarsci.twin.assimilation.drive_record import DriveRecord
+    from lunarsci.twin.comparison.checks import BandCheck, EndCheck
+    from lunarsci.twin.comparison.forecast import Forecast
+    from lunarsci.twin.comparison.matched import MatchedObservations
+    from lunarsci.twin.comparison.scores import Standing
+    from lunarsci.twin.comparison.verdict import DriveComparison
+    from lunarsci.twin.rover import Rover
+
+__all__ = ["CompareRequest", "ComparedDrive", "compare"]
+
+SOURCES = [
+    "Hotelling (1931), Ann. Math. Stat. 2, 360, 10.1214/aoms/1177732979",
+    "Besag & Clifford (1989), Biometrika 76, 633, 10.1093/biomet/76.4.633",
+    "Gneiting & Raftery (2007), J. Am. Stat. Assoc. 102, 359, 10.1198/016214506000001437",
+    "Sokal (1997), Monte Carlo methods in statistical mechanics, 10.1007/978-1-4899-0319-8_6",
+]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CompareRequest:
+    """What to hold a prediction against, beside the wheel states.
+
+    Attributes
+    ----------
+    positions : measured, as a table of time_s, x_m, y_m and their errors.
+    plan : that was driven; refused if another was predicted.
+    belief : whose discrepancy of the twin's physics learns from the miss.
+    rover : as it was predicted for; a name or a TOML file.
+    seed : of the errors of measurement that are given to the members.
+    """
+
+    positions: str | Any | None = None
+    plan: str | Any | None = None
+    belief: str | Any | None = None
+    rover: str | None = "yutu2"
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ComparedDrive(Result):
+    """A prediction beside a drive.
+
+    Attributes
+    ----------
+    matched, found : predicted values at the times of the measured ones, and what follows from them.
+    states : name of the file of states.
+    before, belief : before and after it learned from the miss; None where none was given.
+    inputs, tables, seed : for `made_from`.
+    """
+
+    schema = "twin-compare/1"
+    matched: "MatchedObservations"
+    found: "DriveComparison"
+    states: str
+    before: "SoilBelief | None"
+    belief: "SoilBelief | None"
+    inputs: dict[str, str]
+    tables: dict[str, str]
+    seed: int
+
+    @property
+    def made_from(self) -> MadeFrom:
+        return MadeFrom(inputs=self.inputs, tables=self.tables, sources=SOURCES, seed=self.seed)
+
+    @property
+    def untrusted(self) -> str:
+        reasons = self.found.reasons
+        return f"the prediction is not to be trusted: {'; '.join(reasons)}" if reasons else ""
+
+    def to_dict(self) -> dict[str, Any]:
+        from lunarsci.twin.comparison.matched import miss_of
+
+        forecast, found = self.matched.forecast, self.found
+        whole, miss = found.surprise, miss_of(self.matched)
+        return {
+            "verdict": found.verdict,
+            "reasons": list(found.reasons),
+            "notes": list(found.notes),
+            "plan": forecast.plan.name,
+            "rover": forecast.rover,
+            "terrain": {"name": forecast.terrain, "synthetic": forecast.synthetic},
+            "soils": forecast.soils,
+            "soil": dict(forecast.soil) or {"of": "not kept"},
+            "members": found.members,
+            "finished": found.finished,
+            "compared": list(found.compared),
+            "not_compared": found.not_compared,
+            "end": None if found.end is None else _end(found.end),
+            "miss": None if miss is None else asdict(miss),
+            "path": None if found.path is None else asdict(found.path),
+            "quantities": self.rows(),
+            "surprise": None
+            if whole is None
+            else {"pieces": whole.pieces, "quantities": list(whole.quantities)} | _standing(whole.standing),
+            "change": None if found.change is None else asdict(found.change),
+            "invalid_share": found.invalid_share,
+            "discrepancy": None if self.belief is None else self.belief.discrepancy.to_dict(),
+        }
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One a quantity, of all wheels and of each."""
+        return [_band_row(check, self.found) for check in self.found.bands]
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.twin.figures.comparison import comparison_figure
+
+        yield comparison_figure(self.matched, self.found, f"{self.matched.forecast.origin} beside {self.states}")
+
+
+def compare(
+    predicted: str | Path, states: Source, request: CompareRequest | None = None, **options: Any
+) -> ComparedDrive:
+    """Hold the prediction in a folder of `lunarsci twin predict -o` against measured wheel states.
+
+    Raises DataError for files that do not fit together, and for a belief that knows the drive.
+    """
+    from lunarsci.rovers.description import read_rover
+    from lunarsci.twin.comparison import verdict
+    from lunarsci.twin.comparison.forecast import read_forecast
+    from lunarsci.twin.comparison.matched import match_observations
+    from lunarsci.twin.rover import build_rover
+
+    asked = request_of(CompareRequest, request, options)
+    rover = asked.rover or "yutu2"
+    forecast, inputs = read_forecast(predicted)
+    description = read_rover(rover)
+    digest = sha256(description.text.encode())
+    if digest != forecast.rover_sha256:
+        raise DataError(
+            f"{predicted}: predicted for {forecast.rover} as another file than {rover} has it; give --rover as then"
+        )
+    if asked.plan is not None:
+        inputs |= _check_plan(read_input(asked.plan), forecast)
+    source, fixes = read_input(states), None if asked.positions is None else read_input(asked.positions)
+    record, independent = _record(source, fixes, build_rover(description))
+    try:
+        matched = match_observations(forecast, record, independent)
+    except ParameterError as error:
+        raise DataError(f"{source.name}: {error}") from error
+    inputs |= {file.name: file.sha256 for file in (source, fixes) if file}
+    lesson = None if asked.belief is None else read_input(asked.belief)
+    before, after = (None, None) if lesson is None else _taught(matched, lesson, source)
+    inputs |= {} if lesson is None else {lesson.name: lesson.sha256}
+    return ComparedDrive(
+        matched=matched,
+        found=verdict.compare(matched, asked.seed),
+        states=source.name,
+        before=before,
+        belief=after,
+        inputs=inputs,
+        tables={f"{rover} (rover)": digest},
+        seed=asked.seed,
+    )
+
+
+def _check_plan(file: InputFile, forecast: "Forecast") -> dict[str, str]:
+    """Hash of the plan. Legs, start, speed and fixes must be as predicted; limits, sweeps and circles do not count."""
+    from lunarsci.twin.plans.plan import read_plan
+    from lunarsci.twin.plans.plan_files import plan_text
+
+    driven, predicted = (
+        plan_text(replace(one, name="", limits=(), sweep=(), keep_out=(), made_for=None))
+        for one in (read_plan(file.name), forecast.plan)
+    )
+    if driven != predicted:
+        raise DataError(
+            f"{file.name}: not the plan that {forecast.origin} predicted; name the folder of its own prediction"
+        )
+    return {file.name: file.sha256}
+
+
+def _record(
+    states: InputFile, positions: InputFile | None, rover: "Rover"
+) -> "tuple[DriveRecord, npt.NDArray[np.bool_] | None]":
+    """The record, and which of its values are no second reading of the positions.
+
+    With positions the reader leaves out values that were derived from them. Here these are compared all the same, as
+    the bands of slip are of interest, but are not to count twice.
+    """
+    import numpy as np
+
+    from lunarsci.twin.assimilation.drive_record import read_record
+
+    whole = read_record(states, rover)
+    if positions is None:
+        return whole, None
+    with warnings.catch_warnings():
+        # What is left out or said of the states was said above.
+        warnings.simplefilter("ignore", LunarSciWarning)
+        once = read_record(states, rover, positions=positions)
+    if once.values.shape != whole.values.shape:
+        return once, None
+    record = replace(once, values=whole.values, sigmas=whole.sigmas)
+    return record, np.isfinite(once.values)
+
+
+def _taught(matched: "MatchedObservations", belief: InputFile, states: InputFile) -> "tuple[SoilBelief, SoilBelief]":
+    """The belief of a file before and after it learned from the miss."""
+    from lunarsci.regolith.belief import read_belief
+    from lunarsci.twin.comparison.matched import taught
+
+    before, forecast = read_belief(belief), matched.forecast
+    if forecast.soils != "belief":
+        raise DataError(f"{forecast.origin}: predicted on ranges of soils, and teaches nothing of a belief")
+    if before.discrepancy.has_scored(states.sha256):
+        raise DataError(
+            f"{belief.name} has learned from {states.name} already; compare first, then update by the drive"
+        )
+    line = {"states": Path(states.name).name, "sha256": states.sha256, "plan": forecast.plan.name, "how": "comparison"}
+    return before, replace(before, discrepancy=taught(matched, before.discrepancy).with_score(**line))
+
+
+def _standing(found: "Standing | None") -> dict[str, Any]:
+    if found is None:
+        return {"mahalanobis": None, "dimensions": None, "p": None, "ln_density": None}
+    return {
+        "mahalanobis": found.distance,
+        "dimensions": found.dimensions,
+        "p": found.p,
+        "ln_density": found.ln_density,
+    }
+
+
+def _end(end: "EndCheck") -> dict[str, Any]:
+    rows = asdict(end)
+    rows.pop("standing")
+    return rows | _standing(end.standing)
+
+
+def _band_row(check: "BandCheck", found: "DriveComparison") -> dict[str, Any]:
+    """The probabilities are of all wheels together."""
+    from lunarsci.twin.comparison.checks import ALL
+
+    together = check.wheel == ALL
+    bias = found.bias.quantities.get(check.quantity) if together and found.bias else None
+    return asdict(check) | {
+        "bias_p": None if bias is None else bias.p,
+        "coverage_p": found.coverage.p.get(check.quantity) if together and found.coverage else None,
+    }
