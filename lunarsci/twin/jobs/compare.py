@@ -179,7 +179,7 @@ def _check_plan(file: InputFile, forecast: "Forecast") -> dict[str, str]:
 
     driven, predicted = (
         plan_text(replace(one, name="", limits=(), sweep=(), keep_out=(), made_for=None))
-        for one in (read_plan(file.name), forecast.plan)
+        for one in (read_plan(file), forecast.plan)
     )
     if driven != predicted:
         raise DataError(
