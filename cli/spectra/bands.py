@@ -1,55 +1,166 @@
 """`lunarsci spectra bands`: centres, depths and areas of the 1 and 2 µm bands."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any
 
 import typer
 
+from lunarsci.spectra.jobs.bands import BandsRequest
+
 from ..shared.command import command
-from ..shared.options import Output
+from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
-from .options import Files, ReflectanceUnit, WavelengthUnit
+from ..shared.table import TextTable, counted, plus_minus
+from .options import UNITS, Files
 
 __all__ = ["add_to"]
+
+OPTIONS = {
+    "continuum": option(
+        "conic: through 700, 1345, 1580 nm, guarded; hull: upper convex hull; linear: between shoulders."
+    ),
+    "smooth": option("Savitzky-Golay window in channels, odd; 0 for none.", min=0),
+    "smooth_order": option("Order of the smoothing polynomial.", min=0),
+    **UNITS,
+}
+Plane = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Draw the 2 µm centre over the 1 µm centre among the pyroxenes (.png, …)."),
+]
+SHORT = {
+    "fs": "Fs",
+    "wo": "Wo",
+    "en": "En",
+    "fo": "Fo",
+    "fa": "Fa",
+    "ol_share": "olivine share",
+    "opx_share": "opx share",
+}
+AT_A_GLANCE = ("fs_gaffey", "wo_gaffey", "en_gaffey", "fs_trend_bc2000", "fo_bc1000", "opx_cloutis")
+METHODS = {
+    "gaffey": "Gaffey 2002",
+    "burbine": "Burbine 2009",
+    "trend": "synthetic opx",
+    "dunn": "Dunn 2010",
+    "cloutis": "Cloutis 1986",
+    "bc1000": "1 µm centre",
+}
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "bands")(bands)
+    command(app, "bands", request=BandsRequest, options=OPTIONS)(bands)
 
 
-def bands(
-    files: Files,
-    output: Output,
-    continuum: Annotated[
-        Literal["conic", "hull", "linear"],
-        typer.Option(
-            help="conic: through 700, 1345, 1580 nm, guarded; hull: upper convex hull; linear: between shoulders."
-        ),
-    ] = "conic",
-    smooth: Annotated[int, typer.Option(min=0, help="Savitzky-Golay window in channels, odd; 0 for none.")] = 41,
-    smooth_order: Annotated[int, typer.Option(min=0, help="Order of the smoothing polynomial.")] = 3,
-    plane: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Draw the 2 µm centre over the 1 µm centre among the pyroxenes (.png, …)."),
-    ] = None,
-    wavelength_unit: WavelengthUnit = None,
-    reflectance_unit: ReflectanceUnit = None,
-) -> Report:
+def bands(files: Files, request: BandsRequest, output: Output, plane: Plane = None) -> Report:
     """Centre, depth and area of the 1 and 2 µm absorption bands, with standard errors.
 
     Composition of pyroxene and olivine from them by published regressions, each with error and range.
     """
-    from lunarsci.spectra.bands import measure_batch
-    from lunarsci.spectra.readers.batch import read_batch
-
-    from .bands_report import bands_report
+    from lunarsci.spectra.jobs.bands import bands
 
     output.check_extra("--plane", plane)
-    batch = read_batch(files, wavelength_unit, reflectance_unit)
     with progress("measuring bands", quiet=output.quiet) as update:
-        measured = measure_batch(
-            batch.spectra, continuum_name=continuum, smooth_points=smooth, smooth_order=smooth_order, progress=update
-        )
-    return bands_report(batch, measured, plane)
+        result = bands(files, request, progress=update)
+    records = result.to_dict()["spectra"]
+    tables = [_bands_table(records), *_chemistry_tables(records)]
+    return Report.of(result, tables, pictures={plane: result.plane} if plane else {})
+
+
+def _bands_table(records: Sequence[Mapping[str, Any]]) -> TextTable:
+    headers = ["spectrum"]
+    for name in ("1000", "2000"):
+        headers += [f"BC{name} [nm]", "spread [nm]", f"BD{name}", f"area{name} [nm]", "continuum"]
+    return TextTable(headers, [_bands_row(record) for record in records], notes=_band_notes(records))
+
+
+def _bands_row(record: Mapping[str, Any]) -> list[str]:
+    row = [record["id"]]
+    for key in ("1000", "2000"):
+        row += [
+            plus_minus(record[f"bc{key}_nm"], record[f"bc{key}_sigma_nm"]),
+            plus_minus(record[f"bc{key}_systematic_nm"]),
+            plus_minus(record[f"bd{key}"], record[f"bd{key}_sigma"], digits=3),
+            plus_minus(record[f"ba{key}_nm"], record[f"ba{key}_sigma_nm"]),
+            record["continuum"][key],
+        ]
+    return row
+
+
+def _band_notes(records: Sequence[Mapping[str, Any]]) -> list[str]:
+    lines = [
+        f"{band} band: {text}"
+        for record in records
+        for key, band in (("1000", "1 µm"), ("2000", "2 µm"))
+        for text in (record[f"band{key}_note"], record[f"band{key}_status"])
+        if text not in ("", "ok")
+    ]
+    return counted(sorted(lines), len(records), "spectra") + (_shared_errors(records[0]) if len(records) == 1 else [])
+
+
+def _shared_errors(record: Mapping[str, Any]) -> list[str]:
+    """What the errors that all channels share add, for a spectrum that knows them."""
+    parts = [
+        f"± {record[f'bc{key}_calibration_nm']:.1f} nm to BC{key}, ± {record[f'bd{key}_calibration']:.3f} to BD{key}"
+        for key in ("1000", "2000")
+        if record[f"bc{key}_calibration_nm"] is not None
+    ]
+    return [f"calibration errors, which all channels share, add {'; '.join(parts)}"] if parts else []
+
+
+def _chemistry_tables(records: Sequence[Mapping[str, Any]]) -> list[TextTable]:
+    if len(records) == 1:
+        return [_one_chemistry(records[0])] if any(records[0]["chemistry"].values()) else []
+    return [_many_chemistries(records)] if _examples(records) else []
+
+
+def _one_chemistry(record: Mapping[str, Any]) -> TextTable:
+    rows = [
+        [
+            f"{SHORT[item['quantity']]}{_unit(item)}",
+            _method(key),
+            _usable(item),
+            item["reason"] or f"if {item['domain']}",
+        ]
+        for key, item in record["chemistry"].items()
+        if item
+    ]
+    notes = ["errors: the regression's, on laboratory minerals, and the band's; temperature: --json, caveat"]
+    return TextTable(["from the bands", "by", "value", "holds"], rows, notes=notes)
+
+
+def _many_chemistries(records: Sequence[Mapping[str, Any]]) -> TextTable:
+    headers = ["spectrum"] + [
+        f"{SHORT[item['quantity']]}{_unit(item)} {_method(key)}" for key, item in _examples(records).items()
+    ]
+    rows = [[record["id"], *(_usable(record["chemistry"][key]) for key in _examples(records))] for record in records]
+    return TextTable(
+        headers, rows, notes=["-: no band, or not to be used here; all regressions, and why not: --csv or --json"]
+    )
+
+
+def _examples(records: Sequence[Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
+    """For each column in which some spectrum has a value, one of its entries."""
+    columns = {key: [record["chemistry"][key] for record in records] for key in AT_A_GLANCE}
+    usable = {key: [item for item in items if item and item["in_range"]] for key, items in columns.items()}
+    return {key: items[0] for key, items in usable.items() if items}
+
+
+def _method(key: str) -> str:
+    name = next(text for part, text in METHODS.items() if part in key)
+    band = "" if name == METHODS["bc1000"] else ", 1 µm" if "bc1000" in key else ", 2 µm" if "bc2000" in key else ""
+    return name + band
+
+
+def _unit(item: Mapping[str, Any]) -> str:
+    return " [mol %]" if item["unit"] == "mol %" else ""
+
+
+def _value(item: Mapping[str, Any]) -> str:
+    return plus_minus(item["value"], item["sigma"], digits=0 if item["unit"] == "mol %" else 2)
+
+
+def _usable(item: Mapping[str, Any] | None) -> str:
+    return _value(item) if item and item["in_range"] else "-"

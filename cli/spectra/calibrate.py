@@ -1,13 +1,20 @@
 """`lunarsci spectra calibrate`: VNIS radiance to reflectance factor."""
 
-from typing import Annotated, Literal
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lunarsci.spectra.jobs.calibrate import CalibrateRequest
+
 from ..shared.command import command
-from ..shared.options import Output
+from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
+from ..shared.table import TextTable, counted, plus_minus
+
+if TYPE_CHECKING:
+    from lunarsci.spectra.vnis.calibration import Calibration
 
 __all__ = ["add_to"]
 
@@ -18,57 +25,64 @@ Products = Annotated[
         "observation are found beside it by their sequence number."
     ),
 ]
+OPTIONS = {
+    "photometry": option("Disk function of the correction to i 30, e 0, g 30 deg; none keeps the measured angles."),
+    "phase": option(
+        "Phase function: sp-low, sp-mid, sp-high, flat, or a CSV table.", kind=str, metavar="NAME|FILE"
+    ),
+    "solar": option(
+        "Solar irradiance: e490, g173, or a table of nm and W m-2 nm-1.", kind=str, metavar="NAME|FILE"
+    ),
+    "shadow": option("Pixels with less reflectance at 465 nm are shadows; 0 to below 1."),
+    "vnir_steps": option("Steps at 632.5 and 757.5 nm between sub-bands of the imager: keep or remove."),
+    "calibration": option(
+        "Channel factors for radiance from before the in-flight calibration (label version 1): CSV with "
+        "detector (vnir, swir), wavelength_nm, factor.",
+        kind=str | None,
+        metavar="FILE",
+    ),
+}  # fmt: skip
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "calibrate")(calibrate)
+    command(app, "calibrate", request=CalibrateRequest, options=OPTIONS)(calibrate)
 
 
-def calibrate(
-    files: Products,
-    output: Output,
-    photometry: Annotated[
-        Literal["lommel-seeliger", "akimov", "mcewen", "none"],
-        typer.Option(help="Disk function of the correction to i 30, e 0, g 30 deg; none keeps the measured angles."),
-    ] = "lommel-seeliger",
-    phase: Annotated[
-        str, typer.Option(metavar="NAME|FILE", help="Phase function: sp-low, sp-mid, sp-high, flat, or a CSV table.")
-    ] = "sp-mid",
-    solar: Annotated[
-        str, typer.Option(metavar="NAME|FILE", help="Solar irradiance: e490, g173, or a table of nm and W m-2 nm-1.")
-    ] = "e490",
-    shadow: Annotated[
-        float, typer.Option(help="Pixels with less reflectance at 465 nm are shadows; 0 to below 1.")
-    ] = 0.02,
-    vnir_steps: Annotated[
-        Literal["keep", "remove"],
-        typer.Option(help="Steps at 632.5 and 757.5 nm between sub-bands of the imager: keep or remove."),
-    ] = "keep",
-    calibration: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE",
-            help="Channel factors for radiance from before the in-flight calibration (label version 1): CSV with "
-            "detector (vnir, swir), wavelength_nm, factor.",
-        ),
-    ] = None,
-    radiance_per: Annotated[
-        Literal["nm", "um"], typer.Option(help="Radiance of the files is in W m-2 sr-1 per nm or um.")
-    ] = "nm",
-) -> Report:
+def calibrate(files: Products, request: CalibrateRequest, output: Output) -> Report:
     """VNIS radiance to reflectance factor, 390 channels, with independent and shared errors.
 
     -o FILE.ecsv or FILE.fits writes the spectra with units and provenance; the other commands read them. They also take
     the labels themselves and calibrate as this command does without options.
     """
-    from lunarsci.spectra.vnis.calibrate import calibrate_files
+    from lunarsci.spectra.jobs.calibrate import calibrate, check_fits
 
-    from .calibrate_report import calibrate_report, check_fits, observations, settings_from
-
-    settings = settings_from(solar, photometry, phase, shadow, vnir_steps, calibration, radiance_per)
-    paths, failures = observations(files)
-    check_fits(output.path, len(paths))
+    check_fits(output.path, files)
     with progress("calibrating", quiet=output.quiet) as update:
-        results = calibrate_files(paths, settings, update)
-    return calibrate_report([*failures, *results], settings)
+        result = calibrate(files, request, progress=update)
+    formats = {".ecsv": result.to_ecsv, ".fits": result.to_fits}
+    return Report.of(result, [_table(result.observations)], formats=formats)
+
+
+def _table(good: "Sequence[Calibration]") -> TextTable:
+    headers = [
+        "observation", "i [deg]", "e [deg]", "g [deg]", "Sun [AU]", "lit pixels", "step", "gain", "R at 750 nm",
+        "shared [%]", "masked",
+    ]  # fmt: skip
+    notes = counted([note for item in good for note in item.notes], len(good), "observations")
+    return TextTable(headers, [_row(item) for item in good], notes=notes)
+
+
+def _row(item: "Calibration") -> list[str]:
+    geometry, (level, sigma, shared) = item.vnir.geometry, item.at_nm(750.0)
+    return [
+        item.id,
+        *(f"{angle:.2f}" for angle in (geometry.incidence_deg, geometry.emission_deg, geometry.phase_deg)),
+        f"{item.vnir.distance_au:.6f}",
+        f"{int(item.footprint.lit.sum())} of {int(item.footprint.inside.sum())}",
+        plus_minus(item.splice.step.factor, item.splice.step.sigma, digits=4),
+        plus_minus(item.splice.gain, item.splice.gain_sigma, digits=4),
+        plus_minus(level, sigma, digits=4),
+        plus_minus(100 * shared / level, digits=1),
+        str(item.summary()["channels_masked"]),
+    ]

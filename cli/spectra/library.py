@@ -1,14 +1,23 @@
 """`lunarsci spectra library`: end-member spectra with what is known of them."""
 
+from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lunarsci.errors import ParameterError
+from lunarsci.spectra.jobs.library import ImportRequest
+
 from ..shared.command import command
-from ..shared.options import Output
+from ..shared.options import Output, option
 from ..shared.report import Report
-from .options import Files, ReflectanceUnit, WavelengthUnit
+from ..shared.table import TextTable, plus_minus
+from .options import UNITS, Files
+
+if TYPE_CHECKING:
+    from lunarsci.spectra.jobs.library import CheckedLibrary, Library
 
 __all__ = ["app"]
 
@@ -17,66 +26,100 @@ app = typer.Typer(
     help="Libraries of end-member spectra: make one from laboratory files, list, draw and check it.",
 )
 
+PICTURES = (".png", ".svg", ".pdf")
 Libraries = Annotated[
     list[str], typer.Argument(help="Libraries (.ecsv of `library import`), or other files of spectra; - is stdin.")
 ]
+OPTIONS = {
+    "mineral": option("Mineral of all spectra of which --metadata says nothing."),
+    "metadata": option(
+        "Table by id: mineral, fo, fs, en, wo, an (0 to 1), min_um, max_um, source; or, instead of the "
+        "mineral, modes vol_ol, vol_opx, vol_cpx, vol_plg and opx_fs, cpx_fs and the like. Mixtures are left out.",
+        kind=str | None,
+        metavar="FILE.csv",
+    ),
+    "source": option("Where spectra come from whose source is unknown.", metavar="TEXT"),
+    **UNITS,
+}
 
 
-@command(app, "import")
-def import_(
-    files: Files,
-    output: Output,
-    mineral: Annotated[
-        Literal["olivine", "orthopyroxene", "clinopyroxene", "plagioclase", "opaque", "glass", "other"] | None,
-        typer.Option(help="Mineral of all spectra of which --metadata says nothing."),
-    ] = None,
-    metadata: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE.csv",
-            help="Table by id: mineral, fo, fs, en, wo, an (0 to 1), min_um, max_um, source; or, instead of the "
-            "mineral, modes vol_ol, vol_opx, vol_cpx, vol_plg and opx_fs, cpx_fs and the like. Mixtures are left out.",
-        ),
-    ] = None,
-    source: Annotated[str, typer.Option(metavar="TEXT", help="Where spectra come from whose source is unknown.")] = "",
-    wavelength_unit: WavelengthUnit = None,
-    reflectance_unit: ReflectanceUnit = None,
-) -> Report:
+@command(app, "import", request=ImportRequest, options=OPTIONS)
+def import_(files: Files, request: ImportRequest, output: Output) -> Report:
     """Make a library from RELAB, USGS splib07, ENVI .sli, CSV, ECSV or FITS files: -o LIBRARY.ecsv writes it.
 
     Libraries among the files are merged.
     """
-    from .library_report import import_report, imported
+    from lunarsci.spectra.jobs.library import import_library
 
-    found = imported(files, mineral, metadata, source, wavelength_unit, reflectance_unit)
-    return import_report(found, output.path)
+    library = import_library(files, request)
+    if output.path is not None and output.path.suffix.lower() not in (".ecsv", ".json"):
+        raise ParameterError(f"{output.path}: a library is written as .ecsv, its list as .json; give such a name")
+    return Report.of(library, [_listing(library)], formats={".ecsv": library.to_ecsv})
 
 
 @command(app, "list")
 def list_(files: Libraries) -> Report:
     """What a library holds."""
-    from .library_report import list_report, read_libraries
-
-    return list_report(read_libraries(files))
+    return _list(files)
 
 
 @command(app, "check")
 def check(files: Libraries) -> Report:
     """What must be mended before a library is used, and what one should know; exit code 3 where something must."""
-    from .library_report import check_report, read_libraries
+    from lunarsci.spectra.jobs.library import check_library
 
-    return check_report(read_libraries(files))
+    checked = check_library(files)
+    return Report.of(checked, [_findings(checked)])
 
 
 @command(app, "plot")
 def plot(files: Libraries, output: Output) -> Report:
     """Draw a library, one panel for each mineral: -o FILE.png, .svg or .pdf."""
-    from .library_report import list_report, read_libraries
-
-    if output.plot is None and (output.path is None or not _is_picture(output.path)):
+    if output.plot is None and (output.path is None or output.path.suffix.lower() not in PICTURES):
         raise typer.BadParameter("name the picture: -o FILE.png, .svg or .pdf")
-    return list_report(read_libraries(files))
+    return _list(files)
 
 
-def _is_picture(path: Path) -> bool:
-    return path.suffix.lower() in (".png", ".svg", ".pdf")
+def _list(files: list[str]) -> Report:
+    from lunarsci.spectra.jobs.library import open_library
+
+    library = open_library(files)
+    return Report.of(
+        library, [_listing(library)], formats={name: partial(_picture, library, name) for name in PICTURES}
+    )
+
+
+def _picture(library: "Library", suffix: str, _: Mapping[str, Any]) -> bytes:
+    from lunarsci.figure import picture_bytes
+
+    return picture_bytes(library.figures(), Path(f"library{suffix}"))
+
+
+HEADERS = ("spectrum", "mineral", "Fo", "Fs", "En", "Wo", "An", "grains [µm]", "channels", "range [nm]", "source")
+
+
+def _listing(library: "Library") -> TextTable:
+    return TextTable(HEADERS, [_row(record) for record in library.rows()])
+
+
+def _row(record: Mapping[str, Any]) -> list[str]:
+    low, high = record["min_um"], record["max_um"]
+    grains = "-" if high is None else f"< {high:g}" if not low else f"{low:g}-{high:g}"
+    return [
+        record["id"],
+        record["mineral"] or "?",
+        *(plus_minus(record[key], digits=2) for key in ("fo", "fs", "en", "wo", "an")),
+        grains,
+        str(record["channels"]),
+        f"{record['from_nm']:g}-{record['to_nm']:g}",
+        record["source"] or "-",
+    ]
+
+
+def _findings(checked: "CheckedLibrary") -> TextTable:
+    rows = [[row["id"], "mend" if row["must_mend"] else "know", row["finding"]] for row in checked.rows()]
+    total, rest = len(checked.findings), sum(not found for found in checked.findings)
+    if not rows:
+        return TextTable(["library"], [[f"all {total} end members are fit for use"]])
+    notes = [f"{rest} of {total} without a finding"] if rest else []
+    return TextTable(["spectrum", "", "finding"], rows, notes=notes)

@@ -1,12 +1,20 @@
 """`lunarsci spectra match`: the crater a rock came from."""
 
-from typing import Annotated, Literal
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lunarsci.spectra.jobs.match import MatchRequest
+
 from ..shared.command import command
-from ..shared.options import Output
+from ..shared.options import option
 from ..shared.report import Report
+from ..shared.table import TextTable
+
+if TYPE_CHECKING:
+    from lunarsci.spectra.jobs.match import Matches
+    from lunarsci.spectra.origin.match import CraterMatch, RockMatch
 
 __all__ = ["add_to"]
 
@@ -20,178 +28,122 @@ Rocks = Annotated[
         metavar="[ROCK]...",
     ),
 ]
-Modes = Annotated[
-    str | None,
-    typer.Option(
-        metavar="MINERAL=FRACTION:ERROR,…",
-        help="Modes of a rock without a file: olivine, orthopyroxene, clinopyroxene, plagioclase (or ol, opx, cpx, "
+OPTIONS = {
+    "modes": option(
+        "Modes of a rock without a file: olivine, orthopyroxene, clinopyroxene, plagioclase (or ol, opx, cpx, "
         "plg); two or more, compared as shares of those given.",
-        rich_help_panel=ROCK,
+        panel=ROCK,
+        metavar="MINERAL=FRACTION:ERROR,…",
     ),
-]
-Bands = Annotated[
-    str | None,
-    typer.Option(metavar="bc1000=NM:ERROR,…", help="Its band centres, bc1000 and bc2000, in nm.", rich_help_panel=ROCK),
-]
-Name = Annotated[str, typer.Option(help="Name of that rock.", rich_help_panel=ROCK)]
-Site = Annotated[
-    str,
-    typer.Option(metavar="LAT,LON", help="Where the rock was found, in degrees, east positive.", rich_help_panel=ROCK),
-]
-Use = Annotated[
-    Literal["both", "modes", "bands"],
-    typer.Option(help="Which kind of composition is compared, where a crater has it.", rich_help_panel=ROCK),
-]
-Systematic = Annotated[
-    float,
-    typer.Option(
-        help="What two methods disagree by in the share of a mineral, one standard deviation.", rich_help_panel=ROCK
-    ),
-]
-BandSystematic = Annotated[float, typer.Option(help="The same for band centres, in nm.", rich_help_panel=ROCK)]
-Craters = Annotated[
-    str | None,
-    typer.Option(
-        metavar="FILE",
-        help="Candidates as CSV: name, latitude_deg, longitude_deg, diameter_km; also age_low_ma, age_high_ma, "
+    "bands": option("Its band centres, bc1000 and bc2000, in nm.", panel=ROCK, metavar="bc1000=NM:ERROR,…"),
+    "name": option("Name of that rock.", panel=ROCK),
+    "site": option("Where the rock was found, in degrees, east positive.", panel=ROCK, metavar="LAT,LON"),
+    "use": option("Which kind of composition is compared, where a crater has it.", panel=ROCK),
+    "systematic": option("What two methods disagree by in the share of a mineral, one standard deviation.", panel=ROCK),
+    "band_systematic": option("The same for band centres, in nm.", panel=ROCK),
+    "craters": option(
+        "Candidates as CSV: name, latitude_deg, longitude_deg, diameter_km; also age_low_ma, age_high_ma, "
         "olivine, olivine_sigma, …, bc1000_nm, bc1000_sigma_nm, …, source. Left out: the craters around Chang'E-4.",
-        rich_help_panel=CRATERS,
+        panel=CRATERS,
+        kind=str | None,
+        metavar="FILE",
     ),
-]
-Map = Annotated[
-    list[str] | None,
-    typer.Option(
+    "mineral_map": option(
+        "GeoTIFF of a mineral's mode: its values in the ring of ejecta replace a crater's modes. May be repeated.",
         "--map",
+        panel=CRATERS,
         metavar="MINERAL=FILE.tif",
-        help="GeoTIFF of a mineral's mode: its values in the ring of ejecta replace a crater's modes. May be repeated.",
-        rich_help_panel=CRATERS,
     ),
-]
-Annulus = Annotated[str, typer.Option(metavar="IN:OUT", help="That ring, in rim radii.", rich_help_panel=CRATERS)]
-Prior = Annotated[
-    Literal["ejecta", "uniform"],
-    typer.Option(help="ejecta: by what each crater left at the site; uniform: all alike.", rich_help_panel=PRIOR),
-]
-Law = Annotated[
-    Literal["mcgetchin", "pike", "housen", "xie"],
-    typer.Option(help="Law of the ejecta's thickness, from the transient crater.", rich_help_panel=PRIOR),
-]
-ThicknessFactor = Annotated[
-    float,
-    typer.Option(
-        help="Spread of the thickness about the law, one standard deviation, as a factor; 1 for none.",
-        rich_help_panel=PRIOR,
+    "annulus": option("That ring, in rim radii.", panel=CRATERS, metavar="IN:OUT"),
+    "prior": option("ejecta: by what each crater left at the site; uniform: all alike.", panel=PRIOR),
+    "ejecta_law": option("Law of the ejecta's thickness, from the transient crater.", panel=PRIOR),
+    "thickness_factor": option(
+        "Spread of the thickness about the law, one standard deviation, as a factor; 1 for none.", panel=PRIOR
     ),
-]
-SurfaceAge = Annotated[
-    float | None,
-    typer.Option(
-        help="Age of the site's surface in Ma: ejecta of older craters lie below it. Left out: 3600 at Chang'E-4, none "
+    "surface_age": option(
+        "Age of the site's surface in Ma: ejecta of older craters lie below it. Left out: 3600 at Chang'E-4, none "
         "elsewhere.",
-        rich_help_panel=PRIOR,
+        panel=PRIOR,
     ),
-]
-Other = Annotated[
-    float,
-    typer.Option(help="Prior probability that the rock is from none of the craters.", rich_help_panel=PRIOR),
-]
-Exposure = Annotated[
-    bool,
-    typer.Option("--exposure/--no-exposure", help="Rocks are destroyed at the surface.", rich_help_panel=EXPOSURE),
-]
-RockLife = Annotated[
-    str,
-    typer.Option(metavar="LOW:HIGH", help="Median life of a 2 m boulder, in Ma.", rich_help_panel=EXPOSURE),
-]
-RockSize = Annotated[float, typer.Option(help="Size of the rock, in m.", rich_help_panel=EXPOSURE)]
-LifeExponent = Annotated[
-    float, typer.Option(help="Its life goes with this power of its size; assumed.", rich_help_panel=EXPOSURE)
-]
-ReExcavation = Annotated[
-    bool,
-    typer.Option(
-        "--re-excavation/--no-re-excavation", help="Buried ejecta are brought up again.", rich_help_panel=EXPOSURE
+    "other": option("Prior probability that the rock is from none of the craters.", panel=PRIOR),
+    "exposure": option("Rocks are destroyed at the surface.", "--exposure/--no-exposure", panel=EXPOSURE),
+    "rock_life": option("Median life of a 2 m boulder, in Ma.", panel=EXPOSURE, metavar="LOW:HIGH"),
+    "rock_size": option("Size of the rock, in m.", panel=EXPOSURE),
+    "life_exponent": option("Its life goes with this power of its size; assumed.", panel=EXPOSURE),
+    "re_excavation": option(
+        "Buried ejecta are brought up again.", "--re-excavation/--no-re-excavation", panel=EXPOSURE
     ),
-]
-Stirring = Annotated[
-    float,
-    typer.Option(help="Factor on the local ground that falling ejecta stir up (Oberbeck).", rich_help_panel=EXPOSURE),
-]
-Gardening = Annotated[
-    str,
-    typer.Option(
+    "stirring": option("Factor on the local ground that falling ejecta stir up (Oberbeck).", panel=EXPOSURE),
+    "gardening": option(
+        "Buried rock that small local craters keep at the surface, as a thickness in m; assumed.",
+        panel=EXPOSURE,
         metavar="LOW:HIGH",
-        help="Buried rock that small local craters keep at the surface, as a thickness in m; assumed.",
-        rich_help_panel=EXPOSURE,
     ),
-]
-Seed = Annotated[int, typer.Option(min=0, help="Seed of the draws for the prior.", rich_help_panel=PRIOR)]
+    "seed": option("Seed of the draws for the prior.", panel=PRIOR, min=0),
+}
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "match")(match)
+    command(app, "match", request=MatchRequest, options=OPTIONS)(match)
 
 
-def match(
-    output: Output,
-    rocks: Rocks = None,
-    modes: Modes = None,
-    bands: Bands = None,
-    name: Name = "rock",
-    site: Site = "-45.44,177.56",
-    use: Use = "both",
-    systematic: Systematic = 0.10,
-    band_systematic: BandSystematic = 10.0,
-    craters: Craters = None,
-    mineral_map: Map = None,
-    annulus: Annulus = "1:2",
-    prior: Prior = "ejecta",
-    ejecta_law: Law = "pike",
-    thickness_factor: ThicknessFactor = 3.0,
-    surface_age: SurfaceAge = None,
-    other: Other = 0.1,
-    exposure: Exposure = True,
-    rock_life: RockLife = "40:80",
-    rock_size: RockSize = 2.0,
-    life_exponent: LifeExponent = 0.5,
-    re_excavation: ReExcavation = True,
-    stirring: Stirring = 1.0,
-    gardening: Gardening = "0.001:0.1",
-    seed: Seed = 0,
-) -> Report:
+def match(request: MatchRequest, rocks: Rocks = None) -> Report:
     """The crater a rock came from: composition (ln Bayes factor), prior and posterior, each apart.
 
     ln Bayes factors compare with a rock of any composition; a crater of unknown composition has 0.
     """
-    from lunarsci.spectra.origin.match import MatchSettings, match_rocks
-    from lunarsci.spectra.origin.prior import PriorSettings
+    from lunarsci.spectra.jobs.match import match
 
-    from .match_report import match_report
-    from .match_run import candidates, rocks_from, span, stated_site
+    result = match(rocks or (), request)
+    return Report.of(result, _tables(result))
 
-    settings = MatchSettings(
-        systematic=systematic,
-        band_systematic_nm=band_systematic,
-        use_modes=use != "bands",
-        use_bands=use != "modes",
-        prior=PriorSettings(
-            kind=prior,
-            law=ejecta_law,
-            thickness_factor=thickness_factor,
-            exposure=exposure,
-            rock_life_ma=span(rock_life, "--rock-life"),
-            rock_size_m=rock_size,
-            life_exponent=life_exponent,
-            re_excavation=re_excavation,
-            stirring=stirring,
-            gardening_m=span(gardening, "--gardening"),
-            surface_age_ma=surface_age,
-            other_weight=other,
-            seed=seed,
-        ),
-    )
-    where = stated_site(site)
-    given = rocks_from(rocks or (), modes, bands, name)
-    found = candidates(craters, mineral_map or (), annulus)
-    return match_report(given, found, match_rocks(given.rocks, found.craters, where, settings), where, settings)
+
+def _tables(result: "Matches") -> list[TextTable]:
+    from lunarsci.spectra.origin.match import OTHER
+
+    matches, notes = result.matches, [f"- {text}" for text in result.assumptions]
+    if len(matches) == 1:
+        told = "ln BF: composition alone, against a rock of any composition; assumed or known:"
+        return [_craters_table(matches[0], [matches[0].status, *matches[0].rock.remarks, told, *notes])]
+    rows = [[m.rock.id, m.to_dict()["best"], f"{_best(m):.2f}", f"{m.other_posterior:.2f}", m.status] for m in matches]
+    headers = ["rock", "likeliest", "posterior", OTHER, "status"]
+    return [TextTable(headers, rows, notes=["all craters: --csv or --json; assumed or known:", *notes])]
+
+
+def _best(match: "RockMatch") -> float:
+    return max(match.other_posterior, *(item.posterior for item in match.craters))
+
+
+def _craters_table(match: "RockMatch", notes: Sequence[str]) -> TextTable:
+    from lunarsci.spectra.origin.match import OTHER
+
+    headers = ["crater", "distance [km]", "azimuth [deg]", "ejecta [m]", "came by", "ln BF", "prior", "posterior"]
+    headers.append("compared")
+    ordered = sorted(match.craters, key=lambda item: item.posterior, reverse=True)
+    rows = [_crater_row(item) for item in ordered]
+    other = [OTHER, "-", "-", "-", "-", "0.00", f"{match.other_prior:.3f}", f"{match.other_posterior:.3f}", "-"]
+    return TextTable(headers, [*rows, other], title=match.rock.id, notes=notes)
+
+
+def _crater_row(item: "CraterMatch") -> list[str]:
+    compared = "contains the site: no ejecta" if item.contains_site else item.evidence.basis
+    return [
+        item.crater.name,
+        f"{item.prior.distance_km:.1f}",
+        "-" if item.azimuth_deg is None else f"{item.azimuth_deg:.0f}",
+        "-" if item.prior.ejecta_m is None else f"{item.prior.ejecta_m:.3g}",
+        _came_by(item.prior.stages),
+        f"{item.ln_bayes_factor:.2f}",
+        f"{item.prior.probability:.3f}",
+        f"{item.posterior:.3f}",
+        compared,
+    ]
+
+
+def _came_by(stages: Mapping[str, float]) -> str:
+    """The stage that brought most of its rocks to the surface, and its share."""
+    if not stages or not sum(stages.values()):
+        return "-"
+    name = max(stages, key=lambda key: stages[key])
+    return f"{name} {100 * stages[name]:.0f} %"

@@ -4,7 +4,9 @@ from typing import Annotated, Literal
 
 import typer
 
-__all__ = ["Files", "ReflectanceUnit", "WavelengthUnit"]
+from ..shared.options import option
+
+__all__ = ["UNITS", "Files", "ReflectanceUnit", "WavelengthUnit"]
 
 Files = Annotated[
     list[str],
@@ -21,3 +23,7 @@ WavelengthUnit = Annotated[
 ReflectanceUnit = Annotated[
     Literal["fraction", "percent"] | None, typer.Option("--reflectance-unit", help="State the unit of the reflectance.")
 ]
+UNITS = {
+    "wavelength_unit": option("State the unit of the wavelengths where the file does not."),
+    "reflectance_unit": option("State the unit of the reflectance."),
+}

@@ -377,7 +377,7 @@ def test_bad_files_of_ones_own_are_one_line(
 
 @pytest.mark.parametrize(
     "arguments",
-    [["--photometry", "hapke"], ["--radiance-per", "mm"], ["--shadow", "dark"], ["--json", "--csv"]],
+    [["--photometry", "hapke"], ["--vnir-steps", "both"], ["--shadow", "dark"], ["--json", "--csv"]],
 )
 def test_wrong_usage(run: Run, label: Path, arguments: list[str]) -> None:
     done = run(*COMMAND, label, *arguments)
@@ -389,18 +389,6 @@ def test_a_shadow_limit_out_of_range(run: Run, label: Path, shadow: str) -> None
     done = run(*COMMAND, label, f"--shadow={shadow}")
     assert (done.code, done.out, len(done.err)) == (1, "", 1)
     assert "shadow limit" in done.err[0]
-
-
-def test_radiance_per_um_is_refused_with_the_remedy(run: Run, tmp_path: Path, two: Files) -> None:
-    cube, table = named(two, "VD", label=False), named(two, label=False)
-    thousand = (np.frombuffer(two[cube], "<f4") * np.float32(1000)).tobytes()
-    rows = re.sub(rb"E-00(\d)", lambda m: b"E+%03d" % (3 - int(m[1])), two[table])
-    folder = write(tmp_path / "um", two | {cube: thousand, table: rows})
-    done = run(*COMMAND, folder)
-    assert (done.code, done.out, len(done.err)) == (1, "", 1)
-    assert "--radiance-per um" in done.err[0]
-    wanted = reflectance(run, write(tmp_path / "nm", two))
-    assert reflectance(run, folder, "--radiance-per", "um") == pytest.approx(wanted, rel=1e-6)
 
 
 def test_options_and_hashes_are_in_the_provenance(run: Run, label: Path, one: Files) -> None:

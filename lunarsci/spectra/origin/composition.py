@@ -12,11 +12,22 @@ from typing import Any
 import numpy as np
 
 from lunarsci import inputs
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.spectrum import FloatArray
 
-__all__ = ["BANDS", "MINERALS", "Composition", "Value", "closed", "joined", "read_rocks"]
+__all__ = [
+    "BANDS",
+    "MINERALS",
+    "SHORT",
+    "Composition",
+    "Value",
+    "closed",
+    "joined",
+    "read_rocks",
+    "stated_composition",
+    "stated_number",
+]
 
 MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")
 BANDS = {"bc1000_nm": (700.0, 1300.0), "bc2000_nm": (1500.0, 2600.0)}
@@ -239,3 +250,45 @@ def _merged(one: Rock, other: Rock) -> Rock:
     modes = a if a.modes else b
     both = Composition(modes.modes, {**a.bands, **b.bands}, modes.correlation)
     return Rock(one.id, both, (*one.remarks, *other.remarks))
+
+
+SHORT = {"ol": "olivine", "opx": "orthopyroxene", "cpx": "clinopyroxene", "plg": "plagioclase"}
+"""Abbreviations of minerals."""
+BAND_NAMES = {"bc1000": "bc1000_nm", "bc2000": "bc2000_nm", "bc1000_nm": "bc1000_nm", "bc2000_nm": "bc2000_nm"}
+
+
+def stated_composition(modes: str | None, bands: str | None) -> Composition:
+    """A composition from texts, `ol=0.2:0.05,opx=0.5:0.1` and `bc1000=930:5`: values and errors by name.
+
+    Raises RequestError for another text, ParameterError as `Composition` does.
+    """
+    return Composition(
+        _pairs(modes, "modes", SHORT | {mineral: mineral for mineral in MINERALS}), _pairs(bands, "bands", BAND_NAMES)
+    )
+
+
+def stated_number(text: str, where: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise RequestError(f"{where}: '{text.strip()}' is not a number") from None
+    if value != value or abs(value) == float("inf"):
+        raise RequestError(f"{where}: '{text.strip()}' is not a finite number")
+    return value
+
+
+def _pairs(text: str | None, option: str, names: dict[str, str]) -> dict[str, Value]:
+    """`NAME=VALUE:ERROR,…` by full name."""
+    found: dict[str, Value] = {}
+    for part in text.split(",") if text else []:
+        key, equals, numbers = part.partition("=")
+        value, colon, sigma = numbers.partition(":")
+        name = names.get(key.strip().lower())
+        if not (equals and colon):
+            raise RequestError(f"`{option}` '{part}': give NAME=VALUE:ERROR, such as {next(iter(names))}=…:…")
+        if name is None:
+            raise RequestError(f"`{option}` '{part}': '{key.strip()}' is unknown; there are {', '.join(names)}")
+        if name in found:
+            raise RequestError(f"`{option}`: {name} is there twice; give it once")
+        found[name] = (stated_number(value, f"`{option}` {key}"), stated_number(sigma, f"`{option}` {key}"))
+    return found

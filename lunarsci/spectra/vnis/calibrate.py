@@ -1,155 +1,75 @@
 """The chain: from an observation's radiances to one reflectance spectrum with its errors.
 
-Errors that all channels share: each is one shift of both detectors, carried through the joining.
-
-The absolute calibration and the irradiance were established before the flight or by others, the photometric model is a
-choice among several: repeating the measurement does not make these errors smaller, and they do not scatter.
-
+On the way, what of the observation is used, and what the reader should know: pixels, channels, levels, factors of the
+joining.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from lunarsci.errors import DataError, LunarSciError
-from lunarsci.spectra.photometry import Geometry, model_spread
-from lunarsci.spectra.solar import (
-    M3_TABLE,
-    solar_spectrum,
-    sun_moon_distance_au,
-)
-from lunarsci.spectra.spectrum import FloatArray
+from lunarsci.errors import DataError, LunarSciError, LunarSciWarning, ParameterError
+from lunarsci.spectra.photometry import correction_factor, remarks
+from lunarsci.spectra.solar import sun_moon_distance_au
+from lunarsci.spectra.spectrum import BoolArray, FloatArray
 from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure
-from lunarsci.spectra.vnis.channels import SPLICED_NM, SWIR_NM, VNIR_NM
+from lunarsci.spectra.vnis.channels import SWIR_NM, VNIR_NM, Detector
 from lunarsci.spectra.vnis.detector import (
     IN_FLIGHT_VERSION,
-    RADIANCE_UNITS,
+    WAVELENGTHS,
     DetectorSpectrum,
     Settings,
+    check_jumps,
     default_settings,
     irradiance_at,
+    measure,
+    outlying,
     reflectance_factor,
 )
-from lunarsci.spectra.vnis.footprint import SHADOW_BAND_NM, registration_error, shadow_limit_shift
+from lunarsci.spectra.vnis.footprint import (
+    SHADOW_BAND_NM,
+    Footprint,
+    average_footprint,
+    registration_error,
+    shadow_limit_shift,
+)
 from lunarsci.spectra.vnis.label import Label
 from lunarsci.spectra.vnis.observation import Observation, read_observation
-from lunarsci.spectra.vnis.screening import (
-    Notes,
-    bad_swir,
-    bad_vnir,
-    closing_remarks,
-    lit_footprint,
-    measured,
-    spliced,
-)
-from lunarsci.spectra.vnis.splice import Splice, find_splice
-from lunarsci.tables import table_rows
+from lunarsci.spectra.vnis.splice import GAIN_LIMIT, STEP_LIMIT, Shift, Splice, find_splice, shared_errors
 
-__all__ = [
-    "CALIBRATION",
-    "Shift",
-    "calibrate",
-    "calibrate_files",
-    "shared_errors",
-]
+__all__ = ["calibrate", "calibrate_files"]
 
-
-CALIBRATION = {"vnir": 0.05, "swir": 0.07}
-"""Relative error of the level of each detector, as quoted for the instrument; assumed, the source could not be read.
-The error of the Sun's level, 0.6 %, is small beside it. [-]"""
-_SMOOTH_CHANNELS = 21
-"""Over so many channels a difference of two solar spectra is broad, not detail; assumed."""
-_NEGLIGIBLE = 1e-5
-
-
-Shift = tuple[FloatArray, FloatArray]
-"""Shifts of ln R of VNIR, shape (100,), and of SWIR, shape (300,)."""
-
-
-def shared_errors(
-    vnir: DetectorSpectrum,
-    swir: DetectorSpectrum,
-    splice: Splice,
-    spliced: FloatArray,
-    settings: Settings,
-    seen: Mapping[str, Shift],
-) -> dict[str, FloatArray]:
-    """Name of each error to the shift of the spliced spectrum by one standard deviation of it, shape (390,). [-]
-
-    `calibration_vnir`, `calibration_swir` : level of each detector; the first vanishes where VNIR is scaled to SWIR.
-    `irradiance_shape`, `irradiance_detail` : broad difference to the solar spectrum of M3, difference to a standard.
-    `photometry_1`, `photometry_2`, `phase_edge` : spread over disk and phase functions, and holding the phase function
-        at the end of its wavelengths or not; absent without correction.
-    `shadow_limit`, `registration` : what is shadow, and where the field of view lies to a pixel; given as `seen`.
-    `splice_gain`, `splice_overlap`, `splice_step`, `vnir_step_632`, `vnir_step_758` : errors of the joining factors.
-    """
-    shifts = _detector_shifts(vnir, swir, settings) | dict(seen)
-    modes = {name: _carried(vnir, swir, shift, settings) for name, shift in shifts.items()} | splice.modes(spliced)
-    filled = {name: np.where(np.isfinite(mode), mode, 0.0) for name, mode in modes.items()}
-    size = np.nanmedian(spliced)
-    return {name: mode for name, mode in filled.items() if np.abs(mode).max() > _NEGLIGIBLE * size}
-
-
-def _detector_shifts(vnir: DetectorSpectrum, swir: DetectorSpectrum, settings: Settings) -> dict[str, Shift]:
-    """Relative shifts of ln R of the two detectors."""
-    ones = np.ones_like(vnir.wavelength_nm), np.ones_like(swir.wavelength_nm)
-    detail = [np.log(d.irradiance / irradiance_at(d.detector, settings.other_solar)) for d in (vnir, swir)]
-    shifts: dict[str, Shift] = {
-        "calibration_vnir": (CALIBRATION["vnir"] * ones[0], 0 * ones[1]),
-        "calibration_swir": (0 * ones[0], CALIBRATION["swir"] * ones[1]),
-        "irradiance_shape": (_to_m3(vnir), _to_m3(swir)),
-        "irradiance_detail": (detail[0], detail[1]),
-    }
-    if settings.disk is not None:
-        both, geometry = np.concatenate([vnir.wavelength_nm, swir.wavelength_nm]), _between(vnir, swir)
-        for number, mode in enumerate(model_spread(geometry, both, settings.disk, settings.phase), 1):
-            shifts[f"photometry_{number}"] = (mode[: ones[0].size], mode[ones[0].size :])
-        edges = [settings.phase.edge_shift(geometry.phase_deg, d.wavelength_nm) for d in (vnir, swir)]
-        shifts["phase_edge"] = (edges[0], edges[1])
-    return shifts
-
-
-def _to_m3(item: DetectorSpectrum) -> FloatArray:
-    """ln of the irradiance used over that of M3, broad features only. [-]"""
-    rows = table_rows(M3_TABLE)
-    nodes, ln_ratio = (np.array([float(row[name]) for row in rows]) for name in ("wavelength_nm", "ln_ratio"))
-    to_standard = np.log(item.irradiance / irradiance_at(item.detector, solar_spectrum("e490")))
-    half = _SMOOTH_CHANNELS // 2
-    padded = np.pad(to_standard, half, mode="edge")
-    smooth = np.convolve(padded, np.full(_SMOOTH_CHANNELS, 1 / _SMOOTH_CHANNELS), mode="valid")
-    return np.asarray(smooth - np.interp(item.wavelength_nm, nodes, ln_ratio), dtype=np.float64)
-
-
-def _between(vnir: DetectorSpectrum, swir: DetectorSpectrum) -> Geometry:
-    """The mean geometry of both: they differ by hundredths of a degree."""
-    a, b = vnir.geometry, swir.geometry
-    return Geometry(
-        (a.incidence_deg + b.incidence_deg) / 2, (a.emission_deg + b.emission_deg) / 2, (a.phase_deg + b.phase_deg) / 2
-    )
-
-
-def _carried(vnir: DetectorSpectrum, swir: DetectorSpectrum, shift: Shift, settings: Settings) -> FloatArray:
-    """Half the way between the joined spectra with the error of either sign: 7 % of ln R are 7 %, not e^0.07 - 1."""
-    up, down = (_respliced(vnir, swir, (sign * shift[0], sign * shift[1]), settings) for sign in (1.0, -1.0))
-    return (up - down) / 2
-
-
-def _respliced(vnir: DetectorSpectrum, swir: DetectorSpectrum, shift: Shift, settings: Settings) -> FloatArray:
-    first, second = (d.corrected * np.exp(s) for d, s in zip((vnir, swir), shift, strict=True))
-    try:
-        splice = find_splice(
-            first,
-            second,
-            first * vnir.relative_sigma,
-            second * swir.relative_sigma,
-            remove_vnir_steps=settings.remove_vnir_steps,
-        )
-    except DataError:  # the unshifted spectra were spliced: a shift of some percent changes nothing about that
-        return np.full(SPLICED_NM.size, np.nan)
-    return splice.join(first, second)
-
-
+# What is too little, too dark or too bright to go on with: assumed, each far from what the public spectra have.
+_LEAST_LIT = 0.01
+_MUCH_SHADOW, _MOST_SHADOW = 0.3, 0.9
+_DARK = 0.01
+_BRIGHT = 2.0
+_SWIR_PLATEAU = 3
+_GRAZING_DEG = 80.0
+_NOTED_STEP_SIGMAS = 3.0
+_FLAT = 0.04
+"""Sunlight on the Moon varies by some 15 % (standard deviation) from 450 to 945 nm; assumed."""
+_GAINS, _STEPS = (0.6, 1.6), (0.7, 1.4)
+"""Factors beyond which two spectra are not of one target with one instrument; assumed."""
 _IMAGE_NM = 750.0
+
+
+class _Notes:
+    """Remarks on one observation, one sentence each."""
+
+    def __init__(self, id: str) -> None:
+        self.id = id
+        self.lines: list[str] = []
+
+    def add(self, text: str) -> None:
+        """Worth knowing."""
+        self.lines.append(text)
+
+    def warn(self, text: str) -> None:
+        """Worth a second look: also a LunarSciWarning."""
+        self.add(text)
+        warnings.warn(f"{self.id}: {text}", LunarSciWarning, stacklevel=3)
 
 
 def calibrate_files(
@@ -185,27 +105,26 @@ def calibrate(observation: Observation, settings: Settings | None = None) -> Cal
     Whatever is worth a second look is a LunarSciWarning and stands in `notes`.
     """
     chosen = settings or default_settings()
-    notes = Notes(observation.id)
-    scale = RADIANCE_UNITS[chosen.radiance_unit]
+    notes = _Notes(observation.id)
     vnir_factors, swir_factors = _channel_factors(observation, chosen, notes)
-    limit = _shadow_radiance(observation.cube_label, chosen, scale, vnir_factors)
-    footprint = lit_footprint(observation, chosen, limit, notes)
+    limit = _shadow_radiance(observation.cube_label, chosen, vnir_factors)
+    footprint = _lit_footprint(observation, chosen, limit, notes)
     vnir_shift, dilution_shift = shadow_limit_shift(observation.cube, footprint, limit)
     seen: dict[str, Shift] = {
         "shadow_limit": (vnir_shift, np.full(SWIR_NM.size, -dilution_shift)),
         "registration": (0 * VNIR_NM, np.full(SWIR_NM.size, registration_error(observation.cube, footprint))),
     }
-    vnir_bad = bad_vnir(observation, footprint, notes)
-    swir_bad = bad_swir(observation, notes)
+    vnir_bad = _bad_vnir(observation, footprint, notes)
+    swir_bad = _bad_swir(observation, notes)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean_error = footprint.scatter / footprint.mean / np.sqrt(np.maximum(footprint.count, 1))
-    vnir_radiance = np.where(vnir_bad, np.nan, footprint.mean * scale * vnir_factors)
-    swir_radiance = np.where(swir_bad, np.nan, observation.table.radiance * scale * swir_factors / footprint.dilution)
-    vnir = measured("vnir", observation, vnir_radiance, mean_error, chosen, notes)
-    swir = measured("swir", observation, swir_radiance, 0 * SWIR_NM, chosen, notes)
-    splice = spliced(vnir, swir, observation.id, notes, remove_vnir_steps=chosen.remove_vnir_steps)
+    vnir_radiance = np.where(vnir_bad, np.nan, footprint.mean * vnir_factors)
+    swir_radiance = np.where(swir_bad, np.nan, observation.table.radiance * swir_factors / footprint.dilution)
+    vnir = _measured("vnir", observation, vnir_radiance, mean_error, chosen, notes)
+    swir = _measured("swir", observation, swir_radiance, 0 * SWIR_NM, chosen, notes)
+    splice = _spliced(vnir, swir, observation.id, notes, remove_vnir_steps=chosen.remove_vnir_steps)
     reflectance = splice.join(vnir.corrected, swir.corrected)
-    closing_remarks(vnir, swir, observation, chosen, notes)
+    _closing_remarks(vnir, swir, observation, chosen, notes)
     return Calibration(
         id=observation.id,
         synthetic=observation.synthetic,
@@ -220,15 +139,15 @@ def calibrate(observation: Observation, settings: Settings | None = None) -> Cal
         splice=splice,
         footprint=footprint,
         image=np.array(observation.cube[int(np.flatnonzero(VNIR_NM == _IMAGE_NM)[0])]),
-        disk=chosen.disk or "none",
-        phase=chosen.phase.name if chosen.disk else "none",
+        photometry=chosen.photometry,
+        phase=chosen.phase.name if chosen.photometry != "none" else "none",
         solar=chosen.solar.name,
         notes=tuple(notes.lines),
         inputs=observation.inputs | dict(chosen.inputs),
     )
 
 
-def _channel_factors(observation: Observation, settings: Settings, notes: Notes) -> tuple[FloatArray, FloatArray]:
+def _channel_factors(observation: Observation, settings: Settings, notes: _Notes) -> tuple[FloatArray, FloatArray]:
     """Factors for radiances that precede the in-flight calibration, ones for all others."""
     before = [label for label in (observation.cube_label, observation.table_label) if _is_early(label)]
     ones = np.ones(VNIR_NM.size), np.ones(SWIR_NM.size)
@@ -251,10 +170,198 @@ def _is_early(label: Label) -> bool:
     return label.calibration_version < IN_FLIGHT_VERSION
 
 
-def _shadow_radiance(label: Label, settings: Settings, scale: float, factors: FloatArray) -> float:
+def _shadow_radiance(label: Label, settings: Settings, factors: FloatArray) -> float:
     """The limit of shadows in the unit of the file at 465 nm."""
     band = int(np.flatnonzero(VNIR_NM == SHADOW_BAND_NM)[0])
     distance = sun_moon_distance_au(label.start)
     irradiance = irradiance_at("vnir", settings.solar)[band : band + 1]
-    one = reflectance_factor(np.array([scale * factors[band]]), irradiance, label.geometry.incidence_deg, distance)
+    one = reflectance_factor(np.array([factors[band]]), irradiance, label.geometry.incidence_deg, distance)
     return settings.shadow_limit / float(one[0])
+
+
+def _lit_footprint(observation: Observation, settings: Settings, limit: float, notes: _Notes) -> Footprint:
+    """Average the lit pixels, and say what was left out."""
+    footprint = average_footprint(observation.cube, limit)
+    inside, lit = int(footprint.inside.sum()), int(footprint.lit.sum())
+    if lit < _LEAST_LIT * inside:
+        raise DataError(
+            f"{observation.id}: {lit} of {inside} pixels of the footprint are lit and valid (reflectance at "
+            f"{SHADOW_BAND_NM:g} nm from {settings.shadow_limit:g} on); nothing to average, see --shadow"
+        )
+    shadowed = int(footprint.shadowed.sum())
+    if shadowed > _MOST_SHADOW * inside:
+        raise DataError(
+            f"{observation.id}: {100 * shadowed / inside:.0f} % of the footprint is in shadow; what is left of it says "
+            "little, leave the observation out"
+        )
+    if shadowed > _MUCH_SHADOW * inside:
+        notes.warn(f"{100 * shadowed / inside:.0f} % of the footprint is in shadow")
+    if not 0 < footprint.dilution <= 1.5:
+        raise DataError(
+            f"{observation.id}: no usable image from 900 nm on to tell how shadows dilute SWIR; fetch the cube again"
+        )
+    if np.nanstd(footprint.mean) < _FLAT * np.nanmean(footprint.mean):
+        raise DataError(
+            f"{observation.id}: all images are equally bright, which sunlit ground is not; the axes of the cube are "
+            "not band, line, sample, fetch it again"
+        )
+    if shadowed:
+        notes.add(f"SWIR radiance divided by {footprint.dilution:.4f} for the shadows it averages over")
+    for count, what in (
+        (
+            int(footprint.invalid.sum()),
+            "pixels of the footprint are left out: no value at 465 nm, or saturated",
+        ),
+        (int((footprint.clipped > 0).sum()), "VNIR channels have saturated pixels"),
+        (int((footprint.negative > 0).sum()), "VNIR channels have lit pixels with a radiance of 0 or below, left out"),
+        (int(footprint.constant.sum()), "VNIR frames have the same value in every pixel"),
+    ):
+        if count:
+            notes.add(f"{count} {what}")
+    return footprint
+
+
+def _bad_vnir(observation: Observation, footprint: Footprint, notes: _Notes) -> BoolArray:
+    """Channels of the image not to be used: without enough valid pixels, flagged, or without any contrast."""
+    flagged = np.zeros(VNIR_NM.size, dtype=bool)
+    if observation.cube_flags is None:
+        notes.add("no auxiliary table with quality codes of the images beside them")
+    else:
+        flagged = observation.cube_flags
+    flat = footprint.constant if not footprint.constant.all() else np.zeros(VNIR_NM.size, dtype=bool)
+    for bad, what in (
+        (flagged, "are flagged by their quality code"),
+        (flat, "have one value in all pixels, unlike the others,"),
+    ):
+        if bad.any():
+            notes.add(f"{int(bad.sum())} VNIR channels {what} and are masked")
+    if flagged[VNIR_NM == SHADOW_BAND_NM].any():
+        raise DataError(
+            f"{observation.id}: the image at {SHADOW_BAND_NM:g} nm, which tells shadows, is flagged; leave the "
+            "observation out, or the auxiliary table if you trust the image"
+        )
+    unusable: BoolArray = ~(footprint.mean > 0) | flagged | flat
+    return unusable
+
+
+def _bad_swir(observation: Observation, notes: _Notes) -> BoolArray:
+    """Channels of the table not to be used: flagged, without a number, not above 0, or clipped."""
+    radiance, flagged = observation.table.radiance, observation.table.flagged
+    with np.errstate(invalid="ignore"):
+        dark = radiance <= 0
+    largest = np.nanmax(radiance) if np.isfinite(radiance).any() else np.nan
+    clipped = radiance == largest
+    clipped &= clipped.sum() >= _SWIR_PLATEAU
+    clipped &= (radiance != largest).any()
+    missing = ~np.isfinite(radiance)
+    for bad, what in (
+        (flagged, "are flagged by their quality code"),
+        (missing, "have no number"),
+        (dark, "have a radiance of 0 or below"),
+        (clipped, "are saturated (one largest value)"),
+    ):
+        if bad.any():
+            notes.add(f"{int(bad.sum())} SWIR channels {what} and are masked")
+    unusable: BoolArray = flagged | missing | dark | clipped
+    return unusable
+
+
+def _measured(
+    detector: Detector,
+    observation: Observation,
+    radiance: FloatArray,
+    mean_error: FloatArray,
+    settings: Settings,
+    notes: _Notes,
+) -> DetectorSpectrum:
+    """One detector's spectrum with outlying channels masked. Raises DataError, with the id, for an absurd one."""
+    label, id = (observation.cube_label if detector == "vnir" else observation.table_label), observation.id
+    wavelength, irradiance = WAVELENGTHS[detector], irradiance_at(detector, settings.solar)
+    try:
+        correction = np.ones_like(wavelength)
+        if settings.photometry != "none":
+            correction = correction_factor(label.geometry, wavelength, settings.photometry, settings.phase)
+        item = measure(detector, label, radiance, mean_error, irradiance, correction)
+        _check_level(item, label, id)
+        outliers = outlying(item.observed)
+        if outliers.any():
+            count, name = int(outliers.sum()), detector.upper()
+            notes.add(f"{count} {name} channels are no radiance of lit ground or far from their neighbours: masked")
+            kept = np.where(outliers, np.nan, radiance)
+            item = measure(detector, label, kept, mean_error, irradiance, correction)
+    except ParameterError as error:
+        raise DataError(f"{id}: {error}") from error
+    check_jumps(id, detector.upper(), item.wavelength_nm, item.observed)
+    return item
+
+
+def _check_level(item: DetectorSpectrum, label: Label, id: str) -> None:
+    """A spectrum must be as bright as lit lunar ground, whatever the correction."""
+    level = float(np.nanmedian(item.observed)) if np.isfinite(item.observed).any() else np.nan
+    name = item.detector.upper()
+    if not np.isfinite(level):
+        raise DataError(f"{id}: no {name} channel has a usable radiance; fetch the {label.name.kind} product again")
+    if level < _DARK:
+        raise DataError(f"{id}: {name} is dark (median reflectance {level:.2g}): shadow or no light; leave it out")
+    if level > _BRIGHT:
+        raise DataError(
+            f"{id}: {name} is brighter than any rock (median reflectance {level:.3g}); "
+            "radiance is not in W m-2 sr-1 nm-1, or the label's Sun is wrong; fetch the product again"
+        )
+
+
+def _spliced(
+    vnir: DetectorSpectrum, swir: DetectorSpectrum, id: str, notes: _Notes, *, remove_vnir_steps: bool
+) -> Splice:
+    try:
+        splice = find_splice(
+            vnir.corrected,
+            swir.corrected,
+            vnir.corrected * vnir.relative_sigma,
+            swir.corrected * swir.relative_sigma,
+            remove_vnir_steps=remove_vnir_steps,
+        )
+    except DataError as error:
+        raise DataError(f"{id}: cannot be spliced: {error}; fetch both products again") from error
+    for factor, (low, high), what in (
+        (splice.gain, _GAINS, "VNIR to SWIR"),
+        (splice.step.factor, _STEPS, "the SWIR step"),
+    ):
+        if not low <= factor <= high:
+            raise DataError(
+                f"{id}: cannot be spliced: {what} would take a factor of {factor:.3g}; the products do not belong "
+                "together or one is damaged, fetch both again"
+            )
+    for factor, limit, what in (
+        (splice.gain, GAIN_LIMIT, "VNIR to SWIR differs by"),
+        (splice.step.factor, STEP_LIMIT, "the step at 1375/1380 nm is"),
+    ):
+        if abs(factor - 1) > limit:
+            notes.warn(f"{what} {100 * (factor - 1):+.1f} %, more than the {100 * limit:.0f} % that are usual")
+    for step in splice.vnir_steps:
+        if abs(step.factor - 1) > _NOTED_STEP_SIGMAS * step.sigma:
+            done = "removed" if remove_vnir_steps else "kept, see --vnir-steps"
+            notes.add(
+                f"VNIR changes by {100 * (step.factor - 1):+.1f} % at {step.at_nm:g} nm, a sub-band's end: {done}"
+            )
+    return splice
+
+
+def _closing_remarks(
+    vnir: DetectorSpectrum, swir: DetectorSpectrum, observation: Observation, settings: Settings, notes: _Notes
+) -> None:
+    for item in (vnir, swir):
+        if item.enlarged:
+            worst = f"up to {item.excess.max():.1f} times"
+            notes.add(
+                f"channels of {item.detector.upper()} scatter {worst} as much as usual; their errors are enlarged"
+            )
+    incidence = max(vnir.geometry.incidence_deg, swir.geometry.incidence_deg)
+    if incidence > _GRAZING_DEG:
+        notes.warn(f"the Sun stands {90 - incidence:.1f} deg high: small slopes change the result much")
+    if settings.photometry == "none":
+        notes.add("no photometric correction: reflectance factor at the angles of measurement")
+        return
+    wavelength = np.concatenate([VNIR_NM, SWIR_NM])
+    for remark in remarks(swir.geometry, wavelength, settings.photometry, settings.phase):
+        notes.add(remark)

@@ -44,7 +44,7 @@ class Calibration:
     systematic : name to shift of every channel by one standard deviation of an error they share, shape (390,). [-]
     vnir, swir : the two detectors before joining. splice : how they were joined. footprint : pixels used.
     image : radiance of the frame at 750 nm, shape (256, 256). [W m-2 sr-1 nm-1]
-    disk, phase, solar : names of the photometric functions (`none` without correction) and of the irradiance.
+    photometry, phase, solar : names of the photometric functions (`none` without correction) and of the irradiance.
     notes : what the reader should know, one sentence each.
     inputs : path to SHA-256.
     """
@@ -62,7 +62,7 @@ class Calibration:
     splice: Splice
     footprint: Footprint
     image: npt.NDArray[np.float32]
-    disk: str
+    photometry: str
     phase: str
     solar: str
     notes: Sequence[str]
@@ -96,7 +96,7 @@ class Calibration:
             "longitude_deg": self.longitude_deg,
             "vnir": _of_detector(self.vnir),
             "swir": _of_detector(self.swir),
-            "photometry": {"disk": self.disk, "phase": self.phase} | self._geometry(),
+            "photometry": {"disk": self.photometry, "phase": self.phase} | self._geometry(),
             "solar": self.solar,
             "footprint": self._pixels(),
             "splice": {
@@ -125,9 +125,29 @@ class Calibration:
             "systematic": {name: mode.tolist() for name, mode in self.systematic.items()},
         }
 
+    def rows(self) -> list[dict[str, Any]]:
+        """One a channel, for a table."""
+        total = self.systematic_total
+        return [
+            {
+                "id": self.id,
+                "wavelength_nm": float(SPLICED_NM[k]),
+                "reflectance": float(self.reflectance[k]),
+                "reflectance_sigma": float(self.sigma[k]),
+                "reflectance_systematic": float(total[k]),
+                **{f"systematic_{name}": float(mode[k]) for name, mode in self.systematic.items()},
+            }
+            for k in range(SPLICED_NM.size)
+        ]
+
+    def at_nm(self, wavelength_nm: float) -> tuple[float, float, float]:
+        """Reflectance factor of one channel, its independent and its shared error. [-]"""
+        at = int(np.flatnonzero(wavelength_nm == SPLICED_NM)[0])
+        return float(self.reflectance[at]), float(self.sigma[at]), float(self.systematic_total[at])
+
     def _geometry(self) -> dict[str, float | None]:
         """The angles that the reflectance factor is for; None where each detector keeps its own."""
-        corrected = self.disk != "none"
+        corrected = self.photometry != "none"
         return {
             "incidence_deg": STANDARD.incidence_deg if corrected else None,
             "emission_deg": STANDARD.emission_deg if corrected else None,

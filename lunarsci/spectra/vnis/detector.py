@@ -12,7 +12,7 @@ import numpy as np
 from lunarsci import inputs
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile
-from lunarsci.spectra.photometry import Geometry, PhaseFunction, correction_factor, phase_function
+from lunarsci.spectra.photometry import Geometry, PhaseFunction, phase_function
 from lunarsci.spectra.photometry.phase import TABLE as PHASE_TABLE
 from lunarsci.spectra.photometry.phase import SelenePhase
 from lunarsci.spectra.rows import Row, check_widths, number, separator_of, split_fields, split_lines
@@ -26,7 +26,7 @@ from lunarsci.spectra.solar import (
     sun_moon_distance_au,
     table_name,
 )
-from lunarsci.spectra.spectrum import FloatArray
+from lunarsci.spectra.spectrum import BoolArray, FloatArray
 from lunarsci.spectra.vnis.channels import (
     SUB_BAND_STEP_NM,
     SWIR_NM,
@@ -41,13 +41,14 @@ from lunarsci.spectra.vnis.label import Label
 
 __all__ = [
     "IN_FLIGHT_VERSION",
-    "RADIANCE_UNITS",
     "ChannelFactors",
     "DetectorSpectrum",
     "Settings",
+    "check_jumps",
     "default_settings",
     "irradiance_at",
     "measure",
+    "outlying",
     "read_channel_factors",
     "reflectance_factor",
 ]
@@ -148,10 +149,6 @@ def _all_channels(found: dict[float, float], detector: Detector, file: str) -> F
     return np.array([found[w] for w in _CHANNELS[detector]])
 
 
-RADIANCE_UNITS: Mapping[str, float] = {"nm": 1.0, "um": 1e-3}
-"""W m-2 sr-1 per nm or per um, and what brings it to per nm. The labels state no unit; the files are per nm."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Settings:
     """How to calibrate.
@@ -159,10 +156,10 @@ class Settings:
     Attributes
     ----------
     solar : irradiance at 1 AU. other_solar : a second spectrum; the difference of the two is the irradiance's error.
-    disk : `lommel-seeliger`, `akimov`, `mcewen`, or None to leave the reflectance factor at the angles of measurement.
+    photometry : disk function `lommel-seeliger`, `akimov` or `mcewen`, or `none` to leave the reflectance factor at the
+        angles of measurement.
     phase : phase function, used with a disk function only.
     shadow_limit : pixels with a reflectance factor below it at 465 nm are shadows, 0 to below 1. [-]
-    radiance_unit : `nm` or `um`, the wavelength that radiance is per.
     remove_vnir_steps : whether steps between the sub-bands of VNIR are removed, not only their error stated.
     factors : for products from before the in-flight calibration.
 
@@ -171,10 +168,9 @@ class Settings:
 
     solar: SolarSpectrum
     other_solar: SolarSpectrum
-    disk: str | None
+    photometry: str
     phase: PhaseFunction
     shadow_limit: float = 0.02
-    radiance_unit: str = "nm"
     remove_vnir_steps: bool = False
     factors: ChannelFactors | None = None
     inputs: Mapping[str, str] = field(default_factory=dict)
@@ -182,14 +178,12 @@ class Settings:
     def __post_init__(self) -> None:
         if not 0 <= self.shadow_limit < 1:
             raise ParameterError(f"the shadow limit is {self.shadow_limit:g}; give a reflectance from 0 to below 1")
-        if self.radiance_unit not in RADIANCE_UNITS:
-            raise ParameterError(f"radiance per '{self.radiance_unit}' is unknown; use {' or '.join(RADIANCE_UNITS)}")
 
     @property
     def tables(self) -> tuple[str, ...]:
         """Files of `spectra_data` that a calibration reads, for the provenance."""
         solar = sorted({self.solar.name, self.other_solar.name} & set(SOLAR_SPECTRA))
-        phase = [PHASE_TABLE] if self.disk is not None and isinstance(self.phase, SelenePhase) else []
+        phase = [PHASE_TABLE] if self.photometry != "none" and isinstance(self.phase, SelenePhase) else []
         return (*TABLES, *map(table_name, solar), M3_TABLE, *phase)
 
 
@@ -203,7 +197,7 @@ def default_settings() -> Settings:
     return Settings(
         solar=solar_spectrum("e490"),
         other_solar=solar_spectrum("g173"),
-        disk="lommel-seeliger",
+        photometry="lommel-seeliger",
         phase=phase_function("sp-mid"),
     )
 
@@ -266,20 +260,22 @@ def irradiance_at(detector: Detector, solar: SolarSpectrum) -> FloatArray:
 
 
 def measure(
-    detector: Detector, label: Label, radiance: FloatArray, mean_error: FloatArray, settings: Settings
+    detector: Detector,
+    label: Label,
+    radiance: FloatArray,
+    mean_error: FloatArray,
+    irradiance: FloatArray,
+    correction: FloatArray,
 ) -> DetectorSpectrum:
     """Reflectance factor and its random error from radiance, NaN where a channel is not used.
 
-    `mean_error` is the relative standard error of the mean over pixels, 0 for a single pixel.
+    `mean_error` is the relative standard error of the mean over pixels, 0 for a single pixel; `correction` the
+    photometric factor to the standard geometry.
     """
     wavelength = WAVELENGTHS[detector]
     middle = label.start + (label.stop - label.start) / 2
     distance = sun_moon_distance_au(middle)
-    irradiance = irradiance_at(detector, settings.solar)
     observed = reflectance_factor(radiance, irradiance, label.geometry.incidence_deg, distance)
-    correction = np.ones_like(wavelength)
-    if settings.disk is not None:
-        correction = correction_factor(label.geometry, wavelength, settings.disk, settings.phase)
     figures = np.hypot(random_noise(wavelength, detector), fixed_pattern(wavelength, detector))
     excess = _excess(detector, wavelength, observed, figures)
     sigma = np.hypot(figures * np.where(excess > _NOISY, excess, 1.0), mean_error)
@@ -307,3 +303,43 @@ def _excess(detector: Detector, wavelength: FloatArray, observed: FloatArray, fi
             ratio = np.log(observed[good]) / figures[good]
             excess[part] = np.median(scatter_noise(ratio - np.median(ratio)))
     return excess
+
+
+_RANGE = (0.001, 2.0)
+"""Reflectance factors that lit lunar ground may have; assumed. [-]"""
+_NEIGHBOURS = 11
+_FAR = 0.3
+"""ln R this far from the median of eleven channels is no rock: the steepest of 172 laboratory spectra (RELAB, 5 nm)
+deviates by less than 0.1. [-]"""
+_SIDE = 5
+
+
+def outlying(reflectance: FloatArray) -> BoolArray:
+    """True for channels outside 0.001-2 or more than a third off the median of their neighbours; shape (n,)."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        absurd = np.isfinite(reflectance) & ~((reflectance >= _RANGE[0]) & (reflectance <= _RANGE[1]))
+        ln = np.log(np.where(absurd | ~(reflectance > 0), np.nan, reflectance))
+    known = np.flatnonzero(np.isfinite(ln))
+    if known.size < _NEIGHBOURS:
+        return absurd
+    padded = np.pad(ln[known], _NEIGHBOURS // 2, mode="reflect")
+    middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, _NEIGHBOURS), axis=1)
+    far = np.zeros_like(absurd)
+    far[known] = np.abs(ln[known] - middle) > _FAR
+    return np.asarray(absurd | far, dtype=np.bool_)
+
+
+def check_jumps(id: str, name: str, wavelength_nm: FloatArray, reflectance: FloatArray) -> None:
+    """Raise DataError where five channels and the next five differ by more than a third: blocks of another scale."""
+    known = np.flatnonzero(np.isfinite(reflectance))
+    if known.size < 2 * _SIDE:
+        return
+    middle = np.median(np.lib.stride_tricks.sliding_window_view(np.log(reflectance[known]), _SIDE), axis=1)
+    jump = np.abs(middle[_SIDE:] - middle[:-_SIDE])
+    worst = int(jump.argmax())
+    if jump[worst] > _FAR:
+        place = wavelength_nm[known[worst + _SIDE]]
+        share = 100 * (np.exp(jump[worst]) - 1)
+        raise DataError(
+            f"{id}: {name} jumps by {share:.0f} % near {place:g} nm, which no rock does; fetch its data file again"
+        )

@@ -79,7 +79,7 @@ def _name(detector: DetectorSpectrum) -> str:
 
 
 def _draw_reflectance(axes: Any, item: Calibration) -> None:
-    corrected = item.disk != "none"
+    corrected = item.photometry != "none"
     for detector in (item.vnir, item.swir):
         color = COLORS[detector.detector]
         axes.plot(detector.wavelength_nm, detector.observed, color=color, alpha=0.45, linewidth=1)
@@ -87,7 +87,7 @@ def _draw_reflectance(axes: Any, item: Calibration) -> None:
             axes.plot(detector.wavelength_nm, detector.corrected, color=color)
     axes.plot([], [], color="0.4", alpha=0.45, linewidth=1, label="at the angles of measurement")
     if corrected:
-        axes.plot([], [], color="0.4", label=f"at i 30°, e 0°, g 30° ({item.disk}, {item.phase})")
+        axes.plot([], [], color="0.4", label=f"at i 30°, e 0°, g 30° ({item.photometry}, {item.phase})")
     splice = item.splice
     axes.text(
         0.02,

@@ -72,7 +72,7 @@ def matching(scene: Scene, **changes: Any) -> Settings:
     return settings(
         solar=solar_spectrum(scene.solar),
         other_solar=solar_spectrum("g173" if scene.solar == "e490" else "e490"),
-        disk=scene.disk,
+        photometry=scene.disk or "none",
         phase=phase_function(scene.phase),
         **changes,
     )
@@ -143,7 +143,9 @@ SUNS = {
 @pytest.mark.parametrize("sun", SUNS)
 def test_white_ground_has_a_reflectance_of_1_in_every_channel(sun: str, solar: str) -> None:
     made = product_files(simulate(SUNS[sun], EXACT))
-    found = calibrate(in_memory(made, *white(made, tabulated(solar))), settings(solar=solar_spectrum(solar), disk=None))
+    found = calibrate(
+        in_memory(made, *white(made, tabulated(solar))), settings(solar=solar_spectrum(solar), photometry="none")
+    )
     assert found.reflectance == pytest.approx(np.ones(390), abs=1e-6)
     assert found.vnir.observed == pytest.approx(np.ones(100), abs=1e-6)
     assert found.swir.observed == pytest.approx(np.ones(300), abs=1e-6)
@@ -161,7 +163,7 @@ def test_white_ground_under_a_sun_whose_mean_in_a_channel_needs_no_integral() ->
         cosine = math.cos(math.radians(incidence_deg(label)))
         radiance.append((2.2 - 0.0008 * grid) * cosine / (math.pi * sun_to_moon_au(label) ** 2))
     cube = np.broadcast_to(radiance[0][:, None, None], (100, 256, 256)).astype(np.float32)
-    found = calibrate(in_memory(made, cube, radiance[1]), settings(solar=line, disk=None))
+    found = calibrate(in_memory(made, cube, radiance[1]), settings(solar=line, photometry="none"))
     assert found.reflectance == pytest.approx(np.ones(390), abs=1e-6)
     assert found.solar == "line"
 
@@ -172,7 +174,7 @@ def test_white_ground_through_files(write: Write) -> None:
     made = product_files(simulation)
     cube, swir = white(made, tabulated("e490"))
     folder = write(product_files(replace(simulation, vnir=cube, swir=swir)))
-    found = calibrate(read_observation(str(folder / label_of(made, "SD"))), settings(disk=None))
+    found = calibrate(read_observation(str(folder / label_of(made, "SD"))), settings(photometry="none"))
     assert found.reflectance == pytest.approx(np.ones(390), abs=1e-5)
     assert "VNIR frames have the same value in every pixel" in " ".join(found.notes)
 
@@ -183,7 +185,7 @@ def test_at_the_standard_geometry_nothing_is_corrected(disk: str, phase: str) ->
     scene = Scene(geometry=Geometry(30.0, 0.0, 30.0), swir_incidence_deg=30.0)
     made = product_files(simulate(scene, EXACT))
     radiances = white(made, tabulated("e490"))
-    found = calibrate(in_memory(made, *radiances), settings(disk=disk, phase=phase_function(phase)))
+    found = calibrate(in_memory(made, *radiances), settings(photometry=disk, phase=phase_function(phase)))
     assert found.reflectance == pytest.approx(np.ones(390), abs=1e-6)
     assert not [name for name in found.systematic if name.startswith("photometry")]
 
@@ -210,7 +212,7 @@ def test_a_scene_comes_back_under_its_own_photometry(disk: str, phase: str) -> N
     found = calibrate(observed(simulation), matching(scene))
     check_truth(found, simulation, rel=2e-4)  # shadows hide other shares of rock than light shows
     assert found.footprint.shadowed.sum() == pytest.approx(9085 * simulation.truth.shadow_fraction, abs=0.5)
-    assert (found.disk, found.phase, found.solar) == (disk, phase, scene.solar)
+    assert (found.photometry, found.phase, found.solar) == (disk, phase, scene.solar)
 
 
 @pytest.mark.parametrize(
@@ -263,24 +265,19 @@ def test_gains_and_step_are_found(vnir: float, swir: float, step: float) -> None
     assert found.reflectance == pytest.approx(swir * plain.reflectance, rel=1e-5)
 
 
-def test_radiance_per_um_is_a_thousandth() -> None:
-    scene = Scene(shadow_fraction=0.1)
-    simulation = simulate(scene, EXACT, seed=2)
-    made = product_files(simulation)
-    per_um = in_memory(made, simulation.vnir * np.float32(1000), simulation.swir * 1000)
-    found = calibrate(per_um, matching(scene, radiance_unit="um"))
-    assert found.reflectance == pytest.approx(calibrate(observed(simulation), matching(scene)).reflectance, rel=1e-6)
-    with pytest.raises(DataError, match=r"brighter than any rock .* --radiance-per um"):
-        calibrate(per_um, matching(scene))
-    with pytest.raises(DataError, match=r"lit and valid|is dark"):
-        calibrate(observed(simulation), matching(scene, radiance_unit="um"))
+def test_radiance_in_another_unit_is_refused() -> None:
+    """Per um instead of per nm: a thousand times as much."""
+    simulation = simulate(Scene(shadow_fraction=0.1), EXACT, seed=2)
+    per_um = in_memory(product_files(simulation), simulation.vnir * np.float32(1000), simulation.swir * 1000)
+    with pytest.raises(DataError, match=r"brighter than any rock .* not in W m-2 sr-1 nm-1"):
+        calibrate(per_um, matching(simulation.scene))
 
 
 def test_without_photometry_the_angles_of_measurement_are_kept() -> None:
     scene = Scene(disk="akimov", phase="sp-high")
     simulation = simulate(scene, EXACT)
-    found = calibrate(observed(simulation), settings(disk=None))
-    assert (found.disk, found.phase) == ("none", "none")
+    found = calibrate(observed(simulation), settings(photometry="none"))
+    assert (found.photometry, found.phase) == ("none", "none")
     assert np.array_equal(found.vnir.correction, np.ones(100))
     assert np.array_equal(found.vnir.observed, found.vnir.corrected)
     assert "no photometric correction: reflectance factor at the angles of measurement" in found.notes
@@ -477,7 +474,6 @@ def test_models_used_beyond_where_they_are_good_are_noted() -> None:
         ({"shadow_limit": -0.1}, "the shadow limit is -0.1; give a reflectance from 0 to below 1"),
         ({"shadow_limit": 1.0}, "the shadow limit is 1"),
         ({"shadow_limit": math.nan}, "the shadow limit is nan"),
-        ({"radiance_unit": "mm"}, "radiance per 'mm' is unknown; use nm or um"),
     ],
 )
 def test_settings_out_of_range_are_refused(change: dict[str, Any], message: str) -> None:

@@ -72,7 +72,7 @@ def mafic(noise: float) -> Spectrum:
         default_settings(),
         solar=solar_spectrum("g173"),
         other_solar=solar_spectrum("e490"),
-        disk="akimov",
+        photometry="akimov",
         phase=phase_function("sp-high"),
     )
     return calibrate(observation(MAFIC, noise), obeyed).to_spectrum()
@@ -95,7 +95,7 @@ def test_names_and_shapes(base: Calibration) -> None:
 
 
 def test_without_photometry_there_is_no_error_of_its_model() -> None:
-    assert set(found({"disk": None}).systematic) == WITHOUT_MODEL
+    assert set(found({"photometry": "none"}).systematic) == WITHOUT_MODEL
 
 
 def test_the_calibration_of_swir_is_7_percent_of_everything(base: Calibration) -> None:
@@ -206,9 +206,9 @@ def test_the_limit_of_shadows_is_half_the_difference_of_two_limits() -> None:
     ("disk", "phase"), [("lommel-seeliger", "sp-mid"), ("akimov", "sp-high"), ("mcewen", "sp-low")]
 )
 def test_the_modes_of_photometry_are_the_spread_of_nine_calibrations(disk: str, phase: str) -> None:
-    used = found({"disk": disk, "phase": phase_function(phase)})
+    used = found({"photometry": disk, "phase": phase_function(phase)})
     models = [
-        found({"disk": other, "phase": phase_function(name)})
+        found({"photometry": other, "phase": phase_function(name)})
         for other in ("lommel-seeliger", "akimov", "mcewen")
         for name in ("sp-low", "sp-mid", "sp-high")
     ]

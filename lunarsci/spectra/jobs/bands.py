@@ -1,0 +1,127 @@
+"""The 1 and 2 um absorption bands of many spectra, and the composition that published regressions make of them."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+from lunarsci.result import MadeFrom, Result, flat, request_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from lunarsci.spectra.bands import BandFailure, SpectrumBands
+    from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource
+
+__all__ = ["BandsRequest", "MeasuredBands", "bands"]
+
+CHEMISTRY = (
+    "Gaffey et al. (2002), Asteroids III, 183 (Fs, Wo)",
+    "Burbine et al. (2009), Meteorit. Planet. Sci. 44, 1331, 10.1111/j.1945-5100.2009.tb01225.x (Fs, Wo)",
+    "Dunn et al. (2010), Icarus 208, 789, 10.1016/j.icarus.2010.02.016 (chondrites)",
+    "Cloutis et al. (1986), J. Geophys. Res. 91, 11641, 10.1029/JB091iB11p11641 (area ratio)",
+    "Sanchez et al. (2012), Icarus 220, 36, 10.1016/j.icarus.2012.04.008 (temperature)",
+    "Adams (1974), J. Geophys. Res. 79, 4829, 10.1029/JB079i032p04829 (the plane of the centres)",
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BandsRequest:
+    """How to measure bands.
+
+    Attributes
+    ----------
+    continuum : `conic` through 700, 1345 and 1580 nm, guarded; upper convex `hull`; `linear` between shoulders.
+    smooth, smooth_order : Savitzky-Golay window in channels, odd, 0 for none, and order of its polynomial.
+    wavelength_unit, reflectance_unit : used where a file states none.
+    """
+
+    continuum: Literal["conic", "hull", "linear"] = "conic"
+    smooth: int = 41
+    smooth_order: int = 3
+    wavelength_unit: Literal["nm", "um"] | None = None
+    reflectance_unit: Literal["fraction", "percent"] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredBands(Result):
+    """The bands of each spectrum, one at least, and why those without any have none."""
+
+    batch: "SpectraBatch"
+    measured: "Sequence[SpectrumBands | BandFailure]"
+    failures: Sequence[str]
+    schema = "spectra-bands/1"
+
+    @property
+    def made_from(self) -> MadeFrom:
+        from lunarsci.spectra.chemistry.plane import PLANE_TABLE, TABLE
+        from lunarsci.spectra.citations import PAPER, SMOOTHING
+        from lunarsci.tables import table_hashes
+
+        tables = self.batch.tables | table_hashes(TABLE, PLANE_TABLE)
+        return MadeFrom(inputs=self.batch.inputs, tables=tables, sources=[PAPER, SMOOTHING, *CHEMISTRY])
+
+    @property
+    def good(self) -> "list[SpectrumBands]":
+        """Those with a result."""
+        from lunarsci.spectra.bands import SpectrumBands
+
+        return [item for item in self.measured if isinstance(item, SpectrumBands)]
+
+    def to_dict(self) -> dict[str, Any]:
+        pairs = zip(self.measured, self.batch.origins, strict=True)
+        return {"spectra": [item.to_dict() | {"chemistry": _chemistry(item), "source": name} for item, name in pairs]}
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One a spectrum; value, error and range of each regression in columns of their own."""
+        return [_row(record) for record in self.to_dict()["spectra"]]
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.spectra.mgm.figure import band_pages
+
+        return band_pages(self.good)
+
+    def plane(self) -> "Iterator[Figure]":
+        """The 2 um centres over the 1 um centres, among those of pyroxenes."""
+        from lunarsci.spectra.chemistry.bands import plane_pages
+
+        return plane_pages(self.good)
+
+
+def bands(
+    spectra: "SpectraSource",
+    request: BandsRequest | None = None,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> MeasuredBands:
+    """Measure the bands of spectra. Raises DataError when none can be read, or none has a result."""
+    from lunarsci.spectra.bands import SpectrumBands, measure_batch
+    from lunarsci.spectra.readers.batch import read_batch
+
+    asked = request_of(BandsRequest, request, options)
+    batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit)
+    measured = measure_batch(
+        batch.spectra,
+        continuum_name=asked.continuum,
+        smooth_points=asked.smooth,
+        smooth_order=asked.smooth_order,
+        progress=progress,
+    )
+    return MeasuredBands(batch, measured, batch.failures_among(measured, SpectrumBands))
+
+
+def _chemistry(item: "SpectrumBands | BandFailure") -> dict[str, Any]:
+    """Every key of the chemistry; None where the bands for it are not there."""
+    from lunarsci.spectra.bands import SpectrumBands
+    from lunarsci.spectra.chemistry import KEYS, chemistry
+
+    found = chemistry(item) if isinstance(item, SpectrumBands) else {}
+    return {key: found[key].to_dict() if key in found else None for key in KEYS}
+
+
+def _row(record: dict[str, Any]) -> dict[str, Any]:
+    row = flat({key: value for key, value in record.items() if key != "chemistry"})
+    for key, item in record["chemistry"].items():
+        known = item or {"value": None, "sigma": None, "in_range": None}
+        row |= {key: known["value"], f"{key}_sigma": known["sigma"], f"{key}_in_range": known["in_range"]}
+    return row

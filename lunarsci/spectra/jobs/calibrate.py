@@ -1,0 +1,204 @@
+"""VNIS radiance to reflectance factor: what can be asked, and the spectra of many observations."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.inputs import InputFile, expand_inputs, read_input, together
+from lunarsci.result import MadeFrom, Result, request_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from lunarsci.spectra.spectrum import Spectrum
+    from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure
+    from lunarsci.spectra.vnis.detector import Settings
+
+__all__ = ["CalibrateRequest", "Calibrations", "calibrate", "check_fits"]
+
+MOST_IN_FITS = 55
+"""A FITS table has 999 columns at most; an observation takes up to 18."""
+INSTRUMENT = "Li et al. (2019), Rev. Sci. Instrum. 90, 103106, 10.1063/1.5089737"
+Products = str | Path | Sequence[str | Path]
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrateRequest:
+    """How to calibrate.
+
+    Attributes
+    ----------
+    photometry : disk function of the correction to i 30, e 0, g 30 deg; `none` keeps the measured angles.
+    phase : phase function, `sp-low`, `sp-mid`, `sp-high` or `flat`, or a table, as a file or in memory.
+    solar : irradiance, `e490` or `g173`, or a table of nm and W m-2 nm-1.
+    shadow : pixels with a lower reflectance factor at 465 nm are shadows, 0 to below 1. [-]
+    vnir_steps : whether the steps between the sub-bands of VNIR are kept or removed.
+    calibration : table of channel factors, for radiance from before the in-flight calibration.
+    """
+
+    photometry: Literal["lommel-seeliger", "akimov", "mcewen", "none"] = "lommel-seeliger"
+    phase: str | Any = "sp-mid"
+    solar: str | Any = "e490"
+    shadow: float = 0.02
+    vnir_steps: Literal["keep", "remove"] = "keep"
+    calibration: str | Any | None = None
+
+    def settings(self) -> "Settings":
+        """With the tables read. Raises DataError for one that cannot be used, ParameterError for a value."""
+        from lunarsci.spectra.photometry import PHASE_FUNCTIONS, phase_function, read_phase_function
+        from lunarsci.spectra.readers.solar_table import read_solar_spectrum
+        from lunarsci.spectra.solar import SOLAR_SPECTRA, solar_spectrum
+        from lunarsci.spectra.vnis.detector import Settings, read_channel_factors
+
+        inputs: dict[str, str] = {}
+
+        def opened(source: Any) -> InputFile:
+            file = read_input(source)
+            inputs[file.name] = file.sha256
+            return file
+
+        def embedded(name: Any, names: Sequence[str]) -> bool:
+            return isinstance(name, str) and name in names
+
+        return Settings(
+            solar=(
+                solar_spectrum(str(self.solar))
+                if embedded(self.solar, list(SOLAR_SPECTRA))
+                else read_solar_spectrum(opened(self.solar))
+            ),
+            other_solar=solar_spectrum("g173" if embedded(self.solar, ("e490",)) else "e490"),
+            photometry=self.photometry,
+            phase=(
+                phase_function(str(self.phase))
+                if embedded(self.phase, PHASE_FUNCTIONS)
+                else read_phase_function(opened(self.phase))
+            ),
+            shadow_limit=self.shadow,
+            remove_vnir_steps=self.vnir_steps == "remove",
+            factors=read_channel_factors(opened(self.calibration)) if self.calibration is not None else None,
+            inputs=inputs,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Calibrations(Result):
+    """Calibrated observations, one at least, and those that gave no spectrum, with what was used for all."""
+
+    observations: "Sequence[Calibration]"
+    failed: "Sequence[CalibrationFailure]"
+    settings: "Settings"
+    schema = "spectra-calibrate/1"
+
+    @property
+    def spectra(self) -> "list[Spectrum]":
+        """The spectra for the other jobs."""
+        return [item.to_spectrum() for item in self.observations]
+
+    @property
+    def made_from(self) -> MadeFrom:
+        from lunarsci.spectra.citations import PAPER
+        from lunarsci.tables import table_hashes
+
+        phase = [self.settings.phase.source] if self.settings.photometry != "none" else []
+        return MadeFrom(
+            inputs={path: digest for item in self.observations for path, digest in item.inputs.items()},
+            tables=table_hashes(*self.settings.tables),
+            sources=[PAPER, INSTRUMENT, self.settings.solar.source, *phase],
+        )
+
+    @property
+    def failures(self) -> Sequence[str]:
+        return [item.status for item in self.failed]
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"spectra": [item.to_dict() for item in self.observations]}
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One a channel."""
+        return [row for item in self.observations for row in item.rows()]
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.spectra.vnis.figure import calibration_pages
+
+        return calibration_pages(self.observations)
+
+    def to_ecsv(self, provenance: Mapping[str, Any]) -> bytes:
+        """As `lunarsci.spectra.vnis.calibration.to_ecsv`."""
+        from lunarsci.spectra.vnis.calibration import to_ecsv
+
+        return to_ecsv(self.observations, provenance)
+
+    def to_fits(self, provenance: Mapping[str, Any]) -> bytes:
+        """As `lunarsci.spectra.vnis.calibration.to_fits`."""
+        from lunarsci.spectra.vnis.calibration import to_fits
+
+        return to_fits(self.observations, provenance)
+
+
+def calibrate(
+    products: Products,
+    request: CalibrateRequest | None = None,
+    *,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Calibrations:
+    """Calibrate VNIS observations: one file of each, folders of them, or patterns.
+
+    Raises DataError when nothing could be calibrated, or a table of the request cannot be used.
+    """
+    from lunarsci.spectra.vnis.calibrate import calibrate_files
+    from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure
+
+    settings = request_of(CalibrateRequest, request, options).settings()
+    paths, failures = _observations(products)
+    results = calibrate_files(paths, settings, progress)
+    good = [item for item in results if isinstance(item, Calibration)]
+    failed = [
+        *(CalibrationFailure(*pair) for pair in failures),
+        *(item for item in results if isinstance(item, CalibrationFailure)),
+    ]
+    if not good:
+        raise DataError(together([item.status for item in failed]))
+    return Calibrations(good, failed, settings)
+
+
+def check_fits(path: Path | None, products: Products) -> None:
+    """Raise ParameterError, before the work, where a FITS table would need more columns than the format has."""
+    if (
+        path is not None
+        and path.suffix.lower() == ".fits"
+        and (count := len(_observations(products)[0])) > MOST_IN_FITS
+    ):
+        raise ParameterError(f"{path}: a FITS table holds {MOST_IN_FITS} observations, here are {count}; use .ecsv")
+
+
+def _observations(products: Products) -> tuple[list[str], list[tuple[str, str]]]:
+    """One file of each observation, and the arguments that name none, with the reason."""
+    from lunarsci.spectra.vnis.observation import one_per_observation
+
+    found: list[str] = []
+    failures: list[tuple[str, str]] = []
+    for argument in [products] if isinstance(products, str | Path) else products:
+        try:
+            found += _products(str(argument))
+        except DataError as error:
+            failures.append((str(argument), str(error)))
+    return one_per_observation(found), failures
+
+
+def _products(argument: str) -> list[str]:
+    """The VNIS products of a folder or pattern; a file's own name whatever it is, since reading it tells."""
+    from lunarsci.spectra.vnis.name import product_name
+
+    if argument == "-":
+        raise DataError("-: a product is several files and cannot come from stdin; name its label")
+    names = expand_inputs([argument])
+    if names == [argument]:
+        return names
+    products = [name for name in names if product_name(name)]
+    if not products:
+        raise DataError(f"{argument}: no VNIS product in it (CE4_GRAS_VNIS-....2BL and .2B); check the folder")
+    return products

@@ -1,0 +1,234 @@
+"""Libraries of end members: made of files of spectra, listed, and checked."""
+
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from lunarsci.errors import DataError, LunarSciError, LunarSciWarning
+from lunarsci.inputs import read_input, together
+from lunarsci.result import MadeFrom, Result, request_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from lunarsci.spectra.library.check import LibraryFinding
+    from lunarsci.spectra.library.end_member import EndMember
+
+__all__ = ["CheckedLibrary", "ImportRequest", "Library", "check_library", "import_library", "open_library"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImportRequest:
+    """What is known of spectra that become end members.
+
+    Attributes
+    ----------
+    mineral, source : of all spectra of which the metadata say nothing.
+    metadata : table by id of minerals, chemistry, grain sizes, sources and modes, as a file or in memory.
+    wavelength_unit, reflectance_unit : used where a file states none.
+    """
+
+    mineral: Literal["olivine", "orthopyroxene", "clinopyroxene", "plagioclase", "opaque", "glass", "other"] | None = (
+        None
+    )
+    metadata: str | Any | None = None
+    source: str = ""
+    wavelength_unit: Literal["nm", "um"] | None = None
+    reflectance_unit: Literal["fraction", "percent"] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Library(Result):
+    """End members of all files with the file of each, what could not be read, and what an import left out."""
+
+    members: "Sequence[EndMember]"
+    origins: Sequence[str]
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    failures: Sequence[str] = ()
+    schema = "spectra-library/1"
+
+    @property
+    def made_from(self) -> MadeFrom:
+        return MadeFrom(inputs=self.inputs, sources=sorted({member.source for member in self.members if member.source}))
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"end_members": self.rows()}
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One an end member."""
+        return [
+            {
+                "id": member.id,
+                **member.sample(),
+                "channels": member.wavelength_nm.size,
+                "from_nm": float(member.wavelength_nm[0]),
+                "to_nm": float(member.wavelength_nm[-1]),
+                "file": origin,
+            }
+            for member, origin in zip(self.members, self.origins, strict=True)
+        ]
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.spectra.library.end_member import library_pages
+
+        return library_pages(self.members)
+
+    def to_ecsv(self, provenance: Mapping[str, Any] | None = None) -> bytes:
+        """As `lunarsci.spectra.library.end_member.to_ecsv`."""
+        from lunarsci.spectra.library.end_member import to_ecsv
+
+        return to_ecsv(self.members, provenance)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImportedLibrary(Library):
+    """A library just made; `left_out` are mixtures, `unknown` is what the metadata say nothing of."""
+
+    left_out: Sequence[str] = ()
+    unknown: Sequence[str] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"end_members": self.rows(), "left_out": self.left_out, "not_in_metadata": self.unknown}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CheckedLibrary(Result):
+    """A library with what was found in each end member."""
+
+    library: Library
+    findings: "Sequence[Sequence[LibraryFinding]]"
+    schema = "spectra-library-check/1"
+
+    @property
+    def made_from(self) -> MadeFrom:
+        return MadeFrom(inputs=self.library.inputs)
+
+    @property
+    def failures(self) -> Sequence[str]:
+        return self.library.failures
+
+    @property
+    def untrusted(self) -> str:
+        bad = [record["id"] for record in self.to_dict()["end_members"] if record["must_mend"]]
+        return f"not fit for use: mend {_counted(bad, 'end members')}" if bad else ""
+
+    def to_dict(self) -> dict[str, Any]:
+        records = [
+            {
+                "id": member.id,
+                "mineral": member.mineral,
+                "must_mend": [finding.text for finding in found if finding.must_mend],
+                "remarks": [finding.text for finding in found if not finding.must_mend],
+            }
+            for member, found in zip(self.library.members, self.findings, strict=True)
+        ]
+        return {"end_members": records, "ok": not any(record["must_mend"] for record in records)}
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One a finding."""
+        return [
+            {"id": member.id, "must_mend": finding.must_mend, "finding": finding.text}
+            for member, found in zip(self.library.members, self.findings, strict=True)
+            for finding in found
+        ]
+
+    def figures(self) -> "Iterator[Figure]":
+        return self.library.figures()
+
+
+def open_library(
+    files: Sequence[str], wavelength_unit: Any = None, reflectance_unit: Any = None, but: str | None = None
+) -> Library:
+    """Read every file `but` one; what cannot be read is remembered. Raises DataError when nothing can."""
+    from lunarsci.spectra.library.end_member import read_library
+    from lunarsci.spectra.readers.batch import expanded
+
+    members: list[EndMember] = []
+    origins: list[str] = []
+    inputs: dict[str, str] = {}
+    failures: list[str] = []
+    for name in expanded(files, failures):
+        if but is not None and Path(name).resolve() == Path(but).resolve():
+            continue
+        try:
+            source = read_input(name)
+            found = read_library(source, wavelength_unit=wavelength_unit, reflectance_unit=reflectance_unit)
+            members += found
+            origins += [source.name] * len(found)
+            inputs[source.name] = source.sha256
+        except LunarSciError as error:
+            failures.append(str(error) if name in str(error) else f"{name}: {error}")
+    if not members:
+        raise DataError(together(failures) if failures else f"{files[0]}: holds no files of spectra")
+    return Library(members=members, origins=origins, inputs=inputs, failures=failures)
+
+
+def import_library(files: Sequence[str], request: ImportRequest | None = None, **options: Any) -> ImportedLibrary:
+    """Read spectra and describe them: the metadata first, then the other options, for what is still unknown.
+
+    What is left out, unknown or must be mended is a LunarSciWarning. Raises DataError when nothing is left.
+    """
+    from lunarsci.spectra.library.check import MIXTURE, read_metadata
+
+    asked = request_of(ImportRequest, request, options)
+    table = read_input(asked.metadata) if asked.metadata is not None else None
+    told = read_metadata(table) if table else {}
+    skipped = asked.metadata if isinstance(asked.metadata, str) else None
+    found = open_library(files, asked.wavelength_unit, asked.reflectance_unit, but=skipped)
+    unknown = [member.id for member in found.members if table and member.id not in told]
+    left_out = [member.id for member in found.members if told.get(member.id, {}).get("mineral") == MIXTURE]
+    kept = [
+        (_described(member, told.get(member.id, {}), asked, table.name if table else ""), origin)
+        for member, origin in zip(found.members, found.origins, strict=True)
+        if told.get(member.id, {}).get("mineral") != MIXTURE
+    ]
+    if not kept:
+        raise DataError(f"{skipped}: all {len(left_out)} spectra are mixtures by it; none is an end member")
+    library = ImportedLibrary(
+        members=[member for member, _ in kept],
+        origins=[origin for _, origin in kept],
+        inputs={**found.inputs, **({table.name: table.sha256} if table else {})},
+        failures=found.failures,
+        left_out=left_out,
+        unknown=unknown,
+    )
+    _warn(library)
+    return library
+
+
+def _described(member: "EndMember", told: Mapping[str, Any], asked: ImportRequest, table: str) -> "EndMember":
+    from lunarsci.spectra.library.check import with_description
+
+    try:
+        member = with_description(member, told)
+    except DataError as error:
+        raise DataError(f"{table}: {error}") from error
+    return replace(member, mineral=member.mineral or asked.mineral, source=member.source or asked.source)
+
+
+def _warn(library: ImportedLibrary) -> None:
+    bad = [record["id"] for record in _checked(library).to_dict()["end_members"] if record["must_mend"]]
+    for ids, what in (
+        (library.left_out, "mixtures, left out"),
+        (library.unknown, "spectra of which --metadata says nothing"),
+        (bad, "end members that must be mended (see library check)"),
+    ):
+        if ids:
+            warnings.warn(_counted(ids, what), LunarSciWarning, stacklevel=3)
+
+
+def _counted(ids: Sequence[str], what: str) -> str:
+    return f"{len(ids)} {what}: {', '.join(ids[:5])}{', …' if len(ids) > 5 else ''}"
+
+
+def check_library(files: Sequence[str]) -> CheckedLibrary:
+    """What must be mended before a library is used, and what one should know of it."""
+    return _checked(open_library(files))
+
+
+def _checked(library: Library) -> CheckedLibrary:
+    from lunarsci.spectra.library.check import check_library
+
+    return CheckedLibrary(library=library, findings=check_library(library.members))

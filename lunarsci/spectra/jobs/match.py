@@ -1,0 +1,389 @@
+"""The crater a rock came from: what can be asked, and what composition and prior say of each candidate."""
+
+import hashlib
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from lunarsci.errors import DataError, LunarSciError, ParameterError, RequestError
+from lunarsci.inputs import InputFile, expand_inputs, read_input, together
+from lunarsci.result import MadeFrom, Result, request_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from lunarsci.spectra.origin.catalogue import Crater, Point
+    from lunarsci.spectra.origin.composition import Rock
+    from lunarsci.spectra.origin.match import CraterMatch, MatchSettings, RockMatch
+    from lunarsci.spectra.origin.mineral_map import MapReport
+    from lunarsci.spectra.origin.prior import Range
+
+__all__ = ["MatchRequest", "Matches", "match"]
+
+STIRRING = "Oberbeck et al. (1975), Moon 12, 19, 10.1007/BF00577878 (coefficients from later literature, not checked)"
+BEYOND_LAW_KM = 2729.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MatchRequest:
+    """A rock without a file, the craters, and what the prior is made of.
+
+    Attributes
+    ----------
+    modes : `ol=0.2:0.05,opx=…`, share and error of two minerals or more. bands : `bc1000=930:5,…`. [nm]
+    name, site : of that rock, and latitude and longitude where rocks were found. [deg]
+    use : kind of composition that is compared.
+    systematic, band_systematic : what two methods disagree by, one standard deviation. [-, nm]
+    craters : table of candidates, as a file or in memory; None for those around Chang'E-4.
+    mineral_map : `olivine=map.tif`, one a mineral; annulus : ring around a crater that is read there. [rim radii]
+    prior, ejecta_law, thickness_factor, surface_age, other, exposure, rock_life, rock_size, life_exponent,
+    re_excavation, stirring, gardening, seed : see `lunarsci.spectra.origin.prior.PriorSettings`.
+    """
+
+    modes: str | None = None
+    bands: str | None = None
+    name: str = "rock"
+    site: str = "-45.44,177.56"
+    use: Literal["both", "modes", "bands"] = "both"
+    systematic: float = 0.10
+    band_systematic: float = 10.0
+    craters: str | Any | None = None
+    mineral_map: tuple[str, ...] = ()
+    annulus: str = "1:2"
+    prior: Literal["ejecta", "uniform"] = "ejecta"
+    ejecta_law: Literal["mcgetchin", "pike", "housen", "xie"] = "pike"
+    thickness_factor: float = 3.0
+    surface_age: float | None = None
+    other: float = 0.1
+    exposure: bool = True
+    rock_life: str = "40:80"
+    rock_size: float = 2.0
+    life_exponent: float = 0.5
+    re_excavation: bool = True
+    stirring: float = 1.0
+    gardening: str = "0.001:0.1"
+    seed: int = 0
+
+    def settings(self) -> "MatchSettings":
+        """As the formulas take them. Raises ParameterError for a value out of range, RequestError for a text."""
+        from lunarsci.spectra.origin.match import MatchSettings
+        from lunarsci.spectra.origin.prior import PriorSettings
+
+        return MatchSettings(
+            systematic=self.systematic,
+            band_systematic_nm=self.band_systematic,
+            use_modes=self.use != "bands",
+            use_bands=self.use != "modes",
+            prior=PriorSettings(
+                kind=self.prior,
+                law=self.ejecta_law,
+                thickness_factor=self.thickness_factor,
+                exposure=self.exposure,
+                rock_life_ma=_span(self.rock_life, "rock_life"),
+                rock_size_m=self.rock_size,
+                life_exponent=self.life_exponent,
+                re_excavation=self.re_excavation,
+                stirring=self.stirring,
+                gardening_m=_span(self.gardening, "gardening"),
+                surface_age_ma=self.surface_age,
+                other_weight=self.other,
+                seed=self.seed,
+            ),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Matches(Result):
+    """Every rock with every crater, and what was assumed; `inputs` and `tables` are hashes by name."""
+
+    matches: "Sequence[RockMatch]"
+    site: "Point"
+    settings: "MatchSettings"
+    assumptions: Sequence[str]
+    maps: "Sequence[MapReport]"
+    inputs: Mapping[str, str]
+    tables: Mapping[str, str]
+    unread: Sequence[str]
+    schema = "spectra-match/1"
+
+    @property
+    def made_from(self) -> MadeFrom:
+        from lunarsci.spectra.citations import PAPER
+        from lunarsci.spectra.origin.prior import LAW_SOURCES, SURVIVAL_SOURCE
+
+        prior = self.settings.prior
+        survival = [SURVIVAL_SOURCE] if prior.exposure else []
+        stirring = [STIRRING] if prior.re_excavation else []
+        sources = [PAPER, LAW_SOURCES[prior.law], *survival, *stirring]
+        return MadeFrom(inputs=self.inputs, tables=self.tables, sources=sources, seed=prior.seed)
+
+    @property
+    def failures(self) -> Sequence[str]:
+        return self.unread
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "site": {"latitude_deg": self.site[0], "longitude_deg": self.site[1]},
+            "rocks": [match.to_dict() for match in self.matches],
+            "assumptions": self.assumptions,
+            "maps": [
+                {"crater": item.crater, "covered": dict(item.covered), "status": item.status} for item in self.maps
+            ],
+        }
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One a crater, and one for other sources, of each rock."""
+        return [row for match in self.matches for row in _rows(match)]
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.spectra.origin.figure import match_pages
+
+        return match_pages(self.matches, self.site)
+
+
+def match(rocks: Any = (), request: MatchRequest | None = None, **options: Any) -> Matches:
+    """Match rocks with candidate craters.
+
+    `rocks` are JSON results of `spectra fit` and `spectra bands`, one or many: files, patterns, open files, or results
+    in memory; the same id in two is one rock. None with `modes` or `bands`, which describe one.
+
+    Raises DataError when no rock can be read, ParameterError where no crater can have delivered one.
+    """
+    from lunarsci.spectra.origin.match import match_rocks
+
+    asked = request_of(MatchRequest, request, options)
+    settings, site = asked.settings(), _site(asked.site)
+    given = _rocks(list(rocks) if isinstance(rocks, list | tuple) else [rocks], asked)
+    found = _candidates(asked)
+    matches = match_rocks(given.rocks, found.craters, site, settings)
+    return Matches(
+        matches,
+        site,
+        settings,
+        _assumptions(matches, found, site, settings),
+        found.map_reports,
+        given.inputs | found.inputs,
+        found.tables,
+        given.failures,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class MatchInputs:
+    """The rocks, the inputs' hashes, and what could not be read."""
+
+    rocks: "list[Rock]"
+    inputs: dict[str, str] = field(default_factory=dict)
+    failures: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class Candidates:
+    """The craters, the hashes of what they were read from, and what maps gave."""
+
+    craters: "Sequence[Crater]"
+    source: str
+    inputs: dict[str, str] = field(default_factory=dict)
+    tables: dict[str, str] = field(default_factory=dict)
+    map_reports: "Sequence[MapReport]" = ()
+
+
+def _rows(match: "RockMatch") -> list[dict[str, Any]]:
+    """One row per crater and one for other sources."""
+    from lunarsci.spectra.origin.match import OTHER
+
+    rows = []
+    for item in match.craters:
+        record = item.to_dict()
+        terms, sources = record.pop("terms"), record.pop("sources")
+        stages = {f"stage_{name}": share for name, share in terms["stages"].items()}
+        flat = {"survival": terms["survival"], "above_surface": terms["above_surface"], **stages}
+        rows.append({"rock": match.rock.id, **record, **flat, "sources": "; ".join(sources.values())})
+    rest = {"log_bayes_factor": 0.0, "prior": match.other_prior, "posterior": match.other_posterior}
+    return [*rows, {"rock": match.rock.id, "name": OTHER, **rest}]
+
+
+def _site(text: str) -> "Point":
+    """`LAT,LON` in degrees."""
+    from lunarsci.spectra.origin.catalogue import checked_point
+    from lunarsci.spectra.origin.composition import stated_number
+
+    parts = text.split(",")
+    if len(parts) != 2:
+        raise RequestError(f"`site` {text}: give latitude and longitude, such as -45.44,177.56")
+    numbers = [stated_number(part, f"`site` {text}") for part in parts]
+    try:
+        return checked_point(*numbers)
+    except ParameterError as error:
+        raise RequestError(f"`site` {text}: {error}") from error
+
+
+def _span(text: str, option: str) -> "Range":
+    """`LOW:HIGH`, or one number for both."""
+    from lunarsci.spectra.origin.composition import stated_number
+    from lunarsci.spectra.origin.prior import Range
+
+    numbers = [stated_number(part, f"`{option}` {text}") for part in text.split(":")]
+    if len(numbers) > 2:
+        raise RequestError(f"`{option}` {text}: give LOW:HIGH")
+    try:
+        return Range(numbers[0], numbers[-1])
+    except ParameterError as error:
+        raise RequestError(f"`{option}` {text}: {error}") from error
+
+
+def _rocks(sources: Sequence[Any], asked: MatchRequest) -> MatchInputs:
+    """The rocks of results, or the one that the request states. Raises DataError when no result can be read."""
+    from lunarsci.spectra.origin.composition import Rock, stated_composition
+
+    stated = asked.modes is not None or asked.bands is not None
+    if stated == bool(sources):
+        raise RequestError("give results of `spectra fit --json`, or `modes` or `bands` for one rock, not both")
+    if stated:
+        return MatchInputs([Rock(asked.name, stated_composition(asked.modes, asked.bands))])
+    return _read(sources)
+
+
+def _read(sources: Sequence[Any]) -> MatchInputs:
+    from lunarsci.spectra.origin.composition import joined, read_rocks
+
+    rocks: list[Rock] = []
+    hashes: dict[str, str] = {}
+    failures: list[str] = []
+    for item in sources:
+        try:
+            for source in _opened(item):
+                rocks += read_rocks(source)
+                hashes[source.name] = source.sha256
+        except LunarSciError as error:
+            failures.append(str(error) if str(item) in str(error) else f"{item}: {error}")
+    if not rocks:
+        raise DataError(together(failures))
+    return MatchInputs(joined(rocks), hashes, failures)
+
+
+def _opened(item: Any) -> Iterator[InputFile]:
+    if isinstance(item, Result):
+        yield InputFile(f"<{type(item).__name__}>", item.to_json(time=False).encode())
+    else:
+        for name in expand_inputs([str(item)]) if isinstance(item, str | Path) else [item]:
+            yield read_input(name)
+
+
+def _candidates(asked: MatchRequest) -> Candidates:
+    """The embedded craters or those of a table, with modes from maps where these are given."""
+    from lunarsci.spectra.origin.catalogue import TABLE, embedded_catalogue, read_catalogue
+    from lunarsci.tables import table_hashes
+
+    if asked.craters is None:
+        found = Candidates(embedded_catalogue(), f"embedded {TABLE}", tables=table_hashes(TABLE))
+    else:
+        source = read_input(asked.craters)
+        found = Candidates(read_catalogue(source), source.name, {source.name: source.sha256})
+    return _mapped(found, asked.mineral_map, asked.annulus) if asked.mineral_map else found
+
+
+def _mapped(found: Candidates, maps: Sequence[str], annulus: str) -> Candidates:
+    from lunarsci.spectra.origin.composition import SHORT
+    from lunarsci.spectra.origin.mineral_map import with_maps
+
+    names: dict[str, str] = {}
+    for item in maps:
+        key, equals, file = item.partition("=")
+        mineral = SHORT.get(key.strip().lower(), key.strip().lower())
+        if not equals or not file or mineral in names:
+            raise RequestError(f"`mineral_map` '{item}': give MINERAL=FILE.tif, each mineral once")
+        names[mineral] = file
+    ring = _ring(annulus)
+    craters, reports = with_maps(found.craters, names, ring)
+    hashes = {file: _digest(file) for file in names.values()}
+    return Candidates(craters, found.source, found.inputs | hashes, found.tables, reports)
+
+
+def _digest(file: str) -> str:
+    """SHA-256 of a map, which may not fit into memory."""
+    with Path(file).open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _ring(text: str) -> tuple[float, float]:
+    """`IN:OUT` of the ring, which may begin at 0."""
+    from lunarsci.spectra.origin.composition import stated_number
+
+    numbers = [stated_number(part, f"`annulus` {text}") for part in text.split(":")]
+    if len(numbers) != 2:
+        raise RequestError(f"`annulus` {text}: give IN:OUT in rim radii, such as 1:2")
+    return numbers[0], numbers[1]
+
+
+def _assumptions(
+    matches: "Sequence[RockMatch]", found: "Candidates", site: "Point", settings: "MatchSettings"
+) -> list[str]:
+    prior = settings.prior
+    lines = [
+        f"site {site[0]:g}, {site[1]:g} deg; craters from {found.source}",
+        f"two methods disagree by {settings.systematic:g} in the share of a mineral and "
+        f"{settings.band_systematic_nm:g} nm in a band centre, one standard deviation (assumed)",
+        f"other sources than these craters: prior {prior.other_weight:g}, any composition (assumed)",
+        *_craters_notes(matches[0].craters, settings),
+    ]
+    if prior.kind == "uniform":
+        return [*lines, "prior: all craters alike but those that contain the site", *_map_notes(found.map_reports)]
+    return [*lines, *_prior_notes(site, settings, matches[0].craters), *_map_notes(found.map_reports)]
+
+
+def _craters_notes(items: "Sequence[CraterMatch]", settings: "MatchSettings") -> list[str]:
+    unknown = [i.crater.name for i in items if not i.crater.composition.known and not i.contains_site]
+    inside = [i.crater.name for i in items if i.contains_site]
+    both = [i.crater.name for i in items if i.evidence.minerals and i.evidence.bands]
+    lines = []
+    if unknown:
+        lines.append(f"composition unknown, any is as likely, ln BF 0 (neither for nor against): {', '.join(unknown)}")
+    if inside:
+        lines.append(f"contain the site, so that no ejecta of theirs lie there; left out: {', '.join(inside)}")
+    if both:
+        lines.append(
+            "modes and bands are counted as independent, which from one spectrum they are not (--use): "
+            f"{', '.join(both)}"
+        )
+    return lines
+
+
+def _prior_notes(site: "Point", settings: "MatchSettings", items: "Sequence[CraterMatch]") -> list[str]:
+    from lunarsci.spectra.origin.prior import surface_age_ma
+
+    prior = settings.prior
+    surface = surface_age_ma(site, prior)
+    lines = [
+        f"prior: ejecta thickness ({prior.law}, transient crater), within a factor of {prior.thickness_factor:g}",
+        f"ejecta of craters older than {surface:g} Ma lie below the surface and count nothing",
+        "ages uniform in the logarithm over their range; where the catalogue has none 1-4200 Ma (assumed)",
+    ]
+    if prior.exposure:
+        lines.append(
+            f"half of the 2 m boulders gone in {_shown(prior.rock_life_ma)} Ma (Basilevsky et al. 2013); rock of "
+            f"{prior.rock_size_m:g} m, life with size^{prior.life_exponent:g} (assumed)"
+        )
+    else:
+        lines.append("rocks last for ever (--no-exposure)")
+    if prior.re_excavation:
+        lines.append(
+            f"buried ejecta come up with younger ejecta ({prior.stirring:g} times Oberbeck's ratio) and by small local "
+            f"craters ({_shown(prior.gardening_m)} m, assumed: it decides between young and old craters)"
+        )
+    else:
+        lines.append("buried ejecta stay buried (--no-re-excavation)")
+    far = [i.crater.name for i in items if i.prior.distance_km > BEYOND_LAW_KM]
+    if far:
+        lines.append(f"beyond a quarter of the Moon the laws are too low, ejecta converge: {', '.join(far)}")
+    return lines
+
+
+def _shown(span: "Range") -> str:
+    return f"{span.low:g}" if span.low == span.high else f"{span.low:g}-{span.high:g}"
+
+
+def _map_notes(reports: "Sequence[MapReport]") -> list[str]:
+    return list(Counter(sorted(f"{item.crater}: {item.status}" for item in reports)))

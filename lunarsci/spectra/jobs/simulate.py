@@ -1,0 +1,159 @@
+"""Synthetic VNIS products of a made-up scene: what can be asked, and the files with the truth."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any, Literal
+
+from lunarsci.errors import ParameterError
+from lunarsci.result import MadeFrom, Result, request_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from lunarsci.spectra.vnis.simulation.instrument import Simulation
+    from lunarsci.spectra.vnis.simulation.scene import Scene, SceneComposition
+
+__all__ = ["SimulateVnisRequest", "SimulatedVnis", "simulate"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SimulateVnisRequest:
+    """A scene, its light and the instrument's noise.
+
+    Attributes
+    ----------
+    soil, rock : fractions of ol, opx, cpx, plg that add up to 1; no rock where None.
+    rock_radius : in the image; the short-wave detector sees 53.8. [px]
+    shadow : share of the image in shadow, 0 to below 1. [-]
+    incidence, emission, phase_angle : Sun and view from the normal, and the angle between them. [deg]
+    photometry, phase : disk function and phase function that the ground obeys.
+    noise : factor on the instrument's noise; 0 for none. [-]
+    time : of the short-wave scan, UTC, ISO 8601.
+    sequence : number of the observation, 1 to 9999.
+    seed : of texture, shadows and noise.
+    """
+
+    soil: str = "ol=0.05,opx=0.20,cpx=0.20,plg=0.55"
+    rock: str | None = None
+    rock_radius: float = 54.0
+    shadow: float = 0.0
+    incidence: float = 64.412
+    emission: float = 45.557
+    phase_angle: float = 54.505
+    photometry: Literal["lommel-seeliger", "akimov", "mcewen", "none"] = "akimov"
+    phase: Literal["sp-low", "sp-mid", "sp-high", "flat"] = "sp-high"
+    noise: float = 1.0
+    time: str = "2020-07-16T08:20:00"
+    sequence: int = 1
+    seed: int = 0
+
+    def scene(self) -> "Scene":
+        """What is looked at. Raises ParameterError for what there cannot be."""
+        from lunarsci.spectra.photometry import Geometry
+        from lunarsci.spectra.vnis.simulation.scene import ROCK, SOIL, Scene, SceneRock
+
+        rock = self.rock and SceneRock(replace(ROCK, composition=_composition(self.rock)), radius_px=self.rock_radius)
+        return Scene(
+            soil=replace(SOIL, composition=_composition(self.soil)),
+            rock=rock or None,
+            shadow_fraction=self.shadow,
+            geometry=Geometry(self.incidence, self.emission, self.phase_angle),
+            disk=None if self.photometry == "none" else self.photometry,
+            phase=self.phase,
+            time=_moment(self.time),
+            sequence=self.sequence,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedVnis(Result):
+    """A synthetic observation and its files, name to content."""
+
+    simulation: "Simulation"
+    files: dict[str, bytes]
+    schema = "spectra-simulate/1"
+
+    @property
+    def made_from(self) -> MadeFrom:
+        from lunarsci.spectra.mgm.assemblages import TABLES as BANDS_TABLES
+        from lunarsci.spectra.photometry import phase_function
+        from lunarsci.spectra.photometry.phase import TABLE as PHASE_TABLE
+        from lunarsci.spectra.solar import SOLAR_SPECTRA, table_name
+        from lunarsci.spectra.vnis.channels import TABLES
+        from lunarsci.tables import table_hashes
+
+        scene = self.simulation.scene
+        return MadeFrom(
+            tables=table_hashes(*TABLES, table_name(scene.solar), PHASE_TABLE, *BANDS_TABLES),
+            sources=[SOLAR_SPECTRA[scene.solar], phase_function(scene.phase).source],
+            seed=self.simulation.seed,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        truth = self.simulation.truth
+        return {
+            "synthetic": True,
+            "observation": f"SYNTHETIC-CE4-{self.simulation.scene.sequence:04d}",
+            "files": [{"name": name, "bytes": len(content)} for name, content in self.files.items()],
+            "composition": truth.composition.fractions,
+            "rock_fraction": truth.rock_fraction,
+            "shadow_fraction": truth.shadow_fraction,
+            "wavelength_nm": truth.wavelength_nm,
+            "reflectance": truth.reflectance,
+        }
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One a channel: the true reflectance factor."""
+        truth = self.simulation.truth
+        pairs = zip(truth.wavelength_nm, truth.reflectance, strict=True)
+        return [{"wavelength_nm": wavelength, "reflectance": value} for wavelength, value in pairs]
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.spectra.vnis.simulation.products import simulation_page
+
+        yield simulation_page(self.simulation)
+
+
+def simulate(request: SimulateVnisRequest | None = None, **options: Any) -> SimulatedVnis:
+    """What VNIS would have measured of a made-up scene. Raises ParameterError for what there cannot be."""
+    from lunarsci.spectra.vnis.simulation.instrument import Instrument
+    from lunarsci.spectra.vnis.simulation.instrument import simulate as simulated
+    from lunarsci.spectra.vnis.simulation.products import product_files
+
+    asked = request_of(SimulateVnisRequest, request, options)
+    simulation = simulated(asked.scene(), Instrument(noise=asked.noise), asked.seed)
+    return SimulatedVnis(simulation, product_files(simulation))
+
+
+def _composition(text: str) -> "SceneComposition":
+    """A composition from `ol=0.1,opx=0.3,cpx=0.2,plg=0.4`. Raises ParameterError for anything else."""
+    from lunarsci.spectra.mgm.assemblages import MINERALS
+    from lunarsci.spectra.vnis.simulation.scene import SceneComposition
+
+    keys = {**{key.lower(): name for key, name in MINERALS.items()}, "plg": "plagioclase"}
+    names = {**keys, **{name: name for name in keys.values()}}
+    fractions: dict[str, float] = {}
+    for part in text.split(","):
+        key, _, value = part.partition("=")
+        name = names.get(key.strip().lower())
+        if name is None or name in fractions:
+            raise ParameterError(
+                f"composition '{text[:60]}': '{part}' is none of {', '.join(keys)} = fraction, each once"
+            )
+        try:
+            fractions[name] = float(value)
+        except ValueError as error:
+            raise ParameterError(f"composition '{text[:60]}': '{value}' is no number; write ol=0.1,opx=0.9") from error
+    return SceneComposition(**fractions)
+
+
+def _moment(text: str) -> datetime:
+    """A UTC time from ISO 8601. Raises ParameterError."""
+    try:
+        time = datetime.fromisoformat(text)
+    except ValueError as error:
+        raise ParameterError(f"'{text[:40]}' is no time; write it as 2020-07-16T08:20:00") from error
+    if not 1960 <= time.year < 2100:
+        raise ParameterError(f"the year {time.year} is out of range; give a time from 1960 to 2099")
+    return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
