@@ -1,0 +1,48 @@
+"""The glossary names what is there, with the units that the names end in."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from lunarsci.result import unit_of
+
+ROOT = Path(__file__).parents[1]
+TEXT = (ROOT / "docs/glossary.md").read_text("utf-8")
+ROWS = [
+    [cell.strip() for cell in line.strip("|").split(" | ")]
+    for line in TEXT.splitlines()
+    if line.startswith("| ") and not line.startswith("| symbol")
+]
+SOURCES = "\n".join(
+    [
+        *(path.read_text("utf-8") for top in ("lunarsci", "cli") for path in (ROOT / top).rglob("*.py")),
+        (ROOT / "tests/former_results.json").read_text("utf-8"),
+    ]
+)
+WRITTEN = {"1 / m": "1/m", "": "-"}
+
+
+def test_every_row_is_whole() -> None:
+    assert len(ROWS) > 50
+    assert [row for row in ROWS if len(row) != 5 or not all(row)] == []
+    assert [row for row in ROWS if row[4] != "assumed" and not re.search(r"\((1[89]|20)\d\d\)", row[4])] == []
+
+
+@pytest.mark.parametrize(("unit", "name"), [(row[1], name) for row in ROWS for name in re.findall(r"`(\w+)`", row[2])])
+def test_a_name_is_used_and_has_its_unit(unit: str, name: str) -> None:
+    assert re.search(rf"\b{name}\b", SOURCES)
+    if unit not in ("mol %", "kPa/m^N"):
+        assert WRITTEN.get(unit_of(name), unit_of(name)) == unit
+
+
+def test_no_name_is_explained_twice() -> None:
+    names = [name for row in ROWS for name in re.findall(r"`(\w+)`|^([a-z ]+)$", row[2])]
+    assert len(names) == len(set(names))
+
+
+def test_symbols_of_one_table_are_not_used_twice() -> None:
+    for part in TEXT.split("\n## ")[1:]:
+        symbols = [s for line in part.splitlines() if line.startswith("| ") and "symbol" not in line
+                   for s in line.split("|")[1].strip().split(", ") if s != "-"]  # fmt: skip
+        assert len(symbols) == len(set(symbols)), part[:20]
