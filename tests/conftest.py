@@ -2,9 +2,11 @@
 
 import importlib.util
 import os
+import shutil
+import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -72,6 +74,25 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if is_quick(item.path) and item.get_closest_marker("slow") is None:
             item.add_marker("quick")
+
+
+@pytest.fixture(scope="session")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A folder with a `lunarsci` that starts at once, see forked_program.py; for PATH."""
+    folder = tmp_path_factory.mktemp("program")
+    address = Path(tempfile.mkdtemp(prefix="lunarsci-")) / "line"
+    server = Path(__file__).with_name("forked_program.py")
+    spec = importlib.util.spec_from_file_location("forked_program", server)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    module.write_program(folder / "lunarsci", address)
+    with subprocess.Popen([sys.executable, server, address], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None and process.stdin is not None
+        assert process.stdout.readline() == b"ready\n"
+        yield folder
+        process.stdin.close()
+    shutil.rmtree(address.parent)
 
 
 @pytest.fixture(scope="session")

@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,28 +16,30 @@ TEXT = (ROOT / "README.md").read_text("utf-8")
 CONSOLE = re.findall(r"```console\n\$ (.+?)\n(.*?)```", TEXT, re.DOTALL)
 SHELL = re.findall(r"```sh\n(.*?)```", TEXT, re.DOTALL)
 PYTHON = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
+Shell = Callable[[str], subprocess.CompletedProcess[str]]
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?![\w.])")
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An empty folder with `lunarsci` on the path, in which the demo has run."""
-    path = tmp_path_factory.mktemp("readme")
-    program = path / "bin" / "lunarsci"
-    program.parent.mkdir()
-    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m lunarsci.cli "$@"\n')
-    program.chmod(0o755)
-    return path
-
-
-def shell(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    environment = os.environ | {"PATH": f"{folder / 'bin'}{os.pathsep}{os.environ['PATH']}", "PYTHONUTF8": "1"}
-    return subprocess.run(["sh", "-c", command], cwd=folder, env=environment, capture_output=True, text=True)
+    """An empty folder, in which the demo will run."""
+    return tmp_path_factory.mktemp("readme")
 
 
 @pytest.fixture(scope="module")
-def demo(folder: Path) -> str:
-    done = shell("lunarsci demo", folder)
+def shell(folder: Path, program: Path) -> Shell:
+    """Runs a line in the folder, with `lunarsci` on the path."""
+    environment = os.environ | {"PATH": f"{program}{os.pathsep}{os.environ['PATH']}", "PYTHONUTF8": "1"}
+
+    def run(command: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(["sh", "-c", command], cwd=folder, env=environment, capture_output=True, text=True)
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def demo(shell: Shell) -> str:
+    done = shell("lunarsci demo")
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -56,19 +59,19 @@ def test_the_readme_has_examples() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("command", "shown"), CONSOLE, ids=[command for command, _ in CONSOLE])
-def test_examples_print_what_they_show(command: str, shown: str, demo: str, folder: Path) -> None:
+def test_examples_print_what_they_show(command: str, shown: str, demo: str, shell: Shell) -> None:
     if command == "lunarsci demo":
         same(shown, demo)
         return
-    done = shell(command, folder)
+    done = shell(command)
     assert done.returncode == 0, done.stderr
     same(shown, done.stdout)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("script", [s for s in SHELL if "make" not in s])
-def test_scripts_run(script: str, demo: str, folder: Path) -> None:
-    done = shell(f"set -e\n{script}", folder)
+def test_scripts_run(script: str, demo: str, shell: Shell) -> None:
+    done = shell(f"set -e\n{script}")
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stderr
 

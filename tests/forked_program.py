@@ -1,0 +1,91 @@
+"""`lunarsci` for tests that run many commands: each is forked from a process that has imported everything already.
+
+As a program it serves: `python forked_program.py SOCKET`. Each command has the arguments, folder, environment and open
+files of its caller, and a process of its own; only the second that imports take is saved. That the program starts from
+nothing is shown by test_wheel.py and cli/test_startup.py.
+"""
+
+import contextlib
+import importlib
+import json
+import os
+import pkgutil
+import socket
+import sys
+from pathlib import Path
+
+CALL = """#!{python} -SE
+import json, os, socket, sys
+with socket.socket(socket.AF_UNIX) as line:
+    line.connect({address!r})
+    told = json.dumps([sys.argv[1:], os.getcwd(), dict(os.environ)]).encode()
+    socket.send_fds(line, [len(told).to_bytes(8, "big")], [0, 1, 2])
+    line.sendall(told)
+    code = line.recv(1)
+sys.exit(code[0] if code else 1)
+"""
+
+
+def write_program(path: Path, address: Path) -> None:
+    """A program that hands its call over to the process that serves."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(CALL.format(python=sys.executable, address=str(address)))
+    path.chmod(0o755)
+
+
+def import_everything() -> None:
+    import lunarsci
+
+    for module in pkgutil.walk_packages(lunarsci.__path__, "lunarsci."):
+        if not module.name.endswith("__main__"):
+            importlib.import_module(module.name)
+    for name in ("astropy.io.ascii", "astropy.io.fits", "astropy.table", "matplotlib.figure", "pandas", "rich.table",
+                 "matplotlib.backends.backend_agg", "scipy.optimize", "scipy.spatial", "scipy.stats"):  # fmt: skip
+        importlib.import_module(name)
+
+
+def answer(line: socket.socket) -> None:
+    """Run one command in this process, and leave."""
+    from lunarsci.cli import main
+
+    size, files, _, _ = socket.recv_fds(line, 8, 3)
+    told = b""
+    while len(told) < int.from_bytes(size, "big"):
+        told += line.recv(1 << 16)
+    arguments, folder, environment = json.loads(told)
+    for number, file in enumerate(files):
+        os.dup2(file, number)
+        os.close(file)
+    sys.stdin, sys.stdout, sys.stderr = (os.fdopen(k, mode, encoding="utf-8") for k, mode in enumerate("rww"))
+    os.chdir(folder)
+    os.environ.clear()
+    os.environ.update(environment)
+    code = main(arguments)
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(BrokenPipeError):
+            stream.flush()
+    line.sendall(bytes([code]))
+    os._exit(0)
+
+
+def serve(address: str) -> None:
+    """Answer until nobody holds standard input open any more."""
+    import select
+    import signal
+
+    import_everything()
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(address)
+        server.listen()
+        print("ready", flush=True)  # noqa: T201
+        while server in select.select([server, sys.stdin], [], [])[0]:
+            line, _ = server.accept()
+            if os.fork() == 0:
+                server.close()
+                answer(line)
+            line.close()
+
+
+if __name__ == "__main__":
+    serve(sys.argv[1])
