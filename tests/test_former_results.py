@@ -47,9 +47,9 @@ COMMANDS: dict[str, str] = {
     "fit sample": "spectra fit rock.ecsv --assemblage OPX-CPX --errors sample --seed 4 --starts 2",
     "fit held": "spectra fit rock.ecsv --fix opx_1_center_nm=915 --bound cpx_2_center_nm=2150:2350 --starts 1 "
     "--tie cpx_1_fwhm_nm=1.0*opx_1_fwhm_nm+10",
-    "unmix": "spectra fit rock.ecsv --abundance unmix --starts 1 --opaque",
-    "unmix hapke": "spectra fit rock.ecsv --abundance hapke --iron --starts 1",
-    "unmix known": "spectra fit rock.ecsv --abundance unmix --together --starts 1",
+    "unmix": "spectra unmix rock.ecsv --starts 1 --opaque",
+    "unmix hapke": "spectra unmix rock.ecsv --method hapke --iron --starts 1",
+    "unmix known": "spectra unmix rock.ecsv --together --starts 1",
     "match modes": "spectra match --modes ol=0.25:0.05,opx=0.345:0.05,cpx=0.405:0.05 --name fin",
     "match bands": "spectra match bands.json --site=-45,177 --ejecta-law housen",
     "write library": "spectra library import rock.ecsv --mineral other -o library.ecsv",

@@ -1,223 +1,214 @@
 """`lunarsci spectra fit`: the Modified Gaussian Model."""
 
-from typing import Annotated, Literal
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ..shared.command import command
-from ..shared.options import Output
-from ..shared.report import Report
-from .options import Files, ReflectanceUnit, WavelengthUnit
+from lunarsci.spectra.jobs.fit import FitRequest, MgmFits, fit
 
-__all__ = ["add_to"]
+from ..shared.command import command
+from ..shared.options import Output, RequestOption, option
+from ..shared.progress import progress
+from ..shared.report import Report
+from ..shared.table import TextTable, plus_minus
+from .options import UNITS, Files
+
+if TYPE_CHECKING:
+    from lunarsci.spectra.abundance.result import Abundance
+    from lunarsci.spectra.mgm.result import FittedBand, MgmFit
+
+__all__ = ["MODEL_OPTIONS", "add_to", "fit_tables"]
 
 MODEL, LIMITS, ANSWER = "Model", "Constraints", "Errors"
-
-Assemblage = Annotated[
-    str,
-    typer.Option(
-        help="Minerals whose bands are fitted: OL, OPX, CPX, PLG, joined by hyphens; auto compares all and takes "
-        "the one with the most evidence (with an error of its own, not --model-error).",
-        rich_help_panel=MODEL,
+MODEL_OPTIONS: dict[str, RequestOption] = {
+    "assemblage": option(
+        "Minerals whose bands are fitted: OL, OPX, CPX, PLG, joined by hyphens; auto compares all and takes the one "
+        "with the most evidence (with an error of its own, not --model-error).",
+        panel=MODEL,
     ),
-]
-Continuum = Annotated[
-    Literal[
-        "wavelength",
-        "wavelength-quadratic",
-        "wavelength-cubic",
-        "wavenumber",
-        "wavenumber-quadratic",
-        "wavenumber-cubic",
-        "log-quadratic",
-        "none",
-    ],
-    typer.Option(
-        help="Polynomial inside the logarithm, in wavelength or wavenumber; log-quadratic: of the logarithm.",
-        rich_help_panel=MODEL,
+    "continuum": option(
+        "Polynomial inside the logarithm, in wavelength or wavenumber; log-quadratic: of the logarithm.", panel=MODEL
     ),
-]
-Composition = Annotated[
-    str | None,
-    typer.Option(
+    "composition": option(
+        "What is known of Fo, Fs, Wo in mol %, such as fo=70:5; moves the bands along their trends.",
+        panel=MODEL,
         metavar="KEY=MEAN:ERROR,…",
-        help="What is known of Fo, Fs, Wo in mol %, such as fo=70:5; moves the bands along their trends.",
-        rich_help_panel=MODEL,
     ),
-]
-Start = Annotated[
-    str | None,
-    typer.Option(
+    "start": option(
+        "Bands, continuum and their uncertainties from a start file of the RELAB MGM program, instead of --assemblage "
+        "and --continuum.",
+        panel=MODEL,
         metavar="FILE.fit",
-        help="Bands, continuum and their uncertainties from a start file of the RELAB MGM program, instead of "
-        "--assemblage and --continuum.",
-        rich_help_panel=MODEL,
     ),
-]
-Prior = Annotated[
-    Literal["map", "damping"],
-    typer.Option(
-        help="map: priors count as measurements; damping: they only shorten steps, as in the RELAB MGM program.",
-        rich_help_panel=MODEL,
+    "prior": option(
+        "map: priors count as measurements; damping: they only shorten steps, as in the RELAB MGM program.", panel=MODEL
     ),
-]
-ModelError = Annotated[
-    float,
-    typer.Option(
-        help="Share of ln R the model cannot explain, added to the noise; above 0, below 1.", rich_help_panel=MODEL
+    "model_error": option(
+        "Share of ln R the model cannot explain, added to the noise; above 0, below 1. What auto compares has an "
+        "error of its own.",
+        panel=MODEL,
     ),
-]
-Starts = Annotated[
-    int,
-    typer.Option(
-        min=1, max=100, help="Starting points, beside a search around the lowest minimum.", rich_help_panel=MODEL
-    ),
-]
-Fix = Annotated[
-    list[str] | None,
-    typer.Option(
+    "starts": option("Starting points, beside a search around the lowest minimum.", panel=MODEL, min=1, max=100),
+    "fix": option(
+        "Hold a parameter, such as opx_1_center_nm=915; also …_fwhm_nm, …_strength, and c0, c1, … of the continuum, "
+        "whose variable runs from -1 to 1 over 400-2600 nm. May be repeated.",
+        panel=LIMITS,
         metavar="NAME[=VALUE]",
-        help="Hold a parameter, such as opx_1_center_nm=915; also …_fwhm_nm, …_strength, and c0, c1, … of the "
-        "continuum, whose variable runs from -1 to 1 over 400-2600 nm. May be repeated.",
-        rich_help_panel=LIMITS,
     ),
-]
-Bound = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="NAME=LOW:HIGH", help="Keep a parameter within a range. May be repeated.", rich_help_panel=LIMITS
+    "bound": option("Keep a parameter within a range. May be repeated.", panel=LIMITS, metavar="NAME=LOW:HIGH"),
+    "tie": option("Make a parameter follow another. May be repeated.", panel=LIMITS, metavar="NAME=K*OTHER+C"),
+}
+OPTIONS = MODEL_OPTIONS | {
+    "errors": option(
+        "laplace: from the curvature; profile, sample: 68 and 95 % intervals that need not be symmetric, by refitting "
+        "or by drawing from the posterior; seconds per spectrum.",
+        panel=ANSWER,
     ),
-]
-Tie = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="NAME=K*OTHER+C", help="Make a parameter follow another. May be repeated.", rich_help_panel=LIMITS
+    "continuum_spread": option(
+        "Fit under all continua and report the spread of every value as a systematic.", panel=ANSWER
     ),
-]
-Errors = Annotated[
-    Literal["laplace", "profile", "sample"],
-    typer.Option(
-        help="laplace: from the curvature; profile, sample: 68 and 95 % intervals that need not be symmetric, by "
-        "refitting or by drawing from the posterior; seconds per spectrum.",
-        rich_help_panel=ANSWER,
-    ),
-]
-ContinuumSpread = Annotated[
-    bool,
-    typer.Option(
-        "--continuum-spread",
-        help="Fit under all continua and report the spread of every value as a systematic.",
-        rich_help_panel=ANSWER,
-    ),
-]
-AbundanceMethod = Annotated[
-    Literal["nbsr", "unmix", "hapke", "absorbance"],
-    typer.Option(
-        help="Shares of the minerals: nbsr, from the pyroxenes' band strengths; unmix, with end members, by "
-        "two mixing laws weighted by their evidence; hapke or absorbance: one of them.",
-        rich_help_panel=ANSWER,
-    ),
-]
-Library = Annotated[
-    str | None,
-    typer.Option(
-        metavar="FILE",
-        help="End members for --abundance, instead of the embedded ones; see `spectra library`.",
-        rich_help_panel=ANSWER,
-    ),
-]
-Together = Annotated[
-    bool,
-    typer.Option(
-        "--together",
-        help="Take all spectra as mixtures of the same powders, which --abundance then finds far better than one by "
-        "one.",
-        rich_help_panel=ANSWER,
-    ),
-]
-Known = Annotated[
-    str | None,
-    typer.Option(
-        metavar="FILE",
-        help="Table of id and one column per mineral, in shares of 1, of mixtures whose modes are known; empty cells "
-        "are sought, a 0 beside them is absent. Implies --together.",
-        rich_help_panel=ANSWER,
-    ),
-]
-Opaque = Annotated[
-    bool,
-    typer.Option("--opaque", help="Allow --abundance a dark, flat powder beside the minerals.", rich_help_panel=ANSWER),
-]
-Iron = Annotated[
-    bool,
-    typer.Option(
-        "--iron", help="Allow --abundance submicroscopic iron on all grains: space weathering.", rich_help_panel=ANSWER
-    ),
-]
-Seed = Annotated[int, typer.Option(min=0, help="Seed of --errors sample.", rich_help_panel=ANSWER)]
+    "seed": option("Seed of --errors sample.", panel=ANSWER, min=0),
+    **UNITS,
+}
+PERCENT_OF = {
+    "fo": "Fo of olivine",
+    "fs": "Fs of orthopyroxene",
+    "wo": "Wo of clinopyroxene",
+    "fs_cpx": "Fs of clinopyroxene",
+}
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "fit")(fit)
+    command(app, "fit", request=FitRequest, options=OPTIONS)(fit_spectra)
 
 
-def fit(
-    files: Files,
-    output: Output,
-    assemblage: Assemblage = "OL-OPX-CPX",
-    continuum: Continuum = "wavelength-quadratic",
-    composition: Composition = None,
-    start: Start = None,
-    prior: Prior = "map",
-    model_error: ModelError = 0.02,
-    starts: Starts = 4,
-    fix: Fix = None,
-    bound: Bound = None,
-    tie: Tie = None,
-    errors: Errors = "laplace",
-    continuum_spread: ContinuumSpread = False,
-    abundance: AbundanceMethod = "nbsr",
-    library: Library = None,
-    together: Together = False,
-    known: Known = None,
-    opaque: Opaque = False,
-    iron: Iron = False,
-    seed: Seed = 0,
-    wavelength_unit: WavelengthUnit = None,
-    reflectance_unit: ReflectanceUnit = None,
-) -> Report:
+def fit_spectra(files: Files, request: FitRequest, output: Output) -> Report:
     """Modified Gaussian Model: absorption bands of olivine, pyroxenes and plagioclase, with errors and NBSR.
 
     -o FILE.fit writes a result file of the RELAB MGM program (one spectrum).
     """
-    from lunarsci.spectra.readers.batch import read_batch
+    to_file = output.path is not None and output.path.suffix.lower() == ".fit"
+    with progress("fitting", quiet=output.quiet) as update:
+        found = fit(files, replace(request, to_fit_file=to_file), progress=update)
+    return Report.of(found, fit_tables(found), formats={".fit": lambda _: found.fit_file().encode()})
 
-    from .fit_report import fit_report
-    from .fit_run import FitRequest, run_fit
 
-    request = FitRequest(
-        assemblage=assemblage,
-        continuum=continuum,
-        composition=composition,
-        start=start,
-        prior=prior,
-        model_error=model_error,
-        starts=starts,
-        fixed=fix or (),
-        bounds=bound or (),
-        ties=tie or (),
-        errors=errors,
-        continuum_spread=continuum_spread,
-        seed=seed,
-        abundance=abundance,
-        library=library,
-        together=together or known is not None,
-        known=known,
-        opaque=opaque,
-        iron=iron,
-        to_fit_file=output.path is not None and output.path.suffix.lower() == ".fit",
+def fit_tables(found: MgmFits) -> list[TextTable]:
+    """An overview, and of one spectrum alone its bands, intervals, choice and shares."""
+    alone = len(found.records) == 1 and bool(found.good)
+    record = found.records[0]
+    overview = TextTable(
+        ["spectrum", "assemblage", "rms ln R [%]", "NBSR 1 µm OPX", "NBSR 2 µm OPX", "status"],
+        [_overview_row(record) for record in found.records],
+        notes=[*_shared_in_ratios(record), *_composition_notes(found.good[0])] if alone else _not_shown(found),
     )
-    request.check()
-    batch = read_batch(files, wavelength_unit, reflectance_unit)
-    return fit_report(batch, run_fit(batch.spectra, request, output.quiet), request)
+    if not alone:
+        return [overview]
+    tables = [_bands_table(found.good[0]), overview]
+    tables += [_intervals_table(record["intervals"])] if record["intervals"] else []
+    tables += [_choice_table(record["choice"])] if record["choice"] else []
+    tables += [_abundance_table(found.abundances[0])] if found.abundances.get(0) else []
+    return tables
+
+
+def _not_shown(found: MgmFits) -> list[str]:
+    there = bool(found.intervals)
+    return ["bands and intervals of several spectra: --csv or --json"] if there else ["bands: --csv or --json"]
+
+
+def _shared_in_ratios(record: Mapping[str, Any]) -> list[str]:
+    notes = []
+    for key, text in (
+        ("calibration", "calibration errors, which all channels share, add to the ratios"),
+        ("continuum", "the choice of the continuum moves the ratios by"),
+    ):
+        ratios = {name: (record["nbsr"] or {}).get(region) for region, name in (("um1", "1 µm"), ("um2", "2 µm"))}
+        parts = [f"± {r[key]:.3f} at {name}" for name, r in ratios.items() if r and r[key] is not None]
+        notes += [f"{text} {', '.join(parts)}"] if parts else []
+    return notes
+
+
+def _composition_notes(fit: "MgmFit") -> list[str]:
+    from lunarsci.spectra.mgm.result import compositions
+
+    notes = []
+    for item in compositions(fit):
+        if item.mean is not None:
+            doubt = "" if item.told else ", the prior's: the spectrum says nothing"
+            if not item.in_range:
+                doubt = f", beyond the {item.lowest:g}-{item.highest:g} of the trend: do not use"
+            value = plus_minus(item.mean, item.sigma)
+            notes.append(f"{PERCENT_OF[item.key]} from the band centres: {value} mol %{doubt}")
+    return notes
+
+
+def _overview_row(record: Mapping[str, Any]) -> list[str]:
+    ratios, choice = record["nbsr"] or {}, record["choice"]
+    cells = [plus_minus(r["opx"], r["sigma"], digits=2) if r else "-" for r in (ratios.get("um1"), ratios.get("um2"))]
+    rms = None if record["rms_ln"] is None else 100 * record["rms_ln"]
+    margin = "" if not choice or choice["strong"] else " (weak evidence)"
+    return [record["id"], record["assemblage"] + margin, plus_minus(rms, digits=2), *cells, record["status"]]
+
+
+def _bands_table(fit: "MgmFit") -> TextTable:
+    spread = any(band.center_continuum_nm is not None for band in fit.bands)
+    headers = ["band", "mineral", "centre [nm]", "FWHM [nm]", "strength [ln R]", "strength/σ"]
+    headers += ["shrinkage centre", "FWHM", *(["continua: centre [nm]", "strength"] if spread else [])]
+    notes = ["shrinkage: 1 where the data decide on centre or FWHM, 0 where the prior does"]
+    notes += ["continua: standard deviation over all of them, for the choice of one is a choice"] if spread else []
+    return TextTable(headers, [_band_row(band, spread) for band in fit.bands], notes=notes)
+
+
+def _band_row(band: "FittedBand", spread: bool) -> list[str]:
+    certain = band.strength_sigma > 0
+    row = [
+        band.name,
+        band.mineral if band.mineral != "any" else "-",
+        plus_minus(band.center_nm, band.center_sigma_nm),
+        plus_minus(band.fwhm_nm, band.fwhm_sigma_nm),
+        plus_minus(band.strength, band.strength_sigma, digits=3),
+        f"{abs(band.strength) / band.strength_sigma:.1f}" if certain else "-",
+        f"{band.shrinkage['center']:.2f}",
+        f"{band.shrinkage['fwhm']:.2f}",
+    ]
+    if spread:
+        row += [plus_minus(band.center_continuum_nm), plus_minus(band.strength_continuum, digits=3)]
+    return row
+
+
+def _intervals_table(intervals: Mapping[str, Any]) -> TextTable:
+    rows = []
+    for item in intervals["intervals"]:
+        digits = 1 if item["name"].endswith("_nm") else 3
+        value, *ends = (f"{item[key]:.{digits}f}" for key in ("value", "low68", "high68", "low95", "high95"))
+        rows.append([item["name"], value, f"{ends[0]} to {ends[1]}", f"{ends[2]} to {ends[3]}"])
+    headers = ["parameter", "best" if intervals["method"] == "profile" else "median", "68 %", "95 %"]
+    return TextTable(headers, rows, title=f"intervals by {intervals['method']}", notes=intervals["remarks"])
+
+
+def _choice_table(choice: Mapping[str, Any]) -> TextTable:
+    rows = [
+        [item["assemblage"], f"{item['score']:.1f}", f"{item['ln_evidence']:.1f}", f"{item['bic']:.1f}"]
+        for item in choice["candidates"]
+    ]
+    headers = ["assemblage", "score", "ln evidence", "BIC"]
+    return TextTable(headers, rows, title="all assemblages, the most evidence first", notes=[choice["status"]])
+
+
+def _abundance_table(found: "Sequence[Abundance]") -> TextTable:
+    rows = [
+        [
+            modes.method,
+            share.mineral,
+            f"{100 * share.fraction:.0f}",
+            f"{100 * share.low:.0f} to {100 * share.high:.0f}",
+            f"{100 * share.low95:.0f} to {100 * share.high95:.0f}",
+        ]
+        for modes in found
+        for share in modes.fractions
+    ]
+    notes = [f"{modes.method}: {modes.status}" for modes in found]
+    return TextTable(["method", "mineral", "share [%]", "68 %", "95 %"], rows, title="mineral shares", notes=notes)

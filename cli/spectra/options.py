@@ -1,12 +1,12 @@
 """Options that the commands of `lunarsci spectra` share."""
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from ..shared.options import option
 
-__all__ = ["UNITS", "Files", "ReflectanceUnit", "WavelengthUnit"]
+__all__ = ["UNITS", "Files"]
 
 Files = Annotated[
     list[str],
@@ -15,13 +15,6 @@ Files = Annotated[
         "table, ENVI library (.sli, .hdr), USGS splib07 text, VNIS products (.2BL, .2B); several files, folders or "
         "patterns; - is stdin."
     ),
-]
-WavelengthUnit = Annotated[
-    Literal["nm", "um"] | None,
-    typer.Option("--wavelength-unit", help="State the unit of the wavelengths where the file does not."),
-]
-ReflectanceUnit = Annotated[
-    Literal["fraction", "percent"] | None, typer.Option("--reflectance-unit", help="State the unit of the reflectance.")
 ]
 UNITS = {
     "wavelength_unit": option("State the unit of the wavelengths where the file does not."),

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from lunarsci.inputs import read_input
-from lunarsci.spectra.mgm.continua import SPREAD_CONTINUA, fit_continua
-from lunarsci.spectra.mgm.continuum import MGM_CONTINUA
-from lunarsci.spectra.mgm.model import DEFAULT_CONTINUUM, mgm_model
+from lunarsci.spectra.mgm import DEFAULT_CONTINUUM
+from lunarsci.spectra.mgm.fit import SPREAD_CONTINUA, fit_continua
+from lunarsci.spectra.mgm.model import MGM_CONTINUA, mgm_model
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 from lunarsci.spectra.readers import read_spectra
 

@@ -12,13 +12,10 @@ import numpy as np
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.abundance.end_members import OPAQUE, embedded_end_members
-from lunarsci.spectra.abundance.hapke import HapkeSurface, Weathering, iron_absorption
-from lunarsci.spectra.abundance.mixing import Absorbance, Albedo, MixingLaw
-from lunarsci.spectra.abundance.population import loosened, population
-from lunarsci.spectra.abundance.powders import Powders
+from lunarsci.spectra.abundance.mixing import Absorbance, Albedo, HapkeSurface, MixingLaw, Weathering, iron_absorption
+from lunarsci.spectra.abundance.powders import Powders, loosened, population
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction
-from lunarsci.spectra.abundance.suite import Suite
-from lunarsci.spectra.abundance.unmix import SharesPosterior, unmix
+from lunarsci.spectra.abundance.unmix import SharesPosterior, Suite, unmix
 from lunarsci.spectra.library import EndMember
 from lunarsci.spectra.spectrum import FloatArray, Spectrum
 

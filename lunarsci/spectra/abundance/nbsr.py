@@ -1,16 +1,15 @@
 """Modes from the normalised band strength ratio of the pyroxenes, by lines made on mixtures of known modes."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction
-from lunarsci.spectra.mgm.composition import MineralComposition, compositions
-from lunarsci.spectra.mgm.result import MgmFit
+from lunarsci.spectra.mgm.result import MgmFailure, MgmFit, MineralComposition, compositions
 from lunarsci.tables import table_rows
 
-__all__ = ["TABLE", "calibrations", "nbsr_abundance"]
+__all__ = ["TABLE", "calibrations", "nbsr_abundance", "nbsr_abundances"]
 
 TABLE = "nbsr_calibrations.csv"
 NORMAL_95 = 1.96
@@ -54,6 +53,12 @@ def nbsr_abundance(fit: MgmFit, calibration: str = "opx-cpx") -> Abundance | Non
     doubt = f"; out of domain: {'; '.join(reasons)}" if reasons else ""
     status = f"line {calibration}, by weight{doubt}"
     return Abundance(fit.id, "nbsr", fractions, np.array([[1.0, -1.0], [-1.0, 1.0]]), not reasons, status, fit.rms_ln)
+
+
+def nbsr_abundances(fits: Sequence[MgmFit | MgmFailure]) -> dict[int, list[Abundance]]:
+    """`nbsr_abundance` of those that converged, by position: one, or none where the ratio is not determined."""
+    settled = {index: fit for index, fit in enumerate(fits) if isinstance(fit, MgmFit) and fit.converged}
+    return {index: [one] if (one := nbsr_abundance(fit)) else [] for index, fit in settled.items()}
 
 
 def _share(mineral: str, share: float, sigma: float) -> MineralFraction:

@@ -1,16 +1,127 @@
-"""The minerals of a mixture as powders: what each adds, and how its grains' size moves both look and weight."""
+"""What powders of one mineral look like: a mean and the ways in which end members differ from it."""
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from lunarsci.errors import ParameterError
 from lunarsci.spectra.abundance.mixing import MixingLaw
-from lunarsci.spectra.abundance.population import MineralPopulation
+from lunarsci.spectra.library import EndMember
 from lunarsci.spectra.spectrum import FloatArray
 
-__all__ = ["Powders"]
+__all__ = ["MineralPopulation", "Powders", "loosened", "population"]
+
+MOST_SHAPES = 8
+SPARE = 3
+"""Shapes are fewer than the end members by this many."""
+LEADING_SHAPES, RIDGE = 5, 0.1
+"""Level as a function of the first shapes, by ridge regression: iron moves bands and deepens them."""
+OWN_LEVEL = 0.5
+"""Standard deviation of a mineral's t beside what all minerals of a mixture share (its grain size); assumed."""
+SINGLE_LEVEL = 0.05
+"""The same where one end member is given, which then is the powder itself; assumed."""
+REFERENCE_UM, UNKNOWN_UM = 40.0, 60.0
+"""Grain size that end members are brought to, and the one taken where none is stated; the latter assumed."""
+SMOOTH, SMOOTH_NM, SMOOTH_KEPT = 0.05, 150.0, 0.999
+"""Standard deviation, width and share kept of what t of a real powder has beside its shapes; assumed."""
+UNUSUAL_WEIGHT = 0.3
+USUAL = {"fo": (0.4, 1.0), "fs": (0.03, 0.5)}
+"""Mole fractions outside these are rare on the Moon and count `UNUSUAL_WEIGHT`; assumed."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MineralPopulation:
+    """Normal law of t (see `mixing`) of a mineral's powders.
+
+    Attributes
+    ----------
+    mineral, count : name, and number of end members it was made from.
+    mean : (n,) t of the mean powder.
+    shapes : (k, n) shifts of t by one standard deviation each, independent of each other; the last is the level.
+    """
+
+    mineral: str
+    count: int
+    mean: FloatArray
+    shapes: FloatArray
+
+
+def population(
+    mineral: str, end_members: Sequence[EndMember], wavelength_nm: FloatArray, law: MixingLaw
+) -> MineralPopulation:
+    """The law of a mineral, from one end member or many.
+
+    t of every end member is brought to `REFERENCE_UM` first. Then follows a principal component analysis of t less its
+    mean over the channels, the level. Levels of powders differ mostly by grain size, which the minerals of one mixture
+    share: `powders` has a level common to all, and here stay the part that goes with the first shapes and `OWN_LEVEL`.
+    One end member alone is taken as the powder itself: only its level varies, a little, and its grain size does not
+    count.
+
+    Raises
+    ------
+    ParameterError where no end member of the mineral reaches over all channels.
+    """
+    own = [item for item in end_members if item.mineral == mineral]
+    values = np.array([_at(item, wavelength_nm) for item in own]).reshape(len(own), wavelength_nm.size)
+    there = np.isfinite(values).all(axis=1)
+    if not there.any():
+        raise ParameterError(
+            f"no end member of {mineral} reaches from {wavelength_nm[0]:g} to {wavelength_nm[-1]:g} nm; give a library "
+            "that has one, or leave the mineral out"
+        )
+    coarser = np.array([_ln_size(item) for item, usable in zip(own, there, strict=True) if usable])
+    coarser *= len(coarser) > 1
+    element = law.element(values[there]) - law.size_exponent * coarser[:, None]
+    weight = np.array([_weight(item) for item, usable in zip(own, there, strict=True) if usable])
+    weight /= weight.sum()
+    level = element.mean(axis=1)
+    apart = element - level[:, None]
+    mean_shape, mean_level = weight @ apart, float(weight @ level)
+    centred = apart - mean_shape
+    _, sizes, directions = np.linalg.svd(centred * np.sqrt(weight)[:, None], full_matrices=False)
+    count = max(0, min(MOST_SHAPES, len(level) - SPARE))
+    shapes = sizes[:count, None] * directions[:count]
+    if count:
+        lead = min(LEADING_SHAPES, count)
+        scores = centred @ directions[:lead].T / sizes[:lead]
+        normal = scores.T @ (weight[:, None] * scores) + RIDGE * np.eye(lead)
+        shapes[:lead] += np.linalg.solve(normal, scores.T @ (weight * (level - mean_level)))[:, None]
+    flat = np.full((1, wavelength_nm.size), OWN_LEVEL if len(level) > 1 else SINGLE_LEVEL)
+    return MineralPopulation(mineral, len(level), mean_shape + mean_level, np.concatenate([shapes, flat]))
+
+
+def loosened(found: MineralPopulation, wavelength_nm: FloatArray) -> MineralPopulation:
+    """The law with smooth shapes beside those of its end members: many spectra show what one cannot."""
+    apart = (wavelength_nm[:, None] - wavelength_nm) / SMOOTH_NM
+    sizes, directions = np.linalg.eigh(SMOOTH**2 * np.exp(-0.5 * apart**2))
+    sizes, directions = sizes[::-1], directions[:, ::-1]
+    count = int(np.searchsorted(np.cumsum(sizes), SMOOTH_KEPT * sizes.sum())) + 1
+    smooth = np.sqrt(sizes[:count, None]) * directions[:, :count].T
+    return replace(found, shapes=np.concatenate([found.shapes[:-1], smooth, found.shapes[-1:]]))
+
+
+def _ln_size(item: EndMember) -> float:
+    """Logarithm of the grain size over `REFERENCE_UM`."""
+    if not item.max_um:
+        return math.log(UNKNOWN_UM / REFERENCE_UM)
+    return math.log(((item.min_um or 0.0) + item.max_um) / 2 / REFERENCE_UM)
+
+
+def _at(item: EndMember, wavelength_nm: FloatArray) -> FloatArray:
+    """Reflectance between the channels where it is above 0, NaN beyond them."""
+    there = item.reflectance > 0
+    if not there.any():
+        return np.full(wavelength_nm.size, np.nan)
+    return np.interp(wavelength_nm, item.wavelength_nm[there], item.reflectance[there], left=np.nan, right=np.nan)
+
+
+def _weight(item: EndMember) -> float:
+    known = {key: value for key in USUAL if (value := getattr(item, key)) is not None}
+    return 1.0 if all(USUAL[key][0] <= value <= USUAL[key][1] for key, value in known.items()) else UNUSUAL_WEIGHT
+
 
 COMMON_LEVEL = 1.0
 """Standard deviation of the level that all minerals of a mixture share, their grain size; assumed."""

@@ -1,16 +1,31 @@
-"""Fit the Modified Gaussian Model to spectra: maximum a posteriori, several starts, one kernel for all."""
+"""Fit the Modified Gaussian Model to spectra: maximum a posteriori, several starts, one kernel for all.
 
-from collections.abc import Callable, Iterator, Sequence
+What the choice of the continuum does to a fit: the same spectra under several of them.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.spectra.mgm import MgmContinuum
 from lunarsci.spectra.mgm.describe import describe
-from lunarsci.spectra.mgm.model import MgmData, MgmModel, prepare
-from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
+from lunarsci.spectra.mgm.model import MGM_CONTINUA, MgmData, MgmModel, prepare
+from lunarsci.spectra.mgm.result import FittedBand, MgmFailure, MgmFit, StrengthRatio
 from lunarsci.spectra.spectrum import FloatArray, Spectrum
 
-__all__ = ["DEFAULT_MODEL_ERROR", "DEFAULT_STARTS", "fit_spectra", "starting_points"]
+__all__ = [
+    "DEFAULT_MODEL_ERROR",
+    "DEFAULT_STARTS",
+    "SPREAD_CONTINUA",
+    "fit_continua",
+    "fit_spectra",
+    "spread_over_continua",
+    "starting_points",
+    "with_continuum_spread",
+]
 
 DEFAULT_MODEL_ERROR = 0.02
 """Share of ln R that Gaussians on a smooth continuum cannot explain, added to the channel noise; assumed. Pyroxene
@@ -137,3 +152,84 @@ def hops_of(model: MgmModel) -> FloatArray:
     deeper = [(m + 3 * band + 2, -HOP_SIGMAS) for band in range(count)]
     aside = [(m + 3 * band, sign * HOP_SIGMAS) for band in range(count) for sign in (-1, 1)]
     return np.array(deeper + aside, dtype=float)
+
+
+SPREAD_CONTINUA: tuple[MgmContinuum, ...] = tuple(name for name in MGM_CONTINUA if name != "none")
+"""All that can follow a spectrum; `none` fits only what had its continuum removed before."""
+
+
+def fit_continua(
+    spectra: Sequence[Spectrum],
+    build: Callable[[MgmContinuum], MgmModel],
+    *,
+    continua: Sequence[MgmContinuum] = SPREAD_CONTINUA,
+    model_error: float = DEFAULT_MODEL_ERROR,
+    starts: int = DEFAULT_STARTS,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[dict[MgmContinuum, MgmFit | MgmFailure]]:
+    """Fits of every spectrum by continuum; `build` makes the model of one. Arguments as in `fit_spectra`."""
+    found: list[dict[MgmContinuum, MgmFit | MgmFailure]] = [{} for _ in spectra]
+    for number, name in enumerate(continua):
+
+        def report(done: int, total: int, before: int = number) -> None:
+            if progress:
+                progress(before * total + done, len(continua) * total)
+
+        fits = fit_spectra(spectra, build(name), model_error=model_error, starts=starts, progress=report)
+        for by_name, fit in zip(found, fits, strict=True):
+            by_name[name] = fit
+    return found
+
+
+def spread_over_continua(
+    spectra: Sequence[Spectrum],
+    fits: Sequence[MgmFit | MgmFailure],
+    build: Callable[[str, MgmContinuum], MgmModel],
+    *,
+    model_error: float = DEFAULT_MODEL_ERROR,
+    starts: int = DEFAULT_STARTS,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[MgmFit | MgmFailure]:
+    """Fits with what the choice of the continuum does; `build` makes the model of an assemblage under a continuum."""
+    found = list(fits)
+    members = {index: item.assemblage for index, item in enumerate(fits) if isinstance(item, MgmFit)}
+    for name in dict.fromkeys(members.values()):
+        own = [index for index, assemblage in members.items() if assemblage == name]
+        others = fit_continua(
+            [spectra[index] for index in own],
+            partial(build, name),
+            model_error=model_error,
+            starts=starts,
+            progress=progress,
+        )
+        for index, other in zip(own, others, strict=True):
+            found[index] = with_continuum_spread(found[index], other)  # type: ignore[arg-type]
+    return found
+
+
+def with_continuum_spread(fit: MgmFit, others: Mapping[MgmContinuum, MgmFit | MgmFailure]) -> MgmFit:
+    """`fit` with the standard deviation of its bands and ratios over the continua that converged, its own among them.
+
+    Continua are no sample of anything: the spread says what the choice does, not how likely a value is. Han et al.
+    (2020), arXiv:2003.07856, report it for olivine and orthopyroxene.
+    """
+    fits = [other for other in others.values() if isinstance(other, MgmFit) and other.converged]
+    if len(fits) < 2:
+        return fit
+    bands = tuple(_spread_band(band, [other.bands[k] for other in fits]) for k, band in enumerate(fit.bands))
+    ratios = {key: _spread_ratio(ratio, [other.nbsr.get(key) for other in fits]) for key, ratio in fit.nbsr.items()}
+    return replace(fit, bands=bands, nbsr=ratios)
+
+
+def _spread_band(band: FittedBand, others: Sequence[FittedBand]) -> FittedBand:
+    return replace(
+        band,
+        center_continuum_nm=float(np.std([other.center_nm for other in others])),
+        fwhm_continuum_nm=float(np.std([other.fwhm_nm for other in others])),
+        strength_continuum=float(np.std([other.strength for other in others])),
+    )
+
+
+def _spread_ratio(ratio: StrengthRatio | None, others: Sequence[StrengthRatio | None]) -> StrengthRatio | None:
+    known = [other.opx for other in others if other]
+    return replace(ratio, continuum=float(np.std(known))) if ratio and len(known) > 1 else ratio

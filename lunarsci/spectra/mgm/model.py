@@ -5,27 +5,61 @@ A spectrum as the Modified Gaussian Model sees it: ln R on its usable channels, 
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import get_args
 
 import numpy as np
 
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
 from lunarsci.spectra.mgm.assemblages import Assemblage, assemblage
-from lunarsci.spectra.mgm.continuum import MgmContinuum, continuum_basis, is_logarithmic
 from lunarsci.spectra.smoothing import channel_noise
 from lunarsci.spectra.spectrum import BoolArray, FloatArray, Spectrum
 
 __all__ = [
-    "DEFAULT_CONTINUUM",
     "FIT_RANGE_NM",
     "KINDS",
+    "MGM_CONTINUA",
+    "RANGE_NM",
     "MgmData",
     "MgmModel",
     "center_slopes",
+    "continuum_basis",
     "mgm_model",
     "prepare",
     "prior_covariance",
+    "stated_for",
     "unit_of",
 ]
+
+MGM_CONTINUA: tuple[MgmContinuum, ...] = get_args(MgmContinuum)
+
+RANGE_NM = (400.0, 2600.0)
+"""The polynomials are written on this interval, mapped to -1 to 1, so that coefficients compare between spectra."""
+_DEGREES = {"quadratic": 2, "cubic": 3, "none": -1}
+
+
+def is_logarithmic(name: MgmContinuum) -> bool:
+    """Whether the polynomial is ln C itself (`log-quadratic`, and `none`, which is ln C = 0) and not C."""
+    return name in ("log-quadratic", "none")
+
+
+def continuum_basis(name: MgmContinuum, wavelength_nm: FloatArray) -> FloatArray:
+    """Basis B, shape (n, m), of a continuum C = B c that stands inside ln C, or of ln C = B c (`is_logarithmic`).
+
+    Columns are 1, u (u^2, u^3), with u the wavelength, or the wavenumber, mapped linearly so that 400 and 2600 nm
+    become -1 and 1 (or 1 and -1). `none` has no columns. `wavelength_nm` has shape (n,) [nm]. Raises ParameterError
+    for an unknown name.
+    """
+    if name not in MGM_CONTINUA:
+        raise ParameterError(f"continuum '{name}' is unknown; choose one of: {', '.join(MGM_CONTINUA)}")
+    low, high = RANGE_NM
+    values, ends = wavelength_nm, (low, high)
+    if name.startswith("wavenumber"):
+        values, ends = 1e7 / wavelength_nm, (1e7 / high, 1e7 / low)
+    u = 2 * (values - ends[0]) / (ends[1] - ends[0]) - 1
+    degree = _DEGREES.get(name.rpartition("-")[2], 1)
+    return np.ascontiguousarray(np.vander(u, degree + 1, increasing=True))
+
 
 FIT_RANGE_NM = (400.0, 2600.0)
 REQUIRED_NM = (800.0, 1300.0)
@@ -70,9 +104,6 @@ def prepare(spectrum: Spectrum, model_error: float) -> MgmData:
     return MgmData(spectrum.id, wavelength[keep], reflectance, weight, shifts.reshape(-1, reflectance.size))
 
 
-DEFAULT_CONTINUUM: MgmContinuum = "wavelength-quadratic"
-"""Second-order continua served best in comparisons on mafic minerals: Clenet et al. (2011), Icarus 213, 404,
-10.1016/j.icarus.2011.03.002; Han et al. (2020), arXiv:2003.07856."""
 BOUND_SIGMAS = 4.0
 MIN_FWHM_UM = 0.05
 KINDS = ("center_nm", "fwhm_nm", "strength")
@@ -237,6 +268,12 @@ def mgm_model(
         np.concatenate([-flat, lower.ravel()]),
         np.concatenate([flat, upper.ravel()]),
     )
+
+
+def stated_for(name: str, compositions: Mapping[str, tuple[float, float]] | None) -> dict[str, tuple[float, float]]:
+    """Those of the compositions that an assemblage has."""
+    own = {item.key for item in assemblage(name).compositions}
+    return {key: value for key, value in (compositions or {}).items() if key in own}
 
 
 def _checked(

@@ -12,11 +12,11 @@ import numpy as np
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.continuum import upper_hull
-from lunarsci.spectra.mgm.assemblages import FAMILIES, BandPrior, assemblage
-from lunarsci.spectra.mgm.continuum import MgmContinuum
+from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
+from lunarsci.spectra.mgm.assemblages import FAMILIES, BandPrior
 from lunarsci.spectra.mgm.fit import fit_data
 from lunarsci.spectra.mgm.forward import model_and_jacobian
-from lunarsci.spectra.mgm.model import DEFAULT_CONTINUUM, MgmData, MgmModel, mgm_model, prepare
+from lunarsci.spectra.mgm.model import MgmData, MgmModel, mgm_model, prepare, stated_for
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 from lunarsci.spectra.spectrum import BoolArray, FloatArray, Spectrum
 
@@ -28,7 +28,6 @@ __all__ = [
     "choose",
     "ln_all_negative",
     "ln_evidence",
-    "stated_for",
 ]
 
 NODES = 80
@@ -253,12 +252,6 @@ def choose(
         if progress:
             progress(number, len(spectra))
     return results
-
-
-def stated_for(name: str, compositions: Mapping[str, tuple[float, float]] | None) -> dict[str, tuple[float, float]]:
-    """Those of the compositions that an assemblage has."""
-    own = {item.key for item in assemblage(name).compositions}
-    return {key: value for key, value in (compositions or {}).items() if key in own}
 
 
 def _choice(spectrum: Spectrum, models: Sequence[MgmModel], model_error: float | None, starts: int) -> Choice:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.abundance.hapke import HapkeSurface
+from lunarsci.spectra.abundance.mixing import HapkeSurface
 
 
 @pytest.mark.parametrize(("incidence", "emission"), [(30, 0), (0, 0), (60, 45)])

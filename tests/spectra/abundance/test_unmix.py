@@ -9,12 +9,9 @@ from scipy.optimize import least_squares
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.abundance.end_members import embedded_end_members
 from lunarsci.spectra.abundance.estimate import METHODS, estimate_abundance, estimate_suite
-from lunarsci.spectra.abundance.hapke import HapkeSurface, Weathering, iron_absorption
-from lunarsci.spectra.abundance.mixing import Absorbance, Albedo, MixingLaw
-from lunarsci.spectra.abundance.population import loosened, population
-from lunarsci.spectra.abundance.powders import Powders
-from lunarsci.spectra.abundance.suite import GAUGE, Suite
-from lunarsci.spectra.abundance.unmix import _posterior, shares, unmix
+from lunarsci.spectra.abundance.mixing import Absorbance, Albedo, HapkeSurface, MixingLaw, Weathering, iron_absorption
+from lunarsci.spectra.abundance.powders import Powders, loosened, population
+from lunarsci.spectra.abundance.unmix import GAUGE, Suite, _posterior, shares, unmix
 from lunarsci.spectra.library import EndMember
 from lunarsci.spectra.spectrum import FloatArray, Spectrum
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from lunarsci.spectra.abundance.estimate import estimate_abundance
-from lunarsci.spectra.abundance.hapke import GRAIN_INDEX, HapkeSurface, Weathering, iron_absorption
-from lunarsci.spectra.abundance.mixing import Albedo
+from lunarsci.spectra.abundance.mixing import GRAIN_INDEX, Albedo, HapkeSurface, Weathering, iron_absorption
 from lunarsci.spectra.spectrum import Spectrum
 from tests.spectra.abundance.test_unmix import MINERALS, SHARES, made
 

@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from lunarsci.spectra.mgm.continua import SPREAD_CONTINUA, fit_continua, with_continuum_spread
-from lunarsci.spectra.mgm.continuum import MGM_CONTINUA
-from lunarsci.spectra.mgm.fit import fit_spectra
-from lunarsci.spectra.mgm.model import mgm_model
+from lunarsci.spectra.mgm.fit import SPREAD_CONTINUA, fit_continua, fit_spectra, with_continuum_spread
+from lunarsci.spectra.mgm.model import MGM_CONTINUA, mgm_model
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 from lunarsci.spectra.spectrum import Spectrum
 

@@ -11,8 +11,7 @@ from lunarsci.errors import ParameterError
 from lunarsci.inputs import read_input
 from lunarsci.spectra.mgm.damping import fit_damping
 from lunarsci.spectra.mgm.fit import fit_spectra
-from lunarsci.spectra.mgm.fitfile import FitBand, FitFile
-from lunarsci.spectra.mgm.fitfile_model import fit_file_of, model_of
+from lunarsci.spectra.mgm.fit_file import FitBand, FitFile, fit_file_of, model_of
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 from lunarsci.spectra.readers import read_spectra

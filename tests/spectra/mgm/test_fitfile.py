@@ -12,8 +12,15 @@ from hypothesis import strategies as st
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile, read_input
 from lunarsci.spectra.mgm.fit import fit_spectra
-from lunarsci.spectra.mgm.fitfile import FitBand, FitFile, fit_file_text, read_fit_file
-from lunarsci.spectra.mgm.fitfile_model import fit_file_of, model_of, spectrum_within
+from lunarsci.spectra.mgm.fit_file import (
+    FitBand,
+    FitFile,
+    fit_file_of,
+    fit_file_text,
+    model_of,
+    read_fit_file,
+    spectrum_within,
+)
 from lunarsci.spectra.mgm.model import mgm_model
 from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.readers import read_spectra

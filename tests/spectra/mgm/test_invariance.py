@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from lunarsci.inputs import read_input
-from lunarsci.spectra.mgm.continuum import MGM_CONTINUA
 from lunarsci.spectra.mgm.fit import fit_spectra
-from lunarsci.spectra.mgm.model import mgm_model
+from lunarsci.spectra.mgm.model import MGM_CONTINUA, mgm_model
 from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum

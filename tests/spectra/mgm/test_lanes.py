@@ -7,11 +7,11 @@ import pytest
 
 from lunarsci.compiled import compiled
 from lunarsci.spectra.mgm.contest import coarsened, correct
-from lunarsci.spectra.mgm.continuum import continuum_basis
 from lunarsci.spectra.mgm.covariance import update
 from lunarsci.spectra.mgm.descent import Channels, Task, channels_of, fill_lane, room_for
 from lunarsci.spectra.mgm.forward import bell, logarithm, model_and_jacobian
 from lunarsci.spectra.mgm.lanes import LANES, aligned, load, spread, store
+from lunarsci.spectra.mgm.model import continuum_basis
 from lunarsci.spectra.mgm.moments import evaluate
 from lunarsci.spectra.mgm.normal import back_substitute, factorise, invert, matrix_side, padded_matrix
 

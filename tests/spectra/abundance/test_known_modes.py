@@ -6,7 +6,7 @@ import pytest
 
 from lunarsci.errors import DataError
 from lunarsci.inputs import InputFile
-from lunarsci.spectra.abundance.stated import read_modes
+from lunarsci.spectra.abundance.known_modes import read_modes
 
 
 def table(text: str) -> InputFile:

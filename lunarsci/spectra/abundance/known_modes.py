@@ -9,14 +9,14 @@ from lunarsci.spectra.library.end_member import mineral_named
 from lunarsci.spectra.readers.columns import rows_by_id
 from lunarsci.spectra.rows import number, quoted
 
-__all__ = ["StatedModes", "read_modes"]
+__all__ = ["KnownModes", "read_modes"]
 
 PREFIX = "vol_"
 """May stand before a mineral's name in the header."""
 
 
 @dataclass(frozen=True, slots=True)
-class StatedModes:
+class KnownModes:
     """By id of the spectrum.
 
     Attributes
@@ -29,7 +29,7 @@ class StatedModes:
     absent: Mapping[str, Sequence[str]]
 
 
-def read_modes(source: InputFile) -> StatedModes:
+def read_modes(source: InputFile) -> KnownModes:
     """Read a table with the column `id` and one per mineral, named as in `MINERALS` or `vol_ol` and the like.
 
     A row of numbers is a mixture whose modes are known; an empty cell is sought, and a 0 beside it says that a mineral
@@ -55,7 +55,7 @@ def read_modes(source: InputFile) -> StatedModes:
             raise DataError(f"{place}: some shares are stated, others are not; state all, or leave those sought empty")
         else:
             absent[id] = list(shares)
-    return StatedModes(known, absent)
+    return KnownModes(known, absent)
 
 
 def _minerals(row: Mapping[str, str], file: str) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""`lunarsci spectra fit --abundance` for several spectra at once, with stated modes, opaques and iron."""
+"""`lunarsci spectra unmix` for several spectra at once, with stated modes, opaques and iron."""
 
 import json
 import re
@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from lunarsci.spectra.abundance.end_members import embedded_end_members
-from lunarsci.spectra.abundance.figure import share_pages
-from lunarsci.spectra.abundance.result import Abundance, MineralFraction
+from lunarsci.spectra.abundance.result import Abundance, MineralFraction, share_pages
 
 Run = Callable[..., Any]
 NM = np.arange(450.0, 2451.0, 10.0)
 SHARES = {"a": (0.8, 0.2), "b": (0.6, 0.4), "c": (0.35, 0.65), "d": (0.1, 0.9)}
-OPTIONS = ("--assemblage", "OL-OPX", "--abundance", "unmix", "--quiet")
+OPTIONS = ("--assemblage", "OL-OPX", "--quiet")
 
 
 @pytest.fixture
@@ -32,7 +31,7 @@ def mixtures(tmp_path: Path) -> Path:
 
 
 def found(run: Run, *arguments: object) -> dict[str, Any]:
-    done = run("spectra", "fit", *arguments, "--json")
+    done = run("spectra", "unmix", *arguments, "--json")
     assert done.code == 0, done.err
     return {record["id"]: record["abundance"] for record in json.loads(done.out)["result"]["spectra"]}
 
@@ -56,7 +55,7 @@ def test_known_modes_sharpen_the_others(run: Run, mixtures: Path, tmp_path: Path
     for id in ("b", "c"):
         assert told[id]["olivine"]["fraction"] == pytest.approx(SHARES[id][0], abs=0.03)
         assert told[id]["olivine"]["high"] - told[id]["olivine"]["low"] < 0.1
-    done = run("spectra", "fit", mixtures, *OPTIONS, "--known", known, "--json")
+    done = run("spectra", "unmix", mixtures, *OPTIONS, "--known", known, "--json")
     inputs = json.loads(done.out)["provenance"]["inputs"]
     assert any(str(known) in str(item) for item in inputs)
 
@@ -65,7 +64,7 @@ def test_opaques_and_iron_are_terms_that_no_measurement_vouches_for(run: Run, mi
     with_opaque = found(run, mixtures, *OPTIONS, "--opaque")["a"]
     names = ("olivine", "orthopyroxene", "opaque")
     assert sum(with_opaque[name]["fraction"] for name in names) == pytest.approx(1)
-    assert "opaque" in run("spectra", "fit", mixtures, *OPTIONS, "--opaque", "--csv").out.splitlines()[0]
+    assert "opaque" in run("spectra", "unmix", mixtures, *OPTIONS, "--opaque", "--csv").out.splitlines()[0]
     for modes in (with_opaque, found(run, mixtures, *OPTIONS, "--iron")["a"]):
         assert modes["in_domain"] is False
         assert "no measured mixture" in modes["status"]
@@ -73,11 +72,11 @@ def test_opaques_and_iron_are_terms_that_no_measurement_vouches_for(run: Run, mi
 
 def test_the_picture_has_a_page_of_shares(run: Run, mixtures: Path, tmp_path: Path) -> None:
     pages = {}
-    for name, options in (("nbsr", OPTIONS[:2]), ("unmix", OPTIONS)):
-        picture = tmp_path / f"{name}.pdf"
-        assert run("spectra", "fit", mixtures, *options, "--plot", picture).code == 0
-        pages[name] = len(re.findall(rb"/Type /Page\b", picture.read_bytes()))
-    assert pages == {"nbsr": 1, "unmix": 2}
+    for command in ("fit", "unmix"):
+        picture = tmp_path / f"{command}.pdf"
+        assert run("spectra", command, mixtures, *OPTIONS, "--plot", picture).code == 0
+        pages[command] = len(re.findall(rb"/Type /Page\b", picture.read_bytes()))
+    assert pages == {"fit": 1, "unmix": 2}
 
 
 def test_the_page_of_shares_names_spectra_and_minerals() -> None:
@@ -103,38 +102,28 @@ def test_tables_of_modes_that_do_not_fit_are_refused(
 ) -> None:
     known = tmp_path / "known.csv"
     known.write_text(table)
-    done = run("spectra", "fit", mixtures, *OPTIONS, "--known", known, *options)
+    done = run("spectra", "unmix", mixtures, *OPTIONS, "--known", known, *options)
     assert done.code == 1
     assert done.out == ""
     assert message in done.err[-1]
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (("--together",), "--together, --known, --opaque and --iron serve"),
-        (("--iron",), "--together, --known, --opaque and --iron serve"),
-        (("--abundance", "absorbance", "--iron"), "--iron needs"),
-    ],
-)
-def test_options_that_do_nothing_here_are_refused(
-    run: Run, mixtures: Path, options: tuple[str, ...], message: str
-) -> None:
-    done = run("spectra", "fit", mixtures, "--assemblage", "OL-OPX", *options)
+def test_iron_has_no_place_in_absorbance(run: Run, mixtures: Path) -> None:
+    done = run("spectra", "unmix", mixtures, *OPTIONS, "--method", "absorbance", "--iron")
     assert done.code == 1
-    assert message in done.err[-1]
+    assert "--iron needs" in done.err[-1]
 
 
 def test_spectra_of_one_name_are_told_apart_but_not_by_a_table(run: Run, mixtures: Path, tmp_path: Path) -> None:
     twin = tmp_path / "twin.csv"
     twin.write_text(mixtures.read_text())
-    done = run("spectra", "fit", mixtures, twin, *OPTIONS, "--together", "--json")
+    done = run("spectra", "unmix", mixtures, twin, *OPTIONS, "--together", "--json")
     assert done.code == 0, done.err
     records = json.loads(done.out)["result"]["spectra"]
     assert [record["id"] for record in records] == [*SHARES, *SHARES]
     assert records[0]["abundance"]["olivine"] == pytest.approx(records[4]["abundance"]["olivine"], abs=0.03)
     known = tmp_path / "known.csv"
     known.write_text("id,olivine,opx\na,0.8,0.2\n")
-    done = run("spectra", "fit", mixtures, twin, *OPTIONS, "--known", known)
+    done = run("spectra", "unmix", mixtures, twin, *OPTIONS, "--known", known)
     assert done.code == 1
     assert "'a' is the id of two spectra" in done.err[-1]

@@ -1,0 +1,401 @@
+"""`lunarsci.fit`: the Modified Gaussian Model of spectra, with errors and ratios of band strengths."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from itertools import chain
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
+
+from lunarsci.errors import ParameterError
+from lunarsci.result import MadeFrom, Result, flat, request_of
+from lunarsci.spectra.citations import MGM, NBSR
+from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from lunarsci.inputs import InputFile
+    from lunarsci.spectra.abundance.result import Abundance
+    from lunarsci.spectra.mgm.model import MgmModel
+    from lunarsci.spectra.mgm.profile import Intervals
+    from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
+    from lunarsci.spectra.mgm.selection import Choice
+    from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource
+    from lunarsci.spectra.spectrum import Spectrum
+
+__all__ = ["FitRequest", "MgmFits", "ModelRequest", "fit", "fit_batch_of"]
+
+Progress: TypeAlias = Callable[[int, int], None]
+DEFAULT_ASSEMBLAGE = "OL-OPX-CPX"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelRequest:
+    """The model that is fitted, and how.
+
+    Attributes
+    ----------
+    assemblage : minerals joined by hyphens, such as `OL-OPX-CPX`, or `auto`.
+    continuum, prior, starts : see `mgm_model`, `fit_damping` and `fit_spectra`.
+    composition : what is known of Fo, Fs, Wo, such as `fo=70:5`. [mol %]
+    start : file of the RELAB MGM program, instead of assemblage and continuum.
+    model_error : share of ln R that the model cannot explain; a choice of the assemblage has an error of its own. [-]
+    fix, bound, tie : constraints, see `constrained`.
+    wavelength_unit, reflectance_unit : where an input does not state them.
+
+    Raises
+    ------
+    ParameterError for options that exclude each other.
+    """
+
+    assemblage: str = DEFAULT_ASSEMBLAGE
+    continuum: MgmContinuum = DEFAULT_CONTINUUM
+    composition: str | None = None
+    start: str | None = None
+    prior: Literal["map", "damping"] = "map"
+    model_error: float = 0.02
+    starts: int = 4
+    fix: tuple[str, ...] = ()
+    bound: tuple[str, ...] = ()
+    tie: tuple[str, ...] = ()
+    wavelength_unit: Literal["nm", "um"] | None = None
+    reflectance_unit: Literal["fraction", "percent"] | None = None
+
+    def __post_init__(self) -> None:
+        for wrong, text in self._faults():
+            if wrong:
+                raise ParameterError(text)
+
+    @property
+    def automatic(self) -> bool:
+        """Whether the assemblage is to be chosen."""
+        return self.assemblage.lower() == "auto"
+
+    def _faults(self) -> tuple[tuple[Any, str], ...]:
+        return (
+            (self.automatic and (self.fix or self.bound or self.tie), "--fix, --bound and --tie name bands of one "
+             "assemblage; give it instead of auto"),
+            (self.automatic and self.prior == "damping", "--assemblage auto compares evidence, which --prior damping "
+             "does not have; use --prior map"),
+            (self.prior == "damping" and self.bound, "--prior damping knows no bounds; use --fix or --tie, or --prior "
+             "map"),
+            (self.start and self.automatic, "--start brings its own bands; leave --assemblage auto out"),
+            (self.start and self.composition, "--start brings its own bands; leave --composition out"),
+            (self.start and self.assemblage != DEFAULT_ASSEMBLAGE, "--start brings its own bands; leave --assemblage "
+             "out"),
+            (self.start and self.continuum != DEFAULT_CONTINUUM, "--start brings its own continuum; leave --continuum "
+             "out"),
+        )  # fmt: skip
+
+    def model(self, assemblage: str, continuum: MgmContinuum) -> "MgmModel":
+        """The model of an assemblage under a continuum, with composition and constraints."""
+        from lunarsci.spectra.mgm.constraints import parse_compositions
+        from lunarsci.spectra.mgm.model import mgm_model, stated_for
+
+        stated = parse_compositions(self.composition) if self.composition else None
+        return self.held(mgm_model(assemblage, continuum, stated_for(assemblage, stated) if self.automatic else stated))
+
+    def held(self, model: "MgmModel") -> "MgmModel":
+        """A model with the constraints."""
+        from lunarsci.spectra.mgm.constraints import constrained
+
+        return constrained(model, fixed=self.fix, bounds=self.bound, ties=self.tie)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitRequest(ModelRequest):
+    """The model, and which errors are wanted.
+
+    Attributes
+    ----------
+    errors : `laplace`, from the curvature; `profile` or `sample` for 68 and 95 % intervals as well.
+    continuum_spread : whether to fit under all continua, for the spread over them.
+    seed : of `sample`.
+    to_fit_file : whether a file of the RELAB MGM program is to be made of the fit, which must be possible then.
+    """
+
+    errors: Literal["laplace", "profile", "sample"] = "laplace"
+    continuum_spread: bool = False
+    seed: int = 0
+    to_fit_file: bool = False
+
+    def _faults(self) -> tuple[tuple[Any, str], ...]:
+        return (
+            (self.to_fit_file and self.continuum == "log-quadratic", "-o FILE.fit has no letter for log-quadratic; "
+             "take another --continuum"),
+            (self.prior == "damping" and self.errors != "laplace", "--prior damping has no posterior; use --errors "
+             "laplace, or --prior map"),
+            (self.prior == "damping" and self.continuum_spread, "--continuum-spread needs --prior map"),
+            (self.start and self.continuum_spread, "--start brings its own continuum; leave --continuum-spread out"),
+            *ModelRequest._faults(self),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MgmFits(Result):
+    """Fits of the Modified Gaussian Model to spectra.
+
+    Attributes
+    ----------
+    batch, request : the spectra, and what was asked.
+    fits : one fit, or one stated reason, for each spectrum.
+    choices, intervals : by position, where they were asked for.
+    abundances : shares of minerals by position, one for each method, the first the one asked for.
+    failures : what gave no fit, one sentence each.
+    files : of the start, and what else was read beside the spectra.
+    """
+
+    schema: ClassVar[str] = "spectra-fit/1"
+    batch: "SpectraBatch"
+    request: ModelRequest
+    fits: "Sequence[MgmFit | MgmFailure]"
+    choices: "Mapping[int, Choice]" = field(default_factory=dict)
+    intervals: "Mapping[int, Intervals]" = field(default_factory=dict)
+    abundances: "Mapping[int, Sequence[Abundance]]" = field(default_factory=dict)
+    failures: Sequence[str] = ()
+    files: "Sequence[InputFile]" = ()
+
+    @property
+    def good(self) -> "list[MgmFit]":
+        """The fits without the failures."""
+        from lunarsci.spectra.mgm.result import MgmFit
+
+        return [item for item in self.fits if isinstance(item, MgmFit)]
+
+    @property
+    def made_from(self) -> MadeFrom:
+        from lunarsci.tables import table_hashes
+
+        tables, sources = self._tables_and_sources()
+        return MadeFrom(
+            inputs=self.batch.inputs | {file.name: file.sha256 for file in self.files},
+            tables=self.batch.tables | table_hashes(*tables),
+            sources=sources,
+            seed=self.seed,
+        )
+
+    def _tables_and_sources(self) -> tuple[list[str], list[str]]:
+        from lunarsci.spectra.abundance.nbsr import TABLE
+        from lunarsci.spectra.mgm.assemblages import TABLES
+
+        return [*TABLES, TABLE], [MGM, NBSR]
+
+    @property
+    def seed(self) -> int | None:
+        """Of the draws, where there are any."""
+        asked = self.request
+        return asked.seed if isinstance(asked, FitRequest) and asked.errors == "sample" else None
+
+    @property
+    def untrusted(self) -> str:
+        from lunarsci.spectra.mgm.result import UNLIKE_RMS
+
+        unsettled = [item.id for item in self.good if not item.converged]
+        unlike = [item.id for item in self.good if item.rms_ln > UNLIKE_RMS]
+        doubts = [f"no convergence for {', '.join(unsettled)}"] if unsettled else []
+        doubts += [f"the model does not describe {', '.join(unlike)}"] if unlike else []
+        return f"not to be trusted: {'; '.join(doubts)}" if doubts else ""
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"spectra": self.records}
+
+    @cached_property
+    def records(self) -> list[dict[str, Any]]:
+        """The keys of each spectrum in `--json`."""
+        return [self._record(index, origin) for index, origin in enumerate(self.batch.origins)]
+
+    def _record(self, index: int, origin: str) -> dict[str, Any]:
+        from lunarsci.spectra.mgm.result import MgmFit, compositions
+
+        item, choice, intervals = self.fits[index], self.choices.get(index), self.intervals.get(index)
+        found = [modes.to_dict() for modes in self.abundances.get(index, ())]
+        return item.to_dict() | {
+            "source": origin,
+            "compositions": {one.key: asdict(one) for one in compositions(item)} if isinstance(item, MgmFit) else {},
+            "choice": choice.to_dict() if choice else None,
+            "intervals": intervals.to_dict() if intervals else None,
+            "abundance": found[0] if found else None,
+            "abundances": {modes["method"]: modes for modes in found},
+        }
+
+    def rows(self) -> list[dict[str, Any]]:
+        return [
+            row
+            for index, record in enumerate(self.records)
+            for row in _band_rows(record, _share_columns(self.abundances.get(index, ())))
+        ]
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.spectra.abundance.result import share_pages
+        from lunarsci.spectra.mgm.figure import fit_pages
+
+        shown = [found[0] for found in self.abundances.values() if found and found[0].method != "nbsr"]
+        return chain(fit_pages(self.good), share_pages(shown))
+
+    def fit_file(self) -> str:
+        """A result file of the RELAB MGM program of the first fit; other header lines are those of the start file.
+
+        Raises ParameterError for a continuum that it has no letter for.
+        """
+        from lunarsci.spectra.mgm.fit_file import fit_file_of, fit_file_text, read_fit_file
+
+        header = read_fit_file(self.files[0]) if self.request.start else None
+        return fit_file_text(fit_file_of(self.good[0], header))
+
+
+def fit(
+    spectra: "SpectraSource", request: FitRequest | None = None, *, progress: Progress | None = None, **options: Any
+) -> MgmFits:
+    """Fit the Modified Gaussian Model: absorption bands of olivine, pyroxenes and plagioclase, with errors and NBSR.
+
+    Parameters
+    ----------
+    spectra : files, patterns, tables, `Spectrum`s or (wavelength_nm, reflectance), one or a list.
+    request, options : what is asked, and options of `FitRequest` that replace its own.
+    progress : called with (done, total) of each step.
+
+    Raises
+    ------
+    ParameterError for options that exclude each other; DataError where no spectrum can be read and fitted.
+    """
+    from lunarsci.spectra.abundance.nbsr import nbsr_abundances
+    from lunarsci.spectra.mgm.fit import spread_over_continua
+    from lunarsci.spectra.readers.batch import read_batch
+
+    asked = request_of(FitRequest, request, options)
+    batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit)
+    if asked.to_fit_file and len(batch.spectra) != 1:
+        count = len(batch.spectra)
+        raise ParameterError(f"a .fit file holds one spectrum, not {count}; fit one at a time, or use --json")
+    found = fit_batch_of(batch, asked, progress)
+    if asked.continuum_spread:
+        found["fits"] = spread_over_continua(
+            batch.spectra,
+            found["fits"],
+            asked.model,
+            model_error=asked.model_error,
+            starts=asked.starts,
+            progress=progress,
+        )
+    more = {"intervals": _intervals(found["fits"], asked, progress), "abundances": nbsr_abundances(found["fits"])}
+    return MgmFits(batch=batch, request=asked, **(found | more))
+
+
+def fit_batch_of(batch: "SpectraBatch", request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
+    """Fits of all spectra as asked: the attributes `fits`, `choices`, `failures` and `files` of `MgmFits`."""
+    from lunarsci.spectra.mgm.result import MgmFit
+
+    found: dict[str, Any]
+    if request.automatic:
+        found = _chosen(batch.spectra, request, progress)
+    elif request.start:
+        found = _from_file(batch.spectra, request, progress)
+    else:
+        model = request.model(request.assemblage, request.continuum)
+        found = {"fits": _by_prior(batch.spectra, model, request, progress)}
+    return found | {"failures": batch.failures_among(found["fits"], MgmFit)}
+
+
+def _by_prior(
+    spectra: "Sequence[Spectrum]", model: "MgmModel", request: ModelRequest, progress: Progress | None, **limits: Any
+) -> "list[MgmFit | MgmFailure]":
+    if request.prior == "damping":
+        from lunarsci.spectra.mgm.damping import fit_damping
+
+        return fit_damping(spectra, model, model_error=request.model_error, progress=progress, **limits)
+    from lunarsci.spectra.mgm.fit import fit_spectra
+
+    return fit_spectra(spectra, model, model_error=request.model_error, starts=request.starts, progress=progress)
+
+
+def _from_file(spectra: "Sequence[Spectrum]", request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
+    from lunarsci.inputs import read_input
+    from lunarsci.spectra.mgm.fit_file import model_of, read_fit_file, spectrum_within
+
+    source = read_input(str(request.start))
+    file = read_fit_file(source)
+    limits = {"rms_limit": file.rms_limit, "improvement_limit": file.improvement_limit}
+    within = [spectrum_within(spectrum, file) for spectrum in spectra]
+    return {"fits": _by_prior(within, request.held(model_of(file)), request, progress, **limits), "files": [source]}
+
+
+def _chosen(spectra: "Sequence[Spectrum]", request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
+    """Compare all assemblages, then fit each spectrum with its own."""
+    from lunarsci.spectra.mgm.constraints import parse_compositions
+    from lunarsci.spectra.mgm.selection import Choice, choose
+
+    stated = parse_compositions(request.composition) if request.composition else None
+    found = choose(spectra, continuum=request.continuum, compositions=stated, progress=progress)
+    choices = {index: item for index, item in enumerate(found) if isinstance(item, Choice)}
+    fits: list[Any] = list(found)
+    for name in dict.fromkeys(choice.assemblage for choice in choices.values()):
+        own = [index for index, choice in choices.items() if choice.assemblage == name]
+        model = request.model(name, request.continuum)
+        for index, item in zip(own, _by_prior([spectra[k] for k in own], model, request, None), strict=True):
+            fits[index] = item
+    return {"fits": fits, "choices": choices}
+
+
+def _intervals(results: Sequence[Any], request: FitRequest, progress: Progress | None) -> dict[int, "Intervals"]:
+    if request.errors == "laplace":
+        return {}
+    from lunarsci.spectra.mgm.result import MgmFit
+
+    fits = {index: item for index, item in enumerate(results) if isinstance(item, MgmFit) and item.converged}
+    if request.errors == "sample":
+        from lunarsci.spectra.mgm.sample import posterior_intervals, sample_batch
+
+        posteriors = sample_batch(list(fits.values()), seed=request.seed, progress=progress)
+        return {index: posterior_intervals(posterior) for index, posterior in zip(fits, posteriors, strict=True)}
+    from lunarsci.spectra.mgm.profile import profile_intervals
+
+    found = {}
+    for done, (index, item) in enumerate(fits.items(), start=1):
+        found[index] = profile_intervals(item)
+        if progress:
+            progress(done, len(fits))
+    return found
+
+
+def _band_rows(record: Mapping[str, Any], shares: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """One row per band; a spectrum without a fit has one row with its status."""
+    common = {key: record[key] for key in ("source", "id", "assemblage", "continuum", "converged", "status", "rms_ln")}
+    for region in ("um1", "um2"):
+        ratio = (record["nbsr"] or {}).get(region) or {}
+        for key in ("opx", "sigma", "calibration", "continuum"):
+            common[f"nbsr_{region}_{key}"] = ratio.get(key)
+    for key, item in record["compositions"].items():
+        common |= {f"{key}_mean": item["mean"], f"{key}_sigma": item["sigma"], f"{key}_in_range": item["in_range"]}
+    common |= shares
+    if record["choice"]:
+        common |= {f"choice_{key}": record["choice"][key] for key in ("margin", "strong")}
+    ends = {item["name"]: item for item in record["intervals"]["intervals"]} if record["intervals"] else {}
+    common |= _interval_columns({name: name for name in ("nbsr_um1_opx", "nbsr_um2_opx") if name in ends}, ends)
+    return [common | flat(band) | _interval_columns(_of_band(band), ends) for band in record["bands"]] or [common]
+
+
+def _share_columns(found: "Sequence[Abundance]") -> dict[str, Any]:
+    """`unmix_olivine`, `unmix_olivine_low` and the like, and whether the method applies."""
+    columns: dict[str, Any] = {}
+    for modes in found:
+        columns[f"{modes.method}_in_domain"] = modes.in_domain
+        for share in modes.fractions:
+            name = f"{modes.method}_{share.mineral}"
+            columns |= {name: share.fraction, f"{name}_low": share.low, f"{name}_high": share.high}
+    return columns
+
+
+def _of_band(band: Mapping[str, Any]) -> dict[str, str]:
+    """Columns of a band by the name of its parameter."""
+    key = band["name"].lower().replace(" ", "_").replace("-", "_")
+    return {f"{key}_{kind}": kind for kind in ("center_nm", "fwhm_nm", "strength")}
+
+
+def _interval_columns(columns: Mapping[str, str], ends: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """`center_low68_nm` and the like."""
+    found: dict[str, Any] = {}
+    for name, column in columns.items():
+        stem, unit = (column[:-3], "_nm") if column.endswith("_nm") else (column, "")
+        if name in ends:
+            found |= {f"{stem}_{end}{unit}": ends[name][end] for end in ("low68", "high68", "low95", "high95")}
+    return found

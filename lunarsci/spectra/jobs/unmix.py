@@ -1,0 +1,158 @@
+"""`lunarsci.unmix`: shares of minerals by mixing end members, for the assemblage of a fit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+from lunarsci.errors import ParameterError
+from lunarsci.result import request_of
+from lunarsci.spectra.citations import ABSORBANCE, HAPKE, WEATHERING
+from lunarsci.spectra.jobs.fit import MgmFits, ModelRequest, Progress, fit_batch_of
+
+if TYPE_CHECKING:
+    from lunarsci.inputs import InputFile
+    from lunarsci.spectra.abundance.known_modes import KnownModes
+    from lunarsci.spectra.abundance.result import Abundance
+    from lunarsci.spectra.library import EndMember
+    from lunarsci.spectra.mgm.result import MgmFit
+    from lunarsci.spectra.readers.batch import SpectraSource
+    from lunarsci.spectra.spectrum import Spectrum
+
+__all__ = ["UnmixRequest", "UnmixedSpectra", "unmix"]
+
+SOURCES = {"hapke": (HAPKE,), "absorbance": (ABSORBANCE,), "both": (HAPKE, ABSORBANCE)}
+LEAST_MINERALS = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnmixRequest(ModelRequest):
+    """The model that says which minerals are there, and how they are mixed.
+
+    Attributes
+    ----------
+    method : mixing law, or both, weighted by their evidence.
+    library : file of end members, instead of the embedded ones.
+    together : whether all spectra are mixtures of the same powders.
+    known : table of mixtures whose modes are known; implies `together`.
+    opaque, iron : whether an opaque powder, or submicroscopic iron on all grains, is allowed.
+    """
+
+    method: Literal["both", "hapke", "absorbance"] = "both"
+    library: str | None = None
+    together: bool = False
+    known: str | None = None
+    opaque: bool = False
+    iron: bool = False
+
+    def _faults(self) -> tuple[tuple[Any, str], ...]:
+        wrong = self.method == "absorbance" and self.iron
+        return ((wrong, "--iron needs --method hapke or both"), *ModelRequest._faults(self))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class UnmixedSpectra(MgmFits):
+    """Fits with the shares of the minerals that mixtures of end members give, and those of the band strengths."""
+
+    request: UnmixRequest
+
+    def _tables_and_sources(self) -> tuple[list[str], list[str]]:
+        from lunarsci.spectra.abundance.end_members import TABLE
+        from lunarsci.spectra.abundance.mixing import IRON_TABLE
+
+        tables, sources = MgmFits._tables_and_sources(self)
+        iron = self.request.iron
+        tables += [TABLE, *([IRON_TABLE] if iron else [])]
+        return tables, [*sources, *SOURCES[self.request.method], *([WEATHERING] if iron else [])]
+
+
+def unmix(
+    spectra: "SpectraSource", request: UnmixRequest | None = None, *, progress: Progress | None = None, **options: Any
+) -> UnmixedSpectra:
+    """Shares by volume of the minerals of each fit's assemblage, by mixing end members, with intervals.
+
+    Parameters
+    ----------
+    spectra : files, patterns, tables, `Spectrum`s or (wavelength_nm, reflectance), one or a list.
+    request, options : what is asked, and options of `UnmixRequest` that replace its own.
+    progress : called with (done, total) of each step.
+
+    Raises
+    ------
+    ParameterError for options that exclude each other, and modes of spectra that are not there; DataError where no
+    spectrum can be read and fitted, and for end members or spectra that cannot be mixed.
+    """
+    from lunarsci.inputs import read_input
+    from lunarsci.spectra.abundance.nbsr import nbsr_abundances
+    from lunarsci.spectra.library import read_library
+    from lunarsci.spectra.readers.batch import read_batch
+
+    asked = request_of(UnmixRequest, request, options)
+    batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit)
+    found = fit_batch_of(batch, asked, progress)
+    shares = nbsr_abundances(found["fits"])
+    fits: dict[int, MgmFit] = {index: found["fits"][index] for index in shares}
+    library, known = (read_input(name) if name else None for name in (asked.library, asked.known))
+    end_members = read_library(library) if library else None
+    modes = _known_modes([fits[index].id for index in fits], known)
+    suites = [list(fits)] if asked.together or known else [[index] for index in fits]
+    for done, suite in enumerate(suites, start=1):
+        minerals = _minerals([fits[index] for index in suite], asked)
+        if len(minerals) >= LEAST_MINERALS:
+            may = [_minerals([fits[index]], asked) for index in suite]
+            mixed = _unmixed([batch.spectra[index] for index in suite], minerals, may, modes, end_members, asked)
+            for index, item in zip(suite, mixed, strict=True):
+                shares[index].insert(0, item)
+        if progress:
+            progress(done, len(suites))
+    files = [*found.pop("files", ()), *(file for file in (library, known) if file)]
+    return UnmixedSpectra(batch=batch, request=asked, abundances=shares, files=files, **found)
+
+
+def _unmixed(
+    suite: "Sequence[Spectrum]",
+    minerals: Sequence[str],
+    may: Sequence[Sequence[str]],
+    modes: "KnownModes",
+    end_members: "Sequence[EndMember] | None",
+    request: UnmixRequest,
+) -> "list[Abundance]":
+    """Shares of spectra taken together; `may` names the minerals of each fit."""
+    from lunarsci.spectra.abundance.estimate import estimate_suite
+
+    known = [modes.known.get(spectrum.id) for spectrum in suite]
+    absent = [modes.absent.get(spectrum.id, ()) for spectrum in suite]
+    present = [[name for name in own if name not in gone] for own, gone in zip(may, absent, strict=True)]
+    found = estimate_suite(
+        suite,
+        minerals,
+        method="unmix" if request.method == "both" else request.method,
+        end_members=end_members,
+        iron=request.iron,
+        present=[None if told else own for told, own in zip(known, present, strict=True)],
+        known=known,
+    )
+    return [replace(item, status="modes as stated") if told else item for item, told in zip(found, known, strict=True)]
+
+
+def _known_modes(names: Sequence[str], file: "InputFile | None") -> "KnownModes":
+    """Modes stated of the spectra."""
+    from lunarsci.spectra.abundance.known_modes import KnownModes, read_modes
+
+    if file is None:
+        return KnownModes({}, {})
+    modes = read_modes(file)
+    told = {*modes.known, *modes.absent}
+    doubled = [name for name in names if name in told and names.count(name) > 1]
+    if doubled:
+        raise ParameterError(f"{file.name}: '{doubled[0]}' is the id of two spectra; give each its own")
+    if names and not told & set(names):
+        raise ParameterError(f"{file.name}: none of its ids is that of a spectrum, such as '{names[0]}'")
+    return modes
+
+
+def _minerals(fits: "Sequence[MgmFit]", request: UnmixRequest) -> list[str]:
+    """Those of the fits' assemblages, in the order of `FAMILY_OF`, then the opaque one if allowed."""
+    from lunarsci.spectra.abundance.end_members import FAMILY_OF, OPAQUE
+
+    named = {mineral for item in fits for mineral in item.model.assemblage.minerals}
+    return [name for name in FAMILY_OF if name in named] + [OPAQUE] * request.opaque
