@@ -171,7 +171,7 @@ class MgmFits(Result):
             inputs=self.batch.inputs | {file.name: file.sha256 for file in self.files},
             tables=self.batch.tables | table_hashes(*tables),
             sources=sources,
-            seed=self.seed,
+            seed=getattr(self.request, "seed", None) if getattr(self.request, "errors", "") == "sample" else None,
         )
 
     def _tables_and_sources(self) -> tuple[list[str], list[str]]:
@@ -179,12 +179,6 @@ class MgmFits(Result):
         from lunarsci.spectra.mgm.assemblages import TABLES
 
         return [*TABLES, TABLE], [MGM, NBSR]
-
-    @property
-    def seed(self) -> int | None:
-        """Of the draws, where there are any."""
-        asked = self.request
-        return asked.seed if isinstance(asked, FitRequest) and asked.errors == "sample" else None
 
     @property
     def untrusted(self) -> str:

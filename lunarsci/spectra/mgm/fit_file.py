@@ -26,26 +26,10 @@ from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.spectrum import BoolArray, FloatArray, Spectrum
 
 __all__ = [
-    "LETTERS",
-    "LIMITS",
-    "NORMAL_95",
-    "FitBand",
-    "FitFile",
-    "fit_file_of",
-    "fit_file_text",
-    "model_of",
-    "read_fit_file",
+    "LIMITS", "NORMAL_95", "FitBand", "FitFile", "fit_file_of", "fit_file_text", "model_of", "read_fit_file",
     "spectrum_within",
-]
+]  # fmt: skip
 
-LETTERS = {
-    "Q": "polynomial in wavenumber",
-    "T": "straight line in wavenumber",
-    "P": "polynomial in wavelength",
-    "S": "straight line in wavelength",
-    "N": "none",
-}
-"""The continua of a file."""
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?", re.ASCII)
 FIRST_BAND_LINE = 10
 LONGEST_SHOWN = 40
@@ -130,8 +114,8 @@ def _header_faults(file: FitFile) -> Iterator[tuple[int, str]]:
 
 
 def _continuum_faults(file: FitFile) -> Iterator[tuple[int, str]]:
-    if file.continuum not in LETTERS:
-        yield 6, f"continuum {_shown(file.continuum)} is unknown; give one letter of {', '.join(LETTERS)}"
+    if file.continuum not in CONTINUA:
+        yield 6, f"continuum {_shown(file.continuum)} is unknown; give one letter of {', '.join(CONTINUA)}"
     if not _are_numbers(file.coefficients, 4):
         yield 7, "the continuum is not four finite coefficients; give c0 to c3, 0 where unused"
     if not _are_numbers(file.coefficients_95, 4, lowest=0):
@@ -175,7 +159,7 @@ def read_fit_file(input: InputFile) -> FitFile:
     lines = _Lines(input.name, [line.strip() for line in re.split(r"\r\n|\r|\n", text(input).rstrip())])
     letter = re.match(r"[A-Z](?![A-Z0-9])", lines.line(6, "letter of the continuum").upper())
     if not letter:
-        lines.refuse(6, f"begins with no letter that stands alone; give one of {', '.join(LETTERS)}")
+        lines.refuse(6, f"begins with no letter that stands alone; give one of {', '.join(CONTINUA)}")
     rms_limit, improvement_limit = lines.numbers(5, 2, "limits of the rms and of its improvement")
     try:
         return FitFile(
@@ -279,7 +263,7 @@ CONTINUA: dict[str, tuple[MgmContinuum, ...]] = {
     "S": ("wavelength",),
     "N": ("none",),
 }
-"""By letter: what it may become, by degree."""
+"""By letter: what it may become, by degree. Q, T: a polynomial, a straight line in wavenumber; P, S: in wavelength."""
 
 
 def model_of(file: FitFile) -> MgmModel:
