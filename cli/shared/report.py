@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from lunarsci.result import Result
 
-__all__ = ["Report", "together"]
+__all__ = ["Report"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,9 +77,3 @@ class Report:
         if self.failures:
             return FAILED
         return UNTRUSTED if self.untrusted else 0
-
-
-def together(failures: Sequence[str]) -> str:
-    """The first of some failures, and how many more there are."""
-    more = f" (and {len(failures) - 1} more inputs without a result)" if len(failures) > 1 else ""
-    return failures[0] + more
