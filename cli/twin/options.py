@@ -4,7 +4,21 @@ from typing import Annotated
 
 import typer
 
+from ..shared.options import option
+
 __all__ = [
+    "BEFORE",
+    "FIXES",
+    "INTERPOLATION",
+    "MEMBERS",
+    "ROVER",
+    "RUTS",
+    "SAMPLE",
+    "SEED",
+    "SOILS",
+    "SWEEP",
+    "TERRAIN",
+    "TIME_STEP",
     "Fixes",
     "Interpolation",
     "Members",
@@ -74,3 +88,25 @@ Before = Annotated[
 Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
 TimeStep = Annotated[float, typer.Option(help="Longest time step in s.")]
 Sample = Annotated[float, typer.Option(help="Distance between recorded states in m.")]
+
+ROVER = option("Rover: a name (yutu2, small-four) or a TOML file.", show_default="yutu2")
+TERRAIN = option("Terrain: synthetic-longji, or a file (.npz, GeoTIFF, ESRI ASCII .asc, CSV of nodes).")
+INTERPOLATION = option("Ground between nodes: smooth (continuous gradient) or triangles (as in the paper).")
+SOILS = option(
+    "Soil, in place of the terrain's: a name or a TOML file; or a file from which each drive has its own: CSV with a "
+    "row each, a belief of `twin update` or its map (JSON), from which 64 are drawn unless --members is given. "
+    "Repeatable: a name beside a CSV that lacks parameters.",
+    show_default="the terrain's, or longji",
+)
+SWEEP = option("Uncertain soil parameter, repeatable; replaces the plan's sweeps.", metavar="NAME=LOW:HIGH:N")
+MEMBERS = option("Number of drives: samples of the ranges instead of the grid of all values, or draws.", min=1)
+FIXES = option("Position fixes after each leg, standard errors in position and heading.", metavar="M,DEG")
+RUTS = option(
+    "Whether wheels meet the ruts that others, and they themselves, left. With --soil of a belief as its last drive "
+    "did, else no, if left out.",
+    "--ruts/--no-ruts",
+)
+BEFORE = option("A plan that was driven on the same ground before; its ruts are met, too.", metavar="PLAN")
+SEED = option("Seed of everything random.", min=0, show_default="0")
+TIME_STEP = option("Longest time step in s.")
+SAMPLE = option("Distance between recorded states in m.")

@@ -1,43 +1,51 @@
 """`lunarsci twin states`: from telemetry to slip, side slip and sinkage of every wheel."""
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lunarsci.twin.jobs.states import StatesRequest
+
 from ..shared.command import command
+from ..shared.options import option
 from ..shared.report import Report
-from . import options
+from ..shared.table import TextTable
+from .options import INTERPOLATION, ROVER, TERRAIN
+
+if TYPE_CHECKING:
+    from lunarsci.twin.jobs.states import MeasuredStates
 
 __all__ = ["add_to"]
+
+OPTIONS = {
+    "rover": ROVER,
+    "terrain": TERRAIN,
+    "interpolation": INTERPOLATION,
+    "track": option(
+        "Depth of the track: CSV with x_m, y_m, rut_m, or the terrain after the drive. No sinkage without it.",
+        kind=str | None,
+        metavar="FILE",
+    ),
+}
+Telemetry = Annotated[
+    str,
+    typer.Argument(
+        help="Telemetry: .csv, .ecsv or .parquet, - for CSV from stdin. time_s, x_m, y_m, sigma_m, yaw_deg, and of "
+        "each wheel such as FL: angle_FL_deg, rate_FL_deg_s or speed_FL_m_s, and steered_FL_deg or steering_FL_deg."
+    ),
+]
+DrivenPlan = Annotated[
+    str | None, typer.Argument(help="Plan that was driven (TOML), to compare clock and commands with.")
+]
+FACTORS = {"slip_ratio": 1.0, "side_slip_deg": 1.0, "sinkage_m": 1e3}
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "states", folder=True)(states)
+    command(app, "states", folder=True, request=StatesRequest, options=OPTIONS)(states)
 
 
-def states(
-    telemetry: Annotated[
-        str,
-        typer.Argument(
-            help="Telemetry: .csv, .ecsv or .parquet, - for CSV from stdin. time_s, x_m, y_m, sigma_m, yaw_deg, and of "
-            "each wheel such as FL: angle_FL_deg, rate_FL_deg_s or speed_FL_m_s, and steered_FL_deg or steering_FL_deg."
-        ),
-    ],
-    plan: Annotated[
-        str | None, typer.Argument(help="Plan that was driven (TOML), to compare clock and commands with.")
-    ] = None,
-    rover: options.RoverName = None,
-    terrain: options.TerrainName = "synthetic-longji",
-    interpolation: options.Interpolation = "smooth",
-    track: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE",
-            help="Depth of the track: CSV with x_m, y_m, rut_m, or the terrain after the drive. No sinkage without it.",
-        ),
-    ] = None,
-) -> Report:
+def states(telemetry: Telemetry, request: StatesRequest, plan: DrivenPlan = None) -> Report:
     """Slip, side slip and sinkage of every wheel, with their errors, from the telemetry of a drive.
 
     Slip and side slip follow from positions, headings and wheels, and from the slopes of the terrain, one state between
@@ -47,8 +55,62 @@ def states(
     about it; where the result should not be trusted for it the exit code is 3.
 
     With -o DIR the states go to states.csv, the positions to positions.csv, and the smoothed motion to motion.csv: what
-    `lunarsci twin update` and `lunarsci twin forces` read.
+    `lunarsci twin update` and `lunarsci twin loads` read.
     """
-    from .states_report import Sent, states_report
+    from lunarsci.twin.jobs.states import states
 
-    return states_report(Sent.read(telemetry, plan, rover, terrain, interpolation, track))
+    found = states(telemetry, plan, request)
+    return Report.of(found, _tables(found), files=found.files())
+
+
+def _tables(found: "MeasuredStates") -> list[TextTable]:
+    result = found.to_dict()
+    return [_wheel_table(found, result), *_finding_tables(result["findings"])]
+
+
+def _wheel_table(found: "MeasuredStates", result: dict[str, Any]) -> TextTable:
+    rows = [
+        [wheel, str(own["valid"]), *(_cell(own[name], factor) for name, factor in FACTORS.items())]
+        for wheel, own in result["wheels"].items()
+    ]
+    changes = result["slip_changes"]["ahead"]
+    notes = [
+        f"{result['positions']} positions over {result['duration_s']:.4g} s; they scatter about the motion with a "
+        f"reduced chi-square of {result['reduced_chi_square']:.2f}",
+        f"beside what slopes do, slip changes by {changes['amplitude']:.2g} (times or by "
+        f"{changes['amplitude_factor']:.2g}) within {changes['length_m']:.2g} m",
+        "sinkage belongs to the deepest wheel that passed a place; of the others the track says nothing"
+        if result["sinkages"]
+        else "no sinkage: give the depth of the track with --track",
+    ]
+    if not found.planned:
+        notes.append("clock and commands were not compared with a plan: none was given")
+    if result["synthetic"]:
+        notes.append("the telemetry is synthetic")
+    if result["terrain"]["synthetic"]:
+        notes.append("the terrain is synthetic")
+    headers = ["wheel", "states", "slip [-]", "side slip [deg]", "sinkage [mm]"]
+    return TextTable(headers, rows, title=f"{found.title}; median (p05 to p95) ± error of one state", notes=notes)
+
+
+def _cell(found: dict[str, Any], factor: float) -> str:
+    if not found["count"]:
+        return "-"
+    middle, low, high, sigma = (factor * found[name] for name in ("median", "low", "high", "sigma"))
+    return f"{middle:.3g} ({low:.3g} to {high:.3g}) ± {sigma:.2g}"
+
+
+def _finding_tables(findings: list[dict[str, Any]]) -> list[TextTable]:
+    if not findings:
+        return [TextTable([], [], title="Nothing wrong was found with the telemetry.")]
+    rows = [
+        [
+            entry["kind"],
+            "-" if entry["time_s"] is None else f"{entry['time_s']:.4g}",
+            str(entry["count"]),
+            entry["what"],
+            entry["done"],
+        ]
+        for entry in findings
+    ]
+    return [TextTable(["found", "first at [s]", "how many", "what", "done"], rows, title="Found in the telemetry")]

@@ -47,7 +47,6 @@ __all__ = [
     "BASIS",
     "DriveStates",
     "StateRows",
-    "finding_rows",
     "motion_table",
     "position_table",
     "states_of",
@@ -362,18 +361,3 @@ def motion_table(drive: DriveStates) -> "pd.DataFrame":
         columns[f"steering_{wheel}_deg"] = motion.steering_deg[:, k]
         columns[f"speed_{wheel}_m_s"] = motion.speed_m_s[:, k]
     return pd.DataFrame(columns)
-
-
-def finding_rows(drive: DriveStates) -> list[dict[str, object]]:
-    """Findings as plain rows: kind, when, how many, what, what was done, whether the result is in doubt for it."""
-    return [
-        {
-            "kind": entry.kind,
-            "time_s": entry.time_s,
-            "count": entry.count,
-            "what": entry.what,
-            "done": entry.done,
-            "doubt": entry.doubt,
-        }
-        for entry in drive.findings.entries
-    ]

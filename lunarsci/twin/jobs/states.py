@@ -1,0 +1,203 @@
+"""From the telemetry of a drive to slip, side slip and sinkage of every wheel."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from lunarsci.inputs import Source, read_input
+from lunarsci.result import MadeFrom, Result, request_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from lunarsci.twin.ground.terrain import Terrain
+    from lunarsci.twin.jobs.drive_inputs import DriveInputs
+    from lunarsci.twin.plans.plan import Plan
+    from lunarsci.twin.telemetry.sinkage import RutPoints
+    from lunarsci.twin.telemetry.states import DriveStates
+
+__all__ = ["MEASURED", "MeasuredStates", "StatesRequest", "states"]
+
+SMOOTHER = "Rauch, Tung & Striebel (1965), AIAA J. 3, 1445, 10.2514/3.3166"
+MEASURED = ("slip_ratio", "side_slip_deg", "sinkage_m")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StatesRequest:
+    """What telemetry is read with.
+
+    Attributes
+    ----------
+    rover : name or TOML file; Yutu-2 where it is None.
+    terrain : before the drive: `synthetic-longji`, or a file.
+    interpolation : of the ground between nodes, `smooth` or `triangles`.
+    track : depth of the track, as a table of x_m, y_m, rut_m, or the terrain after the drive; no sinkage without it.
+    """
+
+    rover: str | None = None
+    terrain: str = "synthetic-longji"
+    interpolation: str = "smooth"
+    track: str | Any | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MeasuredStates(Result):
+    """Wheel states of a drive.
+
+    Attributes
+    ----------
+    known : what drove where.
+    name : of the telemetry.
+    planned : whether clock and commands were compared with a plan.
+    drive : the states, the motion, and what was found wrong with the telemetry.
+    """
+
+    schema = "twin-states/1"
+    known: "DriveInputs"
+    name: str
+    planned: bool
+    drive: "DriveStates"
+
+    @property
+    def made_from(self) -> MadeFrom:
+        from lunarsci.twin.jobs.drive_inputs import SOURCES
+
+        known = self.known
+        return MadeFrom(inputs=known.inputs, tables=known.tables, sources=[*SOURCES, SMOOTHER], options=known.options)
+
+    @property
+    def untrusted(self) -> str:
+        return self.drive.findings.doubt
+
+    @property
+    def title(self) -> str:
+        """What the states are of, for tables and pictures."""
+        mark = " (synthetic)" if self.drive.telemetry.synthetic else ""
+        return f"Wheel states from {self.name}{mark}, on {self.known.terrain.name}"
+
+    def to_dict(self) -> dict[str, Any]:
+        import numpy as np
+
+        drive, rows = self.drive, self.drive.rows
+        return self.known.about() | {
+            "synthetic": drive.telemetry.synthetic,
+            "plan": self.known.plan.name if self.planned else None,
+            "states": int(rows.slip_ratio.size),
+            "valid": int(rows.valid.sum()),
+            "sinkages": int(np.isfinite(rows.sinkage_m).sum()),
+            "positions": int(np.isfinite(drive.nodes.fix_m).all(axis=1).sum()),
+            "positions_left_out": len(drive.left_out),
+            "duration_s": float(drive.telemetry.time_s[-1] - drive.telemetry.time_s[0]),
+            "distance_m": float(rows.distance_m[-1]),
+            "reduced_chi_square": drive.smoothed.reduced_chi_square,
+            "slip_changes": _changes(drive),
+            "slope_effects": _slope_effects(drive),
+            "findings": [asdict(entry) for entry in drive.findings.entries],
+            "wheels": {wheel: _of_wheel(drive, k) for k, wheel in enumerate(drive.rover.wheels)},
+        }
+
+    @cached_property
+    def tables(self) -> dict[str, Any]:
+        """States, positions and motion, which `update` and `loads` take: name of the file to table."""
+        from lunarsci.twin.telemetry.states import motion_table, position_table, wheel_table
+
+        makers = {"states.csv": wheel_table, "positions.csv": position_table, "motion.csv": motion_table}
+        return {name: make(self.drive) for name, make in makers.items()}
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One a time and wheel."""
+        return list(self.tables["states.csv"].to_dict("records"))
+
+    def files(self) -> dict[str, Callable[[], bytes]]:
+        """The tables as CSV: name to what makes the content."""
+        from lunarsci.csv_table import csv_bytes
+
+        return {name: lambda table=table: csv_bytes(table) for name, table in self.tables.items()}  # type: ignore[misc]
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.twin.figures.telemetry import states_page
+
+        yield states_page(self.drive, self.known.terrain, self.title)
+
+
+def states(
+    telemetry: Source, plan: "Source | Plan | None" = None, request: StatesRequest | None = None, **options: Any
+) -> MeasuredStates:
+    """Slip, side slip and sinkage of every wheel, with their errors; a `plan` is for its clock and commands.
+
+    Raises DataError for telemetry that cannot be used.
+    """
+    from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
+    from lunarsci.twin.telemetry.reading import Findings, read_telemetry
+    from lunarsci.twin.telemetry.sinkage import with_sinkage
+    from lunarsci.twin.telemetry.states import states_of
+
+    asked = request_of(StatesRequest, request, options)
+    known = read_drive_inputs(plan, asked.rover, asked.terrain, asked.interpolation, soil_counts=False)
+    source = read_input(telemetry)
+    known.inputs[source.name] = source.sha256
+    findings = Findings(source.name)
+    sent = read_telemetry(source, known.rover, findings)
+    drive = states_of(sent, known.rover, known.terrain, findings, known.plan if plan is not None else None)
+    if asked.track is not None:
+        drive = with_sinkage(drive, _read_track(known, asked.track, asked.interpolation), known.terrain)
+    return MeasuredStates(known=known, name=source.name, planned=plan is not None, drive=drive)
+
+
+def _read_track(known: "DriveInputs", track: Any, interpolation: str) -> "RutPoints | Terrain":
+    from lunarsci.regolith.soil import read_soil
+    from lunarsci.twin.ground.terrain_files import read_terrain
+    from lunarsci.twin.telemetry.sinkage import is_table_of_ruts, read_track
+
+    source = read_input(track)
+    known.inputs[source.name] = source.sha256
+    if is_table_of_ruts(source):
+        return read_track(source)
+    return replace(read_terrain(source.name, read_soil("longji")), interpolation=interpolation)
+
+
+def _changes(drive: "DriveStates") -> dict[str, Any]:
+    """How fast the deviations change that slopes do not explain; no information where the data tell nothing of it."""
+    import numpy as np
+
+    change = drive.smoothed.change
+    columns = (change.usual, np.exp(change.spread), change.usual_length_m, change.information)
+    keys = ("amplitude", "amplitude_factor", "length_m", "information_nat")
+    rows = zip(*columns, strict=True)
+    return {
+        name: dict(zip(keys, map(float, row), strict=True))
+        for name, row in zip(("ahead", "left", "turn_per_m"), rows, strict=True)
+    }
+
+
+def _slope_effects(drive: "DriveStates") -> dict[str, Any]:
+    """Slip and side slip, as a tangent, for slopes of 45 degrees along and across, were they proportional."""
+    import numpy as np
+
+    from lunarsci.twin.telemetry.filter import EFFECTS
+
+    state, covariance = drive.smoothed.state[-1], drive.smoothed.covariance[-1]
+    return {
+        name: {"value": float(state[k]), "sigma": float(np.sqrt(covariance[k, k]))}
+        for name, k in zip(("slip", "side_slip"), EFFECTS[:2], strict=True)
+    }
+
+
+def _of_wheel(drive: "DriveStates", k: int) -> dict[str, Any]:
+    """Medians over the valid states of a wheel, of the values and of their errors."""
+    import numpy as np
+
+    found: dict[str, Any] = {"valid": int(drive.rows.valid[:, k].sum())}
+    for name in MEASURED:
+        value, sigma = (getattr(drive.rows, column)[:, k] for column in (name, f"{name}_sigma"))
+        known = drive.rows.valid[:, k] & np.isfinite(value)
+        spread = np.percentile(value[known], (50, 5, 95)) if known.any() else np.full(3, np.nan)
+        found[name] = {
+            "median": float(spread[0]),
+            "low": float(spread[1]),
+            "high": float(spread[2]),
+            "sigma": float(np.median(sigma[known])) if known.any() else np.nan,
+            "count": int(known.sum()),
+        }
+    return found
