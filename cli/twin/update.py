@@ -1,77 +1,80 @@
 """`lunarsci twin update`: what a drive says of the soil, for the next prediction."""
 
+import dataclasses
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lunarsci.twin.jobs.update import UpdateRequest
+
 from ..shared.command import command
-from ..shared.options import Output
+from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
-from . import options
+from ..shared.table import TextTable
+from .options import INTERPOLATION, ROVER, TERRAIN
+
+if TYPE_CHECKING:
+    from lunarsci.twin.assimilation.segments import Segment
+    from lunarsci.twin.jobs.update import LearnedSoil
 
 __all__ = ["add_to"]
 
-Ruts = Annotated[
-    bool | None,
-    typer.Option(
-        "--ruts/--no-ruts", help="Whether wheels met the ruts of others; as explains the drive better, if left out."
+FILE: dict[str, Any] = {"kind": str | None, "metavar": "FILE"}
+OPTIONS = {
+    "plan": option("Plan that was driven (TOML); the embedded one if left out.", kind=str | None),
+    "positions": option("Positions from localisation (CSV): time_s, x_m, y_m, sigma_m.", **FILE),
+    "soil": option(
+        "What was believed before (JSON): a belief, or a soil map, which keeps the soil by place; the priors if left "
+        "out.",
+        **FILE,
     ),
+    "forget": option("Share of the way back to the first priors, for ground further on.", min=0, max=1),
+    "correlation": option("Distance in m over which soils are alike; the map's, or 5, if left out.", min=0.1),
+    "rover": ROVER,
+    "terrain": TERRAIN,
+    "interpolation": INTERPOLATION,
+    "particles": option("Soils that carry the belief.", min=32),
+    "ruts": option(
+        "Whether wheels met the ruts of others; as explains the drive better, if left out.", "--ruts/--no-ruts"
+    ),
+    "seed": option("Seed of everything random.", min=0),
+}
+States = Annotated[
+    str, typer.Argument(help="Measured wheel states (CSV): time_s, wheel, sinkage_m, slip_ratio, ..., NAME_sigma.")
 ]
-
-Particles = Annotated[int, typer.Option(min=32, help="Soils that carry the belief.")]
+SavedBelief = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="The new belief (JSON): for --soil, and `twin predict --soil`.")
+]
+SavedMap = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="The soil map after it (JSON): each stretch of the way with its own soil."),
+]
+SavedTerrain = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="The terrain with the median soil at every node, and what is known (.npz)."),
+]
+EFFECTIVE = (
+    "medians and 68 % are effective values, with which the twin's law drives as the rover did; the ground's own, which "
+    "another law or instrument would find, are known less well"
+)
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "update")(update)
+    command(app, "update", request=UpdateRequest, options=OPTIONS)(update)
 
 
 def update(
-    states: Annotated[
-        str,
-        typer.Argument(help="Measured wheel states (CSV): time_s, wheel, sinkage_m, slip_ratio, ..., NAME_sigma."),
-    ],
+    states: States,
+    request: UpdateRequest,
     output: Output,
-    plan: Annotated[str | None, typer.Option(help="Plan that was driven (TOML); the embedded one if left out.")] = None,
-    positions: Annotated[
-        str | None, typer.Option(metavar="FILE", help="Positions from localisation (CSV): time_s, x_m, y_m, sigma_m.")
-    ] = None,
-    belief: Annotated[
-        str | None, typer.Option(metavar="FILE", help="What was believed before (JSON); the priors if left out.")
-    ] = None,
-    forget: Annotated[
-        float, typer.Option(min=0, max=1, help="Share of the way back to the first priors, for ground further on.")
-    ] = 0.0,
-    save: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="The new belief (JSON): for --belief, and `twin predict --soil`."),
-    ] = None,
-    map_before: Annotated[
-        str | None,
-        typer.Option("--map", metavar="FILE", help="Soil map before the drive (JSON), instead of --belief."),
-    ] = None,
-    save_map: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="The soil map after it (JSON): each stretch of the way with its own soil."),
-    ] = None,
-    save_terrain: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="The terrain with the median soil at every node, and what is known (.npz)."),
-    ] = None,
-    correlation: Annotated[
-        float | None,
-        typer.Option(min=0.1, help="Distance in m over which soils are alike; the map's, or 5, if left out."),
-    ] = None,
-    rover: options.RoverName = None,
-    terrain: options.TerrainName = "synthetic-longji",
-    interpolation: options.Interpolation = "smooth",
-    particles: Particles = 128,
-    ruts: Ruts = None,
-    seed: options.Seed = 0,
+    save: SavedBelief = None,
+    save_map: SavedMap = None,
+    save_terrain: SavedTerrain = None,
 ) -> Report:
-    """Rectify what is believed of the soil by a drive that happened: the twin drives it on many soils.
+    """Update what is believed of the soil by a drive that happened: the twin drives it on many soils.
 
     Soils are kept as they meet the measured states and positions. Where no soil explains them, nothing is learned, it
     is said why, and the exit code is 3. It is said, too, where along the way the soil changes; with a map each stretch
@@ -80,20 +83,65 @@ def update(
     Values are effective ones, with which the twin's law drives as the rover did; the ground's own have wider intervals.
     What no soil explains teaches how far the twin's physics is off, which predictions from the belief then carry.
     """
-    from .update_map import MapFiles
-    from .update_report import UpdateInputs, update_report
+    from lunarsci.twin.jobs import update as job
 
-    if belief is not None and (map_before is not None or save_map is not None or save_terrain is not None):
-        raise typer.BadParameter("--belief is of one soil everywhere; give --map, or leave the map's options out")
-    if correlation is not None and map_before is None and save_map is None and save_terrain is None:
-        raise typer.BadParameter("--correlation is of a soil map; give --map, --save-map or --save-terrain")
-    if forget and belief is None and map_before is None:
-        raise typer.BadParameter("--forget has nothing to forget, as the priors are believed; give --belief or --map")
     output.check_extra("--save", save, (".json",))
     output.check_extra("--save-map", save_map, (".json",))
     output.check_extra("--save-terrain", save_terrain, (".npz",))
-    files_of_map = MapFiles(map_before, save_map, save_terrain, correlation)
-    known = UpdateInputs.read(states, positions, belief, forget, plan, rover, terrain, interpolation, files_of_map)
+    asked = dataclasses.replace(request, by_place=save_map is not None or save_terrain is not None)
     with progress("driving on many soils", quiet=output.quiet) as advance:
-        learned = known.learned(particles, seed, ruts, advance)
-    return update_report(known, learned, seed, save, files_of_map)
+        found = job.update(states, asked, progress=advance)
+    made = {save: lambda: found.belief.to_json().encode(), save_map: found.map_bytes, save_terrain: found.terrain_bytes}
+    return Report.of(found, _tables(found), extras={path: make for path, make in made.items() if path})
+
+
+def _tables(found: "LearnedSoil") -> list[TextTable]:
+    from lunarsci.regolith.ground_law import parameter_rows
+
+    from .belief_tables import discrepancy_table, parameter_table
+
+    title = f"Soil after {found.states.name}: {found.known.plan.name}"
+    tables = [
+        parameter_table(parameter_rows(found.belief), title, _notes(found)),
+        discrepancy_table(found.belief.discrepancy),
+    ]
+    return tables if len(found.segments or []) < 2 else [*tables, _segment_table(found.segments or [])]
+
+
+def _notes(learned: "LearnedSoil") -> list[str]:
+    found = learned.found
+    notes = [
+        f"{found.values} values, {int(found.outliers.sum())} outliers, reduced chi-square {found.reduced:.2f}; "
+        f"surprise {found.prior_shift:.2f}",
+    ]
+    if found.prediction.ruts:
+        notes.append("wheels that follow met the ruts of those before them; so they will where this soil is driven on")
+    for name, factor in found.inflation.items():
+        notes.append(f"errors of {name} are taken {factor:.1f} times as large: no soil explains it better")
+    for name, size in found.wheel_errors.items():
+        notes.append(f"single wheels are off in {name} by {size:.2g} throughout, which was allowed for")
+    if found.of_other_ground:
+        notes.append("the ground is hardly the one that was believed; forget more, or begin anew")
+    notes.extend(change.text for change in learned.changes)
+    if learned.changes and learned.segments is None:
+        notes.append("--save-map learns the soil of each stretch on its own")
+    if not found.settled:
+        notes.append("the soils have not spread out; take more particles, or intervals are too narrow")
+    return [*notes, EFFECTIVE]
+
+
+def _segment_table(segments: "list[Segment]") -> TextTable:
+    """Stretches of the way side by side."""
+    columns = []
+    for segment in segments:
+        left, known = segment.belief.left_of_prior, segment.belief.intervals().items()
+        columns.append({name: f"{row[0]:.4g} ({100 * left[name]:.0f} %)" for name, row in known})
+    notes = [
+        f"{segment.from_m:.1f} to {segment.to_m:.1f} m: stays at what was believed: {segment.why_not}"
+        for segment in segments
+        if not segment.learned
+    ]
+    headers = ["parameter", *(f"{segment.from_m:.1f} to {segment.to_m:.1f} m" for segment in segments)]
+    rows = [[name, *(column[name] for column in columns)] for name in columns[0]]
+    title = "Soil of each stretch of the way: median, and in brackets what is left of the prior's spread"
+    return TextTable(headers, rows, title=title, notes=notes)

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lunarsci.regolith.belief import first_belief
+
 Run = Callable[..., Any]
 
 
@@ -26,7 +28,7 @@ def test_a_map_goes_from_drive_to_drive(run: Run, short_plan: Path, short_states
         left = archive["stiffness_kpa_m_n_left_of_prior"]
     assert left.min() == pytest.approx(known, rel=1e-4) and left.max() > 0.95
     # The next drive on the same ground begins with what this one left.
-    second = run(*update, "--map", soil_map, "--save-map", again, "--json")
+    second = run(*update, "--soil", soil_map, "--save-map", again, "--json")
     assert second.code == 0, second.err
     after = json.loads(second.out)["result"]["zones"][0]["parameters"]["stiffness_kpa_m_n"]["left_of_prior"]
     assert after < 1.1 * known
@@ -42,9 +44,13 @@ def test_a_map_goes_from_drive_to_drive(run: Run, short_plan: Path, short_states
 def test_options_of_a_map_are_checked_before_anything_is_driven(run: Run, short_plan: Path, tmp_path: Path) -> None:
     text = tmp_path / "states.csv"
     text.write_text("time_s,wheel,sinkage_m\n1,FL,0.01\n")
-    done = run("twin", "update", text, "--plan", short_plan, "--belief", "b.json", "--save-map", tmp_path / "m.json")
-    assert done.code == 2 and "--belief is of one soil everywhere" in " ".join(done.err)
-    done = run("twin", "update", text, "--plan", short_plan, "--map", short_plan)
+    (tmp_path / "b.json").write_text(first_belief().to_json())
+    update = ("twin", "update", text, "--plan", short_plan)
+    done = run(*update, "--soil", tmp_path / "b.json", "--save-map", tmp_path / "m.json")
+    assert done.code == 2 and "--soil is of one soil everywhere" in " ".join(done.err)
+    done = run(*update, "--correlation", 3)
+    assert done.code == 2 and "--correlation is of a soil map" in " ".join(done.err)
+    done = run(*update, "--soil", short_plan)
     assert done.code == 1 and "not valid JSON" in done.err[0]
     done = run("twin", "update", text, "--plan", short_plan, "--save-map", tmp_path / "m.txt")
     assert done.code == 2

@@ -35,7 +35,7 @@ def test_a_belief_goes_from_drive_to_drive(run: Run, short_plan: Path, short_sta
     table.to_csv(tmp_path / "wrong.csv", index=False)
     wrong = run(
         *("twin", "update", tmp_path / "wrong.csv", "--plan", short_plan, "--particles", "32"),
-        *("--belief", belief, "--forget", "0.1", "--save", tmp_path / "same.json"),
+        *("--soil", belief, "--forget", "0.1", "--save", tmp_path / "same.json"),
     )
     assert wrong.code == 3 and "nothing was learned" in wrong.err[-1]
     kept = json.loads((tmp_path / "same.json").read_text())
@@ -102,5 +102,5 @@ def test_positions_need_their_errors(run: Run, short_plan: Path, tmp_path: Path)
     (tmp_path / "fixes.csv").write_text("time_s,x_m,y_m\n1,0,0\n")
     done = run("twin", "update", tmp_path / "states.csv", "--plan", short_plan, "--positions", tmp_path / "fixes.csv")
     assert done.code == 1 and "add sigma_m" in done.err[0]
-    done = run("twin", "update", tmp_path / "states.csv", "--plan", short_plan, "--belief", short_plan)
+    done = run("twin", "update", tmp_path / "states.csv", "--plan", short_plan, "--soil", short_plan)
     assert done.code == 1 and "not valid JSON" in done.err[0]

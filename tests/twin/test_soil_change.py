@@ -2,6 +2,7 @@
 over ground whose soil changes on the way."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from lunarsci.twin.assimilation.residuals import MODEL_ERRORS
 from lunarsci.twin.assimilation.segments import drive_segments, find_change, record_within
 from lunarsci.twin.assimilation.update import SoilUpdate, assimilate
 from lunarsci.twin.figures.soil_layers import residual_page
+from lunarsci.twin.ground.soil_map import SoilMap
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
@@ -213,9 +215,11 @@ def test_each_stretch_is_learned_on_its_own(yutu2: Rover, ground: Terrain) -> No
     found = on_one_soil(yutu2, ground, record, 0.5)
     asked: list[np.ndarray] = []
 
-    def prior(places: np.ndarray) -> SoilBelief:
+    def believed(places: np.ndarray) -> SoilBelief:
         asked.append(places)
         return first_belief()
+
+    prior = SimpleNamespace(belief_along=believed)
 
     segments, changes = drive_segments(yutu2, ground, PLAN, record, found, prior, particles=48, seed=0)
     assert len(segments) == 2 and len(changes) == 1
@@ -247,7 +251,7 @@ def test_a_stretch_with_too_little_data_stays_as_it_was(yutu2: Rover, ground: Te
         sigmas=record.sigmas[kept],
     )
     found = on_one_soil(yutu2, ground, record, 0.4)
-    segments, changes = drive_segments(yutu2, ground, PLAN, record, found, lambda _: first_belief(), particles=32)
+    segments, changes = drive_segments(yutu2, ground, PLAN, record, found, SoilMap(), particles=32)
     assert changes and not segments[-1].learned and segments[-1].why_not == "too few values"
     assert segments[-1].belief.mean == pytest.approx(first_belief().mean)
 

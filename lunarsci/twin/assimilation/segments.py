@@ -25,6 +25,7 @@ from lunarsci.twin.assimilation.change_point import (
 from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord, states_at
 from lunarsci.twin.assimilation.residuals import MODEL_ERRORS
 from lunarsci.twin.assimilation.update import SoilUpdate, assimilate
+from lunarsci.twin.ground.soil_map import SoilMap
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
@@ -215,8 +216,9 @@ def drive_segments(
     plan: Plan,
     record: DriveRecord,
     found: SoilUpdate,
-    prior: Callable[[FloatArray], SoilBelief],
+    soil_map: SoilMap,
     *,
+    forget: float = 0.0,
     particles: int,
     seed: int = 0,
     false_alarms: float = FALSE_ALARMS,
@@ -228,7 +230,8 @@ def drive_segments(
     ----------
     rover, terrain, plan : what was driven where.
     record, found, false_alarms : as in `find_change`.
-    prior : what was believed of the soil at places (k, 2).
+    soil_map : what was believed of the soil by place.
+    forget : share of the way back to the first laws, as in `SoilBelief.forgotten`. [-]
     particles, seed, progress : as in `assimilate`.
 
     Of a stretch beside others count the states of times at which the whole rover stood in it, and no position: where
@@ -237,8 +240,11 @@ def drive_segments(
     """
     way = traverse_of(found.prediction)
 
+    def believed(place_m: FloatArray) -> SoilBelief:
+        return soil_map.belief_along(place_m).forgotten(forget)
+
     def learned(own: DriveRecord, low: float, high: float) -> _Part:
-        before = prior(way.between(low, high))
+        before = believed(way.between(low, high))
         if np.isfinite(own.values).sum() < FEWEST_VALUES:
             return _Part(low, high, own, before, None)
         drive = assimilate(
@@ -250,7 +256,7 @@ def drive_segments(
         )
         return _Part(low, high, own, before, drive)
 
-    open_parts = [_Part(-np.inf, np.inf, record, prior(way.place_m), found)]
+    open_parts = [_Part(-np.inf, np.inf, record, believed(way.place_m), found)]
     segments: list[Segment] = []
     changes: list[SoilChange] = []
     while open_parts:

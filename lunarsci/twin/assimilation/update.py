@@ -69,6 +69,9 @@ LEAST_FLOOR = 0.05
 FOLLOWED = 2.0**0.5
 """By which the miss of an end is taken larger than what the soil that was found with it leaves: the variance that held
 for returns in an independent simulator; assumed elsewhere."""
+SETTLED, SURPRISING = 0.3, 2.0
+"""Autocorrelation of particles above which they have not spread out; prior shift above which the ground differs;
+assumed."""
 STILL = 1.1
 """Factor of the errors that is no longer worth another round."""
 
@@ -88,9 +91,8 @@ class SoilUpdate:
     wheel_errors : by quantity, standard deviation of what each wheel was found to be off by throughout, in its unit.
     chi_square, values : of the values that are no outliers, and their number, positions included.
     prior_shift : distance of the new mean from the old one in standard deviations of the old belief, root mean square
-        over the parameters: about 1 or less where the ground is the one that was believed, above 2 it is not. [-]
-    autocorrelation : largest correlation of the particles with where it was before its last moves; above 0.3 it has not
-        spread out, and intervals are too narrow. [-]
+        over the parameters: about 1 or less where the ground is the one that was believed. [-]
+    autocorrelation : largest correlation of the particles with where they were before their last moves. [-]
     refused : empty, or why the belief was not moved.
     """
 
@@ -110,6 +112,16 @@ class SoilUpdate:
     def reduced(self) -> float:
         """Chi-square for each value kept. [-]"""
         return self.chi_square / max(self.values, 1)
+
+    @property
+    def settled(self) -> bool:
+        """Whether the particles have spread out; if not, intervals are too narrow."""
+        return self.autocorrelation <= SETTLED
+
+    @property
+    def of_other_ground(self) -> bool:
+        """Whether the drive was hardly on the ground that was believed."""
+        return self.prior_shift > SURPRISING and not self.refused
 
     @property
     def doubt(self) -> str:

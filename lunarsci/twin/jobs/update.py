@@ -1,0 +1,330 @@
+"""What a drive says of the soil: a belief, or a map of beliefs by place, for the next prediction."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lunarsci.errors import DataError, RequestError
+from lunarsci.inputs import InputFile, Source, read_input
+from lunarsci.result import MadeFrom, Result, request_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from lunarsci.regolith.belief import SoilBelief
+    from lunarsci.twin.assimilation.drive_record import DriveRecord
+    from lunarsci.twin.assimilation.segments import Segment, SoilChange
+    from lunarsci.twin.assimilation.update import SoilUpdate
+    from lunarsci.twin.ground.soil_map import SoilMap, Zone
+    from lunarsci.twin.jobs.drive_inputs import DriveInputs
+
+__all__ = ["LearnedSoil", "UpdateRequest", "update"]
+
+SAMPLER = "Christen & Fox (2005), J. Comput. Graph. Stat. 14, 795"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UpdateRequest:
+    """What was driven and measured beside the wheel states, and what was believed before.
+
+    Attributes
+    ----------
+    plan : that was driven, the embedded one if None.
+    positions : from localisation, as a table of time_s, x_m, y_m, sigma_m.
+    soil : what was believed before: a belief, or a soil map; the priors if None.
+    forget : share of the way back to the first priors, for ground further on, 0 to 1. [-]
+    by_place : whether the soil is kept by place, as it is where `soil` is a map.
+    correlation : distance over which soils are alike; the map's, or 5, if None. [m]
+    rover, terrain, interpolation : what was driven where.
+    particles : soils that carry the belief, 32 or more.
+    ruts : whether wheels met the ruts of others; None takes what explains the drive better.
+    seed : of everything random.
+    """
+
+    plan: str | Any | None = None
+    positions: str | Any | None = None
+    soil: str | Any | None = None
+    forget: float = 0.0
+    by_place: bool = False
+    correlation: float | None = None
+    rover: str | None = None
+    terrain: str = "synthetic-longji"
+    interpolation: str = "smooth"
+    particles: int = 128
+    ruts: bool | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.forget and self.soil is None:
+            raise RequestError("`forget` has nothing to forget, as the priors are believed; give `soil`")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Before:
+    """What was believed before a drive.
+
+    `belief` is of the whole drive, forgotten as far as asked; `soil_map` the map, None where the soil is not kept by
+    place; `file` what they come from, None for the priors.
+    """
+
+    belief: "SoilBelief"
+    soil_map: "SoilMap | None"
+    file: InputFile | None
+
+    @classmethod
+    def read(cls, asked: UpdateRequest, known: "DriveInputs") -> "Before":
+        """Read a belief or a map. Raises DataError, RequestError for options that do not fit what it is."""
+        from lunarsci.regolith.belief import first_belief, read_belief
+        from lunarsci.twin.assimilation.change_point import planned_places
+        from lunarsci.twin.ground.soil_map import SCHEMA, SoilMap, read_soil_map
+
+        file = None if asked.soil is None else read_input(asked.soil)
+        of_map = file is not None and SCHEMA.encode() in file.data
+        if file is not None and not of_map and asked.by_place:
+            raise RequestError("`soil` is of one soil everywhere; give a map, or leave the map's options out")
+        if asked.correlation is not None and not (of_map or asked.by_place):
+            raise RequestError("`correlation` is of a soil map; give one as `soil`, or save one")
+        soil_map, belief = None, first_belief() if file is None or of_map else read_belief(file)
+        if of_map or asked.by_place:
+            across = abs(known.rover.wheel_positions_m[:, 1]).max() + 0.5 * known.rover.wheel.width_m
+            soil_map = read_soil_map(file) if file is not None else SoilMap(reach_m=round(float(across), 3))
+            if asked.correlation is not None:
+                soil_map = replace(soil_map, correlation_m=asked.correlation)
+            belief = soil_map.belief_along(planned_places(known.plan, known.rover))
+        return cls(belief=belief.forgotten(asked.forget) if asked.forget else belief, soil_map=soil_map, file=file)
+
+    def refuse_known(self, states: InputFile) -> None:
+        """Raises DataError where the belief has learned from these states: the same drive does not count twice."""
+        if self.file is None or self.soil_map is not None:
+            return
+        if any(entry.get("sha256") == states.sha256 and not entry.get("refused") for entry in self.belief.history):
+            raise DataError(
+                f"{self.file.name} has learned from {states.name} already; the same drive does not count twice"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LearnedSoil(Result):
+    """What a drive says of one soil, where the soil changes on its way, and the map after it.
+
+    Attributes
+    ----------
+    known, record, states : what drove where, what was measured of it without positions, and its file.
+    before, found : what was believed before, and what the drive says of one soil.
+    changes : of the soil along the way.
+    segments, soil_map : stretches with a soil each, and the map with them; None where the soil is not kept by place.
+    seed : of everything random.
+    """
+
+    schema = "twin-update/1"
+    known: "DriveInputs"
+    record: "DriveRecord"
+    states: InputFile
+    before: Before
+    found: "SoilUpdate"
+    changes: "list[SoilChange]"
+    segments: "list[Segment] | None"
+    soil_map: "SoilMap | None"
+    seed: int
+
+    @property
+    def belief(self) -> "SoilBelief":
+        """After the drive."""
+        return self.found.belief
+
+    @property
+    def made_from(self) -> MadeFrom:
+        from lunarsci.regolith.prior import prior_hash
+        from lunarsci.twin.jobs.drive_inputs import SOURCES
+
+        known = self.known
+        tables, sources = known.tables | prior_hash(), [*SOURCES, SAMPLER]
+        return MadeFrom(inputs=known.inputs, tables=tables, sources=sources, seed=self.seed, options=known.options)
+
+    @property
+    def untrusted(self) -> str:
+        if self.segments is not None:
+            learned = any(segment.learned for segment in self.segments)
+            return "" if learned else f"nothing was learned: {self.segments[0].why_not}"
+        if not self.found.refused:
+            return self.found.doubt
+        return "; ".join([f"nothing was learned: {self.found.refused}", *(change.text for change in self.changes)])
+
+    def to_dict(self) -> dict[str, Any]:
+        from lunarsci.regolith.ground_law import parameter_rows
+
+        found, soil_map = self.found, self.soil_map
+        return {
+            "parameters": parameter_rows(found.belief),
+            "values": found.values,
+            "outliers": int(found.outliers.sum()),
+            "chi_square": found.chi_square,
+            "reduced_chi_square": found.reduced,
+            "inflation": dict(found.inflation),
+            "wheel_errors": dict(found.wheel_errors),
+            "ruts": found.prediction.ruts,
+            "surprise": found.prior_shift,
+            "persistence": found.autocorrelation,
+            "refused": found.refused or None,
+            "drives": len(found.belief.history),
+            "discrepancy": found.belief.discrepancy.to_dict(),
+            "changes": [asdict(change) | {"text": change.text} for change in self.changes],
+            "made_for": self.known.made_for,
+            "rover": self.known.rover.name,
+            "soil": self._soil_record(),
+            "zones": None if self.segments is None else [_segment_record(segment) for segment in self.segments],
+            "map": None
+            if soil_map is None
+            else {"zones": len(soil_map.zones), "correlation_m": soil_map.correlation_m},
+        }
+
+    def _soil_record(self) -> dict[str, Any]:
+        """Where the soils come from that the drive was tried on."""
+        from lunarsci.regolith.prior import PARAMETERS
+        from lunarsci.twin.ground.driven_soil import DrivenSoil, soil_record
+
+        driven, before = DrivenSoil("priors", "priors"), self.before
+        if before.file is not None:
+            driven = DrivenSoil(before.file.name, "belief" if before.soil_map is None else "map")
+        return soil_record(driven, self.known.terrain, PARAMETERS)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One a parameter."""
+        from lunarsci.regolith.ground_law import parameter_rows
+
+        return [{"parameter": name} | row for name, row in parameter_rows(self.belief).items()]
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.twin.figures.soil_layers import residual_page, soil_pages
+        from lunarsci.twin.ground.soil_layers import soil_layers
+
+        yield residual_page(self.record, self.found, self.changes)
+        if self.soil_map is not None:
+            yield from soil_pages(soil_layers(self.soil_map, self.known.terrain), self.soil_map)
+
+    def map_bytes(self) -> bytes:
+        """The soil map after the drive, as JSON. Raises RequestError where the soil is not kept by place."""
+        from lunarsci.twin.ground.soil_map import soil_map_bytes
+
+        return soil_map_bytes(self._map())
+
+    def terrain_bytes(self) -> bytes:
+        """The terrain with the map's median soil at every node, as .npz. Raises RequestError as `map_bytes`."""
+        from lunarsci.twin.ground.soil_layers import soil_layers
+        from lunarsci.twin.ground.terrain_files import terrain_bytes
+
+        layers = soil_layers(self._map(), self.known.terrain)
+        return terrain_bytes(layers.terrain, left_of_prior=layers.left_of_prior)
+
+    def _map(self) -> "SoilMap":
+        if self.soil_map is None:
+            raise RequestError("the soil is not kept by place; give a map as `soil`, or `by_place`")
+        return self.soil_map
+
+
+def _segment_record(segment: "Segment") -> dict[str, Any]:
+    left = segment.belief.left_of_prior
+    return {
+        "from_m": segment.from_m,
+        "to_m": segment.to_m,
+        "learned": segment.learned,
+        "why_not": segment.why_not or None,
+        "surprise": segment.found.prior_shift if segment.found else None,
+        "parameters": {
+            name: {"median": middle, "low": low, "high": high, "left_of_prior": left[name]}
+            for name, (middle, low, high) in segment.belief.intervals().items()
+        },
+    }
+
+
+def update(
+    states: Source,
+    request: UpdateRequest | None = None,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> LearnedSoil:
+    """Update what is believed of the soil by measured wheel states of a drive.
+
+    Raises DataError for files that cannot be used and a drive that counted before, RequestError for impossible options.
+    """
+    from lunarsci.twin.assimilation.drive_record import read_record
+    from lunarsci.twin.assimilation.segments import drive_segments, find_change
+    from lunarsci.twin.assimilation.update import assimilate
+    from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
+
+    asked = request_of(UpdateRequest, request, options)
+    known = read_drive_inputs(asked.plan, asked.rover, asked.terrain, asked.interpolation, soil_counts=False)
+    source, fixes = read_input(states), None if asked.positions is None else read_input(asked.positions)
+    record = read_record(source, known.rover, positions=fixes)
+    before = Before.read(asked, known)
+    before.refuse_known(source)
+    known.inputs.update({file.name: file.sha256 for file in (before.file, source, fixes) if file})
+    along = record if fixes is None else read_record(source, known.rover)
+    drawing: dict[str, Any] = {"particles": asked.particles, "seed": asked.seed, "progress": progress}
+    teach = not before.belief.discrepancy.has_scored(source.sha256)
+    drive = (known.rover, known.terrain, known.plan)
+    found = assimilate(*drive, record, before.belief, ruts=asked.ruts, teach=teach, **drawing)
+    found = _with_history(found, before, known, source, asked.forget, scored=len(record.fix_time_s) > 0)
+    segments, soil_map = None, None
+    if before.soil_map is None:
+        change = find_change(along, found, seed=asked.seed)
+        changes = [] if change is None else [change]
+    else:
+        segments, changes = drive_segments(*drive, along, found, before.soil_map, forget=asked.forget, **drawing)
+        kept = [_zone(segment, known, source) for segment in segments if segment.learned]
+        soil_map = before.soil_map.with_zones(kept)
+    return LearnedSoil(
+        known=known,
+        record=along,
+        states=source,
+        before=before,
+        found=found,
+        changes=changes,
+        segments=segments,
+        soil_map=soil_map,
+        seed=asked.seed,
+    )
+
+
+def _with_history(
+    found: "SoilUpdate", before: Before, known: "DriveInputs", states: InputFile, forget: float, *, scored: bool
+) -> "SoilUpdate":
+    """The belief with the drive in its history; its discrepancy says that it rests on the drive's end, if `scored`."""
+    from lunarsci.regolith.belief import with_drive
+
+    belief, law = found.belief, found.belief.discrepancy
+    if scored and not found.refused and not law.has_scored(states.sha256):
+        line = {"states": Path(states.name).name, "sha256": states.sha256, "plan": known.plan.name, "how": "own end"}
+        belief = replace(belief, discrepancy=law.with_score(**line))
+    of_belief = before.file is not None and before.soil_map is None
+    parent = before.file.sha256 if of_belief and before.file else None
+    entry = _entry(found, known, states)
+    return replace(found, belief=with_drive(belief, before.belief, entry, parent_sha256=parent, forgotten=forget))
+
+
+def _entry(found: "SoilUpdate", known: "DriveInputs", states: InputFile) -> Mapping[str, Any]:
+    """The line of history of a drive."""
+    return {
+        "states": Path(states.name).name,
+        "sha256": states.sha256,
+        "plan": known.plan.name,
+        "values": found.values,
+        "outliers": int(found.outliers.sum()),
+        "chi_square": found.chi_square,
+        "inflation": dict(found.inflation),
+        "ruts": found.prediction.ruts,
+        "surprise": found.prior_shift,
+        "refused": found.refused,
+    }
+
+
+def _zone(segment: "Segment", known: "DriveInputs", states: InputFile) -> "Zone":
+    from lunarsci.twin.ground.soil_map import Zone
+
+    line = dict(_entry(segment.found, known, states)) if segment.found else {}
+    line |= {"from_m": round(segment.from_m, 3), "to_m": round(segment.to_m, 3)}
+    belief = replace(segment.belief, history=(*segment.before.history, line))
+    name = f"{known.plan.name}, {segment.from_m:.1f} to {segment.to_m:.1f} m"
+    return Zone(name=name, place_m=segment.place_m, belief=belief)
