@@ -81,7 +81,7 @@ ModelError = Annotated[
 Posterior = Annotated[
     Path | None,
     _joint(
-        "Soils of --joint for `twin predict --samples`: draws as CSV, a belief as JSON; both carry the verdict.",
+        "Soils of --joint for `twin predict --soil`: draws as CSV, a belief as JSON; both carry the verdict.",
         "--posterior",
     ),
 ]

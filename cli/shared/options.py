@@ -111,13 +111,14 @@ def _load_config(context: typer.Context, value: Path | None) -> Path | None:
         settings = tomllib.loads(value.read_text("utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise typer.BadParameter(f"{value}: not a readable TOML file: {error}") from error
-    known = {_option_name(parameter): str(parameter.name) for parameter in context.command.params}
+    known = {_option_name(parameter): parameter for parameter in context.command.params}
     defaults = {}
     for key, setting in settings.items():
         name = key.replace("_", "-")
         if name not in known or name == "config":
             raise typer.BadParameter(f"{value}: '{key}' is no option here; these are: {', '.join(sorted(known))}")
-        defaults[known[name]] = setting
+        alone = isinstance(setting, str) and getattr(known[name], "multiple", False)
+        defaults[str(known[name].name)] = [setting] if alone else setting
     context.default_map = defaults
     return value
 

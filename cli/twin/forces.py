@@ -64,7 +64,7 @@ SavedBelief = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="The soil after --iterate as a belief (JSON), for `twin predict --samples`.",
+        help="The soil after --iterate as a belief (JSON), for `twin predict --soil`.",
         rich_help_panel=MEASURED,
     ),
 ]
@@ -167,10 +167,10 @@ def refuse(used: set[str], names: tuple[str, ...], why: str) -> None:
 
 def _predicted(output: Output, given: dict[str, Any], used: set[str], scenery: tuple[Any, ...]) -> Report:
     from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
+    from lunarsci.twin.jobs.predict import predict_drives
     from lunarsci.twin.jobs.soils import Soils
 
     from .forces_report import predicted_report
-    from .soils import drive
 
     sweep, members = given["--sweep"], given["--members"]
     plan, rover, terrain, interpolation = scenery
@@ -181,5 +181,5 @@ def _predicted(output: Output, given: dict[str, Any], used: set[str], scenery: t
     if soils.drawn_by is None:
         refuse(used, ("--seed",), "has nothing to draw; give --members, --soil or --fixes, or leave it out")
     with progress("driving", quiet=output.quiet) as update:
-        prediction = drive(soils, given["--time-step"] or 0.1, given["--sample"] or 0.1, update)
+        prediction = predict_drives(soils, given["--time-step"] or 0.1, given["--sample"] or 0.1, update)
         return predicted_report(soils.inputs, prediction, soils.record(), soils.drawn_by)

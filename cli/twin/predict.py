@@ -1,44 +1,63 @@
 """`lunarsci twin predict`: whether the next drive is safe."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from lunarsci.twin.jobs.predict import PredictedDrives, PredictRequest
 
 from ..shared.command import command
 from ..shared.options import Output
 from ..shared.progress import progress
 from ..shared.report import Report
-from . import options
+from ..shared.table import TextTable
+from .options import (
+    BEFORE,
+    FIXES,
+    INTERPOLATION,
+    MEMBERS,
+    ROVER,
+    RUTS,
+    SAMPLE,
+    SEED,
+    SOILS,
+    SWEEP,
+    TERRAIN,
+    TIME_STEP,
+    PlanFile,
+)
+
+if TYPE_CHECKING:
+    from lunarsci.twin.judgement.safety import Judgement, Verdict
 
 __all__ = ["add_to"]
+
+OPTIONS = {
+    "rover": ROVER,
+    "terrain": TERRAIN,
+    "interpolation": INTERPOLATION,
+    "soil": SOILS,
+    "sweep": SWEEP,
+    "members": MEMBERS,
+    "fixes": FIXES,
+    "ruts": RUTS,
+    "before": BEFORE,
+    "seed": SEED,
+    "time_step": TIME_STEP,
+    "sample": SAMPLE,
+}
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "predict", folder=True)(predict)
+    command(app, "predict", folder=True, request=PredictRequest, options=OPTIONS)(predict)
 
 
 def predict(
     output: Output,
-    plan: options.PlanFile = None,
-    rover: options.RoverName = None,
-    terrain: options.TerrainName = "synthetic-longji",
-    interpolation: options.Interpolation = "smooth",
-    soil: options.SoilName = None,
-    sweep: options.Sweeps = None,
-    members: options.Members = None,
-    samples: options.Samples = None,
-    soil_map: Annotated[
-        str | None,
-        typer.Option(metavar="FILE", help="Soils drawn by place from a map of `twin update --save-map` (JSON)."),
-    ] = None,
-    fixes: options.Fixes = None,
-    ruts: options.Ruts = None,
-    before: options.Before = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Seed of everything random.", show_default="0")] = None,
-    time_step: options.TimeStep = 0.1,
-    sample: options.Sample = 0.1,
+    request: PredictRequest,
+    plan: PlanFile = None,
     animate: Annotated[
         Path | None, typer.Option(metavar="FILE", help="The drive as a film: .gif, or .mp4 where ffmpeg is installed.")
     ] = None,
@@ -47,33 +66,110 @@ def predict(
 
     With -o DIR the wheel states and forces go to states.csv, the paths to paths.csv, the ends to endpoints.csv, the
     spread of all quantities against distance to profiles.csv; with prediction.json `twin compare` sets them beside the
-    drive that follows. A plan of `twin terrain` is driven by the rover that it was made for, unless --rover says
+    drive that follows. A plan of `twin plan` is driven by the rover that it was made for, unless --rover says
     otherwise.
 
     On soils of a belief every drive also carries a draw of what the twin's physics is off by, in its place, slip, side
     slip, sinkage and forces; the result says how much of the ends' variance that is.
     """
+    from lunarsci.twin.jobs import predict as job
+
     if animate is not None:
-        from lunarsci.twin.figures.animation import FORMATS, check_format
-
-        output.check_extra("--animate", animate, FORMATS)
-        check_format(animate)
-    from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
-    from lunarsci.twin.jobs.soils import Soils
-
-    from .predict_report import predict_report
-    from .soils import drive, with_physics, with_verdict
-
-    given = [name for name in (soil, samples, soil_map) if name is not None]
-    scene = read_drive_inputs(
-        plan, rover, terrain, interpolation, soil=given, fixes=fixes, judged=True, ruts=ruts, before=before
-    )
-    soils = Soils.of(scene, sweep, members, seed or 0)
-    soils.warn_of_seed(seed)
+        _check_film(output, animate)
     with progress("driving", quiet=output.quiet) as update:
-        prediction = with_physics(soils, drive(soils, time_step, sample, update))
-    ground = soils.record()
-    report = predict_report(
-        soils.inputs, prediction, soils.kind, ground, seed=soils.drawn_by, film=animate, quiet=output.quiet
-    )
-    return with_verdict(report, soils.verdict)
+        found = job.predict(plan, request, progress=update)
+    films = {} if animate is None else {animate: lambda: _film(found, animate, output.quiet)}
+    return Report.of(found, [*_verdict_tables(found), *_sensitivity_tables(found)], files=found.files(), extras=films)
+
+
+def _check_film(output: Output, animate: Path) -> None:
+    from lunarsci.twin.figures.animation import FORMATS, check_format
+
+    output.check_extra("--animate", animate, FORMATS)
+    check_format(animate)
+
+
+def _film(found: PredictedDrives, target: Path, quiet: bool) -> bytes:
+    with progress("filming", quiet=quiet) as update:
+        return found.film(target, update)
+
+
+HEADERS = (
+    "quantity (worst of each drive)",
+    "p50",
+    "95 % keep",
+    "worst",
+    "limit",
+    "margin",
+    "unit",
+    "verdict",
+    "limit is",
+)
+
+
+def _verdict_tables(found: PredictedDrives) -> list[TextTable]:
+    """The verdict for people: head line, limits, notes."""
+    from lunarsci.twin.judgement.load_check import check_loads, load_notes
+
+    verdict, prediction = found.verdict, found.prediction
+    rows = [_limit_row(limit) for limit in verdict.limits]
+    drives = "1 drive" if prediction.members == 1 else f"{prediction.members} drives"
+    title = f"{verdict.verdict.upper()}: {prediction.plan.name}; {drives} on {prediction.terrain.name}"
+    notes = [
+        *found.inputs.soil_notes(prediction.members, len(prediction.parameters)),
+        *found.inputs.remarks,
+        *_endpoint_notes(verdict),
+        *verdict.reasons,
+        *verdict.notes,
+        *load_notes(check_loads(prediction)),
+        _worst_note(verdict),
+    ]
+    return [TextTable(list(HEADERS), rows, title=title, notes=notes)]
+
+
+def _limit_row(limit: "Judgement") -> list[str]:
+    return [
+        limit.quantity,
+        *(f"{value:.4g}" for value in (limit.p50, limit.kept_by_95, limit.worst)),
+        f"{'≤' if limit.sense == 'at most' else '≥'} {limit.limit:.4g}",
+        f"{limit.margin:.4g}",
+        limit.unit,
+        "ok" if limit.ok else "broken",
+        "assumed" if limit.assumed else "",
+    ]
+
+
+def _worst_note(verdict: "Verdict") -> str:
+    soil = ", ".join(f"{name} {value:.4g}" for name, value in verdict.worst.parameters.items())
+    return f"worst drive: member {verdict.worst.member}{f' ({soil})' if soil else ''}, {verdict.worst.why}"
+
+
+def _sensitivity_tables(found: PredictedDrives) -> list[TextTable]:
+    shares, step_error = found.sensitivity or [], found.step_error_m
+    rows = [[share.parameter, f"{share.x_m:.3f}", f"{share.y_m:.3f}", f"{100 * share.share:.0f} %"] for share in shares]
+    notes = [] if step_error is None else [f"the time step puts ends off by about {1e3 * step_error:.1f} mm"]
+    if not rows:
+        return [TextTable([], [], title=notes[0])] if notes else []
+    headers = ["over the range of", "x [m]", "y [m]", "of the variance"]
+    return [TextTable(headers, rows, title="What moves the end", notes=notes)]
+
+
+def _endpoint_notes(verdict: "Verdict") -> list[str]:
+    end = verdict.endpoint
+    if end is None:
+        return []
+    notes = [
+        f"ends: mean {end.bias_m:.3f} m from the destination, all within {end.covering_radius_m:.3f} m of it, "
+        f"within {end.scatter_radius_m:.3f} m of each other's middle"
+    ]
+    if (share := end.physics_share) is not None:
+        notes.append(
+            f"of the variance of the ends {100 * (1 - share):.0f} % is soil, {100 * share:.0f} % what the physics "
+            "is off by; limits are held against both"
+        )
+    if (ellipse := end.ellipse) is not None:
+        notes.append(
+            f"error ellipse: {ellipse.semi_major_m:.3f} m x {ellipse.semi_minor_m:.3f} m (1 σ), major axis at "
+            f"{round(ellipse.azimuth_deg) % 180}° from x; times {ellipse.factor_95:.2f} for 95 %, if normal"
+        )
+    return notes

@@ -229,7 +229,7 @@ def test_a_fit_that_explains_nothing_is_said_kept_and_repeated_by_the_drive(
     assert json.loads(belief.read_text())["verdict"] == verdict
     plan = tmp_path / "plan.toml"
     plan.write_text("[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 0.2\n")
-    for option in (("--samples", soils), ("--soil", belief)):
+    for option in (("--soil", soils), ("--soil", belief)):
         done = run("twin", "predict", plan, *option, "--members", "1", "--json")
         assert done.code == 3
         assert json.loads(done.out)["result"]["soil_verdict"] == verdict

@@ -77,10 +77,10 @@ def test_a_posterior_passes_from_forces_to_the_next_prediction(run: Run, plan: P
     assert len(draws) == 4000 and draws["stiffness_kpa_m_n"].quantile(0.025) < 1443.0 < draws[
         "stiffness_kpa_m_n"
     ].quantile(0.975)
-    done = run("twin", "predict", plan, "--samples", soils, "--members", "20", "--json")
+    done = run("twin", "predict", plan, "--soil", soils, "--members", "20", "--json")
     result = json.loads(done.out)
     assert result["result"]["members"] == 20 and str(soils) in {file["path"] for file in result["provenance"]["inputs"]}
-    assert run("twin", "predict", plan, "--samples", soils, "--sweep", "cohesion_pa=1:2:2").code == 2
+    assert run("twin", "predict", plan, "--soil", soils, "--sweep", "cohesion_pa=1:2:2").code == 2
     assert run("regolith", "identify", states, "--posterior", tmp_path / "x.csv").code == 2
     assert run("regolith", "identify", states, "--joint", "--posterior", soils).code == 1  # it exists
 
@@ -122,7 +122,7 @@ def test_a_belief_may_be_the_soil(run: Run, plan: Path, tmp_path: Path) -> None:
         assert soil["parameters"] == {} and len(soil["drawn"]) == 8 and document["provenance"]["options"]["soil"]
         assert str(belief) in {file["path"] for file in document["provenance"]["inputs"]}
         assert "rests on no drive yet" in run("twin", command, plan, "--soil", belief, "--members", "8").out
-        for other in (("--sweep", "cohesion_pa=1:2:2"), ("--samples", belief)):
+        for other in (("--sweep", "cohesion_pa=1:2:2"), ("--soil" if command == "predict" else "--samples", belief)):
             wrong = run("twin", command, plan, "--soil", belief, *other)
             assert wrong.code == 2 and "give one" in wrong.err[0]
     for text, says in (("{}", "schema"), (belief.read_text()[:200], "is the file complete"), ("[]", "schema")):

@@ -115,10 +115,10 @@ def test_soils_that_leave_no_room_for_another_are_refused(
     names = ("stiffness_kpa_m_n", "sinkage_exponent", "sinkage_exponent_slip", "cohesion_pa", "friction_angle_deg",
              "shear_modulus_mm", "external_friction_angle_deg", "lateral_modulus_mm")  # fmt: skip
     samples.write_text(",".join(names) + "\n" + ",".join(str(getattr(read_soil("longji"), n)) for n in names) + "\n")
-    for others in (("--samples", belief), ("--samples", samples), ("--soil-map", soil_map)):
-        done = run("twin", "predict", short_plan, "--soil", soft, *others)
+    for others in (belief, samples, soil_map):
+        done = run("twin", "predict", short_plan, "--soil", soft, "--soil", others)
         assert (done.code, done.out, len(done.err)) == (2, "", 1) and "leave it out" in done.err[0], others
-    found, provenance = driven(run("twin", "predict", short_plan, "--samples", samples, *QUICK))
+    found, provenance = driven(run("twin", "predict", short_plan, "--soil", samples, *QUICK))
     assert (found["soil"]["of"], found["soil"]["name"]) == ("samples", str(samples))
     assert "soils.toml" not in tables(provenance)
     done = run("twin", "simulate", short_plan, "--soil", belief)

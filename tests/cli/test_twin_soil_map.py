@@ -1,4 +1,4 @@
-"""`lunarsci twin update --save-map` and `twin predict --soil-map`: soil by place, from drive to drive."""
+"""`lunarsci twin update --save-map` and `twin predict --soil`: soil by place, from drive to drive."""
 
 import json
 from collections.abc import Callable
@@ -35,9 +35,9 @@ def test_a_map_goes_from_drive_to_drive(run: Run, short_plan: Path, short_states
     kept = json.loads(again.read_text())
     assert kept["correlation_m"] == 3.0 and len(kept["zones"]) == 1 and len(kept["zones"][0]["belief"]["history"]) == 2
     ahead = ("twin", "predict", short_plan, "-q", "--members", "4", "--time-step", "0.2", "--field", "members")
-    predicted = run(*ahead, "--soil-map", soil_map)
+    predicted = run(*ahead, "--soil", soil_map)
     assert predicted.code == 0 and predicted.out == "4\n"
-    both = run("twin", "predict", short_plan, "--soil-map", soil_map, "--sweep", "cohesion_pa=100:500:3")
+    both = run("twin", "predict", short_plan, "--soil", soil_map, "--sweep", "cohesion_pa=100:500:3")
     assert both.code == 2 and "give one" in " ".join(both.err)
 
 
@@ -54,5 +54,5 @@ def test_options_of_a_map_are_checked_before_anything_is_driven(run: Run, short_
     assert done.code == 1 and "not valid JSON" in done.err[0]
     done = run("twin", "update", text, "--plan", short_plan, "--save-map", tmp_path / "m.txt")
     assert done.code == 2
-    done = run("twin", "predict", short_plan, "--soil-map", short_plan)
+    done = run("twin", "predict", short_plan, "--soil", short_plan)
     assert done.code == 1 and "plan.toml: " in done.err[0]

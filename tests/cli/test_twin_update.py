@@ -26,7 +26,7 @@ def test_a_belief_goes_from_drive_to_drive(run: Run, short_plan: Path, short_sta
     # On the same seed the same belief, to the byte.
     assert run(*update, "--save", again, "-q").code == 0
     assert belief.read_bytes() == again.read_bytes()
-    predicted = run("twin", "predict", short_plan, "--samples", belief, "--members", "16", "--field", "members")
+    predicted = run("twin", "predict", short_plan, "--soil", belief, "--members", "16", "--field", "members")
     assert predicted.code == 0 and predicted.out == "16\n"
     assert result["ruts"] is False
     # The next update begins where this one ended, and refuses telemetry that no soil explains.

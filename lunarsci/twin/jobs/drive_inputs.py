@@ -225,7 +225,7 @@ def read_drive_inputs(
         tables | {f"{description.origin} (rover)": sha256(description.text.encode())},
         driven,
         given,
-        {"rover": description.origin} | ({"soil": driven.name} if driven.of == "default" and soil_counts else {}),
+        {"rover": description.origin} | _soil_option(soil, driven if soil_counts else None),
         check.made_for,
         tuple(check.remarks),
         ruts,
@@ -240,6 +240,14 @@ def _read_plan(plan: "Source | Plan | None", inputs: dict[str, str]) -> Plan | N
     file = read_input(plan)
     inputs[file.name] = file.sha256
     return read_plan(file)
+
+
+def _soil_option(soil: str | Sequence[str] | None, driven: DrivenSoil | None) -> dict[str, Any]:
+    """What was taken for the soil, by name: what was given, or the common one; nothing for the terrain's."""
+    names = [soil] if isinstance(soil, str) else list(soil or ())
+    if driven is not None and driven.of == "default" and not names:
+        return {"soil": driven.name}
+    return {"soil": names[0] if len(names) == 1 else names} if names else {}
 
 
 def _read_ground(terrain: str, given: GivenSoil) -> tuple[TerrainFile, Terrain, DrivenSoil]:

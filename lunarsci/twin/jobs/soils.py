@@ -9,13 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import LunarSciWarning, ParameterError, RequestError
-from lunarsci.regolith.fit_verdict import FitVerdict, read_verdict
+from lunarsci.regolith.fit_verdict import FitVerdict, doubt, read_verdict
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.ground.driven_soil import DrivenSoil
 from lunarsci.twin.ground.soil_layers import drawn_grounds
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS
-from lunarsci.twin.jobs.drive_inputs import DriveInputs, named_option, no_use
+from lunarsci.twin.jobs.drive_inputs import DEFAULT_SOIL, DriveInputs, named_option, no_use
 from lunarsci.twin.plans.plan import Sweep, parse_sweep
 from lunarsci.twin.simulation.soil_samples import read_soil_samples
 
@@ -78,7 +78,7 @@ class Soils:
         if inputs.driven.of == "option":
             raise RequestError(no_use(inputs.driven.name, self._origin))
         tables = {name: digest for name, digest in inputs.tables.items() if name != SOIL_TABLE}
-        options = {name: value for name, value in inputs.options.items() if name != "soil"}
+        options = {name: value for name, value in inputs.options.items() if value != DEFAULT_SOIL}
         return replace(self, inputs=replace(inputs, tables=tables, options=options))
 
     @property
@@ -101,6 +101,16 @@ class Soils:
         if seed is not None and self.drawn_by is None:
             text = "the seed has nothing to draw here: the soils are given or a grid, and the plan has no fixes"
             warnings.warn(text, LunarSciWarning, stacklevel=3)
+
+    @property
+    def doubt(self) -> str:
+        """Why soils of a fit should not be driven on; empty where they may be."""
+        return "" if self.verdict is None else doubt(self.verdict)
+
+    def warn_of_fit(self) -> None:
+        """Say that doubt."""
+        if self.doubt:
+            warnings.warn(self.doubt, LunarSciWarning, stacklevel=3)
 
     @property
     def _origin(self) -> str:

@@ -1,0 +1,234 @@
+"""Whether the next drive is safe: a plan driven on many soils, and held against its limits."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from lunarsci.inputs import Source
+from lunarsci.provenance import sha256, to_json
+from lunarsci.result import MadeFrom, Result, request_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from lunarsci.twin.jobs.drive_inputs import DriveInputs
+    from lunarsci.twin.jobs.soils import Soils
+    from lunarsci.twin.judgement.safety import Verdict
+    from lunarsci.twin.judgement.sensitivity import EndpointSensitivity
+    from lunarsci.twin.plans.plan import Plan
+    from lunarsci.twin.simulation.ensemble import Prediction
+
+__all__ = ["PredictRequest", "PredictedDrives", "predict", "predict_drives"]
+
+Progress = Callable[[int, int], None]
+CORRELATED = ("belief", "samples")
+"""Kinds of soils whose parameters go together, so that none of them moves the end by itself."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PredictRequest:
+    """How to drive a plan.
+
+    Attributes
+    ----------
+    rover : name or TOML file; that of the plan's default, Yutu-2, where it is None.
+    terrain : `synthetic-longji`, or a file.
+    interpolation : of the ground between nodes, `smooth` or `triangles`.
+    soil : in place of the terrain's: a name or a TOML file; a file of samples (CSV), a belief or a soil map (JSON),
+        from which every drive has a soil of its own; or a name, and samples that lack some of its parameters.
+    sweep : NAME=LOW:HIGH:N, uncertain parameters in place of the plan's sweeps.
+    members : drives: samples of the ranges instead of the grid of all their values, or draws; 64 of a belief.
+    fixes : M,DEG, standard errors of localisation updates after each leg, in place of the plan's.
+    ruts : whether wheels meet ruts; None as in the last drive of a belief, else no.
+    before : a plan that was driven on the same ground before.
+    seed : of everything random; None is 0.
+    time_step : longest time step. [s]
+    sample : distance between recorded states. [m]
+    """
+
+    rover: str | None = None
+    terrain: str = "synthetic-longji"
+    interpolation: str = "smooth"
+    soil: tuple[str, ...] = ()
+    sweep: tuple[str, ...] = ()
+    members: int | None = None
+    fixes: str | None = None
+    ruts: bool | None = None
+    before: str | None = None
+    seed: int | None = None
+    time_step: float = 0.1
+    sample: float = 0.1
+
+    def __post_init__(self) -> None:
+        for name in ("soil", "sweep"):
+            if isinstance(getattr(self, name), str):
+                object.__setattr__(self, name, (getattr(self, name),))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PredictedDrives(Result):
+    """Predicted drives, and what they mean.
+
+    Attributes
+    ----------
+    soils : what drove where, on which soils.
+    prediction : paths, wheel states and forces of all drives.
+    verdict : go or no-go, and why.
+    sensitivity : what the end owes to each uncertain parameter; None where parameters go together.
+    step_error_m : how far the time step puts ends off; None where that is not known. [m]
+    """
+
+    schema: ClassVar[str] = "twin-predict/1"
+    soils: "Soils"
+    prediction: "Prediction"
+    verdict: "Verdict"
+    sensitivity: "list[EndpointSensitivity] | None" = None
+    step_error_m: float | None = None
+
+    @property
+    def inputs(self) -> "DriveInputs":
+        """What drove where."""
+        return self.soils.inputs
+
+    @property
+    def made_from(self) -> MadeFrom:
+        from lunarsci.twin.jobs.drive_inputs import SOURCES
+
+        known = self.inputs
+        options = known.options | {"seed": self.prediction.seed}
+        seed = self.soils.drawn_by
+        return MadeFrom(inputs=known.inputs, tables=known.tables, sources=SOURCES, seed=seed, options=options)
+
+    @property
+    def untrusted(self) -> str:
+        parts = [] if self.verdict.verdict == "go" else [f"no-go: {'; '.join(self.verdict.reasons)}"]
+        return "; ".join(part for part in (*parts, self.soils.doubt) if part)
+
+    def to_dict(self) -> dict[str, Any]:
+        from lunarsci.twin.judgement.load_check import check_loads
+
+        prediction, fitted, before = self.prediction, self.soils.verdict, self.inputs.before
+        swept = prediction.parameters.items()
+        return {
+            **asdict(self.verdict),
+            **self.inputs.about(),
+            "members": prediction.members,
+            "path_length_m": prediction.plan.length_m,
+            "time_step_s": prediction.time_step_s,
+            "finer_members": prediction.finer_members,
+            "ruts": prediction.ruts,
+            "before": None if before is None else before.name,
+            "plan": prediction.plan.name,
+            "loads": asdict(check_loads(prediction)),
+            "physics": self._physics(),
+            "sweep": {name: {"low": values.min(), "high": values.max()} for name, values in swept},
+            "soil": self.soils.record(),
+            "sensitivity": None if self.sensitivity is None else [asdict(share) for share in self.sensitivity],
+            "step_error_m": self.step_error_m,
+            **({} if fitted is None else {"soil_verdict": fitted.to_dict()}),
+        }
+
+    def _physics(self) -> dict[str, Any] | None:
+        """What the twin is off by beside its soils, and its part of the variance of the ends; None where not asked."""
+        if self.prediction.discrepancy is None:
+            return None
+        law = self.prediction.discrepancy.law
+        share = None if self.verdict.endpoint is None else self.verdict.endpoint.physics_share
+        return {"discrepancy": law.to_dict(), "learned_from": len(law.scored), "share_of_end_variance": share}
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        return [asdict(limit) for limit in self.verdict.limits]
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.twin.figures.boxes import box_pages, profile_page
+        from lunarsci.twin.figures.fan import path_fan
+
+        yield path_fan(self.prediction, self.verdict)
+        yield profile_page(self.prediction, self.verdict)
+        yield from box_pages(self.prediction)
+
+    def film(self, target: Path, progress: Progress | None = None) -> bytes:
+        """The drive as a film, in the format of the target's suffix: .gif, or .mp4 where ffmpeg is installed."""
+        from lunarsci.twin.figures.animation import animate
+
+        return animate(self.prediction, self.verdict, target, progress=progress)
+
+    def files(self) -> dict[str, Callable[[], bytes]]:
+        """The tables of all drives, and what `compare` reads after the drive: name to what makes the content."""
+        from lunarsci.csv_table import csv_bytes
+        from lunarsci.twin.comparison.forecast import FILE, forecast_document, forecast_of
+        from lunarsci.twin.judgement import tables as judged
+
+        prediction, rover = self.prediction, sha256(self.inputs.description.text.encode())
+        kept = {
+            "states.csv": cache(lambda: csv_bytes(judged.state_table(prediction))),
+            "paths.csv": cache(lambda: csv_bytes(judged.path_table(prediction))),
+        }
+        forecast = forecast_of(prediction, soils=self.soils.kind, rover_sha256=rover, soil=self.soils.record())
+        return {
+            **kept,
+            FILE: lambda: to_json(forecast_document(forecast, kept)).encode(),
+            "endpoints.csv": lambda: csv_bytes(judged.endpoint_table(prediction)),
+            "profiles.csv": lambda: csv_bytes(judged.profile_table(prediction)),
+        }
+
+
+def predict(
+    plan: "Source | Plan | None" = None,
+    request: PredictRequest | None = None,
+    *,
+    progress: Progress | None = None,
+    **options: Any,
+) -> PredictedDrives:
+    """Drive a plan over many soils, and say whether it stays within its limits.
+
+    `plan` is a TOML file or a plan, the embedded one of Yutu-2 if None; options are those of the request.
+
+    Raises DataError for what cannot be read, RequestError for options that are impossible.
+    """
+    from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
+    from lunarsci.twin.jobs.soils import Soils
+
+    asked = request_of(PredictRequest, request, options)
+    inputs = read_drive_inputs(
+        plan,
+        asked.rover,
+        asked.terrain,
+        asked.interpolation,
+        soil=asked.soil,
+        fixes=asked.fixes,
+        judged=True,
+        ruts=asked.ruts,
+        before=asked.before,
+    )
+    soils = Soils.of(inputs, asked.sweep or None, asked.members, asked.seed or 0)
+    soils.warn_of_seed(asked.seed)
+    prediction = predict_drives(soils, asked.time_step, asked.sample, progress)
+    return _judged(soils, prediction)
+
+
+def predict_drives(soils: "Soils", time_step_s: float, sample_m: float, progress: Progress | None) -> "Prediction":
+    """All drives on these soils, without what the twin's physics is off by."""
+    from lunarsci.twin.simulation.ensemble import predict
+
+    return predict(**soils.of_members(), time_step_s=time_step_s, sample_m=sample_m, progress=progress)
+
+
+def _judged(soils: "Soils", prediction: "Prediction") -> PredictedDrives:
+    """With what the twin's physics is off by, where the soils are of a belief or a map of beliefs."""
+    from lunarsci.twin.judgement.safety import judge
+    from lunarsci.twin.judgement.sensitivity import endpoint_sensitivity, step_error_m
+    from lunarsci.twin.simulation.path_discrepancy import with_discrepancy
+
+    if soils.discrepancy is not None:
+        prediction = with_discrepancy(prediction, soils.discrepancy, soils.seed)
+    soils.warn_of_fit()
+    return PredictedDrives(
+        soils=soils,
+        prediction=prediction,
+        verdict=judge(prediction, soils.inputs.plan),
+        sensitivity=None if soils.kind in CORRELATED else endpoint_sensitivity(prediction),
+        step_error_m=step_error_m(prediction),
+    )
