@@ -62,7 +62,7 @@ COMMANDS: dict[str, str] = {
     "identify solved": "regolith identify states.csv --reading signed",
     "identify joint": "regolith identify states.csv --joint --seed 2",
     "compare soils": "regolith compare soil.json",
-    "terrain": "twin terrain --max-slope 11 --target 8.5,2.5 -o site",
+    "terrain": "twin plan --max-slope 11 --target 8.5,2.5 -o site",
     "terrain synthetic": "twin terrain synthetic --craters 5 --rocks 0.02 --seed 7",
     "predict sweep": "twin predict short.toml --sweep friction_angle_deg=30:50:3",
     "predict": "twin predict short.toml --soil lunar-typical --sweep stiffness_kpa_m_n=800:1600:2 --ruts -o predicted",

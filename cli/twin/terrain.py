@@ -1,93 +1,97 @@
-"""`lunarsci twin terrain`: look at a terrain and plan a path on it."""
+"""`lunarsci twin terrain`: look at a terrain."""
 
-from collections.abc import Iterable
 from typing import Annotated
 
 import typer
 
+from lunarsci.twin.jobs.terrain import TerrainRequest, TerrainSurvey
+
 from ..shared.command import command
-from ..shared.options import Output
+from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
-from . import terrain_options as options
+from ..shared.table import TextTable
 
-__all__ = ["add_to"]
+__all__ = ["LIMITS", "OPTIONS", "GeoTiff", "TerrainFile", "add_to", "check_files", "ground_table"]
+
+LIMITS, GROUND = "Limits, instead of those of the rover file", "Synthetic ground"
+OPTIONS = {
+    "rover": option("Rover: a name (yutu2, small-four) or a TOML file."),
+    "soil": option(
+        "With -o, soil of terrain.npz in place of the terrain's: a name or a TOML file.",
+        show_default="the terrain's, or longji",
+    ),
+    "baseline": option("Side in m of the square whose slope is measured; the rover's by default."),
+    "max_slope": option("Steepest slope, in deg.", panel=LIMITS),
+    "max_step": option("Highest step, in m.", panel=LIMITS),
+    "max_roughness": option("Largest roughness, in m.", panel=LIMITS),
+    "seed": option("Seed.", panel=GROUND),
+    "spacing": option("Grid spacing, in m.", panel=GROUND),
+    "rocks": option("Share of ground under rocks; 0.0021 at Chang'E-4.", panel=GROUND),
+    "roughness": option("Rms height of waves of 0.4 to 4 m, in m.", panel=GROUND),
+    "extent": option("Side of the square in m; not of Longji.", panel=GROUND),
+    "ground_slope": option("Slope along x in deg; not of Longji.", panel=GROUND),
+    "craters": option("Number of craters; not of Longji.", panel=GROUND),
+}
+TerrainFile = Annotated[
+    str,
+    typer.Argument(
+        help="synthetic-longji, synthetic, or a file (.npz, GeoTIFF, ESRI ASCII .asc, CSV of nodes).",
+        metavar="TERRAIN",
+    ),
+]
+GeoTiff = Annotated[bool, typer.Option("--geotiff", help="With -o, the maps also as maps.tif.")]
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "terrain", folder=True)(terrain)
+    command(app, "terrain", folder=True, request=TerrainRequest, options=OPTIONS)(terrain)
 
 
 def terrain(
-    output: Output,
-    terrain: Annotated[
-        str,
-        typer.Argument(
-            help="synthetic-longji, synthetic, or a file (.npz, GeoTIFF, ESRI ASCII .asc, CSV of nodes).",
-            metavar="TERRAIN",
-        ),
-    ] = "synthetic-longji",
-    rover: Annotated[str, typer.Option(help="Rover: a name (yutu2, small-four) or a TOML file.")] = "yutu2",
-    soil: options.SoilName = None,
-    baseline: options.Baseline = None,
-    start: options.Start = None,
-    target: options.Target = None,
-    speed: options.Speed = None,
-    max_slope: options.MaxSlope = None,
-    max_step: options.MaxStep = None,
-    max_roughness: options.MaxRoughness = None,
-    turning_radius: options.TurningRadius = None,
-    hazard_distance: options.HazardDistance = None,
-    seed: options.Seed = None,
-    spacing: options.Spacing = None,
-    rocks: options.Rocks = None,
-    roughness: options.Roughness = None,
-    extent: options.Extent = None,
-    ground_slope: options.GroundSlope = None,
-    craters: options.Craters = None,
-    geotiff: Annotated[bool, typer.Option("--geotiff", help="With -o, the maps also as maps.tif.")] = False,
+    output: Output, request: TerrainRequest, terrain: TerrainFile = "synthetic-longji", geotiff: GeoTiff = False
 ) -> Report:
-    """Maps of slope, roughness and step height of a terrain, and where a rover may drive; with --target, a path.
+    """Maps of slope, roughness and step height of a terrain, and where a rover may drive.
 
-    With -o DIR the terrain goes to terrain.npz, the maps to maps.npz, and a path to plan.toml and path.csv:
-    `lunarsci twin predict DIR/plan.toml --terrain DIR/terrain.npz` drives it. Plan and terrain keep the rover and the
-    limits that they were made for.
+    With -o DIR the terrain goes to terrain.npz and the maps to maps.npz. The terrain keeps the rover and the limits
+    that it was looked at for. `lunarsci twin plan` finds a path on it.
     """
-    from .terrain_report import PathRequest, read_site, terrain_report
+    from lunarsci.twin.jobs import terrain as job
 
-    ground = {
-        "seed": seed,
-        "spacing_m": spacing,
-        "rock_share": rocks,
-        "rms_m": roughness,
-        "extent_m": extent,
-        "slope_deg": ground_slope,
-        "craters": craters,
-    }
-    limits = {
-        "max_slope_deg": max_slope,
-        "max_step_m": max_step,
-        "max_roughness_m": max_roughness,
-        "min_turning_radius_m": turning_radius,
-        "hazard_distance_m": hazard_distance,
-    }
-    of_a_path = (("--start", start), ("--speed", speed), ("--turning-radius", turning_radius))
-    if target is None:
-        _refuse((*of_a_path, ("--hazard-distance", hazard_distance)), "is of a path; give --target, or leave it out")
-    if output.path is None:
-        _refuse((("--soil", soil), ("--geotiff", geotiff or None)), "goes into a file; give -o DIR, or leave it out")
-    asked = PathRequest.parse(start or "0,0,0", target, speed)
-    site = read_site(terrain, rover, soil, ground, limits)
+    check_files(output, request, geotiff)
     with progress("looking at the ground", quiet=output.quiet) as update:
-        surface = site.surface(baseline, update)
-    with progress("planning", quiet=output.quiet) as update:
-        path = asked.plan(site, surface, update)
-    return terrain_report(site, surface, path, geotiff=geotiff)
+        found = job.terrain(terrain, request, progress=update)
+    return Report.of(found, [ground_table(found)], files=found.files(geotiff=geotiff))
 
 
-def _refuse(given: Iterable[tuple[str, object]], why: str) -> None:
-    """Options that would do nothing are a mistake to be said."""
-    for name, value in given:
-        if value is not None:
-            raise typer.BadParameter(f"{name} {why}")
+def check_files(output: Output, request: TerrainRequest, geotiff: bool) -> None:
+    """Options of files that are not written are a mistake to be said."""
+    for name, given in (("--soil", request.soil is not None), ("--geotiff", geotiff)):
+        if given and output.path is None:
+            raise typer.BadParameter(f"{name} goes into a file; give -o DIR, or leave it out")
+
+
+def ground_table(found: TerrainSurvey) -> TextTable:
+    """The maps beside their limits, for people."""
+    result, limits, maps = found.to_dict(), found.site.mobility, found.surface.maps
+    terrain = result["terrain"]
+    unlimited = {"slope_deg": limits.max_slope_deg, "roughness_m": limits.max_roughness_m, "step_m": limits.max_step_m}
+    rows = []
+    for name, spread in result["maps"].items():
+        limit = unlimited[name]
+        cells = ["-" if value is None else f"{value:.4g}" for value in spread.values()]
+        rows.append([name, *cells, "-" if limit is None else f"{limit:g}"])
+    nx, ny = terrain["nodes"]
+    title = (
+        f"{terrain['name']}: x {terrain['x_m'][0]:g} to {terrain['x_m'][1]:g} m, y {terrain['y_m'][0]:g} to "
+        f"{terrain['y_m'][1]:g} m, {nx} x {ny} nodes every {terrain['spacing_m']:g} m"
+    )
+    notes = [
+        f"heights {terrain['height_m'][0]:.3f} to {terrain['height_m'][1]:.3f} m, holes {terrain['hole_share']:.1%}",
+        f"may be driven on: {result['traversable_share']:.1%}; hazards {result['hazard_share']:.1%}; "
+        f"unknown, near holes or the edge, {result['unknown_share']:.1%}",
+        f"slope and roughness under {maps.baseline_m:g} m x {maps.baseline_m:g} m, steps within "
+        f"{maps.wheel_window_m:g} m",
+        *result["notes"],
+    ]
+    return TextTable(["map", "p5", "p50", "p95", "max", "limit"], rows, title=title, notes=notes)

@@ -16,7 +16,7 @@ from lunarsci.twin.ground.soil_map import SoilMap, soil_map_bytes
 from lunarsci.twin.plans.plan import read_plan
 
 Run = Callable[..., Any]
-GROUND = ("twin", "terrain", "synthetic", "--extent", "8", "--spacing", "0.1", "--craters", "0", "--roughness", "0")
+PLANNED = ("twin", "plan", "synthetic", "--extent", "8", "--spacing", "0.1", "--craters", "0", "--roughness", "0")
 SOFT = "stiffness_kpa_m_n = 400.0\nsinkage_exponent = 1.0\ncohesion_pa = 100.0\nfriction_angle_deg = 35.0\n" + (
     "shear_modulus_mm = 17.8\nexternal_friction_angle_deg = 12.4\nlateral_modulus_mm = 20.0\n"
 )
@@ -27,7 +27,7 @@ QUICK = ("--sample", "0.3", "--time-step", "0.2", "--json", "--no-time")
 def site(run: Run, tmp_path: Path) -> Path:
     """A folder of `twin terrain` for the default rover, with a plan of 1 m."""
     folder = tmp_path / "site"
-    assert run(*GROUND, "--target", "1,0", "-o", folder, "-q").code == 0
+    assert run(*PLANNED, "--target", "1,0", "-o", folder, "-q").code == 0
     return folder
 
 
@@ -35,7 +35,7 @@ def site(run: Run, tmp_path: Path) -> Path:
 def small(run: Run, tmp_path: Path) -> Path:
     """The same for another rover."""
     folder = tmp_path / "small"
-    assert run(*GROUND, "--target", "1,0", "--rover", "small-four", "-o", folder, "-q").code == 0
+    assert run(*PLANNED, "--target", "1,0", "--rover", "small-four", "-o", folder, "-q").code == 0
     return folder
 
 
@@ -184,10 +184,7 @@ def test_a_terrain_that_was_looked_at_for_another_rover_says_so(run: Run, small:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("terrain", "--start", "0,0,0"), "--start is of a path"),
-        (("terrain", "--speed", "0.03"), "--speed is of a path"),
-        (("terrain", "--turning-radius", "3"), "--turning-radius is of a path"),
-        (("terrain", "--hazard-distance", "0.3"), "--hazard-distance is of a path"),
+        (("plan",), "--target says where the path shall end"),
         (("terrain", "--geotiff"), "--geotiff goes into a file"),
         (("terrain", "--soil", "longji"), "--soil goes into a file"),
         (("update", "states.csv", "--correlation", "3"), "--correlation is of a soil map"),

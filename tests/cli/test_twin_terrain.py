@@ -1,4 +1,4 @@
-"""`lunarsci twin terrain`."""
+"""`lunarsci twin terrain` and `plan`."""
 
 import csv
 import io
@@ -14,7 +14,7 @@ from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.plans.plan import read_plan
 
 Run = Callable[..., Any]
-TERRAIN = ("twin", "terrain")
+TERRAIN, PLAN = ("twin", "terrain"), ("twin", "plan")
 COARSE = ("--spacing", "0.1")
 TARGET = ("--target", "9.369,1.957", "--max-slope", "11")
 
@@ -50,7 +50,7 @@ def test_table_and_csv_show_the_same_maps(run: Run) -> None:
 @pytest.mark.slow
 def test_a_planned_path_can_be_driven(run: Run, tmp_path: Path) -> None:
     folder, picture = tmp_path / "site", tmp_path / "site.png"
-    done = run(*TERRAIN, *COARSE, *TARGET, "-o", folder, "--plot", picture, "--geotiff", "--json")
+    done = run(*PLAN, *COARSE, *TARGET, "-o", folder, "--plot", picture, "--geotiff", "--json")
     assert done.code == 0, done.err
     path = json.loads(done.out)["result"]["path"]
     assert path["miss_m"] < 0.01 and path["min_hazard_distance_m"] >= 0.2 and path["max_slope_deg"] <= 11.0
@@ -103,13 +103,13 @@ def test_synthetic_ground_has_its_options(run: Run) -> None:
         ["--target", "1"],
         ["--target", "a,b"],
         ["--target", "1,2,3,4"],
-        ["--start", "0,0"],
+        ["--start", "0,0", "--target", "1,1"],
         ["--extent", "10"],
         ["file.npz", "--rocks", "0.01"],
     ],
 )
 def test_wrong_usage_is_one_line(run: Run, arguments: list[str]) -> None:
-    wrong = run(*TERRAIN, *arguments)
+    wrong = run(*(PLAN if arguments[0] in ("--target", "--start") else TERRAIN), *arguments)
     assert (wrong.code, wrong.out, len(wrong.err)) == (2, "", 1), wrong
 
 
@@ -130,12 +130,12 @@ def test_what_cannot_be_done_is_one_line_and_nothing_is_written(
     run: Run, tmp_path: Path, arguments: list[str], says: str
 ) -> None:
     ground = [] if arguments[0].endswith(".npz") else COARSE
-    failed = run(*TERRAIN, *ground, *arguments, "-o", tmp_path / "d", "-q")
+    failed = run(*(PLAN if arguments[0] == "--target" else TERRAIN), *ground, *arguments, "-o", tmp_path / "d", "-q")
     assert (failed.code, failed.out, len(failed.err)) == (1, "", 1), failed
     assert says in failed.err[0]
     assert not (tmp_path / "d").exists()
 
 
 def test_equal_runs_are_byte_identical(run: Run) -> None:
-    first, second = (run(*TERRAIN, *COARSE, *TARGET, "--json", "--no-time").out for _ in range(2))
+    first, second = (run(*PLAN, *COARSE, *TARGET, "--json", "--no-time").out for _ in range(2))
     assert first == second

@@ -40,6 +40,18 @@ class GroundMaps:
     baseline_m: float
     wheel_window_m: float
 
+    def spreads(self) -> dict[str, dict[str, float | None]]:
+        """p5, p50, p95 and largest of each map over the nodes where it is known; None where it is nowhere."""
+        return {name: _spread(getattr(self, name)) for name in ("slope_deg", "roughness_m", "step_m")}
+
+
+def _spread(values: FloatMap) -> dict[str, float | None]:
+    known = values[~np.isnan(values)]
+    names = ("p5", "p50", "p95", "max")
+    if not known.size:
+        return dict.fromkeys(names)
+    return dict(zip(names, np.percentile(known, (5, 50, 95, 100)).tolist(), strict=True))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Traversability:

@@ -121,6 +121,20 @@ class Terrain:
         """Rows. (ny,) [m]"""
         return self.y0_m + self.spacing_m * np.arange(self.height_m.shape[0], dtype=np.float64)
 
+    def summary(self) -> dict[str, Any]:
+        """Name, extent, nodes, lowest and highest node and share of holes, for a result."""
+        height = self.height_m
+        return {
+            "name": self.name,
+            "synthetic": self.synthetic,
+            "x_m": [self.x_m[0], self.x_m[-1]],
+            "y_m": [self.y_m[0], self.y_m[-1]],
+            "spacing_m": self.spacing_m,
+            "nodes": [height.shape[1], height.shape[0]],
+            "height_m": [np.nanmin(height), np.nanmax(height)],
+            "hole_share": float(np.isnan(height).mean()),
+        }
+
     def with_soil(self, **values: npt.ArrayLike) -> "Terrain":
         """The same ground with soil parameters changed; a number, or one value for each node (ny, nx)."""
         own = {_column(name): _in_si(name, np.asarray(value, dtype=float)) for name, value in values.items()}

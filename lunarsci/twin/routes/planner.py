@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +33,18 @@ ARRIVAL_M = 0.01
 MARGIN_SHARE, MARGIN_M = 0.5, 3.0
 """The search looks this share of the distance, and so far, beyond start and target."""
 PLACES_M = 0.02
+
+
+PATH_NUMBERS = (
+    "miss_m",
+    "cost_m",
+    "min_hazard_distance_m",
+    "max_slope_deg",
+    "max_slope_on_path_deg",
+    "max_step_m",
+    "max_roughness_m",
+    "max_curvature_per_m",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -74,6 +86,19 @@ class PlannedPath:
     def miss_m(self) -> float:
         """Distance of the end of the plan from the target. [m]"""
         return float(np.hypot(*(self.end[:2] - self.target_m)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """For a result."""
+        plan, end = self.plan, self.end
+        return {
+            "arcs": [{"length_m": arc.length_m, "curvature_per_m": arc.curvature_per_m} for arc in plan.legs],
+            "start": {"x_m": plan.x_m, "y_m": plan.y_m, "heading_deg": plan.heading_deg},
+            "target": {"x_m": self.target_m[0], "y_m": self.target_m[1]},
+            "end": {"x_m": end[0], "y_m": end[1], "heading_deg": float(np.degrees(end[2]))},
+            "length_m": plan.length_m,
+            "speed_m_s": plan.speed_m_s,
+            **{name: getattr(self, name) for name in PATH_NUMBERS},
+        }
 
 
 def plan_path(

@@ -1,0 +1,148 @@
+"""A made-up drive, and the telemetry that it would send."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from lunarsci.errors import RequestError
+from lunarsci.inputs import Source
+from lunarsci.result import MadeFrom, Result, request_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from lunarsci.twin.jobs.drive_inputs import DriveInputs
+    from lunarsci.twin.plans.plan import Plan
+    from lunarsci.twin.telemetry.simulated import SyntheticDrive
+
+__all__ = ["MadeUpDrive", "SimulateDriveRequest", "simulate_drive"]
+
+REMARK = b"# synthetic: made up by `lunarsci twin simulate`, not a measurement\n"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SimulateDriveRequest:
+    """How to drive, and how well the rover is seen.
+
+    Attributes
+    ----------
+    rover, terrain, interpolation, ruts, before : as of `PredictRequest`.
+    soil : the true one, in place of the terrain's: a name or a TOML file.
+    fix_distance : way between localised positions. [m]
+    fix_sigma : their standard error in x and in y; None is a third of 4 % of the way between them. [m]
+    yaw_sigma : standard error of the heading, assumed. [deg]
+    track_sigma : standard error of the track's depth. [m]
+    seed : of the errors.
+    time_step, sample : longest time step, and way between rows. [s], [m]
+    """
+
+    rover: str | None = None
+    terrain: str = "synthetic-longji"
+    interpolation: str = "smooth"
+    soil: str | None = None
+    ruts: bool | None = None
+    before: str | None = None
+    fix_distance: float = 0.5
+    fix_sigma: float | None = None
+    yaw_sigma: float = 0.1
+    track_sigma: float = 0.00033
+    seed: int = 0
+    time_step: float = 0.05
+    sample: float = 0.05
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MadeUpDrive(Result):
+    """A simulated drive on a known soil: what drove where, and the telemetry with the truth behind it."""
+
+    schema: ClassVar[str] = "twin-simulate/1"
+    inputs: "DriveInputs"
+    drive: "SyntheticDrive"
+
+    @property
+    def made_from(self) -> MadeFrom:
+        from lunarsci.twin.jobs.drive_inputs import SOURCES
+
+        known = self.inputs
+        options, seed = known.options, self.drive.seed
+        return MadeFrom(inputs=known.inputs, tables=known.tables, sources=SOURCES, seed=seed, options=options)
+
+    @property
+    def untrusted(self) -> str:
+        found = self.drive.prediction
+        return "" if found.finished[0] else f"the drive did not reach its end: {found.outcome_text(0)}"
+
+    def to_dict(self) -> dict[str, Any]:
+        telemetry, errors = self.drive.telemetry, asdict(self.drive.errors)
+        errors.pop("fix_sigma_m")
+        return {
+            **self.inputs.about(),
+            "synthetic": True,
+            "plan": self.inputs.plan.name,
+            "soil": self.inputs.soil_record(),
+            "rows": len(telemetry),
+            "positions": int(telemetry["x_m"].notna().sum()),
+            "track_points": len(self.drive.track),
+            "duration_s": float(telemetry["time_s"].iloc[-1]),
+            "outcome": self.drive.prediction.outcome_text(0),
+            "errors": errors | {"position_m": self.drive.errors.position_m},
+        }
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        return [{str(name): cell for name, cell in row.items()} for row in self.drive.telemetry.to_dict("records")]
+
+    def files(self) -> dict[str, Callable[[], bytes]]:
+        """Telemetry, track and truth, each marked as made up: name to what makes the content."""
+        from lunarsci.twin.judgement.tables import state_table
+
+        return {
+            "telemetry.csv": lambda: _marked(self.drive.telemetry),
+            "track.csv": lambda: _marked(self.drive.track),
+            "truth.csv": lambda: _marked(state_table(self.drive.prediction)),
+        }
+
+
+def simulate_drive(
+    plan: "Source | Plan | None" = None,
+    request: SimulateDriveRequest | None = None,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> MadeUpDrive:
+    """Drive a plan once on one soil, and blur what is seen of it by the errors of the sensors.
+
+    Raises DataError for what cannot be read, RequestError for options that are impossible.
+    """
+    from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
+    from lunarsci.twin.simulation.ensemble import predict
+    from lunarsci.twin.telemetry.simulated import SensorErrors, simulate_telemetry
+
+    asked = request_of(SimulateDriveRequest, request, options)
+    errors = SensorErrors(
+        fix_distance_m=asked.fix_distance,
+        fix_sigma_m=asked.fix_sigma,
+        yaw_deg=asked.yaw_sigma,
+        track_m=asked.track_sigma,
+    )
+    ground = (asked.rover, asked.terrain, asked.interpolation)
+    inputs = read_drive_inputs(plan, *ground, soil=asked.soil, ruts=asked.ruts, before=asked.before)
+    if not inputs.given.one_soil:
+        raise RequestError(f"`soil` {asked.soil} is a belief, and the truth is one soil; give a name or a TOML file")
+    prediction = predict(
+        inputs.rover,
+        inputs.terrain,
+        inputs.plan,
+        sweep=(),
+        time_step_s=asked.time_step,
+        sample_m=asked.sample,
+        ruts=inputs.ruts,
+        before=inputs.before,
+        progress=progress,
+    )
+    return MadeUpDrive(inputs=inputs, drive=simulate_telemetry(prediction, errors, asked.seed))
+
+
+def _marked(table: "pd.DataFrame") -> bytes:
+    from lunarsci.csv_table import csv_bytes
+
+    return REMARK + csv_bytes(table)

@@ -1,0 +1,266 @@
+"""Maps of a terrain, and where a rover may drive."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from lunarsci.errors import RequestError
+from lunarsci.inputs import read_input
+from lunarsci.provenance import sha256
+from lunarsci.result import MadeFrom, Result, request_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from lunarsci.rovers.description import MadeFor, RoverDescription
+    from lunarsci.twin.ground.driven_soil import DrivenSoil
+    from lunarsci.twin.ground.hazards import Traversability
+    from lunarsci.twin.ground.mobility import Mobility
+    from lunarsci.twin.ground.terrain import Terrain
+    from lunarsci.twin.plans.rover_check import RoverCheck
+    from lunarsci.twin.routes.planner import PlannedPath
+    from lunarsci.twin.rover import Rover
+
+__all__ = ["Progress", "SurveyedSite", "TerrainRequest", "TerrainSurvey", "read_site", "terrain"]
+
+Progress = Callable[[int, int], None]
+SOURCES = [
+    "Goldberg, Maimone & Matthies (2002), IEEE Aerospace Conf., 10.1109/AERO.2002.1035370",
+    "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8",
+]
+ROCK_SOURCES = [
+    "Golombek & Rapp (1997), J. Geophys. Res. 102, 4117, 10.1029/96JE03319",
+    "Di et al. (2016), Planet. Space Sci. 120, 103, 10.1016/j.pss.2015.11.012",
+    "Wu et al. (2021), Earth Planet. Sci. Lett. 553, 116666",
+]
+MADE = {
+    "seed": "seed",
+    "spacing": "spacing_m",
+    "rocks": "rock_share",
+    "roughness": "rms_m",
+    "extent": "extent_m",
+    "ground_slope": "slope_deg",
+    "craters": "craters",
+}
+"""Options of synthetic ground, and what its makers call them."""
+OF_LONGJI = ("seed", "spacing", "rocks", "roughness")
+MAKERS = {"synthetic-longji": OF_LONGJI, "synthetic": tuple(MADE)}
+LIMITS = ("max_slope_deg", "max_step_m", "max_roughness_m", "min_turning_radius_m", "hazard_distance_m")
+UNSEEN = "rocks and edges smaller than two spacings of the grid are not in it"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TerrainRequest:
+    """With what rover in mind to look at a terrain, and how to make one.
+
+    Attributes
+    ----------
+    rover : name or TOML file.
+    soil : in place of the terrain's: a name or a TOML file.
+    baseline : side of the square whose slope is measured; the rover's where it is None. [m]
+    max_slope, max_step, max_roughness : limits in place of the rover's. [deg], [m], [m]
+    seed, spacing, rocks, roughness : of synthetic ground: seed, grid spacing [m], share of ground under rocks [-], rms
+        height of waves of 0.4 to 4 m [m].
+    extent, ground_slope, craters : of `synthetic` alone: side of the square [m], slope along x [deg], craters.
+    """
+
+    rover: str = "yutu2"
+    soil: str | None = None
+    baseline: float | None = None
+    max_slope: float | None = None
+    max_step: float | None = None
+    max_roughness: float | None = None
+    seed: int | None = None
+    spacing: float | None = None
+    rocks: float | None = None
+    roughness: float | None = None
+    extent: float | None = None
+    ground_slope: float | None = None
+    craters: int | None = None
+
+    def made(self, terrain: str) -> dict[str, Any]:
+        """What the maker of synthetic ground is told. Raises RequestError for what another terrain has no use for."""
+        given = {name: getattr(self, name) for name in MADE if getattr(self, name) is not None}
+        for name in given:
+            if name not in MAKERS.get(terrain, ()):
+                raise RequestError(f"`{name}` does not apply to {terrain}; leave it out")
+        return {MADE[name]: value for name, value in given.items()}
+
+    def limits(self) -> dict[str, float | None]:
+        """Limits that were given in place of the rover's, by name."""
+        return {"max_slope_deg": self.max_slope, "max_step_m": self.max_step, "max_roughness_m": self.max_roughness}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SurveyedSite:
+    """A terrain, and the rover in mind: what is looked at, with the hashes of the inputs."""
+
+    terrain: "Terrain"
+    rover: "Rover"
+    description: "RoverDescription"
+    mobility: "Mobility"
+    inputs: dict[str, str]
+    tables: dict[str, str]
+    made: Mapping[str, Any]
+    driven: "DrivenSoil"
+    check: "RoverCheck"
+
+    @property
+    def made_for(self) -> "MadeFor":
+        """The rover and the limits, for what is written."""
+        from lunarsci.rovers.description import made_for
+
+        return made_for(self.description, {name: getattr(self.mobility, name) for name in LIMITS})
+
+    def surface(self, baseline_m: float | None, progress: Progress | None) -> "Traversability":
+        """The maps, compared with the limits."""
+        from lunarsci.twin.ground.hazards import assess, ground_maps, map_scales
+
+        own, wheel = map_scales(self.rover)
+        maps = ground_maps(self.terrain, own if baseline_m is None else baseline_m, wheel, progress)
+        return assess(self.terrain, maps, self.mobility)
+
+    def about(self) -> dict[str, Any]:
+        """Terrain, rover, soil and limits, for a result."""
+        from lunarsci.twin.ground.driven_soil import soil_record
+
+        limits = {name: getattr(self.mobility, name) for name in LIMITS}
+        return {
+            "terrain": self.terrain.summary(),
+            "rover": self.description.name,
+            "made_for": self.check.made_for,
+            "soil": soil_record(self.driven, self.terrain),
+            "limits": {n: {"value": value, "assumed": n in self.mobility.assumed} for n, value in limits.items()},
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TerrainSurvey(Result):
+    """A terrain with its maps, and a path on it where one was planned."""
+
+    schema: ClassVar[str] = "twin-terrain/1"
+    site: SurveyedSite
+    surface: "Traversability"
+    path: "PlannedPath | None" = None
+
+    @property
+    def made_from(self) -> MadeFrom:
+        site = self.site
+        sources = [*SOURCES, *(ROCK_SOURCES if site.made.get("rock_share") else [])]
+        options = {"soil": site.driven.name} if site.driven.of == "default" else {}
+        seed = site.made.get("seed")
+        return MadeFrom(inputs=site.inputs, tables=site.tables, sources=sources, seed=seed, options=options)
+
+    def to_dict(self) -> dict[str, Any]:
+        surface = self.surface
+        hazard, unknown = float(surface.hazard.mean()), float(surface.unknown.mean())
+        return {
+            **self.site.about(),
+            "baseline_m": surface.maps.baseline_m,
+            "wheel_window_m": surface.maps.wheel_window_m,
+            "maps": surface.maps.spreads(),
+            "traversable_share": 1.0 - hazard - unknown,
+            "hazard_share": hazard,
+            "unknown_share": unknown,
+            "path": None if self.path is None else self.path.to_dict(),
+            "notes": self.notes(),
+        }
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        return [{"quantity": name, **values} for name, values in self.surface.maps.spreads().items()]
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.twin.figures.terrain_maps import terrain_maps
+
+        yield terrain_maps(self.surface, self.path)
+
+    def files(self, *, geotiff: bool = False) -> dict[str, Callable[[], bytes]]:
+        """Terrain, maps, and a path as plan and table: name to what makes the content."""
+        from lunarsci.csv_table import csv_bytes
+        from lunarsci.twin.ground.terrain_files import maps_bytes, maps_geotiff, terrain_bytes
+        from lunarsci.twin.plans.plan_files import plan_text
+        from lunarsci.twin.routes.planner import path_table
+
+        site, path = self.site, self.path
+        found: dict[str, Callable[[], bytes]] = {
+            "terrain.npz": lambda: terrain_bytes(site.terrain, made_for=site.made_for),
+            "maps.npz": lambda: maps_bytes(self.surface),
+        }
+        if geotiff:
+            found["maps.tif"] = lambda: maps_geotiff(self.surface)
+        if path is not None:
+            found["plan.toml"] = lambda: plan_text(path.plan).encode()
+            found["path.csv"] = lambda: csv_bytes(path_table(path, self.surface))
+        return found
+
+    def notes(self) -> list[str]:
+        """What there is to say about terrain, limits and grid."""
+        from lunarsci.twin.ground.hazards import map_scales
+
+        site, maps = self.site, self.surface.maps
+        notes = [UNSEEN, *site.check.remarks]
+        if site.terrain.synthetic:
+            notes.append("the terrain is synthetic; this says nothing about a real site")
+        if site.mobility.assumed:
+            notes.append(f"assumed limits: {', '.join(site.mobility.assumed)}")
+        if maps.baseline_m > 1.5 * map_scales(site.rover)[0]:
+            notes.append(
+                f"the grid is coarse for this rover: slope is that of squares of {maps.baseline_m:g} m, and a step "
+                f"that of {maps.wheel_window_m:g} m"
+            )
+        return notes
+
+
+def terrain(
+    terrain: str = "synthetic-longji",
+    request: TerrainRequest | None = None,
+    *,
+    progress: Progress | None = None,
+    **options: Any,
+) -> TerrainSurvey:
+    """Maps of slope, roughness and step height of a terrain, and where a rover may drive.
+
+    `terrain` is a file, or `synthetic-longji` or `synthetic`. Raises DataError and RequestError.
+    """
+    asked = request_of(TerrainRequest, request, options)
+    site = read_site(terrain, asked, asked.limits())
+    return TerrainSurvey(site=site, surface=site.surface(asked.baseline, progress))
+
+
+def read_site(terrain: str, asked: TerrainRequest, limits: Mapping[str, float | None]) -> SurveyedSite:
+    """Read or make the terrain, and read the rover with its limits."""
+    from lunarsci.regolith.soil import read_soil, soil_hash
+    from lunarsci.rovers.description import read_rover
+    from lunarsci.twin.ground import synthetic
+    from lunarsci.twin.ground.driven_soil import lay_soil_on
+    from lunarsci.twin.ground.mobility import read_mobility
+    from lunarsci.twin.ground.terrain_files import TerrainFile, read_terrain_file
+    from lunarsci.twin.jobs.drive_inputs import DEFAULT_SOIL
+    from lunarsci.twin.plans.rover_check import RoverCheck
+    from lunarsci.twin.rover import build_rover
+
+    made, name = asked.made(terrain), asked.soil or DEFAULT_SOIL
+    description = read_rover(asked.rover)
+    built, own_soil = build_rover(description), read_soil(name)
+    if terrain in MAKERS:
+        make = synthetic.synthetic_longji if terrain == "synthetic-longji" else synthetic.synthetic_terrain
+        file, inputs = TerrainFile(make(own_soil, **made)), {}
+    else:
+        inputs = {terrain: read_input(terrain).sha256}
+        file = read_terrain_file(terrain, own_soil)
+    laid, driven = lay_soil_on(file, terrain, own_soil, name, asked=asked.soil is not None)
+    used, tables = ({}, {}) if driven.of == "terrain" and not driven.rest else soil_hash(name)
+    check = RoverCheck(description, built, asked=True)
+    check.terrain(file.made_for, terrain)
+    check.soil(driven, terrain)
+    return SurveyedSite(
+        terrain=laid,
+        rover=built,
+        description=description,
+        mobility=read_mobility(description, built).with_limits(**limits),
+        inputs=inputs | used,
+        tables=tables | {f"{asked.rover} (rover)": sha256(description.text.encode())},
+        made=made,
+        driven=driven,
+        check=check,
+    )
