@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from lunarsci.csv_table import csv_bytes
 from lunarsci.figure import picture_bytes
 from lunarsci.inputs import InputFile
+from lunarsci.regolith.contact import PAPER
 from lunarsci.regolith.identify import Assumptions, Identification, identify
 from lunarsci.regolith.soil import Soil, read_soil
 from lunarsci.regolith.states import read_states
@@ -23,7 +24,6 @@ from lunarsci.twin.judgement.tables import state_table
 from lunarsci.twin.simulation.ensemble import Prediction, predict
 
 from .demo_rock import Studied, finding, rock_findings, rock_pictures
-from .regolith.identify_report import PAPER
 from .shared.report import Report
 from .shared.table import TextTable, plus_minus
 

@@ -45,7 +45,7 @@ go_or_stop lunarsci twin forces "${common[@]}" --motion 3-states/motion.csv --st
 head -n 3 4-forces.csv
 
 say "5. From forces to the mechanical properties of the soil"
-lunarsci regolith identify "${common[@]}" --joint --seed "$seed" - <4-forces.csv
+lunarsci regolith infer "${common[@]}" --seed "$seed" - <4-forces.csv
 
 say "6. What the whole drive says of the soil, kept for the next one"
 go_or_stop lunarsci twin update "${common[@]}" 3-states/states.csv --positions 3-states/positions.csv \

@@ -60,7 +60,7 @@ COMMANDS: dict[str, str] = {
     "wheel loads": "twin forces short.toml",
     "identify": "regolith identify states.csv --lateral-modulus 20",
     "identify solved": "regolith identify states.csv --reading signed",
-    "identify joint": "regolith identify states.csv --joint --seed 2",
+    "identify joint": "regolith infer states.csv --seed 2",
     "compare soils": "regolith compare soil.json",
     "terrain": "twin plan --max-slope 11 --target 8.5,2.5 -o site",
     "terrain synthetic": "twin terrain synthetic --craters 5 --rocks 0.02 --seed 7",

@@ -2,7 +2,7 @@
 
 import typer
 
-from . import compare, forces, identify
+from . import compare, forces, identify, infer
 
 __all__ = ["app"]
 
@@ -10,5 +10,5 @@ app = typer.Typer(
     no_args_is_help=True,
     help="What the ground is: wheel-soil forces, the soil that wheel states reveal, and soils alike.",
 )
-for part in (forces, identify, compare):
+for part in (forces, identify, infer, compare):
     part.add_to(app)

@@ -7,6 +7,7 @@ the parameters predict: bearing pressure over the sinkages of a wheel, shear str
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +26,7 @@ __all__ = [
     "nearest",
     "reference_hash",
     "reference_soils",
+    "site_of",
 ]
 
 FloatArray = npt.NDArray[np.float64]
@@ -34,6 +36,16 @@ SINKAGES_M = np.linspace(0.005, 0.02, 16)
 STRESSES_PA = np.linspace(2e3, 10e3, 17)
 """Where predictions are compared: sinkages and normal stresses of a light rover's wheel; assumed."""
 LARGEST_WIDTH_M = 2.0
+ASPECTS = ("bearing", "shear", "lateral")
+SITE_NAMES = {
+    "stiffness_kpa_m_n": ("stiffness_kpa_m_n", "stiffness_kpa_m_n"),
+    "sinkage_exponent": ("exponent", "sinkage_exponent"),
+    "cohesion_pa": ("cohesion_pa", "cohesion_pa"),
+    "friction_angle_deg": ("friction_angle_deg", "friction_angle_deg"),
+    "lateral_modulus_mm": ("lateral_modulus_mm", "lateral_modulus_mm"),
+    "external_friction_angle_deg": ("external_friction_angle_deg", "external_friction_angle_deg"),
+}
+"""Name of a parameter of the site to that of single states, and that of the posterior, in a result of `identify`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,6 +124,43 @@ class SoilComparison:
     soil: ReferenceSoil
     bearing: float | None
     strength: float | None
+
+    def to_dict(self, width_m: float) -> dict[str, Any]:
+        """Plain values; the stiffness is that for a wheel of this width."""
+        soil = self.soil
+        return {
+            "name": soil.name,
+            "kind": soil.kind,
+            "bearing_distance": self.bearing,
+            "strength_distance": self.strength,
+            "stiffness_kpa_m_n": soil.stiffness(width_m),
+            "sinkage_exponent": soil.sinkage_exponent,
+            "cohesion_low_pa": soil.cohesion_pa[0],
+            "cohesion_high_pa": soil.cohesion_pa[1],
+            "friction_angle_low_deg": soil.friction_angle_deg[0],
+            "friction_angle_high_deg": soil.friction_angle_deg[1],
+            "source": soil.source,
+        }
+
+
+def site_of(result: Mapping[str, Any]) -> tuple[Site, dict[str, Any]]:
+    """A site from the `result` of `regolith identify` or `infer`, and the curves of single states by aspect.
+
+    The posterior's medians where there is one, else the site values; half a pair is nothing. Raises KeyError or
+    TypeError for what is no such result.
+    """
+    curves = {aspect: result[aspect]["curve"] for aspect in ASPECTS}
+    values: dict[str, Any]
+    if "joint" in result:
+        values = {own: result["joint"]["parameters"][names[1]]["median"] for own, names in SITE_NAMES.items()}
+    else:
+        pairs = result["bearing"] | result["shear"] | result["lateral"]
+        values = {own: pairs[names[0]]["value"] for own, names in SITE_NAMES.items()}
+    own = list(SITE_NAMES)
+    for pair in (own[:2], own[2:4], own[4:]):
+        if any(values[key] is None for key in pair):
+            values |= dict.fromkeys(pair)
+    return Site(**values), curves
 
 
 def nearest(found: Sequence[SoilComparison], aspect: str) -> list[SoilComparison]:

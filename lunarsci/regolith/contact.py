@@ -6,14 +6,34 @@ from typing import Literal, get_args
 
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import ParameterError
-from lunarsci.regolith.forces import READINGS, Reading
 
-__all__ = ["BULLDOZING", "SHEAR_LAWS", "Bulldozing", "ContactModel", "ShearLaw"]
+__all__ = [
+    "BULLDOZING",
+    "DENSITY_KG_M3",
+    "MAX_VALID_SLIP",
+    "PAPER",
+    "READINGS",
+    "SHEAR_LAWS",
+    "SLIP_SINKAGE_LAWS",
+    "Bulldozing",
+    "ContactModel",
+    "Reading",
+    "ShearLaw",
+    "SlipSinkageLaw",
+]
 
+PAPER = "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8"
+Reading = Literal["signed", "printed", "slip-branch"]
+"""Sign convention of the longitudinal shear stress, see `lunarsci.regolith.forces`."""
 ShearLaw = Literal["separate", "combined", "ellipse"]
 Bulldozing = Literal["none", "hegedus", "wong"]
+SlipSinkageLaw = Literal["lyasko", "linear"]
+READINGS: tuple[str, ...] = get_args(Reading)
+SLIP_SINKAGE_LAWS: tuple[str, ...] = get_args(SlipSinkageLaw)
 SHEAR_LAWS: tuple[str, ...] = get_args(ShearLaw)
 BULLDOZING: tuple[str, ...] = get_args(Bulldozing)
+MAX_VALID_SLIP = 0.6
+"""Slip ratio up to which the model was compared with wheels. [-]"""
 DENSITY_KG_M3 = 1500.0
 """Of the upper 15 cm, Lunar Sourcebook (1991), ch. 9."""
 

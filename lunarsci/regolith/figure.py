@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 
 from lunarsci.regolith.belief import SoilBelief, past_beliefs, rolled_back, shared_drives
 from lunarsci.regolith.compare import KINDS, Site, SoilComparison, lateral_soils, nearest
-from lunarsci.regolith.contact import ContactModel
-from lunarsci.regolith.forces import Reading, WheelForces
+from lunarsci.regolith.contact import ContactModel, Reading
+from lunarsci.regolith.forces import WheelForces
 from lunarsci.regolith.identify import Identification
 from lunarsci.regolith.integrals import ContactForces, forces_by
 from lunarsci.regolith.prior import PARAMETERS

@@ -14,23 +14,23 @@ Source: Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8.
 """
 
 import math
+import warnings
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from lunarsci.compiled import compiled, in_lanes, pasted
 from lunarsci.elementary import arcsin, cosine, exp_minus_one, exponential, logarithm, sine
-from lunarsci.errors import ParameterError
+from lunarsci.errors import LunarSciWarning, ParameterError
+from lunarsci.regolith.contact import READINGS, Reading
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.wheel import Wheel
 
 __all__ = [
     "LEAST_SINKAGE_M",
     "MOST_COHESION",
-    "READINGS",
-    "Reading",
     "WheelForces",
     "check_states",
     "cohesion_share",
@@ -42,13 +42,12 @@ __all__ = [
     "slip_ratio",
     "stress_moments",
     "travel_ratio",
+    "warn_of_reading",
     "wheel_forces",
     "wheel_forces_and_slopes",
     "wheel_forces_kernel",
 ]
 
-Reading = Literal["signed", "printed", "slip-branch"]
-READINGS: tuple[str, ...] = get_args(Reading)
 FloatArray = npt.NDArray[np.float64]
 MOST_COHESION = 1.0
 """Share of the normal force that cohesion alone may pull; beyond, forces are those of a wheel hardly in touch. Assumed:
@@ -245,6 +244,13 @@ def reading_code(reading: str) -> int:
     if reading not in READINGS:
         raise ParameterError(f"reading '{reading}' is unknown; choose one of: {', '.join(READINGS)}")
     return READINGS.index(reading)
+
+
+def warn_of_reading(reading: Reading) -> None:
+    """Say by a LunarSciWarning that a reading is not to be relied on."""
+    if reading != "signed":
+        text = "is for reproducing published numbers only: its drawbar pull contradicts measured skidding wheels"
+        warnings.warn(f"reading '{reading}' {text}", LunarSciWarning, stacklevel=3)
 
 
 def wheel_forces(

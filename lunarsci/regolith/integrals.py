@@ -13,10 +13,9 @@ import numpy.typing as npt
 
 from lunarsci.compiled import compiled
 from lunarsci.errors import ParameterError
-from lunarsci.regolith.contact import ContactModel
+from lunarsci.regolith.contact import ContactModel, Reading
 from lunarsci.regolith.forces import (
     FloatArray,
-    Reading,
     WheelForces,
     check_states,
     mobilised,

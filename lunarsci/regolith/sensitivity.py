@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lunarsci.errors import ParameterError
-from lunarsci.regolith.forces import Reading
+from lunarsci.regolith.contact import Reading
 from lunarsci.regolith.identify import Assumptions, Identification, identify
 from lunarsci.regolith.states import COLUMNS, WheelStates
 from lunarsci.regolith.wheel import Wheel

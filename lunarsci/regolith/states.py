@@ -14,6 +14,7 @@ import numpy.typing as npt
 from lunarsci.csv_table import check_columns, numbers_of, read_csv_table, without_repeats
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
+from lunarsci.regolith.contact import MAX_VALID_SLIP
 from lunarsci.regolith.wheel import Wheel
 
 if TYPE_CHECKING:
@@ -41,7 +42,6 @@ IDENTIFIERS = (
 KNOWN = (*COLUMNS, *(f"{name}_sigma" for name in COLUMNS), *IDENTIFIERS)
 FROM_MOTION = "motion"
 """In the column `forces_from`: forces that were computed of a motion with drawn soils, not measured."""
-MAX_VALID_SLIP = 0.6
 LEAST_SINKAGE_M = 1e-6
 YES, NO = ("true", "1", "1.0", "yes"), ("false", "0", "0.0", "no")
 

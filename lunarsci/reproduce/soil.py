@@ -19,7 +19,7 @@ from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.compare import Site, compare_site, nearest, reference_soils
 from lunarsci.regolith.forces import WheelForces, contact_angles, wheel_forces
 from lunarsci.regolith.identify import Assumptions, Identification, identify
-from lunarsci.regolith.load import sinkage_under_load
+from lunarsci.regolith.inversion import sinkage_under_load
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates
 from lunarsci.regolith.wheel import Wheel, read_wheel

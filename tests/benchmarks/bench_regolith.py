@@ -12,8 +12,8 @@ import numpy as np
 
 from lunarsci.regolith.forces import _each_state, contact_angles, stress_moments, wheel_forces
 from lunarsci.regolith.identify import identify
+from lunarsci.regolith.inference.posterior import infer_soil
 from lunarsci.regolith.integrals import contact_forces
-from lunarsci.regolith.joint import infer_soil
 from lunarsci.regolith.soil import read_soil
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates
 from lunarsci.regolith.wheel import read_wheel

@@ -26,7 +26,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 from lunarsci.errors import ParameterError
-from lunarsci.regolith.forces import READINGS, wheel_forces
+from lunarsci.regolith.contact import READINGS
+from lunarsci.regolith.forces import wheel_forces
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain

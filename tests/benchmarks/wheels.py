@@ -5,8 +5,9 @@ Soil and contact angles are fitted to one repetition of each state, the other tw
 each of the three in turn. Left out are runs deeper than the wheel's radius, most of those at 90 deg, and locked wheels,
 for which Eq. 13 has no shear; `--locked` takes them in.
 
-The joint inference (`lunarsci.regolith.joint`) is left to predict what it has not seen: one repetition, one slip, one
-slip angle in turn, locked wheels included, at measured sinkage; then sets of states with the sign of one column wrong.
+The joint inference (`lunarsci.regolith.inference`) is left to predict what it has not seen: one repetition, one
+slip, one slip angle in turn, locked wheels included, at measured sinkage; then sets of states with the sign of one
+column wrong.
 
 Points read off published curves (Ding 2011, Wang & Han 2016, Hurrell 2025) are predicted with the soils of the tables
 and nothing fitted: drawbar pull at measured sinkage and load, and sinkage under the load.
@@ -28,11 +29,10 @@ from scipy.optimize import least_squares
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.contact import ContactModel
 from lunarsci.regolith.fit_verdict import FitVerdict
+from lunarsci.regolith.inference.posterior import infer_soil
+from lunarsci.regolith.inference.prediction import WheelLaw, candidates, compare_laws, predict_forces
 from lunarsci.regolith.integrals import contact_forces, moving_contact_forces
-from lunarsci.regolith.joint import infer_soil
-from lunarsci.regolith.joint_forecast import predict_forces
-from lunarsci.regolith.joint_laws import WheelLaw, candidates, compare_laws
-from lunarsci.regolith.load import sinkage_under_load, stiffness_under_load
+from lunarsci.regolith.inversion import sinkage_under_load, stiffness_under_load
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates
 from lunarsci.regolith.wheel import Wheel, read_wheel

@@ -29,7 +29,7 @@ def test_the_command_takes_a_result_or_numbers(run: Run, states: Path, tmp_path:
 
 def test_the_joint_posterior_is_taken_where_there_is_one(run: Run, states: Path, tmp_path: Path) -> None:
     result = tmp_path / "soil.json"
-    assert run("regolith", "identify", states, "--joint", "--json", "-o", result).code == 0
+    assert run("regolith", "infer", states, "--json", "-o", result).code == 0
     joint = json.loads(result.read_text())["result"]["joint"]["parameters"]
     site = json.loads(run("regolith", "compare", result, "--json").out)["result"]["site"]
     assert site["friction_angle_deg"] == joint["friction_angle_deg"]["median"]

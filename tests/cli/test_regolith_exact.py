@@ -1,4 +1,4 @@
-"""`lunarsci regolith forces --exact` and `identify --joint`."""
+"""`lunarsci regolith forces --exact` and `infer`."""
 
 import json
 from collections.abc import Callable
@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lunarsci.errors import RequestError
 from lunarsci.regolith.integrals import contact_forces
+from lunarsci.regolith.jobs.infer import infer
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.regolith.soil import read_soil
 from lunarsci.regolith.wheel import read_wheel
@@ -60,17 +62,13 @@ def test_a_load_is_carried_by_the_exact_integrals(run: Run) -> None:
     assert found["normal_force_n"] == pytest.approx(37, abs=1e-6)
 
 
-def test_choices_without_exact_are_refused(run: Run) -> None:
-    done = run(*FORCES, "--bulldozing", "wong")
-    assert done.code == 2
-    assert "belong to --exact" in done.err[-1]
-    done = run("regolith", "identify", "-", "--sample")
-    assert done.code == 2
-    assert "belong to --joint" in done.err[-1]
+def test_choices_of_the_integrals_imply_them(run: Run) -> None:
+    for choice in (("--bulldozing", "wong"), ("--rebound", "0.3"), ("--shear", "ellipse")):
+        assert result(run, *FORCES, *choice) == result(run, *FORCES, *choice, "--exact")
 
 
 def test_the_joint_posterior_holds_the_soil_that_made_the_states(run: Run, drive: Path) -> None:
-    joint = result(run, "regolith", "identify", drive, "--joint", "--exact")["joint"]
+    joint = result(run, "regolith", "infer", drive, "--exact")["joint"]
     soil = read_soil("lunar-typical")
     assert joint["order"] == list(PARAMETERS)
     assert set(joint["parameters"]) == set(PARAMETERS)
@@ -81,7 +79,7 @@ def test_the_joint_posterior_holds_the_soil_that_made_the_states(run: Run, drive
     assert joint["parameters"]["shear_modulus_mm"]["determined"]
     assert joint["outliers"] == []
     assert len(joint["correlation"]) == len(PARAMETERS)
-    shown = run("regolith", "identify", drive, "--joint")
+    shown = run("regolith", "infer", drive)
     assert "All states together" in shown.out
     assert "known to" in shown.out
 
@@ -89,7 +87,7 @@ def test_the_joint_posterior_holds_the_soil_that_made_the_states(run: Run, drive
 def test_priors_of_the_user_are_used_and_named(run: Run, drive: Path, tmp_path: Path) -> None:
     prior = tmp_path / "prior.toml"
     prior.write_text("[cohesion_pa]\nmedian = 520\nsd = 0.01\n")
-    done = run("regolith", "identify", drive, "--joint", "--prior", prior, "--sample", "--json")
+    done = run("regolith", "infer", drive, "--prior", prior, "--sample", "--json")
     assert done.code == 0, done.err
     document = json.loads(done.out)
     found = document["result"]["joint"]
@@ -100,9 +98,9 @@ def test_priors_of_the_user_are_used_and_named(run: Run, drive: Path, tmp_path: 
 
 
 def test_the_joint_posterior_has_one_reading(run: Run, drive: Path) -> None:
-    done = run("regolith", "identify", drive, "--joint", "--reading", "printed")
-    assert done.code == 2
-    assert "needs --reading signed" in done.err[-1]
+    assert run("regolith", "infer", drive, "--reading", "printed").code == 2
+    with pytest.raises(RequestError, match="`reading` printed only reproduces numbers"):
+        infer(drive, reading="printed")
 
 
 def test_the_picture_shows_the_forces_that_were_asked_for(run: Run, tmp_path: Path) -> None:
@@ -146,7 +144,7 @@ def test_a_rut_carries_more(run: Run) -> None:
         (("--load", "36", "--slip", "-0.1", "--slip-sinkage", "linear"), "skid has no such law"),
         (("--load", "36", "--reece-cohesive", "1"), "go together"),
         (("--load", "36", "--reece-cohesive", "1", "--reece-frictional", "1", "--stiffness", "800"), "give one"),
-        (("--load", "36", "--rut", "0.01"), "belong to --exact"),
+        (("--load", "36", "--rut", "0.01"), "a rut needs"),
         (("--load", "36", "--slip", "-1.1"), "within -1 to 1"),
         (("--load", "36", "--slip", "1", "--side-slip", "90"), "leave open"),
         (
@@ -197,10 +195,10 @@ def test_a_result_that_lacks_its_curves_is_refused_by_name(run: Run, tmp_path: P
 
 
 def test_sensitivity_and_profile_are_in_the_result(run: Run, drive: Path) -> None:
-    found = result(run, "regolith", "identify", drive, "--sensitivity", "--joint", "--profile")
+    found = result(run, "regolith", "infer", drive, "--sensitivity", "--profile")
     assert found["joint"]["intervals"] == "profile"
     assert {"parameter", "quantity", "alone", "saved"} == set(found["sensitivity"][0])
-    done = run("regolith", "identify", drive, "--joint", "--profile", "--sample")
+    done = run("regolith", "infer", drive, "--profile", "--sample")
     assert done.code == 2
 
 
@@ -221,7 +219,7 @@ def test_a_fit_that_explains_nothing_is_said_kept_and_repeated_by_the_drive(
 ) -> None:
     soils, belief = tmp_path / "soils.csv", tmp_path / "belief.json"
     for path in (soils, belief):
-        done = run("regolith", "identify", turned, "--joint", "--posterior", path, "--json")
+        done = run("regolith", "infer", turned, "--posterior", path, "--json")
         assert done.code == 3
         assert "drawbar_pull_n" in done.err[-1]
     verdict = json.loads(done.out)["result"]["joint"]["verdict"]
@@ -244,7 +242,7 @@ def test_straight_drives_are_trusted_together_though_single_states_leave_the_lat
     rows = [[*line[:2], "0", *line[3:5], "0.01"] for line in lines[1:]]
     straight.write_text("\n".join(",".join(line) for line in (lines[0], *rows)) + "\n")
     assert run("regolith", "identify", straight).code == 3
-    verdict = result(run, "regolith", "identify", straight, "--joint")["joint"]["verdict"]
+    verdict = result(run, "regolith", "infer", straight)["joint"]["verdict"]
     assert verdict["trusted"]
 
 
@@ -254,9 +252,8 @@ def test_the_law_is_chosen_by_its_score_and_predicts_another_wheel(run: Run, dri
     found = result(
         run,
         "regolith",
-        "identify",
+        "infer",
         drive,
-        "--joint",
         "--law",
         "auto",
         "--predict",
@@ -269,5 +266,4 @@ def test_the_law_is_chosen_by_its_score_and_predicts_another_wheel(run: Run, dri
     pulls = [state["drawbar_pull_n"] for state in found["predicted"]["states"]]
     assert all(pull["low90"] < pull["value"] < pull["high90"] for pull in pulls)
     assert pulls[0]["value"] < pulls[1]["value"]
-    assert run("regolith", "identify", drive, "--joint", "--law", "auto", "--exact").code == 2
-    assert run("regolith", "identify", drive, "--joint", "--contact").code == 2
+    assert run("regolith", "infer", drive, "--law", "auto", "--exact").code == 2

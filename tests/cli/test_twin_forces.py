@@ -71,7 +71,7 @@ def test_a_motion_without_commands_asks_for_them(run: Run, plan: Path, tmp_path:
 def test_a_posterior_passes_from_forces_to_the_next_prediction(run: Run, plan: Path, tmp_path: Path) -> None:
     states, soils = tmp_path / "states.csv", tmp_path / "soils.csv"
     assert run("twin", "forces", plan, "-o", states).code == 0
-    identified = run("regolith", "identify", states, "--joint", "--posterior", soils)
+    identified = run("regolith", "infer", states, "--posterior", soils)
     assert identified.code == 0, identified.err
     draws = pd.read_csv(soils, comment="#")
     assert len(draws) == 4000 and draws["stiffness_kpa_m_n"].quantile(0.025) < 1443.0 < draws[
@@ -82,7 +82,7 @@ def test_a_posterior_passes_from_forces_to_the_next_prediction(run: Run, plan: P
     assert result["result"]["members"] == 20 and str(soils) in {file["path"] for file in result["provenance"]["inputs"]}
     assert run("twin", "predict", plan, "--soil", soils, "--sweep", "cohesion_pa=1:2:2").code == 2
     assert run("regolith", "identify", states, "--posterior", tmp_path / "x.csv").code == 2
-    assert run("regolith", "identify", states, "--joint", "--posterior", soils).code == 1  # it exists
+    assert run("regolith", "infer", states, "--posterior", soils).code == 1  # it exists
 
 
 def test_states_at_a_halt_are_not_valid(run: Run, tmp_path: Path) -> None:
@@ -93,7 +93,7 @@ def test_states_at_a_halt_are_not_valid(run: Run, tmp_path: Path) -> None:
     table = pd.read_csv(states)
     assert 0 < (~table["valid"]).sum() < 0.6 * len(table)
     assert (table.loc[~table["valid"], "slip_ratio"] == 0).all()
-    done = run("regolith", "identify", states, "--joint", "--json")
+    done = run("regolith", "infer", states, "--json")
     friction = json.loads(done.out)["result"]["joint"]["parameters"]["friction_angle_deg"]
     assert friction["low95"] < 42.0 < friction["high95"] < 60.0
 

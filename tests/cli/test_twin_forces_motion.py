@@ -47,7 +47,7 @@ def test_telemetry_becomes_forces_with_sigmas_and_a_soil(run: Run, files: dict[s
     assert not table["valid"][:6].any() and table["normal_force_n"][:6].notna().all()
     for name in FORCES:
         assert (table.loc[table["valid"], f"{name}_sigma"] > 0).all()
-    identified = run("regolith", "identify", folder / "forces.csv", "--joint")
+    identified = run("regolith", "infer", folder / "forces.csv")
     assert identified.code == 0, identified.err
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import ParameterError
-from lunarsci.regolith.bearing import reece_stiffness, slip_sinkage
+from lunarsci.regolith.inversion import reece_stiffness, slip_sinkage
 
 MARS_LIKE = {"k_c": 212.2, "k_phi": 677.5, "exponent": 1.4, "width_m": 0.15}
 

@@ -9,16 +9,16 @@ import pytest
 from scipy.integrate import quad
 
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.regolith.contact import READINGS
 from lunarsci.regolith.forces import (
     MOST_COHESION,
-    READINGS,
     cohesion_share,
     slip_ratio,
     stress_moments,
     travel_ratio,
     wheel_forces,
 )
-from lunarsci.regolith.load import sinkage_under_load
+from lunarsci.regolith.inversion import sinkage_under_load
 from lunarsci.regolith.soil import Soil, known_soils, read_soil
 from lunarsci.regolith.wheel import Wheel, read_wheel, shearing_radius
 

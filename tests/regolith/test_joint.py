@@ -8,10 +8,9 @@ import pytest
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.contact import ContactModel
-from lunarsci.regolith.joint import SoilPosterior, infer_soil
-from lunarsci.regolith.joint_model import forces_at
-from lunarsci.regolith.joint_problem import problem_of
-from lunarsci.regolith.joint_sampler import carry_population
+from lunarsci.regolith.inference.posterior import SoilPosterior, infer_soil
+from lunarsci.regolith.inference.problem import forces_at, problem_of
+from lunarsci.regolith.inference.sampler import carry_population
 from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, read_prior, values_of
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates, read_states
 from lunarsci.regolith.wheel import read_wheel

@@ -10,10 +10,9 @@ from lunarsci.inputs import InputFile
 from lunarsci.regolith.belief import read_belief
 from lunarsci.regolith.contact import ContactModel
 from lunarsci.regolith.fit_verdict import FitVerdict, doubt, read_verdict, verdict_line
+from lunarsci.regolith.inference.posterior import SoilPosterior, infer_soil
+from lunarsci.regolith.inference.prediction import candidates, compare_laws, predict_states
 from lunarsci.regolith.integrals import contact_forces
-from lunarsci.regolith.joint import SoilPosterior, infer_soil
-from lunarsci.regolith.joint_forecast import belief_after, predict_states
-from lunarsci.regolith.joint_laws import candidates, compare_laws
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.regolith.soil import read_soil
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates
@@ -159,7 +158,7 @@ def test_forces_are_predicted_with_the_error_of_the_model(right: SoilPosterior) 
 
 def test_a_belief_and_a_table_carry_the_verdict(right: SoilPosterior) -> None:
     bad = replace(right.verdict, trusted=False, reason="column x")
-    belief = replace(belief_after(right), verdict=bad)
+    belief = replace(right.belief(), verdict=bad)
     source = InputFile("b.json", belief.to_json().encode())
     assert read_verdict(source) == read_belief(source).verdict == bad
     assert "column x" in doubt(bad)

@@ -4,7 +4,7 @@ import pytest
 
 from lunarsci.errors import DataError
 from lunarsci.regolith.forces import wheel_forces
-from lunarsci.regolith.load import sinkage_under_load, stiffness_under_load
+from lunarsci.regolith.inversion import sinkage_under_load, stiffness_under_load
 from lunarsci.regolith.soil import read_soil
 from lunarsci.regolith.wheel import read_wheel
 from lunarsci.rovers.description import known_rovers, known_wheels, read_rover

@@ -7,7 +7,7 @@ import pytest
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.forces import wheel_forces
-from lunarsci.regolith.load import sinkage_under_load
+from lunarsci.regolith.inversion import sinkage_under_load
 from lunarsci.regolith.soil import read_soil
 from lunarsci.reproduce.drive import STAND_IN, Drives, drive_numbers, medians, predicted_drives
 from lunarsci.reproduce.numbers import Number, published_numbers

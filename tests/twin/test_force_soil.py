@@ -9,8 +9,8 @@ import pytest
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.regolith.forces import wheel_forces
-from lunarsci.regolith.joint_totals import BalancedStates, infer_from_totals
-from lunarsci.regolith.load import sinkage_under_load
+from lunarsci.regolith.inference.totals import BalancedStates, infer_from_totals
+from lunarsci.regolith.inversion import sinkage_under_load
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.regolith.soil import Soil
 from lunarsci.twin.ground.synthetic import synthetic_longji

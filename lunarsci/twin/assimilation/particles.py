@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.regolith.joint_sampler import persistence
+from lunarsci.regolith.inference.sampler import persistence
 from lunarsci.twin.assimilation.residuals import HUBER
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from lunarsci.errors import ParameterError
 from lunarsci.interpolation import at_times
 from lunarsci.regolith.belief import SoilBelief
-from lunarsci.regolith.joint_totals import BalancedStates, TotalsPosterior, infer_from_totals
+from lunarsci.regolith.inference.totals import BalancedStates, TotalsPosterior, infer_from_totals
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.loads.load_ensemble import BALANCE_ERROR, DRAWS, LoadEnsemble, draw_loads
 from lunarsci.twin.loads.pose_states import PoseStates

@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from scipy.stats import chi2, norm
 
 from lunarsci.errors import ParameterError
-from lunarsci.regolith.joint_problem import (
+from lunarsci.regolith.inference.problem import (
     STEP,
     JointProblem,
     common_share,

@@ -16,8 +16,8 @@ import numpy.typing as npt
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
-from lunarsci.regolith.joint_mode import find_mode
-from lunarsci.regolith.joint_model import forces_of_many
+from lunarsci.regolith.inference.mode import find_mode
+from lunarsci.regolith.inference.problem import forces_of_many
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.regolith.wheel import Wheel
 

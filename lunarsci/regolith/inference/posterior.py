@@ -11,14 +11,16 @@ says whether a soil of the model explains the states at all.
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import LunarSciWarning, ParameterError
+from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.contact import ContactModel
-from lunarsci.regolith.fit_verdict import FitVerdict
-from lunarsci.regolith.joint_mode import (
+from lunarsci.regolith.fit_verdict import FitVerdict, verdict_line
+from lunarsci.regolith.inference.mode import (
     Mode,
     find_mode,
     mode_with_errors,
@@ -26,9 +28,9 @@ from lunarsci.regolith.joint_mode import (
     profile_limits,
     stretch_of,
 )
-from lunarsci.regolith.joint_problem import part_of, problem_of, tail_of
-from lunarsci.regolith.joint_sampler import carry_population
-from lunarsci.regolith.joint_verdict import judge
+from lunarsci.regolith.inference.problem import part_of, problem_of, tail_of
+from lunarsci.regolith.inference.sampler import carry_population
+from lunarsci.regolith.inference.verdict import judge
 from lunarsci.regolith.prior import CONTACT, PARAMETERS, Law, contact_prior, default_prior, values_of
 from lunarsci.regolith.states import WheelStates
 from lunarsci.regolith.wheel import Wheel
@@ -127,6 +129,46 @@ class SoilPosterior:
             (float(np.sqrt(max(size, 0.0))), dict(zip(self.names, map(float, column), strict=True)))
             for size, column in zip(sizes, directions.T, strict=True)
         ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values: parameters with their intervals, correlation, combinations, how well the law fits."""
+        ends, correlation = self.intervals(), self.covariance / self.sd[:, None] / self.sd
+        records = {
+            name: dict(zip(("median", "low", "high", "low95", "high95"), ends[name], strict=True))
+            | {
+                "prior": {"of": self.prior[name].of, "median": self.prior[name].median, "sd": self.prior[name].sd},
+                "shrinkage": self.shrinkage[name],
+                "determined": name in self.determined,
+            }
+            for name in self.names
+        }
+        return {
+            "parameters": {name: records[name] for name in PARAMETERS},
+            "contact": {name: records[name] for name in CONTACT} if len(records) > len(PARAMETERS) else None,
+            "order": list(self.names),
+            "correlation": correlation.tolist(),
+            "combinations": [{"left_of_prior": left, "weights": weights} for left, weights in self.combinations()],
+            "outliers": list(self.outliers),
+            "chi_square": self.chi_square,
+            "degrees": self.degrees,
+            "persistence": self.persistence,
+            "intervals": self.how,
+            "verdict": self.verdict.to_dict(),
+            "tail": self.tail,
+            "stretch": list(self.stretch),
+        }
+
+    def draws_csv(self) -> str:
+        """Draws of the soil's parameters as CSV, with the verdict in the first line."""
+        lines = [",".join(map(repr, map(float, row[: len(PARAMETERS)]))) for row in self.draws]
+        return verdict_line(self.verdict) + "\n".join([",".join(PARAMETERS), *lines]) + "\n"
+
+    def belief(self) -> SoilBelief:
+        """What is believed of the soil after its states, with the verdict; of an unknown contact nothing is kept."""
+        size = len(PARAMETERS)
+        covariance = self.covariance[:size, :size]
+        laws = {name: self.prior[name] for name in PARAMETERS}
+        return SoilBelief(laws, self.mode[:size], 0.5 * (covariance + covariance.T), verdict=self.verdict)
 
 
 def infer_soil(

@@ -1,0 +1,166 @@
+"""`lunarsci regolith infer`: all soil parameters from all wheel states at once."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lunarsci.regolith.jobs.infer import InferredSoil, InferRequest
+from lunarsci.regolith.jobs.infer import infer as infer_soil
+
+from ..shared.command import command
+from ..shared.options import Output, option
+from ..shared.progress import progress
+from ..shared.report import Report
+from ..shared.table import TextTable
+from .identify import OPTIONS as SINGLE
+from .identify import States, tables
+
+if TYPE_CHECKING:
+    from lunarsci.regolith.inference.posterior import SoilPosterior
+
+__all__ = ["add_to"]
+
+LAW, INTERVALS, OTHER = "Wheel-soil law", "Intervals", "Forces of other states"
+LABELS = {
+    "stiffness_kpa_m_n": ("stiffness K_s", "kPa/m^N"),
+    "sinkage_exponent": ("sinkage exponent n0", "-"),
+    "sinkage_exponent_slip": ("its rise with slip n1", "-"),
+    "cohesion_pa": ("cohesion c", "Pa"),
+    "friction_angle_deg": ("internal friction angle φ", "deg"),
+    "shear_modulus_mm": ("shear modulus K_x", "mm"),
+    "external_friction_angle_deg": ("external friction angle φ_y", "deg"),
+    "lateral_modulus_mm": ("lateral shear modulus K_y", "mm"),
+    "skid_exponent_slip": ("its fall with skid n2", "-"),
+    "max_stress_c1": ("angle of largest stress c1", "-"),
+    "max_stress_c2": ("its rise with slip c2", "-"),
+    "exit_c3": ("exit angle c3", "-"),
+}
+HOW = {"normal": "of a normal law", "sample": "of draws from the posterior", "profile": "by profile"}
+SHOWN_SHARE, SHOWN_WEIGHT, MOST_SHOWN, MOST_STATES = 0.5, 0.3, 3, 30
+OPTIONS = {name: SINGLE[name] for name in SINGLE if name != "reading"} | {
+    "prior": option("Priors in place of the lunar ones.", metavar="FILE.toml"),
+    "model_error": option(
+        "Share of the load by which the model misses a force; found from the residuals if not given.", panel=LAW
+    ),
+    "law": option(
+        "Wheel-soil law: as the options say, or the one that predicts states left out best; prints the scores.",
+        panel=LAW,
+    ),
+    "exact": option("Integrate the stresses instead of Eqs 21-24.", panel=LAW),
+    "shear": option("As in `regolith forces`.", panel=LAW),
+    "bulldozing": option("As in `regolith forces`.", panel=LAW),
+    "density": option("Soil density in kg/m³, for --bulldozing and --law auto.", panel=LAW),
+    "gravity": option("Gravity in m/s², for --bulldozing and --law auto.", panel=LAW),
+    "contact": option(
+        "Contact angles c1-c3 and the exponent's slope in skid are unknown too; by integration.", panel=LAW
+    ),
+    "sample": option("Draw from the posterior itself, not a normal law.", panel=INTERVALS),
+    "profile": option("Intervals by profile: the best of all else at each value.", panel=INTERVALS),
+    "predict": option(
+        "Wheel states whose forces the soil predicts: slip_ratio, side_slip_deg, normal_force_n, and where known "
+        "sinkage_m.",
+        metavar="FILE.csv",
+        panel=OTHER,
+    ),
+    "predict_rover": option("Wheel of --predict; that of the states if not given.", panel=OTHER),
+}
+Posterior = Annotated[
+    Path | None,
+    typer.Option(
+        "--posterior",
+        help="Soils for `twin predict --soil`: draws as CSV, a belief as JSON; both carry the verdict.",
+    ),
+]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the command."""
+    command(app, "infer", request=InferRequest, options=OPTIONS)(infer)
+
+
+def infer(states: States, request: InferRequest, output: Output, posterior: Posterior = None) -> Report:
+    """All soil parameters from all wheel states at once, as a posterior, beside what each state gives by itself.
+
+    What the options assume of a parameter is for single states alone. Exit code 3 where no soil of the law explains the
+    states. Choices of the law that only the integrals know, such as --shear, need no --exact.
+    """
+    output.check_extra("--posterior", posterior, (".csv", ".json"))
+    with progress("the posterior", quiet=output.quiet) as update:
+        found = infer_soil(states, request, progress=update)
+    extras = {posterior: lambda: found.soils(posterior.suffix.lower())} if posterior else {}
+    return Report.of(found, tables=[*tables(found), *_joint_tables(found)], extras=extras)
+
+
+def _joint_tables(soil: InferredSoil) -> list[TextTable]:
+    """Parameters with their intervals, what is known of combinations, laws compared, forces predicted."""
+    found = soil.posterior
+    ends = found.intervals()
+    rows = []
+    for name in found.names:
+        label, unit = LABELS[name]
+        median, low, high, low95, high95 = ends[name]
+        known = "determined" if name in found.determined else f"{100 * (1 - found.shrinkage[name]):.0f} % of the prior"
+        rows.append([label, _digits(median), f"{_digits(low)} to {_digits(high)}", f"{_digits(low95)} to "
+                     f"{_digits(high95)}", unit, known])  # fmt: skip
+    notes = [*_fit(found), *_combinations(found)]
+    if found.outliers:
+        notes.append(f"left out as outliers: {', '.join(found.outliers)}")
+    headers = ["parameter", "median", "68 %", "95 %", "unit", "from the states"]
+    table = TextTable(headers, rows, title=f"All states together, intervals {HOW[found.how]}", notes=notes)
+    return [table, *_laws(soil), *_predicted(soil)]
+
+
+def _fit(found: "SoilPosterior") -> list[str]:
+    """How well the law explains the states, in words."""
+    verdict = found.verdict
+    reduced = "-" if verdict.reduced_chi_square is None else f"{verdict.reduced_chi_square:.2f}"
+    source = "given" if verdict.model_error_from == "given" else "found from the residuals"
+    shares = ", ".join(
+        f"{name} {share:.3f}" for name, share in zip(("F_N", "F_DP", "F_L"), verdict.model_error, strict=True)
+    )
+    return [
+        f"law: {verdict.model}; chi-square {found.chi_square:.1f} of {found.degrees} forces, reduced {reduced}",
+        f"model error as a share of the load, {source}: {shares}",
+        f"assumed: {'; '.join(verdict.assumed)}",
+    ]
+
+
+def _laws(soil: InferredSoil) -> list[TextTable]:
+    if not soil.scores:
+        return []
+    rows = [
+        [s.law.name, *("-" if v is None else f"{v:.1f}" for v in (s.score, s.behind, s.behind_sigma)),
+         "-" if s.model_error is None else ", ".join(f"{share:.3f}" for share in s.model_error)]
+        for s in soil.scores
+    ]  # fmt: skip
+    notes = ["score: ln density of groups of states left out; taken is the simplest law within one ± of the best"]
+    headers = ["law", "score", "behind", "±", "model error F_N, F_DP, F_L"]
+    return [TextTable(headers, rows, title="Laws compared", notes=notes)]
+
+
+def _predicted(soil: InferredSoil) -> list[TextTable]:
+    found = soil.predicted
+    if found is None:
+        return []
+    rows = [
+        [record["id"], *(f"{record[name]['value']:.1f} [{record[name]['low90']:.1f}, {record[name]['high90']:.1f}]"
+                         for name in ("drawbar_pull_n", "lateral_force_n"))]
+        for record in found.records[:MOST_STATES]
+    ]  # fmt: skip
+    return [TextTable(["state", "F_DP [N], 90 %", "F_L [N], 90 %"], rows, title="Predicted", notes=found.notes())]
+
+
+def _combinations(found: "SoilPosterior") -> Sequence[str]:
+    """The best known directions, in words."""
+    lines = []
+    for left, weights in found.combinations()[:MOST_SHOWN]:
+        if left < SHOWN_SHARE:
+            terms = [f"{value:+.1f} {name}" for name, value in weights.items() if abs(value) > SHOWN_WEIGHT]
+            lines.append(f"known to {100 * left:.0f} % of the prior: {' '.join(terms)} (in units of the prior's sd)")
+    return lines
+
+
+def _digits(value: float) -> str:
+    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"

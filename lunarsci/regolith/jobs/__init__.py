@@ -1,0 +1,1 @@
+"""What can be asked of the regolith: the commands of `lunarsci regolith` as functions."""

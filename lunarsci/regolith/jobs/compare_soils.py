@@ -1,0 +1,137 @@
+"""A site beside soils of the literature."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from lunarsci.errors import DataError, ParameterError, RequestError
+from lunarsci.inputs import Source, read_input
+from lunarsci.regolith.contact import PAPER
+from lunarsci.regolith.jobs.identify import IdentifiedSoil
+from lunarsci.result import MadeFrom, Result, request_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from lunarsci.regolith.compare import Site, SoilComparison
+
+__all__ = ["CompareSoilsRequest", "ComparedSoils", "compare_soils"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CompareSoilsRequest:
+    """The site, where it is not a result.
+
+    Attributes
+    ----------
+    rover : whose wheel sets the width, a name or a TOML file.
+    stiffness [kPa m^-N], exponent [-] : K_s, N, both or none.
+    cohesion [Pa], friction_angle [deg] : c, phi, both or none.
+    """
+
+    rover: str = "yutu2"
+    stiffness: float | None = None
+    exponent: float | None = None
+    cohesion: float | None = None
+    friction_angle: float | None = None
+
+    @property
+    def stated(self) -> bool:
+        """Whether anything of the site is given."""
+        return any(v is not None for v in (self.stiffness, self.exponent, self.cohesion, self.friction_angle))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ComparedSoils(Result):
+    """Soils of the literature beside a site.
+
+    Attributes
+    ----------
+    site, width_m : what is compared, and the wheel's width. [m]
+    soils : with their distances from the site; `lunarsci.regolith.compare.nearest` puts them in order.
+    curves : of single states by aspect, for the picture; None where the site was given by numbers.
+    """
+
+    schema: ClassVar[str] = "regolith-compare/1"
+    site: "Site"
+    width_m: float
+    soils: "Sequence[SoilComparison]"
+    curves: Mapping[str, Any] | None
+    origin: MadeFrom
+
+    @property
+    def made_from(self) -> MadeFrom:
+        return self.origin
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"site": asdict(self.site), "width_m": self.width_m, "soils": self.rows()}
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        return [item.to_dict(self.width_m) for item in self.soils]
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.regolith.figure import comparison_figure
+
+        yield comparison_figure(self.site, self.soils, self.width_m, self.curves)
+
+
+def compare_soils(
+    result: "Source | IdentifiedSoil | None" = None, request: CompareSoilsRequest | None = None, **options: Any
+) -> ComparedSoils:
+    """A site beside terrestrial soils, simulants and lunar sites; `options` replace those of the request.
+
+    Parameters
+    ----------
+    result : of `identify` or `infer`, or the JSON of one; else options give the site.
+
+    Raises RequestError, ParameterError for half a pair or values out of range, DataError for what is no such result.
+    """
+    from lunarsci.provenance import sha256
+    from lunarsci.regolith.compare import compare_site, reference_hash
+    from lunarsci.regolith.wheel import read_wheel
+    from lunarsci.rovers.description import read_rover
+
+    asked = request_of(CompareSoilsRequest, request, options)
+    if (result is None) != asked.stated:
+        raise RequestError("give either a result of `regolith identify --json`, or `stiffness` and its like")
+    description = read_rover(asked.rover)
+    width = read_wheel(description).width_m
+    site, curves, inputs = _site(result, asked)
+    return ComparedSoils(
+        site=site,
+        width_m=width,
+        soils=compare_site(site, width),
+        curves=curves,
+        origin=MadeFrom(
+            inputs=inputs,
+            tables={f"{asked.rover} (rover)": sha256(description.text.encode())} | reference_hash(),
+            sources=[PAPER],
+        ),
+    )
+
+
+def _site(
+    result: "Source | IdentifiedSoil | None", asked: CompareSoilsRequest
+) -> "tuple[Site, Mapping[str, Any] | None, Mapping[str, str]]":
+    """The site, curves of single states, and the files that they come from."""
+    from lunarsci.regolith.compare import Site, site_of
+
+    if result is None:
+        site = Site(
+            stiffness_kpa_m_n=asked.stiffness,
+            sinkage_exponent=asked.exponent,
+            cohesion_pa=asked.cohesion,
+            friction_angle_deg=asked.friction_angle,
+        )
+        return site, None, {}
+    if isinstance(result, IdentifiedSoil):
+        return *site_of(result.to_dict()), result.made_from.inputs
+    file = read_input(result)
+    try:
+        return *site_of(json.loads(file.data)["result"]), {file.name: file.sha256}
+    except (ValueError, KeyError, TypeError) as error:
+        if isinstance(error, ParameterError):
+            raise
+        text = f"{file.name}: is no result of `regolith identify --json`; make one, or give --stiffness"
+        raise DataError(text) from error

@@ -1,0 +1,186 @@
+"""All soil parameters from all wheel states at once, as a posterior."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+from lunarsci.constants import LUNAR_GRAVITY
+from lunarsci.errors import RequestError
+from lunarsci.inputs import Source, read_input
+from lunarsci.regolith.contact import DENSITY_KG_M3, Bulldozing, ContactModel, ShearLaw
+from lunarsci.regolith.jobs.identify import IdentifiedSoil, IdentifyRequest, StatesOfWheel, read_wheel_states
+from lunarsci.regolith.jobs.identify import identify as identify_each
+from lunarsci.result import MadeFrom, request_of
+
+if TYPE_CHECKING:
+    from lunarsci.regolith.inference.posterior import SoilPosterior
+    from lunarsci.regolith.inference.prediction import PredictedStates, WheelLaw, WheelLawScore
+
+__all__ = ["InferRequest", "InferredSoil", "infer"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InferRequest(IdentifyRequest):
+    """What is asked of all states at once, beside what each state gives by itself.
+
+    Attributes
+    ----------
+    prior : TOML file with priors in place of the lunar ones.
+    law : `given`, as the next options say, or `auto`, the one that predicts states left out best.
+    exact : integrate the stresses, see `ContactModel`; any choice that only the integrals know has the same effect.
+    shear, bulldozing, density [kg m^-3], gravity [m s^-2] : these choices.
+    contact : contact angles and the exponent's slope in skid are unknown too; by integration.
+    sample, profile : intervals by draws from the posterior, or by profile; a normal law where neither is set.
+    model_error : share of the load by which the law misses a force; None finds it from the residuals. [-]
+    predict : table of states whose forces the soil predicts.
+    predict_rover : their wheel; None for that of the states.
+
+    Raises RequestError for options that exclude each other.
+    """
+
+    prior: str | None = None
+    law: Literal["given", "auto"] = "given"
+    exact: bool = False
+    shear: ShearLaw = "separate"
+    bulldozing: Bulldozing = "none"
+    density: float = DENSITY_KG_M3
+    gravity: float = LUNAR_GRAVITY.value
+    contact: bool = False
+    sample: bool = False
+    profile: bool = False
+    model_error: float | None = None
+    predict: str | None = None
+    predict_rover: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.sample and self.profile:
+            raise RequestError("`sample` and `profile` are two ways to the intervals; give one")
+        if self.reading != "signed":
+            raise RequestError(f"`reading` {self.reading} only reproduces numbers; this needs signed")
+        if self.law == "auto" and (self.exact or self.beyond):
+            raise RequestError("`law` auto chooses itself; leave out `exact`, `shear`, `bulldozing` and `contact`")
+
+    @property
+    def beyond(self) -> bool:
+        """Whether something is asked for that only the integrals know."""
+        return self.shear != "separate" or self.bulldozing != "none" or self.contact
+
+    @property
+    def wheel_law(self) -> "WheelLaw":
+        """The law that the options name."""
+        from lunarsci.regolith.inference.prediction import WheelLaw
+
+        model = ContactModel(
+            shear=self.shear, bulldozing=self.bulldozing, density_kg_m3=self.density, gravity_m_s2=self.gravity
+        )
+        return WheelLaw(model if self.exact or self.beyond else None, self.contact)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class InferredSoil(IdentifiedSoil):
+    """The soil of all states together, beside what each state gives by itself.
+
+    Attributes
+    ----------
+    posterior : of all parameters, with its verdict.
+    scores : of the laws compared, where the law was chosen.
+    predicted : forces of other states, None where they were not asked for.
+    """
+
+    posterior: "SoilPosterior"
+    scores: "Sequence[WheelLawScore]"
+    predicted: "PredictedStates | None"
+
+    @property
+    def untrusted(self) -> str:
+        verdict = self.posterior.verdict
+        return "" if verdict.trusted else f"not to be trusted: {verdict.reason}"
+
+    def to_dict(self) -> dict[str, Any]:
+        joint = self.posterior.to_dict() | {
+            "laws": [asdict(score) | {"law": score.law.name} for score in self.scores],
+            "predicted": self.predicted.to_dict() if self.predicted else None,
+        }
+        return IdentifiedSoil.to_dict(self) | {"joint": joint}
+
+    def soils(self, kind: str = ".csv") -> bytes:
+        """Soils for `predict` with the verdict: draws from the posterior as `.csv`, or a belief as `.json`."""
+        made = self.posterior.belief().to_json() if kind == ".json" else self.posterior.draws_csv()
+        return made.encode()
+
+
+def infer(
+    states: Source,
+    request: InferRequest | None = None,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> InferredSoil:
+    """The posterior of all eight soil parameters from all wheel states at once; `options` replace those of the request.
+
+    Parameters
+    ----------
+    states : table of wheel states, see `lunarsci.regolith.states.read_states`.
+    progress : called with (done, total).
+
+    Raises RequestError, ParameterError for values out of range, DataError for tables that cannot be used.
+    """
+    from lunarsci.regolith.inference.prediction import predict_states
+    from lunarsci.regolith.prior import prior_hash
+    from lunarsci.regolith.wheel import read_wheel
+
+    asked, source = request_of(InferRequest, request, options), read_input(states)
+    alone = identify_each(source, asked, progress=progress)
+    given = read_wheel_states(source, asked.rover, asked.errors)
+    posterior, scores, inputs = _posterior(asked, given, progress)
+    predicted = None
+    if asked.predict is not None:
+        told = read_input(asked.predict)
+        wheel = given.wheel if asked.predict_rover is None else read_wheel(asked.predict_rover)
+        predicted, inputs = predict_states(posterior, wheel, told, seed=asked.seed), inputs | {told.name: told.sha256}
+    made = alone.made_from
+    return InferredSoil(
+        found=alone.found,
+        shares=alone.shares,
+        assumed=alone.assumed,
+        origin=MadeFrom(
+            inputs={**made.inputs, **inputs},
+            tables={**made.tables, **prior_hash()},
+            sources=made.sources,
+            seed=asked.seed,
+        ),
+        posterior=posterior,
+        scores=scores,
+        predicted=predicted,
+    )
+
+
+def _posterior(
+    asked: InferRequest, given: StatesOfWheel, progress: Callable[[int, int], None] | None
+) -> "tuple[SoilPosterior, Sequence[WheelLawScore], dict[str, str]]":
+    """The posterior, scores of the laws where one was chosen, and the file of priors."""
+    from lunarsci.regolith.inference.posterior import infer_soil
+    from lunarsci.regolith.inference.prediction import candidates, compare_laws
+    from lunarsci.regolith.prior import read_prior
+
+    source = read_input(asked.prior) if asked.prior else None
+    prior = read_prior(source, contact=asked.contact or asked.law == "auto") if source else None
+    law, scores = asked.wheel_law, list[Any]()
+    if asked.law == "auto":
+        laws = candidates(given.states, asked.density, asked.gravity)
+        law, scores = compare_laws(
+            given.states, given.wheel, laws, prior, model_error=asked.model_error, progress=progress
+        )
+    found = infer_soil(
+        given.states,
+        given.wheel,
+        prior,
+        model=law.model,
+        contact=law.contact,
+        model_error=asked.model_error,
+        sample=asked.sample,
+        profile=asked.profile,
+        seed=asked.seed,
+        progress=progress,
+    )
+    return found, scores, {source.name: source.sha256} if source else {}
