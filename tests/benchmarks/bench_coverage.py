@@ -15,9 +15,9 @@ import numpy as np
 from lunarsci.compiled import each_in_threads
 from lunarsci.spectra.mgm.fit import DEFAULT_STARTS, fit_data
 from lunarsci.spectra.mgm.model import KINDS, MgmData, MgmModel, mgm_model, unit_of
+from lunarsci.spectra.mgm.posterior import posterior_intervals, sample_batch
 from lunarsci.spectra.mgm.profile import Intervals, profile_intervals
 from lunarsci.spectra.mgm.result import MgmFit
-from lunarsci.spectra.mgm.sample import posterior_intervals, sample_batch
 
 CHANNELS_NM = np.arange(450.0, 2396.0, 5.0)
 FWHM_OVER_SIGMA = 2.354820045

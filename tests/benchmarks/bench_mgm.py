@@ -18,9 +18,9 @@ import lmfit
 import numpy as np
 from scipy.optimize import least_squares
 
-from lunarsci.spectra.mgm import kernel
-from lunarsci.spectra.mgm.fit import hops_of, starting_points
+from lunarsci.spectra.mgm.fit import fit_batch, hops_of, starting_points
 from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA, model_and_jacobian
+from lunarsci.spectra.mgm.levenberg_marquardt import KernelFits
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model
 
 NOISE = 0.005
@@ -144,8 +144,8 @@ def kernel_rate(case: Problem, starts: int, hops: np.ndarray) -> tuple[float, np
     weight = np.full(case.data.shape, NOISE**-2)
     points = starting_points(case.model, case.data, starts)
 
-    def fit(rows: slice) -> kernel.KernelFits:
-        return kernel.fit_batch(
+    def fit(rows: slice) -> KernelFits:
+        return fit_batch(
             case.data[rows], weight[rows], case.wavelength_nm / 1e3, case.basis, case.model.logarithmic,
             case.model.prior, case.model.precision, case.model.lower, case.model.upper, points[:, rows], hops,
             TOLERANCE, 1000,

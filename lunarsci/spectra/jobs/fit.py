@@ -337,7 +337,7 @@ def _intervals(results: Sequence[Any], request: FitRequest, progress: Progress |
 
     fits = {index: item for index, item in enumerate(results) if isinstance(item, MgmFit) and item.converged}
     if request.errors == "sample":
-        from lunarsci.spectra.mgm.sample import posterior_intervals, sample_batch
+        from lunarsci.spectra.mgm.posterior import posterior_intervals, sample_batch
 
         posteriors = sample_batch(list(fits.values()), seed=request.seed, progress=progress)
         return {index: posterior_intervals(posterior) for index, posterior in zip(fits, posteriors, strict=True)}

@@ -7,19 +7,25 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
+import numba
 import numpy as np
 
+from lunarsci.compiled import each_in_threads
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.mgm import MgmContinuum
-from lunarsci.spectra.mgm.describe import describe
+from lunarsci.spectra.mgm.lanes import LANES
+from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, KernelFits
 from lunarsci.spectra.mgm.model import MGM_CONTINUA, MgmData, MgmModel, prepare
+from lunarsci.spectra.mgm.multistart import Multistart
 from lunarsci.spectra.mgm.result import FittedBand, MgmFailure, MgmFit, StrengthRatio
+from lunarsci.spectra.mgm.uncertainty import build_result
 from lunarsci.spectra.spectrum import FloatArray, Spectrum
 
 __all__ = [
     "DEFAULT_MODEL_ERROR",
     "DEFAULT_STARTS",
     "SPREAD_CONTINUA",
+    "fit_batch",
     "fit_continua",
     "fit_spectra",
     "spread_over_continua",
@@ -40,6 +46,8 @@ CONTINUUM_QUANTILE = 0.95
 TOLERANCE = 1e-4
 MAX_ITERATIONS = 1000
 CHUNK = 64
+MOST_ROWS = 256
+"""Spectra worked on together in one thread: enough to keep the lanes busy, few enough to fit into its memory."""
 
 
 def fit_spectra(
@@ -107,8 +115,6 @@ def _chunks(prepared: dict[int, MgmData]) -> Iterator[list[tuple[int, MgmData]]]
 
 def fit_data(batch: Sequence[MgmData], model: MgmModel, starts: int) -> list[MgmFit]:
     """Fit spectra that share their channels."""
-    from lunarsci.spectra.mgm.kernel import fit_batch
-
     wavelength_nm = batch[0].wavelength_nm
     ln_reflectance = np.log([data.reflectance for data in batch])
     level = ln_reflectance.mean(axis=1) if model.scale_free else np.zeros(len(batch))
@@ -118,7 +124,63 @@ def fit_data(batch: Sequence[MgmData], model: MgmModel, starts: int) -> list[Mgm
         model.logarithmic, model.prior, model.precision, model.lower, model.upper,
         starting_points(model, shifted, starts), hops_of(model), TOLERANCE, MAX_ITERATIONS,
     )  # fmt: skip
-    return [describe(data, model, solved, row, float(level[row])) for row, data in enumerate(batch)]
+    return [build_result(data, model, solved, row, float(level[row])) for row, data in enumerate(batch)]
+
+
+def fit_batch(
+    data: FloatArray, weight: FloatArray, wavelength: FloatArray, basis: FloatArray, logarithmic: bool,
+    prior: FloatArray, precision: FloatArray, lower: FloatArray, upper: FloatArray, starts: FloatArray,
+    hops: FloatArray, tolerance: float, max_iterations: int,
+) -> KernelFits:  # fmt: skip
+    """Fit every row of `data` from every start, in all threads.
+
+    Parameters
+    ----------
+    data, weight : (n_spectra, n) ln R and 1/sigma^2, 0 where masked; the datum there does not matter.
+    wavelength, basis, logarithmic : (n,) [um]; (n, m) continuum basis, of C or of ln C.
+    prior, precision : (p,) and (p, p), mean and inverse covariance (0 for a flat prior).
+    lower, upper : (p,) bounds; equal for a fixed parameter.
+    starts : (n_starts, n_spectra, p).
+    hops : (n_hops, 2) index of a parameter and by how many posterior standard deviations to move it, the others
+        following their correlation, from the minimum found so far: a descent from there finds what random starts rarely
+        do, the minimum in which a neighbouring band does the work. (0, 2) for none.
+    tolerance : expected decrease of the objective, in units of chi-square, at which a fit has converged.
+    """
+    n_spectra = len(data)
+    problem = FitProblem(
+        basis.shape[1], logarithmic, *(np.ascontiguousarray(part) for part in (prior, precision, lower, upper))
+    )
+    usable = weight > 0
+    spectra = Channels(
+        np.ascontiguousarray(wavelength)[None],
+        np.ascontiguousarray(basis.T)[None],
+        np.ascontiguousarray(np.where(usable, data, 0.0)),
+        np.ascontiguousarray(np.sqrt(np.where(usable, weight, 0.0))),
+    )
+    parts = max(1, -(-n_spectra // MOST_ROWS), min(numba.get_num_threads(), n_spectra // LANES))
+    edges = np.linspace(0, n_spectra, parts + 1).astype(int)
+    searches: list[Multistart | None] = [None] * parts
+
+    def some(part: int) -> None:
+        rows = slice(edges[part], edges[part + 1])
+        search = Multistart(spectra.part(rows), problem, tolerance, max_iterations)
+        search.start(starts[:, rows])
+        search.hop(hops)
+        searches[part] = search
+
+    each_in_threads(some, parts)
+    found = [search for search in searches if search is not None]
+    chi2, objective, iterations, status = np.concatenate([search.outcome for search in found]).T
+    return KernelFits(
+        np.concatenate([search.best for search in found]),
+        np.concatenate([search.covariance for search in found]),
+        chi2,
+        objective,
+        iterations,
+        status,
+        np.concatenate([search.competing for search in found]),
+        np.concatenate([search.competing_sigmas for search in found]),
+    )
 
 
 def starting_points(model: MgmModel, ln_reflectance: FloatArray, starts: int) -> FloatArray:

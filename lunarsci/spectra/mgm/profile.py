@@ -228,7 +228,7 @@ def _ratio_profile(fit: MgmFit, name: str) -> _Profile:
 
 def _minimum(fit: MgmFit, model: MgmModel, starts: Sequence[FloatArray]) -> tuple[FloatArray, float]:
     """Point and objective of the lowest minimum under `model`, the objective with the fit's own prior."""
-    from lunarsci.spectra.mgm.kernel import fit_batch
+    from lunarsci.spectra.mgm.fit import fit_batch
 
     solved = fit_batch(
         np.log(fit.reflectance)[None], fit.data.weight[None], fit.wavelength_nm / 1e3, model.basis(fit.wavelength_nm),

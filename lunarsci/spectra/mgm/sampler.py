@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from lunarsci.compiled import VECTORS, compiled
-from lunarsci.spectra.mgm.energy import RIDGE, correct_coarse, energies_of, force_of, lower_factor
+from lunarsci.spectra.mgm.forward import RIDGE, correct_coarse, energies_of, force_of, lower_factor
 
 __all__ = ["run_population"]
 
@@ -84,10 +84,10 @@ def _drift(target: Any, factor: Any, point: Any, momentum: Any, velocity: Any, t
 
 @compiled
 def _trajectory(
-    target: Any, beta: float, factor: Any, step: float, generator: Any, point: Any, energy: Any, room: Any
+    target: Any, beta: float, factor: Any, step: float, generator: Any, point: Any, energy: Any, space: Any
 ) -> float:
     """One Hamiltonian trajectory of `point`, accepted or not; its `energy` follows. Returns 1 where accepted."""
-    trial, momentum, velocity, gradient, ending = room[2]
+    trial, momentum, velocity, gradient, ending = space[2]
     free, change = target[8], 0.0
     step *= generator.uniform(0.8, 1.2)
     for k in range(momentum.size):
@@ -95,19 +95,19 @@ def _trajectory(
         change -= 0.5 * momentum[k] ** 2
     trial[:] = point
     leaps = min(MOST_LEAPS, math.ceil(generator.uniform(SHORTEST, LONGEST) / step))
-    if not force_of(target, beta, trial, room, gradient):
+    if not force_of(target, beta, trial, space, gradient):
         return 0.0
     for leap in range(leaps):
         _push(factor, free, gradient, 0.5 * step if leap == 0 else step, momentum)
         _velocity(factor, momentum, velocity)
         if not _drift(target, factor, trial, momentum, velocity, step):
             return 0.0
-        if not force_of(target, beta, trial, room, gradient):
+        if not force_of(target, beta, trial, space, gradient):
             return 0.0
     _push(factor, free, gradient, 0.5 * step, momentum)
     for k in range(momentum.size):
         change += 0.5 * momentum[k] ** 2
-    energies_of(target, trial, room, ending)
+    energies_of(target, trial, space, ending)
     change += beta * (ending[0] - energy[0]) + ending[1] - energy[1] + (1.0 - beta) * (ending[2] - energy[2])
     if not math.log(generator.random()) < -change:
         return 0.0
@@ -117,12 +117,12 @@ def _trajectory(
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def _move_all(
-    target: Any, beta: float, factor: Any, tuning: Any, generator: Any, particles: Any, energies: Any, room: Any
+    target: Any, beta: float, factor: Any, tuning: Any, generator: Any, particles: Any, energies: Any, space: Any
 ) -> None:
     """One trajectory of every particle; `tuning` is the step's length, to be adapted, and the acceptance."""
     accepted = 0.0
     for i in range(particles.shape[0]):
-        accepted += _trajectory(target, beta, factor, tuning[0], generator, particles[i], energies[i], room)
+        accepted += _trajectory(target, beta, factor, tuning[0], generator, particles[i], energies[i], space)
     tuning[1] = accepted / particles.shape[0]
     tuning[0] *= math.exp(TUNING * (tuning[1] - WANTED_ACCEPTANCE))
     tuning[0] = min(max(tuning[0], LEAST_STEP), MOST_STEP)
@@ -220,7 +220,7 @@ def _correlation(before: Any, after: Any, free: Any) -> float:
 
 def _stage(
     target: Any, groups: Any, beta: float, factor: Any, tuning: Any, generator: Any, particles: Any, energies: Any,
-    ancestors: Any, weights: Any, room: Any,
+    ancestors: Any, weights: Any, space: Any,
 ) -> Any:  # fmt: skip
     """Raise beta, resample and move; returns the new beta and how many trajectories each particle made."""
     beta = _next_beta(beta, energies, weights)
@@ -228,35 +228,35 @@ def _stage(
     _factor_of(particles, even, target[8], factor)
     chosen = _drawn(weights, generator.random())
     particles[:], energies[:], ancestors[:] = particles[chosen], energies[chosen], ancestors[chosen]
-    correct_coarse(target, groups, particles[np.argmin(energies[:, 0] + energies[:, 1])], room)
+    correct_coarse(target, groups, particles[np.argmin(energies[:, 0] + energies[:, 1])], space)
     before, moves, kept = particles.copy(), 0, 1.0
     while kept > FORGOTTEN and moves < MOST_MOVES:
-        _move_all(target, beta, factor, tuning, generator, particles, energies, room)
+        _move_all(target, beta, factor, tuning, generator, particles, energies, space)
         kept, moves = _correlation(before, particles, target[8]), moves + 1
     return beta, moves
 
 
 def _settle(
-    target: Any, factor: Any, tuning: Any, generator: Any, particles: Any, energies: Any, weights: Any, room: Any
+    target: Any, factor: Any, tuning: Any, generator: Any, particles: Any, energies: Any, weights: Any, space: Any
 ) -> int:
     """Move on the posterior itself until the resampled copies have parted; returns how often."""
     before, moves, kept = particles.copy(), 0, 1.0
     while moves < LEAST_SETTLING or (kept > SETTLED and moves < MOST_SETTLING):
         if moves % FRESH == 0:
             _factor_of(particles, weights, target[8], factor)
-        _move_all(target, 1.0, factor, tuning, generator, particles, energies, room)
+        _move_all(target, 1.0, factor, tuning, generator, particles, energies, space)
         kept, moves = _correlation(before, particles, target[8]), moves + 1
     return moves
 
 
-def _room(size: int, channels: int) -> Any:
+def _workspace(size: int, channels: int) -> Any:
     return np.empty((size, channels)), np.empty(channels), np.empty(channels), np.empty(channels, dtype=np.int64)
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
-def _energies_of_all(target: Any, particles: Any, room: Any, energies: Any) -> None:
+def _energies_of_all(target: Any, particles: Any, space: Any, energies: Any) -> None:
     for i in range(particles.shape[0]):
-        energies_of(target, particles[i], room, energies[i])
+        energies_of(target, particles[i], space, energies[i])
 
 
 def run_population(
@@ -279,25 +279,25 @@ def run_population(
     """
     free, (count, size) = target[8], particles.shape
     points = (np.empty(size), np.empty(free.size), np.empty(free.size), np.empty(size), np.empty(3))
-    room = (_room(size, target[0][0].size), _room(size, target[1][0].size), points)
+    space = (_workspace(size, target[0][0].size), _workspace(size, target[1][0].size), points)
     tuning, weights, energies = np.array([FIRST_STEP, 0.0]), np.empty(count), np.empty((count, 3))
-    _energies_of_all(target, particles, room, energies)
+    _energies_of_all(target, particles, space, energies)
     for _ in range(FIRST_MOVES):
-        _move_all(target, 0.0, factor, tuning, generator, particles, energies, room)
+        _move_all(target, 0.0, factor, tuning, generator, particles, energies, space)
     beta, report[:] = 0.0, 0.0
     ancestors[:] = np.arange(count)
     while beta < 1.0:
         beta, moves = _stage(
-            target, groups, beta, factor, tuning, generator, particles, energies, ancestors, weights, room
+            target, groups, beta, factor, tuning, generator, particles, energies, ancestors, weights, space
         )
         report[0] += 1
         report[1] += moves
         if beta < PARTED:
             ancestors[:] = np.arange(count)
     weights[:] = 1.0 / count
-    report[1] += _settle(target, factor, tuning, generator, particles, energies, weights, room)
+    report[1] += _settle(target, factor, tuning, generator, particles, energies, weights, space)
     for r in range(draws.shape[0]):
-        _move_all(target, 1.0, factor, tuning, generator, particles, energies, room)
+        _move_all(target, 1.0, factor, tuning, generator, particles, energies, space)
         report[2] += tuning[1] / draws.shape[0]
         draws[r], objective[r] = particles, 2.0 * (energies[:, 0] + energies[:, 1])
     report[3] = tuning[0]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import truncnorm
 
-from lunarsci.spectra.mgm.covariance import bounded_covariance
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model
+from lunarsci.spectra.mgm.uncertainty import bounded_covariance
 
 
 def model_of_two() -> MgmModel:

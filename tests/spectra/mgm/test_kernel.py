@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 from lmfit.lineshapes import gaussian
 
+from lunarsci.spectra.mgm.fit import fit_batch
 from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA, model_and_jacobian
-from lunarsci.spectra.mgm.kernel import CONVERGED, ITERATION_LIMIT, NOT_FINITE, KernelFits, fit_batch
+from lunarsci.spectra.mgm.levenberg_marquardt import CONVERGED, ITERATION_LIMIT, NOT_FINITE, KernelFits
 from lunarsci.spectra.mgm.model import MGM_CONTINUA, continuum_basis, is_logarithmic
 
 GRID_NM = np.arange(450.0, 2396.0, 5.0)

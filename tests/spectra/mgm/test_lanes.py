@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 from lunarsci.compiled import compiled
-from lunarsci.spectra.mgm.contest import coarsened, correct
-from lunarsci.spectra.mgm.covariance import update
-from lunarsci.spectra.mgm.descent import Channels, Task, channels_of, fill_lane, room_for
 from lunarsci.spectra.mgm.forward import bell, logarithm, model_and_jacobian
 from lunarsci.spectra.mgm.lanes import LANES, aligned, load, spread, store
+from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, channels_of, fill_lane, workspace_for
 from lunarsci.spectra.mgm.model import continuum_basis
-from lunarsci.spectra.mgm.moments import evaluate
-from lunarsci.spectra.mgm.normal import back_substitute, factorise, invert, matrix_side, padded_matrix
+from lunarsci.spectra.mgm.moments import evaluate, update
+from lunarsci.spectra.mgm.multistart import coarsened, correct
+from lunarsci.spectra.mgm.normal_equations import back_substitute, factorise, invert, matrix_side, padded_matrix
 
 GRID_NM = np.arange(450.0, 2396.0, 5.0)
 BANDS = np.array([[0.3, 0.25, -0.5], [0.92, 0.19, -0.35], [1.02, 0.05, -0.20], [1.86, 0.52, -0.25]])
@@ -48,12 +47,12 @@ def test_systems_are_solved_and_inverted(size: int) -> None:
     rng = np.random.default_rng(size)
     roots, right = rng.normal(size=(LANES, size, size)), rng.normal(size=(LANES, size))
     matrices = roots @ roots.transpose(0, 2, 1) + 0.1 * np.eye(size)
-    room, solution, inverse = padded_matrix(size), aligned(size + 1), aligned(size * size)
-    side = matrix_side(room)
+    space, solution, inverse = padded_matrix(size), aligned(size + 1), aligned(size * size)
+    side = matrix_side(space)
     for p in range(size):
-        room[p * side + p : p * side + size] = matrices[:, p, p:].T
-        room[(p + 1) * side - 4] = right[:, p]
-    _solve(room, size, solution, inverse)
+        space[p * side + p : p * side + size] = matrices[:, p, p:].T
+        space[(p + 1) * side - 4] = right[:, p]
+    _solve(space, size, solution, inverse)
     assert (solution[size] > 0).all()
     upper = inverse.T.reshape(LANES, size, size)
     for lane in range(LANES):
@@ -62,17 +61,17 @@ def test_systems_are_solved_and_inverted(size: int) -> None:
 
 
 def test_a_matrix_that_is_not_positive_definite_is_reported_in_its_lane() -> None:
-    room, solution, inverse = padded_matrix(2), aligned(3), aligned(4)
-    room[0], room[matrix_side(room) + 1] = 1.0, 1.0
-    room[1] = np.where(np.arange(LANES) == 3, 2.0, 0.5)
-    _solve(room, 2, solution, inverse)
+    space, solution, inverse = padded_matrix(2), aligned(3), aligned(4)
+    space[0], space[matrix_side(space) + 1] = 1.0, 1.0
+    space[1] = np.where(np.arange(LANES) == 3, 2.0, 0.5)
+    _solve(space, 2, solution, inverse)
     assert ((solution[2] > 0) == (np.arange(LANES) != 3)).all()
 
 
 @compiled
-def _normal_equations(room: Any, degrees: int, logarithmic: bool) -> None:
-    evaluate(channels_of(room), room.trial, degrees, logarithmic, 1, room.work, room.residuals, room.sums)
-    update(room.sums, room.trial, degrees, spread(1.0), room.curvature, room.slope)
+def _normal_equations(space: Any, degrees: int, logarithmic: bool) -> None:
+    evaluate(channels_of(space), space.trial, degrees, logarithmic, 1, space.work, space.residuals, space.sums)
+    update(space.sums, space.trial, degrees, spread(1.0), space.curvature, space.slope)
 
 
 @pytest.mark.parametrize("name", ["wavelength-quadratic", "log-quadratic", "none"])
@@ -84,21 +83,21 @@ def test_normal_equations_are_those_of_the_jacobian(name: str) -> None:
     ]
     data, root = rng.normal(-1, 0.1, (LANES, GRID_NM.size)), rng.uniform(50, 100, (LANES, GRID_NM.size))
     spectra = Channels(GRID_NM[None] / 1e3, np.ascontiguousarray(basis.T)[None], data, root)
-    room = room_for(points[0].size, degrees, GRID_NM.size)
+    space = workspace_for(points[0].size, degrees, GRID_NM.size)
     for lane in range(LANES):
-        fill_lane(spectra, lane, room, lane)
-        room.trial[:, lane] = points[lane]
-    _normal_equations(room, degrees, logarithmic)
+        fill_lane(spectra, lane, space, lane)
+        space.trial[:, lane] = points[lane]
+    _normal_equations(space, degrees, logarithmic)
     for lane in range(LANES):
         found = model_and_jacobian(points[lane], GRID_NM / 1e3, basis, logarithmic)
         assert found is not None
         jacobian, residual = found[1] * root[lane], (data[lane] - found[0]) * root[lane]
         curvature = jacobian @ jacobian.T
         scale = np.sqrt(np.outer(np.diag(curvature), np.diag(curvature)))
-        ours = room.curvature[:, lane].reshape(curvature.shape)
+        ours = space.curvature[:, lane].reshape(curvature.shape)
         assert np.allclose(np.triu(ours / scale), np.triu(curvature / scale), atol=1e-11)
-        assert np.allclose(room.slope[:, lane], jacobian @ residual, rtol=1e-9)
-        assert room.sums[(degrees + 1) ** 2 - 1, lane] == pytest.approx(residual @ residual, rel=1e-12)
+        assert np.allclose(space.slope[:, lane], jacobian @ residual, rtol=1e-9)
+        assert space.sums[(degrees + 1) ** 2 - 1, lane] == pytest.approx(residual @ residual, rel=1e-12)
 
 
 def test_corrected_coarse_spectra_have_the_slope_of_the_fine_ones() -> None:
@@ -113,10 +112,18 @@ def test_corrected_coarse_spectra_have_the_slope_of_the_fine_ones() -> None:
     fine = Channels(GRID_NM[None] / 1e3, np.ascontiguousarray(basis.T)[None], data, root)
     size = point.size
     sigma = np.concatenate([[np.inf] * 2, np.tile([0.02, 0.03, 0.2], 3)])
-    task = Task(2, False, point, np.diag(sigma**-2.0), np.full(size, -np.inf), np.full(size, np.inf))
+    problem = FitProblem(2, False, point, np.diag(sigma**-2.0), np.full(size, -np.inf), np.full(size, np.inf))
     points = np.tile(point * 1.001, (3, 1))
     before, after = coarsened(fine, 8), coarsened(fine, 8)
-    correct(fine, after, 8, task, points, room_for(size, 2, GRID_NM.size), room_for(size, 2, after.data.shape[1]))
+    correct(
+        fine,
+        after,
+        8,
+        problem,
+        points,
+        workspace_for(size, 2, GRID_NM.size),
+        workspace_for(size, 2, after.data.shape[1]),
+    )
 
     def slope(spectra: Channels, row: int) -> tuple[np.ndarray, np.ndarray]:
         own = min(row, len(spectra.wavelength) - 1)
@@ -127,6 +134,6 @@ def test_corrected_coarse_spectra_have_the_slope_of_the_fine_ones() -> None:
 
     for row in range(3):
         wanted, curvature = slope(fine, row)
-        covariance = np.linalg.inv(curvature + task.precision)
+        covariance = np.linalg.inv(curvature + problem.precision)
         was, now = (slope(spectra, row)[0] - wanted for spectra in (before, after))
         assert now @ covariance @ now < 1e-2 * (was @ covariance @ was)

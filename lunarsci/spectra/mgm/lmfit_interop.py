@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.mgm.describe import describe
 from lunarsci.spectra.mgm.forward import model_and_jacobian
-from lunarsci.spectra.mgm.kernel import CONVERGED, ITERATION_LIMIT, KernelFits
+from lunarsci.spectra.mgm.levenberg_marquardt import CONVERGED, ITERATION_LIMIT, KernelFits
 from lunarsci.spectra.mgm.model import MIN_FWHM_UM, TIE_SIGMA, MgmModel, unit_of
 from lunarsci.spectra.mgm.result import MgmFit
+from lunarsci.spectra.mgm.uncertainty import build_result
 from lunarsci.spectra.spectrum import FloatArray
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ def refit(fit: MgmFit, parameters: "Parameters") -> MgmFit:
     status = CONVERGED if result.success else ITERATION_LIMIT
     numbers = ((residual[:channels] ** 2).sum(), residual @ residual, result.nfev, status, np.inf, 0.0)
     solved = KernelFits(point[None], fit.covariance[None], *(np.array([float(number)]) for number in numbers))
-    return describe(fit.data, _tied_model(changed, result.params, point), solved, 0, 0.0)
+    return build_result(fit.data, _tied_model(changed, result.params, point), solved, 0, 0.0)
 
 
 class _Objective:

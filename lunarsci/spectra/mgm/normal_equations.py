@@ -38,7 +38,7 @@ LEAST_PIVOT = 1e-300
 
 
 def padded_matrix(size: int) -> FloatArray:
-    """Room for the matrix of a system of so many unknowns, (rows columns, 8)."""
+    """Workspace for the matrix of a system of so many unknowns, (rows columns, 8)."""
     rows = -(-size // TILE) * TILE
     side = rows + TILE
     matrix = aligned(rows * side)

@@ -1,4 +1,4 @@
-"""The contest of the minima of some spectra: which is lowest, and how close comes the next.
+"""The search of the minima of some spectra: which is lowest, and how close comes the next.
 
 Descents on coarse spectra are cheap and find the candidates; only one that may be the lowest is finished on all
 channels. Hops from the lowest find what random starts rarely do, the minimum in which a neighbouring band does the
@@ -17,24 +17,32 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.compiled import compiled
-from lunarsci.spectra.mgm.covariance import update
-from lunarsci.spectra.mgm.descent import (
+from lunarsci.spectra.mgm.lanes import LANES, choose, load, spread, store
+from lunarsci.spectra.mgm.levenberg_marquardt import (
     NOT_FINITE,
     Channels,
-    Room,
-    Rules,
-    Task,
+    DescentOptions,
+    FitProblem,
+    Workspace,
     channels_of,
     descend,
     fill_lane,
-    room_for,
+    workspace_for,
 )
-from lunarsci.spectra.mgm.lanes import LANES, choose, load, spread, store
-from lunarsci.spectra.mgm.moments import evaluate
-from lunarsci.spectra.mgm.normal import damped, factorise, invert, matrix_side, solve_step
+from lunarsci.spectra.mgm.moments import evaluate, update
+from lunarsci.spectra.mgm.normal_equations import damped, factorise, invert, matrix_side, solve_step
 from lunarsci.spectra.spectrum import FloatArray
 
-__all__ = ["COARSE_CHANNELS", "RIVAL_CHI2", "SAME_SIGMAS", "Contest", "coarse_size", "coarsened", "correct", "inverses"]
+__all__ = [
+    "COARSE_CHANNELS",
+    "COMPETING_CHI2",
+    "SAME_SIGMAS",
+    "Multistart",
+    "coarse_size",
+    "coarsened",
+    "correct",
+    "inverses",
+]
 
 COARSE_CHANNELS = 128
 """On simulated spectra 48 find the minima as often and 10 % faster; on rover spectra, whose misfit is not noise, the
@@ -82,12 +90,19 @@ def _coarsen(fine: Any, together: int, coarse: Any) -> None:
 
 
 @compiled
-def _slope(room: Any, task: Any, curved: int) -> None:
-    """Residuals, J r and, where `curved` is 1, J J' of a room's spectra at its trial points."""
+def _slope(space: Any, problem: Any, curved: int) -> None:
+    """Residuals, J r and, where `curved` is 1, J J' of a workspace's spectra at its trial points."""
     evaluate(
-        channels_of(room), room.trial, task.degrees, task.logarithmic, curved, room.work, room.residuals, room.sums
+        channels_of(space),
+        space.trial,
+        problem.degrees,
+        problem.logarithmic,
+        curved,
+        space.work,
+        space.residuals,
+        space.sums,
     )
-    update(room.sums, room.trial, task.degrees, spread(1.0), room.curvature, room.slope)
+    update(space.sums, space.trial, problem.degrees, spread(1.0), space.curvature, space.slope)
 
 
 @compiled
@@ -105,7 +120,7 @@ def _shift_to_means(fine: Any, coarse: Any, together: int) -> None:
 
 
 @compiled
-def _shift_slope(fine: Any, coarse: Any, task: Any) -> None:
+def _shift_slope(fine: Any, coarse: Any, problem: Any) -> None:
     """Shift the coarse data by what the model changes along the step by which the two slopes differ."""
     size = coarse.point.shape[0]
     one, none = spread(1.0), spread(0.0)
@@ -114,13 +129,13 @@ def _shift_slope(fine: Any, coarse: Any, task: Any) -> None:
         store(coarse.pull, p, none)
         store(coarse.free, p, one)
     least = solve_step(
-        coarse.curvature, task.precision, one, one, coarse.slope, coarse.pull, coarse.free, 0,
+        coarse.curvature, problem.precision, one, one, coarse.slope, coarse.pull, coarse.free, 0,
         coarse.matrix, coarse.step,
     )  # fmt: skip
     for p in range(size):
         store(coarse.trial, p, load(coarse.point, p) + choose(least, load(coarse.step, p), none))
     before = coarse.residuals.copy()
-    _slope(coarse, task, 0)
+    _slope(coarse, problem, 0)
     for i in range(coarse.data.shape[0]):
         own = load(coarse.roots, i)
         shift = (load(before, i) - load(coarse.residuals, i)) / choose(own, own, one)
@@ -128,7 +143,9 @@ def _shift_slope(fine: Any, coarse: Any, task: Any) -> None:
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
-def correct(fine: Any, coarse: Any, together: int, task: Any, points: Any, fine_room: Any, coarse_room: Any) -> None:
+def correct(
+    fine: Any, coarse: Any, together: int, problem: Any, points: Any, fine_space: Any, coarse_space: Any
+) -> None:
     """Shift the coarse data so that at the points, (rows, p), coarse residuals are the means of the fine ones and the
     slope of the coarse objective is that of the fine one.
 
@@ -140,48 +157,48 @@ def correct(fine: Any, coarse: Any, together: int, task: Any, points: Any, fine_
     for first in range(0, rows, LANES):
         for lane in range(LANES):
             row = min(first + lane, rows - 1)
-            fill_lane(fine, row, fine_room, lane)
-            fill_lane(coarse, row, coarse_room, lane)
+            fill_lane(fine, row, fine_space, lane)
+            fill_lane(coarse, row, coarse_space, lane)
             for p in range(points.shape[1]):
-                fine_room.trial[p, lane] = points[row, p]
-                coarse_room.trial[p, lane] = points[row, p]
-                coarse_room.point[p, lane] = points[row, p]
-        _slope(fine_room, task, 0)
-        _slope(coarse_room, task, 0)
-        _shift_to_means(fine_room, coarse_room, together)
-        _slope(coarse_room, task, 1)
-        _shift_slope(fine_room, coarse_room, task)
+                fine_space.trial[p, lane] = points[row, p]
+                coarse_space.trial[p, lane] = points[row, p]
+                coarse_space.point[p, lane] = points[row, p]
+        _slope(fine_space, problem, 0)
+        _slope(coarse_space, problem, 0)
+        _shift_to_means(fine_space, coarse_space, together)
+        _slope(coarse_space, problem, 1)
+        _shift_slope(fine_space, coarse_space, problem)
         for lane in range(min(LANES, rows - first)):
             for cell in range(coarse.data.shape[1]):
-                coarse.data[first + lane, cell] = coarse_room.data[cell, lane]
+                coarse.data[first + lane, cell] = coarse_space.data[cell, lane]
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
-def _invert_all(curvatures: Any, task: Any, room: Any, covariances: Any) -> None:
-    jobs, size, state = curvatures.shape[0], curvatures.shape[1], room.state
-    one, side = spread(1.0), matrix_side(room.matrix)
+def _invert_all(curvatures: Any, problem: Any, space: Any, covariances: Any) -> None:
+    jobs, size, state = curvatures.shape[0], curvatures.shape[1], space.state
+    one, side = spread(1.0), matrix_side(space.matrix)
     for first in range(0, jobs, LANES):
         for p in range(size):
-            store(room.free, p, one)
+            store(space.free, p, one)
             for q in range(p, size):
                 for lane in range(LANES):
-                    room.curvature[p * size + q, lane] = curvatures[min(first + lane, jobs - 1), p, q]
-        damped(room.curvature, task.precision, one, one, room.free, size, side, room.matrix)
-        store(state, 0, factorise(room.matrix, side))
-        invert(room.matrix, size, side, room.curvature)
+                    space.curvature[p * size + q, lane] = curvatures[min(first + lane, jobs - 1), p, q]
+        damped(space.curvature, problem.precision, one, one, space.free, size, side, space.matrix)
+        store(state, 0, factorise(space.matrix, side))
+        invert(space.matrix, size, side, space.curvature)
         for lane in range(min(LANES, jobs - first)):
             regular = state[0, lane] > 0.0
             for p in range(size):
                 for q in range(p, size):
-                    value = room.curvature[p * size + q, lane] if regular else np.nan
+                    value = space.curvature[p * size + q, lane] if regular else np.nan
                     covariances[first + lane, p, q] = value
                     covariances[first + lane, q, p] = value
 
 
-def inverses(curvatures: FloatArray, task: Task, room: Room) -> FloatArray:
+def inverses(curvatures: FloatArray, problem: FitProblem, space: Workspace) -> FloatArray:
     """(J J' + precision)^-1 from the upper triangles of J J', (jobs, p, p); NaN where there is none."""
     covariances = np.empty_like(curvatures)
-    _invert_all(curvatures, task, room, covariances)
+    _invert_all(curvatures, problem, space, covariances)
     return covariances
 
 
@@ -196,34 +213,36 @@ COARSE_DOUBT = 3.0
 """By how much the order of two minima may differ between coarse and full spectrum."""
 MAX_ROUNDS = 4
 FIRST_DAMPING, LATER_DAMPING = 1e-3, 1e-6
-RIVAL_CHI2 = 5.0
-"""A minimum higher by this or more is no rival of the best."""
+COMPETING_CHI2 = 5.0
+"""A minimum higher by this or more is no competing of the best."""
 SAME_SIGMAS = 0.5
 """Minima within this of each other, in posterior standard deviations, are one."""
 
 
-class Contest:
+class Multistart:
     """Fits of spectra (n rows) that share their channels.
 
     Attributes
     ----------
     best, covariance, outcome : (n, p), (n, p, p) and (n, 4): chi-square, objective, iterations, status.
-    rival, rival_sigmas : (n,) how much higher the next minimum is, and how far it lies.
+    competing, competing_sigmas : (n,) how much higher the next minimum is, and how far it lies.
     """
 
-    def __init__(self, fine: Channels, task: Task, tolerance: float, max_iterations: int) -> None:
+    def __init__(self, fine: Channels, problem: FitProblem, tolerance: float, max_iterations: int) -> None:
         rows, channels = fine.data.shape
-        size = task.prior.size
-        self.task, self.tolerance, self.max_iterations = task, tolerance, max_iterations
+        size = problem.prior.size
+        self.problem, self.tolerance, self.max_iterations = problem, tolerance, max_iterations
         self.together = coarse_size(channels)
         self.fine = fine
         self.coarse = coarsened(fine, self.together)
         self.used = [np.count_nonzero(spectra.root_weight, axis=1).astype(float) for spectra in (fine, self.coarse)]
-        self.rooms = tuple(room_for(size, task.degrees, spectra.data.shape[1]) for spectra in (fine, self.coarse))
+        self.spaces = tuple(
+            workspace_for(size, problem.degrees, spectra.data.shape[1]) for spectra in (fine, self.coarse)
+        )
         self.best, self.outcome = np.empty((rows, size)), np.tile([np.nan, np.inf, 0.0, NOT_FINITE], (rows, 1))
         self.covariance = np.full((rows, size, size), np.nan)
         self.floor = np.full(rows, np.inf)
-        self.rival, self.rival_sigmas = np.full(rows, np.inf), np.zeros(rows)
+        self.competing, self.competing_sigmas = np.full(rows, np.inf), np.zeros(rows)
 
     def start(self, starts: FloatArray) -> None:
         """Descend from every start, (s, n, p), and finish the lowest."""
@@ -235,7 +254,7 @@ class Contest:
         alive = np.flatnonzero(np.isfinite(outcomes[lowest, 1]))
         self._settle(alive)
         floor = outcomes[lowest, 1][every]
-        others = np.isfinite(self.floor[every]) & (outcomes[:, 1] < floor + RIVAL_CHI2)
+        others = np.isfinite(self.floor[every]) & (outcomes[:, 1] < floor + COMPETING_CHI2)
         others[lowest] = False
         others &= self._apart(every, points) > SAME_SIGMAS
         self._challenge(every[others], points[others])
@@ -250,7 +269,7 @@ class Contest:
             points, outcomes = self._explore(every, points, HOP_TOLERANCE)
             higher, apart = outcomes[:, 1] - self.floor[every], self._apart(every, points)
             back = apart**2 < SAME_BASIN * (np.maximum(higher, 0.0) + HOP_TOLERANCE)
-            keep = (higher < RIVAL_CHI2 + COARSE_TOLERANCE) & ~back
+            keep = (higher < COMPETING_CHI2 + COARSE_TOLERANCE) & ~back
             rows = self._challenge(every[keep], points[keep])
 
     def _displaced(self, rows: IntArray, hops: FloatArray) -> tuple[IntArray, FloatArray]:
@@ -275,9 +294,11 @@ class Contest:
     ) -> tuple[FloatArray, FloatArray]:
         """Where points lead to on the coarse spectrum, and the outcomes."""
         found, outcomes = np.array(points), np.empty((len(rows), 4))
-        rules = Rules(tempering, FIRST_DAMPING if tempering else LATER_DAMPING, tolerance, self.max_iterations)
+        options = DescentOptions(
+            tempering, FIRST_DAMPING if tempering else LATER_DAMPING, tolerance, self.max_iterations
+        )
         descend(
-            self.coarse, self.used[1], self.task, rules, rows, found, outcomes, self.rooms[1],
+            self.coarse, self.used[1], self.problem, options, rows, found, outcomes, self.spaces[1],
             np.empty((0, 1, 1)),
         )  # fmt: skip
         return found, outcomes
@@ -286,9 +307,9 @@ class Contest:
         """Where points lead to on all channels, the outcomes and the covariances."""
         found, outcomes = np.array(points), np.empty((len(rows), 4))
         curvatures = np.empty((len(rows), found.shape[1], found.shape[1]))
-        rules = Rules(False, LATER_DAMPING, self.tolerance, self.max_iterations)
-        descend(self.fine, self.used[0], self.task, rules, rows, found, outcomes, self.rooms[0], curvatures)
-        return found, outcomes, inverses(curvatures, self.task, self.rooms[0])
+        options = DescentOptions(False, LATER_DAMPING, self.tolerance, self.max_iterations)
+        descend(self.fine, self.used[0], self.problem, options, rows, found, outcomes, self.spaces[0], curvatures)
+        return found, outcomes, inverses(curvatures, self.problem, self.spaces[0])
 
     def _settle(self, rows: IntArray) -> None:
         """Finish the lowest coarse minima, the coarse data corrected there."""
@@ -296,7 +317,7 @@ class Contest:
             return
         points = self.best[rows]
         if self.together > 1:
-            correct(self.fine, self.coarse, self.together, self.task, self.best, *self.rooms)
+            correct(self.fine, self.coarse, self.together, self.problem, self.best, *self.spaces)
         points, outcomes = self._explore(rows, points, self.tolerance, tempering=False)
         self.floor[rows] = outcomes[:, 1]
         self.best[rows], self.outcome[rows], self.covariance[rows] = self._finish(rows, points)
@@ -307,7 +328,7 @@ class Contest:
             return rows
         points, outcomes = self._explore(rows, points, self.tolerance, tempering=False)
         higher, apart = outcomes[:, 1] - self.floor[rows], self._apart(rows, points)
-        keep = (higher < RIVAL_CHI2) & (apart > SAME_SIGMAS)
+        keep = (higher < COMPETING_CHI2) & (apart > SAME_SIGMAS)
         rows, points, higher, apart = rows[keep], points[keep], higher[keep], apart[keep]
         order = self._distinct(rows, points, higher)
         rows, points, higher, apart = rows[order], points[order], higher[order], apart[order]
@@ -339,11 +360,11 @@ class Contest:
         won = rows[better]
         self.floor[won] += higher[better]
         self.best[won], self.outcome[won], self.covariance[won] = points[better], outcomes[better], covariance[better]
-        self.rival[won], self.rival_sigmas[won] = -difference[better], apart[better]
+        self.competing[won], self.competing_sigmas[won] = -difference[better], apart[better]
         return np.asarray(won)
 
     def _note(self, rows: IntArray, higher: FloatArray, apart: FloatArray) -> None:
         """Remember the lowest of other minima."""
         for row, value, sigmas in zip(rows, higher, apart, strict=True):
-            if value < self.rival[row]:
-                self.rival[row], self.rival_sigmas[row] = value, sigmas
+            if value < self.competing[row]:
+                self.competing[row], self.competing_sigmas[row] = value, sigmas

@@ -10,8 +10,8 @@ from scipy.stats import truncnorm
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.mgm.fit import fit_data
 from lunarsci.spectra.mgm.model import MgmData, MgmModel, mgm_model
+from lunarsci.spectra.mgm.posterior import FitPosterior, posterior_intervals, sample_batch, sample_posterior
 from lunarsci.spectra.mgm.result import MgmFit
-from lunarsci.spectra.mgm.sample import FitPosterior, posterior_intervals, sample_batch, sample_posterior
 
 GRID = np.arange(450.0, 2396.0, 5.0)
 NOISE = 0.005

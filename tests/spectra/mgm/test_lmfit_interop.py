@@ -8,7 +8,7 @@ import pytest
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.mgm import fit as fit_module
 from lunarsci.spectra.mgm.fit import fit_spectra
-from lunarsci.spectra.mgm.handover import refit, to_lmfit, to_minimizer
+from lunarsci.spectra.mgm.lmfit_interop import refit, to_lmfit, to_minimizer
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model
 from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.spectrum import Spectrum

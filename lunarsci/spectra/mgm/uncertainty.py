@@ -1,20 +1,70 @@
-"""From the kernel's numbers to an `MgmFit`: errors, shrinkage, bounds, calibration errors, remarks.
+"""Errors of a fit: Laplace's covariance with bounds taken into account, and what errors that channels share add.
 
-How a fit follows errors that all channels share: its response to a small change of the data.
+From the kernel's numbers to an `MgmFit`: errors, shrinkage, bounds, calibration errors, remarks.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from lunarsci.spectra.mgm.covariance import bounded_covariance
 from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA, model_and_jacobian
-from lunarsci.spectra.mgm.kernel import CONVERGED, KernelFits
+from lunarsci.spectra.mgm.levenberg_marquardt import CONVERGED, KernelFits
 from lunarsci.spectra.mgm.model import MgmData, MgmModel
 from lunarsci.spectra.mgm.result import FittedBand, MgmFit, band_strength_ratios
 from lunarsci.spectra.spectrum import FloatArray
 
-__all__ = ["describe", "follow_shifts", "misfit_curvature"]
+__all__ = ["bounded_covariance", "build_result", "follow_shifts", "misfit_curvature"]
+
+
+def bounded_covariance(
+    curvature: FloatArray, gradient: FloatArray | None, point: FloatArray, model: MgmModel
+) -> FloatArray:
+    """Inverse curvature of the parameters that are free, shape (p, p), as far as those on a bound let them.
+
+    A parameter that the data press against a bound has a one-sided density, exp(-g t - h t^2 / 2) in the distance t
+    from the bound, g the slope there and h the curvature with the free ones following; its variance is the mean of
+    t^2, and the free ones follow it. Without `gradient` such parameters do not move at all. Fixed ones have variance 0.
+    """
+    held = ((point <= model.lower) | (point >= model.upper)) & ~model.fixed
+    free = ~held & ~model.fixed
+    covariance = np.zeros_like(curvature)
+    inverse = _inverse(curvature[np.ix_(free, free)])
+    covariance[np.ix_(free, free)] = inverse
+    if gradient is None:
+        return covariance
+    for k in np.flatnonzero(held):
+        follow = -inverse @ curvature[free, k]
+        bend = float(curvature[k, k] + curvature[k, free] @ follow)
+        variance = _one_sided(abs(float(gradient[k])), bend)
+        move = np.zeros(point.size)
+        move[k], move[free] = 1.0, follow
+        covariance += variance * np.outer(move, move)
+    return covariance
+
+
+def _inverse(matrix: FloatArray) -> FloatArray:
+    try:
+        return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return np.full_like(matrix, np.nan)
+
+
+def _one_sided(slope: float, bend: float) -> float:
+    """Mean of t^2 under exp(-slope t - bend t^2 / 2), t >= 0: normal law truncated at 0."""
+    if not bend > 0:
+        return math.nan
+    root = math.sqrt(bend)
+    a = slope / root
+    if a > TAIL:
+        return 2.0 / slope**2 * (1.0 - 5.0 / a**2)
+    ratio = math.exp(-0.5 * a * a) * math.sqrt(2.0 / math.pi) / math.erfc(a / math.sqrt(2.0))
+    return (1.0 + a * a - a * ratio) / bend
+
+
+TAIL = 30.0
+"""From here on the law is an exponential one with a first correction, to 1e-4, and the error function runs out."""
+
 
 LEAST_KEPT = 0.1
 """Share of the curvature that must be left for the first order to be believed; assumed."""
@@ -94,7 +144,7 @@ class _Solution:
     reduced_chi2: float
 
 
-def describe(data: MgmData, model: MgmModel, solved: KernelFits, row: int, level: float) -> MgmFit:
+def build_result(data: MgmData, model: MgmModel, solved: KernelFits, row: int, level: float) -> MgmFit:
     """The fit of row `row`, whose ln R was shifted by -`level` before it was fitted."""
     converged = solved.status[row] == CONVERGED
     point, chi2 = _shifted_back(model, solved.parameters[row], level), float(solved.chi2[row])
@@ -172,7 +222,7 @@ def _status(model: MgmModel, solved: KernelFits, row: int, point: FloatArray, co
             f"not converged after {solved.iterations[row]:.0f} iterations; try other bands, priors or another continuum"
         )
     remarks = ["converged"]
-    if solved.rival[row] < AMBIGUOUS_CHI2 and solved.rival_sigmas[row] > AMBIGUOUS_SIGMAS:
+    if solved.competing[row] < AMBIGUOUS_CHI2 and solved.competing_sigmas[row] > AMBIGUOUS_SIGMAS:
         remarks.append("ambiguous: another start ends in a different minimum that fits almost as well")
     if strained := _strained(model, point):
         remarks.append(f"strained: {', '.join(strained)} lie far from where these minerals have them")
