@@ -6,13 +6,14 @@ Everything that can go wrong here is a `DataError` of one line: the file, what i
 import codecs
 import glob
 import hashlib
+import json
 import re
 import sys
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 
@@ -22,11 +23,12 @@ if TYPE_CHECKING:
     import pandas as pd
     from astropy.table import Table
 
-__all__ = ["InputFile", "Source", "expand_inputs", "read_input", "text", "together"]
+__all__ = ["InputFile", "Source", "expand_inputs", "read_input", "read_json", "text", "together"]
 
 Source: TypeAlias = "str | Path | InputFile | IO[Any] | pd.DataFrame | Table"
 """What can be read: a path, - for standard input, an open file, a table in memory, or what was read already."""
 
+Made = TypeVar("Made")
 _UNPRINTABLE = re.compile(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f-\x9f]")
 _UNPRINTABLE_SHARE = 0.1
 
@@ -134,6 +136,24 @@ def text(input: InputFile) -> str:
     if not decoded.strip():
         raise DataError(f"{input.name}: holds only blanks; check how it was made or downloaded")
     return decoded
+
+
+def read_json(input: InputFile, kind: str, made: Callable[[Any], Made]) -> Made:
+    """What `made` makes of a JSON document; NaN and infinities are refused.
+
+    Raises DataError for text that is no JSON, and where `made` raises ParameterError; `kind` says what it should be.
+    """
+
+    def refuse(name: str) -> float:
+        raise ParameterError(f"{name} is no number that {kind} can have")
+
+    try:
+        return made(json.loads(text(input), parse_constant=refuse))
+    except json.JSONDecodeError as error:
+        message = f"{input.name}, line {error.lineno}: not valid JSON: {error.msg}; is the file complete?"
+        raise DataError(message) from error
+    except ParameterError as error:
+        raise DataError(f"{input.name}: {error}") from error
 
 
 def _decoded(input: InputFile) -> str:

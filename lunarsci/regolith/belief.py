@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import InputFile, text
+from lunarsci.errors import ParameterError
+from lunarsci.inputs import InputFile, read_json
 from lunarsci.regolith.fit_verdict import FitVerdict, verdict_of
 from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy
 from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, values_of
@@ -174,18 +174,7 @@ def belief_of(document: Mapping[str, Any]) -> SoilBelief:
 
 def read_belief(source: InputFile) -> SoilBelief:
     """Read a belief. Raises DataError for text that is no belief."""
-    try:
-        return belief_of(json.loads(text(source), parse_constant=_refuse))
-    except json.JSONDecodeError as error:
-        raise DataError(
-            f"{source.name}, line {error.lineno}: not valid JSON: {error.msg}; is the file complete?"
-        ) from error
-    except ParameterError as error:
-        raise DataError(f"{source.name}: {error}") from error
-
-
-def _refuse(name: str) -> float:
-    raise ParameterError(f"{name} is no number that a belief can have")
+    return read_json(source, "a belief", belief_of)
 
 
 STATE = ("mean", "covariance")

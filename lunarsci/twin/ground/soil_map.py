@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import InputFile, text
+from lunarsci.errors import ParameterError
+from lunarsci.inputs import InputFile, read_json
 from lunarsci.regolith.belief import SoilBelief, belief_of
 from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy
 from lunarsci.regolith.prior import PARAMETERS, Law, default_prior
@@ -271,14 +271,7 @@ def soil_map_bytes(soil_map: SoilMap) -> bytes:
 
 def read_soil_map(source: InputFile) -> SoilMap:
     """Read a soil map. Raises DataError for text that is none."""
-    try:
-        return _soil_map(json.loads(text(source), parse_constant=_refuse))
-    except json.JSONDecodeError as error:
-        raise DataError(
-            f"{source.name}, line {error.lineno}: not valid JSON: {error.msg}; is the file complete?"
-        ) from error
-    except ParameterError as error:
-        raise DataError(f"{source.name}: {error}") from error
+    return read_json(source, "a soil map", _soil_map)
 
 
 def _soil_map(document: Any) -> SoilMap:
@@ -300,7 +293,3 @@ def _soil_map(document: Any) -> SoilMap:
 def _zone(entry: Mapping[str, Any]) -> Zone:
     places = [np.array(entry[key], dtype=np.float64) for key in ("x_m", "y_m")]
     return Zone(name=str(entry["name"]), place_m=np.column_stack(places), belief=belief_of(entry["belief"]))
-
-
-def _refuse(name: str) -> float:
-    raise ParameterError(f"{name} is no number that a soil map can have")
