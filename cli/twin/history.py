@@ -14,7 +14,8 @@ from ..shared.report import Report
 from ..shared.table import TextTable
 
 if TYPE_CHECKING:
-    from lunarsci.regolith.belief import BeliefDistance, SoilBelief
+    from lunarsci.regolith.belief import SoilBelief
+    from lunarsci.regolith.belief_history import BeliefDistance
     from lunarsci.twin.jobs.history import BeliefHistory
 
 __all__ = ["add_to"]
@@ -70,7 +71,7 @@ def history(
 
 
 def _tables(found: "BeliefHistory", save: Path | None) -> list[TextTable]:
-    from lunarsci.regolith.ground_law import parameter_rows
+    from lunarsci.regolith.belief_history import parameter_rows
 
     from .belief_tables import parameter_table
 

@@ -96,7 +96,7 @@ def update(
 
 
 def _tables(found: "LearnedSoil") -> list[TextTable]:
-    from lunarsci.regolith.ground_law import parameter_rows
+    from lunarsci.regolith.belief_history import parameter_rows
 
     from .belief_tables import discrepancy_table, parameter_table
 

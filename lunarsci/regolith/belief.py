@@ -1,43 +1,116 @@
 """What is believed of a soil: a normal law of its transformed parameters, kept between drives as a file.
 
-What a belief went through: its state after each drive, going back to one, and two beliefs side by side.
+Whether a soil that was fitted to wheel states may be trusted, and the files that say so.
 """
 
-import dataclasses
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.errors import ParameterError
-from lunarsci.inputs import InputFile, read_json
-from lunarsci.regolith.fit_verdict import FitVerdict, verdict_of
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.inputs import InputFile, read_json, text
 from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy
 from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, values_of
 
 __all__ = [
     "SCHEMA",
-    "BeliefDistance",
-    "ParameterDistance",
+    "FitVerdict",
     "SoilBelief",
     "belief_of",
-    "compare_beliefs",
+    "doubt",
     "first_belief",
-    "moved_sd",
-    "past_beliefs",
     "read_belief",
-    "rolled_back",
-    "shared_drives",
-    "with_drive",
+    "read_verdict",
+    "verdict_line",
+    "verdict_of",
 ]
 
 FloatArray = npt.NDArray[np.float64]
 SCHEMA = "lunarsci/soil-belief/1"
 ASYMMETRY = 1e-9
+MARK = "# verdict of the fit: "
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FitVerdict:
+    """What a fit of a soil says about itself.
+
+    Attributes
+    ----------
+    trusted : whether a soil of this model explains the states.
+    reason : why not, in a sentence that names the columns to look at; empty where it may be trusted.
+    model : name of the wheel-soil law.
+    model_error : share of the load by which the law misses F_N, F_DP and F_L. [-]
+    model_error_from : `residuals` or `given`.
+    reduced_chi_square : of the states kept, after that error; None where there are no more forces than parameters. [-]
+    assumed : sentences, what the fit had to assume.
+
+    Raises ParameterError for a verdict without its reason.
+    """
+
+    trusted: bool
+    reason: str
+    model: str
+    model_error: tuple[float, float, float]
+    model_error_from: str
+    reduced_chi_square: float | None
+    assumed: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.trusted == bool(self.reason):
+            raise ParameterError("a verdict is trusted, or says why not")
+        if len(self.model_error) != 3:
+            raise ParameterError("a model error has a share for F_N, F_DP and F_L")
+
+    def to_dict(self) -> dict[str, Any]:
+        """As `verdict_of` reads it."""
+        return asdict(self)
+
+
+def verdict_of(document: Any) -> FitVerdict | None:
+    """The verdict of a parsed document, None for None. Raises ParameterError for what is none."""
+    if document is None:
+        return None
+    if not isinstance(document, Mapping):
+        raise ParameterError("its verdict is no table")
+    fields = dict(document)
+    try:
+        if not isinstance(fields["trusted"], bool):
+            raise ParameterError("its verdict is neither true nor false")
+        for name, kind in (("model_error", float), ("assumed", str)):
+            fields[name] = tuple(kind(value) for value in fields.get(name, ()))
+        return FitVerdict(**fields)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ParameterError(f"its verdict cannot be read: {error}") from error
+
+
+def doubt(verdict: FitVerdict) -> str:
+    """Why soils with this verdict are not to be driven on, for people; empty where they may be."""
+    if verdict.trusted:
+        return ""
+    return f"the soils come from a fit that is not to be trusted: {verdict.reason}"
+
+
+def verdict_line(verdict: FitVerdict) -> str:
+    """The first line of a table of soils, a comment to other programs."""
+    return MARK + json.dumps(verdict.to_dict(), sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def read_verdict(source: InputFile) -> FitVerdict | None:
+    """The verdict that a table of soils or a belief carries, None where it carries none. Raises DataError."""
+    content = text(source)
+    try:
+        if source.name.lower().endswith(".json"):
+            document = json.loads(content)
+            return verdict_of(document.get("verdict") if isinstance(document, dict) else None)
+        first = content.partition("\n")[0].rstrip("\r")
+        return verdict_of(json.loads(first.removeprefix(MARK))) if first.startswith(MARK) else None
+    except (json.JSONDecodeError, ParameterError) as error:
+        raise DataError(f"{source.name}: {error}") from error
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,180 +248,3 @@ def belief_of(document: Mapping[str, Any]) -> SoilBelief:
 def read_belief(source: InputFile) -> SoilBelief:
     """Read a belief. Raises DataError for text that is no belief."""
     return read_json(source, "a belief", belief_of)
-
-
-STATE = ("mean", "covariance")
-"""Keys of an entry that hold the belief after its drive; entries of older files have none."""
-
-
-def with_drive(
-    after: SoilBelief,
-    before: SoilBelief,
-    drive: Mapping[str, Any],
-    *,
-    parent_sha256: str | None = None,
-    forgotten: float = 0.0,
-) -> SoilBelief:
-    """The belief after a drive, with the drive and its own state at the end of its history.
-
-    Parameters
-    ----------
-    after, before : the belief after the drive, and that before it, which holds the history so far.
-    drive : what the drive was and how it was explained, as plain values; kept as it is.
-    parent_sha256 : of the file that held the belief before; None where it was the priors.
-    forgotten : share of the way back to the priors that was gone before the drive counted, 0 to 1.
-    """
-    state = {
-        "mean": after.mean.tolist(),
-        "covariance": after.covariance.tolist(),
-        "discrepancy": after.discrepancy.to_dict(),
-    }
-    entry = {**drive, "parent_sha256": parent_sha256, "forgotten": forgotten, **state}
-    return dataclasses.replace(after, history=(*before.history, entry))
-
-
-def past_beliefs(belief: SoilBelief) -> list[SoilBelief | None]:
-    """The belief after 0, 1, ... drives, None where the file did not keep it. (drives + 1)
-
-    The first is the priors, the last the belief itself, with its population; those between are normal laws.
-    Raises ParameterError for an entry whose state is no belief.
-    """
-    past: list[SoilBelief | None] = [first_belief(belief.laws)]
-    for number, entry in enumerate(belief.history[:-1], 1):
-        past.append(_state(belief, entry, number))
-    return [*past, belief] if belief.history else [belief]
-
-
-def _state(belief: SoilBelief, entry: Mapping[str, Any], number: int) -> SoilBelief | None:
-    if any(key not in entry for key in STATE):
-        return None
-    try:
-        mean, covariance = (np.array(entry[key], dtype=np.float64) for key in STATE)
-        kept = entry.get("discrepancy")
-        discrepancy = FIRST if kept is None else PhysicsDiscrepancy.of(kept)
-        return SoilBelief(belief.laws, mean, covariance, belief.history[:number], discrepancy=discrepancy)
-    except (KeyError, TypeError, ValueError) as error:
-        raise ParameterError(f"history, drive {number}: {error}") from error
-
-
-def rolled_back(belief: SoilBelief, drives: int) -> SoilBelief:
-    """The belief as it was after so many of its drives; 0 gives the priors.
-
-    Mean and covariance come back to the digit. The population of an earlier moment is not kept in a file: what comes
-    back is a normal law, but for the belief as it is. Raises ParameterError for a number out of range, and for a state
-    that the file does not hold.
-    """
-    if not 0 <= drives <= len(belief.history):
-        raise ParameterError(f"cannot go back to {drives} drives; the belief rests on {len(belief.history)}")
-    found = past_beliefs(belief)[drives]
-    if found is None:
-        raise ParameterError(f"the state after drive {drives} was not kept; its update came from an older version")
-    return found
-
-
-def moved_sd(belief: SoilBelief) -> list[dict[str, float] | None]:
-    """How far each drive moved each parameter's transform, in standard deviations of the state before. [-]
-
-    None for a drive before or after which the state was not kept. What was forgotten before the drive counts as moved.
-    """
-    past = past_beliefs(belief)
-    return [
-        None if one is None or two is None else _named((two.mean - one.mean) / np.sqrt(np.diag(one.covariance)))
-        for one, two in pairwise(past)
-    ]
-
-
-def _named(values: FloatArray) -> dict[str, float]:
-    return dict(zip(PARAMETERS, map(float, values), strict=True))
-
-
-def shared_drives(one: SoilBelief, other: SoilBelief) -> int:
-    """Number of drives, from the first on, that two beliefs have in common: same states file, same values, same state.
-
-    Both rest on them, so that they are no independent witnesses of the soil.
-    """
-    count = 0
-    for mine, theirs in zip(one.history, other.history, strict=False):
-        if dict(mine) != dict(theirs):
-            break
-        count += 1
-    return count
-
-
-@dataclass(frozen=True, slots=True)
-class ParameterDistance:
-    """One parameter in two beliefs.
-
-    Attributes
-    ----------
-    one, other : median and 68 % limits, in the parameter's unit.
-    difference_sd : other less one, of the transforms, in units of the root of the summed variances. [-]
-    bhattacharyya : distance of the two normal laws of the transform, 0 where they are equal. [-]
-    """
-
-    one: tuple[float, float, float]
-    other: tuple[float, float, float]
-    difference_sd: float
-    bhattacharyya: float
-
-
-@dataclass(frozen=True, slots=True)
-class BeliefDistance:
-    """Two beliefs side by side.
-
-    Attributes
-    ----------
-    parameters : by name.
-    difference_sd : of the whole, root of the mean square of the difference in units of the summed covariances: about 1
-        where two independent beliefs of one soil differ as they should. [-]
-    bhattacharyya : distance of the normal laws of all transforms, 0 where they are equal. [-]
-    kullback_leibler : information that is lost where the first stands for the other, and the reverse. [nat]
-    shared_drives : that both rest on.
-    """
-
-    parameters: dict[str, ParameterDistance]
-    difference_sd: float
-    bhattacharyya: float
-    kullback_leibler: tuple[float, float]
-    shared_drives: int
-
-
-def compare_beliefs(one: SoilBelief, other: SoilBelief) -> BeliefDistance:
-    """Hold two beliefs beside each other, as the normal laws of their means and covariances.
-
-    Sources: A. Bhattacharyya (1946), Sankhya 7, 401; S. Kullback & R. A. Leibler (1951), Ann. Math. Stat. 22, 79,
-    10.1214/aoms/1177729694. Raises ParameterError for beliefs whose parameters are transformed otherwise.
-    """
-    strange = [name for name in PARAMETERS if one.laws[name].of != other.laws[name].of]
-    if strange:
-        raise ParameterError(f"the beliefs do not compare: {strange[0]} is transformed otherwise in the two")
-    mine, theirs = one.intervals(), other.intervals()
-    off, total = other.mean - one.mean, one.covariance + other.covariance
-    rows = {}
-    for k, name in enumerate(PARAMETERS):
-        pair = [(law.mean[k : k + 1], law.covariance[k : k + 1, k : k + 1]) for law in (one, other)]
-        apart = float(off[k] / np.sqrt(total[k, k]))
-        rows[name] = ParameterDistance(mine[name], theirs[name], apart, _bhattacharyya(*pair[0], *pair[1]))
-    return BeliefDistance(
-        rows,
-        float(np.sqrt(off @ np.linalg.solve(total, off) / len(PARAMETERS))),
-        _bhattacharyya(one.mean, one.covariance, other.mean, other.covariance),
-        (_kullback_leibler(other, one), _kullback_leibler(one, other)),
-        shared_drives(one, other),
-    )
-
-
-def _bhattacharyya(mean: FloatArray, covariance: FloatArray, other: FloatArray, others: FloatArray) -> float:
-    """(1/8) d' S^-1 d + (1/2) ln(det S / sqrt(det A det B)), S = (A + B)/2, d the difference of the means."""
-    middle, off = 0.5 * (covariance + others), other - mean
-    ln_det = [float(np.linalg.slogdet(matrix)[1]) for matrix in (middle, covariance, others)]
-    return float(off @ np.linalg.solve(middle, off)) / 8.0 + 0.5 * (ln_det[0] - 0.5 * (ln_det[1] + ln_det[2]))
-
-
-def _kullback_leibler(true: SoilBelief, model: SoilBelief) -> float:
-    """(1/2) (tr(M^-1 T) + d' M^-1 d - n + ln det M - ln det T)."""
-    off = model.mean - true.mean
-    spread = float(np.trace(np.linalg.solve(model.covariance, true.covariance)))
-    shift = float(off @ np.linalg.solve(model.covariance, off))
-    ln_det = float(np.linalg.slogdet(model.covariance)[1] - np.linalg.slogdet(true.covariance)[1])
-    return 0.5 * (spread + shift - len(PARAMETERS) + ln_det)

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from lunarsci.regolith.belief import SoilBelief, past_beliefs, rolled_back, shared_drives
+from lunarsci.regolith.belief import SoilBelief
+from lunarsci.regolith.belief_history import past_beliefs, rolled_back, shared_drives
 from lunarsci.regolith.compare import KINDS, Site, SoilComparison, lateral_soils, nearest
 from lunarsci.regolith.contact import ContactModel, Reading
 from lunarsci.regolith.forces import WheelForces

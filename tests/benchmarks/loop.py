@@ -35,7 +35,7 @@ from mujoco_rover import Driven
 from true_drives import DRIVEN_BY, Case, chain, terrains
 
 from lunarsci.regolith.belief import first_belief
-from lunarsci.regolith.ground_law import ground_moments
+from lunarsci.regolith.belief_history import ground_moments
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.regolith.states import MeasurementErrors
 from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord

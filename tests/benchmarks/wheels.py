@@ -27,8 +27,8 @@ import pandas as pd
 from scipy.optimize import least_squares
 
 from lunarsci.errors import ParameterError
+from lunarsci.regolith.belief import FitVerdict
 from lunarsci.regolith.contact import ContactModel
-from lunarsci.regolith.fit_verdict import FitVerdict
 from lunarsci.regolith.inference.posterior import infer_soil
 from lunarsci.regolith.inference.prediction import WheelLaw, candidates, compare_laws, predict_forces
 from lunarsci.regolith.integrals import contact_forces, moving_contact_forces

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from lunarsci.inputs import read_input
-from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief, with_drive
+from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
+from lunarsci.regolith.belief_history import with_drive
 from lunarsci.regolith.physics_discrepancy import FIRST
 
 Run = Callable[..., Any]

@@ -9,7 +9,8 @@ import pandas as pd
 import pytest
 
 from lunarsci.provenance import sha256
-from lunarsci.regolith.belief import first_belief, with_drive
+from lunarsci.regolith.belief import first_belief
+from lunarsci.regolith.belief_history import with_drive
 
 Run = Callable[..., Any]
 

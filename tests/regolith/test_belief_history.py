@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import ParameterError
-from lunarsci.regolith.belief import (
-    SoilBelief,
-    belief_of,
+from lunarsci.regolith.belief import SoilBelief, belief_of, first_belief
+from lunarsci.regolith.belief_history import (
     compare_beliefs,
-    first_belief,
     moved_sd,
     past_beliefs,
     rolled_back,

@@ -7,9 +7,8 @@ import pytest
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile
-from lunarsci.regolith.belief import read_belief
+from lunarsci.regolith.belief import FitVerdict, doubt, read_belief, read_verdict, verdict_line
 from lunarsci.regolith.contact import ContactModel
-from lunarsci.regolith.fit_verdict import FitVerdict, doubt, read_verdict, verdict_line
 from lunarsci.regolith.inference.posterior import SoilPosterior, infer_soil
 from lunarsci.regolith.inference.prediction import candidates, compare_laws, predict_states
 from lunarsci.regolith.integrals import contact_forces

@@ -10,8 +10,15 @@ from scipy.stats import t
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import read_input
-from lunarsci.regolith.belief import SoilBelief, first_belief, past_beliefs, read_belief, rolled_back, with_drive
-from lunarsci.regolith.ground_law import OTHER_PHYSICS, ground_intervals, ground_moments
+from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
+from lunarsci.regolith.belief_history import (
+    OTHER_PHYSICS,
+    ground_intervals,
+    ground_moments,
+    past_beliefs,
+    rolled_back,
+    with_drive,
+)
 from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy, VarianceLaw
 from lunarsci.regolith.prior import PARAMETERS
 

@@ -17,9 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import LunarSciWarning, ParameterError
-from lunarsci.regolith.belief import SoilBelief
+from lunarsci.regolith.belief import FitVerdict, SoilBelief, verdict_line
 from lunarsci.regolith.contact import ContactModel
-from lunarsci.regolith.fit_verdict import FitVerdict, verdict_line
 from lunarsci.regolith.inference.mode import (
     Mode,
     find_mode,

@@ -11,7 +11,8 @@ from lunarsci.result import MadeFrom, Result, request_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from lunarsci.regolith.belief import BeliefDistance, SoilBelief
+    from lunarsci.regolith.belief import SoilBelief
+    from lunarsci.regolith.belief_history import BeliefDistance
 
 __all__ = ["BeliefHistory", "HistoryRequest", "history"]
 
@@ -64,7 +65,7 @@ class BeliefHistory(Result):
         return MadeFrom(inputs={file.name: file.sha256 for file in files if file}, sources=SOURCES)
 
     def to_dict(self) -> dict[str, Any]:
-        from lunarsci.regolith.ground_law import parameter_rows
+        from lunarsci.regolith.belief_history import parameter_rows
 
         back = self.rolled_back
         return {
@@ -77,8 +78,7 @@ class BeliefHistory(Result):
 
     def rows(self) -> list[dict[str, Any]]:
         """One for each number of drives and parameter, from the priors on."""
-        from lunarsci.regolith.belief import rolled_back
-        from lunarsci.regolith.ground_law import parameter_rows
+        from lunarsci.regolith.belief_history import parameter_rows, rolled_back
         from lunarsci.regolith.prior import PARAMETERS
 
         first: dict[str, Any] = dict.fromkeys(("states", "plan", "refused", "moved_sd"))
@@ -105,7 +105,8 @@ def history(belief: Source, request: HistoryRequest | None = None, **options: An
 
     Raises DataError for files that hold no belief, and for more drives than it rests on.
     """
-    from lunarsci.regolith.belief import compare_beliefs, read_belief, rolled_back
+    from lunarsci.regolith.belief import read_belief
+    from lunarsci.regolith.belief_history import compare_beliefs, rolled_back
 
     asked = request_of(HistoryRequest, request, options)
     source = read_input(belief)
@@ -127,8 +128,7 @@ def history(belief: Source, request: HistoryRequest | None = None, **options: An
 
 
 def _drives(belief: "SoilBelief") -> list[dict[str, Any]]:
-    from lunarsci.regolith.belief import moved_sd, past_beliefs
-    from lunarsci.regolith.ground_law import parameter_rows
+    from lunarsci.regolith.belief_history import moved_sd, parameter_rows, past_beliefs
 
     steps = zip(belief.history, moved_sd(belief), past_beliefs(belief)[1:], strict=True)
     return [

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import LunarSciWarning, ParameterError, RequestError
-from lunarsci.regolith.fit_verdict import FitVerdict, doubt, read_verdict
+from lunarsci.regolith.belief import FitVerdict, doubt, read_verdict
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.ground.driven_soil import DrivenSoil

@@ -152,7 +152,7 @@ class LearnedSoil(Result):
         return "; ".join([f"nothing was learned: {self.found.refused}", *(change.text for change in self.changes)])
 
     def to_dict(self) -> dict[str, Any]:
-        from lunarsci.regolith.ground_law import parameter_rows
+        from lunarsci.regolith.belief_history import parameter_rows
 
         found, soil_map = self.found, self.soil_map
         return {
@@ -191,7 +191,7 @@ class LearnedSoil(Result):
 
     def rows(self) -> list[dict[str, Any]]:
         """One a parameter."""
-        from lunarsci.regolith.ground_law import parameter_rows
+        from lunarsci.regolith.belief_history import parameter_rows
 
         return [{"parameter": name} | row for name, row in parameter_rows(self.belief).items()]
 
@@ -292,7 +292,7 @@ def _with_history(
     found: "SoilUpdate", before: Before, known: "DriveInputs", states: InputFile, forget: float, *, scored: bool
 ) -> "SoilUpdate":
     """The belief with the drive in its history; its discrepancy says that it rests on the drive's end, if `scored`."""
-    from lunarsci.regolith.belief import with_drive
+    from lunarsci.regolith.belief_history import with_drive
 
     belief, law = found.belief, found.belief.discrepancy
     if scored and not found.refused and not law.has_scored(states.sha256):
