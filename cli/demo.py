@@ -1,12 +1,16 @@
 """`lunarsci demo`: the whole chain on embedded synthetic data."""
 
-from typing import Annotated
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 
 from .shared.command import command
 from .shared.options import Output
 from .shared.report import Report
+from .shared.table import TextTable, plus_minus
 from .shared.talk import say
 
 __all__ = ["add_to"]
@@ -27,12 +31,31 @@ def demo(
 
     Inputs, tables and pictures go to the folder lunarsci-demo, or to -o DIR; try the other commands on them.
     """
-    from .demo_report import demo_report, drive, ground
-    from .demo_rock import rock
+    from lunarsci.reproduce.demo import demo
 
-    say("1/3 a synthetic rock: calibration, bands and Modified Gaussian Model", quiet=output.quiet)
-    the_rock = rock(seed)
-    say("2/3 a drive of 9.8 m on synthetic terrain, over 81 soils", quiet=output.quiet)
-    the_drive = drive(seed)
-    say("3/3 the soil that the wheels of that drive reveal", quiet=output.quiet)
-    return demo_report(the_rock, the_drive, ground(the_drive, seed), seed, output.path)
+    result = demo(seed, say=partial(say, quiet=output.quiet))
+    return Report.of(result, [_table(result.rows(), output.path)], files=result.files, figures=None)
+
+
+def _table(findings: Sequence[Mapping[str, Any]], folder: Path | None) -> TextTable:
+    rows = [
+        [
+            f["quantity"],
+            plus_minus(f["value"], f["sigma"], digits=_digits(f["value"])),
+            plus_minus(f["truth"], digits=_digits(f["value"])),
+            f["unit"],
+            f["picture"],
+        ]
+        for f in findings
+    ]
+    notes = [
+        "Everything here is synthetic: a rock that exists nowhere on ground that was made up.",
+        f"Pictures and tables are in {folder}. Try the commands on them, for example:",
+        f"  lunarsci spectra fit {folder}/rock.ecsv",
+        f"  lunarsci regolith identify {folder}/wheel_states.csv --lateral-modulus 20",
+    ]
+    return TextTable(["what was found", "value", "truth", "unit", "picture"], rows, notes=notes)
+
+
+def _digits(value: float) -> int:
+    return 1 if abs(value) >= 10 else 3

@@ -1,51 +1,92 @@
 """`lunarsci reproduce`: the published numbers beside ours."""
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING
 
 import typer
 
+from lunarsci.reproduce.job import ReproduceRequest
+
 from .shared.command import command
-from .shared.options import Output
+from .shared.options import Output, option
+from .shared.progress import progress
 from .shared.report import Report
+from .shared.table import TextTable
+
+if TYPE_CHECKING:
+    from lunarsci.reproduce.job import Reproduction
+    from lunarsci.reproduce.numbers import Number
 
 __all__ = ["add_to"]
+
+OPTIONS = {
+    "part": option("Which of the numbers, and of the pages of --plot; rock is another name of spectra."),
+    "rocks": option(
+        "Measured spectra of boulders of Chang'E-4, in any form that `spectra fit` reads; of files with other "
+        "targets too, those with 'rock' in their name. May be repeated.",
+        metavar="FILE",
+    ),
+    "rover": option("Rover that drives, and whose wheel is taken: a name or a TOML file.", show_default="yutu2"),
+}
+TITLES = {"spectra": "The rock", "soil": "The soil", "drive": "The drive"}
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "reproduce")(reproduce)
+    command(app, "reproduce", request=ReproduceRequest, options=OPTIONS)(reproduce)
 
 
-def reproduce(
-    output: Output,
-    part: Annotated[
-        Literal["all", "spectra", "rock", "soil", "drive"],
-        typer.Option(help="Which of the numbers, and of the pages of --plot; rock is another name of spectra."),
-    ] = "all",
-    rocks: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="FILE",
-            help="Measured spectra of boulders of Chang'E-4, in any form that `spectra fit` reads; of files with other "
-            "targets too, those with 'rock' in their name. May be repeated.",
-        ),
-    ] = None,
-    rover: Annotated[
-        str | None,
-        typer.Option(help="Rover that drives, and whose wheel is taken: a name or a TOML file.", show_default="yutu2"),
-    ] = None,
-) -> Report:
+def reproduce(request: ReproduceRequest, output: Output) -> Report:
     """Numbers of Ding et al. (2024) beside what lunarsci makes of what they publish, with a verdict on each.
 
     -v prints the reading and the evidence of each number, --plot FILE.pdf draws the paper's figures. The paper comes
     without its measured spectra and its terrain; with --rocks more of the numbers of the rock can be looked at.
     """
-    from .reproduce_report import found_numbers, reproduce_report
+    from lunarsci.reproduce.job import reproduce
 
-    of_the_rock = part in ("spectra", "rock")
-    if of_the_rock and rover is not None:
-        raise typer.BadParameter(f"--rover has no use with --part {part}, where nothing drives; leave it out")
-    if rocks and part in ("soil", "drive"):
-        raise typer.BadParameter(f"--rocks has no use with --part {part}; give --part spectra, or leave it out")
-    found = found_numbers("spectra" if of_the_rock else part, rocks or [], rover or "yutu2", quiet=output.quiet)
-    return reproduce_report(found, verbose=output.verbose)
+    with progress("reproducing", quiet=output.quiet) as update:
+        found = reproduce(request, progress=update)
+    return Report.of(found, [_table(found, output.verbose)])
+
+
+def _table(found: "Reproduction", verbose: bool) -> TextTable:
+    """One line a number, by part."""
+    rows, numbers = [], found.numbers
+    for part in found.parts:
+        rows.append([TITLES[part], *[""] * 6])
+        rows += [_row(number) for number in numbers if number.part == part]
+    headers = ["number", "quantity", "published", "ours", "range", "unit", "verdict"]
+    for column in (2, 3, 4):
+        width = max(len(headers[column]), *(len(row[column]) for row in rows))
+        headers[column] = headers[column].rjust(width)
+        rows = [[*row[:column], row[column].rjust(width), *row[column + 1 :]] for row in rows]
+    return TextTable(headers, rows, notes=_notes(found, verbose))
+
+
+def _row(number: "Number") -> list[str]:
+    own = [f"{number.published:g}", _ours(number), _range(number), number.unit, number.verdict]
+    return [f"  {number.id}", number.quantity, *own]
+
+
+def _ours(number: "Number") -> str:
+    if number.ours is None:
+        return "-"
+    return f"({number.ours:.4g})" if number.is_open else f"{number.ours:.4g}"
+
+
+def _range(number: "Number") -> str:
+    return "-" if number.low is None or number.high is None else f"{number.low:.4g} to {number.high:.4g}"
+
+
+def _evidence(number: "Number") -> list[str]:
+    reading = [f"    reading: {number.reading}"] if number.reading else []
+    return [f"  {number.id}", *reading, f"    {number.reason}"]
+
+
+def _notes(found: "Reproduction", verbose: bool) -> list[str]:
+    numbers, counts = found.numbers, "; ".join(f"{count} {verdict}" for verdict, count in found.verdicts.items())
+    notes = [f"{len(numbers)} numbers: {counts}"]
+    if any(number.is_open and number.ours is not None for number in numbers):
+        notes.append("in brackets: an example under an assumption that nothing published supports or rules out")
+    if verbose:
+        return [*notes, "readings and evidence", *(line for number in numbers for line in _evidence(number))]
+    return [*notes, "readings and evidence: -v, or --json"]

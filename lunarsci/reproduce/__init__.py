@@ -1,1 +1,1 @@
-"""The numbers of Ding et al. (2024) beside what lunarsci makes of the same statements."""
+"""The numbers of Ding et al. (2024) beside what lunarsci makes of the same statements, and the demonstration."""

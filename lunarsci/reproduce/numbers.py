@@ -79,6 +79,11 @@ class Number:
     reason: str
     verdict: str
 
+    @property
+    def is_open(self) -> bool:
+        """Whether what is published does not determine it."""
+        return self.verdict == OPEN
+
     def to_dict(self) -> dict[str, object]:
         """Plain Python."""
         return {name: getattr(self, name) for name in self.__slots__}

@@ -1,0 +1,242 @@
+"""The demonstration: the whole chain on synthetic data, from products to minerals and from a drive to its soil."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lunarsci.csv_table import csv_bytes
+from lunarsci.figure import picture_bytes
+from lunarsci.inputs import InputFile
+from lunarsci.regolith.identify import Assumptions, Identification, identify
+from lunarsci.regolith.soil import Soil, read_soil
+from lunarsci.regolith.states import read_states
+from lunarsci.regolith.wheel import read_wheel
+from lunarsci.result import MadeFrom, Result
+from lunarsci.spectra.bands import SpectrumBands, measure_bands
+from lunarsci.spectra.citations import MGM, NBSR, PAPER
+from lunarsci.spectra.mgm.assemblages import TABLES
+from lunarsci.spectra.mgm.fit import fit_spectra
+from lunarsci.spectra.mgm.model import mgm_model
+from lunarsci.spectra.mgm.result import MgmFit
+from lunarsci.spectra.vnis.calibrate import calibrate
+from lunarsci.spectra.vnis.calibration import Calibration, to_ecsv
+from lunarsci.spectra.vnis.channels import SPLICED_NM
+from lunarsci.spectra.vnis.detector import default_settings
+from lunarsci.spectra.vnis.observation import read_observation
+from lunarsci.spectra.vnis.simulation.instrument import Truth, simulate
+from lunarsci.spectra.vnis.simulation.products import product_files
+from lunarsci.spectra.vnis.simulation.scene import FULL_STRENGTH, Scene, SceneRock
+from lunarsci.tables import table_hashes
+from lunarsci.twin.jobs.drive_inputs import DriveInputs, read_drive_inputs
+from lunarsci.twin.judgement.safety import Verdict, judge
+from lunarsci.twin.judgement.tables import state_table
+from lunarsci.twin.simulation.ensemble import Prediction, predict
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Demonstration", "demo"]
+
+SOIL = "longji"
+
+
+@dataclass(frozen=True, slots=True)
+class StudiedRock:
+    """The synthetic rock as the spectrometer's products, the calibrated spectrum, and what two methods find in it."""
+
+    products: dict[str, bytes]
+    truth: Truth
+    calibration: Calibration
+    bands: SpectrumBands
+    fit: MgmFit
+
+
+def _rock(seed: int) -> StudiedRock:
+    """Simulate what the spectrometer sees of a rock, write and calibrate the products, measure and fit the spectrum."""
+    simulation = simulate(Scene(rock=SceneRock(), shadow_fraction=0.05), seed=seed)
+    products = product_files(simulation)
+    with TemporaryDirectory() as folder:
+        for name, content in products.items():
+            (Path(folder) / name).write_bytes(content)
+        label = next(name for name in products if name.endswith(".2BL"))
+        calibration = calibrate(read_observation(str(Path(folder) / label)))
+    spectrum = calibration.to_spectrum()
+    [fit] = fit_spectra([spectrum], mgm_model())
+    if not isinstance(fit, MgmFit):
+        raise RuntimeError(fit.status)
+    return StudiedRock(products, simulation.truth, calibration, measure_bands(spectrum), fit)
+
+
+def _rock_findings(the_rock: StudiedRock) -> list[dict[str, Any]]:
+    """What was found in the rock, beside what went into it."""
+    at, item = int((SPLICED_NM == 750.0).argmax()), the_rock.calibration
+    error = float(np.hypot(item.sigma[at], item.systematic_total[at]))
+    name, truth = "rock: reflectance factor at 750 nm", float(the_rock.truth.reflectance[at])
+    found = [_finding(name, float(item.reflectance[at]), error, truth, "-", "calibration.png")]
+    for key in ("1000", "2000"):
+        band = the_rock.bands.bands[key]
+        if band.center_nm is not None:
+            found.append(
+                _finding(
+                    f"rock: centre of the {key} nm band", band.center_nm, band.center_sigma_nm, None, "nm", "bands.png"
+                )
+            )
+    for region, number in (("um1", "1"), ("um2", "2")):
+        ratio = the_rock.fit.nbsr[region]
+        if ratio is not None:
+            opx, cpx = _strengths(the_rock.truth, number)
+            name = f"rock: OPX / (OPX + CPX) band strength at {number} µm"
+            found.append(_finding(name, ratio.opx, ratio.sigma, opx / (opx + cpx), "-", "fit.png"))
+    return found
+
+
+def _strengths(truth: Truth, number: str) -> tuple[float, float]:
+    """True strengths of the pyroxene bands at 1 or 2 um, but for a common factor."""
+    shares = truth.composition
+    opx = shares.orthopyroxene * FULL_STRENGTH["orthopyroxene"][f"OPX {number}"]
+    return opx, shares.clinopyroxene * FULL_STRENGTH["clinopyroxene"][f"CPX {number}"]
+
+
+def _finding(what: str, value: float, sigma: float | None, truth: float | None, unit: str, file: str) -> dict[str, Any]:
+    """One row of the demonstration's result; `truth` is None where there is none."""
+    return {"quantity": what, "value": value, "sigma": sigma, "truth": truth, "unit": unit, "picture": file}
+
+
+@dataclass(frozen=True, slots=True)
+class PredictedDrive:
+    """The swept prediction, its verdict, and the wheel states of one drive on a known soil."""
+
+    scene: DriveInputs
+    prediction: Prediction
+    verdict: Verdict
+    states: bytes
+
+
+def _drive(seed: int) -> PredictedDrive:
+    """Predict the embedded drive over its sweep, and once on the known soil."""
+    scene = read_drive_inputs(None, "yutu2", "synthetic-longji", soil=SOIL)
+    swept = predict(scene.rover, scene.terrain, scene.plan, seed=seed)
+    once = predict(scene.rover, scene.terrain, scene.plan, sweep=(), seed=seed)
+    return PredictedDrive(scene, swept, judge(swept, scene.plan), csv_bytes(state_table(once)))
+
+
+def _ground(driven: PredictedDrive, seed: int) -> Identification:
+    """Identify the soil from the wheel states of the drive; cohesion and lateral modulus are taken as known."""
+    wheel, truth = read_wheel("yutu2"), read_soil(SOIL)
+    states = read_states(InputFile("wheel_states.csv", driven.states), wheel)
+    known = Assumptions(
+        exponent=truth.sinkage_exponent,
+        cohesion_pa=truth.cohesion_pa,
+        lateral_modulus_mm=(truth.lateral_modulus_mm,),
+    )
+    return identify(states, wheel, known, draws=256, seed=seed)
+
+
+@dataclass(frozen=True, slots=True)
+class Demonstration(Result):
+    """A rock, a drive and the soil that it reveals, all made up from a seed."""
+
+    seed: int
+    rock: StudiedRock
+    drive: PredictedDrive
+    soil: Identification
+    schema = "demo/1"
+
+    @property
+    def made_from(self) -> MadeFrom:
+        tables = table_hashes(*default_settings().tables, *TABLES) | self.drive.scene.tables
+        return MadeFrom(tables=tables, sources=[PAPER, MGM, NBSR], seed=self.seed)
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"findings": self.rows(), "synthetic": True, "pictures": sorted(self.pictures)}
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One a quantity that was found, beside the truth where there is one."""
+        return [*_rock_findings(self.rock), *_drive_findings(self.drive), *_soil_findings(self.soil, read_soil(SOIL))]
+
+    @property
+    def pictures(self) -> dict[str, Callable[[], bytes]]:
+        """File name to what draws it."""
+        return _pictures(self.rock, self.drive, self.soil)
+
+    @property
+    def files(self) -> dict[str, Callable[[], bytes]]:
+        """File name to what makes its content: products, spectrum, wheel states and pictures."""
+        record = {"command": "lunarsci demo", "seed": self.seed}
+        return {
+            **{name: partial(bytes, content) for name, content in self.rock.products.items()},
+            "rock.ecsv": lambda: to_ecsv([self.rock.calibration], record),
+            "wheel_states.csv": lambda: self.drive.states,
+            **self.pictures,
+        }
+
+
+def demo(seed: int = 0, *, say: Callable[[str], None] = lambda step: None) -> Demonstration:
+    """Run the whole chain; `say` is told each step."""
+    say("1/3 a synthetic rock: calibration, bands and Modified Gaussian Model")
+    rock = _rock(seed)
+    say("2/3 a drive of 9.8 m on synthetic terrain, over 81 soils")
+    drive = _drive(seed)
+    say("3/3 the soil that the wheels of that drive reveal")
+    return Demonstration(seed, rock, drive, _ground(drive, seed))
+
+
+def _drive_findings(the_drive: PredictedDrive) -> list[dict[str, Any]]:
+    limits = {limit.quantity: limit for limit in the_drive.verdict.limits}
+    slip, end = limits["slip_ratio"], the_drive.verdict.endpoint
+    found = [_finding("drive: largest slip ratio, 95 % of drives below", slip.p95, None, None, "-", "drive.png")]
+    if end is not None:
+        found.append(
+            _finding("drive: all ends within, of the destination", end.covering_radius_m, None, None, "m", "drive.png")
+        )
+    return found
+
+
+def _soil_findings(soil: Identification, truth: Soil) -> list[dict[str, Any]]:
+    names = {
+        "stiffness_kpa_m_n": ("ground: stiffness K_s at N = 1", "kPa/m^N"),
+        "friction_angle_deg": ("ground: internal friction angle", "deg"),
+        "external_friction_angle_deg": ("ground: external friction angle", "deg"),
+    }
+    return [
+        _finding(label, estimate.value, estimate.sigma, getattr(truth, name), unit, "soil.png")
+        for name, (label, unit) in names.items()
+        if (estimate := soil.site[name]).value is not None
+    ]
+
+
+def _pictures(the_rock: StudiedRock, the_drive: PredictedDrive, soil: Identification) -> dict[str, Callable[[], bytes]]:
+    def picture(name: str, figures: "Iterable[Figure]") -> bytes:
+        return picture_bytes(figures, Path(name))
+
+    def calibration() -> bytes:
+        from lunarsci.spectra.vnis.figure import calibration_pages
+
+        return picture("calibration.png", calibration_pages([the_rock.calibration]))
+
+    def bands() -> bytes:
+        from lunarsci.spectra.mgm.figure import band_pages
+
+        return picture("bands.png", band_pages([the_rock.bands]))
+
+    def fit() -> bytes:
+        from lunarsci.spectra.mgm.figure import fit_pages
+
+        return picture("fit.png", fit_pages([the_rock.fit]))
+
+    def path() -> bytes:
+        from lunarsci.twin.figures.fan import path_fan
+
+        return picture("drive.png", [path_fan(the_drive.prediction, the_drive.verdict)])
+
+    def curves() -> bytes:
+        from lunarsci.regolith.figure import characteristic_curves
+
+        return picture("soil.png", [characteristic_curves(soil)])
+
+    return {"calibration.png": calibration, "bands.png": bands, "fit.png": fit, "drive.png": path, "soil.png": curves}

@@ -1,0 +1,161 @@
+"""The numbers of Ding et al. (2024) beside what follows from what is published: all, or those of a part."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+from lunarsci.errors import RequestError
+from lunarsci.inputs import expand_inputs, read_input
+from lunarsci.provenance import sha256
+from lunarsci.result import MadeFrom, Result, request_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from lunarsci.reproduce.drive import Drives
+    from lunarsci.reproduce.numbers import Number
+    from lunarsci.reproduce.spectra import Rocks
+    from lunarsci.rovers.description import RoverDescription
+
+__all__ = ["ReproduceRequest", "Reproduction", "reproduce"]
+
+Progress = Callable[[int, int], None]
+ROVER = "yutu2"
+WORK = {"spectra": 5, "soil": 4, "drive": 2}
+"""Rough share of the time, for progress."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReproduceRequest:
+    """Which part, rock being another name of spectra; measured spectra of boulders; a rover's name or file."""
+
+    part: Literal["all", "spectra", "rock", "soil", "drive"] = "all"
+    rocks: tuple[str, ...] = ()
+    rover: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.parts == ("spectra",) and self.rover is not None:
+            raise RequestError(f"`rover` has no use with `part` {self.part}, where nothing drives; leave it out")
+        if self.rocks and "spectra" not in self.parts:
+            raise RequestError(f"`rocks` has no use with `part` {self.part}; give `part` spectra, or leave it out")
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """The parts that are computed."""
+        return tuple(WORK) if self.part == "all" else ("spectra" if self.part == "rock" else self.part,)
+
+
+@dataclass(slots=True)
+class Reproduction(Result):
+    """The numbers, and what they and the figures are made from; `inputs` and `tables` are hashes by name."""
+
+    description: "RoverDescription"
+    parts: Sequence[str]
+    numbers: "list[Number]" = field(default_factory=list)
+    rocks: "Rocks | None" = None
+    drives: "Drives | None" = None
+    inputs: dict[str, str] = field(default_factory=dict)
+    tables: dict[str, str] = field(default_factory=dict)
+    schema = "reproduce/1"
+
+    @property
+    def made_from(self) -> MadeFrom:
+        from lunarsci.spectra.citations import PAPER
+
+        options = {} if self.parts == ("spectra",) else {"rover": self.description.origin}
+        return MadeFrom(inputs=self.inputs, tables=self.tables, sources=[PAPER], options=options)
+
+    @property
+    def verdicts(self) -> dict[str, int]:
+        """How many numbers have each verdict."""
+        from lunarsci.reproduce.numbers import VERDICTS
+
+        counts = Counter(number.verdict for number in self.numbers)
+        return {verdict: counts[verdict] for verdict in VERDICTS if counts[verdict]}
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"numbers": self.rows(), "verdicts": self.verdicts}
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One a number."""
+        return [number.to_dict() for number in self.numbers]
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.regolith.wheel import read_wheel
+        from lunarsci.reproduce.figure_drive import drive_pages
+        from lunarsci.reproduce.figure_soil import soil_pages
+        from lunarsci.reproduce.spectra import spectra_pages
+
+        pages: dict[str, Callable[[], Any]] = {
+            "spectra": lambda: spectra_pages(self.rocks),
+            "soil": lambda: soil_pages(read_wheel(self.description)),
+            "drive": lambda: drive_pages(self.drives) if self.drives else iter(()),
+        }
+        for part in self.parts:
+            yield from pages[part]()
+
+
+def reproduce(
+    request: ReproduceRequest | None = None, *, progress: Progress | None = None, **options: Any
+) -> Reproduction:
+    """Compute the numbers of a part, or of all, and judge them by those that are published."""
+    from lunarsci.reproduce.numbers import published_hash
+    from lunarsci.rovers.description import read_rover
+
+    asked = request_of(ReproduceRequest, request, options)
+    update = progress or (lambda done, total: None)
+    description = read_rover(asked.rover or ROVER)
+    found = Reproduction(description, asked.parts, tables=published_hash())
+    if asked.parts != ("spectra",):
+        found.tables[f"{asked.rover or ROVER} (rover)"] = sha256(description.text.encode())
+    make: dict[str, Callable[[Progress], None]] = {
+        "spectra": lambda update: _spectra(found, asked.rocks, update),
+        "soil": lambda _: _soil(found),
+        "drive": lambda update: _drive(found, update),
+    }
+    total, before = sum(WORK[name] for name in asked.parts), 0
+    for name in asked.parts:
+        make[name](_within(update, before, WORK[name], total))
+        before += WORK[name]
+        update(100 * before, 100 * total)
+    return found
+
+
+def _within(update: Progress, before: int, share: int, total: int) -> Progress:
+    """Progress of one part as progress of all."""
+    return lambda done, of: update(round(100 * (before + share * done / max(of, 1))), 100 * total)
+
+
+def _spectra(found: Reproduction, rocks: Sequence[str], update: Progress) -> None:
+    from lunarsci.reproduce.spectra import TABLES, boulders, fit_rocks, spectra_numbers
+    from lunarsci.spectra.readers import read_spectra
+    from lunarsci.tables import table_hashes
+
+    sources = [read_input(path) for path in expand_inputs(rocks)]
+    found.inputs |= {source.name: source.sha256 for source in sources}
+    found.tables |= table_hashes(*TABLES)
+    spectra = [spectrum for source in sources for spectrum in read_spectra(source)]
+    if sources:
+        found.rocks = fit_rocks(boulders(spectra), update)
+    found.numbers += spectra_numbers(found.rocks)
+
+
+def _soil(found: Reproduction) -> None:
+    from lunarsci.regolith.compare import reference_hash
+    from lunarsci.regolith.prior import prior_hash
+    from lunarsci.regolith.wheel import read_wheel
+    from lunarsci.reproduce.soil import soil_numbers
+
+    found.tables |= reference_hash() | prior_hash()
+    found.numbers += soil_numbers(read_wheel(found.description))
+
+
+def _drive(found: Reproduction, update: Progress) -> None:
+    from lunarsci.regolith.soil import soil_hash
+    from lunarsci.reproduce.drive import SOIL, drive_numbers, predicted_drives
+    from lunarsci.twin.rover import build_rover
+
+    found.drives = predicted_drives(build_rover(found.description), update)
+    found.tables |= soil_hash(SOIL)[1]
+    found.numbers += drive_numbers(found.drives)
