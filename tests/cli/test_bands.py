@@ -60,15 +60,13 @@ def test_one_spectrum_lists_every_regression_and_why_not(run: Run, rock: Path) -
     assert "there is a 2 µm band: pyroxene" in table
 
 
-@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
-def test_the_plane_is_a_picture_of_its_own(run: Run, rocks: Path, tmp_path: Path, suffix: str) -> None:
-    first, second = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}"
+def test_the_plane_is_a_picture_of_its_own(run: Run, rocks: Path, tmp_path: Path) -> None:
+    first, second = tmp_path / "a.svg", tmp_path / "b.svg"
     done = run("spectra", "bands", rocks, "--plane", first, "--plot", tmp_path / "p.pdf")
     assert (done.code, f"written: {first}" in done.err) == (0, True)
     assert run("spectra", "bands", rocks, "--plane", second).code == 0
     assert first.read_bytes() == second.read_bytes()
-    if suffix == ".svg":
-        assert "pyroxene" in first.read_text()
+    assert "pyroxene" in first.read_text()
 
 
 def test_the_plane_is_refused_like_every_picture(run: Run, rocks: Path, tmp_path: Path) -> None:

@@ -466,14 +466,17 @@ def renumbered(content: Mapping[str, bytes], number: int) -> Files:
     return made
 
 
+MANY = 24
+
+
 @pytest.fixture
-def two_hundred(tmp_path: Path, two: Files) -> Path:
-    """200 observations that share the bytes of one cube; number 77 has half a table."""
+def many(tmp_path: Path, two: Files) -> Path:
+    """Observations that share the bytes of one cube; number 7 has half a table."""
     folder, cube = tmp_path / "many", named(two, "VD", label=False)
     (tmp_path / "cube").write_bytes(two[cube])
-    for number in range(1, 201):
+    for number in range(1, MANY + 1):
         made = renumbered(two, number)
-        if number == 77:
+        if number == 7:
             table = named(made, label=False)
             made[table] = made[table][: len(made[table]) // 2]
         write(folder, made)
@@ -483,19 +486,17 @@ def two_hundred(tmp_path: Path, two: Files) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
-def test_two_hundred_observations_run_through_with_a_bar(
-    two_hundred: Path, tmp_path: Path, drawn_on: Callable[[int], str]
-) -> None:
+def test_many_observations_run_through_with_a_bar(many: Path, tmp_path: Path, drawn_on: Callable[[int], str]) -> None:
     import pty
 
     target, start = tmp_path / "all.csv", time.perf_counter()
     ours, theirs = pty.openpty()
-    arguments = ["-m", "lunarsci.cli", *COMMAND, str(two_hundred), "-o", str(target)]
+    arguments = ["-m", "lunarsci.cli", *COMMAND, str(many), "-o", str(target)]
     process = launched(arguments, stdout=subprocess.PIPE, stderr=theirs)
     os.close(theirs)
     drawn = drawn_on(ours)
     assert process.communicate()[0] == ""
-    sys.stdout.write(f"\n200 observations: {time.perf_counter() - start:.0f} s, {megabytes(drawn):.0f} MB\n")
+    sys.stdout.write(f"\n{MANY} observations: {time.perf_counter() - start:.0f} s, {megabytes(drawn):.0f} MB\n")
     assert process.returncode == 1
     assert "calibrating" in drawn
     shares = [int(share) for share in re.findall(r"(\d+)%", drawn)]
@@ -504,6 +505,6 @@ def test_two_hundred_observations_run_through_with_a_bar(
     assert max(shares) >= 95
     said = [line for line in re.sub(r"\x1b\[[0-9;?]*[A-Za-z]|\r", "", drawn).splitlines() if "error: " in line]
     assert len(said) == 1
-    assert "_0077_B" in said[0]
+    assert "_0007_B" in said[0]
     ids = {line.partition(",")[0] for line in target.read_text().splitlines()[1:]}
-    assert ids == {f"SYNTHETIC-CE4-{number:04d}" for number in range(1, 201) if number != 77}
+    assert ids == {f"SYNTHETIC-CE4-{number:04d}" for number in range(1, MANY + 1) if number != 7}

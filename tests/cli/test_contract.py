@@ -104,8 +104,12 @@ def test_output_goes_to_a_file_and_never_over_one(run: Run, command: list[str], 
     assert [path.name for path in tmp_path.glob(".*")] == []
 
 
-@every_command
-@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
+# The names that matplotlib makes up stand in SVG only: that is where a picture would differ from run to run.
+@pytest.mark.parametrize(
+    ("command", "suffix"),
+    [("bands", ".png"), ("bands", ".pdf"), *((name, ".svg") for name in COMMANDS)],
+    indirect=["command"],
+)
 def test_pictures_are_written_and_repeatable(run: Run, command: list[str], suffix: str, tmp_path: Path) -> None:
     magic = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
     first, second = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}"

@@ -171,15 +171,11 @@ def test_maps_give_the_modes_and_a_hole_is_said(run: Run, tmp_path: Path) -> Non
     assert "no values in its ring" in run("spectra", "match", *MODES, *options).out
 
 
-@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
-def test_the_map_is_drawn_and_repeatable(run: Run, tmp_path: Path, suffix: str) -> None:
-    pictures = [tmp_path / f"{name}{suffix}" for name in "ab"]
-    for picture in pictures:
-        assert run("spectra", "match", *MODES, "--plot", picture, "-q").code == 0
-    assert pictures[0].read_bytes() == pictures[1].read_bytes()
-    if suffix == ".svg":
-        text = pictures[0].read_text()
-        assert "<!-- Finsen -->" in text or "Finsen" in text
+def test_the_map_is_drawn(run: Run, tmp_path: Path) -> None:
+    """That equal runs give equal bytes is in `test_contract.py`."""
+    picture = tmp_path / "map.svg"
+    assert run("spectra", "match", *MODES, "--plot", picture, "-q").code == 0
+    assert "Finsen" in picture.read_text()
 
 
 def test_the_map_of_a_polar_site_with_its_antipode(run: Run, tmp_path: Path) -> None:

@@ -1,12 +1,11 @@
 """The whole chain: white ground comes out as 1, simulated ground as its truth, and errors cover what they claim."""
 
 import csv
-import functools
 import hashlib
 import math
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.resources import files
@@ -23,7 +22,7 @@ from lunarsci.spectra.solar import SolarSpectrum, solar_spectrum
 from lunarsci.spectra.vnis.calibrate import calibrate, calibrate_files
 from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure
 from lunarsci.spectra.vnis.channels import SPLICED_NM, SWIR_NM, VNIR_NM, fwhm_nm
-from lunarsci.spectra.vnis.detector import ChannelFactors, Settings, default_settings, irradiance_at
+from lunarsci.spectra.vnis.detector import ChannelFactors, Settings, default_settings
 from lunarsci.spectra.vnis.label import read_label
 from lunarsci.spectra.vnis.observation import Observation, SwirTable, read_observation
 from lunarsci.spectra.vnis.simulation.instrument import (
@@ -509,7 +508,7 @@ def test_a_bad_observation_does_not_stop_the_others(products: Files, write: Writ
 
 # -- Coverage ---------------------------------------------------------------------------------------------------------
 
-COUNT = 500
+COUNT = 200
 SCENES = (
     Scene(),
     Scene(rock=SceneRock(radius_px=40), shadow_fraction=0.15),
@@ -533,17 +532,6 @@ class Drawn:
         """Independent error and these shared ones, together."""
         shared = [self.found.systematic[name] for name in names if name in self.found.systematic]
         return np.sqrt(self.found.sigma**2 + sum(mode**2 for mode in shared))
-
-
-@pytest.fixture(scope="module")
-def irradiance_once() -> Iterator[None]:
-    """The irradiance of the channels is the same for all: integrate it once."""
-    once = functools.cache(irradiance_at)
-    with pytest.MonkeyPatch.context() as patch:
-        for module in ("calibrate", "detector"):
-            patch.setattr(f"lunarsci.spectra.vnis.{module}.irradiance_at", once)
-        patch.setattr("lunarsci.spectra.vnis.calibrate.solar_spectrum", functools.cache(solar_spectrum))
-        yield
 
 
 def suns() -> dict[str, SolarSpectrum]:
@@ -580,7 +568,7 @@ def normal(count: int, sigma: float, seed: int) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def draws(irradiance_once: None) -> list[Drawn]:
+def draws() -> list[Drawn]:
     return drawn(COUNT, (normal(COUNT, 0.05, 1), normal(COUNT, 0.07, 2)), pixel=0.0)
 
 
@@ -613,7 +601,7 @@ def test_errors_with_those_of_the_calibration_cover_the_truth(draws: list[Drawn]
 
 
 @pytest.mark.slow
-def test_coverage_does_not_depend_on_gains(irradiance_once: None) -> None:
+def test_coverage_does_not_depend_on_gains() -> None:
     """So that one set of simulations serves both: SWIR's gain scales everything, that of VNIR is taken out."""
     gains = np.array([0.93, 1.06, 1.02, 0.98]), np.array([1.09, 0.92, 1.01, 0.95])
     for plain, scaled in zip(
@@ -624,7 +612,7 @@ def test_coverage_does_not_depend_on_gains(irradiance_once: None) -> None:
 
 
 @pytest.mark.slow
-def test_errors_cover_with_noisy_pixels_and_with_a_noisy_instrument(irradiance_once: None) -> None:
+def test_errors_cover_with_noisy_pixels_and_with_a_noisy_instrument() -> None:
     ones = np.ones(24), np.ones(24)
     assert 0.64 <= covered(drawn(24, ones, pixel=0.02)).mean() <= 0.73
     assert 0.62 <= covered(drawn(24, ones, pixel=0.0, noise=3.0)).mean() <= 0.74

@@ -1,0 +1,107 @@
+"""Jobs of spectra from Python: one result feeds the next, in memory, and is what the command line shows."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from astropy import units
+from lunarsci.cli import main
+
+from lunarsci.errors import DataError, ParameterError, RequestError
+from lunarsci.spectra.jobs.bands import MeasuredBands, bands
+from lunarsci.spectra.jobs.calibrate import CalibrateRequest, Calibrations, calibrate, check_fits
+from lunarsci.spectra.jobs.library import check_library, import_library, open_library
+from lunarsci.spectra.jobs.match import MatchRequest, match
+from lunarsci.spectra.jobs.simulate import simulate
+
+ROCK = "ol=0.1,opx=0.5,cpx=0.1,plg=0.3"
+
+
+@pytest.fixture(scope="module")
+def products(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("products")
+    for name, content in simulate(rock=ROCK, seed=3).files.items():
+        (folder / name).write_bytes(content)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def calibrated(products: Path) -> Calibrations:
+    return calibrate(products, photometry="akimov")
+
+
+@pytest.fixture(scope="module")
+def measured(calibrated: Calibrations) -> MeasuredBands:
+    return bands(calibrated.spectra)
+
+
+def test_what_is_calibrated_is_what_the_command_says(
+    calibrated: Calibrations, products: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["spectra", "calibrate", str(products), "--photometry", "akimov", "--json", "--no-time", "-q"]
+    assert main(arguments) == 0
+    said = json.loads(capsys.readouterr().out)
+    ours = json.loads(calibrated.to_json(time=False))
+    assert ours["result"] == said["result"]
+    assert ours["provenance"]["sources"] == said["provenance"]["sources"]
+    assert ours["result"]["spectra"][0]["photometry"]["disk"] == "akimov"
+    assert len(calibrated.to_table()) == 390
+    assert calibrated.to_table()["wavelength_nm"].unit == units.nm
+
+
+def test_one_result_feeds_the_next(calibrated: Calibrations, measured: MeasuredBands) -> None:
+    [record] = measured.to_dict()["spectra"]
+    assert record["id"] == calibrated.observations[0].id
+    assert record["bc1000_nm"] == pytest.approx(925, abs=40)
+    found = match(measured)
+    assert found.to_dict()["rocks"][0]["bands"]["bc1000_nm"]["center_nm"] == record["bc1000_nm"]
+    assert sum(row["posterior"] for row in found.rows()) == pytest.approx(1)
+
+
+def test_arrays_and_files_are_measured_alike(measured: MeasuredBands, calibrated: Calibrations, tmp_path: Path) -> None:
+    file = tmp_path / "rock.ecsv"
+    file.write_bytes(calibrated.to_ecsv({}))
+    wavelength, reflectance = calibrated.spectra[0].wavelength_nm, calibrated.spectra[0].reflectance
+    centres = [bands(given).good[0].bands["2000"].center_nm for given in (file, (wavelength, reflectance))]
+    assert centres[0] == pytest.approx(measured.good[0].bands["2000"].center_nm, abs=1e-6)
+    assert centres[1] == pytest.approx(centres[0], abs=5)  # noise is estimated where none is given
+
+
+def test_a_library_is_made_written_and_opened(calibrated: Calibrations, tmp_path: Path) -> None:
+    file, library_file = tmp_path / "rock.ecsv", tmp_path / "library.ecsv"
+    file.write_bytes(calibrated.to_ecsv({}))
+    library = import_library([str(file)], mineral="other", source="made up")
+    library_file.write_bytes(library.to_ecsv())
+    opened = open_library([str(library_file)])
+    assert [member.source for member in opened.members] == ["made up"]
+    assert np.allclose(opened.members[0].reflectance, library.members[0].reflectance)
+    assert check_library([str(library_file)]).untrusted == ""
+
+
+@pytest.mark.parametrize(
+    ("ask", "error", "message"),
+    [
+        (lambda: match(site="here", modes="ol=0.5:0.1,opx=0.5:0.1"), RequestError, "`site` here: give latitude"),
+        (lambda: match(), RequestError, "`modes` or `bands` for one rock"),
+        (lambda: match(modes="ol=0.5"), RequestError, "`modes` 'ol=0.5': give NAME=VALUE:ERROR"),
+        (lambda: match(request=MatchRequest(rock_life="80:40", modes="ol=1:0")), RequestError, "`rock_life` 80:40"),
+        (lambda: simulate(soil="ol=1.5"), ParameterError, "ol|olivine"),
+        (lambda: simulate(time="noon"), ParameterError, "'noon' is no time"),
+        (lambda: calibrate("-"), DataError, "a product is several files"),
+        (lambda: CalibrateRequest(shadow=2.0).settings(), ParameterError, "the shadow limit is 2"),
+    ],
+)
+def test_what_there_cannot_be_is_refused(ask: Callable[[], Any], error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        ask()
+
+
+def test_a_fits_table_has_no_room_for_many() -> None:
+    names = [f"CE4_GRAS_VNIS-SD_SCI_N_20200716031001_20200716100000_{n:04d}_B.2BL" for n in range(1, 60)]
+    check_fits(Path("a.fits"), names[:55])
+    check_fits(Path("a.ecsv"), names)
+    with pytest.raises(ParameterError, match=r"a.fits: a FITS table holds 55 observations, here are 59; use .ecsv"):
+        check_fits(Path("a.fits"), names)
