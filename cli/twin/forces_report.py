@@ -44,7 +44,7 @@ def predicted_report(scene: DriveInputs, prediction: Prediction, soil: dict[str,
     title = f"Wheel forces of {drives}: {scene.plan.name}, on {scene.terrain.name}"
 
     def figures() -> Any:
-        from lunarsci.twin.figures.forces import force_figure
+        from lunarsci.twin.figures.wheel_states import force_figure
         from lunarsci.twin.judgement.quantities import abscissa
 
         return [force_figure(prediction.rover.wheels, abscissa(prediction), states, title)]
@@ -85,7 +85,7 @@ def held_report(scene: DriveInputs, path: str, member: int | None, *, planned: b
         notes.insert(0, _missing_note(missing))
 
     def figures() -> Any:
-        from lunarsci.twin.figures.forces import force_figure
+        from lunarsci.twin.figures.wheel_states import force_figure
 
         axis = (motion.time_s, "Time [s]")
         return [force_figure(scene.rover.wheels, axis, found.states, title, found.residual_n)]

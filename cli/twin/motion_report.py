@@ -89,7 +89,7 @@ def motion_report(scene: DriveInputs, told: Told, progress: Callable[[int, int],
     title = f"Wheel forces along {told.motion}, {poses}, on {scene.terrain.name}"
 
     def figures() -> Any:
-        from lunarsci.twin.figures.forces import force_band_figure
+        from lunarsci.twin.figures.wheel_states import force_band_figure
 
         return [force_band_figure(found, title)]
 

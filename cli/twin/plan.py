@@ -15,7 +15,7 @@ from .terrain import LIMITS, GeoTiff, TerrainFile, check_files, ground_table
 from .terrain import OPTIONS as OF_TERRAIN
 
 if TYPE_CHECKING:
-    from lunarsci.twin.ground.mobility import Mobility
+    from lunarsci.twin.ground.hazards import Mobility
     from lunarsci.twin.routes.planner import PlannedPath
 
 __all__ = ["add_to"]

@@ -18,7 +18,7 @@ from lunarsci.reproduce.drive import (
 )
 from lunarsci.reproduce.numbers import published_value
 from lunarsci.reproduce.soil import Rolling
-from lunarsci.twin.figures.relief import GOLD, INK, LIMIT, draw_ground, draw_planned, map_window
+from lunarsci.twin.figures.panels import GOLD, INK, LIMIT, draw_ground, draw_planned, map_window
 from lunarsci.twin.simulation.ensemble import Prediction
 
 if TYPE_CHECKING:

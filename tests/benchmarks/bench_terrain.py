@@ -16,10 +16,8 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.soil import read_soil
 from lunarsci.rovers.description import read_rover
 from lunarsci.twin.ground.footprint import rover_footprint
-from lunarsci.twin.ground.hazards import Traversability, assess, ground_maps, map_scales
-from lunarsci.twin.ground.mobility import read_mobility
-from lunarsci.twin.ground.rocks import scatter_rocks
-from lunarsci.twin.ground.synthetic import synthetic_longji, synthetic_terrain
+from lunarsci.twin.ground.hazards import Traversability, assess, ground_maps, map_scales, read_mobility
+from lunarsci.twin.ground.synthetic import scatter_rocks, synthetic_longji, synthetic_terrain
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.routes.planner import plan_path
 from lunarsci.twin.routes.search_ground import search_ground

@@ -43,8 +43,8 @@ from lunarsci.twin.assimilation.update import assimilate
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Plan, read_plan
 from lunarsci.twin.rover import Rover, build_rover
+from lunarsci.twin.simulation.discrepancy import way_matrix, with_discrepancy
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict
-from lunarsci.twin.simulation.path_discrepancy import way_matrix, with_discrepancy
 
 ERRORS = MeasurementErrors(sinkage_m=0.00033, force_relative=0.10 / 3, travel_relative=0.04, side_slip_relative=0.04)
 POSITION_SHARES = {"third": 0.04 / 3, "whole": 0.04}

@@ -32,7 +32,7 @@ from lunarsci.regolith.contact import ContactModel
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.plans.commands import wheel_commands
+from lunarsci.twin.plans.path import wheel_commands
 from lunarsci.twin.plans.plan import Leg, Plan, read_plan
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import predict

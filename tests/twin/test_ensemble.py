@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import ParameterError
-from lunarsci.twin.figures.fan import path_fan
+from lunarsci.twin.figures.prediction import path_fan
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.judgement.endpoint import covering_circle

@@ -17,7 +17,7 @@ from mujoco_rover import joint_angles, joint_names, mjcf
 from lunarsci.regolith.forces import wheel_forces_kernel
 from lunarsci.regolith.soil import Soil
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
-from lunarsci.twin.plans.commands import reach_m, wheel_commands
+from lunarsci.twin.plans.path import reach_m, wheel_commands
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.contact import MASS_ON_WHEEL, NORMAL_DAMPING

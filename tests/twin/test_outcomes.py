@@ -15,8 +15,8 @@ from lunarsci.twin.outcomes import OUTCOMES
 from lunarsci.twin.plans.plan import Fixes, Leg, Plan, parse_sweep
 from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.simulation.drive import drive
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
+from lunarsci.twin.simulation.members import drive
 from lunarsci.twin.simulation.settle import balance
 
 GradientTerrain = Callable[..., Terrain]

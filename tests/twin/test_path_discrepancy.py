@@ -11,8 +11,8 @@ from lunarsci.twin.comparison.forecast import forecast_of
 from lunarsci.twin.comparison.matched import match_observations, miss_of, taught
 from lunarsci.twin.judgement.safety import judge
 from lunarsci.twin.plans.plan import KeepOut, Limit
+from lunarsci.twin.simulation.discrepancy import ALIKE_M, ALWAYS, exposed, way_matrix, with_discrepancy
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
-from lunarsci.twin.simulation.path_discrepancy import ALIKE_M, ALWAYS, exposed, way_matrix, with_discrepancy
 
 LINE = np.column_stack([np.linspace(0.0, 40.0, 401), np.zeros(401)])
 

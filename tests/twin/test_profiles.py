@@ -7,8 +7,7 @@ import pandas as pd
 import pytest
 
 from lunarsci.errors import ParameterError
-from lunarsci.twin.figures.boxes import box_pages, grouped, profile_page
-from lunarsci.twin.figures.fan import path_fan
+from lunarsci.twin.figures.prediction import box_pages, grouped, path_fan, profile_page
 from lunarsci.twin.judgement.quantities import abscissa, along
 from lunarsci.twin.judgement.safety import judge
 from lunarsci.twin.judgement.tables import path_table, profile_table, state_table

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from lunarsci.twin.plans.commands import CREEP, wheel_commands
+from lunarsci.twin.plans.path import CREEP, wheel_commands
 from lunarsci.twin.plans.plan import Fixes, Leg, Plan
 from lunarsci.twin.plans.schedule import EASE_S, STEERING_RAD_S, all_commands, make_schedule, run_commands, start_motion
 from lunarsci.twin.rover import Rover, build_rover

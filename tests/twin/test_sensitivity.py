@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lunarsci.twin.ground.synthetic import synthetic_longji
-from lunarsci.twin.judgement.sensitivity import endpoint_sensitivity, step_error_m
+from lunarsci.twin.judgement.endpoint import endpoint_sensitivity, step_error_m
 from lunarsci.twin.plans.plan import parse_sweep, read_plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import predict

@@ -18,7 +18,7 @@ from lunarsci.twin.ground.soil_layers import drawn_grounds, soil_layers
 from lunarsci.twin.ground.soil_map import SoilMap, Zone, read_soil_map, soil_map_bytes
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, build_terrain
 from lunarsci.twin.ground.terrain_files import read_terrain, terrain_bytes
-from lunarsci.twin.judgement.sensitivity import step_error_m
+from lunarsci.twin.judgement.endpoint import step_error_m
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import predict

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.twin.ground.driven_soil import read_soil_samples
 from lunarsci.twin.plans.plan import Sweep
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import predict
-from lunarsci.twin.simulation.soil_samples import read_soil_samples
 
 TABLE = "friction_angle_deg,lateral_modulus_mm\n30,15\n35,25\n45,40\n"
 

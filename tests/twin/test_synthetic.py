@@ -9,8 +9,14 @@ from scipy.integrate import quad
 
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.hazards import ground_maps
-from lunarsci.twin.ground.rocks import LARGEST_M, SCALE_M, rocks_per_m2, scatter_rocks
-from lunarsci.twin.ground.synthetic import synthetic_longji, synthetic_terrain
+from lunarsci.twin.ground.synthetic import (
+    LARGEST_M,
+    SCALE_M,
+    rocks_per_m2,
+    scatter_rocks,
+    synthetic_longji,
+    synthetic_terrain,
+)
 
 
 @pytest.mark.parametrize("smallest", [0.1, 0.3, 1.0])

@@ -33,8 +33,8 @@ from lunarsci.twin.assimilation.residuals import FIX_ERROR_M, HUBER, MODEL_SHARE
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.discrepancy import exposed, way_matrix
 from lunarsci.twin.simulation.ensemble import Prediction
-from lunarsci.twin.simulation.path_discrepancy import exposed, way_matrix
 
 __all__ = ["SoilUpdate", "assimilate"]
 

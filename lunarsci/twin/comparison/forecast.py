@@ -16,7 +16,7 @@ from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.twin.outcomes import OUTCOMES
 from lunarsci.twin.plans.plan import Plan, parse_plan
 from lunarsci.twin.plans.plan_files import plan_text
-from lunarsci.twin.simulation.drawn_discrepancy import DrawnDiscrepancy
+from lunarsci.twin.simulation.discrepancy import DrawnDiscrepancy
 from lunarsci.twin.simulation.ensemble import OFFSET_COLUMNS, PATH_COLUMNS, STATE_COLUMNS, Prediction
 
 if TYPE_CHECKING:

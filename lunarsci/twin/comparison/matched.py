@@ -17,7 +17,7 @@ from lunarsci.twin.assimilation.drive_record import (
 )
 from lunarsci.twin.assimilation.residuals import FIX_ERROR_M, MODEL_ERRORS
 from lunarsci.twin.comparison.forecast import Forecast
-from lunarsci.twin.simulation.path_discrepancy import way_matrix
+from lunarsci.twin.simulation.discrepancy import way_matrix
 
 __all__ = ["MatchedObservations", "Miss", "match_observations", "miss_of", "taught"]
 

@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import OutputError, ParameterError
-from lunarsci.twin.figures.bands import LABELS
-from lunarsci.twin.figures.relief import (
+from lunarsci.twin.figures.panels import (
     ACCENT,
     GOLD,
     INK,
+    LABELS,
     LIMIT,
     draw_ground,
     draw_keep_out,

@@ -9,8 +9,7 @@ from lunarsci.twin.assimilation.drive_record import OBSERVED
 from lunarsci.twin.comparison.checks import NOMINAL, half_band, ranks, region_ellipse, standardised
 from lunarsci.twin.comparison.matched import MatchedObservations
 from lunarsci.twin.comparison.verdict import DriveComparison
-from lunarsci.twin.figures.bands import LABELS, WHEEL_COLORS
-from lunarsci.twin.figures.relief import ACCENT, GOLD, INK, LIMIT
+from lunarsci.twin.figures.panels import ACCENT, GOLD, INK, LABELS, LIMIT, WHEEL_COLORS
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
     from lunarsci.twin.jobs.drive_inputs import DriveInputs
     from lunarsci.twin.jobs.soils import Soils
+    from lunarsci.twin.judgement.endpoint import EndpointSensitivity
     from lunarsci.twin.judgement.safety import Verdict
-    from lunarsci.twin.judgement.sensitivity import EndpointSensitivity
     from lunarsci.twin.plans.plan import Plan
     from lunarsci.twin.simulation.ensemble import Prediction
 
@@ -142,8 +142,7 @@ class PredictedDrives(Result):
         return [asdict(limit) for limit in self.verdict.limits]
 
     def figures(self) -> "Iterator[Figure]":
-        from lunarsci.twin.figures.boxes import box_pages, profile_page
-        from lunarsci.twin.figures.fan import path_fan
+        from lunarsci.twin.figures.prediction import box_pages, path_fan, profile_page
 
         yield path_fan(self.prediction, self.verdict)
         yield profile_page(self.prediction, self.verdict)
@@ -218,9 +217,9 @@ def predict_drives(soils: "Soils", time_step_s: float, sample_m: float, progress
 
 def _judged(soils: "Soils", prediction: "Prediction") -> PredictedDrives:
     """With what the twin's physics is off by, where the soils are of a belief or a map of beliefs."""
+    from lunarsci.twin.judgement.endpoint import endpoint_sensitivity, step_error_m
     from lunarsci.twin.judgement.safety import judge
-    from lunarsci.twin.judgement.sensitivity import endpoint_sensitivity, step_error_m
-    from lunarsci.twin.simulation.path_discrepancy import with_discrepancy
+    from lunarsci.twin.simulation.discrepancy import with_discrepancy
 
     if soils.discrepancy is not None:
         prediction = with_discrepancy(prediction, soils.discrepancy, soils.seed)

@@ -12,12 +12,11 @@ from lunarsci.errors import LunarSciWarning, ParameterError, RequestError
 from lunarsci.regolith.belief import FitVerdict, doubt, read_verdict
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.twin.assimilation.change_point import planned_places
-from lunarsci.twin.ground.driven_soil import DrivenSoil
+from lunarsci.twin.ground.driven_soil import DrivenSoil, read_soil_samples
 from lunarsci.twin.ground.soil_layers import drawn_grounds
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS
 from lunarsci.twin.jobs.drive_inputs import DEFAULT_SOIL, DriveInputs, named_option, no_use
 from lunarsci.twin.plans.plan import Sweep, parse_sweep
-from lunarsci.twin.simulation.soil_samples import read_soil_samples
 
 __all__ = ["Soils"]
 

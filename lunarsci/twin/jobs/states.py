@@ -116,7 +116,7 @@ class MeasuredStates(Result):
         return {name: lambda table=table: csv_bytes(table) for name, table in self.tables.items()}  # type: ignore[misc]
 
     def figures(self) -> "Iterator[Figure]":
-        from lunarsci.twin.figures.telemetry import states_page
+        from lunarsci.twin.figures.wheel_states import states_page
 
         yield states_page(self.drive, self.known.terrain, self.title)
 

@@ -14,8 +14,7 @@ if TYPE_CHECKING:
 
     from lunarsci.rovers.description import MadeFor, RoverDescription
     from lunarsci.twin.ground.driven_soil import DrivenSoil
-    from lunarsci.twin.ground.hazards import Traversability
-    from lunarsci.twin.ground.mobility import Mobility
+    from lunarsci.twin.ground.hazards import Mobility, Traversability
     from lunarsci.twin.ground.terrain import Terrain
     from lunarsci.twin.plans.rover_check import RoverCheck
     from lunarsci.twin.routes.planner import PlannedPath
@@ -233,7 +232,7 @@ def read_site(terrain: str, asked: TerrainRequest, limits: Mapping[str, float | 
     from lunarsci.rovers.description import read_rover
     from lunarsci.twin.ground import synthetic
     from lunarsci.twin.ground.driven_soil import lay_soil_on
-    from lunarsci.twin.ground.mobility import read_mobility
+    from lunarsci.twin.ground.hazards import read_mobility
     from lunarsci.twin.ground.terrain_files import TerrainFile, read_terrain_file
     from lunarsci.twin.jobs.drive_inputs import DEFAULT_SOIL
     from lunarsci.twin.plans.rover_check import RoverCheck

@@ -1,20 +1,108 @@
-"""Quantities of a drive against distance: of the chassis and of the wheels.
+"""Quantities of a drive against distance: clearance, distance from exclusion zones, those of chassis and wheels."""
 
-How near the rover comes to the circles that it must keep out of.
-"""
+import math
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.compiled import each_in_threads, in_lanes
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.footprint import rover_outline
-from lunarsci.twin.judgement.clearance import clearance
 from lunarsci.twin.plans.plan import KeepOut
+from lunarsci.twin.rover import Body
 from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction
 
-__all__ = ["abscissa", "along", "keep_out_distance", "tilt_deg"]
+__all__ = ["abscissa", "along", "belly_points", "clearance", "clearance_of_poses", "keep_out_distance", "tilt_deg"]
 
 FloatArray = npt.NDArray[np.float64]
+
+MOST_POINTS = 1000
+"""Of the grid on the belly; a finer terrain is met at wider points."""
+BLOCK = 4096
+
+
+def belly_points(body: Body, spacing_m: float) -> FloatArray:
+    """Grid of points on the underside, edges included, at most `spacing_m` apart while 1000 points do. (n, 3) [m]"""
+    spacing = max(spacing_m, math.sqrt(body.length_m * body.width_m / MOST_POINTS))
+    along, across = (
+        np.linspace(-0.5 * side, 0.5 * side, max(2, math.ceil(side / spacing - 1e-9) + 1))
+        for side in (body.length_m, body.width_m)
+    )
+    x, y = np.meshgrid(body.center_x_m + along, across, indexing="ij")
+    return np.column_stack([x.ravel(), y.ravel(), np.full(x.size, body.belly_z_m)])
+
+
+@in_lanes
+def least_above(height: Any, x0: float, y0: float, spacing: float, points: Any, poses: Any, out: Any) -> None:
+    """Least height of the points above the ground for each pose (n, 6: x, y, z, roll, pitch, yaw [rad]), into `out`.
+
+    `out` (n, 2) takes that height, NaN where no ground is known below, and the share of points without known ground.
+    """
+    ny, nx = height.shape
+    for k in range(len(poses)):
+        cr, sr = math.cos(poses[k, 3]), math.sin(poses[k, 3])
+        cp, sp = math.cos(poses[k, 4]), math.sin(poses[k, 4])
+        cy, sy = math.cos(poses[k, 5]) / spacing, math.sin(poses[k, 5]) / spacing
+        least, unknown = np.inf, 0
+        # Turned by roll about x, then by pitch about y, then by yaw about z: columns of that rotation.
+        column_x, column_y, column_z = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
+        row_x, row_y, row_z = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
+        up_x, up_y, up_z = -sp, cp * sr, cp * cr
+        column_0, row_0 = (poses[k, 0] - x0) / spacing, (poses[k, 1] - y0) / spacing
+        for n in range(len(points)):
+            x, y, z = points[n, 0], points[n, 1], points[n, 2]
+            column = column_0 + column_x * x + column_y * y + column_z * z
+            row = row_0 + row_x * x + row_y * y + row_z * z
+            if not (0.0 <= column <= nx - 1 and 0.0 <= row <= ny - 1):
+                unknown += 1
+                continue
+            j, i = min(np.int64(column), nx - 2), min(np.int64(row), ny - 2)
+            a, b = column - j, row - i
+            low = height[i, j] + a * (height[i, j + 1] - height[i, j])
+            high = height[i + 1, j] + a * (height[i + 1, j + 1] - height[i + 1, j])
+            above = poses[k, 2] + up_x * x + up_y * y + up_z * z - (low + b * (high - low))
+            if np.isnan(above):
+                unknown += 1
+            elif above < least:
+                least = above
+        out[k, 0] = least if least < np.inf else np.nan
+        out[k, 1] = unknown / len(points)
+
+
+def clearance_of_poses(prediction: Prediction, body: Body, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Clearance [m] and share of the belly over unknown ground [-] for poses with `PATH_COLUMNS`. (..., 6) to (...)"""
+    terrain = prediction.terrain
+    height = np.ascontiguousarray(terrain.height_m, dtype=float)
+    points = belly_points(body, terrain.spacing_m)
+    flat = np.ascontiguousarray(poses.reshape(-1, 6))
+    flat = np.concatenate([flat[:, :3], np.radians(flat[:, 3:])], axis=1)
+    out = np.empty((len(flat), 2))
+    known = (height, float(terrain.x0_m), float(terrain.y0_m), float(terrain.spacing_m), points)
+
+    def block(number: int) -> None:
+        own = slice(number * BLOCK, (number + 1) * BLOCK)
+        least_above(*known, flat[own], out[own])
+
+    each_in_threads(block, math.ceil(len(flat) / BLOCK))
+    return out[:, 0].reshape(poses.shape[:-1]), out[:, 1].reshape(poses.shape[:-1])
+
+
+def clearance(prediction: Prediction) -> tuple[FloatArray, FloatArray]:
+    """Least vertical distance of the underside of the chassis from the ground along each drive.
+
+    Returns it [m] and the share of the underside that is over ground of unknown height [-], (members, samples) both.
+    The distance counts the known ground only, is NaN where none is known, and negative where the chassis would be in
+    the ground; the drive itself goes on as if nothing had touched. Wheel tracks do not lower the ground. Heights are
+    bilinear between the nodes, six times faster than the ground that the wheels meet and 0.1 mm from it on the embedded
+    terrain, below points no wider apart than the nodes.
+
+    Raises ParameterError for a rover without a body.
+    """
+    body = prediction.rover.body
+    if body is None:
+        raise ParameterError(f"{prediction.rover.name} has no [body]; add the table to the rover file as in yutu2's")
+    return clearance_of_poses(prediction, body, prediction.paths)
 
 
 def keep_out_distance(prediction: Prediction, circles: tuple[KeepOut, ...] | None = None) -> FloatArray:

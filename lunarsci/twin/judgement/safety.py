@@ -12,9 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.errors import ParameterError
-from lunarsci.twin.judgement.clearance import clearance
 from lunarsci.twin.judgement.endpoint import Endpoint, endpoint_spread
-from lunarsci.twin.judgement.quantities import along
+from lunarsci.twin.judgement.quantities import along, clearance
 from lunarsci.twin.outcomes import HOLE, LEFT, OUTCOMES
 from lunarsci.twin.plans.plan import AT_LEAST, QUANTITIES, Limit, Plan
 from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST, VALID_SLIP

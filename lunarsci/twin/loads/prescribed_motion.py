@@ -15,13 +15,13 @@ from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.lanes import ARM, AXES, LANES, POSE, new_work
 from lunarsci.twin.outcomes import DIVERGED, FINISHED, SANK, UNSETTLED
-from lunarsci.twin.plans.commands import CREEP_M_S
 from lunarsci.twin.plans.motion import Motion
+from lunarsci.twin.plans.path import CREEP_M_S
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact import HELD
 from lunarsci.twin.simulation.contact_frame import shear_center
-from lunarsci.twin.simulation.drive import record, take_commands
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
+from lunarsci.twin.simulation.members import record, take_commands
 from lunarsci.twin.simulation.settle import balance, settle
 
 __all__ = ["FORCES", "PrescribedLoads", "contact_jacobian", "net_wrench", "prescribed_loads", "residual_wrench"]

@@ -9,7 +9,7 @@ from typing import Any
 from lunarsci.errors import LunarSciWarning, RequestError
 from lunarsci.rovers.description import MadeFor, RoverDescription
 from lunarsci.twin.ground.driven_soil import DrivenSoil
-from lunarsci.twin.ground.mobility import read_mobility
+from lunarsci.twin.ground.hazards import read_mobility
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS
 from lunarsci.twin.plans.plan import Limit, Plan
 from lunarsci.twin.rover import Rover

@@ -12,8 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.twin.lanes import LANES, POSE
-from lunarsci.twin.plans.commands import CREEP, Commands, plain, reach_m, wheel_commands
-from lunarsci.twin.plans.path import along_legs, curvature_at, leg_end
+from lunarsci.twin.plans.path import CREEP, Commands, along_legs, curvature_at, leg_end, plain, reach_m, wheel_commands
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
 

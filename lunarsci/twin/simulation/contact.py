@@ -59,13 +59,16 @@ from lunarsci.twin.simulation.contact_frame import (
     DEEPEST,
     SHALLOWEST,
     SLOWEST,
+    any_stands,
     contact_frame,
+    keep_hold,
+    lean,
     seen_from,
     shear_center,
     soil_below,
+    stand,
     velocity_of,
 )
-from lunarsci.twin.simulation.standing import any_stands, keep_hold, lean, stand
 
 __all__ = ["AT_REST", "DRIVEN", "HELD", "MASS_ON_WHEEL", "NORMAL_DAMPING", "add_wheel"]
 

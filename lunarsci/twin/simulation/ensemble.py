@@ -14,7 +14,7 @@ from lunarsci.twin.plans.plan import Plan, Sweep, check_plan
 from lunarsci.twin.plans.schedule import Schedule, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST
-from lunarsci.twin.simulation.drawn_discrepancy import DrawnDiscrepancy
+from lunarsci.twin.simulation.discrepancy import DrawnDiscrepancy
 from lunarsci.twin.simulation.members import MOST_STEPS, DriveSetup, Grounds, drive_all, drive_finer
 
 __all__ = ["OFFSET_COLUMNS", "PATH_COLUMNS", "STATE_COLUMNS", "Grounds", "Prediction", "member_parameters", "predict"]

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
-from lunarsci.twin.plans.commands import CREEP_M_S
 from lunarsci.twin.plans.motion import Motion
+from lunarsci.twin.plans.path import CREEP_M_S
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.telemetry.filter import EFFECTS, Nodes
 from lunarsci.twin.telemetry.odometry import ground_velocities, shape_effect, slope_effect, wheel_rows

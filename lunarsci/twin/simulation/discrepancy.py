@@ -6,17 +6,38 @@ the discrepancy is a share of the way lost by slipping, and of a small part of t
 
 import dataclasses
 from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
-from lunarsci.twin.simulation.drawn_discrepancy import DrawnDiscrepancy
-from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
 
-__all__ = ["ALIKE_M", "ALWAYS", "exposed", "way_matrix", "with_discrepancy"]
+if TYPE_CHECKING:
+    from lunarsci.twin.simulation.ensemble import Prediction
+
+__all__ = ["ALIKE_M", "ALWAYS", "DrawnDiscrepancy", "exposed", "way_matrix", "with_discrepancy"]
 
 FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnDiscrepancy:
+    """Draws of a discrepancy.
+
+    Attributes
+    ----------
+    law : they were drawn from.
+    offsets_m : how far from its path each member is taken to be. (members, samples, 2) [m]
+    shares : of wheel states, by quantity: what each member's were multiplied by, less 1. (members,) [-]
+    """
+
+    law: PhysicsDiscrepancy
+    offsets_m: FloatArray
+    shares: Mapping[str, FloatArray]
+
+
 ALIKE_M = 5.0
 """Way over which the physics is off by much the same share; the likelihood of the returns that set
 `physics_discrepancy.FIRST` is the same within 0.1 for 2 to 30 m."""
@@ -64,7 +85,7 @@ def way_matrix(planned_m: FloatArray, paths_m: FloatArray) -> FloatArray:
     return result
 
 
-def with_discrepancy(prediction: Prediction, law: PhysicsDiscrepancy, seed: int = 0) -> Prediction:
+def with_discrepancy(prediction: "Prediction", law: PhysicsDiscrepancy, seed: int = 0) -> "Prediction":
     """Every member with a draw of the discrepancy: moved off its path, its slip, side slip, sinkage and forces changed.
 
     The paths, on which the chassis stood on the ground, stay as they were driven; `Prediction.places_m` is where a
@@ -86,9 +107,11 @@ def with_discrepancy(prediction: Prediction, law: PhysicsDiscrepancy, seed: int 
 
 
 def _states(
-    prediction: Prediction, along: FloatArray, across: FloatArray, shares: Mapping[str, FloatArray]
+    prediction: "Prediction", along: FloatArray, across: FloatArray, shares: Mapping[str, FloatArray]
 ) -> FloatArray:
     """A rover that comes a share of the way farther slips less by it; one that comes to the left slips sidewards."""
+    from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
+
     states, moving = prediction.states.copy(), ~prediction.halted
     ahead, left = (np.concatenate([part[:, :1], part], axis=1)[:, moving, None] for part in (along, across))
     column = {name: states[..., k] for k, name in enumerate(STATE_COLUMNS)}

@@ -1,0 +1,262 @@
+"""Pictures of wheel states along a drive: slip, side slip and sinkage found in telemetry, and wheel forces."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.twin.figures.panels import ACCENT, GOLD, INK, LABELS, LIMIT, WHEEL_COLORS, draw_ground
+from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.loads.load_ensemble import LoadEnsemble
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
+from lunarsci.twin.telemetry.states import DriveStates
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["force_band_figure", "force_figure", "states_page"]
+
+FloatArray = npt.NDArray[np.float64]
+STATE_PANELS = ("slip_ratio", "side_slip_deg", "sinkage_m")
+MARGIN_M = 1.6
+WORDS = 60
+"""Letters of a finding that are drawn."""
+
+
+def states_page(drive: DriveStates, terrain: Terrain, title: str) -> "Figure":
+    """Map with wheel tracks, positions and smoothed way above; slip, side slip and sinkage against distance below."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11.0, 13.0), dpi=130, layout="constrained", facecolor="white")
+    parts: Any = figure.subfigures(2, 1, height_ratios=[1.0, 1.55])
+    _draw_map(parts[0].subplots(), drive, terrain)
+    panels = parts[1].subplots(3, 1, sharex=True)
+    for panel, name in zip(panels, STATE_PANELS, strict=True):
+        _draw_states(panel, drive, name)
+    handles, labels = panels[0].get_legend_handles_labels()
+    parts[1].legend(handles, labels, loc="outside lower center", ncols=8, fontsize=8, frameon=False)
+    panels[0].set_title("One state between two positions; bars: 68 %; hollow: not valid", fontsize=10)
+    panels[-1].set_xlabel("Way as the wheels say [m]")
+    figure.suptitle(title, fontsize=12)
+    return figure
+
+
+def _draw_map(axes: "Axes", drive: DriveStates, terrain: Terrain) -> None:
+    from matplotlib.patches import Ellipse
+
+    places = drive.held.states[..., :2]
+    points = np.vstack([places.reshape(-1, 2), drive.nodes.fix_m])
+    draw_ground(axes, terrain, _window(points, terrain), 0.1)
+    for k in range(places.shape[1]):
+        axes.plot(*places[:, k].T, color=WHEEL_COLORS[k], linewidth=0.9, alpha=0.9, zorder=3)
+    motion, telemetry = drive.motion, drive.telemetry
+    axes.plot(motion.x_m, motion.y_m, color="white", linewidth=3.0, zorder=4)
+    axes.plot(motion.x_m, motion.y_m, color=ACCENT, linewidth=1.6, zorder=5, label="smoothed way of the rover's origin")
+    for begin, end in drive.gaps:
+        inside = (motion.time_s >= begin) & (motion.time_s <= end)
+        axes.plot(motion.x_m[inside], motion.y_m[inside], color=GOLD, linewidth=4.0, zorder=5.5, label="gap")
+    rows = telemetry.fixed & ~np.isin(telemetry.time_s, drive.left_out[:, 0])
+    fixes = telemetry.fix_m[rows]
+    axes.plot(*fixes.T, ".", color=INK, markersize=5, zorder=6, label="localised positions")
+    for (x, y), covariance in zip(fixes, telemetry.fix_covariance_m2[rows], strict=True):
+        values, axis = np.linalg.eigh(covariance)
+        angle = float(np.degrees(np.arctan2(axis[1, 1], axis[0, 1])))
+        size = 6.0 * np.sqrt(values)
+        axes.add_patch(
+            Ellipse((x, y), size[1], size[0], angle=angle, fill=False, edgecolor=INK, linewidth=0.7, zorder=6)
+        )
+    if len(drive.left_out):
+        axes.plot(*drive.left_out[:, 1:].T, "x", color=LIMIT, markersize=8, zorder=7, label="left out: fits no motion")
+    handles, labels = axes.get_legend_handles_labels()
+    unique = dict(zip(labels, handles, strict=True))
+    axes.legend(list(unique.values()), list(unique), loc="upper left", ncols=2, fontsize=8, framealpha=0.9)
+    axes.set_title("Wheel tracks, positions with ellipses of 3 σ; contours every 0.1 m", fontsize=10)
+
+
+def _window(points: FloatArray, terrain: Terrain) -> tuple[slice, slice]:
+    """Rows and columns of the terrain about points."""
+    known = points[np.isfinite(points).all(axis=1)]
+    found = []
+    for axis, values in ((terrain.y_m, known[:, 1]), (terrain.x_m, known[:, 0])):
+        near = np.flatnonzero((axis >= values.min() - MARGIN_M) & (axis <= values.max() + MARGIN_M))
+        found.append(slice(int(near[0]), int(near[-1]) + 1) if len(near) > 2 else slice(0, len(axis)))
+    return found[0], found[1]
+
+
+def _draw_states(panel: "Axes", drive: DriveStates, name: str) -> None:
+    text, factor = LABELS[name]
+    rows = drive.rows
+    values, sigmas = factor * getattr(rows, name), factor * getattr(rows, f"{name}_sigma")
+    reach = float(np.median(np.diff(rows.distance_m))) if len(rows.distance_m) > 1 else 0.1
+    for k, wheel in enumerate(drive.rover.wheels):
+        # Side by side, so that the bars of six wheels do not hide each other.
+        where = rows.distance_m + 0.1 * reach * (k - 0.5 * (len(drive.rover.wheels) - 1))
+        good = rows.valid[:, k] & np.isfinite(values[:, k])
+        bad = ~rows.valid[:, k] & np.isfinite(values[:, k])
+        color = WHEEL_COLORS[k]
+        shown = np.where(good, values[:, k], np.nan)
+        panel.plot(*_broken(where, shown, drive), color=color, linewidth=0.8, alpha=0.6)
+        panel.errorbar(
+            where, shown, np.where(good, sigmas[:, k], 0.0),
+            fmt="o", color=color, markersize=3.5, elinewidth=1.0, capsize=1.5, label=wheel,
+        )  # fmt: skip
+        panel.plot(where[bad], values[bad, k], "o", color=color, markersize=4, markerfacecolor="white")
+    way = _distance_at(drive, drive.gaps)
+    for number, (begin, end) in enumerate(way):
+        panel.axvspan(begin, end, color=GOLD, alpha=0.35, linewidth=0, label="gap" if number == 0 else None)
+    panel.set_ylabel(text)
+    panel.grid(alpha=0.25, linewidth=0.5)
+    if panel.get_ylim()[0] < 0 < panel.get_ylim()[1]:
+        panel.axhline(0.0, color=INK, linewidth=0.6)
+    if not np.isfinite(values).any():
+        panel.text(0.5, 0.5, "no depth of the track was given", transform=panel.transAxes, ha="center", color=INK)
+
+
+def _broken(where: FloatArray, values: FloatArray, drive: DriveStates) -> tuple[FloatArray, FloatArray]:
+    """A line that ends at gaps."""
+    times = drive.nodes.time_s[drive.rows.node]
+    after = np.unique(np.searchsorted(times, drive.gaps[:, 0]))
+    return np.insert(where, after, np.nan), np.insert(values, after, np.nan)
+
+
+def _distance_at(drive: DriveStates, times: FloatArray) -> FloatArray:
+    """Way as the wheels say at some times. (..., ) [m]"""
+    speed = np.hypot(drive.nodes.twist[:, 0], drive.nodes.twist[:, 1])
+    way = np.append(0.0, np.cumsum(speed * np.diff(drive.nodes.time_s)))
+    return np.asarray(np.interp(times, drive.nodes.time_s, way))
+
+
+# Left and right wheel, told apart by the colour-blind (Okabe & Ito 2008).
+LEFT, RIGHT = "#0072B2", "#D55E00"
+FORCE_LABELS = ("Normal force F$_N$ [N]", "Drawbar pull F$_{DP}$ [N]", "Lateral force F$_L$ [N]")
+MISSING = ("Missing ahead [N]", "Missing to the left [N]", "Missing moment [N m]")
+
+
+def force_band_figure(found: LoadEnsemble, title: str) -> "Figure":
+    """A column of panels for each axle: the three forces of its wheels, and below what is missing of the totals.
+
+    Pale bands are one standard deviation after the balance; the dark band in it is what the assumed soil brings of it.
+    """
+    from matplotlib.figure import Figure
+
+    wheels = found.held.rover.wheels
+    columns = len(wheels) // 2
+    figure = Figure(figsize=(4.3 * columns, 11.0), dpi=130, layout="constrained", facecolor="white")
+    parts: Any = figure.subfigures(2, 1, height_ratios=(3.1, 1.0))
+    upper, lower = parts
+    panels: Any = upper.subplots(3, columns, sharex=True, sharey="row", squeeze=False)
+    along = found.held.motion.rolled_m
+    for force, row in enumerate(panels):
+        for axle, panel in enumerate(row):
+            for side, color in enumerate((LEFT, RIGHT)):
+                _draw_band(panel, along, found, 2 * axle + side, force, color)
+            _band_frame(panel, FORCE_LABELS[force] if axle == 0 else "", along)
+    for panel in panels[0]:
+        panel.legend(loc="upper center", ncols=2, fontsize=7.5, frameon=False)
+    bottom, top = panels[0, 0].get_ylim()
+    panels[0, 0].set_ylim(bottom, top + 0.22 * (top - bottom))
+    for panel in panels.ravel():
+        _zero(panel)
+    _draw_missing(lower.subplots(1, 3, sharex=True), along, found)
+    figure.suptitle(
+        f"{title}\npale: ±1 standard deviation after the balance of totals; dark: what the assumed soil brings of it",
+        fontsize=11,
+    )
+    return figure
+
+
+def _draw_band(panel: Any, along: FloatArray, found: LoadEnsemble, wheel: int, force: int, color: str) -> None:
+    mean, sigma = found.after[:, wheel, force], found.after_sigma[:, wheel, force]
+    soil = np.minimum(np.sqrt(np.maximum(found.after_parts[0, :, wheel, force], 0.0)), sigma)
+    name = found.held.rover.wheels[wheel]
+    panel.fill_between(along, mean - sigma, mean + sigma, color=color, alpha=0.18, linewidth=0, label=f"{name} ±σ")
+    panel.fill_between(along, mean - soil, mean + soil, color=color, alpha=0.35, linewidth=0, label=f"{name} by soil")
+    panel.plot(along, mean, color=color, linewidth=1.2, linestyle="-" if wheel % 2 == 0 else (0, (4, 2)))
+
+
+def _draw_missing(panels: Any, along: FloatArray, found: LoadEnsemble) -> None:
+    for k, panel in enumerate(panels):
+        before, sigma = found.residual_before[:, k], found.total_before[:, k]
+        panel.fill_between(along, before - sigma, before + sigma, color=INK, alpha=0.15, linewidth=0)
+        panel.plot(along, before, color=INK, linewidth=1.0, linestyle=":", label="before the balance, ±σ")
+        panel.plot(along, found.residual_after[:, k], color=INK, linewidth=1.4, label="after")
+        _band_frame(panel, MISSING[k], along)
+        _zero(panel)
+        panel.set_xlabel("Distance rolled [m]")
+    panels[0].legend(loc="best", fontsize=7.5, frameon=False)
+
+
+def _band_frame(panel: Any, text: str, along: FloatArray) -> None:
+    panel.set_ylabel(text)
+    panel.set_xlim(float(along[0]), float(along[-1]))
+    panel.grid(alpha=0.25, linewidth=0.5)
+
+
+def _zero(panel: Any) -> None:
+    if panel.get_ylim()[0] < 0 < panel.get_ylim()[1]:
+        panel.axhline(0.0, color=INK, linewidth=0.6)
+
+
+FORCE_PANELS = {
+    "normal_force_n": "Normal force F$_N$ [N]",
+    "drawbar_pull_n": "Drawbar pull F$_{DP}$ [N]",
+    "lateral_force_n": "Lateral force F$_L$ [N]",
+    "resistance_torque_nm": "Resistance torque M$_R$ [N m]",
+    "slip_ratio": "Slip ratio s [-]",
+    "side_slip_deg": "Side slip β [deg]",
+}
+# Colours by axle that colour-blind people tell apart (Okabe & Ito 2008); left full, right dashed.
+COLORS = ("#0072B2", "#D55E00", "#009E73")
+
+
+def force_figure(
+    wheels: tuple[str, ...],
+    axis: tuple[FloatArray, str],
+    states: FloatArray,
+    title: str,
+    residual_n: FloatArray | None = None,
+) -> "Figure":
+    """Forces, slip and side slip of each wheel.
+
+    Parameters
+    ----------
+    wheels : their names, left and right in turn from front to rear.
+    axis : values along the drive (n,), and their label.
+    states : wheel states, columns `STATE_COLUMNS`; the median over members where there are several.
+        (n, wheels, 10) or (members, n, wheels, 10)
+    missing_n : for a given motion, the force ahead and to the left that the wheels do not supply. (n, 2) [N]
+    """
+    from matplotlib.figure import Figure
+
+    along, label = axis
+    middle = np.nanmedian(states, axis=0) if states.ndim == 4 else states
+    figure = Figure(figsize=(11.0, 8.6), dpi=130, layout="constrained", facecolor="white")
+    rows: Any = figure.subplots(3 if residual_n is None else 4, 2, sharex=True, squeeze=False)
+    for panel, (name, text) in zip(rows.ravel(), FORCE_PANELS.items(), strict=False):
+        for k, wheel in enumerate(wheels):
+            panel.plot(
+                along,
+                middle[:, k, STATE_COLUMNS.index(name)],
+                color=COLORS[k // 2 % len(COLORS)],
+                linestyle="-" if k % 2 == 0 else (0, (4, 2)),
+                linewidth=1.3,
+                label=wheel,
+            )
+        _frame(panel, text)
+    if residual_n is not None:
+        for panel, values, text in zip(rows[3], residual_n.T, ("ahead", "to the left"), strict=True):
+            panel.plot(along, values, color="#26323a", linewidth=1.3)
+            _frame(panel, f"Missing force {text} [N]")
+    for panel in rows[-1]:
+        panel.set_xlabel(label)
+    rows[0, 0].legend(ncols=len(wheels) // 2, fontsize=8, frameon=False)
+    figure.suptitle(title, fontsize=12)
+    return figure
+
+
+def _frame(panel: Any, text: str) -> None:
+    panel.set_ylabel(text)
+    panel.grid(alpha=0.25, linewidth=0.5)
+    if panel.get_ylim()[0] < 0 < panel.get_ylim()[1]:
+        panel.axhline(0.0, color="#26323a", linewidth=0.6)
