@@ -230,7 +230,7 @@ def _pictures(the_rock: StudiedRock, the_drive: PredictedDrive, soil: Identifica
         return picture("fit.png", fit_pages([the_rock.fit]))
 
     def path() -> bytes:
-        from lunarsci.twin.figures.fan import path_fan
+        from lunarsci.twin.figures.prediction import path_fan
 
         return picture("drive.png", [path_fan(the_drive.prediction, the_drive.verdict)])
 
