@@ -17,7 +17,7 @@ from lunarsci.spectra.abundance.end_members import FAMILY_OF, embedded_end_membe
 from lunarsci.spectra.abundance.estimate import estimate_suite
 from lunarsci.spectra.abundance.nbsr import nbsr_abundance
 from lunarsci.spectra.abundance.result import Abundance
-from lunarsci.spectra.library import EndMember
+from lunarsci.spectra.library.end_member import EndMember
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import mgm_model
 from lunarsci.spectra.mgm.result import MgmFit

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from lunarsci.inputs import read_input
-from lunarsci.spectra.library import read_library
+from lunarsci.spectra.library.end_member import read_library
 
 Run = Callable[..., "object"]
 LIBRARY = ("spectra", "library")

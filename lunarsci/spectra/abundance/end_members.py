@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.library import EndMember
+from lunarsci.spectra.library.end_member import EndMember
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model, unit_of
 from lunarsci.spectra.spectrum import FloatArray

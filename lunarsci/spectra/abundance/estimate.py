@@ -16,7 +16,7 @@ from lunarsci.spectra.abundance.mixing import Absorbance, Albedo, HapkeSurface, 
 from lunarsci.spectra.abundance.powders import Powders, loosened, population
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction
 from lunarsci.spectra.abundance.unmix import SharesPosterior, Suite, unmix
-from lunarsci.spectra.library import EndMember
+from lunarsci.spectra.library.end_member import EndMember
 from lunarsci.spectra.spectrum import FloatArray, Spectrum
 
 __all__ = [

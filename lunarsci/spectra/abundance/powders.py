@@ -9,7 +9,7 @@ import numpy as np
 
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.abundance.mixing import MixingLaw
-from lunarsci.spectra.library import EndMember
+from lunarsci.spectra.library.end_member import EndMember
 from lunarsci.spectra.spectrum import FloatArray
 
 __all__ = ["MineralPopulation", "Powders", "loosened", "population"]

@@ -113,7 +113,7 @@ def bands(
 def _chemistry(item: "SpectrumBands | BandFailure") -> dict[str, Any]:
     """Every key of the chemistry; None where the bands for it are not there."""
     from lunarsci.spectra.bands import SpectrumBands
-    from lunarsci.spectra.chemistry import KEYS, chemistry
+    from lunarsci.spectra.chemistry.bands import KEYS, chemistry
 
     found = chemistry(item) if isinstance(item, SpectrumBands) else {}
     return {key: found[key].to_dict() if key in found else None for key in KEYS}

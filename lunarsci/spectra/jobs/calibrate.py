@@ -48,7 +48,7 @@ class CalibrateRequest:
 
     def settings(self) -> "Settings":
         """With the tables read. Raises DataError for one that cannot be used, ParameterError for a value."""
-        from lunarsci.spectra.photometry import PHASE_FUNCTIONS, phase_function, read_phase_function
+        from lunarsci.spectra.photometry.phase import PHASE_FUNCTIONS, phase_function, read_phase_function
         from lunarsci.spectra.readers.solar_table import read_solar_spectrum
         from lunarsci.spectra.solar import SOLAR_SPECTRA, solar_spectrum
         from lunarsci.spectra.vnis.detector import Settings, read_channel_factors

@@ -50,7 +50,7 @@ class SimulateVnisRequest:
 
     def scene(self) -> "Scene":
         """What is looked at. Raises ParameterError for what there cannot be."""
-        from lunarsci.spectra.photometry import Geometry
+        from lunarsci.spectra.photometry.geometry import Geometry
         from lunarsci.spectra.vnis.simulation.scene import ROCK, SOIL, Scene, SceneRock
 
         rock = self.rock and SceneRock(replace(ROCK, composition=_composition(self.rock)), radius_px=self.rock_radius)
@@ -77,8 +77,8 @@ class SimulatedVnis(Result):
     @property
     def made_from(self) -> MadeFrom:
         from lunarsci.spectra.mgm.assemblages import TABLES as BANDS_TABLES
-        from lunarsci.spectra.photometry import phase_function
         from lunarsci.spectra.photometry.phase import TABLE as PHASE_TABLE
+        from lunarsci.spectra.photometry.phase import phase_function
         from lunarsci.spectra.solar import SOLAR_SPECTRA, table_name
         from lunarsci.spectra.vnis.channels import TABLES
         from lunarsci.tables import table_hashes

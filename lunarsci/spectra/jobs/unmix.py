@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from lunarsci.inputs import InputFile
     from lunarsci.spectra.abundance.known_modes import KnownModes
     from lunarsci.spectra.abundance.result import Abundance
-    from lunarsci.spectra.library import EndMember
+    from lunarsci.spectra.library.end_member import EndMember
     from lunarsci.spectra.mgm.result import MgmFit
     from lunarsci.spectra.readers.batch import SpectraSource
     from lunarsci.spectra.spectrum import Spectrum
@@ -83,7 +83,7 @@ def unmix(
     """
     from lunarsci.inputs import read_input
     from lunarsci.spectra.abundance.nbsr import nbsr_abundances
-    from lunarsci.spectra.library import read_library
+    from lunarsci.spectra.library.end_member import read_library
     from lunarsci.spectra.readers.batch import read_batch
 
     asked = request_of(UnmixRequest, request, options)

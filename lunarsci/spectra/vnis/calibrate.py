@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from lunarsci.errors import DataError, LunarSciError, LunarSciWarning, ParameterError
-from lunarsci.spectra.photometry import correction_factor, remarks
+from lunarsci.spectra.photometry.correction import correction_factor, remarks
 from lunarsci.spectra.solar import sun_moon_distance_au
 from lunarsci.spectra.spectrum import BoolArray, FloatArray
 from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.provenance import plain
-from lunarsci.spectra.photometry import STANDARD
+from lunarsci.spectra.photometry.geometry import STANDARD
 from lunarsci.spectra.spectrum import FloatArray, Spectrum
 from lunarsci.spectra.vnis.channels import SPLICED_NM
 from lunarsci.spectra.vnis.detector import DetectorSpectrum

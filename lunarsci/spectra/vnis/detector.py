@@ -12,9 +12,9 @@ import numpy as np
 from lunarsci import inputs
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile
-from lunarsci.spectra.photometry import Geometry, PhaseFunction, phase_function
+from lunarsci.spectra.photometry.geometry import Geometry
 from lunarsci.spectra.photometry.phase import TABLE as PHASE_TABLE
-from lunarsci.spectra.photometry.phase import SelenePhase
+from lunarsci.spectra.photometry.phase import PhaseFunction, SelenePhase, phase_function
 from lunarsci.spectra.rows import Row, check_widths, number, separator_of, split_fields, split_lines
 from lunarsci.spectra.smoothing import scatter_noise
 from lunarsci.spectra.solar import (

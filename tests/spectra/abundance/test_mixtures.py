@@ -11,7 +11,7 @@ import pytest
 
 from lunarsci.inputs import read_input
 from lunarsci.spectra.abundance.estimate import estimate_abundance
-from lunarsci.spectra.library import EndMember
+from lunarsci.spectra.library.end_member import EndMember
 from lunarsci.spectra.readers import read_spectra
 
 pytestmark = pytest.mark.reference

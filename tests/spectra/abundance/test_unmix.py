@@ -12,7 +12,7 @@ from lunarsci.spectra.abundance.estimate import METHODS, estimate_abundance, est
 from lunarsci.spectra.abundance.mixing import Absorbance, Albedo, HapkeSurface, MixingLaw, Weathering, iron_absorption
 from lunarsci.spectra.abundance.powders import Powders, loosened, population
 from lunarsci.spectra.abundance.unmix import GAUGE, Suite, _posterior, shares, unmix
-from lunarsci.spectra.library import EndMember
+from lunarsci.spectra.library.end_member import EndMember
 from lunarsci.spectra.spectrum import FloatArray, Spectrum
 
 GRID = np.arange(460.0, 2441.0, 20.0)

@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lunarsci.spectra.bands import BandResult, SpectrumBands, measure_bands
-from lunarsci.spectra.chemistry import KEYS, chemistry
-from lunarsci.spectra.chemistry.bands import from_centres, gaffey_pair
+from lunarsci.spectra.chemistry.bands import KEYS, chemistry, from_centres, gaffey_pair
 from lunarsci.spectra.chemistry.plane import PLANE_TABLE, TABLE, anchors, objection, regressions
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.tables import table_rows

@@ -8,8 +8,7 @@ import pytest
 from matplotlib.path import Path as MplPath
 
 from lunarsci.spectra.bands import SpectrumBands, measure_batch
-from lunarsci.spectra.chemistry import chemistry
-from lunarsci.spectra.chemistry.bands import FIELDS, from_centres, gaffey_pair
+from lunarsci.spectra.chemistry.bands import FIELDS, chemistry, from_centres, gaffey_pair
 from lunarsci.spectra.chemistry.plane import regressions
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import mgm_model

@@ -7,8 +7,8 @@ import pytest
 
 from lunarsci.errors import DataError
 from lunarsci.inputs import InputFile
-from lunarsci.spectra.library import EndMember
 from lunarsci.spectra.library.check import MIXTURE, read_metadata, with_description
+from lunarsci.spectra.library.end_member import EndMember
 
 
 def told(text: str) -> dict[str, dict[str, object]]:

@@ -7,8 +7,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.photometry import DISKS, STANDARD, Geometry, akimov, lommel_seeliger, mcewen
-from lunarsci.spectra.photometry.correction import MCEWEN_PHASE_DEG, disk_function, mcewen_weight, outside
+from lunarsci.spectra.photometry.correction import (
+    DISKS,
+    MCEWEN_PHASE_DEG,
+    akimov,
+    disk_function,
+    lommel_seeliger,
+    mcewen,
+    mcewen_weight,
+    outside,
+)
+from lunarsci.spectra.photometry.geometry import STANDARD, Geometry
 
 ANGLE = st.floats(0, 80)
 SEEN = Geometry(60, 45, 90)

@@ -9,8 +9,14 @@ import pytest
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile
-from lunarsci.spectra.photometry import PHASE_FUNCTIONS, phase_function, read_phase_function
-from lunarsci.spectra.photometry.phase import SelenePhase, henyey_greenstein, selene_phase
+from lunarsci.spectra.photometry.phase import (
+    PHASE_FUNCTIONS,
+    SelenePhase,
+    henyey_greenstein,
+    phase_function,
+    read_phase_function,
+    selene_phase,
+)
 
 ROWS = list(csv.DictReader((files("lunarsci.spectra_data") / "selene_sp_phase.csv").read_text().splitlines()))
 GROUPS = ("low", "mid", "high")
