@@ -30,6 +30,7 @@ __all__ = [
     "ground_intervals",
     "ground_moments",
     "moved_sd",
+    "parameter_rows",
     "past_beliefs",
     "rolled_back",
     "shared_drives",
