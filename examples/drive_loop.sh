@@ -40,7 +40,7 @@ go_or_stop lunarsci twin states "${common[@]}" 2-drive/telemetry.csv --track 2-d
     -o 3-states --plot 3-states.png
 
 say "4. From states to the forces of every wheel"
-go_or_stop lunarsci twin forces "${common[@]}" --motion 3-states/motion.csv --states 3-states/states.csv \
+go_or_stop lunarsci twin loads "${common[@]}" --motion 3-states/motion.csv --states 3-states/states.csv \
     --seed "$seed" --csv >4-forces.csv
 head -n 3 4-forces.csv
 

@@ -68,8 +68,8 @@ COMMANDS: dict[str, str] = {
     "predict": "twin predict short.toml --soil lunar-typical --sweep stiffness_kpa_m_n=800:1600:2 --ruts -o predicted",
     "simulate drive": "twin simulate short.toml --seed 5 -o drive",
     "states": "twin states drive/telemetry.csv short.toml --track drive/track.csv -o states",
-    "loads of paths": "twin forces short.toml --motion predicted/paths.csv --member 1",
-    "loads of states": "twin forces --motion states/motion.csv --states states/states.csv --seed 1",
+    "loads of paths": "twin loads short.toml --motion predicted/paths.csv --member 1",
+    "loads of states": "twin loads --motion states/motion.csv --states states/states.csv --seed 1",
     "update": "twin update states/states.csv --plan short.toml --positions states/positions.csv --seed 1 "
     "--particles 32 --save belief.json --save-map map.json --no-ruts",
     "predict belief": "twin predict short.toml --soil belief.json --members 4",

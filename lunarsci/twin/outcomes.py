@@ -1,6 +1,21 @@
 """How a drive can end."""
 
-__all__ = ["CLIFF", "DIVERGED", "FELL", "FINISHED", "HOLE", "LEFT", "OUTCOMES", "OVERTURNED", "SANK", "UNSETTLED"]
+from collections.abc import Iterable
+from typing import SupportsInt
+
+__all__ = [
+    "CLIFF",
+    "DIVERGED",
+    "FELL",
+    "FINISHED",
+    "HOLE",
+    "LEFT",
+    "OUTCOMES",
+    "OVERTURNED",
+    "SANK",
+    "UNSETTLED",
+    "outcome_texts",
+]
 
 OUTCOMES = (
     "finished",
@@ -15,3 +30,8 @@ OUTCOMES = (
     "fell: it moved at more than 1 m/s, off a cliff or down a slope that does not hold it",
 )
 FINISHED, LEFT, HOLE, OVERTURNED, DIVERGED, UNSETTLED, SANK, CLIFF, FELL = range(9)
+
+
+def outcome_texts(codes: Iterable[SupportsInt]) -> list[str]:
+    """The outcomes among some numbers that are no end as planned, each once, in alphabetical order."""
+    return sorted({OUTCOMES[int(code)] for code in codes if code != FINISHED})

@@ -1,4 +1,4 @@
-"""`lunarsci twin forces` along predictions and given motions, and what passes between commands."""
+"""`lunarsci twin forces` along predictions, `twin loads` along given motions, and what passes between commands."""
 
 import json
 from collections.abc import Callable
@@ -43,7 +43,7 @@ def test_forces_of_several_soils_count_alike(run: Run, plan: Path) -> None:
 def test_a_motion_is_explained_by_its_soil_and_not_by_another(run: Run, plan: Path, tmp_path: Path) -> None:
     folder = tmp_path / "drive"
     assert run("twin", "predict", plan, "-o", folder).code == 0
-    motion = ("twin", "forces", plan, "--motion", folder / "paths.csv")
+    motion = ("twin", "loads", plan, "--motion", folder / "paths.csv")
     done = run(*motion, "--json")
     assert done.code == 0, done.err
     missing = json.loads(done.out)["result"]["missing"]
@@ -52,7 +52,7 @@ def test_a_motion_is_explained_by_its_soil_and_not_by_another(run: Run, plan: Pa
     table = pd.read_csv(folder / "paths.csv")
     table["x_m"] += 5.5
     table.to_csv(tmp_path / "moved.csv", index=False)
-    moved = run("twin", "forces", plan, "--motion", tmp_path / "moved.csv")
+    moved = run("twin", "loads", plan, "--motion", tmp_path / "moved.csv")
     assert moved.code == 3 and "unexplained" in moved.err[-1]
     rows = run(*motion, "--csv").out.splitlines()
     assert rows[0].endswith("missing_ahead_n,missing_left_n,missing_moment_nm")
@@ -61,11 +61,9 @@ def test_a_motion_is_explained_by_its_soil_and_not_by_another(run: Run, plan: Pa
 def test_a_motion_without_commands_asks_for_them(run: Run, plan: Path, tmp_path: Path) -> None:
     path = tmp_path / "motion.csv"
     path.write_text("time_s,x_m,y_m,yaw_deg\n0,0,0,0\n1,0.05,0,0\n2,0.1,0,0\n")
-    done = run("twin", "forces", "--motion", path)
+    done = run("twin", "loads", "--motion", path)
     assert done.code == 1 and "give the plan" in done.err[0] and done.out == ""
-    both = run("twin", "forces", "--motion", path, "--sweep", "cohesion_pa=1:2:2")
-    assert both.code == 2
-    assert run("twin", "forces", "--member", "0").code == 2
+    assert run("twin", "loads").code == 2
 
 
 def test_a_posterior_passes_from_forces_to_the_next_prediction(run: Run, plan: Path, tmp_path: Path) -> None:

@@ -66,7 +66,7 @@ def test_from_telemetry_to_states_and_on(run: Run, plan: Path, sent: Path, tmp_p
     both = [column for name in measured for column in (name, f"{name}_sigma")]
     assert list(states.columns) == ["time_s", "distance_m", "wheel", "x_m", "y_m", *both, "valid", "slip_basis"]
     assert list(pd.read_csv(found / "positions.csv").columns) == ["time_s", "x_m", "y_m", "xx_m2", "xy_m2", "yy_m2"]
-    forces = run("twin", "forces", "--motion", found / "motion.csv", "-o", tmp_path / "forces.csv")
+    forces = run("twin", "loads", "--motion", found / "motion.csv", "-o", tmp_path / "forces.csv")
     assert forces.code == 0, forces.err
     # With forces beside them, the states are what the regolith is identified from, without a warning.
     states = states[states["sinkage_m"].notna()].assign(

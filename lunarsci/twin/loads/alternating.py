@@ -34,7 +34,8 @@ share of themselves, in a round that has converged."""
 OPPOSITE, NOT_SMALLER = -0.5, 0.8
 """Cosine between two moves of the soil below which the second goes back, and the share of the first that it has at
 least where the rounds do not calm down; assumed."""
-MOST_ROUNDS = 50
+MOST_ROUNDS, WORST_REDUCED = 50, 1.5
+"""Rounds, and reduced chi-square of the states beyond which no soil explains them; assumed."""
 ALIKE = math.sqrt(2.0 * math.pi)
 """Correlation lengths over which errors count as one: the integral of exp(-d^2 / 2)."""
 
@@ -68,6 +69,16 @@ class AlternatingEstimate:
     def converged(self) -> bool:
         """Whether the last round changed next to nothing."""
         return self.verdict == "converged"
+
+    @property
+    def doubt(self) -> str:
+        """Why the soil is not to be trusted; empty where it may be."""
+        if not self.converged:
+            rounds = len(self.rounds)
+            return f"forces and soil: {self.verdict} within {rounds} rounds; give more, or look at the states"
+        if (worst := max(self.posterior.reduced)) <= WORST_REDUCED:
+            return ""
+        return f"no soil explains the states (reduced chi-square {worst:.1f}); look at their errors and at the terrain"
 
 
 def alternate(

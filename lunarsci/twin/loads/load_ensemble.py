@@ -21,6 +21,7 @@ from lunarsci.twin.loads.prescribed_motion import (
     prescribed_loads,
     residual_wrench,
 )
+from lunarsci.twin.outcomes import outcome_texts
 from lunarsci.twin.plans.motion import Motion, drawn_motions
 from lunarsci.twin.rover import Rover
 
@@ -34,6 +35,8 @@ BALANCE_ERROR = 0.005
 LEAST_CARRIED = 0.5
 """Share of the soils that have to carry the rover at a pose for its forces to be told; assumed."""
 TOTALS = ("ahead", "left", "moment")
+SURPRISING = 4.0
+"""Reduced chi-square of the residual wrench beyond which no drawn soil explains the motion; assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +85,26 @@ class LoadEnsemble:
     carried: FloatArray
     surprise: FloatArray
     correlation_m: float
+
+    @property
+    def doubt(self) -> str:
+        """Why there are no forces, or none at some poses; empty where there are."""
+        if failed := outcome_texts(self.held.outcome):
+            return f"poses without equilibrium: {'; '.join(failed)}"
+        if not self.known.any():
+            return "no pose has forces: all are at halts, or too few of the drawn soils carry the rover"
+        return ""
+
+    @property
+    def doubt_of_soils(self) -> str:
+        """Why the drawn soils are not those of the motion; empty where they may be. Needs poses with forces."""
+        surprise = float(np.median(self.surprise[self.known]))
+        if surprise <= SURPRISING:
+            return ""
+        return (
+            f"what the wheels do not supply is beyond the drawn soils (reduced chi-square {surprise:.1f}): the soil, "
+            "the terrain or the motion is not as given"
+        )
 
     @property
     def before_sigma(self) -> FloatArray:

@@ -8,12 +8,13 @@ import numpy.typing as npt
 
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.states import COLUMNS, read_state_table
+from lunarsci.twin.plans.motion import CORRELATION_M, Motion, correlation_of
 from lunarsci.twin.rover import Rover
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["MEASURED", "PoseStates", "read_pose_states"]
+__all__ = ["MEASURED", "PoseStates", "correlation_length", "read_pose_states"]
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -59,3 +60,12 @@ def read_pose_states(source: InputFile, rover: Rover) -> PoseStates:
     columns = [COLUMNS.index(name) for name in MEASURED]
     time = found.numbers("time_s")
     return PoseStates(found.table, time, wheel, found.values[:, columns], found.sigmas[:, columns], found.valid)
+
+
+def correlation_length(motion: Motion, states: PoseStates | None) -> tuple[float, str]:
+    """Distance over which the motion's errors stay alike [m], and what it rests on: `slip errors`, or `assumed`."""
+    if states is None:
+        return CORRELATION_M, "assumed"
+    shown = states.valid & np.isin(states.time_s, motion.time_s[~motion.no_speed])
+    found = correlation_of(motion, states.values[shown, 1], states.sigmas[shown, 1])
+    return (CORRELATION_M, "assumed") if found is None else (found, "slip errors")

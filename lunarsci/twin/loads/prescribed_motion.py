@@ -14,7 +14,7 @@ from lunarsci.compiled import each_in_threads
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.lanes import ARM, AXES, LANES, POSE, new_work
-from lunarsci.twin.outcomes import DIVERGED, FINISHED, SANK, UNSETTLED
+from lunarsci.twin.outcomes import DIVERGED, FINISHED, SANK, UNSETTLED, outcome_texts
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.path import CREEP_M_S
 from lunarsci.twin.rover import Rover
@@ -62,6 +62,18 @@ class PrescribedLoads:
     def known(self) -> npt.NDArray[np.bool_]:
         """Poses with forces: in equilibrium, and neither at a halt nor beside a halt or gap. (n,)"""
         return np.asarray((self.outcome == FINISHED) & ~self.motion.no_speed)
+
+    @property
+    def doubt(self) -> str:
+        """Why the forces are not to be trusted; empty where they may be."""
+        if failed := outcome_texts(self.outcome):
+            return f"poses without equilibrium: {'; '.join(failed)}"
+        if not self.residual_share > LARGEST_RESIDUAL:
+            return ""
+        return (
+            f"the wheels' forces leave {100 * self.residual_share:.0f} % of the weight unexplained: the soil, the "
+            "terrain or the motion is not as given"
+        )
 
     @property
     def residual_share(self) -> float:
@@ -172,6 +184,8 @@ def _results(
 
 FORCES = ("normal_force_n", "drawbar_pull_n", "lateral_force_n")
 """Forces of a wheel, in the order of all arrays here."""
+LARGEST_RESIDUAL = 0.05
+"""Share of the weight: a residual beyond it says that the soil or the motion is not as given; assumed."""
 COLUMNS = [STATE_COLUMNS.index(name) for name in FORCES]
 
 

@@ -347,7 +347,7 @@ def position_table(drive: DriveStates) -> "pd.DataFrame":
 
 
 def motion_table(drive: DriveStates) -> "pd.DataFrame":
-    """The smoothed motion with the wheels' measured commands: what `lunarsci twin forces --motion` reads.
+    """The smoothed motion with the wheels' measured commands: what `lunarsci twin loads` reads.
 
     Columns time_s, x_m, y_m, yaw_deg, their NAME_sigma, and steering_W_deg, speed_W_m_s of each wheel W.
     """

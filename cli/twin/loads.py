@@ -1,0 +1,209 @@
+"""`lunarsci twin loads`: what the wheels carry and pull along a motion that was measured."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from lunarsci.errors import RequestError
+from lunarsci.twin.jobs.loads import LoadsRequest, MotionLoads, UncertainLoads
+
+from ..shared.command import command
+from ..shared.options import Output, option
+from ..shared.progress import progress
+from ..shared.report import Report
+from ..shared.table import TextTable
+from .forces import wheel_tables
+from .options import INTERPOLATION, ROVER, TERRAIN, PlanFile
+
+__all__ = ["add_to"]
+
+PANEL: dict[str, Any] = {"panel": "Uncertain motion and soil"}
+OPTIONS = {
+    "member": option("Which member of the motion's file, where it has several.", min=0),
+    "rover": ROVER,
+    "terrain": TERRAIN,
+    "interpolation": INTERPOLATION,
+    "soil": option(
+        "One soil, in place of the terrain's: a name or a TOML file.", show_default="the terrain's, or longji"
+    ),
+    "states": option(
+        "Measured wheel states (CSV: time_s, wheel, sinkage_m, slip_ratio, ...) that get the forces.",
+        kind=str | None,
+        metavar="FILE",
+        **PANEL,
+    ),
+    "belief": option(
+        "What is believed of the soil (JSON of `twin update`); the priors if left out.",
+        kind=str | None,
+        metavar="FILE",
+        **PANEL,
+    ),
+    "draws": option("Soils and motions to draw; 64 if left out.", min=16, max=4096, **PANEL),
+    "correlation": option(
+        "Distance in m over which the motion's errors stay alike; from the slips' errors, or 0.5, if left out.", **PANEL
+    ),
+    "balance_error": option("Error of the balance of forces as a share of the weight; 0.005 if left out.", **PANEL),
+    "iterate": option(
+        "Rounds, at most, of forces and soil in turn: needs --states with sinkages.", min=1, max=50, **PANEL
+    ),
+    "seed": option("Seed of everything random; 0 if left out.", min=0),
+}
+MotionFile = Annotated[
+    str, typer.Option(metavar="FILE", help="The motion that was measured: CSV with time_s, x_m, y_m, yaw_deg.")
+]
+SavedBelief = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="The soil after --iterate as a belief (JSON), for `twin predict --soil`.",
+        rich_help_panel=PANEL["panel"],
+    ),
+]
+SYMBOLS = {"normal_force_n": "F_N", "drawbar_pull_n": "F_DP", "lateral_force_n": "F_L"}
+UNITS = {"ahead": "N", "left": "N", "moment": "N m"}
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the command."""
+    command(app, "loads", folder=None, request=LoadsRequest, options=OPTIONS)(loads)
+
+
+def loads(
+    output: Output, request: LoadsRequest, motion: MotionFile, plan: PlanFile = None, save: SavedBelief = None
+) -> Report:
+    """Load, drawbar pull, lateral force and torque of every wheel along a measured motion.
+
+    The wheels' commands are those of columns such as steering_FL_deg and speed_FL_m_s, or else those of the plan at the
+    same times; what the wheels do not supply of the force that the motion needs is said.
+
+    With --states, --belief or --draws the motion is as uncertain as its columns x_m_sigma, y_m_sigma and yaw_deg_sigma
+    say, and the soil as the belief. Forces are then computed on many soils and motions and made to balance: all wheels
+    together have to carry weight and slope. It is said how much of each force comes from the assumed soil. What the
+    wheels supply together is then well known; how it shares out among them stays assumed. --iterate looks for the soil
+    with these forces: forces that came from a soil cannot prove it, so only sinkages under the loads, and slips against
+    what all wheels together pull, speak of it. Exit code 3 where the rounds do not converge.
+    """
+    from lunarsci.twin.jobs import loads as job
+
+    if save is not None and request.iterate is None:
+        raise RequestError("`save` takes the soil of `iterate`; give that, or leave it out")
+    output.check_extra("--save", save, (".json",))
+    with progress("holding the rover to its motion", quiet=output.quiet) as update:
+        found = job.loads(motion, plan, request, progress=update)
+    if isinstance(found, MotionLoads):
+        return Report.of(found, wheel_tables(found.title, found.wheels, _notes_of_motion(found)))
+    belief = found.belief
+    extras = {save: lambda: belief.to_json().encode()} if save and belief else {}
+    return Report.of(found, _tables(found), files=found.files(), extras=extras)
+
+
+def _notes_of_motion(found: MotionLoads) -> list[str]:
+    from lunarsci.twin.outcomes import outcome_texts
+
+    notes = [*outcome_texts(found.found.outcome), *found.known.remarks]
+    if missing := found.missing:
+        notes.insert(
+            0,
+            f"the motion needs {missing['mean_ahead_n']:.2f} N ahead and {missing['mean_left_n']:.2f} N to the left "
+            f"that the wheels do not supply in the mean, {100 * missing['rms_share_of_weight']:.1f} % of the weight in "
+            "rms",
+        )
+    return [*notes, "the terrain is synthetic"] if found.known.terrain.synthetic else notes
+
+
+def _notes(found: UncertainLoads) -> list[str]:
+    notes = []
+    if found.found.held.motion.sigmas is None:
+        notes.append("the motion has no columns x_m_sigma, y_m_sigma, yaw_deg_sigma; it counts as exact")
+    if "belief" not in found.given:
+        notes.append("no belief is given: the soils are drawn from the priors")
+    if found.states is None:
+        notes.append("no states are given: sinkages in the table are those of the assumed soil, and tell nothing of it")
+    elif found.turned is None:
+        notes.append(
+            "errors of single pulls are one soil's, alike at all poses; `regolith identify` takes them as independent "
+            "and is too sure of what it finds, --iterate is not"
+        )
+    return [*notes, "the terrain is synthetic"] if found.known.terrain.synthetic else notes
+
+
+def _tables(found: UncertainLoads) -> list[TextTable]:
+    """Forces of each wheel, where their uncertainty comes from, totals, rounds."""
+    result, notes = found.to_dict(), _notes(found)
+    if not result["wheels"]:
+        return [TextTable([], [], title=found.title, notes=[*notes, "no pose has forces"])]
+    tables = [
+        _force_table(result["wheels"], found.title),
+        _share_table(result["shares"]),
+        _total_table(result["totals"], notes),
+    ]
+    turned = result["iteration"]
+    return tables if turned is None else [*tables, _round_table(turned), _soil_table(turned["parameters"])]
+
+
+def _force_table(wheels: list[dict[str, Any]], title: str) -> TextTable:
+    rows = [
+        [
+            each["wheel"],
+            *(
+                f"{each[name][f'mean{end}']:.2f} ± {each[name][f'sigma{end}']:.2f}"
+                for name in SYMBOLS
+                for end in ("_before", "")
+            ),
+        ]
+        for each in wheels
+    ]
+    headers = ["wheel", *(f"{SYMBOLS[name]} {when} [N]" for name in SYMBOLS for when in ("assumed", "balanced"))]
+    return TextTable(headers, rows, title=f"{title}; mean along the drive ± standard deviation at a pose")
+
+
+def _share_table(shares: dict[str, Any]) -> TextTable:
+    rows = []
+    for name, of_force in shares.items():
+        for when, key in (("assumed", "before"), ("balanced", "after")):
+            own = of_force[key]
+            parts = (f"{100 * own[part]:.0f} %" for part in ("soil", "motion", "balance", "together"))
+            rows.append([SYMBOLS[name], when, *parts, f"{100 * own['of_force']:.1f} %"])
+    headers = ["force", "", "soil", "motion", "balance", "only jointly", "soil moves the force by"]
+    return TextTable(headers, rows, title="Where the variance of the forces comes from")
+
+
+def _total_table(totals: dict[str, dict[str, float]], notes: list[str]) -> TextTable:
+    rows = [[f"{name} [{UNITS[name]}]", *(f"{row[key]:.2f}" for key in row)] for name, row in totals.items()]
+    headers = ["of all wheels", "missing, assumed soil", "balanced", "± assumed soil", "± balanced"]
+    rows_notes = [
+        "all wheels together supply what the balance asks for; how it shares out among them stays the assumed soil's",
+        *notes,
+    ]
+    return TextTable(headers, rows, title="What the wheels do not supply, root mean square", notes=rows_notes)
+
+
+def _round_table(turned: dict[str, Any]) -> TextTable:
+    rows = [
+        [
+            str(number),
+            f"{each['soil_moved_sd']:.3g}",
+            f"{100 * each['forces_moved_share']:.2g} %",
+            f"{each['reduced_chi_square_sinkages']:.2f}",
+            f"{each['reduced_chi_square_totals']:.2f}",
+        ]
+        for number, each in enumerate(turned["rounds"], start=1)
+    ]
+    headers = ["round", "soil moved [sd]", "pulls moved", "chi² sinkages", "chi² totals"]
+    rounds = "1 round" if len(rows) == 1 else f"{len(rows)} rounds"
+    notes = [
+        "the soil is judged by sinkages under the loads and by what all wheels pull together,",
+        "never by single pulls, which came from a soil",
+    ]
+    said = f"converged after {rounds}" if turned["converged"] else f"{turned['verdict']}, {rounds}"
+    return TextTable(headers, rows, title=f"Forces and soil in turn: {said}", notes=notes)
+
+
+def _soil_table(parameters: dict[str, dict[str, float]]) -> TextTable:
+    rows = [
+        [name, *(f"{row[key]:.4g}" for key in ("median", "low", "high")), f"{100 * row['left_of_prior']:.0f} %"]
+        for name, row in parameters.items()
+    ]
+    headers = ["parameter", "median", "68 % from", "to", "left of the prior"]
+    return TextTable(headers, rows, title="The soil after the last round")

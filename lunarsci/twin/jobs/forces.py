@@ -1,0 +1,155 @@
+"""What the wheels carry and pull along a predicted drive."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from lunarsci.errors import RequestError
+from lunarsci.inputs import Source
+from lunarsci.result import MadeFrom, Result, request_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from lunarsci.twin.jobs.drive_inputs import DriveInputs
+    from lunarsci.twin.jobs.soils import Soils
+    from lunarsci.twin.judgement.load_check import WheelLoads
+    from lunarsci.twin.plans.plan import Plan
+    from lunarsci.twin.simulation.ensemble import Prediction
+
+__all__ = ["DriveForces", "ForcesRequest", "forces", "load_record"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForcesRequest:
+    """How to drive a plan.
+
+    Attributes
+    ----------
+    rover, terrain, interpolation, soil, fixes : as in `PredictRequest`.
+    sweep, members : as there, but that without either, and without a file of soils, one drive is made.
+    seed : of everything random; None is 0.
+    time_step : longest time step. [s]
+    sample : distance between recorded states. [m]
+    """
+
+    rover: str | None = None
+    terrain: str = "synthetic-longji"
+    interpolation: str = "smooth"
+    soil: tuple[str, ...] = ()
+    sweep: tuple[str, ...] = ()
+    members: int | None = None
+    fixes: str | None = None
+    seed: int | None = None
+    time_step: float = 0.1
+    sample: float = 0.1
+
+    def __post_init__(self) -> None:
+        for name in ("soil", "sweep"):
+            if isinstance(getattr(self, name), str):
+                object.__setattr__(self, name, (getattr(self, name),))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DriveForces(Result):
+    """Forces of the wheels along predicted drives; those of all members count alike.
+
+    Attributes
+    ----------
+    soils : what drove where, on which soils.
+    prediction : paths, wheel states and forces of all drives.
+    loads : summary of each wheel.
+    """
+
+    schema = "twin-forces/1"
+    soils: "Soils"
+    prediction: "Prediction"
+    loads: "Sequence[WheelLoads]"
+
+    @property
+    def failed(self) -> list[str]:
+        """How drives ended that did not come to the end, each once."""
+        from lunarsci.twin.outcomes import outcome_texts
+
+        return outcome_texts(self.prediction.outcome)
+
+    @property
+    def made_from(self) -> MadeFrom:
+        from lunarsci.twin.jobs.drive_inputs import SOURCES
+
+        known, seed = self.soils.inputs, self.soils.drawn_by
+        return MadeFrom(inputs=known.inputs, tables=known.tables, sources=SOURCES, seed=seed, options=known.options)
+
+    @property
+    def untrusted(self) -> str:
+        return f"not driven to the end: {'; '.join(self.failed)}" if self.failed else ""
+
+    @property
+    def title(self) -> str:
+        """What the forces are of, for tables and pictures."""
+        known, members = self.soils.inputs, self.prediction.members
+        drives = "1 drive" if members == 1 else f"{members} drives"
+        return f"Wheel forces of {drives}: {known.plan.name}, on {known.terrain.name}"
+
+    def to_dict(self) -> dict[str, Any]:
+        found = {"of": "prediction", "members": self.prediction.members, "missing": None, "soil": self.soils.record()}
+        return load_record(self.soils.inputs, self.loads) | found
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One a drive, time and wheel."""
+        from lunarsci.twin.judgement.tables import state_table
+
+        return list(state_table(self.prediction).to_dict("records"))  # type: ignore[arg-type]
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.twin.figures.wheel_states import force_figure
+        from lunarsci.twin.judgement.quantities import abscissa
+
+        prediction = self.prediction
+        yield force_figure(prediction.rover.wheels, abscissa(prediction), _reached(prediction), self.title)
+
+
+def forces(
+    plan: "Source | Plan | None" = None,
+    request: ForcesRequest | None = None,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> DriveForces:
+    """Forces of every wheel along a predicted drive, the embedded one if `plan` is None.
+
+    Raises DataError for what cannot be read, RequestError for options that are impossible.
+    """
+    from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
+    from lunarsci.twin.jobs.predict import predict_drives
+    from lunarsci.twin.jobs.soils import Soils
+    from lunarsci.twin.judgement.load_check import wheel_loads
+
+    asked = request_of(ForcesRequest, request, options)
+    known = read_drive_inputs(plan, asked.rover, asked.terrain, asked.interpolation, soil=asked.soil, fixes=asked.fixes)
+    alone = not asked.sweep and asked.members is None and known.given.one_soil
+    soils = Soils.of(known, () if alone else asked.sweep or None, asked.members, asked.seed or 0)
+    if asked.seed is not None and soils.drawn_by is None:
+        raise RequestError("`seed` has nothing to draw; give `members`, `soil` or `fixes`, or leave it out")
+    prediction = predict_drives(soils, asked.time_step, asked.sample, progress)
+    loads = wheel_loads(prediction.rover.wheels, _reached(prediction))
+    return DriveForces(soils=soils, prediction=prediction, loads=loads)
+
+
+def _reached(prediction: "Prediction") -> Any:
+    """States as far as was driven, NaN beyond."""
+    import numpy as np
+
+    return np.where(prediction.reached[..., None, None], prediction.states, np.nan)
+
+
+def load_record(known: "DriveInputs", loads: "Sequence[WheelLoads]") -> dict[str, Any]:
+    """Rover, terrain and wheels, for a result."""
+    return known.about() | {
+        "weight_n": known.rover.mass_kg * known.rover.gravity_m_s2,
+        "wheels": [
+            {"wheel": load.wheel, "valid_share": load.valid_share}
+            | {name: asdict(spread) for name, spread in load.quantities.items()}
+            for load in loads
+        ],
+    }

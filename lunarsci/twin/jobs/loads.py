@@ -1,0 +1,399 @@
+"""What the wheels carry and pull along a motion that was measured."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lunarsci.errors import RequestError
+from lunarsci.inputs import InputFile, Source, read_input
+from lunarsci.result import MadeFrom, Result, request_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from lunarsci.regolith.belief import SoilBelief
+    from lunarsci.twin.jobs.drive_inputs import DriveInputs
+    from lunarsci.twin.judgement.load_check import WheelLoads
+    from lunarsci.twin.loads.alternating import AlternatingEstimate
+    from lunarsci.twin.loads.load_ensemble import LoadEnsemble
+    from lunarsci.twin.loads.pose_states import PoseStates
+    from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
+    from lunarsci.twin.plans.motion import Motion
+    from lunarsci.twin.plans.plan import Plan
+
+__all__ = ["LoadsRequest", "MotionLoads", "UncertainLoads", "loads"]
+
+METHODS = [
+    "Kalman (1960), J. Basic Eng. 82, 35, 10.1115/1.3662552",
+    "Rahimi & Recht (2007), NIPS 20, 1177",
+]
+UNCERTAIN = ("states", "belief", "draws", "correlation", "balance_error", "iterate")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoadsRequest:
+    """What a motion is held with; `states`, `belief` and the options after them make soil and motion uncertain.
+
+    Attributes
+    ----------
+    member : which drive of the motion's file, where it has several.
+    rover, terrain, interpolation : what moved where.
+    soil : one soil, in place of the terrain's: a name or a TOML file.
+    states : measured wheel states that get the forces.
+    belief : what is believed of the soil; the priors if None.
+    draws : soils and motions to draw; 64 if None.
+    correlation : distance over which the motion's errors stay alike; from the slips' errors, or 0.5, if None. [m]
+    balance_error : of the balance of forces, as a share of the weight; 0.005 if None. [-]
+    iterate : rounds, at most, of forces and soil in turn; needs states with sinkages.
+    seed : of everything random; None is 0.
+    """
+
+    member: int | None = None
+    rover: str | None = None
+    terrain: str = "synthetic-longji"
+    interpolation: str = "smooth"
+    soil: str | None = None
+    states: str | Any | None = None
+    belief: str | Any | None = None
+    draws: int | None = None
+    correlation: float | None = None
+    balance_error: float | None = None
+    iterate: int | None = None
+    seed: int | None = None
+
+    def __post_init__(self) -> None:
+        if not self.uncertain and self.seed is not None:
+            raise RequestError("`seed` draws nothing here; give `draws` or `belief`, or leave it out")
+        if self.uncertain and self.soil is not None:
+            raise RequestError("`soil` has no use beside soils drawn from `belief` or the priors; leave it out")
+        if self.iterate is not None and self.states is None:
+            raise RequestError("`iterate` learns from measured sinkages and slips; give `states`")
+
+    @property
+    def uncertain(self) -> bool:
+        """Whether soils and motions are drawn."""
+        return any(getattr(self, name) is not None for name in UNCERTAIN)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MotionLoads(Result):
+    """Forces of the wheels along a motion, on one soil.
+
+    Attributes
+    ----------
+    known, motion : what moved where, and the motion's file.
+    found : poses, wheel states and the residual wrench.
+    wheels : summary of each wheel.
+    """
+
+    schema = "twin-forces/1"
+    known: "DriveInputs"
+    motion: InputFile
+    found: "PrescribedLoads"
+    wheels: "Sequence[WheelLoads]"
+
+    @property
+    def made_from(self) -> MadeFrom:
+        from lunarsci.twin.jobs.drive_inputs import SOURCES
+
+        known = self.known
+        return MadeFrom(inputs=known.inputs, tables=known.tables, sources=SOURCES, options=known.options)
+
+    @property
+    def untrusted(self) -> str:
+        return self.found.doubt
+
+    @property
+    def title(self) -> str:
+        """What the forces are of, for tables and pictures."""
+        poses = len(self.found.motion.time_s)
+        return f"Wheel forces along {self.motion.name}, {poses} poses on {self.known.terrain.name}"
+
+    @property
+    def missing(self) -> dict[str, float] | None:
+        """The residual wrench over all poses; None where no pose has forces."""
+        return _missing(self.found) if self.wheels else None
+
+    def to_dict(self) -> dict[str, Any]:
+        from lunarsci.twin.jobs.forces import load_record
+
+        found = {"of": "motion", "members": 1, "missing": self.missing, "soil": self.known.soil_record()}
+        return load_record(self.known, self.wheels) | found
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One a pose and wheel."""
+        from lunarsci.twin.judgement.tables import held_table
+
+        return list(held_table(self.found).to_dict("records"))  # type: ignore[arg-type]
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.twin.figures.wheel_states import force_figure
+
+        found, axis = self.found, (self.found.motion.time_s, "Time [s]")
+        yield force_figure(self.known.rover.wheels, axis, found.states, self.title, found.residual_n)
+
+
+def _missing(found: "PrescribedLoads") -> dict[str, float]:
+    import numpy as np
+
+    from lunarsci.twin.outcomes import FINISHED
+
+    known = found.outcome == FINISHED
+    ahead, left = found.residual_n[known].mean(axis=0)
+    return {
+        "rms_share_of_weight": found.residual_share,
+        "mean_ahead_n": float(ahead),
+        "mean_left_n": float(left),
+        "rms_moment_nm": float(np.sqrt((found.residual_nm[known] ** 2).mean())),
+    }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class UncertainLoads(Result):
+    """Forces of the wheels along an uncertain motion, on soils that are drawn.
+
+    Attributes
+    ----------
+    known, given : what moved where; the files of motion, states and belief by name of the option.
+    states : measured states that get the forces, None where none are given.
+    found : forces of all wheels before and after the balance.
+    turned : forces and soil in turn, None where not asked for.
+    draws, correlation_m, basis, balance_error, seed : what was drawn; what the correlation length rests on.
+    """
+
+    schema = "twin-forces/1"
+    known: "DriveInputs"
+    given: dict[str, InputFile]
+    states: "PoseStates | None"
+    found: "LoadEnsemble"
+    turned: "AlternatingEstimate | None"
+    draws: int
+    correlation_m: float
+    basis: str
+    balance_error: float
+    seed: int
+
+    @property
+    def made_from(self) -> MadeFrom:
+        from lunarsci.regolith.prior import prior_hash
+        from lunarsci.twin.jobs.drive_inputs import SOURCES
+
+        known = self.known
+        tables = known.tables | ({} if "belief" in self.given else prior_hash())
+        sources = [*SOURCES, *METHODS]
+        return MadeFrom(inputs=known.inputs, tables=tables, sources=sources, seed=self.seed, options=known.options)
+
+    @property
+    def untrusted(self) -> str:
+        return self.found.doubt or (self.found.doubt_of_soils if self.turned is None else self.turned.doubt)
+
+    @property
+    def title(self) -> str:
+        """What the forces are of, for tables and pictures."""
+        poses = f"{int(self.found.known.sum())} of {len(self.found.known)} poses"
+        return f"Wheel forces along {self.given['motion'].name}, {poses}, on {self.known.terrain.name}"
+
+    @property
+    def belief(self) -> "SoilBelief | None":
+        """The soil after the last round, with the drive in its history; None without rounds."""
+        if self.turned is None:
+            return None
+        belief, states = self.turned.posterior.belief, self.given["states"]
+        entry = {
+            "states": Path(states.name).name,
+            "sha256": states.sha256,
+            "of": "forces and soil in turn",
+            "rounds": len(self.turned.rounds),
+            "verdict": self.turned.verdict,
+        }
+        return replace(belief, history=(*belief.history, entry))
+
+    def to_dict(self) -> dict[str, Any]:
+        from lunarsci.regolith.prior import PARAMETERS
+        from lunarsci.twin.ground.driven_soil import DrivenSoil, soil_record
+
+        known, found, belief = self.known, self.found, self.given.get("belief")
+        driven = DrivenSoil("priors", "priors") if belief is None else DrivenSoil(belief.name, "belief")
+        uncertain = found.held.motion.sigmas is not None
+        return known.about() | {
+            "of": "uncertain motion",
+            "weight_n": known.rover.mass_kg * known.rover.gravity_m_s2,
+            "draws": self.draws,
+            "poses": {"known": int(found.known.sum()), "all": len(found.known)},
+            "motion_errors": {"correlation_m": self.correlation_m, "basis": self.basis} if uncertain else None,
+            "balance_error": self.balance_error,
+            "wheels": _wheels(found),
+            "shares": _shares(found) if found.known.any() else None,
+            "totals": _totals(found) if found.known.any() else None,
+            "iteration": None if self.turned is None else _iteration(self.turned),
+            "soil": soil_record(driven, known.terrain, PARAMETERS),
+        }
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One a measured state, or a pose and wheel."""
+        from lunarsci.twin.judgement.load_check import force_table
+
+        return list(force_table(self.found, self.states).to_dict("records"))  # type: ignore[arg-type]
+
+    def files(self) -> dict[str, Callable[[], bytes]]:
+        """`forces.csv`, an input of `identify`: name to what makes the content."""
+        from lunarsci.csv_table import csv_bytes
+        from lunarsci.twin.judgement.load_check import force_table
+
+        return {"forces.csv": lambda: csv_bytes(force_table(self.found, self.states))}
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.twin.figures.wheel_states import force_band_figure
+
+        yield force_band_figure(self.found, self.title)
+
+
+def loads(
+    motion: Source,
+    plan: "Source | Plan | None" = None,
+    request: LoadsRequest | None = None,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> MotionLoads | UncertainLoads:
+    """Forces of every wheel along a measured motion; a `plan` has the wheels' commands where the motion has none.
+
+    Raises DataError for what cannot be read, RequestError for options that are impossible.
+    """
+    from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
+    from lunarsci.twin.judgement.load_check import wheel_loads
+    from lunarsci.twin.loads.prescribed_motion import prescribed_loads
+    from lunarsci.twin.plans.motion import read_motion
+
+    asked = request_of(LoadsRequest, request, options)
+    known = read_drive_inputs(
+        plan, asked.rover, asked.terrain, asked.interpolation, soil=asked.soil, soil_counts=not asked.uncertain
+    )
+    if not known.given.one_soil:
+        raise RequestError("a motion is held on one soil; give the belief as `belief`")
+    given = {"motion": motion, "states": asked.states, "belief": asked.belief}
+    files = {name: read_input(source) for name, source in given.items() if source is not None}
+    known.inputs.update({file.name: file.sha256 for file in files.values()})
+    poses = read_motion(files["motion"], known.rover, known.plan if plan is not None else None, asked.member)
+    if asked.uncertain:
+        return _uncertain(known, files, poses, asked, progress)
+    found = prescribed_loads(known.rover, known.terrain, poses)
+    wheels = wheel_loads(known.rover.wheels, found.states)
+    return MotionLoads(known=known, motion=files["motion"], found=found, wheels=wheels)
+
+
+def _uncertain(
+    known: "DriveInputs",
+    files: dict[str, InputFile],
+    motion: "Motion",
+    asked: LoadsRequest,
+    progress: Callable[[int, int], None] | None,
+) -> UncertainLoads:
+    from lunarsci.regolith.belief import first_belief, read_belief
+    from lunarsci.twin.loads.alternating import alternate
+    from lunarsci.twin.loads.load_ensemble import BALANCE_ERROR, DRAWS, draw_loads
+    from lunarsci.twin.loads.pose_states import correlation_length, read_pose_states
+
+    if asked.correlation is not None and motion.sigmas is None:
+        raise RequestError("`correlation` is of the motion's errors, and it has none; add x_m_sigma and others")
+    states = read_pose_states(files["states"], known.rover) if "states" in files else None
+    belief = read_belief(files["belief"]) if "belief" in files else first_belief()
+    length, basis = correlation_length(motion, states) if asked.correlation is None else (asked.correlation, "given")
+    draws, seed = asked.draws or DRAWS, asked.seed or 0
+    error = BALANCE_ERROR if asked.balance_error is None else asked.balance_error
+    drawn: dict[str, Any] = {"correlation_m": length, "balance_error": error, "seed": seed, "progress": progress}
+    drive, turned = (known.rover, known.terrain, motion), None
+    if asked.iterate is not None and states is not None:
+        turned = alternate(*drive, states, belief, rounds=asked.iterate, draws=draws, **drawn)
+        found = turned.forces
+    else:
+        middle = {name: value for name, (value, _, _) in belief.intervals().items()}
+        found = draw_loads(*drive, belief.draws(draws, seed), middle, **drawn)
+    return UncertainLoads(
+        known=known,
+        given=files,
+        states=states,
+        found=found,
+        turned=turned,
+        draws=draws,
+        correlation_m=length,
+        basis=basis,
+        balance_error=error,
+        seed=seed,
+    )
+
+
+def _shares(found: "LoadEnsemble") -> dict[str, Any]:
+    """Where the variance of each force comes from, before and after the balance."""
+    from lunarsci.twin.loads.prescribed_motion import FORCES
+
+    both = {"before": False, "after": True}
+    return {
+        name: {when: asdict(found.shares(k, balanced=balanced)) for when, balanced in both.items()}
+        for k, name in enumerate(FORCES)
+    }
+
+
+def _wheels(found: "LoadEnsemble") -> list[dict[str, Any]]:
+    from lunarsci.twin.loads.prescribed_motion import FORCES
+
+    known = found.known
+    if not known.any():
+        return []
+    return [
+        {"wheel": wheel}
+        | {
+            name: {
+                "mean": float(found.after[known, w, k].mean()),
+                "sigma": _rms(found.after_sigma[known, w, k]),
+                "mean_before": float(found.before[known, w, k].mean()),
+                "sigma_before": _rms(found.before_sigma[known, w, k]),
+            }
+            for k, name in enumerate(FORCES)
+        }
+        for w, wheel in enumerate(found.held.rover.wheels)
+    ]
+
+
+def _totals(found: "LoadEnsemble") -> dict[str, dict[str, float]]:
+    from lunarsci.twin.loads.load_ensemble import TOTALS
+
+    known = found.known
+    return {
+        name: {
+            "missing_before": _rms(found.residual_before[known, k]),
+            "missing_after": _rms(found.residual_after[known, k]),
+            "sigma_before": _rms(found.total_before[known, k]),
+            "sigma_after": _rms(found.total_after[known, k]),
+        }
+        for k, name in enumerate(TOTALS)
+    }
+
+
+def _iteration(turned: "AlternatingEstimate") -> dict[str, Any]:
+    belief = turned.posterior.belief
+    left = belief.left_of_prior
+    return {
+        "verdict": turned.verdict,
+        "converged": turned.converged,
+        "rounds": [
+            {
+                "soil_moved_sd": each.soil,
+                "forces_moved_share": each.forces,
+                "reduced_chi_square_sinkages": each.reduced_sinkages,
+                "reduced_chi_square_totals": each.reduced_totals,
+            }
+            for each in turned.rounds
+        ],
+        "parameters": {
+            name: {"median": median, "low": low, "high": high, "left_of_prior": left[name]}
+            for name, (median, low, high) in belief.intervals().items()
+        },
+    }
+
+
+def _rms(values: Any) -> float:
+    import numpy as np
+
+    return float(np.sqrt(np.mean(np.square(values))))
