@@ -120,7 +120,7 @@ def test_a_belief_may_be_the_soil(run: Run, plan: Path, tmp_path: Path) -> None:
         assert soil["parameters"] == {} and len(soil["drawn"]) == 8 and document["provenance"]["options"]["soil"]
         assert str(belief) in {file["path"] for file in document["provenance"]["inputs"]}
         assert "rests on no drive yet" in run("twin", command, plan, "--soil", belief, "--members", "8").out
-        for other in (("--sweep", "cohesion_pa=1:2:2"), ("--soil" if command == "predict" else "--samples", belief)):
+        for other in (("--sweep", "cohesion_pa=1:2:2"), ("--soil", belief)):
             wrong = run("twin", command, plan, "--soil", belief, *other)
             assert wrong.code == 2 and "give one" in wrong.err[0]
     for text, says in (("{}", "schema"), (belief.read_text()[:200], "is the file complete"), ("[]", "schema")):
