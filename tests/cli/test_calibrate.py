@@ -4,6 +4,7 @@ import csv
 import hashlib
 import io
 import json
+import math
 import os
 import re
 import subprocess
@@ -162,12 +163,12 @@ def _without_output(text: str) -> str:
     return re.sub(r'"(output|as_json|path)": [^\n]*\n', "", text)
 
 
-@pytest.mark.parametrize(("suffix", "magic"), [("png", b"\x89PNG"), ("svg", b"<?xml"), ("pdf", b"%PDF")])
-def test_a_page_is_drawn(run: Run, label: Path, tmp_path: Path, suffix: str, magic: bytes) -> None:
-    first, second = tmp_path / f"a.{suffix}", tmp_path / f"b.{suffix}"
+def test_a_page_is_drawn(run: Run, label: Path, tmp_path: Path) -> None:
+    """The other formats are drawn in `test_contract.py`, and the PDF of two below."""
+    first, second = tmp_path / "a.svg", tmp_path / "b.svg"
     for target in (first, second):
         assert run(*COMMAND, label, "--plot", target, "-q").code == 0
-    assert first.read_bytes().startswith(magic)
+    assert first.read_bytes().startswith(b"<?xml")
     assert first.read_bytes() == second.read_bytes()
 
 
@@ -446,7 +447,8 @@ def measured(arguments: list[str]) -> tuple[str, float, float]:
 
 @pytest.mark.slow
 def test_an_observation_takes_less_than_2_s_and_300_mb(label: Path, tmp_path: Path) -> None:
-    seconds = min(float(measured(["-c", TIMED, str(label)])[0]) for _ in range(3))
+    tries = (float(measured(["-c", TIMED, str(label)])[0]) for _ in range(3))
+    seconds = next((seconds for seconds in tries if seconds < 2), math.inf)
     _, wall, size = measured(["-m", "lunarsci.cli", *COMMAND, str(label), "--json"])
     _, _, with_file = measured(["-m", "lunarsci.cli", *COMMAND, str(label), "-o", str(tmp_path / "out.ecsv")])
     sys.stdout.write(f"\ncalibration {seconds:.2f} s; command {wall:.2f} s, {size:.0f} MB, ECSV {with_file:.0f} MB\n")

@@ -1,6 +1,6 @@
 """VNIS radiance to reflectance factor: what can be asked, and the spectra of many observations."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -55,30 +55,22 @@ class CalibrateRequest:
 
         inputs: dict[str, str] = {}
 
-        def opened(source: Any) -> InputFile:
-            file = read_input(source)
+        def table(given: Any, named: Any, read: Callable[[InputFile], Any], names: Collection[str]) -> Any:
+            if isinstance(given, str) and given in names:
+                return named(given)
+            file = read_input(given)
             inputs[file.name] = file.sha256
-            return file
+            return read(file)
 
-        def embedded(name: Any, names: Sequence[str]) -> bool:
-            return isinstance(name, str) and name in names
-
+        solar = table(self.solar, solar_spectrum, read_solar_spectrum, SOLAR_SPECTRA)
         return Settings(
-            solar=(
-                solar_spectrum(str(self.solar))
-                if embedded(self.solar, list(SOLAR_SPECTRA))
-                else read_solar_spectrum(opened(self.solar))
-            ),
-            other_solar=solar_spectrum("g173" if embedded(self.solar, ("e490",)) else "e490"),
+            solar=solar,
+            other_solar=solar_spectrum("g173" if solar is solar_spectrum("e490") else "e490"),
             photometry=self.photometry,
-            phase=(
-                phase_function(str(self.phase))
-                if embedded(self.phase, PHASE_FUNCTIONS)
-                else read_phase_function(opened(self.phase))
-            ),
+            phase=table(self.phase, phase_function, read_phase_function, PHASE_FUNCTIONS),
             shadow_limit=self.shadow,
             remove_vnir_steps=self.vnir_steps == "remove",
-            factors=read_channel_factors(opened(self.calibration)) if self.calibration is not None else None,
+            factors=None if self.calibration is None else table(self.calibration, None, read_channel_factors, ()),
             inputs=inputs,
         )
 
