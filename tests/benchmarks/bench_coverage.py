@@ -80,16 +80,19 @@ def timed(task: Callable[[], np.ndarray], seconds: dict[str, float], key: str) -
 
 
 def measure(
-    model: MgmModel, noise: float, count: int, seed: int, methods: Sequence[str] = METHODS
+    model: MgmModel, noise: float, count: int, seed: int, methods: Sequence[str] = METHODS, **sampling: int
 ) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray], dict[str, float]]:
-    """Truth (n, 3 k), strength over its Laplace error (n, k), ends by method (n, 3 k, 4) and seconds per spectrum."""
+    """Truth (n, 3 k), strength over its Laplace error (n, k), ends by method (n, 3 k, 4) and seconds per spectrum.
+
+    `sampling` are options of `sample_batch`.
+    """
     rng = np.random.default_rng(seed)
     truth = np.array([draw_truth(model, rng) for _ in range(count)])
     fits = fit_data([simulate(model, row, noise, rng) for row in truth], model, DEFAULT_STARTS)
     tasks: dict[str, Callable[[], np.ndarray]] = {
         "laplace": lambda: np.array([laplace_ends(fit) for fit in fits]),
         "profile": lambda: np.array([ends_of(intervals, model) for intervals in profile_batch(fits)]),
-        "sample": lambda: np.array([ends_of(posterior_intervals(p), model) for p in sample_batch(fits)]),
+        "sample": lambda: np.array([ends_of(posterior_intervals(p), model) for p in sample_batch(fits, **sampling)]),
     }
     seconds: dict[str, float] = {}
     ends = {method: timed(tasks[method], seconds, method) for method in methods}
