@@ -26,7 +26,7 @@ LONGEST = (
     "test_mixtures.py",
     "test_wheel.py",
     "test_joint.py",
-    "test_sample.py",
+    "test_posterior.py",
     "test_footprint.py",
     "test_measurements.py",
     "test_fit.py",

@@ -1,9 +1,11 @@
 """Run the command line in this process, and small input files."""
 
+import importlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -56,13 +58,48 @@ def drawn_on() -> Callable[[int], str]:
 @pytest.fixture
 def rock(tmp_path: Path) -> Path:
     """A synthetic rock as CSV, with deep bands and noise of 0.5 %."""
+    return write_rock(tmp_path)
+
+
+def write_rock(folder: Path) -> Path:
     material = Material(SceneComposition(0.15, 0.35, 0.40, 0.10), albedo=0.12, red_slope=0.25, contrast=1.5)
     clean = surface_reflectance(SPLICED_NM, material)
     noisy = clean * np.exp(0.005 * np.random.default_rng(0).standard_normal(clean.size))
     rows = (f"{w:g},{r:.6f},{0.005 * r:.6f}" for w, r in zip(SPLICED_NM, noisy, strict=True))
-    path = tmp_path / "rock.csv"
+    path = folder / "rock.csv"
     path.write_text("wavelength_nm,synthetic_rock,synthetic_rock_sigma\n" + "\n".join(rows) + "\n")
     return path
+
+
+@pytest.fixture(scope="module")
+def one_rock(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same for all tests of a file, so that a fit of it need not be repeated."""
+    return write_rock(tmp_path_factory.mktemp("rock"))
+
+
+@pytest.fixture(scope="module")
+def once() -> Iterator[None]:
+    """Fits and mixtures that are asked for again in a file are those found before: JSON, CSV and text of one result.
+
+    Asked for with equal options of equally named files.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("fit", "unmix"):
+            module = importlib.import_module(f"lunarsci.cli.spectra.{name}")
+            patch.setattr(module, name, remembered(getattr(module, name)))
+        yield
+
+
+def remembered(job: Callable[..., Any]) -> Callable[..., Any]:
+    found: dict[Any, Any] = {}
+
+    def call(files: list[str], request: Any, **more: Any) -> Any:
+        key = (tuple(files), request)
+        if key not in found:
+            found[key] = job(files, request, **more)
+        return found[key]
+
+    return call
 
 
 @pytest.fixture

@@ -15,16 +15,16 @@ from lunarsci.spectra.abundance.result import Abundance, MineralFraction, share_
 Run = Callable[..., Any]
 NM = np.arange(450.0, 2451.0, 10.0)
 SHARES = {"a": (0.8, 0.2), "b": (0.6, 0.4), "c": (0.35, 0.65), "d": (0.1, 0.9)}
-OPTIONS = ("--assemblage", "OL-OPX", "--quiet")
+OPTIONS = ("--assemblage", "OL-OPX", "--starts", "1", "--quiet")
 
 
-@pytest.fixture
-def mixtures(tmp_path: Path) -> Path:
-    """Four synthetic mixtures of one olivine and one orthopyroxene, mixed in -ln R."""
+@pytest.fixture(scope="module")
+def mixtures(tmp_path_factory: pytest.TempPathFactory, once: None) -> Path:
+    """Four synthetic mixtures of one olivine and one orthopyroxene, mixed in -ln R; unmixed once for equal options."""
     library = {item.id: np.log(item.reflectance) for item in embedded_end_members(NM)}
     olivine, pyroxene = library["AG-TJM-008"], library["PE-CMP-030"]
     columns = [np.exp(a * olivine + b * pyroxene) for a, b in SHARES.values()]
-    path = tmp_path / "mixtures.csv"
+    path = tmp_path_factory.mktemp("mixtures") / "mixtures.csv"
     rows = [f"{nm:g}," + ",".join(f"{v:.6f}" for v in row) for nm, row in zip(NM, np.transpose(columns), strict=True)]
     path.write_text("wavelength_nm," + ",".join(SHARES) + "\n" + "\n".join(rows) + "\n")
     return path
