@@ -14,7 +14,7 @@ import pandas as pd
 
 from lunarsci.inputs import read_input
 from lunarsci.spectra.abundance.end_members import FAMILY_OF, embedded_end_members
-from lunarsci.spectra.abundance.estimate import estimate_suite
+from lunarsci.spectra.abundance.estimate import estimate_series
 from lunarsci.spectra.abundance.nbsr import nbsr_abundance
 from lunarsci.spectra.abundance.result import Abundance
 from lunarsci.spectra.library.end_member import EndMember
@@ -104,19 +104,19 @@ def shares(series: Series, mode: str) -> tuple[Abundance, ...]:
     if mode.endswith("present"):
         present = [[mineral for mineral, share in row.items() if share > 0] for row in truth]
     if mode.startswith("together"):
-        found = estimate_suite(series.spectra, series.minerals, end_members=series.library, present=present)
+        found = estimate_series(series.spectra, series.minerals, end_members=series.library, present=present)
         return tuple(found)
     if mode == "others known":
         return tuple(_left_out(series, truth, number) for number in range(len(series.spectra)))
     return tuple(
-        estimate_suite([spectrum], series.minerals, end_members=series.library, present=[own])[0]
+        estimate_series([spectrum], series.minerals, end_members=series.library, present=[own])[0]
         for spectrum, own in zip(series.spectra, present, strict=True)
     )
 
 
 def _left_out(series: Series, truth: list[dict[str, float]], number: int) -> Abundance:
     known = [None if index == number else row for index, row in enumerate(truth)]
-    return estimate_suite(series.spectra, series.minerals, end_members=series.library, known=known)[number]
+    return estimate_series(series.spectra, series.minerals, end_members=series.library, known=known)[number]
 
 
 def errors(series: Series, mode: str) -> np.ndarray:
@@ -178,7 +178,7 @@ def strangers(data: Path) -> dict[str, list[tuple[Spectrum, tuple[str, ...]]]]:
 
 def accepted(pairs: Sequence[tuple[Spectrum, tuple[str, ...]]]) -> int:
     """How many of them come out as in domain."""
-    return sum(estimate_suite([spectrum], minerals)[0].in_domain for spectrum, minerals in pairs)
+    return sum(estimate_series([spectrum], minerals)[0].in_domain for spectrum, minerals in pairs)
 
 
 def _family(minerals: Sequence[str]) -> str:

@@ -15,19 +15,18 @@ from lunarsci.spectra.abundance.end_members import OPAQUE, embedded_end_members
 from lunarsci.spectra.abundance.mixing import Absorbance, Albedo, HapkeSurface, MixingLaw, Weathering, iron_absorption
 from lunarsci.spectra.abundance.powders import Powders, loosened, population
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction
-from lunarsci.spectra.abundance.unmix import SharesPosterior, Suite, unmix
+from lunarsci.spectra.abundance.unmix import MixtureSeries, SharesPosterior, unmix
 from lunarsci.spectra.library.end_member import EndMember
 from lunarsci.spectra.spectrum import FloatArray, Spectrum
 
 __all__ = [
     "METHODS",
-    "Compared",
+    "CommonChannels",
     "Outcome",
     "abundances",
-    "compared",
-    "estimate_abundance",
-    "estimate_suite",
+    "estimate_series",
     "mixing_laws",
+    "on_common_channels",
     "shortest_interval",
 ]
 
@@ -124,7 +123,7 @@ FARTHEST_NM = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Compared:
+class CommonChannels:
     """Spectra on channels common to all.
 
     Attributes
@@ -138,7 +137,7 @@ class Compared:
     noise: FloatArray
 
 
-def compared(spectra: Sequence[Spectrum]) -> Compared:
+def on_common_channels(spectra: Sequence[Spectrum]) -> CommonChannels:
     """Means over channels of `STEP_NM`; a channel that one spectrum lacks is left out of all.
 
     Raises
@@ -157,7 +156,7 @@ def compared(spectra: Sequence[Spectrum]) -> Compared:
     ):
         raise DataError("the spectra have too few channels in common to be unmixed together; resample them alike")
     table = table[:, apart]
-    return Compared(table[..., 0].mean(axis=0), table[..., 1], table[..., 2])
+    return CommonChannels(table[..., 0].mean(axis=0), table[..., 1], table[..., 2])
 
 
 def _end(index: float) -> float:
@@ -205,30 +204,7 @@ def mixing_laws(method: str, surface: HapkeSurface | None = None, *, iron: bool 
     return laws[method]
 
 
-def estimate_abundance(
-    spectrum: Spectrum,
-    minerals: Sequence[str],
-    *,
-    method: str = "unmix",
-    end_members: Sequence[EndMember] | None = None,
-    surface: HapkeSurface | None = None,
-    model_error: float = MODEL_ERROR,
-    iron: bool = False,
-) -> Abundance:
-    """Fractions by volume of one spectrum: `estimate_suite` for a suite of one."""
-    [found] = estimate_suite(
-        [spectrum],
-        minerals,
-        method=method,
-        end_members=end_members,
-        surface=surface,
-        model_error=model_error,
-        iron=iron,
-    )
-    return found
-
-
-def estimate_suite(
+def estimate_series(
     spectra: Sequence[Spectrum],
     minerals: Sequence[str],
     *,
@@ -275,7 +251,7 @@ def estimate_suite(
     names = [spectrum.id for spectrum in spectra]
     held = _held(names, minerals, present or [None] * len(names))
     fractions = _known(names, minerals, known or [None] * len(names))
-    data = compared(spectra)
+    data = on_common_channels(spectra)
     library = embedded_end_members(data.wavelength_nm) if end_members is None else end_members
     found = []
     for law in laws:
@@ -319,7 +295,7 @@ def _known(names: Sequence[str], minerals: Sequence[str], known: Sequence[Mappin
     return fractions
 
 
-def _powders(law: MixingLaw, minerals: Sequence[str], library: Sequence[EndMember], data: Compared) -> Powders:
+def _powders(law: MixingLaw, minerals: Sequence[str], library: Sequence[EndMember], data: CommonChannels) -> Powders:
     found = [population(mineral, library, data.wavelength_nm, law) for mineral in minerals]
     if len(data.ln_reflectance) > 1:
         found = [loosened(item, data.wavelength_nm) for item in found]
@@ -327,8 +303,8 @@ def _powders(law: MixingLaw, minerals: Sequence[str], library: Sequence[EndMembe
 
 
 def _suite(
-    data: Compared, powders: Powders, held: FloatArray, fractions: FloatArray, model_error: float, iron: bool
-) -> Suite:
+    data: CommonChannels, powders: Powders, held: FloatArray, fractions: FloatArray, model_error: float, iron: bool
+) -> MixtureSeries:
     weathering = Weathering(iron_absorption(data.wavelength_nm)) if iron else None
     sigma = np.hypot(data.noise, model_error)
-    return Suite(powders, data.wavelength_nm, data.ln_reflectance, sigma, held, fractions, weathering)
+    return MixtureSeries(powders, data.wavelength_nm, data.ln_reflectance, sigma, held, fractions, weathering)

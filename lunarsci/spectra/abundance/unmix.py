@@ -16,7 +16,7 @@ from lunarsci.spectra.abundance.mixing import Weathering
 from lunarsci.spectra.abundance.powders import Powders
 from lunarsci.spectra.spectrum import FloatArray
 
-__all__ = ["Equations", "SharesPosterior", "Suite", "unmix"]
+__all__ = ["Equations", "MixtureSeries", "SharesPosterior", "unmix"]
 
 NEUTRAL = np.array([0.1, 0.05, 0.02])
 """Standard deviations of g; assumed."""
@@ -45,7 +45,7 @@ class Equations:
 
 
 @dataclass(frozen=True, eq=False)
-class Suite:
+class MixtureSeries:
     """Spectra and what is known of them.
 
     Attributes
@@ -229,7 +229,7 @@ def shares(roots: FloatArray) -> FloatArray:
     return np.asarray(squares / squares.sum(axis=-1, keepdims=True))
 
 
-def unmix(suite: Suite) -> SharesPosterior:
+def unmix(suite: MixtureSeries) -> SharesPosterior:
     """Fit all spectra of a suite with powders common to all.
 
     One spectrum alone is started from equal shares and from each mineral in front, and the lowest minimum counts; a
@@ -247,7 +247,7 @@ def unmix(suite: Suite) -> SharesPosterior:
 
 
 def _descend(
-    suite: Suite, shared: FloatArray, own: FloatArray, least_gain: float
+    suite: MixtureSeries, shared: FloatArray, own: FloatArray, least_gain: float
 ) -> tuple[FloatArray, FloatArray, Equations]:
     """Levenberg-Marquardt; parameters and the equations there."""
     damping, equations = DAMPING, suite.equations(shared, own)
@@ -280,7 +280,7 @@ def _solve(equations: Equations, damping: float) -> tuple[FloatArray, FloatArray
     return step, np.einsum("sqr,sr->sq", inverse, equations.own_slope - across @ step)
 
 
-def _posterior(suite: Suite, shared: FloatArray, own: FloatArray, lowest: Equations) -> SharesPosterior:
+def _posterior(suite: MixtureSeries, shared: FloatArray, own: FloatArray, lowest: Equations) -> SharesPosterior:
     """At a root of 0 the model does not change to first order; its curvature is that at `LIFTED`."""
     count = suite.minerals
     raised = own.copy()

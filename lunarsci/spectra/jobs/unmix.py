@@ -117,12 +117,12 @@ def _unmixed(
     request: UnmixRequest,
 ) -> "list[Abundance]":
     """Shares of spectra taken together; `may` names the minerals of each fit."""
-    from lunarsci.spectra.abundance.estimate import estimate_suite
+    from lunarsci.spectra.abundance.estimate import estimate_series
 
     known = [modes.known.get(spectrum.id) for spectrum in suite]
     absent = [modes.absent.get(spectrum.id, ()) for spectrum in suite]
     present = [[name for name in own if name not in gone] for own, gone in zip(may, absent, strict=True)]
-    found = estimate_suite(
+    found = estimate_series(
         suite,
         minerals,
         method="unmix" if request.method == "both" else request.method,

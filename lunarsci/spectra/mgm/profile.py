@@ -116,7 +116,7 @@ def profile_intervals(fit: MgmFit, names: Sequence[str] | None = None) -> Interv
 
     The ends are where min objective(parameter fixed) - min objective = z^2, z = 1 and 1.96, or the parameter's bound
     where that is nearer. The weights of the data are taken as they are: chi-square is known. The intervals are those of
-    `lmfit.conf_interval` on `handover.to_minimizer(fit)`, and come quicker.
+    `lmfit.conf_interval` on `lmfit_interop.to_minimizer(fit)`, and come quicker.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Modes of measured mixtures by a library that holds nothing of their series; all in `tests/benchmarks/mixtures.py`."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +10,21 @@ import pandas as pd
 import pytest
 
 from lunarsci.inputs import read_input
-from lunarsci.spectra.abundance.estimate import estimate_abundance
+from lunarsci.spectra.abundance.estimate import estimate_series
+from lunarsci.spectra.abundance.result import Abundance
 from lunarsci.spectra.library.end_member import EndMember
 from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.spectrum import Spectrum
 
 pytestmark = pytest.mark.reference
 ROOT = Path(__file__).parents[3]
 MAFIC = ("olivine", "orthopyroxene", "clinopyroxene")
+
+
+def one(spectrum: Spectrum, minerals: Sequence[str], **options: Any) -> Abundance:
+    """Fractions of one spectrum."""
+    [found] = estimate_series([spectrum], minerals, **options)
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +108,7 @@ def test_own_end_members_give_pyroxenes_within_five_per_cent(
         EndMember(name, mineral, spectra[name].wavelength_nm, spectra[name].reflectance)
         for name, mineral in zip(end_members, minerals, strict=True)
     ]
-    found = [estimate_abundance(spectra[name], minerals, end_members=library).fractions[0].fraction for name in names]
+    found = [one(spectra[name], minerals, end_members=library).fractions[0].fraction for name in names]
     assert 100 * np.sqrt(np.mean((found - rows.loc[names, "vol_opx"]) ** 2)) <= 5
 
 
@@ -110,7 +118,7 @@ def test_iron_raises_the_plagioclase_of_a_highland_soil(reference_data: Path) ->
     soil = read_spectra(read_input(str(path)))[0]
     minerals = (*MAFIC, "plagioclase")
     without, with_iron = (
-        estimate_abundance(soil, minerals, method="hapke", iron=iron).fractions[3].fraction for iron in (False, True)
+        one(soil, minerals, method="hapke", iron=iron).fractions[3].fraction for iron in (False, True)
     )
     assert with_iron > without + 0.1
 

@@ -1,6 +1,8 @@
 """Unmixing against numerical derivatives, scipy's minimum, dense algebra and mixtures made by other code."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,10 +10,11 @@ from scipy.optimize import least_squares
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.abundance.end_members import embedded_end_members
-from lunarsci.spectra.abundance.estimate import METHODS, estimate_abundance, estimate_suite
+from lunarsci.spectra.abundance.estimate import METHODS, estimate_series
 from lunarsci.spectra.abundance.mixing import Absorbance, Albedo, HapkeSurface, MixingLaw, Weathering, iron_absorption
 from lunarsci.spectra.abundance.powders import Powders, loosened, population
-from lunarsci.spectra.abundance.unmix import GAUGE, Suite, _posterior, shares, unmix
+from lunarsci.spectra.abundance.result import Abundance
+from lunarsci.spectra.abundance.unmix import GAUGE, MixtureSeries, _posterior, shares, unmix
 from lunarsci.spectra.library.end_member import EndMember
 from lunarsci.spectra.spectrum import FloatArray, Spectrum
 
@@ -20,6 +23,12 @@ LAWS: list[MixingLaw] = [Albedo(HapkeSurface()), Absorbance()]
 MINERALS = ("olivine", "orthopyroxene", "clinopyroxene")
 SHARES = np.array([0.5, 0.3, 0.2])
 SEVERAL = np.array([[0.8, 0.2, 0.0], [0.5, 0.3, 0.2], [0.2, 0.3, 0.5], [0.1, 0.8, 0.1]])
+
+
+def one(spectrum: Spectrum, minerals: Sequence[str], **options: Any) -> Abundance:
+    """Fractions of one spectrum."""
+    [found] = estimate_series([spectrum], minerals, **options)
+    return found
 
 
 def own() -> dict[str, EndMember]:
@@ -58,7 +67,7 @@ def made(fractions: FloatArray, id: str = "made", noise: float = 0.0) -> Spectru
     return Spectrum(id, ends["olivine"].wavelength_nm, reflectance * np.exp(scatter))
 
 
-def suite(law: MixingLaw, count: int, *, iron: bool = False, known: FloatArray | None = None) -> Suite:
+def suite(law: MixingLaw, count: int, *, iron: bool = False, known: FloatArray | None = None) -> MixtureSeries:
     """Of the first mixtures of `SEVERAL`, on `GRID`."""
     library = embedded_end_members(GRID)
     minerals = [loosened(population(name, library, GRID, law), GRID) for name in MINERALS]
@@ -69,7 +78,7 @@ def suite(law: MixingLaw, count: int, *, iron: bool = False, known: FloatArray |
     held = np.ones((count, 3))
     held[0, 2] = 0
     sigma = np.full_like(ln_reflectance, 0.02)
-    return Suite(Powders(law, minerals), GRID, ln_reflectance, sigma, held, fractions, weathering)
+    return MixtureSeries(Powders(law, minerals), GRID, ln_reflectance, sigma, held, fractions, weathering)
 
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
@@ -154,9 +163,7 @@ def test_the_covariance_is_that_of_the_whole_matrix() -> None:
 
 def test_a_mixture_of_the_end_members_themselves_is_found_in_full() -> None:
     """Made by the same physics written out; the level and the neutral part are free, so a little is lost to them."""
-    found = estimate_abundance(
-        made(SHARES), MINERALS, method="hapke", end_members=list(own().values()), model_error=0.002
-    )
+    found = one(made(SHARES), MINERALS, method="hapke", end_members=list(own().values()), model_error=0.002)
     assert [item.fraction for item in found.fractions] == pytest.approx(SHARES, abs=0.03)
     assert found.in_domain
     for item, share in zip(found.fractions, SHARES, strict=True):
@@ -165,9 +172,7 @@ def test_a_mixture_of_the_end_members_themselves_is_found_in_full() -> None:
 
 def test_a_mineral_that_is_absent_comes_out_as_such() -> None:
     shares_of_two = np.array([0.6, 0.4, 0.0])
-    found = estimate_abundance(
-        made(shares_of_two), MINERALS, method="hapke", end_members=list(own().values()), model_error=0.002
-    )
+    found = one(made(shares_of_two), MINERALS, method="hapke", end_members=list(own().values()), model_error=0.002)
     assert found.fractions[2].low == 0
     assert found.fractions[2].fraction < 0.02
 
@@ -181,8 +186,8 @@ def test_known_mixtures_teach_the_powders_of_the_others() -> None:
     told = [
         None if number == 1 else dict(zip(MINERALS, map(float, SEVERAL[number]), strict=True)) for number in range(4)
     ]
-    alone = estimate_abundance(spectra[1], MINERALS, end_members=library, method="hapke")
-    taught = estimate_suite(spectra, MINERALS, end_members=library, method="hapke", known=told)
+    alone = one(spectra[1], MINERALS, end_members=library, method="hapke")
+    taught = estimate_series(spectra, MINERALS, end_members=library, method="hapke", known=told)
     error = [abs(item.fraction - share) for item, share in zip(taught[1].fractions, SEVERAL[1], strict=True)]
     before = [abs(item.fraction - share) for item, share in zip(alone.fractions, SEVERAL[1], strict=True)]
     assert max(error) < 0.04 < max(before)
@@ -192,7 +197,7 @@ def test_known_mixtures_teach_the_powders_of_the_others() -> None:
 
 def test_minerals_that_a_spectrum_cannot_hold_are_left_out() -> None:
     spectra = [made(row, f"mix {number}") for number, row in enumerate(SEVERAL)]
-    found = estimate_suite(spectra, MINERALS, present=[None, ("olivine", "orthopyroxene"), None, None])
+    found = estimate_series(spectra, MINERALS, present=[None, ("olivine", "orthopyroxene"), None, None])
     assert found[1].fractions[2].fraction == found[1].fractions[2].high95 == 0
     assert found[0].fractions[2].high95 > 0
 
@@ -202,10 +207,10 @@ def test_absorbance_mixes_as_written() -> None:
     ln_reflectance = sum(share * np.log(ends[name].reflectance) for name, share in zip(MINERALS, SHARES, strict=True))
     spectrum = Spectrum("made", ends["olivine"].wavelength_nm, np.exp(ln_reflectance))
     library = list(ends.values())
-    right = estimate_abundance(spectrum, MINERALS, method="absorbance", end_members=library, model_error=0.002)
+    right = one(spectrum, MINERALS, method="absorbance", end_members=library, model_error=0.002)
     assert [item.fraction for item in right.fractions] == pytest.approx(SHARES, abs=0.03)
-    wrong = estimate_abundance(spectrum, MINERALS, method="hapke", end_members=library, model_error=0.002)
-    both = estimate_abundance(spectrum, MINERALS, method="unmix", end_members=library, model_error=0.002)
+    wrong = one(spectrum, MINERALS, method="hapke", end_members=library, model_error=0.002)
+    both = one(spectrum, MINERALS, method="unmix", end_members=library, model_error=0.002)
     assert wrong.rms_ln is not None
     assert right.rms_ln is not None
     assert wrong.rms_ln > 3 * right.rms_ln
@@ -247,13 +252,13 @@ def test_levels_of_sieved_powders_follow_the_grain_size(law: MixingLaw, powder: 
 @pytest.mark.parametrize("method", METHODS)
 def test_shares_sum_to_one_and_lie_in_their_intervals(method: str) -> None:
     spectrum = made(SHARES, noise=0.005)
-    found = estimate_abundance(spectrum, MINERALS, method=method)
+    found = one(spectrum, MINERALS, method=method)
     assert sum(item.fraction for item in found.fractions) == pytest.approx(1.0)
     for item in found.fractions:
         assert 0 <= item.low95 <= item.low <= item.fraction <= item.high <= item.high95 <= 1
     assert found.correlation is not None
     assert np.allclose(np.diag(found.correlation), 1)
-    assert estimate_abundance(spectrum, MINERALS, method=method).fractions == found.fractions
+    assert one(spectrum, MINERALS, method=method).fractions == found.fractions
 
 
 def test_units_order_and_a_mask_do_not_matter() -> None:
@@ -261,15 +266,15 @@ def test_units_order_and_a_mask_do_not_matter() -> None:
     wavelength, reflectance = spectrum.wavelength_nm, spectrum.reflectance
     mask = np.arange(wavelength.size) % 40 == 7
     spoiled = np.where(mask, 3.0, reflectance)
-    first = estimate_abundance(Spectrum("a", wavelength[~mask], reflectance[~mask]), MINERALS)
-    second = estimate_abundance(Spectrum("a", wavelength, spoiled, mask=mask), MINERALS)
+    first = one(Spectrum("a", wavelength[~mask], reflectance[~mask]), MINERALS)
+    second = one(Spectrum("a", wavelength, spoiled, mask=mask), MINERALS)
     assert first.fractions == second.fractions
 
 
 def test_the_order_of_a_suite_does_not_matter() -> None:
     spectra = [made(row, f"mix {number}") for number, row in enumerate(SEVERAL)]
-    forward = estimate_suite(spectra, MINERALS)
-    backward = estimate_suite(spectra[::-1], MINERALS)[::-1]
+    forward = estimate_series(spectra, MINERALS)
+    backward = estimate_series(spectra[::-1], MINERALS)[::-1]
     for one, two in zip(forward, backward, strict=True):
         assert [i.fraction for i in one.fractions] == pytest.approx([i.fraction for i in two.fractions], abs=0.01)
 
@@ -277,7 +282,7 @@ def test_the_order_of_a_suite_does_not_matter() -> None:
 def test_a_spectrum_of_something_else_is_out_of_domain() -> None:
     wavelength = own()["olivine"].wavelength_nm
     strange = 0.2 + 0.1 * np.sin(wavelength / 60)
-    found = estimate_abundance(Spectrum("strange", wavelength, strange), MINERALS)
+    found = one(Spectrum("strange", wavelength, strange), MINERALS)
     assert not found.in_domain
     assert "out of domain" in found.status
 
@@ -304,11 +309,11 @@ def test_impossible_requests_are_refused(options: dict[str, object], error: type
     arguments: dict[str, object] = {"spectra": [Spectrum("flat", wavelength, np.full(wavelength.size, 0.2))]}
     arguments |= {"minerals": MINERALS} | options
     with pytest.raises(error):
-        estimate_suite(**arguments)  # type: ignore[arg-type]
+        estimate_series(**arguments)  # type: ignore[arg-type]
 
 
 def test_spectra_on_other_channels_are_not_taken_together() -> None:
     first = made(SHARES)
     moved = Spectrum("moved", first.wavelength_nm[::8], first.reflectance[::8])
     with pytest.raises(DataError, match="resample"):
-        estimate_suite([first, moved], MINERALS)
+        estimate_series([first, moved], MINERALS)

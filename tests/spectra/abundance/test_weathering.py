@@ -1,14 +1,24 @@
 """Submicroscopic iron: its absorption against Rayleigh's formula, its effect on a spectrum."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import pytest
 
-from lunarsci.spectra.abundance.estimate import estimate_abundance
+from lunarsci.spectra.abundance.estimate import estimate_series
 from lunarsci.spectra.abundance.mixing import GRAIN_INDEX, Albedo, HapkeSurface, Weathering, iron_absorption
+from lunarsci.spectra.abundance.result import Abundance
 from lunarsci.spectra.spectrum import Spectrum
 from tests.spectra.abundance.test_unmix import MINERALS, SHARES, made
 
 GRID = np.arange(460.0, 2441.0, 20.0)
+
+
+def one(spectrum: Spectrum, minerals: Sequence[str], **options: Any) -> Abundance:
+    """Fractions of one spectrum."""
+    [found] = estimate_series([spectrum], minerals, **options)
+    return found
 
 
 def test_absorption_is_that_of_small_spheres() -> None:
@@ -53,7 +63,7 @@ def test_a_weathered_mixture_is_found_with_iron_and_missed_without() -> None:
     old = Spectrum("old", fresh.wavelength_nm, law.surface.reflectance(darker)[0])
     errors = {}
     for iron in (True, False):
-        found = estimate_abundance(old, MINERALS, method="hapke", iron=iron)
+        found = one(old, MINERALS, method="hapke", iron=iron)
         errors[iron] = max(abs(one.fraction - share) for one, share in zip(found.fractions, SHARES, strict=True))
     assert errors[True] < 0.15 < errors[False]
-    assert not estimate_abundance(old, MINERALS, iron=True).in_domain
+    assert not one(old, MINERALS, iron=True).in_domain
