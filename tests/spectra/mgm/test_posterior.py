@@ -172,7 +172,7 @@ def test_equal_seeds_give_equal_draws_in_any_number_of_threads(curved: tuple[Mgm
 
 def test_too_few_draws_are_not_trusted(curved: tuple[MgmFit, FitPosterior]) -> None:
     """100 draws of the fewest particles: now and then they are good enough, mostly not."""
-    posteriors = [sample_posterior(curved[0], draws=100, particles=128, seed=seed) for seed in range(3)]
+    posteriors = [sample_posterior(curved[0], draws=100, particles=128, seed=seed) for seed in range(5)]
     doubted = [posterior for posterior in posteriors if not posterior.trusted]
     assert len(doubted) >= 2
     for posterior in doubted:
