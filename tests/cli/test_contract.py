@@ -392,16 +392,16 @@ def test_a_closed_stdout_is_one_line(rock: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
-def test_progress_is_drawn_on_a_terminal_and_only_on_stderr(drawn_on: Callable[[int], str]) -> None:
+def test_progress_is_drawn_on_a_terminal_and_only_on_stderr(rock: Path, drawn_on: Callable[[int], str]) -> None:
     import pty
 
     ours, theirs = pty.openpty()
-    command = [sys.executable, "-m", "lunarsci.cli", "twin", "predict", "--field", "verdict"]
+    command = [sys.executable, "-m", "lunarsci.cli", "spectra", "bands", str(rock), "--field", "spectra.0.id"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=theirs)
     os.close(theirs)
     drawn = drawn_on(ours)
-    assert process.communicate()[0] == b"go\n"
-    assert "driving" in drawn
+    assert process.communicate()[0] == b"synthetic_rock\n"
+    assert "measuring bands" in drawn
     assert "%" in drawn
 
 
