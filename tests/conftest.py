@@ -46,7 +46,7 @@ QUICK = (
     *("twin/test_ensemble.py", "test_settle.py", "test_ruts.py", "test_physics_discrepancy.py"),
     *(
         "test_clearance.py",
-        "test_keep_out.py",
+        "test_exclusion_zones.py",
         "test_drive_record.py",
         "test_belief_history.py",
         "test_soil_samples.py",

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.compiled import compiled, pasted
+from lunarsci.compiled import pasted
 
 __all__ = ["LANES", "Work", "new_work"]
 
@@ -74,8 +74,7 @@ class Work(NamedTuple):
     frame: FloatArray
 
 
-@compiled
-def new_work(wheels: int) -> Any:
+def new_work(wheels: int) -> Work:
     """Scratch arrays for a group of rovers with this many wheels, without ruts."""
     return Work(
         np.zeros(BODY_ROWS * LANES),

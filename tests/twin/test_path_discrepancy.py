@@ -10,7 +10,7 @@ from lunarsci.twin.assimilation.drive_record import DriveRecord
 from lunarsci.twin.comparison.forecast import forecast_of
 from lunarsci.twin.comparison.matched import match_observations, miss_of, taught
 from lunarsci.twin.judgement.safety import judge
-from lunarsci.twin.plans.plan import KeepOut, Limit
+from lunarsci.twin.plans.plan import ExclusionZone, Limit
 from lunarsci.twin.simulation.discrepancy import ALIKE_M, ALWAYS, exposed, way_matrix, with_discrepancy
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
 
@@ -70,7 +70,7 @@ def test_the_verdict_holds_it(driven: Prediction) -> None:
     plan = dataclasses.replace(
         driven.plan,
         limits=(Limit("endpoint_miss_m", "m", 1.2 * soils, "test", False),),
-        keep_out=(KeepOut("stone", 0.5, 0.95, 0.1),),
+        exclusion_zones=(ExclusionZone("stone", 0.5, 0.95, 0.1),),
     )
     alone, both = judge(driven, plan), judge(with_discrepancy(driven, law), plan)
     assert alone.verdict == "go" and alone.endpoint is not None and alone.endpoint.physics_share is None

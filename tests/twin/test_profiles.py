@@ -11,7 +11,7 @@ from lunarsci.twin.figures.prediction import box_pages, grouped, path_fan, profi
 from lunarsci.twin.judgement.quantities import abscissa, along
 from lunarsci.twin.judgement.safety import judge
 from lunarsci.twin.judgement.tables import path_table, profile_table, state_table
-from lunarsci.twin.plans.plan import KeepOut, Limit
+from lunarsci.twin.plans.plan import ExclusionZone, Limit
 from lunarsci.twin.simulation.ensemble import Prediction
 
 
@@ -20,7 +20,7 @@ def uneven(driven: Prediction) -> Prediction:
     """Some drives that stopped on the way, and a circle to keep out of."""
     recorded = driven.recorded.copy()
     recorded[:3] = 4, 7, 0
-    plan = dataclasses.replace(driven.plan, keep_out=(KeepOut("rock", 0.5, 1.5, 0.3),))
+    plan = dataclasses.replace(driven.plan, exclusion_zones=(ExclusionZone("rock", 0.5, 1.5, 0.3),))
     return dataclasses.replace(driven, recorded=recorded, plan=plan)
 
 
@@ -55,7 +55,7 @@ def test_the_table_has_every_quantity_with_its_unit(uneven: Prediction) -> None:
     }
     assert len(table) == 11 * (6 + 4 * 7) and (table["p05"] <= table["p95"]).all()
     bare = dataclasses.replace(uneven, rover=dataclasses.replace(uneven.rover, body=None))
-    bare = dataclasses.replace(bare, plan=dataclasses.replace(bare.plan, keep_out=()))
+    bare = dataclasses.replace(bare, plan=dataclasses.replace(bare.plan, exclusion_zones=()))
     assert not {"clearance_m", "keep_out_m"} & set(profile_table(bare)["quantity"])
 
 

@@ -16,8 +16,8 @@ from lunarsci.twin.figures.panels import (
     INK,
     LABELS,
     LIMIT,
+    draw_exclusion_zones,
     draw_ground,
-    draw_keep_out,
     draw_planned,
     map_window,
     member_colors,
@@ -229,7 +229,7 @@ def _background(figure: "Figure", prediction: Prediction, verdict: Verdict, memb
     ground = figure.add_axes((0.07, 0.1, 0.61, 0.82))
     terrain = prediction.terrain
     draw_ground(ground, terrain, map_window(prediction, terrain, MARGIN_M), 0.1)
-    draw_keep_out(ground, prediction)
+    draw_exclusion_zones(ground, prediction)
     draw_planned(ground, prediction)
     ground.plot(*prediction.planned[-1, :2], "*", color=GOLD, markeredgecolor=INK, markersize=12, zorder=6)
     kind = " (synthetic terrain)" if terrain.synthetic else ""

@@ -25,8 +25,8 @@ __all__ = [
     "WHEEL_COLORS",
     "color_bar",
     "draw_band",
+    "draw_exclusion_zones",
     "draw_ground",
-    "draw_keep_out",
     "draw_loads",
     "draw_paths",
     "draw_planned",
@@ -136,11 +136,11 @@ def draw_planned(axes: "Axes", prediction: Prediction) -> None:
     )
 
 
-def draw_keep_out(axes: "Axes", prediction: Prediction) -> None:
+def draw_exclusion_zones(axes: "Axes", prediction: Prediction) -> None:
     """The circles that the plan keeps out of."""
     from matplotlib.patches import Circle
 
-    for number, circle in enumerate(prediction.plan.keep_out):
+    for number, circle in enumerate(prediction.plan.exclusion_zones):
         center, name = (circle.x_m, circle.y_m), "keep out" if number == 0 else None
         look: Any = {"facecolor": LIMIT, "alpha": 0.3, "linewidth": 0, "zorder": 2.5}
         axes.add_patch(Circle(center, circle.radius_m, **look))

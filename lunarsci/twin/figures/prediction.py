@@ -15,8 +15,8 @@ from lunarsci.twin.figures.panels import (
     PARAMETERS,
     color_bar,
     draw_band,
+    draw_exclusion_zones,
     draw_ground,
-    draw_keep_out,
     draw_loads,
     draw_paths,
     map_window,
@@ -74,7 +74,7 @@ def path_fan(prediction: Prediction, verdict: Verdict, terrain: Terrain | None =
 
 def _draw_map(axes: "Axes", prediction: Prediction, terrain: Terrain, colors: Any) -> None:
     draw_ground(axes, terrain, map_window(prediction, terrain), 0.1)
-    draw_keep_out(axes, prediction)
+    draw_exclusion_zones(axes, prediction)
     draw_paths(axes, prediction, colors, 0.7)
     start, end = prediction.planned[0], prediction.planned[-1]
     axes.plot(start[0], start[1], "o", color="white", markeredgecolor=INK, markersize=7, zorder=6, label="start")
@@ -92,7 +92,7 @@ def _draw_ends(axes: "Axes", prediction: Prediction, verdict: Verdict, terrain: 
     target = prediction.planned[-1, :2]
     end = verdict.endpoint
     draw_ground(axes, terrain, map_window(prediction, terrain), 0.02)
-    draw_keep_out(axes, prediction)
+    draw_exclusion_zones(axes, prediction)
     draw_paths(axes, prediction, colors, 0.9)
     shown = [m for m in shown_members(prediction) if prediction.finished[m]]
     ends = prediction.endpoints_m

@@ -178,7 +178,7 @@ def _check_plan(file: InputFile, forecast: "Forecast") -> dict[str, str]:
     from lunarsci.twin.plans.plan_files import plan_text
 
     driven, predicted = (
-        plan_text(replace(one, name="", limits=(), sweep=(), keep_out=(), made_for=None))
+        plan_text(replace(one, name="", limits=(), sweep=(), exclusion_zones=(), made_for=None))
         for one in (read_plan(file), forecast.plan)
     )
     if driven != predicted:

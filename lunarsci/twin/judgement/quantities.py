@@ -9,11 +9,11 @@ import numpy.typing as npt
 from lunarsci.compiled import each_in_threads, in_lanes
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.footprint import rover_outline
-from lunarsci.twin.plans.plan import KeepOut
+from lunarsci.twin.plans.plan import ExclusionZone
 from lunarsci.twin.rover import Body
 from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction
 
-__all__ = ["abscissa", "along", "belly_points", "clearance", "clearance_of_poses", "keep_out_distance", "tilt_deg"]
+__all__ = ["abscissa", "along", "belly_points", "clearance", "clearance_of_poses", "exclusion_distance", "tilt_deg"]
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -105,7 +105,7 @@ def clearance(prediction: Prediction) -> tuple[FloatArray, FloatArray]:
     return clearance_of_poses(prediction, body, prediction.paths)
 
 
-def keep_out_distance(prediction: Prediction, circles: tuple[KeepOut, ...] | None = None) -> FloatArray:
+def exclusion_distance(prediction: Prediction, circles: tuple[ExclusionZone, ...] | None = None) -> FloatArray:
     """Horizontal distance of the rover's outline from the nearest circle; negative inside. (members, samples) [m]
 
     The outline is the rectangle of `rover_outline`, turned with the rover; tilt is neglected, which errs on the safe
@@ -115,7 +115,7 @@ def keep_out_distance(prediction: Prediction, circles: tuple[KeepOut, ...] | Non
     outline, paths = rover_outline(prediction.rover), prediction.paths
     poses = np.concatenate([prediction.places_m, np.radians(paths[..., 5:])], axis=-1)
     nearest = np.full(poses.shape[:-1], np.inf)
-    for circle in prediction.plan.keep_out if circles is None else circles:
+    for circle in prediction.plan.exclusion_zones if circles is None else circles:
         nearest = np.minimum(nearest, outline.distance_m(poses, circle.x_m, circle.y_m) - circle.radius_m)
     return nearest
 
@@ -139,7 +139,7 @@ def along(prediction: Prediction, quantity: str) -> FloatArray:
     if quantity == "clearance_m":
         return clearance(prediction)[0]
     if quantity == "keep_out_m":
-        return keep_out_distance(prediction)
+        return exclusion_distance(prediction)
     if quantity in PATH_COLUMNS:
         return prediction.paths[..., PATH_COLUMNS.index(quantity)]
     if quantity in STATE_COLUMNS:

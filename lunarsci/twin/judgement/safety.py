@@ -255,7 +255,7 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
 
 def _limits(plan: Plan) -> tuple[Limit, ...]:
     """The limits of a plan, with that of its circles where it gives none of its own."""
-    if not plan.keep_out or any(limit.quantity == "keep_out_m" for limit in plan.limits):
+    if not plan.exclusion_zones or any(limit.quantity == "keep_out_m" for limit in plan.limits):
         return plan.limits
     return *plan.limits, Limit("keep_out_m", QUANTITIES["keep_out_m"], 0.0, "circles of the plan", False)
 

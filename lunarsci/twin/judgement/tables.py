@@ -59,7 +59,7 @@ def spread(values: FloatArray, reached: npt.NDArray[np.bool_]) -> FloatArray:
 
 def available(prediction: Prediction) -> list[str]:
     """Those of the profiled quantities that rover and plan give."""
-    lacking = {"clearance_m": prediction.rover.body is None, "keep_out_m": not prediction.plan.keep_out}
+    lacking = {"clearance_m": prediction.rover.body is None, "keep_out_m": not prediction.plan.exclusion_zones}
     return [name for name in PROFILED if not lacking.get(name, False)]
 
 

@@ -16,8 +16,8 @@ from lunarsci.twin.rover import Rover
 __all__ = [
     "AT_LEAST",
     "QUANTITIES",
+    "ExclusionZone",
     "Fixes",
-    "KeepOut",
     "Leg",
     "Limit",
     "Plan",
@@ -124,7 +124,7 @@ class Limit:
 
 
 @dataclass(frozen=True, slots=True)
-class KeepOut:
+class ExclusionZone:
     """A circle that no part of the rover may enter: name, centre [m] and radius > 0 [m]. Raises ParameterError."""
 
     name: str
@@ -175,7 +175,7 @@ class Plan:
     fixes : position fixes between legs; None drives without.
     limits : what counts as safe.
     sweep : uncertain soil parameters.
-    keep_out : circles that the rover must not enter.
+    exclusion_zones : circles that the rover must not enter.
     made_for : the rover that it was planned for, where that is known.
     own_limits : whether its file has limits; without, they are those of the embedded plan, which is Yutu-2's.
     """
@@ -190,7 +190,7 @@ class Plan:
     fixes: Fixes | None = None
     limits: tuple[Limit, ...] = ()
     sweep: tuple[Sweep, ...] = ()
-    keep_out: tuple[KeepOut, ...] = ()
+    exclusion_zones: tuple[ExclusionZone, ...] = ()
     origin: str = ""
     made_for: MadeFor | None = None
     own_limits: bool = field(default=True, compare=False)
@@ -208,7 +208,7 @@ class Plan:
             raise ParameterError(f"the plan's blend_m is {self.blend_m}; give 0 m or more")
         if not all(map(math.isfinite, (self.x_m, self.y_m, self.heading_deg))):
             raise ParameterError("the plan's start needs finite x_m, y_m and heading_deg")
-        if not self.keep_out and any(limit.quantity == "keep_out_m" for limit in self.limits):
+        if not self.exclusion_zones and any(limit.quantity == "keep_out_m" for limit in self.limits):
             raise ParameterError("limit keep_out_m without a [[keep_out]]; give the circles to keep out of")
 
     @property
@@ -291,7 +291,7 @@ def parse_plan(text: str, origin: str) -> Plan:
             fixes=_fixes(document),
             limits=tuple(_limit(quantity, entry) for quantity, entry in limits.items()),
             sweep=tuple(parse_sweep(f"{name}={entry}") for name, entry in _table(document, "sweep").items()),
-            keep_out=tuple(_keep_out(table) for table in _list(document, "keep_out")),
+            exclusion_zones=tuple(_exclusion_zone(table) for table in _list(document, "keep_out")),
             origin=origin,
             made_for=MadeFor.from_table(document["made_for"]) if "made_for" in document else None,
             own_limits="limits" in document,
@@ -340,13 +340,13 @@ def _fixes(document: dict[str, Any]) -> Fixes | None:
     return Fixes(*(_number(table[name], name) for name in known))
 
 
-def _keep_out(table: Any) -> KeepOut:
+def _exclusion_zone(table: Any) -> ExclusionZone:
     known = ("name", "x_m", "y_m", "radius_m")
     _check_keys(table, known, "[[keep_out]]")
     for name in known:
         if name not in table:
             raise ParameterError(f"a [[keep_out]] has no {name}")
-    return KeepOut(str(table["name"]), *(_number(table[name], name) for name in known[1:]))
+    return ExclusionZone(str(table["name"]), *(_number(table[name], name) for name in known[1:]))
 
 
 def _limit(quantity: str, entry: Any) -> Limit:

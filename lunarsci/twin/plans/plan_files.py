@@ -27,7 +27,7 @@ def plan_text(plan: Plan) -> str:
     if plan.fixes is not None:
         names = ("position_sigma_m", "heading_sigma_deg")
         lines += ["", "[fixes]", *(f"{name} = {float(getattr(plan.fixes, name))!r}" for name in names)]
-    for circle in plan.keep_out:
+    for circle in plan.exclusion_zones:
         places = (f"{name} = {float(getattr(circle, name))!r}" for name in ("x_m", "y_m", "radius_m"))
         lines += ["", "[[keep_out]]", f"name = {_quoted(circle.name)}", *places]
     lines += ["", "[limits]"]

@@ -116,8 +116,8 @@ def steadied(v: Any, rim: Any, travel: Any, slid: Any, forces: Any, slopes: Any)
 
 @in_lanes
 def meet_ground(
-    body: Any, wheel: Any, tyre: Any, kg: float, gravity: float, bogie: int, dt: float, shear: bool, free: float,
-    calm: float,
+    body: Any, wheel: Any, tyre: Any, kg: float, gravity: float, bogie: int, time_step_s: float, shear: bool,
+    free: float, calm: float,
 ) -> None:  # fmt: skip
     """Contact frame, motion, wrench and its derivatives of one wheel that rolls.
 
@@ -140,7 +140,7 @@ def meet_ground(
         last, lags = get(wheel, LAST, lane), shear and free > 0.0
         ended = v[0] / last if last >= SLOWEST else get(wheel, TRAVEL, lane)
         travel = ended if lags and turning < SLOWEST else travel
-        taken, taken_up = get(wheel, SLIP, lane), min(last * dt / TAKE_UP_M, 1.0)
+        taken, taken_up = get(wheel, SLIP, lane), min(last * time_step_s / TAKE_UP_M, 1.0)
         slip = taken + taken_up * (min(slip_ratio(ended), 1.0) - taken) if lags else min(slip_ratio(travel), 1.0)
         rut = (get(wheel, RUT, lane), get(wheel, RUT + 1, lane))
         forces, slopes, reach = contact_forces(z, slip, travel, lateral, ended if lags else travel, rut, tyre, soil, 0)
@@ -149,7 +149,7 @@ def meet_ground(
         ahead, below = shear_center(z, slip, tyre)
         stiffness = on * (soil[1] + 0.5) * max(f_n, 0.0) / z
         # A step must not ring on ground that is stiffer than it can follow.
-        rate = max(calm, 0.5 * dt * stiffness)
+        rate = max(calm, 0.5 * time_step_s * stiffness)
         damping = free * rate * v[2] * slid
         pressed = max(f_n - damping, 0.0) * on
         bearing = 1.0 if pressed > 0.0 else 0.0
@@ -172,8 +172,8 @@ def meet_ground(
             wheel, ALONG, lane, (along, 0.0 if lags else per * bearing * slopes[0], brake * abs(m_r) - per * slopes[3])
         )
         put3(wheel, ACROSS, lane, (d_l, below * d_l, ahead * d_l))
-        put(wheel, STIFF, lane, dt * slid * bearing * rate + 0.5 * dt * dt * stiffness)
-        put(wheel, STIFF + 1, lane, free * dt * dt * stiffness * v[2])
+        put(wheel, STIFF, lane, time_step_s * slid * bearing * rate + 0.5 * time_step_s * time_step_s * stiffness)
+        put(wheel, STIFF + 1, lane, free * time_step_s * time_step_s * stiffness * v[2])
         put(wheel, SINKAGE, lane, sinkage)
         put3(wheel, VELOCITY, lane, v)
         put(wheel, NORMAL, lane, pressed + damping * bearing)
@@ -184,7 +184,7 @@ def meet_ground(
 
 
 @pasted
-def put_row(wheel: Any, levers: Any, lane: Any, i: Any, own: Any, turn: Any, kg: Any, dt: Any) -> None:
+def put_row(wheel: Any, levers: Any, lane: Any, i: Any, own: Any, turn: Any, kg: Any, time_step_s: Any) -> None:
     """Levers, coefficients and right side of coordinate i, whose rate moves the centre by `own`, turns it by `turn`."""
     along, across = get3(wheel, ALONG, lane), get3(wheel, ACROSS, lane)
     put3(levers, LEVER + 3 * i, lane, own)
@@ -193,17 +193,17 @@ def put_row(wheel: Any, levers: Any, lane: Any, i: Any, own: Any, turn: Any, kg:
         COEFFICIENT + 3 * i,
         lane,
         (
-            kg * own[0] - dt * (own[0] * along[0] + own[2] * along[1] + turn[1] * along[2]),
-            kg * own[1] - dt * (own[1] * across[0] + turn[0] * across[1] + turn[2] * across[2]),
+            kg * own[0] - time_step_s * (own[0] * along[0] + own[2] * along[1] + turn[1] * along[2]),
+            kg * own[1] - time_step_s * (own[1] * across[0] + turn[0] * across[1] + turn[2] * across[2]),
             (kg + get(wheel, STIFF, lane)) * own[2],
         ),
     )
     work = dot(own, get3(wheel, FORCE, lane)) + dot(turn, get3(wheel, MOMENT, lane))
-    put(levers, DRIVE + i, lane, dt * work - own[2] * get(wheel, STIFF + 1, lane))
+    put(levers, DRIVE + i, lane, time_step_s * work - own[2] * get(wheel, STIFF + 1, lane))
 
 
 @in_lanes
-def find_levers(body: Any, wheel: Any, levers: Any, hung: float, side: float, kg: float, dt: float) -> None:
+def find_levers(body: Any, wheel: Any, levers: Any, hung: float, side: float, kg: float, time_step_s: float) -> None:
     """How each coordinate moves the wheel along the contact axes, and what its row of the matrix follows from."""
     for lane in range(LANES):
         e, d, n = get3(wheel, AXES, lane), get3(wheel, AXES + 3, lane), get3(wheel, AXES + 6, lane)
@@ -211,15 +211,24 @@ def find_levers(body: Any, wheel: Any, levers: Any, hung: float, side: float, kg
         upright = (get(body, ROTATION + 1, lane), get(body, ROTATION + 4, lane), get(body, ROTATION + 7, lane))
         turn, r_e, r_d, r_n = seen_from(axes, upright), cross(arm, e), cross(arm, d), cross(arm, n)
         x, y, z = (e[0], d[0], n[0]), (e[1], d[1], n[1]), (e[2], d[2], n[2])
-        put_row(wheel, levers, lane, FIRST + 0, x, still, kg, dt)
-        put_row(wheel, levers, lane, FIRST + 1, y, still, kg, dt)
-        put_row(wheel, levers, lane, FIRST + 2, z, still, kg, dt)
-        put_row(wheel, levers, lane, FIRST + 3, (r_e[0], r_d[0], r_n[0]), x, kg, dt)
-        put_row(wheel, levers, lane, FIRST + 4, (r_e[1], r_d[1], r_n[1]), y, kg, dt)
-        put_row(wheel, levers, lane, FIRST + 5, (r_e[2], r_d[2], r_n[2]), z, kg, dt)
-        put_row(wheel, levers, lane, FIRST + 6, seen_from(axes, get3(wheel, SWING, lane)), times(turn, side), kg, dt)
+        put_row(wheel, levers, lane, FIRST + 0, x, still, kg, time_step_s)
+        put_row(wheel, levers, lane, FIRST + 1, y, still, kg, time_step_s)
+        put_row(wheel, levers, lane, FIRST + 2, z, still, kg, time_step_s)
+        put_row(wheel, levers, lane, FIRST + 3, (r_e[0], r_d[0], r_n[0]), x, kg, time_step_s)
+        put_row(wheel, levers, lane, FIRST + 4, (r_e[1], r_d[1], r_n[1]), y, kg, time_step_s)
+        put_row(wheel, levers, lane, FIRST + 5, (r_e[2], r_d[2], r_n[2]), z, kg, time_step_s)
+        put_row(
+            wheel,
+            levers,
+            lane,
+            FIRST + 6,
+            seen_from(axes, get3(wheel, SWING, lane)),
+            times(turn, side),
+            kg,
+            time_step_s,
+        )
         swing = seen_from(axes, get3(wheel, BOGIE_SWING, lane))
-        put_row(wheel, levers, lane, FIRST + 7, swing, times(turn, hung), kg, dt)
+        put_row(wheel, levers, lane, FIRST + 7, swing, times(turn, hung), kg, time_step_s)
 
 
 @pasted
@@ -259,14 +268,14 @@ def add_rows(levers: Any, system: Any) -> None:
 
 
 @joined
-def add_wheel(work: Any, w: int, rover: Any, tyre: Any, dt: float, mode: int) -> None:
+def add_wheel(work: Any, w: int, rover: Any, tyre: Any, time_step_s: float, mode: int) -> None:
     """Add wheel `w`, its mass and the soil's wrench, to the system of a step, and keep what the contact found.
 
     Parameters
     ----------
     work : with kinematics, ground and commands of the wheel in place.
     rover, tyre : `Rover.vector()`, `Wheel.vector()`.
-    dt : step. [s]
+    time_step_s : step. [s]
     mode : `DRIVEN`, where a rim that does not turn is held by static friction; `AT_REST` has the normal force and,
         along the surface, the force in the rows of `HOLD`; `HELD`, of rims that turn, has the forces of the motion, but
         the step does not take the rover along, so touch-down damping and the change of sinkage along the step are left
@@ -279,12 +288,12 @@ def add_wheel(work: Any, w: int, rover: Any, tyre: Any, dt: float, mode: int) ->
     if stands:
         keep_hold(wheel)
     meet_ground(
-        work.body, wheel, tyre, kg, rover.gravity, SPEED + 7 + side, dt, mode != AT_REST,
+        work.body, wheel, tyre, kg, rover.gravity, SPEED + 7 + side, time_step_s, mode != AT_REST,
         0.0 if mode == HELD else 1.0, load * NORMAL_DAMPING,
     )  # fmt: skip
     if stands:
-        stand(wheel, tyre, dt, load)
+        stand(wheel, tyre, time_step_s, load)
     if mode == AT_REST:
         lean(wheel, tyre)
-    find_levers(work.body, wheel, work.levers, rover.hung[w], 1.0 - 2.0 * side, kg, dt)
+    find_levers(work.body, wheel, work.levers, rover.hung[w], 1.0 - 2.0 * side, kg, time_step_s)
     add_rows(work.levers, system)

@@ -3,8 +3,6 @@
 import math
 from typing import Any
 
-import numpy as np
-
 from lunarsci.compiled import compiled, in_lanes, pasted
 from lunarsci.elementary import arcsin, cosine, sine
 from lunarsci.regolith.forces import contact_forces
@@ -119,7 +117,10 @@ CAUGHT = 0.01
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def any_stands(wheel: Any) -> bool:
     """Whether a rim of the group stands still."""
-    return bool(np.abs(wheel[RIM * LANES : (RIM + 1) * LANES]).min() < SLOWEST)
+    slowest = abs(wheel[RIM * LANES])
+    for lane in range(1, LANES):
+        slowest = min(slowest, abs(wheel[RIM * LANES + lane]))
+    return bool(slowest < SLOWEST)
 
 
 @in_lanes
@@ -140,13 +141,13 @@ def keep_hold(wheel: Any) -> None:
 
 
 @pasted
-def yielding(before: Any, speed: Any, low: Any, high: Any, dt: Any, load: Any) -> Any:
+def yielding(before: Any, speed: Any, low: Any, high: Any, time_step_s: Any, load: Any) -> Any:
     """Force that holds along one direction, and the viscous share of an implicit step. [N, N s/m]
 
     A spring that gives by the way of the last step, from `before`, within what the soil can hold: Cundall & Strack
     (1979), 10.1680/geot.1979.29.1.47. Beyond, the force stays and is taken to fall to 0 where the wheel stops.
     """
-    step = load * STAND_STIFFNESS * dt
+    step = load * STAND_STIFFNESS * time_step_s
     wanted = before - step * speed
     force = min(max(wanted, low), high)
     caught = abs(speed) * step < CAUGHT * (high - low)
@@ -155,7 +156,7 @@ def yielding(before: Any, speed: Any, low: Any, high: Any, dt: Any, load: Any) -
 
 
 @in_lanes
-def stand(wheel: Any, tyre: Any, dt: float, load: float) -> None:
+def stand(wheel: Any, tyre: Any, time_step_s: float, load: float) -> None:
     """What holds a wheel whose rim stands still: static friction, in the place of what `meet_ground` found.
 
     The force along the surface and the torque about the axle are those of the moment when the rim came to rest, and
@@ -174,8 +175,8 @@ def stand(wheel: Any, tyre: Any, dt: float, load: float) -> None:
         _, _, reach = contact_forces(z, slip, 1.0, 0.0, 1.0, rut, tyre, soil, 0)
         ahead, below = shear_center(z, slip, tyre)
         shear, piled, side = (reach[0], reach[1], reach[2]) if on else (0.0, 0.0, 0.0)
-        along = yielding(held_x, v[0], -shear - piled, max(shear - piled, 0.0), dt, load)
-        across = yielding(held_y, v[1], -side, side, dt, load)
+        along = yielding(held_x, v[0], -shear - piled, max(shear - piled, 0.0), time_step_s, load)
+        across = yielding(held_y, v[1], -side, side, time_step_s, load)
         torque = dot(twist, d) + rate[2] * v[0] + below * (along[0] - held_x) if on else 0.0
         old = get3(wheel, DRAWBAR, lane)
         put(wheel, FORCE, lane, get(wheel, FORCE, lane) + (along[0] - along[2] - old[0] if still else 0.0))

@@ -150,30 +150,30 @@ def place_wheels(rover: Any, work: Any) -> None:
 
 
 @joined
-def begin_system(rover: Any, work: Any, dt: float) -> None:
+def begin_system(rover: Any, work: Any, time_step_s: float) -> None:
     """Fill matrix and right side of a step with the chassis: mass, moments, gyroscopic torque, joint friction.
 
-    Equations of motion: mass u-dot = force; the matrix is the mass so far, the right side dt times the force.
+    Equations of motion: mass u-dot = force; the matrix is the mass so far, the right side time_step_s times the force.
     """
     work.sides[:] = 0.0
     idle = 0.0 if rover.bogies else 1.0
-    add_chassis(work.body, work.sides[0], rover, dt)
+    add_chassis(work.body, work.sides[0], rover, time_step_s)
     for side in range(2):
-        add_friction(work.body, work.sides[side], rover.joint_damping, idle, dt, SPEED + 7 + side)
+        add_friction(work.body, work.sides[side], rover.joint_damping, idle, time_step_s, SPEED + 7 + side)
 
 
 @in_lanes
-def add_friction(body: Any, system: Any, friction: float, idle: float, dt: float, bogie: int) -> None:
+def add_friction(body: Any, system: Any, friction: float, idle: float, time_step_s: float, bogie: int) -> None:
     """Joint friction of one rocker and its bogie; `idle` keeps the row of a bogie that is not there."""
     for lane in range(LANES):
-        put(system, MATRIX + 54, lane, dt * friction)
-        put(system, MATRIX + 63, lane, dt * friction + idle)
-        put(system, RIGHT + 6, lane, -dt * friction * get(body, SPEED + 6, lane))
-        put(system, RIGHT + 7, lane, -dt * friction * get(body, bogie, lane))
+        put(system, MATRIX + 54, lane, time_step_s * friction)
+        put(system, MATRIX + 63, lane, time_step_s * friction + idle)
+        put(system, RIGHT + 6, lane, -time_step_s * friction * get(body, SPEED + 6, lane))
+        put(system, RIGHT + 7, lane, -time_step_s * friction * get(body, bogie, lane))
 
 
 @in_lanes
-def add_chassis(body: Any, system: Any, rover: Any, dt: float) -> None:
+def add_chassis(body: Any, system: Any, rover: Any, time_step_s: float) -> None:
     """The chassis' mass at its centre, its principal moments and gyroscopic torque."""
     kg, gravity = rover.body_kg, rover.gravity
     center_x, center_y, center_z = rover.center[0], rover.center[1], rover.center[2]
@@ -185,8 +185,8 @@ def add_chassis(body: Any, system: Any, rover: Any, dt: float) -> None:
         remaining = to_world(a, b, c, cross(omega, cross(omega, center)))
         pull = (-kg * remaining[0], -kg * remaining[1], -kg * (gravity + remaining[2]))
         torque = to_world(a, b, c, cross((i_x * omega[0], i_y * omega[1], i_z * omega[2]), omega))
-        put3(system, RIGHT, lane, times(pull, dt))
-        put3(system, RIGHT + 3, lane, times(plus(torque, cross((x, y, z), pull)), dt))
+        put3(system, RIGHT, lane, times(pull, time_step_s))
+        put3(system, RIGHT + 3, lane, times(plus(torque, cross((x, y, z), pull)), time_step_s))
         put_mass(system, lane, kg, x, y, z)
         a_i, b_i = (a[0] * i_x, a[1] * i_y, a[2] * i_z), (b[0] * i_x, b[1] * i_y, b[2] * i_z)
         c_i = (c[0] * i_x, c[1] * i_y, c[2] * i_z)

@@ -237,7 +237,7 @@ def predict(
         terrain=terrain,
         plan=plan,
         seed=seed,
-        time_step_s=float(times[1]),
+        time_step_s=scene.time_step_s,
         parameters=parameters,
         time_s=times[::every],
         distance_m=schedule.distance_at(times[::every]),

@@ -2,10 +2,10 @@
 
 With forces f, C = df/dv and K = df/dp at the start of the step,
 
-    (M - dt C - dt^2/2 K) du = dt (f + dt K u0),    positions move with (u0 + u1)/2,
+    (M - time_step_s C - time_step_s^2/2 K) du = time_step_s (f + time_step_s K u0),    positions move with (u0 + u1)/2,
 
 so free fall is exact, and the stiff parts (shear: 12-18 ms at 0.05 m/s, less when slower; sinkage: 60 ms) are damped
-at any dt. First order in dt.
+at any time_step_s. First order in time_step_s.
 """
 
 import math
@@ -73,19 +73,19 @@ MOST_ERROR, MEMORY = 0.25, 0.1
 
 
 @joined
-def assemble(rover: Any, tyre: Any, grid: Any, override: Any, dt: float, mode: int, work: Any) -> None:
+def assemble(rover: Any, tyre: Any, grid: Any, override: Any, time_step_s: float, mode: int, work: Any) -> None:
     """Kinematics, ground contact and the linear system of a step at the pose, velocity and commands in `work`.
 
     `mode` as in `add_wheel`.
     `work.code` takes the outcome of lanes that were still FINISHED.
     """
     place_wheels(rover, work)
-    begin_system(rover, work, dt)
+    begin_system(rover, work, time_step_s)
     for w in range(len(rover.arms)):
         read_ground(grid, override, work.wheels[w], work.code)
         if work.ruts.shape[1] > 1:
             read_ruts(work, w)
-        add_wheel(work, w, rover, tyre, dt, mode)
+        add_wheel(work, w, rover, tyre, time_step_s, mode)
     for w in range(len(rover.arms)):
         for lane in range(LANES):
             deep = work.wheels[w][SINKAGE * LANES + lane] + work.wheels[w][(RUT + 1) * LANES + lane]
@@ -211,20 +211,20 @@ def eliminate(work: Any) -> None:
 
 
 @in_lanes
-def move(body: Any, dt: float) -> None:
+def move(body: Any, time_step_s: float) -> None:
     """Advance the poses with the mean of old and new velocity, and the velocities to the new one."""
     for lane in range(LANES):
         for k in range(3):
             put(body, POSE + k, lane, get(body, POSE + k, lane)
-                + dt * (get(body, SPEED + k, lane) + 0.5 * get(body, CHANGE + k, lane)))  # fmt: skip
+                + time_step_s * (get(body, SPEED + k, lane) + 0.5 * get(body, CHANGE + k, lane)))  # fmt: skip
             put(body, POSE + 7 + k, lane, get(body, POSE + 7 + k, lane)
-                + dt * (get(body, SPEED + 6 + k, lane) + 0.5 * get(body, CHANGE + 6 + k, lane)))  # fmt: skip
+                + time_step_s * (get(body, SPEED + 6 + k, lane) + 0.5 * get(body, CHANGE + 6 + k, lane)))  # fmt: skip
         x = get(body, SPEED + 3, lane) + 0.5 * get(body, CHANGE + 3, lane)
         y = get(body, SPEED + 4, lane) + 0.5 * get(body, CHANGE + 4, lane)
         z = get(body, SPEED + 5, lane) + 0.5 * get(body, CHANGE + 5, lane)
         rate = math.sqrt(x * x + y * y + z * z)
-        half = min(0.5 * dt * rate, 1.6)
-        s = sine(half) / rate if rate > 1e-12 else 0.5 * dt
+        half = min(0.5 * time_step_s * rate, 1.6)
+        s = sine(half) / rate if rate > 1e-12 else 0.5 * time_step_s
         a, b, c, d = cosine(half), s * x, s * y, s * z
         w, x, y, z = (
             get(body, POSE + 3, lane),
@@ -280,7 +280,7 @@ def weigh_chassis(body: Any, rover: Any) -> None:
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
-def check_sense(work: Any, rover: Any, tyre: Any, dt: float, begins: bool) -> None:
+def check_sense(work: Any, rover: Any, tyre: Any, time_step_s: float, begins: bool) -> None:
     """Note in `work.code` the lanes with loads or energy that no drive has, and those whose steps miss the soil's law.
 
     Called when a step is assembled. Energy comes from the rims alone. A load is an impact's where the wheel comes down
@@ -293,7 +293,7 @@ def check_sense(work: Any, rover: Any, tyre: Any, dt: float, begins: bool) -> No
         weigh(body, work.wheels[w], tyre, rover.wheel_kg, rover.gravity)
     weight = (rover.body_kg + wheels * rover.wheel_kg) * rover.gravity
     for lane in range(LANES):
-        gained = body[ENERGY * LANES + lane] - before[lane] - dt * before[LANES + lane]
+        gained = body[ENERGY * LANES + lane] - before[lane] - time_step_s * before[LANES + lane]
         excess = 0.0 if begins else max(0.0, before[2 * LANES + lane] + gained)
         body[EXCESS * LANES + lane] = excess
         missed = 0.0

@@ -105,16 +105,9 @@ def record(work: Any, lane: int, tyre: Any, path: Any, states: Any) -> None:
 
 
 def begin(
-    rover: Any,
-    tyre: Any,
-    grid: Any,
-    override: Any,
-    start: FloatArray,
-    motion: FloatArray,
-    steering: Any,
-    speed: Any,
+    rover: Any, tyre: Any, grid: Any, override: Any, start: FloatArray, motion: FloatArray, steering: Any, speed: Any,
     work: Work,
-) -> None:
+) -> None:  # fmt: skip
     """Settle the rovers at `start` (LANES, 3), steered by their first commands, and give them `motion` (3)."""
     take_commands(work, steering, speed, 0)
     settle(rover, tyre, grid, override, start, work)
@@ -129,7 +122,7 @@ def drive(
     override: Any,
     steering: Any,
     speed: Any,
-    dt: float,
+    time_step_s: float,
     first: int,
     every: int,
     last: bool,
@@ -146,7 +139,7 @@ def drive(
     ----------
     override : (LANES, 8) soil of each; lanes beyond the members repeat one of them.
     steering, speed : (rovers, steps, wheels) commanded angles and ground speeds; one rover stands for all.
-    dt, first : step [s], and number of the first one since the drive began.
+    time_step_s, first : step [s], and number of the first one since the drive began.
     every : steps between records.
     last : whether the drive ends here, which is recorded too.
     pressing : steps between marks in the ruts of `work`; 0 where it has none.
@@ -156,19 +149,23 @@ def drive(
     """
     members, steps = len(paths), steering.shape[1]
     # Lanes beyond the members need no ground; what becomes of them is not looked at.
-    work.code[members:] = LEFT
+    for m in range(members, LANES):
+        work.code[m] = LEFT
     for i in range(steps + (1 if last else 0)):
-        if not (work.code[:members] == FINISHED).any():
+        under_way = 0
+        for m in range(members):
+            under_way += work.code[m] == FINISHED
+        if under_way == 0:
             break
         take_commands(work, steering, speed, min(i, steps - 1))
         # The ground of a rut changes over a spacing, of which three steps are less than a half.
         work.frame[6] = 0.0 if pressing > 8 and (first + i) % 3 else 1.0
         parts = SLOW_PARTS if slow[first + i] and i < steps else 1
-        step = dt / parts
+        step = time_step_s / parts
         for part in range(parts):
             assemble(rover, tyre, grid, override, step, DRIVEN, work)
             if part == 0:
-                check_sense(work, rover, tyre, dt, first + i == 0)
+                check_sense(work, rover, tyre, time_step_s, first + i == 0)
                 if pressing > 0 and (first + i) % pressing == 0:
                     press_ruts(work, tyre[1])
                 if (first + i) % every == 0:
@@ -242,9 +239,14 @@ class DriveSetup:
     only: IntArray | None = None
 
     @property
+    def time_step_s(self) -> float:
+        """Between all steps."""
+        return float(self.times_s[1])
+
+    @property
     def pressing(self) -> int:
         """Steps between marks in the ruts, at most one and a half spacings apart; 0 without ruts."""
-        step = float(self.times_s[1]) * self.schedule.plan.speed_m_s
+        step = self.time_step_s * self.schedule.plan.speed_m_s
         return max(1, math.floor(1.5 * SPACING_M / step)) if self.ruts else 0
 
     @property
@@ -348,7 +350,7 @@ def drive_finer(scene: DriveSetup, overrides: FloatArray, kept: tuple[FloatArray
 
 def _meets_cliff(scene: DriveSetup, terrain: Terrain, wheels_m: FloatArray) -> bool:
     """Whether a wheel last seen there can have met ground too steep: its load is then the cliff's, not the step's."""
-    sample_m = scene.schedule.plan.speed_m_s * scene.times_s[1] * scene.every
+    sample_m = scene.schedule.plan.speed_m_s * scene.time_step_s * scene.every
     far, angles = scene.rover.wheel.radius_m + sample_m, np.linspace(0.0, 2.0 * math.pi, 33)[:-1]
     radii = np.linspace(0.0, far, math.ceil(4.0 * far / terrain.spacing_m) + 1)
     around = radii[:, None, None] * np.stack((np.cos(angles), np.sin(angles)), axis=1)
@@ -374,7 +376,7 @@ def _drive_group(
     """Drive a group's plan, run by run where each of it leads from where the rover then believes to be."""
     if common is not None:
         _begin(scene, known, common, work)
-        rims = (common.steering_rad, common.speed_m_s, scene.times_s[1])
+        rims = (common.steering_rad, common.speed_m_s, scene.time_step_s)
         drive(*known, *rims, 0, scene.every, True, scene.pressing, scene.slow, work, *kept)
         return
     commands: Commands | None = None
@@ -389,5 +391,5 @@ def _drive_group(
         if begins:
             _begin(scene, known, commands, work)
         last = number == len(pieces) - 1
-        driven = (*known, commands.steering_rad, commands.speed_m_s, scene.times_s[1], piece.start, scene.every)
+        driven = (*known, commands.steering_rad, commands.speed_m_s, scene.time_step_s, piece.start, scene.every)
         drive(*driven, last, scene.pressing, scene.slow, work, *kept)

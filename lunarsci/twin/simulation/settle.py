@@ -69,7 +69,7 @@ def place(rover: Any, tyre: Any, grid: Any, override: Any, start: FloatArray, wo
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
-def lock(work: Any, dt: float, tolerance: float, done: Any, left: Any) -> None:
+def lock(work: Any, time_step_s: float, tolerance: float, done: Any, left: Any) -> None:
     """Hold x, y and yaw; mark lanes as done whose largest force on the free coordinates is below tolerance [N, N m].
 
     `left` takes the forces on what is held.
@@ -82,14 +82,14 @@ def lock(work: Any, dt: float, tolerance: float, done: Any, left: Any) -> None:
             if i < 7:
                 force += work.sides[1 - own, (RIGHT + row) * LANES + lane]
             if i == 0 or i == 1 or i == 5:
-                left[lane, min(i, 2)] = -force / dt
+                left[lane, min(i, 2)] = -force / time_step_s
                 for side in range(2):
                     for k in range(8):
                         work.sides[side, (MATRIX + 8 * i + k) * LANES + lane] = 0.0
                     work.sides[side, (MATRIX + 9 * i) * LANES + lane] = 0.5
                     work.sides[side, (RIGHT + i) * LANES + lane] = 0.0
             else:
-                largest = max(largest, abs(force) / dt)
+                largest = max(largest, abs(force) / time_step_s)
         if largest < tolerance:
             done[lane] = True
 
@@ -124,7 +124,8 @@ def lean_on(work: Any, left: Any, pull: Any, leaning: Any, done: Any, tolerance:
             leaning[lane], done[lane] = done[lane], False
         if not leaning[lane] or not abs(left[lane, 0]) + abs(left[lane, 1]) + abs(left[lane, 2]) < np.inf:
             continue
-        share[:] = 0.0
+        for i in range(9):
+            share[i // 3, i % 3] = 0.0
         for w in range(len(work.wheels)):
             slide_along(work.wheels[w], lane, moved)
             for i in range(3):
@@ -180,23 +181,23 @@ def slide_along(wheel: Any, lane: int, moved: Any) -> None:
 def balance(rover: Any, tyre: Any, grid: Any, override: Any, mode: int, velocity: Any, left: Any, work: Any) -> None:
     """Bring the rovers into equilibrium at their x, y and yaw, with the forces of `mode` at `velocity` (LANES, 9).
 
-    Each round is a step from rest with a growing dt, which turns from damped dynamics into a Newton iteration.
+    Each round is a step from rest with a growing time_step_s, which turns from damped dynamics into a Newton iteration.
     Converged at 1e-9 of the weight. `left` (LANES, 3) takes the force in x and y [N] and the moment about the vertical
     [N m] that hold the rover beside the wheels; none is left `AT_REST`, where the ground does. Outcomes in `work.code`.
     """
     weight = (rover.body_kg + len(rover.arms) * rover.wheel_kg) * rover.gravity
     done, leaning, pull = np.zeros(LANES, dtype=np.bool_), np.zeros(LANES, dtype=np.bool_), np.zeros((LANES, 3))
-    dt = 0.05
+    time_step_s = 0.05
     for _ in range(SETTLE_ROUNDS):
         for lane in range(LANES):
             for i in range(9):
                 work.body[(SPEED + i) * LANES + lane] = velocity[lane, i]
             if work.code[lane] == SANK and not done[lane]:
                 work.code[lane] = FINISHED
-        assemble(rover, tyre, grid, override, dt, mode, work)
+        assemble(rover, tyre, grid, override, time_step_s, mode, work)
         for lane in range(LANES):
             done[lane] = done[lane] and not leaning[lane]
-        lock(work, dt, SETTLE_TOLERANCE * weight, done, left)
+        lock(work, time_step_s, SETTLE_TOLERANCE * weight, done, left)
         if mode == AT_REST:
             lean_on(work, left, pull, leaning, done, SETTLE_TOLERANCE * weight)
         open_lanes = 0
@@ -206,10 +207,11 @@ def balance(rover: Any, tyre: Any, grid: Any, override: Any, mode: int, velocity
         if open_lanes == 0:
             break
         eliminate(work)
-        shorten(work, 2.0 * LONGEST_MOVE / dt, done)
-        work.body[SPEED * LANES : (SPEED + 9) * LANES] = 0.0
-        move(work.body, dt)
-        dt = min(1.5 * dt, 30.0)
+        shorten(work, 2.0 * LONGEST_MOVE / time_step_s, done)
+        for k in range(SPEED * LANES, (SPEED + 9) * LANES):
+            work.body[k] = 0.0
+        move(work.body, time_step_s)
+        time_step_s = min(1.5 * time_step_s, 30.0)
         for lane in range(LANES):
             if work.code[lane] == FINISHED and not is_upright(work.body, lane):
                 work.code[lane] = UNSETTLED

@@ -8,9 +8,9 @@ import pytest
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.twin.ground.footprint import rover_outline
-from lunarsci.twin.judgement.quantities import keep_out_distance
+from lunarsci.twin.judgement.quantities import exclusion_distance
 from lunarsci.twin.judgement.safety import judge
-from lunarsci.twin.plans.plan import KeepOut, Limit, read_plan
+from lunarsci.twin.plans.plan import ExclusionZone, Limit, read_plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import Prediction
 
@@ -26,8 +26,10 @@ def sides(rover: Rover) -> tuple[float, float, float]:
     return outline.rear_m, outline.front_m, outline.half_width_m
 
 
-def with_circles(prediction: Prediction, *circles: KeepOut, limits: tuple[Limit, ...] = ()) -> Prediction:
-    return dataclasses.replace(prediction, plan=dataclasses.replace(prediction.plan, keep_out=circles, limits=limits))
+def with_circles(prediction: Prediction, *circles: ExclusionZone, limits: tuple[Limit, ...] = ()) -> Prediction:
+    return dataclasses.replace(
+        prediction, plan=dataclasses.replace(prediction.plan, exclusion_zones=circles, limits=limits)
+    )
 
 
 def test_the_outline_is_that_of_wheels_and_body(yutu2: Rover) -> None:
@@ -56,7 +58,7 @@ def test_distances_of_known_figures(
     turn = np.radians(yaw)
     x, y = 3.0 + np.cos(turn) * ahead - np.sin(turn) * left, 1.0 + np.sin(turn) * ahead + np.cos(turn) * left
     posed = at(driven, 3.0, 1.0, yaw)
-    assert keep_out_distance(posed, (KeepOut("rock", x, y, radius),)) == pytest.approx(distance, abs=1e-12)
+    assert exclusion_distance(posed, (ExclusionZone("rock", x, y, radius),)) == pytest.approx(distance, abs=1e-12)
 
 
 def test_the_distance_is_that_to_the_nearest_point_of_the_outline(driven: Prediction) -> None:
@@ -69,14 +71,14 @@ def test_the_distance_is_that_to_the_nearest_point_of_the_outline(driven: Predic
         )
         place = np.array([x, y]) + 2.0 * np.array([np.cos(5 * yaw), np.sin(5 * yaw)])
         truth = np.hypot(*(border - place).T).min() - 0.25
-        circle = KeepOut("rock", float(place[0]), float(place[1]), 0.25)
-        assert keep_out_distance(at(driven, x, y, yaw), (circle,))[0, 0] == pytest.approx(truth, abs=1e-6)
+        circle = ExclusionZone("rock", float(place[0]), float(place[1]), 0.25)
+        assert exclusion_distance(at(driven, x, y, yaw), (circle,))[0, 0] == pytest.approx(truth, abs=1e-6)
 
 
 def test_the_nearest_circle_counts_and_none_is_infinitely_far(driven: Prediction) -> None:
-    near, far = KeepOut("near", 0.0, 3.0, 0.4), KeepOut("far", 0.0, 9.0, 0.4)
-    both = keep_out_distance(at(driven, 0.0, 0.0, 0.0), (far, near))
-    assert both == pytest.approx(3.0 - 0.4 - 0.525) and np.isinf(keep_out_distance(driven)).all()
+    near, far = ExclusionZone("near", 0.0, 3.0, 0.4), ExclusionZone("far", 0.0, 9.0, 0.4)
+    both = exclusion_distance(at(driven, 0.0, 0.0, 0.0), (far, near))
+    assert both == pytest.approx(3.0 - 0.4 - 0.525) and np.isinf(exclusion_distance(driven)).all()
 
 
 def test_a_single_drive_that_enters_is_a_no_go(driven: Prediction) -> None:
@@ -84,17 +86,17 @@ def test_a_single_drive_that_enters_is_a_no_go(driven: Prediction) -> None:
     paths[..., :2], paths[..., 5] = 0.0, 0.0
     paths[7, 5, 1] = 0.3
     posed = dataclasses.replace(driven, paths=paths)
-    touched = judge(with_circles(posed, KeepOut("rock", 0.0, 1.2, 0.5)))
+    touched = judge(with_circles(posed, ExclusionZone("rock", 0.0, 1.2, 0.5)))
     [limit] = touched.limits
     assert (limit.quantity, limit.sense, limit.limit, limit.exceeding, limit.worst_member) == (
         *("keep_out_m", "at least", 0.0, 1, 7),
     )
     assert limit.min == limit.judged == pytest.approx(1.2 - 0.5 - 0.525 - 0.3) and limit.p05 == pytest.approx(0.175)
     assert touched.verdict == "no-go" and "keep_out_m" in touched.reasons[0] and touched.worst.member == 7
-    clear = judge(with_circles(posed, KeepOut("rock", 0.0, 1.4, 0.5)))
+    clear = judge(with_circles(posed, ExclusionZone("rock", 0.0, 1.4, 0.5)))
     assert clear.verdict == "go" and clear.limits[0].margin == pytest.approx(0.075)
     wide = Limit("keep_out_m", "m", 0.1, "test", True)
-    assert judge(with_circles(posed, KeepOut("rock", 0.0, 1.4, 0.5), limits=(wide,))).verdict == "no-go"
+    assert judge(with_circles(posed, ExclusionZone("rock", 0.0, 1.4, 0.5), limits=(wide,))).verdict == "no-go"
 
 
 DRIVE = "[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 1.0\ncurvature_per_m = 0.0\n"
@@ -105,7 +107,7 @@ def test_a_plan_names_its_circles(tmp_path: Path) -> None:
     path = tmp_path / "plan.toml"
     path.write_text(DRIVE + CIRCLE + "[limits]\nkeep_out_m = 0\nclearance_m = 0.1\n")
     plan = read_plan(path)
-    assert plan.keep_out == (KeepOut("rock", 1.0, 2.5, 0.5),)
+    assert plan.exclusion_zones == (ExclusionZone("rock", 1.0, 2.5, 0.5),)
     assert [(limit.limit, limit.sense) for limit in plan.limits] == [(0.0, "at least"), (0.1, "at least")]
     for text, says in (
         (DRIVE + CIRCLE.replace("0.5", "0"), "radius above 0"),
@@ -119,4 +121,4 @@ def test_a_plan_names_its_circles(tmp_path: Path) -> None:
         with pytest.raises(DataError, match=says):
             read_plan(path)
     with pytest.raises(ParameterError):
-        KeepOut("rock", 0.0, 0.0, -1.0)
+        ExclusionZone("rock", 0.0, 0.0, -1.0)
