@@ -12,23 +12,23 @@ __all__ = [
     "DENSITY_KG_M3",
     "MAX_VALID_SLIP",
     "PAPER",
-    "READINGS",
     "SHEAR_LAWS",
+    "SHEAR_SIGNS",
     "SLIP_SINKAGE_LAWS",
     "Bulldozing",
     "ContactModel",
-    "Reading",
     "ShearLaw",
+    "ShearSign",
     "SlipSinkageLaw",
 ]
 
 PAPER = "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8"
-Reading = Literal["signed", "printed", "slip-branch"]
+ShearSign = Literal["signed", "printed", "slip-branch"]
 """Sign convention of the longitudinal shear stress, see `lunarsci.regolith.forces`."""
 ShearLaw = Literal["separate", "combined", "ellipse"]
 Bulldozing = Literal["none", "hegedus", "wong"]
 SlipSinkageLaw = Literal["lyasko", "linear"]
-READINGS: tuple[str, ...] = get_args(Reading)
+SHEAR_SIGNS: tuple[str, ...] = get_args(ShearSign)
 SLIP_SINKAGE_LAWS: tuple[str, ...] = get_args(SlipSinkageLaw)
 SHEAR_LAWS: tuple[str, ...] = get_args(ShearLaw)
 BULLDOZING: tuple[str, ...] = get_args(Bulldozing)
@@ -72,7 +72,7 @@ class ContactModel:
     10.1002/rob.20187; Wong (2008), Theory of Ground Vehicles, 4th ed., ch. 2.
     """
 
-    reading: Reading = "signed"
+    reading: ShearSign = "signed"
     shear: ShearLaw = "separate"
     bulldozing: Bulldozing = "none"
     density_kg_m3: float = DENSITY_KG_M3
@@ -85,7 +85,7 @@ class ContactModel:
 
     def __post_init__(self) -> None:
         for name, value, choices in (
-            ("reading", self.reading, READINGS),
+            ("reading", self.reading, SHEAR_SIGNS),
             ("shear law", self.shear, SHEAR_LAWS),
             ("bulldozing law", self.bulldozing, BULLDOZING),
         ):
@@ -108,7 +108,7 @@ class ContactModel:
     def vector(self) -> tuple[float, float, float, float, float, float, float, float, float]:
         """What the compiled integrals take; NaN for an n2 and -1 for a rebound that are not given."""
         return (
-            float(READINGS.index(self.reading)),
+            float(SHEAR_SIGNS.index(self.reading)),
             float(SHEAR_LAWS.index(self.shear)),
             float(BULLDOZING.index(self.bulldozing)),
             self.density_kg_m3 * self.gravity_m_s2,

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.belief_history import past_beliefs, rolled_back, shared_drives
 from lunarsci.regolith.compare import KINDS, Site, SoilComparison, lateral_soils, nearest
-from lunarsci.regolith.contact import ContactModel, Reading
+from lunarsci.regolith.contact import ContactModel, ShearSign
 from lunarsci.regolith.forces import WheelForces
 from lunarsci.regolith.identify import Identification
 from lunarsci.regolith.integrals import ContactForces, forces_by
@@ -198,7 +198,7 @@ def forces_over_slip(
     sinkage_m: float,
     slip_ratio: float,
     side_slip_deg: float,
-    reading: Reading,
+    reading: ShearSign,
     model: ContactModel | None = None,
 ) -> Figure:
     """Normal force, drawbar pull and lateral force against slip at one sinkage, with the asked state marked."""

@@ -24,7 +24,7 @@ import numpy.typing as npt
 from lunarsci.compiled import compiled, in_lanes, pasted
 from lunarsci.elementary import arcsin, cosine, exp_minus_one, exponential, logarithm, sine
 from lunarsci.errors import LunarSciWarning, ParameterError
-from lunarsci.regolith.contact import READINGS, Reading
+from lunarsci.regolith.contact import SHEAR_SIGNS, ShearSign
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.wheel import Wheel
 
@@ -33,17 +33,17 @@ __all__ = [
     "MOST_COHESION",
     "WheelForces",
     "check_states",
+    "closed_form_forces",
     "cohesion_share",
     "contact_angles",
     "contact_forces",
     "longitudinal_mobilisation",
     "motion_ratios",
-    "reading_code",
+    "shear_sign_code",
     "slip_ratio",
     "stress_moments",
     "travel_ratio",
-    "warn_of_reading",
-    "wheel_forces",
+    "warn_of_shear_sign",
     "wheel_forces_and_slopes",
     "wheel_forces_kernel",
 ]
@@ -239,28 +239,28 @@ class WheelForces:
     resistance_torque_nm: FloatArray
 
 
-def reading_code(reading: str) -> int:
+def shear_sign_code(reading: str) -> int:
     """Number of a reading for the compiled formulas. Raises ParameterError for an unknown one."""
-    if reading not in READINGS:
-        raise ParameterError(f"reading '{reading}' is unknown; choose one of: {', '.join(READINGS)}")
-    return READINGS.index(reading)
+    if reading not in SHEAR_SIGNS:
+        raise ParameterError(f"reading '{reading}' is unknown; choose one of: {', '.join(SHEAR_SIGNS)}")
+    return SHEAR_SIGNS.index(reading)
 
 
-def warn_of_reading(reading: Reading) -> None:
+def warn_of_shear_sign(reading: ShearSign) -> None:
     """Say by a LunarSciWarning that a reading is not to be relied on."""
     if reading != "signed":
         text = "is for reproducing published numbers only: its drawbar pull contradicts measured skidding wheels"
         warnings.warn(f"reading '{reading}' {text}", LunarSciWarning, stacklevel=3)
 
 
-def wheel_forces(
+def closed_form_forces(
     wheel: Wheel,
     soil: Soil,
     sinkage_m: npt.ArrayLike,
     slip_ratio: npt.ArrayLike,
     side_slip_deg: npt.ArrayLike = 0.0,
     *,
-    reading: Reading = "signed",
+    reading: ShearSign = "signed",
 ) -> WheelForces:
     """Forces on a wheel at given states in closed form (Eqs 4, 7-11, 14-24).
 
@@ -287,7 +287,7 @@ def wheel_forces(
     parts = np.broadcast_arrays(*(np.asarray(v, dtype=float) for v in (sinkage_m, slip_ratio, side_slip_deg)))
     z, s, beta = (part.ravel() for part in parts)
     check_states(z, s, beta, wheel.radius_m)
-    forces = _each_state(z, *motion_ratios(s, beta), wheel.vector(), soil.vector(), reading_code(reading))
+    forces = _each_state(z, *motion_ratios(s, beta), wheel.vector(), soil.vector(), shear_sign_code(reading))
     if not np.isfinite(forces).all():
         raise ParameterError("the forces are beyond any number; check sinkage and soil parameters")
     return WheelForces(*(forces[k].reshape(parts[0].shape) for k in range(4)))

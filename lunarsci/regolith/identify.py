@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith import inversion
-from lunarsci.regolith.contact import Reading
-from lunarsci.regolith.forces import reading_code, warn_of_reading
+from lunarsci.regolith.contact import ShearSign
+from lunarsci.regolith.forces import shear_sign_code, warn_of_shear_sign
 from lunarsci.regolith.states import WheelStates
 from lunarsci.regolith.wheel import Wheel
 
@@ -186,7 +186,7 @@ def identify(
     wheel: Wheel,
     assumptions: Assumptions | None = None,
     *,
-    reading: Reading = "signed",
+    reading: ShearSign = "signed",
     draws: int = DRAWS,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
@@ -217,8 +217,8 @@ def identify(
         raise ParameterError(f"{draws} draws; give 2 or more")
     if len(states) > MOST_STATES:
         raise ParameterError(f"{len(states)} wheel states are more than {MOST_STATES}; give every tenth, for example")
-    code = reading_code(reading)
-    warn_of_reading(reading)
+    code = shear_sign_code(reading)
+    warn_of_shear_sign(reading)
     known = assumptions or Assumptions()
     solver = _Solver(wheel, known, code, np.random.default_rng(seed), draws)
     kept = min(draws, max(LEAST_POOLED, POOLED_DRAWS // len(states)))

@@ -13,20 +13,27 @@ import numpy.typing as npt
 
 from lunarsci.compiled import compiled
 from lunarsci.errors import ParameterError
-from lunarsci.regolith.contact import ContactModel, Reading
+from lunarsci.regolith.contact import ContactModel, ShearSign
 from lunarsci.regolith.forces import (
     FloatArray,
     WheelForces,
     check_states,
+    closed_form_forces,
     mobilised,
     motion_ratios,
     slip_ratio,
-    wheel_forces,
 )
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.wheel import Wheel
 
-__all__ = ["ContactForces", "contact_forces", "contact_kernel", "forces_by", "moving_contact_forces", "velocities"]
+__all__ = [
+    "ContactForces",
+    "contact_kernel",
+    "forces_by",
+    "integrated_forces",
+    "integrated_forces_in_motion",
+    "velocities",
+]
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(12)
 """On either side of the angle of maximum stress; doubling them moves forces by up to 1.3e-3 of the load."""
@@ -172,7 +179,7 @@ class ContactForces:
     overturning_moment_nm: FloatArray
 
 
-def contact_forces(
+def integrated_forces(
     wheel: Wheel,
     soil: Soil,
     sinkage_m: npt.ArrayLike,
@@ -218,15 +225,15 @@ def forces_by(
     sinkage_m: npt.ArrayLike,
     slip_ratio: npt.ArrayLike,
     side_slip_deg: npt.ArrayLike = 0.0,
-    reading: Reading = "signed",
+    reading: ShearSign = "signed",
 ) -> WheelForces | ContactForces:
-    """`contact_forces` with a model, `wheel_forces` with a reading where it is None; arguments as theirs."""
+    """`integrated_forces` with a model, `closed_form_forces` with a reading where it is None; arguments as theirs."""
     if model is None:
-        return wheel_forces(wheel, soil, sinkage_m, slip_ratio, side_slip_deg, reading=reading)
-    return contact_forces(wheel, soil, sinkage_m, slip_ratio, side_slip_deg, model)
+        return closed_form_forces(wheel, soil, sinkage_m, slip_ratio, side_slip_deg, reading=reading)
+    return integrated_forces(wheel, soil, sinkage_m, slip_ratio, side_slip_deg, model)
 
 
-def moving_contact_forces(
+def integrated_forces_in_motion(
     wheel: Wheel,
     soil: Soil,
     sinkage_m: npt.ArrayLike,

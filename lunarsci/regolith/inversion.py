@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from lunarsci.compiled import compiled
 from lunarsci.errors import ParameterError
-from lunarsci.regolith.contact import SLIP_SINKAGE_LAWS, ContactModel, Reading, SlipSinkageLaw
+from lunarsci.regolith.contact import SLIP_SINKAGE_LAWS, ContactModel, ShearSign, SlipSinkageLaw
 from lunarsci.regolith.forces import (
     LEAST_SINKAGE_M,
     contact_angles,
@@ -55,7 +55,7 @@ def sinkage_under_load(
     slip_ratio: float = 0.0,
     side_slip_deg: float = 0.0,
     *,
-    reading: Reading = "signed",
+    reading: ShearSign = "signed",
     model: ContactModel | None = None,
 ) -> float:
     """Sinkage z at which F_N equals the load (Eq. 21), 0 < z < 0.95 r. [m]
@@ -95,7 +95,7 @@ def stiffness_under_load(
     slip_ratio: float = 0.0,
     side_slip_deg: float = 0.0,
     *,
-    reading: Reading = "signed",
+    reading: ShearSign = "signed",
     model: ContactModel | None = None,
 ) -> float:
     """Stiffness K_s at which the soil carries the load at a measured sinkage; F_N is linear in it. [kPa m^-N]
@@ -124,7 +124,7 @@ def _normal_force(
     sinkage_m: float,
     slip_ratio: float,
     side_slip_deg: float,
-    reading: Reading,
+    reading: ShearSign,
     model: ContactModel | None,
 ) -> float:
     found = forces_by(model, wheel, soil, sinkage_m, slip_ratio, side_slip_deg, reading)
@@ -139,7 +139,7 @@ def settle_under_load(
     side_slip_deg: float = 0.0,
     law: SlipSinkageLaw | None = None,
     *,
-    reading: Reading = "signed",
+    reading: ShearSign = "signed",
     model: ContactModel | None = None,
 ) -> tuple[float, Soil]:
     """Sinkage under a load [m], and the soil: where slip deepens the one by a law, it softens the other, which carries

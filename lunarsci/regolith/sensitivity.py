@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lunarsci.errors import ParameterError
-from lunarsci.regolith.contact import Reading
+from lunarsci.regolith.contact import ShearSign
 from lunarsci.regolith.identify import Assumptions, Identification, identify
 from lunarsci.regolith.states import COLUMNS, WheelStates
 from lunarsci.regolith.wheel import Wheel
@@ -48,7 +48,7 @@ def sensitivities(
     wheel: Wheel,
     assumptions: Assumptions | None = None,
     *,
-    reading: Reading = "signed",
+    reading: ShearSign = "signed",
     draws: int = 1024,
     seed: int = 0,
 ) -> list[Sensitivity]:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from lunarsci.regolith import inversion
 from lunarsci.regolith.compare import ReferenceSoil, lateral_soils, reference_soils
-from lunarsci.regolith.forces import reading_code, wheel_forces
+from lunarsci.regolith.forces import closed_form_forces, shear_sign_code
 from lunarsci.regolith.identify import DRAWS
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors
 from lunarsci.regolith.wheel import Wheel
@@ -75,7 +75,7 @@ def histograms(wheel: Wheel, draws: int = DRAWS, seed: int = 0) -> tuple[Histogr
         values = np.array([nominal])
         sigmas = np.column_stack([errors.of(name, values[:, k]) for k, name in enumerate(COLUMNS)])
         sample = values + sigmas * rng.standard_normal((draws, len(COLUMNS)))
-        return np.asarray(inversion.invert_states(sample, wheel.vector(), SHEAR_MODULUS_M, reading_code(reading)))
+        return np.asarray(inversion.invert_states(sample, wheel.vector(), SHEAR_MODULUS_M, shear_sign_code(reading)))
 
     shallow = stresses(0.005, MeasurementErrors(), "signed")
     deep = stresses(0.015, MeasurementErrors(), "signed")
@@ -247,12 +247,12 @@ def _shear(axes: "Axes", wheel: Wheel) -> Named:
 
 def _shear_curve(wheel: Wheel, cohesion: float, phi: float, slip: float) -> tuple[float, Any, Any]:
     """Drawbar pull [N] of a soil at the mean sinkage, and the pairs (c [Pa], phi [deg]) that have the same one."""
-    forces = wheel_forces(
+    forces = closed_form_forces(
         wheel, published_soil(cohesion=cohesion, phi=phi), MEAN_SINKAGE_M, slip, reading="slip-branch"
     )
     pull = float(forces.drawbar_pull_n)
     state = np.array([[MEAN_SINKAGE_M, slip, np.nan, float(forces.normal_force_n), pull, np.nan]])
-    solved = inversion.invert_states(state, wheel.vector(), SHEAR_MODULUS_M, reading_code("slip-branch"))[0]
+    solved = inversion.invert_states(state, wheel.vector(), SHEAR_MODULUS_M, shear_sign_code("slip-branch"))[0]
     x = np.linspace(0.0, 11_000.0, 441)
     with np.errstate(all="ignore"):
         return pull, x, inversion.friction_angle(solved[0], solved[1], solved[4], x)
@@ -301,11 +301,11 @@ def _lateral(axes: "Axes", wheel: Wheel) -> None:
 def _lateral_curve(wheel: Wheel, modulus_mm: float, angle_deg: float, beta_deg: float) -> tuple[float, Any, Any]:
     """Lateral force [N] of a soil at a side slip, and the pairs (K_y [mm], phi_y [deg]) that have the same one."""
     soil = replace(published_soil(), external_friction_angle_deg=angle_deg, lateral_modulus_mm=modulus_mm)
-    forces = wheel_forces(wheel, soil, MEAN_SINKAGE_M, SLIP, beta_deg)
+    forces = closed_form_forces(wheel, soil, MEAN_SINKAGE_M, SLIP, beta_deg)
     force = float(forces.lateral_force_n)
     normal, pull = float(forces.normal_force_n), float(forces.drawbar_pull_n)
     state = np.array([[MEAN_SINKAGE_M, SLIP, beta_deg, normal, pull, force]])
-    solved = inversion.invert_states(state, wheel.vector(), SHEAR_MODULUS_M, reading_code("signed"))[0]
+    solved = inversion.invert_states(state, wheel.vector(), SHEAR_MODULUS_M, shear_sign_code("signed"))[0]
     x = np.linspace(5.0, 60.0, 221)
     with np.errstate(all="ignore"):
         return force, x, inversion.external_friction_angle(solved[0], solved[2], solved[5], x, COHESION_PA)

@@ -17,7 +17,7 @@ import numpy as np
 from lunarsci.errors import LunarSciWarning, ParameterError
 from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.compare import Site, compare_site, nearest, reference_soils
-from lunarsci.regolith.forces import WheelForces, contact_angles, wheel_forces
+from lunarsci.regolith.forces import WheelForces, closed_form_forces, contact_angles
 from lunarsci.regolith.identify import Assumptions, Identification, identify
 from lunarsci.regolith.inversion import sinkage_under_load
 from lunarsci.regolith.soil import Soil
@@ -70,7 +70,7 @@ class Rolling:
         """Force along a slope, downhill positive, that speeds a wheel up at a slip ratio; 0 in steady rolling. [N]"""
         slope = math.radians(slope_deg)
         sinkage = sinkage_under_load(self.wheel, soil, self.weight_n * math.cos(slope), slip_ratio)
-        pull = wheel_forces(self.wheel, soil, sinkage, slip_ratio).drawbar_pull_n
+        pull = closed_form_forces(self.wheel, soil, sinkage, slip_ratio).drawbar_pull_n
         return float(pull) + self.weight_n * math.sin(slope)
 
     def slip_ratio(self, soil: Soil, slope_deg: float) -> float:
@@ -130,7 +130,7 @@ def published_soil(stiffness: float = STIFFNESS, cohesion: float = COHESION_PA, 
 @cache
 def stand_in_forces(wheel: Wheel) -> WheelForces:
     """On the mean wheel, by the two numbers that stand for them."""
-    return wheel_forces(wheel, published_soil(), MEAN_SINKAGE_M, SLIP, reading="slip-branch")
+    return closed_form_forces(wheel, published_soil(), MEAN_SINKAGE_M, SLIP, reading="slip-branch")
 
 
 def identified(
@@ -244,7 +244,7 @@ def _shear(wheel: Wheel) -> dict[str, Callable[[], Answer]]:
     def angle() -> Answer:
         found = identified(wheel, MEAN_SINKAGE_M, shear=True)
         own = float(stand_in_forces(wheel).drawbar_pull_n)
-        physical = wheel_forces(wheel, published_soil(), MEAN_SINKAGE_M, SLIP)
+        physical = closed_form_forces(wheel, published_soil(), MEAN_SINKAGE_M, SLIP)
         pull = float(physical.drawbar_pull_n)
         slope = math.degrees(math.atan2(-pull, float(physical.normal_force_n)))
         return Answer(
@@ -280,7 +280,7 @@ def _angle_spread(wheel: Wheel) -> Answer:
 
 def _cohesion(wheel: Wheel) -> Answer:
     soil = published_soil(cohesion=CORNER[1], phi=CORNER[0])
-    pull = float(wheel_forces(wheel, soil, MEAN_SINKAGE_M, -1e-6, reading="slip-branch").drawbar_pull_n)
+    pull = float(closed_form_forces(wheel, soil, MEAN_SINKAGE_M, -1e-6, reading="slip-branch").drawbar_pull_n)
     return Answer(
         value=None,
         reason=f"lies on another curve of Fig. 4b, slip ratio -> 0, whose drawbar pull is not published; it takes "
@@ -333,7 +333,8 @@ def _lateral(wheel: Wheel) -> dict[str, Callable[[], Answer]]:
         modulus, angle = LATERAL_CORNERS[k]
         soil = replace(published_soil(), external_friction_angle_deg=angle, lateral_modulus_mm=modulus)
         forces = [
-            float(wheel_forces(wheel, soil, MEAN_SINKAGE_M, SLIP, beta).lateral_force_n) for beta in SIDE_SLIPS_DEG
+            float(closed_form_forces(wheel, soil, MEAN_SINKAGE_M, SLIP, beta).lateral_force_n)
+            for beta in SIDE_SLIPS_DEG
         ]
         return Answer(
             value=None,

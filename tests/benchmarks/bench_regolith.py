@@ -10,10 +10,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lunarsci.regolith.forces import _each_state, contact_angles, stress_moments, wheel_forces
+from lunarsci.regolith.forces import _each_state, closed_form_forces, contact_angles, stress_moments
 from lunarsci.regolith.identify import identify
 from lunarsci.regolith.inference.posterior import infer_soil
-from lunarsci.regolith.integrals import contact_forces
+from lunarsci.regolith.integrals import integrated_forces
 from lunarsci.regolith.soil import read_soil
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates
 from lunarsci.regolith.wheel import read_wheel
@@ -72,7 +72,7 @@ def states(count: int) -> WheelStates:
     """Synthetic states of `lunar-typical` with the errors of the paper."""
     rng = np.random.default_rng(0)
     z, s, beta = rng.uniform(0.006, 0.018, count), rng.uniform(-0.2, 0.4, count), rng.uniform(1, 8, count)
-    found = wheel_forces(WHEEL, SOIL, z, s, beta)
+    found = closed_form_forces(WHEEL, SOIL, z, s, beta)
     values = np.column_stack([z, s, beta, found.normal_force_n, found.drawbar_pull_n, found.lateral_force_n])
     errors = MeasurementErrors()
     sigmas = np.column_stack([errors.of(name, values[:, k]) for k, name in enumerate(COLUMNS)])
@@ -84,12 +84,12 @@ def main() -> None:
     """Print times and ratios."""
     rng = np.random.default_rng(0)
     z, s, beta = rng.uniform(0.005, 0.02, STATES), rng.uniform(-0.5, 0.5, STATES), rng.uniform(-0.2, 0.2, STATES)
-    compiled = seconds(lambda: wheel_forces(WHEEL, SOIL, z, s, np.degrees(beta))) / STATES
+    compiled = seconds(lambda: closed_form_forces(WHEEL, SOIL, z, s, np.degrees(beta))) / STATES
     travel = np.where(s >= 0, 1 - s, 1 / (1 + s))
     loop = seconds(lambda: _each_state(z, travel, travel * np.tan(beta), WHEEL.vector(), SOIL.vector(), 0)) / STATES
     arrays = seconds(lambda: in_numpy(z, s, beta)) / STATES
     python = seconds(lambda: [in_python(a, b) for a, b in zip(z[:2000], s[:2000], strict=True)]) / 2000
-    exact = seconds(lambda: contact_forces(WHEEL, SOIL, z[:20000], s[:20000], np.degrees(beta[:20000]))) / 20000
+    exact = seconds(lambda: integrated_forces(WHEEL, SOIL, z[:20000], s[:20000], np.degrees(beta[:20000]))) / 20000
     print(f"closed form, compiled: {1e9 * loop:.0f} ns a wheel, with checks {1e9 * compiled:.0f} ns; NumPy "
           f"{arrays / loop:.1f} times, Python (F_N only) {python / loop:.0f} times; exact integrals {exact / loop:.0f} "
           "times")  # fmt: skip

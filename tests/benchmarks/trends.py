@@ -26,8 +26,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 from lunarsci.errors import ParameterError
-from lunarsci.regolith.contact import READINGS
-from lunarsci.regolith.forces import wheel_forces
+from lunarsci.regolith.contact import SHEAR_SIGNS
+from lunarsci.regolith.forces import closed_form_forces
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
@@ -69,10 +69,10 @@ def rolling_slip(reading: str, phi_deg: float, slope_deg: float) -> float | None
 
     def surplus(slip: float) -> float:
         def overload(sinkage: float) -> float:
-            return float(wheel_forces(ROVER.wheel, soil, sinkage, slip, reading=reading).normal_force_n) - load  # type: ignore[arg-type]
+            return float(closed_form_forces(ROVER.wheel, soil, sinkage, slip, reading=reading).normal_force_n) - load  # type: ignore[arg-type]
 
         sinkage = float(brentq(overload, 1e-4, 0.05))
-        return float(wheel_forces(ROVER.wheel, soil, sinkage, slip, reading=reading).drawbar_pull_n) + pull  # type: ignore[arg-type]
+        return float(closed_form_forces(ROVER.wheel, soil, sinkage, slip, reading=reading).drawbar_pull_n) + pull  # type: ignore[arg-type]
 
     slips = np.linspace(-0.4, 0.4, 161) + 1e-5
     values = np.array([surplus(slip) for slip in slips])
@@ -97,7 +97,7 @@ def main() -> None:
         print(row(name, predict(ROVER, terrain, PLAN, sweep=sweep)))
     print("\nslip that balances the weight, six equal wheels, phi 25 -> 55 deg")
     for slope in (0.0, 2.0, 4.0, 5.38, 8.86, 12.0):
-        for reading in READINGS:
+        for reading in SHEAR_SIGNS:
             try:
                 ends = [rolling_slip(reading, phi, slope) for phi in (PHI_DEG[0], PHI_DEG[-1])]
             except (ParameterError, ValueError) as error:

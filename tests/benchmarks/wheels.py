@@ -31,7 +31,7 @@ from lunarsci.regolith.belief import FitVerdict
 from lunarsci.regolith.contact import ContactModel
 from lunarsci.regolith.inference.posterior import infer_soil
 from lunarsci.regolith.inference.prediction import WheelLaw, candidates, compare_laws, predict_forces
-from lunarsci.regolith.integrals import contact_forces, moving_contact_forces
+from lunarsci.regolith.integrals import integrated_forces, integrated_forces_in_motion
 from lunarsci.regolith.inversion import sinkage_under_load, stiffness_under_load
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates
@@ -140,7 +140,7 @@ def predicted(point: np.ndarray, runs: Runs, model: ContactModel) -> np.ndarray:
     """F_N, F_DP, F_L. [N]"""
     wheel, soil, own = contact(point, model)
     try:
-        found = moving_contact_forces(wheel, soil, runs.sinkage, runs.velocity, own)
+        found = integrated_forces_in_motion(wheel, soil, runs.sinkage, runs.velocity, own)
     except ParameterError:  # beyond any number
         return np.full_like(runs.forces, np.inf)
     return np.column_stack([found.normal_force_n, found.drawbar_pull_n, found.lateral_force_n])
@@ -232,7 +232,7 @@ def at_load(wheel: Wheel, soil: Soil, sinkage: np.ndarray, slip: np.ndarray, loa
     pulls = []
     for z, s in zip(sinkage, slip, strict=True):
         stiffness = stiffness_under_load(wheel, soil, load, float(z), float(s), model=model)
-        found = contact_forces(wheel, soil.replace(stiffness_kpa_m_n=stiffness), z, s)
+        found = integrated_forces(wheel, soil.replace(stiffness_kpa_m_n=stiffness), z, s)
         pulls.append(float(found.drawbar_pull_n))
     return np.array(pulls)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import RequestError
-from lunarsci.regolith.integrals import contact_forces
+from lunarsci.regolith.integrals import integrated_forces
 from lunarsci.regolith.jobs.infer import infer
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.regolith.soil import read_soil
@@ -24,7 +24,7 @@ def drive(tmp_path: Path) -> Path:
     """Synthetic: exact forces of lunar-typical soil at 24 states, without errors."""
     rng = np.random.default_rng(0)
     z, slip, side = rng.uniform(0.006, 0.018, 24), rng.uniform(-0.2, 0.4, 24), rng.uniform(1, 8, 24)
-    found = contact_forces(read_wheel("yutu2"), read_soil("lunar-typical"), z, slip, side)
+    found = integrated_forces(read_wheel("yutu2"), read_soil("lunar-typical"), z, slip, side)
     columns = (z, slip, side, found.normal_force_n, found.drawbar_pull_n, found.lateral_force_n)
     path = tmp_path / "drive.csv"
     rows = [",".join(f"{value:.6f}" for value in row) for row in zip(*columns, strict=True)]

@@ -9,14 +9,14 @@ import pytest
 from scipy.integrate import quad
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.regolith.contact import READINGS
+from lunarsci.regolith.contact import SHEAR_SIGNS
 from lunarsci.regolith.forces import (
     MOST_COHESION,
+    closed_form_forces,
     cohesion_share,
     slip_ratio,
     stress_moments,
     travel_ratio,
-    wheel_forces,
 )
 from lunarsci.regolith.inversion import sinkage_under_load
 from lunarsci.regolith.soil import Soil, known_soils, read_soil
@@ -36,7 +36,7 @@ SOIL = Soil(
 
 def test_published_worked_state() -> None:
     """s 0.2, N 1, K_s 820, c 520, phi 42, z 12 mm, worked by an independent implementation."""
-    found = wheel_forces(WHEEL, SOIL, 0.012, 0.2)
+    found = closed_form_forces(WHEEL, SOIL, 0.012, 0.2)
     assert float(found.normal_force_n) == pytest.approx(35.82, abs=0.01)
     assert float(found.drawbar_pull_n) == pytest.approx(9.44, abs=0.01)
     assert float(found.resistance_torque_nm) == pytest.approx(2.557, abs=0.001)
@@ -57,7 +57,7 @@ def test_moments_are_integrals_of_a_triangle(theta_1: float, theta_2: float, the
 def test_no_shear_strength_leaves_the_compaction_resistance() -> None:
     """Without cohesion and friction the drawbar pull is the rearward component of the normal stress."""
     slick = SOIL.replace(cohesion_pa=0, friction_angle_deg=0, external_friction_angle_deg=0)
-    found = wheel_forces(WHEEL, slick, 0.01, 0.3, 5.0)
+    found = closed_form_forces(WHEEL, slick, 0.01, 0.3, 5.0)
     theta_1 = math.acos(0.14 / 0.15)
     peak = 820e3 * 0.15 * (math.cos(theta_1 / 2) - math.cos(theta_1))
 
@@ -72,7 +72,7 @@ def test_no_shear_strength_leaves_the_compaction_resistance() -> None:
 
 def test_signed_reading_is_smooth_and_rises_through_zero_slip() -> None:
     slip = np.linspace(-0.3, 0.3, 601)
-    pull = wheel_forces(WHEEL, SOIL, 0.009, slip).drawbar_pull_n
+    pull = closed_form_forces(WHEEL, SOIL, 0.009, slip).drawbar_pull_n
     assert np.all(np.diff(pull) > 0)
     assert np.max(np.diff(pull)) < 0.15
 
@@ -80,19 +80,21 @@ def test_signed_reading_is_smooth_and_rises_through_zero_slip() -> None:
 def test_printed_reading_jumps_at_zero_slip_and_is_not_monotone() -> None:
     """The jump of 6-24 N between s = 0- and s = 0+ that the printed law has at a load of about 36.5 N."""
     sinkage = sinkage_under_load(WHEEL, SOIL, 36.5, 0.0)
-    below, above = wheel_forces(WHEEL, SOIL, sinkage, [-1e-9, 0.0], reading="printed").drawbar_pull_n
+    below, above = closed_form_forces(WHEEL, SOIL, sinkage, [-1e-9, 0.0], reading="printed").drawbar_pull_n
     assert 6 < above - below < 24
-    skid = wheel_forces(WHEEL, SOIL, sinkage, np.linspace(-0.3, -0.01, 50), reading="printed").drawbar_pull_n
+    skid = closed_form_forces(WHEEL, SOIL, sinkage, np.linspace(-0.3, -0.01, 50), reading="printed").drawbar_pull_n
     assert np.any(np.diff(skid) < 0)
 
 
 def test_readings_agree_in_slip() -> None:
-    values = [float(wheel_forces(WHEEL, SOIL, 0.009, 0.2, reading=reading).drawbar_pull_n) for reading in READINGS]  # type: ignore[arg-type]
+    values = [
+        float(closed_form_forces(WHEEL, SOIL, 0.009, 0.2, reading=reading).drawbar_pull_n) for reading in SHEAR_SIGNS
+    ]  # type: ignore[arg-type]
     assert values == pytest.approx([values[0]] * 3)
 
 
 def test_lateral_force_is_odd_in_side_slip_and_saturates_at_the_strength() -> None:
-    left, right = wheel_forces(WHEEL, SOIL, 0.009, 0.0, [-89.9, 89.9]).lateral_force_n
+    left, right = closed_form_forces(WHEEL, SOIL, 0.009, 0.0, [-89.9, 89.9]).lateral_force_n
     assert left == pytest.approx(-right)
     theta_1 = math.acos((0.15 - 0.009) / 0.15)
     peak = 820e3 * 0.15 * (math.cos(theta_1 / 2) - math.cos(theta_1))
@@ -107,7 +109,7 @@ def test_lateral_force_is_odd_in_side_slip_and_saturates_at_the_strength() -> No
 def test_a_locked_wheel_and_side_slip_of_90_degrees_are_limits(
     state: tuple[float, float], near: tuple[float, float]
 ) -> None:
-    both = [wheel_forces(WHEEL, SOIL, 0.009, *at) for at in (state, near)]
+    both = [closed_form_forces(WHEEL, SOIL, 0.009, *at) for at in (state, near)]
     for name in both[0].__slots__:
         one, two = (float(getattr(found, name)) for found in both)
         assert one == pytest.approx(two, abs=1e-3 * float(both[0].normal_force_n)), name
@@ -116,7 +118,7 @@ def test_a_locked_wheel_and_side_slip_of_90_degrees_are_limits(
 def test_cohesion_of_a_contact_without_load_is_told() -> None:
     """By hand: b r_s c theta_1 / 2 over F_N. At 0.2 micrometres the closed form pulls 173 times its load."""
     z = np.array([2e-7, 0.009])
-    load = wheel_forces(WHEEL, SOIL, z, 0.2).normal_force_n
+    load = closed_form_forces(WHEEL, SOIL, z, 0.2).normal_force_n
     theta_1 = np.arccos((0.15 - z) / 0.15)
     expected = 0.15 * WHEEL.shearing_radius_m * 520 * theta_1 / 2 / load
     assert cohesion_share(WHEEL, SOIL, z, load) == pytest.approx(expected)
@@ -136,7 +138,7 @@ def test_shearing_radius() -> None:
 def test_sinkage_under_load_carries_the_load_and_grows_with_it() -> None:
     depths = [sinkage_under_load(WHEEL, SOIL, load) for load in (5, 20, 36.5, 80)]
     assert depths == sorted(depths)
-    assert float(wheel_forces(WHEEL, SOIL, depths[2], 0.0).normal_force_n) == pytest.approx(36.5, abs=1e-6)
+    assert float(closed_form_forces(WHEEL, SOIL, depths[2], 0.0).normal_force_n) == pytest.approx(36.5, abs=1e-6)
 
 
 @pytest.mark.parametrize("load", [-5, 0, math.nan, 1e9, 1e-12])
@@ -160,7 +162,7 @@ def test_impossible_loads_are_refused(load: float) -> None:
 )
 def test_impossible_states_are_refused(state: tuple[float, float, float], name: str) -> None:
     with pytest.raises(ParameterError, match=name):
-        wheel_forces(WHEEL, SOIL, *state)
+        closed_form_forces(WHEEL, SOIL, *state)
 
 
 @pytest.mark.parametrize(
@@ -235,7 +237,7 @@ def test_signed_reading_agrees_with_measured_skid_and_slip(reference_data: Path)
             friction_angle_deg=point[2],
             sinkage_exponent_slip=point[3],
         )
-        return wheel_forces(wheel, soil, sinkage, slip, reading=reading).drawbar_pull_n - pull  # type: ignore[arg-type]
+        return closed_form_forces(wheel, soil, sinkage, slip, reading=reading).drawbar_pull_n - pull  # type: ignore[arg-type]
 
     def held_out_rmse(reading: str) -> float:
         bounds = ([0, 0, 5, -0.6], [14, 5, 60, 0.9])

@@ -9,7 +9,7 @@ import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
-from lunarsci.regolith.forces import wheel_forces
+from lunarsci.regolith.forces import closed_form_forces
 from lunarsci.regolith.identify import Assumptions, Identification, identify
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.states import MeasurementErrors, WheelStates, read_states
@@ -96,7 +96,7 @@ TRUTH = Soil(
 
 
 def simulated(errors: MeasurementErrors, slip: float = 0.12, side_slip: float = 3.0) -> WheelStates:
-    forces = wheel_forces(YUTU, TRUTH, 0.009, slip, side_slip)
+    forces = closed_form_forces(YUTU, TRUTH, 0.009, slip, side_slip)
     row = [
         0.009,
         slip,

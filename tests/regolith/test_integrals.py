@@ -9,8 +9,8 @@ from scipy.integrate import quad
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.contact import SHEAR_LAWS, ContactModel, ShearLaw
-from lunarsci.regolith.forces import wheel_forces
-from lunarsci.regolith.integrals import contact_forces, moving_contact_forces
+from lunarsci.regolith.forces import closed_form_forces
+from lunarsci.regolith.integrals import integrated_forces, integrated_forces_in_motion
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.wheel import Wheel
 
@@ -63,7 +63,7 @@ def written_out(z: float, s: float, beta_deg: float) -> list[float]:
 
 @pytest.mark.parametrize("state", STATES)
 def test_the_integrals_are_those_of_the_equations(state: tuple[float, float, float]) -> None:
-    found = contact_forces(WHEEL, SOIL, *state)
+    found = integrated_forces(WHEEL, SOIL, *state)
     values = [float(getattr(found, name)) for name in found.__slots__]
     load = values[0]
     assert values == pytest.approx(written_out(*state), rel=2e-3, abs=1e-3 * load)
@@ -72,11 +72,11 @@ def test_the_integrals_are_those_of_the_equations(state: tuple[float, float, flo
 def test_the_ellipse_equals_separate_shear_in_one_direction_and_never_exceeds_the_strength() -> None:
     for slip in (-0.3, 0.0, 0.3):
         one, two = (
-            contact_forces(WHEEL, SOIL, 0.012, slip, 0.0, ContactModel(shear=law)) for law in ("separate", "ellipse")
+            integrated_forces(WHEEL, SOIL, 0.012, slip, 0.0, ContactModel(shear=law)) for law in ("separate", "ellipse")
         )
         assert float(two.drawbar_pull_n) == pytest.approx(float(one.drawbar_pull_n), rel=1e-12)
     one, two = (
-        contact_forces(WHEEL, SOIL, 0.012, 0.3, 20.0, ContactModel(shear=law)) for law in ("separate", "ellipse")
+        integrated_forces(WHEEL, SOIL, 0.012, 0.3, 20.0, ContactModel(shear=law)) for law in ("separate", "ellipse")
     )
     assert 0 < float(two.lateral_force_n) < float(one.lateral_force_n)
     assert 0 < float(two.resistance_torque_nm) < float(one.resistance_torque_nm)
@@ -87,7 +87,7 @@ def test_integrals_and_closed_form_give_numbers_computed_by_another_program() ->
     wheel = Wheel(radius_m=0.15, width_m=0.15, grouser_height_m=0.008, grouser_shear_coefficient=0.65)
     soil = SOIL.replace(sinkage_exponent=1.0, sinkage_exponent_slip=0.0, friction_angle_deg=42.0)
     names = ("normal_force_n", "drawbar_pull_n", "resistance_torque_nm")
-    exact, closed = contact_forces(wheel, soil, 0.012, 0.2), wheel_forces(wheel, soil, 0.012, 0.2)
+    exact, closed = integrated_forces(wheel, soil, 0.012, 0.2), closed_form_forces(wheel, soil, 0.012, 0.2)
     assert [float(getattr(exact, name)) for name in names] == pytest.approx([39.50, 11.16, 2.935], rel=1e-3)
     assert [float(getattr(closed, name)) for name in names] == pytest.approx([35.82, 9.44, 2.557], rel=1e-3)
 
@@ -95,7 +95,7 @@ def test_integrals_and_closed_form_give_numbers_computed_by_another_program() ->
 def test_combined_shear_is_the_separate_one_without_side_slip() -> None:
     """At beta = 0 and full sliding one way both laws say the same."""
     pulls = [
-        float(contact_forces(WHEEL, SOIL, 0.015, 0.6, 0.0, ContactModel(shear=law)).drawbar_pull_n)  # type: ignore[arg-type]
+        float(integrated_forces(WHEEL, SOIL, 0.015, 0.6, 0.0, ContactModel(shear=law)).drawbar_pull_n)  # type: ignore[arg-type]
         for law in SHEAR_LAWS
     ]
     assert pulls == pytest.approx([pulls[0]] * 3, rel=1e-9)
@@ -103,7 +103,7 @@ def test_combined_shear_is_the_separate_one_without_side_slip() -> None:
 
 def test_skidding_takes_grip_sideways_under_combined_shear() -> None:
     rolling, skidding = (
-        float(contact_forces(WHEEL, SOIL, 0.012, slip, 10.0, ContactModel(shear="combined")).lateral_force_n)
+        float(integrated_forces(WHEEL, SOIL, 0.012, slip, 10.0, ContactModel(shear="combined")).lateral_force_n)
         for slip in (0.0, 0.6)
     )
     assert skidding < rolling
@@ -112,7 +112,7 @@ def test_skidding_takes_grip_sideways_under_combined_shear() -> None:
 def test_side_slip_of_90_degrees_and_a_locked_wheel_have_forces() -> None:
     """A wheel pushed sideways without turning: no drawbar pull by shear, all strength across."""
     model = ContactModel(shear="combined")
-    found = moving_contact_forces(WHEEL, SOIL, [0.012, 0.012], [[0.0, 0.01, 0.0], [0.01, 0.0, 0.0]], model)
+    found = integrated_forces_in_motion(WHEEL, SOIL, [0.012, 0.012], [[0.0, 0.01, 0.0], [0.01, 0.0, 0.0]], model)
     assert found.lateral_force_n[0] > 0
     assert abs(found.lateral_force_n[1]) < 1e-6 * found.normal_force_n[1]
     assert found.drawbar_pull_n[1] < found.drawbar_pull_n[0] < 0
@@ -122,14 +122,14 @@ def test_side_slip_of_90_degrees_and_a_locked_wheel_have_forces() -> None:
 
 @pytest.mark.parametrize("law", ["hegedus", "wong"])
 def test_bulldozing_adds_side_force_with_the_sign_of_the_side_slip(law: str) -> None:
-    plain = contact_forces(WHEEL, SOIL, 0.02, 0.1, [-10.0, 0.0, 10.0])
-    pushed = contact_forces(WHEEL, SOIL, 0.02, 0.1, [-10.0, 0.0, 10.0], ContactModel(bulldozing=law))  # type: ignore[arg-type]
+    plain = integrated_forces(WHEEL, SOIL, 0.02, 0.1, [-10.0, 0.0, 10.0])
+    pushed = integrated_forces(WHEEL, SOIL, 0.02, 0.1, [-10.0, 0.0, 10.0], ContactModel(bulldozing=law))  # type: ignore[arg-type]
     more = pushed.lateral_force_n - plain.lateral_force_n
     assert more[1] == 0
     assert more[2] == pytest.approx(-more[0])
     assert more[2] > 0
     assert pushed.drawbar_pull_n == pytest.approx(plain.drawbar_pull_n)
-    heavier = contact_forces(WHEEL, SOIL, 0.02, 0.1, 10.0, ContactModel(bulldozing=law, gravity_m_s2=9.81))  # type: ignore[arg-type]
+    heavier = integrated_forces(WHEEL, SOIL, 0.02, 0.1, 10.0, ContactModel(bulldozing=law, gravity_m_s2=9.81))  # type: ignore[arg-type]
     assert float(heavier.lateral_force_n) > pushed.lateral_force_n[2]
 
 
@@ -138,7 +138,7 @@ def test_hegedus_force_is_its_formula() -> None:
     soil = SOIL.replace(cohesion_pa=0.0)
     model = ContactModel(bulldozing="hegedus", gravity_m_s2=9.81)
     z, r = 0.02, 0.15
-    both = [moving_contact_forces(WHEEL, soil, z, [0.0, 0.01, 0.01], m) for m in (model, ContactModel())]
+    both = [integrated_forces_in_motion(WHEEL, soil, z, [0.0, 0.01, 0.01], m) for m in (model, ContactModel())]
     phi = math.radians(38)
     x_c = math.pi / 4 - phi / 2
     d_1 = 1 / math.tan(x_c) + math.tan(x_c + phi)
@@ -154,9 +154,9 @@ def test_hegedus_force_is_its_formula() -> None:
 
 
 def test_a_rut_carries_more_and_meets_the_virgin_soil_at_its_depth() -> None:
-    virgin = contact_forces(WHEEL, SOIL, 0.006, 0.0)
+    virgin = integrated_forces(WHEEL, SOIL, 0.006, 0.0)
     rut = ContactModel(rut_m=0.012, reload_rise_n_m4=5e8)
-    again = contact_forces(WHEEL, SOIL, 0.006, 0.0, model=rut)
+    again = integrated_forces(WHEEL, SOIL, 0.006, 0.0, model=rut)
     assert float(again.normal_force_n) > 1.5 * float(virgin.normal_force_n)
     with pytest.raises(ParameterError, match="slope of reloading"):
         ContactModel(rut_m=0.01)
@@ -165,14 +165,14 @@ def test_a_rut_carries_more_and_meets_the_virgin_soil_at_its_depth() -> None:
 def test_the_exit_angle_follows_the_rebound() -> None:
     """More contact behind the wheel carries more."""
     models = [ContactModel(rebound=share) for share in (0.0, 0.3, 0.9)]
-    loads = [float(contact_forces(WHEEL, SOIL, 0.012, 0.1, model=model).normal_force_n) for model in models]
+    loads = [float(integrated_forces(WHEEL, SOIL, 0.012, 0.1, model=model).normal_force_n) for model in models]
     assert loads == sorted(loads)
 
 
 def test_skid_may_have_its_own_exponent() -> None:
     models = [ContactModel(skid_exponent_slip=n) for n in (None, 0.5)]
-    plain, own = (contact_forces(WHEEL, SOIL, 0.012, -0.3, model=model) for model in models)
-    same = contact_forces(WHEEL, SOIL, 0.012, -0.3, model=ContactModel(skid_exponent_slip=-0.2))
+    plain, own = (integrated_forces(WHEEL, SOIL, 0.012, -0.3, model=model) for model in models)
+    same = integrated_forces(WHEEL, SOIL, 0.012, -0.3, model=ContactModel(skid_exponent_slip=-0.2))
     assert float(same.normal_force_n) == pytest.approx(float(plain.normal_force_n))
     assert float(own.normal_force_n) < float(plain.normal_force_n)
 
@@ -191,7 +191,7 @@ def test_choices_out_of_range_are_refused(options: dict[str, object]) -> None:
 
 def test_the_lateral_displacement_has_r_where_the_longitudinal_has_the_shearing_radius() -> None:
     """Eq. 17 where shear has just begun, so that nothing saturates: with r_s it would be 2.2 % more."""
-    found = float(contact_forces(WHEEL, SOIL, 0.012, 0.2, 0.5).lateral_force_n)
+    found = float(integrated_forces(WHEEL, SOIL, 0.012, 0.2, 0.5).lateral_force_n)
     assert found == pytest.approx(written_out(0.012, 0.2, 0.5)[2], rel=2e-3)
 
 
@@ -204,7 +204,7 @@ def test_a_locked_wheel_and_side_slip_of_90_degrees_are_limits(
     law: ShearLaw, state: tuple[float, float], near: tuple[float, float]
 ) -> None:
     model = ContactModel(shear=law, skid_exponent_slip=0.3, bulldozing="hegedus")
-    both = [contact_forces(WHEEL, SOIL, 0.012, *at, model) for at in (state, near)]
+    both = [integrated_forces(WHEEL, SOIL, 0.012, *at, model) for at in (state, near)]
     for name in both[0].__slots__:
         one, two = (float(getattr(found, name)) for found in both)
         assert one == pytest.approx(two, abs=1e-3 * float(both[0].normal_force_n)), name
@@ -213,6 +213,6 @@ def test_a_locked_wheel_and_side_slip_of_90_degrees_are_limits(
 @pytest.mark.parametrize("state", [(0.0, 0.1, 0.0), (0.2, 0.1, 0.0), (0.01, -1.1, 0.0), (0.01, 0.0, 91.0)])
 def test_states_no_wheel_can_have_are_refused(state: tuple[float, float, float]) -> None:
     with pytest.raises(ParameterError):
-        contact_forces(WHEEL, SOIL, *state)
+        integrated_forces(WHEEL, SOIL, *state)
     with pytest.raises(ParameterError):
-        moving_contact_forces(WHEEL, SOIL, 0.01, [np.nan, 0.0, 1.0])
+        integrated_forces_in_motion(WHEEL, SOIL, 0.01, [np.nan, 0.0, 1.0])

@@ -11,7 +11,7 @@ from lunarsci.regolith.belief import FitVerdict, doubt, read_belief, read_verdic
 from lunarsci.regolith.contact import ContactModel
 from lunarsci.regolith.inference.posterior import SoilPosterior, infer_soil
 from lunarsci.regolith.inference.prediction import candidates, compare_laws, predict_states
-from lunarsci.regolith.integrals import contact_forces
+from lunarsci.regolith.integrals import integrated_forces
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.regolith.soil import read_soil
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates
@@ -34,7 +34,7 @@ def measured(count: int = 30, model: ContactModel | None = None, seed: int = 0) 
     inputs = np.column_stack(
         [rng.uniform(0.006, 0.018, count), rng.uniform(-0.3, 0.5, count), rng.uniform(-15, 15, count)]
     )
-    found = contact_forces(OTHER, SOIL, *inputs.T, model or ContactModel())
+    found = integrated_forces(OTHER, SOIL, *inputs.T, model or ContactModel())
     forces = np.column_stack([found.normal_force_n, found.drawbar_pull_n, found.lateral_force_n])
     values = np.column_stack([inputs, forces])
     return np.asarray(values + states(values).sigmas * rng.standard_normal(values.shape))
@@ -108,7 +108,7 @@ def test_locked_wheels_and_any_side_slip_are_states_to_learn_from() -> None:
     values = measured()
     model = ContactModel(shear="combined")
     values[:4, 1], values[4:8, 2] = -1.0, 90.0
-    found = contact_forces(OTHER, SOIL, *values[:, :3].T, model)
+    found = integrated_forces(OTHER, SOIL, *values[:, :3].T, model)
     values[:, 3:] = np.column_stack([found.normal_force_n, found.drawbar_pull_n, found.lateral_force_n])
     posterior = infer_soil(states(values), WHEEL, model=model, contact=True)
     assert np.isfinite(posterior.residuals).all()
@@ -122,7 +122,7 @@ def test_locked_wheels_and_any_side_slip_are_states_to_learn_from() -> None:
 def test_the_law_that_made_the_states_predicts_best() -> None:
     values = measured(60, ContactModel(shear="combined"))
     values[:, 2] *= 3
-    found = contact_forces(OTHER, SOIL, *values[:, :3].T, ContactModel(shear="combined"))
+    found = integrated_forces(OTHER, SOIL, *values[:, :3].T, ContactModel(shear="combined"))
     values[:, 3:] = np.column_stack([found.normal_force_n, found.drawbar_pull_n, found.lateral_force_n])
     given = states(values)
     laws = [law for law in candidates(given) if law.model is None or (law.contact and law.model.bulldozing == "none")]

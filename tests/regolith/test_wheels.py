@@ -3,7 +3,7 @@
 import pytest
 
 from lunarsci.errors import DataError
-from lunarsci.regolith.forces import wheel_forces
+from lunarsci.regolith.forces import closed_form_forces
 from lunarsci.regolith.inversion import sinkage_under_load, stiffness_under_load
 from lunarsci.regolith.soil import read_soil
 from lunarsci.regolith.wheel import read_wheel
@@ -39,5 +39,5 @@ def test_wheels_are_no_rovers() -> None:
 def test_the_stiffness_under_a_load_is_the_one_that_carries_it() -> None:
     wheel, soil = read_wheel("yutu2"), read_soil("lunar-typical")
     stiffness = stiffness_under_load(wheel, soil, 36.0, 0.012, 0.2)
-    found = wheel_forces(wheel, soil.replace(stiffness_kpa_m_n=stiffness), 0.012, 0.2)
+    found = closed_form_forces(wheel, soil.replace(stiffness_kpa_m_n=stiffness), 0.012, 0.2)
     assert float(found.normal_force_n) == pytest.approx(36.0, rel=1e-9)

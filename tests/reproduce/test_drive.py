@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import ParameterError
-from lunarsci.regolith.forces import wheel_forces
+from lunarsci.regolith.forces import closed_form_forces
 from lunarsci.regolith.inversion import sinkage_under_load
 from lunarsci.regolith.soil import read_soil
 from lunarsci.reproduce.drive import STAND_IN, Drives, drive_numbers, medians, predicted_drives
@@ -67,7 +67,7 @@ def test_steady_rolling_balances_the_weight(rolling: Rolling, slope: float) -> N
     slip = rolling.slip_ratio(SOIL, slope)
     weight = 135.0 * 1.62 / 6
     sinkage = sinkage_under_load(rolling.wheel, SOIL, weight * math.cos(math.radians(slope)), slip)
-    pull = float(wheel_forces(rolling.wheel, SOIL, sinkage, slip).drawbar_pull_n)
+    pull = float(closed_form_forces(rolling.wheel, SOIL, sinkage, slip).drawbar_pull_n)
     assert pull == pytest.approx(-weight * math.sin(math.radians(slope)), abs=0.02)
     assert rolling.slope_deg(SOIL, slip) == pytest.approx(slope, abs=1e-5)
 

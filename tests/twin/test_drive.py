@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import brentq
 
 from lunarsci.errors import ParameterError
-from lunarsci.regolith.forces import wheel_forces
+from lunarsci.regolith.forces import closed_form_forces
 from lunarsci.regolith.soil import Soil
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import build_terrain
@@ -53,7 +53,7 @@ def test_steady_drive_on_a_slope_balances_the_weight(yutu2, longji_soil, slope, 
     sinkage = column(result, "sinkage_m")
 
     def surplus(slip: float) -> float:
-        forces = wheel_forces(yutu2.wheel, longji_soil, sinkage, slip)
+        forces = closed_form_forces(yutu2.wheel, longji_soil, sinkage, slip)
         return float(forces.drawbar_pull_n.sum()) - WEIGHT * math.sin(angle)
 
     assert column(result, "slip_ratio") == pytest.approx(np.full(6, brentq(surplus, -0.5, 0.5)), abs=1e-4)
@@ -61,7 +61,7 @@ def test_steady_drive_on_a_slope_balances_the_weight(yutu2, longji_soil, slope, 
 
 def test_recorded_forces_are_those_of_the_recorded_states(yutu2, longji_soil, slope, straight) -> None:  # type: ignore[no-untyped-def]
     result = predict(yutu2, slope(-0.05, 0.03), straight(4.0, 0.1), sweep=(), ruts=False)
-    forces = wheel_forces(
+    forces = closed_form_forces(
         yutu2.wheel, longji_soil, *(column(result, name) for name in ("sinkage_m", "slip_ratio", "side_slip_deg"))
     )
     assert column(result, "drawbar_pull_n") == pytest.approx(forces.drawbar_pull_n, abs=1e-9)

@@ -8,7 +8,7 @@ import pytest
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief, first_belief
-from lunarsci.regolith.forces import wheel_forces
+from lunarsci.regolith.forces import closed_form_forces
 from lunarsci.regolith.inference.totals import BalancedStates, infer_from_totals
 from lunarsci.regolith.inversion import sinkage_under_load
 from lunarsci.regolith.prior import PARAMETERS, values_of
@@ -52,7 +52,7 @@ def exact(yutu2: Rover, hidden: np.ndarray) -> BalancedStates:
     for p in range(POSES):
         for m in range(6):
             depth[p, m] = sinkage_under_load(yutu2.wheel, soil, load[p, m], slip[p, m], side[p, m])
-    forces = wheel_forces(yutu2.wheel, soil, depth, slip, side)
+    forces = closed_form_forces(yutu2.wheel, soil, depth, slip, side)
     levers = np.zeros((POSES, 3, 6, 2))
     levers[:, 0, :, 0], levers[:, 1, :, 1] = 1.0, -1.0
     levers[:, 2] = rng.uniform(-0.6, 0.6, (POSES, 6, 2))

@@ -12,7 +12,7 @@ from other_physics import PHYSICS, RISE_N_M4, Physics, World, smooth_fields, tru
 
 from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.contact import ContactModel
-from lunarsci.regolith.integrals import NODES, WEIGHTS, contact_forces
+from lunarsci.regolith.integrals import NODES, WEIGHTS, integrated_forces
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.regolith.soil import Soil
 from lunarsci.twin.ground.synthetic import synthetic_longji
@@ -38,7 +38,7 @@ def column(driven: Driven, name: str) -> np.ndarray:
 
 def by_integrals(world: World, driven: Driven, model: ContactModel) -> Any:
     states = [column(driven, name) for name in ("sinkage_m", "slip_ratio", "side_slip_deg")]
-    return contact_forces(world.rover.wheel, soil_of(world.middle), *states, model)
+    return integrated_forces(world.rover.wheel, soil_of(world.middle), *states, model)
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +113,7 @@ def test_wheels_that_follow_in_a_rut_deepen_it_by_less_than_a_quarter(yutu2: Rov
     rut = ContactModel(rut_m=first, reload_n_m3=stiffness, reload_rise_n_m4=RISE_N_M4)
     risen = first - stiffness * first / (stiffness + RISE_N_M4 * first)
     slip = column(there, "slip_ratio")[8:, 2].mean()
-    normal = contact_forces(yutu2.wheel, soil_of(MIDDLE), middle - risen, slip, 0.0, rut).normal_force_n
+    normal = integrated_forces(yutu2.wheel, soil_of(MIDDLE), middle - risen, slip, 0.0, rut).normal_force_n
     assert normal == pytest.approx(column(there, "normal_force_n")[8:, 2].mean(), rel=0.03)
     back = dataclasses.replace(plan, legs=(Leg(2.0, 0.0, 180.0),), x_m=there.poses[-1, 0], y_m=there.poses[-1, 1])
     again = true_drive(world, back)

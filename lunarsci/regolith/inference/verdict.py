@@ -31,7 +31,7 @@ HUBER, MOST_STATES = 3.0, 60
 COLUMNS = ("sinkage_m", "slip_ratio", "side_slip_deg", "normal_force_n", "drawbar_pull_n", "lateral_force_n")
 POUND, KILOGRAM = 4.44822, 9.80665
 """Newtons of a pound and a kilogram of force."""
-READINGS: tuple[tuple[str, float, str], ...] = (
+OTHER_SIGNS: tuple[tuple[str, float, str], ...] = (
     ("slip_ratio", -1.0, "its sign turned: slip is positive where the rim is faster than the wheel travels"),
     ("drawbar_pull_n", -1.0, "its sign turned: a pull forward is positive, a resistance negative"),
     ("lateral_force_n", -1.0, "its sign (or that of side_slip_deg) turned: they have the same sign"),
@@ -64,7 +64,7 @@ def suspects(mode: Mode, units: bool = False) -> list[Suspect]:
     plain = replace(part_of(mode.problem, some), huber=HUBER)
     before = _best(plain, mode.point)
     found: list[Suspect] = []
-    for column, factor, how in (*READINGS, *(UNITS if units else ())):
+    for column, factor, how in (*OTHER_SIGNS, *(UNITS if units else ())):
         other = _read_otherwise(plain, column, factor)
         if other is None:
             continue

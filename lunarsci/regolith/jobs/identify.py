@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import RequestError
 from lunarsci.inputs import Source, read_input
-from lunarsci.regolith.contact import PAPER, Reading
+from lunarsci.regolith.contact import PAPER, ShearSign
 from lunarsci.result import MadeFrom, Result, request_of
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ class IdentifyRequest:
     shear_modulus: float = 17.8
     lateral_modulus: str | float | None = None
     external_friction_angle: float | None = None
-    reading: Reading = "signed"
+    reading: ShearSign = "signed"
     draws: int = 1024
     seed: int = 0
     sinkage_error: float = 0.00033

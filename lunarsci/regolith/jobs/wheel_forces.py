@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import LunarSciWarning, RequestError
-from lunarsci.regolith.contact import DENSITY_KG_M3, MAX_VALID_SLIP, PAPER, Bulldozing, ContactModel, Reading, ShearLaw
+from lunarsci.regolith.contact import (
+    DENSITY_KG_M3,
+    MAX_VALID_SLIP,
+    PAPER,
+    Bulldozing,
+    ContactModel,
+    ShearLaw,
+    ShearSign,
+)
 from lunarsci.result import MadeFrom, Result, request_of
 
 if TYPE_CHECKING:
@@ -65,7 +73,7 @@ class WheelForcesRequest:
     shear_modulus: float | None = None
     external_friction_angle: float | None = None
     lateral_modulus: float | None = None
-    reading: Reading = "signed"
+    reading: ShearSign = "signed"
     exact: bool = False
     shear: ShearLaw = "separate"
     bulldozing: Bulldozing = "none"
@@ -195,7 +203,7 @@ def wheel_forces(request: WheelForcesRequest | None = None, **options: Any) -> F
     import numpy as np
 
     from lunarsci.provenance import sha256
-    from lunarsci.regolith.forces import cohesion_share, warn_of_reading
+    from lunarsci.regolith.forces import cohesion_share, warn_of_shear_sign
     from lunarsci.regolith.integrals import forces_by
     from lunarsci.regolith.inversion import settle_under_load
     from lunarsci.regolith.soil import read_soil, soil_hash
@@ -206,7 +214,7 @@ def wheel_forces(request: WheelForcesRequest | None = None, **options: Any) -> F
     description, model = read_rover(asked.rover), asked.model
     wheel = read_wheel(description)
     soil, state = asked.changed(read_soil(asked.soil), wheel.width_m), (asked.slip, asked.side_slip)
-    warn_of_reading(asked.reading)
+    warn_of_shear_sign(asked.reading)
     if abs(asked.slip) > MAX_VALID_SLIP:
         text = f"slip ratio {asked.slip:g} is beyond {MAX_VALID_SLIP:g}, up to which the model was compared with wheels"
         warnings.warn(text, LunarSciWarning, stacklevel=2)
