@@ -10,6 +10,7 @@ import typer
 
 from . import demo, reproduce
 from .regolith import app as regolith
+from .shared.aliases import current
 from .shared.talk import FAILED, INTERRUPTED, failure_line, say
 from .spectra import app as spectra
 from .twin import app as twin
@@ -55,7 +56,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     _prepare_process()
     try:
-        code: Any = app(arguments, standalone_mode=False, prog_name="lunarsci")
+        quiet = "-q" in arguments or "--quiet" in arguments
+        code: Any = app(current(arguments, quiet=quiet), standalone_mode=False, prog_name="lunarsci")
         code = int(code or 0)
     except (KeyboardInterrupt, typer.Abort):
         code = INTERRUPTED

@@ -7,7 +7,7 @@ Every main job of the command line is a function here, with the same defaults, r
 * twin: `plan`, `predict`, `states`, `loads`, `update`, `compare`.
 
 Each takes paths, open files, tables or arrays, and options by name or as a request, such as `FitRequest`. Each gives a
-`Result`: `.to_table()` is an astropy QTable, `.plot()` a matplotlib Figure, `.to_dict()` what `--json` writes as `result`.
+`Result`: `.to_table()` is an astropy QTable, `.plot()` a matplotlib Figure, `.to_dict()` the `result` of `--json`.
 Jobs are imported when they are first named.
 """
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from .talk import say
 
-__all__ = ["ALIASES", "Alias", "current"]
+__all__ = ["ALIASES", "Alias", "current", "option_now"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,8 +17,8 @@ class Alias:
     command : words of the command as it was.
     option : the option as it was.
     to_command : words of the command that it is now.
-    to_option : the option that it is now; None where the command says it already.
-    values : the value it had to the value it has now; others are kept. Empty for a flag without a value.
+    to_option : the option that it is now; None where the command says it already, or always does it.
+    values : the values it had to those it has now, empty where all stay the same; None for a flag without a value.
     """
 
     command: tuple[str, ...]
@@ -37,11 +37,14 @@ class Alias:
         if place is None or "--" in rest[:place]:
             return None
         _, joined, value = rest[place].partition("=")
+        value = value if joined else " ".join(rest[place + 1 : place + 2])
         if self.values is None:
             new, used = ([self.to_option] if self.to_option else []), 1
         else:
-            value, used = (value, 1) if joined else (" ".join(rest[place + 1 : place + 2]), 2)
-            new = [self.to_option or self.option, self.values.get(value, value)]
+            if self.values and value not in self.values:
+                return None
+            new = [self.to_option, self.values.get(value, value)] if self.to_option else []
+            used = 1 if joined else 2
         return [*self.to_command, *rest[:place], *new, *rest[place + used :]]
 
     def __str__(self) -> str:
@@ -49,8 +52,22 @@ class Alias:
         return f"{' '.join(self.command)} {self.option} is an alias of {now}"
 
 
-FIT, IDENTIFY, PREDICT = ("spectra", "fit"), ("regolith", "identify"), ("twin", "predict")
-ALIASES: tuple[Alias, ...] = ()
+MIXING = {"unmix": "both", "hapke": "hapke", "absorbance": "absorbance"}
+ANY: dict[str, str] = {}
+ALIASES = (
+    Alias(("spectra", "fit"), "--abundance", ("spectra", "unmix"), "--method", MIXING),
+    Alias(("spectra", "fit"), "--abundance", ("spectra", "fit"), None, {"nbsr": ""}),
+    Alias(("regolith", "identify"), "--joint", ("regolith", "infer"), None),
+    Alias(("twin", "terrain"), "--target", ("twin", "plan"), "--target", ANY),
+    Alias(("twin", "predict"), "--samples", ("twin", "predict"), "--soil", ANY),
+    Alias(("twin", "predict"), "--soil-map", ("twin", "predict"), "--soil", ANY),
+    Alias(("twin", "forces"), "--motion", ("twin", "loads"), "--motion", ANY),
+    Alias(("twin", "forces"), "--samples", ("twin", "forces"), "--soil", ANY),
+    Alias(("twin", "loads"), "--belief", ("twin", "loads"), "--soil", ANY),
+    Alias(("twin", "update"), "--belief", ("twin", "update"), "--soil", ANY),
+    Alias(("twin", "update"), "--map", ("twin", "update"), "--soil", ANY),
+)
+"""Those of several steps follow each other in this order."""
 
 
 def current(arguments: Sequence[str], *, quiet: bool = False) -> list[str]:
@@ -61,3 +78,13 @@ def current(arguments: Sequence[str], *, quiet: bool = False) -> list[str]:
             found = replaced
             say(f"note: {alias}", quiet=quiet)
     return found
+
+
+def option_now(command: str, option: str) -> str:
+    """An option of a command, such as `twin update`, without its dashes, as it is called now."""
+    names = {
+        alias.option: alias.to_option
+        for alias in ALIASES
+        if " ".join(alias.command) == command and alias.to_command == alias.command and alias.to_option
+    }
+    return names.get(f"--{option}", f"--{option}").removeprefix("--")

@@ -12,6 +12,8 @@ import typer
 
 from lunarsci.atomic import check_folder, check_target
 
+from .aliases import option_now
+
 __all__ = ["CONFIG", "Output", "RequestOption", "option", "request_parameters", "shared_options"]
 
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
@@ -114,7 +116,7 @@ def _load_config(context: typer.Context, value: Path | None) -> Path | None:
     known = {_option_name(parameter): parameter for parameter in context.command.params}
     defaults = {}
     for key, setting in settings.items():
-        name = key.replace("_", "-")
+        name = option_now(context.command_path.partition(" ")[2], key.replace("_", "-"))
         if name not in known or name == "config":
             raise typer.BadParameter(f"{value}: '{key}' is no option here; these are: {', '.join(sorted(known))}")
         alone = isinstance(setting, str) and getattr(known[name], "multiple", False)
