@@ -60,9 +60,9 @@ class VarianceLaw:
 
     def half_width(self, probability: float) -> float:
         """The share that is not exceeded to either side with this probability. [-]"""
-        from scipy.stats import t
+        from scipy.special import stdtrit
 
-        return float(self.scale * t.ppf(0.5 + 0.5 * probability, self.degrees))
+        return float(self.scale * stdtrit(self.degrees, 0.5 + 0.5 * probability))
 
     def sizes(self, count: int, random: np.random.Generator) -> FloatArray:
         """Standard deviations drawn from the law. (count,) [-]"""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
-from scipy.stats import chi2, norm
+from scipy.special import chdtri, ndtri
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.inference.problem import (
@@ -46,7 +46,7 @@ MOST_OUTLIERS = 0.2
 FIRST_SHARE, ROUNDS, SETTLED = 0.2, 8, 0.05
 """Model error that the search for it begins with, large so that the way is smooth; fits at most; change of its
 logarithm that ends it."""
-RISES = (1.0, float(norm.isf(0.025)) ** 2)
+RISES = (1.0, float(ndtri(0.025)) ** 2)
 """Of -2 ln posterior at the 68 and 95 % limits of a normal law."""
 FARTHEST, PROFILE_TOLERANCE = 8.0, 0.01
 """How far limits are looked for, in standard deviations of the prior; to what share of the posterior's."""
@@ -112,7 +112,7 @@ def _excess(problem: JointProblem, point: FloatArray) -> FloatArray:
     """Squared residuals of each state over what the worst of as many good ones may have. (n,)"""
     white = problem.white(point[None])[0]
     measured = np.isfinite(problem.forces).sum(axis=1)
-    limit = chi2.isf(OUTLIER / len(white), np.maximum(measured, 1))
+    limit = chdtri(np.maximum(measured, 1), OUTLIER / len(white))
     return np.asarray(np.sum(white**2, axis=1) / limit)
 
 

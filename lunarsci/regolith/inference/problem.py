@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize
-from scipy.stats import t as student
+from scipy.special import gammaln
 
 from lunarsci.compiled import compiled, each_in_threads, in_lanes
 from lunarsci.regolith.contact import ContactModel
@@ -355,5 +355,10 @@ def states_alike(problem: JointProblem, point: FloatArray) -> float:
 
 def tail_of(white: FloatArray) -> float:
     """Degrees of freedom, of `TAILS`, of the Student law of unit variance that whitened residuals follow best."""
-    scores = [float(student.logpdf(white, freedom, scale=np.sqrt((freedom - 2) / freedom)).sum()) for freedom in TAILS]
+
+    def score(freedom: float) -> float:
+        peak = gammaln(0.5 * (freedom + 1)) - gammaln(0.5 * freedom) - 0.5 * np.log(np.pi * (freedom - 2))
+        return float((peak - 0.5 * (freedom + 1) * np.log1p(white**2 / (freedom - 2))).sum())
+
+    scores = [score(freedom) for freedom in TAILS]
     return TAILS[int(np.argmax(scores))]

@@ -45,7 +45,7 @@ def wheel_errors(drive: DriveResiduals, residuals: FloatArray) -> dict[str, floa
     their mean than noise would let them, as where rear wheels follow in ruts and the twin's do not (DerSimonian & Laird
     1986, 10.1016/0197-2456(86)90046-2).
     """
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     result = {}
     for k, name in enumerate(OBSERVED):
@@ -56,7 +56,7 @@ def wheel_errors(drive: DriveResiduals, residuals: FloatArray) -> dict[str, floa
         noise = np.array([MEDIAN_VARIANCE / part.size for part in parts])
         weight = 1.0 / noise
         excess = (weight * (medians - np.average(medians, weights=weight)) ** 2).sum() - (len(parts) - 1)
-        if excess + len(parts) - 1 > chi2.isf(CHANCE, len(parts) - 1):
+        if excess + len(parts) - 1 > chdtri(len(parts) - 1, CHANCE):
             result[name] = float(np.sqrt(excess / (weight.sum() - (weight**2).sum() / weight.sum())))
     return result
 
@@ -72,7 +72,7 @@ def inflation_of(drive: DriveResiduals, residuals: FloatArray, places: FloatArra
     10.1214/09-AOS735). What a wheel has of its own throughout is left to `wheel_errors`. Residuals count as at most
     `HUBER`, so that outliers remain outliers, but those of positions, which are few.
     """
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     series = {POSITION: [part for part in (places[::2], places[1::2]) if part.size]}
     for k, name in enumerate(OBSERVED):
@@ -84,7 +84,7 @@ def inflation_of(drive: DriveResiduals, residuals: FloatArray, places: FloatArra
         if means.size < 2:
             continue
         variance = float((means**2).mean())
-        if variance > chi2.isf(CHANCE, means.size) / means.size:
+        if variance > chdtri(means.size, CHANCE) / means.size:
             result[name] = float(np.sqrt(variance))
     return result
 

@@ -253,9 +253,9 @@ def _check(matched: MatchedObservations, name: str, wheel: str, rows: BoolArray)
 
 def half_band(members: int) -> float:
     """Half the 90 % band of a normal law whose mean and deviation are known from so many members. [sd]"""
-    from scipy.stats import t
+    from scipy.special import stdtrit
 
-    return float(t.ppf(0.5 + NOMINAL / 2, members - 1))
+    return float(stdtrit(members - 1, 0.5 + NOMINAL / 2))
 
 
 def effective_values(matched: MatchedObservations, column: int, rows: BoolArray) -> float:

@@ -72,19 +72,19 @@ def region_edge(probability: float, members: int, dimensions: int) -> float:
     Prediction region of Hotelling (1931), Ann. Math. Stat. 2, 360, 10.1214/aoms/1177732979; with an error of
     measurement that is known, it is somewhat too wide. Infinite with no more members than dimensions. [-]
     """
-    from scipy.stats import f
+    from scipy.special import fdtri
 
     if members <= dimensions:
         return float("inf")
     factor = (members - 1) * dimensions / (members - dimensions)
-    return float(factor * f.ppf(probability, dimensions, members - dimensions))
+    return float(factor * fdtri(dimensions, members - dimensions, probability))
 
 
 def _beyond(squared: float, members: int, dimensions: int) -> float:
-    from scipy.stats import f
+    from scipy.special import fdtrc
 
     factor = (members - 1) * dimensions / (members - dimensions)
-    return float(f.sf(squared / factor, dimensions, members - dimensions))
+    return float(fdtrc(dimensions, members - dimensions, squared / factor))
 
 
 def inside(off: FloatArray, members: FloatArray, error: FloatArray, probability: float) -> bool:

@@ -86,10 +86,10 @@ def check_coverage(matched: MatchedObservations, bands: Sequence[BandCheck], see
 
 def _fall(check: BandCheck, share: float, least: float) -> float:
     """Binomial probability of the share over that of the least share of a member, at most 1. [-]"""
-    from scipy.stats import binom
+    from scipy.special import bdtr
 
     values = max(int(check.effective), 1)
-    own, other = (binom.cdf(np.floor(one * values), values, NOMINAL) for one in (share, least))
+    own, other = (bdtr(np.floor(one * values), values, NOMINAL) for one in (share, least))
     return min(float(own / max(other, 1e-300)), 1.0)
 
 
