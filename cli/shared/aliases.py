@@ -63,7 +63,6 @@ ALIASES = (
     Alias(("twin", "predict"), "--soil-map", ("twin", "predict"), "--soil", ANY),
     Alias(("twin", "forces"), "--motion", ("twin", "loads"), "--motion", ANY),
     Alias(("twin", "forces"), "--samples", ("twin", "forces"), "--soil", ANY),
-    Alias(("twin", "loads"), "--belief", ("twin", "loads"), "--soil", ANY),
     Alias(("twin", "update"), "--belief", ("twin", "update"), "--soil", ANY),
     Alias(("twin", "update"), "--map", ("twin", "update"), "--soil", ANY),
 )

@@ -15,7 +15,7 @@ from typer.main import get_command
         ("regolith identify - --joint --seed 2", "regolith infer - --seed 2"),
         ("twin predict --samples a.csv --members 3", "twin predict --soil a.csv --members 3"),
         ("twin predict --soil-map=m.json", "twin predict --soil m.json"),
-        ("twin forces --motion m.csv --belief b.json", "twin loads --motion m.csv --soil b.json"),
+        ("twin forces --motion m.csv --belief b.json", "twin loads --motion m.csv --belief b.json"),
         ("twin update s.csv -- --belief", "twin update s.csv -- --belief"),
         ("regolith infer --joint", "regolith infer --joint"),
     ],
