@@ -3,7 +3,6 @@
 lmfit: Newville et al., 10.5281/zenodo.11813 (zenodo.org).
 """
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.levenberg_marquardt import CONVERGED, ITERATION_LIMIT, KernelFits
-from lunarsci.spectra.mgm.model import MIN_FWHM_UM, TIE_SIGMA, MgmModel, unit_of
+from lunarsci.spectra.mgm.model import MIN_FWHM_UM, MgmModel, unit_of
 from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.mgm.uncertainty import build_result
 from lunarsci.spectra.spectrum import FloatArray
@@ -198,11 +197,7 @@ def _tied(model: MgmModel, name: str, parameters: "Parameters", point: FloatArra
     if any((j < m) != (k < m) for j in others):
         raise ParameterError(f"{name} = {parameters[name].expr}: a continuum coefficient cannot be tied to a band")
     row[k] += 1.0
-    weight = TIE_SIGMA**-2.0
-    precision = model.precision + weight * np.outer(row, row)
-    pull = model.precision @ model.prior + weight * float(row @ point) * row
-    prior = np.asarray(np.linalg.lstsq(precision, pull, rcond=None)[0], dtype=np.float64)
-    return replace(model, prior=prior, precision=precision)
+    return model.on_plane(row, float(row @ point))
 
 
 def _slopes(model: MgmModel, name: str, parameters: "Parameters") -> FloatArray:

@@ -202,7 +202,10 @@ class MgmModel:
             raise ParameterError(f"{name} and {other}: a continuum coefficient cannot be tied to a band")
         row = np.zeros(self.prior.size)
         row[a], row[b] = 1.0, -factor * unit_of(other) / unit_of(name)
-        target = offset / unit_of(name)
+        return self.on_plane(row, offset / unit_of(name))
+
+    def on_plane(self, row: FloatArray, target: float) -> "MgmModel":
+        """With a prior that leaves no room beside row @ parameters = target, (p,), in the kernel's units."""
         weight = TIE_SIGMA**-2
         precision = self.precision + weight * np.outer(row, row)
         pull = self.precision @ self.prior + weight * target * row
