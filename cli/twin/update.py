@@ -134,7 +134,7 @@ def _segment_table(segments: "list[Segment]") -> TextTable:
     """Stretches of the way side by side."""
     columns = []
     for segment in segments:
-        left, known = segment.belief.left_of_prior, segment.belief.intervals().items()
+        left, known = segment.belief.sd_ratio, segment.belief.intervals().items()
         columns.append({name: f"{row[0]:.4g} ({100 * left[name]:.0f} %)" for name, row in known})
     notes = [
         f"{segment.from_m:.1f} to {segment.to_m:.1f} m: stays at what was believed: {segment.why_not}"

@@ -161,7 +161,7 @@ class SoilBelief:
         return bool(self.history and self.history[-1].get("ruts", False))
 
     @property
-    def left_of_prior(self) -> dict[str, float]:
+    def sd_ratio(self) -> dict[str, float]:
         """Standard deviation of each parameter's transform as a share of its first law's. [-]"""
         spread = np.sqrt(np.diag(self.covariance))
         return {name: float(sd / self.laws[name].width) for name, sd in zip(PARAMETERS, spread, strict=True)}

@@ -272,7 +272,7 @@ def parameter_rows(belief: SoilBelief) -> dict[str, dict[str, float]]:
 
     Keys `median`, `low`, `high`, `left_of_prior`, and `ground_` with those of `GroundInterval`.
     """
-    left, ground = belief.left_of_prior, ground_intervals(belief)
+    left, ground = belief.sd_ratio, ground_intervals(belief)
     return {
         name: {"median": median, "low": low, "high": high, "left_of_prior": left[name]}
         | {f"ground_{key}": value for key, value in asdict(ground[name]).items()}

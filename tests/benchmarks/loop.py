@@ -152,7 +152,7 @@ def learned(
         "z": ((belief.mean - theta) / sd).tolist(),
         "ground_z": ((own - theta) / own_sd).tolist(),
         "rank": ranks,
-        "left": list(belief.left_of_prior.values()),
+        "left": list(belief.sd_ratio.values()),
         "took_s": took,
     }
 

@@ -25,7 +25,7 @@ def test_the_first_belief_is_the_priors() -> None:
     first, laws = first_belief(), default_prior()
     for name, (median, _, _) in first.intervals().items():
         assert median == pytest.approx(laws[name].median)
-    assert set(first.left_of_prior.values()) == {1.0}
+    assert set(first.sd_ratio.values()) == {1.0}
 
 
 def test_a_belief_comes_back_from_its_file(belief: SoilBelief, tmp_path: Path) -> None:

@@ -108,8 +108,8 @@ def test_the_sampler_agrees_with_the_normal_approximation_where_states_are_many(
 ) -> None:
     states, plain = many
     sampled = infer_soil(states, WHEEL, sample=True, seed=1)
-    assert sampled.persistence is not None
-    assert sampled.persistence < 0.25
+    assert sampled.autocorrelation is not None
+    assert sampled.autocorrelation < 0.25
     for name in ("stiffness_kpa_m_n", "shear_modulus_mm", "sinkage_exponent"):
         one, two = plain.intervals()[name], sampled.intervals()[name]
         assert two[0] == pytest.approx(one[0], abs=0.5 * (one[2] - one[1]))

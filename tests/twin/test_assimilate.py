@@ -85,7 +85,7 @@ def test_the_belief_holds_the_true_soil_and_predicts_the_next_drive(
     spread = np.sqrt(np.diag(found.belief.covariance))
     truth = np.array([found.belief.laws[name].transformed(np.array(SOIL[name])) for name in PARAMETERS])
     assert (np.abs(found.belief.mean - truth) < 3.0 * spread).all()
-    assert min(found.belief.left_of_prior.values()) < 0.5
+    assert min(found.belief.sd_ratio.values()) < 0.5
     ahead = dataclasses.replace(PLAN, legs=(Leg(4.0, -0.1),), x_m=3.0, y_m=0.5)
     true = predict(yutu2, ground, ahead, samples={name: [value] for name, value in SOIL.items()}).endpoints_m[0]
     ends = {

@@ -71,7 +71,7 @@ def exact(yutu2: Rover, hidden: np.ndarray) -> BalancedStates:
 def test_loads_and_totals_give_the_soil_back(yutu2: Rover, exact: BalancedStates, hidden: np.ndarray) -> None:
     found = infer_from_totals(exact, yutu2.wheel, first_belief(), model_error=1e-4)
     assert np.abs(off_by(found.belief, hidden)).max() < 1.0
-    assert max(found.belief.left_of_prior.values()) < 0.1
+    assert max(found.belief.sd_ratio.values()) < 0.1
     assert max(found.reduced) < 0.1 and found.values == (6 * POSES, 3 * POSES)
 
 
@@ -98,7 +98,7 @@ def test_totals_of_a_pose_are_not_used_where_a_wheel_is_missing(yutu2: Rover, ex
     inputs = exact.inputs.copy()
     inputs[:, 2, 0] = np.nan
     found = infer_from_totals(dataclasses.replace(exact, inputs=inputs), yutu2.wheel, first_belief())
-    left = found.belief.left_of_prior
+    left = found.belief.sd_ratio
     assert found.values == (5 * POSES, 0)
     assert left["stiffness_kpa_m_n"] < 0.5 and left["friction_angle_deg"] > 0.8, "loads rest on shear only a little"
     assert left["lateral_modulus_mm"] == pytest.approx(1.0, abs=1e-3)
@@ -162,7 +162,7 @@ def test_forces_and_soil_in_turn_converge_and_hold_the_hidden_soil(
     assert turned.rounds[-1].soil < 0.1 and turned.rounds[-1].forces < 0.01
     belief = turned.posterior.belief
     assert np.abs(off_by(belief, hidden)).max() < 3.0
-    left = belief.left_of_prior
+    left = belief.sd_ratio
     assert left["stiffness_kpa_m_n"] < 0.5 and left["sinkage_exponent_slip"] < 0.7
     assert left["cohesion_pa"] > 0.7, "slips of a few per cent cannot tell cohesion from friction"
     assert max(turned.posterior.reduced) < 1.5

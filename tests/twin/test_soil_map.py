@@ -179,10 +179,10 @@ def ground() -> Terrain:
 def test_layers_are_a_terrain_that_is_read_again(ground: Terrain, tmp_path) -> None:  # type: ignore[no-untyped-def]
     soil = SoilMap(zones=(zone(np.arange(0.0, 3.01, 0.1), 0.0, belief(1.0, 0.2)),))
     layers = soil_layers(soil, ground)
-    left = layers.left_of_prior["cohesion_pa"]
+    left = layers.sd_ratio["cohesion_pa"]
     assert left[20, 15] == pytest.approx(0.2) and left.shape == ground.height_m.shape and left.max() < 1.0
     path = tmp_path / "layers.npz"
-    path.write_bytes(terrain_bytes(layers.terrain, left_of_prior=layers.left_of_prior))
+    path.write_bytes(terrain_bytes(layers.terrain, sd_ratio=layers.sd_ratio))
     again = read_terrain(path, read_soil("longji"))
     assert again.soil == pytest.approx(layers.terrain.soil)
     median = values_of(FIRST.laws, FIRST.mean + WIDTH)[0]

@@ -64,8 +64,8 @@ class SoilPosterior:
     verdict : whether a soil of the model explains the states, and the model's error.
     tail : degrees of freedom of the Student law that the residuals follow.
     stretch : how many times wider than stated errors of F_N, F_DP, F_L are where neighbouring states were left out.
-    persistence : of sampled draws, the largest correlation left with where they were before their last moves; None for
-        the normal approximation.
+    autocorrelation : of sampled draws, the largest correlation left with where they were before their last moves; None
+        for the normal approximation.
     profiled : (4, p) 68 % and 95 % limits by profile, None where they were not asked for.
     """
 
@@ -81,7 +81,7 @@ class SoilPosterior:
     verdict: FitVerdict
     tail: float
     stretch: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    persistence: float | None = None
+    autocorrelation: float | None = None
     profiled: FloatArray | None = field(default=None, repr=False)
 
     @property
@@ -94,7 +94,7 @@ class SoilPosterior:
         """Where the intervals come from: `normal`, `sample` or `profile`."""
         if self.profiled is not None:
             return "profile"
-        return "normal" if self.persistence is None else "sample"
+        return "normal" if self.autocorrelation is None else "sample"
 
     @property
     def sd(self) -> FloatArray:
@@ -150,7 +150,7 @@ class SoilPosterior:
             "outliers": list(self.outliers),
             "chi_square": self.chi_square,
             "degrees": self.degrees,
-            "persistence": self.persistence,
+            "persistence": self.autocorrelation,
             "intervals": self.how,
             "verdict": self.verdict.to_dict(),
             "tail": self.tail,
@@ -221,9 +221,9 @@ def infer_soil(
     if profile:
         start = point if found.alike == 1 else find_mode(part, point)[0]
         profiled = profile_limits(part, start, found.covariance, progress)
-    rng, persistence = np.random.default_rng(seed), None
+    rng, autocorrelation = np.random.default_rng(seed), None
     if sample:
-        drawn, persistence = carry_population(
+        drawn, autocorrelation = carry_population(
             part.ln_likelihood, fitted.center, fitted.width, min(draws, PARTICLES), rng, progress
         )
     else:
@@ -244,7 +244,7 @@ def infer_soil(
         judge(found, law_name(model, contact), model_error is not None, states, float(np.mean(~usable))),
         tail_of(white[measured]),
         stretch_of(found),
-        persistence,
+        autocorrelation,
         profiled,
     )
 

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
 
-__all__ = ["carry_population", "persistence"]
+__all__ = ["autocorrelation", "carry_population"]
 
 FloatArray = npt.NDArray[np.float64]
 KEPT = 0.5
@@ -73,7 +73,7 @@ def carry_population(
             accepted = np.log(rng.random(particles)) < gain
             points[accepted], value[accepted] = trial[accepted], found[accepted]
             scale *= np.exp(TUNING * (accepted.mean() - WANTED_ACCEPTANCE))
-            left = persistence(before, points)
+            left = autocorrelation(before, points)
             if move + 1 >= FEWEST_MOVES and left < (SETTLED if last else FORGOTTEN):
                 break
         if progress is not None:
@@ -103,7 +103,7 @@ def _rise(value: FloatArray, beta: float) -> float:
     return float(np.exp(brentq(excess, lowest, np.log(rest), xtol=1e-3)))
 
 
-def persistence(before: FloatArray, after: FloatArray) -> float:
+def autocorrelation(before: FloatArray, after: FloatArray) -> float:
     """Largest correlation of a coordinate of a population (d, p) with where it was before. [-]"""
     one, two = before - before.mean(axis=0), after - after.mean(axis=0)
     norm = np.sqrt(np.sum(one**2, axis=0) * np.sum(two**2, axis=0))

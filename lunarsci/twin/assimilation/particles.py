@@ -1,7 +1,7 @@
 """Draws from a posterior whose mode is known: proposed by an emulator of the drives, judged by drives.
 
 Drives simulated about the mode train an emulator, chains on the emulator say where to simulate next, and after some
-rounds the chain's points are proposed to a population that accepts them by the true density, so that what the emulator
+rounds the chain's points are proposed to particles that accept them by the true density, so that what the emulator
 misses is put right.
 
 Rasmussen (2003), Bayesian Statistics 7, 651 (posterior of an emulator as proposal); Christen & Fox (2005), J. Comput.
@@ -10,7 +10,7 @@ Monte Carlo Statistical Methods, 2nd ed., ch. 7 (independence Metropolis).
 
 A quadratic stand-in for the residuals of simulated drives, near enough to draw soils from.
 
-Residuals bend gently with straight coordinates, so that second-order polynomials of each one follow them over a
+Residuals bend gently with linearised coordinates, so that second-order polynomials of each one follow them over a
 posterior; the cost, a sum of their squares, then has the bent valleys of the true one.
 """
 
@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.regolith.inference.sampler import persistence
+from lunarsci.regolith.inference.sampler import autocorrelation
 from lunarsci.twin.assimilation.residuals import HUBER
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ def draw_particles(
 
     Parameters
     ----------
-    posterior : residuals and prior over straight coordinates.
+    posterior : residuals and prior over linearised coordinates.
     mode : its most probable point.
     particles : how many draws.
     random : source of random numbers.
@@ -230,7 +230,7 @@ def _moved(
         found = posterior.with_density(trial)[1] - emulated.ln_density(trial)
         accepted = ~(np.log(random.random(particles)) >= found - excess)
         points, excess = np.where(accepted[:, None], trial, points), np.where(accepted, found, excess)
-        left = persistence(before, points)
+        left = autocorrelation(before, points)
         told(move + 1)
         if move + 1 >= FEWEST_MOVES and left < SETTLED:
             break

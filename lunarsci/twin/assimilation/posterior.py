@@ -154,12 +154,12 @@ SHALLOW_M = 1e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrivePosterior:
-    """Misfit and prior over straight coordinates.
+    """Residuals and prior over linearised coordinates.
 
     Attributes
     ----------
-    misfit : of drives; its belief is the prior.
-    straight : the coordinates.
+    drive : residuals of drives; its belief is the prior.
+    coordinates : in which a posterior is nearly normal.
     root : lower Cholesky factor of the belief's covariance. (8, 8)
     """
 

@@ -88,7 +88,7 @@ def soil_pages(layers: SoilLayers, soil_map: SoilMap) -> "Iterator[Figure]":
     length = f"{soil_map.correlation_m:g} m"
     yield _page(layers, soil_map, medians, "Median soil at every node", None)
     title = f"Left of the first laws' standard deviation: 1 = nothing known; soils alike over {length}, assumed"
-    yield _page(layers, soil_map, dict(layers.left_of_prior), title, (0.0, 1.0))
+    yield _page(layers, soil_map, dict(layers.sd_ratio), title, (0.0, 1.0))
 
 
 def _page(

@@ -25,12 +25,12 @@ class SoilLayers:
     Attributes
     ----------
     terrain : with the median of every soil parameter at every node.
-    left_of_prior : by parameter, its standard deviation (of the transform) as a share of the first law's: 1 where
+    sd_ratio : by parameter, its standard deviation (of the transform) as a share of the first law's: 1 where
         nothing is known. (ny, nx) [-]
     """
 
     terrain: Terrain
-    left_of_prior: Mapping[str, FloatArray]
+    sd_ratio: Mapping[str, FloatArray]
 
 
 def soil_layers(soil_map: SoilMap, terrain: Terrain) -> SoilLayers:

@@ -235,11 +235,11 @@ def _read_table(path: Path, soil: Soil) -> TerrainFile:
 
 
 def terrain_bytes(
-    terrain: Terrain, *, left_of_prior: Mapping[str, FloatArray] | None = None, made_for: MadeFor | None = None
+    terrain: Terrain, *, sd_ratio: Mapping[str, FloatArray] | None = None, made_for: MadeFor | None = None
 ) -> bytes:
     """A terrain as the NumPy archive that `read_terrain` reads; `made_for` names the rover that it was looked at for.
 
-    `left_of_prior` (ny, nx) of each parameter, of a soil map, goes to layers `PARAMETER_left_of_prior`, for people.
+    `sd_ratio` (ny, nx) of each parameter, of a soil map, goes to layers `PARAMETER_left_of_prior`, for people.
     """
     shape = terrain.height_m.shape if terrain.soil.shape[0] > 1 else ()
     layers = {name: from_si(name, terrain.soil[..., k]).reshape(shape) for name, k in SOIL_COLUMNS.items()}
@@ -251,7 +251,7 @@ def terrain_bytes(
         "synthetic": np.array(terrain.synthetic),
         **({} if made_for is None else {"made_for": np.array(made_for.to_json())}),
         **layers,
-        **{f"{name}{LEFT}": values.astype(np.float32) for name, values in (left_of_prior or {}).items()},
+        **{f"{name}{LEFT}": values.astype(np.float32) for name, values in (sd_ratio or {}).items()},
     }
     archive = io.BytesIO()
     np.savez_compressed(archive, **content)

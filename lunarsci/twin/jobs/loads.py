@@ -373,7 +373,7 @@ def _totals(found: "LoadEnsemble") -> dict[str, dict[str, float]]:
 
 def _iteration(turned: "AlternatingEstimate") -> dict[str, Any]:
     belief = turned.posterior.belief
-    left = belief.left_of_prior
+    left = belief.sd_ratio
     return {
         "verdict": turned.verdict,
         "converged": turned.converged,

@@ -215,7 +215,7 @@ class LearnedSoil(Result):
         from lunarsci.twin.ground.terrain_files import terrain_bytes
 
         layers = soil_layers(self._map(), self.known.terrain)
-        return terrain_bytes(layers.terrain, left_of_prior=layers.left_of_prior)
+        return terrain_bytes(layers.terrain, sd_ratio=layers.sd_ratio)
 
     def _map(self) -> "SoilMap":
         if self.soil_map is None:
@@ -224,7 +224,7 @@ class LearnedSoil(Result):
 
 
 def _segment_record(segment: "Segment") -> dict[str, Any]:
-    left = segment.belief.left_of_prior
+    left = segment.belief.sd_ratio
     return {
         "from_m": segment.from_m,
         "to_m": segment.to_m,

@@ -45,13 +45,13 @@ class Round:
     """What one round changed.
 
     `soil` and `forces` are moves as in `SOIL_STILL` and `FORCES_STILL`; `step` is the soil's, by parameter, in standard
-    deviations that remain (8,); `left_of_prior` what remains of those before any drive; reduced chi-squares.
+    deviations that remain (8,); `sd_ratio` what remains of those before any drive; reduced chi-squares.
     """
 
     soil: float
     forces: float
     step: FloatArray
-    left_of_prior: dict[str, float]
+    sd_ratio: dict[str, float]
     reduced_sinkages: float
     reduced_totals: float
 
@@ -187,4 +187,4 @@ def _round(before: SoilBelief, found: TotalsPosterior, one: LoadEnsemble, two: L
     pulls = two.after[known, :, 1:]
     moved = np.sqrt(np.mean((pulls - one.after[known, :, 1:]) ** 2) / np.mean(pulls**2))
     sinkages, totals = found.reduced
-    return Round(float(np.abs(step).max()), float(moved), step, found.belief.left_of_prior, sinkages, totals)
+    return Round(float(np.abs(step).max()), float(moved), step, found.belief.sd_ratio, sinkages, totals)

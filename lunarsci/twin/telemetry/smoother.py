@@ -235,14 +235,14 @@ def smooth(nodes: Nodes, change: SlipProcess | None = None) -> Smoothed:
         state, covariance = _round(nodes, reference, change.amplitude, change.length_m)
     except np.linalg.LinAlgError as error:
         raise DataError("the motion cannot be found: errors of positions or headings are absurd") from error
-    squared_distance, chi_square, count = _misfits(nodes, state, covariance)
+    squared_distance, chi_square, count = _squared_distances(nodes, state, covariance)
     return Smoothed(
         state=state,
         covariance=covariance,
         effect=nodes.effects,
         change=change,
         squared_distance=squared_distance,
-        yaw_squared_distance=_yaw_misfits(nodes, state, covariance),
+        yaw_squared_distance=_yaw_squared_distances(nodes, state, covariance),
         reduced_chi_square=chi_square / max(count, 1),
     )
 
@@ -266,14 +266,14 @@ def _round(
     return mean, covariances.mean(axis=1) + np.einsum("nmi,nmj->nij", apart, apart) / len(amplitude)
 
 
-def _yaw_misfits(nodes: Nodes, state: FloatArray, covariance: FloatArray) -> FloatArray:
+def _yaw_squared_distances(nodes: Nodes, state: FloatArray, covariance: FloatArray) -> FloatArray:
     """The same of headings. (n,)"""
     errors = nodes.yaw_sigma_rad**2
     left = np.maximum(errors - covariance[:, 2, 2], 1e-3 * errors)
     return np.asarray((nodes.yaw_rad - state[:, 2]) ** 2 / left)
 
 
-def _misfits(nodes: Nodes, state: FloatArray, covariance: FloatArray) -> tuple[FloatArray, float, int]:
+def _squared_distances(nodes: Nodes, state: FloatArray, covariance: FloatArray) -> tuple[FloatArray, float, int]:
     """Mahalanobis distance squared of each position from what all others say of it; chi-square, and its freedom."""
     fixed = np.isfinite(nodes.fix_m).all(axis=1)
     squared_distance = np.full(len(nodes.time_s), np.nan)
