@@ -15,6 +15,8 @@ from lunarsci.cli import main
 from lunarsci.spectra.vnis.channels import SPLICED_NM
 from lunarsci.spectra.vnis.simulation.scene import Material, SceneComposition, surface_reflectance
 
+SHORT_PLAN = "[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 0.6\n"
+
 
 @dataclass(frozen=True)
 class Ran:
@@ -114,18 +116,26 @@ def states(tmp_path: Path) -> Path:
 def short_plan(tmp_path: Path) -> Path:
     """Sixty centimetres straight ahead."""
     path = tmp_path / "plan.toml"
-    path.write_text("[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 0.6\n")
+    path.write_text(SHORT_PLAN)
     return path
 
 
-@pytest.fixture
-def short_states(run: Callable[..., Ran], short_plan: Path, tmp_path: Path) -> Path:
-    """That drive on the terrain's soil, 10 states of each wheel, with errors of sinkage and slip."""
-    path = tmp_path / "states.csv"
-    assert run("twin", "forces", short_plan, "-o", path).code == 0
-    table = pd.read_csv(path)
+@pytest.fixture(scope="session")
+def driven_states(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """States of that drive on the terrain's soil, 10 of each wheel, with errors of sinkage and slip."""
+    folder = tmp_path_factory.mktemp("short")
+    (folder / "plan.toml").write_text(SHORT_PLAN)
+    assert main(["twin", "forces", str(folder / "plan.toml"), "-q", "-o", str(folder / "states.csv")]) == 0
+    table = pd.read_csv(folder / "states.csv")
     random = np.random.default_rng(1)
     table["sinkage_m"] += 0.00033 * random.normal(size=len(table))
     table["slip_ratio"] += 0.01 * random.normal(size=len(table))
-    table.to_csv(path, index=False)
+    return table.to_csv(index=False).encode()
+
+
+@pytest.fixture
+def short_states(driven_states: bytes, tmp_path: Path) -> Path:
+    """A file of these states."""
+    path = tmp_path / "states.csv"
+    path.write_bytes(driven_states)
     return path

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from lunarsci.cli import main
 
 from lunarsci.inputs import read_input
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
@@ -34,15 +35,23 @@ class Drive:
 
 
 @pytest.fixture
-def drive(run: Run, tmp_path: Path) -> Drive:
+def drive(predicted: Path, tmp_path: Path) -> Drive:
+    """Files of `predicted` of one's own."""
+    shutil.copytree(predicted, tmp_path, dirs_exist_ok=True)
+    return Drive(tmp_path / "plan.toml", tmp_path / "drive", tmp_path / "measured.csv", tmp_path / "positions.csv")
+
+
+@pytest.fixture(scope="module")
+def predicted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A prediction on 32 draws of a belief; measured is another draw, with errors (synthetic)."""
+    tmp_path = tmp_path_factory.mktemp("predicted")
     plan, belief, other = tmp_path / "plan.toml", tmp_path / "belief.json", tmp_path / "other"
     plan.write_text(PLAN)
     first = first_belief()
     belief.write_text(SoilBelief(first.laws, first.mean, 0.05 * first.covariance).to_json())
-    predict = ("twin", "predict", plan, "--soil", belief, "-q")
-    assert run(*predict, "--members", "32", "-o", tmp_path / "drive").code == 0
-    assert run(*predict, "--members", "1", "--seed", "8", "-o", other).code == 0
+    predict = ["twin", "predict", str(plan), "--soil", str(belief), "-q"]
+    assert main([*predict, "--members", "32", "-o", str(tmp_path / "drive")]) == 0
+    assert main([*predict, "--members", "1", "--seed", "8", "-o", str(other)]) == 0
     states, path = pd.read_csv(other / "states.csv"), pd.read_csv(other / "paths.csv")
     random = np.random.default_rng(1)
     states["sinkage_m"] += 0.00033 * random.normal(size=len(states))
@@ -52,7 +61,7 @@ def drive(run: Run, tmp_path: Path) -> Drive:
     fixes = path[["time_s", "x_m", "y_m"]].iloc[4::4].copy()
     fixes[["x_m", "y_m"]] += 0.01 * random.normal(size=(len(fixes), 2))
     fixes.assign(sigma_m=0.01).to_csv(tmp_path / "positions.csv", index=False)
-    return Drive(plan, tmp_path / "drive", tmp_path / "measured.csv", tmp_path / "positions.csv")
+    return tmp_path
 
 
 def test_a_drive_as_predicted_is_trusted(run: Run, drive: Drive, tmp_path: Path) -> None:

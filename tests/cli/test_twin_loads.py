@@ -8,18 +8,20 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from lunarsci.cli import main
 
 Run = Callable[..., Any]
 PLAN = "[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 1.5\ncurvature_per_m = 0.1\n"
 FORCES = ("normal_force_n", "drawbar_pull_n", "lateral_force_n")
 
 
-@pytest.fixture
-def files(run: Run, tmp_path: Path) -> dict[str, Path]:
-    """Plan, motion and states of a predicted drive, with errors said."""
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Plan, motion and states of a predicted drive, with errors said; not to be written into."""
+    tmp_path = tmp_path_factory.mktemp("drive")
     paths = {name: tmp_path / f"{name}.csv" for name in ("motion", "states")} | {"plan": tmp_path / "plan.toml"}
     paths["plan"].write_text(PLAN)
-    assert run("twin", "predict", paths["plan"], "-o", tmp_path / "drive").code == 0
+    assert main(["twin", "predict", str(paths["plan"]), "-q", "-o", str(tmp_path / "drive")]) == 0
     motion = pd.read_csv(tmp_path / "drive" / "paths.csv")
     motion = motion.assign(x_m_sigma=0.004, y_m_sigma=0.004, yaw_deg_sigma=0.2)
     motion.to_csv(paths["motion"], index=False)
@@ -28,6 +30,16 @@ def files(run: Run, tmp_path: Path) -> dict[str, Path]:
     states.loc[:5, "valid"] = False
     states.to_csv(paths["states"], index=False)
     return paths
+
+
+@pytest.fixture(scope="module")
+def soil(files: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the soil after rounds of forces and soil in turn, `soil.json`, and their `result.json`."""
+    folder = tmp_path_factory.mktemp("soil")
+    on = [str(part) for part in (files["plan"], "--motion", files["motion"], "--states", files["states"])]
+    to = ["--save", str(folder / "soil.json"), "-o", str(folder / "result.json")]
+    assert main(["twin", "loads", *on, "--draws", "16", "--iterate", "8", "-q", *to]) == 0
+    return folder
 
 
 def test_telemetry_becomes_forces_with_sigmas_and_a_soil(run: Run, files: dict[str, Path], tmp_path: Path) -> None:
@@ -51,12 +63,10 @@ def test_telemetry_becomes_forces_with_sigmas_and_a_soil(run: Run, files: dict[s
     assert identified.code == 0, identified.err
 
 
-def test_forces_and_soil_in_turn_leave_a_belief(run: Run, files: dict[str, Path], tmp_path: Path) -> None:
+def test_forces_and_soil_in_turn_leave_a_belief(run: Run, files: dict[str, Path], soil: Path) -> None:
     start = ("twin", "loads", files["plan"], "--motion", files["motion"], "--states", files["states"], "--draws", 16)
-    saved = tmp_path / "soil.json"
-    done = run(*start, "--iterate", 8, "--save", saved, "--json")
-    assert done.code == 0, done.err
-    turned = json.loads(done.out)["result"]["iteration"]
+    saved = soil / "soil.json"
+    turned = json.loads((soil / "result.json").read_text())["result"]["iteration"]
     assert turned["converged"] and turned["verdict"] == "converged" and 1 < len(turned["rounds"]) <= 8
     assert turned["parameters"]["stiffness_kpa_m_n"]["left_of_prior"] < 0.8
     history = json.loads(saved.read_text())["history"]
@@ -69,16 +79,13 @@ def test_forces_and_soil_in_turn_leave_a_belief(run: Run, files: dict[str, Path]
     assert "Forces and soil in turn: does not converge" in once.out
 
 
-def test_a_motion_elsewhere_is_beyond_all_soils(run: Run, files: dict[str, Path], tmp_path: Path) -> None:
+def test_a_motion_elsewhere_is_beyond_all_soils(run: Run, files: dict[str, Path], soil: Path, tmp_path: Path) -> None:
     """A belief that knows the soil, and poses shifted to another slope."""
-    saved = tmp_path / "soil.json"
     start = ("twin", "loads", files["plan"], "--draws", 16)
-    known = (*start, "--motion", files["motion"], "--states", files["states"], "--iterate", 8, "--save", saved)
-    assert run(*known).code == 0
     table = pd.read_csv(files["motion"])
     table["x_m"] += 5.5
     table.to_csv(tmp_path / "moved.csv", index=False)
-    moved = run(*start, "--motion", tmp_path / "moved.csv", "--belief", saved, "--balance-error", 0.002)
+    moved = run(*start, "--motion", tmp_path / "moved.csv", "--belief", soil / "soil.json", "--balance-error", 0.002)
     assert moved.code == 3 and "beyond the drawn soils" in moved.err[-1]
 
 

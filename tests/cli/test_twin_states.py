@@ -7,6 +7,7 @@ from typing import Any
 
 import pandas as pd
 import pytest
+from lunarsci.cli import main
 
 Run = Callable[..., Any]
 PLAN = "[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 2.5\ncurvature_per_m = 0.15\n"
@@ -19,13 +20,13 @@ def plan(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.fixture
-def sent(run: Run, plan: Path, tmp_path: Path) -> Path:
-    """A folder with the telemetry of a made-up drive."""
-    folder = tmp_path / "drive"
-    done = run("twin", "simulate", plan, "-o", folder)
-    assert done.code == 0, done.err
-    return folder
+@pytest.fixture(scope="module")
+def sent(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the telemetry of a made-up drive; not to be written into."""
+    folder = tmp_path_factory.mktemp("sent")
+    (folder / "plan.toml").write_text(PLAN)
+    assert main(["twin", "simulate", str(folder / "plan.toml"), "-q", "-o", str(folder / "drive")]) == 0
+    return folder / "drive"
 
 
 def test_a_made_up_drive_is_marked_and_repeatable(run: Run, plan: Path, sent: Path, tmp_path: Path) -> None:
