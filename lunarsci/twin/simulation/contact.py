@@ -159,8 +159,7 @@ def meet_ground(
         remaining = seen_from(axes, get3(wheel, ACCELERATION, lane))
         taken_for = get(wheel, DRAWBAR, lane) + get(wheel, ALONG, lane) * (v[0] - get(wheel, VELOCITY, lane))
         steady = lags and last >= SLOWEST and abs(turning - last) < STEADY * last
-        missed = abs(reach[3] - taken_for) if steady and on > 0.0 else 0.0
-        put(wheel, MISSED, lane, missed)
+        put(wheel, MISSED, lane, abs(reach[3] - taken_for) if steady and on > 0.0 else 0.0)
         put_axes(wheel, lane, axes)
         put3(wheel, FORCE, lane, (
             slid * f_dp - kg * (gravity * axes[0][2] + remaining[0]),
@@ -168,9 +167,8 @@ def meet_ground(
             pressed - kg * (gravity * axes[2][2] + remaining[2]),
         ))  # fmt: skip
         put3(wheel, MOMENT, lane, (-slid * below * f_l, -slid * m_r, -slid * ahead * f_l))
-        put3(
-            wheel, ALONG, lane, (along, 0.0 if lags else per * bearing * slopes[0], brake * abs(m_r) - per * slopes[3])
-        )
+        held = 0.0 if lags else per * bearing * slopes[0]
+        put3(wheel, ALONG, lane, (along, held, brake * abs(m_r) - per * slopes[3]))
         put3(wheel, ACROSS, lane, (d_l, below * d_l, ahead * d_l))
         put(wheel, STIFF, lane, time_step_s * slid * bearing * rate + 0.5 * time_step_s * time_step_s * stiffness)
         put(wheel, STIFF + 1, lane, free * time_step_s * time_step_s * stiffness * v[2])
