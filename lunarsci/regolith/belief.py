@@ -162,7 +162,7 @@ class SoilBelief:
 
     @property
     def sd_ratio(self) -> dict[str, float]:
-        """Standard deviation of each parameter's transform as a share of its first law's. [-]"""
+        """Standard deviation of each parameter's transform as a share of its prior's. [-]"""
         spread = np.sqrt(np.diag(self.covariance))
         return {name: float(sd / self.laws[name].width) for name, sd in zip(PARAMETERS, spread, strict=True)}
 
@@ -185,8 +185,8 @@ class SoilBelief:
         values = values_of(self.laws, points)
         return {name: values[:, k] for k, name in enumerate(PARAMETERS)}
 
-    def forgotten(self, share: float) -> "SoilBelief":
-        """The belief as ground further on is believed to be: `share` of the way back to the first laws, 0 to 1.
+    def inflated(self, share: float) -> "SoilBelief":
+        """Prior inflation for ground further on: the belief gone `share` of the way back to the prior, 0 to 1.
 
         Mean and covariance are those of the mixture of both; a population is given up. The discrepancy is forgotten
         alike. Raises ParameterError.
@@ -196,7 +196,7 @@ class SoilBelief:
         first = first_belief(self.laws)
         off = self.mean - first.mean
         covariance = (1 - share) * self.covariance + share * first.covariance + share * (1 - share) * np.outer(off, off)
-        discrepancy = self.discrepancy.forgotten(share)
+        discrepancy = self.discrepancy.inflated(share)
         mean = self.mean - share * off
         return SoilBelief(self.laws, mean, covariance, self.history, verdict=self.verdict, discrepancy=discrepancy)
 

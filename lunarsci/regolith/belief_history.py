@@ -50,7 +50,7 @@ OTHER_PHYSICS: Mapping[str, float] = MappingProxyType(
         "lateral_modulus_mm": 0.5,
     }
 )
-"""Standard deviation between effective and own values, in widths of the first laws: the most probable of 19 updates by
+"""Standard deviation between effective and own values, in widths of the prior: the most probable of 19 updates by
 stress integrals, ruts and changing soils, drawn towards their common 0.8, on the grounds and soils that
 `tests/benchmarks/loop.py --training --seed 1701` drives on, which no reported number is of. [-]"""
 NINETY_FIVE = 1.959964
@@ -245,8 +245,8 @@ class GroundInterval:
 def ground_moments(belief: SoilBelief) -> tuple[FloatArray, FloatArray]:
     """Mean and standard deviation of the transforms of the ground's own values, each by itself. (8,), (8,)
 
-    What the drives say, which is the belief without its first law, is widened by what other physics would change, and
-    joined with the first law again; so no interval is wider than before any drive.
+    What the drives say, which is the belief without its prior, is widened by what other physics would change, and
+    joined with the prior again; so no interval is wider than before any drive.
     """
     center = np.array([belief.laws[name].center for name in PARAMETERS])
     width = np.array([belief.laws[name].width for name in PARAMETERS])

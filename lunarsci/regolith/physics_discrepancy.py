@@ -89,8 +89,8 @@ class VarianceLaw:
         squared = (self.degrees * self.scale**2 + drives * share**2) / degrees
         return VarianceLaw(_within(degrees), math.sqrt(squared))
 
-    def forgotten(self, share: float, first: "VarianceLaw") -> "VarianceLaw":
-        """So much of the way back to the first law, 0 to 1."""
+    def inflated(self, share: float, first: "VarianceLaw") -> "VarianceLaw":
+        """So much of the way back to the prior, 0 to 1."""
         degrees, scale = ((1 - share) * a + share * b for a, b in zip(self._logs(), first._logs(), strict=True))
         return VarianceLaw(_within(math.exp(degrees)), math.exp(scale))
 
@@ -192,13 +192,13 @@ class PhysicsDiscrepancy:
         """Whether the drive with these states taught it already."""
         return any(entry.get("sha256") == sha256 for entry in self.scored)
 
-    def forgotten(self, share: float) -> "PhysicsDiscrepancy":
-        """So much of the way back to the first laws, 0 to 1. What it rests on stays, and counts no second time."""
+    def inflated(self, share: float) -> "PhysicsDiscrepancy":
+        """So much of the way back to the priors, 0 to 1. What it rests on stays, and counts no second time."""
         return replace(
             self,
-            along=self.along.forgotten(share, FIRST.along),
-            across=self.across.forgotten(share, FIRST.across),
-            quantities={name: law.forgotten(share, FIRST.quantities[name]) for name, law in self.quantities.items()},
+            along=self.along.inflated(share, FIRST.along),
+            across=self.across.inflated(share, FIRST.across),
+            quantities={name: law.inflated(share, FIRST.quantities[name]) for name, law in self.quantities.items()},
         )
 
     def to_dict(self) -> dict[str, Any]:

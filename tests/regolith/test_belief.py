@@ -56,11 +56,11 @@ def test_a_population_is_drawn_from_without_loss(belief: SoilBelief) -> None:
 
 def test_forgetting_goes_from_the_belief_to_the_first_laws(belief: SoilBelief) -> None:
     first = first_belief()
-    assert np.array_equal(belief.forgotten(0.0).mean, belief.mean)
-    all_gone = belief.forgotten(1.0)
+    assert np.array_equal(belief.inflated(0.0).mean, belief.mean)
+    all_gone = belief.inflated(1.0)
     assert all_gone.mean == pytest.approx(first.mean) and all_gone.covariance == pytest.approx(first.covariance)
     # Half forgotten is the even mixture of both: its mean and covariance, from draws.
-    half, random = belief.forgotten(0.5), np.random.default_rng(0)
+    half, random = belief.inflated(0.5), np.random.default_rng(0)
     parts = [
         one.mean + random.standard_normal((200_000, 8)) @ np.linalg.cholesky(one.covariance).T
         for one in (belief, first)
@@ -69,7 +69,7 @@ def test_forgetting_goes_from_the_belief_to_the_first_laws(belief: SoilBelief) -
     assert half.mean == pytest.approx(mixture.mean(axis=0), abs=0.01)
     assert half.covariance == pytest.approx(np.cov(mixture.T), abs=0.02)
     with pytest.raises(ParameterError, match="all is kept"):
-        belief.forgotten(1.5)
+        belief.inflated(1.5)
 
 
 def test_a_bad_file_is_one_line_that_names_it(belief: SoilBelief, tmp_path: Path) -> None:

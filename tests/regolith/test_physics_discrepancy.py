@@ -69,7 +69,7 @@ def test_many_returns_find_the_true_size() -> None:
 def test_it_is_forgotten_with_the_ground_but_not_what_taught_it() -> None:
     law = dataclasses.replace(FIRST, along=VarianceLaw(20.0, 0.3)).with_score(states="a.csv", sha256="a")
     belief = dataclasses.replace(first_belief(), discrepancy=law)
-    kept, half, gone = (belief.forgotten(share).discrepancy for share in (0.0, 0.5, 1.0))
+    kept, half, gone = (belief.inflated(share).discrepancy for share in (0.0, 0.5, 1.0))
     assert kept.along.scale == pytest.approx(0.3) and gone.along.scale == pytest.approx(FIRST.along.scale)
     assert FIRST.along.scale < half.along.scale < 0.3 and FIRST.along.degrees < half.along.degrees < 20.0
     assert gone.has_scored("a") and not gone.has_scored("b")

@@ -241,7 +241,7 @@ def drive_segments(
     way = traverse_of(found.prediction)
 
     def believed(place_m: FloatArray) -> SoilBelief:
-        return soil_map.belief_along(place_m).forgotten(forget)
+        return soil_map.belief_along(place_m).inflated(forget)
 
     def learned(own: DriveRecord, low: float, high: float) -> _Part:
         before = believed(way.between(low, high))

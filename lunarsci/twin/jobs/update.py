@@ -92,7 +92,7 @@ class Before:
             if asked.correlation is not None:
                 soil_map = replace(soil_map, correlation_m=asked.correlation)
             belief = soil_map.belief_along(planned_places(known.plan, known.rover))
-        return cls(belief=belief.forgotten(asked.forget) if asked.forget else belief, soil_map=soil_map, file=file)
+        return cls(belief=belief.inflated(asked.forget) if asked.forget else belief, soil_map=soil_map, file=file)
 
     def refuse_known(self, states: InputFile) -> None:
         """Raises DataError where the belief has learned from these states: the same drive does not count twice."""
