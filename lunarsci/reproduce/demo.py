@@ -215,7 +215,7 @@ def _pictures(the_rock: StudiedRock, the_drive: PredictedDrive, soil: Identifica
         return picture_bytes(figures, Path(name))
 
     def calibration() -> bytes:
-        from lunarsci.spectra.vnis.figure import calibration_pages
+        from lunarsci.spectra.vnis.calibration import calibration_pages
 
         return picture("calibration.png", calibration_pages([the_rock.calibration]))
 

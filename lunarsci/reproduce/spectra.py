@@ -27,8 +27,7 @@ from lunarsci.spectra.origin.catalogue import azimuth_deg, distance_km, embedded
 from lunarsci.spectra.origin.composition import Composition, Rock
 from lunarsci.spectra.origin.match import MatchSettings, RockMatch, match_rocks
 from lunarsci.spectra.origin.prior import CHANG_E_4, PriorSettings
-from lunarsci.spectra.smoothing import savitzky_golay_operator
-from lunarsci.spectra.spectrum import Spectrum
+from lunarsci.spectra.spectrum import Spectrum, savitzky_golay_operator
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,8 +14,7 @@ import numpy as np
 
 from lunarsci.errors import DataError
 from lunarsci.spectra.continuum import CONTINUA, Continuum, ContinuumName, continuum
-from lunarsci.spectra.smoothing import channel_noise, savitzky_golay_operator
-from lunarsci.spectra.spectrum import BoolArray, FloatArray, Spectrum
+from lunarsci.spectra.spectrum import BoolArray, FloatArray, Spectrum, channel_noise, savitzky_golay_operator
 
 __all__ = ["BANDS", "Band", "BandFailure", "BandResult", "SpectrumBands", "measure_bands", "measure_batch"]
 

@@ -1,5 +1,6 @@
-"""One reflectance spectrum, checked when it is made."""
+"""One reflectance spectrum, its random noise, and Savitzky-Golay smoothing as a linear operator that carries it."""
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -7,9 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.errors import DataError
+from lunarsci.errors import DataError, ParameterError
 
-__all__ = ["BoolArray", "FloatArray", "Spectrum"]
+__all__ = ["BoolArray", "FloatArray", "Spectrum", "channel_noise", "savitzky_golay_operator", "scatter_noise"]
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -100,3 +101,90 @@ class Spectrum:
     def usable(self) -> BoolArray:
         """True for the channels that may be used; shape (n,)."""
         return ~np.asarray(self.mask, dtype=bool)
+
+
+_NORMAL_MAD = 1.4826  # standard deviation of a normal law over its median absolute deviation
+_SECOND_DIFFERENCE = np.sqrt(6.0)  # standard deviation of x[i-1] - 2 x[i] + x[i+1] over that of x
+
+
+def channel_noise(spectrum: Spectrum) -> FloatArray:
+    """One standard deviation of the reflectance per channel, shape (n,). [-]
+
+    The spectrum's own uncertainty where it has one, else `scatter_noise`. Masked channels are NaN.
+    """
+    if spectrum.uncertainty is not None:
+        return np.where(spectrum.usable, spectrum.uncertainty, np.nan)
+    noise = np.full(spectrum.wavelength_nm.shape, np.nan)
+    noise[spectrum.usable] = scatter_noise(spectrum.reflectance[spectrum.usable])
+    return noise
+
+
+def scatter_noise(values: FloatArray, window: int = 61) -> FloatArray:
+    """Noise from second differences, robustly (median absolute deviation), in a running window of channels.
+
+    Sees only what changes from channel to channel: smoothed data come out too quiet, and structure as narrow as two
+    channels counts as noise. Shape (n,), above 0 unless the data are exactly straight. [unit of `values`]
+
+    von Neumann, Kent, Bellinson & Hart (1941), Ann. Math. Stat. 12, 153, 10.1214/aoms/1177731746, in robust form.
+    """
+    if values.size < 5:
+        return np.full(values.shape, np.std(values))
+    second = np.abs(np.diff(values, 2))
+    half = (min(window, second.size) - 1) // 2
+    centres = np.clip(np.arange(values.size) - 1, half, second.size - 1 - half)
+    windows = np.lib.stride_tricks.sliding_window_view(second, 2 * half + 1)
+    running: FloatArray = np.median(windows, axis=1)[centres - half] * _NORMAL_MAD / _SECOND_DIFFERENCE
+    floor = float(np.finfo(float).eps * np.abs(values).max())
+    return np.maximum(running, floor)
+
+
+def savitzky_golay_operator(wavelength_nm: FloatArray, points: int = 41, order: int = 3) -> FloatArray:
+    """Matrix S, shape (n, n), whose product with a spectrum is the smoothed spectrum.
+
+    Each row is the least-squares polynomial through the `points` nearest channels, evaluated at its channel. On equal
+    steps this is the Savitzky-Golay filter (ends included); on unequal steps it is the same idea done correctly.
+
+    Parameters
+    ----------
+    wavelength_nm : shape (n,), ascending. [nm]
+    points : odd, above `order`; 0 or 1 means no smoothing. Longer than the spectrum: the longest that fits. [-]
+    order : of the polynomial. The 41 points are those of Ding et al. (2024), who give no order; 3 is assumed. [-]
+
+    Raises
+    ------
+    ParameterError for an even or too short window.
+
+    References
+    ----------
+    Savitzky & Golay (1964), Anal. Chem. 36, 1627, 10.1021/ac60214a047.
+    """
+    size = wavelength_nm.size
+    if points in (0, 1):
+        return np.eye(size)
+    if points < 0 or points % 2 == 0 or points <= order:
+        raise ParameterError(f"smoothing over {points} points; give an odd number above {order}, or 0 for none")
+    points = min(points, size if size % 2 else size - 1)
+    if points <= order:
+        return np.eye(size)
+    return _operator(wavelength_nm.tobytes(), points, order)
+
+
+@functools.lru_cache(maxsize=8)
+def _operator(wavelength: bytes, points: int, order: int) -> FloatArray:
+    """The matrix for one set of channels; a batch of spectra on the same channels shares it."""
+    wavelength_nm = np.frombuffer(wavelength)
+    size, half = wavelength_nm.size, points // 2
+    operator = np.zeros((size, size))
+    for row in range(size):
+        first = min(max(row - half, 0), size - points)
+        window = slice(first, first + points)
+        operator[row, window] = _weights(wavelength_nm[window], wavelength_nm[row], order)
+    operator.setflags(write=False)
+    return operator
+
+
+def _weights(nodes: FloatArray, at: float, order: int) -> FloatArray:
+    scale = np.ptp(nodes) / 2
+    basis = np.vander((nodes - at) / scale, order + 1, increasing=True)
+    weights: FloatArray = np.linalg.pinv(basis)[0]
+    return weights

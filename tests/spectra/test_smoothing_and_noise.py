@@ -5,8 +5,7 @@ import pytest
 from scipy.signal import savgol_filter
 
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.smoothing import channel_noise, savitzky_golay_operator, scatter_noise
-from lunarsci.spectra.spectrum import Spectrum
+from lunarsci.spectra.spectrum import Spectrum, channel_noise, savitzky_golay_operator, scatter_noise
 
 GRID = np.arange(450.0, 2396.0, 5.0)
 

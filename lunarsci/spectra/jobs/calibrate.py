@@ -113,7 +113,7 @@ class Calibrations(Result):
         return [row for item in self.observations for row in item.rows()]
 
     def figures(self) -> "Iterator[Figure]":
-        from lunarsci.spectra.vnis.figure import calibration_pages
+        from lunarsci.spectra.vnis.calibration import calibration_pages
 
         return calibration_pages(self.observations)
 

@@ -50,7 +50,7 @@ class SimulateVnisRequest:
 
     def scene(self) -> "Scene":
         """What is looked at. Raises ParameterError for what there cannot be."""
-        from lunarsci.spectra.photometry.geometry import Geometry
+        from lunarsci.spectra.photometry.phase import Geometry
         from lunarsci.spectra.vnis.simulation.scene import ROCK, SOIL, Scene, SceneRock
 
         rock = self.rock and SceneRock(replace(ROCK, composition=_composition(self.rock)), radius_px=self.rock_radius)

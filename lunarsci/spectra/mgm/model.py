@@ -12,8 +12,7 @@ import numpy as np
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
 from lunarsci.spectra.mgm.assemblages import Assemblage, assemblage
-from lunarsci.spectra.smoothing import channel_noise
-from lunarsci.spectra.spectrum import BoolArray, FloatArray, Spectrum
+from lunarsci.spectra.spectrum import BoolArray, FloatArray, Spectrum, channel_noise
 
 __all__ = [
     "FIT_RANGE_NM",

@@ -12,8 +12,7 @@ from math import atan2, cos, pi, pow, radians, sin
 import numpy as np
 
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.photometry.geometry import STANDARD, Geometry
-from lunarsci.spectra.photometry.phase import PhaseFunction, phase_function
+from lunarsci.spectra.photometry.phase import STANDARD, Geometry, PhaseFunction, phase_function
 from lunarsci.spectra.spectrum import FloatArray
 
 __all__ = [

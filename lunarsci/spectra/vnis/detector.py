@@ -12,11 +12,9 @@ import numpy as np
 from lunarsci import inputs
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile
-from lunarsci.spectra.photometry.geometry import Geometry
 from lunarsci.spectra.photometry.phase import TABLE as PHASE_TABLE
-from lunarsci.spectra.photometry.phase import PhaseFunction, SelenePhase, phase_function
+from lunarsci.spectra.photometry.phase import Geometry, PhaseFunction, SelenePhase, phase_function
 from lunarsci.spectra.rows import Row, check_widths, number, separator_of, split_fields, split_lines
-from lunarsci.spectra.smoothing import scatter_noise
 from lunarsci.spectra.solar import (
     M3_TABLE,
     SOLAR_SPECTRA,
@@ -26,7 +24,7 @@ from lunarsci.spectra.solar import (
     sun_moon_distance_au,
     table_name,
 )
-from lunarsci.spectra.spectrum import BoolArray, FloatArray
+from lunarsci.spectra.spectrum import BoolArray, FloatArray, scatter_noise
 from lunarsci.spectra.vnis.channels import (
     SUB_BAND_STEP_NM,
     SWIR_NM,

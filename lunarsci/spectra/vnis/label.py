@@ -19,7 +19,7 @@ from xml.parsers import expat
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile
-from lunarsci.spectra.photometry.geometry import Geometry, phase_angle_deg
+from lunarsci.spectra.photometry.phase import Geometry, phase_angle_deg
 from lunarsci.spectra.rows import number
 from lunarsci.spectra.vnis.name import ProductName, product_name
 

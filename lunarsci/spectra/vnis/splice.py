@@ -14,7 +14,7 @@ import numpy as np
 
 from lunarsci.errors import DataError
 from lunarsci.spectra.photometry.correction import model_spread
-from lunarsci.spectra.photometry.geometry import Geometry
+from lunarsci.spectra.photometry.phase import Geometry
 from lunarsci.spectra.solar import M3_TABLE, solar_spectrum
 from lunarsci.spectra.spectrum import FloatArray
 from lunarsci.spectra.vnis.channels import JOIN_NM, SPLICED_NM, SUB_BAND_STEP_NM, SWIR_NM, VNIR_NM

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from lunarsci.errors import ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.photometry.correction import DISKS, correction_factor, model_spread, remarks
-from lunarsci.spectra.photometry.geometry import STANDARD, Geometry
-from lunarsci.spectra.photometry.phase import PHASE_FUNCTIONS, phase_function, read_phase_function
+from lunarsci.spectra.photometry.phase import PHASE_FUNCTIONS, STANDARD, Geometry, phase_function, read_phase_function
 
 GRID = np.arange(450.0, 2396.0, 5.0)
 SEEN = Geometry(60, 45, 90)

@@ -17,7 +17,7 @@ from lunarsci.spectra.photometry.correction import (
     mcewen_weight,
     outside,
 )
-from lunarsci.spectra.photometry.geometry import STANDARD, Geometry
+from lunarsci.spectra.photometry.phase import STANDARD, Geometry
 
 ANGLE = st.floats(0, 80)
 SEEN = Geometry(60, 45, 90)

@@ -17,8 +17,7 @@ import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
-from lunarsci.spectra.photometry.geometry import Geometry
-from lunarsci.spectra.photometry.phase import phase_function
+from lunarsci.spectra.photometry.phase import Geometry, phase_function
 from lunarsci.spectra.solar import SolarSpectrum, solar_spectrum
 from lunarsci.spectra.vnis.calibrate import calibrate, calibrate_files
 from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure

@@ -11,8 +11,7 @@ import pytest
 
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.photometry.correction import correction_factor
-from lunarsci.spectra.photometry.geometry import Geometry
-from lunarsci.spectra.photometry.phase import phase_function
+from lunarsci.spectra.photometry.phase import Geometry, phase_function
 from lunarsci.spectra.solar import in_band_irradiance, solar_spectrum
 from lunarsci.spectra.vnis.channels import SPLICED_NM, SWIR_NM, VNIR_NM, fwhm_nm
 from lunarsci.spectra.vnis.simulation.instrument import Instrument, Simulation, draw, scene_radiance, simulate

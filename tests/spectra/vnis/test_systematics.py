@@ -18,8 +18,7 @@ from lunarsci.spectra.mgm.constraints import constrained
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import mgm_model
 from lunarsci.spectra.mgm.result import MgmFit
-from lunarsci.spectra.photometry.geometry import Geometry
-from lunarsci.spectra.photometry.phase import PhaseFunction, phase_function
+from lunarsci.spectra.photometry.phase import Geometry, PhaseFunction, phase_function
 from lunarsci.spectra.solar import solar_spectrum
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.calibrate import calibrate

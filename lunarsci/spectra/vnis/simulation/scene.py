@@ -12,7 +12,7 @@ import numpy as np
 
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA
-from lunarsci.spectra.photometry.geometry import Geometry, phase_angle_deg
+from lunarsci.spectra.photometry.phase import Geometry, phase_angle_deg
 from lunarsci.spectra.spectrum import FloatArray
 from lunarsci.spectra.vnis.channels import CUBE_SHAPE, FOOTPRINT, SWIR_NM, VNIR_NM
 

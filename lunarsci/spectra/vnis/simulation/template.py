@@ -12,7 +12,7 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
-from lunarsci.spectra.photometry.geometry import Geometry
+from lunarsci.spectra.photometry.phase import Geometry
 from lunarsci.spectra.spectrum import FloatArray
 from lunarsci.spectra.vnis.channels import CUBE_SHAPE, FOOTPRINT, SWIR_NM, VNIR_NM, Detector
 from lunarsci.spectra.vnis.simulation.scene import Scene, azimuth_difference_deg
