@@ -145,7 +145,10 @@ REFUSED: dict[str, tuple[Callable[[Files], None], str]] = {
     "cube of zeros": (in_cube(np.zeros_like), "0 of 9085 pixels of the footprint are lit"),
     "cube in shadow": (in_cube(lambda c: c * np.float32(0.01)), r"pixels of the footprint are lit and valid \(reflect"),
     "cube without its last channels": (in_cube(lambda c: c[90:].fill(np.nan)), "no usable image from 900 nm on"),
-    "cube per um": (in_cube(lambda c: c * np.float32(1000)), r"VNIR is brighter than any rock .* per um use"),
+    "cube per um": (
+        in_cube(lambda c: c * np.float32(1000)),
+        r"VNIR is brighter than any rock .* not in W m-2 sr-1 nm-1",
+    ),
     "table dark": (in_table(lambda rows: [re.sub("E-00", "E-05", r) for r in rows]), "SWIR is dark"),
     "table all flagged": (in_table(lambda rows: [r.replace("0x00", "0x01") for r in rows]), "no SWIR channel has a us"),
     "table empty": (in_table(lambda rows: []), "holds only blanks"),
