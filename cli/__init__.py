@@ -3,34 +3,47 @@
 import os
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from importlib import import_module
 from typing import Annotated, Any
 
 import typer
 
-from . import demo, reproduce
-from .regolith import app as regolith
 from .shared.aliases import current
 from .shared.talk import FAILED, INTERRUPTED, failure_line, say
-from .spectra import app as spectra
-from .twin import app as twin
 
-__all__ = ["app", "main"]
-
+GROUPS = {
+    "spectra": "What the rock is made of: absorption bands and minerals from reflectance spectra.",
+    "regolith": "What the ground is: wheel-soil forces, the soil that wheel states reveal, and soils alike.",
+    "twin": "Whether the next drive is safe: a rover simulated on deformable ground.",
+}
+SINGLE = {
+    "reproduce": "Numbers of Ding et al. (2024) beside what lunarsci makes of what they publish, with a verdict each.",
+    "demo": "Run the whole chain on embedded synthetic data: rock, drive, ground. Under a minute on two cores.",
+}
+HELP = (
+    "From a lunar rover's spectra and wheel telemetry to what the rock is, what the ground is, and whether the next "
+    "drive is safe."
+)
 EXIT_CODES = "Exit codes: 0 done; 1 failed; 2 wrong usage; 3 finished, but not to be trusted or not safe."
 
-app = typer.Typer(
-    no_args_is_help=True,
-    add_completion=False,
-    help="From a lunar rover's spectra and wheel telemetry to what the rock is, what the ground is, and whether the "
-    "next drive is safe.",
-    epilog=EXIT_CODES,
-)
-app.add_typer(spectra, name="spectra")
-app.add_typer(regolith, name="regolith")
-app.add_typer(twin, name="twin")
-reproduce.add_to(app)
-demo.add_to(app)
+
+def command_line(wanted: Collection[str] = (*GROUPS, *SINGLE)) -> typer.Typer:
+    """The program; parts that are not wanted are there by name alone, which spares importing them."""
+    program = typer.Typer(no_args_is_help=True, add_completion=False, help=HELP, epilog=EXIT_CODES)
+    program.callback()(lunarsci)
+    for name, text in GROUPS.items():
+        group = typer.Typer(no_args_is_help=True, help=text)
+        group.callback()(lambda: None)
+        if name in wanted:
+            import_module(f".{name}", __name__).add_to(group)
+        program.add_typer(group, name=name)
+    for name, text in SINGLE.items():
+        if name in wanted:
+            import_module(f".{name}", __name__).add_to(program)
+        else:
+            program.command(name, help=text)(lambda: None)
+    return program
 
 
 def _show_version(value: bool) -> None:
@@ -41,7 +54,6 @@ def _show_version(value: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def lunarsci(
     version: Annotated[
         bool, typer.Option("--version", help="Print the version and leave.", is_eager=True, callback=_show_version)
@@ -57,7 +69,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _prepare_process()
     try:
         quiet = "-q" in arguments or "--quiet" in arguments
-        code: Any = app(current(arguments, quiet=quiet), standalone_mode=False, prog_name="lunarsci")
+        arguments = current(arguments, quiet=quiet)
+        code: Any = command_line(arguments[:1])(arguments, standalone_mode=False, prog_name="lunarsci")
         code = int(code or 0)
     except (KeyboardInterrupt, typer.Abort):
         code = INTERRUPTED

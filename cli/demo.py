@@ -13,8 +13,6 @@ from .shared.report import Report
 from .shared.table import TextTable, plus_minus
 from .shared.talk import say
 
-__all__ = ["add_to"]
-
 FOLDER = "lunarsci-demo"
 
 

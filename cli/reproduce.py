@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from lunarsci.reproduce.job import Reproduction
     from lunarsci.reproduce.numbers import Number
 
-__all__ = ["add_to"]
 
 OPTIONS = {
     "part": option("Which of the numbers, and of the pages of --plot; rock is another name of spectra."),

@@ -8,8 +8,6 @@ from pathlib import Path
 
 from lunarsci.errors import OutputError
 
-__all__ = ["check_folder", "check_target", "write_files"]
-
 
 def check_target(path: Path, *, force: bool) -> None:
     """Raise OutputError when a file cannot be written to `path`: call it before a long computation."""

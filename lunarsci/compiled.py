@@ -8,8 +8,6 @@ import numba
 
 from lunarsci.machine_code import keep_copies_apart, tend_cache
 
-__all__ = ["LANE_OPTIONS", "VECTORS", "compiled", "each_in_threads", "in_lanes", "joined", "pasted"]
-
 VECTORS = {"reassoc", "contract", "nsz", "arcp"}
 """`fastmath` that lets sums become vector instructions and still knows infinity and NaN."""
 LANE_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz"}}

@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass
 
-__all__ = ["LUNAR_GRAVITY", "Constant"]
-
 
 @dataclass(frozen=True, slots=True)
 class Constant:

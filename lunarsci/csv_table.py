@@ -9,17 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile, read_input, text
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["check_columns", "csv_bytes", "numbers_of", "read_csv_table", "without_repeats"]
 
-FloatArray = npt.NDArray[np.float64]
 BLANK = ("nan", "na", "-", "")
 ALIKE = 0.72
 """Likeness of two names (difflib's ratio) from which one is taken for a slip of the pen of the other; assumed."""

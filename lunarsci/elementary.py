@@ -12,8 +12,6 @@ import numpy as np
 
 from lunarsci.compiled import pasted
 
-__all__ = ["arcsin", "cosine", "exp_minus_one", "exponential", "logarithm", "sine"]
-
 LN_2_HIGH, LN_2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 """ln 2 in two parts, the first with trailing zeros, so that whole multiples of it are exact."""
 PER_LN_2 = 1 / math.log(2)

@@ -9,8 +9,6 @@
 Each also inherits the builtin a caller would expect. The message is one line: what, where, and what to do.
 """
 
-__all__ = ["DataError", "LunarSciError", "LunarSciWarning", "OutputError", "ParameterError", "RequestError"]
-
 
 class LunarSciError(Exception):
     """Root of every error that lunarsci raises on purpose."""

@@ -11,7 +11,6 @@ from lunarsci.errors import LunarSciWarning, ParameterError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["picture_bytes"]
 
 _DATELESS = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
 DPI = 150

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from astropy.table import Table
 
-__all__ = ["InputFile", "Source", "expand_inputs", "read_input", "read_json", "text", "together"]
 
 Source: TypeAlias = "str | Path | InputFile | IO[Any] | pd.DataFrame | Table"
 """What can be read: a path, - for standard input, an open file, a table in memory, or what was read already."""

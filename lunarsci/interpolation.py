@@ -1,12 +1,8 @@
 """Interpolation in time by straight lines between samples."""
 
 import numpy as np
-import numpy.typing as npt
 
-__all__ = ["at_times", "samples_about"]
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from lunarsci.arrays import FloatArray, IntArray
 
 
 def samples_about(times_s: FloatArray, wanted_s: FloatArray) -> tuple[IntArray, FloatArray]:

@@ -21,8 +21,6 @@ import llvmlite.binding as llvm
 from numba.core.caching import IndexDataCacheFile
 from numba.core.codegen import CPUCodeLibrary
 
-__all__ = ["keep_copies_apart", "sources_digest", "tend_cache"]
-
 PACKAGE = Path(__file__).parent
 IMPORTS = re.compile(r"^\s*from\s+(lunarsci[\w.]*)\s+import\s+(\([^)]*\)|[^#\n]*)|^\s*import\s+(lunarsci[\w.]*)", re.M)
 DIGEST_BYTES = 32

@@ -13,8 +13,6 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
-__all__ = ["Provenance", "document", "plain", "sha256", "to_json"]
-
 _PACKAGES = ("numpy", "scipy", "lmfit", "astropy", "pandas", "numba", "matplotlib")
 
 

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from astropy.table import QTable
     from matplotlib.figure import Figure
 
-__all__ = ["MadeFrom", "Result", "flat", "request_of", "unit_of"]
 
 Request = TypeVar("Request")
 

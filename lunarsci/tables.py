@@ -8,9 +8,6 @@ from types import MappingProxyType
 
 from lunarsci.provenance import sha256
 
-__all__ = ["table_hashes", "table_rows"]
-
-
 SPECTRA_DATA = "lunarsci.spectra_data"
 
 

@@ -13,6 +13,7 @@ SHARED = {
     "errors",
     "constants",
     "provenance",
+    "arrays",
     "atomic",
     "csv_table",
     "interpolation",
@@ -115,6 +116,39 @@ def lengths() -> list[tuple[str, int]]:
 def test_functions_and_modules_stay_small() -> None:
     assert [row for row in lengths() if row[1] > 60] == []
     assert [p.name for p in TREES if p.read_text("utf-8").count("\n") > 400] == []
+
+
+def commands() -> list[tuple[str, int]]:
+    """Name and lines of the body of every function that answers a command."""
+    found = []
+    for path, tree in TREES.items():
+        for node in tree.body if ROOT / "cli" in path.parents else ():
+            if isinstance(node, ast.FunctionDef) and node.returns and ast.unparse(node.returns) == "Report":
+                body = node.body[1:] if ast.get_docstring(node) else node.body
+                found.append((node.name, body[-1].end_lineno - body[0].lineno + 1))  # type: ignore[operator]
+    return found
+
+
+def test_a_command_calls_a_job_and_no_more() -> None:
+    assert len(commands()) > 20
+    assert [row for row in commands() if row[1] > 15] == []
+
+
+def test_no_fragment_has_a_single_user() -> None:
+    """Commands, which their group names, and jobs, which notebooks name, are what people use."""
+    users: Counter[str] = Counter()
+    for path, tree in TREES.items():
+        if path != FRONT:
+            users.update(
+                name for name in imports(tree) if name != ".".join(path.relative_to(ROOT).with_suffix("").parts)
+            )
+    fragments = []
+    for path in TREES:
+        name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        inner = ROOT / "lunarsci" in path.parents and path.stem != "__init__" and path.parent.name != "jobs"
+        if inner and path.read_text("utf-8").count("\n") < 60 and users[name] < 2:
+            fragments.append(name)
+    assert fragments == []
 
 
 def test_every_table_row_names_a_known_source() -> None:

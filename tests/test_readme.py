@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import typer
-from lunarsci.cli import app, main
+from lunarsci.cli import command_line, main
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "README.md").read_text("utf-8")
@@ -100,7 +100,7 @@ def commands_of(group: typer.Typer, above: str = "") -> list[str]:
 def test_options_named_in_the_readme_exist(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Every `--option` in the prose is one of some command."""
     monkeypatch.setenv("COLUMNS", "200")
-    for command in commands_of(app):
+    for command in commands_of(command_line()):
         assert main([*command.split(), "--help"]) == 0
     known = capfd.readouterr().out
     for option in set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", TEXT)):

@@ -15,7 +15,6 @@ from ..shared.table import TextTable
 if TYPE_CHECKING:
     from lunarsci.regolith.compare import SoilComparison
 
-__all__ = ["add_to"]
 
 SHOWN = 8
 GIVEN = "The site, instead of a result"

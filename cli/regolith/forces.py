@@ -12,8 +12,6 @@ from ..shared.options import option
 from ..shared.report import Report
 from ..shared.table import TextTable
 
-__all__ = ["READING", "ROVER", "add_to"]
-
 SOIL, EXACT = "Soil", "Exact integrals"
 ROVER = "Rover or wheel: a name (yutu2, cmu-grouser, hit-smooth, rashid-1, lrv …) or a TOML file."
 READING = "Sign of the shear law: signed agrees with measured wheels; the others only reproduce numbers."

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from lunarsci.regolith.identify import Estimate, Identification
     from lunarsci.regolith.sensitivity import Sensitivity
 
-__all__ = ["OPTIONS", "States", "add_to", "tables"]
 
 ERRORS = "Errors (where the file gives none)"
 SYMBOLS = {

@@ -20,7 +20,6 @@ from .identify import States, tables
 if TYPE_CHECKING:
     from lunarsci.regolith.inference.posterior import SoilPosterior
 
-__all__ = ["add_to"]
 
 LAW, INTERVALS, OTHER = "Wheel-soil law", "Intervals", "Forces of other states"
 LABELS = {

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 
 from .talk import say
 
-__all__ = ["ALIASES", "Alias", "current", "option_now"]
-
 
 @dataclass(frozen=True, slots=True)
 class Alias:

@@ -24,8 +24,6 @@ from .options import CONFIG, Output, RequestOption, request_parameters, shared_o
 from .report import Report
 from .talk import INTERRUPTED, say
 
-__all__ = ["command"]
-
 
 def command(
     app: typer.Typer,

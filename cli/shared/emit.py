@@ -20,8 +20,6 @@ from .talk import say
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["emit"]
-
 
 def emit(report: Report, output: Output, provenance: Provenance) -> None:
     """Write the pictures and the result, then say what was written and what to know about it."""

@@ -14,8 +14,6 @@ from lunarsci.atomic import check_folder, check_target
 
 from .aliases import option_now
 
-__all__ = ["CONFIG", "Output", "RequestOption", "option", "request_parameters", "shared_options"]
-
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 PANEL = "Output"
 

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from lunarsci.result import Result
 
-__all__ = ["Report"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Report:

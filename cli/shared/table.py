@@ -9,8 +9,6 @@ from typing import Any
 
 from lunarsci.provenance import plain
 
-__all__ = ["TextTable", "counted", "plus_minus", "render", "to_csv"]
-
 _NEVER_CUT = 100_000
 
 

@@ -5,8 +5,6 @@ import sys
 
 from lunarsci.errors import LunarSciError
 
-__all__ = ["FAILED", "INTERRUPTED", "UNTRUSTED", "failure_line", "say"]
-
 FAILED, UNTRUSTED, INTERRUPTED = 1, 3, 130
 
 

@@ -15,8 +15,6 @@ from ..shared.report import Report
 from ..shared.table import TextTable, counted, plus_minus
 from .options import UNITS, Files
 
-__all__ = ["add_to"]
-
 OPTIONS = {
     "continuum": option(
         "conic: through 700, 1345, 1580 nm, guarded; hull: upper convex hull; linear: between shoulders."

@@ -16,7 +16,6 @@ from ..shared.table import TextTable, counted, plus_minus
 if TYPE_CHECKING:
     from lunarsci.spectra.vnis.calibration import Calibration
 
-__all__ = ["add_to"]
 
 Products = Annotated[
     list[str],

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from lunarsci.spectra.abundance.result import Abundance
     from lunarsci.spectra.mgm.result import FittedBand, MgmFit
 
-__all__ = ["MODEL_OPTIONS", "add_to", "fit_tables"]
 
 MODEL, LIMITS, ANSWER = "Model", "Constraints", "Errors"
 MODEL_OPTIONS: dict[str, RequestOption] = {

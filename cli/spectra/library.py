@@ -19,7 +19,6 @@ from .options import UNITS, Files
 if TYPE_CHECKING:
     from lunarsci.spectra.jobs.library import CheckedLibrary, Library
 
-__all__ = ["app"]
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -41,6 +40,11 @@ OPTIONS = {
     "source": option("Where spectra come from whose source is unknown.", metavar="TEXT"),
     **UNITS,
 }
+
+
+def add_to(group: typer.Typer) -> None:
+    """Register the group of commands."""
+    group.add_typer(app, name="library")
 
 
 @command(app, "import", request=ImportRequest, options=OPTIONS)

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from lunarsci.spectra.jobs.match import Matches
     from lunarsci.spectra.origin.match import CraterMatch, RockMatch
 
-__all__ = ["add_to"]
 
 ROCK, CRATERS, PRIOR, EXPOSURE = "Rock", "Craters", "Prior", "Survival and re-excavation"
 

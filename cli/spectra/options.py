@@ -6,8 +6,6 @@ import typer
 
 from ..shared.options import option
 
-__all__ = ["UNITS", "Files"]
-
 Files = Annotated[
     list[str],
     typer.Argument(

@@ -13,8 +13,6 @@ from ..shared.options import option
 from ..shared.report import Report
 from ..shared.table import TextTable
 
-__all__ = ["add_to"]
-
 OPTIONS = {
     "soil": option("Fractions of ol, opx, cpx, plg that add up to 1.", metavar="MINERALS"),
     "rock": option("The same for a rock in the image; none if left out.", metavar="MINERALS"),

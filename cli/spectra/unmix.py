@@ -11,8 +11,6 @@ from ..shared.report import Report
 from .fit import MODEL_OPTIONS, fit_tables
 from .options import UNITS, Files
 
-__all__ = ["add_to"]
-
 MIXTURE = "Mixture"
 OPTIONS = {
     "method": option(

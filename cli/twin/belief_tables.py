@@ -7,8 +7,6 @@ from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 
 from ..shared.table import TextTable
 
-__all__ = ["discrepancy_table", "parameter_table"]
-
 
 def parameter_table(rows: Mapping[str, Mapping[str, float]], title: str, notes: Sequence[str] = ()) -> TextTable:
     """Effective values and the ground's own of each parameter, from `parameter_rows`."""

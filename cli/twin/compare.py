@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from lunarsci.twin.comparison.matched import MatchedObservations, Miss
     from lunarsci.twin.comparison.verdict import DriveComparison
 
-__all__ = ["add_to"]
 
 FILE: dict[str, Any] = {"kind": str | None, "metavar": "FILE"}
 OPTIONS = {

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from lunarsci.twin.jobs.forces import DriveForces
     from lunarsci.twin.judgement.load_check import Spread, WheelLoads
 
-__all__ = ["add_to", "wheel_tables"]
 
 OPTIONS = {
     "rover": ROVER,

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from lunarsci.regolith.belief_history import BeliefDistance
     from lunarsci.twin.jobs.history import BeliefHistory
 
-__all__ = ["add_to"]
 
 OPTIONS = {
     "against": option(

@@ -16,8 +16,6 @@ from ..shared.table import TextTable
 from .forces import wheel_tables
 from .options import INTERPOLATION, ROVER, TERRAIN, PlanFile
 
-__all__ = ["add_to"]
-
 PANEL: dict[str, Any] = {"panel": "Uncertain motion and soil"}
 OPTIONS = {
     "member": option("Which member of the motion's file, where it has several.", min=0),

@@ -6,22 +6,6 @@ import typer
 
 from ..shared.options import option
 
-__all__ = [
-    "BEFORE",
-    "FIXES",
-    "INTERPOLATION",
-    "MEMBERS",
-    "ROVER",
-    "RUTS",
-    "SAMPLE",
-    "SEED",
-    "SOILS",
-    "SWEEP",
-    "TERRAIN",
-    "TIME_STEP",
-    "PlanFile",
-]
-
 PlanFile = Annotated[
     str | None, typer.Argument(help="Plan of the drive (TOML); the embedded one of Yutu-2 to the rock if left out.")
 ]

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from lunarsci.twin.ground.hazards import Mobility
     from lunarsci.twin.routes.planner import PlannedPath
 
-__all__ = ["add_to"]
 
 PATH = "Path"
 OPTIONS = {

@@ -31,7 +31,6 @@ from .options import (
 if TYPE_CHECKING:
     from lunarsci.twin.judgement.safety import Judgement, Verdict
 
-__all__ = ["add_to"]
 
 OPTIONS = {
     "rover": ROVER,

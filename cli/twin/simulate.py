@@ -11,8 +11,6 @@ from ..shared.report import Report
 from ..shared.table import TextTable
 from .options import BEFORE, INTERPOLATION, ROVER, RUTS, SEED, TERRAIN, TIME_STEP, PlanFile
 
-__all__ = ["add_to"]
-
 OPTIONS = {
     "rover": ROVER,
     "terrain": TERRAIN,

@@ -15,7 +15,6 @@ from .options import INTERPOLATION, ROVER, TERRAIN
 if TYPE_CHECKING:
     from lunarsci.twin.jobs.states import MeasuredStates
 
-__all__ = ["add_to"]
 
 OPTIONS = {
     "rover": ROVER,

@@ -12,8 +12,6 @@ from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
 
-__all__ = ["LIMITS", "OPTIONS", "GeoTiff", "TerrainFile", "add_to", "check_files", "ground_table"]
-
 LIMITS, GROUND = "Limits, instead of those of the rover file", "Synthetic ground"
 OPTIONS = {
     "rover": option("Rover: a name (yutu2, small-four) or a TOML file."),

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from lunarsci.twin.assimilation.segments import Segment
     from lunarsci.twin.jobs.update import LearnedSoil
 
-__all__ = ["add_to"]
 
 FILE: dict[str, Any] = {"kind": str | None, "metavar": "FILE"}
 OPTIONS = {

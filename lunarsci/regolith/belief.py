@@ -9,27 +9,13 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile, read_json, text
 from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy
 from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, values_of
 
-__all__ = [
-    "SCHEMA",
-    "FitVerdict",
-    "SoilBelief",
-    "belief_of",
-    "doubt",
-    "first_belief",
-    "read_belief",
-    "read_verdict",
-    "verdict_line",
-    "verdict_of",
-]
-
-FloatArray = npt.NDArray[np.float64]
 SCHEMA = "lunarsci/soil-belief/1"
 ASYMMETRY = 1e-9
 MARK = "# verdict of the fit: "

@@ -14,30 +14,13 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy
 from lunarsci.regolith.prior import PARAMETERS, values_of
 
-__all__ = [
-    "OTHER_PHYSICS",
-    "BeliefDistance",
-    "GroundInterval",
-    "ParameterDistance",
-    "compare_beliefs",
-    "ground_intervals",
-    "ground_moments",
-    "moved_sd",
-    "parameter_rows",
-    "past_beliefs",
-    "rolled_back",
-    "shared_drives",
-    "with_drive",
-]
-
-FloatArray = npt.NDArray[np.float64]
 OTHER_PHYSICS: Mapping[str, float] = MappingProxyType(
     {
         "stiffness_kpa_m_n": 0.7,

@@ -10,26 +10,10 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from lunarsci.errors import ParameterError
 from lunarsci.tables import table_hashes, table_rows
 
-__all__ = [
-    "KINDS",
-    "TABLE",
-    "ReferenceSoil",
-    "Site",
-    "SoilComparison",
-    "compare_site",
-    "lateral_soils",
-    "nearest",
-    "reference_hash",
-    "reference_soils",
-    "site_of",
-]
-
-FloatArray = npt.NDArray[np.float64]
 TABLE, LATERAL = "reference_soils.csv", "lateral_soils.csv"
 KINDS = ("terrestrial", "simulant", "lunar")
 SINKAGES_M = np.linspace(0.005, 0.02, 16)

@@ -7,21 +7,6 @@ from typing import Literal, get_args
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import ParameterError
 
-__all__ = [
-    "BULLDOZING",
-    "DENSITY_KG_M3",
-    "MAX_VALID_SLIP",
-    "PAPER",
-    "SHEAR_LAWS",
-    "SHEAR_SIGNS",
-    "SLIP_SINKAGE_LAWS",
-    "Bulldozing",
-    "ContactModel",
-    "ShearLaw",
-    "ShearSign",
-    "SlipSinkageLaw",
-]
-
 PAPER = "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8"
 ShearSign = Literal["signed", "printed", "slip-branch"]
 """Sign convention of the longitudinal shear stress, see `lunarsci.regolith.forces`."""

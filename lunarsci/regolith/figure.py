@@ -22,8 +22,6 @@ from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.wheel import Wheel
 
-__all__ = ["belief_history_figure", "characteristic_curves", "comparison_figure", "forces_over_slip"]
-
 COLORS = dict(zip(KINDS, ("black", "#0072B2", "#009E73"), strict=True))
 MARKERS = dict(zip(KINDS, ("o", "^", "s"), strict=True))
 SITE, CURVE = "#D55E00", "#E69F00"

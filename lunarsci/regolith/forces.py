@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled, in_lanes, pasted
 from lunarsci.elementary import arcsin, cosine, exp_minus_one, exponential, logarithm, sine
 from lunarsci.errors import LunarSciWarning, ParameterError
@@ -28,27 +29,6 @@ from lunarsci.regolith.contact import SHEAR_SIGNS, ShearSign
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.wheel import Wheel
 
-__all__ = [
-    "LEAST_SINKAGE_M",
-    "MOST_COHESION",
-    "WheelForces",
-    "check_states",
-    "closed_form_forces",
-    "cohesion_share",
-    "contact_angles",
-    "contact_forces",
-    "longitudinal_mobilisation",
-    "motion_ratios",
-    "shear_sign_code",
-    "slip_ratio",
-    "stress_moments",
-    "travel_ratio",
-    "warn_of_shear_sign",
-    "wheel_forces_and_slopes",
-    "wheel_forces_kernel",
-]
-
-FloatArray = npt.NDArray[np.float64]
 MOST_COHESION = 1.0
 """Share of the normal force that cohesion alone may pull; beyond, forces are those of a wheel hardly in touch. Assumed:
 wheels that were compared with the model pull less than their load."""

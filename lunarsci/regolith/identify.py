@@ -5,18 +5,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.regolith import inversion
 from lunarsci.regolith.contact import ShearSign
 from lunarsci.regolith.forces import shear_sign_code, warn_of_shear_sign
 from lunarsci.regolith.states import WheelStates
 from lunarsci.regolith.wheel import Wheel
-
-__all__ = ["UNITS", "Assumptions", "Estimate", "Identification", "estimate", "identify"]
-
-FloatArray = npt.NDArray[np.float64]
 
 DRAWS = 1024
 """Sample size of Ding et al. (2024)."""

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.contact import SLIP_SINKAGE_LAWS, ContactModel, ShearSign, SlipSinkageLaw
@@ -26,22 +27,6 @@ from lunarsci.regolith.integrals import forces_by
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.wheel import Wheel
 
-__all__ = [
-    "cohesion",
-    "external_friction_angle",
-    "friction_angle",
-    "invert_states",
-    "lateral_modulus",
-    "reece_stiffness",
-    "settle_under_load",
-    "sinkage_exponent",
-    "sinkage_under_load",
-    "slip_sinkage",
-    "stiffness",
-    "stiffness_under_load",
-]
-
-FloatArray = npt.NDArray[np.float64]
 DEEPEST = 0.95
 """Deepest sinkage looked at, as a share of the wheel radius."""
 STEEPEST_DEG = 85.0

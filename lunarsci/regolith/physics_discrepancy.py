@@ -11,13 +11,10 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 
-__all__ = ["AXES", "FIRST", "SHARED", "PhysicsDiscrepancy", "VarianceLaw"]
-
-FloatArray = npt.NDArray[np.float64]
 AXES = ("along", "across")
 SHARED = ("sinkage_m", "drawbar_pull_n", "lateral_force_n")
 """Quantities of the wheels with a share of their own. Slip and side slip follow from those of the way."""

@@ -8,25 +8,12 @@ from functools import cache
 from importlib.resources import files
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile, text
 from lunarsci.tables import table_hashes
 
-__all__ = [
-    "CONTACT",
-    "PARAMETERS",
-    "PRIORS",
-    "Law",
-    "contact_prior",
-    "default_prior",
-    "prior_hash",
-    "read_prior",
-    "values_of",
-]
-
-FloatArray = npt.NDArray[np.float64]
 PRIORS = "priors.toml"
 PARAMETERS = (
     "stiffness_kpa_m_n",

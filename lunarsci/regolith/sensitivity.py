@@ -10,8 +10,6 @@ from lunarsci.regolith.identify import Assumptions, Identification, identify
 from lunarsci.regolith.states import COLUMNS, WheelStates
 from lunarsci.regolith.wheel import Wheel
 
-__all__ = ["Sensitivity", "sensitivities"]
-
 PARAMETERS = (
     "stiffness_kpa_m_n",
     "exponent",

@@ -11,8 +11,6 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.provenance import sha256
 from lunarsci.tables import table_hashes
 
-__all__ = ["Soil", "known_soils", "read_soil", "soil_hash"]
-
 _POSITIVE = ("stiffness_kpa_m_n", "sinkage_exponent", "shear_modulus_mm", "lateral_modulus_mm")
 _ANGLES = ("friction_angle_deg", "external_friction_angle_deg")
 

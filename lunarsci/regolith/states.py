@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.csv_table import check_columns, numbers_of, read_csv_table, without_repeats
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
@@ -20,18 +20,6 @@ from lunarsci.regolith.wheel import Wheel
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "COLUMNS",
-    "FROM_MOTION",
-    "MeasurementErrors",
-    "StateTable",
-    "WheelStates",
-    "read_state_table",
-    "read_states",
-]
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 REQUIRED = ("sinkage_m", "normal_force_n", "drawbar_pull_n")
 COLUMNS = ("sinkage_m", "slip_ratio", "side_slip_deg", "normal_force_n", "drawbar_pull_n", "lateral_force_n")
@@ -270,7 +258,7 @@ def _kept_rows(found: StateTable) -> BoolArray:
     return keep
 
 
-def _check_values(name: str, values: FloatArray, rows: npt.NDArray[np.intp], wheel: Wheel) -> None:
+def _check_values(name: str, values: FloatArray, rows: IndexArray, wheel: Wheel) -> None:
     z, s, beta, load = values[:, 0], values[:, 1], values[:, 2], values[:, 3]
     for column, bad, rule in (
         (

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.rovers.description import RoverDescription, read_rover
 
-__all__ = ["Wheel", "read_wheel", "shearing_radius"]
-
 
 def shearing_radius(radius_m: float, grouser_height_m: float, grouser_shear_coefficient: float) -> float:
     """Equivalent shearing radius of a wheel with grousers, r_s = r + lambda_s h.

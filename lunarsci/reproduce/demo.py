@@ -40,7 +40,6 @@ from lunarsci.twin.simulation.ensemble import Prediction, predict
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Demonstration", "demo"]
 
 SOIL = "longji"
 

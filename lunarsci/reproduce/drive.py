@@ -24,8 +24,6 @@ from lunarsci.twin.plans.plan import Plan, Sweep, read_plan
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import Prediction, predict
 
-__all__ = ["K_Y_MM", "PHI_DEG", "STAND_IN", "Drives", "drive_numbers", "medians", "predicted_drives"]
-
 SOIL, STAND_IN = "longji", "stand-in"
 PHI_DEG, K_Y_MM = (25.0, 55.0), (15.0, 45.0)
 VALUES = 7

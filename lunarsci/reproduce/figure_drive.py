@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.reproduce.drive import (
     K_Y_MM,
     PHI_DEG,
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["drive_pages"]
 
 PHI, K_Y = "friction_angle_deg", "lateral_modulus_mm"
 SYMBOLS = {PHI: ("φ", "°"), K_Y: ("K$_y$", " mm")}
@@ -69,7 +68,7 @@ def _fans(found: Prediction) -> "Figure":
     return figure
 
 
-def _colors(values: npt.NDArray[np.float64]) -> Any:
+def _colors(values: FloatArray) -> Any:
     from matplotlib import colormaps
 
     low, high = float(values.min()), float(values.max())

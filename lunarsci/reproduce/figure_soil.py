@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.regolith import inversion
 from lunarsci.regolith.compare import ReferenceSoil, lateral_soils, reference_soils
 from lunarsci.regolith.forces import closed_form_forces, shear_sign_code
@@ -40,9 +40,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.transforms import Bbox
 
-__all__ = ["Histogram", "histograms", "place_names", "soil_pages"]
 
-FloatArray = npt.NDArray[np.float64]
 SHEAR_MODULUS_M = 0.0178
 
 

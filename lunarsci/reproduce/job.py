@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from lunarsci.reproduce.spectra import Rocks
     from lunarsci.rovers.description import RoverDescription
 
-__all__ = ["ReproduceRequest", "Reproduction", "reproduce"]
 
 Progress = Callable[[int, int], None]
 ROVER = "yutu2"

@@ -5,19 +5,6 @@ from dataclasses import dataclass
 
 from lunarsci.tables import table_hashes, table_rows
 
-__all__ = [
-    "OPEN",
-    "PARTS",
-    "TABLE",
-    "VERDICTS",
-    "Answer",
-    "Number",
-    "judge",
-    "published_hash",
-    "published_numbers",
-    "published_value",
-]
-
 TABLE = "published.csv"
 PARTS = ("spectra", "soil", "drive")
 REPRODUCED, NAMED = "reproduced", "reproduced under a named reading"

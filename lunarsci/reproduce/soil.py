@@ -26,24 +26,6 @@ from lunarsci.regolith.wheel import Wheel, read_wheel
 from lunarsci.reproduce.numbers import Answer, Number, judge, published_numbers
 from lunarsci.twin.rover import Rover
 
-__all__ = [
-    "BEARING_DOTS",
-    "COHESION_PA",
-    "CORNER",
-    "LATERAL_CORNERS",
-    "MEAN_SINKAGE_M",
-    "PHI_DEG",
-    "SIDE_SLIPS_DEG",
-    "SLIP",
-    "STIFFNESS",
-    "TYPICAL",
-    "Rolling",
-    "identified",
-    "published_soil",
-    "soil_numbers",
-    "stand_in_forces",
-]
-
 STEEPEST_DEG = 30.0
 SLIPS = (-0.6, 0.6)
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
 from lunarsci.reproduce.numbers import Answer, Number, judge, published_numbers, published_value
 from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
@@ -32,18 +32,6 @@ from lunarsci.spectra.spectrum import Spectrum, savitzky_golay_operator
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = [
-    "SMOOTHED_POINTS",
-    "TABLES",
-    "Rocks",
-    "boulders",
-    "fit_rocks",
-    "high_calcium",
-    "low_calcium",
-    "olivine_share",
-    "spectra_numbers",
-    "spectra_pages",
-]
 
 SMOOTHED_POINTS = 41
 """Savitzky-Golay points of Ding et al. (2024)."""
@@ -123,8 +111,6 @@ def olivine_share(fit: MgmFit) -> float:
     total = strength[OLIVINE] + sum(strength[name] for name in PYROXENES)
     return strength[OLIVINE] / total if total > 0 else float("nan")
 
-
-FloatArray = npt.NDArray[np.float64]
 
 TABLES = (END_MEMBERS, CRATERS)
 """Embedded tables that the numbers rest on."""

@@ -15,8 +15,6 @@ from typing import Any, Literal
 
 from lunarsci.errors import DataError, ParameterError
 
-__all__ = ["Kinship", "MadeFor", "RoverDescription", "known_rovers", "known_wheels", "made_for", "read_rover"]
-
 WHEELS = "wheels.toml"
 
 

@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError
 from lunarsci.spectra.continuum import CONTINUA, Continuum, ContinuumName, continuum
-from lunarsci.spectra.spectrum import BoolArray, FloatArray, Spectrum, channel_noise, savitzky_golay_operator
-
-__all__ = ["BANDS", "Band", "BandFailure", "BandResult", "SpectrumBands", "measure_bands", "measure_batch"]
+from lunarsci.spectra.spectrum import Spectrum, channel_noise, savitzky_golay_operator
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,5 @@
 """What results of spectra cite."""
 
-__all__ = ["ABSORBANCE", "HAPKE", "MGM", "NBSR", "PAPER", "SMOOTHING", "WEATHERING"]
-
 PAPER = "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8"
 MGM = "Sunshine, Pieters & Pratt (1990), J. Geophys. Res. 95, 6955, 10.1029/JB095iB05p06955"
 NBSR = "Kanner, Mustard & Gendrin (2007), Icarus 187, 442, 10.1016/j.icarus.2006.10.025"

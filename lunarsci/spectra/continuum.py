@@ -12,10 +12,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.spectra.spectrum import FloatArray
-
-__all__ = ["CONIC_TIES_NM", "CONTINUA", "Continuum", "ContinuumName", "continuum"]
 
 ContinuumName = Literal["conic", "hull", "linear"]
 CONTINUA: tuple[ContinuumName, ...] = get_args(ContinuumName)

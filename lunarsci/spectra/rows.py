@@ -8,20 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
-from lunarsci.spectra.spectrum import FloatArray
-
-__all__ = [
-    "Row",
-    "check_widths",
-    "is_missing",
-    "number",
-    "numbers",
-    "quoted",
-    "separator_of",
-    "split_fields",
-    "split_lines",
-]
 
 _LONGEST_SHOWN = 40
 

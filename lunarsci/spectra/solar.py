@@ -11,20 +11,9 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
-from lunarsci.spectra.spectrum import FloatArray
 from lunarsci.tables import table_rows
-
-__all__ = [
-    "COVERED_NM",
-    "M3_TABLE",
-    "SOLAR_SPECTRA",
-    "SolarSpectrum",
-    "in_band_irradiance",
-    "solar_spectrum",
-    "sun_moon_distance_au",
-    "table_name",
-]
 
 _FIRST = datetime(1950, 1, 1, tzinfo=UTC)
 _END = datetime(2100, 1, 1, tzinfo=UTC)

@@ -8,12 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, ParameterError
-
-__all__ = ["BoolArray", "FloatArray", "Spectrum", "channel_noise", "savitzky_golay_operator", "scatter_noise"]
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

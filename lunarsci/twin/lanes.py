@@ -9,13 +9,10 @@ proving that they do not overlap; this is why a wheel's part in a step is severa
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.compiled import pasted
 
-__all__ = ["LANES", "Work", "new_work"]
-
-FloatArray = npt.NDArray[np.float64]
 LANES = 16
 """Members in a group. With fewer the compiler, for the size of the code, would not check that rows do not overlap."""
 
@@ -69,7 +66,7 @@ class Work(NamedTuple):
     wheels: FloatArray
     levers: FloatArray
     sides: FloatArray
-    code: npt.NDArray[np.int64]
+    code: IntArray
     ruts: FloatArray
     frame: FloatArray
 

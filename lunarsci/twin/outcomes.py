@@ -3,20 +3,6 @@
 from collections.abc import Iterable
 from typing import SupportsInt
 
-__all__ = [
-    "CLIFF",
-    "DIVERGED",
-    "FELL",
-    "FINISHED",
-    "HOLE",
-    "LEFT",
-    "OUTCOMES",
-    "OVERTURNED",
-    "SANK",
-    "UNSETTLED",
-    "outcome_texts",
-]
-
 OUTCOMES = (
     "finished",
     "left the terrain: a wheel passed the edge of the map",

@@ -6,21 +6,18 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.regolith.wheel import Wheel, read_wheel
 from lunarsci.rovers.description import RoverDescription, read_rover
-
-__all__ = ["BOGIES", "Body", "Rover", "RoverVector", "Vector3", "build_rover"]
 
 PAIRS = ("front", "middle", "rear")
 BOGIES = ("rear", "front", "none")
 HUNG = {"rear": ("middle", "rear"), "front": ("front", "middle"), "none": ()}
 """Pairs of wheels on the bogies, by where these are; the others are on the rockers."""
 Vector3 = tuple[float, float, float]
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +183,7 @@ class Rover:
         return np.array(self.bogie_pivot_m or (0.0, 0.0, 0.0), dtype=float)
 
     @property
-    def steered_mask(self) -> npt.NDArray[np.bool_]:
+    def steered_mask(self) -> BoolArray:
         """Which wheels are steered, in the order of `wheels`."""
         return np.repeat([pair in self.steered for pair in self.pairs], 2)
 

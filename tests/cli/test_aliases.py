@@ -1,7 +1,7 @@
 """Former spellings still do what they did, and say what they stand for."""
 
 import pytest
-from lunarsci.cli import app, main
+from lunarsci.cli import command_line, main
 from lunarsci.cli.shared.aliases import ALIASES, current, option_now
 from typer.main import get_command
 
@@ -30,7 +30,7 @@ def test_a_former_spelling_is_replaced(former: str, now: str, capsys: pytest.Cap
 
 @pytest.mark.parametrize("alias", ALIASES, ids=str)
 def test_an_alias_stands_for_what_there_is(alias: object) -> None:
-    command = get_command(app)
+    command = get_command(command_line())
     for word in alias.to_command:  # type: ignore[attr-defined]
         command = command.commands[word]  # type: ignore[attr-defined]
     known = {name for parameter in command.params for name in parameter.opts}

@@ -195,9 +195,9 @@ def test_help_shows_the_commands(run: Run, group: list[str]) -> None:
 def test_no_help_has_a_unit_in_brackets() -> None:
     """Rich takes [m] for markup and prints nothing."""
     import typer.main
-    from lunarsci.cli import app
+    from lunarsci.cli import command_line
 
-    groups = [typer.main.get_command(app)]
+    groups = [typer.main.get_command(command_line())]
     texts = []
     for command in groups:
         groups += getattr(command, "commands", {}).values()

@@ -8,10 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import brentq
 from scipy.special import chdtri, ndtri
 
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.inference.problem import (
     STEP,
@@ -24,19 +24,6 @@ from lunarsci.regolith.inference.problem import (
 )
 from lunarsci.regolith.prior import values_of
 
-__all__ = [
-    "ROUGH",
-    "LeftOut",
-    "Mode",
-    "find_mode",
-    "left_out",
-    "mode_with_errors",
-    "mode_without_outliers",
-    "profile_limits",
-    "stretch_of",
-]
-
-FloatArray = npt.NDArray[np.float64]
 STEPS, HIGHEST_DAMPING, CONVERGED, ROUGH = 100, 1e10, 1e-4, 0.1
 LONGEST = 2.0
 """Step, in standard deviations of the prior."""
@@ -60,7 +47,7 @@ class Mode:
     that are alike in neighbouring states widen the covariance; they do not draw the mode nearer to the prior.
     """
 
-    kept: npt.NDArray[np.bool_]
+    kept: BoolArray
     point: FloatArray
     covariance: FloatArray
     problem: JointProblem
@@ -101,7 +88,7 @@ def mode_with_errors(problem: JointProblem, start: FloatArray | None = None) -> 
     return Mode(kept, point, np.asarray(0.5 * (wide + wide.T), dtype=np.float64), own, replace(fitted, alike=alike))
 
 
-def _within(problem: JointProblem, point: FloatArray, kept: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+def _within(problem: JointProblem, point: FloatArray, kept: BoolArray) -> BoolArray:
     """States that are no outliers; of too many, the worst are none of the others' business."""
     excess = _excess(problem, point)
     limit = max(1.0, float(np.sort(excess)[::-1][int(MOST_OUTLIERS * len(kept))]))
@@ -165,7 +152,7 @@ def _limit(problem: JointProblem, mode: FloatArray, k: int, side: int, rise: flo
 
 
 def find_mode(
-    problem: JointProblem, start: FloatArray, fixed: npt.NDArray[np.bool_] | None = None, tolerance: float = CONVERGED
+    problem: JointProblem, start: FloatArray, fixed: BoolArray | None = None, tolerance: float = CONVERGED
 ) -> tuple[FloatArray, FloatArray]:
     """Levenberg-Marquardt on whitened residuals, whose errors of the inputs follow the parameters.
 
@@ -220,12 +207,12 @@ class LeftOut:
     spread : their covariance, from the errors (1 on the diagonal) and the parameters. (3 g, 3 g)
     """
 
-    states: npt.NDArray[np.bool_]
+    states: BoolArray
     away: FloatArray
     spread: FloatArray
 
 
-def left_out(mode: Mode, groups: npt.NDArray[np.intp]) -> list[LeftOut]:
+def left_out(mode: Mode, groups: IndexArray) -> list[LeftOut]:
     """Each group predicted from the others, in a linear step from the mode.
 
     With rows w of whitened residuals of a group, J their derivatives, H the curvature of all others and a states alike,

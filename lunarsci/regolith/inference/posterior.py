@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import LunarSciWarning, ParameterError
 from lunarsci.regolith.belief import FitVerdict, SoilBelief, verdict_line
 from lunarsci.regolith.contact import ContactModel
@@ -33,10 +33,6 @@ from lunarsci.regolith.inference.verdict import judge
 from lunarsci.regolith.prior import CONTACT, PARAMETERS, Law, contact_prior, default_prior, values_of
 from lunarsci.regolith.states import WheelStates
 from lunarsci.regolith.wheel import Wheel
-
-__all__ = ["SoilPosterior", "fit_soil", "infer_soil", "law_name", "usable_states"]
-
-FloatArray = npt.NDArray[np.float64]
 
 LEAST_SINKAGE_M, DEEPEST = 1e-5, 0.95
 """States beyond are left out: sinkage, as a share of the radius the deepest."""
@@ -251,7 +247,7 @@ def infer_soil(
 
 def fit_soil(
     states: WheelStates,
-    usable: npt.NDArray[np.bool_],
+    usable: BoolArray,
     wheel: Wheel,
     laws: Mapping[str, Law],
     model: ContactModel | None,
@@ -263,7 +259,7 @@ def fit_soil(
     return mode_with_errors(problem) if model_error is None else mode_without_outliers(problem)
 
 
-def usable_states(states: WheelStates, wheel: Wheel) -> npt.NDArray[np.bool_]:
+def usable_states(states: WheelStates, wheel: Wheel) -> BoolArray:
     """States with a slip and a force whose sinkage the model can describe. (n,) Warns where some are not.
 
     Raises ParameterError where none is.

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile
@@ -27,18 +28,6 @@ from lunarsci.regolith.prior import Law, contact_prior, default_prior, values_of
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates, read_state_table
 from lunarsci.regolith.wheel import Wheel
 
-__all__ = [
-    "PredictedForces",
-    "PredictedStates",
-    "WheelLaw",
-    "WheelLawScore",
-    "candidates",
-    "compare_laws",
-    "predict_forces",
-    "predict_states",
-]
-
-FloatArray = npt.NDArray[np.float64]
 DRAWS = 200
 STEPS, SHALLOWEST, DEEPEST = 24, 1e-4, 0.95
 """Halvings to the sinkage under a load; its range as a share of the radius."""
@@ -66,7 +55,7 @@ class PredictedForces:
         low, high = np.nanquantile(self.draws, (0.5 - share / 2, 0.5 + share / 2), axis=0)
         return np.asarray(low), np.asarray(high)
 
-    def holds(self, measured: FloatArray, share: float = 0.9) -> npt.NDArray[np.bool_]:
+    def holds(self, measured: FloatArray, share: float = 0.9) -> BoolArray:
         """Whether measured forces (n, 3) lie in the interval of that share."""
         low, high = self.interval(share)
         return np.asarray((low <= measured) & (measured <= high))
@@ -243,7 +232,7 @@ def predict_states(posterior: SoilPosterior, wheel: Wheel, source: InputFile, *,
     return PredictedStates(ids, rows, np.median(found.sinkage_m, axis=0), load, measured)
 
 
-def _check(file: str, column: str, good: npt.NDArray[np.bool_], rule: str) -> None:
+def _check(file: str, column: str, good: BoolArray, rule: str) -> None:
     if not good.all():
         raise DataError(f"{file}, row {int(np.argmin(good)) + 1}, {column}: it must lie {rule}")
 
@@ -348,7 +337,7 @@ def _score(
     return WheelLawScore(law, float(part.sum()), float(away.sum()), sigma, error)
 
 
-def _densities(mode: Mode, groups: npt.NDArray[np.intp]) -> FloatArray:
+def _densities(mode: Mode, groups: IndexArray) -> FloatArray:
     """Logarithm of the predictive density of each group given all others. (groups,)"""
     problem = mode.problem
     slopes = problem.residuals_and_slopes(mode.point[None])[1][0]

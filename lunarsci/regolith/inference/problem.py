@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import minimize
 from scipy.special import gammaln
 
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.compiled import compiled, each_in_threads, in_lanes
 from lunarsci.regolith.contact import ContactModel
 from lunarsci.regolith.forces import motion_ratios, wheel_forces_kernel
@@ -21,24 +21,6 @@ from lunarsci.regolith.prior import CONTACT, PARAMETERS, Law, values_of
 from lunarsci.regolith.states import WheelStates
 from lunarsci.regolith.wheel import Wheel
 
-__all__ = [
-    "FORCES",
-    "STEP",
-    "JointProblem",
-    "common_share",
-    "error_covariance",
-    "forces_at",
-    "forces_of_many",
-    "neighbours",
-    "part_of",
-    "problem_of",
-    "shares_of",
-    "states_alike",
-    "tail_of",
-    "whitened",
-]
-
-FloatArray = npt.NDArray[np.float64]
 FORCES = ("normal_force_n", "drawbar_pull_n", "lateral_force_n")
 STEP = 1e-3
 """Of numerical derivatives, in standard deviations of the prior or the input."""
@@ -235,7 +217,7 @@ class JointProblem:
 
 def problem_of(
     states: WheelStates,
-    usable: npt.NDArray[np.bool_],
+    usable: BoolArray,
     wheel: Wheel,
     prior: Mapping[str, Law],
     model: ContactModel | None,
@@ -251,7 +233,7 @@ def problem_of(
     return JointProblem(inputs, spread, forces, np.nan_to_num(sigmas[:, 3:]), wheel, model, prior, model_error, contact)
 
 
-def part_of(problem: JointProblem, kept: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> JointProblem:
+def part_of(problem: JointProblem, kept: BoolArray | IndexArray) -> JointProblem:
     parts = {name: getattr(problem, name)[kept] for name in ("inputs", "input_sigma", "forces", "force_sigma")}
     return replace(problem, **parts)
 
@@ -316,7 +298,7 @@ def shares_of(problem: JointProblem, point: FloatArray, freedom: float) -> tuple
     return (float(found[0]), float(found[1]), float(found[2]))
 
 
-def neighbours(values: FloatArray, radius: float) -> npt.NDArray[np.intp]:
+def neighbours(values: FloatArray, radius: float) -> IndexArray:
     """Number of each state's group of neighbours in sinkage, slip and side slip, at most 8. (n,)
 
     All are halved along their longest side until there are enough; sinkage counts in radii, side slip in 90 deg.

@@ -9,12 +9,10 @@ Del Moral, Doucet & Jasra (2006), J. R. Stat. Soc. B 68, 411, 10.1111/j.1467-986
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import brentq
 
-__all__ = ["autocorrelation", "carry_population"]
+from lunarsci.arrays import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 KEPT = 0.5
 """Share of the particles that a step leaves, as an effective number."""
 WANTED_ACCEPTANCE, TUNING = 0.25, 1.0

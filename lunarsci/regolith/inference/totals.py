@@ -12,8 +12,8 @@ the errors of these, which are not small beside them, errors of the soil.
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.inference.mode import find_mode
@@ -21,9 +21,6 @@ from lunarsci.regolith.inference.problem import forces_of_many
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.regolith.wheel import Wheel
 
-__all__ = ["BalancedStates", "TotalsPosterior", "infer_from_totals"]
-
-FloatArray = npt.NDArray[np.float64]
 STEP = 1e-3
 """Of numerical derivatives by the inputs, in their standard errors."""
 MODEL_ERROR = 0.02
@@ -76,7 +73,7 @@ class BalancedStates:
             raise ParameterError("no wheel has a sinkage, a slip ratio and a load; without these nothing is learned")
 
     @property
-    def known(self) -> npt.NDArray[np.bool_]:
+    def known(self) -> BoolArray:
         """Wheels with a sinkage, a slip ratio and a load. (p, m)"""
         return np.asarray(
             np.isfinite(self.inputs[..., :2]).all(axis=2) & (self.load > 0) & (np.abs(self.inputs[..., 1]) < 1),
@@ -84,7 +81,7 @@ class BalancedStates:
         )
 
     @property
-    def whole(self) -> npt.NDArray[np.bool_]:
+    def whole(self) -> BoolArray:
         """Poses whose wheels are all known, with side slips, so that their forces can be added up. (p,)"""
         sided = np.isfinite(self.inputs[..., 2]).all(axis=1)
         return np.asarray(self.known.all(axis=1) & sided & np.isfinite(self.totals).all(axis=1), dtype=np.bool_)

@@ -4,17 +4,14 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import FitVerdict
 from lunarsci.regolith.inference.mode import ROUGH, Mode, find_mode, mode_with_errors
 from lunarsci.regolith.inference.problem import JointProblem, error_covariance, part_of
 from lunarsci.regolith.states import WheelStates
 
-__all__ = ["CEILINGS", "Suspect", "judge", "suspects"]
-
-FloatArray = npt.NDArray[np.float64]
 CEILINGS = (0.35, 0.15, 0.15)
 """Share of the load by which the law may miss F_N, F_DP, F_L before no soil of it counts as an explanation; assumed. A
 pull that errs by 0.15 is a slope of 8.5 deg; a normal force at a measured sinkage errs most, as it goes with a power of

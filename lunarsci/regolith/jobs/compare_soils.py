@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from lunarsci.regolith.compare import Site, SoilComparison
 
-__all__ = ["CompareSoilsRequest", "ComparedSoils", "compare_soils"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CompareSoilsRequest:

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from lunarsci.regolith.states import MeasurementErrors, WheelStates
     from lunarsci.regolith.wheel import Wheel
 
-__all__ = ["LABELS", "IdentifiedSoil", "IdentifyRequest", "StatesOfWheel", "identify", "read_wheel_states"]
 
 LABELS = {
     "stiffness_kpa_m_n": "stiffness K_s",

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from lunarsci.regolith.inference.posterior import SoilPosterior
     from lunarsci.regolith.inference.prediction import PredictedStates, WheelLaw, WheelLawScore
 
-__all__ = ["InferRequest", "InferredSoil", "infer"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InferRequest(IdentifyRequest):

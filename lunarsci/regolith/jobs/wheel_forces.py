@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from lunarsci.regolith.soil import Soil
     from lunarsci.regolith.wheel import Wheel
 
-__all__ = ["ForcesOnWheel", "WheelForcesRequest", "wheel_forces"]
 
 SOIL = {
     "stiffness": "stiffness_kpa_m_n",

@@ -5,14 +5,12 @@ from functools import lru_cache
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.library.end_member import EndMember
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model, unit_of
-from lunarsci.spectra.spectrum import FloatArray
 from lunarsci.tables import table_rows
-
-__all__ = ["CHEMISTRY", "FAMILY_OF", "OPAQUE", "TABLE", "embedded_end_members"]
 
 TABLE = "end_members.csv"
 FAMILY_OF = {"olivine": "OL", "orthopyroxene": "OPX", "clinopyroxene": "CPX", "plagioclase": "PLG"}

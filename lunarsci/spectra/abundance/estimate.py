@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.abundance.end_members import OPAQUE, embedded_end_members
 from lunarsci.spectra.abundance.mixing import Absorbance, Albedo, HapkeSurface, MixingLaw, Weathering, iron_absorption
@@ -17,18 +18,7 @@ from lunarsci.spectra.abundance.powders import Powders, loosened, population
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction
 from lunarsci.spectra.abundance.unmix import MixtureSeries, SharesPosterior, unmix
 from lunarsci.spectra.library.end_member import EndMember
-from lunarsci.spectra.spectrum import FloatArray, Spectrum
-
-__all__ = [
-    "METHODS",
-    "CommonChannels",
-    "Outcome",
-    "abundances",
-    "estimate_series",
-    "mixing_laws",
-    "on_common_channels",
-    "shortest_interval",
-]
+from lunarsci.spectra.spectrum import Spectrum
 
 DRAWS, SEED = 4000, 0
 LEVELS = (0.6827, 0.95)

@@ -9,8 +9,6 @@ from lunarsci.spectra.library.end_member import mineral_named
 from lunarsci.spectra.readers.columns import rows_by_id
 from lunarsci.spectra.rows import number, quoted
 
-__all__ = ["KnownModes", "read_modes"]
-
 PREFIX = "vol_"
 """May stand before a mineral's name in the header."""
 

@@ -27,11 +27,9 @@ from typing import Protocol
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.spectrum import FloatArray
 from lunarsci.tables import table_rows
-
-__all__ = ["IRON_TABLE", "Absorbance", "Albedo", "HapkeSurface", "MixingLaw", "Weathering", "iron_absorption"]
 
 IRON_TABLE = "iron_optical_constants.csv"
 GRAIN_INDEX = 1.7

@@ -9,8 +9,6 @@ from lunarsci.spectra.abundance.result import Abundance, MineralFraction
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit, MineralComposition, compositions
 from lunarsci.tables import table_rows
 
-__all__ = ["TABLE", "calibrations", "nbsr_abundance", "nbsr_abundances"]
-
 TABLE = "nbsr_calibrations.csv"
 NORMAL_95 = 1.96
 SEEN_SIGMAS, APART_SIGMAS = 3.0, 2.0

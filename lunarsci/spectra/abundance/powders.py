@@ -7,12 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.abundance.mixing import MixingLaw
 from lunarsci.spectra.library.end_member import EndMember
-from lunarsci.spectra.spectrum import FloatArray
-
-__all__ = ["MineralPopulation", "Powders", "loosened", "population"]
 
 MOST_SHAPES = 8
 SPARE = 3

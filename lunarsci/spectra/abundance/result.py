@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-from lunarsci.spectra.spectrum import FloatArray
-
-__all__ = ["Abundance", "MineralFraction", "share_pages"]
 
 
 @dataclass(frozen=True, slots=True)

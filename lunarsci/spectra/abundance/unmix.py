@@ -12,11 +12,9 @@ from functools import cached_property
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.spectra.abundance.mixing import Weathering
 from lunarsci.spectra.abundance.powders import Powders
-from lunarsci.spectra.spectrum import FloatArray
-
-__all__ = ["Equations", "MixtureSeries", "SharesPosterior", "unmix"]
 
 NEUTRAL = np.array([0.1, 0.05, 0.02])
 """Standard deviations of g; assumed."""

@@ -16,16 +16,6 @@ from lunarsci.spectra.chemistry.plane import OLIVINE_NM, Anchor, Regression, anc
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = [
-    "KEYS",
-    "CompositionEstimate",
-    "GaffeyPair",
-    "chemistry",
-    "error_nm",
-    "from_centres",
-    "gaffey_pair",
-    "plane_pages",
-]
 
 _START = "wo_gaffey_c"
 _TURNS = 12

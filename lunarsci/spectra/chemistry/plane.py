@@ -10,10 +10,8 @@ from functools import cache
 
 import numpy as np
 
-from lunarsci.spectra.spectrum import FloatArray
+from lunarsci.arrays import FloatArray
 from lunarsci.tables import table_rows
-
-__all__ = ["OLIVINE_NM", "PLANE_TABLE", "TABLE", "Anchor", "Regression", "anchors", "objection", "regressions"]
 
 TABLE = "band_chemistry.csv"
 _NM_PER_UNIT = {"um": 1e3, "nm": 1.0, "-": 1.0}

@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from lunarsci.spectra.bands import BandFailure, SpectrumBands
     from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource
 
-__all__ = ["BandsRequest", "MeasuredBands", "bands"]
 
 CHEMISTRY = (
     "Gaffey et al. (2002), Asteroids III, 183 (Fs, Wo)",

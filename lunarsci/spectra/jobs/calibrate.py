@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure
     from lunarsci.spectra.vnis.detector import Settings
 
-__all__ = ["CalibrateRequest", "Calibrations", "calibrate", "check_fits"]
 
 MOST_IN_FITS = 55
 """A FITS table has 999 columns at most; an observation takes up to 18."""

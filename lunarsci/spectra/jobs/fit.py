@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource
     from lunarsci.spectra.spectrum import Spectrum
 
-__all__ = ["FitRequest", "MgmFits", "ModelRequest", "fit", "fit_batch_of"]
 
 Progress: TypeAlias = Callable[[int, int], None]
 DEFAULT_ASSEMBLAGE = "OL-OPX-CPX"

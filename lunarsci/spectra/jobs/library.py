@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from lunarsci.spectra.library.check import LibraryFinding
     from lunarsci.spectra.library.end_member import EndMember
 
-__all__ = ["CheckedLibrary", "ImportRequest", "Library", "check_library", "import_library", "open_library"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportRequest:

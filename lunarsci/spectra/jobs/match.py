@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from lunarsci.spectra.origin.mineral_map import MapReport
     from lunarsci.spectra.origin.prior import Range
 
-__all__ = ["MatchRequest", "Matches", "match"]
 
 STIRRING = "Oberbeck et al. (1975), Moon 12, 19, 10.1007/BF00577878 (coefficients from later literature, not checked)"
 BEYOND_LAW_KM = 2729.0

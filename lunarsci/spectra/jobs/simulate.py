@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from lunarsci.spectra.vnis.simulation.instrument import Simulation
     from lunarsci.spectra.vnis.simulation.scene import Scene, SceneComposition
 
-__all__ = ["SimulateVnisRequest", "SimulatedVnis", "simulate"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulateVnisRequest:

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from lunarsci.spectra.readers.batch import SpectraSource
     from lunarsci.spectra.spectrum import Spectrum
 
-__all__ = ["UnmixRequest", "UnmixedSpectra", "unmix"]
 
 SOURCES = {"hapke": (HAPKE,), "absorbance": (ABSORBANCE,), "both": (HAPKE, ABSORBANCE)}
 LEAST_MINERALS = 2

@@ -20,8 +20,6 @@ from lunarsci.spectra.library.end_member import CHEMISTRY, EndMember, mineral_na
 from lunarsci.spectra.readers.columns import rows_by_id
 from lunarsci.spectra.rows import number, quoted
 
-__all__ = ["MIXTURE", "PURE", "LibraryFinding", "check_library", "read_metadata", "with_description"]
-
 MIXTURE = "mixture"
 """What stands for the mineral of a sample that is none."""
 PURE = 0.95

@@ -14,28 +14,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
 from lunarsci.provenance import plain
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.readers.columns import assign_roles
 from lunarsci.spectra.readers.table import ReflectanceUnit, WavelengthUnit
-from lunarsci.spectra.spectrum import FloatArray, Spectrum
+from lunarsci.spectra.spectrum import Spectrum
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = [
-    "CHEMISTRY",
-    "FORMAT",
-    "MINERALS",
-    "EndMember",
-    "end_member",
-    "library_pages",
-    "mineral_named",
-    "read_library",
-    "to_ecsv",
-]
 
 MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase", "opaque", "glass", "other")
 CHEMISTRY = {

@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from lunarsci.errors import ParameterError
 from lunarsci.tables import table_rows
 
-__all__ = ["FAMILIES", "MINERALS", "TABLES", "Assemblage", "BandPrior", "CompositionPrior", "assemblage"]
-
 MINERALS = {"OL": "olivine", "OPX": "orthopyroxene", "CPX": "clinopyroxene", "PLG": "plagioclase"}
 BANDS, COMPOSITIONS = "mgm_bands.csv", "mgm_compositions.csv"
 TABLES = (BANDS, COMPOSITIONS)

@@ -8,8 +8,6 @@ import numpy as np
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.mgm.model import MgmModel, unit_of
 
-__all__ = ["constrained", "parse_compositions"]
-
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 LARGEST = 1e6
 SLACK = 1e-6

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.mgm.fit import CONTINUUM_QUANTILE, DEFAULT_MODEL_ERROR, FIRST_STRENGTH
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.model import TIE_SIGMA, MgmData, MgmModel, prepare
 from lunarsci.spectra.mgm.result import FittedBand, MgmFailure, MgmFit, StrengthRatio, band_strength_ratios
-from lunarsci.spectra.spectrum import FloatArray, Spectrum
-
-__all__ = ["fit_damping"]
+from lunarsci.spectra.spectrum import Spectrum
 
 MAX_ITERATIONS = 2000
 """The program has no such limit; of 40 fits of laboratory spectra the slowest took 1918 to fall by less than 1e-6."""

@@ -9,8 +9,6 @@ from matplotlib.figure import Figure
 from lunarsci.spectra.bands import BANDS, SpectrumBands
 from lunarsci.spectra.mgm.result import MgmFit
 
-__all__ = ["band_pages", "fit_pages"]
-
 CONTINUUM_COLORS = {"conic": "#0072B2", "hull": "#D55E00", "linear": "#009E73"}
 PER_PAGE = 6
 INVISIBLE = 0.002

@@ -10,6 +10,7 @@ from functools import partial
 import numba
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.mgm import MgmContinuum
@@ -19,19 +20,7 @@ from lunarsci.spectra.mgm.model import MGM_CONTINUA, MgmData, MgmModel, prepare
 from lunarsci.spectra.mgm.multistart import Multistart
 from lunarsci.spectra.mgm.result import FittedBand, MgmFailure, MgmFit, StrengthRatio
 from lunarsci.spectra.mgm.uncertainty import build_result
-from lunarsci.spectra.spectrum import FloatArray, Spectrum
-
-__all__ = [
-    "DEFAULT_MODEL_ERROR",
-    "DEFAULT_STARTS",
-    "SPREAD_CONTINUA",
-    "fit_batch",
-    "fit_continua",
-    "fit_spectra",
-    "spread_over_continua",
-    "starting_points",
-    "with_continuum_spread",
-]
+from lunarsci.spectra.spectrum import Spectrum
 
 DEFAULT_MODEL_ERROR = 0.02
 """Share of ln R that Gaussians on a smooth continuum cannot explain, added to the channel noise; assumed. Pyroxene

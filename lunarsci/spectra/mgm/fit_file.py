@@ -17,13 +17,14 @@ from typing import NoReturn
 
 import numpy as np
 
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile, text
 from lunarsci.spectra.mgm import MgmContinuum
 from lunarsci.spectra.mgm.assemblages import Assemblage, BandPrior
 from lunarsci.spectra.mgm.model import KINDS, NM_PER_UM, RANGE_NM, TIE_SIGMA, MgmModel, continuum_basis
 from lunarsci.spectra.mgm.result import MgmFit
-from lunarsci.spectra.spectrum import BoolArray, FloatArray, Spectrum
+from lunarsci.spectra.spectrum import Spectrum
 
 __all__ = [
     "LIMITS", "NORMAL_95", "FitBand", "FitFile", "fit_file_of", "fit_file_text", "model_of", "read_fit_file",

@@ -13,25 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.compiled import VECTORS, compiled
 from lunarsci.spectra.mgm.lanes import choose, exponent_of, highest, mantissa_of, nearest, spread, two_to
 from lunarsci.spectra.mgm.normal_equations import prior_share
-from lunarsci.spectra.spectrum import FloatArray
-
-__all__ = [
-    "FWHM_OVER_SIGMA",
-    "RIDGE",
-    "bell",
-    "correct_coarse",
-    "energies_of",
-    "force_of",
-    "gaussian",
-    "logarithm",
-    "lower_factor",
-    "model_and_jacobian",
-    "residuals",
-    "solve_lower",
-]
 
 LOG2_E = 1.4426950408889634
 LN2_HIGH, LN2_LOW = 0.693145751953125, 1.42860682030941723212e-6

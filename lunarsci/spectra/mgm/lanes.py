@@ -16,7 +16,7 @@ from numba.core import types
 from numba.core.cgutils import get_or_insert_function
 from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
 
-from lunarsci.spectra.spectrum import FloatArray
+from lunarsci.arrays import FloatArray
 
 __all__ = [
     "LANES", "aligned", "choose", "exponent_of", "highest", "load", "lowest", "mantissa_of", "nearest", "root",

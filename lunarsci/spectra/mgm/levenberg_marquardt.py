@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.spectra.mgm.lanes import LANES, aligned, load, store
 from lunarsci.spectra.mgm.moments import BLOCK, ORIGIN, evaluate, rows_of_sums, rows_of_work, update
@@ -21,7 +22,6 @@ from lunarsci.spectra.mgm.normal_equations import (
     prior_pull,
     solve_step,
 )
-from lunarsci.spectra.spectrum import FloatArray
 
 __all__ = [
     "CONVERGED",

@@ -7,18 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.levenberg_marquardt import CONVERGED, ITERATION_LIMIT, KernelFits
 from lunarsci.spectra.mgm.model import MIN_FWHM_UM, MgmModel, unit_of
 from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.mgm.uncertainty import build_result
-from lunarsci.spectra.spectrum import FloatArray
 
 if TYPE_CHECKING:
     from lmfit import Minimizer, Parameters
 
-__all__ = ["refit", "to_lmfit", "to_minimizer"]
 
 FAR = 1e8
 """Residual where the continuum is not above 0: finite, and larger than any other."""

@@ -9,26 +9,11 @@ from typing import get_args
 
 import numpy as np
 
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
 from lunarsci.spectra.mgm.assemblages import Assemblage, assemblage
-from lunarsci.spectra.spectrum import BoolArray, FloatArray, Spectrum, channel_noise
-
-__all__ = [
-    "FIT_RANGE_NM",
-    "KINDS",
-    "MGM_CONTINUA",
-    "RANGE_NM",
-    "MgmData",
-    "MgmModel",
-    "center_slopes",
-    "continuum_basis",
-    "mgm_model",
-    "prepare",
-    "prior_covariance",
-    "stated_for",
-    "unit_of",
-]
+from lunarsci.spectra.spectrum import Spectrum, channel_noise
 
 MGM_CONTINUA: tuple[MgmContinuum, ...] = get_args(MgmContinuum)
 

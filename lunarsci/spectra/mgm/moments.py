@@ -13,8 +13,6 @@ from lunarsci.compiled import compiled
 from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA, bell, logarithm
 from lunarsci.spectra.mgm.lanes import choose, load, lowest, spread, store
 
-__all__ = ["BLOCK", "MOMENTS", "ORIGIN", "evaluate", "rows_of_sums", "rows_of_work", "update"]
-
 BLOCK = 8
 """Channels worked on together; their number is a multiple of it."""
 ORIGIN = 1.4

@@ -14,8 +14,8 @@ import math
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray, IndexArray
 from lunarsci.compiled import compiled
 from lunarsci.spectra.mgm.lanes import LANES, choose, load, spread, store
 from lunarsci.spectra.mgm.levenberg_marquardt import (
@@ -31,18 +31,6 @@ from lunarsci.spectra.mgm.levenberg_marquardt import (
 )
 from lunarsci.spectra.mgm.moments import evaluate, update
 from lunarsci.spectra.mgm.normal_equations import damped, factorise, invert, matrix_side, solve_step
-from lunarsci.spectra.spectrum import FloatArray
-
-__all__ = [
-    "COARSE_CHANNELS",
-    "COMPETING_CHI2",
-    "SAME_SIGMAS",
-    "Multistart",
-    "coarse_size",
-    "coarsened",
-    "correct",
-    "inverses",
-]
 
 COARSE_CHANNELS = 128
 """On simulated spectra 48 find the minima as often and 10 % faster; on rover spectra, whose misfit is not noise, the
@@ -202,8 +190,6 @@ def inverses(curvatures: FloatArray, problem: FitProblem, space: Workspace) -> F
     return covariances
 
 
-IntArray = npt.NDArray[np.intp]
-
 COARSE_TOLERANCE, HOP_TOLERANCE = 1.0, 0.3
 """Decrease to be expected, in chi-square, at which a descent on the coarse spectrum ends: of starts, of hops."""
 SAME_BASIN = 1.5
@@ -272,7 +258,7 @@ class Multistart:
             keep = (higher < COMPETING_CHI2 + COARSE_TOLERANCE) & ~back
             rows = self._challenge(every[keep], points[keep])
 
-    def _displaced(self, rows: IntArray, hops: FloatArray) -> tuple[IntArray, FloatArray]:
+    def _displaced(self, rows: IndexArray, hops: FloatArray) -> tuple[IndexArray, FloatArray]:
         """Rows and points of all hops, the other parameters following their correlation."""
         index = hops[:, 0].astype(int)
         covariance = self.covariance[rows]
@@ -282,7 +268,7 @@ class Multistart:
         points = self.best[rows[every]] + step[:, None] * covariance[every, :, index[which]]
         return rows[every], points
 
-    def _apart(self, rows: IntArray, points: FloatArray) -> FloatArray:
+    def _apart(self, rows: IndexArray, points: FloatArray) -> FloatArray:
         """Largest difference from the best of a parameter, in its standard deviations."""
         variance = np.diagonal(self.covariance, axis1=1, axis2=2)[rows]
         with np.errstate(invalid="ignore"):
@@ -290,7 +276,7 @@ class Multistart:
         return np.asarray(np.max(np.abs(points - self.best[rows]) / sigma, axis=1, initial=0.0))
 
     def _explore(
-        self, rows: IntArray, points: FloatArray, tolerance: float, tempering: bool = True
+        self, rows: IndexArray, points: FloatArray, tolerance: float, tempering: bool = True
     ) -> tuple[FloatArray, FloatArray]:
         """Where points lead to on the coarse spectrum, and the outcomes."""
         found, outcomes = np.array(points), np.empty((len(rows), 4))
@@ -303,7 +289,7 @@ class Multistart:
         )  # fmt: skip
         return found, outcomes
 
-    def _finish(self, rows: IntArray, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _finish(self, rows: IndexArray, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Where points lead to on all channels, the outcomes and the covariances."""
         found, outcomes = np.array(points), np.empty((len(rows), 4))
         curvatures = np.empty((len(rows), found.shape[1], found.shape[1]))
@@ -311,7 +297,7 @@ class Multistart:
         descend(self.fine, self.used[0], self.problem, options, rows, found, outcomes, self.spaces[0], curvatures)
         return found, outcomes, inverses(curvatures, self.problem, self.spaces[0])
 
-    def _settle(self, rows: IntArray) -> None:
+    def _settle(self, rows: IndexArray) -> None:
         """Finish the lowest coarse minima, the coarse data corrected there."""
         if not rows.size:
             return
@@ -322,7 +308,7 @@ class Multistart:
         self.floor[rows] = outcomes[:, 1]
         self.best[rows], self.outcome[rows], self.covariance[rows] = self._finish(rows, points)
 
-    def _challenge(self, rows: IntArray, points: FloatArray) -> IntArray:
+    def _challenge(self, rows: IndexArray, points: FloatArray) -> IndexArray:
         """Let minima of the coarse spectrum contend with the best; the rows in which one took the place."""
         if not rows.size:
             return rows
@@ -336,7 +322,7 @@ class Multistart:
         self._note(rows[~doubtful], higher[~doubtful], apart[~doubtful])
         return self._decide(rows[doubtful], points[doubtful], higher[doubtful])
 
-    def _distinct(self, rows: IntArray, points: FloatArray, higher: FloatArray) -> IntArray:
+    def _distinct(self, rows: IndexArray, points: FloatArray, higher: FloatArray) -> IndexArray:
         """Contenders by row and rising objective, without those that have come to the same place as the one before."""
         order = np.lexsort((higher, rows))
         sigma = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2)[rows[order]])
@@ -345,7 +331,7 @@ class Multistart:
             apart = np.nanmax(np.abs(moved) / sigma, axis=1, initial=0.0)
         return np.asarray(order[(apart > SAME_SIGMAS) | (np.diff(rows[order], prepend=-1) > 0)])
 
-    def _decide(self, rows: IntArray, points: FloatArray, higher: FloatArray) -> IntArray:
+    def _decide(self, rows: IndexArray, points: FloatArray, higher: FloatArray) -> IndexArray:
         """Finish the contenders; the rows in which one took the place."""
         if not rows.size:
             return rows
@@ -363,7 +349,7 @@ class Multistart:
         self.competing[won], self.competing_sigmas[won] = -difference[better], apart[better]
         return np.asarray(won)
 
-    def _note(self, rows: IntArray, higher: FloatArray, apart: FloatArray) -> None:
+    def _note(self, rows: IndexArray, higher: FloatArray, apart: FloatArray) -> None:
         """Remember the lowest of other minima."""
         for row, value, sigmas in zip(rows, higher, apart, strict=True):
             if value < self.competing[row]:

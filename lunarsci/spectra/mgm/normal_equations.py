@@ -12,25 +12,9 @@ has no meaning.
 
 from typing import Any
 
+from lunarsci.arrays import FloatArray
 from lunarsci.compiled import VECTORS, compiled
 from lunarsci.spectra.mgm.lanes import aligned, choose, highest, load, lowest, root, spread, store
-from lunarsci.spectra.spectrum import FloatArray
-
-__all__ = [
-    "TILE",
-    "back_substitute",
-    "clip_to_bounds",
-    "damped",
-    "factorise",
-    "free_again",
-    "invert",
-    "matrix_side",
-    "padded_matrix",
-    "predicted_decrease",
-    "prior_pull",
-    "prior_share",
-    "solve_step",
-]
 
 TILE = 4
 """Rows and columns worked on together, so that each number read is used four times."""

@@ -2,22 +2,17 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.mgm.model import MgmModel, unit_of
 from lunarsci.spectra.mgm.profile import Interval, Intervals, ratios_of
 from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.mgm.sampler import run_population
-from lunarsci.spectra.spectrum import FloatArray
-
-IntArray: TypeAlias = NDArray[np.int64]
-
-__all__ = ["FitPosterior", "posterior_intervals", "sample_batch", "sample_posterior"]
 
 DEFAULT_DRAWS = 4000
 DEFAULT_PARTICLES = 256

@@ -11,12 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import LunarSciWarning
 from lunarsci.spectra.mgm.model import MgmModel, unit_of
 from lunarsci.spectra.mgm.result import REACH_NM, MgmFit
-from lunarsci.spectra.spectrum import FloatArray
-
-__all__ = ["Interval", "Intervals", "profile_intervals", "ratio_names", "ratio_rows", "ratios_of"]
 
 
 @dataclass(frozen=True, slots=True)

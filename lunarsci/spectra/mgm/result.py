@@ -6,20 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.spectra.mgm.assemblages import BandPrior, CompositionPrior
 from lunarsci.spectra.mgm.model import MgmData, MgmModel, center_slopes, prior_covariance
-from lunarsci.spectra.spectrum import FloatArray
-
-__all__ = [
-    "UNLIKE_RMS",
-    "FittedBand",
-    "MgmFailure",
-    "MgmFit",
-    "MineralComposition",
-    "StrengthRatio",
-    "band_strength_ratios",
-    "compositions",
-]
 
 UNLIKE_RMS = 0.2
 """A fit that misses ln R by more than this, root mean square, describes something else; assumed."""

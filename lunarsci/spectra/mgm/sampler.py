@@ -19,8 +19,6 @@ import numpy as np
 from lunarsci.compiled import VECTORS, compiled
 from lunarsci.spectra.mgm.forward import RIDGE, correct_coarse, energies_of, force_of, lower_factor
 
-__all__ = ["run_population"]
-
 KEPT = 0.5
 """Share of the particles that a step of beta leaves, as an effective number."""
 WANTED_ACCEPTANCE, TUNING = 0.75, 1.0

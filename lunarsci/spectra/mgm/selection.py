@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.continuum import upper_hull
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
@@ -18,17 +19,7 @@ from lunarsci.spectra.mgm.fit import fit_data
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.model import MgmData, MgmModel, mgm_model, prepare, stated_for
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
-from lunarsci.spectra.spectrum import BoolArray, FloatArray, Spectrum
-
-__all__ = [
-    "DEFAULT_CHOICE_STARTS",
-    "STRONG",
-    "Candidate",
-    "Choice",
-    "choose",
-    "ln_all_negative",
-    "ln_evidence",
-]
+from lunarsci.spectra.spectrum import Spectrum
 
 NODES = 80
 LN_2PI = math.log(2.0 * math.pi)

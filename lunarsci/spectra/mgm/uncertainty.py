@@ -8,13 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA, model_and_jacobian
 from lunarsci.spectra.mgm.levenberg_marquardt import CONVERGED, KernelFits
 from lunarsci.spectra.mgm.model import MgmData, MgmModel
 from lunarsci.spectra.mgm.result import FittedBand, MgmFit, band_strength_ratios
-from lunarsci.spectra.spectrum import FloatArray
-
-__all__ = ["bounded_covariance", "build_result", "follow_shifts", "misfit_curvature"]
 
 
 def bounded_covariance(

@@ -10,26 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci import inputs
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.origin.composition import BANDS, MINERALS, Composition, Value
-from lunarsci.spectra.spectrum import FloatArray
 from lunarsci.tables import table_rows
-
-__all__ = [
-    "COLUMNS",
-    "MOON_RADIUS_KM",
-    "TABLE",
-    "UNKNOWN_AGE_MA",
-    "Crater",
-    "Point",
-    "azimuth_deg",
-    "checked_point",
-    "destination",
-    "distance_km",
-    "embedded_catalogue",
-    "read_catalogue",
-]
 
 Point = tuple[float, float]
 """Latitude and longitude, east positive. [deg]"""

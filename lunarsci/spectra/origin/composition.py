@@ -12,22 +12,9 @@ from typing import Any
 import numpy as np
 
 from lunarsci import inputs
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.inputs import InputFile
-from lunarsci.spectra.spectrum import FloatArray
-
-__all__ = [
-    "BANDS",
-    "MINERALS",
-    "SHORT",
-    "Composition",
-    "Value",
-    "closed",
-    "joined",
-    "read_rocks",
-    "stated_composition",
-    "stated_number",
-]
 
 MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")
 BANDS = {"bc1000_nm": (700.0, 1300.0), "bc2000_nm": (1500.0, 2600.0)}

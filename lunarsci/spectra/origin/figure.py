@@ -7,11 +7,9 @@ import numpy as np
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from lunarsci.arrays import FloatArray
 from lunarsci.spectra.origin.catalogue import Point, azimuth_deg, destination, distance_km
 from lunarsci.spectra.origin.match import OTHER, CraterMatch, RockMatch
-from lunarsci.spectra.spectrum import FloatArray
-
-__all__ = ["match_pages"]
 
 INK, HOST, PRIOR = "#26323a", "0.6", "#bfc7cd"
 COLORS = "YlGnBu"

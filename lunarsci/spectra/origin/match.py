@@ -15,24 +15,11 @@ from typing import Any
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.origin.catalogue import Crater, Point, azimuth_deg
 from lunarsci.spectra.origin.composition import MINERALS, Composition, Rock
 from lunarsci.spectra.origin.prior import CraterPrior, PriorSettings, crater_priors, launch_speed_m_s
-from lunarsci.spectra.spectrum import FloatArray
-
-__all__ = [
-    "BAND_RANGE_NM",
-    "OTHER",
-    "CompositionEvidence",
-    "CraterMatch",
-    "MatchSettings",
-    "RockMatch",
-    "composition_evidence",
-    "ln_shares_broad",
-    "ln_shares_crater",
-    "match_rocks",
-]
 
 BAND_RANGE_NM = {"bc1000_nm": (880.0, 1070.0), "bc2000_nm": (1780.0, 2350.0)}
 """Centres a lunar rock may have, from Mg-orthopyroxene to augite and olivine mixtures; assumed. [nm]"""

@@ -12,15 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.origin.catalogue import MOON_RADIUS_KM, Crater, destination
 from lunarsci.spectra.origin.composition import LARGEST_SUM, MINERALS, Composition
-from lunarsci.spectra.spectrum import FloatArray
 
 if TYPE_CHECKING:
     from rasterio.io import DatasetReader
 
-__all__ = ["ANNULUS", "MapReport", "ring_values", "with_maps"]
 
 ANNULUS = (1.0, 2.0)
 """Ring of ejecta, in rim radii from the centre; assumed: about the reach of the continuous blanket."""

@@ -20,31 +20,10 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.origin.catalogue import MOON_RADIUS_KM, OLDEST_MA, Crater, Point, distance_km
-from lunarsci.spectra.spectrum import FloatArray
-
-__all__ = [
-    "CHANG_E_4",
-    "LAWS",
-    "LAW_SOURCES",
-    "MEASURED_SIZE_M",
-    "STAGES",
-    "SURVIVAL_SOURCE",
-    "CraterPrior",
-    "EjectaLaw",
-    "PriorSettings",
-    "Range",
-    "crater_priors",
-    "ejecta_thickness_m",
-    "launch_speed_m_s",
-    "local_to_ejecta_ratio",
-    "surface_age_ma",
-    "survival",
-    "survival_shape",
-    "transient_radius_km",
-]
 
 SURVIVAL_SOURCE = "Basilevsky, Head & Hoerz (2013), Planet. Space Sci. 89, 118, 10.1016/j.pss.2013.07.011"
 MEASURED_SIZE_M = 2.0
@@ -166,7 +145,7 @@ def launch_speed_m_s(diameter_km: float, distance_km: float) -> float | None:
     return float(np.sqrt(1e3 * MOON_RADIUS_KM * LUNAR_GRAVITY.value / shape))
 
 
-def local_to_ejecta_ratio(distance_km: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def local_to_ejecta_ratio(distance_km: npt.ArrayLike) -> FloatArray:
     """Mass of local ground that falling ejecta stir up over their own mass: 0.0183 r^0.87, r in km from the centre.
 
     Oberbeck, Hoerz, Morrison, Quaide & Gault (1975), Moon 12, 19, 10.1007/BF00577878; coefficients recalled from later

@@ -11,22 +11,9 @@ from math import atan2, cos, pi, pow, radians, sin
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.photometry.phase import STANDARD, Geometry, PhaseFunction, phase_function
-from lunarsci.spectra.spectrum import FloatArray
-
-__all__ = [
-    "DISKS",
-    "akimov",
-    "correction_factor",
-    "disk_function",
-    "lommel_seeliger",
-    "mcewen",
-    "mcewen_weight",
-    "model_spread",
-    "outside",
-    "remarks",
-]
 
 LOMMEL_SEELIGER_INCIDENCE_DEG = 65.0
 MCEWEN_PHASE_DEG = 103.9

@@ -11,26 +11,11 @@ from typing import Protocol
 import numpy as np
 
 from lunarsci import inputs
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.rows import Row, check_widths, number, numbers, quoted, separator_of, split_fields, split_lines
-from lunarsci.spectra.spectrum import FloatArray
 from lunarsci.tables import table_rows
-
-__all__ = [
-    "PHASE_FUNCTIONS",
-    "STANDARD",
-    "TABLE",
-    "FlatPhase",
-    "Geometry",
-    "PhaseFunction",
-    "SelenePhase",
-    "TablePhase",
-    "phase_angle_deg",
-    "phase_function",
-    "read_phase_function",
-    "selene_phase",
-]
 
 _LIMITS_DEG = {"incidence": 90.0, "emission": 90.0, "phase": 180.0}
 _ROUNDING_DEG = 0.5  # labels give the three angles rounded, or at slightly different points

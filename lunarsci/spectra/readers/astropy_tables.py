@@ -14,14 +14,12 @@ import numpy as np
 from astropy import units as u
 
 from lunarsci import inputs
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.readers.columns import assign_roles, is_not_a_spectrum, is_wavelength
 from lunarsci.spectra.readers.table import Column, SpectrumTable, length_unit
 from lunarsci.spectra.rows import quoted
-from lunarsci.spectra.spectrum import FloatArray
-
-__all__ = ["one_line", "plain", "read_ecsv", "read_fits", "spectrum_table"]
 
 _LISTS_KEPT = 200
 _DIMENSIONLESS = {"fraction", "reflectance", "i/f", "unitless", "dimensionless", "none", "-"}

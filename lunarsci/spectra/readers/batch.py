@@ -21,8 +21,6 @@ from lunarsci.spectra.vnis.name import product_name
 from lunarsci.spectra.vnis.observation import one_per_observation
 from lunarsci.tables import table_hashes
 
-__all__ = ["SpectraBatch", "SpectraSource", "expanded", "read_batch"]
-
 OneSource: TypeAlias = "Source | Spectrum | tuple[npt.ArrayLike, npt.ArrayLike]"
 SpectraSource: TypeAlias = "OneSource | Sequence[OneSource]"
 """Paths, patterns, - for standard input, open files, tables, spectra, (wavelength_nm, reflectance); one or a list."""

@@ -17,8 +17,6 @@ from lunarsci.inputs import InputFile
 from lunarsci.spectra.readers.table import Column, name_tokens, without_unit
 from lunarsci.spectra.rows import quoted, separator_of, split_lines
 
-__all__ = ["Roles", "assign_roles", "is_not_a_spectrum", "is_wavelength", "rows_by_id", "spectrum_ids"]
-
 
 def rows_by_id(source: InputFile) -> dict[str, tuple[int, dict[str, str]]]:
     """Line number and cells, by column name in lower case, of each `id`.

@@ -9,6 +9,7 @@ from typing import Any, get_args
 import numpy as np
 
 from lunarsci import inputs
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile, read_input
 from lunarsci.spectra.readers.columns import spectrum_ids
@@ -25,10 +26,8 @@ from lunarsci.spectra.readers.table import (
     wavelength_nm,
 )
 from lunarsci.spectra.readers.text import read_text
-from lunarsci.spectra.spectrum import BoolArray, FloatArray, Spectrum
+from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.name import product_name
-
-__all__ = ["FORMATS", "read_spectra", "spectra_of"]
 
 FORMATS = ("ecsv", "text", "relab", "fits", "envi", "splib")
 

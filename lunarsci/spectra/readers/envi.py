@@ -9,13 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from lunarsci import inputs
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile, read_input
 from lunarsci.spectra.readers.table import Column, SpectrumTable, length_unit
 from lunarsci.spectra.rows import number, quoted
-from lunarsci.spectra.spectrum import FloatArray
-
-__all__ = ["DATA_SUFFIXES", "looks_like_envi", "read_envi", "without_headers"]
 
 DATA_SUFFIXES = (".sli", ".slb")
 _HEADER_SUFFIX = ".hdr"

@@ -13,13 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from lunarsci import inputs
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
 from lunarsci.inputs import InputFile, read_input
 from lunarsci.spectra.readers.table import Column, SpectrumTable
 from lunarsci.spectra.rows import Row, check_widths, number, numbers, quoted, split_lines
-from lunarsci.spectra.spectrum import FloatArray
-
-__all__ = ["looks_like_relab", "looks_like_splib", "read_relab", "read_splib", "without_wavelength_files"]
 
 _COUNT = re.compile(r"[0-9]+")
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lunarsci import inputs
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.readers.columns import is_wavelength
@@ -24,9 +25,6 @@ from lunarsci.spectra.rows import (
     split_lines,
 )
 from lunarsci.spectra.solar import COVERED_NM, SolarSpectrum
-from lunarsci.spectra.spectrum import FloatArray
-
-__all__ = ["read_solar_spectrum"]
 
 _INTEGRAL_W_M2 = 1157.0  # of ASTM G173 over COVERED_NM; ASTM E490 gives 1159
 _REFUSED_OFF, _REMARKED_OFF = 0.2, 0.03  # assumed: the standards differ by 0.2 %, the Sun's distance changes 7 %

@@ -14,26 +14,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.rows import quoted
-from lunarsci.spectra.spectrum import FloatArray
-
-__all__ = [
-    "Column",
-    "ReflectanceChoice",
-    "ReflectanceUnit",
-    "SpectrumTable",
-    "StatedUnits",
-    "WavelengthUnit",
-    "length_unit",
-    "name_tokens",
-    "reflectance_unit",
-    "uncertainty_scale",
-    "wavelength_nm",
-    "wavelength_unit_in",
-    "without_unit",
-]
 
 WavelengthUnit = Literal["nm", "um"]
 ReflectanceUnit = Literal["fraction", "percent"]

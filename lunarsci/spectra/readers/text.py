@@ -20,8 +20,6 @@ from lunarsci.spectra.rows import (
     split_lines,
 )
 
-__all__ = ["read_text"]
-
 _NAME = re.compile(r'"([^"]*)"|([^\s(\[{]+(?:\s*[(\[{][^)\]}]*[)\]}])?)')
 _COMMENTS_KEPT = 100
 _COMMENT_LENGTH = 200

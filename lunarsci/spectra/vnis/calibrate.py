@@ -9,10 +9,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, LunarSciError, LunarSciWarning, ParameterError
 from lunarsci.spectra.photometry.correction import correction_factor, remarks
 from lunarsci.spectra.solar import sun_moon_distance_au
-from lunarsci.spectra.spectrum import BoolArray, FloatArray
 from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure
 from lunarsci.spectra.vnis.channels import SWIR_NM, VNIR_NM, Detector
 from lunarsci.spectra.vnis.detector import (
@@ -37,8 +37,6 @@ from lunarsci.spectra.vnis.footprint import (
 from lunarsci.spectra.vnis.label import Label
 from lunarsci.spectra.vnis.observation import Observation, read_observation
 from lunarsci.spectra.vnis.splice import GAIN_LIMIT, STEP_LIMIT, Shift, Splice, find_splice, shared_errors
-
-__all__ = ["calibrate", "calibrate_files"]
 
 # What is too little, too dark or too bright to go on with: assumed, each far from what the public spectra have.
 _LEAST_LIT = 0.01

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.provenance import plain
 from lunarsci.spectra.photometry.phase import STANDARD
-from lunarsci.spectra.spectrum import FloatArray, Spectrum
+from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.channels import FOOTPRINT, SPLICED_NM
 from lunarsci.spectra.vnis.detector import DetectorSpectrum
 from lunarsci.spectra.vnis.footprint import Footprint
@@ -20,8 +21,6 @@ from lunarsci.spectra.vnis.splice import Splice
 if TYPE_CHECKING:
     from astropy.table import Table
     from matplotlib.figure import Figure
-
-__all__ = ["Calibration", "CalibrationFailure", "calibration_pages", "columns", "to_ecsv", "to_fits"]
 
 
 @dataclass(frozen=True, slots=True)

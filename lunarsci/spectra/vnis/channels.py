@@ -4,25 +4,9 @@ from typing import Literal
 
 import numpy as np
 
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.spectrum import BoolArray, FloatArray
 from lunarsci.tables import table_rows
-
-__all__ = [
-    "CUBE_SHAPE",
-    "FOOTPRINT",
-    "JOIN_NM",
-    "SPLICED_NM",
-    "SUB_BAND_STEP_NM",
-    "SWIR_NM",
-    "TABLES",
-    "VNIR_NM",
-    "Detector",
-    "fixed_pattern",
-    "footprint_mask",
-    "fwhm_nm",
-    "random_noise",
-]
 
 Detector = Literal["vnir", "swir"]
 

@@ -10,6 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from lunarsci import inputs
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.photometry.phase import TABLE as PHASE_TABLE
@@ -24,7 +25,7 @@ from lunarsci.spectra.solar import (
     sun_moon_distance_au,
     table_name,
 )
-from lunarsci.spectra.spectrum import BoolArray, FloatArray, scatter_noise
+from lunarsci.spectra.spectrum import scatter_noise
 from lunarsci.spectra.vnis.channels import (
     SUB_BAND_STEP_NM,
     SWIR_NM,
@@ -36,20 +37,6 @@ from lunarsci.spectra.vnis.channels import (
     random_noise,
 )
 from lunarsci.spectra.vnis.label import Label
-
-__all__ = [
-    "IN_FLIGHT_VERSION",
-    "ChannelFactors",
-    "DetectorSpectrum",
-    "Settings",
-    "check_jumps",
-    "default_settings",
-    "irradiance_at",
-    "measure",
-    "outlying",
-    "read_channel_factors",
-    "reflectance_factor",
-]
 
 IN_FLIGHT_VERSION = 2.0
 """`version_id` of products whose radiance rests on the calibration target seen in flight (since 2019-07-09)."""

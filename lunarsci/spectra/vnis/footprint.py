@@ -3,20 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from lunarsci.spectra.spectrum import BoolArray, FloatArray
+from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.spectra.vnis.channels import JOIN_NM, VNIR_NM, footprint_mask
 from lunarsci.spectra.vnis.observation import Cube
-
-__all__ = [
-    "SHADOW_BAND_NM",
-    "Footprint",
-    "average_footprint",
-    "registration_error",
-    "saturated_pixels",
-    "shadow_limit_shift",
-]
 
 SHADOW_BAND_NM = 465.0
 """Shadows are told in this channel (Ding et al. 2024). [nm]"""
@@ -52,9 +42,9 @@ class Footprint:
     invalid: BoolArray
     mean: FloatArray
     scatter: FloatArray
-    count: npt.NDArray[np.int64]
-    clipped: npt.NDArray[np.int64]
-    negative: npt.NDArray[np.int64]
+    count: IntArray
+    clipped: IntArray
+    negative: IntArray
     constant: BoolArray
     dilution: float
 
@@ -101,7 +91,7 @@ def average_footprint(cube: Cube, shadow_radiance: float) -> Footprint:
     )
 
 
-def _clipped(cube: Cube, lit: BoolArray, limits: FloatArray) -> tuple[BoolArray, BoolArray, npt.NDArray[np.int64]]:
+def _clipped(cube: Cube, lit: BoolArray, limits: FloatArray) -> tuple[BoolArray, BoolArray, IntArray]:
     """Pixels clipped in a channel that is used, shape (256, 256); channels used; count of clipped pixels by channel."""
     anywhere = np.zeros_like(lit)
     usable, counts = np.ones(len(cube), dtype=bool), np.zeros(len(cube), dtype=np.int64)

@@ -23,8 +23,6 @@ from lunarsci.spectra.photometry.phase import Geometry, phase_angle_deg
 from lunarsci.spectra.rows import number
 from lunarsci.spectra.vnis.name import ProductName, product_name
 
-__all__ = ["LABEL_BYTES", "DataFile", "Label", "parse_xml", "read_label"]
-
 LABEL_BYTES = 2_000_000
 _DEEPEST = 64
 _REMEDY = "fetch it again"

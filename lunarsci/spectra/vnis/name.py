@@ -6,8 +6,6 @@ from pathlib import Path
 
 from lunarsci.errors import DataError
 
-__all__ = ["ProductName", "check_supported", "product_name"]
-
 _NAME = re.compile(
     r"(?P<synthetic>SYNTHETIC_)?(?P<mission>CE\d)[A-Z0-9-]*_[A-Z0-9]+_(?P<instrument>VNIS|LMS)-(?P<kind>[A-Z]+)[A-Z0-9-]*"
     r"_(?P<role>SCI|AUX|CAL)_[A-Z]_(?P<start>\d{14})_(?P<stop>\d{14})_(?P<sequence>\d{4})_(?P<version>[A-Z])"

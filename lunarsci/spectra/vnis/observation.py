@@ -16,26 +16,12 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci import inputs
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile, read_input
-from lunarsci.spectra.spectrum import BoolArray, FloatArray
 from lunarsci.spectra.vnis.channels import CUBE_SHAPE, SWIR_NM, VNIR_NM
 from lunarsci.spectra.vnis.label import LABEL_BYTES, DataFile, Label, read_label
 from lunarsci.spectra.vnis.name import ProductName, check_supported, product_name
-
-__all__ = [
-    "CUBE_BYTES",
-    "Cube",
-    "Observation",
-    "Parts",
-    "SwirTable",
-    "find_parts",
-    "one_per_observation",
-    "read_cube",
-    "read_observation",
-    "read_swir_table",
-    "read_vnir_flags",
-]
 
 Cube = npt.NDArray[np.float32]
 

@@ -12,29 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
 from lunarsci.spectra.photometry.correction import model_spread
 from lunarsci.spectra.photometry.phase import Geometry
 from lunarsci.spectra.solar import M3_TABLE, solar_spectrum
-from lunarsci.spectra.spectrum import FloatArray
 from lunarsci.spectra.vnis.channels import JOIN_NM, SPLICED_NM, SUB_BAND_STEP_NM, SWIR_NM, VNIR_NM
 from lunarsci.spectra.vnis.detector import DetectorSpectrum, Settings, irradiance_at
 from lunarsci.tables import table_rows
-
-__all__ = [
-    "CALIBRATION",
-    "GAIN_LIMIT",
-    "STEP_LIMIT",
-    "SWIR_STEP",
-    "VNIR_STEPS",
-    "Shift",
-    "Splice",
-    "Step",
-    "StepSite",
-    "find_splice",
-    "find_step",
-    "shared_errors",
-]
 
 _LEAST_CHANNELS = 5
 

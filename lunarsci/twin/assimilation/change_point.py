@@ -16,26 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import Prediction
 
-__all__ = [
-    "FEWEST_BINS",
-    "ChangePoint",
-    "TrackBins",
-    "Traverse",
-    "binned",
-    "find_change_point",
-    "planned_places",
-    "traverse_of",
-    "wheel_places",
-]
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 BIN_M, MOST_BINS = 0.2, 200
 """Length of way over which residuals are averaged, longer where the drive has more pieces; assumed."""
 

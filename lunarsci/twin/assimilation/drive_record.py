@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.csv_table import check_columns, numbers_of, read_csv_table, without_repeats
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
@@ -24,17 +24,7 @@ from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "OBSERVED",
-    "DriveRecord",
-    "check_clock",
-    "check_wheels",
-    "read_record",
-    "states_at",
-    "wheel_numbers",
-]
 
-FloatArray = npt.NDArray[np.float64]
 OBSERVED = COLUMNS
 """Columns of the measured values: sinkage, slip ratio, side slip, normal force, drawbar pull, lateral force."""
 KNOWN_PLACES = ("time_s", "x_m", "y_m", "z_m", "yaw_deg", "sigma_m", "xx_m2", "xy_m2", "yy_m2", "synthetic")
@@ -148,7 +138,6 @@ def _positions(source: InputFile | None) -> dict[str, FloatArray]:
     return {"fix_time_s": time, "fix_m": np.column_stack([x, y]), "fix_covariance_m2": covariance}
 
 
-IntArray = npt.NDArray[np.int64]
 LATE = 0.05
 """Share of states or positions after the end of a drive beyond which the clock is not its own; assumed."""
 

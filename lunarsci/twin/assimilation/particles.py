@@ -19,17 +19,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.regolith.inference.sampler import autocorrelation
 from lunarsci.twin.assimilation.residuals import HUBER
 
 if TYPE_CHECKING:
     from lunarsci.twin.assimilation.posterior import DrivePosterior, PosteriorMode
 
-__all__ = ["Emulator", "draw_particles", "fit_emulator"]
 
-FloatArray = npt.NDArray[np.float64]
 SPARE = 1.5
 """Effective number of drives for each coefficient of the fit, at least; assumed."""
 RIDGE = 1e-8
@@ -202,7 +200,7 @@ class _Emulated:
         return points
 
 
-def _by_density(ln_density: FloatArray, count: int, random: np.random.Generator) -> npt.NDArray[np.int64]:
+def _by_density(ln_density: FloatArray, count: int, random: np.random.Generator) -> IntArray:
     """Indices drawn by a flattened density, so that many of them differ. (count,)"""
     power = 1.0
     while True:

@@ -13,22 +13,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.twin.assimilation.drive_record import OBSERVED
 from lunarsci.twin.assimilation.residuals import HUBER, POSITION, DriveResiduals, cost_of, robust_cost
-
-__all__ = [
-    "PRESSURE_PA",
-    "DrivePosterior",
-    "PosteriorMode",
-    "SoilCoordinates",
-    "find_mode",
-    "inflation_of",
-    "posterior_of",
-    "wheel_errors",
-]
-
-FloatArray = npt.NDArray[np.float64]
 
 BATCH = 8
 """Values of one wheel that are averaged; assumed longer than what sensors remember, shorter than a drive."""
@@ -284,10 +272,10 @@ class _Looked:
     def part(self, which: npt.NDArray[Any]) -> "_Looked":
         return _Looked(self.points[which], self.rows[which], self.costs[which])
 
-    def best_first(self) -> npt.NDArray[np.intp]:
+    def best_first(self) -> IndexArray:
         return np.argsort(self.costs)
 
-    def replaced(self, other: "_Looked", where: npt.NDArray[np.bool_]) -> "_Looked":
+    def replaced(self, other: "_Looked", where: BoolArray) -> "_Looked":
         points, rows = (
             np.where(where[:, None], a, b) for a, b in ((other.points, self.points), (other.rows, self.rows))
         )

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.interpolation import at_times
 from lunarsci.regolith.belief import SoilBelief
@@ -28,22 +28,6 @@ from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import Schedule, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import UNDER_WAY, Prediction, predict
-
-__all__ = [
-    "FIX_ERROR_M",
-    "HUBER",
-    "MODEL_ERRORS",
-    "MODEL_SHARES",
-    "POSITION",
-    "DriveBias",
-    "DriveResiduals",
-    "MarginalisedBias",
-    "cost_of",
-    "robust_cost",
-]
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 MODEL_SHARES = {
     "sinkage_m": 0.06,
@@ -86,7 +70,7 @@ class DriveBias:
         self,
         values: FloatArray,
         sigma: FloatArray,
-        wheel: npt.NDArray[np.int64],
+        wheel: IntArray,
         way: FloatArray,
         whitening: FloatArray,
         expected: FloatArray,
@@ -236,7 +220,7 @@ class DriveResiduals:
         return SAMPLE_M / self.plan.speed_m_s
 
     @cached_property
-    def wheel(self) -> npt.NDArray[np.int64]:
+    def wheel(self) -> IntArray:
         """Number of the wheel of each state. (n,)"""
         return wheel_numbers(self.record, self.rover.wheels)
 
@@ -282,7 +266,7 @@ class DriveResiduals:
             self.rover, self.terrain, self.plan, samples=samples, time_step_s=STEP_S, sample_m=SAMPLE_M, ruts=self.ruts
         )
 
-    def near(self, transforms: FloatArray) -> npt.NDArray[np.bool_]:
+    def near(self, transforms: FloatArray) -> BoolArray:
         """Soils that are no farther from the first laws than `FARTHEST`. (points,)"""
         laws = [self.belief.laws[name] for name in PARAMETERS]
         center, width = np.array([law.center for law in laws]), np.array([law.width for law in laws])

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.prior import PARAMETERS, values_of
@@ -31,9 +31,6 @@ from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import LONGEST_SAMPLE_M, LONGEST_STEP_S, Prediction, predict
 
-__all__ = ["FALSE_ALARMS", "Segment", "SoilChange", "drive_segments", "find_change", "record_within"]
-
-FloatArray = npt.NDArray[np.float64]
 NUDGE = 0.1
 """Widths of the first laws by which soils are moved for derivatives; assumed."""
 LARGEST = 4.0

@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.interpolation import at_times
 from lunarsci.regolith.belief import SoilBelief
@@ -35,11 +35,6 @@ from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.discrepancy import exposed, way_matrix
 from lunarsci.twin.simulation.ensemble import Prediction
-
-__all__ = ["SoilUpdate", "assimilate"]
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 PARTICLES, FEWEST_PARTICLES = 128, 32
 ROUNDS = 2

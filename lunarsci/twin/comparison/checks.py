@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.twin.assimilation.drive_record import OBSERVED
 from lunarsci.twin.assimilation.residuals import MODEL_ERRORS
 from lunarsci.twin.comparison.matched import MatchedObservations
@@ -20,26 +20,6 @@ from lunarsci.twin.comparison.scores import (
     standing,
 )
 from lunarsci.twin.judgement.endpoint import ErrorEllipse
-
-__all__ = [
-    "ALL",
-    "NOMINAL",
-    "REGIONS",
-    "BandCheck",
-    "EndCheck",
-    "FixCheck",
-    "PathCheck",
-    "check_bands",
-    "check_end",
-    "check_path",
-    "half_band",
-    "ranks",
-    "region_ellipse",
-    "standardised",
-]
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 REGIONS = (0.5, 0.9, 0.95, 0.99)
 LATE_S = 1.0

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile, read_input, text
 from lunarsci.provenance import sha256
@@ -22,11 +22,7 @@ from lunarsci.twin.simulation.ensemble import OFFSET_COLUMNS, PATH_COLUMNS, STAT
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["FILE", "TABLES", "Forecast", "forecast_document", "forecast_of", "read_forecast"]
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 SCHEMA = "lunarsci/twin-prediction/1"
 FILE = "prediction.json"
 TABLES = ("states.csv", "paths.csv")

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.interpolation import at_times, samples_about
 from lunarsci.regolith.physics_discrepancy import SHARED, PhysicsDiscrepancy
@@ -18,12 +18,6 @@ from lunarsci.twin.assimilation.drive_record import (
 from lunarsci.twin.assimilation.residuals import FIX_ERROR_M, MODEL_ERRORS
 from lunarsci.twin.comparison.forecast import Forecast
 from lunarsci.twin.simulation.discrepancy import way_matrix
-
-__all__ = ["MatchedObservations", "Miss", "match_observations", "miss_of", "taught"]
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -181,7 +175,7 @@ def taught(matched: MatchedObservations, before: PhysicsDiscrepancy) -> PhysicsD
 
 
 def _by_mean(
-    matched: MatchedObservations, name: str, rows: npt.NDArray[np.bool_], before: PhysicsDiscrepancy
+    matched: MatchedObservations, name: str, rows: BoolArray, before: PhysicsDiscrepancy
 ) -> PhysicsDiscrepancy:
     column, drawn = OBSERVED.index(name), matched.forecast.discrepancy
     members = matched.predicted[:, rows, column]

@@ -11,23 +11,8 @@ How well a sharp prediction met what came: continuous ranked probability score, 
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-__all__ = [
-    "Standing",
-    "correlation_length",
-    "crps",
-    "energy_score",
-    "inside",
-    "predictive_rank",
-    "region_edge",
-    "spread_of",
-    "squared_distances",
-    "standing",
-    "worst_of",
-]
-
-FloatArray = npt.NDArray[np.float64]
+from lunarsci.arrays import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

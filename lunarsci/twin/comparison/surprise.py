@@ -13,28 +13,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.twin.assimilation.drive_record import OBSERVED
 from lunarsci.twin.assimilation.residuals import MODEL_ERRORS
 from lunarsci.twin.comparison.matched import MatchedObservations
 from lunarsci.twin.comparison.scores import Standing, correlation_length, standing, worst_of
 
-__all__ = [
-    "Bias",
-    "GroundChange",
-    "PieceMeans",
-    "Surprise",
-    "find_change",
-    "mean_bias",
-    "most_pieces",
-    "piece_edges",
-    "piece_means",
-    "surprise",
-]
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 STEPS, MODES = 6, 3
 """Places where the smooth course may step, ends included, and shapes that the members' differences give it."""
 LEAST_TIMES = 4

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.twin.assimilation.drive_record import OBSERVED
 from lunarsci.twin.comparison.checks import (
     ALL,
@@ -28,18 +28,6 @@ from lunarsci.twin.comparison.matched import MatchedObservations
 from lunarsci.twin.comparison.scores import Standing
 from lunarsci.twin.comparison.surprise import Bias, GroundChange, Surprise, find_change, mean_bias, surprise
 from lunarsci.twin.simulation.contact_frame import DEEPEST, VALID_SLIP
-
-__all__ = [
-    "ALARM",
-    "LEAST_MEMBERS",
-    "Coverage",
-    "DriveComparison",
-    "check_coverage",
-    "compare",
-]
-
-FloatArray = npt.NDArray[np.float64]
-
 
 MOST_REFERENCES = 400
 """Members whose coverage is worked out, beside which that of the drive is held; more would add nothing."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import OutputError, ParameterError
 from lunarsci.twin.figures.panels import (
     ACCENT,
@@ -33,9 +34,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["FORMATS", "animate", "check_format"]
-
-FloatArray = npt.NDArray[np.float64]
 
 FORMATS = (".gif", ".mp4")
 MOST_FRAMES, PER_SECOND = 120, 12

@@ -3,8 +3,8 @@
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.twin.assimilation.drive_record import OBSERVED
 from lunarsci.twin.comparison.checks import NOMINAL, half_band, ranks, region_ellipse, standardised
 from lunarsci.twin.comparison.matched import MatchedObservations
@@ -16,9 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["comparison_figure"]
 
-FloatArray = npt.NDArray[np.float64]
 MORE_LABELS = {
     "drawbar_pull_n": ("Drawbar pull F$_{DP}$ [N]", 1.0),
     "lateral_force_n": ("Lateral force F$_L$ [N]", 1.0),
@@ -61,7 +59,7 @@ def comparison_figure(matched: MatchedObservations, found: DriveComparison, titl
     return figure
 
 
-def _shown(matched: MatchedObservations) -> npt.NDArray[np.int64]:
+def _shown(matched: MatchedObservations) -> IntArray:
     count = len(matched.members)
     return matched.members[np.unique(np.linspace(0, count - 1, min(count, MOST_PATHS)).astype(np.int64))]
 

@@ -3,8 +3,8 @@
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import IntArray
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.judgement.quantities import abscissa, along
 from lunarsci.twin.judgement.safety import Verdict
@@ -15,25 +15,6 @@ from lunarsci.twin.simulation.ensemble import Prediction
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = [
-    "ACCENT",
-    "GOLD",
-    "INK",
-    "LABELS",
-    "LIMIT",
-    "PARAMETERS",
-    "WHEEL_COLORS",
-    "color_bar",
-    "draw_band",
-    "draw_exclusion_zones",
-    "draw_ground",
-    "draw_loads",
-    "draw_paths",
-    "draw_planned",
-    "map_window",
-    "member_colors",
-    "shown_members",
-]
 
 INK, ACCENT, LIMIT, GOLD = "#26323a", "#1f6f8b", "#c0392b", "#f4c430"
 PARAMETERS = {
@@ -50,7 +31,7 @@ MARGIN_M = 3.6
 MOST_PATHS = 400
 
 
-def shown_members(prediction: Prediction) -> npt.NDArray[np.int64]:
+def shown_members(prediction: Prediction) -> IntArray:
     """At most 400 members, evenly chosen."""
     count = min(prediction.members, MOST_PATHS)
     return np.unique(np.linspace(0, prediction.members - 1, count).astype(np.int64))
@@ -148,8 +129,6 @@ def draw_exclusion_zones(axes: "Axes", prediction: Prediction) -> None:
         axes.add_patch(Circle(center, circle.radius_m, **edge))
         axes.annotate(circle.name, center, fontsize=7, ha="center", va="center", clip_on=True, zorder=2.7)
 
-
-FloatArray = npt.NDArray[np.float64]
 
 LABELS = {
     "slip_ratio": ("Slip ratio s [-]", 1.0),

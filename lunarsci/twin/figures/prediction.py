@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.twin.figures.panels import (
     ACCENT,
     GOLD,
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["box_pages", "grouped", "path_fan", "profile_page"]
 
 WHEELS = ("slip_ratio", "side_slip_deg", "sinkage_m")
 
@@ -172,14 +171,12 @@ def profile_page(prediction: Prediction, verdict: Verdict) -> "Figure":
     return figure
 
 
-FloatArray = npt.NDArray[np.float64]
-
 SHOWN = ("slip_ratio", "side_slip_deg", "sinkage_m")
 MOST_BOXES, BINS = 15, 8
 ROWS = 3
 
 
-def grouped(values: FloatArray) -> list[tuple[float, npt.NDArray[np.bool_]]]:
+def grouped(values: FloatArray) -> list[tuple[float, BoolArray]]:
     """Members by the value of a parameter: each value where there are at most 15, else eighths of equal count.
 
     Returns for each group its value, or the median of its values, and which members are in it.

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.twin.assimilation.change_point import traverse_of, wheel_places
 from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
@@ -21,7 +21,6 @@ from lunarsci.twin.ground.terrain import SOIL_COLUMNS, from_si
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["residual_page", "soil_pages"]
 
 DOT, MEAN, CHANGE = "#9fb4c0", "#08519c", "#e6550d"
 HIGHEST = 8.0
@@ -66,7 +65,6 @@ def _medians(places: Any, values: Any) -> tuple[Any, Any]:
     return (middles + 0.5) * WINDOW_M, np.array([np.median(values[number == middle]) for middle in middles])
 
 
-FloatArray = npt.NDArray[np.float64]
 INK, PATH = "#26323a", "#e6550d"
 LABELS = {
     "stiffness_kpa_m_n": "Stiffness [kPa/m$^N$]",

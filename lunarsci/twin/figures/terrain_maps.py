@@ -14,9 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["terrain_maps"]
 
-FloatArray = npt.NDArray[np.float64]
 INK, PATH, HAZARD, UNKNOWN, GOLD = "#26323a", "#e6550d", "#b2182b", "#c9c9c9", "#f4c430"
 MOST_NODES = 900
 """Nodes drawn along each side at most; beyond that every second, third ... one."""

@@ -3,8 +3,8 @@
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.twin.figures.panels import ACCENT, GOLD, INK, LABELS, LIMIT, WHEEL_COLORS, draw_ground
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.loads.load_ensemble import LoadEnsemble
@@ -15,9 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["force_band_figure", "force_figure", "states_page"]
 
-FloatArray = npt.NDArray[np.float64]
 STATE_PANELS = ("slip_ratio", "side_slip_deg", "sinkage_m")
 MARGIN_M = 1.6
 WORDS = 60

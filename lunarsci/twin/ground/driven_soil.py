@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.csv_table import numbers_of, read_csv_table
 from lunarsci.errors import DataError
 from lunarsci.inputs import InputFile, read_input
@@ -18,7 +18,6 @@ from lunarsci.twin.ground.terrain_files import TerrainFile
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["DrivenSoil", "Origin", "lay_soil_on", "read_soil_samples", "soil_record"]
 
 Origin = Literal["option", "default", "terrain", "belief", "priors", "samples", "map"]
 
@@ -85,9 +84,6 @@ def _range(values: Any) -> float | dict[str, float]:
     return low if low == high else {"low": low, "high": high}
 
 
-FloatArray = npt.NDArray[np.float64]
-
-
 def read_soil_samples(
     source: InputFile | str | Path, members: int | None = None, seed: int = 0
 ) -> dict[str, FloatArray]:
@@ -123,7 +119,7 @@ def _column(file: str, name: str, cells: "pd.Series") -> FloatArray:
     return values
 
 
-def _rows(count: int, members: int | None, seed: int) -> npt.NDArray[np.int64]:
+def _rows(count: int, members: int | None, seed: int) -> IntArray:
     if members is None or members == count:
         return np.arange(count)
     if members > count:

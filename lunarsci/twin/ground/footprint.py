@@ -6,13 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.rover import Rover
 
-__all__ = ["RoverFootprint", "nearest_node", "rover_footprint", "rover_outline", "swept_nodes"]
-
-FloatArray = npt.NDArray[np.float64]
-BoolMap = npt.NDArray[np.bool_]
+BoolMap = BoolArray
 OVERHANG = 1.05
 """The discs that cover the rectangle are at most so many half widths in radius."""
 

@@ -7,22 +7,11 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.rovers.description import RoverDescription
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.rover import Rover
-
-__all__ = [
-    "COST_CAP",
-    "GroundMaps",
-    "Mobility",
-    "Traversability",
-    "assess",
-    "ground_maps",
-    "map_scales",
-    "read_mobility",
-    "travel_cost",
-]
 
 # Where a rover file has no [limits]: assumed, cautious for a rocker-bogie.
 FALLBACK_SLOPE_DEG = 15.0
@@ -97,9 +86,8 @@ def read_mobility(description: RoverDescription, rover: Rover) -> Mobility:
         raise DataError(f"{description.origin}: [limits]: {error}") from error
 
 
-FloatArray = npt.NDArray[np.float64]
 FloatMap = npt.NDArray[np.float32]
-BoolMap = npt.NDArray[np.bool_]
+BoolMap = BoolArray
 TILE = 512
 COST_CAP = 100.0
 

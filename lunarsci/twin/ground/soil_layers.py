@@ -4,16 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.twin.ground.soil_map import Blend, SoilMap, zone_roots
 from lunarsci.twin.ground.terrain import Terrain
 
-__all__ = ["DrawnGrounds", "SoilLayers", "drawn_grounds", "soil_layers"]
-
-FloatArray = npt.NDArray[np.float64]
 PAIRED_AT_ONCE = 256
 """Draws of a population that are paired with others at a time."""
 

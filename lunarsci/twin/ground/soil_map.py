@@ -16,28 +16,14 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.inputs import InputFile, read_json
 from lunarsci.regolith.belief import SoilBelief, belief_of
 from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy
 from lunarsci.regolith.prior import PARAMETERS, Law, default_prior
 
-__all__ = [
-    "CORRELATION_M",
-    "REACH_M",
-    "SCHEMA",
-    "Blend",
-    "SoilMap",
-    "Zone",
-    "read_soil_map",
-    "soil_map_bytes",
-    "zone_roots",
-]
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 CORRELATION_M = 5.0
 """Distance over which soils resemble each other, where none is given; assumed."""
 REACH_M = 0.6

@@ -8,24 +8,10 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.soil import Soil, read_soil
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
-
-__all__ = [
-    "CRATERS",
-    "LARGEST_M",
-    "SCALE_M",
-    "SHARE_AT_CHANGE_4",
-    "SMALLEST_M",
-    "crater_height",
-    "rocks_per_m2",
-    "scatter_rocks",
-    "synthetic_longji",
-    "synthetic_terrain",
-]
-
-FloatArray = npt.NDArray[np.float64]
 
 SHARE_AT_CHANGE_4 = 0.0021
 """Share of the ground that rocks cover at the landing site of Chang'E-4: Wu et al. (2021), EPSL 553, 116666."""

@@ -9,25 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.soil import Soil
 from lunarsci.twin.lanes import CENTER, GROUND, LANES, SOIL
 from lunarsci.twin.outcomes import CLIFF, FINISHED, HOLE, LEFT, SANK
-
-__all__ = [
-    "SOIL_COLUMNS",
-    "Grid",
-    "Terrain",
-    "build_terrain",
-    "from_si",
-    "lay_soil",
-    "read_ground",
-    "soil_override",
-    "soil_overrides",
-]
-
-FloatArray = npt.NDArray[np.float64]
 
 # Column of `Soil.vector()` that holds each parameter.
 SOIL_COLUMNS = {

@@ -15,22 +15,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.csv_table import numbers_of, read_csv_table
 from lunarsci.errors import DataError, OutputError, ParameterError
 from lunarsci.regolith.soil import Soil
 from lunarsci.rovers.description import MadeFor
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, build_terrain, from_si
-
-__all__ = [
-    "TerrainFile",
-    "maps_bytes",
-    "maps_geotiff",
-    "read_terrain",
-    "read_terrain_file",
-    "terrain_bytes",
-    "write_terrain",
-]
 
 
 def _layers(surface: Traversability) -> dict[str, npt.NDArray[np.float32]]:
@@ -74,7 +65,6 @@ def maps_geotiff(surface: Traversability) -> bytes:
     return content
 
 
-FloatArray = npt.NDArray[np.float64]
 HEADER = ("ncols", "nrows", "cellsize", "nodata_value", "xllcorner", "yllcorner", "xllcenter", "yllcenter")
 LEFT = "_left_of_prior"
 EVEN = 1e-4

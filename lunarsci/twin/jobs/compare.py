@@ -6,14 +6,13 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lunarsci.arrays import BoolArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile, Source, read_input
 from lunarsci.provenance import sha256
 from lunarsci.result import MadeFrom, Result, request_of
 
 if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
     from matplotlib.figure import Figure
 
     from lunarsci.regolith.belief import SoilBelief
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from lunarsci.twin.comparison.verdict import DriveComparison
     from lunarsci.twin.rover import Rover
 
-__all__ = ["CompareRequest", "ComparedDrive", "compare"]
 
 SOURCES = [
     "Hotelling (1931), Ann. Math. Stat. 2, 360, 10.1214/aoms/1177732979",
@@ -188,9 +186,7 @@ def _check_plan(file: InputFile, forecast: "Forecast") -> dict[str, str]:
     return {file.name: file.sha256}
 
 
-def _record(
-    states: InputFile, positions: InputFile | None, rover: "Rover"
-) -> "tuple[DriveRecord, npt.NDArray[np.bool_] | None]":
+def _record(states: InputFile, positions: InputFile | None, rover: "Rover") -> "tuple[DriveRecord, BoolArray | None]":
     """The record, and which of its values are no second reading of the positions.
 
     With positions the reader leaves out values that were derived from them. Here these are compared all the same, as

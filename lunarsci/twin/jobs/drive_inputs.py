@@ -21,8 +21,6 @@ from lunarsci.twin.plans.plan import Fixes, Plan, parse_fixes, read_plan
 from lunarsci.twin.plans.rover_check import RoverCheck
 from lunarsci.twin.rover import Rover, build_rover
 
-__all__ = ["DEFAULT_SOIL", "SOURCES", "DriveInputs", "GivenSoil", "named_option", "no_use", "read_drive_inputs"]
-
 SYNTHETIC = "synthetic-longji"
 SOURCES = [
     "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8",

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from lunarsci.twin.plans.plan import Plan
     from lunarsci.twin.simulation.ensemble import Prediction
 
-__all__ = ["DriveForces", "ForcesRequest", "forces", "load_record"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ForcesRequest:

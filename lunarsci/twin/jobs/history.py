@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from lunarsci.regolith.belief import SoilBelief
     from lunarsci.regolith.belief_history import BeliefDistance
 
-__all__ = ["BeliefHistory", "HistoryRequest", "history"]
 
 SOURCES = [
     "Bhattacharyya (1946), Sankhya 7, 401",

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from lunarsci.twin.plans.motion import Motion
     from lunarsci.twin.plans.plan import Plan
 
-__all__ = ["LoadsRequest", "MotionLoads", "UncertainLoads", "loads"]
 
 METHODS = [
     "Kalman (1960), J. Basic Eng. 82, 35, 10.1115/1.3662552",

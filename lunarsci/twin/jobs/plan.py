@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from lunarsci.twin.ground.hazards import Traversability
     from lunarsci.twin.routes.planner import PlannedPath
 
-__all__ = ["PlanRequest", "plan"]
 
 Place = str | tuple[float, ...]
 PLACE = ("X", "Y", "HEADING")

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from lunarsci.twin.plans.plan import Plan
     from lunarsci.twin.simulation.ensemble import Prediction
 
-__all__ = ["PredictRequest", "PredictedDrives", "predict", "predict_drives"]
 
 Progress = Callable[[int, int], None]
 CORRELATED = ("belief", "samples")

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from lunarsci.twin.plans.plan import Plan
     from lunarsci.twin.telemetry.simulated import SyntheticDrive
 
-__all__ = ["MadeUpDrive", "SimulateDriveRequest", "simulate_drive"]
 
 REMARK = b"# synthetic: made up by `lunarsci twin simulate`, not a measurement\n"
 

@@ -5,9 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import LunarSciWarning, ParameterError, RequestError
 from lunarsci.regolith.belief import FitVerdict, doubt, read_verdict
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
@@ -17,8 +15,6 @@ from lunarsci.twin.ground.soil_layers import drawn_grounds
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS
 from lunarsci.twin.jobs.drive_inputs import DEFAULT_SOIL, DriveInputs, named_option, no_use
 from lunarsci.twin.plans.plan import Sweep, parse_sweep
-
-__all__ = ["Soils"]
 
 SOIL_TABLE = "soils.toml"
 OF_A_BELIEF = 64
@@ -43,7 +39,7 @@ class Soils:
     sweep: tuple[Sweep, ...] | None
     members: int | None
     seed: int
-    samples: Mapping[str, npt.NDArray[np.float64]] | None = None
+    samples: Mapping[str, FloatArray] | None = None
     verdict: FitVerdict | None = None
     discrepancy: PhysicsDiscrepancy | None = None
 

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from lunarsci.twin.telemetry.sinkage import RutPoints
     from lunarsci.twin.telemetry.states import DriveStates
 
-__all__ = ["MEASURED", "MeasuredStates", "StatesRequest", "states"]
 
 SMOOTHER = "Rauch, Tung & Striebel (1965), AIAA J. 3, 1445, 10.2514/3.3166"
 MEASURED = ("slip_ratio", "side_slip_deg", "sinkage_m")

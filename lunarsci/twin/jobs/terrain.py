@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from lunarsci.twin.routes.planner import PlannedPath
     from lunarsci.twin.rover import Rover
 
-__all__ = ["Progress", "SurveyedSite", "TerrainRequest", "TerrainSurvey", "read_site", "terrain"]
 
 Progress = Callable[[int, int], None]
 SOURCES = [

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from lunarsci.twin.ground.soil_map import SoilMap, Zone
     from lunarsci.twin.jobs.drive_inputs import DriveInputs
 
-__all__ = ["LearnedSoil", "UpdateRequest", "update"]
 
 SAMPLER = "Christen & Fox (2005), J. Comput. Graph. Stat. 14, 795"
 

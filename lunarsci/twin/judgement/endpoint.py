@@ -5,25 +5,11 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.twin.plans.plan import Fixes
 from lunarsci.twin.simulation.discrepancy import way_matrix
 from lunarsci.twin.simulation.ensemble import Prediction, predict
-
-__all__ = [
-    "Endpoint",
-    "EndpointSensitivity",
-    "ErrorEllipse",
-    "covering_circle",
-    "endpoint_sensitivity",
-    "endpoint_spread",
-    "error_ellipse",
-    "scale_of",
-    "step_error_m",
-]
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

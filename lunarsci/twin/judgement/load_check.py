@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.interpolation import at_times
 from lunarsci.regolith.states import FROM_MOTION
 from lunarsci.twin.loads.load_ensemble import LoadEnsemble
@@ -21,18 +21,6 @@ from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
 
 if TYPE_CHECKING:
     import pandas as pd
-
-__all__ = [
-    "MOST_IN_WEIGHTS",
-    "QUANTITIES",
-    "LoadCheck",
-    "Spread",
-    "WheelLoads",
-    "check_loads",
-    "force_table",
-    "load_notes",
-    "wheel_loads",
-]
 
 
 def force_table(found: LoadEnsemble, states: PoseStates | None = None) -> "pd.DataFrame":
@@ -86,7 +74,6 @@ def _of_the_motion(found: LoadEnsemble) -> "pd.DataFrame":
     return pd.DataFrame(columns)
 
 
-FloatArray = npt.NDArray[np.float64]
 QUANTITIES = (
     "normal_force_n",
     "drawbar_pull_n",

@@ -6,16 +6,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.compiled import each_in_threads, in_lanes
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.footprint import rover_outline
 from lunarsci.twin.plans.plan import ExclusionZone
 from lunarsci.twin.rover import Body
 from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction
-
-__all__ = ["abscissa", "along", "belly_points", "clearance", "clearance_of_poses", "exclusion_distance", "tilt_deg"]
-
-FloatArray = npt.NDArray[np.float64]
 
 MOST_POINTS = 1000
 """Of the grid on the belly; a finer terrain is met at wider points."""

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.twin.judgement.endpoint import Endpoint, endpoint_spread
 from lunarsci.twin.judgement.quantities import along, clearance
@@ -18,19 +18,6 @@ from lunarsci.twin.outcomes import HOLE, LEFT, OUTCOMES
 from lunarsci.twin.plans.plan import AT_LEAST, QUANTITIES, Limit, Plan
 from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST, VALID_SLIP
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
-
-__all__ = [
-    "CALIBRATED_SINKAGE_M",
-    "Judgement",
-    "Validity",
-    "Verdict",
-    "Worst",
-    "extremes",
-    "judge",
-    "percent",
-    "validity",
-    "validity_notes",
-]
 
 CALIBRATED_SINKAGE_M = (0.005, 0.015)
 """Sinkages that the calibration of Ding et al. (2024), 10.1038/s41467-024-46233-8, covers: wheels of Yutu-2. [m]"""
@@ -101,9 +88,6 @@ def validity_notes(found: Validity) -> list[str]:
 def percent(share: float) -> str:
     """A share in words, never rounded to nothing."""
     return "less than 0.1 %" if share < 0.001 else f"{100 * share:.1f} %"
-
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

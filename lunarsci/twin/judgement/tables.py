@@ -6,8 +6,8 @@ How the quantities of a drive spread over the members at each distance.
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.twin.judgement.quantities import along
 from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
 from lunarsci.twin.simulation.ensemble import OFFSET_COLUMNS, PATH_COLUMNS, STATE_COLUMNS, Prediction
@@ -15,18 +15,6 @@ from lunarsci.twin.simulation.ensemble import OFFSET_COLUMNS, PATH_COLUMNS, STAT
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "PROFILED",
-    "available",
-    "endpoint_table",
-    "held_table",
-    "path_table",
-    "profile_table",
-    "spread",
-    "state_table",
-]
-
-FloatArray = npt.NDArray[np.float64]
 
 PROFILED = {
     "tilt_deg": "deg",
@@ -44,7 +32,7 @@ PROFILED = {
 ALL = "all"
 
 
-def spread(values: FloatArray, reached: npt.NDArray[np.bool_]) -> FloatArray:
+def spread(values: FloatArray, reached: BoolArray) -> FloatArray:
     """p05, p50, p95, min and max over members (and wheels) at each sample, NaN where no member came. (5, samples)
 
     `values` is (members, samples) or (members, samples, wheels). Percentiles interpolate linearly; NaN is left out.

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.interpolation import at_times
 from lunarsci.regolith.belief import SoilBelief
@@ -23,10 +23,6 @@ from lunarsci.twin.loads.pose_states import PoseStates
 from lunarsci.twin.loads.prescribed_motion import contact_jacobian, net_wrench
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.rover import Rover
-
-__all__ = ["AlternatingEstimate", "Round", "alternate", "balanced_states", "verdict_of"]
-
-FloatArray = npt.NDArray[np.float64]
 
 SOIL_STILL, FORCES_STILL = 0.1, 0.01
 """Largest move of the soil's mean, in what remains of its standard deviations, and of pulls and lateral forces as a

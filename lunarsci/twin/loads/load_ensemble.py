@@ -10,8 +10,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.terrain import Terrain, soil_overrides
 from lunarsci.twin.loads.prescribed_motion import (
@@ -25,10 +25,6 @@ from lunarsci.twin.outcomes import outcome_texts
 from lunarsci.twin.plans.motion import Motion, drawn_motions
 from lunarsci.twin.rover import Rover
 
-__all__ = ["BALANCE_ERROR", "DRAWS", "LoadEnsemble", "Shares", "draw_loads"]
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 DRAWS, FEWEST_DRAWS = 64, 16
 BALANCE_ERROR = 0.005
 """Standard error of the balance as a share of the weight, for a slope that is off by 0.3 deg, and inertia; assumed."""

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.states import COLUMNS, read_state_table
 from lunarsci.twin.plans.motion import CORRELATION_M, Motion, correlation_of
@@ -14,10 +14,7 @@ from lunarsci.twin.rover import Rover
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["MEASURED", "PoseStates", "correlation_length", "read_pose_states"]
 
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 MEASURED = ("sinkage_m", "slip_ratio", "side_slip_deg")
 
 
@@ -35,7 +32,7 @@ class PoseStates:
 
     table: "pd.DataFrame"
     time_s: FloatArray
-    wheel: npt.NDArray[np.int64]
+    wheel: IntArray
     values: FloatArray
     sigmas: FloatArray
     valid: BoolArray

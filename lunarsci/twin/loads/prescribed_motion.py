@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.terrain import Terrain
@@ -23,11 +23,6 @@ from lunarsci.twin.simulation.contact_frame import shear_center
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 from lunarsci.twin.simulation.members import record, take_commands
 from lunarsci.twin.simulation.settle import balance, settle
-
-__all__ = ["FORCES", "PrescribedLoads", "contact_jacobian", "net_wrench", "prescribed_loads", "residual_wrench"]
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -59,7 +54,7 @@ class PrescribedLoads:
     arms: FloatArray
 
     @property
-    def known(self) -> npt.NDArray[np.bool_]:
+    def known(self) -> BoolArray:
         """Poses with forces: in equilibrium, and neither at a halt nor beside a halt or gap. (n,)"""
         return np.asarray((self.outcome == FINISHED) & ~self.motion.no_speed)
 

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.csv_table import numbers_of, read_csv_table
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile, read_input
@@ -23,9 +23,7 @@ from lunarsci.twin.rover import Rover
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["CORRELATION_M", "Motion", "correlation_of", "drawn_motions", "read_motion"]
 
-FloatArray = npt.NDArray[np.float64]
 POSE_COLUMNS = ("time_s", "x_m", "y_m", "yaw_deg")
 GAP = 5.0
 """Times the median step between poses from which on a step is a gap; assumed."""
@@ -61,7 +59,7 @@ class Motion:
     steering_deg: FloatArray
     speed_m_s: FloatArray
     sigmas: FloatArray | None = None
-    halted: npt.NDArray[np.bool_] | None = None
+    halted: BoolArray | None = None
 
     def __post_init__(self) -> None:
         if len(self.time_s) < 3:
@@ -91,7 +89,7 @@ class Motion:
                 raise ParameterError(f"motion {name} is {column[wrong[0]]:g} at pose {wrong[0]}; give 0 or more")
 
     @property
-    def no_speed(self) -> npt.NDArray[np.bool_]:
+    def no_speed(self) -> BoolArray:
         """Poses whose speed the poses do not tell: at a halt, and beside a halt or a gap. (n,)"""
         still = np.zeros(len(self.time_s), dtype=bool) if self.halted is None else self.halted
         lost = still.copy()
@@ -142,7 +140,7 @@ def read_motion(
 class _Columns:
     """Columns of a table as numbers, on demand: what is not used may hold any text."""
 
-    def __init__(self, file: str, table: "pd.DataFrame", rows: npt.NDArray[np.bool_] | None = None) -> None:
+    def __init__(self, file: str, table: "pd.DataFrame", rows: BoolArray | None = None) -> None:
         self.file, self.table, self.rows = file, table, rows
 
     def __contains__(self, name: str) -> bool:
@@ -193,7 +191,7 @@ def _warn_of_gaps(file: str, time_s: FloatArray) -> None:
 
 def _commands(
     columns: _Columns, rover: Rover, plan: Plan | None, time_s: FloatArray
-) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Steering, speeds, and which poses are at a halt."""
     names = [(f"steering_{wheel}_deg", f"speed_{wheel}_m_s") for wheel in rover.wheels]
     given = [name for pair in names for name in pair if name in columns]
@@ -213,7 +211,7 @@ def _commands(
     return np.degrees(commands.steering_rad), commands.speed_m_s, schedule.pace_at(time_s) < UNDER_WAY
 
 
-def _standing(speed_m_s: FloatArray) -> npt.NDArray[np.bool_]:
+def _standing(speed_m_s: FloatArray) -> BoolArray:
     mean = np.abs(speed_m_s).mean(axis=1)
     turning = mean[mean > 0]
     return np.asarray(mean < STANDSTILL * np.median(turning) if turning.size else mean == 0)

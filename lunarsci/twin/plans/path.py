@@ -7,24 +7,9 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
-
-__all__ = [
-    "CREEP",
-    "CREEP_M_S",
-    "Commands",
-    "along_legs",
-    "arc_end",
-    "curvature_at",
-    "leg_end",
-    "plain",
-    "planned_pose",
-    "reach_m",
-    "wheel_commands",
-]
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def arc_end(

@@ -13,22 +13,6 @@ from lunarsci.rovers.description import MadeFor
 from lunarsci.twin.ground.terrain import soil_override
 from lunarsci.twin.rover import Rover
 
-__all__ = [
-    "AT_LEAST",
-    "QUANTITIES",
-    "ExclusionZone",
-    "Fixes",
-    "Leg",
-    "Limit",
-    "Plan",
-    "Sweep",
-    "check_plan",
-    "parse_fixes",
-    "parse_plan",
-    "parse_sweep",
-    "read_plan",
-]
-
 # Quantities that can be limited, and their units.
 QUANTITIES = {
     "slip_ratio": "-",

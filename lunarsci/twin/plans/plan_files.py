@@ -6,8 +6,6 @@ from pathlib import Path
 from lunarsci.errors import OutputError
 from lunarsci.twin.plans.plan import Leg, Plan
 
-__all__ = ["plan_text", "write_plan"]
-
 
 def plan_text(plan: Plan) -> str:
     """The TOML text that `read_plan` reads back as the same plan, but for `origin`."""

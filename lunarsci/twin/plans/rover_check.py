@@ -14,8 +14,6 @@ from lunarsci.twin.ground.terrain import SOIL_COLUMNS
 from lunarsci.twin.plans.plan import Limit, Plan
 from lunarsci.twin.rover import Rover
 
-__all__ = ["RoverCheck", "laxer", "limits_of_rover"]
-
 SINKAGE_IN_RADII = 1.0 / 3.0
 """Assumed, as in the embedded plan."""
 

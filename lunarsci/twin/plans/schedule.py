@@ -11,25 +11,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.twin.lanes import LANES, POSE
 from lunarsci.twin.plans.path import CREEP, Commands, along_legs, curvature_at, leg_end, plain, reach_m, wheel_commands
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
 
-__all__ = [
-    "Run",
-    "Schedule",
-    "all_commands",
-    "commands_at",
-    "fix_errors",
-    "legs_from",
-    "make_schedule",
-    "run_commands",
-    "start_motion",
-    "steps_of_runs",
-]
-
-FloatArray = npt.NDArray[np.float64]
 EASE_S = 0.6
 """Time constant of starting and stopping, assumed: long against the 12-18 ms in which shear follows a wheel."""
 RAMP_S = EASE_S * math.log(1.0 / CREEP)

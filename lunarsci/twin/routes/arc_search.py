@@ -8,23 +8,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.twin.plans.path import arc_end
 from lunarsci.twin.routes.search_ground import Window, drive_arcs, drive_course
 
-__all__ = [
-    "COARSEST_M",
-    "FINEST_M",
-    "ArcProblem",
-    "Course",
-    "close_on_point",
-    "close_on_pose",
-    "find_courses",
-    "pose_after",
-]
-
-FloatArray = npt.NDArray[np.float64]
 LARGEST_TURN = 0.75 * np.pi
 """No closing arc turns further than this. [rad]"""
 

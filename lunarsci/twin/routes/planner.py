@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.footprint import RoverFootprint, nearest_node, rover_footprint, swept_nodes
 from lunarsci.twin.ground.hazards import Traversability
@@ -17,13 +18,10 @@ from lunarsci.twin.routes.arc_search import COARSEST_M, FINEST_M, ArcProblem, Co
 from lunarsci.twin.routes.search_ground import SearchGround, search_ground
 from lunarsci.twin.rover import Rover
 
-__all__ = ["ARRIVAL_M", "PlannedPath", "path_table", "plan_path"]
-
 if TYPE_CHECKING:
     import pandas as pd
 
-FloatArray = npt.NDArray[np.float64]
-BoolMap = npt.NDArray[np.bool_]
+BoolMap = BoolArray
 Progress = Callable[[int, int], None]
 
 NEAR_M = 1.0
@@ -188,7 +186,7 @@ def path_table(path: PlannedPath, surface: Traversability, every_m: float = 0.1)
     )
 
 
-def _nodes(surface: Traversability, poses: FloatArray) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def _nodes(surface: Traversability, poses: FloatArray) -> tuple[IntArray, IntArray]:
     """Row and column of the node nearest to each pose."""
     terrain = surface.terrain
     return (

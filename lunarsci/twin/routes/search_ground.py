@@ -6,13 +6,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.compiled import compiled
 from lunarsci.twin.ground.hazards import Traversability, travel_cost
 
-__all__ = ["SearchGround", "Window", "drive_arcs", "drive_course", "search_ground"]
-
-FloatArray = npt.NDArray[np.float64]
-BoolMap = npt.NDArray[np.bool_]
+BoolMap = BoolArray
 
 
 class Window(NamedTuple):
@@ -38,7 +36,7 @@ class SearchGround:
     window: Window
     rows: slice
     columns: slice
-    border: npt.NDArray[np.int64]
+    border: IntArray
 
 
 def search_ground(surface: Traversability, points_m: FloatArray, margin_m: float) -> SearchGround:
@@ -70,7 +68,7 @@ def search_ground(surface: Traversability, points_m: FloatArray, margin_m: float
     )
 
 
-def _real(border: npt.NDArray[np.int64], whole: tuple[int, ...], rows: slice, columns: slice) -> BoolMap:
+def _real(border: IntArray, whole: tuple[int, ...], rows: slice, columns: slice) -> BoolMap:
     """Which border nodes are obstacles or lie beyond the map, and not just beyond the box."""
     row, column = border.T
     in_box = (row >= rows.start) & (row < rows.stop) & (column >= columns.start) & (column < columns.stop)

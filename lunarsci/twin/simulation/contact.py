@@ -70,8 +70,6 @@ from lunarsci.twin.simulation.contact_frame import (
     velocity_of,
 )
 
-__all__ = ["AT_REST", "DRIVEN", "HELD", "MASS_ON_WHEEL", "NORMAL_DAMPING", "add_wheel"]
-
 # Assumed, for a calm touch-down: half of critical for this mass on a wheel [kg] on 7 kN/m, and for another in
 # proportion; the soil's own is not published. [N s/m]
 NORMAL_DAMPING, MASS_ON_WHEEL = 400.0, 22.5

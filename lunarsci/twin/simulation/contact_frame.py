@@ -38,22 +38,6 @@ from lunarsci.twin.lanes import (
     times,
 )
 
-__all__ = [
-    "DEEPEST",
-    "SHALLOWEST",
-    "SLOWEST",
-    "VALID_SLIP",
-    "any_stands",
-    "contact_frame",
-    "keep_hold",
-    "lean",
-    "seen_from",
-    "shear_center",
-    "soil_below",
-    "stand",
-    "velocity_of",
-]
-
 # The closed form has no meaning once the wheel is buried to its axle; beyond this share of r the force stays constant.
 DEEPEST = 0.9
 # Below this sinkage [m] the contact angles round to nothing.

@@ -10,16 +10,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 
 if TYPE_CHECKING:
     from lunarsci.twin.simulation.ensemble import Prediction
-
-__all__ = ["ALIKE_M", "ALWAYS", "DrawnDiscrepancy", "exposed", "way_matrix", "with_discrepancy"]
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -40,8 +40,6 @@ from lunarsci.twin.lanes import (
     times,
 )
 
-__all__ = ["begin_system", "orient", "place_wheels"]
-
 
 @pasted
 def rotation_of(w: Any, x: Any, y: Any, z: Any) -> Any:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.terrain import Terrain, soil_overrides
 from lunarsci.twin.outcomes import OUTCOMES
@@ -16,12 +17,6 @@ from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST
 from lunarsci.twin.simulation.discrepancy import DrawnDiscrepancy
 from lunarsci.twin.simulation.members import MOST_STEPS, DriveSetup, Grounds, drive_all, drive_finer
-
-__all__ = ["OFFSET_COLUMNS", "PATH_COLUMNS", "STATE_COLUMNS", "Grounds", "Prediction", "member_parameters", "predict"]
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 PATH_COLUMNS = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg")
 OFFSET_COLUMNS = ("offset_x_m", "offset_y_m")
@@ -83,7 +78,7 @@ class Prediction:
     planned: FloatArray
     paths: FloatArray
     states: FloatArray
-    halted: npt.NDArray[np.bool_]
+    halted: BoolArray
     recorded: IntArray
     outcome: IntArray
     grounds: Grounds | None = None
@@ -98,7 +93,7 @@ class Prediction:
         return len(self.outcome)
 
     @property
-    def finished(self) -> npt.NDArray[np.bool_]:
+    def finished(self) -> BoolArray:
         """Members that reached the end of the plan. (members,)"""
         return np.asarray(self.outcome == 0)
 
@@ -108,7 +103,7 @@ class Prediction:
         return 0 if self.finer is None else int((self.finer > 1).sum())
 
     @property
-    def reached(self) -> npt.NDArray[np.bool_]:
+    def reached(self) -> BoolArray:
         """Samples that were driven, not repeated. (members, samples)"""
         return np.asarray(np.arange(len(self.distance_m)) < self.recorded[:, None])
 
@@ -293,7 +288,7 @@ def _for_people(
     states[..., 4] = np.degrees(states[..., 4])
 
 
-def _calm_halts(states: FloatArray, halted: npt.NDArray[np.bool_], radius_m: float) -> None:
+def _calm_halts(states: FloatArray, halted: BoolArray, radius_m: float) -> None:
     """Set slip and side slip to 0 at halts: they compare with a speed that is not there."""
     sinkage, slip, side_slip, valid = (
         STATE_COLUMNS.index(name) for name in ("sinkage_m", "slip_ratio", "side_slip_deg", "valid")

@@ -52,8 +52,6 @@ from lunarsci.twin.simulation.contact import add_wheel
 from lunarsci.twin.simulation.dynamics import begin_system, place_wheels
 from lunarsci.twin.simulation.ruts import read_ruts
 
-__all__ = ["assemble", "check_health", "check_sense", "eliminate", "is_upright", "move"]
-
 COS_OVERTURNED = 0.5
 THREE, EIGHT = rows(3, 8)
 # Assumed: no part of a rover that drives at cm/s comes near this speed [m/s or rad/s] while the run has a meaning.

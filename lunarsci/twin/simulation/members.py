@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any, Protocol, Self
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.compiled import compiled, each_in_threads
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.forces import slip_ratio
@@ -50,10 +50,6 @@ from lunarsci.twin.simulation.dynamics import orient
 from lunarsci.twin.simulation.integrate import assemble, check_health, check_sense, eliminate, move
 from lunarsci.twin.simulation.ruts import SPACING_M, RutGrid, press_ruts, rut_grid, with_ruts
 from lunarsci.twin.simulation.settle import settle
-
-__all__ = ["MOST_STEPS", "DriveSetup", "Grounds", "begin", "drive", "drive_all", "drive_finer"]
-
-FloatArray = npt.NDArray[np.float64]
 
 # Into how many parts a step is cut as the rover starts and stops, assumed. In whole steps wheels on slopes swing as
 # they start, and dig 4 mm deeper than in short ones.
@@ -181,9 +177,6 @@ def drive(
     for m in range(members):
         results[m, 0] = work.code[m]
 
-
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 MOST_STEPS = 1e7
 """Minutes of computing for a single member."""

@@ -15,8 +15,8 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.elementary import exponential, logarithm
 from lunarsci.errors import ParameterError
@@ -24,9 +24,6 @@ from lunarsci.twin.lanes import AXLE, CENTER, GROUND, LANES, RIM, RUT, SINKAGE, 
 from lunarsci.twin.outcomes import FINISHED
 from lunarsci.twin.simulation.contact_frame import SHALLOWEST
 
-__all__ = ["SPACING_M", "RutGrid", "press_ruts", "read_ruts", "rut_grid", "with_ruts"]
-
-FloatArray = npt.NDArray[np.float64]
 RISE_N_M4 = 503e6
 """A_u of a dry sand (LETE sand, Wong 2008, table 2.4), assumed for regolith, of which none is published. [N m^-4]"""
 SPACING_M = 0.0353

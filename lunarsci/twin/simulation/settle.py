@@ -3,9 +3,9 @@
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.twin.ground.terrain import lay_soil, read_ground
 from lunarsci.twin.lanes import (
@@ -29,10 +29,6 @@ from lunarsci.twin.lanes import (
 from lunarsci.twin.outcomes import CLIFF, DIVERGED, FINISHED, HOLE, LEFT, OVERTURNED, SANK, UNSETTLED
 from lunarsci.twin.simulation.contact import AT_REST
 from lunarsci.twin.simulation.integrate import assemble, eliminate, is_upright, move
-
-__all__ = ["balance", "place", "settle"]
-
-FloatArray = npt.NDArray[np.float64]
 
 SETTLE_ROUNDS = 300
 SETTLE_TOLERANCE = 1e-9

@@ -6,25 +6,20 @@ How the wheels were steered is as measured, else as commanded, where the two agr
 import dataclasses
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import Schedule, commands_at, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.telemetry.reading import Findings, Telemetry
 
-__all__ = ["check_against_plan", "ordered", "steering_angles", "taken", "time_gaps"]
-
-BoolArray = npt.NDArray[np.bool_]
-FloatArray = npt.NDArray[np.float64]
-
 GAP = 5.0
 """Times the median step between rows from which on a step is a gap; assumed, as of a motion."""
 LEAST_ROWS = 5
 
 
-def taken(telemetry: Telemetry, rows: npt.NDArray[np.intp] | BoolArray) -> Telemetry:
+def taken(telemetry: Telemetry, rows: IndexArray | BoolArray) -> Telemetry:
     """Some rows of telemetry, as a mask or by number."""
     arrays = {
         field.name: getattr(telemetry, field.name)[rows]

@@ -11,24 +11,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-__all__ = [
-    "AHEAD",
-    "EFFECTS",
-    "EFFECT_MEAN",
-    "MEANS",
-    "SIZE",
-    "Model",
-    "Nodes",
-    "dead_reckoned",
-    "filtered",
-    "linearised",
-    "smoothed_back",
-]
+from lunarsci.arrays import BoolArray, FloatArray
 
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 SIZE = 16
 """State: x, y, heading; deviation and its derivative along the way of ahead, left and turn; their constant parts; the
 coefficients of `Nodes.effect`."""

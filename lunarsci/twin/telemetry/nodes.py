@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.path import CREEP_M_S
@@ -17,22 +17,6 @@ from lunarsci.twin.telemetry.reading import Telemetry
 from lunarsci.twin.telemetry.smoother import Smoothed, believed_change, probable
 from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion
 
-__all__ = [
-    "WheelVelocities",
-    "denser",
-    "mean_speed",
-    "motion_at",
-    "nodes_of",
-    "on_ground",
-    "pace_at",
-    "slips_of",
-    "twist_at",
-    "wheel_velocities",
-]
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
-IntArray = npt.NDArray[np.intp]
 NODE_M = 0.1
 """Way between the moments at which the motion is found. [m]"""
 STIFFNESSES = (0.1, 0.17, 0.28, 0.48, 0.8)
@@ -86,7 +70,7 @@ def _drives(wheels: WheelMotion, twist: FloatArray) -> BoolArray:
 
 def nodes_of(
     telemetry: Telemetry, wheels: WheelMotion, twist: FloatArray, way_m: FloatArray, gaps: BoolArray
-) -> tuple[Nodes, IntArray]:
+) -> tuple[Nodes, IndexArray]:
     """Nodes and the rows they are."""
     drives = _drives(wheels, twist)
     stage = np.floor(way_m / NODE_M)
@@ -126,7 +110,7 @@ def motion_at(
     smoothed: Smoothed,
     wheels: WheelMotion,
     steering_rad: FloatArray,
-    rows: IntArray,
+    rows: IndexArray,
     sway_m: FloatArray,
 ) -> Motion:
     """The smoothed motion of the rover's origin, with the wheels as they were measured."""
@@ -144,7 +128,7 @@ def motion_at(
     )
 
 
-def _at_nodes(time_s: FloatArray, between: FloatArray, rows: IntArray) -> FloatArray:
+def _at_nodes(time_s: FloatArray, between: FloatArray, rows: IndexArray) -> FloatArray:
     """Means between the nodes before and after each node, from means between rows. (nodes, wheels)"""
     steps = np.diff(time_s)[:, None]
     known = np.isfinite(between)
@@ -157,7 +141,7 @@ def _at_nodes(time_s: FloatArray, between: FloatArray, rows: IntArray) -> FloatA
         )
 
 
-def _mean_about(values: FloatArray, rows: IntArray) -> FloatArray:
+def _mean_about(values: FloatArray, rows: IndexArray) -> FloatArray:
     """Mean of a column over the rows nearer to each node than to others, both ways alike."""
     result = np.empty(len(rows))
     for k, row in enumerate(rows):

@@ -8,15 +8,11 @@ forces where slips are small, and inertia is none.
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray
 from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
-
-__all__ = ["body_twist", "fitted_twist", "ground_velocities", "shape_effect", "slope_effect", "wheel_rows"]
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def wheel_rows(rover: Rover, steering_rad: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -9,17 +9,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError
 from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.telemetry.reading import Findings, Telemetry
 
-__all__ = ["check_attitude", "check_frame", "sway_m", "usable_headings", "usable_positions"]
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.intp]
 ATTITUDE_DEG, FOLLOWS = 1.5, 0.6
 """Median difference of roll or pitch from the terrain's beyond which the terrain is not the ground [deg]; and, where it
 slopes by more than 1 degree, as a share of the slope; assumed."""
@@ -38,7 +34,7 @@ def sway_m(rover: Rover, paths: FloatArray) -> FloatArray:
     )
 
 
-def check_attitude(telemetry: Telemetry, held: PrescribedLoads, rows: IntArray, findings: Findings) -> None:
+def check_attitude(telemetry: Telemetry, held: PrescribedLoads, rows: IndexArray, findings: Findings) -> None:
     """Roll and pitch must be those of a rover that stands on this terrain."""
     for column, name in ((3, "roll_deg"), (4, "pitch_deg")):
         measured, stood = getattr(telemetry, name)[rows], held.paths[:, column]
@@ -59,7 +55,6 @@ def check_attitude(telemetry: Telemetry, held: PrescribedLoads, rows: IntArray, 
         findings.add("attitude against terrain", what, "the terrain's is taken", count=int(known.sum()), doubt=True)
 
 
-BoolArray = npt.NDArray[np.bool_]
 ASTRAY_DEG = 15.0
 """Median angle between displacement and heading which no side slip makes; assumed. [deg]"""
 CLEAR_DEG = 5.0
@@ -148,7 +143,7 @@ def usable_headings(telemetry: Telemetry, turned_deg: FloatArray, findings: Find
     return dataclasses.replace(telemetry, yaw_deg=yaw)
 
 
-def _hanging(yaw: FloatArray, sigma: FloatArray, turned_deg: FloatArray, known: npt.NDArray[np.intp]) -> BoolArray:
+def _hanging(yaw: FloatArray, sigma: FloatArray, turned_deg: FloatArray, known: IndexArray) -> BoolArray:
     result = np.zeros(len(yaw), dtype=bool)
     values = yaw[known]
     changes = np.abs(np.diff(values))
@@ -224,7 +219,7 @@ def check_frame(telemetry: Telemetry, twist: FloatArray, findings: Findings) -> 
 
 def _check_shift(
     telemetry: Telemetry,
-    rows: npt.NDArray[np.intp],
+    rows: IndexArray,
     moved: FloatArray,
     wanted: FloatArray,
     sigma_m: FloatArray,
@@ -243,9 +238,7 @@ def _check_shift(
             findings.add("position shift", what, "kept; states beside it are wrong", time_s=first, doubt=True)
 
 
-def _displacements(
-    telemetry: Telemetry, twist: FloatArray, rows: npt.NDArray[np.intp], yaw_deg: FloatArray
-) -> FloatArray:
+def _displacements(telemetry: Telemetry, twist: FloatArray, rows: IndexArray, yaw_deg: FloatArray) -> FloatArray:
     """Displacement between successive positions that wheels and headings say. (rows - 1, 2) [m]"""
     known = np.isfinite(yaw_deg)
     yaw = np.radians(np.interp(telemetry.time_s, telemetry.time_s[known], yaw_deg[known]))

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.csv_table import numbers_of, read_csv_table
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
@@ -18,11 +18,6 @@ from lunarsci.twin.rover import Rover
 
 if TYPE_CHECKING:
     import pandas as pd
-
-__all__ = ["POSE_COLUMNS", "WHEEL_COLUMNS", "Finding", "Findings", "Telemetry", "read_table", "read_telemetry"]
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

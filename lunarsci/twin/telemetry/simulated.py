@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.twin.plans.schedule import all_commands, commands_at, make_schedule
 from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction
@@ -14,9 +14,7 @@ from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, STATE_COLUMNS, Predi
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["SensorErrors", "SyntheticDrive", "simulate_telemetry"]
 
-FloatArray = npt.NDArray[np.float64]
 TRAVEL_SHARE = 0.04 / 3.0
 """Error of visual localisation as a share of the distance: 4 % read as three standard deviations, Ding et al. (2024),
 10.1038/s41467-024-46233-8."""
@@ -120,7 +118,7 @@ def _telemetry(prediction: Prediction, errors: SensorErrors, random: np.random.G
     path = {name: prediction.paths[0, :count, k] for k, name in enumerate(PATH_COLUMNS)}
     time = prediction.time_s[:count]
     fixed, sigma = _fix_rows(prediction.distance_m[:count], errors.fix_distance_m), errors.position_m
-    columns: dict[str, npt.NDArray[np.float64] | list[str]] = {"time_s": time}
+    columns: dict[str, FloatArray | list[str]] = {"time_s": time}
     for name in ("x_m", "y_m"):
         columns[name] = np.where(fixed, path[name] + sigma * random.normal(size=count), np.nan)
     for name, value in (("xx_m2", sigma**2), ("xy_m2", 0.0), ("yy_m2", sigma**2)):
@@ -134,7 +132,7 @@ def _telemetry(prediction: Prediction, errors: SensorErrors, random: np.random.G
     return pd.DataFrame(columns)
 
 
-def _fix_rows(distance_m: FloatArray, every_m: float) -> npt.NDArray[np.bool_]:
+def _fix_rows(distance_m: FloatArray, every_m: float) -> BoolArray:
     """The first rows at which each multiple of a distance is reached, and the last row. (n,)"""
     stage = np.floor(distance_m / every_m + 1e-9)
     rows = np.append(True, np.diff(stage) > 0)

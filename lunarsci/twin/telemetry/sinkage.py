@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.csv_table import numbers_of, read_csv_table
 from lunarsci.errors import DataError
 from lunarsci.inputs import InputFile
@@ -20,11 +20,6 @@ from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 from lunarsci.twin.telemetry.simulated import deepest_at
 from lunarsci.twin.telemetry.states import DriveStates
-
-__all__ = ["RutPoints", "deepest_wheel", "read_track", "rut_points", "with_sinkage"]
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 SIGMA_M = 0.00033
 """Error of a depth whose error is not given: 1 mm as three standard deviations, Ding et al. (2024),
@@ -108,7 +103,7 @@ def rut_points(before: Terrain, after: Terrain, places_m: FloatArray, reach_m: f
 
 def deepest_wheel(
     places_m: FloatArray,
-    wheel: npt.NDArray[np.intp],
+    wheel: IndexArray,
     paths: tuple[FloatArray, FloatArray],
     predicted_m: FloatArray,
     time_s: FloatArray,
@@ -199,7 +194,7 @@ def with_sinkage(drive: DriveStates, track: RutPoints | Terrain, before: Terrain
     )
 
 
-def _at_halt(drive: DriveStates) -> npt.NDArray[np.bool_]:
+def _at_halt(drive: DriveStates) -> BoolArray:
     """Rows whose states are not valid only for their slip: their sinkage counts all the same."""
     return np.isfinite(drive.rows.slip_ratio)
 
@@ -214,7 +209,7 @@ def _without_holes(values: FloatArray) -> FloatArray:
     return np.nan_to_num(result)
 
 
-def _check_along(drive: DriveStates, points: RutPoints, depth: FloatArray, known: npt.NDArray[np.bool_]) -> None:
+def _check_along(drive: DriveStates, points: RutPoints, depth: FloatArray, known: BoolArray) -> None:
     met = float(np.isfinite(depth[known]).mean()) if known.any() else 0.0
     if met == 0:
         raise DataError(

@@ -13,8 +13,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import FloatArray, IndexArray
 from lunarsci.errors import DataError
 from lunarsci.twin.telemetry.filter import (
     AHEAD,
@@ -29,23 +29,6 @@ from lunarsci.twin.telemetry.filter import (
     smoothed_back,
 )
 from lunarsci.twin.telemetry.reading import Findings
-
-__all__ = [
-    "MEANS",
-    "Nodes",
-    "SlipProcess",
-    "Smoothed",
-    "believed_change",
-    "change_of",
-    "check_change",
-    "check_glide",
-    "check_scatter",
-    "probable",
-    "smooth",
-    "without_outliers",
-]
-
-FloatArray = npt.NDArray[np.float64]
 
 LENGTHS_M = (0.35, 0.7, 1.4, 2.8)
 """Candidates for the way over which deviations change: from half the length of a rover, which averages the ground below
@@ -159,7 +142,7 @@ def _divergence(weight: FloatArray, believed: FloatArray) -> float:
     return float(weight @ np.log(np.maximum(weight, 1e-300) / believed))
 
 
-def _draws(weights: FloatArray) -> npt.NDArray[np.intp]:
+def _draws(weights: FloatArray) -> IndexArray:
     """Candidates of each deviation, as often as they are probable, mixed with those of the others. (m, 3)"""
     levels = (np.arange(DRAWN) + 0.5) / DRAWN
     columns = []

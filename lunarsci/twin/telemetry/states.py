@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.loads.prescribed_motion import PrescribedLoads, prescribed_loads
@@ -43,19 +43,6 @@ from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion, wheel
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "BASIS",
-    "DriveStates",
-    "StateRows",
-    "motion_table",
-    "position_table",
-    "states_of",
-    "wheel_table",
-]
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
-IntArray = npt.NDArray[np.intp]
 
 LEAST_ROW_M = 0.3
 """Way between rows of states where positions are denser, assumed: a rover's slip does not change faster. [m]"""
@@ -81,7 +68,7 @@ class StateRows:
     valid : False at halts, beyond the range of the wheel model, and for wheels without readings. (m, wheels)
     """
 
-    node: IntArray
+    node: IndexArray
     distance_m: FloatArray
     place_m: FloatArray
     slip_ratio: FloatArray
@@ -224,7 +211,7 @@ def _state_rows(
     smoothed: Smoothed,
     motion: Motion,
     held: PrescribedLoads,
-    rows: IntArray,
+    rows: IndexArray,
     gaps: BoolArray,
     findings: Findings,
 ) -> StateRows:
@@ -267,7 +254,7 @@ def _state_rows(
 
 def _chosen(
     nodes: Nodes, drives: BoolArray, distance_m: FloatArray, gap: BoolArray, file: str
-) -> tuple[IntArray, BoolArray]:
+) -> tuple[IndexArray, BoolArray]:
     """Nodes midway between positions, no closer than `LEAST_ROW_M` and out of gaps, and one for each halt.
 
     Nodes and whether each is a halt.

@@ -3,16 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.telemetry.reading import Findings, Telemetry
 
-__all__ = ["WheelMotion", "wheel_motion"]
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 UNITS = {
     np.pi / 180.0: "rad where degrees are wanted",
     180.0 / np.pi: "degrees where rad are wanted",

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.abundance.end_members import embedded_end_members
 from lunarsci.spectra.abundance.estimate import METHODS, estimate_series
@@ -16,7 +17,7 @@ from lunarsci.spectra.abundance.powders import Powders, loosened, population
 from lunarsci.spectra.abundance.result import Abundance
 from lunarsci.spectra.abundance.unmix import GAUGE, MixtureSeries, _posterior, shares, unmix
 from lunarsci.spectra.library.end_member import EndMember
-from lunarsci.spectra.spectrum import FloatArray, Spectrum
+from lunarsci.spectra.spectrum import Spectrum
 
 GRID = np.arange(460.0, 2441.0, 20.0)
 LAWS: list[MixingLaw] = [Albedo(HapkeSurface()), Absorbance()]

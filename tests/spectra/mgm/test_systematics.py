@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from lunarsci.arrays import FloatArray
 from lunarsci.spectra.mgm.fit import fit_data
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.model import MgmData, MgmModel, mgm_model
 from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.mgm.uncertainty import follow_shifts, misfit_curvature
-from lunarsci.spectra.spectrum import FloatArray
 
 GRID = np.arange(450.0, 2396.0, 10.0)
 

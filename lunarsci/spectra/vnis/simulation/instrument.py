@@ -14,11 +14,11 @@ from datetime import datetime
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.photometry.correction import correction_factor
 from lunarsci.spectra.photometry.phase import Geometry, phase_function
 from lunarsci.spectra.solar import in_band_irradiance, solar_spectrum, sun_moon_distance_au
-from lunarsci.spectra.spectrum import BoolArray, FloatArray
 from lunarsci.spectra.vnis.channels import (
     CUBE_SHAPE,
     SPLICED_NM,
@@ -32,19 +32,6 @@ from lunarsci.spectra.vnis.channels import (
     random_noise,
 )
 from lunarsci.spectra.vnis.simulation.scene import Material, Scene, SceneComposition, SceneRock, surface_reflectance
-
-__all__ = [
-    "Frame",
-    "Instrument",
-    "SceneRadiance",
-    "Simulation",
-    "Truth",
-    "draw",
-    "frame",
-    "generator",
-    "scene_radiance",
-    "simulate",
-]
 
 SHAPE = CUBE_SHAPE[1:]
 BLOB_SCALE_PX = 24.0
@@ -329,7 +316,7 @@ def _truth(scene: Scene, materials: list[Material], pixels: Frame) -> Truth:
     )
 
 
-def _shares(pixels: Frame, where: npt.NDArray[np.bool_], count: int) -> FloatArray:
+def _shares(pixels: Frame, where: BoolArray, count: int) -> FloatArray:
     """Brightness of soil and of rock within a mask, over the number of its pixels; shape (2,)."""
     soil = pixels.brightness[where & ~pixels.rock].sum(dtype=np.float64)
     rock = pixels.brightness[where & pixels.rock].sum(dtype=np.float64)

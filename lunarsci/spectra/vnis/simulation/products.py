@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.provenance import to_json
-from lunarsci.spectra.spectrum import FloatArray
 from lunarsci.spectra.vnis.channels import FOOTPRINT, VNIR_NM
 from lunarsci.spectra.vnis.simulation.instrument import Simulation
 from lunarsci.spectra.vnis.simulation.scene import Scene
@@ -20,7 +20,6 @@ from lunarsci.spectra.vnis.simulation.template import MARK, product_label, time_
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["product_files", "simulation_page"]
 
 INTEGRATION_MS = 54.2
 ELEVATION_CODE, QUALITY_CODE = "0xc1", "0x00"

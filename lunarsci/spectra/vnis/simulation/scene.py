@@ -10,13 +10,11 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA
 from lunarsci.spectra.photometry.phase import Geometry, phase_angle_deg
-from lunarsci.spectra.spectrum import FloatArray
 from lunarsci.spectra.vnis.channels import CUBE_SHAPE, FOOTPRINT, SWIR_NM, VNIR_NM
-
-__all__ = ["FULL_STRENGTH", "ROCK", "SOIL", "Material", "Scene", "SceneComposition", "SceneRock", "surface_reflectance"]
 
 FULL_STRENGTH = {
     "olivine": {"OL M1-1": -0.25, "OL M2": -0.45, "OL M1-2": -0.35},

@@ -12,12 +12,10 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.spectra.photometry.phase import Geometry
-from lunarsci.spectra.spectrum import FloatArray
 from lunarsci.spectra.vnis.channels import CUBE_SHAPE, FOOTPRINT, SWIR_NM, VNIR_NM, Detector
 from lunarsci.spectra.vnis.simulation.scene import Scene, azimuth_difference_deg
-
-__all__ = ["MARK", "product_label", "time_code"]
 
 Node = tuple[str, "str | list[Node]"]
 """Element name, with its attributes where it has some, and its text or children."""
