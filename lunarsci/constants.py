@@ -1,4 +1,4 @@
-"""Physical constants, each with unit, uncertainty and source in one object."""
+"""Physical constants, each with unit, uncertainty and source in one object; and what results cite."""
 
 from dataclasses import dataclass
 
@@ -20,3 +20,11 @@ LUNAR_GRAVITY = Constant(
     "Vaniman, Reedy, Heiken, Olhoeft & Mendell (1991), Lunar Sourcebook ch. 3: mean surface gravity 1.62 m s-2; "
     "GM/R^2 with GM = 4902.8 km3 s-2 and R = 1738.0 km gives 1.623. The uncertainty is the spread over the surface.",
 )
+
+PAPER = "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8"
+MGM = "Sunshine, Pieters & Pratt (1990), J. Geophys. Res. 95, 6955, 10.1029/JB095iB05p06955"
+NBSR = "Kanner, Mustard & Gendrin (2007), Icarus 187, 442, 10.1016/j.icarus.2006.10.025"
+SMOOTHING = "Savitzky & Golay (1964), Anal. Chem. 36, 1627, 10.1021/ac60214a047"
+HAPKE = "Hapke (1981), J. Geophys. Res. 86, 3039, 10.1029/JB086iB04p03039"
+ABSORBANCE = "Clark & Roush (1984), J. Geophys. Res. 89, 6329, 10.1029/JB089iB07p06329"
+WEATHERING = "Hapke (2001), J. Geophys. Res. 106, 10039, 10.1029/2000JE001338"

@@ -1,12 +1,119 @@
-"""The small tables that come with lunarsci: their rows, and their hashes for the provenance."""
+"""Tables: CSV as text and as numbers, refused where a row does not fit its header, and those of lunarsci."""
 
 import csv
-from collections.abc import Mapping
+import difflib
+import io
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
+from pathlib import Path
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
+import numpy as np
+
+from lunarsci.arrays import FloatArray
+from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.inputs import InputFile, read_input, text
 from lunarsci.provenance import sha256
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+BLANK = ("nan", "na", "-", "")
+ALIKE = 0.72
+"""Likeness of two names (difflib's ratio) from which one is taken for a slip of the pen of the other; assumed."""
+
+
+def read_csv_table(source: InputFile | str | Path) -> "pd.DataFrame":
+    """The cells of a CSV table as text; lines that begin with # are left out, blanks around names are dropped.
+
+    Raises DataError for a file that cannot be read, rows of another length than the header, and equal column names.
+    """
+    import pandas as pd
+
+    file = source if isinstance(source, InputFile) else read_input(str(source))
+    content = text(file)
+    _check_widths(file.name, content)
+    try:
+        table = pd.read_csv(io.StringIO(content), comment="#", skipinitialspace=True, dtype=str, index_col=False)
+    except (pd.errors.ParserError, pd.errors.EmptyDataError) as error:
+        raise DataError(f"{file.name}: not a CSV table ({' '.join(str(error).split())})") from error
+    table.columns = table.columns.str.strip()
+    return table
+
+
+def csv_bytes(table: "pd.DataFrame") -> bytes:
+    """A table as CSV, nine significant digits."""
+    text: str = table.to_csv(index=False, float_format="%.9g", lineterminator="\n")
+    return text.encode()
+
+
+def numbers_of(name: str, column: str, cells: "pd.Series") -> FloatArray:
+    """The cells of a column as numbers, NaN where blank. (n,) Raises DataError for text, with its row."""
+    import pandas as pd
+
+    numbers = pd.to_numeric(cells, errors="coerce")
+    wrong = numbers.isna() & cells.notna() & ~cells.astype(str).str.strip().str.lower().isin(BLANK)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise DataError(f"{name}, row {row + 1}, {column}: '{cells.iloc[row]}' is no number")
+    return numbers.to_numpy(float)
+
+
+def check_columns(file: str, columns: Iterable[str], known: Sequence[str], needed: Sequence[str] = ()) -> list[str]:
+    """Names of the columns that are not known.
+
+    Raises DataError for one that is needed and missing, and for one that is nearly a known one, such as `sinkage_mm`:
+    it would be left out without a word.
+    """
+    present = list(columns)
+    unused = [name for name in present if name not in known]
+    if missing := next((name for name in needed if name not in present), None):
+        guess = difflib.get_close_matches(missing, unused, n=1)
+        hint = f"is it '{guess[0]}'? rename it" if guess else f"there are: {', '.join(present)}"
+        raise DataError(f"{file}: no column {missing}; {hint}")
+    for name in unused:
+        near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=ALIKE)
+        if near and near[0] not in present:
+            raise DataError(f"{file}: column '{name}' is unknown; if it is '{near[0]}', rename it and mind the unit")
+    return unused
+
+
+def without_repeats(file: str, table: "pd.DataFrame", keys: Sequence[str]) -> "pd.DataFrame":
+    """Rows that are there twice count once, with a warning; DataError where rows of one key contradict each other."""
+    kept = table.drop_duplicates()
+    if len(kept) < len(table):
+        text = f"{file}: {len(table) - len(kept)} of {len(table)} rows are there twice; each counts once"
+        warnings.warn(text, LunarSciWarning, stacklevel=3)
+    again = kept.duplicated(list(keys))
+    if again.any():
+        row = kept[again].iloc[0]
+        said = ", ".join(f"{key} {row[key]}" for key in keys)
+        raise DataError(f"{file}: two rows of {said} contradict each other; keep the right one")
+    return kept.reset_index(drop=True)
+
+
+def _check_widths(name: str, content: str) -> None:
+    """Every row must have as many fields as the header: pandas would shift or pad the others in silence."""
+    width = 0
+    for number, row in enumerate(csv.reader(content.splitlines(), skipinitialspace=True), 1):
+        if not row or row[0].lstrip().startswith("#"):
+            continue
+        if not width:
+            _check_names(name, row)
+        width = width or len(row)
+        if len(row) != width:
+            raise DataError(f"{name}, line {number}: {len(row)} fields, the header has {width}; is the file complete?")
+
+
+def _check_names(name: str, header: list[str]) -> None:
+    names = [column.strip() for column in header]
+    if twice := next((column for column in names if names.count(column) > 1), None):
+        raise DataError(f"{name}: two columns are called '{twice}'; keep one of them")
+
 
 SPECTRA_DATA = "lunarsci.spectra_data"
 

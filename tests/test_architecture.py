@@ -15,7 +15,6 @@ SHARED = {
     "provenance",
     "arrays",
     "atomic",
-    "csv_table",
     "interpolation",
     "inputs",
     "compiled",

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
-from lunarsci.csv_table import check_columns, numbers_of, read_csv_table, without_repeats
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.contact import MAX_VALID_SLIP
 from lunarsci.regolith.wheel import Wheel
+from lunarsci.tables import check_columns, numbers_of, read_csv_table, without_repeats
 
 if TYPE_CHECKING:
     import pandas as pd

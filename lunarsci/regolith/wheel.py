@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.rovers.description import RoverDescription, read_rover
+from lunarsci.rovers import RoverDescription, read_rover
 
 
 def shearing_radius(radius_m: float, grouser_height_m: float, grouser_shear_coefficient: float) -> float:

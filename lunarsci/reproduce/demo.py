@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lunarsci.csv_table import csv_bytes
+from lunarsci.constants import MGM, NBSR, PAPER
 from lunarsci.figure import picture_bytes
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.identify import Assumptions, Identification, identify
@@ -18,7 +18,6 @@ from lunarsci.regolith.states import read_states
 from lunarsci.regolith.wheel import read_wheel
 from lunarsci.result import MadeFrom, Result
 from lunarsci.spectra.bands import SpectrumBands, measure_bands
-from lunarsci.spectra.citations import MGM, NBSR, PAPER
 from lunarsci.spectra.mgm.assemblages import TABLES
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import mgm_model
@@ -31,7 +30,7 @@ from lunarsci.spectra.vnis.observation import read_observation
 from lunarsci.spectra.vnis.simulation.instrument import Truth, simulate
 from lunarsci.spectra.vnis.simulation.products import product_files
 from lunarsci.spectra.vnis.simulation.scene import FULL_STRENGTH, Scene, SceneRock
-from lunarsci.tables import table_hashes
+from lunarsci.tables import csv_bytes, table_hashes
 from lunarsci.twin.jobs.drive_inputs import DriveInputs, read_drive_inputs
 from lunarsci.twin.judgement.safety import Verdict, judge
 from lunarsci.twin.judgement.tables import state_table

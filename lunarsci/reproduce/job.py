@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from lunarsci.reproduce.drive import Drives
     from lunarsci.reproduce.numbers import Number
     from lunarsci.reproduce.spectra import Rocks
-    from lunarsci.rovers.description import RoverDescription
+    from lunarsci.rovers import RoverDescription
 
 
 Progress = Callable[[int, int], None]
@@ -60,7 +60,7 @@ class Reproduction(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-        from lunarsci.spectra.citations import PAPER
+        from lunarsci.constants import PAPER
 
         options = {} if self.parts == ("spectra",) else {"rover": self.description.origin}
         return MadeFrom(inputs=self.inputs, tables=self.tables, sources=[PAPER], options=options)
@@ -100,7 +100,7 @@ def reproduce(
 ) -> Reproduction:
     """Compute the numbers of a part, or of all, and judge them by those that are published."""
     from lunarsci.reproduce.numbers import published_hash
-    from lunarsci.rovers.description import read_rover
+    from lunarsci.rovers import read_rover
 
     asked = request_of(ReproduceRequest, request, options)
     update = progress or (lambda done, total: None)

@@ -1,1 +1,157 @@
-"""Rover description files (TOML): one file serves the wheel models and the multibody model."""
+"""Read rover description files: TOML tables whose values carry their source.
+
+The rover that a plan or a terrain was made for, kept in its file.
+"""
+
+import hashlib
+import json
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Literal
+
+from lunarsci.errors import DataError, ParameterError
+
+WHEELS = "wheels.toml"
+
+
+@dataclass(frozen=True, slots=True)
+class RoverDescription:
+    """One rover file, parsed and not yet interpreted.
+
+    `tables` maps table name to key to plain value; `assumed` lists the dotted keys that are guesses; `text` is the
+    file as read, kept for provenance.
+    """
+
+    name: str
+    tables: dict[str, dict[str, Any]]
+    assumed: tuple[str, ...]
+    origin: str
+    text: str
+
+    def table(self, name: str) -> dict[str, Any]:
+        """Return one table. Raises DataError when the file lacks it."""
+        if name not in self.tables:
+            raise DataError(f"{self.origin}: no [{name}] table; add one as in the yutu2 file")
+        return self.tables[name]
+
+
+def known_rovers() -> tuple[str, ...]:
+    """Names of the rovers that come with lunarsci."""
+    tables = (path.name for path in files(__package__).iterdir() if path.name.endswith(".toml"))
+    return tuple(sorted(name.removesuffix(".toml") for name in tables if name != WHEELS))
+
+
+def known_wheels() -> tuple[str, ...]:
+    """Names of the wheels that come with lunarsci without a rover."""
+    return tuple(tomllib.loads(_own(WHEELS)))
+
+
+def read_rover(rover: str) -> RoverDescription:
+    """Read a rover by name (`yutu2`) or from a TOML file. Raises DataError for anything else.
+
+    The name of a wheel gives a description that has a wheel and nothing else.
+    """
+    if rover in known_rovers():
+        return _parse(_own(f"{rover}.toml"), origin=rover)
+    if rover in known_wheels():
+        text = _own(WHEELS)
+        return _described({"wheel": tomllib.loads(text)[rover]}, rover, text)
+    try:
+        text = Path(rover).read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        known = f"{', '.join(known_rovers())}; wheels: {', '.join(known_wheels())}"
+        raise DataError(f"{rover}: not a rover lunarsci knows ({known}) nor a readable TOML file") from error
+    return _parse(text, origin=rover)
+
+
+def _parse(text: str, origin: str) -> RoverDescription:
+    try:
+        document = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise DataError(f"{origin}: not valid TOML: {error}") from error
+    return _described(document, origin, text)
+
+
+def _described(document: dict[str, Any], origin: str, text: str) -> RoverDescription:
+    sections = {key: table for key, table in document.items() if isinstance(table, dict)}
+    tables = {name: {key: _value(v) for key, v in table.items()} for name, table in sections.items()}
+    assumed = tuple(
+        f"{n}.{k}" for n, t in sections.items() for k, v in t.items() if isinstance(v, dict) and v.get("assumed")
+    )
+    return RoverDescription(str(document.get("name", origin)), tables, assumed, origin, text)
+
+
+def _own(name: str) -> str:
+    return (files(__package__) / name).read_text("utf-8")
+
+
+def _value(entry: Any) -> Any:
+    return entry["value"] if isinstance(entry, dict) and "value" in entry else entry
+
+
+Kinship = Literal["same", "changed", "other"]
+
+
+@dataclass(frozen=True, slots=True)
+class MadeFor:
+    """The rover that a file was made for.
+
+    Attributes
+    ----------
+    rover : name or file, as the option `--rover` took it.
+    name : what its description calls it.
+    sha256 : of the text of its description.
+    limits : of the ground and of the path as they were then, by their names in a rover file.
+
+    Raises ParameterError for what is no text or no finite number.
+    """
+
+    rover: str
+    name: str
+    sha256: str
+    limits: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for key in ("rover", "name", "sha256"):
+            if not isinstance(getattr(self, key), str):
+                raise ParameterError(f"made_for {key} is {getattr(self, key)!r}; give a text")
+        for key, value in self.limits.items():
+            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+                raise ParameterError(f"made_for {key} is {value!r}; give a number")
+
+    @classmethod
+    def from_table(cls, table: Any) -> "MadeFor":
+        """From a table with the keys `rover`, `name`, `sha256` and limits. Raises ParameterError."""
+        texts = ("rover", "name", "sha256")
+        if not isinstance(table, Mapping) or any(key not in table for key in texts):
+            raise ParameterError(f"made_for must be a table with {', '.join(texts)}")
+        limits = {str(key): value for key, value in table.items() if key not in texts}
+        return cls(table["rover"], table["name"], table["sha256"], limits)
+
+    def to_table(self) -> dict[str, str | float]:
+        """The table that `from_table` reads."""
+        return {"rover": self.rover, "name": self.name, "sha256": self.sha256, **self.limits}
+
+    def to_json(self) -> str:
+        """The same as one line of JSON."""
+        return json.dumps(self.to_table(), sort_keys=True, ensure_ascii=False)
+
+    def kinship(self, description: RoverDescription) -> Kinship:
+        """Whether a description is the `same`, has `changed` since under the same name of file, or is of an `other`."""
+        if _sha256(description) == self.sha256:
+            return "same"
+        return "changed" if description.origin == self.rover else "other"
+
+
+def made_for(description: RoverDescription, limits: Mapping[str, float | None]) -> MadeFor:
+    """The record of a rover; limits that are None are left out."""
+    kept = {name: float(value) for name, value in limits.items() if value is not None}
+    return MadeFor(description.origin, description.name, _sha256(description), kept)
+
+
+def _sha256(description: RoverDescription) -> str:
+    return hashlib.sha256(description.text.encode()).hexdigest()

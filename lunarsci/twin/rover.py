@@ -11,7 +11,7 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.regolith.wheel import Wheel, read_wheel
-from lunarsci.rovers.description import RoverDescription, read_rover
+from lunarsci.rovers import RoverDescription, read_rover
 
 PAIRS = ("front", "middle", "rear")
 BOGIES = ("rear", "front", "none")

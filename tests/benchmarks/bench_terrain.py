@@ -14,7 +14,7 @@ from scipy.ndimage import label
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.soil import read_soil
-from lunarsci.rovers.description import read_rover
+from lunarsci.rovers import read_rover
 from lunarsci.twin.ground.footprint import rover_footprint
 from lunarsci.twin.ground.hazards import Traversability, assess, ground_maps, map_scales, read_mobility
 from lunarsci.twin.ground.synthetic import scatter_rocks, synthetic_longji, synthetic_terrain

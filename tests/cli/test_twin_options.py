@@ -11,7 +11,7 @@ import pytest
 
 from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.soil import read_soil
-from lunarsci.rovers.description import MadeFor, made_for, read_rover
+from lunarsci.rovers import MadeFor, made_for, read_rover
 from lunarsci.twin.ground.soil_map import SoilMap, soil_map_bytes
 from lunarsci.twin.plans.plan import read_plan
 

@@ -7,7 +7,7 @@ from lunarsci.regolith.forces import closed_form_forces
 from lunarsci.regolith.inversion import sinkage_under_load, stiffness_under_load
 from lunarsci.regolith.soil import read_soil
 from lunarsci.regolith.wheel import read_wheel
-from lunarsci.rovers.description import known_rovers, known_wheels, read_rover
+from lunarsci.rovers import known_rovers, known_wheels, read_rover
 
 SIZES = {"cmu-grouser": (0.058, 0.05, 0.005), "hit-grouser": (0.15735, 0.165, 0.01), "rashid-1": (0.1, 0.08, 0.02)}
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.rovers.description import read_rover
+from lunarsci.rovers import read_rover
 from lunarsci.twin.judgement.quantities import belly_points, clearance, clearance_of_poses
 from lunarsci.twin.judgement.safety import judge
 from lunarsci.twin.plans.plan import Limit

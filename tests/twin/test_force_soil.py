@@ -15,8 +15,7 @@ from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.regolith.soil import Soil
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.loads.alternating import AlternatingEstimate, Round, alternate, verdict_of
-from lunarsci.twin.loads.pose_states import PoseStates
-from lunarsci.twin.loads.prescribed_motion import COLUMNS, prescribed_loads
+from lunarsci.twin.loads.prescribed_motion import PoseStates, prescribed_loads
 from lunarsci.twin.plans.motion import Motion, drawn_motions
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.plans.schedule import commands_at, make_schedule

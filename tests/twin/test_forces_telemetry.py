@@ -16,8 +16,13 @@ from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.judgement.load_check import force_table
 from lunarsci.twin.loads.load_ensemble import LoadEnsemble, draw_loads
-from lunarsci.twin.loads.pose_states import read_pose_states
-from lunarsci.twin.loads.prescribed_motion import COLUMNS, contact_jacobian, prescribed_loads, residual_wrench
+from lunarsci.twin.loads.prescribed_motion import (
+    COLUMNS,
+    contact_jacobian,
+    prescribed_loads,
+    read_pose_states,
+    residual_wrench,
+)
 from lunarsci.twin.plans.motion import Motion, correlation_of, drawn_motions, read_motion
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.plans.schedule import commands_at, make_schedule

@@ -8,7 +8,7 @@ import pytest
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.regolith.soil import Soil
-from lunarsci.rovers.description import read_rover
+from lunarsci.rovers import read_rover
 from lunarsci.twin.ground.hazards import TILE, Mobility, assess, ground_maps, map_scales, read_mobility, travel_cost
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain

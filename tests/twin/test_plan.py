@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.rovers.description import RoverDescription, read_rover
+from lunarsci.rovers import RoverDescription, read_rover
 from lunarsci.twin.plans.path import curvature_at
 from lunarsci.twin.plans.plan import Leg, check_plan, parse_sweep, read_plan
 from lunarsci.twin.plans.schedule import make_schedule

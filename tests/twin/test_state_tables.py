@@ -10,7 +10,7 @@ from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, read_state_table, read_states
 from lunarsci.twin.assimilation.drive_record import read_record
-from lunarsci.twin.loads.pose_states import read_pose_states
+from lunarsci.twin.loads.prescribed_motion import read_pose_states
 from lunarsci.twin.rover import Rover
 
 HEAD = "time_s,wheel,sinkage_m,slip_ratio,normal_force_n,drawbar_pull_n"

@@ -88,7 +88,7 @@ def compare_soils(
     from lunarsci.provenance import sha256
     from lunarsci.regolith.compare import compare_site, reference_hash
     from lunarsci.regolith.wheel import read_wheel
-    from lunarsci.rovers.description import read_rover
+    from lunarsci.rovers import read_rover
 
     asked = request_of(CompareSoilsRequest, request, options)
     if (result is None) != asked.stated:

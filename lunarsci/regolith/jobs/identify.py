@@ -117,7 +117,7 @@ def read_wheel_states(states: Source, rover: str, errors: "MeasurementErrors") -
     from lunarsci.provenance import sha256
     from lunarsci.regolith.states import read_states
     from lunarsci.regolith.wheel import read_wheel
-    from lunarsci.rovers.description import read_rover
+    from lunarsci.rovers import read_rover
 
     description, source = read_rover(rover), read_input(states)
     wheel = read_wheel(description)

@@ -207,7 +207,7 @@ def wheel_forces(request: WheelForcesRequest | None = None, **options: Any) -> F
     from lunarsci.regolith.inversion import settle_under_load
     from lunarsci.regolith.soil import read_soil, soil_hash
     from lunarsci.regolith.wheel import read_wheel
-    from lunarsci.rovers.description import read_rover
+    from lunarsci.rovers import read_rover
 
     asked = request_of(WheelForcesRequest, request, options)
     description, model = read_rover(asked.rover), asked.model

@@ -52,8 +52,8 @@ class MeasuredBands(Result):
 
     @property
     def made_from(self) -> MadeFrom:
+        from lunarsci.constants import PAPER, SMOOTHING
         from lunarsci.spectra.chemistry.plane import PLANE_TABLE, TABLE
-        from lunarsci.spectra.citations import PAPER, SMOOTHING
         from lunarsci.tables import table_hashes
 
         tables = self.batch.tables | table_hashes(TABLE, PLANE_TABLE)

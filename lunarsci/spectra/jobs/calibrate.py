@@ -90,7 +90,7 @@ class Calibrations(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-        from lunarsci.spectra.citations import PAPER
+        from lunarsci.constants import PAPER
         from lunarsci.tables import table_hashes
 
         phase = [self.settings.phase.source] if self.settings.photometry != "none" else []

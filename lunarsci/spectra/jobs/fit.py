@@ -6,9 +6,9 @@ from functools import cached_property
 from itertools import chain
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
+from lunarsci.constants import MGM, NBSR
 from lunarsci.errors import ParameterError
 from lunarsci.result import MadeFrom, Result, flat, request_of
-from lunarsci.spectra.citations import MGM, NBSR
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
 
 if TYPE_CHECKING:

@@ -109,7 +109,7 @@ class Matches(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-        from lunarsci.spectra.citations import PAPER
+        from lunarsci.constants import PAPER
         from lunarsci.spectra.origin.prior import LAW_SOURCES, SURVIVAL_SOURCE
 
         prior = self.settings.prior

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
+from lunarsci.constants import ABSORBANCE, HAPKE, WEATHERING
 from lunarsci.errors import ParameterError
 from lunarsci.result import request_of
-from lunarsci.spectra.citations import ABSORBANCE, HAPKE, WEATHERING
 from lunarsci.spectra.jobs.fit import MgmFits, ModelRequest, Progress, fit_batch_of
 
 if TYPE_CHECKING:

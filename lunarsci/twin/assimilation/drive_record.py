@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
-from lunarsci.csv_table import check_columns, numbers_of, read_csv_table, without_repeats
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.interpolation import samples_about
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, StateTable, read_state_table
+from lunarsci.tables import check_columns, numbers_of, read_csv_table, without_repeats
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 

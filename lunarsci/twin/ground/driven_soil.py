@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
-from lunarsci.csv_table import numbers_of, read_csv_table
 from lunarsci.errors import DataError
 from lunarsci.inputs import InputFile, read_input
 from lunarsci.regolith.soil import Soil
+from lunarsci.tables import numbers_of, read_csv_table
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, from_si, soil_override
 from lunarsci.twin.ground.terrain_files import TerrainFile
 

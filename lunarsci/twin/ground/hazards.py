@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.rovers.description import RoverDescription
+from lunarsci.rovers import RoverDescription
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.rover import Rover
 

@@ -16,10 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
-from lunarsci.csv_table import numbers_of, read_csv_table
 from lunarsci.errors import DataError, OutputError, ParameterError
 from lunarsci.regolith.soil import Soil
-from lunarsci.rovers.description import MadeFor
+from lunarsci.rovers import MadeFor
+from lunarsci.tables import numbers_of, read_csv_table
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, build_terrain, from_si
 

@@ -131,7 +131,7 @@ def compare(
 
     Raises DataError for files that do not fit together, and for a belief that knows the drive.
     """
-    from lunarsci.rovers.description import read_rover
+    from lunarsci.rovers import read_rover
     from lunarsci.twin.comparison import verdict
     from lunarsci.twin.comparison.forecast import read_forecast
     from lunarsci.twin.comparison.matched import match_observations

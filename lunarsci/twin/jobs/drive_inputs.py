@@ -10,7 +10,7 @@ from lunarsci.inputs import InputFile, Source, read_input
 from lunarsci.provenance import sha256
 from lunarsci.regolith.belief import SoilBelief, read_belief
 from lunarsci.regolith.soil import known_soils, read_soil, soil_hash
-from lunarsci.rovers.description import RoverDescription, read_rover
+from lunarsci.rovers import RoverDescription, read_rover
 from lunarsci.twin.ground.driven_soil import DrivenSoil, lay_soil_on, soil_record
 from lunarsci.twin.ground.soil_map import SCHEMA as MAP_SCHEMA
 from lunarsci.twin.ground.soil_map import SoilMap, read_soil_map

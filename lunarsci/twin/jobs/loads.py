@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from lunarsci.twin.judgement.load_check import WheelLoads
     from lunarsci.twin.loads.alternating import AlternatingEstimate
     from lunarsci.twin.loads.load_ensemble import LoadEnsemble
-    from lunarsci.twin.loads.pose_states import PoseStates
-    from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
+    from lunarsci.twin.loads.prescribed_motion import PoseStates, PrescribedLoads
     from lunarsci.twin.plans.motion import Motion
     from lunarsci.twin.plans.plan import Plan
 
@@ -237,7 +236,7 @@ class UncertainLoads(Result):
 
     def files(self) -> dict[str, Callable[[], bytes]]:
         """`forces.csv`, an input of `identify`: name to what makes the content."""
-        from lunarsci.csv_table import csv_bytes
+        from lunarsci.tables import csv_bytes
         from lunarsci.twin.judgement.load_check import force_table
 
         return {"forces.csv": lambda: csv_bytes(force_table(self.found, self.states))}
@@ -292,7 +291,7 @@ def _uncertain(
     from lunarsci.regolith.belief import first_belief, read_belief
     from lunarsci.twin.loads.alternating import alternate
     from lunarsci.twin.loads.load_ensemble import BALANCE_ERROR, DRAWS, draw_loads
-    from lunarsci.twin.loads.pose_states import correlation_length, read_pose_states
+    from lunarsci.twin.loads.prescribed_motion import correlation_length, read_pose_states
 
     if asked.correlation is not None and motion.sigmas is None:
         raise RequestError("`correlation` is of the motion's errors, and it has none; add x_m_sigma and others")

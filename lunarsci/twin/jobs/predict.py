@@ -155,7 +155,7 @@ class PredictedDrives(Result):
 
     def files(self) -> dict[str, Callable[[], bytes]]:
         """The tables of all drives, and what `compare` reads after the drive: name to what makes the content."""
-        from lunarsci.csv_table import csv_bytes
+        from lunarsci.tables import csv_bytes
         from lunarsci.twin.comparison.forecast import FILE, forecast_document, forecast_of
         from lunarsci.twin.judgement import tables as judged
 

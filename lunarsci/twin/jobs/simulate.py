@@ -142,6 +142,6 @@ def simulate_drive(
 
 
 def _marked(table: "pd.DataFrame") -> bytes:
-    from lunarsci.csv_table import csv_bytes
+    from lunarsci.tables import csv_bytes
 
     return REMARK + csv_bytes(table)

@@ -110,7 +110,7 @@ class MeasuredStates(Result):
 
     def files(self) -> dict[str, Callable[[], bytes]]:
         """The tables as CSV: name to what makes the content."""
-        from lunarsci.csv_table import csv_bytes
+        from lunarsci.tables import csv_bytes
 
         return {name: lambda table=table: csv_bytes(table) for name, table in self.tables.items()}  # type: ignore[misc]
 

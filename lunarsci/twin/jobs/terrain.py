@@ -12,7 +12,7 @@ from lunarsci.result import MadeFrom, Result, request_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from lunarsci.rovers.description import MadeFor, RoverDescription
+    from lunarsci.rovers import MadeFor, RoverDescription
     from lunarsci.twin.ground.driven_soil import DrivenSoil
     from lunarsci.twin.ground.hazards import Mobility, Traversability
     from lunarsci.twin.ground.terrain import Terrain
@@ -106,7 +106,7 @@ class SurveyedSite:
     @property
     def made_for(self) -> "MadeFor":
         """The rover and the limits, for what is written."""
-        from lunarsci.rovers.description import made_for
+        from lunarsci.rovers import made_for
 
         return made_for(self.description, {name: getattr(self.mobility, name) for name in LIMITS})
 
@@ -174,7 +174,7 @@ class TerrainSurvey(Result):
 
     def files(self, *, geotiff: bool = False) -> dict[str, Callable[[], bytes]]:
         """Terrain, maps, and a path as plan and table: name to what makes the content."""
-        from lunarsci.csv_table import csv_bytes
+        from lunarsci.tables import csv_bytes
         from lunarsci.twin.ground.terrain_files import maps_bytes, maps_geotiff, terrain_bytes
         from lunarsci.twin.plans.plan_files import plan_text
         from lunarsci.twin.routes.planner import path_table
@@ -228,7 +228,7 @@ def terrain(
 def read_site(terrain: str, asked: TerrainRequest, limits: Mapping[str, float | None]) -> SurveyedSite:
     """Read or make the terrain, and read the rover with its limits."""
     from lunarsci.regolith.soil import read_soil, soil_hash
-    from lunarsci.rovers.description import read_rover
+    from lunarsci.rovers import read_rover
     from lunarsci.twin.ground import synthetic
     from lunarsci.twin.ground.driven_soil import lay_soil_on
     from lunarsci.twin.ground.hazards import read_mobility

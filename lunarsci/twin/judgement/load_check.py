@@ -15,8 +15,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.interpolation import at_times
 from lunarsci.regolith.states import FROM_MOTION
 from lunarsci.twin.loads.load_ensemble import LoadEnsemble
-from lunarsci.twin.loads.pose_states import PoseStates
-from lunarsci.twin.loads.prescribed_motion import FORCES
+from lunarsci.twin.loads.prescribed_motion import FORCES, PoseStates
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
 
 if TYPE_CHECKING:

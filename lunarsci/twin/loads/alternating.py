@@ -19,8 +19,7 @@ from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.inference.totals import BalancedStates, TotalsPosterior, infer_from_totals
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.loads.load_ensemble import BALANCE_ERROR, DRAWS, LoadEnsemble, draw_loads
-from lunarsci.twin.loads.pose_states import PoseStates
-from lunarsci.twin.loads.prescribed_motion import contact_jacobian, net_wrench
+from lunarsci.twin.loads.prescribed_motion import PoseStates, contact_jacobian, net_wrench
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.rover import Rover
 

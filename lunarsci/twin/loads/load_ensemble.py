@@ -15,7 +15,7 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.terrain import Terrain, soil_overrides
 from lunarsci.twin.loads.prescribed_motion import (
-    COLUMNS,
+    FORCE_COLUMNS,
     PrescribedLoads,
     contact_jacobian,
     prescribed_loads,
@@ -188,7 +188,7 @@ def _along(rover: Rover, terrain: Terrain, motions: list[Motion], rows: FloatArr
     forces, residual, carried = [], [], []
     for motion, row in zip(motions, rows, strict=True):
         found = prescribed_loads(rover, terrain, motion, row)
-        forces.append(found.states[..., COLUMNS])
+        forces.append(found.states[..., FORCE_COLUMNS])
         residual.append(residual_wrench(found))
         carried.append(found.known)
         told()

@@ -5,17 +5,19 @@ wheel's forces adds to the net wrench.
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import ParameterError
+from lunarsci.inputs import InputFile
+from lunarsci.regolith.states import COLUMNS, read_state_table
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.lanes import ARM, AXES, LANES, POSE, new_work
 from lunarsci.twin.outcomes import DIVERGED, FINISHED, SANK, UNSETTLED, outcome_texts
-from lunarsci.twin.plans.motion import Motion
+from lunarsci.twin.plans.motion import CORRELATION_M, Motion, correlation_of
 from lunarsci.twin.plans.path import CREEP_M_S
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact import HELD
@@ -23,6 +25,9 @@ from lunarsci.twin.simulation.contact_frame import shear_center
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 from lunarsci.twin.simulation.members import record, take_commands
 from lunarsci.twin.simulation.settle import balance, settle
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -181,7 +186,7 @@ FORCES = ("normal_force_n", "drawbar_pull_n", "lateral_force_n")
 """Forces of a wheel, in the order of all arrays here."""
 LARGEST_RESIDUAL = 0.05
 """Share of the weight: a residual beyond it says that the soil or the motion is not as given; assumed."""
-COLUMNS = [STATE_COLUMNS.index(name) for name in FORCES]
+FORCE_COLUMNS = [STATE_COLUMNS.index(name) for name in FORCES]
 
 
 def contact_jacobian(found: PrescribedLoads) -> FloatArray:
@@ -211,7 +216,7 @@ def net_wrench(found: PrescribedLoads, levers: FloatArray) -> FloatArray:
 
     Weight and slope are in the normal forces; these follow from the levers of the suspension and hardly from the soil.
     """
-    forces = found.states[..., COLUMNS][..., 1:]
+    forces = found.states[..., FORCE_COLUMNS][..., 1:]
     return np.asarray(np.einsum("ntwf,nwf->nt", levers[..., 1:], forces) + residual_wrench(found))
 
 
@@ -224,3 +229,56 @@ def _shear_centers(found: PrescribedLoads) -> tuple[FloatArray, FloatArray]:
     ]
     both = np.array(pairs).reshape(*sinkage.shape, 2)
     return both[..., 0], both[..., 1]
+
+
+MEASURED = ("sinkage_m", "slip_ratio", "side_slip_deg")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseStates:
+    """Measured states.
+
+    Attributes
+    ----------
+    table : as read, a row for each state.
+    time_s, wheel : of each row; the wheel by its place in the rover. (r,)
+    values, sigmas : columns `MEASURED`, NaN where not measured. (r, 3) [m, -, deg]
+    valid : rows not marked otherwise. (r,)
+    """
+
+    table: "pd.DataFrame"
+    time_s: FloatArray
+    wheel: IntArray
+    values: FloatArray
+    sigmas: FloatArray
+    valid: BoolArray
+
+    def by_pose(self, wheels: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Times (p,), values and sigmas (p, wheels, 3) of all states that are valid; NaN where there is none."""
+        times, place = np.unique(self.time_s, return_inverse=True)
+        found = np.full((2, len(times), wheels, 3), np.nan)
+        rows = np.flatnonzero(self.valid)
+        found[0, place[rows], self.wheel[rows]] = self.values[rows]
+        found[1, place[rows], self.wheel[rows]] = self.sigmas[rows]
+        return times, found[0], found[1]
+
+
+def read_pose_states(source: InputFile, rover: Rover) -> PoseStates:
+    """Read states from CSV: `time_s`, `wheel`, any of `MEASURED` with `NAME_sigma`, `valid`; others are only kept.
+
+    Where no sigma is given it is that of `MeasurementErrors`. Raises DataError.
+    """
+    found = read_state_table(source, rover.wheel, measured=MEASURED, wheels=rover.wheels, rover=rover.name)
+    wheel = np.array([rover.wheels.index(name) for name in found.wheels], dtype=np.int64)
+    columns = [COLUMNS.index(name) for name in MEASURED]
+    time = found.numbers("time_s")
+    return PoseStates(found.table, time, wheel, found.values[:, columns], found.sigmas[:, columns], found.valid)
+
+
+def correlation_length(motion: Motion, states: PoseStates | None) -> tuple[float, str]:
+    """Distance over which the motion's errors stay alike [m], and what it rests on: `slip errors`, or `assumed`."""
+    if states is None:
+        return CORRELATION_M, "assumed"
+    shown = states.valid & np.isin(states.time_s, motion.time_s[~motion.no_speed])
+    found = correlation_of(motion, states.values[shown, 1], states.sigmas[shown, 1])
+    return (CORRELATION_M, "assumed") if found is None else (found, "slip errors")

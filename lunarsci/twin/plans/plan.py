@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import Source, read_input
-from lunarsci.rovers.description import MadeFor
+from lunarsci.rovers import MadeFor
 from lunarsci.twin.ground.terrain import soil_override
 from lunarsci.twin.rover import Rover
 

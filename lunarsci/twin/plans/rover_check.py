@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from lunarsci.errors import LunarSciWarning, RequestError
-from lunarsci.rovers.description import MadeFor, RoverDescription
+from lunarsci.rovers import MadeFor, RoverDescription
 from lunarsci.twin.ground.driven_soil import DrivenSoil
 from lunarsci.twin.ground.hazards import read_mobility
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS

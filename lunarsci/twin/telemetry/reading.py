@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.csv_table import numbers_of, read_csv_table
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
+from lunarsci.tables import numbers_of, read_csv_table
 from lunarsci.twin.rover import Rover
 
 if TYPE_CHECKING:

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
-from lunarsci.csv_table import numbers_of, read_csv_table
 from lunarsci.errors import DataError
 from lunarsci.inputs import InputFile
+from lunarsci.tables import numbers_of, read_csv_table
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 from lunarsci.twin.telemetry.simulated import deepest_at

@@ -1,9 +1,0 @@
-"""What results of spectra cite."""
-
-PAPER = "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8"
-MGM = "Sunshine, Pieters & Pratt (1990), J. Geophys. Res. 95, 6955, 10.1029/JB095iB05p06955"
-NBSR = "Kanner, Mustard & Gendrin (2007), Icarus 187, 442, 10.1016/j.icarus.2006.10.025"
-SMOOTHING = "Savitzky & Golay (1964), Anal. Chem. 36, 1627, 10.1021/ac60214a047"
-HAPKE = "Hapke (1981), J. Geophys. Res. 86, 3039, 10.1029/JB086iB04p03039"
-ABSORBANCE = "Clark & Roush (1984), J. Geophys. Res. 89, 6329, 10.1029/JB089iB07p06329"
-WEATHERING = "Hapke (2001), J. Geophys. Res. 106, 10039, 10.1029/2000JE001338"
