@@ -15,7 +15,7 @@ from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.regolith.soil import Soil
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.loads.alternating import AlternatingEstimate, Round, alternate, verdict_of
-from lunarsci.twin.loads.prescribed_motion import PoseStates, prescribed_loads
+from lunarsci.twin.loads.prescribed_motion import FORCE_COLUMNS, PoseStates, prescribed_loads
 from lunarsci.twin.plans.motion import Motion, drawn_motions
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.plans.schedule import commands_at, make_schedule
@@ -143,7 +143,7 @@ def drive(yutu2: Rover, hidden: np.ndarray) -> tuple[np.ndarray, Motion, PoseSta
         np.tile([SINKAGE_SIGMA, SLIP_SIGMA, SIDE_SIGMA], (depth.size, 1)),
         np.isfinite(slip.ravel()),
     )
-    return true[..., COLUMNS], motion, states
+    return true[..., FORCE_COLUMNS], motion, states
 
 
 @pytest.fixture(scope="module")

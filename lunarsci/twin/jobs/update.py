@@ -59,6 +59,9 @@ class UpdateRequest:
             raise RequestError("`forget` has nothing to forget, as the priors are believed; give `soil`")
 
 
+NO_MAP = "`correlation` is of a soil map; give one as `soil`, or save one"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Before:
     """What was believed before a drive.
@@ -83,7 +86,7 @@ class Before:
         if file is not None and not of_map and asked.by_place:
             raise RequestError("`soil` is of one soil everywhere; give a map, or leave the map's options out")
         if asked.correlation is not None and not (of_map or asked.by_place):
-            raise RequestError("`correlation` is of a soil map; give one as `soil`, or save one")
+            raise RequestError(NO_MAP)
         soil_map, belief = None, first_belief() if file is None or of_map else read_belief(file)
         if of_map or asked.by_place:
             across = abs(known.rover.wheel_positions_m[:, 1]).max() + 0.5 * known.rover.wheel.width_m
@@ -254,6 +257,8 @@ def update(
     from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
 
     asked = request_of(UpdateRequest, request, options)
+    if asked.correlation is not None and asked.soil is None and not asked.by_place:
+        raise RequestError(NO_MAP)
     known = read_drive_inputs(asked.plan, asked.rover, asked.terrain, asked.interpolation, soil_counts=False)
     source, fixes = read_input(states), None if asked.positions is None else read_input(asked.positions)
     record = read_record(source, known.rover, positions=fixes)
