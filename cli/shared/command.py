@@ -16,7 +16,7 @@ from typing import Any
 
 import typer
 
-from lunarsci.errors import LunarSciWarning, RequestError
+from lunarsci.errors import LunarSciError, LunarSciWarning, RequestError
 from lunarsci.provenance import Provenance, plain
 
 from .emit import emit
@@ -68,6 +68,8 @@ def command(
                     emit(report, output, _provenance(context, report, options, heard))
             except RequestError as error:
                 raise typer.BadParameter(_with_flags(str(error), context)) from error
+            except LunarSciError as error:
+                raise type(error)(_with_flags(str(error), context)) from error
             except KeyboardInterrupt:
                 say("interrupted; nothing was written")
                 raise typer.Exit(INTERRUPTED) from None

@@ -72,17 +72,17 @@ class ModelRequest:
 
     def _faults(self) -> tuple[tuple[Any, str], ...]:
         return (
-            (self.automatic and (self.fix or self.bound or self.tie), "--fix, --bound and --tie name bands of one "
+            (self.automatic and (self.fix or self.bound or self.tie), "`fix`, `bound` and `tie` name bands of one "
              "assemblage; give it instead of auto"),
-            (self.automatic and self.prior == "damping", "--assemblage auto compares evidence, which --prior damping "
-             "does not have; use --prior map"),
-            (self.prior == "damping" and self.bound, "--prior damping knows no bounds; use --fix or --tie, or --prior "
+            (self.automatic and self.prior == "damping", "`assemblage` auto compares evidence, which `prior` damping "
+             "does not have; use `prior` map"),
+            (self.prior == "damping" and self.bound, "`prior` damping knows no bounds; use `fix` or `tie`, or `prior` "
              "map"),
-            (self.start and self.automatic, "--start brings its own bands; leave --assemblage auto out"),
-            (self.start and self.composition, "--start brings its own bands; leave --composition out"),
-            (self.start and self.assemblage != DEFAULT_ASSEMBLAGE, "--start brings its own bands; leave --assemblage "
+            (self.start and self.automatic, "`start` brings its own bands; leave `assemblage` auto out"),
+            (self.start and self.composition, "`start` brings its own bands; leave `composition` out"),
+            (self.start and self.assemblage != DEFAULT_ASSEMBLAGE, "`start` brings its own bands; leave `assemblage` "
              "out"),
-            (self.start and self.continuum != DEFAULT_CONTINUUM, "--start brings its own continuum; leave --continuum "
+            (self.start and self.continuum != DEFAULT_CONTINUUM, "`start` brings its own continuum; leave `continuum` "
              "out"),
         )  # fmt: skip
 
@@ -121,11 +121,11 @@ class FitRequest(ModelRequest):
     def _faults(self) -> tuple[tuple[Any, str], ...]:
         return (
             (self.to_fit_file and self.continuum == "log-quadratic", "-o FILE.fit has no letter for log-quadratic; "
-             "take another --continuum"),
-            (self.prior == "damping" and self.errors != "laplace", "--prior damping has no posterior; use --errors "
-             "laplace, or --prior map"),
-            (self.prior == "damping" and self.continuum_spread, "--continuum-spread needs --prior map"),
-            (self.start and self.continuum_spread, "--start brings its own continuum; leave --continuum-spread out"),
+             "take another `continuum`"),
+            (self.prior == "damping" and self.errors != "laplace", "`prior` damping has no posterior; use `errors` "
+             "laplace, or `prior` map"),
+            (self.prior == "damping" and self.continuum_spread, "`continuum_spread` needs `prior` map"),
+            (self.start and self.continuum_spread, "`start` brings its own continuum; leave `continuum_spread` out"),
             *ModelRequest._faults(self),
         )  # fmt: skip
 

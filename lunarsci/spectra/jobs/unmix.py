@@ -45,7 +45,7 @@ class UnmixRequest(ModelRequest):
 
     def _faults(self) -> tuple[tuple[Any, str], ...]:
         wrong = self.method == "absorbance" and self.iron
-        return ((wrong, "--iron needs --method hapke or both"), *ModelRequest._faults(self))
+        return ((wrong, "`iron` needs `method` hapke or both"), *ModelRequest._faults(self))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -49,12 +49,12 @@ def constrained(
 def _refuse_twice(names: Sequence[str]) -> None:
     for name in names:
         if names.count(name) > 1:
-            raise ParameterError(f"{name} is constrained {names.count(name)} times; leave one of --fix, --bound, --tie")
+            raise ParameterError(f"{name} is constrained {names.count(name)} times; leave one of `fix`, `bound`, `tie`")
 
 
 def _prior_mean(model: MgmModel, name: str) -> float:
     if model.index(name) < model.degrees:
-        raise ParameterError(f"--fix {name}: a continuum coefficient has no usual value; write {name}=VALUE")
+        raise ParameterError(f"`fix` {name}: a continuum coefficient has no usual value; write {name}=VALUE")
     return float(model.prior[model.index(name)]) * unit_of(name)
 
 

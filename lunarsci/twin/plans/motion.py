@@ -169,7 +169,7 @@ def _one_member(columns: _Columns, member: int | None) -> _Columns:
     given = columns["member"]
     numbers = np.unique(given[np.isfinite(given)])
     if member is None and len(numbers) > 1:
-        raise ParameterError(f"{len(numbers)} members; choose one with --member")
+        raise ParameterError(f"{len(numbers)} members; choose one with `member`")
     if not len(numbers):
         raise ParameterError("the column member holds no number; fill it in or drop it")
     chosen = numbers[0] if member is None else member
