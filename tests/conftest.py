@@ -41,7 +41,7 @@ QUICK = (
     *("test_architecture.py", "test_inputs.py", "test_tables.py", "test_elementary.py"),
     *("test_spectrum.py", "test_continuum.py", "test_smoothing_and_noise.py", "test_solar.py", "test_sun.py"),
     *("spectra/readers", "spectra/chemistry", "spectra/photometry", "spectra/origin", "mgm/test_model.py"),
-    *("test_forces.py", "test_bearing.py", "test_identify.py", "test_belief.py", "test_wheels.py"),
+    *("test_forces.py", "test_integrals.py", "test_identify.py", "test_belief.py", "test_wheels.py"),
     *("test_plan.py", "test_schedule.py", "test_terrain.py", "test_hazards.py", "test_judgement.py", "test_ellipse.py"),
     *("twin/test_ensemble.py", "test_settle.py", "test_ruts.py", "test_physics_discrepancy.py"),
     *(

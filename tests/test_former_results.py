@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from lunarsci.cli import main
+import typer
+from lunarsci.cli import command_line, main
 
 import lunarsci
 from lunarsci.provenance import to_json
@@ -254,6 +255,23 @@ def test_a_notebook_gets_what_the_command_prints(
     assert len(found.to_table()) == len(found.rows()) > 0
     assert "<table" in found._repr_html_()
     assert found.plot().axes
+
+
+def commands_of(group: typer.Typer, above: str = "") -> set[str]:
+    own = {f"{above} {command.name}".strip() for command in group.registered_commands}
+    return own.union(*(commands_of(inner.typer_instance, f"{above} {inner.name}") for inner in group.registered_groups))
+
+
+def test_every_command_has_an_answer_in_the_table() -> None:
+    """But for those that answer with a picture, a list of names, or the answers of others."""
+    others = {"demo", "spectra library plot", "spectra library list"}
+    tried = {
+        name
+        for name in commands_of(command_line())
+        for line in COMMANDS.values()
+        if f"{line} ".startswith(f"{name} ".strip() + " ")
+    }
+    assert commands_of(command_line()) - tried == others
 
 
 def test_every_job_of_the_package_is_tried() -> None:

@@ -59,10 +59,12 @@ def test_the_readme_has_examples() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("command", "shown"), CONSOLE, ids=[command for command, _ in CONSOLE])
-def test_examples_print_what_they_show(command: str, shown: str, demo: str, shell: Shell) -> None:
-    if command == "lunarsci demo":
-        same(shown, demo)
-        return
+def test_examples_print_what_they_show(command: str, shown: str, shell: Shell, request: pytest.FixtureRequest) -> None:
+    if "demo" in command:
+        demo = request.getfixturevalue("demo")
+        if command == "lunarsci demo":
+            same(shown, demo)
+            return
     done = shell(command)
     assert done.returncode == 0, done.stderr
     same(shown, done.stdout)

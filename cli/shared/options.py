@@ -165,6 +165,10 @@ def request_parameters(request: type, options: Mapping[str, RequestOption]) -> l
     for name, said in options.items():
         kind: Any = said.kind or hints[name]
         default = fields[name].default
+        if default is dataclasses.MISSING:
+            raise TypeError(
+                f"{request.__name__}.{name} needs a default: None, refused in __post_init__ if it must be given"
+            )
         if get_origin(kind) is tuple:
             kind, default = list[str] | None, (list(default) or None)  # type: ignore[arg-type]
         if kind is bool and not said.told.param_decls:

@@ -312,6 +312,8 @@ def joint_tables(data: Path) -> None:
 
 def main() -> None:
     """Print the tables."""
+    if "LUNARSCI_REFERENCE_DATA" not in os.environ:
+        sys.exit("the measured wheels are not here; LUNARSCI_REFERENCE_DATA must name the folder that has them")
     data = Path(os.environ["LUNARSCI_REFERENCE_DATA"])
     runs = grouser_runs(data)
     locked = "--locked" in sys.argv

@@ -6,6 +6,7 @@ import numpy as np
 
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction
+from lunarsci.spectra.mgm.assemblages import MINERALS
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit, MineralComposition, compositions
 from lunarsci.tables import table_rows
 
@@ -13,7 +14,7 @@ TABLE = "nbsr_calibrations.csv"
 NORMAL_95 = 1.96
 SEEN_SIGMAS, APART_SIGMAS = 3.0, 2.0
 """Standard errors from which another mineral absorbs, and a composition lies outside; assumed."""
-OTHER_MINERALS = {"olivine", "plagioclase"}
+OTHER_MINERALS = {*MINERALS.values()} - {"orthopyroxene", "clinopyroxene"}
 
 
 def calibrations() -> tuple[str, ...]:

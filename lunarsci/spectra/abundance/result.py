@@ -68,7 +68,6 @@ class Abundance:
 
 
 PER_PAGE = 40
-OTHER = "0.3"
 
 
 def share_pages(found: Sequence[Abundance]) -> "Iterator[Figure]":
@@ -95,7 +94,7 @@ def share_pages(found: Sequence[Abundance]) -> "Iterator[Figure]":
 
 
 def _draw(panel: Any, row: int, one: Abundance, mineral: str) -> None:
-    from lunarsci.spectra.mgm.figure import COLORS
+    from lunarsci.spectra.mgm.figure import COLORS, OTHER
 
     color = COLORS.get(mineral, OTHER)
     for item in one.fractions:

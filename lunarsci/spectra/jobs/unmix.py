@@ -150,8 +150,13 @@ def _known_modes(names: Sequence[str], file: "InputFile | None") -> "KnownModes"
 
 
 def _minerals(fits: "Sequence[MgmFit]", request: UnmixRequest) -> list[str]:
-    """Those of the fits' assemblages, in the order of `FAMILY_OF`, then the opaque one if allowed."""
+    """Those of the fits' assemblages, in the order of `FAMILY_OF`, then the opaque one if allowed.
+
+    Raises ParameterError for a mineral without end members.
+    """
     from lunarsci.spectra.abundance.end_members import FAMILY_OF, OPAQUE
 
     named = {mineral for item in fits for mineral in item.model.assemblage.minerals}
+    if strange := sorted(named - {*FAMILY_OF, "any"}):
+        raise ParameterError(f"{strange[0]} has no end member to mix; leave it out of `assemblage`, or only fit")
     return [name for name in FAMILY_OF if name in named] + [OPAQUE] * request.opaque

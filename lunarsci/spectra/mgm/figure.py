@@ -21,6 +21,8 @@ COLORS = {
     "any": "#999999",
 }
 """Colours that remain distinct under colour-vision deficiency: Okabe & Ito (2008), Color Universal Design."""
+OTHER = "0.3"
+"""Colour of a mineral that has none of its own."""
 
 
 def band_pages(measured: Sequence[SpectrumBands]) -> Iterator[Figure]:
@@ -107,7 +109,7 @@ def _draw_fit(upper: Any, lower: Any, fit: MgmFit) -> None:
         named.add(band.mineral)
         depth = band.curve(wavelength)
         curve = np.where(depth < -INVISIBLE, fit.continuum_reflectance * np.exp(depth), np.nan)
-        upper.plot(wavelength, curve, color=COLORS[band.mineral], linewidth=1.2, label=label)
+        upper.plot(wavelength, curve, color=COLORS.get(band.mineral, OTHER), linewidth=1.2, label=label)
     residual = 100 * (np.log(fit.reflectance) - model)
     lower.plot(wavelength, residual, color="black", linewidth=0.7)
     lower.axhline(0, color="0.8", linewidth=0.8, zorder=0)
