@@ -170,7 +170,7 @@ def request_parameters(request: type, options: Mapping[str, RequestOption]) -> l
                 f"{request.__name__}.{name} needs a default: None, refused in __post_init__ if it must be given"
             )
         if get_origin(kind) is tuple:
-            kind, default = list[str] | None, (list(default) or None)  # type: ignore[arg-type]
+            kind, default = list[str] | None, (list(default) or None)
         if kind is bool and not said.told.param_decls:
             said.told.param_decls = (f"--{name.replace('_', '-')}",)
         annotation = Annotated[kind, said.told]
