@@ -9,7 +9,7 @@ import html
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_args, get_type_hints
 
 from lunarsci.errors import ParameterError, RequestError
 from lunarsci.provenance import Provenance, document, plain, to_json
@@ -81,7 +81,15 @@ def request_of(kind: type[Request], request: Request | None, options: Mapping[st
     known = [item.name for item in dataclasses.fields(kind)]  # type: ignore[arg-type]
     if wrong := next((name for name in options if name not in known), None):
         raise RequestError(f"'{wrong}' is no option here; these are: {', '.join(sorted(known))}")
-    return kind(**options) if request is None else dataclasses.replace(request, **options)  # type: ignore[type-var]
+    hints = get_type_hints(kind)
+    numbers = {name: _as_real(value, hints[name]) for name, value in options.items()}
+    return kind(**numbers) if request is None else dataclasses.replace(request, **numbers)  # type: ignore[type-var]
+
+
+def _as_real(value: Any, hint: Any) -> Any:
+    """A whole number as a real one where that is meant, as from the command line."""
+    real = float in (hint, *get_args(hint))
+    return float(value) if real and isinstance(value, int) and not isinstance(value, bool) else value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

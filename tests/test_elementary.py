@@ -57,7 +57,7 @@ def test_exponentials_beyond_all_numbers_stay_numbers() -> None:
 
 
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="other processors have other names for their lanes")
-@pytest.mark.parametrize("name", elementary.__all__)
+@pytest.mark.parametrize("name", ["sine", "cosine", "arcsin", "exp_minus_one", "exponential", "logarithm"])
 def test_loops_run_in_lanes(name: str) -> None:
     _, assembly = over(getattr(elementary, name), np.linspace(0.1, 0.7, 100))
     assert re.search(r"v(?:mul|fn?madd\d+)pd\b", assembly)

@@ -289,6 +289,8 @@ def test_a_difference_is_seen() -> None:
 if __name__ == "__main__":
     import tempfile
 
+    for library in ("OPENBLAS", "OMP", "MKL"):  # as in the tests: sums in threads round otherwise
+        os.environ[f"{library}_NUM_THREADS"] = "1"
     with tempfile.TemporaryDirectory() as folder:
         made = answers(Path(folder))
     if "--write" in sys.argv:

@@ -121,9 +121,9 @@ def test_code_is_stale_when_a_file_changes_that_its_file_imports(
 
 
 def test_a_time_step_depends_on_the_formulas_of_the_wheel() -> None:
-    from lunarsci.twin.simulation import contact, drive
+    from lunarsci.twin.simulation import contact, members
 
-    assert Path(contact.__file__) in reached(Path(drive.__file__))
+    assert Path(contact.__file__) in reached(Path(members.__file__))
 
 
 def reached(path: Path) -> set[Path]:

@@ -79,9 +79,9 @@ def test_scripts_run(script: str, demo: str, shell: Shell) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("program", PYTHON)
-def test_programs_run(program: str, demo: str, folder: Path) -> None:
-    done = subprocess.run([sys.executable, "-c", program], cwd=folder, capture_output=True, text=True)
+@pytest.mark.parametrize("text", PYTHON)
+def test_programs_run(text: str, demo: str, folder: Path) -> None:
+    done = subprocess.run([sys.executable, "-c", text], cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
 

@@ -17,7 +17,7 @@ from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.judgement.load_check import force_table
 from lunarsci.twin.loads.load_ensemble import LoadEnsemble, draw_loads
 from lunarsci.twin.loads.prescribed_motion import (
-    COLUMNS,
+    FORCE_COLUMNS,
     contact_jacobian,
     prescribed_loads,
     read_pose_states,
@@ -87,7 +87,7 @@ def test_the_levers_of_all_forces_and_what_is_missing_are_newton_s_law(yutu2: Ro
     """Weights have no horizontal part, so that all forces on the wheels and what is missing add up to nothing; of the
     moment about the vertical the torques M_R of tilted wheels remain, under 1 N m on these slopes."""
     held = prescribed_loads(yutu2, synthetic_longji(), driven[1])
-    total = np.einsum("ntwf,nwf->nt", contact_jacobian(held), held.states[..., COLUMNS]) + residual_wrench(held)
+    total = np.einsum("ntwf,nwf->nt", contact_jacobian(held), held.states[..., FORCE_COLUMNS]) + residual_wrench(held)
     assert np.abs(residual_wrench(held)[:, :2]).max() > 1.0, "something is missing, or nothing is shown"
     assert np.abs(total[:, :2]).max() < 0.01
     assert np.abs(total[:, 2]).max() < 1.0
@@ -126,7 +126,7 @@ def test_the_balance_moves_forces_from_a_wrong_soil_to_the_true_ones(yutu2: Rove
         soils = first.draws(48, 1)
         found = draw_loads(yutu2, ground, motion, soils, middle_of(first), correlation_m=0.5, seed=1)
         for when in off:
-            off[when].append((getattr(found, when) - drives.states[m][..., COLUMNS])[INNER])
+            off[when].append((getattr(found, when) - drives.states[m][..., FORCE_COLUMNS])[INNER])
             sigma[when].append(getattr(found, f"{when}_sigma")[INNER])
     rms = {when: np.sqrt((np.array(each) ** 2).mean(axis=(0, 1, 2))) for when, each in off.items()}
     assert (rms["after"] < (0.8, 0.4, 0.4) * rms["before"]).all(), "loads, single drawbar pulls, single lateral forces"

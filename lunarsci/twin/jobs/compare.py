@@ -6,7 +6,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lunarsci.arrays import BoolArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile, Source, read_input
 from lunarsci.provenance import sha256
@@ -15,6 +14,7 @@ from lunarsci.result import MadeFrom, Result, request_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from lunarsci.arrays import BoolArray
     from lunarsci.regolith.belief import SoilBelief
     from lunarsci.twin.assimilation.drive_record import DriveRecord
     from lunarsci.twin.comparison.checks import BandCheck, EndCheck
