@@ -3,6 +3,8 @@
 import os
 import signal
 import sys
+import threading
+import time
 from collections.abc import Collection, Sequence
 from importlib import import_module
 from typing import Annotated, Any
@@ -25,6 +27,8 @@ HELP = (
     "From a lunar rover's spectra and wheel telemetry to what the rock is, what the ground is, and whether the next "
     "drive is safe."
 )
+MOMENT_S = 2.0
+"""What a command is given to end by itself after Ctrl-C; assumed."""
 EXIT_CODES = "Exit codes: 0 done; 1 failed; 2 wrong usage; 3 finished, but not to be trusted or not safe."
 
 
@@ -67,6 +71,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     as_program = arguments is None
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     _prepare_process()
+    if as_program:
+        _leave_when_told()
     try:
         quiet = "-q" in arguments or "--quiet" in arguments
         arguments = current(arguments, quiet=quiet)
@@ -115,6 +121,22 @@ def _prepare_process() -> None:
         reconfigure = getattr(stream, "reconfigure", None)
         if reconfigure:
             reconfigure(errors="replace")
+
+
+def _leave_when_told() -> None:
+    """Ctrl-C where Python does not hear it, as while machine code is made: a moment later the process ends anyway."""
+    heard, told = os.pipe()
+    os.set_blocking(told, False)
+    signal.set_wakeup_fd(told, warn_on_full_buffer=False)
+
+    def watch() -> None:
+        while os.read(heard, 1)[0] not in (signal.SIGINT, signal.SIGTERM):
+            pass
+        time.sleep(MOMENT_S)
+        say("interrupted; nothing was written")
+        os._exit(INTERRUPTED)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _settle_stdout() -> None:

@@ -411,14 +411,13 @@ def test_ctrl_c_leaves_nothing_behind(tmp_path: Path) -> None:
         [sys.executable, "-m", "lunarsci.cli", "twin", "predict", "--time-step", "0.0005", "-o", str(target)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored in the background
     )
-    # Python loses an interrupt that falls into a destructor or callback, as while numba loads; one presses again.
-    for _ in range(5):
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(timeout=4)
-            break
-        process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=10)
+    # Wherever it falls, in a destructor or while machine code is made, where Python loses it, once is enough.
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(timeout=4)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=30)
     assert process.returncode == 130, err
     assert out == b""
     assert err.decode().splitlines()[-1].startswith("interrupted")
