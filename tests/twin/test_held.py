@@ -169,7 +169,7 @@ def test_a_motion_comes_from_the_tables_of_a_prediction(tmp_path: Path, yutu2: R
         ("time_s,x_m,y_m,yaw_deg\n0,0,0,0\n2,0,0,0\n1,0,0,0\n", "does not ascend after pose 1"),
         ("time_s,x_m,y_m,yaw_deg\n0,0,0,0\n1,nan,0,0\n2,0,0,0\n", "x_m is not finite at pose 1"),
         ("time_s,x_m,y_m,yaw_deg\n0,0,0,0\n1,east,0,0\n2,0,0,0\n", "east"),
-        ("member,time_s,x_m,y_m,yaw_deg\n0,0,0,0,0\n1,1,0,0,0\n", "--member"),
+        ("member,time_s,x_m,y_m,yaw_deg\n0,0,0,0,0\n1,1,0,0,0\n", "`member`"),
         ("time_s,x_m,y_m,yaw_deg,speed_FL_m_s\n0,0,0,0,1\n", "no column steering_FL_deg"),
         ("time_s,x_m,y_m,yaw_deg\n0,0,0,0,7\n1,0,0,0,7\n2,0,0,0,7\n", "line 2: 5 fields"),
         ("time_s,x_m,y_m,yaw_deg\n1e9,0,0,0\n1000000001,0,0,0\n1000000002,0,0,0\n", "from the start of the drive"),
