@@ -6,10 +6,11 @@ option with its default, and a `Result` has what `--json`, `--csv` and `--plot` 
 
 import dataclasses
 import html
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_args, get_type_hints
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_args, get_origin, get_type_hints
 
 from lunarsci.errors import ParameterError, RequestError
 from lunarsci.provenance import Provenance, document, plain, to_json
@@ -82,12 +83,14 @@ def request_of(kind: type[Request], request: Request | None, options: Mapping[st
     if wrong := next((name for name in options if name not in known), None):
         raise RequestError(f"'{wrong}' is no option here; these are: {', '.join(sorted(known))}")
     hints = get_type_hints(kind)
-    numbers = {name: _as_real(value, hints[name]) for name, value in options.items()}
-    return kind(**numbers) if request is None else dataclasses.replace(request, **numbers)  # type: ignore[type-var]
+    meant = {name: _as_meant(value, hints[name]) for name, value in options.items()}
+    return kind(**meant) if request is None else dataclasses.replace(request, **meant)  # type: ignore[type-var]
 
 
-def _as_real(value: Any, hint: Any) -> Any:
-    """A whole number as a real one where that is meant, as from the command line."""
+def _as_meant(value: Any, hint: Any) -> Any:
+    """A whole number as a real one, and one text as the only one of several, where that is meant."""
+    if get_origin(hint) is tuple and isinstance(value, str):
+        return (value,)
     real = float in (hint, *get_args(hint))
     return float(value) if real and isinstance(value, int) and not isinstance(value, bool) else value
 
@@ -111,7 +114,7 @@ class MadeFrom:
     options: Mapping[str, Any] = field(default_factory=dict)
 
 
-class Result:
+class Result(ABC):
     """What a job found; a job's own result says `to_dict`, `rows`, `figures`, `made_from` and `untrusted`.
 
     Attributes
@@ -137,13 +140,13 @@ class Result:
     def failures(self) -> Sequence[str]:
         return ()
 
+    @abstractmethod
     def to_dict(self) -> dict[str, Any]:
         """The `result` of `--json`, in plain Python, keys with their units."""
-        raise NotImplementedError
 
+    @abstractmethod
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """The rows of `--csv`."""
-        raise NotImplementedError
 
     def figures(self) -> "Iterator[Figure]":
         """The pages of `--plot`."""

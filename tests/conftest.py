@@ -32,6 +32,9 @@ LONGEST = (
     "test_fit.py",
     "test_spoiled.py",
     "test_bands.py",
+    "test_examples.py",
+    "test_force_soil.py",
+    "test_former_results.py",
 )
 """Files that take longest; they start first, so that no worker is left with one at the end. The README compiles nearly
 everything; beside it run files that need no compiled code, and the others, the wheel too, find it in the cache."""

@@ -33,8 +33,6 @@ ALLOWED = {
     "reproduce": {"reproduce", "spectra", "regolith", "twin", *SHARED},
     "rovers": {"rovers", "errors"},
 }
-FRONT = ROOT / "lunarsci/__init__.py"
-"""Names the jobs of all parts, and imports each when it is first used."""
 TREES = {
     path: ast.parse(path.read_text("utf-8"))
     for folder in ("lunarsci", "cli", "spectra_data")
@@ -56,7 +54,7 @@ def part_of(path: Path) -> str:
     return path.relative_to(ROOT / "lunarsci").parts[0].removesuffix(".py")
 
 
-@pytest.mark.parametrize("path", [p for p in TREES if ROOT / "lunarsci" in p.parents and p != FRONT], ids=str)
+@pytest.mark.parametrize("path", [p for p in TREES if ROOT / "lunarsci" in p.parents], ids=str)
 def test_arrows_point_one_way(path: Path) -> None:
     used = {name.split(".")[1] for name in imports(TREES[path]) if name.startswith("lunarsci.")}
     part = part_of(path)
@@ -137,10 +135,7 @@ def test_no_fragment_has_a_single_user() -> None:
     """Commands, which their group names, and jobs, which notebooks name, are what people use."""
     users: Counter[str] = Counter()
     for path, tree in TREES.items():
-        if path != FRONT:
-            users.update(
-                name for name in imports(tree) if name != ".".join(path.relative_to(ROOT).with_suffix("").parts)
-            )
+        users.update(name for name in imports(tree) if name != ".".join(path.relative_to(ROOT).with_suffix("").parts))
     fragments = []
     for path in TREES:
         name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
@@ -184,7 +179,7 @@ def test_no_folder_of_the_library_imports_in_a_circle() -> None:
     folders = {name.removesuffix(".__init__") for name, path in files.items() if path.name == "__init__.py"}
     arrows: dict[str, set[str]] = {}
     for name, path in files.items():
-        if ROOT / "lunarsci" in path.parents and path != FRONT:
+        if ROOT / "lunarsci" in path.parents:
             own = name.rpartition(".")[0]
             used = {part if part in folders else part.rpartition(".")[0] for part in imports(TREES[path])}
             arrows.setdefault(own, set()).update(used & folders - {own})

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import typer
+
 from .talk import say
 
 
@@ -17,6 +19,7 @@ class Alias:
     to_command : words of the command that it is now.
     to_option : the option that it is now; None where the command says it already, or always does it.
     values : the values it had to those it has now, empty where all stay the same; None for a flag without a value.
+    once : whether the option may not be given beside what it is now.
     """
 
     command: tuple[str, ...]
@@ -24,6 +27,7 @@ class Alias:
     to_command: tuple[str, ...]
     to_option: str | None
     values: dict[str, str] | None = None
+    once: bool = False
 
     def replaced(self, arguments: Sequence[str]) -> list[str] | None:
         """The arguments with this alias spelled out; None where it is not in them."""
@@ -61,8 +65,8 @@ ALIASES = (
     Alias(("twin", "predict"), "--soil-map", ("twin", "predict"), "--soil", ANY),
     Alias(("twin", "forces"), "--motion", ("twin", "loads"), "--motion", ANY),
     Alias(("twin", "forces"), "--samples", ("twin", "forces"), "--soil", ANY),
-    Alias(("twin", "update"), "--belief", ("twin", "update"), "--soil", ANY),
-    Alias(("twin", "update"), "--map", ("twin", "update"), "--soil", ANY),
+    Alias(("twin", "update"), "--belief", ("twin", "update"), "--soil", ANY, once=True),
+    Alias(("twin", "update"), "--map", ("twin", "update"), "--soil", ANY, once=True),
 )
 """Those of several steps follow each other in this order."""
 
@@ -72,6 +76,8 @@ def current(arguments: Sequence[str], *, quiet: bool = False) -> list[str]:
     found = list(arguments)
     for alias in ALIASES:
         while (replaced := alias.replaced(found)) is not None:
+            if alias.once and sum(word.partition("=")[0] == alias.to_option for word in replaced) > 1:
+                raise typer.BadParameter(f"{alias.option} and {alias.to_option} are the same; give one")
             found = replaced
             say(f"note: {alias}", quiet=quiet)
     return found

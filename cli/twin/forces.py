@@ -5,32 +5,20 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from lunarsci.twin.jobs.forces import ForcesRequest
+from lunarsci.twin.jobs.predict import DriveRequest
 
 from ..shared.command import command
 from ..shared.options import Output
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
-from .options import FIXES, INTERPOLATION, MEMBERS, ROVER, SAMPLE, SEED, SOILS, SWEEP, TERRAIN, TIME_STEP, PlanFile
+from .options import DRIVE, PlanFile
 
 if TYPE_CHECKING:
     from lunarsci.twin.jobs.forces import DriveForces
     from lunarsci.twin.judgement.load_check import Spread, WheelLoads
 
 
-OPTIONS = {
-    "rover": ROVER,
-    "terrain": TERRAIN,
-    "interpolation": INTERPOLATION,
-    "soil": SOILS,
-    "sweep": SWEEP,
-    "members": MEMBERS,
-    "fixes": FIXES,
-    "seed": SEED,
-    "time_step": TIME_STEP,
-    "sample": SAMPLE,
-}
 COLUMNS = {
     "normal_force_n": ("F_N [N]", 1.0),
     "drawbar_pull_n": ("F_DP [N]", 1.0),
@@ -44,10 +32,10 @@ COLUMNS = {
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "forces", request=ForcesRequest, options=OPTIONS)(forces)
+    command(app, "forces", request=DriveRequest, options=DRIVE)(forces)
 
 
-def forces(output: Output, request: ForcesRequest, plan: PlanFile = None) -> Report:
+def forces(output: Output, request: DriveRequest, plan: PlanFile = None) -> Report:
     """Load, drawbar pull, lateral force and torque of every wheel along a predicted drive.
 
     The drive has the soil of the terrain unless --sweep, --members or --soil name others. `lunarsci twin loads` gives

@@ -30,3 +30,16 @@ BEFORE = option("A plan that was driven on the same ground before; its ruts are 
 SEED = option("Seed of everything random.", min=0, show_default="0")
 TIME_STEP = option("Longest time step in s.")
 SAMPLE = option("Distance between recorded states in m.")
+DRIVE = {
+    "rover": ROVER,
+    "terrain": TERRAIN,
+    "interpolation": INTERPOLATION,
+    "soil": SOILS,
+    "sweep": SWEEP,
+    "members": MEMBERS,
+    "fixes": FIXES,
+    "seed": SEED,
+    "time_step": TIME_STEP,
+    "sample": SAMPLE,
+}
+"""Those of a `DriveRequest`."""

@@ -12,40 +12,13 @@ from ..shared.options import Output
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
-from .options import (
-    BEFORE,
-    FIXES,
-    INTERPOLATION,
-    MEMBERS,
-    ROVER,
-    RUTS,
-    SAMPLE,
-    SEED,
-    SOILS,
-    SWEEP,
-    TERRAIN,
-    TIME_STEP,
-    PlanFile,
-)
+from .options import BEFORE, DRIVE, RUTS, PlanFile
 
 if TYPE_CHECKING:
     from lunarsci.twin.judgement.safety import Judgement, Verdict
 
 
-OPTIONS = {
-    "rover": ROVER,
-    "terrain": TERRAIN,
-    "interpolation": INTERPOLATION,
-    "soil": SOILS,
-    "sweep": SWEEP,
-    "members": MEMBERS,
-    "fixes": FIXES,
-    "ruts": RUTS,
-    "before": BEFORE,
-    "seed": SEED,
-    "time_step": TIME_STEP,
-    "sample": SAMPLE,
-}
+OPTIONS = DRIVE | {"ruts": RUTS, "before": BEFORE}
 
 
 def add_to(app: typer.Typer) -> None:

@@ -45,6 +45,12 @@ def test_a_config_file_knows_former_names() -> None:
     assert option_now("regolith identify", "joint") == "joint"
 
 
+@pytest.mark.parametrize("options", ["--belief a.json --map b.json", "--soil a.json --belief=b.json"])
+def test_two_beliefs_before_a_drive_are_refused(options: str, capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["twin", "update", "states.csv", *options.split()]) == 2
+    assert "are the same; give one" in capfd.readouterr().err
+
+
 def test_an_alias_runs(capfd: pytest.CaptureFixture[str]) -> None:
     assert main(["regolith", "identify", "nowhere.csv", "--joint"]) == 1
     said = capfd.readouterr().err.splitlines()

@@ -392,16 +392,26 @@ def test_a_closed_stdout_is_one_line(rock: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
-def test_progress_is_drawn_on_a_terminal_and_only_on_stderr(rock: Path, drawn_on: Callable[[int], str]) -> None:
+@pytest.mark.parametrize(
+    ("command", "field", "printed", "bar"),
+    [
+        ("spectra bands", "spectra.0.id", b"synthetic_rock\n", "measuring bands"),
+        ("twin predict", "members", b"3\n", "driving"),
+    ],
+)
+def test_progress_is_drawn_on_a_terminal_and_only_on_stderr(
+    rock: Path, short_plan: Path, drawn_on: Callable[[int], str], command: str, field: str, printed: bytes, bar: str
+) -> None:
     import pty
 
     ours, theirs = pty.openpty()
-    command = [sys.executable, "-m", "lunarsci.cli", "spectra", "bands", str(rock), "--field", "spectra.0.id"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=theirs)
+    given = {"spectra bands": [str(rock)], "twin predict": [str(short_plan), "--sweep", "friction_angle_deg=35:45:3"]}
+    line = [sys.executable, "-m", "lunarsci.cli", *command.split(), *given[command], "--field", field]
+    process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=theirs)
     os.close(theirs)
     drawn = drawn_on(ours)
-    assert process.communicate()[0] == b"synthetic_rock\n"
-    assert "measuring bands" in drawn
+    assert process.communicate()[0] == printed
+    assert bar in drawn
     assert "%" in drawn
 
 

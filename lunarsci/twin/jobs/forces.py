@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from lunarsci.errors import RequestError
 from lunarsci.inputs import Source
 from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.twin.jobs.predict import DriveRequest
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -16,36 +17,6 @@ if TYPE_CHECKING:
     from lunarsci.twin.judgement.load_check import WheelLoads
     from lunarsci.twin.plans.plan import Plan
     from lunarsci.twin.simulation.ensemble import Prediction
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ForcesRequest:
-    """How to drive a plan.
-
-    Attributes
-    ----------
-    rover, terrain, interpolation, soil, fixes : as in `PredictRequest`.
-    sweep, members : as there, but that without either, and without a file of soils, one drive is made.
-    seed : of everything random; None is 0.
-    time_step : longest time step. [s]
-    sample : distance between recorded states. [m]
-    """
-
-    rover: str | None = None
-    terrain: str = "synthetic-longji"
-    interpolation: str = "smooth"
-    soil: tuple[str, ...] = ()
-    sweep: tuple[str, ...] = ()
-    members: int | None = None
-    fixes: str | None = None
-    seed: int | None = None
-    time_step: float = 0.1
-    sample: float = 0.1
-
-    def __post_init__(self) -> None:
-        for name in ("soil", "sweep"):
-            if isinstance(getattr(self, name), str):
-                object.__setattr__(self, name, (getattr(self, name),))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -109,12 +80,14 @@ class DriveForces(Result):
 
 def forces(
     plan: "Source | Plan | None" = None,
-    request: ForcesRequest | None = None,
+    request: DriveRequest | None = None,
     *,
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> DriveForces:
     """Forces of every wheel along a predicted drive, the embedded one if `plan` is None.
+
+    Without a sweep, a number of members or a file of soils one drive is made.
 
     Raises DataError for what cannot be read, RequestError for options that are impossible.
     """
@@ -123,7 +96,7 @@ def forces(
     from lunarsci.twin.jobs.soils import Soils
     from lunarsci.twin.judgement.load_check import wheel_loads
 
-    asked = request_of(ForcesRequest, request, options)
+    asked = request_of(DriveRequest, request, options)
     known = read_drive_inputs(plan, asked.rover, asked.terrain, asked.interpolation, soil=asked.soil, fixes=asked.fixes)
     alone = not asked.sweep and asked.members is None and known.given.one_soil
     soils = Soils.of(known, () if alone else asked.sweep or None, asked.members, asked.seed or 0)

@@ -27,7 +27,7 @@ CORRELATED = ("belief", "samples")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PredictRequest:
+class DriveRequest:
     """How to drive a plan.
 
     Attributes
@@ -40,8 +40,6 @@ class PredictRequest:
     sweep : NAME=LOW:HIGH:N, uncertain parameters in place of the plan's sweeps.
     members : drives: samples of the ranges instead of the grid of all their values, or draws; 64 of a belief.
     fixes : M,DEG, standard errors of localisation updates after each leg, in place of the plan's.
-    ruts : whether wheels meet ruts; None as in the last drive of a belief, else no.
-    before : a plan that was driven on the same ground before.
     seed : of everything random; None is 0.
     time_step : longest time step. [s]
     sample : distance between recorded states. [m]
@@ -54,16 +52,23 @@ class PredictRequest:
     sweep: tuple[str, ...] = ()
     members: int | None = None
     fixes: str | None = None
-    ruts: bool | None = None
-    before: str | None = None
     seed: int | None = None
     time_step: float = 0.1
     sample: float = 0.1
 
-    def __post_init__(self) -> None:
-        for name in ("soil", "sweep"):
-            if isinstance(getattr(self, name), str):
-                object.__setattr__(self, name, (getattr(self, name),))
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PredictRequest(DriveRequest):
+    """How to drive a plan that is to be judged.
+
+    Attributes
+    ----------
+    ruts : whether wheels meet ruts; None as in the last drive of a belief, else no.
+    before : a plan that was driven on the same ground before.
+    """
+
+    ruts: bool | None = None
+    before: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

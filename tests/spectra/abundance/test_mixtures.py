@@ -1,7 +1,7 @@
 """Modes of measured mixtures by a library that holds nothing of their series; all in `tests/benchmarks/mixtures.py`."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,21 +10,13 @@ import pandas as pd
 import pytest
 
 from lunarsci.inputs import read_input
-from lunarsci.spectra.abundance.estimate import estimate_series
-from lunarsci.spectra.abundance.result import Abundance
 from lunarsci.spectra.library.end_member import EndMember
 from lunarsci.spectra.readers import read_spectra
-from lunarsci.spectra.spectrum import Spectrum
+from tests.spectra.abundance.test_unmix import one
 
 pytestmark = pytest.mark.reference
 ROOT = Path(__file__).parents[3]
 MAFIC = ("olivine", "orthopyroxene", "clinopyroxene")
-
-
-def one(spectrum: Spectrum, minerals: Sequence[str], **options: Any) -> Abundance:
-    """Fractions of one spectrum."""
-    [found] = estimate_series([spectrum], minerals, **options)
-    return found
 
 
 @pytest.fixture(scope="module")

@@ -1,24 +1,13 @@
 """Submicroscopic iron: its absorption against Rayleigh's formula, its effect on a spectrum."""
 
-from collections.abc import Sequence
-from typing import Any
-
 import numpy as np
 import pytest
 
-from lunarsci.spectra.abundance.estimate import estimate_series
 from lunarsci.spectra.abundance.mixing import GRAIN_INDEX, Albedo, HapkeSurface, Weathering, iron_absorption
-from lunarsci.spectra.abundance.result import Abundance
 from lunarsci.spectra.spectrum import Spectrum
-from tests.spectra.abundance.test_unmix import MINERALS, SHARES, made
+from tests.spectra.abundance.test_unmix import MINERALS, SHARES, made, one
 
 GRID = np.arange(460.0, 2441.0, 20.0)
-
-
-def one(spectrum: Spectrum, minerals: Sequence[str], **options: Any) -> Abundance:
-    """Fractions of one spectrum."""
-    [found] = estimate_series([spectrum], minerals, **options)
-    return found
 
 
 def test_absorption_is_that_of_small_spheres() -> None:

@@ -16,15 +16,12 @@ def bench(load_benchmark: Callable[[str], ModuleType]) -> ModuleType:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("method", "noise", "count", "sampling"),
-    [("profile", 0.005, 40, {}), ("sample", 0.01, 30, {"particles": 128, "draws": 1024})],
+    ("method", "assemblage", "noise", "count"), [("profile", "OPX-CPX", 0.005, 40), ("sample", "OPX", 0.01, 30)]
 )
 @pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
-def test_shares_that_hold_the_truth(
-    bench: ModuleType, method: str, noise: float, count: int, sampling: dict[str, int]
-) -> None:
+def test_shares_that_hold_the_truth(bench: ModuleType, method: str, assemblage: str, noise: float, count: int) -> None:
     """Pyroxenes drawn from their prior; three standard errors of so few spectra are allowed."""
-    truth, _, ends, _ = bench.measure(mgm_model("OPX"), noise, count, 1, [method], **sampling)
+    truth, _, ends, _ = bench.measure(mgm_model(assemblage), noise, count, 1, [method])
     for hits, nominal, most in zip(bench.inside(truth, ends[method]), (0.6827, 0.95), (0.035, 0.02), strict=True):
         found, error = bench.share(hits)
         assert error < most, "or the bounds below say nothing"

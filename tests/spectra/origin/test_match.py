@@ -53,10 +53,11 @@ def test_posterior_is_prior_times_the_factor_over_the_sum() -> None:
 
 
 @pytest.mark.slow
-def test_300_rocks_of_the_craters_are_as_often_right_as_said(bench: Any) -> None:
+@pytest.mark.parametrize("seed", [0, 1])
+def test_300_rocks_of_the_craters_are_as_often_right_as_said(bench: Any, seed: int) -> None:
     settings = MatchSettings(prior=PriorSettings())
     for craters in (bench.complete_catalogue(), embedded_catalogue()):
-        table, width, right = bench.reliability(craters, settings, 300, seed=0)
+        table, width, right = bench.reliability(craters, settings, 300, seed)
         assert table.worst < 0.05, table
         assert len(table.count) == 10
         assert (np.abs(width.forecast - width.observed) < 0.05 + 2.5 * width.chance).all(), width

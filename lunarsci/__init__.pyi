@@ -1,0 +1,17 @@
+from lunarsci.regolith.jobs.identify import identify as identify
+from lunarsci.regolith.jobs.infer import infer as infer
+from lunarsci.regolith.jobs.wheel_forces import wheel_forces as wheel_forces
+from lunarsci.spectra.jobs.bands import bands as bands
+from lunarsci.spectra.jobs.calibrate import calibrate as calibrate
+from lunarsci.spectra.jobs.fit import fit as fit
+from lunarsci.spectra.jobs.match import match as match
+from lunarsci.spectra.jobs.unmix import unmix as unmix
+from lunarsci.twin.jobs.compare import compare as compare
+from lunarsci.twin.jobs.loads import loads as loads
+from lunarsci.twin.jobs.plan import plan as plan
+from lunarsci.twin.jobs.predict import predict as predict
+from lunarsci.twin.jobs.states import states as states
+from lunarsci.twin.jobs.update import update as update
+
+JOBS: dict[str, tuple[str, ...]]
+__version__: str
