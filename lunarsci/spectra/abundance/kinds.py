@@ -1,0 +1,257 @@
+"""The kind of target: mixed powders, powder of a dark rock, weathered soil, solid rock; or a stranger.
+
+Nine numbers of a spectrum, means over at least 50 nm so that neither resolution nor smoothing changes them: ln R near
+750 nm, and ln R elsewhere less that. Each component of a kind is a law of them with the tails of Student's t, whose mean
+and covariance stand in `kinds.csv`. A soil under a rover and a rock beside it look alike, and a slab in the laboratory
+looks like a coarse powder, so that a solid rock is stated, never found.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Literal, get_args
+
+import numpy as np
+
+from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.errors import ParameterError
+from lunarsci.spectra.spectrum import Spectrum, channel_noise
+from lunarsci.tables import table_rows
+
+Kind = Literal["powder-mixture", "dark-rock-powder", "weathered-soil", "solid-rock"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+NOT_DETERMINED = "not-determined"
+TABLE = "kinds.csv"
+WINDOWS_NM = {
+    "level": (700.0, 800.0),
+    "blue": (450.0, 500.0),
+    "visible": (530.0, 600.0),
+    "um0_94": (880.0, 1000.0),
+    "um1_06": (1000.0, 1120.0),
+    "um1_25": (1180.0, 1320.0),
+    "um1_52": (1450.0, 1600.0),
+    "um1_96": (1850.0, 2060.0),
+    "um2_30": (2220.0, 2380.0),
+}
+"""Where the features are taken: the blue and visible slopes, both sides of the 1 um band, and the 2 um band."""
+VISIBLE_BLUE = 0.35
+"""Share of `blue` in the line from 475 to 750 nm at 565 nm less rounding; `visible` is the distance from that line."""
+LAB_TO_LAB = {"level": 0.2} | dict.fromkeys([name for name in WINDOWS_NM if name != "level"], 0.04) | {"visible": 0.02}
+"""Standard deviation of each feature between instruments, packings and geometries; assumed."""
+SHRINKAGE = 0.15
+"""Weight of the mean variances of all components, without correlation, in each covariance; assumed."""
+FREEDOM = 10.0
+"""Degrees of freedom of the tails; assumed."""
+LEAST_FEATURES = 6
+SURE = {"powder-mixture": 0.9, "dark-rock-powder": 0.8, "weathered-soil": 0.8, "solid-rock": np.inf}
+"""Probability from which a kind is named."""
+WEATHERED = 0.5
+"""Probability of a surface that space has weathered, soil or rock, from which it counts as one."""
+STRANGE = 0.01
+"""Probability of a spectrum of the kind lying farther from its mean, below which one is a stranger."""
+CONTRADICTED = 0.02
+"""Probability of a stated kind below which the spectrum is a stranger to it."""
+SCALED, BRIGHTEST = 1e-6, 1.1
+
+
+@dataclass(frozen=True, slots=True)
+class KindVerdict:
+    """What kind of target a spectrum shows.
+
+    Attributes
+    ----------
+    kind : one of `KINDS`, or `NOT_DETERMINED`.
+    probabilities : by kind, before anything is known of the target, each as likely as the others; they sum to 1. [-]
+    weathered : probability of a surface that space has weathered, soil or rock. [-]
+    stranger : whether the spectrum is unlike all that is known of its kind, and where that is open, of every kind; or
+        far likelier of another kind than stated.
+    stated : whether the kind was stated, not found.
+    reasons : sentences; empty where there is nothing to say.
+    """
+
+    kind: str
+    probabilities: Mapping[str, float]
+    weathered: float
+    stranger: bool
+    stated: bool = False
+    reasons: tuple[str, ...] = ()
+
+    @property
+    def is_weathered(self) -> bool:
+        """Whether space has weathered the surface, as far as is known."""
+        return self.kind == "weathered-soil" or (not self.stated and self.weathered >= WEATHERED)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KindModel:
+    """Normal laws of the features, one for each component of a kind.
+
+    Attributes
+    ----------
+    components : (k,) names; `kinds` the kind of each.
+    mean, covariance : (k, 9) and (k, 9, 9), `LAB_TO_LAB` included.
+    """
+
+    components: tuple[str, ...]
+    kinds: tuple[Kind, ...]
+    mean: FloatArray
+    covariance: FloatArray
+
+    def probabilities(self, features: FloatArray, noise: FloatArray) -> FloatArray:
+        """(n, k) of the components; those of one kind share it equally. Features that are NaN are not used."""
+        square, ln_volume = self._distances(features, noise)
+        used = np.isfinite(features).sum(axis=1)[:, None]
+        share = np.array([1.0 / self.kinds.count(kind) for kind in self.kinds])
+        ln_density = np.log(share) - 0.5 * ln_volume - 0.5 * (FREEDOM + used) * np.log1p(square / FREEDOM)
+        density = np.exp(ln_density - ln_density.max(axis=1, keepdims=True))
+        return np.asarray(density / density.sum(axis=1, keepdims=True))
+
+    def likeness(self, features: FloatArray) -> FloatArray:
+        """(n, k) share of a component's spectra that lie farther from its mean. Noise does not excuse a spectrum."""
+        from scipy.stats import chi2
+
+        square, _ = self._distances(features, np.zeros_like(features))
+        return np.asarray(chi2.sf(square, np.isfinite(features).sum(axis=1)[:, None]))
+
+    def _distances(self, features: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Squared distance from each component, and the logarithm of the determinant, (n, k) each."""
+        there = np.isfinite(features)
+        both = there[:, None, :, None] & there[:, None, None, :]
+        own = np.where(there, noise**2, 0.0)[:, None, :, None] * np.eye(features.shape[1])
+        absent = np.where(there, 0.0, 1.0)[:, None, :, None] * np.eye(features.shape[1])
+        covariance = np.where(both, self.covariance[None] + own, 0.0) + absent
+        apart = np.where(there, features, 0.0)[:, None, :] - np.where(there[:, None, :], self.mean[None], 0.0)
+        solved = np.linalg.solve(covariance, apart[..., None])[..., 0]
+        return np.sum(apart * solved, axis=-1), np.linalg.slogdet(covariance)[1]
+
+
+@cache
+def embedded_kinds() -> KindModel:
+    """The components of `kinds.csv`."""
+    rows: dict[str, list[Mapping[str, str]]] = {}
+    for row in table_rows(TABLE):
+        rows.setdefault(row["component"], []).append(row)
+    names = list(WINDOWS_NM)
+    mean = np.array([[float(row["mean"]) for row in part] for part in rows.values()])
+    covariance = np.array([[[float(row[name]) for name in names] for row in part] for part in rows.values()])
+    kinds: list[Kind] = [next(kind for kind in KINDS if kind == part[0]["kind"]) for part in rows.values()]
+    return KindModel(tuple(rows), tuple(kinds), mean, covariance)
+
+
+def learn_kinds(
+    features: FloatArray, components: Sequence[str], suites: Sequence[str], kinds: Mapping[str, Kind]
+) -> KindModel:
+    """Laws from features (n, 9) of spectra of known components; a suite of m spectra counts as sqrt(m) of them."""
+    named, from_suite = np.array(components), np.array(suites)
+    found = [_moments(features[named == name], from_suite[named == name]) for name in kinds]
+    mean, raw = np.array([item[0] for item in found]), np.array([item[1] for item in found])
+    pooled = np.diag(np.diagonal(raw.mean(axis=0)))
+    measured = np.diag(np.square([LAB_TO_LAB[name] for name in WINDOWS_NM]))
+    return KindModel(tuple(kinds), tuple(kinds.values()), mean, (1 - SHRINKAGE) * raw + SHRINKAGE * pooled + measured)
+
+
+def _moments(features: FloatArray, suites: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Weighted mean (9,) and covariance (9, 9); features that are NaN do not count."""
+    _, place, count = np.unique(suites, return_inverse=True, return_counts=True)
+    there = np.isfinite(features)
+    weight = count[place][:, None] ** -0.5 * there
+    mean = np.sum(weight * np.where(there, features, 0.0), axis=0) / weight.sum(axis=0)
+    apart = np.where(there, features - mean, 0.0)
+    return mean, (weight * apart).T @ apart / (weight.T @ there.astype(float))
+
+
+def spectral_features(spectrum: Spectrum) -> tuple[FloatArray, FloatArray]:
+    """Features (9,) and their standard errors by noise [-]: ln R near 750 nm, and ln R in `WINDOWS_NM` less it.
+
+    `visible` is the distance from the line between `blue` and 750 nm. NaN where no channel lies in the window. The
+    level of a spectrum that is 1 at a channel, or beyond 1.1, is not used: it was scaled.
+    """
+    usable = spectrum.usable
+    wavelength, reflectance = spectrum.wavelength_nm[usable], spectrum.reflectance[usable]
+    noise = channel_noise(spectrum)[usable]
+    windows = [(wavelength >= low) & (wavelength <= high) for low, high in WINDOWS_NM.values()]
+    mean = np.array([_mean(reflectance, inside) for inside in windows])
+    error = np.array([_error(noise, inside) for inside in windows]) / mean
+    ln_mean = np.log(mean)
+    features = ln_mean - ln_mean[0]
+    features[2] -= VISIBLE_BLUE * features[1]
+    features[0] = np.nan if _is_scaled(reflectance) else ln_mean[0]
+    return features, np.hypot(error, np.where(np.arange(error.size) > 0, error[0], 0.0))
+
+
+def _mean(values: FloatArray, inside: BoolArray) -> float:
+    return float(values[inside].mean()) if inside.any() else np.nan
+
+
+def _error(noise: FloatArray, inside: BoolArray) -> float:
+    return float(np.sqrt(np.mean(noise[inside] ** 2) / inside.sum())) if inside.any() else np.nan
+
+
+def _is_scaled(reflectance: FloatArray) -> bool:
+    brightest = float(reflectance.max(initial=0.0))
+    return brightest > BRIGHTEST or bool(np.any(np.abs(reflectance - 1.0) < SCALED))
+
+
+def find_kind(spectrum: Spectrum, stated: Kind | None = None, model: KindModel | None = None) -> KindVerdict:
+    """The kind of target of one spectrum; see `find_kinds`."""
+    return find_kinds([spectrum], stated, model)[0]
+
+
+def find_kinds(
+    spectra: Sequence[Spectrum], stated: Kind | None = None, model: KindModel | None = None
+) -> list[KindVerdict]:
+    """The kind of target of each spectrum, or `NOT_DETERMINED` where two kinds are nearly as likely.
+
+    Parameters
+    ----------
+    spectra : reflectance; features outside of their channels are left out, and with fewer than 6 of 9 the kind is open.
+    stated : the kind where it is known; then only `stranger` is judged, by that kind.
+    model : instead of the embedded one.
+
+    Raises
+    ------
+    ParameterError for a kind that is none of `KINDS`.
+    """
+    if stated is not None and stated not in KINDS:
+        raise ParameterError(f"kind '{stated}'; give one of {', '.join(KINDS)}")
+    if not spectra:
+        return []
+    law = model or embedded_kinds()
+    taken = [spectral_features(spectrum) for spectrum in spectra]
+    features, noise = (np.array([item[k] for item in taken]) for k in (0, 1))
+    chance, likeness = law.probabilities(features, noise), law.likeness(features)
+    return [_verdict(law, *row, stated) for row in zip(features, chance, likeness, strict=True)]
+
+
+def _verdict(
+    law: KindModel, features: FloatArray, chance: FloatArray, likeness: FloatArray, stated: Kind | None
+) -> KindVerdict:
+    shares: dict[str, float] = {kind: float(chance[[own == kind for own in law.kinds]].sum()) for kind in KINDS}
+    weathered = float(chance[[name in ("soil", "rover-rock") for name in law.components]].sum())
+    reasons = [] if np.isfinite(features[0]) else ["scaled: its level is not used"]
+    if np.isfinite(features).sum() < LEAST_FEATURES:
+        return KindVerdict(stated or NOT_DETERMINED, shares, weathered, True, stated is not None,
+                           ("too few channels from 450 to 2380 nm to know its kind", *reasons))  # fmt: skip
+    kind = stated or _named(shares)
+    judged = [kind == NOT_DETERMINED or own == kind for own in law.kinds]
+    stranger = bool(likeness[judged].max() < STRANGE)
+    if stranger:
+        reasons.append(f"unlike every {kind} known" if kind != NOT_DETERMINED else "unlike every kind known")
+    if stated and shares[stated] < CONTRADICTED:
+        stranger = True
+        reasons.append(f"looks like {max(shares, key=lambda own: shares[own])} rather than {stated}")
+    if kind == NOT_DETERMINED:
+        reasons.append(_between(shares, weathered))
+    return KindVerdict(kind, shares, weathered, stranger, stated is not None, tuple(reasons))
+
+
+def _named(shares: Mapping[str, float]) -> str:
+    likely = max(shares, key=lambda kind: shares[kind])
+    return likely if shares[likely] >= SURE[likely] else NOT_DETERMINED
+
+
+def _between(shares: Mapping[str, float], weathered: float) -> str:
+    if weathered >= WEATHERED:
+        return "weathered soil or solid rock, which look alike: state `kind`"
+    first, second = sorted(shares, key=lambda kind: -shares[kind])[:2]
+    return f"{first} ({shares[first]:.2f}) or {second} ({shares[second]:.2f}): state `kind`"
