@@ -16,6 +16,7 @@ SHARED = {
     "arrays",
     "atomic",
     "interpolation",
+    "tempering",
     "inputs",
     "compiled",
     "machine_code",

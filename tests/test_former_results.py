@@ -1,6 +1,7 @@
 """What every command answered before the rooms were moved, to 1e-12: `former_results.json`, made by running this file.
 
-A change of a number on purpose is recorded by `python tests/test_former_results.py --write`, and said in CHANGELOG.md.
+A change of a number on purpose is recorded by `python tests/test_former_results.py --write NAME ...`, the answers that it
+concerns or, without names, all of them, and said in CHANGELOG.md.
 Digits depend on the processor and on the libraries: the table says which it was made with, and on others the bound is
 1e-6.
 """
@@ -293,8 +294,11 @@ if __name__ == "__main__":
         os.environ[f"{library}_NUM_THREADS"] = "1"
     with tempfile.TemporaryDirectory() as folder:
         made = answers(Path(folder))
+    table = json.loads(TABLE.read_text("utf-8"))
     if "--write" in sys.argv:
-        TABLE.write_text(json.dumps({"machine": machine(), "answers": made}, indent=0, sort_keys=True) + "\n", "utf-8")
+        concerned = sys.argv[sys.argv.index("--write") + 1 :] or list(made)
+        kept = {name: answer for name, answer in table["answers"].items() if name in made}
+        document = {"machine": machine(), "answers": kept | {name: made[name] for name in concerned}}
+        TABLE.write_text(json.dumps(document, indent=0, sort_keys=True) + "\n", "utf-8")
     else:
-        table = json.loads(TABLE.read_text("utf-8"))
         print("\n".join(differences(table["answers"], made, SAME_MACHINE)) or "as before")  # noqa: T201

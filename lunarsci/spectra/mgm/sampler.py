@@ -1,37 +1,34 @@
 """Sampler of the posterior of a Modified Gaussian Model: a population carried from the prior to the data.
 
-Particles begin as draws from the prior. The data's share beta of the objective is then raised in steps from 0 to 1; at
-each step the particles are weighted, resampled, and moved by Hamiltonian trajectories that bounce off the bounds. All
-that the prior allows is there at the start, so separate minima keep their weights.
+`tempering` says how; here, particles move by Hamiltonian trajectories that bounce off the bounds. All that the prior
+allows is there at the start, so separate minima keep their weights.
 
-What touches every particle is compiled, the steps of beta are not: as one function they took twice as long to compile.
-
-Del Moral, Doucet & Jasra (2006), J. R. Stat. Soc. B 68, 411, 10.1111/j.1467-9868.2006.00553.x (sequential Monte Carlo);
 Neal (2011), Handbook of Markov Chain Monte Carlo, ch. 5, 10.1201/b10905 (Hamiltonian trajectories, bounds); Buchholz,
 Chopin & Jacob (2021), Bayesian Anal. 16, 745, 10.1214/20-BA1222 (their tuning inside such a population).
 """
 
 import math
+from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.compiled import VECTORS, compiled
-from lunarsci.spectra.mgm.forward import RIDGE, correct_coarse, energies_of, force_of, lower_factor
+from lunarsci.spectra.mgm.forward import RIDGE, correct_coarse, energies_of, force_of
+from lunarsci.tempering import Moves, carry, forget
 
-KEPT = 0.5
-"""Share of the particles that a step of beta leaves, as an effective number."""
 WANTED_ACCEPTANCE, TUNING = 0.75, 1.0
 FIRST_STEP, LEAST_STEP, MOST_STEP = 0.3, 1e-3, 0.7
 SHORTEST, LONGEST = 0.5, 3.5
 """Lengths of trajectories in standard deviations, uniformly at random: a normal law is forgotten after pi / 2 and back,
 mirrored, after pi; the curved valleys of this model are longer."""
 MOST_LEAPS, MOST_BOUNCES = 400, 200
-FORGOTTEN, SETTLED = 0.8, 0.12
-"""Correlation of the most persistent parameter with its values before the moves, below which these were enough: at a
-step of beta, and before draws are kept."""
-MOST_MOVES, FIRST_MOVES, LEAST_SETTLING, MOST_SETTLING, FRESH = 30, 10, 24, 64, 8
-"""Trajectories per particle; FRESH of them with one metric while the population settles."""
+AT_A_STEP, SETTLING = Moves(1, 30, 0.8), Moves(24, 64, 0.12)
+"""Trajectories of each particle at a step of beta, and before draws are kept."""
+FIRST_MOVES, FRESH = 10, 8
+"""Trajectories before the first step, which tune their length, and with one metric while the population settles."""
 PARTED = 0.01
 """Particles are labelled when beta passes this; the moves have forgotten by then where they came from."""
 
@@ -126,125 +123,57 @@ def _move_all(
     tuning[0] = min(max(tuning[0], LEAST_STEP), MOST_STEP)
 
 
-@compiled
-def _weights(energies: Any, rise: float, weights: Any) -> float:
-    """Fill the normalised weights of a rise of beta; return the effective number of particles."""
-    least = math.inf
-    for i in range(weights.size):
-        least = min(least, energies[i, 0] - energies[i, 2])
-    total, squares = 0.0, 0.0
-    for i in range(weights.size):
-        weights[i] = math.exp(-rise * (energies[i, 0] - energies[i, 2] - least))
-        total += weights[i]
-        squares += weights[i] ** 2
-    for i in range(weights.size):
-        weights[i] /= total
-    return total * total / squares
+@dataclass(slots=True, eq=False)
+class _Particles:
+    """A population of `tempering`; `run_population` says what `target`, `groups`, `factor` and `ancestors` are.
 
+    `energies` (n, 3) are those of `energies_of`; `tuning` has the step's length and the acceptance of the last moves.
+    Once `settling`, the metric is the population's own, renewed after every `FRESH` moves.
+    """
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def _next_beta(beta: float, energies: Any, weights: Any) -> float:
-    """The beta that leaves the wanted share of the particles, 1 at most; fills their weights."""
-    wanted = KEPT * weights.size
-    if _weights(energies, 1.0 - beta, weights) >= wanted:
-        return 1.0
-    low, high = -100.0, math.log(1.0 - beta)
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        if _weights(energies, math.exp(middle), weights) >= wanted:
-            low = middle
-        else:
-            high = middle
-    _weights(energies, math.exp(low), weights)
-    return beta + math.exp(low)
+    target: Any
+    groups: Any
+    factor: Any
+    generator: np.random.Generator
+    all_points: FloatArray
+    ancestors: IntArray
+    energies: FloatArray
+    space: Any
+    tuning: FloatArray
+    settling: bool = False
+    settled: int = 0
 
+    @property
+    def points(self) -> FloatArray:
+        return self.all_points[:, self.target[8]]
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def _factor_of(particles: Any, weights: Any, free: Any, factor: Any) -> bool:
-    """Cholesky factor of the weighted covariance of the free parameters; False where it has none."""
-    size = free.size
-    mean = np.zeros(size)
-    for i in range(weights.size):
-        for k in range(size):
-            mean[k] += weights[i] * particles[i, free[k]]
-    covariance = np.zeros((size, size))
-    apart = np.empty(size)
-    for i in range(weights.size):
-        for k in range(size):
-            apart[k] = particles[i, free[k]] - mean[k]
-        for k in range(size):
-            for j in range(k + 1):
-                covariance[k, j] += weights[i] * apart[k] * apart[j]
-    for k in range(size):
-        covariance[k, k] *= 1.0 + RIDGE
-    if not lower_factor(covariance):
-        return False
-    for k in range(size):
-        for j in range(size):
-            factor[k, j] = covariance[k, j]
-    return True
+    @property
+    def ln_likelihood(self) -> FloatArray:
+        """What beta brings in: the data, less the law that fades as they come."""
+        return self.energies[:, 2] - self.energies[:, 0]
 
+    def resample(self, beta: float, weight: FloatArray, chosen: IntArray) -> None:
+        self._take_metric(0.5 * (weight + 1.0 / weight.size))
+        for rows in (self.all_points, self.energies, self.ancestors):
+            rows[:] = rows[chosen]
+        best = self.all_points[np.argmin(self.energies[:, 0] + self.energies[:, 1])]
+        correct_coarse(self.target, self.groups, best, self.space)
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def _drawn(weights: Any, offset: float) -> Any:
-    """Systematic resampling: indices in proportion to the weights."""
-    count = weights.size
-    chosen = np.empty(count, dtype=np.int64)
-    total, source = weights[0], 0
-    for i in range(count):
-        while source < count - 1 and total < (i + offset) / count:
-            source += 1
-            total += weights[source]
-        chosen[i] = source
-    return chosen
+    def move(self, beta: float) -> None:
+        if self.settling:
+            if self.settled % FRESH == 0:
+                self._take_metric(np.full(len(self.energies), 1.0 / len(self.energies)))
+            self.settled += 1
+        _move_all(
+            self.target, beta, self.factor, self.tuning, self.generator, self.all_points, self.energies, self.space
+        )
 
-
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def _correlation(before: Any, after: Any, free: Any) -> float:
-    """Largest over the free parameters, either sign, of the correlation between two states of the population."""
-    largest, count = 0.0, before.shape[0]
-    for k in range(free.size):
-        p = free[k]
-        a, b = before[:, p].mean(), after[:, p].mean()
-        ab, aa, bb = 0.0, 0.0, 0.0
-        for i in range(count):
-            u, v = before[i, p] - a, after[i, p] - b
-            ab += u * v
-            aa += u * u
-            bb += v * v
-        largest = max(largest, abs(ab) / math.sqrt(aa * bb) if aa > 0.0 and bb > 0.0 else 1.0)
-    return largest
-
-
-def _stage(
-    target: Any, groups: Any, beta: float, factor: Any, tuning: Any, generator: Any, particles: Any, energies: Any,
-    ancestors: Any, weights: Any, space: Any,
-) -> Any:  # fmt: skip
-    """Raise beta, resample and move; returns the new beta and how many trajectories each particle made."""
-    beta = _next_beta(beta, energies, weights)
-    even = 0.5 * (weights + 1.0 / weights.size)
-    _factor_of(particles, even, target[8], factor)
-    chosen = _drawn(weights, generator.random())
-    particles[:], energies[:], ancestors[:] = particles[chosen], energies[chosen], ancestors[chosen]
-    correct_coarse(target, groups, particles[np.argmin(energies[:, 0] + energies[:, 1])], space)
-    before, moves, kept = particles.copy(), 0, 1.0
-    while kept > FORGOTTEN and moves < MOST_MOVES:
-        _move_all(target, beta, factor, tuning, generator, particles, energies, space)
-        kept, moves = _correlation(before, particles, target[8]), moves + 1
-    return beta, moves
-
-
-def _settle(
-    target: Any, factor: Any, tuning: Any, generator: Any, particles: Any, energies: Any, weights: Any, space: Any
-) -> int:
-    """Move on the posterior itself until the resampled copies have parted; returns how often."""
-    before, moves, kept = particles.copy(), 0, 1.0
-    while moves < LEAST_SETTLING or (kept > SETTLED and moves < MOST_SETTLING):
-        if moves % FRESH == 0:
-            _factor_of(particles, weights, target[8], factor)
-        _move_all(target, 1.0, factor, tuning, generator, particles, energies, space)
-        kept, moves = _correlation(before, particles, target[8]), moves + 1
-    return moves
+    def _take_metric(self, weight: FloatArray) -> None:
+        """The factor of the weighted covariance, where it has one."""
+        covariance = np.cov(self.points.T, ddof=0, aweights=weight).reshape(self.factor.shape)
+        covariance[np.diag_indices_from(covariance)] *= 1.0 + RIDGE
+        with suppress(np.linalg.LinAlgError):
+            self.factor[:] = np.linalg.cholesky(covariance)
 
 
 def _workspace(size: int, channels: int) -> Any:
@@ -278,24 +207,21 @@ def run_population(
     free, (count, size) = target[8], particles.shape
     points = (np.empty(size), np.empty(free.size), np.empty(free.size), np.empty(size), np.empty(3))
     space = (_workspace(size, target[0][0].size), _workspace(size, target[1][0].size), points)
-    tuning, weights, energies = np.array([FIRST_STEP, 0.0]), np.empty(count), np.empty((count, 3))
+    energies, tuning = np.empty((count, 3)), np.array([FIRST_STEP, 0.0])
     _energies_of_all(target, particles, space, energies)
+    population = _Particles(target, groups, factor, generator, particles, ancestors, energies, space, tuning)
     for _ in range(FIRST_MOVES):
-        _move_all(target, 0.0, factor, tuning, generator, particles, energies, space)
-    beta, report[:] = 0.0, 0.0
-    ancestors[:] = np.arange(count)
-    while beta < 1.0:
-        beta, moves = _stage(
-            target, groups, beta, factor, tuning, generator, particles, energies, ancestors, weights, space
-        )
-        report[0] += 1
-        report[1] += moves
-        if beta < PARTED:
+        population.move(0.0)
+    report[:], ancestors[:] = 0.0, np.arange(count)
+    for step in carry(population, generator, AT_A_STEP):
+        report[:2] += 1, step.moves
+        if step.beta < PARTED:
             ancestors[:] = np.arange(count)
-    weights[:] = 1.0 / count
-    report[1] += _settle(target, factor, tuning, generator, particles, energies, weights, space)
+    population.settling = True
+    report[1] += forget(population, 1.0, SETTLING)[0]
+    population.settling = False
     for r in range(draws.shape[0]):
-        _move_all(target, 1.0, factor, tuning, generator, particles, energies, space)
+        population.move(1.0)
         report[2] += tuning[1] / draws.shape[0]
         draws[r], objective[r] = particles, 2.0 * (energies[:, 0] + energies[:, 1])
     report[3] = tuning[0]

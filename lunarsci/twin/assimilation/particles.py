@@ -21,15 +21,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
-from lunarsci.regolith.inference.sampler import autocorrelation
+from lunarsci.tempering import Moves, forget, largest_power, weights
 from lunarsci.twin.assimilation.residuals import HUBER
 
 if TYPE_CHECKING:
     from lunarsci.twin.assimilation.posterior import DrivePosterior, PosteriorMode
 
 
-SPARE = 1.5
-"""Effective number of drives for each coefficient of the fit, at least; assumed."""
+SPARE, MOST_SHARED = 1.5, 0.9
+"""Effective number of drives for each coefficient of the fit, at least, but for this share of all drives; assumed."""
 RIDGE = 1e-8
 
 
@@ -73,22 +73,13 @@ def fit_emulator(
     """
     inverse: FloatArray = np.asarray(np.linalg.inv(root), dtype=np.float64)
     q = monomials((points - center) @ inverse.T)
-    weight = np.sqrt(_weights(cost, SPARE * q.shape[1]))[:, None]
+    power = largest_power(-0.5 * cost, min(SPARE * q.shape[1], MOST_SHARED * len(cost)))
+    weight = np.sqrt(weights(-0.5 * power * cost))[:, None]
     own = weight * q
     matrix = own.T @ own
     matrix[np.diag_indices(len(matrix))] *= 1.0 + RIDGE
     coefficients = np.linalg.solve(matrix, own.T @ (weight * rows))
     return Emulator(center, inverse, coefficients @ coefficients.T)
-
-
-def _weights(cost: FloatArray, wanted: float) -> FloatArray:
-    """exp(-cost / 2T), T as low as leaves the wanted effective number of drives, but 1 at least."""
-    temperature = 1.0
-    while True:
-        weight = np.exp(-0.5 * (cost - cost.min()) / temperature)
-        if weight.sum() ** 2 / (weight**2).sum() >= min(wanted, 0.9 * len(cost)) or temperature > 1e6:
-            return np.asarray(weight)
-        temperature *= 1.3
 
 
 FIRST, EACH, ROUNDS = 192, 128, 4
@@ -99,8 +90,10 @@ FREEDOM = 6.0
 """Degrees of freedom of the Student law of the first round; assumed: tails heavier than a posterior's."""
 CHAIN, TUNED, ACCEPTED = 600, 200, 0.25
 """Steps of a chain on the emulator, of which so many tune it; wanted share of accepted steps."""
-FEWEST_MOVES, MOST_MOVES, SETTLED = 3, 12, 0.1
-"""Proposals to the population: they end when its correlation with where it began is below SETTLED."""
+DIFFERENT = 0.25
+"""Effective number of drives that chains begin at, as a share of the chains or the drives; assumed."""
+PROPOSALS = Moves(3, 12, 0.1)
+"""Proposals to the population."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,7 +133,7 @@ def draw_particles(
     -------
     (particles, 8) coordinates, and the largest correlation of one of them with where the last moves began. [-]
     """
-    told, total = progress or (lambda done, of: None), ROUNDS + MOST_MOVES
+    told, total = progress or (lambda done, of: None), ROUNDS + PROPOSALS.most
     weight = _huber_weight(posterior, mode)
     root: FloatArray = np.asarray(np.linalg.cholesky(mode.covariance), dtype=np.float64)
     noise = random.standard_normal((FIRST, len(root))) @ root.T
@@ -156,7 +149,8 @@ def draw_particles(
         if len(misses) > EACH // 2 and np.std(misses) < GOOD:
             break
     emulated = _Emulated(posterior, drives, mode, root)
-    return _moved(posterior, emulated, drives, particles, random, lambda done: told(ROUNDS + done, total))
+    population = _Proposed(posterior, emulated, drives, particles, random)
+    return _moved(population, lambda done: told(ROUNDS + done, total))
 
 
 def _huber_weight(posterior: "DrivePosterior", mode: "PosteriorMode") -> FloatArray:
@@ -202,36 +196,38 @@ class _Emulated:
 
 def _by_density(ln_density: FloatArray, count: int, random: np.random.Generator) -> IntArray:
     """Indices drawn by a flattened density, so that many of them differ. (count,)"""
-    power = 1.0
-    while True:
-        weight = np.exp(power * (ln_density - ln_density.max()))
-        weight /= weight.sum()
-        if 1.0 / (weight**2).sum() > min(count, len(weight)) / 4 or power < 1e-6:
-            return random.choice(len(weight), count, p=weight)
-        power *= 0.7
+    power = largest_power(ln_density, DIFFERENT * min(count, len(ln_density)))
+    return random.choice(len(ln_density), count, p=weights(power * ln_density))
 
 
-def _moved(
-    posterior: "DrivePosterior",
-    emulated: _Emulated,
-    drives: _Drives,
-    particles: int,
-    random: np.random.Generator,
-    told: Callable[[int], None],
-) -> tuple[FloatArray, float]:
+class _Proposed:
     """Independence Metropolis: draws of the emulator are accepted by how much denser the truth has them."""
-    points = emulated.chain(drives, particles, random)
-    excess = posterior.with_density(points)[1] - emulated.ln_density(points)
-    left, before = 1.0, points.copy()
-    for move in range(MOST_MOVES):
-        trial = emulated.chain(drives, particles, random)
-        found = posterior.with_density(trial)[1] - emulated.ln_density(trial)
-        accepted = ~(np.log(random.random(particles)) >= found - excess)
-        points, excess = np.where(accepted[:, None], trial, points), np.where(accepted, found, excess)
-        left = autocorrelation(before, points)
-        told(move + 1)
-        if move + 1 >= FEWEST_MOVES and left < SETTLED:
-            break
-    told(MOST_MOVES)
-    arrived = np.flatnonzero(np.isfinite(excess))
-    return points[arrived[np.arange(particles) % len(arrived)]], left
+
+    def __init__(
+        self,
+        posterior: "DrivePosterior",
+        emulated: _Emulated,
+        drives: _Drives,
+        particles: int,
+        random: np.random.Generator,
+    ) -> None:
+        self._posterior, self._emulated, self._drives, self._random = posterior, emulated, drives, random
+        self.points, self.excess = self._drawn(particles)
+
+    def _drawn(self, count: int) -> tuple[FloatArray, FloatArray]:
+        """Points of the emulator's chains, and by how much the truth has them denser."""
+        points = self._emulated.chain(self._drives, count, self._random)
+        return points, self._posterior.with_density(points)[1] - self._emulated.ln_density(points)
+
+    def move(self, beta: float) -> None:
+        trial, found = self._drawn(len(self.points))
+        accepted = ~(np.log(self._random.random(len(trial))) >= found - self.excess)
+        self.points = np.where(accepted[:, None], trial, self.points)
+        self.excess = np.where(accepted, found, self.excess)
+
+
+def _moved(population: _Proposed, told: Callable[[int], None]) -> tuple[FloatArray, float]:
+    _, left = forget(population, 1.0, PROPOSALS, told)
+    told(PROPOSALS.most)
+    arrived = np.flatnonzero(np.isfinite(population.excess))
+    return population.points[arrived[np.arange(len(population.points)) % len(arrived)]], left
