@@ -36,8 +36,8 @@ class Moves:
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
-    """A step that was made: the data's share after it, moves of every point, and the largest correlation they left."""
+class Raise:
+    """A step of beta that was made: the data's share after it, moves of every point, and the largest correlation they left."""
 
     beta: float
     moves: int
@@ -129,7 +129,7 @@ def forget(
 
 def carry(
     population: Population, random: np.random.Generator, each: Moves, last: Moves | None = None
-) -> Iterator[Step]:
+) -> Iterator[Raise]:
     """Carry draws from the prior to the posterior, one step of beta after the other.
 
     Parameters
@@ -145,4 +145,4 @@ def carry(
         beta = 1.0 if rise == rest else beta + rise
         weight = weights(rise * value)
         population.resample(beta, weight, systematic(weight, random.random()))
-        yield Step(beta, *forget(population, beta, (last or each) if beta >= 1.0 else each))
+        yield Raise(beta, *forget(population, beta, (last or each) if beta >= 1.0 else each))

@@ -1,7 +1,7 @@
 """What every command answered before the rooms were moved, to 1e-12: `former_results.json`, made by running this file.
 
-A change of a number on purpose is recorded by `python tests/test_former_results.py --write NAME ...`, the answers that it
-concerns or, without names, all of them, and said in CHANGELOG.md.
+A change of a number on purpose is recorded by `python tests/test_former_results.py --write NAME ...`, the answers that
+it concerns or, without names, all of them, and said in CHANGELOG.md.
 Digits depend on the processor and on the libraries: the table says which it was made with, and on others the bound is
 1e-6.
 """
