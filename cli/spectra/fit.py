@@ -202,7 +202,7 @@ def _abundance_table(found: "Sequence[Abundance]") -> TextTable:
         [
             modes.method,
             share.mineral,
-            f"{100 * share.fraction:.0f}",
+            plus_minus(100 * share.fraction, digits=0),
             f"{100 * share.low:.0f} to {100 * share.high:.0f}",
             f"{100 * share.low95:.0f} to {100 * share.high95:.0f}",
         ]

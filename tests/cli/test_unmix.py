@@ -127,3 +127,41 @@ def test_spectra_of_one_name_are_told_apart_but_not_by_a_table(run: Run, mixture
     done = run("spectra", "unmix", mixtures, twin, *OPTIONS, "--known", known)
     assert done.code == 1
     assert "'a' is the id of two spectra" in done.err[-1]
+
+
+@pytest.fixture(scope="module")
+def soil(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Dark and red with a shallow band, as mature soil is; synthetic."""
+    path = tmp_path_factory.mktemp("soil") / "soil.csv"
+    band = 1 - 0.08 * np.exp(-0.5 * ((NM - 960.0) / 90.0) ** 2)
+    values = (0.055 + 0.09 * (NM - 450.0) / 1000.0) * band
+    path.write_text(
+        "wavelength_nm,soil\n" + "\n".join(f"{a:g},{b:.6f}" for a, b in zip(NM, values, strict=True)) + "\n"
+    )
+    return path
+
+
+def test_a_weathered_soil_is_not_unmixed(run: Run, soil: Path, tmp_path: Path) -> None:
+    done = run("spectra", "unmix", soil, "--starts", "1", "--json", "--plot", tmp_path / "shares.pdf")
+    assert done.code == 3
+    assert "soil: not determined: a surface that space has weathered" in done.err[-1] + done.err[0]
+    [record] = json.loads(done.out)["result"]["spectra"]
+    assert record["kind"]["weathered"] > 0.9
+    for mineral in ("olivine", "orthopyroxene", "clinopyroxene"):
+        share = record["abundance"][mineral]
+        assert share["fraction"] is None
+        assert (share["low"], share["high"]) == (0, 1)
+    assert record["abundance"]["in_domain"] is False
+    shown = run("spectra", "unmix", soil, "--starts", "1", "--csv")
+    assert "unmix_olivine,unmix_olivine_low" in shown.out
+    assert ",,0.0,1.0," in shown.out
+
+
+def test_a_stated_kind_is_unmixed_and_told_what_is_missing(run: Run, soil: Path) -> None:
+    rock = found(run, soil, "--starts", "1", "--kind", "solid-rock")["soil"]
+    assert rock["olivine"]["fraction"] >= 0
+    assert rock["in_domain"] is False
+    assert "not calibrated on rocks" in rock["status"]
+    done = run("spectra", "unmix", soil, "--starts", "1", "--kind", "dark-rock-powder")
+    assert done.code == 3
+    assert "rather than dark-rock-powder" in done.out

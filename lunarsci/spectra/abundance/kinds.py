@@ -1,15 +1,15 @@
 """The kind of target: mixed powders, powder of a dark rock, weathered soil, solid rock; or a stranger.
 
 Nine numbers of a spectrum, means over at least 50 nm so that neither resolution nor smoothing changes them: ln R near
-750 nm, and ln R elsewhere less that. Each component of a kind is a law of them with the tails of Student's t, whose mean
-and covariance stand in `kinds.csv`. A soil under a rover and a rock beside it look alike, and a slab in the laboratory
-looks like a coarse powder, so that a solid rock is stated, never found.
+750 nm, and ln R elsewhere less that. Each component of a kind is a law of them with the tails of Student's t, whose
+mean and covariance stand in `kinds.csv`. A soil under a rover and a rock beside it look alike, and a slab in the
+laboratory looks like a coarse powder, so that a solid rock is stated, never found.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -80,6 +80,17 @@ class KindVerdict:
     def is_weathered(self) -> bool:
         """Whether space has weathered the surface, as far as is known."""
         return self.kind == "weathered-soil" or (not self.stated and self.weathered >= WEATHERED)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The key `kind` of `lunarsci spectra unmix --json`."""
+        return {
+            "name": self.kind,
+            "stated": self.stated,
+            "stranger": self.stranger,
+            "probabilities": dict(self.probabilities),
+            "weathered": self.weathered,
+            "reasons": list(self.reasons),
+        }
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -252,6 +263,6 @@ def _named(shares: Mapping[str, float]) -> str:
 
 def _between(shares: Mapping[str, float], weathered: float) -> str:
     if weathered >= WEATHERED:
-        return "weathered soil or solid rock, which look alike: state `kind`"
+        return "weathered-soil or solid-rock, which look alike: state the kind"
     first, second = sorted(shares, key=lambda kind: -shares[kind])[:2]
-    return f"{first} ({shares[first]:.2f}) or {second} ({shares[second]:.2f}): state `kind`"
+    return f"{first} ({shares[first]:.2f}) or {second} ({shares[second]:.2f}): state the kind"

@@ -3,8 +3,9 @@
 The picture has one row for each spectrum and one panel for each mineral.
 """
 
+import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +20,8 @@ if TYPE_CHECKING:
 class MineralFraction:
     """Share of one mineral: the mean of its posterior, and the shortest intervals that hold 68 and 95 % of it.
 
-    By volume; of `nbsr` by weight, with the calibrated value and central intervals. [-]
+    By volume; of `nbsr` by weight, with the calibrated value and central intervals. `fraction` is NaN where the share
+    is not determined: there is an interval, and no centre. [-]
     """
 
     mineral: str
@@ -52,6 +54,11 @@ class Abundance:
     status: str
     rms_ln: float | None
 
+    @property
+    def determined(self) -> bool:
+        """Whether shares have values, and not intervals alone."""
+        return all(math.isfinite(item.fraction) for item in self.fractions)
+
     def to_dict(self) -> dict[str, Any]:
         """The key `abundance` of `lunarsci spectra fit --json`."""
         shares = {
@@ -67,11 +74,23 @@ class Abundance:
         } | shares
 
 
+def refused(id: str, method: str, minerals: Sequence[str], reason: str) -> Abundance:
+    """Shares that may be anything, since a method does not apply to a spectrum."""
+    fractions = tuple(MineralFraction(mineral, math.nan, 0.0, 1.0, 0.0, 1.0) for mineral in minerals)
+    return Abundance(id, method, fractions, None, False, f"not determined: {reason}", None)
+
+
+def without_centres(found: Abundance, reason: str) -> Abundance:
+    """The same intervals, out of domain, and no value named in them."""
+    fractions = tuple(replace(item, fraction=math.nan) for item in found.fractions)
+    return replace(found, fractions=fractions, in_domain=False, status=f"not determined: {reason}")
+
+
 PER_PAGE = 40
 
 
 def share_pages(found: Sequence[Abundance]) -> "Iterator[Figure]":
-    """Shares in per cent; spectra outside the domain of the method have open circles."""
+    """Shares in per cent; spectra outside the domain of the method have open circles, what is not determined none."""
     from matplotlib.figure import Figure
 
     minerals = list(dict.fromkeys(item.mineral for one in found for item in one.fractions))
@@ -89,7 +108,9 @@ def share_pages(found: Sequence[Abundance]) -> "Iterator[Figure]":
             panel.grid(axis="x", color="0.9")
         panels[0].set_yticks(np.arange(len(part)), [one.id for one in part], fontsize=8)
         panels[0].set_ylim(len(part) - 0.5, -0.5)
-        figure.suptitle(f"mineral shares, {found[0].method}; open: outside the domain of the method", fontsize=9)
+        figure.suptitle(
+            f"mineral shares, {found[0].method}; open: outside the domain; none: not determined", fontsize=9
+        )
         yield figure
 
 

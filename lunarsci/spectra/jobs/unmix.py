@@ -1,7 +1,7 @@
 """`lunarsci.unmix`: shares of minerals by mixing end members, for the assemblage of a fit."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.constants import ABSORBANCE, HAPKE, WEATHERING
@@ -11,6 +11,7 @@ from lunarsci.spectra.jobs.fit import MgmFits, ModelRequest, Progress, fit_batch
 
 if TYPE_CHECKING:
     from lunarsci.inputs import InputFile
+    from lunarsci.spectra.abundance.kinds import Kind, KindVerdict
     from lunarsci.spectra.abundance.known_modes import KnownModes
     from lunarsci.spectra.abundance.result import Abundance
     from lunarsci.spectra.library.end_member import EndMember
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 
 SOURCES = {"hapke": (HAPKE,), "absorbance": (ABSORBANCE,), "both": (HAPKE, ABSORBANCE)}
 LEAST_MINERALS = 2
+REFUSED = "a surface that space has weathered, whose glass and iron no mixture of powders stands for"
+UNCALIBRATED = "not calibrated on rocks: no solid rock of known modes has been measured with it"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +32,7 @@ class UnmixRequest(ModelRequest):
 
     Attributes
     ----------
+    kind : of the target; `auto`: found for each spectrum.
     method : mixing law, or both, weighted by their evidence.
     library : file of end members, instead of the embedded ones.
     together : whether all spectra are mixtures of the same powders.
@@ -36,6 +40,7 @@ class UnmixRequest(ModelRequest):
     opaque, iron : whether an opaque powder, or submicroscopic iron on all grains, is allowed.
     """
 
+    kind: Literal["auto", "powder-mixture", "dark-rock-powder", "weathered-soil", "solid-rock"] = "auto"
     method: Literal["both", "hapke", "absorbance"] = "both"
     library: str | None = None
     together: bool = False
@@ -50,17 +55,42 @@ class UnmixRequest(ModelRequest):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class UnmixedSpectra(MgmFits):
-    """Fits with the shares of the minerals that mixtures of end members give, and those of the band strengths."""
+    """Fits with the shares of the minerals that mixtures of end members give, and those of the band strengths.
+
+    Attributes
+    ----------
+    kinds : of the target, by position, of each that was fitted.
+    """
 
     request: UnmixRequest
+    kinds: "Mapping[int, KindVerdict]" = field(default_factory=dict)
+
+    @property
+    def untrusted(self) -> str:
+        doubts = [text] if (text := MgmFits.untrusted.fget(self)) else []  # type: ignore[attr-defined]
+        open_ones = [found[0] for found in self.abundances.values() if found and not found[0].determined]
+        doubts += [f"{item.id}: {item.status}" for item in open_ones]
+        return "; ".join(doubts)
+
+    def _record(self, index: int, origin: str) -> dict[str, Any]:
+        kind = self.kinds.get(index)
+        return MgmFits._record(self, index, origin) | {"kind": kind.to_dict() if kind else None}
+
+    def rows(self) -> list[dict[str, Any]]:
+        kinds = {record["id"]: record["kind"] or {} for record in self.records}
+        return [
+            row | {key: kinds[row["id"]].get(name) for key, name in (("kind", "name"), ("stranger", "stranger"))}
+            for row in MgmFits.rows(self)
+        ]
 
     def _tables_and_sources(self) -> tuple[list[str], list[str]]:
         from lunarsci.spectra.abundance.end_members import TABLE
+        from lunarsci.spectra.abundance.kinds import TABLE as KIND_TABLE
         from lunarsci.spectra.abundance.mixing import IRON_TABLE
 
         tables, sources = MgmFits._tables_and_sources(self)
         iron = self.request.iron
-        tables += [TABLE, *([IRON_TABLE] if iron else [])]
+        tables += [TABLE, KIND_TABLE, *([IRON_TABLE] if iron else [])]
         return tables, [*sources, *SOURCES[self.request.method], *([WEATHERING] if iron else [])]
 
 
@@ -93,18 +123,63 @@ def unmix(
     library, known = (read_input(name) if name else None for name in (asked.library, asked.known))
     end_members = read_library(library) if library else None
     modes = _known_modes([fits[index].id for index in fits], known)
-    suites = [list(fits)] if asked.together or known else [[index] for index in fits]
+    kinds = _kinds({index: batch.spectra[index] for index in fits}, asked)
+    _refuse(shares, fits, kinds, asked)
+    mixed_ones = [index for index in fits if known or not kinds[index].is_weathered]
+    suites = [mixed_ones] if mixed_ones and (asked.together or known) else [[index] for index in mixed_ones]
     for done, suite in enumerate(suites, start=1):
         minerals = _minerals([fits[index] for index in suite], asked)
         if len(minerals) >= LEAST_MINERALS:
             may = [_minerals([fits[index]], asked) for index in suite]
             mixed = _unmixed([batch.spectra[index] for index in suite], minerals, may, modes, end_members, asked)
             for index, item in zip(suite, mixed, strict=True):
-                shares[index].insert(0, item)
+                shares[index].insert(0, item if modes.known.get(item.id) else _judged(item, kinds[index]))
         if progress:
             progress(done, len(suites))
     files = [*found.pop("files", ()), *(file for file in (library, known) if file)]
-    return UnmixedSpectra(batch=batch, request=asked, abundances=shares, files=files, **found)
+    return UnmixedSpectra(batch=batch, request=asked, abundances=shares, kinds=kinds, files=files, **found)
+
+
+def _kinds(spectra: "Mapping[int, Spectrum]", request: UnmixRequest) -> "dict[int, KindVerdict]":
+    """As stated, or found."""
+    from lunarsci.spectra.abundance.kinds import find_kinds
+
+    stated: Kind | None = None if request.kind == "auto" else request.kind
+    return dict(zip(spectra, find_kinds(list(spectra.values()), stated), strict=True))
+
+
+def _refuse(
+    shares: "dict[int, list[Abundance]]",
+    fits: "Mapping[int, MgmFit]",
+    kinds: "Mapping[int, KindVerdict]",
+    request: UnmixRequest,
+) -> None:
+    """What is weathered is not unmixed, unless modes of spectra beside it are known."""
+    from lunarsci.spectra.abundance.result import refused
+
+    for index, fit in fits.items():
+        minerals = _minerals([fit], request)
+        if kinds[index].is_weathered and not request.known and len(minerals) >= LEAST_MINERALS:
+            shares[index].insert(0, refused(fit.id, _method(request), minerals, _reason(kinds[index])))
+
+
+def _reason(kind: "KindVerdict") -> str:
+    return "; ".join((REFUSED, *kind.reasons))
+
+
+def _judged(found: "Abundance", kind: "KindVerdict") -> "Abundance":
+    """With what its kind says of it."""
+    from lunarsci.spectra.abundance.result import without_centres
+
+    if kind.stranger or kind.is_weathered:
+        return without_centres(found, "; ".join(kind.reasons) if kind.stranger else _reason(kind))
+    if kind.kind == "solid-rock":
+        return replace(found, in_domain=False, status=f"out of domain: {UNCALIBRATED}")
+    return found
+
+
+def _method(request: UnmixRequest) -> str:
+    return "unmix" if request.method == "both" else request.method
 
 
 def _unmixed(
@@ -124,7 +199,7 @@ def _unmixed(
     found = estimate_series(
         suite,
         minerals,
-        method="unmix" if request.method == "both" else request.method,
+        method=_method(request),
         end_members=end_members,
         iron=request.iron,
         present=[None if told else own for told, own in zip(known, present, strict=True)],
