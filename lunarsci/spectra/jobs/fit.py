@@ -230,7 +230,8 @@ class MgmFits(Result):
 
         Raises ParameterError for a continuum that it has no letter for.
         """
-        from lunarsci.spectra.mgm.fit_file import fit_file_of, fit_file_text, read_fit_file
+        from lunarsci.spectra.mgm.fit_file import fit_file_text, read_fit_file
+        from lunarsci.spectra.mgm.program import fit_file_of
 
         header = read_fit_file(self.files[0]) if self.request.start else None
         return fit_file_text(fit_file_of(self.good[0], header))
@@ -290,12 +291,12 @@ def fit_batch_of(batch: "SpectraBatch", request: ModelRequest, progress: Progres
 
 
 def _by_prior(
-    spectra: "Sequence[Spectrum]", model: "MgmModel", request: ModelRequest, progress: Progress | None, **limits: Any
+    spectra: "Sequence[Spectrum]", model: "MgmModel", request: ModelRequest, progress: Progress | None, **start: Any
 ) -> "list[MgmFit | MgmFailure]":
     if request.prior == "damping":
         from lunarsci.spectra.mgm.damping import fit_damping
 
-        return fit_damping(spectra, model, model_error=request.model_error, progress=progress, **limits)
+        return fit_damping(spectra, model, model_error=request.model_error, progress=progress, **start)
     from lunarsci.spectra.mgm.fit import fit_spectra
 
     return fit_spectra(spectra, model, model_error=request.model_error, starts=request.starts, progress=progress)
@@ -303,13 +304,13 @@ def _by_prior(
 
 def _from_file(spectra: "Sequence[Spectrum]", request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
     from lunarsci.inputs import read_input
-    from lunarsci.spectra.mgm.fit_file import model_of, read_fit_file, spectrum_within
+    from lunarsci.spectra.mgm.fit_file import read_fit_file
+    from lunarsci.spectra.mgm.program import model_of
 
     source = read_input(str(request.start))
     file = read_fit_file(source)
-    limits = {"rms_limit": file.rms_limit, "improvement_limit": file.improvement_limit}
-    within = [spectrum_within(spectrum, file) for spectrum in spectra]
-    return {"fits": _by_prior(within, request.held(model_of(file)), request, progress, **limits), "files": [source]}
+    start = {"file": file, "rms_limit": file.rms_limit, "improvement_limit": file.improvement_limit}
+    return {"fits": _by_prior(spectra, request.held(model_of(file)), request, progress, **start), "files": [source]}
 
 
 def _chosen(spectra: "Sequence[Spectrum]", request: ModelRequest, progress: Progress | None) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Fits as the MGM program distributed by RELAB makes them: least squares, with the prior only shortening the steps."""
+"""Fits along the path of the MGM program distributed by RELAB: least squares, the prior only shortening the steps."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -9,18 +9,18 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.mgm.fit import CONTINUUM_QUANTILE, DEFAULT_MODEL_ERROR, FIRST_STRENGTH
+from lunarsci.spectra.mgm.fit_file import FitFile
 from lunarsci.spectra.mgm.forward import model_and_jacobian
-from lunarsci.spectra.mgm.model import TIE_SIGMA, MgmData, MgmModel, prepare
+from lunarsci.spectra.mgm.model import NM_PER_UM, MgmData, MgmModel, prepare
+from lunarsci.spectra.mgm.program import LIMITS, WAVENUMBER_NM, ProgramParameters, parameters_of, raw_basis
 from lunarsci.spectra.mgm.result import FittedBand, MgmFailure, MgmFit, StrengthRatio, band_strength_ratios
 from lunarsci.spectra.spectrum import Spectrum
 
-MAX_ITERATIONS = 2000
-"""The program has no such limit; of 40 fits of laboratory spectra the slowest took 1918 to fall by less than 1e-6."""
+MAX_ITERATIONS = 100_000
+"""The program has no limit; the slowest of 25 fits of laboratory spectra took it 4179."""
 HALVINGS = 15
 MEANINGLESS_NM = 2000.0
 """Standard error of a centre or width as wide as the spectrum."""
-STIFF = 1e-2 / TIE_SIGMA**2
-"""A prior at least this narrow is a tie: no step goes along it."""
 RANK_TOLERANCE = 1e-13
 """Smallest share of a derivative that the others do not reproduce, for the parameter to count as determined."""
 
@@ -29,24 +29,27 @@ def fit_damping(
     spectra: Sequence[Spectrum],
     model: MgmModel,
     *,
-    rms_limit: float = 2e-3,
-    improvement_limit: float = 1e-6,
+    file: FitFile | None = None,
+    rms_limit: float = LIMITS[0],
+    improvement_limit: float = LIMITS[1],
     start: FloatArray | None = None,
     model_error: float = DEFAULT_MODEL_ERROR,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[MgmFit | MgmFailure]:
-    """Fit every spectrum as the reference program does; one result or one stated reason each, in the order given.
+    """Fit every spectrum along the path of the reference program; one result or one stated reason each, in order.
 
-    Each iteration moves the parameters by (G'G + P)^-1 G'r, where r = ln R - model, G its derivatives and P the inverse
-    covariance of the prior, whose mean is put where the fit stands: the prior damps and does not pull. A step that
-    does not lower the rms of r is halved, 15 times at most. A fit ends when an iteration lowers the rms by
-    `improvement_limit` or less, or brings it to `rms_limit`. All channels weigh the same. The covariance is
-    (G'G)^-1 rms^2, without the prior and without regard to the number of parameters; 1.96 standard deviations are the
-    95 % errors of the program.
+    The parameters that step are the program's: continuum coefficients of powers of wavenumber or wavelength, centres in
+    wavenumber, FWHM, strengths. An iteration moves them by (G'G + P)^-1 G'r, where r = ln R - model, G its derivatives
+    and P the inverse covariance of the prior, diagonal, whose mean is put where the fit stands: the prior damps and
+    does not pull. For a centre c with the uncertainty u, 1.96 standard deviations are the full width between the
+    wavenumbers of c - u and c + u. A step that does not lower the rms of r is halved, 15 times at most. A fit ends
+    after an iteration that lowers the rms by `improvement_limit` or less, or brings it to `rms_limit`. All channels
+    weigh the same. The covariance is (G'G)^-1 rms^2, without the prior and without regard to the number of parameters;
+    1.96 standard deviations are the 95 % errors of the program.
 
     Strengths of either sign are allowed, and a positive one is said in the status; bounds of the model do not count,
-    except equal ones, which fix a value, and widths stay above 0. The program moves centres in wavenumber, this in
-    wavelength: the paths differ, a common minimum does not.
+    except equal ones, which fix a value. A step may take a width through 0, since the model is even in it; what comes
+    out is its amount. Where parameters are tied, widths stay above 0.
 
     Chi-square, its reduced value, the objective and BIC have the weights of `fit_spectra`, so that they compare with
     its fits; they play no part here. Shrinkage is 0.
@@ -54,10 +57,12 @@ def fit_damping(
     Parameters
     ----------
     spectra : as in `fit_spectra`.
-    model : as `mgm_model` or `model_of` makes it.
+    model : as `mgm_model` makes it, or `model_of` the file.
+    file : start file whose uncertainties damp; without one, the standard deviations of the model's prior do, as if
+        they were written to a file.
     rms_limit, improvement_limit : of ln R, 0 or above. [-]
-    start : (p,) or (n_spectra, p), in the units of `MgmModel`; by default the prior's mean, with strengths of -0.1
-        where that is 0, and a level continuum at the upper end of the spectrum where its prior is flat.
+    start : (p,) or (n_spectra, p), in the units of `MgmModel`; by default the values of the file, or the prior's mean
+        with strengths of -0.1 where that is 0 and a level continuum at the upper end of the spectrum.
     model_error : of ln R, in the weights of chi-square, above 0 and below 1. [-]
     progress : called with (done, total).
 
@@ -72,15 +77,16 @@ def fit_damping(
     """
     _check(model_error, rms_limit, improvement_limit)
     starts = None if start is None else _given(start, len(spectra), model)
-    anchor, directions = _free_directions(model)
+    own = parameters_of(model, file)
     results: list[MgmFit | MgmFailure] = []
     for index, spectrum in enumerate(spectra):
         try:
-            data = prepare(spectrum, model_error)
-            first = _first(model, data) if starts is None else starts[index]
-            problem = _DampedProblem(data, model, model.basis(data.wavelength_nm), directions)
-            first = anchor + directions @ (directions.T @ (first - anchor))
-            results.append(_described(problem, *_descent(problem, first, rms_limit, improvement_limit)))
+            data = prepare(spectrum, model_error, whole=model.whole)
+            first = own.of_kernel(_first(model, data) if starts is None else starts[index])
+            if file is not None and starts is None:
+                first = own.on_planes(own.values)
+            problem = _DampedProblem(data, own, raw_basis(model.continuum, data.wavelength_nm))
+            results.append(_described(problem, _descent(problem, first, rms_limit, improvement_limit)))
         except DataError as error:
             results.append(MgmFailure(spectrum.id, model.assemblage.name, model.continuum, f"no result: {error}"))
         if progress:
@@ -105,22 +111,6 @@ def _given(start: FloatArray, n_spectra: int, model: MgmModel) -> FloatArray:
     return np.broadcast_to(start, (n_spectra, model.prior.size))
 
 
-def _free_directions(model: MgmModel) -> tuple[FloatArray, FloatArray]:
-    """A point, (p,), that keeps what is fixed and tied, and orthonormal directions, (p, q), that keep it so."""
-    anchor, free = model.prior.copy(), ~model.fixed
-    anchor[model.fixed] = model.lower[model.fixed]
-    stiffness, vectors = np.linalg.eigh(model.precision[np.ix_(free, free)])
-    stiff = stiffness > STIFF
-    if not stiff.any():
-        return anchor, np.eye(anchor.size)[:, free]
-    ties = vectors[:, stiff]
-    pull = model.precision[np.ix_(free, model.fixed)] @ (anchor - model.prior)[model.fixed]
-    anchor[free] -= ties @ (ties.T @ pull / stiffness[stiff])
-    directions = np.zeros((anchor.size, int((~stiff).sum())))
-    directions[free] = vectors[:, ~stiff]
-    return anchor, directions
-
-
 def _first(model: MgmModel, data: MgmData) -> FloatArray:
     """The prior's mean, with a strength where it has none and a continuum where it is flat."""
     m, point = model.degrees, model.prior.copy()
@@ -135,7 +125,7 @@ def _first(model: MgmModel, data: MgmData) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _State:
-    """A point, the residuals there, (n,), and the derivatives of the model, (p, n)."""
+    """Parameters of the program, the residuals there, (n,), and the derivatives of the model by them, (p, n)."""
 
     point: FloatArray
     residual: FloatArray
@@ -144,42 +134,64 @@ class _State:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _End:
+    """Where a descent ends, after how many iterations, whether a rule of convergence ended it, and which."""
+
+    state: _State
+    iterations: int
+    converged: bool
+    status: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _DampedProblem:
-    """One spectrum and the directions, (p, q), in which its parameters may move."""
+    """One spectrum, and the program's parameters with their basis of the continuum, (n, m)."""
 
     data: MgmData
-    model: MgmModel
+    own: ProgramParameters
     basis: FloatArray
-    directions: FloatArray
 
     def at(self, point: FloatArray) -> _State | None:
-        """None where the continuum or a width is not above 0."""
-        if not (point[self.model.degrees + 1 :: 3] > 0).all():
+        """None where the continuum is not above 0, or a width or wavenumber is 0."""
+        model, m, point = self.own.model, self.own.model.degrees, point.copy()
+        if not self.own.tied:
+            point[m + 1 :: 3] = np.abs(point[m + 1 :: 3])
+        if not ((point[m + 1 :: 3] > 0).all() and point[m::3].all()):
             return None
-        found = model_and_jacobian(point, self.data.wavelength_nm / 1e3, self.basis, self.model.logarithmic)
+        wavelengths = point.copy()
+        wavelengths[m::3] = WAVENUMBER_NM / point[m::3] / NM_PER_UM
+        wavelengths[m + 1 :: 3] /= NM_PER_UM
+        found = model_and_jacobian(wavelengths, self.data.wavelength_nm / NM_PER_UM, self.basis, model.logarithmic)
         if found is None or not np.isfinite(found[1]).all():
             return None
-        residual = np.log(self.data.reflectance) - found[0]
-        return _State(point, residual, found[1], float(np.sqrt(np.mean(residual**2))))
+        ln, jacobian = found
+        jacobian[m::3] *= (-wavelengths[m::3] / point[m::3])[:, None]
+        jacobian[m + 1 :: 3] /= NM_PER_UM
+        residual = np.log(self.data.reflectance) - ln
+        return _State(point, residual, jacobian, float(np.sqrt(np.mean(residual**2))))
 
     def step(self, here: _State) -> FloatArray:
-        """(G'G + P)^-1 G'r along the free directions."""
-        slopes = self.directions.T @ here.jacobian
-        matrix = slopes @ slopes.T + self.directions.T @ self.model.precision @ self.directions
-        return np.asarray(self.directions @ _solved(matrix, slopes @ here.residual), dtype=np.float64)
+        """(G'G + P)^-1 G'r along the directions that are free."""
+        directions = self.own.directions(here.point)
+        slopes = directions.T @ here.jacobian
+        matrix = slopes @ slopes.T + (directions.T * self.own.precision) @ directions
+        return np.asarray(directions @ _solved(matrix, slopes @ here.residual), dtype=np.float64)
 
     def covariance(self, here: _State) -> FloatArray:
-        """(G'G)^-1, with the fixed and tied as they are; NaN where the data leave a direction undetermined."""
-        slopes = (self.directions.T @ here.jacobian).T
+        """(G'G)^-1 of the kernel's parameters; NaN where the data leave a direction undetermined."""
+        directions = self.own.directions(here.point)
+        slopes = (directions.T @ here.jacobian).T
         scale = np.linalg.norm(slopes, axis=0)
         scale[scale == 0] = 1.0
         _, singular, vectors = np.linalg.svd(slopes / scale, full_matrices=False)
+        unknown = np.full((here.point.size, here.point.size), np.nan)
         if len(singular) < scale.size or not singular.min(initial=1.0) > RANK_TOLERANCE:
-            return np.full((self.model.prior.size, self.model.prior.size), np.nan)
+            return unknown
         with np.errstate(over="ignore", invalid="ignore"):
-            root = self.directions @ ((vectors / singular[:, None]).T / scale[:, None])
+            along = self.own.kernel_slopes(here.point) @ directions
+            root = along @ ((vectors / singular[:, None]).T / scale[:, None])
             inverse = root @ root.T
-        return inverse if np.isfinite(inverse).all() else np.full_like(inverse, np.nan)
+        return inverse if np.isfinite(inverse).all() else unknown
 
 
 def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
@@ -196,60 +208,62 @@ def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray(solution / scale, dtype=np.float64)
 
 
-def _descent(
-    problem: _DampedProblem, first: FloatArray, rms_limit: float, improvement_limit: float
-) -> tuple[_State, bool, str]:
-    """Where the steps lead, whether a rule of convergence ended them, and which."""
+def _descent(problem: _DampedProblem, first: FloatArray, rms_limit: float, improvement_limit: float) -> _End:
+    """Where the steps lead."""
     here = problem.at(first)
     if here is None:
         raise DataError("the continuum of the start is not above 0 in every channel; start from another")
-    for _ in range(MAX_ITERATIONS):
-        if here.rms <= rms_limit:
-            return here, True, f"converged: the rms is at most {rms_limit:g}"
+    for iteration in range(1, MAX_ITERATIONS + 1):
         there, off_limits = _shortened(problem, here)
         if there is None and off_limits:
-            return here, False, "not converged: continuum or width fell to zero; try another continuum or start"
+            fault = "not converged: continuum or width fell to zero; try another continuum or start"
+            return _End(here, iteration, False, fault)
         if there is None:
-            return here, True, "converged: no part of a step lowers the rms"
+            return _End(here, iteration, True, "converged: no part of a step lowers the rms")
         improvement, here = here.rms - there.rms, there
+        if here.rms <= rms_limit:
+            return _End(here, iteration, True, f"converged: the rms is at most {rms_limit:g}")
         if improvement <= improvement_limit:
-            return here, True, f"converged: the rms fell by at most {improvement_limit:g}"
-    return here, False, f"not converged after {MAX_ITERATIONS} iterations; try another start or a looser prior"
+            return _End(here, iteration, True, f"converged: the rms fell by at most {improvement_limit:g}")
+    fault = f"not converged after {MAX_ITERATIONS} iterations; try another start or a looser prior"
+    return _End(here, MAX_ITERATIONS, False, fault)
 
 
 def _shortened(problem: _DampedProblem, here: _State) -> tuple[_State | None, bool]:
     """The longest of the step, its half, ... that lowers the rms; if none, whether the shortest was off limits."""
     step, there = problem.step(here), None
     for halving in range(HALVINGS + 1):
-        there = problem.at(here.point + step / 2**halving)
+        there = problem.at(problem.own.on_planes(here.point + step / 2**halving))
         if there is not None and there.rms < here.rms:
             return there, False
     return None, there is None
 
 
-def _described(problem: _DampedProblem, end: _State, converged: bool, status: str) -> MgmFit:
-    data, model, m = problem.data, problem.model, problem.model.degrees
-    inverse = problem.covariance(end)
-    covariance = inverse * end.rms**2
-    shared = data.shifts @ end.jacobian.T @ inverse
-    bands = _bands(model, end.point[m:], covariance[m:, m:], shared[:, m:])
-    chi2, count = float(data.weight @ end.residual**2), problem.directions.shape[1]
+def _described(problem: _DampedProblem, end: _End) -> MgmFit:
+    data, model, state = problem.data, problem.own.model, end.state
+    m, inverse, point = model.degrees, problem.covariance(state), problem.own.to_kernel(state.point)
+    covariance = inverse * state.rms**2
+    by_kernel = np.linalg.solve(problem.own.kernel_slopes(state.point).T, state.jacobian)
+    shared = data.shifts @ by_kernel.T @ inverse
+    bands = _bands(model, point[m:], covariance[m:, m:], shared[:, m:])
+    chi2, count = float(data.weight @ state.residual**2), problem.own.directions(state.point).shape[1]
     return MgmFit(
         id=data.id,
         assemblage=model.assemblage.name,
         continuum=model.continuum,
         prior="damping",
-        converged=converged,
-        status="; ".join([status, *_remarks(bands, covariance)]),
-        rms_ln=end.rms,
+        converged=end.converged,
+        status="; ".join([end.status, *_remarks(bands, covariance)]),
+        iterations=end.iterations,
+        rms_ln=state.rms,
         reduced_chi2=chi2 / max(1, data.reflectance.size - count),
         bic=chi2 + count * math.log(data.reflectance.size),
-        continuum_coefficients=tuple(end.point[:m].tolist()),
+        continuum_coefficients=tuple(point[:m].tolist()),
         bands=bands,
         nbsr=_ratios(bands, covariance[m:, m:], shared[:, m:], data),
         model=model,
         data=data,
-        parameters=end.point,
+        parameters=point,
         covariance=covariance,
         objective=chi2,
     )

@@ -55,7 +55,8 @@ def fit_spectra(
 
     Parameters
     ----------
-    spectra : on any channels between 400 and 2600 nm; at least 40 usable ones, reaching over 800-1300 nm.
+    spectra : on any channels between 400 and 2600 nm; at least 40 usable ones, reaching over 800-1300 nm. All their
+        channels count where the model is `whole`.
     model : as `mgm_model` makes it.
     model_error : standard deviation of ln R that is added to the channel noise in quadrature, above 0. [-]
     starts : number of starting points, 1 or more.
@@ -78,7 +79,7 @@ def fit_spectra(
     prepared: dict[int, MgmData] = {}
     for index, spectrum in enumerate(spectra):
         try:
-            prepared[index] = prepare(spectrum, model_error)
+            prepared[index] = prepare(spectrum, model_error, whole=model.whole)
         except DataError as error:
             results[index] = MgmFailure(spectrum.id, model.assemblage.name, model.continuum, f"no result: {error}")
     done = len(spectra) - len(prepared)

@@ -69,17 +69,19 @@ class MgmData:
     shifts: FloatArray
 
 
-def prepare(spectrum: Spectrum, model_error: float) -> MgmData:
+def prepare(spectrum: Spectrum, model_error: float, *, whole: bool = False) -> MgmData:
     """The usable channels within 400-2600 nm, their noise and `model_error` (of ln R) added in quadrature.
 
-    Raises DataError with fewer than 40 channels, or where they do not reach over 800-1300 nm.
+    With `whole` all usable channels, for bands that may lie anywhere. Raises DataError with fewer than 40 channels, or,
+    without `whole`, where they do not reach over 800-1300 nm.
     """
-    low, high = FIT_RANGE_NM
+    low, high = (0.0, np.inf) if whole else FIT_RANGE_NM
     wavelength = spectrum.wavelength_nm
     keep = spectrum.usable & (wavelength >= low) & (wavelength <= high)
     if keep.sum() < MIN_CHANNELS:
-        raise DataError(f"{keep.sum()} usable channels between {low:g} and {high:g} nm; {MIN_CHANNELS} are needed")
-    if wavelength[keep][0] > REQUIRED_NM[0] or wavelength[keep][-1] < REQUIRED_NM[1]:
+        between = "" if whole else f" between {low:g} and {high:g} nm"
+        raise DataError(f"{keep.sum()} usable channels{between}; {MIN_CHANNELS} are needed")
+    if not whole and (wavelength[keep][0] > REQUIRED_NM[0] or wavelength[keep][-1] < REQUIRED_NM[1]):
         raise DataError(f"the channels do not reach over {REQUIRED_NM[0]:g}-{REQUIRED_NM[1]:g} nm")
     reflectance = spectrum.reflectance[keep]
     relative = channel_noise(spectrum)[keep] / reflectance
@@ -106,6 +108,8 @@ class MgmModel:
     precision : (p, p) inverse covariance of the prior; 0 where it is flat (continuum). Centres that follow the same
         composition are correlated.
     lower, upper : (p,) bounds; equal where a parameter is fixed.
+    planes : rows (p,) and targets of ties, row @ parameters = target, which `prior` and `precision` also hold.
+    whole : whether all channels of a spectrum are fitted, and not those of 400-2600 nm.
     """
 
     assemblage: Assemblage
@@ -115,6 +119,8 @@ class MgmModel:
     precision: FloatArray
     lower: FloatArray
     upper: FloatArray
+    planes: tuple[tuple[FloatArray, float], ...] = ()
+    whole: bool = False
 
     @property
     def degrees(self) -> int:
@@ -194,7 +200,7 @@ class MgmModel:
         precision = self.precision + weight * np.outer(row, row)
         pull = self.precision @ self.prior + weight * target * row
         prior = np.asarray(np.linalg.lstsq(precision, pull, rcond=None)[0], dtype=np.float64)
-        return replace(self, prior=prior, precision=precision)
+        return replace(self, prior=prior, precision=precision, planes=(*self.planes, (row, target)))
 
 
 TIE_SIGMA = 1e-6

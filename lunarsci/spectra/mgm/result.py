@@ -138,6 +138,7 @@ class MgmFit:
     parameters, covariance : (p,) and (p, p) in the order and units of `MgmModel`: continuum coefficients, then centre
         [um], FWHM [um], strength per band.
     objective : chi-square with the prior's share. [-]
+    iterations : how many the reference program takes along the same path; None where `prior` is `map`.
     """
 
     id: str
@@ -157,6 +158,7 @@ class MgmFit:
     parameters: FloatArray
     covariance: FloatArray
     objective: float
+    iterations: int | None = None
 
     @property
     def wavelength_nm(self) -> FloatArray:
@@ -183,6 +185,7 @@ class MgmFit:
         record = {name: getattr(self, name) for name in _SCALARS}
         ratios = {key: ratio.to_dict() if ratio else None for key, ratio in self.nbsr.items()}
         return record | {
+            "iterations": self.iterations,
             "continuum_coefficients": list(self.continuum_coefficients),
             "bands": [band.to_dict() for band in self.bands],
             "nbsr": ratios,
@@ -200,7 +203,7 @@ class MgmFailure:
 
     def to_dict(self) -> dict[str, Any]:
         """The same keys as a fit, without values."""
-        empty = dict.fromkeys((*_SCALARS, "nbsr", "continuum_coefficients"))
+        empty = dict.fromkeys((*_SCALARS, "iterations", "nbsr", "continuum_coefficients"))
         named = {"id": self.id, "assemblage": self.assemblage, "continuum": self.continuum, "status": self.status}
         return empty | named | {"converged": False, "bands": []}
 

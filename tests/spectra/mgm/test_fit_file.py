@@ -11,17 +11,12 @@ from hypothesis import strategies as st
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile, read_input
+from lunarsci.spectra.mgm.assemblages import MINERALS
+from lunarsci.spectra.mgm.damping import fit_damping
 from lunarsci.spectra.mgm.fit import fit_spectra
-from lunarsci.spectra.mgm.fit_file import (
-    FitBand,
-    FitFile,
-    fit_file_of,
-    fit_file_text,
-    model_of,
-    read_fit_file,
-    spectrum_within,
-)
+from lunarsci.spectra.mgm.fit_file import FitBand, FitFile, fit_file_text, read_fit_file
 from lunarsci.spectra.mgm.model import mgm_model
+from lunarsci.spectra.mgm.program import fit_file_of, held_coefficients, model_of
 from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
@@ -134,9 +129,8 @@ def test_an_empty_line_is_refused_by_its_number(empty: int) -> None:
     [
         (3, "-100,25", "not 3 numbers"),
         (3, "-100,25,many", "not 3 numbers"),
-        (4, "2400,450,1", "ascend"),
-        (4, "0,2400,1", "ascend"),
-        (4, "0.45,2.4,1", "is this um"),
+        (4, "450,inf,1", "not 3 numbers"),
+        (4, "450,1e999,1", "finite"),
         (10, "0.333 0.4 -20", "is this um"),
         (4, "450,2400,1,7", "not 3 numbers"),
         (5, "-2e-3,1e-6", "0 or above"),
@@ -157,10 +151,9 @@ def test_an_empty_line_is_refused_by_its_number(empty: int) -> None:
         (9, "1e999", "number of bands"),
         (10, "0 400 -20", "centre of 0 nm"),
         (10, "333 0 -20", "FWHM of 0 nm"),
-        (12, "1000 -250 -1", "FWHM of -250 nm"),
         (12, "1000 250 NaN", "not 3 numbers"),
         (12, "1000 250 \u0661", "not 3 numbers"),
-        (13, "200 400 -10", "line of values"),
+        (13, "200 400 -10", "FWHM and strength 0 or above; values come first"),
     ],
 )
 def test_what_does_not_follow_the_layout_is_refused_by_its_line(number: int, row: str, fault: str) -> None:
@@ -201,7 +194,16 @@ FINITE = st.floats(allow_nan=False, allow_infinity=False)
 ABOVE_0 = st.floats(0, exclude_min=True, allow_infinity=False)
 NOT_BELOW_0 = st.floats(0, allow_infinity=False)
 CENTRES = st.floats(10, allow_infinity=False)
-BANDS = st.builds(FitBand, CENTRES, ABOVE_0, FINITE, NOT_BELOW_0, NOT_BELOW_0, NOT_BELOW_0)
+BANDS = st.builds(
+    FitBand,
+    CENTRES,
+    FINITE.filter(bool),
+    FINITE,
+    FINITE,
+    NOT_BELOW_0,
+    NOT_BELOW_0,
+    mineral=st.sampled_from(["", *MINERALS]),
+)
 
 
 @given(
@@ -245,15 +247,15 @@ def test_a_file_that_could_not_be_read_back_cannot_be_made(change: dict[str, obj
 def raw_polynomial(letter: str, coefficients: tuple[float, ...], wavelength_nm: np.ndarray) -> np.ndarray:
     """The continuum as the file writes it: c0 + c1 v + ... in cm^-1 (Q, T) or nm (P, S)."""
     v = 1e7 / wavelength_nm if letter in "QT" else wavelength_nm
-    used = coefficients[: {"Q": 4, "P": 4, "T": 2, "S": 2}[letter]]
+    used = coefficients[:4]
     return sum(c * v**k for k, c in enumerate(used))  # type: ignore[return-value]
 
 
 RAW = {
     "Q": ((0.85, -1e-5, 2e-10, 3e-15), (0.1, 1e-5, 1e-9, 1e-13)),
-    "T": ((0.85, -1e-5, 7.0, 7.0), (0.1, 1e-5, 1.0, 1.0)),
+    "T": ((0.85, -1e-5, 2e-10, 3e-15), (0.1, 1e-5, 1e-9, 1e-13)),
     "P": ((0.2, 1e-4, -3e-8, 4e-12), (0.1, 1e-4, 1e-7, 1e-11)),
-    "S": ((0.2, 1e-4, 7.0, 7.0), (0.1, 1e-4, 1.0, 1.0)),
+    "S": ((0.2, 1e-4, -3e-8, 4e-12), (0.1, 1e-4, 1e-7, 1e-11)),
 }
 
 
@@ -277,7 +279,7 @@ def test_no_continuum() -> None:
 
 
 def test_bands_become_a_prior_in_micrometres() -> None:
-    model = model_of(FILE)
+    model = model_of(replace(FILE, coefficients=(0.85, -1e-6, 1e-12, 1e-17)))
     assert model.continuum == "wavenumber-cubic"
     assert [band.name for band in model.assemblage.bands] == ["band 1", "band 2", "band 3"]
     assert [band.region for band in model.assemblage.bands] == ["uv", "um1", "um2"]
@@ -306,7 +308,7 @@ def made(noise: float = 0.003, seed: int = 1) -> Spectrum:
     return Spectrum("made by hand", GRID, np.exp(ln), noise * np.exp(ln))
 
 
-TWO = replace(FILE, continuum="T", coefficients=(0.6, 0.0, 0.0, 0.0), bands=FILE.bands[1:])
+TWO = replace(FILE, continuum="T", coefficients=(0.6, -1e-9, 0.0, 0.0), bands=FILE.bands[1:])
 
 
 def map_fit(file: FitFile) -> MgmFit:
@@ -330,6 +332,7 @@ def test_a_result_file_says_what_the_fit_says() -> None:
     assert file.wavelength_axis[:2] == (450.0, 2395.0)
     assert raw_polynomial("T", file.coefficients, GRID) == pytest.approx(fit.continuum_reflectance, rel=1e-9)
     assert file.coefficients == pytest.approx((0.5, -1e-5, 0, 0), rel=0.05)
+    assert all(file.coefficients)
     gradient = np.vander(1e7 / GRID, 2, increasing=True)
     basis = fit.model.basis(GRID)
     covariance = np.linalg.lstsq(gradient, basis, rcond=None)[0]
@@ -338,10 +341,13 @@ def test_a_result_file_says_what_the_fit_says() -> None:
     for band, fitted in zip(file.bands, fit.bands, strict=True):
         assert band.values == pytest.approx((fitted.center_nm, fitted.fwhm_nm, fitted.strength))
         errors = (fitted.center_sigma_nm, fitted.fwhm_sigma_nm, fitted.strength_sigma)
-        assert band.uncertainties == pytest.approx([1.96 * error for error in errors])
+        around = 1.96 * errors[0] * 1e7 / fitted.center_nm**2
+        ends = [1e7 / (1e7 / fitted.center_nm + sign * around) for sign in (-1, 1)]
+        assert band.center_95_nm == pytest.approx(ends[0] - ends[1])
+        assert band.uncertainties[1:] == pytest.approx([1.96 * error for error in errors[1:]])
     assert model_of(read(fit_file_text(file))).prior == pytest.approx(fit.parameters)
     assert fit_file_of(fit, FILE) == replace(
-        FILE, continuum="T", coefficients=file.coefficients, coefficients_95=file.coefficients_95, bands=file.bands
+        FILE, coefficients=file.coefficients, coefficients_95=file.coefficients_95, bands=file.bands
     )
 
 
@@ -351,7 +357,7 @@ def test_continua_survive_the_way_through_a_file(name: str) -> None:
     assert isinstance(fit, MgmFit)
     again = model_of(fit_file_of(fit))
     assert again.continuum == name
-    assert again.prior == pytest.approx(fit.parameters, rel=1e-9)
+    assert again.prior == pytest.approx(fit.parameters, rel=1e-9, abs=1.1e-9)
 
 
 def test_a_continuum_without_a_letter_is_refused() -> None:
@@ -372,7 +378,9 @@ def test_an_uncertainty_of_0_fixes_a_value() -> None:
     fit = map_fit(replace(TWO, bands=(band, FILE.bands[2])))
     assert fit.bands[0].center_nm == 940.0
     assert fit.bands[0].center_sigma_nm == 0.0
-    assert fit_file_of(fit).bands[0].center_95_nm == 0.0
+    again = model_of(fit_file_of(fit))
+    assert again.fixed[2]
+    assert again.prior[2] == pytest.approx(0.94, rel=1e-15)
     continuum = replace(TWO, coefficients=(0.5, -1e-5, 0, 0), coefficients_95=(0, 0, 0, 0))
     assert fit_file_of(map_fit(continuum)).coefficients == pytest.approx((0.5, -1e-5, 0, 0), rel=1e-9)
 
@@ -389,23 +397,128 @@ def test_one_fixed_continuum_coefficient_ties_ours() -> None:
 @pytest.mark.parametrize(
     ("letter", "values", "errors", "continuum"),
     [
-        ("Q", (0.5, 0, 0, 0), (1, 1, 1, 0), "wavenumber-quadratic"),
-        ("Q", (0.5, 0, 0, 0), (1, 1, 0, 0), "wavenumber"),
-        ("Q", (0.5, 0, 0, 0), (1, 1, 0, 1), "wavenumber-cubic"),
+        ("Q", (0.5, 0, 1e-12, 0), (1, 1, 1, 1), "wavenumber-quadratic"),
+        ("Q", (0.5, 0, 0, 0), (1, 1, 1, 1), "wavenumber"),
         ("Q", (0.5, 0, 0, 1e-15), (1, 1, 1, 0), "wavenumber-cubic"),
-        ("P", (0.5, 0, 0, 0), (1, 1, 1, 0), "wavelength-quadratic"),
-        ("P", (0.5, 0, 0, 0), (1, 0, 0, 0), "wavelength"),
+        ("T", (0.5, 0, 1e-12, 1e-15), (1, 1, 1, 1), "wavenumber-cubic"),
+        ("T", (0.5, 0, 1e-26, 1e-30), (1, 1, 1e-26, 1e-30), "wavenumber"),
+        ("P", (0.5, 0, 1e-12, 0), (1, 1, 1, 1), "wavelength-quadratic"),
+        ("S", (0.5, 0, 1e-12, 0), (1, 1, 1, 1), "wavelength-quadratic"),
+        ("P", (0.5, 0, 0, 0), (1, 0, 1, 1), "wavelength"),
     ],
 )
-def test_coefficients_fixed_at_0_lower_the_degree(
+def test_coefficients_of_0_are_held_and_lower_the_degree(
     letter: str, values: tuple[float, ...], errors: tuple[float, ...], continuum: str
 ) -> None:
     assert model_of(replace(FILE, continuum=letter, coefficients=values, coefficients_95=errors)).continuum == continuum
 
 
-def test_channels_outside_the_range_of_the_file_are_masked() -> None:
-    cut = spectrum_within(made(), replace(FILE, wavelength_axis=(600.0, 1700.0, 1.0)))
-    assert cut.wavelength_nm[cut.usable][[0, -1]].tolist() == [600.0, 1700.0]
+def test_the_axis_of_the_plot_cuts_nothing() -> None:
+    """Nor does the range of the named minerals: what the program is given it fits, here from 300 to 2700 nm."""
+    grid = np.arange(300.0, 2701.0, 10.0)
+    wide = Spectrum("wide", grid, np.full(grid.size, 0.5))
+    file = read(with_row(4, "600,1700,1"))
+    for fit in (*fit_spectra([wide], model_of(file), starts=1), *fit_damping([wide], model_of(file), file=file)):
+        assert isinstance(fit, MgmFit)
+        assert fit.wavelength_nm.tolist() == grid.tolist()
+
+
+NO_CONTINUUM = "\n".join([*ROWS[:5], "N", *ROWS[8:]]) + "\n"
+
+
+def test_result_files_without_a_continuum_lack_its_lines() -> None:
+    """So the program writes them; a start file for it has them, and they count for nothing."""
+    file = read(NO_CONTINUUM)
+    assert (file.continuum, file.coefficients, file.coefficients_95) == ("N", (), ())
+    assert file.bands == FILE.bands
+    assert fit_file_text(file).splitlines()[5:7] == ["N", "3"]
+    assert model_of(file).prior == pytest.approx(model_of(read(with_row(6, "N"))).prior)
+    fit = from_start(file)
+    assert fit.continuum == "none"
+    assert len(fit_file_of(fit, file).coefficients) == 4
+    with pytest.raises(DataError, match="line 10: band 2: FWHM of 0 nm"):
+        read(NO_CONTINUUM.replace("1000 250", "1000 0"))
+    with pytest.raises(DataError, match="line 14: is missing"):
+        read(NO_CONTINUUM.replace("N\n3", "N\n4"))
+    with pytest.raises(DataError, match=r"line 7: .*not 4 numbers"):
+        read(NO_CONTINUUM.replace("N\n3", "T\n3"))
+
+
+def from_start(file: FitFile) -> MgmFit:
+    [fit] = fit_damping([made()], model_of(file), file=file)
+    assert isinstance(fit, MgmFit)
+    return fit
+
+
+def test_the_sign_of_a_centre_s_uncertainty_has_no_meaning() -> None:
+    """The program writes one below 0 where the error exceeds the wavenumber."""
+    other = read(EXAMPLE.replace("200 400 10", "-200 400 10"))
+    assert other.bands[1].center_95_nm == -200.0
+    assert model_of(other).sigma == pytest.approx(model_of(FILE).sigma)
+    assert from_start(other).parameters.tolist() == from_start(FILE).parameters.tolist()
+
+
+def test_the_sign_of_a_width_has_no_meaning() -> None:
+    """The model is even in it, and the program may end on either side."""
+    other = read(EXAMPLE.replace("1000 250 -1", "1000 -250 -1"))
+    assert model_of(other).prior.tolist() == model_of(FILE).prior.tolist()
+    assert from_start(other).parameters.tolist() == from_start(FILE).parameters.tolist()
+
+
+def test_an_error_beyond_the_wavenumber_is_written_as_the_program_does() -> None:
+    """1e7 / (v - e) - 1e7 / (v + e) with e above v."""
+    fit = from_start(FILE)
+    sigma = fit.covariance.copy()
+    sigma[2, 2] = 1.0
+    wavenumber, around = 1e7 / fit.bands[0].center_nm, 1.96 * 1e3 * 1e7 / fit.bands[0].center_nm ** 2
+    assert around > wavenumber
+    written = fit_file_of(replace(fit, covariance=sigma)).bands[0].center_95_nm
+    assert written == pytest.approx(1e7 / (wavenumber - around) - 1e7 / (wavenumber + around))
+    assert written < 0
+
+
+def test_nothing_in_a_result_file_is_0() -> None:
+    """Zeros stop the program; what is there instead changes nothing, and is held when it is read again."""
+    locked = replace(FILE.bands[0], strength=0.0, center_95_nm=0.0, fwhm_95_nm=0.0, strength_95=0.0)
+    file = fit_file_of(from_start(replace(FILE, bands=(locked, *FILE.bands[1:]))), FILE)
+    numbers = [*file.coefficients, *file.coefficients_95]
+    numbers += [value for band in file.bands for value in (*band.values, *band.uncertainties)]
+    assert all(numbers)
+    assert abs(file.coefficients[3]) * 25_000.0**3 < 1e-11
+    assert abs(file.bands[0].strength) < 1e-8
+    again = model_of(file)
+    assert again.continuum == "wavenumber"
+    assert again.fixed[2:5].all()
+
+
+@pytest.mark.parametrize(("letter", "values"), [("T", (0.6, -1e-9, 1e-13, 1e-18)), ("Q", (0.6, -1e-9, 0.0, 0.0))])
+def test_a_result_keeps_the_letter_of_its_start(letter: str, values: tuple[float, ...]) -> None:
+    file = replace(TWO, continuum=letter, coefficients=values)
+    assert fit_file_of(from_start(file), file).continuum == letter
+
+
+def test_coefficients_that_are_held_for_being_0_are_named() -> None:
+    assert held_coefficients(FILE) == ("c2", "c3")
+    assert held_coefficients(replace(FILE, coefficients_95=(1.0, 1.0, 0.0, 1e-9))) == ("c3",)
+    assert held_coefficients(replace(FILE, continuum="N")) == held_coefficients(read(NO_CONTINUUM)) == ()
+
+
+@pytest.mark.parametrize(
+    ("comment", "mineral"),
+    [("OPX", "OPX"), ("! clinopyroxene, 1 um", "CPX"), ("(Ol)", "OL"), ("plagioclase PLG", "PLG"), ("cold", "")],
+)
+def test_a_comment_may_name_the_mineral_of_a_band(comment: str, mineral: str) -> None:
+    file = read(with_row(12, f"1000 250 -1 {comment}"))
+    assert [band.mineral for band in file.bands] == ["", mineral, ""]
+    assert read(fit_file_text(file)) == file
+    assert model_of(file).assemblage.bands[1].mineral == (MINERALS[mineral] if mineral else "any")
+    assert model_of(file, {2: "OL"}).assemblage.bands[1].mineral == "olivine"
+
+
+@pytest.mark.parametrize(("minerals", "said"), [({4: "OPX"}, "no band 4"), ({2: "SPINEL"}, "'SPINEL' is unknown")])
+def test_a_mineral_or_a_band_that_is_not_there_is_refused(minerals: dict[int, str], said: str) -> None:
+    with pytest.raises(ParameterError, match=said):
+        model_of(FILE, minerals)
 
 
 @pytest.mark.reference
