@@ -36,13 +36,20 @@ MODEL_OPTIONS: dict[str, RequestOption] = {
         metavar="KEY=MEAN:ERROR,…",
     ),
     "start": option(
-        "Bands, continuum and their uncertainties from a start file of the RELAB MGM program, instead of --assemblage "
-        "and --continuum.",
+        "Bands, continuum and their uncertainties from a start or result file of the RELAB MGM program, instead of "
+        "--assemblage and --continuum; all channels are fitted.",
         panel=MODEL,
         metavar="FILE.fit",
     ),
+    "band_minerals": option(
+        "Minerals of the bands of --start, by their number, for the ratios of strengths; a comment behind a band's "
+        "values names one, too.",
+        panel=MODEL,
+        metavar="NUMBER=OPX,…",
+    ),
     "prior": option(
-        "map: priors count as measurements; damping: they only shorten steps, as in the RELAB MGM program.", panel=MODEL
+        "map: priors count as measurements; damping: they only shorten steps, along the path of the RELAB MGM program.",
+        panel=MODEL,
     ),
     "model_error": option(
         "Share of ln R the model cannot explain, added to the noise; above 0, below 1. What auto compares has an "

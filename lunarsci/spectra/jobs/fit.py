@@ -38,6 +38,7 @@ class ModelRequest:
     continuum, prior, starts : see `mgm_model`, `fit_damping` and `fit_spectra`.
     composition : what is known of Fo, Fs, Wo, such as `fo=70:5`. [mol %]
     start : file of the RELAB MGM program, instead of assemblage and continuum.
+    band_minerals : of the bands of `start`, by their number, such as `4=OPX,5=CPX`; beside what its comments name.
     model_error : share of ln R that the model cannot explain; a choice of the assemblage has an error of its own. [-]
     fix, bound, tie : constraints, see `constrained`.
     wavelength_unit, reflectance_unit : where an input does not state them.
@@ -51,6 +52,7 @@ class ModelRequest:
     continuum: MgmContinuum = DEFAULT_CONTINUUM
     composition: str | None = None
     start: str | None = None
+    band_minerals: str | None = None
     prior: Literal["map", "damping"] = "map"
     model_error: float = 0.02
     starts: int = 4
@@ -78,6 +80,7 @@ class ModelRequest:
              "does not have; use `prior` map"),
             (self.prior == "damping" and self.bound, "`prior` damping knows no bounds; use `fix` or `tie`, or `prior` "
              "map"),
+            (self.band_minerals and not self.start, "`band_minerals` names bands of a file; give it as `start`"),
             (self.start and self.automatic, "`start` brings its own bands; leave `assemblage` auto out"),
             (self.start and self.composition, "`start` brings its own bands; leave `composition` out"),
             (self.start and self.assemblage != DEFAULT_ASSEMBLAGE, "`start` brings its own bands; leave `assemblage` "
@@ -304,13 +307,12 @@ def _by_prior(
 
 def _from_file(spectra: "Sequence[Spectrum]", request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
     from lunarsci.inputs import read_input
-    from lunarsci.spectra.mgm.fit_file import read_fit_file
-    from lunarsci.spectra.mgm.program import model_of
+    from lunarsci.spectra.mgm.program import read_start
 
     source = read_input(str(request.start))
-    file = read_fit_file(source)
+    model, file = read_start(source, request.band_minerals)
     start = {"file": file, "rms_limit": file.rms_limit, "improvement_limit": file.improvement_limit}
-    return {"fits": _by_prior(spectra, request.held(model_of(file)), request, progress, **start), "files": [source]}
+    return {"fits": _by_prior(spectra, request.held(model), request, progress, **start), "files": [source]}
 
 
 def _chosen(spectra: "Sequence[Spectrum]", request: ModelRequest, progress: Progress | None) -> dict[str, Any]:

@@ -6,16 +6,18 @@ mapped to -1 to 1. Its centres are wavenumbers with uncertainties whose interval
 
 import dataclasses
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.errors import ParameterError
+from lunarsci.errors import LunarSciWarning, ParameterError
+from lunarsci.inputs import InputFile
 from lunarsci.spectra.mgm import MgmContinuum
 from lunarsci.spectra.mgm.assemblages import MINERALS, Assemblage, BandPrior
-from lunarsci.spectra.mgm.fit_file import CONTINUA, FitBand, FitFile
+from lunarsci.spectra.mgm.fit_file import CONTINUA, FitBand, FitFile, read_fit_file
 from lunarsci.spectra.mgm.model import KINDS, NM_PER_UM, RANGE_NM, TIE_SIGMA, MgmModel, continuum_basis
 from lunarsci.spectra.mgm.result import MgmFit
 
@@ -83,6 +85,21 @@ def to_raw(continuum: MgmContinuum) -> FloatArray:
     return np.array([[math.comb(k, j) * a**j * b ** (k - j) if k >= j else 0.0 for k in range(m)] for j in range(m)])
 
 
+def read_start(input: InputFile, minerals: str | None = None) -> tuple[MgmModel, FitFile]:
+    """A `.fit` file and its model; `minerals` as `parse_minerals` takes them.
+
+    Warns with LunarSciWarning where coefficients of 0 are held though they have uncertainties. Raises DataError for a
+    file that is none, ParameterError for minerals that are none.
+    """
+    file = read_fit_file(input)
+    pairs = enumerate(zip(file.coefficients, file.coefficients_95, strict=True))
+    held = [f"c{k}" for k, (value, error) in pairs if value == 0 < error and file.continuum != "N"]
+    if held:
+        text = f"{input.name}: {', '.join(held)} of 0 stay 0, as in the RELAB program; a small number frees them"
+        warnings.warn(text, LunarSciWarning, stacklevel=2)
+    return model_of(file, parse_minerals(minerals) if minerals else None), file
+
+
 def model_of(file: FitFile, minerals: Mapping[int, str] | None = None) -> MgmModel:
     """The model of a `.fit` file: its values as prior means, its uncertainties over 1.96 as standard deviations.
 
@@ -114,6 +131,20 @@ def model_of(file: FitFile, minerals: Mapping[int, str] | None = None) -> MgmMod
     return MgmModel(Assemblage(ASSEMBLAGE, bands, ()), continuum, names, prior, whole, lower, upper, whole=True)
 
 
+def parse_minerals(text: str) -> dict[int, str]:
+    """`4=OPX,5=CPX` as {4: "OPX", 5: "CPX"}, minerals by number of the band.
+
+    Raises ParameterError for anything else.
+    """
+    found: dict[int, str] = {}
+    for part in text.split(","):
+        number, equals, mineral = (piece.strip() for piece in part.partition("="))
+        if not (equals and number.isascii() and number.isdigit()) or int(number[:9]) in found:
+            raise ParameterError(f"minerals '{text}': write NUMBER=MINERAL for each band once, such as 4=OPX,5=CPX")
+        found[int(number[:9])] = mineral.upper()
+    return found
+
+
 def _named(bands: tuple[FitBand, ...], minerals: Mapping[int, str]) -> tuple[FitBand, ...]:
     for number, mineral in minerals.items():
         if not 1 <= number <= len(bands):
@@ -132,12 +163,6 @@ def _band_prior(number: int, band: FitBand) -> BandPrior:
         f"band {number}", MINERALS.get(band.mineral, "any"), region, "", band.center_nm, 0.0, errors[0],
         abs(band.fwhm_nm), errors[1], errors[2], ASSEMBLAGE,
     )  # fmt: skip
-
-
-def held_coefficients(file: FitFile) -> tuple[str, ...]:
-    """Names of the continuum's coefficients that are held for being 0, though the file has uncertainties of them."""
-    pairs = enumerate(zip(file.coefficients, file.coefficients_95, strict=True))
-    return tuple(f"c{k}" for k, (value, error) in pairs if value == 0 < error and file.continuum != "N")
 
 
 def _continuum_prior(file: FitFile) -> tuple[MgmContinuum, FloatArray, FloatArray, BoolArray]:

@@ -16,7 +16,7 @@ from lunarsci.spectra.mgm.damping import fit_damping
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.fit_file import FitBand, FitFile, fit_file_text, read_fit_file
 from lunarsci.spectra.mgm.model import mgm_model
-from lunarsci.spectra.mgm.program import fit_file_of, held_coefficients, model_of
+from lunarsci.spectra.mgm.program import fit_file_of, model_of, parse_minerals, read_start
 from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
@@ -498,9 +498,19 @@ def test_a_result_keeps_the_letter_of_its_start(letter: str, values: tuple[float
 
 
 def test_coefficients_that_are_held_for_being_0_are_named() -> None:
-    assert held_coefficients(FILE) == ("c2", "c3")
-    assert held_coefficients(replace(FILE, coefficients_95=(1.0, 1.0, 0.0, 1e-9))) == ("c3",)
-    assert held_coefficients(replace(FILE, continuum="N")) == held_coefficients(read(NO_CONTINUUM)) == ()
+    """Unless nothing else was asked for: no uncertainty, or no continuum."""
+    with pytest.warns(LunarSciWarning, match=r"^start\.fit: c2, c3 of 0 stay 0"):
+        model, file = read_start(InputFile("start.fit", EXAMPLE.encode()), "2=opx, 3=CPX")
+    assert file == FILE
+    assert [band.mineral for band in model.assemblage.bands] == ["any", "orthopyroxene", "clinopyroxene"]
+    for content in (with_row(8, "10 1e-4 0 0"), with_row(6, "N"), NO_CONTINUUM):
+        read_start(InputFile("start.fit", content.encode()))
+
+
+@pytest.mark.parametrize("text", ["2", "OPX=2", "2=OPX,2=CPX", "-1=OPX", "²=OPX", "2=OPX,", "=OPX"])
+def test_minerals_that_are_not_numbered_are_refused(text: str) -> None:
+    with pytest.raises(ParameterError, match="write NUMBER=MINERAL for each band once"):
+        parse_minerals(text)
 
 
 @pytest.mark.parametrize(
