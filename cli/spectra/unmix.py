@@ -1,5 +1,7 @@
 """`lunarsci spectra unmix`: shares of minerals."""
 
+from collections.abc import Mapping
+
 import typer
 
 from lunarsci.spectra.jobs.unmix import UnmixedSpectra, UnmixRequest, unmix
@@ -8,7 +10,7 @@ from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
-from ..shared.table import TextTable
+from ..shared.table import TextTable, counted
 from .fit import MODEL_OPTIONS, fit_tables
 from .options import UNITS, Files
 
@@ -20,6 +22,7 @@ SHORT = {
     "solid-rock": "rock",
 }
 """Kinds of target as headers of columns."""
+NORMATIVE = {"plagioclase_wt": "plagioclase of the norm", "feo_wt": "FeO", "tio2_wt": "TiO2"}
 OPTIONS = {
     "kind": option(
         "What is looked at. auto finds it for each spectrum: powder-mixture, minerals ground and mixed; "
@@ -63,7 +66,7 @@ def unmix_spectra(files: Files, request: UnmixRequest, output: Output) -> Report
     """
     with progress("unmixing", quiet=output.quiet) as update:
         found = unmix(files, request, progress=update)
-    return Report.of(found, [*fit_tables(found), kind_table(found)])
+    return Report.of(found, [*fit_tables(found), kind_table(found), *normative_table(found)])
 
 
 def kind_table(found: UnmixedSpectra) -> TextTable:
@@ -81,3 +84,20 @@ def kind_table(found: UnmixedSpectra) -> TextTable:
     return TextTable(
         ["spectrum", "kind", *(f"{text} [%]" for text in SHORT.values()), "remark"], rows, title="kinds of target"
     )
+
+
+def normative_table(found: UnmixedSpectra) -> list[TextTable]:
+    """Composition of weathered soils, where there are any."""
+    records = [record for record in found.records if record["normative"]]
+    rows = [[record["id"], *(_ranged(record["normative"][name]) for name in NORMATIVE)] for record in records]
+    notes = counted([record["normative"]["status"] for record in records], len(records), "spectra")
+    title = "composition by regression, with 68 and 95 % intervals; no modes of minerals"
+    headers = ["spectrum", *(f"{text} [wt %]" for text in NORMATIVE.values())]
+    return [TextTable(headers, rows, title=title, notes=notes)] if rows else []
+
+
+def _ranged(item: Mapping[str, float] | None) -> str:
+    if item is None:
+        return "-"
+    wide = f"{item['low95']:.0f} to {item['high95']:.0f}"
+    return f"{item['value']:.0f}, {item['low']:.0f} to {item['high']:.0f}, {wide}"

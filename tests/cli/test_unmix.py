@@ -144,7 +144,7 @@ def soil(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_weathered_soil_is_not_unmixed(run: Run, soil: Path, tmp_path: Path) -> None:
     done = run("spectra", "unmix", soil, "--starts", "1", "--json", "--plot", tmp_path / "shares.pdf")
     assert done.code == 3
-    assert "soil: not determined: a surface that space has weathered" in done.err[-1] + done.err[0]
+    assert "shares of soil are not determined: a surface that space has weathered" in done.err[-1] + done.err[0]
     [record] = json.loads(done.out)["result"]["spectra"]
     assert record["kind"]["weathered"] > 0.9
     for mineral in ("olivine", "orthopyroxene", "clinopyroxene"):
@@ -152,8 +152,14 @@ def test_a_weathered_soil_is_not_unmixed(run: Run, soil: Path, tmp_path: Path) -
         assert share["fraction"] is None
         assert (share["low"], share["high"]) == (0, 1)
     assert record["abundance"]["in_domain"] is False
+    iron = record["normative"]["feo_wt"]
+    assert iron["low95"] < iron["low"] < iron["value"] < iron["high"] < iron["high95"]
+    text = run("spectra", "unmix", soil, "--starts", "1")
+    assert "no modes of minerals" in text.out
+    assert len(re.findall(rb"/Type /Page\b", (tmp_path / "shares.pdf").read_bytes())) == 3
     shown = run("spectra", "unmix", soil, "--starts", "1", "--csv")
     assert "unmix_olivine,unmix_olivine_low" in shown.out
+    assert "normative_feo_wt,normative_feo_low_wt" in shown.out
     assert ",,0.0,1.0," in shown.out
 
 

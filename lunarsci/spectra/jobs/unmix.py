@@ -1,7 +1,8 @@
 """`lunarsci.unmix`: shares of minerals by mixing end members, for the assemblage of a fit."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.constants import ABSORBANCE, HAPKE, WEATHERING
@@ -10,9 +11,12 @@ from lunarsci.result import request_of
 from lunarsci.spectra.jobs.fit import MgmFits, ModelRequest, Progress, fit_batch_of
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from lunarsci.inputs import InputFile
     from lunarsci.spectra.abundance.kinds import Kind, KindVerdict
     from lunarsci.spectra.abundance.known_modes import KnownModes
+    from lunarsci.spectra.abundance.normative import Normative
     from lunarsci.spectra.abundance.result import Abundance
     from lunarsci.spectra.library.end_member import EndMember
     from lunarsci.spectra.mgm.result import MgmFit
@@ -21,7 +25,7 @@ if TYPE_CHECKING:
 
 
 SOURCES = {"hapke": (HAPKE,), "absorbance": (ABSORBANCE,), "both": (HAPKE, ABSORBANCE)}
-LEAST_MINERALS = 2
+LEAST_MINERALS, MOST_NAMED = 2, 5
 REFUSED = "a surface that space has weathered, whose glass and iron no mixture of powders stands for"
 UNCALIBRATED = "not calibrated on rocks: no solid rock of known modes has been measured with it"
 
@@ -60,37 +64,49 @@ class UnmixedSpectra(MgmFits):
     Attributes
     ----------
     kinds : of the target, by position, of each that was fitted.
+    normatives : composition of those that are weathered, by position.
     """
 
     request: UnmixRequest
     kinds: "Mapping[int, KindVerdict]" = field(default_factory=dict)
+    normatives: "Mapping[int, Normative]" = field(default_factory=dict)
 
     @property
     def untrusted(self) -> str:
         doubts = [text] if (text := MgmFits.untrusted.fget(self)) else []  # type: ignore[attr-defined]
-        open_ones = [found[0] for found in self.abundances.values() if found and not found[0].determined]
-        doubts += [f"{item.id}: {item.status}" for item in open_ones]
+        names: dict[str, list[str]] = {}
+        for found in self.abundances.values():
+            if found and not found[0].determined:
+                names.setdefault(found[0].status.removeprefix("not determined: "), []).append(found[0].id)
+        doubts += [f"shares of {_some(own)} are not determined: {reason}" for reason, own in names.items()]
         return "; ".join(doubts)
 
     def _record(self, index: int, origin: str) -> dict[str, Any]:
-        kind = self.kinds.get(index)
-        return MgmFits._record(self, index, origin) | {"kind": kind.to_dict() if kind else None}
+        kind, soil = self.kinds.get(index), self.normatives.get(index)
+        return MgmFits._record(self, index, origin) | {
+            "kind": kind.to_dict() if kind else None,
+            "normative": soil.to_dict() if soil else None,
+        }
 
     def rows(self) -> list[dict[str, Any]]:
-        kinds = {record["id"]: record["kind"] or {} for record in self.records}
-        return [
-            row | {key: kinds[row["id"]].get(name) for key, name in (("kind", "name"), ("stranger", "stranger"))}
-            for row in MgmFits.rows(self)
-        ]
+        own = {(record["source"], record["id"]): _kind_columns(record) for record in self.records}
+        return [row | own[row["source"], row["id"]] for row in MgmFits.rows(self)]
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.spectra.abundance.normative import normative_pages
+
+        names = [self.records[index]["id"] for index in self.normatives]
+        return chain(MgmFits.figures(self), normative_pages(names, list(self.normatives.values())))
 
     def _tables_and_sources(self) -> tuple[list[str], list[str]]:
         from lunarsci.spectra.abundance.end_members import TABLE
         from lunarsci.spectra.abundance.kinds import TABLE as KIND_TABLE
         from lunarsci.spectra.abundance.mixing import IRON_TABLE
+        from lunarsci.spectra.abundance.normative import TABLE as SOIL_TABLE
 
         tables, sources = MgmFits._tables_and_sources(self)
         iron = self.request.iron
-        tables += [TABLE, KIND_TABLE, *([IRON_TABLE] if iron else [])]
+        tables += [TABLE, KIND_TABLE, *([SOIL_TABLE] if self.normatives else []), *([IRON_TABLE] if iron else [])]
         return tables, [*sources, *SOURCES[self.request.method], *([WEATHERING] if iron else [])]
 
 
@@ -112,6 +128,7 @@ def unmix(
     """
     from lunarsci.inputs import read_input
     from lunarsci.spectra.abundance.nbsr import nbsr_abundances
+    from lunarsci.spectra.abundance.normative import normative
     from lunarsci.spectra.library.end_member import read_library
     from lunarsci.spectra.readers.batch import read_batch
 
@@ -125,6 +142,7 @@ def unmix(
     modes = _known_modes([fits[index].id for index in fits], known)
     kinds = _kinds({index: batch.spectra[index] for index in fits}, asked)
     _refuse(shares, fits, kinds, asked)
+    soils = {index: normative(batch.spectra[index], kind) for index, kind in kinds.items() if kind.is_weathered}
     mixed_ones = [index for index in fits if known or not kinds[index].is_weathered]
     suites = [mixed_ones] if mixed_ones and (asked.together or known) else [[index] for index in mixed_ones]
     for done, suite in enumerate(suites, start=1):
@@ -137,7 +155,25 @@ def unmix(
         if progress:
             progress(done, len(suites))
     files = [*found.pop("files", ()), *(file for file in (library, known) if file)]
-    return UnmixedSpectra(batch=batch, request=asked, abundances=shares, kinds=kinds, files=files, **found)
+    return UnmixedSpectra(
+        batch=batch, request=asked, abundances=shares, kinds=kinds, normatives=soils, files=files, **found
+    )
+
+
+def _some(names: Sequence[str]) -> str:
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    return ", ".join(names[:MOST_NAMED]) + more
+
+
+def _kind_columns(record: Mapping[str, Any]) -> dict[str, Any]:
+    """`kind`, `stranger`, and `normative_feo_wt` and the like."""
+    kind, soil = record["kind"] or {}, record["normative"] or {}
+    values = {f"normative_{name}": item for name, item in soil.items() if isinstance(item, Mapping)}
+    columns = {"kind": kind.get("name"), "stranger": kind.get("stranger")}
+    for name, item in values.items():
+        stem = name.removesuffix("_wt")
+        columns |= {name: item["value"], f"{stem}_low_wt": item["low"], f"{stem}_high_wt": item["high"]}
+    return columns
 
 
 def _kinds(spectra: "Mapping[int, Spectrum]", request: UnmixRequest) -> "dict[int, KindVerdict]":
