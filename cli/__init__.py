@@ -5,7 +5,8 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
+from functools import cache
 from importlib import import_module
 from typing import Annotated, Any
 
@@ -50,6 +51,12 @@ def command_line(wanted: Collection[str] = (*GROUPS, *SINGLE)) -> typer.Typer:
     return program
 
 
+@cache
+def _program(*wanted: str) -> Callable[..., Any]:
+    """The command line, made once in a process."""
+    return typer.main.get_command(command_line(wanted))
+
+
 def _show_version(value: bool) -> None:
     if value:
         from lunarsci import __version__
@@ -76,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         quiet = "-q" in arguments or "--quiet" in arguments
         arguments = current(arguments, quiet=quiet)
-        code: Any = command_line(arguments[:1])(arguments, standalone_mode=False, prog_name="lunarsci")
+        code: Any = _program(*arguments[:1])(arguments, standalone_mode=False, prog_name="lunarsci")
         code = int(code or 0)
     except (KeyboardInterrupt, typer.Abort):
         code = INTERRUPTED

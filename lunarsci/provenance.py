@@ -11,6 +11,7 @@ import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import cache
 from typing import Any
 
 _PACKAGES = ("numpy", "scipy", "lmfit", "astropy", "pandas", "numba", "matplotlib")
@@ -61,6 +62,7 @@ class Provenance:
         return record
 
 
+@cache
 def installed_version(package: str) -> str | None:
     """Version of an installed package, None when it is not installed."""
     from importlib.metadata import PackageNotFoundError, version

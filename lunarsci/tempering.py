@@ -37,7 +37,7 @@ class Moves:
 
 @dataclass(frozen=True, slots=True)
 class Raise:
-    """A step of beta that was made: the data's share after it, moves of every point, and the largest correlation they left."""
+    """A step of beta that was made: the data's share after it, moves of every point, the largest correlation left."""
 
     beta: float
     moves: int

@@ -163,16 +163,16 @@ def find_mode(
     width, center = problem.width, problem.center
 
     def white(at: FloatArray) -> FloatArray:
-        return np.concatenate([problem.white(at[None])[0].ravel(), (at - center) / width])
+        return np.concatenate([problem.white(at).reshape(len(at), -1), (at - center) / width], axis=1)
 
-    point, damping = start.copy(), 1e-3
-    rows = white(point)
+    point, damping, away = start.copy(), 1e-3, np.diag(STEP * width)
+    rows = white(point[None])[0]
     if not np.isfinite(rows).all():
         raise ParameterError("the model has no finite forces at the centre of the priors; check states and priors")
     curvature, held = np.diag(width**-2), np.diag(np.zeros(len(start)) if fixed is None else 1.0 * fixed)
     for _ in range(STEPS):
-        columns = [(white(point + step) - white(point - step)) / (2 * STEP) for step in np.diag(STEP * width)]
-        scaled = np.stack(columns, axis=-1) / width
+        ahead, behind = np.split(white(np.concatenate([point + away, point - away])), 2)
+        scaled = np.ascontiguousarray((ahead - behind).T / (2 * STEP)) / width
         if fixed is not None:
             scaled[:, fixed] = 0.0
         curvature = scaled.T @ scaled + held
@@ -180,7 +180,7 @@ def find_mode(
         before = float(rows @ rows)
         while damping < HIGHEST_DAMPING:
             step = np.linalg.solve(curvature + damping * np.diag(np.diag(curvature)), slope)
-            trial = white(point + np.clip(step, -LONGEST * width, LONGEST * width))
+            trial = white((point + np.clip(step, -LONGEST * width, LONGEST * width))[None])[0]
             if float(trial @ trial) < before:
                 break
             damping *= 10

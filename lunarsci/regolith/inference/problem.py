@@ -30,19 +30,19 @@ CHUNK = 32
 
 @in_lanes
 def _closed(soils: Any, sinkage: Any, travel: Any, lateral: Any, wheel: Any) -> Any:
-    forces = np.empty((len(soils), 3, len(sinkage)))
+    forces = np.empty((len(soils), 3, len(travel)))
     for d in range(len(soils)):
         s = soils[d]
         soil = (s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7])
-        for i in range(len(sinkage)):
-            f_n, f_dp, f_l, _ = wheel_forces_kernel(sinkage[i], travel[i], lateral[i], wheel, soil, 0)
+        for i in range(len(travel)):
+            f_n, f_dp, f_l, _ = wheel_forces_kernel(sinkage[d, i], travel[i], lateral[i], wheel, soil, 0)
             forces[d, 0, i], forces[d, 1, i], forces[d, 2, i] = f_n, f_dp, f_l
     return forces
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def _integrated(soils: Any, contacts: Any, sinkage: Any, velocity: Any, wheel: Any, model: Any, rule: Any) -> Any:
-    forces = np.full((len(soils), 3, len(sinkage)), np.nan)
+    forces = np.full((len(soils), 3, len(velocity)), np.nan)
     nodes, weights = rule
     r, b, h, r_s = wheel
     for d in range(len(soils)):
@@ -50,15 +50,21 @@ def _integrated(soils: Any, contacts: Any, sinkage: Any, velocity: Any, wheel: A
         soil = (s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7])
         own = (r, b, h, r_s, c[1], c[2], c[3])
         choices = (model[0], model[1], model[2], model[3], c[0], model[5], model[6], model[7], model[8])
-        for i in range(len(sinkage)):
-            if math.isfinite(sinkage[i]):
+        for i in range(len(velocity)):
+            if math.isfinite(sinkage[d, i]):
                 moving = (velocity[i, 0], velocity[i, 1], velocity[i, 2])
-                found = contact_kernel(sinkage[i], moving, own, soil, choices, nodes, weights)
+                found = contact_kernel(sinkage[d, i], moving, own, soil, choices, nodes, weights)
                 forces[d, 0, i], forces[d, 1, i], forces[d, 2, i] = found[0], found[1], found[2]
     return forces
 
 
-def forces_of_many(values: FloatArray, inputs: FloatArray, wheel: Wheel, model: ContactModel | None) -> FloatArray:
+def forces_of_many(
+    values: FloatArray,
+    inputs: FloatArray,
+    wheel: Wheel,
+    model: ContactModel | None,
+    sinkage: FloatArray | None = None,
+) -> FloatArray:
     """F_N, F_DP, F_L, (d, 3, n), of d soils at n states; NaN for a sinkage no wheel can have. [N]
 
     Parameters
@@ -67,12 +73,14 @@ def forces_of_many(values: FloatArray, inputs: FloatArray, wheel: Wheel, model: 
         place of the model's and the wheel's; these need a model.
     inputs : (n, 3) sinkage [m], slip ratio and side slip [deg], which end at -1 and 1, -90 and 90.
     model : choices of the exact integrals, None for the closed form.
+    sinkage : (d, n) on each soil, in place of that of the states. [m]
     """
     soils = np.array(values[:, :8], dtype=np.float64)
     soils[:, 0] *= 1e3
     soils[:, [4, 6]] = np.tan(np.radians(soils[:, [4, 6]]))
     soils[:, [5, 7]] *= 1e-3
-    z, slip, side = inputs[:, 0], np.clip(inputs[:, 1], -1.0, 1.0), np.clip(inputs[:, 2], -90.0, 90.0)
+    z = np.broadcast_to(inputs[:, 0], (len(soils), len(inputs))) if sinkage is None else sinkage
+    slip, side = np.clip(inputs[:, 1], -1.0, 1.0), np.clip(inputs[:, 2], -90.0, 90.0)
     z = np.where((z > 0) & (z < wheel.radius_m), z, np.nan)
     if model is None:
         return np.asarray(_closed(soils, z, *motion_ratios(slip, side), wheel.vector()))

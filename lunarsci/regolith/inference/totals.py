@@ -127,79 +127,82 @@ class _Problem:
         return np.ones(len(self.root))
 
     def white(self, points: FloatArray) -> FloatArray:
-        """Residuals over their errors, tempered where they are outliers. (1, p, m + 3)"""
-        rows = np.stack([self.residuals(point) for point in points])
+        """Residuals over their errors, tempered where they are outliers. (d, p, m + 3)"""
+        rows = self.residuals(points)
         size = np.abs(rows)
         return np.where(size > HUBER, np.sign(rows) * np.sqrt(HUBER * (2 * np.maximum(size, HUBER) - HUBER)), rows)
 
     def objective(self, point: FloatArray) -> float:
         return float(np.sum(self.white(point[None]) ** 2) + point @ point)
 
-    def residuals(self, point: FloatArray) -> FloatArray:
-        """Whitened residuals of sinkages, then of totals. (p, m + 3)"""
+    def residuals(self, points: FloatArray) -> FloatArray:
+        """Whitened residuals of sinkages, then of totals. (d, p, m + 3)"""
         states = self.states
-        soil = values_of(self.belief.laws, self.belief.mean + self.root @ point)
-        sinkage, force, slopes = self._under_load(soil)
-        p, m = states.load.shape
+        sinkage, force, slopes = self._under_load(points)
+        d, (p, m) = len(points), states.load.shape
         kept = np.concatenate([states.known, np.repeat(states.whole[:, None], 3, axis=1)], axis=1)
-        supplied = np.einsum("ptmf,pmf->pt", states.levers, force[..., 1:])
-        off = np.concatenate([states.inputs[..., 0] - sinkage, states.totals - supplied], axis=1)
+        supplied = np.einsum("ptmf,dpmf->dpt", states.levers, force[..., 1:])
+        off = np.concatenate([states.inputs[..., 0] - sinkage, states.totals - supplied], axis=2)
         # What the model is off by is the same at every pose, so that all of them count as one.
         own = self.model_error * np.sqrt(max(1, states.known.any(axis=1).sum())) * states.load
-        by_input = np.zeros((p, m + 3, m + 2))  # own loads, then the common slip and side slip
+        by_input = np.zeros((d, p, m + 3, m + 2))  # own loads, then the common slip and side slip
         place = np.arange(m)
         deeper = 1.0 / slopes[..., 0, 0]
-        by_input[:, place, place] = deeper * states.load_sigma
-        by_input[:, :m, m:] = -deeper[..., None] * slopes[..., 1:, 0]
-        at_load = slopes[:, :, 1:, 1:] - (deeper[..., None] * slopes[..., 1:, 0])[..., None] * slopes[:, :, :1, 1:]
-        by_load = slopes[:, :, 0, 1:] * by_input[:, place, place][..., None]
-        by_input[:, m:, :m] = np.einsum("ptmf,pmf->ptm", states.levers, by_load)
-        by_input[:, m:, m:] = np.einsum("ptmf,pmkf->ptk", states.levers, at_load)
+        by_input[..., place, place] = deeper * states.load_sigma
+        by_input[..., :m, m:] = -deeper[..., None] * slopes[..., 1:, 0]
+        at_load = slopes[..., 1:, 1:] - (deeper[..., None] * slopes[..., 1:, 0])[..., None] * slopes[..., :1, 1:]
+        by_load = slopes[..., 0, 1:] * by_input[..., place, place][..., None]
+        by_input[..., m:, :m] = np.einsum("ptmf,dpmf->dptm", states.levers, by_load)
+        by_input[..., m:, m:] = np.einsum("ptmf,dpmkf->dptk", states.levers, at_load)
         spread = np.einsum("ptmf,pm->pt", states.levers**2, own**2)
-        by_input[:, :, m:] *= np.sqrt(states.alike)
+        by_input[..., m:] *= np.sqrt(states.alike)
         missed = own * (deeper if self.frozen is None else self.frozen)
-        sinkages = states.input_sigma[..., 0] ** 2 + missed**2
-        variance = np.concatenate([sinkages, states.alike * states.totals_sigma**2 + spread], axis=1)
+        variance = np.empty((d, p, m + 3))
+        variance[..., :m] = states.input_sigma[..., 0] ** 2 + missed**2
+        variance[..., m:] = states.alike * states.totals_sigma**2 + spread
         by_input = np.where(kept[..., None], by_input, 0.0)
-        covariance = by_input @ by_input.transpose(0, 2, 1)
+        covariance = by_input @ by_input.swapaxes(2, 3)
         diagonal = np.arange(m + 3)
-        covariance[:, diagonal, diagonal] += np.where(kept, variance, 1.0)
+        covariance[..., diagonal, diagonal] += np.where(kept, variance, 1.0)
         factor = np.linalg.cholesky(covariance)
         return np.asarray(np.linalg.solve(factor, np.where(kept, off, 0.0)[..., None])[..., 0])
 
     def deeper(self, point: FloatArray) -> FloatArray:
         """Sinkage for each newton of load. (p, m) [m/N]"""
-        soil = values_of(self.belief.laws, self.belief.mean + self.root @ point)
-        return np.asarray(1.0 / self._under_load(soil)[2][..., 0, 0])
+        return np.asarray(1.0 / self._under_load(point[None])[2][0, ..., 0, 0])
 
-    def _under_load(self, soil: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Sinkage at which each wheel carries its load (p, m), the forces there (p, m, 3), and their slopes.
+    def _under_load(self, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Sinkage at which each wheel carries its load (d, p, m), the forces there (d, p, m, 3), and their slopes.
 
-        Slopes (p, m, 3 inputs, 3 forces): by sinkage for each metre, by slip and side slip for each standard error.
+        Slopes (d, p, m, 3 inputs, 3 forces): by sinkage for each metre, by slip and side slip for each standard error.
         Newton's method in logarithms, as F_N goes nearly with a power of the sinkage.
         """
         states, radius = self.states, self.wheel.radius_m
+        soils = values_of(self.belief.laws, self.belief.mean + points @ self.root.T)
         slip = np.nan_to_num(states.inputs[..., 1:]).reshape(-1, 2)
         load = np.where(states.known, states.load, 1.0).ravel()
         sigma = np.nan_to_num(states.input_sigma[..., 1:]).reshape(-1, 2)
-        z = np.full(len(load), FIRST_SINKAGE * radius)
+        z, twice = np.full((len(soils), len(load)), FIRST_SINKAGE * radius), np.concatenate([slip, slip])
         for _ in range(NEWTON):
-            found = self._at(soil, np.concatenate([z, (1 + STEP) * z]), np.concatenate([slip, slip]))[0]
-            here, beside = found[: len(z)], found[len(z) :]
+            found = self._at(soils, np.concatenate([z, (1 + STEP) * z], axis=1), twice)[:, 0]
+            here, beside = np.split(found, 2, axis=1)
             power = np.maximum(np.log(beside / here) / np.log1p(STEP), LEAST_POWER)
             z = np.clip(z * np.exp(np.log(load / here) / power), SHALLOWEST * radius, DEEPEST * radius)
-        step = np.column_stack([STEP * z, STEP * np.maximum(sigma, 1e-9)])
-        center = np.column_stack([z, slip])
-        moved = [center, *(center + sign * step * (np.arange(3) == k) for k in range(3) for sign in (1.0, -1.0))]
-        rows = np.concatenate(moved)
-        force = self._at(soil, rows[:, 0], rows[:, 1:]).reshape(3, 7, len(z))
-        slopes = (force[:, 1::2] - force[:, 2::2]) / (2 * step.T) * np.vstack([np.ones_like(z), sigma.T])
-        shape = states.load.shape
-        return z.reshape(shape), force[:, 0].T.reshape(*shape, 3), slopes.transpose(2, 1, 0).reshape(*shape, 3, 3)
+        step = STEP * np.maximum(sigma, 1e-9)
+        moved = [slip] * 3 + [slip + sign * step * (np.arange(2) == k) for k in range(2) for sign in (1.0, -1.0)]
+        depths = np.concatenate([z, (1 + STEP) * z, (1 - STEP) * z, *([z] * 4)], axis=1)
+        force = self._at(soils, depths, np.concatenate(moved)).reshape(len(soils), 3, 7, len(load))
+        slopes = force[:, :, 1::2] - force[:, :, 2::2]  # (d, 3 forces, 3 inputs, n)
+        slopes[:, :, 0] /= 2 * STEP * z[:, None]
+        slopes[:, :, 1:] *= (sigma / (2 * step)).T
+        shape = (len(soils), *states.load.shape)
+        slopes = slopes.transpose(0, 3, 2, 1).reshape(*shape, 3, 3)
+        return z.reshape(shape), force[:, :, 0].transpose(0, 2, 1).reshape(*shape, 3), slopes
 
-    def _at(self, soil: FloatArray, sinkage: FloatArray, slip: FloatArray) -> FloatArray:
-        """Forces (3, n)."""
-        return np.asarray(forces_of_many(soil[None], np.column_stack([sinkage, slip]), self.wheel, None)[0])
+    def _at(self, soils: FloatArray, sinkage: FloatArray, slip: FloatArray) -> FloatArray:
+        """Forces (d, 3, n) at sinkages (d, n) and slips (n, 2)."""
+        inputs = np.column_stack([np.zeros(len(slip)), slip])
+        return forces_of_many(soils, inputs, self.wheel, None, sinkage=sinkage)
 
 
 def _way_in(problem: _Problem, start: FloatArray) -> FloatArray:
@@ -236,7 +239,7 @@ def infer_from_totals(
         problem = replace(problem, frozen=problem.deeper(start))
     start, covariance = find_mode(problem, start)  # type: ignore[arg-type]
     covariance = root @ covariance @ root.T
-    rows = problem.residuals(start)
+    rows = problem.residuals(start[None])[0]
     wheels = states.load.shape[1]
     return TotalsPosterior(
         replace(belief, mean=belief.mean + root @ start, covariance=0.5 * (covariance + covariance.T), population=None),
