@@ -59,7 +59,7 @@ def plagioclase_norm_wt(al2o3_wt: FloatArray | float, na2o_wt: FloatArray | floa
 
 
 def silicate_norm(oxides_wt: Mapping[str, float], na2o_wt: float = SODA_WT) -> dict[str, float]:
-    """Olivine, pyroxene and plagioclase of the norm, shares of 1 by volume of these silicates.
+    """Olivine, hypersthene, diopside and plagioclase of the norm, shares of 1 by volume of these silicates.
 
     In mol: ilmenite = TiO2; An = Al2O3 - Na2O; Di = CaO - An; FM = FeO - TiO2 + MgO - Di; S = SiO2 - 6 Na2O - 2 An -
     2 Di; with S >= FM all of FM is hypersthene, else FM - S olivine and 2 S - FM hypersthene. SiO2 is what is left of
@@ -88,11 +88,7 @@ def silicate_norm(oxides_wt: Mapping[str, float], na2o_wt: float = SODA_WT) -> d
     }
     volume = {name: value / DENSITY[name] for name, value in mass.items()}
     total = sum(volume.values())
-    return {
-        "olivine": volume["olivine"] / total,
-        "pyroxene": (volume["diopside"] + volume["hypersthene"]) / total,
-        "plagioclase": volume["plagioclase"] / total,
-    }
+    return {name: value / total for name, value in volume.items()}
 
 
 @dataclass(frozen=True, slots=True)
