@@ -29,6 +29,7 @@ OPTIONS = {
         "dark-rock-powder, a rock with opaques, ground; weathered-soil, which is not unmixed; solid-rock, which must "
         "be stated, since a rock looks like the soil beside it. Kinds that look alike are left open.",
         panel=MIXTURE,
+        metavar="KIND",
     ),
     "method": option(
         "Mixing law: hapke, of the albedo of single scattering; absorbance, of -ln R; both, weighted by evidence.",
@@ -62,7 +63,8 @@ def add_to(app: typer.Typer) -> None:
 def unmix_spectra(files: Files, request: UnmixRequest, output: Output) -> Report:
     """Shares of the minerals of an assemblage by volume, from mixtures of end members, with intervals.
 
-    The assemblage is fitted first (`spectra fit`); its bands and NBSR are in the result as well.
+    The assemblage is fitted first (`spectra fit`); its bands and NBSR are in the result as well. A surface that space
+    has weathered is not unmixed (exit code 3): plagioclase of its norm, FeO and TiO2 are given instead, by regression.
     """
     with progress("unmixing", quiet=output.quiet) as update:
         found = unmix(files, request, progress=update)

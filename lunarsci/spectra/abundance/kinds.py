@@ -15,7 +15,7 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.spectrum import Spectrum, channel_noise
+from lunarsci.spectra.spectrum import Spectrum, scatter_noise
 from lunarsci.tables import table_rows
 
 Kind = Literal["powder-mixture", "dark-rock-powder", "weathered-soil", "solid-rock"]
@@ -64,7 +64,7 @@ class KindVerdict:
     probabilities : by kind, before anything is known of the target, each as likely as the others; they sum to 1. [-]
     weathered : probability of a surface that space has weathered, soil or rock. [-]
     stranger : whether the spectrum is unlike all that is known of its kind, and where that is open, of every kind; or
-        far likelier of another kind than stated.
+        far likelier of another kind than stated; or no reflectance, but scaled.
     stated : whether the kind was stated, not found.
     reasons : sentences; empty where there is nothing to say.
     """
@@ -179,7 +179,10 @@ def spectral_features(spectrum: Spectrum) -> tuple[FloatArray, FloatArray]:
     """
     usable = spectrum.usable
     wavelength, reflectance = spectrum.wavelength_nm[usable], spectrum.reflectance[usable]
-    noise = channel_noise(spectrum)[usable]
+    if not usable.any():
+        return np.full(len(WINDOWS_NM), np.nan), np.full(len(WINDOWS_NM), np.nan)
+    own = spectrum.uncertainty
+    noise = scatter_noise(reflectance, reflectance.size) if own is None else own[usable]
     windows = [(wavelength >= low) & (wavelength <= high) for low, high in WINDOWS_NM.values()]
     mean = np.array([_mean(reflectance, inside) for inside in windows])
     error = np.array([_error(noise, inside) for inside in windows]) / mean
@@ -239,14 +242,15 @@ def _verdict(
 ) -> KindVerdict:
     shares: dict[str, float] = {kind: float(chance[[own == kind for own in law.kinds]].sum()) for kind in KINDS}
     weathered = float(chance[[name in ("soil", "rover-rock") for name in law.components]].sum())
-    reasons = [] if np.isfinite(features[0]) else ["scaled: its level is not used"]
+    reasons = [] if np.isfinite(features[0]) else ["no reflectance: scaled, or its continuum removed"]
     if np.isfinite(features).sum() < LEAST_FEATURES:
         return KindVerdict(stated or NOT_DETERMINED, shares, weathered, True, stated is not None,
                            ("too few channels from 450 to 2380 nm to know its kind", *reasons))  # fmt: skip
     kind = stated or _named(shares)
     judged = [kind == NOT_DETERMINED or own == kind for own in law.kinds]
-    stranger = bool(likeness[judged].max() < STRANGE)
-    if stranger:
+    unlike = bool(likeness[judged].max() < STRANGE)
+    stranger = unlike or not np.isfinite(features[0])
+    if unlike:
         reasons.append(f"unlike every {kind} known" if kind != NOT_DETERMINED else "unlike every kind known")
     if stated and shares[stated] < CONTRADICTED:
         stranger = True

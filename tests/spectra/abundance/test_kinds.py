@@ -89,10 +89,13 @@ def test_noise_leaves_the_kind_open_and_excuses_nothing() -> None:
 
 
 def test_a_scaled_spectrum_has_no_level() -> None:
-    scaled = Spectrum("scaled", CHANNELS, red().reflectance / red().reflectance.max())
-    found = find_kind(scaled)
-    assert found.is_weathered
-    assert "scaled: its level is not used" in found.reasons
+    """And no kind of target makes it a friend, nor does a continuum that was removed."""
+    band = 1 - 0.4 * np.exp(-0.5 * ((CHANNELS - 950) / 90) ** 2)
+    for values in (red().reflectance / red().reflectance.max(), band / band.max()):
+        found = find_kind(Spectrum("scaled", CHANNELS, values))
+        assert found.stranger
+        assert "no reflectance: scaled, or its continuum removed" in found.reasons
+    assert find_kind(Spectrum("scaled", CHANNELS, red().reflectance / red().reflectance.max())).is_weathered
 
 
 def test_too_few_channels_are_said() -> None:
@@ -100,6 +103,8 @@ def test_too_few_channels_are_said() -> None:
     assert found.kind == "not-determined"
     assert found.stranger
     assert "too few channels" in found.reasons[0]
+    empty = find_kind(Spectrum("empty", CHANNELS, np.full(CHANNELS.size, np.nan)))
+    assert (empty.kind, empty.stranger) == ("not-determined", True)
 
 
 def without(left_out: str, data: Path, tables: ModuleType) -> KindModel:
