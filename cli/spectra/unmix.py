@@ -63,8 +63,9 @@ def add_to(app: typer.Typer) -> None:
 def unmix_spectra(files: Files, request: UnmixRequest, output: Output) -> Report:
     """Shares of the minerals of an assemblage by volume, from mixtures of end members, with intervals.
 
-    The assemblage is fitted first (`spectra fit`); its bands and NBSR are in the result as well. A surface that space
-    has weathered is not unmixed (exit code 3): plagioclase of its norm, FeO and TiO2 are given instead, by regression.
+    The assemblage is fitted first (`spectra fit`); its bands and NBSR are in the result as well.
+
+    A surface that space has weathered is not unmixed (exit code 3): plagioclase of its norm, FeO and TiO2 are given instead, by regression.
     """
     with progress("unmixing", quiet=output.quiet) as update:
         found = unmix(files, request, progress=update)

@@ -239,7 +239,7 @@ def normative(spectrum: Spectrum, kind: KindVerdict, laws: Mapping[str, SoilRegr
     """Plagioclase of the norm, FeO and TiO2 of a soil, each with its error over missions left out.
 
     Not determined for what is no weathered soil, for strangers, and beyond the soils learned from. The level must be
-    that of a laboratory at 30 deg incidence: 20 % more of it adds some 10 wt % of plagioclase.
+    that of a laboratory at 30 deg incidence: 20 % more of it adds 5 to 10 wt % of plagioclase.
 
     References
     ----------
@@ -257,7 +257,7 @@ def normative(spectrum: Spectrum, kind: KindVerdict, laws: Mapping[str, SoilRegr
     if missing := [name for name in FEATURES if name not in values]:
         return Normative(values, False, f"not determined: {', '.join(missing)} lie beyond the soils learned from")
     doubt = "" if kind.kind == "weathered-soil" else "; if it is a soil, and no rock"
-    return Normative(values, True, f"regression on 11 lunar soils, composition and not modes of minerals{doubt}")
+    return Normative(values, True, f"regression on 11 lunar soils in a laboratory, for its level; no modes of minerals{doubt}")
 
 
 def _unfit(kind: KindVerdict) -> str:

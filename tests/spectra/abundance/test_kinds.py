@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_t
 
-from lunarsci.errors import ParameterError
+from lunarsci.errors import LunarSciWarning, ParameterError
+from lunarsci.inputs import read_input
 from lunarsci.spectra.abundance.kinds import (
     FREEDOM,
     KindModel,
@@ -21,6 +22,7 @@ from lunarsci.spectra.abundance.kinds import (
     learn_kinds,
     spectral_features,
 )
+from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum, savitzky_golay_operator
 
 SCRIPT = Path(__file__).parents[3] / "spectra_data/make_kinds.py"
@@ -185,3 +187,19 @@ def test_preparation_makes_no_soil_a_powder(reference_data: Path, change: Callab
     found = judged(reference_data, change, only="soil")
     assert found["soil", "weathered"] >= 95
     assert found["soil", "powder-mixture"] + found["soil", "dark-rock-powder"] == 0
+
+
+@pytest.mark.reference
+def test_minerals_of_another_laboratory(reference_data: Path) -> None:
+    """44 spectra of the USGS library, of which nothing was learned: no powder is called weathered; a slab of basalt and
+    an ilmenite are no powders of light minerals."""
+    with pytest.warns(LunarSciWarning, match="fwhm_nm"):
+        spectra = read_spectra(read_input(str(reference_data / "spectra/usgs/splib07_aviris95_wide.csv")))
+    found = {item.id: verdict for item, verdict in zip(spectra, find_kinds(spectra), strict=True)}
+    dark = {id: one for id, one in found.items() if id.startswith(("Basalt", "Ilmenite"))}
+    light = [one for id, one in found.items() if id not in dark]
+    assert len(light) == 42
+    assert not [one for one in light if one.is_weathered]
+    assert sum(one.kind == "powder-mixture" for one in light) >= 25
+    assert sum(one.stranger for one in light) <= 5
+    assert {one.kind for one in dark.values()} <= {"dark-rock-powder", "not-determined"}
