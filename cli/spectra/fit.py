@@ -52,8 +52,8 @@ MODEL_OPTIONS: dict[str, RequestOption] = {
         panel=MODEL,
     ),
     "model_error": option(
-        "Share of ln R the model cannot explain, added to the noise; above 0, below 1. What auto compares has an "
-        "error of its own.",
+        "Error of ln R for what the model cannot explain, added to the noise; above 0, below 1. By default 0.003 and "
+        "4 % of the depth of the deepest absorption, in quadrature. What auto compares has an error of its own.",
         panel=MODEL,
     ),
     "starts": option("Starting points, beside a search around the lowest minimum.", panel=MODEL, min=1, max=100),
@@ -73,7 +73,7 @@ OPTIONS = MODEL_OPTIONS | {
         panel=ANSWER,
     ),
     "continuum_spread": option(
-        "Fit under all continua and report the spread of every value as a systematic.", panel=ANSWER
+        "Fit under all continua but none, and report how far every value goes at most.", panel=ANSWER
     ),
     "seed": option("Seed of --errors sample.", panel=ANSWER, min=0),
     **UNITS,
@@ -109,7 +109,7 @@ def fit_tables(found: MgmFits) -> list[TextTable]:
     overview = TextTable(
         ["spectrum", "assemblage", "rms ln R [%]", "NBSR 1 µm OPX", "NBSR 2 µm OPX", "status"],
         [_overview_row(record) for record in found.records],
-        notes=[*_shared_in_ratios(record), *_composition_notes(found.good[0])] if alone else _not_shown(found),
+        notes=_notes(record, found.good[0]) if alone else _not_shown(found),
     )
     if not alone:
         return [overview]
@@ -125,16 +125,24 @@ def _not_shown(found: MgmFits) -> list[str]:
     return ["bands and intervals of several spectra: --csv or --json"] if there else ["bands: --csv or --json"]
 
 
+def _notes(record: Mapping[str, Any], fit: "MgmFit") -> list[str]:
+    covers = ", ".join(fit.error_covers)
+    error = f" ({100 * record['model_error']:.2g} % of R)" if fit.prior == "map" else ""
+    return [f"errors hold {covers}{error}", *_shared_in_ratios(record), *_composition_notes(fit)]
+
+
 def _shared_in_ratios(record: Mapping[str, Any]) -> list[str]:
     notes = []
-    for key, text in (
-        ("calibration", "calibration errors, which all channels share, add to the ratios"),
-        ("continuum", "the choice of the continuum moves the ratios by"),
-    ):
-        ratios = {name: (record["nbsr"] or {}).get(region) for region, name in (("um1", "1 µm"), ("um2", "2 µm"))}
-        parts = [f"± {r[key]:.3f} at {name}" for name, r in ratios.items() if r and r[key] is not None]
-        notes += [f"{text} {', '.join(parts)}"] if parts else []
-    return notes
+    ratios = {name: (record["nbsr"] or {}).get(region) for region, name in (("um1", "1 µm"), ("um2", "2 µm"))}
+    known = {name: ratio for name, ratio in ratios.items() if ratio}
+    parts = [f"± {r['calibration']:.3f} at {name}" for name, r in known.items() if r["calibration"] is not None]
+    notes += [f"calibration errors, which all channels share, add to the ratios {', '.join(parts)}"] if parts else []
+    ends = [
+        f"{r['continuum_low']:.2f} to {r['continuum_high']:.2f} at {name}"
+        for name, r in known.items()
+        if r["continuum_low"] is not None
+    ]
+    return notes + ([f"other continua give ratios of OPX from {', '.join(ends)}"] if ends else [])
 
 
 def _composition_notes(fit: "MgmFit") -> list[str]:
@@ -164,7 +172,7 @@ def _bands_table(fit: "MgmFit") -> TextTable:
     headers = ["band", "mineral", "centre [nm]", "FWHM [nm]", "strength [ln R]", "strength/σ"]
     headers += ["shrinkage centre", "FWHM", *(["continua: centre [nm]", "strength"] if spread else [])]
     notes = ["shrinkage: 1 where the data decide on centre or FWHM, 0 where the prior does"]
-    notes += ["continua: standard deviation over all of them, for the choice of one is a choice"] if spread else []
+    notes += ["continua: largest distance under any of them, for the choice of one is a choice"] if spread else []
     return TextTable(headers, [_band_row(band, spread) for band in fit.bands], notes=notes)
 
 

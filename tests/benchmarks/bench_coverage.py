@@ -43,7 +43,7 @@ def simulate(model: MgmModel, truth: np.ndarray, noise: float, rng: np.random.Ge
         ln = ln + strength * np.exp(-0.5 * ((CHANNELS_NM / 1e3 - centre) * FWHM_OVER_SIGMA / fwhm) ** 2)
     ln = ln + rng.normal(scale=noise, size=ln.size)
     weight = np.full(ln.size, noise**-2)
-    return MgmData("made", CHANNELS_NM, np.exp(ln), weight, np.zeros((0, ln.size)))
+    return MgmData("made", CHANNELS_NM, np.exp(ln), weight, np.zeros((0, ln.size)), 0.0)
 
 
 def laplace_ends(fit: MgmFit) -> np.ndarray:

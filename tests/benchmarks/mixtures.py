@@ -145,14 +145,14 @@ def coverage(all_series: Sequence[Series], mode: str) -> tuple[float, float]:
 
 @cache
 def weight_errors(series: Series) -> tuple[tuple[float, bool], ...]:
-    """Orthopyroxene in all pyroxene by `nbsr`, found less true [%, densities taken as equal], and whether in domain."""
+    """Orthopyroxene in all pyroxene by `nbsr` where determined, found less true [%, densities taken as equal]."""
     model = mgm_model("OL-OPX-CPX-PLG" if "plagioclase" in series.minerals else _family(series.minerals))
     found = []
     for spectrum, row in zip(series.spectra, series.modes, strict=True):
         opx, cpx = (row[series.minerals.index(name)] for name in ("orthopyroxene", "clinopyroxene"))
         [fit] = fit_spectra([spectrum], model)
         one = nbsr_abundance(fit) if isinstance(fit, MgmFit) else None
-        if one is not None and opx + cpx > 0:
+        if one is not None and one.determined and opx + cpx > 0:
             found.append((100 * (one.fractions[0].fraction - opx / (opx + cpx)), one.in_domain))
     return tuple(found)
 

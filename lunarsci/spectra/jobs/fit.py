@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 Progress: TypeAlias = Callable[[int, int], None]
 DEFAULT_ASSEMBLAGE = "OL-OPX-CPX"
+COMMON = ("source", "id", "assemblage", "continuum", "converged", "status", "rms_ln", "model_error")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +40,7 @@ class ModelRequest:
     composition : what is known of Fo, Fs, Wo, such as `fo=70:5`. [mol %]
     start : file of the RELAB MGM program, instead of assemblage and continuum.
     band_minerals : of the bands of `start`, by their number, such as `4=OPX,5=CPX`; beside what its comments name.
-    model_error : share of ln R that the model cannot explain; a choice of the assemblage has an error of its own. [-]
+    model_error : of ln R, what the model cannot explain, by default `expected_misfit`; a choice has its own. [-]
     fix, bound, tie : constraints, see `constrained`.
     wavelength_unit, reflectance_unit : where an input does not state them.
 
@@ -54,7 +55,7 @@ class ModelRequest:
     start: str | None = None
     band_minerals: str | None = None
     prior: Literal["map", "damping"] = "map"
-    model_error: float = 0.02
+    model_error: float | None = None
     starts: int = 4
     fix: tuple[str, ...] = ()
     bound: tuple[str, ...] = ()
@@ -129,6 +130,8 @@ class FitRequest(ModelRequest):
              "laplace, or `prior` map"),
             (self.prior == "damping" and self.continuum_spread, "`continuum_spread` needs `prior` map"),
             (self.start and self.continuum_spread, "`start` brings its own continuum; leave `continuum_spread` out"),
+            (self.continuum == "none" and self.continuum_spread, "`continuum` none is for spectra without one, which "
+             "others are no rivals to; leave `continuum_spread` out"),
             *ModelRequest._faults(self),
         )  # fmt: skip
 
@@ -177,10 +180,11 @@ class MgmFits(Result):
         )
 
     def _tables_and_sources(self) -> tuple[list[str], list[str]]:
-        from lunarsci.spectra.abundance.nbsr import TABLE
+        from lunarsci.spectra.abundance.kinds import TABLE as KINDS
+        from lunarsci.spectra.abundance.nbsr import LIKENESS, TABLE
         from lunarsci.spectra.mgm.assemblages import TABLES
 
-        return [*TABLES, TABLE], [MGM, NBSR]
+        return [*TABLES, TABLE, LIKENESS, KINDS], [MGM, NBSR]
 
     @property
     def untrusted(self) -> str:
@@ -261,28 +265,24 @@ def fit(
 
     asked = request_of(FitRequest, request, options)
     batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit)
-    if asked.to_fit_file and len(batch.spectra) != 1:
-        count = len(batch.spectra)
+    if asked.to_fit_file and (count := len(batch.spectra)) != 1:
         raise ParameterError(f"a .fit file holds one spectrum, not {count}; fit one at a time, or use --json")
     found = fit_batch_of(batch, asked, progress)
     if asked.continuum_spread:
-        found["fits"] = spread_over_continua(
-            batch.spectra,
-            found["fits"],
-            asked.model,
-            model_error=asked.model_error,
-            starts=asked.starts,
-            progress=progress,
-        )
+        how: dict[str, Any] = {"model_error": asked.model_error, "starts": asked.starts, "progress": progress}
+        found["fits"] = spread_over_continua(batch.spectra, found["fits"], asked.model, **how)
     more = {"intervals": _intervals(found["fits"], asked, progress), "abundances": nbsr_abundances(found["fits"])}
     return MgmFits(batch=batch, request=asked, **(found | more))
 
 
 def fit_batch_of(batch: "SpectraBatch", request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
     """Fits of all spectra as asked: the attributes `fits`, `choices`, `failures` and `files` of `MgmFits`."""
+    from lunarsci.spectra.mgm.fit import check_continuum_removed
     from lunarsci.spectra.mgm.result import MgmFit
 
     found: dict[str, Any]
+    if request.continuum == "none":
+        check_continuum_removed(batch.spectra)
     if request.automatic:
         found = _chosen(batch.spectra, request, progress)
     elif request.start:
@@ -298,8 +298,10 @@ def _by_prior(
 ) -> "list[MgmFit | MgmFailure]":
     if request.prior == "damping":
         from lunarsci.spectra.mgm.damping import fit_damping
+        from lunarsci.spectra.mgm.fit import DEFAULT_MODEL_ERROR
 
-        return fit_damping(spectra, model, model_error=request.model_error, progress=progress, **start)
+        error = DEFAULT_MODEL_ERROR if request.model_error is None else request.model_error
+        return fit_damping(spectra, model, model_error=error, progress=progress, **start)
     from lunarsci.spectra.mgm.fit import fit_spectra
 
     return fit_spectra(spectra, model, model_error=request.model_error, starts=request.starts, progress=progress)
@@ -355,10 +357,10 @@ def _intervals(results: Sequence[Any], request: FitRequest, progress: Progress |
 
 def _band_rows(record: Mapping[str, Any], shares: Mapping[str, Any]) -> list[dict[str, Any]]:
     """One row per band; a spectrum without a fit has one row with its status."""
-    common = {key: record[key] for key in ("source", "id", "assemblage", "continuum", "converged", "status", "rms_ln")}
+    common = {key: record[key] for key in COMMON}
     for region in ("um1", "um2"):
         ratio = (record["nbsr"] or {}).get(region) or {}
-        for key in ("opx", "sigma", "calibration", "continuum"):
+        for key in ("opx", "sigma", "calibration", "continuum", "continuum_low", "continuum_high"):
             common[f"nbsr_{region}_{key}"] = ratio.get(key)
     for key, item in record["compositions"].items():
         common |= {f"{key}_mean": item["mean"], f"{key}_sigma": item["sigma"], f"{key}_in_range": item["in_range"]}

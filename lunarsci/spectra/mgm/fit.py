@@ -23,9 +23,7 @@ from lunarsci.spectra.mgm.uncertainty import build_result
 from lunarsci.spectra.spectrum import Spectrum
 
 DEFAULT_MODEL_ERROR = 0.02
-"""Share of ln R that Gaussians on a smooth continuum cannot explain, added to the channel noise; assumed. Pyroxene
-bands depart from Gaussians at this level: on the orthopyroxene-clinopyroxene powders of RELAB half of it lets the band
-of the absent mineral fill the wing of the present one, and under some continua the order of the mixtures is lost."""
+"""Of ln R in the chi-square of fits by damping, which it does not move; assumed."""
 DEFAULT_STARTS = 4
 START_SIGMAS = 2.0
 START_SEED = 0
@@ -43,7 +41,7 @@ def fit_spectra(
     spectra: Sequence[Spectrum],
     model: MgmModel,
     *,
-    model_error: float = DEFAULT_MODEL_ERROR,
+    model_error: float | None = None,
     starts: int = DEFAULT_STARTS,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[MgmFit | MgmFailure]:
@@ -58,7 +56,8 @@ def fit_spectra(
     spectra : on any channels between 400 and 2600 nm; at least 40 usable ones, reaching over 800-1300 nm. All their
         channels count where the model is `whole`.
     model : as `mgm_model` makes it.
-    model_error : standard deviation of ln R that is added to the channel noise in quadrature, above 0. [-]
+    model_error : standard deviation of ln R that is added to the channel noise in quadrature, above 0; without it,
+        `expected_misfit` of each spectrum. [-]
     starts : number of starting points, 1 or more.
     progress : called with (done, total).
 
@@ -71,7 +70,7 @@ def fit_spectra(
     Sunshine, Pieters & Pratt (1990), J. Geophys. Res. 95, 6955, 10.1029/JB095iB05p06955 (model); Tarantola & Valette
     (1982), Rev. Geophys. 20, 219, 10.1029/RG020i002p00219 (prior).
     """
-    if not 0 < model_error < 1:
+    if model_error is not None and not 0 < model_error < 1:
         raise ParameterError(f"model error is {model_error:g}; give a number above 0 and below 1, such as 0.01")
     if starts < 1:
         raise ParameterError(f"{starts} starts; give 1 or more")
@@ -210,12 +209,27 @@ SPREAD_CONTINUA: tuple[MgmContinuum, ...] = tuple(name for name in MGM_CONTINUA 
 """All that can follow a spectrum; `none` fits only what had its continuum removed before."""
 
 
+REMOVED = (0.7, 1.3)
+"""Highest reflectance (95 % quantile) of a spectrum that was divided by its continuum, whose tops are at 1; assumed."""
+
+
+def check_continuum_removed(spectra: Sequence[Spectrum]) -> None:
+    """Raises DataError for the first spectrum whose continuum is still there, which `none` does not fit."""
+    for spectrum in spectra:
+        top = float(np.quantile(spectrum.reflectance[spectrum.usable], CONTINUUM_QUANTILE))
+        if not REMOVED[0] <= top <= REMOVED[1]:
+            raise DataError(
+                f"{spectrum.id}: continuum none is for spectra divided by their continuum, whose highest reflectance "
+                f"is near 1, not {top:.2g}; take another continuum"
+            )
+
+
 def fit_continua(
     spectra: Sequence[Spectrum],
     build: Callable[[MgmContinuum], MgmModel],
     *,
     continua: Sequence[MgmContinuum] = SPREAD_CONTINUA,
-    model_error: float = DEFAULT_MODEL_ERROR,
+    model_error: float | None = None,
     starts: int = DEFAULT_STARTS,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[dict[MgmContinuum, MgmFit | MgmFailure]]:
@@ -238,7 +252,7 @@ def spread_over_continua(
     fits: Sequence[MgmFit | MgmFailure],
     build: Callable[[str, MgmContinuum], MgmModel],
     *,
-    model_error: float = DEFAULT_MODEL_ERROR,
+    model_error: float | None = None,
     starts: int = DEFAULT_STARTS,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[MgmFit | MgmFailure]:
@@ -260,13 +274,14 @@ def spread_over_continua(
 
 
 def with_continuum_spread(fit: MgmFit, others: Mapping[MgmContinuum, MgmFit | MgmFailure]) -> MgmFit:
-    """`fit` with the standard deviation of its bands and ratios over the continua that converged, its own among them.
+    """`fit` with how far its bands and ratios go under the continua that converged.
 
-    Continua are no sample of anything: the spread says what the choice does, not how likely a value is. Han et al.
-    (2020), arXiv:2003.07856, report it for olivine and orthopyroxene.
+    Continua are no sample of anything: the spread is the largest distance of any of them, so that it covers all that
+    was seen, and says what the choice does, not how likely a value is. Han et al. (2020), arXiv:2003.07856, report such
+    differences for olivine and orthopyroxene.
     """
     fits = [other for other in others.values() if isinstance(other, MgmFit) and other.converged]
-    if len(fits) < 2:
+    if not any(other.continuum != fit.continuum for other in fits):
         return fit
     bands = tuple(_spread_band(band, [other.bands[k] for other in fits]) for k, band in enumerate(fit.bands))
     ratios = {key: _spread_ratio(ratio, [other.nbsr.get(key) for other in fits]) for key, ratio in fit.nbsr.items()}
@@ -276,12 +291,15 @@ def with_continuum_spread(fit: MgmFit, others: Mapping[MgmContinuum, MgmFit | Mg
 def _spread_band(band: FittedBand, others: Sequence[FittedBand]) -> FittedBand:
     return replace(
         band,
-        center_continuum_nm=float(np.std([other.center_nm for other in others])),
-        fwhm_continuum_nm=float(np.std([other.fwhm_nm for other in others])),
-        strength_continuum=float(np.std([other.strength for other in others])),
+        center_continuum_nm=max(abs(other.center_nm - band.center_nm) for other in others),
+        fwhm_continuum_nm=max(abs(other.fwhm_nm - band.fwhm_nm) for other in others),
+        strength_continuum=max(abs(other.strength - band.strength) for other in others),
     )
 
 
 def _spread_ratio(ratio: StrengthRatio | None, others: Sequence[StrengthRatio | None]) -> StrengthRatio | None:
-    known = [other.opx for other in others if other]
-    return replace(ratio, continuum=float(np.std(known))) if ratio and len(known) > 1 else ratio
+    if ratio is None:
+        return None
+    seen = [ratio.opx, *(other.opx for other in others if other)]
+    low, high = (0.0, 1.0) if None in others else (min(seen), max(seen))
+    return replace(ratio, continuum=max(ratio.opx - low, high - ratio.opx), continuum_low=low, continuum_high=high)

@@ -29,8 +29,8 @@ class FittedBand:
     center_nm, fwhm_nm, strength and their standard errors : strength in ln reflectance, 0 or below. [nm, nm, -]
     center_calibration_nm, fwhm_calibration_nm, strength_calibration : standard deviation from the errors that all
         channels share (`Spectrum.systematic`), by linear response of the fit; None where none is known. [nm, nm, -]
-    center_continuum_nm, fwhm_continuum_nm, strength_continuum : standard deviation over the continua that were tried;
-        None where only one was. [nm, nm, -]
+    center_continuum_nm, fwhm_continuum_nm, strength_continuum : how far the value goes, at most, under any other of the
+        continua that were tried; None where only one was. [nm, nm, -]
     shrinkage : by parameter, 1 - (posterior sigma / prior sigma)^2: 1 where the data decide, 0 where the prior does.
     at_bound : names of the parameters that ended on a bound; their error is the root mean square distance from it.
     """
@@ -102,8 +102,10 @@ class StrengthRatio:
     """Normalised band strength ratio of orthopyroxene, s_OPX / (s_OPX + s_CPX), of clinopyroxene, and their sigma. [-]
 
     The sigma is that of the strengths, not of a mineral fraction; what fraction a ratio means depends on end members.
-    `calibration` is the standard deviation from errors that all channels share, None where none is known; `continuum`
-    that over the continua that were tried, None where only one was.
+    `calibration` is the standard deviation from errors that all channels share, None where none is known. `continuum`
+    is how far the ratio of orthopyroxene goes, at most, under any other of the continua that were tried, from
+    `continuum_low` to `continuum_high`; None where only one was. Where some leave the ratio undetermined, these are 0
+    and 1.
 
     Kanner, Mustard & Gendrin (2007), Icarus 187, 442, 10.1016/j.icarus.2006.10.025.
     """
@@ -113,6 +115,8 @@ class StrengthRatio:
     sigma: float
     calibration: float | None
     continuum: float | None = None
+    continuum_low: float | None = None
+    continuum_high: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain Python."""
@@ -179,6 +183,13 @@ class MgmFit:
     def ln_model(self) -> FloatArray:
         """ln R of the model on the fitted channels, shape (n,). [-]"""
         return np.log(self.continuum_reflectance) + sum(band.curve(self.wavelength_nm) for band in self.bands)
+
+    @property
+    def error_covers(self) -> tuple[str, ...]:
+        """What the standard errors (`NAME_sigma`) hold; what shared errors and other continua do stands beside them."""
+        if self.prior == "damping":
+            return ("residuals",)
+        return ("noise", "model error", "prior")
 
     def to_dict(self) -> dict[str, Any]:
         """The keys of `lunarsci spectra fit --json`."""

@@ -12,12 +12,19 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.spectra.continuum import upper_hull
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
 from lunarsci.spectra.mgm.assemblages import FAMILIES, BandPrior
 from lunarsci.spectra.mgm.fit import fit_data
 from lunarsci.spectra.mgm.forward import model_and_jacobian
-from lunarsci.spectra.mgm.model import MgmData, MgmModel, mgm_model, prepare, stated_for
+from lunarsci.spectra.mgm.model import (
+    MISFIT_SPACING_NM,
+    MgmData,
+    MgmModel,
+    deepest_absorption,
+    mgm_model,
+    prepare,
+    stated_for,
+)
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 from lunarsci.spectra.spectrum import Spectrum
 
@@ -117,9 +124,7 @@ STRONG = 3.0
 """ln of a Bayes factor of 20, from which on Kass & Raftery (1995) call evidence strong."""
 MISFIT_FLOOR, MISFIT_SHARE = 0.01, 0.1
 """Error of ln R at 5 nm channels: a floor, and a share of the deepest absorption; see `choose`."""
-MISFIT_SPACING_NM = 5.0
 LEAST_DEPTH = 0.03
-DEPTH_RANGE_NM = (600.0, 2500.0)
 DEFAULT_CHOICE_STARTS = 2
 
 
@@ -247,7 +252,7 @@ def choose(
 
 def _choice(spectrum: Spectrum, models: Sequence[MgmModel], model_error: float | None, starts: int) -> Choice:
     first = prepare(spectrum, MISFIT_FLOOR)
-    depth = max(LEAST_DEPTH, _depth(first))
+    depth = max(LEAST_DEPTH, deepest_absorption(first.wavelength_nm, first.reflectance))
     spacing = float(np.median(np.diff(first.wavelength_nm)))
     misfit = (MISFIT_FLOOR + MISFIT_SHARE * depth) * math.sqrt(MISFIT_SPACING_NM / spacing)
     data = prepare(spectrum, misfit if model_error is None else model_error)
@@ -280,14 +285,6 @@ def _status(ranked: Sequence[Candidate]) -> str:
     if not others:
         return f"{best.assemblage}, by strong evidence"
     return f"{best.assemblage}, by weak evidence: {', '.join(others)} cannot be excluded"
-
-
-def _depth(data: MgmData) -> float:
-    """Deepest absorption below the upper hull of ln R, between 600 and 2500 nm. [-]"""
-    inside = (data.wavelength_nm >= DEPTH_RANGE_NM[0]) & (data.wavelength_nm <= DEPTH_RANGE_NM[1])
-    x, y = data.wavelength_nm[inside], np.log(data.reflectance[inside])
-    ties = upper_hull(x, y)
-    return float(np.max(np.interp(x, x[ties], y[ties]) - y))
 
 
 def _deepened(model: MgmModel, depth: float) -> MgmModel:

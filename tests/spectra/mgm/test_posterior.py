@@ -32,7 +32,7 @@ def only(model: MgmModel, *free: str) -> MgmModel:
 
 
 def fitted(model: MgmModel, ln: np.ndarray, noise: float = NOISE) -> MgmFit:
-    data = MgmData("made", GRID, np.exp(ln), np.full(GRID.size, noise**-2), np.zeros((0, GRID.size)))
+    data = MgmData("made", GRID, np.exp(ln), np.full(GRID.size, noise**-2), np.zeros((0, GRID.size)), 0.0)
     return fit_data([data], model, 8)[0]
 
 

@@ -34,7 +34,7 @@ def fitted(model: MgmModel, strengths: dict[str, float], seed: int = 1, noise: f
         depth = strengths.get(band.name, -0.3)
         ln = ln + depth * np.exp(-0.5 * ((GRID - band.center_nm) * 2.354820 / band.fwhm_nm) ** 2)
     ln = ln + np.random.default_rng(seed).normal(scale=noise, size=GRID.size)
-    data = MgmData("made", GRID, np.exp(ln), np.full(GRID.size, NOISE**-2), np.zeros((0, GRID.size)))
+    data = MgmData("made", GRID, np.exp(ln), np.full(GRID.size, NOISE**-2), np.zeros((0, GRID.size)), 0.0)
     return fit_data([data], model, 8)[0]
 
 

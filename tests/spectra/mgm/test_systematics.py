@@ -30,7 +30,7 @@ def made(model: MgmModel, shift: FloatArray) -> MgmFit:
     point[model.degrees + 2 :: 3] = -0.3
     ln = model_at(point, model)[0] + 0.1 * np.sin(GRID / 200)
     weight = np.linspace(0.5, 2, GRID.size) / 0.01**2
-    data = MgmData("made", GRID, np.exp(ln), weight, shift[None])
+    data = MgmData("made", GRID, np.exp(ln), weight, shift[None], 0.0)
     return fit_data([data], model, 4)[0]
 
 
@@ -84,7 +84,7 @@ def test_parameters_on_a_bound_stay_and_the_others_follow() -> None:
         point[model.index(name)] = -0.4
     ln = model_at(point, model)[0] + 0.05 * np.sin(GRID / 200)
     shift = 0.05 * np.cos(GRID / 500)
-    data = MgmData("made", GRID, np.exp(ln), np.full(GRID.size, 0.02**-2), shift[None])
+    data = MgmData("made", GRID, np.exp(ln), np.full(GRID.size, 0.02**-2), shift[None], 0.02)
     [fit] = fit_data([data], model, 4)
     held = ((fit.parameters <= model.lower) | (fit.parameters >= model.upper)) & ~model.fixed
     assert held.any()
