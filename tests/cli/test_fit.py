@@ -101,7 +101,7 @@ def test_the_spread_over_continua_is_a_column_of_its_own(run: Run, rock: Path) -
     assert bands(record)["OPX 2"]["center_continuum_nm"] > 0
     table = run("spectra", "fit", *options)
     assert "continua: centre [nm]" in table.out
-    assert "the choice of the continuum moves the ratios by" in table.out
+    assert "other continua give ratios of OPX from" in table.out
 
 
 @pytest.mark.parametrize("errors", ["profile", "sample"])
@@ -259,7 +259,8 @@ def test_shares_of_minerals_stand_beside_those_of_the_band_strengths(
     assert isinstance(modes["in_domain"], bool)
     pyroxenes = record["abundances"]["nbsr"]
     assert "olivine" not in pyroxenes
-    assert pyroxenes["orthopyroxene"]["fraction"] + pyroxenes["clinopyroxene"]["fraction"] == pytest.approx(1)
+    assert pyroxenes["orthopyroxene"]["fraction"] is None, "made bands are not those of the line's powders"
+    assert "not determined" in pyroxenes["status"]
     assert fitted(run, rock)["abundance"] == pyroxenes
     shown = run("spectra", "unmix", rock, "--method", law)
     assert "mineral shares" in shown.out

@@ -197,6 +197,8 @@ class MgmFit:
         ratios = {key: ratio.to_dict() if ratio else None for key, ratio in self.nbsr.items()}
         return record | {
             "iterations": self.iterations,
+            "model_error": self.data.model_error,
+            "error_covers": list(self.error_covers),
             "continuum_coefficients": list(self.continuum_coefficients),
             "bands": [band.to_dict() for band in self.bands],
             "nbsr": ratios,
@@ -214,12 +216,13 @@ class MgmFailure:
 
     def to_dict(self) -> dict[str, Any]:
         """The same keys as a fit, without values."""
-        empty = dict.fromkeys((*_SCALARS, "iterations", "nbsr", "continuum_coefficients"))
+        empty = dict.fromkeys((*_SCALARS, "iterations", "model_error", "error_covers", *_NESTED))
         named = {"id": self.id, "assemblage": self.assemblage, "continuum": self.continuum, "status": self.status}
         return empty | named | {"converged": False, "bands": []}
 
 
 _SCALARS = ("id", "assemblage", "continuum", "prior", "converged", "status", "rms_ln", "reduced_chi2", "bic")
+_NESTED = ("nbsr", "continuum_coefficients")
 
 
 def band_strength_ratios(

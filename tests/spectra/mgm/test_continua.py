@@ -1,9 +1,18 @@
 """The same spectrum under several continua, and what their spread says."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from lunarsci.spectra.mgm.fit import SPREAD_CONTINUA, fit_continua, fit_spectra, with_continuum_spread
+from lunarsci.errors import DataError
+from lunarsci.spectra.mgm.fit import (
+    SPREAD_CONTINUA,
+    check_continuum_removed,
+    fit_continua,
+    fit_spectra,
+    with_continuum_spread,
+)
 from lunarsci.spectra.mgm.model import MGM_CONTINUA, mgm_model
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 from lunarsci.spectra.spectrum import Spectrum
@@ -20,7 +29,7 @@ def made(seed: int = 0) -> Spectrum:
     return Spectrum("bent", GRID, reflectance, 0.004 * reflectance)
 
 
-def test_the_spread_is_the_standard_deviation_over_separate_fits() -> None:
+def test_the_spread_covers_all_separate_fits() -> None:
     spectra, calls = [made(0), Spectrum("short", GRID[:20], made().reflectance[:20]), made(1)], []
     found = fit_continua(
         spectra, lambda name: mgm_model("OPX-CPX", name), progress=lambda done, total: calls.append((done, total))
@@ -34,10 +43,28 @@ def test_the_spread_is_the_standard_deviation_over_separate_fits() -> None:
     assert isinstance(own, MgmFit)
     spread = with_continuum_spread(own, found[2])
     band = next(b for b in spread.bands if b.name == "OPX 2")
-    assert band.center_continuum_nm == pytest.approx(np.std(centres), rel=1e-9)
-    assert spread.nbsr["um2"].continuum == pytest.approx(np.std(ratios), rel=1e-9)  # type: ignore[union-attr]
+    assert band.center_continuum_nm == pytest.approx(np.max(np.abs(np.array(centres) - band.center_nm)), rel=1e-9)
+    ratio = spread.nbsr["um2"]
+    assert ratio is not None and ratio.continuum is not None
+    assert (ratio.continuum_low, ratio.continuum_high) == pytest.approx((min(ratios), max(ratios)))
+    assert all(abs(other - ratio.opx) <= ratio.continuum + 1e-12 for other in ratios)
     assert band.center_nm == next(b for b in own.bands if b.name == "OPX 2").center_nm
-    assert spread.to_dict()["nbsr"]["um2"]["continuum"] == pytest.approx(np.std(ratios))
+    assert spread.to_dict()["nbsr"]["um2"]["continuum"] == ratio.continuum
+
+
+def test_a_continuum_that_leaves_the_ratio_open_opens_the_range() -> None:
+    [fit] = fit_spectra([made()], mgm_model("OPX-CPX"))
+    assert isinstance(fit, MgmFit)
+    silent = replace(fit, continuum="wavelength", nbsr=fit.nbsr | {"um2": None})
+    ratio = with_continuum_spread(fit, {"wavelength-quadratic": fit, "wavelength": silent}).nbsr["um2"]
+    assert ratio is not None
+    assert (ratio.continuum_low, ratio.continuum_high) == (0.0, 1.0)
+
+
+def test_a_spectrum_with_its_continuum_is_not_fitted_without_one() -> None:
+    with pytest.raises(DataError, match="divided by their continuum"):
+        check_continuum_removed([made()])
+    check_continuum_removed([Spectrum("divided", GRID, made().reflectance / made().reflectance.max())])
 
 
 def test_one_continuum_alone_has_no_spread() -> None:
