@@ -126,9 +126,11 @@ def _not_shown(found: MgmFits) -> list[str]:
 
 
 def _notes(record: Mapping[str, Any], fit: "MgmFit") -> list[str]:
-    covers = ", ".join(fit.error_covers)
-    error = f" ({100 * record['model_error']:.2g} % of R)" if fit.prior == "map" else ""
-    return [f"errors hold {covers}{error}", *_shared_in_ratios(record), *_composition_notes(fit)]
+    if fit.prior == "damping":
+        error = "errors hold the residuals"
+    else:
+        error = f"errors hold noise, a model error of {100 * record['model_error']:.1f} % of R, and the priors"
+    return [f"{error}, no other minimum or continuum", *_shared_in_ratios(record), *_composition_notes(fit)]
 
 
 def _shared_in_ratios(record: Mapping[str, Any]) -> list[str]:
