@@ -14,7 +14,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import LunarSciWarning
 from lunarsci.spectra.mgm.model import MgmModel, unit_of
-from lunarsci.spectra.mgm.result import REACH_NM, MgmFit
+from lunarsci.spectra.mgm.result import REACH_NM, MgmFit, pyroxene_pair
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,13 +68,9 @@ def ratio_rows(model: MgmModel, wavelength_nm: FloatArray) -> dict[str, tuple[in
     """
     rows: dict[str, tuple[int, int]] = {}
     for region, (low, high) in REACH_NM.items():
-        found = {
-            band.mineral: model.degrees + 3 * k + 2
-            for k, band in enumerate(model.assemblage.bands)
-            if band.region == region
-        }
-        if {"orthopyroxene", "clinopyroxene"} <= found.keys() and wavelength_nm[0] <= low and wavelength_nm[-1] >= high:
-            rows[region] = (found["orthopyroxene"], found["clinopyroxene"])
+        pair = pyroxene_pair(model.assemblage.bands, region)
+        if pair and wavelength_nm[0] <= low and wavelength_nm[-1] >= high:
+            rows[region] = (model.degrees + 3 * pair[0] + 2, model.degrees + 3 * pair[1] + 2)
     return rows
 
 

@@ -236,14 +236,27 @@ def band_strength_ratios(
     return {region: _ratio(bands, covariance, shared, wavelength_nm, region) for region in ("um1", "um2")}
 
 
+def pyroxene_pair(bands: Sequence[BandPrior | FittedBand], region: str) -> tuple[int, int] | None:
+    """Positions of the bands of orthopyroxene and clinopyroxene whose strengths a ratio compares; None without both.
+
+    The first of each in the region: what follows at 1 um is the weak band of the M1 site near 1.2 um.
+    """
+    first: dict[str, int] = {}
+    for position, band in enumerate(bands):
+        if band.region == region:
+            first.setdefault(band.mineral, position)
+    both = (first.get("orthopyroxene"), first.get("clinopyroxene"))
+    return None if both[0] is None or both[1] is None else (both[0], both[1])
+
+
 def _ratio(
     bands: Sequence[FittedBand], covariance: FloatArray, shared: FloatArray, wavelength_nm: FloatArray, region: str
 ) -> StrengthRatio | None:
-    index = {band.mineral: k for k, band in enumerate(bands) if band.region == region}
-    if not {"orthopyroxene", "clinopyroxene"} <= index.keys():
+    pair = pyroxene_pair(bands, region)
+    if pair is None:
         return None
-    rows = [3 * index["orthopyroxene"] + 2, 3 * index["clinopyroxene"] + 2]
-    opx, cpx = bands[index["orthopyroxene"]].strength, bands[index["clinopyroxene"]].strength
+    rows = [3 * position + 2 for position in pair]
+    opx, cpx = (bands[position].strength for position in pair)
     total, block = opx + cpx, covariance[np.ix_(rows, rows)]
     low, high = REACH_NM[region]
     beyond = wavelength_nm[0] > low or wavelength_nm[-1] < high

@@ -11,6 +11,7 @@ from lunarsci.inputs import read_input
 from lunarsci.spectra.mgm.assemblages import assemblage
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import mgm_model
+from lunarsci.spectra.mgm.profile import ratios_of
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
@@ -62,6 +63,20 @@ def test_known_bands_come_back() -> None:
     assert ratio is not None
     assert ratio.opx == pytest.approx(0.25 / 0.40, abs=0.03)
     assert ratio.opx + ratio.cpx == pytest.approx(1)
+
+
+def test_the_ratio_at_1_um_is_that_of_the_bands_near_0_9_and_1_um() -> None:
+    """Kanner, Mustard & Gendrin (2007), 10.1016/j.icarus.2006.10.025; not of the M1 bands near 1.2 um."""
+    fit = fitted(made(STRENGTHS), model_error=0.001)
+    strengths = {band.name: band.strength for band in fit.bands}
+    ratio = fit.nbsr["um1"]
+    assert ratio is not None
+    assert ratio.opx == pytest.approx(strengths["OPX 1"] / (strengths["OPX 1"] + strengths["CPX 1"]))
+    assert ratio.opx == pytest.approx(
+        STRENGTHS["OPX 1"] / (STRENGTHS["OPX 1"] + STRENGTHS["CPX 1"]), abs=3 * ratio.sigma
+    )
+    name = "nbsr_um1_opx"
+    assert ratios_of(fit.parameters[None], fit.model, fit.wavelength_nm)[name] == pytest.approx(ratio.opx)
 
 
 @pytest.mark.slow
