@@ -218,13 +218,14 @@ def _descent(problem: _DampedProblem, first: FloatArray, rms_limit: float, impro
         if there is None and off_limits:
             fault = "not converged: continuum or width fell to zero; try another continuum or start"
             return _End(here, iteration, False, fault)
+        done = f"converged after {iteration} iteration{'s' * (iteration > 1)}"
         if there is None:
-            return _End(here, iteration, True, "converged: no part of a step lowers the rms")
+            return _End(here, iteration, True, f"{done}: no part of a step lowers the rms")
         improvement, here = here.rms - there.rms, there
         if here.rms <= rms_limit:
-            return _End(here, iteration, True, f"converged: the rms is at most {rms_limit:g}")
+            return _End(here, iteration, True, f"{done}: the rms is at most {rms_limit:g}")
         if improvement <= improvement_limit:
-            return _End(here, iteration, True, f"converged: the rms fell by at most {improvement_limit:g}")
+            return _End(here, iteration, True, f"{done}: the rms fell by at most {improvement_limit:g}")
     fault = f"not converged after {MAX_ITERATIONS} iterations; try another start or a looser prior"
     return _End(here, MAX_ITERATIONS, False, fault)
 

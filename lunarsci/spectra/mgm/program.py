@@ -53,6 +53,17 @@ def full_width(value: FloatArray, around: FloatArray) -> FloatArray:
         return np.asarray(2 * WAVENUMBER_NM * around / (value**2 - around**2))
 
 
+def beyond(center_nm: FloatArray, width_nm: FloatArray) -> FloatArray:
+    """Error of a centre [nm] whose interval in wavenumber has a width below 0 in wavelength, since it reaches over 0.
+
+    The positive e with `full_width(v, e)` = width, v the centre's wavenumber, as an error of the wavelength.
+    """
+    wavenumber = WAVENUMBER_NM / center_nm
+    width = np.minimum(width_nm, -LEAST_BAND[0])
+    error = -(WAVENUMBER_NM + np.hypot(WAVENUMBER_NM, width * wavenumber)) / width
+    return np.asarray(error * center_nm**2 / WAVENUMBER_NM)
+
+
 def raw_basis(continuum: MgmContinuum, wavelength_nm: FloatArray) -> FloatArray:
     """Powers, (n, m), of the file's variable, as `continuum_basis` has those of the mapped one."""
     m = continuum_basis(continuum, wavelength_nm).shape[1]
@@ -88,15 +99,23 @@ def to_raw(continuum: MgmContinuum) -> FloatArray:
 def read_start(input: InputFile, minerals: str | None = None) -> tuple[MgmModel, FitFile]:
     """A `.fit` file and its model; `minerals` as `parse_minerals` takes them.
 
-    Warns with LunarSciWarning where coefficients of 0 are held though they have uncertainties. Raises DataError for a
+    Warns with LunarSciWarning where coefficients of 0 are held though they have uncertainties, and where a result file
+    says by an uncertainty below 0 that it does not know a centre. Raises DataError for a
     file that is none, ParameterError for minerals that are none.
     """
     file = read_fit_file(input)
     pairs = enumerate(zip(file.coefficients, file.coefficients_95, strict=True))
     held = [f"c{k}" for k, (value, error) in pairs if value == 0 < error and file.continuum != "N"]
-    if held:
-        text = f"{input.name}: {', '.join(held)} of 0 stay 0, as in the RELAB program; a small number frees them"
-        warnings.warn(text, LunarSciWarning, stacklevel=2)
+    wide = [str(number) for number, band in enumerate(file.bands, start=1) if band.center_95_nm < 0]
+    for names, text in (
+        (held, "{} of 0 stay 0, as in the RELAB program; a small number frees them"),
+        (
+            wide,
+            "centre of band {}: an uncertainty below 0 is the program's for none, and damps by its amount; give one",
+        ),
+    ):
+        if names:
+            warnings.warn(f"{input.name}: {text.format(', '.join(names))}", LunarSciWarning, stacklevel=2)
     return model_of(file, parse_minerals(minerals) if minerals else None), file
 
 
@@ -108,8 +127,8 @@ def model_of(file: FitFile, minerals: Mapping[int, str] | None = None) -> MgmMod
     becomes one of lower degree. Other continuum coefficients that are fixed tie ours to each other. Strengths may be of
     either sign, and no value has other bounds than widths above 1 nm. All channels of a spectrum are fitted. Bands are
     called `band 1`, `band 2`, ...; their minerals are those of the file, or of `minerals`: by number of the band, a key
-    of `MINERALS`. The standard deviation of a centre is that of its stated uncertainty on either side; a result file,
-    which states the width of both sides together, is a prior twice as wide.
+    of `MINERALS`. The uncertainty of a centre counts on either side, so that a result file, which states the width of
+    both sides together, is a prior twice as wide; one below 0 is the wide interval that result files mean by it.
 
     Raises ParameterError for a band that is not there, and a mineral that is unknown.
     """
@@ -117,7 +136,9 @@ def model_of(file: FitFile, minerals: Mapping[int, str] | None = None) -> MgmMod
     bands = tuple(_band_prior(number, band) for number, band in enumerate(_named(file.bands, minerals or {}), start=1))
     unit = np.array([NM_PER_UM, NM_PER_UM, 1.0])
     values = np.array([(band.center_nm, abs(band.fwhm_nm), band.strength) for band in file.bands]) / unit
-    sigma = np.minimum(np.abs([band.uncertainties for band in file.bands]) / unit / NORMAL_95, FLATTEST)
+    around = np.array([band.uncertainties for band in file.bands])
+    around[:, 0] = np.where(around[:, 0] < 0, beyond(values[:, 0] * NM_PER_UM, around[:, 0]), around[:, 0])
+    sigma = np.minimum(around / unit / NORMAL_95, FLATTEST)
     locked = np.concatenate([fixed, (sigma < TIE_SIGMA).ravel()])
     prior = np.concatenate([mean, values.ravel()])
     m = mean.size

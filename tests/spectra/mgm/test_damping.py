@@ -233,12 +233,15 @@ def test_the_prior_damps_and_does_not_pull() -> None:
 
 def test_each_rule_that_ends_a_fit_is_named() -> None:
     model, spectrum = model_of(START), made()
-    assert fitted(spectrum, model, rms_limit=0.05).status == "converged: the rms is at most 0.05"
+    soon = fitted(spectrum, model, rms_limit=0.05)
+    assert soon.status == f"converged after {soon.iterations} iterations: the rms is at most 0.05"
     loosely = fitted(spectrum, model)
-    assert loosely.status == "converged: the rms fell by at most 1e-06"
+    assert loosely.status == f"converged after {loosely.iterations} iterations: the rms fell by at most 1e-06"
+    once = fitted(spectrum, model, improvement_limit=1e9)
+    assert once.status == "converged after 1 iteration: the rms fell by at most 1e+09"
     assert loosely.rms_ln > fitted(spectrum, model, **TO_THE_END).rms_ln
     exact = fitted(made(noise=0.0), model, **TO_THE_END)
-    assert exact.status == "converged: no part of a step lowers the rms"
+    assert exact.status.endswith(" iterations: no part of a step lowers the rms")
     assert exact.rms_ln < 1e-12
 
 

@@ -450,12 +450,20 @@ def from_start(file: FitFile) -> MgmFit:
     return fit
 
 
-def test_the_sign_of_a_centre_s_uncertainty_has_no_meaning() -> None:
-    """The program writes one below 0 where the error exceeds the wavenumber."""
+def test_the_sign_of_a_centre_s_uncertainty_has_no_meaning_in_damping() -> None:
+    """The program writes one below 0 where the error exceeds the wavenumber, and squares what it reads."""
     other = read(EXAMPLE.replace("200 400 10", "-200 400 10"))
     assert other.bands[1].center_95_nm == -200.0
-    assert model_of(other).sigma == pytest.approx(model_of(FILE).sigma)
     assert from_start(other).parameters.tolist() == from_start(FILE).parameters.tolist()
+
+
+@pytest.mark.parametrize("width", [-0.02, -200.0, -1e5])
+def test_a_true_prior_takes_an_uncertainty_below_0_for_the_wide_interval_it_is(width: float) -> None:
+    """The error e of the wavenumber v = 10,000 cm^-1 with 1e7 / (v - e) - 1e7 / (v + e) = width is above v."""
+    model = model_of(replace(FILE, bands=(FILE.bands[0], replace(FILE.bands[1], center_95_nm=width), FILE.bands[2])))
+    error = 1.96 * model.sigma[model.index("band_2_center_nm")] * 1e3 * 1e7 / 1000.0**2
+    assert error > 1e4
+    assert 1e7 / (1e4 - error) - 1e7 / (1e4 + error) == pytest.approx(width, rel=1e-6)
 
 
 def test_the_sign_of_a_width_has_no_meaning() -> None:
@@ -503,6 +511,8 @@ def test_coefficients_that_are_held_for_being_0_are_named() -> None:
         model, file = read_start(InputFile("start.fit", EXAMPLE.encode()), "2=opx, 3=CPX")
     assert file == FILE
     assert [band.mineral for band in model.assemblage.bands] == ["any", "orthopyroxene", "clinopyroxene"]
+    with pytest.warns(LunarSciWarning, match=r"^start\.fit: centre of band 2: an uncertainty below 0"):
+        read_start(InputFile("start.fit", with_row(6, "N").replace("200 400 10", "-200 400 10").encode()))
     for content in (with_row(8, "10 1e-4 0 0"), with_row(6, "N"), NO_CONTINUUM):
         read_start(InputFile("start.fit", content.encode()))
 
