@@ -160,6 +160,21 @@ def test_a_start_file_brings_bands_and_continuum_and_a_result_file_comes_back(
     assert any(item["path"].endswith("start.fit") for item in document["provenance"]["inputs"])
 
 
+def test_minerals_of_a_start_file_s_bands_give_their_ratio(run: Run, rock: Path, start: Path) -> None:
+    two = start.read_text().replace("2000\t500\t-0.3\n", "1850\t500\t-0.3\n120\t150\t1\n2300\t500\t-0.2\n")
+    start.write_text(two.replace("\n3\n", "\n4\n"))
+    for prior in ("map", "damping"):
+        done = run("spectra", "fit", rock, "--start", start, "--prior", prior, "--json")
+        assert "c2 of 0 stay 0" in done.err[0]
+        [record] = json.loads(done.out)["result"]["spectra"]
+        assert record["nbsr"] == {"um1": None, "um2": None}
+        assert (record["iterations"] is None) == (prior == "map")
+        named = fitted(run, rock, "--start", start, "--prior", prior, "--band-minerals", "3=OPX,4=cpx")
+        assert [band["mineral"] for band in named["bands"]][2:] == ["orthopyroxene", "clinopyroxene"]
+        assert 0 < named["nbsr"]["um2"]["opx"] < 1
+        assert named["abundance"] is None
+
+
 def test_damping_with_the_named_bands(run: Run, rock: Path) -> None:
     record = fitted(run, rock, "--prior", "damping", "--assemblage", "OPX-CPX")
     assert record["prior"] == "damping"
@@ -190,6 +205,7 @@ def test_a_result_file_holds_one_spectrum(run: Run, rock: Path, tmp_path: Path) 
         (("--start", "x.fit", "--continuum", "none"), "leave --continuum out"),
         (("-o", "x.fit", "--continuum", "log-quadratic"), "no letter for log-quadratic"),
         (("--start", "missing.fit"), "missing.fit"),
+        (("--band-minerals", "3=OPX"), "--band-minerals names bands of a file; give it as --start"),
         (("--fix", "opx_7_center_nm"), "there is no parameter 'opx_7_center_nm'"),
         (("--composition", "fo=70"), "KEY=MEAN:ERROR"),
         (("--composition", "an=70:5"), "'an' does not belong"),

@@ -58,6 +58,8 @@ def nbsr_abundance(fit: MgmFit, calibration: str = "opx-cpx") -> Abundance | Non
     - the spectrum is of another kind of target than mixed powders (`find_kind`),
     - the compositions that the centres tell are not theirs, or olivine or plagioclase absorb as well.
 
+    Fits with bands of a start file, or by damping, have none: no line was made with such.
+
     Raises ParameterError for an unknown calibration.
 
     References
@@ -70,7 +72,7 @@ def nbsr_abundance(fit: MgmFit, calibration: str = "opx-cpx") -> Abundance | Non
     own = [row for row in table_rows(TABLE) if row["name"] == calibration]
     row = next((row for row in own if row["assemblage"] == fit.assemblage), own[0])
     ratio = fit.nbsr.get(row["region"])
-    if ratio is None:
+    if ratio is None or fit.prior == "damping" or fit.model.whole:
         return None
     if reasons := _reasons(fit, ratio, row):
         why = f"the powders of line {calibration} are no measure for it: {'; '.join(reasons)}"

@@ -13,7 +13,14 @@ from lunarsci.spectra.mgm.fit_file import FitFile
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.model import NM_PER_UM, MgmData, MgmModel, prepare
 from lunarsci.spectra.mgm.program import LIMITS, WAVENUMBER_NM, ProgramParameters, parameters_of, raw_basis
-from lunarsci.spectra.mgm.result import FittedBand, MgmFailure, MgmFit, StrengthRatio, band_strength_ratios
+from lunarsci.spectra.mgm.result import (
+    FittedBand,
+    MgmFailure,
+    MgmFit,
+    StrengthRatio,
+    band_strength_ratios,
+    pyroxene_pair,
+)
 from lunarsci.spectra.spectrum import Spectrum
 
 MAX_ITERATIONS = 100_000
@@ -295,7 +302,11 @@ def _remarks(bands: Sequence[FittedBand], covariance: FloatArray) -> list[str]:
 def _ratios(
     bands: Sequence[FittedBand], covariance: FloatArray, shared: FloatArray, data: MgmData
 ) -> dict[str, StrengthRatio | None]:
-    """As everywhere, and None where a pyroxene band of the region is positive."""
-    ratios = band_strength_ratios(bands, covariance, shared, data.wavelength_nm)
-    positive = {band.region for band in bands if band.strength > 0 and band.mineral.endswith("pyroxene")}
+    """Whatever their errors, which know no prior; None where one of the two bands is positive."""
+    ratios = band_strength_ratios(bands, covariance, shared, data.wavelength_nm, undetermined=math.inf)
+    positive = {
+        region
+        for region in ratios
+        if any(bands[position].strength > 0 for position in pyroxene_pair(bands, region) or ())
+    }
     return {region: None if region in positive else ratio for region, ratio in ratios.items()}

@@ -111,7 +111,7 @@ def read_start(input: InputFile, minerals: str | None = None) -> tuple[MgmModel,
         (held, "{} of 0 stay 0, as in the RELAB program; a small number frees them"),
         (
             wide,
-            "centre of band {}: an uncertainty below 0 is the program's for none, and damps by its amount; give one",
+            "centre of band {}: an uncertainty below 0 means that it is unknown, and damps by its amount; give one",
         ),
     ):
         if names:

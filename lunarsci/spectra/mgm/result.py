@@ -137,7 +137,8 @@ class MgmFit:
     bic : Bayesian information criterion, chi-square + p ln n; lower is better. [-]
     continuum_coefficients : of the polynomial in the mapped variable of `continuum_basis`. [-]
     nbsr : `um1` and `um2`, None where the spectrum does not reach over both bands, where their strengths together are
-        so small that the ratio's standard error reaches 0.5, or where they are not in the assemblage.
+        so small that the ratio's standard error reaches 0.5 (by `damping`, whose errors know no prior, it is given
+        with whatever error it has), or where they are not in the assemblage.
     model, data : what was fitted to what.
     parameters, covariance : (p,) and (p, p) in the order and units of `MgmModel`: continuum coefficients, then centre
         [um], FWHM [um], strength per band.
@@ -226,14 +227,19 @@ _NESTED = ("nbsr", "continuum_coefficients")
 
 
 def band_strength_ratios(
-    bands: Sequence[FittedBand], covariance: FloatArray, shared: FloatArray, wavelength_nm: FloatArray
+    bands: Sequence[FittedBand],
+    covariance: FloatArray,
+    shared: FloatArray,
+    wavelength_nm: FloatArray,
+    undetermined: float = UNDETERMINED,
 ) -> dict[str, StrengthRatio | None]:
     """NBSR of the pyroxenes at 1 and 2 um from fitted bands and the covariance of their (centre, FWHM, strength).
 
     `shared` are the shifts of the same parameters by errors that all channels share, shape (k, p). `wavelength_nm` are
-    the fitted channels; a ratio of bands beyond them is None. [nm]
+    the fitted channels; a ratio of bands beyond them is None [nm], and so is one whose sigma reaches `undetermined`.
     """
-    return {region: _ratio(bands, covariance, shared, wavelength_nm, region) for region in ("um1", "um2")}
+    told = {region: _ratio(bands, covariance, shared, wavelength_nm, region) for region in ("um1", "um2")}
+    return {region: ratio if ratio and ratio.sigma < undetermined else None for region, ratio in told.items()}
 
 
 def pyroxene_pair(bands: Sequence[BandPrior | FittedBand], region: str) -> tuple[int, int] | None:
@@ -265,7 +271,7 @@ def _ratio(
     slope = np.array([cpx, -opx]) / total**2
     sigma = float(np.sqrt(slope @ block @ slope))
     calibration = float(np.linalg.norm(shared[:, rows] @ slope)) if len(shared) else None
-    return StrengthRatio(abs(opx / total), abs(cpx / total), sigma, calibration) if sigma < UNDETERMINED else None
+    return StrengthRatio(abs(opx / total), abs(cpx / total), sigma, calibration)
 
 
 PRESENT_SIGMAS = 2.0
