@@ -28,11 +28,15 @@ CROWDED = 1e-3
 @dataclass(frozen=True, slots=True)
 class Moves:
     """When points have moved enough: when no coordinate's correlation with its values before is `forgotten` or more,
-    after `fewest` moves and `most` at the latest."""
+    after `fewest` moves and `most` at the latest.
+
+    With `mirrored`, correlations below 0 count as well, as of trajectories that may end on the other side.
+    """
 
     fewest: int
     most: int
     forgotten: float
+    mirrored: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,12 +108,14 @@ def systematic(weight: FloatArray, offset: float) -> IntArray:
     return np.minimum(np.searchsorted(np.cumsum(weight), steps), len(weight) - 1)
 
 
-def correlation(before: FloatArray, after: FloatArray) -> float:
-    """Largest correlation, of either sign, of a coordinate of points (n, p) with where it was; 1 where it stood. [-]"""
+def correlation(before: FloatArray, after: FloatArray, mirrored: bool = False) -> float:
+    """Largest correlation, if `mirrored` of either sign, of a coordinate of points (n, p) with where it was; 1 where
+    all points are one. [-]"""
     one, two = before - before.mean(axis=0), after - after.mean(axis=0)
     norm = np.sqrt(np.sum(one**2, axis=0) * np.sum(two**2, axis=0))
     known = norm > 0
-    return float(np.max(np.where(known, np.abs(np.sum(one * two, axis=0)) / np.where(known, norm, 1.0), 1.0)))
+    found = np.where(known, np.sum(one * two, axis=0) / np.where(known, norm, 1.0), 1.0)
+    return float(np.max(np.abs(found) if mirrored else found))
 
 
 def forget(
@@ -122,7 +128,7 @@ def forget(
     before, done, left = population.points.copy(), 0, 1.0
     while done < moves.fewest or (done < moves.most and left >= moves.forgotten):
         population.move(beta)
-        done, left = done + 1, correlation(before, population.points)
+        done, left = done + 1, correlation(before, population.points, moves.mirrored)
         told(done)
     return done, left
 

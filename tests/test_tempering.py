@@ -44,9 +44,10 @@ def test_systematic_draws_are_unbiased() -> None:
     assert counts == pytest.approx(4 * weight, abs=2e-3)
 
 
-def test_correlation_has_no_sign_and_what_stood_still_is_not_forgotten() -> None:
+def test_correlation_counts_mirrored_points_where_asked_and_what_stood_still_is_not_forgotten() -> None:
     before = np.random.default_rng(1).standard_normal((500, 2))
-    assert correlation(before, -before) == pytest.approx(1.0)
+    assert correlation(before, before) == pytest.approx(1.0) == correlation(before, -before, mirrored=True)
+    assert correlation(before, -before) == pytest.approx(-1.0)
     assert correlation(np.ones((9, 1)), np.ones((9, 1))) == 1.0
 
 

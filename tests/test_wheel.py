@@ -8,7 +8,10 @@ import sys
 import venv
 from pathlib import Path
 
+import numpy
 import pytest
+import scipy
+import typer
 
 ROOT = Path(__file__).parents[1]
 LEFT_BEHIND = shutil.ignore_patterns(".git", ".venv", "build", "*.egg-info", "__pycache__", ".*cache", "lunarsci-demo")
@@ -32,7 +35,7 @@ def files_of(package: Path) -> set[str]:
 
 
 LOOK = """
-import ast, importlib.util, json, pathlib, pkgutil, sys
+import ast, importlib.metadata, importlib.util, json, pathlib, pkgutil, re, sys
 import lunarsci
 for module in pkgutil.walk_packages(lunarsci.__path__, "lunarsci."):
     if not module.name.endswith("__main__"):
@@ -44,17 +47,33 @@ for path in pathlib.Path(lunarsci.__file__).parent.rglob("*.py"):
             names |= {alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and not node.level and node.module:
             names.add(node.module.split(".")[0])
-missing = sorted(name for name in names if importlib.util.find_spec(name) is None)
-print(json.dumps({"missing": missing, "top": [str(importlib.util.find_spec(n)) for n in ("cli", "spectra_data")]}))
+asked, wanted = set(), ["lunarsci"]
+while wanted:
+    try:
+        lines = importlib.metadata.requires(wanted.pop()) or ()
+    except importlib.metadata.PackageNotFoundError:
+        continue
+    needed = {re.match(r"[\\w.-]+", line)[0].lower() for line in lines if "extra ==" not in line}
+    wanted += needed - asked
+    asked |= needed
+of = importlib.metadata.packages_distributions()
+other = names - sys.stdlib_module_names - {"lunarsci"}
+missing = sorted(name for name in other if not {known.lower() for known in of.get(name, ())} & asked)
+print(json.dumps({"missing": missing, "place": lunarsci.__file__,
+                  "top": [str(importlib.util.find_spec(n)) for n in ("cli", "spectra_data")]}))
 """
-"""Imports every module, and looks for whatever any of them imports, now or later."""
+"""Imports every module, and looks whether what any of them imports, now or later, is of a package that lunarsci asks for,
+or one of those."""
 EXTRAS = {"rasterio", "pyarrow"}
 """What comes with extras, and is asked for only where it is used."""
 
 
 @pytest.mark.slow
 def test_a_wheel_installs_into_an_empty_environment_and_runs(tmp_path: Path) -> None:
-    """All files are packaged, all that is imported is among the dependencies, and the program answers and draws."""
+    """All files are packaged, all that is imported is among the dependencies, and the program answers and draws.
+
+    The dependencies are those of the suite, which pip has resolved and installed already.
+    """
     source, wheels, empty = tmp_path / "source", tmp_path / "wheels", tmp_path / "empty"
     shutil.copytree(ROOT, source, ignore=LEFT_BEHIND)
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "-q"]
@@ -63,8 +82,10 @@ def test_a_wheel_installs_into_an_empty_environment_and_runs(tmp_path: Path) -> 
     venv.create(tmp_path / "venv")
     programs = tmp_path / "venv" / ("Scripts" if os.name == "nt" else "bin")
     python = str(programs / "python")
-    subprocess.run([*pip, "--python", python, "install", "--no-compile", str(wheel)], check=True)
+    subprocess.run([*pip, "--python", python, "install", "--no-deps", "--no-compile", str(wheel)], check=True)
     [package] = (tmp_path / "venv").rglob("site-packages/lunarsci")
+    borrowed = {str(Path(module.__file__).parents[1]) for module in (numpy, scipy, typer)}
+    (package.parent / "dependencies.pth").write_text("\n".join(sorted(borrowed)))
     expected = files_of(ROOT / "lunarsci") | {
         f"{folder}/{name}" for folder in ("cli", "spectra_data") for name in files_of(ROOT / folder)
     }
@@ -81,6 +102,7 @@ def test_a_wheel_installs_into_an_empty_environment_and_runs(tmp_path: Path) -> 
 
     found = json.loads(said(python, "-c", LOOK))
     assert set(found["missing"]) <= EXTRAS
+    assert Path(found["place"]).parent == package
     assert found["top"] == ["None", "None"], "cli and spectra_data install inside lunarsci only"
     assert "drawbar pull" in said(programs / "lunarsci", "regolith", "forces", "--load", "36.5", "--plot", "forces.png")
     assert (empty / "forces.png").stat().st_size > 1000

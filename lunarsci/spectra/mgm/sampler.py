@@ -25,7 +25,7 @@ SHORTEST, LONGEST = 0.5, 3.5
 """Lengths of trajectories in standard deviations, uniformly at random: a normal law is forgotten after pi / 2 and back,
 mirrored, after pi; the curved valleys of this model are longer."""
 MOST_LEAPS, MOST_BOUNCES = 400, 200
-AT_A_STEP, SETTLING = Moves(1, 30, 0.8), Moves(24, 64, 0.12)
+AT_A_STEP, SETTLING = Moves(1, 30, 0.8, mirrored=True), Moves(24, 64, 0.12, mirrored=True)
 """Trajectories of each particle at a step of beta, and before draws are kept."""
 FIRST_MOVES, FRESH = 10, 8
 """Trajectories before the first step, which tune their length, and with one metric while the population settles."""

@@ -51,6 +51,12 @@ def curved() -> tuple[MgmFit, FitPosterior]:
     return fit, sample_posterior(fit)
 
 
+@pytest.fixture(scope="module")
+def quick() -> MgmFit:
+    """One strength free, for what does not depend on the model."""
+    return fitted(only(mgm_model("OPX", "none"), f"{OPX}_strength"), noisy(np.zeros(GRID.size)))
+
+
 def test_a_normal_posterior_has_its_mean_and_its_covariance() -> None:
     """Centres and widths fixed and strengths far from 0: least squares in the continuum of ln C and the strengths."""
     model = mgm_model("OPX-CPX", "log-quadratic")
@@ -156,17 +162,16 @@ def test_objectives_are_those_of_the_draws(curved: tuple[MgmFit, FitPosterior]) 
         assert objective == pytest.approx(expected, rel=1e-9)
 
 
-def test_equal_seeds_give_equal_draws_in_any_number_of_threads(curved: tuple[MgmFit, FitPosterior]) -> None:
-    fit, _ = curved
-    alone = sample_posterior(fit, draws=300, seed=7, particles=128)
+def test_equal_seeds_give_equal_draws_in_any_number_of_threads(quick: MgmFit) -> None:
+    alone = sample_posterior(quick, draws=300, seed=7, particles=128)
     threads = numba.get_num_threads()
     batches = []
     for count in (1, threads):
         numba.set_num_threads(count)
-        batches.append(sample_batch([fit, fit], draws=300, seed=7, particles=128))
+        batches.append(sample_batch([quick] * 4, draws=300, seed=7, particles=128))
     for batch in batches:
         assert all(np.array_equal(posterior.draws, alone.draws) for posterior in batch)
-    other = sample_posterior(fit, draws=300, seed=8, particles=128)
+    other = sample_posterior(quick, draws=300, seed=8, particles=128)
     assert not np.array_equal(other.draws, alone.draws)
 
 
@@ -185,9 +190,9 @@ def test_a_fit_above_its_minimum_is_said(curved: tuple[MgmFit, FitPosterior]) ->
     assert "below the objective of the fit" in sample_posterior(worse, draws=128, particles=128).status
 
 
-def test_progress_and_order(curved: tuple[MgmFit, FitPosterior]) -> None:
+def test_progress_and_order(quick: MgmFit) -> None:
     told: list[tuple[int, int]] = []
-    sample_batch([curved[0]] * 2, draws=128, particles=128, progress=lambda done, total: told.append((done, total)))
+    sample_batch([quick] * 2, draws=128, particles=128, progress=lambda done, total: told.append((done, total)))
     assert told == [(1, 2), (2, 2)]
 
 
