@@ -62,8 +62,8 @@ missing = sorted(name for name in other if not {known.lower() for known in of.ge
 print(json.dumps({"missing": missing, "place": lunarsci.__file__,
                   "top": [str(importlib.util.find_spec(n)) for n in ("cli", "spectra_data")]}))
 """
-"""Imports every module, and looks whether what any of them imports, now or later, is of a package that lunarsci asks for,
-or one of those."""
+"""Imports every module, and looks whether what any of them imports, now or later, is of a package that lunarsci asks
+for, or one of those."""
 EXTRAS = {"rasterio", "pyarrow"}
 """What comes with extras, and is asked for only where it is used."""
 
