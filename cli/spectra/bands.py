@@ -19,7 +19,8 @@ OPTIONS = {
     "continuum": option(
         "conic: through 700, 1345, 1580 nm, guarded; hull: upper convex hull; linear: between shoulders."
     ),
-    "smooth": option("Savitzky-Golay window in channels, odd; 0 for none.", min=0),
+    "smooth_nm": option("Savitzky-Golay window in nm, at most 300 (half of a band); 0 for none.", min=0),
+    "smooth": option("The same in channels, odd, instead: so many median steps of a spectrum.", min=0),
     "smooth_order": option("Order of the smoothing polynomial.", min=0),
     **UNITS,
 }
@@ -79,12 +80,18 @@ def _bands_row(record: Mapping[str, Any]) -> list[str]:
     for key in ("1000", "2000"):
         row += [
             plus_minus(record[f"bc{key}_nm"], record[f"bc{key}_sigma_nm"]),
-            plus_minus(record[f"bc{key}_systematic_nm"]),
+            plus_minus(_spread_nm(record, key)),
             plus_minus(record[f"bd{key}"], record[f"bd{key}_sigma"], digits=3),
             plus_minus(record[f"ba{key}_nm"], record[f"ba{key}_sigma_nm"]),
             record["continuum"][key],
         ]
     return row
+
+
+def _spread_nm(record: Mapping[str, Any], key: str) -> float | None:
+    """What methods differ by: continua, or minimum and Gaussian, whichever is more."""
+    spreads = [record[f"bc{key}_systematic_nm"], record[f"bc{key}_method_nm"]]
+    return max((spread for spread in spreads if spread is not None), default=None)
 
 
 def _band_notes(records: Sequence[Mapping[str, Any]]) -> list[str]:

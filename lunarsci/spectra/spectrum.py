@@ -162,19 +162,86 @@ def savitzky_golay_operator(wavelength_nm: FloatArray, points: int = 41, order: 
     points = min(points, size if size % 2 else size - 1)
     if points <= order:
         return np.eye(size)
-    return _operator(wavelength_nm.tobytes(), points, order)
+    first = np.clip(np.arange(size) - points // 2, 0, size - points)
+    return _operator(wavelength_nm.tobytes(), tuple(first), tuple(first + points), order)
+
+
+LARGEST_SMOOTH_NM = 300.0
+"""Half of the width of the 1 um band of pyroxene between its shoulders, 700 and 1300 nm (Adams 1974); a wider window
+flattens the band."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Smoothing:
+    """Savitzky-Golay window and order of its polynomial; it serves the continuum and the search for the minimum.
+
+    `window_nm` is its width, 0 for none; `channels` the same in channels of the median step, instead.
+
+    Raises ParameterError where it is impossible, or wider than half of a band.
+    """
+
+    window_nm: float = 205.0
+    order: int = 3
+    channels: int | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.window_nm <= LARGEST_SMOOTH_NM:
+            raise ParameterError(_too_wide(f"{self.window_nm:g} nm"))
+        odd = self.channels is None or self.channels in (0, 1) or self.channels % 2 == 1
+        if not odd or (self.channels is not None and 1 < self.channels <= self.order) or (self.channels or 0) < 0:
+            raise ParameterError(
+                f"smoothing over {self.channels} channels; give an odd number above {self.order}, or 0 for none"
+            )
+
+    def width_nm(self, wavelength_nm: FloatArray) -> float:
+        """Its width on these channels. Raises DataError where that is more than half of a band."""
+        if self.channels is None or self.channels in (0, 1):
+            return self.window_nm if self.channels is None else 0.0
+        width = self.channels * float(np.median(np.diff(wavelength_nm)))
+        if width > LARGEST_SMOOTH_NM:
+            raise DataError(_too_wide(f"{self.channels} channels, here {width:.0f} nm,"))
+        return width
+
+
+def _too_wide(what: str) -> str:
+    return (
+        f"smoothing over {what} is wider than half of a band; give a window of 0 to {LARGEST_SMOOTH_NM:g} nm "
+        "(`smooth_nm`, 205 where left out)"
+    )
+
+
+def smoothing_operator(wavelength_nm: FloatArray, window_nm: float = 205.0, order: int = 3) -> FloatArray:
+    """The same, with a window that is so wide in wavelength, (n, n): what it smooths does not depend on the channels.
+
+    A channel is as wide as the middles to its neighbours are apart; 205 nm are 41 channels of 5 nm. At the ends the
+    window stays as wide and is no longer centred. With `order` + 1 channels or fewer in it a channel stays as it is.
+
+    Parameters
+    ----------
+    wavelength_nm : shape (n,), ascending. [nm]
+    window_nm : 0 for no smoothing. [nm]
+    order : of the polynomial. [-]
+    """
+    if window_nm == 0 or wavelength_nm.size < 2:
+        return np.eye(wavelength_nm.size)
+    middles = (wavelength_nm[1:] + wavelength_nm[:-1]) / 2
+    ends = 2 * wavelength_nm[[0, -1]] - middles[[0, -1]]
+    start = np.clip(wavelength_nm - window_nm / 2, ends[0], max(ends[0], ends[1] - window_nm))
+    slack = 1e-6 * window_nm
+    first = np.searchsorted(wavelength_nm, start - slack)
+    last = np.searchsorted(wavelength_nm, start + window_nm + slack, side="right")
+    return _operator(wavelength_nm.tobytes(), tuple(first), tuple(last), order)
 
 
 @functools.lru_cache(maxsize=8)
-def _operator(wavelength: bytes, points: int, order: int) -> FloatArray:
-    """The matrix for one set of channels; a batch of spectra on the same channels shares it."""
+def _operator(wavelength: bytes, first: tuple[int, ...], last: tuple[int, ...], order: int) -> FloatArray:
+    """The matrix for one set of channels and windows; a batch of spectra on the same channels shares it."""
     wavelength_nm = np.frombuffer(wavelength)
-    size, half = wavelength_nm.size, points // 2
-    operator = np.zeros((size, size))
-    for row in range(size):
-        first = min(max(row - half, 0), size - points)
-        window = slice(first, first + points)
-        operator[row, window] = _weights(wavelength_nm[window], wavelength_nm[row], order)
+    operator = np.eye(wavelength_nm.size)
+    for row, window in enumerate(map(slice, first, last)):
+        if window.stop - window.start > order + 1:
+            operator[row] = 0.0
+            operator[row, window] = _weights(wavelength_nm[window], wavelength_nm[row], order)
     operator.setflags(write=False)
     return operator
 

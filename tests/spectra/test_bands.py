@@ -1,11 +1,16 @@
 """Band centre, depth and area on spectra whose bands are known, and their errors against repeated noise."""
 
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
 import numpy as np
 import pytest
 
 from lunarsci.errors import DataError
 from lunarsci.spectra.bands import BandFailure, SpectrumBands, measure_bands, measure_batch
-from lunarsci.spectra.spectrum import Spectrum
+from lunarsci.spectra.continuum import ContinuumName, continuum
+from lunarsci.spectra.spectrum import Smoothing, Spectrum
 
 GRID = np.arange(450.0, 2396.0, 5.0)
 CENTRE_1, CENTRE_2, WIDTH_1, WIDTH_2 = 947.0, 1983.0, 70.0, 110.0
@@ -43,24 +48,22 @@ def test_results_do_not_depend_on_brightness() -> None:
         assert bright[key] == pytest.approx(dark[key], rel=1e-9)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["hull", "conic"])
-def test_standard_errors_are_the_scatter_of_repeated_measurements(name: str) -> None:
+def test_standard_errors_are_the_scatter_of_repeated_measurements(name: ContinuumName) -> None:
+    """Those of a centre are larger: they hold the bias of lopsided bands, of which these have none."""
     rng, noise = np.random.default_rng(5), 0.0012
     sigma = np.full(GRID.size, noise)
-    rows = []
-    for _ in range(400):
-        spectrum = Spectrum("n", GRID, reflectance() + rng.normal(scale=noise, size=GRID.size), sigma)
-        rows.append(measure_bands(spectrum, continuum_name=name).to_dict())
-    for value, error in (
-        ("bc1000_nm", "bc1000_sigma_nm"),
-        ("bc2000_nm", "bc2000_sigma_nm"),
-        ("bd1000", "bd1000_sigma"),
-        ("ba1000_nm", "ba1000_sigma_nm"),
-        ("ba2000_nm", "ba2000_sigma_nm"),
+    spectra = [Spectrum("n", GRID, reflectance() + rng.normal(scale=noise, size=GRID.size), sigma) for _ in range(200)]
+    rows = [item.to_dict() for item in measure_batch(spectra, continuum_name=name)]
+    for value, error, most in (
+        ("bc1000_nm", "bc1000_sigma_nm", 1.6),
+        ("bc2000_nm", "bc2000_sigma_nm", 1.6),
+        ("bd1000", "bd1000_sigma", 1.2),
+        ("ba1000_nm", "ba1000_sigma_nm", 1.3),
+        ("ba2000_nm", "ba2000_sigma_nm", 1.3),
     ):
         scatter = np.std([row[value] for row in rows], ddof=1)
-        assert np.median([row[error] for row in rows]) == pytest.approx(scatter, rel=0.2), value
+        assert 0.8 < np.median([row[error] for row in rows]) / scatter < most, value
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -90,7 +93,7 @@ def test_an_olivine_has_no_2_um_band() -> None:
 def test_the_conic_falls_back_where_it_falls_to_zero() -> None:
     """A convex spectrum turns the parabola down: it is below zero at 2 um."""
     bent = np.interp(GRID, [450, 700, 950, 1345, 1580, 2000, 2400], [0.30, 0.50, 0.25, 0.72, 0.60, 0.30, 0.55])
-    record = measured(bent, smooth_points=0).to_dict()
+    record = measured(bent, smoothing=Smoothing(window_nm=0)).to_dict()
     assert record["continuum"]["2000"] != "conic"
     assert "conic not used" in record["band2000_note"]
     assert record["bc2000_nm"] == pytest.approx(2000, abs=30)
@@ -114,8 +117,93 @@ def test_a_wide_asymmetric_band_is_fitted_near_its_minimum() -> None:
             -s * np.exp(-0.5 * ((GRID - c) / w) ** 2) for s, c, w in ((0.3, 860, 90), (0.5, 1045, 75), (0.4, 1215, 180))
         )
     )
-    record = measured(0.5 * ratio, continuum_name="hull", smooth_points=11).to_dict()
+    record = measured(0.5 * ratio, continuum_name="hull", smoothing=Smoothing(window_nm=55)).to_dict()
     assert record["bc1000_nm"] == pytest.approx(GRID[np.argmin(ratio)], abs=8)
+
+
+def test_water_at_1400_nm_is_no_band_of_a_mafic_silicate() -> None:
+    """Water (Hunt 1977, 10.1190/1.1440721) alone, and beside a pyroxene, whose band is shallower."""
+    water = 1 - 0.25 * np.exp(-0.5 * ((GRID - 1420) / 30) ** 2)
+    alone = measured(0.5 * water, continuum_name="hull").to_dict()
+    assert alone["bc1000_nm"] is None
+    assert "deepest at 1420 nm" in alone["band1000_status"]
+    beside = measured(reflectance(depth_1=0.10) * water, continuum_name="hull").to_dict()
+    assert beside["bc1000_nm"] == pytest.approx(CENTRE_1, abs=3)
+
+
+def test_asymmetry_is_the_share_of_the_area_beyond_the_centre() -> None:
+    """Half of a Gaussian of 60 nm before its minimum, of 120 nm behind: areas as 1 to 2, asymmetry 1/3."""
+    width = np.where(GRID < 1000, 60.0, 120.0)
+    values = 0.3 * (1 - 0.4 * np.exp(-0.5 * ((GRID - 1000) / width) ** 2))
+    assert measured(values, continuum_name="hull").bands["1000"].asymmetry == pytest.approx(1 / 3, abs=0.04)
+    assert measured(reflectance(), continuum_name="hull").bands["1000"].asymmetry == pytest.approx(0, abs=0.02)
+
+
+def test_a_batch_gives_what_each_spectrum_gives_alone() -> None:
+    rng = np.random.default_rng(8)
+    grids = [GRID, GRID[::2], GRID]
+    values = [np.interp(grid, GRID, reflectance()) * (1 + rng.normal(scale=0.005, size=grid.size)) for grid in grids]
+    spectra = [Spectrum(f"s{k}", grid, value) for k, (grid, value) in enumerate(zip(grids, values, strict=True))]
+    for one, together in zip(map(measure_bands, spectra), measure_batch(spectra), strict=True):
+        numbers = [
+            {key: value for key, value in item.to_dict().items() if isinstance(value, float)}
+            for item in (one, together)
+        ]
+        assert len(numbers[0]) >= 18
+        assert numbers[0] == pytest.approx(numbers[1], rel=1e-9)
+
+
+def made_up(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, float]:
+    """An orthopyroxene, two pyroxenes, or an olivine: channels, reflectance, and its minimum near 1 um to 0.5 nm."""
+    fine = np.arange(450.0, 2396.0, 0.5)
+    share, strength = rng.uniform(0.1, 0.9), rng.uniform(0.2, 0.7)
+    bands = (
+        [(1.0, 905 + 35 * share, 195), (0.7, 1831 + 200 * share, 520)],
+        [(share, 925, 190), (1 - share, 1005, 220), (0.7 * share, 1910, 520), (0.7 * (1 - share), 2290, 560)],
+        [(0.45, 860, 220), (0.60, 1050, 180), (0.50, 1230, 430)],
+    )[rng.integers(3)]
+    ln = sum(-strength * s * np.exp(-4 * np.log(2) * ((fine - c) / w) ** 2) for s, c, w in bands)
+    values = 0.2 * np.exp(ln)
+    hull = continuum("hull", fine, values[None]).values(values[None])[0]
+    near = np.flatnonzero((fine > 870) & (fine < 1200))
+    return GRID, values[::10], float(fine[near[np.argmin((values / hull)[near])]])
+
+
+@pytest.mark.parametrize("noise", [0.003, 0.01])
+def test_stated_errors_hold_the_true_minima(noise: float) -> None:
+    """Made-up bands of 200 rocks, asymmetric ones included; truth is the minimum of the curve itself, without noise.
+
+    Nearly all are less lopsided than the error supposes: 68 % intervals hold 77 and 83 %.
+    """
+    rng = np.random.default_rng(20)
+    rocks = [made_up(rng) for _ in range(200)]
+    spectra = [
+        Spectrum("x", grid, values * (1 + noise * rng.normal(size=grid.size)), noise * values)
+        for grid, values, _ in rocks
+    ]
+    found = [item.to_dict() for item in measure_batch(spectra, continuum_name="hull")]
+    errors = np.array(
+        [
+            (record["bc1000_nm"] - truth) / record["bc1000_sigma_nm"]
+            for record, (_, _, truth) in zip(found, rocks, strict=True)
+            if record["bc1000_nm"] is not None
+        ]
+    )
+    assert errors.size >= 190
+    assert 0.60 < np.mean(np.abs(errors) < 1) < 0.88
+    assert np.mean(np.abs(errors) < 1.96) > 0.88
+
+
+@pytest.mark.reference
+def test_stated_errors_hold_on_laboratory_spectra(
+    reference_data: Path, load_benchmark: Callable[[str], ModuleType]
+) -> None:
+    """Every third of 409 spectra with noise added; truth is the centre without it. `bench_bands.py` has all."""
+    held = load_benchmark("bench_bands").coverage(reference_data / "spectra", every=3, draws=1)
+    for noise in (0.003, 0.01):
+        inside = np.concatenate([values for (_, added, _), values in held.items() if added == noise])
+        assert inside.size > 180
+        assert 0.60 < np.mean(inside < 1) < 0.78
 
 
 def test_a_short_spectrum_measures_what_it_holds() -> None:

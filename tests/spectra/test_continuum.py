@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.spectra.continuum import CONIC_TIES_NM, continuum, upper_hull
+from lunarsci.spectra.continuum import CONIC_TIES_NM, SHOULDERS_NM, ContinuumName, continuum, hull_ties, upper_hull
 
 GRID = np.arange(450.0, 2396.0, 5.0)
 
@@ -15,9 +15,13 @@ def spectrum() -> np.ndarray:
     return (0.05 + 5e-5 * GRID) * band
 
 
+def of_one(name: ContinuumName, values: np.ndarray) -> np.ndarray:
+    return np.asarray(continuum(name, GRID, values[None]).values(values[None])[0])
+
+
 def test_conic_is_the_parabola_through_its_three_points() -> None:
     values = spectrum()
-    found = continuum("conic", GRID, values).values(values)
+    found = of_one("conic", values)
     at = [int(np.argmin(abs(GRID - tie))) for tie in CONIC_TIES_NM]
     assert np.allclose(found, np.polyval(np.polyfit(GRID[at], values[at], 2), GRID), atol=1e-9)
 
@@ -29,26 +33,43 @@ def test_hull_has_the_vertices_of_scipys_convex_hull() -> None:
     chord = y[0] + (y[-1] - y[0]) * (GRID - GRID[0]) / (GRID[-1] - GRID[0])
     upper = sorted(i for i in hull.vertices if y[i] >= chord[i] - 1e-12)
     assert upper_hull(GRID, y) == upper
+    assert np.flatnonzero(hull_ties(GRID, np.array([y, -y]))[0]).tolist() == upper
 
 
 def test_hull_lies_on_or_above_the_spectrum() -> None:
     values = spectrum()
-    assert np.all(continuum("hull", GRID, values).values(values) >= values - 1e-12)
+    assert np.all(of_one("hull", values) >= values - 1e-12)
 
 
 def test_linear_meets_the_spectrum_at_its_ties() -> None:
     values = spectrum()
-    tied = continuum("linear", GRID, values)
-    at = [int(np.argmin(abs(GRID - tie))) for tie in tied.ties_nm]
-    assert np.allclose(tied.values(values)[at], values[at])
+    level = of_one("linear", values)
+    for low, high in SHOULDERS_NM:
+        inside = np.flatnonzero((low <= GRID) & (high >= GRID))
+        at = inside[np.argmax(values[inside])]
+        assert level[at] == pytest.approx(values[at], rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["conic", "hull", "linear"])
+def test_derivatives_are_those_of_a_changed_spectrum(name: ContinuumName) -> None:
+    """A weighted sum over the continuum, with the change of a channel small enough to keep the ties."""
+    values = np.array([spectrum(), 2 * spectrum()[::-1]])
+    weights = np.random.default_rng(4).normal(size=values.shape)
+    tied = continuum(name, GRID, values)
+    slopes = tied.carried(weights)
+    for channel in (0, 50, 179, 226, 389):
+        change = np.zeros_like(values)
+        change[:, channel] = 1e-7
+        difference = np.sum(weights * (tied.values(values + change) - tied.values(values)), axis=1)
+        assert slopes[:, channel] == pytest.approx(difference / 1e-7, rel=1e-6, abs=1e-7)
 
 
 def test_a_spectrum_that_ends_before_the_ties_says_what_to_use() -> None:
     short = GRID < 1200
     with pytest.raises(DataError, match="--continuum hull"):
-        continuum("conic", GRID[short], spectrum()[short])
+        continuum("conic", GRID[short], spectrum()[None, short])
 
 
 def test_unknown_continuum_lists_the_known_ones() -> None:
     with pytest.raises(ParameterError, match="conic, hull, linear"):
-        continuum("spline", GRID, spectrum())  # type: ignore[arg-type]
+        continuum("spline", GRID, spectrum()[None])  # type: ignore[arg-type]

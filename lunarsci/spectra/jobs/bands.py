@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
+from lunarsci.errors import RequestError
 from lunarsci.result import MadeFrom, Result, flat, request_of
 
 if TYPE_CHECKING:
@@ -13,6 +14,8 @@ if TYPE_CHECKING:
     from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource
 
 
+SMOOTH_NM = 205.0
+"""The 41 channels of 5 nm of Ding et al. (2024)."""
 CHEMISTRY = (
     "Gaffey et al. (2002), Asteroids III, 183 (Fs, Wo)",
     "Burbine et al. (2009), Meteorit. Planet. Sci. 44, 1331, 10.1111/j.1945-5100.2009.tb01225.x (Fs, Wo)",
@@ -30,15 +33,21 @@ class BandsRequest:
     Attributes
     ----------
     continuum : `conic` through 700, 1345 and 1580 nm, guarded; upper convex `hull`; `linear` between shoulders.
-    smooth, smooth_order : Savitzky-Golay window in channels, odd, 0 for none, and order of its polynomial.
+    smooth_nm, smooth_order : width of the Savitzky-Golay window, 0 for none, and order of its polynomial. [nm, -]
+    smooth : the window in channels of a spectrum's median step, odd, instead.
     wavelength_unit, reflectance_unit : used where a file states none.
     """
 
     continuum: Literal["conic", "hull", "linear"] = "conic"
-    smooth: int = 41
+    smooth_nm: float = SMOOTH_NM
+    smooth: int | None = None
     smooth_order: int = 3
     wavelength_unit: Literal["nm", "um"] | None = None
     reflectance_unit: Literal["fraction", "percent"] | None = None
+
+    def __post_init__(self) -> None:
+        if self.smooth is not None and self.smooth_nm != SMOOTH_NM:
+            raise RequestError("`smooth` is the window in channels, `smooth_nm` the same in nm; give one")
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,14 +105,15 @@ def bands(
     """Measure the bands of spectra. Raises DataError when none can be read, or none has a result."""
     from lunarsci.spectra.bands import SpectrumBands, measure_batch
     from lunarsci.spectra.readers.batch import read_batch
+    from lunarsci.spectra.spectrum import Smoothing
 
     asked = request_of(BandsRequest, request, options)
+    smoothing = Smoothing(window_nm=asked.smooth_nm, order=asked.smooth_order, channels=asked.smooth)
     batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit)
     measured = measure_batch(
         batch.spectra,
         continuum_name=asked.continuum,
-        smooth_points=asked.smooth,
-        smooth_order=asked.smooth_order,
+        smoothing=smoothing,
         progress=progress,
     )
     return MeasuredBands(batch, measured, batch.failures_among(measured, SpectrumBands))

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from lunarsci.spectra.bands import BANDS, SpectrumBands
+from lunarsci.spectra.band_shape import BANDS
+from lunarsci.spectra.bands import SpectrumBands
 from lunarsci.spectra.mgm.result import MgmFit
 
 CONTINUUM_COLORS = {"conic": "#0072B2", "hull": "#D55E00", "linear": "#009E73"}
