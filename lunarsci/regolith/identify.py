@@ -62,10 +62,9 @@ class Estimate:
         return {name: getattr(self, name) for name in self.__slots__}
 
 
-def estimate(samples: Sequence[FloatArray], name: str) -> Estimate:
-    """Pool samples whose first entry is the value at the measured state and whose others are draws."""
-    nominal = np.array([sample[0] for sample in samples])
-    drawn = np.concatenate([sample[1:] for sample in samples])
+def estimate(values: FloatArray, name: str, states: int = 1) -> Estimate:
+    """Of values at so many measured states, first, and their draws."""
+    nominal, drawn = values[:states], values[states:]
     good = drawn[np.isfinite(drawn)]
     share = good.size / drawn.size
     if not np.isfinite(nominal).any() or share < MIN_SOLVED:
@@ -218,13 +217,15 @@ def identify(
     known = assumptions or Assumptions()
     solver = _Solver(wheel, known, code, np.random.default_rng(seed), draws)
     kept = min(draws, max(LEAST_POOLED, POOLED_DRAWS // len(states)))
-    observations, solved = [], []
+    observations, measured, drawn = [], [], []
     for number, (name, values, sigmas) in enumerate(zip(states.id, states.values, states.sigmas, strict=True), 1):
         stresses = solver.stresses(values, sigmas)
         observations.append(_Solved(stresses, known).record(name))
-        solved.append(_Solved(stresses[: 1 + kept].copy(), known))
+        measured.append(stresses[:1].copy())
+        drawn.append(stresses[1 : 1 + kept].copy())
         if progress:
             progress(number, len(states))
+    solved = _Solved(np.concatenate([*measured, *drawn]), known, len(states))
     site = _site(solved, known)
     return Identification(
         observations=tuple(observations),
@@ -252,11 +253,11 @@ class _Solver:
 
 
 class _Solved:
-    """Stresses of one state and its draws, and the parameters that follow; index 0 is the state as measured."""
+    """Stresses of states as measured, and of their draws behind them, and the parameters that follow."""
 
-    def __init__(self, stresses: FloatArray, known: Assumptions) -> None:
+    def __init__(self, stresses: FloatArray, known: Assumptions, states: int = 1) -> None:
         self.sigma_m, self.tau_x, self.tau_y, self.depth, self.mobilised, self.displacement = stresses.T
-        self.known = known
+        self.known, self.states = known, states
         with np.errstate(all="ignore"):
             self.parameters = self._parameters()
 
@@ -289,13 +290,13 @@ class _Solved:
 
     def record(self, name: str) -> dict[str, Any]:
         stresses = {"sigma_m_pa": self.sigma_m, "tau_xm_pa": self.tau_x, "tau_ym_pa": self.tau_y}
-        estimates = {key: estimate([sample], key) for key, sample in (stresses | self.parameters).items()}
-        return {"id": name, "corners": _corners([self])} | estimates
+        estimates = {key: estimate(sample, key) for key, sample in (stresses | self.parameters).items()}
+        return {"id": name, "corners": _corners(self)} | estimates
 
 
-def _site(solved: Sequence[_Solved], known: Assumptions) -> dict[str, Estimate]:
+def _site(solved: _Solved, known: Assumptions) -> dict[str, Estimate]:
     """Every parameter over all states: estimated where it was solved for, as assumed where it was given."""
-    site = {name: estimate([s.parameters[name] for s in solved], name) for name in solved[0].parameters}
+    site = {name: estimate(values, name, solved.states) for name, values in solved.parameters.items()}
     if known.lateral_modulus_mm:
         name = "external_friction_angle_deg"
         site[name] = _over_corners([corner[name] for corner in _corners(solved)])
@@ -321,11 +322,13 @@ def _unsolved(states: WheelStates, site: dict[str, Estimate]) -> tuple[str, ...]
     )
 
 
-def _corners(solved: Sequence[_Solved]) -> list[dict[str, Any]]:
+def _corners(solved: _Solved) -> list[dict[str, Any]]:
     """External friction angle at each assumed lateral modulus, over the given states."""
     name = "external_friction_angle_deg"
-    moduli = solved[0].known.lateral_modulus_mm
-    return [{"lateral_modulus_mm": m, name: estimate([s.corners[m] for s in solved], name)} for m in moduli]
+    return [
+        {"lateral_modulus_mm": modulus, name: estimate(values, name, solved.states)}
+        for modulus, values in solved.corners.items()
+    ]
 
 
 def _assumed(known: Assumptions) -> dict[str, Estimate]:
@@ -346,29 +349,28 @@ def _assumed(known: Assumptions) -> dict[str, Estimate]:
     }
 
 
-def _curves(solved: Sequence[_Solved]) -> dict[str, list[dict[str, Any]]]:
+def _curves(solved: _Solved) -> dict[str, list[dict[str, Any]]]:
+    known = solved.known.cohesion_pa
+    adhesion = known if known is not None else solved.parameters["cohesion_pa"]
+    laws: dict[str, tuple[str, str, Callable[[Any], FloatArray]]] = {
+        "bearing": (
+            "exponent",
+            "stiffness_kpa_m_n",
+            lambda n: np.asarray(inversion.stiffness(solved.sigma_m, solved.depth, n)),
+        ),
+        "shear": ("cohesion_pa", "friction_angle_deg", solved.friction_angle),
+        "lateral": (
+            "lateral_modulus_mm",
+            "external_friction_angle_deg",
+            lambda k: solved.external_friction_angle(k, adhesion),
+        ),
+    }
     with np.errstate(all="ignore"):
         return {
-            "bearing": [
-                _point("exponent", n, "stiffness_kpa_m_n", [inversion.stiffness(s.sigma_m, s.depth, n) for s in solved])
-                for n in CURVES["exponent"]
-            ],
-            "shear": [
-                _point("cohesion_pa", c, "friction_angle_deg", [s.friction_angle(c) for s in solved])
-                for c in CURVES["cohesion_pa"]
-            ],
-            "lateral": [
-                _point("lateral_modulus_mm", k, "external_friction_angle_deg", [_lateral_at(s, k) for s in solved])
-                for k in CURVES["lateral_modulus_mm"]
-            ],
+            curve: [_point(x_name, x, y_name, estimate(law(x), y_name, solved.states)) for x in CURVES[x_name]]
+            for curve, (x_name, y_name, law) in laws.items()
         }
 
 
-def _lateral_at(solved: _Solved, modulus_mm: float) -> FloatArray:
-    known = solved.known.cohesion_pa
-    return solved.external_friction_angle(modulus_mm, known if known is not None else solved.parameters["cohesion_pa"])
-
-
-def _point(x_name: str, x: float, y_name: str, samples: Sequence[FloatArray]) -> dict[str, Any]:
-    found = estimate(samples, y_name)
+def _point(x_name: str, x: float, y_name: str, found: Estimate) -> dict[str, Any]:
     return {x_name: float(x), y_name: found.value, "low": found.low, "high": found.high}
