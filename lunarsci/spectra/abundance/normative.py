@@ -257,7 +257,9 @@ def normative(spectrum: Spectrum, kind: KindVerdict, laws: Mapping[str, SoilRegr
     if missing := [name for name in FEATURES if name not in values]:
         return Normative(values, False, f"not determined: {', '.join(missing)} lie beyond the soils learned from")
     doubt = "" if kind.kind == "weathered-soil" else "; if it is a soil, and no rock"
-    return Normative(values, True, f"regression on 11 lunar soils in a laboratory, for its level; no modes of minerals{doubt}")
+    return Normative(
+        values, True, f"regression on 11 lunar soils in a laboratory, for its level; no modes of minerals{doubt}"
+    )
 
 
 def _unfit(kind: KindVerdict) -> str:

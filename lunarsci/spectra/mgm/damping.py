@@ -28,6 +28,8 @@ MAX_ITERATIONS = 100_000
 HALVINGS = 15
 MEANINGLESS_NM = 2000.0
 """Standard error of a centre or width as wide as the spectrum."""
+STEEPEST = 1e100
+"""Derivative, in the kernel's units, that belongs to no spectrum; its square must be a number."""
 RANK_TOLERANCE = 1e-13
 """Smallest share of a derivative that the others do not reproduce, for the parameter to count as determined."""
 
@@ -169,7 +171,7 @@ class _DampedProblem:
         wavelengths[m::3] = WAVENUMBER_NM / point[m::3] / NM_PER_UM
         wavelengths[m + 1 :: 3] /= NM_PER_UM
         found = model_and_jacobian(wavelengths, self.data.wavelength_nm / NM_PER_UM, self.basis, model.logarithmic)
-        if found is None or not np.isfinite(found[1]).all():
+        if found is None or not np.abs(found[1]).max(initial=0.0) < STEEPEST:
             return None
         ln, jacobian = found
         jacobian[m::3] *= (-wavelengths[m::3] / point[m::3])[:, None]

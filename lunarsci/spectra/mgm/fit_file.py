@@ -8,7 +8,6 @@ deviations. Result files give those of a centre as the full width of its interva
 reaches over the wavenumber 0. Text behind the numbers of a line is a comment, which may name a band's mineral.
 """
 
-import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -31,6 +30,8 @@ CONTINUA: dict[str, tuple[MgmContinuum, ...]] = {
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?", re.ASCII)
 FIRST_BAND_LINE = 10
 LONGEST_SHOWN = 40
+LARGEST, LEAST = 1e15, 1e-6
+"""Beyond these no number of a file, and no centre or width, belongs to a spectrum."""
 LEAST_NM = 10.0
 """Below it a wavelength is taken for one in um."""
 Numbers = tuple[float, ...]
@@ -112,7 +113,7 @@ def _header_faults(file: FitFile) -> Iterator[tuple[int, str]]:
         yield 2, "is empty; it must name the file of the spectrum"
     for line, axis in ((3, file.plot_axis), (4, file.wavelength_axis)):
         if not _are_numbers(axis, 3):
-            yield line, "the axis of the plot is not three finite numbers; give them"
+            yield line, "the axis of the plot is not three finite numbers up to 1e15; give them"
     if not _are_numbers((file.rms_limit, file.improvement_limit), 2, lowest=0):
         yield 5, f"limits of the rms {file.rms_limit:g} and {file.improvement_limit:g}; give finite ones, 0 or above"
 
@@ -123,9 +124,9 @@ def _continuum_faults(file: FitFile) -> Iterator[tuple[int, str]]:
     if file.continuum == "N" and file.coefficients == file.coefficients_95 == ():
         return
     if not _are_numbers(file.coefficients, 4):
-        yield 7, "the continuum is not four finite coefficients; give c0 to c3, 0 where unused"
+        yield 7, "the continuum is not four finite coefficients up to 1e15; give c0 to c3, 0 where unused"
     if not _are_numbers(file.coefficients_95, 4, lowest=0):
-        yield 8, "the uncertainties of the continuum are not four finite numbers of 0 or above; give them"
+        yield 8, "the uncertainties of the continuum are not four finite numbers from 0 to 1e15; give them"
 
 
 def _band_faults(file: FitFile) -> Iterator[tuple[int, str]]:
@@ -139,21 +140,24 @@ def _band_faults(file: FitFile) -> Iterator[tuple[int, str]]:
 def _faults_of(band: FitBand) -> Iterator[tuple[int, str]]:
     """Of a band: how many lines behind its first, and what is wrong there."""
     if not _are_numbers(band.values, 3):
-        yield 0, "centre, FWHM or strength is not finite; give three numbers"
-    if band.center_nm == 0:
+        yield 0, "centre, FWHM or strength is not finite or beyond 1e15; give three numbers"
+    if abs(band.center_nm) < LEAST:
         yield 0, "centre of 0 nm, which has no wavenumber; give another"
     if 0 < band.center_nm < LEAST_NM and abs(band.fwhm_nm) < LEAST_NM:
         yield 0, f"centre of {band.center_nm:g} nm; these files are in nm, is this um?"
-    if band.fwhm_nm == 0:
+    if abs(band.fwhm_nm) < LEAST:
         yield 0, "FWHM of 0 nm; give one above 0"
     if band.mineral and band.mineral not in MINERALS:
         yield 0, f"mineral {_shown(band.mineral)} is unknown; give one of {', '.join(MINERALS)}, or none"
-    if not (math.isfinite(band.center_95_nm) and _are_numbers(band.uncertainties[1:], 2, lowest=0)):
-        yield 1, "uncertainties are not finite, of FWHM and strength 0 or above; values come first, then these"
+    if not (_are_numbers(band.uncertainties, 3) and _are_numbers(band.uncertainties[1:], 2, lowest=0)):
+        yield (
+            1,
+            "uncertainties are not finite, beyond 1e15 or, of FWHM and strength, below 0; values come first",
+        )
 
 
-def _are_numbers(values: Numbers, count: int, lowest: float = -math.inf) -> bool:
-    return len(values) == count and all(math.isfinite(value) and value >= lowest for value in values)
+def _are_numbers(values: Numbers, count: int, lowest: float = -LARGEST) -> bool:
+    return len(values) == count and all(lowest <= value <= LARGEST for value in values)
 
 
 def _shown(part: str) -> str:

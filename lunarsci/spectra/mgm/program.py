@@ -17,7 +17,7 @@ from lunarsci.errors import LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.mgm import MgmContinuum
 from lunarsci.spectra.mgm.assemblages import MINERALS, Assemblage, BandPrior
-from lunarsci.spectra.mgm.fit_file import CONTINUA, FitBand, FitFile, read_fit_file
+from lunarsci.spectra.mgm.fit_file import CONTINUA, LARGEST, FitBand, FitFile, read_fit_file
 from lunarsci.spectra.mgm.model import KINDS, NM_PER_UM, RANGE_NM, TIE_SIGMA, MgmModel, continuum_basis
 from lunarsci.spectra.mgm.result import MgmFit
 
@@ -347,7 +347,7 @@ def fit_file_of(fit: MgmFit, header: FitFile | None = None) -> FitFile:
         continuum=letter,
         coefficients=tuple(coefficients.tolist()),
         coefficients_95=tuple(coefficients_95.tolist()),
-        bands=tuple(FitBand(*row) for row in rows.tolist()),
+        bands=tuple(FitBand(*row) for row in rows.clip(-LARGEST, LARGEST).tolist()),
     )
     if header is None:
         return found

@@ -142,7 +142,11 @@ def test_an_empty_line_is_refused_by_its_number(empty: int) -> None:
         (7, "0.85 inf 0 0", "not 4 numbers"),
         (7, "0.85 1e999 0 0", "finite"),
         (7, "0,85 -1e-6 0 0", "not 4 numbers"),
-        (8, "10 -1e-4 1e-7 1e-7", "0 or above"),
+        (8, "10 -1e-4 1e-7 1e-7", "from 0 to 1e15"),
+        (7, "0.85 1e16 0 0", "up to 1e15"),
+        (10, "1e-7 400 -20", "centre of 0 nm"),
+        (12, "1000 250 1e300", "beyond 1e15"),
+        (13, "200 1e16 10", "beyond 1e15"),
         (8, "10 1_0 1e-7 1e-7", "not 4 numbers"),
         (9, "0", "number of bands"),
         (9, "-3", "number of bands"),
@@ -153,7 +157,7 @@ def test_an_empty_line_is_refused_by_its_number(empty: int) -> None:
         (10, "333 0 -20", "FWHM of 0 nm"),
         (12, "1000 250 NaN", "not 3 numbers"),
         (12, "1000 250 \u0661", "not 3 numbers"),
-        (13, "200 400 -10", "FWHM and strength 0 or above; values come first"),
+        (13, "200 400 -10", "of FWHM and strength, below 0; values come first"),
     ],
 )
 def test_what_does_not_follow_the_layout_is_refused_by_its_line(number: int, row: str, fault: str) -> None:
@@ -190,14 +194,13 @@ def test_a_spoiled_file_is_read_or_refused_in_one_line(part: bytes, at: int, rem
             assert read(fit_file_text(file)) == file
 
 
-FINITE = st.floats(allow_nan=False, allow_infinity=False)
-ABOVE_0 = st.floats(0, exclude_min=True, allow_infinity=False)
-NOT_BELOW_0 = st.floats(0, allow_infinity=False)
-CENTRES = st.floats(10, allow_infinity=False)
+FINITE = st.floats(-1e15, 1e15)
+NOT_BELOW_0 = st.floats(0, 1e15)
+CENTRES = st.floats(10, 1e15)
 BANDS = st.builds(
     FitBand,
     CENTRES,
-    FINITE.filter(bool),
+    FINITE.filter(lambda value: abs(value) > 1e-5),
     FINITE,
     FINITE,
     NOT_BELOW_0,
