@@ -38,11 +38,6 @@ def in_lanes(function: Callable[..., Any], **options: Any) -> Any:
     return compiled(function, nogil=True, **LANE_OPTIONS, **options)
 
 
-def pasted(function: Callable[..., Any]) -> Any:
-    """Compile a function that is pasted into the loop that calls it, which `in_lanes` then compiles as one."""
-    return in_lanes(function, forceinline=True)
-
-
 def joined(function: Callable[..., Any]) -> Any:
     """Compile a function that only calls others as a part of its callers: each of them would optimise it all anew."""
     return compiled(function, nogil=True, inline="always")

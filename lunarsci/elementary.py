@@ -1,27 +1,26 @@
-"""Elementary functions that the compiler can put into vector lanes, four or eight arguments at once.
+"""Elementary functions of numbers, of arrays, and of eight numbers in the lanes of vector instructions.
 
 Calls into the C library hold a loop to one argument at a time. These are sums without branches instead, exact to a few
-units in the last place within their ranges; they are pasted into the loop that calls them. Series: Abramowitz & Stegun
-(1964), 4.1.24, 4.2.1, 4.3.65, 4.3.66, 4.4.40.
+units in the last place within their ranges. Series: Abramowitz & Stegun (1964), 4.1.24, 4.2.1, 4.3.65, 4.3.66, 4.4.40;
+arguments are reduced as by Cody & Waite (1980), Software Manual for the Elementary Functions, ch. 5 and 6.
 """
 
 import math
 from typing import Any
 
-import numpy as np
-
-from lunarsci.compiled import pasted
+from lunarsci.lanes import choose, exponent_of, formula, highest, lowest, mantissa_of, nearest, root, two_to
 
 LN_2_HIGH, LN_2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 """ln 2 in two parts, the first with trailing zeros, so that whole multiples of it are exact."""
 PER_LN_2 = 1 / math.log(2)
 LARGEST = 700.0
 """Beyond this an exponential is 0 or infinite."""
-ROOT_HALF_BITS = 0x3FE6A09E667F3BCD
-"""The bits of sqrt(1/2)."""
+ROOT_2 = math.sqrt(2)
+EXPONENTIAL_ORDER, LOGARITHM_ORDER = 13, 21
+"""Powers to which the series go; the next ones are below the last digit."""
 
 
-@pasted
+@formula
 def sine(x: Any) -> Any:
     """sin x for |x| up to 1.7."""
     q = x * x
@@ -37,7 +36,7 @@ def sine(x: Any) -> Any:
     )
 
 
-@pasted
+@formula
 def cosine(x: Any) -> Any:
     """cos x for |x| up to 1.7."""
     q = x * x
@@ -47,55 +46,58 @@ def cosine(x: Any) -> Any:
     )
 
 
-@pasted
+@formula
 def arcsin(x: Any) -> Any:
     """arcsin x for 0 to sqrt(1/2); its argument is halved twice."""
     q = x * x
-    q = 0.5 * q / (1 + math.sqrt(1 - q))
-    q = 0.5 * q / (1 + math.sqrt(1 - q))
+    q = 0.5 * q / (1 + root(1 - q))
+    q = 0.5 * q / (1 + root(1 - q))
     inner = 1 + q * (121 / 156) * (
         1 + q * (169 / 210) * (1 + q * (225 / 272) * (1 + q * (289 / 342) * (1 + q * (361 / 420))))
     )
     series = 1 + q * (1 / 6) * (
         1 + q * (9 / 20) * (1 + q * (25 / 42) * (1 + q * (49 / 72) * (1 + q * (81 / 110) * inner)))
     )
-    return 4 * math.sqrt(q) * series
+    return 4 * root(q) * series
 
 
-@pasted
+def _exponential(x: Any) -> Any:
+    """2^k, and what exp(x) / 2^k is more than 1, with k the whole number nearest to x / ln 2."""
+    x = lowest(LARGEST, highest(-LARGEST, x))
+    k = nearest(x * PER_LN_2)
+    y = (x - k * LN_2_HIGH) - k * LN_2_LOW
+    series = y * (1 / math.factorial(EXPONENTIAL_ORDER)) + 1 / math.factorial(EXPONENTIAL_ORDER - 1)
+    for power in range(EXPONENTIAL_ORDER - 2, 0, -1):
+        series = series * y + 1 / math.factorial(power)
+    return two_to(k), series * y
+
+
+@formula
 def exp_minus_one(x: Any) -> Any:
     """exp(x) - 1; x beyond +-700 is taken as that."""
-    x = min(max(x, -LARGEST), LARGEST)
-    whole = np.floor(x * PER_LN_2 + 0.5)
-    y = (x - whole * LN_2_HIGH) - whole * LN_2_LOW
-    inner = 1 + y * (1 / 8) * (
-        1 + y * (1 / 9) * (1 + y * (1 / 10) * (1 + y * (1 / 11) * (1 + y * (1 / 12) * (1 + y * (1 / 13)))))
-    )
-    rest = y * (
-        1
-        + y
-        * (1 / 2)
-        * (1 + y * (1 / 3) * (1 + y * (1 / 4) * (1 + y * (1 / 5) * (1 + y * (1 / 6) * (1 + y * (1 / 7) * inner)))))
-    )
-    power = np.int64((np.int64(whole) + 1023) << 52).view(np.float64)
+    power, rest = _exponential(x)
     return power * rest + (power - 1)
 
 
-@pasted
+@formula
 def exponential(x: Any) -> Any:
     """exp(x); x beyond +-700 is taken as that."""
-    return exp_minus_one(x) + 1
+    power, rest = _exponential(x)
+    return power * rest + power
 
 
-@pasted
+@formula
 def logarithm(x: Any) -> Any:
-    """ln x for normal numbers x > 0; a number without meaning for others."""
-    bits = np.float64(x).view(np.int64)
-    power = (bits - ROOT_HALF_BITS) >> 52
-    rest = np.int64(bits - (power << 52)).view(np.float64)
-    s = (rest - 1) / (rest + 1)
+    """ln x for normal numbers x > 0; a number without meaning for others.
+
+    x = 2^k m with m between 0.7 and 1.4, ln m = 2 artanh((m - 1) / (m + 1)).
+    """
+    k, m = exponent_of(x), mantissa_of(x)
+    above = m > ROOT_2
+    k, m = choose(above, k + 1.0, k), choose(above, m * 0.5, m)
+    s = (m - 1.0) / (m + 1.0)
     q = s * s
-    inner = 1 / 11 + q * (1 / 13 + q * (1 / 15 + q * (1 / 17 + q * (1 / 19 + q * (1 / 21)))))
-    series = 1 + q * (1 / 3 + q * (1 / 5 + q * (1 / 7 + q * (1 / 9 + q * inner))))
-    whole = np.float64(power)
-    return whole * LN_2_HIGH + (2 * s * series + whole * LN_2_LOW)
+    series = q * (2 / LOGARITHM_ORDER) + 2 / (LOGARITHM_ORDER - 2)
+    for power in range(LOGARITHM_ORDER - 4, 1, -2):
+        series = series * q + 2 / power
+    return k * LN_2_HIGH + (k * LN_2_LOW + (series * q * s + s * 2))

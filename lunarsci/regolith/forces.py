@@ -22,9 +22,10 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
-from lunarsci.compiled import compiled, in_lanes, pasted
+from lunarsci.compiled import compiled, in_lanes
 from lunarsci.elementary import arcsin, cosine, exp_minus_one, exponential, logarithm, sine
 from lunarsci.errors import LunarSciWarning, ParameterError
+from lunarsci.lanes import choose, formula, highest, lowest, root, signed
 from lunarsci.regolith.contact import SHEAR_SIGNS, ShearSign
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.wheel import Wheel
@@ -36,16 +37,16 @@ LEAST_SINKAGE_M = 1e-7
 """Below this the contact angles round to nothing."""
 
 
-@pasted
+@formula
 def travel_ratio(slip: Any) -> Any:
     """v_x / (r_s omega) from the slip ratio of Eq. 8, s > -1: 1 - s in slip, 1/(1 + s) in skid. [-]"""
-    return 1.0 - slip if slip >= 0.0 else 1.0 / (1.0 + slip)
+    return choose(slip >= 0.0, 1.0 - slip, 1.0 / (1.0 + slip))
 
 
-@pasted
+@formula
 def slip_ratio(travel: Any) -> Any:
     """Slip ratio of Eq. 8 from v_x / (r_s omega); the inverse of `travel_ratio`. [-]"""
-    return 1.0 - travel if travel <= 1.0 else 1.0 / travel - 1.0
+    return choose(travel <= 1.0, 1.0 - travel, 1.0 / travel - 1.0)
 
 
 @compiled
@@ -97,13 +98,11 @@ def _signed_share(j: float, travel: float, modulus: float, code: int) -> float:
     return float(mobilised(j, modulus))
 
 
-@pasted
+@formula
 def contact_forces(
     sinkage: Any, slip: Any, travel: Any, lateral: Any, before: Any, rut: Any, wheel: Any, soil: Any, code: Any
 ) -> Any:
     """F_N, F_DP, F_L, M_R of one wheel (Eqs 18-24), how they change with its motion, and what the soil can hold.
-
-    Pasted into the loop that calls it and written without branches, so that the loop can run in vector lanes.
 
     Parameters
     ----------
@@ -128,9 +127,9 @@ def contact_forces(
     stiffness, n0, n1, cohesion, tan_phi, k_x, tan_phi_y, k_y = soil
     # Half-angle forms: 1 - cos(theta_1) = z / r, for grouser tips (z + h) / (r + h).
     q, q_e = sinkage / (2.0 * r), (sinkage + h) / (2.0 * (r + h))
-    half, half_e = math.sqrt(q), math.sqrt(q_e)
+    half, half_e = root(q), root(q_e)
     theta_1, theta_1e = 2.0 * arcsin(half), 2.0 * arcsin(half_e)
-    cos_1, sin_1, sin_1e = 1.0 - 2.0 * q, 2.0 * half * math.sqrt(1.0 - q), 2.0 * half_e * math.sqrt(1.0 - q_e)
+    cos_1, sin_1, sin_1e = 1.0 - 2.0 * q, 2.0 * half * root(1.0 - q), 2.0 * half_e * root(1.0 - q_e)
     theta_2, theta_m = c3 * theta_1, (c1 + c2 * slip) * theta_1
     cos_2, sin_2, cos_m, sin_m = cosine(theta_2), sine(theta_2), cosine(theta_m), sine(theta_m)
     front, rear = theta_1 - theta_m, theta_m - theta_2
@@ -139,20 +138,21 @@ def contact_forces(
     c_moment = (theta_1 - theta_2) / 2.0
     depth = r * (cos_m - cos_1)
     pressed, left = rut
-    again = min(depth / (pressed - left), 1.0) if pressed > left else 1.0
-    below = max(left + depth, pressed)
-    sigma_m = again * stiffness * exponential((n0 + n1 * slip) * logarithm(below)) if depth > 0.0 else math.nan
-    ratio = 1.0 / travel if code == 2 and travel > 1.0 else travel
+    again = choose(pressed > left, lowest(1.0, depth / (pressed - left)), 1.0)
+    below = highest(pressed, left + depth)
+    sigma_m = again * stiffness * exponential((n0 + n1 * slip) * logarithm(below))
+    sigma_m = choose(depth > 0.0, sigma_m, math.nan)
+    ratio = choose((code == 2) & (travel > 1.0), 1.0 / travel, travel)
     j_x = r_s * ((theta_1e - theta_m) - ratio * (sin_1e - sin_m))
-    sign_x = (1.0 if travel <= 1.0 else -1.0) if code == 1 else math.copysign(1.0, j_x)
-    share_x = -sign_x * exp_minus_one((-j_x if code == 1 else -abs(j_x)) / k_x)
+    sign_x = choose(code == 1, choose(travel <= 1.0, 1.0, -1.0), signed(1.0, j_x))
+    share_x = -sign_x * exp_minus_one(choose(code == 1, -j_x, -abs(j_x)) / k_x)
     strength_x, strength_y = cohesion + sigma_m * tan_phi, cohesion + sigma_m * tan_phi_y
     tau_x = strength_x * share_x
     j_before = r_s * ((theta_1e - theta_m) - before * (sin_1e - sin_m))
-    share_before = -math.copysign(1.0, j_before) * exp_minus_one(-abs(j_before) / k_x)
-    tau_before = strength_x * share_before if code == 0 else tau_x
+    share_before = -signed(1.0, j_before) * exp_minus_one(-abs(j_before) / k_x)
+    tau_before = choose(code == 0, strength_x * share_before, tau_x)
     j_y = r * lateral * (theta_1e - theta_m)
-    share_y = math.copysign(1.0, j_y) * (0.0 - exp_minus_one(-abs(j_y) / k_y))
+    share_y = signed(1.0, j_y) * (0.0 - exp_minus_one(-abs(j_y) / k_y))
     tau_y = strength_y * share_y
     slope_x = -strength_x * (1.0 - abs(share_x)) / k_x * r_s * (sin_1e - sin_m)
     slope_y = strength_y * (1.0 - abs(share_y)) / k_y * r * (theta_1e - theta_m)
@@ -173,7 +173,7 @@ def contact_forces(
     return forces, slopes, reach
 
 
-@pasted
+@formula
 def wheel_forces_and_slopes(sinkage: Any, travel: Any, lateral: Any, wheel: Any, soil: Any, code: Any) -> Any:
     """Forces and derivatives of `contact_forces` on undisturbed ground, with the slip that the travel ratio stands for.
 
@@ -185,7 +185,7 @@ def wheel_forces_and_slopes(sinkage: Any, travel: Any, lateral: Any, wheel: Any,
     return forces, slopes
 
 
-@pasted
+@formula
 def wheel_forces_kernel(sinkage: Any, travel: Any, lateral: Any, wheel: Any, soil: Any, code: Any) -> Any:
     """The four forces of `wheel_forces_and_slopes` alone."""
     return wheel_forces_and_slopes(sinkage, travel, lateral, wheel, soil, code)[0]

@@ -1,9 +1,5 @@
 """The Modified Gaussian Model itself, compiled: ln R and its derivatives with respect to every parameter.
 
-Gaussians on many channels at once, compiled to vector instructions: the exponential of the C library is called channel
-by channel; this one is a polynomial that the compiler works on eight channels at a time, four times as fast and as
-accurate to 1e-14.
-
 The energy of a particle, half the objective, and its slope: what the sampler's trajectories feel. The energy counts on
 all channels; the force may come from neighbouring channels put together, see `force_of`.
 """
@@ -15,84 +11,15 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import VECTORS, compiled
-from lunarsci.spectra.mgm.lanes import choose, exponent_of, highest, mantissa_of, nearest, spread, two_to
+from lunarsci.elementary import exponential, logarithm
 from lunarsci.spectra.mgm.normal_equations import prior_share
 
-LOG2_E = 1.4426950408889634
-LN2_HIGH, LN2_LOW = 0.693145751953125, 1.42860682030941723212e-6
-"""ln 2 in two parts, so that x - k ln 2 loses no digits."""
-EXPONENT_BITS, BIAS = 52, 1023
-UNDERFLOW = -700.0
-ROOT_2 = 1.4142135623730951
-
-
 @compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
-def gaussian(wavelength: Any, centre: float, inverse_sigma: float, values: Any, powers: Any) -> None:
-    """Fill `values` (n,) with exp(-(lambda - centre)^2 inverse_sigma^2 / 2); `powers` (n,) are integers to work with.
-
-    exp(a) = 2^k exp(r) with k the integer nearest to a / ln 2 and |r| below 0.35, where the Taylor series to the
-    eleventh power leaves 1e-14. Cody & Waite (1980), Software Manual for the Elementary Functions, ch. 6.
-    """
+def gaussian(wavelength: Any, centre: float, inverse_sigma: float, values: Any) -> None:
+    """Fill `values` (n,) with exp(-(lambda - centre)^2 inverse_sigma^2 / 2)."""
     for i in range(wavelength.size):
         x = (wavelength[i] - centre) * inverse_sigma
-        a = max(-0.5 * x * x, UNDERFLOW)
-        k = np.floor(a * LOG2_E + 0.5)
-        r = a - k * LN2_HIGH - k * LN2_LOW
-        series = 1.0 / 39916800.0
-        series = series * r + 1.0 / 3628800.0
-        series = series * r + 1.0 / 362880.0
-        series = series * r + 1.0 / 40320.0
-        series = series * r + 1.0 / 5040.0
-        series = series * r + 1.0 / 720.0
-        series = series * r + 1.0 / 120.0
-        series = series * r + 1.0 / 24.0
-        series = series * r + 1.0 / 6.0
-        series = series * r + 0.5
-        series = series * r + 1.0
-        values[i] = series * r + 1.0
-        powers[i] = (np.int64(k) + BIAS) << EXPONENT_BITS
-    two_to_the_k = powers.view(np.float64)
-    for i in range(wavelength.size):
-        values[i] *= two_to_the_k[i]
-
-
-@compiled(forceinline=True)  # type: ignore[untyped-decorator]
-def bell(x: Any) -> Any:
-    """exp(-x^2 / 2) of eight numbers, as `gaussian` computes it."""
-    a = highest(x * x * -0.5, spread(UNDERFLOW))
-    k = nearest(a * LOG2_E)
-    r = a - k * LN2_HIGH - k * LN2_LOW
-    series = r * (1.0 / 39916800.0) + 1.0 / 3628800.0
-    series = series * r + 1.0 / 362880.0
-    series = series * r + 1.0 / 40320.0
-    series = series * r + 1.0 / 5040.0
-    series = series * r + 1.0 / 720.0
-    series = series * r + 1.0 / 120.0
-    series = series * r + 1.0 / 24.0
-    series = series * r + 1.0 / 6.0
-    series = series * r + 0.5
-    series = series * r + 1.0
-    return (series * r + 1.0) * two_to(k)
-
-
-@compiled(forceinline=True)  # type: ignore[untyped-decorator]
-def logarithm(x: Any) -> Any:
-    """ln of eight positive numbers: x = 2^k m with m between 0.7 and 1.4, ln m = 2 artanh((m - 1) / (m + 1)), whose
-    series to the seventeenth power leaves 1e-15. Cody & Waite (1980), ch. 5.
-    """
-    k, m = exponent_of(x), mantissa_of(x)
-    above = m - ROOT_2
-    k, m = choose(above, k + 1.0, k), choose(above, m * 0.5, m)
-    s = (m - 1.0) / (m + 1.0)
-    z = s * s
-    series = z * (2.0 / 17.0) + 2.0 / 15.0
-    series = series * z + 2.0 / 13.0
-    series = series * z + 2.0 / 11.0
-    series = series * z + 2.0 / 9.0
-    series = series * z + 2.0 / 7.0
-    series = series * z + 2.0 / 5.0
-    series = series * z + 2.0 / 3.0
-    return k * LN2_HIGH + (k * LN2_LOW + (series * z * s + s * 2.0))
+        values[i] = exponential(-0.5 * x * x)
 
 
 FWHM_OVER_SIGMA = 2.0 * math.sqrt(2.0 * math.log(2.0))
@@ -116,11 +43,11 @@ def model_and_jacobian(
     Sunshine, Pieters & Pratt (1990), J. Geophys. Res. 95, 6955, 10.1029/JB095iB05p06955.
     """
     size = wavelength_um.size
-    residual, work, powers = np.empty(size), np.empty(size), np.empty(size, np.int64)
+    residual, work = np.empty(size), np.empty(size)
     jacobian = np.empty((parameters.size, size))
     chi2 = residuals(
         parameters, wavelength_um, np.ascontiguousarray(basis.T), logarithmic, np.zeros(size), np.ones(size), residual,
-        jacobian, work, powers,
+        jacobian, work,
     )  # fmt: skip
     return (-residual, jacobian) if math.isfinite(chi2) else None
 
@@ -128,7 +55,7 @@ def model_and_jacobian(
 @compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
 def residuals(
     parameters: Any, wavelength: Any, columns: Any, logarithmic: bool, data: Any, root_weight: Any, residual: Any,
-    jacobian: Any, work: Any, powers: Any,
+    jacobian: Any, work: Any,
 ) -> float:  # fmt: skip
     """Fill `residual` (n,) with data - ln R and `jacobian` (p, n) with the derivatives of ln R, both times the root of
     the weight; return chi-square, infinite where the continuum is not above 0. `columns` is the basis, (m, n).
@@ -139,7 +66,7 @@ def residuals(
     for row in range(columns.shape[0], parameters.size, 3):
         centre, fwhm, strength = parameters[row], parameters[row + 1], parameters[row + 2]
         inverse = FWHM_OVER_SIGMA / fwhm
-        gaussian(wavelength, centre, inverse, work, powers)
+        gaussian(wavelength, centre, inverse, work)
         by_centre, by_fwhm, by_strength = jacobian[row], jacobian[row + 1], jacobian[row + 2]
         slope, bend = strength * inverse, strength / fwhm
         for i in range(channels):
@@ -180,7 +107,7 @@ def _continuum(
         if not lowest > 0.0:
             return False
         for i in range(channels):
-            residual[i] = data[i] - math.log(work[i])
+            residual[i] = data[i] - logarithm(work[i])
         for i in range(channels):
             work[i] = root_weight[i] / work[i]
     for m in range(degrees):
@@ -192,18 +119,15 @@ def _continuum(
 
 RIDGE = 1e-10
 """Added to the diagonal of a matrix, relatively, before it is factorised."""
-LN_2 = math.log(2.0)
-ROOT_HALF = int(np.array(math.sqrt(0.5)).view(np.int64))
-"""The bits of the root of 1/2; numbers from there on count as of the next power of 2."""
 LEAST_CONTINUUM = 1e-12
 
 
 @compiled
 def _chi2(channels: Any, logarithmic: bool, point: Any, space: Any) -> float:
     wavelength, columns, data, root_weight = channels
-    jacobian, residual, work, powers = space
+    jacobian, residual, work = space
     chi2: float = residuals(
-        point, wavelength, columns, logarithmic, data, root_weight, residual, jacobian, work, powers
+        point, wavelength, columns, logarithmic, data, root_weight, residual, jacobian, work
     )
     return chi2
 
@@ -227,7 +151,7 @@ def force_of(target: Any, beta: float, point: Any, space: Any, force: Any) -> bo
     fraction of a per cent only decides how many trajectories are accepted, by the energy on all channels.
     """
     (wavelength, columns, data, root_weight), logarithmic, prior, precision, start = target[1:6]
-    shapes, rest, level, powers = space[1]
+    shapes, rest, level = space[1]
     degrees, channels = columns.shape
     for i in range(channels):
         level[i] = 0.0
@@ -235,11 +159,11 @@ def force_of(target: Any, beta: float, point: Any, space: Any, force: Any) -> bo
         coefficient, column = point[m], columns[m]
         for i in range(channels):
             level[i] += column[i] * coefficient
-    if not _subtract_continuum(data, level, logarithmic, powers, rest):
+    if not _subtract_continuum(data, level, logarithmic, rest):
         return False
     for row in range(degrees, point.size, 3):
         strength, shape = point[row + 2], shapes[row]
-        gaussian(wavelength, point[row], FWHM_OVER_SIGMA / point[row + 1], shape, powers)
+        gaussian(wavelength, point[row], FWHM_OVER_SIGMA / point[row + 1], shape)
         for i in range(channels):
             rest[i] -= strength * shape[i]
     for i in range(channels):
@@ -256,11 +180,8 @@ def force_of(target: Any, beta: float, point: Any, space: Any, force: Any) -> bo
 
 
 @compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
-def _subtract_continuum(data: Any, level: Any, logarithmic: bool, powers: Any, rest: Any) -> bool:
-    """Fill `rest` with data - ln C and turn `level` into what a change of C means for ln C.
-
-    ln C = k ln 2 + 2 artanh((f - 1) / (f + 1)) with f in 0.7-1.4; the series to the eleventh power leaves 1e-11.
-    """
+def _subtract_continuum(data: Any, level: Any, logarithmic: bool, rest: Any) -> bool:
+    """Fill `rest` with data - ln C and turn `level` into what a change of C means for ln C."""
     if logarithmic:
         for i in range(level.size):
             rest[i] = data[i] - level[i]
@@ -271,16 +192,8 @@ def _subtract_continuum(data: Any, level: Any, logarithmic: bool, powers: Any, r
         lowest = min(lowest, level[i])
     if not lowest > LEAST_CONTINUUM:
         return False
-    bits, fraction = level.view(np.int64), powers.view(np.float64)
     for i in range(level.size):
-        exponent = (bits[i] - ROOT_HALF) >> EXPONENT_BITS
-        rest[i] = exponent * LN_2
-        powers[i] = bits[i] - (exponent << EXPONENT_BITS)
-    for i in range(level.size):
-        t = (fraction[i] - 1.0) / (fraction[i] + 1.0)
-        u = t * t
-        series = ((((u / 11.0 + 1.0 / 9.0) * u + 1.0 / 7.0) * u + 0.2) * u + 1.0 / 3.0) * u + 1.0
-        rest[i] = data[i] - rest[i] - 2.0 * t * series
+        rest[i] = data[i] - logarithm(level[i])
         level[i] = 1.0 / level[i]
     return True
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
-from lunarsci.spectra.mgm.lanes import LANES, aligned, load, store
+from lunarsci.lanes import LANES, aligned, load, store
 from lunarsci.spectra.mgm.moments import BLOCK, ORIGIN, evaluate, rows_of_sums, rows_of_work, update
 from lunarsci.spectra.mgm.normal_equations import (
     clip_to_bounds,

@@ -10,8 +10,9 @@ From the sums to the curvature and the slope of chi-square in a fit's parameters
 from typing import Any
 
 from lunarsci.compiled import compiled
-from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA, bell, logarithm
-from lunarsci.spectra.mgm.lanes import choose, load, lowest, spread, store
+from lunarsci.elementary import exponential, logarithm
+from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA
+from lunarsci.lanes import choose, load, lowest, spread, store
 
 BLOCK = 8
 """Channels worked on together; their number is a multiple of it."""
@@ -67,7 +68,8 @@ def _gaussians(channels: Any, first: int, point: Any, degrees: int, work: Any) -
         strength = load(point, band + 2)
         for i in range(BLOCK):
             place = load(places, first + i)
-            shape = bell((place - centre) * inverse)
+            x = (place - centre) * inverse
+            shape = exponential(x * x * -0.5)
             store(work, at + i, load(work, at + i) - strength * shape)
             shape = shape * load(roots, first + i)
             store(work, row + i, shape)

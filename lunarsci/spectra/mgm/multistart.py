@@ -17,7 +17,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray, IndexArray
 from lunarsci.compiled import compiled
-from lunarsci.spectra.mgm.lanes import LANES, choose, load, spread, store
+from lunarsci.lanes import LANES, choose, load, spread, store
 from lunarsci.spectra.mgm.levenberg_marquardt import (
     NOT_FINITE,
     Channels,

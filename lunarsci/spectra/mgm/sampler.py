@@ -177,7 +177,7 @@ class _Particles:
 
 
 def _workspace(size: int, channels: int) -> Any:
-    return np.empty((size, channels)), np.empty(channels), np.empty(channels), np.empty(channels, dtype=np.int64)
+    return np.empty((size, channels)), np.empty(channels), np.empty(channels)
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]

@@ -13,7 +13,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.soil import Soil
-from lunarsci.twin.lanes import CENTER, GROUND, LANES, SOIL
+from lunarsci.twin.lanes import GROUP, WHEEL
 from lunarsci.twin.outcomes import CLIFF, FINISHED, HOLE, LEFT, SANK
 
 # Column of `Soil.vector()` that holds each parameter.
@@ -211,28 +211,31 @@ def read_surface(grid: Any, x: Any, y: Any, result: Any) -> None:
         result[k, 0], result[k, 1], result[k, 2] = surface_in(grid, i, j, column - j, row - i)
 
 
+CENTER, GROUND, SOIL = (WHEEL.first[name] for name in ("center", "ground", "soil"))
+
+
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def lay_soil(grid: Any, override: Any, wheel: Any) -> None:
-    """Soil of every lane: that of `override` (LANES, 8) where it is not NaN, else the terrain's first."""
-    for lane in range(LANES):
+    """Soil of every lane: that of `override` (GROUP, 8) where it is not NaN, else the terrain's first."""
+    for lane in range(GROUP):
         for k in range(8):
             value = override[lane, k]
-            wheel[(SOIL + k) * LANES + lane] = grid.soil[0, 0, k] if np.isnan(value) else value
+            wheel[(SOIL + k) * GROUP + lane] = grid.soil[0, 0, k] if np.isnan(value) else value
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def read_ground(grid: Any, override: Any, wheel: Any, code: Any) -> None:
-    """Height, gradient and soil below a wheel of LANES rovers; `code` takes who left the map, met a hole or a cliff.
+    """Height, gradient and soil below a wheel of GROUP rovers; `code` takes who left the map, met a hole or a cliff.
 
-    `override` (LANES, 8) replaces the soil where it is not NaN. Where the soil is the same everywhere it stays as
+    `override` (GROUP, 8) replaces the soil where it is not NaN. Where the soil is the same everywhere it stays as
     `lay_soil` left it. Lanes with another outcome keep what they had.
     """
     ny, nx = grid.height.shape
     uniform = grid.soil.shape[0] == 1
-    for lane in range(LANES):
+    for lane in range(GROUP):
         if code[lane] != FINISHED and code[lane] != SANK:
             continue
-        x, y = wheel[CENTER * LANES + lane], wheel[(CENTER + 1) * LANES + lane]
+        x, y = wheel[CENTER * GROUP + lane], wheel[(CENTER + 1) * GROUP + lane]
         column, row = (x - grid.x0) / grid.spacing, (y - grid.y0) / grid.spacing
         if not (0.0 <= column <= nx - 1 and 0.0 <= row <= ny - 1):
             code[lane] = LEFT
@@ -245,9 +248,9 @@ def read_ground(grid: Any, override: Any, wheel: Any, code: Any) -> None:
             height, slope_x, slope_y = 0.0, 0.0, 0.0
         elif slope_x * slope_x + slope_y * slope_y > STEEPEST * STEEPEST:
             code[lane] = CLIFF
-        wheel[GROUND * LANES + lane] = height
-        wheel[(GROUND + 1) * LANES + lane] = slope_x
-        wheel[(GROUND + 2) * LANES + lane] = slope_y
+        wheel[GROUND * GROUP + lane] = height
+        wheel[(GROUND + 1) * GROUP + lane] = slope_x
+        wheel[(GROUND + 2) * GROUP + lane] = slope_y
         if code[lane] == HOLE:
             continue
         if uniform:
@@ -256,7 +259,7 @@ def read_ground(grid: Any, override: Any, wheel: Any, code: Any) -> None:
             if np.isnan(override[lane, k]):
                 low = (1.0 - a) * grid.soil[i, j, k] + a * grid.soil[i, j + 1, k]
                 high = (1.0 - a) * grid.soil[i + 1, j, k] + a * grid.soil[i + 1, j + 1, k]
-                wheel[(SOIL + k) * LANES + lane] = (1.0 - b) * low + b * high
+                wheel[(SOIL + k) * GROUP + lane] = (1.0 - b) * low + b * high
 
 
 def build_terrain(

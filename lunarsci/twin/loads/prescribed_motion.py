@@ -15,7 +15,7 @@ from lunarsci.errors import ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.states import COLUMNS, read_state_table
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.lanes import ARM, AXES, LANES, POSE, new_work
+from lunarsci.twin.lanes import BODY, GROUP, WHEEL, new_work
 from lunarsci.twin.outcomes import DIVERGED, FINISHED, SANK, UNSETTLED, outcome_texts
 from lunarsci.twin.plans.motion import CORRELATION_M, Motion, correlation_of
 from lunarsci.twin.plans.path import CREEP_M_S
@@ -97,27 +97,28 @@ def prescribed_loads(rover: Rover, terrain: Terrain, motion: Motion, soil: Float
     count, wheels = len(motion.time_s), len(rover.wheels)
     if motion.speed_m_s.shape != (count, wheels) or motion.steering_deg.shape != (count, wheels):
         raise ParameterError(f"the motion's commands have shape {motion.speed_m_s.shape}; {(count, wheels)} is wanted")
-    override = np.full((LANES, 8), np.nan) if soil is None else np.tile(soil, (LANES, 1))
+    override = np.full((GROUP, 8), np.nan) if soil is None else np.tile(soil, (GROUP, 1))
     known = (rover.vector(), rover.wheel.vector(), terrain.grid(), override)
     poses, velocities = np.full((count, 10), np.nan), np.zeros((count, 9))
     paths, states, left = np.zeros((count, 6)), np.zeros((count, wheels, 10)), np.zeros((count, 3))
     outcome, frames = np.zeros(count, dtype=np.int64), np.zeros((count, wheels, 12))
-    groups = [np.minimum(np.arange(k, k + LANES), count - 1) for k in range(0, count, LANES)]
+    groups = [np.minimum(np.arange(k, k + GROUP), count - 1) for k in range(0, count, GROUP)]
     works = [new_work(wheels) for _ in groups]
 
     def rest(number: int) -> None:
         own, work = groups[number], works[number]
         _place(known, motion, own, work)
         outcome[own] = work.code
-        poses[own] = np.where(work.code == FINISHED, work.body.reshape(-1, LANES)[POSE : POSE + 10], np.nan).T
+        pose = np.concatenate([BODY.view(work.body, name) for name in ("position", "quaternion", "joints")])
+        poses[own] = np.where(work.code == FINISHED, pose, np.nan).T
 
     def carry(number: int) -> None:
         own, work = groups[number], works[number]
-        share = np.zeros((LANES, 3))
+        share = np.zeros((GROUP, 3))
         balance(*known, HELD, velocities[own], share, work)
         outcome[own], left[own] = np.maximum(outcome[own], work.code), share
-        seen = work.wheels.reshape(wheels, -1, LANES)
-        frames[own] = np.concatenate([seen[:, AXES : AXES + 9], seen[:, ARM : ARM + 3]], axis=1).transpose(2, 0, 1)
+        seen = [WHEEL.view(work.wheels, name) for name in ("forward", "across", "upward", "arm")]
+        frames[own] = np.concatenate(seen, axis=1).transpose(2, 0, 1)
         for lane, row in enumerate(own):
             record(work, lane, known[1], paths[row], states[row])
 
@@ -222,13 +223,7 @@ def net_wrench(found: PrescribedLoads, levers: FloatArray) -> FloatArray:
 
 def _shear_centers(found: PrescribedLoads) -> tuple[FloatArray, FloatArray]:
     sinkage, slip = (found.states[..., STATE_COLUMNS.index(name)] for name in ("sinkage_m", "slip_ratio"))
-    tyre = found.rover.wheel.vector()
-    pairs = [
-        shear_center(z, s, tyre) if np.isfinite(z) else (np.nan, np.nan)
-        for z, s in zip(sinkage.flat, slip.flat, strict=True)
-    ]
-    both = np.array(pairs).reshape(*sinkage.shape, 2)
-    return both[..., 0], both[..., 1]
+    return shear_center(sinkage, slip, found.rover.wheel.vector())
 
 
 MEASURED = ("sinkage_m", "slip_ratio", "side_slip_deg")

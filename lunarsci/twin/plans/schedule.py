@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
-from lunarsci.twin.lanes import LANES, POSE
+from lunarsci.twin.lanes import BODY, GROUP
 from lunarsci.twin.plans.path import CREEP, Commands, along_legs, curvature_at, leg_end, plain, reach_m, wheel_commands
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
@@ -308,11 +308,11 @@ def legs_from(schedule: Schedule, rover: Rover, number: int, work: Any, errors: 
     Parameters
     ----------
     work : the scratch arrays with the true poses.
-    errors : of the fixes. (LANES, 3) [m, m, rad]
+    errors : of the fixes. (GROUP, 3) [m, m, rad]
 
     Returns
     -------
-    Length [m], curvature [1/m] and turn [rad]. (LANES, 3)
+    Length [m], curvature [1/m] and turn [rad]. (GROUP, 3)
     """
     leg = schedule.runs[number].legs[0]
     goal = leg_end(schedule.poses[number], leg)
@@ -320,7 +320,7 @@ def legs_from(schedule: Schedule, rover: Rover, number: int, work: Any, errors: 
     if leg.length_m == 0:
         planned = math.radians(leg.turn_deg)
         off = np.remainder(goal[2] - heading - planned + math.pi, 2 * math.pi) - math.pi
-        return np.stack([np.zeros(LANES), np.zeros(LANES), planned + off], axis=-1)
+        return np.stack([np.zeros(GROUP), np.zeros(GROUP), planned + off], axis=-1)
     travel = heading + math.radians(leg.crab_deg)
     ahead = np.cos(travel) * (goal[0] - x) + np.sin(travel) * (goal[1] - y)
     aside = np.cos(travel) * (goal[1] - y) - np.sin(travel) * (goal[0] - x)
@@ -330,11 +330,10 @@ def legs_from(schedule: Schedule, rover: Rover, number: int, work: Any, errors: 
     tightest = rover.tightest_curvature_per_m
     curvature = np.clip(2.0 * np.sin(half) / np.maximum(chord, 1e-9), -tightest, tightest)
     length = np.minimum(chord / np.sinc(half / math.pi), 2.0 * leg.length_m)
-    return np.stack([length, curvature, np.zeros(LANES)], axis=-1)
+    return np.stack([length, curvature, np.zeros(GROUP)], axis=-1)
 
 
 def _poses(work: Any) -> FloatArray:
-    """True x, y, heading. (LANES, 3) [m, m, rad]"""
-    rows = work.body.reshape(-1, LANES)[POSE : POSE + 7]
-    x, y, _, w, i, j, k = rows
+    """True x, y, heading. (GROUP, 3) [m, m, rad]"""
+    (x, y, _), (w, i, j, k) = (BODY.view(work.body, name) for name in ("position", "quaternion"))
     return np.stack([x, y, np.arctan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k))], axis=-1)

@@ -11,25 +11,10 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.compiled import compiled, each_in_threads
 from lunarsci.errors import ParameterError
+from lunarsci.lanes import LANES
 from lunarsci.regolith.forces import slip_ratio
 from lunarsci.twin.ground.terrain import STEEPEST, Terrain
-from lunarsci.twin.lanes import (
-    CENTER,
-    DRAWBAR,
-    LANES,
-    NORMAL,
-    RESISTANCE,
-    RIM,
-    ROTATION,
-    RUT,
-    SIDE,
-    SINKAGE,
-    SPEED,
-    STEER,
-    VELOCITY,
-    Work,
-    new_work,
-)
+from lunarsci.twin.lanes import BODY, GROUP, WHEEL, Work, new_work
 from lunarsci.twin.outcomes import CLIFF, DIVERGED, FINISHED, LEFT
 from lunarsci.twin.plans.path import Commands, reach_m
 from lunarsci.twin.plans.plan import Plan
@@ -47,7 +32,7 @@ from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact import DRIVEN
 from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST, SLOWEST, VALID_SLIP
 from lunarsci.twin.simulation.dynamics import orient
-from lunarsci.twin.simulation.integrate import assemble, check_health, check_sense, eliminate, move
+from lunarsci.twin.simulation.integrate import assemble, check_health, check_sense, eliminate, move, note_outcomes
 from lunarsci.twin.simulation.ruts import SPACING_M, RutGrid, press_ruts, rut_grid, with_ruts
 from lunarsci.twin.simulation.settle import settle
 
@@ -56,23 +41,33 @@ from lunarsci.twin.simulation.settle import settle
 SLOW_PARTS = 4
 
 
+STEER, RIM = (WHEEL.first[name] for name in ("steer", "rim"))
+
+
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def take_commands(work: Any, steering: Any, speed: Any, step: int) -> None:
     """Steering angle and rim speed of every wheel in a step; (rovers, steps, wheels), one rover stands for all."""
     last = len(steering) - 1
     for w in range(len(work.wheels)):
-        for lane in range(LANES):
-            work.wheels[w, STEER * LANES + lane] = steering[min(lane, last), step, w]
-            work.wheels[w, RIM * LANES + lane] = speed[min(lane, last), step, w]
+        for lane in range(GROUP):
+            work.wheels[w, STEER * GROUP + lane] = steering[min(lane, last), step, w]
+            work.wheels[w, RIM * GROUP + lane] = speed[min(lane, last), step, w]
 
 
 def roll_on(work: Work, ahead: float, left: float, turn: float) -> None:
     """Start velocity: as commanded, along the chassis' x and y axes [m/s] and about its z axis [rad/s]."""
-    orient(work.body)
-    rows = work.body.reshape(-1, LANES)
-    axes = rows[ROTATION : ROTATION + 9].reshape(3, 3, LANES)
-    rows[SPEED : SPEED + 3] = ahead * axes[:, 0] + left * axes[:, 1]
-    rows[SPEED + 3 : SPEED + 6] = turn * axes[:, 2]
+    for lane in range(0, GROUP, LANES):
+        orient(work.body, lane)
+    axes = np.array([BODY.view(work.body, name) for name in ("x_row", "y_row", "z_row")])
+    BODY.view(work.body, "speed")[:] = ahead * axes[:, 0] + left * axes[:, 1]
+    BODY.view(work.body, "spin")[:] = turn * axes[:, 2]
+
+
+X_ROW, Y_ROW, Z_ROW = (BODY.first[name] for name in ("x_row", "y_row", "z_row"))
+CENTER, SINKAGE, VELOCITY, NORMAL, DRAWBAR, SIDE, RESISTANCE, RUT = (
+    WHEEL.first[name]
+    for name in ("center", "sinkage", "velocity", "normal", "drawbar", "side", "resistance", "rut")
+)
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
@@ -82,21 +77,20 @@ def record(work: Any, lane: int, tyre: Any, path: Any, states: Any) -> None:
     State: x, y, sinkage below the undisturbed ground, slip ratio, side slip [rad], F_N, F_DP, F_L, M_R, valid (1 or 0).
     A wheel that turns backwards is seen along its own direction of travel.
     """
-    body = work.body
-    path[0], path[1], path[2] = body[lane], body[LANES + lane], body[2 * LANES + lane]
-    path[3] = math.atan2(body[(ROTATION + 7) * LANES + lane], body[(ROTATION + 8) * LANES + lane])
-    path[4] = -math.asin(max(-1.0, min(1.0, body[(ROTATION + 6) * LANES + lane])))
-    path[5] = math.atan2(body[(ROTATION + 3) * LANES + lane], body[ROTATION * LANES + lane])
+    body = work.body[lane:]
+    path[0], path[1], path[2] = body[0], body[GROUP], body[2 * GROUP]
+    path[3] = math.atan2(body[(Z_ROW + 1) * GROUP], body[(Z_ROW + 2) * GROUP])
+    path[4] = -math.asin(max(-1.0, min(1.0, body[Z_ROW * GROUP])))
+    path[5] = math.atan2(body[Y_ROW * GROUP], body[X_ROW * GROUP])
     for w in range(len(states)):
-        wheel, state = work.wheels[w], states[w]
-        sinkage = wheel[SINKAGE * LANES + lane] + wheel[(RUT + 1) * LANES + lane]
-        forward, across = wheel[VELOCITY * LANES + lane], wheel[(VELOCITY + 1) * LANES + lane]
-        rim = abs(wheel[RIM * LANES + lane])
+        wheel, state = work.wheels[w, lane:], states[w]
+        sinkage = wheel[SINKAGE * GROUP] + wheel[(RUT + 1) * GROUP]
+        forward, across, rim = wheel[VELOCITY * GROUP], wheel[(VELOCITY + 1) * GROUP], abs(wheel[RIM * GROUP])
         slip = slip_ratio(forward / rim) if rim >= SLOWEST else 0.0
-        state[0], state[1] = wheel[CENTER * LANES + lane], wheel[(CENTER + 1) * LANES + lane]
+        state[0], state[1] = wheel[CENTER * GROUP], wheel[(CENTER + 1) * GROUP]
         state[2], state[3], state[4] = max(sinkage, 0.0), slip, math.atan2(across, abs(forward))
-        state[5], state[6] = wheel[NORMAL * LANES + lane], wheel[DRAWBAR * LANES + lane]
-        state[7], state[8] = wheel[SIDE * LANES + lane], wheel[RESISTANCE * LANES + lane]
+        state[5], state[6] = wheel[NORMAL * GROUP], wheel[DRAWBAR * GROUP]
+        state[7], state[8] = wheel[SIDE * GROUP], wheel[RESISTANCE * GROUP]
         state[9] = 1.0 if SHALLOWEST < sinkage <= DEEPEST * tyre[0] and abs(slip) <= VALID_SLIP else 0.0
 
 
@@ -104,7 +98,7 @@ def begin(
     rover: Any, tyre: Any, grid: Any, override: Any, start: FloatArray, motion: FloatArray, steering: Any, speed: Any,
     work: Work,
 ) -> None:  # fmt: skip
-    """Settle the rovers at `start` (LANES, 3), steered by their first commands, and give them `motion` (3)."""
+    """Settle the rovers at `start` (GROUP, 3), steered by their first commands, and give them `motion` (3)."""
     take_commands(work, steering, speed, 0)
     settle(rover, tyre, grid, override, start, work)
     roll_on(work, *motion)
@@ -129,11 +123,11 @@ def drive(
     states: Any,
     results: Any,
 ) -> None:
-    """Drive up to LANES rovers on from where they are.
+    """Drive up to GROUP rovers on from where they are.
 
     Parameters
     ----------
-    override : (LANES, 8) soil of each; lanes beyond the members repeat one of them.
+    override : (GROUP, 8) soil of each; lanes beyond the members repeat one of them.
     steering, speed : (rovers, steps, wheels) commanded angles and ground speeds; one rover stands for all.
     time_step_s, first : step [s], and number of the first one since the drive began.
     every : steps between records.
@@ -145,7 +139,7 @@ def drive(
     """
     members, steps = len(paths), steering.shape[1]
     # Lanes beyond the members need no ground; what becomes of them is not looked at.
-    for m in range(members, LANES):
+    for m in range(members, GROUP):
         work.code[m] = LEFT
     for i in range(steps + (1 if last else 0)):
         under_way = 0
@@ -170,9 +164,11 @@ def drive(
                             record(work, m, tyre, paths[m, results[m, 1]], states[m, results[m, 1]])
                             results[m, 1] += 1
             if i < steps:
-                eliminate(work)
-                move(work.body, step)
-                check_health(work, rover.gravity * step)
+                for lane in range(0, GROUP, LANES):
+                    eliminate(work, lane)
+                    move(work.body, step, lane)
+                    check_health(work.body, rover.gravity * step, lane)
+                note_outcomes(work.body, work.code)
     work.frame[6] = 1.0
     for m in range(members):
         results[m, 0] = work.code[m]
@@ -287,7 +283,7 @@ class DriveSetup:
 def drive_all(
     scene: DriveSetup, overrides: FloatArray, samples: int, progress: Callable[[int, int], None] | None
 ) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Drive the members, LANES together and as many such groups at a time as numba has threads.
+    """Drive the members, GROUP together and as many such groups at a time as numba has threads.
 
     The groups do not depend on the number of threads, and so neither do the results. Members with a ground of their own
     are a group each. A member whose drive before did not end has the outcome of that.
@@ -297,13 +293,13 @@ def drive_all(
     results = np.zeros((count, 2), dtype=np.int64)
     numbers = np.arange(count) if scene.only is None else scene.only
     shared, ruts = scene.terrain.grid(), scene.rut_grid()
-    together = LANES if scene.grounds is None else 1
+    together = GROUP if scene.grounds is None else 1
     groups = [slice(k, min(k + together, count)) for k in range(0, count, together)]
     drives = [(part, part.commands(), part.fix_errors(count)) for part in (scene.earlier, scene) if part is not None]
 
     def group(number: int) -> None:
         own = groups[number]
-        lanes = np.minimum(np.arange(own.start, own.start + LANES), own.stop - 1)
+        lanes = np.minimum(np.arange(own.start, own.start + GROUP), own.stop - 1)
         grid = shared if scene.grounds is None else scene.grounds.terrain(int(numbers[number])).grid()
         known = (scene.rover.vector(), scene.rover.wheel.vector(), grid, overrides[lanes])
         work = new_work(wheels) if ruts is None else with_ruts(new_work(wheels), ruts)
@@ -353,7 +349,7 @@ def _meets_cliff(scene: DriveSetup, terrain: Terrain, wheels_m: FloatArray) -> b
 
 
 def _begin(scene: DriveSetup, known: tuple[Any, Any, Any, Any], commands: Commands, work: Work) -> None:
-    start = np.tile(scene.schedule.poses[0], (LANES, 1))
+    start = np.tile(scene.schedule.poses[0], (GROUP, 1))
     motion = np.array(start_motion(scene.schedule, scene.rover))
     begin(*known, start, motion, commands.steering_rad, commands.speed_m_s, work)
 

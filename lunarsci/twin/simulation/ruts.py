@@ -1,4 +1,4 @@
-"""The ground that wheels leave behind, and what the next wheel meets in it, for LANES rovers.
+"""The ground that wheels leave behind, and what the next wheel meets in it, for GROUP rovers.
 
 Every rover presses its own ruts into a grid of nodes: how deep below the undisturbed ground a wheel has been. When the
 wheel has gone the soil springs back, and a wheel that follows loads it again along a line that meets the first loading
@@ -20,7 +20,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.elementary import exponential, logarithm
 from lunarsci.errors import ParameterError
-from lunarsci.twin.lanes import AXLE, CENTER, GROUND, LANES, RIM, RUT, SINKAGE, SOIL, Work
+from lunarsci.twin.lanes import GROUP, WHEEL, Work
 from lunarsci.twin.outcomes import FINISHED
 from lunarsci.twin.simulation.contact_frame import SHALLOWEST
 
@@ -32,6 +32,11 @@ BEHIND = 3.0
 """How far behind the axle a rut is left, in spacings: its strip reaches 2 ahead, and a wheel meets nodes 1 off."""
 MOST_NODES = 2e7
 """Of one rover's grid; memory is taken only where a wheel rolls."""
+
+
+AXLE, CENTER, GROUND, RIM, RUT, SINKAGE, SOIL = (
+    WHEEL.first[name] for name in ("axle", "center", "ground", "rim", "rut", "sinkage", "soil")
+)
 
 
 class RutGrid(NamedTuple):
@@ -67,7 +72,7 @@ def rut_grid(start: FloatArray, places: FloatArray, margin_m: float) -> RutGrid:
 
 def with_ruts(work: Work, grid: RutGrid) -> Work:
     """`work` with undisturbed ground for ruts."""
-    return work._replace(ruts=np.zeros((LANES, *grid.shape, 2)), frame=grid.frame.copy())
+    return work._replace(ruts=np.zeros((GROUP, *grid.shape, 2)), frame=grid.frame.copy())
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
@@ -99,19 +104,19 @@ def still_deep(pressed: float, stiffness: float, exponent: float) -> float:
 def read_ruts(work: Any, w: int) -> None:
     """Lower the ground of wheel `w` by what is left of the ruts below it, looked up anew where `frame` says so."""
     frame, wheel = work.frame, work.wheels[w]
-    for lane in range(LANES):
+    for lane in range(GROUP):
         if work.code[lane] != FINISHED:
             continue
         if frame[6] > 0.0:
-            x, y = wheel[CENTER * LANES + lane] - frame[0], wheel[(CENTER + 1) * LANES + lane] - frame[1]
+            x, y = wheel[CENTER * GROUP + lane] - frame[0], wheel[(CENTER + 1) * GROUP + lane] - frame[1]
             column, row = frame[2] * x + frame[3] * y + frame[4], frame[2] * y - frame[3] * x + frame[5]
             found = depth_at(work.ruts, lane, column, row)
-            wheel[RUT * LANES + lane], wheel[(RUT + 1) * LANES + lane] = found
-        left = wheel[(RUT + 1) * LANES + lane]
+            wheel[RUT * GROUP + lane], wheel[(RUT + 1) * GROUP + lane] = found
+        left = wheel[(RUT + 1) * GROUP + lane]
         if left > 0.0:
-            slope_x, slope_y = wheel[(GROUND + 1) * LANES + lane], wheel[(GROUND + 2) * LANES + lane]
+            slope_x, slope_y = wheel[(GROUND + 1) * GROUP + lane], wheel[(GROUND + 2) * GROUP + lane]
             # Sinkage counts along the normal.
-            wheel[GROUND * LANES + lane] -= left * math.sqrt(1.0 + slope_x**2 + slope_y**2)
+            wheel[GROUND * GROUP + lane] -= left * math.sqrt(1.0 + slope_x**2 + slope_y**2)
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
@@ -121,20 +126,20 @@ def press_ruts(work: Any, width: float) -> None:
     wide = width * math.sqrt(frame[2] ** 2 + frame[3] ** 2)
     for w in range(len(work.wheels)):
         wheel = work.wheels[w]
-        for lane in range(LANES):
-            sinkage = wheel[SINKAGE * LANES + lane]
-            if work.code[lane] != FINISHED or not sinkage > 0.0 or wheel[RIM * LANES + lane] == 0.0:
+        for lane in range(GROUP):
+            sinkage = wheel[SINKAGE * GROUP + lane]
+            if work.code[lane] != FINISHED or not sinkage > 0.0 or wheel[RIM * GROUP + lane] == 0.0:
                 continue
-            axle_x, axle_y = wheel[AXLE * LANES + lane], wheel[(AXLE + 1) * LANES + lane]
+            axle_x, axle_y = wheel[AXLE * GROUP + lane], wheel[(AXLE + 1) * GROUP + lane]
             across, up = frame[2] * axle_x + frame[3] * axle_y, frame[2] * axle_y - frame[3] * axle_x
             scale = 1.0 / math.sqrt(across * across + up * up + 1e-300)
             across, up = scale * across, scale * up
-            x, y = wheel[CENTER * LANES + lane] - frame[0], wheel[(CENTER + 1) * LANES + lane] - frame[1]
+            x, y = wheel[CENTER * GROUP + lane] - frame[0], wheel[(CENTER + 1) * GROUP + lane] - frame[1]
             # Ahead is a quarter turn from the axle to the right.
             column = frame[2] * x + frame[3] * y + frame[4] - BEHIND * up
             row = frame[2] * y - frame[3] * x + frame[5] + BEHIND * across
-            depth = sinkage + wheel[(RUT + 1) * LANES + lane]
-            still = still_deep(depth, wheel[SOIL * LANES + lane], wheel[(SOIL + 1) * LANES + lane])
+            depth = sinkage + wheel[(RUT + 1) * GROUP + lane]
+            still = still_deep(depth, wheel[SOIL * GROUP + lane], wheel[(SOIL + 1) * GROUP + lane])
             press(work.ruts, lane, column, row, across, up, wide, depth, still)
 
 

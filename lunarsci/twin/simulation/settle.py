@@ -1,5 +1,6 @@
 """The rovers at rest on the ground, before they drive."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -7,28 +8,12 @@ from scipy.spatial.transform import Rotation
 
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
+from lunarsci.lanes import LANES, Fields, choose, formula, highest, lowest
 from lunarsci.twin.ground.terrain import lay_soil, read_ground
-from lunarsci.twin.lanes import (
-    ARM,
-    AXES,
-    CENTER,
-    CHANGE,
-    GROUND,
-    HOLD,
-    LANES,
-    LAST,
-    MATRIX,
-    NORMAL,
-    POSE,
-    RIGHT,
-    SLIP,
-    SPEED,
-    TRAVEL,
-    Work,
-)
+from lunarsci.twin.lanes import BODY, GROUP, SYSTEM, WHEEL, Work, dot, plus, times
 from lunarsci.twin.outcomes import CLIFF, DIVERGED, FINISHED, HOLE, LEFT, OVERTURNED, SANK, UNSETTLED
 from lunarsci.twin.simulation.contact import AT_REST
-from lunarsci.twin.simulation.integrate import assemble, eliminate, is_upright, move
+from lunarsci.twin.simulation.integrate import assemble, eliminate, is_upright, move, note_outcomes
 
 SETTLE_ROUNDS = 300
 SETTLE_TOLERANCE = 1e-9
@@ -37,194 +22,224 @@ LONGEST_MOVE = 0.02
 # Share of a change of the forces along the surface that a round makes: with all of it loads and forces chase each other
 # on steep ground.
 CALM = 0.4
+INFINITE = math.inf
+REST = Fields(GROUP, done=1, leaning=1, left=3, pull=3, share=9)
+"""Rows of what a search for rest keeps: 1 where it has found it, 1 where the ground begins to hold the rover (see
+`lean_on`), the force in x and y and the moment about the vertical that hold it beside the wheels, the way in which it
+would start to slide and turn, and the loads of the wheels times their ways along it."""
 
 
 def place(rover: Any, tyre: Any, grid: Any, override: Any, start: FloatArray, work: Work) -> None:
     """Put the rovers above the plane through the ground under their wheels, 1 cm deep.
 
-    `start` (LANES, 3) is x, y, heading. Done once for a drive, and so not compiled.
+    `start` (GROUP, 3) is x, y, heading. Done once for a drive, and so not compiled.
     """
     side = np.where(np.arange(len(rover.arms)) % 2 == 0, 1.0, -1.0)
     x = rover.arms[:, 0] + rover.hung * rover.bogie[0]
     y = rover.arms[:, 1] + side * (rover.pivot_y + rover.hung * rover.bogie[1])
     z = rover.arms[:, 2] + rover.hung * rover.bogie[2]
     c, s = np.cos(start[:, 2]), np.sin(start[:, 2])
-    rows = work.wheels.reshape(len(x), -1, LANES)
-    rows[:, CENTER] = start[:, 0] + np.multiply.outer(x, c) - np.multiply.outer(y, s)
-    rows[:, CENTER + 1] = start[:, 1] + np.multiply.outer(x, s) + np.multiply.outer(y, c)
+    center = WHEEL.view(work.wheels, "center")
+    center[:, 0] = start[:, 0] + np.multiply.outer(x, c) - np.multiply.outer(y, s)
+    center[:, 1] = start[:, 1] + np.multiply.outer(x, s) + np.multiply.outer(y, c)
     for wheel in work.wheels:
         lay_soil(grid, override, wheel)
         read_ground(grid, override, wheel, work.code)
-    ground, ahead = rows[:, GROUND], x - x.mean()
+    ground, ahead = WHEEL.view(work.wheels, "ground")[:, 0], x - x.mean()
     rise, bank = ahead @ ground / (1e-12 + ahead @ ahead), y @ ground / (1e-12 + y @ y)
     height = ground.mean(axis=0) - rise * x.mean() - z.mean() + (tyre[0] - 0.01) * np.sqrt(1.0 + rise**2 + bank**2)
     turned = Rotation.from_euler("ZYX", np.column_stack([start[:, 2], -np.arctan(rise), np.arctan(bank)]))
     work.body[:] = 0.0
-    quaternion = turned.as_quat(scalar_first=True)
-    work.body.reshape(-1, LANES)[POSE : POSE + 7] = np.column_stack([start[:, :2], height, quaternion]).T
+    BODY.view(work.body, "position")[:] = np.column_stack([start[:, :2], height]).T
+    BODY.view(work.body, "quaternion")[:] = turned.as_quat(scalar_first=True).T
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def lock(work: Any, time_step_s: float, tolerance: float, done: Any, left: Any) -> None:
-    """Hold x, y and yaw; mark lanes as done whose largest force on the free coordinates is below tolerance [N, N m].
+@formula
+def lock(work: Any, rest: Any, time_step_s: Any, tolerance: Any, lane: Any) -> None:
+    """Hold x, y and yaw; mark members as done whose largest force on the free coordinates is below tolerance [N, N m].
 
     `left` takes the forces on what is held.
     """
-    for lane in range(LANES):
-        largest = 0.0
-        for i in range(9):
-            own, row = (1, 7) if i == 8 else (0, i)
-            force = work.sides[own, (RIGHT + row) * LANES + lane]
-            if i < 7:
-                force += work.sides[1 - own, (RIGHT + row) * LANES + lane]
-            if i == 0 or i == 1 or i == 5:
-                left[lane, min(i, 2)] = -force / time_step_s
-                for side in range(2):
-                    for k in range(8):
-                        work.sides[side, (MATRIX + 8 * i + k) * LANES + lane] = 0.0
-                    work.sides[side, (MATRIX + 9 * i) * LANES + lane] = 0.5
-                    work.sides[side, (RIGHT + i) * LANES + lane] = 0.0
-            else:
-                largest = max(largest, abs(force) / time_step_s)
-        if largest < tolerance:
-            done[lane] = True
+    sides, found = [SYSTEM.of(work.sides, k, lane) for k in range(2)], REST.of(rest, lane)
+    force = [sides[0].right[i] + sides[1].right[i] for i in range(7)] + [side.right[7] for side in sides]
+    largest = 0.0
+    for i in (2, 3, 4, 6, 7, 8):
+        largest = highest(abs(force[i]) / time_step_s, largest)
+    found.left = tuple(-force[i] / time_step_s for i in (0, 1, 5))
+    found.done = choose(found.leaning, 0.0, found.done)
+    found.done = choose(largest < tolerance, 1.0, found.done)
+    for side in sides:
+        matrix, right = list(side.matrix), list(side.right)
+        for i in (0, 1, 5):
+            matrix[8 * i : 8 * i + 8], right[i] = [0.0] * 8, 0.0
+            matrix[9 * i] = 0.5
+        side.matrix, side.right = tuple(matrix), tuple(right)
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def shorten(work: Any, most: float, done: Any) -> None:
-    """Scale the changes so that no entry of a lane exceeds `most`; lanes that are done or lost stay."""
-    for lane in range(LANES):
-        largest = 0.0
-        for i in range(9):
-            largest = max(largest, abs(work.body[(CHANGE + i) * LANES + lane]))
-        share = 0.0 if done[lane] or not largest < np.inf else min(1.0, most / (largest + 1e-300))
-        for i in range(9):
-            work.body[(CHANGE + i) * LANES + lane] = (
-                share * work.body[(CHANGE + i) * LANES + lane] if share > 0.0 else 0.0
-            )
-        if not largest < np.inf and work.code[lane] == FINISHED:
-            work.code[lane] = UNSETTLED
+@formula
+def shorten(work: Any, rest: Any, most: Any, lane: Any) -> None:
+    """Scale the changes so that no entry exceeds `most`; members that are done or lost stay."""
+    body, done, largest = BODY.of(work.body, lane), REST.of(rest, lane).done > 0.0, 0.0
+    for change in body.change:
+        largest = highest(abs(change), largest)
+    goes = ~done & (largest < INFINITE)
+    share = choose(goes, lowest(1.0, most / (largest + 1e-300)), 0.0)
+    body.change = tuple(choose(goes, share * change, 0.0) for change in body.change)
+    body.outcome = choose(largest < INFINITE, FINISHED, UNSETTLED)
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def lean_on(work: Any, left: Any, pull: Any, leaning: Any, done: Any, tolerance: float) -> None:
-    """Let the ground hold what `left` (LANES, 3) says has to hold the rovers: along its surface under every wheel.
-
-    How the forces share out among the wheels is not determined; each takes as much of its load as the others, along
-    the way in which the rover would start to slide and turn, which `pull` (LANES, 3) keeps. Lanes are `leaning` from
-    when they first stand; those where more than `tolerance` [N, N m] is left are not done.
-    """
-    share, moved = np.empty((3, 3)), np.empty((3, 3))
-    for lane in range(LANES):
-        if not leaning[lane]:
-            leaning[lane], done[lane] = done[lane], False
-        if not leaning[lane] or not abs(left[lane, 0]) + abs(left[lane, 1]) + abs(left[lane, 2]) < np.inf:
-            continue
-        for i in range(9):
-            share[i // 3, i % 3] = 0.0
-        for w in range(len(work.wheels)):
-            slide_along(work.wheels[w], lane, moved)
-            for i in range(3):
-                for k in range(3):
-                    for m in range(3):
-                        share[i, k] += work.wheels[w, NORMAL * LANES + lane] * moved[m, i] * moved[m, k]
-        for i in range(3):
-            if abs(left[lane, i]) > tolerance:
-                done[lane] = False
-        if not done[lane]:
-            found = solved(share, left[lane])
-            for i in range(3):
-                pull[lane, i] += CALM * found[i]
-        for w in range(len(work.wheels)):
-            slide_along(work.wheels[w], lane, moved)
-            for m in range(3):
-                along = moved[m, 0] * pull[lane, 0] + moved[m, 1] * pull[lane, 1] + moved[m, 2] * pull[lane, 2]
-                row = (HOLD + m) * LANES + lane
-                wanted = work.wheels[w, NORMAL * LANES + lane] * along
-                work.wheels[w, row] += CALM * (wanted - work.wheels[w, row])
+def slide_along(wheel: Any) -> Any:
+    """Way of a wheel's centre along the surface as the rover moves in x, in y and turns about the vertical."""
+    normal = wheel.upward
+    ways = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (-wheel.arm[1], wheel.arm[0], 0.0))
+    return [plus(way, times(normal, -(way[0] * normal[0] + way[1] * normal[1]))) for way in ways]
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def solved(matrix: Any, side: Any) -> tuple[float, float, float]:
-    """Solution of a symmetric system of three, zeros where it has none; compiled sooner than the library's."""
-    a, b, c = matrix[0, 0], matrix[0, 1], matrix[0, 2]
-    d, e, f = matrix[1, 1], matrix[1, 2], matrix[2, 2]
-    aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
-    bb, bc, cc = a * f - c * c, b * c - a * e, a * d - b * b
-    whole = a * aa + b * ab + c * ac
-    if not whole > 0.0:
-        return 0.0, 0.0, 0.0
-    return (
-        (aa * side[0] + ab * side[1] + ac * side[2]) / whole,
-        (ab * side[0] + bb * side[1] + bc * side[2]) / whole,
-        (ac * side[0] + bc * side[1] + cc * side[2]) / whole,
+@formula
+def add_load(work: Any, w: Any, rest: Any, lane: Any) -> None:
+    """Add a wheel's load times its ways along the surface to `share`."""
+    wheel, found = WHEEL.of(work.wheels, w, lane), REST.of(rest, lane)
+    moved = slide_along(wheel)
+    found.share = plus(found.share, tuple(wheel.normal * dot(a, b) for a in moved for b in moved))
+
+
+@formula
+def find_pull(rest: Any, tolerance: Any, lane: Any) -> None:
+    """Change `pull` so that the ground holds what is left; members where more than `tolerance` is left are not done."""
+    found = REST.of(rest, lane)
+    known, left = abs(found.left[0]) + abs(found.left[1]) + abs(found.left[2]) < INFINITE, found.left
+    begins = ~(found.leaning > 0.0)
+    found.leaning, done = choose(begins, found.done, found.leaning), choose(begins, 0.0, found.done)
+    active = (found.leaning > 0.0) & known
+    for part in left:
+        done = choose(active & (abs(part) > tolerance), 0.0, done)
+    wanted, found.done = solved(found.share, left), done
+    goes = active & ~(done > 0.0)
+    found.pull = tuple(choose(goes, old + CALM * more, old) for old, more in zip(found.pull, wanted, strict=True))
+
+
+@formula
+def hold(work: Any, w: Any, rest: Any, lane: Any) -> None:
+    """Let the ground hold a wheel with its share of the pull, more of it in each round."""
+    wheel, found = WHEEL.of(work.wheels, w, lane), REST.of(rest, lane)
+    known = abs(found.left[0]) + abs(found.left[1]) + abs(found.left[2]) < INFINITE
+    moved, active = slide_along(wheel), (found.leaning > 0.0) & known
+    along = plus(*map(times, moved, found.pull))
+    wheel.hold = tuple(
+        choose(active, old + CALM * (wheel.normal * new - old), old) for old, new in zip(wheel.hold, along, strict=True)
     )
 
 
+def solved(matrix: Any, side: Any) -> Any:
+    """Solution of a symmetric system of three, zeros where it has none."""
+    (a, b, c), (d, e, f) = matrix[:3], (*matrix[4:6], matrix[8])
+    aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
+    bb, bc, cc = a * f - c * c, b * c - a * e, a * d - b * b
+    whole = a * aa + b * ab + c * ac
+    rows = ((aa, ab, ac), (ab, bb, bc), (ac, bc, cc))
+    return tuple(choose(whole > 0.0, dot(row, side) / whole, 0.0) for row in rows)
+
+
+@formula
+def clear_share(rest: Any, lane: Any) -> None:
+    """No load as yet."""
+    REST.of(rest, lane).share = (0.0,) * 9
+
+
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
-def slide_along(wheel: Any, lane: int, moved: Any) -> None:
-    """Way of a wheel's centre along the surface as the rover moves in x, in y and turns about the vertical. (3, 3)"""
-    x, y = wheel[ARM * LANES + lane], wheel[(ARM + 1) * LANES + lane]
-    n = (AXES + 6) * LANES + lane
-    n_x, n_y, n_z = wheel[n], wheel[n + LANES], wheel[n + 2 * LANES]
-    for i in range(3):
-        v_x, v_y = (1.0, 0.0) if i == 0 else (0.0, 1.0) if i == 1 else (-y, x)
-        out = v_x * n_x + v_y * n_y
-        moved[0, i], moved[1, i], moved[2, i] = v_x - out * n_x, v_y - out * n_y, -out * n_z
+def lean_on(work: Any, rest: Any, tolerance: float) -> None:
+    """Let the ground hold what `left` says has to hold the rovers: along its surface under every wheel.
+
+    How the forces share out among the wheels is not determined; each takes as much of its load as the others, along
+    the way in which the rover would start to slide and turn, which `pull` keeps. Members are `leaning` from when they
+    first stand; those where more than `tolerance` [N, N m] is left are not done.
+    """
+    for lane in range(0, GROUP, LANES):
+        clear_share(rest, lane)
+        for w in range(len(work.wheels)):
+            add_load(work, w, rest, lane)
+        find_pull(rest, tolerance, lane)
+        for w in range(len(work.wheels)):
+            hold(work, w, rest, lane)
+
+
+@formula
+def start_from(work: Any, velocity: Any, lane: Any) -> None:
+    """Give the rovers a velocity (9, GROUP)."""
+    body, given = BODY.of(work.body, lane), VELOCITY.of(velocity, lane)
+    body.speed, body.spin, body.rates = given.all[:3], given.all[3:6], given.all[6:]
+
+
+VELOCITY = Fields(GROUP, all=9)
+
+
+@formula
+def judge(work: Any, lane: Any) -> None:
+    """Note who has overturned on the way to rest."""
+    body = BODY.of(work.body, lane)
+    body.outcome = choose(is_upright(body), body.outcome, UNSETTLED)
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def balance(rover: Any, tyre: Any, grid: Any, override: Any, mode: int, velocity: Any, left: Any, work: Any) -> None:
-    """Bring the rovers into equilibrium at their x, y and yaw, with the forces of `mode` at `velocity` (LANES, 9).
+    """Bring the rovers into equilibrium at their x, y and yaw, with the forces of `mode` at `velocity` (GROUP, 9).
 
     Each round is a step from rest with a growing time_step_s, which turns from damped dynamics into a Newton iteration.
-    Converged at 1e-9 of the weight. `left` (LANES, 3) takes the force in x and y [N] and the moment about the vertical
+    Converged at 1e-9 of the weight. `left` (GROUP, 3) takes the force in x and y [N] and the moment about the vertical
     [N m] that hold the rover beside the wheels; none is left `AT_REST`, where the ground does. Outcomes in `work.code`.
     """
-    weight = (rover.body_kg + len(rover.arms) * rover.wheel_kg) * rover.gravity
-    done, leaning, pull = np.zeros(LANES, dtype=np.bool_), np.zeros(LANES, dtype=np.bool_), np.zeros((LANES, 3))
+    tolerance = SETTLE_TOLERANCE * (rover.body_kg + len(rover.arms) * rover.wheel_kg) * rover.gravity
+    rest, none, given = np.zeros(REST_SIZE), np.zeros(9 * GROUP), np.zeros(9 * GROUP)
+    for lane in range(GROUP):
+        for i in range(9):
+            given[i * GROUP + lane] = velocity[lane, i]
     time_step_s = 0.05
     for _ in range(SETTLE_ROUNDS):
-        for lane in range(LANES):
-            for i in range(9):
-                work.body[(SPEED + i) * LANES + lane] = velocity[lane, i]
-            if work.code[lane] == SANK and not done[lane]:
+        for lane in range(GROUP):
+            if work.code[lane] == SANK and rest[lane] == 0.0:
                 work.code[lane] = FINISHED
+        for lane in range(0, GROUP, LANES):
+            start_from(work, given, lane)
         assemble(rover, tyre, grid, override, time_step_s, mode, work)
-        for lane in range(LANES):
-            done[lane] = done[lane] and not leaning[lane]
-        lock(work, time_step_s, SETTLE_TOLERANCE * weight, done, left)
+        for lane in range(0, GROUP, LANES):
+            lock(work, rest, time_step_s, tolerance, lane)
         if mode == AT_REST:
-            lean_on(work, left, pull, leaning, done, SETTLE_TOLERANCE * weight)
-        open_lanes = 0
-        for lane in range(LANES):
-            done[lane] = done[lane] or work.code[lane] in (LEFT, HOLE, CLIFF, OVERTURNED, UNSETTLED, DIVERGED)
-            open_lanes += not done[lane]
-        if open_lanes == 0:
+            lean_on(work, rest, tolerance)
+        open_members = 0
+        for lane in range(GROUP):
+            if work.code[lane] in (LEFT, HOLE, CLIFF, OVERTURNED, UNSETTLED, DIVERGED):
+                rest[lane] = 1.0
+            open_members += rest[lane] == 0.0
+        if open_members == 0:
             break
-        eliminate(work)
-        shorten(work, 2.0 * LONGEST_MOVE / time_step_s, done)
-        for k in range(SPEED * LANES, (SPEED + 9) * LANES):
-            work.body[k] = 0.0
-        move(work.body, time_step_s)
+        for lane in range(0, GROUP, LANES):
+            eliminate(work, lane)
+            shorten(work, rest, 2.0 * LONGEST_MOVE / time_step_s, lane)
+            start_from(work, none, lane)
+            move(work.body, time_step_s, lane)
+            judge(work, lane)
+        note_outcomes(work.body, work.code)
         time_step_s = min(1.5 * time_step_s, 30.0)
-        for lane in range(LANES):
-            if work.code[lane] == FINISHED and not is_upright(work.body, lane):
-                work.code[lane] = UNSETTLED
-    for lane in range(LANES):
-        if not done[lane]:
+    for lane in range(GROUP):
+        for i in range(3):
+            left[lane, i] = rest[LEFT_AT + i * GROUP + lane]
+        if rest[lane] == 0.0:
             work.code[lane] = UNSETTLED
 
 
+REST_SIZE, LEFT_AT = REST.rows * GROUP, REST.first["left"] * GROUP
+
+
 def settle(rover: Any, tyre: Any, grid: Any, override: Any, start: FloatArray, work: Work) -> None:
-    """Bring the rovers, steered as `work` says, to static equilibrium at `start` (LANES, 3): x, y, heading.
+    """Bring the rovers, steered as `work` says, to static equilibrium at `start` (GROUP, 3): x, y, heading.
 
     The ground holds them, along its surface too, whatever its strength. Velocities are left at rest, outcomes in
     `work.code`.
     """
     work.code[:] = FINISHED
-    rows = work.wheels.reshape(len(work.wheels), -1, LANES)
-    rows[:, [SLIP, LAST, HOLD, HOLD + 1, HOLD + 2]], rows[:, TRAVEL] = 0.0, 1.0
+    for name, value in {"slip": 0.0, "last": 0.0, "hold": 0.0, "travel": 1.0}.items():
+        WHEEL.view(work.wheels, name)[:] = value
     place(rover, tyre, grid, override, start, work)
-    balance(rover, tyre, grid, override, AT_REST, np.zeros((LANES, 9)), np.zeros((LANES, 3)), work)
-    work.body[SPEED * LANES : (SPEED + 9) * LANES] = 0.0
+    balance(rover, tyre, grid, override, AT_REST, np.zeros((GROUP, 9)), np.zeros((GROUP, 3)), work)
+    for name in ("speed", "spin", "rates"):
+        BODY.view(work.body, name)[:] = 0.0
