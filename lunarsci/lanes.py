@@ -1,13 +1,13 @@
 """Eight numbers side by side as one, and formulas that are written once for them, for plain numbers and for arrays.
 
-Vector instructions work on eight spectra, or eight rovers, at once: `load` and `store` move eight neighbouring numbers of
-an array, and +, -, *, / and the functions here work on them, also together with a plain number. Where the processor has
-shorter registers the compiler uses several.
+Vector instructions work on eight spectra, or eight rovers, at once: `load` and `store` move eight neighbouring numbers
+of an array, and +, -, *, / and the functions here work on them, also together with a plain number. Where the processor
+has shorter registers the compiler uses several.
 
-A `formula` is a plain Python function of such numbers. Where compiled code calls it, it is run once, as that code is made,
-with stand-ins that note every operation as an instruction: no types are found and no loops, so that it costs little to
-compile. Loops and conditions in it are therefore those of Python and cannot depend on a number; `choose` can. Called from
-Python it works on floats and NumPy arrays.
+A `formula` is a plain Python function of such numbers. As compiled code that calls it is made, it is run once, with
+stand-ins that note every operation as an instruction: no types have to be found and no loops be turned into vectors, so
+that it costs little to compile. Loops and conditions in it are therefore those of Python and cannot depend on a number;
+`choose` can. Called from Python it works on floats and NumPy arrays.
 """
 
 import inspect
@@ -176,7 +176,8 @@ class Number(Traced):
 
     def whole(self, number: int) -> ir.Constant:
         """A whole number for `bits`."""
-        return INTEGER(number) if self.value.type == DOUBLE else ir.Constant(ir.VectorType(INTEGER, LANES), [number] * 8)
+        one = INTEGER(number)
+        return one if self.value.type == DOUBLE else ir.Constant(ir.VectorType(INTEGER, LANES), [number] * LANES)
 
     def from_bits(self, bits: ir.Value) -> "Number":
         return Number(self.builder, self.builder.bitcast(bits, self.value.type))
@@ -222,13 +223,17 @@ class Table(Traced):
         return self.builder.bitcast(self.at(*index), DOUBLES.as_pointer())
 
 
+def _plain_tuple(*entries: Any) -> tuple[Any, ...]:
+    return entries
+
+
 def _traced(context: Any, builder: ir.IRBuilder, kind: Any, value: ir.Value) -> Any:
     """The stand-in of an argument."""
     if isinstance(kind, types.Literal):
         return kind.literal_value
-    if isinstance(kind, types.BaseTuple):
+    if isinstance(kind, types.BaseTuple):  # type: ignore[attr-defined]
         entries = (_traced(context, builder, part, builder.extract_value(value, k)) for k, part in enumerate(kind))
-        return kind.instance_class(*entries) if isinstance(kind, types.BaseNamedTuple) else tuple(entries)
+        return getattr(kind, "instance_class", _plain_tuple)(*entries)
     if isinstance(kind, types.Array):
         return Table(context, builder, kind, value)
     if kind == types.boolean:
@@ -243,7 +248,7 @@ def _traced(context: Any, builder: ir.IRBuilder, kind: Any, value: ir.Value) -> 
 def _kind(result: Any) -> Any:
     """Numba's type of what a formula gave."""
     if isinstance(result, tuple):
-        return types.Tuple([_kind(part) for part in result])
+        return types.Tuple([_kind(part) for part in result])  # type: ignore[attr-defined]
     if result is None:
         return types.none
     if isinstance(result, Number):
@@ -273,7 +278,7 @@ def _offer(
     symbol: Any,
     function: Callable[..., Any],
     allowed: Callable[[Sequence[Any]], bool],
-    forms: Sequence[Sequence[Any]] = ((types.VarArg(types.Any),),),
+    forms: Sequence[Sequence[Any]] = ((types.VarArg(types.Any),),),  # type: ignore[attr-defined]
 ) -> None:
     """Let compiled code that calls `symbol` have the instructions of `function`."""
     known: dict[Any, Any] = {}
@@ -292,9 +297,7 @@ def _offer(
             return known[args]
 
     def lowered(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return _value(
-            context, builder, function(*map(partial(_traced, context, builder), signature.args, arguments))
-        )
+        return _value(context, builder, function(*map(partial(_traced, context, builder), signature.args, arguments)))
 
     infer_global(symbol, types.Function(Written))
     for form in forms:
@@ -308,7 +311,7 @@ def formula(function: Function) -> Function:
     return function
 
 
-def _both(*kinds: Any) -> bool:
+def _eight_or_plain(kinds: Sequence[Any]) -> bool:
     return EIGHT in kinds and all(kind == EIGHT or isinstance(kind, types.Float) for kind in kinds)
 
 
@@ -319,7 +322,7 @@ for _symbol, _inplace in (
     (operator.truediv, operator.itruediv),
 ):
     for _name in (_symbol, _inplace):
-        _offer(_name, _symbol, lambda kinds: _both(*kinds), ((Lanes, Lanes), (Lanes, types.Float), (types.Float, Lanes)))
+        _offer(_name, _symbol, _eight_or_plain, ((Lanes, Lanes), (Lanes, types.Float), (types.Float, Lanes)))
 
 
 @formula
@@ -356,7 +359,8 @@ def choose(condition: Any, one: Any, other: Any) -> Any:
         return np.where(np.asarray(condition) > 0, one, other)[()]
     condition = condition > 0.0 if isinstance(condition, Number) else condition
     builder = condition.builder
-    first, second = (x if isinstance(x, Number) else Number(builder, ir.Constant(DOUBLE, float(x))) for x in (one, other))
+    plain = Number(builder, ir.Constant(DOUBLE, 0.0))
+    first, second = plain.like(one), plain.like(other)
     if isinstance(condition.value.type, ir.VectorType):
         return Number(builder, builder.select(*_alike(condition, first, second)))
     return Number(builder, builder.select(condition.value, *_alike(first, second)))

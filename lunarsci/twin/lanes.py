@@ -1,7 +1,7 @@
 """Several rovers side by side: where their numbers lie, and vectors of them.
 
-GROUP members of an ensemble are driven together. Every quantity is a row of GROUP numbers, one for each member; formulas
-work on eight of them at once, and know the rows by name.
+GROUP members of an ensemble are driven together. Every quantity is a row of GROUP numbers, one for each member;
+formulas work on eight of them at once, and know the rows by name.
 """
 
 from typing import Any, NamedTuple
@@ -39,10 +39,10 @@ velocity along the contact frame, forces, and the axes of that frame; force and 
 derivatives of the wrench by the forward velocity (drawbar, normal, resistance) and by the lateral one (side force, its
 moments about the first and last axis); what normal damping and stiffness add to the matrix, and to the right side.
 Commands: steering angle, and speed of the rim over ground, r_s omega, negative backwards.
-What the contact remembers: the slip ratio that the bearing has taken up; the travel ratio before the rim stood still; the
-speed of the rim in the step before; force and torque along the surface at the end of it, for a wheel that does not move,
-and how they change with its speed. How deep wheels before pressed the ground, and how deep it is still. How far the force
-of a step's end was from what the step had taken it to be.
+What the contact remembers: the slip ratio that the bearing has taken up; the travel ratio before the rim stood still;
+the speed of the rim in the step before; force and torque along the surface at the end of it, for a wheel that does not
+move, and how they change with its speed. How deep wheels before pressed the ground, and how deep it is still. How far
+the force of a step's end was from what the step had taken it to be.
 """
 SYSTEM = Fields(GROUP, matrix=64, right=8)
 """Rows of one side of `Work.sides`: the 8 x 8 matrix by rows, and the right side. The matrix of the nine coordinates is

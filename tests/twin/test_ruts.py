@@ -7,7 +7,7 @@ import pytest
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.soil import Soil
-from lunarsci.twin.lanes import AXLE, CENTER, LANES, RIM, RUT, SINKAGE, SOIL, new_work
+from lunarsci.twin.lanes import GROUP, WHEEL, new_work
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import Prediction, predict
@@ -61,25 +61,28 @@ def test_a_grid_that_would_be_too_large_is_refused() -> None:
     with pytest.raises(ParameterError, match="too long for ruts"):
         rut_grid(np.zeros(3), far, 2.0)
     near = with_ruts(new_work(6), rut_grid(np.zeros(3), far / 1e3, 2.0))
-    assert near.ruts.shape[0] == LANES and not near.ruts.any()
+    assert near.ruts.shape[0] == GROUP and not near.ruts.any()
 
 
 @pytest.mark.parametrize("heading", np.arange(0.0, 6.3, 0.7))
 def test_a_wheel_does_not_meet_the_rut_that_it_leaves(heading: float) -> None:
     """What a wheel at the origin presses lies behind it; one that follows meets it whole."""
     work = with_ruts(new_work(1), rut_grid(np.zeros(3), np.zeros((1, 2)), 2.0))
-    rows = work.wheels.reshape(1, -1, LANES)
-    rows[0, [AXLE, AXLE + 1, RIM, SINKAGE, SOIL, SOIL + 1]] = np.array(
+    rows = work.wheels.reshape(1, -1, GROUP)
+    axle, center, rim, rut, sinkage, soil = (
+        WHEEL.first[name] for name in ("axle", "center", "rim", "rut", "sinkage", "soil")
+    )
+    rows[0, [axle, axle + 1, rim, sinkage, soil, soil + 1]] = np.array(
         [-np.sin(heading), np.cos(heading), 0.05, 0.01, 1.4e6, 1.0]
     )[:, None]
     press_ruts(work, 0.15)
     read_ruts(work, 0)
-    assert not rows[0, [RUT, RUT + 1]].any()
+    assert not rows[0, [rut, rut + 1]].any()
     behind = 3.0 * SPACING_M
-    rows[0, [CENTER, CENTER + 1]] = np.array([-behind * np.cos(heading), -behind * np.sin(heading)])[:, None]
+    rows[0, [center, center + 1]] = np.array([-behind * np.cos(heading), -behind * np.sin(heading)])[:, None]
     read_ruts(work, 0)
     # Between nodes the top of the strip's cross section, a triangle of 4.2 spacings a side, is cut.
-    assert rows[0, RUT, 0] == pytest.approx(0.01, rel=0.2)
+    assert rows[0, rut, 0] == pytest.approx(0.01, rel=0.2)
 
 
 def test_a_drive_whose_drive_before_did_not_end_does_not_end(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]

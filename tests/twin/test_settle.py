@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lunarsci.twin.ground.terrain import Terrain, soil_override
-from lunarsci.twin.lanes import LANES, NORMAL, RIM, new_work
+from lunarsci.twin.lanes import GROUP, WHEEL, new_work
 from lunarsci.twin.outcomes import CLIFF, FINISHED, HOLE, LEFT, SANK, UNSETTLED
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.settle import settle
@@ -17,14 +17,14 @@ def loads(rover: Rover, terrain: Terrain, heading: float = 0.0, at: tuple[float,
     """Outcome, F_N of FL, FR, ML, MR, RL, RR, and the pose."""
     count = len(rover.wheels)
     work = new_work(count)
-    start, override = np.tile([*at, heading], (LANES, 1)), np.tile(soil_override(soil), (LANES, 1))
-    work.wheels.reshape(count, -1, LANES)[:, RIM] = 0.05
+    start, override = np.tile([*at, heading], (GROUP, 1)), np.tile(soil_override(soil), (GROUP, 1))
+    WHEEL.view(work.wheels, "rim")[:] = 0.05
     settle(rover.vector(), rover.wheel.vector(), terrain.grid(), override, start, work)
     assert (work.code == work.code[0]).all()
     return (
         int(work.code[0]),
-        work.wheels.reshape(count, -1, LANES)[:, NORMAL, 0].copy(),
-        work.body.reshape(-1, LANES)[:10, 0].copy(),
+        WHEEL.view(work.wheels, "normal")[:, 0].copy(),
+        work.body.reshape(-1, GROUP)[:10, 0].copy(),
     )
 
 

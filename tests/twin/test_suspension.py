@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.terrain import Terrain, build_terrain, soil_override
-from lunarsci.twin.lanes import LANES, NORMAL, RIM, new_work
+from lunarsci.twin.lanes import GROUP, WHEEL, new_work
 from lunarsci.twin.outcomes import FINISHED
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.settle import settle
@@ -42,13 +42,13 @@ def steps(rover: Rover, lifts: dict[str, float]) -> Terrain:
 
 def settled(rover: Rover, terrain: Terrain) -> Stance:
     work = new_work(len(rover.wheels))
-    work.wheels.reshape(len(rover.wheels), -1, LANES)[:, RIM] = 0.05
-    override = np.tile(soil_override(RIGID), (LANES, 1))
-    settle(rover.vector(), rover.wheel.vector(), terrain.grid(), override, np.zeros((LANES, 3)), work)
+    WHEEL.view(work.wheels, "rim")[:] = 0.05
+    override = np.tile(soil_override(RIGID), (GROUP, 1))
+    settle(rover.vector(), rover.wheel.vector(), terrain.grid(), override, np.zeros((GROUP, 3)), work)
     assert (work.code == FINISHED).all()
-    pose = work.body.reshape(-1, LANES)[:10, 0]
+    pose = work.body.reshape(-1, GROUP)[:10, 0]
     _, pitch, roll = Rotation.from_quat(pose[[4, 5, 6, 3]]).as_euler("ZYX")
-    loads = work.wheels.reshape(len(rover.wheels), -1, LANES)[:, NORMAL, 0].copy()
+    loads = WHEEL.view(work.wheels, "normal")[:, 0].copy()
     return Stance(roll, pitch, pose[7], (pose[8], pose[9]), loads)
 
 

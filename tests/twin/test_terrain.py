@@ -21,7 +21,7 @@ from lunarsci.twin.ground.terrain import (
     soil_override,
 )
 from lunarsci.twin.ground.terrain_files import read_terrain, write_terrain
-from lunarsci.twin.lanes import CENTER, GROUND, LANES, SOIL, new_work
+from lunarsci.twin.lanes import GROUP, WHEEL, new_work
 from lunarsci.twin.outcomes import FINISHED, HOLE, LEFT
 from lunarsci.twin.plans.plan import read_plan
 from lunarsci.twin.plans.schedule import make_schedule
@@ -33,13 +33,14 @@ NOTHING = np.full(8, np.nan)
 def read_node(grid: Grid, x: float, y: float, override: np.ndarray, node: np.ndarray) -> int:
     """Height, gradient and soil (11) at a point, as every lane sees them, and what became of the rover there."""
     work = new_work(1)
-    rows, every = work.wheels[0].reshape(-1, LANES), np.tile(override, (LANES, 1))
-    rows[CENTER], rows[CENTER + 1] = x, y
+    rows, every = work.wheels[0].reshape(-1, GROUP), np.tile(override, (GROUP, 1))
+    center, ground = WHEEL.first["center"], WHEEL.first["ground"]
+    rows[center], rows[center + 1] = x, y
     lay_soil(grid, every, work.wheels[0])
     read_ground(grid, every, work.wheels[0], work.code)
     assert (work.code == work.code[0]).all()
-    assert (rows[GROUND : SOIL + 8] == rows[GROUND : SOIL + 8, :1]).all()
-    node[:] = rows[GROUND : SOIL + 8, 0]
+    assert (rows[ground : ground + 11] == rows[ground : ground + 11, :1]).all()
+    node[:] = rows[ground : ground + 11, 0]
     return int(work.code[0])
 
 

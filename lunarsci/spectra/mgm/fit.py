@@ -13,8 +13,8 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.spectra.mgm import MgmContinuum
 from lunarsci.lanes import LANES
+from lunarsci.spectra.mgm import MgmContinuum
 from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, KernelFits
 from lunarsci.spectra.mgm.model import MGM_CONTINUA, MgmData, MgmModel, prepare
 from lunarsci.spectra.mgm.multistart import Multistart

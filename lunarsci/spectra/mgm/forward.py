@@ -14,6 +14,7 @@ from lunarsci.compiled import VECTORS, compiled
 from lunarsci.elementary import exponential, logarithm
 from lunarsci.spectra.mgm.normal_equations import prior_share
 
+
 @compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
 def gaussian(wavelength: Any, centre: float, inverse_sigma: float, values: Any) -> None:
     """Fill `values` (n,) with exp(-(lambda - centre)^2 inverse_sigma^2 / 2)."""
@@ -126,9 +127,7 @@ LEAST_CONTINUUM = 1e-12
 def _chi2(channels: Any, logarithmic: bool, point: Any, space: Any) -> float:
     wavelength, columns, data, root_weight = channels
     jacobian, residual, work = space
-    chi2: float = residuals(
-        point, wavelength, columns, logarithmic, data, root_weight, residual, jacobian, work
-    )
+    chi2: float = residuals(point, wavelength, columns, logarithmic, data, root_weight, residual, jacobian, work)
     return chi2
 
 

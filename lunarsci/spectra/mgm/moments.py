@@ -11,8 +11,8 @@ from typing import Any
 
 from lunarsci.compiled import compiled
 from lunarsci.elementary import exponential, logarithm
-from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA
 from lunarsci.lanes import choose, load, lowest, spread, store
+from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA
 
 BLOCK = 8
 """Channels worked on together; their number is a multiple of it."""

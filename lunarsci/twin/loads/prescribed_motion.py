@@ -223,7 +223,8 @@ def net_wrench(found: PrescribedLoads, levers: FloatArray) -> FloatArray:
 
 def _shear_centers(found: PrescribedLoads) -> tuple[FloatArray, FloatArray]:
     sinkage, slip = (found.states[..., STATE_COLUMNS.index(name)] for name in ("sinkage_m", "slip_ratio"))
-    return shear_center(sinkage, slip, found.rover.wheel.vector())
+    ahead, below = shear_center(sinkage, slip, found.rover.wheel.vector())
+    return ahead, below
 
 
 MEASURED = ("sinkage_m", "slip_ratio", "side_slip_deg")

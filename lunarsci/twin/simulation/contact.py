@@ -12,9 +12,8 @@ torques M_O and M_S their leading parts.
 from typing import Any
 
 from lunarsci.compiled import compiled, joined
-from lunarsci.lanes import choose, formula, highest, lowest
+from lunarsci.lanes import LANES, choose, formula, highest, lowest
 from lunarsci.regolith.forces import contact_forces, slip_ratio
-from lunarsci.lanes import LANES
 from lunarsci.twin.lanes import BODY, GROUP, SYSTEM, WHEEL, cross, dot, plus, seen_from, times
 from lunarsci.twin.outcomes import SANK
 from lunarsci.twin.simulation.contact_frame import (

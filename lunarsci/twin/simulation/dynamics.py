@@ -55,7 +55,12 @@ def place_wheel(work: Any, rover: Any, w: Any, side: Any, lane: Any) -> None:
     tells. `side` is 1 on the left, -1 on the right.
     """
     body, wheel = BODY.of(work.body, lane), WHEEL.of(work.wheels, w, lane)
-    hung, offset, axes, omega = rover.hung[w], side * rover.steering_offset, (body.x_row, body.y_row, body.z_row), body.omega
+    hung, offset, axes, omega = (
+        rover.hung[w],
+        side * rover.steering_offset,
+        (body.x_row, body.y_row, body.z_row),
+        body.omega,
+    )
     rocker, rocker_spin = side * body.joints[0], side * body.rates[0]
     angle = rocker + hung * choose(side > 0.0, body.joints[1], body.joints[2])
     spin = rocker_spin + hung * choose(side > 0.0, body.rates[1], body.rates[2])

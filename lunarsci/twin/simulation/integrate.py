@@ -85,7 +85,8 @@ def eliminate(work: Any, lane: Any) -> None:
         matrix |= {(i, own): side.matrix[8 * i + 7] for i in range(7)}
         matrix |= {(own, j): side.matrix[56 + j] for j in range(7)}
     later = {k: [i for i in order[n + 1 :] if (k, i) in matrix] for n, k in enumerate(order)}
-    inverse, change = {}, {}
+    inverse: dict[int, Any] = {}
+    change: dict[int, Any] = {}
     for k in order:
         inverse[k] = 1.0 / matrix[k, k]
         for i in later[k]:
@@ -120,6 +121,16 @@ def move(bodies: Any, time_step_s: Any, lane: Any) -> None:
     body.quaternion = times(turned, 1.0 / root(size))
     body.speed, body.spin = plus(body.speed, change[:3]), plus(body.spin, change[3:6])
     body.rates = plus(body.rates, change[6:])
+
+
+@joined
+def advance(work: Any, time_step_s: float, fall: float) -> None:
+    """End a step that is assembled; `work.code` takes the outcome. `fall` as in `check_health`."""
+    for lane in range(0, GROUP, LANES):
+        eliminate(work, lane)
+        move(work.body, time_step_s, lane)
+        check_health(work.body, fall, lane)
+    note_outcomes(work.body, work.code)
 
 
 def is_upright(body: Any) -> Any:
@@ -171,7 +182,7 @@ def gained(work: Any, before: Any, tyre: Any, weight: Any, time_step_s: Any, beg
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def check_sense(work: Any, rover: Any, tyre: Any, time_step_s: float, begins: bool) -> None:
-    """Note in `work.code` the members with loads or energy that no drive has, and those whose steps miss the soil's law.
+    """Note in `work.code` whose loads or energy no drive has, and whose steps miss the soil's law.
 
     Called when a step is assembled.
     """

@@ -32,7 +32,7 @@ from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact import DRIVEN
 from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST, SLOWEST, VALID_SLIP
 from lunarsci.twin.simulation.dynamics import orient
-from lunarsci.twin.simulation.integrate import assemble, check_health, check_sense, eliminate, move, note_outcomes
+from lunarsci.twin.simulation.integrate import advance, assemble, check_sense
 from lunarsci.twin.simulation.ruts import SPACING_M, RutGrid, press_ruts, rut_grid, with_ruts
 from lunarsci.twin.simulation.settle import settle
 
@@ -65,8 +65,7 @@ def roll_on(work: Work, ahead: float, left: float, turn: float) -> None:
 
 X_ROW, Y_ROW, Z_ROW = (BODY.first[name] for name in ("x_row", "y_row", "z_row"))
 CENTER, SINKAGE, VELOCITY, NORMAL, DRAWBAR, SIDE, RESISTANCE, RUT = (
-    WHEEL.first[name]
-    for name in ("center", "sinkage", "velocity", "normal", "drawbar", "side", "resistance", "rut")
+    WHEEL.first[name] for name in ("center", "sinkage", "velocity", "normal", "drawbar", "side", "resistance", "rut")
 )
 
 
@@ -164,11 +163,7 @@ def drive(
                             record(work, m, tyre, paths[m, results[m, 1]], states[m, results[m, 1]])
                             results[m, 1] += 1
             if i < steps:
-                for lane in range(0, GROUP, LANES):
-                    eliminate(work, lane)
-                    move(work.body, step, lane)
-                    check_health(work.body, rover.gravity * step, lane)
-                note_outcomes(work.body, work.code)
+                advance(work, step, rover.gravity * step)
     work.frame[6] = 1.0
     for m in range(members):
         results[m, 0] = work.code[m]

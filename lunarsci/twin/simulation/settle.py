@@ -132,7 +132,7 @@ def hold(work: Any, w: Any, rest: Any, lane: Any) -> None:
 
 def solved(matrix: Any, side: Any) -> Any:
     """Solution of a symmetric system of three, zeros where it has none."""
-    (a, b, c), (d, e, f) = matrix[:3], (*matrix[4:6], matrix[8])
+    a, b, c, _, d, e, _, _, f = matrix
     aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
     bb, bc, cc = a * f - c * c, b * c - a * e, a * d - b * b
     whole = a * aa + b * ab + c * ac

@@ -7,8 +7,8 @@ import pytest
 
 from lunarsci.compiled import compiled
 from lunarsci.elementary import exponential, logarithm
-from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.lanes import LANES, aligned, load, spread, store
+from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, channels_of, fill_lane, workspace_for
 from lunarsci.spectra.mgm.model import continuum_basis
 from lunarsci.spectra.mgm.moments import evaluate, update
