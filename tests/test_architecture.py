@@ -20,6 +20,8 @@ SHARED = {
     "inputs",
     "compiled",
     "machine_code",
+    "formulas",
+    "lanes",
     "elementary",
     "figure",
     "rovers",

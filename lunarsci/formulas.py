@@ -1,0 +1,321 @@
+"""Formulas that are written once, for plain numbers, for arrays and for the lanes of vector instructions.
+
+A `formula` is a plain Python function of numbers. As compiled code that calls it is made, it is run once, with
+stand-ins that note every operation as an instruction: no types have to be found and no loops be turned into vectors, so
+that it costs little to compile. Loops and conditions in it are therefore those of Python and cannot depend on a number;
+`lunarsci.lanes.choose` can. Called from Python it works on floats and NumPy arrays.
+"""
+
+import inspect
+import operator
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, TypeVar
+
+from llvmlite import ir
+from numba.core import cgutils, types, typing
+from numba.core.errors import TypingError
+from numba.core.imputils import lower_builtin
+from numba.core.registry import cpu_target
+from numba.core.typing.templates import AbstractTemplate, infer_global
+from numba.extending import models, register_model
+
+LANES = 8
+"""Numbers side by side."""
+FUSED = ("contract",)
+"""a * b + c may be one instruction; nothing else is changed, so that a lane gives what the formula says."""
+
+DOUBLE, INTEGER = ir.DoubleType(), ir.IntType(64)
+DOUBLES = ir.VectorType(DOUBLE, LANES)
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+class Lanes(types.Type):
+    """Numba's type of eight doubles."""
+
+    def __init__(self) -> None:
+        super().__init__(name="eight doubles")
+
+
+EIGHT = Lanes()
+
+
+@register_model(Lanes)
+class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, DOUBLES)
+
+
+class Traced:
+    """A value that code being made will have: of an LLVM type, from the instruction `value`."""
+
+    __slots__ = ("builder", "value")
+    __array_ufunc__ = None
+
+    def __init__(self, builder: ir.IRBuilder, value: ir.Value) -> None:
+        self.builder, self.value = builder, value
+
+    def __bool__(self) -> bool:
+        raise TypeError("a formula cannot branch on a number; take `choose`, `lowest` or `highest`")
+
+    def called(self, name: str, *others: "Traced") -> "Traced":
+        """What an intrinsic function of LLVM makes of this and others."""
+        kind, short = self.value.type, "f64" if self.value.type == DOUBLE else f"v{LANES}f64"
+        known = ir.FunctionType(kind, [kind] * (1 + len(others)))
+        function = cgutils.get_or_insert_function(self.builder.module, known, f"llvm.{name}.{short}")
+        return type(self)(self.builder, self.builder.call(function, [self.value, *(other.value for other in others)]))
+
+
+class TracedMask(Traced):
+    """Yes or no, in every lane."""
+
+    def __and__(self, other: Any) -> Any:
+        return TracedMask(self.builder, self.builder.and_(*alike(self, self._like(other))))
+
+    def __or__(self, other: Any) -> Any:
+        return TracedMask(self.builder, self.builder.or_(*alike(self, self._like(other))))
+
+    def __invert__(self) -> Any:
+        return TracedMask(self.builder, self.builder.xor(*alike(self, self._like(True))))
+
+    __rand__, __ror__ = __and__, __or__
+
+    def _like(self, other: Any) -> "TracedMask":
+        return other if isinstance(other, TracedMask) else TracedMask(self.builder, ir.IntType(1)(bool(other)))
+
+
+class TracedWhole(Traced):
+    """A plain whole number: an index, or one of a few choices."""
+
+    def __eq__(self, other: object) -> Any:
+        value = other.value if isinstance(other, TracedWhole) else INTEGER(other)
+        return TracedMask(self.builder, self.builder.icmp_signed("==", self.value, value))
+
+    def __ne__(self, other: object) -> Any:
+        return ~(self == other)
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+class TracedNumber(Traced):
+    """A double, or eight of them."""
+
+    def __add__(self, other: Any) -> Any:
+        return self._with(other, "fadd")
+
+    def __sub__(self, other: Any) -> Any:
+        return self._with(other, "fsub")
+
+    def __mul__(self, other: Any) -> Any:
+        return self._with(other, "fmul")
+
+    def __truediv__(self, other: Any) -> Any:
+        return self._with(other, "fdiv")
+
+    def __radd__(self, other: Any) -> Any:
+        return self.like(other) + self
+
+    def __rsub__(self, other: Any) -> Any:
+        return self.like(other) - self
+
+    def __rmul__(self, other: Any) -> Any:
+        return self.like(other) * self
+
+    def __rtruediv__(self, other: Any) -> Any:
+        return self.like(other) / self
+
+    def __neg__(self) -> Any:
+        return TracedNumber(self.builder, self.builder.fneg(self.value))
+
+    def __abs__(self) -> Any:
+        return self.called("fabs")
+
+    def __lt__(self, other: Any) -> Any:
+        return self._compared(other, "<")
+
+    def __gt__(self, other: Any) -> Any:
+        return self._compared(other, ">")
+
+    def __le__(self, other: Any) -> Any:
+        return self._compared(other, "<=")
+
+    def __ge__(self, other: Any) -> Any:
+        return self._compared(other, ">=")
+
+    def __eq__(self, other: object) -> Any:
+        return self._compared(other, "==")
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def like(self, other: Any) -> "TracedNumber":
+        """A plain number beside this one."""
+        return (
+            other if isinstance(other, TracedNumber) else TracedNumber(self.builder, ir.Constant(DOUBLE, float(other)))
+        )
+
+    def _with(self, other: Any, instruction: str) -> Any:
+        return TracedNumber(
+            self.builder, getattr(self.builder, instruction)(*alike(self, self.like(other)), flags=FUSED)
+        )
+
+    def _compared(self, other: Any, how: str) -> Any:
+        return TracedMask(self.builder, self.builder.fcmp_ordered(how, *alike(self, self.like(other))))
+
+    @property
+    def bits(self) -> ir.Value:
+        """The same bits as whole numbers."""
+        return self.builder.bitcast(self.value, INTEGER if self.value.type == DOUBLE else ir.VectorType(INTEGER, LANES))
+
+    def whole(self, number: int) -> ir.Constant:
+        """A whole number for `bits`."""
+        one = INTEGER(number)
+        return one if self.value.type == DOUBLE else ir.Constant(ir.VectorType(INTEGER, LANES), [number] * LANES)
+
+    def from_bits(self, bits: ir.Value) -> "TracedNumber":
+        return TracedNumber(self.builder, self.builder.bitcast(bits, self.value.type))
+
+
+def in_every_lane(builder: ir.IRBuilder, value: ir.Value) -> ir.Value:
+    """A plain value in every lane."""
+    if isinstance(value, ir.Constant) and value.type == DOUBLE:
+        return ir.Constant(DOUBLES, [value.constant] * LANES)
+    one = builder.insert_element(ir.Constant(ir.VectorType(value.type, LANES), ir.Undefined), value, ir.IntType(32)(0))
+    return builder.shuffle_vector(one, one, ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES))
+
+
+def alike(*values: Traced) -> list[ir.Value]:
+    """Values of one shape: all plain, or all of eight."""
+    wide = any(isinstance(value.value.type, ir.VectorType) for value in values)
+    return [
+        in_every_lane(value.builder, value.value)
+        if wide and not isinstance(value.value.type, ir.VectorType)
+        else value.value
+        for value in values
+    ]
+
+
+class TracedTable(Traced):
+    """An array; its numbers are read by whole indices."""
+
+    __slots__ = ("context", "kind")
+
+    def __init__(self, context: Any, builder: ir.IRBuilder, kind: types.Array, value: ir.Value) -> None:
+        super().__init__(builder, value)
+        self.context, self.kind = context, kind
+
+    def at(self, *index: "TracedWhole | int") -> ir.Value:
+        """Where an entry lies."""
+        array = self.context.make_array(self.kind)(self.context, self.builder, self.value)
+        places = [i.value if isinstance(i, TracedWhole) else INTEGER(i) for i in index]
+        return cgutils.get_item_pointer(self.context, self.builder, self.kind, array, places)
+
+    def __getitem__(self, index: Any) -> TracedNumber:
+        return TracedNumber(
+            self.builder, self.builder.load(self.at(*(index if isinstance(index, tuple) else (index,))))
+        )
+
+    def lanes(self, *index: "TracedWhole | int") -> ir.Value:
+        """Where eight neighbouring numbers lie, from an entry on."""
+        return self.builder.bitcast(self.at(*index), DOUBLES.as_pointer())
+
+
+def _plain_tuple(*entries: Any) -> tuple[Any, ...]:
+    return entries
+
+
+def _traced(context: Any, builder: ir.IRBuilder, kind: Any, value: ir.Value) -> Any:
+    """The stand-in of an argument."""
+    if isinstance(kind, types.Literal):
+        return kind.literal_value
+    if isinstance(kind, types.BaseTuple):  # type: ignore[attr-defined]
+        entries = (_traced(context, builder, part, builder.extract_value(value, k)) for k, part in enumerate(kind))
+        return getattr(kind, "instance_class", _plain_tuple)(*entries)
+    if isinstance(kind, types.Array):
+        return TracedTable(context, builder, kind, value)
+    if kind == types.boolean:
+        return TracedMask(builder, value)
+    if isinstance(kind, types.Integer):
+        return TracedWhole(builder, context.cast(builder, value, kind, types.int64))
+    if kind == EIGHT:
+        return TracedNumber(builder, value)
+    return TracedNumber(builder, context.cast(builder, value, kind, types.float64))
+
+
+def _kind(result: Any) -> Any:
+    """Numba's type of what a formula gave."""
+    if isinstance(result, tuple):
+        return types.Tuple([_kind(part) for part in result])  # type: ignore[attr-defined]
+    if result is None:
+        return types.none
+    if isinstance(result, TracedNumber):
+        return types.float64 if result.value.type == DOUBLE else EIGHT
+    return types.boolean if isinstance(result, TracedMask) else types.float64
+
+
+def _value(context: Any, builder: ir.IRBuilder, result: Any) -> ir.Value:
+    """What a formula gave, as a value of numba's."""
+    if isinstance(result, tuple):
+        return context.make_tuple(builder, _kind(result), [_value(context, builder, part) for part in result])
+    if result is None:
+        return context.get_dummy_value()
+    return result.value if isinstance(result, Traced) else ir.Constant(DOUBLE, float(result))
+
+
+def _result_kind(function: Callable[..., Any], kinds: Sequence[Any]) -> Any:
+    """Numba's type of what a formula gives for arguments of these types: it is run, and its code thrown away."""
+    context = cpu_target.target_context
+    scratch = ir.Function(ir.Module(), ir.FunctionType(ir.VoidType(), []), "scratch")
+    builder = ir.IRBuilder(scratch.append_basic_block())
+    unknown = [ir.Constant(context.get_value_type(kind), ir.Undefined) for kind in kinds]
+    return _kind(function(*map(partial(_traced, context, builder), kinds, unknown)))
+
+
+def _offer(
+    symbol: Any,
+    function: Callable[..., Any],
+    allowed: Callable[[Sequence[Any]], bool],
+    forms: Sequence[Sequence[Any]] = ((types.VarArg(types.Any),),),  # type: ignore[attr-defined]
+) -> None:
+    """Let compiled code that calls `symbol` have the instructions of `function`."""
+    known: dict[Any, Any] = {}
+
+    class Written(AbstractTemplate):  # type: ignore[misc]
+        key = symbol
+        prefer_literal = True
+
+        def generic(self, args: Any, kws: Any) -> Any:
+            if kws:
+                raise TypingError("a formula takes its arguments by their places")
+            if not allowed(args):
+                return None
+            if args not in known:
+                known[args] = typing.signature(_result_kind(function, args), *args)
+            return known[args]
+
+    def lowered(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return _value(context, builder, function(*map(partial(_traced, context, builder), signature.args, arguments)))
+
+    infer_global(symbol, types.Function(Written))
+    for form in forms:
+        lower_builtin(symbol, *form)(lowered)
+
+
+def formula(function: Function) -> Function:
+    """Let compiled code call a function of numbers; see the text of this module."""
+    count = len(inspect.signature(function).parameters)
+    _offer(function, function, lambda args: len(args) == count)
+    return function
+
+
+def _eight_or_plain(kinds: Sequence[Any]) -> bool:
+    return EIGHT in kinds and all(kind == EIGHT or isinstance(kind, types.Float) for kind in kinds)
+
+
+for _symbol, _inplace in (
+    (operator.add, operator.iadd),
+    (operator.sub, operator.isub),
+    (operator.mul, operator.imul),
+    (operator.truediv, operator.itruediv),
+):
+    for _name in (_symbol, _inplace):
+        _offer(_name, _symbol, _eight_or_plain, ((Lanes, Lanes), (Lanes, types.Float), (types.Float, Lanes)))
