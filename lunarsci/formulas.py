@@ -203,11 +203,20 @@ class TracedTable(Traced):
         super().__init__(builder, value)
         self.context, self.kind = context, kind
 
+    @property
+    def array(self) -> Any:
+        """What numba knows of it."""
+        return self.context.make_array(self.kind)(self.context, self.builder, self.value)
+
     def at(self, *index: "TracedWhole | int") -> ir.Value:
         """Where an entry lies."""
-        array = self.context.make_array(self.kind)(self.context, self.builder, self.value)
         places = [i.value if isinstance(i, TracedWhole) else INTEGER(i) for i in index]
-        return cgutils.get_item_pointer(self.context, self.builder, self.kind, array, places)
+        return cgutils.get_item_pointer(self.context, self.builder, self.kind, self.array, places)
+
+    def row(self, number: "TracedWhole | int") -> ir.Value:
+        """Where a row of eight columns lies."""
+        place = number.value if isinstance(number, TracedWhole) else INTEGER(number)
+        return self.builder.gep(self.builder.bitcast(self.array.data, DOUBLES.as_pointer()), [place])
 
     def __getitem__(self, index: Any) -> TracedNumber:
         return TracedNumber(

@@ -40,7 +40,7 @@ def load(array: Any, row: Any) -> Any:
     """Row `row` of an array of eight columns."""
     if isinstance(array, np.ndarray):
         return array[row]
-    return TracedNumber(array.builder, array.builder.load(array.lanes(row, 0), align=8))
+    return TracedNumber(array.builder, array.builder.load(array.row(row), align=8))
 
 
 @formula
@@ -49,7 +49,7 @@ def store(array: Any, row: Any, value: Any) -> None:
     if isinstance(array, np.ndarray):
         array[row] = value
     else:
-        array.builder.store(value.value, array.lanes(row, 0), align=8)
+        array.builder.store(value.value, array.row(row), align=8)
 
 
 @formula
