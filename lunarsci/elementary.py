@@ -21,11 +21,14 @@ ROOT_2 = math.sqrt(2)
 LOGARITHM_ORDER = 21
 """Power to which its series goes; the next one is below the last digit."""
 _HALF_LN_2 = math.log(2) / 2
-REST_OF_EXPONENTIAL = tuple(
-    np.polynomial.Chebyshev.interpolate(
-        lambda y: sum(y**n / math.factorial(n + 3) for n in range(20)), 8, [-_HALF_LN_2, _HALF_LN_2]
-    ).convert(kind=np.polynomial.Polynomial).coef.tolist()
-)  # fmt: skip
+
+
+def _rest_of_exponential(y: Any) -> Any:
+    return sum(y**n / math.factorial(n + 3) for n in range(20))
+
+
+_REST = np.polynomial.Chebyshev.interpolate(_rest_of_exponential, 8, [-_HALF_LN_2, _HALF_LN_2])
+REST_OF_EXPONENTIAL = tuple(_REST.convert(kind=np.polynomial.Polynomial).coef.tolist())
 """Of (exp(y) - 1 - y - y^2/2) / y^3 within half ln 2, from its series at Chebyshev's points; leaves 3e-17 of exp(y)."""
 
 
