@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 from lunarsci.compiled import compiled
+from lunarsci.lanes import LANES
 from lunarsci.regolith.soil import read_soil
-from lunarsci.twin.ground.terrain import Grid, build_terrain, lay_soil
+from lunarsci.twin.ground.terrain import Grid, build_terrain, lay_soil, read_ground
 from lunarsci.twin.lanes import BODY, GROUP, SYSTEM, WHEEL, Work, new_work
 from lunarsci.twin.outcomes import FELL, FINISHED
 from lunarsci.twin.rover import Rover, build_rover
-from lunarsci.twin.simulation.contact import DRIVEN
+from lunarsci.twin.simulation.contact import DRIVEN, MASS_ON_WHEEL, NORMAL_DAMPING, add_rows, meet_ground
+from lunarsci.twin.simulation.dynamics import begin_system, orient, place_wheel
 from lunarsci.twin.simulation.integrate import advance, assemble, eliminate
 
 ROLLING = 0.05
@@ -296,3 +298,33 @@ def test_the_changes_solve_the_system(rover: Rover) -> None:
         assert BODY.view(work.body, "change")[:, 3] == pytest.approx(
             np.linalg.solve(matrix, right), rel=1e-9, abs=1e-12
         )
+
+
+@np.errstate(divide="ignore", invalid="ignore")
+def test_what_is_compiled_is_what_the_formulas_say(rover: Rover) -> None:
+    """A step on a slope by compiled code, and by the same formulas as plain Python on arrays."""
+    slope = build_terrain(
+        "slope", -50.0, -50.0, 10.0, np.add.outer(np.zeros(11), np.linspace(0, 15, 11)), read_soil("longji")
+    ).grid()
+    vector, tyre, work, dt = rover.vector(), rover.wheel.vector(), ready(slope, rover), 0.1
+    rows = work.body.reshape(-1, GROUP)
+    rows[:19] = np.random.default_rng(1).normal(0.0, 0.02, (19, GROUP))
+    rows[2], rows[3] = 7.5 + np.linspace(0.2, 0.26, GROUP), 1.0
+    plain = Work(*(part.copy() for part in work))
+    assemble(vector, tyre, slope, OWN_SOIL, dt, DRIVEN, work)
+    calm = (rover.body_kg / len(vector.arms) + rover.wheel_kg) / MASS_ON_WHEEL * NORMAL_DAMPING
+    for lane in range(0, GROUP, LANES):
+        orient(plain.body, lane)
+        begin_system(plain, vector, dt, lane)
+    for w in range(len(vector.arms)):
+        side = 1.0 - 2.0 * (w % 2)
+        for lane in range(0, GROUP, LANES):
+            place_wheel(plain, vector, w, side, lane)
+        read_ground(slope, OWN_SOIL, plain.wheels[w], plain.code)
+        for lane in range(0, GROUP, LANES):
+            meet_ground(plain, w, tyre, vector, side, dt, DRIVEN, calm, lane)
+            add_rows(plain, w, w % 2, vector, side, dt, lane)
+    assert (WHEEL.view(work.wheels, "normal") > 1.0).any() and (WHEEL.view(work.wheels, "normal") == 0.0).any()
+    for part in ("body", "wheels", "sides"):
+        found, expected = getattr(work, part), getattr(plain, part)
+        assert found == pytest.approx(expected, rel=1e-9, abs=1e-11 * np.abs(expected).max())

@@ -1,4 +1,4 @@
-"""One time step of LANES rovers on the ground, linearly implicit.
+"""One time step of a group of rovers on the ground, linearly implicit.
 
 With forces f, C = df/dv and K = df/dp at the start of the step,
 

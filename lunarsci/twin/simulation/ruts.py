@@ -1,4 +1,4 @@
-"""The ground that wheels leave behind, and what the next wheel meets in it, for GROUP rovers.
+"""The ground that wheels leave behind, and what the next wheel meets in it, for a group of rovers.
 
 Every rover presses its own ruts into a grid of nodes: how deep below the undisturbed ground a wheel has been. When the
 wheel has gone the soil springs back, and a wheel that follows loads it again along a line that meets the first loading
