@@ -28,7 +28,7 @@ from lunarsci.lanes import (
 )  # fmt: skip
 
 X = np.array([-2.5, -0.0, 0.0, 0.3, 1.0, 1.5, 7.0, 1e300])
-Y = np.array([3.0, 1.0, -1.0, 0.3, math.nan, 1.5, -8.0, 1e-300])
+Y = np.array([3.0, 1.5, -1.0, 0.3, math.nan, 1.5, -8.0, 1e-300])
 FORMULAS: dict[str, tuple[Callable[[Any, Any], Any], Any]] = {
     "arithmetic": (lambda x, y: (x + 2.0) * y - x / (1.0 - y), (X + 2.0) * Y - X / (1.0 - Y)),
     "comparison": (lambda x, y: choose((x < y) | ~(x >= 0.0), x, y), np.where((X < Y) | ~(X >= 0.0), X, Y)),
