@@ -1,7 +1,9 @@
 """Make `end_members.csv` from a reference library: `python make_end_members.py FOLDER > end_members.csv`.
 
-FOLDER holds `relab/reflectance.csv`, `relab/manifest.csv` and `usgs/splib07_aviris95_wide.csv`. Each spectrum of a
-single mineral is fitted with the bands of its mineral; the table keeps bands and continuum, not the spectrum.
+FOLDER holds `reflectance.csv` and `manifest.csv` in `relab` and `minerals`, and `usgs/splib07_aviris95_wide.csv`. Each
+spectrum of a single mineral is fitted with the bands of its mineral; the table keeps bands and continuum, not the
+spectrum. Pyroxenes are filed by their bands: low-calcium ones, pigeonite poor in calcium among them, absorb up to
+`LOW_CALCIUM_NM`, whatever their label says. Powders of one `specimen` share its name.
 """
 
 import csv
@@ -29,20 +31,29 @@ MINERAL_OF_NAME = {
 PURE = 0.95
 MISNAMED = ("DL-CMP-005",)
 """Filed as orthopyroxene, clinopyroxene by its own name."""
+NO_POWDERS = ("Slab", "Pellet", "Chip")
+NO_PLAGIOCLASE = ("SR-JFM",)
+"""Potassium feldspars that the manifest counts as plagioclase."""
+MISSTATED = ("PE-CMP-040", "PE-CMP-041")
+"""Bronzites by name and by their bands (914, 1870 nm: Fs near 20; Adams 1974), whose analyses say Fs 60 and 41."""
+LOW_CALCIUM_NM, SECOND_NM = 935.0, (1780.0, 2100.0)
+"""Up to which 1 um band, with a 2 um band in this range, a pyroxene counts as orthopyroxene: natural ones end there at
+Fs 60 (Adams 1974, 10.1029/JB079i032p04829), and pigeonite of Wo 10 or less is unlike augite."""
 ERROR = 0.003
 WORST = 0.03
-COLUMNS = ("id", "source", "mineral", *CHEMISTRY, "min_um", "max_um", "lowest_nm", "highest_nm", "rms_ln_percent")
+COLUMNS = ("id", "source", "specimen", "mineral", *CHEMISTRY, "min_um", "max_um", "lowest_nm", "highest_nm", "rms_ln_percent")
 
 
 def relab(folder: Path) -> list[tuple[Spectrum, dict[str, object]]]:
-    """Single minerals of the RELAB collection with what its manifest says."""
-    rows = pd.read_csv(folder / "relab/manifest.csv").set_index("id")
+    """Powders of single minerals of a RELAB collection with what its manifest says."""
+    rows = pd.read_csv(folder / "manifest.csv").set_index("id")
     keys = dict(zip(("vol_ol", "vol_opx", "vol_cpx", "vol_plg"), FAMILY_OF, strict=True))
     found = []
-    for spectrum in read_spectra(read_input(str(folder / "relab/reflectance.csv"))):
+    for spectrum in read_spectra(read_input(str(folder / "reflectance.csv"))):
         row = rows.loc[spectrum.id]
         column = max(keys, key=lambda name: row[name])
-        if row[column] < PURE or spectrum.id.startswith(MISNAMED):
+        other = spectrum.id.startswith(MISNAMED + NO_PLAGIOCLASE)
+        if row[column] < PURE or other or str(row.get("texture", "")).endswith(NO_POWDERS):
             continue
         mineral = keys[column]
         own = {
@@ -51,8 +62,11 @@ def relab(folder: Path) -> list[tuple[Spectrum, dict[str, object]]]:
             "clinopyroxene": {key: row[f"cpx_{key}"] for key in ("fs", "en", "wo")},
             "plagioclase": {"an": row["an"]},
         }[mineral]
-        stated = {key: round(100 * value, 1) for key, value in own.items() if sum(own.values()) > 0}
-        found.append((spectrum, {"source": "relab", "mineral": mineral, **stated} | sizes(row)))
+        told = sum(own.values()) > 0 and not spectrum.id.startswith(MISSTATED)
+        specimen = "-".join([FAMILY_OF[mineral], *(f"{1000 * value:.0f}" for value in own.values())])
+        stated = {key: round(100 * value, 1) for key, value in own.items() if told}
+        about = {"source": "relab", "specimen": specimen, "mineral": mineral}
+        found.append((spectrum, about | stated | sizes(row)))
     return found
 
 
@@ -73,12 +87,26 @@ def usgs(folder: Path) -> list[tuple[Spectrum, dict[str, object]]]:
         size = re.search(r"_(\d+)um?$", spectrum.id)
         stated = {"fo": float(fo[1])} if fo else {}
         stated |= {"min_um": float(size[1]), "max_um": float(size[1])} if size else {}
-        found.append((spectrum, {"source": "usgs", "mineral": mineral, **stated}))
+        specimen = "_".join(re.split(r"[_ ]", spectrum.id)[:2])
+        found.append((spectrum, {"source": "usgs", "specimen": specimen, "mineral": mineral, **stated}))
     return found
+
+
+def filed(spectrum: Spectrum, mineral: str) -> str:
+    """The mineral by its bands: orthopyroxene where both are those of a low-calcium pyroxene."""
+    if mineral != "clinopyroxene":
+        return mineral
+    [fit] = fit_spectra([spectrum], mgm_model("CPX"), model_error=ERROR)
+    if not isinstance(fit, MgmFit):
+        return mineral
+    first, second = (next(band.center_nm for band in fit.bands if band.name == name) for name in ("CPX 1", "CPX 2"))
+    low_calcium = first <= LOW_CALCIUM_NM and SECOND_NM[0] <= second <= SECOND_NM[1]
+    return "orthopyroxene" if low_calcium else mineral
 
 
 def described(spectrum: Spectrum, about: dict[str, object]) -> dict[str, object] | None:
     """A row of the table; None for a spectrum that its mineral's bands do not describe."""
+    about = about | {"mineral": filed(spectrum, str(about["mineral"]))}
     model = mgm_model(FAMILY_OF[str(about["mineral"])])
     [fit] = fit_spectra([spectrum], model, model_error=ERROR)
     if not isinstance(fit, MgmFit) or fit.rms_ln > WORST:
@@ -93,7 +121,7 @@ def described(spectrum: Spectrum, about: dict[str, object]) -> dict[str, object]
 def main() -> None:
     """Write the table to stdout."""
     folder = Path(sys.argv[1])
-    rows = [row for pair in relab(folder) + usgs(folder) if (row := described(*pair)) is not None]
+    rows = [row for pair in relab(folder / "relab") + relab(folder / "minerals") + usgs(folder) if (row := described(*pair)) is not None]
     names = list(dict.fromkeys(name for family in FAMILY_OF.values() for name in mgm_model(family).names))
     writer = csv.DictWriter(sys.stdout, [*COLUMNS, *names], restval="", lineterminator="\n")
     writer.writeheader()

@@ -72,6 +72,7 @@ class EndMember:
     fo, fs, en, wo, an : forsterite, ferrosilite, enstatite, wollastonite, anorthite; mole fraction 0 to 1, or None. [-]
     min_um, max_um : grain sizes, 0 or more, min_um <= max_um, or None. [um]
     source : where the spectrum comes from.
+    specimen : the rock or crystal that it was made of; powders of one are siblings, "" for one without any.
 
     Raises
     ------
@@ -90,6 +91,7 @@ class EndMember:
     min_um: float | None = None
     max_um: float | None = None
     source: str = ""
+    specimen: str = ""
 
     def __post_init__(self) -> None:
         if not self.id.strip():
