@@ -54,5 +54,12 @@ def _rebuilt(values: Mapping[str, str], model: MgmModel, wavelength_nm: FloatArr
     chemistry = {key: float(values[key]) / 100 for key in CHEMISTRY if values[key]}
     sizes = {key: float(values[key]) for key in ("min_um", "max_um") if values[key]}
     return EndMember(
-        values["id"], values["mineral"], wavelength_nm, np.exp(found[0]), source=values["source"], **chemistry, **sizes
+        values["id"],
+        values["mineral"],
+        wavelength_nm,
+        np.exp(found[0]),
+        source=values["source"],
+        specimen=values["specimen"],
+        **chemistry,
+        **sizes,
     )

@@ -21,7 +21,7 @@ in `Albedo` and 0.4-0.6 in `Absorbance`.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol
 
@@ -168,6 +168,12 @@ class MixingLaw(Protocol):
     def ln_reflectance(self, mixed: FloatArray) -> tuple[FloatArray, FloatArray]:
         """ln R of x, and d ln R / dx."""
 
+    def of_albedo(self, albedo: FloatArray) -> FloatArray:
+        """x of a surface of this single-scattering albedo."""
+
+    def to_albedo(self, mixed: FloatArray) -> FloatArray:
+        """Single-scattering albedo of x."""
+
 
 @dataclass(frozen=True, eq=False)
 class Albedo:
@@ -196,6 +202,14 @@ class Albedo:
         """See `MixingLaw`."""
         return self.surface.ln_reflectance(np.clip(mixed, LEAST, MOST))
 
+    def of_albedo(self, albedo: FloatArray) -> FloatArray:
+        """See `MixingLaw`."""
+        return albedo
+
+    def to_albedo(self, mixed: FloatArray) -> FloatArray:
+        """See `MixingLaw`."""
+        return np.clip(mixed, LEAST, MOST)
+
 
 @dataclass(frozen=True, eq=False)
 class Absorbance:
@@ -207,6 +221,7 @@ class Absorbance:
     name: str = "absorbance"
     size_exponent: float = 0.5
     section: float = 0.0
+    surface: HapkeSurface = field(default_factory=HapkeSurface)
 
     def element(self, reflectance: FloatArray) -> FloatArray:
         """See `MixingLaw`."""
@@ -220,3 +235,11 @@ class Absorbance:
     def ln_reflectance(self, mixed: FloatArray) -> tuple[FloatArray, FloatArray]:
         """See `MixingLaw`."""
         return -mixed, np.full_like(mixed, -1.0)
+
+    def of_albedo(self, albedo: FloatArray) -> FloatArray:
+        """See `MixingLaw`."""
+        return -self.surface.ln_reflectance(np.clip(albedo, LEAST, MOST))[0]
+
+    def to_albedo(self, mixed: FloatArray) -> FloatArray:
+        """See `MixingLaw`."""
+        return np.clip(self.surface.albedo(np.exp(-mixed)), LEAST, MOST)

@@ -26,7 +26,9 @@ REFERENCE_UM, UNKNOWN_UM = 40.0, 60.0
 SMOOTH, SMOOTH_NM, SMOOTH_KEPT = 0.05, 150.0, 0.999
 """Standard deviation, width and share kept of what t of a real powder has beside its shapes; assumed."""
 UNUSUAL_WEIGHT = 0.3
-USUAL = {"fo": (0.4, 1.0), "fs": (0.03, 0.5)}
+SPECIMEN_POWER = 0.7
+"""Powders of one specimen weigh together as their number to the power 1 - 0.7; assumed."""
+USUAL = {"fo": (0.4, 1.0), "fs": (0.03, 0.6)}
 """Mole fractions outside these are rare on the Moon and count `UNUSUAL_WEIGHT`; assumed."""
 
 
@@ -63,18 +65,17 @@ def population(
     ParameterError where no end member of the mineral reaches over all channels.
     """
     own = [item for item in end_members if item.mineral == mineral]
-    values = np.array([_at(item, wavelength_nm) for item in own]).reshape(len(own), wavelength_nm.size)
+    values = np.array([reflectance_at(item, wavelength_nm) for item in own]).reshape(len(own), wavelength_nm.size)
     there = np.isfinite(values).all(axis=1)
     if not there.any():
         raise ParameterError(
             f"no end member of {mineral} reaches from {wavelength_nm[0]:g} to {wavelength_nm[-1]:g} nm; give a library "
             "that has one, or leave the mineral out"
         )
-    coarser = np.array([_ln_size(item) for item, usable in zip(own, there, strict=True) if usable])
+    coarser = np.array([ln_size(item) for item, usable in zip(own, there, strict=True) if usable])
     coarser *= len(coarser) > 1
     element = law.element(values[there]) - law.size_exponent * coarser[:, None]
-    weight = np.array([_weight(item) for item, usable in zip(own, there, strict=True) if usable])
-    weight /= weight.sum()
+    weight = specimen_weights([item for item, usable in zip(own, there, strict=True) if usable])
     level = element.mean(axis=1)
     apart = element - level[:, None]
     mean_shape, mean_level = weight @ apart, float(weight @ level)
@@ -101,14 +102,14 @@ def loosened(found: MineralPopulation, wavelength_nm: FloatArray) -> MineralPopu
     return replace(found, shapes=np.concatenate([found.shapes[:-1], smooth, found.shapes[-1:]]))
 
 
-def _ln_size(item: EndMember) -> float:
+def ln_size(item: EndMember) -> float:
     """Logarithm of the grain size over `REFERENCE_UM`."""
     if not item.max_um:
         return math.log(UNKNOWN_UM / REFERENCE_UM)
     return math.log(((item.min_um or 0.0) + item.max_um) / 2 / REFERENCE_UM)
 
 
-def _at(item: EndMember, wavelength_nm: FloatArray) -> FloatArray:
+def reflectance_at(item: EndMember, wavelength_nm: FloatArray) -> FloatArray:
     """Reflectance between the channels where it is above 0, NaN beyond them."""
     there = item.reflectance > 0
     if not there.any():
@@ -116,9 +117,17 @@ def _at(item: EndMember, wavelength_nm: FloatArray) -> FloatArray:
     return np.interp(wavelength_nm, item.wavelength_nm[there], item.reflectance[there], left=np.nan, right=np.nan)
 
 
-def _weight(item: EndMember) -> float:
+def usual_weight(item: EndMember) -> float:
+    """1, or `UNUSUAL_WEIGHT` for a composition that is rare on the Moon."""
     known = {key: value for key in USUAL if (value := getattr(item, key)) is not None}
     return 1.0 if all(USUAL[key][0] <= value <= USUAL[key][1] for key, value in known.items()) else UNUSUAL_WEIGHT
+
+
+def specimen_weights(members: Sequence[EndMember]) -> FloatArray:
+    """Weights that sum to 1: unusual compositions less, powders of one specimen together less than their number."""
+    siblings = [sum(item.specimen == other.specimen != "" for other in members) or 1 for item in members]
+    weight = np.array([usual_weight(item) for item in members]) / np.array(siblings) ** SPECIMEN_POWER
+    return np.asarray(weight / weight.sum())
 
 
 COMMON_LEVEL = 1.0
