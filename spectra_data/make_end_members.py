@@ -41,7 +41,18 @@ LOW_CALCIUM_NM, SECOND_NM = 935.0, (1780.0, 2100.0)
 Fs 60 (Adams 1974, 10.1029/JB079i032p04829), and pigeonite of Wo 10 or less is unlike augite."""
 ERROR = 0.003
 WORST = 0.03
-COLUMNS = ("id", "source", "specimen", "mineral", *CHEMISTRY, "min_um", "max_um", "lowest_nm", "highest_nm", "rms_ln_percent")
+COLUMNS = (
+    "id",
+    "source",
+    "specimen",
+    "mineral",
+    *CHEMISTRY,
+    "min_um",
+    "max_um",
+    "lowest_nm",
+    "highest_nm",
+    "rms_ln_percent",
+)
 
 
 def relab(folder: Path) -> list[tuple[Spectrum, dict[str, object]]]:
@@ -121,7 +132,11 @@ def described(spectrum: Spectrum, about: dict[str, object]) -> dict[str, object]
 def main() -> None:
     """Write the table to stdout."""
     folder = Path(sys.argv[1])
-    rows = [row for pair in relab(folder / "relab") + relab(folder / "minerals") + usgs(folder) if (row := described(*pair)) is not None]
+    rows = [
+        row
+        for pair in relab(folder / "relab") + relab(folder / "minerals") + usgs(folder)
+        if (row := described(*pair)) is not None
+    ]
     names = list(dict.fromkeys(name for family in FAMILY_OF.values() for name in mgm_model(family).names))
     writer = csv.DictWriter(sys.stdout, [*COLUMNS, *names], restval="", lineterminator="\n")
     writer.writeheader()

@@ -1,6 +1,6 @@
 """The embedded end members: spectra of single minerals, kept as bands and continua."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -63,3 +63,9 @@ def _rebuilt(values: Mapping[str, str], model: MgmModel, wavelength_nm: FloatArr
         **chemistry,
         **sizes,
     )
+
+
+def without_siblings(library: Sequence[EndMember], ids: Sequence[str]) -> tuple[EndMember, ...]:
+    """The library without the end members whose ids are given, and without all powders of their specimens."""
+    specimens = {item.specimen for item in library if item.id in ids} - {""}
+    return tuple(item for item in library if item.id not in ids and item.specimen not in specimens)

@@ -1,9 +1,4 @@
-"""Modes of spectra by unmixing: both mixing laws, weighted by their evidence.
-
-The channels on which a spectrum is compared with mixtures: means over 20 nm.
-
-From posteriors under several mixing laws to fractions with intervals.
-"""
+"""Modes of spectra taken together, as mixtures of the same powders: mixing laws weighted by their evidence."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,8 +7,9 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.spectra.abundance.channels import CommonChannels, on_common_channels
 from lunarsci.spectra.abundance.end_members import OPAQUE, embedded_end_members
-from lunarsci.spectra.abundance.mixing import Absorbance, Albedo, HapkeSurface, MixingLaw, Weathering, iron_absorption
+from lunarsci.spectra.abundance.mixing import HapkeSurface, MixingLaw, Weathering, iron_absorption, mixing_laws
 from lunarsci.spectra.abundance.powders import Powders, loosened, population
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction
 from lunarsci.spectra.abundance.unmix import MixtureSeries, SharesPosterior, unmix
@@ -105,72 +101,6 @@ def shortest_interval(draws: FloatArray, level: float) -> tuple[FloatArray, Floa
     return np.where(low < ABSENT, 0.0, low), np.where(high > 1 - ABSENT, 1.0, high)
 
 
-STEP_NM, LOWEST_NM, HIGHEST_NM = 20.0, 450.0, 2450.0
-"""Channels that are compared: features of minerals are ten times as wide."""
-NEEDED_NM = (750.0, 2300.0)
-FARTHEST_NM = 5.0
-"""How far means of one channel may lie apart where spectra are compared together."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CommonChannels:
-    """Spectra on channels common to all.
-
-    Attributes
-    ----------
-    wavelength_nm : (n,) mean wavelengths. [nm]
-    ln_reflectance, noise : (s, n) means of ln R, and their standard errors. [-]
-    """
-
-    wavelength_nm: FloatArray
-    ln_reflectance: FloatArray
-    noise: FloatArray
-
-
-def on_common_channels(spectra: Sequence[Spectrum]) -> CommonChannels:
-    """Means over channels of `STEP_NM`; a channel that one spectrum lacks is left out of all.
-
-    Raises
-    ------
-    DataError for a spectrum that does not reach over `NEEDED_NM`, and spectra that have no channels in common.
-    """
-    binned = [_binned(spectrum) for spectrum in spectra]
-    common = sorted(set.intersection(*(set(channels) for channels in binned)))
-    table = np.array([[channels[index] for index in common] for channels in binned])
-    wavelength = table[..., 0]
-    apart = np.flatnonzero(np.ptp(wavelength, axis=0) <= FARTHEST_NM)
-    if (
-        not apart.size
-        or common[apart[0]] * STEP_NM + LOWEST_NM > NEEDED_NM[0]
-        or _end(common[apart[-1]]) < NEEDED_NM[1]
-    ):
-        raise DataError("the spectra have too few channels in common to be unmixed together; resample them alike")
-    table = table[:, apart]
-    return CommonChannels(table[..., 0].mean(axis=0), table[..., 1], table[..., 2])
-
-
-def _end(index: float) -> float:
-    return (index + 1) * STEP_NM + LOWEST_NM
-
-
-def _binned(spectrum: Spectrum) -> dict[int, tuple[float, float, float]]:
-    """Mean wavelength, mean ln R and its standard error by number of the channel."""
-    usable = spectrum.usable
-    wavelength, reflectance = spectrum.wavelength_nm[usable], spectrum.reflectance[usable]
-    if not wavelength.size or wavelength[0] > NEEDED_NM[0] or wavelength[-1] < NEEDED_NM[1]:
-        raise DataError(f"{spectrum.id}: unmixing needs {NEEDED_NM[0]:g} to {NEEDED_NM[1]:g} nm")
-    noise = np.zeros_like(wavelength)
-    if spectrum.uncertainty is not None:
-        noise = spectrum.uncertainty[usable] / reflectance
-    inside = np.flatnonzero((wavelength >= LOWEST_NM) & (wavelength < HIGHEST_NM))
-    number, index = np.unique(np.floor((wavelength[inside] - LOWEST_NM) / STEP_NM), return_inverse=True)
-    count = np.bincount(index)
-    mean_nm, mean = (np.bincount(index, row[inside]) / count for row in (wavelength, np.log(reflectance)))
-    error = np.sqrt(np.bincount(index, noise[inside] ** 2)) / count
-    return {int(key): row for key, *row in zip(number, mean_nm, mean, error, strict=True)}  # type: ignore[misc]
-
-
-METHODS = ("unmix", "hapke", "absorbance")
 MODEL_ERROR = 0.03
 """Standard deviation of ln R on channels of 20 nm that stands for end members unlike the mixture's own; with it 68 %
 intervals of laboratory mixtures hold the truth in 67-75 %, all samples of their series left out of the library."""
@@ -178,20 +108,6 @@ UNTESTED = "shares beside opaques or submicroscopic iron were compared with no m
 LEAST_MINERALS, MOST_SPECTRA = 2, 500
 SUM_TOLERANCE = 0.02
 """How far known shares may miss a sum of 1."""
-
-
-def mixing_laws(method: str, surface: HapkeSurface | None = None, *, iron: bool = False) -> tuple[MixingLaw, ...]:
-    """The laws that a method compares. Raises ParameterError for an unknown method, and iron without `hapke`."""
-    laws: dict[str, tuple[MixingLaw, ...]] = {
-        "hapke": (Albedo(surface or HapkeSurface()),),
-        "absorbance": (Absorbance(),),
-    }
-    laws["unmix"] = laws["hapke"] if iron else laws["hapke"] + laws["absorbance"]
-    if method not in laws:
-        raise ParameterError(f"method '{method}'; give one of {', '.join(METHODS)}")
-    if iron and method == "absorbance":
-        raise ParameterError("submicroscopic iron needs the method hapke or unmix")
-    return laws[method]
 
 
 def estimate_series(

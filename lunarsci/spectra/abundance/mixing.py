@@ -152,6 +152,10 @@ class MixingLaw(Protocol):
         """As it stands in results."""
 
     @property
+    def surface(self) -> HapkeSurface:
+        """Geometry under which a surface of known albedo is seen."""
+
+    @property
     def size_exponent(self) -> float:
         """By how much t grows with the logarithm of the grain size."""
 
@@ -243,3 +247,20 @@ class Absorbance:
     def to_albedo(self, mixed: FloatArray) -> FloatArray:
         """See `MixingLaw`."""
         return np.clip(self.surface.albedo(np.exp(-mixed)), LEAST, MOST)
+
+
+METHODS = ("unmix", "hapke", "absorbance")
+
+
+def mixing_laws(method: str, surface: HapkeSurface | None = None, *, iron: bool = False) -> tuple[MixingLaw, ...]:
+    """The laws that a method compares. Raises ParameterError for an unknown method, and iron without `hapke`."""
+    laws: dict[str, tuple[MixingLaw, ...]] = {
+        "hapke": (Albedo(surface or HapkeSurface()),),
+        "absorbance": (Absorbance(),),
+    }
+    laws["unmix"] = laws["hapke"] if iron else laws["hapke"] + laws["absorbance"]
+    if method not in laws:
+        raise ParameterError(f"method '{method}'; give one of {', '.join(METHODS)}")
+    if iron and method == "absorbance":
+        raise ParameterError("submicroscopic iron needs the method hapke or unmix")
+    return laws[method]

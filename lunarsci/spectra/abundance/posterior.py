@@ -1,8 +1,9 @@
 """Shares of a spectrum by comparison with random mixtures: those most like it, corrected to it by regression.
 
-Spectra are compared by their leading principal components, in which the discrepancy of the model (`Discrepancy`) and
-the noise of the spectrum are added to the random mixtures: approximate Bayesian computation with a local linear
-correction, Beaumont, Zhang & Balding (2002), Genetics 162, 2025.
+Approximate Bayesian computation with a local linear correction: Beaumont, Zhang & Balding (2002), Genetics 162, 2025.
+Spectra are compared by leading principal components, to which the discrepancy of the model (`Discrepancy`) and the
+noise of the spectrum are added; or by what a quadratic regression on them foretells of the shares and of the rock type
+(Fearnhead & Prangle 2012, 10.1111/j.1467-9868.2011.01010.x), which is sharper where many things darken a rock.
 """
 
 from dataclasses import dataclass
@@ -10,14 +11,18 @@ from functools import cached_property
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.spectra.abundance.random_mixtures import RandomMixtures
 
-NEIGHBOURS, RIDGE = 600, 3.0
-"""Random mixtures compared closely, and the ridge of the regression in units of one of them; assumed."""
+NEIGHBOURS, RIDGE = {False: 600, True: 400}, 3.0
+"""Random mixtures compared closely, by components and by what is foretold; and the ridge of the local regression in
+units of one of them; assumed."""
+GLOBAL_RIDGE, FARTHEST = 10.0, 4.0
+"""Ridge of the regression over all of them, and where components are cut off, in standard deviations; assumed."""
 WIDTH_NM, ORIGIN_UM = 120.0, 1.45
-CONTROLS, NEAREST, SEED = 400, 10, 1
+CONTROLS, NEAREST, SEED = 200, 10, 1
 """Random mixtures that show how near the nearest ones usually are."""
+USUAL = 0.99
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,15 +34,13 @@ class Discrepancy:
     level, slope, bend : of what is constant, linear (per um) and quadratic (per um^2) in wavelength. [-]
     detail : of what varies over `WIDTH_NM`. [-]
     channel : of what differs between channels of 20 nm. [-]
-    components : principal components that are compared.
     """
 
-    level: float = 0.1
-    slope: float = 0.05
-    bend: float = 0.03
-    detail: float = 0.01
+    level: float
+    slope: float
+    bend: float
+    detail: float
     channel: float = 0.005
-    components: int = 20
 
     def covariance(self, wavelength_nm: FloatArray) -> FloatArray:
         """(c, c) of ln R."""
@@ -49,34 +52,39 @@ class Discrepancy:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SharesPosterior:
+class DrawnShares:
     """Weighted draws of what a spectrum may show.
 
     Attributes
     ----------
-    mean, sigma : (m,) shares, and standard deviations of draws. [-]
-    draws : (k, m) shares, `weight` (k,) of them, which sums to 1.
+    draws : (k, m) shares, `weight` (k,) of them, which sums to 1. [-]
     index : (k,) places of the draws in the random mixtures.
-    unlike : share of random mixtures that lie nearer to their like than this spectrum does. [-]
+    unlike : distance from the nearest random mixtures, in units of that which `USUAL` of them keep to their like.
     rms_ln : root mean square of ln R less that of the draws' weighted mean. [-]
     """
 
-    mean: FloatArray
-    sigma: FloatArray
     draws: FloatArray
     weight: FloatArray
-    index: FloatArray
+    index: IntArray
     unlike: float
     rms_ln: float
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Random mixtures ready to be compared with spectra on their channels."""
+    """Random mixtures ready to be compared with spectra on their channels.
+
+    Attributes
+    ----------
+    components : of the principal components, how many are compared.
+    foretold : whether what they foretell is compared, not they themselves.
+    """
 
     mixtures: RandomMixtures
     wavelength_nm: FloatArray
     discrepancy: Discrepancy
+    components: int
+    foretold: bool
 
     @cached_property
     def _axes(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -85,55 +93,80 @@ class Comparison:
         mean = clean.mean(axis=0)
         total = np.cov(clean.T) + self.discrepancy.covariance(self.wavelength_nm)
         sizes, axes = np.linalg.eigh(total)
-        axes = axes[:, ::-1][:, : self.discrepancy.components]
-        axes = axes / np.sqrt(sizes[::-1][: axes.shape[1]])
+        axes = axes[:, ::-1][:, : self.components] / np.sqrt(sizes[::-1][: self.components])
         return mean, axes, (clean - mean) @ axes
 
-    @cached_property
-    def _normal(self) -> FloatArray:
-        """Standard normal deviates for the noise, (n, p)."""
-        rng = np.random.default_rng(SEED)
-        return rng.standard_normal((len(self.mixtures.shares), self._axes[1].shape[1]))
-
     def _noisy(self, noise: FloatArray) -> FloatArray:
-        """(n, p) with the model's discrepancy and the noise (c,) of a spectrum."""
+        """Components (n, p) with the model's discrepancy and the noise (c,) of a spectrum."""
         _, axes, clean = self._axes
         covariance = axes.T @ (self.discrepancy.covariance(self.wavelength_nm) + np.diag(noise**2)) @ axes
-        return np.asarray(clean + self._normal @ np.linalg.cholesky(covariance).T)
+        normal = np.random.default_rng(SEED).standard_normal(clean.shape)
+        return np.asarray(clean + normal @ np.linalg.cholesky(covariance).T)
 
     @cached_property
-    def _usual(self) -> FloatArray:
-        """Mean distances of random mixtures from those nearest to them, ascending."""
+    def _noiseless(self) -> tuple[FloatArray, FloatArray]:
+        """Components and what is compared, without noise of a spectrum."""
         noisy = self._noisy(np.zeros_like(self.wavelength_nm))
-        chosen = np.random.default_rng(SEED).choice(len(noisy), min(CONTROLS, len(noisy)), replace=False)
-        rest = np.delete(noisy, chosen, axis=0)
-        return np.sort([_nearest(rest, noisy[one]) for one in chosen])
+        return noisy, self._compared(noisy)
 
-    def posterior(self, ln_reflectance: FloatArray, noise: FloatArray) -> SharesPosterior:
+    @cached_property
+    def _regression(self) -> tuple[FloatArray, FloatArray]:
+        """Coefficients of what is foretold, and what makes its errors independent."""
+        types = np.eye(int(self.mixtures.rock_type.max()) + 1)[self.mixtures.rock_type][:, 1:]
+        wanted = np.column_stack([self.mixtures.shares[:, 1:], types])
+        design = _quadratic(self._noisy(np.zeros_like(self.wavelength_nm)))
+        normal = (design.T @ design).astype(np.float64)
+        normal[np.arange(1, len(normal)), np.arange(1, len(normal))] += GLOBAL_RIDGE
+        found = np.linalg.solve(normal, design.T @ wanted.astype(np.float32))
+        sizes, axes = np.linalg.eigh(np.atleast_2d(np.cov((wanted - design @ found).T)))
+        return np.asarray(found, dtype=np.float64), axes / np.sqrt(sizes)
+
+    def _compared(self, components: FloatArray) -> FloatArray:
+        if not self.foretold:
+            return components
+        found, independent = self._regression
+        return np.asarray((_quadratic(components) @ found) @ independent)
+
+    @cached_property
+    def _usual(self) -> float:
+        noisy, _ = self._noiseless
+        chosen = np.random.default_rng(SEED).choice(len(noisy), min(CONTROLS, len(noisy) // 2), replace=False)
+        rest = np.delete(noisy, chosen, axis=0)
+        return float(np.quantile(_nearest(rest, noisy[chosen]), USUAL))
+
+    def draws(self, ln_reflectance: FloatArray, noise: FloatArray) -> DrawnShares:
         """What one spectrum shows, (c,), with the standard errors of its ln R."""
         mean, axes, _ = self._axes
-        noisy = self._noisy(noise)
         seen = (ln_reflectance - mean) @ axes
-        square = np.sum((noisy - seen) ** 2, axis=1)
-        count = min(NEIGHBOURS, len(square) - 1)
+        noisy, points = self._noiseless
+        if noise.any():
+            noisy = self._noisy(noise)
+            points = self._compared(noisy)
+        apart = points - self._compared(seen[None])
+        square = np.sum(apart**2, axis=1)
+        count = min(NEIGHBOURS[self.foretold], len(square) - 1)
         index = np.argpartition(square, count)[:count]
         weight = 1.0 - square[index] / square[index].max() * (1 - 1e-9)
         weight /= weight.sum()
-        draws = _corrected(self.mixtures.shares[index], noisy[index] - seen, weight)
-        centre = np.maximum(weight @ draws, 0.0)
-        centre /= centre.sum()
-        draws = np.maximum(draws, 0.0)
+        draws = np.maximum(_corrected(self.mixtures.shares[index], apart[index], weight), 0.0)
         draws /= draws.sum(axis=1, keepdims=True)
-        sigma = np.sqrt(weight @ (draws - centre) ** 2)
-        nearest = _nearest(noisy, seen)
-        unlike = float(np.searchsorted(self._usual, nearest) / len(self._usual))
         left = ln_reflectance - weight @ self.mixtures.ln_reflectance[index]
-        return SharesPosterior(centre, sigma, draws, weight, index, unlike, float(np.sqrt(np.mean(left**2))))
+        unlike = float(_nearest(noisy, seen[None])[0]) / self._usual
+        return DrawnShares(draws, weight, index, unlike, float(np.sqrt(np.mean(left**2))))
 
 
-def _nearest(points: FloatArray, seen: FloatArray) -> float:
-    square = np.sum((points - seen) ** 2, axis=1)
-    return float(np.sqrt(np.partition(square, NEAREST)[:NEAREST]).mean())
+def _quadratic(components: FloatArray) -> FloatArray:
+    """1, the components and all their products of two, in single precision."""
+    cut = np.clip(components, -FARTHEST, FARTHEST).astype(np.float32)
+    one, other = np.triu_indices(cut.shape[1])
+    return np.column_stack([np.ones(len(cut), np.float32), cut, cut[:, one] * cut[:, other]])
+
+
+def _nearest(points: FloatArray, seen: FloatArray) -> FloatArray:
+    """Mean distance of each row of `seen` from the nearest of the points."""
+    square = np.sum(seen**2, axis=1)[:, None] + np.sum(points**2, axis=1) - 2 * seen @ points.T
+    nearest = np.partition(square, NEAREST, axis=1)[:, :NEAREST]
+    return np.asarray(np.sqrt(np.maximum(nearest, 0.0)).mean(axis=1))
 
 
 def _corrected(shares: FloatArray, apart: FloatArray, weight: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.abundance.mixing import MixingLaw, iron_absorption
 from lunarsci.spectra.abundance.powders import ln_size, reflectance_at, specimen_weights
@@ -34,6 +34,8 @@ GLASS_ALBEDO, GLASS_POWER, GLASS_DEPTH = (0.3, 0.7), (0.2, 0.8), (0.0, 0.3)
 GLASS_BANDS_UM = ((1.08, 0.16, 1.0), (1.9, 0.3, 0.6))
 """Centre, standard deviation and relative depth of the bands of iron in glass: Bell, Mao & Weeks (1976), Proc. Lunar
 Sci. Conf. 7, 2543; widths and ranges assumed."""
+AT_ONCE = 1000
+"""Draws that are mixed together; as many as stay in the processor's cache."""
 LN_IRON, LN_IRON_SPREAD = -2.0, 1.2
 """Logarithm of the absorption that iron adds at 1000 nm, in units of (1 - w) / w; assumed."""
 
@@ -89,9 +91,9 @@ class RandomMixtures:
     minerals: tuple[str, ...]
     shares: FloatArray
     ln_reflectance: FloatArray
-    rock_type: FloatArray
-    phase: FloatArray
-    iron: FloatArray
+    rock_type: IntArray
+    phase: IntArray
+    iron: IntArray
     dark_share: FloatArray
 
     @classmethod
@@ -141,22 +143,24 @@ def random_mixtures(
         powders = [_Powders.of(name, end_members, wavelength_nm, law) for name in minerals]
         for place, rock in enumerate(rock_types):
             number = round(count * rock.weight / total)
-            drawn = rock.shares(minerals, number, rng)
-            dark = _Dark.drawn(rock, number, darkening or Darkening(), rng)
-            ln_reflectance = _mixed(powders, drawn, rock, dark, law, wavelength_nm, rng)
-            types = np.full(number, place)
-            parts.append(
-                RandomMixtures(tuple(minerals), drawn, ln_reflectance, types, dark.phase, dark.iron, dark.share)
-            )
+            for start in range(0, number, AT_ONCE):
+                some = min(AT_ONCE, number - start)
+                drawn = rock.shares(minerals, some, rng)
+                dark = _Dark.drawn(rock, some, darkening or Darkening(), rng)
+                ln_reflectance = _mixed(powders, drawn, rock, dark, law, wavelength_nm, rng)
+                types = np.full(some, place)
+                parts.append(
+                    RandomMixtures(tuple(minerals), drawn, ln_reflectance, types, dark.phase, dark.iron, dark.share)
+                )
     return RandomMixtures.joined(parts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Powders:
-    """End members of one mineral: t of one grain size (k, n), and weights (k,)."""
+    """End members of one mineral: t of one grain size (k, n), in single precision, and weights (k,)."""
 
     members: list[EndMember]
-    element: FloatArray
+    element: Any
     weight: FloatArray
 
     @classmethod
@@ -170,7 +174,7 @@ class _Powders:
             raise ParameterError(f"no end member of {mineral} reaches over all channels; give a library that has one")
         members = [item for item, usable in zip(own, there, strict=True) if usable]
         size = np.array([ln_size(item) for item in members]) * (len(members) > 1)
-        element = law.element(values[there]) - law.size_exponent * size[:, None]
+        element = (law.element(values[there]) - law.size_exponent * size[:, None]).astype(np.float32)
         return cls(members, element, specimen_weights(members))
 
     def drawn(self, count: int, rock: RockType, rng: np.random.Generator) -> FloatArray:
@@ -178,7 +182,7 @@ class _Powders:
         weight = self.weight * np.array([_suits(item, rock) for item in self.members])
         weight = weight / weight.sum() if weight.sum() > 0 else self.weight / self.weight.sum()
         one, other = (rng.choice(len(weight), count, p=weight) for _ in range(2))
-        part = np.where(rng.random(count) < BLENDED, rng.random(count), 0.0)[:, None]
+        part = np.where(rng.random(count) < BLENDED, rng.random(count), 0.0).astype(np.float32)[:, None]
         return np.asarray(self.element[one] * (1 - part) + self.element[other] * part)
 
 
@@ -187,7 +191,7 @@ UNKNOWN_CHEMISTRY = 0.1
 
 
 def _suits(item: EndMember, rock: RockType) -> float:
-    if item.mineral not in rock.chemistry:
+    if item.mineral is None or item.mineral not in rock.chemistry:
         return 1.0
     key, low, high = rock.chemistry[item.mineral]
     value = getattr(item, key)
@@ -198,9 +202,9 @@ def _suits(item: EndMember, rock: RockType) -> float:
 class _Dark:
     """Dark powder and iron of each draw."""
 
-    phase: FloatArray
+    phase: IntArray
     share: FloatArray
-    iron: FloatArray
+    iron: IntArray
     absorption: FloatArray
     rng: np.random.Generator
 
@@ -208,7 +212,9 @@ class _Dark:
     def drawn(cls, rock: RockType, count: int, allowed: Darkening, rng: np.random.Generator) -> "_Dark":
         is_dark = rng.random(count) < (1.0 if allowed.phase_stated else rock.dark)
         phase = np.where(is_dark, rng.choice(allowed.phases, count), 0)
-        share = np.where(is_dark, np.exp(rng.uniform(*np.log(rock.dark_share), count)), 0.0)
+        share = np.where(
+            is_dark, np.exp(rng.uniform(np.log(rock.dark_share[0]), np.log(rock.dark_share[1]), count)), 0.0
+        )
         has_iron = rng.random(count) < (1.0 if allowed.iron_stated else rock.iron)
         iron = np.where(has_iron, rng.choice(allowed.iron, count), 0)
         absorption = np.where(has_iron, np.exp(rng.normal(LN_IRON, LN_IRON_SPREAD, count)), 0.0)
@@ -236,7 +242,7 @@ def _mixed(
     shares: FloatArray,
     rock: RockType,
     dark: _Dark,
-    law: Any,
+    law: MixingLaw,
     wavelength_nm: FloatArray,
     rng: np.random.Generator,
 ) -> FloatArray:
@@ -248,9 +254,9 @@ def _mixed(
         own = rng.normal(0.0, OWN_SIZE, count)
         size = law.size_exponent * (own + common)
         part = shares[:, place] * np.exp(-law.section * own)
-        mixed += part[:, None] * law.mixing(powder.drawn(count, rock, rng) + size[:, None])[0]
+        mixed += part[:, None] * law.mixing(powder.drawn(count, rock, rng) + size[:, None].astype(np.float32))[0]
         section += part
     kept = 1.0 - dark.share[:, None]
     mixed = kept * mixed / section[:, None] + (1.0 - kept) * law.of_albedo(dark.reflecting(wavelength_nm))
-    albedo = law.to_albedo(mixed)
-    return law.ln_reflectance(law.of_albedo(1.0 / (1.0 / albedo + dark.iron_absorption(wavelength_nm))))[0]
+    albedo = 1.0 / (1.0 / law.to_albedo(mixed) + dark.iron_absorption(wavelength_nm))
+    return np.asarray(np.log(law.surface.reflectance(albedo)))

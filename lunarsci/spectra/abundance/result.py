@@ -4,7 +4,7 @@ The picture has one row for each spectrum and one panel for each mineral.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +32,30 @@ class MineralFraction:
     high95: float
 
 
+@dataclass(frozen=True, slots=True)
+class DarkPart:
+    """What darkens a target beside its minerals, after its spectrum was seen.
+
+    Attributes
+    ----------
+    phases, iron : probability of each dark phase, or none, and of submicroscopic iron below and above 50 nm. [-]
+    share, low, high : of a dark powder in the cross-section of all grains, and its central interval of 68 %. [-]
+    """
+
+    phases: Mapping[str, float]
+    iron: Mapping[str, float]
+    share: float
+    low: float
+    high: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """The key `dark` of an abundance."""
+        return {name: getattr(self, name) for name in ("share", "low", "high")} | {
+            "phases": dict(self.phases),
+            "iron": dict(self.iron),
+        }
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Abundance:
     """Modes of a spectrum.
@@ -44,6 +68,10 @@ class Abundance:
     in_domain : whether the spectrum is of the kind for which the method was tested.
     status : a sentence; why not, where it is not.
     rms_ln : misfit of ln R, root mean square, None for a method that fits none. [-]
+    dark : what is dark beside the minerals, where the method weighs it.
+    ratios : of a solid rock, shares of one mineral in several.
+    suites : of known modes by which intervals are calibrated, and the highest level that so many can vouch for,
+        `certified`; None where the method has none.
     """
 
     id: str
@@ -53,25 +81,33 @@ class Abundance:
     in_domain: bool
     status: str
     rms_ln: float | None
+    dark: DarkPart | None = None
+    ratios: tuple[MineralFraction, ...] = ()
+    suites: tuple[str, ...] = ()
+    certified: float | None = None
 
     @property
     def determined(self) -> bool:
-        """Whether shares have values, and not intervals alone."""
-        return all(math.isfinite(item.fraction) for item in self.fractions)
+        """Whether any share has a value, and not an interval alone."""
+        return any(math.isfinite(item.fraction) for item in self.fractions)
 
     def to_dict(self) -> dict[str, Any]:
         """The key `abundance` of `lunarsci spectra fit --json`."""
-        shares = {
-            item.mineral: {name: getattr(item, name) for name in ("fraction", "low", "high", "low95", "high95")}
-            for item in self.fractions
-        }
+        shares = {item.mineral: _values(item) for item in self.fractions}
         return {
             "method": self.method,
             "in_domain": self.in_domain,
             "status": self.status,
             "rms_ln": self.rms_ln,
             "correlation": None if self.correlation is None else self.correlation.tolist(),
+            "dark": self.dark.to_dict() if self.dark else None,
+            "ratios": {item.mineral: _values(item) for item in self.ratios},
+            "calibration": {"suites": list(self.suites), "certified": self.certified},
         } | shares
+
+
+def _values(item: MineralFraction) -> dict[str, float]:
+    return {name: getattr(item, name) for name in ("fraction", "low", "high", "low95", "high95")}
 
 
 def refused(id: str, method: str, minerals: Sequence[str], reason: str) -> Abundance:

@@ -41,11 +41,12 @@ class UnmixRequest(ModelRequest):
     library : file of end members, instead of the embedded ones.
     together : whether all spectra are mixtures of the same powders.
     known : table of mixtures whose modes are known; implies `together`.
-    opaque, iron : whether an opaque powder, or submicroscopic iron on all grains, is allowed.
+    opaque, iron : whether there surely is an opaque powder, or nanophase iron on all grains; one by one, these, others
+        and none compete otherwise. With `together` they are allowed, else there is none.
     """
 
     kind: Literal["auto", "powder-mixture", "dark-rock-powder", "weathered-soil", "solid-rock"] = "auto"
-    method: Literal["both", "hapke", "absorbance"] = "both"
+    method: Literal["both", "hapke", "absorbance"] = "hapke"
     library: str | None = None
     together: bool = False
     known: str | None = None
@@ -103,10 +104,13 @@ class UnmixedSpectra(MgmFits):
         from lunarsci.spectra.abundance.kinds import TABLE as KIND_TABLE
         from lunarsci.spectra.abundance.mixing import IRON_TABLE
         from lunarsci.spectra.abundance.normative import TABLE as SOIL_TABLE
+        from lunarsci.spectra.abundance.targets import TABLE as CALIBRATION_TABLE
 
         tables, sources = MgmFits._tables_and_sources(self)
-        iron = self.request.iron
-        tables += [TABLE, KIND_TABLE, *([SOIL_TABLE] if self.normatives else []), *([IRON_TABLE] if iron else [])]
+        together = bool(self.request.together or self.request.known)
+        iron = self.request.iron or not together
+        used = {IRON_TABLE: iron, CALIBRATION_TABLE: not together, SOIL_TABLE: bool(self.normatives)}
+        tables += [TABLE, KIND_TABLE, *(name for name, wanted in used.items() if wanted)]
         return tables, [*sources, *SOURCES[self.request.method], *([WEATHERING] if iron else [])]
 
 
@@ -149,9 +153,17 @@ def unmix(
         minerals = _minerals([fits[index] for index in suite], asked)
         if len(minerals) >= LEAST_MINERALS:
             may = [_minerals([fits[index]], asked) for index in suite]
-            mixed = _unmixed([batch.spectra[index] for index in suite], minerals, may, modes, end_members, asked)
-            for index, item in zip(suite, mixed, strict=True):
-                shares[index].insert(0, item if modes.known.get(item.id) else _judged(item, kinds[index]))
+            some = [batch.spectra[index] for index in suite]
+            if asked.together or known:
+                mixed = _unmixed(some, minerals, may, modes, end_members, asked)
+                judged = [
+                    one if modes.known.get(one.id) else _judged(one, kinds[k])
+                    for k, one in zip(suite, mixed, strict=True)
+                ]
+            else:
+                judged = _one_by_one(some, minerals, [kinds[index] for index in suite], end_members, asked)
+            for index, item in zip(suite, judged, strict=True):
+                shares[index].insert(0, item)
         if progress:
             progress(done, len(suites))
     files = [*found.pop("files", ()), *(file for file in (library, known) if file)]
@@ -216,6 +228,33 @@ def _judged(found: "Abundance", kind: "KindVerdict") -> "Abundance":
 
 def _method(request: UnmixRequest) -> str:
     return "unmix" if request.method == "both" else request.method
+
+
+def _one_by_one(
+    spectra: "Sequence[Spectrum]",
+    minerals: Sequence[str],
+    kinds: "Sequence[KindVerdict]",
+    end_members: "Sequence[EndMember] | None",
+    request: UnmixRequest,
+) -> "list[Abundance]":
+    """Shares of each spectrum by its kind; of a stranger intervals alone."""
+    from lunarsci.spectra.abundance.end_members import OPAQUE
+    from lunarsci.spectra.abundance.one_by_one import estimate_each
+    from lunarsci.spectra.abundance.result import without_centres
+
+    found = estimate_each(
+        spectra,
+        [name for name in minerals if name != OPAQUE],
+        kinds=kinds,
+        method=_method(request),
+        end_members=end_members,
+        opaque=request.opaque,
+        iron=request.iron,
+    )
+    return [
+        without_centres(item, "; ".join(kind.reasons)) if kind.stranger else item
+        for item, kind in zip(found, kinds, strict=True)
+    ]
 
 
 def _unmixed(

@@ -130,7 +130,8 @@ class EndMember:
     def sample(self) -> dict[str, Any]:
         """Everything but the id and the spectrum, as plain values."""
         names = ("mineral", "fo", "fs", "en", "wo", "an", "min_um", "max_um", "source")
-        return {name: getattr(self, name) for name in names}
+        found = {name: getattr(self, name) for name in names}
+        return found | ({"specimen": self.specimen} if self.specimen else {})
 
 
 FORMAT = "lunarsci-library/1"
@@ -188,14 +189,9 @@ def end_member(spectrum: Spectrum, sample: Any, *, id: str | None = None) -> End
         mineral = mineral_named(str(sample.get("mineral") or ""))
     except DataError as error:
         raise DataError(f"{name}: {error}") from error
-    return EndMember(
-        name,
-        mineral,
-        spectrum.wavelength_nm[measured],
-        spectrum.reflectance[measured],
-        **{key: _number(sample.get(key), f"{name}: {key}") for key in _NUMBERS},
-        source=str(sample.get("source") or ""),
-    )
+    told: dict[str, Any] = {key: _number(sample.get(key), f"{name}: {key}") for key in _NUMBERS}
+    told |= {key: str(sample.get(key) or "") for key in ("source", "specimen")}
+    return EndMember(name, mineral, spectrum.wavelength_nm[measured], spectrum.reflectance[measured], **told)
 
 
 def _number(value: Any, what: str) -> float | None:
