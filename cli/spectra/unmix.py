@@ -1,6 +1,7 @@
 """`lunarsci spectra unmix`: shares of minerals."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -10,9 +11,12 @@ from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
-from ..shared.table import TextTable, counted
+from ..shared.table import TextTable, counted, plus_minus
 from .fit import MODEL_OPTIONS, fit_tables
 from .options import UNITS, Files
+
+if TYPE_CHECKING:
+    from lunarsci.spectra.abundance.result import Abundance, DarkPart, MineralFraction
 
 MIXTURE = "Mixture"
 SHORT = {
@@ -32,7 +36,8 @@ OPTIONS = {
         metavar="KIND",
     ),
     "method": option(
-        "Mixing law: hapke, of the albedo of single scattering; absorbance, of -ln R; both, weighted by evidence.",
+        "Mixing law: hapke, of the albedo of single scattering; absorbance, of -ln R; both, by evidence; auto, both "
+        "with --together, hapke one by one.",
         panel=MIXTURE,
     ),
     "library": option(
@@ -48,8 +53,16 @@ OPTIONS = {
         panel=MIXTURE,
         metavar="FILE",
     ),
-    "opaque": option("Allow a dark, flat powder beside the minerals.", panel=MIXTURE),
-    "iron": option("Allow submicroscopic iron on all grains: space weathering.", panel=MIXTURE),
+    "opaque": option(
+        "There surely is an opaque phase, such as ilmenite. Without this opaque phases, metal and troilite, glass and "
+        "none are weighed by their evidence; with --together there is none.",
+        panel=MIXTURE,
+    ),
+    "iron": option(
+        "There surely is nanophase iron on all grains: space weathering. Without this nanophase iron, larger iron and "
+        "none are weighed; with --together there is none.",
+        panel=MIXTURE,
+    ),
     **MODEL_OPTIONS,
     **UNITS,
 }
@@ -63,13 +76,55 @@ def add_to(app: typer.Typer) -> None:
 def unmix_spectra(files: Files, request: UnmixRequest, output: Output) -> Report:
     """Shares of the minerals of an assemblage by volume, from mixtures of end members, with intervals.
 
-    The assemblage is fitted first (`spectra fit`); its bands and NBSR are in the result as well.
+    The assemblage is fitted first (`spectra fit`); its bands and NBSR are in the result as well. What is dark is
+    weighed and reported beside the shares. Shares of which a spectrum says too little are not determined: they have an
+    interval and no value. Intervals and `in_domain` come from the errors of measured suites of the same kind of target.
 
-    A surface that space has weathered is not unmixed (exit code 3): plagioclase of its norm, FeO and TiO2 are given instead, by regression.
+    A surface that space has weathered is not unmixed (exit code 3): plagioclase of its norm, FeO and TiO2 are given
+    instead, by regression.
     """
     with progress("unmixing", quiet=output.quiet) as update:
         found = unmix(files, request, progress=update)
-    return Report.of(found, [*fit_tables(found), kind_table(found), *normative_table(found)])
+    return Report.of(found, [*fit_tables(found), *mixture_tables(found), kind_table(found), *normative_table(found)])
+
+
+def mixture_tables(found: UnmixedSpectra) -> list[TextTable]:
+    """Shares of several spectra, what is dark beside them, and ratios of solid rocks."""
+    alone = len(found.records) == 1
+    shown = [found.abundances[index][0] for index in found.abundances if found.abundances[index]]
+    unmixed = [item for item in shown if item.method != "nbsr"]
+    tables = [] if alone or not unmixed else [_shares_table(unmixed)]
+    dark = [[item.id, *_dark_row(item.dark)] for item in unmixed if item.dark]
+    headers = ["spectrum", "share of cross-section [%]", "phases [%]", "submicroscopic iron [%]"]
+    title = "what is dark beside the minerals, with probabilities"
+    tables += [TextTable(headers, dark, title=title)] if dark else []
+    ratios = [[item.id, ratio.mineral.replace("_", " "), *_percent(ratio)] for item in unmixed for ratio in item.ratios]
+    headers = ["spectrum", "ratio", "[%]", "68 %", "95 %"]
+    return tables + ([TextTable(headers, ratios, title="ratios of mafic minerals")] if ratios else [])
+
+
+def _shares_table(found: "Sequence[Abundance]") -> TextTable:
+    minerals = list(dict.fromkeys(share.mineral for item in found for share in item.fractions))
+    rows = []
+    for item in found:
+        shares = {share.mineral: _percent(share) for share in item.fractions}
+        cells = [f"{shares[name][0]} ({shares[name][1]})" if name in shares else "-" for name in minerals]
+        rows.append([item.id, *cells, item.status])
+    headers = ["spectrum", *(f"{name} [%]" for name in minerals), "status"]
+    return TextTable(headers, rows, title="mineral shares, with 68 % intervals; -: not determined")
+
+
+def _percent(share: "MineralFraction") -> list[str]:
+    ends = ((share.low, share.high), (share.low95, share.high95))
+    return [plus_minus(100 * share.fraction, digits=0), *(f"{100 * low:.0f} to {100 * high:.0f}" for low, high in ends)]
+
+
+def _dark_row(dark: "DarkPart") -> list[str]:
+    share = f"{100 * dark.share:.0f} ({100 * dark.low:.0f} to {100 * dark.high:.0f})"
+    weighed = (
+        ", ".join(f"{name} {100 * value:.0f}" for name, value in part.items()) for part in (dark.phases, dark.iron)
+    )
+    return [share, *weighed]
 
 
 def kind_table(found: UnmixedSpectra) -> TextTable:

@@ -61,13 +61,28 @@ def test_known_modes_sharpen_the_others(run: Run, mixtures: Path, tmp_path: Path
 
 
 def test_opaques_and_iron_are_terms_that_no_measurement_vouches_for(run: Run, mixtures: Path) -> None:
+    together = found(run, mixtures, *OPTIONS, "--opaque", "--together")["a"]
+    assert sum(together[name]["fraction"] for name in ("olivine", "orthopyroxene", "opaque")) == pytest.approx(1)
     with_opaque = found(run, mixtures, *OPTIONS, "--opaque")["a"]
-    names = ("olivine", "orthopyroxene", "opaque")
-    assert sum(with_opaque[name]["fraction"] for name in names) == pytest.approx(1)
-    assert "opaque" in run("spectra", "unmix", mixtures, *OPTIONS, "--opaque", "--csv").out.splitlines()[0]
-    for modes in (with_opaque, found(run, mixtures, *OPTIONS, "--iron")["a"]):
+    assert sum(with_opaque[name]["fraction"] for name in ("olivine", "orthopyroxene")) == pytest.approx(1)
+    assert with_opaque["dark"]["phases"] == {"none": 0, "opaque": pytest.approx(1), "metal-troilite": 0, "glass": 0}
+    with_iron = found(run, mixtures, *OPTIONS, "--iron")["a"]
+    assert with_iron["dark"]["iron"]["nanophase"] == pytest.approx(1)
+    for modes in (together, with_opaque, with_iron):
         assert modes["in_domain"] is False
         assert "no measured mixture" in modes["status"]
+
+
+def test_what_is_dark_is_weighed_beside_the_shares(run: Run, mixtures: Path) -> None:
+    modes = found(run, mixtures, *OPTIONS)["a"]
+    for part in ("phases", "iron"):
+        assert sum(modes["dark"][part].values()) == pytest.approx(1)
+    assert modes["dark"]["low"] <= modes["dark"]["share"] <= modes["dark"]["high"]
+    suites = len(modes["calibration"]["suites"])
+    assert suites / (suites + 1) == pytest.approx(modes["calibration"]["certified"])
+    text = run("spectra", "unmix", mixtures, *OPTIONS).out
+    assert "what is dark beside the minerals" in text
+    assert "suites vouch for levels up to" in text
 
 
 def test_the_picture_has_a_page_of_shares(run: Run, mixtures: Path, tmp_path: Path) -> None:
@@ -165,7 +180,8 @@ def test_a_weathered_soil_is_not_unmixed(run: Run, soil: Path, tmp_path: Path) -
 
 def test_a_stated_kind_is_unmixed_and_told_what_is_missing(run: Run, soil: Path) -> None:
     rock = found(run, soil, "--starts", "1", "--kind", "solid-rock")["soil"]
-    assert rock["olivine"]["fraction"] >= 0
+    ratio = rock["ratios"]["olivine_in_mafic"]
+    assert 0 <= ratio["low95"] <= ratio["low"] <= ratio["fraction"] <= ratio["high"] <= ratio["high95"] <= 1
     assert rock["in_domain"] is False
     assert "not calibrated on rocks" in rock["status"]
     done = run("spectra", "unmix", soil, "--starts", "1", "--kind", "dark-rock-powder")

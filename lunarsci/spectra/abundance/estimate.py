@@ -18,6 +18,8 @@ from lunarsci.spectra.spectrum import Spectrum
 
 DRAWS, SEED = 4000, 0
 LEVELS = (0.6827, 0.95)
+LEAST_SIGMA = 0.01
+"""No share that is sought is taken as known better; assumed."""
 ABSENT = 0.005
 """Below this an interval is taken to begin at 0."""
 MOST_STRANGE = 0.15
@@ -60,7 +62,10 @@ def abundances(names: Sequence[str], outcome: Outcome) -> list[Abundance]:
 
 def _abundance(name: str, outcome: Outcome, draws: FloatArray, rms: float, strange: float) -> Abundance:
     mean = draws.mean(axis=0)
-    edges = [shortest_interval(draws, level) for level in LEVELS]
+    edges = [
+        _widened(*shortest_interval(draws, level), mean, sigmas * LEAST_SIGMA * (np.ptp(draws, axis=0) > 0))
+        for sigmas, level in enumerate(LEVELS, start=1)
+    ]
     fractions = tuple(
         MineralFraction(
             mineral,
@@ -78,6 +83,11 @@ def _abundance(name: str, outcome: Outcome, draws: FloatArray, rms: float, stran
         reason = f"out of domain: {outcome.untested}"
     status = "like laboratory mixtures of these minerals" if inside else reason
     return Abundance(name, outcome.method, fractions, _correlation(draws), inside, status, rms)
+
+
+def _widened(low: FloatArray, high: FloatArray, mean: FloatArray, least: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """An interval no narrower than `least` on either side of the mean, within 0 and 1."""
+    return np.maximum(np.minimum(low, mean - least), 0.0), np.minimum(np.maximum(high, mean + least), 1.0)
 
 
 def _correlation(draws: FloatArray) -> FloatArray:

@@ -28,7 +28,7 @@ from lunarsci.spectra.abundance.targets import (
     POWDER,
     SOLID,
     TARGETS,
-    Calibration,
+    KindCalibration,
     calibrations,
 )
 from lunarsci.spectra.library.end_member import EndMember
@@ -43,6 +43,7 @@ LEAST_SIGMA = 0.03
 """No share is taken as known better; assumed."""
 LIKELY = 0.5
 """Probability from which a rock counts as an ordinary chondrite."""
+UNTESTED = "what was stated to be dark was compared with no measured mixture"
 ROCKS_UNCALIBRATED = "not calibrated on rocks: no solid rock of known modes has been measured with it"
 CENTRAL = np.array([0.16, 0.84])
 MAFIC = ("olivine", "orthopyroxene", "clinopyroxene")
@@ -206,7 +207,8 @@ def _abundance(id: str, model: _Model, found: _Found, kind: KindVerdict) -> Abun
     mean, sigma = found.moments(chosen)
     known = _calibration(_kinds_of(kind), name)
     told = _told(sigma, found, model.minerals, kind.kind) if name != CHONDRITE else np.full(mean.size, True)
-    doubt = _doubt(kind, sigma, found.unlike, known)
+    stated = model.dark.phase_stated or model.dark.iron_stated
+    doubt = UNTESTED if stated and not kind.stranger else _doubt(kind, sigma, found.unlike, known)
     shares = zip(model.minerals, mean, sigma, told, strict=True)
     return Abundance(
         id,
@@ -229,7 +231,7 @@ def _told(sigma: FloatArray, found: _Found, minerals: Sequence[str], kind: str) 
     return np.asarray((sigma <= TELLING * found.prior_sigma) & ~open_one)
 
 
-def _calibration(kinds: Mapping[str, float], name: str) -> Calibration:
+def _calibration(kinds: Mapping[str, float], name: str) -> KindCalibration:
     """That of the class; of two kinds the one that vouches for less."""
     known = calibrations()
     if name == CHONDRITE:
@@ -237,7 +239,7 @@ def _calibration(kinds: Mapping[str, float], name: str) -> Calibration:
     return max((known[DARK if kind == SOLID else kind] for kind in kinds), key=lambda item: item.factor95)
 
 
-def _fraction(mineral: str, mean: float, sigma: float, told: bool, known: Calibration) -> MineralFraction:
+def _fraction(mineral: str, mean: float, sigma: float, told: bool, known: KindCalibration) -> MineralFraction:
     ends = [
         float(np.clip(mean + sign * factor * sigma, 0.0, 1.0))
         for factor in (known.factor68, known.factor95)
@@ -246,7 +248,7 @@ def _fraction(mineral: str, mean: float, sigma: float, told: bool, known: Calibr
     return MineralFraction(mineral, float(mean) if told else float("nan"), *ends)
 
 
-def _doubt(kind: KindVerdict, sigma: FloatArray, unlike: float, known: Calibration) -> str:
+def _doubt(kind: KindVerdict, sigma: FloatArray, unlike: float, known: KindCalibration) -> str:
     """Why the spectrum is out of domain; empty where it is in."""
     if kind.stranger:
         return "; ".join(kind.reasons)
@@ -261,7 +263,7 @@ def _doubt(kind: KindVerdict, sigma: FloatArray, unlike: float, known: Calibrati
     return ""
 
 
-def _status(known: Calibration, told: BoolArray, minerals: Sequence[str], doubt: str) -> str:
+def _status(known: KindCalibration, told: BoolArray, minerals: Sequence[str], doubt: str) -> str:
     open_ones = [mineral for mineral, sure in zip(minerals, told, strict=True) if not sure]
     parts = [f"out of domain: {doubt}" if doubt else f"like {known.name} of known modes"]
     if known.name == CHONDRITE:
@@ -297,7 +299,7 @@ def _dark(found: _Found) -> DarkPart:
 RATIOS = {"olivine_in_mafic": (("olivine",), MAFIC), "orthopyroxene_in_pyroxene": (("orthopyroxene",), MAFIC[1:])}
 
 
-def _ratios(found: _Found, minerals: Sequence[str], known: Calibration) -> tuple[MineralFraction, ...]:
+def _ratios(found: _Found, minerals: Sequence[str], known: KindCalibration) -> tuple[MineralFraction, ...]:
     """Shares of one mineral in several, by volume."""
     ratios = []
     for name, (above, below) in RATIOS.items():

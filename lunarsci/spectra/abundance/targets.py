@@ -79,7 +79,7 @@ TARGETS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
+class KindCalibration:
     """What suites of known modes say of shares of one class of targets.
 
     Attributes
@@ -110,11 +110,11 @@ class Calibration:
 
 
 @cache
-def calibrations() -> Mapping[str, Calibration]:
+def calibrations() -> Mapping[str, KindCalibration]:
     """By name."""
     rows = {row["name"]: row for row in table_rows(TABLE)}
     return {
-        name: Calibration(
+        name: KindCalibration(
             name,
             tuple(row["suites"].split()),
             int(row["count"]),

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from lunarsci.spectra.spectrum import Spectrum
 
 
-SOURCES = {"hapke": (HAPKE,), "absorbance": (ABSORBANCE,), "both": (HAPKE, ABSORBANCE)}
+SOURCES = {"hapke": (HAPKE,), "absorbance": (ABSORBANCE,), "both": (HAPKE, ABSORBANCE), "auto": (HAPKE, ABSORBANCE)}
 LEAST_MINERALS, MOST_NAMED = 2, 5
 REFUSED = "a surface that space has weathered, whose glass and iron no mixture of powders stands for"
 UNCALIBRATED = "not calibrated on rocks: no solid rock of known modes has been measured with it"
@@ -37,7 +37,8 @@ class UnmixRequest(ModelRequest):
     Attributes
     ----------
     kind : of the target; `auto`: found for each spectrum.
-    method : mixing law, or both, weighted by their evidence.
+    method : mixing law, or both, weighted by their evidence; `auto`: both together, Hapke's one by one, where both were
+        no better on measured suites.
     library : file of end members, instead of the embedded ones.
     together : whether all spectra are mixtures of the same powders.
     known : table of mixtures whose modes are known; implies `together`.
@@ -46,7 +47,7 @@ class UnmixRequest(ModelRequest):
     """
 
     kind: Literal["auto", "powder-mixture", "dark-rock-powder", "weathered-soil", "solid-rock"] = "auto"
-    method: Literal["both", "hapke", "absorbance"] = "hapke"
+    method: Literal["auto", "both", "hapke", "absorbance"] = "auto"
     library: str | None = None
     together: bool = False
     known: str | None = None
@@ -55,7 +56,7 @@ class UnmixRequest(ModelRequest):
 
     def _faults(self) -> tuple[tuple[Any, str], ...]:
         wrong = self.method == "absorbance" and self.iron
-        return ((wrong, "`iron` needs `method` hapke or both"), *ModelRequest._faults(self))
+        return ((wrong, "`iron` needs `method` auto, hapke or both"), *ModelRequest._faults(self))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -227,7 +228,7 @@ def _judged(found: "Abundance", kind: "KindVerdict") -> "Abundance":
 
 
 def _method(request: UnmixRequest) -> str:
-    return "unmix" if request.method == "both" else request.method
+    return "unmix" if request.method in ("auto", "both") else request.method
 
 
 def _one_by_one(
@@ -246,14 +247,15 @@ def _one_by_one(
         spectra,
         [name for name in minerals if name != OPAQUE],
         kinds=kinds,
-        method=_method(request),
+        method="hapke" if request.method == "auto" else _method(request),
         end_members=end_members,
         opaque=request.opaque,
         iron=request.iron,
     )
+    named = [replace(item, method=_method(request)) for item in found]
     return [
         without_centres(item, "; ".join(kind.reasons)) if kind.stranger else item
-        for item, kind in zip(found, kinds, strict=True)
+        for item, kind in zip(named, kinds, strict=True)
     ]
 
 
