@@ -21,10 +21,10 @@ import numpy as np
 import pandas as pd
 
 from lunarsci.inputs import read_input
-from lunarsci.spectra.abundance.end_members import FAMILY_OF, embedded_end_members
-from lunarsci.spectra.abundance.estimate import estimate_series
+from lunarsci.spectra.abundance.end_members import FAMILY_OF, embedded_end_members, without_siblings
 from lunarsci.spectra.abundance.kinds import KindVerdict, find_kinds, learn_kinds
 from lunarsci.spectra.abundance.normative import silicate_norm
+from lunarsci.spectra.abundance.one_by_one import estimate_each
 from lunarsci.spectra.abundance.result import Abundance, refused, without_centres
 from lunarsci.spectra.library.end_member import EndMember
 from lunarsci.spectra.readers import read_spectra
@@ -181,7 +181,7 @@ def ours(data: Path, minerals: Sequence[str] = MINERALS) -> Method:
             [getattr(item, key) for item, ok in zip(known, kept, strict=True) if ok] for key in ("component", "suite")
         )
         kinds = find_kinds(spectra, model=learn_kinds(features[kept], names, suites, tables.COMPONENTS))
-        end_members = [item for item in library if item.id not in left_out]
+        end_members = without_siblings(library, sorted(left_out))
         found = [_one(spectrum, kind, minerals, end_members) for spectrum, kind in zip(spectra, kinds, strict=True)]
         return as_answer(found)
 
@@ -191,7 +191,7 @@ def ours(data: Path, minerals: Sequence[str] = MINERALS) -> Method:
 def _one(spectrum: Spectrum, kind: KindVerdict, minerals: Sequence[str], end_members: Sequence[EndMember]) -> Abundance:
     if kind.is_weathered:
         return refused(spectrum.id, "unmix", minerals, "weathered")
-    [found] = estimate_series([spectrum], minerals, end_members=end_members)
+    [found] = estimate_each([spectrum], minerals, kinds=[kind], end_members=end_members)
     return without_centres(found, "stranger") if kind.stranger else found
 
 

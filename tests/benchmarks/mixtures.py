@@ -5,7 +5,7 @@ Needs the reference data, found through LUNARSCI_REFERENCE_DATA. Whatever is of 
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -13,10 +13,12 @@ import numpy as np
 import pandas as pd
 
 from lunarsci.inputs import read_input
-from lunarsci.spectra.abundance.end_members import FAMILY_OF, embedded_end_members
+from lunarsci.spectra.abundance.end_members import FAMILY_OF, embedded_end_members, without_siblings
 from lunarsci.spectra.abundance.estimate import estimate_series
+from lunarsci.spectra.abundance.kinds import find_kind
 from lunarsci.spectra.abundance.nbsr import nbsr_abundance
-from lunarsci.spectra.abundance.result import Abundance
+from lunarsci.spectra.abundance.one_by_one import estimate_each, raw_shares
+from lunarsci.spectra.abundance.result import Abundance, MineralFraction
 from lunarsci.spectra.library.end_member import EndMember
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import mgm_model
@@ -51,14 +53,14 @@ MODES = {
     "others known": "together, modes of all others known",
 }
 _SERIES = (
-    ("XP-CMP", ("orthopyroxene", "clinopyroxene"), ("XP-CMP", "PE-CMP-03", "PP-CMP-02")),
-    ("AG-TJM", tuple(FAMILY_OF), ("AG-TJM",)),
-    ("pomix", ("olivine", "orthopyroxene"), ("pomix", "PP-EAC-087", "PP-EAC-016")),
-    ("OOCMIX", ("olivine", "orthopyroxene", "clinopyroxene"), ("OOCMIX", "PP-EAC-087", "PP-EAC-016")),
-    ("MIX03", ("olivine", "clinopyroxene"), ("MIX03", "PP-EAC-087", "PP-EAC-016")),
-    ("MIX23", ("orthopyroxene", "clinopyroxene"), ("MIX23", "PYX040", "PP-EAC-001")),
+    ("XP-CMP", ("orthopyroxene", "clinopyroxene"), ("PE-CMP-030", "PP-CMP-021", "PP-CMP-027-E")),
+    ("AG-TJM", tuple(FAMILY_OF), ("AG-TJM-008", "AG-TJM-010", "AG-TJM-011")),
+    ("pomix", ("olivine", "orthopyroxene"), ("SC-EAC-002", "PP-EAC-087", "pomix4012")),
+    ("OOCMIX", ("olivine", "orthopyroxene", "clinopyroxene"), ("SC-EAC-002", "PP-EAC-087", "PP-EAC-016")),
+    ("MIX03", ("olivine", "clinopyroxene"), ("SC-EAC-002", "PP-EAC-016")),
+    ("MIX23", ("orthopyroxene", "clinopyroxene"), ("SC-EAC-036", "PYX040", "PP-EAC-001")),
 )
-"""Name, minerals, and ids of which nothing may be in the library."""
+"""Name, minerals, and end members of which no powder may be in the library."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +86,7 @@ def laboratory(data: Path) -> tuple[Series, ...]:
         for coarse, group in mixed.groupby(mixed["max_um"] > COARSE_UM):
             label = name + (" coarse" if coarse and name == "XP-CMP" else "")
             modes = group[[COLUMNS[mineral] for mineral in minerals]].to_numpy(float)
-            kept = tuple(item for item in library if not item.id.startswith(kept_out))
+            kept = without_siblings(library, kept_out)
             found.append(Series(label, minerals, tuple(spectra[id] for id in group.index), modes, kept))
     return tuple(found)
 
@@ -109,9 +111,26 @@ def shares(series: Series, mode: str) -> tuple[Abundance, ...]:
     if mode == "others known":
         return tuple(_left_out(series, truth, number) for number in range(len(series.spectra)))
     return tuple(
-        estimate_series([spectrum], series.minerals, end_members=series.library, present=[own])[0]
+        alone(spectrum, own or series.minerals, series.minerals, series.library)
         for spectrum, own in zip(series.spectra, present, strict=True)
     )
+
+
+def alone(
+    spectrum: Spectrum, named: Sequence[str], minerals: Sequence[str], library: tuple[EndMember, ...]
+) -> Abundance:
+    """Shares of all minerals, those not named with 0, and a centre also where the spectrum says little."""
+    if len(named) == 1:
+        found = {named[0]: MineralFraction(named[0], 1.0, 1.0, 1.0, 1.0, 1.0)}
+        fractions = tuple(found.get(name, MineralFraction(name, 0.0, 0.0, 0.0, 0.0, 0.0)) for name in minerals)
+        return Abundance(spectrum.id, "unmix", fractions, None, True, "", None)
+    [one] = estimate_each([spectrum], named, kinds=[find_kind(spectrum, "powder-mixture")], end_members=library)
+    _, mean, *_ = raw_shares(spectrum, named, "powder-mixture", library)
+    found = {
+        item.mineral: replace(item, fraction=float(value)) for item, value in zip(one.fractions, mean, strict=True)
+    }
+    absent = {name: MineralFraction(name, 0.0, 0.0, 0.0, 0.0, 0.0) for name in minerals}
+    return replace(one, fractions=tuple((absent | found)[name] for name in minerals))
 
 
 def _left_out(series: Series, truth: list[dict[str, float]], number: int) -> Abundance:
@@ -178,7 +197,7 @@ def strangers(data: Path) -> dict[str, list[tuple[Spectrum, tuple[str, ...]]]]:
 
 def accepted(pairs: Sequence[tuple[Spectrum, tuple[str, ...]]]) -> int:
     """How many of them come out as in domain."""
-    return sum(estimate_series([spectrum], minerals)[0].in_domain for spectrum, minerals in pairs)
+    return sum(estimate_each([spectrum], minerals)[0].in_domain for spectrum, minerals in pairs)
 
 
 def _family(minerals: Sequence[str]) -> str:

@@ -46,21 +46,14 @@ def test_a_series_together_errs_by_ten_at_most_where_its_minerals_are_named(
     assert bench.rmse(laboratory, "together, present", mineral) <= 7
 
 
-def test_a_series_together_errs_by_ten_at_most_but_for_olivine_beside_plagioclase(bench: Any, laboratory: Any) -> None:
-    """Measured: olivine 13, orthopyroxene 7, clinopyroxene 7 vol %."""
-    assert bench.rmse(laboratory, "together", "orthopyroxene") <= 8
-    assert bench.rmse(laboratory, "together", "clinopyroxene") <= 8
-    without = [series for series in laboratory if "plagioclase" not in series.minerals]
-    assert bench.rmse(without, "together", "olivine") <= 9
-
-
-@pytest.mark.xfail(strict=True, reason="aimed at, not reached: bright olivine and plagioclase stand for each other")
-def test_olivine_errs_by_ten_at_most_where_plagioclase_is_named_everywhere(bench: Any, laboratory: Any) -> None:
-    assert bench.rmse(laboratory, "together", "olivine") <= 10
+@pytest.mark.parametrize("mineral", MAFIC)
+def test_a_series_together_errs_by_eight_at_most(bench: Any, laboratory: Any, mineral: str) -> None:
+    """Measured: olivine 6, orthopyroxene 7, clinopyroxene 6 vol %."""
+    assert bench.rmse(laboratory, "together", mineral) <= 8
 
 
 def test_spectra_one_by_one_are_found_as_well_as_the_readme_says(bench: Any, laboratory: Any) -> None:
-    limits = {"alone": (17, 9, 11), "alone, present": (11, 9, 12)}
+    limits = {"alone": (15, 8, 8), "alone, present": (10, 9, 8)}
     for mode, most in limits.items():
         for mineral, limit in zip(MAFIC, most, strict=True):
             assert bench.rmse(laboratory, mode, mineral) <= limit, (mode, mineral)
@@ -69,7 +62,7 @@ def test_spectra_one_by_one_are_found_as_well_as_the_readme_says(bench: Any, lab
 @pytest.mark.parametrize("mode", ["alone", "alone, present", "together", "together, present", "others known"])
 def test_sixty_eight_per_cent_intervals_hold_about_that_share(bench: Any, laboratory: Any, mode: str) -> None:
     one, two = bench.coverage(laboratory, mode)
-    assert 0.60 <= one <= 0.76
+    assert 0.60 <= one <= 0.80
     assert two >= 0.85
 
 
@@ -115,16 +108,12 @@ def test_iron_raises_the_plagioclase_of_a_highland_soil(reference_data: Path) ->
     assert with_iron > without + 0.1
 
 
-def test_laboratory_mixtures_are_in_domain_and_others_mostly_are_not(
-    bench: Any, laboratory: Any, reference_data: Path
-) -> None:
-    """Weathered soil, dark rock and other minerals are no mixtures of those named; every fifth is tried here."""
-    right = [item.in_domain for series in laboratory for item in bench.shares(series, "alone")]
-    assert np.mean(right) >= 0.75
+def test_no_lunar_soil_and_few_strangers_are_in_domain(bench: Any, reference_data: Path) -> None:
+    """Every tenth is tried. Powders of one mineral with the three others named are the hard ones: 25 of 113."""
     most = {
         "soil and boulders, Chang'E-4": 0.0,
-        "soil, M3 and Apollo 16": 0.5,
-        "one mineral, the three others named": 0.2,
+        "soil, M3 and Apollo 16": 0.0,
+        "one mineral, the three others named": 0.4,
     }
     for kind, pairs in bench.strangers(reference_data).items():
-        assert bench.accepted(pairs[::5]) <= most[kind] * len(pairs[::5]), kind
+        assert bench.accepted(pairs[::10]) <= most[kind] * len(pairs[::10]), kind
