@@ -115,11 +115,11 @@ class Comparison:
         types = np.eye(int(self.mixtures.rock_type.max()) + 1)[self.mixtures.rock_type][:, 1:]
         wanted = np.column_stack([self.mixtures.shares[:, 1:], types])
         design = _quadratic(self._noisy(np.zeros_like(self.wavelength_nm)))
-        normal = (design.T @ design).astype(np.float64)
+        normal = design.T @ design
         normal[np.arange(1, len(normal)), np.arange(1, len(normal))] += GLOBAL_RIDGE
-        found = np.linalg.solve(normal, design.T @ wanted.astype(np.float32))
+        found = np.linalg.solve(normal, design.T @ wanted)
         sizes, axes = np.linalg.eigh(np.atleast_2d(np.cov((wanted - design @ found).T)))
-        return np.asarray(found, dtype=np.float64), axes / np.sqrt(sizes)
+        return np.asarray(found), axes / np.sqrt(sizes)
 
     def _compared(self, components: FloatArray) -> FloatArray:
         if not self.foretold:
@@ -156,10 +156,10 @@ class Comparison:
 
 
 def _quadratic(components: FloatArray) -> FloatArray:
-    """1, the components and all their products of two, in single precision."""
-    cut = np.clip(components, -FARTHEST, FARTHEST).astype(np.float32)
+    """1, the components and all their products of two."""
+    cut = np.clip(components, -FARTHEST, FARTHEST)
     one, other = np.triu_indices(cut.shape[1])
-    return np.column_stack([np.ones(len(cut), np.float32), cut, cut[:, one] * cut[:, other]])
+    return np.column_stack([np.ones(len(cut)), cut, cut[:, one] * cut[:, other]])
 
 
 def _nearest(points: FloatArray, seen: FloatArray) -> FloatArray:

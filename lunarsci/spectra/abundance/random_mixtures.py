@@ -10,7 +10,6 @@ Sources: mixing Hapke (1981), 10.1029/JB086iB04p03039; iron below 50 nm, which r
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -157,10 +156,10 @@ def random_mixtures(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Powders:
-    """End members of one mineral: t of one grain size (k, n), in single precision, and weights (k,)."""
+    """End members of one mineral: t of one grain size (k, n), and weights (k,)."""
 
     members: list[EndMember]
-    element: Any
+    element: FloatArray
     weight: FloatArray
 
     @classmethod
@@ -174,7 +173,7 @@ class _Powders:
             raise ParameterError(f"no end member of {mineral} reaches over all channels; give a library that has one")
         members = [item for item, usable in zip(own, there, strict=True) if usable]
         size = np.array([ln_size(item) for item in members]) * (len(members) > 1)
-        element = (law.element(values[there]) - law.size_exponent * size[:, None]).astype(np.float32)
+        element = law.element(values[there]) - law.size_exponent * size[:, None]
         return cls(members, element, specimen_weights(members))
 
     def drawn(self, count: int, rock: RockType, rng: np.random.Generator) -> FloatArray:
@@ -182,7 +181,7 @@ class _Powders:
         weight = self.weight * np.array([_suits(item, rock) for item in self.members])
         weight = weight / weight.sum() if weight.sum() > 0 else self.weight / self.weight.sum()
         one, other = (rng.choice(len(weight), count, p=weight) for _ in range(2))
-        part = np.where(rng.random(count) < BLENDED, rng.random(count), 0.0).astype(np.float32)[:, None]
+        part = np.where(rng.random(count) < BLENDED, rng.random(count), 0.0)[:, None]
         return np.asarray(self.element[one] * (1 - part) + self.element[other] * part)
 
 
@@ -254,7 +253,7 @@ def _mixed(
         own = rng.normal(0.0, OWN_SIZE, count)
         size = law.size_exponent * (own + common)
         part = shares[:, place] * np.exp(-law.section * own)
-        mixed += part[:, None] * law.mixing(powder.drawn(count, rock, rng) + size[:, None].astype(np.float32))[0]
+        mixed += part[:, None] * law.mixing(powder.drawn(count, rock, rng) + size[:, None])[0]
         section += part
     kept = 1.0 - dark.share[:, None]
     mixed = kept * mixed / section[:, None] + (1.0 - kept) * law.of_albedo(dark.reflecting(wavelength_nm))
