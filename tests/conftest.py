@@ -35,6 +35,10 @@ LONGEST = (
     "test_examples.py",
     "test_force_soil.py",
     "test_former_results.py",
+    "test_machine_code.py",
+    "test_measured_wheels.py",
+    "test_twin_update.py",
+    "test_outcomes.py",
 )
 """Files that take longest; they start first, so that no worker is left with one at the end. The README compiles nearly
 everything; beside it run files that need no compiled code, and the others, the wheel too, find it in the cache."""

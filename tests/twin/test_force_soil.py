@@ -149,7 +149,7 @@ def drive(yutu2: Rover, hidden: np.ndarray) -> tuple[np.ndarray, Motion, PoseSta
 @pytest.fixture(scope="module")
 def turned(yutu2: Rover, drive: tuple[np.ndarray, Motion, PoseStates]) -> AlternatingEstimate:
     _, motion, states = drive
-    options = {"draws": 32, "correlation_m": 0.5, "seed": 2}
+    options = {"draws": 16, "correlation_m": 0.5, "seed": 2}
     return alternate(yutu2, synthetic_longji(), motion, states, first_belief(), rounds=8, **options)  # type: ignore[arg-type]
 
 
@@ -181,7 +181,7 @@ def test_forces_on_the_soil_that_was_found_are_the_true_ones(turned: Alternating
 def test_the_soil_does_not_follow_from_where_the_rounds_begin(yutu2: Rover, turned: AlternatingEstimate, drive) -> None:  # type: ignore[no-untyped-def]
     """Forces that came from a soil must not prove it: with other soils drawn for them the same soil is found."""
     _, motion, states = drive
-    options = {"draws": 32, "correlation_m": 0.5, "seed": 77}
+    options = {"draws": 16, "correlation_m": 0.5, "seed": 77}
     other = alternate(yutu2, synthetic_longji(), motion, states, first_belief(), rounds=8, **options)  # type: ignore[arg-type]
     one, two = turned.posterior.belief, other.posterior.belief
     assert np.abs((one.mean - two.mean) / np.sqrt(np.diag(one.covariance))).max() < 0.3
