@@ -13,11 +13,10 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
-from lunarsci.spectra.mgm.assemblages import FAMILIES, BandPrior
+from lunarsci.spectra.mgm.assemblages import FAMILIES, MINERALS, BandPrior
 from lunarsci.spectra.mgm.fit import fit_data
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.model import (
-    MISFIT_SPACING_NM,
     MgmData,
     MgmModel,
     deepest_absorption,
@@ -55,24 +54,64 @@ def ln_evidence(fit: MgmFit) -> float:
     ----------
     Kass & Raftery (1995), J. Am. Stat. Assoc. 90, 773, 10.1080/01621459.1995.10476572.
     """
-    model, point = fit.model, fit.parameters
-    if model.fixed.any():
+    if fit.model.fixed.any():
         raise ParameterError(f"{fit.id}: the evidence of a model with fixed parameters is not defined; free them")
-    wavelength = fit.data.wavelength_nm
-    found = model_and_jacobian(point, wavelength / 1e3, model.basis(wavelength), model.logarithmic)
-    if found is None:
-        return math.nan
-    ln_model, jacobian = found
-    m, away = model.degrees, point - model.prior
-    residual = np.log(fit.data.reflectance) - ln_model
-    pull = model.precision @ away
-    objective = float(fit.data.weight @ residual**2 + away @ pull)
-    gradient = pull - jacobian @ (fit.data.weight * residual)
-    curvature = (jacobian * fit.data.weight) @ jacobian.T + model.precision
-    held = (point <= model.lower) | (point >= model.upper)
-    prior = 0.5 * _ln_det(model.precision[m:, m:]) - ln_all_negative(model.assemblage.bands)
-    width = 0.5 * m * LN_2PI + _ln_volume(curvature, gradient, point, held, m)
-    return -0.5 * objective + prior + width
+    return _Place.at(fit.parameters, fit.model, fit.data, np.diag(np.sqrt(fit.data.weight))).ln_evidence()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Place:
+    """The objective of a model at a point, where errors of channels hang together.
+
+    `whiten`, (n, n), makes residuals independent with unit variance; `curvature` is half the Hessian (Gauss-Newton),
+    `descent` half the negative slope. The objective is infinite where the continuum is not above 0.
+    """
+
+    point: FloatArray
+    model: MgmModel
+    objective: float
+    curvature: FloatArray
+    descent: FloatArray
+
+    @classmethod
+    def at(cls, point: FloatArray, model: MgmModel, data: MgmData, whiten: FloatArray) -> "_Place":
+        wavelength = data.wavelength_nm
+        found = model_and_jacobian(point, wavelength / 1e3, model.basis(wavelength), model.logarithmic)
+        if found is None:
+            return cls(point, model, math.inf, np.full_like(model.precision, np.nan), np.full_like(point, np.nan))
+        residual, jacobian = whiten @ (np.log(data.reflectance) - found[0]), found[1] @ whiten.T
+        away = point - model.prior
+        pull = model.precision @ away
+        objective = float(residual @ residual + away @ pull)
+        return cls(point, model, objective, jacobian @ jacobian.T + model.precision, jacobian @ residual - pull)
+
+    def lower(self, data: MgmData, whiten: FloatArray) -> "_Place":
+        """A few steps of Levenberg and Marquardt downhill, within the bounds."""
+        here, damping, model = self, FIRST_DAMPING, self.model
+        for _ in range(STEPS):
+            held = ((here.point <= model.lower) & (here.descent < 0)) | (
+                (here.point >= model.upper) & (here.descent > 0)
+            )
+            free = ~held
+            matrix = here.curvature[np.ix_(free, free)]
+            matrix = matrix + damping * np.diag(np.diag(matrix))
+            point = here.point.copy()
+            point[free] += np.linalg.solve(matrix, here.descent[free])
+            there = _Place.at(np.clip(point, model.lower, model.upper), model, data, whiten)
+            better = there.objective <= here.objective
+            damping *= 0.1 if better else 20.0
+            here = there if better else here
+        return here
+
+    def ln_evidence(self) -> float:
+        """See `ln_evidence`."""
+        if not math.isfinite(self.objective):
+            return math.nan
+        model, m = self.model, self.model.degrees
+        held = (self.point <= model.lower) | (self.point >= model.upper)
+        prior = 0.5 * _ln_det(model.precision[m:, m:]) - ln_all_negative(model.assemblage.bands)
+        width = 0.5 * m * LN_2PI + _ln_volume(self.curvature, self.descent, self.point, held, m)
+        return -0.5 * self.objective + prior + width
 
 
 def ln_all_negative(bands: Iterable[BandPrior]) -> float:
@@ -120,12 +159,24 @@ def _ln_volume(curvature: FloatArray, gradient: FloatArray, point: FloatArray, h
     return volume + float(log_ndtr(-point[strengths] / sigma).sum())
 
 
-STRONG = 3.0
-"""ln of a Bayes factor of 20, from which on Kass & Raftery (1995) call evidence strong."""
-MISFIT_FLOOR, MISFIT_SHARE = 0.01, 0.1
-"""Error of ln R at 5 nm channels: a floor, and a share of the deepest absorption; see `choose`."""
-LEAST_DEPTH = 0.03
-DEFAULT_CHOICE_STARTS = 2
+DETAIL_FLOOR, DETAIL_SHARE = 0.008, 0.04
+"""Standard deviation of ln R of what Gaussians and priors do not know of natural minerals: a floor, and a share of the
+deepest absorption; see `choose`."""
+DETAIL_NM = 60.0
+"""Length over which it hangs together: its correlation is that of Matern's law of order 3/2."""
+WHITE_SHARE = 0.1
+"""Of it that does not hang together; assumed."""
+COARSE_NM = 20.0
+"""Channels are put together to about this: a third of that length."""
+START_ERROR = 0.03
+"""Share of the depth as an independent error, with which the minima are looked for; assumed."""
+FIRST_DAMPING, STEPS = 1e-3, 8
+TEMPER, PENALTY = 0.57, 2.04
+"""Weight of ln evidence, and what every mineral must add, in the logarithm of the probability; see `choose`."""
+CREDIBLE, MOST_TOGETHER = 0.9, 4
+"""Probability that the assemblages named together hold, and how many of them still say something."""
+LEAST_DEPTH, LEAST_ERROR = 0.03, 0.003
+DEFAULT_CHOICE_STARTS = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,10 +185,12 @@ class Candidate:
 
     Attributes
     ----------
-    fit : at the errors that the comparison uses; for parameters and their errors fit the chosen assemblage again.
+    fit : with independent errors, where the comparison starts; for parameters and their errors fit the chosen
+        assemblage again.
     bic : of that fit, lower is better. [-]
-    ln_evidence : to a constant shared by all candidates of the spectrum. [-]
-    score : ln evidence less `STRONG` per mineral, what the choice goes by. [-]
+    ln_evidence : with errors that hang together, to a constant shared by all candidates of the spectrum. [-]
+    score : ln of the probability, to a constant shared by all. [-]
+    probability : that this assemblage is the right one, of all that were compared. [-]
     """
 
     assemblage: str
@@ -145,6 +198,7 @@ class Candidate:
     bic: float
     ln_evidence: float
     score: float
+    probability: float = math.nan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,15 +208,17 @@ class Choice:
     Attributes
     ----------
     candidates : all that could be compared, best score first.
+    family : the most probable assemblages that together hold 90 % of the probability.
     margin : by how much the score of the best exceeds that of the next. [-]
     margin_ln_evidence, margin_bic : ln evidence of the best less that of the next; BIC of the next less that of the
         best. Negative where simplicity, not evidence, decides. [-]
-    strong : whether the margin reaches `STRONG`; of measured minerals five in six are right there.
-    status : a sentence; it names what else is possible where the evidence is not strong.
+    strong : whether the family has four members or fewer, and a mineral that is in all of them.
+    status : a sentence; it names what is certain and what is open.
     """
 
     id: str
     candidates: tuple[Candidate, ...]
+    family: tuple[str, ...]
     margin: float
     margin_ln_evidence: float
     margin_bic: float
@@ -174,14 +230,21 @@ class Choice:
         """Name of the best."""
         return self.candidates[0].assemblage
 
+    @property
+    def minerals(self) -> dict[str, float]:
+        """Probability of each mineral: of the assemblages that it is in. [-]"""
+        return {
+            mineral: sum(c.probability for c in self.candidates if key in c.assemblage.split("-"))
+            for key, mineral in MINERALS.items()
+        }
+
     def to_dict(self) -> dict[str, Any]:
         """Plain Python, without the fits."""
-        rows = [
-            {"assemblage": c.assemblage, "ln_evidence": c.ln_evidence, "bic": c.bic, "score": c.score}
-            for c in self.candidates
-        ]
+        columns = ("assemblage", "ln_evidence", "bic", "score", "probability")
+        rows = [{name: getattr(candidate, name) for name in columns} for candidate in self.candidates]
         names = ("id", "assemblage", "margin", "margin_ln_evidence", "margin_bic", "strong", "status")
-        return {name: getattr(self, name) for name in names} | {"candidates": rows}
+        more = {"candidates": rows, "family": list(self.family), "mineral_probability": self.minerals}
+        return {name: getattr(self, name) for name in names} | more
 
 
 def choose(
@@ -196,22 +259,19 @@ def choose(
 ) -> list[Choice | MgmFailure]:
     """Fit every assemblage to every spectrum and compare them; one result or one stated reason each, in order.
 
-    What decides is the evidence, and every mineral more must be supported by strong evidence (`STRONG`): the score of
-    an assemblage is its ln evidence less 3 per mineral. Strengths have priors as wide as the deepest absorption, so
-    that spectra of weak and of strong bands are judged alike.
+    What Gaussians and priors do not know of natural minerals hangs together over tens of nanometres: the evidence is
+    that of residuals with a standard deviation of 0.008 and 4 % of the deepest absorption, correlated over 60 nm,
+    beside the noise. Strengths have priors as wide as the deepest absorption, so that spectra of weak and of strong
+    bands are judged alike. An assemblage with n minerals has the probability exp(0.57 ln evidence - 2.04 n), over the
+    sum of all: the first number says how far the evidence may be believed, the second that minerals are not assumed
+    without need. Both were learned from which assemblage is right, in 156 laboratory spectra with one or two minerals
+    of 5 vol % or more; the kernel's size and length hardly matter.
 
-    Evidence counts channels, but misfits of Gaussians are correlated. In 156 laboratory spectra of one or two minerals
-    they are 0.5-1.2 % of the deepest absorption (68 % of the spectra), over 10-18 channels of 5 nm; on broad bands this
-    weighs like an independent error larger by the root of that number, 2-6 % of the depth. The error used is larger,
-    0.01 + 0.1 x depth at 5 nm (less by the root of the spacing at wider channels, in quadrature with the noise):
-    chosen, like the penalty, by the share of these spectra for which the choice is right. The excess stands for what
-    the priors do not know of natural minerals; with the misfit alone minerals are claimed that are not there.
-
-    On those 156 spectra the choice is right for 76 %, also where the settings are chosen without the series of samples
-    they are judged on; for 86 % of single minerals and half of the mixtures. On 25 spectra of pyroxene and plagioclase
-    in the USGS library, which served for nothing here, it is right for 14. It misses small shares of a second mineral,
-    olivine beside diopside, and pyroxene that is zoned. Where the evidence is not strong, take the candidates as
-    equals; even where it is, one in six is wrong.
+    Assemblages that cannot be told apart are named together, as a family. The evidence is strong where these are few
+    and have a mineral in common: that mineral is there, the others are open. Leaving each suite out of what was
+    learned, 71 % of the 156 spectra are strong and 90 % of these families right; of 153 further spectra, which served
+    for nothing here, 81 and 89 %. The assemblage named first is right for 74 and 84 %. What is missed is a second
+    mineral below another that absorbs more: olivine up to 40 vol % in orthopyroxene, diopside in olivine.
 
     Parameters
     ----------
@@ -219,7 +279,7 @@ def choose(
     families : names of assemblages, two or more, each once.
     continuum : the same for all, since evidence compares under one continuum only.
     compositions : see `mgm_model`; each counts in the assemblages that have it. [mol %]
-    model_error : of ln R, above 0 and below 1, instead of the error above. [-]
+    model_error : of ln R, above 0 and below 1, instead of the standard deviation above. [-]
     starts : number of starting points of each fit, 1 or more.
     progress : called with (done, total) spectra.
 
@@ -229,7 +289,8 @@ def choose(
 
     References
     ----------
-    Kass & Raftery (1995), J. Am. Stat. Assoc. 90, 773, 10.1080/01621459.1995.10476572.
+    Kass & Raftery (1995), J. Am. Stat. Assoc. 90, 773, 10.1080/01621459.1995.10476572; Kennedy & O'Hagan (2001), J. R.
+    Stat. Soc. B 63, 425, 10.1111/1467-9868.00294 (model discrepancy).
     """
     models = [mgm_model(name, continuum, stated_for(name, compositions), coupled=True) for name in families]
     names = [model.assemblage.name for model in models]
@@ -251,40 +312,76 @@ def choose(
 
 
 def _choice(spectrum: Spectrum, models: Sequence[MgmModel], model_error: float | None, starts: int) -> Choice:
-    first = prepare(spectrum, MISFIT_FLOOR)
-    depth = max(LEAST_DEPTH, deepest_absorption(first.wavelength_nm, first.reflectance))
-    spacing = float(np.median(np.diff(first.wavelength_nm)))
-    misfit = (MISFIT_FLOOR + MISFIT_SHARE * depth) * math.sqrt(MISFIT_SPACING_NM / spacing)
-    data = prepare(spectrum, misfit if model_error is None else model_error)
-    compared = [_candidate(data, _deepened(model, depth), starts) for model in models]
+    fine = prepare(spectrum, LEAST_ERROR)
+    depth = max(LEAST_DEPTH, deepest_absorption(fine.wavelength_nm, fine.reflectance))
+    data = _coarse(fine, math.hypot(LEAST_ERROR, START_ERROR * depth))
+    error = math.hypot(DETAIL_FLOOR, DETAIL_SHARE * depth) if model_error is None else model_error
+    whiten = _whitening(data, error)
+    compared = [_candidate(data, _deepened(model, depth), whiten, starts) for model in models]
     ranked = sorted((c for c in compared if math.isfinite(c.score)), key=lambda c: -c.score)
     if len(ranked) < 2:
         raise DataError("fewer than two assemblages can be fitted; look at the spectrum for channels that are wrong")
+    odds = np.exp([c.score - ranked[0].score for c in ranked])
+    ranked = [replace(c, probability=float(p)) for c, p in zip(ranked, odds / odds.sum(), strict=True)]
     best, second = ranked[:2]
-    margin = best.score - second.score
+    family = family_of(ranked)
+    shared = set.intersection(*(set(name.split("-")) for name in family))
+    strong = bool(shared) and len(family) <= MOST_TOGETHER
     return Choice(
         spectrum.id,
         tuple(ranked),
-        margin,
+        family,
+        best.score - second.score,
         best.ln_evidence - second.ln_evidence,
         second.bic - best.bic,
-        margin >= STRONG,
-        _status(ranked),
+        strong,
+        _status(family, shared, strong),
     )
 
 
-def _candidate(data: MgmData, model: MgmModel, starts: int) -> Candidate:
+def family_of(ranked: Sequence[Candidate]) -> tuple[str, ...]:
+    """The first of the candidates, most probable first, that together hold `CREDIBLE` of the probability."""
+    held = np.cumsum([candidate.probability for candidate in ranked])
+    return tuple(candidate.assemblage for candidate in ranked[: int(np.sum(held < CREDIBLE)) + 1])
+
+
+def _coarse(fine: MgmData, error: float) -> MgmData:
+    """Means of ln R over neighbouring channels, about `COARSE_NM` together, with their noise and `error`."""
+    together = max(1, round(COARSE_NM / float(np.median(np.diff(fine.wavelength_nm)))))
+    size = fine.wavelength_nm.size // together * together
+    wavelength, ln_reflectance, variance = (
+        values[:size].reshape(-1, together).mean(axis=1)
+        for values in (fine.wavelength_nm, np.log(fine.reflectance), 1.0 / fine.weight)
+    )
+    weight = 1.0 / (variance / together + error**2)
+    return replace(
+        fine, wavelength_nm=wavelength, reflectance=np.exp(ln_reflectance), weight=weight, model_error=error,
+        shifts=np.empty((0, wavelength.size)),
+    )  # fmt: skip
+
+
+def _whitening(data: MgmData, error: float) -> FloatArray:
+    """(n, n) matrix that makes residuals of ln R independent with unit variance: noise, and `error` that hangs
+    together."""
+    apart = math.sqrt(3.0) * np.abs(np.subtract.outer(data.wavelength_nm, data.wavelength_nm)) / DETAIL_NM
+    noise = np.maximum(1.0 / data.weight - data.model_error**2, 0.0)
+    covariance = error**2 * (1.0 + apart) * np.exp(-apart) + np.diag(noise + (WHITE_SHARE * error) ** 2)
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=np.float64)
+
+
+def _candidate(data: MgmData, model: MgmModel, whiten: FloatArray, starts: int) -> Candidate:
     [fit] = fit_data([data], model, starts)
-    value, name = ln_evidence(fit), model.assemblage.name
-    return Candidate(name, fit, fit.bic, value, value - STRONG * len(model.assemblage.minerals))
+    value, name = _Place.at(fit.parameters, model, data, whiten).lower(data, whiten).ln_evidence(), model.assemblage
+    return Candidate(name.name, fit, fit.bic, value, TEMPER * value - PENALTY * len(name.minerals))
 
 
-def _status(ranked: Sequence[Candidate]) -> str:
-    best = ranked[0]
-    others = [c.assemblage for c in ranked[1:] if best.score - c.score < STRONG]
-    if not others:
-        return f"{best.assemblage}, by strong evidence"
-    return f"{best.assemblage}, by weak evidence: {', '.join(others)} cannot be excluded"
+def _status(family: Sequence[str], shared: set[str], strong: bool) -> str:
+    if len(family) == 1:
+        return f"{family[0]}, by strong evidence"
+    if strong:
+        sure = " and ".join(MINERALS[key] for key in MINERALS if key in shared)
+        return f"{sure}, by strong evidence; {' or '.join(family)} cannot be told apart"
+    return f"{family[0]}, by weak evidence: {', '.join(family[1:])} cannot be excluded"
 
 
 def _deepened(model: MgmModel, depth: float) -> MgmModel:
