@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 MODEL, LIMITS, ANSWER = "Model", "Constraints", "Errors"
 MODEL_OPTIONS: dict[str, RequestOption] = {
     "assemblage": option(
-        "Minerals whose bands are fitted: OL, OPX, CPX, PLG, joined by hyphens; auto compares all and takes the one "
-        "with the most evidence (with an error of its own, not --model-error).",
+        "Minerals whose bands are fitted: OL, OPX, CPX, PLG, joined by hyphens; auto compares all, takes the most "
+        "probable and names those that cannot be told apart (with an error of its own, not --model-error).",
         panel=MODEL,
     ),
     "continuum": option(
@@ -207,11 +207,13 @@ def _intervals_table(intervals: Mapping[str, Any]) -> TextTable:
 
 def _choice_table(choice: Mapping[str, Any]) -> TextTable:
     rows = [
-        [item["assemblage"], f"{item['score']:.1f}", f"{item['ln_evidence']:.1f}", f"{item['bic']:.1f}"]
+        [item["assemblage"], f"{100 * item['probability']:.0f}", f"{item['ln_evidence']:.1f}", f"{item['bic']:.1f}"]
         for item in choice["candidates"]
     ]
-    headers = ["assemblage", "score", "ln evidence", "BIC"]
-    return TextTable(headers, rows, title="all assemblages, the most evidence first", notes=[choice["status"]])
+    headers = ["assemblage", "probability [%]", "ln evidence", "BIC"]
+    sure = ", ".join(f"{mineral} {100 * share:.0f} %" for mineral, share in choice["mineral_probability"].items())
+    notes = [choice["status"], f"probability of each mineral: {sure}"]
+    return TextTable(headers, rows, title="all assemblages, the most probable first", notes=notes)
 
 
 def _abundance_table(found: "Sequence[Abundance]") -> TextTable:

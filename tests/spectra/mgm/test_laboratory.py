@@ -137,35 +137,34 @@ def test_band_centres_of_synthetic_orthopyroxenes_follow_iron(reference_data: Pa
         assert result.bands["2000"].center_nm == pytest.approx(1831 + 2.50 * fs, abs=40)
 
 
-def right(folder: Path) -> float:
-    """Share of the spectra of one or two minerals whose assemblage is chosen."""
-    rows, spectra = manifest(folder), relab(folder)
+def choices(folder: Path, name: str) -> list[tuple[Choice, str]]:
+    """Choices for the spectra of one or two minerals, and the right assemblage."""
+    rows = pd.read_csv(folder / f"spectra/{name}/manifest.csv").set_index("id")
+    spectra = {s.id: s for s in read_spectra(read_input(str(folder / f"spectra/{name}/reflectance.csv")))}
     shares = rows[["vol_ol", "vol_opx", "vol_cpx", "vol_plg"]].to_numpy() >= COUNTED
     truth = {
-        name: "-".join(np.array(["OL", "OPX", "CPX", "PLG"])[there])
-        for name, there in zip(rows.index, shares, strict=True)
+        id: "-".join(np.array(["OL", "OPX", "CPX", "PLG"])[there])
+        for id, there in zip(rows.index, shares, strict=True)
         if there.sum() <= 2
     }
-    choices = choose([spectra[name] for name in truth])
-    assert len(choices) == 156
-    return float(np.mean([isinstance(c, Choice) and c.assemblage == truth[c.id] for c in choices]))
-
-
-@pytest.fixture(scope="module")
-def share_right(reference_data: Path) -> float:
-    return right(reference_data)
+    found = choose([spectra[id] for id in truth])
+    return [(one, truth[one.id]) for one in found if isinstance(one, Choice)]
 
 
 @pytest.mark.slow
-def test_three_in_four_assemblages_are_right(share_right: float) -> None:
-    """119 of 156 were measured."""
-    assert share_right >= 0.73
-
-
-@pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="aimed at, not reached: 0.76; margins say which choices are open")
-def test_nine_in_ten_assemblages_are_right(share_right: float) -> None:
-    assert share_right >= 0.90
+@pytest.mark.parametrize(("name", "count", "first"), [("relab", 156, 0.72), ("minerals", 154, 0.80)])
+def test_nine_in_ten_families_of_strong_evidence_are_right(
+    reference_data: Path, name: str, count: int, first: float
+) -> None:
+    """On more than 60 % of the spectra. TEMPER and PENALTY were learned on `relab`, `minerals` served for nothing; with
+    each suite of `relab` left out of what is learned its shares are the same within 1 %: `benchmarks/choices.py`."""
+    found = choices(reference_data, name)
+    assert len(found) == count
+    strong = [(one, truth) for one, truth in found if one.strong]
+    assert len(strong) >= 0.6 * len(found)
+    assert np.mean([truth in one.family for one, truth in strong]) >= 0.90
+    assert np.mean([len(one.family) for one, _ in strong]) < 2.5, "a family that holds everything says nothing"
+    assert np.mean([one.assemblage == truth for one, truth in found]) >= first
 
 
 @pytest.mark.slow

@@ -11,7 +11,16 @@ from lunarsci.spectra.mgm.assemblages import BandPrior
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import mgm_model
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
-from lunarsci.spectra.mgm.selection import STRONG, Choice, choose, ln_all_negative, ln_evidence
+from lunarsci.spectra.mgm.selection import (
+    CREDIBLE,
+    MOST_TOGETHER,
+    PENALTY,
+    TEMPER,
+    Choice,
+    choose,
+    ln_all_negative,
+    ln_evidence,
+)
 from lunarsci.spectra.spectrum import Spectrum
 
 GRID = np.arange(450.0, 2396.0, 5.0)
@@ -111,12 +120,35 @@ def test_margins_are_those_of_the_candidates() -> None:
     best, second = choice.candidates[:2]
     assert [c.score for c in choice.candidates] == sorted((c.score for c in choice.candidates), reverse=True)
     for candidate in choice.candidates:
-        assert candidate.score == pytest.approx(candidate.ln_evidence - STRONG * (candidate.assemblage.count("-") + 1))
+        minerals = candidate.assemblage.count("-") + 1
+        assert candidate.score == pytest.approx(TEMPER * candidate.ln_evidence - PENALTY * minerals)
     assert choice.margin == pytest.approx(best.score - second.score)
     assert choice.margin_ln_evidence == pytest.approx(best.ln_evidence - second.ln_evidence)
     assert choice.margin_bic == pytest.approx(second.bic - best.bic)
-    assert choice.strong == (choice.margin >= STRONG)
     assert ("by weak evidence" in choice.status) != choice.strong
+
+
+def test_a_family_holds_the_probability_and_no_more() -> None:
+    choice = chosen(made(OLIVINE))
+    each = [c.probability for c in choice.candidates]
+    assert sum(each) == pytest.approx(1)
+    assert each[1] / each[0] == pytest.approx(math.exp(-choice.margin))
+    size = len(choice.family)
+    assert choice.family == tuple(c.assemblage for c in choice.candidates[:size])
+    assert sum(each[: size - 1]) < CREDIBLE <= sum(each[:size])
+    shared = set.intersection(*(set(name.split("-")) for name in choice.family))
+    assert choice.strong == (bool(shared) and size <= MOST_TOGETHER)
+    assert choice.minerals["olivine"] == pytest.approx(
+        sum(c.probability for c in choice.candidates if "OL" in c.assemblage)
+    )
+
+
+def test_errors_that_hang_together_count_as_few() -> None:
+    """A smooth ripple of 1 % that lasts over 100 nm is no mineral."""
+    clean = made(ORTHOPYROXENE)
+    ripple = 0.01 * np.sin(2 * np.pi * GRID / 200)
+    bent = Spectrum("bent", GRID, clean.reflectance * np.exp(ripple), 0.002 * clean.reflectance)
+    assert chosen(bent).assemblage == chosen(clean).assemblage == "OPX"
 
 
 def test_a_factor_of_the_reflectance_does_not_matter() -> None:
