@@ -212,7 +212,7 @@ def _choice_table(choice: Mapping[str, Any]) -> TextTable:
     ]
     headers = ["assemblage", "probability [%]", "ln evidence", "BIC"]
     sure = ", ".join(f"{mineral} {100 * share:.0f} %" for mineral, share in choice["mineral_probability"].items())
-    notes = [choice["status"], f"probability of each mineral: {sure}"]
+    notes = [choice["status"], f"as a powder of one or two minerals: {sure}"]
     return TextTable(headers, rows, title="all assemblages, the most probable first", notes=notes)
 
 

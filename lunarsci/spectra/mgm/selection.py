@@ -273,7 +273,8 @@ def choose(
     further spectra, by the numbers learned from the 156, 70 and 91 %. The share of the probability that a family holds
     was chosen with these figures in view: at 0.9 they are 71 and 90, 81 and 89 %. The assemblage named first is right
     for 74 and 84 %. What is missed is a second mineral below another that absorbs more: olivine up to 40 vol % in
-    orthopyroxene, diopside in olivine.
+    orthopyroxene, diopside in olivine. Rocks of three or four minerals are beyond what was learned: of 83 meteorites
+    27 % look strong, and 41 % of these families are right.
 
     Parameters
     ----------
