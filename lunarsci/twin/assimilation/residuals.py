@@ -6,7 +6,7 @@ size: residuals along it count as much less as it widens their errors.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.interpolation import at_times
 from lunarsci.regolith.belief import SoilBelief
-from lunarsci.regolith.prior import PARAMETERS, values_of
+from lunarsci.regolith.prior import PARAMETERS, Law, values_of
 from lunarsci.twin.assimilation.drive_record import (
     OBSERVED,
     DriveRecord,
@@ -173,6 +173,11 @@ def cost_of(drive: FloatArray, prior: FloatArray) -> FloatArray:
     return np.asarray(robust_cost(drive).sum(axis=1) + (prior**2).sum(axis=1))
 
 
+@cache
+def _center_and_width(laws: tuple[Law, ...]) -> tuple[FloatArray, FloatArray]:
+    return np.array([law.center for law in laws]), np.array([law.width for law in laws])
+
+
 @dataclass(frozen=True, eq=False)
 class DriveResiduals:
     """Simulated drives beside a measured one.
@@ -268,8 +273,7 @@ class DriveResiduals:
 
     def near(self, transforms: FloatArray) -> BoolArray:
         """Soils that are no farther from the first laws than `FARTHEST`. (points,)"""
-        laws = [self.belief.laws[name] for name in PARAMETERS]
-        center, width = np.array([law.center for law in laws]), np.array([law.width for law in laws])
+        center, width = _center_and_width(tuple(self.belief.laws[name] for name in PARAMETERS))
         with np.errstate(invalid="ignore"):
             return np.asarray((np.abs(transforms - center) < FARTHEST * width).all(axis=1))
 
