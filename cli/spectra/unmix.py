@@ -90,6 +90,8 @@ def unmix_spectra(files: Files, request: UnmixRequest, output: Output) -> Report
 
 def mixture_tables(found: UnmixedSpectra) -> list[TextTable]:
     """Shares of several spectra, what is dark beside them, and ratios of solid rocks."""
+    from lunarsci.spectra.abundance.result import BOULDERS, ROCKS_UNCALIBRATED
+
     alone = len(found.records) == 1
     shown = [found.abundances[index][0] for index in found.abundances if found.abundances[index]]
     unmixed = [item for item in shown if item.method != "nbsr"]
@@ -100,7 +102,11 @@ def mixture_tables(found: UnmixedSpectra) -> list[TextTable]:
     tables += [TextTable(headers, dark, title=title)] if dark else []
     ratios = [[item.id, ratio.mineral.replace("_", " "), *_percent(ratio)] for item in unmixed for ratio in item.ratios]
     headers = ["spectrum", "ratio", "[%]", "68 %", "95 %"]
-    return tables + ([TextTable(headers, ratios, title="ratios of mafic minerals")] if ratios else [])
+    return tables + (
+        [TextTable(headers, ratios, title="ratios of mafic minerals", notes=[ROCKS_UNCALIBRATED, BOULDERS])]
+        if ratios
+        else []
+    )
 
 
 def _shares_table(found: "Sequence[Abundance]") -> TextTable:

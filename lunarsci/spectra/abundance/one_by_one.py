@@ -20,7 +20,7 @@ from lunarsci.spectra.abundance.kinds import KindVerdict, find_kinds
 from lunarsci.spectra.abundance.mixing import HapkeSurface, mixing_laws
 from lunarsci.spectra.abundance.posterior import Comparison, DrawnShares
 from lunarsci.spectra.abundance.random_mixtures import IRON, PHASES, Darkening, random_mixtures
-from lunarsci.spectra.abundance.result import Abundance, DarkPart, MineralFraction
+from lunarsci.spectra.abundance.result import ROCKS_UNCALIBRATED, Abundance, DarkPart, MineralFraction
 from lunarsci.spectra.abundance.targets import (
     CHONDRITE,
     DARK,
@@ -44,7 +44,6 @@ LEAST_SIGMA = 0.03
 LIKELY = 0.5
 """Probability from which a rock counts as an ordinary chondrite."""
 UNTESTED = "what was stated to be dark was compared with no measured mixture"
-ROCKS_UNCALIBRATED = "not calibrated on rocks: no solid rock of known modes has been measured with it"
 CENTRAL = np.array([0.16, 0.84])
 MAFIC = ("olivine", "orthopyroxene", "clinopyroxene")
 

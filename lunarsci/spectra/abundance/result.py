@@ -102,6 +102,7 @@ class Abundance:
             "correlation": None if self.correlation is None else self.correlation.tolist(),
             "dark": self.dark.to_dict() if self.dark else None,
             "ratios": {item.mineral: _values(item) for item in self.ratios},
+            "published": BOULDERS if self.ratios else None,
             "calibration": {"suites": list(self.suites), "certified": self.certified},
         } | shares
 
@@ -123,6 +124,9 @@ def without_centres(found: Abundance, reason: str) -> Abundance:
 
 
 PER_PAGE = 40
+ROCKS_UNCALIBRATED = "not calibrated on rocks: no solid rock of known modes has been measured with it"
+BOULDERS = "Chang'E-4 boulders by Ding et al. (2024), 10.1038/s41467-024-46233-8: OPX 46 % of pyroxene, olivine 20-30 %"
+"""What is published of solid rocks seen by a rover, to be set beside their ratios."""
 
 
 def share_pages(found: Sequence[Abundance]) -> "Iterator[Figure]":
@@ -144,9 +148,9 @@ def share_pages(found: Sequence[Abundance]) -> "Iterator[Figure]":
             panel.grid(axis="x", color="0.9")
         panels[0].set_yticks(np.arange(len(part)), [one.id for one in part], fontsize=8)
         panels[0].set_ylim(len(part) - 0.5, -0.5)
-        figure.suptitle(
-            f"mineral shares, {found[0].method}; open: outside the domain; none: not determined", fontsize=9
-        )
+        title = f"mineral shares, {found[0].method}; open: outside the domain; none: not determined"
+        rocks = [f"not calibrated on rocks; {BOULDERS}"] if any(one.ratios for one in part) else []
+        figure.suptitle("\n".join([title, *rocks]), fontsize=9 if not rocks else 7)
         yield figure
 
 

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 SOURCES = {"hapke": (HAPKE,), "absorbance": (ABSORBANCE,), "both": (HAPKE, ABSORBANCE), "auto": (HAPKE, ABSORBANCE)}
 LEAST_MINERALS, MOST_NAMED = 2, 5
 REFUSED = "a surface that space has weathered, whose glass and iron no mixture of powders stands for"
-UNCALIBRATED = "not calibrated on rocks: no solid rock of known modes has been measured with it"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,12 +217,12 @@ def _reason(kind: "KindVerdict") -> str:
 
 def _judged(found: "Abundance", kind: "KindVerdict") -> "Abundance":
     """With what its kind says of it."""
-    from lunarsci.spectra.abundance.result import without_centres
+    from lunarsci.spectra.abundance.result import ROCKS_UNCALIBRATED, without_centres
 
     if kind.stranger or kind.is_weathered:
         return without_centres(found, "; ".join(kind.reasons) if kind.stranger else _reason(kind))
     if kind.kind == "solid-rock":
-        return replace(found, in_domain=False, status=f"out of domain: {UNCALIBRATED}")
+        return replace(found, in_domain=False, status=f"out of domain: {ROCKS_UNCALIBRATED}")
     return found
 
 

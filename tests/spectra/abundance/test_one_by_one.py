@@ -1,0 +1,132 @@
+"""Shares of spectra taken one by one: what is dark, what is not determined, and libraries without siblings."""
+
+import sys
+from collections.abc import Iterator
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from lunarsci.errors import ParameterError
+from lunarsci.spectra.abundance.end_members import embedded_end_members, without_siblings
+from lunarsci.spectra.abundance.kinds import find_kind
+from lunarsci.spectra.abundance.mixing import HapkeSurface
+from lunarsci.spectra.abundance.one_by_one import MAFIC, estimate_each
+from lunarsci.spectra.abundance.targets import CHONDRITE, DARK, MOST_WIDE, POWDER, calibrations
+from lunarsci.spectra.spectrum import Spectrum
+
+NM = np.arange(450.0, 2451.0, 10.0)
+ALL = (*MAFIC, "plagioclase")
+SURFACE = HapkeSurface()
+SCRIPT = Path(__file__).parents[3] / "spectra_data" / "make_abundance_calibration.py"
+
+
+def mixed(parts: dict[str, float], opaque: float = 0.0) -> Spectrum:
+    """Albedos of end members mixed by a loop over them, with a flat albedo of 0.1 in part of the cross-section."""
+    library = {item.id: item.reflectance for item in embedded_end_members(NM)}
+    albedo = sum(share * SURFACE.albedo(library[id]) for id, share in parts.items())
+    return Spectrum("made", NM, SURFACE.reflectance((1 - opaque) * np.asarray(albedo) + opaque * 0.1))
+
+
+BRIGHT = {"AG-TJM-008": 0.5, "PE-CMP-030": 0.3, "PP-CMP-021": 0.2}
+TRUTH = (0.5, 0.3, 0.2, 0.0)
+
+
+def test_shares_of_a_made_mixture_lie_in_their_intervals() -> None:
+    [found] = estimate_each([mixed(BRIGHT)], ALL, kinds=[find_kind(mixed(BRIGHT), POWDER)])
+    for item, share in zip(found.fractions, TRUTH, strict=True):
+        assert item.low95 <= share <= item.high95
+        assert item.high > item.low
+    assert sum(item.low for item in found.fractions) < 1 < sum(item.high for item in found.fractions)
+
+
+def test_a_dark_phase_is_found_and_does_not_become_plagioclase() -> None:
+    """A third of opaque cross-section; before, what is dark and flat came out as plagioclase."""
+    bright, dark = (
+        estimate_each([spectrum], ALL, kinds=[find_kind(spectrum, DARK)])[0]
+        for spectrum in (mixed(BRIGHT), mixed(BRIGHT, opaque=0.33))
+    )
+    assert bright.dark is not None
+    assert dark.dark is not None
+    assert dark.dark.phases["none"] < 0.2 < bright.dark.phases["none"]
+    assert dark.dark.share > 2 * bright.dark.share
+    assert dark.fractions[3].low < 0.2
+    assert dark.fractions[0].low95 <= TRUTH[0] <= dark.fractions[0].high95
+
+
+def test_a_solid_rock_has_ratios_and_no_plagioclase() -> None:
+    spectrum = mixed(BRIGHT, opaque=0.2)
+    [found] = estimate_each([spectrum], ALL, kinds=[find_kind(spectrum, "solid-rock")])
+    assert not found.in_domain
+    assert "not calibrated on rocks" in found.status
+    assert np.isnan(found.fractions[3].fraction)
+    assert [item.mineral for item in found.ratios] == ["olivine_in_mafic", "orthopyroxene_in_pyroxene"]
+    assert all(0 <= item.low95 <= item.low < item.high <= item.high95 <= 1 for item in found.ratios)
+
+
+def test_no_powder_of_a_specimen_is_left_beside_its_siblings() -> None:
+    library = embedded_end_members(NM)
+    kept = without_siblings(library, ["PE-CMP-030"])
+    gone = {item.id for item in library} - {item.id for item in kept}
+    assert {"PE-CMP-030", "PE-CMP-032", "PE-CMP-034-A", "PE-CMP-006"} <= gone
+    assert {item.specimen for item in kept}.isdisjoint(item.specimen for item in library if item.id in gone)
+
+
+def test_end_members_are_filed_by_their_bands() -> None:
+    """Pigeonites of Wo 8-19 whose bands are those of orthopyroxene; bronzites with impossible analyses have none."""
+    found = {item.id: item for item in embedded_end_members(NM)}
+    assert {found[id].mineral for id in ("PX-EAC-009", "PP-EAC-042")} == {"orthopyroxene"}
+    assert found["PE-CMP-040-A"].fs is None
+    known = [item.fs for item in found.values() if item.mineral == "orthopyroxene" and item.fs is not None]
+    assert min(known) < 0.1
+    assert max(known) > 0.6
+
+
+def test_no_level_is_claimed_beyond_what_suites_support() -> None:
+    assert set(calibrations()) == {POWDER, DARK, CHONDRITE}
+    for known in calibrations().values():
+        assert known.certified == pytest.approx(1 - 1 / (len(known.suites) + 1))
+        assert 0.6 <= known.held68 <= 0.8
+        assert known.held95 >= 0.89
+        assert known.precision >= 0.8
+        assert 0 < known.factor68 < known.factor95
+
+
+@pytest.mark.parametrize("minerals", [("olivine",), ("olivine", "olivine"), ("olivine", "glass")])
+def test_impossible_requests_are_refused(minerals: tuple[str, ...]) -> None:
+    with pytest.raises(ParameterError):
+        estimate_each([mixed(BRIGHT)], minerals, kinds=[find_kind(mixed(BRIGHT), POWDER)])
+
+
+@pytest.fixture(scope="module")
+def script() -> Iterator[ModuleType]:
+    spec = spec_from_file_location("make_abundance_calibration", SCRIPT)
+    assert spec is not None and spec.loader is not None
+    sys.modules[spec.name] = module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules[spec.name]
+
+
+def test_nothing_of_a_suite_is_in_the_library_that_judges_it(script: ModuleType) -> None:
+    library = embedded_end_members(NM)
+    for suite, (minerals, powders) in script.MIXTURES.items():
+        kept = without_siblings(library, powders)
+        assert set(powders) <= {item.id for item in library}, suite
+        assert not [item.id for item in kept if item.id.startswith(suite) or item.id in powders]
+        assert {item.mineral for item in kept} >= set(minerals)
+
+
+@pytest.mark.reference
+def test_olivine_and_orthopyroxene_never_become_clinopyroxene(script: ModuleType, reference_data: Path) -> None:
+    """Mixtures of 38-53 um with clinopyroxene named beside them, nothing of their powders in the library."""
+    spectra, rows = script.spectra_of(reference_data / "spectra/minerals")
+    some = [spectrum for spectrum in spectra if spectrum.id.startswith("pomix2")]
+    powders = script.MIXTURES["pomix"][1]
+    found = [script.case(item, rows, "pomix", MAFIC, POWDER, powders) for item in some]
+    error = 100 * np.sqrt(np.mean([one.error**2 for one in found], axis=0))
+    assert error[2] <= 10
+    assert error.max() <= 14
+    assert MOST_WIDE < 0.15
