@@ -25,6 +25,10 @@ if TYPE_CHECKING:
 
 
 SOURCES = {"hapke": (HAPKE,), "absorbance": (ABSORBANCE,), "both": (HAPKE, ABSORBANCE), "auto": (HAPKE, ABSORBANCE)}
+SOILS = (
+    "Lucey, Blewett & Jolliff (2000), J. Geophys. Res. 105, 20297, 10.1029/1999JE001117",
+    "Taylor, Pieters, Keller, Morris & McKay (2001), J. Geophys. Res. 106, 27985, 10.1029/2000JE001402",
+)
 LEAST_MINERALS, MOST_NAMED = 2, 5
 REFUSED = "a surface that space has weathered, whose glass and iron no mixture of powders stands for"
 
@@ -111,7 +115,8 @@ class UnmixedSpectra(MgmFits):
         iron = self.request.iron or not together
         used = {IRON_TABLE: iron, CALIBRATION_TABLE: not together, SOIL_TABLE: bool(self.normatives)}
         tables += [TABLE, KIND_TABLE, *(name for name, wanted in used.items() if wanted)]
-        return tables, [*sources, *SOURCES[self.request.method], *([WEATHERING] if iron else [])]
+        own = [*SOURCES[self.request.method], *([WEATHERING] if iron else []), *(SOILS if self.normatives else ())]
+        return tables, [*sources, *own]
 
 
 def unmix(
