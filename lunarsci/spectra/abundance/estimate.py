@@ -23,9 +23,7 @@ LEAST_SIGMA = 0.01
 ABSENT = 0.005
 """Below this an interval is taken to begin at 0."""
 MOST_STRANGE = 0.15
-"""Misfit and strain together, per channel, up to which a spectrum counts as a mixture of the end members. One by one,
-43 of 53 laboratory mixtures are below (the others are coarser than 45 um), one of 95 spectra of lunar soil and rock,
-and seven of 113 powders of one mineral with the three others named."""
+"""Misfit and strain together, per channel, up to which spectra count as mixtures of the end members; assumed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
