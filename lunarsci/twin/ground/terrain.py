@@ -225,7 +225,7 @@ def lay_soil(grid: Any, override: Any, wheel: Any) -> None:
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def read_ground(grid: Any, override: Any, wheel: Any, code: Any) -> None:
-    """Height, gradient and soil below a wheel of a group of rovers; `code` takes who left the map, met a hole or a cliff.
+    """Height, gradient and soil below a wheel of a group; `code` takes who left the map, met a hole or a cliff.
 
     `override` (GROUP, 8) replaces the soil where it is not NaN. Where the soil is the same everywhere it stays as
     `lay_soil` left it. Lanes with another outcome keep what they had.
