@@ -94,6 +94,35 @@ class TracedWhole(Traced):
     def __ne__(self, other: object) -> Any:
         return ~(self == other)
 
+    @property
+    def number(self) -> "TracedNumber":
+        """The same as a double."""
+        return TracedNumber(self.builder, self.builder.sitofp(self.value, DOUBLE))
+
+    def __add__(self, other: Any) -> Any:
+        return self.number + other
+
+    def __sub__(self, other: Any) -> Any:
+        return self.number - other
+
+    def __mul__(self, other: Any) -> Any:
+        return self.number * other
+
+    def __truediv__(self, other: Any) -> Any:
+        return self.number / other
+
+    def __radd__(self, other: Any) -> Any:
+        return other + self.number
+
+    def __rsub__(self, other: Any) -> Any:
+        return other - self.number
+
+    def __rmul__(self, other: Any) -> Any:
+        return other * self.number
+
+    def __rtruediv__(self, other: Any) -> Any:
+        return other / self.number
+
     __hash__ = None  # type: ignore[assignment]
 
 
@@ -149,9 +178,11 @@ class TracedNumber(Traced):
 
     def like(self, other: Any) -> "TracedNumber":
         """A plain number beside this one."""
-        return (
-            other if isinstance(other, TracedNumber) else TracedNumber(self.builder, ir.Constant(DOUBLE, float(other)))
-        )
+        if isinstance(other, TracedWhole):
+            return other.number
+        if isinstance(other, TracedNumber):
+            return other
+        return TracedNumber(self.builder, ir.Constant(DOUBLE, float(other)))
 
     def _with(self, other: Any, instruction: str) -> Any:
         return TracedNumber(

@@ -66,6 +66,20 @@ def test_a_formula_is_the_same_for_eight_numbers_for_one_and_for_arrays(name: st
     assert (np.signbit(lanes[0]) == np.signbit(plain)).all()
 
 
+def test_whole_numbers_are_numbers() -> None:
+    """As in a soil whose exponent was written without a point."""
+
+    @formula
+    def mixed(x: Any, k: Any) -> Any:
+        return (k + x) * (k - 1.0) / (2.0 * k) - (1.0 - k) + choose(x > k, k, x)
+
+    @compiled
+    def use(x: float, k: int) -> float:
+        return mixed(x, k)
+
+    assert use(0.3, 4) == pytest.approx(mixed(0.3, 4.0), rel=1e-15)
+
+
 def test_parts_of_a_number_make_it_again() -> None:
     values = np.geomspace(1e-300, 1e300, 1001)
     assert (mantissa_of(values) * two_to(exponent_of(values)) == values).all()
