@@ -35,6 +35,10 @@ OPTIONS = {
         metavar="MINERAL=FRACTION:ERROR,…",
     ),
     "bands": option("Its band centres, bc1000 and bc2000, in nm.", panel=ROCK, metavar="bc1000=NM:ERROR,…"),
+    "kind": option(
+        "What these modes were unmixed from: errors are then at least those measured of it. Left out: as quoted.",
+        panel=ROCK,
+    ),
     "name": option("Name of that rock.", panel=ROCK),
     "site": option("Where the rock was found, in degrees, east positive.", panel=ROCK, metavar="LAT,LON"),
     "use": option("Which kind of composition is compared, where a crater has it.", panel=ROCK),

@@ -15,9 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from lunarsci.spectra.origin.catalogue import Crater, embedded_catalogue
-from lunarsci.spectra.origin.composition import MINERALS, Composition
+from lunarsci.spectra.origin.composition import ERRORS, MINERALS, Composition, widened
 from lunarsci.spectra.origin.match import MatchSettings, Rock, match_rocks
 from lunarsci.spectra.origin.prior import CHANG_E_4, PriorSettings, Range, crater_priors
+from lunarsci.tables import table_rows
 
 ERROR = 0.05
 SCATTER = 0.05
@@ -92,6 +93,47 @@ def simulate(
     return rocks, sources
 
 
+class RealError(NamedTuple):
+    """Errors of the four shares that `spectra unmix` found of one spectrum, and the standard deviations it stated."""
+
+    error: np.ndarray
+    sigma: np.ndarray
+
+
+def real_errors(kinds: Sequence[str] = ("powder-mixture", "ordinary-chondrite", "dark-rock-powder")) -> list[RealError]:
+    """Of spectra in which all four minerals were named, each judged without its suite."""
+    rows = [row for row in table_rows(ERRORS) if row["class"] in kinds and all(row[f"error_{m}"] for m in MINERALS)]
+    return [
+        RealError(*(np.array([float(row[f"{part}_{mineral}"]) for mineral in MINERALS]) for part in ("error", "sigma")))
+        for row in rows
+    ]
+
+
+def simulate_real(
+    craters: Sequence[Crater], priors: np.ndarray, count: int, seed: int, systematic: float, stated: str
+) -> tuple[list[Rock], np.ndarray]:
+    """As `simulate`, with errors as `spectra unmix` has them, drawn as they are, all minerals of a spectrum together.
+
+    `stated` are those that the match is told: `own` of the spectrum, `quoted` 0.05, or `widened` from that by the kind.
+    """
+    rng = np.random.default_rng(seed)
+    sources = rng.choice(len(priors), size=count, p=priors)
+    kinds = ("powder-mixture", "ordinary-chondrite", "dark-rock-powder")
+    known = [(kind, one) for kind in kinds for one in real_errors([kind])]
+    rocks = []
+    for number, source in enumerate(sources):
+        truth = drawn_modes(craters[source] if source < len(craters) else None, rng)
+        kind, real = known[rng.integers(len(known))]
+        seen = np.zeros(truth.size)
+        while not seen.any():
+            seen = np.maximum(truth + rng.normal(0, systematic, truth.size) + real.error, 0)
+        told = real.sigma if stated == "own" else np.full(truth.size, ERROR)
+        modes = {m: (float(v), float(s)) for m, v, s in zip(MINERALS, seen / seen.sum(), told, strict=True)}
+        modes = widened(modes, kind)[0] if stated == "widened" else modes
+        rocks.append(Rock(str(number), Composition(modes)))
+    return rocks, sources
+
+
 def prior_vector(craters: Sequence[Crater], settings: PriorSettings) -> np.ndarray:
     """Prior of every crater and of other sources, which add up to 1."""
     found = [item.probability for item in crater_priors(craters, CHANG_E_4, settings)]
@@ -105,14 +147,19 @@ def reliability(
     seed: int,
     world: PriorSettings | None = None,
     systematic: float | None = None,
+    stated: str | None = None,
 ) -> tuple[Reliability, Reliability, float]:
     """Reliability in bins of equal count and of equal width, and how often the likeliest source is the true one.
 
-    `world` and `systematic` are the truth that rocks are drawn from; left out, what the matching assumes.
+    `world` and `systematic` are the truth that rocks are drawn from; left out, what the matching assumes. With
+    `stated` errors are real, see `simulate_real`.
     """
     truth = prior_vector(craters, world or settings.prior)
     used = settings.systematic if systematic is None else systematic
-    rocks, sources = simulate(craters, truth / truth.sum(), count, used, seed)
+    if stated:
+        rocks, sources = simulate_real(craters, truth / truth.sum(), count, seed, used, stated)
+    else:
+        rocks, sources = simulate(craters, truth / truth.sum(), count, used, seed)
     matches = match_rocks(rocks, craters, CHANG_E_4, settings)
     posteriors = np.array([[*(item.posterior for item in m.craters), m.other_posterior] for m in matches])
     hits = np.arange(posteriors.shape[1]) == sources[:, None]
@@ -164,6 +211,15 @@ def main() -> None:
             print(f"  bins of {kind}, worst {table.worst:.3f}")
             for forecast, observed, number, error in zip(*table, table.chance, strict=True):
                 print(f"    posterior {forecast:.3f}   came true {observed:.3f}   chance {error:.3f}   n {number}")
+    print("\nerrors that spectra unmix has, suites left out, catalogue with invented modes")
+    for stated in ("own", "widened", "quoted"):
+        tables = reliability(complete_catalogue(), settings, options.rocks, options.seed, stated=stated)
+        high = tables[1].forecast >= 0.7
+        pairs = zip(tables[1].forecast[high], tables[1].observed[high], strict=True)
+        print(
+            f"  {stated:8} likeliest right {tables[2]:.2f}   worst bin off by {tables[0].worst:.3f} (equal count), "
+            f"{tables[1].worst:.3f} (equal width); " + ", ".join(f"{p:.2f} came true {o:.2f}" for p, o in pairs)
+        )
     for catalogue, craters in (("embedded", embedded_catalogue()), ("with invented modes", complete_catalogue())):
         print(f"\nrocks from another world than assumed, catalogue {catalogue}")
         for name, (change, systematic) in WRONG_WORLDS.items():

@@ -32,6 +32,7 @@ class MatchRequest:
     Attributes
     ----------
     modes : `ol=0.2:0.05,opx=…`, share and error of two minerals or more. bands : `bc1000=930:5,…`. [nm]
+    kind : of target that its modes were unmixed from: errors are then at least those that were measured of it.
     name, site : of that rock, and latitude and longitude where rocks were found. [deg]
     use : kind of composition that is compared.
     systematic, band_systematic : what two methods disagree by, one standard deviation. [-, nm]
@@ -43,6 +44,7 @@ class MatchRequest:
 
     modes: str | None = None
     bands: str | None = None
+    kind: Literal["powder-mixture", "ordinary-chondrite", "dark-rock-powder", "solid-rock"] | None = None
     name: str = "rock"
     site: str = "-45.44,177.56"
     use: Literal["both", "modes", "bands"] = "both"
@@ -240,8 +242,10 @@ def _rocks(sources: Sequence[Any], asked: MatchRequest) -> MatchInputs:
     stated = asked.modes is not None or asked.bands is not None
     if stated == bool(sources):
         raise RequestError("give results of `spectra fit --json`, or `modes` or `bands` for one rock, not both")
+    if asked.kind and asked.modes is None:
+        raise RequestError("`kind` is of `modes` of a rock without a file; results of `spectra unmix` have their own")
     if stated:
-        return MatchInputs([Rock(asked.name, stated_composition(asked.modes, asked.bands))])
+        return MatchInputs([Rock(asked.name, *stated_composition(asked.modes, asked.bands, asked.kind))])
     return _read(sources)
 
 

@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from lunarsci import inputs
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.inputs import InputFile
+from lunarsci.tables import table_rows
 
 MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")
 BANDS = {"bc1000_nm": (700.0, 1300.0), "bc2000_nm": (1500.0, 2600.0)}
@@ -180,10 +182,7 @@ def _records(document: Mapping[str, Any], file: str) -> list[Mapping[str, Any]]:
 def _from_fit(record: Mapping[str, Any], name: str) -> Rock | None:
     abundance = record.get("abundance")
     if abundance:
-        given = {mineral: abundance.get(mineral) or {} for mineral in MINERALS}
-        modes = {mineral: _interval(item) for mineral, item in given.items() if item.get("fraction") is not None}
-        doubt = ["its abundances are outside the domain of their method"] if abundance.get("in_domain") is False else []
-        return Rock(name, Composition(modes), ("modes are those of `abundance`", *doubt)) if len(modes) > 1 else None
+        return _from_shares(abundance, str((record.get("kind") or {}).get("name")), name)
     ratio = (record.get("nbsr") or {}).get("um2")
     if not ratio or ratio.get("opx") is None:
         return None
@@ -195,10 +194,73 @@ def _from_fit(record: Mapping[str, Any], name: str) -> Rock | None:
     return Rock(name, Composition(modes, {}, opposite), ("OPX : CPX is NBSR at 2 µm as it stands, uncalibrated",))
 
 
+def _from_shares(abundance: Mapping[str, Any], kind: str, name: str) -> Rock | None:
+    """Shares and half their 68 % intervals, which `spectra unmix` calibrates by kind.
+
+    One that is not determined counts with the middle and half the width of its interval; where none is, nothing is
+    known. Out of the domain errors are at least those that were measured of the kind.
+    """
+    given = {mineral: abundance.get(mineral) or {} for mineral in MINERALS}
+    modes = {mineral: _interval(item) for mineral, item in given.items() if item.get("low") is not None}
+    told = [mineral for mineral in modes if given[mineral].get("fraction") is not None]
+    remarks = ["modes are those of `abundance`"]
+    if modes and not told:
+        return Rock(name, Composition(), (f"its shares decide nothing: {abundance.get('status', 'not determined')}",))
+    if len(modes) < 2:
+        return None
+    if wide := [mineral for mineral in modes if mineral not in told]:
+        remarks.append(f"not determined, known by their intervals alone: {', '.join(wide)}")
+    if abundance.get("in_domain") is False:
+        remarks.append("its abundances are outside the domain of their method")
+        if measured_errors(kind):
+            modes, text = widened(modes, kind)
+            remarks.append(text)
+    return Rock(name, Composition(_scaled(modes)), tuple(remarks))
+
+
 def _interval(item: Mapping[str, Any]) -> Value:
-    """Fraction and half its 68 % interval."""
-    sigma = (float(item["high"]) - float(item["low"])) / 2
-    return float(item["fraction"]), sigma
+    """Fraction, or the middle of its 68 % interval, and half of that."""
+    low, high = float(item["low"]), float(item["high"])
+    value = item.get("fraction")
+    return (low + high) / 2 if value is None else float(value), (high - low) / 2
+
+
+def _scaled(modes: Mapping[str, Value]) -> dict[str, Value]:
+    """Divided by their sum where that is more than modes may have, as middles of wide intervals are."""
+    total = sum(value for value, _ in modes.values())
+    return {m: (v / total, s) for m, (v, s) in modes.items()} if total > LARGEST_SUM else dict(modes)
+
+
+ERRORS = "share_errors.csv"
+CLASS_OF = {"solid-rock": "dark-rock-powder"}
+"""No solid rock of known modes has been unmixed: its errors are taken to be those of the class that comes nearest."""
+
+
+@cache
+def measured_errors(kind: str) -> Mapping[str, float]:
+    """Root mean square errors of `spectra unmix` by mineral, of a kind of target or class of rocks; empty without any.
+
+    Each suite counts the same, and was left out of what judged it. [-]
+    """
+    squares: dict[str, dict[str, list[float]]] = {}
+    for row in table_rows(ERRORS):
+        for mineral in MINERALS:
+            if row["class"] == CLASS_OF.get(kind, kind) and row[f"error_{mineral}"]:
+                of_suite = squares.setdefault(mineral, {}).setdefault(row["suite"], [])
+                of_suite.append(float(row[f"error_{mineral}"]) ** 2)
+    return {
+        mineral: math.sqrt(np.mean([np.mean(values) for values in suites.values()]))
+        for mineral, suites in squares.items()
+    }
+
+
+def widened(modes: Mapping[str, Value], kind: str) -> tuple[dict[str, Value], str]:
+    """Modes with errors no smaller than those measured of a kind, and a remark that says so."""
+    errors = measured_errors(kind)
+    wide = {mineral: (value, max(sigma, errors.get(mineral, 0.0))) for mineral, (value, sigma) in modes.items()}
+    least = ", ".join(f"{mineral} {errors[mineral]:.2f}" for mineral in modes if mineral in errors)
+    of = f"{CLASS_OF[kind]}, no {kind} being known" if kind in CLASS_OF else kind
+    return wide, f"errors at least those measured of unmixed spectra of {of}: {least}"
 
 
 def _from_bands(record: Mapping[str, Any], name: str) -> Rock | None:
@@ -244,14 +306,18 @@ SHORT = {"ol": "olivine", "opx": "orthopyroxene", "cpx": "clinopyroxene", "plg":
 BAND_NAMES = {"bc1000": "bc1000_nm", "bc2000": "bc2000_nm", "bc1000_nm": "bc1000_nm", "bc2000_nm": "bc2000_nm"}
 
 
-def stated_composition(modes: str | None, bands: str | None) -> Composition:
-    """A composition from texts, `ol=0.2:0.05,opx=0.5:0.1` and `bc1000=930:5`: values and errors by name.
+def stated_composition(
+    modes: str | None, bands: str | None, kind: str | None = None
+) -> tuple[Composition, tuple[str, ...]]:
+    """A composition from texts, `ol=0.2:0.05,opx=0.5:0.1` and `bc1000=930:5`: values and errors by name, and remarks.
+
+    Errors of modes are as quoted, with a kind at least those measured of it.
 
     Raises RequestError for another text, ParameterError as `Composition` does.
     """
-    return Composition(
-        _pairs(modes, "modes", SHORT | {mineral: mineral for mineral in MINERALS}), _pairs(bands, "bands", BAND_NAMES)
-    )
+    shares = _pairs(modes, "modes", SHORT | {mineral: mineral for mineral in MINERALS})
+    shares, remark = widened(shares, kind) if kind else (shares, "")
+    return Composition(shares, _pairs(bands, "bands", BAND_NAMES)), (remark,) if remark else ()
 
 
 def stated_number(text: str, where: str) -> float:

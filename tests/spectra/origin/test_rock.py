@@ -6,9 +6,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lunarsci.errors import DataError
+from lunarsci.errors import DataError, RequestError
 from lunarsci.inputs import InputFile
-from lunarsci.spectra.origin.composition import Composition, Rock, joined, read_rocks
+from lunarsci.spectra.jobs.match import match
+from lunarsci.spectra.origin.composition import (
+    Composition,
+    Rock,
+    joined,
+    measured_errors,
+    read_rocks,
+    stated_composition,
+)
 
 
 def read(kind: str, *records: Any) -> list[Rock]:
@@ -23,6 +31,51 @@ def test_nbsr_is_a_ratio_of_two_minerals_with_all_its_errors() -> None:
     assert mean == pytest.approx([0.46, 0.54])
     assert np.sqrt(np.diag(covariance)) == pytest.approx([0.05, 0.05])
     assert "uncalibrated" in rock.remarks[0]
+
+
+SHARES = {
+    "olivine": {"fraction": None, "low": 0.1, "high": 0.5},
+    "orthopyroxene": {"fraction": 0.3, "low": 0.28, "high": 0.32},
+    "plagioclase": {"fraction": 0.5, "low": 0.4, "high": 0.6},
+}
+
+
+def test_a_share_that_is_not_determined_counts_with_its_interval() -> None:
+    [rock] = read("fit", {"id": "a", "abundance": SHARES | {"in_domain": True}})
+    assert rock.composition.modes["olivine"] == pytest.approx((0.3, 0.2))
+    assert rock.composition.modes["orthopyroxene"] == pytest.approx((0.3, 0.02))
+    assert "not determined, known by their intervals alone: olivine" in rock.remarks
+
+
+def test_shares_of_which_none_is_determined_decide_nothing() -> None:
+    nothing: dict[str, Any] = {mineral: {"fraction": None, "low": 0.0, "high": 1.0} for mineral in SHARES}
+    [rock] = read(
+        "fit", {"id": "a", "abundance": nothing | {"in_domain": False, "status": "not determined: weathered"}}
+    )
+    assert not rock.composition.known
+    assert rock.remarks == ("its shares decide nothing: not determined: weathered",)
+
+
+@pytest.mark.parametrize("kind", ["dark-rock-powder", "solid-rock"])
+def test_out_of_domain_errors_are_at_least_those_measured_of_the_kind(kind: str) -> None:
+    [rock] = read("fit", {"id": "a", "kind": {"name": kind}, "abundance": SHARES | {"in_domain": False}})
+    least = measured_errors(kind)
+    assert 0.05 < min(least.values()) < max(least.values()) < 0.25
+    assert rock.composition.modes["orthopyroxene"] == pytest.approx((0.3, least["orthopyroxene"]))
+    assert rock.composition.modes["olivine"][1] == pytest.approx(0.2)
+    assert any("errors at least those measured of unmixed spectra of dark-rock-powder" in text for text in rock.remarks)
+
+
+def test_quoted_errors_are_widened_where_the_kind_is_stated() -> None:
+    quoted, none = stated_composition("ol=0.2:0.02,plg=0.8:0.5", None)
+    assert quoted.modes["olivine"] == (0.2, 0.02)
+    assert none == ()
+    wide, [remark] = stated_composition("ol=0.2:0.02,plg=0.8:0.5", None, "powder-mixture")
+    assert wide.modes["olivine"][1] == measured_errors("powder-mixture")["olivine"]
+    assert wide.modes["plagioclase"] == (0.8, 0.5)
+    assert remark.startswith("errors at least those measured of unmixed spectra of powder-mixture: olivine")
+    with pytest.raises(RequestError, match="`kind` is of `modes`"):
+        match(bands="bc1000=930:5", kind="solid-rock")
 
 
 def test_abundances_come_before_ratios() -> None:
