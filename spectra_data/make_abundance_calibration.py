@@ -1,5 +1,7 @@
 """Make `abundance_calibration.csv`: `python make_abundance_calibration.py FOLDER > abundance_calibration.csv`.
 
+With `errors` behind FOLDER it makes `share_errors.csv`, the same errors one by one.
+
 FOLDER holds `reflectance.csv` and `manifest.csv` in `relab`, `minerals` and `meteorites`. Spectra of known modes are
 unmixed with a library that lacks whatever their suite was made of; the table keeps how the errors compare with what was
 expected of them, class by class, each suite counting as the square root of its number of spectra.
@@ -45,6 +47,7 @@ class Case:
     suite: str
     id: str
     name: str
+    minerals: tuple[str, ...]
     error: np.ndarray
     sigma: np.ndarray
     unlike: float
@@ -95,7 +98,7 @@ def case(
     library = without_siblings(embedded_end_members(wavelength), powders) if powders else None
     truth = rows.loc[spectrum.id, [COLUMNS[mineral] for mineral in minerals]].to_numpy(float)
     name, mean, sigma, unlike = raw_shares(spectrum, minerals, kind, library)
-    return Case(suite, spectrum.id, name, mean - truth, sigma, unlike)
+    return Case(suite, spectrum.id, name, minerals, mean - truth, sigma, unlike)
 
 
 def factor(found: Sequence[Case], level: float) -> float:
@@ -145,10 +148,28 @@ def row(name: str, found: Sequence[Case]) -> dict[str, object]:
     }
 
 
+def error_row(one: Case, found: Sequence[Case]) -> dict[str, object]:
+    """Of the table of errors; its suite takes no part in its verdict and its standard deviations."""
+    others = [other for other in found if other.name == one.name and other.suite != one.suite]
+    sigma = factor(others, 0.68) * one.sigma
+    values = {
+        "error": dict(zip(one.minerals, one.error, strict=True)),
+        "sigma": dict(zip(one.minerals, sigma, strict=True)),
+    }
+    return {"class": one.name, "suite": one.suite, "id": one.id, "in_domain": str(accepted(one, others)).lower()} | {
+        f"{what}_{mineral}": f"{own[mineral]:.3f}" if mineral in own else ""
+        for what, own in values.items()
+        for mineral in FAMILY_OF
+    }
+
+
 def main() -> None:
     """Write the table to stdout."""
     found = list(cases(Path(sys.argv[1])))
-    rows = [row(name, [one for one in found if one.name == name]) for name in dict.fromkeys(one.name for one in found)]
+    names = dict.fromkeys(one.name for one in found)
+    rows = [row(name, [one for one in found if one.name == name]) for name in names]
+    if sys.argv[2:] == ["errors"]:
+        rows = [error_row(one, found) for one in found]
     writer = csv.DictWriter(sys.stdout, list(rows[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
