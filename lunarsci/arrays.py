@@ -1,4 +1,4 @@
-"""Types of arrays, as annotations name them."""
+"""Types of arrays, and interpolation in time."""
 
 from typing import TypeAlias
 
@@ -9,3 +9,45 @@ FloatArray: TypeAlias = npt.NDArray[np.float64]
 BoolArray: TypeAlias = npt.NDArray[np.bool_]
 IntArray: TypeAlias = npt.NDArray[np.int64]
 IndexArray: TypeAlias = npt.NDArray[np.intp]
+
+
+def samples_about(times_s: FloatArray, wanted_s: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Sample before each wanted time, and the share of the way to the next one; beyond the ends it is the end.
+
+    Parameters
+    ----------
+    times_s : (n,) ascending, two or more. [s]
+    wanted_s : (t,) [s]
+
+    Returns
+    -------
+    Numbers of samples from 0 to n - 2, and shares from 0 to 1. (t,), (t,)
+    """
+    place = np.interp(wanted_s, times_s, np.arange(len(times_s)))
+    low = np.minimum(place.astype(np.int64), len(times_s) - 2)
+    return low, place - low
+
+
+def at_times(
+    wanted_s: FloatArray, times_s: FloatArray, values: FloatArray, *, axis: int = 0, beyond: bool = True
+) -> FloatArray:
+    """Values at wanted times, v_k + f (v_k+1 - v_k) with the share f of the way between two samples.
+
+    Parameters
+    ----------
+    wanted_s : (t,) [s]
+    times_s : (n,) ascending, two or more. [s]
+    values : n along `axis`; at a sample's own time it is that sample, though its neighbours be NaN.
+    beyond : whether before the first and after the last sample values are those of the ends; NaN if not.
+
+    Returns
+    -------
+    Of the shape of `values`, t along `axis`.
+    """
+    low, share = samples_about(times_s, wanted_s)
+    if not beyond:
+        share = np.where((wanted_s < times_s[0]) | (wanted_s > times_s[-1]), np.nan, share)
+    share = share.reshape(-1, *([1] * (values.ndim - 1 - axis % values.ndim)))
+    before, after = np.take(values, low, axis=axis), np.take(values, low + 1, axis=axis)
+    between = (1.0 - share) * before + share * after
+    return np.where(share == 0, before, np.where(share == 1, after, between))

@@ -1,12 +1,151 @@
-"""The one door to compiled code: numba with its on-disk cache where the disk allows it."""
+"""The one door to compiled code: numba with its on-disk cache where the disk allows it.
 
+Machine code that is the same wherever it comes from, and a cache of it that is never stale, damaged or half written.
+
+**The same digits.** A function that numba compiles carries copies of the functions it calls, and every copy is
+optimised where it stands, so that two copies may round differently. As numba makes them, the copies are weak symbols:
+the process that compiles uses whichever copy it loaded first, one that reads the cache the function's own. Here each
+function keeps its own copies to itself.
+
+**The cache.** Numba renews a cached function when its own file changes. Here it is renewed when any file changes that
+its own one imports, and compiled again where its entry is cut off or was changed.
+"""
+
+import contextlib
+import hashlib
+import pickle
+import re
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from pathlib import Path
 from typing import Any
 
+import llvmlite.binding as llvm
 import numba
+from numba.core.caching import IndexDataCacheFile
+from numba.core.codegen import CPUCodeLibrary
 
-from lunarsci.machine_code import keep_copies_apart, tend_cache
+PACKAGE = Path(__file__).parent
+IMPORTS = re.compile(r"^\s*from\s+(lunarsci[\w.]*)\s+import\s+(\([^)]*\)|[^#\n]*)|^\s*import\s+(lunarsci[\w.]*)", re.M)
+DIGEST_BYTES = 32
+
+
+def keep_copies_apart() -> None:
+    """Make functions that numba compiles from now on keep their copies of others to themselves.
+
+    Where numba's inside is another than is known here, it is left as it is; then last digits may depend on what was
+    compiled or loaded before.
+    """
+    known = getattr(CPUCodeLibrary, "_optimize_final_module", None)
+    if known is None or getattr(known, "keeps_copies_apart", False):
+        return
+
+    def optimized(library: Any) -> None:
+        known(library)
+        with contextlib.suppress(AttributeError):
+            _keep_to_itself(library)
+
+    optimized.keeps_copies_apart = True  # type: ignore[attr-defined]
+    CPUCodeLibrary._optimize_final_module = optimized
+
+
+def _keep_to_itself(library: Any) -> None:
+    """Weak copies become the module's own; what other functions will copy is put aside before."""
+    module = library._final_module
+    shared = module.clone()
+    for function in shared.functions:
+        if not function.is_declaration and function.linkage == llvm.Linkage.external:
+            function.linkage = llvm.Linkage.linkonce_odr
+    library._shared_module = shared
+    for function in module.functions:
+        if not function.is_declaration and function.linkage == llvm.Linkage.linkonce_odr:
+            function.linkage = llvm.Linkage.internal
+
+
+def tend_cache(dispatcher: Any) -> None:
+    """Give a function that numba caches a cache that knows all its sources and notices damage."""
+    with contextlib.suppress(AttributeError):
+        own, base = dispatcher._cache, dispatcher._cache._impl.filename_base
+        own._cache_file = _Entries(own._cache_path, base, dispatcher.py_func.__code__.co_filename)
+
+
+class _Entries(IndexDataCacheFile):  # type: ignore[misc]
+    """Index and machine code of one function, each entry with a digest."""
+
+    def __init__(self, cache_path: str, filename_base: str, source: str) -> None:
+        super().__init__(cache_path, filename_base, None)
+        self._source = source
+
+    @property
+    def _source_stamp(self) -> str:
+        return sources_digest(self._source)
+
+    @_source_stamp.setter
+    def _source_stamp(self, value: object) -> None:
+        """Numba's own stamp, of one file, is of no use."""
+
+    def save(self, key: Any, data: Any) -> None:
+        """Keep an entry; a full disk or a folder that went read-only is no reason to fail."""
+        with contextlib.suppress(OSError):
+            super().save(key, data)
+
+    def _load_index(self) -> Any:
+        try:
+            return super()._load_index()
+        except Exception:  # whatever a damaged pickle raises, the function is compiled anew
+            return {}
+
+    def _load_data(self, name: str) -> Any:
+        found = Path(self._data_path(name)).read_bytes()
+        payload = found[DIGEST_BYTES:]
+        if found[:DIGEST_BYTES] != self._digest(payload):
+            raise OSError("not as it was written")  # to numba: no such entry
+        return pickle.loads(payload)
+
+    def _save_data(self, name: str, data: Any) -> None:
+        payload = self._dump(data)
+        with self._open_for_write(self._data_path(name)) as file:
+            file.write(self._digest(payload) + payload)
+
+    def _digest(self, payload: bytes) -> bytes:
+        return hashlib.sha256(self._source_stamp.encode() + payload).digest()
+
+
+@cache
+def sources_digest(source: str) -> str:
+    """SHA-256 over a file of this package and all of the package that it imports, directly or not."""
+    found, wanted = {Path(source)}, [Path(source)]
+    while wanted:
+        for path in _imported(wanted.pop()) - found:
+            found.add(path)
+            wanted.append(path)
+    whole = hashlib.sha256()
+    for path in sorted(found):
+        whole.update(path.name.encode() + _content(path))
+    return whole.hexdigest()
+
+
+@cache
+def _content(path: Path) -> bytes:
+    return path.read_bytes() if path.is_file() else b""
+
+
+@cache
+def _imported(path: Path) -> frozenset[Path]:
+    """Files of this package that a file names in its import statements, wherever they stand."""
+    names = set()
+    for origin, what, alone in IMPORTS.findall(_content(path).decode("utf-8", errors="replace")):
+        module = origin or alone
+        names |= {module, *(f"{module}.{name}" for name in re.findall(r"\w+", what))}
+    files = (_files_of(name.split(".")[1:]) for name in names)
+    return frozenset(path for both in files for path in both if path.is_file())
+
+
+def _files_of(parts: list[str]) -> tuple[Path, Path]:
+    place = PACKAGE.joinpath(*parts)
+    return place.with_name(f"{place.name}.py"), place / "__init__.py"
+
 
 VECTORS = {"reassoc", "contract", "nsz", "arcp"}
 """`fastmath` that lets sums become vector instructions and still knows infinity and NaN."""

@@ -18,10 +18,9 @@ import numpy as np
 import pandas as pd
 
 from lunarsci.inputs import read_input
-from lunarsci.spectra.abundance.channels import on_common_channels
-from lunarsci.spectra.abundance.end_members import FAMILY_OF, embedded_end_members, without_siblings
+from lunarsci.spectra.abundance.end_members import FAMILY_OF, embedded_end_members, on_common_channels, without_siblings
 from lunarsci.spectra.abundance.one_by_one import raw_shares
-from lunarsci.spectra.abundance.targets import DARK, MOST_WIDE, POWDER
+from lunarsci.spectra.abundance.posterior import DARK, MOST_WIDE, POWDER
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
 

@@ -9,9 +9,9 @@ import numba
 import numpy as np
 import pytest
 
-from lunarsci import elementary
+from lunarsci import lanes
 from lunarsci.compiled import LANE_OPTIONS
-from lunarsci.elementary import arcsin, cosine, exp_minus_one, exponential, logarithm, sine
+from lunarsci.lanes import arcsin, cosine, exp_minus_one, exponential, logarithm, sine
 
 
 def over(function: Any, x: np.ndarray) -> tuple[np.ndarray, str]:
@@ -59,5 +59,5 @@ def test_exponentials_beyond_all_numbers_stay_numbers() -> None:
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="other processors have other names for their lanes")
 @pytest.mark.parametrize("name", ["sine", "cosine", "arcsin", "exp_minus_one", "exponential", "logarithm"])
 def test_loops_run_in_lanes(name: str) -> None:
-    _, assembly = over(getattr(elementary, name), np.linspace(0.1, 0.7, 100))
+    _, assembly = over(getattr(lanes, name), np.linspace(0.1, 0.7, 100))
     assert re.search(r"v(?:mul|fn?madd\d+)pd\b", assembly)

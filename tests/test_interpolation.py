@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lunarsci.interpolation import at_times, samples_about
+from lunarsci.arrays import at_times, samples_about
 
 TIMES = np.array([0.0, 1.0, 2.0])
 

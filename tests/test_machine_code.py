@@ -11,9 +11,8 @@ from types import ModuleType
 import llvmlite.binding as llvm
 import pytest
 
-from lunarsci import machine_code
-from lunarsci.compiled import compiled
-from lunarsci.machine_code import sources_digest
+from lunarsci import compiled as door
+from lunarsci.compiled import compiled, sources_digest
 
 MODULE = """
 from lunarsci.compiled import compiled
@@ -91,17 +90,17 @@ def test_a_disk_that_takes_nothing_is_no_failure(
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(machine_code._Entries, "_open_for_write", full)
+    monkeypatch.setattr(door._Entries, "_open_for_write", full)
     assert module.twice(1.5) == 3.0
 
 
 def test_code_is_stale_when_a_file_changes_that_its_file_imports(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(machine_code, "PACKAGE", tmp_path)
+    monkeypatch.setattr(door, "PACKAGE", tmp_path)
 
     def digest() -> str:
-        for kept in (machine_code._imported, machine_code._content, sources_digest):
+        for kept in (door._imported, door._content, sources_digest):
             kept.cache_clear()
         return sources_digest(str(tmp_path / "top.py"))
 
@@ -129,7 +128,7 @@ def test_a_time_step_depends_on_the_formulas_of_the_wheel() -> None:
 def reached(path: Path) -> set[Path]:
     found, wanted = {path}, [path]
     while wanted:
-        for more in machine_code._imported(wanted.pop()) - found:
+        for more in door._imported(wanted.pop()) - found:
             found.add(more)
             wanted.append(more)
     return found

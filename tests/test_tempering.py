@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lunarsci.regolith.inference.sampler import carry_population
+from lunarsci.regolith.inference.posterior import carry_population
 from lunarsci.tempering import correlation, effective_number, largest_power, systematic, weights
 
 

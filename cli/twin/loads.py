@@ -97,7 +97,7 @@ def loads(
 
 
 def _notes_of_motion(found: MotionLoads) -> list[str]:
-    from lunarsci.twin.outcomes import outcome_texts
+    from lunarsci.twin.lanes import outcome_texts
 
     notes = [*outcome_texts(found.found.outcome), *found.known.remarks]
     if missing := found.missing:

@@ -14,13 +14,12 @@ from matplotlib.figure import Figure
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.belief_history import past_beliefs, rolled_back, shared_drives
 from lunarsci.regolith.compare import KINDS, Site, SoilComparison, lateral_soils, nearest
-from lunarsci.regolith.contact import ContactModel, ShearSign
 from lunarsci.regolith.forces import WheelForces
 from lunarsci.regolith.identify import Identification
 from lunarsci.regolith.integrals import ContactForces, forces_by
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.regolith.soil import Soil
-from lunarsci.regolith.wheel import Wheel
+from lunarsci.regolith.wheel import ContactModel, ShearSign, Wheel
 
 COLORS = dict(zip(KINDS, ("black", "#0072B2", "#009E73"), strict=True))
 MARKERS = dict(zip(KINDS, ("o", "^", "s"), strict=True))

@@ -23,12 +23,23 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled, in_lanes
-from lunarsci.elementary import arcsin, cosine, exp_minus_one, exponential, logarithm, sine
 from lunarsci.errors import LunarSciWarning, ParameterError
-from lunarsci.lanes import choose, formula, highest, lowest, root, signed
-from lunarsci.regolith.contact import SHEAR_SIGNS, ShearSign
+from lunarsci.formulas import formula
+from lunarsci.lanes import (
+    arcsin,
+    choose,
+    cosine,
+    exp_minus_one,
+    exponential,
+    highest,
+    logarithm,
+    lowest,
+    root,
+    signed,
+    sine,
+)
 from lunarsci.regolith.soil import Soil
-from lunarsci.regolith.wheel import Wheel
+from lunarsci.regolith.wheel import SHEAR_SIGNS, ShearSign, Wheel
 
 MOST_COHESION = 1.0
 """Share of the normal force that cohesion alone may pull; beyond, forces are those of a wheel hardly in touch. Assumed:

@@ -9,10 +9,9 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.regolith import inversion
-from lunarsci.regolith.contact import ShearSign
 from lunarsci.regolith.forces import shear_sign_code, warn_of_shear_sign
 from lunarsci.regolith.states import WheelStates
-from lunarsci.regolith.wheel import Wheel
+from lunarsci.regolith.wheel import ShearSign, Wheel
 
 DRAWS = 1024
 """Sample size of Ding et al. (2024)."""

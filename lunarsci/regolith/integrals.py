@@ -14,10 +14,9 @@ import numpy.typing as npt
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.errors import ParameterError
-from lunarsci.regolith.contact import ContactModel, ShearSign
 from lunarsci.regolith.forces import WheelForces, check_states, closed_form_forces, mobilised, motion_ratios, slip_ratio
 from lunarsci.regolith.soil import Soil
-from lunarsci.regolith.wheel import Wheel
+from lunarsci.regolith.wheel import ContactModel, ShearSign, Wheel
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(12)
 """On either side of the angle of maximum stress; doubling them moves forces by up to 1.3e-3 of the load."""

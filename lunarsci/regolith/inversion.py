@@ -15,7 +15,6 @@ import numpy.typing as npt
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.errors import ParameterError
-from lunarsci.regolith.contact import SLIP_SINKAGE_LAWS, ContactModel, ShearSign, SlipSinkageLaw
 from lunarsci.regolith.forces import (
     LEAST_SINKAGE_M,
     contact_angles,
@@ -25,7 +24,7 @@ from lunarsci.regolith.forces import (
 )
 from lunarsci.regolith.integrals import forces_by
 from lunarsci.regolith.soil import Soil
-from lunarsci.regolith.wheel import Wheel
+from lunarsci.regolith.wheel import SLIP_SINKAGE_LAWS, ContactModel, ShearSign, SlipSinkageLaw, Wheel
 
 DEEPEST = 0.95
 """Deepest sinkage looked at, as a share of the wheel radius."""

@@ -5,10 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lunarsci.errors import ParameterError
-from lunarsci.regolith.contact import ShearSign
 from lunarsci.regolith.identify import Assumptions, Identification, identify
 from lunarsci.regolith.states import COLUMNS, WheelStates
-from lunarsci.regolith.wheel import Wheel
+from lunarsci.regolith.wheel import ShearSign, Wheel
 
 PARAMETERS = (
     "stiffness_kpa_m_n",

@@ -13,8 +13,7 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
-from lunarsci.regolith.contact import MAX_VALID_SLIP
-from lunarsci.regolith.wheel import Wheel
+from lunarsci.regolith.wheel import MAX_VALID_SLIP, Wheel
 from lunarsci.tables import check_columns, numbers_of, read_csv_table, without_repeats
 
 if TYPE_CHECKING:

@@ -1,7 +1,13 @@
-"""The wheel as the terramechanics formulas see it."""
+"""The wheel as the terramechanics formulas see it.
 
+What a wheel-soil model takes into account beyond the closed form, each choice with its source.
+"""
+
+import math
 from dataclasses import dataclass
+from typing import Literal, get_args
 
+from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.rovers import RoverDescription, read_rover
 
@@ -87,3 +93,101 @@ def read_wheel(rover: str | RoverDescription) -> Wheel:
         return Wheel(**{name: float(value) for name, value in table.items()})
     except (TypeError, ValueError) as error:
         raise DataError(f"{description.origin}: [wheel] {error}") from error
+
+
+PAPER = "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8"
+ShearSign = Literal["signed", "printed", "slip-branch"]
+"""Sign convention of the longitudinal shear stress, see `lunarsci.regolith.forces`."""
+ShearLaw = Literal["separate", "combined", "ellipse"]
+Bulldozing = Literal["none", "hegedus", "wong"]
+SlipSinkageLaw = Literal["lyasko", "linear"]
+SHEAR_SIGNS: tuple[str, ...] = get_args(ShearSign)
+SLIP_SINKAGE_LAWS: tuple[str, ...] = get_args(SlipSinkageLaw)
+SHEAR_LAWS: tuple[str, ...] = get_args(ShearLaw)
+BULLDOZING: tuple[str, ...] = get_args(Bulldozing)
+MAX_VALID_SLIP = 0.6
+"""Slip ratio up to which the model was compared with wheels. [-]"""
+DENSITY_KG_M3 = 1500.0
+"""Of the upper 15 cm, Lunar Sourcebook (1991), ch. 9."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ContactModel:
+    """Choices of the exact stress integrals.
+
+    Attributes
+    ----------
+    reading : of the sign of the longitudinal shear stress, see `lunarsci.regolith.forces`; with `separate` shear only.
+    shear : `separate` mobilises longitudinal and lateral stress each by its own displacement (Ding et al. 2024, Eqs 12,
+        16). The others mobilise one strength by the length of both displacements, each over its modulus, so that a
+        wheel that skids loses grip sideways: `combined` along the sliding velocity (Pavlov & Johnson 2019), which
+        jumps where a wheel without side slip passes from slip to skid; `ellipse` along the displacement itself, which
+        does not, and without side slip equals `separate` (an assumption made here, tried on measured wheels).
+    bulldozing : force of the soil against the side face: `hegedus` (Hegedus 1960, as in Ishigami et al. 2007), `wong`
+        (passive earth pressure, Wong 2008), or `none` as in the source.
+    density_kg_m3, gravity_m_s2 : of the soil, and where; both above 0. Only bulldozing needs them. [kg m^-3, m s^-2]
+    skid_exponent_slip : n2 of N = n0 - n2 s in skid (Pavlov & Johnson 2019); None takes n1, as Eq. 7 does. [-]
+    rebound : share of the sinkage behind the wheel that springs back, 0 to 1: theta_2 = -arccos(1 - rebound z / r)
+        (Ishigami et al. 2007); None takes the wheel's c3. [-]
+    rut_m : how deep a wheel before has pressed the soil, 0 for none; it has risen and is loaded again linearly, and
+        sinkage counts from the risen ground. [m]
+    reload_n_m3, reload_rise_n_m4 : k_0 and A_u of that line, p = p_u - (k_0 + A_u z_u) (z_u - z) (Wong 2008); a rut
+        needs one of them. [N m^-3, N m^-4]
+
+    Raises
+    ------
+    ParameterError for a choice that is unknown or a number out of range.
+
+    References
+    ----------
+    Ding et al. (2024), 10.1038/s41467-024-46233-8; Pavlov & Johnson (2019), Proc. ISTVS 15th European-African Conf.,
+    and their code 3d-terramechanics; Ishigami, Miwa, Nagatani & Yoshida (2007), J. Field Robot. 24, 233,
+    10.1002/rob.20187; Wong (2008), Theory of Ground Vehicles, 4th ed., ch. 2.
+    """
+
+    reading: ShearSign = "signed"
+    shear: ShearLaw = "separate"
+    bulldozing: Bulldozing = "none"
+    density_kg_m3: float = DENSITY_KG_M3
+    gravity_m_s2: float = LUNAR_GRAVITY.value
+    skid_exponent_slip: float | None = None
+    rebound: float | None = None
+    rut_m: float = 0.0
+    reload_n_m3: float = 0.0
+    reload_rise_n_m4: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value, choices in (
+            ("reading", self.reading, SHEAR_SIGNS),
+            ("shear law", self.shear, SHEAR_LAWS),
+            ("bulldozing law", self.bulldozing, BULLDOZING),
+        ):
+            if value not in choices:
+                raise ParameterError(f"{name} '{value}' is unknown; choose one of: {', '.join(choices)}")
+        if self.shear != "separate" and self.reading != "signed":
+            raise ParameterError(f"reading '{self.reading}' belongs to separate shear; take reading 'signed'")
+        for name in ("density_kg_m3", "gravity_m_s2"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ParameterError(f"{name} is {getattr(self, name):g}; give a number above 0")
+        if self.rebound is not None and not 0 <= self.rebound <= 1:
+            raise ParameterError(f"rebound is {self.rebound:g}; give a share from 0 to 1")
+        for name in ("rut_m", "reload_n_m3", "reload_rise_n_m4"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ParameterError(f"{name} is {getattr(self, name):g}; give 0 or more")
+
+        if self.rut_m > 0 and self.reload_n_m3 + self.reload_rise_n_m4 == 0:
+            raise ParameterError("a rut needs the slope of reloading, reload_n_m3 or reload_rise_n_m4")
+
+    def vector(self) -> tuple[float, float, float, float, float, float, float, float, float]:
+        """What the compiled integrals take; NaN for an n2 and -1 for a rebound that are not given."""
+        return (
+            float(SHEAR_SIGNS.index(self.reading)),
+            float(SHEAR_LAWS.index(self.shear)),
+            float(BULLDOZING.index(self.bulldozing)),
+            self.density_kg_m3 * self.gravity_m_s2,
+            math.nan if self.skid_exponent_slip is None else self.skid_exponent_slip,
+            -1.0 if self.rebound is None else self.rebound,
+            self.rut_m,
+            self.reload_n_m3,
+            self.reload_rise_n_m4,
+        )

@@ -2,14 +2,18 @@
 
 GROUP members of an ensemble are driven together. Every quantity is a row of GROUP numbers, one for each member;
 formulas work on eight of them at once, and know the rows by name.
+
+How a drive can end.
 """
 
-from typing import Any, NamedTuple
+from collections.abc import Iterable
+from typing import Any, NamedTuple, SupportsInt
 
 import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
-from lunarsci.lanes import Fields, aligned, formula
+from lunarsci.formulas import formula
+from lunarsci.lanes import Fields, aligned
 
 GROUP = 16
 """Members of a group, a multiple of the lanes of a vector."""
@@ -102,3 +106,23 @@ def times(a: Any, factor: Any) -> Any:
 def seen_from(axes: Any, v: Any) -> Any:
     """Components of a vector along three axes: M v, from the rows of M."""
     return tuple(dot(axis, v) for axis in axes)
+
+
+OUTCOMES = (
+    "finished",
+    "left the terrain: a wheel passed the edge of the map",
+    "hole in the terrain: no height below a wheel",
+    "overturned: the chassis tilted by more than 60 deg",
+    "diverged: loads or energy that no drive has; the time step does not hold this soil at this speed; give a shorter "
+    "time_step_s",
+    "did not settle: no static equilibrium at the start pose",
+    "sank: a wheel is buried to its axle",
+    "cliff: the ground below or before a wheel is steeper than 60 deg",
+    "fell: it moved at more than 1 m/s, off a cliff or down a slope that does not hold it",
+)
+FINISHED, LEFT, HOLE, OVERTURNED, DIVERGED, UNSETTLED, SANK, CLIFF, FELL = range(9)
+
+
+def outcome_texts(codes: Iterable[SupportsInt]) -> list[str]:
+    """The outcomes among some numbers that are no end as planned, each once, in alphabetical order."""
+    return sorted({OUTCOMES[int(code)] for code in codes if code != FINISHED})

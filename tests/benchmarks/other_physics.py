@@ -28,8 +28,8 @@ import numpy as np
 from mujoco_rover import Driven, Law, Ruts, drive, fresh_ruts, joint_angles
 
 from lunarsci.regolith.belief import first_belief
-from lunarsci.regolith.contact import ContactModel
 from lunarsci.regolith.prior import PARAMETERS, values_of
+from lunarsci.regolith.wheel import ContactModel
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.path import wheel_commands

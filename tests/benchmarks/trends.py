@@ -26,9 +26,9 @@ import numpy as np
 from scipy.optimize import brentq
 
 from lunarsci.errors import ParameterError
-from lunarsci.regolith.contact import SHEAR_SIGNS
 from lunarsci.regolith.forces import closed_form_forces
 from lunarsci.regolith.soil import read_soil
+from lunarsci.regolith.wheel import SHEAR_SIGNS
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.plans.plan import read_plan

@@ -9,7 +9,6 @@ import pytest
 from scipy.integrate import quad
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.regolith.contact import SHEAR_SIGNS
 from lunarsci.regolith.forces import (
     MOST_COHESION,
     closed_form_forces,
@@ -20,7 +19,7 @@ from lunarsci.regolith.forces import (
 )
 from lunarsci.regolith.inversion import sinkage_under_load
 from lunarsci.regolith.soil import Soil, known_soils, read_soil
-from lunarsci.regolith.wheel import Wheel, read_wheel, shearing_radius
+from lunarsci.regolith.wheel import SHEAR_SIGNS, Wheel, read_wheel, shearing_radius
 
 WHEEL = Wheel(radius_m=0.15, width_m=0.15, grouser_height_m=0.008, grouser_shear_coefficient=0.65)
 SOIL = Soil(

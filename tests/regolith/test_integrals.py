@@ -8,11 +8,10 @@ import pytest
 from scipy.integrate import quad
 
 from lunarsci.errors import ParameterError
-from lunarsci.regolith.contact import SHEAR_LAWS, ContactModel, ShearLaw
 from lunarsci.regolith.forces import closed_form_forces
 from lunarsci.regolith.integrals import integrated_forces, integrated_forces_in_motion
 from lunarsci.regolith.soil import Soil
-from lunarsci.regolith.wheel import Wheel
+from lunarsci.regolith.wheel import SHEAR_LAWS, ContactModel, ShearLaw, Wheel
 
 WHEEL = Wheel(radius_m=0.15, width_m=0.15, grouser_height_m=0.005, grouser_shear_coefficient=0.65, exit_c3=-0.1)
 SOIL = Soil(

@@ -7,13 +7,11 @@ import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
-from lunarsci.regolith.contact import ContactModel
-from lunarsci.regolith.inference.posterior import SoilPosterior, infer_soil
+from lunarsci.regolith.inference.posterior import SoilPosterior, carry_population, infer_soil
 from lunarsci.regolith.inference.problem import forces_at, problem_of
-from lunarsci.regolith.inference.sampler import carry_population
 from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, read_prior, values_of
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates, read_states
-from lunarsci.regolith.wheel import read_wheel
+from lunarsci.regolith.wheel import ContactModel, read_wheel
 
 WHEEL = read_wheel("yutu2")
 PRIOR = default_prior()

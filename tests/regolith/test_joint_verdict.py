@@ -8,14 +8,13 @@ import pytest
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.belief import FitVerdict, doubt, read_belief, read_verdict, verdict_line
-from lunarsci.regolith.contact import ContactModel
 from lunarsci.regolith.inference.posterior import SoilPosterior, infer_soil
 from lunarsci.regolith.inference.prediction import candidates, compare_laws, predict_states
 from lunarsci.regolith.integrals import integrated_forces
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.regolith.soil import read_soil
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates
-from lunarsci.regolith.wheel import read_wheel
+from lunarsci.regolith.wheel import ContactModel, read_wheel
 
 WHEEL, SOIL = read_wheel("yutu2"), read_soil("lunar-typical")
 OTHER = replace(WHEEL, max_stress_c1=0.4, max_stress_c2=0.15, exit_c3=-0.1)

@@ -13,7 +13,7 @@ from lunarsci.regolith.soil import Soil
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import build_terrain
 from lunarsci.twin.judgement.tables import state_table
-from lunarsci.twin.outcomes import OUTCOMES
+from lunarsci.twin.lanes import OUTCOMES
 from lunarsci.twin.plans.plan import Plan, read_plan
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict

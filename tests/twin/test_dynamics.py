@@ -7,15 +7,13 @@ import numpy as np
 import pytest
 
 from lunarsci.compiled import compiled
-from lunarsci.lanes import LANES
+from lunarsci.formulas import LANES
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.terrain import Grid, build_terrain, lay_soil, read_ground
-from lunarsci.twin.lanes import BODY, GROUP, SYSTEM, WHEEL, Work, new_work
-from lunarsci.twin.outcomes import FELL, FINISHED
+from lunarsci.twin.lanes import BODY, FELL, FINISHED, GROUP, SYSTEM, WHEEL, Work, new_work
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.contact import DRIVEN, MASS_ON_WHEEL, NORMAL_DAMPING, add_rows, meet_ground
-from lunarsci.twin.simulation.dynamics import begin_system, orient, place_wheel
-from lunarsci.twin.simulation.integrate import advance, assemble, eliminate
+from lunarsci.twin.simulation.dynamics import advance, assemble, begin_system, eliminate, orient, place_wheel
 
 ROLLING = 0.05
 ABYSS = build_terrain("far below", -50.0, -50.0, 10.0, np.full((11, 11), -100.0), read_soil("longji")).grid()

@@ -9,8 +9,8 @@ import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.twin.ground.synthetic import synthetic_longji
+from lunarsci.twin.lanes import OUTCOMES
 from lunarsci.twin.loads.prescribed_motion import PrescribedLoads, prescribed_loads
-from lunarsci.twin.outcomes import OUTCOMES
 from lunarsci.twin.plans.motion import Motion, read_motion
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.plans.schedule import commands_at, make_schedule

@@ -11,10 +11,10 @@ from mujoco_rover import ACROSS, Driven, Law, fresh_ruts, press, push_of, rut_be
 from other_physics import PHYSICS, RISE_N_M4, Physics, World, smooth_fields, true_drive, widths, world_of
 
 from lunarsci.regolith.belief import first_belief
-from lunarsci.regolith.contact import ContactModel
 from lunarsci.regolith.integrals import NODES, WEIGHTS, integrated_forces
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.regolith.soil import Soil
+from lunarsci.regolith.wheel import ContactModel
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Leg, Plan

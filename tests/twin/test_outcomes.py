@@ -11,7 +11,7 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.soil import Soil
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
-from lunarsci.twin.outcomes import OUTCOMES
+from lunarsci.twin.lanes import OUTCOMES
 from lunarsci.twin.plans.plan import Fixes, Leg, Plan, parse_sweep
 from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import Rover

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from lunarsci.twin.ground.terrain import Terrain, soil_override
-from lunarsci.twin.lanes import GROUP, WHEEL, new_work
-from lunarsci.twin.outcomes import CLIFF, FINISHED, HOLE, LEFT, SANK, UNSETTLED
+from lunarsci.twin.lanes import CLIFF, FINISHED, GROUP, HOLE, LEFT, SANK, UNSETTLED, WHEEL, new_work
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.settle import settle
 

@@ -24,7 +24,7 @@ from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord, state
 from lunarsci.twin.assimilation.residuals import MODEL_ERRORS
 from lunarsci.twin.assimilation.segments import drive_segments, find_change, record_within
 from lunarsci.twin.assimilation.update import SoilUpdate, assimilate
-from lunarsci.twin.figures.soil_layers import residual_page
+from lunarsci.twin.figures.maps import residual_page
 from lunarsci.twin.ground.soil_map import SoilMap
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Leg, Plan

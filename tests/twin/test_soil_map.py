@@ -13,7 +13,7 @@ from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.regolith.prior import PARAMETERS, default_prior, values_of
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.assimilation.change_point import planned_places
-from lunarsci.twin.figures.soil_layers import soil_pages
+from lunarsci.twin.figures.maps import soil_pages
 from lunarsci.twin.ground.soil_layers import drawn_grounds, soil_layers
 from lunarsci.twin.ground.soil_map import SoilMap, Zone, read_soil_map, soil_map_bytes
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, build_terrain

@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.terrain import Terrain, build_terrain, soil_override
-from lunarsci.twin.lanes import GROUP, WHEEL, new_work
-from lunarsci.twin.outcomes import FINISHED
+from lunarsci.twin.lanes import FINISHED, GROUP, WHEEL, new_work
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.settle import settle
 

@@ -21,8 +21,7 @@ from lunarsci.twin.ground.terrain import (
     soil_override,
 )
 from lunarsci.twin.ground.terrain_files import read_terrain, write_terrain
-from lunarsci.twin.lanes import GROUP, WHEEL, new_work
-from lunarsci.twin.outcomes import FINISHED, HOLE, LEFT
+from lunarsci.twin.lanes import FINISHED, GROUP, HOLE, LEFT, WHEEL, new_work
 from lunarsci.twin.plans.plan import read_plan
 from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import build_rover

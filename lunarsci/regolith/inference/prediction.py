@@ -20,13 +20,12 @@ from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile
-from lunarsci.regolith.contact import DENSITY_KG_M3, ContactModel
 from lunarsci.regolith.inference.mode import Mode, left_out
 from lunarsci.regolith.inference.posterior import SoilPosterior, fit_soil, law_name, usable_states
 from lunarsci.regolith.inference.problem import FORCES, error_covariance, forces_of_many, neighbours
 from lunarsci.regolith.prior import Law, contact_prior, default_prior, values_of
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates, read_state_table
-from lunarsci.regolith.wheel import Wheel
+from lunarsci.regolith.wheel import DENSITY_KG_M3, ContactModel, Wheel
 
 DRAWS = 200
 STEPS, SHALLOWEST, DEEPEST = 24, 1e-4, 0.95

@@ -14,12 +14,11 @@ from scipy.special import gammaln
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.compiled import compiled, each_in_threads, in_lanes
-from lunarsci.regolith.contact import ContactModel
 from lunarsci.regolith.forces import motion_ratios, wheel_forces_kernel
 from lunarsci.regolith.integrals import NODES, WEIGHTS, contact_kernel, velocities
 from lunarsci.regolith.prior import CONTACT, PARAMETERS, Law, values_of
 from lunarsci.regolith.states import WheelStates
-from lunarsci.regolith.wheel import Wheel
+from lunarsci.regolith.wheel import ContactModel, Wheel
 
 FORCES = ("normal_force_n", "drawbar_pull_n", "lateral_force_n")
 STEP = 1e-3

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.inputs import Source, read_input
-from lunarsci.regolith.contact import PAPER
 from lunarsci.regolith.jobs.identify import IdentifiedSoil
+from lunarsci.regolith.wheel import PAPER
 from lunarsci.result import MadeFrom, Result, request_of
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import RequestError
 from lunarsci.inputs import Source, read_input
-from lunarsci.regolith.contact import PAPER, ShearSign
+from lunarsci.regolith.wheel import PAPER, ShearSign
 from lunarsci.result import MadeFrom, Result, request_of
 
 if TYPE_CHECKING:

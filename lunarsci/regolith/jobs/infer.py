@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, Literal
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import RequestError
 from lunarsci.inputs import Source, read_input
-from lunarsci.regolith.contact import DENSITY_KG_M3, Bulldozing, ContactModel, ShearLaw
 from lunarsci.regolith.jobs.identify import IdentifiedSoil, IdentifyRequest, StatesOfWheel, read_wheel_states
 from lunarsci.regolith.jobs.identify import identify as identify_each
+from lunarsci.regolith.wheel import DENSITY_KG_M3, Bulldozing, ContactModel, ShearLaw
 from lunarsci.result import MadeFrom, request_of
 
 if TYPE_CHECKING:

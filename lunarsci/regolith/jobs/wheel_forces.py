@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import LunarSciWarning, RequestError
-from lunarsci.regolith.contact import (
+from lunarsci.regolith.wheel import (
     DENSITY_KG_M3,
     MAX_VALID_SLIP,
     PAPER,

@@ -14,23 +14,23 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.abundance.channels import on_common_channels
-from lunarsci.spectra.abundance.end_members import embedded_end_members
+from lunarsci.spectra.abundance.end_members import embedded_end_members, on_common_channels
 from lunarsci.spectra.abundance.kinds import KindVerdict, find_kinds
 from lunarsci.spectra.abundance.mixing import HapkeSurface, mixing_laws
-from lunarsci.spectra.abundance.posterior import Comparison, DrawnShares
-from lunarsci.spectra.abundance.random_mixtures import IRON, PHASES, Darkening, random_mixtures
-from lunarsci.spectra.abundance.result import ROCKS_UNCALIBRATED, Abundance, DarkPart, MineralFraction
-from lunarsci.spectra.abundance.targets import (
+from lunarsci.spectra.abundance.posterior import (
     CHONDRITE,
     DARK,
     MOST_WIDE,
     POWDER,
     SOLID,
     TARGETS,
+    Comparison,
+    DrawnShares,
     KindCalibration,
     calibrations,
 )
+from lunarsci.spectra.abundance.random_mixtures import IRON, PHASES, Darkening, random_mixtures
+from lunarsci.spectra.abundance.result import ROCKS_UNCALIBRATED, Abundance, DarkPart, MineralFraction
 from lunarsci.spectra.library.end_member import EndMember
 from lunarsci.spectra.spectrum import Spectrum
 

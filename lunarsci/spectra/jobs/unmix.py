@@ -108,7 +108,7 @@ class UnmixedSpectra(MgmFits):
         from lunarsci.spectra.abundance.kinds import TABLE as KIND_TABLE
         from lunarsci.spectra.abundance.mixing import IRON_TABLE
         from lunarsci.spectra.abundance.normative import TABLE as SOIL_TABLE
-        from lunarsci.spectra.abundance.targets import TABLE as CALIBRATION_TABLE
+        from lunarsci.spectra.abundance.posterior import TABLE as CALIBRATION_TABLE
 
         tables, sources = MgmFits._tables_and_sources(self)
         together = bool(self.request.together or self.request.known)

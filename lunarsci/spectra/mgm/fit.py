@@ -13,7 +13,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.lanes import LANES
+from lunarsci.formulas import LANES
 from lunarsci.spectra.mgm import MgmContinuum
 from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, KernelFits
 from lunarsci.spectra.mgm.model import MGM_CONTINUA, MgmData, MgmModel, prepare

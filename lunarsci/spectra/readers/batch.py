@@ -13,8 +13,8 @@ from lunarsci.inputs import InputFile, Source, expand_inputs, read_input, togeth
 from lunarsci.provenance import sha256
 from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.readers.envi import without_headers
-from lunarsci.spectra.readers.laboratory import without_wavelength_files
 from lunarsci.spectra.readers.table import ReflectanceUnit, WavelengthUnit
+from lunarsci.spectra.readers.text import without_wavelength_files
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.detector import default_settings
 from lunarsci.spectra.vnis.name import product_name

@@ -14,7 +14,6 @@ from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile, read_input
 from lunarsci.spectra.readers.columns import spectrum_ids
 from lunarsci.spectra.readers.envi import looks_like_envi, read_envi
-from lunarsci.spectra.readers.laboratory import looks_like_relab, looks_like_splib, read_relab, read_splib
 from lunarsci.spectra.readers.table import (
     Column,
     ReflectanceUnit,
@@ -25,7 +24,7 @@ from lunarsci.spectra.readers.table import (
     uncertainty_scale,
     wavelength_nm,
 )
-from lunarsci.spectra.readers.text import read_text
+from lunarsci.spectra.readers.text import looks_like_relab, looks_like_splib, read_relab, read_splib, read_text
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.name import product_name
 

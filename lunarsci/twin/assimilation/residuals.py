@@ -10,9 +10,8 @@ from functools import cache, cached_property
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray, IntArray
+from lunarsci.arrays import BoolArray, FloatArray, IntArray, at_times
 from lunarsci.errors import ParameterError
-from lunarsci.interpolation import at_times
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.prior import PARAMETERS, Law, values_of
 from lunarsci.twin.assimilation.drive_record import (

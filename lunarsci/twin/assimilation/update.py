@@ -13,9 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.arrays import BoolArray, FloatArray, at_times
 from lunarsci.errors import ParameterError
-from lunarsci.interpolation import at_times
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.regolith.prior import PARAMETERS

@@ -13,7 +13,7 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile, read_input, text
 from lunarsci.provenance import sha256
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
-from lunarsci.twin.outcomes import OUTCOMES
+from lunarsci.twin.lanes import OUTCOMES
 from lunarsci.twin.plans.plan import Plan, parse_plan
 from lunarsci.twin.plans.plan_files import plan_text
 from lunarsci.twin.simulation.discrepancy import DrawnDiscrepancy

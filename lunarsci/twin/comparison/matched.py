@@ -4,9 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray, IntArray
+from lunarsci.arrays import BoolArray, FloatArray, IntArray, at_times, samples_about
 from lunarsci.errors import ParameterError
-from lunarsci.interpolation import at_times, samples_about
 from lunarsci.regolith.physics_discrepancy import SHARED, PhysicsDiscrepancy
 from lunarsci.twin.assimilation.drive_record import (
     OBSERVED,

@@ -13,8 +13,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.soil import Soil
-from lunarsci.twin.lanes import GROUP, WHEEL
-from lunarsci.twin.outcomes import CLIFF, FINISHED, HOLE, LEFT, SANK
+from lunarsci.twin.lanes import CLIFF, FINISHED, GROUP, HOLE, LEFT, SANK, WHEEL
 
 # Column of `Soil.vector()` that holds each parameter.
 SOIL_COLUMNS = {

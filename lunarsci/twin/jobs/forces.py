@@ -38,7 +38,7 @@ class DriveForces(Result):
     @property
     def failed(self) -> list[str]:
         """How drives ended that did not come to the end, each once."""
-        from lunarsci.twin.outcomes import outcome_texts
+        from lunarsci.twin.lanes import outcome_texts
 
         return outcome_texts(self.prediction.outcome)
 

@@ -135,7 +135,7 @@ class MotionLoads(Result):
 def _missing(found: "PrescribedLoads") -> dict[str, float]:
     import numpy as np
 
-    from lunarsci.twin.outcomes import FINISHED
+    from lunarsci.twin.lanes import FINISHED
 
     known = found.outcome == FINISHED
     ahead, left = found.residual_n[known].mean(axis=0)

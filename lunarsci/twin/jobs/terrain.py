@@ -168,7 +168,7 @@ class TerrainSurvey(Result):
         return [{"quantity": name, **values} for name, values in self.surface.maps.spreads().items()]
 
     def figures(self) -> "Iterator[Figure]":
-        from lunarsci.twin.figures.terrain_maps import terrain_maps
+        from lunarsci.twin.figures.maps import terrain_maps
 
         yield terrain_maps(self.surface, self.path)
 

@@ -198,7 +198,7 @@ class LearnedSoil(Result):
         return [{"parameter": name} | row for name, row in parameter_rows(self.belief).items()]
 
     def figures(self) -> "Iterator[Figure]":
-        from lunarsci.twin.figures.soil_layers import residual_page, soil_pages
+        from lunarsci.twin.figures.maps import residual_page, soil_pages
         from lunarsci.twin.ground.soil_layers import soil_layers
 
         yield residual_page(self.record, self.found, self.changes)

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray
-from lunarsci.interpolation import at_times
+from lunarsci.arrays import FloatArray, at_times
 from lunarsci.regolith.states import FROM_MOTION
 from lunarsci.twin.loads.load_ensemble import LoadEnsemble
 from lunarsci.twin.loads.prescribed_motion import FORCES, PoseStates

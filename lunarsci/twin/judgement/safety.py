@@ -14,7 +14,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.twin.judgement.endpoint import Endpoint, endpoint_spread
 from lunarsci.twin.judgement.quantities import along, clearance
-from lunarsci.twin.outcomes import HOLE, LEFT, OUTCOMES
+from lunarsci.twin.lanes import HOLE, LEFT, OUTCOMES
 from lunarsci.twin.plans.plan import AT_LEAST, QUANTITIES, Limit, Plan
 from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST, VALID_SLIP
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import FloatArray, at_times
 from lunarsci.errors import ParameterError
-from lunarsci.interpolation import at_times
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.inference.totals import BalancedStates, TotalsPosterior, infer_from_totals
 from lunarsci.twin.ground.terrain import Terrain

@@ -14,6 +14,7 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.terrain import Terrain, soil_overrides
+from lunarsci.twin.lanes import outcome_texts
 from lunarsci.twin.loads.prescribed_motion import (
     FORCE_COLUMNS,
     PrescribedLoads,
@@ -21,7 +22,6 @@ from lunarsci.twin.loads.prescribed_motion import (
     prescribed_loads,
     residual_wrench,
 )
-from lunarsci.twin.outcomes import outcome_texts
 from lunarsci.twin.plans.motion import Motion, drawn_motions
 from lunarsci.twin.rover import Rover
 

@@ -15,8 +15,7 @@ from lunarsci.errors import ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.states import COLUMNS, read_state_table
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.lanes import BODY, GROUP, WHEEL, new_work
-from lunarsci.twin.outcomes import DIVERGED, FINISHED, SANK, UNSETTLED, outcome_texts
+from lunarsci.twin.lanes import BODY, DIVERGED, FINISHED, GROUP, SANK, UNSETTLED, WHEEL, new_work, outcome_texts
 from lunarsci.twin.plans.motion import CORRELATION_M, Motion, correlation_of
 from lunarsci.twin.plans.path import CREEP_M_S
 from lunarsci.twin.rover import Rover

@@ -12,10 +12,10 @@ torques M_O and M_S their leading parts.
 from typing import Any
 
 from lunarsci.compiled import compiled, joined
-from lunarsci.lanes import LANES, choose, formula, highest, lowest
+from lunarsci.formulas import LANES, formula
+from lunarsci.lanes import choose, highest, lowest
 from lunarsci.regolith.forces import contact_forces, slip_ratio
-from lunarsci.twin.lanes import BODY, GROUP, SYSTEM, WHEEL, cross, dot, plus, seen_from, times
-from lunarsci.twin.outcomes import SANK
+from lunarsci.twin.lanes import BODY, GROUP, SANK, SYSTEM, WHEEL, cross, dot, plus, seen_from, times
 from lunarsci.twin.simulation.contact_frame import (
     SHALLOWEST,
     SLOWEST,

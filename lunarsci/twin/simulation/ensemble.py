@@ -10,7 +10,7 @@ import numpy.typing as npt
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.terrain import Terrain, soil_overrides
-from lunarsci.twin.outcomes import OUTCOMES
+from lunarsci.twin.lanes import OUTCOMES
 from lunarsci.twin.plans.plan import Plan, Sweep, check_plan
 from lunarsci.twin.plans.schedule import Schedule, make_schedule
 from lunarsci.twin.rover import Rover

@@ -11,11 +11,10 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.compiled import compiled, each_in_threads
 from lunarsci.errors import ParameterError
-from lunarsci.lanes import LANES
+from lunarsci.formulas import LANES
 from lunarsci.regolith.forces import slip_ratio
 from lunarsci.twin.ground.terrain import STEEPEST, Terrain
-from lunarsci.twin.lanes import BODY, GROUP, WHEEL, Work, new_work
-from lunarsci.twin.outcomes import CLIFF, DIVERGED, FINISHED, LEFT
+from lunarsci.twin.lanes import BODY, CLIFF, DIVERGED, FINISHED, GROUP, LEFT, WHEEL, Work, new_work
 from lunarsci.twin.plans.path import Commands, reach_m
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import (
@@ -31,8 +30,7 @@ from lunarsci.twin.plans.schedule import (
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact import DRIVEN
 from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST, SLOWEST, VALID_SLIP
-from lunarsci.twin.simulation.dynamics import orient
-from lunarsci.twin.simulation.integrate import advance, assemble, check_sense
+from lunarsci.twin.simulation.dynamics import advance, assemble, check_sense, orient
 from lunarsci.twin.simulation.ruts import SPACING_M, RutGrid, press_ruts, rut_grid, with_ruts
 from lunarsci.twin.simulation.settle import settle
 

@@ -18,10 +18,9 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
-from lunarsci.elementary import exponential, logarithm
 from lunarsci.errors import ParameterError
-from lunarsci.twin.lanes import GROUP, WHEEL, Work
-from lunarsci.twin.outcomes import FINISHED
+from lunarsci.lanes import exponential, logarithm
+from lunarsci.twin.lanes import FINISHED, GROUP, WHEEL, Work
 from lunarsci.twin.simulation.contact_frame import SHALLOWEST
 
 RISE_N_M4 = 503e6

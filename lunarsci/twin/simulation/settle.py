@@ -8,12 +8,29 @@ from scipy.spatial.transform import Rotation
 
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
-from lunarsci.lanes import LANES, Fields, choose, formula, highest, lowest
+from lunarsci.formulas import LANES, formula
+from lunarsci.lanes import Fields, choose, highest, lowest
 from lunarsci.twin.ground.terrain import lay_soil, read_ground
-from lunarsci.twin.lanes import BODY, GROUP, SYSTEM, WHEEL, Work, dot, plus, times
-from lunarsci.twin.outcomes import CLIFF, DIVERGED, FINISHED, HOLE, LEFT, OVERTURNED, SANK, UNSETTLED
+from lunarsci.twin.lanes import (
+    BODY,
+    CLIFF,
+    DIVERGED,
+    FINISHED,
+    GROUP,
+    HOLE,
+    LEFT,
+    OVERTURNED,
+    SANK,
+    SYSTEM,
+    UNSETTLED,
+    WHEEL,
+    Work,
+    dot,
+    plus,
+    times,
+)
 from lunarsci.twin.simulation.contact import AT_REST
-from lunarsci.twin.simulation.integrate import assemble, eliminate, is_upright, move, note_outcomes
+from lunarsci.twin.simulation.dynamics import assemble, eliminate, is_upright, move, note_outcomes
 
 SETTLE_ROUNDS = 300
 SETTLE_TOLERANCE = 1e-9

@@ -14,7 +14,7 @@ from lunarsci.spectra.abundance.end_members import embedded_end_members, without
 from lunarsci.spectra.abundance.kinds import find_kind
 from lunarsci.spectra.abundance.mixing import HapkeSurface
 from lunarsci.spectra.abundance.one_by_one import MAFIC, estimate_each
-from lunarsci.spectra.abundance.targets import CHONDRITE, DARK, MOST_WIDE, POWDER, calibrations
+from lunarsci.spectra.abundance.posterior import CHONDRITE, DARK, MOST_WIDE, POWDER, calibrations
 from lunarsci.spectra.spectrum import Spectrum
 
 NM = np.arange(450.0, 2451.0, 10.0)
