@@ -217,7 +217,8 @@ def push_of(law, sinkage, rut, v_x, v_y, rim, tyre, soil, nodes, weights):  # ty
         )  # fmt: skip
         f = contact_kernel(sinkage, (v_x, v_y, rim), tyre, soil, model, nodes, weights)
         return f[0], f[1], f[2], f[3], f[4], f[5]
-    f_n, f_dp, f_l, m_r = wheel_forces_kernel(sinkage, v_x / rim, v_y / rim, tyre, soil, 0)
+    own = (soil[0], soil[1], soil[2], soil[3], soil[4], soil[5], soil[6], soil[7])
+    f_n, f_dp, f_l, m_r = wheel_forces_kernel(sinkage, v_x / rim, v_y / rim, tyre, own, 0)
     # The centroid of the stress triangle between theta_2 = c3 theta_1 and theta_1 with its peak at theta_m.
     theta_1 = math.acos(1.0 - sinkage / tyre[0])
     middle = (1.0 + tyre[6] + tyre[4] + tyre[5] * slip_ratio(v_x / rim)) * theta_1 / 3.0

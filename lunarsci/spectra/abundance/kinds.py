@@ -119,10 +119,10 @@ class KindModel:
 
     def likeness(self, features: FloatArray) -> FloatArray:
         """(n, k) share of a component's spectra that lie farther from its mean. Noise does not excuse a spectrum."""
-        from scipy.stats import chi2
+        from scipy.special import chdtrc
 
         square, _ = self._distances(features, np.zeros_like(features))
-        return np.asarray(chi2.sf(square, np.isfinite(features).sum(axis=1)[:, None]))
+        return np.asarray(chdtrc(np.isfinite(features).sum(axis=1)[:, None], square))
 
     def _distances(self, features: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Squared distance from each component, and the logarithm of the determinant, (n, k) each."""

@@ -156,13 +156,13 @@ class SoilRegression:
 
     def estimate(self, features: FloatArray) -> NormativeValue | None:
         """With intervals of Student's t, within 0 and 100; None beyond what was learned from."""
-        from scipy.stats import t
+        from scipy.special import stdtrit
 
         value, far = (float(item[0]) for item in self.at(features[None]))
         if not far <= FARTHEST * self.farthest:
             return None
         error = self.sigma * np.sqrt(1.0 + far)
-        halves = {name: error * float(t.ppf(0.5 + level / 2, self.freedom)) for name, level in LEVELS.items()}
+        halves = {name: error * float(stdtrit(self.freedom, 0.5 + level / 2)) for name, level in LEVELS.items()}
         ends = {f"{end}{name}": float(np.clip(value + sign * half, 0.0, 100.0))
                 for name, half in halves.items() for end, sign in (("low", -1), ("high", 1))}  # fmt: skip
         return NormativeValue(float(np.clip(value, 0.0, 100.0)), **ends)

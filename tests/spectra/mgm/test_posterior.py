@@ -48,7 +48,7 @@ def curved() -> tuple[MgmFit, FitPosterior]:
     for band in model.assemblage.bands:
         ln = ln - 0.2 * shape(band.center_nm, band.fwhm_nm)
     fit = fitted(model, noisy(ln))
-    return fit, sample_posterior(fit)
+    return fit, sample_posterior(fit, particles=512)
 
 
 @pytest.fixture(scope="module")

@@ -20,6 +20,6 @@ def test_the_table_of_boulders_is_current(reference_data: Path, load_benchmark: 
     for name, cells in shown:
         for cell, now in zip(cells.split(" | "), rows[name], strict=True):
             numbers = [[float(x) for x in re.findall(r"\d+(?:\.\d+)?", text)] for text in (cell, now)]
-            assert numbers[0]
+            assert numbers[0] or cell == now
             step = 0.02 if "." in cell else 2
             assert numbers[1] == pytest.approx(numbers[0], abs=step), (name, cell, now)
