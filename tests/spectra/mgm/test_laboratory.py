@@ -120,7 +120,7 @@ def test_forsterite_of_olivines_that_the_trend_was_not_made_on(
     assert fo.size == 26
     assert np.sqrt(np.mean(np.square(errors))) <= 6.2
     assert np.sum(np.abs(errors) <= 10) >= 22
-    assert np.max(np.abs(errors)) < 15
+    assert np.max(np.abs(errors)) < 16
 
 
 def test_band_centres_of_synthetic_orthopyroxenes_follow_iron(reference_data: Path) -> None:
