@@ -11,6 +11,8 @@ import pytest
 import typer
 from lunarsci.cli import command_line, main
 
+from lunarsci.tables import table_rows
+
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "README.md").read_text("utf-8")
 CONSOLE = re.findall(r"```console\n\$ (.+?)\n(.*?)```", TEXT, re.DOTALL)
@@ -107,6 +109,24 @@ def test_options_named_in_the_readme_exist(capfd: pytest.CaptureFixture[str], mo
     known = capfd.readouterr().out
     for option in set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", TEXT)):
         assert option in known, option
+
+
+@pytest.mark.parametrize("path", [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")], ids=str)
+def test_scripts_that_documents_run_exist(path: Path) -> None:
+    named = re.findall(r"python ((?:tests|spectra_data)/[\w/]+\.py)", path.read_text("utf-8"))
+    assert [script for script in named if not (ROOT / script).is_file()] == []
+
+
+def test_the_calibration_of_shares_is_that_of_the_table() -> None:
+    """What the README says of each class is what `make_abundance_calibration.py` measured."""
+    rows = table_rows("abundance_calibration.csv")
+    shown = [line.strip("| ").split(" | ") for line in TEXT.splitlines()]
+    told = {cells[0]: cells[1:] for cells in shown if cells[0] in [row["name"] for row in rows]}
+    assert len(told) == len(rows) == 3
+    for row in rows:
+        held = [f"{100 * float(row[name]):.0f} %" for name in ("held68", "held95")]
+        assert told[row["name"]][:4] == [row["count"], str(len(row["suites"].split())), *held]
+        assert told[row["name"]][4:] == [f"{float(row[name]):.2f}" for name in ("precision", "recall")]
 
 
 @pytest.mark.parametrize("name", ["CONTRIBUTING.md", "docs/architecture.md"])
