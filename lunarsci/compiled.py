@@ -1,6 +1,4 @@
-"""The one door to compiled code: numba with its on-disk cache where the disk allows it.
-
-Machine code that is the same wherever it comes from, and a cache of it that is never stale, damaged or half written.
+"""The one door to compiled code: numba, with machine code that is the same wherever it comes from, and kept on disk.
 
 **The same digits.** A function that numba compiles carries copies of the functions it calls, and every copy is
 optimised where it stands, so that two copies may round differently. As numba makes them, the copies are weak symbols:
@@ -29,6 +27,59 @@ from numba.core.codegen import CPUCodeLibrary
 PACKAGE = Path(__file__).parent
 IMPORTS = re.compile(r"^\s*from\s+(lunarsci[\w.]*)\s+import\s+(\([^)]*\)|[^#\n]*)|^\s*import\s+(lunarsci[\w.]*)", re.M)
 DIGEST_BYTES = 32
+
+VECTORS = {"reassoc", "contract", "nsz", "arcp"}
+"""`fastmath` that lets sums become vector instructions and still knows infinity and NaN."""
+LANE_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz"}}
+"""Options of `in_lanes`."""
+
+
+def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """Compile `function` with numba, caching the machine code on disk when some folder is writable.
+
+    On a read-only installation without a writable home numba refuses `cache=True`; the function is then compiled
+    anew in each process, which is slower to start and gives the same numbers.
+
+    The cache of a function is renewed when its own file changes, or any that it imports.
+    """
+    if function is None:
+        return lambda f: compiled(f, **options)
+    keep_copies_apart()
+    try:
+        made = numba.njit(cache=True, **options)(function)
+    except RuntimeError:
+        return numba.njit(**options)(function)
+    tend_cache(made)
+    return made
+
+
+def in_lanes(function: Callable[..., Any], **options: Any) -> Any:
+    """Compile a loop that may work on several arguments at once: divisions unchecked, products fused, sums in order."""
+    return compiled(function, nogil=True, **LANE_OPTIONS, **options)
+
+
+def joined(function: Callable[..., Any]) -> Any:
+    """Compile a function that only calls others as a part of its callers: each of them would optimise it all anew."""
+    return compiled(function, nogil=True, inline="always")
+
+
+def each_in_threads(
+    task: Callable[[int], object], count: int, progress: Callable[[int, int], None] | None = None
+) -> None:
+    """Call `task(0)` to `task(count - 1)` in as many threads as numba has; each must be its own computation.
+
+    Gives two cores to functions compiled with `nogil=True`. `progress` is called with (done, count). An error, and
+    Ctrl-C, drops the tasks that have not begun; Ctrl-C does not wait for the others.
+    """
+    pool = ThreadPoolExecutor(numba.get_num_threads())
+    try:
+        for done, _ in enumerate(pool.map(task, range(count)), start=1):
+            if progress is not None:
+                progress(done, count)
+    except BaseException as error:
+        pool.shutdown(wait=not isinstance(error, KeyboardInterrupt), cancel_futures=True)
+        raise
+    pool.shutdown()
 
 
 def keep_copies_apart() -> None:
@@ -145,57 +196,3 @@ def _imported(path: Path) -> frozenset[Path]:
 def _files_of(parts: list[str]) -> tuple[Path, Path]:
     place = PACKAGE.joinpath(*parts)
     return place.with_name(f"{place.name}.py"), place / "__init__.py"
-
-
-VECTORS = {"reassoc", "contract", "nsz", "arcp"}
-"""`fastmath` that lets sums become vector instructions and still knows infinity and NaN."""
-LANE_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz"}}
-"""Options of `in_lanes`."""
-
-
-def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """Compile `function` with numba, caching the machine code on disk when some folder is writable.
-
-    On a read-only installation without a writable home numba refuses `cache=True`; the function is then compiled
-    anew in each process, which is slower to start and gives the same numbers.
-
-    The cache of a function is renewed when its own file changes, or any that it imports; see `machine_code`.
-    """
-    if function is None:
-        return lambda f: compiled(f, **options)
-    keep_copies_apart()
-    try:
-        made = numba.njit(cache=True, **options)(function)
-    except RuntimeError:
-        return numba.njit(**options)(function)
-    tend_cache(made)
-    return made
-
-
-def in_lanes(function: Callable[..., Any], **options: Any) -> Any:
-    """Compile a loop that may work on several arguments at once: divisions unchecked, products fused, sums in order."""
-    return compiled(function, nogil=True, **LANE_OPTIONS, **options)
-
-
-def joined(function: Callable[..., Any]) -> Any:
-    """Compile a function that only calls others as a part of its callers: each of them would optimise it all anew."""
-    return compiled(function, nogil=True, inline="always")
-
-
-def each_in_threads(
-    task: Callable[[int], object], count: int, progress: Callable[[int, int], None] | None = None
-) -> None:
-    """Call `task(0)` to `task(count - 1)` in as many threads as numba has; each must be its own computation.
-
-    Gives two cores to functions compiled with `nogil=True`. `progress` is called with (done, count). An error, and
-    Ctrl-C, drops the tasks that have not begun; Ctrl-C does not wait for the others.
-    """
-    pool = ThreadPoolExecutor(numba.get_num_threads())
-    try:
-        for done, _ in enumerate(pool.map(task, range(count)), start=1):
-            if progress is not None:
-                progress(done, count)
-    except BaseException as error:
-        pool.shutdown(wait=not isinstance(error, KeyboardInterrupt), cancel_futures=True)
-        raise
-    pool.shutdown()

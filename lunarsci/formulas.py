@@ -1,9 +1,11 @@
 """Formulas that are written once, for plain numbers, for arrays and for the lanes of vector instructions.
 
 A `formula` is a plain Python function of numbers. As compiled code that calls it is made, it is run once, with
-stand-ins that note every operation as an instruction: no types have to be found and no loops be turned into vectors, so
-that it costs little to compile. Loops and conditions in it are therefore those of Python and cannot depend on a number;
-`lunarsci.lanes.choose` can. Called from Python it works on floats and NumPy arrays.
+stand-ins that note every operation as an instruction: no types have to be found and no loops be turned into vectors,
+so that it costs little to compile. Loops and conditions in it are therefore those of Python and cannot depend on a
+number; `lunarsci.lanes.choose` can. Tuples of numbers are taken apart by their entries; of an array, whose length is
+not known while code is made, entries are read by index, or, in `lunarsci.lanes.Fields`, rows by name. Called from
+Python a formula works on floats and NumPy arrays.
 """
 
 import inspect
@@ -84,112 +86,93 @@ class TracedMask(Traced):
         return other if isinstance(other, TracedMask) else TracedMask(self.builder, ir.IntType(1)(bool(other)))
 
 
-class TracedWhole(Traced):
-    """A plain whole number: an index, or one of a few choices."""
+class TracedReal(Traced):
+    """What calculates: a double, eight of them, or a whole number that stands for one."""
+
+    @property
+    def number(self) -> "TracedNumber":
+        """The same as doubles."""
+        raise NotImplementedError
+
+    def __add__(self, other: Any) -> Any:
+        return self.number.combined("fadd", other)
+
+    def __sub__(self, other: Any) -> Any:
+        return self.number.combined("fsub", other)
+
+    def __mul__(self, other: Any) -> Any:
+        return self.number.combined("fmul", other)
+
+    def __truediv__(self, other: Any) -> Any:
+        return self.number.combined("fdiv", other)
+
+    def __radd__(self, other: Any) -> Any:
+        return self.number.like(other) + self
+
+    def __rsub__(self, other: Any) -> Any:
+        return self.number.like(other) - self
+
+    def __rmul__(self, other: Any) -> Any:
+        return self.number.like(other) * self
+
+    def __rtruediv__(self, other: Any) -> Any:
+        return self.number.like(other) / self
+
+    def __neg__(self) -> Any:
+        return TracedNumber(self.builder, self.builder.fneg(self.number.value))
+
+    def __abs__(self) -> Any:
+        return self.number.called("fabs")
+
+    def __lt__(self, other: Any) -> Any:
+        return self.number.compared("<", other)
+
+    def __gt__(self, other: Any) -> Any:
+        return self.number.compared(">", other)
+
+    def __le__(self, other: Any) -> Any:
+        return self.number.compared("<=", other)
+
+    def __ge__(self, other: Any) -> Any:
+        return self.number.compared(">=", other)
 
     def __eq__(self, other: object) -> Any:
-        value = other.value if isinstance(other, TracedWhole) else INTEGER(other)
-        return TracedMask(self.builder, self.builder.icmp_signed("==", self.value, value))
+        return self.number.compared("==", other)
 
     def __ne__(self, other: object) -> Any:
         return ~(self == other)
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+class TracedWhole(TracedReal):
+    """A plain whole number: an index, or one of a few choices."""
 
     @property
     def number(self) -> "TracedNumber":
         """The same as a double."""
         return TracedNumber(self.builder, self.builder.sitofp(self.value, DOUBLE))
 
-    def __add__(self, other: Any) -> Any:
-        return self.number + other
 
-    def __sub__(self, other: Any) -> Any:
-        return self.number - other
-
-    def __mul__(self, other: Any) -> Any:
-        return self.number * other
-
-    def __truediv__(self, other: Any) -> Any:
-        return self.number / other
-
-    def __radd__(self, other: Any) -> Any:
-        return other + self.number
-
-    def __rsub__(self, other: Any) -> Any:
-        return other - self.number
-
-    def __rmul__(self, other: Any) -> Any:
-        return other * self.number
-
-    def __rtruediv__(self, other: Any) -> Any:
-        return other / self.number
-
-    __hash__ = None  # type: ignore[assignment]
-
-
-class TracedNumber(Traced):
+class TracedNumber(TracedReal):
     """A double, or eight of them."""
 
-    def __add__(self, other: Any) -> Any:
-        return self._with(other, "fadd")
-
-    def __sub__(self, other: Any) -> Any:
-        return self._with(other, "fsub")
-
-    def __mul__(self, other: Any) -> Any:
-        return self._with(other, "fmul")
-
-    def __truediv__(self, other: Any) -> Any:
-        return self._with(other, "fdiv")
-
-    def __radd__(self, other: Any) -> Any:
-        return self.like(other) + self
-
-    def __rsub__(self, other: Any) -> Any:
-        return self.like(other) - self
-
-    def __rmul__(self, other: Any) -> Any:
-        return self.like(other) * self
-
-    def __rtruediv__(self, other: Any) -> Any:
-        return self.like(other) / self
-
-    def __neg__(self) -> Any:
-        return TracedNumber(self.builder, self.builder.fneg(self.value))
-
-    def __abs__(self) -> Any:
-        return self.called("fabs")
-
-    def __lt__(self, other: Any) -> Any:
-        return self._compared(other, "<")
-
-    def __gt__(self, other: Any) -> Any:
-        return self._compared(other, ">")
-
-    def __le__(self, other: Any) -> Any:
-        return self._compared(other, "<=")
-
-    def __ge__(self, other: Any) -> Any:
-        return self._compared(other, ">=")
-
-    def __eq__(self, other: object) -> Any:
-        return self._compared(other, "==")
-
-    __hash__ = None  # type: ignore[assignment]
+    @property
+    def number(self) -> "TracedNumber":
+        """Itself."""
+        return self
 
     def like(self, other: Any) -> "TracedNumber":
         """A plain number beside this one."""
-        if isinstance(other, TracedWhole):
-            return other.number
-        if isinstance(other, TracedNumber):
-            return other
-        return TracedNumber(self.builder, ir.Constant(DOUBLE, float(other)))
+        return other.number if isinstance(other, TracedReal) else TracedNumber(self.builder, DOUBLE(float(other)))
 
-    def _with(self, other: Any, instruction: str) -> Any:
-        return TracedNumber(
-            self.builder, getattr(self.builder, instruction)(*alike(self, self.like(other)), flags=FUSED)
-        )
+    def combined(self, instruction: str, other: Any) -> "TracedNumber":
+        """What an instruction of two numbers makes of this and another."""
+        made = getattr(self.builder, instruction)(*alike(self, self.like(other)), flags=FUSED)
+        return TracedNumber(self.builder, made)
 
-    def _compared(self, other: Any, how: str) -> Any:
+    def compared(self, how: str, other: Any) -> TracedMask:
+        """Whether this stands so to another; no number stands to one without meaning."""
         return TracedMask(self.builder, self.builder.fcmp_ordered(how, *alike(self, self.like(other))))
 
     @property
@@ -249,6 +232,9 @@ class TracedTable(Traced):
         place = number.value if isinstance(number, TracedWhole) else INTEGER(number)
         return self.builder.gep(self.builder.bitcast(self.array.data, DOUBLES.as_pointer()), [place])
 
+    def __iter__(self) -> Any:
+        raise TypeError("a formula cannot take an array apart, whose length it does not know; give it a tuple")
+
     def __getitem__(self, index: Any) -> TracedNumber:
         return TracedNumber(
             self.builder, self.builder.load(self.at(*(index if isinstance(index, tuple) else (index,))))
@@ -298,7 +284,9 @@ def _value(context: Any, builder: ir.IRBuilder, result: Any) -> ir.Value:
         return context.make_tuple(builder, _kind(result), [_value(context, builder, part) for part in result])
     if result is None:
         return context.get_dummy_value()
-    return result.value if isinstance(result, Traced) else ir.Constant(DOUBLE, float(result))
+    if isinstance(result, TracedReal):
+        return result.number.value
+    return result.value if isinstance(result, Traced) else DOUBLE(float(result))
 
 
 def _result_kind(function: Callable[..., Any], kinds: Sequence[Any]) -> Any:

@@ -1,14 +1,13 @@
-"""Eight numbers side by side as one: what formulas and compiled code do with them, and where they lie.
+"""Eight numbers side by side as one: where they lie, what chooses among them, and elementary functions of them.
 
 Vector instructions work on eight spectra, or eight rovers, at once: `load` and `store` move eight neighbouring numbers
-of an array, and +, -, *, / and the functions here work on them, also together with a plain number. Where the processor
-has shorter registers the compiler uses several.
+of an array, `Fields` names the rows of a table of them, and +, -, *, / and the functions here work on them, also
+together with a plain number. Where the processor has shorter registers the compiler uses several.
 
-Elementary functions of numbers, of arrays, and of eight numbers in the lanes of vector instructions.
-
-Calls into the C library hold a loop to one argument at a time. These are sums without branches instead, exact to a few
-units in the last place within their ranges. Series: Abramowitz & Stegun (1964), 4.1.24, 4.2.1, 4.3.65, 4.3.66, 4.4.40;
-arguments are reduced as by Cody & Waite (1980), Software Manual for the Elementary Functions, ch. 5 and 6.
+Calls into the C library would hold a loop to one argument at a time. Sines, exponentials and logarithms are sums
+without branches instead, exact to a few units in the last place within their ranges. Series: Abramowitz & Stegun
+(1964), 4.1.24, 4.2.1, 4.3.65, 4.3.66, 4.4.40; arguments are reduced as by Cody & Waite (1980), Software Manual for
+the Elementary Functions, ch. 5 and 6.
 """
 
 import math
@@ -71,7 +70,7 @@ def choose(condition: Any, one: Any, other: Any) -> Any:
         return np.where(np.asarray(condition) > 0, one, other)[()]
     condition = condition > 0.0 if isinstance(condition, TracedNumber) else condition
     builder = condition.builder
-    plain = TracedNumber(builder, ir.Constant(DOUBLE, 0.0))
+    plain = TracedNumber(builder, DOUBLE(0.0))
     first, second = plain.like(one), plain.like(other)
     if isinstance(condition.value.type, ir.VectorType):
         return TracedNumber(builder, builder.select(*alike(condition, first, second)))

@@ -21,6 +21,10 @@ KEPT = 0.5
 """Share of the points that a step of beta leaves, as an effective number."""
 LEAST_LN_POWER, TOLERANCE = -60.0, 1e-9
 """Where the search for a step begins, and how near it ends, in the logarithm of the step."""
+WALK, ACCEPTED = 2.38, 0.25
+"""Width of a random walk in a normal law, in standard deviations over the root of its dimension, and the share of its
+steps that is then accepted: 0.23 to 0.44 (Roberts, Gelman & Gilks 1997, Ann. Appl. Probab. 7, 110,
+10.1214/aoap/1034625254)."""
 CROWDED = 1e-3
 """Share of what is left of beta that a step takes where fewer points than wanted are possible."""
 

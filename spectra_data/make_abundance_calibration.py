@@ -8,7 +8,6 @@ expected of them, class by class, each suite counting as the square root of its 
 """
 
 import csv
-import re
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from lunarsci.spectra_data.make_kinds import suite_of
 
 from lunarsci.inputs import read_input
 from lunarsci.spectra.abundance.end_members import FAMILY_OF, embedded_end_members, on_common_channels, without_siblings
@@ -60,12 +60,6 @@ class Case:
     def good(self) -> bool:
         """Whether the worst mineral is near enough."""
         return bool(np.abs(self.error).max() <= GOOD)
-
-
-def suite_of(id: str) -> str:
-    """Of a meteorite."""
-    found = re.match(r"[A-Z]+-[A-Z]+", id)
-    return found[0] if found else id
 
 
 def spectra_of(folder: Path) -> tuple[list[Spectrum], pd.DataFrame]:

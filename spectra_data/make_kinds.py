@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from lunarsci.spectra_data.make_normative import MISSION_OF_ROW
 
 from lunarsci.arrays import FloatArray
 from lunarsci.inputs import read_input
@@ -30,8 +31,6 @@ COMPONENTS: dict[str, Kind] = {
 SOLID = r"Chip|Slab|Natural"
 TERRESTRIAL = "MS-CMP"
 """Olivines among the meteorites."""
-MISSION_OF_ROW = ("a14", "a14", "a16", "a16", "a16", "a11", "a12", "a15", "a17", "a17")
-"""Of the soils in their order: identified by their oxides, Lunar Sample Compendium."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,8 +72,7 @@ def _powders(folder: Path) -> list[Example]:
 
 def _soils(folder: Path) -> list[Example]:
     soils = read_spectra(read_input(str(folder / "lunar_soils/reflectance.csv")))
-    missions = [MISSION_OF_ROW[int(s.id[-2:]) // 2] if s.id.startswith("apollo") else "luna16" for s in soils]
-    found = [Example(item, "soil", mission, item.id) for item, mission in zip(soils, missions, strict=True)]
+    found = [Example(item, "soil", mission, item.id) for item, mission in zip(soils, MISSION_OF_ROW, strict=True)]
     apollo16 = read_spectra(read_input(str(folder / "lunar/apollo16_62231_relab_avg.csv")))[0]
     orbit = read_spectra(read_input(str(folder / "lunar/m3_aristarchus_sample.csv")))
     return [*found, Example(apollo16, "soil", "a16", "62231"), *(Example(item, "soil", "m3", "m3") for item in orbit)]

@@ -35,7 +35,7 @@ LONGEST = (
     "test_examples.py",
     "test_force_soil.py",
     "test_former_results.py",
-    "test_machine_code.py",
+    "test_compiled.py",
     "test_measured_wheels.py",
     "test_twin_update.py",
     "test_outcomes.py",
@@ -45,7 +45,7 @@ everything; beside it run files that need no compiled code, and the others, the 
 
 
 QUICK = (
-    *("test_architecture.py", "test_inputs.py", "test_tables.py", "test_elementary.py"),
+    *("test_architecture.py", "test_inputs.py", "test_tables.py", "test_lanes.py"),
     *("test_spectrum.py", "test_continuum.py", "test_smoothing_and_noise.py", "test_solar.py", "test_sun.py"),
     *("spectra/readers", "spectra/chemistry", "spectra/photometry", "spectra/origin", "mgm/test_model.py"),
     *("test_forces.py", "test_integrals.py", "test_identify.py", "test_belief.py", "test_wheels.py"),

@@ -9,13 +9,12 @@ import pytest
 from numba.core.errors import TypingError
 
 from lunarsci.compiled import compiled
+from lunarsci.formulas import LANES, formula
 from lunarsci.lanes import (
-    LANES,
     Fields,
     aligned,
     choose,
     exponent_of,
-    formula,
     highest,
     load,
     lowest,
@@ -25,7 +24,7 @@ from lunarsci.lanes import (
     signed,
     store,
     two_to,
-)  # fmt: skip
+)
 
 X = np.array([-2.5, -0.0, 0.0, 0.3, 1.0, 1.5, 7.0, 1e300])
 Y = np.array([3.0, 1.5, -1.0, 0.3, math.nan, 1.5, -8.0, 1e-300])
@@ -80,6 +79,19 @@ def test_whole_numbers_are_numbers() -> None:
     assert use(0.3, 4) == pytest.approx(mixed(0.3, 4.0), rel=1e-15)
 
 
+def test_a_whole_number_is_compared_turned_about_and_given_back_as_a_number() -> None:
+    @formula
+    def parts(k: Any) -> Any:
+        return k, -k, abs(k), choose(k < 0.0, 1.0, 2.0), choose((k == -3) & (k != 3), 5.0, 6.0)
+
+    @compiled
+    def use(k: int) -> Any:
+        return parts(k)
+
+    assert use(-3) == (-3.0, 3.0, 3.0, 1.0, 5.0)
+    assert use(4) == (4.0, -4.0, 4.0, 2.0, 6.0)
+
+
 def test_parts_of_a_number_make_it_again() -> None:
     values = np.geomspace(1e-300, 1e300, 1001)
     assert (mantissa_of(values) * two_to(exponent_of(values)) == values).all()
@@ -97,6 +109,30 @@ def test_a_formula_that_branches_on_a_number_is_refused() -> None:
 
     with pytest.raises((TypingError, TypeError), match="choose"):
         use(1.0)
+
+
+def test_an_array_is_read_by_index_and_not_taken_apart() -> None:
+    @formula
+    def by_index(soil: Any) -> Any:
+        return soil[0] - 2.0 * soil[1]
+
+    @formula
+    def apart(soil: Any) -> Any:
+        first, second = soil
+        return first - 2.0 * second
+
+    @compiled
+    def read(soil: Any) -> float:
+        return by_index(soil)
+
+    @compiled
+    def unpack(soil: Any) -> float:
+        return apart(soil)
+
+    assert read(np.array([7.0, 3.0])) == 1.0
+    assert unpack((7.0, 3.0)) == 1.0
+    with pytest.raises((TypingError, TypeError), match="give it a tuple"):
+        unpack(np.array([7.0, 3.0]))
 
 
 PARTS = Fields(2 * LANES, place=3, mass=1)

@@ -1,7 +1,4 @@
-"""The wheel as the terramechanics formulas see it.
-
-What a wheel-soil model takes into account beyond the closed form, each choice with its source.
-"""
+"""The wheel as the terramechanics formulas see it, and what a model of its contact takes into account."""
 
 import math
 from dataclasses import dataclass
@@ -10,6 +7,21 @@ from typing import Literal, get_args
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.rovers import RoverDescription, read_rover
+
+PAPER = "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8"
+ShearSign = Literal["signed", "printed", "slip-branch"]
+"""Sign convention of the longitudinal shear stress, see `lunarsci.regolith.forces`."""
+ShearLaw = Literal["separate", "combined", "ellipse"]
+Bulldozing = Literal["none", "hegedus", "wong"]
+SlipSinkageLaw = Literal["lyasko", "linear"]
+SHEAR_SIGNS: tuple[str, ...] = get_args(ShearSign)
+SLIP_SINKAGE_LAWS: tuple[str, ...] = get_args(SlipSinkageLaw)
+SHEAR_LAWS: tuple[str, ...] = get_args(ShearLaw)
+BULLDOZING: tuple[str, ...] = get_args(Bulldozing)
+MAX_VALID_SLIP = 0.6
+"""Slip ratio up to which the model was compared with wheels. [-]"""
+DENSITY_KG_M3 = 1500.0
+"""Of the upper 15 cm, Lunar Sourcebook (1991), ch. 9."""
 
 
 def shearing_radius(radius_m: float, grouser_height_m: float, grouser_shear_coefficient: float) -> float:
@@ -95,25 +107,9 @@ def read_wheel(rover: str | RoverDescription) -> Wheel:
         raise DataError(f"{description.origin}: [wheel] {error}") from error
 
 
-PAPER = "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8"
-ShearSign = Literal["signed", "printed", "slip-branch"]
-"""Sign convention of the longitudinal shear stress, see `lunarsci.regolith.forces`."""
-ShearLaw = Literal["separate", "combined", "ellipse"]
-Bulldozing = Literal["none", "hegedus", "wong"]
-SlipSinkageLaw = Literal["lyasko", "linear"]
-SHEAR_SIGNS: tuple[str, ...] = get_args(ShearSign)
-SLIP_SINKAGE_LAWS: tuple[str, ...] = get_args(SlipSinkageLaw)
-SHEAR_LAWS: tuple[str, ...] = get_args(ShearLaw)
-BULLDOZING: tuple[str, ...] = get_args(Bulldozing)
-MAX_VALID_SLIP = 0.6
-"""Slip ratio up to which the model was compared with wheels. [-]"""
-DENSITY_KG_M3 = 1500.0
-"""Of the upper 15 cm, Lunar Sourcebook (1991), ch. 9."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ContactModel:
-    """Choices of the exact stress integrals.
+    """Choices of the exact stress integrals, beyond the closed form, each with its source.
 
     Attributes
     ----------

@@ -1,9 +1,7 @@
-"""Several rovers side by side: where their numbers lie, and vectors of them.
+"""Several rovers side by side: where their numbers lie, how the drive of each can end, and vectors of them.
 
 GROUP members of an ensemble are driven together. Every quantity is a row of GROUP numbers, one for each member;
 formulas work on eight of them at once, and know the rows by name.
-
-How a drive can end.
 """
 
 from collections.abc import Iterable
@@ -51,6 +49,20 @@ the force of a step's end was from what the step had taken it to be.
 SYSTEM = Fields(GROUP, matrix=64, right=8)
 """Rows of one side of `Work.sides`: the 8 x 8 matrix by rows, and the right side. The matrix of the nine coordinates is
 the sum of both sides, the eighth coordinate being each side's own bogie."""
+OUTCOMES = (
+    "finished",
+    "left the terrain: a wheel passed the edge of the map",
+    "hole in the terrain: no height below a wheel",
+    "overturned: the chassis tilted by more than 60 deg",
+    "diverged: loads or energy that no drive has; the time step does not hold this soil at this speed; give a shorter "
+    "time_step_s",
+    "did not settle: no static equilibrium at the start pose",
+    "sank: a wheel is buried to its axle",
+    "cliff: the ground below or before a wheel is steeper than 60 deg",
+    "fell: it moved at more than 1 m/s, off a cliff or down a slope that does not hold it",
+)
+FINISHED, LEFT, HOLE, OVERTURNED, DIVERGED, UNSETTLED, SANK, CLIFF, FELL = range(len(OUTCOMES))
+"""Numbers of the outcomes."""
 
 
 class Work(NamedTuple):
@@ -81,6 +93,11 @@ def new_work(wheels: int) -> Work:
     )
 
 
+def outcome_texts(codes: Iterable[SupportsInt]) -> list[str]:
+    """The outcomes among some numbers that are no end as planned, each once, in alphabetical order."""
+    return sorted({OUTCOMES[int(code)] for code in codes if code != FINISHED})
+
+
 @formula
 def dot(a: Any, b: Any) -> Any:
     """Scalar product of two triples."""
@@ -106,23 +123,3 @@ def times(a: Any, factor: Any) -> Any:
 def seen_from(axes: Any, v: Any) -> Any:
     """Components of a vector along three axes: M v, from the rows of M."""
     return tuple(dot(axis, v) for axis in axes)
-
-
-OUTCOMES = (
-    "finished",
-    "left the terrain: a wheel passed the edge of the map",
-    "hole in the terrain: no height below a wheel",
-    "overturned: the chassis tilted by more than 60 deg",
-    "diverged: loads or energy that no drive has; the time step does not hold this soil at this speed; give a shorter "
-    "time_step_s",
-    "did not settle: no static equilibrium at the start pose",
-    "sank: a wheel is buried to its axle",
-    "cliff: the ground below or before a wheel is steeper than 60 deg",
-    "fell: it moved at more than 1 m/s, off a cliff or down a slope that does not hold it",
-)
-FINISHED, LEFT, HOLE, OVERTURNED, DIVERGED, UNSETTLED, SANK, CLIFF, FELL = range(9)
-
-
-def outcome_texts(codes: Iterable[SupportsInt]) -> list[str]:
-    """The outcomes among some numbers that are no end as planned, each once, in alphabetical order."""
-    return sorted({OUTCOMES[int(code)] for code in codes if code != FINISHED})

@@ -13,12 +13,12 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pandas as pd
+from lunarsci.spectra_data import make_kinds, make_normative
+from lunarsci.spectra_data.make_abundance_calibration import COLUMNS
 
 from lunarsci.inputs import read_input
 from lunarsci.spectra.abundance.end_members import FAMILY_OF, embedded_end_members, without_siblings
@@ -32,9 +32,7 @@ from lunarsci.spectra.spectrum import Spectrum
 
 __all__ = ["Answer", "Case", "Score", "cases", "methods", "ours", "score", "table"]
 
-FOLDER = Path(__file__).parents[2] / "spectra_data"
 MINERALS = tuple(FAMILY_OF)
-COLUMNS = ("vol_ol", "vol_opx", "vol_cpx", "vol_plg")
 NORM = ("olivine", "hypersthene", "diopside", "plagioclase")
 GROUPS = ("powder mixtures", "chondrites", "achondrites", "soils")
 CHANNELS = np.arange(460.0, 2381.0, 20.0)
@@ -101,20 +99,10 @@ class Score:
 
 
 @cache
-def script(name: str) -> ModuleType:
-    """A script beside the tables."""
-    spec = spec_from_file_location(name, FOLDER / f"{name}.py")
-    assert spec is not None and spec.loader is not None
-    sys.modules[name] = module_from_spec(spec)
-    spec.loader.exec_module(sys.modules[name])
-    return sys.modules[name]
-
-
-@cache
 def cases(data: Path) -> tuple[Case, ...]:
     """All spectra with known modes, chips and slabs left out."""
     found = [case for name in ("relab", "minerals", "meteorites") for case in _laboratory(data / "spectra", name)]
-    spectra, known = script("make_normative").soils(data / "spectra")
+    spectra, known = make_normative.soils(data / "spectra")
     for spectrum, (_, row) in zip(spectra, known.iterrows(), strict=True):
         oxides = {name: row[f"{name}_wt"] for name in ("feo", "tio2", "mgo", "cao", "al2o3")}
         norm = silicate_norm(oxides, row["na2o_wt"])
@@ -128,7 +116,7 @@ def _laboratory(folder: Path, name: str) -> list[Case]:
     found = []
     for spectrum in read_spectra(read_input(str(folder / name / "reflectance.csv"))):
         row = rows.loc[spectrum.id]
-        modes = row[list(COLUMNS)].to_numpy(float)
+        modes = row[list(COLUMNS.values())].to_numpy(float)
         if re.search(CHIP, str(row.get("texture", ""))) or not abs(modes.sum() - 1) < 0.01:
             continue
         rock = re.split(r"[ ,]", str(row["name"]))[0].lower() if name == "meteorites" else spectrum.id
@@ -145,7 +133,7 @@ def _group(name: str, row: pd.Series, modes: np.ndarray) -> str:
 def fold_of(id: str) -> str:
     """Suite, or family of mixtures of the same powders."""
     family = next((name for name, pattern in KIN.items() if re.match(pattern, id)), "")
-    return family or str(script("make_kinds").suite_of(id))
+    return family or make_kinds.suite_of(id)
 
 
 def folds(data: Path) -> list[tuple[list[Case], frozenset[str]]]:
@@ -170,9 +158,8 @@ def channels(spectra: Sequence[Spectrum]) -> np.ndarray:
 
 def ours(data: Path, minerals: Sequence[str] = MINERALS) -> Method:
     """`spectra unmix` with all four minerals, one spectrum at a time, its library and its kinds without what is out."""
-    tables = script("make_kinds")
-    known = tables.examples(data / "spectra")
-    features = tables.features(known)
+    known = make_kinds.examples(data / "spectra")
+    features = make_kinds.features(known)
     library = embedded_end_members(np.arange(450.0, 2451.0, 5.0))
 
     def answer(spectra: Sequence[Spectrum], left_out: frozenset[str]) -> Answer:
@@ -180,7 +167,7 @@ def ours(data: Path, minerals: Sequence[str] = MINERALS) -> Method:
         names, suites = (
             [getattr(item, key) for item, ok in zip(known, kept, strict=True) if ok] for key in ("component", "suite")
         )
-        kinds = find_kinds(spectra, model=learn_kinds(features[kept], names, suites, tables.COMPONENTS))
+        kinds = find_kinds(spectra, model=learn_kinds(features[kept], names, suites, make_kinds.COMPONENTS))
         end_members = without_siblings(library, sorted(left_out))
         found = [_one(spectrum, kind, minerals, end_members) for spectrum, kind in zip(spectra, kinds, strict=True)]
         return as_answer(found)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from lunarsci.spectra_data.make_abundance_calibration import COLUMNS, MIXTURES, PURE
 
 from lunarsci.inputs import read_input
 from lunarsci.spectra.abundance.end_members import FAMILY_OF, embedded_end_members, without_siblings
@@ -40,10 +41,8 @@ __all__ = [
     "weight_errors",
 ]
 
-COLUMNS = dict(zip(FAMILY_OF, ("vol_ol", "vol_opx", "vol_cpx", "vol_plg"), strict=True))
 MAFIC = tuple(FAMILY_OF)[:3]
 CHANNELS = np.arange(450.0, 2451.0, 5.0)
-PURE = 0.99
 COARSE_UM = 50.0
 MODES = {
     "alone": "one spectrum at a time, minerals of the series named",
@@ -52,15 +51,6 @@ MODES = {
     "together, present": "together, minerals of each mixture named",
     "others known": "together, modes of all others known",
 }
-_SERIES = (
-    ("XP-CMP", ("orthopyroxene", "clinopyroxene"), ("PE-CMP-030", "PP-CMP-021", "PP-CMP-027-E")),
-    ("AG-TJM", tuple(FAMILY_OF), ("AG-TJM-008", "AG-TJM-010", "AG-TJM-011")),
-    ("pomix", ("olivine", "orthopyroxene"), ("SC-EAC-002", "PP-EAC-087", "pomix4012")),
-    ("OOCMIX", ("olivine", "orthopyroxene", "clinopyroxene"), ("SC-EAC-002", "PP-EAC-087", "PP-EAC-016")),
-    ("MIX03", ("olivine", "clinopyroxene"), ("SC-EAC-002", "PP-EAC-016")),
-    ("MIX23", ("orthopyroxene", "clinopyroxene"), ("SC-EAC-036", "PYX040", "PP-EAC-001")),
-)
-"""Name, minerals, and end members of which no powder may be in the library."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +71,7 @@ def laboratory(data: Path) -> tuple[Series, ...]:
     rows = pd.read_csv(data / "spectra/relab/manifest.csv").set_index("id")
     library = embedded_end_members(CHANNELS)
     found = []
-    for name, minerals, kept_out in _SERIES:
+    for name, (minerals, kept_out) in MIXTURES.items():
         mixed = rows[rows.index.str.startswith(name) & (rows[list(COLUMNS.values())].max(axis=1) < PURE)]
         for coarse, group in mixed.groupby(mixed["max_um"] > COARSE_UM):
             label = name + (" coarse" if coarse and name == "XP-CMP" else "")

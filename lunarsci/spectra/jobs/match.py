@@ -153,6 +153,7 @@ def match(rocks: Any = (), request: MatchRequest | None = None, **options: Any) 
     Raises DataError when no rock can be read, ParameterError where no crater can have delivered one.
     """
     from lunarsci.spectra.origin.match import match_rocks
+    from lunarsci.tables import table_hashes
 
     asked = request_of(MatchRequest, request, options)
     settings, site = asked.settings(), _site(asked.site)
@@ -166,7 +167,7 @@ def match(rocks: Any = (), request: MatchRequest | None = None, **options: Any) 
         _assumptions(matches, found, site, settings),
         found.map_reports,
         given.inputs | found.inputs,
-        found.tables,
+        found.tables | table_hashes(*(table for rock in given.rocks for table in rock.tables)),
         given.failures,
     )
 
@@ -237,7 +238,7 @@ def _span(text: str, option: str) -> "Range":
 
 def _rocks(sources: Sequence[Any], asked: MatchRequest) -> MatchInputs:
     """The rocks of results, or the one that the request states. Raises DataError when no result can be read."""
-    from lunarsci.spectra.origin.composition import Rock, stated_composition
+    from lunarsci.spectra.origin.composition import ERRORS, Rock, stated_composition
 
     stated = asked.modes is not None or asked.bands is not None
     if stated == bool(sources):
@@ -245,7 +246,8 @@ def _rocks(sources: Sequence[Any], asked: MatchRequest) -> MatchInputs:
     if asked.kind and asked.modes is None:
         raise RequestError("`kind` is of `modes` of a rock without a file; results of `spectra unmix` have their own")
     if stated:
-        return MatchInputs([Rock(asked.name, *stated_composition(asked.modes, asked.bands, asked.kind))])
+        tables = (ERRORS,) if asked.kind else ()
+        return MatchInputs([Rock(asked.name, *stated_composition(asked.modes, asked.bands, asked.kind), tables)])
     return _read(sources)
 
 

@@ -172,7 +172,8 @@ START_ERROR = 0.03
 """Share of the depth as an independent error, with which the minima are looked for; assumed."""
 FIRST_DAMPING, STEPS = 1e-3, 8
 TEMPER, PENALTY = 0.57, 2.04
-"""Weight of ln evidence, and what every mineral must add, in the logarithm of the probability; see `choose`."""
+"""Weight of ln evidence, and what every mineral must add, in the logarithm of the probability; see `choose`.
+`python tests/benchmarks/choices.py` learns them: 0.57 and 2.02 from the priors and fits as they are now."""
 CREDIBLE, MOST_TOGETHER = 0.93, 4
 """Probability that the assemblages named together hold, and how many of them still say something."""
 LEAST_DEPTH, LEAST_ERROR = 0.03, 0.003
@@ -265,7 +266,7 @@ def choose(
     bands are judged alike. An assemblage with n minerals has the probability exp(0.57 ln evidence - 2.04 n), over the
     sum of all: the first number says how far the evidence may be believed, the second that minerals are not assumed
     without need. Both were learned from which assemblage is right, in 156 laboratory spectra with one or two minerals
-    of 5 vol % or more; the kernel's size and length hardly matter.
+    of 5 vol % or more (`tests/benchmarks/choices.py`); the kernel's size and length hardly matter.
 
     Assemblages that cannot be told apart are named together, as a family. The evidence is strong where these are few
     and have a mineral in common: that mineral is there, the others are open. Leaving each suite out of what was

@@ -122,11 +122,15 @@ def _check_correlation(correlation: FloatArray, size: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Rock:
-    """A rock: its name, what is known of its composition, and remarks on how that was read."""
+    """A rock: its name, what is known of its composition, and remarks on how that was read.
+
+    `tables` are those of the package that its errors come from.
+    """
 
     id: str
     composition: Composition
     remarks: tuple[str, ...] = ()
+    tables: tuple[str, ...] = ()
 
 
 FIT, BANDS_SCHEMA = "lunarsci/spectra-fit/", "lunarsci/spectra-bands/"
@@ -203,7 +207,8 @@ def _from_shares(abundance: Mapping[str, Any], kind: str, name: str) -> Rock | N
     given = {mineral: abundance.get(mineral) or {} for mineral in MINERALS}
     modes = {mineral: _interval(item) for mineral, item in given.items() if item.get("low") is not None}
     told = [mineral for mineral in modes if given[mineral].get("fraction") is not None]
-    remarks = ["modes are those of `abundance`"]
+    remarks: list[str] = ["modes are those of `abundance`"]
+    tables: tuple[str, ...] = ()
     if modes and not told:
         return Rock(name, Composition(), (f"its shares decide nothing: {abundance.get('status', 'not determined')}",))
     if len(modes) < 2:
@@ -214,8 +219,8 @@ def _from_shares(abundance: Mapping[str, Any], kind: str, name: str) -> Rock | N
         remarks.append("its abundances are outside the domain of their method")
         if measured_errors(kind):
             modes, text = widened(modes, kind)
-            remarks.append(text)
-    return Rock(name, Composition(_scaled(modes)), tuple(remarks))
+            remarks, tables = [*remarks, text], (ERRORS,)
+    return Rock(name, Composition(_scaled(modes)), tuple(remarks), tables)
 
 
 def _interval(item: Mapping[str, Any]) -> Value:
@@ -298,7 +303,7 @@ def _merged(one: Rock, other: Rock) -> Rock:
         raise DataError(f"{one.id}: is in the inputs twice; give each rock once, or let ids differ")
     modes = a if a.modes else b
     both = Composition(modes.modes, {**a.bands, **b.bands}, modes.correlation)
-    return Rock(one.id, both, (*one.remarks, *other.remarks))
+    return Rock(one.id, both, (*one.remarks, *other.remarks), (*one.tables, *other.tables))
 
 
 SHORT = {"ol": "olivine", "opx": "orthopyroxene", "cpx": "clinopyroxene", "plg": "plagioclase"}

@@ -1,10 +1,9 @@
-"""Text tables of spectra: CSV, TSV, semicolons with decimal commas, or blanks between the columns.
+"""Spectra in files of text: plain tables, and the formats of RELAB and of the USGS spectral library.
 
-Formats of two laboratories: RELAB, and the USGS spectral library.
-
-RELAB (`.asc`, `.tab`): the number of channels, then wavelength, reflectance and standard deviation. USGS splib07 text:
-a header line, then one reflectance a line; wavelengths are in another file (Kokaly et al. 2017, USGS Spectral Library
-Version 7, U.S. Geological Survey Data Series 1035, 10.3133/ds1035).
+Plain tables: CSV, TSV, semicolons with decimal commas, or blanks between the columns. RELAB (`.asc`, `.tab`): the
+number of channels, then wavelength, reflectance and standard deviation. USGS splib07 text: a header line, then one
+reflectance a line; wavelengths are in another file (Kokaly et al. 2017, USGS Spectral Library Version 7, U.S.
+Geological Survey Data Series 1035, 10.3133/ds1035).
 """
 
 import re
@@ -35,6 +34,12 @@ from lunarsci.spectra.rows import (
 _NAME = re.compile(r'"([^"]*)"|([^\s(\[{]+(?:\s*[(\[{][^)\]}]*[)\]}])?)')
 _COMMENTS_KEPT = 100
 _COMMENT_LENGTH = 200
+_COUNT = re.compile(r"[0-9]+")
+_SPLIB_HEADER = re.compile(r"\s*(splib0[67]\w*|s0[67]\w*)\s+Record=(\d+):\s*(\S.*?)\s*$", re.IGNORECASE)
+_OTHER_FILE = re.compile(r"wavelengths?|bandpass", re.IGNORECASE)
+_FILE_NAME = re.compile(r"(splib0[67]|s0[67])\w*_(wavelengths|bandpass)", re.IGNORECASE)
+_SPECTROMETERS = ("ASD", "BECK", "NIC4", "AVIRIS")
+_MICROMETRES = "um"
 
 
 def read_text(source: InputFile) -> SpectrumTable:
@@ -135,9 +140,6 @@ def _roles_without_names(width: int, file: str) -> Roles:
     return Roles(0, tuple((k, None) for k in range(1, width)))
 
 
-_COUNT = re.compile(r"[0-9]+")
-
-
 def looks_like_relab(text: str, *, named_so: bool) -> bool:
     """Whether the first line is a whole number alone, and the next has two or three numbers between blanks.
 
@@ -171,10 +173,10 @@ def read_relab(source: InputFile) -> SpectrumTable:
     width = check_widths(rows, source.name)
     if width not in (2, 3):
         raise DataError(f"{source.name}: {width} columns; RELAB has wavelength, reflectance and standard deviation")
-    return _table(source, rows, width, [comment for _, comment in comments if comment])
+    return _relab_table(source, rows, width, [comment for _, comment in comments if comment])
 
 
-def _table(source: InputFile, rows: list[Row], width: int, comments: list[str]) -> SpectrumTable:
+def _relab_table(source: InputFile, rows: list[Row], width: int, comments: list[str]) -> SpectrumTable:
     titles = ("wavelength", "reflectance", "standard deviation")[:width]
     wavelength, reflectance, *sigma = (
         Column(title, numbers(rows, k, repr(title), source.name), k + 1) for k, title in enumerate(titles)
@@ -182,13 +184,6 @@ def _table(source: InputFile, rows: list[Row], width: int, comments: list[str]) 
     places = tuple(f"line {row.line}" for row in rows)
     spectra = ((reflectance, sigma[0] if sigma else None),)
     return SpectrumTable(source, "relab", wavelength, spectra, places, {"comments": comments})
-
-
-_HEADER = re.compile(r"\s*(splib0[67]\w*|s0[67]\w*)\s+Record=(\d+):\s*(\S.*?)\s*$", re.IGNORECASE)
-_OTHER_FILE = re.compile(r"wavelengths?|bandpass", re.IGNORECASE)
-_FILE_NAME = re.compile(r"(splib0[67]|s0[67])\w*_(wavelengths|bandpass)", re.IGNORECASE)
-_FAMILIES = ("ASD", "BECK", "NIC4", "AVIRIS")
-_MICROMETRES = "um"
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,12 +199,12 @@ class _Record:
     def family(self) -> str | None:
         """Spectrometer that the title names, None where it names none that is known."""
         words = self.title.upper().split()
-        return next((family for word in words for family in _FAMILIES if word.startswith(family)), None)
+        return next((family for word in words for family in _SPECTROMETERS if word.startswith(family)), None)
 
 
 def looks_like_splib(text: str) -> bool:
     """Whether the first line is a header of the library: 'splib07a Record=5932: Kaolinite CM5  BECKb AREF'."""
-    return _HEADER.match(text.lstrip("\n\r").split("\n", 1)[0]) is not None
+    return _SPLIB_HEADER.match(text.lstrip("\n\r").split("\n", 1)[0]) is not None
 
 
 def without_wavelength_files(names: Sequence[str]) -> list[str]:
@@ -239,7 +234,7 @@ def read_splib(source: InputFile) -> SpectrumTable:
 
 def _record(source: InputFile) -> _Record:
     lines, _ = split_lines(inputs.text(source))
-    match = _HEADER.match(lines[0][1]) if lines else None
+    match = _SPLIB_HEADER.match(lines[0][1]) if lines else None
     if match is None:
         first = quoted(lines[0][1]) if lines else "nothing"
         raise DataError(f"{source.name}: begins with {first}, not with 'splib07... Record=...'; use --format text")

@@ -2,16 +2,13 @@
 
 Drives simulated about the mode train an emulator, chains on the emulator say where to simulate next, and after some
 rounds the chain's points are proposed to particles that accept them by the true density, so that what the emulator
-misses is put right.
+misses is put right. The emulator is a quadratic stand-in for residuals: they bend gently with linearised coordinates,
+so that second-order polynomials of each one follow them over a posterior; the cost, a sum of their squares, then has
+the bent valleys of the true one.
 
 Rasmussen (2003), Bayesian Statistics 7, 651 (posterior of an emulator as proposal); Christen & Fox (2005), J. Comput.
 Graph. Stat. 14, 795, 10.1198/106186005X76983 (approximation judged by the exact density); Robert & Casella (2004),
 Monte Carlo Statistical Methods, 2nd ed., ch. 7 (independence Metropolis).
-
-A quadratic stand-in for the residuals of simulated drives, near enough to draw soils from.
-
-Residuals bend gently with linearised coordinates, so that second-order polynomials of each one follow them over a
-posterior; the cost, a sum of their squares, then has the bent valleys of the true one.
 """
 
 from collections.abc import Callable
@@ -21,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
-from lunarsci.tempering import Moves, forget, largest_power, weights
+from lunarsci.tempering import ACCEPTED, WALK, Moves, forget, largest_power, weights
 from lunarsci.twin.assimilation.residuals import HUBER
 
 if TYPE_CHECKING:
@@ -88,8 +85,8 @@ GOOD = 0.3
 """Standard deviation of the emulator's ln density, at new draws, below which it is trained enough."""
 FREEDOM = 6.0
 """Degrees of freedom of the Student law of the first round; assumed: tails heavier than a posterior's."""
-CHAIN, TUNED, ACCEPTED = 600, 200, 0.25
-"""Steps of a chain on the emulator, of which so many tune it; wanted share of accepted steps."""
+CHAIN, TUNED = 600, 200
+"""Steps of a chain on the emulator, of which so many tune it."""
 DIFFERENT = 0.25
 """Effective number of drives that chains begin at, as a share of the chains or the drives; assumed."""
 PROPOSALS = Moves(3, 12, 0.1)
@@ -180,7 +177,7 @@ class _Emulated:
     def chain(self, drives: _Drives, count: int, random: np.random.Generator) -> FloatArray:
         """Ends of as many random walks, begun at drives by their density. (count, p)"""
         points = drives.points[_by_density(self.ln_density(drives.points), count, random)]
-        values, scale = self.ln_density(points), 2.38 / np.sqrt(points.shape[1])
+        values, scale = self.ln_density(points), WALK / np.sqrt(points.shape[1])
         root = np.linalg.inv(self.emulator.inverse)
         for step in range(CHAIN):
             if step % (TUNED // 4) == 0 and 0 < step <= TUNED:

@@ -1,4 +1,4 @@
-"""Maps of terrain, of ways on it, and of its soil."""
+"""Maps of terrain and ways on it, what one soil leaves unexplained along a way, and maps of the soils found."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
@@ -26,7 +26,20 @@ if TYPE_CHECKING:
 INK, PATH, HAZARD, UNKNOWN, GOLD = "#26323a", "#e6550d", "#b2182b", "#c9c9c9", "#f4c430"
 MOST_NODES = 900
 """Nodes drawn along each side at most; beyond that every second, third ... one."""
+DOT, MEAN, CHANGE = "#9fb4c0", "#08519c", PATH
+HIGHEST, WINDOW_M = 8.0, 0.4
+"""Residuals beyond are drawn at the edge; medians are those of such lengths of the way."""
 CONTOURS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+LABELS = {
+    "stiffness_kpa_m_n": "Stiffness [kPa/m$^N$]",
+    "sinkage_exponent": "Sinkage exponent [-]",
+    "sinkage_exponent_slip": "Sinkage exponent per slip [-]",
+    "cohesion_pa": "Cohesion [Pa]",
+    "friction_angle_deg": "Friction angle [deg]",
+    "shear_modulus_mm": "Shear modulus [mm]",
+    "external_friction_angle_deg": "External friction angle [deg]",
+    "lateral_modulus_mm": "Lateral modulus [mm]",
+}
 
 
 def terrain_maps(surface: Traversability, path: PlannedPath | None = None) -> "Figure":
@@ -61,15 +74,17 @@ def terrain_maps(surface: Traversability, path: PlannedPath | None = None) -> "F
 
 
 def _title(surface: Traversability, path: PlannedPath | None) -> str:
-    ground = surface.terrain.name
-    if surface.terrain.synthetic and "synthetic" not in ground:
-        ground = f"{ground} (synthetic)"
+    ground = _name(surface.terrain)
     if path is None:
         return ground
     return (
         f"{ground}   ·   path of {path.plan.length_m:.2f} m, nearest hazard {path.min_hazard_distance_m:.2f} m, "
         f"slope up to {path.max_slope_deg:.1f} deg"
     )
+
+
+def _name(terrain: Terrain) -> str:
+    return f"{terrain.name} (synthetic)" if terrain.synthetic and "synthetic" not in terrain.name else terrain.name
 
 
 def _extent(terrain: Terrain) -> tuple[float, float, float, float]:
@@ -188,12 +203,6 @@ def _draw_path(axes: "Axes", path: PlannedPath, terrain: Terrain, *, outline: bo
         axes.add_patch(Polygon(corners, fill=False, edgecolor="white", linewidth=1.3, zorder=5))
 
 
-DOT, MEAN, CHANGE = "#9fb4c0", "#08519c", "#e6550d"
-HIGHEST = 8.0
-"""Residuals beyond are drawn at the edge."""
-WINDOW_M = 0.4
-
-
 def residual_page(record: DriveRecord, found: SoilUpdate, changes: list[SoilChange]) -> "Figure":
     """Measured less simulated on the best single soil, in errors, against the place of each wheel along the way.
 
@@ -231,31 +240,18 @@ def _medians(places: Any, values: Any) -> tuple[Any, Any]:
     return (middles + 0.5) * WINDOW_M, np.array([np.median(values[number == middle]) for middle in middles])
 
 
-INK, PATH = "#26323a", "#e6550d"
-LABELS = {
-    "stiffness_kpa_m_n": "Stiffness [kPa/m$^N$]",
-    "sinkage_exponent": "Sinkage exponent [-]",
-    "sinkage_exponent_slip": "Sinkage exponent per slip [-]",
-    "cohesion_pa": "Cohesion [Pa]",
-    "friction_angle_deg": "Friction angle [deg]",
-    "shear_modulus_mm": "Shear modulus [mm]",
-    "external_friction_angle_deg": "External friction angle [deg]",
-    "lateral_modulus_mm": "Lateral modulus [mm]",
-}
-
-
 def soil_pages(layers: SoilLayers, soil_map: SoilMap) -> "Iterator[Figure]":
     """Two pages of eight maps: medians, and what is left of the first laws' standard deviation; tracks are drawn."""
     terrain, shape = layers.terrain, layers.terrain.height_m.shape
     soil = {name: from_si(name, terrain.soil[..., SOIL_COLUMNS[name]]) for name in PARAMETERS}
     medians = {name: np.broadcast_to(values, shape) for name, values in soil.items()}
     length = f"{soil_map.correlation_m:g} m"
-    yield _page(layers, soil_map, medians, "Median soil at every node", None)
+    yield _soil_page(layers, soil_map, medians, "Median soil at every node", None)
     title = f"Left of the first laws' standard deviation: 1 = nothing known; soils alike over {length}, assumed"
-    yield _page(layers, soil_map, dict(layers.sd_ratio), title, (0.0, 1.0))
+    yield _soil_page(layers, soil_map, dict(layers.sd_ratio), title, (0.0, 1.0))
 
 
-def _page(
+def _soil_page(
     layers: SoilLayers,
     soil_map: SoilMap,
     values: dict[str, FloatArray],
@@ -268,9 +264,7 @@ def _page(
     tall = float(np.clip(np.ptp(terrain.y_m) / np.ptp(terrain.x_m), 0.3, 2.0))
     figure = Figure(figsize=(15.0, 2.0 * (3.0 * tall + 0.6) + 0.8), dpi=110, layout="constrained", facecolor="white")
     axes: Any = figure.subplots(2, 4, sharex=True, sharey=True)
-    half = 0.5 * terrain.spacing_m
-    x, y = terrain.x_m, terrain.y_m
-    drawn: Any = {"extent": (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half), "origin": "lower"}
+    drawn: Any = {"extent": _extent(terrain), "origin": "lower"}
     hole = np.isnan(terrain.height_m)
     for panel, name in zip(axes.flat, PARAMETERS, strict=True):
         shown = np.ma.masked_array(values[name], mask=hole)
@@ -285,8 +279,7 @@ def _page(
         panel.set_xlabel("x [m]")
     for panel in axes[:, 0]:
         panel.set_ylabel("y [m]")
-    synthetic = " (synthetic)" if terrain.synthetic and "synthetic" not in terrain.name else ""
-    figure.suptitle(f"{title}   ·   {terrain.name}{synthetic}", fontsize=12, color=INK)
+    figure.suptitle(f"{title}   ·   {_name(terrain)}", fontsize=12, color=INK)
     return figure
 
 

@@ -1,4 +1,4 @@
-"""Kinematics, mass matrix and free forces of the rover: nine degrees of freedom, exact.
+"""The rover's equations of motion, nine degrees of freedom, and one time step of a group of rovers on the ground.
 
 Configuration (10): position of the origin in the world [m], unit quaternion body-to-world (w, x, y, z), differential
 angle rho, left and right bogie angle [rad]. Velocity (9): world velocity of the origin [m/s], world angular velocity of
@@ -8,9 +8,7 @@ The tree is one rigid chassis and point masses at the wheel centres, so the mass
 inertial forces follow from the accelerations that remain at u-dot = 0; nothing is linearised. The wheels' own spin
 (0.02 N m s each at 0.05 m/s, gyroscopic torques of 1e-4 N m) is left out. Wheels enter the equations in `contact`.
 
-One time step of a group of rovers on the ground, linearly implicit.
-
-With forces f, C = df/dv and K = df/dp at the start of the step,
+A step is linearly implicit. With forces f, C = df/dv and K = df/dp at the start of the step,
 
     (M - time_step_s C - time_step_s^2/2 K) du = time_step_s (f + time_step_s K u0),    positions move with (u0 + u1)/2,
 
@@ -41,6 +39,26 @@ from lunarsci.twin.lanes import (
 )
 from lunarsci.twin.simulation.contact import add_wheel
 from lunarsci.twin.simulation.ruts import read_ruts
+
+# Cosine of 60 deg, as the outcome says.
+COS_OVERTURNED = 0.5
+# Assumed: no part of a rover that drives at cm/s comes near this speed [m/s or rad/s] while the run has a meaning.
+FASTEST = 10.0
+# Speed of the rover that no drive reaches: a drop of 0.3 m on the Moon. [m/s]
+FALLING = 1.0
+# Wheel load as a share of the weight beyond which a run has lost its meaning, but in an impact: a wheel that comes down
+# at more than this speed [m/s], 3 mm of free fall on the Moon.
+MOST_LOAD, IMPACT = 2.0, 0.1
+# Energy from nowhere, as a share of what lifts the rover by a wheel's radius, beyond which a run has lost its meaning;
+# assumed: 3 cm for a wheel of 15 cm, more than any rounding and less than a jump.
+MOST_EXCESS = 0.2
+# Forces along the wheels under way that the steps miss, as a share of the weight, beyond which a run has lost its
+# meaning, and the share of the last step in their mean (assumed: some ten steps). With shear moduli of 0.05-18 mm, on
+# four grounds, drives of 1.5 m with more than this were 1-80 cm off at their ends, those with less within 1 cm.
+MOST_ERROR, MEMORY = 0.25, 0.1
+OUTCOME = BODY.first["outcome"] * GROUP
+JOINTS = (7, 8)
+"""Coordinates of the bogies, which do not meet each other in the system."""
 
 
 def rotation_of(w: Any, x: Any, y: Any, z: Any) -> Any:
@@ -149,23 +167,6 @@ def _product(one: Any, two: Any) -> Any:
     return one * two
 
 
-COS_OVERTURNED = 0.5
-# Assumed: no part of a rover that drives at cm/s comes near this speed [m/s or rad/s] while the run has a meaning.
-FASTEST = 10.0
-# Speed of the rover that no drive reaches: a drop of 0.3 m on the Moon. [m/s]
-FALLING = 1.0
-# Wheel load as a share of the weight beyond which a run has lost its meaning, but in an impact: a wheel that comes down
-# at more than this speed [m/s], 3 mm of free fall on the Moon.
-MOST_LOAD, IMPACT = 2.0, 0.1
-# Energy from nowhere, as a share of what lifts the rover by a wheel's radius, beyond which a run has lost its meaning;
-# assumed: 3 cm for a wheel of 15 cm, more than any rounding and less than a jump.
-MOST_EXCESS = 0.2
-# Forces along the wheels under way that the steps miss, as a share of the weight, beyond which a run has lost its
-# meaning, and the share of the last step in their mean (assumed: some ten steps). With shear moduli of 0.05-18 mm, on
-# four grounds, drives of 1.5 m with more than this were 1-80 cm off at their ends, those with less within 1 cm.
-MOST_ERROR, MEMORY = 0.25, 0.1
-
-
 @joined
 def assemble(rover: Any, tyre: Any, grid: Any, override: Any, time_step_s: float, mode: int, work: Any) -> None:
     """Kinematics, ground contact and the linear system of a step at the pose, velocity and commands in `work`.
@@ -192,11 +193,6 @@ def note_outcomes(body: Any, code: Any) -> None:
     for lane in range(GROUP):
         if code[lane] == FINISHED:
             code[lane] = int(body[OUTCOME + lane])
-
-
-OUTCOME = BODY.first["outcome"] * GROUP
-JOINTS = (7, 8)
-"""Coordinates of the bogies, which do not meet each other in the system."""
 
 
 @formula

@@ -44,6 +44,8 @@ REST = Fields(GROUP, done=1, leaning=1, left=3, pull=3, share=9)
 """Rows of what a search for rest keeps: 1 where it has found it, 1 where the ground begins to hold the rover (see
 `lean_on`), the force in x and y and the moment about the vertical that hold it beside the wheels, the way in which it
 would start to slide and turn, and the loads of the wheels times their ways along it."""
+REST_SIZE, LEFT_AT = REST.rows * GROUP, REST.first["left"] * GROUP
+VELOCITY = Fields(GROUP, all=9)
 
 
 def place(rover: Any, tyre: Any, grid: Any, override: Any, start: FloatArray, work: Work) -> None:
@@ -187,9 +189,6 @@ def start_from(work: Any, velocity: Any, lane: Any) -> None:
     body.speed, body.spin, body.rates = given.all[:3], given.all[3:6], given.all[6:]
 
 
-VELOCITY = Fields(GROUP, all=9)
-
-
 @formula
 def judge(work: Any, lane: Any) -> None:
     """Note who has overturned on the way to rest."""
@@ -242,9 +241,6 @@ def balance(rover: Any, tyre: Any, grid: Any, override: Any, mode: int, velocity
             left[lane, i] = rest[LEFT_AT + i * GROUP + lane]
         if rest[lane] == 0.0:
             work.code[lane] = UNSETTLED
-
-
-REST_SIZE, LEFT_AT = REST.rows * GROUP, REST.first["left"] * GROUP
 
 
 def settle(rover: Any, tyre: Any, grid: Any, override: Any, start: FloatArray, work: Work) -> None:

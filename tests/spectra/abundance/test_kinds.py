@@ -3,12 +3,11 @@
 from collections import Counter
 from collections.abc import Callable
 from functools import cache
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
+from lunarsci.spectra_data import make_kinds
 from scipy.stats import multivariate_t
 
 from lunarsci.errors import LunarSciWarning, ParameterError
@@ -25,20 +24,7 @@ from lunarsci.spectra.abundance.kinds import (
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum, savitzky_golay_operator
 
-SCRIPT = Path(__file__).parents[3] / "spectra_data/make_kinds.py"
 CHANNELS = np.arange(450.0, 2401.0, 5.0)
-
-
-@cache
-def script() -> ModuleType:
-    spec = spec_from_file_location("make_kinds", SCRIPT)
-    assert spec is not None and spec.loader is not None
-    module = module_from_spec(spec)
-    import sys
-
-    sys.modules["make_kinds"] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 def red() -> Spectrum:
@@ -109,9 +95,9 @@ def test_too_few_channels_are_said() -> None:
     assert (empty.kind, empty.stranger) == ("not-determined", True)
 
 
-def without(left_out: str, data: Path, tables: ModuleType) -> KindModel:
+def without(left_out: str, data: Path) -> KindModel:
     """Learned without a suite or mission, and without other spectra of its rocks; of the rover without its soils."""
-    known = tables.examples(data / "spectra")
+    known = make_kinds.examples(data / "spectra")
     gone = {item.rock for item in known if item.suite == left_out}
     kept = np.array([
         (item.suite != left_out and item.rock not in gone) or (left_out == "ce4" and item.component == "rover-rock")
@@ -121,21 +107,21 @@ def without(left_out: str, data: Path, tables: ModuleType) -> KindModel:
     columns = [
         [getattr(item, name) for item, ok in zip(known, kept, strict=True) if ok] for name in ("component", "suite")
     ]
-    return learn_kinds(values[kept], columns[0], columns[1], tables.COMPONENTS)
+    return learn_kinds(values[kept], columns[0], columns[1], make_kinds.COMPONENTS)
 
 
 @cache
 def features(data: Path) -> np.ndarray:
-    return np.asarray(script().features(script().examples(data / "spectra")))
+    return make_kinds.features(make_kinds.examples(data / "spectra"))
 
 
 def judged(data: Path, change: Callable[[Spectrum], Spectrum], only: str = "") -> Counter[tuple[str, str]]:
     """Component, and kind found by a model that has not seen the suite."""
-    tables, found = script(), Counter[tuple[str, str]]()
-    known = [item for item in tables.examples(data / "spectra") if not only or item.component == only]
+    found = Counter[tuple[str, str]]()
+    known = [item for item in make_kinds.examples(data / "spectra") if not only or item.component == only]
     for suite in sorted({item.suite for item in known}):
         own = [item for item in known if item.suite == suite]
-        verdicts = find_kinds([change(item.spectrum) for item in own], model=without(suite, data, tables))
+        verdicts = find_kinds([change(item.spectrum) for item in own], model=without(suite, data))
         for item, one in zip(own, verdicts, strict=True):
             found[item.component, "weathered" if one.is_weathered else one.kind] += 1
     return found

@@ -40,7 +40,7 @@ def test_with_the_other_mixtures_known_the_error_is_five_at_most(bench: Any, lab
 
 
 @pytest.mark.parametrize("mineral", MAFIC)
-def test_a_series_together_errs_by_ten_at_most_where_its_minerals_are_named(
+def test_a_series_together_errs_by_seven_at_most_where_its_minerals_are_named(
     bench: Any, laboratory: Any, mineral: str
 ) -> None:
     assert bench.rmse(laboratory, "together, present", mineral) <= 7

@@ -1,15 +1,13 @@
 """The norm against stoichiometry, its regression against least squares, and soils whose mission was left out."""
 
 import io
-import sys
 from contextlib import redirect_stdout
-from functools import cache
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
+from lunarsci.spectra_data import make_kinds, make_normative
 
 from lunarsci.spectra.abundance.kinds import find_kind
 from lunarsci.spectra.abundance.normative import (
@@ -26,15 +24,6 @@ from lunarsci.spectra.spectrum import Spectrum
 
 FOLDER = Path(__file__).parents[3] / "spectra_data"
 CHANNELS = np.arange(450.0, 2401.0, 5.0)
-
-
-@cache
-def script(name: str) -> ModuleType:
-    spec = spec_from_file_location(name, FOLDER / f"{name}.py")
-    assert spec is not None and spec.loader is not None
-    sys.modules[name] = module_from_spec(spec)
-    spec.loader.exec_module(sys.modules[name])
-    return sys.modules[name]
 
 
 def test_pure_feldspars_are_all_plagioclase() -> None:
@@ -100,9 +89,8 @@ def test_what_is_no_soil_and_what_lies_beyond_has_no_composition() -> None:
 def test_missions_left_out(reference_data: Path) -> None:
     """The three soils of Apollo 16, the only highland, lie beyond the others and are refused; of the eight others
     plagioclase errs by 9.8 wt %, FeO by 3.0, most in 71061. That misses 9 and 2.5."""
-    tables = script("make_normative")
-    spectra, known = tables.soils(reference_data / "spectra")
-    features, missions = tables.table_of(spectra), known["mission"].to_numpy()
+    spectra, known = make_normative.soils(reference_data / "spectra")
+    features, missions = make_normative.table_of(spectra), known["mission"].to_numpy()
     rms, held = {}, []
     for name, keys in FEATURES.items():
         truth, errors = known[name].to_numpy(), []
@@ -125,11 +113,11 @@ def test_missions_left_out(reference_data: Path) -> None:
 
 
 @pytest.mark.reference
-@pytest.mark.parametrize(("name", "table"), [("make_kinds", "kinds.csv"), ("make_normative", "soil_normative.csv")])
-def test_the_tables_are_those_that_the_scripts_make(reference_data: Path, name: str, table: str) -> None:
+@pytest.mark.parametrize(("script", "table"), [(make_kinds, "kinds.csv"), (make_normative, "soil_normative.csv")])
+def test_the_tables_are_those_that_the_scripts_make(reference_data: Path, script: ModuleType, table: str) -> None:
     text = io.StringIO()
     with redirect_stdout(text):
-        script(name).main(reference_data / "spectra")
+        script.main(reference_data / "spectra")
     made, kept = text.getvalue().splitlines(), (FOLDER / table).read_text("utf-8").splitlines()
     assert made[0] == kept[0]
     for one, other in zip(made, kept, strict=True):

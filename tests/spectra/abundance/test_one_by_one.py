@@ -1,13 +1,10 @@
 """Shares of spectra taken one by one: what is dark, what is not determined, and libraries without siblings."""
 
-import sys
-from collections.abc import Iterator
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
+from lunarsci.spectra_data import make_abundance_calibration as script
 
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.abundance.end_members import embedded_end_members, without_siblings
@@ -20,7 +17,6 @@ from lunarsci.spectra.spectrum import Spectrum
 NM = np.arange(450.0, 2451.0, 10.0)
 ALL = (*MAFIC, "plagioclase")
 SURFACE = HapkeSurface()
-SCRIPT = Path(__file__).parents[3] / "spectra_data" / "make_abundance_calibration.py"
 
 
 def mixed(parts: dict[str, float], opaque: float = 0.0) -> Spectrum:
@@ -100,17 +96,7 @@ def test_impossible_requests_are_refused(minerals: tuple[str, ...]) -> None:
         estimate_each([mixed(BRIGHT)], minerals, kinds=[find_kind(mixed(BRIGHT), POWDER)])
 
 
-@pytest.fixture(scope="module")
-def script() -> Iterator[ModuleType]:
-    spec = spec_from_file_location("make_abundance_calibration", SCRIPT)
-    assert spec is not None and spec.loader is not None
-    sys.modules[spec.name] = module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
-
-
-def test_nothing_of_a_suite_is_in_the_library_that_judges_it(script: ModuleType) -> None:
+def test_nothing_of_a_suite_is_in_the_library_that_judges_it() -> None:
     library = embedded_end_members(NM)
     for suite, (minerals, powders) in script.MIXTURES.items():
         kept = without_siblings(library, powders)
@@ -120,7 +106,7 @@ def test_nothing_of_a_suite_is_in_the_library_that_judges_it(script: ModuleType)
 
 
 @pytest.mark.reference
-def test_olivine_and_orthopyroxene_never_become_clinopyroxene(script: ModuleType, reference_data: Path) -> None:
+def test_olivine_and_orthopyroxene_never_become_clinopyroxene(reference_data: Path) -> None:
     """Mixtures of 38-53 um with clinopyroxene named beside them, nothing of their powders in the library."""
     spectra, rows = script.spectra_of(reference_data / "spectra/minerals")
     some = [spectrum for spectrum in spectra if spectrum.id.startswith("pomix2")]

@@ -45,6 +45,7 @@ def test_a_share_that_is_not_determined_counts_with_its_interval() -> None:
     assert rock.composition.modes["olivine"] == pytest.approx((0.3, 0.2))
     assert rock.composition.modes["orthopyroxene"] == pytest.approx((0.3, 0.02))
     assert "not determined, known by their intervals alone: olivine" in rock.remarks
+    assert rock.tables == ()
 
 
 def test_shares_of_which_none_is_determined_decide_nothing() -> None:
@@ -64,6 +65,7 @@ def test_out_of_domain_errors_are_at_least_those_measured_of_the_kind(kind: str)
     assert rock.composition.modes["orthopyroxene"] == pytest.approx((0.3, least["orthopyroxene"]))
     assert rock.composition.modes["olivine"][1] == pytest.approx(0.2)
     assert any("errors at least those measured of unmixed spectra of dark-rock-powder" in text for text in rock.remarks)
+    assert rock.tables == ("share_errors.csv",)
 
 
 def test_quoted_errors_are_widened_where_the_kind_is_stated() -> None:

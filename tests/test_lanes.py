@@ -1,4 +1,4 @@
-"""Elementary functions in lanes against the C library's."""
+"""Elementary functions in lanes against NumPy's."""
 
 import platform
 import re

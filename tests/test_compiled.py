@@ -11,8 +11,7 @@ from types import ModuleType
 import llvmlite.binding as llvm
 import pytest
 
-from lunarsci import compiled as door
-from lunarsci.compiled import compiled, sources_digest
+from lunarsci.compiled import _content, _imported, compiled, sources_digest
 
 MODULE = """
 from lunarsci.compiled import compiled
@@ -90,17 +89,17 @@ def test_a_disk_that_takes_nothing_is_no_failure(
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(door._Entries, "_open_for_write", full)
+    monkeypatch.setattr("lunarsci.compiled._Entries._open_for_write", full)
     assert module.twice(1.5) == 3.0
 
 
 def test_code_is_stale_when_a_file_changes_that_its_file_imports(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(door, "PACKAGE", tmp_path)
+    monkeypatch.setattr("lunarsci.compiled.PACKAGE", tmp_path)
 
     def digest() -> str:
-        for kept in (door._imported, door._content, sources_digest):
+        for kept in (_imported, _content, sources_digest):
             kept.cache_clear()
         return sources_digest(str(tmp_path / "top.py"))
 
@@ -128,7 +127,7 @@ def test_a_time_step_depends_on_the_formulas_of_the_wheel() -> None:
 def reached(path: Path) -> set[Path]:
     found, wanted = {path}, [path]
     while wanted:
-        for more in door._imported(wanted.pop()) - found:
+        for more in _imported(wanted.pop()) - found:
             found.add(more)
             wanted.append(more)
     return found
