@@ -99,10 +99,6 @@ class Spectrum:
         return ~np.asarray(self.mask, dtype=bool)
 
 
-_NORMAL_MAD = 1.4826  # standard deviation of a normal law over its median absolute deviation
-_SECOND_DIFFERENCE = np.sqrt(6.0)  # standard deviation of x[i-1] - 2 x[i] + x[i+1] over that of x
-
-
 def channel_noise(spectrum: Spectrum) -> FloatArray:
     """One standard deviation of the reflectance per channel, shape (n,). [-]
 
@@ -123,15 +119,10 @@ def scatter_noise(values: FloatArray, window: int = 61) -> FloatArray:
 
     von Neumann, Kent, Bellinson & Hart (1941), Ann. Math. Stat. 12, 153, 10.1214/aoms/1177731746, in robust form.
     """
-    if values.size < 5:
-        return np.full(values.shape, np.std(values))
-    second = np.abs(np.diff(values, 2))
-    half = (min(window, second.size) - 1) // 2
-    centres = np.clip(np.arange(values.size) - 1, half, second.size - 1 - half)
-    windows = np.lib.stride_tricks.sliding_window_view(second, 2 * half + 1)
-    running: FloatArray = np.median(windows, axis=1)[centres - half] * _NORMAL_MAD / _SECOND_DIFFERENCE
-    floor = float(np.finfo(float).eps * np.abs(values).max())
-    return np.maximum(running, floor)
+    from lunarsci.spectra.noise import scatter_noise_rows
+
+    noise: FloatArray = scatter_noise_rows(np.asarray(values, dtype=np.float64)[None], window)[0]
+    return noise
 
 
 def savitzky_golay_operator(wavelength_nm: FloatArray, points: int = 41, order: int = 3) -> FloatArray:

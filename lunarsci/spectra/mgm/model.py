@@ -11,9 +11,9 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.spectra.continuum import upper_hull
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
 from lunarsci.spectra.mgm.assemblages import Assemblage, assemblage
+from lunarsci.spectra.noise import deepest_below_hull
 from lunarsci.spectra.spectrum import Spectrum, channel_noise
 
 MGM_CONTINUA: tuple[MgmContinuum, ...] = get_args(MgmContinuum)
@@ -86,9 +86,7 @@ DEPTH_RANGE_NM = (600.0, 2500.0)
 def deepest_absorption(wavelength_nm: FloatArray, reflectance: FloatArray) -> float:
     """Deepest absorption below the upper hull of ln R, between 600 and 2500 nm, of channels (n,) [nm, -]. [-]"""
     inside = (wavelength_nm >= DEPTH_RANGE_NM[0]) & (wavelength_nm <= DEPTH_RANGE_NM[1])
-    x, y = wavelength_nm[inside], np.log(reflectance[inside])
-    ties = upper_hull(x, y)
-    return float(np.max(np.interp(x, x[ties], y[ties]) - y)) if ties else 0.0
+    return float(deepest_below_hull(wavelength_nm[inside], np.log(reflectance[inside])[None])[0])
 
 
 def expected_misfit(wavelength_nm: FloatArray, reflectance: FloatArray) -> float:
