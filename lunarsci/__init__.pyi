@@ -1,3 +1,4 @@
+from lunarsci.blocks import computing as computing
 from lunarsci.regolith.jobs.identify import identify as identify
 from lunarsci.regolith.jobs.infer import infer as infer
 from lunarsci.regolith.jobs.wheel_forces import wheel_forces as wheel_forces

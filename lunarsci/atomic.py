@@ -3,7 +3,7 @@
 import contextlib
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from lunarsci.errors import OutputError
@@ -64,6 +64,28 @@ def write_files(contents: Mapping[Path, bytes], *, force: bool = False) -> None:
             temporary.unlink(missing_ok=True)
         for folder in [] if done else made:
             folder.rmdir()
+
+
+@contextlib.contextmanager
+def written_whole(path: Path, *, force: bool = False) -> Iterator[Path]:
+    """Give a name beside `path` to write a large file to, bit by bit; it becomes `path` when all went well.
+
+    The name ends as `path` does and is always the same, so that what a killed process left is overwritten; only one
+    process may write it at a time. Without `force` an existing target is never replaced. Raises OutputError.
+    """
+    check_target(path, force=force)
+    temporary = path.with_name(f".{path.stem}.part{path.suffix}")
+    try:
+        yield temporary
+        with temporary.open("rb+") as file:
+            os.fsync(file.fileno())
+        _publish([(temporary, path)], force=force)
+    except OSError as error:
+        if isinstance(error, OutputError):
+            raise
+        raise OutputError(f"{path}: {error.strerror or error}; it was not written") from error
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def _stage(path: Path, data: bytes) -> Path:

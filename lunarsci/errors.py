@@ -4,7 +4,8 @@
     ├── DataError         an input file or table cannot be used as it is
     ├── ParameterError    a value lies outside what the formula or the command accepts
     │   └── RequestError  options of a job that are impossible, alone or together
-    └── OutputError       a result cannot be written where it was asked for
+    ├── OutputError       a result cannot be written where it was asked for
+    └── SchedulerError    a cluster cannot compute what it was given
 
 Each also inherits the builtin a caller would expect. The message is one line: what, where, and what to do.
 """
@@ -31,6 +32,10 @@ class RequestError(ParameterError):
 
 class OutputError(LunarSciError, OSError):
     """A result cannot be written where it was asked for."""
+
+
+class SchedulerError(LunarSciError, RuntimeError):
+    """A cluster cannot compute what it was given."""
 
 
 class LunarSciWarning(UserWarning):

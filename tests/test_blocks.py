@@ -1,0 +1,245 @@
+"""Blocks of rows: the same bytes however they are computed, stopped, and gone on with."""
+
+import errno
+import multiprocessing
+import os
+import random
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lunarsci.atomic import written_whole
+from lunarsci.blocks import Computing, blocks_in_order, bytes_of, computing, rows_in_memory, run_blocks
+from lunarsci.errors import OutputError, ParameterError, SchedulerError
+from lunarsci.kept_blocks import KeptBlocks, spans
+
+TOTAL, ROWS = 1000, 25
+ABOUT = {"input": "made up here", "option slope": "3"}
+
+
+def squares(block: range) -> dict[str, Any]:
+    return {"square": np.array([k * k for k in block], dtype=float), "name": np.array([f"row {k}" for k in block])}
+
+
+def slow_squares(block: range) -> dict[str, Any]:
+    time.sleep(0.02)
+    return squares(block)
+
+
+def failing_at(block: range) -> dict[str, Any]:
+    if 500 in block:
+        raise ParameterError("row 500 is wrong")
+    return squares(block)
+
+
+def collected(work: Any = squares, **about: str) -> np.ndarray[Any, Any]:
+    found = list(blocks_in_order(work, TOTAL, ROWS, stage="squares", about=ABOUT | about))
+    assert [block for block, _ in found] == spans(TOTAL, ROWS)
+    return np.concatenate([arrays["square"] for _, arrays in found])
+
+
+EXPECTED = np.arange(TOTAL, dtype=float) ** 2
+
+
+def test_each_block_comes_once_and_in_order() -> None:
+    blocks = spans(TOTAL, ROWS)
+    found = dict(run_blocks(squares, blocks))
+    assert sorted(found, key=lambda block: block.start) == blocks
+    assert np.array_equal(collected(), EXPECTED)
+
+
+def test_no_more_is_held_than_workers_and_one() -> None:
+    under_way, most = 0, 0
+
+    def fetch(block: range) -> range:
+        nonlocal under_way, most
+        under_way += 1
+        most = max(most, under_way)
+        return block
+
+    with computing(workers=3):
+        for _ in run_blocks(slow_squares, spans(TOTAL, ROWS), fetch=fetch):
+            under_way -= 1
+    assert 2 <= most <= 4
+
+
+def test_progress_counts_rows() -> None:
+    told: list[tuple[int, int]] = []
+    list(run_blocks(squares, spans(100, 30), progress=lambda done, total: told.append((done, total)), done=50))
+    assert told[-1] == (150, 150)
+    assert len(told) == 4
+
+
+def test_an_error_of_a_block_is_passed_on_and_says_what_was_kept(tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match="row 500") as caught, computing(keep=tmp_path / "out.csv"):
+        collected(failing_at)
+    assert "blocks are kept in" in caught.value.__notes__[0]
+    with computing(keep=tmp_path / "out.csv"):
+        assert np.array_equal(collected(), EXPECTED)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_blocks_for_other_options_are_refused_with_what_differs(tmp_path: Path) -> None:
+    with pytest.raises(ParameterError), computing(keep=tmp_path / "out.csv"):
+        collected(failing_at)
+    with pytest.raises(OutputError, match="option slope: 3, not 4"), computing(keep=tmp_path / "out.csv"):
+        collected(**{"option slope": "4"})
+    with computing(keep=tmp_path / "out.csv", force=True):
+        collected(**{"option slope": "4"})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_damaged_block_is_computed_again(tmp_path: Path) -> None:
+    kept = KeptBlocks(tmp_path / "k", ABOUT, TOTAL, ROWS)
+    for block in kept.blocks[:4]:
+        kept.keep(block, squares(block))
+    kept.close(remove=False)
+    files = sorted((tmp_path / "k").glob("*.npz"))
+    files[1].write_bytes(files[1].read_bytes()[:-7])
+    files[2].unlink()
+    manifest = tmp_path / "k/manifest.jsonl"
+    manifest.write_bytes(manifest.read_bytes()[:-5])
+    again = KeptBlocks(tmp_path / "k", ABOUT, TOTAL, 999)
+    assert set(again.done) == {0}
+    assert again.blocks == spans(TOTAL, ROWS), "blocks are those that it was begun with"
+    again.close(remove=False)
+
+
+def test_two_commands_are_not_at_one_output(tmp_path: Path) -> None:
+    kept = KeptBlocks(tmp_path / "k", ABOUT, TOTAL, ROWS)
+    with pytest.raises(OutputError, match="another command"):
+        KeptBlocks(tmp_path / "k", ABOUT, TOTAL, ROWS)
+    kept.close(remove=True)
+    assert not (tmp_path / "k").exists()
+
+
+def make_file(target: Path) -> None:
+    with computing(keep=target, workers=2):
+        data = collected(slow_squares).tobytes()
+        with written_whole(target) as name:
+            name.write_bytes(data)
+
+
+def started(target: Path) -> Any:
+    process = multiprocessing.get_context("fork").Process(target=make_file, args=(target,))
+    process.start()
+    return process
+
+
+def test_killed_at_ten_random_moments_it_ends_with_the_same_bytes(tmp_path: Path) -> None:
+    """All in all it takes 0.5 s and more: SIGKILL after each 0.03 to 0.08 s."""
+    target, moments = tmp_path / "out.bin", random.Random(7)
+    kept: list[int] = []
+    for _ in range(10):
+        process = started(target)
+        time.sleep(moments.uniform(0.03, 0.08))
+        process.kill()
+        process.join()
+        assert not target.exists(), "or there is nothing left to be killed"
+        kept.append(len(list(tmp_path.glob("out.bin.partial/squares/*.npz"))))
+    assert sorted(kept) == kept
+    assert 2 < kept[-1] < TOTAL // ROWS
+    finished = started(target)
+    finished.join()
+    assert target.read_bytes() == EXPECTED.tobytes()
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_full_disk_keeps_what_was_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the system says it: the tenth file that is synchronised finds no room."""
+    real, calls = os.fsync, 0
+
+    def full(handle: int) -> None:
+        nonlocal calls
+        calls += 1
+        if calls > 30:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        real(handle)
+
+    monkeypatch.setattr(os, "fsync", full)
+    said = "No space left on device; make it writable or make room"
+    with pytest.raises(OutputError, match=said) as caught, computing(keep=tmp_path / "out.csv"):
+        collected()
+    kept = int(caught.value.__notes__[0].split()[0])
+    assert 5 < kept < 15
+    monkeypatch.setattr(os, "fsync", real)
+    computed: list[range] = []
+
+    def counted(block: range) -> dict[str, Any]:
+        computed.append(block)
+        return squares(block)
+
+    with computing(keep=tmp_path / "out.csv"):
+        assert np.array_equal(collected(counted), EXPECTED)
+    assert len(computed) == TOTAL // ROWS - kept
+
+
+def test_a_target_that_cannot_be_written_is_said_before_anything_is_computed(tmp_path: Path) -> None:
+    (tmp_path / "out.csv.partial").write_text("not a folder")
+    with pytest.raises(OutputError, match=r"out\.csv\.partial"), computing(keep=tmp_path / "out.csv"):
+        collected(failing_at)
+
+
+@pytest.mark.parametrize(("text", "count"), [("1.5GB", 1_500_000_000), ("800 mb", 800_000_000), ("2GiB", 2**31)])
+def test_memory_is_read_with_its_unit(text: str, count: int) -> None:
+    assert bytes_of(text) == count
+
+
+@pytest.mark.parametrize("text", ["", "GB", "-1GB", "lots", "0", "nan"])
+def test_memory_that_is_none_is_refused(text: str) -> None:
+    with pytest.raises(ParameterError, match="such as"):
+        Computing(memory=text)
+
+
+def test_blocks_become_smaller_with_less_memory() -> None:
+    assert rows_in_memory(1e6, 4000) == 4000
+    with computing(memory="4GB", workers=1):
+        many = rows_in_memory(1e6, 10**6)
+    with computing(memory="4GB", workers=3):
+        few = rows_in_memory(1e6, 10**6)
+    assert 1000 < many < 2000
+    assert few == pytest.approx(many / 2, abs=3)
+    with computing(memory="1MB"), pytest.raises(ParameterError, match="too little; give"):
+        rows_in_memory(1e6, 100)
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Any]:
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as made:
+        yield made
+
+
+def test_a_cluster_gives_the_same(cluster: Any) -> None:
+    with computing(scheduler=cluster.scheduler_address):
+        assert np.array_equal(collected(), EXPECTED)
+        with pytest.raises(ParameterError, match="row 500"):
+            collected(failing_at)
+
+
+def test_a_cluster_survives_the_loss_of_a_worker(cluster: Any) -> None:
+    first = next(iter(cluster.workers.values())).pid
+    told: list[int] = []
+
+    def kill_once(done: int, _: int) -> None:
+        if done > 200 and not told:
+            os.kill(first, signal.SIGKILL)
+        told.append(done) if done > 200 else None
+
+    with computing(scheduler=cluster.scheduler_address):
+        blocks = spans(TOTAL, ROWS)
+        found = dict(run_blocks(slow_squares, blocks, progress=kill_once))
+    assert told
+    assert len(found) == len(blocks)
+    assert np.array_equal(np.concatenate([found[block]["square"] for block in blocks]), EXPECTED)
+
+
+def test_a_scheduler_that_is_not_there_is_said_in_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lunarsci.cluster.CONNECT_S", 0.5)
+    with computing(scheduler="tcp://127.0.0.1:9"), pytest.raises(SchedulerError, match="does not answer"):
+        collected()
