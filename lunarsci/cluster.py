@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from lunarsci.errors import LunarSciWarning, SchedulerError
+from lunarsci.provenance import installed_version
 
 CONNECT_S, LONELY_S, LOOK_S = 30.0, 120.0, 2.0
 """How long a scheduler may take to answer, and be without workers; how often the latter is looked at. [s]"""
@@ -46,12 +47,10 @@ def build() -> tuple[str, str]:
     """Version of lunarsci with a digest of its code, and the processor that it is compiled for."""
     import llvmlite.binding as llvm
 
-    from lunarsci import __version__
-
     whole = hashlib.sha256()
     for path in sorted(Path(__file__).parent.rglob("*.py")):
         whole.update(path.name.encode() + path.read_bytes())
-    return f"{__version__} ({whole.hexdigest()[:12]})", str(llvm.get_host_cpu_name())
+    return f"{installed_version('lunarsci')} ({whole.hexdigest()[:12]})", str(llvm.get_host_cpu_name())
 
 
 def _remote(work: Callable[[Any], Any], given: Any) -> tuple[tuple[str, str], Any]:

@@ -19,7 +19,6 @@ SHARED = {
     "kept_blocks",
     "cluster",
     "tempering",
-    "tempering",
     "inputs",
     "compiled",
     "formulas",
