@@ -3,7 +3,7 @@
 import contextlib
 import os
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from lunarsci.errors import OutputError
@@ -36,8 +36,8 @@ def check_folder(folder: Path, *, force: bool) -> None:
         raise OutputError(f"{folder}: no permission to write in {parent}; choose another folder")
 
 
-def write_files(contents: Mapping[Path, bytes], *, force: bool = False) -> None:
-    """Write several files so that all of them appear, or none.
+def write_files(contents: Mapping[Path, bytes | Iterable[bytes]], *, force: bool = False) -> None:
+    """Write several files, whole or in pieces, so that all of them appear, or none.
 
     Every file is first written in full beside its target; only then are they renamed into place. Without `force` an
     existing target is never replaced, even one that appeared in the meantime. A missing folder is made, its parent must
@@ -88,12 +88,12 @@ def written_whole(path: Path, *, force: bool = False) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def _stage(path: Path, data: bytes) -> Path:
+def _stage(path: Path, data: bytes | Iterable[bytes]) -> Path:
     handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
     temporary = Path(name)
     try:
         with os.fdopen(handle, "wb") as file:
-            file.write(data)
+            file.writelines([data] if isinstance(data, bytes) else data)
             file.flush()
             os.fsync(file.fileno())
         temporary.chmod(0o666 & ~_umask())

@@ -8,12 +8,15 @@ import hashlib
 import json
 import math
 import platform
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache
 from typing import Any
 
+_MARK = r"\\u0000"
+"""What JSON makes of the sign that stands before the number of some records; no text that is read has it."""
 _PACKAGES = ("numpy", "scipy", "lmfit", "astropy", "pandas", "numba", "matplotlib")
 
 
@@ -75,11 +78,11 @@ def installed_version(package: str) -> str | None:
 
 def document(schema: str, result: Mapping[str, Any], provenance: Mapping[str, Any]) -> dict[str, Any]:
     """The JSON document of a result; `schema` is such as `spectra-fit/1`."""
-    return {"schema": f"lunarsci/{schema}", "result": plain(result), "provenance": plain(provenance)}
+    return {"schema": f"lunarsci/{schema}", "result": result, "provenance": provenance}
 
 
 def plain(value: Any) -> Any:
-    """The value in plain Python: arrays as lists, numbers that are not finite as None."""
+    """The value in plain Python: arrays and records as lists, numbers that are not finite as None."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if hasattr(value, "tolist"):
@@ -93,6 +96,36 @@ def plain(value: Any) -> Any:
     return str(value)
 
 
+def to_text(value: Any) -> str:
+    """JSON of a value with sorted keys and no NaN."""
+    return json.dumps(plain(value), sort_keys=True, indent=2, allow_nan=False, ensure_ascii=False)
+
+
 def to_json(content: Any) -> str:
-    """JSON text with sorted keys and no NaN."""
-    return json.dumps(plain(content), sort_keys=True, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    """JSON text with sorted keys and no NaN, a line at its end."""
+    return b"".join(json_chunks(content)).decode()
+
+
+def json_chunks(content: Any) -> Iterator[bytes]:
+    """The same in pieces, for what is kept as `Records` is written block by block and never made whole."""
+    found: list[tuple[Any, int]] = []
+    skeleton = to_text(_without_records(content, 1, found))
+    for number, piece in enumerate(re.split(f'"{_MARK}([0-9]+)"', skeleton)):
+        if number % 2 == 0:
+            yield piece.encode()
+        else:
+            records, depth = found[int(piece)]
+            yield b"[\n" if len(records) else b"["
+            yield from records.json_chunks(depth)
+            yield f"\n{'  ' * (depth - 1)}]".encode() if len(records) else b"]"
+    yield b"\n"
+
+
+def _without_records(content: Any, depth: int, found: list[tuple[Any, int]]) -> Any:
+    """Each of the records replaced by a mark, and put into `found` with the depth of its objects."""
+    if isinstance(content, Mapping):
+        return {key: _without_records(value, depth + 1, found) for key, value in content.items()}
+    if hasattr(content, "json_chunks"):
+        found.append((content, depth))
+        return f"\0{len(found) - 1}"
+    return content

@@ -117,6 +117,8 @@ class MadeFrom:
 class Result(ABC):
     """What a job found; a job's own result says `to_dict`, `rows`, `figures`, `made_from` and `untrusted`.
 
+    Of many things alike it has `content` instead of `to_dict`, and gives their `Records` there and as `rows`.
+
     Attributes
     ----------
     schema : name and version of its JSON, such as `spectra-fit/1`.
@@ -140,9 +142,14 @@ class Result(ABC):
     def failures(self) -> Sequence[str]:
         return ()
 
-    @abstractmethod
     def to_dict(self) -> dict[str, Any]:
         """The `result` of `--json`, in plain Python, keys with their units."""
+        made: dict[str, Any] = plain(self.content())
+        return made
+
+    def content(self) -> Mapping[str, Any]:
+        """The same, where lists of many records may be `Records`."""
+        return self.to_dict()
 
     @abstractmethod
     def rows(self) -> Sequence[Mapping[str, Any]]:
@@ -171,7 +178,7 @@ class Result(ABC):
             sources=made.sources,
             seed=made.seed,
         )
-        return to_json(document(self.schema, self.to_dict(), provenance.to_dict(time=time)))
+        return to_json(document(self.schema, self.content(), provenance.to_dict(time=time)))
 
     def plot(self, page: int = 0) -> "Figure":
         """A page of `--plot`, from 0. Raises ParameterError where there is no such page."""

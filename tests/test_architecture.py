@@ -28,6 +28,8 @@ SHARED = {
     "spectra_data",
     "tables",
     "result",
+    "records",
+    "numerals",
 }
 ALLOWED = {
     "spectra": {"spectra", *SHARED},

@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +10,7 @@ import typer
 
 from lunarsci.atomic import write_files
 from lunarsci.errors import OutputError, ParameterError
-from lunarsci.provenance import Provenance, document, plain, to_json
+from lunarsci.provenance import Provenance, document, json_chunks, plain
 
 from .options import Output
 from .report import Report
@@ -23,19 +23,19 @@ if TYPE_CHECKING:
 
 def emit(report: Report, output: Output, provenance: Provenance) -> None:
     """Write the pictures and the result, then say what was written and what to know about it."""
-    contents: dict[Path, bytes] = {}
+    contents: dict[Path, bytes | Iterable[bytes]] = {}
     if output.plot:
         contents[output.plot] = _picture(report.figures, output.plot)
     contents |= {target: _picture(draw, target) for target, draw in report.pictures.items()}
     contents |= {target: make() for target, make in report.extras.items()}
     record = provenance.to_dict(time=not output.no_time)
     made = _as_file(report, output, record)
-    text = "" if made else _as_text(report, output, record)
+    text: Iterable[bytes] = () if made else _as_text(report, output, record)
     if output.path and output.folder:
         contents.update({output.path / name: make() for name, make in report.files.items()})
-        contents[output.path / "result.json"] = to_json(document(report.schema, report.result, record)).encode()
+        contents[output.path / "result.json"] = json_chunks(document(report.schema, report.result, record))
     elif output.path:
-        contents[output.path] = made or text.encode()
+        contents[output.path] = made or text
     write_files(contents, force=output.force)
     for path in contents:
         say(f"written: {path}", quiet=output.quiet)
@@ -47,11 +47,12 @@ def emit(report: Report, output: Output, provenance: Provenance) -> None:
         say(report.untrusted)
 
 
-def _print(text: str) -> None:
+def _print(text: Iterable[bytes]) -> None:
     if sys.stdout is None:
         raise OutputError("stdout is closed; use -o FILE")
     try:
-        sys.stdout.write(text)
+        for piece in text:
+            sys.stdout.write(piece.decode())
         sys.stdout.flush()
     except BrokenPipeError:
         raise
@@ -68,37 +69,51 @@ def _as_file(report: Report, output: Output, record: Mapping[str, Any]) -> bytes
     return make(record) if make else None
 
 
-def _as_text(report: Report, output: Output, record: Mapping[str, Any]) -> str:
+def _as_text(report: Report, output: Output, record: Mapping[str, Any]) -> Iterable[bytes]:
+    """The result as it is wanted, in pieces."""
     suffix = output.path.suffix.lower() if output.path and not output.folder else ""
     if output.field_path is not None:
-        return _field(report.result, output.field_path) + "\n"
+        return [f"{_field(report.result, output.field_path)}\n".encode()]
     if output.as_json or (suffix == ".json" and not output.as_csv):
-        return to_json(document(report.schema, report.result, record))
+        return json_chunks(document(report.schema, report.result, record))
     if output.as_csv or suffix == ".csv":
         if report.rows is None:
             raise ParameterError("this result is no table; use --json")
         return to_csv(report.rows)
-    return render(report.tables)
+    return [render(report.tables).encode()]
 
 
 def _field(result: Any, path: str) -> str:
-    value = plain(result)
+    value = _opened(result)
     steps = path.split(".")
     for depth, step in enumerate(steps[1:] if steps[0] == "result" else steps):
         if value is None and depth:
             return "null"
         try:
-            value = value[int(step)] if isinstance(value, list) else value[step]
+            value = _opened(value[int(step)] if _is_list(value) else value[step])
         except (KeyError, IndexError, ValueError, TypeError):
             known = _known(value)
             raise typer.BadParameter(f"--field {path}: no '{step}' at level {depth + 1}; there is: {known}") from None
-    return value if isinstance(value, str) else json.dumps(value, sort_keys=True, ensure_ascii=False)
+    found = plain(value)
+    return found if isinstance(found, str) else json.dumps(found, sort_keys=True, ensure_ascii=False)
+
+
+def _opened(value: Any) -> Any:
+    """A value that a step can lead into; what lies deeper is left as it is."""
+    if isinstance(value, Mapping):
+        return {str(key): item for key, item in value.items()}
+    return value if _is_list(value) else plain(value)
+
+
+def _is_list(value: Any) -> bool:
+    """Whether a step into it is a number: a list, or records of many things alike."""
+    return isinstance(value, Sequence) and not isinstance(value, str | tuple)
 
 
 def _known(value: Any) -> str:
     if isinstance(value, dict):
         return ", ".join(sorted(value))
-    return f"0 to {len(value) - 1}" if isinstance(value, list) and value else "nothing below it"
+    return f"0 to {len(value) - 1}" if _is_list(value) and value else "nothing below it"
 
 
 def _picture(draw: "Callable[[], Iterable[Figure]] | None", target: Path) -> bytes:

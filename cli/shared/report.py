@@ -21,7 +21,7 @@ class Report:
     Attributes
     ----------
     schema : name and version of the JSON result, such as `spectra-fit/1`.
-    result : the result in plain Python, keys with their units.
+    result : the result, keys with their units; in plain Python, but that long lists may be `Records`.
     tables : the same for people.
     rows : the same as one table for `--csv`; None where the result is no table.
     figures : draws the pictures of `--plot`, one per page; None where there is nothing to draw.
@@ -67,7 +67,7 @@ class Report:
             "untrusted": result.untrusted,
             "failures": result.failures,
         }
-        return cls(schema=result.schema, result=result.to_dict(), tables=tables, **(parts | more))
+        return cls(schema=result.schema, result=result.content(), tables=tables, **(parts | more))
 
     @property
     def exit_code(self) -> int:

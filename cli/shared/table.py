@@ -3,23 +3,35 @@
 import csv
 import io
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from lunarsci.provenance import plain
 
 _NEVER_CUT = 100_000
+SHOWN = 100
+"""Rows that a table for people has at most."""
 
 
 @dataclass(frozen=True, slots=True)
 class TextTable:
-    """A titled table of ready-made cells; `notes` are lines below it."""
+    """A titled table of ready-made cells; `notes` are lines below it.
+
+    Of more rows than `SHOWN` the first are shown; then it is enough to make these, and to say how many there are.
+    """
 
     headers: Sequence[str]
     rows: Sequence[Sequence[str]]
     title: str = ""
     notes: Sequence[str] = ()
+    total: int = 0
+
+    @property
+    def left_out(self) -> list[str]:
+        """A line on the rows that are not shown, if there are any."""
+        more = max(self.total, len(self.rows)) - SHOWN
+        return [f"… and {more:,} more rows: --csv or --json"] if more > 0 else []
 
 
 def counted(notes: Sequence[str], total: int, things: str) -> list[str]:
@@ -38,14 +50,15 @@ def _render_one(table: TextTable) -> str:
     from rich.table import Table
 
     grid = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, highlight=False)
+    rows = table.rows[:SHOWN]
     for number, header in enumerate(table.headers):
-        grid.add_column(header, justify="right" if _numeric(table.rows, number) else "left", no_wrap=True)
-    for row in table.rows:
+        grid.add_column(header, justify="right" if _numeric(rows, number) else "left", no_wrap=True)
+    for row in rows:
         grid.add_row(*row)
     text = io.StringIO()
     Console(file=text, width=_NEVER_CUT, color_system=None, markup=False, emoji=False).print(grid)
     lines = [line.rstrip() for line in text.getvalue().splitlines()]
-    return "\n".join([*([table.title] if table.title else []), *lines, *table.notes, ""])
+    return "\n".join([*([table.title] if table.title else []), *lines, *table.left_out, *table.notes, ""])
 
 
 def _numeric(rows: Sequence[Sequence[str]], column: int) -> bool:
@@ -60,14 +73,21 @@ def plus_minus(value: float | None, sigma: float | None = None, *, digits: int =
     return f"{value:.{digits}f}{error}"
 
 
-def to_csv(rows: Sequence[Mapping[str, Any]]) -> str:
-    """CSV text with full precision; missing values are empty cells."""
+def to_csv(rows: Sequence[Mapping[str, Any]]) -> Iterator[bytes]:
+    """CSV with full precision in pieces; missing values are empty cells."""
+    from lunarsci.records import Records
+
     text = io.StringIO()
+    if isinstance(rows, Records):
+        csv.writer(text, lineterminator="\n").writerow(rows.names)
+        yield text.getvalue().encode()
+        yield from rows.csv_chunks()
+        return
     names = list(dict.fromkeys(name for row in rows for name in row))
     writer = csv.DictWriter(text, names, lineterminator="\n", restval="")
     writer.writeheader()
     writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
-    return text.getvalue()
+    yield text.getvalue().encode()
 
 
 def _cell(value: Any) -> Any:
