@@ -26,6 +26,7 @@ from lunarsci.spectra.mgm.normal_equations import (
 
 __all__ = [
     "CONVERGED",
+    "GIVEN_UP",
     "ITERATION_LIMIT",
     "NOT_FINITE",
     "Channels",
@@ -39,7 +40,9 @@ __all__ = [
     "workspace_for",
 ]  # fmt: skip
 
-CONVERGED, ITERATION_LIMIT, NOT_FINITE = 0, 1, 2
+CONVERGED, ITERATION_LIMIT, NOT_FINITE, GIVEN_UP = 0, 1, 2, 3
+BELIEF = 1.3
+"""Times what a step promises is what a descent may still gain; where that stays above its bar it is given up."""
 LEAST_DAMPING, MOST_DAMPING = 1e-9, 1e12
 GENTLE_DAMPING = 1e-2
 """Below this a step that promises nothing means that there is nothing to gain."""
@@ -276,16 +279,9 @@ def _step(problem: Any, space: Any, held_steps: int) -> None:
     """Solve for the steps of all lanes and clip them to the bounds."""
     state, scale = space.state, load(space.state, SCALE)
     free_again(
-        space.point,
-        problem.lower,
-        problem.upper,
-        scale,
-        space.slope,
-        space.pull,
-        load(state, RENEWED),
-        space.free,
+        space.point, problem.lower, problem.upper, scale, space.slope, space.pull, load(state, RENEWED), space.free,
         space.step,
-    )
+    )  # fmt: skip
     pivot = solve_step(
         space.curvature, problem.precision, scale, load(state, DAMPING) + 1.0, space.slope, space.pull, space.free,
         held_steps, space.matrix, space.step,
@@ -306,7 +302,21 @@ def _set_trial(problem: Any, space: Any, lane: int) -> None:
 
 
 @compiled
-def _propose(problem: Any, options: Any, space: Any, jobs: Any) -> None:
+def _is_hopeless(state: Any, lane: int, bars: Any, jobs: Any) -> bool:
+    """Whether a descent, past its first step and hardly damped, will end above its bar."""
+    if (
+        bars.size == 0
+        or jobs.iterations[lane] < 2
+        or state[SCALE, lane] != 1.0
+        or state[DAMPING, lane] > GENTLE_DAMPING
+    ):
+        return False
+    here = state[CHI2, lane] + state[SHARE, lane]
+    return here - BELIEF * state[PREDICTED, lane] > bars[jobs.job[lane]]
+
+
+@compiled
+def _propose(problem: Any, options: Any, bars: Any, space: Any, jobs: Any) -> None:
     """A step in every lane that is at work, solved as often as bounds and damping ask for.
 
     A step that crosses bounds is solved again with the parameters that crossed held there; if it crosses others then,
@@ -330,6 +340,8 @@ def _propose(problem: Any, options: Any, space: Any, jobs: Any) -> None:
                 continue
             jobs.iterations[lane] += 1
             verdict = _weigh(state, lane, settled)
+            if verdict == GOES_ON and _is_hopeless(state, lane, bars, jobs):
+                verdict = GIVEN_UP
             if verdict == AGAIN:
                 if jobs.iterations[lane] < options.max_iterations and state[DAMPING, lane] < MOST_DAMPING:
                     jobs.tempered[lane] = jobs.tempered[lane] and state[SCALE, lane] != 1.0
@@ -361,12 +373,13 @@ def _dismiss(space: Any, jobs: Any, points: Any, outcomes: Any, curvatures: Any)
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def descend(
     spectra: Any, used: Any, problem: Any, options: Any, rows: Any, points: Any, outcomes: Any, space: Any,
-    curvatures: Any,
+    curvatures: Any, bars: Any,
 ) -> None:  # fmt: skip
     """Move each of `points` (jobs, p) to the minimum that its neighbourhood leads to on spectrum `rows[job]`, which has
     `used[row]` channels with weight; its row of `outcomes` becomes chi-square, objective, iterations, status.
 
-    `curvatures`, (jobs, p, p) or (0, p, p) where not wanted, become J J' at the end, upper triangles.
+    `curvatures`, (jobs, p, p) or (0, p, p) where not wanted, become J J' at the end, upper triangles. A descent that
+    will not come below its bar, (jobs,), is given up; (0,) for none.
     """
     jobs = _Jobs(
         np.zeros(LANES, dtype=np.int64), np.zeros(LANES, dtype=np.int64), np.zeros(LANES, dtype=np.int64),
@@ -376,18 +389,12 @@ def descend(
     while left > 0 or following < rows.size:
         following = _take_jobs(spectra, problem, options, rows, points, space, jobs, following)
         evaluate(
-            channels_of(space),
-            space.trial,
-            problem.degrees,
-            problem.logarithmic,
-            1,
-            space.work,
-            space.residuals,
+            channels_of(space), space.trial, problem.degrees, problem.logarithmic, 1, space.work, space.residuals,
             space.sums,
-        )
+        )  # fmt: skip
         store(space.state, TRIAL_SHARE, prior_pull(space.trial, problem.prior, problem.precision, space.trial_pull))
         _judge_all(used, rows, options, problem.degrees, space, jobs)
         update(space.sums, space.trial, problem.degrees, load(space.state, TAKEN), space.curvature, space.slope)
         _dismiss(space, jobs, points, outcomes, curvatures)
-        _propose(problem, options, space, jobs)
+        _propose(problem, options, bars, space, jobs)
         left = _dismiss(space, jobs, points, outcomes, curvatures)

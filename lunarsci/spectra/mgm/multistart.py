@@ -286,7 +286,7 @@ class Multistart:
         )
         descend(
             self.coarse, self.used[1], self.problem, options, rows, found, outcomes, self.spaces[1],
-            np.empty((0, 1, 1)),
+            np.empty((0, 1, 1)), np.empty(0),
         )  # fmt: skip
         return found, outcomes
 
@@ -295,7 +295,10 @@ class Multistart:
         found, outcomes = np.array(points), np.empty((len(rows), 4))
         curvatures = np.empty((len(rows), found.shape[1], found.shape[1]))
         options = DescentOptions(False, LATER_DAMPING, self.tolerance, self.max_iterations)
-        descend(self.fine, self.used[0], self.problem, options, rows, found, outcomes, self.spaces[0], curvatures)
+        descend(
+            self.fine, self.used[0], self.problem, options, rows, found, outcomes, self.spaces[0], curvatures,
+            np.empty(0),
+        )  # fmt: skip
         return found, outcomes, inverses(curvatures, self.problem, self.spaces[0])
 
     def _settle(self, rows: IndexArray) -> None:
