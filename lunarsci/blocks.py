@@ -20,24 +20,26 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from lunarsci.errors import ParameterError
+from lunarsci.errors import RequestError
 from lunarsci.kept_blocks import Arrays, KeptBlocks, spans
 
 Progress: TypeAlias = Callable[[int, int], None]
 
+BLOCKS_EACH = 4
+"""Blocks for each thread of a cluster: so few are light to send, so many end together, and a dead worker loses one."""
 UNITS = {"": 1, "k": 1e3, "m": 1e6, "g": 1e9, "t": 1e12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 _SIZE = re.compile(r"\s*(\d+(?:\.\d*)?)\s*([kmgt]i?)?b?\s*", re.IGNORECASE)
 
 
 def bytes_of(text: str) -> int:
-    """Bytes that a text such as `1.5GB`, `800 MB` or `2GiB` names. Raises ParameterError.
+    """Bytes that a text such as `1.5GB`, `800 MB` or `2GiB` names. Raises RequestError.
 
     >>> bytes_of("1.5GB"), bytes_of("2KiB")
     (1500000000, 2048)
     """
     found = _SIZE.fullmatch(text)
     if not found or (count := float(found[1]) * UNITS[(found[2] or "").lower()]) < 1:
-        raise ParameterError(f"memory '{text}': give a number of bytes such as 1.5GB or 800MB")
+        raise RequestError(f"`memory` '{text}': give a number of bytes such as 1.5GB or 800MB")
     return int(count)
 
 
@@ -64,9 +66,9 @@ class Computing:
 
     def __post_init__(self) -> None:
         if self.workers is not None and self.workers < 1:
-            raise ParameterError(f"workers is {self.workers}; give 1 or more")
+            raise RequestError(f"`workers` is {self.workers}; give 1 or more")
         if self.scheduler is not None and self.workers is not None:
-            raise ParameterError("workers are threads of this process, a scheduler has its own; give one of both")
+            raise RequestError("`workers` are threads of this process, a `scheduler` has its own; give one of both")
         if self.memory is not None:
             bytes_of(self.memory)
 
@@ -107,7 +109,7 @@ def computing(
 ) -> Iterator[Computing]:
     """Say where blocks of rows are computed within; the parameters are those of `Computing`.
 
-    An error tells, in a note, what was kept. Raises ParameterError.
+    An error tells, in a note, what was kept. Raises RequestError.
     """
     file = None if keep is None else Path(keep)
     here = Computing(scheduler=scheduler, workers=workers, memory=memory, keep=file, force=force)
@@ -129,7 +131,7 @@ def computing(
 def rows_in_memory(bytes_a_row: float, most: int) -> int:
     """Rows of a block, at most `most`, so that the blocks in work fit into the memory that was asked for.
 
-    `bytes_a_row` is what a row takes at its worst, its input and its result included. Raises ParameterError where
+    `bytes_a_row` is what a row takes at its worst, its input and its result included. Raises RequestError where
     not even one row fits beside what the process takes already.
     """
     here = _HERE.get() or Computing()
@@ -138,8 +140,17 @@ def rows_in_memory(bytes_a_row: float, most: int) -> int:
     left, blocks = bytes_of(here.memory) - memory_in_use(), (1 if here.scheduler else here.threads) + 1
     if (rows := int(left / (blocks * bytes_a_row))) < 1:
         need = (memory_in_use() + blocks * bytes_a_row) / 1e6
-        raise ParameterError(f"memory {here.memory} is too little; give {need * 1.1:.0f}MB or more")
+        raise RequestError(f"`memory` {here.memory} is too little; give {need * 1.1:.0f}MB or more")
     return min(rows, most)
+
+
+def shared_out(total: int, least: int) -> int:
+    """Rows of a block that is light to send: `least` here; on a cluster as many times that as gives all some blocks."""
+    here = _HERE.get() or Computing()
+    if here.scheduler is None:
+        return least
+    threads = max(1, int(sum(here.client().ncores().values())))
+    return least * max(1, total // (BLOCKS_EACH * threads * least))
 
 
 def memory_in_use() -> int:
@@ -178,6 +189,8 @@ def run_blocks(
     """
     here = _HERE.get() or Computing()
     total = done + sum(map(len, blocks))
+    if progress is not None:
+        progress(done, total)
     for block, result in _found(here, work, blocks, fetch or _itself):
         done += len(block)
         if progress is not None:

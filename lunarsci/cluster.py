@@ -12,6 +12,7 @@ import warnings
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ CONNECT_S, LONELY_S, LOOK_S = 30.0, 120.0, 2.0
 """How long a scheduler may take to answer, and be without workers; how often the latter is looked at. [s]"""
 TRIES = 3
 """How often a block is sent anew whose workers died, each time some four of them; then it is held to be the reason."""
+KINDS = {".py", ".csv", ".toml"}
 AHEAD = 2
 """Blocks sent for each thread of the workers: one in work and one that waits."""
 
@@ -44,11 +46,13 @@ def connect(address: str) -> Any:
 
 @cache
 def build() -> tuple[str, str]:
-    """Version of lunarsci with a digest of its code, and the processor that it is compiled for."""
+    """Version of lunarsci with a digest of its code and tables, and the processor that it is compiled for."""
     import llvmlite.binding as llvm
 
     whole = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
+    folders = [Path(__file__).parent, Path(str(files("lunarsci.spectra_data")))]
+    found = {path for folder in folders for path in folder.rglob("*.*") if path.suffix in KINDS}
+    for path in sorted(path for path in found if "cli" not in path.parts[-3:]):
         whole.update(path.name.encode() + path.read_bytes())
     return f"{installed_version('lunarsci')} ({whole.hexdigest()[:12]})", str(llvm.get_host_cpu_name())
 

@@ -20,7 +20,7 @@ from lunarsci.errors import LunarSciError, LunarSciWarning, RequestError
 from lunarsci.provenance import Provenance, plain
 
 from .emit import emit
-from .options import CONFIG, Output, RequestOption, request_parameters, shared_options
+from .options import CONFIG, Output, RequestOption, computing_options, request_parameters, shared_options
 from .report import Report
 from .talk import INTERRUPTED, say
 
@@ -33,6 +33,7 @@ def command(
     default_path: str | None = None,
     request: type | None = None,
     options: Mapping[str, RequestOption] | None = None,
+    blocks: Sequence[str] = (),
 ) -> Callable[[Callable[..., Report]], Callable[..., None]]:
     """Register a function that returns a `Report` as a command with the shared output options.
 
@@ -42,9 +43,10 @@ def command(
 
     With `request`, a frozen dataclass of a job, and `options`, what the command line says of its fields, the function
     is handed a `request` made of them; names, types and defaults are those of the dataclass. What it refuses is wrong
-    usage.
+    usage. `blocks` names options for where it computes blocks of rows, and in how much memory: `SPREAD` or
+    `BLOCKS`.
     """
-    shared = shared_options(folder, default_path)
+    shared = shared_options(folder, default_path) | computing_options(blocks)
     asked = [] if request is None else request_parameters(request, options or {})
 
     def register(function: Callable[..., Report]) -> Callable[..., None]:
@@ -57,21 +59,22 @@ def command(
             chosen = {key: options.pop(key) for key in shared}
             path = chosen["path"]
             named = path is not None and not path.suffix if folder is None else folder
+            where = {key: chosen.pop(key) for key in blocks}
             output = Output(**chosen, folder=named)
             output.check()
             try:
-                with heard_warnings(output) as heard:
+                with heard_warnings(output) as heard, _computing(output, where):
                     handed = {key: value for key, value in options.items() if key not in fields}
                     if request is not None:
                         handed["request"] = request(**_fields(request, {key: options[key] for key in fields}))
                     report = function(**handed, **({"output": output} if wants_output else {}))
                     emit(report, output, _provenance(context, report, options, heard))
             except RequestError as error:
-                raise typer.BadParameter(_with_flags(str(error), context)) from error
+                raise typer.BadParameter(_with_flags(_noted(error), context)) from error
             except LunarSciError as error:
-                raise type(error)(_with_flags(str(error), context)) from error
-            except KeyboardInterrupt:
-                say("interrupted; nothing was written")
+                raise type(error)(_with_flags(_noted(error), context)) from error
+            except KeyboardInterrupt as error:
+                say("; ".join(["interrupted", *getattr(error, "__notes__", ["nothing was written"])]))
                 raise typer.Exit(INTERRUPTED) from None
             raise typer.Exit(report.exit_code)
 
@@ -82,6 +85,22 @@ def command(
         return run
 
     return register
+
+
+@contextmanager
+def _computing(output: Output, where: Mapping[str, Any]) -> Iterator[None]:
+    if not where:
+        yield
+        return
+    from lunarsci.blocks import computing
+
+    with computing(keep=output.path, force=output.force, **where):
+        yield
+
+
+def _noted(error: Exception) -> str:
+    """The message of an error, and what its notes add, such as which blocks were kept."""
+    return "; ".join([str(error), *getattr(error, "__notes__", ())])
 
 
 def _fields(request: type, options: Mapping[str, Any]) -> dict[str, Any]:

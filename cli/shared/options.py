@@ -103,6 +103,31 @@ def shared_options(folder: bool | None, default_path: str | None) -> dict[str, t
     }
 
 
+SPREAD = ("scheduler", "workers")
+BLOCKS = (*SPREAD, "memory")
+_COMPUTING: dict[str, tuple[Any, str, str]] = {
+    "scheduler": (
+        str | None,
+        "ADDRESS",
+        "Compute on the workers of a dask scheduler: tcp://HOST:8786, or the JSON file that it wrote.",
+    ),
+    "workers": (int | None, "N", "Threads to compute in; one a core if left out."),
+    "memory": (str | None, "SIZE", "Memory to stay within, such as 1.5GB: smaller blocks."),
+}
+
+
+def computing_options(names: Sequence[str]) -> dict[str, tuple[Any, Any]]:
+    """The same for some of `BLOCKS`, for commands that compute in blocks: where, and in how much memory."""
+    return {
+        name: (
+            Annotated[kind, typer.Option(f"--{name}", help=text, metavar=metavar, rich_help_panel="Computing")],
+            None,
+        )
+        for name, (kind, metavar, text) in _COMPUTING.items()
+        if name in names
+    }
+
+
 def _load_config(context: typer.Context, value: Path | None) -> Path | None:
     """Make the keys of a TOML file the defaults of the options with the same names."""
     if value is None:

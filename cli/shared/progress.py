@@ -1,6 +1,7 @@
-"""Progress on stderr, only where somebody watches."""
+"""Progress on stderr, only where somebody watches: how much is done, how fast, and how long it will take."""
 
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -12,8 +13,38 @@ def progress(description: str, *, quiet: bool = False) -> Iterator[Callable[[int
         yield lambda done, total: None
         return
     from rich.console import Console
-    from rich.progress import Progress
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(description, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TextColumn("{task.fields[pace]}"))
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(description, total=None, pace="")
+        pace = Pace()
+        yield lambda done, total: bar.update(task, completed=done, total=total, pace=pace.said(done, total))
+
+
+class Pace:
+    """How fast it goes since it was first heard of; what was done before, in another run, does not count."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._first = self._last = 0
+        self._since_s: float | None = None
+
+    def said(self, done: int, total: int) -> str:
+        """Such as `1,200 of 100,000 · 830 a second · 2 min left`; without pace where there is none yet."""
+        now = self._clock()
+        if self._since_s is None or done < self._last:
+            self._first, self._since_s = done, now
+        self._last = done
+        taken, here = now - self._since_s, done - self._first
+        if taken <= 0.0 or here <= 0:
+            return f"{done:,} of {total:,}"
+        rate = here / taken
+        said = f"{rate:,.0f} a second" if rate >= 10 else f"{rate:.2g} a second"
+        return f"{done:,} of {total:,} · {said} · {_duration((total - done) / rate)} left"
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

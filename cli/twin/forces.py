@@ -8,7 +8,7 @@ import typer
 from lunarsci.twin.jobs.predict import DriveRequest
 
 from ..shared.command import command
-from ..shared.options import Output
+from ..shared.options import SPREAD, Output
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
@@ -32,7 +32,7 @@ COLUMNS = {
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "forces", request=DriveRequest, options=DRIVE)(forces)
+    command(app, "forces", request=DriveRequest, options=DRIVE, blocks=SPREAD)(forces)
 
 
 def forces(output: Output, request: DriveRequest, plan: PlanFile = None) -> Report:

@@ -8,7 +8,7 @@ import typer
 from lunarsci.twin.jobs.predict import PredictedDrives, PredictRequest
 
 from ..shared.command import command
-from ..shared.options import Output
+from ..shared.options import SPREAD, Output
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
@@ -23,7 +23,7 @@ OPTIONS = DRIVE | {"ruts": RUTS, "before": BEFORE}
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "predict", folder=True, request=PredictRequest, options=OPTIONS)(predict)
+    command(app, "predict", folder=True, request=PredictRequest, options=OPTIONS, blocks=SPREAD)(predict)
 
 
 def predict(

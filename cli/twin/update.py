@@ -9,7 +9,7 @@ import typer
 from lunarsci.twin.jobs.update import UpdateRequest
 
 from ..shared.command import command
-from ..shared.options import Output, option
+from ..shared.options import SPREAD, Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
@@ -62,7 +62,7 @@ EFFECTIVE = (
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "update", request=UpdateRequest, options=OPTIONS)(update)
+    command(app, "update", request=UpdateRequest, options=OPTIONS, blocks=SPREAD)(update)
 
 
 def update(

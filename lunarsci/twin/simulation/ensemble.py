@@ -16,7 +16,8 @@ from lunarsci.twin.plans.schedule import Schedule, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST
 from lunarsci.twin.simulation.discrepancy import DrawnDiscrepancy
-from lunarsci.twin.simulation.members import MOST_STEPS, DriveSetup, Grounds, drive_all, drive_finer
+from lunarsci.twin.simulation.drives import drive_all, drive_finer
+from lunarsci.twin.simulation.members import MOST_STEPS, DriveSetup, Grounds
 
 PATH_COLUMNS = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg")
 OFFSET_COLUMNS = ("offset_x_m", "offset_y_m")

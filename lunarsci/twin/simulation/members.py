@@ -2,19 +2,19 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol, Self
 
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
-from lunarsci.compiled import compiled, each_in_threads
+from lunarsci.compiled import compiled
 from lunarsci.errors import ParameterError
 from lunarsci.formulas import LANES
 from lunarsci.regolith.forces import slip_ratio
-from lunarsci.twin.ground.terrain import STEEPEST, Terrain
-from lunarsci.twin.lanes import BODY, CLIFF, DIVERGED, FINISHED, GROUP, LEFT, WHEEL, Work, new_work
+from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.lanes import BODY, FINISHED, GROUP, LEFT, WHEEL, Work
 from lunarsci.twin.plans.path import Commands, reach_m
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import (
@@ -31,7 +31,7 @@ from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact import DRIVEN
 from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST, SLOWEST, VALID_SLIP
 from lunarsci.twin.simulation.dynamics import advance, assemble, check_sense, orient
-from lunarsci.twin.simulation.ruts import SPACING_M, RutGrid, press_ruts, rut_grid, with_ruts
+from lunarsci.twin.simulation.ruts import SPACING_M, RutGrid, press_ruts, rut_grid
 from lunarsci.twin.simulation.settle import settle
 
 # Into how many parts a step is cut as the rover starts and stops, assumed. In whole steps wheels on slopes swing as
@@ -169,8 +169,6 @@ def drive(
 
 MOST_STEPS = 1e7
 """Minutes of computing for a single member."""
-FINER = (4, 16)
-"""How many times shorter steps are where a soil is not held by the step asked for; assumed."""
 SLOW = 0.4
 """Share of the full speed below which a step counts as one of a start or a stop; assumed."""
 OUTLINE = 2000
@@ -273,81 +271,13 @@ class DriveSetup:
         return rut_grid(self.schedule.poses[0], places, reach_m(self.rover) + STRAY_M)
 
 
-def drive_all(
-    scene: DriveSetup, overrides: FloatArray, samples: int, progress: Callable[[int, int], None] | None
-) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Drive the members, GROUP together and as many such groups at a time as numba has threads.
-
-    The groups do not depend on the number of threads, and so neither do the results. Members with a ground of their own
-    are a group each. A member whose drive before did not end has the outcome of that.
-    """
-    count, wheels = len(overrides), len(scene.rover.wheels)
-    paths, states = np.zeros((count, samples, 6)), np.zeros((count, samples, wheels, 10))
-    results = np.zeros((count, 2), dtype=np.int64)
-    numbers = np.arange(count) if scene.only is None else scene.only
-    shared, ruts = scene.terrain.grid(), scene.rut_grid()
-    together = GROUP if scene.grounds is None else 1
-    groups = [slice(k, min(k + together, count)) for k in range(0, count, together)]
-    drives = [(part, part.commands(), part.fix_errors(count)) for part in (scene.earlier, scene) if part is not None]
-
-    def group(number: int) -> None:
-        own = groups[number]
-        lanes = np.minimum(np.arange(own.start, own.start + GROUP), own.stop - 1)
-        grid = shared if scene.grounds is None else scene.grounds.terrain(int(numbers[number])).grid()
-        known = (scene.rover.vector(), scene.rover.wheel.vector(), grid, overrides[lanes])
-        work = new_work(wheels) if ruts is None else with_ruts(new_work(wheels), ruts)
-        size, before = own.stop - own.start, np.full(own.stop - own.start, FINISHED)
-        for part, common, errors in drives:
-            unkept = (np.zeros((size, 2, 6)), np.zeros((size, 2, wheels, 10)), np.zeros((size, 2), dtype=np.int64))
-            kept = (paths[own], states[own], results[own]) if part is scene else unkept
-            _drive_group(part, known, common, errors[lanes], work, kept)
-            kept[2][:, 0] = np.where(before == FINISHED, kept[2][:, 0], before)
-            before = kept[2][:, 0]
-
-    def told(done: int, _: int) -> None:
-        if progress is not None:
-            progress(groups[done - 1].stop, count)
-
-    each_in_threads(group, len(groups), told)
-    return paths, states, results
-
-
-def drive_finer(scene: DriveSetup, overrides: FloatArray, kept: tuple[FloatArray, FloatArray, IntArray]) -> IntArray:
-    """Drive members again whose soil the step does not hold, with a shorter one; how many times shorter. (members,)"""
-    paths, states, results = kept
-    finer = np.ones(len(overrides), dtype=np.int64)
-    for factor in FINER:
-        again = np.flatnonzero(results[:, 0] == DIVERGED)
-        if not again.size or (len(scene.times_s) - 1) * factor > MOST_STEPS:
-            break
-        found = drive_all(scene.finer(factor, again), overrides[again], paths.shape[1], None)
-        paths[again], states[again], results[again] = found
-        finer[again] = factor
-    for member in np.flatnonzero((results[:, 0] == DIVERGED) & (results[:, 1] > 0)):
-        own = scene.terrain if scene.grounds is None else scene.grounds.terrain(int(member))
-        if _meets_cliff(scene, own, states[member, results[member, 1] - 1, :, :2]):
-            results[member, 0] = CLIFF
-    return finer
-
-
-def _meets_cliff(scene: DriveSetup, terrain: Terrain, wheels_m: FloatArray) -> bool:
-    """Whether a wheel last seen there can have met ground too steep: its load is then the cliff's, not the step's."""
-    sample_m = scene.schedule.plan.speed_m_s * scene.time_step_s * scene.every
-    far, angles = scene.rover.wheel.radius_m + sample_m, np.linspace(0.0, 2.0 * math.pi, 33)[:-1]
-    radii = np.linspace(0.0, far, math.ceil(4.0 * far / terrain.spacing_m) + 1)
-    around = radii[:, None, None] * np.stack((np.cos(angles), np.sin(angles)), axis=1)
-    x, y = np.moveaxis(wheels_m[:, None, None] + around, -1, 0)
-    slopes = terrain.surface_at(x, y)[..., 1:]
-    return bool((np.hypot(slopes[..., 0], slopes[..., 1]) > STEEPEST).any())
-
-
 def _begin(scene: DriveSetup, known: tuple[Any, Any, Any, Any], commands: Commands, work: Work) -> None:
     start = np.tile(scene.schedule.poses[0], (GROUP, 1))
     motion = np.array(start_motion(scene.schedule, scene.rover))
     begin(*known, start, motion, commands.steering_rad, commands.speed_m_s, work)
 
 
-def _drive_group(
+def drive_group(
     scene: DriveSetup,
     known: tuple[Any, Any, Any, Any],
     common: Commands | None,
