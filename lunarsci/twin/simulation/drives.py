@@ -22,7 +22,7 @@ FINER = (4, 16)
 
 
 @dataclass(frozen=True, eq=False)
-class Drives:
+class MemberDrives:
     """The drives of some members, in groups that do not depend on who drives the others.
 
     Members with a ground of their own are a group each.
@@ -33,7 +33,7 @@ class Drives:
     samples: int
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Drives, (self.scene, self.overrides, self.samples)
+        return MemberDrives, (self.scene, self.overrides, self.samples)
 
     @cached_property
     def shared(self) -> tuple[Any, RutGrid | None, list[tuple[DriveSetup, Commands | None, FloatArray]]]:
@@ -83,7 +83,7 @@ def drive_all(
     The groups do not depend on the number of threads, and so neither do the results. Members with a ground of their own
     are a group each. A member whose drive before did not end has the outcome of that.
     """
-    drives, count = Drives(scene, overrides, samples), len(overrides)
+    drives, count = MemberDrives(scene, overrides, samples), len(overrides)
     kept = drives.empty(count)
     for block, found in run_blocks(drives, spans(count, shared_out(count, drives.together)), progress=progress):
         for whole, part in zip(kept, found, strict=True):
