@@ -13,8 +13,9 @@ from itertools import pairwise
 import numpy as np
 
 from lunarsci.compiled import each_in_threads
+from lunarsci.spectra.mgm.data import MgmData
 from lunarsci.spectra.mgm.fit import DEFAULT_STARTS, fit_data
-from lunarsci.spectra.mgm.model import KINDS, MgmData, MgmModel, mgm_model, unit_of
+from lunarsci.spectra.mgm.model import KINDS, MgmModel, mgm_model, unit_of
 from lunarsci.spectra.mgm.posterior import posterior_intervals, sample_batch
 from lunarsci.spectra.mgm.profile import Intervals, profile_intervals
 from lunarsci.spectra.mgm.result import MgmFit

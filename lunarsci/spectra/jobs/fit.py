@@ -260,7 +260,7 @@ def fit(
     ParameterError for options that exclude each other; DataError where no spectrum can be read and fitted.
     """
     from lunarsci.spectra.abundance.nbsr import nbsr_abundances
-    from lunarsci.spectra.mgm.fit import spread_over_continua
+    from lunarsci.spectra.mgm.continua import spread_over_continua
     from lunarsci.spectra.readers.batch import read_batch
 
     asked = request_of(FitRequest, request, options)
@@ -277,7 +277,7 @@ def fit(
 
 def fit_batch_of(batch: "SpectraBatch", request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
     """Fits of all spectra as asked: the attributes `fits`, `choices`, `failures` and `files` of `MgmFits`."""
-    from lunarsci.spectra.mgm.fit import check_continuum_removed
+    from lunarsci.spectra.mgm.continua import check_continuum_removed
     from lunarsci.spectra.mgm.result import MgmFit
 
     found: dict[str, Any]
@@ -295,7 +295,7 @@ def fit_batch_of(batch: "SpectraBatch", request: ModelRequest, progress: Progres
 
 def _by_prior(
     spectra: "Sequence[Spectrum]", model: "MgmModel", request: ModelRequest, progress: Progress | None, **start: Any
-) -> "list[MgmFit | MgmFailure]":
+) -> "Sequence[MgmFit | MgmFailure]":
     if request.prior == "damping":
         from lunarsci.spectra.mgm.damping import fit_damping
         from lunarsci.spectra.mgm.fit import DEFAULT_MODEL_ERROR

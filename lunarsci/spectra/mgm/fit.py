@@ -1,25 +1,21 @@
-"""Fit the Modified Gaussian Model to spectra: maximum a posteriori, several starts, one kernel for all.
+"""Fit the Modified Gaussian Model to spectra: maximum a posteriori, several starts, one kernel for all."""
 
-What the choice of the continuum does to a fit: the same spectra under several of them.
-"""
-
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from functools import partial
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import numba
 import numpy as np
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.formulas import LANES
-from lunarsci.spectra.mgm import MgmContinuum
+from lunarsci.spectra.mgm.batch import MOST_ROWS, FitBatch, SpectraFits, describe_rows, joined
+from lunarsci.spectra.mgm.data import MgmData, MgmRows, prepare_rows
 from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, KernelFits
-from lunarsci.spectra.mgm.model import MGM_CONTINUA, MgmData, MgmModel, prepare
+from lunarsci.spectra.mgm.model import MgmModel
 from lunarsci.spectra.mgm.multistart import Multistart
-from lunarsci.spectra.mgm.result import FittedBand, MgmFailure, MgmFit, StrengthRatio
-from lunarsci.spectra.mgm.uncertainty import build_result
+from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 from lunarsci.spectra.spectrum import Spectrum
 
 DEFAULT_MODEL_ERROR = 0.02
@@ -32,9 +28,9 @@ HOP_SIGMAS = 4.0
 CONTINUUM_QUANTILE = 0.95
 TOLERANCE = 1e-4
 MAX_ITERATIONS = 1000
-CHUNK = 64
-MOST_ROWS = 256
-"""Spectra worked on together in one thread: enough to keep the lanes busy, few enough to fit into its memory."""
+CHUNK = 512
+"""Spectra between two reports of progress."""
+NO_HOPS: FloatArray = np.empty((0, 2))
 
 
 def fit_spectra(
@@ -44,7 +40,7 @@ def fit_spectra(
     model_error: float | None = None,
     starts: int = DEFAULT_STARTS,
     progress: Callable[[int, int], None] | None = None,
-) -> list[MgmFit | MgmFailure]:
+) -> "SpectraFits":
     """Fit every spectrum; one result or one stated reason each, in the order given.
 
     The objective is chi-square of ln R plus the squared distance of centres, widths and strengths from the prior, in
@@ -70,50 +66,139 @@ def fit_spectra(
     Sunshine, Pieters & Pratt (1990), J. Geophys. Res. 95, 6955, 10.1029/JB095iB05p06955 (model); Tarantola & Valette
     (1982), Rev. Geophys. 20, 219, 10.1029/RG020i002p00219 (prior).
     """
-    if model_error is not None and not 0 < model_error < 1:
-        raise ParameterError(f"model error is {model_error:g}; give a number above 0 and below 1, such as 0.01")
-    if starts < 1:
-        raise ParameterError(f"{starts} starts; give 1 or more")
-    results: list[MgmFit | MgmFailure | None] = [None] * len(spectra)
-    prepared: dict[int, MgmData] = {}
-    for index, spectrum in enumerate(spectra):
+    _check_options(model_error, starts)
+    parts: list[tuple[IndexArray, MgmRows, FitBatch]] = []
+    failures: dict[int, MgmFailure] = {}
+    for chunk in _chunks(spectra):
         try:
-            prepared[index] = prepare(spectrum, model_error, whole=model.whole)
+            rows = _rows_of([spectra[k] for k in chunk], model_error, model.whole)
         except DataError as error:
-            results[index] = MgmFailure(spectrum.id, model.assemblage.name, model.continuum, f"no result: {error}")
-    done = len(spectra) - len(prepared)
-    for chunk in _chunks(prepared):
-        fits = fit_data([data for _, data in chunk], model, starts)
-        for (index, _), fit in zip(chunk, fits, strict=True):
-            results[index] = fit
-        done += len(chunk)
+            name = model.assemblage.name
+            failures |= {k: MgmFailure(spectra[k].id, name, model.continuum, f"no result: {error}") for k in chunk}
+        else:
+            parts.append((np.array(chunk), rows, fit_rows(rows, model, starts)))
         if progress:
-            progress(done, len(spectra))
-    return [result for result in results if result is not None]
+            progress(len(failures) + sum(len(part[0]) for part in parts), len(spectra))
+    return SpectraFits([spectrum.id for spectrum in spectra], parts, failures)
 
 
-def _chunks(prepared: dict[int, MgmData]) -> Iterator[list[tuple[int, MgmData]]]:
-    """Spectra on the same channels together, a limited number at a time."""
-    groups: dict[bytes, list[tuple[int, MgmData]]] = {}
-    for index, data in prepared.items():
-        groups.setdefault(data.wavelength_nm.tobytes(), []).append((index, data))
+def _check_options(model_error: Any, starts: Any) -> None:
+    if model_error is not None and not ((np.asarray(model_error) > 0) & (np.asarray(model_error) < 1)).all():
+        raise ParameterError(f"model error is {model_error:g}; give a number above 0 and below 1, such as 0.01")
+    if isinstance(starts, int) and starts < 1:
+        raise ParameterError(f"{starts} starts; give 1 or more")
+
+
+def _chunks(spectra: Sequence[Spectrum]) -> Iterator[list[int]]:
+    """Positions of spectra on the same channels, with errors of the same kinds, a limited number at a time."""
+    groups: dict[Any, list[int]] = {}
+    for index, spectrum in enumerate(spectra):
+        usable = spectrum.wavelength_nm[spectrum.usable].tobytes()
+        groups.setdefault((usable, spectrum.uncertainty is None, len(spectrum.systematic)), []).append(index)
     for group in groups.values():
         for first in range(0, len(group), CHUNK):
             yield group[first : first + CHUNK]
 
 
-def fit_data(batch: Sequence[MgmData], model: MgmModel, starts: int) -> list[MgmFit]:
-    """Fit spectra that share their channels."""
-    wavelength_nm = batch[0].wavelength_nm
-    ln_reflectance = np.log([data.reflectance for data in batch])
-    level = ln_reflectance.mean(axis=1) if model.scale_free else np.zeros(len(batch))
+def _rows_of(spectra: Sequence[Spectrum], model_error: float | None, whole: bool) -> MgmRows:
+    """Spectra of one of the `_chunks`, prepared."""
+    first, usable = spectra[0], [spectrum.usable for spectrum in spectra]
+    sigma, shifts = None, None
+    if first.uncertainty is not None:
+        sigma = np.array([one.uncertainty[own] for one, own in zip(spectra, usable, strict=True)])  # type: ignore[index]
+    if first.systematic:
+        pairs = zip(spectra, usable, strict=True)
+        shifts = np.array([[shift[own] for shift in one.systematic.values()] for one, own in pairs])
+    reflectance = np.array([one.reflectance[own] for one, own in zip(spectra, usable, strict=True)])
+    wavelength_nm = first.wavelength_nm[usable[0]]
+    return prepare_rows(wavelength_nm, reflectance, sigma=sigma, shifts=shifts, model_error=model_error, whole=whole)
+
+
+def fit_arrays(
+    wavelength_nm: FloatArray,
+    reflectance: FloatArray,
+    model: MgmModel,
+    *,
+    sigma: FloatArray | None = None,
+    model_error: float | FloatArray | None = None,
+    starts: int | FloatArray = DEFAULT_STARTS,
+) -> FitBatch:
+    """Fits of spectra in arrays, the same as `fit_spectra` gives of each of them alone.
+
+    Parameters
+    ----------
+    wavelength_nm, reflectance : (c,), ascending, and (n, c); a channel that is not finite and above 0 is left out of
+        its row. [nm, -]
+    sigma : (n, c) standard deviation of the reflectance, above 0 where that is used; without it, the scatter from
+        channel to channel. [-]
+    model_error : as in `fit_spectra`, one for all or one a row. [-]
+    starts : number of starting points; or starting points of the rows, (n, p), in the order and units of `model`, from
+        each of which one descent is made and no other minimum looked for.
+
+    Returns
+    -------
+    A batch of n rows; those with fewer than 40 channels, or none over 800-1300 nm, have `status` 3 and NaN.
+
+    Raises
+    ------
+    ParameterError as `fit_spectra`.
+    """
+    _check_options(model_error, starts)
+    usable = np.isfinite(reflectance) & (reflectance > 0)
+    parts = []
+    for rows in _same_channels(usable):
+        keep = usable[rows[0]]
+        errors = model_error if model_error is None or np.ndim(model_error) == 0 else np.asarray(model_error)[rows]
+        own = None if sigma is None else sigma[np.ix_(rows, keep)]
+        try:
+            prepared = prepare_rows(
+                wavelength_nm[keep], reflectance[np.ix_(rows, keep)], sigma=own, model_error=errors, whole=model.whole
+            )
+        except DataError:
+            continue
+        parts.append((rows, fit_rows(prepared, model, starts if isinstance(starts, int) else starts[rows])))
+    return joined(len(reflectance), parts, model)
+
+
+def _same_channels(usable: BoolArray) -> list[IndexArray]:
+    """Rows of (n, c) that use the same channels."""
+    if usable.all():
+        return [np.arange(len(usable))] if len(usable) else []
+    _, which = np.unique(np.packbits(usable, axis=1), axis=0, return_inverse=True)
+    order = np.argsort(which.ravel(), kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(which.ravel()[order])) + 1)
+
+
+def fit_rows(rows: MgmRows, model: MgmModel, starts: int | FloatArray) -> FitBatch:
+    """Fits of prepared spectra, from so many starts or from those of each row, (n, p), as `fit_arrays`."""
+    ln_reflectance = np.log(rows.reflectance)
+    level = ln_reflectance.mean(axis=1) if model.scale_free else np.zeros(len(rows))
     shifted = ln_reflectance - level[:, None]
+    if isinstance(starts, int):
+        points, hops = starting_points(model, shifted, starts), hops_of(model)
+    else:
+        points, hops = _scaled(model, starts, -level)[None], NO_HOPS
     solved = fit_batch(
-        shifted, np.array([data.weight for data in batch]), wavelength_nm / 1e3, model.basis(wavelength_nm),
-        model.logarithmic, model.prior, model.precision, model.lower, model.upper,
-        starting_points(model, shifted, starts), hops_of(model), TOLERANCE, MAX_ITERATIONS,
+        shifted, rows.weight, rows.wavelength_nm / 1e3, model.basis(rows.wavelength_nm), model.logarithmic,
+        model.prior, model.precision, model.lower, model.upper, points, hops, TOLERANCE, MAX_ITERATIONS,
     )  # fmt: skip
-    return [build_result(data, model, solved, row, float(level[row])) for row, data in enumerate(batch)]
+    return describe_rows(rows, model, solved, _scaled(model, solved.parameters, level))
+
+
+def _scaled(model: MgmModel, points: FloatArray, level: FloatArray) -> FloatArray:
+    """Parameters, (n, p), of reflectance whose logarithm is higher by `level`, (n,)."""
+    found, m = np.array(points, dtype=np.float64), model.degrees
+    if model.logarithmic:
+        found[:, : min(m, 1)] += level[:, None]
+    else:
+        found[:, :m] *= np.exp(level)[:, None]
+    return found
+
+
+def fit_data(batch: Sequence[MgmData], model: MgmModel, starts: int) -> list[MgmFit]:
+    """Fit prepared spectra that share their channels."""
+    found = fit_rows(MgmRows.together(batch), model, starts)
+    return [found.fit(row, data) for row, data in enumerate(batch)]
 
 
 def fit_batch(
@@ -203,103 +288,3 @@ def hops_of(model: MgmModel) -> FloatArray:
     deeper = [(m + 3 * band + 2, -HOP_SIGMAS) for band in range(count)]
     aside = [(m + 3 * band, sign * HOP_SIGMAS) for band in range(count) for sign in (-1, 1)]
     return np.array(deeper + aside, dtype=float)
-
-
-SPREAD_CONTINUA: tuple[MgmContinuum, ...] = tuple(name for name in MGM_CONTINUA if name != "none")
-"""All that can follow a spectrum; `none` fits only what had its continuum removed before."""
-
-
-REMOVED = (0.7, 1.3)
-"""Highest reflectance (95 % quantile) of a spectrum that was divided by its continuum, whose tops are at 1; assumed."""
-
-
-def check_continuum_removed(spectra: Sequence[Spectrum]) -> None:
-    """Raises DataError for the first spectrum whose continuum is still there, which `none` does not fit."""
-    for spectrum in spectra:
-        top = float(np.quantile(spectrum.reflectance[spectrum.usable], CONTINUUM_QUANTILE))
-        if not REMOVED[0] <= top <= REMOVED[1]:
-            raise DataError(
-                f"{spectrum.id}: continuum none is for spectra divided by their continuum, whose highest reflectance "
-                f"is near 1, not {top:.2g}; take another continuum"
-            )
-
-
-def fit_continua(
-    spectra: Sequence[Spectrum],
-    build: Callable[[MgmContinuum], MgmModel],
-    *,
-    continua: Sequence[MgmContinuum] = SPREAD_CONTINUA,
-    model_error: float | None = None,
-    starts: int = DEFAULT_STARTS,
-    progress: Callable[[int, int], None] | None = None,
-) -> list[dict[MgmContinuum, MgmFit | MgmFailure]]:
-    """Fits of every spectrum by continuum; `build` makes the model of one. Arguments as in `fit_spectra`."""
-    found: list[dict[MgmContinuum, MgmFit | MgmFailure]] = [{} for _ in spectra]
-    for number, name in enumerate(continua):
-
-        def report(done: int, total: int, before: int = number) -> None:
-            if progress:
-                progress(before * total + done, len(continua) * total)
-
-        fits = fit_spectra(spectra, build(name), model_error=model_error, starts=starts, progress=report)
-        for by_name, fit in zip(found, fits, strict=True):
-            by_name[name] = fit
-    return found
-
-
-def spread_over_continua(
-    spectra: Sequence[Spectrum],
-    fits: Sequence[MgmFit | MgmFailure],
-    build: Callable[[str, MgmContinuum], MgmModel],
-    *,
-    model_error: float | None = None,
-    starts: int = DEFAULT_STARTS,
-    progress: Callable[[int, int], None] | None = None,
-) -> list[MgmFit | MgmFailure]:
-    """Fits with what the choice of the continuum does; `build` makes the model of an assemblage under a continuum."""
-    found = list(fits)
-    members = {index: item.assemblage for index, item in enumerate(fits) if isinstance(item, MgmFit)}
-    for name in dict.fromkeys(members.values()):
-        own = [index for index, assemblage in members.items() if assemblage == name]
-        others = fit_continua(
-            [spectra[index] for index in own],
-            partial(build, name),
-            model_error=model_error,
-            starts=starts,
-            progress=progress,
-        )
-        for index, other in zip(own, others, strict=True):
-            found[index] = with_continuum_spread(found[index], other)  # type: ignore[arg-type]
-    return found
-
-
-def with_continuum_spread(fit: MgmFit, others: Mapping[MgmContinuum, MgmFit | MgmFailure]) -> MgmFit:
-    """`fit` with how far its bands and ratios go under the continua that converged.
-
-    Continua are no sample of anything: the spread is the largest distance of any of them, so that it covers all that
-    was seen, and says what the choice does, not how likely a value is. Han et al. (2020), arXiv:2003.07856, report such
-    differences for olivine and orthopyroxene.
-    """
-    fits = [other for other in others.values() if isinstance(other, MgmFit) and other.converged]
-    if not any(other.continuum != fit.continuum for other in fits):
-        return fit
-    bands = tuple(_spread_band(band, [other.bands[k] for other in fits]) for k, band in enumerate(fit.bands))
-    ratios = {key: _spread_ratio(ratio, [other.nbsr.get(key) for other in fits]) for key, ratio in fit.nbsr.items()}
-    return replace(fit, bands=bands, nbsr=ratios)
-
-
-def _spread_band(band: FittedBand, others: Sequence[FittedBand]) -> FittedBand:
-    return replace(
-        band,
-        center_continuum_nm=max(abs(other.center_nm - band.center_nm) for other in others),
-        fwhm_continuum_nm=max(abs(other.fwhm_nm - band.fwhm_nm) for other in others),
-        strength_continuum=max(abs(other.strength - band.strength) for other in others),
-    )
-
-
-def _spread_ratio(ratio: StrengthRatio | None, others: Sequence[StrengthRatio | None]) -> StrengthRatio | None:
-    if ratio is None:
-        return None
-    seen = [ratio.opx, *(other.opx for other in others if other)]
-    low, high = (0.0, 1.0) if None in others else (min(seen), max(seen))
-    return replace(ratio, continuum=max(ratio.opx - low, high - ratio.opx), continuum_low=low, continuum_high=high)

@@ -9,11 +9,12 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
+from lunarsci.spectra.mgm.batch import describe_rows
+from lunarsci.spectra.mgm.data import MgmRows
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.levenberg_marquardt import CONVERGED, ITERATION_LIMIT, KernelFits
 from lunarsci.spectra.mgm.model import MIN_FWHM_UM, MgmModel, unit_of
 from lunarsci.spectra.mgm.result import MgmFit
-from lunarsci.spectra.mgm.uncertainty import build_result
 
 if TYPE_CHECKING:
     from lmfit import Minimizer, Parameters
@@ -104,7 +105,8 @@ def refit(fit: MgmFit, parameters: "Parameters") -> MgmFit:
     status = CONVERGED if result.success else ITERATION_LIMIT
     numbers = ((residual[:channels] ** 2).sum(), residual @ residual, result.nfev, status, np.inf, 0.0)
     solved = KernelFits(point[None], fit.covariance[None], *(np.array([float(number)]) for number in numbers))
-    return build_result(fit.data, _tied_model(changed, result.params, point), solved, 0, 0.0)
+    tied = _tied_model(changed, result.params, point)
+    return describe_rows(MgmRows.together([fit.data]), tied, solved, point[None]).fit(0, fit.data)
 
 
 class _Objective:

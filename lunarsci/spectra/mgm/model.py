@@ -1,7 +1,4 @@
-"""A Modified Gaussian Model ready to be fitted: parameters by name, their prior and their bounds.
-
-A spectrum as the Modified Gaussian Model sees it: ln R on its usable channels, with weights.
-"""
+"""A Modified Gaussian Model ready to be fitted: parameters by name, their prior and their bounds."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -10,11 +7,9 @@ from typing import get_args
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import ParameterError
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
 from lunarsci.spectra.mgm.assemblages import Assemblage, assemblage
-from lunarsci.spectra.noise import deepest_below_hull
-from lunarsci.spectra.spectrum import Spectrum, channel_noise
 
 MGM_CONTINUA: tuple[MgmContinuum, ...] = get_args(MgmContinuum)
 
@@ -44,81 +39,6 @@ def continuum_basis(name: MgmContinuum, wavelength_nm: FloatArray) -> FloatArray
     u = 2 * (values - ends[0]) / (ends[1] - ends[0]) - 1
     degree = _DEGREES.get(name.rpartition("-")[2], 1)
     return np.ascontiguousarray(np.vander(u, degree + 1, increasing=True))
-
-
-FIT_RANGE_NM = (400.0, 2600.0)
-REQUIRED_NM = (800.0, 1300.0)
-"""Without the 1 um region there is nothing that tells the three minerals apart."""
-MIN_CHANNELS = 40
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MgmData:
-    """One spectrum in ln R with its weights.
-
-    Attributes
-    ----------
-    wavelength_nm, reflectance : (n,), ascending, all usable. [nm, -]
-    weight : (n,) 1 / variance of ln R, of noise and model error together. [-]
-    shifts : (k, n) changes of ln R by one standard deviation of errors that all channels share. [-]
-    model_error : standard deviation of ln R that stands for what the model cannot explain; part of `weight`. [-]
-    """
-
-    id: str
-    wavelength_nm: FloatArray
-    reflectance: FloatArray
-    weight: FloatArray
-    shifts: FloatArray
-    model_error: float
-
-
-MISFIT_FLOOR, MISFIT_SHARE = 0.003, 0.04
-"""Error of ln R at channels of 5 nm where none is stated: a floor, assumed, and a share of the deepest absorption.
-
-Fits leave 0.4-0.8 % of the depth in laboratory powders (16-84 % of 172), 0.4-1.1 % in meteorites (83), over 10-18
-channels, which weighs like an independent error several times larger. With this share the 68 % intervals of band
-centres hold 82-98 % of the differences between grain sizes of one mineral (PE-CMP-034, -040, -041, PP-CMP-027,
-PO-CMP-032), those of NBSR 36-71 % of 14 mixtures about their line, which both fall with a smaller share."""
-MISFIT_SPACING_NM = 5.0
-DEPTH_RANGE_NM = (600.0, 2500.0)
-
-
-def deepest_absorption(wavelength_nm: FloatArray, reflectance: FloatArray) -> float:
-    """Deepest absorption below the upper hull of ln R, between 600 and 2500 nm, of channels (n,) [nm, -]. [-]"""
-    inside = (wavelength_nm >= DEPTH_RANGE_NM[0]) & (wavelength_nm <= DEPTH_RANGE_NM[1])
-    return float(deepest_below_hull(wavelength_nm[inside], np.log(reflectance[inside])[None])[0])
-
-
-def expected_misfit(wavelength_nm: FloatArray, reflectance: FloatArray) -> float:
-    """Error of ln R that stands for what Gaussians on a smooth continuum cannot explain of channels (n,) [nm, -]. [-]
-
-    Wider channels hold as much of it in fewer numbers: it falls with the root of the spacing.
-    """
-    depth = deepest_absorption(wavelength_nm, reflectance)
-    spacing = float(np.median(np.diff(wavelength_nm)))
-    return float(np.hypot(MISFIT_FLOOR, MISFIT_SHARE * depth) * np.sqrt(MISFIT_SPACING_NM / spacing))
-
-
-def prepare(spectrum: Spectrum, model_error: float | None = None, *, whole: bool = False) -> MgmData:
-    """The usable channels within 400-2600 nm, their noise and `model_error` (of ln R) added in quadrature.
-
-    Without a model error it is `expected_misfit`. With `whole` all usable channels, for bands that may lie anywhere.
-    Raises DataError with fewer than 40 channels, or, without `whole`, where they do not reach over 800-1300 nm.
-    """
-    low, high = (0.0, np.inf) if whole else FIT_RANGE_NM
-    wavelength = spectrum.wavelength_nm
-    keep = spectrum.usable & (wavelength >= low) & (wavelength <= high)
-    if keep.sum() < MIN_CHANNELS:
-        between = "" if whole else f" between {low:g} and {high:g} nm"
-        raise DataError(f"{keep.sum()} usable channels{between}; {MIN_CHANNELS} are needed")
-    if not whole and (wavelength[keep][0] > REQUIRED_NM[0] or wavelength[keep][-1] < REQUIRED_NM[1]):
-        raise DataError(f"the channels do not reach over {REQUIRED_NM[0]:g}-{REQUIRED_NM[1]:g} nm")
-    reflectance = spectrum.reflectance[keep]
-    relative = channel_noise(spectrum)[keep] / reflectance
-    shifts = np.array([shift[keep] / reflectance for shift in spectrum.systematic.values()])
-    error = expected_misfit(wavelength[keep], reflectance) if model_error is None else model_error
-    weight = 1 / (relative**2 + error**2)
-    return MgmData(spectrum.id, wavelength[keep], reflectance, weight, shifts.reshape(-1, reflectance.size), error)
 
 
 BOUND_SIGMAS = 4.0

@@ -35,7 +35,7 @@ def rows_of_sums(degrees: int, bands: int) -> int:
 
 
 @compiled
-def _continuum(channels: Any, first: int, point: Any, degrees: int, logarithmic: bool, work: Any) -> Any:
+def continuum_rows(channels: Any, first: int, point: Any, degrees: int, logarithmic: bool, work: Any) -> Any:
     """Derivatives by the continuum's coefficients and ln R - ln C of one block; the lowest value of C."""
     places, columns, data, roots = channels
     count, least = places.shape[0], spread(1.0)
@@ -57,7 +57,7 @@ def _continuum(channels: Any, first: int, point: Any, degrees: int, logarithmic:
 
 
 @compiled
-def _gaussians(channels: Any, first: int, point: Any, degrees: int, work: Any) -> None:
+def gaussian_rows(channels: Any, first: int, point: Any, degrees: int, work: Any) -> None:
     """Weighted Gaussians times the powers 0, 1, 2 of wavelength, and the residual without the bands, of one block."""
     places, _, _, roots = channels
     at = degrees * BLOCK
@@ -145,8 +145,8 @@ def evaluate(
     for row in range(last):
         store(sums, row, spread(0.0))
     for first in range(0, channels[0].shape[0], BLOCK):
-        least = lowest(least, _continuum(channels, first, point, degrees, logarithmic, work))
-        _gaussians(channels, first, point, degrees, work)
+        least = lowest(least, continuum_rows(channels, first, point, degrees, logarithmic, work))
+        gaussian_rows(channels, first, point, degrees, work)
         _add_plain(work, degrees, bands, sums)
         if curved > 0:
             _add_bands(work, degrees, bands, sums)

@@ -8,7 +8,8 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.spectra.mgm.assemblages import BandPrior, CompositionPrior
-from lunarsci.spectra.mgm.model import MgmData, MgmModel, center_slopes, prior_covariance
+from lunarsci.spectra.mgm.data import MgmData
+from lunarsci.spectra.mgm.model import MgmModel, center_slopes, prior_covariance
 
 UNLIKE_RMS = 0.2
 """A fit that misses ln R by more than this, root mean square, describes something else; assumed."""

@@ -14,16 +14,10 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
 from lunarsci.spectra.mgm.assemblages import FAMILIES, MINERALS, BandPrior
+from lunarsci.spectra.mgm.data import MgmData, deepest_absorption, prepare
 from lunarsci.spectra.mgm.fit import fit_data
 from lunarsci.spectra.mgm.forward import model_and_jacobian
-from lunarsci.spectra.mgm.model import (
-    MgmData,
-    MgmModel,
-    deepest_absorption,
-    mgm_model,
-    prepare,
-    stated_for,
-)
+from lunarsci.spectra.mgm.model import MgmModel, mgm_model, stated_for
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 from lunarsci.spectra.spectrum import Spectrum
 
@@ -317,7 +311,7 @@ def choose(
 
 def _choice(spectrum: Spectrum, models: Sequence[MgmModel], model_error: float | None, starts: int) -> Choice:
     fine = prepare(spectrum, LEAST_ERROR)
-    depth = max(LEAST_DEPTH, deepest_absorption(fine.wavelength_nm, fine.reflectance))
+    depth = max(LEAST_DEPTH, float(deepest_absorption(fine.wavelength_nm, fine.reflectance[None])[0]))
     data = _coarse(fine, math.hypot(LEAST_ERROR, START_ERROR * depth))
     error = math.hypot(DETAIL_FLOOR, DETAIL_SHARE * depth) if model_error is None else model_error
     whiten = _whitening(data, error)

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import truncnorm
 
+from lunarsci.arrays import FloatArray
+from lunarsci.spectra.mgm.batch import problem_of
+from lunarsci.spectra.mgm.laplace import bounded_covariances
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model
-from lunarsci.spectra.mgm.uncertainty import bounded_covariance
 
 
 def model_of_two() -> MgmModel:
@@ -20,6 +22,13 @@ def model_of_two() -> MgmModel:
         lower=np.array([-np.inf, -np.inf]),
         upper=np.array([np.inf, 0.0]),
     )
+
+
+def bounded_covariance(curvature: FloatArray, gradient: FloatArray, point: FloatArray, model: MgmModel) -> FloatArray:
+    """Of one fit, among others of another place."""
+    others = np.array([point, point - 7.0, point])
+    three = [np.array([values] * 3) for values in (curvature, gradient)]
+    return bounded_covariances(*three, others, problem_of(model))[2]
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.5, 3.0, 30.0])

@@ -8,8 +8,9 @@ import pytest
 from scipy.stats import truncnorm
 
 from lunarsci.errors import ParameterError
+from lunarsci.spectra.mgm.data import MgmData
 from lunarsci.spectra.mgm.fit import fit_data
-from lunarsci.spectra.mgm.model import MgmData, MgmModel, mgm_model
+from lunarsci.spectra.mgm.model import MgmModel, mgm_model
 from lunarsci.spectra.mgm.posterior import FitPosterior, posterior_intervals, sample_batch, sample_posterior
 from lunarsci.spectra.mgm.result import MgmFit
 

@@ -1,0 +1,307 @@
+"""Fits of many spectra as arrays: values, errors, ratios and flags, row by row, and a view of any one of them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray
+from lunarsci.compiled import each_in_threads
+from lunarsci.spectra.mgm.data import MgmData, MgmRows
+from lunarsci.spectra.mgm.forward import model_and_jacobian
+from lunarsci.spectra.mgm.laplace import LaplaceErrors, laplace_errors
+from lunarsci.spectra.mgm.levenberg_marquardt import CONVERGED, Channels, FitProblem, KernelFits
+from lunarsci.spectra.mgm.model import MgmModel
+from lunarsci.spectra.mgm.result import (
+    REACH_NM,
+    UNDETERMINED,
+    FittedBand,
+    MgmFailure,
+    MgmFit,
+    StrengthRatio,
+    pyroxene_pair,
+)
+from lunarsci.spectra.mgm.uncertainty import follow_shifts
+
+NOT_FITTED = 3
+"""Status of a row without a fit, beside those of the kernel."""
+AMBIGUOUS_CHI2 = 4.0
+AMBIGUOUS_SIGMAS = 2.0
+STRAINED_SIGMAS = 3.0
+MOST_ROWS = 256
+"""Rows worked on together in one thread: enough to keep the lanes busy, few enough to fit into its memory."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FitBatch:
+    """Fits of n spectra to one model, row by row; NaN where there is none.
+
+    Attributes
+    ----------
+    model : of p parameters, in the order and units of which `values`, `sigma` and `covariance` are.
+    values, covariance : (n, p) and (n, p, p). [-, um, um, -]
+    calibration : (n, p) standard deviation from the errors that all channels share; NaN where none is known.
+    rms_ln, chi2, reduced_chi2, bic, objective, model_error : (n,), see `MgmFit`. [-]
+    iterations : (n,) of the last descent.
+    status : (n,) 0 where it converged, 1 where it reached the limit of iterations, 2 where nothing is finite, 3 where
+        there is no fit.
+    ambiguous : (n,) whether another minimum fits almost as well.
+    um1, um2 : (n, 4) NBSR of orthopyroxene, of clinopyroxene, sigma and calibration error; NaN where undetermined. [-]
+    """
+
+    model: MgmModel
+    values: FloatArray
+    covariance: FloatArray
+    calibration: FloatArray
+    rms_ln: FloatArray
+    chi2: FloatArray
+    reduced_chi2: FloatArray
+    bic: FloatArray
+    objective: FloatArray
+    model_error: FloatArray
+    iterations: FloatArray
+    status: IndexArray
+    ambiguous: BoolArray
+    um1: FloatArray
+    um2: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    @property
+    def converged(self) -> BoolArray:
+        """(n,) whether the minimum was reached."""
+        return np.asarray(self.status == CONVERGED)
+
+    @property
+    def sigma(self) -> FloatArray:
+        """(n, p) standard errors, those of a parameter on a bound from it."""
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2)))
+
+    @property
+    def shrinkage(self) -> FloatArray:
+        """(n, p) 1 where the data decide a parameter, 0 where its prior does. [-]"""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.nan_to_num(1 - (self.sigma / self.model.sigma) ** 2, nan=0.0).clip(0, 1)
+
+    @property
+    def at_bound(self) -> BoolArray:
+        """(n, p) whether a parameter that is not fixed ended on a bound."""
+        model = self.model
+        return ~model.fixed & ((self.values <= model.lower) | (self.values >= model.upper))
+
+    @property
+    def strained(self) -> BoolArray:
+        """(n, bands) whether a band absorbs and its centre or width is more than three prior sigma off."""
+        m, model = self.model.degrees, self.model
+        with np.errstate(divide="ignore", invalid="ignore"):
+            off = np.nan_to_num(np.abs((self.values - model.prior) / model.sigma))[:, m:]
+        far = off.reshape(len(self), -1, 3)[:, :, :2].max(axis=2, initial=0.0) > STRAINED_SIGMAS
+        return np.asarray(far & (self.values[:, m + 2 :: 3] < 0))
+
+    def statuses(self) -> list[str]:
+        """A sentence about each."""
+        strained = self.strained
+        flags = np.column_stack([self.status, self.iterations * ~self.converged, self.ambiguous, strained])
+        kinds, which = np.unique(flags, axis=0, return_inverse=True)
+        texts = [self._sentence(int(kind[0]), int(kind[1]), kind[2] > 0, kind[3:] > 0) for kind in kinds]
+        return [texts[k] for k in which.ravel().tolist()]
+
+    def _sentence(self, status: int, iterations: int, ambiguous: bool, strained: BoolArray) -> str:
+        if status != CONVERGED:
+            return f"not converged after {iterations} iterations; try other bands, priors or another continuum"
+        remarks = ["converged"]
+        if ambiguous:
+            remarks.append("ambiguous: another start ends in a different minimum that fits almost as well")
+        if strained.any():
+            names = [band.name for band, far in zip(self.model.assemblage.bands, strained, strict=True) if far]
+            remarks.append(f"strained: {', '.join(names)} lie far from where these minerals have them")
+        return "; ".join(remarks)
+
+    def part(self, rows: Any) -> "FitBatch":
+        """Some of the rows."""
+        columns: dict[str, Any] = {name: getattr(self, name)[rows] for name in COLUMNS}
+        return FitBatch(**columns, model=self.model)
+
+    def fit(self, row: int, data: MgmData) -> MgmFit:
+        """One row with the data that it was made of."""
+        one, m = self.part([row]), self.model.degrees
+        point = one.values[0]
+        return MgmFit(
+            id=data.id,
+            assemblage=self.model.assemblage.name,
+            continuum=self.model.continuum,
+            prior="map",
+            converged=bool(one.converged[0]),
+            status=one.statuses()[0],
+            rms_ln=float(one.rms_ln[0]),
+            reduced_chi2=float(one.reduced_chi2[0]),
+            bic=float(one.bic[0]),
+            continuum_coefficients=tuple(point[:m].tolist()),
+            bands=one.bands(),
+            nbsr={region: _ratio(getattr(one, region)[0]) for region in ("um1", "um2")},
+            model=self.model,
+            data=data,
+            parameters=point,
+            covariance=one.covariance[0],
+            objective=float(one.objective[0]),
+        )
+
+    def bands(self, row: int = 0) -> tuple[FittedBand, ...]:
+        """The bands of one row."""
+        m = self.model.degrees
+        columns = (self.values, self.sigma, self.calibration, self.shrinkage, self.at_bound)
+        parts = (column[row, m:].reshape(-1, 3) for column in columns)
+        return tuple(
+            FittedBand.from_kernel(band, *numbers)
+            for band, *numbers in zip(self.model.assemblage.bands, *parts, strict=True)
+        )
+
+
+class SpectraFits(Sequence[MgmFit | MgmFailure]):
+    """A fit, or a stated reason, for each of some spectra, in their order.
+
+    Attributes
+    ----------
+    names : of the spectra.
+    parts : positions, what was fitted, and the fits, of spectra on the same channels; a fit is made of its row when it
+        is asked for.
+    others : by position, what stands there instead.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        parts: Sequence[tuple[IndexArray, MgmRows, FitBatch]],
+        others: Mapping[int, MgmFit | MgmFailure],
+    ) -> None:
+        self.names, self.parts, self.others = names, parts, dict(others)
+        self._place = np.full((len(names), 2), -1)
+        for number, (positions, _, _) in enumerate(parts):
+            self._place[positions, 0], self._place[positions, 1] = number, np.arange(len(positions))
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, slice):
+            return [self[k] for k in range(*index.indices(len(self)))]
+        position = range(len(self))[index]
+        if position not in self.others:
+            number, row = self._place[position].tolist()
+            _, rows, batch = self.parts[number]
+            self.others[position] = batch.fit(row, rows.at(row, self.names[position]))
+        return self.others[position]
+
+
+def problem_of(model: MgmModel) -> FitProblem:
+    """The model as the kernel takes it."""
+    parts = (model.prior, model.precision, model.lower, model.upper)
+    return FitProblem(model.degrees, model.logarithmic, *(np.ascontiguousarray(part) for part in parts))
+
+
+def channels_of(rows: MgmRows, model: MgmModel, ln_reflectance: FloatArray | None = None) -> Channels:
+    """Spectra as the kernel takes them, with ln R as it is or as given, (n, c)."""
+    return Channels(
+        np.ascontiguousarray(rows.wavelength_nm / 1e3)[None],
+        np.ascontiguousarray(model.basis(rows.wavelength_nm).T)[None],
+        np.log(rows.reflectance) if ln_reflectance is None else ln_reflectance,
+        np.sqrt(rows.weight),
+    )
+
+
+COLUMNS = tuple(item.name for item in fields(FitBatch) if item.name != "model")
+
+
+def _ratio(numbers: FloatArray) -> StrengthRatio | None:
+    opx, cpx, sigma, calibration = numbers.tolist()
+    return None if opx != opx else StrengthRatio(opx, cpx, sigma, None if calibration != calibration else calibration)
+
+
+def joined(count: int, parts: Sequence[tuple[IndexArray, FitBatch]], model: MgmModel) -> FitBatch:
+    """Batches of one model at their rows of `count`; the others without a fit."""
+    p = model.prior.size
+    shapes: dict[str, tuple[int, ...]] = {"covariance": (p, p), "um1": (4,), "um2": (4,)}
+    shapes |= dict.fromkeys(("values", "calibration"), (p,))
+    columns: dict[str, Any] = {name: np.full((count, *shapes.get(name, ())), np.nan) for name in COLUMNS}
+    columns["status"], columns["ambiguous"] = np.full(count, NOT_FITTED), np.zeros(count, dtype=bool)
+    for rows, batch in parts:
+        for name in COLUMNS:
+            columns[name][rows] = getattr(batch, name)
+    return FitBatch(**columns, model=model)
+
+
+def describe_rows(rows: MgmRows, model: MgmModel, solved: KernelFits, points: FloatArray) -> FitBatch:
+    """Errors, ratios and flags of fits `solved` of `rows`, whose parameters on reflectance as it is are `points`."""
+    rms, reduced, covariance = _errors(rows, model, points, solved.chi2)
+    moved = _moved(rows, model, points)
+    with np.errstate(invalid="ignore"):
+        calibration = np.sqrt((moved**2).sum(axis=1)) if moved.shape[1] else np.full(points.shape, np.nan)
+    return FitBatch(
+        model=model,
+        values=points,
+        covariance=covariance,
+        calibration=calibration,
+        rms_ln=rms,
+        chi2=solved.chi2,
+        reduced_chi2=reduced,
+        bic=solved.chi2 + int((~model.fixed).sum()) * np.log(rows.wavelength_nm.size),
+        objective=solved.objective,
+        model_error=np.asarray(rows.model_error),
+        iterations=solved.iterations,
+        status=solved.status.astype(np.int64),
+        ambiguous=(solved.competing < AMBIGUOUS_CHI2) & (solved.competing_sigmas > AMBIGUOUS_SIGMAS),
+        **{region: _ratios(rows, model, points, covariance, moved, region) for region in REACH_NM},
+    )
+
+
+def _errors(rows: MgmRows, model: MgmModel, points: FloatArray, chi2: FloatArray) -> LaplaceErrors:
+    """`laplace_errors`, in all threads."""
+    problem, spectra = problem_of(model), channels_of(rows, model)
+    edges = list(range(0, len(rows), MOST_ROWS))
+    found: list[Any] = [None] * len(edges)
+
+    def some(part: int) -> None:
+        own = slice(edges[part], edges[part] + MOST_ROWS)
+        found[part] = laplace_errors(spectra.part(own), problem, points[own], chi2[own])
+
+    each_in_threads(some, len(edges))
+    return LaplaceErrors(*(np.concatenate(column) for column in zip(*found, strict=True)))
+
+
+def _moved(rows: MgmRows, model: MgmModel, points: FloatArray) -> FloatArray:
+    """Moves of the minima by each error that all channels share, (n, k, p); NaN without a continuum."""
+    count = rows.shifts.shape[1]
+    found = np.full((len(points), count, points.shape[1]), np.nan)
+    wavelength_um, basis = rows.wavelength_nm / 1e3, model.basis(rows.wavelength_nm)
+    for row, point in enumerate(points if count else ()):
+        at = model_and_jacobian(point, wavelength_um, basis, model.logarithmic)
+        if at is not None:
+            found[row] = follow_shifts(rows.at(row, ""), model, point, *at)
+    return found
+
+
+def _ratios(
+    rows: MgmRows, model: MgmModel, points: FloatArray, covariance: FloatArray, moved: FloatArray, region: str
+) -> FloatArray:
+    """NBSR of a region, (n, 4), as in `FitBatch`."""
+    found = np.full((len(points), 4), np.nan)
+    pair, (low, high) = pyroxene_pair(model.assemblage.bands, region), REACH_NM[region]
+    if pair is None or rows.wavelength_nm[0] > low or rows.wavelength_nm[-1] < high:
+        return found
+    one, other = (model.degrees + 3 * position + 2 for position in pair)
+    opx, cpx = points[:, one], points[:, other]
+    total = opx + cpx
+    with np.errstate(divide="ignore", invalid="ignore"):
+        by_opx, by_cpx = cpx / total**2, -opx / total**2
+        variance = by_opx**2 * covariance[:, one, one] + by_cpx**2 * covariance[:, other, other]
+        sigma = np.sqrt(variance + 2 * by_opx * by_cpx * covariance[:, one, other])
+        told = sigma < UNDETERMINED
+        found[told, 0], found[told, 1] = np.abs(opx / total)[told], np.abs(cpx / total)[told]
+        shared = moved[:, :, one] * by_opx[:, None] + moved[:, :, other] * by_cpx[:, None]
+    found[told, 2] = sigma[told]
+    if moved.shape[1]:
+        found[told, 3] = np.sqrt((shared**2).sum(axis=1))[told]
+    return found

@@ -1,0 +1,312 @@
+"""Laplace's covariance of many fits, bounds taken into account, eight at a time, compiled.
+
+A parameter that the data press against a bound has a one-sided density, exp(-g t - h t^2 / 2) in the distance t from
+the bound, g the slope there and h the curvature with the free ones following; its variance is the mean of t^2, and the
+free ones follow it. Fixed ones have variance 0.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lunarsci.arrays import FloatArray
+from lunarsci.compiled import compiled
+from lunarsci.formulas import LANES
+from lunarsci.lanes import aligned, choose, highest, load, lowest, root, spread, store
+from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA
+from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, channels_of, fill_lane, workspace_for
+from lunarsci.spectra.mgm.moments import BLOCK, ORIGIN, continuum_rows, gaussian_rows
+from lunarsci.spectra.mgm.normal_equations import damped, factorise, invert, matrix_side, prior_pull
+
+MISFIT, USED, WIDE, PIVOT, VARIANCE, BEND, CHI2, ALIVE = range(8)
+"""Rows of a workspace's `state` here."""
+TAIL = 30.0
+"""From here on the one-sided law is an exponential one with a first correction, to 1e-4, and the error function runs
+out."""
+
+
+class LaplaceErrors(NamedTuple):
+    """Of fits, row by row.
+
+    Attributes
+    ----------
+    rms_ln, reduced_chi2 : (n,) root mean square of data - model, and chi-square over channels less the number of
+        parameters that the data determine.
+    covariance : (n, p, p), the errors of the data widened to a reduced chi-square of 1 where it is above.
+    """
+
+    rms_ln: FloatArray
+    reduced_chi2: FloatArray
+    covariance: FloatArray
+
+
+def _rooms(size: int) -> tuple[FloatArray, FloatArray]:
+    """For an inverse, both triangles, and a covariance."""
+    return aligned(size * size), aligned(size * size)
+
+
+def laplace_errors(spectra: Channels, problem: FitProblem, points: FloatArray, chi2: FloatArray) -> LaplaceErrors:
+    """Errors at the minima `points`, (n, p), of `spectra`, (n, c), whose chi-square is `chi2`, (n,).
+
+    NaN where the continuum is not above 0 or a curvature has no inverse.
+    """
+    rows, size = points.shape
+    space = workspace_for(size, problem.degrees, spectra.data.shape[1])
+    found = LaplaceErrors(np.empty(rows), np.empty(rows), np.empty((rows, size, size)))
+    _describe(spectra, problem, np.ascontiguousarray(points), chi2, space, _rooms(size), found)
+    return found
+
+
+def bounded_covariances(
+    curvature: FloatArray, gradient: FloatArray, points: FloatArray, problem: FitProblem
+) -> FloatArray:
+    """Covariances, (n, p, p), of given curvatures of half the objective, (n, p, p), and descents along it, (n, p)."""
+    rows, size = points.shape
+    space, found = workspace_for(size, size, 1), np.empty((rows, size, size))
+    _bound_all(curvature, gradient, points, problem, space, _rooms(size), found)
+    return found
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def _bound_all(
+    curvature: Any, gradient: Any, points: Any, problem: Any, space: Any, rooms: Any, covariance: Any
+) -> None:
+    rows, size = points.shape
+    for first in range(0, rows, LANES):
+        for lane in range(LANES):
+            row = min(first + lane, rows - 1)
+            for p in range(size):
+                space.point[p, lane], space.slope[p, lane] = points[row, p], gradient[row, p]
+                for q in range(p, size):
+                    space.curvature[p * size + q, lane] = curvature[row, p, q]
+        _bounded(problem, space, rooms)
+        _hand_over(space, rooms[1], first, covariance)
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def _describe(spectra: Any, problem: Any, points: Any, chi2: Any, space: Any, rooms: Any, found: Any) -> None:
+    rows, size = points.shape
+    channels, state = spectra.data.shape[1], space.state
+    for first in range(0, rows, LANES):
+        for lane in range(LANES):
+            row = min(first + lane, rows - 1)
+            fill_lane(spectra, row, space, lane)
+            state[CHI2, lane] = chi2[row]
+            for p in range(size):
+                space.point[p, lane] = points[row, p]
+        store(state, ALIVE, _linearise(channels_of(space), problem, space))
+        prior_pull(space.point, problem.prior, problem.precision, space.pull)
+        store(state, MISFIT, _misfit(space, channels))
+        _determined(problem, space, rooms[0])
+        reduced = load(state, CHI2) / highest(spread(float(channels)) - load(state, USED), spread(1.0))
+        store(state, WIDE, spread(1.0) / highest(reduced, spread(1.0)))
+        _widen(problem, space)
+        _bounded(problem, space, rooms)
+        store(state, USED, reduced)
+        for lane in range(min(LANES, rows - first)):
+            alive = state[ALIVE, lane] > 0.0
+            found.rms_ln[first + lane] = state[MISFIT, lane] if alive else math.nan
+            found.reduced_chi2[first + lane] = state[USED, lane] if alive else math.nan
+            if not alive:
+                state[PIVOT, lane] = 0.0
+        _hand_over(space, rooms[1], first, found.covariance)
+
+
+@compiled
+def _linearise(channels: Any, problem: Any, space: Any) -> Any:
+    """Residuals, J r and the upper triangle of J J' at the workspace's points; the lowest value of the continuum.
+
+    The derivatives themselves are summed: moments, which are enough to descend by, cost an error its last digits.
+    """
+    size, degrees, least = space.point.shape[0], problem.degrees, spread(1.0)
+    for p in range(size):
+        store(space.slope, p, spread(0.0))
+        for q in range(p, size):
+            store(space.curvature, p * size + q, spread(0.0))
+    for first in range(0, space.places.shape[0], BLOCK):
+        least = lowest(least, continuum_rows(channels, first, space.point, degrees, problem.logarithmic, space.work))
+        gaussian_rows(channels, first, space.point, degrees, space.work)
+        _derivatives(space, first, degrees)
+        _add_products(space, degrees)
+        for i in range(BLOCK):
+            store(space.residuals, first + i, load(space.work, degrees * BLOCK + i))
+    return least
+
+
+@compiled
+def _derivatives(space: Any, first: int, degrees: int) -> None:
+    """Turn a band's Gaussians times powers of wavelength into its derivatives by centre, width and strength."""
+    row = (degrees + 1) * BLOCK
+    for band in range(degrees, space.point.shape[0], 3):
+        centre, width = load(space.point, band) - ORIGIN, load(space.point, band + 1)
+        inverse = FWHM_OVER_SIGMA / width
+        by_centre = load(space.point, band + 2) * inverse * inverse
+        for i in range(BLOCK):
+            shape, apart = load(space.work, row + i), load(space.places, first + i) - centre
+            slope = shape * apart * by_centre
+            store(space.work, row + i, slope)
+            store(space.work, row + BLOCK + i, slope * apart / width)
+            store(space.work, row + 2 * BLOCK + i, shape)
+        row += 3 * BLOCK
+
+
+@compiled
+def _add_products(space: Any, degrees: int) -> None:
+    """Add the products of all derivatives, and with the residual, of one block."""
+    size, work = space.point.shape[0], space.work
+    for p in range(size):
+        own = (p + (p >= degrees)) * BLOCK
+        total = load(space.slope, p)
+        for i in range(BLOCK):
+            total += load(work, own + i) * load(work, degrees * BLOCK + i)
+        store(space.slope, p, total)
+        for q in range(p, size):
+            other = (q + (q >= degrees)) * BLOCK
+            total = load(space.curvature, p * size + q)
+            for i in range(BLOCK):
+                total += load(work, own + i) * load(work, other + i)
+            store(space.curvature, p * size + q, total)
+
+
+@compiled
+def _misfit(space: Any, channels: int) -> Any:
+    """Root mean square of data - model, of residuals that hold the root of the weight."""
+    total = spread(0.0)
+    for i in range(channels):
+        off = load(space.residuals, i) / load(space.roots, i)
+        total += off * off
+    return root(total / float(channels))
+
+
+@compiled
+def _determined(problem: Any, space: Any, inverse: Any) -> None:
+    """Trace of (J J' + precision)^-1 J J' of the parameters that are not fixed, into `USED`; without an inverse, their
+    number."""
+    size, side, free = problem.prior.size, matrix_side(space.matrix), 0.0
+    for p in range(size):
+        own = 0.0 if problem.lower[p] == problem.upper[p] else 1.0
+        store(space.free, p, spread(own))
+        free += own
+    one = spread(1.0)
+    damped(space.curvature, problem.precision, one, one, space.free, size, side, space.matrix)
+    pivot = factorise(space.matrix, side)
+    invert(space.matrix, size, side, inverse)
+    total = spread(0.0)
+    for p in range(size):
+        one = load(space.free, p)
+        total += load(inverse, p * size + p) * load(space.curvature, p * size + p) * one
+        for q in range(p + 1, size):
+            both = load(inverse, p * size + q) * load(space.curvature, p * size + q) * 2.0
+            total += both * one * load(space.free, q)
+    store(space.state, USED, choose(pivot, total, spread(free)))
+
+
+@compiled
+def _widen(problem: Any, space: Any) -> None:
+    """Curvature and descent of half the objective with the data's errors widened, in place of the data's own."""
+    size, share = problem.prior.size, load(space.state, WIDE)
+    for p in range(size):
+        store(space.slope, p, load(space.slope, p) * share - load(space.pull, p))
+        for q in range(p, size):
+            own = load(space.curvature, p * size + q) * share
+            store(space.curvature, p * size + q, own + problem.precision[p, q])
+
+
+@compiled
+def _bounded(problem: Any, space: Any, rooms: Any) -> None:
+    """Upper triangle of the covariance, from that of the curvature; state `PIVOT` is above 0 where there is one."""
+    inverse, covariance = rooms
+    size, side = problem.prior.size, matrix_side(space.matrix)
+    _free_within(problem, space)
+    _free_part(space, size, side)
+    store(space.state, PIVOT, factorise(space.matrix, side))
+    invert(space.matrix, size, side, inverse)
+    for p in range(size):
+        own = load(space.free, p)
+        for q in range(p, size):
+            value = load(inverse, p * size + q) * own * load(space.free, q)
+            store(inverse, p * size + q, value)
+            store(inverse, q * size + p, value)
+            store(covariance, p * size + q, value)
+    for k in range(size):
+        if _any_held(problem, space, k):
+            _add_held(space, inverse, covariance, size, k)
+
+
+@compiled
+def _free_within(problem: Any, space: Any) -> None:
+    """Free what is not fixed and not on a bound."""
+    for p in range(problem.prior.size):
+        for lane in range(LANES):
+            here, low, high = space.point[p, lane], problem.lower[p], problem.upper[p]
+            space.free[p, lane] = 1.0 if low < here < high else 0.0
+
+
+@compiled
+def _any_held(problem: Any, space: Any, k: int) -> bool:
+    """Whether parameter k is on a bound in some lane, and not fixed."""
+    held = problem.lower[k] < problem.upper[k]
+    total = 0.0
+    for lane in range(LANES):
+        total += space.free[k, lane]
+    return held and total < LANES
+
+
+@compiled
+def _free_part(space: Any, size: int, side: int) -> None:
+    """The curvature of the free parameters as a matrix to be factorised; rows and columns of others are those of 1."""
+    for p in range(size):
+        own = load(space.free, p)
+        for q in range(p + 1, size):
+            store(space.matrix, p * side + q, load(space.curvature, p * size + q) * own * load(space.free, q))
+        store(space.matrix, p * side + p, choose(own, load(space.curvature, p * size + p), spread(1.0)))
+
+
+@compiled
+def _add_held(space: Any, inverse: Any, covariance: Any, size: int, k: int) -> None:
+    """What parameter k, on its bound, adds: its variance, and the free ones that follow it."""
+    bend = load(space.curvature, k * size + k)
+    for p in range(size):
+        move = spread(0.0)
+        for q in range(size):
+            move -= load(inverse, p * size + q) * load(space.curvature, min(k, q) * size + max(k, q))
+        store(space.step, p, move)
+        bend += move * load(space.curvature, min(k, p) * size + max(k, p))
+    store(space.step, k, spread(1.0))
+    store(space.state, BEND, bend)
+    for lane in range(LANES):
+        held = space.free[k, lane] == 0.0
+        variance = _one_sided(abs(space.slope[k, lane]), space.state[BEND, lane]) if held else 0.0
+        space.state[VARIANCE, lane] = variance
+    share = load(space.state, VARIANCE)
+    for p in range(size):
+        for q in range(p, size):
+            more = share * load(space.step, p) * load(space.step, q)
+            store(covariance, p * size + q, load(covariance, p * size + q) + more)
+
+
+@compiled
+def _one_sided(slope: float, bend: float) -> float:
+    """Mean of t^2 under exp(-slope t - bend t^2 / 2), t >= 0: normal law truncated at 0."""
+    if not bend > 0:
+        return math.nan
+    scale = math.sqrt(bend)
+    a = slope / scale
+    if a > TAIL:
+        return 2.0 / slope**2 * (1.0 - 5.0 / a**2)
+    ratio = math.exp(-0.5 * a * a) * math.sqrt(2.0 / math.pi) / math.erfc(a / math.sqrt(2.0))
+    return (1.0 + a * a - a * ratio) / bend
+
+
+@compiled
+def _hand_over(space: Any, covariance: Any, first: int, found: Any) -> None:
+    """Write the covariances of the lanes to rows from `first` on."""
+    rows, size = found.shape[0], found.shape[1]
+    for lane in range(min(LANES, rows - first)):
+        regular = space.state[PIVOT, lane] > 0.0
+        for p in range(size):
+            for q in range(p, size):
+                value = covariance[p * size + q, lane] if regular else math.nan
+                found[first + lane, p, q] = value
+                found[first + lane, q, p] = value
