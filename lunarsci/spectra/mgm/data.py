@@ -89,7 +89,7 @@ DEPTH_RANGE_NM = (600.0, 2500.0)
 
 
 def deepest_absorption(wavelength_nm: FloatArray, reflectance: FloatArray) -> FloatArray:
-    """Deepest absorption below the upper hull of ln R, between 600 and 2500 nm, (n,), of channels (n, c) [nm, -]. [-]"""
+    """Deepest absorption below the upper hull of ln R, (n,), 600-2500 nm, of channels (c,) and (n, c) [nm, -]. [-]"""
     inside = (wavelength_nm >= DEPTH_RANGE_NM[0]) & (wavelength_nm <= DEPTH_RANGE_NM[1])
     return deepest_below_hull(wavelength_nm[inside], np.log(np.ascontiguousarray(reflectance[:, inside])))
 
