@@ -30,7 +30,6 @@ SHARED = {
     "result",
     "records",
     "numerals",
-    "templates",
 }
 ALLOWED = {
     "spectra": {"spectra", *SHARED},

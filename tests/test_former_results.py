@@ -264,8 +264,8 @@ def commands_of(group: typer.Typer, above: str = "") -> set[str]:
 
 
 def test_every_command_has_an_answer_in_the_table() -> None:
-    """But for those that answer with a picture, a list of names, or the answers of others."""
-    others = {"demo", "spectra library plot", "spectra library list"}
+    """But for those that answer with a picture, a list of names, a file of maps, or the answers of others."""
+    others = {"demo", "spectra library plot", "spectra library list", "spectra map"}
     tried = {
         name
         for name in commands_of(command_line())

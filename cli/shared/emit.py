@@ -34,12 +34,12 @@ def emit(report: Report, output: Output, provenance: Provenance) -> None:
     if output.path and output.folder:
         contents.update({output.path / name: make() for name, make in report.files.items()})
         contents[output.path / "result.json"] = json_chunks(document(report.schema, report.result, record))
-    elif output.path:
+    elif output.path and not report.written:
         contents[output.path] = made or text
     write_files(contents, force=output.force)
-    for path in contents:
+    for path in (*report.written, *contents):
         say(f"written: {path}", quiet=output.quiet)
-    if output.folder or not output.path:
+    if output.folder or not output.path or report.written:
         _print(text)
     for failure in report.failures:
         say(f"error: {failure}")

@@ -30,6 +30,7 @@ class Report:
     inputs, data_tables, sources, seed : for the provenance.
     formats : file suffixes of `--output` beyond .json and .csv, with what makes such a file from the provenance.
     files : for commands that fill a folder: file name to what makes its content.
+    written : files that the job wrote itself, since they may not fit into memory; the result then goes to stdout.
     untrusted : one sentence, why the result is printed but should not be trusted or acted on; empty if it may be.
     failures : inputs that gave no result, one sentence each.
     options : what was taken for options that were left out, for the provenance.
@@ -48,6 +49,7 @@ class Report:
     seed: int | None = None
     formats: Mapping[str, Callable[[Mapping[str, Any]], bytes]] = field(default_factory=dict)
     files: Mapping[str, Callable[[], bytes]] = field(default_factory=dict)
+    written: Sequence[Path] = ()
     untrusted: str = ""
     failures: Sequence[str] = ()
     options: Mapping[str, Any] = field(default_factory=dict)

@@ -2,25 +2,22 @@
 
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from lunarsci import inputs
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile, read_input
-from lunarsci.spectra.readers.table import Column, SpectrumTable, length_unit
-from lunarsci.spectra.rows import number, quoted
+from lunarsci.spectra.readers.envi_header import FLOATS, EnviHeader, data_names, header_names, is_header, partner
+from lunarsci.spectra.readers.table import Column, SpectrumTable
+from lunarsci.spectra.rows import quoted
 
 DATA_SUFFIXES = (".sli", ".slb")
-_HEADER_SUFFIX = ".hdr"
 _LIBRARY = "envi spectral library"
-_TYPES = {"4": "f4", "5": "f8"}
-_ORDERS = {"0": "<", "1": ">"}
-_UNKNOWN_UNITS = {"", "unknown"}
 _NOT_SPECTRA = re.compile(r"(wavelengths?|bandpass|resolution|fwhm)\b", re.IGNORECASE)
 """Records that the libraries of the USGS carry among their spectra."""
 _MOST_VALUES = 1_000_000_000
@@ -32,7 +29,7 @@ class _Layout:
 
     channels: int
     spectra: int
-    dtype: np.dtype[np.floating]
+    dtype: np.dtype[Any]
     offset: int
     wavelength: FloatArray
     unit: str | None
@@ -44,13 +41,13 @@ class _Layout:
 
 def looks_like_envi(source: InputFile) -> bool:
     """Whether a file is one of the two of an ENVI library: by its suffix, or as a header by its first line."""
-    return Path(source.name).suffix.lower() in DATA_SUFFIXES or source.data[:16].split(b"\n")[0].strip() == b"ENVI"
+    return Path(source.name).suffix.lower() in DATA_SUFFIXES or is_header(source)
 
 
 def without_headers(names: Sequence[str]) -> list[str]:
     """File names less the headers whose data file is among them."""
     data = {name for name in names if Path(name).suffix.lower() in DATA_SUFFIXES}
-    taken = {candidate for name in data for candidate in _header_names(name)}
+    taken = {candidate for name in data for candidate in header_names(name)}
     return [name for name in names if name not in taken]
 
 
@@ -60,11 +57,12 @@ def read_envi(source: InputFile) -> SpectrumTable:
     Raises DataError when one of them is missing, the header is no spectral library's or contradicts itself, or the
     data file has another size than the header says.
     """
-    if source.data[:16].split(b"\n")[0].strip() == b"ENVI":
-        header, data = source, _partner(source.name, _data_names(source.name), "data file (.sli)")
+    if is_header(source):
+        names = data_names(source.name, DATA_SUFFIXES)
+        header, data = source, _partner(source.name, names, "data file (.sli)")
     else:
-        header, data = _partner(source.name, _header_names(source.name), "header (.hdr)"), source
-    layout = _layout(_fields(header), header.name)
+        header, data = _partner(source.name, header_names(source.name), "header (.hdr)"), source
+    layout = _layout(EnviHeader.of(header))
     values = _values(data, layout, header.name)
     wavelength = Column("wavelength", layout.wavelength, 1, layout.unit)
     kept = [k for k, name in enumerate(layout.names) if not _NOT_SPECTRA.match(name)]
@@ -85,141 +83,42 @@ def read_envi(source: InputFile) -> SpectrumTable:
     )
 
 
-def _header_names(data: str) -> list[str]:
-    """Where the header of a data file may lie: x.sli.hdr, x.hdr, in either case."""
-    plain = str(Path(data).with_suffix(""))
-    return [stem + suffix for stem in (data, plain) for suffix in (_HEADER_SUFFIX, _HEADER_SUFFIX.upper())]
-
-
-def _data_names(header: str) -> list[str]:
-    """Where the data file of a header may lie: x.sli or x beside x.hdr, x.sli beside x.sli.hdr."""
-    plain = str(Path(header).with_suffix(""))
-    return [*(plain + suffix for low in DATA_SUFFIXES for suffix in (low, low.upper())), plain]
-
-
 def _partner(name: str, candidates: Sequence[str], what: str) -> InputFile:
     if name == "<stdin>":
         raise DataError(f"{name}: an ENVI library is two files, .sli and .hdr; give the name of one of them")
-    found = next((candidate for candidate in candidates if Path(candidate).is_file()), None)
-    if found is None:
-        looked = " or ".join(dict.fromkeys(Path(candidate).name.lower() for candidate in candidates))
-        raise DataError(f"{name}: its {what} is missing; put {looked} beside it")
-    return read_input(found)
+    return read_input(partner(name, candidates, what))
 
 
-def _fields(header: InputFile) -> dict[str, str]:
-    """Key to value, keys in lower case, braces and line breaks removed."""
-    lines = inputs.text(header).replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    if lines[0].strip() != "ENVI":
-        raise DataError(f"{header.name}: is no ENVI header: its first line is not 'ENVI'; fetch it again")
-    fields: dict[str, str] = {}
-    open_key, open_line, parts = "", 0, list[str]()
-    for n, line in enumerate(lines[1:], 2):
-        if open_key:
-            parts.append(line)
-        elif "=" in line and not line.lstrip().startswith(";"):
-            key, _, value = line.partition("=")
-            key, value = " ".join(key.split()).lower(), value.strip()
-            if not value.startswith("{"):
-                fields[key] = value
-                continue
-            open_key, open_line, parts = key, n, [value[1:]]
-        if open_key and "}" in parts[-1]:
-            parts[-1] = parts[-1].partition("}")[0]
-            fields[open_key], open_key = " ".join(parts), ""
-    if open_key:
-        what = f"{header.name}: line {open_line}: the braces of '{open_key[:40]}' are never closed"
-        raise DataError(f"{what} (truncated download?); fetch the file again")
-    return fields
-
-
-def _layout(fields: Mapping[str, str], file: str) -> _Layout:
-    kind = fields.get("file type", "")
+def _layout(header: EnviHeader) -> _Layout:
+    file, kind = header.file, header.fields.get("file type", "")
     if " ".join(kind.split()).lower() != _LIBRARY:
         is_what = quoted(kind) if kind else "of no file type"
-        raise DataError(f"{file}: is an ENVI header {is_what}, not of an 'ENVI Spectral Library'; give a library")
-    channels, spectra = _whole(fields, "samples", file), _whole(fields, "lines", file)
-    if _whole(fields, "bands", file, "1") != 1:
-        raise DataError(f"{file}: has bands = {fields['bands']}; a spectral library has 1")
+        remedy = "give a library; of an image, `lunarsci spectra map` makes maps and takes spectra out"
+        raise DataError(f"{file}: is an ENVI header {is_what}, not of an 'ENVI Spectral Library'; {remedy}")
+    channels, spectra = header.whole("samples"), header.whole("lines")
+    if header.whole("bands", "1") != 1:
+        raise DataError(f"{file}: has bands = {header.fields['bands']}; a spectral library has 1")
     if channels < 1 or spectra < 1 or channels * spectra > _MOST_VALUES:
         raise DataError(f"{file}: samples = {channels} and lines = {spectra} are no possible library; check the header")
-    wavelength = _numbers(fields, "wavelength", channels, file)
+    wavelength = header.numbers("wavelength", channels, "samples")
     if wavelength is None:
         raise DataError(f"{file}: has no 'wavelength'; a library needs one for each of its {channels} samples")
-    scale = _number(fields, "reflectance scale factor", file)
-    if scale is not None and not 0 < scale < np.inf:
-        raise DataError(f"{file}: 'reflectance scale factor' is {scale:g}; it must be above 0")
     return _Layout(
-        channels, spectra, _dtype(fields, file), _whole(fields, "header offset", file, "0"), wavelength,
-        _unit(fields, file), _names(fields, spectra, file), scale, _number(fields, "data ignore value", file),
-        _numbers(fields, "bbl", channels, file),
+        channels, spectra, header.dtype(FLOATS, "a library holds floats, 4 (32 bit) or 5 (64 bit)"),
+        header.whole("header offset", "0"), wavelength, header.wavelength_unit(), _names(header, spectra),
+        header.scale(), header.number("data ignore value"), header.numbers("bbl", channels, "samples"),
     )  # fmt: skip
 
 
-def _names(fields: Mapping[str, str], spectra: int, file: str) -> tuple[str, ...]:
+def _names(header: EnviHeader, spectra: int) -> tuple[str, ...]:
     """Names of the spectra, empty where the header has none; a single one may hold commas."""
-    text = " ".join(fields.get("spectra names", "").split())
+    text = " ".join(header.fields.get("spectra names", "").split())
     names = [name.strip() for name in text.split(",")] if spectra > 1 else [text]
     if not any(names):
         return ("",) * spectra
     names = names[:-1] if len(names) == spectra + 1 and not names[-1] else names
-    _count(names, spectra, "spectra names", "lines", file)
+    header.count(names, spectra, "spectra names", "lines")
     return tuple(names)
-
-
-def _whole(fields: Mapping[str, str], key: str, file: str, default: str | None = None) -> int:
-    text = fields.get(key, default)
-    if text is None:
-        raise DataError(f"{file}: has no '{key}'; complete the header or fetch it again")
-    if not re.fullmatch(r"[0-9]{1,12}", text):
-        raise DataError(f"{file}: '{key}' is {quoted(text)}, no whole number; correct the header")
-    return int(text)
-
-
-def _number(fields: Mapping[str, str], key: str, file: str) -> float | None:
-    text = fields.get(key)
-    if text is None:
-        return None
-    value = number(text)
-    if value is None:
-        raise DataError(f"{file}: '{key}' is {quoted(text)}, no number; correct the header")
-    return value
-
-
-def _numbers(fields: Mapping[str, str], key: str, count: int, file: str) -> FloatArray | None:
-    if key not in fields:
-        return None
-    cells = [cell.strip() for cell in fields[key].split(",")]
-    cells = cells[:-1] if cells and not cells[-1] else cells
-    values = [number(cell) for cell in cells]
-    wrong = next((cell for cell, value in zip(cells, values, strict=True) if value is None), None)
-    if wrong is not None:
-        raise DataError(f"{file}: {quoted(wrong)} in '{key}' is no number; correct the header")
-    _count(values, count, key, "samples", file)
-    return np.array(values, dtype=float)
-
-
-def _count(found: Sequence[object], wanted: int, what: str, of: str, file: str) -> None:
-    if len(found) != wanted:
-        why = " (a comma in a name?)" if what == "spectra names" else ""
-        raise DataError(f"{file}: {len(found)} '{what}' for {of} = {wanted}{why}; correct the header")
-
-
-def _dtype(fields: Mapping[str, str], file: str) -> "np.dtype[np.floating]":
-    kind, order = fields.get("data type", ""), fields.get("byte order", "0")
-    if kind not in _TYPES:
-        raise DataError(f"{file}: 'data type' is {quoted(kind)}; a library holds floats, 4 (32 bit) or 5 (64 bit)")
-    if order not in _ORDERS:
-        raise DataError(f"{file}: 'byte order' is {quoted(order)}; it must be 0 (little-endian) or 1 (big-endian)")
-    return np.dtype(_ORDERS[order] + _TYPES[kind])
-
-
-def _unit(fields: Mapping[str, str], file: str) -> str | None:
-    text = fields.get("wavelength units", "").strip()
-    unit = length_unit(text)
-    if unit is None and text.lower() not in _UNKNOWN_UNITS:
-        raise DataError(f"{file}: 'wavelength units' is {quoted(text)}; convert to Nanometers or Micrometers")
-    return unit
 
 
 def _values(data: InputFile, layout: _Layout, header: str) -> FloatArray:

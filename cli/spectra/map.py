@@ -1,0 +1,122 @@
+"""`lunarsci spectra map`: maps of bands, fits and shares of minerals from an image cube."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lunarsci.spectra.jobs.map import MapRequest
+
+from ..shared.command import command
+from ..shared.options import Output, option
+from ..shared.progress import progress
+from ..shared.report import Report
+from ..shared.table import TextTable
+
+if TYPE_CHECKING:
+    from lunarsci.spectra.jobs.map import CubeMap, PixelSpectrum
+
+
+PIXELS, SETTINGS, FILE = "Pixels", "Products", "What the file does not say"
+
+CubeFile = Annotated[
+    str,
+    typer.Argument(
+        help="Image cube: ENVI (.img or .hdr), M3 reflectance (_RFL.IMG), GeoTIFF stack, NetCDF, VNIS image (.2B).",
+        metavar="CUBE",
+    ),
+]
+Spectrum = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X,Y",
+        help="No map: the spectrum of sample X and line Y, from 0, as a table that the other commands read.",
+        rich_help_panel=PIXELS,
+    ),
+]
+OPTIONS = {
+    "products": option(
+        "What to measure, joined by commas: bands, indices, fit, unmix, match.", panel=SETTINGS, metavar="NAMES"
+    ),
+    "roi": option(
+        "Samples and lines x0:x1,y0:y1 from 0, ends left out; or a GeoJSON file of polygons in degrees.",
+        panel=PIXELS,
+        metavar="BOX|FILE",
+    ),
+    "mask": option("Image of the cube's size: pixels with 0 or no value are left out.", panel=PIXELS, metavar="FILE"),
+    "every": option("Every n-th line and sample only.", panel=PIXELS, min=1, metavar="N"),
+    "band_continuum": option("Continuum of the bands, as --continuum of `spectra bands`.", panel=SETTINGS),
+    "smooth_nm": option("Smoothing window of the bands in nm.", panel=SETTINGS, min=0),
+    "assemblage": option("Minerals of fit and unmix, joined by hyphens: OL, OPX, CPX, PLG.", panel=SETTINGS),
+    "continuum": option("Continuum of the fit, as --continuum of `spectra fit`.", panel=SETTINGS),
+    "model_error": option("Model error of ln R; left out: that expected of each spectrum.", panel=SETTINGS),
+    "starts": option("Starting points of a fit.", panel=SETTINGS, min=1),
+    "single_precision": option("Write values with 24 bits instead of 53: half the size.", panel=SETTINGS),
+    "wavelengths": option(
+        "Table of wavelengths, one a band; columns fwhm and good beside it.", panel=FILE, metavar="FILE"
+    ),
+    "wavelength_unit": option("Unit of the wavelengths.", panel=FILE),
+    "scale": option("What reflectances were multiplied by, such as 10000; 100 for percent.", panel=FILE),
+    "ignore": option("Number that stands for no value.", panel=FILE),
+    "saturated": option("Number in the file from which on a channel is saturated.", panel=FILE),
+    "locations": option(
+        "ENVI file of longitude and latitude of each pixel (M3: found beside it).", panel=FILE, metavar="FILE"
+    ),
+}
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the command."""
+    command(app, "map", request=MapRequest, options=OPTIONS)(map_cube)
+
+
+def map_cube(cube: CubeFile, request: MapRequest, output: Output, spectrum: Spectrum = None) -> Report:
+    """Maps of an image cube: bands, indices, fits and shares in every pixel, with errors and flags.
+
+    -o MAP.nc writes NetCDF (CF conventions), -o MAP.tif GeoTIFF; --plot draws a quick look.
+    """
+    from lunarsci.spectra.jobs.map import map, pixel
+
+    if spectrum is not None:
+        found = pixel(cube, spectrum, request)
+        return Report.of(found, [_pixel_table(found)])
+    with progress("mapping lines", quiet=output.quiet) as update:
+        result = map(cube, output.path, request, force=output.force, time=not output.no_time, progress=update)
+    return Report.of(result, [_table(result)], written=[result.path])
+
+
+def _table(result: "CubeMap") -> TextTable:
+    record = result.to_dict()
+    headers = ["layer", "what", "unit", "determined", "5 %", "median", "95 %"]
+    rows = [_row(row) for row in record["layers"] if row["kind"] == "value"]
+    return TextTable(headers, rows, title=_title(record["cube"]), notes=_notes(record))
+
+
+def _row(row: Mapping[str, Any]) -> list[str]:
+    share = "-" if row["determined"] is None else f"{100 * row['determined']:.0f} %"
+    numbers = ["-" if row[key] is None else f"{row[key]:.4g}" for key in ("p05", "median", "p95")]
+    return [row["name"], row["long_name"], "" if row["units"] == "1" else row["units"], share, *numbers]
+
+
+def _title(cube: Mapping[str, Any]) -> str:
+    good = cube["channels"] - cube["bad_channels"]
+    size = f"{cube['lines']} lines of {cube['samples']} samples"
+    reach = f"{good} good channels, {cube['first_nm']:.0f}-{cube['last_nm']:.0f} nm"
+    return f"{cube['file']} ({cube['format']}): {size}, {reach}"
+
+
+def _notes(record: Mapping[str, Any]) -> Sequence[str]:
+    counts = record["pixels"]
+    flags = [f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if name != "pixels" and count]
+    coded = [f"{row['name']}: {row['codes'].replace(' ', ', ')}" for row in record["layers"][1:] if row["codes"]]
+    return [", ".join([f"{counts['pixels']} pixels", *flags]), *coded, *record["cube"]["remarks"]]
+
+
+def _pixel_table(found: "PixelSpectrum") -> TextTable:
+    rows = [[f"{row['wavelength_nm']:.2f}", _shown(row[found.id])] for row in found.rows()]
+    flags = [f"flags: {', '.join(found.flags)}"] if found.flags else []
+    return TextTable(["wavelength [nm]", "reflectance"], rows, title=found.id, notes=flags)
+
+
+def _shown(value: float) -> str:
+    return "-" if value != value else f"{value:.6f}"

@@ -1,0 +1,383 @@
+"""A cube: lines and samples of spectra on one set of channels, read in blocks of lines and never as a whole.
+
+What a file may lie about is checked here for all formats: units of wavelengths, their order, scale, 8-bit pictures.
+"""
+
+import hashlib
+import re
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray
+from lunarsci.compiled import compiled
+from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.spectra.readers.table import Column, WavelengthUnit, wavelength_nm
+
+FLAGS = ("no_data", "left_out", "channels_missing", "channels_saturated", "channels_not_positive")
+"""Bits of a pixel's flags, the first is 1: no channel can be used; outside of the region or mask; good channels without
+a value; saturated; at or below 0."""
+NO_DATA, LEFT_OUT, MISSING, SATURATED, NOT_POSITIVE = (1 << k for k in range(len(FLAGS)))
+DELETED_BELOW = -1e30
+"""ENVI and USGS write -1.23e34 for a deleted channel; no reflectance is anywhere near."""
+MOST_REFLECTANCE = 2.0
+"""A median above this is no reflectance: percent, numbers of a detector, or radiance."""
+FEWEST_CHANNELS = 5
+MOST_VALUES = 10**13
+LINES_LOOKED_AT = 16
+_ROTATED = re.compile(r"^(pca?|mnf|ica?|principal component|minimum noise|eigen)\b.*\d", re.IGNORECASE)
+
+
+class Source(Protocol):
+    """Where the numbers of a cube are; it goes to other processes, so it holds no open file."""
+
+    def read(self, lines: slice, samples: slice) -> npt.NDArray[Any]:
+        """Numbers as the file has them, shape (lines, samples, channels of the file)."""
+
+
+@dataclass(frozen=True, slots=True)
+class FlatFile:
+    """Numbers in a flat file, `interleave` bsq, bil or bip; `offset` in bytes."""
+
+    path: str
+    dtype: str
+    offset: int
+    lines: int
+    samples: int
+    channels: int
+    interleave: str
+
+    @property
+    def bytes(self) -> int:
+        """Size that the file must have."""
+        return self.offset + self.lines * self.samples * self.channels * np.dtype(self.dtype).itemsize
+
+    def read(self, lines: slice, samples: slice) -> npt.NDArray[Any]:
+        """Numbers as the file has them, shape (lines, samples, channels)."""
+        count, shape = (
+            self.channels,
+            {
+                "bsq": (self.channels, self.lines, self.samples),
+                "bil": (self.lines, self.channels, self.samples),
+                "bip": (self.lines, self.samples, self.channels),
+            }[self.interleave],
+        )
+        mapped = np.memmap(self.path, np.dtype(self.dtype), "r", self.offset, shape)
+        if self.interleave == "bsq":
+            return np.stack([mapped[k, lines, samples] for k in range(count)], axis=-1)
+        block = mapped[lines, :, samples].swapaxes(1, 2) if self.interleave == "bil" else mapped[lines, samples]
+        return np.array(block)
+
+
+@dataclass(frozen=True, slots=True)
+class Backplane:
+    """A further number of each pixel, such as its longitude: band `channel` of a file of the same size."""
+
+    source: Source
+    channel: int
+    long_name: str
+    units: str
+
+    def read(self, lines: slice, samples: slice) -> FloatArray:
+        """Shape (lines, samples)."""
+        return np.asarray(self.source.read(lines, samples)[..., self.channel], dtype=float)
+
+
+@dataclass(frozen=True, slots=True)
+class PixelFrame:
+    """Where pixels lie: x = a s + b l + c, y = d s + e l + f of sample s and line l, corners counting from 0, and the
+    coordinate system of x and y as WKT, '' where none is named."""
+
+    transform: tuple[float, float, float, float, float, float]
+    crs_wkt: str = ""
+
+    def part(self, line: int, sample: int, step: int = 1) -> "PixelFrame":
+        """The frame of every `step`-th pixel from one on; a pixel keeps its middle and grows."""
+        a, b, c, d, e, f = self.transform
+        shift = (step - 1) / 2
+        s, row = sample - shift, line - shift
+        moved = (a * step, b * step, a * s + b * row + c, d * step, e * step, d * s + e * row + f)
+        return PixelFrame(moved, self.crs_wkt)
+
+    @property
+    def rotated(self) -> bool:
+        """Whether lines and samples are not those of x and y."""
+        return self.transform[1] != 0 or self.transform[3] != 0
+
+    def middles(self, lines: FloatArray, samples: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """x and y of middles of pixels."""
+        a, b, c, d, e, f = self.transform
+        s, row = samples + 0.5, lines + 0.5
+        return a * s + b * row + c, d * s + e * row + f
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stated:
+    """What the user says of a cube where the file does not.
+
+    `scale` : what numbers are divided by. `ignored` : number that stands for no value. `saturated` : number from which
+    on a channel is saturated. `wavelengths`, `locations` : files; the second has longitude and latitude of each pixel.
+    """
+
+    wavelength_unit: WavelengthUnit | None = None
+    scale: float | None = None
+    ignored: float | None = None
+    saturated: float | None = None
+    wavelengths: str | None = None
+    locations: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layout:
+    """What a file says of itself, in its own order of channels and its own units; see `Cube`.
+
+    `gain`, `offset` : of each channel, reflectance = gain number + offset; `scale` : what reflectances were multiplied
+    by. None where the file has none. `names` : of the channels.
+    """
+
+    name: str
+    format: str
+    source: Source
+    shape: tuple[int, int]
+    dtype: np.dtype[Any]
+    wavelength: FloatArray | None
+    unit: WavelengthUnit | None = None
+    fwhm: FloatArray | None = None
+    bad: BoolArray | None = None
+    gain: FloatArray | None = None
+    offset: FloatArray | None = None
+    scale: float | None = None
+    ignored: Sequence[float] = ()
+    frame: PixelFrame | None = None
+    names: Sequence[str] = ()
+    backplanes: Mapping[str, Backplane] = field(default_factory=dict)
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    remarks: Sequence[str] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Cube:
+    """An image of spectra.
+
+    Attributes
+    ----------
+    name, format : file, and `envi`, `m3`, `geotiff`, `netcdf` or `vnis`.
+    shape : lines and samples.
+    wavelength_nm, fwhm_nm : (c,) ascending; widths of the channels, None where unknown. [nm]
+    bad : (c,) True for channels that the file calls bad.
+    channels : (c,) place of each channel in the file.
+    gain, offset : (c,) reflectance = gain number + offset.
+    ignored, saturated : numbers that stand for no value; number from which on a channel is saturated, inf for none.
+    frame : where pixels lie, None where the file does not say.
+    backplanes : by name, further numbers of each pixel; `longitude` and `latitude` where they are known. [deg]
+    inputs : name of each file to its SHA-256. remarks : what to know, one sentence each.
+    """
+
+    name: str
+    format: str
+    source: Source
+    shape: tuple[int, int]
+    wavelength_nm: FloatArray
+    fwhm_nm: FloatArray | None
+    bad: BoolArray
+    channels: IndexArray
+    gain: FloatArray
+    offset: FloatArray
+    ignored: tuple[float, ...]
+    saturated: float
+    frame: PixelFrame | None
+    backplanes: Mapping[str, Backplane]
+    inputs: Mapping[str, str]
+    remarks: tuple[str, ...]
+
+    def read(self, lines: slice, samples: slice) -> tuple[FloatArray, npt.NDArray[np.uint8]]:
+        """Reflectance (lines, samples, c), NaN where it cannot be used, and the flags of each pixel."""
+        raw = self.source.read(lines, samples)
+        values = np.ascontiguousarray(raw, dtype=np.float64)
+        reflectance = np.empty((*values.shape[:2], self.channels.size))
+        flags = np.empty(values.shape[:2], np.uint8)
+        _decode(
+            values.reshape(-1, values.shape[2]), self.channels, self.gain, self.offset, self.bad,
+            np.array(self.ignored), self.saturated, reflectance.reshape(-1, self.channels.size), flags.reshape(-1),
+        )  # fmt: skip
+        return reflectance, flags
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def _decode(
+    raw: FloatArray, channels: IndexArray, gain: FloatArray, offset: FloatArray, bad: BoolArray, ignored: FloatArray,
+    saturated: float, reflectance: FloatArray, flags: npt.NDArray[np.uint8],
+) -> None:  # fmt: skip
+    """Fill reflectance (p, c) and flags (p,) from numbers (p, channels of the file)."""
+    for p in range(raw.shape[0]):
+        seen, flag = 0, 0
+        for k in range(channels.size):
+            number = raw[p, channels[k]]
+            value = np.nan
+            if not bad[k]:
+                absent = not np.isfinite(number) or number <= -1e30
+                for other in ignored:
+                    absent = absent or number == other
+                if absent:
+                    flag |= 4
+                elif number >= saturated:
+                    flag |= 8
+                else:
+                    value = gain[k] * number + offset[k]
+                    if value <= 0:
+                        flag |= 16
+                        value = np.nan
+                    else:
+                        seen += 1
+            reflectance[p, k] = value
+        flags[p] = flag if seen else flag | 1
+
+
+def sha256_of(path: str) -> str:
+    """Of a file that may not fit into memory."""
+    with Path(path).open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def cube_of(layout: Layout, stated: Stated) -> Cube:
+    """The cube of a file, checked: wavelengths in nm and ascending, numbers that are reflectances.
+
+    Raises DataError for files without wavelengths or with those of several units, for stretched 8-bit pictures,
+    rotated components, and numbers that are no reflectances; each with what to do.
+    """
+    _check_numbers(layout, stated)
+    wavelength, remarks = _wavelengths(layout, stated)
+    known = np.isfinite(wavelength)
+    order = np.argsort(np.where(known, wavelength, np.inf), kind="stable")[: int(known.sum())]
+    gain = np.ones(known.size) if layout.gain is None else layout.gain
+    offset = np.zeros(known.size) if layout.offset is None else layout.offset
+    bad = np.zeros(known.size, bool) if layout.bad is None else layout.bad
+    in_nm = np.ones(known.size) if layout.wavelength is None else wavelength / layout.wavelength
+    divisor = stated.scale or layout.scale or 1.0
+    cube = Cube(
+        name=layout.name, format=layout.format, source=layout.source, shape=layout.shape,
+        wavelength_nm=wavelength[order],
+        fwhm_nm=None if layout.fwhm is None else (layout.fwhm * in_nm)[order],
+        bad=bad[order], channels=order.astype(np.intp),
+        gain=gain[order] / divisor, offset=offset[order] / divisor,
+        ignored=_as_stored([*layout.ignored, *([] if stated.ignored is None else [stated.ignored])], layout.dtype),
+        saturated=_saturation(layout, stated), frame=layout.frame, backplanes=layout.backplanes,
+        inputs=layout.inputs, remarks=(*layout.remarks, *remarks),
+    )  # fmt: skip
+    _check_order(cube)
+    _check_level(cube, layout, stated)
+    return cube
+
+
+def _check_numbers(layout: Layout, stated: Stated) -> None:
+    """Raise DataError for numbers that are no measurements, whatever their size."""
+    lines, samples = layout.shape
+    if lines < 1 or samples < 1 or lines * samples > MOST_VALUES:
+        raise DataError(f"{layout.name}: {lines} lines and {samples} samples are no image; check the header")
+    if layout.dtype.kind == "c":
+        raise DataError(f"{layout.name}: holds complex numbers; a reflectance is a real one")
+    scaled = stated.scale or layout.scale or layout.gain is not None
+    if layout.dtype.itemsize == 1 and not scaled:
+        raise DataError(
+            f"{layout.name}: holds 8-bit numbers without a scale: a picture stretched for display, whose numbers are "
+            "no reflectances; get the file with physical values, or state `scale`"
+        )
+    if rotated := next((name for name in layout.names if _ROTATED.match(name.strip())), None):
+        raise DataError(
+            f"{layout.name}: band '{rotated[:40]}' is a rotated component, no channel; give the cube before"
+        )
+
+
+def _wavelengths(layout: Layout, stated: Stated) -> tuple[FloatArray, list[str]]:
+    """In the order of the file; NaN for channels without one. [nm]"""
+    found = layout.wavelength
+    if found is None:
+        raise DataError(f"{layout.name}: has no wavelengths; name a file with one for each band as `wavelengths`")
+    known = np.isfinite(found) & (found > 0)
+    if known.sum() < FEWEST_CHANNELS:
+        raise DataError(f"{layout.name}: {known.sum()} channels with a wavelength; a spectrum needs {FEWEST_CHANNELS}")
+    low, high = found[known].min(), found[known].max()
+    if low < 100 < high and low * 50 < high:
+        raise DataError(
+            f"{layout.name}: wavelengths {low:g} to {high:g} are in several units; write all in nm, or name a file of "
+            "them as `wavelengths`"
+        )
+    column = Column("wavelength", found[known], 1, layout.unit)
+    converted = np.full(found.shape, np.nan)
+    try:
+        converted[known], _ = wavelength_nm(column, stated.wavelength_unit, layout.name)
+    except DataError as error:
+        if layout.unit is None or stated.wavelength_unit is not None:
+            raise
+        # A header that says micrometres over numbers of nanometres, or the other way round: the numbers decide.
+        column = replace(column, unit=None)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LunarSciWarning)
+            try:
+                converted[known], record = wavelength_nm(column, None, layout.name)
+            except DataError:
+                raise error from None
+        unit = record["wavelength_unit"]
+        _warn(f"{layout.name}: says that wavelengths {low:g}-{high:g} are in {layout.unit}; read as {unit}")
+    lost = int((~known).sum())
+    return converted, [f"{lost} channels without a wavelength are left out"] if lost else []
+
+
+def _check_order(cube: Cube) -> None:
+    same = np.flatnonzero(np.diff(cube.wavelength_nm) == 0)
+    if same.size:
+        value = cube.wavelength_nm[same[0]]
+        raise DataError(
+            f"{cube.name}: two bands have the wavelength {value:.10g} nm; mark one of them bad or leave it out"
+        )
+    steps = np.diff(cube.channels)
+    if not ((steps > 0).all() or (steps < 0).all()):
+        _warn(f"{cube.name}: wavelengths are in no order; bands are sorted by them")
+    if (~cube.bad).sum() < FEWEST_CHANNELS:
+        raise DataError(f"{cube.name}: {(~cube.bad).sum()} good channels; a spectrum needs {FEWEST_CHANNELS}")
+
+
+def _as_stored(values: Sequence[float], dtype: np.dtype[Any]) -> tuple[float, ...]:
+    """Values as numbers of the file's type, so that they equal what stands there, less those that it cannot hold."""
+    found = []
+    for value in values:
+        with np.errstate(over="ignore", invalid="ignore"):
+            if dtype.kind == "f":
+                found.append(float(np.asarray(value).astype(dtype)))
+            elif np.isfinite(value) and np.iinfo(dtype).min <= value <= np.iinfo(dtype).max:
+                found.append(float(value))
+    return tuple(dict.fromkeys(found))
+
+
+def _saturation(layout: Layout, stated: Stated) -> float:
+    """What is stated, or the largest number that whole numbers of the file's type can be."""
+    if stated.saturated is not None:
+        return stated.saturated
+    return float(np.iinfo(layout.dtype).max) if layout.dtype.kind in "iu" and layout.dtype.itemsize < 8 else np.inf
+
+
+def _check_level(cube: Cube, layout: Layout, stated: Stated) -> None:
+    """Raise DataError where numbers of a few lines are no reflectances."""
+    lines = np.unique(np.linspace(0, cube.shape[0] - 1, LINES_LOOKED_AT).astype(int))
+    every = slice(0, cube.shape[1])
+    seen = np.concatenate([cube.read(slice(line, line + 1), every)[0].ravel() for line in lines])
+    seen = seen[np.isfinite(seen)]
+    if not seen.size:
+        return
+    median = float(np.median(seen))
+    whole = layout.dtype.kind in "iu" and not (stated.scale or layout.scale or layout.gain is not None)
+    if median > MOST_REFLECTANCE or whole:
+        guess = "percent have `scale` 100; " if median < 100 and not whole else "10000 is common; "
+        raise DataError(
+            f"{cube.name}: has numbers of about {median:.4g}, no reflectances; radiance must be calibrated first, "
+            f"scaled ones need `scale` ({guess}what they were multiplied by)"
+        )
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, LunarSciWarning, stacklevel=3)

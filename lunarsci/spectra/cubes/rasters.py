@@ -1,0 +1,351 @@
+"""Cubes in GeoTIFF and NetCDF files, by rasterio and xarray, and which of all formats a file is.
+
+GDAL opens a file with the driver that its content names and with no other.
+"""
+
+import re
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.arrays import FloatArray
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.inputs import read_input, text
+from lunarsci.spectra.cubes.cube import Backplane, Cube, Layout, PixelFrame, Source, Stated, cube_of, sha256_of
+from lunarsci.spectra.cubes.flat import envi_plane, has_header, open_envi, open_vnis
+from lunarsci.spectra.readers.table import WavelengthUnit, length_unit, wavelength_unit_in
+from lunarsci.spectra.rows import number, separator_of, split_fields, split_lines
+from lunarsci.spectra.vnis.name import product_name
+
+HINT = "cubes and maps need rasterio, xarray and h5netcdf; install them with: pip install 'lunarsci[cubes]'"
+_TIFF = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
+_HDF = b"\x89HDF"
+_WAVELENGTH = re.compile(
+    r"^(wavelengths?|wvls?|wl|lambda|band_?(wavelength|center|centre)s?)(_?(nm|um))?$", re.IGNORECASE
+)
+_STANDARD = {"radiation_wavelength", "sensor_band_central_radiation_wavelength"}
+_IN_NAME = re.compile(r"(\d+(?:\.\d+)?)\s*(nm|nanomet\w+|um|µm|μm|microns?|micromet\w+)?", re.IGNORECASE)
+
+
+def open_cube(path: str, stated: Stated | None = None) -> Cube:
+    """The cube in a file: ENVI, M3, GeoTIFF, NetCDF or a VNIS image.
+
+    Raises DataError, one line with file and remedy, for files that cannot be used as a cube; ParameterError where the
+    extra for it is missing.
+    """
+    said = stated or Stated()
+    layout = _layout(path, said)
+    return cube_of(_with_wavelengths(layout, said) if said.wavelengths else layout, said)
+
+
+def _layout(path: str, said: Stated) -> Layout:
+    start = start_of(path)
+    if product_name(path) is not None:
+        return open_vnis(path)
+    if start.startswith(_TIFF):
+        return open_geotiff(path)
+    if start.startswith((_HDF, b"CDF")):
+        return open_netcdf(path)
+    if start.split(b"\n")[0].strip() == b"ENVI" or has_header(path):
+        return open_envi(path, said.locations)
+    raise DataError(f"{path}: is no cube: no ENVI header beside it, no GeoTIFF, no NetCDF, no VNIS product")
+
+
+@contextmanager
+def opened(path: str, driver: str) -> Iterator[Any]:
+    """A dataset of rasterio, by this driver of GDAL and no other. Raises DataError for what it cannot read."""
+    try:
+        import rasterio
+        from rasterio.errors import NotGeoreferencedWarning, RasterioError
+    except ImportError as error:
+        raise ParameterError(HINT) from error
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.open(path, driver=driver) as dataset:
+                yield dataset
+    except RasterioError as error:
+        reason = " ".join(str(error).split())
+        raise DataError(f"{path}: cannot be read ({reason}); fetch or write it again") from error
+
+
+def frame_of(dataset: Any) -> PixelFrame | None:
+    """Where pixels of a dataset lie; None where it does not say."""
+    if dataset.transform.is_identity:
+        return None
+    return PixelFrame(tuple(dataset.transform)[:6], dataset.crs.to_wkt() if dataset.crs else "")
+
+
+@dataclass(frozen=True, slots=True)
+class RasterFile:
+    """Numbers in a file that GDAL reads."""
+
+    path: str
+    driver: str
+
+    def read(self, lines: slice, samples: slice) -> npt.NDArray[Any]:
+        """Numbers as the file has them, shape (lines, samples, bands)."""
+        from rasterio.windows import Window
+
+        window = Window(samples.start, lines.start, samples.stop - samples.start, lines.stop - lines.start)
+        with opened(self.path, self.driver) as dataset:
+            return np.moveaxis(dataset.read(window=window), 0, 2)
+
+
+def open_geotiff(path: str) -> Layout:
+    """A stack of bands; wavelengths are those that bands are described with. Raises DataError for what it is not."""
+    with opened(path, "GTiff") as dataset:
+        kinds = set(dataset.dtypes)
+        if len(kinds) > 1:
+            raise DataError(
+                f"{path}: bands hold numbers of several types ({', '.join(sorted(kinds))}); write them alike"
+            )
+        wavelength, unit = _described(dataset)
+        scaled = any(s != 1 for s in dataset.scales) or any(o != 0 for o in dataset.offsets)
+        return Layout(
+            name=path,
+            format="geotiff",
+            source=RasterFile(path, "GTiff"),
+            shape=(dataset.height, dataset.width),
+            dtype=np.dtype(dataset.dtypes[0]),
+            wavelength=wavelength,
+            unit=unit,
+            gain=np.array(dataset.scales, float) if scaled else None,
+            offset=np.array(dataset.offsets, float) if scaled else None,
+            ignored=sorted({value for value in dataset.nodatavals if value is not None and np.isfinite(value)}),
+            frame=frame_of(dataset),
+            names=[name or "" for name in dataset.descriptions],
+            inputs={path: sha256_of(path)},
+        )
+
+
+def _described(dataset: Any) -> tuple[FloatArray | None, WavelengthUnit | None]:
+    """Wavelengths of bands, from their tags or descriptions, and their unit."""
+    bands = range(1, dataset.count + 1)
+    tags = [{**dataset.tags(band, ns="IMAGERY"), **dataset.tags(band)} for band in bands]
+    if all("CENTRAL_WAVELENGTH_UM" in tag for tag in tags):
+        return np.array([number(tag["CENTRAL_WAVELENGTH_UM"]) or np.nan for tag in tags], float), "um"
+    if all("wavelength" in tag for tag in tags):
+        units = {length_unit(tag.get("wavelength_units", "")) for tag in tags}
+        return np.array([number(tag["wavelength"]) or np.nan for tag in tags], float), units.pop() if len(
+            units
+        ) == 1 else None
+    found = [_in_name(name or "") for name in dataset.descriptions]
+    if any(item is None for item in found):
+        return None, None
+    units = {item[1] for item in found if item}
+    return np.array([item[0] for item in found if item]), units.pop() if len(units) == 1 else None
+
+
+def _in_name(name: str) -> tuple[float, WavelengthUnit | None] | None:
+    """The number of a description that is a wavelength: the one with a unit, else the only one above 0.2."""
+    found = _IN_NAME.findall(name)
+    with_unit = [(float(value), length_unit(unit)) for value, unit in found if unit]
+    if len(with_unit) == 1:
+        return with_unit[0]
+    alone = name.strip()
+    return (float(alone), None) if re.fullmatch(r"\d+(\.\d+)?", alone) and float(alone) > 0.2 else None
+
+
+@dataclass(frozen=True, slots=True)
+class NetcdfVariable:
+    """A variable of a NetCDF file, `axes` its dimensions in the order lines, samples, channels (or the first two)."""
+
+    path: str
+    name: str
+    axes: tuple[str, ...]
+
+    def read(self, lines: slice, samples: slice) -> npt.NDArray[Any]:
+        """Values with the file's scale and fill values applied, shape (lines, samples, channels)."""
+        variable = netcdf(self.path)[self.name]
+        part: npt.NDArray[Any] = (
+            variable.isel({self.axes[0]: lines, self.axes[1]: samples}).transpose(*self.axes).values
+        )
+        return part if part.ndim == 3 else part[..., None]
+
+
+def netcdf(path: str) -> Any:
+    """A data set of xarray, its numbers still on disk. Raises DataError for what is none."""
+    start = start_of(path)
+    status = Path(path).stat()
+    return _netcdf(path, "h5netcdf" if start.startswith(_HDF) else "scipy", status.st_mtime_ns, status.st_ino)
+
+
+@lru_cache(maxsize=4)
+def _netcdf(path: str, engine: str, *_version: int) -> Any:
+    try:
+        import h5netcdf  # noqa: F401
+        import xarray
+    except ImportError as error:
+        raise ParameterError(HINT) from error
+    try:
+        return xarray.open_dataset(path, engine=engine, decode_times=False)
+    except (OSError, ValueError, TypeError, KeyError, RuntimeError) as error:
+        reason = " ".join(str(error).split())[:120]
+        raise DataError(f"{path}: cannot be read as NetCDF ({reason}); fetch or write it again") from error
+
+
+def open_netcdf(path: str) -> Layout:
+    """The variable of three dimensions, one of which has wavelengths. Raises DataError where there is none, or many."""
+    data = netcdf(path)
+    waves = {axis: name for name in data.variables for axis in [_wave_axis(data[name], str(name))] if axis}
+    cubes = [name for name, item in data.data_vars.items() if item.ndim == 3 and item.dtype.kind in "iufc"]
+    with_waves = [name for name in cubes if set(data[name].dims) & set(waves)]
+    if len(with_waves) > 1:
+        raise DataError(f"{path}: has several cubes ({', '.join(map(str, with_waves[:5]))}); give a file with one")
+    if not cubes:
+        raise DataError(f"{path}: has no variable of lines, samples and wavelengths; give a cube")
+    variable = data[(with_waves or cubes)[0]]
+    axis = next((str(name) for name in variable.dims if name in waves), str(variable.dims[0]))
+    lines, samples = (str(name) for name in variable.dims if name != axis)
+    wave = data[waves[axis]] if axis in waves else None
+    stored = variable.encoding.get("dtype", variable.dtype)
+    scaled = "scale_factor" in variable.encoding or "add_offset" in variable.encoding
+    return Layout(
+        name=path,
+        format="netcdf",
+        source=NetcdfVariable(path, str(variable.name), (lines, samples, axis)),
+        shape=(variable.sizes[lines], variable.sizes[samples]),
+        dtype=np.dtype(float) if scaled else np.dtype(stored),
+        wavelength=None if wave is None else np.asarray(wave.values, float),
+        unit=None if wave is None else length_unit(str(wave.attrs.get("units", ""))),
+        **_channel_arrays(data, axis),
+        frame=_netcdf_frame(data, variable, lines, samples),
+        backplanes=_netcdf_locations(data, path, lines, samples),
+        inputs={path: sha256_of(path)},
+    )
+
+
+def _wave_axis(variable: Any, name: str) -> str | None:
+    """The dimension that wavelengths belong to."""
+    named = _WAVELENGTH.match(name) or variable.attrs.get("standard_name") in _STANDARD
+    return str(variable.dims[0]) if named and variable.ndim == 1 and variable.dtype.kind in "iuf" else None
+
+
+def _channel_arrays(data: Any, axis: str) -> dict[str, Any]:
+    """Widths and bad bands, where variables along the channels have them."""
+    along = {str(name).lower(): data[name] for name in data.variables if data[name].dims == (axis,)}
+    good = next((along[name] for name in ("bbl", "good", "good_wavelengths", "good_bands") if name in along), None)
+    fwhm = along.get("fwhm")
+    return {
+        "fwhm": None if fwhm is None else np.asarray(fwhm.values, float),
+        "bad": None if good is None else np.asarray(good.values, float) == 0,
+    }
+
+
+def _netcdf_frame(data: Any, variable: Any, lines: str, samples: str) -> PixelFrame | None:
+    """From the grid mapping's GeoTransform, else from coordinates in equal steps."""
+    named = variable.attrs.get("grid_mapping") or variable.encoding.get("grid_mapping") or "spatial_ref"
+    mapping = data[named].attrs if named in data.variables else {}
+    wkt = str(mapping.get("crs_wkt") or mapping.get("spatial_ref") or "")
+    if len(parts := str(mapping.get("GeoTransform", "")).split()) == 6:
+        c, a, b, f, d, e = map(float, parts)
+        return PixelFrame((a, b, c, d, e, f), wkt)
+    steps = [_steps(data, name) for name in (samples, lines)]
+    if steps[0] is None or steps[1] is None:
+        return None
+    (x, dx), (y, dy) = steps[0], steps[1]
+    return PixelFrame((dx, 0.0, x - dx / 2, 0.0, dy, y - dy / 2), wkt)
+
+
+def _steps(data: Any, name: str) -> tuple[float, float] | None:
+    """First coordinate and step, where they are equal."""
+    if name not in data.coords or data[name].ndim != 1 or data[name].size < 2 or data[name].dtype.kind not in "iuf":
+        return None
+    values = np.asarray(data[name].values, float)
+    step = (values[-1] - values[0]) / (values.size - 1)
+    even = step != 0 and bool(np.abs(np.diff(values) - step).max() < 1e-3 * abs(step))
+    return (float(values[0]), float(step)) if even else None
+
+
+def _netcdf_locations(data: Any, path: str, lines: str, samples: str) -> dict[str, Backplane]:
+    planes = {}
+    for key, units in (("longitude", "degrees_east"), ("latitude", "degrees_north")):
+        for name in data.variables:
+            item = data[name]
+            named = item.attrs.get("standard_name") == key or str(name).lower() in (key, key[:3])
+            if named and set(item.dims) == {lines, samples}:
+                planes[key] = Backplane(NetcdfVariable(path, str(name), (lines, samples)), 0, key, units)
+    return planes if len(planes) == 2 else {}
+
+
+@dataclass(frozen=True, slots=True)
+class ArrayFile:
+    """Numbers in a NumPy file of two dimensions."""
+
+    path: str
+
+    def read(self, lines: slice, samples: slice) -> npt.NDArray[Any]:
+        """Numbers as the file has them, shape (lines, samples, 1)."""
+        return np.array(np.load(self.path, mmap_mode="r")[lines, samples])[..., None]
+
+
+def plane_of(path: str) -> tuple[Source, tuple[int, int]]:
+    """An image of one number a pixel, ENVI, GeoTIFF, NetCDF or `.npy`, and its lines and samples. Raises DataError."""
+    start = start_of(path)
+    if start.startswith(b"\x93NUMPY"):
+        shape = np.load(path, mmap_mode="r").shape
+        source: Source = ArrayFile(path)
+    elif start.startswith(_TIFF):
+        with opened(path, "GTiff") as dataset:
+            source, shape = RasterFile(path, "GTiff"), (dataset.height, dataset.width, dataset.count)
+    elif start.startswith((_HDF, b"CDF")):
+        planes = [str(name) for name, item in netcdf(path).data_vars.items() if item.ndim == 2]
+        if len(planes) != 1:
+            raise DataError(f"{path}: has {len(planes)} images ({', '.join(planes[:5])}); give a file with one")
+        image = netcdf(path)[planes[0]]
+        source, shape = NetcdfVariable(path, planes[0], tuple(map(str, image.dims))), image.shape
+    elif has_header(path):
+        source = flat = envi_plane(path)
+        shape = (flat.lines, flat.samples, flat.channels)
+    else:
+        raise DataError(f"{path}: is no image of one band: ENVI with a header beside it, GeoTIFF, NetCDF or .npy")
+    if len(shape) < 2 or shape[2:] not in ((), (1,)):
+        raise DataError(f"{path}: is no image of one band; give one")
+    return source, (int(shape[0]), int(shape[1]))
+
+
+def start_of(path: str) -> bytes:
+    """First bytes of a file. Raises DataError where there is none."""
+    if not Path(path).is_file():
+        why = "is a folder; name the file in it" if Path(path).is_dir() else "no such file; check the path"
+        raise DataError(f"{path}: {why}")
+    with Path(path).open("rb") as stream:
+        return stream.read(16)
+
+
+def _with_wavelengths(layout: Layout, said: Stated) -> Layout:
+    """With those of a table: a column of wavelengths, and where wanted `fwhm` and `good` (0 or 1) beside it."""
+    file = str(said.wavelengths)
+    source = read_input(file)
+    lines, _ = split_lines(text(source))
+    separator = separator_of(lines)
+    cells = [split_fields(line, separator, f"{file}: line {n}") for n, line in lines]
+    names = [] if number(cells[0][0]) is not None else [name.lower() for name in cells.pop(0)]
+    place = next((k for k, name in enumerate(names) if "wave" in name or name in ("nm", "um")), 0)
+    columns = {"wavelength": place} | {
+        key: k for k, name in enumerate(names) for key in ("fwhm", "good") if key in name
+    }
+    found = {key: [number(row[k]) if k < len(row) else None for row in cells] for key, k in columns.items()}
+    values = {
+        key: np.array([np.nan if item is None else item for item in column], float) for key, column in found.items()
+    }
+    count = layout.source.read(slice(0, 1), slice(0, 1)).shape[2]
+    if len(cells) != count:
+        raise DataError(f"{file}: has {len(cells)} wavelengths, {layout.name} has {count} bands; give one for each")
+    unit = wavelength_unit_in(names[place], file) if names else None
+    return replace(
+        layout,
+        wavelength=values["wavelength"],
+        unit=unit,
+        fwhm=values.get("fwhm"),
+        bad=values["good"] == 0 if "good" in values else layout.bad,
+        inputs={**layout.inputs, file: source.sha256},
+    )

@@ -1,0 +1,221 @@
+"""Which pixels of a cube are wanted: a box, a polygon on the ground, a mask, every n-th."""
+
+import json
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.errors import DataError, RequestError
+from lunarsci.inputs import read_input, text
+from lunarsci.spectra.cubes.cube import Cube, Source
+from lunarsci.spectra.cubes.rasters import plane_of
+
+MOON_LONGLAT = "+proj=longlat +R=1737400 +no_defs"
+"""Mean radius of the Moon: IAU Working Group (Archinal et al. 2018, 10.1007/s10569-017-9805-5)."""
+_BOX = re.compile(r"\s*(\d*)\s*:\s*(\d*)\s*,\s*(\d*)\s*:\s*(\d*)\s*")
+_LINES_AT_ONCE = 512
+_EDGE_PARTS = 64
+
+Ring = tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """Lines and samples from `first` up to `last` of each, every `step`-th, less what polygon and mask leave out.
+
+    `polygons` : rings of each, in samples and lines where the cube has a frame, else in longitude and latitude.
+    `mask` : numbers of the cube's size, 0 or missing where a pixel is left out.
+    """
+
+    lines: tuple[int, int]
+    samples: tuple[int, int]
+    step: int = 1
+    polygons: tuple[tuple[Ring, ...], ...] = ()
+    mask: Source | None = None
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Lines and samples of a map of it."""
+        return tuple(-(-(last - first) // self.step) for first, last in (self.lines, self.samples))  # type: ignore[return-value]
+
+    def part(self, rows: range) -> tuple[slice, slice]:
+        """Lines and samples of the cube that some rows of the map are from, to be thinned by `step`."""
+        first = self.lines[0] + rows.start * self.step
+        last = min(self.lines[0] + (rows.stop - 1) * self.step + 1, self.lines[1])
+        return slice(first, last), slice(*self.samples)
+
+    def kept(self, cube: Cube, rows: range) -> BoolArray:
+        """Whether each pixel of some rows of the map is wanted, (rows, samples)."""
+        lines, samples = self.part(rows)
+        kept = np.ones((lines.stop - lines.start, samples.stop - samples.start), bool)
+        if self.mask is not None:
+            values = np.asarray(self.mask.read(lines, samples)[..., 0], float)
+            kept &= np.isfinite(values) & (values != 0)
+        if self.polygons:
+            kept &= self._inside(cube, lines, samples)
+        return kept[:: self.step, :: self.step]
+
+    def _inside(self, cube: Cube, lines: slice, samples: slice) -> BoolArray:
+        from matplotlib.path import Path as Outline
+
+        points = _places(cube, lines, samples)
+        found = np.zeros(len(points), bool)
+        for rings in self.polygons:
+            parity = np.zeros(len(points), bool)
+            for ring in rings:
+                parity ^= Outline(np.array(ring)).contains_points(points)
+            found |= parity
+        return found.reshape(lines.stop - lines.start, -1)
+
+
+def _places(cube: Cube, lines: slice, samples: slice) -> FloatArray:
+    """Middles of pixels in the coordinates of polygons, (p, 2)."""
+    if cube.frame is not None:
+        s, row = np.meshgrid(np.arange(samples.start, samples.stop) + 0.5, np.arange(lines.start, lines.stop) + 0.5)
+        return np.stack([s.ravel(), row.ravel()], axis=1)
+    planes = [cube.backplanes[name].read(lines, samples).ravel() for name in ("longitude", "latitude")]
+    return np.stack([planes[0] % 360.0, planes[1]], axis=1)
+
+
+def region_of(cube: Cube, roi: str | None = None, mask: str | None = None, every: int = 1) -> Region:
+    """The wanted part of a cube.
+
+    Parameters
+    ----------
+    roi : `x0:x1,y0:y1` in samples and lines from 0, ends not included and either left out for the edge; or a GeoJSON
+        file with polygons in longitude and latitude. [deg]
+    mask : image of the same size, 0 or no value where a pixel is left out.
+    every : n, for every n-th line and sample.
+
+    Raises RequestError for a box that is none, DataError for files that do not fit the cube.
+    """
+    if every < 1:
+        raise RequestError(f"`every` is {every}; give 1 or more")
+    source = None
+    if mask is not None:
+        source, shape = plane_of(mask)
+        if shape != cube.shape:
+            raise DataError(f"{mask}: has {_size(shape)}, the cube has {_size(cube.shape)}; a mask is of its size")
+    if roi is None:
+        return Region((0, cube.shape[0]), (0, cube.shape[1]), every, mask=source)
+    if (box := _BOX.fullmatch(roi)) is not None:
+        samples, lines = _span(box.group(1, 2), cube.shape[1], roi), _span(box.group(3, 4), cube.shape[0], roi)
+        return Region(lines, samples, every, mask=source)
+    if not Path(roi).is_file():
+        raise RequestError(f"`roi` {roi}: is neither a box such as 10:60,0:100 (samples, lines) nor a GeoJSON file")
+    polygons = _polygons(cube, roi)
+    lines, samples = _bounds(cube, polygons, roi)
+    return Region(lines, samples, every, polygons, source)
+
+
+def _size(shape: tuple[int, int]) -> str:
+    return f"{shape[0]} lines and {shape[1]} samples"
+
+
+def _span(ends: Any, size: int, roi: str) -> tuple[int, int]:
+    first, last = int(ends[0] or 0), int(ends[1] or size)
+    if not 0 <= first < last <= size:
+        raise RequestError(f"`roi` {roi}: {first}:{last} is no part of 0:{size}; ends rise and are within the cube")
+    return first, last
+
+
+def _polygons(cube: Cube, file: str) -> tuple[tuple[Ring, ...], ...]:
+    try:
+        found = list(_rings(json.loads(text(read_input(file)))))
+        rings = [[np.array(ring, float)[:, :2] for ring in polygon] for polygon in found]
+    except (ValueError, TypeError, KeyError, IndexError) as error:
+        raise DataError(
+            f"{file}: is no GeoJSON with polygons ({error}); give one, or a box of samples and lines"
+        ) from error
+    if not rings or any(len(ring) < 3 for polygon in rings for ring in polygon):
+        raise DataError(f"{file}: has no polygon; a region is a Polygon or MultiPolygon in longitude and latitude")
+    if cube.frame is None and "longitude" not in cube.backplanes:
+        raise DataError(f"{cube.name}: has no place on the Moon that a polygon could mean; give `roi` x0:x1,y0:y1")
+    return tuple(tuple(_on_cube(cube, ring, file) for ring in polygon) for polygon in rings)
+
+
+def _rings(item: Any) -> Iterator[Any]:
+    """Rings of every polygon of a GeoJSON object."""
+    if item["type"] == "FeatureCollection":
+        for feature in item["features"]:
+            yield from _rings(feature)
+    elif item["type"] == "Feature":
+        yield from _rings(item["geometry"])
+    elif item["type"] == "GeometryCollection":
+        for geometry in item["geometries"]:
+            yield from _rings(geometry)
+    elif item["type"] == "Polygon":
+        yield item["coordinates"]
+    elif item["type"] == "MultiPolygon":
+        yield from item["coordinates"]
+
+
+def _on_cube(cube: Cube, ring: FloatArray, file: str) -> Ring:
+    """A ring in the coordinates that pixels are compared in."""
+    if not np.isfinite(ring).all() or np.abs(ring[:, 1]).max() > 90 or np.abs(ring[:, 0]).max() > 360:
+        raise DataError(f"{file}: has corners that are no longitude and latitude in degrees; convert them")
+    closed = ring if (ring[0] == ring[-1]).all() else np.vstack([ring, ring[:1]])
+    if cube.frame is None:
+        return tuple((float(x) % 360.0, float(y)) for x, y in closed)
+    share = np.linspace(0, 1, _EDGE_PARTS, endpoint=False)[:, None]
+    edges = np.vstack([a + share * (b - a) for a, b in pairwise(closed)])
+    s, line = pixels_at(cube, edges[:, 0], edges[:, 1], file)
+    return tuple(zip(s.tolist(), line.tolist(), strict=True))
+
+
+def pixels_at(cube: Cube, longitude: FloatArray, latitude: FloatArray, file: str) -> tuple[FloatArray, FloatArray]:
+    """Samples and lines, in parts of pixels from the first corner, of places on a cube that has a frame."""
+    if cube.frame is None:
+        raise DataError(f"{cube.name}: says nowhere where its pixels lie; give samples and lines")
+    x, y = _projected(cube, longitude, latitude, file)
+    a, b, c, d, e, f = cube.frame.transform
+    determinant = a * e - b * d
+    return (e * (x - c) - b * (y - f)) / determinant, (a * (y - f) - d * (x - c)) / determinant
+
+
+def _projected(cube: Cube, longitude: FloatArray, latitude: FloatArray, file: str) -> tuple[FloatArray, FloatArray]:
+    from rasterio.crs import CRS
+    from rasterio.errors import RasterioError
+    from rasterio.warp import transform
+
+    frame = cube.frame
+    if frame is None or not frame.crs_wkt:
+        raise DataError(f"{cube.name}: names no coordinate system for a place in degrees; give `roi` x0:x1,y0:y1")
+    system = CRS.from_wkt(frame.crs_wkt)
+    if system.is_geographic:
+        middle = float(frame.middles(np.array(cube.shape[0] / 2), np.array(cube.shape[1] / 2))[0])
+        return (longitude - middle + 180) % 360 + middle - 180, latitude
+    try:
+        x, y = transform(MOON_LONGLAT, system, longitude.tolist(), latitude.tolist())
+    except (RasterioError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise DataError(f"{file}: cannot be brought to the cube's coordinate system ({reason})") from error
+    return np.asarray(x, float), np.asarray(y, float)
+
+
+def _bounds(cube: Cube, polygons: Sequence[Sequence[Ring]], file: str) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Lines and samples about the polygons. Raises DataError where none of them touches the cube."""
+    if cube.frame is not None:
+        corners = np.array([corner for rings in polygons for ring in rings for corner in ring])
+        low, high = np.floor(corners.min(axis=0)), np.ceil(corners.max(axis=0))
+        spans = [(max(int(a), 0), min(int(b), size)) for a, b, size in zip(low, high, cube.shape[::-1], strict=True)]
+        if all(first < last for first, last in spans):
+            return spans[1], spans[0]
+        raise DataError(f"{file}: lies beside the cube {cube.name}")
+    whole = Region((0, cube.shape[0]), (0, cube.shape[1]), 1, tuple(map(tuple, polygons)))
+    rows, columns = np.zeros(cube.shape[0], bool), np.zeros(cube.shape[1], bool)
+    for first in range(0, cube.shape[0], _LINES_AT_ONCE):
+        part = range(first, min(first + _LINES_AT_ONCE, cube.shape[0]))
+        inside = whole.kept(cube, part)
+        rows[part.start : part.stop] = inside.any(axis=1)
+        columns |= inside.any(axis=0)
+    if not rows.any():
+        raise DataError(f"{file}: lies beside the cube {cube.name}")
+    found = [np.flatnonzero(seen) for seen in (rows, columns)]
+    return (int(found[0][0]), int(found[0][-1]) + 1), (int(found[1][0]), int(found[1][-1]) + 1)

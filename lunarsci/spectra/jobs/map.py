@@ -1,0 +1,316 @@
+"""`lunarsci.map`: what is measured on one spectrum, on every pixel of an image cube, as a file of maps."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from lunarsci.errors import RequestError
+from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.spectra.jobs.bands import SMOOTH_NM
+from lunarsci.spectra.jobs.fit import DEFAULT_ASSEMBLAGE, Progress
+from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
+
+if TYPE_CHECKING:
+    from lunarsci.spectra.cubes.blocks import Product
+    from lunarsci.spectra.cubes.cube import Cube, Stated
+    from lunarsci.spectra.cubes.output import Layer
+    from lunarsci.spectra.cubes.regions import Region
+
+
+PRODUCTS = ("bands", "indices", "fit", "unmix", "match")
+BYTES_A_CHANNEL = 80
+"""Memory of a pixel while it is worked on, for each channel and layer: reflectance and its copies; measured."""
+MOST_ROWS = 64
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MapRequest:
+    """What to measure on which pixels.
+
+    Attributes
+    ----------
+    products : of `PRODUCTS`, joined by commas.
+    roi, mask, every : which pixels, see `lunarsci.spectra.cubes.regions.region_of`.
+    band_continuum, smooth_nm : of bands, as `continuum` and `smooth_nm` of `lunarsci.bands`.
+    assemblage, continuum, model_error, starts : of fit and unmix, as `lunarsci.fit` has them.
+    kind : of unmix, as `lunarsci.unmix` has it.
+    site, craters : of match, as `lunarsci.match` has them.
+    single_precision : whether values are written with 24 bits instead of 53.
+    wavelengths, wavelength_unit, scale, ignore, saturated, locations : of the cube, where it does not say: a file of
+        wavelengths, their unit, what reflectances were multiplied by, the number for no value, the number from which on
+        a channel is saturated, a file of longitudes and latitudes.
+    """
+
+    products: str = "bands,indices,fit"
+    roi: str | None = None
+    mask: str | None = None
+    every: int = 1
+    band_continuum: Literal["conic", "hull", "linear"] = "conic"
+    smooth_nm: float = SMOOTH_NM
+    assemblage: str = DEFAULT_ASSEMBLAGE
+    continuum: MgmContinuum = DEFAULT_CONTINUUM
+    model_error: float | None = None
+    starts: int = 4
+    kind: Literal["auto", "powder-mixture", "dark-rock-powder", "weathered-soil", "solid-rock"] = "auto"
+    single_precision: bool = False
+    wavelengths: str | None = None
+    wavelength_unit: Literal["nm", "um"] | None = None
+    scale: float | None = None
+    ignore: float | None = None
+    saturated: float | None = None
+    locations: str | None = None
+
+    def __post_init__(self) -> None:
+        if wrong := [name for name in self.wanted if name not in PRODUCTS]:
+            raise RequestError(f"`products` {wrong[0]}: there are {', '.join(PRODUCTS)}")
+        if not self.wanted:
+            raise RequestError(f"`products` is empty; there are {', '.join(PRODUCTS)}")
+        if self.scale is not None and not 0 < self.scale < float("inf"):
+            raise RequestError(f"`scale` is {self.scale:g}; reflectances are numbers divided by it, so it is above 0")
+        if self.every < 1:
+            raise RequestError(f"`every` is {self.every}; give 1 or more")
+
+    @property
+    def wanted(self) -> list[str]:
+        """Products, each once."""
+        return list(dict.fromkeys(name for part in self.products.split(",") if (name := part.strip().lower())))
+
+    def stated(self) -> "Stated":
+        """What is said of the cube."""
+        from lunarsci.spectra.cubes.cube import Stated
+
+        return Stated(
+            wavelength_unit=self.wavelength_unit,
+            scale=self.scale,
+            ignored=self.ignore,
+            saturated=self.saturated,
+            wavelengths=self.wavelengths,
+            locations=self.locations,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CubeMap(Result):
+    """A map that was written, and what is in it.
+
+    Attributes
+    ----------
+    path : of the file.
+    cube, region, layers, request : what was mapped and asked.
+    counts : pixels that were wanted, and those with each flag.
+    codes : by layer of codes, pixels with each of its codes.
+    sampled : by layer of values, those of some pixels evenly spread over the map, NaN where not determined.
+    """
+
+    schema = "spectra-map/1"
+    path: Path
+    cube: "Cube"
+    region: "Region"
+    layers: "Sequence[Layer]"
+    request: MapRequest
+    products: "Sequence[Product]"
+    counts: Mapping[str, int]
+    codes: Mapping[str, Mapping[str, int]]
+    sampled: Mapping[str, Any] = field(repr=False)
+
+    @property
+    def made_from(self) -> MadeFrom:
+        return made_from(self.cube, self.products)
+
+    @property
+    def untrusted(self) -> str:
+        if self.counts["pixels"] > self.counts["no_data"]:
+            return ""
+        return "not to be trusted: no pixel of the region has a channel that can be used"
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "cube": cube_record(self.cube),
+            "map": {
+                "file": str(self.path),
+                "lines": self.region.shape[0],
+                "samples": self.region.shape[1],
+                "first_line": self.region.lines[0],
+                "first_sample": self.region.samples[0],
+                "every": self.region.step,
+            },
+            "pixels": dict(self.counts),
+            "layers": self.rows(),
+        }
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One a layer: of values the share of pixels that has one, and quantiles of a sample."""
+        return [self._row(layer) for layer in self.layers]
+
+    def _row(self, layer: "Layer") -> dict[str, Any]:
+        import numpy as np
+
+        kind = "value" if not layer.meanings else "bits" if layer.bits else "code"
+        row: dict[str, Any] = {"name": layer.name, "long_name": layer.long_name, "units": layer.units, "kind": kind}
+        seen = self.sampled.get(layer.name)
+        known = np.empty(0) if seen is None else seen[np.isfinite(seen)]
+        low, median, high = np.quantile(known, (0.05, 0.5, 0.95)) if known.size else (None, None, None)
+        share = known.size / seen.size if seen is not None and seen.size else None
+        codes = " ".join(f"{name}={count}" for name, count in self.codes.get(layer.name, {}).items() if count)
+        return row | {"determined": share, "p05": low, "median": median, "p95": high, "codes": codes}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PixelSpectrum(Result):
+    """The spectrum of one pixel, as a table that every other job reads."""
+
+    schema = "spectra-pixel/1"
+    cube: "Cube"
+    line: int
+    sample: int
+    reflectance: Any = field(repr=False)
+    flags: Sequence[str] = ()
+    places: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def id(self) -> str:
+        """Such as `M3G20090203T175131_V01_RFL x10 y250`."""
+        return f"{Path(self.cube.name).stem} x{self.sample} y{self.line}"
+
+    @property
+    def made_from(self) -> MadeFrom:
+        return MadeFrom(inputs=self.cube.inputs)
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "id": self.id,
+            "cube": cube_record(self.cube),
+            "line": self.line,
+            "sample": self.sample,
+            "flags": list(self.flags),
+            **self.places,
+            "wavelength_nm": self.cube.wavelength_nm.tolist(),
+            "reflectance": self.reflectance.tolist(),
+        }
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One a channel; no reflectance where the channel cannot be used."""
+        pairs = zip(self.cube.wavelength_nm.tolist(), self.reflectance.tolist(), strict=True)
+        return [{"wavelength_nm": wavelength, self.id: value} for wavelength, value in pairs]
+
+
+def map(
+    cube: str, path: "str | Path | None", request: MapRequest | None = None, *, force: bool = False, time: bool = True,
+    progress: Progress | None = None, **options: Any,
+) -> CubeMap:  # fmt: skip
+    """Measure every wanted pixel of a cube and write the maps.
+
+    Parameters
+    ----------
+    cube : ENVI data file or header, M3 reflectance, GeoTIFF, NetCDF or VNIS product.
+    path : of the maps, `.nc` (NetCDF, CF conventions) or `.tif` (GeoTIFF).
+    request, options : what is asked, and options of `MapRequest` that replace its own.
+    force : whether a file that exists is replaced.
+    time : whether the file says when it was made; without it equal runs give equal bytes.
+    progress : called with (done, total) lines.
+
+    Raises
+    ------
+    RequestError for options that exclude each other; DataError for a cube that cannot be used; OutputError.
+    """
+    from lunarsci.atomic import written_whole
+    from lunarsci.blocks import blocks_in_order, rows_in_memory
+    from lunarsci.provenance import Provenance
+    from lunarsci.spectra.cubes.blocks import Tally, fetched, measured
+    from lunarsci.spectra.cubes.output import PIXEL_FLAGS, SUFFIXES, MapFile, backplane_layers
+    from lunarsci.spectra.cubes.rasters import open_cube
+    from lunarsci.spectra.cubes.regions import region_of
+    from lunarsci.spectra.jobs.map_products import products_of
+
+    asked, target = request_of(MapRequest, request, options), Path(path or "")
+    if target.suffix.lower() not in SUFFIXES:
+        raise RequestError(f"`path` '{target.name}': a map is a file; give a name that ends in {', '.join(SUFFIXES)}")
+    image = open_cube(str(cube), asked.stated())
+    region = region_of(image, asked.roi, asked.mask, asked.every)
+    products = products_of(asked)
+    layers = [PIXEL_FLAGS, *backplane_layers(image), *(layer for product in products for layer in product.layers)]
+    made = made_from(image, products)
+    chosen = asdict(asked)
+    record = Provenance(
+        command="lunarsci spectra map", options=chosen, inputs=made.inputs, tables=made.tables, sources=made.sources
+    ).to_dict(time=time)
+    file = MapFile(
+        cube=image, region=region, layers=layers, title=f"maps of {Path(image.name).name}", provenance=record,
+        single=asked.single_precision,
+    )  # fmt: skip
+    cost = BYTES_A_CHANNEL * (image.wavelength_nm.size + len(layers)) * region.shape[1]
+    blocks = blocks_in_order(
+        partial(measured, products, image.wavelength_nm),
+        region.shape[0],
+        rows_in_memory(cost, most=MOST_ROWS),
+        stage="map",
+        about={f"option {key}": str(value) for key, value in chosen.items()}
+        | {f"input {name}": digest for name, digest in made.inputs.items()},
+        fetch=partial(fetched, image, region),
+        progress=progress,
+    )
+    tally = Tally(layers, region.shape)
+    with written_whole(target, force=force) as name:
+        file.write(Path(name), target.suffix, tally.through(blocks))
+    return CubeMap(
+        path=target, cube=image, region=region, layers=layers, request=asked, products=products,
+        counts=tally.counts(), codes=tally.codes, sampled=tally.values(),
+    )  # fmt: skip
+
+
+def pixel(cube: str, place: str, request: MapRequest | None = None, **options: Any) -> PixelSpectrum:
+    """One pixel of a cube as a spectrum, what `map` measures there; `place` is `X,Y`, sample and line from 0.
+
+    Raises RequestError for a place that is none, or beside the cube.
+    """
+    import numpy as np
+
+    from lunarsci.spectra.cubes.cube import FLAGS
+    from lunarsci.spectra.cubes.rasters import open_cube
+
+    asked = request_of(MapRequest, request, options)
+    if (numbers := re.fullmatch(r"\s*(\d{1,9})\s*,\s*(\d{1,9})\s*", place)) is None:
+        raise RequestError(f"`spectrum` {place}: give sample and line, such as 120,3400")
+    sample, line = int(numbers[1]), int(numbers[2])
+    image = open_cube(str(cube), asked.stated())
+    lines, samples = image.shape
+    if not (0 <= sample < samples and 0 <= line < lines):
+        raise RequestError(
+            f"`spectrum` {sample},{line}: the cube has samples 0 to {samples - 1} and lines 0 to {lines - 1}"
+        )
+    at = slice(line, line + 1), slice(sample, sample + 1)
+    reflectance, flags = image.read(*at)
+    places = {
+        f"{name}_deg": float(plane.read(*at)[0, 0])
+        for name, plane in image.backplanes.items()
+        if name in ("longitude", "latitude")
+    }
+    told = [name for k, name in enumerate(FLAGS) if flags[0, 0] & np.uint8(1 << k)]
+    return PixelSpectrum(cube=image, line=line, sample=sample, reflectance=reflectance[0, 0], flags=told, places=places)
+
+
+def made_from(cube: "Cube", products: "Sequence[Product]") -> MadeFrom:
+    """Inputs, tables and sources of a map."""
+    from lunarsci.tables import table_hashes
+
+    tables = table_hashes(*dict.fromkeys(table for product in products for table in product.tables))
+    return MadeFrom(inputs=cube.inputs, tables=tables, sources=[text for one in products for text in one.sources])
+
+
+def cube_record(cube: "Cube") -> dict[str, Any]:
+    """What is known of a cube, for `--json`."""
+    return {
+        "file": cube.name,
+        "format": cube.format,
+        "lines": cube.shape[0],
+        "samples": cube.shape[1],
+        "channels": int(cube.wavelength_nm.size),
+        "bad_channels": int(cube.bad.sum()),
+        "first_nm": float(cube.wavelength_nm[0]),
+        "last_nm": float(cube.wavelength_nm[-1]),
+        "georeference": "frame" if cube.frame else "pixels" if "longitude" in cube.backplanes else None,
+        "remarks": list(cube.remarks),
+    }

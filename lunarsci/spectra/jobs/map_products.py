@@ -1,0 +1,199 @@
+"""What a map holds: the layers of each product, and how they are measured on many spectra of one cube.
+
+A product takes spectra as rows of an array and gives an array for each layer. It is the function that the command of
+its name calls with one spectrum, so that a pixel of a map and that command agree.
+"""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+from lunarsci.spectra.cubes.output import Layer
+
+if TYPE_CHECKING:
+    from lunarsci.arrays import FloatArray
+    from lunarsci.spectra.cubes.blocks import Product
+    from lunarsci.spectra.jobs.map import MapRequest
+    from lunarsci.spectra.mgm.model import MgmModel
+
+
+def products_of(request: "MapRequest") -> "list[Product]":
+    """What is asked for, in the order of `PRODUCTS`. Raises ParameterError for settings that are impossible."""
+    from lunarsci.spectra.jobs.map import PRODUCTS
+
+    makers: dict[str, Callable[[MapRequest], Product]] = {"bands": BandsProduct.of, "fit": FitProduct.of}
+    return [makers[name](request) for name in PRODUCTS if name in request.wanted and name in makers]
+
+
+_BAND_COLUMNS = {
+    "bc{}_nm": ("center_nm", "centre of the {} nm band", "nm"),
+    "bc{}_sigma_nm": ("center_sigma_nm", "its standard error", "nm"),
+    "bc{}_systematic_nm": ("center_systematic_nm", "half its range over continua", "nm"),
+    "bc{}_method_nm": ("center_method_nm", "half its difference from the centre of a Gaussian", "nm"),
+    "bd{}": ("depth", "depth of the {} nm band", "1"),
+    "bd{}_sigma": ("depth_sigma", "its standard error", "1"),
+    "ba{}_nm": ("area_nm", "area of the {} nm band", "nm"),
+    "ba{}_sigma_nm": ("area_sigma_nm", "its standard error", "nm"),
+    "bas{}": ("asymmetry", "asymmetry of the {} nm band", "1"),
+    "bas{}_sigma": ("asymmetry_sigma", "its standard error", "1"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class BandsProduct:
+    """The 1 and 2 um bands, as `lunarsci.bands` measures them."""
+
+    continuum: Any
+    smooth_nm: float
+
+    @classmethod
+    def of(cls, request: "MapRequest") -> "BandsProduct":
+        from lunarsci.spectra.spectrum import Smoothing
+
+        Smoothing(window_nm=request.smooth_nm)
+        return cls(request.band_continuum, request.smooth_nm)
+
+    @property
+    def layers(self) -> Sequence[Layer]:
+        from lunarsci.spectra.band_shape import BANDS
+        from lunarsci.spectra.continuum import CONTINUA
+
+        found = []
+        for band in BANDS:
+            found += [
+                Layer(name.format(band.key), text.format(band.key), unit)
+                for name, (_, text, unit) in _BAND_COLUMNS.items()
+            ]
+            found.append(Layer(f"band{band.key}_continuum", "continuum that was used", meanings=tuple(CONTINUA)))
+        return found
+
+    @property
+    def tables(self) -> Sequence[str]:
+        return ()
+
+    @property
+    def sources(self) -> Sequence[str]:
+        from lunarsci.constants import PAPER, SMOOTHING
+
+        return (PAPER, SMOOTHING)
+
+    def measure(self, wavelength_nm: "FloatArray", reflectance: "FloatArray") -> Mapping[str, Any]:
+        """Each layer of spectra."""
+        import numpy as np
+
+        from lunarsci.spectra.bands import SpectrumBands, measure_batch
+        from lunarsci.spectra.continuum import CONTINUA
+        from lunarsci.spectra.spectrum import Smoothing, Spectrum
+
+        spectra = [Spectrum("", wavelength_nm, row) for row in reflectance]
+        found = measure_batch(spectra, continuum_name=self.continuum, smoothing=Smoothing(window_nm=self.smooth_nm))
+        values: dict[str, Any] = {layer.name: np.full(len(spectra), np.nan) for layer in self.layers}
+        for row, item in enumerate(found):
+            if isinstance(item, SpectrumBands):
+                for key, band in item.bands.items():
+                    for name, (attribute, _, _) in _BAND_COLUMNS.items():
+                        value = getattr(band, attribute)
+                        values[name.format(key)][row] = np.nan if value is None else value
+                    values[f"band{key}_continuum"][row] = (
+                        list[str](CONTINUA).index(band.continuum) if band.center_nm else -1
+                    )
+        return values
+
+
+_BAND_PARTS = (
+    ("center{}_nm", "centre", "nm"),
+    ("fwhm{}_nm", "full width at half strength", "nm"),
+    ("strength{}", "strength, ln of reflectance", "1"),
+)
+FIT_FLAGS = ("not_fitted", "not_converged", "ambiguous", "strained", "unlike")
+
+
+@dataclass(frozen=True, slots=True)
+class FitProduct:
+    """The Modified Gaussian Model, as `lunarsci.fit` fits it."""
+
+    assemblage: str
+    continuum: Any
+    model_error: float | None
+    starts: int
+
+    @classmethod
+    def of(cls, request: "MapRequest") -> "FitProduct":
+        model_of(request.assemblage, request.continuum)
+        return cls(request.assemblage, request.continuum, request.model_error, request.starts)
+
+    @property
+    def layers(self) -> Sequence[Layer]:
+        found = []
+        for band in model_of(self.assemblage, self.continuum).assemblage.bands:
+            stem, told = slug(band.name), f"of {band.name}"
+            for name, text, unit in _BAND_PARTS:
+                found.append(Layer(f"{stem}_{name.format('')}", f"{text} {told}", unit))
+                found.append(Layer(f"{stem}_{name.format('_sigma')}", f"its standard error ({told})", unit))
+        for region in ("um1", "um2"):
+            found.append(
+                Layer(f"nbsr_{region}_opx", f"normalised band strength ratio of orthopyroxene, {region[2]} um")
+            )
+            found.append(Layer(f"nbsr_{region}_sigma", "its standard error"))
+        return [
+            *found,
+            Layer("fit_rms_ln", "root mean square of what the fit leaves of ln reflectance"),
+            Layer("fit_reduced_chi2", "chi square over its degrees of freedom"),
+            Layer("fit_flags", "what to know about the fit", meanings=FIT_FLAGS, bits=True),
+        ]
+
+    @property
+    def tables(self) -> Sequence[str]:
+        from lunarsci.spectra.mgm.assemblages import TABLES
+
+        return TABLES
+
+    @property
+    def sources(self) -> Sequence[str]:
+        from lunarsci.constants import MGM, NBSR
+
+        return (MGM, NBSR)
+
+    def measure(self, wavelength_nm: "FloatArray", reflectance: "FloatArray") -> Mapping[str, Any]:
+        """Each layer of spectra."""
+        import numpy as np
+
+        from lunarsci.spectra.mgm.batch import NOT_FITTED
+        from lunarsci.spectra.mgm.fit import fit_arrays
+        from lunarsci.spectra.mgm.result import UNLIKE_RMS
+
+        model = model_of(self.assemblage, self.continuum)
+        fits = fit_arrays(wavelength_nm, reflectance, model, model_error=self.model_error, starts=self.starts)
+        values: dict[str, Any] = {"fit_rms_ln": fits.rms_ln, "fit_reduced_chi2": fits.reduced_chi2}
+        sigma = fits.sigma
+        for k, band in enumerate(model.assemblage.bands):
+            for part, (name, _, unit) in enumerate(_BAND_PARTS):
+                column, factor = model.degrees + 3 * k + part, 1e3 if unit == "nm" else 1.0
+                values[f"{slug(band.name)}_{name.format('')}"] = fits.values[:, column] * factor
+                values[f"{slug(band.name)}_{name.format('_sigma')}"] = sigma[:, column] * factor
+        for region, found in (("um1", fits.um1), ("um2", fits.um2)):
+            values[f"nbsr_{region}_opx"], values[f"nbsr_{region}_sigma"] = found[:, 0], found[:, 2]
+        missing = fits.status == NOT_FITTED
+        with np.errstate(invalid="ignore"):
+            told = (~fits.converged, fits.ambiguous, fits.strained.any(axis=1), fits.rms_ln > UNLIKE_RMS)
+        flags = sum(((one & ~missing) * np.uint8(2 << k) for k, one in enumerate(told)), missing.astype(np.uint8))
+        return values | {"fit_flags": flags}
+
+
+def slug(name: str) -> str:
+    """A name as NetCDF takes it.
+
+    >>> slug("OPX 1.2 um")
+    'opx_1_2_um'
+    """
+    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+
+
+@lru_cache(maxsize=8)
+def model_of(assemblage: str, continuum: Any) -> "MgmModel":
+    """The model of an assemblage under a continuum. Raises ParameterError for one that is unknown."""
+    from lunarsci.spectra.mgm.model import mgm_model
+
+    return mgm_model(assemblage, continuum)
