@@ -1,6 +1,7 @@
 """Ensembles, verdicts, tables and the picture."""
 
 import dataclasses
+import itertools
 
 import numba
 import numpy as np
@@ -90,7 +91,7 @@ def test_progress_counts_members(yutu2: Rover, ground: Terrain, straight) -> Non
     predict(yutu2, ground, plan, sweep=sweep, progress=lambda done, total: seen.append((done, total)))
     assert seen[0] == (0, 40)
     assert seen[-1] == (40, 40)
-    assert sorted(later[0] - earlier[0] for earlier, later in zip(seen, seen[1:], strict=False)) == [8, 16, 16]
+    assert sorted(later[0] - earlier[0] for earlier, later in itertools.pairwise(seen)) == [8, 16, 16]
 
 
 def test_ctrl_c_is_heard(yutu2: Rover, ground: Terrain, straight) -> None:  # type: ignore[no-untyped-def]
