@@ -18,10 +18,13 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from lunarsci.errors import RequestError
 from lunarsci.kept_blocks import Arrays, KeptBlocks, spans
+
+if TYPE_CHECKING:
+    import numpy as np
 
 Progress: TypeAlias = Callable[[int, int], None]
 
@@ -274,6 +277,19 @@ def blocks_in_order(
         kept.keep(block, arrays)
     for block in kept.blocks:
         yield block, kept.load(block)
+
+
+def arrays_in_blocks(
+    work: Callable[[Any], Arrays], total: int, rows: int, **how: Any
+) -> "dict[str, np.ndarray[Any, Any]]":
+    """Whole arrays of `total` rows, of what `blocks_in_order`, whose parameters these are, gives block by block."""
+    import numpy as np
+
+    parts: dict[str, list[np.ndarray[Any, Any]]] = {}
+    for _, arrays in blocks_in_order(work, total, rows, **how):
+        for name, values in arrays.items():
+            parts.setdefault(name, []).append(values)
+    return {name: np.concatenate(parts.pop(name)) for name in list(parts)}
 
 
 def _in_order(found: Iterator[tuple[range, Any]]) -> Iterator[tuple[range, Any]]:

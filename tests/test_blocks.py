@@ -6,7 +6,6 @@ import os
 import random
 import signal
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +14,10 @@ import pytest
 
 from lunarsci.atomic import written_whole
 from lunarsci.blocks import Computing, blocks_in_order, bytes_of, computing, rows_in_memory, run_blocks
-from lunarsci.errors import OutputError, ParameterError, SchedulerError
+from lunarsci.errors import OutputError, ParameterError
 from lunarsci.kept_blocks import KeptBlocks, spans
 
-TOTAL, ROWS = 1000, 25
+TOTAL, ROWS = 4000, 50
 ABOUT = {"input": "made up here", "option slope": "3"}
 
 
@@ -133,18 +132,20 @@ def started(target: Path) -> Any:
 
 
 def test_killed_at_ten_random_moments_it_ends_with_the_same_bytes(tmp_path: Path) -> None:
-    """All in all it takes 0.5 s and more: SIGKILL after each 0.03 to 0.08 s."""
+    """A block takes 20 ms, the whole 0.8 s and more; each run is killed some blocks and up to 20 ms after its start."""
     target, moments = tmp_path / "out.bin", random.Random(7)
-    kept: list[int] = []
+    kept = [0]
     for _ in range(10):
         process = started(target)
-        time.sleep(moments.uniform(0.03, 0.08))
+        while len(files := list(tmp_path.glob("out.bin.partial/squares/*.npz"))) <= kept[-1] and process.is_alive():
+            time.sleep(0.002)
+        time.sleep(moments.uniform(0.0, 0.02))
         process.kill()
         process.join()
-        assert not target.exists(), "or there is nothing left to be killed"
-        kept.append(len(list(tmp_path.glob("out.bin.partial/squares/*.npz"))))
-    assert sorted(kept) == kept
-    assert 2 < kept[-1] < TOTAL // ROWS
+        assert process.exitcode == -signal.SIGKILL, "or it was not killed"
+        kept.append(len(files))
+        assert not target.exists()
+    assert kept[0] < kept[1] < kept[-1] < TOTAL // ROWS
     finished = started(target)
     finished.join()
     assert target.read_bytes() == EXPECTED.tobytes()
@@ -207,40 +208,3 @@ def test_blocks_become_smaller_with_less_memory() -> None:
     assert few == pytest.approx(many / 2, abs=3)
     with computing(memory="1MB"), pytest.raises(ParameterError, match="too little; give"):
         rows_in_memory(1e6, 100)
-
-
-@pytest.fixture(scope="module")
-def cluster() -> Iterator[Any]:
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as made:
-        yield made
-
-
-def test_a_cluster_gives_the_same(cluster: Any) -> None:
-    with computing(scheduler=cluster.scheduler_address):
-        assert np.array_equal(collected(), EXPECTED)
-        with pytest.raises(ParameterError, match="row 500"):
-            collected(failing_at)
-
-
-def test_a_cluster_survives_the_loss_of_a_worker(cluster: Any) -> None:
-    first = next(iter(cluster.workers.values())).pid
-    told: list[int] = []
-
-    def kill_once(done: int, _: int) -> None:
-        if done > 200 and not told:
-            os.kill(first, signal.SIGKILL)
-        told.append(done) if done > 200 else None
-
-    with computing(scheduler=cluster.scheduler_address):
-        blocks = spans(TOTAL, ROWS)
-        found = dict(run_blocks(slow_squares, blocks, progress=kill_once))
-    assert told
-    assert len(found) == len(blocks)
-    assert np.array_equal(np.concatenate([found[block]["square"] for block in blocks]), EXPECTED)
-
-
-def test_a_scheduler_that_is_not_there_is_said_in_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lunarsci.cluster.CONNECT_S", 0.5)
-    with computing(scheduler="tcp://127.0.0.1:9"), pytest.raises(SchedulerError, match="does not answer"):
-        collected()
