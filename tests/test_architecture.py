@@ -33,9 +33,10 @@ SHARED = {
 }
 ALLOWED = {
     "spectra": {"spectra", *SHARED},
+    "images": {"images", *SHARED},
     "regolith": {"regolith", *SHARED},
-    "twin": {"twin", "regolith", *SHARED},
-    "reproduce": {"reproduce", "spectra", "regolith", "twin", *SHARED},
+    "twin": {"twin", "regolith", "images", *SHARED},
+    "reproduce": {"reproduce", "spectra", "regolith", "images", "twin", *SHARED},
     "rovers": {"rovers", "errors"},
 }
 TREES = {

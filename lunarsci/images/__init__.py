@@ -1,0 +1,1 @@
+"""Pictures of a rover: its cameras, and what can be measured in pairs of pictures."""

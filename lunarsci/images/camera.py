@@ -1,0 +1,283 @@
+"""One camera: from a direction to a pixel and back, with derivatives; and where it stands.
+
+Pixels are (u, v): u to the right, v down, (0, 0) the centre of the first one. The frame of a camera has x to the right,
+y down and z along its axis; the world x and y level and z up, as a terrain has.
+"""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.arrays import FloatArray
+from lunarsci.errors import ParameterError
+
+INTRINSICS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "p1", "p2")
+"""What a camera's picture depends on, in the order of `Camera.vector`."""
+SOURCE = "Brown (1971), Photogramm. Eng. 37, 855: close-range camera calibration"
+NEWTON_STEPS = 30
+CONVERGED = 1e-12
+
+
+class Projection(NamedTuple):
+    """Pixels (..., 2) with their derivatives by the point (..., 2, 3) and by the intrinsics (..., 2, 9)."""
+
+    pixels: FloatArray
+    by_point: FloatArray
+    by_intrinsics: FloatArray
+
+
+class Unprojection(NamedTuple):
+    """Rays (..., 3) with z = 1, and derivatives of their x, y by pixel (..., 2, 2) and intrinsics (..., 2, 9)."""
+
+    rays: FloatArray
+    by_pixel: FloatArray
+    by_intrinsics: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Camera:
+    """A camera with the distortion of Brown (1971), Photogramm. Eng. 37, 855, as OpenCV names its terms.
+
+    With x, y the direction over its z and r^2 = x^2 + y^2,
+
+        x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2),    u = fx x' + cx
+        y' = y (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 y^2) + 2 p2 x y,    v = fy y' + cy
+
+    Attributes
+    ----------
+    name : what it is called.
+    width_px, height_px : size of its picture. [px]
+    fx_px, fy_px : focal length in pixels, > 0. [px]
+    cx_px, cy_px : principal point. [px]
+    k1, k2, k3, p1, p2 : radial and tangential distortion. [-]
+
+    Raises ParameterError for what no camera can be.
+    """
+
+    name: str
+    width_px: int
+    height_px: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (self.width_px >= 2 and self.height_px >= 2):
+            raise ParameterError(f"{self.name}: a picture of {self.width_px} x {self.height_px} px; give 2 or more")
+        if not (0 < self.fx_px < math.inf and 0 < self.fy_px < math.inf):
+            raise ParameterError(f"{self.name}: focal length {self.fx_px}, {self.fy_px} px; give numbers above 0")
+        if not np.isfinite(self.vector()).all():
+            raise ParameterError(f"{self.name}: an intrinsic parameter is not finite")
+
+    def vector(self) -> FloatArray:
+        """The intrinsics in the order of `INTRINSICS`. (9,)"""
+        return np.array([getattr(self, name) for name in INTRINSICS], dtype=float)
+
+    def with_vector(self, vector: npt.ArrayLike) -> "Camera":
+        """The same camera with other intrinsics. (9,)"""
+        values = dict(zip(INTRINSICS, map(float, np.asarray(vector, dtype=float)), strict=True))
+        return dataclasses.replace(self, **values)  # type: ignore[arg-type]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height. [px]"""
+        return self.width_px, self.height_px
+
+    @property
+    def matrix(self) -> FloatArray:
+        """The pinhole's matrix K. (3, 3) [px]"""
+        return np.array([[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]])
+
+    @property
+    def distortion(self) -> FloatArray:
+        """(k1, k2, p1, p2, k3), the order that OpenCV takes."""
+        return np.array([self.k1, self.k2, self.p1, self.p2, self.k3])
+
+    def field_of_view_deg(self) -> tuple[float, float]:
+        """Full angles across the middle row and the middle column. [deg]"""
+        middle_u, middle_v = 0.5 * (self.width_px - 1), 0.5 * (self.height_px - 1)
+        ends = [[-0.5, middle_v], [self.width_px - 0.5, middle_v], [middle_u, -0.5], [middle_u, self.height_px - 0.5]]
+        rays = self.rays(ends)
+        unit = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+        return tuple(math.degrees(math.acos(float(unit[i] @ unit[i + 1]))) for i in (0, 2))  # type: ignore[return-value]
+
+    def fold(self) -> float:
+        """Largest r at which the distortion is one to one; inf where it always is. [-]"""
+        roots = np.roots([7 * self.k3, 5 * self.k2, 3 * self.k1, 1.0])
+        real = roots[np.abs(roots.imag) < 1e-12].real
+        return float(np.sqrt(real[real > 0].min())) if (real > 0).any() else math.inf
+
+    def project(self, points: npt.ArrayLike) -> FloatArray:
+        """Pixels (..., 2) of points or directions (..., 3) in the camera's frame; NaN behind it or past the fold."""
+        x, y, seen = self._over_depth(np.asarray(points, dtype=float))
+        xd, yd = self._distorted(x, y)
+        pixels = np.stack([self.fx_px * xd + self.cx_px, self.fy_px * yd + self.cy_px], axis=-1)
+        return np.where(seen[..., None], pixels, np.nan)
+
+    def project_with_derivatives(self, points: npt.ArrayLike) -> Projection:
+        """`project`, with derivatives by the points [px / unit] and by the intrinsics."""
+        given = np.asarray(points, dtype=float)
+        x, y, _ = self._over_depth(given)
+        by_xy, by_intrinsics = self._derivatives(x, y)
+        zero, depth = np.zeros_like(x), given[..., 2]
+        over = np.stack([np.stack([1 + zero, zero, -x], -1), np.stack([zero, 1 + zero, -y], -1)], -2)
+        return Projection(self.project(given), by_xy @ (over / depth[..., None, None]), by_intrinsics)
+
+    def rays(self, pixels: npt.ArrayLike) -> FloatArray:
+        """Directions (..., 3) with z = 1 of pixels (..., 2), by Newton's method; NaN where the distortion has none."""
+        given = np.asarray(pixels, dtype=float)
+        goal_x = (given[..., 0] - self.cx_px) / self.fx_px
+        goal_y = (given[..., 1] - self.cy_px) / self.fy_px
+        x, y = goal_x.copy(), goal_y.copy()
+        if self.distortion.any():
+            x, y = self._undistorted(goal_x, goal_y)
+        return np.stack([x, y, np.ones_like(x)], axis=-1)
+
+    def rays_with_derivatives(self, pixels: npt.ArrayLike) -> Unprojection:
+        """`rays`, with derivatives of x and y by the pixel [1/px] and by the intrinsics."""
+        rays = self.rays(pixels)
+        by_xy, by_intrinsics = self._derivatives(rays[..., 0], rays[..., 1])
+        by_pixel = _inverse_2x2(by_xy)
+        return Unprojection(rays, by_pixel, -by_pixel @ by_intrinsics)
+
+    def sees(self, pixels: npt.ArrayLike, margin_px: float = 0.0) -> npt.NDArray[np.bool_]:
+        """Whether pixels lie in the picture, `margin_px` from its border at least."""
+        given = np.asarray(pixels, dtype=float)
+        u, v = given[..., 0] - margin_px, given[..., 1] - margin_px
+        right, low = self.width_px - 1 - 2 * margin_px, self.height_px - 1 - 2 * margin_px
+        return (u >= -0.5) & (v >= -0.5) & (u <= right + 0.5) & (v <= low + 0.5)
+
+    def _over_depth(self, points: FloatArray) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+        depth = points[..., 2]
+        seen = depth > 0
+        safe = np.where(seen, depth, 1.0)
+        x, y = points[..., 0] / safe, points[..., 1] / safe
+        return x, y, seen & (np.hypot(x, y) < self.fold())
+
+    def _distorted(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        r2 = x * x + y * y
+        radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
+        across = 2 * x * y
+        return (
+            x * radial + self.p1 * across + self.p2 * (r2 + 2 * x * x),
+            y * radial + self.p1 * (r2 + 2 * y * y) + self.p2 * across,
+        )
+
+    def _derivatives(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Of the pixel, by x and y (..., 2, 2) and by the intrinsics (..., 2, 9)."""
+        r2 = x * x + y * y
+        radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
+        slope = self.k1 + r2 * (2 * self.k2 + 3 * r2 * self.k3)
+        xd, yd = self._distorted(x, y)
+        mixed = 2 * (x * y * slope + self.p1 * x + self.p2 * y)
+        dxx = radial + 2 * x * x * slope + 2 * self.p1 * y + 6 * self.p2 * x
+        dyy = radial + 2 * y * y * slope + 6 * self.p1 * y + 2 * self.p2 * x
+        fx, fy, zero, one = self.fx_px, self.fy_px, np.zeros_like(x), np.ones_like(x)
+        by_xy = np.stack([np.stack([fx * dxx, fx * mixed], -1), np.stack([fy * mixed, fy * dyy], -1)], -2)
+        powers = [r2, r2 * r2, r2**3]
+        u = [xd, zero, one, zero, *(fx * x * p for p in powers), fx * 2 * x * y, fx * (r2 + 2 * x * x)]
+        v = [zero, yd, zero, one, *(fy * y * p for p in powers), fy * (r2 + 2 * y * y), fy * 2 * x * y]
+        return by_xy, np.stack([np.stack(u, -1), np.stack(v, -1)], -2)
+
+    def _undistorted(self, goal_x: FloatArray, goal_y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        fold = self.fold()
+        goal = np.hypot(goal_x, goal_y)
+        shrink = np.minimum(1.0, 0.9 * fold / np.maximum(goal, 1e-300))
+        x, y = goal_x * shrink, goal_y * shrink
+        scale = np.array([[self.fx_px], [self.fy_px]])
+        for _ in range(NEWTON_STEPS):
+            xd, yd = self._distorted(x, y)
+            by_xy = self._derivatives(x, y)[0] / scale
+            step = _inverse_2x2(by_xy) @ np.stack([goal_x - xd, goal_y - yd], -1)[..., None]
+            x, y = x + step[..., 0, 0], y + step[..., 1, 0]
+            if not (np.abs(step) > CONVERGED).any():
+                break
+        xd, yd = self._distorted(x, y)
+        good = (np.hypot(xd - goal_x, yd - goal_y) < 1e3 * CONVERGED) & (np.hypot(x, y) < fold)
+        return np.where(good, x, np.nan), np.where(good, y, np.nan)
+
+
+def _inverse_2x2(matrix: FloatArray) -> FloatArray:
+    a, b, c, d = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 0], matrix[..., 1, 1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        over = 1.0 / (a * d - b * c)
+    return np.stack([np.stack([d * over, -b * over], -1), np.stack([-c * over, a * over], -1)], -2)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Pose:
+    """Where a camera is and where it looks.
+
+    Attributes
+    ----------
+    rotation : turns a direction of the camera's frame into the world's. (3, 3)
+    center_m : its centre of projection. (3,) [m]
+    """
+
+    rotation: FloatArray
+    center_m: FloatArray
+
+    def __post_init__(self) -> None:
+        rotation = np.asarray(self.rotation, dtype=float)
+        if rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6):
+            raise ParameterError("a pose needs a rotation of 3 x 3 numbers that turns without stretching")
+        if not (np.linalg.det(rotation) > 0 and np.shape(self.center_m) == (3,) and np.isfinite(self.center_m).all()):
+            raise ParameterError("a pose needs a rotation that does not mirror and a centre of 3 finite numbers")
+
+    @classmethod
+    def looking(
+        cls, center_m: npt.ArrayLike, heading_deg: float = 0.0, down_deg: float = 0.0, roll_deg: float = 0.0
+    ) -> "Pose":
+        """A camera at `center_m` that looks along a heading (from x towards y), so far below the horizon.
+
+        `roll_deg` turns it clockwise about its axis, as seen from behind. [deg]
+        """
+        turn, tilt, roll = map(math.radians, (heading_deg, down_deg, roll_deg))
+        forward = np.array([math.cos(tilt) * math.cos(turn), math.cos(tilt) * math.sin(turn), -math.sin(tilt)])
+        right = np.array([math.sin(turn), -math.cos(turn), 0.0])
+        down = np.cross(forward, right)
+        across = math.cos(roll) * right + math.sin(roll) * down
+        return cls(
+            rotation=np.stack([across, np.cross(forward, across), forward], axis=1),
+            center_m=np.asarray(center_m, dtype=float),
+        )
+
+    def angles_deg(self) -> tuple[float, float, float]:
+        """Heading, angle below the horizon and roll of `looking`. [deg]"""
+        forward, across = self.rotation[:, 2], self.rotation[:, 0]
+        heading, down = math.atan2(forward[1], forward[0]), -math.asin(float(np.clip(forward[2], -1, 1)))
+        right = np.array([math.sin(heading), -math.cos(heading), 0.0])
+        roll = math.atan2(float(across @ np.cross(forward, right)), float(across @ right))
+        return math.degrees(heading), math.degrees(down), math.degrees(roll)
+
+    def to_world(self, points: npt.ArrayLike) -> FloatArray:
+        """Points (..., 3) of the camera's frame in the world. [m]"""
+        return np.asarray(np.asarray(points, dtype=float) @ self.rotation.T + self.center_m)
+
+    def to_camera(self, points: npt.ArrayLike) -> FloatArray:
+        """Points (..., 3) of the world in the camera's frame. [m]"""
+        return np.asarray((np.asarray(points, dtype=float) - self.center_m) @ self.rotation)
+
+
+def rotation_of(vector: npt.ArrayLike) -> FloatArray:
+    """The rotation about a vector by its length, Rodrigues' formula. (3,) [rad] to (3, 3)"""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_rotvec(np.asarray(vector, dtype=float)).as_matrix())
+
+
+def vector_of(rotation: npt.ArrayLike) -> FloatArray:
+    """The inverse of `rotation_of`. (3, 3) to (3,) [rad]"""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(np.asarray(rotation, dtype=float)).as_rotvec())

@@ -1,0 +1,1 @@
+"""Jobs on pictures, one module each."""

@@ -1,0 +1,368 @@
+"""Cameras from what comes with a picture: PDS4 labels of Chang'E cameras, and CAHV, CAHVOR and CAHVORE models.
+
+Both say where a camera looked, in their own words. Here a `Camera` and a `Pose` are fitted to that, and by how much the
+fit misses is part of the answer.
+"""
+
+import re
+from dataclasses import dataclass
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from lunarsci.arrays import FloatArray
+from lunarsci.errors import DataError
+from lunarsci.images.camera import INTRINSICS, Camera, Pose, rotation_of
+from lunarsci.images.rig import StereoRig, covariance_of
+from lunarsci.inputs import InputFile, text
+
+CORNERS = ("up_left", "down_left", "up_right", "down_right", "center")
+STEPS = 12
+"""Points along each side of a picture that a model is fitted at."""
+RANGES = (2.0, 5.0, 20.0)
+"""Ranges of those points, since the pupil of CAHVORE moves. [m]"""
+COARSE_PX = 1.0
+"""A fit that misses by more says so; assumed."""
+NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?"
+RIGHT_ANGLE_DEG = 15.0
+"""How far the line between two centres may lie from the left camera's rows before its frame is doubted; assumed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LabelCamera:
+    """A camera that a label describes, and how well this one does.
+
+    Attributes
+    ----------
+    camera, pose : the fit; the pose is in the label's frame.
+    residual_rms_px, residual_max_px : what it misses of the label's directions or model. [px]
+    pinhole_max_px : the same without distortion. [px]
+    remarks : what was assumed, one sentence each.
+    """
+
+    camera: Camera
+    pose: Pose
+    residual_rms_px: float
+    residual_max_px: float
+    pinhole_max_px: float
+    remarks: tuple[str, ...]
+
+
+def read_label(file: InputFile) -> LabelCamera:
+    """The camera of a PDS4 label, a PDS3 label with a CAHV model, or a text of `C = …, A = …` (VICAR).
+
+    Raises DataError for what has none, and names what is missing.
+    """
+    content = text(file)
+    if content.lstrip().startswith("<"):
+        return _from_pds4(file.name, content)
+    model = _cahv_of(file.name, content)
+    return fit_cahv(model, file.name)
+
+
+def rig_of_labels(left: InputFile, right: InputFile) -> StereoRig:
+    """A rig from the labels of a left and a right picture of one moment.
+
+    Its covariance holds what the fits miss; what calibration did is not in a label. Raises DataError where the two do
+    not make a pair: swapped, or one camera twice.
+    """
+    first, second = read_label(left), read_label(right)
+    rotation = second.pose.rotation.T @ first.pose.rotation
+    translation = second.pose.to_camera(first.pose.center_m)
+    if not np.linalg.norm(translation) > 0:
+        raise DataError(f"{left.name}, {right.name}: both labels name one place; give the left and the right picture's")
+    along = -translation / np.linalg.norm(translation)
+    if along[0] < -np.cos(np.radians(RIGHT_ANGLE_DEG)):
+        raise DataError(f"{left.name}, {right.name}: left and right are swapped; give the left one first")
+    remarks = [*first.remarks, *(remark for remark in second.remarks if remark not in first.remarks)]
+    if along[0] < np.cos(np.radians(RIGHT_ANGLE_DEG)):
+        remarks.append("centres are stated in another frame than directions: the baseline is laid along the rows")
+        translation = -np.linalg.norm(translation) * np.array([1.0, 0.0, 0.0])
+    sigmas = {f"{side}_{name}": fit.residual_rms_px for side, fit in (("left", first), ("right", second))
+              for name in INTRINSICS[:4]}  # fmt: skip
+    turned = max(first.residual_rms_px / first.camera.fx_px, second.residual_rms_px / second.camera.fx_px)
+    return StereoRig(
+        name=f"{left.stem}, {right.stem}",
+        left=first.camera,
+        right=second.camera,
+        rotation=rotation,
+        translation_m=translation,
+        covariance=covariance_of(sigmas | dict.fromkeys((f"rotation_{axis}_rad" for axis in "xyz"), turned)),
+        assumed=("covariance: what the fits to the labels miss, not what the calibration did", *remarks),
+        source=f"labels {left.name} and {right.name}",
+    )
+
+
+# --- PDS4 labels of the Ground Research and Application System (CLPDS) ---
+
+
+def _from_pds4(name: str, content: str) -> LabelCamera:
+    try:
+        root = ElementTree.fromstring(content)
+    except ElementTree.ParseError as error:
+        raise DataError(f"{name}: not valid XML: {error}; is the label complete?") from error
+    for node in root.iter():
+        node.tag = str(node.tag).rpartition("}")[2].lower()
+    width, height = _size(name, root)
+    pitch = _number(name, root, "pixel_size") * 1e-3
+    focal = _number(name, root, "focal_length") / pitch
+    across, down = (_principal(name, root, axis) / pitch for axis in "xy")
+    found = {corner: _vector(root, f"{corner}_point_observe_vector") for corner in CORNERS}
+    told = {corner: vector / np.linalg.norm(vector) for corner, vector in found.items() if vector is not None}
+    center = np.array([_number(name, root, f"camera_center_position_{axis}", 0.0) for axis in "xyz"])
+    fits = [
+        _fit_corners(name, (width, height), focal, (across, sign * down), told, center) for sign in (1.0, -1.0)
+    ] if len(told) >= 3 else []  # fmt: skip
+    if not fits:
+        raise DataError(f"{name}: its label states {len(told)} directions of corners; three or more are needed")
+    best = min(fits, key=lambda fit: fit.residual_rms_px)
+    if best.residual_max_px > 0.1 * width:
+        raise DataError(
+            f"{name}: focal length and stated corners differ by {best.residual_max_px:.0f} px; is the label damaged?"
+        )
+    return best
+
+
+def _fit_corners(
+    name: str,
+    size: tuple[int, int],
+    focal: float,
+    principal: tuple[float, float],
+    told: dict[str, FloatArray],
+    center: FloatArray,
+) -> LabelCamera:
+    """Rotation and k1 from stated directions of the corners and the middle of a picture."""
+    from scipy.optimize import least_squares
+
+    right, low = size[0] - 1.0, size[1] - 1.0
+    places = {"up_left": (0, 0), "down_left": (0, low), "up_right": (right, 0), "down_right": (right, low)}
+    pixels = np.array([places.get(corner, (0.5 * right, 0.5 * low)) for corner in told])
+    directions = np.array(list(told.values()))
+    middle = 0.5 * right + principal[0], 0.5 * low + principal[1]
+    plain = Camera(
+        name=name, width_px=size[0], height_px=size[1], fx_px=focal, fy_px=focal, cx_px=middle[0], cy_px=middle[1]
+    )
+    first = _turned_onto(plain.rays(pixels), directions)
+
+    def misses(values: FloatArray) -> FloatArray:
+        vector = plain.vector()
+        vector[4] = values[3] if len(values) > 3 else 0.0
+        seen = directions @ (rotation_of(values[:3]) @ first)
+        return np.asarray(np.nan_to_num((plain.with_vector(vector).project(seen) - pixels).ravel(), nan=1e4))
+
+    pinhole, bent = (least_squares(misses, np.zeros(count), x_scale=1e-3) for count in (3, 4))
+    chosen = bent if len(told) >= 4 else pinhole
+    vector = plain.vector()
+    vector[4] = chosen.x[3] if len(chosen.x) > 3 else 0.0
+    left = np.linalg.norm(chosen.fun.reshape(-1, 2), axis=1)
+    k1 = "k1 from the stated corners, other distortion unknown" if len(told) >= 4 else "distortion unknown"
+    return LabelCamera(
+        camera=plain.with_vector(vector),
+        pose=Pose(rotation=_orthonormal(rotation_of(chosen.x[:3]) @ first), center_m=center),
+        residual_rms_px=float(np.sqrt(np.mean(left**2))),
+        residual_max_px=float(left.max()),
+        pinhole_max_px=float(np.linalg.norm(pinhole.fun.reshape(-1, 2), axis=1).max()),
+        remarks=(k1, "the sign of the principal point's y is the one that fits the corners better"),
+    )
+
+
+def _turned_onto(rays: FloatArray, directions: FloatArray) -> FloatArray:
+    """The rotation that turns rays of the camera best into directions (Kabsch 1976, 10.1107/S0567739476001873)."""
+    unit = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    left, _, right = np.linalg.svd(directions.T @ unit)
+    return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
+
+
+def _orthonormal(matrix: FloatArray) -> FloatArray:
+    left, _, right = np.linalg.svd(matrix)
+    return np.asarray(left @ right)
+
+
+def _size(name: str, root: ElementTree.Element) -> tuple[int, int]:
+    axes = {}
+    for axis in root.iter("axis_array"):
+        axes[str(axis.findtext("axis_name")).strip().lower()] = int(str(axis.findtext("elements") or 0))
+    if not {"line", "sample"} <= axes.keys():
+        raise DataError(f"{name}: its label says no lines and samples; is it the label of a picture?")
+    return axes["sample"], axes["line"]
+
+
+def _number(name: str, root: ElementTree.Element, tag: str, default: float | None = None) -> float:
+    found = next((node.text for node in root.iter(tag) if node.text), None)
+    if found is None and default is None:
+        raise DataError(f"{name}: its label has no {tag}; labels of Chang'E's PCAM of level 2B have one")
+    try:
+        return float(found if found is not None else default)  # type: ignore[arg-type]
+    except ValueError as error:
+        raise DataError(f"{name}: {tag} is '{found}', no number") from error
+
+
+def _principal(name: str, root: ElementTree.Element, axis: str) -> float:
+    """x0, y0 in mm; the Moon's labels write principle_point_coordinate, and x, y."""
+    for place in ("principal_point_coordinate", "principle_point_coordinate"):
+        for node in root.iter(place):
+            for tag in (f"{axis}0", axis):
+                if (found := node.findtext(tag)) is not None:
+                    return float(found)
+    raise DataError(f"{name}: its label has no principal point")
+
+
+def _vector(root: ElementTree.Element, tag: str) -> FloatArray | None:
+    node = next(root.iter(tag), None)
+    cells = [] if node is None else [node.findtext(axis) for axis in "xyz"]
+    values = np.array([float(cell) for cell in cells if cell])
+    return values if values.size == 3 and np.linalg.norm(values) > 0 else None
+
+
+# --- CAHV, CAHVOR, CAHVORE ---
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CahvModel:
+    """A camera of the CAHV family: centre C, axis A, image vectors H and V, optical axis O, radial R, entrance E.
+
+    CAHV is of Yakimovsky & Cunningham (1978), 10.1016/0146-664X(78)90112-0; CAHVOR and CAHVORE of Gennery (2006),
+    10.1007/s11263-006-5168-1; CAHVOR in photogrammetric terms of Di & Li (2004), 10.1029/2003JE002199.
+
+    Attributes
+    ----------
+    vectors : by letter, (3,); C and E in m, H and V in px, the others without unit. O, R and E may be missing.
+    linearity : of CAHVORE: 1 perspective, 0 fish-eye.
+    width_px, height_px : size of its picture. [px]
+    """
+
+    vectors: dict[str, FloatArray]
+    width_px: int
+    height_px: int
+    linearity: float = 1.0
+
+    def project(self, points: FloatArray) -> FloatArray:
+        """Pixels (n, 2) of points (n, 3) of the model's frame [m]."""
+        v = self.vectors
+        seen = points - v["C"]
+        if "E" in v:
+            seen = self._bent_entrance(seen)
+        elif "O" in v:
+            along = seen @ v["O"]
+            aside = seen - along[:, None] * v["O"]
+            tau = np.sum(aside**2, axis=1) / along**2
+            seen = seen + aside * (v["R"][0] + v["R"][1] * tau + v["R"][2] * tau**2)[:, None]
+        depth = seen @ v["A"]
+        return np.stack([seen @ v["H"] / depth, seen @ v["V"] / depth], axis=1)
+
+    def _bent_entrance(self, seen: FloatArray) -> FloatArray:
+        """Direction after a pupil that moves along O with the angle theta (Gennery 2006)."""
+        v = self.vectors
+        along = seen @ v["O"]
+        aside = seen - along[:, None] * v["O"]
+        away = np.linalg.norm(aside, axis=1)
+        theta = np.arctan2(away, along)
+        e0, e1, e2 = v["E"]
+        for _ in range(20):
+            t2 = theta**2
+            moved, change = e0 + e1 * t2 + e2 * t2**2, 2 * e1 * theta + 4 * e2 * theta**3
+            sine, cosine = np.sin(theta), np.cos(theta)
+            value = cosine * away - sine * along - (theta - sine) * moved
+            slope = cosine * along + sine * away + (1 - cosine) * moved + (theta - sine) * change
+            theta = theta + value / slope
+        lin = self.linearity
+        chi = theta if abs(lin) < 1e-9 else (np.tan(lin * theta) if lin > 0 else np.sin(lin * theta)) / lin
+        mu = v["R"][0] + v["R"][1] * chi**2 + v["R"][2] * chi**4
+        with np.errstate(divide="ignore", invalid="ignore"):
+            depth = np.where(chi > 0, away / chi, along)
+        return np.asarray(depth[:, None] * v["O"] + (1 + mu)[:, None] * aside)
+
+
+def fit_cahv(model: CahvModel, name: str) -> LabelCamera:
+    """The Brown-Conrady camera nearest to a CAHV, CAHVOR or CAHVORE model, over its whole picture at 2, 5 and 20 m."""
+    from scipy.optimize import least_squares
+
+    v = model.vectors
+    axis = v["A"] / np.linalg.norm(v["A"])
+    across, down = np.cross(np.cross(axis, v["H"]), axis), np.cross(np.cross(axis, v["V"]), axis)
+    focal_x, focal_y = np.linalg.norm(across), np.linalg.norm(down)
+    rotation = _orthonormal(np.stack([across / focal_x, np.cross(axis, across / focal_x), axis], axis=1))
+    first = np.array([focal_x, focal_y, axis @ v["H"], axis @ v["V"]])
+    size = {"width_px": model.width_px, "height_px": model.height_px}
+    plain = Camera(name=name, **size, **dict(zip(INTRINSICS[:4], map(float, first), strict=True)))  # type: ignore[arg-type]
+    points, pixels = _samples(model, plain, rotation)
+
+    def misses(values: FloatArray) -> FloatArray:
+        vector = np.concatenate([first + values[:4], values[4:9] if len(values) > 10 else np.zeros(5)])
+        turn, place = values[-6:-3], v["C"] + values[-3:]
+        seen = (points - place) @ (rotation @ rotation_of(turn))
+        try:
+            found = plain.with_vector(vector).project(seen)
+        except ValueError:
+            return np.full(pixels.size, 1e4)
+        return np.asarray(np.nan_to_num((found - pixels).ravel(), nan=1e4))
+
+    scale = np.array([1.0] * 4 + [1e-3] * 11)
+    bent = least_squares(misses, np.zeros(15), x_scale=scale, xtol=1e-14, ftol=1e-14, max_nfev=400)
+    pinhole = least_squares(misses, np.zeros(10), x_scale=scale[[0, 1, 2, 3, 9, 10, 11, 12, 13, 14]])
+    left, flat = (np.linalg.norm(fit.fun.reshape(-1, 2), axis=1) for fit in (bent, pinhole))
+    remark = f"the fit to the label's model misses it by {left.max():.2g} px at most"
+    return LabelCamera(
+        camera=plain.with_vector(np.concatenate([first + bent.x[:4], bent.x[4:9]])),
+        pose=Pose(rotation=_orthonormal(rotation @ rotation_of(bent.x[9:12])), center_m=v["C"] + bent.x[12:15]),
+        residual_rms_px=float(np.sqrt(np.mean(left**2))),
+        residual_max_px=float(left.max()),
+        pinhole_max_px=float(flat.max()),
+        remarks=(remark,) if left.max() > COARSE_PX else (),
+    )
+
+
+def _samples(model: CahvModel, plain: Camera, rotation: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Points that the model sees in its picture, and where."""
+    reach = [np.linspace(-0.6 * count, 0.6 * count, 2 * STEPS) for count in (model.width_px, model.height_px)]
+    u, v = np.meshgrid(reach[0], reach[1])
+    rays = np.stack([u / plain.fx_px, v / plain.fy_px, np.ones_like(u)], axis=-1).reshape(-1, 3)
+    points = np.concatenate([model.vectors["C"] + distance * rays @ rotation.T for distance in RANGES])
+    pixels = model.project(points)
+    inside = np.isfinite(pixels).all(axis=1) & plain.sees(np.nan_to_num(pixels, nan=-1e9))
+    return points[inside], pixels[inside]
+
+
+def _cahv_of(name: str, content: str) -> CahvModel:
+    vectors = _components(content)
+    if not {"C", "A", "H", "V"} <= vectors.keys():
+        raise DataError(f"{name}: no camera model; a label needs C, A, H and V, or the pointing of a PDS4 label")
+    for letter, partner in (("O", "R"), ("R", "O")):
+        if letter in vectors and partner not in vectors:
+            raise DataError(f"{name}: a CAHVOR model needs O and R; {partner} is missing")
+    width = _first_number(content, ("LINE_SAMPLES", "xdim", "NS"))
+    height = _first_number(content, ("LINES", "ydim", "NL"))
+    if width is None or height is None:
+        raise DataError(f"{name}: the size of the picture is missing; add LINES = … and LINE_SAMPLES = …")
+    kind = _first_number(content, ("MODEL_TYPE_PARAMETER", "MPARM", "T"))
+    own = {"linearity": 1.0 if kind is None else float(kind)}
+    vectors["O"] = vectors["O"] / np.linalg.norm(vectors["O"]) if "O" in vectors else vectors["A"]
+    vectors.setdefault("R", np.zeros(3))
+    return CahvModel(vectors=vectors, width_px=int(width), height_px=int(height), **own)
+
+
+def _components(content: str) -> dict[str, FloatArray]:
+    """Vectors by letter: MODEL_COMPONENT_1 = (…) of PDS3 in the order of MODEL_COMPONENT_ID, or lines C = x y z."""
+    triple = rf"\(?\s*({NUMBER})[\s,]+({NUMBER})[\s,]+({NUMBER})\s*\)?"
+    listed = re.search(r"MODEL_COMPONENT_ID\s*=\s*\(([^)]*)\)", content)
+    found: dict[str, FloatArray] = {}
+    if listed:
+        for index, letter in enumerate(re.findall(r"\w+", listed[1]), start=1):
+            if cells := re.search(rf"MODEL_COMPONENT_{index}\s*=\s*{triple}", content):
+                found.setdefault(letter, _floats(cells))
+        return found
+    for cells in re.finditer(rf"^\s*([CAHVORE])\s*=\s*{triple}", content, re.MULTILINE):
+        found.setdefault(cells[1], _floats(cells, 2))
+    return found
+
+
+def _floats(cells: "re.Match[str]", first: int = 1) -> FloatArray:
+    return np.array([float(cells[place].replace("D", "e").replace("d", "e")) for place in range(first, first + 3)])
+
+
+def _first_number(content: str, names: tuple[str, ...]) -> Any:
+    for key in names:
+        if cells := re.search(rf"^\s*{key}\s*=\s*({NUMBER})", content, re.MULTILINE):
+            return float(cells[1])
+    return None

@@ -1,0 +1,140 @@
+"""Pictures as grey numbers: PNG, TIFF and JPEG of 8 to 16 bits, and raw frames of PDS4 labels."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.arrays import FloatArray
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.inputs import InputFile, read_input
+
+LABELS = (".2bl", ".2cl", ".2al", ".xml")
+RAW_TYPES = {
+    "UnsignedByte": "u1",
+    "UnsignedLSB2": "<u2",
+    "UnsignedMSB2": ">u2",
+    "SignedLSB2": "<i2",
+    "SignedMSB2": ">i2",
+}
+FLAT = 4.0
+"""A picture whose values spread less over their bits than this share of a thousand shows nothing; assumed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Picture:
+    """A grey picture.
+
+    Attributes
+    ----------
+    source : the file it was read from.
+    values : (height, width), counted from 0, in the numbers of the file.
+    bits : how many it was counted with: 8, or 10, 12, 14 or 16 by its largest number.
+    """
+
+    source: InputFile
+    values: FloatArray
+    bits: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height. [px]"""
+        return self.values.shape[1], self.values.shape[0]
+
+    @property
+    def saturated(self) -> npt.NDArray[np.bool_]:
+        """Where light was more than a number can say. (height, width)"""
+        return np.asarray(self.values >= 2**self.bits - 1.5)
+
+    def check(self) -> None:
+        """Raise DataError for a picture that is dark, even or overexposed all over."""
+        low, high = np.percentile(self.values, [1, 99])
+        if self.saturated.mean() > 0.5:
+            raise DataError(f"{self.source.name}: {self.saturated.mean():.0%} of it is overexposed; take a shorter one")
+        if high - low < FLAT * 1e-3 * 2**self.bits:
+            raise DataError(f"{self.source.name}: shows nothing: values {low:g} to {high:g} of {2**self.bits - 1}")
+
+
+def read_picture(source: str | Path | InputFile) -> Picture:
+    """Read a picture; colours become grey, Bayer mosaics too.
+
+    A PDS4 label names its raw file, which must lie beside it. Raises DataError for what is none, and ParameterError
+    without OpenCV.
+    """
+    file = read_input(source)
+    if Path(file.name).suffix.lower() in LABELS or file.data.lstrip()[:5] == b"<?xml":
+        return _read_pds4(file)
+    cv2 = open_cv()
+    found = cv2.imdecode(np.frombuffer(file.data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    if found is None:
+        raise DataError(f"{file.name}: no picture that can be read; give PNG, TIFF, JPEG or a PDS4 label")
+    if found.ndim == 3:
+        found = cv2.cvtColor(found[..., :3], cv2.COLOR_BGR2GRAY) if found.shape[2] > 2 else found[..., 0]
+    return _picture(file, found)
+
+
+def _picture(file: InputFile, found: npt.NDArray[Any]) -> Picture:
+    if found.dtype not in (np.uint8, np.uint16, np.int16):
+        raise DataError(f"{file.name}: numbers of type {found.dtype}; give a picture of 8 or 16 bits")
+    top = int(found.max(initial=0))
+    bits = 8 if found.dtype == np.uint8 else next(bits for bits in (10, 12, 14, 16) if top < 2**bits)
+    return Picture(source=file, values=np.maximum(found, 0).astype(np.float64), bits=bits)
+
+
+def _read_pds4(file: InputFile) -> Picture:
+    from xml.etree import ElementTree
+
+    try:
+        root = ElementTree.fromstring(file.data)
+    except ElementTree.ParseError as error:
+        raise DataError(f"{file.name}: not valid XML: {error}; is the label complete?") from error
+    for node in root.iter():
+        node.tag = str(node.tag).rpartition("}")[2].lower()
+    axes = [(str(a.findtext("axis_name")).lower(), int(a.findtext("elements") or 0)) for a in root.iter("axis_array")]
+    kind = next((str(node.text).strip() for node in root.iter("data_type")), "")
+    if [name for name, _ in axes] not in (["line", "sample"], ["line", "sample", "band"]) or kind not in RAW_TYPES:
+        raise DataError(f"{file.name}: axes {[name for name, _ in axes]} of {kind or 'no type'} are not known here")
+    raw = read_input(Path(file.name).with_suffix(Path(file.name).suffix[:-1]))
+    shape, offset = [count for _, count in axes], int(next((n.text for n in root.iter("offset")), "0") or 0)
+    values = np.frombuffer(raw.data, RAW_TYPES[kind], offset=offset)
+    if values.size < np.prod(shape):
+        raise DataError(f"{raw.name}: {values.size} numbers, {'x'.join(map(str, shape))} announced; is it cut short?")
+    frame = values[: np.prod(shape)].reshape(shape)
+    picture = _picture(raw, (frame if frame.ndim == 2 else frame.mean(axis=2)).astype(frame.dtype.newbyteorder("=")))
+    if frame.ndim == 2 and "-C-" in Path(file.name).name:
+        return Picture(source=raw, values=_without_mosaic(picture.values), bits=picture.bits)
+    return picture
+
+
+def _without_mosaic(values: FloatArray) -> FloatArray:
+    """Grey of an RGGB mosaic: each pixel with its neighbours, weighted so that every place has each colour alike."""
+    from scipy.ndimage import convolve
+
+    kernel = np.outer([0.25, 0.5, 0.25], [0.25, 0.5, 0.25])
+    return np.asarray(convolve(values, kernel, mode="mirror"))
+
+
+def open_cv() -> Any:
+    """The module cv2. Raises ParameterError, which names the extra, where it is not installed."""
+    try:
+        import cv2
+    except ImportError as error:
+        raise ParameterError("pictures need OpenCV; pip install 'lunarsci[images]'") from error
+    return cv2
+
+
+def png_bytes(values: npt.NDArray[np.uint16], words: dict[str, str]) -> bytes:
+    """A grey PNG of 16 bits with words in its text chunks. (height, width)"""
+    import io
+
+    from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
+
+    about = PngInfo()
+    for key, word in words.items():
+        about.add_text(key, word)
+    written = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(values, dtype=np.uint16)).save(written, format="png", pnginfo=about)
+    return written.getvalue()

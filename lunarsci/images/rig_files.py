@@ -1,0 +1,165 @@
+"""Stereo rigs by name, from TOML files, and from the labels of two pictures."""
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from lunarsci.errors import DataError
+from lunarsci.images.camera import INTRINSICS, Camera, rotation_of, vector_of
+from lunarsci.images.rig import PARAMETERS, RELATIVE, Sensor, StereoRig, covariance_of
+from lunarsci.inputs import InputFile, read_input, text
+
+OWN = "rigs.toml"
+SENSOR = ("bits", "full_well_e", "read_noise_e", "mtf_at_nyquist")
+SIGMA_GROUPS = {"rotation_rad": RELATIVE[:3], "translation_m": RELATIVE[3:]}
+FORM = (
+    "give [left] and [right] (width_px, height_px, fx_px, fy_px, cx_px, cy_px, k1, k2, k3, p1, p2) and [relative] "
+    "(rotation_rad, translation_m), or width_px, height_px, focal_px and baseline_m of two equal cameras side by side"
+)
+
+
+def known_rigs() -> tuple[str, ...]:
+    """Names of the rigs that come with lunarsci."""
+    return tuple(tomllib.loads(own_text()))
+
+
+def own_text() -> str:
+    """The file of the rigs that come with lunarsci."""
+    return files("lunarsci.images").joinpath(OWN).read_text("utf-8")
+
+
+def read_rig(*sources: str | InputFile) -> StereoRig:
+    """A rig by name (`yutu2-navcam`), from a TOML file, or from labels of the left and the right picture.
+
+    Labels are PDS4 XML of Chang'E cameras, or text with a CAHV, CAHVOR or CAHVORE model: PDS3 labels and VICAR files.
+    Raises DataError for anything else.
+    """
+    if len(sources) == 2:
+        from lunarsci.images.labels import rig_of_labels
+
+        return rig_of_labels(read_input(sources[0]), read_input(sources[1]))
+    if len(sources) != 1:
+        raise DataError("a rig is a name, a TOML file, or two labels, left and right; give one of these")
+    if sources[0] in known_rigs():
+        return _read(tomllib.loads(own_text())[sources[0]], str(sources[0]))
+    try:
+        file = read_input(sources[0])
+        return _read(tomllib.loads(text(file)), file.name)
+    except tomllib.TOMLDecodeError as error:
+        hint = "; of labels give two, left and right" if text(file).lstrip().startswith("<") else ""
+        raise DataError(f"{file.name}: not valid TOML: {error}{hint}") from error
+    except DataError as error:
+        if "no such file" in str(error):
+            raise DataError(
+                f"{sources[0]}: no rig of that name ({', '.join(known_rigs())}) and no such file"
+            ) from error
+        raise
+
+
+def _read(document: Mapping[str, Any], origin: str) -> StereoRig:
+    assumed = [*document.get("assumed", ()), *_assumed(document)]
+    plain = _plain(document)
+    try:
+        return _rig(plain, tuple(assumed))
+    except KeyError as error:
+        raise DataError(f"{origin}: no {error.args[0]}; {FORM}") from error
+    except (TypeError, ValueError) as error:
+        raise DataError(f"{origin}: {error}") from error
+
+
+def _rig(plain: Mapping[str, Any], assumed: tuple[str, ...]) -> StereoRig:
+    if "baseline_m" in plain and "left" not in plain:
+        left = right = _twin(plain)
+        rotation, translation = np.eye(3), np.array([-float(plain["baseline_m"]), 0.0, 0.0])
+    else:
+        left, right = (_camera(plain[side], f"{side} camera") for side in ("left", "right"))
+        relative = plain["relative"]
+        rotation, translation = rotation_of(relative["rotation_rad"]), np.array(relative["translation_m"], dtype=float)
+    sensor = {name: plain[name] for name in SENSOR if name in plain}
+    return StereoRig(
+        name=str(plain["name"]),
+        left=left,
+        right=right,
+        rotation=rotation,
+        translation_m=translation,
+        covariance=_covariance(plain),
+        sensor=Sensor(**sensor),
+        mast_height_m=plain.get("mast_height_m"),
+        nearest_m=float(plain.get("nearest_m", 0.0)),
+        assumed=assumed,
+        source=str(plain.get("source", "")),
+    )
+
+
+def _twin(plain: Mapping[str, Any]) -> Camera:
+    """The camera that a rig has twice."""
+    width, height, focal = plain["width_px"], plain["height_px"], float(plain["focal_px"])
+    middle = plain.get("principal_px", [0.5 * (width - 1), 0.5 * (height - 1)])
+    terms = dict(zip(INTRINSICS[4:], plain.get("distortion", [0.0] * 5), strict=True))
+    numbers = {"fx_px": focal, "fy_px": focal, "cx_px": middle[0], "cy_px": middle[1]} | terms
+    return _camera({"width_px": width, "height_px": height} | numbers, str(plain["name"]))
+
+
+def _camera(table: Mapping[str, Any], name: str) -> Camera:
+    numbers = {key: float(table[key] if index < 4 else table.get(key, 0.0)) for index, key in enumerate(INTRINSICS)}
+    return Camera(name=name, width_px=int(table["width_px"]), height_px=int(table["height_px"]), **numbers)
+
+
+def _covariance(plain: Mapping[str, Any]) -> Any:
+    if "covariance" in plain:
+        return np.array(plain["covariance"], dtype=float)
+    found: dict[str, float] = {}
+    for name, value in plain.get("sigma", {}).items():
+        both = (f"left_{name}", f"right_{name}") if name in INTRINSICS else (name,)
+        found |= dict.fromkeys(SIGMA_GROUPS.get(name, both), float(value))
+    return covariance_of(found)
+
+
+def _plain(value: Any) -> Any:
+    """Tables that hold a `value` with its source as the value alone."""
+    if isinstance(value, Mapping):
+        return value["value"] if "value" in value else {key: _plain(inner) for key, inner in value.items()}
+    return value
+
+
+def _assumed(document: Mapping[str, Any]) -> list[str]:
+    marked = [key for key, entry in document.items() if isinstance(entry, Mapping) and entry.get("assumed")]
+    return [*marked, *(["sigma"] if document.get("baseline_m") and "sigma" in document else [])]
+
+
+def rig_text(rig: StereoRig) -> str:
+    """The TOML file of a rig, which `read_rig` reads back to the last digit."""
+    lines = [f"name = {_quoted(rig.name)}", f"source = {_quoted(rig.source)}"]
+    lines.append(f"assumed = [{', '.join(map(_quoted, rig.assumed))}]")
+    lines += [f"{name} = {getattr(rig.sensor, name)!r}" for name in SENSOR]
+    lines += [f"nearest_m = {rig.nearest_m!r}"]
+    lines += [] if rig.mast_height_m is None else [f"mast_height_m = {rig.mast_height_m!r}"]
+    lines += [f"# rows and columns: {', '.join(PARAMETERS)}", "covariance = ["]
+    lines += [f"  [{_numbers(row)}]," for row in rig.covariance]
+    lines += ["]", ""]
+    for side, camera in (("left", rig.left), ("right", rig.right)):
+        lines += [f"[{side}]", f"width_px = {camera.width_px}", f"height_px = {camera.height_px}"]
+        lines += [f"{name} = {float(getattr(camera, name))!r}" for name in INTRINSICS] + [""]
+    lines += ["[relative]", f"rotation_rad = [{_numbers(vector_of(rig.rotation))}]"]
+    lines += [f"translation_m = [{_numbers(rig.translation_m)}]", ""]
+    return "\n".join(lines)
+
+
+def _numbers(values: Sequence[float] | Any) -> str:
+    return ", ".join(repr(float(value)) for value in values)
+
+
+def _quoted(words: str) -> str:
+    return '"' + words.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def check_rig_of(rig: StereoRig, width_px: int, height_px: int, name: str) -> None:
+    """Raise DataError where a picture cannot be of a rig's camera."""
+    if (width_px, height_px) == rig.left.size == rig.right.size:
+        return
+    own = " x ".join(map(str, rig.left.size))
+    turned = "; it seems to be turned" if (height_px, width_px) == rig.left.size else "; is it another rig's?"
+    raise DataError(f"{name}: {width_px} x {height_px} px, and {rig.name} takes pictures of {own}{turned}")

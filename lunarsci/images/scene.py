@@ -1,0 +1,193 @@
+"""What a rover's cameras look at: ground as triangles on a grid, rocks as ellipsoids, and the Sun."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.arrays import FloatArray
+from lunarsci.errors import DataError, ParameterError
+
+ROCK_COLUMNS = ("x_m", "y_m", "z_m", "a_m", "b_m", "c_m", "turn_deg")
+"""Columns of a scene's rocks: middle, half axes along and across, half height, direction of the first axis."""
+HURST = 0.8
+"""Roughness exponent of regolith: Helfenstein & Shepard (1999), Icarus 141, 107, 10.1006/icar.1999.6160 (0.5-0.7 at
+millimetres; 0.8 assumed between)."""
+RMS_AT_METRE_M = 0.02
+"""Rms height of wavelengths up to a metre: assumed. [m]"""
+MOTTLING = 0.05
+"""Rms of the reflectance over its mean from place to place: assumed. [-]"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scene:
+    """Ground, rocks and Sun.
+
+    Attributes
+    ----------
+    name : what it is.
+    x0_m, y0_m, spacing_m : position of node [0, 0], and distance of nodes. [m]
+    height_m : heights of the nodes, finite; each cell is two triangles, split from its lowest x and y. (ny, nx) [m]
+    albedo : reflectance over its mean at the nodes, > 0. (ny, nx) [-]
+    rocks : one row for each, `ROCK_COLUMNS`. (n, 7)
+    sun_azimuth_deg, sun_elevation_deg : where the Sun is, from x towards y, and over the horizon. [deg]
+
+    Raises ParameterError for what cannot be.
+    """
+
+    name: str
+    x0_m: float
+    y0_m: float
+    spacing_m: float
+    height_m: FloatArray
+    albedo: FloatArray
+    rocks: FloatArray
+    sun_azimuth_deg: float = 60.0
+    sun_elevation_deg: float = 30.0
+
+    def __post_init__(self) -> None:
+        if self.height_m.ndim != 2 or min(self.height_m.shape) < 3 or not np.isfinite(self.height_m).all():
+            raise ParameterError(f"{self.name}: heights must be a grid of 3 x 3 or more finite numbers; fill its holes")
+        if self.albedo.shape != self.height_m.shape or not (self.albedo > 0).all():
+            raise ParameterError(f"{self.name}: reflectance must be above 0 at every node")
+        if self.rocks.shape[1:] != (len(ROCK_COLUMNS),) or not (self.rocks[:, 3:6] > 0).all():
+            raise ParameterError(f"{self.name}: rocks need {', '.join(ROCK_COLUMNS)}, with half axes above 0")
+        if not (0 < self.spacing_m < math.inf and 0 < self.sun_elevation_deg <= 90):
+            raise ParameterError(f"{self.name}: spacing must be above 0, and the Sun over the horizon: 0 to 90 deg")
+
+    @property
+    def sun(self) -> FloatArray:
+        """Direction to the Sun. (3,)"""
+        azimuth, elevation = math.radians(self.sun_azimuth_deg), math.radians(self.sun_elevation_deg)
+        level = math.cos(elevation)
+        return np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)])
+
+    def ground(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> FloatArray:
+        """Height of the triangles without rocks; NaN beyond the grid. [m]"""
+        x, y = np.asarray(x_m, dtype=float), np.asarray(y_m, dtype=float)
+        column, row = (x - self.x0_m) / self.spacing_m, (y - self.y0_m) / self.spacing_m
+        inside = (
+            (column >= 0) & (row >= 0) & (column <= self.height_m.shape[1] - 1) & (row <= self.height_m.shape[0] - 1)
+        )
+        i = np.clip(np.nan_to_num(column).astype(int), 0, self.height_m.shape[1] - 2)
+        j = np.clip(np.nan_to_num(row).astype(int), 0, self.height_m.shape[0] - 2)
+        u, v, h = column - i, row - j, self.height_m
+        low, high = h[j, i], h[j + 1, i + 1]
+        first = low + u * (h[j, i + 1] - low) + v * (high - h[j, i + 1])
+        second = low + v * (h[j + 1, i] - low) + u * (high - h[j + 1, i])
+        return np.where(inside, np.where(u >= v, first, second), np.nan)
+
+    def surface(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> FloatArray:
+        """Height of ground or rock, whichever is higher, as seen from above. [m]"""
+        x, y = np.asarray(x_m, dtype=float), np.asarray(y_m, dtype=float)
+        found = self.ground(x, y)
+        for row in self.rocks:
+            along, across = _turned(x - row[0], y - row[1], math.radians(row[6]))
+            left = 1 - (along / row[3]) ** 2 - (across / row[4]) ** 2
+            top = row[2] + row[5] * np.sqrt(np.maximum(left, 0.0))
+            found = np.where((left > 0) & (top > found), top, found)
+        return found
+
+
+def _turned(x: FloatArray, y: FloatArray, angle: float) -> tuple[FloatArray, FloatArray]:
+    return x * math.cos(angle) + y * math.sin(angle), -x * math.sin(angle) + y * math.cos(angle)
+
+
+def scene_on(
+    heights: tuple[float, float, float, FloatArray],
+    *,
+    name: str,
+    seed: int,
+    rocks_per_m2: float = 0.5,
+    roughness: float = 1.0,
+    sun_azimuth_deg: float = 60.0,
+    sun_elevation_deg: float = 30.0,
+    spacing_m: float | None = None,
+) -> Scene:
+    """A scene on given ground: x0, y0, spacing [m] and heights (ny, nx) [m], refined with fractal roughness and rocks.
+
+    Parameters
+    ----------
+    seed : of roughness, mottling and rocks.
+    rocks_per_m2 : rocks of 4 cm and more on a square metre; their number falls as width^-2, up to 40 cm (assumed).
+    roughness : over that assumed of regolith; 0 leaves the ground as it is.
+    spacing_m : of the refined grid; the ground's own where it is None.
+
+    What the ground cannot hold, wavelengths below four of its spacings, is added: power k^-(2 H + 2). Raises
+    ParameterError.
+    """
+    x0, y0, coarse, height = heights
+    fine = coarse if spacing_m is None else spacing_m
+    if not (0 < fine <= coarse and rocks_per_m2 >= 0 and roughness >= 0):
+        raise ParameterError("a scene needs a spacing up to the ground's, and rocks and roughness of 0 or more")
+    random = np.random.default_rng(seed)
+    ground = _refined(height, coarse / fine)
+    longest = min(max(4 * coarse, 8 * fine), 1.0)
+    scale = roughness * RMS_AT_METRE_M * longest**HURST
+    ground = ground + scale * _fractal(ground.shape, fine, longest, random)
+    albedo = np.exp(MOTTLING * _fractal(ground.shape, fine, max(0.3, 8 * fine), random))
+    extent = (ground.shape[1] - 1) * fine, (ground.shape[0] - 1) * fine
+    bare = Scene(
+        name=name,
+        x0_m=x0,
+        y0_m=y0,
+        spacing_m=fine,
+        height_m=ground,
+        albedo=albedo,
+        rocks=np.empty((0, len(ROCK_COLUMNS))),
+        sun_azimuth_deg=sun_azimuth_deg,
+        sun_elevation_deg=sun_elevation_deg,
+    )
+    places = random.uniform(
+        (x0, y0), (x0 + extent[0], y0 + extent[1]), (random.poisson(rocks_per_m2 * np.prod(extent)), 2)
+    )
+    return _with_rocks(bare, places, random)
+
+
+def _with_rocks(bare: Scene, places: FloatArray, random: np.random.Generator) -> Scene:
+    import dataclasses
+
+    count = len(places)
+    width = np.minimum(0.04 / np.sqrt(np.maximum(random.random(count), 0.01)), 0.4)
+    flat = random.uniform(0.6, 1.0, (count, 2))
+    half = 0.5 * width
+    sunk = bare.ground(places[:, 0], places[:, 1]) + random.uniform(-0.3, 0.5, count) * half * flat[:, 1]
+    rows = np.column_stack([places, sunk, half, half * flat[:, 0], half * flat[:, 1], random.uniform(0, 180, count)])
+    return dataclasses.replace(bare, rocks=rows)
+
+
+def _refined(height: FloatArray, times: float) -> FloatArray:
+    from scipy.ndimage import map_coordinates
+
+    if times == 1:
+        return height
+    rows, columns = (np.arange(0, count - 1 + 1e-9, 1 / times) for count in height.shape)
+    grid = np.meshgrid(rows, columns, indexing="ij")
+    return np.asarray(map_coordinates(height, grid, order=3, mode="nearest"))
+
+
+def _fractal(shape: tuple[int, int], spacing_m: float, longest_m: float, random: np.random.Generator) -> FloatArray:
+    """Waves of up to `longest_m`, power k^-(2 H + 2), rms 1. (ny, nx)"""
+    k = np.hypot(np.fft.fftfreq(shape[0], spacing_m)[:, None], np.fft.rfftfreq(shape[1], spacing_m)[None, :])
+    with np.errstate(divide="ignore"):
+        weight = np.where(k >= 1 / longest_m, k ** -(HURST + 1), 0.0)
+    waves = np.fft.irfft2(weight * np.fft.rfft2(random.standard_normal(shape)), s=shape)
+    spread = float(waves.std())
+    return np.asarray(waves / spread if spread > 0 else waves)
+
+
+def read_heights(path: str | Path) -> tuple[float, float, float, FloatArray]:
+    """x0, y0, spacing [m] and heights (ny, nx) [m] of a terrain archive (.npz with x_m, y_m, height_m).
+
+    Raises DataError.
+    """
+    try:
+        with np.load(path) as archive:
+            x, y, height = (np.asarray(archive[key], dtype=float) for key in ("x_m", "y_m", "height_m"))
+    except (OSError, ValueError, KeyError) as error:
+        raise DataError(f"{path}: no terrain archive (.npz with x_m, y_m and height_m): {error}") from error
+    if height.shape != (y.size, x.size) or min(height.shape) < 3:
+        raise DataError(f"{path}: height_m has shape {height.shape}; y_m and x_m say {(y.size, x.size)}")
+    return float(x[0]), float(y[0]), float(x[1] - x[0]), height

@@ -1,0 +1,297 @@
+"""Cameras and rigs beside OpenCV's lens, closed forms, and models of other people."""
+
+import math
+
+import numpy as np
+import pytest
+
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.images.camera import INTRINSICS, Camera, Pose, rotation_of, vector_of
+from lunarsci.images.labels import CahvModel, fit_cahv, read_label
+from lunarsci.images.rig import PARAMETERS, Sensor, StereoRig, covariance_of
+from lunarsci.images.rig_files import check_rig_of, known_rigs, read_rig, rig_text
+from lunarsci.inputs import InputFile
+
+LENS = {"fx_px": 1189.0, "fy_px": 1187.0, "cx_px": 510.0, "cy_px": 513.0}
+BENT = {"k1": -0.2, "k2": 0.05, "k3": 0.01, "p1": 1e-3, "p2": -2e-3}
+
+
+def camera(**changes: float) -> Camera:
+    return Camera(name="a", width_px=1024, height_px=1000, **(LENS | BENT | changes))  # type: ignore[arg-type]
+
+
+def points(count: int = 40) -> np.ndarray:
+    random = np.random.default_rng(1)
+    directions = np.column_stack([random.uniform(-0.4, 0.4, (count, 2)), np.ones(count)])
+    return np.asarray(directions * random.uniform(1, 9, (count, 1)))
+
+
+def rig(**changes: object) -> StereoRig:
+    return StereoRig(
+        **{
+            "name": "r",
+            "left": camera(),
+            "right": camera(cx_px=505.0, k1=-0.21),
+            "rotation": rotation_of([0.002, -0.01, 0.004]),
+            "translation_m": np.array([-0.27, 0.002, 0.001]),
+            "covariance": covariance_of({name: 0.1 if name.endswith("px") else 1e-4 for name in PARAMETERS}),
+        }
+        | changes  # type: ignore[arg-type]
+    )
+
+
+def test_a_lens_is_that_of_opencv() -> None:
+    cv2 = pytest.importorskip("cv2", reason="needs the extra images")
+    lens = camera()
+    theirs = cv2.projectPoints(points(), np.zeros(3), np.zeros(3), lens.matrix, lens.distortion)[0][:, 0]
+    np.testing.assert_allclose(lens.project(points()), theirs, atol=1e-9)
+
+
+def test_a_pixel_comes_back_from_its_ray_and_derivatives_are_those_of_differences() -> None:
+    lens, there = camera(), points()
+    np.testing.assert_allclose(lens.rays(lens.project(there)), there / there[:, 2:], atol=1e-13)
+    found = lens.project_with_derivatives(there)
+    by_point = [(lens.project(there + 1e-6 * e) - lens.project(there - 1e-6 * e)) / 2e-6 for e in np.eye(3)]
+    np.testing.assert_allclose(found.by_point, np.stack(by_point, -1), atol=1e-6)
+    back, pixels = lens.rays_with_derivatives(found.pixels), found.pixels
+    by_pixel = [(lens.rays(pixels + 1e-3 * e) - lens.rays(pixels - 1e-3 * e))[:, :2] / 2e-3 for e in np.eye(2)]
+    np.testing.assert_allclose(back.by_pixel, np.stack(by_pixel, -1), rtol=1e-5, atol=1e-9)
+    for index, e in enumerate(np.eye(len(INTRINSICS)) * 1e-6):
+        more, less = lens.with_vector(lens.vector() + e), lens.with_vector(lens.vector() - e)
+        np.testing.assert_allclose(found.by_intrinsics[..., index], (more.project(there) - less.project(there)) / 2e-6, atol=1e-6)
+        np.testing.assert_allclose(
+            back.by_intrinsics[..., index], ((more.rays(pixels) - less.rays(pixels)) / 2e-6)[:, :2], atol=1e-7
+        )
+
+
+def test_what_no_lens_shows_is_not_a_number() -> None:
+    lens = camera(k1=-0.4, k2=0.0, k3=0.0, p1=0.0, p2=0.0)
+    assert lens.fold() == pytest.approx(math.sqrt(1 / 1.2))
+    assert np.isnan(lens.project([[0.0, 0.0, -1.0], [1.0, 0.0, 1.0]])).all()
+    assert np.isnan(lens.rays([[511.0 + 0.7 * 1189, 513.0]])[..., :2]).all()
+    assert lens.sees([[0.0, 0.0], [1023.4, 999.4], [1023.6, 0.0], [-0.6, 0.0]]).tolist() == [True, True, False, False]
+
+
+def test_a_camera_looks_where_it_is_told() -> None:
+    pose = Pose.looking([1.0, 2.0, 1.5], heading_deg=30, down_deg=20, roll_deg=5)
+    ahead = pose.rotation[:, 2]
+    assert ahead == pytest.approx([math.cos(0.349066) * math.cos(math.pi / 6), math.cos(0.349066) * 0.5, -math.sin(0.349066)], abs=1e-6)
+    assert pose.angles_deg() == pytest.approx((30, 20, 5))
+    assert Pose.looking([0, 0, 1]).rotation[:, 0] == pytest.approx([0, -1, 0])  # the right hand of one who looks along x
+    assert pose.rotation[2, 0] < 0  # rolled clockwise, its right side is lower
+    np.testing.assert_allclose(pose.to_camera(pose.to_world(points())), points(), atol=1e-12)
+    with pytest.raises(ParameterError, match="without stretching"):
+        Pose(rotation=2 * np.eye(3), center_m=np.zeros(3))
+
+
+def test_triangulation_undoes_projection() -> None:
+    pair = rig()
+    left, right = pair.project(points())
+    found = pair.triangulate(left, right)
+    np.testing.assert_allclose(found.points, points(), atol=1e-9)
+    assert found.miss_m.max() < 1e-9
+    lifted = pair.triangulate(left, right + [0.0, 1.0]).miss_m
+    np.testing.assert_allclose(lifted, points()[:, 2] / 1187, rtol=0.2)  # one pixel off in the rows
+    assert np.isnan(pair.triangulate([[500.0, 500.0]], [[900.0, 500.0]]).points).all()  # behind the cameras
+
+
+def test_the_right_camera_is_where_its_picture_says() -> None:
+    pair, pose = rig(), Pose.looking([3.0, 1.0, 1.5], 40, 15)
+    there = pose.to_world(points())
+    np.testing.assert_allclose(
+        pair.right.project(pair.right_pose(pose).to_camera(there)), pair.project(points())[1], atol=1e-9
+    )
+    assert np.linalg.norm(pair.right_pose(pose).center_m - pose.center_m) == pytest.approx(pair.baseline_m)
+
+
+def test_common_errors_are_those_of_drawn_rigs() -> None:
+    """Covariance by derivatives beside what draws of the rig make of the same pixels."""
+    pair, there = rig(), np.array([[0.3, 0.1, 3.0], [-0.5, 0.2, 6.0]])
+    left, right = pair.project(there)
+    by = pair.by_parameters(left, right)
+    stated = np.sqrt(np.einsum("nip,pq,niq->ni", by, pair.covariance, by))
+    random = np.random.default_rng(2)
+    drawn = np.array([pair.drawn(random).triangulate(left, right).points for _ in range(1500)])
+    np.testing.assert_allclose(drawn.std(axis=0), stated, rtol=0.08)
+    random_part = np.sqrt((pair.by_pixels(left, right)[:, 2] ** 2).sum(-1))
+    assert random_part == pytest.approx(pair.range_error_m(there[:, 2], math.sqrt(2)), rel=0.1)
+
+
+@pytest.mark.parametrize("name", known_rigs())
+def test_own_rigs_have_their_published_views_and_say_what_is_assumed(name: str) -> None:
+    known = read_rig(name)
+    views = {"yutu2-pancam": (19.7, 14.5), "yutu2-navcam": (46.6, 46.6), "yutu2-hazcam": (120.0, 120.0)}
+    assert known.left.field_of_view_deg() == pytest.approx(views[name], abs=0.1)
+    assert {"baseline_m", "sigma", "distortion"} <= set(known.assumed)
+    assert known.sensor == Sensor(bits=10, full_well_e=25000.0, read_noise_e=15.0, mtf_at_nyquist=0.33)
+
+
+def test_the_navcam_is_as_uncertain_as_its_published_check_point() -> None:
+    """Zhang et al. (2020): a check point at 2.7 m is wrong by about 4 mm."""
+    navcam = read_rig("yutu2-navcam")
+    by = navcam.by_parameters(*navcam.project([0.0, 0.0, 2.7]))
+    assert math.sqrt(np.trace(by @ navcam.covariance @ by.T)) == pytest.approx(4e-3, rel=0.1)
+
+
+def test_a_rig_file_keeps_every_digit() -> None:
+    there = rig(assumed=("a",), source='from "there"', mast_height_m=1.4)
+    back = read_rig(InputFile("rig.toml", rig_text(there).encode()))
+    for name in ("left", "right", "name", "assumed", "source", "sensor", "mast_height_m"):
+        assert getattr(back, name) == (getattr(there, name) if "t" != name[-1] else getattr(back, name)), name
+    np.testing.assert_array_equal(back.covariance, there.covariance)
+    np.testing.assert_allclose(back.rotation, there.rotation, atol=1e-15)
+    np.testing.assert_array_equal(back.translation_m, there.translation_m)
+    assert [getattr(back.left, n) for n in INTRINSICS] == [getattr(there.left, n) for n in INTRINSICS]
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ('name = "x"\nwidth_px = 10', "no left; give"),
+        ("name = ", "not valid TOML"),
+        ('name = "x"\nbaseline_m = 0.0\nwidth_px = 9\nheight_px = 9\nfocal_px = 5', "needs a baseline"),
+        ('name = "x"\nbaseline_m = 1\nwidth_px = 9\nheight_px = 9\nfocal_px = -5', "focal length"),
+        ('name = "x"\nbaseline_m = 1\nwidth_px = 9\nheight_px = 9\nfocal_px = 5\nsigma = {a = 1}', "'a' is no parameter"),
+        ("<?xml version='1.0'?>", "of labels give two"),
+    ],
+)
+def test_bad_rig_files_are_refused(content: str, said: str) -> None:
+    with pytest.raises(DataError, match=said):
+        read_rig(InputFile("rig.toml", content.encode()))
+
+
+def test_unknown_rigs_and_pictures_of_others_are_refused() -> None:
+    with pytest.raises(DataError, match="no rig of that name"):
+        read_rig("yutu3")
+    navcam, pancam = read_rig("yutu2-navcam"), read_rig("yutu2-pancam")
+    check_rig_of(navcam, 1024, 1024, "a.png")
+    with pytest.raises(DataError, match="another rig's"):
+        check_rig_of(navcam, 1176, 864, "a.png")
+    with pytest.raises(DataError, match="turned"):
+        check_rig_of(pancam, 864, 1176, "a.png")
+
+
+# --- labels ---
+
+
+def pds4(lens: Camera, pose: Pose, sign: float = 1.0) -> bytes:
+    """A label with the elements of PCAM's, as its readers list them; corners are the middles of the last pixels."""
+    right, low = lens.width_px - 1, lens.height_px - 1
+    corners = {"up_left": (0, 0), "down_left": (0, low), "up_right": (right, 0), "down_right": (right, low)}
+    corners["center"] = (right / 2, low / 2)
+    ways = {name: pose.rotation @ lens.rays([place])[0] for name, place in corners.items()}
+    told = "".join(
+        f"<{n}_point_observe_vector>" + "".join(f"<{a}>{v:.6f}</{a}>" for a, v in zip("xyz", w / np.linalg.norm(w), strict=True))
+        + f"</{n}_point_observe_vector>" for n, w in ways.items()
+    )  # fmt: skip
+    pitch = 14.8e-3
+    offset = (lens.cx_px - right / 2) * pitch, sign * (lens.cy_px - low / 2) * pitch
+    axes = "".join(
+        f"<Axis_Array><axis_name>{n}</axis_name><elements>{e}</elements></Axis_Array>"
+        for n, e in (("Line", lens.height_px), ("Sample", lens.width_px))
+    )
+    center = "".join(f"<camera_center_position_{a}>{v}</camera_center_position_{a}>" for a, v in zip("xyz", pose.center_m, strict=True))
+    return (
+        f'<?xml version="1.0"?><Product_Observational xmlns="http://pds.nasa.gov/pds4/pds/v1">{axes}<Mission_Area>'
+        f'<Instrument_Parm><pixel_size unit="micrometer">{pitch * 1e3}</pixel_size><focal_length unit="mm">{lens.fx_px * pitch}'
+        f"</focal_length><principle_point_coordinate><X>{offset[0]}</X><Y>{offset[1]}</Y></principle_point_coordinate>"
+        f"</Instrument_Parm><Vector_Cartesian_3_Pointing>{told}</Vector_Cartesian_3_Pointing><Exterior_Orientation_Elements>"
+        f"{center}</Exterior_Orientation_Elements></Mission_Area></Product_Observational>"
+    ).replace("<X>", "<x>").replace("</X>", "</x>").replace("<Y>", "<y0>").replace("</Y>", "</y0>").encode()  # fmt: skip
+
+
+def pancam(k1: float = -0.05) -> Camera:
+    return Camera(
+        name="p", width_px=1176, height_px=864, fx_px=3380.0, fy_px=3380.0, cx_px=590.0, cy_px=428.0, k1=k1
+    )
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_distortion_and_pointing_come_from_a_labels_corners(sign: float) -> None:
+    pose = Pose.looking([1.0, 2.0, 1.5], 70, 25, 2)
+    found = read_label(InputFile("a.2BL", pds4(pancam(), pose, sign)))
+    assert found.camera.k1 == pytest.approx(-0.05, abs=2e-3)
+    assert (found.camera.cx_px, found.camera.cy_px) == pytest.approx((590.0, 428.0), abs=1e-6)
+    assert vector_of(found.pose.rotation.T @ pose.rotation) == pytest.approx(np.zeros(3), abs=1e-5)
+    assert found.residual_max_px < 0.05 < 1 < found.pinhole_max_px
+
+
+def test_two_labels_make_a_rig_and_swapped_ones_are_refused() -> None:
+    pose = Pose.looking([1.0, 2.0, 1.5], 70, 25, 2)
+    other = Pose(rotation=pose.rotation @ rotation_of([0.001, 0.004, 0]), center_m=pose.to_world([0.27, 0, 0]))
+    files = [InputFile(f"{n}.2BL", pds4(pancam(), p)) for n, p in (("left", pose), ("right", other))]
+    pair = read_rig(*files)
+    assert pair.baseline_m == pytest.approx(0.27, abs=1e-6)
+    assert vector_of(pair.rotation) == pytest.approx([-0.001, -0.004, 0], abs=1e-5)
+    assert any("calibration" in line for line in pair.assumed)
+    with pytest.raises(DataError, match="swapped"):
+        read_rig(*files[::-1])
+    with pytest.raises(DataError, match="one place"):
+        read_rig(files[0], files[0])
+
+
+def test_labels_without_a_camera_are_refused() -> None:
+    whole = pds4(pancam(), Pose.looking([1, 2, 1.5]))
+    for gone, said in ((b"focal_length", "no focal_length"), (b"axis_array", "no lines"), (b"observe_vector", "directions")):
+        with pytest.raises(DataError, match=said):
+            read_label(InputFile("a.2BL", whole.replace(gone, b"other").replace(b"Axis_Array", b"other" if gone == b"axis_array" else b"Axis_Array")))
+    with pytest.raises(DataError, match="not valid XML"):
+        read_label(InputFile("a.2BL", whole[:-30]))
+    with pytest.raises(DataError, match="no camera model"):
+        read_label(InputFile("a.lbl", b"LINES = 4"))
+
+
+def cahv(**more: np.ndarray) -> CahvModel:
+    turn = Pose.looking([0, 0, 0], 30, 20, 5).rotation
+    axis = turn[:, 2]
+    vectors = {"C": np.array([1.0, 0.2, -1.0]), "A": axis, "H": 1200 * turn[:, 0] + 511 * axis, "V": 1200 * turn[:, 1] + 512 * axis}
+    return CahvModel(vectors=vectors | more, width_px=1024, height_px=1024)
+
+
+def test_cahv_models_become_cameras() -> None:
+    """CAHV is a pinhole (closed form). CAHVOR with O = A has k1 = R1, k2 = R2 over (1 + R0) (Di & Li 2004)."""
+    plain = cahv(O=cahv().vectors["A"], R=np.zeros(3))
+    found = fit_cahv(plain, "x")
+    assert (found.camera.fx_px, found.camera.fy_px, found.camera.cx_px, found.camera.cy_px) == pytest.approx((1200, 1200, 511, 512), abs=1e-6)
+    assert found.residual_max_px < 1e-6
+    assert found.pose.center_m == pytest.approx([1.0, 0.2, -1.0], abs=1e-6)
+    bent = fit_cahv(cahv(O=plain.vectors["A"], R=np.array([0.001, -0.1, 0.03])), "x")
+    assert bent.camera.fx_px == pytest.approx(1200 * 1.001, rel=1e-6)
+    assert (bent.camera.k1, bent.camera.k2) == pytest.approx((-0.1 / 1.001, 0.03 / 1.001), rel=1e-3)
+    assert bent.residual_max_px < 1e-3 < 5 < bent.pinhole_max_px
+
+
+def test_cahvore_without_entrance_and_linear_is_cahvor() -> None:
+    axis = cahv().vectors["A"]
+    bend = {"O": axis, "R": np.array([1e-4, -0.05, 0.01])}
+    there = np.random.default_rng(3).uniform(-0.3, 0.3, (20, 3)) + cahv().vectors["C"] + 4 * axis
+    with_entrance = cahv(**bend, E=np.zeros(3))
+    np.testing.assert_allclose(with_entrance.project(there), cahv(**bend).project(there), atol=1e-8)
+
+
+PDS3 = """PDS_VERSION_ID = PDS3
+GROUP = GEOMETRIC_CAMERA_MODEL_PARMS
+ MODEL_TYPE = CAHVOR
+ MODEL_COMPONENT_ID = ("C","A","H","V","O","R")
+ MODEL_COMPONENT_1 = ({C})
+ MODEL_COMPONENT_2 = ({A})
+ MODEL_COMPONENT_3 = ({H})
+ MODEL_COMPONENT_4 = ({V})
+ MODEL_COMPONENT_5 = ({A})
+ MODEL_COMPONENT_6 = (1.0e-4,-0.1,0.03)
+END_GROUP = GEOMETRIC_CAMERA_MODEL_PARMS
+OBJECT = IMAGE
+ LINES = 1024
+ LINE_SAMPLES = 1024
+END_OBJECT = IMAGE
+END
+"""
+
+
+def test_pds3_labels_and_vicar_texts_are_read() -> None:
+    rows = {key: ",".join(f"{x:.12f}" for x in v) for key, v in cahv().vectors.items()}
+    label = read_label(InputFile("a.lbl", PDS3.format(**rows).encode()))
+    assert label.camera.k1 == pytest.approx(-0.1, rel=2e-3)
+    lines = [f"{key} = {row.replace(',', ' ')}" for key, row in rows.items()]
+    text = "\n".join(["NS = 1024", "NL = 1024", *lines])
+    assert read_label(InputFile("a.cahv", text.encode())).camera.k1 == pytest.approx(0, abs=1e-9)
