@@ -1,8 +1,4 @@
-"""SYNTHETIC pictures of a scene, and the truth about each pixel: for tests and for planning where to look from.
-
-Rays are followed through the triangles of the ground, with the highest of larger and larger squares to skip what they
-fly over (Tevs, Ihrke & Seidel 2008, 10.1145/1342250.1342279), and to ellipsoids in closed form.
-"""
+"""SYNTHETIC pictures of a scene, and the truth about each pixel: for tests and for planning where to look from."""
 
 import math
 from collections.abc import Callable
@@ -13,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
-from lunarsci.compiled import compiled, each_in_threads
+from lunarsci.compiled import each_in_threads
 from lunarsci.errors import ParameterError
 from lunarsci.images.camera import Camera, Pose
+from lunarsci.images.rays import World, clear, seen_by
 from lunarsci.images.rig import StereoRig
 from lunarsci.images.scene import Scene
 
@@ -23,18 +20,10 @@ Law = Literal["lommel-seeliger", "hapke"]
 SKY, GROUND, ROCK = 0, 1, 2
 SUN_RADIUS_RAD = math.radians(0.2666)
 """Half the angle of the Sun's disk at 1 au. [rad]"""
-SKYLIGHT = 0.0015
-"""Radiance factor of what is in shadow, lit by ground about it: assumed. [-]"""
 EXPOSURE = 0.8
 """Share of the full well that the brightest half percent of the left picture reaches: assumed. [-]"""
 OFFSET = 8.0
 """Number that darkness gives: assumed."""
-SINGLE_SCATTERING = 0.33
-"""w of Hapke's law; with HG -0.3, B0 1.5, h 0.06, near Hapke's (1981, 10.1029/JB086iB04p03039) Moon: assumed."""
-ROCK_ALBEDO = 1.15
-"""Reflectance of rocks over the ground's: assumed. [-]"""
-LIFT_M = 1e-5
-"""How far over a surface a ray begins that leaves it. [m]"""
 ROWS = 32
 """Rows of pixels that a thread takes at a time."""
 Progress = Callable[[int, int], None]
@@ -44,7 +33,8 @@ class Truth(NamedTuple):
     """What a picture shows, pixel by pixel of the left camera.
 
     `points_m` (h, w, 3) where the middle of a pixel looks, in the world, NaN in the sky [m]; `kind` (h, w) 0 sky, 1
-    ground, 2 rock; `lit` (h, w) share of the Sun's disk that reaches it; `seen` (h, w) whether the right camera sees it.
+    ground, 2 rock; `lit` (h, w) share of the Sun's disk that reaches it; `seen` (h, w) whether the right camera sees
+    it.
     """
 
     points_m: FloatArray
@@ -55,7 +45,7 @@ class Truth(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RenderedPair:
-    """Two SYNTHETIC pictures (h, w), the rig and poses that they were really taken with, and the truth of the left one."""
+    """Two SYNTHETIC pictures (h, w), the rig and poses they were really taken with, and the truth of the left one."""
 
     left: npt.NDArray[np.uint16]
     right: npt.NDArray[np.uint16]
@@ -73,7 +63,7 @@ def render(
     seed: int = 1,
     perturbed: bool = True,
     law: Law = "lommel-seeliger",
-    samples: int = 3,
+    samples: int = 2,
     noise: bool = True,
     progress: Progress | None = None,
 ) -> RenderedPair:
@@ -100,7 +90,7 @@ def render(
             raise ParameterError(
                 f"a camera at {np.round(side.center_m, 3).tolist()} m is below the ground of {low:.3f} m"
             )
-    world = _World.of(scene)
+    world = World.of(scene)
     count = 2 * (math.ceil(rig.left.height_px / ROWS) + 1)
     told = _Counted(progress, count)
     cameras = true.left, true.right
@@ -126,50 +116,8 @@ class _Counted:
             self._progress(min(self._done, self._count), self._count)
 
 
-class _World(NamedTuple):
-    """What the compiled functions read of a scene."""
-
-    place: FloatArray
-    heights: FloatArray
-    normals: FloatArray
-    albedo: FloatArray
-    peaks: FloatArray
-    levels: npt.NDArray[np.int64]
-    rocks: FloatArray
-    sun: FloatArray
-
-    @classmethod
-    def of(cls, scene: Scene) -> "_World":
-        height = np.ascontiguousarray(scene.height_m)
-        slope_y, slope_x = np.gradient(height, scene.spacing_m)
-        normals = np.stack([-slope_x, -slope_y, np.ones_like(height)], axis=-1)
-        normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-        peaks, levels = _peaks(height)
-        rocks = np.column_stack([scene.rocks[:, :6], *_turns(scene.rocks[:, 6])])
-        place = np.array([scene.x0_m, scene.y0_m, scene.spacing_m])
-        return cls(place, height, normals, scene.albedo, peaks, levels, np.ascontiguousarray(rocks), scene.sun)
-
-
-def _turns(angle_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
-    return np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
-
-
-def _peaks(height: FloatArray) -> tuple[FloatArray, npt.NDArray[np.int64]]:
-    """Highest corner of each cell, and of squares of 2, 4, … cells; rows of `levels` are (start, ny, nx)."""
-    level = np.maximum(np.maximum(height[:-1, :-1], height[1:, :-1]), np.maximum(height[:-1, 1:], height[1:, 1:]))
-    found, levels, start = [], [], 0
-    while True:
-        found.append(level.ravel())
-        levels.append((start, *level.shape))
-        start += level.size
-        if max(level.shape) == 1:
-            return np.concatenate(found), np.array(levels, dtype=np.int64)
-        padded = np.pad(level, [(0, n % 2) for n in level.shape], constant_values=-np.inf)
-        level = padded.reshape(padded.shape[0] // 2, 2, padded.shape[1] // 2, 2).max(axis=(1, 3))
-
-
 def _light(
-    world: _World,
+    world: World,
     camera: Camera,
     pose: Pose,
     blur_px: float,
@@ -194,11 +142,23 @@ def _light(
         ways = rays @ pose.rotation.T
         ways /= np.linalg.norm(ways, axis=-1, keepdims=True)
         suns = _disk(world.sun, own.random((2, len(ways))))
-        seen = _seen(world, pose.center_m, ways, suns, law == "hapke")
+        near = _rocks_in(world, camera, pose, rows[0] - 2, rows[-1] + 2)
+        seen = seen_by(world, pose.center_m, ways, suns, law == "hapke", near)
         fine[block] = seen.light.reshape(len(rows), -1)
 
     each_in_threads(look, len(blocks), told)
     return fine_to_pixels(gaussian_filter(fine, blur_px * samples, mode="nearest"), samples)
+
+
+def _rocks_in(world: World, camera: Camera, pose: Pose, first: float, last: float) -> npt.NDArray[np.int64]:
+    """Numbers of the rocks that may show between two rows; all where a lens bends too much to say."""
+    middle = pose.to_camera(world.rocks[:, :3])
+    reach = world.rocks[:, 3:6].max(axis=1, initial=0.0)
+    depth = np.maximum(middle[:, 2], 1e-9)
+    row = camera.project(np.column_stack([middle[:, :2], depth]))[:, 1]
+    spread = 2 * camera.fy_px * reach / np.maximum(depth - reach, 1e-3)
+    apart = (depth > 3 * reach) & ((row + spread < first) | (row - spread > last))
+    return np.flatnonzero(~apart & (middle[:, 2] > -reach))
 
 
 def fine_to_pixels(fine: FloatArray, samples: int) -> FloatArray:
@@ -217,35 +177,6 @@ def _disk(sun: FloatArray, uniform: FloatArray) -> FloatArray:
     return np.asarray(ways / np.linalg.norm(ways, axis=1, keepdims=True))
 
 
-class _Seen(NamedTuple):
-    """Light, distance (inf in the sky) [m] and kind of what rays meet, and whether the Sun reaches it."""
-
-    light: FloatArray
-    far: FloatArray
-    kind: npt.NDArray[np.uint8]
-    lit: npt.NDArray[np.bool_]
-
-
-def _seen(world: _World, origin: FloatArray, ways: FloatArray, suns: FloatArray, hapke: bool) -> _Seen:
-    count = len(ways)
-    found = _Seen(np.empty(count), np.empty(count), np.empty(count, dtype=np.uint8), np.empty(count, dtype=np.bool_))
-    _look(
-        np.ascontiguousarray(ways),
-        np.ascontiguousarray(origin, dtype=float),
-        np.ascontiguousarray(suns),
-        world.place,
-        world.heights,
-        world.normals,
-        world.albedo,
-        world.peaks,
-        world.levels,
-        world.rocks,
-        hapke,
-        *found,
-    )
-    return found
-
-
 def _numbers(
     light: FloatArray, camera: Camera, rig: StereoRig, gain: float, random: np.random.Generator, noise: bool
 ) -> npt.NDArray[np.uint16]:
@@ -256,237 +187,26 @@ def _numbers(
     if noise:
         read = sensor.read_noise_e * random.standard_normal(light.shape)
         electrons = random.poisson(np.maximum(electrons, 0.0)) + read
-    return np.clip(np.rint(electrons / sensor.full_well_e * sensor.top + OFFSET), 0, sensor.top).astype(np.uint16)
+    numbers = np.clip(np.rint(electrons / sensor.full_well_e * sensor.top + OFFSET), 0, sensor.top)
+    return np.asarray(numbers, dtype=np.uint16)
 
 
-def _truth(world: _World, scene: Scene, rig: StereoRig, poses: tuple[Pose, Pose]) -> Truth:
+def _truth(world: World, scene: Scene, rig: StereoRig, poses: tuple[Pose, Pose]) -> Truth:
     width, height = rig.left.size
     pixels = np.stack(np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float)), axis=-1)
     ways = rig.left.rays(pixels.reshape(-1, 2)) @ poses[0].rotation.T
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     center = np.asarray(poses[0].center_m, dtype=float)
-    turns = (np.arange(6) / 6, np.full(6, 0.64))
-    lit = np.zeros(len(ways))
-    for turn, reach in zip(*turns, strict=True):
-        suns = np.broadcast_to(_disk(scene.sun, np.array([[turn], [reach]])), ways.shape)
-        seen = _seen(world, center, ways, np.ascontiguousarray(suns), False)
-        lit += seen.lit / 6
+    seen = seen_by(world, center, ways, np.broadcast_to(scene.sun, ways.shape), False)
     kind, far = seen.kind, np.where(np.isfinite(seen.far), seen.far, np.nan)
     points = center + ways * far[:, None]
+    lit = seen.lit / 5
+    for turn in np.arange(4) / 4:
+        suns = np.broadcast_to(_disk(scene.sun, np.array([[turn], [0.64]])), ways.shape)
+        lit += (seen.facing & clear(world, np.nan_to_num(points), suns, np.full(len(ways), np.inf))) / 5
     back = np.nan_to_num(poses[1].center_m - points, nan=1.0)
     reach = np.linalg.norm(back, axis=1)
-    clear = _clear(world, np.nan_to_num(points), back / reach[:, None], reach)
+    clear_to_right = clear(world, np.nan_to_num(points), back / reach[:, None], reach)
     inside = rig.right.sees(np.nan_to_num(rig.right.project(poses[1].to_camera(points)), nan=-1e9))
-    shape = height, width
-    return Truth(
-        points.reshape(*shape, 3), kind.reshape(shape), lit.reshape(shape), (clear & inside & (kind > 0)).reshape(shape)
-    )
-
-
-def _clear(world: _World, points: FloatArray, ways: FloatArray, far: FloatArray) -> npt.NDArray[np.bool_]:
-    """Whether nothing is between points and what is `far` along ways from them."""
-    found = np.empty(len(points), dtype=np.bool_)
-    arrays = world.place, world.heights, world.peaks, world.levels, world.rocks
-    _free(np.ascontiguousarray(points), np.ascontiguousarray(ways), far, *arrays, found)
-    return found
-
-
-@compiled(nogil=True)
-def _look(  # type: ignore[no-untyped-def]
-    ways, origin, suns, place, heights, normals, albedo, peaks, levels, rocks, hapke, light, far, kind, lit
-):
-    normal = np.empty(3)
-    point = np.empty(3)
-    for n in range(len(ways)):
-        way, sun = ways[n], suns[n]
-        distance = _to_ground(origin, way, place, heights, peaks, levels, np.inf)
-        rock, nearer = _to_rocks(origin, way, rocks, distance)
-        kind[n], far[n], light[n], lit[n] = 0, np.inf, 0.0, False
-        if rock < 0 and not distance < np.inf:
-            continue
-        if rock >= 0:
-            distance = nearer
-        for axis in range(3):
-            point[axis] = origin[axis] + distance * way[axis]
-        tint = ROCK_ALBEDO
-        if rock >= 0:
-            _rock_normal(point, rocks[rock], normal)
-        else:
-            tint = _ground_normal(point, place, normals, albedo, normal)
-        kind[n], far[n] = 2 if rock >= 0 else 1, distance
-        light[n] = SKYLIGHT * tint
-        facing = normal[0] * sun[0] + normal[1] * sun[1] + normal[2] * sun[2]
-        toward = -(normal[0] * way[0] + normal[1] * way[1] + normal[2] * way[2])
-        if facing > 0.0 and _is_clear(point, sun, np.inf, place, heights, peaks, levels, rocks):
-            cosine = -(way[0] * sun[0] + way[1] * sun[1] + way[2] * sun[2])
-            lit[n] = True
-            light[n] += _scattered(facing, max(toward, 1e-3), cosine, tint, hapke)
-
-
-@compiled(nogil=True)
-def _free(points, ways, far, place, heights, peaks, levels, rocks, found):  # type: ignore[no-untyped-def]
-    for n in range(len(points)):
-        found[n] = _is_clear(points[n], ways[n], far[n], place, heights, peaks, levels, rocks)
-
-
-@compiled(nogil=True)
-def _is_clear(point, way, far, place, heights, peaks, levels, rocks):  # type: ignore[no-untyped-def]
-    """Whether a ray from just over a surface gets as far as that."""
-    start = np.empty(3)
-    for axis in range(3):
-        start[axis] = point[axis] + LIFT_M * way[axis]
-    start[2] += LIFT_M
-    if _to_ground(start, way, place, heights, peaks, levels, far) < far:
-        return False
-    return _to_rocks(start, way, rocks, far)[0] < 0
-
-
-@compiled(nogil=True)
-def _scattered(mu0, mu, cosine, tint, hapke):  # type: ignore[no-untyped-def]
-    """Radiance factor: of Lommel and Seeliger, w/4 mu0 / (mu0 + mu), or with Hapke's phase function and H."""
-    w = SINGLE_SCATTERING * tint
-    plain = 0.25 * w * mu0 / (mu0 + mu)
-    if not hapke:
-        return 2.0 * plain
-    phase = math.acos(min(max(cosine, -1.0), 1.0))
-    scatter = 0.91 / (1.09 + 0.6 * math.cos(phase)) ** 1.5
-    surge = 1.5 / (1.0 + math.tan(0.5 * phase) / 0.06)
-    gamma = math.sqrt(1.0 - min(w, 1.0))
-    both = (1 + 2 * mu0) / (1 + 2 * mu0 * gamma) * (1 + 2 * mu) / (1 + 2 * mu * gamma)
-    return plain * ((1.0 + surge) * scatter + both - 1.0)
-
-
-@compiled(nogil=True)
-def _ground_normal(point, place, normals, albedo, normal):  # type: ignore[no-untyped-def]
-    """Normal between the nodes' normals, and the reflectance."""
-    x, y = (point[0] - place[0]) / place[2], (point[1] - place[1]) / place[2]
-    i = min(max(int(x), 0), normals.shape[1] - 2)
-    j = min(max(int(y), 0), normals.shape[0] - 2)
-    u, v = x - i, y - j
-    length = 0.0
-    for axis in range(3):
-        low = normals[j, i, axis] * (1 - u) + normals[j, i + 1, axis] * u
-        high = normals[j + 1, i, axis] * (1 - u) + normals[j + 1, i + 1, axis] * u
-        normal[axis] = low * (1 - v) + high * v
-        length += normal[axis] ** 2
-    for axis in range(3):
-        normal[axis] /= math.sqrt(length)
-    low = albedo[j, i] * (1 - u) + albedo[j, i + 1] * u
-    high = albedo[j + 1, i] * (1 - u) + albedo[j + 1, i + 1] * u
-    return low * (1 - v) + high * v
-
-
-@compiled(nogil=True)
-def _rock_normal(point, rock, normal):  # type: ignore[no-untyped-def]
-    x, y, z = point[0] - rock[0], point[1] - rock[1], point[2] - rock[2]
-    along = (x * rock[6] + y * rock[7]) / rock[3] ** 2
-    across = (-x * rock[7] + y * rock[6]) / rock[4] ** 2
-    normal[0] = along * rock[6] - across * rock[7]
-    normal[1] = along * rock[7] + across * rock[6]
-    normal[2] = z / rock[5] ** 2
-    length = math.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
-    for axis in range(3):
-        normal[axis] /= length
-
-
-@compiled(nogil=True)
-def _to_rocks(origin, way, rocks, limit):  # type: ignore[no-untyped-def]
-    """The first rock that a ray meets before `limit`, -1 for none, and how far it is."""
-    best, found = limit, -1
-    for n in range(len(rocks)):
-        rock = rocks[n]
-        x, y, z = origin[0] - rock[0], origin[1] - rock[1], origin[2] - rock[2]
-        middle = -(x * way[0] + y * way[1] + z * way[2])
-        reach = max(rock[3], rock[4], rock[5])
-        if x * x + y * y + z * z - middle * middle > reach * reach:
-            continue
-        px, py, pz = (x * rock[6] + y * rock[7]) / rock[3], (-x * rock[7] + y * rock[6]) / rock[4], z / rock[5]
-        qx = (way[0] * rock[6] + way[1] * rock[7]) / rock[3]
-        qy = (-way[0] * rock[7] + way[1] * rock[6]) / rock[4]
-        qz = way[2] / rock[5]
-        a, b = qx * qx + qy * qy + qz * qz, px * qx + py * qy + pz * qz
-        left = b * b - a * (px * px + py * py + pz * pz - 1.0)
-        if left > 0.0:
-            distance = (-b - math.sqrt(left)) / a
-            if 1e-9 < distance < best:
-                best, found = distance, n
-    return found, best
-
-
-@compiled(nogil=True)
-def _to_ground(origin, way, place, heights, peaks, levels, limit):  # type: ignore[no-untyped-def]
-    """Distance at which a ray meets the ground's triangles, inf where it does not before `limit`."""
-    ny, nx = levels[0, 1], levels[0, 2]
-    x, y = (origin[0] - place[0]) / place[2], (origin[1] - place[1]) / place[2]
-    dx, dy = way[0] / place[2], way[1] / place[2]
-    start, end = _inside(x, dx, nx, 0.0, limit)
-    start, end = _inside(y, dy, ny, start, end)
-    if not start < end:
-        return np.inf
-    level, top = 0, len(levels) - 1
-    t = start
-    i = min(max(int(math.floor(x + dx * t)), 0), nx - 1)
-    j = min(max(int(math.floor(y + dy * t)), 0), ny - 1)
-    while True:
-        size = 1 << level
-        tx = ((i + (1 if dx > 0 else 0)) * size - x) / dx if dx != 0 else np.inf
-        ty = ((j + (1 if dy > 0 else 0)) * size - y) / dy if dy != 0 else np.inf
-        leave = max(min(tx, ty, end), t)
-        low = min(origin[2] + way[2] * t, origin[2] + way[2] * leave)
-        if low <= peaks[levels[level, 0] + j * levels[level, 2] + i]:
-            if level > 0:
-                level -= 1
-                half = 1 << level
-                i = min(max(int(math.floor((x + dx * t) / half)), 2 * i), min(2 * i + 1, levels[level, 2] - 1))
-                j = min(max(int(math.floor((y + dy * t) / half)), 2 * j), min(2 * j + 1, levels[level, 1] - 1))
-                continue
-            hit = _in_cell(origin[2], way[2], x - i, y - j, dx, dy, t, leave, heights, i, j)
-            if hit < np.inf:
-                return hit
-        if leave >= end:
-            return np.inf
-        t = leave
-        was_i, was_j = i, j
-        if tx <= ty:
-            i += 1 if dx > 0 else -1
-        else:
-            j += 1 if dy > 0 else -1
-        if i < 0 or j < 0 or i >= levels[level, 2] or j >= levels[level, 1]:
-            return np.inf
-        if level < top and ((i >> 1) != (was_i >> 1) or (j >> 1) != (was_j >> 1)):
-            level += 1
-            i >>= 1
-            j >>= 1
-
-
-@compiled(nogil=True)
-def _inside(x, dx, count, start, end):  # type: ignore[no-untyped-def]
-    """The part of a ray over 0 to `count`."""
-    if dx == 0.0:
-        return (start, end) if 0.0 <= x <= count else (1.0, 0.0)
-    first, last = -x / dx, (count - x) / dx
-    if first > last:
-        first, last = last, first
-    return max(start, first), min(end, last)
-
-
-@compiled(nogil=True)
-def _in_cell(z, dz, u, v, du, dv, start, end, heights, i, j):  # type: ignore[no-untyped-def]
-    """Where a ray meets one of a cell's two triangles between `start` and `end`; inf for nowhere."""
-    h00, h10, h01, h11 = heights[j, i], heights[j, i + 1], heights[j + 1, i], heights[j + 1, i + 1]
-    slack = 1e-9 * (1.0 + abs(end))
-    best = np.inf
-    for side in range(2):
-        if side == 0:
-            gx, gy = h10 - h00, h11 - h10
-        else:
-            gx, gy = h11 - h01, h01 - h00
-        over = z - h00 - gx * u - gy * v
-        rate = dz - gx * du - gy * dv
-        if rate == 0.0:
-            continue
-        t = -over / rate
-        across = (u + du * t) - (v + dv * t)
-        if start - slack <= t <= end + slack and t < best and (across >= -1e-9 if side == 0 else across <= 1e-9):
-            best = t
-    return best if best > 0.0 else np.inf
+    shown = clear_to_right & inside & (kind > 0)
+    return Truth(*(layer.reshape(height, width, *layer.shape[1:]) for layer in (points, kind, lit, shown)))  # type: ignore[arg-type]

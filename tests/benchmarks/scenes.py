@@ -61,7 +61,9 @@ class Rig(NamedTuple):
 
 def _lens(size: tuple[int, int], focal: float, bent: float) -> Lens:
     middle = 0.5 * (np.array(size) - 1)
-    return Lens(size, np.array([focal, focal, *(middle + (3.2, -2.7))]), np.array([bent, -0.3 * bent, 0, 2e-4, -1e-4]))
+    return Lens(
+        size, np.array([focal, focal, *(middle + np.array([3.2, -2.7]))]), np.array([bent, -0.3 * bent, 0, 2e-4, -1e-4])
+    )
 
 
 def _sigmas(rotation: float) -> np.ndarray:
@@ -75,7 +77,7 @@ def nominal(kind: str) -> Rig:
         lens, sigmas, view = _lens((1176, 864), 3378.4, -0.03), _sigmas(3e-5), (1.5, 24.0, 2.0)
     else:
         lens, sigmas, view = _lens((1024, 1024), 1189.0, -0.06), _sigmas(8e-5), (1.5, 25.0, 1.1)
-    other = Lens(lens.size, lens.pinhole + (1.3, 1.1, -4.0, 2.0), lens.terms * 1.05)
+    other = Lens(lens.size, lens.pinhole + np.array([1.3, 1.1, -4.0, 2.0]), lens.terms * 1.05)
     return Rig(kind, (lens, other), _turn([0.001, -0.004, 0.0015]), np.array([-0.27, 0.0006, -0.0009]), sigmas, *view)
 
 
@@ -264,7 +266,7 @@ def rock_mesh(ground: Ground, rock: dict[str, Any], seed: int) -> tuple[np.ndarr
     base = float(ground.height(np.array([x]), np.array([y]))[0])
     low, high = shape[..., 2].min(), shape[..., 2].max()
     lift = -low - rock["buried"] * (high - low)
-    vertices = shape.reshape(-1, 3) + (x, y, base + lift)
+    vertices = shape.reshape(-1, 3) + np.array([x, y, base + lift])
     i = np.arange(60 * 120, dtype=np.uint32).reshape(60, 120)
     a, b, c, d = i[:-1], i[1:], np.roll(i[1:], -1, 1), np.roll(i[:-1], -1, 1)
     faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
@@ -445,10 +447,9 @@ def station(folder: Path, ground: Ground, told: Rig, delta: np.ndarray, seed: in
     )  # fmt: skip
     degrees = [math.degrees(a) for a in angles]
     wrong = np.zeros(3) if number == 0 else random.normal(0, [0.12, 0.12, 0.03])
-    (folder / "pose.toml").write_text(
-        f"position_m = {(center + wrong).tolist()}\nheading_deg = {degrees[0] + (0 if number == 0 else random.normal(0, 0.5))!r}\n"
-        f"down_deg = {degrees[1]!r}\nroll_deg = {degrees[2]!r}\n"
-    )
+    turned = 0.0 if number == 0 else random.normal(0, 0.5)
+    told_toml = f"position_m = {(center + wrong).tolist()}\nheading_deg = {degrees[0] + turned!r}\n"
+    (folder / "pose.toml").write_text(told_toml + f"down_deg = {degrees[1]!r}\nroll_deg = {degrees[2]!r}\n")
 
 
 def _first_azimuth(seed: int) -> float:

@@ -58,7 +58,9 @@ def test_a_pixel_comes_back_from_its_ray_and_derivatives_are_those_of_difference
     np.testing.assert_allclose(back.by_pixel, np.stack(by_pixel, -1), rtol=1e-5, atol=1e-9)
     for index, e in enumerate(np.eye(len(INTRINSICS)) * 1e-6):
         more, less = lens.with_vector(lens.vector() + e), lens.with_vector(lens.vector() - e)
-        np.testing.assert_allclose(found.by_intrinsics[..., index], (more.project(there) - less.project(there)) / 2e-6, atol=1e-6)
+        np.testing.assert_allclose(
+            found.by_intrinsics[..., index], (more.project(there) - less.project(there)) / 2e-6, atol=1e-6
+        )
         np.testing.assert_allclose(
             back.by_intrinsics[..., index], ((more.rays(pixels) - less.rays(pixels)) / 2e-6)[:, :2], atol=1e-7
         )
@@ -75,9 +77,13 @@ def test_what_no_lens_shows_is_not_a_number() -> None:
 def test_a_camera_looks_where_it_is_told() -> None:
     pose = Pose.looking([1.0, 2.0, 1.5], heading_deg=30, down_deg=20, roll_deg=5)
     ahead = pose.rotation[:, 2]
-    assert ahead == pytest.approx([math.cos(0.349066) * math.cos(math.pi / 6), math.cos(0.349066) * 0.5, -math.sin(0.349066)], abs=1e-6)
+    assert ahead == pytest.approx(
+        [math.cos(0.349066) * math.cos(math.pi / 6), math.cos(0.349066) * 0.5, -math.sin(0.349066)], abs=1e-6
+    )
     assert pose.angles_deg() == pytest.approx((30, 20, 5))
-    assert Pose.looking([0, 0, 1]).rotation[:, 0] == pytest.approx([0, -1, 0])  # the right hand of one who looks along x
+    assert Pose.looking([0, 0, 1]).rotation[:, 0] == pytest.approx(
+        [0, -1, 0]
+    )  # the right hand of one who looks along x
     assert pose.rotation[2, 0] < 0  # rolled clockwise, its right side is lower
     np.testing.assert_allclose(pose.to_camera(pose.to_world(points())), points(), atol=1e-12)
     with pytest.raises(ParameterError, match="without stretching"):
@@ -90,7 +96,7 @@ def test_triangulation_undoes_projection() -> None:
     found = pair.triangulate(left, right)
     np.testing.assert_allclose(found.points, points(), atol=1e-9)
     assert found.miss_m.max() < 1e-9
-    lifted = pair.triangulate(left, right + [0.0, 1.0]).miss_m
+    lifted = pair.triangulate(left, right + np.array([0.0, 1.0])).miss_m
     np.testing.assert_allclose(lifted, points()[:, 2] / 1187, rtol=0.2)  # one pixel off in the rows
     assert np.isnan(pair.triangulate([[500.0, 500.0]], [[900.0, 500.0]]).points).all()  # behind the cameras
 
@@ -136,8 +142,8 @@ def test_the_navcam_is_as_uncertain_as_its_published_check_point() -> None:
 def test_a_rig_file_keeps_every_digit() -> None:
     there = rig(assumed=("a",), source='from "there"', mast_height_m=1.4)
     back = read_rig(InputFile("rig.toml", rig_text(there).encode()))
-    for name in ("left", "right", "name", "assumed", "source", "sensor", "mast_height_m"):
-        assert getattr(back, name) == (getattr(there, name) if "t" != name[-1] else getattr(back, name)), name
+    for name in ("name", "assumed", "source", "sensor", "mast_height_m"):
+        assert getattr(back, name) == getattr(there, name), name
     np.testing.assert_array_equal(back.covariance, there.covariance)
     np.testing.assert_allclose(back.rotation, there.rotation, atol=1e-15)
     np.testing.assert_array_equal(back.translation_m, there.translation_m)
@@ -151,7 +157,10 @@ def test_a_rig_file_keeps_every_digit() -> None:
         ("name = ", "not valid TOML"),
         ('name = "x"\nbaseline_m = 0.0\nwidth_px = 9\nheight_px = 9\nfocal_px = 5', "needs a baseline"),
         ('name = "x"\nbaseline_m = 1\nwidth_px = 9\nheight_px = 9\nfocal_px = -5', "focal length"),
-        ('name = "x"\nbaseline_m = 1\nwidth_px = 9\nheight_px = 9\nfocal_px = 5\nsigma = {a = 1}', "'a' is no parameter"),
+        (
+            'name = "x"\nbaseline_m = 1\nwidth_px = 9\nheight_px = 9\nfocal_px = 5\nsigma = {a = 1}',
+            "'a' is no parameter",
+        ),
         ("<?xml version='1.0'?>", "of labels give two"),
     ],
 )
@@ -174,36 +183,42 @@ def test_unknown_rigs_and_pictures_of_others_are_refused() -> None:
 # --- labels ---
 
 
+def tag(name: str, content: object) -> str:
+    return f"<{name}>{content}</{name}>"
+
+
+def vector_tag(name: str, vector: np.ndarray) -> str:
+    return tag(name, "".join(tag(axis, f"{value:.6f}") for axis, value in zip("xyz", vector, strict=True)))
+
+
 def pds4(lens: Camera, pose: Pose, sign: float = 1.0) -> bytes:
     """A label with the elements of PCAM's, as its readers list them; corners are the middles of the last pixels."""
-    right, low = lens.width_px - 1, lens.height_px - 1
-    corners = {"up_left": (0, 0), "down_left": (0, low), "up_right": (right, 0), "down_right": (right, low)}
-    corners["center"] = (right / 2, low / 2)
-    ways = {name: pose.rotation @ lens.rays([place])[0] for name, place in corners.items()}
-    told = "".join(
-        f"<{n}_point_observe_vector>" + "".join(f"<{a}>{v:.6f}</{a}>" for a, v in zip("xyz", w / np.linalg.norm(w), strict=True))
-        + f"</{n}_point_observe_vector>" for n, w in ways.items()
-    )  # fmt: skip
-    pitch = 14.8e-3
+    right, low, pitch = lens.width_px - 1, lens.height_px - 1, 14.8e-3
+    places: dict[str, tuple[float, float]] = {
+        "up_left": (0, 0),
+        "down_left": (0, low),
+        "up_right": (right, 0),
+        "down_right": (right, low),
+    }
+    ways = {
+        name: pose.rotation @ lens.rays(place) for name, place in (places | {"center": (right / 2, low / 2)}).items()
+    }
+    told = "".join(vector_tag(f"{n}_point_observe_vector", w / np.linalg.norm(w)) for n, w in ways.items())
     offset = (lens.cx_px - right / 2) * pitch, sign * (lens.cy_px - low / 2) * pitch
-    axes = "".join(
-        f"<Axis_Array><axis_name>{n}</axis_name><elements>{e}</elements></Axis_Array>"
-        for n, e in (("Line", lens.height_px), ("Sample", lens.width_px))
+    sizes = (("Line", lens.height_px), ("Sample", lens.width_px))
+    axes = "".join(tag("Axis_Array", tag("axis_name", n) + tag("elements", e)) for n, e in sizes)
+    center = "".join(tag(f"camera_center_position_{a}", v) for a, v in zip("xyz", pose.center_m, strict=True))
+    middle = tag("principle_point_coordinate", tag("x", offset[0]) + tag("y0", offset[1]))
+    instrument = tag(
+        "Instrument_Parm", tag("pixel_size", pitch * 1e3) + tag("focal_length", lens.fx_px * pitch) + middle
     )
-    center = "".join(f"<camera_center_position_{a}>{v}</camera_center_position_{a}>" for a, v in zip("xyz", pose.center_m, strict=True))
-    return (
-        f'<?xml version="1.0"?><Product_Observational xmlns="http://pds.nasa.gov/pds4/pds/v1">{axes}<Mission_Area>'
-        f'<Instrument_Parm><pixel_size unit="micrometer">{pitch * 1e3}</pixel_size><focal_length unit="mm">{lens.fx_px * pitch}'
-        f"</focal_length><principle_point_coordinate><X>{offset[0]}</X><Y>{offset[1]}</Y></principle_point_coordinate>"
-        f"</Instrument_Parm><Vector_Cartesian_3_Pointing>{told}</Vector_Cartesian_3_Pointing><Exterior_Orientation_Elements>"
-        f"{center}</Exterior_Orientation_Elements></Mission_Area></Product_Observational>"
-    ).replace("<X>", "<x>").replace("</X>", "</x>").replace("<Y>", "<y0>").replace("</Y>", "</y0>").encode()  # fmt: skip
+    pointing = tag("Vector_Cartesian_3_Pointing", told) + tag("Exterior_Orientation_Elements", center)
+    start = '<?xml version="1.0"?><Product_Observational xmlns="http://pds.nasa.gov/pds4/pds/v1">'
+    return f"{start}{axes}{tag('Mission_Area', instrument + pointing)}</Product_Observational>".encode()
 
 
 def pancam(k1: float = -0.05) -> Camera:
-    return Camera(
-        name="p", width_px=1176, height_px=864, fx_px=3380.0, fy_px=3380.0, cx_px=590.0, cy_px=428.0, k1=k1
-    )
+    return Camera(name="p", width_px=1176, height_px=864, fx_px=3380.0, fy_px=3380.0, cx_px=590.0, cy_px=428.0, k1=k1)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -232,9 +247,20 @@ def test_two_labels_make_a_rig_and_swapped_ones_are_refused() -> None:
 
 def test_labels_without_a_camera_are_refused() -> None:
     whole = pds4(pancam(), Pose.looking([1, 2, 1.5]))
-    for gone, said in ((b"focal_length", "no focal_length"), (b"axis_array", "no lines"), (b"observe_vector", "directions")):
+    for gone, said in (
+        (b"focal_length", "no focal_length"),
+        (b"axis_array", "no lines"),
+        (b"observe_vector", "directions"),
+    ):
         with pytest.raises(DataError, match=said):
-            read_label(InputFile("a.2BL", whole.replace(gone, b"other").replace(b"Axis_Array", b"other" if gone == b"axis_array" else b"Axis_Array")))
+            read_label(
+                InputFile(
+                    "a.2BL",
+                    whole.replace(gone, b"other").replace(
+                        b"Axis_Array", b"other" if gone == b"axis_array" else b"Axis_Array"
+                    ),
+                )
+            )
     with pytest.raises(DataError, match="not valid XML"):
         read_label(InputFile("a.2BL", whole[:-30]))
     with pytest.raises(DataError, match="no camera model"):
@@ -244,7 +270,12 @@ def test_labels_without_a_camera_are_refused() -> None:
 def cahv(**more: np.ndarray) -> CahvModel:
     turn = Pose.looking([0, 0, 0], 30, 20, 5).rotation
     axis = turn[:, 2]
-    vectors = {"C": np.array([1.0, 0.2, -1.0]), "A": axis, "H": 1200 * turn[:, 0] + 511 * axis, "V": 1200 * turn[:, 1] + 512 * axis}
+    vectors = {
+        "C": np.array([1.0, 0.2, -1.0]),
+        "A": axis,
+        "H": 1200 * turn[:, 0] + 511 * axis,
+        "V": 1200 * turn[:, 1] + 512 * axis,
+    }
     return CahvModel(vectors=vectors | more, width_px=1024, height_px=1024)
 
 
@@ -252,7 +283,9 @@ def test_cahv_models_become_cameras() -> None:
     """CAHV is a pinhole (closed form). CAHVOR with O = A has k1 = R1, k2 = R2 over (1 + R0) (Di & Li 2004)."""
     plain = cahv(O=cahv().vectors["A"], R=np.zeros(3))
     found = fit_cahv(plain, "x")
-    assert (found.camera.fx_px, found.camera.fy_px, found.camera.cx_px, found.camera.cy_px) == pytest.approx((1200, 1200, 511, 512), abs=1e-6)
+    assert (found.camera.fx_px, found.camera.fy_px, found.camera.cx_px, found.camera.cy_px) == pytest.approx(
+        (1200, 1200, 511, 512), abs=1e-6
+    )
     assert found.residual_max_px < 1e-6
     assert found.pose.center_m == pytest.approx([1.0, 0.2, -1.0], abs=1e-6)
     bent = fit_cahv(cahv(O=plain.vectors["A"], R=np.array([0.001, -0.1, 0.03])), "x")
