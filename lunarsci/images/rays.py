@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
-from lunarsci.images.scene import Scene
+from lunarsci.images.landscape import Landscape
 
 SKYLIGHT = 0.0015
 """Radiance factor of what is in shadow, lit by ground about it: assumed. [-]"""
@@ -25,7 +25,7 @@ LIFT_M = 1e-5
 
 
 class World(NamedTuple):
-    """What the compiled functions read of a scene."""
+    """What the compiled functions read of a landscape."""
 
     place: FloatArray
     heights: FloatArray
@@ -37,15 +37,15 @@ class World(NamedTuple):
     sun: FloatArray
 
     @classmethod
-    def of(cls, scene: Scene) -> "World":
-        height = np.ascontiguousarray(scene.height_m)
-        slope_y, slope_x = np.gradient(height, scene.spacing_m)
+    def of(cls, landscape: Landscape) -> "World":
+        height = np.ascontiguousarray(landscape.height_m)
+        slope_y, slope_x = np.gradient(height, landscape.spacing_m)
         normals = np.stack([-slope_x, -slope_y, np.ones_like(height)], axis=-1)
         normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
         peaks, levels = _peaks(height)
-        rocks = np.column_stack([scene.rocks[:, :6], *_turns(scene.rocks[:, 6])])
-        place = np.array([scene.x0_m, scene.y0_m, scene.spacing_m])
-        return cls(place, height, normals, scene.albedo, peaks, levels, np.ascontiguousarray(rocks), scene.sun)
+        rocks = np.column_stack([landscape.rocks[:, :6], *_turns(landscape.rocks[:, 6])])
+        place = np.array([landscape.x0_m, landscape.y0_m, landscape.spacing_m])
+        return cls(place, height, normals, landscape.albedo, peaks, levels, np.ascontiguousarray(rocks), landscape.sun)
 
 
 def _turns(angle_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -135,7 +135,7 @@ def _look(  # type: ignore[no-untyped-def]
     far,
     kind,
     lit,
-    facing_sun,
+    sunward,
 ):
     normal = np.empty(3)
     point = np.empty(3)

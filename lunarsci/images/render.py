@@ -1,4 +1,4 @@
-"""SYNTHETIC pictures of a scene, and the truth about each pixel: for tests and for planning where to look from."""
+"""SYNTHETIC pictures of a landscape, and the truth about each pixel: for tests and for planning where to look from."""
 
 import math
 from collections.abc import Callable
@@ -12,9 +12,9 @@ from lunarsci.arrays import FloatArray
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import ParameterError
 from lunarsci.images.camera import Camera, Pose
+from lunarsci.images.landscape import Landscape
 from lunarsci.images.rays import World, clear, seen_by
 from lunarsci.images.rig import StereoRig
-from lunarsci.images.scene import Scene
 
 Law = Literal["lommel-seeliger", "hapke"]
 SKY, GROUND, ROCK = 0, 1, 2
@@ -29,7 +29,7 @@ ROWS = 32
 Progress = Callable[[int, int], None]
 
 
-class Truth(NamedTuple):
+class PixelTruth(NamedTuple):
     """What a picture shows, pixel by pixel of the left camera.
 
     `points_m` (h, w, 3) where the middle of a pixel looks, in the world, NaN in the sky [m]; `kind` (h, w) 0 sky, 1
@@ -52,11 +52,11 @@ class RenderedPair:
     rig: StereoRig
     left_pose: Pose
     right_pose: Pose
-    truth: Truth
+    truth: PixelTruth
 
 
 def render(
-    scene: Scene,
+    landscape: Landscape,
     rig: StereoRig,
     pose: Pose,
     *,
@@ -67,7 +67,7 @@ def render(
     noise: bool = True,
     progress: Progress | None = None,
 ) -> RenderedPair:
-    """Two pictures of a scene, by a rig whose left camera is at a pose.
+    """Two pictures of a landscape, by a rig whose left camera is at a pose.
 
     Parameters
     ----------
@@ -85,12 +85,12 @@ def render(
     true = rig.drawn(random) if perturbed else rig
     poses = pose, true.right_pose(pose)
     for side in poses:
-        low = scene.ground(side.center_m[0], side.center_m[1])
+        low = landscape.ground(side.center_m[0], side.center_m[1])
         if not side.center_m[2] > np.nan_to_num(low, nan=-np.inf):
             raise ParameterError(
                 f"a camera at {np.round(side.center_m, 3).tolist()} m is below the ground of {low:.3f} m"
             )
-    world = World.of(scene)
+    world = World.of(landscape)
     count = 2 * (math.ceil(rig.left.height_px / ROWS) + 1)
     told = _Counted(progress, count)
     cameras = true.left, true.right
@@ -100,7 +100,7 @@ def render(
     ]
     gain = EXPOSURE * rig.sensor.full_well_e / max(float(np.percentile(lights[0], 99.5)), 1e-12)
     left, right = (_numbers(light, c, rig, gain, random, noise) for light, c in zip(lights, cameras, strict=True))
-    truth = _truth(world, scene, true, poses)
+    truth = _truth(world, landscape, true, poses)
     return RenderedPair(left=left, right=right, rig=true, left_pose=poses[0], right_pose=poses[1], truth=truth)
 
 
@@ -191,22 +191,22 @@ def _numbers(
     return np.asarray(numbers, dtype=np.uint16)
 
 
-def _truth(world: World, scene: Scene, rig: StereoRig, poses: tuple[Pose, Pose]) -> Truth:
+def _truth(world: World, landscape: Landscape, rig: StereoRig, poses: tuple[Pose, Pose]) -> PixelTruth:
     width, height = rig.left.size
     pixels = np.stack(np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float)), axis=-1)
     ways = rig.left.rays(pixels.reshape(-1, 2)) @ poses[0].rotation.T
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     center = np.asarray(poses[0].center_m, dtype=float)
-    seen = seen_by(world, center, ways, np.broadcast_to(scene.sun, ways.shape), False)
+    seen = seen_by(world, center, ways, np.broadcast_to(landscape.sun, ways.shape), False)
     kind, far = seen.kind, np.where(np.isfinite(seen.far), seen.far, np.nan)
     points = center + ways * far[:, None]
     lit = seen.lit / 5
     for turn in np.arange(4) / 4:
-        suns = np.broadcast_to(_disk(scene.sun, np.array([[turn], [0.64]])), ways.shape)
+        suns = np.broadcast_to(_disk(landscape.sun, np.array([[turn], [0.64]])), ways.shape)
         lit += (seen.facing & clear(world, np.nan_to_num(points), suns, np.full(len(ways), np.inf))) / 5
     back = np.nan_to_num(poses[1].center_m - points, nan=1.0)
     reach = np.linalg.norm(back, axis=1)
     clear_to_right = clear(world, np.nan_to_num(points), back / reach[:, None], reach)
     inside = rig.right.sees(np.nan_to_num(rig.right.project(poses[1].to_camera(points)), nan=-1e9))
     shown = clear_to_right & inside & (kind > 0)
-    return Truth(*(layer.reshape(height, width, *layer.shape[1:]) for layer in (points, kind, lit, shown)))  # type: ignore[arg-type]
+    return PixelTruth(*(layer.reshape(height, width, *layer.shape[1:]) for layer in (points, kind, lit, shown)))  # type: ignore[arg-type]

@@ -11,7 +11,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 
 ROCK_COLUMNS = ("x_m", "y_m", "z_m", "a_m", "b_m", "c_m", "turn_deg")
-"""Columns of a scene's rocks: middle, half axes along and across, half height, direction of the first axis."""
+"""Columns of a landscape's rocks: middle, half axes along and across, half height, direction of the first axis."""
 HURST = 0.8
 """Roughness exponent of regolith: Helfenstein & Shepard (1999), Icarus 141, 107, 10.1006/icar.1999.6160 (0.5-0.7 at
 millimetres; 0.8 assumed between)."""
@@ -22,7 +22,7 @@ MOTTLING = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Scene:
+class Landscape:
     """Ground, rocks and Sun.
 
     Attributes
@@ -95,7 +95,7 @@ def _turned(x: FloatArray, y: FloatArray, angle: float) -> tuple[FloatArray, Flo
     return x * math.cos(angle) + y * math.sin(angle), -x * math.sin(angle) + y * math.cos(angle)
 
 
-def scene_on(
+def landscape_on(
     heights: tuple[float, float, float, FloatArray],
     *,
     name: str,
@@ -105,8 +105,8 @@ def scene_on(
     sun_azimuth_deg: float = 60.0,
     sun_elevation_deg: float = 30.0,
     spacing_m: float | None = None,
-) -> Scene:
-    """A scene on given ground: x0, y0, spacing [m] and heights (ny, nx) [m], refined with fractal roughness and rocks.
+) -> Landscape:
+    """A landscape on given ground: x0, y0, spacing [m] and heights (ny, nx) [m], refined with fractal roughness and rocks.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def scene_on(
     x0, y0, coarse, height = heights
     fine = coarse if spacing_m is None else spacing_m
     if not (0 < fine <= coarse and rocks_per_m2 >= 0 and roughness >= 0):
-        raise ParameterError("a scene needs a spacing up to the ground's, and rocks and roughness of 0 or more")
+        raise ParameterError("a landscape needs a spacing up to the ground's, and rocks and roughness of 0 or more")
     random = np.random.default_rng(seed)
     ground = _refined(height, coarse / fine)
     longest = min(max(4 * coarse, 8 * fine), 1.0)
@@ -129,7 +129,7 @@ def scene_on(
     ground = ground + scale * _fractal(ground.shape, fine, longest, random)
     albedo = np.exp(MOTTLING * _fractal(ground.shape, fine, max(0.3, 8 * fine), random))
     extent = (ground.shape[1] - 1) * fine, (ground.shape[0] - 1) * fine
-    bare = Scene(
+    bare = Landscape(
         name=name,
         x0_m=x0,
         y0_m=y0,
@@ -146,7 +146,7 @@ def scene_on(
     return _with_rocks(bare, places, random)
 
 
-def _with_rocks(bare: Scene, places: FloatArray, random: np.random.Generator) -> Scene:
+def _with_rocks(bare: Landscape, places: FloatArray, random: np.random.Generator) -> Landscape:
     import dataclasses
 
     count = len(places)
