@@ -312,7 +312,7 @@ def _is_hopeless(state: Any, lane: int, bars: Any, jobs: Any) -> bool:
     ):
         return False
     here = state[CHI2, lane] + state[SHARE, lane]
-    return here - BELIEF * state[PREDICTED, lane] > bars[jobs.job[lane]]
+    return bool(here - BELIEF * state[PREDICTED, lane] > bars[jobs.job[lane]])
 
 
 @compiled
