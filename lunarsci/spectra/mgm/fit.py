@@ -146,7 +146,7 @@ def fit_arrays(
     _check_options(model_error, starts)
     usable = np.isfinite(reflectance) & (reflectance > 0)
     parts = []
-    for rows in _same_channels(usable):
+    for rows in same_channels(usable):
         keep = usable[rows[0]]
         errors = model_error if model_error is None or np.ndim(model_error) == 0 else np.asarray(model_error)[rows]
         own = None if sigma is None else sigma[np.ix_(rows, keep)]
@@ -160,7 +160,7 @@ def fit_arrays(
     return joined(len(reflectance), parts, model)
 
 
-def _same_channels(usable: BoolArray) -> list[IndexArray]:
+def same_channels(usable: BoolArray) -> list[IndexArray]:
     """Rows of (n, c) that use the same channels."""
     if usable.all():
         return [np.arange(len(usable))] if len(usable) else []
@@ -177,15 +177,15 @@ def fit_rows(rows: MgmRows, model: MgmModel, starts: int | FloatArray) -> FitBat
     if isinstance(starts, int):
         points, hops = starting_points(model, shifted, starts), hops_of(model)
     else:
-        points, hops = _scaled(model, starts, -level)[None], NO_HOPS
+        points, hops = scaled(model, starts, -level)[None], NO_HOPS
     solved = fit_batch(
         shifted, rows.weight, rows.wavelength_nm / 1e3, model.basis(rows.wavelength_nm), model.logarithmic,
         model.prior, model.precision, model.lower, model.upper, points, hops, TOLERANCE, MAX_ITERATIONS,
     )  # fmt: skip
-    return describe_rows(rows, model, solved, _scaled(model, solved.parameters, level))
+    return describe_rows(rows, model, solved, scaled(model, solved.parameters, level))
 
 
-def _scaled(model: MgmModel, points: FloatArray, level: FloatArray) -> FloatArray:
+def scaled(model: MgmModel, points: FloatArray, level: FloatArray) -> FloatArray:
     """Parameters, (n, p), of reflectance whose logarithm is higher by `level`, (n,)."""
     found, m = np.array(points, dtype=np.float64), model.degrees
     if model.logarithmic:
