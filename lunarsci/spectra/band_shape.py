@@ -1,4 +1,4 @@
-"""Centre, depth, area and asymmetry of one absorption band in many spectra on the same channels, with standard errors.
+"""Centre, depth, area and asymmetry of one absorption band in one spectrum, with standard errors; compiled.
 
 The centre is the minimum of a fourth-order polynomial through the deepest part of the band, of two: a wide one, which
 scatters little and is biased where the band is lopsided, and a narrow one, which is neither. They are joined with the
@@ -10,371 +10,466 @@ included. Only that the tie points of the continuum are chosen on noisy data is 
 independent between channels.
 """
 
-from dataclasses import dataclass, field
-from typing import Any
+import math
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.spectra.continuum import Continuum, Indices
-
-
-@dataclass(frozen=True, slots=True)
-class Band:
-    """Where an absorption band lies.
-
-    Attributes
-    ----------
-    window_nm, centre_nm, reach_nm : its window, where its centre may lie, what a spectrum must reach. [nm]
-    others : what else absorbs nearby.
-    bias : standard deviation of the bias of a minimum in the wide window, in half widths of that. [-]
-    """
-
-    key: str
-    window_nm: tuple[float, float]
-    centre_nm: tuple[float, float]
-    reach_nm: tuple[float, float]
-    others: str
-    bias: float
-
-
-BANDS = (
-    Band(
-        "1000", (700.0, 1580.0), (870.0, 1200.0), (850.0, 1200.0),
-        "iron oxides have theirs below 870, feldspar at 1250, water at 1400 nm", 0.02,
-    ),
-    Band("2000", (1580.0, 2500.0), (1700.0, 2400.0), (1750.0, 2150.0), "hydroxyl has its beyond 2200 nm", 0.04),
-)  # fmt: skip
-"""The windows meet at the 1580 nm tie of the paper's continuum. Centres are those that mafic silicates have, with a
-margin: pyroxenes 900-1060 and 1800-2380 nm (Adams 1974, 10.1029/JB079i032p04829; Cloutis & Gaffey 1991,
-10.1029/91JE02512, whose type A has a second minimum near 1150 nm), olivines 1040-1090 nm (King & Ridley 1987,
-10.1029/JB092iB11p11457). Water and hydroxyl absorb at 1400 nm (Hunt 1977, 10.1190/1.1440721), feldspar at 1250 nm
-(Adams & Goullaud 1978, Proc. Lunar Planet. Sci. Conf. 9, 2901). Biases are those measured on every second of 409
-laboratory spectra of minerals, mixtures and meteorites: 68 and 90 % of the minima are off by less than 0.016 and 0.038
-at 1 um, 0.037 and 0.069 at 2 um.
-"""
+from lunarsci.arrays import FloatArray, IntArray
+from lunarsci.compiled import VECTORS, compiled
+from lunarsci.spectra.continuum import CONTINUA, TERMS, Indices
 
 ORDER = 4
+SIZE = ORDER + 1
 WIDE, NARROW = (0.6, 0.9), (0.85, 1.0)
 """Channels less deep than the first share of the band do not count, those deeper than the second count fully; assumed.
 Polynomials through about the deepest third are usual for asteroids: Moskovitz et al. (2010), Icarus 208, 773,
 10.1016/j.icarus.2010.03.002."""
+HALF = 0.5
+"""Share of the depth from which a Gaussian is fitted."""
 FEWEST_CHANNELS = 8
 """Where fewer are in the wide window, shares half as large are used, and the narrow one not at all: coarse channels."""
+NOTHING = (math.nan,) * 9
 SEARCH = np.linspace(-1.0, 1.0, 161)
+STEP = float(SEARCH[1] - SEARCH[0])
 NEWTON_STEPS = 6
 LEAST_DEPTH = 1e-6
-_POWERS = np.arange(ORDER + 1)
+TINY = float(np.finfo(float).tiny)
+
+kernel = partial(compiled, nogil=True, error_model="numpy", fastmath=VECTORS)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Removed:
-    """m spectra on n channels without their continua.
+class Smoother(NamedTuple):
+    """The smoothing of spectra on the same n channels.
 
     Attributes
     ----------
-    wavelength_nm : shape (n,). [nm]
-    noise : one standard deviation of each reflectance, (m, n). [-]
-    smoothing : the operator that smooths, transposed, a sparse array (n, n). [-]
-    tied : the continua.
-    level : the continua, above 0, (m, n). [-]
-    ratio, smoothed : reflectance, as measured and smoothed, over the continuum, (m, n). [-]
+    first, weights : the first channel that it takes at each channel, and the weights from there, (n,), (n, w).
     """
 
-    wavelength_nm: FloatArray
-    noise: FloatArray
-    smoothing: Any
-    tied: Continuum
-    level: FloatArray
-    ratio: FloatArray
-    smoothed: FloatArray
-
-    def of(self, rows: Indices) -> "Removed":
-        """Some of the spectra."""
-        parts = (self.level[rows], self.ratio[rows], self.smoothed[rows])
-        return Removed(self.wavelength_nm, self.noise[rows], self.smoothing, self.tied.of(rows), *parts)
-
-    def per_channel(self, of_ratio: FloatArray, of_smoothed: FloatArray) -> FloatArray:
-        """Derivatives to both ratios, (m, n) each, into derivatives to the reflectance."""
-        onto_level = -(of_ratio * self.ratio + of_smoothed * self.smoothed) / self.level
-        onto_smoothed = of_smoothed / self.level + self.tied.carried(onto_level)
-        return np.asarray(of_ratio / self.level + (self.smoothing @ onto_smoothed.T).T)
-
-    def sigma(self, slopes: FloatArray) -> FloatArray:
-        """Standard errors (m,) of quantities with these derivatives to each reflectance, (m, n)."""
-        return np.asarray(np.sqrt(np.sum((slopes * self.noise) ** 2, axis=1)))
+    first: Indices
+    weights: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Window:
+(
+    WAVELENGTH, STEPS, VALUES, SMOOTHED, NOISE, X, SHARE, HEFT, HEFT_SLOPE, RESIDUAL, OF_RATIO, OF_CURVE, ONTO, POWER,
+    WIDE_NM, WIDE_DEPTH, NARROW_NM, NARROW_DEPTH, SPARE, AREA, ASYMMETRY, MOMENTS, RIGHT, COEFFICIENTS, SOLVED, FACTOR
+) = range(26)  # fmt: skip
+LEVEL = FACTOR + SIZE
+PER_LEVEL, RATIO, CURVE, WEIGHT = (LEVEL + k * len(CONTINUA) for k in (1, 2, 3, 4))
+ROWS = WEIGHT + TERMS * len(CONTINUA)
+"""Rows of the table (ROWS, n) that one spectrum of n channels is worked on in.
+
+Channels and their gradient [nm]; reflectance, smoothed, one standard deviation of each; of a window's channels x, depth
+over the deepest, weight and its derivative to that, residual of the polynomial; derivatives to both ratios, to the
+smoothed reflectance, and a spare; derivatives to each reflectance of what their names say; sums, right side,
+coefficients, solution and factor of the normal equations; by continuum its level, one over it (or 1 where it is not
+above 0), reflectance and smoothed reflectance times that, and the weights of its ties, whose channels are in a table
+`tie` of their own, (9, n).
+"""
+
+
+class Window(NamedTuple):
     """The channels that a centre is found from.
 
     Attributes
     ----------
-    weight, weight_slope : of each channel, 0 to 1, and its derivative to the share of the depth, (m, n). [-]
-    share : depth of the smoothed band over the deepest, (m, n). [-]
-    deepest : its channel, (m,).
-    deepest_depth : its depth, (m,). [-]
-    x : wavelength from -1 to 1 over the window, 0 outside, (m, n). middle_nm, half_nm : its scale, (m,). [-, nm]
-    inner : whether the deepest channel lies within the range it is looked for in, and not at its edge, (m,).
+    first, last, deepest : channels.
+    depth : of the deepest. [-]
+    middle_nm, half_nm : scale of x, which is -1 at the first channel and 1 at the last. [nm]
+    inner : whether the deepest channel lies within the range it is looked for in, and not at its edge, and there are
+        enough of them.
     """
 
-    weight: FloatArray
-    weight_slope: FloatArray
-    share: FloatArray
-    deepest: Indices
-    deepest_depth: FloatArray
-    x: FloatArray
-    middle_nm: FloatArray
-    half_nm: FloatArray
-    inner: BoolArray
+    first: int
+    last: int
+    deepest: int
+    depth: float
+    middle_nm: float
+    half_nm: float
+    inner: bool
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Shapes:
-    """One band of m spectra; each array is (m,), and meaningless where `found` is False.
+class Minimum(NamedTuple):
+    """A minimum in a window: wavelength [nm], depth [-], their variances and common one, variance not of first order.
 
-    Attributes
-    ----------
-    found : whether the polynomial has a minimum. inner : see `_Window`.
-    center_nm, depth, area_nm, asymmetry : see `lunarsci.spectra.bands.BandResult`; with `_sigma` their standard errors.
-    slopes : by name of those four, their derivatives to each reflectance, (m, n).
+    `rival` is that a second minimum may be the lower one, and that the curvature is uncertain, three times the square
+    of its relative error.
     """
 
-    found: BoolArray
-    inner: BoolArray
-    center_nm: FloatArray
-    center_sigma_nm: FloatArray
-    depth: FloatArray
-    depth_sigma: FloatArray
-    area_nm: FloatArray
-    area_sigma_nm: FloatArray
-    asymmetry: FloatArray
-    asymmetry_sigma: FloatArray
-    slopes: dict[str, FloatArray] = field(default_factory=dict)
+    found: bool
+    nm: float
+    depth: float
+    variance: float
+    rival: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Polynomial:
-    """The weighted least-squares polynomials: coefficients (m, 5), inverse normal matrices (m, 5, 5), residuals."""
+class Shape(NamedTuple):
+    """A band; meaningless where `found` is False. See `lunarsci.spectra.bands.BandResult`."""
 
-    window: _Window
-    coefficients: FloatArray
-    inverse: FloatArray
-    residual: FloatArray
-
-    def value(self, x: FloatArray) -> FloatArray:
-        return np.asarray(np.sum(_powers(x) * self.coefficients, axis=1))
-
-    def slopes(self, of_coefficients: FloatArray, removed: Removed) -> FloatArray:
-        """Derivatives to each reflectance (m, n) of a quantity with these to the coefficients, (m, 5)."""
-        w = self.window
-        along = _horner((self.inverse @ of_coefficients[..., None])[..., 0], w.x)
-        of_share = along * self.residual * w.weight_slope / w.deepest_depth[:, None]
-        of_smoothed = -of_share
-        of_smoothed[np.arange(w.deepest.size), w.deepest] += np.sum(of_share * w.share, axis=1)
-        return removed.per_channel(along * w.weight, of_smoothed)
+    found: bool
+    wide_nm: float
+    center_nm: float
+    center_sigma_nm: float
+    depth: float
+    depth_sigma: float
+    area_nm: float
+    area_sigma_nm: float
+    asymmetry: float
+    asymmetry_sigma: float
 
 
-def centres(removed: Removed, inside: BoolArray, allowed: BoolArray) -> FloatArray:
-    """Centres (m,) of the wide window, without errors; NaN where there is none. [nm]"""
-    fit = _fitted(removed, _window(removed, inside, allowed, WIDE))
-    lowest, _ = _minima(fit)
-    return np.where(fit.window.inner, _nm(fit, lowest), np.nan)
+@kernel
+def smooth(g: Smoother, values: FloatArray, out: FloatArray) -> None:
+    """The smoothed reflectance, into `out` (n,)."""
+    for j in range(values.size):
+        first, total = g.first[j], 0.0
+        for k in range(g.weights.shape[1]):
+            total += g.weights[j, k] * values[first + k]
+        out[j] = total
 
 
-def shapes(removed: Removed, inside: BoolArray, allowed: BoolArray, bias: float) -> Shapes:
-    """Measure a band.
+@kernel
+def window_of(s: FloatArray, c: int, band: IntArray, low: float, high: float, wide: bool) -> Window:
+    """The channels that are connected with the deepest one and deep enough; their weights into HEFT.
 
-    Parameters
-    ----------
-    removed : the spectra without continuum.
-    inside, allowed : channels (n,) of the band, and those in which its deepest may lie.
-    bias : see `Band`.
+    SHARE takes the depth over the deepest, X the scaled wavelength, HEFT_SLOPE the derivative of the weight
+    to the share.
     """
-    wide, narrow = (_minimum(removed, _window(removed, inside, allowed, shares), bias) for shares in (WIDE, NARROW))
-    share = _share_of_wide(wide, narrow, removed)
-    part = share[:, None]
-    center, depth = (share * a + (1 - share) * b for a, b in ((wide.nm, narrow.nm), (wide.depth, narrow.depth)))
-    of_center, of_depth = (
-        part * a + (1 - part) * b for a, b in ((wide.of_nm, narrow.of_nm), (wide.of_depth, narrow.of_depth))
-    )
-    area, asymmetry, of_area, of_asymmetry = _areas(removed, inside, center, 2 * depth[:, None] * of_center)
-    unsaid = share**2 * (wide.rival + wide.bias**2) + (1 - share) ** 2 * narrow.rival
-    return Shapes(
-        wide.found, wide.inner, center, np.sqrt(removed.sigma(of_center) ** 2 + unsaid), depth, removed.sigma(of_depth),
-        area, removed.sigma(of_area), asymmetry,
-        np.hypot(removed.sigma(of_asymmetry), 2 * depth / np.where(area == 0, np.inf, area) * np.sqrt(unsaid)),
-        {"center": of_center, "depth": of_depth, "area": of_area, "asymmetry": of_asymmetry},
-    )  # fmt: skip
+    curve, deepest = s[CURVE + c], band[2]
+    for j in range(band[2], band[3]):
+        if curve[j] < curve[deepest]:
+            deepest = j
+    most = max(1.0 - curve[deepest], LEAST_DEPTH)
+    first, last = _connected(curve, band, deepest, 1.0 - low * most)
+    if wide and last - first + 1 < FEWEST_CHANNELS:
+        low, high = low / 2, high / 2
+        first, last = _connected(curve, band, deepest, 1.0 - low * most)
+    middle = (s[WAVELENGTH, first] + s[WAVELENGTH, last]) / 2
+    half = max((s[WAVELENGTH, last] - s[WAVELENGTH, first]) / 2, 1.0)
+    per_depth, per_share, per_half = 1.0 / most, 1.0 / (high - low), 1.0 / half
+    for j in range(first, last + 1):
+        share = (1.0 - curve[j]) * per_depth
+        t = min(max((share - low) * per_share, 0.0), 1.0)
+        s[SHARE, j] = share
+        s[HEFT, j] = t * t * (3.0 - 2.0 * t)
+        s[HEFT_SLOPE, j] = 6.0 * t * (1.0 - t) * per_share
+        s[X, j] = (s[WAVELENGTH, j] - middle) * per_half
+    inner = band[2] < deepest < band[3] - 1 and last - first + 1 >= FEWEST_CHANNELS
+    return Window(first, last, deepest, most, middle, half, inner)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Minimum:
-    """Minima in one window: wavelength [nm], depth [-], their derivatives to each reflectance (m, n), variances [nm2].
+@kernel
+def _connected(curve: FloatArray, band: IntArray, at: int, below: float) -> tuple[int, int]:
+    """First and last channel of the run about one whose curve is below a level."""
+    first, last = at, at
+    while first > band[0] and curve[first - 1] < below:
+        first -= 1
+    while last < band[1] - 1 and curve[last + 1] < below:
+        last += 1
+    return first, last
 
-    `rival` is the variance that is not of first order: that a second minimum may be the lower one, and that the
-    curvature is uncertain, three times the square of its relative error; `bias` is that of the window. [nm2, nm]
+
+@kernel
+def _fit(s: FloatArray, c: int, w: Window) -> bool:
+    """Weighted least-squares polynomial of RATIO: factor of its normal matrix, coefficients, residuals.
+
+    False where the channels do not determine it.
     """
-
-    found: BoolArray
-    inner: BoolArray
-    nm: FloatArray
-    depth: FloatArray
-    of_nm: FloatArray
-    of_depth: FloatArray
-    rival: FloatArray
-    bias: FloatArray
-
-
-def _minimum(removed: Removed, window: _Window, bias: float) -> _Minimum:
-    fit = _fitted(removed, window)
-    lowest, second = _minima(fit)
-    found = np.isfinite(lowest)
-    x = np.where(found, lowest, 0.0)
-    curvature = np.where(found, np.sum(_powers(x, 2) * fit.coefficients, axis=1), 1.0)
-    of_nm = fit.slopes(_powers(x, 1) * (-window.half_nm / curvature)[:, None], removed)
-    of_depth = fit.slopes(-_powers(x), removed)
-    flat = removed.sigma(fit.slopes(_powers(x, 2), removed)) / np.maximum(curvature, np.finfo(float).tiny)
-    unsaid = _rival_variance(fit, removed, x, second) + 3 * flat**2 * removed.sigma(of_nm) ** 2
-    return _Minimum(found, window.inner, _nm(fit, x), 1 - fit.value(x), of_nm, of_depth, unsaid, bias * window.half_nm)
+    first, behind = w.first, w.last + 1
+    for j in range(first, behind):
+        s[POWER, j] = s[HEFT, j]
+    for k in range(2 * ORDER + 1):
+        total, right = 0.0, 0.0
+        for j in range(first, behind):
+            total += s[POWER, j]
+            right += s[POWER, j] * s[RATIO + c, j]
+            s[POWER, j] *= s[X, j]
+        s[MOMENTS, k] = total
+        if k <= ORDER:
+            s[RIGHT, k] = right
+    if not _factored(s):
+        return False
+    _solve(s, RIGHT, COEFFICIENTS)
+    for j in range(first, behind):
+        x = s[X, j]
+        s[RESIDUAL, j] = s[RATIO + c, j] - value_at(s, COEFFICIENTS, x)
+    return True
 
 
-def _share_of_wide(wide: _Minimum, narrow: _Minimum, removed: Removed) -> FloatArray:
-    """Weight of the wide window's minimum for the least variance of both together, 0 to 1."""
-    variances = (
-        removed.sigma(wide.of_nm) ** 2 + wide.rival + wide.bias**2,
-        removed.sigma(narrow.of_nm) ** 2 + narrow.rival,
-    )
-    common = np.sum(wide.of_nm * narrow.of_nm * removed.noise**2, axis=1)
-    share = (variances[1] - common) / np.maximum(variances[0] + variances[1] - 2 * common, np.finfo(float).tiny)
-    return np.where(narrow.found & narrow.inner, np.clip(share, 0.0, 1.0), 1.0)
+@kernel
+def _factored(s: FloatArray) -> bool:
+    """The normal matrix as L D L^T into FACTOR, D on its diagonal; False where it is singular."""
+    for i in range(SIZE):
+        for k in range(i + 1):
+            total = s[MOMENTS, i + k]
+            for m in range(k):
+                total -= s[FACTOR + i, m] * s[FACTOR + k, m] * s[FACTOR + m, m]
+            s[FACTOR + i, k] = total if i == k else total / s[FACTOR + k, k]
+        if not s[FACTOR + i, i] > 1e-15 * s[MOMENTS, 2 * i]:
+            return False
+    return True
 
 
-def gaussian_centres(removed: Removed, inside: BoolArray, allowed: BoolArray) -> FloatArray:
-    """Centres (m,) of Gaussians through the deeper half of the smoothed bands; NaN where there is none. [nm]
-
-    A parabola through ln depth, weighted with the depth squared: Guo (2011), 10.1109/MSP.2011.941846.
-    """
-    window = _window(removed, inside, allowed, (0.5, 0.5 + 1e-9))
-    deep = np.where(window.weight > 0, np.maximum(1 - removed.smoothed, LEAST_DEPTH), 1.0)
-    weight = np.where(window.weight > 0, deep**2, 0.0)
-    basis = window.x[..., None] ** np.arange(3)
-    weighted = np.swapaxes(basis * weight[..., None], 1, 2)
-    fit = (np.linalg.pinv(weighted @ basis, hermitian=True) @ (weighted @ np.log(deep)[..., None]))[..., 0]
-    peaked = fit[:, 2] < 0
-    x = -fit[:, 1] / (2 * np.where(peaked, fit[:, 2], 1.0))
-    return np.where(peaked & (np.abs(x) < 1), window.middle_nm + window.half_nm * x, np.nan)
-
-
-def _window(removed: Removed, inside: BoolArray, allowed: BoolArray, shares: tuple[float, float]) -> _Window:
-    """Weights of the channels that are connected with the deepest one and deep enough."""
-    depth = 1 - removed.smoothed
-    at = np.flatnonzero(allowed)
-    deepest = at[np.argmax(depth[:, at], axis=1)]
-    most = np.maximum(np.take_along_axis(depth, deepest[:, None], axis=1), LEAST_DEPTH)
-    share = depth / most
-    few = (_connected((share > shares[0]) & inside, deepest).sum(axis=1) < FEWEST_CHANNELS)[:, None]
-    low, high = (np.where(few & (shares == WIDE), limit / 2, limit) for limit in shares)
-    keep = _connected((share > low) & inside, deepest)
-    t = np.clip((share - low) / (high - low), 0.0, 1.0) * keep
-    first, last = np.argmax(keep, axis=1), keep.shape[1] - 1 - np.argmax(keep[:, ::-1], axis=1)
-    ends = removed.wavelength_nm[first], removed.wavelength_nm[last]
-    middle, half = (ends[0] + ends[1]) / 2, np.maximum((ends[1] - ends[0]) / 2, 1.0)
-    return _Window(
-        t**2 * (3 - 2 * t), 6 * t * (1 - t) / (high - low), share, deepest, most[:, 0],
-        np.where(keep, (removed.wavelength_nm - middle[:, None]) / half[:, None], 0.0), middle, half,
-        (deepest > at[0]) & (deepest < at[-1]) & (keep.sum(axis=1) >= FEWEST_CHANNELS),
-    )  # fmt: skip
+@kernel
+def _solve(s: FloatArray, right: int, out: int) -> None:
+    """What the normal matrix makes a row of right sides of, into another row."""
+    for i in range(SIZE):
+        total = s[right, i]
+        for k in range(i):
+            total -= s[FACTOR + i, k] * s[out, k]
+        s[out, i] = total
+    for i in range(ORDER, -1, -1):
+        total = s[out, i] / s[FACTOR + i, i]
+        for k in range(i + 1, SIZE):
+            total -= s[FACTOR + k, i] * s[out, k]
+        s[out, i] = total
 
 
-def _connected(chosen: BoolArray, at: Indices) -> BoolArray:
-    """The run of chosen channels (m, n) around one channel a row, (m,)."""
-    channel = np.arange(chosen.shape[1])
-    before = np.max(np.where(~chosen & (channel < at[:, None]), channel, -1), axis=1)
-    behind = np.min(np.where(~chosen & (channel > at[:, None]), channel, channel.size), axis=1)
-    return np.asarray((channel > before[:, None]) & (channel < behind[:, None]))
+@kernel
+def value_at(s: FloatArray, row: int, x: float) -> float:
+    """The polynomial whose coefficients are in a row, at x."""
+    return float(s[row, 0] + x * (s[row, 1] + x * (s[row, 2] + x * (s[row, 3] + x * s[row, 4]))))
 
 
-def _fitted(removed: Removed, window: _Window) -> _Polynomial:
-    columns = np.flatnonzero((window.weight > 0).any(axis=0))
-    x, weight, ratio = (values[:, columns] for values in (window.x, window.weight, removed.ratio))
-    basis = x[..., None] ** _POWERS
-    weighted = np.swapaxes(basis * weight[..., None], 1, 2)
-    inverse = np.linalg.pinv(weighted @ basis, hermitian=True)
-    coefficients = (inverse @ (weighted @ ratio[..., None]))[..., 0]
-    residual = np.where(window.weight > 0, removed.ratio - _horner(coefficients, window.x), 0.0)
-    return _Polynomial(window, coefficients, np.asarray(inverse, float), residual)
+@kernel
+def _curvature(s: FloatArray, x: float) -> float:
+    return float(2.0 * s[COEFFICIENTS, 2] + x * (6.0 * s[COEFFICIENTS, 3] + x * 12.0 * s[COEFFICIENTS, 4]))
 
 
-def _horner(coefficients: FloatArray, x: FloatArray) -> FloatArray:
-    """Polynomials (m, 5) at x (m, k)."""
-    value = np.broadcast_to(coefficients[:, -1:], x.shape)
-    for k in reversed(range(ORDER)):
-        value = value * x + coefficients[:, k : k + 1]
-    return np.asarray(value)
+@kernel
+def _minima(s: FloatArray) -> tuple[float, float]:
+    """x of the lowest and the second lowest minimum within the window, -1 to 1; NaN where there is none."""
+    lowest, second, least, next_least = -1, -1, math.inf, math.inf
+    before, here = value_at(s, COEFFICIENTS, SEARCH[0]), value_at(s, COEFFICIENTS, SEARCH[1])
+    for k in range(1, SEARCH.size - 1):
+        behind = value_at(s, COEFFICIENTS, SEARCH[k + 1])
+        if here < before and here <= behind:
+            if here < least:
+                lowest, second, least, next_least = k, lowest, here, least
+            elif here < next_least:
+                second, next_least = k, here
+        before, here = here, behind
+    return _polished(s, lowest), _polished(s, second)
 
 
-def _powers(x: FloatArray, derivative: int = 0) -> FloatArray:
-    """Derivative of 1, x, …, x^4 at x (m,); shape (m, 5)."""
-    factor = np.prod([np.maximum(_POWERS - k, 0) for k in range(derivative)], axis=0) * np.ones(ORDER + 1)
-    return np.asarray(factor * x[:, None] ** np.maximum(_POWERS - derivative, 0))
-
-
-def _minima(fit: _Polynomial) -> tuple[FloatArray, FloatArray]:
-    """The lowest and the second lowest minimum within the window, -1 to 1; NaN where there is none."""
-    values = _horner(fit.coefficients, np.broadcast_to(SEARCH, (fit.coefficients.shape[0], SEARCH.size)))
-    inner = (values[:, 1:-1] < values[:, :-2]) & (values[:, 1:-1] <= values[:, 2:])
-    candidates = np.where(inner, values[:, 1:-1], np.inf)
-    order = np.argsort(candidates, axis=1, kind="stable")[:, :2]
-    found = np.isfinite(np.take_along_axis(candidates, order, axis=1))
-    x = np.where(found, SEARCH[1:-1][order], np.nan)
-    return _polished(fit, x[:, 0]), _polished(fit, x[:, 1])
-
-
-def _polished(fit: _Polynomial, start: FloatArray) -> FloatArray:
+@kernel
+def _polished(s: FloatArray, place: int) -> float:
     """Newton's steps to the zero of the derivative, no farther than the next point of the search."""
-    x, step = start, SEARCH[1] - SEARCH[0]
+    if place < 0:
+        return math.nan
+    x = start = SEARCH[place]
+    b1, b2, b3, b4 = s[COEFFICIENTS, 1], s[COEFFICIENTS, 2], s[COEFFICIENTS, 3], s[COEFFICIENTS, 4]
     for _ in range(NEWTON_STEPS):
-        curvature = np.sum(_powers(x, 2) * fit.coefficients, axis=1)
-        slope = np.sum(_powers(x, 1) * fit.coefficients, axis=1)
-        x = np.clip(x - slope / np.where(curvature > 0, curvature, np.inf), start - step, start + step)
-    return x
+        curvature = _curvature(s, x)
+        if curvature > 0:
+            slope = b1 + x * (2.0 * b2 + x * (3.0 * b3 + x * 4.0 * b4))
+            x = min(max(x - slope / curvature, start - STEP), start + STEP)
+    return float(x)
 
 
-def _nm(fit: _Polynomial, x: FloatArray) -> FloatArray:
-    return np.asarray(fit.window.middle_nm + fit.window.half_nm * x)
+@kernel
+def _slopes(g: Smoother, tie: Indices, s: FloatArray, c: int, w: Window, out: int) -> None:
+    """Derivatives to each reflectance, into a row, of a quantity whose derivatives to the coefficients are in RIGHT."""
+    _solve(s, RIGHT, SOLVED)
+    per_depth, total = 1.0 / w.depth, 0.0
+    for j in range(w.first, w.last + 1):
+        along = value_at(s, SOLVED, s[X, j])
+        of_share = along * s[RESIDUAL, j] * s[HEFT_SLOPE, j] * per_depth
+        s[OF_RATIO, j] = along * s[HEFT, j]
+        s[OF_CURVE, j] = -of_share
+        total += of_share * s[SHARE, j]
+    s[OF_CURVE, w.deepest] += total
+    per_channel(g, tie, s, c, w.first, w.last + 1, out)
 
 
-def _rival_variance(fit: _Polynomial, removed: Removed, x: FloatArray, second: FloatArray) -> FloatArray:
+@kernel
+def per_channel(g: Smoother, tie: Indices, s: FloatArray, c: int, first: int, behind: int, out: int) -> None:
+    """Derivatives to both ratios, OF_RATIO and OF_CURVE, into derivatives to the reflectance."""
+    size = s.shape[1]
+    for j in range(size):
+        s[ONTO, j] = 0.0
+        s[out, j] = 0.0
+    for j in range(first, behind):
+        per_level = s[PER_LEVEL + c, j]
+        of_level = -(s[OF_RATIO, j] * s[RATIO + c, j] + s[OF_CURVE, j] * s[CURVE + c, j]) * per_level
+        s[out, j] = s[OF_RATIO, j] * per_level
+        s[ONTO, j] += s[OF_CURVE, j] * per_level
+        for k in range(TERMS):
+            s[ONTO, tie[TERMS * c + k, j]] += of_level * s[WEIGHT + TERMS * c + k, j]
+    for j in range(size):
+        if s[ONTO, j] != 0.0:
+            begin = g.first[j]
+            for k in range(g.weights.shape[1]):
+                s[out, begin + k] += g.weights[j, k] * s[ONTO, j]
+
+
+@kernel
+def variance(s: FloatArray, row: int) -> float:
+    """Variance of a quantity whose derivatives to each reflectance are in a row."""
+    total = 0.0
+    for j in range(s.shape[1]):
+        off = s[row, j] * s[NOISE, j]
+        total += off * off
+    return total
+
+
+@kernel
+def _powers(s: FloatArray, x: float, derivative: int, factor: float) -> None:
+    """Derivative of 1, x, …, x^4 at x, times a factor, into RIGHT."""
+    power = factor
+    for k in range(SIZE):
+        s[RIGHT, k] = 0.0
+    for k in range(derivative, SIZE):
+        s[RIGHT, k] = power * (k * (k - 1) if derivative == 2 else k if derivative == 1 else 1)
+        power *= x
+
+
+@kernel
+def centre(g: Smoother, tie: Indices, s: FloatArray, c: int, band: IntArray) -> float:
+    """Centre of the wide window, without errors; NaN where there is none. [nm]"""
+    w = window_of(s, c, band, WIDE[0], WIDE[1], True)
+    if not (w.inner and _fit(s, c, w)):
+        return math.nan
+    return float(w.middle_nm + w.half_nm * _minima(s)[0])
+
+
+@kernel
+def _minimum(g: Smoother, tie: Indices, s: FloatArray, c: int, w: Window, first_row: int) -> Minimum:
+    """The minimum in a window; derivatives of wavelength and depth into rows from `first_row` on."""
+    if not _fit(s, c, w):
+        return Minimum(False, math.nan, math.nan, math.nan, math.nan)
+    x, second = _minima(s)
+    if math.isnan(x):
+        return Minimum(False, math.nan, math.nan, math.nan, math.nan)
+    curvature = _curvature(s, x)
+    _powers(s, x, 2, 1.0)
+    _slopes(g, tie, s, c, w, SPARE)
+    flat = math.sqrt(variance(s, SPARE)) / max(curvature, TINY)
+    _powers(s, x, 0, -1.0)
+    _slopes(g, tie, s, c, w, first_row + 1)
+    _powers(s, x, 1, -w.half_nm / curvature)
+    _slopes(g, tie, s, c, w, first_row)
+    first_order = variance(s, first_row)
+    rival = 3.0 * flat * flat * first_order
+    if not math.isnan(second):
+        rival += _rival(g, tie, s, c, w, x, second)
+    return Minimum(True, w.middle_nm + w.half_nm * x, 1.0 - value_at(s, COEFFICIENTS, x), first_order, rival)
+
+
+@kernel
+def _rival(g: Smoother, tie: Indices, s: FloatArray, c: int, w: Window, x: float, second: float) -> float:
     """What it adds to the variance of the centre that the second minimum may truly be the lower one. [nm2]
 
     The probability of that, from the difference of their depths and its error, times the square of their distance.
     """
-    from scipy.special import ndtr
-
-    rows = np.flatnonzero(np.isfinite(second))
-    variance = np.zeros(x.size)
-    if rows.size:
-        there = np.where(np.isfinite(second), second, x)
-        rise = fit.value(there) - fit.value(x)
-        sigma = np.maximum(removed.sigma(fit.slopes(_powers(there) - _powers(x), removed)), np.finfo(float).tiny)
-        variance[rows] = (ndtr(-rise / sigma) * (_nm(fit, there) - _nm(fit, x)) ** 2)[rows]
-    return variance
+    for k in range(SIZE):
+        s[RIGHT, k] = second**k - x**k
+    _slopes(g, tie, s, c, w, SPARE)
+    sigma = max(math.sqrt(variance(s, SPARE)), TINY)
+    rise = value_at(s, COEFFICIENTS, second) - value_at(s, COEFFICIENTS, x)
+    apart = w.half_nm * (second - x)
+    return 0.5 * math.erfc(rise / sigma / math.sqrt(2.0)) * apart * apart
 
 
-def _areas(removed: Removed, inside: BoolArray, center_nm: FloatArray, moved: FloatArray) -> tuple[Any, ...]:
+@kernel
+def shape(g: Smoother, tie: Indices, s: FloatArray, c: int, band: IntArray, bias: float, w: Window) -> Shape:
+    """Measure a band under a continuum from its wide window, whose weights are there.
+
+    The derivatives of centre, depth, area and asymmetry stay in rows: WIDE_NM, WIDE_DEPTH, AREA, ASYMMETRY.
+    """
+    wide = _minimum(g, tie, s, c, w, WIDE_NM)
+    if not wide.found:
+        return Shape(False, *NOTHING)
+    center, depth, unsaid = _joined(g, tie, s, c, band, wide, (bias * w.half_nm) ** 2)
+    spread = variance(s, WIDE_NM)
+    area, asymmetry = _areas(g, tie, s, c, band, center, 2.0 * depth)
+    hidden = 2.0 * depth / area if area != 0.0 else 0.0
+    return Shape(
+        True, wide.nm, center, math.sqrt(spread + unsaid), depth, math.sqrt(variance(s, WIDE_DEPTH)),
+        area, math.sqrt(variance(s, AREA)),
+        asymmetry, math.sqrt(variance(s, ASYMMETRY) + hidden * hidden * unsaid),
+    )  # fmt: skip
+
+
+@kernel
+def _joined(
+    g: Smoother, tie: Indices, s: FloatArray, c: int, band: IntArray, wide: Minimum, bias2: float
+) -> tuple[float, float, float]:
+    """Centre, depth, and the centre's variance that is not of first order, of the wide and the narrow window together.
+
+    Their weights are those of the least variance. The derivatives take the place of those of the wide window.
+    """
+    w = window_of(s, c, band, NARROW[0], NARROW[1], False)
+    narrow = Minimum(False, 0.0, 0.0, 0.0, 0.0)
+    if w.inner:
+        narrow = _minimum(g, tie, s, c, w, NARROW_NM)
+    if not narrow.found:
+        return wide.nm, wide.depth, wide.rival + bias2
+    common = 0.0
+    for j in range(s.shape[1]):
+        common += s[WIDE_NM, j] * s[NARROW_NM, j] * s[NOISE, j] * s[NOISE, j]
+    of_wide, of_narrow = wide.variance + wide.rival + bias2, narrow.variance + narrow.rival
+    part = min(max((of_narrow - common) / max(of_wide + of_narrow - 2.0 * common, TINY), 0.0), 1.0)
+    for j in range(s.shape[1]):
+        s[WIDE_NM, j] = part * s[WIDE_NM, j] + (1.0 - part) * s[NARROW_NM, j]
+        s[WIDE_DEPTH, j] = part * s[WIDE_DEPTH, j] + (1.0 - part) * s[NARROW_DEPTH, j]
+    return (
+        part * wide.nm + (1.0 - part) * narrow.nm,
+        part * wide.depth + (1.0 - part) * narrow.depth,
+        part * part * (wide.rival + bias2) + (1.0 - part) * (1.0 - part) * narrow.rival,
+    )
+
+
+@kernel
+def _areas(
+    g: Smoother, tie: Indices, s: FloatArray, c: int, band: IntArray, center_nm: float, across: float
+) -> tuple[float, float]:
     """Area and asymmetry, and the derivatives of both to each reflectance.
 
-    `moved` is what a shift of the centre takes from the right and gives to the left, per reflectance, (m, n).
+    A shift of the centre takes `across` for each nm from the right and gives it to the left.
     """
-    steps = np.where(inside, np.gradient(removed.wavelength_nm), 0.0)
-    offset = (removed.wavelength_nm - center_nm[:, None]) / np.gradient(removed.wavelength_nm)
-    side = np.clip(2 * offset, -1.0, 1.0)
-    deep = 1 - removed.ratio
-    area, excess = deep @ steps, np.sum(deep * steps * side, axis=1)
-    nothing = np.zeros_like(deep)
-    of_area = removed.per_channel(np.broadcast_to(-steps, deep.shape), nothing)
-    of_excess = removed.per_channel(-steps * side, nothing) - moved
-    whole = np.where(np.abs(area) > 0, area, np.inf)[:, None]
-    return area, excess / whole[:, 0], of_area, (of_excess - (excess[:, None] / whole) * of_area) / whole
+    area, excess = 0.0, 0.0
+    for j in range(band[0], band[1]):
+        side = min(max(2.0 * (s[WAVELENGTH, j] - center_nm) / s[STEPS, j], -1.0), 1.0)
+        deep = (1.0 - s[RATIO + c, j]) * s[STEPS, j]
+        area += deep
+        excess += deep * side
+        s[OF_RATIO, j] = -s[STEPS, j]
+        s[POWER, j] = -s[STEPS, j] * side
+        s[OF_CURVE, j] = 0.0
+    per_channel(g, tie, s, c, band[0], band[1], AREA)
+    for j in range(band[0], band[1]):
+        s[OF_RATIO, j] = s[POWER, j]
+    per_channel(g, tie, s, c, band[0], band[1], ASYMMETRY)
+    per_area = 1.0 / area if area != 0.0 else 0.0
+    asymmetry = excess * per_area
+    for j in range(s.shape[1]):
+        of_excess = s[ASYMMETRY, j] - across * s[WIDE_NM, j]
+        s[ASYMMETRY, j] = (of_excess - asymmetry * s[AREA, j]) * per_area
+    return area, asymmetry
+
+
+@kernel
+def gaussian_centre(s: FloatArray, c: int, band: IntArray) -> float:
+    """Centre of a Gaussian through the deeper half of the smoothed band; NaN where there is none. [nm]
+
+    A parabola through ln depth, weighted with the depth squared: Guo (2011), 10.1109/MSP.2011.941846.
+    """
+    w = window_of(s, c, band, HALF, HALF + 1e-9, False)
+    if w.last - w.first < 2:
+        return math.nan
+    m0 = m1 = m2 = m3 = m4 = r0 = r1 = r2 = 0.0
+    for j in range(w.first, w.last + 1):
+        deep = max(1.0 - s[CURVE + c, j], LEAST_DEPTH)
+        x, heft = s[X, j], deep * deep if s[HEFT, j] > 0.0 else 0.0
+        right = heft * math.log(deep)
+        m0, m1, m2, m3, m4 = m0 + heft, m1 + heft * x, m2 + heft * x**2, m3 + heft * x**3, m4 + heft * x**4
+        r0, r1, r2 = r0 + right, r1 + right * x, r2 + right * x**2
+    d11, d12, d22 = m2 - m1 * m1 / m0, m3 - m1 * m2 / m0, m4 - m2 * m2 / m0
+    e1, e2 = r1 - m1 * r0 / m0, r2 - m2 * r0 / m0
+    bend = (e2 * d11 - e1 * d12) / (d11 * d22 - d12 * d12)
+    slope = (e1 - d12 * bend) / d11
+    x = -slope / (2.0 * bend)
+    return w.middle_nm + w.half_nm * x if bend < 0.0 and abs(x) < 1.0 else math.nan

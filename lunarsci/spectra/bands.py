@@ -1,34 +1,44 @@
-"""The 1 um and 2 um absorption bands of spectra: which continuum to use, and whether there is a band at all.
+"""The 1 um and 2 um absorption bands of spectra: their numbers, for one spectrum and for many.
 
-What is measured, and what is in its errors, is in `lunarsci.spectra.band_shape`.
+What is measured, and what is in its errors, is in `lunarsci.spectra.band_shape`; which continuum is used, and whether
+there is a band at all, in `lunarsci.spectra.band_rows`.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, overload
 
 import numpy as np
+import numpy.typing as npt
 
-from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import DataError
-from lunarsci.spectra.band_shape import BANDS, LEAST_DEPTH, Band, Removed, Shapes, centres, gaussian_centres, shapes
-from lunarsci.spectra.continuum import CONTINUA, Continuum, ContinuumName, Indices, continuum
-from lunarsci.spectra.spectrum import Smoothing, Spectrum, channel_noise, scatter_noise, smoothing_operator
+from lunarsci.spectra.band_rows import (
+    BANDS,
+    CONTINUUM,
+    DEEPEST,
+    MAX_CENTER_SIGMA_NM,
+    MIN_SIGNIFICANCE,
+    NOT_COVERED,
+    NOTE,
+    NOTE_DEEPEST,
+    OK,
+    QUANTITIES,
+    STATUS,
+    STATUSES,
+    Band,
+    Codes,
+    grid_of,
+    measure_rows,
+    nothing_of,
+)  # fmt: skip
+from lunarsci.spectra.continuum import CONTINUA, ContinuumName, continuum
+from lunarsci.spectra.spectrum import Smoothing, Spectrum, smoothing_operator
 
-FEWEST_IN_WINDOW, FEWEST_CHANNELS, MOST_CHANNELS = 14, 20, 5000
-CHUNK = 128
-"""Spectra that are worked on together."""
-MIN_SIGNIFICANCE = 4.5
-"""Depth over its standard error below which there is no band. The deepest of many channels of pure noise exceeds 3 in a
-quarter and 4.5 in 0.4 % of the windows of 400 simulated flat spectra."""
-END_CHANNELS, RUNAWAY_SHARE = 8, 0.5
-"""An extrapolated continuum that is this share of the band's depth above the last channels is not used; assumed. On 172
-laboratory and 88 rover spectra it parts the centres that agree with the hull's from those that do not.
-"""
-MAX_CENTER_SIGMA_NM = 100.0
-"""A centre known no better than this says nothing about a mineral; it is not reported."""
-CROSSING_SHARE = 0.25
-"""A continuum may run below the smoothed spectrum by this share of the band's depth, no more; assumed."""
+FEWEST_CHANNELS, MOST_CHANNELS = 20, 5000
+MEASURED = QUANTITIES[:DEEPEST]
+"""What is measured of a band: the numbers of a `BandResult`."""
+_NOTHING = np.empty(0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,40 +83,55 @@ class BandResult:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpectrumBands:
-    """Both bands of a spectrum, with the curves they were measured on (for pictures).
+    """Both bands of a spectrum, and its usable channels with the smoothing of the continua (for pictures).
 
-    `wavelength_nm`, `reflectance`, `smoothed` and each continuum in `continua` have the same shape (n,).
+    `wavelength_nm` and `reflectance` have the same shape (n,); `smooth_nm` and `smooth_order` are those of `Smoothing`.
     """
 
     id: str
     bands: dict[str, BandResult]
-    wavelength_nm: FloatArray
-    reflectance: FloatArray
-    smoothed: FloatArray
-    continua: dict[str, FloatArray]
+    wavelength_nm: FloatArray = field(default_factory=lambda: _NOTHING)
+    reflectance: FloatArray = field(default_factory=lambda: _NOTHING)
+    smooth_nm: float = 0.0
+    smooth_order: int = 3
+
+    @property
+    def smoothed(self) -> FloatArray:
+        """The smoothed reflectance, (n,). [-]"""
+        return np.asarray(smoothing_operator(self.wavelength_nm, self.smooth_nm, self.smooth_order) @ self.reflectance)
+
+    @property
+    def continua(self) -> dict[str, FloatArray]:
+        """The continua that its bands were measured under, (n,) each. [-]"""
+        used = {band.continuum: None for band in self.bands.values() if band.continuum in CONTINUA}
+        smoothed = self.smoothed[None]
+        return {name: continuum(name, self.wavelength_nm, smoothed)[0] for name in used}
 
     def to_dict(self) -> dict[str, Any]:
         """The keys of `lunarsci spectra bands --json`."""
         record: dict[str, Any] = {"id": self.id, "continuum": {key: band.continuum for key, band in self.bands.items()}}
         for key, band in self.bands.items():
-            record |= {
-                f"bc{key}_nm": band.center_nm,
-                f"bc{key}_sigma_nm": band.center_sigma_nm,
-                f"bc{key}_systematic_nm": band.center_systematic_nm,
-                f"bc{key}_method_nm": band.center_method_nm,
-                f"bd{key}": band.depth,
-                f"bd{key}_sigma": band.depth_sigma,
-                f"ba{key}_nm": band.area_nm,
-                f"ba{key}_sigma_nm": band.area_sigma_nm,
-                f"bas{key}": band.asymmetry,
-                f"bas{key}_sigma": band.asymmetry_sigma,
-                f"bc{key}_calibration_nm": band.center_calibration_nm,
-                f"bd{key}_calibration": band.depth_calibration,
-                f"ba{key}_calibration_nm": band.area_calibration_nm,
-                f"band{key}_status": band.status,
-                f"band{key}_note": band.note,
-            }
+            record |= {name.format(key): getattr(band, quantity) for quantity, name in JSON_KEYS.items()}
+            record |= {f"band{key}_status": band.status, f"band{key}_note": band.note}
         return record
+
+
+JSON_KEYS = {
+    "center_nm": "bc{}_nm",
+    "center_sigma_nm": "bc{}_sigma_nm",
+    "center_systematic_nm": "bc{}_systematic_nm",
+    "center_method_nm": "bc{}_method_nm",
+    "depth": "bd{}",
+    "depth_sigma": "bd{}_sigma",
+    "area_nm": "ba{}_nm",
+    "area_sigma_nm": "ba{}_sigma_nm",
+    "asymmetry": "bas{}",
+    "asymmetry_sigma": "bas{}_sigma",
+    "center_calibration_nm": "bc{}_calibration_nm",
+    "depth_calibration": "bd{}_calibration",
+    "area_calibration_nm": "ba{}_calibration_nm",
+}
+"""Key of each number in JSON, in which {} is the band's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,10 +144,203 @@ class BandFailure:
     def to_dict(self) -> dict[str, Any]:
         """The same keys as a measured spectrum, without values."""
         nothing = BandResult(continuum="none", status=self.status)
-        return SpectrumBands(self.id, {band.key: nothing for band in BANDS}, *_NO_CURVES, {}).to_dict()
+        return SpectrumBands(self.id, {band.key: nothing for band in BANDS}).to_dict()
 
 
-_NO_CURVES = (np.empty(0), np.empty(0), np.empty(0))
+@dataclass(frozen=True, slots=True, eq=False)
+class BandColumns:
+    """One band of m spectra; each array is (m,), a number NaN where there is none.
+
+    Attributes
+    ----------
+    center_nm, … : as in `BandResult`.
+    deepest_nm, note_deepest_nm : where the band of the reported continuum, and of the wanted one, is deepest. [nm]
+    continuum : place in `CONTINUA` of the one used, -1 for none.
+    status, note : places in `STATUSES`: whether there is a band, and why the wanted continuum was not used.
+    """
+
+    center_nm: FloatArray
+    center_sigma_nm: FloatArray
+    center_systematic_nm: FloatArray
+    center_method_nm: FloatArray
+    depth: FloatArray
+    depth_sigma: FloatArray
+    area_nm: FloatArray
+    area_sigma_nm: FloatArray
+    asymmetry: FloatArray
+    asymmetry_sigma: FloatArray
+    center_calibration_nm: FloatArray
+    depth_calibration: FloatArray
+    area_calibration_nm: FloatArray
+    deepest_nm: FloatArray
+    note_deepest_nm: FloatArray
+    continuum: Codes
+    status: Codes
+    note: Codes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BandArrays:
+    """Both bands of m spectra: numbers (m, 2, 15) and codes (m, 2, 3), which `bands` has by name."""
+
+    numbers: FloatArray
+    codes: Codes
+
+    @property
+    def bands(self) -> dict[str, BandColumns]:
+        """By key of the band, its numbers and codes."""
+        return {
+            band.key: BandColumns(*self.numbers[:, place].T, *self.codes[:, place].T)
+            for place, band in enumerate(BANDS)
+        }
+
+
+def band_arrays(
+    wavelength_nm: FloatArray,
+    reflectance: npt.ArrayLike,
+    sigma: FloatArray | None = None,
+    *,
+    continuum_name: ContinuumName = "conic",
+    smoothing: Smoothing | None = None,
+) -> BandArrays:
+    """Measure the 1 um and 2 um bands of many spectra on the same channels, such as the pixels of a cube.
+
+    Each row is measured as `measure_bands` measures it alone, in its own usable channels: to the last bit the same in
+    any company. A row with fewer than 20 of them has the status `spectrum_unusable`.
+
+    Parameters
+    ----------
+    wavelength_nm : shape (n,), ascending, 5000 at most. [nm]
+    reflectance : shape (m, n); not finite or not above 0 where it cannot be used. [-]
+    sigma : one standard deviation, (m, n) or (n,), above 0; None to find it from the scatter of the channels. [-]
+    continuum_name, smoothing : as in `measure_bands`.
+
+    Raises
+    ------
+    DataError when there are too many channels, or where smoothing flattens a band.
+    """
+    used = smoothing or Smoothing()
+    values = np.asarray(reflectance)
+    wavelength = np.asarray(wavelength_nm, float)
+    if wavelength.size > MOST_CHANNELS:
+        raise DataError(f"{wavelength.size} channels are more than {MOST_CHANNELS}; average some of them")
+    found = BandArrays(*nothing_of(len(values)))
+    with np.errstate(invalid="ignore"):
+        usable = np.isfinite(values) & (values > 0)
+    for mask, rows in _alike(usable):
+        if mask.sum() >= FEWEST_CHANNELS:
+            part = values[np.ix_(rows, mask)] if not mask.all() or rows.size < len(values) else values
+            errors = None if sigma is None else sigma[np.ix_(rows, mask)] if sigma.ndim > 1 else sigma[mask]
+            width_nm = used.width_nm(wavelength[mask])
+            shifts = np.zeros((rows.size, 0, part.shape[1]))
+            _measure(found, rows, wavelength[mask], part, errors, shifts, continuum_name, width_nm, used.order)
+    return found
+
+
+def _alike(usable: BoolArray) -> "list[tuple[BoolArray, IntArray]]":
+    """Usable channels (n,), and the rows of (m, n) that have just these, in the order of the rows."""
+    if usable.all():
+        return [(usable[0], np.arange(len(usable)))] if len(usable) else []
+    packed = np.packbits(usable, axis=1)
+    keys = np.ascontiguousarray(packed).view(f"V{packed.shape[1]}").ravel()
+    _, first, place = np.unique(keys, return_index=True, return_inverse=True)
+    order = np.argsort(place, kind="stable")
+    parts = np.split(order, np.cumsum(np.bincount(place))[:-1])
+    return [(usable[at], rows) for at, rows in zip(first, parts, strict=True)]
+
+
+def _measure(
+    found: BandArrays, rows: IntArray, wavelength_nm: FloatArray, reflectance: Any, sigma: Any, shifts: FloatArray,
+    wanted: ContinuumName, width_nm: float, order: int, progress: Any = None,
+) -> None:  # fmt: skip
+    """Rows on the same channels, all usable, into `found`."""
+    grid = grid_of(wavelength_nm, width_nm, order)
+    numbers, codes = measure_rows(grid, CONTINUA.index(wanted), reflectance, sigma, shifts, progress)
+    found.numbers[rows], found.codes[rows] = numbers, codes
+
+
+class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
+    """The bands of spectra: one result or one stated reason each, made when asked for, from arrays.
+
+    Attributes
+    ----------
+    spectra, arrays : m spectra, and their bands.
+    reasons : by place of a spectrum that could not be measured, why.
+    """
+
+    def __init__(self, spectra: Sequence[Spectrum], wanted: ContinuumName, smoothing: Smoothing) -> None:
+        self.spectra, self.wanted, self.smoothing = spectra, wanted, smoothing
+        self.arrays = BandArrays(*nothing_of(len(spectra)))
+        self.reasons: dict[int, str] = {}
+
+    def __len__(self) -> int:
+        return len(self.spectra)
+
+    @overload
+    def __getitem__(self, place: int) -> SpectrumBands | BandFailure: ...
+    @overload
+    def __getitem__(self, place: slice) -> list[SpectrumBands | BandFailure]: ...
+    def __getitem__(self, place: int | slice) -> Any:
+        if isinstance(place, slice):
+            return [self[k] for k in range(*place.indices(len(self)))]
+        place = range(len(self))[place]
+        spectrum = self.spectra[place]
+        if place in self.reasons:
+            return BandFailure(spectrum.id, f"no result: {self.reasons[place]}")
+        wavelength = spectrum.wavelength_nm[spectrum.usable]
+        return SpectrumBands(
+            spectrum.id,
+            {band.key: self._band(number, place, wavelength) for number, band in enumerate(BANDS)},
+            wavelength,
+            spectrum.reflectance[spectrum.usable],
+            self.smoothing.width_nm(wavelength),
+            self.smoothing.order,
+        )
+
+    def _band(self, number: int, place: int, wavelength_nm: FloatArray) -> BandResult:
+        numbers, codes = self.arrays.numbers[place, number].tolist(), self.arrays.codes[place, number].tolist()
+        known = {name: value for name, value in zip(MEASURED, numbers, strict=False) if value == value}
+        band = BANDS[number]
+        return BandResult(
+            **known,
+            continuum=CONTINUA[codes[CONTINUUM]] if codes[CONTINUUM] >= 0 else "none",
+            status=sentence(codes[STATUS], band, numbers[DEEPEST], wavelength_nm),
+            note=note(codes[NOTE], self.wanted, band, numbers[NOTE_DEEPEST], wavelength_nm),
+        )
+
+
+SENTENCES = {
+    "ok": "ok",
+    "continuum_falls_to_zero": "its continuum falls to zero in the window",
+    "continuum_below_spectrum": "its continuum runs below the spectrum in the window",
+    "continuum_runs_away": "its continuum runs away above the spectrum in the window",
+    "too_few_deep_channels": "no band: too few channels as deep as its deepest",
+    "deepest_elsewhere": "no band: deepest at {deepest:.0f} nm; "
+    "olivine and pyroxene have theirs at {low:g}-{high:g} nm ({others})",
+    "no_minimum": "no band: no minimum within the deepest channels",
+    "depth_within_noise": f"no band: its depth is within {MIN_SIGNIFICANCE:g} sigma of 0",
+    "center_uncertain": f"no result: its centre is known no better than ± {MAX_CENTER_SIGMA_NM:g} nm",
+    "too_few_channels_in_window": "no result: too few usable channels in its window",
+    "window_not_covered": "no result: the spectrum covers {first:g}-{last:g} nm of it",
+    "no_tie_points": "the spectrum does not reach its tie points",
+    "spectrum_unusable": "no result: too few usable channels",
+}
+"""What the codes of `STATUSES` say."""
+
+
+def sentence(code: int, band: Band, deepest_nm: float, wavelength_nm: FloatArray) -> str:
+    """What a code says of a band of a spectrum with these usable channels (n,), deepest there. [nm, nm]"""
+    low, high = band.window_nm
+    inside = wavelength_nm[(wavelength_nm >= low) & (wavelength_nm <= high)] if code == NOT_COVERED else _NOTHING
+    first, last = (inside[0], inside[-1]) if inside.size else (np.nan, np.nan)
+    return SENTENCES[STATUSES[code]].format(
+        deepest=deepest_nm, low=band.centre_nm[0], high=band.centre_nm[1], others=band.others, first=first, last=last
+    )
+
+
+def note(code: int, wanted: str, band: Band, deepest_nm: float, wavelength_nm: FloatArray) -> str:
+    """Why the wanted continuum was not used over a band, or nothing; see `sentence`."""
+    return "" if code == OK else f"{wanted} not used: {sentence(code, band, deepest_nm, wavelength_nm)}"
 
 
 def measure_bands(
@@ -141,9 +359,10 @@ def measure_bands(
     ------
     DataError when too few or too many channels can be used, or where smoothing flattens a band.
     """
-    used = smoothing or Smoothing()
-    width_nm = _checked_width_nm(spectrum, used)
-    return _measure_together([spectrum], continuum_name, width_nm, used.order)[0]
+    found = measure_batch([spectrum], continuum_name=continuum_name, smoothing=smoothing)[0]
+    if isinstance(found, BandFailure):
+        raise DataError(f"{found.id}: {found.status.removeprefix('no result: ')}")
+    return found
 
 
 def measure_batch(
@@ -152,246 +371,61 @@ def measure_batch(
     progress: Callable[[int, int], None] | None = None,
     continuum_name: ContinuumName = "conic",
     smoothing: Smoothing | None = None,
-) -> list[SpectrumBands | BandFailure]:
+) -> BandsOfSpectra:
     """`measure_bands` for many spectra: one result or one stated reason each; `progress` takes (done, total)."""
     used = smoothing or Smoothing()
-    measured: dict[int, SpectrumBands | BandFailure] = {}
-    alike: dict[tuple[bytes, float], list[int]] = {}
+    batch = BandsOfSpectra(spectra, continuum_name, used)
+    alike: dict[tuple[bytes, int, bool], list[int]] = {}
     for number, spectrum in enumerate(spectra):
-        try:
-            width_nm = _checked_width_nm(spectrum, used)
-        except DataError as error:
-            reason = str(error).removeprefix(f"{spectrum.id}: ")
-            measured[number] = BandFailure(spectrum.id, f"no result: {reason}")
+        wavelength = spectrum.wavelength_nm[spectrum.usable]
+        if reason := _unusable(wavelength, used):
+            batch.reasons[number] = reason
         else:
-            alike.setdefault((spectrum.wavelength_nm[spectrum.usable].tobytes(), width_nm), []).append(number)
-    for (_, width_nm), numbers in alike.items():
-        for start in range(0, len(numbers), CHUNK):
-            chunk = numbers[start : start + CHUNK]
-            found = _measure_together([spectra[number] for number in chunk], continuum_name, width_nm, used.order)
-            measured |= dict(zip(chunk, found, strict=True))
-            if progress:
-                progress(len(measured), len(spectra))
-    return [measured[number] for number in range(len(spectra))]
+            key = wavelength.tobytes(), len(spectrum.systematic), spectrum.uncertainty is None
+            alike.setdefault(key, []).append(number)
+    done = len(batch.reasons)
+    for numbers in alike.values():
+        _measure_alike(batch, numbers)
+        done += len(numbers)
+        if progress:
+            progress(done, len(spectra))
+    return batch
 
 
-def _checked_width_nm(spectrum: Spectrum, smoothing: Smoothing) -> float:
-    count = int(spectrum.usable.sum())
+def _unusable(wavelength_nm: FloatArray, smoothing: Smoothing) -> str:
+    """Why bands cannot be measured in these channels, or nothing."""
+    count = wavelength_nm.size
     if count < FEWEST_CHANNELS:
-        raise DataError(f"{spectrum.id}: {count} usable channels; {FEWEST_CHANNELS} are needed to measure a band")
+        return f"{count} usable channels; {FEWEST_CHANNELS} are needed to measure a band"
     if count > MOST_CHANNELS:
-        raise DataError(f"{spectrum.id}: {count} channels are more than {MOST_CHANNELS}; average some of them")
+        return f"{count} channels are more than {MOST_CHANNELS}; average some of them"
     try:
-        return smoothing.width_nm(spectrum.wavelength_nm[spectrum.usable])
+        smoothing.width_nm(wavelength_nm)
     except DataError as error:
-        raise DataError(f"{spectrum.id}: {error}") from error
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Alike:
-    """m spectra with the same n usable channels: reflectance, smoothed, noise (m, n), shared errors of each."""
-
-    wavelength_nm: FloatArray
-    reflectance: FloatArray
-    smoothing: Any
-    smoothed: FloatArray
-    noise: FloatArray
-    shifts: Sequence[Sequence[FloatArray]]
-
-    def without(self, tied: Continuum) -> Removed:
-        """Without continua; these are left at 1 where they are not above 0."""
-        level = tied.values(self.smoothed)
-        level = np.where(level > 0, level, 1.0)
-        ratios = self.reflectance / level, self.smoothed / level
-        return Removed(self.wavelength_nm, self.noise, self.smoothing, tied, level, *ratios)
-
-
-def _measure_together(
-    spectra: Sequence[Spectrum], wanted: ContinuumName, width_nm: float, order: int
-) -> list[SpectrumBands]:
-    data = _alike(spectra, width_nm, order)
-    continua = _available_continua(data)
-    removed = {name: data.without(tied) for name, tied in continua.items()}
-    results = {band.key: _measure(data, band, wanted, removed) for band in BANDS}
-    curves = {name: tied.values(data.smoothed) for name, tied in continua.items()}
-    return [
-        SpectrumBands(
-            spectrum.id,
-            {key: found[row] for key, found in results.items()},
-            data.wavelength_nm,
-            data.reflectance[row],
-            data.smoothed[row],
-            {name: curve[row] for name, curve in curves.items()},
-        )
-        for row, spectrum in enumerate(spectra)
-    ]
-
-
-def _alike(spectra: Sequence[Spectrum], width_nm: float, order: int) -> _Alike:
-    from scipy.sparse import csr_array
-
-    wavelength = spectra[0].wavelength_nm[spectra[0].usable]
-    reflectance = np.array([item.reflectance[item.usable] for item in spectra])
-    operator = csr_array(smoothing_operator(wavelength, width_nm, order))
-    smoothed = (operator @ reflectance.T).T
-    noise = np.array([_noise(item, level) for item, level in zip(spectra, smoothed, strict=True)])
-    shifts = [[shift[item.usable] for shift in item.systematic.values()] for item in spectra]
-    return _Alike(wavelength, reflectance, operator.T.tocsr(), smoothed, noise, shifts)
-
-
-def _noise(spectrum: Spectrum, smoothed: FloatArray) -> FloatArray:
-    """As the spectrum states it; else its scatter, taken to follow the root of the signal as that of photons does."""
-    if spectrum.uncertainty is not None:
-        return channel_noise(spectrum)[spectrum.usable]
-    values = spectrum.reflectance[spectrum.usable]
-    root = np.sqrt(np.maximum(smoothed, 0.01 * values.max()))
-    return np.asarray(scatter_noise(values / root) * root)
-
-
-def _available_continua(data: _Alike) -> dict[str, Continuum]:
-    found: dict[str, Continuum] = {}
-    for name in CONTINUA:
-        try:
-            found[name] = continuum(name, data.wavelength_nm, data.smoothed)
-        except DataError:
-            continue
-    return found
-
-
-def _between(wavelength_nm: FloatArray, limits_nm: tuple[float, float]) -> BoolArray:
-    return (wavelength_nm >= limits_nm[0]) & (wavelength_nm <= limits_nm[1])
-
-
-def _measure(data: _Alike, band: Band, wanted: str, removed: Mapping[str, Removed]) -> list[BandResult]:
-    """One band of all spectra, under the wanted continuum or the first that is fit for use."""
-    inside, allowed = (_between(data.wavelength_nm, limits) for limits in (band.window_nm, band.centre_nm))
-    missing = _not_covered(data.wavelength_nm[inside], band)
-    if missing:
-        return [BandResult(continuum="none", status=missing)] * len(data.shifts)
-    order = [name for name in dict.fromkeys((wanted, "hull", "linear")) if name in removed]
-    under: list[dict[str, BandResult]] = [{} for _ in data.shifts]
-    for name in order:
-        rows = np.array([row for row, tried in enumerate(under) if not _settled(tried)], int)
-        if rows.size:
-            for row, result in zip(rows, _measure_under(data, band, removed[name].of(rows), inside, rows), strict=True):
-                under[row][name] = result
-    chosen = [_chosen(tried, wanted) for tried in under]
-    return _with_spreads(chosen, removed, inside, allowed)
-
-
-def _not_covered(wavelength_nm: FloatArray, band: Band) -> str:
-    if wavelength_nm.size < FEWEST_IN_WINDOW:
-        return "no result: too few usable channels in its window"
-    low, high = wavelength_nm[[0, -1]]
-    if low > band.reach_nm[0] or high < band.reach_nm[1]:
-        return f"no result: the spectrum covers {low:g}-{high:g} nm of it"
+        return str(error)
     return ""
 
 
-def _settled(tried: Mapping[str, BandResult]) -> bool:
-    return any(result.status == "ok" for result in tried.values())
-
-
-def _chosen(tried: Mapping[str, BandResult], wanted: str) -> BandResult:
-    """The first that is fit for use, and why it is not the wanted one."""
-    good = next((result for result in tried.values() if result.status == "ok"), None)
-    why = tried[wanted].status if wanted in tried else "the spectrum does not reach its tie points"
-    note = "" if good and good.continuum == wanted else f"{wanted} not used: {why}"
-    return replace(good, note=note) if good else BandResult(continuum="hull", status=tried["hull"].status, note=note)
-
-
-def _with_spreads(
-    chosen: Sequence[BandResult], removed: Mapping[str, Removed], inside: BoolArray, allowed: BoolArray
-) -> list[BandResult]:
-    """With what other continua and another definition of the centre differ by."""
-    by_continuum = np.array([centres(item, inside, allowed) for item in removed.values()])
-    results = list(chosen)
-    for name, item in removed.items():
-        rows = np.array([k for k, one in enumerate(chosen) if one.center_nm is not None and one.continuum == name], int)
-        gaussian = gaussian_centres(item.of(rows), inside, allowed)
-        for row, center in zip(rows, gaussian, strict=True):
-            others = {round(float(c), 6) for c in by_continuum[:, row] if np.isfinite(c)}
-            spread = (max(others) - min(others)) / 2 if len(others) > 1 else None
-            method = abs(float(center) - (chosen[row].center_nm or 0.0)) / 2 if np.isfinite(center) else None
-            results[row] = replace(chosen[row], center_systematic_nm=spread, center_method_nm=method)
-    return results
-
-
-def _measure_under(data: _Alike, band: Band, removed: Removed, inside: BoolArray, rows: Indices) -> list[BandResult]:
-    """One band under one continuum; a status other than `ok` says why it is not used, even where there is a centre."""
-    allowed = _between(data.wavelength_nm, band.centre_nm)
-    found = shapes(removed, inside, allowed, band.bias)
-    positive: BoolArray = np.all(removed.tied.values(data.smoothed[rows])[:, inside] > 0, axis=1)
-    results = []
-    for k, row in enumerate(rows):
-        ratio = removed.smoothed[k]
-        if not positive[k]:
-            status = "its continuum falls to zero in the window"
-        elif reason := _no_band(found, k, band, data.wavelength_nm[inside], ratio[inside]):
-            status = _objection(removed.tied.name, ratio, inside) or reason if found.inner[k] else reason
-        else:
-            status = _objection(removed.tied.name, ratio, inside)
-            results.append(_result(found, k, removed.tied.name, status or "ok", data.shifts[row]))
-            continue
-        results.append(BandResult(continuum=removed.tied.name, status=status))
-    return results
-
-
-def _no_band(found: Shapes, k: int, band: Band, wavelength_nm: FloatArray, ratio: FloatArray) -> str:
-    """Why there is no band, or nothing."""
-    low, high = band.centre_nm
-    if not found.inner[k]:
-        deepest = float(wavelength_nm[np.argmin(ratio)])
-        if low < deepest < high:
-            return "no band: too few channels as deep as its deepest"
-        return (
-            f"no band: deepest at {deepest:.0f} nm; olivine and pyroxene have theirs at {low:g}-{high:g} nm "
-            f"({band.others})"
-        )
-    if not (found.found[k] and low <= found.center_nm[k] <= high):
-        return "no band: no minimum within the deepest channels"
-    if found.depth[k] < max(MIN_SIGNIFICANCE * found.depth_sigma[k], LEAST_DEPTH):
-        return f"no band: its depth is within {MIN_SIGNIFICANCE:g} sigma of 0"
-    if found.center_sigma_nm[k] > MAX_CENTER_SIGMA_NM:
-        return f"no result: its centre is known no better than ± {MAX_CENTER_SIGMA_NM:g} nm"
-    return ""
-
-
-def _objection(name: str, ratio: FloatArray, inside: BoolArray) -> str:
-    """Why a continuum is not fit for use over a band, or nothing."""
-    if ratio[inside].max() - 1 > CROSSING_SHARE * (1 - ratio[inside].min()):
-        return "its continuum runs below the spectrum in the window"
-    if _runs_away(name, ratio, inside):
-        return "its continuum runs away above the spectrum in the window"
-    return ""
-
-
-def _runs_away(name: str, ratio: FloatArray, inside: BoolArray) -> bool:
-    """A continuum extrapolated beyond its last tie makes a band of its own where it leaves the spectrum behind."""
-    if name != "conic" or not inside[-1]:
-        return False
-    end = 1 - ratio[-END_CHANNELS:].mean()
-    return bool(end > RUNAWAY_SHARE * (1 - ratio[inside].min()))
-
-
-def _result(found: Shapes, k: int, name: str, status: str, shifts: Sequence[FloatArray]) -> BandResult:
-    return BandResult(
-        center_nm=float(found.center_nm[k]),
-        center_sigma_nm=float(found.center_sigma_nm[k]),
-        depth=float(found.depth[k]),
-        depth_sigma=float(found.depth_sigma[k]),
-        area_nm=float(found.area_nm[k]),
-        area_sigma_nm=float(found.area_sigma_nm[k]),
-        asymmetry=float(found.asymmetry[k]),
-        asymmetry_sigma=float(found.asymmetry_sigma[k]),
-        center_calibration_nm=_shared(found.slopes["center"][k], shifts),
-        depth_calibration=_shared(found.slopes["depth"][k], shifts),
-        area_calibration_nm=_shared(found.slopes["area"][k], shifts),
-        continuum=name,
-        status=status,
+def _measure_alike(batch: BandsOfSpectra, numbers: Sequence[int]) -> None:
+    own = [batch.spectra[number] for number in numbers]
+    masks = [item.usable for item in own]
+    wavelength = own[0].wavelength_nm[masks[0]]
+    values = np.array([item.reflectance[mask] for item, mask in zip(own, masks, strict=True)])
+    sigma = None
+    if own[0].uncertainty is not None:
+        sigma = np.array([item.uncertainty[mask] for item, mask in zip(own, masks, strict=True)])  # type: ignore[index]
+    shifts = np.array(
+        [[shift[mask] for shift in item.systematic.values()] for item, mask in zip(own, masks, strict=True)]
+    ).reshape(len(own), -1, wavelength.size)
+    width_nm = batch.smoothing.width_nm(wavelength)
+    _measure(
+        batch.arrays,
+        np.array(numbers),
+        wavelength,
+        values,
+        sigma,
+        shifts,
+        batch.wanted,
+        width_nm,
+        batch.smoothing.order,
     )
-
-
-def _shared(sensitivity: FloatArray, shifts: Sequence[FloatArray]) -> float | None:
-    """Standard deviation of a quantity with these derivatives from errors that shift all channels together."""
-    return float(np.sqrt(sum((sensitivity @ shift) ** 2 for shift in shifts))) if shifts else None

@@ -8,6 +8,7 @@ the time.
 
 import argparse
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +35,7 @@ def table(folder: Path, kind: str) -> tuple[np.ndarray, np.ndarray]:
     return frame.iloc[:, 0].to_numpy(float), frame.iloc[:, 1:].to_numpy(float).T
 
 
-def measured(wavelength: np.ndarray, spectra: np.ndarray, name: str) -> list[SpectrumBands | BandFailure]:
+def measured(wavelength: np.ndarray, spectra: np.ndarray, name: str) -> Sequence[SpectrumBands | BandFailure]:
     """Bands of spectra whose noise is not stated."""
     return measure_batch([Spectrum("x", wavelength, values) for values in spectra], continuum_name=name)  # type: ignore[arg-type]
 
@@ -65,9 +66,7 @@ def coverage(
 def other_centres(wavelength: np.ndarray, spectra: np.ndarray) -> dict[str, np.ndarray]:
     """Minima of the spectra over their hulls, smoothed over 75 nm, by band. [nm]"""
     smoothed = spectra @ smoothing_operator(wavelength).T
-    ratio = (spectra @ smoothing_operator(wavelength, 75.0, 2).T) / continuum("hull", wavelength, smoothed).values(
-        smoothed
-    )
+    ratio = (spectra @ smoothing_operator(wavelength, 75.0, 2).T) / continuum("hull", wavelength, smoothed)
     found = {}
     for key, (low, high) in {"1000": (870.0, 1200.0), "2000": (1700.0, 2400.0)}.items():
         near = np.flatnonzero((wavelength >= low) & (wavelength <= high))

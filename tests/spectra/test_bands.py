@@ -164,7 +164,7 @@ def made_up(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, float]:
     )[rng.integers(3)]
     ln = sum(-strength * s * np.exp(-4 * np.log(2) * ((fine - c) / w) ** 2) for s, c, w in bands)
     values = 0.2 * np.exp(ln)
-    hull = continuum("hull", fine, values[None]).values(values[None])[0]
+    hull = continuum("hull", fine, values[None])[0]
     near = np.flatnonzero((fine > 870) & (fine < 1200))
     return GRID, values[::10], float(fine[near[np.argmin((values / hull)[near])]])
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.spectra.continuum import CONIC_TIES_NM, SHOULDERS_NM, ContinuumName, continuum, hull_ties, upper_hull
+from lunarsci.spectra.continuum import CONIC_TIES_NM, SHOULDERS_NM, ContinuumName, continuum, upper_hull
 
 GRID = np.arange(450.0, 2396.0, 5.0)
 
@@ -16,7 +16,7 @@ def spectrum() -> np.ndarray:
 
 
 def of_one(name: ContinuumName, values: np.ndarray) -> np.ndarray:
-    return np.asarray(continuum(name, GRID, values[None]).values(values[None])[0])
+    return np.asarray(continuum(name, GRID, values[None])[0])
 
 
 def test_conic_is_the_parabola_through_its_three_points() -> None:
@@ -33,7 +33,6 @@ def test_hull_has_the_vertices_of_scipys_convex_hull() -> None:
     chord = y[0] + (y[-1] - y[0]) * (GRID - GRID[0]) / (GRID[-1] - GRID[0])
     upper = sorted(i for i in hull.vertices if y[i] >= chord[i] - 1e-12)
     assert upper_hull(GRID, y) == upper
-    assert np.flatnonzero(hull_ties(GRID, np.array([y, -y]))[0]).tolist() == upper
 
 
 def test_hull_lies_on_or_above_the_spectrum() -> None:
@@ -48,20 +47,6 @@ def test_linear_meets_the_spectrum_at_its_ties() -> None:
         inside = np.flatnonzero((low <= GRID) & (high >= GRID))
         at = inside[np.argmax(values[inside])]
         assert level[at] == pytest.approx(values[at], rel=1e-12)
-
-
-@pytest.mark.parametrize("name", ["conic", "hull", "linear"])
-def test_derivatives_are_those_of_a_changed_spectrum(name: ContinuumName) -> None:
-    """A weighted sum over the continuum, with the change of a channel small enough to keep the ties."""
-    values = np.array([spectrum(), 2 * spectrum()[::-1]])
-    weights = np.random.default_rng(4).normal(size=values.shape)
-    tied = continuum(name, GRID, values)
-    slopes = tied.carried(weights)
-    for channel in (0, 50, 179, 226, 389):
-        change = np.zeros_like(values)
-        change[:, channel] = 1e-7
-        difference = np.sum(weights * (tied.values(values + change) - tied.values(values)), axis=1)
-        assert slopes[:, channel] == pytest.approx(difference / 1e-7, rel=1e-6, abs=1e-7)
 
 
 def test_a_spectrum_that_ends_before_the_ties_says_what_to_use() -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from lunarsci.spectra.band_shape import BANDS
+from lunarsci.spectra.band_rows import BANDS
 from lunarsci.spectra.bands import SpectrumBands
 from lunarsci.spectra.mgm.result import MgmFit
 
@@ -58,20 +58,20 @@ def _pages(
 
 
 def _draw_bands(upper: Any, lower: Any, item: SpectrumBands) -> None:
-    wavelength = item.wavelength_nm
+    wavelength, smoothed, continua = item.wavelength_nm, item.smoothed, item.continua
     upper.plot(wavelength, item.reflectance, ".", color="0.65", markersize=3, label="measured")
-    upper.plot(wavelength, item.smoothed, color="black", linewidth=1, label="smoothed")
+    upper.plot(wavelength, smoothed, color="black", linewidth=1, label="smoothed")
     for band in BANDS:
         name = item.bands[band.key].continuum
-        if name not in item.continua:
+        if name not in continua:
             continue
         inside = (wavelength >= band.window_nm[0]) & (wavelength <= band.window_nm[1])
-        x, level, color = wavelength[inside], item.continua[name][inside], CONTINUUM_COLORS[name]
+        x, level, color = wavelength[inside], continua[name][inside], CONTINUUM_COLORS[name]
         upper.plot(x, level, "--", linewidth=1.2, color=color, label=f"{name} continuum, {band.key} nm band")
         lower.plot(x, item.reflectance[inside] / level, ".", markersize=2, color=color, alpha=0.4)
-        lower.plot(x, item.smoothed[inside] / level, linewidth=1, color=color)
-    top = float(np.max(item.smoothed))
-    upper.set_ylim(max(0.0, float(np.min(item.smoothed)) - 0.15 * top), 1.2 * top)
+        lower.plot(x, smoothed[inside] / level, linewidth=1, color=color)
+    top = float(np.max(smoothed))
+    upper.set_ylim(max(0.0, float(np.min(smoothed)) - 0.15 * top), 1.2 * top)
     lower.axhline(1, color="0.8", linewidth=0.8, zorder=0)
     lower.set_ylim(max(0.0, 1 - 1.4 * _deepest(item)), 1 + 0.35 * _deepest(item))
     _mark_centres(lower, item)

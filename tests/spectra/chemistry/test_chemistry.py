@@ -177,7 +177,7 @@ def test_measured_bands_speak_and_missing_ones_do_not() -> None:
 def test_every_kind_of_error_of_a_centre_counts() -> None:
     def sigma(**extra: float) -> float:
         one = BandResult(center_nm=930.0, center_sigma_nm=3.0, depth=0.3, continuum="hull", **extra)
-        bands = SpectrumBands("x", {"1000": one, "2000": BandResult(continuum="none")}, *(np.empty(0),) * 3, {})
+        bands = SpectrumBands("x", {"1000": one, "2000": BandResult(continuum="none")})
         return chemistry(bands)["fs_trend_bc1000"].sigma
 
     scatter = regressions()["fs_trend_bc1000"].sigma(930.0, 0.0)
