@@ -2,21 +2,17 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.compiled import each_in_threads
-from lunarsci.spectra.band_shape import (
+from lunarsci.spectra.band_polynomial import (
     AREA,
     CURVE,
-    LEAST_DEPTH,
     LEVEL,
     NOISE,
-    NOTHING,
     PER_LEVEL,
     RATIO,
     ROWS,
@@ -25,18 +21,65 @@ from lunarsci.spectra.band_shape import (
     VALUES,
     WAVELENGTH,
     WEIGHT,
-    WIDE,
     WIDE_DEPTH,
     WIDE_NM,
+    kernel,
+)
+from lunarsci.spectra.band_shape import (
+    LEAST_DEPTH,
+    NOTHING,
+    WIDE,
     Shape,
     Smoother,
     centre,
     gaussian_centre,
-    kernel,
     shape,
     smooth,
     window_of,
-)  # fmt: skip
+)
+from lunarsci.spectra.band_status import (
+    AREA_CALIBRATION,
+    AREA_NM,
+    AREA_SIGMA,
+    ASYMMETRY_SHARE,
+    ASYMMETRY_SIGMA,
+    AWAY,
+    BANDS,
+    BELOW,
+    CENTER,
+    CENTER_CALIBRATION,
+    CENTER_SIGMA,
+    CODES,
+    CONTINUUM,
+    CROSSING_SHARE,
+    DEEPEST,
+    DEPTH,
+    DEPTH_CALIBRATION,
+    DEPTH_SIGMA,
+    ELSEWHERE,
+    END_CHANNELS,
+    FALLS,
+    FEW,
+    MAX_CENTER_SIGMA_NM,
+    METHOD,
+    MIN_SIGNIFICANCE,
+    NO_MINIMUM,
+    NO_TIES,
+    NOT_COVERED,
+    NOTE,
+    NOTE_DEEPEST,
+    OK,
+    QUANTITIES,
+    RUNAWAY_SHARE,
+    SHALLOW,
+    SPARSE,
+    STATUS,
+    SYSTEMATIC,
+    UNCERTAIN,
+    UNUSABLE,
+    Band,
+    Codes,
+)
 from lunarsci.spectra.continuum import (
     CONIC,
     CONTINUA,
@@ -52,92 +95,13 @@ from lunarsci.spectra.continuum import (
 from lunarsci.spectra.noise import scatter_noise_rows
 from lunarsci.spectra.spectrum import smoothing_operator
 
-
-@dataclass(frozen=True, slots=True)
-class Band:
-    """Where an absorption band lies.
-
-    Attributes
-    ----------
-    window_nm, centre_nm, reach_nm : its window, where its centre may lie, what a spectrum must reach. [nm]
-    others : what else absorbs nearby.
-    bias : standard deviation of the bias of a minimum in the wide window, in half widths of that. [-]
-    """
-
-    key: str
-    window_nm: tuple[float, float]
-    centre_nm: tuple[float, float]
-    reach_nm: tuple[float, float]
-    others: str
-    bias: float
-
-
-BANDS = (
-    Band(
-        "1000", (700.0, 1580.0), (870.0, 1200.0), (850.0, 1200.0),
-        "iron oxides have theirs below 870, feldspar at 1250, water at 1400 nm", 0.02,
-    ),
-    Band("2000", (1580.0, 2500.0), (1700.0, 2400.0), (1750.0, 2150.0), "hydroxyl has its beyond 2200 nm", 0.04),
-)  # fmt: skip
-"""The windows meet at the 1580 nm tie of the paper's continuum. Centres are those that mafic silicates have, with a
-margin: pyroxenes 900-1060 and 1800-2380 nm (Adams 1974, 10.1029/JB079i032p04829; Cloutis & Gaffey 1991,
-10.1029/91JE02512, whose type A has a second minimum near 1150 nm), olivines 1040-1090 nm (King & Ridley 1987,
-10.1029/JB092iB11p11457). Water and hydroxyl absorb at 1400 nm (Hunt 1977, 10.1190/1.1440721), feldspar at 1250 nm
-(Adams & Goullaud 1978, Proc. Lunar Planet. Sci. Conf. 9, 2901). Biases are those measured on every second of 409
-laboratory spectra of minerals, mixtures and meteorites: 68 and 90 % of the minima are off by less than 0.016 and 0.038
-at 1 um, 0.037 and 0.069 at 2 um.
-"""
 FEWEST_IN_WINDOW = 14
 CHUNK = 256
 """Spectra that a thread takes at a time."""
-MIN_SIGNIFICANCE = 4.5
-"""Depth over its standard error below which there is no band. The deepest of many channels of pure noise exceeds 3 in a
-quarter and 4.5 in 0.4 % of the windows of 400 simulated flat spectra."""
-END_CHANNELS, RUNAWAY_SHARE = 8, 0.5
-"""An extrapolated continuum that is this share of the band's depth above the last channels is not used; assumed. On 172
-laboratory and 88 rover spectra it parts the centres that agree with the hull's from those that do not.
-"""
-MAX_CENTER_SIGMA_NM = 100.0
-"""A centre known no better than this says nothing about a mineral; it is not reported."""
-CROSSING_SHARE = 0.25
-"""A continuum may run below the smoothed spectrum by this share of the band's depth, no more; assumed."""
 SAME_NM = 1e-6
 """Centres closer than this are those of the same tie points."""
 LEAST_SIGNAL = 0.01
 """Share of the brightest channel that stands for a darker one where noise is that of photons; assumed."""
-
-STATUSES = (
-    "ok",
-    "continuum_falls_to_zero",
-    "continuum_below_spectrum",
-    "continuum_runs_away",
-    "too_few_deep_channels",
-    "deepest_elsewhere",
-    "no_minimum",
-    "depth_within_noise",
-    "center_uncertain",
-    "too_few_channels_in_window",
-    "window_not_covered",
-    "no_tie_points",
-    "spectrum_unusable",
-)
-"""Why there is no band, or why the wanted continuum was not used: names of the codes from 0."""
-(
-    OK, FALLS, BELOW, AWAY, FEW, ELSEWHERE, NO_MINIMUM, SHALLOW, UNCERTAIN, SPARSE, NOT_COVERED, NO_TIES, UNUSABLE
-) = range(len(STATUSES))  # fmt: skip
-
-QUANTITIES = (
-    "center_nm", "center_sigma_nm", "center_systematic_nm", "center_method_nm", "depth", "depth_sigma", "area_nm",
-    "area_sigma_nm", "asymmetry", "asymmetry_sigma", "center_calibration_nm", "depth_calibration",
-    "area_calibration_nm", "deepest_nm", "note_deepest_nm",
-)  # fmt: skip
-(
-    CENTER, CENTER_SIGMA, SYSTEMATIC, METHOD, DEPTH, DEPTH_SIGMA, AREA_NM, AREA_SIGMA, ASYMMETRY_SHARE,
-    ASYMMETRY_SIGMA, CENTER_CALIBRATION, DEPTH_CALIBRATION, AREA_CALIBRATION, DEEPEST, NOTE_DEEPEST
-) = range(len(QUANTITIES))  # fmt: skip
-Codes = npt.NDArray[np.int8]
-CODES = ("continuum", "status", "note")
-CONTINUUM, STATUS, NOTE = range(len(CODES))
 
 
 class Places(NamedTuple):
@@ -160,7 +124,7 @@ class Places(NamedTuple):
     order: IntArray
 
 
-class Grid(NamedTuple):
+class BandGrid(NamedTuple):
     """What spectra on the same n channels share: channels and their gradient, (n,) [nm], smoothing, and ties."""
 
     wavelength_nm: FloatArray
@@ -169,7 +133,7 @@ class Grid(NamedTuple):
     ties: Ties
 
 
-def grid_of(wavelength_nm: FloatArray, width_nm: float, order: int) -> Grid:
+def grid_of(wavelength_nm: FloatArray, width_nm: float, order: int) -> BandGrid:
     """What spectra on these ascending channels share, smoothed over so many nm with a polynomial of this order."""
     operator = smoothing_operator(wavelength_nm, width_nm, order)
     used = operator != 0
@@ -177,7 +141,7 @@ def grid_of(wavelength_nm: FloatArray, width_nm: float, order: int) -> Grid:
     width = int((wavelength_nm.size - np.argmax(used[:, ::-1], axis=1) - first).max())
     first = np.minimum(first, wavelength_nm.size - width)
     weights = np.take_along_axis(operator, first[:, None] + np.arange(width), axis=1)
-    return Grid(
+    return BandGrid(
         wavelength_nm,
         np.gradient(wavelength_nm),
         Smoother(first, np.ascontiguousarray(weights)),
@@ -185,7 +149,7 @@ def grid_of(wavelength_nm: FloatArray, width_nm: float, order: int) -> Grid:
     )
 
 
-def places_of(grid: Grid, wanted: int) -> Places:
+def places_of(grid: BandGrid, wanted: int) -> Places:
     """Where the bands lie among these channels, and the continua to try, the wanted one first."""
     wavelength = grid.wavelength_nm
     bands = [[*_range(wavelength, band.window_nm), *_range(wavelength, band.centre_nm)] for band in BANDS]
@@ -210,7 +174,7 @@ def _missing(inside_nm: FloatArray, band: Band) -> int:
 
 
 def measure_rows(
-    grid: Grid,
+    grid: BandGrid,
     wanted: int,
     reflectance: Any,
     sigma: FloatArray | None,

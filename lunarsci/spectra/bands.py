@@ -13,25 +13,19 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import DataError
-from lunarsci.spectra.band_rows import (
+from lunarsci.spectra.band_rows import grid_of, measure_rows, nothing_of
+from lunarsci.spectra.band_status import (
     BANDS,
     CONTINUUM,
     DEEPEST,
-    MAX_CENTER_SIGMA_NM,
-    MIN_SIGNIFICANCE,
-    NOT_COVERED,
     NOTE,
     NOTE_DEEPEST,
-    OK,
     QUANTITIES,
     STATUS,
-    STATUSES,
-    Band,
     Codes,
-    grid_of,
-    measure_rows,
-    nothing_of,
-)  # fmt: skip
+    note,
+    sentence,
+)
 from lunarsci.spectra.continuum import CONTINUA, ContinuumName, continuum
 from lunarsci.spectra.spectrum import Smoothing, Spectrum, smoothing_operator
 
@@ -307,40 +301,6 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
             status=sentence(codes[STATUS], band, numbers[DEEPEST], wavelength_nm),
             note=note(codes[NOTE], self.wanted, band, numbers[NOTE_DEEPEST], wavelength_nm),
         )
-
-
-SENTENCES = {
-    "ok": "ok",
-    "continuum_falls_to_zero": "its continuum falls to zero in the window",
-    "continuum_below_spectrum": "its continuum runs below the spectrum in the window",
-    "continuum_runs_away": "its continuum runs away above the spectrum in the window",
-    "too_few_deep_channels": "no band: too few channels as deep as its deepest",
-    "deepest_elsewhere": "no band: deepest at {deepest:.0f} nm; "
-    "olivine and pyroxene have theirs at {low:g}-{high:g} nm ({others})",
-    "no_minimum": "no band: no minimum within the deepest channels",
-    "depth_within_noise": f"no band: its depth is within {MIN_SIGNIFICANCE:g} sigma of 0",
-    "center_uncertain": f"no result: its centre is known no better than ± {MAX_CENTER_SIGMA_NM:g} nm",
-    "too_few_channels_in_window": "no result: too few usable channels in its window",
-    "window_not_covered": "no result: the spectrum covers {first:g}-{last:g} nm of it",
-    "no_tie_points": "the spectrum does not reach its tie points",
-    "spectrum_unusable": "no result: too few usable channels",
-}
-"""What the codes of `STATUSES` say."""
-
-
-def sentence(code: int, band: Band, deepest_nm: float, wavelength_nm: FloatArray) -> str:
-    """What a code says of a band of a spectrum with these usable channels (n,), deepest there. [nm, nm]"""
-    low, high = band.window_nm
-    inside = wavelength_nm[(wavelength_nm >= low) & (wavelength_nm <= high)] if code == NOT_COVERED else _NOTHING
-    first, last = (inside[0], inside[-1]) if inside.size else (np.nan, np.nan)
-    return SENTENCES[STATUSES[code]].format(
-        deepest=deepest_nm, low=band.centre_nm[0], high=band.centre_nm[1], others=band.others, first=first, last=last
-    )
-
-
-def note(code: int, wanted: str, band: Band, deepest_nm: float, wavelength_nm: FloatArray) -> str:
-    """Why the wanted continuum was not used over a band, or nothing; see `sentence`."""
-    return "" if code == OK else f"{wanted} not used: {sentence(code, band, deepest_nm, wavelength_nm)}"
 
 
 def measure_bands(

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from lunarsci.spectra.band_rows import BANDS
+from lunarsci.spectra.band_status import BANDS
 from lunarsci.spectra.bands import SpectrumBands
 from lunarsci.spectra.mgm.result import MgmFit
 
