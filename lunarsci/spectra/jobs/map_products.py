@@ -57,7 +57,7 @@ class BandsProduct:
 
     @property
     def layers(self) -> Sequence[Layer]:
-        from lunarsci.spectra.band_shape import BANDS
+        from lunarsci.spectra.band_status import BANDS
         from lunarsci.spectra.continuum import CONTINUA
 
         found = []
@@ -83,22 +83,15 @@ class BandsProduct:
         """Each layer of spectra."""
         import numpy as np
 
-        from lunarsci.spectra.bands import SpectrumBands, measure_batch
-        from lunarsci.spectra.continuum import CONTINUA
-        from lunarsci.spectra.spectrum import Smoothing, Spectrum
+        from lunarsci.spectra.bands import band_arrays
+        from lunarsci.spectra.spectrum import Smoothing
 
-        spectra = [Spectrum("", wavelength_nm, row) for row in reflectance]
-        found = measure_batch(spectra, continuum_name=self.continuum, smoothing=Smoothing(window_nm=self.smooth_nm))
-        values: dict[str, Any] = {layer.name: np.full(len(spectra), np.nan) for layer in self.layers}
-        for row, item in enumerate(found):
-            if isinstance(item, SpectrumBands):
-                for key, band in item.bands.items():
-                    for name, (attribute, _, _) in _BAND_COLUMNS.items():
-                        value = getattr(band, attribute)
-                        values[name.format(key)][row] = np.nan if value is None else value
-                    values[f"band{key}_continuum"][row] = (
-                        list[str](CONTINUA).index(band.continuum) if band.center_nm else -1
-                    )
+        smoothing = Smoothing(window_nm=self.smooth_nm)
+        found = band_arrays(wavelength_nm, reflectance, continuum_name=self.continuum, smoothing=smoothing)
+        values: dict[str, Any] = {}
+        for key, band in found.bands.items():
+            values |= {name.format(key): getattr(band, attribute) for name, (attribute, _, _) in _BAND_COLUMNS.items()}
+            values[f"band{key}_continuum"] = np.where(np.isfinite(band.center_nm), band.continuum, -1.0)
         return values
 
 
