@@ -12,7 +12,7 @@ Where blocks are computed is said once, around whatever computes::
 import contextlib
 import os
 import re
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextvars import ContextVar
@@ -66,6 +66,7 @@ class Computing:
     force: bool = False
     _client: Any = field(default=None, init=False, repr=False)
     _kept: list[KeptBlocks] = field(default_factory=list, init=False, repr=False)
+    _stages: Counter[str] = field(default_factory=Counter, init=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.workers is not None and self.workers < 1:
@@ -89,6 +90,15 @@ class Computing:
 
             self._client = connect(str(self.scheduler))
         return self._client
+
+    def folder_of(self, stage: str) -> Path:
+        """Where blocks are kept; each stage of a computation has a name of its own, in the order they come."""
+        if self.keep is None:
+            raise RequestError("blocks are kept beside a file; give `keep`")
+        name = re.sub(r"[^\w-]+", "-", stage)
+        self._stages[name] += 1
+        number = f"-{self._stages[name]}" if self._stages[name] > 1 else ""
+        return self.keep.with_name(f"{self.keep.name}.partial") / f"{name}{number}"
 
     def close(self, *, done: bool) -> None:
         """Leave the scheduler, and the folders of done blocks, which are of no more use if all is `done`."""
@@ -250,7 +260,7 @@ def blocks_in_order(
     rows: int,
     *,
     stage: str,
-    about: Mapping[str, str],
+    about: Mapping[str, str] | Callable[[], Mapping[str, str]],
     fetch: Callable[[range], Any] | None = None,
     progress: Progress | None = None,
 ) -> Iterator[tuple[range, Arrays]]:
@@ -260,9 +270,9 @@ def blocks_in_order(
     ----------
     work : gives arrays by name, none of them of Python objects.
     rows : of a block; a computation that goes on has the blocks that it began with.
-    stage : what is computed, a name for a folder.
-    about : what the answer depends on: options and digests of inputs, by name. Blocks that were kept for anything else,
-        or by another version, are refused with what differs.
+    stage : what is computed, a name for a folder; the second of a name gets a number.
+    about : what the answer depends on, options and digests of inputs, by name; a function of it is called where blocks
+        are kept. Blocks that were kept for anything else, or by another version, are refused with what differs.
 
     Raises OutputError where blocks cannot be kept, or are those of another computation.
     """
@@ -270,7 +280,7 @@ def blocks_in_order(
     if here is None or here.keep is None or total <= rows:
         yield from _in_order(run_blocks(work, spans(total, rows), fetch=fetch, progress=progress))
         return
-    kept = KeptBlocks(_folder(here.keep) / stage, about, total, rows, force=here.force)
+    kept = KeptBlocks(here.folder_of(stage), about() if callable(about) else about, total, rows, force=here.force)
     here._kept.append(kept)
     todo = [block for block in kept.blocks if block.start not in kept.done]
     for block, arrays in run_blocks(work, todo, fetch=fetch, progress=progress, done=total - sum(map(len, todo))):
@@ -300,7 +310,3 @@ def _in_order(found: Iterator[tuple[range, Any]]) -> Iterator[tuple[range, Any]]
         while due in early:
             yield early[due]
             due = early.pop(due)[0].stop
-
-
-def _folder(file: Path) -> Path:
-    return file.with_name(f"{file.name}.partial")

@@ -37,7 +37,7 @@ def failing_at(block: range) -> dict[str, Any]:
 
 
 def collected(work: Any = squares, **about: str) -> np.ndarray[Any, Any]:
-    found = list(blocks_in_order(work, TOTAL, ROWS, stage="squares", about=ABOUT | about))
+    found = list(blocks_in_order(work, TOTAL, ROWS, stage="squares", about=lambda: ABOUT | about))
     assert [block for block, _ in found] == spans(TOTAL, ROWS)
     return np.concatenate([arrays["square"] for _, arrays in found])
 

@@ -9,7 +9,7 @@ import typer
 from lunarsci.spectra.jobs.fit import FitRequest, MgmFits, fit
 
 from ..shared.command import command
-from ..shared.options import Output, RequestOption, option
+from ..shared.options import BLOCKS, Output, RequestOption, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
@@ -88,7 +88,7 @@ PERCENT_OF = {
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "fit", request=FitRequest, options=OPTIONS)(fit_spectra)
+    command(app, "fit", request=FitRequest, options=OPTIONS, blocks=BLOCKS)(fit_spectra)
 
 
 def fit_spectra(files: Files, request: FitRequest, output: Output) -> Report:

@@ -122,8 +122,11 @@ class FitBatch:
 
     def part(self, rows: Any) -> "FitBatch":
         """Some of the rows."""
-        columns: dict[str, Any] = {name: getattr(self, name)[rows] for name in COLUMNS}
-        return FitBatch(**columns, model=self.model)
+        return FitBatch(**{name: column[rows] for name, column in self.columns().items()}, model=self.model)
+
+    def columns(self) -> dict[str, Any]:
+        """The arrays by name."""
+        return {name: getattr(self, name) for name in COLUMNS}
 
     def fit(self, row: int, data: MgmData) -> MgmFit:
         """One row with the data that it was made of."""

@@ -7,6 +7,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
+from lunarsci.provenance import sha256
 from lunarsci.spectra.noise import deepest_below_hull, scatter_noise_rows
 from lunarsci.spectra.spectrum import Spectrum
 
@@ -68,6 +69,11 @@ class MgmRows:
         return MgmRows(
             self.wavelength_nm, self.reflectance[rows], self.weight[rows], self.shifts[rows], self.model_error[rows]
         )
+
+    def digest(self) -> str:
+        """SHA-256 of all of them."""
+        arrays = (self.wavelength_nm, self.reflectance, self.weight, self.shifts, self.model_error)
+        return sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays))
 
     def at(self, row: int, name: str) -> MgmData:
         """One of them."""

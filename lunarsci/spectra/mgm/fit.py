@@ -1,15 +1,18 @@
 """Fit the Modified Gaussian Model to spectra: maximum a posteriori, several starts, one kernel for all."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numba
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
+from lunarsci.blocks import arrays_in_blocks, rows_in_memory
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.formulas import LANES
+from lunarsci.provenance import sha256
 from lunarsci.spectra.mgm.batch import MOST_ROWS, FitBatch, SpectraFits, describe_rows, joined
 from lunarsci.spectra.mgm.data import MgmData, MgmRows, prepare_rows
 from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, KernelFits
@@ -69,17 +72,44 @@ def fit_spectra(
     _check_options(model_error, starts)
     parts: list[tuple[IndexArray, MgmRows, FitBatch]] = []
     failures: dict[int, MgmFailure] = {}
-    for chunk in _chunks(spectra):
+    for group in _groups(spectra):
+        before = len(failures) + sum(len(part[0]) for part in parts)
+        told = None if progress is None else lambda done, _, before=before: progress(before + done, len(spectra))
         try:
-            rows = _rows_of([spectra[k] for k in chunk], model_error, model.whole)
+            rows = _rows_of([spectra[k] for k in group], model_error, model.whole)
         except DataError as error:
             name = model.assemblage.name
-            failures |= {k: MgmFailure(spectra[k].id, name, model.continuum, f"no result: {error}") for k in chunk}
+            failures |= {k: MgmFailure(spectra[k].id, name, model.continuum, f"no result: {error}") for k in group}
+            if told:
+                told(len(group), 0)
         else:
-            parts.append((np.array(chunk), rows, fit_rows(rows, model, starts)))
-        if progress:
-            progress(len(failures) + sum(len(part[0]) for part in parts), len(spectra))
+            parts.append((np.array(group), rows, _fit_in_blocks(rows, model, starts, told)))
     return SpectraFits([spectrum.id for spectrum in spectra], parts, failures)
+
+
+def _fit_in_blocks(
+    rows: MgmRows, model: MgmModel, starts: int, progress: Callable[[int, int], None] | None
+) -> FitBatch:
+    found = arrays_in_blocks(
+        partial(_columns_of_fits, model=model, starts=starts),
+        len(rows),
+        rows_in_memory(8.0 * (12 * len(rows.wavelength_nm) + 3 * len(model.prior) ** 2), most=CHUNK),
+        stage=f"fit {model.assemblage.name} {model.continuum}",
+        about=lambda: {"spectra": rows.digest(), "model": _digest(model), "starts": str(starts)},
+        fetch=lambda block: rows.part(slice(block.start, block.stop)),
+        progress=progress,
+    )
+    return FitBatch(model=model, **found)
+
+
+def _digest(model: MgmModel) -> str:
+    numbers = (model.prior, model.precision, model.lower, model.upper)
+    words = (model.assemblage.name, model.continuum, model.names, model.whole)
+    return sha256(repr(words).encode() + b"".join(array.tobytes() for array in numbers))
+
+
+def _columns_of_fits(rows: MgmRows, *, model: MgmModel, starts: int) -> dict[str, Any]:
+    return fit_rows(rows, model, starts).columns()
 
 
 def _check_options(model_error: Any, starts: Any) -> None:
@@ -89,19 +119,17 @@ def _check_options(model_error: Any, starts: Any) -> None:
         raise ParameterError(f"{starts} starts; give 1 or more")
 
 
-def _chunks(spectra: Sequence[Spectrum]) -> Iterator[list[int]]:
-    """Positions of spectra on the same channels, with errors of the same kinds, a limited number at a time."""
+def _groups(spectra: Sequence[Spectrum]) -> list[list[int]]:
+    """Positions of spectra on the same channels, with errors of the same kinds."""
     groups: dict[Any, list[int]] = {}
     for index, spectrum in enumerate(spectra):
         usable = spectrum.wavelength_nm[spectrum.usable].tobytes()
         groups.setdefault((usable, spectrum.uncertainty is None, len(spectrum.systematic)), []).append(index)
-    for group in groups.values():
-        for first in range(0, len(group), CHUNK):
-            yield group[first : first + CHUNK]
+    return list(groups.values())
 
 
 def _rows_of(spectra: Sequence[Spectrum], model_error: float | None, whole: bool) -> MgmRows:
-    """Spectra of one of the `_chunks`, prepared."""
+    """Spectra of one of the `_groups`, prepared."""
     first, usable = spectra[0], [spectrum.usable for spectrum in spectra]
     sigma, shifts = None, None
     if first.uncertainty is not None:
