@@ -2,7 +2,7 @@
 
 Every main job of the command line is a function here, with the same defaults, refusals and answers:
 
-* spectra: `calibrate`, `bands`, `fit`, `unmix`, `match`;
+* spectra: `calibrate`, `bands`, `indices`, `fit`, `unmix`, `match`;
 * regolith: `wheel_forces`, `identify`, `infer`;
 * twin: `plan`, `predict`, `states`, `loads`, `update`, `compare`.
 
@@ -15,7 +15,7 @@ from importlib import import_module
 from typing import Any
 
 JOBS = {
-    "spectra": ("calibrate", "bands", "fit", "unmix", "match"),
+    "spectra": ("calibrate", "bands", "indices", "fit", "unmix", "match"),
     "regolith": ("wheel_forces", "identify", "infer"),
     "twin": ("plan", "predict", "states", "loads", "update", "compare"),
 }

@@ -28,7 +28,10 @@ def picture_bytes(figures: "Iterable[Figure]", target: Path) -> bytes:
     if suffix == ".pdf":
         return _pages(figures)
     pages = iter(figures)
-    content = _one(next(pages), suffix)
+    first = next(pages, None)
+    if first is None:
+        raise ParameterError("there is nothing to draw; leave --plot out")
+    content = _one(first, suffix)
     if next(pages, None) is not None:
         warnings.warn(f"{target}: holds the first page only; a .pdf holds all", LunarSciWarning, stacklevel=2)
     return content

@@ -47,6 +47,7 @@ COMMANDS: dict[str, str] = {
     "write spectra": "spectra calibrate scene -o rock.ecsv",
     "bands": "spectra bands rock.ecsv",
     "bands hull": "spectra bands rock.ecsv --continuum hull --smooth 0",
+    "indices": "spectra indices rock.ecsv",
     "fit": "spectra fit rock.ecsv",
     "fit auto": "spectra fit rock.ecsv --assemblage auto --starts 2",
     "fit damping": "spectra fit rock.ecsv --continuum wavenumber-cubic --prior damping",
@@ -94,6 +95,7 @@ CSV_FILES = {"states.csv": "wheel loads"}
 NOTEBOOK: dict[str, Callable[[], Result]] = {
     "calibrate": lambda: lunarsci.calibrate("scene"),
     "bands": lambda: lunarsci.bands("rock.ecsv"),
+    "indices": lambda: lunarsci.indices("rock.ecsv"),
     "fit": lambda: lunarsci.fit("rock.ecsv"),
     "fit held": lambda: lunarsci.fit(
         "rock.ecsv",

@@ -2,10 +2,10 @@
 
 import typer
 
-from . import bands, calibrate, fit, library, map, match, simulate, unmix
+from . import bands, calibrate, fit, indices, library, map, match, simulate, unmix
 
 
 def add_to(group: typer.Typer) -> None:
     """Register the commands."""
-    for part in (calibrate, simulate, bands, fit, unmix, match, map, library):
+    for part in (calibrate, simulate, bands, indices, fit, unmix, match, map, library):
         part.add_to(group)

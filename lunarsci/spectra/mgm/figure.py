@@ -1,6 +1,6 @@
-"""Pictures of measured bands and of Modified Gaussian Model fits, several spectra to a page."""
+"""Pictures of measured bands, of Modified Gaussian Model fits, several spectra to a page, and of indices."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -8,7 +8,9 @@ from matplotlib.figure import Figure
 
 from lunarsci.spectra.band_status import BANDS
 from lunarsci.spectra.bands import SpectrumBands
+from lunarsci.spectra.indices import INDICES, OK, IndexColumn
 from lunarsci.spectra.mgm.result import MgmFit
+from lunarsci.spectra.spectrum import Spectrum
 
 CONTINUUM_COLORS = {"conic": "#0072B2", "hull": "#D55E00", "linear": "#009E73"}
 PER_PAGE = 6
@@ -127,3 +129,38 @@ def _fit_title(fit: MgmFit) -> str:
     ratio = fit.nbsr.get("um2")
     strength = f", NBSR(2 µm) OPX {ratio.opx:.2f} ± {ratio.sigma:.2f}" if ratio else ""
     return f"{fit.id}: rms {100 * fit.rms_ln:.2f} %{strength}"
+
+
+def index_pages(spectra: Sequence[Spectrum], columns: Mapping[str, IndexColumn]) -> Iterator[Figure]:
+    """A page a spectrum: spectrum, lines of the integrated band depths, and what is found."""
+    for number, spectrum in enumerate(spectra):
+        figure = Figure(figsize=(9, 4.8), layout="constrained")
+        axes = figure.subplots()
+        reflectance = np.where(spectrum.usable, spectrum.reflectance, np.nan)
+        axes.plot(spectrum.wavelength_nm, reflectance, color="black", linewidth=1)
+        for name in ("ibd1000", "ibd2000"):
+            _draw_depth(axes, spectrum.wavelength_nm, reflectance, columns, name, number)
+        axes.text(1.02, 1.0, "\n".join(_index_lines(columns, number)), transform=axes.transAxes, va="top", fontsize=8)
+        axes.set(title=spectrum.id, xlabel="wavelength [nm]", ylabel="reflectance")
+        axes.legend(fontsize=8, frameon=False)
+        yield figure
+
+
+def _draw_depth(axes: Any, wavelength: Any, reflectance: Any, columns: Any, name: str, number: int) -> None:
+    """The line of an integrated band depth, and what lies between it and the spectrum."""
+    if name not in columns or np.isnan(columns[name].value[number]):
+        return
+    ends = np.array(INDICES[name].wavelengths_nm[:2])
+    heights = np.interp(ends, wavelength, reflectance)
+    inside = (wavelength >= ends[0]) & (wavelength <= ends[1])
+    line = np.interp(wavelength[inside], ends, heights)
+    axes.plot(ends, heights, "o--", markersize=4, linewidth=1, label=f"line of {INDICES[name].title}")
+    axes.fill_between(wavelength[inside], reflectance[inside], line, alpha=0.2)
+
+
+def _index_lines(columns: Mapping[str, IndexColumn], number: int) -> Iterator[str]:
+    for name, column in columns.items():
+        unit = "" if INDICES[name].unit == "-" else f" {INDICES[name].unit}"
+        known = column.status[number] == OK
+        value = f"{column.value[number]:.3g} ± {column.sigma[number]:.1g}{unit}" if known else "-"
+        yield f"{INDICES[name].title}: {value}"

@@ -1,0 +1,163 @@
+"""`lunarsci.indices`: spectral indices of the Moon, of one spectrum or many."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+from lunarsci.errors import DataError, RequestError
+from lunarsci.result import MadeFrom, Result, request_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from lunarsci.arrays import FloatArray
+    from lunarsci.records import Records
+    from lunarsci.spectra.indices import IndexColumn
+    from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource
+    from lunarsci.spectra.spectrum import Spectrum
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IndicesRequest:
+    """Which indices, and of which spectra.
+
+    Attributes
+    ----------
+    index : names of `lunarsci.spectra.indices.INDICES`, all where left out.
+    smooth_nm : window of a Savitzky-Golay filter of order 2 before all, 0 for none. [nm]
+    wavelength_unit, reflectance_unit : used where a file states none.
+    """
+
+    index: tuple[str, ...] = ()
+    smooth_nm: float = 0.0
+    wavelength_unit: Literal["nm", "um"] | None = None
+    reflectance_unit: Literal["fraction", "percent"] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundIndices(Result):
+    """Indices by name, and the spectra that they are of."""
+
+    batch: "SpectraBatch"
+    columns: "Mapping[str, IndexColumn]"
+    schema = "spectra-indices/1"
+
+    @property
+    def made_from(self) -> MadeFrom:
+        from lunarsci.constants import SMOOTHING
+        from lunarsci.spectra.indices import INDICES
+
+        sources = [INDICES[name].source for name in self.columns]
+        return MadeFrom(inputs=self.batch.inputs, tables=self.batch.tables, sources=[*sources, SMOOTHING])
+
+    @property
+    def failures(self) -> Sequence[str]:
+        return self.batch.failures
+
+    def content(self) -> dict[str, Any]:
+        from lunarsci.spectra.indices import INDICES
+
+        about = {name: _about(INDICES[name]) for name in self.columns}
+        return {"indices": about, "spectra": self.records()}
+
+    def records(self) -> "Records":
+        """Each spectrum with a nested object for each index."""
+        import numpy as np
+
+        from lunarsci.records import Codes, Records
+        from lunarsci.spectra.indices import STATUSES
+
+        found: dict[str, Any] = {
+            name: {
+                "value": column.value,
+                "sigma": column.sigma,
+                "interpolation": column.interpolation,
+                "calibration": np.where(column.calibration > 0, column.calibration, np.nan),
+                "status": Codes(column.status, STATUSES),
+            }
+            for name, column in self.columns.items()
+        }
+        return Records({"source": self.batch.origins, "id": [item.id for item in self.batch.spectra], **found})
+
+    def rows(self) -> "Records":
+        """One a spectrum: value, error and status of each index in columns of their own."""
+        from lunarsci.records import Codes, Records
+        from lunarsci.spectra.indices import STATUSES
+
+        cells: dict[str, Any] = {"source": self.batch.origins, "id": [item.id for item in self.batch.spectra]}
+        for name, column in self.columns.items():
+            cells |= {
+                name: column.value,
+                f"{name}_sigma": column.sigma,
+                f"{name}_status": Codes(column.status, STATUSES),
+            }
+        return Records(cells)
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.spectra.mgm.figure import index_pages
+
+        return index_pages(self.batch.spectra, self.columns)
+
+
+def _about(index: Any) -> dict[str, Any]:
+    """What an index is, for the JSON."""
+    median, largest = index.missed_by or (None, None)
+    return {
+        "title": index.title,
+        "unit": index.unit,
+        "source": index.source,
+        "wavelengths_nm": list(index.wavelengths_nm),
+        "range_low": index.low,
+        "range_high": index.high,
+        "of_soils": index.of_soils,
+        "soils_missed_by_median": median,
+        "soils_missed_by_most": largest,
+    }
+
+
+def indices(spectra: "SpectraSource", request: IndicesRequest | None = None, **options: Any) -> FoundIndices:
+    """Spectral indices of the Moon: integrated band depths, slopes, olivine, spinel, maturity, FeO and TiO2.
+
+    Raises DataError when no spectrum can be read, or no index reaches any of them; RequestError for an unknown name.
+    """
+    from lunarsci.spectra.indices import INDICES, NO_CHANNELS, IndexColumn
+    from lunarsci.spectra.readers.batch import read_batch
+
+    asked = request_of(IndicesRequest, request, options)
+    names = list(dict.fromkeys(asked.index)) or list(INDICES)
+    if unknown := [name for name in names if name not in INDICES]:
+        raise RequestError(f"`index` {unknown[0]}: there are {', '.join(INDICES)}")
+    batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit)
+    found = {name: IndexColumn.empty(len(batch.spectra)) for name in names}
+    for rows, columns in _measured(batch.spectra, names, asked.smooth_nm):
+        for name, column in columns.items():
+            found[name].take(column, rows)
+    if all((column.status == NO_CHANNELS).all() for column in found.values()):
+        needs = sorted({round(nm) for name in names for nm in INDICES[name].wavelengths_nm})
+        raise DataError(
+            f"{batch.origins[0]}: no channels where an index needs them; these need reflectances from {needs[0]} to "
+            f"{needs[-1]} nm, with channels at most 60 nm apart"
+        )
+    return FoundIndices(batch, found)
+
+
+def _measured(
+    spectra: "Sequence[Spectrum]", names: Sequence[str], smooth_nm: float
+) -> "Iterator[tuple[list[int], dict[str, IndexColumn]]]":
+    """Numbers of spectra on the same channels, and their indices."""
+    import numpy as np
+
+    from lunarsci.spectra.indices import index_arrays
+
+    groups: dict[Any, list[int]] = {}
+    for number, item in enumerate(spectra):
+        key = (item.wavelength_nm.tobytes(), item.uncertainty is None, tuple(item.systematic))
+        groups.setdefault(key, []).append(number)
+    for rows in groups.values():
+        own = [spectra[number] for number in rows]
+        values = np.array([np.where(item.usable, item.reflectance, np.nan) for item in own])
+        sigma: FloatArray | None = None
+        if own[0].uncertainty is not None:
+            sigma = np.array([item.uncertainty for item in own])
+        shifts = {name: np.array([item.systematic[name] for item in own]) for name in own[0].systematic}
+        yield rows, index_arrays(own[0].wavelength_nm, values, sigma, names=names, smooth_nm=smooth_nm, shifts=shifts)
