@@ -44,10 +44,11 @@ class Codes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Where:
-    """A column in the records where `present`, null in the others. (n,)"""
+    """A column in the records where `present`, in the others a plain value; an empty cell of a table. (n,)"""
 
     present: BoolArray
     column: "Column"
+    otherwise: Any = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,6 +101,10 @@ class Records(Sequence[dict[str, Any]]):
         record: dict[str, Any] = _at(self.columns, index % self.size)
         return record
 
+    def taken(self, rows: IntArray) -> "Records":
+        """The records at some positions, (n,), of which one may come more than once."""
+        return Records(_sliced(self.columns, rows), len(rows))
+
     def tolist(self) -> list[dict[str, Any]]:
         """All records in plain Python."""
         return [_at(self.columns, index) for index in range(self.size)]
@@ -147,17 +152,21 @@ def _sizes(column: Any) -> Iterator[int]:
         yield len(column)
 
 
-def _sliced(column: Any, rows: slice) -> Any:
+def _sliced(column: Any, rows: Any) -> Any:
+    """Rows of a column, by a slice or by an array of positions."""
     if isinstance(column, Mapping):
         return {key: _sliced(item, rows) for key, item in column.items()}
     if isinstance(column, Where):
-        return Where(column.present[rows], _sliced(column.column, rows))
+        return Where(column.present[rows], _sliced(column.column, rows), column.otherwise)
     if isinstance(column, Listed):
         count = None if column.count is None else column.count[rows]
         return Listed([_sliced(item, rows) for item in column.columns], count)
     if isinstance(column, Codes):
         return Codes(column.codes[rows], column.values)
-    return column if isinstance(column, Same | str | None) else column[rows]
+    if isinstance(column, Same | str | None):
+        return column
+    by_position = isinstance(rows, np.ndarray) and not isinstance(column, np.ndarray)
+    return [column[row] for row in rows.tolist()] if by_position else column[rows]
 
 
 def _at(column: Any, index: int) -> Any:
@@ -165,7 +174,7 @@ def _at(column: Any, index: int) -> Any:
     if isinstance(column, Mapping):
         return {key: _at(item, index) for key, item in column.items()}
     if isinstance(column, Where):
-        return _at(column.column, index) if column.present[index] else None
+        return _at(column.column, index) if column.present[index] else plain(column.otherwise)
     if isinstance(column, Listed):
         shown = column.columns if column.count is None else column.columns[: column.count[index]]
         return [_at(item, index) for item in shown]
@@ -243,7 +252,7 @@ def _json_value(made: "Template", column: Any, depth: int) -> None:
     elif isinstance(column, Where):
         step = made.unless(column.present)
         _json_value(made, column.column, depth)
-        made.instead(step, "null")
+        made.instead(step, to_text(column.otherwise))
     elif isinstance(column, Listed):
         _json_list(made, column, depth)
     elif isinstance(column, np.ndarray) and column.ndim == 2:

@@ -148,7 +148,7 @@ def _shared_in_ratios(record: Mapping[str, Any]) -> list[str]:
 
 
 def _composition_notes(fit: "MgmFit") -> list[str]:
-    from lunarsci.spectra.mgm.result import compositions
+    from lunarsci.spectra.mgm.compositions import compositions
 
     notes = []
     for item in compositions(fit):

@@ -15,7 +15,7 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.spectrum import Spectrum, scatter_noise
+from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.tables import table_rows
 
 Kind = Literal["powder-mixture", "dark-rock-powder", "weathered-soil", "solid-rock"]
@@ -172,38 +172,46 @@ def _moments(features: FloatArray, suites: FloatArray) -> tuple[FloatArray, Floa
 
 
 def spectral_features(spectrum: Spectrum) -> tuple[FloatArray, FloatArray]:
-    """Features (9,) and their standard errors by noise [-]: ln R near 750 nm, and ln R in `WINDOWS_NM` less it.
+    """`features_of_rows` of the usable channels of one spectrum, (9,) each."""
+    usable, own = spectrum.usable, spectrum.uncertainty
+    errors = None if own is None else own[usable][None]
+    features, noise = features_of_rows(spectrum.wavelength_nm[usable], spectrum.reflectance[usable][None], errors)
+    return features[0], noise[0]
+
+
+def features_of_rows(
+    wavelength_nm: FloatArray, reflectance: FloatArray, uncertainty: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Features (n, 9) and their standard errors by noise [-]: ln R near 750 nm, and ln R in `WINDOWS_NM` less it.
 
     `visible` is the distance from the line between `blue` and 750 nm. NaN where no channel lies in the window. The
-    level of a spectrum that is 1 at a channel, or beyond 1.1, is not used: it was scaled.
+    level of a spectrum that is 1 at a channel, or beyond 1.1, is not used: it was scaled. Of channels (c,) and
+    reflectance above 0, (n, c). [nm, -]
     """
-    usable = spectrum.usable
-    wavelength, reflectance = spectrum.wavelength_nm[usable], spectrum.reflectance[usable]
-    if not usable.any():
-        return np.full(len(WINDOWS_NM), np.nan), np.full(len(WINDOWS_NM), np.nan)
-    own = spectrum.uncertainty
-    noise = scatter_noise(reflectance, reflectance.size) if own is None else own[usable]
-    windows = [(wavelength >= low) & (wavelength <= high) for low, high in WINDOWS_NM.values()]
-    mean = np.array([_mean(reflectance, inside) for inside in windows])
-    error = np.array([_error(noise, inside) for inside in windows]) / mean
-    ln_mean = np.log(mean)
-    features = ln_mean - ln_mean[0]
-    features[2] -= VISIBLE_BLUE * features[1]
-    features[0] = np.nan if _is_scaled(reflectance) else ln_mean[0]
-    return features, np.hypot(error, np.where(np.arange(error.size) > 0, error[0], 0.0))
+    from lunarsci.spectra.noise import scatter_noise_rows
+
+    rows, channels = reflectance.shape
+    mean, error = (np.full((rows, len(WINDOWS_NM)), np.nan) for _ in range(2))
+    if not channels:
+        return mean, error
+    noise = scatter_noise_rows(reflectance, channels) if uncertainty is None else uncertainty
+    for k, (low, high) in enumerate(WINDOWS_NM.values()):
+        inside = np.flatnonzero((wavelength_nm >= low) & (wavelength_nm <= high))
+        if inside.size:
+            part = slice(inside[0], inside[-1] + 1)
+            mean[:, k] = reflectance[:, part].mean(axis=1)
+            error[:, k] = np.sqrt((noise[:, part] ** 2).mean(axis=1) / inside.size) / mean[:, k]
+    features = np.log(mean)
+    level = features[:, 0].copy()
+    features -= level[:, None]
+    features[:, 2] -= VISIBLE_BLUE * features[:, 1]
+    features[:, 0] = np.where(_are_scaled(reflectance), np.nan, level)
+    error[:, 1:] = np.hypot(error[:, 1:], error[:, :1])
+    return features, error
 
 
-def _mean(values: FloatArray, inside: BoolArray) -> float:
-    return float(values[inside].mean()) if inside.any() else np.nan
-
-
-def _error(noise: FloatArray, inside: BoolArray) -> float:
-    return float(np.sqrt(np.mean(noise[inside] ** 2) / inside.sum())) if inside.any() else np.nan
-
-
-def _is_scaled(reflectance: FloatArray) -> bool:
-    brightest = float(reflectance.max(initial=0.0))
-    return brightest > BRIGHTEST or bool(np.any(np.abs(reflectance - 1.0) < SCALED))
+def _are_scaled(reflectance: FloatArray) -> BoolArray:
+    return np.asarray((reflectance.max(axis=1) > BRIGHTEST) | np.any(np.abs(reflectance - 1.0) < SCALED, axis=1))
 
 
 def find_kind(spectrum: Spectrum, stated: Kind | None = None, model: KindModel | None = None) -> KindVerdict:
@@ -241,7 +249,7 @@ def _verdict(
     law: KindModel, features: FloatArray, chance: FloatArray, likeness: FloatArray, stated: Kind | None
 ) -> KindVerdict:
     shares: dict[str, float] = {kind: float(chance[[own == kind for own in law.kinds]].sum()) for kind in KINDS}
-    weathered = float(chance[[name in ("soil", "rover-rock") for name in law.components]].sum())
+    weathered = float(_weathered(law, chance[None])[0])
     reasons = [] if np.isfinite(features[0]) else ["no reflectance: scaled, or its continuum removed"]
     if np.isfinite(features).sum() < LEAST_FEATURES:
         return KindVerdict(stated or NOT_DETERMINED, shares, weathered, True, stated is not None,
@@ -258,6 +266,22 @@ def _verdict(
     if kind == NOT_DETERMINED:
         reasons.append(_between(shares, weathered))
     return KindVerdict(kind, shares, weathered, stranger, stated is not None, tuple(reasons))
+
+
+def dark_or_weathered(features: FloatArray, noise: FloatArray) -> BoolArray:
+    """(n,) whether spectra of such features, (n, 9), are of a dark rock's powder or weathered, as `find_kinds` says."""
+    law, enough = embedded_kinds(), np.isfinite(features).sum(axis=1) >= LEAST_FEATURES
+    chance = law.probabilities(features, noise)
+    shares = np.column_stack([chance[:, [own == kind for own in law.kinds]].sum(axis=1) for kind in KINDS])
+    likely = shares.argmax(axis=1)
+    sure = shares.max(axis=1) >= np.array([SURE[kind] for kind in KINDS])[likely]
+    named = enough & sure & (likely != KINDS.index("powder-mixture"))
+    return np.asarray(named | (_weathered(law, chance) >= WEATHERED))
+
+
+def _weathered(law: KindModel, chance: FloatArray) -> FloatArray:
+    """Probability of a surface that space has weathered, (n,), of probabilities (n, k). [-]"""
+    return np.asarray(chance[:, [name in ("soil", "rover-rock") for name in law.components]].sum(axis=1))
 
 
 def _named(shares: Mapping[str, float]) -> str:

@@ -1,20 +1,27 @@
 """Modes from the normalised band strength ratio of the pyroxenes, by lines made on mixtures of known modes."""
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.abundance.kinds import find_kind
-from lunarsci.spectra.abundance.result import Abundance, MineralFraction, refused
+from lunarsci.records import Column, Same, Where
+from lunarsci.spectra.abundance.kinds import dark_or_weathered, features_of_rows
+from lunarsci.spectra.abundance.result import Abundance, MineralFraction
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM
 from lunarsci.spectra.mgm.assemblages import MINERALS
-from lunarsci.spectra.mgm.result import MgmFailure, MgmFit, MineralComposition, StrengthRatio, compositions
-from lunarsci.spectra.spectrum import Spectrum
+from lunarsci.spectra.mgm.batch import FitBatch, SpectraFits, batch_of
+from lunarsci.spectra.mgm.compositions import compositions_of
+from lunarsci.spectra.mgm.data import MgmRows
+from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA
+from lunarsci.spectra.mgm.model import NM_PER_UM
+from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
 from lunarsci.tables import table_rows
 
+PYROXENES = ("orthopyroxene", "clinopyroxene")
+CORRELATION = [[1.0, -1.0], [-1.0, 1.0]]
 TABLE, LIKENESS = "nbsr_calibrations.csv", "nbsr_likeness.csv"
 NORMAL_95 = 1.96
 SEEN_SIGMAS, APART_SIGMAS = 3.0, 2.0
@@ -24,7 +31,7 @@ UNLIKE_SIGMAS = 2.5
 is compared with, are within in every number."""
 DEPTH_MARGIN = 1.25
 """Factor by which the 1 um band may be shallower or deeper than in any of the line's powders; assumed."""
-OTHER_MINERALS = {*MINERALS.values()} - {"orthopyroxene", "clinopyroxene"}
+OTHER_MINERALS = {*MINERALS.values()} - {*PYROXENES}
 GRID_NM = np.arange(750.0, 2451.0, 5.0)
 RANGES_NM = {"um1": (850.0, 1150.0), "um2": (1600.0, 2450.0)}
 """Where the deepest absorption of a region is looked for."""
@@ -45,8 +52,39 @@ def calibrations() -> tuple[str, ...]:
     return tuple(dict.fromkeys(row["name"] for row in table_rows(TABLE)))
 
 
-def nbsr_abundance(fit: MgmFit, calibration: str = "opx-cpx") -> Abundance | None:
-    """Orthopyroxene and clinopyroxene as shares by weight of all pyroxene; None where the ratio is not determined.
+@dataclass(frozen=True, slots=True, eq=False)
+class PyroxeneShares:
+    """Orthopyroxene and clinopyroxene as shares by weight of all pyroxene, of n fits.
+
+    Attributes
+    ----------
+    told : (n,) whether there is a ratio of which shares could be made.
+    in_domain : (n,) whether the line's powders are a measure for it.
+    shares : (n, 2) of orthopyroxene and clinopyroxene; NaN where they are not determined. [-]
+    ends : (n, 2, 4) low, high, low95, high95 of each. [-]
+    statuses : n sentences.
+    """
+
+    told: BoolArray
+    in_domain: BoolArray
+    shares: FloatArray
+    ends: FloatArray
+    statuses: list[str]
+
+    def abundance(self, row: int, name: str, rms_ln: float) -> Abundance | None:
+        """What is found of one fit; None without a ratio."""
+        if not self.told[row]:
+            return None
+        pairs = zip(PYROXENES, self.shares[row].tolist(), self.ends[row].tolist(), strict=True)
+        fractions = tuple(MineralFraction(mineral, share, *ends) for mineral, share, ends in pairs)
+        inside = bool(self.in_domain[row])
+        correlation = np.array(CORRELATION) if inside else None
+        status = self.statuses[row]
+        return Abundance(name, "nbsr", fractions, correlation, inside, status, rms_ln if inside else None)
+
+
+def pyroxene_shares(batch: FitBatch, rows: MgmRows, calibration: str = "opx-cpx") -> PyroxeneShares:
+    """Shares of the pyroxenes of fits `batch` of the spectra `rows`; none where the ratio is not determined.
 
     The line is OPX = slope * NBSR + offset, one for each assemblage it was made with; its scatter and the error of the
     ratio add in quadrature, and shares are kept within 0 and 1. A line belongs to the powders it was made on, and
@@ -58,7 +96,7 @@ def nbsr_abundance(fit: MgmFit, calibration: str = "opx-cpx") -> Abundance | Non
     - the spectrum is of another kind of target than mixed powders (`find_kind`),
     - the compositions that the centres tell are not theirs, or olivine or plagioclase absorb as well.
 
-    Fits with bands of a start file, or by damping, have none: no line was made with such.
+    Fits with bands of a start file have none: no line was made with such.
 
     Raises ParameterError for an unknown calibration.
 
@@ -69,79 +107,171 @@ def nbsr_abundance(fit: MgmFit, calibration: str = "opx-cpx") -> Abundance | Non
     """
     if calibration not in calibrations():
         raise ParameterError(f"calibration '{calibration}'; give one of {', '.join(calibrations())}")
-    own = [row for row in table_rows(TABLE) if row["name"] == calibration]
-    row = next((row for row in own if row["assemblage"] == fit.assemblage), own[0])
-    ratio = fit.nbsr.get(row["region"])
-    if ratio is None or fit.prior == "damping" or fit.model.whole:
-        return None
-    if reasons := _reasons(fit, ratio, row):
-        why = f"the powders of line {calibration} are no measure for it: {'; '.join(reasons)}"
-        return refused(fit.id, "nbsr", ("orthopyroxene", "clinopyroxene"), why)
-    slope, offset, scatter = (float(row[key]) / 100 for key in ("slope_percent", "offset_percent", "sd_percent"))
-    share = float(np.clip(slope * ratio.opx + offset, 0.0, 1.0))
-    sigma = float(np.hypot(slope * ratio.sigma, scatter))
-    fractions = (_share("orthopyroxene", share, sigma), _share("clinopyroxene", 1.0 - share, sigma))
-    correlation = np.array([[1.0, -1.0], [-1.0, 1.0]])
-    return Abundance(fit.id, "nbsr", fractions, correlation, True, f"line {calibration}, by weight", fit.rms_ln)
+    lines = [line for line in table_rows(TABLE) if line["name"] == calibration]
+    line = next((line for line in lines if line["assemblage"] == batch.model.assemblage.name), lines[0])
+    ratio, sigma = (batch.um1 if line["region"] == "um1" else batch.um2)[:, [0, 2]].T
+    told = np.isfinite(ratio) & (not batch.model.whole)
+    reasons = _reasons(batch, rows, ratio, told, line)
+    inside = told & np.array([not found for found in reasons], dtype=bool)
+    slope, offset, scatter = (float(line[key]) / 100 for key in ("slope_percent", "offset_percent", "sd_percent"))
+    opx = np.where(inside, np.clip(slope * ratio + offset, 0.0, 1.0), np.nan)
+    error = np.hypot(slope * sigma, scatter)
+    shares = np.column_stack([opx, 1.0 - opx])
+    ends = np.clip(shares[:, :, None] + error[:, None, None] * np.array([-1.0, 1.0, -NORMAL_95, NORMAL_95]), 0.0, 1.0)
+    ends[~inside] = [0.0, 1.0, 0.0, 1.0]
+    why = f"not determined: the powders of line {calibration} are no measure for it: "
+    statuses = [why + "; ".join(found) if found else f"line {calibration}, by weight" for found in reasons]
+    return PyroxeneShares(told, inside, shares, ends, statuses)
 
 
-def nbsr_abundances(fits: Sequence[MgmFit | MgmFailure]) -> dict[int, list[Abundance]]:
+def nbsr_abundance(fit: MgmFit, calibration: str = "opx-cpx") -> Abundance | None:
+    """`pyroxene_shares` of one fit; None where the ratio is not determined, and of fits by damping."""
+    found = pyroxene_shares(batch_of(fit), MgmRows.together([fit.data]), calibration)
+    return None if fit.prior == "damping" else found.abundance(0, fit.id, fit.rms_ln)
+
+
+class PyroxeneAbundances(Mapping[int, list[Abundance]]):
+    """`nbsr_abundance` of the fits that converged, by position: one, or none where the ratio is not determined."""
+
+    def __init__(self, fits: SpectraFits) -> None:
+        parts = [(positions, pyroxene_shares(batch, rows)) for positions, rows, batch in fits.parts]
+        self._names, self._rms = fits.names, fits.gathered(lambda batch: batch.rms_ln)
+        self._converged = fits.gathered(lambda batch: batch.converged) > 0
+        count = len(fits)
+        self.shares = PyroxeneShares(
+            np.zeros(count, dtype=bool), np.zeros(count, dtype=bool), np.full((count, 2), np.nan),
+            np.full((count, 2, 4), np.nan), [""] * count,
+        )  # fmt: skip
+        for positions, own in parts:
+            self.shares.told[positions], self.shares.in_domain[positions] = own.told, own.in_domain
+            self.shares.shares[positions], self.shares.ends[positions] = own.shares, own.ends
+            for position, status in zip(positions.tolist(), own.statuses, strict=True):
+                self.shares.statuses[position] = status
+        self.shares.told[~self._converged] = False
+
+    def __len__(self) -> int:
+        return int(self._converged.sum())
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(np.flatnonzero(self._converged).tolist())
+
+    def __getitem__(self, position: int) -> list[Abundance]:
+        if not (0 <= position < self._converged.size and self._converged[position]):
+            raise KeyError(position)
+        found = self.shares.abundance(position, self._names[position], float(self._rms[position]))
+        return [found] if found else []
+
+    def record_columns(self) -> dict[str, Column]:
+        """The keys `abundance` and `abundances` of records."""
+        own, keys = self.shares, ("low", "high", "low95", "high95")
+        one: dict[str, Column] = {
+            "method": "nbsr",
+            "in_domain": own.in_domain,
+            "status": own.statuses,
+            "rms_ln": np.where(own.in_domain, self._rms, np.nan),
+            "correlation": Where(own.in_domain, Same(CORRELATION)),
+            "dark": None,
+            "ratios": Same({}),
+            "published": None,
+            "calibration": Same({"suites": [], "certified": None}),
+        }
+        for k, mineral in enumerate(PYROXENES):
+            one[mineral] = {"fraction": own.shares[:, k], **dict(zip(keys, own.ends[:, k].T, strict=True))}
+        return {"abundance": Where(own.told, one), "abundances": Where(own.told, {"nbsr": one}, {})}
+
+    def table_columns(self) -> dict[str, Column]:
+        """`nbsr_in_domain`, `nbsr_orthopyroxene` and the like; none where no ratio is determined."""
+        own = self.shares
+        if not own.told.any():
+            return {}
+        columns: dict[str, Column] = {"nbsr_in_domain": Where(own.told, own.in_domain)}
+        for k, mineral in enumerate(PYROXENES):
+            columns[f"nbsr_{mineral}"] = Where(own.told, own.shares[:, k])
+            columns |= {
+                f"nbsr_{mineral}_{end}": Where(own.told, own.ends[:, k, e]) for e, end in enumerate(("low", "high"))
+            }
+        return columns
+
+
+def nbsr_abundances(fits: Sequence[MgmFit | MgmFailure]) -> Mapping[int, Sequence[Abundance]]:
     """`nbsr_abundance` of those that converged, by position: one, or none where the ratio is not determined."""
+    if isinstance(fits, SpectraFits):
+        return PyroxeneAbundances(fits)
     settled = {index: fit for index, fit in enumerate(fits) if isinstance(fit, MgmFit) and fit.converged}
     return {index: [one] if (one := nbsr_abundance(fit)) else [] for index, fit in settled.items()}
 
 
-def _share(mineral: str, share: float, sigma: float) -> MineralFraction:
-    ends = [float(np.clip(share + z * sigma, 0.0, 1.0)) for z in (-1.0, 1.0, -NORMAL_95, NORMAL_95)]
-    return MineralFraction(mineral, share, *ends)
+def _reasons(
+    batch: FitBatch, rows: MgmRows, ratio: FloatArray, told: BoolArray, line: Mapping[str, str]
+) -> list[list[str]]:
+    """Why the line is no measure for a fit; nothing where it is, and where there is no ratio."""
+    if batch.model.assemblage.name != line["assemblage"] or batch.model.continuum != DEFAULT_CONTINUUM:
+        made = ", ".join(one["assemblage"] for one in table_rows(TABLE) if one["name"] == line["name"])
+        return [[f"made with {made} under continuum {DEFAULT_CONTINUUM}"] if one else [] for one in told.tolist()]
+    found: list[list[str]] = [[] for _ in told]
+    own = np.flatnonzero(told)
+    if not own.size:
+        return found
+    part, spectra = batch.part(own), rows.reflectance[own]
+    kinds = dark_or_weathered(*features_of_rows(rows.wavelength_nm, spectra))
+    texts = (
+        ["it is no mixture of powders, but dark or weathered" if other else "" for other in kinds.tolist()],
+        _unlike(part, ratio[own], line),
+        *_other_compositions(part, line),
+        *_other_minerals(part),
+    )
+    for row, reasons in zip(own.tolist(), zip(*texts, strict=True), strict=True):
+        found[row] = [reason for reason in reasons if reason]
+    return found
 
 
-def _reasons(fit: MgmFit, ratio: StrengthRatio, row: Mapping[str, str]) -> list[str]:
-    if fit.assemblage != row["assemblage"] or fit.continuum != DEFAULT_CONTINUUM:
-        made = ", ".join(one["assemblage"] for one in table_rows(TABLE) if one["name"] == row["name"])
-        return [f"made with {made} under continuum {DEFAULT_CONTINUUM}"]
-    reasons = _other_kind(fit) + _unlike(fit, ratio, row)
-    for item in compositions(fit):
-        low, high = row.get(f"{item.key}_low", ""), row.get(f"{item.key}_high", "")
-        if low and _outside(item, float(low), float(high)):
-            reasons.append(f"{item.key} {item.mean:.0f} +- {item.sigma:.0f} mol %, made at {low}-{high}")
-    strong = {
-        band.mineral
-        for band in fit.bands
-        if band.mineral in OTHER_MINERALS and band.strength < -SEEN_SIGMAS * band.strength_sigma
-    }
-    return reasons + [f"{mineral} absorbs as well" for mineral in sorted(strong)]
+def _other_compositions(batch: FitBatch, line: Mapping[str, str]) -> Iterator[list[str]]:
+    for column in compositions_of(batch):
+        key = column.prior.key
+        low, high = line.get(f"{key}_low", ""), line.get(f"{key}_high", "")
+        if low:
+            reach = APART_SIGMAS * column.sigma
+            outside = (column.mean < float(low) - reach) | (column.mean > float(high) + reach)
+            numbers = zip(column.mean.tolist(), column.sigma.tolist(), outside.tolist(), strict=True)
+            yield [
+                f"{key} {mean:.0f} +- {sigma:.0f} mol %, made at {low}-{high}" if apart else ""
+                for mean, sigma, apart in numbers
+            ]
 
 
-def _other_kind(fit: MgmFit) -> list[str]:
-    verdict = find_kind(Spectrum(fit.id, fit.wavelength_nm, fit.reflectance))
-    if verdict.is_weathered or verdict.kind in ("dark-rock-powder", "weathered-soil", "solid-rock"):
-        return ["it is no mixture of powders, but dark or weathered"]
-    return []
+def _other_minerals(batch: FitBatch) -> Iterator[list[str]]:
+    bands, m = batch.model.assemblage.bands, batch.model.degrees
+    seen = batch.values[:, m + 2 :: 3] < -SEEN_SIGMAS * batch.sigma[:, m + 2 :: 3]
+    for mineral in sorted({band.mineral for band in bands} & OTHER_MINERALS):
+        absorbs = seen[:, [band.mineral == mineral for band in bands]].any(axis=1)
+        yield [f"{mineral} absorbs as well" if one else "" for one in absorbs.tolist()]
 
 
-def _outside(item: MineralComposition, low: float, high: float) -> bool:
-    if item.mean is None or item.sigma is None:
-        return False
-    return item.mean < low - APART_SIGMAS * item.sigma or item.mean > high + APART_SIGMAS * item.sigma
-
-
-def _unlike(fit: MgmFit, ratio: StrengthRatio, row: Mapping[str, str]) -> list[str]:
-    """What tells its bands from those of the line's powders, the worst of it."""
-    features = band_features(fit)
-    depth, margin = features["um1_depth"], DEPTH_MARGIN
-    if not float(row["depth_low"]) / margin <= depth <= float(row["depth_high"]) * margin:
-        return [f"its 1 um band is {depth:.2f} deep in ln R, made at {row['depth_low']}-{row['depth_high']}"]
-    expected = likeness_terms(np.array([ratio.opx]), np.array([depth]))[0]
-    off: dict[str, float] = {}
-    for line in table_rows(LIKENESS):
-        if (line["name"], line["assemblage"]) == (row["name"], row["assemblage"]):
-            mean = float(expected @ [float(line[f"c{k}"]) for k in range(expected.size)])
-            off[line["feature"]] = (features[line["feature"]] - mean) / float(line["sd"])
-    worst = max(off, key=lambda name: math.inf if math.isnan(off[name]) else abs(off[name]))
-    if abs(off[worst]) <= UNLIKE_SIGMAS:
-        return []
-    return [f"other pyroxenes: {NAMES[worst]} is {abs(off[worst]):.0f} times the powders' scatter away"]
+def _unlike(batch: FitBatch, ratio: FloatArray, line: Mapping[str, str]) -> list[str]:
+    """What tells the bands from those of the line's powders, the worst of it; '' where nothing does."""
+    features = features_of_bands(batch)
+    depth, ends = features["um1_depth"], (line["depth_low"], line["depth_high"])
+    deep = (float(ends[0]) / DEPTH_MARGIN <= depth) & (depth <= float(ends[1]) * DEPTH_MARGIN)
+    key = (line["name"], line["assemblage"])
+    laws = [law for law in table_rows(LIKENESS) if (law["name"], law["assemblage"]) == key]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        terms = likeness_terms(ratio, depth)
+    off = np.empty((len(laws), len(batch)))
+    for k, law in enumerate(laws):
+        mean = sum(terms[:, n] * float(law[f"c{n}"]) for n in range(terms.shape[1]))
+        off[k] = np.abs((features[law["feature"]] - mean) / float(law["sd"]))
+    worst = np.where(np.isnan(off), np.inf, off).argmax(axis=0)
+    farthest = np.take_along_axis(off, worst[None], axis=0)[0]
+    texts = []
+    for how, far, apart, inside in zip(worst.tolist(), farthest.tolist(), depth.tolist(), deep.tolist(), strict=True):
+        if not inside:
+            texts.append(f"its 1 um band is {apart:.2f} deep in ln R, made at {ends[0]}-{ends[1]}")
+        elif far <= UNLIKE_SIGMAS:
+            texts.append("")
+        else:
+            name = NAMES[laws[how]["feature"]]
+            texts.append(f"other pyroxenes: {name} is {far:.0f} times the powders' scatter away")
+    return texts
 
 
 def likeness_terms(ratio: FloatArray, depth: FloatArray) -> FloatArray:
@@ -150,14 +280,19 @@ def likeness_terms(ratio: FloatArray, depth: FloatArray) -> FloatArray:
 
 
 def band_features(fit: MgmFit) -> dict[str, float]:
-    """Of all bands of minerals together, which is known better than any one band: depths, centroids, edges.
+    """`features_of_bands` of one fit."""
+    return {name: float(values[0]) for name, values in features_of_bands(batch_of(fit)).items()}
+
+
+def features_of_bands(batch: FitBatch) -> dict[str, FloatArray]:
+    """Of all bands of minerals together, (n,), which is known better than any one band: depths, centroids, edges.
 
     Keys are those of `NAMES` and `um1_depth`, in nm, ln R or ratios. A band's edges are where it falls to half its
     depth, its centroid is of what is deeper; NaN where it does not fall so far.
     """
-    curve = -np.sum([band.curve(GRID_NM) for band in fit.bands if band.mineral != "any"], axis=0)
+    curve = _absorption(batch)
     one, two = (_region(curve, *ends) for ends in RANGES_NM.values())
-    at = np.interp([1200.0, 1450.0], GRID_NM, curve)
+    at_1200, at_1450 = (curve[:, int(np.flatnonzero(place == GRID_NM)[0])] for place in (1200.0, 1450.0))
     with np.errstate(divide="ignore", invalid="ignore"):
         return {
             "um1_depth": one[0],
@@ -166,22 +301,35 @@ def band_features(fit: MgmFit) -> dict[str, float]:
             "um1_left_nm": one[2],
             "um1_right_nm": one[3],
             "um2_left_nm": two[2],
-            "ln_depth_ratio": float(np.log(np.divide(two[0], one[0]))),
-            "share_1200": float(np.divide(at[0], one[0])),
-            "share_1450": float(np.divide(at[1], one[0])),
+            "ln_depth_ratio": np.log(two[0] / one[0]),
+            "share_1200": at_1200 / one[0],
+            "share_1450": at_1450 / one[0],
         }
 
 
-def _region(curve: FloatArray, low: float, high: float) -> tuple[float, float, float, float]:
-    """Depth, centroid, and both edges at half depth of the deepest absorption between `low` and `high`."""
-    inside = np.flatnonzero((low <= GRID_NM) & (high >= GRID_NM))
-    lowest = inside[np.argmax(curve[inside])]
-    shallow = np.flatnonzero(curve < curve[lowest] / 2)
-    before, after = shallow[shallow < lowest], shallow[shallow > lowest]
-    left = GRID_NM[before[-1]] if before.size else np.nan
-    right = GRID_NM[after[0]] if after.size else np.nan
-    part = slice(before[-1] if before.size else 0, after[0] + 1 if after.size else None)
-    weight = np.maximum(curve[part] - curve[lowest] / 2, 0.0)
-    total = float(weight.sum())
-    centroid = float(weight @ GRID_NM[part] / total) if total > 0 else math.nan
-    return float(curve[lowest]), centroid, float(left), float(right)
+def _absorption(batch: FitBatch) -> FloatArray:
+    """Bands of minerals together on `GRID_NM`, (n, grid), in -ln R."""
+    curve, m = np.zeros((len(batch), GRID_NM.size)), batch.model.degrees
+    for k, band in enumerate(batch.model.assemblage.bands):
+        if band.mineral != "any":
+            centre, fwhm, strength = batch.values[:, m + 3 * k : m + 3 * k + 3].T[:, :, None]
+            x = (GRID_NM - centre * NM_PER_UM) * FWHM_OVER_SIGMA / (fwhm * NM_PER_UM)
+            curve -= strength * np.exp(-0.5 * x**2)
+    return curve
+
+
+def _region(curve: FloatArray, low: float, high: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Depth, centroid, and both edges at half depth of the deepest absorption between `low` and `high`, (n,) each."""
+    inside, places = np.flatnonzero((low <= GRID_NM) & (high >= GRID_NM)), np.arange(GRID_NM.size)
+    lowest = inside[curve[:, inside].argmax(axis=1)]
+    depth = np.take_along_axis(curve, lowest[:, None], axis=1)
+    shallow = curve < depth / 2
+    before = np.where(shallow & (places < lowest[:, None]), places, -1).max(axis=1)
+    after = np.where(shallow & (places > lowest[:, None]), places, GRID_NM.size).min(axis=1)
+    between = (places >= before[:, None]) & (places <= after[:, None])
+    weight = np.where(between, np.maximum(curve - depth / 2, 0.0), 0.0)
+    total = weight.sum(axis=1)
+    left = np.where(before >= 0, GRID_NM[before], np.nan)
+    right = np.where(after < GRID_NM.size, GRID_NM[np.minimum(after, GRID_NM.size - 1)], np.nan)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return depth[:, 0], (weight * GRID_NM).sum(axis=1) / total, left, right

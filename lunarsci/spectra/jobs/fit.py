@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from lunarsci.inputs import InputFile
     from lunarsci.spectra.abundance.result import Abundance
+    from lunarsci.spectra.mgm.columns import FitColumns
     from lunarsci.spectra.mgm.model import MgmModel
     from lunarsci.spectra.mgm.profile import Intervals
     from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
@@ -188,24 +189,36 @@ class MgmFits(Result):
 
     @property
     def untrusted(self) -> str:
-        from lunarsci.spectra.mgm.result import UNLIKE_RMS
+        from lunarsci.spectra.mgm.batch import doubts_about
 
-        unsettled = [item.id for item in self.good if not item.converged]
-        unlike = [item.id for item in self.good if item.rms_ln > UNLIKE_RMS]
-        doubts = [f"no convergence for {', '.join(unsettled)}"] if unsettled else []
-        doubts += [f"the model does not describe {', '.join(unlike)}"] if unlike else []
+        doubts = doubts_about(self.fits)
         return f"not to be trusted: {'; '.join(doubts)}" if doubts else ""
 
-    def to_dict(self) -> dict[str, Any]:
+    def content(self) -> dict[str, Any]:
         return {"spectra": self.records}
 
+    def to_dict(self) -> dict[str, Any]:
+        return {"spectra": list(self.records)}
+
     @cached_property
-    def records(self) -> list[dict[str, Any]]:
+    def columns(self) -> "FitColumns | None":
+        """The fits as columns; None where some were made one by one."""
+        from lunarsci.spectra.abundance.nbsr import PyroxeneAbundances
+        from lunarsci.spectra.mgm.columns import FitColumns
+
+        as_arrays = isinstance(self.abundances, PyroxeneAbundances) and not (self.choices or self.intervals)
+        return FitColumns(self.fits, self.batch.origins) if as_arrays else None  # type: ignore[arg-type]
+
+    @cached_property
+    def records(self) -> Sequence[dict[str, Any]]:
         """The keys of each spectrum in `--json`."""
+        if self.columns:
+            return self.columns.records(self.abundances.record_columns())  # type: ignore[attr-defined]
         return [self._record(index, origin) for index, origin in enumerate(self.batch.origins)]
 
     def _record(self, index: int, origin: str) -> dict[str, Any]:
-        from lunarsci.spectra.mgm.result import MgmFit, compositions
+        from lunarsci.spectra.mgm.compositions import compositions
+        from lunarsci.spectra.mgm.result import MgmFit
 
         item, choice, intervals = self.fits[index], self.choices.get(index), self.intervals.get(index)
         found = [modes.to_dict() for modes in self.abundances.get(index, ())]
@@ -218,7 +231,9 @@ class MgmFits(Result):
             "abundances": {modes["method"]: modes for modes in found},
         }
 
-    def rows(self) -> list[dict[str, Any]]:
+    def rows(self) -> Sequence[dict[str, Any]]:
+        if self.columns:
+            return self.columns.rows(self.abundances.table_columns())  # type: ignore[attr-defined]
         return [
             row
             for index, record in enumerate(self.records)
@@ -277,6 +292,7 @@ def fit(
 
 def fit_batch_of(batch: "SpectraBatch", request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
     """Fits of all spectra as asked: the attributes `fits`, `choices`, `failures` and `files` of `MgmFits`."""
+    from lunarsci.spectra.mgm.batch import SpectraFits
     from lunarsci.spectra.mgm.continua import check_continuum_removed
     from lunarsci.spectra.mgm.result import MgmFit
 
@@ -290,7 +306,11 @@ def fit_batch_of(batch: "SpectraBatch", request: ModelRequest, progress: Progres
     else:
         model = request.model(request.assemblage, request.continuum)
         found = {"fits": _by_prior(batch.spectra, model, request, progress)}
-    return found | {"failures": batch.failures_among(found["fits"], MgmFit)}
+    fits = found["fits"]
+    if isinstance(fits, SpectraFits):
+        reasons = [fits.failures.get(index) for index in range(len(fits))]
+        return found | {"failures": batch.failures_among(reasons, type(None))}
+    return found | {"failures": batch.failures_among(fits, MgmFit)}
 
 
 def _by_prior(

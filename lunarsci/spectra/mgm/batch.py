@@ -1,6 +1,6 @@
 """Fits of many spectra as arrays: values, errors, ratios and flags, row by row, and a view of any one of them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -11,11 +11,12 @@ from lunarsci.compiled import each_in_threads
 from lunarsci.spectra.mgm.data import MgmData, MgmRows
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.laplace import LaplaceErrors, laplace_errors
-from lunarsci.spectra.mgm.levenberg_marquardt import CONVERGED, Channels, FitProblem, KernelFits
+from lunarsci.spectra.mgm.levenberg_marquardt import CONVERGED, ITERATION_LIMIT, Channels, FitProblem, KernelFits
 from lunarsci.spectra.mgm.model import MgmModel
 from lunarsci.spectra.mgm.result import (
     REACH_NM,
     UNDETERMINED,
+    UNLIKE_RMS,
     FittedBand,
     MgmFailure,
     MgmFit,
@@ -164,23 +165,26 @@ class FitBatch:
 
 
 class SpectraFits(Sequence[MgmFit | MgmFailure]):
-    """A fit, or a stated reason, for each of some spectra, in their order.
+    """A fit, or a stated reason, for each of n spectra, in their order.
 
     Attributes
     ----------
     names : of the spectra.
+    model : that all were fitted to.
     parts : positions, what was fitted, and the fits, of spectra on the same channels; a fit is made of its row when it
         is asked for.
-    others : by position, what stands there instead.
+    failures : by position.
     """
 
     def __init__(
         self,
         names: Sequence[str],
+        model: MgmModel,
         parts: Sequence[tuple[IndexArray, MgmRows, FitBatch]],
-        others: Mapping[int, MgmFit | MgmFailure],
+        failures: Mapping[int, MgmFailure],
     ) -> None:
-        self.names, self.parts, self.others = names, parts, dict(others)
+        self.names, self.model, self.parts, self.failures = names, model, parts, failures
+        self._seen: dict[int, MgmFit | MgmFailure] = dict(failures)
         self._place = np.full((len(names), 2), -1)
         for number, (positions, _, _) in enumerate(parts):
             self._place[positions, 0], self._place[positions, 1] = number, np.arange(len(positions))
@@ -192,11 +196,47 @@ class SpectraFits(Sequence[MgmFit | MgmFailure]):
         if isinstance(index, slice):
             return [self[k] for k in range(*index.indices(len(self)))]
         position = range(len(self))[index]
-        if position not in self.others:
+        if position not in self._seen:
             number, row = self._place[position].tolist()
             _, rows, batch = self.parts[number]
-            self.others[position] = batch.fit(row, rows.at(row, self.names[position]))
-        return self.others[position]
+            self._seen[position] = batch.fit(row, rows.at(row, self.names[position]))
+        return self._seen[position]
+
+    @property
+    def there(self) -> BoolArray:
+        """(n,) whether there is a fit."""
+        return np.asarray(self._place[:, 0] >= 0)
+
+    @property
+    def statuses(self) -> list[str]:
+        """A sentence about each."""
+        found = [self.failures[k].status if k in self.failures else "" for k in range(len(self))]
+        for positions, _, batch in self.parts:
+            for position, text in zip(positions.tolist(), batch.statuses(), strict=True):
+                found[position] = text
+        return found
+
+    def gathered(self, column: Callable[[FitBatch], Any]) -> FloatArray:
+        """What `column` makes of each batch, (n, ...), in the order of the spectra; NaN without a fit."""
+        parts = [(positions, np.asarray(column(batch))) for positions, _, batch in self.parts]
+        found = np.full((len(self), *(parts[0][1].shape[1:] if parts else ())), np.nan)
+        for positions, values in parts:
+            found[positions] = values
+        return found
+
+
+def doubts_about(fits: Sequence[MgmFit | MgmFailure]) -> list[str]:
+    """Why some fits should not be trusted, one sentence for each reason."""
+    if isinstance(fits, SpectraFits):
+        unsettled, rms = ~(fits.gathered(lambda batch: batch.converged) > 0), fits.gathered(lambda batch: batch.rms_ln)
+        names = np.array(fits.names, dtype=object)
+        lists = (names[unsettled & fits.there].tolist(), names[rms > UNLIKE_RMS].tolist())
+    else:
+        good = [item for item in fits if isinstance(item, MgmFit)]
+        unlike = [item.id for item in good if item.rms_ln > UNLIKE_RMS]
+        lists = ([item.id for item in good if not item.converged], unlike)
+    texts = ("no convergence for {}", "the model does not describe {}")
+    return [text.format(", ".join(found)) for text, found in zip(texts, lists, strict=True) if found]
 
 
 def problem_of(model: MgmModel) -> FitProblem:
@@ -221,6 +261,26 @@ COLUMNS = tuple(item.name for item in fields(FitBatch) if item.name != "model")
 def _ratio(numbers: FloatArray) -> StrengthRatio | None:
     opx, cpx, sigma, calibration = numbers.tolist()
     return None if opx != opx else StrengthRatio(opx, cpx, sigma, None if calibration != calibration else calibration)
+
+
+def batch_of(fit: MgmFit) -> FitBatch:
+    """A fit as the only row of a batch; what is known of other minima is not."""
+    empty = {name: np.full(1, np.nan) for name in COLUMNS}
+    ratios = {region: np.array([_numbers(fit.nbsr.get(region))]) for region in REACH_NM}
+    known: dict[str, Any] = {
+        "values": fit.parameters[None],
+        "covariance": fit.covariance[None],
+        "calibration": np.full((1, fit.parameters.size), np.nan),
+        "status": np.array([CONVERGED if fit.converged else ITERATION_LIMIT]),
+        "ambiguous": np.zeros(1, dtype=bool),
+    }
+    return FitBatch(**(empty | known | ratios), model=fit.model)
+
+
+def _numbers(ratio: StrengthRatio | None) -> list[float]:
+    if ratio is None:
+        return [np.nan] * 4
+    return [ratio.opx, ratio.cpx, ratio.sigma, np.nan if ratio.calibration is None else ratio.calibration]
 
 
 def joined(count: int, parts: Sequence[tuple[IndexArray, FitBatch]], model: MgmModel) -> FitBatch:

@@ -84,7 +84,7 @@ def fit_spectra(
                 told(len(group), 0)
         else:
             parts.append((np.array(group), rows, _fit_in_blocks(rows, model, starts, told)))
-    return SpectraFits([spectrum.id for spectrum in spectra], parts, failures)
+    return SpectraFits([spectrum.id for spectrum in spectra], model, parts, failures)
 
 
 def _fit_in_blocks(

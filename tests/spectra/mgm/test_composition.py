@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lunarsci.spectra.mgm.compositions import compositions
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import mgm_model
-from lunarsci.spectra.mgm.result import MgmFit, compositions
+from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.spectrum import Spectrum
 
 GRID = np.arange(450.0, 2396.0, 5.0)

@@ -10,9 +10,10 @@ import pytest
 import lunarsci.spectra.mgm.assemblages as tables
 from lunarsci.inputs import read_input
 from lunarsci.spectra.bands import SpectrumBands, measure_batch
+from lunarsci.spectra.mgm.compositions import compositions
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import mgm_model
-from lunarsci.spectra.mgm.result import MgmFit, compositions
+from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.mgm.selection import Choice, choose
 from lunarsci.spectra.readers import read_spectra
 from lunarsci.spectra.spectrum import Spectrum

@@ -1,0 +1,151 @@
+"""Fits of many spectra as the columns of their JSON and CSV, made from arrays."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from lunarsci.arrays import FloatArray, IntArray
+from lunarsci.records import Codes, Column, Listed, Records, Same, Where
+from lunarsci.spectra.mgm.batch import SpectraFits
+from lunarsci.spectra.mgm.compositions import CompositionColumn, compositions_of
+from lunarsci.spectra.mgm.model import NM_PER_UM
+from lunarsci.spectra.mgm.result import ERROR_COVERS
+
+PARTS = ("center", "fwhm", "strength")
+ON_BOUND = [[name for k, name in enumerate(PARTS) if code >> k & 1] for code in range(8)]
+RATIO = ("opx", "cpx", "sigma", "calibration")
+CSV_RATIO = ("opx", "sigma", "calibration", "continuum", "continuum_low", "continuum_high")
+REGIONS = ("um1", "um2")
+
+
+class FitColumns:
+    """Columns of fits of n spectra to one model, in the order of the spectra; `origins` are their inputs."""
+
+    def __init__(self, fits: SpectraFits, origins: Sequence[str]) -> None:
+        self.fits, self.model, self.size, self.there = fits, fits.model, len(fits), fits.there
+        self.plain: dict[str, Column] = {
+            "source": list(origins),
+            "id": list(fits.names),
+            "assemblage": Same(self.model.assemblage.name),
+            "continuum": Same(self.model.continuum),
+            "converged": fits.gathered(lambda batch: batch.converged) > 0,
+            "status": fits.statuses,
+            "rms_ln": fits.gathered(lambda batch: batch.rms_ln),
+            "model_error": fits.gathered(lambda batch: batch.model_error),
+        }
+        self.ratios = {region: fits.gathered(lambda batch, own=region: getattr(batch, own)) for region in REGIONS}
+
+    def records(self, more: Mapping[str, Column]) -> Records:
+        """The objects of `--json`, with further keys."""
+        fits, told = self.fits, {region: np.isfinite(numbers[:, 0]) for region, numbers in self.ratios.items()}
+        ratios = {region: Where(told[region], _ratio(numbers)) for region, numbers in self.ratios.items()}
+        coefficients = fits.gathered(lambda batch: batch.values[:, : batch.model.degrees])
+        bands = self._bands()
+        columns: dict[str, Column] = {
+            "prior": Where(self.there, Same("map")),
+            "reduced_chi2": fits.gathered(lambda batch: batch.reduced_chi2),
+            "bic": fits.gathered(lambda batch: batch.bic),
+            "iterations": None,
+            "error_covers": Where(self.there, Same(list(ERROR_COVERS))),
+            "continuum_coefficients": Where(self.there, coefficients),
+            "bands": Listed([_slot(bands, k) for k in range(self._count)], self._count * self.there),
+            "nbsr": Where(self.there, ratios),
+            "compositions": Where(self.there, self._compositions(), {}),
+            "choice": None,
+            "intervals": None,
+        }
+        return Records(self.plain | columns | dict(more), self.size)
+
+    def rows(self, more: Mapping[str, Column]) -> Records:
+        """The rows of `--csv`, one a band, with further columns; a spectrum without a fit has one with its status."""
+        columns = dict(self.plain)
+        for region, numbers in self.ratios.items():
+            columns |= {f"nbsr_{region}_{key}": _ratio(numbers)[key] for key in CSV_RATIO}
+        for key, item in self._compositions().items():
+            columns |= {f"{key}_{name}": Where(self.there, item[name]) for name in ("mean", "sigma", "in_range")}
+        count = np.where(self.there, max(1, self._count), 1)
+        row = np.repeat(np.arange(self.size), count)
+        place = np.arange(row.size) - np.repeat(np.cumsum(count) - count, count)
+        spectra = Records(columns | dict(more), self.size).taken(row)
+        shown = self.there[row] & (self._count > 0)
+        bands = {key: Where(shown, _stacked(column, row, place)) for key, column in self._bands().items()}
+        return Records({**spectra.columns, **bands}, row.size)
+
+    @property
+    def _count(self) -> int:
+        return len(self.model.assemblage.bands)
+
+    def _bands(self) -> dict[str, "list[str] | FloatArray | IntArray | dict[str, FloatArray] | None"]:
+        """By key: a text of each band, numbers (n, bands), or numbers by the kind of parameter."""
+        m, bands = self.model.degrees, self.model.assemblage.bands
+        value, sigma, shared = (
+            self.fits.gathered(lambda batch, name=name: getattr(batch, name)[:, m:])
+            for name in ("values", "sigma", "calibration")
+        )
+        shrinkage = self.fits.gathered(lambda batch: batch.shrinkage[:, m:])
+        held = np.nan_to_num(self.fits.gathered(lambda batch: batch.at_bound[:, m:])).astype(int)
+        unit = {"center": NM_PER_UM, "fwhm": NM_PER_UM, "strength": 1.0}
+        names = {"center": "center_nm", "fwhm": "fwhm_nm", "strength": "strength"}
+        found: dict[str, Any] = {key: [getattr(band, key) for band in bands] for key in ("name", "mineral", "region")}
+        for k, part in enumerate(PARTS):
+            found[names[part]] = value[:, k::3] * unit[part]
+            found[_between(names[part], "sigma")] = sigma[:, k::3] * unit[part]
+        for k, part in enumerate(PARTS):
+            found[_between(names[part], "calibration")] = shared[:, k::3] * unit[part]
+        found["shrinkage"] = {part: shrinkage[:, k::3] for k, part in enumerate(PARTS)}
+        found["at_bound"] = held[:, ::3] + 2 * held[:, 1::3] + 4 * held[:, 2::3]
+        return found | dict.fromkeys(_between(names[part], "continuum") for part in PARTS)
+
+    def _compositions(self) -> dict[str, dict[str, Column]]:
+        found: dict[str, dict[str, Column]] = {}
+        numbers = self.fits.gathered(lambda batch: _stack(compositions_of(batch), len(batch)))
+        for k, item in enumerate(self.model.assemblage.compositions):
+            mean, sigma = numbers[:, k].T
+            found[item.key] = {
+                "key": item.key,
+                "mineral": item.mineral,
+                "mean": mean,
+                "sigma": sigma,
+                "prior_sigma": Same(item.sigma),
+                "lowest": Same(item.lowest),
+                "highest": Same(item.highest),
+                "in_range": (item.lowest <= mean) & (mean <= item.highest),
+            }
+        return found
+
+
+def _stack(columns: Sequence[CompositionColumn], size: int) -> FloatArray:
+    """(n, compositions, 2) means and sigmas."""
+    return np.array([[column.mean, column.sigma] for column in columns]).reshape(-1, 2, size).transpose(2, 0, 1)
+
+
+def _ratio(numbers: FloatArray) -> dict[str, Column]:
+    return {**dict(zip(RATIO, numbers.T, strict=True)), **dict.fromkeys(CSV_RATIO[3:])}
+
+
+def _between(name: str, part: str) -> str:
+    """`center_sigma_nm` of `center_nm`."""
+    return f"{name[:-3]}_{part}_nm" if name.endswith("_nm") else f"{name}_{part}"
+
+
+def _slot(bands: Mapping[str, Any], k: int) -> dict[str, Column]:
+    """What a list of objects holds at its place k."""
+    found: dict[str, Column] = {}
+    for key, column in bands.items():
+        if isinstance(column, dict):
+            found[key] = {name: numbers[:, k] for name, numbers in column.items()}
+        elif key == "at_bound":
+            found[key] = Codes(column[:, k], ON_BOUND)
+        else:
+            found[key] = column[:, k] if isinstance(column, np.ndarray) else column[k] if column else None
+    return found
+
+
+def _stacked(column: Any, row: IntArray, place: IntArray) -> Column:
+    """What the rows of a table hold, each of a band of a spectrum."""
+    if isinstance(column, dict):
+        return {name: numbers[row, place] for name, numbers in column.items()}
+    if isinstance(column, np.ndarray):
+        return Codes(column[row, place], ON_BOUND) if column.dtype.kind == "i" else column[row, place]
+    return Codes(place, column) if column else None
