@@ -110,7 +110,7 @@ def pyroxene_shares(batch: FitBatch, rows: MgmRows, calibration: str = "opx-cpx"
     lines = [line for line in table_rows(TABLE) if line["name"] == calibration]
     line = next((line for line in lines if line["assemblage"] == batch.model.assemblage.name), lines[0])
     ratio, sigma = (batch.um1 if line["region"] == "um1" else batch.um2)[:, [0, 2]].T
-    told = np.isfinite(ratio) & (not batch.model.whole)
+    told = np.isfinite(ratio) if not batch.model.whole else np.zeros(len(batch), dtype=bool)
     reasons = _reasons(batch, rows, ratio, told, line)
     inside = told & np.array([not found for found in reasons], dtype=bool)
     slope, offset, scatter = (float(line[key]) / 100 for key in ("slope_percent", "offset_percent", "sd_percent"))
@@ -187,9 +187,8 @@ class PyroxeneAbundances(Mapping[int, list[Abundance]]):
         columns: dict[str, Column] = {"nbsr_in_domain": Where(own.told, own.in_domain)}
         for k, mineral in enumerate(PYROXENES):
             columns[f"nbsr_{mineral}"] = Where(own.told, own.shares[:, k])
-            columns |= {
-                f"nbsr_{mineral}_{end}": Where(own.told, own.ends[:, k, e]) for e, end in enumerate(("low", "high"))
-            }
+            columns[f"nbsr_{mineral}_low"] = Where(own.told, own.ends[:, k, 0])
+            columns[f"nbsr_{mineral}_high"] = Where(own.told, own.ends[:, k, 1])
         return columns
 
 
@@ -241,10 +240,11 @@ def _other_compositions(batch: FitBatch, line: Mapping[str, str]) -> Iterator[li
 
 def _other_minerals(batch: FitBatch) -> Iterator[list[str]]:
     bands, m = batch.model.assemblage.bands, batch.model.degrees
-    seen = batch.values[:, m + 2 :: 3] < -SEEN_SIGMAS * batch.sigma[:, m + 2 :: 3]
+    seen = np.asarray(batch.values[:, m + 2 :: 3] < -SEEN_SIGMAS * batch.sigma[:, m + 2 :: 3])
     for mineral in sorted({band.mineral for band in bands} & OTHER_MINERALS):
-        absorbs = seen[:, [band.mineral == mineral for band in bands]].any(axis=1)
-        yield [f"{mineral} absorbs as well" if one else "" for one in absorbs.tolist()]
+        own = [band.mineral == mineral for band in bands]
+        absorbs: list[bool] = np.any(seen[:, own], axis=1).tolist()
+        yield [f"{mineral} absorbs as well" if one else "" for one in absorbs]
 
 
 def _unlike(batch: FitBatch, ratio: FloatArray, line: Mapping[str, str]) -> list[str]:

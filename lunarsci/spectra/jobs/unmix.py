@@ -144,7 +144,7 @@ def unmix(
     asked = request_of(UnmixRequest, request, options)
     batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit)
     found = fit_batch_of(batch, asked, progress)
-    shares = nbsr_abundances(found["fits"])
+    shares = {index: list(one) for index, one in nbsr_abundances(found["fits"]).items()}
     fits: dict[int, MgmFit] = {index: found["fits"][index] for index in shares}
     library, known = (read_input(name) if name else None for name in (asked.library, asked.known))
     end_members = read_library(library) if library else None

@@ -1,6 +1,7 @@
 """Fits of many spectra as the columns of their JSON and CSV, made from arrays."""
 
 from collections.abc import Mapping, Sequence
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,7 @@ class FitColumns:
             "rms_ln": fits.gathered(lambda batch: batch.rms_ln),
             "model_error": fits.gathered(lambda batch: batch.model_error),
         }
-        self.ratios = {region: fits.gathered(lambda batch, own=region: getattr(batch, own)) for region in REGIONS}
+        self.ratios = {region: fits.gathered(attrgetter(region)) for region in REGIONS}
 
     def records(self, more: Mapping[str, Column]) -> Records:
         """The objects of `--json`, with further keys."""
@@ -79,23 +80,21 @@ class FitColumns:
     def _bands(self) -> dict[str, "list[str] | FloatArray | IntArray | dict[str, FloatArray] | None"]:
         """By key: a text of each band, numbers (n, bands), or numbers by the kind of parameter."""
         m, bands = self.model.degrees, self.model.assemblage.bands
-        value, sigma, shared = (
-            self.fits.gathered(lambda batch, name=name: getattr(batch, name)[:, m:])
-            for name in ("values", "sigma", "calibration")
-        )
+        names = ("values", "sigma", "calibration")
+        value, sigma, shared = (self.fits.gathered(attrgetter(name))[:, m:] for name in names)
         shrinkage = self.fits.gathered(lambda batch: batch.shrinkage[:, m:])
         held = np.nan_to_num(self.fits.gathered(lambda batch: batch.at_bound[:, m:])).astype(int)
         unit = {"center": NM_PER_UM, "fwhm": NM_PER_UM, "strength": 1.0}
-        names = {"center": "center_nm", "fwhm": "fwhm_nm", "strength": "strength"}
+        keys = {"center": "center_nm", "fwhm": "fwhm_nm", "strength": "strength"}
         found: dict[str, Any] = {key: [getattr(band, key) for band in bands] for key in ("name", "mineral", "region")}
         for k, part in enumerate(PARTS):
-            found[names[part]] = value[:, k::3] * unit[part]
-            found[_between(names[part], "sigma")] = sigma[:, k::3] * unit[part]
+            found[keys[part]] = value[:, k::3] * unit[part]
+            found[_between(keys[part], "sigma")] = sigma[:, k::3] * unit[part]
         for k, part in enumerate(PARTS):
-            found[_between(names[part], "calibration")] = shared[:, k::3] * unit[part]
+            found[_between(keys[part], "calibration")] = shared[:, k::3] * unit[part]
         found["shrinkage"] = {part: shrinkage[:, k::3] for k, part in enumerate(PARTS)}
         found["at_bound"] = held[:, ::3] + 2 * held[:, 1::3] + 4 * held[:, 2::3]
-        return found | dict.fromkeys(_between(names[part], "continuum") for part in PARTS)
+        return found | dict.fromkeys(_between(keys[part], "continuum") for part in PARTS)
 
     def _compositions(self) -> dict[str, dict[str, Column]]:
         found: dict[str, dict[str, Column]] = {}
