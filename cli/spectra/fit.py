@@ -12,7 +12,7 @@ from ..shared.command import command
 from ..shared.options import BLOCKS, Output, RequestOption, option
 from ..shared.progress import progress
 from ..shared.report import Report
-from ..shared.table import TextTable, plus_minus
+from ..shared.table import SHOWN, TextTable, plus_minus
 from .options import UNITS, Files
 
 if TYPE_CHECKING:
@@ -108,7 +108,8 @@ def fit_tables(found: MgmFits) -> list[TextTable]:
     record = found.records[0]
     overview = TextTable(
         ["spectrum", "assemblage", "rms ln R [%]", "NBSR 1 µm OPX", "NBSR 2 µm OPX", "status"],
-        [_overview_row(record) for record in found.records],
+        [_overview_row(record) for record in found.records[:SHOWN]],
+        total=len(found.records),
         notes=_notes(record, found.good[0]) if alone else _not_shown(found),
     )
     if not alone:

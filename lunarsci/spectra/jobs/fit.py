@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 from lunarsci.constants import MGM, NBSR
 from lunarsci.errors import ParameterError
-from lunarsci.result import MadeFrom, Result, flat, request_of
+from lunarsci.result import MadeFrom, Result, request_of
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 Progress: TypeAlias = Callable[[int, int], None]
 DEFAULT_ASSEMBLAGE = "OL-OPX-CPX"
-COMMON = ("source", "id", "assemblage", "continuum", "converged", "status", "rms_ln", "model_error")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,13 +231,11 @@ class MgmFits(Result):
         }
 
     def rows(self) -> Sequence[dict[str, Any]]:
+        from lunarsci.spectra.mgm.columns import rows_one_by_one
+
         if self.columns:
             return self.columns.rows(self.abundances.table_columns())  # type: ignore[attr-defined]
-        return [
-            row
-            for index, record in enumerate(self.records)
-            for row in _band_rows(record, _share_columns(self.abundances.get(index, ())))
-        ]
+        return rows_one_by_one(self.records, self.abundances)
 
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.spectra.abundance.result import share_pages
@@ -372,48 +369,4 @@ def _intervals(results: Sequence[Any], request: FitRequest, progress: Progress |
         found[index] = profile_intervals(item)
         if progress:
             progress(done, len(fits))
-    return found
-
-
-def _band_rows(record: Mapping[str, Any], shares: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """One row per band; a spectrum without a fit has one row with its status."""
-    common = {key: record[key] for key in COMMON}
-    for region in ("um1", "um2"):
-        ratio = (record["nbsr"] or {}).get(region) or {}
-        for key in ("opx", "sigma", "calibration", "continuum", "continuum_low", "continuum_high"):
-            common[f"nbsr_{region}_{key}"] = ratio.get(key)
-    for key, item in record["compositions"].items():
-        common |= {f"{key}_mean": item["mean"], f"{key}_sigma": item["sigma"], f"{key}_in_range": item["in_range"]}
-    common |= shares
-    if record["choice"]:
-        common |= {f"choice_{key}": record["choice"][key] for key in ("margin", "strong")}
-    ends = {item["name"]: item for item in record["intervals"]["intervals"]} if record["intervals"] else {}
-    common |= _interval_columns({name: name for name in ("nbsr_um1_opx", "nbsr_um2_opx") if name in ends}, ends)
-    return [common | flat(band) | _interval_columns(_of_band(band), ends) for band in record["bands"]] or [common]
-
-
-def _share_columns(found: "Sequence[Abundance]") -> dict[str, Any]:
-    """`unmix_olivine`, `unmix_olivine_low` and the like, and whether the method applies."""
-    columns: dict[str, Any] = {}
-    for modes in found:
-        columns[f"{modes.method}_in_domain"] = modes.in_domain
-        for share in modes.fractions:
-            name = f"{modes.method}_{share.mineral}"
-            columns |= {name: share.fraction, f"{name}_low": share.low, f"{name}_high": share.high}
-    return columns
-
-
-def _of_band(band: Mapping[str, Any]) -> dict[str, str]:
-    """Columns of a band by the name of its parameter."""
-    key = band["name"].lower().replace(" ", "_").replace("-", "_")
-    return {f"{key}_{kind}": kind for kind in ("center_nm", "fwhm_nm", "strength")}
-
-
-def _interval_columns(columns: Mapping[str, str], ends: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """`center_low68_nm` and the like."""
-    found: dict[str, Any] = {}
-    for name, column in columns.items():
-        stem, unit = (column[:-3], "_nm") if column.endswith("_nm") else (column, "")
-        if name in ends:
-            found |= {f"{stem}_{end}{unit}": ends[name][end] for end in ("low68", "high68", "low95", "high95")}
     return found

@@ -8,6 +8,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.records import Codes, Column, Listed, Records, Same, Where
+from lunarsci.result import flat
 from lunarsci.spectra.mgm.batch import SpectraFits
 from lunarsci.spectra.mgm.compositions import CompositionColumn, compositions_of
 from lunarsci.spectra.mgm.model import NM_PER_UM
@@ -18,6 +19,7 @@ ON_BOUND = [[name for k, name in enumerate(PARTS) if code >> k & 1] for code in 
 RATIO = ("opx", "cpx", "sigma", "calibration")
 CSV_RATIO = ("opx", "sigma", "calibration", "continuum", "continuum_low", "continuum_high")
 REGIONS = ("um1", "um2")
+COMMON = ("source", "id", "assemblage", "continuum", "converged", "status", "rms_ln", "model_error")
 
 
 class FitColumns:
@@ -148,3 +150,53 @@ def _stacked(column: Any, row: IntArray, place: IntArray) -> Column:
     if isinstance(column, np.ndarray):
         return Codes(column[row, place], ON_BOUND) if column.dtype.kind == "i" else column[row, place]
     return Codes(place, column) if column else None
+
+
+def rows_one_by_one(records: Sequence[Mapping[str, Any]], shares: Mapping[int, Sequence[Any]]) -> list[dict[str, Any]]:
+    """The rows of `--csv` of records that were made one by one, and the shares of some by position."""
+    found = ((record, _share_columns(shares.get(index, ()))) for index, record in enumerate(records))
+    return [row for record, columns in found for row in _band_rows(record, columns)]
+
+
+def _band_rows(record: Mapping[str, Any], shares: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """One row per band; a spectrum without a fit has one row with its status."""
+    common = {key: record[key] for key in COMMON}
+    for region in ("um1", "um2"):
+        ratio = (record["nbsr"] or {}).get(region) or {}
+        for key in ("opx", "sigma", "calibration", "continuum", "continuum_low", "continuum_high"):
+            common[f"nbsr_{region}_{key}"] = ratio.get(key)
+    for key, item in record["compositions"].items():
+        common |= {f"{key}_mean": item["mean"], f"{key}_sigma": item["sigma"], f"{key}_in_range": item["in_range"]}
+    common |= shares
+    if record["choice"]:
+        common |= {f"choice_{key}": record["choice"][key] for key in ("margin", "strong")}
+    ends = {item["name"]: item for item in record["intervals"]["intervals"]} if record["intervals"] else {}
+    common |= _interval_columns({name: name for name in ("nbsr_um1_opx", "nbsr_um2_opx") if name in ends}, ends)
+    return [common | flat(band) | _interval_columns(_of_band(band), ends) for band in record["bands"]] or [common]
+
+
+def _share_columns(found: Sequence[Any]) -> dict[str, Any]:
+    """`unmix_olivine`, `unmix_olivine_low` and the like, and whether the method applies."""
+    columns: dict[str, Any] = {}
+    for modes in found:
+        columns[f"{modes.method}_in_domain"] = modes.in_domain
+        for share in modes.fractions:
+            name = f"{modes.method}_{share.mineral}"
+            columns |= {name: share.fraction, f"{name}_low": share.low, f"{name}_high": share.high}
+    return columns
+
+
+def _of_band(band: Mapping[str, Any]) -> dict[str, str]:
+    """Columns of a band by the name of its parameter."""
+    key = band["name"].lower().replace(" ", "_").replace("-", "_")
+    return {f"{key}_{kind}": kind for kind in ("center_nm", "fwhm_nm", "strength")}
+
+
+def _interval_columns(columns: Mapping[str, str], ends: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """`center_low68_nm` and the like."""
+    found: dict[str, Any] = {}
+    for name, column in columns.items():
+        stem, unit = (column[:-3], "_nm") if column.endswith("_nm") else (column, "")
+        if name in ends:
+            found |= {f"{stem}_{end}{unit}": ends[name][end] for end in ("low68", "high68", "low95", "high95")}
+    return found
