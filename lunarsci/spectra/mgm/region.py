@@ -40,12 +40,15 @@ from lunarsci.spectra.mgm.model import MgmModel
 from lunarsci.spectra.mgm.multistart import Multistart
 
 TILE = 32
-CONTEST_EVERY = 8
+TOGETHER = 8
+"""Tiles searched together in one thread, so that the lanes of the processor are busy to the end."""
+CONTEST_EVERY = 16
 """Pixels from one contest to the next, along lines and samples."""
 DENSEST = 2
 RESTLESS = 0.08
 """Share of a tile's pixels that took over a neighbour's minimum above which contests are run twice as densely."""
 MOST_ROUNDS = 12
+NEAREST = 4
 FIRST_DAMPING = 1e-3
 WORTH = 0.01
 """By how much another minimum must be lower to be taken, in chi-square: a tenth of a standard error."""
@@ -106,15 +109,17 @@ def fit_region(
     )
     origin, unsettled = np.full(count, NOWHERE), np.zeros(count, dtype=bool)
     tiles = list(_tiles(places, spectra.fitted))
+    groups = [tiles[first : first + TOGETHER] for first in range(0, len(tiles), TOGETHER)]
 
     def some(number: int) -> None:
-        rows = tiles[number]
-        search = Tile(spectra.part(rows), places[rows], model, starts)
+        rows = np.concatenate(groups[number])
+        tile = np.repeat(np.arange(len(groups[number])), [len(own) for own in groups[number]])
+        search = Search(spectra.part(rows), tile, places[rows] % TILE, model, starts)
         search.solve(contest_every)
         search.write(solved, rows)
         origin[rows], unsettled[rows] = search.origin, search.changed
 
-    each_in_threads(some, len(tiles))
+    each_in_threads(some, len(groups))
     return RegionFits(spectra.described(model, solved), origin, unsettled)
 
 
@@ -186,11 +191,12 @@ class _Spectra:
             ))  # fmt: skip
             points = scaled(model, own.parameters, self.level[rows])
             parts.append((rows, describe_rows(ready, model, own, points)))
-        return joined(len(self.level), parts, model)
+        alone = len(parts) == 1 and len(parts[0][0]) == len(self.level)
+        return parts[0][1] if alone else joined(len(self.level), parts, model)
 
 
-class Tile:
-    """The search of the minima of one tile.
+class Search:
+    """The search of the minima of some tiles, each of which knows nothing of the others.
 
     Attributes
     ----------
@@ -198,12 +204,14 @@ class Tile:
     origin, changed : (n,) as in `RegionFits`; whether a pixel changed in the last round.
     """
 
-    def __init__(self, spectra: Channels, places: IndexArray, model: MgmModel, starts: int) -> None:
+    def __init__(
+        self, spectra: Channels, tile: IndexArray, place: IndexArray, model: MgmModel, starts: int
+    ) -> None:  # fmt: skip
         self.spectra, self.model, self.starts, self.problem = spectra, model, starts, problem_of(model)
-        self.place = places - places.min(axis=0) // TILE * TILE
-        self.grid = np.full((TILE, TILE), -1)
-        self.grid[tuple(self.place.T)] = np.arange(len(places))
-        rows, size = len(places), model.prior.size
+        self.tile, self.place = tile, place
+        self.grid = np.full((tile[-1] + 1, TILE, TILE), -1)
+        self.grid[tile, place[:, 0], place[:, 1]] = np.arange(len(tile))
+        rows, size = len(tile), model.prior.size
         self.used = np.count_nonzero(spectra.root_weight, axis=1).astype(float)
         self.space = workspace_for(size, model.degrees, spectra.data.shape[1])
         self.points, self.outcomes = np.zeros((rows, size)), np.full((rows, 4), np.inf)
@@ -211,19 +219,22 @@ class Tile:
         self.origin, self.changed = np.full(rows, SINGLE), np.ones(rows, dtype=bool)
 
     def solve(self, every: int) -> None:
-        """Contests every so many pixels, a descent from the nearest of them elsewhere, and the exchange."""
-        asked = self._lattice(every)
-        self._contest(asked)
-        distance = ((self.place[:, None] - self.place[asked]) ** 2).sum(axis=2)
-        others = np.flatnonzero(self.origin == SINGLE)
-        self._try(others, self.points[asked[distance[others].argmin(axis=1)]], np.empty(0))
-        restless = self._exchange()
-        while restless > RESTLESS and every > DENSEST:
+        """Contests every so many pixels, a descent from the likest of the nearest solved elsewhere, and the exchange;
+        again with more contests in tiles that are restless."""
+        active = np.ones(len(self.grid), dtype=bool)
+        self._contest(self._lattice(every, active))
+        for step in (every // 2, every // 4, 1):
+            solved = np.isfinite(self.outcomes[:, 1])
+            rows = self._lattice(max(1, step), active)
+            rows = rows[~solved[rows]]
+            self._try(rows, self.points[self._likest(rows, np.flatnonzero(solved))], np.empty(0))
+        active &= self._exchange() > RESTLESS
+        while active.any() and every > DENSEST:
             every //= 2
-            asked = self._lattice(every)
+            rows = self._lattice(every, active)
             self.changed[:] = False
-            self._contest(asked[self.origin[asked] != CONTEST])
-            restless = self._exchange()
+            self._contest(rows[self.origin[rows] != CONTEST])
+            active &= self._exchange() > RESTLESS
 
     def write(self, solved: KernelFits, rows: IndexArray) -> None:
         """Write what was found into the rows of a whole."""
@@ -234,11 +245,25 @@ class Tile:
             column[rows] = values
         solved.competing[rows], solved.competing_sigmas[rows] = self.competing, self.competing_sigmas
 
-    def _lattice(self, every: int) -> IndexArray:
-        """Pixels every so many lines and samples, or the first of the tile."""
-        inside = self.grid[every // 2 :: every, every // 2 :: every].ravel()
-        inside = inside[inside >= 0]
-        return inside if inside.size else np.zeros(1, dtype=np.intp)
+    def _lattice(self, every: int, tiles: BoolArray) -> IndexArray:
+        """Pixels of some tiles every so many lines and samples; the first of a tile that has none there."""
+        inside = self.grid[:, every // 2 :: every, every // 2 :: every].reshape(len(self.grid), -1)
+        first = np.searchsorted(self.tile, np.flatnonzero((inside < 0).all(axis=1) & tiles))
+        chosen = inside[tiles]
+        return np.concatenate([chosen[chosen >= 0], first])
+
+    def _likest(self, rows: IndexArray, solved: IndexArray) -> IndexArray:
+        """For some pixels: of the `NEAREST` solved ones of their tile that with the likest spectrum."""
+        found = np.empty(len(rows), dtype=np.intp)
+        data, root = self.spectra.data, self.spectra.root_weight
+        for tile in np.unique(self.tile[rows]):
+            own, others = np.flatnonzero(self.tile[rows] == tile), solved[self.tile[solved] == tile]
+            apart = ((self.place[rows[own]][:, None] - self.place[others]) ** 2).sum(axis=2)
+            near = others[np.argsort(apart, axis=1, kind="stable")[:, :NEAREST]]
+            difference = (data[near] - data[rows[own]][:, None]) * root[rows[own]][:, None] * (root[near] > 0)
+            unlike = np.einsum("ijk,ijk->ij", difference, difference)
+            found[own] = near[np.arange(len(own)), unlike.argmin(axis=1)]
+        return found
 
     def _contest(self, rows: IndexArray) -> None:
         """Search the minima of some pixels from all starts and by all hops."""
@@ -255,12 +280,12 @@ class Tile:
         self.origin[rows] = CONTEST
         self.changed[rows] = True
 
-    def _exchange(self) -> float:
-        """Let neighbours try each other's solutions until nobody gains; the share of pixels that took one over."""
+    def _exchange(self) -> FloatArray:
+        """Let neighbours try each other's solutions until nobody gains; the share that took one over, by tile."""
         gained = np.zeros(len(self.points), dtype=bool)
         for _ in range(MOST_ROUNDS):
             keys = _kind_of(self.points, self.model)
-            rows, lenders = _askers(self.grid, keys, self.outcomes[:, 1], self.changed)
+            rows, lenders = _askers(self.grid, self.tile, self.place, keys, self.outcomes[:, 1], self.changed)
             self.changed[:] = False
             if not rows.size:
                 break
@@ -268,7 +293,7 @@ class Tile:
             won = self._try(rows, self.points[lenders], bars)
             self.changed[won], gained[won] = True, True
             self.origin[won] = NEIGHBOUR
-        return float(gained.mean())
+        return np.asarray(np.bincount(self.tile, gained) / np.bincount(self.tile))
 
     def _try(self, rows: IndexArray, starts: FloatArray, bars: FloatArray) -> IndexArray:
         """Descend on spectra `rows` from as many starts; the pixels that found something lower."""
@@ -301,29 +326,26 @@ def _kind_of(points: FloatArray, model: MgmModel) -> IndexArray:
 
 
 @compiled
-def _askers(grid: Any, keys: Any, objective: Any, changed: Any) -> Any:
+def _askers(grid: Any, tile: Any, place: Any, keys: Any, objective: Any, changed: Any) -> Any:
     """Pairs of a pixel and a neighbour whose solution it tries: of each other kind about it the lowest that changed."""
-    lines, samples = grid.shape
+    _, lines, samples = grid.shape
     rows, lenders = np.empty(8 * keys.size, dtype=np.int64), np.empty(8 * keys.size, dtype=np.int64)
     found, near = 0, np.empty(8, dtype=np.int64)
-    for y in range(lines):
-        for x in range(samples):
-            if grid[y, x] < 0:
-                continue
-            count = 0
-            for b in range(max(0, y - 1), min(lines, y + 2)):
-                for a in range(max(0, x - 1), min(samples, x + 2)):
-                    other = grid[b, a]
-                    if other < 0 or not changed[other] or keys[other] == keys[grid[y, x]]:
-                        continue
-                    known = 0
-                    while known < count and keys[near[known]] != keys[other]:
-                        known += 1
-                    if known == count:
-                        near[count], count = other, count + 1
-                    elif objective[other] < objective[near[known]]:
-                        near[known] = other
-            for k in range(count):
-                rows[found], lenders[found] = grid[y, x], near[k]
-                found += 1
+    for own in range(keys.size):
+        count, window = 0, grid[tile[own]]
+        for y in range(max(0, place[own, 0] - 1), min(lines, place[own, 0] + 2)):
+            for x in range(max(0, place[own, 1] - 1), min(samples, place[own, 1] + 2)):
+                other = window[y, x]
+                if other < 0 or not changed[other] or keys[other] == keys[own]:
+                    continue
+                known = 0
+                while known < count and keys[near[known]] != keys[other]:
+                    known += 1
+                if known == count:
+                    near[count], count = other, count + 1
+                elif objective[other] < objective[near[known]]:
+                    near[known] = other
+        for k in range(count):
+            rows[found], lenders[found] = own, near[k]
+            found += 1
     return rows[:found], lenders[:found]
