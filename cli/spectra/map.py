@@ -8,7 +8,7 @@ import typer
 from lunarsci.spectra.jobs.map import MapRequest
 
 from ..shared.command import command
-from ..shared.options import Output, option
+from ..shared.options import BLOCKS, Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
@@ -67,7 +67,7 @@ OPTIONS = {
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "map", request=MapRequest, options=OPTIONS)(map_cube)
+    command(app, "map", request=MapRequest, options=OPTIONS, blocks=BLOCKS)(map_cube)
 
 
 def map_cube(cube: CubeFile, request: MapRequest, output: Output, spectrum: Spectrum = None) -> Report:

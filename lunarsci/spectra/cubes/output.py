@@ -207,7 +207,7 @@ def _coordinates(file: Any, made: MapFile, dims: tuple[str, str]) -> dict[str, s
         _grid_mapping(file, frame)
         if not frame.rotated:
             a, _, c, _, e, f = frame.transform
-            geographic = _is_geographic(frame)
+            geographic = is_geographic(frame)
             for name, values in (("x", c + a * (np.arange(samples) + 0.5)), ("y", f + e * (np.arange(lines) + 0.5))):
                 axis = file.create_variable(name, (name,), data=values)
                 axis.attrs["axis"] = name.upper()
@@ -230,7 +230,8 @@ def _axis_names(name: str, geographic: bool) -> dict[str, str]:
     return {"standard_name": f"projection_{name}_coordinate", "units": "m"}
 
 
-def _is_geographic(frame: PixelFrame) -> bool:
+def is_geographic(frame: PixelFrame) -> bool:
+    """Whether x and y are longitude and latitude."""
     from rasterio.crs import CRS
 
     return bool(frame.crs_wkt) and bool(CRS.from_wkt(frame.crs_wkt).is_geographic)
@@ -243,7 +244,7 @@ def _grid_mapping(file: Any, frame: PixelFrame) -> None:
     mapping.attrs["GeoTransform"] = " ".join(repr(float(value)) for value in (c, a, b, f, d, e))
     if frame.crs_wkt:
         mapping.attrs["crs_wkt"] = mapping.attrs["spatial_ref"] = frame.crs_wkt
-        if _is_geographic(frame):
+        if is_geographic(frame):
             mapping.attrs["grid_mapping_name"] = "latitude_longitude"
 
 

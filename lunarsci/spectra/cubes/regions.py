@@ -16,8 +16,9 @@ from lunarsci.inputs import read_input, text
 from lunarsci.spectra.cubes.cube import Cube, Source
 from lunarsci.spectra.cubes.rasters import plane_of
 
-MOON_LONGLAT = "+proj=longlat +R=1737400 +no_defs"
-"""Mean radius of the Moon: IAU Working Group (Archinal et al. 2018, 10.1007/s10569-017-9805-5)."""
+MOON_RADIUS_KM = 1737.4
+"""Mean radius: IAU Working Group (Archinal et al. 2018, 10.1007/s10569-017-9805-5)."""
+MOON_LONGLAT = f"+proj=longlat +R={1e3 * MOON_RADIUS_KM:.0f} +no_defs"
 _BOX = re.compile(r"\s*(\d*)\s*:\s*(\d*)\s*,\s*(\d*)\s*:\s*(\d*)\s*")
 _LINES_AT_ONCE = 512
 _EDGE_PARTS = 64

@@ -1,7 +1,7 @@
 """`lunarsci.map`: what is measured on one spectrum, on every pixel of an image cube, as a file of maps."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -14,10 +14,11 @@ from lunarsci.spectra.jobs.fit import DEFAULT_ASSEMBLAGE, Progress
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from lunarsci.spectra.cubes.blocks import Product
     from lunarsci.spectra.cubes.cube import Cube, Stated
-    from lunarsci.spectra.cubes.output import Layer
-    from lunarsci.spectra.cubes.regions import Region
+    from lunarsci.spectra.cubes.output import Layer, MapFile
 
 
 PRODUCTS = ("bands", "indices", "fit", "unmix", "match")
@@ -99,17 +100,16 @@ class CubeMap(Result):
     Attributes
     ----------
     path : of the file.
-    cube, region, layers, request : what was mapped and asked.
+    request, products : what was asked.
     counts : pixels that were wanted, and those with each flag.
     codes : by layer of codes, pixels with each of its codes.
+    made : what the file was made of.
     sampled : by layer of values, those of some pixels evenly spread over the map, NaN where not determined.
     """
 
     schema = "spectra-map/1"
     path: Path
-    cube: "Cube"
-    region: "Region"
-    layers: "Sequence[Layer]"
+    made: "MapFile"
     request: MapRequest
     products: "Sequence[Product]"
     counts: Mapping[str, int]
@@ -118,7 +118,7 @@ class CubeMap(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-        return made_from(self.cube, self.products)
+        return made_from(self.made.cube, self.products)
 
     @property
     def untrusted(self) -> str:
@@ -128,14 +128,14 @@ class CubeMap(Result):
 
     def to_dict(self) -> dict[str, Any]:
         return {
-            "cube": cube_record(self.cube),
+            "cube": cube_record(self.made.cube),
             "map": {
                 "file": str(self.path),
-                "lines": self.region.shape[0],
-                "samples": self.region.shape[1],
-                "first_line": self.region.lines[0],
-                "first_sample": self.region.samples[0],
-                "every": self.region.step,
+                "lines": self.made.region.shape[0],
+                "samples": self.made.region.shape[1],
+                "first_line": self.made.region.lines[0],
+                "first_sample": self.made.region.samples[0],
+                "every": self.made.region.step,
             },
             "pixels": dict(self.counts),
             "layers": self.rows(),
@@ -143,7 +143,7 @@ class CubeMap(Result):
 
     def rows(self) -> list[dict[str, Any]]:
         """One a layer: of values the share of pixels that has one, and quantiles of a sample."""
-        return [self._row(layer) for layer in self.layers]
+        return [self._row(layer) for layer in self.made.layers]
 
     def _row(self, layer: "Layer") -> dict[str, Any]:
         import numpy as np
@@ -156,6 +156,11 @@ class CubeMap(Result):
         share = known.size / seen.size if seen is not None and seen.size else None
         codes = " ".join(f"{name}={count}" for name, count in self.codes.get(layer.name, {}).items() if count)
         return row | {"determined": share, "p05": low, "median": median, "p95": high, "codes": codes}
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.spectra.cubes.figure import map_pages
+
+        return map_pages(self.path, self.made)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -256,7 +261,7 @@ def map(
     with written_whole(target, force=force) as name:
         file.write(Path(name), target.suffix, tally.through(blocks))
     return CubeMap(
-        path=target, cube=image, region=region, layers=layers, request=asked, products=products,
+        path=target, made=file, request=asked, products=products,
         counts=tally.counts(), codes=tally.codes, sampled=tally.values(),
     )  # fmt: skip
 
