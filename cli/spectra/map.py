@@ -51,6 +51,8 @@ OPTIONS = {
     "continuum": option("Continuum of the fit, as --continuum of `spectra fit`.", panel=SETTINGS),
     "model_error": option("Model error of ln R; left out: that expected of each spectrum.", panel=SETTINGS),
     "starts": option("Starting points of a fit.", panel=SETTINGS, min=1),
+    "kind": option("Kind of target of unmix; auto: found in each pixel.", panel=SETTINGS),
+    "craters": option("Table of craters of match, as --craters of `spectra match`.", panel=SETTINGS, metavar="FILE"),
     "single_precision": option("Write values with 24 bits instead of 53: half the size.", panel=SETTINGS),
     "wavelengths": option(
         "Table of wavelengths, one a band; columns fwhm and good beside it.", panel=FILE, metavar="FILE"

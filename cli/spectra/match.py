@@ -52,10 +52,11 @@ OPTIONS = {
         metavar="FILE",
     ),
     "mineral_map": option(
-        "GeoTIFF of a mineral's mode: its values in the ring of ejecta replace a crater's modes. May be repeated.",
+        "GeoTIFF of a mineral's mode: its values in the ring of ejecta replace a crater's modes. May be repeated. Or a "
+        "file of `spectra map --products unmix`.",
         "--map",
         panel=CRATERS,
-        metavar="MINERAL=FILE.tif",
+        metavar="MINERAL=FILE.tif|MAP",
     ),
     "annulus": option("That ring, in rim radii.", panel=CRATERS, metavar="IN:OUT"),
     "prior": option("ejecta: by what each crater left at the site; uniform: all alike.", panel=PRIOR),

@@ -1,21 +1,34 @@
 """What goes through a map: blocks of rows as they are read, their layers as they are measured, and a tally of them."""
 
+import time
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import FloatArray, IntArray
+from lunarsci.errors import LunarSciWarning
 from lunarsci.spectra.cubes.cube import LEFT_OUT, NO_DATA, Cube
 from lunarsci.spectra.cubes.output import FLAG_LAYER, NO_CODE, Layer
 from lunarsci.spectra.cubes.regions import Region
 
 SAMPLED = 20_000
 """Pixels that medians in the summary are taken from."""
+TRIED = 3
+"""Pixels that are measured to say what all will take."""
+LONG_HOURS = 1 / 60
+"""What takes longer is said before it begins."""
 
 
 class Product(Protocol):
-    """Some layers that are measured together; it goes to other processes, so it is small."""
+    """Some layers that are measured together; it goes to other processes, so it is small.
+
+    `slow` is whether it works on one spectrum after the other.
+    """
+
+    name: ClassVar[str]
+    slow: ClassVar[bool]
 
     @property
     def layers(self) -> Sequence[Layer]:
@@ -29,8 +42,11 @@ class Product(Protocol):
     def sources(self) -> Sequence[str]:
         """What to cite."""
 
-    def measure(self, wavelength_nm: FloatArray, reflectance: FloatArray) -> Mapping[str, Any]:
-        """Each layer, (n,), of spectra (n, c) with NaN in channels that cannot be used."""
+    def measure(self, wavelength_nm: FloatArray, reflectance: FloatArray, places: IntArray) -> Mapping[str, Any]:
+        """Each layer, (n,), of spectra (n, c) with NaN in channels that cannot be used.
+
+        `places` are the line and the sample of each in the map, (n, 2).
+        """
 
 
 def fetched(cube: Cube, region: Region, rows: range) -> dict[str, Any]:
@@ -43,7 +59,7 @@ def fetched(cube: Cube, region: Region, rows: range) -> dict[str, Any]:
     planes = {
         name: plane.read(lines, samples)[:: region.step, :: region.step] for name, plane in cube.backplanes.items()
     }
-    return {"reflectance": reflectance, "flags": flags, "planes": planes}
+    return {"first": rows.start, "reflectance": reflectance, "flags": flags, "planes": planes}
 
 
 def measured(products: Sequence[Product], wavelength_nm: Any, block: Mapping[str, Any]) -> dict[str, Any]:
@@ -51,15 +67,49 @@ def measured(products: Sequence[Product], wavelength_nm: Any, block: Mapping[str
     flags, shape = block["flags"], block["flags"].shape
     wanted = (flags & (NO_DATA | LEFT_OUT)) == 0
     found: dict[str, Any] = {FLAG_LAYER: flags, **block["planes"]}
-    reflectance = block["reflectance"][wanted]
+    reflectance, places = block["reflectance"][wanted], np.argwhere(wanted) + np.array([block["first"], 0])
     for product in products:
-        values = product.measure(wavelength_nm, reflectance) if len(reflectance) else {}
+        values = product.measure(wavelength_nm, reflectance, places) if len(reflectance) else {}
         for layer in product.layers:
-            whole = np.full(shape, NO_CODE, np.int16) if layer.meanings else np.full(shape, np.nan)
+            whole = np.full(shape, _nothing(layer))
             if layer.name in values:
                 whole[wanted] = values[layer.name]
             found[layer.name] = whole
     return found
+
+
+def warn_of_cost(products: Sequence[Product], cube: Cube, region: Region) -> None:
+    """Measure a few pixels of products that take long and say what all would take, as a LunarSciWarning."""
+    slow = [product for product in products if product.slow]
+    if not slow:
+        return
+    rows = (region.shape[0] * k // 4 for k in (2, 1, 3, 0))
+    blocks = (fetched(cube, region, range(row, row + 1)) for row in rows)
+    wanted = (block["reflectance"][(block["flags"] & (NO_DATA | LEFT_OUT)) == 0] for block in blocks)
+    some = next((found for found in wanted if len(found) >= TRIED), np.empty((0, 0)))[:TRIED]
+    if not len(some):
+        return
+    places = np.zeros((TRIED, 2), np.int64)
+    for product in slow:
+        product.measure(cube.wavelength_nm, some[:1], places[:1])
+    begun = time.perf_counter()
+    for product in slow:
+        product.measure(cube.wavelength_nm, some, places)
+    each = (time.perf_counter() - begun) / TRIED
+    count = region.shape[0] * region.shape[1]
+    hours = each * count / 3600
+    told = (
+        f"{60 * hours:.0f} minutes" if hours < 2 else f"{hours:.0f} hours" if hours < 48 else f"{hours / 24:.0f} days"
+    )
+    if hours > LONG_HOURS:
+        names = " and ".join(product.name for product in slow)
+        message = f"{names}: {each:.2g} s a pixel, about {told} for {count:,} pixels on one core; `every` makes it less"
+        warnings.warn(message, LunarSciWarning, stacklevel=3)
+
+
+def _nothing(layer: Layer) -> Any:
+    """What a layer has where nothing was measured."""
+    return np.nan if not layer.meanings else np.uint8(0) if layer.bits else np.int16(NO_CODE)
 
 
 class Tally:

@@ -26,7 +26,7 @@ from lunarsci.spectra.vnis.name import product_name
 
 HINT = "cubes and maps need rasterio, xarray and h5netcdf; install them with: pip install 'lunarsci[cubes]'"
 _TIFF = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
-_HDF = b"\x89HDF"
+HDF = b"\x89HDF"
 _WAVELENGTH = re.compile(
     r"^(wavelengths?|wvls?|wl|lambda|band_?(wavelength|center|centre)s?)(_?(nm|um))?$", re.IGNORECASE
 )
@@ -51,7 +51,7 @@ def _layout(path: str, said: Stated) -> Layout:
         return open_vnis(path)
     if start.startswith(_TIFF):
         return open_geotiff(path)
-    if start.startswith((_HDF, b"CDF")):
+    if start.startswith((HDF, b"CDF")):
         return open_netcdf(path)
     if start.split(b"\n")[0].strip() == b"ENVI" or has_header(path):
         return open_envi(path, said.locations)
@@ -175,7 +175,7 @@ def netcdf(path: str) -> Any:
     """A data set of xarray, its numbers still on disk. Raises DataError for what is none."""
     start = start_of(path)
     status = Path(path).stat()
-    return _netcdf(path, "h5netcdf" if start.startswith(_HDF) else "scipy", status.st_mtime_ns, status.st_ino)
+    return _netcdf(path, "h5netcdf" if start.startswith(HDF) else "scipy", status.st_mtime_ns, status.st_ino)
 
 
 @lru_cache(maxsize=4)
@@ -296,7 +296,7 @@ def plane_of(path: str) -> tuple[Source, tuple[int, int]]:
     elif start.startswith(_TIFF):
         with opened(path, "GTiff") as dataset:
             source, shape = RasterFile(path, "GTiff"), (dataset.height, dataset.width, dataset.count)
-    elif start.startswith((_HDF, b"CDF")):
+    elif start.startswith((HDF, b"CDF")):
         planes = [str(name) for name, item in netcdf(path).data_vars.items() if item.ndim == 2]
         if len(planes) != 1:
             raise DataError(f"{path}: has {len(planes)} images ({', '.join(planes[:5])}); give a file with one")

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 PRODUCTS = ("bands", "indices", "fit", "unmix", "match")
 BYTES_A_CHANNEL = 80
 """Memory of a pixel while it is worked on, for each channel and layer: reflectance and its copies; measured."""
-MOST_ROWS = 64
+ROWS, MOST_ROWS = 32, 64
+"""Lines of a block: whole tiles of those that neighbours are looked for in."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,7 +39,7 @@ class MapRequest:
     band_continuum, smooth_nm : of bands, as `continuum` and `smooth_nm` of `lunarsci.bands`.
     assemblage, continuum, model_error, starts : of fit and unmix, as `lunarsci.fit` has them.
     kind : of unmix, as `lunarsci.unmix` has it.
-    site, craters : of match, as `lunarsci.match` has them.
+    craters : of match, as `lunarsci.match` has them.
     single_precision : whether values are written with 24 bits instead of 53.
     wavelengths, wavelength_unit, scale, ignore, saturated, locations : of the cube, where it does not say: a file of
         wavelengths, their unit, what reflectances were multiplied by, the number for no value, the number from which on
@@ -56,6 +57,7 @@ class MapRequest:
     model_error: float | None = None
     starts: int = 4
     kind: Literal["auto", "powder-mixture", "dark-rock-powder", "weathered-soil", "solid-rock"] = "auto"
+    craters: str | None = None
     single_precision: bool = False
     wavelengths: str | None = None
     wavelength_unit: Literal["nm", "um"] | None = None
@@ -224,7 +226,7 @@ def map(
     from lunarsci.atomic import written_whole
     from lunarsci.blocks import blocks_in_order, rows_in_memory
     from lunarsci.provenance import Provenance
-    from lunarsci.spectra.cubes.blocks import Tally, fetched, measured
+    from lunarsci.spectra.cubes.blocks import Tally, fetched, measured, warn_of_cost
     from lunarsci.spectra.cubes.output import PIXEL_FLAGS, SUFFIXES, MapFile, backplane_layers
     from lunarsci.spectra.cubes.rasters import open_cube
     from lunarsci.spectra.cubes.regions import region_of
@@ -247,10 +249,12 @@ def map(
         single=asked.single_precision,
     )  # fmt: skip
     cost = BYTES_A_CHANNEL * (image.wavelength_nm.size + len(layers)) * region.shape[1]
+    warn_of_cost(products, image, region)
+    rows = max(ROWS, rows_in_memory(cost, most=MOST_ROWS) // ROWS * ROWS)
     blocks = blocks_in_order(
         partial(measured, products, image.wavelength_nm),
         region.shape[0],
-        rows_in_memory(cost, most=MOST_ROWS),
+        rows,
         stage="map",
         about={f"option {key}": str(value) for key, value in chosen.items()}
         | {f"input {name}": digest for name, digest in made.inputs.items()},

@@ -37,7 +37,8 @@ class MatchRequest:
     use : kind of composition that is compared.
     systematic, band_systematic : what two methods disagree by, one standard deviation. [-, nm]
     craters : table of candidates, as a file or in memory; None for those around Chang'E-4.
-    mineral_map : `olivine=map.tif`, one a mineral; annulus : ring around a crater that is read there. [rim radii]
+    mineral_map : `olivine=map.tif`, one a mineral, or one file that `lunarsci.map` wrote of shares.
+    annulus : ring around a crater that is read there. [rim radii]
     prior, ejecta_law, thickness_factor, surface_age, other, exposure, rock_life, rock_size, life_exponent,
     re_excavation, stirring, gardening, seed : see `lunarsci.spectra.origin.prior.PriorSettings`.
     """
@@ -292,14 +293,17 @@ def _candidates(asked: MatchRequest) -> Candidates:
 
 def _mapped(found: Candidates, maps: Sequence[str], annulus: str) -> Candidates:
     from lunarsci.spectra.origin.composition import SHORT
-    from lunarsci.spectra.origin.mineral_map import with_maps
+    from lunarsci.spectra.origin.mineral_map import minerals_of, with_maps
 
     names: dict[str, str] = {}
     for item in maps:
+        if "=" not in item and (written := minerals_of(item)):
+            names |= dict.fromkeys(written, item)
+            continue
         key, equals, file = item.partition("=")
         mineral = SHORT.get(key.strip().lower(), key.strip().lower())
         if not equals or not file or mineral in names:
-            raise RequestError(f"`mineral_map` '{item}': give MINERAL=FILE.tif, each mineral once")
+            raise RequestError(f"`mineral_map` '{item}': give MINERAL=FILE.tif, each mineral once, or a map of shares")
         names[mineral] = file
     ring = _ring(annulus)
     craters, reports = with_maps(found.craters, names, ring)

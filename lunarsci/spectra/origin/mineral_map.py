@@ -1,12 +1,14 @@
-"""Composition of craters' ejecta from a user's mineral maps, one GeoTIFF per mineral.
+"""Composition of craters' ejecta from mineral maps: a GeoTIFF of one mineral, or what `spectra map` wrote of several.
 
 Each map is read at points spread evenly, by area, over the ring of ejecta around the rim; their mean and standard
 deviation are those of the mineral there. Works for maps in degrees (-180 to 180 or 0 to 360, also across the seam) and
 for projected ones.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +16,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.spectra.cubes.rasters import HDF, netcdf, opened, start_of
 from lunarsci.spectra.origin.catalogue import MOON_RADIUS_KM, Crater, destination
 from lunarsci.spectra.origin.composition import LARGEST_SUM, MINERALS, Composition
 
@@ -31,7 +34,8 @@ LARGEST_SIDE = 4096
 LONGITUDE_LATITUDE = f"+proj=longlat +R={1e3 * MOON_RADIUS_KM:.0f} +no_defs"
 PERCENT_FROM = 1.5
 """A map with more than this in a ring is in percent."""
-HINT = "reading maps needs rasterio; install it with: pip install 'lunarsci[cubes]'"
+LAYER = "share_{}"
+"""Name of the layer of a mineral in what `spectra map` writes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,16 +57,10 @@ def with_maps(
     DataError for files that cannot be read, 8-bit copies without a scale, several bands, and values that are no modes.
     """
     _check_request(maps, annulus)
-    rasterio = _rasterio()
     values: dict[str, list[FloatArray]] = {}
     for mineral, file in maps.items():
-        try:
-            with rasterio.open(file) as dataset:
-                check_map(dataset, file)
-                values[mineral] = [ring_values(dataset, crater, annulus, file) for crater in craters]
-        except rasterio.errors.RasterioError as error:
-            reason = " ".join(str(error).split())
-            raise DataError(f"{file}: cannot be read as a map ({reason}); give a GeoTIFF") from error
+        with _rings_of(file, mineral) as ring:
+            values[mineral] = [ring(crater, annulus) for crater in craters]
     units = {mineral: _unit(rings, maps[mineral]) for mineral, rings in values.items()}
     if len(set(units.values()) - {0.0}) > 1:
         raise DataError(f"{', '.join(maps.values())}: some are in percent, others in fractions; bring them to one unit")
@@ -84,18 +82,65 @@ def _check_request(maps: Mapping[str, str], annulus: tuple[float, float]) -> Non
         raise ParameterError(f"ring {low:g} to {high:g} must rise, from 0 to 20 rim radii")
 
 
-def _rasterio() -> Any:
-    try:
-        import rasterio
-        import rasterio.errors
-    except ImportError as error:
-        raise ParameterError(HINT) from error
-    return rasterio
+def minerals_of(file: str) -> list[str]:
+    """Minerals whose shares are layers of a file that `spectra map` wrote. Raises DataError for another file."""
+    if start_of(file).startswith(HDF):
+        names = [str(name) for name in netcdf(file).data_vars]
+    else:
+        with opened(file, "GTiff") as dataset:
+            names = [name or "" for name in dataset.descriptions]
+    return [mineral for mineral in MINERALS if LAYER.format(mineral) in names]
 
 
-def check_map(dataset: "DatasetReader", file: str) -> None:
+@contextmanager
+def _rings_of(file: str, mineral: str) -> Iterator[Callable[[Crater, tuple[float, float]], FloatArray]]:
+    """What reads a mineral's values in the ring of a crater."""
+    if not start_of(file).startswith(HDF):
+        with opened(file, "GTiff") as dataset:
+            names = [name or "" for name in dataset.descriptions]
+            band = names.index(LAYER.format(mineral)) + 1 if LAYER.format(mineral) in names else 1
+            check_map(dataset, file, one_of_many=band > 1)
+            yield partial(ring_values, dataset, file=file, band=band)
+        return
+    data, name = netcdf(file), LAYER.format(mineral)
+    if name not in data.variables:
+        raise DataError(f"{file}: has no layer {name}; make it with `lunarsci spectra map --products unmix`")
+    if "longitude" in data.variables and "crs" not in data.variables:
+        yield _Swath(data, name).ring_values
+        return
+    with opened(f'netcdf:"{file}":{name}', "netCDF") as dataset:
+        check_map(dataset, file)
+        yield partial(ring_values, dataset, file=file)
+
+
+class _Swath:
+    """A map whose pixels have each a longitude and a latitude, as those of an orbiter's strip have."""
+
+    def __init__(self, data: Any, name: str) -> None:
+        from scipy.spatial import cKDTree
+
+        places = _on_sphere(*(np.asarray(data[key].values, float) for key in ("latitude", "longitude")))
+        self.values = np.asarray(data[name].values, float).ravel()
+        self.tree = cKDTree(places.reshape(-1, 3))
+        across = np.linalg.norm(np.diff(places, axis=1), axis=-1) if places.shape[1] > 1 else np.zeros(1)
+        along = np.linalg.norm(np.diff(places, axis=0), axis=-1) if places.shape[0] > 1 else np.zeros(1)
+        self.reach = float(max(np.nanmedian(across), np.nanmedian(along)))
+
+    def ring_values(self, crater: Crater, annulus: tuple[float, float]) -> FloatArray:
+        """Those of the pixels that lie nearest, NaN where none is as near as pixels are to each other."""
+        distance, nearest = self.tree.query(_on_sphere(*_ring(crater, annulus)), distance_upper_bound=self.reach)
+        return np.where(np.isfinite(distance), np.append(self.values, np.nan)[nearest], np.nan)
+
+
+def _on_sphere(latitude: FloatArray, longitude: FloatArray) -> FloatArray:
+    """Unit vectors, (..., 3)."""
+    up, along = np.radians(latitude), np.radians(longitude)
+    return np.stack([np.cos(up) * np.cos(along), np.cos(up) * np.sin(along), np.sin(up)], axis=-1)
+
+
+def check_map(dataset: "DatasetReader", file: str, *, one_of_many: bool = False) -> None:
     """Raise DataError for a raster that is no map of one quantity in physical units, or without a place on the Moon."""
-    if dataset.count != 1:
+    if dataset.count != 1 and not one_of_many:
         raise DataError(f"{file}: has {dataset.count} bands; give a file with the one band of the mineral")
     plain = dataset.scales[0] == 1 and dataset.offsets[0] == 0
     if dataset.dtypes[0] in ("uint8", "int8") and plain:
@@ -117,19 +162,24 @@ def _looks_like_degrees(dataset: "DatasetReader") -> bool:
 
 
 def ring_values(
-    dataset: "DatasetReader", crater: Crater, annulus: tuple[float, float], file: str = "map"
+    dataset: "DatasetReader", crater: Crater, annulus: tuple[float, float], file: str = "map", band: int = 1
 ) -> FloatArray:
     """Values (RINGS x SPOKES,) of a map in the ring around a crater; NaN for holes and beyond the map's edge."""
+    latitude, longitude = _ring(crater, annulus)
+    x, y = _map_coordinates(dataset, latitude, longitude, file)
+    inverse = ~dataset.transform
+    columns, rows = (inverse.a * x + inverse.b * y + inverse.c, inverse.d * x + inverse.e * y + inverse.f)
+    return _pixels(dataset, columns, rows, band)
+
+
+def _ring(crater: Crater, annulus: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
+    """Latitudes and longitudes of points spread evenly, by area, over the ring about a crater. [deg]"""
     radius = crater.diameter_km / 2
     inner, outer = (1 - np.cos(ring * radius / MOON_RADIUS_KM) for ring in annulus)
     middle = (np.arange(RINGS) + 0.5) / RINGS
     distance = MOON_RADIUS_KM * np.arccos(1 - (inner + (outer - inner) * middle))
     azimuth = (np.arange(SPOKES) + 0.5) * 360 / SPOKES
-    latitude, longitude = destination(crater.center, np.tile(azimuth, RINGS), np.repeat(distance, SPOKES))
-    x, y = _map_coordinates(dataset, latitude, longitude, file)
-    inverse = ~dataset.transform
-    columns, rows = (inverse.a * x + inverse.b * y + inverse.c, inverse.d * x + inverse.e * y + inverse.f)
-    return _pixels(dataset, columns, rows)
+    return destination(crater.center, np.tile(azimuth, RINGS), np.repeat(distance, SPOKES))
 
 
 def _map_coordinates(
@@ -150,7 +200,7 @@ def _map_coordinates(
     return np.asarray(x, float), np.asarray(y, float)
 
 
-def _pixels(dataset: "DatasetReader", columns: FloatArray, rows: FloatArray) -> FloatArray:
+def _pixels(dataset: "DatasetReader", columns: FloatArray, rows: FloatArray, band: int) -> FloatArray:
     """Values at fractional pixel positions; NaN outside and where there is no data. Reads only what is needed."""
     values = np.full(columns.shape, np.nan)
     inside = np.isfinite(columns) & np.isfinite(rows)
@@ -162,18 +212,20 @@ def _pixels(dataset: "DatasetReader", columns: FloatArray, rows: FloatArray) -> 
     for side in sides:
         chosen = inside & side
         if chosen.any():
-            values[chosen] = _window_values(dataset, columns[chosen].astype(int), rows[chosen].astype(int))
+            values[chosen] = _window_values(dataset, columns[chosen].astype(int), rows[chosen].astype(int), band)
     return values
 
 
-def _window_values(dataset: "DatasetReader", columns: npt.NDArray[np.int_], rows: npt.NDArray[np.int_]) -> FloatArray:
+def _window_values(
+    dataset: "DatasetReader", columns: npt.NDArray[np.int_], rows: npt.NDArray[np.int_], band: int
+) -> FloatArray:
     from rasterio.windows import Window
 
     left, top = int(columns.min()), int(rows.min())
     width, height = int(columns.max()) - left + 1, int(rows.max()) - top + 1
     shape = (min(height, LARGEST_SIDE), min(width, LARGEST_SIDE))
-    block = dataset.read(1, window=Window(left, top, width, height), out_shape=shape, masked=True)
-    found = np.ma.filled(block.astype(float), np.nan) * dataset.scales[0] + dataset.offsets[0]
+    block = dataset.read(band, window=Window(left, top, width, height), out_shape=shape, masked=True)
+    found = np.ma.filled(block.astype(float), np.nan) * dataset.scales[band - 1] + dataset.offsets[band - 1]
     picked = found[(rows - top) * shape[0] // height, (columns - left) * shape[1] // width]
     # Special values that a file does not declare are far below 0; a mode is not.
     return np.asarray(np.where(np.isfinite(picked) & (picked >= 0), picked, np.nan))

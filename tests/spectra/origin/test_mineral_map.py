@@ -188,8 +188,8 @@ def test_unusable_maps_say_why(tmp_path: Path) -> None:
     text = tmp_path / "text.tif"
     text.write_text("no map")
     cases = {
-        str(text): "cannot be read as a map",
-        str(tmp_path / "missing.tif"): "cannot be read as a map",
+        str(text): "cannot be read",
+        str(tmp_path / "missing.tif"): "no such file",
         write(tmp_path / "high.tif", even(5000), bounds): "a mode is 0 to 1, or 0 to 100 percent",
         write(tmp_path / "share.tif", even(0.3), bounds): "some are in percent, others in fractions",
         write(tmp_path / "metres.tif", even(3), (0, 0, 9e5, 9e5), None): "has no coordinate system",
@@ -222,7 +222,8 @@ def test_an_empty_window_keeps_the_catalogue_and_no_map_is_needed_without_one(tm
     assert report.covered == {"olivine": 0.0, "plagioclase": 0.0}
 
 
-def test_without_rasterio_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_rasterio_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    files = maps(tmp_path, olivine=10, plagioclase=60)
     real = builtins.__import__
 
     def absent(name: str, *rest: Any) -> Any:
@@ -232,4 +233,4 @@ def test_without_rasterio_it_says_what_to_install(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr(builtins, "__import__", absent)
     with pytest.raises(ParameterError, match=r"lunarsci\[cubes\]"):
-        with_maps([crater(-45, 10)], {"olivine": "a.tif", "plagioclase": "b.tif"})
+        with_maps([crater(-45, 10)], files)
