@@ -1,18 +1,25 @@
 """Maps of cubes: every pixel is what the single command measures there, in both formats, with flags and places."""
 
+import json
+import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from lunarsci.errors import DataError, OutputError, RequestError
 from lunarsci.spectra.jobs.bands import bands
 from lunarsci.spectra.jobs.fit import fit
 from lunarsci.spectra.jobs.map import map as map_cube
 from lunarsci.spectra.jobs.map import pixel
+from lunarsci.spectra.origin.catalogue import Crater
+from lunarsci.spectra.origin.mineral_map import minerals_of, with_maps
 from lunarsci.spectra.readers import read_spectra
 
-from .conftest import spectra
+from .conftest import WAVELENGTHS, spectra
+from .test_envi_cubes import backplane, m3
+from .test_raster_cubes import tiff
 
 rasterio = pytest.importorskip("rasterio")
 xarray = pytest.importorskip("xarray")
@@ -72,3 +79,171 @@ def test_a_pixel_is_what_the_single_commands_measure_on_its_spectrum(envi: Any, 
     assert int(empty["pixel_flags"]) & 1
     assert np.isnan(float(empty["bc1000_nm"]))
     assert np.isnan(float(empty["fit_rms_ln"]))
+
+
+NAMES = [f"{w:.2f} nm" for w in WAVELENGTHS]
+
+
+def test_both_formats_hold_the_same_where_the_cube_lies(tmp_path: Path) -> None:
+    """GDAL, which did not write the NetCDF, finds the same numbers at the same place in both."""
+    from rasterio.transform import from_origin
+
+    cube = tiff(tmp_path / "cube.tif", CUBE, names=NAMES, transform=from_origin(30, 20, 0.01, 0.02))
+    for suffix in ("nc", "tif"):
+        map_cube(str(cube), tmp_path / f"map.{suffix}", products="bands", roi="1:5,2:6")
+    found = opened(tmp_path / "map.nc")
+    with rasterio.open(tmp_path / "map.tif") as file:
+        assert tuple(file.transform)[:6] == pytest.approx((0.01, 0, 30.01, 0, -0.02, 19.96))
+        assert file.crs.to_dict()["R"] == 1737400
+        assert (file.count, np.isnan(file.nodata)) == (len(file.descriptions), True)
+        for band, name in enumerate(file.descriptions, 1):
+            told, values = file.tags(band), found[name].values.astype(float)
+            np.testing.assert_array_equal(file.read(band), np.where(values == -1, np.nan, values))
+            assert told["long_name"] == found[name].attrs["long_name"]
+            assert (file.units[band - 1] or "1") == found[name].attrs.get("units", "1")
+        assert json.loads(file.tags()["provenance"])["options"]["roi"] == "1:5,2:6"
+        grid = file.transform, file.crs.to_dict()
+    with rasterio.open(f'netcdf:"{tmp_path / "map.nc"}":bc1000_nm', driver="netCDF") as file:
+        assert tuple(file.transform)[:6] == pytest.approx(tuple(grid[0])[:6])
+        assert file.crs.to_dict() == grid[1]
+        np.testing.assert_array_equal(file.read(1), found["bc1000_nm"].values)
+    assert found["x"].attrs["standard_name"] == "longitude"
+    np.testing.assert_allclose(found["y"], 19.96 - 0.02 * (np.arange(4) + 0.5))
+    assert found["bc1000_nm"].attrs["units"] == "nm"
+    assert found["pixel_flags"].attrs["flag_meanings"].split()[0] == "no_data"
+    np.testing.assert_array_equal(found["pixel_flags"].attrs["flag_masks"], [1, 2, 4, 8, 16])
+    assert found.attrs["Conventions"].startswith("CF-1.")
+    assert found["cube_line"].values.tolist() == [2, 3, 4, 5]
+
+
+def test_a_rotated_frame_and_a_swath_have_places_of_their_own(tmp_path: Path) -> None:
+    rotated = tiff(tmp_path / "rotated.tif", CUBE, names=NAMES)
+    map_cube(str(rotated), tmp_path / "rotated.nc", products="bands", roi="0:3,0:2")
+    found = opened(tmp_path / "rotated.nc")
+    line, sample = np.mgrid[:2, :3] + 0.5
+    np.testing.assert_allclose(found["longitude"], 30 + 0.01 * sample + 0.002 * line)
+    np.testing.assert_allclose(found["latitude"], 20 + 0.001 * sample - 0.01 * line)
+    path = m3(tmp_path)
+    places = np.stack([30 + 0.1 * np.arange(30).reshape(6, 5), np.full((6, 5), 20.0), np.full((6, 5), 1737400.0)], 2)
+    backplane(tmp_path, "LOC", places, "<f8")
+    map_cube(str(path), tmp_path / "swath.nc", products="bands", every=2)
+    found = opened(tmp_path / "swath.nc")
+    np.testing.assert_allclose(found["longitude"], places[::2, ::2, 0])
+    assert found["bd1000"].encoding["coordinates"] == "longitude latitude"
+
+
+def test_a_cube_of_shares_gives_craters_their_modes(tmp_path: Path) -> None:
+    """Layers as `--products unmix` writes them, of a frame, a swath and a GeoTIFF: the ring has what was put there."""
+    import h5netcdf
+
+    line, sample = np.mgrid[:200, :200]
+    latitude, longitude = 5 - 0.05 * (line + 0.5), 10 + 0.05 * (sample + 0.5)
+    shares = {"olivine": np.full((200, 200), 0.25), "plagioclase": np.where(longitude < 15, 0.5, 0.7)}
+    with h5netcdf.File(tmp_path / "swath.nc", "w") as file:
+        file.dimensions = {"line": 200, "sample": 200}
+        planes = {"latitude": latitude, "longitude": longitude % 360}
+        for name, values in (planes | {f"share_{key}": value for key, value in shares.items()}).items():
+            file.create_variable(name, ("line", "sample"), data=values)
+    from rasterio.transform import from_origin
+
+    both = np.stack([line, shares["olivine"], shares["plagioclase"]], 2).astype("f8")
+    names = ["other", "share_olivine", "share_plagioclase"]
+    tiff(tmp_path / "grid.tif", both, names=names, transform=from_origin(10, 5, 0.05, 0.05))
+    for file in ("swath.nc", "grid.tif"):
+        path = str(tmp_path / file)
+        assert minerals_of(path) == ["olivine", "plagioclase"]
+        crater = Crater(name="Made up", latitude_deg=0.0, longitude_deg=15.0, diameter_km=60.0)
+        [found], [report] = with_maps([crater], dict.fromkeys(minerals_of(path), path))
+        assert found.composition.modes["olivine"][0] == pytest.approx(0.25)
+        assert found.composition.modes["plagioclase"][0] == pytest.approx(0.6, abs=0.01)
+        assert min(report.covered.values()) == 1.0
+        elsewhere = Crater(name="Elsewhere", latitude_deg=0.0, longitude_deg=40.0, diameter_km=60.0)
+        _, [away] = with_maps([elsewhere], dict.fromkeys(minerals_of(path), path))
+        assert max(away.covered.values()) == 0.0
+
+
+def test_the_same_bytes_however_it_is_computed_and_after_a_stop(envi: Any, tmp_path: Path) -> None:
+    import lunarsci.spectra.jobs.map as job
+    from lunarsci.blocks import computing
+
+    cube = str(envi(spectra(70, 2, seed=8).astype("f4")))
+    plan: dict[str, Any] = {"products": "bands", "time": False}
+    map_cube(cube, tmp_path / "whole.nc", **plan)
+    with computing(workers=1):
+        map_cube(cube, tmp_path / "parts.nc", **plan)
+    wanted = (tmp_path / "whole.nc").read_bytes()
+    assert (tmp_path / "parts.nc").read_bytes() == wanted
+
+    def stop(done: int, total: int) -> None:
+        if done:
+            raise KeyboardInterrupt
+
+    target = tmp_path / "stopped.nc"
+    with pytest.raises(KeyboardInterrupt), computing(keep=target):
+        map_cube(cube, target, **plan, progress=stop)
+    assert not target.exists()
+    assert list(tmp_path.glob("stopped.nc.partial*"))
+    with computing(keep=target):
+        map_cube(cube, target, **plan)
+    assert target.read_bytes() == wanted
+    assert not list(tmp_path.glob("stopped.nc.partial*"))
+    assert job.ROWS == 32
+
+
+def test_what_cannot_be_mapped(envi: Any, tmp_path: Path) -> None:
+    cube = str(envi(CUBE))
+    for options, said in (
+        ({"products": "bands,gold"}, "`products` gold"),
+        ({"products": " , "}, "`products` is empty"),
+        ({"scale": 0.0}, "`scale` is 0"),
+        ({"every": 0}, "`every` is 0"),
+    ):
+        with pytest.raises(RequestError, match=said):
+            map_cube(cube, tmp_path / "map.nc", **options)
+    with pytest.raises(RequestError, match=r"ends in .nc"):
+        map_cube(cube, tmp_path / "map.png")
+    (tmp_path / "there.nc").write_bytes(b"")
+    with pytest.raises(OutputError, match="exists already"):
+        map_cube(cube, tmp_path / "there.nc", products="bands")
+    for place, said in (("5,0", "samples 0 to 4"), ("0,6", "lines 0 to 5"), ("here", "give sample and line")):
+        with pytest.raises(RequestError, match=said):
+            pixel(cube, place)
+    with pytest.raises(DataError, match="no such file"):
+        map_cube(str(tmp_path / "none.img"), tmp_path / "map.nc")
+
+
+def test_a_map_of_nothing_says_so(envi: Any, tmp_path: Path) -> None:
+    result = map_cube(
+        str(envi(np.full((4, 4, 85), -999.0), data_ignore_value=-999)), tmp_path / "map.nc", products="bands"
+    )
+    assert "no pixel" in result.untrusted
+
+
+@pytest.mark.slow
+def test_shares_and_matches_of_pixels_are_those_of_the_single_commands(envi: Any, tmp_path: Path) -> None:
+    from lunarsci.spectra.jobs.match import match
+    from lunarsci.spectra.jobs.unmix import unmix
+
+    craters = tmp_path / "craters.csv"
+    craters.write_text(
+        "name,latitude_deg,longitude_deg,diameter_km,orthopyroxene,orthopyroxene_sigma,clinopyroxene,"
+        "clinopyroxene_sigma,bc1000_nm,bc1000_sigma_nm\nRed,-44,177,60,0.6,0.05,0.2,0.05,940,10\n"
+        "Blue,-46,178,60,0.1,0.05,0.6,0.05,1010,10\n"
+    )
+    cube = str(envi(spectra(2, 2, seed=5).astype("f4")))
+    how: dict[str, Any] = {"assemblage": "OL-OPX-CPX-PLG"}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        map_cube(cube, tmp_path / "map.nc", products="unmix,match", craters=str(craters), **how)
+        found = opened(tmp_path / "map.nc").isel(line=1, sample=0)
+        row = pixel(cube, "0,1")
+        spectrum = row.cube.wavelength_nm, row.reflectance
+        shares = unmix([spectrum], **how).to_dict()["spectra"][0]["abundance"]
+        results = [bands([spectrum]), fit([spectrum], **how)]
+        matched = match(results, craters=str(craters)).to_dict()["rocks"][0]
+    for mineral in ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase"):
+        for key, layer in (("fraction", ""), ("low", "_low"), ("high", "_high")):
+            np.testing.assert_allclose(float(found[f"share_{mineral}{layer}"]), shares[mineral][key], rtol=1e-9)
+    for crater in matched["craters"]:
+        layer = f"ln_bayes_factor_{crater['name'].lower()}"
+        np.testing.assert_allclose(float(found[layer]), crater["log_bayes_factor"], rtol=1e-9)
