@@ -51,6 +51,15 @@ OPTIONS = {
     "continuum": option("Continuum of the fit, as --continuum of `spectra fit`.", panel=SETTINGS),
     "model_error": option("Model error of ln R; left out: that expected of each spectrum.", panel=SETTINGS),
     "starts": option("Starting points of a fit.", panel=SETTINGS, min=1),
+    "neighbours": option(
+        "Fits start from those of their neighbours, and take theirs where they are lower; without, each pixel is "
+        "fitted alone, as `spectra fit` does it.",
+        "--neighbours/--no-neighbours",
+        panel=SETTINGS,
+    ),
+    "contest_every": option(
+        "Lines and samples from one pixel to the next at which all starts are tried.", panel=SETTINGS, min=1, max=32
+    ),
     "kind": option("Kind of target of unmix; auto: found in each pixel.", panel=SETTINGS),
     "craters": option("Table of craters of match, as --craters of `spectra match`.", panel=SETTINGS, metavar="FILE"),
     "single_precision": option("Write values with 24 bits instead of 53: half the size.", panel=SETTINGS),

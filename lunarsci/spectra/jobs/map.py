@@ -38,6 +38,8 @@ class MapRequest:
     roi, mask, every : which pixels, see `lunarsci.spectra.cubes.regions.region_of`.
     band_continuum, smooth_nm : of bands, as `continuum` and `smooth_nm` of `lunarsci.bands`.
     assemblage, continuum, model_error, starts : of fit and unmix, as `lunarsci.fit` has them.
+    neighbours, contest_every : whether a fit starts from those of its neighbours and takes theirs where they are
+        lower; every how many lines and samples all starts are tried. Without, all are tried everywhere.
     kind : of unmix, as `lunarsci.unmix` has it.
     craters : of match, as `lunarsci.match` has them.
     single_precision : whether values are written with 24 bits instead of 53.
@@ -56,6 +58,8 @@ class MapRequest:
     continuum: MgmContinuum = DEFAULT_CONTINUUM
     model_error: float | None = None
     starts: int = 4
+    neighbours: bool = True
+    contest_every: int = 8
     kind: Literal["auto", "powder-mixture", "dark-rock-powder", "weathered-soil", "solid-rock"] = "auto"
     craters: str | None = None
     single_precision: bool = False
@@ -73,6 +77,8 @@ class MapRequest:
             raise RequestError(f"`products` is empty; there are {', '.join(PRODUCTS)}")
         if self.scale is not None and not 0 < self.scale < float("inf"):
             raise RequestError(f"`scale` is {self.scale:g}; reflectances are numbers divided by it, so it is above 0")
+        if not 1 <= self.contest_every <= ROWS:
+            raise RequestError(f"`contest_every` is {self.contest_every}; give 1 to {ROWS}")
         if self.every < 1:
             raise RequestError(f"`every` is {self.every}; give 1 or more")
 

@@ -7,12 +7,10 @@ its name calls with one spectrum, so that a pixel of a map and that command agre
 import re
 import unicodedata
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from lunarsci.errors import ParameterError
 from lunarsci.spectra.cubes.output import NO_CODE, Layer
 
 if TYPE_CHECKING:
@@ -20,12 +18,12 @@ if TYPE_CHECKING:
     from lunarsci.spectra.cubes.blocks import Product
     from lunarsci.spectra.jobs.map import MapRequest
     from lunarsci.spectra.mgm.model import MgmModel
-    from lunarsci.spectra.spectrum import Spectrum
 
 
 def products_of(request: "MapRequest") -> "list[Product]":
     """What is asked for, in the order of `PRODUCTS`. Raises ParameterError for settings that are impossible."""
     from lunarsci.spectra.jobs.map import PRODUCTS
+    from lunarsci.spectra.jobs.map_shares import MatchProduct, UnmixProduct
 
     makers: dict[str, Callable[[MapRequest], Product]] = {
         "bands": BandsProduct.of,
@@ -68,7 +66,7 @@ class BandsProduct:
 
     @property
     def layers(self) -> Sequence[Layer]:
-        from lunarsci.spectra.band_status import BANDS
+        from lunarsci.spectra.band_status import BANDS, STATUSES
         from lunarsci.spectra.continuum import CONTINUA
 
         found = []
@@ -78,6 +76,8 @@ class BandsProduct:
                 for name, (_, text, unit) in _BAND_COLUMNS.items()
             ]
             found.append(Layer(f"band{band.key}_continuum", "continuum that was used", meanings=tuple(CONTINUA)))
+            found.append(Layer(f"band{band.key}_status", "whether there is a band, or why not", meanings=STATUSES))
+            found.append(Layer(f"band{band.key}_note", "why the wanted continuum was not used", meanings=STATUSES))
         return found
 
     @property
@@ -102,7 +102,8 @@ class BandsProduct:
         values: dict[str, Any] = {}
         for key, band in found.bands.items():
             values |= {name.format(key): getattr(band, attribute) for name, (attribute, _, _) in _BAND_COLUMNS.items()}
-            values[f"band{key}_continuum"] = np.where(np.isfinite(band.center_nm), band.continuum, -1.0)
+            values[f"band{key}_continuum"] = np.where(np.isfinite(band.center_nm), band.continuum, NO_CODE)
+            values |= {f"band{key}_status": band.status, f"band{key}_note": band.note}
         return values
 
 
@@ -111,12 +112,15 @@ _BAND_PARTS = (
     ("fwhm{}_nm", "full width at half strength", "nm"),
     ("strength{}", "strength, ln of reflectance", "1"),
 )
-FIT_FLAGS = ("not_fitted", "not_converged", "ambiguous", "strained", "unlike")
+FIT_FLAGS = ("not_fitted", "not_converged", "ambiguous", "strained", "unlike", "neighbours_disagree")
+ORIGINS = ("single_descent", "from_neighbour", "contest", "not_fitted")
+"""Those of `lunarsci.spectra.mgm.region`, which is too heavy to import for its names; a test compares them."""
+CONTEST = ORIGINS.index("contest")
 
 
 @dataclass(frozen=True, slots=True)
 class FitProduct:
-    """The Modified Gaussian Model, as `lunarsci.fit` fits it."""
+    """The Modified Gaussian Model, as `lunarsci.fit` fits it; with `contest_every` above 0 as `fit_region` does."""
 
     name: ClassVar[str] = "fit"
     slow: ClassVar[bool] = False
@@ -124,11 +128,13 @@ class FitProduct:
     continuum: Any
     model_error: float | None
     starts: int
+    contest_every: int = 0
 
     @classmethod
     def of(cls, request: "MapRequest") -> "FitProduct":
         model_of(request.assemblage, request.continuum)
-        return cls(request.assemblage, request.continuum, request.model_error, request.starts)
+        every = request.contest_every if request.neighbours else 0
+        return cls(request.assemblage, request.continuum, request.model_error, request.starts, every)
 
     @property
     def layers(self) -> Sequence[Layer]:
@@ -148,6 +154,7 @@ class FitProduct:
             Layer("fit_rms_ln", "root mean square of what the fit leaves of ln reflectance"),
             Layer("fit_reduced_chi2", "chi square over its degrees of freedom"),
             Layer("fit_flags", "what to know about the fit", meanings=FIT_FLAGS, bits=True),
+            Layer("fit_origin", "where the minimum of the fit was found", meanings=ORIGINS),
         ]
 
     @property
@@ -167,11 +174,10 @@ class FitProduct:
         import numpy as np
 
         from lunarsci.spectra.mgm.batch import NOT_FITTED
-        from lunarsci.spectra.mgm.fit import fit_arrays
         from lunarsci.spectra.mgm.result import UNLIKE_RMS
 
         model = model_of(self.assemblage, self.continuum)
-        fits = fit_arrays(wavelength_nm, reflectance, model, model_error=self.model_error, starts=self.starts)
+        fits, origin, unsettled = self._fitted(wavelength_nm, reflectance, places)
         values: dict[str, Any] = {"fit_rms_ln": fits.rms_ln, "fit_reduced_chi2": fits.reduced_chi2}
         sigma = fits.sigma
         for k, band in enumerate(model.assemblage.bands):
@@ -183,173 +189,26 @@ class FitProduct:
             values[f"nbsr_{region}_opx"], values[f"nbsr_{region}_sigma"] = found[:, 0], found[:, 2]
         missing = fits.status == NOT_FITTED
         with np.errstate(invalid="ignore"):
-            told = (~fits.converged, fits.ambiguous, fits.strained.any(axis=1), fits.rms_ln > UNLIKE_RMS)
+            told = (~fits.converged, fits.ambiguous, fits.strained.any(axis=1), fits.rms_ln > UNLIKE_RMS, unsettled)
         flags = sum(((one & ~missing) * np.uint8(2 << k) for k, one in enumerate(told)), missing.astype(np.uint8))
-        return values | {"fit_flags": flags}
+        return values | {"fit_flags": flags, "fit_origin": origin}
 
-
-@dataclass(frozen=True, slots=True)
-class UnmixProduct:
-    """Shares of minerals, as `lunarsci.unmix` finds them, one spectrum after the other."""
-
-    name: ClassVar[str] = "unmix"
-    slow: ClassVar[bool] = True
-    assemblage: str
-    continuum: Any
-    kind: Any
-    model_error: float | None
-    starts: int
-
-    @classmethod
-    def of(cls, request: "MapRequest") -> "UnmixProduct":
-        return cls(request.assemblage, request.continuum, request.kind, request.model_error, request.starts)
-
-    @property
-    def minerals(self) -> Sequence[str]:
-        """Those that are mixed, by full name."""
-        return model_of(self.assemblage, self.continuum).assemblage.minerals
-
-    @property
-    def layers(self) -> Sequence[Layer]:
-        from lunarsci.spectra.abundance.kinds import KINDS
-
-        found = []
-        for mineral in self.minerals:
-            found.append(Layer(f"share_{mineral}", f"share of {mineral} by volume"))
-            found += [Layer(f"share_{mineral}_{end}", f"{end} end of its interval of 68 %") for end in ("low", "high")]
-        domain = ("out_of_domain", "in_domain")
-        return [
-            *found,
-            Layer("kind", "kind of target", meanings=tuple(slug(name) for name in KINDS)),
-            Layer("shares_in_domain", "whether the target is of a kind that shares were tested on", meanings=domain),
-        ]
-
-    @property
-    def tables(self) -> Sequence[str]:
-        from lunarsci.spectra.abundance.end_members import TABLE
-        from lunarsci.spectra.abundance.kinds import TABLE as KIND_TABLE
-        from lunarsci.spectra.abundance.posterior import TABLE as CALIBRATION
-
-        return (TABLE, KIND_TABLE, CALIBRATION)
-
-    @property
-    def sources(self) -> Sequence[str]:
-        from lunarsci.constants import ABSORBANCE, HAPKE, WEATHERING
-
-        return (HAPKE, ABSORBANCE, WEATHERING)
-
-    def measure(self, wavelength_nm: "FloatArray", reflectance: "FloatArray", places: Any) -> Mapping[str, Any]:
-        """Each layer of spectra."""
+    def _fitted(self, wavelength_nm: "FloatArray", reflectance: "FloatArray", places: Any) -> tuple[Any, Any, Any]:
+        """Fits, where their minima were found, and whether neighbours still disagree."""
         import numpy as np
 
-        from lunarsci.errors import DataError
-        from lunarsci.spectra.abundance.kinds import KINDS
-        from lunarsci.spectra.jobs.unmix import unmix
+        how: dict[str, Any] = {"model_error": self.model_error, "starts": self.starts}
+        model = model_of(self.assemblage, self.continuum)
+        if self.contest_every:
+            from lunarsci.spectra.mgm.region import fit_region
 
-        count = len(reflectance)
-        values: dict[str, Any] = {
-            layer.name: np.full(count, NO_CODE, np.int16) if layer.meanings else np.full(count, np.nan)
-            for layer in self.layers
-        }
-        how: dict[str, Any] = {"assemblage": self.assemblage, "continuum": self.continuum, "kind": self.kind}
-        try:
-            found = unmix(_spectra(wavelength_nm, reflectance), **how, model_error=self.model_error, starts=self.starts)
-        except DataError:  # none of them could be fitted
-            return values
-        for row, shares in found.abundances.items():
-            values["shares_in_domain"][row] = bool(shares) and shares[0].in_domain
-            for item in shares[0].fractions if shares else ():
-                values[f"share_{item.mineral}"][row] = item.fraction
-                values[f"share_{item.mineral}_low"][row], values[f"share_{item.mineral}_high"][row] = (
-                    item.low,
-                    item.high,
-                )
-        for row, kind in found.kinds.items():
-            values["kind"][row] = list[str](KINDS).index(kind.kind) if kind.kind in KINDS else NO_CODE
-        return values
+            found = fit_region(wavelength_nm, reflectance, places, model, **how, contest_every=self.contest_every)
+            return found.batch, found.origin, found.unsettled
+        from lunarsci.spectra.mgm.fit import fit_arrays
 
-
-@dataclass(frozen=True, slots=True)
-class MatchProduct:
-    """Which craters' composition a pixel has, as `lunarsci.match` compares its bands and its pyroxenes."""
-
-    name: ClassVar[str] = "match"
-    slow: ClassVar[bool] = True
-    bands: BandsProduct
-    fit: FitProduct
-    craters: str | None
-
-    @classmethod
-    def of(cls, request: "MapRequest") -> "MatchProduct":
-        made = cls(BandsProduct.of(request), FitProduct.of(request), request.craters)
-        if not made.names:
-            raise ParameterError(
-                "no candidate has a known composition that pixels could have; name a table of craters as `craters`"
-            )
-        return made
-
-    @property
-    def names(self) -> Sequence[str]:
-        """Of the craters whose composition is known."""
-        from lunarsci.inputs import read_input
-        from lunarsci.spectra.origin.catalogue import embedded_catalogue, read_catalogue
-
-        found = embedded_catalogue() if self.craters is None else read_catalogue(read_input(self.craters))
-        return [crater.name for crater in found if crater.composition.known]
-
-    @property
-    def layers(self) -> Sequence[Layer]:
-        each = [
-            Layer(f"ln_bayes_factor_{slug(name)}", f"ln Bayes factor of the composition of {name}, against any")
-            for name in self.names
-        ]
-        names = ("none", *(slug(name) for name in self.names))
-        return [*each, Layer("nearest_crater", "crater of the highest ln Bayes factor above 0", meanings=names)]
-
-    @property
-    def tables(self) -> Sequence[str]:
-        from lunarsci.spectra.origin.catalogue import TABLE
-
-        return () if self.craters else (TABLE,)
-
-    @property
-    def sources(self) -> Sequence[str]:
-        return ()
-
-    def measure(self, wavelength_nm: "FloatArray", reflectance: "FloatArray", places: Any) -> Mapping[str, Any]:
-        """Each layer of spectra."""
-        import numpy as np
-
-        from lunarsci.errors import DataError
-        from lunarsci.spectra.jobs.bands import bands
-        from lunarsci.spectra.jobs.fit import fit
-        from lunarsci.spectra.jobs.match import match
-
-        spectra, names = _spectra(wavelength_nm, reflectance), list(self.names)
-        how: dict[str, Any] = {"assemblage": self.fit.assemblage, "continuum": self.fit.continuum}
-        factors = np.full((len(spectra), len(names)), np.nan)
-        results: list[Any] = []
-        for job in (
-            lambda: bands(spectra, continuum=self.bands.continuum, smooth_nm=self.bands.smooth_nm),
-            lambda: fit(spectra, **how, model_error=self.fit.model_error, starts=self.fit.starts),
-        ):
-            with suppress(DataError):  # none of them has a result
-                results.append(job())
-        with suppress(DataError):
-            for found in match(results, craters=self.craters, exposure=False, re_excavation=False).matches:
-                by_name = {item.crater.name: item.ln_bayes_factor for item in found.craters}
-                factors[int(found.rock.id)] = [by_name[name] for name in names]
-        known = np.isfinite(factors).all(axis=1)
-        best = np.where(np.max(factors, axis=1, initial=-np.inf) > 0, 1 + np.argmax(factors, axis=1), 0)
-        values = {f"ln_bayes_factor_{slug(name)}": factors[:, k] for k, name in enumerate(names)}
-        return values | {"nearest_crater": np.where(known, best, NO_CODE)}
-
-
-def _spectra(wavelength_nm: "FloatArray", reflectance: "FloatArray") -> "list[Spectrum]":
-    """Rows as spectra that are called by their number."""
-    from lunarsci.spectra.spectrum import Spectrum
-
-    return [Spectrum(str(row), wavelength_nm, values) for row, values in enumerate(reflectance)]
+        fits = fit_arrays(wavelength_nm, reflectance, model, **how)
+        origin = np.where(np.isfinite(fits.rms_ln), CONTEST, ORIGINS.index("not_fitted"))
+        return fits, origin, np.zeros(len(fits), bool)
 
 
 def slug(name: str) -> str:

@@ -45,7 +45,7 @@ def spoiled() -> Any:
 def test_a_pixel_is_what_the_single_commands_measure_on_its_spectrum(envi: Any, tmp_path: Path) -> None:
     path = envi(spoiled(), data_ignore_value=-999)
     out = tmp_path / "map.nc"
-    result = map_cube(str(path), out, products="bands,fit", assemblage="OPX-CPX")
+    result = map_cube(str(path), out, products="bands,fit", assemblage="OPX-CPX", neighbours=False)
     found = opened(out)
     assert result.counts == {
         "pixels": 30, "no_data": 1, "left_out": 0, "channels_missing": 2, "channels_saturated": 0,
@@ -210,6 +210,14 @@ def test_what_cannot_be_mapped(envi: Any, tmp_path: Path) -> None:
             pixel(cube, place)
     with pytest.raises(DataError, match="no such file"):
         map_cube(str(tmp_path / "none.img"), tmp_path / "map.nc")
+
+
+def test_names_of_where_a_minimum_was_found_are_those_of_the_fit() -> None:
+    from lunarsci.spectra.jobs.map import ROWS
+    from lunarsci.spectra.jobs.map_products import ORIGINS
+    from lunarsci.spectra.mgm import region
+
+    assert (ORIGINS, ROWS) == (region.ORIGINS, region.TILE)
 
 
 def test_a_map_of_nothing_says_so(envi: Any, tmp_path: Path) -> None:
