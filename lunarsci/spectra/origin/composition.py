@@ -79,16 +79,16 @@ class Composition:
 
 
 def closed(values: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Values divided by their sum, and their covariance to first order: J C J', J = (1 - p 1') / sum.
+    """Values (..., n) divided by their sum, and covariance to first order: J C J', J = (1 - p 1') / sum. (..., n, n)
 
-    Raises ParameterError where the sum is 0.
+    Raises ParameterError where a sum is 0.
     """
-    total = float(values.sum())
-    if total <= 0:
+    total = values.sum(axis=-1)
+    if (total <= 0).any():
         raise ParameterError("the minerals to be compared are all absent; there is nothing to compare")
-    share = values / total
-    jacobian = (np.eye(values.size) - np.outer(share, np.ones(values.size))) / total
-    return share, jacobian @ covariance @ jacobian.T
+    share = values / total[..., None]
+    jacobian = (np.eye(values.shape[-1]) - share[..., :, None]) / total[..., None, None]
+    return share, jacobian @ covariance @ np.swapaxes(jacobian, -1, -2)
 
 
 def _check_mode(name: str, value: float, sigma: float) -> None:

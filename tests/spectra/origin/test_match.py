@@ -11,8 +11,9 @@ import pytest
 
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.origin.catalogue import Crater, embedded_catalogue
-from lunarsci.spectra.origin.composition import Composition, Rock
-from lunarsci.spectra.origin.match import OTHER, MatchSettings, RockMatch, match_rocks
+from lunarsci.spectra.origin.composition import MINERALS, Composition, Rock
+from lunarsci.spectra.origin.evidence import CompositionRows
+from lunarsci.spectra.origin.match import OTHER, MatchSettings, RockMatch, match_arrays, match_rocks
 from lunarsci.spectra.origin.prior import CHANG_E_4, PriorSettings, Range
 
 PAPER_ROCK = Rock(
@@ -194,3 +195,33 @@ def test_rocks_without_anything_to_compare_keep_the_prior() -> None:
 def test_impossible_settings_are_refused(settings: dict) -> None:
     with pytest.raises(ParameterError, match="systematic"):
         MatchSettings(prior=PriorSettings(), **settings)
+
+
+def test_a_map_of_rocks_is_matched_as_each_of_them() -> None:
+    """Rows of arrays, some values unknown, some errors hanging together, beside the rocks one by one."""
+    rng = np.random.default_rng(8)
+    rocks = []
+    for number in range(12):
+        known = rng.permutation(4)[: 4 - number % 3]
+        shares = rng.dirichlet(np.ones(len(known)))
+        modes = {MINERALS[k]: (float(v), float(rng.uniform(0.01, 0.1))) for k, v in zip(known, shares, strict=True)}
+        bands = {"bc1000_nm": (float(rng.uniform(900, 1000)), 6.0)} if number % 2 else {}
+        factors = rng.normal(size=(len(known), 8))
+        spread = np.sqrt((factors**2).sum(axis=1))
+        correlation = factors @ factors.T / np.outer(spread, spread) if number % 3 == 1 else None
+        rocks.append(Rock(f"rock {number}", Composition(modes, bands, correlation)))
+    made_of = Composition({"olivine": (0.2, 0.1), "orthopyroxene": (0.5, 0.1)}, {"bc1000_nm": (930.0, 9.0)})
+    craters = [
+        replace(crater, composition=made_of) if place % 2 else crater
+        for place, crater in enumerate(embedded_catalogue())
+    ]
+    settings = MatchSettings(prior=PriorSettings())
+    rows = match_arrays(CompositionRows.of([rock.composition for rock in rocks]), craters, CHANG_E_4, settings)
+    for number, rock in enumerate(rocks):
+        (alone,) = match_rocks([rock], craters, CHANG_E_4, settings)
+        np.testing.assert_allclose(rows.posterior[number], [item.posterior for item in alone.craters], rtol=1e-10)
+        np.testing.assert_allclose(rows.other_posterior[number], alone.other_posterior, rtol=1e-10)
+        np.testing.assert_allclose(
+            rows.evidence.ln_total[number], [item.ln_bayes_factor for item in alone.craters], rtol=1e-9, atol=1e-12
+        )
+    np.testing.assert_allclose(rows.posterior.sum(axis=1) + rows.other_posterior, 1, rtol=1e-12)
