@@ -27,6 +27,7 @@ def products_of(request: "MapRequest") -> "list[Product]":
 
     makers: dict[str, Callable[[MapRequest], Product]] = {
         "bands": BandsProduct.of,
+        "indices": IndicesProduct.of,
         "fit": FitProduct.of,
         "unmix": UnmixProduct.of,
         "match": MatchProduct.of,
@@ -104,6 +105,50 @@ class BandsProduct:
             values |= {name.format(key): getattr(band, attribute) for name, (attribute, _, _) in _BAND_COLUMNS.items()}
             values[f"band{key}_continuum"] = np.where(np.isfinite(band.center_nm), band.continuum, NO_CODE)
             values |= {f"band{key}_status": band.status, f"band{key}_note": band.note}
+        return values
+
+
+@dataclass(frozen=True, slots=True)
+class IndicesProduct:
+    """Spectral indices, as `lunarsci.indices` computes them."""
+
+    name: ClassVar[str] = "indices"
+    slow: ClassVar[bool] = False
+
+    @classmethod
+    def of(cls, request: "MapRequest") -> "IndicesProduct":
+        return cls()
+
+    @property
+    def layers(self) -> Sequence[Layer]:
+        from lunarsci.spectra.indices import INDICES, STATUSES
+
+        found = []
+        for name, index in INDICES.items():
+            unit = {"-": "1", "wt %": "%", "1/µm": "um-1"}[index.unit]
+            found += [Layer(name, index.title, unit), Layer(f"{name}_sigma", "its standard error", unit)]
+            found.append(Layer(f"{name}_interpolation", "what another interpolation of channels differs by", unit))
+            found.append(Layer(f"{name}_status", f"whether there is {index.title}", meanings=STATUSES))
+        return found
+
+    @property
+    def tables(self) -> Sequence[str]:
+        return ()
+
+    @property
+    def sources(self) -> Sequence[str]:
+        from lunarsci.spectra.indices import INDICES
+
+        return tuple(dict.fromkeys(index.source for index in INDICES.values()))
+
+    def measure(self, wavelength_nm: "FloatArray", reflectance: "FloatArray", places: Any) -> Mapping[str, Any]:
+        """Each layer of spectra."""
+        from lunarsci.spectra.indices import index_arrays
+
+        values: dict[str, Any] = {}
+        for name, found in index_arrays(wavelength_nm, reflectance).items():
+            values |= {name: found.value, f"{name}_sigma": found.sigma}
+            values |= {f"{name}_interpolation": found.interpolation, f"{name}_status": found.status}
         return values
 
 

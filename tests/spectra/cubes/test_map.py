@@ -11,6 +11,7 @@ import pytest
 from lunarsci.errors import DataError, OutputError, RequestError
 from lunarsci.spectra.jobs.bands import bands
 from lunarsci.spectra.jobs.fit import fit
+from lunarsci.spectra.jobs.indices import indices
 from lunarsci.spectra.jobs.map import map as map_cube
 from lunarsci.spectra.jobs.map import pixel
 from lunarsci.spectra.origin.catalogue import Crater
@@ -45,7 +46,7 @@ def spoiled() -> Any:
 def test_a_pixel_is_what_the_single_commands_measure_on_its_spectrum(envi: Any, tmp_path: Path) -> None:
     path = envi(spoiled(), data_ignore_value=-999)
     out = tmp_path / "map.nc"
-    result = map_cube(str(path), out, products="bands,fit", assemblage="OPX-CPX", neighbours=False)
+    result = map_cube(str(path), out, products="bands,indices,fit", assemblage="OPX-CPX", neighbours=False)
     found = opened(out)
     assert result.counts == {
         "pixels": 30, "no_data": 1, "left_out": 0, "channels_missing": 2, "channels_saturated": 0,
@@ -65,6 +66,11 @@ def test_a_pixel_is_what_the_single_commands_measure_on_its_spectrum(envi: Any, 
         measured = bands(spectrum).to_dict()["spectra"][0]
         for key in ("bc1000_nm", "bc1000_sigma_nm", "bd1000", "bd2000_sigma", "bc2000_nm", "ba2000_nm", "bas1000"):
             np.testing.assert_allclose(float(own[key]), np.nan if measured[key] is None else measured[key], rtol=1e-9)
+        known = indices(spectrum).to_dict()["spectra"][0]
+        for key in ("ibd1000", "ibd2000", "r540", "olivine_index", "omat", "feo_lucey_wt", "slope1000_per_um"):
+            for part, layer in (("value", key), ("sigma", f"{key}_sigma")):
+                wanted = np.nan if known[key][part] is None else known[key][part]
+                np.testing.assert_allclose(float(own[layer]), wanted, rtol=1e-9)
         fitted = fit(spectrum, assemblage="OPX-CPX").to_dict()["spectra"][0]
         for band in fitted["bands"]:
             stem = band["name"].lower().replace(" ", "_").replace(".", "_")
