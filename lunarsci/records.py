@@ -166,7 +166,7 @@ def _sliced(column: Any, rows: Any) -> Any:
     if isinstance(column, Same | str | None):
         return column
     by_position = isinstance(rows, np.ndarray) and not isinstance(column, np.ndarray)
-    return [column[row] for row in rows.tolist()] if by_position else column[rows]
+    return Codes(rows, column) if by_position else column[rows]
 
 
 def _at(column: Any, index: int) -> Any:
