@@ -6,7 +6,7 @@ text of all objects is a template whose numbers `numerals` fills in.
 
 import csv
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeAlias, overload
@@ -40,6 +40,12 @@ class Codes:
 
     codes: npt.NDArray[np.integer[Any]]
     values: Sequence[Any]
+
+
+def coded(values: Iterable[str]) -> Codes:
+    """Texts of which many are alike."""
+    places: dict[str, int] = {}
+    return Codes(np.array([places.setdefault(value, len(places)) for value in values], np.int64), list(places))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

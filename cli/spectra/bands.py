@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,8 +12,11 @@ from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
-from ..shared.table import TextTable, counted, plus_minus
+from ..shared.table import SHOWN, TextTable, counted, plus_minus
 from .options import UNITS, Files
+
+if TYPE_CHECKING:
+    from lunarsci.spectra.jobs.bands import MeasuredBands
 
 OPTIONS = {
     "continuum": option(
@@ -63,16 +66,17 @@ def bands(files: Files, request: BandsRequest, output: Output, plane: Plane = No
     output.check_extra("--plane", plane)
     with progress("measuring bands", quiet=output.quiet) as update:
         result = bands(files, request, progress=update)
-    records = result.to_dict()["spectra"]
-    tables = [_bands_table(records), *_chemistry_tables(records)]
+    tables = [_bands_table(result), *_chemistry_tables(result)]
     return Report.of(result, tables, pictures={plane: result.plane} if plane else {})
 
 
-def _bands_table(records: Sequence[Mapping[str, Any]]) -> TextTable:
+def _bands_table(result: "MeasuredBands") -> TextTable:
     headers = ["spectrum"]
     for name in ("1000", "2000"):
         headers += [f"BC{name} [nm]", "spread [nm]", f"BD{name}", f"area{name} [nm]", "continuum"]
-    return TextTable(headers, [_bands_row(record) for record in records], notes=_band_notes(records))
+    records = result.content()["spectra"]
+    rows = [_bands_row(record) for record in records[:SHOWN]]
+    return TextTable(headers, rows, notes=_band_notes(result, records), total=len(records))
 
 
 def _bands_row(record: Mapping[str, Any]) -> list[str]:
@@ -94,14 +98,9 @@ def _spread_nm(record: Mapping[str, Any], key: str) -> float | None:
     return max((spread for spread in spreads if spread is not None), default=None)
 
 
-def _band_notes(records: Sequence[Mapping[str, Any]]) -> list[str]:
-    lines = [
-        f"{band} band: {text}"
-        for record in records
-        for key, band in (("1000", "1 µm"), ("2000", "2 µm"))
-        for text in (record[f"band{key}_note"], record[f"band{key}_status"])
-        if text not in ("", "ok")
-    ]
+def _band_notes(result: "MeasuredBands", records: Sequence[Mapping[str, Any]]) -> list[str]:
+    names = {"1000": "1 µm", "2000": "2 µm"}
+    lines = [f"{names[key]} band: {text}" for key, text in result.remarks()]
     return counted(sorted(lines), len(records), "spectra") + (_shared_errors(records[0]) if len(records) == 1 else [])
 
 
@@ -115,10 +114,12 @@ def _shared_errors(record: Mapping[str, Any]) -> list[str]:
     return [f"calibration errors, which all channels share, add {'; '.join(parts)}"] if parts else []
 
 
-def _chemistry_tables(records: Sequence[Mapping[str, Any]]) -> list[TextTable]:
+def _chemistry_tables(result: "MeasuredBands") -> list[TextTable]:
+    records = result.content()["spectra"]
     if len(records) == 1:
         return [_one_chemistry(records[0])] if any(records[0]["chemistry"].values()) else []
-    return [_many_chemistries(records)] if _examples(records) else []
+    examples = result.examples(AT_A_GLANCE)
+    return [_many_chemistries(records, examples)] if examples else []
 
 
 def _one_chemistry(record: Mapping[str, Any]) -> TextTable:
@@ -136,21 +137,14 @@ def _one_chemistry(record: Mapping[str, Any]) -> TextTable:
     return TextTable(["from the bands", "by", "value", "holds"], rows, notes=notes)
 
 
-def _many_chemistries(records: Sequence[Mapping[str, Any]]) -> TextTable:
+def _many_chemistries(records: Sequence[Mapping[str, Any]], examples: Mapping[str, Mapping[str, Any]]) -> TextTable:
+    """One column for each regression that some spectrum can use."""
     headers = ["spectrum"] + [
-        f"{SHORT[item['quantity']]}{_unit(item)} {_method(key)}" for key, item in _examples(records).items()
+        f"{SHORT[item['quantity']]}{_unit(item)} {_method(key)}" for key, item in examples.items()
     ]
-    rows = [[record["id"], *(_usable(record["chemistry"][key]) for key in _examples(records))] for record in records]
-    return TextTable(
-        headers, rows, notes=["-: no band, or not to be used here; all regressions, and why not: --csv or --json"]
-    )
-
-
-def _examples(records: Sequence[Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
-    """For each column in which some spectrum has a value, one of its entries."""
-    columns = {key: [record["chemistry"][key] for record in records] for key in AT_A_GLANCE}
-    usable = {key: [item for item in items if item and item["in_range"]] for key, items in columns.items()}
-    return {key: items[0] for key, items in usable.items() if items}
+    rows = [[record["id"], *(_usable(record["chemistry"][key]) for key in examples)] for record in records[:SHOWN]]
+    notes = ["-: no band, or not to be used here; all regressions, and why not: --csv or --json"]
+    return TextTable(headers, rows, notes=notes, total=len(records))
 
 
 def _method(key: str) -> str:

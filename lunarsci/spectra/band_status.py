@@ -88,6 +88,22 @@ CODES = ("continuum", "status", "note")
 CONTINUUM, STATUS, NOTE = range(len(CODES))
 
 
+JSON_KEYS = {
+    "center_nm": "bc{}_nm",
+    "center_sigma_nm": "bc{}_sigma_nm",
+    "center_systematic_nm": "bc{}_systematic_nm",
+    "center_method_nm": "bc{}_method_nm",
+    "depth": "bd{}",
+    "depth_sigma": "bd{}_sigma",
+    "area_nm": "ba{}_nm",
+    "area_sigma_nm": "ba{}_sigma_nm",
+    "asymmetry": "bas{}",
+    "asymmetry_sigma": "bas{}_sigma",
+    "center_calibration_nm": "bc{}_calibration_nm",
+    "depth_calibration": "bd{}_calibration",
+    "area_calibration_nm": "ba{}_calibration_nm",
+}
+"""Key of each number in JSON, in which {} is the band's."""
 SENTENCES = {
     "ok": "ok",
     "continuum_falls_to_zero": "its continuum falls to zero in the window",
@@ -117,8 +133,3 @@ def sentence(code: int, band: Band, deepest_nm: float, wavelength_nm: FloatArray
     return SENTENCES[STATUSES[code]].format(
         deepest=deepest_nm, low=band.centre_nm[0], high=band.centre_nm[1], others=band.others, first=first, last=last
     )
-
-
-def note(code: int, wanted: str, band: Band, deepest_nm: float, wavelength_nm: FloatArray) -> str:
-    """Why the wanted continuum was not used over a band, or nothing; see `sentence`."""
-    return "" if code == OK else f"{wanted} not used: {sentence(code, band, deepest_nm, wavelength_nm)}"

@@ -6,11 +6,12 @@ there is a band at all, in `lunarsci.spectra.band_rows`.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from lunarsci import records
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import DataError
 from lunarsci.spectra.band_rows import grid_of, measure_rows, nothing_of
@@ -18,12 +19,13 @@ from lunarsci.spectra.band_status import (
     BANDS,
     CONTINUUM,
     DEEPEST,
+    JSON_KEYS,
     NOTE,
     NOTE_DEEPEST,
+    OK,
     QUANTITIES,
     STATUS,
     Codes,
-    note,
     sentence,
 )
 from lunarsci.spectra.continuum import CONTINUA, ContinuumName, continuum
@@ -33,6 +35,7 @@ FEWEST_CHANNELS, MOST_CHANNELS = 20, 5000
 MEASURED = QUANTITIES[:DEEPEST]
 """What is measured of a band: the numbers of a `BandResult`."""
 _NOTHING = np.empty(0)
+_NAMES = (*CONTINUA, "none")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,24 +113,6 @@ class SpectrumBands:
         return record
 
 
-JSON_KEYS = {
-    "center_nm": "bc{}_nm",
-    "center_sigma_nm": "bc{}_sigma_nm",
-    "center_systematic_nm": "bc{}_systematic_nm",
-    "center_method_nm": "bc{}_method_nm",
-    "depth": "bd{}",
-    "depth_sigma": "bd{}_sigma",
-    "area_nm": "ba{}_nm",
-    "area_sigma_nm": "ba{}_sigma_nm",
-    "asymmetry": "bas{}",
-    "asymmetry_sigma": "bas{}_sigma",
-    "center_calibration_nm": "bc{}_calibration_nm",
-    "depth_calibration": "bd{}_calibration",
-    "area_calibration_nm": "ba{}_calibration_nm",
-}
-"""Key of each number in JSON, in which {} is the band's."""
-
-
 @dataclass(frozen=True, slots=True)
 class BandFailure:
     """A spectrum whose bands could not be measured, and why."""
@@ -189,6 +174,16 @@ class BandArrays:
         }
 
 
+def columns_of(measured: Sequence[SpectrumBands]) -> dict[str, BandColumns]:
+    """The numbers of measured spectra as columns, by key of the band."""
+    arrays = BandArrays(*nothing_of(len(measured)))
+    for row, item in enumerate(measured):
+        for place, one in enumerate(item.bands.values()):
+            arrays.numbers[row, place, : len(MEASURED)] = np.array([getattr(one, name) for name in MEASURED], float)
+            arrays.codes[row, place, CONTINUUM] = _NAMES.index(one.continuum) if one.center_nm else -1
+    return arrays.bands
+
+
 def band_arrays(
     wavelength_nm: FloatArray,
     reflectance: npt.ArrayLike,
@@ -207,7 +202,6 @@ def band_arrays(
     wavelength_nm : shape (n,), ascending, 5000 at most. [nm]
     reflectance : shape (m, n); not finite or not above 0 where it cannot be used. [-]
     sigma : one standard deviation, (m, n) or (n,), above 0; None to find it from the scatter of the channels. [-]
-    continuum_name, smoothing : as in `measure_bands`.
 
     Raises
     ------
@@ -254,13 +248,7 @@ def _measure(
 
 
 class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
-    """The bands of spectra: one result or one stated reason each, made when asked for, from arrays.
-
-    Attributes
-    ----------
-    spectra, arrays : m spectra, and their bands.
-    reasons : by place of a spectrum that could not be measured, why.
-    """
+    """The bands of spectra, made of `arrays` when asked for; `reasons` has why spectra have none, by their place."""
 
     def __init__(self, spectra: Sequence[Spectrum], wanted: ContinuumName, smoothing: Smoothing) -> None:
         self.spectra, self.wanted, self.smoothing = spectra, wanted, smoothing
@@ -270,11 +258,7 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
     def __len__(self) -> int:
         return len(self.spectra)
 
-    @overload
-    def __getitem__(self, place: int) -> SpectrumBands | BandFailure: ...
-    @overload
-    def __getitem__(self, place: slice) -> list[SpectrumBands | BandFailure]: ...
-    def __getitem__(self, place: int | slice) -> Any:
+    def __getitem__(self, place: Any) -> Any:
         if isinstance(place, slice):
             return [self[k] for k in range(*place.indices(len(self)))]
         place = range(len(self))[place]
@@ -292,15 +276,40 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
         )
 
     def _band(self, number: int, place: int, wavelength_nm: FloatArray) -> BandResult:
-        numbers, codes = self.arrays.numbers[place, number].tolist(), self.arrays.codes[place, number].tolist()
+        numbers, code = self.arrays.numbers[place, number].tolist(), int(self.arrays.codes[place, number, CONTINUUM])
         known = {name: value for name, value in zip(MEASURED, numbers, strict=False) if value == value}
-        band = BANDS[number]
-        return BandResult(
-            **known,
-            continuum=CONTINUA[codes[CONTINUUM]] if codes[CONTINUUM] >= 0 else "none",
-            status=sentence(codes[STATUS], band, numbers[DEEPEST], wavelength_nm),
-            note=note(codes[NOTE], self.wanted, band, numbers[NOTE_DEEPEST], wavelength_nm),
-        )
+        status, why = (self._said(number, place, which, wavelength_nm) for which in (STATUS, NOTE))
+        return BandResult(**known, continuum=CONTINUA[code] if code >= 0 else "none", status=status, note=why)
+
+    def _said(self, number: int, place: int, which: int, wavelength_nm: FloatArray) -> str:
+        """The sentence of a status or a note."""
+        code, deepest = self.arrays.codes[place, number, which], DEEPEST if which == STATUS else NOTE_DEEPEST
+        if which == NOTE and code == OK:
+            return ""
+        text = sentence(code, BANDS[number], self.arrays.numbers[place, number, deepest], wavelength_nm)
+        return text if which == STATUS else f"{self.wanted} not used: {text}"
+
+    def texts(self, number: int, which: int) -> list[str]:
+        """The status or the note of a band of all spectra."""
+        codes = self.arrays.codes[:, number, which]
+        found = ["" if which == NOTE else "ok"] * len(self)
+        for place in np.flatnonzero(codes != OK).tolist():
+            spectrum = self.spectra[place]
+            found[place] = self._said(number, place, which, spectrum.wavelength_nm[spectrum.usable])
+        for place, reason in self.reasons.items() if which == STATUS else ():
+            found[place] = f"no result: {reason}"
+        return found
+
+    def columns(self) -> dict[str, Any]:
+        """The keys of `lunarsci spectra bands --json` as columns of records."""
+        codes = self.arrays.codes[..., CONTINUUM].astype(int) % len(_NAMES)
+        used = {band.key: records.Codes(codes[:, place], _NAMES) for place, band in enumerate(BANDS)}
+        columns: dict[str, Any] = {"id": [spectrum.id for spectrum in self.spectra], "continuum": used}
+        for place, (key, band) in enumerate(self.arrays.bands.items()):
+            columns |= {name.format(key): getattr(band, quantity) for quantity, name in JSON_KEYS.items()}
+            columns[f"band{key}_status"] = records.coded(self.texts(place, STATUS))
+            columns[f"band{key}_note"] = records.coded(self.texts(place, NOTE))
+        return columns
 
 
 def measure_bands(
@@ -319,7 +328,8 @@ def measure_bands(
     ------
     DataError when too few or too many channels can be used, or where smoothing flattens a band.
     """
-    found = measure_batch([spectrum], continuum_name=continuum_name, smoothing=smoothing)[0]
+    found: SpectrumBands | BandFailure
+    (found,) = measure_batch([spectrum], continuum_name=continuum_name, smoothing=smoothing)
     if isinstance(found, BandFailure):
         raise DataError(f"{found.id}: {found.status.removeprefix('no result: ')}")
     return found

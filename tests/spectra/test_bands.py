@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError
-from lunarsci.spectra.bands import BandFailure, SpectrumBands, measure_bands, measure_batch
+from lunarsci.spectra.band_status import STATUSES
+from lunarsci.spectra.bands import BandFailure, SpectrumBands, band_arrays, measure_bands, measure_batch
 from lunarsci.spectra.continuum import ContinuumName, continuum
 from lunarsci.spectra.spectrum import Smoothing, Spectrum
 
@@ -151,6 +152,45 @@ def test_a_batch_gives_what_each_spectrum_gives_alone() -> None:
         ]
         assert len(numbers[0]) >= 18
         assert numbers[0] == pytest.approx(numbers[1], rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["conic", "hull", "linear"])
+def test_a_row_of_an_image_is_what_the_single_spectrum_gives_to_the_last_bit(name: ContinuumName) -> None:
+    """Channels as coarse as M3's, some of them bad in some rows, in two orders, and rows without a measurement."""
+    rng, wavelength = np.random.default_rng(9), np.arange(460.0, 2500.0, 30.0)
+    values = np.interp(wavelength, GRID, reflectance()) * (1 + 0.004 * rng.normal(size=(40, wavelength.size)))
+    values[3], values[7, 12], values[8, [12, 30]], values[9, 60:] = np.nan, np.nan, 0.0, -1.0
+    values = values.astype(np.float32)
+    found, turned = (band_arrays(wavelength, rows, continuum_name=name) for rows in (values, values[::-1]))
+    assert np.array_equal(found.numbers, turned.numbers[::-1], equal_nan=True)
+    assert np.array_equal(found.codes, turned.codes[::-1])
+    assert STATUSES[found.bands["1000"].status[3]] == "spectrum_unusable"
+    assert np.isfinite(found.bands["1000"].center_nm).sum() >= 38
+    for row in (0, 7, 8, 9, 39):
+        single = measure_bands(Spectrum("x", wavelength, values[row].astype(float)), continuum_name=name)
+        for key, band in single.bands.items():
+            for quantity in ("center_nm", "center_sigma_nm", "depth", "area_sigma_nm", "asymmetry", "center_method_nm"):
+                value = getattr(found.bands[key], quantity)[row]
+                assert (None if np.isnan(value) else value) == getattr(band, quantity), quantity
+
+
+@pytest.mark.parametrize("name", ["conic", "hull", "linear"])
+def test_errors_are_the_derivatives_of_the_measurement(name: ContinuumName) -> None:
+    """What a shift shared by the channels does, to first order, against the measurement of the shifted spectrum."""
+    rng = np.random.default_rng(11)
+    shape = rng.normal(size=(6, 1)) * np.sin(GRID / 150 + rng.uniform(0, 6, size=(6, 1))) + 0.2 * rng.normal(
+        size=GRID.size
+    )
+    for shift in 1e-7 * shape:
+        spectrum = Spectrum("x", GRID, reflectance(), np.full(GRID.size, 1e-3), systematic={"shift": shift})
+        moved = Spectrum("x", GRID, reflectance() + shift, np.full(GRID.size, 1e-3))
+        before, after = (measure_bands(one, continuum_name=name).bands["1000"] for one in (spectrum, moved))
+        assert before.center_nm is not None and after.center_nm is not None
+        assert before.center_calibration_nm == pytest.approx(
+            abs(after.center_nm - before.center_nm), rel=2e-2, abs=1e-7
+        )
+        assert before.depth_calibration == pytest.approx(abs(after.depth - before.depth), rel=1e-2, abs=1e-10)
+        assert before.area_calibration_nm == pytest.approx(abs(after.area_nm - before.area_nm), rel=1e-3, abs=1e-9)
 
 
 def made_up(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, float]:

@@ -6,12 +6,16 @@ the 1 um centre depends on Fs, and which of four gives Fs from the 2 um centre o
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from lunarsci.spectra.bands import BandResult, SpectrumBands
-from lunarsci.spectra.chemistry.plane import OLIVINE_NM, Anchor, Regression, anchors, objection, regressions
+import numpy as np
+
+from lunarsci.arrays import BoolArray, FloatArray, IntArray
+from lunarsci.spectra.bands import BandColumns, BandResult, SpectrumBands, columns_of
+from lunarsci.spectra.chemistry.plane import OLIVINE_NM, Anchor, Regression, Texts, anchors, objections, regressions
+from lunarsci.spectra.continuum import CONIC
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -22,33 +26,38 @@ _TURNS = 12
 """There are twelve pairs of lines: whoever has not arrived by then never will."""
 
 
-@dataclass(frozen=True, slots=True)
-class GaffeyPair:
-    """The two lines arrived at; `settled` is False where they alternate, or where Fs exceeds all of them."""
+def gaffey_pairs(bc1000_nm: FloatArray, bc2000_nm: FloatArray) -> tuple[IntArray, IntArray, BoolArray]:
+    """The lines for Wo and Fs that agree with each other at these centres, (m,) each. [nm]
 
-    wo: Regression
-    fs: Regression
-    settled: bool
-
-
-def gaffey_pair(bc1000_nm: float, bc2000_nm: float) -> GaffeyPair:
-    """The lines for Wo and Fs that agree with each other at these centres. [nm]"""
-    wo_lines, fs_lines = _lines("wo"), _lines("fs")
-    wo_line = regressions()[_START]
-    fs_line = fs_lines[0]
+    Returns
+    -------
+    Places of the lines among those for Wo and for Fs, and whether they were arrived at: not where the lines alternate,
+    or where Fs exceeds all of them.
+    """
+    wo_lines, fs_lines = lines_of("wo"), lines_of("fs")
+    wo = np.full(bc1000_nm.shape, [line.key for line in wo_lines].index(_START))
+    fs, settled, open_ = np.zeros_like(wo), np.zeros(wo.shape, bool), np.ones(wo.shape, bool)
+    wo_values = np.array([line.value(bc1000_nm) for line in wo_lines])
+    fs_values = np.array([line.value(bc2000_nm) for line in fs_lines])
+    each = np.arange(wo.size)
     for _ in range(_TURNS):
-        wo = wo_line.value(bc1000_nm)
-        fs_line = next(line for line in fs_lines if line.when[0] <= wo < line.when[1])
-        fs = fs_line.value(bc2000_nm)
-        following = next((line for line in wo_lines if line.when[0] <= fs < line.when[1]), None)
-        if following is None or following is wo_line:
-            return GaffeyPair(wo_line, fs_line, settled=following is not None)
-        wo_line = following
-    return GaffeyPair(wo_line, fs_line, settled=False)
+        fs = np.where(open_, _line_for(wo_values[wo, each], fs_lines), fs)
+        following = _line_for(fs_values[fs, each], wo_lines)
+        settled |= open_ & (following == wo)
+        open_ &= (following >= 0) & (following != wo)
+        wo = np.where(open_, following, wo)
+    return wo, fs, settled
 
 
-def _lines(quantity: str) -> list[Regression]:
+def lines_of(quantity: str) -> list[Regression]:
+    """Gaffey's lines for `wo` or `fs`, in the order of their places."""
     return [line for key, line in regressions().items() if key.startswith(f"{quantity}_gaffey")]
+
+
+def _line_for(values: FloatArray, lines: Sequence[Regression]) -> IntArray:
+    """Place of the line that was made for a value of the other quantity, -1 for none, (m,)."""
+    fits = np.array([(line.when[0] <= values) & (values < line.when[1]) for line in lines])
+    return np.where(fits.any(axis=0), np.argmax(fits, axis=0), -1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,26 +105,104 @@ NM_PER_KELVIN = {"bc2000": 0.2, "bc1000": 0.0}
 RATIO_PER_KELVIN = -0.00075
 """The same of the area ratio: at room temperature it is ratio + 0.00075 T - 0.23."""
 
-Predictors = Mapping[str, tuple[float, float]]
+Predictors = Mapping[str, tuple[Any, Any]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Estimates:
+    """A quantity of m spectra by one regression; as `CompositionEstimate`, with arrays (m,).
+
+    `present` says where its bands are there; elsewhere the others mean nothing.
+    """
+
+    quantity: str
+    unit: str
+    present: BoolArray
+    value: FloatArray
+    sigma: FloatArray
+    reason: Texts
+    domain: Texts
+    caveat: Texts
+    source: Texts
+
+    @property
+    def in_range(self) -> BoolArray:
+        """Whether the regression may be used."""
+        return np.asarray(self.reason == "", bool)
+
+    @property
+    def first_usable(self) -> int | None:
+        """The first spectrum of which it may be used, None for none."""
+        rows = np.flatnonzero(self.present & self.in_range)
+        return int(rows[0]) if rows.size else None
+
+    def columns(self) -> dict[str, Any]:
+        """The attributes of `CompositionEstimate` by name, as columns of records."""
+        from lunarsci.records import coded
+
+        texts = {name: coded(getattr(self, name)) for name in ("reason", "domain", "caveat", "source")}
+        own = {"quantity": self.quantity, "unit": self.unit, "value": self.value, "sigma": self.sigma}
+        return own | {"in_range": self.in_range} | texts
+
+    def of(self, row: int) -> CompositionEstimate:
+        """That of one spectrum."""
+        return CompositionEstimate(
+            quantity=self.quantity,
+            unit=self.unit,
+            value=float(self.value[row]),
+            sigma=float(self.sigma[row]),
+            in_range=not self.reason[row],
+            reason=self.reason[row],
+            domain=self.domain[row],
+            caveat=self.caveat[row],
+            source=self.source[row],
+        )
 
 
 def chemistry(measured: SpectrumBands) -> dict[str, CompositionEstimate]:
-    """Estimates by key, of those regressions whose bands are there.
+    """Estimates by key, of those regressions whose bands are there; see `chemistries`."""
+    found = chemistries(columns_of([measured]))
+    return {key: item.of(0) for key, item in found.items() if item.present[0]}
+
+
+def chemistries(bands: Mapping[str, BandColumns]) -> dict[str, Estimates]:
+    """Estimates by key from the columns of both bands.
 
     The error of a centre is its standard error, half the spread over the continua and the calibration's share, added
     in quadrature. The kind of rock that a regression holds for, which bands cannot tell, is its domain.
     """
-    one, two = measured.bands["1000"], measured.bands["2000"]
-    if one.center_nm is None:
-        return {}
-    predictors = _predictors(one, two)
-    ratio = (two.depth or 0.0) / one.depth if one.depth else 0.0
-    found = from_centres(predictors, ratio)
-    conic = {key for key, band in (("bc1000", one), ("bc2000", two)) if band.continuum == "conic"}
-    return {key: _told(item, conic) if key in _CENTRED else item for key, item in found.items()}
+    one, two = bands["1000"], bands["2000"]
+    there = np.isfinite(one.center_nm)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.nan_to_num(two.depth / one.depth, posinf=0.0, neginf=0.0)
+    predictors = {
+        "bc1000": (one.center_nm, errors_nm(one)),
+        "bc2000": (np.where(there, two.center_nm, np.nan), errors_nm(two)),
+        "bar": _area_ratio(one, two),
+    }
+    found = estimates(predictors, ratio)
+    used = (there & (one.continuum == CONIC)) | (np.isfinite(two.center_nm) & (two.continuum == CONIC))
+    for key in _CENTRED & found.keys():
+        found[key].caveat[used] += "; made under a continuum of straight lines, not under the conic as here"
+    return found
 
 
 _CENTRED = frozenset(key for key in KEYS if key not in ("ol_dunn", "opx_cloutis"))
+
+
+def _area_ratio(one: BandColumns, two: BandColumns) -> tuple[FloatArray, FloatArray]:
+    """Area of the 2 um band over that of the 1 um band, and its standard error; NaN where either is not above 0."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        good = (one.area_nm > 0) & (two.area_nm > 0)
+        ratio = np.where(good, two.area_nm / one.area_nm, np.nan)
+        parts = [np.nan_to_num(e / b.area_nm) for b in (one, two) for e in (b.area_sigma_nm, b.area_calibration_nm)]
+    return ratio, ratio * np.sqrt(sum(part**2 for part in parts))
+
+
+def errors_nm(band: BandColumns) -> FloatArray:
+    """Standard error, half the spread over the continua and the calibration's share of centres together, (m,). [nm]"""
+    parts = (band.center_sigma_nm, band.center_systematic_nm, band.center_calibration_nm)
+    return np.asarray(np.sqrt(sum(np.nan_to_num(part) ** 2 for part in parts)))
 
 
 def from_centres(predictors: Predictors, depth_ratio: float = 0.0) -> dict[str, CompositionEstimate]:
@@ -123,94 +210,80 @@ def from_centres(predictors: Predictors, depth_ratio: float = 0.0) -> dict[str, 
 
     `depth_ratio` is the depth of the 2 um band over that of the 1 um band.
     """
+    rows = {key: (np.array([value], float), np.array([sigma], float)) for key, (value, sigma) in predictors.items()}
+    return {key: item.of(0) for key, item in estimates(rows, np.array([depth_ratio])).items() if item.present[0]}
+
+
+def estimates(predictors: Predictors, depth_ratio: FloatArray) -> dict[str, Estimates]:
+    """`from_centres` of m spectra: (m,) each, NaN for a predictor that is not there."""
+    places: dict[str, Texts] = {}
+    nowhere = np.full(depth_ratio.shape, np.nan)
+    first, second = (predictors.get(key, (nowhere, nowhere))[0] for key in ("bc1000", "bc2000"))
+
+    def one(line: Regression) -> Estimates:
+        if line.place not in places:
+            places[line.place] = objections(line.place, first, second, depth_ratio)
+        return _estimate(line, *predictors[line.predictor], places[line.place])
+
     found = {
-        key: _estimate(line, predictors, depth_ratio)
-        for key, line in regressions().items()
-        if "gaffey" not in key and line.predictor in predictors
+        key: one(line) for key, line in regressions().items() if "gaffey" not in key and line.predictor in predictors
     }
     if {"bc1000", "bc2000"} <= predictors.keys():
-        found = _gaffey(predictors, depth_ratio) | found
+        found = _gaffey(first, second, one) | found
     return found
 
 
-def error_nm(band: BandResult) -> float:
-    """Standard error, half the spread over the continua and the calibration's share of a centre together. [nm]"""
-    parts = (band.center_sigma_nm, band.center_systematic_nm, band.center_calibration_nm)
-    return math.hypot(*(part or 0.0 for part in parts))
-
-
-def _predictors(one: BandResult, two: BandResult) -> dict[str, tuple[float, float]]:
-    predictors = {}
-    for key, band in (("bc1000", one), ("bc2000", two)):
-        if band.center_nm is not None:
-            predictors[key] = (band.center_nm, error_nm(band))
-    if one.area_nm and two.area_nm and one.area_nm > 0 and two.area_nm > 0:
-        ratio = two.area_nm / one.area_nm
-        shares = [
-            (error or 0.0) / area
-            for band, area in ((one, one.area_nm), (two, two.area_nm))
-            for error in (band.area_sigma_nm, band.area_calibration_nm)
-        ]
-        predictors["bar"] = (ratio, ratio * math.hypot(*shares))
-    return predictors
-
-
-def _estimate(line: Regression, predictors: Predictors, depth_ratio: float, more: str = "") -> CompositionEstimate:
-    x, sigma = predictors[line.predictor]
+def _estimate(line: Regression, x: FloatArray, sigma: FloatArray, objection: Texts) -> Estimates:
     value = line.value(x)
-    centre = predictors.get("bc1000", (math.nan, 0.0))[0]
-    second = predictors["bc2000"][0] if "bc2000" in predictors else None
-    reason = objection(line.place, centre, second, depth_ratio) or line.objection(value) or more
-    return CompositionEstimate(
+    return Estimates(
         quantity=line.quantity,
         unit=line.unit,
+        present=np.isfinite(x),
         value=value,
         sigma=line.sigma(x, sigma),
-        in_range=not reason,
-        reason=reason,
-        domain=line.domain,
+        reason=np.where(objection != "", objection, line.objections(value)),
+        domain=np.full(x.shape, line.domain, object),
         caveat=_temperature(line, x),
-        source=line.source,
+        source=np.full(x.shape, line.source, object),
     )
 
 
-def _temperature(line: Regression, x: float) -> str:
+def _temperature(line: Regression, x: FloatArray) -> Texts:
     """What 100 K do, which is not corrected."""
     rate = RATIO_PER_KELVIN if line.predictor == "bar" else NM_PER_KELVIN.get(line.predictor)
-    if rate is None:
-        return "not corrected for temperature"
-    if rate == 0.0:
-        return "not corrected for temperature, which hardly moves this band"
-    change, unit = 100 * rate * line.slope(x), "" if line.unit == "-" else f" {line.unit}"
-    return f"not corrected for temperature: 100 K above the laboratory's add about {change:+.2g}{unit}"
+    if not rate:
+        more = "" if rate is None else ", which hardly moves this band"
+        return np.full(x.shape, f"not corrected for temperature{more}", object)
+    unit = "" if line.unit == "-" else f" {line.unit}"
+    changes = np.broadcast_to(100 * rate * line.slope(x), x.shape)
+    text = "not corrected for temperature: 100 K above the laboratory's add about"
+    return np.array([f"{text} {change:+.2g}{unit}" for change in changes], object)
 
 
-def _gaffey(predictors: Predictors, depth_ratio: float) -> dict[str, CompositionEstimate]:
-    pair = gaffey_pair(predictors["bc1000"][0], predictors["bc2000"][0])
-    more = "" if pair.settled else "its lines for Fs and Wo do not agree on a pair"
-    fs, wo = (_estimate(line, predictors, depth_ratio, more) for line in (pair.fs, pair.wo))
+def _gaffey(
+    bc1000_nm: FloatArray, bc2000_nm: FloatArray, one: Callable[[Regression], Estimates]
+) -> dict[str, Estimates]:
+    wo_place, fs_place, settled = gaffey_pairs(bc1000_nm, bc2000_nm)
+    wo, fs = (_chosen([one(line) for line in lines_of(q)], p) for q, p in (("wo", wo_place), ("fs", fs_place)))
+    both = wo.present & fs.present
+    for item in (wo, fs):
+        item.present[:] = both
+        item.reason[(item.reason == "") & ~settled] = "its lines for Fs and Wo do not agree on a pair"
     value = 100 - fs.value - wo.value
-    beyond = "" if 0 <= value <= 100 else "beyond 0-100"
-    reason = fs.reason or wo.reason or beyond
-    enstatite = CompositionEstimate(
-        quantity="en",
-        unit="mol %",
-        value=value,
-        sigma=math.hypot(fs.sigma, wo.sigma),
-        in_range=not reason,
-        reason=reason,
-        domain=fs.domain,
-        caveat=f"what Fs and Wo leave; {fs.caveat}",
-        source=fs.source,
-    )
+    beyond = np.where((value >= 0) & (value <= 100), "", "beyond 0-100").astype(object)
+    reason = np.where(fs.reason != "", fs.reason, np.where(wo.reason != "", wo.reason, beyond))
+    caveat = "what Fs and Wo leave; " + fs.caveat
+    sigma = np.hypot(fs.sigma, wo.sigma)
+    enstatite = replace(fs, quantity="en", unit="mol %", value=value, sigma=sigma, reason=reason, caveat=caveat)
     return {"fs_gaffey": fs, "wo_gaffey": wo, "en_gaffey": enstatite}
 
 
-def _told(item: CompositionEstimate, conic: set[str]) -> CompositionEstimate:
-    """The estimate with a word on the continuum where the conic was used."""
-    if not conic:
-        return item
-    return replace(item, caveat=f"{item.caveat}; made under a continuum of straight lines, not under the conic as here")
+def _chosen(items: Sequence[Estimates], place: IntArray) -> Estimates:
+    """For each spectrum what the line at a place says."""
+    each = np.arange(place.size)
+    names = ("present", "value", "sigma", "reason", "domain", "caveat", "source")
+    parts: dict[str, Any] = {name: np.array([getattr(item, name) for item in items])[place, each] for name in names}
+    return replace(items[0], **parts)
 
 
 X_NM, Y_NM = (890.0, 1100.0), (1740.0, 2400.0)
@@ -290,12 +363,17 @@ def _centres(items: Sequence[Anchor]) -> tuple[list[float], list[float]]:
     return [item.bc1000_nm for item in items], [item.bc2000_nm for item in items]
 
 
+def _error_nm(band: BandResult) -> float:
+    parts = (band.center_sigma_nm, band.center_systematic_nm, band.center_calibration_nm)
+    return math.hypot(*(part or 0.0 for part in parts))
+
+
 def _draw_spectrum(axes: Any, item: SpectrumBands, *, named: bool) -> None:
     one, two = item.bands["1000"], item.bands["2000"]
     has_second = two.center_nm is not None
     x, y = one.center_nm, two.center_nm if has_second else BELOW_NM
     axes.errorbar(
-        x, y, xerr=error_nm(one), yerr=error_nm(two) if has_second else None, fmt="o" if has_second else "v",
+        x, y, xerr=_error_nm(one), yerr=_error_nm(two) if has_second else None, fmt="o" if has_second else "v",
         color="black", markersize=4, linewidth=0.8, zorder=3,
     )  # fmt: skip
     if named:

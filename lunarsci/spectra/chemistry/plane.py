@@ -7,12 +7,16 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from typing import Any, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.tables import table_rows
 
+Texts: TypeAlias = npt.NDArray[np.object_]
+"""Sentences, (m,)."""
 TABLE = "band_chemistry.csv"
 _NM_PER_UNIT = {"um": 1e3, "nm": 1.0, "-": 1.0}
 
@@ -55,32 +59,34 @@ class Regression:
     domain: str
     source: str
 
-    def value(self, predictor: float) -> float:
+    def value(self, predictor: Any) -> Any:
         """y at a predictor. [unit]"""
         c0, c1, c2 = self.coefficients
         x = predictor / self.scale
         return (x - c0) / c1 if self.inverse else c0 + c1 * x + c2 * x**2
 
-    def slope(self, predictor: float) -> float:
+    def slope(self, predictor: Any) -> Any:
         """dy by d predictor. [unit/nm, or unit for a ratio]"""
         _, c1, c2 = self.coefficients
         return (1 / c1 if self.inverse else c1 + 2 * c2 * predictor / self.scale) / self.scale
 
-    def sigma(self, predictor: float, predictor_sigma: float) -> float:
+    def sigma(self, predictor: Any, predictor_sigma: Any) -> Any:
         """Standard deviation of y: error of the predictor and scatter about the regression, independent. [unit]
 
         The scatter is the authors' or that on RELAB, whichever is larger.
         """
         published = self.error / abs(self.coefficients[1]) if self.inverse else self.error
-        return math.hypot(self.slope(predictor) * predictor_sigma, max(published, self.error_relab))
+        return np.hypot(self.slope(predictor) * predictor_sigma, max(published, self.error_relab))
 
-    def objection(self, value: float) -> str:
-        """Why a value is outside the range of the regression; empty where it is inside."""
-        if not self.low <= value <= self.high:
-            return f"beyond the {self.low:g}-{self.high:g} it was made for"
-        if self.excluded is not None and self.excluded[0] < value < self.excluded[1]:
-            return f"between {self.excluded[0]:g} and {self.excluded[1]:g}, which its authors exclude"
-        return ""
+    def objections(self, value: FloatArray) -> Texts:
+        """Why values, (m,), are outside the range of the regression; empty where they are inside."""
+        beyond = ~((self.low <= value) & (value <= self.high))
+        found = np.where(beyond, f"beyond the {self.low:g}-{self.high:g} it was made for", "").astype(object)
+        if self.excluded is not None:
+            low, high = self.excluded
+            within = ~beyond & (low < value) & (value < high)
+            found[within] = f"between {low:g} and {high:g}, which its authors exclude"
+        return found
 
 
 @cache
@@ -150,65 +156,69 @@ def anchors() -> tuple[Anchor, ...]:
     return tuple(Anchor(*(float(row[name]) for name in names)) for row in table_rows(PLANE_TABLE))
 
 
-def objection(place: str, bc1000_nm: float, bc2000_nm: float | None, depth_ratio: float) -> str:
-    """Why a spectrum does not lie where a regression was made; empty where it does.
+def objections(place: str, bc1000_nm: FloatArray, bc2000_nm: FloatArray, depth_ratio: FloatArray) -> Texts:
+    """Why spectra do not lie where a regression was made; empty where they do. (m,)
 
     Parameters
     ----------
     place : `pyroxene`, `orthopyroxene`, `hed`, `olivine`, `chondrite`, `mixture`, or `any`.
-    bc1000_nm, bc2000_nm : band centres; None where there is no 2 um band. [nm]
-    depth_ratio : depth of the 2 um band over that of the 1 um band, 0 where there is none. [-]
+    bc1000_nm, bc2000_nm : band centres, (m,); NaN where there is no such band. [nm]
+    depth_ratio : depth of the 2 um band over that of the 1 um band, 0 where there is none, (m,). [-]
     """
-    if place == "olivine":
-        return _no_olivine(bc1000_nm, depth_ratio)
+    found = np.full(bc1000_nm.shape, "", object)
     if place == "any":
-        return ""
-    if bc2000_nm is None:
-        return "there is no 2 µm band"
-    return _JUDGES[place](bc1000_nm, bc2000_nm)
+        return found
+    if place == "olivine":
+        low, high = OLIVINE_NM
+        found[~((low <= bc1000_nm) & (bc1000_nm <= high))] = f"the 1 µm centre is not between {low:g} and {high:g} nm"
+        found[depth_ratio > WEAK_SHARE] = "there is a 2 µm band: pyroxene"
+        return found
+    there = ~np.isnan(bc2000_nm)
+    found[~there] = "there is no 2 µm band"
+    found[there] = _JUDGES[place](bc1000_nm[there], bc2000_nm[there])
+    return found
 
 
-def _no_olivine(bc1000_nm: float, depth_ratio: float) -> str:
-    if depth_ratio > WEAK_SHARE:
-        return "there is a 2 µm band: pyroxene"
-    low, high = OLIVINE_NM
-    return "" if low <= bc1000_nm <= high else f"the 1 µm centre is not between {low:g} and {high:g} nm"
-
-
-def _no_pyroxene(bc1000_nm: float, bc2000_nm: float) -> str:
+def _no_pyroxene(bc1000_nm: FloatArray, bc2000_nm: FloatArray) -> Texts:
     off = _off_trend(bc1000_nm, bc2000_nm)
-    if abs(off) > PYROXENE_TOLERANCE_NM:
-        return _where(off)
     iron = regressions()["fs_trend_bc2000"].value(bc2000_nm)
-    if not _no_orthopyroxene(bc1000_nm, bc2000_nm) and iron > OPX_MOST_FS:
-        return f"the centres are those of an orthopyroxene with Fs {iron:.0f}, and the lines end at 50"
-    return ""
+    found = np.full(off.shape, "", object)
+    rich = (_no_orthopyroxene(bc1000_nm, bc2000_nm) == "") & (iron > OPX_MOST_FS)
+    end = "and the lines end at 50"
+    found[rich] = [f"the centres are those of an orthopyroxene with Fs {share:.0f}, {end}" for share in iron[rich]]
+    far = np.abs(off) > PYROXENE_TOLERANCE_NM
+    found[far] = [_where(one) for one in off[far]]
+    return found
 
 
-def _no_orthopyroxene(bc1000_nm: float, bc2000_nm: float) -> str:
+def _no_orthopyroxene(bc1000_nm: FloatArray, bc2000_nm: FloatArray) -> Texts:
     off = bc2000_nm - OPX_LINE[0] * bc1000_nm - OPX_LINE[1]
-    return "the two centres are not those of an orthopyroxene" if abs(off) > OPX_TOLERANCE_NM else ""
+    return _said(np.abs(off) > OPX_TOLERANCE_NM, "the two centres are not those of an orthopyroxene")
 
 
-def _no_hed(bc1000_nm: float, bc2000_nm: float) -> str:
+def _no_hed(bc1000_nm: FloatArray, bc2000_nm: FloatArray) -> Texts:
     """The regressions of both bands must agree, within three times their errors."""
+    apart = np.zeros(bc1000_nm.shape, bool)
     for quantity in ("fs", "wo"):
         one, two = (regressions()[f"{quantity}_burbine_{key}"] for key in ("bc1000", "bc2000"))
-        if abs(one.value(bc1000_nm) - two.value(bc2000_nm)) > 3 * math.hypot(one.error, two.error):
-            return "the two centres are not those of a howardite, eucrite or diogenite"
-    return ""
+        apart |= np.abs(one.value(bc1000_nm) - two.value(bc2000_nm)) > 3 * math.hypot(one.error, two.error)
+    return _said(apart, "the two centres are not those of a howardite, eucrite or diogenite")
 
 
-def _no_mixture(bc1000_nm: float, bc2000_nm: float) -> str:
-    if bc1000_nm > OLIVINE_NM[0]:
-        return "the 1 µm band is that of olivine or augite"
-    return "the 2 µm band is that of clinopyroxene" if bc2000_nm > OPX_MOST_NM else ""
+def _no_mixture(bc1000_nm: FloatArray, bc2000_nm: FloatArray) -> Texts:
+    found = _said(bc2000_nm > OPX_MOST_NM, "the 2 µm band is that of clinopyroxene")
+    found[bc1000_nm > OLIVINE_NM[0]] = "the 1 µm band is that of olivine or augite"
+    return found
 
 
-def _no_chondrite(bc1000_nm: float, bc2000_nm: float) -> str:
-    if _off_trend(bc1000_nm, bc2000_nm) < OLIVINE_SHIFT_NM:
-        return "the two centres are those of pyroxene without olivine"
-    return _no_mixture(bc1000_nm, bc2000_nm)
+def _no_chondrite(bc1000_nm: FloatArray, bc2000_nm: FloatArray) -> Texts:
+    found = _no_mixture(bc1000_nm, bc2000_nm)
+    found[_off_trend(bc1000_nm, bc2000_nm) < OLIVINE_SHIFT_NM] = "the two centres are those of pyroxene without olivine"
+    return found
+
+
+def _said(where: BoolArray, text: str) -> Texts:
+    return np.where(where, text, "").astype(object)
 
 
 _JUDGES = {
@@ -226,11 +236,11 @@ def _where(off_nm: float) -> str:
     return f"the 1 µm centre lies {-off_nm:.0f} nm below the pyroxenes"
 
 
-def _off_trend(bc1000_nm: float, bc2000_nm: float) -> float:
-    """1 um centre less the nearest that a pyroxene with this 2 um centre has. [nm]"""
-    lower, upper = (float(np.interp(bc2000_nm, *branch)) for branch in _branches())
-    upper = max(upper, OLIVINE_NM[0]) if bc2000_nm > _end() else upper
-    return bc1000_nm - float(np.clip(bc1000_nm, min(lower, upper), max(lower, upper)))
+def _off_trend(bc1000_nm: FloatArray, bc2000_nm: FloatArray) -> FloatArray:
+    """1 um centres less the nearest that a pyroxene with this 2 um centre has, (m,). [nm]"""
+    lower, upper = (np.interp(bc2000_nm, *branch) for branch in _branches())
+    upper = np.where(bc2000_nm > _end(), np.maximum(upper, OLIVINE_NM[0]), upper)
+    return bc1000_nm - np.clip(bc1000_nm, np.minimum(lower, upper), np.maximum(lower, upper))
 
 
 def _end() -> float:

@@ -1,16 +1,18 @@
 """The 1 and 2 um absorption bands of many spectra, and the composition that published regressions make of them."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.errors import RequestError
-from lunarsci.result import MadeFrom, Result, flat, request_of
+from lunarsci.result import MadeFrom, Result, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from lunarsci.spectra.bands import BandFailure, SpectrumBands
+    from lunarsci.records import Records, Where
+    from lunarsci.spectra.bands import BandsOfSpectra, SpectrumBands
+    from lunarsci.spectra.chemistry.bands import Estimates
     from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource
 
 
@@ -52,10 +54,11 @@ class BandsRequest:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredBands(Result):
-    """The bands of each spectrum, one at least, and why those without any have none."""
+    """The bands of each spectrum, one at least, what each regression makes of them, and why those without have none."""
 
     batch: "SpectraBatch"
-    measured: "Sequence[SpectrumBands | BandFailure]"
+    measured: "BandsOfSpectra"
+    chemistry: "Mapping[str, Estimates]"
     failures: Sequence[str]
     schema = "spectra-bands/1"
 
@@ -76,12 +79,51 @@ class MeasuredBands(Result):
         return [item for item in self.measured if isinstance(item, SpectrumBands)]
 
     def to_dict(self) -> dict[str, Any]:
-        pairs = zip(self.measured, self.batch.origins, strict=True)
-        return {"spectra": [item.to_dict() | {"chemistry": _chemistry(item), "source": name} for item, name in pairs]}
+        return {"spectra": self.content()["spectra"].tolist()}
 
-    def rows(self) -> list[dict[str, Any]]:
+    def content(self) -> Mapping[str, Any]:
+        from lunarsci.records import Records
+
+        columns = self.measured.columns() | {"chemistry": self._chemistry(), "source": self.batch.origins}
+        return {"spectra": Records(columns)}
+
+    def rows(self) -> "Records":
         """One a spectrum; value, error and range of each regression in columns of their own."""
-        return [_row(record) for record in self.to_dict()["spectra"]]
+        from lunarsci.records import Records, Where
+        from lunarsci.spectra.chemistry.bands import KEYS
+
+        columns = self.measured.columns() | {"source": self.batch.origins}
+        for key in KEYS:
+            item = self.chemistry.get(key)
+            columns[key] = Where(item.present, item.value) if item else None
+            columns[f"{key}_sigma"] = Where(item.present, item.sigma) if item else None
+            columns[f"{key}_in_range"] = Where(item.present, item.in_range) if item else None
+        return Records(columns)
+
+    def _chemistry(self) -> "dict[str, Where | None]":
+        """Every key of the chemistry, None where no spectrum has the bands for it."""
+        from lunarsci.records import Where
+        from lunarsci.spectra.chemistry.bands import KEYS
+
+        found = self.chemistry
+        return {key: Where(found[key].present, found[key].columns()) if key in found else None for key in KEYS}
+
+    def remarks(self) -> list[tuple[str, str]]:
+        """Key of the band and sentence of every note and every status that is not `ok`."""
+        from lunarsci.spectra.band_status import BANDS, NOTE, STATUS
+
+        return [
+            (band.key, text)
+            for place, band in enumerate(BANDS)
+            for which in (NOTE, STATUS)
+            for text in self.measured.texts(place, which)
+            if text not in ("", "ok")
+        ]
+
+    def examples(self, keys: Sequence[str]) -> dict[str, Mapping[str, Any]]:
+        """Of each of these regressions that some spectrum can use, what it says of the first."""
+        firsts = {key: self.chemistry[key].first_usable for key in keys if key in self.chemistry}
+        return {key: self.chemistry[key].of(row).to_dict() for key, row in firsts.items() if row is not None}
 
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.spectra.mgm.figure import band_pages
@@ -103,7 +145,8 @@ def bands(
     **options: Any,
 ) -> MeasuredBands:
     """Measure the bands of spectra. Raises DataError when none can be read, or none has a result."""
-    from lunarsci.spectra.bands import SpectrumBands, measure_batch
+    from lunarsci.spectra.bands import measure_batch
+    from lunarsci.spectra.chemistry.bands import chemistries
     from lunarsci.spectra.readers.batch import read_batch
     from lunarsci.spectra.spectrum import Smoothing
 
@@ -116,21 +159,6 @@ def bands(
         smoothing=smoothing,
         progress=progress,
     )
-    return MeasuredBands(batch, measured, batch.failures_among(measured, SpectrumBands))
-
-
-def _chemistry(item: "SpectrumBands | BandFailure") -> dict[str, Any]:
-    """Every key of the chemistry; None where the bands for it are not there."""
-    from lunarsci.spectra.bands import SpectrumBands
-    from lunarsci.spectra.chemistry.bands import KEYS, chemistry
-
-    found = chemistry(item) if isinstance(item, SpectrumBands) else {}
-    return {key: found[key].to_dict() if key in found else None for key in KEYS}
-
-
-def _row(record: dict[str, Any]) -> dict[str, Any]:
-    row = flat({key: value for key, value in record.items() if key != "chemistry"})
-    for key, item in record["chemistry"].items():
-        known = item or {"value": None, "sigma": None, "in_range": None}
-        row |= {key: known["value"], f"{key}_sigma": known["sigma"], f"{key}_in_range": known["in_range"]}
-    return row
+    results = [measured[k] if k in measured.reasons else None for k in range(len(measured))]
+    failures = batch.failures_among(results, type(None))
+    return MeasuredBands(batch, measured, chemistries(measured.arrays.bands), failures)

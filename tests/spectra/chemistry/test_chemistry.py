@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lunarsci.spectra.bands import BandResult, SpectrumBands, measure_bands
-from lunarsci.spectra.chemistry.bands import KEYS, chemistry, from_centres, gaffey_pair
-from lunarsci.spectra.chemistry.plane import PLANE_TABLE, TABLE, anchors, objection, regressions
+from lunarsci.spectra.chemistry.bands import KEYS, chemistry, from_centres, gaffey_pairs, lines_of
+from lunarsci.spectra.chemistry.plane import PLANE_TABLE, TABLE, anchors, objections, regressions
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.tables import table_rows
 
@@ -81,9 +81,9 @@ def test_a_settled_pair_is_one_that_agrees(bc1000: float, bc2000: float) -> None
         for two in (lines[f"fs_gaffey_{letter}"] for letter in "abcd")
         if one.when[0] <= two.value(bc2000) < one.when[1] and two.when[0] <= one.value(bc1000) < two.when[1]
     }
-    pair = gaffey_pair(bc1000, bc2000)
-    if pair.settled:
-        assert (pair.wo.key, pair.fs.key) in agreeing
+    (wo,), (fs,), (settled,) = gaffey_pairs(np.array([bc1000]), np.array([bc2000]))
+    if settled:
+        assert (lines_of("wo")[wo].key, lines_of("fs")[fs].key) in agreeing
     else:
         assert from_centres({"bc1000": (bc1000, 1.0), "bc2000": (bc2000, 1.0)})["fs_gaffey"].in_range is False
 
@@ -131,7 +131,8 @@ def test_synthetic_orthopyroxene_by_all_that_know_it() -> None:
     ],
 )
 def test_where_a_regression_belongs(place: str, bc1000: float, bc2000: float | None, ratio: float, word: str) -> None:
-    found = objection(place, bc1000, bc2000, ratio)
+    second = np.nan if bc2000 is None else bc2000
+    (found,) = objections(place, np.array([float(bc1000)]), np.array([second], float), np.array([ratio]))
     assert word in found
     assert bool(found) == bool(word)
 
@@ -146,8 +147,10 @@ def test_every_row_has_a_source_and_a_place() -> None:
 
 
 def test_every_anchor_lies_among_the_pyroxenes() -> None:
-    for anchor in anchors():
-        assert "the pyroxenes" not in objection("pyroxene", anchor.bc1000_nm, anchor.bc2000_nm, 0.5)
+    centres = np.array([(anchor.bc1000_nm, anchor.bc2000_nm) for anchor in anchors()]).T
+    found = objections("pyroxene", *centres, np.full(centres.shape[1], 0.5))
+    assert len(found) == len(anchors())
+    assert not any("the pyroxenes" in text for text in found)
 
 
 def test_temperature_is_said_with_its_size() -> None:

@@ -8,7 +8,7 @@ import pytest
 from matplotlib.path import Path as MplPath
 
 from lunarsci.spectra.bands import SpectrumBands, measure_batch
-from lunarsci.spectra.chemistry.bands import FIELDS, chemistry, from_centres, gaffey_pair
+from lunarsci.spectra.chemistry.bands import FIELDS, chemistry, from_centres, gaffey_pairs, lines_of
 from lunarsci.spectra.chemistry.plane import regressions
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import mgm_model
@@ -44,9 +44,10 @@ def estimates(folder: Path) -> pd.DataFrame:
     for item in measure_batch(read_spectra(str(folder / "spectra/relab/reflectance.csv")), continuum_name="hull"):
         assert isinstance(item, SpectrumBands)
         one, two = item.bands["1000"].center_nm, item.bands["2000"].center_nm
-        pair = gaffey_pair(one, two) if one is not None and two is not None else None
+        wo, fs, _ = gaffey_pairs(np.array([one], float), np.array([two], float))
+        lines = {"wo": lines_of("wo")[wo[0]].key, "fs": lines_of("fs")[fs[0]].key}
         for key, found in chemistry(item).items():
-            line = getattr(pair, found.quantity).key if "gaffey" in key and key != "en_gaffey" else key
+            line = lines[found.quantity] if "gaffey" in key and key != "en_gaffey" else key
             value = known.loc[item.id, found.quantity]
             rows.append((item.id, key, line, found.value - value, found.sigma, found.in_range, found.reason))
     return pd.DataFrame(rows, columns=["id", "key", "line", "error", "sigma", "in_range", "reason"])
