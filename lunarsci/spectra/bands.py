@@ -34,8 +34,7 @@ from lunarsci.spectra.spectrum import Smoothing, Spectrum, smoothing_operator
 FEWEST_CHANNELS, MOST_CHANNELS = 20, 5000
 MEASURED = QUANTITIES[:DEEPEST]
 """What is measured of a band: the numbers of a `BandResult`."""
-_NOTHING = np.empty(0)
-_NAMES = (*CONTINUA, "none")
+_NOTHING, _NAMES = np.empty(0), (*CONTINUA, "none")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
