@@ -90,22 +90,24 @@ class _Crew:
 
     def __init__(self, client: Any, name: str) -> None:
         self.client, self.name = client, name
-        self._seen_s = time.monotonic()
+        self._count, self._asked_s, self._seen_s = 0, -LOOK_S, time.monotonic()
 
     def threads(self) -> int:
-        """Threads of all workers. Raises SchedulerError where there have been none for too long."""
+        """Threads of all workers, as of a moment ago. Raises SchedulerError where there have been none for too long."""
+        if self._count and time.monotonic() - self._asked_s < LOOK_S:
+            return self._count
         try:
-            count = int(sum(self.client.ncores().values()))
+            self._count, self._asked_s = int(sum(self.client.ncores().values())), time.monotonic()
         except (OSError, RuntimeError, TimeoutError) as error:
             raise SchedulerError(
                 f"scheduler {self.name}: went away; start it again and give the same command"
             ) from error
-        self._seen_s = time.monotonic() if count else self._seen_s
+        self._seen_s = time.monotonic() if self._count else self._seen_s
         if time.monotonic() - self._seen_s > LONELY_S:
             raise SchedulerError(
                 f"scheduler {self.name}: no worker for {LONELY_S:.0f} s; start some with 'dask worker'"
             )
-        return count
+        return self._count
 
     def finished(self, running: Any) -> list[Any]:
         """Those that are done, after a moment if there are none yet."""

@@ -1,7 +1,10 @@
 """The same bytes from the workers of a real dask scheduler on this machine, also when one of them is killed."""
 
 import os
+import re
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -94,3 +97,15 @@ def test_drives_of_a_cluster_have_the_same_bytes(cluster: Any, tmp_path: Path) -
     assert sorted(path.name for path in (tmp_path / "there").iterdir()) == files
     for name in files:
         assert (tmp_path / "here" / name).read_bytes() == (tmp_path / "there" / name).read_bytes(), name
+
+
+def test_a_cluster_by_hand_as_the_page_has_it(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[1] / "docs/cluster.md").read_text("utf-8")
+    script = page.split("```sh\n")[1].split("```")[0]
+    for name, module in (("dask", "dask"), ("lunarsci", "lunarsci.cli")):
+        script = re.sub(rf"^{name} ", f"{sys.executable} -m {module} ", script, flags=re.MULTILINE)
+    assert script.count(sys.executable) == 3
+    script += "code=$?\nkill $(jobs -p)\nexit $code\n"
+    found = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert found.returncode in (0, 3), found.stderr
+    assert "go" in found.stdout.split()[0]
