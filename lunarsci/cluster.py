@@ -34,7 +34,8 @@ def connect(address: str) -> Any:
         import distributed
     except ImportError:
         raise SchedulerError("a scheduler needs dask: pip install 'lunarsci[cluster]'") from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # what matters comes as a SchedulerError
     where = {"scheduler_file": address} if address.endswith(".json") else {"address": address}
     try:
         return distributed.Client(**where, timeout=CONNECT_S, set_as_default=False)

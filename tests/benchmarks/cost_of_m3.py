@@ -36,7 +36,7 @@ TARGET_NM = np.linspace(460.0, 2400.0, 195)
 """The 260 channels of 430-3000 nm, those of 460-2400 nm."""
 LINK_BYTES_S = 1.25e9
 """Assumed network of the process that gives out the blocks: 10 Gbit/s. [1/s]"""
-LINES, SAMPLES = 16, 304
+LINES, SAMPLES = 8, 304
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ def said(name: str, pixels: float, cost: BlockCost, block_s: float, rows: int) -
 
 
 def main() -> None:
-    block_s, rows = scheduler_s(), int(sys.argv[1]) if len(sys.argv) > 1 else LINES
+    block_s, rows = scheduler_s(), int(sys.argv[1]) if len(sys.argv) > 1 else 64
     print(f"scheduler: {block_s * 1e3:.2f} ms a block; blocks of {rows} lines of {SAMPLES}")
     with tempfile.TemporaryDirectory() as folder:
         for products in ("bands", "bands,fit"):
