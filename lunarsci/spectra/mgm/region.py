@@ -42,7 +42,7 @@ from lunarsci.spectra.mgm.multistart import Multistart
 TILE = 32
 TOGETHER = 8
 """Tiles searched together in one thread, so that the lanes of the processor are busy to the end."""
-CONTEST_EVERY = 16
+CONTEST_EVERY = 8
 """Pixels from one contest to the next, along lines and samples."""
 DENSEST = 2
 RESTLESS = 0.08
