@@ -8,7 +8,7 @@ import csv
 import io
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, TypeAlias, overload
 
 import numpy as np
@@ -301,7 +301,9 @@ def _leaf(made: "Template", column: Any, text: Any) -> None:
         made.numbers(column)
     else:
         codes: dict[str, int] = {}
-        made.one_of(np.array([codes.setdefault(text(value), len(codes)) for value in column], int), list(codes))
+        written = cache(text)
+        texts = (written(value) if isinstance(value, str) else text(value) for value in column)
+        made.one_of(np.array([codes.setdefault(own, len(codes)) for own in texts], int), list(codes))
 
 
 def _csv_template(records: Records) -> "Template":

@@ -10,7 +10,7 @@ from lunarsci.spectra.jobs.match import MatchRequest
 from ..shared.command import command
 from ..shared.options import option
 from ..shared.report import Report
-from ..shared.table import TextTable
+from ..shared.table import SHOWN, TextTable
 
 if TYPE_CHECKING:
     from lunarsci.spectra.jobs.match import Matches
@@ -110,9 +110,12 @@ def _tables(result: "Matches") -> list[TextTable]:
     if len(matches) == 1:
         told = "ln BF: composition alone, against a rock of any composition; assumed or known:"
         return [_craters_table(matches[0], [matches[0].status, *matches[0].rock.remarks, told, *notes])]
-    rows = [[m.rock.id, m.to_dict()["best"], f"{_best(m):.2f}", f"{m.other_posterior:.2f}", m.status] for m in matches]
+    shown = matches[:SHOWN]
+    rows = [[m.rock.id, m.best, f"{_best(m):.2f}", f"{m.other_posterior:.2f}", m.status] for m in shown]
     headers = ["rock", "likeliest", "posterior", OTHER, "status"]
-    return [TextTable(headers, rows, notes=["all craters: --csv or --json; assumed or known:", *notes])]
+    return [
+        TextTable(headers, rows, total=len(matches), notes=["all craters: --csv or --json; assumed or known:", *notes])
+    ]
 
 
 def _best(match: "RockMatch") -> float:

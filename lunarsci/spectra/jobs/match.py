@@ -14,6 +14,7 @@ from lunarsci.result import MadeFrom, Result, request_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from lunarsci.records import Records
     from lunarsci.spectra.origin.catalogue import Crater, Point
     from lunarsci.spectra.origin.composition import Rock
     from lunarsci.spectra.origin.match import CraterMatch, MatchSettings, RockMatch
@@ -125,19 +126,23 @@ class Matches(Result):
     def failures(self) -> Sequence[str]:
         return self.unread
 
-    def to_dict(self) -> dict[str, Any]:
+    def content(self) -> dict[str, Any]:
+        from lunarsci.spectra.origin.match import match_records
+
         return {
             "site": {"latitude_deg": self.site[0], "longitude_deg": self.site[1]},
-            "rocks": [match.to_dict() for match in self.matches],
+            "rocks": match_records(self.matches),
             "assumptions": self.assumptions,
             "maps": [
                 {"crater": item.crater, "covered": dict(item.covered), "status": item.status} for item in self.maps
             ],
         }
 
-    def rows(self) -> list[dict[str, Any]]:
+    def rows(self) -> "Records":
         """One a crater, and one for other sources, of each rock."""
-        return [row for match in self.matches for row in _rows(match)]
+        from lunarsci.spectra.origin.match import match_table
+
+        return match_table(self.matches)
 
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.spectra.origin.figure import match_pages
@@ -191,21 +196,6 @@ class Candidates:
     inputs: dict[str, str] = field(default_factory=dict)
     tables: dict[str, str] = field(default_factory=dict)
     map_reports: "Sequence[MapReport]" = ()
-
-
-def _rows(match: "RockMatch") -> list[dict[str, Any]]:
-    """One row per crater and one for other sources."""
-    from lunarsci.spectra.origin.match import OTHER
-
-    rows = []
-    for item in match.craters:
-        record = item.to_dict()
-        terms, sources = record.pop("terms"), record.pop("sources")
-        stages = {f"stage_{name}": share for name, share in terms["stages"].items()}
-        flat = {"survival": terms["survival"], "above_surface": terms["above_surface"], **stages}
-        rows.append({"rock": match.rock.id, **record, **flat, "sources": "; ".join(sources.values())})
-    rest = {"log_bayes_factor": 0.0, "prior": match.other_prior, "posterior": match.other_posterior}
-    return [*rows, {"rock": match.rock.id, "name": OTHER, **rest}]
 
 
 def _site(text: str) -> "Point":

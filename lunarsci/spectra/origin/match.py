@@ -8,6 +8,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
+from lunarsci.records import Codes, Listed, Records, Same
 from lunarsci.spectra.origin.catalogue import Crater, Point, azimuth_deg
 from lunarsci.spectra.origin.composition import Rock
 from lunarsci.spectra.origin.evidence import CompositionEvidence, CompositionRows, EvidenceRows, evidence_rows
@@ -99,18 +100,82 @@ class RockMatch:
 
     def to_dict(self) -> dict[str, Any]:
         """The keys of a rock in `lunarsci spectra match --json`."""
-        composition = self.rock.composition
+        return match_records([self])[0]
+
+    @property
+    def best(self) -> str:
+        """Name of the likeliest crater, or that it is another source."""
         best = max(self.craters, key=lambda item: item.posterior)
-        return {
-            "id": self.rock.id,
-            "modes": {name: {"fraction": v, "sigma": s} for name, (v, s) in composition.modes.items()},
-            "bands": {name: {"center_nm": v, "sigma_nm": s} for name, (v, s) in composition.bands.items()},
-            "craters": [item.to_dict() for item in self.craters],
-            "other": {"log_bayes_factor": 0.0, "prior": self.other_prior, "posterior": self.other_posterior},
-            "best": best.crater.name if best.posterior > self.other_posterior else OTHER,
-            "remarks": list(self.rock.remarks),
-            "status": self.status,
+        return best.crater.name if best.posterior > self.other_posterior else OTHER
+
+
+def match_records(matches: Sequence[RockMatch]) -> Records:
+    """Rocks of one site in `lunarsci spectra match --json`; all but a few keys of a crater are the same for all."""
+    made_of = [match.rock.composition for match in matches]
+    modes = [{name: {"fraction": v, "sigma": s} for name, (v, s) in item.modes.items()} for item in made_of]
+    bands = [{name: {"center_nm": v, "sigma_nm": s} for name, (v, s) in item.bands.items()} for item in made_of]
+    craters = [
+        {
+            **{key: Same(value) for key, value in crater.to_dict().items()},
+            **_of_rocks([m.craters[place] for m in matches]),
         }
+        for place, crater in enumerate(matches[0].craters)
+    ]
+    other = {"log_bayes_factor": Same(0.0), "prior": Same(matches[0].other_prior)}
+    return Records(
+        {
+            "id": [match.rock.id for match in matches],
+            "modes": modes,
+            "bands": bands,
+            "craters": Listed(craters),
+            "other": other | {"posterior": np.array([match.other_posterior for match in matches])},
+            "best": [match.best for match in matches],
+            "remarks": [list(match.rock.remarks) for match in matches],
+            "status": [match.status for match in matches],
+        }
+    )
+
+
+def match_table(matches: Sequence[RockMatch]) -> Records:
+    """The same in `--csv`: of each rock a row for each crater, and one for other sources."""
+    first = [*map(_crater_row, matches[0].craters), {"name": OTHER, "prior": matches[0].other_prior}]
+    row = np.tile(np.arange(len(first)), len(matches))
+    names = dict.fromkeys(name for cells in first for name in cells)
+    same = {name: Codes(row, [cells.get(name) for cells in first]) for name in names}
+    own = [_of_rocks([match.craters[place] for match in matches]) for place in range(len(first) - 1)]
+    nothing = np.full(len(matches), np.nan)
+    rest: dict[str, Any] = {
+        "log_bayes_factor": 0 * row[: len(matches)],
+        "posterior": [match.other_posterior for match in matches],
+    }
+    differ = {
+        key: np.column_stack([*(cells[key] for cells in own), rest.get(key, nothing)]).ravel()
+        for key in own[0]
+        if key != "compared"
+    }
+    compared = [text for match in matches for text in (*(item.evidence.basis for item in match.craters), "")]
+    rocks = Codes(np.repeat(np.arange(len(matches)), len(first)), [match.rock.id for match in matches])
+    return Records({"rock": rocks, **same, **differ, "compared": compared})
+
+
+def _crater_row(item: CraterMatch) -> dict[str, Any]:
+    record = item.to_dict()
+    terms, sources = record.pop("terms"), record.pop("sources")
+    stages = {f"stage_{name}": share for name, share in terms["stages"].items()}
+    flat = {"survival": terms["survival"], "above_surface": terms["above_surface"], **stages}
+    return {**record, **flat, "sources": "; ".join(sources.values())}
+
+
+def _of_rocks(matches: Sequence[CraterMatch]) -> dict[str, Any]:
+    """Keys of one crater that differ from rock to rock."""
+    evidence = [match.evidence for match in matches]
+    return {
+        "log_bayes_factor": np.array([item.ln_total for item in evidence]),
+        "log_bayes_factor_modes": np.array([item.ln_modes for item in evidence], float),
+        "log_bayes_factor_bands": np.array([item.ln_bands for item in evidence], float),
+        "compared": [item.basis for item in evidence],
+        "posterior": np.array([match.posterior for match in matches]),
+    }
 
 
 @dataclass(frozen=True, slots=True, eq=False)
