@@ -1,4 +1,4 @@
-"""`lunarsci.map`: what is measured on one spectrum, on every pixel of an image cube, as a file of maps."""
+"""What is measured on one spectrum, on every pixel of an image cube, as a file of maps."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence

@@ -38,7 +38,7 @@ class MatchRequest:
     use : kind of composition that is compared.
     systematic, band_systematic : what two methods disagree by, one standard deviation. [-, nm]
     craters : table of candidates, as a file or in memory; None for those around Chang'E-4.
-    mineral_map : `olivine=map.tif`, one a mineral, or one file that `lunarsci.map` wrote of shares.
+    mineral_map : `olivine=map.tif`, one a mineral, or one file that `spectra map` wrote of shares.
     annulus : ring around a crater that is read there. [rim radii]
     prior, ejecta_law, thickness_factor, surface_age, other, exposure, rock_life, rock_size, life_exponent,
     re_excavation, stirring, gardening, seed : see `lunarsci.spectra.origin.prior.PriorSettings`.
