@@ -1,6 +1,6 @@
 """A quick look at maps: a panel a layer, its scale of colours, kilometres along its edges, and where north is."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,7 +27,7 @@ LONG = 3.0
 """A map that is more times as long as wide, or as wide as long, is drawn so many times; the kilometres say so."""
 NO_VALUE = "#c8c8c8"
 FLAG_COLORS = ("#f5f5f5", "#000000", NO_VALUE, "#E69F00", "#D55E00", "#56B4E9")
-_ERRORS = ("_sigma", "_systematic", "_method", "_low", "_high")
+_ERRORS = ("_sigma", "_systematic", "_method", "_low", "_high", "_interpolation")
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,10 +44,10 @@ class _Ground:
         return float(np.hypot(*self.sample)), float(np.hypot(*self.line))
 
 
-def map_pages(path: Path, made: MapFile) -> "Iterator[Figure]":
-    """Pages of a map file: what is looked at first, then every other layer of values that is no error."""
+def map_pages(path: Path, made: MapFile, empty: Collection[str] = ()) -> "Iterator[Figure]":
+    """Pages of a map file: what is looked at first, then every other layer of values that is no error, nor `empty`."""
     values = [layer for layer in made.layers if not layer.meanings and not layer.standard_name]
-    shown = [layer for layer in values if not any(part in layer.name for part in _ERRORS)]
+    shown = [one for one in values if not any(part in one.name for part in _ERRORS) and one.name not in empty]
     ranked = sorted(shown, key=lambda layer: FIRST.index(layer.name) if layer.name in FIRST else len(FIRST))
     for start in range(0, max(len(ranked), 1), PER_PAGE - 1):
         yield _page(path, made, ranked[start : start + PER_PAGE - 1])

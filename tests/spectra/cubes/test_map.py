@@ -261,3 +261,18 @@ def test_shares_and_matches_of_pixels_are_those_of_the_single_commands(envi: Any
     for crater in matched["craters"]:
         layer = f"ln_bayes_factor_{crater['name'].lower()}"
         np.testing.assert_allclose(float(found[layer]), crater["log_bayes_factor"], rtol=1e-9)
+
+
+def test_a_quick_look_has_a_scale_kilometres_and_north(tmp_path: Path) -> None:
+    """2.5 pixels of 0.1 degrees are 7.6 km of the Moon's equator; north is up where lines go south."""
+    from rasterio.transform import from_origin
+
+    cube = tiff(tmp_path / "cube.tif", CUBE, names=NAMES, transform=from_origin(0, 0.3, 0.1, 0.1))
+    page = map_cube(str(cube), tmp_path / "map.nc", products="bands").plot()
+    panel = page.axes[0]
+    assert panel.get_xlabel() == "km"
+    assert panel.get_images()[0].get_extent()[1] == pytest.approx(5 * 0.1 * np.pi / 180 * 1737.4, rel=1e-3)
+    arrow = next(item for item in panel.texts if item.arrow_patch is not None)
+    assert arrow.xy[0] == pytest.approx(arrow.xyann[0])
+    assert arrow.xy[1] > arrow.xyann[1]
+    assert any("bc1000_nm" in one.get_title() for one in page.axes)
