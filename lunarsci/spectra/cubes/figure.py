@@ -1,5 +1,6 @@
 """A quick look at maps: a panel a layer, its scale of colours, kilometres along its edges, and where north is."""
 
+import textwrap
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -84,12 +85,13 @@ def _page(path: Path, made: MapFile, layers: Sequence[Layer]) -> "Figure":
 
 
 def _title(made: MapFile, squeezed: float, ground: _Ground | None) -> str:
-    parts = [f"{Path(made.cube.name).name}: samples {made.region.samples[0]}-{made.region.samples[1] - 1}"]
+    parts = [f"samples {made.region.samples[0]}-{made.region.samples[1] - 1}"]
     parts.append(f"lines {made.region.lines[0]}-{made.region.lines[1] - 1}")
     parts += [f"every {made.region.step}-th"] if made.region.step > 1 else []
     parts += [] if ground else ["no place on the Moon known"]
     parts += ["not to scale: see the numbers along the edges"] if abs(squeezed - 1) > 1e-6 else []
-    return ", ".join(parts) + "\ngrey: not determined"
+    parts += ["grey: not determined"]
+    return "\n".join(textwrap.wrap(Path(made.cube.name).name, 60) + textwrap.wrap(", ".join(parts), 70))
 
 
 def _thinned(path: Path, name: str, number: int, made: MapFile) -> FloatArray:
