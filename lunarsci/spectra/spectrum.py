@@ -11,6 +11,9 @@ import numpy.typing as npt
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, ParameterError
 
+_checked_last: dict[str, FloatArray] = {}
+"""Wavelengths that the last spectrum has, which cannot be changed any more: the next one may share them."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spectrum:
@@ -42,9 +45,12 @@ class Spectrum:
     systematic: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        wavelength = np.array(self.wavelength_nm, dtype=float)
+        wavelength = self.wavelength_nm
+        if wavelength is not _checked_last.get("wavelength_nm"):
+            wavelength = np.array(self.wavelength_nm, dtype=float)
+            self._check_wavelength(wavelength)
+            _checked_last["wavelength_nm"] = wavelength
         reflectance = np.array(self.reflectance, dtype=float)
-        self._check_wavelength(wavelength)
         self._check_shape("reflectance", reflectance, wavelength)
         with np.errstate(invalid="ignore"):
             unusable = ~np.isfinite(reflectance) | ~(reflectance > 0)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 Progress: TypeAlias = Callable[[int, int], None]
 DEFAULT_ASSEMBLAGE = "OL-OPX-CPX"
+LONG = ("bands", "compositions", "abundance", "abundances", "continuum_coefficients")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -214,6 +215,16 @@ class MgmFits(Result):
         if self.columns:
             return self.columns.records(self.abundances.record_columns())  # type: ignore[attr-defined]
         return [self._record(index, origin) for index, origin in enumerate(self.batch.origins)]
+
+    @property
+    def overview(self) -> Sequence[dict[str, Any]]:
+        """The records without their many numbers."""
+        columns = getattr(self.records, "columns", None)
+        if columns is None:
+            return self.records
+        from lunarsci.records import Records
+
+        return Records({key: columns[key] for key in columns if key not in LONG}, len(self.records))
 
     def _record(self, index: int, origin: str) -> dict[str, Any]:
         from lunarsci.spectra.mgm.compositions import compositions

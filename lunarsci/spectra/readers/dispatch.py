@@ -9,7 +9,7 @@ from typing import Any, get_args
 import numpy as np
 
 from lunarsci import inputs
-from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile, read_input
 from lunarsci.spectra.readers.columns import spectrum_ids
@@ -20,6 +20,7 @@ from lunarsci.spectra.readers.table import (
     SpectrumTable,
     StatedUnits,
     WavelengthUnit,
+    medians_above_0,
     reflectance_unit,
     uncertainty_scale,
     wavelength_nm,
@@ -176,7 +177,9 @@ def spectra_of(table: SpectrumTable, stated: StatedUnits) -> list[Spectrum]:
     }
     axis = _Axis(values[order], order, common)
     ids = spectrum_ids([column for column, _ in kept.spectra], table.source)
-    spectra = [_spectrum(ids[number], number, axis, stated, kept) for number in range(len(ids))]
+    known = _values(kept)
+    parts = [_part(ids[number], number, axis, stated, kept, known) for number in range(len(ids))]
+    spectra = _alike(parts, axis.wavelength, file)
     _report(spectra, file)
     return spectra
 
@@ -223,13 +226,34 @@ def _ascending(wavelength: FloatArray, table: SpectrumTable) -> tuple[Any, str]:
     return order, "unsorted"
 
 
-def _spectrum(id: str, number: int, axis: _Axis, stated: StatedUnits, table: SpectrumTable) -> Spectrum:
-    """Spectrum `number` of the table."""
+@dataclass(frozen=True, slots=True)
+class _Values:
+    """Reflectances of a table, deleted and infinite ones NaN, and what is known of each spectrum. (n, rows), (n,)"""
+
+    present: FloatArray
+    median: list[float]
+    measured: list[int]
+    deleted: list[int]
+    not_positive: list[int]
+
+
+def _values(table: SpectrumTable) -> _Values:
+    present, deleted = _present(np.array([column.values for column, _ in table.spectra]))
+    with np.errstate(invalid="ignore"):
+        not_positive = (present <= 0).sum(axis=1)
+    measured = np.isfinite(present).sum(axis=1)
+    medians = medians_above_0(present)
+    return _Values(present, medians.tolist(), measured.tolist(), deleted.tolist(), not_positive.tolist())
+
+
+def _part(
+    id: str, number: int, axis: _Axis, stated: StatedUnits, table: SpectrumTable, values: _Values
+) -> dict[str, Any]:
+    """Spectrum `number` of the table, but for its wavelengths."""
     file, (column, sigma) = table.source.name, table.spectra[number]
-    present, deleted = _present(column.values)
-    unit = reflectance_unit(replace(column, values=present), stated.reflectance, file)
-    reflectance = (present * unit.scale)[axis.order]
-    measured = int(np.isfinite(present).sum())
+    unit = reflectance_unit(column, values.median[number], stated.reflectance, file)
+    reflectance = (values.present[number] * unit.scale)[axis.order]
+    measured = values.measured[number]
     metadata = {
         **axis.record,
         "column": column.name or column.position,
@@ -237,9 +261,9 @@ def _spectrum(id: str, number: int, axis: _Axis, stated: StatedUnits, table: Spe
         "reflectance_unit_from": unit.origin,
         "channels_unit_overruled": measured if unit.remark == "overruled" else 0,
         "channels_unit_unlikely": measured if unit.remark == "unlikely" else 0,
-        "channels_missing": present.size - measured,
-        "channels_deleted": deleted,
-        "channels_not_positive": int((present <= 0).sum()),
+        "channels_missing": axis.wavelength.size - measured,
+        "channels_deleted": values.deleted[number],
+        "channels_not_positive": values.not_positive[number],
     }
     uncertainty = None
     if sigma is not None:
@@ -247,16 +271,30 @@ def _spectrum(id: str, number: int, axis: _Axis, stated: StatedUnits, table: Spe
         uncertainty = (_present(sigma.values)[0] * factor)[axis.order]
     uncertainty, mask, counts = _usable_uncertainty(reflectance, uncertainty, quiet=table.format == "relab")
     systematic = {name: (c.values * unit.scale)[axis.order] for name, c in table.systematic.get(number, ())}
+    return {
+        "id": id,
+        "reflectance": reflectance,
+        "uncertainty": uncertainty,
+        "mask": mask,
+        "metadata": metadata | counts,
+        "systematic": systematic,
+    }
+
+
+def _alike(parts: Sequence[dict[str, Any]], wavelength: FloatArray, file: str) -> list[Spectrum]:
+    """Spectra that share their wavelengths."""
     try:
-        return Spectrum(id, axis.wavelength, reflectance, uncertainty, mask, metadata | counts, systematic)
+        first = Spectrum(wavelength_nm=wavelength, **parts[0])
+        return [first, *(Spectrum(wavelength_nm=first.wavelength_nm, **part) for part in parts[1:])]
     except DataError as error:
         raise DataError(f"{file}: {error}") from error
 
 
-def _present(values: FloatArray) -> tuple[FloatArray, int]:
-    """Values with deleted and infinite ones made NaN, and the number of deleted ones."""
-    deleted = values <= _DELETED_BELOW
-    return np.where(deleted | ~np.isfinite(values), np.nan, values), int(deleted.sum())
+def _present(values: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Values with deleted and infinite ones made NaN, and the number of deleted ones in each row."""
+    with np.errstate(invalid="ignore"):
+        deleted = values <= _DELETED_BELOW
+    return np.where(deleted | ~np.isfinite(values), np.nan, values), deleted.sum(axis=-1)
 
 
 def _usable_uncertainty(

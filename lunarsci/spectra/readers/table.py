@@ -190,14 +190,20 @@ def without_unit(name: str) -> str:
     return _PERCENT_WORD.sub(r"\1", _FRACTION.sub("", _PERCENT.sub("", name))).strip() or name
 
 
-def reflectance_unit(column: Column, stated: ReflectanceUnit | None, file: str) -> ReflectanceChoice:
+def medians_above_0(values: FloatArray) -> FloatArray:
+    """Median of what is above 0 in each row, NaN where nothing is. (n, channels) to (n,)"""
+    above = values > 0
+    ordered, count = np.sort(np.where(above, values, np.inf), axis=1), above.sum(axis=1)[:, None]
+    middle = np.concatenate([np.maximum(count - 1, 0) // 2, np.minimum(count // 2, values.shape[1] - 1)], axis=1)
+    return np.where(count[:, 0] > 0, np.take_along_axis(ordered, middle, axis=1).mean(axis=1), np.nan)
+
+
+def reflectance_unit(column: Column, median: float, stated: ReflectanceUnit | None, file: str) -> ReflectanceChoice:
     """Decide the unit of a reflectance column from the file's word, the caller's, and the median above 0.
 
     Raises DataError when the file's word contradicts the values and nothing is stated, or when without any word the
     median is above 2.
     """
-    above = column.values[column.values > 0]
-    median = float(np.median(above)) if above.size else float("nan")
     found = _unit_of(column)
     if found is not None and not _contradicts(found, median):
         return ReflectanceChoice(_SCALE[found], "file", "overruled" if stated not in (None, found) else None)

@@ -25,6 +25,7 @@ from lunarsci.spectra.rows import (
     is_missing,
     number,
     numbers,
+    numbers_at_once,
     quoted,
     separator_of,
     split_fields,
@@ -52,11 +53,19 @@ def read_text(source: InputFile) -> SpectrumTable:
     if not lines:
         raise DataError(f"{source.name}: holds only comments; check how it was made or downloaded")
     separator = separator_of(lines)
-    names, rows = _header_and_rows(lines, comments, separator, source.name)
-    roles = _roles_without_names(len(rows[0].fields), source.name) if names is None else assign_roles(names, source)
-    titles = names or [""] * len(rows[0].fields)
+    names, body = _header_and_body(lines, comments, separator, source.name)
+    values = numbers_at_once(body, separator)
+    rows: list[Row] = []
+    if values is None or len(values) < 2 or np.isnan(values[-1]).all() or len(names or values) != len(values):
+        values = None
+        names, rows = _rows(names, body, separator, source.name)
+    width = len(rows[0].fields) if values is None else len(values)
+    roles = _roles_without_names(width, source.name) if names is None else assign_roles(names, source)
+    titles = names or [""] * width
 
     def column(k: int) -> Column:
+        if values is not None:
+            return Column(titles[k], values[k], k + 1)
         label = quoted(titles[k]) if titles[k] else str(k + 1)
         return Column(titles[k], numbers(rows, k, label, source.name, separator == ";"), k + 1)
 
@@ -65,30 +74,37 @@ def read_text(source: InputFile) -> SpectrumTable:
         "text",
         column(roles.wavelength),
         tuple((column(r), None if s is None else column(s)) for r, s in roles.spectra),
-        tuple(f"line {row.line}" for row in rows),
+        tuple(f"line {line}" for line, _ in body),
         {"comments": [c[:_COMMENT_LENGTH] for _, c in comments[:_COMMENTS_KEPT] if c]},
         roles.systematic_columns(column),
     )
 
 
-def _header_and_rows(
+def _header_and_body(
     lines: Sequence[tuple[int, str]], comments: Sequence[tuple[int, str]], separator: str, file: str
-) -> tuple[list[str] | None, list[Row]]:
-    rows = [Row(n, split_fields(line, separator, f"{file}: line {n}")) for n, line in lines]
-    first = rows[0]
-    has_header = _is_header(first, separator == ";")
-    body = rows[1:] if has_header else rows
-    if not body:
+) -> tuple[list[str] | None, Sequence[tuple[int, str]]]:
+    """Names of the columns, if there are any, and the lines of numbers."""
+    first = _row(lines[0], separator, file)
+    if not _is_header(first, separator == ";"):
+        return _names_in_comment(comments, separator, first, file), lines
+    if len(lines) == 1:
         raise DataError(f"{file}: holds a header and no data rows; check how it was made or downloaded")
-    names = (
-        _names(lines[0][1], separator, len(body[0].fields), f"{file}: line {first.line}")
-        if has_header
-        else _names_in_comment(comments, separator, first, file)
-    )
-    names, body = _without_last_empty(names, body)
-    if check_widths(body, file, None if names is None else len(names)) < 2:
+    width = len(_row(lines[1], separator, file).fields)
+    return _names(lines[0][1], separator, width, f"{file}: line {first.line}"), lines[1:]
+
+
+def _row(line: tuple[int, str], separator: str, file: str) -> Row:
+    return Row(line[0], split_fields(line[1], separator, f"{file}: line {line[0]}"))
+
+
+def _rows(
+    names: list[str] | None, body: Sequence[tuple[int, str]], separator: str, file: str
+) -> tuple[list[str] | None, list[Row]]:
+    """Names and the fields of each line, one width everywhere."""
+    names, rows = _without_last_empty(names, [_row(line, separator, file) for line in body])
+    if check_widths(rows, file, None if names is None else len(names)) < 2:
         raise DataError(f"{file}: has one column; a spectrum needs a wavelength and a reflectance column")
-    return names, body
+    return names, rows
 
 
 def _is_header(row: Row, decimal_comma: bool) -> bool:

@@ -206,3 +206,43 @@ def test_a_radiance_factor_is_a_reflectance(read: Read) -> None:
 def test_the_text_of_a_column_left_out_need_not_be_numbers(read: Read) -> None:
     with pytest.warns(LunarSciWarning, match="'flag'"):
         assert len(read("wavelength_nm,reflectance,flag\n400,.1,good\n500,.2,bad\n")) == 1
+
+
+def large(rows: int = 60, columns: int = 400) -> list[list[str]]:
+    """A table of numbers as people write them, too large to be read field by field."""
+    rng = np.random.default_rng(3)
+    styles = ("{!r}", "{:.6g}", "{:.3e}", "{:.4E}", " {:.17g}", "+{:.5f}")
+    values = (0.01 + rng.random((rows, columns))) * rng.choice([0.5, 0.01], (rows, 1))
+    cells = [[styles[k % 6].format(value) for k, value in enumerate(row)] for row in values.tolist()]
+    return [[str(400 + 5 * n), *row] for n, row in enumerate(cells)]
+
+
+@pytest.mark.parametrize("separator", [",", "\t", ";", ", "])
+@pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
+def test_a_large_table_is_read_to_the_last_bit(read: Read, separator: str) -> None:
+    rows = large()
+    rows[5][7] = rows[9][300] = ""
+    names = ["wavelength_nm", *(f"s{k}" for k in range(400))]
+    found = read("\n".join(separator.join(row) for row in [names, *rows]))
+    wanted = np.array([[float(cell) if cell else np.nan for cell in row[1:]] for row in rows])
+    np.testing.assert_array_equal(np.array([spectrum.reflectance for spectrum in found]).T, wanted)
+    assert [spectrum.metadata["channels_missing"] for spectrum in found].count(1) == 2
+    assert all(spectrum.wavelength_nm is found[0].wavelength_nm for spectrum in found)
+
+
+@pytest.mark.parametrize("cell", ["1e", "0.1.2", "1-2", "nan", "-", "NA", "0x1", "1_0", '"0.5"', "0.2 3", "1d-1"])
+def test_one_odd_cell_of_a_large_table(read: Read, refuse: Refuse, cell: str) -> None:
+    rows = large()
+    rows[30][200] = cell
+    text = "\n".join(",".join(row) for row in [["wavelength_nm", *(f"s{k}" for k in range(400))], *rows])
+    known = {"nan": np.nan, "-": np.nan, "NA": np.nan, '"0.5"': 0.5, "1d-1": 0.1}
+    if cell in known:
+        np.testing.assert_array_equal(read(text)[199].reflectance[30], known[cell])
+    else:
+        assert "line 32, column 's199'" in refuse(text)
+
+
+def test_a_line_of_a_large_table_is_cut(refuse: Refuse) -> None:
+    lines = [",".join(row) for row in [["wavelength_nm", *(f"s{k}" for k in range(400))], *large()]]
+    lines[40] = lines[40].rpartition(",")[0]
+    assert "line 41 has 400 fields, the others 401" in refuse("\n".join(lines))
