@@ -1,0 +1,70 @@
+"""`lunarsci spectra map` as it is typed: the page of docs, exit codes, one line for what is wrong."""
+
+import json
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+from lunarsci.cli import main
+
+from .test_envi_cubes import CUBE, m3
+
+pytest.importorskip("rasterio")
+pytest.importorskip("h5netcdf")
+DOCS = Path(__file__).parents[3] / "docs/cubes.md"
+
+
+def test_the_script_of_the_documents_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any) -> None:
+    """On a made-up cube of M3's name and layout, six lines long."""
+    m3(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    (script,) = re.findall(r"```sh\n(.*?)```", DOCS.read_text("utf-8"), re.DOTALL)
+    smaller = {"0:304,5000:6000": "0:3,1:4", "120,5400": "1,2"}
+    for shown, used in smaller.items():
+        assert shown in script
+        script = script.replace(shown, used)
+    for line in script.splitlines():
+        assert main([*shlex.split(line)[1:], "-q"]) == 0, capfd.readouterr().err
+    assert {"map.nc", "map.png", "pixel.csv"} <= {path.name for path in tmp_path.iterdir()}
+    assert not list(tmp_path.glob("*.partial*"))
+
+
+def test_json_says_what_was_mapped_and_the_file_is_named(tmp_path: Path, capfd: Any) -> None:
+    path, out = m3(tmp_path), tmp_path / "map.tif"
+    assert main(["spectra", "map", str(path), "-o", str(out), "--products", "bands", "--every", "2", "--json"]) == 0
+    told = capfd.readouterr()
+    assert f"written: {out}" in told.err
+    document = json.loads(told.out)
+    assert document["schema"] == "lunarsci/spectra-map/1"
+    found = document["result"]
+    assert (found["cube"]["format"], found["cube"]["bad_channels"]) == ("m3", 2)
+    assert (found["map"]["lines"], found["map"]["samples"], found["pixels"]["pixels"]) == (3, 3, 9)
+    assert {"bc1000_nm", "bc1000_sigma_nm", "pixel_flags"} <= {layer["name"] for layer in found["layers"]}
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "said"),
+    [
+        (["--products", "gold", "-o", "map.nc"], 2, "--products gold"),
+        (["-o", "map.png"], 2, "ends in .nc"),
+        ([], 2, "ends in .nc"),
+        (["--roi", "0:99,0:2", "-o", "map.nc"], 2, "--roi"),
+        (["--spectrum", "9,9"], 2, "--spectrum 9,9"),
+        (["--mask", "none.tif", "-o", "map.nc"], 1, "no such file"),
+        (["-o", "no/folder/map.nc"], 1, "no folder"),
+    ],
+)
+def test_what_is_wrong_is_one_line_and_nothing_is_written(
+    options: list[str], code: int, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any
+) -> None:
+    path = m3(tmp_path, CUBE)
+    monkeypatch.chdir(tmp_path)
+    before = sorted(tmp_path.iterdir())
+    assert main(["spectra", "map", path.name, *options]) == code
+    told = capfd.readouterr()
+    assert told.out == ""
+    assert said in told.err
+    assert len(told.err.strip().splitlines()) == 1
+    assert sorted(tmp_path.iterdir()) == before
