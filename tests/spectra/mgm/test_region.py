@@ -6,8 +6,10 @@ import pytest
 import strips
 
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.mgm.batch import NOT_FITTED, FitBatch
-from lunarsci.spectra.mgm.fit import fit_arrays
+from lunarsci.spectra.mgm.batch import NOT_FITTED, FitBatch, channels_of, problem_of
+from lunarsci.spectra.mgm.data import prepare_rows
+from lunarsci.spectra.mgm.fit import fit_arrays, starting_points
+from lunarsci.spectra.mgm.levenberg_marquardt import CONVERGED, GIVEN_UP, DescentOptions, descend, workspace_for
 from lunarsci.spectra.mgm.model import mgm_model
 from lunarsci.spectra.mgm.region import CONTEST, NEIGHBOUR, NOWHERE, SINGLE, TILE, RegionFits, fit_region
 
@@ -104,3 +106,26 @@ def test_pixels_without_channels_are_left_out_and_others_fitted(ground: strips.S
 def test_contests_are_not_everywhere_twice_nor_nowhere(ground: strips.Strip, every: int) -> None:
     with pytest.raises(ParameterError, match="1 to 32"):
         fitted(ground, contest_every=every)
+
+
+def test_a_descent_that_will_stay_above_its_bar_is_given_up(ground: strips.Strip) -> None:
+    """One that gets below is the same as without bars, to the last bit."""
+    rows = prepare_rows(ground.wavelength_nm, pixels(ground)[0][:64])
+    ln_reflectance = np.log(rows.reflectance)
+    spectra, size, channels = channels_of(rows, MODEL, ln_reflectance), MODEL.prior.size, float(rows.wavelength_nm.size)
+    starts = starting_points(MODEL, ln_reflectance, 1)[0]
+
+    def outcomes(bars: np.ndarray) -> np.ndarray:
+        found = np.empty((64, 4))
+        descend(
+            spectra, np.full(64, channels), problem_of(MODEL), DescentOptions(False, 1e-3, 1e-4, 1000), np.arange(64),
+            starts.copy(), found, workspace_for(size, MODEL.degrees, int(channels)), np.empty((0, size, size)), bars,
+        )  # fmt: skip
+        return found
+
+    free = outcomes(np.empty(0))
+    assert (free[:, 3] == CONVERGED).all()
+    assert np.array_equal(outcomes(free[:, 1] + 1e6), free)
+    barred = outcomes(free[:, 1] - 0.5)
+    assert (barred[:, 3] == GIVEN_UP).mean() > 0.9
+    assert barred[:, 2].sum() < 0.8 * free[:, 2].sum()
