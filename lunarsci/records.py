@@ -133,11 +133,22 @@ class Records(Sequence[dict[str, Any]]):
 
     @property
     def _few(self) -> bool:
-        return self.size * len(self.names) < BY_HAND
+        return self.size * _width(self.columns) < BY_HAND
 
     def _blocks(self) -> "Iterator[Records]":
-        rows = max(1, BLOCK_VALUES // max(1, len(self.names)))
+        rows = max(1, BLOCK_VALUES // max(1, _width(self.columns)))
         return (self[start : start + rows] for start in range(0, self.size, rows))
+
+
+def _width(column: Any) -> int:
+    """How many values a record has in a column, in a list as many as it may have."""
+    if isinstance(column, Mapping):
+        return sum(map(_width, column.values()))
+    if isinstance(column, Listed):
+        return sum(map(_width, column.columns))
+    if isinstance(column, Where):
+        return _width(column.column)
+    return column.shape[1] if isinstance(column, np.ndarray) and column.ndim == 2 else 1
 
 
 def _sizes(column: Any) -> Iterator[int]:
