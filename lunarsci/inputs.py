@@ -29,6 +29,7 @@ Source: TypeAlias = "str | Path | InputFile | IO[Any] | pd.DataFrame | Table"
 
 Made = TypeVar("Made")
 _UNPRINTABLE = re.compile(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f-\x9f]")
+_UNPRINTABLE_ASCII = bytes([*range(9), *range(0x0E, 0x1A), *range(0x1B, 0x20), 0x7F])
 _UNPRINTABLE_SHARE = 0.1
 
 
@@ -130,11 +131,18 @@ def text(input: InputFile) -> str:
     Raises DataError for binary content: a NUL, or more than a tenth of the characters unprintable.
     """
     decoded = _decoded(input)
-    if "\0" in decoded or len(_UNPRINTABLE.findall(decoded)) > _UNPRINTABLE_SHARE * len(decoded):
+    if "\0" in decoded or _unprintable(decoded) > _UNPRINTABLE_SHARE * len(decoded):
         raise DataError(f"{input.name}: is a binary file, not text; check that it is the file you mean")
     if not decoded.strip():
         raise DataError(f"{input.name}: holds only blanks; check how it was made or downloaded")
     return decoded
+
+
+def _unprintable(decoded: str) -> int:
+    """How many characters are none that a text has."""
+    if decoded.isascii():
+        return len(decoded) - len(decoded.encode().translate(None, _UNPRINTABLE_ASCII))
+    return len(_UNPRINTABLE.findall(decoded))
 
 
 def read_json(input: InputFile, kind: str, made: Callable[[Any], Made]) -> Made:

@@ -18,7 +18,7 @@ from lunarsci.arrays import BoolArray, IntArray
 from lunarsci.provenance import plain, to_text
 
 if TYPE_CHECKING:
-    from lunarsci.numerals import Template
+    from lunarsci.templates import Template
 
 INDENT = "  "
 BY_HAND = 20_000
@@ -243,7 +243,7 @@ def _quoted(value: Any) -> str:
 
 
 def _json_template(records: Records, depth: int) -> "Template":
-    from lunarsci.numerals import Template
+    from lunarsci.templates import Template
 
     made = Template(len(records), "null")
     made.say(INDENT * depth)
@@ -318,7 +318,7 @@ def _leaf(made: "Template", column: Any, text: Any) -> None:
 
 
 def _csv_template(records: Records) -> "Template":
-    from lunarsci.numerals import Template
+    from lunarsci.templates import Template
 
     made = Template(len(records), "")
     for place, (_, column) in enumerate(_leaves(records.columns)):

@@ -30,6 +30,7 @@ SHARED = {
     "result",
     "records",
     "numerals",
+    "templates",
 }
 ALLOWED = {
     "spectra": {"spectra", *SHARED},
