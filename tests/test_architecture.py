@@ -24,6 +24,7 @@ SHARED = {
     "formulas",
     "lanes",
     "figure",
+    "grids",
     "rovers",
     "spectra_data",
     "tables",

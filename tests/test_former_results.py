@@ -72,6 +72,9 @@ COMMANDS: dict[str, str] = {
     "identify joint": "regolith infer states.csv --seed 2",
     "compare soils": "regolith compare soil.json",
     "terrain": "twin plan --max-slope 11 --target 8.5,2.5 -o site",
+    "ground": "twin terrain synthetic --extent 4 --spacing 0.02 --seed 2 -o ground",
+    "track": "images track ground/terrain.npz --line 0,1,2.5,1.2 --step 0.5",
+    "rocks": "images rocks ground/terrain.npz --sizes 0.2",
     "terrain synthetic": "twin terrain synthetic --craters 5 --rocks 0.02 --seed 7",
     "predict sweep": "twin predict short.toml --sweep friction_angle_deg=30:50:3",
     "predict": "twin predict short.toml --soil lunar-typical --sweep stiffness_kpa_m_n=800:1600:2 --ruts -o predicted",
@@ -267,7 +270,7 @@ def commands_of(group: typer.Typer, above: str = "") -> set[str]:
 
 def test_every_command_has_an_answer_in_the_table() -> None:
     """But for those that answer with a picture, a list of names, a file of maps, or the answers of others."""
-    others = {"demo", "spectra library plot", "spectra library list", "spectra map"}
+    others = {"demo", "spectra library plot", "spectra library list", "spectra map", "images merge"}
     tried = {
         name
         for name in commands_of(command_line())

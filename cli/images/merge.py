@@ -1,0 +1,83 @@
+"""`lunarsci images merge`: elevation models of several stations as one map."""
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lunarsci.images.jobs.merge import MergeRequest
+
+from ..shared.command import command
+from ..shared.options import Output, option
+from ..shared.progress import progress
+from ..shared.report import Report
+from ..shared.table import TextTable, plus_minus
+
+if TYPE_CHECKING:
+    from lunarsci.images.jobs.merge import MergedStations
+
+OPTIONS = {
+    "positions": option(
+        "Where each model belongs, in their order: CSV with x_m, y_m, z_m and xx_m2, xy_m2, yy_m2, zz_m2 or sigma_m. "
+        "Without it they share a frame.",
+        kind=str | None,
+        metavar="FILE",
+    ),
+    "spacing": option("Distance of the map's nodes, in m; that of the finest model by default."),
+}
+Elevations = Annotated[
+    list[str],
+    typer.Argument(help="Two or more files of heights with errors: .npz, GeoTIFF, ASCII or CSV.", metavar="DEM..."),
+]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the command."""
+    command(app, "merge", request=MergeRequest, options=OPTIONS)(merge)
+
+
+def merge(output: Output, dems: Elevations, request: MergeRequest) -> Report:
+    """Elevation models of several stations as one map, by inverse variances, with common errors kept.
+
+    Random errors shrink where models overlap; offsets and positions are found from the overlaps as far as these tell,
+    and the rest stays as common error. The picture of --plot shows where models disagree. With -o FILE.npz or .tif the
+    map is written with its errors. Where models disagree beyond their errors the exit code is 3.
+    """
+    from lunarsci.images.jobs.merge import merge
+
+    with progress("merging", quiet=output.quiet) as update:
+        found = merge(dems, request, progress=update)
+    return Report.of(found, _tables(found), formats={end: _writer(made) for end, made in found.files().items()})
+
+
+def _writer(made: Callable[[], bytes]) -> Callable[[Mapping[str, Any]], bytes]:
+    return lambda _: made()
+
+
+def _tables(found: "MergedStations") -> list[TextTable]:
+    result = found.to_dict()
+    rows = [
+        [
+            str(row["station"]),
+            row["file"],
+            plus_minus(row["offset_sigmas"], row["offset_sigmas_sigma"], digits=2),
+            *(plus_minus(1e3 * row[key], 1e3 * row[f"{key}_sigma"]) for key in ("x_m", "y_m")),
+        ]
+        for row in result["stations"]
+    ]
+    terrain = result["terrain"]
+    title = f"{terrain['nodes'][0]} x {terrain['nodes'][1]} nodes every {terrain['spacing_m']:g} m"
+    headers = ["station", "file", "offset [common sigmas]", "x off [mm]", "y off [mm]"]
+    pairs = [
+        [
+            f"{pair['first']}, {pair['second']}",
+            str(pair["nodes"]),
+            f"{1e3 * pair['mean_m']:.2f}",
+            f"{pair['rms_z']:.2f}",
+            f"{pair['odd_share']:.1%}",
+        ]
+        for pair in result["overlaps"]
+    ]
+    notes = ["the terrain is synthetic"] if terrain["synthetic"] else []
+    overlap = TextTable(["stations", "nodes", "median [mm]", "rms z", "beyond 3"], pairs, title="Overlaps, corrected")
+    return [TextTable(headers, rows, title=title, notes=notes), overlap]

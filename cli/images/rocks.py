@@ -1,0 +1,82 @@
+"""`lunarsci images rocks`: rocks in an elevation model."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from lunarsci.images.jobs.rocks import RocksRequest
+
+from ..shared.command import command
+from ..shared.options import Output, option
+from ..shared.progress import progress
+from ..shared.report import Report
+from ..shared.table import TextTable
+from .track import Elevation
+
+if TYPE_CHECKING:
+    from lunarsci.images.jobs.rocks import RockList
+
+OPTIONS = {
+    "largest": option("Diameter of the largest rock, in m; what is wider is ground."),
+    "false_share": option("Share of the finds that may be no rocks."),
+    "sizes": option("Diameters in m for which it is said how many are found: numbers with commas."),
+    "margin": option("Further distance to keep from a rock, in m."),
+    "seed": option("Seed of the rocks put in for trial."),
+}
+SHOWN = 20
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the command."""
+    command(app, "rocks", request=RocksRequest, options=OPTIONS)(rocks)
+
+
+def rocks(output: Output, dem: Elevation, request: RocksRequest) -> Report:
+    """Rocks that stand out of an elevation model: place, size, height, with errors, and how many are missed.
+
+    The same search in the model upside down tells how many finds are false; rocks of known size put into the model
+    tell how many are missed. With -o FILE.geojson the rocks are circles to keep out of.
+    """
+    from lunarsci.images.jobs.rocks import rocks
+
+    with progress("looking for rocks", quiet=output.quiet) as update:
+        found = rocks(dem, request, progress=update)
+
+    def keep_outs(_: Mapping[str, Any]) -> bytes:
+        return found.geojson()
+
+    return Report.of(found, _tables(found), formats={".geojson": keep_outs})
+
+
+def _tables(found: "RockList") -> list[TextTable]:
+    result = found.to_dict()
+    rows = [
+        [
+            str(row["id"]),
+            f"{row['x_m']:.3f}",
+            f"{row['y_m']:.3f}",
+            f"{row['diameter_m']:.3f} ± {row['diameter_m_sigma']:.3f}",
+            f"{row['height_m']:.3f} ± {row['height_m_sigma']:.3f}",
+            f"{row['significance']:.1f}",
+            f"{row['keepout_m']:.3f}",
+        ]
+        for row in result["rocks"][:SHOWN]
+    ]
+    more = len(result["rocks"]) - len(rows)
+    headers = ["rock", "x [m]", "y [m]", "diameter [m]", "height [m]", "sigmas", "keep out [m]"]
+    notes = [*([f"and {more} more: --csv has all"] if more > 0 else []), *result["notes"]]
+    title = f"{len(result['rocks'])} rocks on {result['terrain']['name']}; {result['expected_false_share']:.1%} false"
+    shares = [
+        [
+            f"{row['diameter_m']:g}",
+            "-"
+            if row["sigma_to_m"] != row["sigma_to_m"]
+            else f"{1e3 * row['sigma_from_m']:.2f} to {1e3 * row['sigma_to_m']:.2f}",
+            str(row["trials"]),
+            f"{row['share']:.0%} ({row['share_low']:.0%} to {row['share_high']:.0%})",
+        ]
+        for row in result["completeness"]
+    ]
+    tried = TextTable(["diameter [m]", "error of nodes [mm]", "put in", "found (68 %)"], shares, title="Completeness")
+    return [TextTable(headers, rows, title=title, notes=notes), tried]

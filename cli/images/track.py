@@ -1,0 +1,81 @@
+"""`lunarsci images track`: how deep a track is, and the sinkage that follows."""
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lunarsci.images.jobs.track import TrackRequest
+
+from ..shared.command import command
+from ..shared.options import Output, option
+from ..shared.progress import progress
+from ..shared.report import Report
+from ..shared.table import TextTable
+
+if TYPE_CHECKING:
+    from lunarsci.images.jobs.track import TrackSinkage
+
+OPTIONS = {
+    "line": option("Along the middle of the track: x1,y1,x2,y2,... in m, or a GeoJSON file.", metavar="LINE"),
+    "rover": option("Whose wheel it was: a name (yutu2, small-four) or a TOML file."),
+    "width": option("Width of the wheel in m, in place of the rover's."),
+    "window": option("Length of track in m that gives one depth."),
+    "step": option("Distance of the depths, in m."),
+    "search": option("How far from the line the middle of the track may lie, in m; 0 keeps to the line."),
+    "disparity_bias": option("Bias of the disparity between the floor and the ground beside it, in px; assumed."),
+    "rebound": option("Share of the sinkage by which the ground rose again after the wheel; assumed."),
+}
+Elevation = Annotated[
+    str,
+    typer.Argument(
+        help="Heights with their errors as layers: .npz, GeoTIFF, ESRI ASCII .asc, or CSV of nodes.", metavar="DEM"
+    ),
+]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the command."""
+    command(app, "track", request=TrackRequest, options=OPTIONS)(track)
+
+
+def track(output: Output, dem: Elevation, request: TrackRequest) -> Report:
+    """Depth of a track along a line, and the sinkage that follows, with random and systematic errors apart.
+
+    The depth is that of the floor below the ground that was there before, which is found from the ground at both
+    sides. Random errors are tried on ground without a track. Where floor or ground are not covered, nothing is
+    determined, and the reason is said. The CSV is what `lunarsci twin states --track` reads.
+    """
+    from lunarsci.images.jobs.track import track
+
+    with progress("measuring the track", quiet=output.quiet) as update:
+        found = track(dem, request, progress=update)
+    return Report.of(found, _tables(found))
+
+
+def _tables(found: "TrackSinkage") -> list[TextTable]:
+    result = found.to_dict()
+    rut, sinkage = result["rut_m"], result["sinkage_m"]
+    rows = [
+        [
+            f"{row['distance_m']:.2f}",
+            f"{row['x_m']:.3f}",
+            f"{row['y_m']:.3f}",
+            *(_mm(row[name]) for name in ("rut_m", "rut_m_random", "rut_m_systematic", "sinkage_m")),
+            row["status"],
+        ]
+        for row in result["track"]
+    ]
+    headers = ["along [m]", "x [m]", "y [m]", "depth [mm]", "random", "systematic", "sinkage [mm]", "status"]
+    causes = ", ".join(f"{name} {_mm(value)}" for name, value in result["systematic_m"].items())
+    notes = [
+        f"mean: depth {_mm(rut['mean'])} ± {_mm(rut['sigma'])} mm (random {_mm(rut['random'])}, systematic "
+        f"{_mm(rut['systematic'])}), sinkage {_mm(sinkage['mean'])} ± {_mm(sinkage['sigma'])} mm",
+        f"systematic, by cause in mm: {causes}",
+        f"depths overlap; {result['determined']} of {result['places']} are determined",
+        *result["notes"],
+    ]
+    return [TextTable(headers, rows, title=f"Track on {result['terrain']['name']}", notes=notes)]
+
+
+def _mm(value: float | None) -> str:
+    return "-" if value is None or value != value else f"{1e3 * value:.2f}"

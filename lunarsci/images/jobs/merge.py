@@ -1,0 +1,161 @@
+"""Elevation models of several stations as one map, and where they disagree."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from lunarsci.errors import DataError, RequestError
+from lunarsci.inputs import InputFile, read_input
+from lunarsci.result import MadeFrom, Result, request_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from lunarsci.images.elevation import ElevationModel
+    from lunarsci.images.merge import MergedMap, StationPosition
+
+
+SOURCES = [
+    "Aitken (1936), Proc. R. Soc. Edinb. 55, 42, 10.1017/S0370164600014346: generalised least squares",
+    "Huber (1964), Ann. Math. Stat. 35, 73, 10.1214/aoms/1177703732: robust weights",
+]
+NEEDED = ("x_m", "y_m", "z_m")
+ERRORS = ("xx_m2", "xy_m2", "yy_m2", "zz_m2")
+ODD, SHARE = 1.5, 0.05
+"""Rms of z-scores, and share beyond three, from which models are said to disagree; assumed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MergeRequest:
+    """How models are laid together.
+
+    Attributes
+    ----------
+    positions : of each model in the order given, as a table of x_m, y_m, z_m with xx_m2, xy_m2, yy_m2, zz_m2 or
+        sigma_m; without it they are in one frame, exactly.
+    spacing : of the map's nodes; that of the finest model if None. [m]
+    """
+
+    positions: str | Any | None = None
+    spacing: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.spacing is not None and not 0 < self.spacing < 1000:
+            raise RequestError(f"`spacing` is {self.spacing:g} m; give a number above 0")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MergedStations(Result):
+    """One map of several stations."""
+
+    schema: ClassVar[str] = "images-merge/1"
+    names: tuple[str, ...]
+    models: "tuple[ElevationModel, ...]"
+    merged: "MergedMap"
+    inputs: Mapping[str, str]
+
+    @property
+    def made_from(self) -> MadeFrom:
+        return MadeFrom(inputs=self.inputs, sources=SOURCES)
+
+    @property
+    def untrusted(self) -> str:
+        bad = [pair for pair in self.merged.overlaps if pair.rms_z > ODD or pair.odd_share > SHARE]
+        if not bad:
+            return ""
+        worst = max(bad, key=lambda pair: pair.rms_z)
+        names = f"{self.names[worst.first]} and {self.names[worst.second]}"
+        return f"{names} disagree by {worst.rms_z:.2g} times their errors (rms), {worst.odd_share:.0%} beyond three"
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "terrain": self.merged.model.summary(),
+            "stations": self.rows(),
+            "overlaps": [asdict(pair) for pair in self.merged.overlaps],
+        }
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """One a station: what it was found to be off by, with errors; the offset in units of its common error."""
+        import numpy as np
+
+        sigma = np.sqrt(np.diag(self.merged.covariance)).reshape(self.merged.corrections.shape)
+        rows = []
+        for k, (name, model) in enumerate(zip(self.names, self.models, strict=True)):
+            row: dict[str, Any] = {"station": k, "file": name, "name": model.name}
+            for column, key in enumerate(("offset_sigmas", "x_m", "y_m")):
+                row[key] = float(self.merged.corrections[k, column])
+                row[f"{key}_sigma"] = float(sigma[k, column])
+            rows.append(row)
+        return rows
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.images.figures import merge_page
+
+        yield merge_page(self.merged)
+
+    def files(self) -> dict[str, Callable[[], bytes]]:
+        """The map as the formats that have errors: ending to what makes the content."""
+        from lunarsci.images.elevation import elevation_bytes, elevation_geotiff
+
+        model = self.merged.model
+        return {
+            ".npz": lambda: elevation_bytes(model),
+            ".tif": lambda: elevation_geotiff(model),
+        }
+
+
+def merge(
+    terrains: Sequence[str],
+    request: MergeRequest | None = None,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> MergedStations:
+    """One map of the elevation models in two or more files, by inverse variances, common errors kept.
+
+    Raises DataError, RequestError, and ParameterError where nothing overlaps.
+    """
+    from lunarsci.images.elevation import read_elevation
+    from lunarsci.images.merge import merge as merged_map
+
+    asked = request_of(MergeRequest, request, options)
+    names = [terrains] if isinstance(terrains, str) else list(terrains)
+    inputs = {name: read_input(name).sha256 for name in names}
+    models = tuple(read_elevation(name) for name in names)
+    places = None
+    if asked.positions is not None:
+        source = read_input(asked.positions)
+        inputs[source.name] = source.sha256
+        places = read_positions(source, len(models))
+    merged = merged_map(models, places, spacing_m=asked.spacing, progress=progress)
+    return MergedStations(names=tuple(names), models=models, merged=merged, inputs=inputs)
+
+
+def read_positions(source: InputFile, count: int) -> "list[StationPosition]":
+    """Positions of stations from CSV, a row for each. Raises DataError."""
+    import numpy as np
+
+    from lunarsci.images.merge import StationPosition
+    from lunarsci.tables import numbers_of, read_csv_table
+
+    table = read_csv_table(source)
+    for name in NEEDED[:2]:
+        if name not in table:
+            raise DataError(f"{source.name}: no column {name}; there are: {', '.join(map(str, table.columns))}")
+    if len(table) != count:
+        raise DataError(f"{source.name}: {len(table)} rows for {count} elevation models; give one for each, in order")
+    own = {name: numbers_of(source.name, name, table[name]) for name in (*NEEDED, *ERRORS, "sigma_m") if name in table}
+    if "sigma_m" not in own and not all(name in own for name in ERRORS[:3]):
+        raise DataError(f"{source.name}: no errors of the positions; add sigma_m, or xx_m2, xy_m2, yy_m2 and zz_m2")
+    flat = np.zeros(count)
+    square = own["sigma_m"] ** 2 if "sigma_m" in own else flat
+    xx, yy = own.get("xx_m2", square), own.get("yy_m2", square)
+    xy, zz = own.get("xy_m2", flat), own.get("zz_m2", square)
+    found = []
+    for k in range(count):
+        covariance = np.array([[xx[k], xy[k], 0.0], [xy[k], yy[k], 0.0], [0.0, 0.0, zz[k]]])
+        place = [float(own.get(name, flat)[k]) for name in NEEDED]
+        if not np.isfinite([*place, *covariance.ravel()]).all() or np.linalg.eigvalsh(covariance).min() < 0:
+            raise DataError(f"{source.name}, row {k + 1}: a position or its errors are missing or no covariance")
+        found.append(StationPosition(x_m=place[0], y_m=place[1], z_m=place[2], covariance_m2=covariance))
+    return found

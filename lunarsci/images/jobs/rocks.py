@@ -1,0 +1,153 @@
+"""Rocks in an elevation model, and how many of them are missed."""
+
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from lunarsci.errors import RequestError
+from lunarsci.inputs import read_input
+from lunarsci.result import MadeFrom, Result, request_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from lunarsci.images.elevation import ElevationModel
+    from lunarsci.images.rocks import RockSurvey
+
+
+SOURCES = [
+    "Golombek & Rapp (1997), J. Geophys. Res. 102, 4117, 10.1029/96JE03319: heights of rocks",
+    "Elias & Gygi (2007), Nat. Methods 4, 207, 10.1038/nmeth1019: false finds from a search among decoys",
+    "Wilson (1927), J. Am. Stat. Assoc. 22, 209, 10.1080/01621459.1927.10502953: interval of a share",
+]
+CORNERS = 24
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RocksRequest:
+    """What rocks are looked for.
+
+    Attributes
+    ----------
+    largest : diameter of the largest; what is wider is ground. [m]
+    false_share : of the finds that may be no rocks. [-]
+    sizes : diameters for which it is said how many would be found: numbers with commas. [m]
+    margin : further distance to keep from a rock. [m]
+    seed : of the rocks put in for trial.
+    """
+
+    largest: float = 0.5
+    false_share: float = 0.05
+    sizes: str = "0.05,0.1,0.2"
+    margin: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0.02 <= self.largest <= 5:
+            raise RequestError(f"`largest` is {self.largest:g} m; give 0.02 to 5")
+        if not 0 < self.false_share < 1:
+            raise RequestError(f"`false_share` is {self.false_share:g}; give a share between 0 and 1")
+        if not 0 <= self.margin < 100:
+            raise RequestError(f"`margin` is {self.margin:g} m; give 0 or more")
+        if not all(0.01 <= size <= self.largest for size in self.diameters()):
+            raise RequestError(f"`sizes` '{self.sizes}' are not between 0.01 m and `largest`")
+
+    def diameters(self) -> tuple[float, ...]:
+        """`sizes` as numbers. Raises RequestError."""
+        try:
+            return tuple(float(part) for part in self.sizes.split(",") if part.strip())
+        except ValueError as error:
+            raise RequestError(f"`sizes` '{self.sizes}' are no numbers with commas between them") from error
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RockList(Result):
+    """Rocks of an elevation model, the surest first."""
+
+    schema: ClassVar[str] = "images-rocks/1"
+    model: "ElevationModel"
+    survey: "RockSurvey"
+    request: RocksRequest
+    inputs: Mapping[str, str]
+
+    @property
+    def made_from(self) -> MadeFrom:
+        return MadeFrom(inputs=self.inputs, sources=SOURCES, seed=self.request.seed)
+
+    def to_dict(self) -> dict[str, Any]:
+        found = self.survey
+        return {
+            "terrain": self.model.summary(),
+            "threshold": found.threshold,
+            "expected_false_share": found.false_share,
+            "rocks": self.rows(),
+            "completeness": [asdict(entry) for entry in found.completeness],
+            "notes": self.notes(),
+        }
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """One a rock."""
+        margin = self.request.margin
+        return [
+            {"id": k} | asdict(rock) | {"keepout_m": rock.keepout_m + margin}
+            for k, rock in enumerate(self.survey.rocks, start=1)
+        ]
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.images.figures import rocks_page
+
+        yield rocks_page(self.model, self.survey)
+
+    def geojson(self) -> bytes:
+        """Circles to keep out of, in the coordinates of the model, in m."""
+        features = []
+        for row in self.rows():
+            turns = [2 * math.pi * k / CORNERS for k in range(CORNERS)] + [0.0]
+            # The circle lies within its polygon.
+            radius = row["keepout_m"] / math.cos(math.pi / CORNERS)
+            ring = [[row["x_m"] + radius * math.cos(t), row["y_m"] + radius * math.sin(t)] for t in turns]
+            shape = {"type": "Polygon", "coordinates": [ring]}
+            features.append({"type": "Feature", "geometry": shape, "properties": dict(row)})
+        return (json.dumps({"type": "FeatureCollection", "features": features}, sort_keys=True) + "\n").encode()
+
+    def notes(self) -> list[str]:
+        """What the numbers rest on."""
+        notes = [
+            "found in heights alone: flat or half buried rocks, and what lies in holes of the model, are not seen",
+            "completeness is of half ellipsoids half as high as wide (assumed), put into this model",
+        ]
+        if self.model.height_m_sigma is None:
+            notes.append("the model states no errors; the scatter of its heights stands for them")
+        if self.model.synthetic:
+            notes.append("the terrain is synthetic")
+        return notes
+
+
+def rocks(
+    terrain: str,
+    request: RocksRequest | None = None,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> RockList:
+    """Rocks that stand out of an elevation model, with the share of false ones and of missed ones.
+
+    Raises DataError, RequestError, and ParameterError for a grid too coarse.
+    """
+    from lunarsci.images.elevation import read_elevation
+    from lunarsci.images.rocks import find_rocks
+
+    asked = request_of(RocksRequest, request, options)
+    inputs = {terrain: read_input(terrain).sha256}
+    model = read_elevation(terrain)
+    survey = find_rocks(
+        model,
+        largest_m=asked.largest,
+        false_share=asked.false_share,
+        sizes_m=asked.diameters(),
+        seed=asked.seed,
+        progress=progress,
+    )
+    return RockList(model=model, survey=survey, request=asked, inputs=inputs)

@@ -1,0 +1,218 @@
+"""How deep a track is, and the sinkage that follows."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from lunarsci.errors import RequestError
+from lunarsci.inputs import read_input
+from lunarsci.provenance import sha256
+from lunarsci.result import MadeFrom, Result, request_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from lunarsci.arrays import FloatArray
+    from lunarsci.images.elevation import ElevationModel
+    from lunarsci.images.tracks import TrackDepths
+
+
+SOURCES = [
+    "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8: sinkage from the depth of tracks",
+    "Cressie (1993), Statistics for Spatial Data, 10.1002/9781119115151: universal kriging",
+    "Holland & Welsch (1977), Commun. Stat. A 6, 813, 10.1080/03610927708827533: biweight",
+]
+STATEMENTS = (
+    "the depth is that of all wheels that passed: the deepest of them left it, often the last",
+    "it is the mean of the floor; prints of lugs go deeper, ridges between them are higher",
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackRequest:
+    """Where the track is and what left it.
+
+    Attributes
+    ----------
+    line : along the middle of the track: x1,y1,x2,y2,... [m], or a GeoJSON file with a LineString.
+    rover : whose wheel it was: a name or TOML file.
+    width : of the wheel, in place of the rover's. [m]
+    window : length of track that is one depth. [m]
+    step : distance of the depths. [m]
+    search : how far from the line the middle of the track may lie. [m]
+    disparity_bias : of the floor against the ground beside it. [px]
+    rebound : share of the sinkage by which the ground rose again after the wheel; 0 is assumed. [-]
+    """
+
+    line: str = ""
+    rover: str = "yutu2"
+    width: float | None = None
+    window: float = 0.5
+    step: float = 0.1
+    search: float = 0.05
+    disparity_bias: float = 0.05
+    rebound: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.line:
+            raise RequestError("`line` says where the track is; give x1,y1,x2,y2,... or a GeoJSON file")
+        for name in ("width", "window", "step"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < 100:
+                raise RequestError(f"`{name}` is {value:g} m; give a number above 0")
+        if not 0 <= self.search <= 1 or not 0 <= self.disparity_bias <= 10:
+            raise RequestError("`search` is 0 to 1 m, `disparity_bias` 0 to 10 px")
+        if not 0 <= self.rebound < 0.9:
+            raise RequestError(f"`rebound` is {self.rebound:g}; give a share of 0 to 0.9")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TrackSinkage(Result):
+    """Depths along a track, and the sinkage of the wheel that left it."""
+
+    schema: ClassVar[str] = "images-track/1"
+    model: "ElevationModel"
+    line: "FloatArray"
+    width_m: float
+    depths: "TrackDepths"
+    rebound: float
+    inputs: Mapping[str, str]
+    tables: Mapping[str, str]
+    assumed: tuple[str, ...]
+
+    @property
+    def made_from(self) -> MadeFrom:
+        return MadeFrom(inputs=self.inputs, tables=self.tables, sources=SOURCES)
+
+    @property
+    def untrusted(self) -> str:
+        import numpy as np
+
+        found = self.depths
+        if not found.determined.any():
+            return f"no depth is determined: {found.reason[0]}"
+        if not np.isfinite(found.rut_m_random[found.determined]).all() or not self._errors_known:
+            return (
+                "the random errors are lower bounds: the elevation model states none and there is no ground to try on"
+            )
+        return ""
+
+    @property
+    def _errors_known(self) -> bool:
+        return self.model.height_m_sigma is not None or self.depths.ground_scatter_m is not None
+
+    def to_dict(self) -> dict[str, Any]:
+        import numpy as np
+
+        found = self.depths
+        systematic = found.rut_m_systematic[found.determined]
+        shared = float(np.sqrt(np.mean(systematic**2))) if len(systematic) else None
+        whole = 1.0 - self.rebound
+        mean = found.mean_m if found.determined.any() else None
+        total = None if mean is None or shared is None else float(np.hypot(found.mean_random_m, shared))
+        return {
+            "terrain": self.model.summary(),
+            "wheel_width_m": self.width_m,
+            "places": len(found.distance_m),
+            "determined": int(found.determined.sum()),
+            "rut_m": {"mean": mean, "random": found.mean_random_m, "systematic": shared, "sigma": total},
+            "sinkage_m": {"mean": mean and mean / whole, "sigma": total and total / whole, "rebound": self.rebound},
+            "systematic_m": {
+                name: None if values is None else float(np.nanmean(values))
+                for name, values in found.systematic_m.items()
+            },
+            "ground_scatter_m": found.ground_scatter_m,
+            "track": self.rows(),
+            "notes": self.notes(),
+        }
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """One a place; `x_m`, `y_m`, `rut_m` and `rut_m_sigma` are what `twin states --track` reads."""
+        import numpy as np
+
+        found, whole = self.depths, 1.0 - self.rebound
+        blank = np.where(found.determined, 1.0, np.nan)
+        sigma = np.hypot(found.rut_m_random, found.rut_m_systematic) * blank
+        columns = {
+            "distance_m": found.distance_m,
+            "x_m": found.x_m,
+            "y_m": found.y_m,
+            "rut_m": found.rut_m,
+            "rut_m_sigma": sigma,
+            "rut_m_random": found.rut_m_random * blank,
+            "rut_m_systematic": found.rut_m_systematic * blank,
+            "sinkage_m": found.rut_m / whole,
+            "sinkage_m_sigma": sigma / whole,
+        }
+        rows = [dict(zip(columns, map(float, row), strict=True)) for row in zip(*columns.values(), strict=True)]
+        return [row | {"status": reason or "ok"} for row, reason in zip(rows, found.reason, strict=True)]
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.images.figures import track_page
+
+        yield track_page(self.model, self.line, self.width_m, self.depths)
+
+    def notes(self) -> list[str]:
+        """What the depths mean, and what is assumed or missing."""
+        found, notes = self.depths, list(STATEMENTS)
+        rebound = f"the ground rose again by {self.rebound:.0%} of the sinkage" if self.rebound else "no rebound"
+        notes.append(f"{rebound} (assumed)")
+        notes += [f"{name} is assumed" for name in self.assumed]
+        if found.ground_scatter_m is None:
+            notes.append("too little ground without a track beside it to try the errors on")
+        if found.systematic_m.get("disparity") is None:
+            notes.append("the bias of disparities is not in the errors: the model has no height_by_disparity_m_px")
+        if self.model.synthetic:
+            notes.append("the terrain is synthetic")
+        return notes
+
+
+def track(
+    terrain: str,
+    request: TrackRequest | None = None,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> TrackSinkage:
+    """Depth of a track along a line on an elevation model, random and systematic errors apart.
+
+    `terrain` is a file of heights with errors as layers. Raises DataError and RequestError, and ParameterError for a
+    line that is none.
+    """
+    from lunarsci.images.elevation import read_elevation
+    from lunarsci.images.lines import read_line
+    from lunarsci.images.tracks import track_depths
+    from lunarsci.rovers import read_rover
+
+    asked = request_of(TrackRequest, request, options)
+    line = read_line(asked.line)
+    inputs = {terrain: read_input(terrain).sha256}
+    model = read_elevation(terrain)
+    tables: dict[str, str] = {}
+    assumed: tuple[str, ...] = ()
+    width = asked.width
+    if width is None:
+        rover = read_rover(asked.rover)
+        width = float(rover.table("wheel")["width_m"])
+        tables = {f"{asked.rover} (rover)": sha256(rover.text.encode())}
+        assumed = ("the wheel's width",) if "wheel.width_m" in rover.assumed else ()
+    depths = track_depths(
+        model,
+        line,
+        width,
+        window_m=asked.window,
+        step_m=asked.step,
+        search_m=asked.search,
+        disparity_bias_px=asked.disparity_bias,
+        progress=progress,
+    )
+    return TrackSinkage(
+        model=model,
+        line=line,
+        width_m=width,
+        depths=depths,
+        rebound=asked.rebound,
+        inputs=inputs,
+        tables=tables,
+        assumed=assumed,
+    )

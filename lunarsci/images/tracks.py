@@ -1,0 +1,396 @@
+"""How deep a wheel's track is below the undisturbed ground beside it, in an elevation model.
+
+At each place along a line a plane is laid through the ground left and right of the track, and the mean depth of the
+track's floor below it is taken. Random errors come from the nodes, and from the same measurement on ground without a
+track; what does not average is stated apart.
+"""
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.errors import ParameterError
+from lunarsci.images.elevation import ElevationModel
+from lunarsci.images.lines import Unrolled, places_on, unrolled
+from lunarsci.images.undisturbed_ground import Cells, GroundShape, cells_of, kriged, robust_fit
+
+FLOOR_SHARE = 0.6
+"""Share of the wheel's width, about the middle, that is taken as floor: walls slide in at the sides; assumed."""
+COVERED = 0.5, 0.3
+"""Share of the nodes of the floor, and of the ground at each side, that must be known; assumed."""
+LEAST_GAIN = 0.75
+"""Share of the depth that the matching window must leave in the floor's mean; below, nothing is determined; assumed."""
+RESOLUTION_OFF = 0.3
+"""Relative error of the resolution; assumed."""
+CLEAR = 3.0
+"""Standard errors by which a track must stand out where its middle is looked for; assumed."""
+FEWEST_SHAMS = 8
+CELL_SHARE = 0.3
+"""Side of the cells whose mean heights stand for the ground, as a share of the wheel's width; assumed."""
+PRIOR_SHAMS = 4.0
+"""Weight of the stated error beside shams, as so many of them; assumed."""
+NEXT_DISPARITY_PX = 0.05
+"""Relative bias of the disparity of neighbouring ground of other shape and texture; assumed. [px]"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackProfile:
+    """Where across the track what is looked for.
+
+    Attributes
+    ----------
+    width_m : of the wheel, > 0. [m]
+    gap_m : between the wheel's edge and the ground that is taken as undisturbed: walls and berms. [m]
+    strip_m : width of that ground at each side. [m]
+    floor_share : share of the wheel's width that is floor.
+    order : of the polynomial across the ground: 1 is a plane, 2 bends.
+    """
+
+    width_m: float
+    gap_m: float
+    strip_m: float
+    floor_share: float = FLOOR_SHARE
+    order: int = 1
+
+    def __post_init__(self) -> None:
+        for name in ("width_m", "strip_m"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ParameterError(f"{name} is {getattr(self, name)}; give a number above 0")
+        if not 0 <= self.gap_m < math.inf:
+            raise ParameterError(f"gap_m is {self.gap_m}; give 0 or more")
+
+    @classmethod
+    def of_wheel(cls, width_m: float, resolution_m: float) -> "TrackProfile":
+        """Gap of half the wheel's width and half the matching window, and strips as wide as the wheel; assumed."""
+        return cls(width_m=width_m, gap_m=0.5 * (width_m + resolution_m), strip_m=width_m)
+
+    @property
+    def floor_m(self) -> float:
+        """Half the width of the floor. [m]"""
+        return 0.5 * self.floor_share * self.width_m
+
+    @property
+    def ground_m(self) -> tuple[float, float]:
+        """From and to which distance of the middle the ground is taken. [m]"""
+        inner = 0.5 * self.width_m + self.gap_m
+        return inner, inner + self.strip_m
+
+    def gain(self, resolution_m: float) -> float:
+        """Share of the depth that is left in the mean of the floor, where heights are means over a window. [-]"""
+        across = np.linspace(-self.floor_m, self.floor_m, 201)
+        half, window = 0.5 * self.width_m, max(resolution_m, 1e-9)
+        overlap = np.minimum(across + 0.5 * window, half) - np.maximum(across - 0.5 * window, -half)
+        return float(np.clip(overlap / window, 0.0, 1.0).mean())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TrackDepths:
+    """Depth of a track along its line; NaN where it is not determined.
+
+    Attributes
+    ----------
+    distance_m, x_m, y_m : way along the line, and places on the middle of the track. (n,) [m]
+    rut_m : mean depth of the floor below the undisturbed ground. (n,) [m]
+    rut_m_random : what averages: nodes, and the ground's own shape under the track. (n,) [m]
+    systematic_m : by cause, what places share; None where nothing is known of it. (n,) [m]
+    reason : why nothing is determined, empty where it is. (n,)
+    offset_m : of the track's middle to the left of the line. (n,) [m]
+    mean_m, mean_random_m : over the line. [m]
+    ground_scatter_m : rms of the same measurement on ground without a track, None where there is too little. [m]
+    shams : how many of those there are.
+    """
+
+    distance_m: FloatArray
+    x_m: FloatArray
+    y_m: FloatArray
+    rut_m: FloatArray
+    rut_m_random: FloatArray
+    systematic_m: dict[str, FloatArray | None]
+    reason: tuple[str, ...]
+    offset_m: FloatArray
+    mean_m: float
+    mean_random_m: float
+    ground_scatter_m: float | None
+    shams: int
+
+    @property
+    def rut_m_systematic(self) -> FloatArray:
+        """All causes together. (n,) [m]"""
+        parts = [values for values in self.systematic_m.values() if values is not None]
+        return np.asarray(np.sqrt(np.sum(np.square(parts), axis=0))) if parts else np.zeros_like(self.rut_m)
+
+    @property
+    def determined(self) -> BoolArray:
+        """Places with a depth. (n,)"""
+        return np.asarray(np.isfinite(self.rut_m))
+
+
+def _one_depth(survey: "_Survey", nodes: Unrolled, middle: float, profile: TrackProfile) -> tuple[float, float, str]:
+    """Depth, its error, and why there is none, of one window of the track."""
+    left = nodes.across - middle
+    inner, outer = profile.ground_m
+    floor = np.abs(left) <= profile.floor_m
+    sides = [(sign * left >= inner) & (sign * left <= outer) for sign in (-1.0, 1.0)]
+    whole = survey.window_m / survey.model.spacing_m**2
+    if floor.sum() < COVERED[0] * whole * 2 * profile.floor_m:
+        return np.nan, np.nan, "floor not covered"
+    for side, name in zip(sides, ("right", "left"), strict=True):
+        if side.sum() < COVERED[1] * whole * profile.strip_m:
+            return np.nan, np.nan, f"ground to the {name} not covered"
+    alike = max(1.0, (survey.resolution_m / survey.model.spacing_m) ** 2)
+    cells = cells_of(nodes, sides[0] | sides[1], survey.cell_m, alike)
+    origin = cells.place.mean(axis=0)
+    design = np.column_stack([np.ones(len(cells.height)), cells.place - origin])
+    plane, weight = robust_fit(design, cells.height, np.ones(len(cells.height)))
+    kept = weight > 0
+    flat = Cells(cells.place[kept], (cells.height - design @ plane)[kept], cells.sigma[kept], cells.nodes[kept])
+    # The wheel is as wide as it is, and rigid: its floor lies below the mean of all the ground that was there.
+    ahead = np.linspace(-0.5, 0.5, 9) * survey.window_m * 8 / 9 + 0.5 * (nodes.along[0] + nodes.along[-1])
+    under = np.meshgrid(ahead, middle + np.linspace(-0.4, 0.4, 5) * profile.width_m)
+    ground, variance = kriged(
+        flat,
+        np.column_stack([part.ravel() for part in under]),
+        survey.shape,
+        survey.resolution_m,
+        profile.order,
+    )
+    places = np.column_stack([np.ones(int(floor.sum())), nodes.along[floor], nodes.across[floor]])
+    places[:, 1:] -= origin
+    rest = nodes.height[floor] - places @ plane
+    bottom, share = robust_fit(np.ones((len(rest), 1)), rest, np.ones(len(rest)))
+    noise = nodes.sigma[floor] ** 2
+    own = float((share**2 * noise).sum() / share.sum() ** 2) * min(alike, len(rest))
+    return ground - float(bottom[0]), math.sqrt(variance + own), ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Survey:
+    """An elevation model along a line, and how windows are laid."""
+
+    model: ElevationModel
+    nodes: Unrolled
+    centers: FloatArray
+    window_m: float
+    resolution_m: float
+    cell_m: float
+    shape: GroundShape
+
+    def depths(self, middles: FloatArray, profile: TrackProfile) -> tuple[FloatArray, FloatArray, list[str]]:
+        """Depths, their errors, and reasons, with the track's middle at these distances from the line."""
+        found = []
+        for center, middle in zip(self.centers, middles, strict=True):
+            part = self.nodes.between(center - 0.5 * self.window_m, center + 0.5 * self.window_m)
+            found.append(_one_depth(self, part, middle, profile))
+        depth, error, reason = zip(*found, strict=True)
+        return np.array(depth), np.array(error), list(reason)
+
+
+def track_middles(survey: _Survey, profile: TrackProfile, search_m: float, length_m: float) -> FloatArray:
+    """Offset of the track to the left of the line at each place: straight along it, from stretches of 1 m. (n,) [m]
+
+    In each stretch it is where a floor between walls fits the mean profile across best. Zero where the track does not
+    stand out.
+    """
+    edges = np.linspace(0.0, length_m, max(1, round(length_m)) + 1)
+    steps = np.arange(-search_m, search_m + 1e-9, 0.5 * survey.model.spacing_m)
+    found = []
+    for low, high in itertools.pairwise(edges):
+        part = survey.nodes.between(low, high)
+        offset = _stretch_middle(part, profile, steps)
+        if offset is not None:
+            found.append((0.5 * (low + high), offset))
+    if not found:
+        return np.zeros_like(survey.centers)
+    where, offset = np.array(found).T
+    if len(found) < 3:
+        return np.full_like(survey.centers, np.median(offset))
+    from scipy.stats import theilslopes
+
+    line = theilslopes(offset, where)
+    return np.asarray(np.clip(line.intercept + line.slope * survey.centers, -search_m, search_m))
+
+
+def _stretch_middle(part: Unrolled, profile: TrackProfile, steps: FloatArray) -> float | None:
+    """Where a box of the wheel's width explains most of the profile, None where it does not stand out."""
+    reach = profile.ground_m[1] + float(np.abs(steps).max())
+    part_of = np.abs(part.across) <= reach
+    if part_of.sum() < 20:
+        return None
+    along, across, height = part.along[part_of], part.across[part_of], part.height[part_of]
+    trend = np.column_stack([np.ones_like(along), along - along.mean(), across, across**2])
+    outside = np.abs(across) > 0.5 * profile.width_m + float(np.abs(steps).max())
+    if outside.sum() < 10:
+        return None
+    plane, _ = robust_fit(trend[outside], height[outside], np.ones(int(outside.sum())))
+    rest = height - trend @ plane
+    costs, depths = zip(*(_misfit(across - step, rest, profile.width_m) for step in steps), strict=True)
+    best = int(np.argmin(costs))
+    scatter = 1.4826 * float(np.median(np.abs(rest[outside] - np.median(rest[outside]))))
+    if not depths[best] > CLEAR * scatter / math.sqrt(10.0) or best in (0, len(steps) - 1):
+        return None
+    before, here, after = costs[best - 1 : best + 2]
+    bend = before - 2 * here + after
+    return float(steps[best] + (0.5 * (before - after) / bend if bend > 0 else 0.0) * (steps[1] - steps[0]))
+
+
+def _misfit(left: FloatArray, rest: FloatArray, width_m: float) -> tuple[float, float]:
+    """Mean square that a straight floor of the wheel's width in flat ground leaves, and its depth there.
+
+    The floor may be tilted: on a slope its two sides are not equally deep, which is no reason to shift it.
+    """
+    inside, beside = np.abs(left) <= 0.5 * width_m, (np.abs(left) > 0.5 * width_m) & (np.abs(left) <= width_m)
+    if inside.sum() < 5 or beside.sum() < 5:
+        return math.inf, math.nan
+    design = np.column_stack([np.ones(int(inside.sum())), left[inside]])
+    floor = np.linalg.lstsq(design, rest[inside], rcond=None)[0]
+    squares = float(((rest[inside] - design @ floor) ** 2).sum() + (rest[beside] ** 2).sum())
+    return squares / float(inside.sum() + beside.sum()), -float(floor[0])
+
+
+def track_depths(
+    model: ElevationModel,
+    line: FloatArray,
+    width_m: float,
+    *,
+    window_m: float = 0.5,
+    step_m: float = 0.1,
+    search_m: float = 0.05,
+    disparity_bias_px: float = NEXT_DISPARITY_PX,
+    progress: Callable[[int, int], None] | None = None,
+) -> TrackDepths:
+    """Depth of the track of a wheel along a line (n, 2), every `step_m`, each from a window of `window_m` along it.
+
+    `search_m` is how far to either side of the line its middle may lie; `disparity_bias_px` the relative bias of the
+    disparity between floor and ground. Raises ParameterError for a line off the model.
+    """
+    length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
+    about = model.at("resolution_m", *places_on(line, np.linspace(0.0, length, 50), np.zeros(50)).T)
+    resolution = float(np.nanmedian(about)) if np.isfinite(about).any() else 0.0
+    profile = TrackProfile.of_wheel(width_m, resolution)
+    nodes = unrolled(model, line, 4.0 * profile.ground_m[1] + search_m)
+    count = max(1, int((length - min(window_m, length)) / step_m + 1e-9) + 1)
+    centers = np.asarray(0.5 * (length - (count - 1) * step_m) + step_m * np.arange(count, dtype=float))
+    if len(nodes.along) < 10:
+        raise ParameterError(f"the line lies off the heights of {model.name}: x, y {line[0][0]:g}, {line[0][1]:g} m")
+    cell = max(model.spacing_m, CELL_SHARE * width_m)
+    beside = nodes.only(np.abs(nodes.across) >= profile.ground_m[0] + search_m)
+    survey = _Survey(
+        model=model,
+        nodes=nodes.with_sigma(),
+        centers=centers,
+        window_m=min(window_m, length),
+        resolution_m=resolution,
+        cell_m=cell,
+        shape=GroundShape.of(beside if len(beside.along) > 10 else nodes, cell, resolution),
+    )
+    return _measured(survey, profile, line, search_m, disparity_bias_px, progress or (lambda *_: None))
+
+
+def _measured(
+    survey: _Survey,
+    profile: TrackProfile,
+    line: FloatArray,
+    search_m: float,
+    disparity_bias_px: float,
+    progress: Callable[[int, int], None],
+) -> TrackDepths:
+    length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
+    middles = track_middles(survey, profile, search_m, length) if search_m > 0 else np.zeros_like(survey.centers)
+    gain = profile.gain(survey.resolution_m)
+    depth, error, reason = survey.depths(middles, profile)
+    depth, error = depth / gain, error / gain
+    if gain < LEAST_GAIN:
+        depth[:] = error[:] = np.nan
+        reason = [f"matching blurs over {survey.resolution_m:.3g} m, too wide for this wheel"] * len(reason)
+    progress(1, 3)
+    shams, sham_errors = _shams(survey, profile, middles)
+    scatter, factor = _as_shams(survey, shams, sham_errors)
+    random = error * factor
+    progress(2, 3)
+    places = places_on(line, survey.centers, middles)
+    by_disparity = np.abs(survey.model.at("height_by_disparity_m_px", *places.T)) * disparity_bias_px
+    causes = _systematic(survey, profile, middles, depth) if np.isfinite(depth).any() else {}
+    progress(3, 3)
+    found = np.isfinite(depth)
+    return TrackDepths(
+        distance_m=survey.centers,
+        x_m=places[:, 0],
+        y_m=places[:, 1],
+        rut_m=depth,
+        rut_m_random=random,
+        systematic_m={**causes, "disparity": by_disparity if np.isfinite(by_disparity[found]).any() else None},
+        reason=tuple(reason),
+        offset_m=middles,
+        mean_m=float(np.nanmean(depth)) if found.any() else np.nan,
+        mean_random_m=_mean_error(survey, random[found], shams),
+        ground_scatter_m=scatter,
+        shams=int(np.isfinite(shams).sum()),
+    )
+
+
+def _shams(survey: _Survey, profile: TrackProfile, middles: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The same measurement and its error beside the track, where neither floor nor ground touch it. (k, n), (k, n)"""
+    inner, outer = profile.ground_m
+    first = inner + outer
+    aside = [sign * (first + more) for more in (0.0, profile.width_m) for sign in (-1.0, 1.0)]
+    depths, errors, _ = zip(*(survey.depths(middles + away, profile) for away in aside), strict=True)
+    return np.array(depths), np.array(errors)
+
+
+def _as_shams(survey: _Survey, shams: FloatArray, errors: FloatArray) -> tuple[float | None, float]:
+    """Robust scatter of shams about zero, and by what the stated errors are multiplied to be what shams show."""
+    known = np.isfinite(shams)
+    if known.sum() < FEWEST_SHAMS:
+        return None, 1.0
+    step = survey.centers[1] - survey.centers[0] if len(survey.centers) > 1 else survey.window_m
+    independent = known.sum() * min(1.0, step / survey.window_m)
+    squared = float(np.median((shams[known] / errors[known]) ** 2)) / 0.4549
+    factor = (independent * squared + PRIOR_SHAMS) / (independent + PRIOR_SHAMS)
+    return 1.4826 * float(np.median(np.abs(shams[known]))), math.sqrt(factor)
+
+
+def _mean_error(survey: _Survey, random: FloatArray, shams: FloatArray) -> float:
+    """Random error of the mean over the line: windows overlap, and the ground is alike from one to the next."""
+    count = len(random)
+    if not count or not np.isfinite(random).any():
+        return math.nan
+    step = survey.centers[1] - survey.centers[0] if len(survey.centers) > 1 else survey.window_m
+    lags = np.arange(1, count)
+    alike = np.maximum(0.0, 1.0 - lags * step / survey.window_m)
+    if np.isfinite(shams).sum() >= FEWEST_SHAMS:
+        variance = np.nanmean(shams**2)
+        with np.errstate(invalid="ignore"):
+            pairs = [shams[:, lag:] * shams[:, :-lag] for lag in lags]
+        seen = np.array([np.mean(p[np.isfinite(p)]) / variance if np.isfinite(p).sum() > 3 else 0.0 for p in pairs])
+        alike = np.maximum(alike, seen)
+    return float(np.sqrt(np.nanmean(random**2) / count * (1.0 + 2.0 * float(((1.0 - lags / count) * alike).sum()))))
+
+
+def _systematic(
+    survey: _Survey, profile: TrackProfile, middles: FloatArray, depth: FloatArray
+) -> dict[str, FloatArray | None]:
+    """What places share: which ground, how much of the floor, and how far matching blurs. By cause, (n,) [m]"""
+    choices = {
+        "ground": [
+            replace(profile, gap_m=profile.gap_m + 0.5 * profile.strip_m),
+            replace(profile, strip_m=2.0 * profile.strip_m),
+            replace(profile, order=2),
+        ],
+        "floor": [replace(profile, floor_share=share * profile.floor_share) for share in (0.6, 1.3)],
+    }
+    found: dict[str, FloatArray | None] = {}
+    for cause, others in choices.items():
+        off = []
+        for other in others:
+            there = survey.depths(middles, other)[0] / other.gain(survey.resolution_m)
+            both = np.isfinite(there) & np.isfinite(depth)
+            if both.any():
+                off.append(float(np.mean(there[both] - depth[both])))
+        found[cause] = np.full_like(depth, np.sqrt(np.mean(np.square(off)))) if off else None
+    gains = [profile.gain((1.0 + sign * RESOLUTION_OFF) * survey.resolution_m) for sign in (-1.0, 1.0)]
+    found["resolution"] = np.abs(depth) * (gains[0] - gains[1]) / (2.0 * profile.gain(survey.resolution_m))
+    return found

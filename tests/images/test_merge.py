@@ -1,0 +1,98 @@
+"""Merged maps against the ground that models were made of, with offsets and shifts that are not told."""
+
+import numpy as np
+import pytest
+from stamped_ground import FINE, fractal
+
+from lunarsci.errors import ParameterError
+from lunarsci.images.elevation import ElevationModel
+from lunarsci.images.merge import StationPosition, merge
+
+SPACING = 0.02
+
+
+def stations(
+    rng: np.random.Generator, sigmas: tuple[float, ...], common: float, shift: float
+) -> tuple[np.ndarray, list[ElevationModel], np.ndarray, np.ndarray]:
+    """Truth, models of it with overlapping parts, and what each is really off by in height and place."""
+    step = round(SPACING / FINE)
+    fine = fractal(rng, (400, 800), 6.0) * 1.5
+    truth = fine[::step, ::step]
+    models, offsets, moves = [], [], []
+    for k, sigma in enumerate(sigmas):
+        offset, move = rng.normal(0.0, common), rng.normal(0.0, shift, 2)
+        rows, columns = (np.arange(n) * SPACING for n in truth.shape)
+        from scipy.interpolate import RegularGridInterpolator
+
+        field = RegularGridInterpolator((np.arange(400) * FINE, np.arange(800) * FINE), fine, bounds_error=False)
+        # A model that lies `move` too far along x, y shows at x the ground of x - move.
+        at = np.meshgrid(rows - move[1], columns - move[0], indexing="ij")
+        height = field(np.stack(at, axis=-1)) + offset + rng.normal(0.0, sigma, truth.shape)
+        height[:, : 40 * k] = np.nan
+        height[:, 120 + 40 * k :] = np.nan
+        models.append(
+            ElevationModel(
+                name=str(k),
+                x0_m=0.0,
+                y0_m=0.0,
+                spacing_m=SPACING,
+                height_m=height,
+                height_m_sigma=np.array(sigma),
+                height_m_common_sigma=np.array(common),
+                synthetic=True,
+            )
+        )
+        offsets.append(offset)
+        moves.append(move)
+    return truth, models, np.array(offsets), np.array(moves)
+
+
+def test_errors_hold_and_shrink() -> None:
+    z_common, z_random = [], []
+    for seed in range(14):
+        truth, models, _, _ = stations(np.random.default_rng(seed), (0.004, 0.002), 0.01, 0.0)
+        found = merge(models).model
+        both = found.layer("count") == 2
+        off = (found.height_m - truth)[both]
+        assert found.layer("height_m_sigma")[both] == pytest.approx((0.004**-2 + 0.002**-2) ** -0.5, rel=0.15)
+        z_common.append(off.mean() / found.layer("height_m_common_sigma")[both].mean())
+        z_random.append((off - off.mean()).std() / np.median(found.layer("height_m_sigma")[both]))
+    assert np.sqrt(np.mean(np.square(z_common))) == pytest.approx(1.0, abs=0.45)
+    assert np.mean(z_random) == pytest.approx(1.0, abs=0.05)
+
+
+def test_differences_of_offsets_and_places_are_found_with_their_errors() -> None:
+    z = []
+    for seed in range(6):
+        place = StationPosition(covariance_m2=np.diag([0.02**2, 0.02**2, 0.0]))
+        _, models, offsets, moves = stations(np.random.default_rng(300 + seed), (0.003, 0.003, 0.003), 0.02, 0.02)
+        found = merge(models, [place] * 3)
+        real = np.column_stack([offsets / 0.02, moves])
+        step = np.zeros((3, 9))
+        for column in range(3):
+            step[column, [column, 3 + column]] = -1.0, 1.0
+        off = step @ (found.corrections - real).ravel()
+        z.append(off / np.sqrt(np.diag(step @ found.covariance @ step.T)))
+        assert np.abs(off[1:]).max() < 0.01, "of shifts of 28 mm"
+    assert np.sqrt(np.mean(np.square(z))) < 1.6
+
+
+def test_a_stone_moved_between_stations_is_shown() -> None:
+    _, models, _, _ = stations(np.random.default_rng(5), (0.002, 0.002), 0.005, 0.0)
+    models[1].height_m[50:55, 80:85] += 0.05
+    found = merge(models)
+    inside = np.abs(found.z_score[50:55, 80:85])
+    assert np.nanmin(inside) > 5
+    assert np.nanpercentile(np.abs(found.z_score), 95) < 3
+    assert np.abs(found.corrections[:, 0] - found.corrections[:, 0].mean()).max() < 4
+
+
+def test_refusals() -> None:
+    _, models, _, _ = stations(np.random.default_rng(6), (0.002, 0.002), 0.005, 0.0)
+    with pytest.raises(ParameterError, match="two or more"):
+        merge(models[:1])
+    with pytest.raises(ParameterError, match="nothing to compare"):
+        far = StationPosition(x_m=50.0, covariance_m2=np.zeros((3, 3)))
+        merge(models, [StationPosition.known(), far])
+    with pytest.raises(ParameterError, match="height_m_sigma"):
+        merge([models[0], ElevationModel(name="b", x0_m=0, y0_m=0, spacing_m=1, height_m=np.zeros((3, 3)))])

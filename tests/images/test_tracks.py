@@ -1,0 +1,132 @@
+"""Depths of tracks against tracks stamped into made-up ground, seen by simulated stereo with correlated errors."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from stamped_ground import FINE, NAVCAM, PANCAM, Ground, with_track
+
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.images.elevation import ElevationModel, elevation_bytes, elevation_geotiff, read_elevation
+from lunarsci.images.lines import places_on, read_line
+from lunarsci.images.tracks import TrackProfile, track_depths
+from lunarsci.regolith.soil import read_soil
+from lunarsci.twin.ground.terrain_files import read_terrain
+
+LINE = np.array([[0.3, 1.2], [1.4, 1.2]])
+CAMERA = (-1.8, 1.2, 1.5)
+
+
+def truth(ground: Ground, along: np.ndarray, window: float) -> np.ndarray:
+    floor = np.abs(ground.y - 1.2) <= 0.075
+    depth = ground.before - ground.after
+    return np.array([depth[floor & (np.abs(ground.x - 0.3 - s) <= 0.5 * window)].mean() for s in along])
+
+
+@pytest.mark.parametrize(("focal", "limit_m"), [(NAVCAM, 0.002), (PANCAM, 0.0012)])
+def test_errors_hold_over_seeds(focal: float, limit_m: float) -> None:
+    """One window of each seed: between 9 and 16 of 16 within one sigma is what 68 % gives in 98 of 100 cases."""
+    off, sigma = [], []
+    for seed in range(900, 916):
+        rng = np.random.default_rng(seed)
+        ground = with_track(rng, 0.002 + 0.001 * (seed % 10))
+        found = track_depths(ground.seen(rng, focal, CAMERA), LINE, 0.15, step_m=0.3)
+        middle = len(found.distance_m) // 2
+        off.append((found.rut_m - truth(ground, found.distance_m, 0.5))[middle])
+        sigma.append(np.hypot(found.rut_m_random, found.rut_m_systematic)[middle])
+    z = np.array(off) / np.array(sigma)
+    assert 8 <= (np.abs(z) < 1).sum() <= 16
+    assert np.sqrt(np.mean(z**2)) < 1.5
+    assert np.median(sigma) < limit_m
+    assert abs(np.mean(off)) < 3 * np.std(off) / 4 + 0.0003, "more than the statistics allow"
+
+
+def test_without_noise_on_smooth_ground_the_depth_is_that_of_the_stamp() -> None:
+    rng = np.random.default_rng(1)
+    ground = with_track(rng, 0.008, slope_deg=1e-3)
+    model = ground.seen(rng, PANCAM, CAMERA, sigma_px=1e-6, bias_px=0.0, holes=0.01)
+    found = track_depths(model, LINE, 0.15)
+    assert found.rut_m == pytest.approx(0.008, abs=1.5e-4)
+    off_line = track_depths(model, LINE + np.array([0.0, 0.03]), 0.15)
+    assert off_line.offset_m == pytest.approx(found.offset_m - 0.03, abs=3e-3)
+    assert off_line.rut_m == pytest.approx(found.rut_m, abs=1.5e-4)
+
+
+def test_no_track_gives_no_depth() -> None:
+    z = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        found = track_depths(with_track(rng, 0.0).seen(rng, PANCAM, CAMERA), LINE, 0.15, step_m=0.3)
+        z += list(found.rut_m / np.hypot(found.rut_m_random, found.rut_m_systematic))
+    assert np.abs(np.median(z)) < 1.0
+    assert np.sqrt(np.mean(np.square(z))) < 2.0
+
+
+def test_a_matching_window_as_wide_as_the_track_determines_nothing() -> None:
+    rng = np.random.default_rng(2)
+    model = with_track(rng, 0.008).seen(rng, NAVCAM / 8, CAMERA)
+    found = track_depths(model, LINE, 0.15)
+    assert not found.determined.any()
+    assert "too wide" in found.reason[0]
+
+
+def test_holes_in_floor_or_ground_are_said() -> None:
+    rng = np.random.default_rng(3)
+    model = with_track(rng, 0.008).seen(rng, PANCAM, CAMERA, holes=0.01)
+    model.height_m[112:128, 30:100] = np.nan
+    model.height_m[:112, 100:] = np.nan
+    found = track_depths(model, LINE, 0.15, search_m=0.0)
+    assert "floor not covered" in found.reason
+    assert "ground to the right not covered" in found.reason
+    assert found.determined.sum() < len(found.reason)
+
+
+def test_profile_of_a_box_under_a_window() -> None:
+    """Share left by averaging, against averaging itself."""
+    profile = TrackProfile.of_wheel(0.15, 0.1)
+    across = np.arange(-0.4, 0.4, 1e-4)
+    box = (np.abs(across) <= 0.075).astype(float)
+    blurred = np.convolve(box, np.full(1000, 1e-3), mode="same")
+    assert profile.gain(0.1) == pytest.approx(blurred[np.abs(across) <= profile.floor_m].mean(), abs=2e-3)
+
+
+def test_lines_and_places() -> None:
+    line = read_line("0,0,1,0,1,2")
+    assert places_on(line, np.array([0.5, 2.0]), np.array([0.1, 0.1])) == pytest.approx(
+        np.array([[0.5, 0.1], [0.9, 1.0]])
+    )
+    for bad in ("1,2,3", "1,2", "1,2,1,2", "a,b,c,d", "1,2,nan,4"):
+        with pytest.raises(ParameterError, match="line"):
+            read_line(bad)
+
+
+def test_geojson(tmp_path: Path) -> None:
+    path = tmp_path / "a.geojson"
+    path.write_text('{"type":"Feature","geometry":{"type":"LineString","coordinates":[[1,2],[3,4,5]]}}')
+    assert read_line(str(path)).tolist() == [[1, 2], [3, 4]]
+    path.write_text('{"type":"Point","coordinates":[1,2]}')
+    with pytest.raises(DataError, match="LineString"):
+        read_line(str(path))
+
+
+def test_files_come_back_and_are_terrain_too(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    model = with_track(rng, 0.005).seen(rng, NAVCAM, CAMERA)
+    for name, content in (("a.npz", elevation_bytes(model)), ("a.tif", elevation_geotiff(model))):
+        (tmp_path / name).write_bytes(content)
+        back = read_elevation(tmp_path / name)
+        assert back.synthetic
+        for key in ("height_m", "height_m_sigma", "height_by_disparity_m_px", "resolution_m"):
+            np.testing.assert_allclose(back.layer(key), model.layer(key), rtol=1e-6, atol=1e-7)
+        terrain = read_terrain(tmp_path / name, read_soil("longji"))
+        np.testing.assert_allclose(terrain.height_m, model.height_m, rtol=1e-6, atol=1e-7)
+        assert (terrain.x0_m, terrain.y0_m, terrain.spacing_m) == pytest.approx((0.0, 0.0, 0.01), abs=1e-9)
+
+
+def test_heights_between_nodes() -> None:
+    height = np.add.outer(2.0 * np.arange(4), 3.0 * np.arange(5))
+    model = ElevationModel(name="plane", x0_m=1.0, y0_m=-1.0, spacing_m=0.5, height_m=height)
+    assert model.at("height_m", [1.0, 1.25, 3.0], [-1.0, -0.75, 0.5]) == pytest.approx([0.0, 2.5, 18.0])
+    assert np.isnan(model.at("height_m", [0.9], [0.0])).all()
+    assert len(model.near((2.0, 0.0), 0.5).x) == 9
+    assert FINE < 0.01
