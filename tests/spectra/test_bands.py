@@ -156,7 +156,7 @@ def test_a_batch_gives_what_each_spectrum_gives_alone() -> None:
 
 @pytest.mark.parametrize("name", ["conic", "hull", "linear"])
 def test_a_row_of_an_image_is_what_the_single_spectrum_gives_to_the_last_bit(name: ContinuumName) -> None:
-    """Channels of 20 nm, as M3's finer ones, some of them bad in some rows, in two orders, and rows without a measurement."""
+    """Channels of 20 nm, as M3, some of them bad in some rows, in two orders, and rows without a measurement."""
     rng, wavelength = np.random.default_rng(9), np.arange(460.0, 2500.0, 20.0)
     values = np.interp(wavelength, GRID, reflectance()) * (1 + 0.004 * rng.normal(size=(40, wavelength.size)))
     values[3], values[7, 12], values[8, [12, 30]], values[9, 90:] = np.nan, np.nan, 0.0, -1.0

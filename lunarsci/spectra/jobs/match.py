@@ -287,13 +287,13 @@ def _mapped(found: Candidates, maps: Sequence[str], annulus: str) -> Candidates:
 
     names: dict[str, str] = {}
     for item in maps:
-        if "=" not in item and (written := minerals_of(item)):
+        if "=" not in item and Path(item).suffix and (written := minerals_of(item)):
             names |= dict.fromkeys(written, item)
             continue
         key, equals, file = item.partition("=")
         mineral = SHORT.get(key.strip().lower(), key.strip().lower())
         if not equals or not file or mineral in names:
-            raise RequestError(f"`mineral_map` '{item}': give MINERAL=FILE.tif, each mineral once, or a map of shares")
+            raise RequestError(f"`mineral_map` '{item}': give MINERAL=FILE.tif, each mineral once, or MAP.nc of shares")
         names[mineral] = file
     ring = _ring(annulus)
     craters, reports = with_maps(found.craters, names, ring)
