@@ -2,10 +2,10 @@
 
 import typer
 
-from . import merge, rocks, track
+from . import dem, merge, render, rocks, track
 
 
 def add_to(group: typer.Typer) -> None:
     """Register the commands."""
-    for part in (merge, track, rocks):
+    for part in (render, dem, merge, track, rocks):
         part.add_to(group)

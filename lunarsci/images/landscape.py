@@ -106,7 +106,7 @@ def landscape_on(
     sun_elevation_deg: float = 30.0,
     spacing_m: float | None = None,
 ) -> Landscape:
-    """A landscape on ground of x0, y0, spacing [m] and heights (ny, nx) [m], refined with fractal roughness and rocks.
+    """A landscape on given ground: x0, y0, spacing [m], heights (ny, nx) [m], with fractal roughness and rocks.
 
     Parameters
     ----------

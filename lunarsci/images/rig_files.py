@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lunarsci.errors import DataError
-from lunarsci.images.camera import INTRINSICS, Camera, rotation_of, vector_of
+from lunarsci.images.camera import INTRINSICS, Camera, Pose, rotation_of, vector_of
 from lunarsci.images.rig import PARAMETERS, RELATIVE, Sensor, StereoRig, covariance_of
 from lunarsci.inputs import InputFile, read_input, text
 
@@ -163,3 +163,26 @@ def check_rig_of(rig: StereoRig, width_px: int, height_px: int, name: str) -> No
     own = " x ".join(map(str, rig.left.size))
     turned = "; it seems to be turned" if (height_px, width_px) == rig.left.size else "; is it another rig's?"
     raise DataError(f"{name}: {width_px} x {height_px} px, and {rig.name} takes pictures of {own}{turned}")
+
+
+def read_pose(source: str | InputFile) -> Pose:
+    """The pose of a left camera: TOML with position_m, heading_deg, down_deg and, if it is not 0, roll_deg.
+
+    Raises DataError.
+    """
+    file = read_input(source)
+    try:
+        table = tomllib.loads(text(file))
+        heading, down = float(table["heading_deg"]), float(table["down_deg"])
+        return Pose.looking(table["position_m"], heading, down, float(table.get("roll_deg", 0.0)))
+    except KeyError as error:
+        raise DataError(f"{file.name}: no {error.args[0]}; a pose has position_m, heading_deg and down_deg") from error
+    except (TypeError, ValueError) as error:
+        raise DataError(f"{file.name}: {error}; a pose has position_m, heading_deg and down_deg") from error
+
+
+def pose_text(pose: Pose) -> str:
+    """The TOML file of a pose."""
+    heading, down, roll = pose.angles_deg()
+    lines = [f"position_m = [{_numbers(pose.center_m)}]", f"heading_deg = {heading!r}", f"down_deg = {down!r}"]
+    return "\n".join([*lines, f"roll_deg = {roll!r}", ""])

@@ -275,6 +275,13 @@ def rock_mesh(ground: Ground, rock: dict[str, Any], seed: int) -> tuple[np.ndarr
     return vertices, faces, np.array([x, y, base + lift, width, float(vertices[:, 2].max() - base)])
 
 
+def together(bodies: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    """All rocks as one mesh."""
+    starts = np.cumsum([0, *(len(b[0]) for b in bodies[:-1])])
+    faces = [b[1] + np.uint32(start) for b, start in zip(bodies, starts, strict=True)]
+    return np.concatenate([b[0] for b in bodies]), np.concatenate(faces)
+
+
 def load(meshes: list[tuple[np.ndarray, np.ndarray]], origin: np.ndarray) -> Any:
     """A Mitsuba scene, with `origin` moved to zero since it counts in single precision."""
     import mitsuba as mi
@@ -315,6 +322,7 @@ class Hits(NamedTuple):
 
 
 def trace(scene: Any, origin: np.ndarray, ways: np.ndarray, suns: np.ndarray) -> Hits:
+    import drjit as dr
     import mitsuba as mi
 
     def vectors(rows: np.ndarray) -> Any:
@@ -322,14 +330,14 @@ def trace(scene: Any, origin: np.ndarray, ways: np.ndarray, suns: np.ndarray) ->
 
     rays = mi.Ray3f(mi.Point3f(*map(float, origin)), vectors(ways))
     hit = scene.ray_intersect(rays)
-    found = np.array(hit.is_valid())
-    normals = np.array(hit.sh_frame.n).T
-    geometric = np.array(hit.n).T
-    blocked = scene.ray_test(hit.spawn_ray(vectors(suns)), active=hit.is_valid())
-    ground = np.array(hit.shape == scene.shapes()[0])
+    valid = hit.is_valid()
+    blocked = scene.ray_test(hit.spawn_ray(vectors(suns)), active=valid)
+    first, way, flat, place = hit.shape == scene.shapes()[0], hit.sh_frame.n, hit.n, hit.p
+    dr.eval(valid, blocked, first, way, flat, place)
+    found, normals, geometric = np.array(valid), np.array(way).T, np.array(flat).T
     facing = (geometric * suns).sum(1) > 0
-    shape = np.where(found, np.where(ground, 1, 2), 0).astype(np.uint8)
-    return Hits(found, np.array(hit.p).T, normals, shape, found & facing & ~np.array(blocked))
+    shape = np.where(found, np.where(np.array(first), 1, 2), 0).astype(np.uint8)
+    return Hits(found, np.array(place).T, normals, shape, found & facing & ~np.array(blocked))
 
 
 def hapke(incidence: np.ndarray, emission: np.ndarray, phase: np.ndarray, albedo: np.ndarray) -> np.ndarray:
@@ -426,7 +434,7 @@ def station(folder: Path, ground: Ground, told: Rig, delta: np.ndarray, seed: in
     bodies = [rock_mesh(ground, rock, seed) for rock in ground.rocks]
     near = [b for b in bodies if np.hypot(*(b[2][:2] - spot)) > 0.8]
     between = 0.5 * (center + right[1])
-    scene = load([fan(ground, rig, between, angles[0]), *((b[0], b[1]) for b in near)], center)
+    scene = load([fan(ground, rig, between, angles[0]), together(near)], center)
     azimuth = random.uniform(0, 2 * np.pi) if number == 0 else random.uniform(0.3, 0.6) + _first_azimuth(seed)
     height = math.radians(random.uniform(18, 45))
     sun = np.array([math.cos(height) * math.cos(azimuth), math.cos(height) * math.sin(azimuth), math.sin(height)])

@@ -1,0 +1,92 @@
+"""`lunarsci images dem`: heights from a pair of pictures."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lunarsci.images.jobs.dem import DemRequest
+
+from ..shared.command import command
+from ..shared.options import Output, option
+from ..shared.progress import progress
+from ..shared.report import Report
+from ..shared.table import TextTable
+
+if TYPE_CHECKING:
+    from lunarsci.images.jobs.dem import StereoTerrain
+
+OPTIONS = {
+    "rig": option(
+        "The cameras: yutu2-pancam, yutu2-navcam, yutu2-hazcam, a TOML file, or the labels LEFT,RIGHT of the pictures.",
+        metavar="RIG",
+    ),
+    "pose": option(
+        "Where the left camera was: TOML with position_m, heading_deg, down_deg, roll_deg.",
+        metavar="FILE",
+        show_default="ground near the rover taken as level",
+    ),
+    "spacing": option("Distance of the nodes, in m."),
+    "nearest": option("Smallest distance along the axis that is matched, in m.", show_default="from rig and pose"),
+    "farthest": option("Largest range that is gridded, in m.", show_default="where its error is three cells"),
+}
+Left = Annotated[str, typer.Argument(metavar="LEFT", help="Left picture: PNG, TIFF, JPEG, or a PDS4 label.")]
+Right = Annotated[str, typer.Argument(metavar="RIGHT", help="Right picture, of the same moment.")]
+Terrain = Annotated[
+    Path | None,
+    typer.Option("--terrain", metavar="FILE", help="Takes the elevation model: .npz or .tif, for `twin terrain`."),
+]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the command."""
+    command(app, "dem", request=DemRequest, options=OPTIONS)(dem)
+
+
+def dem(left: Left, right: Right, request: DemRequest, output: Output, terrain: Terrain = None) -> Report:
+    """Heights on a grid from a stereo pair, each with a random error and one that all share.
+
+    Pictures are rectified by the rig, matched by OpenCV (extra `images`), and refined by least squares that give each
+    disparity its error. Where shadow, occlusion or lack of texture leave no match there is no height, and the picture
+    of --plot says why. `images track`, `images rocks` and `twin terrain` read the model.
+    """
+    from lunarsci.images.jobs.dem import dem
+
+    output.check_extra("--terrain", terrain, (".npz", ".tif", ".tiff"))
+    with progress("matching", quiet=output.quiet) as update:
+        found = dem(left, right, request, progress=update)
+    return Report.of(found, _tables(found), extras={} if terrain is None else {terrain: _content(found, terrain)})
+
+
+def _content(found: "StereoTerrain", path: Path) -> Callable[[], bytes]:
+    from lunarsci.images.elevation import elevation_bytes, elevation_geotiff
+
+    return lambda: elevation_bytes(found.model) if path.suffix == ".npz" else elevation_geotiff(found.model)
+
+
+def _tables(found: "StereoTerrain") -> list[TextTable]:
+    result = found.to_dict()
+    terrain, pixels = result["terrain"], result["pixels"]
+    rows = [
+        [
+            f"{row['range_from_m']:g} to {row['range_to_m']:.3g}",
+            str(row["nodes"]),
+            f"{1e3 * row['median_height_m_sigma']:.2f}",
+            f"{1e3 * row['median_height_m_common_sigma']:.2f}",
+            f"{row['median_count']:.1f}",
+            f"{1e3 * row['median_resolution_m']:.0f}",
+        ]
+        for row in result["ranges"]
+    ]
+    (west, east), (south, north) = terrain["x_m"], terrain["y_m"]
+    nodes = "{} x {}".format(*terrain["nodes"])
+    title = f"{terrain['name']}: x {west:.2f} to {east:.2f} m, y {south:.2f} to {north:.2f} m, {nodes} nodes"
+    without = ", ".join(f"{name.replace('_', ' ')} {share:.1%}" for name, share in pixels.items() if share >= 5e-4)
+    notes = [
+        f"pixels: {without}",
+        f"rows of the pictures were {result['row_offset_px']:.2f} px apart; holes {terrain['hole_share']:.0%}",
+        *result["notes"],
+    ]
+    headers = ["range [m]", "nodes", "random [mm]", "common [mm]", "pixels a node", "resolution [mm]"]
+    return [TextTable(headers, rows, title=title, notes=notes)]

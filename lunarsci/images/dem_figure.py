@@ -1,0 +1,77 @@
+"""What was matched in a pair, and the heights and errors that follow."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lunarsci.images.camera import Pose
+from lunarsci.images.elevation import ElevationModel
+from lunarsci.images.matching import MATCHED, REASONS, Matches
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+REASON_COLOURS = ("#ffffff", "#9e9e9e", "#ff7043", "#263238", "#fdd835", "#8e24aa", "#1e88e5")
+
+
+def dem_figure(model: ElevationModel, matches: Matches, pose: Pose) -> "Figure":
+    """Picture with disparities, reasons where there is none, heights, and random and common errors."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13, 8.5), layout="constrained")
+    axes = figure.subplots(2, 3)
+    title = f"{model.name}: {matches.shares()['matched']:.0%} of the pixels matched"
+    figure.suptitle(f"SYNTHETIC  {title}" if model.synthetic else title)
+    _picture(axes[0, 0], matches)
+    _disparity(figure, axes[0, 1], matches)
+    _reasons(axes[0, 2], matches)
+    for axis, key, name in (
+        (axes[1, 0], "height_m", "height [m]"),
+        (axes[1, 1], "height_m_sigma", "random error [mm]"),
+        (axes[1, 2], "height_m_common_sigma", "common error [mm]"),
+    ):
+        _map(figure, axis, model, key, name, pose)
+    return figure
+
+
+def _picture(axis: "Axes", matches: Matches) -> None:
+    low, high = np.percentile(matches.left, [0.5, 99.5])
+    axis.imshow(matches.left, cmap="gray", vmin=low, vmax=high)
+    axis.set_title("left picture, rectified")
+    axis.set_axis_off()
+
+
+def _disparity(figure: "Figure", axis: "Axes", matches: Matches) -> None:
+    shown = axis.imshow(matches.disparity, cmap="viridis", interpolation="nearest")
+    axis.set_title("disparity [px]")
+    axis.set_axis_off()
+    figure.colorbar(shown, ax=axis, shrink=0.8)
+
+
+def _reasons(axis: "Axes", matches: Matches) -> None:
+    from matplotlib.colors import ListedColormap
+    from matplotlib.patches import Patch
+
+    axis.imshow(matches.reason, cmap=ListedColormap(REASON_COLOURS), vmin=-0.5, vmax=len(REASONS) - 0.5)
+    axis.set_title("why there is no disparity")
+    shares = list(matches.shares().values())
+    handles = [
+        Patch(facecolor=colour, edgecolor="0.5", label=f"{name} {share:.1%}")
+        for colour, name, share in zip(REASON_COLOURS, REASONS, shares, strict=True)
+        if share > 0 or name == REASONS[MATCHED]
+    ]
+    axis.legend(handles=handles, loc="upper left", fontsize=7)
+    axis.set_axis_off()
+
+
+def _map(figure: "Figure", axis: "Axes", model: ElevationModel, key: str, name: str, pose: Pose) -> None:
+    scale = 1e3 if "mm" in name else 1.0
+    values = scale * model.layer(key)
+    low, high = np.nanpercentile(values, [2, 98])
+    colours = "terrain" if key == "height_m" else "magma"
+    shown = axis.imshow(values, origin="lower", extent=model.extent_m, cmap=colours, vmin=low, vmax=high)
+    axis.plot(*pose.center_m[:2], marker="^", color="tab:red", clip_on=False)
+    axis.set(title=name, xlabel="x [m]", ylabel="y [m]")
+    figure.colorbar(shown, ax=axis, shrink=0.8)

@@ -1,0 +1,303 @@
+"""From disparities to heights on a grid, with the errors that nodes have alone and those that they share."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.arrays import FloatArray
+from lunarsci.compiled import compiled
+from lunarsci.errors import DataError
+from lunarsci.images.camera import Pose
+from lunarsci.images.elevation import ElevationModel
+from lunarsci.images.matching import Matches
+from lunarsci.images.refinement import HALF_PX
+from lunarsci.images.rig import StereoRig
+
+SAMPLE_PX = 32
+"""Distance of the pixels whose common error is computed; it changes slowly between them."""
+OUTLYING = 4.0
+"""Heights that lie farther from their cell's median, in standard deviations beside its slope, are left out; assumed."""
+STEEPEST = 1.5
+"""Slope that a cell may have. [-]"""
+TORN = 0.03
+"""Neighbouring pixels whose ranges differ by more than this share are no surface; assumed."""
+ASIDE = 1.0
+"""Share of the unevenness between nodes that turns an error along the level into one of height; assumed: all of it."""
+ALIKE = 1.6
+"""Random errors of cells over those of independent windows, and"""
+REPRESENTED = 0.15
+"""the share of the relief between nodes that a cell's mean misses: both fitted to one rendered pair
+(`tests/benchmarks/scenes.py`, seed 1), and tried on others."""
+SMOOTH_M = 0.06
+"""Width over which the slope of the ground is taken for the errors; assumed. [m]"""
+
+
+class Cloud(NamedTuple):
+    """Points of matched pixels: (n, 3) in the world [m], their (row, column), and the disparities' errors [px]."""
+
+    points: FloatArray
+    pixels: npt.NDArray[np.int64]
+    disparity: FloatArray
+    sigma_px: FloatArray
+
+
+def cloud_of(matches: Matches, pose: Pose, farthest_m: float) -> Cloud:
+    """The points of a pair up to a range. Raises DataError where there are none."""
+    known = np.isfinite(matches.disparity) & (matches.disparity > 0)
+    place = np.argwhere(known)
+    frame = matches.rectified
+    d = matches.disparity[known]
+    depth = frame.focal_px * frame.baseline_m / d
+    rays = np.column_stack([(place[:, ::-1] - np.array(frame.center_px)) / frame.focal_px, np.ones(len(d))])
+    local = (rays * depth[:, None]) @ frame.turn
+    near = np.linalg.norm(local, axis=1) <= farthest_m
+    if near.sum() < 100:
+        raise DataError(f"no ground within {farthest_m:g} m was matched; give a larger --farthest")
+    return Cloud(pose.to_world(local[near]), place[near], d[near], matches.sigma_px[known][near])
+
+
+def levelled(matches: Matches, height_m: float) -> Pose:
+    """A pose at `height_m` over the plane of what is near, which is taken as level: for pictures without one."""
+    cloud = cloud_of(matches, Pose(rotation=np.eye(3), center_m=np.zeros(3)), 4 * height_m)
+    middle = np.median(cloud.points, axis=0)
+    normal = np.linalg.svd(cloud.points[:: max(1, len(cloud.points) // 20000)] - middle, full_matrices=False)[2][2]
+    up = -normal * np.sign(normal @ middle)
+    ahead = np.array([0.0, 0.0, 1.0]) - up[2] * up
+    ahead /= np.linalg.norm(ahead)
+    rotation = np.stack([ahead, np.cross(up, ahead), up])
+    return Pose(rotation=rotation, center_m=np.array([0.0, 0.0, float(-(up @ middle))]))
+
+
+def grid_of(
+    matches: Matches,
+    rig: StereoRig,
+    pose: Pose,
+    *,
+    name: str,
+    spacing_m: float,
+    farthest_m: float,
+    synthetic: bool = False,
+) -> ElevationModel:
+    """The mean height of each cell, and between pixels that lie farther apart than cells.
+
+    The error of a height is that at its place: a point that is wrong along its ray is also beside itself, which a slope
+    turns into height. Common errors are those of the rig; those of the pose are not in it.
+    """
+    cloud = cloud_of(matches, pose, farthest_m)
+    low = np.floor(cloud.points[:, :2].min(axis=0) / spacing_m)
+    size = np.ceil(cloud.points[:, :2].max(axis=0) / spacing_m) - low + 1
+    shape = int(size[1]), int(size[0])
+    x0, y0 = (float(v) for v in low * spacing_m)
+    cells = np.rint((cloud.points[:, :2] - (x0, y0)) / spacing_m).astype(np.int64)
+    cell = cells[:, 1] * shape[1] + cells[:, 0]
+    first = _filled(cloud, _medians(cell, cloud.points[:, 2], shape), matches, (x0, y0, spacing_m))
+    gain = _height_by_disparity(cloud, first, pose, cells, spacing_m)
+    aside = ASIDE * _unevenness(first, spacing_m)[cells[:, 1], cells[:, 0]] * _level(cloud, pose) / cloud.disparity
+    sigma = np.hypot(gain, aside) * cloud.sigma_px
+    height, spread, count = _means(cell, cloud.points[:, 2], sigma, first.ravel(), shape, spacing_m)
+    whole = _filled(cloud, height, matches, (x0, y0, spacing_m))
+    spread = np.hypot(ALIKE * spread, REPRESENTED * _relief(height, spacing_m))
+    layers = [_filled(cloud, layer, matches, (x0, y0, spacing_m), values) for layer, values in (
+        (spread, ALIKE * sigma), (_mean_of(cell, gain, shape), gain))]  # fmt: skip
+    density = np.where(count > 0, count, np.where(np.isfinite(whole), 0.5, 0.0))
+    common = _common_errors(matches, rig, pose, cloud, gain, (x0, y0, spacing_m), whole)
+    window = (2 * HALF_PX + 1) * np.linalg.norm(cloud.points - pose.center_m, axis=1) / matches.rectified.focal_px
+    width = _filled(cloud, _mean_of(cell, window, shape), matches, (x0, y0, spacing_m), window)
+    return ElevationModel(
+        name=name,
+        x0_m=x0,
+        y0_m=y0,
+        spacing_m=spacing_m,
+        height_m=whole,
+        height_m_sigma=layers[0],
+        height_m_common_sigma=common,
+        count=density,
+        height_by_disparity_m_px=layers[1],
+        resolution_m=np.nan_to_num(width),
+        synthetic=synthetic,
+    )
+
+
+def _medians(cell: npt.NDArray[np.int64], z: FloatArray, shape: tuple[int, int]) -> FloatArray:
+    """Median height of each cell, NaN where it has none. (ny, nx)"""
+    order = np.lexsort((z, cell))
+    places, starts, counts = np.unique(cell[order], return_index=True, return_counts=True)
+    found = np.full(shape[0] * shape[1], np.nan)
+    found[places] = 0.5 * (z[order][starts + counts // 2] + z[order][starts + (counts - 1) // 2])
+    return found.reshape(shape)
+
+
+def _mean_of(cell: npt.NDArray[np.int64], values: FloatArray, shape: tuple[int, int]) -> FloatArray:
+    count = np.bincount(cell, minlength=shape[0] * shape[1])
+    total = np.bincount(cell, values, minlength=shape[0] * shape[1])
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.where(count > 0, total / count, np.nan).reshape(shape))
+
+
+def _means(
+    cell: npt.NDArray[np.int64],
+    z: FloatArray,
+    sigma: FloatArray,
+    median: FloatArray,
+    shape: tuple[int, int],
+    spacing_m: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Weighted mean, its error and the number of pixels of each cell, without what lies far from the median.
+
+    n neighbouring pixels share windows of w pixels: the variance of their mean falls as (w / (sqrt(n) + w - 1))^2.
+    """
+    kept = np.abs(z - median[cell]) <= OUTLYING * sigma + STEEPEST * spacing_m
+    size, cell, z, weight = shape[0] * shape[1], cell[kept], z[kept], sigma[kept] ** -2
+    count = np.bincount(cell, minlength=size).astype(float)
+    total = np.bincount(cell, weight, minlength=size)
+    window = 2 * HALF_PX + 1
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.bincount(cell, weight * z, minlength=size) / total
+        spread = np.sqrt(count / total) * window / (np.sqrt(count) + window - 1)
+    empty = count == 0
+    mean[empty], spread[empty] = np.nan, np.nan
+    return mean.reshape(shape), spread.reshape(shape), count.reshape(shape)
+
+
+def _height_by_disparity(
+    cloud: Cloud, height: FloatArray, pose: Pose, cells: npt.NDArray[np.int64], spacing_m: float
+) -> FloatArray:
+    """Change of the height at a place with the disparity of a pixel, on ground as steep as about it. (n,) [m/px]"""
+    slope_y, slope_x = _slope(height, spacing_m)
+    way = cloud.points - pose.center_m
+    along = slope_x[cells[:, 1], cells[:, 0]] * way[:, 0] + slope_y[cells[:, 1], cells[:, 0]] * way[:, 1]
+    return np.asarray((along - way[:, 2]) / cloud.disparity)
+
+
+def _level(cloud: Cloud, pose: Pose) -> FloatArray:
+    """Distance from the camera along the level. (n,) [m]"""
+    return np.asarray(np.linalg.norm((cloud.points - pose.center_m)[:, :2], axis=1))
+
+
+def _unevenness(height: FloatArray, spacing_m: float) -> FloatArray:
+    """Rms of slopes from node to node about the smoothed ones; 0 where nothing is known. (ny, nx)"""
+    apart = [
+        np.clip(np.gradient(height, spacing_m, axis=axis), -STEEPEST, STEEPEST) - smooth
+        for axis, smooth in enumerate(_slope(height, spacing_m))
+    ]
+    mean = _smoothed(0.5 * (apart[0] ** 2 + apart[1] ** 2), SMOOTH_M / spacing_m)
+    return np.sqrt(np.nan_to_num(mean))
+
+
+def _slope(height: FloatArray, spacing_m: float) -> tuple[FloatArray, FloatArray]:
+    """Along y and x, smoothed over what is known. (ny, nx) [-]"""
+    smooth = np.nan_to_num(_smoothed(height, SMOOTH_M / spacing_m))
+    return tuple(np.clip(g, -STEEPEST, STEEPEST) for g in np.gradient(smooth, spacing_m))  # type: ignore[return-value]
+
+
+def _smoothed(height: FloatArray, width: float) -> FloatArray:
+    """Gaussian mean of what is known; NaN far from it. (ny, nx)"""
+    from scipy.ndimage import gaussian_filter
+
+    known = np.isfinite(height)
+    weight = gaussian_filter(known.astype(float), width)
+    total = gaussian_filter(np.where(known, height, 0.0), width)
+    return np.where(weight > 1e-3, total / np.maximum(weight, 1e-3), np.nan)
+
+
+def _relief(height: FloatArray, spacing_m: float) -> FloatArray:
+    """Rms of heights about the smoothed ground. (ny, nx) [m]"""
+    width = 2 * SMOOTH_M / 3 / spacing_m
+    apart = (height - _smoothed(height, width)) ** 2
+    return np.sqrt(np.nan_to_num(_smoothed(apart, width)))
+
+
+def _common_errors(
+    matches: Matches,
+    rig: StereoRig,
+    pose: Pose,
+    cloud: Cloud,
+    gain: FloatArray,
+    grid: tuple[float, float, float],
+    height: FloatArray,
+) -> FloatArray:
+    """What the rig's covariance makes of heights at their places, between pixels that are some way apart. (ny, nx)"""
+    from scipy.interpolate import griddata
+
+    rows, columns = cloud.pixels.T
+    few = np.flatnonzero((rows % SAMPLE_PX == 0) & (columns % SAMPLE_PX == 0))
+    few = few if len(few) > 30 else np.arange(0, len(rows), max(1, len(rows) // 1000))
+    frame, d = matches.rectified, cloud.disparity[few]
+    rays = np.column_stack([(cloud.pixels[few][:, ::-1] - np.array(frame.center_px)) / frame.focal_px, np.ones(len(d))])
+    shifted = rays - np.column_stack([d / frame.focal_px, np.zeros((len(d), 2))])
+    left = rig.left.project(rays @ frame.turn)
+    right = rig.right.project(shifted @ frame.turn @ rig.rotation.T)
+    by = pose.rotation @ rig.by_parameters(left, right)
+    way = cloud.points[few] - pose.center_m
+    # The slope that `gain` was made with, along the view: the part of it that a rig's error meets.
+    level = np.maximum(np.linalg.norm(way[:, :2], axis=1), 1e-6)
+    slope = (gain[few] * d + way[:, 2]) / level
+    along = np.einsum("ni,nik->nk", way[:, :2] / level[:, None], by[:, :2])
+    rise = by[:, 2] - slope[:, None] * along
+    sigma = np.sqrt(np.einsum("nk,kl,nl->n", rise, rig.covariance, rise))
+    good = np.isfinite(sigma)
+    y, x = np.mgrid[: height.shape[0], : height.shape[1]]
+    places = (cloud.points[few][good, :2] - np.array(grid[:2])) / grid[2]
+    known = np.isfinite(height)
+    wanted = np.column_stack([x[known], y[known]])
+    found = griddata(places, sigma[good], wanted, method="linear")
+    nearest = griddata(places, sigma[good], wanted, method="nearest")
+    result = np.full(height.shape, np.nan)
+    result[known] = np.where(np.isfinite(found), found, nearest)
+    return result
+
+
+def _filled(
+    cloud: Cloud,
+    layer: FloatArray,
+    matches: Matches,
+    grid: tuple[float, float, float],
+    values: FloatArray | None = None,
+) -> FloatArray:
+    """A layer whose empty nodes between neighbouring pixels of one surface are laid on the triangles of these."""
+    numbers = np.full(matches.disparity.shape, -1, dtype=np.int64)
+    numbers[cloud.pixels[:, 0], cloud.pixels[:, 1]] = np.arange(len(cloud.pixels))
+    place = (cloud.points[:, :2] - np.array(grid[:2])) / grid[2]
+    total, weight = np.zeros(layer.shape), np.zeros(layer.shape)
+    heights = np.ascontiguousarray(cloud.points[:, 2] if values is None else values)
+    _lay(numbers, np.ascontiguousarray(place), heights, cloud.disparity, np.isfinite(layer), total, weight)
+    with np.errstate(invalid="ignore"):
+        return np.where(np.isfinite(layer), layer, np.where(weight > 0, total / weight, np.nan))
+
+
+@compiled(nogil=True, error_model="numpy")
+def _lay(numbers, place, values, disparity, taken, total, weight):  # type: ignore[no-untyped-def]
+    """Both triangles of every four neighbouring pixels that are one surface, on the nodes that are free."""
+    for v in range(numbers.shape[0] - 1):
+        for u in range(numbers.shape[1] - 1):
+            a, b = numbers[v, u], numbers[v, u + 1]
+            c, d = numbers[v + 1, u], numbers[v + 1, u + 1]
+            if a < 0 or b < 0 or c < 0 or d < 0:
+                continue
+            near = max(max(disparity[a], disparity[b]), max(disparity[c], disparity[d]))
+            far = min(min(disparity[a], disparity[b]), min(disparity[c], disparity[d]))
+            if near - far > TORN * near:
+                continue
+            _triangle(place, values, a, b, c, taken, total, weight)
+            _triangle(place, values, b, c, d, taken, total, weight)
+
+
+@compiled(nogil=True, error_model="numpy")
+def _triangle(place, values, a, b, c, taken, total, weight):  # type: ignore[no-untyped-def]
+    ax, ay, bx, by, cx, cy = place[a, 0], place[a, 1], place[b, 0], place[b, 1], place[c, 0], place[c, 1]
+    area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+    if area == 0.0:
+        return
+    first, last = math.ceil(min(ax, min(bx, cx))), math.floor(max(ax, max(bx, cx)))
+    low, high = math.ceil(min(ay, min(by, cy))), math.floor(max(ay, max(by, cy)))
+    for y in range(max(low, 0), min(high, taken.shape[0] - 1) + 1):
+        for x in range(max(first, 0), min(last, taken.shape[1] - 1) + 1):
+            if taken[y, x]:
+                continue
+            p = ((bx - x) * (cy - y) - (cx - x) * (by - y)) / area
+            q = ((cx - x) * (ay - y) - (ax - x) * (cy - y)) / area
+            if p >= 0.0 and q >= 0.0 and p + q <= 1.0:
+                total[y, x] += p * values[a] + q * values[b] + (1.0 - p - q) * values[c]
+                weight[y, x] += 1.0

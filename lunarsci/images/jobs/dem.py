@@ -1,0 +1,197 @@
+"""Heights with errors from a pair of pictures."""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from lunarsci.errors import RequestError
+from lunarsci.inputs import Source, read_input
+from lunarsci.result import MadeFrom, Result, request_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from lunarsci.images.camera import Pose
+    from lunarsci.images.elevation import ElevationModel
+    from lunarsci.images.matching import Matches
+    from lunarsci.images.rig import StereoRig
+
+
+Progress = Callable[[int, int], None]
+SOURCES = [
+    "Brown (1971), Photogramm. Eng. 37, 855: lens distortion",
+    "Hirschmueller (2008), IEEE Trans. PAMI 30, 328, 10.1109/TPAMI.2007.1166: semi-global matching",
+    "Gruen (1985), S. Afr. J. Photogramm. Remote Sens. Cartogr. 14, 175: adaptive least squares correlation",
+]
+STATEMENTS = (
+    "a height is the mean over its cell and over the matching window, which smooths edges of rocks and tracks",
+    "common errors are those of the rig's covariance; an error of the pose comes on top",
+)
+HONEST = 3.0
+"""Heights are gridded as far as the range's error, at 0.2 px, is so many cells; assumed."""
+TYPICAL_SIGMA_PX = 0.2
+MAST_M = 1.5
+"""Height of a camera whose rig does not say: assumed. [m]"""
+RANGES_M = (0.0, 2.0, 3.0, 4.0, 6.0, 9.0, 15.0, math.inf)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DemRequest:
+    """How a pair is to be read.
+
+    Attributes
+    ----------
+    rig : name, TOML file, or the labels of the left and the right picture with a comma between.
+    pose : TOML file with position_m, heading_deg, down_deg and roll_deg of the left camera; without one the ground near
+        the rover is taken as level.
+    spacing : of the grid. [m]
+    nearest, farthest : of what is matched and gridded, from the left camera; found from rig and pose where None. [m]
+    """
+
+    rig: str = "yutu2-navcam"
+    pose: str | None = None
+    spacing: float = 0.02
+    nearest: float | None = None
+    farthest: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("spacing", "nearest", "farthest"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < 1e4:
+                raise RequestError(f"`{name}` is {value:g} m; give a number above 0")
+        if self.nearest is not None and self.farthest is not None and self.nearest >= self.farthest:
+            raise RequestError("`nearest` must be below `farthest`")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StereoTerrain(Result):
+    """An elevation model, and the matches that it was made of."""
+
+    schema: ClassVar[str] = "images-dem/1"
+    model: "ElevationModel"
+    matches: "Matches"
+    rig: "StereoRig"
+    pose: "Pose"
+    levelled: bool
+    inputs: Mapping[str, str]
+
+    @property
+    def made_from(self) -> MadeFrom:
+        return MadeFrom(inputs=self.inputs, sources=SOURCES)
+
+    def to_dict(self) -> dict[str, Any]:
+        heading, down, roll = self.pose.angles_deg()
+        return {
+            "terrain": self.model.summary(),
+            "rig": {"name": self.rig.name, "baseline_m": self.rig.baseline_m, "assumed": list(self.rig.assumed)},
+            "pose": {
+                "position_m": [float(v) for v in self.pose.center_m],
+                "heading_deg": heading,
+                "down_deg": down,
+                "roll_deg": roll,
+                "levelled": self.levelled,
+            },
+            "pixels": self.matches.shares(),
+            "row_offset_px": self.matches.row_offset_px,
+            "ranges": self.rows(),
+            "notes": self.notes(),
+        }
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """One a ring of ranges: nodes, and medians of their errors."""
+        import numpy as np
+
+        model = self.model
+        x, y = np.meshgrid(model.x_m - self.pose.center_m[0], model.y_m - self.pose.center_m[1])
+        away = np.sqrt(x**2 + y**2 + (model.height_m - self.pose.center_m[2]) ** 2)
+        found: list[dict[str, Any]] = []
+        for low, high in pairwise(RANGES_M):
+            inside = (away >= low) & (away < high)
+            if inside.any():
+                medians = {
+                    f"median_{key}": float(np.nanmedian(model.layer(key)[inside]))
+                    for key in ("height_m_sigma", "height_m_common_sigma", "count", "resolution_m")
+                }
+                top = float(away[inside].max()) if math.isinf(high) else high
+                found.append({"range_from_m": low, "range_to_m": top, "nodes": int(inside.sum())} | medians)
+        return found
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.images.dem_figure import dem_figure
+
+        yield dem_figure(self.model, self.matches, self.pose)
+
+    def notes(self) -> list[str]:
+        """What there is to say about heights and rig."""
+        notes = [*STATEMENTS]
+        if self.levelled:
+            notes.append("no pose was given: the ground near the rover is taken as level, x points ahead")
+        if self.rig.assumed:
+            notes.append(f"the rig assumes: {', '.join(self.rig.assumed)}")
+        if self.model.synthetic:
+            notes.append("the pictures are SYNTHETIC")
+        return notes
+
+
+def dem(
+    left: Source,
+    right: Source,
+    request: DemRequest | None = None,
+    *,
+    progress: Progress | None = None,
+    **options: Any,
+) -> StereoTerrain:
+    """Heights on a grid from the left and the right picture of a stereo rig, each with its errors.
+
+    Raises DataError where the pictures are none, do not belong to the rig or do not match, and says why.
+    """
+    from lunarsci.images.gridding import grid_of, levelled
+    from lunarsci.images.matching import match
+    from lunarsci.images.pictures import read_picture
+    from lunarsci.images.rig_files import check_rig_of, read_pose, read_rig
+
+    asked = request_of(DemRequest, request, options)
+    rig = read_rig(*asked.rig.split(",")) if asked.rig.count(",") == 1 else read_rig(asked.rig)
+    files = read_input(left), read_input(right)
+    pictures = [read_picture(file) for file in files]
+    for picture in pictures:
+        check_rig_of(rig, *picture.size, picture.source.name)
+        picture.check()
+    pose = None if asked.pose is None else read_pose(asked.pose)
+    mast = rig.mast_height_m or MAST_M
+    nearest = asked.nearest or nearest_ground_m(rig, pose, mast)
+    farthest = asked.farthest or farthest_ground_m(rig, asked.spacing)
+    found = match(pictures[0], pictures[1], rig, nearest_m=nearest, progress=progress)
+    place = pose or levelled(found, mast)
+    model = grid_of(
+        found,
+        rig,
+        place,
+        name=files[0].stem,
+        spacing_m=asked.spacing,
+        farthest_m=farthest,
+        synthetic=any(b"SYNTHETIC" in file.data[:4000] for file in files) or "SYNTHETIC" in rig.name,
+    )
+    inputs = {file.name: file.sha256 for file in files}
+    inputs |= {} if asked.pose is None else {asked.pose: read_input(asked.pose).sha256}
+    return StereoTerrain(model=model, matches=found, rig=rig, pose=place, levelled=pose is None, inputs=inputs)
+
+
+def nearest_ground_m(rig: "StereoRig", pose: "Pose | None", mast_m: float) -> float:
+    """Depth of what may be nearest in a picture of level ground, with a quarter to spare for what stands on it. [m]"""
+    import numpy as np
+
+    if pose is None:
+        return max(0.6 * mast_m, 0.6 * rig.nearest_m)
+    width, height = rig.left.size
+    rays = rig.left.rays([[u, height - 1.0] for u in (0.0, 0.5 * width, width - 1.0)])
+    steep = -np.nanmin((rays / np.linalg.norm(rays, axis=1, keepdims=True) @ pose.rotation.T)[:, 2])
+    slant = mast_m / max(float(steep), 0.05)
+    return max(0.7 * slant / float(np.linalg.norm(rays, axis=1).max()), 0.3 * mast_m)
+
+
+def farthest_ground_m(rig: "StereoRig", spacing_m: float) -> float:
+    """Range at which its error, at 0.2 px, is three cells. [m]"""
+    return math.sqrt(HONEST * spacing_m * rig.left.fx_px * rig.baseline_m / TYPICAL_SIGMA_PX)

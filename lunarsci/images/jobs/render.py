@@ -1,0 +1,215 @@
+"""SYNTHETIC pairs of pictures, with the truth beside them."""
+
+import io
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+from lunarsci.errors import RequestError
+from lunarsci.inputs import read_input
+from lunarsci.result import MadeFrom, Result, request_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from lunarsci.images.landscape import Landscape
+    from lunarsci.images.render import RenderedPair
+    from lunarsci.images.rig import StereoRig
+
+
+Progress = Callable[[int, int], None]
+Law = Literal["lommel-seeliger", "hapke"]
+SOURCES = [
+    "Brown (1971), Photogramm. Eng. 37, 855: lens distortion",
+    "Hapke (2012), 10.1017/CBO9781139025683: how regolith scatters light",
+    "Tevs, Ihrke & Seidel (2008), 10.1145/1342250.1342279: rays through height fields",
+]
+MAST_M = 1.5
+"""Height of a camera whose rig does not say: assumed. [m]"""
+FLAT_M = 24.0
+"""Side of the level ground that is there where no terrain is given. [m]"""
+COARSE_M = 0.25
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RenderRequest:
+    """What is looked at, with what, and from where.
+
+    Attributes
+    ----------
+    rig : name or TOML file.
+    x, y, heading, down, roll : of the left camera. [m], [m], [deg]
+    height : of the left camera over the ground; the rig's mast where it is None. [m]
+    spacing : of the ground's triangles. [m]
+    rocks : of 4 cm and more on a square metre; 0 for none. [1/m2]
+    roughness : over that assumed of regolith; 0 leaves the ground as it is.
+    sun_azimuth, sun_elevation : where the Sun is, from x towards y, and over the horizon. [deg]
+    law : how the ground scatters light.
+    samples : rays along each side of a pixel, 1 to 8.
+    exact : take the pictures with the rig as it is, not with a draw from its covariance.
+    seed : of ground, noise and draw.
+    """
+
+    rig: str = "yutu2-navcam"
+    x: float = 0.0
+    y: float = 0.0
+    heading: float = 0.0
+    down: float = 25.0
+    roll: float = 0.0
+    height: float | None = None
+    spacing: float = 0.01
+    rocks: float = 0.5
+    roughness: float = 1.0
+    sun_azimuth: float = 60.0
+    sun_elevation: float = 30.0
+    law: Law = "lommel-seeliger"
+    samples: int = 2
+    exact: bool = False
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        if not 1e-3 <= self.spacing <= 1 or not 0 <= self.rocks <= 100 or not 0 <= self.roughness <= 10:
+            raise RequestError("`spacing` is 0.001 to 1 m, `rocks` 0 to 100 a square metre, `roughness` 0 to 10")
+        if not 0 < self.sun_elevation <= 90:
+            raise RequestError(f"`sun_elevation` is {self.sun_elevation:g} deg; give 0 to 90, over the horizon")
+        if not 1 <= self.samples <= 8:
+            raise RequestError(f"`samples` is {self.samples}; give 1 to 8")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SyntheticPair(Result):
+    """Two pictures of a landscape, and the truth of the left one."""
+
+    schema: ClassVar[str] = "images-render/1"
+    landscape: "Landscape"
+    told: "StereoRig"
+    pair: "RenderedPair"
+    inputs: Mapping[str, str]
+    seed: int
+
+    @property
+    def made_from(self) -> MadeFrom:
+        return MadeFrom(inputs=self.inputs, sources=SOURCES, seed=self.seed)
+
+    def to_dict(self) -> dict[str, Any]:
+        truth, rig = self.pair.truth, self.told
+        heading, down, roll = self.pair.left_pose.angles_deg()
+        ground = truth.kind > 0
+        return {
+            "synthetic": True,
+            "rig": {"name": rig.name, "baseline_m": rig.baseline_m, "assumed": list(rig.assumed)},
+            "pose": {
+                "position_m": [float(v) for v in self.pair.left_pose.center_m],
+                "heading_deg": heading,
+                "down_deg": down,
+                "roll_deg": roll,
+            },
+            "pixels": {
+                "sky": float((~ground).mean()),
+                "rock": float((truth.kind == 2).mean()),
+                "shadow": float((ground & (truth.lit == 0)).mean()),
+                "seen_by_both": float(truth.seen.mean()),
+            },
+            "rocks": len(self.landscape.rocks),
+            "brightest": {
+                "left": int(self.pair.left.max()),
+                "right": int(self.pair.right.max()),
+                "top": rig.sensor.top,
+            },
+        }
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """One a rock, as `ROCK_COLUMNS` says."""
+        from lunarsci.images.landscape import ROCK_COLUMNS
+
+        return [dict(zip(ROCK_COLUMNS, map(float, row), strict=True)) for row in self.landscape.rocks]
+
+    def figures(self) -> "Iterator[Figure]":
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(13, 6.2), layout="constrained")
+        figure.suptitle(f"SYNTHETIC  {self.landscape.name}, {self.told.name}")
+        for axis, name in zip(figure.subplots(1, 2), ("left", "right"), strict=True):
+            axis.imshow(getattr(self.pair, name), cmap="gray", vmin=0)
+            axis.set_title(name)
+            axis.set_axis_off()
+        yield figure
+
+    def files(self) -> dict[str, Callable[[], bytes]]:
+        """Pictures, the rig and pose that a solver is told, and the truth: name to what makes the content."""
+        from lunarsci.images.pictures import png_bytes
+        from lunarsci.images.rig_files import pose_text, rig_text
+
+        words = {"Comment": "SYNTHETIC, rendered by lunarsci", "Source": self.landscape.name}
+        note = "# SYNTHETIC pictures were taken with a rig near this one; its own numbers are in truth.npz\n"
+        return {
+            "left.png": lambda: png_bytes(self.pair.left, words),
+            "right.png": lambda: png_bytes(self.pair.right, words),
+            "rig.toml": lambda: (note + rig_text(self.told)).encode(),
+            "pose.toml": lambda: pose_text(self.pair.left_pose).encode(),
+            "truth.npz": self._truth_bytes,
+        }
+
+    def _truth_bytes(self) -> bytes:
+        import numpy as np
+
+        from lunarsci.images.rig_files import rig_text
+
+        ground, poses = self.landscape, {"left": self.pair.left_pose, "right": self.pair.right_pose}
+        arrays: dict[str, Any] = dict(self.pair.truth._asdict())
+        arrays |= {f"{side}_rotation": pose.rotation for side, pose in poses.items()}
+        arrays |= {f"{side}_center_m": pose.center_m for side, pose in poses.items()}
+        arrays |= {"grid": np.array([ground.x0_m, ground.y0_m, ground.spacing_m]), "ground_m": ground.height_m}
+        arrays |= {"rocks": ground.rocks, "rig": np.array(rig_text(self.pair.rig)), "synthetic": np.array(True)}
+        archive = io.BytesIO()
+        np.savez_compressed(archive, **arrays)
+        return archive.getvalue()
+
+
+def render(
+    terrain: str | None = None,
+    request: RenderRequest | None = None,
+    *,
+    progress: Progress | None = None,
+    **options: Any,
+) -> SyntheticPair:
+    """Two SYNTHETIC pictures of a terrain (.npz), or of level ground, with roughness, rocks, shadows and noise.
+
+    Raises DataError for a terrain that cannot be read, ParameterError where a camera cannot be.
+    """
+    import numpy as np
+
+    from lunarsci.images import render as renderer
+    from lunarsci.images.camera import Pose
+    from lunarsci.images.landscape import landscape_on, read_heights
+    from lunarsci.images.rig_files import read_rig
+
+    asked = request_of(RenderRequest, request, options)
+    rig = read_rig(asked.rig)
+    count = round(FLAT_M / COARSE_M) + 1
+    level = (asked.x - 0.5 * FLAT_M, asked.y - 0.5 * FLAT_M, COARSE_M, np.zeros((count, count)))
+    ground = landscape_on(
+        level if terrain is None else read_heights(terrain),
+        name="level ground" if terrain is None else terrain,
+        seed=asked.seed,
+        rocks_per_m2=asked.rocks,
+        roughness=asked.roughness,
+        sun_azimuth_deg=asked.sun_azimuth,
+        sun_elevation_deg=asked.sun_elevation,
+        spacing_m=asked.spacing,
+    )
+    low = float(np.nan_to_num(ground.ground(asked.x, asked.y)))
+    height = asked.height or rig.mast_height_m or MAST_M
+    pose = Pose.looking([asked.x, asked.y, low + height], asked.heading, asked.down, asked.roll)
+    pair = renderer.render(
+        ground,
+        rig,
+        pose,
+        seed=asked.seed,
+        perturbed=not asked.exact,
+        law=asked.law,
+        samples=asked.samples,
+        progress=progress,
+    )
+    inputs = {} if terrain is None else {terrain: read_input(terrain).sha256}
+    return SyntheticPair(landscape=ground, told=rig, pair=pair, inputs=inputs, seed=asked.seed)

@@ -1,0 +1,339 @@
+"""Pixel by pixel, what two pictures have in common: rectification, dense matching, and what cannot be matched and why.
+
+Semi-global matching (Hirschmueller 2008, 10.1109/TPAMI.2007.1166) of OpenCV gives where to begin; `refinement` goes on.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.arrays import FloatArray
+from lunarsci.errors import DataError
+from lunarsci.images.camera import Camera
+from lunarsci.images.pictures import Picture, open_cv
+from lunarsci.images.refinement import HALF_PX, Refined, refine
+from lunarsci.images.rig import StereoRig
+
+REASONS = ("matched", "edge", "saturated", "shadow", "no texture", "occluded", "no match")
+MATCHED, EDGE, SATURATED, SHADOW, NO_TEXTURE, OCCLUDED, NO_MATCH = range(len(REASONS))
+BLOCK_PX = 5
+DARK = 0.05
+"""Light below this share of the bright tenth of a picture is shadow; assumed."""
+LARGEST_SIGMA_PX = 0.5
+LARGEST_MISFIT = 0.6
+FEWEST = 0.1
+"""Share of pixels that must match before anything is said of a pair; assumed."""
+LARGEST_ROW_PX = 3.0
+"""Rows that are farther apart are of another rig; assumed."""
+CORRELATED = 3.0
+"""Random errors over those of the normal matrix, since what is left of the light hangs together: fitted to one rendered
+pair (`tests/benchmarks/scenes.py`, seed 1), and tried on others."""
+RELIEF = 0.45
+"""Share of the relief within a window, beyond its plane, that the middle is off by: as `CORRELATED`."""
+SMALLEST_SIGMA_PX = 0.025
+"""Error that is left where light and relief say none: as `CORRELATED`."""
+Progress = Callable[[int, int], None]
+
+
+class Rectified(NamedTuple):
+    """Two pinholes side by side, as a rig's cameras would see with their rows in line.
+
+    `turn` (3, 3) leads from the left camera's frame to theirs; `focal_px` and `center_px` are those of both;
+    `maps` say where a rectified pixel lies in the left and in the right picture. (2, h, w, 2) [px]
+    """
+
+    turn: FloatArray
+    focal_px: float
+    center_px: tuple[float, float]
+    baseline_m: float
+    maps: npt.NDArray[np.float32]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.maps.shape[1], self.maps.shape[2]
+
+    def points(self, disparity: FloatArray) -> FloatArray:
+        """Points (h, w, 3) of the left camera's frame. [m]"""
+        v, u = np.mgrid[: self.shape[0], : self.shape[1]]
+        depth = self.focal_px * self.baseline_m / disparity
+        x, y = (u - self.center_px[0]) / self.focal_px, (v - self.center_px[1]) / self.focal_px
+        return np.asarray(np.stack([x * depth, y * depth, depth], axis=-1) @ self.turn)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Matches:
+    """Disparities of a pair.
+
+    Attributes
+    ----------
+    rectified : the frame they are in.
+    left : the left picture in it. (h, w)
+    disparity, sigma_px : NaN where there is none; sigma is random. (h, w) [px]
+    reason : place in `REASONS` of why there is none. (h, w)
+    first : what semi-global matching found. (h, w) [px]
+    row_offset_px : how far the rows of the two pictures were apart at the middle, before they were moved. [px]
+    """
+
+    rectified: Rectified
+    left: FloatArray
+    disparity: FloatArray
+    sigma_px: FloatArray
+    reason: npt.NDArray[np.uint8]
+    first: FloatArray
+    row_offset_px: float
+
+    def shares(self) -> dict[str, float]:
+        """Share of the pixels by reason."""
+        counts = np.bincount(self.reason.ravel(), minlength=len(REASONS)) / self.reason.size
+        return {name.replace(" ", "_"): float(share) for name, share in zip(REASONS, counts, strict=True)}
+
+
+def rectify(rig: StereoRig) -> Rectified:
+    """Rows in line: x along the baseline, z between both axes; pixels as large as the left camera's.
+
+    Raises DataError for a rig whose right camera is not to the right.
+    """
+    along = -rig.rotation.T @ rig.translation_m / rig.baseline_m
+    if along[0] < 0.5:
+        raise DataError(f"{rig.name}: its right camera is not to the right of the left one; swap them in its file")
+    ahead = np.array([0.0, 0.0, 1.0]) + rig.rotation.T @ np.array([0.0, 0.0, 1.0])
+    ahead -= (ahead @ along) * along
+    ahead /= np.linalg.norm(ahead)
+    turn = np.stack([along, np.cross(ahead, along), ahead])
+    width, height = rig.left.size
+    focal = 0.5 * (rig.left.fx_px + rig.left.fy_px)
+    middles = [c.rays([0.5 * (width - 1), 0.5 * (height - 1)]) for c in (rig.left, rig.right)]
+    ways = turn @ middles[0], turn @ rig.rotation.T @ middles[1]
+    place = np.mean([way[:2] / way[2] for way in ways], axis=0)
+    center = 0.5 * (width - 1) - focal * float(place[0]), 0.5 * (height - 1) - focal * float(place[1])
+    v, u = np.mgrid[:height, :width]
+    rays = np.stack([(u - center[0]) / focal, (v - center[1]) / focal, np.ones(u.shape)], axis=-1) @ turn
+    maps = np.stack([rig.left.project(rays), rig.right.project(rays @ rig.rotation.T)]).astype(np.float32)
+    return Rectified(turn, focal, center, rig.baseline_m, maps)
+
+
+def match(
+    left: Picture,
+    right: Picture,
+    rig: StereoRig,
+    *,
+    nearest_m: float,
+    farthest_m: float = math.inf,
+    progress: Progress | None = None,
+) -> Matches:
+    """Match two pictures of a rig, between two distances along their axis [m].
+
+    Raises DataError where they do not match, and says what seems to be the matter.
+    """
+    told = progress or (lambda done, total: None)
+    told(0, 5)
+    frame = rectify(rig)
+    pictures = [_warped(p.values, m) for p, m in zip((left, right), frame.maps, strict=True)]
+    full = [_warped(p.saturated.astype(float), m) > 0.01 for p, m in zip((left, right), frame.maps, strict=True)]
+    told(1, 5)
+    span = frame.focal_px * frame.baseline_m / nearest_m, frame.focal_px * frame.baseline_m / farthest_m
+    first = _semi_global(pictures, span)
+    if np.isfinite(first).mean() < FEWEST:
+        raise DataError(_matter(left, right, frame, span))
+    told(2, 5)
+    offset, moved = _rows_in_line(pictures, first, f"{left.source.name}, {right.source.name}")
+    told(3, 5)
+    refined = refine(pictures[0], moved, first, _slopes(first))
+    told(4, 5)
+    reason = _reasons(pictures, full, first, refined, frame)
+    known = reason == MATCHED
+    if known.mean() < FEWEST:
+        raise DataError(_matter(left, right, frame, span))
+    disparity = np.where(known, refined.disparity, np.nan)
+    parts = CORRELATED * refined.sigma, RELIEF * _relief(disparity), SMALLEST_SIGMA_PX
+    sigma = np.where(known, np.sqrt(sum(np.square(part) for part in parts)), np.nan)
+    told(5, 5)
+    return Matches(
+        rectified=frame,
+        left=pictures[0].astype(float),
+        disparity=disparity,
+        sigma_px=sigma,
+        reason=reason,
+        first=first,
+        row_offset_px=offset,
+    )
+
+
+def _warped(values: npt.NDArray[Any], places: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    cv2 = open_cv()
+    maps = np.nan_to_num(places, nan=-9.0)
+    found = cv2.remap(values.astype(np.float32), maps[..., 0], maps[..., 1], cv2.INTER_LANCZOS4, borderValue=0)
+    return np.asarray(found, dtype=np.float32)
+
+
+def _semi_global(pictures: list[npt.NDArray[np.float32]], span: tuple[float, float]) -> FloatArray:
+    """Disparity by OpenCV, in steps of a sixteenth of a pixel; NaN where it finds none. (h, w) [px]"""
+    cv2 = open_cv()
+    top = float(np.percentile(pictures[0], 99.5))
+    eight = [np.clip(255 * np.sqrt(np.maximum(p, 0) / top), 0, 255).astype(np.uint8) for p in pictures]
+    lowest = max(math.floor(span[1]) - 1, 0)
+    count = 16 * math.ceil((span[0] + 2 - lowest) / 16)
+    matcher = cv2.StereoSGBM_create(
+        minDisparity=lowest,
+        numDisparities=count,
+        blockSize=BLOCK_PX,
+        P1=8 * BLOCK_PX**2,
+        P2=32 * BLOCK_PX**2,
+        disp12MaxDiff=1,
+        uniquenessRatio=5,
+        speckleWindowSize=100,
+        speckleRange=2,
+        preFilterCap=31,
+        mode=cv2.STEREO_SGBM_MODE_SGBM,
+    )
+    # A border as wide as the disparities keeps the left side of the picture.
+    padded = [cv2.copyMakeBorder(p, 0, 0, count, 0, cv2.BORDER_REPLICATE) for p in eight]
+    found = np.asarray(matcher.compute(*padded)[:, count:], dtype=float) / 16
+    u = np.arange(found.shape[1])
+    return np.where((found >= lowest) & (u - found >= 0), found, np.nan)
+
+
+def _slopes(first: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Change of disparity along u and v, smoothed; 0 where it is not known. (h, w) [px/px]"""
+    cv2 = open_cv()
+    known = np.isfinite(first)
+    filled = np.where(known, first, 0.0)
+    weight = cv2.boxFilter(known.astype(float), -1, (11, 11))
+    mean = cv2.boxFilter(filled, -1, (11, 11)) / np.maximum(weight, 1e-9)
+    down, across = np.gradient(np.where(weight > 0.3, mean, np.nan))
+    return np.clip(np.nan_to_num(across), -0.5, 0.5), np.clip(np.nan_to_num(down), -0.5, 0.5)
+
+
+def _rows_in_line(
+    pictures: list[npt.NDArray[np.float32]], first: FloatArray, name: str
+) -> tuple[float, npt.NDArray[np.float32]]:
+    """The right picture with its rows moved onto the left one's, and by how much at the middle. [px]
+
+    A calibration that is a little off leaves them apart; the distance is a plane over the picture. Raises DataError
+    where it is large.
+    """
+    right = pictures[1]
+    height, width = right.shape
+    total = 0.0
+    for _ in range(2):
+        found = refine(pictures[0], right, first, _slopes(first), step_px=12, rows=True)
+        good = (
+            np.isfinite(found.row_offset)
+            & (found.misfit < LARGEST_MISFIT)
+            & (np.abs(found.row_offset) < LARGEST_ROW_PX)
+        )
+        if good.sum() < 50:
+            return total, right
+        v, u = np.nonzero(good)
+        terms = np.column_stack([np.ones(len(u)), u / width - 0.5, v / height - 0.5])
+        plane = _robust(terms, found.row_offset[good])
+        grid = np.mgrid[:height, :width].astype(np.float32)
+        shift = plane[0] + plane[1] * (grid[1] / width - 0.5) + plane[2] * (grid[0] / height - 0.5)
+        if abs(total + plane[0]) > LARGEST_ROW_PX:
+            raise DataError(
+                f"{name}: rows of the pictures are {abs(total + plane[0]):.1f} px apart; is the rig another one?"
+            )
+        right = _warped(right, np.stack([grid[1], grid[0] + shift], axis=-1).astype(np.float32))
+        total += float(plane[0])
+    return total, right
+
+
+def _robust(terms: FloatArray, values: FloatArray) -> FloatArray:
+    """Least squares with Huber's (1964, 10.1214/aoms/1177703732) weights."""
+    weight: FloatArray = np.ones(len(values))
+    found: FloatArray = np.zeros(terms.shape[1])
+    for _ in range(10):
+        found = np.asarray(np.linalg.lstsq(terms * weight[:, None], values * weight, rcond=None)[0], dtype=float)
+        away = np.abs(values - terms @ found)
+        scale = 1.4826 * np.median(away) + 1e-9
+        weight = np.asarray(np.sqrt(np.minimum(1.0, 1.345 * scale / np.maximum(away, 1e-12))), dtype=float)
+    return np.asarray(found)
+
+
+def _reasons(
+    pictures: list[npt.NDArray[np.float32]],
+    full: list[npt.NDArray[np.bool_]],
+    first: FloatArray,
+    refined: Refined,
+    frame: Rectified,
+) -> npt.NDArray[np.uint8]:
+    """Why a pixel has no disparity; the first reason that holds. (h, w)"""
+    cv2 = open_cv()
+    window = (2 * HALF_PX + 1,) * 2
+    light = cv2.boxFilter(pictures[0], -1, window)
+    black = float(np.percentile(pictures[0], 0.5))
+    bright = float(np.percentile(pictures[0], 90)) - black
+    width, height = frame.shape[1], frame.shape[0]
+    outside = ~Camera(name="", width_px=width, height_px=height, fx_px=1, fy_px=1, cx_px=0, cy_px=0).sees(
+        np.nan_to_num(frame.maps[0], nan=-9.0), HALF_PX + 1
+    )
+    u = np.arange(width)
+    reason = np.full(frame.shape, MATCHED, dtype=np.uint8)
+    unfit = ~np.isfinite(refined.disparity) | (refined.misfit > LARGEST_MISFIT)
+    for code, mask in (
+        (NO_MATCH, unfit),
+        (OCCLUDED, _occluded(first)),
+        (NO_TEXTURE, refined.sigma > LARGEST_SIGMA_PX),
+        (SHADOW, light - black < DARK * bright),
+        (SATURATED, cv2.boxFilter(full[0].astype(np.float32), -1, window) > 1e-6),
+        (EDGE, outside | (u - np.nan_to_num(first) < HALF_PX + 2)),
+    ):
+        reason[mask] = code
+    return reason
+
+
+def _occluded(first: FloatArray) -> npt.NDArray[np.bool_]:
+    """Pixels whose place in the right picture belongs to something nearer. (h, w)"""
+    height, width = first.shape
+    known = np.isfinite(first)
+    v, u = np.nonzero(known)
+    there = np.clip(np.rint(u - first[known]).astype(int), 0, width - 1)
+    nearest = np.zeros((height, width))
+    np.maximum.at(nearest, (v, there), first[known])
+    hidden = np.zeros((height, width), dtype=bool)
+    hidden[known] = nearest[v, there] > first[known] + 1.5
+    return hidden
+
+
+def _relief(disparity: FloatArray) -> FloatArray:
+    """Rms of neighbouring disparities about each window's plane, less what their own errors explain. (h, w) [px]"""
+    cv2 = open_cv()
+    window = (2 * HALF_PX + 1,) * 2
+    known = np.isfinite(disparity)
+    weight = np.maximum(cv2.boxFilter(known.astype(float), -1, window), 1e-9)
+
+    def mean(values: FloatArray) -> FloatArray:
+        return np.asarray(cv2.boxFilter(np.where(known, values, 0.0), -1, window) / weight)
+
+    v, u = np.mgrid[: disparity.shape[0], : disparity.shape[1]].astype(float)
+    d = np.where(known, disparity, 0.0)
+    mu, mv, md = mean(u), mean(v), mean(d)
+    uu, vv, dd = mean(u * u) - mu**2, mean(v * v) - mv**2, mean(d * d) - md**2
+    du, dv = mean(d * u) - md * mu, mean(d * v) - md * mv
+    left = dd - du**2 / np.maximum(uu, 1e-9) - dv**2 / np.maximum(vv, 1e-9)
+    return np.sqrt(np.maximum(left, 0.0))
+
+
+def _matter(left: Picture, right: Picture, frame: Rectified, span: tuple[float, float]) -> str:
+    """What is wrong with two pictures that do not match, as far as trying tells."""
+    names = f"{left.source.name}, {right.source.name}"
+    one, two = left.values, right.values
+    half = span[0] / 2, span[1] / 2
+
+    def share(pair: tuple[FloatArray, FloatArray]) -> float:
+        small = [np.ascontiguousarray(_warped(p, m)[::2, ::2]) for p, m in zip(pair, frame.maps, strict=True)]
+        return float(np.isfinite(_semi_global(small, half)).mean())
+
+    tries = {
+        "left and right are swapped; give the left one first": share((two, one)),
+        "the right picture is upside down": share((one, two[::-1, ::-1])),
+        "the left picture is upside down": share((one[::-1, ::-1], two)),
+    }
+    likeliest = max(tries, key=lambda said: tries[said])
+    if tries[likeliest] > max(2 * FEWEST, 1.5 * share((one, two))):
+        return f"{names}: do not match as they are: {likeliest}"
+    return f"{names}: less than {FEWEST:.0%} of the pixels match; are they of one place, one moment and this rig?"

@@ -1,0 +1,236 @@
+"""Heights from pairs: refinement beside pictures in closed form, and models beside the truth of rendered ground."""
+
+import dataclasses
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("cv2", reason="needs the extra images")
+
+from lunarsci.cli import main
+
+from lunarsci.errors import DataError
+from lunarsci.images.camera import Camera, Pose
+from lunarsci.images.elevation import read_elevation
+from lunarsci.images.jobs.dem import StereoTerrain, dem
+from lunarsci.images.landscape import Landscape, landscape_on
+from lunarsci.images.matching import MATCHED, SHADOW, match, rectify
+from lunarsci.images.pictures import png_bytes, read_picture
+from lunarsci.images.refinement import refine
+from lunarsci.images.render import RenderedPair, render
+from lunarsci.images.rig import PARAMETERS, StereoRig, covariance_of
+from lunarsci.images.rig_files import pose_text, rig_text
+
+
+def light(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """A texture in closed form."""
+    random = np.random.default_rng(5)
+    waves = random.uniform(-1.2, 1.2, (60, 2))
+    turns = random.uniform(0, 2 * np.pi, 60)
+    return 300 + sum(12 * np.sin(a * u + b * v + t) for (a, b), t in zip(waves, turns, strict=True))
+
+
+def test_refined_disparities_are_right_and_as_uncertain_as_they_say() -> None:
+    """Right(u - d, v) = left(u, v) with d linear; white noise of 2 in pictures of 300."""
+    v, u = np.mgrid[:80, :160].astype(float)
+    truth = 20 + 0.05 * u - 0.1 * v
+    # Where a pixel of the right picture lies in the left one: u_r = u - d(u, v).
+    back = (u + 20 - 0.1 * v) / (1 - 0.05)
+    random = np.random.default_rng(1)
+    plain = light(u, v), 0.8 * light(back, v) + 30
+    start = truth + random.uniform(-0.5, 0.5, truth.shape)
+    slopes = np.zeros_like(truth), np.full_like(truth, -0.05)
+    exact = refine(*plain, start, slopes)  # type: ignore[arg-type]
+    known = np.isfinite(exact.disparity)
+    assert known[10:-10, 50:-10].mean() > 0.99
+    assert np.abs(exact.disparity - truth)[known].max() < 0.02
+    assert np.nanmedian(exact.slope_u) == pytest.approx(0.05, abs=1e-3)
+    noisy = [p + 2.0 * random.standard_normal(p.shape) for p in plain]
+    found = refine(*noisy, start, slopes, step_px=9)  # type: ignore[arg-type]
+    z = ((found.disparity - truth) / found.sigma)[np.isfinite(found.disparity)]
+    assert len(z) > 60
+    assert z.std() == pytest.approx(1.0, abs=0.25)
+
+
+def test_rows_that_are_apart_are_measured() -> None:
+    """In two steps, as the derivative between rows is that of a smooth picture."""
+    v, u = np.mgrid[:60, :120].astype(float)
+    start, level = np.full(u.shape, 10.0), (np.zeros_like(u), np.zeros_like(u))
+    total = 0.0
+    for _ in range(2):
+        right = light(u + 10, v - 0.4 + total)
+        found = refine(light(u, v), right, start, level, step_px=5, rows=True)  # type: ignore[arg-type]
+        total += float(np.nanmedian(found.row_offset))
+    assert total == pytest.approx(0.4, abs=0.03)
+
+
+def small_rig(**changes: float) -> StereoRig:
+    lens = Camera(name="l", width_px=400, height_px=320, fx_px=430.0, fy_px=430.0, cx_px=202.0, cy_px=158.0, k1=-0.05)
+    other = Camera(name="r", width_px=400, height_px=320, fx_px=432.0, fy_px=432.0, cx_px=198.0, cy_px=160.0, k1=-0.06)
+    sigma = dict.fromkeys(("left_cx_px", "right_cx_px", "left_cy_px"), 0.1) | {"rotation_y_rad": 1e-4}
+    return StereoRig(
+        name="small",
+        left=lens,
+        right=other,
+        rotation=Pose.looking([0, 0, 0]).rotation.T @ Pose.looking([0, 0, 0], 0.3, 0.1, 0.1).rotation,
+        translation_m=np.array([-0.27, 0.001, 0.001]),
+        covariance=covariance_of({name: sigma.get(name, 0.0) for name in PARAMETERS}),
+    )
+
+
+@pytest.fixture(scope="module")
+def ground() -> Landscape:
+    flat = np.zeros((30, 30))
+    made = landscape_on(
+        (0.2, -2.9, 0.2, flat),
+        name="g",
+        seed=4,
+        spacing_m=0.01,
+        roughness=0.5,
+        rocks_per_m2=3.0,
+        sun_azimuth_deg=110,
+        sun_elevation_deg=20,
+    )
+    boulder = [2.6, 0.3, 0.05, 0.15, 0.12, 0.3, 20.0]
+    return dataclasses.replace(made, rocks=np.vstack([made.rocks, boulder]))
+
+
+@pytest.fixture(scope="module")
+def pair(ground: Landscape) -> RenderedPair:
+    pose = Pose.looking([0.0, 0.0, 1.5], 2.0, 30.0, 1.0)
+    return render(ground, small_rig(), pose, seed=3)
+
+
+@pytest.fixture(scope="module")
+def files(pair: RenderedPair, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    folder = tmp_path_factory.mktemp("pair")
+    contents = {"left.png": png_bytes(pair.left, {"Comment": "SYNTHETIC"}), "right.png": png_bytes(pair.right, {})}
+    contents |= {"rig.toml": rig_text(small_rig()).encode(), "pose.toml": pose_text(pair.left_pose).encode()}
+    for name, content in contents.items():
+        (folder / name).write_bytes(content)
+    return {name.partition(".")[0]: str(folder / name) for name in contents}
+
+
+@pytest.fixture(scope="module")
+def found(files: dict[str, str]) -> StereoTerrain:
+    return dem(files["left"], files["right"], rig=files["rig"], pose=files["pose"])
+
+
+def test_rectified_rows_are_in_line() -> None:
+    rig = small_rig()
+    frame = rectify(rig)
+    points = np.random.default_rng(2).uniform([-0.6, -0.5, 2], [0.6, 0.5, 6], (50, 3))
+    sides = zip((rig.left, rig.right), rig.project(points), (np.eye(3), rig.rotation), strict=True)
+    rows = [frame.turn @ (camera.rays(pixels) @ turn).T for camera, pixels, turn in sides]
+    np.testing.assert_allclose(rows[0][1] / rows[0][2], rows[1][1] / rows[1][2], atol=1e-12)
+    apart = frame.focal_px * (rows[0][0] / rows[0][2] - rows[1][0] / rows[1][2])
+    depth = (frame.turn @ points.T)[2]
+    np.testing.assert_allclose(apart, frame.focal_px * rig.baseline_m / depth, rtol=1e-9)
+
+
+def test_heights_are_as_wrong_as_they_say(found: StereoTerrain, ground: Landscape) -> None:
+    """Of a rig that differs from its file within its covariance; cells are means, so is the truth."""
+    model = found.model
+    x, y = np.meshgrid(model.x_m, model.y_m)
+    offsets = np.linspace(-0.01, 0.01, 5)
+    truth = np.mean([ground.surface(x + a, y + b) for a in offsets for b in offsets], axis=0)
+    error = model.height_m - truth
+    known = np.isfinite(error)
+    assert known.sum() > 8000
+    total = np.hypot(model.layer("height_m_sigma"), model.layer("height_m_common_sigma"))[known]
+    assert np.sqrt(np.mean(error[known] ** 2)) < 1.2 * np.sqrt(np.mean(total**2))
+    assert 0.55 < (np.abs(error[known]) < total).mean() < 0.97
+    assert abs(np.median(error[known] / model.layer("height_m_common_sigma")[known])) < 3
+    assert model.synthetic
+
+
+def test_shadow_has_no_height_and_says_why(found: StereoTerrain, pair: RenderedPair) -> None:
+    places = np.rint(np.nan_to_num(found.matches.rectified.maps[0], nan=0)).astype(int)
+    v, u = np.clip(places[..., 1], 0, 319), np.clip(places[..., 0], 0, 399)
+    dark = (pair.truth.lit[v, u] == 0) & (pair.truth.kind[v, u] > 0)
+    from scipy.ndimage import binary_erosion
+
+    deep = binary_erosion(dark, iterations=5)
+    assert deep.sum() > 40
+    assert (found.matches.reason[deep] == SHADOW).mean() > 0.9
+    assert (found.matches.reason[deep] == MATCHED).mean() < 0.02
+
+
+def test_scripts_read_what_is_written(
+    files: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / "dem.npz"
+    arguments = ["images", "dem", files["left"], files["right"], "--rig", files["rig"], "--pose", files["pose"]]
+    assert main([*arguments, "--terrain", str(target), "--plot", str(tmp_path / "dem.png"), "--json", "--no-time"]) == 0
+    result = json.loads(capsys.readouterr().out)["result"]
+    assert sum(result["pixels"].values()) == pytest.approx(1)
+    assert result["ranges"][0]["median_height_m_sigma"] < result["ranges"][-1]["median_height_m_sigma"]
+    assert read_elevation(target).height_m_common_sigma is not None
+    assert (tmp_path / "dem.png").stat().st_size > 20000
+
+
+def test_without_a_pose_the_ground_is_level(files: dict[str, str]) -> None:
+    free = dem(files["left"], files["right"], rig=files["rig"], farthest=4.0)
+    assert free.levelled
+    assert free.pose.angles_deg()[1] == pytest.approx(30, abs=2)
+    assert abs(np.nanmedian(free.model.height_m)) < 0.03
+
+
+def refused(*pictures: str, **options: object) -> str:
+    with pytest.raises(DataError) as caught:
+        dem(*pictures, **options)  # type: ignore[arg-type]
+    return str(caught.value)
+
+
+def test_pairs_that_are_none_are_refused_with_the_reason(
+    files: dict[str, str], pair: RenderedPair, tmp_path: Path
+) -> None:
+    left, right, rig = files["left"], files["right"], {"rig": files["rig"]}
+    assert "swapped" in refused(right, left, **rig)
+    assert "another rig's" in refused(left, right, rig="yutu2-navcam")
+
+    def saved(name: str, values: np.ndarray) -> str:
+        (tmp_path / name).write_bytes(png_bytes(values, {}))
+        return str(tmp_path / name)
+
+    assert "turned" in refused(saved("a.png", np.rot90(pair.left)), right, **rig)
+    assert "upside down" in refused(left, saved("b.png", pair.right[::-1, ::-1]), **rig)
+    assert "overexposed" in refused(saved("c.png", np.full_like(pair.left, 1023)), right, **rig)
+    assert "shows nothing" in refused(saved("d.png", np.full_like(pair.left, 9)), right, **rig)
+    assert "rows" in refused(left, saved("e.png", np.roll(pair.right, 5, axis=0)), **rig)
+    (tmp_path / "f.png").write_bytes(b"no picture")
+    assert "no picture" in refused(str(tmp_path / "f.png"), right, **rig)
+
+
+@pytest.mark.reference
+def test_a_real_pair_is_matched_no_worse_than_by_opencv() -> None:
+    """Motorcycle of Middlebury (Scharstein et al. 2014, 10.1007/978-3-319-11752-2_3), whose disparities are known."""
+    import cv2
+
+    folder = Path(os.environ["LUNARSCI_REFERENCE_DATA"]) / "images"
+    archive = np.load(folder / "motorcycle_disp.npz")
+    truth = np.asarray(archive[archive.files[0]], dtype=float)
+    pictures = [read_picture(folder / f"motorcycle_{side}.png") for side in ("left", "right")]
+    width, height = pictures[0].size
+    focal, baseline = 994.978, 0.193001
+    pinhole = {"fx_px": focal, "fy_px": focal, "cx_px": 0.5 * (width - 1), "cy_px": 0.5 * (height - 1)}
+    lens = Camera(name="m", width_px=width, height_px=height, **pinhole)
+    apart = {"rotation": np.eye(3), "translation_m": np.array([-baseline, 0, 0]), "covariance": np.zeros((24, 24))}
+    found = match(*pictures, StereoRig(name="m", left=lens, right=lens, **apart), nearest_m=focal * baseline / 72)  # type: ignore[arg-type]
+    known = np.isfinite(truth) & (truth > 0)
+
+    def bad(disparity: np.ndarray) -> float:
+        both = known & np.isfinite(disparity)
+        return float((np.abs(disparity - truth)[both] > 1).mean())
+
+    grey = [np.clip(p.values, 0, 255).astype(np.uint8) for p in pictures]
+    shares = []
+    for mode in (cv2.STEREO_SGBM_MODE_HH, cv2.STEREO_SGBM_MODE_SGBM_3WAY):
+        theirs = cv2.StereoSGBM_create(0, 80, 3, 72, 288, 1, 31, 15, 100, 2, mode).compute(*grey) / 16.0
+        shares.append(bad(np.where(theirs > 0, theirs, np.nan)))
+    assert bad(found.disparity) <= min(shares)
+    both = known & np.isfinite(found.disparity)
+    assert 0.58 < (np.abs(found.disparity - truth) < found.sigma_px)[both].mean() < 0.75
