@@ -200,7 +200,7 @@ def test_pairs_that_are_none_are_refused_with_the_reason(
     assert "upside down" in refused(left, saved("b.png", pair.right[::-1, ::-1]), **rig)
     assert "overexposed" in refused(saved("c.png", np.full_like(pair.left, 1023)), right, **rig)
     assert "shows nothing" in refused(saved("d.png", np.full_like(pair.left, 9)), right, **rig)
-    assert "rows" in refused(left, saved("e.png", np.roll(pair.right, 5, axis=0)), **rig)
+    assert "this rig" in refused(left, saved("e.png", np.roll(pair.right, 5, axis=0)), **rig)
     (tmp_path / "f.png").write_bytes(b"no picture")
     assert "no picture" in refused(str(tmp_path / "f.png"), right, **rig)
 
