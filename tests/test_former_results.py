@@ -270,7 +270,15 @@ def commands_of(group: typer.Typer, above: str = "") -> set[str]:
 
 def test_every_command_has_an_answer_in_the_table() -> None:
     """But for those that answer with a picture, a list of names, a file of maps, or the answers of others."""
-    others = {"demo", "spectra library plot", "spectra library list", "spectra map", "images merge"}
+    others = {
+        "demo",
+        "spectra library plot",
+        "spectra library list",
+        "spectra map",
+        "images merge",
+        "images dem",
+        "images render",
+    }
     tried = {
         name
         for name in commands_of(command_line())
