@@ -6,7 +6,7 @@ import numpy as np
 
 from lunarsci.images.camera import Pose
 from lunarsci.images.elevation import ElevationModel
-from lunarsci.images.matching import MATCHED, REASONS, Matches
+from lunarsci.images.matching import MATCHED, REASONS, StereoMatches
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 REASON_COLOURS = ("#ffffff", "#9e9e9e", "#ff7043", "#263238", "#fdd835", "#8e24aa", "#1e88e5")
 
 
-def dem_figure(model: ElevationModel, matches: Matches, pose: Pose) -> "Figure":
+def dem_figure(model: ElevationModel, matches: StereoMatches, pose: Pose) -> "Figure":
     """Picture with disparities, reasons where there is none, heights, and random and common errors."""
     from matplotlib.figure import Figure
 
@@ -36,21 +36,21 @@ def dem_figure(model: ElevationModel, matches: Matches, pose: Pose) -> "Figure":
     return figure
 
 
-def _picture(axis: "Axes", matches: Matches) -> None:
+def _picture(axis: "Axes", matches: StereoMatches) -> None:
     low, high = np.percentile(matches.left, [0.5, 99.5])
     axis.imshow(matches.left, cmap="gray", vmin=low, vmax=high)
     axis.set_title("left picture, rectified")
     axis.set_axis_off()
 
 
-def _disparity(figure: "Figure", axis: "Axes", matches: Matches) -> None:
+def _disparity(figure: "Figure", axis: "Axes", matches: StereoMatches) -> None:
     shown = axis.imshow(matches.disparity, cmap="viridis", interpolation="nearest")
     axis.set_title("disparity [px]")
     axis.set_axis_off()
     figure.colorbar(shown, ax=axis, shrink=0.8)
 
 
-def _reasons(axis: "Axes", matches: Matches) -> None:
+def _reasons(axis: "Axes", matches: StereoMatches) -> None:
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
 

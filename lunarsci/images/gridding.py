@@ -11,7 +11,7 @@ from lunarsci.compiled import compiled
 from lunarsci.errors import DataError
 from lunarsci.images.camera import Pose
 from lunarsci.images.elevation import ElevationModel
-from lunarsci.images.matching import Matches
+from lunarsci.images.matching import StereoMatches
 from lunarsci.images.refinement import HALF_PX
 from lunarsci.images.rig import StereoRig
 
@@ -43,7 +43,7 @@ class Cloud(NamedTuple):
     sigma_px: FloatArray
 
 
-def cloud_of(matches: Matches, pose: Pose, farthest_m: float) -> Cloud:
+def cloud_of(matches: StereoMatches, pose: Pose, farthest_m: float) -> Cloud:
     """The points of a pair up to a range. Raises DataError where there are none."""
     known = np.isfinite(matches.disparity) & (matches.disparity > 0)
     place = np.argwhere(known)
@@ -58,7 +58,7 @@ def cloud_of(matches: Matches, pose: Pose, farthest_m: float) -> Cloud:
     return Cloud(pose.to_world(local[near]), place[near], d[near], matches.sigma_px[known][near])
 
 
-def levelled(matches: Matches, height_m: float) -> Pose:
+def levelled(matches: StereoMatches, height_m: float) -> Pose:
     """A pose at `height_m` over the plane of what is near, which is taken as level: for pictures without one."""
     cloud = cloud_of(matches, Pose(rotation=np.eye(3), center_m=np.zeros(3)), 4 * height_m)
     middle = np.median(cloud.points, axis=0)
@@ -71,7 +71,7 @@ def levelled(matches: Matches, height_m: float) -> Pose:
 
 
 def grid_of(
-    matches: Matches,
+    matches: StereoMatches,
     rig: StereoRig,
     pose: Pose,
     *,
@@ -210,7 +210,7 @@ def _relief(height: FloatArray, spacing_m: float) -> FloatArray:
 
 
 def _common_errors(
-    matches: Matches,
+    matches: StereoMatches,
     rig: StereoRig,
     pose: Pose,
     cloud: Cloud,
@@ -252,7 +252,7 @@ def _common_errors(
 def _filled(
     cloud: Cloud,
     layer: FloatArray,
-    matches: Matches,
+    matches: StereoMatches,
     grid: tuple[float, float, float],
     values: FloatArray | None = None,
 ) -> FloatArray:

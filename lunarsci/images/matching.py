@@ -65,7 +65,7 @@ class Rectified(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Matches:
+class StereoMatches:
     """Disparities of a pair.
 
     Attributes
@@ -124,7 +124,7 @@ def match(
     nearest_m: float,
     farthest_m: float = math.inf,
     progress: Progress | None = None,
-) -> Matches:
+) -> StereoMatches:
     """Match two pictures of a rig, between two distances along their axis [m].
 
     Raises DataError where they do not match, and says what seems to be the matter.
@@ -152,7 +152,7 @@ def match(
     parts = CORRELATED * refined.sigma, RELIEF * _relief(disparity), SMALLEST_SIGMA_PX
     sigma = np.where(known, np.sqrt(sum(np.square(part) for part in parts)), np.nan)
     told(5, 5)
-    return Matches(
+    return StereoMatches(
         rectified=frame,
         left=pictures[0].astype(float),
         disparity=disparity,

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from lunarsci.images.camera import Pose
     from lunarsci.images.elevation import ElevationModel
-    from lunarsci.images.matching import Matches
+    from lunarsci.images.matching import StereoMatches
     from lunarsci.images.rig import StereoRig
 
 
@@ -71,7 +71,7 @@ class StereoTerrain(Result):
 
     schema: ClassVar[str] = "images-dem/1"
     model: "ElevationModel"
-    matches: "Matches"
+    matches: "StereoMatches"
     rig: "StereoRig"
     pose: "Pose"
     levelled: bool
