@@ -86,11 +86,12 @@ def _read_archive(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) 
     x, y, height = (np.asarray(arrays[key], dtype=np.float64) for key in ("x_m", "y_m", "height_m"))
     if height.shape != (y.size, x.size):
         raise DataError(f"{path}: height_m has shape {height.shape}; y_m and x_m say {(y.size, x.size)}")
+    spacing = _spacing(x, y)
     return HeightGrid(
         name=str(arrays.get("name", path.stem)),
-        x0_m=float(x[0]) if x.ndim else np.nan,
-        y0_m=float(y[0]) if y.ndim else np.nan,
-        spacing_m=_spacing(x, y),
+        x0_m=float(x[0]),
+        y0_m=float(y[0]),
+        spacing_m=spacing,
         height_m=height,
         layers={key: arrays[key] for key in layers if key in arrays},
         synthetic=bool(arrays.get("synthetic", False)),
