@@ -282,8 +282,8 @@ def blocks_in_order(
         return
     kept = KeptBlocks(here.folder_of(stage), about() if callable(about) else about, total, rows, force=here.force)
     here._kept.append(kept)
-    todo = [block for block in kept.blocks if block.start not in kept.done]
-    for block, arrays in run_blocks(work, todo, fetch=fetch, progress=progress, done=total - sum(map(len, todo))):
+    missing = [block for block in kept.blocks if block.start not in kept.done]
+    for block, arrays in run_blocks(work, missing, fetch=fetch, progress=progress, done=total - sum(map(len, missing))):
         kept.keep(block, arrays)
     for block in kept.blocks:
         yield block, kept.load(block)

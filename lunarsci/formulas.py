@@ -10,6 +10,7 @@ Python a formula works on floats and NumPy arrays.
 
 import inspect
 import operator
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, TypeVar
@@ -86,13 +87,13 @@ class TracedMask(Traced):
         return other if isinstance(other, TracedMask) else TracedMask(self.builder, ir.IntType(1)(bool(other)))
 
 
-class TracedReal(Traced):
+class TracedReal(Traced, ABC):
     """What calculates: a double, eight of them, or a whole number that stands for one."""
 
     @property
+    @abstractmethod
     def number(self) -> "TracedNumber":
         """The same as doubles."""
-        raise NotImplementedError
 
     def __add__(self, other: Any) -> Any:
         return self.number.combined("fadd", other)

@@ -188,10 +188,10 @@ def run(cases: list[Case], out: Path | None, jobs: int, kept: Path | None = None
     """Do the cases that are not in the file yet, and add them to it; all of the file's rows are given back."""
     rows = rows_of([out] if out else [])
     done = {(row["physics"], row["seed"], row["soil"]) for row in rows}
-    todo = [case for case in cases if (case.physics, case.seed, case.number) not in done]
+    missing = [case for case in cases if (case.physics, case.seed, case.number) not in done]
     with ProcessPoolExecutor(jobs, initializer=numba.set_num_threads, initargs=(1,)) as pool:
         one = partial(experiment, kept=kept)
-        for row in pool.map(one, todo) if jobs > 1 else map(one, todo):
+        for row in pool.map(one, missing) if jobs > 1 else map(one, missing):
             print(said(row), flush=True)
             rows.append(row)
             if out:

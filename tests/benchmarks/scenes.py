@@ -530,9 +530,9 @@ def make(folder: Path, kind: str, seed: int, stations: int = 1) -> Path:
     told = nominal(kind)
     random = np.random.default_rng((seed, 19))
     delta = random.standard_normal(24) * told.sigmas
-    todo = [n for n in range(stations) if not (target / f"station{n}" / "pose.toml").exists()]
-    ground = Ground(seed) if todo else None
-    for number in todo:
+    missing = [n for n in range(stations) if not (target / f"station{n}" / "pose.toml").exists()]
+    ground = Ground(seed) if missing else None
+    for number in missing:
         station(target / f"station{number}", ground, told, delta, seed, number)  # type: ignore[arg-type]
     (target / "rig.toml").write_text(rig_toml(told))
     return target
