@@ -1,4 +1,4 @@
-"""Types of arrays, and interpolation in time."""
+"""Types of arrays, interpolation in time, and scatter that outliers do not move."""
 
 from typing import TypeAlias
 
@@ -9,6 +9,19 @@ FloatArray: TypeAlias = npt.NDArray[np.float64]
 BoolArray: TypeAlias = npt.NDArray[np.bool_]
 IntArray: TypeAlias = npt.NDArray[np.int64]
 IndexArray: TypeAlias = npt.NDArray[np.intp]
+NORMAL_MAD = 1.4826
+"""Standard deviation of a normal law over its median absolute deviation."""
+
+
+def robust_scatter(values: FloatArray, about: float | None = None) -> float:
+    """Standard deviation of normal values, some of them outliers, from their median distance.
+
+    Parameters
+    ----------
+    values : of any shape, one or more, none of them NaN.
+    about : what the distances are counted from; their median if None.
+    """
+    return NORMAL_MAD * float(np.median(np.abs(values - (np.median(values) if about is None else about))))
 
 
 def samples_about(times_s: FloatArray, wanted_s: FloatArray) -> tuple[IntArray, FloatArray]:

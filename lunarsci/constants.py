@@ -21,6 +21,9 @@ LUNAR_GRAVITY = Constant(
     "GM/R^2 with GM = 4902.8 km3 s-2 and R = 1738.0 km gives 1.623. The uncertainty is the spread over the surface.",
 )
 
+MOON_RADIUS_KM = 1737.4
+"""Mean radius, Archinal et al. (2018), Celest. Mech. Dyn. Astron. 130, 22, 10.1007/s10569-017-9805-5. [km]"""
+
 PAPER = "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8"
 MGM = "Sunshine, Pieters & Pratt (1990), J. Geophys. Res. 95, 6955, 10.1029/JB095iB05p06955"
 NBSR = "Kanner, Mustard & Gendrin (2007), Icarus 187, 442, 10.1016/j.icarus.2006.10.025"

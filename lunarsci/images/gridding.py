@@ -20,7 +20,7 @@ SAMPLE_PX = 32
 OUTLYING = 4.0
 """Heights that lie farther from their cell's median, in standard deviations beside its slope, are left out; assumed."""
 STEEPEST = 1.5
-"""Slope that a cell may have. [-]"""
+"""Slope that a cell may have; assumed. [-]"""
 TORN = 0.03
 """Neighbouring pixels whose ranges differ by more than this share are no surface; assumed."""
 ASIDE = 1.0

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import FloatArray, robust_scatter
 from lunarsci.errors import DataError
 from lunarsci.images.camera import Camera
 from lunarsci.images.pictures import Picture, open_cv
@@ -21,10 +21,12 @@ from lunarsci.images.rig import StereoRig
 REASONS = ("matched", "edge", "saturated", "shadow", "no texture", "occluded", "no match")
 MATCHED, EDGE, SATURATED, SHADOW, NO_TEXTURE, OCCLUDED, NO_MATCH = range(len(REASONS))
 BLOCK_PX = 5
+"""Window of semi-global matching, with the penalties 8 and 32 times its area of OpenCV's own example."""
 DARK = 0.05
 """Light below this share of the bright tenth of a picture is shadow; assumed."""
-LARGEST_SIGMA_PX = 0.5
-LARGEST_MISFIT = 0.6
+LARGEST_SIGMA_PX, LARGEST_MISFIT = 0.5, 0.6
+"""Error of a disparity, and what is left of the light of a window over its contrast, above which nothing is said;
+assumed."""
 FEWEST = 0.1
 """Share of pixels that must match before anything is said of a pair; assumed."""
 LARGEST_ROW_PX = 3.0
@@ -249,7 +251,7 @@ def _robust(terms: FloatArray, values: FloatArray) -> FloatArray:
     for _ in range(10):
         found = np.asarray(np.linalg.lstsq(terms * weight[:, None], values * weight, rcond=None)[0], dtype=float)
         away = np.abs(values - terms @ found)
-        scale = 1.4826 * np.median(away) + 1e-9
+        scale = robust_scatter(away, 0.0) + 1e-9
         weight = np.asarray(np.sqrt(np.minimum(1.0, 1.345 * scale / np.maximum(away, 1e-12))), dtype=float)
     return np.asarray(found)
 

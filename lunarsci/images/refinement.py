@@ -20,7 +20,7 @@ SMALL_STEP_PX = 0.01
 FARTHEST_PX = 0.9
 """A window that moves farther from where it began has found something else; assumed."""
 STEEPEST = 0.6
-"""Largest change of disparity from pixel to pixel. [px/px]"""
+"""Largest change of disparity from pixel to pixel; assumed. [px/px]"""
 ROWS = 16
 
 

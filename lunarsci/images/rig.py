@@ -15,6 +15,8 @@ from lunarsci.images.camera import INTRINSICS, Camera, Pose, rotation_of
 RELATIVE = (*(f"rotation_{axis}_rad" for axis in "xyz"), *(f"translation_{axis}_m" for axis in "xyz"))
 PARAMETERS = (*(f"left_{n}" for n in INTRINSICS), *(f"right_{n}" for n in INTRINSICS), *RELATIVE)
 """What a rig depends on: rows and columns of its covariance."""
+MAST_M = 1.5
+"""Height of a camera whose rig does not say: assumed. [m]"""
 PIXEL_MTF = 2 / math.pi
 """Contrast that a square pixel leaves at half a cycle a pixel. [-]"""
 
@@ -107,6 +109,11 @@ class StereoRig:
         spread = np.sqrt(np.maximum(np.diag(given), 1e-300))
         if not np.isfinite(given).all() or np.linalg.eigvalsh(given / np.outer(spread, spread)).min() < -1e-6:
             raise ParameterError(f"{self.name}: the covariance is not finite or has a negative variance")
+
+    @property
+    def height_m(self) -> float:
+        """Of the left camera over the ground, assumed where it is not known. [m]"""
+        return self.mast_height_m or MAST_M
 
     @property
     def baseline_m(self) -> float:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.arrays import BoolArray, FloatArray, robust_scatter
 from lunarsci.errors import ParameterError
 from lunarsci.images.elevation import ElevationModel
 
@@ -110,8 +110,8 @@ def height_over_ground(model: ElevationModel, largest_m: float) -> FloatArray:
     for _ in range(4):
         ground = gaussian_filter(weight * rest, width) / np.maximum(gaussian_filter(weight, width), 1e-9)
         above = rest - ground
-        scatter = 1.4826 * np.median(np.abs(above[known] - np.median(above[known])))
-        weight = known & (np.abs(above) < 2.5 * max(float(scatter), 1e-12))
+        scatter = robust_scatter(above[known])
+        weight = known & (np.abs(above) < 2.5 * max(scatter, 1e-12))
         weight = weight.astype(float)
     return np.where(known, above, np.nan)
 
@@ -135,7 +135,7 @@ def _standing_out(model: ElevationModel, above: FloatArray, largest_m: float) ->
             continue
         inner, outer = (_mean_under(values, known, gaussian_filter, w) for w in (width, 2.5 * width))
         ratio = (inner - outer) / error
-        spread = 1.4826 * float(np.median(np.abs(ratio[known])))
+        spread = robust_scatter(ratio[known], 0.0)
         significance = np.where(known, ratio / max(spread, 1e-12), -np.inf)
         better = significance > best
         best[better], scale[better] = significance[better], size

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.arrays import BoolArray, FloatArray, robust_scatter
 from lunarsci.errors import ParameterError
 from lunarsci.images.elevation import ElevationModel
 from lunarsci.images.lines import Unrolled, places_on, unrolled
@@ -229,7 +229,7 @@ def _stretch_middle(part: Unrolled, profile: TrackProfile, steps: FloatArray) ->
     rest = height - trend @ plane
     costs, depths = zip(*(_misfit(across - step, rest, profile.width_m) for step in steps), strict=True)
     best = int(np.argmin(costs))
-    scatter = 1.4826 * float(np.median(np.abs(rest[outside] - np.median(rest[outside]))))
+    scatter = robust_scatter(rest[outside])
     if not depths[best] > CLEAR * scatter / math.sqrt(10.0) or best in (0, len(steps) - 1):
         return None
     before, here, after = costs[best - 1 : best + 2]
@@ -350,7 +350,7 @@ def _as_shams(survey: _Survey, shams: FloatArray, errors: FloatArray) -> tuple[f
     independent = known.sum() * min(1.0, step / survey.window_m)
     squared = float(np.median((shams[known] / errors[known]) ** 2)) / 0.4549
     factor = (independent * squared + PRIOR_SHAMS) / (independent + PRIOR_SHAMS)
-    return 1.4826 * float(np.median(np.abs(shams[known]))), math.sqrt(factor)
+    return robust_scatter(shams[known], 0.0), math.sqrt(factor)
 
 
 def _mean_error(survey: _Survey, random: FloatArray, shams: FloatArray) -> float:

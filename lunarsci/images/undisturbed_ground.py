@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.arrays import BoolArray, FloatArray, robust_scatter
 from lunarsci.images.lines import Unrolled
 
 BIWEIGHT = 4.685
@@ -36,7 +36,7 @@ class GroundShape:
             differences = np.concatenate([(table[k:] - table[:-k]).ravel(), (table[:, k:] - table[:, :-k]).ravel()])
             differences = differences[np.isfinite(differences)]
             if len(differences) > 20:
-                half = 0.5 * (np.median(np.abs(differences)) / 0.6745) ** 2 - noise
+                half = 0.5 * robust_scatter(differences, 0.0) ** 2 - noise
                 lags.append(k * cell_m)
                 found.append(max(half, 1e-10))
         if not found:
@@ -67,7 +67,7 @@ def robust_fit(design: FloatArray, height: FloatArray, sigma: FloatArray) -> tup
         root = np.sqrt(weight) / sigma
         coefficients = np.linalg.lstsq(design * root[:, None], height * root, rcond=None)[0]
         residual = (height - design @ coefficients) / sigma
-        scale = max(1.4826 * float(np.median(np.abs(residual - np.median(residual)))), 1e-12)
+        scale = max(robust_scatter(residual), 1e-12)
         weight = np.clip(1.0 - (residual / (BIWEIGHT * scale)) ** 2, 0.0, None) ** 2
     return np.asarray(coefficients), np.asarray(weight)
 

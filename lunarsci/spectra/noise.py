@@ -4,11 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import NORMAL_MAD, FloatArray
 from lunarsci.compiled import compiled
 
-NORMAL_MAD = 1.4826
-"""Standard deviation of a normal law over its median absolute deviation."""
 SECOND_DIFFERENCE = np.sqrt(6.0)
 """Standard deviation of x[i-1] - 2 x[i] + x[i+1] over that of x."""
 

@@ -32,8 +32,6 @@ STATEMENTS = (
 HONEST = 3.0
 """Heights are gridded as far as the range's error, at 0.2 px, is so many cells; assumed."""
 TYPICAL_SIGMA_PX = 0.2
-MAST_M = 1.5
-"""Height of a camera whose rig does not say: assumed. [m]"""
 RANGES_M = (0.0, 2.0, 3.0, 4.0, 6.0, 9.0, 15.0, math.inf)
 
 
@@ -160,11 +158,10 @@ def dem(
         check_rig_of(rig, *picture.size, picture.source.name)
         picture.check()
     pose = None if asked.pose is None else read_pose(asked.pose)
-    mast = rig.mast_height_m or MAST_M
-    nearest = asked.nearest or nearest_ground_m(rig, pose, mast)
+    nearest = asked.nearest or nearest_ground_m(rig, pose, rig.height_m)
     farthest = asked.farthest or farthest_ground_m(rig, asked.spacing)
     found = match(pictures[0], pictures[1], rig, nearest_m=nearest, progress=progress)
-    place = pose or levelled(found, mast)
+    place = pose or levelled(found, rig.height_m)
     model = grid_of(
         found,
         rig,

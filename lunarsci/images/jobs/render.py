@@ -24,8 +24,6 @@ SOURCES = [
     "Hapke (2012), 10.1017/CBO9781139025683: how regolith scatters light",
     "Tevs, Ihrke & Seidel (2008), 10.1145/1342250.1342279: rays through height fields",
 ]
-MAST_M = 1.5
-"""Height of a camera whose rig does not say: assumed. [m]"""
 FLAT_M = 24.0
 """Side of the level ground that is there where no terrain is given. [m]"""
 COARSE_M = 0.25
@@ -199,7 +197,7 @@ def render(
         spacing_m=asked.spacing,
     )
     low = float(np.nan_to_num(ground.ground(asked.x, asked.y)))
-    height = asked.height or rig.mast_height_m or MAST_M
+    height = asked.height or rig.height_m
     pose = Pose.looking([asked.x, asked.y, low + height], asked.heading, asked.down, asked.roll)
     pair = renderer.render(
         ground,

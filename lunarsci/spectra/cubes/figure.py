@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
+from lunarsci.constants import MOON_RADIUS_KM
 from lunarsci.spectra.cubes.cube import FLAGS
 from lunarsci.spectra.cubes.output import FLAG_LAYER, SUFFIXES, Layer, MapFile, is_geographic
 from lunarsci.spectra.cubes.rasters import netcdf, opened
-from lunarsci.spectra.cubes.regions import MOON_RADIUS_KM
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.constants import MOON_RADIUS_KM
 from lunarsci.errors import DataError, RequestError
 from lunarsci.inputs import read_input, text
 from lunarsci.spectra.cubes.cube import Cube, Source
 from lunarsci.spectra.cubes.rasters import plane_of
 
-MOON_RADIUS_KM = 1737.4
-"""Mean radius: IAU Working Group (Archinal et al. 2018, 10.1007/s10569-017-9805-5)."""
 MOON_LONGLAT = f"+proj=longlat +R={1e3 * MOON_RADIUS_KM:.0f} +no_defs"
 _BOX = re.compile(r"\s*(\d*)\s*:\s*(\d*)\s*,\s*(\d*)\s*:\s*(\d*)\s*")
 _LINES_AT_ONCE = 512

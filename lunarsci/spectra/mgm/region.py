@@ -43,10 +43,10 @@ TILE = 32
 TOGETHER = 8
 """Tiles searched together in one thread, so that the lanes of the processor are busy to the end."""
 CONTEST_EVERY = 8
-"""Pixels from one contest to the next, along lines and samples."""
+"""Pixels from one contest to the next, along lines and samples; chosen by `tests/benchmarks/bench_map.py`."""
 DENSEST = 2
 RESTLESS = 0.08
-"""Share of a tile's pixels that took over a neighbour's minimum above which contests are run twice as densely."""
+"""Share of a tile's pixels that took over a neighbour's minimum above which contests are run twice as densely; assumed."""
 MOST_ROUNDS = 12
 NEAREST = 4
 FIRST_DAMPING = 1e-3

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from lunarsci import inputs
 from lunarsci.arrays import FloatArray
+from lunarsci.constants import MOON_RADIUS_KM
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.spectra.origin.composition import BANDS, MINERALS, Composition, Value
@@ -18,8 +19,6 @@ from lunarsci.tables import table_rows
 
 Point = tuple[float, float]
 """Latitude and longitude, east positive. [deg]"""
-MOON_RADIUS_KM = 1737.4
-"""Mean radius, Archinal et al. (2018), Celest. Mech. Dyn. Astron. 130, 22, 10.1007/s10569-017-9805-5. [km]"""
 
 
 def checked_point(latitude_deg: float, longitude_deg: float) -> Point:

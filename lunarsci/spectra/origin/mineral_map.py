@@ -15,9 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
+from lunarsci.constants import MOON_RADIUS_KM
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.cubes.rasters import HDF, netcdf, opened, start_of
-from lunarsci.spectra.origin.catalogue import MOON_RADIUS_KM, Crater, destination
+from lunarsci.spectra.origin.catalogue import Crater, destination
 from lunarsci.spectra.origin.composition import LARGEST_SUM, MINERALS, Composition
 
 if TYPE_CHECKING:

@@ -21,9 +21,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
-from lunarsci.constants import LUNAR_GRAVITY
+from lunarsci.constants import LUNAR_GRAVITY, MOON_RADIUS_KM
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.origin.catalogue import MOON_RADIUS_KM, OLDEST_MA, Crater, Point, distance_km
+from lunarsci.spectra.origin.catalogue import OLDEST_MA, Crater, Point, distance_km
 
 SURVIVAL_SOURCE = "Basilevsky, Head & Hoerz (2013), Planet. Space Sci. 89, 118, 10.1016/j.pss.2013.07.011"
 MEASURED_SIZE_M = 2.0

@@ -4,8 +4,9 @@ import math
 
 import pytest
 
+from lunarsci.constants import MOON_RADIUS_KM
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.origin.catalogue import MOON_RADIUS_KM, distance_km, embedded_catalogue
+from lunarsci.spectra.origin.catalogue import distance_km, embedded_catalogue
 from lunarsci.spectra.origin.prior import (
     CHANG_E_4,
     LAWS,

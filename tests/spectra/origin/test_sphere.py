@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from lunarsci.constants import MOON_RADIUS_KM
 from lunarsci.errors import ParameterError
-from lunarsci.spectra.origin.catalogue import MOON_RADIUS_KM, azimuth_deg, checked_point, destination, distance_km
+from lunarsci.spectra.origin.catalogue import azimuth_deg, checked_point, destination, distance_km
 
 SITE = (-45.44, 177.56)
 HALF = np.pi * MOON_RADIUS_KM
