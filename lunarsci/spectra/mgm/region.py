@@ -46,7 +46,7 @@ CONTEST_EVERY = 8
 """Pixels from one contest to the next, along lines and samples; chosen by `tests/benchmarks/bench_map.py`."""
 DENSEST = 2
 RESTLESS = 0.08
-"""Share of a tile's pixels that took over a neighbour's minimum above which contests are run twice as densely; assumed."""
+"""Share of pixels of a tile that took a minimum of a neighbour, above which contests are twice as dense; assumed."""
 MOST_ROUNDS = 12
 NEAREST = 4
 FIRST_DAMPING = 1e-3
