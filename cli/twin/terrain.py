@@ -88,8 +88,8 @@ def ground_table(found: TerrainSurvey) -> TextTable:
         f"heights {terrain['height_m'][0]:.3f} to {terrain['height_m'][1]:.3f} m, holes {terrain['hole_share']:.1%}",
         f"may be driven on: {result['traversable_share']:.1%}; hazards {result['hazard_share']:.1%}; "
         f"unknown, near holes or the edge, {result['unknown_share']:.1%}",
-        f"slope and roughness under {maps.baseline_m:g} m x {maps.baseline_m:g} m, steps within "
-        f"{maps.wheel_window_m:g} m",
+        f"slope and roughness under {maps.baseline_m:g} m x {maps.baseline_m:g} m"
+        + (f", steps beside that slope within {maps.wheel_window_m:g} m" if maps.shows_steps else ""),
         *result["notes"],
     ]
     return TextTable(["map", "p5", "p50", "p95", "max", "limit"], rows, title=title, notes=notes)

@@ -36,19 +36,31 @@ def fitted(height: np.ndarray, row: int, column: int, half: int) -> tuple[float,
     return math.degrees(math.atan(math.hypot(fit[0], fit[1]))), math.sqrt(float(np.mean(residual**2)))
 
 
+def step_by_hand(height: np.ndarray, row: int, column: int, half: int, wheel: int) -> float:
+    """Range within the wheel's window, less the gentler slope of the half footprints on either side."""
+    window = height[row - half : row + half + 1, column - half : column + half + 1]
+    rise = []
+    for table in (window.mean(axis=1), window.mean(axis=0)):
+        before, behind = (np.polyfit(np.arange(half + 1), part, 1)[0] for part in (table[: half + 1], table[half:]))
+        rise.append(min(before, behind, key=abs) if before * behind > 0 else 0.0)
+    i, j = np.meshgrid(*2 * [np.arange(-wheel, wheel + 1)], indexing="ij")
+    near = height[row - wheel : row + wheel + 1, column - wheel : column + wheel + 1]
+    return float(np.ptp(near - rise[0] * i - rise[1] * j))
+
+
 @pytest.mark.parametrize(("a", "b"), [(0.0, 0.0), (0.3, 0.0), (-0.1, 0.25), (1.0, -1.0)])
-def test_a_plane_has_its_slope_no_roughness_and_the_rise_of_a_wheel(longji_soil: Soil, a: float, b: float) -> None:
+def test_a_plane_has_its_slope_no_roughness_and_no_step(longji_soil: Soil, a: float, b: float) -> None:
     x, y = axes(60, 90)
     maps = ground_maps(ground(a * x + b * y - 1737.0e3, longji_soil), 1.0, 0.3)
     inner = maps.slope_deg[10:-10, 10:-10]
     assert inner == pytest.approx(math.degrees(math.atan(math.hypot(a, b))), abs=1e-5)
     assert np.nanmax(maps.roughness_m) < 1e-6
-    assert maps.step_m[3:-3, 3:-3] == pytest.approx((abs(a) + abs(b)) * 0.3, abs=1e-6)
+    assert np.nanmax(maps.step_m) < 1e-6
 
 
 def test_windows_that_reach_over_the_edge_are_unknown(longji_soil: Soil) -> None:
     maps = ground_maps(ground(np.zeros((60, 90)), longji_soil), 1.0, 0.3)
-    for values, half in ((maps.slope_deg, 10), (maps.roughness_m, 10), (maps.step_m, 3)):
+    for values, half in ((maps.slope_deg, 10), (maps.roughness_m, 10), (maps.step_m, 10)):
         known = np.zeros((60, 90), dtype=bool)
         known[half:-half, half:-half] = True
         assert np.array_equal(~np.isnan(values), known)
@@ -79,12 +91,40 @@ def test_a_wave_far_longer_than_the_window_has_its_gradient(longji_soil: Soil) -
     assert gradient.max() < amplitude * k
 
 
-def test_a_wall_is_a_step_of_its_height_within_half_a_wheel(longji_soil: Soil) -> None:
-    height = np.zeros((60, 90))
-    height[:, 40:] = 0.37
+@pytest.mark.parametrize("rise", [0.0, 0.3, -0.3])
+def test_a_wall_is_a_step_of_its_height_within_half_a_wheel_also_on_a_slope(longji_soil: Soil, rise: float) -> None:
+    x, y = axes(60, 90)
+    height = rise * x + 0.1 * y
+    height[:, 40:] += 0.37
     step = ground_maps(ground(height, longji_soil), 1.0, 0.3).step_m[30]
-    assert step[37:43] == pytest.approx(0.37)
-    assert step[3:37] == pytest.approx(0.0) and step[43:-3] == pytest.approx(0.0)
+    assert 0.9 * 0.37 < step[37:43].min() and step[37:43].max() <= 0.37 + 0.3 * (abs(rise) + 0.1)
+    beside = np.concatenate([step[10:37], step[43:-10]])
+    assert beside.max() < 1e-6 + (0.0 if rise >= 0 else 0.3 * (abs(rise) + 0.1)) and beside[[0, -1]].max() < 1e-6
+
+
+@pytest.mark.parametrize("turned", [0.0, 20.0, 45.0, 70.0])
+def test_a_wall_and_a_rock_on_a_slope_stand_out_whichever_way_they_run(longji_soil: Soil, turned: float) -> None:
+    """By no less than nine tenths of their height, and by no more than with what the slope rises in the window."""
+    x, y = axes(60, 90)
+    slope = 0.2 * x - 0.15 * y
+    aside = math.cos(math.radians(turned)) * (x - 2.0) + math.sin(math.radians(turned)) * (y - 1.5)
+    rock = np.hypot(x - 2.0, y - 1.5) < 0.12
+    for height in (slope + 0.3 * (aside > 0.01), slope + 0.3 * rock):
+        step = ground_maps(ground(height, longji_soil), 1.0, 0.3).step_m
+        assert 0.27 < step[30, 40] < 0.3 + 0.35 * 0.3 + 1e-6
+
+
+@pytest.mark.parametrize("spacing", [0.02, 0.1, 0.3, 1.0, 5.0])
+def test_a_plane_is_drivable_as_far_as_its_slope_goes_at_any_spacing(longji_soil: Soil, spacing: float) -> None:
+    nodes = spacing * np.arange(120)
+    for slope, drivable in ((15.0, True), (19.0, True), (21.0, False)):
+        height = math.tan(math.radians(slope)) * (0.8 * nodes[None, :] + 0.6 * nodes[:, None])
+        terrain = ground(height, longji_soil, spacing)
+        maps = ground_maps(terrain, 1.0, 0.3)
+        surface = assess(terrain, maps, LIMITS)
+        known = ~surface.unknown
+        assert known.any() and (surface.hazard[known] != drivable).all()
+        assert maps.shows_steps == (spacing <= 0.3) == (not np.isnan(maps.step_m).all())
 
 
 def test_a_hole_is_unknown_as_far_as_the_windows_reach_and_no_further(longji_soil: Soil) -> None:
@@ -94,7 +134,7 @@ def test_a_hole_is_unknown_as_far_as_the_windows_reach_and_no_further(longji_soi
     height[40, 50] = np.nan
     maps = ground_maps(ground(height, longji_soil), 1.0, 0.3)
     rows, columns = np.abs(np.arange(80) - 40)[:, None], np.abs(np.arange(90) - 50)[None, :]
-    for name, half in (("slope_deg", 10), ("roughness_m", 10), ("step_m", 3)):
+    for name, half in (("slope_deg", 10), ("roughness_m", 10), ("step_m", 10)):
         before, after = getattr(whole, name), getattr(maps, name)
         near = np.maximum(rows, columns) <= half
         assert np.array_equal(np.isnan(after), np.isnan(before) | near)
@@ -109,8 +149,7 @@ def test_rough_ground_agrees_with_least_squares_also_across_tiles(longji_soil: S
         slope, rms = fitted(height, row, column, 10)
         assert maps.slope_deg[row, column] == pytest.approx(slope, rel=1e-5)
         assert maps.roughness_m[row, column] == pytest.approx(rms, rel=1e-5)
-        window = height[row - 3 : row + 4, column - 3 : column + 4]
-        assert maps.step_m[row, column] == pytest.approx(np.ptp(window), rel=1e-6)
+        assert maps.step_m[row, column] == pytest.approx(step_by_hand(height, row, column, 10, 3), rel=1e-5)
 
 
 def test_a_grid_coarser_than_the_rover_says_what_it_measures(longji_soil: Soil) -> None:

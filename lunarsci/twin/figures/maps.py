@@ -29,6 +29,8 @@ MOST_NODES = 900
 DOT, MEAN, CHANGE = "#9fb4c0", "#08519c", PATH
 HIGHEST, WINDOW_M = 8.0, 0.4
 """Residuals beyond are drawn at the edge; medians are those of such lengths of the way."""
+ROUNDING_M = 1e-4
+"""Roughness below this is not drawn: of a plane it is that of rounding."""
 CONTOURS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 LABELS = {
     "stiffness_kpa_m_n": "Stiffness [kPa/m$^N$]",
@@ -164,12 +166,13 @@ def _draw_steps(axes: "Axes", surface: Traversability, every: tuple[slice, slice
     _bar(axes, image, f"Step within {maps.wheel_window_m:g} m [m]")
     known = maps.roughness_m[~np.isnan(maps.roughness_m)]
     levels = np.unique(np.percentile(known, (90, 97))) if known.size else np.empty(0)
-    if levels.size and float(levels[0]) > 0:
+    if levels.size and float(levels[0]) > ROUNDING_M:
         rough = np.ma.masked_invalid(maps.roughness_m[every])
         x, y = terrain.x_m[every[1]], terrain.y_m[every[0]]
         lines = axes.contour(x, y, rough, levels=levels, colors="white", linewidths=(0.5, 1.0))
         axes.clabel(lines, fontsize=6, fmt=lambda value: f"{1e3 * value:.2g} mm")
-    axes.set_title(f"Steps, limit {limit:g} m; white: roughness (rms)", fontsize=10)
+    steps = f"Steps, limit {limit:g} m" if maps.shows_steps else "Steps not determined on so coarse a grid"
+    axes.set_title(f"{steps}; white: roughness (rms)", fontsize=10)
 
 
 def _draw_traversability(axes: "Axes", surface: Traversability, every: tuple[slice, slice]) -> None:

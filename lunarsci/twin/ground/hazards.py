@@ -3,11 +3,13 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.compiled import compiled
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.rovers import RoverDescription
 from lunarsci.twin.ground.terrain import Terrain
@@ -89,6 +91,8 @@ def read_mobility(description: RoverDescription, rover: Rover) -> Mobility:
 FloatMap = npt.NDArray[np.float32]
 BoolMap = BoolArray
 TILE = 512
+WIDEST_STEP = 2.0
+"""A square this many times as wide as a wheel is high no longer shows what the wheel climbs; assumed."""
 COST_CAP = 100.0
 
 
@@ -100,9 +104,11 @@ class GroundMaps:
     ----------
     slope_deg : tilt of the plane fitted by least squares to the square footprint about the node. (ny, nx) [deg]
     roughness_m : rms of the residual about that plane. (ny, nx) [m]
-    step_m : largest difference of heights in a square as wide as a wheel is high. (ny, nx) [m]
+    step_m : largest difference of heights, less the slope of the ground, in a square as wide as a wheel is high; NaN
+        everywhere on a grid too coarse to show a step. (ny, nx) [m]
     baseline_m : side of the footprint on this grid, the nearest even number of spacings. [m]
     wheel_window_m : side of the square of the step. [m]
+    shows_steps : whether that square is at most twice as wide as it was asked for.
     """
 
     slope_deg: FloatMap
@@ -110,6 +116,7 @@ class GroundMaps:
     step_m: FloatMap
     baseline_m: float
     wheel_window_m: float
+    shows_steps: bool
 
     def spreads(self) -> dict[str, dict[str, float | None]]:
         """p5, p50, p95 and largest of each map over the nodes where it is known; None where it is nowhere."""
@@ -197,7 +204,11 @@ def ground_maps(
     equations of the plane are solved by dx = sum(i h) / sum(i^2), dy = sum(j h) / sum(j^2), and the residual is
     sum(h^2) - n mean^2 - (dx^2 + dy^2) sum(i^2). Each sum is separable. Windows have at least 3 x 3 nodes, so on a
     grid coarser than the rover the footprint is larger than asked for; `baseline_m` of the result tells. Tiles are
-    reduced to their own middle height, which keeps roughness true to about 1e-7 of a tile's relief. Raises
+    reduced to their own middle height, which keeps roughness true to about 1e-7 of a tile's relief.
+
+    The slope that a step is counted from is, along x and y each, the gentler one of the two halves of the footprint
+    before and behind the node, and none where one of them rises and the other falls: a plane has no step, a wall keeps
+    nine tenths of its height at least, and by more than the rise of the slope nothing is overstated. Raises
     ParameterError.
     """
     from lunarsci.compiled import each_in_threads
@@ -208,6 +219,7 @@ def ground_maps(
     spacing, shape = terrain.spacing_m, terrain.height_m.shape
     plane, wheel = (_half_width(value, spacing, shape) for value in (baseline_m, wheel_window_m))
     layers = np.full((3, *shape), np.nan, dtype=np.float32)
+    shows_steps = 2 * wheel * spacing <= WIDEST_STEP * wheel_window_m
     corners = [(row, column) for row in range(0, shape[0], TILE) for column in range(0, shape[1], TILE)]
 
     def fill(number: int) -> None:
@@ -216,7 +228,9 @@ def ground_maps(
 
     each_in_threads(fill, len(corners), progress)
     _blank_edges(layers[:2], plane)
-    _blank_edges(layers[2:], wheel)
+    _blank_edges(layers[2:], max(plane, wheel))
+    if not shows_steps:
+        layers[2] = np.nan
     slope, roughness, step = layers
     return GroundMaps(
         slope_deg=slope,
@@ -224,6 +238,7 @@ def ground_maps(
         step_m=step,
         baseline_m=2 * plane * spacing,
         wheel_window_m=2 * wheel * spacing,
+        shows_steps=shows_steps,
     )
 
 
@@ -235,7 +250,8 @@ def assess(terrain: Terrain, maps: GroundMaps, mobility: Mobility) -> Traversabi
     steps; the shares of the limits instead of its scale of goodness are this program's choice.
     """
     demand = maps.slope_deg / np.float32(mobility.max_slope_deg)
-    np.maximum(demand, maps.step_m / np.float32(mobility.max_step_m), out=demand)
+    if maps.shows_steps:
+        np.maximum(demand, maps.step_m / np.float32(mobility.max_step_m), out=demand)
     if mobility.max_roughness_m is not None:
         np.maximum(demand, maps.roughness_m / np.float32(mobility.max_roughness_m), out=demand)
     return Traversability(terrain=terrain, maps=maps, mobility=mobility, demand=demand)
@@ -279,7 +295,8 @@ def _fill_tile(terrain: Terrain, row: int, column: int, plane: int, wheel: int, 
     unknown = _near(hole, plane)
     for layer, values in ((0, slope), (1, roughness)):
         layers[layer, rows, columns] = np.where(unknown, np.nan, values)[inner]
-    layers[2, rows, columns] = np.where(_near(hole, wheel), np.nan, _step(height, wheel))[inner]
+    step = _step(height, plane, wheel)
+    layers[2, rows, columns] = np.where(_near(hole, margin), np.nan, step)[inner]
 
 
 def _plane_maps(height: FloatArray, half: int, spacing: float) -> tuple[FloatArray, FloatArray]:
@@ -296,11 +313,35 @@ def _plane_maps(height: FloatArray, half: int, spacing: float) -> tuple[FloatArr
     return slope, np.sqrt(np.maximum(residual, 0.0))
 
 
-def _step(height: FloatArray, half: int) -> FloatArray:
-    from scipy.ndimage import maximum_filter, minimum_filter
+def _step(height: FloatArray, plane: int, wheel: int) -> FloatArray:
+    """Range of the heights within `wheel` nodes, less the slope of the half footprints about each node."""
+    from scipy.ndimage import correlate1d, uniform_filter1d
 
-    side = 2 * half + 1
-    return np.asarray(maximum_filter(height, side) - minimum_filter(height, side))
+    ramp = np.where(np.arange(-plane, plane + 1) <= 0, np.arange(-plane, plane + 1) + 0.5 * plane, 0.0)
+    ramp /= ramp @ ramp
+    gradients = []
+    for axis in (1, 0):
+        mean = uniform_filter1d(height, 2 * plane + 1, axis=1 - axis)
+        before, behind = correlate1d(mean, ramp, axis=axis), correlate1d(mean, -ramp[::-1], axis=axis)
+        gentler = np.where(np.abs(before) < np.abs(behind), before, behind)
+        gradients.append(np.where(before * behind > 0, gentler, 0.0))
+    step = np.full(height.shape, np.nan)
+    _ranges(height, gradients[0], gradients[1], wheel, step)
+    return step
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def _ranges(height: Any, along: Any, across: Any, half: int, ranges: Any) -> None:
+    """Range of height less a slope, in (2 half + 1)^2 nodes about each node that has them all. (ny, nx)"""
+    ny, nx = height.shape
+    for row in range(half, ny - half):
+        for column in range(half, nx - half):
+            low, high = np.inf, -np.inf
+            for i in range(-half, half + 1):
+                for j in range(-half, half + 1):
+                    value = height[row + i, column + j] - i * across[row, column] - j * along[row, column]
+                    low, high = min(low, value), max(high, value)
+            ranges[row, column] = high - low
 
 
 def _near(hole: BoolMap, half: int) -> BoolMap:

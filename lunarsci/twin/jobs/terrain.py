@@ -202,10 +202,9 @@ class TerrainSurvey(Result):
         if site.mobility.assumed:
             notes.append(f"assumed limits: {', '.join(site.mobility.assumed)}")
         if maps.baseline_m > 1.5 * map_scales(site.rover)[0]:
-            notes.append(
-                f"the grid is coarse for this rover: slope is that of squares of {maps.baseline_m:g} m, and a step "
-                f"that of {maps.wheel_window_m:g} m"
-            )
+            notes.append(f"the grid is coarse for this rover: slope is that of squares of {maps.baseline_m:g} m")
+        if not maps.shows_steps:
+            notes.append("steps are not determined: the grid is too coarse to show what a wheel climbs")
         return notes
 
 
