@@ -97,7 +97,7 @@ def test_a_wall_is_a_step_of_its_height_within_half_a_wheel_also_on_a_slope(long
     height = rise * x + 0.1 * y
     height[:, 40:] += 0.37
     step = ground_maps(ground(height, longji_soil), 1.0, 0.3).step_m[30]
-    assert 0.9 * 0.37 < step[37:43].min() and step[37:43].max() <= 0.37 + 0.3 * (abs(rise) + 0.1)
+    assert step[37:43].min() > 0.9 * 0.37 and step[37:43].max() <= 0.37 + 0.3 * (abs(rise) + 0.1)
     beside = np.concatenate([step[10:37], step[43:-10]])
     assert beside.max() < 1e-6 + (0.0 if rise >= 0 else 0.3 * (abs(rise) + 0.1)) and beside[[0, -1]].max() < 1e-6
 
