@@ -114,7 +114,7 @@ class _Problem:
     def start(self) -> _State:
         points = []
         for near, _, ties in self.pairs:
-            local = self.rig.triangulate(ties.near_px, _right(self.rig, ties.near_px, ties.near_disparity)).points
+            local = triangulated(self.rig, ties.near_px, ties.near_disparity)
             points.append(self.priors[near].to_world(local))
         return _State(self.priors, np.zeros(len(PARAMETERS)), tuple(points), (1.0,) * len(self.pairs))
 
@@ -253,8 +253,8 @@ def _far_whitening(ties: Ties, inflation: float) -> FloatArray:
     return whiten
 
 
-def _right(rig: StereoRig, left_px: FloatArray, disparity: FloatArray) -> FloatArray:
-    """Right pixels of left ones on the right row: v is that of the ray's points. (n, 2) [px]"""
+def triangulated(rig: StereoRig, left_px: FloatArray, disparity: FloatArray) -> FloatArray:
+    """Points (n, 3) on the rays of left pixels (n, 2) at which u of the right pixel less that of the left is as given."""
     rays = rig.left.rays(left_px)
     depth = np.full(len(rays), 5.0)
     for _ in range(20):
@@ -262,7 +262,7 @@ def _right(rig: StereoRig, left_px: FloatArray, disparity: FloatArray) -> FloatA
         off = pixels[:, 0] - left_px[:, 0] - disparity
         # u_right - u_left goes as a constant less f b / depth.
         depth = 1 / np.maximum(1 / depth + off / (rig.left.fx_px * rig.baseline_m), 1e-3)
-    return np.asarray(rig.right.project(rays * depth[:, None] @ rig.rotation.T + rig.translation_m))
+    return np.asarray(rays * depth[:, None])
 
 
 def _seen_by(rig: StereoRig, pose: Pose, points: FloatArray, loose: FloatArray) -> _Side:

@@ -8,12 +8,14 @@ from typing import NamedTuple
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.images.adjustment import Adjusted, PairTies, adjust
+from lunarsci.images.adjustment import Adjusted, PairTies, adjust, triangulated
 from lunarsci.images.camera import Pose
 from lunarsci.images.rig import StereoRig
 from lunarsci.images.ties import (
     FEWEST,
     LEAST_CORRELATION,
+    WIDE_PX,
+    WIDE_STEP_PX,
     Motion,
     Station,
     Ties,
@@ -217,11 +219,20 @@ def _by_features(
     common = common[np.isfinite(common).all(axis=1)]
     reach = reach_of(later.covariance, poses[far], common, frame.focal_px)
     first, second = features(seen, stations[far], reach)
-    places = _at(seen.place, first)
-    local = _at(stations[near].matches.rectified.points(stations[near].matches.disparity), places)
+    local = _at(stations[near].matches.rectified.points(stations[near].matches.disparity), _at(seen.place, first))
     good = np.isfinite(local).all(axis=1)
-    local, goals = local[good], second[good]
-    rays = rig.left.rays(original_px(frame, rig, goals))
+    rays = rig.left.rays(original_px(frame, rig, second[good]))
+    wide = templates(
+        seen,
+        stations[near],
+        stations[far],
+        rig,
+        (int(reach), max(int(0.4 * reach), 8)),
+        size_px=WIDE_PX,
+        step_px=WIDE_STEP_PX,
+    )
+    local = np.concatenate([local[good], triangulated(rig, wide.near_px, wide.near_disparity)])
+    rays = np.concatenate([rays, rig.left.rays(wide.far_px)])
     turn = poses[far].rotation.T @ poses[near].rotation
     guess = Motion(turn, poses[far].to_camera(poses[near].center_m), np.zeros(len(local), dtype=bool))
     motion = rigid_motion(local, rays, frame.focal_px, guess, seed=17)

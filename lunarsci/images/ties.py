@@ -25,12 +25,14 @@ HIDDEN = 0.02
 TEMPLATE_PX = (41, 17)
 """Width and height of what is compared: ground seen from afar is foreshortened; assumed. [px]"""
 STEP_PX = (20, 8)
+WIDE_PX, WIDE_STEP_PX = (81, 25), (30, 12)
+"""The same where the pose is not known better than by dead reckoning. [px]"""
 LEAST_CORRELATION = 0.6
 """Templates that agree less are no ties; assumed."""
 LIKE = 0.85
 """Largest ratio of the best to the second best distance of features; Lowe takes 0.8."""
 INLIER_PX = 4.0
-TRIALS = 3000
+TRIALS = 1000
 FEWEST = 12
 """Fewest ties that a pose is believed of; assumed."""
 
@@ -226,22 +228,32 @@ def _cost(points: FloatArray, rays: FloatArray, focal_px: float, motion: Motion)
     return float(np.minimum(off**2, INLIER_PX**2).sum()), off < INLIER_PX
 
 
-def templates(seen: Transferred, near: Station, far: Station, rig: StereoRig, reach_px: tuple[int, int]) -> Ties:
+def templates(
+    seen: Transferred,
+    near: Station,
+    far: Station,
+    rig: StereoRig,
+    reach_px: tuple[int, int],
+    *,
+    size_px: tuple[int, int] = TEMPLATE_PX,
+    step_px: tuple[int, int] = STEP_PX,
+) -> Ties:
     """Ties on a grid of the transferred view: where templates of it agree best with the true one, to parts of a pixel."""
     cv2 = open_cv()
     truth = np.sqrt(np.maximum(far.matches.left, 0.0)).astype(np.float32)
-    width, height = (side // 2 for side in TEMPLATE_PX)
+    width, height = (side // 2 for side in size_px)
     margin = width + reach_px[0] + 1, height + reach_px[1] + 1
-    whole = cv2.blur(seen.seen.astype(np.float32), TEMPLATE_PX)
-    rows = np.arange(margin[1], truth.shape[0] - margin[1], STEP_PX[1])
-    columns = np.arange(margin[0], truth.shape[1] - margin[0], STEP_PX[0])
+    truth = cv2.copyMakeBorder(truth, margin[1], margin[1], margin[0], margin[0], cv2.BORDER_CONSTANT, value=0.0)
+    whole = cv2.blur(seen.seen.astype(np.float32), size_px)
+    rows = np.arange(height, whole.shape[0] - height, step_px[1])
+    columns = np.arange(width, whole.shape[1] - width, step_px[0])
     found = []
     for v in rows:
         for u in columns:
             if whole[v, u] < 0.98 or not seen.seen[v, u]:
                 continue
             patch = seen.light[v - height : v + height + 1, u - width : u + width + 1]
-            field = truth[v - margin[1] : v + margin[1] + 1, u - margin[0] : u + margin[0] + 1]
+            field = truth[v : v + 2 * margin[1] + 1, u : u + 2 * margin[0] + 1]
             peak = _peak(np.asarray(cv2.matchTemplate(field, patch, cv2.TM_CCOEFF_NORMED)), patch.size)
             if peak is not None:
                 found.append((u, v, u + peak[0] - margin[0] + width, v + peak[1] - margin[1] + height, *peak[2:]))
