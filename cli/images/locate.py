@@ -1,0 +1,78 @@
+"""`lunarsci images locate`: where stations were, from their pictures."""
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lunarsci.images.jobs.locate import LocateRequest
+
+from ..shared.command import command
+from ..shared.options import Output, option
+from ..shared.progress import progress
+from ..shared.report import Report
+from ..shared.table import TextTable, plus_minus
+
+if TYPE_CHECKING:
+    from lunarsci.images.jobs.locate import LocatedStations
+
+OPTIONS = {
+    "rig": option("The cameras of all stations: yutu2-pancam, yutu2-navcam, yutu2-hazcam or a TOML file.", metavar="RIG"),
+    "drift": option("Error of dead reckoning as a share of the way between stations (assumed)."),
+    "heading_error": option("Error of the headings in pose.toml, in deg (assumed)."),
+    "tilt_error": option("Error of down_deg and roll_deg in pose.toml, in deg (assumed)."),
+}
+Folders = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="STATION...",
+        help="Two or more folders in the order of the drive, each with left.png, right.png and pose.toml.",
+    ),
+]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the command."""
+    command(app, "locate", request=LocateRequest, options=OPTIONS)(locate)
+
+
+def locate(output: Output, stations: Folders, request: LocateRequest) -> Report:
+    """Where stations were, from ground that their pictures share, with errors; dead reckoning is where to begin.
+
+    What the nearer of two stations sees is laid into the other one's view by its stereo points and tied to it (extra
+    `images`); all poses and the rig within its errors are then adjusted at once. --csv gives the positions that
+    `twin states`, `twin update` and `images merge` read, --plot shows the ties. A station that could not be tied stays
+    where dead reckoning puts it, and the exit code is 3.
+    """
+    from lunarsci.images.jobs.locate import locate
+
+    with progress("locating", quiet=output.quiet) as update:
+        found = locate(stations, request, progress=update)
+    return Report.of(found, _tables(found))
+
+
+def _tables(found: "LocatedStations") -> list[TextTable]:
+    result = found.to_dict()
+    rows = [
+        [
+            row["station"],
+            *(plus_minus(row[f"{a}_m"], row[f"{a}{a}_m2"] ** 0.5, digits=2) for a in "xyz"),
+            plus_minus(row["heading_deg"], row["heading_deg_sigma"], digits=2),
+            f"{row['from_dead_reckoning_m']:.3f}",
+            "yes" if row["tied"] else "no",
+        ]
+        for row in result["stations"]
+    ]
+    headers = ["station", "x [m]", "y [m]", "z [m]", "heading [deg]", "from dead reckoning [m]", "tied"]
+    pairs = [
+        [
+            f"{pair['first']}, {pair['second']}",
+            f"{pair['overlap']:.1%}",
+            f"{pair['inliers']} of {pair['features']}",
+            str(pair["ties"]),
+            "" if pair["correlation"] is None else f"{pair['correlation']:.2f}",
+            pair["failure"],
+        ]
+        for pair in result["pairs"]
+    ]
+    ties = TextTable(["stations", "overlap", "of one motion", "ties", "correlation", "failed"], pairs, title="Pairs")
+    return [TextTable(headers, rows, title="Left cameras", notes=result["notes"]), ties]
