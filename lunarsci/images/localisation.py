@@ -219,9 +219,9 @@ def _by_features(
     common = common[np.isfinite(common).all(axis=1)]
     reach = reach_of(later.covariance, poses[far], common, frame.focal_px)
     first, second = features(seen, stations[far], reach)
-    local = _at(stations[near].matches.rectified.points(stations[near].matches.disparity), _at(seen.place, first))
+    local = _at(stations[near].matches.rectified.points(stations[near].matches.disparity), _nearest(seen.place, first))
     good = np.isfinite(local).all(axis=1)
-    rays = rig.left.rays(original_px(frame, rig, second[good]))
+    rays = rig.left.rays(original_px(frame, rig, second[good] + _nearest(seen.apart, first)[good]))
     wide = templates(
         seen,
         stations[near],
@@ -249,6 +249,12 @@ def _at(values: FloatArray, places: FloatArray) -> FloatArray:
     where = [np.nan_to_num(places[:, k], nan=-9.0) for k in (1, 0)]
     layers = [map_coordinates(values[..., k], where, order=1, cval=np.nan) for k in range(values.shape[-1])]
     return np.stack(layers, axis=-1)
+
+
+def _nearest(values: FloatArray, places: FloatArray) -> FloatArray:
+    """Values (h, w, k) at the pixels nearest to (u, v) (n, 2). (n, k)"""
+    at = np.rint(places).astype(int)
+    return np.asarray(values[at[:, 1], at[:, 0]])
 
 
 def _moved(poses: Sequence[Pose], near: int, far: int, motion: Motion, second: int) -> list[Pose]:

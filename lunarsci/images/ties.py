@@ -84,12 +84,14 @@ class Ties(NamedTuple):
 class Transferred(NamedTuple):
     """One station's picture in the rectified frame of another.
 
-    light (h, w); seen (h, w); place : rectified (u, v) of the station that it is from. (h, w, 2) [px]
+    light (h, w); seen (h, w); place : rectified (u, v) of the station that it is from, a whole pixel, and apart : how
+    far that falls from the middle of the pixel here. (h, w, 2) [px]
     """
 
     light: npt.NDArray[np.float32]
     seen: BoolArray
     place: FloatArray
+    apart: FloatArray
 
 
 def original_px(frame: Rectified, rig: StereoRig, places: FloatArray, *, right: bool = False) -> FloatArray:
@@ -126,7 +128,7 @@ def _laid(
     light: FloatArray,
     shape: tuple[int, int],
 ) -> Transferred:
-    """Means of light and of places; places are moved to the middle of the pixel that they fall into."""
+    """The mean of light, and of each pixel the place that falls nearest to its middle."""
     from scipy.ndimage import gaussian_filter
 
     def laid(values: FloatArray | None) -> FloatArray:
@@ -134,25 +136,15 @@ def _laid(
         return np.asarray(gaussian_filter(total.reshape(shape), 0.7))
 
     count = laid(None)
-    seen = count > 0.25
-    safe = np.where(seen, count, 1.0)
-    mean = [laid(w) / safe for w in (known[:, 1].astype(float), known[:, 0].astype(float), u, v)]
-    bright = laid(np.sqrt(np.maximum(light[known[:, 0], known[:, 1]], 0.0))) / safe
-    rows, columns = np.mgrid[: shape[0], : shape[1]]
-    place = np.stack(mean[:2], axis=-1)
-    apart = np.stack([columns - mean[2], rows - mean[3]], axis=-1)
-    moved = place + _by_view(place, seen, apart)
-    return Transferred(np.where(seen, bright, 0.0).astype(np.float32), seen, np.where(seen[..., None], moved, np.nan))
-
-
-def _by_view(place: FloatArray, seen: BoolArray, apart: FloatArray) -> FloatArray:
-    """By how much a place moves with the pixel, times how far the pixel's middle is from the mean of what fell in."""
-    from scipy.ndimage import gaussian_filter
-
-    weight = np.maximum(gaussian_filter(seen.astype(float), 2.0), 1e-3)
-    smooth = [gaussian_filter(np.where(seen, place[..., k], 0.0), 2.0) / weight for k in (0, 1)]
-    slopes = [np.gradient(values) for values in smooth]
-    return np.stack([s[1] * apart[..., 0] + s[0] * apart[..., 1] for s in slopes], axis=-1)
+    bright = laid(np.sqrt(np.maximum(light[known[:, 0], known[:, 1]], 0.0))) / np.maximum(count, 1e-9)
+    off = np.stack([u - cell % shape[1], v - cell // shape[1]], axis=-1)
+    # The last one written is the nearest to the middle.
+    order = np.argsort(-(off**2).sum(axis=1), kind="stable")
+    place, apart = (np.full((shape[0] * shape[1], 2), np.nan) for _ in range(2))
+    place[cell[order]], apart[cell[order]] = known[order, ::-1], off[order]
+    place, apart = place.reshape(*shape, 2), apart.reshape(*shape, 2)
+    seen = (count > 0.25) & np.isfinite(place[..., 0])
+    return Transferred(np.where(seen, bright, 0.0).astype(np.float32), seen, place, apart)
 
 
 def features(seen: Transferred, far: Station, reach_px: float) -> tuple[FloatArray, FloatArray]:
@@ -287,7 +279,8 @@ def _ties(table: FloatArray, seen: Transferred, near: Station, far: Station, rig
     start = table[:, :2].astype(int)
     sources = seen.place[start[:, 1], start[:, 0]]
     covariance = table[:, [5, 6, 6, 7]].reshape(-1, 2, 2)
-    sides = [_side(station.matches, rig, at) for station, at in ((near, sources), (far, table[:, 2:4]))]
+    goals = table[:, 2:4] + seen.apart[start[:, 1], start[:, 0]]
+    sides = [_side(station.matches, rig, at) for station, at in ((near, sources), (far, goals))]
     return Ties(*sides[0], *sides[1], covariance, table[:, 4]).kept(np.isfinite(sides[0][1]))
 
 
