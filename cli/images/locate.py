@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from lunarsci.images.jobs.locate import LocatedStations
 
 OPTIONS = {
-    "rig": option("The cameras of all stations: yutu2-pancam, yutu2-navcam, yutu2-hazcam or a TOML file.", metavar="RIG"),
+    "rig": option(
+        "The cameras of all stations: yutu2-pancam, yutu2-navcam, yutu2-hazcam or a TOML file.", metavar="RIG"
+    ),
     "drift": option("Error of dead reckoning as a share of the way between stations (assumed)."),
     "heading_error": option("Error of the headings in pose.toml, in deg (assumed)."),
     "tilt_error": option("Error of down_deg and roll_deg in pose.toml, in deg (assumed)."),

@@ -15,7 +15,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
 from lunarsci.images.camera import Pose, rotation_of, vector_of
 from lunarsci.images.rig import PARAMETERS, StereoRig
-from lunarsci.images.ties import Ties
+from lunarsci.images.ties import OVERLAPPING, Ties
 
 STEPS = 30
 SMALL = 1e-7
@@ -176,7 +176,9 @@ class _Problem:
         solved = inverse @ cross
         normal = np.einsum("nki,nkj->ij", by_common, by_common) - np.einsum("nki,nkj->ij", cross, solved)
         goal = np.einsum("nki,nk->i", by_common, residual) - np.einsum("nki,nk->i", solved, pull)
-        return _Reduced(normal, goal, np.einsum("nij,nj->ni", inverse, pull), solved, self._inflation(state, index, pair))
+        return _Reduced(
+            normal, goal, np.einsum("nij,nj->ni", inverse, pull), solved, self._inflation(state, index, pair)
+        )
 
     def _whitened(self, state: _State, index: int, pair: PairTies) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Residuals of both stations over their errors (n, 6), and derivatives by points and by poses and rig."""
@@ -185,7 +187,11 @@ class _Problem:
         residuals, points, commons = [], [], []
         for station, seen, whiten in (
             (pair.near, np.column_stack([ties.near_px, ties.near_disparity]), _near_whitening(ties)),
-            (pair.far, np.column_stack([ties.far_px, ties.far_disparity]), _far_whitening(ties, state.inflation[index])),
+            (
+                pair.far,
+                np.column_stack([ties.far_px, ties.far_disparity]),
+                _far_whitening(ties, state.inflation[index]),
+            ),
         ):
             side = _seen_by(rig, state.poses[station], state.points[index], self.loose)
             common = np.zeros((len(seen), 3, size))
@@ -246,7 +252,7 @@ def _near_whitening(ties: Ties) -> FloatArray:
 
 def _far_whitening(ties: Ties, inflation: float) -> FloatArray:
     """Of the place by the template's covariance, of the disparity by its own error; nothing where there is none."""
-    covariance = inflation**2 * (ties.covariance + SMALLEST_PX**2 * np.eye(2))
+    covariance = inflation**2 * (ties.covariance + OVERLAPPING * SMALLEST_PX**2 * np.eye(2))
     whiten = np.zeros((len(ties.far_px), 3, 3))
     whiten[:, :2, :2] = np.linalg.inv(np.linalg.cholesky(covariance))
     whiten[:, 2, 2] = np.nan_to_num(1 / ties.far_sigma)

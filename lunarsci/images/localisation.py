@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -13,12 +13,12 @@ from lunarsci.images.camera import Pose
 from lunarsci.images.rig import StereoRig
 from lunarsci.images.ties import (
     FEWEST,
+    FEWEST_OF_ONE_MOTION,
     LEAST_CORRELATION,
     WIDE_PX,
     WIDE_STEP_PX,
     Motion,
     Station,
-    Ties,
     Transferred,
     features,
     original_px,
@@ -32,6 +32,8 @@ LEAST_OVERLAP = 0.01
 """Share of the farther picture that the nearer one must fill; assumed."""
 REACHES_PX = ((12, 6), (6, 4))
 """Half sides of where templates are looked for, a round."""
+AGREE_PX, AGREEING = 2.0, 0.6
+"""Share of the templates that must be so near to where the pose has them: by chance, few are; assumed."""
 ODD_SIGMAS = 5.0
 """Dead reckoning that is off by more is doubted: it, or the ties, are wrong; assumed."""
 Progress = Callable[[int, int], None]
@@ -153,7 +155,6 @@ def _tied(
     if motion is None:
         return None, report, None
     now = _moved(poses, near, far, motion, b)
-    ties: Ties | None = None
     for reach in REACHES_PX:
         seen = transfer(stations[near], now[near], stations[far], now[far])
         ties = templates(seen, stations[near], stations[far], rig, reach)
@@ -168,10 +169,12 @@ def _tied(
         now[b] = fitted.poses[1]
         # What is many times farther off than the rest is no tie.
         off = np.linalg.norm(fitted.residual_px[0], axis=1)
-        good = off < max(1.5, 4 * float(np.median(off)))
+        good = off < max(AGREE_PX, 4 * float(np.median(off)))
+        if (off < AGREE_PX).mean() < AGREEING or good.sum() < FEWEST:
+            why = f"{(off < AGREE_PX).sum()} of {len(off)} templates agree on a motion; has the Sun moved far?"
+            return None, report._replace(failure=why), None
         ties = ties.kept(good)
-    assert_ties = ties
-    return PairTies(near, far, assert_ties), report._replace(ties=len(assert_ties.correlation)), now[b]  # type: ignore[union-attr, arg-type]
+    return PairTies(near, far, ties), report._replace(ties=len(ties.correlation)), now[b]
 
 
 def _nearer(
@@ -237,7 +240,7 @@ def _by_features(
     guess = Motion(turn, poses[far].to_camera(poses[near].center_m), np.zeros(len(local), dtype=bool))
     motion = rigid_motion(local, rays, frame.focal_px, guess, seed=17)
     report = report._replace(features=len(local), inliers=int(motion.inliers.sum()))
-    if report.inliers < FEWEST:
+    if report.inliers < FEWEST_OF_ONE_MOTION:
         return None, report._replace(failure=_matter(report, seen))
     return motion, report
 
@@ -279,8 +282,3 @@ def _matter(report: PairReport, seen: Transferred) -> str:
     if report.ties == 0:
         return f"only {report.inliers} of {report.features} features share a motion{seems}"
     return f"only {report.ties} templates agree by {LEAST_CORRELATION:g} or more{seems}"
-
-
-def shifted(station: Station, **changes: object) -> Station:
-    """A station with something else of it changed."""
-    return replace(station, **changes)  # type: ignore[arg-type]

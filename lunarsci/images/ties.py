@@ -27,14 +27,16 @@ TEMPLATE_PX = (41, 17)
 STEP_PX = (20, 8)
 WIDE_PX, WIDE_STEP_PX = (81, 25), (30, 12)
 """The same where the pose is not known better than by dead reckoning. [px]"""
+OVERLAPPING = TEMPLATE_PX[0] * TEMPLATE_PX[1] / (STEP_PX[0] * STEP_PX[1])
+"""How many templates see each pixel: by this the variance of one is larger, since their errors hang together."""
 LEAST_CORRELATION = 0.6
 """Templates that agree less are no ties; assumed."""
 LIKE = 0.85
 """Largest ratio of the best to the second best distance of features; Lowe takes 0.8."""
 INLIER_PX = 4.0
 TRIALS = 1000
-FEWEST = 12
-"""Fewest ties that a pose is believed of; assumed."""
+FEWEST, FEWEST_OF_ONE_MOTION = 12, 7
+"""Fewest templates that a pose is believed of, and fewest ties of a motion that is tried on them; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -256,7 +258,8 @@ def templates(
 def _peak(surface: FloatArray, size: int) -> tuple[float, ...] | None:
     """Place, correlation and covariance (uu, uv, vv) of a correlation's best place; None where it is none.
 
-    With correlation r and its second derivatives H the covariance is 2 (1 - r) / n (-H)^-1, that of least squares.
+    With correlation r and its second derivatives H the covariance is 2 (1 - r) / n (-H)^-1, that of least squares; it is
+    taken `OVERLAPPING` times as large.
     """
     v, u = np.unravel_index(int(surface.argmax()), surface.shape)
     if surface[v, u] < LEAST_CORRELATION or not (0 < v < surface.shape[0] - 1 and 0 < u < surface.shape[1] - 1):
@@ -271,7 +274,7 @@ def _peak(surface: FloatArray, size: int) -> tuple[float, ...] | None:
     step = -(vv * du - uv * dv) / area, -(uu * dv - uv * du) / area
     if max(map(abs, step)) > 1:
         return None
-    scale = 2 * (1 - near[1, 1]) / size / area
+    scale = OVERLAPPING * 2 * (1 - near[1, 1]) / size / area
     return float(u + step[0]), float(v + step[1]), near[1, 1], -vv * scale, uv * scale, -uu * scale
 
 
@@ -290,7 +293,8 @@ def _side(matches: StereoMatches, rig: StereoRig, places: FloatArray) -> tuple[F
 
     at = [np.nan_to_num(places[:, k], nan=-9.0) for k in (1, 0)]
     disparity, sigma = (
-        map_coordinates(values, at, order=1, mode="constant", cval=np.nan) for values in (matches.disparity, matches.sigma_px)
+        map_coordinates(values, at, order=1, mode="constant", cval=np.nan)
+        for values in (matches.disparity, matches.sigma_px)
     )
     left = original_px(matches.rectified, rig, places)
     right = original_px(matches.rectified, rig, places - np.stack([disparity, 0 * disparity], -1), right=True)

@@ -124,7 +124,10 @@ class LocatedStations(Result):
                     "x_m": x,
                     "y_m": y,
                     "z_m": z,
-                    **{f"{n}_m2": float(own[i, j]) for n, i, j in (("xx", 3, 3), ("xy", 3, 4), ("yy", 4, 4), ("zz", 5, 5))},
+                    **{
+                        f"{n}_m2": float(own[i, j])
+                        for n, i, j in (("xx", 3, 3), ("xy", 3, 4), ("yy", 4, 4), ("zz", 5, 5))
+                    },
                     "heading_deg": heading,
                     "heading_deg_sigma": math.degrees(math.sqrt(own[2, 2])),
                     "down_deg": down,
