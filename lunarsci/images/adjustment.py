@@ -27,6 +27,11 @@ SMALLEST_PX = 0.1
 """Error of a template's place that is left where light says none; assumed."""
 
 
+SHIFTED_PX = 0.25
+"""Error that a pair's templates share, in u and in v: light and shadows lie elsewhere on the ground when the Sun has moved.
+Assumed; the templates of three rendered pairs were off by 0 to 0.4 px."""
+
+
 class PairTies(NamedTuple):
     """Ties of two stations by their numbers."""
 
@@ -92,6 +97,7 @@ class _State(NamedTuple):
     delta: FloatArray
     points: tuple[FloatArray, ...]
     inflation: tuple[float, ...]
+    shifts: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,6 +113,11 @@ class _Problem:
         return np.flatnonzero(np.diag(self.rig.covariance) > 0)
 
     @property
+    def size(self) -> int:
+        """Numbers of all unknowns but the points: poses, rig, shifts of templates."""
+        return self.free + len(self.loose) + 2 * len(self.pairs)
+
+    @property
     def free(self) -> int:
         """Numbers of all poses but the first."""
         return 6 * (len(self.priors) - 1)
@@ -116,7 +127,7 @@ class _Problem:
         for near, _, ties in self.pairs:
             local = triangulated(self.rig, ties.near_px, ties.near_disparity)
             points.append(self.priors[near].to_world(local))
-        return _State(self.priors, np.zeros(len(PARAMETERS)), tuple(points), (1.0,) * len(self.pairs))
+        return _State(self.priors, np.zeros(len(PARAMETERS)), tuple(points), (1.0,) * len(self.pairs), np.zeros((len(self.pairs), 2)))
 
     def moved(self, state: _State, step: tuple[FloatArray, list[FloatArray], tuple[float, ...]]) -> _State:
         change, points, inflation = step
@@ -126,9 +137,10 @@ class _Problem:
             turned = rotation_of(part[:3]) @ pose.rotation
             poses.append(Pose(rotation=turned, center_m=pose.center_m + part[3:]))
         delta = state.delta.copy()
-        delta[self.loose] += change[self.free :]
+        delta[self.loose] += change[self.free : self.free + len(self.loose)]
         moved = tuple(a + b for a, b in zip(state.points, points, strict=True))
-        return _State(tuple(poses), delta, moved, inflation)
+        shifts = state.shifts + change[self.free + len(self.loose) :].reshape(-1, 2)
+        return _State(tuple(poses), delta, moved, inflation, shifts)
 
     def step(self, state: _State) -> tuple[FloatArray, list[FloatArray], tuple[float, ...]]:
         """The Gauss-Newton step of poses and rig, of points, and how errors are to be inflated after it."""
@@ -149,7 +161,7 @@ class _Problem:
         return change, points, tuple(part.inflation for part in kept)
 
     def _priors(self, state: _State) -> tuple[FloatArray, FloatArray]:
-        size = self.free + len(self.loose)
+        size = self.size
         normal, goal = np.zeros((size, size)), np.zeros(size)
         for k in range(1, len(self.priors)):
             place = slice(6 * k - 6, 6 * k)
@@ -159,8 +171,12 @@ class _Problem:
             normal[place, place] += weight
             goal[place] -= weight @ off
         weight = np.linalg.inv(self.rig.covariance[np.ix_(self.loose, self.loose)])
-        normal[self.free :, self.free :] += weight
-        goal[self.free :] -= weight @ state.delta[self.loose]
+        rig = slice(self.free, self.free + len(self.loose))
+        normal[rig, rig] += weight
+        goal[rig] -= weight @ state.delta[self.loose]
+        shifts = np.arange(rig.stop, size)
+        normal[shifts, shifts] += SHIFTED_PX**-2
+        goal[shifts] -= SHIFTED_PX**-2 * state.shifts.ravel()
         return normal, goal
 
     def _reduced(self, state: _State, index: int, pair: PairTies) -> "_Reduced":
@@ -183,7 +199,7 @@ class _Problem:
     def _whitened(self, state: _State, index: int, pair: PairTies) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Residuals of both stations over their errors (n, 6), and derivatives by points and by poses and rig."""
         ties, rig = pair.ties, self.rig.moved(state.delta)
-        size = self.free + len(self.loose)
+        first = self.free + len(self.loose) + 2 * index
         residuals, points, commons = [], [], []
         for station, seen, whiten in (
             (pair.near, np.column_stack([ties.near_px, ties.near_disparity]), _near_whitening(ties)),
@@ -194,11 +210,15 @@ class _Problem:
             ),
         ):
             side = _seen_by(rig, state.poses[station], state.points[index], self.loose)
-            common = np.zeros((len(seen), 3, size))
+            common = np.zeros((len(seen), 3, self.size))
             if station > 0:
                 common[:, :, 6 * station - 6 : 6 * station] = side.by_pose
-            common[:, :, self.free :] = side.by_rig
-            residuals.append(np.einsum("nij,nj->ni", whiten, np.nan_to_num(seen - side.seen)))
+            common[:, :, self.free : self.free + len(self.loose)] = side.by_rig
+            off = np.nan_to_num(seen - side.seen)
+            if station == pair.far:
+                common[:, :2, first : first + 2] = np.eye(2)
+                off[:, :2] -= state.shifts[index]
+            residuals.append(np.einsum("nij,nj->ni", whiten, off))
             points.append(whiten @ side.by_point)
             commons.append(whiten @ common)
         return np.concatenate(residuals, 1), np.concatenate(points, 1), np.concatenate(commons, 1)
@@ -206,7 +226,7 @@ class _Problem:
     def _inflation(self, state: _State, index: int, pair: PairTies) -> float:
         """By how much a template's errors are to be larger for its residuals to fit: from their median."""
         side = _seen_by(self.rig.moved(state.delta), state.poses[pair.far], state.points[index], self.loose)
-        off = np.einsum("nij,nj->ni", _far_whitening(pair.ties, 1.0)[:, :2, :2], pair.ties.far_px - side.seen[:, :2])
+        off = np.einsum("nij,nj->ni", _far_whitening(pair.ties, 1.0)[:, :2, :2], pair.ties.far_px - state.shifts[index] - side.seen[:, :2])
         # The median of chi-square of two degrees of freedom is 1.386.
         return max(1.0, float(np.sqrt(np.median((off**2).sum(axis=1)) / 1.386)))
 
@@ -216,7 +236,7 @@ class _Problem:
         for index, pair in enumerate(self.pairs):
             normal += self._reduced(state, index, pair).normal
             side = _seen_by(self.rig.moved(state.delta), state.poses[pair.far], state.points[index], self.loose)
-            residuals.append(pair.ties.far_px - side.seen[:, :2])
+            residuals.append(pair.ties.far_px - state.shifts[index] - side.seen[:, :2])
             weights.append(_weights(self._whitened(state, index, pair)[0]))
         covariance = np.linalg.inv(normal)[: self.free, : self.free]
         return Adjusted(
