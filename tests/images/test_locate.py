@@ -8,11 +8,11 @@ import pytest
 pytest.importorskip("cv2", reason="needs the extra images")
 
 from lunarsci.errors import DataError, RequestError
-from lunarsci.images.adjustment import PairTies, adjust, triangulated
+from lunarsci.images.adjustment import SMALLEST_PX, PairTies, adjust, triangulated
 from lunarsci.images.camera import Camera, Pose, rotation_of, vector_of
 from lunarsci.images.jobs.locate import LocateRequest, locate
 from lunarsci.images.rig import PARAMETERS, StereoRig, covariance_of
-from lunarsci.images.ties import OVERLAPPING, SMALLEST_PX, Ties, _peak
+from lunarsci.images.ties import OVERLAPPING, Ties, _peak
 
 SIGMA = {"left_cx_px": 0.1, "right_cx_px": 0.1, "left_fx_px": 0.25, "rotation_y_rad": 8e-5, "translation_x_m": 1e-4}
 TIES = 80
