@@ -57,7 +57,7 @@ def _tables(found: "LocatedStations") -> list[TextTable]:
     rows = [
         [
             row["station"],
-            *(plus_minus(row[f"{a}_m"], row[f"{a}{a}_m2"] ** 0.5, digits=2) for a in "xyz"),
+            *(plus_minus(row[f"{a}_m"], row[f"{a}{a}_m2"] ** 0.5, digits=4) for a in "xyz"),
             plus_minus(row["heading_deg"], row["heading_deg_sigma"], digits=2),
             f"{row['from_dead_reckoning_m']:.3f}",
             "yes" if row["tied"] else "no",

@@ -28,8 +28,7 @@ SMALLEST_PX = 0.1
 
 
 SHIFTED_PX = 0.25
-"""Error that a pair's templates share, in u and in v: light and shadows lie elsewhere on the ground when the Sun has moved.
-Assumed; the templates of three rendered pairs were off by 0 to 0.4 px."""
+"""Error that a pair's templates share, in u and in v: light and shadows lie elsewhere when the Sun has moved. Assumed; the templates of three rendered pairs were off by 0 to 0.4 px."""
 
 
 class PairTies(NamedTuple):
@@ -127,7 +126,8 @@ class _Problem:
         for near, _, ties in self.pairs:
             local = triangulated(self.rig, ties.near_px, ties.near_disparity)
             points.append(self.priors[near].to_world(local))
-        return _State(self.priors, np.zeros(len(PARAMETERS)), tuple(points), (1.0,) * len(self.pairs), np.zeros((len(self.pairs), 2)))
+        count = len(self.pairs)
+        return _State(self.priors, np.zeros(len(PARAMETERS)), tuple(points), (1.0,) * count, np.zeros((count, 2)))
 
     def moved(self, state: _State, step: tuple[FloatArray, list[FloatArray], tuple[float, ...]]) -> _State:
         change, points, inflation = step
@@ -226,7 +226,8 @@ class _Problem:
     def _inflation(self, state: _State, index: int, pair: PairTies) -> float:
         """By how much a template's errors are to be larger for its residuals to fit: from their median."""
         side = _seen_by(self.rig.moved(state.delta), state.poses[pair.far], state.points[index], self.loose)
-        off = np.einsum("nij,nj->ni", _far_whitening(pair.ties, 1.0)[:, :2, :2], pair.ties.far_px - state.shifts[index] - side.seen[:, :2])
+        plain = pair.ties.far_px - state.shifts[index] - side.seen[:, :2]
+        off = np.einsum("nij,nj->ni", _far_whitening(pair.ties, 1.0)[:, :2, :2], plain)
         # The median of chi-square of two degrees of freedom is 1.386.
         return max(1.0, float(np.sqrt(np.median((off**2).sum(axis=1)) / 1.386)))
 

@@ -1,4 +1,4 @@
-"""Where a rover's stations were, from their pictures: pairs of stations that see the same ground, and all of them at once."""
+"""Where a rover's stations were: pairs of them that see the same ground, and all at once."""
 
 import math
 from collections.abc import Callable, Sequence

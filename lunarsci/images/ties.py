@@ -1,7 +1,7 @@
 """Points that two stations of a rover both see, where one sees the ground from afar and the other from near.
 
-What the nearer station sees is laid into the view of the farther one by its stereo points; there both pictures are alike
-but for the light. Features (SIFT, Lowe 2004, 10.1023/B:VISI.0000029664.99615.94) with a rigid motion that most of them
+What the nearer station sees is laid into the view of the farther one by its stereo points, where both are alike but for
+the light. Features (SIFT, Lowe 2004, 10.1023/B:VISI.0000029664.99615.94) with a rigid motion that most of them
 share (MSAC, Torr and Zisserman 2000, 10.1006/cviu.1999.0832) bring them within some pixels, templates to parts of one.
 """
 
@@ -232,7 +232,7 @@ def templates(
     size_px: tuple[int, int] = TEMPLATE_PX,
     step_px: tuple[int, int] = STEP_PX,
 ) -> Ties:
-    """Ties on a grid of the transferred view: where templates of it agree best with the true one, to parts of a pixel."""
+    """Ties on a grid of the transferred view: where templates of it agree best with the true one."""
     cv2 = open_cv()
     truth = np.sqrt(np.maximum(far.matches.left, 0.0)).astype(np.float32)
     width, height = (side // 2 for side in size_px)
@@ -258,7 +258,7 @@ def templates(
 def _peak(surface: FloatArray, size: int) -> tuple[float, ...] | None:
     """Place, correlation and covariance (uu, uv, vv) of a correlation's best place; None where it is none.
 
-    With correlation r and its second derivatives H the covariance is 2 (1 - r) / n (-H)^-1, that of least squares; it is
+    With correlation r and its second derivatives H the covariance is that of least squares, 2 (1 - r) / n (-H)^-1; it is
     taken `OVERLAPPING` times as large.
     """
     v, u = np.unravel_index(int(surface.argmax()), surface.shape)
