@@ -28,7 +28,8 @@ SMALLEST_PX = 0.1
 
 
 SHIFTED_PX = 0.25
-"""Error that a pair's templates share, in u and in v: light and shadows lie elsewhere when the Sun has moved. Assumed; the templates of three rendered pairs were off by 0 to 0.4 px."""
+"""Error that a pair's templates share, in u and in v: light and shadows lie elsewhere when the Sun has moved. Assumed;
+the templates of three rendered pairs were off by 0 to 0.4 px."""
 
 
 class PairTies(NamedTuple):
@@ -281,7 +282,7 @@ def _far_whitening(ties: Ties, inflation: float) -> FloatArray:
 
 
 def triangulated(rig: StereoRig, left_px: FloatArray, disparity: FloatArray) -> FloatArray:
-    """Points (n, 3) on the rays of left pixels (n, 2) at which u of the right pixel less that of the left is as given."""
+    """Points (n, 3) on the rays of left pixels (n, 2) at which u of the right pixel less that of the left is so."""
     rays = rig.left.rays(left_px)
     depth = np.full(len(rays), 5.0)
     for _ in range(20):

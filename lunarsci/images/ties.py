@@ -258,8 +258,8 @@ def templates(
 def _peak(surface: FloatArray, size: int) -> tuple[float, ...] | None:
     """Place, correlation and covariance (uu, uv, vv) of a correlation's best place; None where it is none.
 
-    With correlation r and its second derivatives H the covariance is that of least squares, 2 (1 - r) / n (-H)^-1; it is
-    taken `OVERLAPPING` times as large.
+    With correlation r and its second derivatives H the covariance is that of least squares, 2 (1 - r) / n (-H)^-1;
+    it is taken `OVERLAPPING` times as large.
     """
     v, u = np.unravel_index(int(surface.argmax()), surface.shape)
     if surface[v, u] < LEAST_CORRELATION or not (0 < v < surface.shape[0] - 1 and 0 < u < surface.shape[1] - 1):
