@@ -15,7 +15,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
 from lunarsci.images.camera import Pose, rotation_of, vector_of
 from lunarsci.images.rig import PARAMETERS, StereoRig
-from lunarsci.images.ties import OVERLAPPING, Ties
+from lunarsci.images.ties import OVERLAPPING, TiePoints
 
 STEPS = 30
 SMALL = 1e-7
@@ -37,7 +37,7 @@ class PairTies(NamedTuple):
 
     near: int
     far: int
-    ties: Ties
+    ties: TiePoints
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -82,7 +82,7 @@ def adjust(
 
     Raises DataError where the equations have no answer.
     """
-    problem = _Problem(tuple(poses), tuple(covariances), rig, tuple(pairs))
+    problem = _Bundle(tuple(poses), tuple(covariances), rig, tuple(pairs))
     state = problem.start()
     for _ in range(STEPS):
         step = problem.step(state)
@@ -92,7 +92,7 @@ def adjust(
     return problem.finished(state)
 
 
-class _State(NamedTuple):
+class _Unknowns(NamedTuple):
     poses: tuple[Pose, ...]
     delta: FloatArray
     points: tuple[FloatArray, ...]
@@ -101,7 +101,7 @@ class _State(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Problem:
+class _Bundle:
     priors: tuple[Pose, ...]
     covariances: tuple[FloatArray, ...]
     rig: StereoRig
@@ -122,15 +122,15 @@ class _Problem:
         """Numbers of all poses but the first."""
         return 6 * (len(self.priors) - 1)
 
-    def start(self) -> _State:
+    def start(self) -> _Unknowns:
         points = []
         for near, _, ties in self.pairs:
             local = triangulated(self.rig, ties.near_px, ties.near_disparity)
             points.append(self.priors[near].to_world(local))
         count = len(self.pairs)
-        return _State(self.priors, np.zeros(len(PARAMETERS)), tuple(points), (1.0,) * count, np.zeros((count, 2)))
+        return _Unknowns(self.priors, np.zeros(len(PARAMETERS)), tuple(points), (1.0,) * count, np.zeros((count, 2)))
 
-    def moved(self, state: _State, step: tuple[FloatArray, list[FloatArray], tuple[float, ...]]) -> _State:
+    def moved(self, state: _Unknowns, step: tuple[FloatArray, list[FloatArray], tuple[float, ...]]) -> _Unknowns:
         change, points, inflation = step
         poses = [state.poses[0]]
         for k, pose in enumerate(state.poses[1:]):
@@ -141,9 +141,9 @@ class _Problem:
         delta[self.loose] += change[self.free : self.free + len(self.loose)]
         moved = tuple(a + b for a, b in zip(state.points, points, strict=True))
         shifts = state.shifts + change[self.free + len(self.loose) :].reshape(-1, 2)
-        return _State(tuple(poses), delta, moved, inflation, shifts)
+        return _Unknowns(tuple(poses), delta, moved, inflation, shifts)
 
-    def step(self, state: _State) -> tuple[FloatArray, list[FloatArray], tuple[float, ...]]:
+    def step(self, state: _Unknowns) -> tuple[FloatArray, list[FloatArray], tuple[float, ...]]:
         """The Gauss-Newton step of poses and rig, of points, and how errors are to be inflated after it."""
         from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
@@ -161,7 +161,7 @@ class _Problem:
         points = [part.own - np.einsum("nij,j->ni", part.by_common, change) for part in kept]
         return change, points, tuple(part.inflation for part in kept)
 
-    def _priors(self, state: _State) -> tuple[FloatArray, FloatArray]:
+    def _priors(self, state: _Unknowns) -> tuple[FloatArray, FloatArray]:
         size = self.size
         normal, goal = np.zeros((size, size)), np.zeros(size)
         for k in range(1, len(self.priors)):
@@ -180,7 +180,7 @@ class _Problem:
         goal[shifts] -= SHIFTED_PX**-2 * state.shifts.ravel()
         return normal, goal
 
-    def _reduced(self, state: _State, index: int, pair: PairTies) -> "_Reduced":
+    def _reduced(self, state: _Unknowns, index: int, pair: PairTies) -> "_Reduced":
         """A pair's part of the equations of poses and rig, its points eliminated."""
         residual, by_point, by_common = self._whitened(state, index, pair)
         weight = _weights(residual)
@@ -197,7 +197,7 @@ class _Problem:
             normal, goal, np.einsum("nij,nj->ni", inverse, pull), solved, self._inflation(state, index, pair)
         )
 
-    def _whitened(self, state: _State, index: int, pair: PairTies) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _whitened(self, state: _Unknowns, index: int, pair: PairTies) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Residuals of both stations over their errors (n, 6), and derivatives by points and by poses and rig."""
         ties, rig = pair.ties, self.rig.moved(state.delta)
         first = self.free + len(self.loose) + 2 * index
@@ -224,7 +224,7 @@ class _Problem:
             commons.append(whiten @ common)
         return np.concatenate(residuals, 1), np.concatenate(points, 1), np.concatenate(commons, 1)
 
-    def _inflation(self, state: _State, index: int, pair: PairTies) -> float:
+    def _inflation(self, state: _Unknowns, index: int, pair: PairTies) -> float:
         """By how much a template's errors are to be larger for its residuals to fit: from their median."""
         side = _seen_by(self.rig.moved(state.delta), state.poses[pair.far], state.points[index], self.loose)
         plain = pair.ties.far_px - state.shifts[index] - side.seen[:, :2]
@@ -232,7 +232,7 @@ class _Problem:
         # The median of chi-square of two degrees of freedom is 1.386.
         return max(1.0, float(np.sqrt(np.median((off**2).sum(axis=1)) / 1.386)))
 
-    def finished(self, state: _State) -> Adjusted:
+    def finished(self, state: _Unknowns) -> Adjusted:
         normal, _ = self._priors(state)
         residuals, weights = [], []
         for index, pair in enumerate(self.pairs):
@@ -265,14 +265,14 @@ def _weights(residual: FloatArray) -> FloatArray:
     return np.asarray(np.minimum(1.0, HUBER / np.maximum(size, 1e-9)))
 
 
-def _near_whitening(ties: Ties) -> FloatArray:
+def _near_whitening(ties: TiePoints) -> FloatArray:
     whiten = np.zeros((len(ties.near_px), 3, 3))
     whiten[:, 0, 0] = whiten[:, 1, 1] = 1 / DEFINED_PX
     whiten[:, 2, 2] = 1 / ties.near_sigma
     return whiten
 
 
-def _far_whitening(ties: Ties, inflation: float) -> FloatArray:
+def _far_whitening(ties: TiePoints, inflation: float) -> FloatArray:
     """Of the place by the template's covariance, of the disparity by its own error; nothing where there is none."""
     covariance = inflation**2 * (ties.covariance + OVERLAPPING * SMALLEST_PX**2 * np.eye(2))
     whiten = np.zeros((len(ties.far_px), 3, 3))

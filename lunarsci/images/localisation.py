@@ -17,7 +17,7 @@ from lunarsci.images.ties import (
     LEAST_CORRELATION,
     WIDE_PX,
     WIDE_STEP_PX,
-    Motion,
+    RigidMotion,
     Station,
     Transferred,
     features,
@@ -212,7 +212,7 @@ def _by_features(
     seen: Transferred,
     rig: StereoRig,
     report: PairReport,
-) -> tuple[Motion | None, PairReport]:
+) -> tuple[RigidMotion | None, PairReport]:
     """The motion that features share, within reach of dead reckoning; None, and why, where they share none."""
     frame = stations[far].matches.rectified
     later = stations[max(near, far)]
@@ -237,7 +237,7 @@ def _by_features(
     local = np.concatenate([local[good], triangulated(rig, wide.near_px, wide.near_disparity)])
     rays = np.concatenate([rays, rig.left.rays(wide.far_px)])
     turn = poses[far].rotation.T @ poses[near].rotation
-    guess = Motion(turn, poses[far].to_camera(poses[near].center_m), np.zeros(len(local), dtype=bool))
+    guess = RigidMotion(turn, poses[far].to_camera(poses[near].center_m), np.zeros(len(local), dtype=bool))
     motion = rigid_motion(local, rays, frame.focal_px, guess, seed=17)
     report = report._replace(features=len(local), inliers=int(motion.inliers.sum()))
     if report.inliers < FEWEST_OF_ONE_MOTION:
@@ -260,7 +260,7 @@ def _nearest(values: FloatArray, places: FloatArray) -> FloatArray:
     return np.asarray(values[at[:, 1], at[:, 0]])
 
 
-def _moved(poses: Sequence[Pose], near: int, far: int, motion: Motion, second: int) -> list[Pose]:
+def _moved(poses: Sequence[Pose], near: int, far: int, motion: RigidMotion, second: int) -> list[Pose]:
     """All poses, the second station's as the motion from the nearer to the farther camera says."""
     now = list(poses)
     if second == near:

@@ -59,7 +59,7 @@ class Station:
     time_s: float | None = None
 
 
-class Ties(NamedTuple):
+class TiePoints(NamedTuple):
     """Points that two stations see.
 
     near_px, far_px : (u, v) in the left pictures. (n, 2) [px]
@@ -78,9 +78,9 @@ class Ties(NamedTuple):
     covariance: FloatArray
     correlation: FloatArray
 
-    def kept(self, rows: BoolArray) -> "Ties":
+    def kept(self, rows: BoolArray) -> "TiePoints":
         """Those of some rows."""
-        return Ties(*(values[rows] for values in self))
+        return TiePoints(*(values[rows] for values in self))
 
 
 class Transferred(NamedTuple):
@@ -142,9 +142,9 @@ def _laid(
     off = np.stack([u - cell % shape[1], v - cell // shape[1]], axis=-1)
     # The last one written is the nearest to the middle.
     order = np.argsort(-(off**2).sum(axis=1), kind="stable")
-    place, apart = (np.full((shape[0] * shape[1], 2), np.nan) for _ in range(2))
-    place[cell[order]], apart[cell[order]] = known[order, ::-1], off[order]
-    place, apart = place.reshape(*shape, 2), apart.reshape(*shape, 2)
+    flat = np.full((shape[0] * shape[1], 4), np.nan)
+    flat[cell[order], :2], flat[cell[order], 2:] = known[order, ::-1], off[order]
+    place, apart = flat[:, :2].reshape(*shape, 2), flat[:, 2:].reshape(*shape, 2)
     seen = (count > 0.25) & np.isfinite(place[..., 0])
     return Transferred(np.where(seen, bright, 0.0).astype(np.float32), seen, place, apart)
 
@@ -183,7 +183,7 @@ def _eight(light: npt.NDArray[np.float32], used: BoolArray) -> npt.NDArray[np.ui
     return np.asarray(np.clip(128 + 45 * rest / spread, 0, 255), dtype=np.uint8)
 
 
-class Motion(NamedTuple):
+class RigidMotion(NamedTuple):
     """A rigid motion from the nearer camera's frame into the farther one's, and which ties follow it. (n,)"""
 
     rotation: FloatArray
@@ -191,7 +191,7 @@ class Motion(NamedTuple):
     inliers: BoolArray
 
 
-def rigid_motion(points: FloatArray, rays: FloatArray, focal_px: float, guess: Motion, seed: int) -> Motion:
+def rigid_motion(points: FloatArray, rays: FloatArray, focal_px: float, guess: RigidMotion, seed: int) -> RigidMotion:
     """The motion (three ties each, MSAC) that carries most points (n, 3) onto rays (n, 3), z = 1, of the other camera.
 
     Motions that are farther from the guess than `INLIER_PX` allows by chance are kept out by the ties' own reach.
@@ -205,7 +205,7 @@ def rigid_motion(points: FloatArray, rays: FloatArray, focal_px: float, guess: M
         starts = np.ascontiguousarray(points[chosen, None])
         _, turns, moves = cv2.solveP3P(starts, goals, np.eye(3), None, flags=cv2.SOLVEPNP_P3P)
         for turn, move in zip(turns, moves, strict=True):
-            trial = Motion(cv2.Rodrigues(turn)[0], np.ravel(move), guess.inliers)
+            trial = RigidMotion(cv2.Rodrigues(turn)[0], np.ravel(move), guess.inliers)
             if np.linalg.norm(trial.translation_m - guess.translation_m) > 1.5:
                 continue
             cost = _cost(points, rays, focal_px, trial)[0]
@@ -214,7 +214,7 @@ def rigid_motion(points: FloatArray, rays: FloatArray, focal_px: float, guess: M
     return best._replace(inliers=_cost(points, rays, focal_px, best)[1])
 
 
-def _cost(points: FloatArray, rays: FloatArray, focal_px: float, motion: Motion) -> tuple[float, BoolArray]:
+def _cost(points: FloatArray, rays: FloatArray, focal_px: float, motion: RigidMotion) -> tuple[float, BoolArray]:
     moved = points @ motion.rotation.T + motion.translation_m
     with np.errstate(divide="ignore", invalid="ignore"):
         off = focal_px * np.linalg.norm(moved[:, :2] / moved[:, 2:] - rays[:, :2], axis=1)
@@ -231,7 +231,7 @@ def templates(
     *,
     size_px: tuple[int, int] = TEMPLATE_PX,
     step_px: tuple[int, int] = STEP_PX,
-) -> Ties:
+) -> TiePoints:
     """Ties on a grid of the transferred view: where templates of it agree best with the true one."""
     cv2 = open_cv()
     truth = np.sqrt(np.maximum(far.matches.left, 0.0)).astype(np.float32)
@@ -278,13 +278,13 @@ def _peak(surface: FloatArray, size: int) -> tuple[float, ...] | None:
     return float(u + step[0]), float(v + step[1]), near[1, 1], -vv * scale, uv * scale, -uu * scale
 
 
-def _ties(table: FloatArray, seen: Transferred, near: Station, far: Station, rig: StereoRig) -> Ties:
+def _ties(table: FloatArray, seen: Transferred, near: Station, far: Station, rig: StereoRig) -> TiePoints:
     start = table[:, :2].astype(int)
     sources = seen.place[start[:, 1], start[:, 0]]
     covariance = table[:, [5, 6, 6, 7]].reshape(-1, 2, 2)
     goals = table[:, 2:4] + seen.apart[start[:, 1], start[:, 0]]
     sides = [_side(station.matches, rig, at) for station, at in ((near, sources), (far, goals))]
-    return Ties(*sides[0], *sides[1], covariance, table[:, 4]).kept(np.isfinite(sides[0][1]))
+    return TiePoints(*sides[0], *sides[1], covariance, table[:, 4]).kept(np.isfinite(sides[0][1]))
 
 
 def _side(matches: StereoMatches, rig: StereoRig, places: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -12,7 +12,7 @@ from lunarsci.images.adjustment import SMALLEST_PX, PairTies, adjust, triangulat
 from lunarsci.images.camera import Camera, Pose, rotation_of, vector_of
 from lunarsci.images.jobs.locate import LocateRequest, locate
 from lunarsci.images.rig import PARAMETERS, StereoRig, covariance_of
-from lunarsci.images.ties import OVERLAPPING, Ties, _peak
+from lunarsci.images.ties import OVERLAPPING, TiePoints, _peak
 
 SIGMA = {"left_cx_px": 0.1, "right_cx_px": 0.1, "left_fx_px": 0.25, "rotation_y_rad": 8e-5, "translation_x_m": 1e-4}
 TIES = 80
@@ -48,7 +48,7 @@ def drive(seed: int) -> tuple[list[Pose], list[Pose], np.ndarray, PairTies]:
         disparity = right[:, 0] - left[:, 0] + 0.1 * random.standard_normal(TIES)
         sides.append((left + error * random.standard_normal((TIES, 2)), disparity, np.full(TIES, 0.1)))
     far = sides[1][0] + shift, *sides[1][1:]
-    ties = Ties(*sides[0], *far, np.zeros((TIES, 2, 2)), np.ones(TIES))
+    ties = TiePoints(*sides[0], *far, np.zeros((TIES, 2, 2)), np.ones(TIES))
     return true, [true[0], told], np.diag(spread**2), PairTies(1, 0, ties)
 
 
