@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import DataError
 from lunarsci.images.camera import Pose, rotation_of, vector_of
 from lunarsci.images.rig import PARAMETERS, StereoRig
@@ -108,7 +108,7 @@ class _Bundle:
     pairs: tuple[PairTies, ...]
 
     @property
-    def loose(self) -> FloatArray:
+    def loose(self) -> IntArray:
         """Numbers of the rig's parameters that have an error."""
         return np.flatnonzero(np.diag(self.rig.covariance) > 0)
 
@@ -240,7 +240,7 @@ class _Bundle:
             side = _seen_by(self.rig.moved(state.delta), state.poses[pair.far], state.points[index], self.loose)
             residuals.append(pair.ties.far_px - state.shifts[index] - side.seen[:, :2])
             weights.append(_weights(self._whitened(state, index, pair)[0]))
-        covariance = np.linalg.inv(normal)[: self.free, : self.free]
+        covariance = np.asarray(np.linalg.inv(normal)[: self.free, : self.free], dtype=float)
         return Adjusted(
             poses=state.poses,
             covariance=covariance,
@@ -293,7 +293,7 @@ def triangulated(rig: StereoRig, left_px: FloatArray, disparity: FloatArray) -> 
     return np.asarray(rays * depth[:, None])
 
 
-def _seen_by(rig: StereoRig, pose: Pose, points: FloatArray, loose: FloatArray) -> _Side:
+def _seen_by(rig: StereoRig, pose: Pose, points: FloatArray, loose: IntArray) -> _Side:
     """Pixels and disparities of points (n, 3) of the world with their derivatives."""
     local = pose.to_camera(points)
     left = rig.left.project_with_derivatives(local)

@@ -28,7 +28,7 @@ def ties_figure(found: Localised, number: int, *, synthetic: bool = False) -> "F
     axes = figure.subplots(2, 2)
     title = f"{far.name} and {near.name}: {len(pair.ties.correlation)} ties"
     figure.suptitle(f"SYNTHETIC  {title}" if synthetic else title)
-    colours = np.arange(len(pair.ties.correlation))
+    colours = np.arange(len(pair.ties.correlation), dtype=float)
     _picture(axes[0, 0], far.matches.left, pair.ties.far_px, colours, f"{far.name}, from afar (colour: same tie)")
     _picture(axes[0, 1], near.matches.left, pair.ties.near_px, colours, f"{near.name}, from near")
     off = adjusted.residual_px[number]
@@ -40,7 +40,7 @@ def ties_figure(found: Localised, number: int, *, synthetic: bool = False) -> "F
 def _picture(axis: "Axes", light: FloatArray, places: FloatArray, colours: FloatArray, title: str) -> None:
     low, high = np.percentile(light, [0.5, 99.5])
     axis.imshow(np.sqrt(np.clip(light, 0, high)), cmap="gray", vmin=np.sqrt(max(low, 0)), vmax=np.sqrt(high))
-    axis.scatter(*places.T, c=colours, s=6, cmap="hsv", linewidths=0)
+    axis.scatter(places[:, 0], places[:, 1], c=colours, s=6, cmap="hsv", linewidths=0)
     axis.set_title(title)
     axis.set_axis_off()
 

@@ -150,6 +150,8 @@ class LocatedStations(Result):
             "positions are those of the left camera; the first one's pose is taken as exact",
             "shadows that moved with the Sun pull ties along; residuals show that only in part",
         ]
+        if any(station.time_s is None for station in self.found.stations):
+            notes.append("`twin states` and `twin update` need times: add time_s to each pose.toml")
         if self.rig.assumed:
             notes.append(f"the rig assumes: {', '.join(self.rig.assumed)}")
         if self.synthetic:
