@@ -3,7 +3,7 @@
     python tests/benchmarks/scenes.py FOLDER --seeds 2 3 4 --stations 2
     python tests/benchmarks/stations.py FOLDER/navcam-2 FOLDER/navcam-3 ...
 
-NEES is the squared error over the covariance: of place (expected 3), and of place and direction (expected 6). SYNTHETIC.
+NEES is the squared error over the covariance: of place (expected 3), of place and direction (expected 6). SYNTHETIC.
 """
 
 import sys

@@ -29,6 +29,8 @@ SIDES = ("left", "right")
 ENDINGS = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
 LEAST_DRIFT_M = 0.02
 """Error of dead reckoning that is left without any way; assumed. [m]"""
+FIRST_M = 0.001
+"""Error of the first place in the table, which is exact by definition: who reads positions needs one above 0; assumed."""
 AXES = "xyz"
 
 
@@ -114,7 +116,7 @@ class LocatedStations(Result):
         rows = []
         for k, (station, pose) in enumerate(zip(self.found.stations, self.found.poses, strict=True)):
             part = slice(6 * k - 6, 6 * k)
-            own = self.found.covariance[part, part] if k else np.zeros((6, 6))
+            own = self.found.covariance[part, part] if k else np.diag([0.0] * 3 + [FIRST_M**2] * 3)
             heading, down, roll = pose.angles_deg()
             x, y, z = map(float, pose.center_m)
             rows.append(
@@ -147,7 +149,7 @@ class LocatedStations(Result):
     def notes(self) -> list[str]:
         """What there is to say about the positions."""
         notes = [
-            "positions are those of the left camera; the first one's pose is taken as exact",
+            "positions are those of the left camera, not of the rover's origin; the first one's pose is taken as exact",
             "shadows that moved with the Sun pull ties along; residuals show that only in part",
         ]
         if any(station.time_s is None for station in self.found.stations):
