@@ -30,7 +30,7 @@ ENDINGS = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
 LEAST_DRIFT_M = 0.02
 """Error of dead reckoning that is left without any way; assumed. [m]"""
 FIRST_M = 0.001
-"""Error of the first place in the table, which is exact by definition: who reads positions needs one above 0; assumed."""
+"""Error of the first place in the table, which is exact by definition: readers need one above 0; assumed."""
 AXES = "xyz"
 
 
