@@ -18,7 +18,7 @@ from .shared.talk import FAILED, INTERRUPTED, failure_line, say
 GROUPS = {
     "spectra": "What the rock is made of: absorption bands and minerals from reflectance spectra.",
     "regolith": "What the ground is: wheel-soil forces, the soil that wheel states reveal, and soils alike.",
-    "images": "What pictures show: terrain, how deep the tracks are, and rocks.",
+    "images": "What pictures show: terrain, where the rover stands, how deep its tracks are, and rocks.",
     "twin": "Whether the next drive is safe: a rover simulated on deformable ground.",
 }
 SINGLE = {

@@ -277,6 +277,7 @@ def test_every_command_has_an_answer_in_the_table() -> None:
         "spectra map",
         "images merge",
         "images dem",
+        "images locate",
         "images render",
     }
     tried = {
