@@ -19,6 +19,11 @@ OPTIONS = {
     "rig": option(
         "The cameras of all stations: yutu2-pancam, yutu2-navcam, yutu2-hazcam or a TOML file.", metavar="RIG"
     ),
+    "mast": option(
+        "Middle between both cameras in the rover's frame, in m ahead, left and up: positions are then the rover's.",
+        kind=str | None,
+        metavar="X,Y,Z",
+    ),
     "drift": option("Error of dead reckoning as a share of the way between stations (assumed)."),
     "heading_error": option("Error of the headings in pose.toml, in deg (assumed)."),
     "tilt_error": option("Error of down_deg and roll_deg in pose.toml, in deg (assumed)."),
@@ -34,22 +39,25 @@ Folders = Annotated[
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "locate", request=LocateRequest, options=OPTIONS)(locate)
+    command(app, "locate", folder=True, request=LocateRequest, options=OPTIONS)(locate)
 
 
 def locate(output: Output, stations: Folders, request: LocateRequest) -> Report:
     """Where stations were, from ground that their pictures share, with errors; dead reckoning is where to begin.
 
     What the nearer of two stations sees is laid into the other one's view by its stereo points and tied to it (extra
-    `images`); all poses and the rig within its errors are then adjusted at once. --csv gives the positions that
-    `twin states`, `twin update` and `images merge` read, --plot shows the ties. A station that could not be tied stays
+    `images`); all poses and the rig within its errors are then adjusted at once. A station that could not be tied stays
     where dead reckoning puts it, and the exit code is 3.
+
+    --csv gives the positions that `twin states` and `twin update` read as --positions. With -o DIR they go to
+    positions.csv, each pose to STATION.toml for `images dem --pose`, and the errors of elevation models made so to
+    shifts.csv for `images merge --positions`. --plot shows the ties.
     """
     from lunarsci.images.jobs.locate import locate
 
     with progress("locating", quiet=output.quiet) as update:
         found = locate(stations, request, progress=update)
-    return Report.of(found, _tables(found))
+    return Report.of(found, _tables(found), files=found.files())
 
 
 def _tables(found: "LocatedStations") -> list[TextTable]:
@@ -58,13 +66,13 @@ def _tables(found: "LocatedStations") -> list[TextTable]:
         [
             row["station"],
             *(plus_minus(row[f"{a}_m"], row[f"{a}{a}_m2"] ** 0.5, digits=4) for a in "xyz"),
-            plus_minus(row["heading_deg"], row["heading_deg_sigma"], digits=2),
+            plus_minus(row["camera_heading_deg"], row["camera_heading_deg_sigma"], digits=2),
             f"{row['from_dead_reckoning_m']:.3f}",
             "yes" if row["tied"] else "no",
         ]
         for row in result["stations"]
     ]
-    headers = ["station", "x [m]", "y [m]", "z [m]", "heading [deg]", "from dead reckoning [m]", "tied"]
+    headers = ["station", "x [m]", "y [m]", "z [m]", "camera's heading [deg]", "from dead reckoning [m]", "tied"]
     pairs = [
         [
             f"{pair['first']}, {pair['second']}",
@@ -77,4 +85,4 @@ def _tables(found: "LocatedStations") -> list[TextTable]:
         for pair in result["pairs"]
     ]
     ties = TextTable(["stations", "overlap", "of one motion", "ties", "correlation", "failed"], pairs, title="Pairs")
-    return [TextTable(headers, rows, title="Left cameras", notes=result["notes"]), ties]
+    return [TextTable(headers, rows, title=result["positions_of"].capitalize(), notes=result["notes"]), ties]

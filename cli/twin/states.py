@@ -20,6 +20,12 @@ OPTIONS = {
     "rover": ROVER,
     "terrain": TERRAIN,
     "interpolation": INTERPOLATION,
+    "positions": option(
+        "Positions from localisation, such as those of `images locate` (CSV): time_s, x_m, y_m, and sigma_m or xx_m2, "
+        "xy_m2, yy_m2. They take the place of those in the telemetry.",
+        kind=str | None,
+        metavar="FILE",
+    ),
     "track": option(
         "Depth of the track: CSV with x_m, y_m, rut_m, or the terrain after the drive. No sinkage without it.",
         kind=str | None,

@@ -73,17 +73,25 @@ class _Side(NamedTuple):
 
 
 def adjust(
-    poses: Sequence[Pose], covariances: Sequence[FloatArray], rig: StereoRig, pairs: Sequence[PairTies]
+    poses: Sequence[Pose],
+    covariances: Sequence[FloatArray],
+    rig: StereoRig,
+    pairs: Sequence[PairTies],
+    *,
+    start: Sequence[Pose] | None = None,
 ) -> Adjusted:
     """Adjust stations by what they see in pairs; the first pose is kept.
 
-    poses, covariances : where dead reckoning puts left cameras, and how well (6, 6).
+    poses, covariances : where dead reckoning puts left cameras, and how well: direction, and the step from the one
+        before (6, 6); that of the first one is not used.
     rig : as it is told, with its covariance.
+    pairs : may be none; then poses stay, and their covariance is that of dead reckoning.
+    start : poses to begin with; where dead reckoning puts them if None.
 
     Raises DataError where the equations have no answer.
     """
     problem = _Bundle(tuple(poses), tuple(covariances), rig, tuple(pairs))
-    state = problem.start()
+    state = problem.begun(tuple(start or poses))
     for _ in range(STEPS):
         step = problem.step(state)
         state = problem.moved(state, step)
@@ -122,13 +130,13 @@ class _Bundle:
         """Numbers of all poses but the first."""
         return 6 * (len(self.priors) - 1)
 
-    def start(self) -> _Unknowns:
+    def begun(self, poses: tuple[Pose, ...]) -> _Unknowns:
         points = []
         for near, _, ties in self.pairs:
             local = triangulated(self.rig, ties.near_px, ties.near_disparity)
-            points.append(self.priors[near].to_world(local))
+            points.append(poses[near].to_world(local))
         count = len(self.pairs)
-        return _Unknowns(self.priors, np.zeros(len(PARAMETERS)), tuple(points), (1.0,) * count, np.zeros((count, 2)))
+        return _Unknowns(poses, np.zeros(len(PARAMETERS)), tuple(points), (1.0,) * count, np.zeros((count, 2)))
 
     def moved(self, state: _Unknowns, step: tuple[FloatArray, list[FloatArray], tuple[float, ...]]) -> _Unknowns:
         change, points, inflation = step
@@ -164,13 +172,17 @@ class _Bundle:
     def _priors(self, state: _Unknowns) -> tuple[FloatArray, FloatArray]:
         size = self.size
         normal, goal = np.zeros((size, size)), np.zeros(size)
+        moved = np.array([now.center_m - prior.center_m for now, prior in zip(state.poses, self.priors, strict=True)])
         for k in range(1, len(self.priors)):
-            place = slice(6 * k - 6, 6 * k)
             weight = np.linalg.inv(self.covariances[k])
-            now, prior = state.poses[k], self.priors[k]
-            off = np.concatenate([vector_of(now.rotation @ prior.rotation.T), now.center_m - prior.center_m])
-            normal[place, place] += weight
-            goal[place] -= weight @ off
+            turned = vector_of(state.poses[k].rotation @ self.priors[k].rotation.T)
+            off = np.concatenate([turned, moved[k] - moved[k - 1]])
+            by = np.zeros((6, size))
+            by[:, 6 * k - 6 : 6 * k] = np.eye(6)
+            if k > 1:
+                by[3:, 6 * k - 9 : 6 * k - 6] = -np.eye(3)
+            normal += by.T @ weight @ by
+            goal -= by.T @ weight @ off
         weight = np.linalg.inv(self.rig.covariance[np.ix_(self.loose, self.loose)])
         rig = slice(self.free, self.free + len(self.loose))
         normal[rig, rig] += weight
@@ -186,13 +198,14 @@ class _Bundle:
         weight = _weights(residual)
         root = np.sqrt(weight)[:, None]
         residual, by_point, by_common = residual * root, by_point * root[..., None], by_common * root[..., None]
-        own = np.einsum("nki,nkj->nij", by_point, by_point)
-        cross = np.einsum("nki,nkj->nij", by_point, by_common)
+        own = by_point.transpose(0, 2, 1) @ by_point
+        cross = by_point.transpose(0, 2, 1) @ by_common
         inverse = np.linalg.inv(own + 1e-12 * np.trace(own, axis1=1, axis2=2)[:, None, None] * np.eye(3))
         pull = np.einsum("nki,nk->ni", by_point, residual)
         solved = inverse @ cross
-        normal = np.einsum("nki,nkj->ij", by_common, by_common) - np.einsum("nki,nkj->ij", cross, solved)
-        goal = np.einsum("nki,nk->i", by_common, residual) - np.einsum("nki,nk->i", solved, pull)
+        flat = by_common.reshape(-1, self.size)
+        normal = flat.T @ flat - cross.reshape(-1, self.size).T @ solved.reshape(-1, self.size)
+        goal = flat.T @ residual.ravel() - solved.reshape(-1, self.size).T @ pull.ravel()
         return _Reduced(
             normal, goal, np.einsum("nij,nj->ni", inverse, pull), solved, self._inflation(state, index, pair)
         )
@@ -301,9 +314,9 @@ def _seen_by(rig: StereoRig, pose: Pose, points: FloatArray, loose: IntArray) ->
     by_right = right.by_point @ rig.rotation
     by_local = np.concatenate([left.by_point, by_right[:, :1] - left.by_point[:, :1]], axis=1)
     by_point = by_local @ pose.rotation.T
-    by_turn = by_point @ _crossed(points - pose.center_m)
+    by_turn = by_point @ crossed(points - pose.center_m)
     turned = local @ rig.rotation.T
-    move = np.concatenate([right.by_point @ -_crossed(turned), right.by_point], axis=2)[:, :1]
+    move = np.concatenate([right.by_point @ -crossed(turned), right.by_point], axis=2)[:, :1]
     zero = np.zeros_like(left.by_intrinsics)
     rows = np.concatenate([left.by_intrinsics, zero, np.zeros((len(points), 2, 6))], axis=2)
     last = np.concatenate([-left.by_intrinsics[:, :1], right.by_intrinsics[:, :1], move], axis=2)
@@ -313,7 +326,7 @@ def _seen_by(rig: StereoRig, pose: Pose, points: FloatArray, loose: IntArray) ->
     )
 
 
-def _crossed(vectors: FloatArray) -> FloatArray:
+def crossed(vectors: FloatArray) -> FloatArray:
     """Matrices of the cross product from the left. (n, 3) to (n, 3, 3)"""
     x, y, z = vectors.T
     zero = np.zeros_like(x)

@@ -8,10 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.images.adjustment import Adjusted, PairTies, adjust, triangulated
-from lunarsci.images.camera import Pose
+from lunarsci.images.adjustment import Adjusted, PairTies, adjust, crossed, triangulated
+from lunarsci.images.camera import Pose, vector_of
 from lunarsci.images.rig import StereoRig
 from lunarsci.images.ties import (
+    FARTHEST_M,
     FEWEST,
     FEWEST_OF_ONE_MOTION,
     LEAST_CORRELATION,
@@ -36,6 +37,9 @@ AGREE_PX, AGREEING = 2.0, 0.6
 """Share of the templates that must be so near to where the pose has them: by chance, few are; assumed."""
 ODD_SIGMAS = 5.0
 """Dead reckoning that is off by more is doubted: it, or the ties, are wrong; assumed."""
+LEAST_SHARED, MOST_CLOSED, NEAREST_M = 0.05, 4, 0.5
+"""Share of a station's ground that a much later one must see to be tied to it, to how many at most, and from how near;
+assumed. [-], [-], [m]"""
 Progress = Callable[[int, int], None]
 
 
@@ -69,7 +73,7 @@ class Localised:
     ----------
     stations : as they were given.
     poses, covariance : of all left cameras; of the first nothing is in the covariance. See `Adjusted`.
-    pairs, adjusted : ties, and how they fit; None where no stations were tied.
+    pairs, adjusted : ties, and how they fit.
     reports : of each pair that was tried.
     tied : whether a station hangs together with the first one by ties. (s,)
     """
@@ -78,62 +82,94 @@ class Localised:
     poses: tuple[Pose, ...]
     covariance: FloatArray
     pairs: tuple[PairTies, ...]
-    adjusted: Adjusted | None
+    adjusted: Adjusted
     reports: tuple[PairReport, ...]
     tied: tuple[bool, ...]
 
     def off_sigmas(self, number: int) -> float:
-        """How far dead reckoning was off, in its own sigmas of place and direction (root mean square of six)."""
-        from lunarsci.images.camera import vector_of
+        """How far dead reckoning was off since the station before, in its own sigmas of step and direction.
 
+        Root mean square of six.
+        """
         station, pose = self.stations[number], self.poses[number]
-        off = np.concatenate(
-            [vector_of(pose.rotation @ station.pose.rotation.T), pose.center_m - station.pose.center_m]
-        )
+        step = pose.center_m - self.poses[number - 1].center_m
+        told = station.pose.center_m - self.stations[number - 1].pose.center_m
+        off = np.concatenate([vector_of(pose.rotation @ station.pose.rotation.T), step - told])
         return math.sqrt(float(off @ np.linalg.solve(station.covariance, off)) / 6)
+
+    def covariance_of(self, number: int) -> FloatArray:
+        """That of one station's pose; nothing for the first one. (6, 6)"""
+        part = slice(6 * number - 6, 6 * number)
+        return self.covariance[part, part] if number else np.zeros((6, 6))
+
+    def place(self, number: int) -> tuple[Pose, FloatArray]:
+        """A rover's frame, that of the left camera where the rover's is not known, and its covariance. (6, 6)"""
+        pose, rover, own = self.poses[number], self.stations[number].rover, self.covariance_of(number)
+        if rover is None:
+            return pose, own
+        arm = pose.rotation @ rover.center_m
+        by = np.eye(6)
+        by[3:, :3] = -crossed(arm[None])[0]
+        return Pose(rotation=pose.rotation @ rover.rotation, center_m=pose.center_m + arm), by @ own @ by.T
 
 
 def localise(stations: Sequence[Station], rig: StereoRig, *, progress: Progress | None = None) -> Localised:
-    """Tie stations in pairs, next ones and next but one, and adjust them all.
+    """Tie stations in pairs and adjust them all.
+
+    Each is tied to the two before it, and to earlier ones that see the same ground: so a drive that comes back closes.
 
     stations : in the order of the drive, two or more; the first one's pose is taken as it is.
     rig : of all pairs.
     """
     told = progress or (lambda done, total: None)
-    count = len(stations)
-    todo = [(a, b) for a in range(count) for b in range(a + 1, min(a + 3, count))]
-    poses = [station.pose for station in stations]
+    poses = [stations[0].pose]
+    steps = [station.covariance for station in stations]
     found: list[PairTies] = []
     reports = []
-    told(0, len(todo))
-    for done, (a, b) in enumerate(todo):
-        pair, report, relative = _tied(stations, poses, a, b, rig)
-        reports.append(report)
-        if pair is not None and relative is not None:
-            found.append(pair)
-            if b == a + 1:
-                poses[b] = relative
-        told(done + 1, len(todo))
-    adjusted = None
-    covariances = [station.covariance for station in stations]
-    if found:
-        adjusted = adjust([s.pose for s in stations], covariances, rig, found)
-        poses = list(adjusted.poses)
+    for b in range(1, len(stations)):
+        told(b - 1, len(stations))
+        reckoned = stations[b].pose.center_m - stations[b - 1].pose.center_m
+        poses.append(Pose(rotation=stations[b].pose.rotation, center_m=poses[-1].center_m + reckoned))
+        tied = False
+        for a in _partners(stations, poses, rig, b):
+            outcome = _tied(stations, poses, a, b, rig, np.asarray(sum(steps[a + 1 : b + 1])))
+            reports.append(outcome.report)
+            if outcome.pair is None or outcome.pose is None:
+                continue
+            found.append(outcome.pair)
+            if not tied:
+                poses[b] = outcome.pose
+            if a == b - 1:
+                steps[b] = outcome.covariance
+            tied = True
+    told(len(stations) - 1, len(stations))
+    adjusted = adjust([s.pose for s in stations], [s.covariance for s in stations], rig, found, start=poses)
+    told(len(stations), len(stations))
     return Localised(
         stations=tuple(stations),
-        poses=tuple(poses) if adjusted is not None else tuple(s.pose for s in stations),
-        covariance=adjusted.covariance if adjusted is not None else _blocks(covariances[1:]),
+        poses=adjusted.poses,
+        covariance=adjusted.covariance,
         pairs=tuple(found),
         adjusted=adjusted,
         reports=tuple(reports),
-        tied=_together(count, found),
+        tied=_together(len(stations), found),
     )
 
 
-def _blocks(covariances: Sequence[FloatArray]) -> FloatArray:
-    from scipy.linalg import block_diag
+def _partners(stations: Sequence[Station], poses: Sequence[Pose], rig: StereoRig, b: int) -> list[int]:
+    """Stations before one that it is tied to: the next two, and those whose ground it sees most of."""
+    shares = [_shared(stations[a], poses[a], poses[b], rig) for a in range(b - 2)]
+    back = [a for a in np.argsort(shares, kind="stable")[::-1] if shares[a] >= LEAST_SHARED][:MOST_CLOSED]
+    return [*range(b - 1, max(b - 3, -1), -1), *map(int, back)]
 
-    return np.asarray(block_diag(*covariances))
+
+def _shared(first: Station, pose: Pose, other: Pose, rig: StereoRig) -> float:
+    """Share of the places that a station knows, which the other one's left camera sees; by every 16th pixel."""
+    points = first.matches.rectified.points(first.matches.disparity)[::16, ::16].reshape(-1, 3)
+    points = points[np.isfinite(points).all(axis=1) & (np.linalg.norm(points, axis=1) < FARTHEST_M)]
+    local = other.to_camera(pose.to_world(points))
+    ahead = local[local[:, 2] > NEAREST_M]
+    return float(rig.left.sees(rig.left.project(ahead)).sum()) / max(len(points), 1)
 
 
 def _together(count: int, pairs: Sequence[PairTies]) -> tuple[bool, ...]:
@@ -143,38 +179,49 @@ def _together(count: int, pairs: Sequence[PairTies]) -> tuple[bool, ...]:
     return tuple(k in tied for k in range(count))
 
 
+class _Outcome(NamedTuple):
+    """Ties of two stations, what came of them, and the second one's pose with its covariance beside the first one's."""
+
+    pair: PairTies | None
+    report: PairReport
+    pose: Pose | None
+    covariance: FloatArray
+
+
 def _tied(
-    stations: Sequence[Station], poses: Sequence[Pose], a: int, b: int, rig: StereoRig
-) -> tuple[PairTies | None, PairReport, Pose | None]:
-    """Ties of two stations, what came of them, and the second one's pose."""
+    stations: Sequence[Station], poses: Sequence[Pose], a: int, b: int, rig: StereoRig, covariance: FloatArray
+) -> _Outcome:
+    """Ties of two stations, the second of which is known beside the first with a covariance (6, 6)."""
     near, far, seen, ground = _nearer(stations, poses, a, b)
     report = PairReport(a, b, near, float(seen.seen.mean()), 0, 0, 0, math.nan, ground, "")
+
+    def failed(why: str) -> _Outcome:
+        return _Outcome(None, report._replace(failure=why), None, covariance)
+
     if report.overlap < LEAST_OVERLAP:
-        return None, report._replace(failure=f"they share no ground: overlap {report.overlap:.1%} of a picture"), None
-    motion, report = _by_features(stations, poses, near, far, seen, rig, report)
+        return failed(f"they share no ground: overlap {report.overlap:.1%} of a picture")
+    motion, report = _by_features(stations, poses, near, far, seen, rig, report, covariance)
     if motion is None:
-        return None, report, None
+        return failed(report.failure)
     now = _moved(poses, near, far, motion, b)
     for reach in REACHES_PX:
         seen = transfer(stations[near], now[near], stations[far], now[far])
         ties = templates(seen, stations[near], stations[far], rig, reach)
         report = report._replace(ties=len(ties.correlation))
         if report.ties < FEWEST:
-            return None, report._replace(failure=_matter(report, seen)), None
+            return failed(_matter(report, seen))
         report = report._replace(correlation=float(np.median(ties.correlation)))
         pair = PairTies(int(near != a), int(far != a), ties)
-        nothing = [np.eye(6), stations[b].covariance * (b - a)]
-        fitted = adjust([poses[a], now[b]], nothing, rig, [pair])
-        now = list(now)
+        fitted = adjust([poses[a], now[b]], [np.eye(6), covariance], rig, [pair])
         now[b] = fitted.poses[1]
         # What is many times farther off than the rest is no tie.
         off = np.linalg.norm(fitted.residual_px[0], axis=1)
         good = off < max(AGREE_PX, 4 * float(np.median(off)))
         if (off < AGREE_PX).mean() < AGREEING or good.sum() < FEWEST:
-            why = f"{(off < AGREE_PX).sum()} of {len(off)} templates agree on a motion; has the Sun moved far?"
-            return None, report._replace(failure=why), None
+            return failed(f"{(off < AGREE_PX).sum()} of {len(off)} templates agree on a motion; has the Sun moved far?")
         ties = ties.kept(good)
-    return PairTies(near, far, ties), report._replace(ties=len(ties.correlation)), now[b]
+    report = report._replace(ties=len(ties.correlation))
+    return _Outcome(PairTies(near, far, ties), report, now[b], fitted.covariance)
 
 
 def _nearer(
@@ -212,15 +259,15 @@ def _by_features(
     seen: Transferred,
     rig: StereoRig,
     report: PairReport,
+    covariance: FloatArray,
 ) -> tuple[RigidMotion | None, PairReport]:
     """The motion that features share, within reach of dead reckoning; None, and why, where they share none."""
     frame = stations[far].matches.rectified
-    later = stations[max(near, far)]
     points = poses[near].to_world(stations[near].matches.rectified.points(stations[near].matches.disparity))
     at = np.rint(seen.place[seen.seen][::50]).astype(int)
     common = points[np.clip(at[:, 1], 0, points.shape[0] - 1), np.clip(at[:, 0], 0, points.shape[1] - 1)]
     common = common[np.isfinite(common).all(axis=1)]
-    reach = reach_of(later.covariance, poses[far], common, frame.focal_px)
+    reach = reach_of(covariance, poses[far], common, frame.focal_px)
     first, second = features(seen, stations[far], reach)
     local = _at(stations[near].matches.rectified.points(stations[near].matches.disparity), _nearest(seen.place, first))
     good = np.isfinite(local).all(axis=1)

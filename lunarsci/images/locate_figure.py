@@ -21,8 +21,6 @@ def ties_figure(found: Localised, number: int, *, synthetic: bool = False) -> "F
     from matplotlib.figure import Figure
 
     pair, adjusted = found.pairs[number], found.adjusted
-    if adjusted is None:
-        raise ValueError("no stations were tied")
     far, near = found.stations[pair.far], found.stations[pair.near]
     figure = Figure(figsize=(13, 9), layout="constrained")
     axes = figure.subplots(2, 2)

@@ -34,6 +34,7 @@ LEAST_CORRELATION = 0.6
 LIKE = 0.85
 """Largest ratio of the best to the second best distance of features; Lowe takes 0.8."""
 INLIER_PX = 4.0
+LEAST_REACH_PX = 12.0
 TRIALS = 1000
 FEWEST, FEWEST_OF_ONE_MOTION = 12, 7
 """Fewest templates that a pose is believed of, and fewest ties of a motion that is tried on them; assumed."""
@@ -48,8 +49,9 @@ class Station:
     name : what it is called.
     matches : of its pair.
     pose : of its left camera.
-    covariance : of that pose: rotation about x, y, z of the world [rad], place [m]. (6, 6)
+    covariance : of its direction about x, y, z of the world [rad], and of the step from the station before [m]. (6, 6)
     time_s : of the pair; None where it is not known. [s]
+    rover : the rover's frame (x ahead, y left, z up) in that of the left camera; None where it is not known.
     """
 
     name: str
@@ -57,6 +59,7 @@ class Station:
     pose: Pose
     covariance: FloatArray
     time_s: float | None = None
+    rover: Pose | None = None
 
 
 class TiePoints(NamedTuple):
@@ -302,7 +305,7 @@ def _side(matches: StereoMatches, rig: StereoRig, places: FloatArray) -> tuple[F
 
 
 def reach_of(covariance: FloatArray, pose: Pose, points: FloatArray, focal_px: float) -> float:
-    """How far dead reckoning may put a point (n, 3 in the world) beside its place in a picture: 3.5 sigma. [px]"""
+    """How far an error of a pose may put points (n, 3 in the world) beside their places: 3.5 sigma, or more. [px]"""
     depth = float(np.median(np.linalg.norm(points - pose.center_m, axis=1)))
     turn, move = covariance[2, 2], 0.5 * (covariance[3, 3] + covariance[4, 4])
-    return 3.5 * focal_px * math.sqrt(turn + move / depth**2)
+    return max(3.5 * focal_px * math.sqrt(turn + move / depth**2), LEAST_REACH_PX)

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 from lunarsci.cli import main
@@ -105,6 +106,38 @@ def test_telemetry_comes_from_stdin_too(run: Run, sent: Path, monkeypatch: pytes
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO((sent / "telemetry.csv").read_bytes())))
     done = run("twin", "states", "-", "--field", "synthetic")
     assert (done.code, done.out) == (0, "true\n"), done.err
+
+
+def test_positions_from_elsewhere_take_the_place_of_those_in_the_telemetry(
+    run: Run, plan: Path, sent: Path, tmp_path: Path
+) -> None:
+    """The same positions in a file of their own give the same states; at times between rows nearly so."""
+    table = pd.read_csv(sent / "telemetry.csv", comment="#")
+    fixed = table[["time_s", "x_m", "y_m", "xx_m2", "xy_m2", "yy_m2"]].dropna()
+    bare = table.drop(columns=["x_m", "y_m", "xx_m2", "xy_m2", "yy_m2"])
+    fixed.to_csv(tmp_path / "fixed.csv", index=False)
+    bare.to_csv(tmp_path / "bare.csv", index=False)
+    assert "no column x_m" in run("twin", "states", tmp_path / "bare.csv", plan).err[-1]
+    wheels = []
+    for lines in (
+        (sent / "telemetry.csv", plan),
+        (tmp_path / "bare.csv", plan, "--positions", tmp_path / "fixed.csv"),
+        (tmp_path / "bare.csv", plan, "--positions", tmp_path / "between.csv"),
+    ):
+        done = run("twin", "states", *lines, "--json")
+        assert done.code == 0, done.err
+        wheels.append(json.loads(done.out)["result"]["wheels"])
+        at = {name: np.interp(fixed["time_s"] + 0.4, fixed["time_s"], fixed[name]) for name in ("x_m", "y_m")}
+        moved = fixed.assign(time_s=np.minimum(fixed["time_s"] + 0.4, fixed["time_s"].max()), **at)
+        moved.to_csv(tmp_path / "between.csv", index=False)
+    assert wheels[1] == wheels[0]
+    for name, wheel in wheels[2].items():
+        near = wheels[0][name]["slip_ratio"]
+        assert wheel["slip_ratio"]["median"] == pytest.approx(near["median"], abs=2 * near["sigma"])
+    late = fixed.assign(time_s=fixed["time_s"] + np.where(fixed.index > fixed.index[3], 1e4, 0.0))
+    late.to_csv(tmp_path / "late.csv", index=False)
+    done = run("twin", "states", tmp_path / "bare.csv", plan, "--positions", tmp_path / "late.csv")
+    assert done.code == 3 and any("not within the times of the telemetry" in line for line in done.err)
 
 
 def test_the_ground_after_the_drive_is_a_track(run: Run, plan: Path, sent: Path, tmp_path: Path) -> None:

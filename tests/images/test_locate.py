@@ -1,6 +1,7 @@
 """Stations by what they share: adjustment beside points of known geometry, ties beside moved pictures."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ pytest.importorskip("cv2", reason="needs the extra images")
 from lunarsci.errors import DataError, RequestError
 from lunarsci.images.adjustment import SMALLEST_PX, PairTies, adjust, triangulated
 from lunarsci.images.camera import Camera, Pose, rotation_of, vector_of
-from lunarsci.images.jobs.locate import LocateRequest, locate
+from lunarsci.images.jobs.locate import LocateRequest, _names, _rover, locate
 from lunarsci.images.rig import PARAMETERS, StereoRig, covariance_of
 from lunarsci.images.ties import OVERLAPPING, TiePoints, _peak
 
@@ -66,6 +67,75 @@ def test_poses_are_as_wrong_as_they_say() -> None:
     assert np.sqrt(np.mean(np.square(errors))) < 0.005 * 7
 
 
+def course(seed: int, pairs: list[tuple[int, int]]) -> tuple[list[Pose], list[Pose], list[np.ndarray], list[PairTies]]:
+    """Stations every 2 m, dead reckoning that drifts from one to the next, and what a perturbed rig sees in pairs."""
+    random = np.random.default_rng(seed)
+    true = [Pose.looking([2.0 * k, 0.1 * k, 1.5], 2.0 * k, 24.0) for k in range(4)]
+    spread = np.array([0.005, 0.005, 0.0175, 0.08, 0.08, 0.05])
+    told, off = [true[0]], np.zeros(3)
+    for pose in true[1:]:
+        error = spread * random.standard_normal(6)
+        off = off + error[3:]
+        told.append(Pose(rotation=rotation_of(error[:3]) @ pose.rotation, center_m=pose.center_m + off))
+    rig, found = navcam().drawn(random), []
+    for far, near in pairs:
+        x = random.uniform(2.0 * near + 1.8, 2.0 * near + 5.0, TIES)
+        ground = np.column_stack([x, random.uniform(-0.8, 1.2, TIES), random.normal(0, 0.05, TIES)])
+        sides = []
+        for pose, error in ((true[near], 0.05), (true[far], math.sqrt(OVERLAPPING) * SMALLEST_PX)):
+            left, right = rig.project(pose.to_camera(ground))
+            disparity = right[:, 0] - left[:, 0] + 0.1 * random.standard_normal(TIES)
+            sides.append((left + error * random.standard_normal((TIES, 2)), disparity, np.full(TIES, 0.1)))
+        shifted = sides[1][0] + 0.25 * random.standard_normal(2), *sides[1][1:]
+        found.append(PairTies(near, far, TiePoints(*sides[0], *shifted, np.zeros((TIES, 2, 2)), np.ones(TIES))))
+    return true, told, [np.diag(spread**2)] * 4, found
+
+
+@pytest.mark.parametrize("pairs", [[(0, 1), (1, 2), (0, 2), (2, 3), (1, 3), (0, 3)], [(0, 1), (2, 3)], []])
+def test_chains_are_as_wrong_as_they_say(pairs: list[tuple[int, int]]) -> None:
+    """Three poses: chi-square of 18, the mean of 16 within 4 standard errors; also where one step is reckoned alone."""
+    scores, ends = [], []
+    for seed in range(16):
+        true, told, priors, ties = course(seed, pairs)
+        found = adjust(told, priors, navcam(), ties)
+        off = np.concatenate(
+            [
+                np.concatenate([vector_of(p.rotation @ t.rotation.T), p.center_m - t.center_m])
+                for p, t in zip(found.poses[1:], true[1:], strict=True)
+            ]
+        )
+        scores.append(off @ np.linalg.solve(found.covariance, off))
+        ends.append(float(np.trace(found.covariance[-3:, -3:])))
+    assert abs(np.mean(scores) - 18) < 4 * 6 / 4
+    if len(pairs) == 2:
+        # The second step is known by dead reckoning alone, the last one by ties.
+        assert np.sqrt(np.mean(ends)) == pytest.approx(math.sqrt(0.08**2 * 2 + 0.05**2), rel=0.1)
+
+
+def test_a_loop_that_closes_knows_its_end_better() -> None:
+    open_pairs = [(0, 1), (1, 2), (2, 3)]
+    ends = []
+    for pairs in (open_pairs, [*open_pairs, (0, 3)]):
+        _, told, priors, ties = course(5, pairs)
+        ends.append(np.trace(adjust(told, priors, navcam(), ties).covariance[-3:, -3:]))
+    assert ends[1] < 0.8 * ends[0]
+
+
+def test_the_rovers_origin_is_below_its_mast() -> None:
+    """A rover at a known place and attitude, its cameras turned about a mast that leans with it."""
+    rig, mast = navcam(), np.array([0.4, 0.1, 1.2])
+    body = Pose(rotation=rotation_of([0, 0, 0.3]) @ rotation_of([0, 0.1, 0]) @ rotation_of([0.05, 0, 0]),
+                center_m=np.array([3.0, 1.0, 0.25]))  # fmt: skip
+    for heading in (0.0, 90.0):
+        camera = Pose.looking([0, 0, 0], heading, 20.0, 3.0)
+        middle = body.to_world(mast)
+        left = middle + 0.5 * camera.rotation @ rig.rotation.T @ rig.translation_m
+        told = Pose(rotation=camera.rotation, center_m=left)
+        rover = _rover(rig, told, np.degrees([0.3, 0.1, 0.05]), mast)
+        np.testing.assert_allclose(told.to_world(rover.center_m), body.center_m, atol=1e-9)
+        np.testing.assert_allclose(told.rotation @ rover.rotation, body.rotation, atol=1e-9)
+
+
 def test_wild_ties_move_little() -> None:
     _, told, prior, pair = drive(3)
     plain = adjust(told, [np.eye(6), prior], navcam(), [pair])
@@ -96,8 +166,18 @@ def test_what_is_no_station(tmp_path) -> None:  # type: ignore[no-untyped-def]
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "pose.toml").write_text("position_m = [0, 0, 1.5]\nheading_deg = 0\ndown_deg = 25\n")
     with pytest.raises(DataError, match=r"no left.png; a station is a folder"):
+        locate([tmp_path / "a", tmp_path / "b"])
+    with pytest.raises(RequestError, match="is given twice"):
         locate([tmp_path / "a", tmp_path / "a"])
     with pytest.raises(RequestError, match="two or more"):
         locate([tmp_path / "a"])
     with pytest.raises(RequestError, match="`drift`"):
         LocateRequest(drift=0.0)
+    for mast in ("1,2", "a,b,c", "1,2,nan"):
+        with pytest.raises(RequestError, match="ahead, left and up"):
+            LocateRequest(mast=mast)
+
+
+def test_names_of_stations_differ() -> None:
+    assert _names([Path("day1/A"), Path("day1/B")]) == ["A", "B"]
+    assert _names([Path("day1/A"), Path("day2/A")]) == ["day1-A", "day2-A"]

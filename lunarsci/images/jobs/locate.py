@@ -7,12 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import DataError, RequestError
-from lunarsci.inputs import read_input
+from lunarsci.inputs import InputFile, read_input
 from lunarsci.result import MadeFrom, Result, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from lunarsci.arrays import FloatArray
+    from lunarsci.images.camera import Pose
     from lunarsci.images.localisation import Localised
     from lunarsci.images.rig import StereoRig
     from lunarsci.images.ties import Station
@@ -31,6 +33,8 @@ LEAST_DRIFT_M = 0.02
 """Error of dead reckoning that is left without any way; assumed. [m]"""
 FIRST_M = 0.001
 """Error of the first place in the table, which is exact by definition: readers need one above 0; assumed."""
+ATTITUDE = ("rover_yaw_deg", "rover_pitch_deg", "rover_roll_deg")
+"""Of the rover, in pose.toml: from x towards y, positive nose down, and positive with its left side up."""
 AXES = "xyz"
 
 
@@ -41,11 +45,14 @@ class LocateRequest:
     Attributes
     ----------
     rig : name or TOML file, of all stations.
+    mast : x,y,z of the middle between both cameras in the rover's frame (ahead, left, up), which stays where it is
+        while the mast turns; positions are then the rover's. [m]
     drift : error of dead reckoning as a share of the way between stations, > 0; assumed.
     heading_error, tilt_error : of the given directions, > 0; assumed. [deg]
     """
 
     rig: str = "yutu2-navcam"
+    mast: str | None = None
     drift: float = 0.03
     heading_error: float = 1.0
     tilt_error: float = 0.3
@@ -54,11 +61,24 @@ class LocateRequest:
         for name, top in (("drift", 1.0), ("heading_error", 45.0), ("tilt_error", 20.0)):
             if not 0 < getattr(self, name) <= top:
                 raise RequestError(f"`{name}` is {getattr(self, name):g}; give a number above 0, at most {top:g}")
+        self.mast_m()
+
+    def mast_m(self) -> "tuple[float, ...] | None":
+        """`mast` as numbers."""
+        if self.mast is None:
+            return None
+        try:
+            found = tuple(map(float, self.mast.split(",")))
+        except ValueError:
+            found = ()
+        if len(found) != 3 or not all(map(math.isfinite, found)):
+            raise RequestError(f"`mast` is '{self.mast}'; give x,y,z in m, ahead, left and up from the rover's origin")
+        return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LocatedStations(Result):
-    """Where left cameras were, in the frame of the first one's pose."""
+    """Where the rover, or its left camera, was, in the frame of the first pose."""
 
     schema: ClassVar[str] = "images-locate/1"
     found: "Localised"
@@ -85,6 +105,7 @@ class LocatedStations(Result):
 
     def to_dict(self) -> dict[str, Any]:
         return {
+            "positions_of": "rover" if self.found.stations[0].rover is not None else "left camera",
             "stations": self.rows(),
             "pairs": [self._pair(report._asdict()) for report in self.found.reports],
             "covariance": self.found.covariance.tolist(),
@@ -103,42 +124,63 @@ class LocatedStations(Result):
         number = next(
             (k for k, p in enumerate(self.found.pairs) if {p.near, p.far} == {report["first"], report["second"]}), None
         )
-        adjusted = self.found.adjusted
-        inflation = None if number is None or adjusted is None else adjusted.inflation[number]
+        inflation = None if number is None else self.found.adjusted.inflation[number]
         distances = dict(zip(("ground_near_m", "ground_far_m"), report.pop("ground_m"), strict=True))
         clean = {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in (report | distances).items()}
         return clean | named | {"error_inflation": inflation}
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """One a station, in the columns that `twin states`, `twin update` and `images merge` read of positions."""
+
+        return [self._row(k) for k in range(len(self.found.stations))]
+
+    def _row(self, k: int) -> dict[str, Any]:
         import numpy as np
 
-        rows = []
-        for k, (station, pose) in enumerate(zip(self.found.stations, self.found.poses, strict=True)):
-            part = slice(6 * k - 6, 6 * k)
-            own = self.found.covariance[part, part] if k else np.diag([0.0] * 3 + [FIRST_M**2] * 3)
-            heading, down, roll = pose.angles_deg()
-            x, y, z = map(float, pose.center_m)
-            rows.append(
-                {
-                    "station": station.name,
-                    "time_s": station.time_s,
-                    "x_m": x,
-                    "y_m": y,
-                    "z_m": z,
-                    **{
-                        f"{n}_m2": float(own[i, j])
-                        for n, i, j in (("xx", 3, 3), ("xy", 3, 4), ("yy", 4, 4), ("zz", 5, 5))
-                    },
-                    "heading_deg": heading,
-                    "heading_deg_sigma": math.degrees(math.sqrt(own[2, 2])),
-                    "down_deg": down,
-                    "roll_deg": roll,
-                    "tied": self.found.tied[k],
-                    "from_dead_reckoning_m": float(np.linalg.norm(pose.center_m - station.pose.center_m)),
-                }
-            )
-        return rows
+        station, pose = self.found.stations[k], self.found.poses[k]
+        place, own = self.found.place(k)
+        own = own if k else np.diag([0.0] * 3 + [FIRST_M**2] * 3)
+        heading, down, roll = pose.angles_deg()
+        turned = math.degrees(math.sqrt(own[2, 2]))
+        yaw = None if station.rover is None else math.degrees(math.atan2(*place.rotation[[1, 0], 0]))
+        return {
+            "station": station.name,
+            "time_s": station.time_s,
+            **dict(zip(("x_m", "y_m", "z_m"), map(float, place.center_m), strict=True)),
+            **{f"{n}_m2": float(own[i, j]) for n, i, j in (("xx", 3, 3), ("xy", 3, 4), ("yy", 4, 4), ("zz", 5, 5))},
+            "yaw_deg": yaw,
+            "yaw_deg_sigma": None if yaw is None else turned,
+            "camera_heading_deg": heading,
+            "camera_heading_deg_sigma": turned,
+            "camera_down_deg": down,
+            "camera_roll_deg": roll,
+            "tied": self.found.tied[k],
+            "from_dead_reckoning_m": float(np.linalg.norm(pose.center_m - station.pose.center_m)),
+        }
+
+    def files(self) -> dict[str, Callable[[], bytes]]:
+        """Positions, poses for `images dem`, and shifts of elevation models made with them: name to what makes it."""
+        from lunarsci.images.rig_files import pose_text
+        from lunarsci.tables import csv_bytes
+
+        found = self.found
+        made: dict[str, Callable[[], bytes]] = {"positions.csv": lambda: csv_bytes(self.to_table().to_pandas())}
+        for station, pose in zip(found.stations, found.poses, strict=True):
+            made[f"{station.name}.toml"] = lambda pose=pose: pose_text(pose).encode()  # type: ignore[misc]
+        made["shifts.csv"] = lambda: csv_bytes(self._shifts())
+        return made
+
+    def _shifts(self) -> Any:
+        """Of elevation models made with the poses found: none, with the errors of these, as `images merge` reads it."""
+        import pandas as pd
+
+        errors = [{name: row[name] for name in row if name.endswith("_m2")} for row in self.rows()]
+        return pd.DataFrame(
+            [
+                {"model": s.name, "x_m": 0.0, "y_m": 0.0, "z_m": 0.0} | row
+                for s, row in zip(self.found.stations, errors, strict=True)
+            ]
+        )
 
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.images.locate_figure import ties_figure
@@ -146,10 +188,15 @@ class LocatedStations(Result):
         for number in range(len(self.found.pairs)):
             yield ties_figure(self.found, number, synthetic=self.synthetic)
 
+    @property
+    def _whose(self) -> str:
+        known = self.found.stations[0].rover is not None
+        return "the rover's origin" if known else "the left camera; with `mast` they are the rover's"
+
     def notes(self) -> list[str]:
         """What there is to say about the positions."""
         notes = [
-            "positions are those of the left camera, not of the rover's origin; the first one's pose is taken as exact",
+            f"positions are those of {self._whose}; the first one's pose is taken as exact",
             "shadows that moved with the Sun pull ties along; residuals show that only in part",
         ]
         if any(station.time_s is None for station in self.found.stations):
@@ -171,7 +218,9 @@ def locate(
     """Poses of stations from what their pictures share, with the covariance of all.
 
     stations : folders in the order of the drive, each with a left and a right picture (`left.png`, `right.png`) and
-        `pose.toml`, which dead reckoning gives (and may have `time_s`).
+        `pose.toml`, which dead reckoning gives: position_m, heading_deg, down_deg and roll_deg of the left camera; it
+        may have time_s, and needs rover_yaw_deg, rover_pitch_deg (nose down) and rover_roll_deg (left side up) for
+        `mast`.
 
     Raises DataError for folders that are none and pairs that do not match, RequestError for fewer than two.
     """
@@ -183,35 +232,54 @@ def locate(
         raise RequestError("one station has nothing to be tied to; give two or more folders")
     rig = read_rig(asked.rig)
     told = progress or (lambda done, total: None)
+    count = len(stations)
+    told = progress or (lambda done, total: None)
     inputs: dict[str, str] = {}
     read: list[Station] = []
     synthetic = "SYNTHETIC" in rig.name
+    names = _names([Path(folder) for folder in stations])
     for number, folder in enumerate(stations):
-        told(number, len(stations) + 1)
-        station, made_up = _station(Path(folder), rig, asked, read[-1] if read else None, inputs)
+        told(number, 2 * count)
+        station, made_up = _station(Path(folder), names[number], rig, asked, read[-1] if read else None, inputs)
         read.append(station)
         synthetic |= made_up
-    told(len(stations), len(stations) + 1)
-    found = localise(read, rig)
-    told(len(stations) + 1, len(stations) + 1)
+    found = localise(read, rig, progress=lambda done, total: told(count + done, 2 * count))
     return LocatedStations(found=found, rig=rig, inputs=inputs, synthetic=synthetic)
 
 
+def _names(folders: Sequence[Path]) -> list[str]:
+    """Names of folders, with those above them where two have the same. Raises RequestError for one given twice."""
+    whole = [folder.resolve() for folder in folders]
+    if len(set(whole)) < len(whole):
+        twice = next(str(folder) for k, folder in enumerate(folders) if whole[k] in whole[:k])
+        raise RequestError(f"{twice} is given twice; each station is a folder of its own")
+    for depth in range(1, 1 + max(len(path.parts) for path in whole)):
+        names = ["-".join(path.parts[-depth:]).strip("-/") for path in whole]
+        if len(set(names)) == len(names):
+            break
+    return names
+
+
 def _station(
-    folder: Path, rig: "StereoRig", asked: LocateRequest, before: "Station | None", inputs: dict[str, str]
+    folder: Path,
+    name: str,
+    rig: "StereoRig",
+    asked: LocateRequest,
+    before: "Station | None",
+    inputs: dict[str, str],
 ) -> "tuple[Station, bool]":
     """A station of a folder, its pair matched, and whether its pictures are SYNTHETIC."""
-    import tomllib
-
     from lunarsci.images.jobs.dem import MAST_M, nearest_ground_m
     from lunarsci.images.matching import match
     from lunarsci.images.pictures import read_picture
     from lunarsci.images.rig_files import check_rig_of, read_pose
     from lunarsci.images.ties import Station
-    from lunarsci.inputs import text
 
     pose_file = read_input(folder / "pose.toml")
     files = [read_input(_picture(folder, side)) for side in SIDES]
+    for file in files:
+        if again := next((other for other, digest in inputs.items() if digest == file.sha256), None):
+            raise DataError(f"{file.name}: the same picture as {again}; each camera and station has its own")
     inputs |= {file.name: file.sha256 for file in (pose_file, *files)}
     pose = read_pose(pose_file)
     pictures = [read_picture(file) for file in files]
@@ -219,15 +287,46 @@ def _station(
         check_rig_of(rig, *picture.size, picture.source.name)
         picture.check()
     nearest = nearest_ground_m(rig, pose, rig.mast_height_m or MAST_M)
-    time_s = tomllib.loads(text(pose_file)).get("time_s")
+    time_s, attitude = _more_of_pose(pose_file)
+    mast = asked.mast_m()
+    if mast is not None and attitude is None:
+        raise DataError(f"{pose_file.name}: `mast` needs how the rover stood there; add {', '.join(ATTITUDE)}")
     station = Station(
-        name=folder.name,
+        name=name,
         matches=match(pictures[0], pictures[1], rig, nearest_m=nearest),
         pose=pose,
         covariance=_covariance(pose, before, asked),
-        time_s=None if time_s is None else float(time_s),
+        time_s=time_s,
+        rover=None if mast is None or attitude is None else _rover(rig, pose, attitude, mast),
     )
     return station, any(b"SYNTHETIC" in file.data[:4000] for file in files)
+
+
+def _more_of_pose(file: InputFile) -> "tuple[float | None, tuple[float, ...] | None]":
+    """Time, and yaw, pitch and roll of the rover, of a pose.toml; None where it does not say them. Raises DataError."""
+    import tomllib
+
+    from lunarsci.inputs import text
+
+    table = tomllib.loads(text(file))
+    known = [name for name in ("time_s", *ATTITUDE) if name in table]
+    for name in known:
+        if isinstance(table[name], bool) or not isinstance(table[name], int | float) or not math.isfinite(table[name]):
+            raise DataError(f"{file.name}: {name} is {table[name]!r}; give a number")
+    time_s = float(table["time_s"]) if "time_s" in table else None
+    return time_s, tuple(float(table[name]) for name in ATTITUDE) if set(ATTITUDE) <= set(known) else None
+
+
+def _rover(rig: "StereoRig", pose: "Pose", attitude: Sequence[float], mast_m: Sequence[float]) -> "Pose":
+    """The rover's frame in that of the left camera: the middle between both cameras is `mast_m` in the rover's."""
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    from lunarsci.images.camera import Pose
+
+    turned = pose.rotation.T @ Rotation.from_euler("ZYX", attitude, degrees=True).as_matrix()
+    middle = -0.5 * rig.rotation.T @ rig.translation_m
+    return Pose(rotation=turned, center_m=middle - turned @ np.asarray(mast_m))
 
 
 def _picture(folder: Path, side: str) -> Path:
@@ -238,12 +337,11 @@ def _picture(folder: Path, side: str) -> Path:
     raise DataError(f"{folder}: no {side}.png; a station is a folder with left.png, right.png and pose.toml")
 
 
-def _covariance(pose: Any, before: "Station | None", asked: LocateRequest) -> Any:
-    """Of dead reckoning since the first station: variances of place add up from one to the next. (6, 6)"""
+def _covariance(pose: "Pose", before: "Station | None", asked: LocateRequest) -> "FloatArray":
+    """Of dead reckoning: of direction, and of the step from the station before. (6, 6)"""
     import numpy as np
 
     way = 0.0 if before is None else float(np.linalg.norm(pose.center_m - before.pose.center_m))
-    place = math.hypot(asked.drift * way, LEAST_DRIFT_M) ** 2
-    so_far = 0.0 if before is None else float(before.covariance[3, 3])
-    tilt, turn = math.radians(asked.tilt_error) ** 2, math.radians(asked.heading_error) ** 2
-    return np.diag([tilt, tilt, turn, *[so_far + place] * 3])
+    step = math.hypot(asked.drift * way, LEAST_DRIFT_M)
+    tilt, turn = math.radians(asked.tilt_error), math.radians(asked.heading_error)
+    return np.diag(np.square([tilt, tilt, turn, step, step, step]))

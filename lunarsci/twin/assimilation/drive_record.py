@@ -16,9 +16,9 @@ from lunarsci.arrays import FloatArray, IntArray, samples_about
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, StateTable, read_state_table
-from lunarsci.tables import check_columns, numbers_of, read_csv_table, without_repeats
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
+from lunarsci.twin.telemetry.reading import Positions, read_positions
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 OBSERVED = COLUMNS
 """Columns of the measured values: sinkage, slip ratio, side slip, normal force, drawbar pull, lateral force."""
-KNOWN_PLACES = ("time_s", "x_m", "y_m", "z_m", "yaw_deg", "sigma_m", "xx_m2", "xy_m2", "yy_m2", "synthetic")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -86,13 +85,16 @@ def read_record(
     values = found.values
     if positions is not None:
         _forget_slips(found.file, found.table, values)
+    fixes = Positions.none() if positions is None else read_positions(positions)
     try:
         return DriveRecord(
             time_s=found.numbers("time_s"),
             wheel=found.wheels,
             values=values,
             sigmas=found.sigmas,
-            **_positions(positions),
+            fix_time_s=fixes.time_s,
+            fix_m=fixes.place_m,
+            fix_covariance_m2=fixes.covariance_m2,
         )
     except ParameterError as error:
         raise DataError(f"{found.file}: {error}") from error
@@ -117,24 +119,6 @@ def _forget_slips(file: str, table: "pd.DataFrame", values: FloatArray) -> None:
         text = f"{file}: slip and side slip of {used} states derive from positions, which are given too; left out"
         warnings.warn(f"{text}, so that nothing counts twice", LunarSciWarning, stacklevel=3)
         values[np.ix_(derived, columns)] = np.nan
-
-
-def _positions(source: InputFile | None) -> dict[str, FloatArray]:
-    if source is None:
-        return {"fix_time_s": np.zeros(0), "fix_m": np.zeros((0, 2)), "fix_covariance_m2": np.zeros((0, 2, 2))}
-    file, table = source.name, read_csv_table(source)
-    check_columns(file, table.columns, KNOWN_PLACES, ("time_s", "x_m", "y_m"))
-    table = without_repeats(file, table, ["time_s"])
-    time, x, y = (numbers_of(file, name, table[name]) for name in ("time_s", "x_m", "y_m"))
-    if "sigma_m" in table:
-        sigma = numbers_of(file, "sigma_m", table["sigma_m"])
-        parts = (sigma**2, 0 * sigma, sigma**2)
-    elif all(name in table for name in ("xx_m2", "xy_m2", "yy_m2")):
-        parts = tuple(numbers_of(file, name, table[name]) for name in ("xx_m2", "xy_m2", "yy_m2"))  # type: ignore[assignment]
-    else:
-        raise DataError(f"{file}: no errors of the positions; add sigma_m, or xx_m2, xy_m2 and yy_m2")
-    covariance = np.stack([np.stack([parts[0], parts[1]], -1), np.stack([parts[1], parts[2]], -1)], -2)
-    return {"fix_time_s": time, "fix_m": np.column_stack([x, y]), "fix_covariance_m2": covariance}
 
 
 LATE = 0.05

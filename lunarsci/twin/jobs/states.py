@@ -31,12 +31,14 @@ class StatesRequest:
     rover : name or TOML file; Yutu-2 where it is None.
     terrain : before the drive: `synthetic-longji`, or a file.
     interpolation : of the ground between nodes, `smooth` or `triangles`.
+    positions : from localisation, as a table of time_s, x_m, y_m and their errors, in place of those in the telemetry.
     track : depth of the track, as a table of x_m, y_m, rut_m, or the terrain after the drive; no sinkage without it.
     """
 
     rover: str | None = None
     terrain: str = "synthetic-longji"
     interpolation: str = "smooth"
+    positions: str | Any | None = None
     track: str | Any | None = None
 
 
@@ -128,7 +130,8 @@ def states(
     Raises DataError for telemetry that cannot be used.
     """
     from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
-    from lunarsci.twin.telemetry.reading import Findings, read_telemetry
+    from lunarsci.twin.telemetry.positions import with_positions
+    from lunarsci.twin.telemetry.reading import Findings, read_positions, read_telemetry
     from lunarsci.twin.telemetry.sinkage import with_sinkage
     from lunarsci.twin.telemetry.states import states_of
 
@@ -137,7 +140,11 @@ def states(
     source = read_input(telemetry)
     known.inputs[source.name] = source.sha256
     findings = Findings(source.name)
-    sent = read_telemetry(source, known.rover, findings)
+    sent = read_telemetry(source, known.rover, findings, placed=asked.positions is None)
+    if asked.positions is not None:
+        fixes = read_input(asked.positions)
+        known.inputs[fixes.name] = fixes.sha256
+        sent = with_positions(sent, read_positions(fixes), fixes.name, findings)
     drive = states_of(sent, known.rover, known.terrain, findings, known.plan if plan is not None else None)
     if asked.track is not None:
         drive = with_sinkage(drive, _read_track(known, asked.track, asked.interpolation), known.terrain)

@@ -7,6 +7,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,8 @@ from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError
 from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.telemetry.reading import Findings, Telemetry
+from lunarsci.twin.telemetry.checks import GAP, ordered
+from lunarsci.twin.telemetry.reading import Findings, Positions, Telemetry
 
 ATTITUDE_DEG, FOLLOWS = 1.5, 0.6
 """Median difference of roll or pitch from the terrain's beyond which the terrain is not the ground [deg]; and, where it
@@ -53,6 +55,45 @@ def check_attitude(telemetry: Telemetry, held: PrescribedLoads, rows: IndexArray
         hint = "; it looks like rad" if off(np.degrees(a)) < 0.4 * off(a) else hint
         what = f"{name} is {off(a):.3g} deg off the terrain's in the median{hint}: another terrain, frame or sign"
         findings.add("attitude against terrain", what, "the terrain's is taken", count=int(known.sum()), doubt=True)
+
+
+def with_positions(telemetry: Telemetry, positions: Positions, file: str, findings: Findings) -> Telemetry:
+    """Telemetry with positions from elsewhere in place of its own, in rows at their times.
+
+    Between rows wheels, headings and attitude are taken to change evenly. Positions that are a gap or more before or
+    after the telemetry are left out and said. `file` is where they come from.
+    """
+    telemetry = ordered(telemetry, findings)
+    times = telemetry.time_s
+    reach = GAP * float(np.median(np.diff(times)))
+    good = (positions.time_s >= times[0] - reach) & (positions.time_s <= times[-1] + reach)
+    if not good.all():
+        what = f"{(~good).sum()} of {len(good)} positions of {file} are not within the times of the telemetry"
+        findings.add("positions at other times", what, "they are left out", count=int((~good).sum()), doubt=True)
+    at = np.clip(positions.time_s[good], times[0], times[-1])
+    merged = np.union1d(times, at)
+    columns: dict[str, Any] = {
+        item.name: _between(merged, times, value)
+        for item in dataclasses.fields(telemetry)
+        if isinstance(value := getattr(telemetry, item.name), np.ndarray)
+    }
+    rows = np.searchsorted(merged, at)
+    columns["fix_m"] = np.full((len(merged), 2), np.nan)
+    columns["fix_covariance_m2"] = np.full((len(merged), 2, 2), np.nan)
+    columns["fix_m"][rows], columns["fix_covariance_m2"][rows] = positions.place_m[good], positions.covariance_m2[good]
+    return dataclasses.replace(telemetry, **columns)
+
+
+def _between(merged: FloatArray, times: FloatArray, values: FloatArray) -> FloatArray:
+    """Values (n, ...) at more times: linear between two that are known and no half turn apart, else blank."""
+    flat = values.reshape(len(times), -1)
+    low = np.clip(np.searchsorted(times, merged, side="right") - 1, 0, len(times) - 1)
+    high = np.minimum(low + (times[low] < merged), len(times) - 1)
+    share = (merged - times[low]) / np.where(high > low, times[high] - times[low], 1.0)
+    step = flat[high] - flat[low]
+    step[np.abs(step) > 180.0] = np.nan
+    found = np.where((high > low)[:, None], flat[low] + share[:, None] * step, flat[low])
+    return np.asarray(found.reshape(len(merged), *values.shape[1:]))
 
 
 ASTRAY_DEG = 15.0

@@ -6,14 +6,14 @@ import re
 import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
-from lunarsci.tables import numbers_of, read_csv_table
+from lunarsci.tables import check_columns, numbers_of, read_csv_table, without_repeats
 from lunarsci.twin.rover import Rover
 
 if TYPE_CHECKING:
@@ -123,7 +123,41 @@ YAW_SIGMA_DEG = 0.3
 """Error of a heading whose error is not given; assumed. [deg]"""
 
 
-def read_telemetry(source: InputFile, rover: Rover, findings: Findings) -> Telemetry:
+KNOWN_PLACES = ("time_s", "x_m", "y_m", "z_m", "yaw_deg", "sigma_m", "xx_m2", "xy_m2", "yy_m2", "synthetic")
+
+
+class Positions(NamedTuple):
+    """Positions of the rover's origin from localisation, and their errors. (n,) [s], (n, 2) [m], (n, 2, 2) [m2]"""
+
+    time_s: FloatArray
+    place_m: FloatArray
+    covariance_m2: FloatArray
+
+    @classmethod
+    def none(cls) -> "Positions":
+        """Not one."""
+        return cls(np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2, 2)))
+
+
+def read_positions(source: InputFile) -> Positions:
+    """Read positions from CSV: `time_s`, `x_m`, `y_m`, and `sigma_m` or `xx_m2`, `xy_m2`, `yy_m2`.
+
+    Raises DataError, also for rows of one time that contradict each other.
+    """
+    file, table = source.name, read_csv_table(source)
+    check_columns(file, table.columns, KNOWN_PLACES, ("time_s", "x_m", "y_m"))
+    table = without_repeats(file, table, ["time_s"])
+    values = {
+        name: numbers_of(file, name, table[name])
+        for name in ("time_s", "x_m", "y_m", "sigma_m", *ERRORS)
+        if name in table
+    }
+    if "sigma_m" not in values and not all(name in values for name in ERRORS):
+        raise DataError(f"{file}: no errors of the positions; add sigma_m, or xx_m2, xy_m2 and yy_m2")
+    return Positions(values["time_s"], np.column_stack([values["x_m"], values["y_m"]]), _covariance(file, values))
+
+
+def read_telemetry(source: InputFile, rover: Rover, findings: Findings, *, placed: bool = True) -> Telemetry:
     """Read telemetry, by the ending of its file: .ecsv, .parquet, else CSV.
 
     Columns `time_s`, `x_m`, `y_m` (blank where there is no position), `sigma_m` or `xx_m2`, `xy_m2`, `yy_m2`,
@@ -131,17 +165,19 @@ def read_telemetry(source: InputFile, rover: Rover, findings: Findings) -> Telem
     `speed_FL_m_s`, `steering_FL_deg` (commanded), `angle_FL_deg`, `rate_FL_deg_s`, `steered_FL_deg` (measured). What a
     wheel did must be there for all of them: angle or rate or speed, and steered or steering.
 
-    Rows stay in the order of the file. Raises DataError for columns that are missing, in another unit, or of another
-    rover's wheels, and for text among numbers.
+    Rows stay in the order of the file. Where positions come from elsewhere (`placed` False) none are read here. Raises
+    DataError for columns that are missing, in another unit, or of another rover's wheels, and for text among numbers.
     """
     table = read_table(source, findings)
     names = [str(name) for name in table.columns]
     _check_wheels(source.name, names, rover)
-    _check_needed(source.name, names)
+    _check_needed(source.name, names, placed=placed)
     values = {name: numbers_of(source.name, name, table[name]) for name in _known(names, rover)}
     _blank_infinities(values, findings)
     count, wheels = len(table), len(rover.wheels)
     blank = np.full(count, np.nan)
+    if not placed:
+        values |= dict.fromkeys(("x_m", "y_m", "sigma_m", *ERRORS), blank)
     groups = {
         key: np.column_stack([values.get(form.format(wheel), blank) for wheel in rover.wheels])
         for key, form in WHEEL_COLUMNS.items()
@@ -264,11 +300,11 @@ def _known(names: list[str], rover: Rover) -> list[str]:
     return [name for name in names if name in known]
 
 
-def _check_needed(file: str, names: list[str]) -> None:
+def _check_needed(file: str, names: list[str], *, placed: bool) -> None:
     for needed in NEEDED:
-        if needed not in names:
+        if needed not in names and (placed or needed not in ("x_m", "y_m")):
             raise DataError(f"{file}: no column {needed}{_hint(needed, names)}")
-    if "sigma_m" not in names and not all(name in names for name in ERRORS):
+    if placed and "sigma_m" not in names and not all(name in names for name in ERRORS):
         hint = _hint("sigma_m", names) if not any(name in names for name in ERRORS) else ""
         raise DataError(f"{file}: no errors of the positions; add sigma_m, or xx_m2, xy_m2 and yy_m2{hint}")
 
