@@ -237,10 +237,14 @@ class _Bundle:
             commons.append(whiten @ common)
         return np.concatenate(residuals, 1), np.concatenate(points, 1), np.concatenate(commons, 1)
 
+    def _off(self, state: _Unknowns, index: int, pair: PairTies) -> FloatArray:
+        """How far ties are from their places in the farther left picture. (n, 2) [px]"""
+        local = state.poses[pair.far].to_camera(state.points[index])
+        return np.asarray(pair.ties.far_px - state.shifts[index] - self.rig.moved(state.delta).left.project(local))
+
     def _inflation(self, state: _Unknowns, index: int, pair: PairTies) -> float:
         """By how much a template's errors are to be larger for its residuals to fit: from their median."""
-        side = _seen_by(self.rig.moved(state.delta), state.poses[pair.far], state.points[index], self.loose)
-        plain = pair.ties.far_px - state.shifts[index] - side.seen[:, :2]
+        plain = self._off(state, index, pair)
         off = np.einsum("nij,nj->ni", _far_whitening(pair.ties, 1.0)[:, :2, :2], plain)
         # The median of chi-square of two degrees of freedom is 1.386.
         return max(1.0, float(np.sqrt(np.median((off**2).sum(axis=1)) / 1.386)))
@@ -250,8 +254,7 @@ class _Bundle:
         residuals, weights = [], []
         for index, pair in enumerate(self.pairs):
             normal += self._reduced(state, index, pair).normal
-            side = _seen_by(self.rig.moved(state.delta), state.poses[pair.far], state.points[index], self.loose)
-            residuals.append(pair.ties.far_px - state.shifts[index] - side.seen[:, :2])
+            residuals.append(self._off(state, index, pair))
             weights.append(_weights(self._whitened(state, index, pair)[0]))
         covariance = np.asarray(np.linalg.inv(normal)[: self.free, : self.free], dtype=float)
         return Adjusted(

@@ -269,7 +269,7 @@ def _station(
     inputs: dict[str, str],
 ) -> "tuple[Station, bool]":
     """A station of a folder, its pair matched, and whether its pictures are SYNTHETIC."""
-    from lunarsci.images.jobs.dem import MAST_M, nearest_ground_m
+    from lunarsci.images.jobs.dem import nearest_ground_m
     from lunarsci.images.matching import match
     from lunarsci.images.pictures import read_picture
     from lunarsci.images.rig_files import check_rig_of, read_pose
@@ -286,7 +286,7 @@ def _station(
     for picture in pictures:
         check_rig_of(rig, *picture.size, picture.source.name)
         picture.check()
-    nearest = nearest_ground_m(rig, pose, rig.mast_height_m or MAST_M)
+    nearest = nearest_ground_m(rig, pose, rig.height_m)
     time_s, attitude = _more_of_pose(pose_file)
     mast = asked.mast_m()
     if mast is not None and attitude is None:
