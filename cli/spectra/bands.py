@@ -9,7 +9,7 @@ import typer
 from lunarsci.spectra.jobs.bands import BandsRequest
 
 from ..shared.command import command
-from ..shared.options import Output, option
+from ..shared.options import BLOCKS, Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import SHOWN, TextTable, counted, plus_minus
@@ -53,7 +53,7 @@ METHODS = {
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "bands", request=BandsRequest, options=OPTIONS)(bands)
+    command(app, "bands", request=BandsRequest, options=OPTIONS, blocks=BLOCKS)(bands)
 
 
 def bands(files: Files, request: BandsRequest, output: Output, plane: Plane = None) -> Report:

@@ -6,6 +6,7 @@ there is a band at all, in `lunarsci.spectra.band_rows`.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy.typing as npt
 
 from lunarsci import records
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
+from lunarsci.blocks import arrays_in_blocks, rows_in_memory
 from lunarsci.errors import DataError
 from lunarsci.spectra.band_rows import grid_of, measure_rows, nothing_of
 from lunarsci.spectra.band_status import (
@@ -29,9 +31,11 @@ from lunarsci.spectra.band_status import (
     sentence,
 )
 from lunarsci.spectra.continuum import CONTINUA, ContinuumName, continuum
-from lunarsci.spectra.spectrum import Smoothing, Spectrum, smoothing_operator
+from lunarsci.spectra.spectrum import AlikeSpectra, Smoothing, Spectrum, alike, digest_of, smoothing_operator
 
 FEWEST_CHANNELS, MOST_CHANNELS = 20, 5000
+BLOCK_ROWS = 2048
+"""Spectra of a block, a tenth of a second of one core."""
 MEASURED = QUANTITIES[:DEEPEST]
 """What is measured of a band: the numbers of a `BandResult`."""
 _NOTHING, _NAMES = np.empty(0), (*CONTINUA, "none")
@@ -218,9 +222,9 @@ def band_arrays(
         if mask.sum() >= FEWEST_CHANNELS:
             part = values[np.ix_(rows, mask)] if not mask.all() or rows.size < len(values) else values
             errors = None if sigma is None else sigma[np.ix_(rows, mask)] if sigma.ndim > 1 else sigma[mask]
-            width_nm = used.width_nm(wavelength[mask])
-            shifts = np.zeros((rows.size, 0, part.shape[1]))
-            _measure(found, rows, wavelength[mask], part, errors, shifts, continuum_name, width_nm, used.order)
+            given = AlikeSpectra(wavelength[mask], part, errors, np.zeros((rows.size, 0, part.shape[1])))
+            own = _measured(given, wanted=continuum_name, smoothing=used)
+            found.numbers[rows], found.codes[rows] = own["numbers"], own["codes"]
     return found
 
 
@@ -236,16 +240,6 @@ def _alike(usable: BoolArray) -> "list[tuple[BoolArray, IntArray]]":
     return [(usable[at], rows) for at, rows in zip(first, parts, strict=True)]
 
 
-def _measure(
-    found: BandArrays, rows: IntArray, wavelength_nm: FloatArray, reflectance: Any, sigma: Any, shifts: FloatArray,
-    wanted: ContinuumName, width_nm: float, order: int, progress: Any = None,
-) -> None:  # fmt: skip
-    """Rows on the same channels, all usable, into `found`."""
-    grid = grid_of(wavelength_nm, width_nm, order)
-    numbers, codes = measure_rows(grid, CONTINUA.index(wanted), reflectance, sigma, shifts, progress)
-    found.numbers[rows], found.codes[rows] = numbers, codes
-
-
 class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
     """The bands of spectra, made of `arrays` when asked for; `reasons` has why spectra have none, by their place."""
 
@@ -256,6 +250,14 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
 
     def __len__(self) -> int:
         return len(self.spectra)
+
+    def part(self, block: range) -> "BandsOfSpectra":
+        """Of some of the spectra, next to each other."""
+        own = slice(block.start, block.stop)
+        found = BandsOfSpectra(self.spectra[own], self.wanted, self.smoothing)
+        found.arrays = BandArrays(self.arrays.numbers[own], self.arrays.codes[own])
+        found.reasons = {place - block.start: why for place, why in self.reasons.items() if place in block}
+        return found
 
     def __getitem__(self, place: Any) -> Any:
         if isinstance(place, slice):
@@ -344,20 +346,23 @@ def measure_batch(
     """`measure_bands` for many spectra: one result or one stated reason each; `progress` takes (done, total)."""
     used = smoothing or Smoothing()
     batch = BandsOfSpectra(spectra, continuum_name, used)
-    alike: dict[tuple[bytes, int, bool], list[int]] = {}
     for number, spectrum in enumerate(spectra):
-        wavelength = spectrum.wavelength_nm[spectrum.usable]
-        if reason := _unusable(wavelength, used):
+        if reason := _unusable(spectrum.wavelength_nm[spectrum.usable], used):
             batch.reasons[number] = reason
-        else:
-            key = wavelength.tobytes(), len(spectrum.systematic), spectrum.uncertainty is None
-            alike.setdefault(key, []).append(number)
     done = len(batch.reasons)
-    for numbers in alike.values():
-        _measure_alike(batch, numbers)
+    for numbers in alike(spectra, [number for number in range(len(spectra)) if number not in batch.reasons]):
+        own = [spectra[number] for number in numbers]
+        found = arrays_in_blocks(
+            partial(_measured, wanted=continuum_name, smoothing=used),
+            len(own),
+            rows_in_memory(64.0 * own[0].wavelength_nm.size, most=BLOCK_ROWS),
+            stage="bands",
+            about=lambda own=own: {"spectra": digest_of(own), "continuum": continuum_name, "smoothing": repr(used)},
+            fetch=lambda block, own=own: AlikeSpectra.of(own[block.start : block.stop]),
+            progress=None if progress is None else lambda now, _, done=done: progress(done + now, len(spectra)),
+        )
+        batch.arrays.numbers[numbers], batch.arrays.codes[numbers] = found["numbers"], found["codes"]
         done += len(numbers)
-        if progress:
-            progress(done, len(spectra))
     return batch
 
 
@@ -375,26 +380,7 @@ def _unusable(wavelength_nm: FloatArray, smoothing: Smoothing) -> str:
     return ""
 
 
-def _measure_alike(batch: BandsOfSpectra, numbers: Sequence[int]) -> None:
-    own = [batch.spectra[number] for number in numbers]
-    masks = [item.usable for item in own]
-    wavelength = own[0].wavelength_nm[masks[0]]
-    values = np.array([item.reflectance[mask] for item, mask in zip(own, masks, strict=True)])
-    sigma = None
-    if own[0].uncertainty is not None:
-        sigma = np.array([item.uncertainty[mask] for item, mask in zip(own, masks, strict=True)])  # type: ignore[index]
-    shifts = np.array(
-        [[shift[mask] for shift in item.systematic.values()] for item, mask in zip(own, masks, strict=True)]
-    ).reshape(len(own), -1, wavelength.size)
-    width_nm = batch.smoothing.width_nm(wavelength)
-    _measure(
-        batch.arrays,
-        np.array(numbers),
-        wavelength,
-        values,
-        sigma,
-        shifts,
-        batch.wanted,
-        width_nm,
-        batch.smoothing.order,
-    )
+def _measured(given: AlikeSpectra, *, wanted: ContinuumName, smoothing: Smoothing) -> dict[str, Any]:
+    grid = grid_of(given.wavelength_nm, smoothing.width_nm(given.wavelength_nm), smoothing.order)
+    numbers, codes = measure_rows(grid, CONTINUA.index(wanted), given.reflectance, given.sigma, given.shifts)
+    return {"numbers": numbers, "codes": codes}

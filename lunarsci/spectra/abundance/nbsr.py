@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from lunarsci.spectra.mgm import DEFAULT_CONTINUUM
 from lunarsci.spectra.mgm.assemblages import MINERALS
 from lunarsci.spectra.mgm.batch import FitBatch, SpectraFits, batch_of
 from lunarsci.spectra.mgm.compositions import compositions_of
-from lunarsci.spectra.mgm.data import MgmRows
+from lunarsci.spectra.mgm.data import MgmRows, SpectraRows
 from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA
 from lunarsci.spectra.mgm.model import NM_PER_UM
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
@@ -22,6 +23,7 @@ from lunarsci.tables import table_rows
 
 PYROXENES = ("orthopyroxene", "clinopyroxene")
 CORRELATION = [[1.0, -1.0], [-1.0, 1.0]]
+DEFAULT_LINE = "opx-cpx"
 TABLE, LIKENESS = "nbsr_calibrations.csv", "nbsr_likeness.csv"
 NORMAL_95 = 1.96
 SEEN_SIGMAS, APART_SIGMAS = 3.0, 2.0
@@ -83,7 +85,7 @@ class PyroxeneShares:
         return Abundance(name, "nbsr", fractions, correlation, inside, status, rms_ln if inside else None)
 
 
-def pyroxene_shares(batch: FitBatch, rows: MgmRows, calibration: str = "opx-cpx") -> PyroxeneShares:
+def pyroxene_shares(batch: FitBatch, rows: MgmRows | SpectraRows, calibration: str = DEFAULT_LINE) -> PyroxeneShares:
     """Shares of the pyroxenes of fits `batch` of the spectra `rows`; none where the ratio is not determined.
 
     The line is OPX = slope * NBSR + offset, one for each assemblage it was made with; its scatter and the error of the
@@ -107,10 +109,8 @@ def pyroxene_shares(batch: FitBatch, rows: MgmRows, calibration: str = "opx-cpx"
     """
     if calibration not in calibrations():
         raise ParameterError(f"calibration '{calibration}'; give one of {', '.join(calibrations())}")
-    lines = [line for line in table_rows(TABLE) if line["name"] == calibration]
-    line = next((line for line in lines if line["assemblage"] == batch.model.assemblage.name), lines[0])
-    ratio, sigma = (batch.um1 if line["region"] == "um1" else batch.um2)[:, [0, 2]].T
-    told = np.isfinite(ratio) if not batch.model.whole else np.zeros(len(batch), dtype=bool)
+    line = _line_of(batch, calibration)
+    (ratio, sigma), told = _ratio_of(batch, line)
     reasons = _reasons(batch, rows, ratio, told, line)
     inside = told & np.array([not found for found in reasons], dtype=bool)
     slope, offset, scatter = (float(line[key]) / 100 for key in ("slope_percent", "offset_percent", "sd_percent"))
@@ -124,7 +124,18 @@ def pyroxene_shares(batch: FitBatch, rows: MgmRows, calibration: str = "opx-cpx"
     return PyroxeneShares(told, inside, shares, ends, statuses)
 
 
-def nbsr_abundance(fit: MgmFit, calibration: str = "opx-cpx") -> Abundance | None:
+def _line_of(batch: FitBatch, calibration: str) -> Mapping[str, str]:
+    lines = [line for line in table_rows(TABLE) if line["name"] == calibration]
+    return next((line for line in lines if line["assemblage"] == batch.model.assemblage.name), lines[0])
+
+
+def _ratio_of(batch: FitBatch, line: Mapping[str, str]) -> tuple[FloatArray, BoolArray]:
+    """The ratio of a line with its error, (2, n), and whether there is one of which shares could be made."""
+    numbers: FloatArray = (batch.um1 if line["region"] == "um1" else batch.um2)[:, [0, 2]].T
+    return numbers, np.isfinite(numbers[0]) & (not batch.model.whole)
+
+
+def nbsr_abundance(fit: MgmFit, calibration: str = DEFAULT_LINE) -> Abundance | None:
     """`pyroxene_shares` of one fit; None where the ratio is not determined, and of fits by damping."""
     found = pyroxene_shares(batch_of(fit), MgmRows.together([fit.data]), calibration)
     return None if fit.prior == "damping" else found.abundance(0, fit.id, fit.rms_ln)
@@ -134,20 +145,31 @@ class PyroxeneAbundances(Mapping[int, list[Abundance]]):
     """`nbsr_abundance` of the fits that converged, by position: one, or none where the ratio is not determined."""
 
     def __init__(self, fits: SpectraFits) -> None:
-        parts = [(positions, pyroxene_shares(batch, rows)) for positions, rows, batch in fits.parts]
-        self._names, self._rms = fits.names, fits.gathered(lambda batch: batch.rms_ln)
+        self._fits, self._names, self._rms = fits, fits.names, fits.gathered(lambda batch: batch.rms_ln)
         self._converged = fits.gathered(lambda batch: batch.converged) > 0
-        count = len(fits)
-        self.shares = PyroxeneShares(
+
+    @property
+    def any_told(self) -> bool:
+        """Whether of any of them shares could be made."""
+        found = self._fits.gathered(lambda batch: _ratio_of(batch, _line_of(batch, DEFAULT_LINE))[1])
+        return bool(((found > 0) & self._converged).any())
+
+    @cached_property
+    def shares(self) -> PyroxeneShares:
+        """Of all spectra."""
+        count = len(self._fits)
+        found = PyroxeneShares(
             np.zeros(count, dtype=bool), np.zeros(count, dtype=bool), np.full((count, 2), np.nan),
             np.full((count, 2, 4), np.nan), [""] * count,
         )  # fmt: skip
-        for positions, own in parts:
-            self.shares.told[positions], self.shares.in_domain[positions] = own.told, own.in_domain
-            self.shares.shares[positions], self.shares.ends[positions] = own.shares, own.ends
+        for positions, rows, batch in self._fits.parts:
+            own = pyroxene_shares(batch, rows)
+            found.told[positions], found.in_domain[positions] = own.told, own.in_domain
+            found.shares[positions], found.ends[positions] = own.shares, own.ends
             for position, status in zip(positions.tolist(), own.statuses, strict=True):
-                self.shares.statuses[position] = status
-        self.shares.told[~self._converged] = False
+                found.statuses[position] = status
+        found.told[~self._converged] = False
+        return found
 
     def __len__(self) -> int:
         return int(self._converged.sum())
@@ -180,10 +202,8 @@ class PyroxeneAbundances(Mapping[int, list[Abundance]]):
         return {"abundance": Where(own.told, one), "abundances": Where(own.told, {"nbsr": one}, {})}
 
     def table_columns(self) -> dict[str, Column]:
-        """`nbsr_in_domain`, `nbsr_orthopyroxene` and the like; none where no ratio is determined."""
+        """`nbsr_in_domain`, `nbsr_orthopyroxene` and the like."""
         own = self.shares
-        if not own.told.any():
-            return {}
         columns: dict[str, Column] = {"nbsr_in_domain": Where(own.told, own.in_domain)}
         for k, mineral in enumerate(PYROXENES):
             columns[f"nbsr_{mineral}"] = Where(own.told, own.shares[:, k])
@@ -201,7 +221,7 @@ def nbsr_abundances(fits: Sequence[MgmFit | MgmFailure]) -> Mapping[int, Sequenc
 
 
 def _reasons(
-    batch: FitBatch, rows: MgmRows, ratio: FloatArray, told: BoolArray, line: Mapping[str, str]
+    batch: FitBatch, rows: MgmRows | SpectraRows, ratio: FloatArray, told: BoolArray, line: Mapping[str, str]
 ) -> list[list[str]]:
     """Why the line is no measure for a fit; nothing where it is, and where there is no ratio."""
     if batch.model.assemblage.name != line["assemblage"] or batch.model.continuum != DEFAULT_CONTINUUM:
@@ -211,8 +231,8 @@ def _reasons(
     own = np.flatnonzero(told)
     if not own.size:
         return found
-    part, spectra = batch.part(own), rows.reflectance[own]
-    kinds = dark_or_weathered(*features_of_rows(rows.wavelength_nm, spectra))
+    part = batch.part(own)
+    kinds = dark_or_weathered(*features_of_rows(*rows.seen(own)))
     texts = (
         ["it is no mixture of powders, but dark or weathered" if other else "" for other in kinds.tolist()],
         _unlike(part, ratio[own], line),

@@ -1,16 +1,18 @@
 """The 1 and 2 um absorption bands of many spectra, and the composition that published regressions make of them."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.errors import RequestError
+from lunarsci.kept_blocks import spans
 from lunarsci.result import MadeFrom, Result, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from lunarsci.records import Records, Where
+    from lunarsci.records import Records, RecordsInBlocks
     from lunarsci.spectra.bands import BandsOfSpectra, SpectrumBands
     from lunarsci.spectra.chemistry.bands import Estimates
     from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource
@@ -52,15 +54,21 @@ class BandsRequest:
             raise RequestError("`smooth` is the window in channels, `smooth_nm` the same in nm; give one")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class MeasuredBands(Result):
-    """The bands of each spectrum, one at least, what each regression makes of them, and why those without have none."""
+    """The bands of each spectrum, one at least, and why those without have none."""
 
     batch: "SpectraBatch"
     measured: "BandsOfSpectra"
-    chemistry: "Mapping[str, Estimates]"
     failures: Sequence[str]
     schema = "spectra-bands/1"
+
+    @cached_property
+    def chemistry(self) -> "Mapping[str, Estimates]":
+        """What each regression makes of the bands."""
+        from lunarsci.spectra.chemistry.bands import chemistries
+
+        return chemistries(self.measured.arrays.bands)
 
     @property
     def made_from(self) -> MadeFrom:
@@ -82,31 +90,45 @@ class MeasuredBands(Result):
         return {"spectra": self.content()["spectra"].tolist()}
 
     def content(self) -> Mapping[str, Any]:
-        from lunarsci.records import Records
+        from lunarsci.records import in_blocks
 
-        columns = self.measured.columns() | {"chemistry": self._chemistry(), "source": self.batch.origins}
-        return {"spectra": Records(columns)}
+        return {"spectra": in_blocks(len(self.measured), self._records)}
 
-    def rows(self) -> "Records":
+    def rows(self) -> "Records | RecordsInBlocks":
         """One a spectrum; value, error and range of each regression in columns of their own."""
+        from lunarsci.records import in_blocks
+
+        return in_blocks(len(self.measured), self._rows)
+
+    def _part(self, block: range) -> "MeasuredBands":
+        """Of some of the spectra, next to each other."""
+        if len(block) == len(self.measured):
+            return self
+        own = slice(block.start, block.stop)
+        batch = replace(self.batch, spectra=self.batch.spectra[own], origins=self.batch.origins[own])
+        return MeasuredBands(batch, self.measured.part(block), self.failures)
+
+    def _records(self, block: range) -> "Records":
         from lunarsci.records import Records, Where
         from lunarsci.spectra.chemistry.bands import KEYS
 
-        columns = self.measured.columns() | {"source": self.batch.origins}
+        own = self._part(block)
+        found = own.chemistry
+        shown = {key: Where(found[key].present, found[key].columns()) if key in found else None for key in KEYS}
+        return Records(own.measured.columns() | {"chemistry": shown, "source": own.batch.origins})
+
+    def _rows(self, block: range) -> "Records":
+        from lunarsci.records import Records, Where
+        from lunarsci.spectra.chemistry.bands import KEYS
+
+        own = self._part(block)
+        columns = own.measured.columns() | {"source": own.batch.origins}
         for key in KEYS:
-            item = self.chemistry.get(key)
+            item = own.chemistry.get(key)
             columns[key] = Where(item.present, item.value) if item else None
             columns[f"{key}_sigma"] = Where(item.present, item.sigma) if item else None
             columns[f"{key}_in_range"] = Where(item.present, item.in_range) if item else None
         return Records(columns)
-
-    def _chemistry(self) -> "dict[str, Where | None]":
-        """Every key of the chemistry, None where no spectrum has the bands for it."""
-        from lunarsci.records import Where
-        from lunarsci.spectra.chemistry.bands import KEYS
-
-        found = self.chemistry
-        return {key: Where(found[key].present, found[key].columns()) if key in found else None for key in KEYS}
 
     def remarks(self) -> list[tuple[str, str]]:
         """Key of the band and sentence of every note and every status that is not `ok`."""
@@ -122,8 +144,16 @@ class MeasuredBands(Result):
 
     def examples(self, keys: Sequence[str]) -> dict[str, Mapping[str, Any]]:
         """Of each of these regressions that some spectrum can use, what it says of the first."""
-        firsts = {key: self.chemistry[key].first_usable for key in keys if key in self.chemistry}
-        return {key: self.chemistry[key].of(row).to_dict() for key, row in firsts.items() if row is not None}
+        from lunarsci.records import BLOCK_THINGS
+
+        found: dict[str, Mapping[str, Any]] = {}
+        for block in spans(len(self.measured), BLOCK_THINGS):
+            here = self._part(block).chemistry
+            firsts = {key: here[key].first_usable for key in keys if key in here and key not in found}
+            found |= {key: here[key].of(row).to_dict() for key, row in firsts.items() if row is not None}
+            if len(found) == len(keys):
+                break
+        return {key: found[key] for key in keys if key in found}
 
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.spectra.mgm.figure import band_pages
@@ -146,7 +176,6 @@ def bands(
 ) -> MeasuredBands:
     """Measure the bands of spectra. Raises DataError when none can be read, or none has a result."""
     from lunarsci.spectra.bands import measure_batch
-    from lunarsci.spectra.chemistry.bands import chemistries
     from lunarsci.spectra.readers.batch import read_batch
     from lunarsci.spectra.spectrum import Smoothing
 
@@ -161,4 +190,4 @@ def bands(
     )
     results = [measured[k] if k in measured.reasons else None for k in range(len(measured))]
     failures = batch.failures_among(results, type(None))
-    return MeasuredBands(batch, measured, chemistries(measured.arrays.bands), failures)
+    return MeasuredBands(batch, measured, failures)

@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from lunarsci.inputs import InputFile
+    from lunarsci.spectra.abundance.nbsr import PyroxeneAbundances
     from lunarsci.spectra.abundance.result import Abundance
+    from lunarsci.spectra.mgm.batch import SpectraFits
     from lunarsci.spectra.mgm.columns import FitColumns
     from lunarsci.spectra.mgm.model import MgmModel
     from lunarsci.spectra.mgm.profile import Intervals
@@ -200,20 +202,39 @@ class MgmFits(Result):
     def to_dict(self) -> dict[str, Any]:
         return {"spectra": list(self.records)}
 
+    @property
+    def _as_arrays(self) -> bool:
+        """Whether the fits are columns; some kinds are made one by one."""
+        from lunarsci.spectra.abundance.nbsr import PyroxeneAbundances
+
+        return isinstance(self.abundances, PyroxeneAbundances) and not (self.choices or self.intervals)
+
+    def _columns(self, block: range) -> "tuple[FitColumns, PyroxeneAbundances]":
+        """Columns of some of the fits, and their shares of pyroxenes."""
+        return self._all_columns if len(block) == len(self.fits) else self._columns_of(block)
+
     @cached_property
-    def columns(self) -> "FitColumns | None":
-        """The fits as columns; None where some were made one by one."""
+    def _all_columns(self) -> "tuple[FitColumns, PyroxeneAbundances]":
+        return self._columns_of(range(len(self.fits)))
+
+    def _columns_of(self, block: range) -> "tuple[FitColumns, PyroxeneAbundances]":
         from lunarsci.spectra.abundance.nbsr import PyroxeneAbundances
         from lunarsci.spectra.mgm.columns import FitColumns
 
-        as_arrays = isinstance(self.abundances, PyroxeneAbundances) and not (self.choices or self.intervals)
-        return FitColumns(self.fits, self.batch.origins) if as_arrays else None  # type: ignore[arg-type]
+        fits: SpectraFits = self.fits.part(block)  # type: ignore[attr-defined]
+        return FitColumns(fits, self.batch.origins[block.start : block.stop]), PyroxeneAbundances(fits)
 
     @cached_property
     def records(self) -> Sequence[dict[str, Any]]:
         """The keys of each spectrum in `--json`."""
-        if self.columns:
-            return self.columns.records(self.abundances.record_columns())  # type: ignore[attr-defined]
+        from lunarsci.records import Records, in_blocks
+
+        def of_some(block: range) -> Records:
+            columns, shares = self._columns(block)
+            return columns.records(shares.record_columns())
+
+        if self._as_arrays:
+            return in_blocks(len(self.fits), of_some)
         return [self._record(index, origin) for index, origin in enumerate(self.batch.origins)]
 
     @property
@@ -242,11 +263,18 @@ class MgmFits(Result):
         }
 
     def rows(self) -> Sequence[dict[str, Any]]:
-        from lunarsci.spectra.mgm.columns import rows_one_by_one
+        from lunarsci.records import Records, in_blocks
+        from lunarsci.spectra.mgm.columns import rows_of, rows_one_by_one
 
-        if self.columns:
-            return self.columns.rows(self.abundances.table_columns())  # type: ignore[attr-defined]
-        return rows_one_by_one(self.records, self.abundances)
+        if not self._as_arrays:
+            return rows_one_by_one(self.records, self.abundances)
+        shown = self.abundances.any_told  # type: ignore[attr-defined]
+
+        def of_some(block: range) -> Records:
+            columns, shares = self._columns(block)
+            return columns.rows(shares.table_columns() if shown else {})
+
+        return in_blocks(len(self.fits), of_some, size=int(rows_of(self.fits).sum()))  # type: ignore[arg-type]
 
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.spectra.abundance.result import share_pages

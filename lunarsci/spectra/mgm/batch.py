@@ -8,7 +8,7 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.compiled import each_in_threads
-from lunarsci.spectra.mgm.data import MgmData, MgmRows
+from lunarsci.spectra.mgm.data import MgmData, MgmRows, SpectraRows
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.laplace import LaplaceErrors, laplace_errors
 from lunarsci.spectra.mgm.levenberg_marquardt import CONVERGED, ITERATION_LIMIT, Channels, FitProblem, KernelFits
@@ -23,7 +23,7 @@ from lunarsci.spectra.mgm.result import (
     StrengthRatio,
     pyroxene_pair,
 )
-from lunarsci.spectra.mgm.uncertainty import follow_shifts
+from lunarsci.spectra.mgm.uncertainty import composition_moments, follow_shifts
 
 NOT_FITTED = 3
 """Status of a row without a fit, beside those of the kernel."""
@@ -40,8 +40,8 @@ class FitBatch:
 
     Attributes
     ----------
-    model : of p parameters, in the order and units of which `values`, `sigma` and `covariance` are.
-    values, covariance : (n, p) and (n, p, p). [-, um, um, -]
+    model : of p parameters and k compositions, in the order and units of which numbers are.
+    values, sigma : (n, p), and their standard errors, those of a parameter on a bound from it. [-, um, um, -]
     calibration : (n, p) standard deviation from the errors that all channels share; NaN where none is known.
     rms_ln, chi2, reduced_chi2, bic, objective, model_error : (n,), see `MgmFit`. [-]
     iterations : (n,) of the last descent.
@@ -49,11 +49,12 @@ class FitBatch:
         there is no fit.
     ambiguous : (n,) whether another minimum fits almost as well.
     um1, um2 : (n, 4) NBSR of orthopyroxene, of clinopyroxene, sigma and calibration error; NaN where undetermined. [-]
+    compositions : (n, k, 2) as `composition_moments` has them.
     """
 
     model: MgmModel
     values: FloatArray
-    covariance: FloatArray
+    sigma: FloatArray
     calibration: FloatArray
     rms_ln: FloatArray
     chi2: FloatArray
@@ -66,6 +67,7 @@ class FitBatch:
     ambiguous: BoolArray
     um1: FloatArray
     um2: FloatArray
+    compositions: FloatArray
 
     def __len__(self) -> int:
         return len(self.values)
@@ -74,12 +76,6 @@ class FitBatch:
     def converged(self) -> BoolArray:
         """(n,) whether the minimum was reached."""
         return np.asarray(self.status == CONVERGED)
-
-    @property
-    def sigma(self) -> FloatArray:
-        """(n, p) standard errors, those of a parameter on a bound from it."""
-        with np.errstate(invalid="ignore"):
-            return np.asarray(np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2)))
 
     @property
     def shrinkage(self) -> FloatArray:
@@ -130,8 +126,9 @@ class FitBatch:
         return {name: getattr(self, name) for name in COLUMNS}
 
     def fit(self, row: int, data: MgmData) -> MgmFit:
-        """One row with the data that it was made of."""
+        """One row with the data that it was made of, of which its covariance is made again."""
         one, m = self.part([row]), self.model.degrees
+        covariance = _errors(MgmRows.together([data]), self.model, one.values, one.chi2).covariance
         point = one.values[0]
         return MgmFit(
             id=data.id,
@@ -149,7 +146,7 @@ class FitBatch:
             model=self.model,
             data=data,
             parameters=point,
-            covariance=one.covariance[0],
+            covariance=covariance[0],
             objective=float(one.objective[0]),
         )
 
@@ -180,7 +177,7 @@ class SpectraFits(Sequence[MgmFit | MgmFailure]):
         self,
         names: Sequence[str],
         model: MgmModel,
-        parts: Sequence[tuple[IndexArray, MgmRows, FitBatch]],
+        parts: Sequence[tuple[IndexArray, SpectraRows, FitBatch]],
         failures: Mapping[int, MgmFailure],
     ) -> None:
         self.names, self.model, self.parts, self.failures = names, model, parts, failures
@@ -201,6 +198,16 @@ class SpectraFits(Sequence[MgmFit | MgmFailure]):
             _, rows, batch = self.parts[number]
             self._seen[position] = batch.fit(row, rows.at(row, self.names[position]))
         return self._seen[position]
+
+    def part(self, block: range) -> "SpectraFits":
+        """Those of some spectra, next to each other."""
+        parts = []
+        for positions, rows, batch in self.parts:
+            own = slice(*np.searchsorted(positions, (block.start, block.stop)).tolist())
+            if own.stop > own.start:
+                parts.append((positions[own] - block.start, rows.part(own), batch.part(own)))
+        failures = {k - block.start: found for k, found in self.failures.items() if k in block}
+        return SpectraFits(self.names[block.start : block.stop], self.model, parts, failures)
 
     @property
     def there(self) -> BoolArray:
@@ -269,7 +276,8 @@ def batch_of(fit: MgmFit) -> FitBatch:
     ratios = {region: np.array([_numbers(fit.nbsr.get(region))]) for region in REACH_NM}
     known: dict[str, Any] = {
         "values": fit.parameters[None],
-        "covariance": fit.covariance[None],
+        "sigma": np.sqrt(np.diag(fit.covariance))[None],
+        "compositions": composition_moments(fit.model, fit.parameters[None], fit.covariance[None]),
         "calibration": np.full((1, fit.parameters.size), np.nan),
         "status": np.array([CONVERGED if fit.converged else ITERATION_LIMIT]),
         "ambiguous": np.zeros(1, dtype=bool),
@@ -285,9 +293,8 @@ def _numbers(ratio: StrengthRatio | None) -> list[float]:
 
 def joined(count: int, parts: Sequence[tuple[IndexArray, FitBatch]], model: MgmModel) -> FitBatch:
     """Batches of one model at their rows of `count`; the others without a fit."""
-    p = model.prior.size
-    shapes: dict[str, tuple[int, ...]] = {"covariance": (p, p), "um1": (4,), "um2": (4,)}
-    shapes |= dict.fromkeys(("values", "calibration"), (p,))
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("values", "sigma", "calibration"), (model.prior.size,))
+    shapes |= {"um1": (4,), "um2": (4,), "compositions": (len(model.assemblage.compositions), 2)}
     columns: dict[str, Any] = {name: np.full((count, *shapes.get(name, ())), np.nan) for name in COLUMNS}
     columns["status"], columns["ambiguous"] = np.full(count, NOT_FITTED), np.zeros(count, dtype=bool)
     for rows, batch in parts:
@@ -297,41 +304,48 @@ def joined(count: int, parts: Sequence[tuple[IndexArray, FitBatch]], model: MgmM
 
 
 def describe_rows(rows: MgmRows, model: MgmModel, solved: KernelFits, points: FloatArray) -> FitBatch:
-    """Errors, ratios and flags of fits `solved` of `rows`, whose parameters on reflectance as it is are `points`."""
+    """Errors, ratios and flags of fits `solved` of `rows`, whose parameters on reflectance as it is are `points`.
+
+    In all threads, so many rows at a time that covariances, the bulk of it all, are few.
+    """
+    found: list[Any] = [None] * -(-len(rows) // MOST_ROWS)
+
+    def some(part: int) -> None:
+        own = slice(part * MOST_ROWS, (part + 1) * MOST_ROWS)
+        ended = KernelFits(*(getattr(solved, name)[own] for name in KernelFits.__dataclass_fields__))
+        found[part] = _described(rows.part(own), model, ended, points[own])
+
+    each_in_threads(some, len(found))
+    return FitBatch(model=model, **{name: np.concatenate([one[name] for one in found]) for name in COLUMNS})
+
+
+def _described(rows: MgmRows, model: MgmModel, solved: KernelFits, points: FloatArray) -> dict[str, Any]:
+    """The columns of a `FitBatch`."""
     rms, reduced, covariance = _errors(rows, model, points, solved.chi2)
     moved = _moved(rows, model, points)
     with np.errstate(invalid="ignore"):
+        sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         calibration = np.sqrt((moved**2).sum(axis=1)) if moved.shape[1] else np.full(points.shape, np.nan)
-    return FitBatch(
-        model=model,
-        values=points,
-        covariance=covariance,
-        calibration=calibration,
-        rms_ln=rms,
-        chi2=solved.chi2,
-        reduced_chi2=reduced,
-        bic=solved.chi2 + int((~model.fixed).sum()) * np.log(rows.wavelength_nm.size),
-        objective=solved.objective,
-        model_error=np.asarray(rows.model_error),
-        iterations=solved.iterations,
-        status=solved.status.astype(np.int64),
-        ambiguous=(solved.competing < AMBIGUOUS_CHI2) & (solved.competing_sigmas > AMBIGUOUS_SIGMAS),
+    return {
+        "values": points,
+        "sigma": sigma,
+        "calibration": calibration,
+        "rms_ln": rms,
+        "chi2": solved.chi2,
+        "reduced_chi2": reduced,
+        "bic": solved.chi2 + int((~model.fixed).sum()) * np.log(rows.wavelength_nm.size),
+        "objective": solved.objective,
+        "model_error": np.asarray(rows.model_error),
+        "iterations": solved.iterations,
+        "status": solved.status.astype(np.int64),
+        "ambiguous": (solved.competing < AMBIGUOUS_CHI2) & (solved.competing_sigmas > AMBIGUOUS_SIGMAS),
+        "compositions": composition_moments(model, points, covariance),
         **{region: _ratios(rows, model, points, covariance, moved, region) for region in REACH_NM},
-    )
+    }
 
 
 def _errors(rows: MgmRows, model: MgmModel, points: FloatArray, chi2: FloatArray) -> LaplaceErrors:
-    """`laplace_errors`, in all threads."""
-    problem, spectra = problem_of(model), channels_of(rows, model)
-    edges = list(range(0, len(rows), MOST_ROWS))
-    found: list[Any] = [None] * len(edges)
-
-    def some(part: int) -> None:
-        own = slice(edges[part], edges[part] + MOST_ROWS)
-        found[part] = laplace_errors(spectra.part(own), problem, points[own], chi2[own])
-
-    each_in_threads(some, len(edges))
-    return LaplaceErrors(*(np.concatenate(column) for column in zip(*found, strict=True)))
+    return laplace_errors(channels_of(rows, model), problem_of(model), points, chi2)
 
 
 def _moved(rows: MgmRows, model: MgmModel, points: FloatArray) -> FloatArray:

@@ -67,7 +67,7 @@ class FitColumns:
             columns |= {f"nbsr_{region}_{key}": _ratio(numbers)[key] for key in CSV_RATIO}
         for key, item in self._compositions().items():
             columns |= {f"{key}_{name}": Where(self.there, item[name]) for name in ("mean", "sigma", "in_range")}
-        count = np.where(self.there, max(1, self._count), 1)
+        count = rows_of(self.fits)
         row = np.repeat(np.arange(self.size), count)
         place = np.arange(row.size) - np.repeat(np.cumsum(count) - count, count)
         spectra = Records(columns | dict(more), self.size).taken(row)
@@ -114,6 +114,11 @@ class FitColumns:
                 "in_range": (item.lowest <= mean) & (mean <= item.highest),
             }
         return found
+
+
+def rows_of(fits: SpectraFits) -> IntArray:
+    """(n,) rows of `--csv` that each spectrum has."""
+    return np.where(fits.there, max(1, len(fits.model.assemblage.bands)), 1)
 
 
 def _stack(columns: Sequence[CompositionColumn], size: int) -> FloatArray:

@@ -1,15 +1,12 @@
 """Compositions of minerals that the band centres of fits speak for."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.compiled import compiled
 from lunarsci.spectra.mgm.assemblages import CompositionPrior
 from lunarsci.spectra.mgm.batch import FitBatch, batch_of
-from lunarsci.spectra.mgm.model import NM_PER_UM, center_slopes, prior_covariance
 from lunarsci.spectra.mgm.result import MgmFit
 
 PRESENT_SIGMAS = 2.0
@@ -63,30 +60,12 @@ class CompositionColumn:
 def compositions_of(batch: FitBatch) -> tuple[CompositionColumn, ...]:
     """Compositions that the fitted centres speak for, one per composition of the assemblage. [mol %]
 
-    A priori, centres and compositions x are jointly normal: centre = trend(x) + scatter. Given the centres alone,
-
-        x | c  ~  N(x0 + G (c - c0),  P - G S P),   G = P S' C^-1,   C = S P S' + scatter
-
-    with P the prior covariance of x, S the slopes of the trends and C the prior covariance of the centres. The fit is
-    already the posterior of c under the prior C, into which the spread of x went; averaging x | c over it adds
-    G V G', V the covariance of the fit, and counts no prior twice. Scatter about the trends is in the result, a
-    mineral that the trends do not describe (manganese in olivine, zoning) is not.
-
-    References
-    ----------
-    Sunshine & Pieters (1998), J. Geophys. Res. 103, 13675, 10.1029/98JE01217 (olivine); Klima, Pieters & Dyar (2007),
-    Meteorit. Planet. Sci. 42, 235, 10.1111/j.1945-5100.2007.tb00230.x (pyroxene).
+    Those of `composition_moments` where the mineral's bands are there.
     """
-    model, m = batch.model, batch.model.degrees
-    items = model.assemblage.compositions
+    items = batch.model.assemblage.compositions
     if not items:
         return ()
-    slopes, spread = center_slopes(model.assemblage), np.diag([item.sigma**2 for item in items])
-    gain = np.linalg.solve(prior_covariance(model.assemblage), slopes @ spread).T
-    centres = np.array([band.center_nm / NM_PER_UM for band in model.assemblage.bands])
-    first = (np.array([item.mean for item in items]), np.diag(spread - gain @ slopes @ spread))
-    mean, variance = np.empty((len(batch), len(items))), np.empty((len(batch), len(items)))
-    _average(batch.values[:, m::3] - centres, batch.covariance[:, m:, m:], gain, first, mean, variance)
+    mean, variance = batch.compositions[:, :, 0], batch.compositions[:, :, 1]
     there = np.column_stack([_present(batch, item.mineral) for item in items])
     shown = there & np.isfinite(mean) & np.isfinite(variance)
     mean, sigma = np.where(shown, mean, np.nan), np.where(shown, np.sqrt(np.maximum(variance, 0.0)), np.nan)
@@ -105,21 +84,6 @@ def _present(batch: FitBatch, mineral: str) -> BoolArray:
 def compositions(fit: MgmFit) -> tuple[MineralComposition, ...]:
     """`compositions_of` one fit."""
     return tuple(_composition(column) for column in compositions_of(batch_of(fit)))
-
-
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def _average(offset: Any, covariance: Any, gain: Any, first: Any, mean: Any, variance: Any) -> None:
-    """x0 + G (c - c0) and the diagonal of P - G S P + G V G', row by row."""
-    compositions, size = gain.shape
-    for row in range(mean.shape[0]):
-        for k in range(compositions):
-            total, spread = first[0][k], first[1][k]
-            for p in range(0, size, 3):
-                total += gain[k, p] * offset[row, p // 3]
-            for p in range(size):
-                for q in range(size if gain[k, p] != 0.0 else 0):
-                    spread += gain[k, p] * covariance[row, p, q] * gain[k, q]
-            mean[row, k], variance[row, k] = total, spread
 
 
 def _composition(column: CompositionColumn) -> MineralComposition:

@@ -2,14 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError
-from lunarsci.provenance import sha256
 from lunarsci.spectra.noise import deepest_below_hull, scatter_noise_rows
-from lunarsci.spectra.spectrum import Spectrum
+from lunarsci.spectra.spectrum import AlikeSpectra, Spectrum
 
 FIT_RANGE_NM = (400.0, 2600.0)
 REQUIRED_NM = (800.0, 1300.0)
@@ -70,10 +70,9 @@ class MgmRows:
             self.wavelength_nm, self.reflectance[rows], self.weight[rows], self.shifts[rows], self.model_error[rows]
         )
 
-    def digest(self) -> str:
-        """SHA-256 of all of them."""
-        arrays = (self.wavelength_nm, self.reflectance, self.weight, self.shifts, self.model_error)
-        return sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays))
+    def seen(self, rows: IndexArray) -> tuple[FloatArray, FloatArray]:
+        """Channels and reflectances of some of them. [nm, -]"""
+        return self.wavelength_nm, self.reflectance[rows]
 
     def at(self, row: int, name: str) -> MgmData:
         """One of them."""
@@ -133,11 +132,10 @@ def prepare_rows(
     ------
     DataError with fewer than 40 channels, or, without `whole`, where they do not reach over 800-1300 nm.
     """
-    low, high = (0.0, np.inf) if whole else FIT_RANGE_NM
-    keep = (wavelength_nm >= low) & (wavelength_nm <= high)
+    keep = _inside(wavelength_nm, whole)
     kept = wavelength_nm[keep]
     if kept.size < MIN_CHANNELS:
-        between = "" if whole else f" between {low:g} and {high:g} nm"
+        between = "" if whole else " between {:g} and {:g} nm".format(*FIT_RANGE_NM)
         raise DataError(f"{kept.size} usable channels{between}; {MIN_CHANNELS} are needed")
     if not whole and (kept[0] > REQUIRED_NM[0] or kept[-1] < REQUIRED_NM[1]):
         raise DataError(f"the channels do not reach over {REQUIRED_NM[0]:g}-{REQUIRED_NM[1]:g} nm")
@@ -149,16 +147,46 @@ def prepare_rows(
     return MgmRows(kept, own, weight, shared, error)
 
 
+def _inside(wavelength_nm: FloatArray, whole: bool) -> BoolArray:
+    """Channels that are fitted."""
+    low, high = (0.0, np.inf) if whole else FIT_RANGE_NM
+    return np.asarray((wavelength_nm >= low) & (wavelength_nm <= high))
+
+
+@dataclass(frozen=True, slots=True)
+class SpectraRows:
+    """Spectra on the same usable channels, with errors of the same kinds, which are prepared when they are asked for.
+
+    `model_error` and `whole` as `prepare_rows` takes them.
+    """
+
+    spectra: Sequence[Spectrum]
+    model_error: float | None
+    whole: bool
+
+    def part(self, rows: slice) -> "SpectraRows":
+        """Some of them."""
+        return SpectraRows(self.spectra[rows], self.model_error, self.whole)
+
+    def arguments(self) -> dict[str, Any]:
+        """Their arrays, as `prepare_rows` takes them."""
+        return AlikeSpectra.of(self.spectra)._asdict() | {"model_error": self.model_error, "whole": self.whole}
+
+    def prepared(self) -> MgmRows:
+        """As `prepare_rows` makes them, whose errors are raised."""
+        return prepare_rows(**self.arguments())
+
+    def seen(self, rows: IndexArray) -> tuple[FloatArray, FloatArray]:
+        """Channels and reflectances of some of them, as `prepared` has them, without the rest. [nm, -]"""
+        found = AlikeSpectra.of([self.spectra[k] for k in rows.tolist()])
+        inside = _inside(found.wavelength_nm, self.whole)
+        return found.wavelength_nm[inside], found.reflectance[:, inside]
+
+    def at(self, row: int, name: str) -> MgmData:
+        """One of them, prepared."""
+        return self.part(slice(row, row + 1)).prepared().at(0, name)
+
+
 def prepare(spectrum: Spectrum, model_error: float | None = None, *, whole: bool = False) -> MgmData:
-    """The usable channels of one spectrum, as `prepare_rows` makes them, whose errors are raised."""
-    usable, sigma = spectrum.usable, spectrum.uncertainty
-    shifts = [shift[usable] for shift in spectrum.systematic.values()]
-    rows = prepare_rows(
-        spectrum.wavelength_nm[usable],
-        spectrum.reflectance[usable][None],
-        sigma=None if sigma is None else sigma[usable][None],
-        shifts=np.array(shifts)[None] if shifts else None,
-        model_error=model_error,
-        whole=whole,
-    )
-    return rows.at(0, spectrum.id)
+    """One spectrum, as `prepare_rows` makes it, whose errors are raised."""
+    return SpectraRows([spectrum], model_error, whole).at(0, spectrum.id)

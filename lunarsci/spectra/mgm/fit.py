@@ -14,12 +14,12 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.formulas import LANES
 from lunarsci.provenance import sha256
 from lunarsci.spectra.mgm.batch import MOST_ROWS, FitBatch, SpectraFits, describe_rows, joined
-from lunarsci.spectra.mgm.data import MgmData, MgmRows, prepare_rows
+from lunarsci.spectra.mgm.data import MgmData, MgmRows, SpectraRows, prepare_rows
 from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, KernelFits
 from lunarsci.spectra.mgm.model import MgmModel
 from lunarsci.spectra.mgm.multistart import Multistart
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
-from lunarsci.spectra.spectrum import Spectrum
+from lunarsci.spectra.spectrum import Spectrum, alike, digest_of
 
 DEFAULT_MODEL_ERROR = 0.02
 """Of ln R in the chi-square of fits by damping, which it does not move; assumed."""
@@ -70,13 +70,14 @@ def fit_spectra(
     (1982), Rev. Geophys. 20, 219, 10.1029/RG020i002p00219 (prior).
     """
     _check_options(model_error, starts)
-    parts: list[tuple[IndexArray, MgmRows, FitBatch]] = []
+    parts: list[tuple[IndexArray, SpectraRows, FitBatch]] = []
     failures: dict[int, MgmFailure] = {}
-    for group in _groups(spectra):
+    for group in alike(spectra, range(len(spectra))):
         before = len(failures) + sum(len(part[0]) for part in parts)
         told = None if progress is None else lambda done, _, before=before: progress(before + done, len(spectra))
+        rows = SpectraRows([spectra[k] for k in group], model_error, model.whole)
         try:
-            rows = _rows_of([spectra[k] for k in group], model_error, model.whole)
+            rows.at(0, "")
         except DataError as error:
             name = model.assemblage.name
             failures |= {k: MgmFailure(spectra[k].id, name, model.continuum, f"no result: {error}") for k in group}
@@ -88,15 +89,21 @@ def fit_spectra(
 
 
 def _fit_in_blocks(
-    rows: MgmRows, model: MgmModel, starts: int, progress: Callable[[int, int], None] | None
+    rows: SpectraRows, model: MgmModel, starts: int, progress: Callable[[int, int], None] | None
 ) -> FitBatch:
+    channels = len(rows.spectra[0].wavelength_nm)
     found = arrays_in_blocks(
         partial(_columns_of_fits, model=model, starts=starts),
-        len(rows),
-        rows_in_memory(8.0 * (12 * len(rows.wavelength_nm) + 3 * len(model.prior) ** 2), most=CHUNK),
+        len(rows.spectra),
+        rows_in_memory(8.0 * (12 * channels + 3 * len(model.prior) ** 2), most=CHUNK),
         stage=f"fit {model.assemblage.name} {model.continuum}",
-        about=lambda: {"spectra": rows.digest(), "model": _digest(model), "starts": str(starts)},
-        fetch=lambda block: rows.part(slice(block.start, block.stop)),
+        about=lambda: {
+            "spectra": digest_of(rows.spectra),
+            "model": _digest(model),
+            "model error": str(rows.model_error),
+            "starts": str(starts),
+        },
+        fetch=lambda block: rows.part(slice(block.start, block.stop)).arguments(),
         progress=progress,
     )
     return FitBatch(model=model, **found)
@@ -108,8 +115,8 @@ def _digest(model: MgmModel) -> str:
     return sha256(repr(words).encode() + b"".join(array.tobytes() for array in numbers))
 
 
-def _columns_of_fits(rows: MgmRows, *, model: MgmModel, starts: int) -> dict[str, Any]:
-    return fit_rows(rows, model, starts).columns()
+def _columns_of_fits(spectra: dict[str, Any], *, model: MgmModel, starts: int) -> dict[str, Any]:
+    return fit_rows(prepare_rows(**spectra), model, starts).columns()
 
 
 def _check_options(model_error: Any, starts: Any) -> None:
@@ -117,29 +124,6 @@ def _check_options(model_error: Any, starts: Any) -> None:
         raise ParameterError(f"model error is {model_error:g}; give a number above 0 and below 1, such as 0.01")
     if isinstance(starts, int) and starts < 1:
         raise ParameterError(f"{starts} starts; give 1 or more")
-
-
-def _groups(spectra: Sequence[Spectrum]) -> list[list[int]]:
-    """Positions of spectra on the same channels, with errors of the same kinds."""
-    groups: dict[Any, list[int]] = {}
-    for index, spectrum in enumerate(spectra):
-        usable = spectrum.wavelength_nm[spectrum.usable].tobytes()
-        groups.setdefault((usable, spectrum.uncertainty is None, len(spectrum.systematic)), []).append(index)
-    return list(groups.values())
-
-
-def _rows_of(spectra: Sequence[Spectrum], model_error: float | None, whole: bool) -> MgmRows:
-    """Spectra of one of the `_groups`, prepared."""
-    first, usable = spectra[0], [spectrum.usable for spectrum in spectra]
-    sigma, shifts = None, None
-    if first.uncertainty is not None:
-        sigma = np.array([one.uncertainty[own] for one, own in zip(spectra, usable, strict=True)])  # type: ignore[index]
-    if first.systematic:
-        pairs = zip(spectra, usable, strict=True)
-        shifts = np.array([[shift[own] for shift in one.systematic.values()] for one, own in pairs])
-    reflectance = np.array([one.reflectance[own] for one, own in zip(spectra, usable, strict=True)])
-    wavelength_nm = first.wavelength_nm[usable[0]]
-    return prepare_rows(wavelength_nm, reflectance, sigma=sigma, shifts=shifts, model_error=model_error, whole=whole)
 
 
 def fit_arrays(

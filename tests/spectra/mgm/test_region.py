@@ -83,7 +83,7 @@ def test_tiles_know_nothing_of_each_other(ground: strips.Strip, found: RegionFit
     finally:
         numba.set_num_threads(threads)
     assert np.array_equal(again.batch.values, found.batch.values[part])
-    assert np.array_equal(again.batch.covariance, found.batch.covariance[part])
+    assert np.array_equal(again.batch.sigma, found.batch.sigma[part])
     assert np.array_equal(again.origin, found.origin[part])
 
 
