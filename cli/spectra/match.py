@@ -8,7 +8,8 @@ import typer
 from lunarsci.spectra.jobs.match import MatchRequest
 
 from ..shared.command import command
-from ..shared.options import option
+from ..shared.options import SPREAD, Output, option
+from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import SHOWN, TextTable
 
@@ -89,17 +90,18 @@ OPTIONS = {
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "match", request=MatchRequest, options=OPTIONS)(match)
+    command(app, "match", request=MatchRequest, options=OPTIONS, blocks=SPREAD)(match)
 
 
-def match(request: MatchRequest, rocks: Rocks = None) -> Report:
+def match(request: MatchRequest, output: Output, rocks: Rocks = None) -> Report:
     """The crater a rock came from: composition (ln Bayes factor), prior and posterior, each apart.
 
     ln Bayes factors compare with a rock of any composition; a crater of unknown composition has 0.
     """
     from lunarsci.spectra.jobs.match import match
 
-    result = match(rocks or (), request)
+    with progress("matching", quiet=output.quiet) as update:
+        result = match(rocks or (), request, progress=update)
     return Report.of(result, _tables(result))
 
 

@@ -107,7 +107,7 @@ class Spectrum:
 
 
 def alike(spectra: Sequence[Spectrum], which: Iterable[int]) -> list[list[int]]:
-    """Some of the spectra, by position, together with those on the same usable channels, with errors of the same kinds."""
+    """Some of the spectra, by position: those on the same usable channels and with errors of the same kinds together."""
     groups: dict[Any, list[int]] = {}
     for index in which:
         spectrum = spectra[index]
@@ -138,7 +138,8 @@ class AlikeSpectra(NamedTuple):
         shifts = np.array([[shift[own] for shift in one.systematic.values()] for one, own in pairs])
         wavelength_nm = first.wavelength_nm[first.usable]
         values = np.array([one.reflectance[own] for one, own in pairs])
-        return cls(wavelength_nm, values, sigma, shifts.reshape(len(spectra), -1, wavelength_nm.size))
+        shape = (len(spectra), len(first.systematic), wavelength_nm.size)
+        return cls(wavelength_nm, values, sigma, shifts.reshape(shape))
 
 
 def digest_of(spectra: Sequence[Spectrum]) -> str:

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -14,7 +14,8 @@ from lunarsci.result import MadeFrom, Result, request_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from lunarsci.records import Records
+    from lunarsci.blocks import Progress
+    from lunarsci.records import Records, RecordsInBlocks
     from lunarsci.spectra.origin.catalogue import Crater, Point
     from lunarsci.spectra.origin.composition import Rock
     from lunarsci.spectra.origin.match import CraterMatch, MatchSettings, RockMatch
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 STIRRING = "Oberbeck et al. (1975), Moon 12, 19, 10.1007/BF00577878 (coefficients from later literature, not checked)"
 BEYOND_LAW_KM = 2729.0
+BLOCK_ROCKS = 1024
+"""Rocks whose craters are put down at once: some 20 MB."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,22 +130,29 @@ class Matches(Result):
         return self.unread
 
     def content(self) -> dict[str, Any]:
+        from lunarsci.records import in_blocks
         from lunarsci.spectra.origin.match import match_records
 
+        of_some = self._of_some(match_records)
         return {
             "site": {"latitude_deg": self.site[0], "longitude_deg": self.site[1]},
-            "rocks": match_records(self.matches),
+            "rocks": in_blocks(len(self.matches), of_some, rows=BLOCK_ROCKS),
             "assumptions": self.assumptions,
             "maps": [
                 {"crater": item.crater, "covered": dict(item.covered), "status": item.status} for item in self.maps
             ],
         }
 
-    def rows(self) -> "Records":
+    def rows(self) -> "Records | RecordsInBlocks":
         """One a crater, and one for other sources, of each rock."""
+        from lunarsci.records import in_blocks
         from lunarsci.spectra.origin.match import match_table
 
-        return match_table(self.matches)
+        count, each = len(self.matches), len(self.matches[0].craters) + 1
+        return in_blocks(count, self._of_some(match_table), size=count * each, rows=BLOCK_ROCKS)
+
+    def _of_some(self, make: "Callable[[Sequence[RockMatch]], Records]") -> "Callable[[range], Records]":
+        return lambda block: make(self.matches[block.start : block.stop])
 
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.spectra.origin.figure import match_pages
@@ -150,7 +160,9 @@ class Matches(Result):
         return match_pages(self.matches, self.site)
 
 
-def match(rocks: Any = (), request: MatchRequest | None = None, **options: Any) -> Matches:
+def match(
+    rocks: Any = (), request: MatchRequest | None = None, *, progress: "Progress | None" = None, **options: Any
+) -> Matches:
     """Match rocks with candidate craters.
 
     `rocks` are JSON results of `spectra fit` and `spectra bands`, one or many: files, patterns, open files, or results
@@ -165,7 +177,7 @@ def match(rocks: Any = (), request: MatchRequest | None = None, **options: Any) 
     settings, site = asked.settings(), _site(asked.site)
     given = _rocks(list(rocks) if isinstance(rocks, list | tuple) else [rocks], asked)
     found = _candidates(asked)
-    matches = match_rocks(given.rocks, found.craters, site, settings)
+    matches = match_rocks(given.rocks, found.craters, site, settings, progress)
     return Matches(
         matches,
         site,

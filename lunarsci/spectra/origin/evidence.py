@@ -13,6 +13,7 @@ from functools import cache
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
+from lunarsci.provenance import sha256
 from lunarsci.spectra.origin.composition import MINERALS, SMALLEST_SIGMA, Composition, closed
 
 BAND_RANGE_NM = {"bc1000_nm": (880.0, 1070.0), "bc2000_nm": (1780.0, 2350.0)}
@@ -80,6 +81,18 @@ class CompositionRows:
             for place, name in enumerate(BAND_RANGE_NM):
                 bands[:, row, place] = rock.bands.get(name, (np.nan, np.nan))
         return cls(modes[0], modes[1], bands[0], bands[1], correlation)
+
+    def part(self, rows: slice) -> "CompositionRows":
+        """Some of them."""
+        return CompositionRows(*(None if one is None else one[rows] for one in self._arrays))  # type: ignore[arg-type]
+
+    def digest(self) -> str:
+        """SHA-256 of all of them."""
+        return sha256(b"".join(np.ascontiguousarray(one).tobytes() for one in self._arrays if one is not None))
+
+    @property
+    def _arrays(self) -> tuple[FloatArray | None, ...]:
+        return self.modes, self.mode_sigmas, self.centers_nm, self.center_sigmas_nm, self.correlation
 
     def shares(self, rows: IntArray, minerals: Sequence[int]) -> tuple[FloatArray, FloatArray]:
         """Mean (r, k) and covariance (r, k, k) of the shares of some minerals, by number."""

@@ -1,20 +1,25 @@
 """The probability that a rock comes from each of the candidate craters: a prior, and what the rock is made of."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, overload
 
 import numpy as np
 
 from lunarsci.arrays import FloatArray
+from lunarsci.blocks import Progress, arrays_in_blocks
 from lunarsci.errors import ParameterError
+from lunarsci.provenance import sha256
 from lunarsci.records import Codes, Listed, Records, Same
 from lunarsci.spectra.origin.catalogue import Crater, Point, azimuth_deg
-from lunarsci.spectra.origin.composition import Rock
+from lunarsci.spectra.origin.composition import Composition, Rock
 from lunarsci.spectra.origin.evidence import CompositionEvidence, CompositionRows, EvidenceRows, evidence_rows
 from lunarsci.spectra.origin.prior import CraterPrior, PriorSettings, crater_priors, launch_speed_m_s
 
 OTHER = "other source"
+BLOCK_ROWS = 256
+"""Rocks of a block, which is so in any memory: some tenths of a second of one core."""
 LEADS, DECIDES = 0.5, 3.0
 """Posterior from which a crater is called the likeliest, and ln Bayes factor from which composition decides (about
 20 : 1, 'strong' in Kass & Raftery 1995, 10.1080/01621459.1995.10476572)."""
@@ -199,43 +204,99 @@ def match_arrays(rocks: CompositionRows, craters: Sequence[Crater], site: Point,
 
     Raises ParameterError where no crater can have delivered a rock to the site.
     """
-    nothing = np.full_like(rocks.modes, np.nan), np.full_like(rocks.centers_nm, np.nan)
-    seen = CompositionRows(
-        rocks.modes if settings.use_modes else nothing[0],
-        rocks.mode_sigmas,
-        rocks.centers_nm if settings.use_bands else nothing[1],
-        rocks.center_sigmas_nm,
-        rocks.correlation,
-    )
-    priors = crater_priors(craters, site, settings.prior)
-    errors = {"systematic": settings.systematic, "band_systematic_nm": settings.band_systematic_nm}
-    evidence = evidence_rows(seen, [crater.composition for crater in craters], **errors)
-    weights = np.array([*(p.probability for p in priors), settings.prior.other_weight])
-    posterior = _posterior(weights, np.column_stack([evidence.ln_total, np.zeros(len(rocks.modes))]))
-    return MatchRows(priors, evidence, posterior[:, :-1], posterior[:, -1])
+    priors, seen = crater_priors(craters, site, settings.prior), _compared(rocks, settings)
+    compositions = [crater.composition for crater in craters]
+    arrays = _columns_of_matches(seen, craters=compositions, weights=_weights(priors, settings), settings=settings)
+    return _rows_of_matches(arrays, priors, seen, compositions)
 
 
 def match_rocks(
-    rocks: Sequence[Rock], craters: Sequence[Crater], site: Point, settings: MatchSettings
-) -> list[RockMatch]:
+    rocks: Sequence[Rock], craters: Sequence[Crater], site: Point, settings: MatchSettings,
+    progress: Progress | None = None,
+) -> "RockMatches":  # fmt: skip
     """Match rocks found at one site (latitude, longitude in deg) with candidate craters.
 
     Raises ParameterError where no crater can have delivered a rock to the site.
     """
-    found = match_arrays(CompositionRows.of([rock.composition for rock in rocks]), craters, site, settings)
-    flight = [
-        (azimuth_deg(site, crater.center), launch_speed_m_s(crater.diameter_km, prior.distance_km))
-        for crater, prior in zip(craters, found.priors, strict=True)
-    ]
-    other, matches = settings.prior.other_weight, []
-    for row, rock in enumerate(rocks):
+    priors = crater_priors(craters, site, settings.prior)
+    seen = _compared(CompositionRows.of([rock.composition for rock in rocks]), settings)
+    compositions, weights = [crater.composition for crater in craters], _weights(priors, settings)
+    arrays = arrays_in_blocks(
+        partial(_columns_of_matches, craters=compositions, weights=weights, settings=settings),
+        len(rocks),
+        BLOCK_ROWS,
+        stage="match",
+        about=lambda: {
+            "rocks": seen.digest(),
+            "craters": sha256(repr(compositions).encode() + weights.tobytes()),
+            "systematic": f"{settings.systematic:g}, {settings.band_systematic_nm:g} nm",
+        },
+        fetch=lambda block: seen.part(slice(block.start, block.stop)),
+        progress=progress,
+    )
+    return RockMatches(rocks, craters, _rows_of_matches(arrays, priors, seen, compositions), site, settings)
+
+
+def _compared(rocks: CompositionRows, settings: MatchSettings) -> CompositionRows:
+    """What of the rocks is compared."""
+    nothing = np.full_like(rocks.modes, np.nan), np.full_like(rocks.centers_nm, np.nan)
+    modes = rocks.modes if settings.use_modes else nothing[0]
+    return replace(rocks, modes=modes, centers_nm=rocks.centers_nm if settings.use_bands else nothing[1])
+
+
+def _weights(priors: Sequence[CraterPrior], settings: MatchSettings) -> FloatArray:
+    """Prior weights of the craters, and of other sources."""
+    return np.array([*(prior.probability for prior in priors), settings.prior.other_weight])
+
+
+def _columns_of_matches(
+    seen: CompositionRows, *, craters: Sequence[Composition], weights: FloatArray, settings: MatchSettings
+) -> dict[str, Any]:
+    errors = {"systematic": settings.systematic, "band_systematic_nm": settings.band_systematic_nm}
+    evidence = evidence_rows(seen, craters, **errors)
+    posterior = _posterior(weights, np.column_stack([evidence.ln_total, np.zeros(len(seen.modes))]))
+    return {"ln_modes": evidence.ln_modes, "ln_bands": evidence.ln_bands, "posterior": posterior}
+
+
+def _rows_of_matches(
+    arrays: Mapping[str, FloatArray], priors: Sequence[CraterPrior], seen: CompositionRows,
+    craters: Sequence[Composition],
+) -> MatchRows:  # fmt: skip
+    evidence, posterior = EvidenceRows(arrays["ln_modes"], arrays["ln_bands"], seen, craters), arrays["posterior"]
+    return MatchRows(priors, evidence, posterior[:, :-1], posterior[:, -1])
+
+
+class RockMatches(Sequence[RockMatch]):
+    """A match of each rock, made of the arrays `found` when it is asked for."""
+
+    def __init__(
+        self, rocks: Sequence[Rock], craters: Sequence[Crater], found: MatchRows, site: Point, settings: MatchSettings
+    ) -> None:
+        self.rocks, self.craters, self.found, self.other = rocks, craters, found, settings.prior.other_weight
+        self._flight = [
+            (azimuth_deg(site, crater.center), launch_speed_m_s(crater.diameter_km, prior.distance_km))
+            for crater, prior in zip(craters, found.priors, strict=True)
+        ]
+
+    def __len__(self) -> int:
+        return len(self.rocks)
+
+    @overload
+    def __getitem__(self, index: int) -> RockMatch: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[RockMatch]: ...
+    def __getitem__(self, index: int | slice) -> RockMatch | list[RockMatch]:
+        if isinstance(index, slice):
+            return [self[row] for row in range(*index.indices(len(self)))]
+        row, found = range(len(self))[index], self.found
         own = tuple(
-            CraterMatch(crater, found.priors[k], found.evidence.at(row, k), float(found.posterior[row, k]), *flight[k])
-            for k, crater in enumerate(craters)
+            CraterMatch(
+                crater, found.priors[k], found.evidence.at(row, k), float(found.posterior[row, k]), *self._flight[k]
+            )
+            for k, crater in enumerate(self.craters)
         )
         rest = float(found.other_posterior[row])
-        matches.append(RockMatch(rock, own, other, rest, _status(own, rest, other)))
-    return matches
+        return RockMatch(self.rocks[row], own, self.other, rest, _status(own, rest, self.other))
 
 
 def _posterior(priors: FloatArray, ln_factors: FloatArray) -> FloatArray:
