@@ -141,7 +141,9 @@ def _leave_when_told() -> None:
         while os.read(heard, 1)[0] not in (signal.SIGINT, signal.SIGTERM):
             pass
         time.sleep(MOMENT_S)
-        say("interrupted; nothing was written")
+        blocks = sys.modules.get("lunarsci.blocks")
+        kept = blocks.what_is_kept() if blocks else []
+        say("; ".join(["interrupted", *(kept or ["nothing was written"])]))
         os._exit(INTERRUPTED)
 
     threading.Thread(target=watch, daemon=True).start()

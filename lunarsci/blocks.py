@@ -100,6 +100,11 @@ class Computing:
         number = f"-{self._stages[name]}" if self._stages[name] > 1 else ""
         return self.keep.with_name(f"{self.keep.name}.partial") / f"{name}{number}"
 
+    @property
+    def said(self) -> list[str]:
+        """How many blocks are kept, one sentence for each folder that has some."""
+        return [kept.said for kept in self._kept if kept.done]
+
     def close(self, *, done: bool) -> None:
         """Leave the scheduler, and the folders of done blocks, which are of no more use if all is `done`."""
         if self._client is not None:
@@ -109,6 +114,8 @@ class Computing:
 
 
 _HERE: ContextVar[Computing | None] = ContextVar("computing", default=None)
+_UNDER_WAY: list[Computing] = []
+"""All of this process, whichever thread asks."""
 
 
 @contextlib.contextmanager
@@ -127,18 +134,24 @@ def computing(
     file = None if keep is None else Path(keep)
     here = Computing(scheduler=scheduler, workers=workers, memory=memory, keep=file, force=force)
     before = _HERE.set(here)
+    _UNDER_WAY.append(here)
     done = False
     try:
         yield here
         done = True
     except BaseException as error:
-        for kept in here._kept:
-            if kept.done:
-                error.add_note(kept.said)
+        for text in here.said:
+            error.add_note(text)
         raise
     finally:
+        _UNDER_WAY.remove(here)
         _HERE.reset(before)
         here.close(done=done)
+
+
+def what_is_kept() -> list[str]:
+    """How many blocks of whatever this process computes are kept, one sentence a folder; of use as it ends."""
+    return [text for here in list(_UNDER_WAY) for text in here.said]
 
 
 def rows_in_memory(bytes_a_row: float, most: int) -> int:

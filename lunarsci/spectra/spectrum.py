@@ -107,7 +107,7 @@ class Spectrum:
 
 
 def alike(spectra: Sequence[Spectrum], which: Iterable[int]) -> list[list[int]]:
-    """Some of the spectra, by position: those on the same usable channels and with errors of the same kinds together."""
+    """Some of the spectra, by position: those with the same usable channels and kinds of errors together."""
     groups: dict[Any, list[int]] = {}
     for index in which:
         spectrum = spectra[index]

@@ -54,13 +54,13 @@ class BandsRequest:
             raise RequestError("`smooth` is the window in channels, `smooth_nm` the same in nm; give one")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MeasuredBands(Result):
     """The bands of each spectrum, one at least, and why those without have none."""
 
     batch: "SpectraBatch"
     measured: "BandsOfSpectra"
-    failures: Sequence[str]
+    failures: Sequence[str] = ()
     schema = "spectra-bands/1"
 
     @cached_property

@@ -87,7 +87,6 @@ def same(found: object, expected: object) -> None:
 
 
 def test_records_are_those_of_the_fits_one_by_one(fits: MgmFits) -> None:
-    assert fits.columns is not None
     document = json.loads(fits.to_json(time=False))["result"]["spectra"]
     for index, (record, fit) in enumerate(zip(document, fits.fits, strict=True)):
         shares = nbsr_abundance(fit) if index != 7 else None
