@@ -75,10 +75,11 @@ def plus_minus(value: float | None, sigma: float | None = None, *, digits: int =
 
 def to_csv(rows: Sequence[Mapping[str, Any]]) -> Iterator[bytes]:
     """CSV with full precision in pieces; missing values are empty cells."""
+    from lunarsci.record_blocks import RecordsInBlocks
     from lunarsci.records import Records
 
     text = io.StringIO()
-    if isinstance(rows, Records):
+    if isinstance(rows, Records | RecordsInBlocks):
         csv.writer(text, lineterminator="\n").writerow(rows.names)
         yield text.getvalue().encode()
         yield from rows.csv_chunks()

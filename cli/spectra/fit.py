@@ -108,7 +108,7 @@ def fit_tables(found: MgmFits) -> list[TextTable]:
     record = found.records[0]
     overview = TextTable(
         ["spectrum", "assemblage", "rms ln R [%]", "NBSR 1 µm OPX", "NBSR 2 µm OPX", "status"],
-        [_overview_row(record) for record in found.overview[:SHOWN]],
+        [_overview_row(record) for record in found.records[:SHOWN]],
         total=len(found.records),
         notes=_notes(record, found.good[0]) if alone else _not_shown(found),
     )

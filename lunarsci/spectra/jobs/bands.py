@@ -12,7 +12,8 @@ from lunarsci.result import MadeFrom, Result, request_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from lunarsci.records import Records, RecordsInBlocks
+    from lunarsci.record_blocks import RecordsInBlocks
+    from lunarsci.records import Records
     from lunarsci.spectra.bands import BandsOfSpectra, SpectrumBands
     from lunarsci.spectra.chemistry.bands import Estimates
     from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource
@@ -90,13 +91,13 @@ class MeasuredBands(Result):
         return {"spectra": self.content()["spectra"].tolist()}
 
     def content(self) -> Mapping[str, Any]:
-        from lunarsci.records import in_blocks
+        from lunarsci.record_blocks import in_blocks
 
         return {"spectra": in_blocks(len(self.measured), self._records)}
 
     def rows(self) -> "Records | RecordsInBlocks":
         """One a spectrum; value, error and range of each regression in columns of their own."""
-        from lunarsci.records import in_blocks
+        from lunarsci.record_blocks import in_blocks
 
         return in_blocks(len(self.measured), self._rows)
 
@@ -144,7 +145,7 @@ class MeasuredBands(Result):
 
     def examples(self, keys: Sequence[str]) -> dict[str, Mapping[str, Any]]:
         """Of each of these regressions that some spectrum can use, what it says of the first."""
-        from lunarsci.records import BLOCK_THINGS
+        from lunarsci.record_blocks import BLOCK_THINGS
 
         found: dict[str, Mapping[str, Any]] = {}
         for block in spans(len(self.measured), BLOCK_THINGS):

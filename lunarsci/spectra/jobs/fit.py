@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import chain
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
 Progress: TypeAlias = Callable[[int, int], None]
 DEFAULT_ASSEMBLAGE = "OL-OPX-CPX"
-LONG = ("bands", "compositions", "abundance", "abundances", "continuum_coefficients")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,13 +208,10 @@ class MgmFits(Result):
 
         return isinstance(self.abundances, PyroxeneAbundances) and not (self.choices or self.intervals)
 
-    def _columns(self, block: range) -> "tuple[FitColumns, PyroxeneAbundances]":
-        """Columns of some of the fits, and their shares of pyroxenes."""
-        return self._all_columns if len(block) == len(self.fits) else self._columns_of(block)
-
     @cached_property
-    def _all_columns(self) -> "tuple[FitColumns, PyroxeneAbundances]":
-        return self._columns_of(range(len(self.fits)))
+    def _columns(self) -> "Callable[[range], tuple[FitColumns, PyroxeneAbundances]]":
+        """Columns of some of the fits and their shares of pyroxenes; the last are kept."""
+        return lru_cache(maxsize=1)(self._columns_of)
 
     def _columns_of(self, block: range) -> "tuple[FitColumns, PyroxeneAbundances]":
         from lunarsci.spectra.abundance.nbsr import PyroxeneAbundances
@@ -227,7 +223,8 @@ class MgmFits(Result):
     @cached_property
     def records(self) -> Sequence[dict[str, Any]]:
         """The keys of each spectrum in `--json`."""
-        from lunarsci.records import Records, in_blocks
+        from lunarsci.record_blocks import in_blocks
+        from lunarsci.records import Records
 
         def of_some(block: range) -> Records:
             columns, shares = self._columns(block)
@@ -236,16 +233,6 @@ class MgmFits(Result):
         if self._as_arrays:
             return in_blocks(len(self.fits), of_some)
         return [self._record(index, origin) for index, origin in enumerate(self.batch.origins)]
-
-    @property
-    def overview(self) -> Sequence[dict[str, Any]]:
-        """The records without their many numbers."""
-        columns = getattr(self.records, "columns", None)
-        if columns is None:
-            return self.records
-        from lunarsci.records import Records
-
-        return Records({key: columns[key] for key in columns if key not in LONG}, len(self.records))
 
     def _record(self, index: int, origin: str) -> dict[str, Any]:
         from lunarsci.spectra.mgm.compositions import compositions
@@ -263,7 +250,8 @@ class MgmFits(Result):
         }
 
     def rows(self) -> Sequence[dict[str, Any]]:
-        from lunarsci.records import Records, in_blocks
+        from lunarsci.record_blocks import in_blocks
+        from lunarsci.records import Records
         from lunarsci.spectra.mgm.columns import rows_of, rows_one_by_one
 
         if not self._as_arrays:

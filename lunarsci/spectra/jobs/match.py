@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from lunarsci.blocks import Progress
-    from lunarsci.records import Records, RecordsInBlocks
+    from lunarsci.record_blocks import RecordsInBlocks
+    from lunarsci.records import Records
     from lunarsci.spectra.origin.catalogue import Crater, Point
     from lunarsci.spectra.origin.composition import Rock
     from lunarsci.spectra.origin.match import CraterMatch, MatchSettings, RockMatch
@@ -130,7 +131,7 @@ class Matches(Result):
         return self.unread
 
     def content(self) -> dict[str, Any]:
-        from lunarsci.records import in_blocks
+        from lunarsci.record_blocks import in_blocks
         from lunarsci.spectra.origin.match import match_records
 
         of_some = self._of_some(match_records)
@@ -145,7 +146,7 @@ class Matches(Result):
 
     def rows(self) -> "Records | RecordsInBlocks":
         """One a crater, and one for other sources, of each rock."""
-        from lunarsci.records import in_blocks
+        from lunarsci.record_blocks import in_blocks
         from lunarsci.spectra.origin.match import match_table
 
         count, each = len(self.matches), len(self.matches[0].craters) + 1
