@@ -12,6 +12,7 @@ import pytest
 
 from lunarsci import records as module
 from lunarsci.provenance import json_chunks, to_json
+from lunarsci.record_blocks import RecordsInBlocks, in_blocks
 from lunarsci.records import Codes, Listed, Records, Same, Where
 
 
@@ -134,3 +135,26 @@ def test_columns_are_of_one_length() -> None:
 @pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
 def test_the_benchmark_compares_equal_things(load_benchmark: Callable[[str], Any]) -> None:
     assert set(load_benchmark("bench_tables").measure(60)) >= {"read", "JSON", "CSV"}
+
+
+@pytest.mark.parametrize("each", [1, 3])
+def test_records_made_block_by_block_are_the_same(each: int) -> None:
+    """By size 10 of a block, of things with one record or three; JSON, CSV, and as a list."""
+
+    def make(things: range) -> Records:
+        row = np.repeat(np.arange(things.start, things.stop), each)
+        return Records({"thing": row, "root": np.sqrt(row), "name": [f"n{k}" for k in row], "none": None})
+
+    whole, parts = make(range(37)), in_blocks(37, make, size=37 * each, rows=10)
+    assert isinstance(parts, RecordsInBlocks)
+    assert isinstance(in_blocks(10, make, rows=10), Records)
+    assert len(parts) == len(whole)
+    assert parts.tolist() == whole.tolist()
+    assert parts[11:15] == whole[11:15].tolist()
+    assert parts[::-7] == whole.tolist()[::-7]
+    assert (parts[-1], parts[10]) == (whole[-1], whole[10])
+    with pytest.raises(IndexError):
+        parts[37 * each]
+    assert b"".join(parts.csv_chunks()) == b"".join(whole.csv_chunks())
+    assert parts.names == whole.names
+    assert to_json({"rows": parts}) == to_json({"rows": whole})

@@ -65,21 +65,23 @@ def write_rocks(path: Path, count: int) -> str:
     return str(path)
 
 
-def cases(folder: Path, scale: float = 1.0) -> dict[str, Case]:
-    """Commands by name, with their inputs in a folder; each computes some ten blocks where `scale` is 1."""
+COMMANDS = ("fit", "bands", "match", "map")
+
+
+def case_of(command: str, folder: Path, scale: float = 1.0) -> Case:
+    """A command with its input in a folder; it computes some ten blocks where `scale` is 1."""
     from cost_of_m3 import write_envi
 
+    if command == "fit":
+        table = write_table(folder / "few.csv", made_up(int(5_000 * scale)))
+        return Case(("fit", table, "--assemblage", "OPX-CPX", "--starts", "1"), ".csv", int(1.5e6 * scale))
+    if command == "bands":
+        return Case(("bands", write_table(folder / "many.csv", made_up(int(20_000 * scale)))), ".csv", int(2e6 * scale))
+    if command == "match":
+        return Case(("match", write_rocks(folder / "rocks.json", int(2_500 * scale))), ".csv", int(2e5 * scale))
     lines = int(640 * scale)
     write_envi(folder / "cube.img", CHANNELS_NM, made_up(lines * 32).reshape(lines, 32, -1))
-    few, many = (write_table(folder / f"{name}.csv", made_up(int(count * scale))) for name, count in
-                 (("few", 5_000), ("many", 20_000)))  # fmt: skip
-    rocks = write_rocks(folder / "rocks.json", int(2_500 * scale))
-    return {
-        "fit": Case(("fit", few, "--assemblage", "OPX-CPX", "--starts", "1"), ".csv", int(1.5e6 * scale)),
-        "bands": Case(("bands", many), ".csv", int(2.5e6 * scale)),
-        "match": Case(("match", rocks), ".csv", int(2e5 * scale)),
-        "map": Case(("map", str(folder / "cube.img"), "--products", "bands"), ".nc", int(1.5e6 * scale)),
-    }
+    return Case(("map", str(folder / "cube.img"), "--products", "bands"), ".nc", int(1.5e6 * scale))
 
 
 def run(arguments: list[str], said: str) -> None:
@@ -182,17 +184,16 @@ def full_disk(case: Case, folder: Path, wanted: bytes) -> tuple[list[dict[str, A
 def main() -> None:
     """Print what became of each."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("commands", nargs="*", default=["fit", "bands", "match", "map"])
+    parser.add_argument("commands", nargs="*", default=COMMANDS)
     parser.add_argument("--kills", type=int, default=10)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     moments = random.Random(options.seed)
     with tempfile.TemporaryDirectory() as name:
-        for command, case in cases(Path(name)).items():
-            if command not in options.commands:
-                continue
+        for command in options.commands:
             folder = Path(name) / command
             folder.mkdir()
+            case = case_of(command, folder)
             wanted, seconds = whole(case, folder)
             found = killed(case, folder, wanted, seconds, options.kills, moments)
             print(f"spectra {command}: {seconds:.1f} s; blocks kept at {len(found.kept)} kills: {found.kept}; the same "

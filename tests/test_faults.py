@@ -1,0 +1,43 @@
+"""Commands that are killed, and whose disk is full or read-only: what is done is kept, and the end has the same bytes.
+
+At ten moments, and of all commands that keep blocks: `tests/benchmarks/faults.py`.
+"""
+
+import random
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="forks, and mounts disks")
+Load = Callable[[str], ModuleType]
+
+
+def test_a_fit_that_is_killed_twice_goes_on(load_benchmark: Load, tmp_path: Path) -> None:
+    faults = load_benchmark("faults")
+    case = faults.case_of("fit", tmp_path, 0.6)
+    wanted, seconds = faults.whole(case, tmp_path)
+    found = faults.killed(case, tmp_path, wanted, seconds, 2, random.Random(3))
+    assert len(found.kept) == 2
+    assert found.same
+    assert found.left == []
+
+
+def test_bands_on_a_full_disk_are_kept_and_go_on(load_benchmark: Load, tmp_path: Path) -> None:
+    """A real disk of a megabyte, then the same one read-only, then with room."""
+    faults = load_benchmark("faults")
+    case = faults.case_of("bands", tmp_path, 0.5)
+    wanted, _ = faults.whole(case, tmp_path)
+    told, same = faults.full_disk(case, tmp_path, wanted)
+    if not told:
+        pytest.skip("disks may not be mounted here")
+    full, closed, roomy = told
+    assert (full["code"], closed["code"], roomy["code"]) == (1, 1, 0)
+    assert "No space left on device" in full["said"]
+    assert f"{full['kept']} of 5 blocks are kept" in full["said"]
+    assert 0 < full["kept"] < 5
+    assert closed["kept"] == full["kept"]
+    assert "no permission to write" in closed["said"]
+    assert same
