@@ -30,6 +30,7 @@ SHARED = {
     "tables",
     "result",
     "records",
+    "record_blocks",
     "numerals",
     "templates",
 }

@@ -134,10 +134,9 @@ class Matches(Result):
         from lunarsci.record_blocks import in_blocks
         from lunarsci.spectra.origin.match import match_records
 
-        of_some = self._of_some(match_records)
         return {
             "site": {"latitude_deg": self.site[0], "longitude_deg": self.site[1]},
-            "rocks": in_blocks(len(self.matches), of_some, rows=BLOCK_ROCKS),
+            "rocks": in_blocks(len(self.matches), self._of_some(match_records), rows=BLOCK_ROCKS),
             "assumptions": self.assumptions,
             "maps": [
                 {"crater": item.crater, "covered": dict(item.covered), "status": item.status} for item in self.maps
