@@ -1,10 +1,13 @@
 """Stations by what they share: adjustment beside points of known geometry, ties beside moved pictures."""
 
+import json
 import math
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+from lunarsci.cli import main
 
 pytest.importorskip("cv2", reason="needs the extra images")
 
@@ -12,8 +15,15 @@ from lunarsci.errors import DataError, RequestError
 from lunarsci.images.adjustment import SMALLEST_PX, PairTies, adjust, triangulated
 from lunarsci.images.camera import Camera, Pose, rotation_of, vector_of
 from lunarsci.images.jobs.locate import LocateRequest, _names, _rover, locate
+from lunarsci.images.jobs.merge import read_positions as read_shifts
+from lunarsci.images.landscape import landscape_on
+from lunarsci.images.pictures import png_bytes
+from lunarsci.images.render import render
 from lunarsci.images.rig import PARAMETERS, StereoRig, covariance_of
+from lunarsci.images.rig_files import pose_text, read_pose, rig_text
 from lunarsci.images.ties import OVERLAPPING, TiePoints, _peak
+from lunarsci.inputs import read_input
+from lunarsci.twin.telemetry.reading import read_positions
 
 SIGMA = {"left_cx_px": 0.1, "right_cx_px": 0.1, "left_fx_px": 0.25, "rotation_y_rad": 8e-5, "translation_x_m": 1e-4}
 TIES = 80
@@ -134,6 +144,76 @@ def test_the_rovers_origin_is_below_its_mast() -> None:
         rover = _rover(rig, told, np.degrees([0.3, 0.1, 0.05]), mast)
         np.testing.assert_allclose(told.to_world(rover.center_m), body.center_m, atol=1e-9)
         np.testing.assert_allclose(told.rotation @ rover.rotation, body.rotation, atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def stations(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two SYNTHETIC stations 2 m apart with small cameras; dead reckoning is off by 5 cm and 0.4 degrees."""
+    folder = tmp_path_factory.mktemp("stations")
+    lens = {"width_px": 400, "height_px": 300, "fx_px": 464.0, "fy_px": 464.0, "cx_px": 200.0, "cy_px": 150.0}
+    rig = StereoRig(
+        name="SYNTHETIC small",
+        left=Camera(name="l", **lens),  # type: ignore[arg-type]
+        right=Camera(name="r", **lens),  # type: ignore[arg-type]
+        rotation=np.eye(3),
+        translation_m=np.array([-0.27, 0, 0]),
+        covariance=covariance_of({"left_cx_px": 0.1, "right_cx_px": 0.1, "translation_x_m": 1e-4}),
+    )
+    (folder / "rig.toml").write_text(rig_text(rig))
+    level = (-1.0, -4.0, 0.25, np.zeros((33, 57)))
+    ground = landscape_on(level, name="g", seed=8, spacing_m=0.02, rocks_per_m2=1.0)
+    for k, (pose, told) in enumerate(zip(TRUE, (TRUE[0], RECKONED), strict=True)):
+        place = folder / f"stop{k}"
+        place.mkdir()
+        pair = render(ground, rig, pose, seed=3)
+        for side in ("left", "right"):
+            (place / f"{side}.png").write_bytes(png_bytes(getattr(pair, side), {"Comment": "SYNTHETIC"}))
+        (place / "pose.toml").write_text(pose_text(told) + f"time_s = {60.0 * k}\n{LEANING}")
+    return folder
+
+
+TRUE = Pose.looking([0, 0, 1.5], 0.0, 28.0), Pose.looking([2.0, 0.1, 1.5], 2.0, 27.0)
+RECKONED = Pose(
+    rotation=Pose.looking([0, 0, 0], 2.4, 27.0).rotation, center_m=np.add(TRUE[1].center_m, [0.04, -0.03, 0.01])
+)
+LEANING = "rover_yaw_deg = 1.0\nrover_pitch_deg = 2.0\nrover_roll_deg = -1.0\n"
+
+
+def test_from_pictures_to_positions(stations: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    places, rig = [str(stations / f"stop{k}") for k in range(2)], str(stations / "rig.toml")
+    line = ["images", "locate", *places, "--rig", rig, "--mast", "0.4,0,1.2", "-o", str(tmp_path / "out"), "--json"]
+    assert main([*line, "--plot", str(tmp_path / "ties.png")]) == 0
+    document = json.loads(capsys.readouterr().out)
+    result, row = document["result"], document["result"]["stations"][1]
+    assert document["schema"] == "lunarsci/images-locate/1" and result["positions_of"] == "rover"
+    camera = read_pose(str(tmp_path / "out" / "stop1.toml"))
+    off = np.concatenate([vector_of(camera.rotation @ TRUE[1].rotation.T), camera.center_m - TRUE[1].center_m])
+    # A chi-square of six is below 22.5 with 99.9 %; 0.5 % of 7 m is the aim of cameras with 2.6 times the pixels.
+    assert off @ np.linalg.solve(np.array(result["covariance"]), off) < 22.5
+    assert np.linalg.norm(off[3:]) < 0.02 < np.linalg.norm(RECKONED.center_m - TRUE[1].center_m)
+    # The rover is below its mast, and leans with it.
+    assert row["z_m"] == pytest.approx(camera.center_m[2] - 1.2, abs=0.02)
+    assert row["tied"] and row["time_s"] == 60.0 and row["yaw_deg"] == pytest.approx(1.0, abs=0.6)
+    found = read_positions(read_input(tmp_path / "out" / "positions.csv"))
+    np.testing.assert_allclose(found.place_m[1], [row["x_m"], row["y_m"]], rtol=1e-6)
+    assert len(read_shifts(read_input(tmp_path / "out" / "shifts.csv"), 2)) == 2
+    assert (tmp_path / "ties.png").stat().st_size > 1e4
+
+
+def test_what_cannot_be_tied_is_said(stations: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig, first = str(stations / "rig.toml"), str(stations / "stop0")
+    far = tmp_path / "far"
+    shutil.copytree(stations / "stop1", far)
+    (far / "pose.toml").write_text(pose_text(Pose.looking([40.0, 0.0, 1.5], 0.0, 27.0)))
+    assert main(["images", "locate", first, str(far), "--rig", rig]) == 3
+    told = capsys.readouterr()
+    assert "far is where dead reckoning puts it: they share no ground" in told.out + told.err
+    shutil.copy(stations / "stop0" / "left.png", far / "left.png")
+    assert main(["images", "locate", first, str(far), "--rig", rig]) == 1
+    assert "the same picture as" in capsys.readouterr().err
+    shutil.copy(stations / "stop1" / "left.png", far / "left.png")
+    assert main(["images", "locate", first, str(far), "--rig", rig, "--mast", "0,0,1"]) == 1
+    assert "add rover_yaw_deg" in capsys.readouterr().err
 
 
 def test_wild_ties_move_little() -> None:

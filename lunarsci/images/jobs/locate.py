@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from lunarsci.errors import DataError, RequestError
 from lunarsci.inputs import InputFile, read_input
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from lunarsci.arrays import FloatArray
     from lunarsci.images.camera import Pose
     from lunarsci.images.localisation import Localised
+    from lunarsci.images.pictures import Picture
     from lunarsci.images.rig import StereoRig
     from lunarsci.images.ties import Station
 
@@ -232,19 +233,18 @@ def locate(
         raise RequestError("one station has nothing to be tied to; give two or more folders")
     rig = read_rig(asked.rig)
     told = progress or (lambda done, total: None)
+    inputs: dict[str, str] = {}
+    names = _names([Path(folder) for folder in stations])
+    read = [_read(Path(folder), rig, asked, inputs) for folder in stations]
     count = len(stations)
     told = progress or (lambda done, total: None)
-    inputs: dict[str, str] = {}
-    read: list[Station] = []
-    synthetic = "SYNTHETIC" in rig.name
-    names = _names([Path(folder) for folder in stations])
-    for number, folder in enumerate(stations):
+    known: list[Station] = []
+    for number, (name, own) in enumerate(zip(names, read, strict=True)):
         told(number, 2 * count)
-        station, made_up = _station(Path(folder), names[number], rig, asked, read[-1] if read else None, inputs)
-        read.append(station)
-        synthetic |= made_up
-    found = localise(read, rig, progress=lambda done, total: told(count + done, 2 * count))
-    return LocatedStations(found=found, rig=rig, inputs=inputs, synthetic=synthetic)
+        known.append(_station(name, own, rig, asked, known[-1] if known else None))
+    found = localise(known, rig, progress=lambda done, total: told(count + done, 2 * count))
+    made_up = "SYNTHETIC" in rig.name or any(own.synthetic for own in read)
+    return LocatedStations(found=found, rig=rig, inputs=inputs, synthetic=made_up)
 
 
 def _names(folders: Sequence[Path]) -> list[str]:
@@ -260,46 +260,56 @@ def _names(folders: Sequence[Path]) -> list[str]:
     return names
 
 
-def _station(
-    folder: Path,
-    name: str,
-    rig: "StereoRig",
-    asked: LocateRequest,
-    before: "Station | None",
-    inputs: dict[str, str],
-) -> "tuple[Station, bool]":
-    """A station of a folder, its pair matched, and whether its pictures are SYNTHETIC."""
-    from lunarsci.images.jobs.dem import nearest_ground_m
-    from lunarsci.images.matching import match
+class _Read(NamedTuple):
+    """What a station's folder holds; `rover` is the rover's frame in that of the left camera."""
+
+    pictures: "list[Picture]"
+    pose: "Pose"
+    time_s: float | None
+    rover: "Pose | None"
+    synthetic: bool
+
+
+def _read(folder: Path, rig: "StereoRig", asked: LocateRequest, inputs: dict[str, str]) -> _Read:
+    """A station's folder; `inputs` takes its files. Raises DataError for what belongs to no station of this rig."""
     from lunarsci.images.pictures import read_picture
     from lunarsci.images.rig_files import check_rig_of, read_pose
-    from lunarsci.images.ties import Station
 
     pose_file = read_input(folder / "pose.toml")
     files = [read_input(_picture(folder, side)) for side in SIDES]
     for file in files:
         if again := next((other for other, digest in inputs.items() if digest == file.sha256), None):
             raise DataError(f"{file.name}: the same picture as {again}; each camera and station has its own")
-    inputs |= {file.name: file.sha256 for file in (pose_file, *files)}
+        inputs[file.name] = file.sha256
+    inputs[pose_file.name] = pose_file.sha256
     pose = read_pose(pose_file)
     pictures = [read_picture(file) for file in files]
     for picture in pictures:
         check_rig_of(rig, *picture.size, picture.source.name)
         picture.check()
-    nearest = nearest_ground_m(rig, pose, rig.height_m)
     time_s, attitude = _more_of_pose(pose_file)
     mast = asked.mast_m()
     if mast is not None and attitude is None:
         raise DataError(f"{pose_file.name}: `mast` needs how the rover stood there; add {', '.join(ATTITUDE)}")
-    station = Station(
+    rover = None if mast is None or attitude is None else _rover(rig, pose, attitude, mast)
+    return _Read(pictures, pose, time_s, rover, any(b"SYNTHETIC" in file.data[:4000] for file in files))
+
+
+def _station(name: str, own: _Read, rig: "StereoRig", asked: LocateRequest, before: "Station | None") -> "Station":
+    """A station with its pair matched. Raises DataError where it does not match."""
+    from lunarsci.images.jobs.dem import nearest_ground_m
+    from lunarsci.images.matching import match
+    from lunarsci.images.ties import Station
+
+    nearest = nearest_ground_m(rig, own.pose, rig.height_m)
+    return Station(
         name=name,
-        matches=match(pictures[0], pictures[1], rig, nearest_m=nearest),
-        pose=pose,
-        covariance=_covariance(pose, before, asked),
-        time_s=time_s,
-        rover=None if mast is None or attitude is None else _rover(rig, pose, attitude, mast),
+        matches=match(*own.pictures, rig, nearest_m=nearest),
+        pose=own.pose,
+        covariance=_covariance(own.pose, before, asked),
+        time_s=own.time_s,
+        rover=own.rover,
     )
-    return station, any(b"SYNTHETIC" in file.data[:4000] for file in files)
 
 
 def _more_of_pose(file: InputFile) -> "tuple[float | None, tuple[float, ...] | None]":
