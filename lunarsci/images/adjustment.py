@@ -18,7 +18,8 @@ from lunarsci.images.rig import PARAMETERS, StereoRig
 from lunarsci.images.ties import OVERLAPPING, TiePoints
 
 STEPS = 30
-SMALL = 1e-7
+SMALL = 1e-6
+"""Step of poses [rad, m] and rig that ends the adjustment."""
 HUBER = 2.0
 """Residuals above so many sigmas count by their size, not its square; assumed."""
 DEFINED_PX = 0.05

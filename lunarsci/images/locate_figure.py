@@ -44,7 +44,9 @@ def _picture(axis: "Axes", light: FloatArray, places: FloatArray, colours: Float
 
 
 def _residuals(axis: "Axes", places: FloatArray, off: FloatArray, weights: FloatArray) -> None:
-    shown = axis.quiver(*places.T, *(ARROW * off).T, weights, angles="xy", scale_units="xy", scale=1, cmap="viridis")
+    shown = axis.quiver(
+        *places.T, *(ARROW * off).T, weights, angles="xy", scale_units="xy", scale=1, cmap="viridis", clim=(0, 1)
+    )
     axis.invert_yaxis()
     axis.set(xlabel="u [px]", ylabel="v [px]")
     axis.set_title(f"residuals x {ARROW:g}; median {np.median(np.linalg.norm(off, axis=1)):.2f} px; colour: weight")
