@@ -263,7 +263,8 @@ def _names(folders: Sequence[Path]) -> list[str]:
 class _Read(NamedTuple):
     """What a station's folder holds; `rover` is the rover's frame in that of the left camera."""
 
-    pictures: "list[Picture]"
+    left: "Picture"
+    right: "Picture"
     pose: "Pose"
     time_s: float | None
     rover: "Pose | None"
@@ -292,7 +293,7 @@ def _read(folder: Path, rig: "StereoRig", asked: LocateRequest, inputs: dict[str
     if mast is not None and attitude is None:
         raise DataError(f"{pose_file.name}: `mast` needs how the rover stood there; add {', '.join(ATTITUDE)}")
     rover = None if mast is None or attitude is None else _rover(rig, pose, attitude, mast)
-    return _Read(pictures, pose, time_s, rover, any(b"SYNTHETIC" in file.data[:4000] for file in files))
+    return _Read(pictures[0], pictures[1], pose, time_s, rover, any(b"SYNTHETIC" in file.data[:4000] for file in files))
 
 
 def _station(name: str, own: _Read, rig: "StereoRig", asked: LocateRequest, before: "Station | None") -> "Station":
@@ -304,7 +305,7 @@ def _station(name: str, own: _Read, rig: "StereoRig", asked: LocateRequest, befo
     nearest = nearest_ground_m(rig, own.pose, rig.height_m)
     return Station(
         name=name,
-        matches=match(*own.pictures, rig, nearest_m=nearest),
+        matches=match(own.left, own.right, rig, nearest_m=nearest),
         pose=own.pose,
         covariance=_covariance(own.pose, before, asked),
         time_s=own.time_s,
