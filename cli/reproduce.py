@@ -7,7 +7,7 @@ import typer
 from lunarsci.reproduce.job import ReproduceRequest
 
 from .shared.command import command
-from .shared.options import Output, option
+from .shared.options import SPREAD, Output, option
 from .shared.progress import progress
 from .shared.report import Report
 from .shared.table import TextTable
@@ -31,7 +31,7 @@ TITLES = {"spectra": "The rock", "soil": "The soil", "drive": "The drive"}
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "reproduce", request=ReproduceRequest, options=OPTIONS)(reproduce)
+    command(app, "reproduce", request=ReproduceRequest, options=OPTIONS, blocks=SPREAD)(reproduce)
 
 
 def reproduce(request: ReproduceRequest, output: Output) -> Report:

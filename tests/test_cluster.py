@@ -15,11 +15,18 @@ import pytest
 from lunarsci.cli import main
 
 from lunarsci.blocks import computing, run_blocks
+from lunarsci.cluster import _Crew
 from lunarsci.errors import ParameterError, SchedulerError
 from lunarsci.kept_blocks import spans
 
 distributed = pytest.importorskip("distributed")
 TOTAL, ROWS = 1000, 25
+SHORT = """name = "short"
+[drive]
+speed_m_s = 0.05
+[[leg]]
+length_m = 0.6
+"""
 
 
 def squares(block: range) -> Any:
@@ -39,21 +46,61 @@ def cluster() -> Iterator[Any]:
         yield made
 
 
-def test_a_worker_is_killed_and_the_answer_is_the_same(cluster: Any) -> None:
-    victim = next(iter(cluster.workers.values())).pid
-    told: list[int] = []
+def same_files(one: Path, other: Path) -> None:
+    """Two folders, byte by byte."""
+    files = sorted(path.name for path in one.iterdir())
+    assert files == sorted(path.name for path in other.iterdir())
+    for name in files:
+        assert (one / name).read_bytes() == (other / name).read_bytes(), name
 
-    def kill_once(done: int, _: int) -> None:
-        if done > 200 and not told:
+
+def run(folder: Path, line: str, *where: str) -> None:
+    """A command, its result as JSON into a folder."""
+    folder.mkdir()
+    arguments = [part.format(folder=folder) for part in line.split()]
+    assert main([*arguments, *where, "--no-time", "-q"]) in (0, 3)
+
+
+def test_a_worker_is_killed_under_way_and_drives_have_the_same_bytes(
+    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of more groups than there are workers, the last of them not full; the worker dies when a first block is back."""
+    monkeypatch.chdir(tmp_path)
+    Path("short.toml").write_text(SHORT)
+    line = ("twin predict short.toml --members 70 --sweep friction_angle_deg=30:50:3 --seed 3 --sample 0.5 --json "
+            "-o {folder}/made")  # fmt: skip
+    run(tmp_path / "here", line)
+    victim, real, killed = next(iter(cluster.workers.values())).pid, _Crew.finished, []
+
+    def finished(self: _Crew, running: Any) -> list[Any]:
+        found = real(self, running)
+        if found and not killed:
+            assert len(running) > len(found), "or nothing is under way"
             os.kill(victim, signal.SIGKILL)
-            told.append(done)
+            killed.append(victim)
+        return found
 
-    blocks = spans(TOTAL, ROWS)
-    with computing(scheduler=cluster.scheduler_address):
-        found = dict(run_blocks(squares, blocks, progress=kill_once))
-    assert told
-    assert sorted(found, key=lambda block: block.start) == blocks
-    assert np.array_equal(np.concatenate([found[block] for block in blocks]), np.arange(TOTAL, dtype=float) ** 2)
+    monkeypatch.setattr(_Crew, "finished", finished)
+    run(tmp_path / "there", line, "--scheduler", cluster.scheduler_address)
+    assert killed == [victim]
+    same_files(tmp_path / "here/made", tmp_path / "there/made")
+
+
+def test_an_update_of_a_cluster_has_the_same_bytes(
+    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("short.toml").write_text(SHORT)
+    for line in ("simulate short.toml --seed 5 -o drive",
+                 "states drive/telemetry.csv short.toml --track drive/track.csv -o states"):  # fmt: skip
+        assert main(["twin", *line.split(), "-q"]) in (0, 3)
+    line = ("twin update states/states.csv --plan short.toml --positions states/positions.csv --seed 1 --particles 32 "
+            "--no-ruts --save {folder}/belief.json --json -o {folder}/update.json")  # fmt: skip
+    run(tmp_path / "here", line)
+    run(tmp_path / "there", line, "--scheduler", cluster.scheduler_address)
+    for name in ("belief.json", "update.json"):
+        one, other = ((tmp_path / where / name).read_text() for where in ("here", "there"))
+        assert one.replace("/here/", "/there/") == other, name
 
 
 def test_an_error_of_a_block_comes_back_as_it_was(cluster: Any) -> None:
@@ -87,21 +134,10 @@ def test_another_version_of_a_worker_is_refused(cluster: Any, monkeypatch: pytes
         list(run_blocks(squares, spans(TOTAL, ROWS)))
 
 
-def test_drives_of_a_cluster_have_the_same_bytes(cluster: Any, tmp_path: Path) -> None:
-    """Of more groups than there are blocks, the last of them not full."""
-    command = ["twin", "predict", "--members", "150", "--seed", "3", "--sample", "0.5", "--no-time", "--json"]
-    for name, where in (("here", []), ("there", ["--scheduler", cluster.scheduler_address])):
-        assert main([*command, *where, "-o", str(tmp_path / name)]) in (0, 3)
-    files = sorted(path.name for path in (tmp_path / "here").iterdir())
-    assert "states.csv" in files
-    assert sorted(path.name for path in (tmp_path / "there").iterdir()) == files
-    for name in files:
-        assert (tmp_path / "here" / name).read_bytes() == (tmp_path / "there" / name).read_bytes(), name
-
-
 def test_a_cluster_by_hand_as_the_page_has_it(tmp_path: Path) -> None:
     page = (Path(__file__).parents[1] / "docs/cluster.md").read_text("utf-8")
-    script = page.split("```sh\n")[1].split("```")[0]
+    script = page.split("```sh\n")[1].split("```")[0].replace("--members 64", "--members 16")
+    assert "--members 16" in script
     for name, module in (("dask", "dask"), ("lunarsci", "lunarsci.cli")):
         script = re.sub(rf"^{name} ", f"{sys.executable} -m {module} ", script, flags=re.MULTILINE)
     assert script.count(sys.executable) == 3
@@ -109,3 +145,14 @@ def test_a_cluster_by_hand_as_the_page_has_it(tmp_path: Path) -> None:
     found = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert found.returncode in (0, 3), found.stderr
     assert found.stdout.startswith(("GO: ", "NO-GO: "))
+
+
+def test_the_notebook_of_the_page_runs(cluster: Any) -> None:
+    page = (Path(__file__).parents[1] / "docs/cluster.md").read_text("utf-8")
+    cell = page.split("```python\n")[1].split("```")[0]
+    for shown, used in {"tcp://10.0.0.1:8786": cluster.scheduler_address, "4096": "4", "(1, 2, 3)": "(1,)"}.items():
+        assert shown in cell
+        cell = cell.replace(shown, used)
+    found: dict[str, Any] = {}
+    exec(cell, found)
+    assert len(found["drives"][1].prediction.paths) == 4

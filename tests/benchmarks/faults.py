@@ -1,8 +1,8 @@
 """Commands that are stopped, and go on: `python tests/benchmarks/faults.py [--kills 10] [--seed 0] [COMMAND ...]`.
 
 `spectra fit`, `bands`, `match` and `map` of SYNTHETIC spectra are run whole; then each is killed (SIGKILL) at random
-moments of the time that it took, given again each time, and at last let end; then given a disk that is full half-way,
-that cannot be written, and that has room again. What ends must have the bytes of what was never stopped.
+moments of the processor time that it took, given again each time, and at last let end; then given a disk that is full
+half-way, that cannot be written, and that has room again. What ends must have the bytes of what was never stopped.
 """
 
 import argparse
@@ -91,6 +91,7 @@ def run(arguments: list[str], said: str) -> None:
     with Path(said).open("w") as file:
         sys.stdout = sys.stderr = file
         code = main(arguments)
+    Path(said).with_suffix(".spent").write_text(str(time.process_time()))
     os._exit(code)
 
 
@@ -118,22 +119,31 @@ class Killed:
 
 
 def whole(case: Case, folder: Path) -> tuple[bytes, float]:
-    """What a run that is not stopped writes, and the seconds of the second one, which need not compile."""
+    """What a run that is not stopped writes, and the processor seconds of the second one, which need not compile."""
     for name in ("first", "whole"):
-        target, before = folder / f"{name}{case.suffix}", time.monotonic()
-        process = begun(case, target)
+        process = begun(case, target := folder / f"{name}{case.suffix}")
         process.join()
         if process.exitcode:
             raise SystemExit(target.with_suffix(".said").read_text())
-    return target.read_bytes(), time.monotonic() - before
+    return target.read_bytes(), float(target.with_suffix(".spent").read_text())
+
+
+def spent_s(process: Any) -> float:
+    """Processor seconds of a process so far; those of one that has ended are infinite."""
+    try:
+        fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return float("inf")
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def killed(case: Case, folder: Path, wanted: bytes, seconds: float, kills: int, moments: random.Random) -> Killed:
-    """Kill it so many times, each at a random moment of those seconds; one that ends before begins anew."""
-    target, kept, same = folder / f"out{case.suffix}", [], True
+    """Kill it so many times, each at a random moment of those processor seconds; one that ends before begins anew."""
+    target, kept, same = folder / f"out{case.suffix}", list[int](), True
     while len(kept) < kills:
-        process = begun(case, target)
-        process.join(moments.uniform(0.0, seconds))
+        process, moment = begun(case, target), moments.uniform(0.0, seconds)
+        while process.is_alive() and spent_s(process) < moment:
+            time.sleep(0.005)
         process.kill()
         process.join()
         if process.exitcode == -signal.SIGKILL:
@@ -197,8 +207,8 @@ def main() -> None:
             case = case_of(command, folder)
             wanted, seconds = whole(case, folder)
             found = killed(case, folder, wanted, seconds, options.kills, moments)
-            print(f"spectra {command}: {seconds:.1f} s; blocks kept at {len(found.kept)} kills: {found.kept}; the same "
-                  f"bytes: {found.same}; left beside it: {found.left or 'nothing'}", flush=True)  # fmt: skip
+            print(f"spectra {command}: {seconds:.1f} CPU-s; blocks kept at {len(found.kept)} kills: {found.kept}")
+            print(f"  the same bytes: {found.same}; left beside it: {found.left or 'nothing'}", flush=True)
             told, same = full_disk(case, folder, wanted)
             for one in told:
                 print(f"  exit {one['code']}, {one['kept']} blocks kept: {one['said'] or 'done'}")
