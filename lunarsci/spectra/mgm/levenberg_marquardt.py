@@ -21,24 +21,9 @@ from lunarsci.spectra.mgm.normal_equations import (
     padded_matrix,
     predicted_decrease,
     prior_pull,
+    prior_share,
     solve_step,
 )
-
-__all__ = [
-    "CONVERGED",
-    "GIVEN_UP",
-    "ITERATION_LIMIT",
-    "NOT_FINITE",
-    "Channels",
-    "DescentOptions",
-    "FitProblem",
-    "KernelFits",
-    "Workspace",
-    "channels_of",
-    "descend",
-    "fill_lane",
-    "workspace_for",
-]  # fmt: skip
 
 CONVERGED, ITERATION_LIMIT, NOT_FINITE, GIVEN_UP = 0, 1, 2, 3
 BELIEF = 1.3
@@ -74,13 +59,16 @@ class DescentOptions(NamedTuple):
     While `tempering` and chi-square is larger than the number of channels, the data's share of the objective is divided
     by their ratio, as if the errors were that much larger: the prior then keeps the first steps in the region it knows,
     and half the steps are enough. The last steps, to convergence, are on the objective itself. `tolerance` is the
-    decrease to be expected, in chi-square, at which a descent has converged.
+    decrease to be expected, in chi-square, at which a descent has converged; with `ahead` it still takes the step that
+    is expected to bring it, and its objective is what is expected there.
     """
 
     tempering: bool
     first_damping: float
     tolerance: float
     max_iterations: int
+    ahead: bool = False
+    slack: float = math.inf
 
 
 class Channels(NamedTuple):
@@ -302,17 +290,12 @@ def _set_trial(problem: Any, space: Any, lane: int) -> None:
 
 
 @compiled
-def _is_hopeless(state: Any, lane: int, bars: Any, jobs: Any) -> bool:
-    """Whether a descent, past its first step and hardly damped, will end above its bar."""
-    if (
-        bars.size == 0
-        or jobs.iterations[lane] < 2
-        or state[SCALE, lane] != 1.0
-        or state[DAMPING, lane] > GENTLE_DAMPING
-    ):
+def _is_hopeless(state: Any, lane: int, bars: Any, options: Any, jobs: Any) -> bool:
+    """Whether a descent, past its first steps and hardly damped, will end above its bar."""
+    if bars.size == 0 or state[SCALE, lane] != 1.0 or state[DAMPING, lane] > GENTLE_DAMPING:
         return False
-    here = state[CHI2, lane] + state[SHARE, lane]
-    return bool(here - BELIEF * state[PREDICTED, lane] > bars[jobs.job[lane]])
+    here, predicted = state[CHI2, lane] + state[SHARE, lane], state[PREDICTED, lane]
+    return bool(here - min(BELIEF * predicted, predicted + options.slack) > bars[jobs.job[lane]])
 
 
 @compiled
@@ -340,7 +323,7 @@ def _propose(problem: Any, options: Any, bars: Any, space: Any, jobs: Any) -> No
                 continue
             jobs.iterations[lane] += 1
             verdict = _weigh(state, lane, settled)
-            if verdict == GOES_ON and _is_hopeless(state, lane, bars, jobs):
+            if verdict == GOES_ON and _is_hopeless(state, lane, bars, options, jobs):
                 verdict = GIVEN_UP
             if verdict == AGAIN:
                 if jobs.iterations[lane] < options.max_iterations and state[DAMPING, lane] < MOST_DAMPING:
@@ -353,17 +336,23 @@ def _propose(problem: Any, options: Any, bars: Any, space: Any, jobs: Any) -> No
 
 
 @compiled
-def _dismiss(space: Any, jobs: Any, points: Any, outcomes: Any, curvatures: Any) -> int:
-    """Write what the lanes that end have come to and empty them; how many are left at work."""
+def _dismiss(problem: Any, ahead: bool, space: Any, jobs: Any, points: Any, outcomes: Any, curvatures: Any) -> int:
+    """Write what the lanes that end have come to, or, `ahead`, where they go, and empty them; how many are left."""
     state, size, left = space.state, points.shape[1], 0
     for lane in range(LANES):
         if jobs.phase[lane] != EMPTY and jobs.end[lane] >= 0:
             job, status = jobs.job[lane], jobs.end[lane]
+            goes = ahead and status == CONVERGED
             for p in range(size):
-                points[job, p] = space.trial[p, lane] if status == NOT_FINITE else space.point[p, lane]
+                points[job, p] = space.trial[p, lane] if goes or status == NOT_FINITE else space.point[p, lane]
                 for q in range(p, size if curvatures.shape[0] > 0 else p):
                     curvatures[job, p, q] = space.curvature[p * size + q, lane]
-            outcomes[job, 0], outcomes[job, 1] = state[CHI2, lane], state[CHI2, lane] + state[SHARE, lane]
+            chi2, share = state[CHI2, lane], state[SHARE, lane]
+            if goes:
+                expected = chi2 + share - state[PROMISED, lane]
+                share = prior_share(points[job], problem.prior, problem.precision)
+                chi2 = expected - share
+            outcomes[job, 0], outcomes[job, 1] = chi2, chi2 + share
             outcomes[job, 2], outcomes[job, 3] = jobs.iterations[lane], status
             jobs.phase[lane] = EMPTY
         left += jobs.phase[lane] != EMPTY
@@ -395,6 +384,6 @@ def descend(
         store(space.state, TRIAL_SHARE, prior_pull(space.trial, problem.prior, problem.precision, space.trial_pull))
         _judge_all(used, rows, options, problem.degrees, space, jobs)
         update(space.sums, space.trial, problem.degrees, load(space.state, TAKEN), space.curvature, space.slope)
-        _dismiss(space, jobs, points, outcomes, curvatures)
+        _dismiss(problem, False, space, jobs, points, outcomes, curvatures)
         _propose(problem, options, bars, space, jobs)
-        left = _dismiss(space, jobs, points, outcomes, curvatures)
+        left = _dismiss(problem, options.ahead, space, jobs, points, outcomes, curvatures)

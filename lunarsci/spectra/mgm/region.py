@@ -1,8 +1,9 @@
 """Fits of an image: the contest of minima is run at some pixels, the others start from the nearest of these, and
-neighbours whose solutions differ try each other's until nobody finds anything lower.
+try the solutions of other pixels near them, until nobody finds anything lower.
 
-Two minima of one spectrum nearly always differ in which bands absorb at all: 95 % of the pairs did, in made-up images
-and in images of measured spectra. Neighbours are asked by that.
+Two minima of one spectrum nearly always differ in which bands absorb at all, their kind: 95 % of the pairs did, in
+made-up images and in images of measured spectra. A pixel tries other kinds than its own, from the likest spectra, with
+the bands of that kind alone; nine in ten of these descents are given up after two steps.
 
 The image is cut into tiles of `TILE` pixels, counted from its first line and sample; a tile's fits depend on what is in
 the tile alone: not on blocks, threads or the order in which they are worked on.
@@ -10,12 +11,11 @@ the tile alone: not on blocks, threads or the order in which they are worked on.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
-from lunarsci.compiled import compiled, each_in_threads
+from lunarsci.compiled import each_in_threads
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.spectra.mgm.batch import NOT_FITTED, FitBatch, describe_rows, joined, problem_of
 from lunarsci.spectra.mgm.data import MgmRows, prepare_rows
@@ -28,11 +28,14 @@ from lunarsci.spectra.mgm.fit import (
     scaled,
     starting_points,
 )
+from lunarsci.spectra.mgm.kinds import PartModel, askers, kinds_of, likest_of
 from lunarsci.spectra.mgm.levenberg_marquardt import (
     CONVERGED,
     Channels,
     DescentOptions,
+    FitProblem,
     KernelFits,
+    Workspace,
     descend,
     workspace_for,
 )
@@ -49,7 +52,17 @@ RESTLESS = 0.08
 """Share of pixels of a tile that took a minimum of a neighbour, above which contests are twice as dense; assumed."""
 MOST_ROUNDS = 12
 NEAREST = 4
-FIRST_DAMPING = 1e-3
+FAR, NEAR = 8, 4
+"""How far, in lines and samples, a pixel looks for other kinds of solutions, and for those that are new."""
+TRIED = 3
+"""Kinds that it tries at once, those of the likest spectra."""
+SUMMARY = 10
+"""Channels that are put together to compare spectra."""
+FIRST_DAMPING, LAST_DAMPING = 1e-3, 1e-6
+NEARLY, FINALLY = 1e-2, 3e-4
+"""Decrease to be expected at which a descent on the bands of a kind ends, and one on all bands; that step is taken."""
+SLACK = 5.0
+"""How much more than its step promises a descent may still gain, in chi-square."""
 WORTH = 0.01
 """By how much another minimum must be lower to be taken, in chi-square: a tenth of a standard error."""
 ORIGINS = ("single_descent", "from_neighbour", "contest", "not_fitted")
@@ -213,10 +226,13 @@ class Search:
         self.grid[tile, place[:, 0], place[:, 1]] = np.arange(len(tile))
         rows, size = len(tile), model.prior.size
         self.used = np.count_nonzero(spectra.root_weight, axis=1).astype(float)
-        self.space = workspace_for(size, model.degrees, spectra.data.shape[1])
+        self.spaces: dict[int, Workspace] = {}
+        self.parts: dict[int, PartModel] = {}
         self.points, self.outcomes = np.zeros((rows, size)), np.full((rows, 4), np.inf)
         self.competing, self.competing_sigmas = np.full(rows, np.inf), np.zeros(rows)
         self.origin, self.changed = np.full(rows, SINGLE), np.ones(rows, dtype=bool)
+        cuts = np.arange(0, spectra.data.shape[1], SUMMARY)
+        self.summary = np.add.reduceat(spectra.data, cuts, axis=1)
 
     def solve(self, every: int) -> None:
         """Contests every so many pixels, a descent from the likest of the nearest solved elsewhere, and the exchange;
@@ -227,7 +243,8 @@ class Search:
             solved = np.isfinite(self.outcomes[:, 1])
             rows = self._lattice(max(1, step), active)
             rows = rows[~solved[rows]]
-            self._try(rows, self.points[self._likest(rows, np.flatnonzero(solved))], np.empty(0))
+            starts = self.points[self._likest(rows, np.flatnonzero(solved))]
+            self._take(rows, *self._on_all_bands(rows, starts, FIRST_DAMPING))
         active &= self._exchange() > RESTLESS
         while active.any() and every > DENSEST:
             every //= 2
@@ -254,16 +271,8 @@ class Search:
 
     def _likest(self, rows: IndexArray, solved: IndexArray) -> IndexArray:
         """For some pixels: of the `NEAREST` solved ones of their tile that with the likest spectrum."""
-        found = np.empty(len(rows), dtype=np.intp)
         data, root = self.spectra.data, self.spectra.root_weight
-        for tile in np.unique(self.tile[rows]):
-            own, others = np.flatnonzero(self.tile[rows] == tile), solved[self.tile[solved] == tile]
-            apart = ((self.place[rows[own]][:, None] - self.place[others]) ** 2).sum(axis=2)
-            near = others[np.argsort(apart, axis=1, kind="stable")[:, :NEAREST]]
-            difference = (data[near] - data[rows[own]][:, None]) * root[rows[own]][:, None] * (root[near] > 0)
-            unlike = np.einsum("ijk,ijk->ij", difference, difference)
-            found[own] = near[np.arange(len(own)), unlike.argmin(axis=1)]
-        return found
+        return np.asarray(likest_of(rows, solved, self.tile, self.place, data, root, NEAREST), dtype=np.intp)
 
     def _contest(self, rows: IndexArray) -> None:
         """Search the minima of some pixels from all starts and by all hops."""
@@ -281,29 +290,57 @@ class Search:
         self.changed[rows] = True
 
     def _exchange(self) -> FloatArray:
-        """Let neighbours try each other's solutions until nobody gains; the share that took one over, by tile."""
+        """Let pixels try the kinds of solutions near them until nobody gains; the share that took one over, by tile."""
         gained = np.zeros(len(self.points), dtype=bool)
-        for _ in range(MOST_ROUNDS):
-            keys = _kind_of(self.points, self.model)
-            rows, lenders = _askers(self.grid, self.tile, self.place, keys, self.outcomes[:, 1], self.changed)
+        for reach in (FAR, *(NEAR for _ in range(MOST_ROUNDS))):
+            kinds = kinds_of(self.points, self.model)
+            rows, lenders = askers(self.grid, self.tile, self.place, kinds, self.summary, self.changed, reach, TRIED)
             self.changed[:] = False
             if not rows.size:
                 break
-            bars = self.outcomes[rows, 1] - WORTH
-            won = self._try(rows, self.points[lenders], bars)
+            points, outcomes = self._on_their_bands(rows, self.points[lenders], self.outcomes[rows, 1] - WORTH)
+            lower = (outcomes[:, 3] == CONVERGED) & (outcomes[:, 1] < self.outcomes[rows, 1] - WORTH)
+            rows = rows[lower]
+            won = self._take(rows, *self._on_all_bands(rows, points[lower], LAST_DAMPING))
             self.changed[won], gained[won] = True, True
             self.origin[won] = NEIGHBOUR
         return np.asarray(np.bincount(self.tile, gained) / np.bincount(self.tile))
 
-    def _try(self, rows: IndexArray, starts: FloatArray, bars: FloatArray) -> IndexArray:
-        """Descend on spectra `rows` from as many starts; the pixels that found something lower."""
-        if not rows.size:
-            return rows
-        points, outcomes = np.array(starts), np.empty((len(rows), 4))
-        options = DescentOptions(False, FIRST_DAMPING, TOLERANCE, MAX_ITERATIONS)
-        nothing = np.empty((0, starts.shape[1], starts.shape[1]))
-        descend(self.spectra, self.used, self.problem, options, rows, points, outcomes, self.space, nothing, bars)
-        return self._take(rows, points, outcomes)
+    def _on_their_bands(
+        self, rows: IndexArray, starts: FloatArray, bars: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+        """Where starts lead to when only the bands that absorb there may, and the outcomes; above its bar a descent is
+        given up."""
+        points, outcomes = np.empty(starts.shape), np.empty((len(rows), 4))
+        kinds = kinds_of(starts, self.model)
+        order = np.argsort(kinds, kind="stable")
+        for some in np.split(order, np.flatnonzero(np.diff(kinds[order])) + 1):
+            kind = int(kinds[some[0]])
+            part = self.parts[kind] = self.parts.get(kind) or PartModel.of(self.model, kind)
+            found = np.ascontiguousarray(starts[np.ix_(some, part.index)])
+            options = DescentOptions(False, FIRST_DAMPING, NEARLY, MAX_ITERATIONS, True, SLACK)
+            outcomes[some] = self._descend(part.problem, options, rows[some], found, bars[some])
+            points[some] = part.whole(found)
+        return points, outcomes
+
+    def _on_all_bands(self, rows: IndexArray, starts: FloatArray, damping: float) -> tuple[FloatArray, FloatArray]:
+        """Where starts lead to, and the outcomes."""
+        points = np.array(starts)
+        options = DescentOptions(False, damping, FINALLY, MAX_ITERATIONS, True)
+        return points, self._descend(self.problem, options, rows, points, np.empty(0))
+
+    def _descend(
+        self, problem: FitProblem, options: DescentOptions, rows: IndexArray, points: FloatArray, bars: FloatArray
+    ) -> FloatArray:
+        """Move `points` (jobs, k); the outcomes."""
+        size, outcomes = points.shape[1], np.empty((len(rows), 4))
+        if size not in self.spaces:
+            self.spaces[size] = workspace_for(size, problem.degrees, self.spectra.data.shape[1])
+        descend(
+            self.spectra, self.used, problem, options, rows, points, outcomes, self.spaces[size],
+            np.empty((0, size, size)), bars,
+        )  # fmt: skip
+        return outcomes
 
     def _take(self, rows: IndexArray, points: FloatArray, outcomes: FloatArray) -> IndexArray:
         """Take the lowest for each pixel where it is lower by `WORTH`, or the first; the pixels that did."""
@@ -317,35 +354,3 @@ class Search:
         self.competing[own], self.competing_sigmas[own] = gain, np.inf
         self.points[own], self.outcomes[own] = points[order], outcomes[order]
         return own
-
-
-def _kind_of(points: FloatArray, model: MgmModel) -> IndexArray:
-    """A number for each pixel, (n,), alike where the same bands absorb."""
-    absorbs = points[:, model.degrees + 2 :: 3] != 0
-    return np.asarray(absorbs @ (1 << np.arange(absorbs.shape[1])), dtype=np.intp)
-
-
-@compiled
-def _askers(grid: Any, tile: Any, place: Any, keys: Any, objective: Any, changed: Any) -> Any:
-    """Pairs of a pixel and a neighbour whose solution it tries: of each other kind about it the lowest that changed."""
-    _, lines, samples = grid.shape
-    rows, lenders = np.empty(8 * keys.size, dtype=np.int64), np.empty(8 * keys.size, dtype=np.int64)
-    found, near = 0, np.empty(8, dtype=np.int64)
-    for own in range(keys.size):
-        count, window = 0, grid[tile[own]]
-        for y in range(max(0, place[own, 0] - 1), min(lines, place[own, 0] + 2)):
-            for x in range(max(0, place[own, 1] - 1), min(samples, place[own, 1] + 2)):
-                other = window[y, x]
-                if other < 0 or not changed[other] or keys[other] == keys[own]:
-                    continue
-                known = 0
-                while known < count and keys[near[known]] != keys[other]:
-                    known += 1
-                if known == count:
-                    near[count], count = other, count + 1
-                elif objective[other] < objective[near[known]]:
-                    near[known] = other
-        for k in range(count):
-            rows[found], lenders[found] = own, near[k]
-            found += 1
-    return rows[:found], lenders[:found]
