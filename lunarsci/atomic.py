@@ -1,12 +1,16 @@
 """Write files whole or not at all: temporary file beside the target, fsync, rename."""
 
 import contextlib
+import glob
 import os
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
 from pathlib import Path
 
 from lunarsci.errors import OutputError
+
+_BOOT = Path("/proc/sys/kernel/random/boot_id")
 
 
 def check_target(path: Path, *, force: bool) -> None:
@@ -89,7 +93,10 @@ def written_whole(path: Path, *, force: bool = False) -> Iterator[Path]:
 
 
 def _stage(path: Path, data: bytes | Iterable[bytes]) -> Path:
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+    _clear_after_the_killed(path)
+    handle, name = tempfile.mkstemp(
+        prefix=f".{path.name}.{_this_boot()}-{os.getpid()}-", suffix=".part", dir=path.parent
+    )
     temporary = Path(name)
     try:
         with os.fdopen(handle, "wb") as file:
@@ -101,6 +108,26 @@ def _stage(path: Path, data: bytes | Iterable[bytes]) -> Path:
         temporary.unlink(missing_ok=True)
         raise
     return temporary
+
+
+@cache
+def _this_boot() -> str:
+    """A name that no other machine has, whose processes can be asked whether they live; nothing where there is none."""
+    try:
+        return _BOOT.read_text()[:8]
+    except OSError:
+        return ""
+
+
+def _clear_after_the_killed(path: Path) -> None:
+    """Take away what processes of this machine left beside `path` that are no more."""
+    here = _this_boot()
+    for left in path.parent.glob(f".{glob.escape(path.name)}.{here}-*.part") if here else ():
+        with contextlib.suppress(ValueError, PermissionError):
+            try:
+                os.kill(int(left.name.rsplit("-", 2)[1]), 0)
+            except ProcessLookupError:
+                left.unlink(missing_ok=True)
 
 
 def _publish(staged: list[tuple[Path, Path]], *, force: bool) -> None:

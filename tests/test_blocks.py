@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lunarsci.atomic import written_whole
+from lunarsci.atomic import write_files, written_whole
 from lunarsci.blocks import Computing, blocks_in_order, bytes_of, computing, rows_in_memory, run_blocks
 from lunarsci.errors import OutputError, ParameterError
 from lunarsci.kept_blocks import KeptBlocks, spans
@@ -150,6 +150,27 @@ def test_killed_at_ten_random_moments_it_ends_with_the_same_bytes(tmp_path: Path
     finished.join()
     assert target.read_bytes() == EXPECTED.tobytes()
     assert list(tmp_path.iterdir()) == [target]
+
+
+def killed_while_it_writes(target: Path) -> None:
+    def pieces() -> Any:
+        yield b"half"
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    write_files({target: pieces()})
+
+
+def test_what_a_process_left_that_was_killed_as_it_wrote_is_taken_away(tmp_path: Path) -> None:
+    target, other = tmp_path / "out.csv", tmp_path / ".out.csv.elsewhere-1-x.part"
+    other.write_text("of another machine")
+    process = multiprocessing.get_context("fork").Process(target=killed_while_it_writes, args=(target,))
+    process.start()
+    process.join()
+    assert process.exitcode == -signal.SIGKILL
+    assert len(list(tmp_path.iterdir())) == 2, "or it was not killed half-way"
+    write_files({target: b"whole"})
+    assert sorted(tmp_path.iterdir()) == [other, target]
+    assert target.read_bytes() == b"whole"
 
 
 def test_a_full_disk_keeps_what_was_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
