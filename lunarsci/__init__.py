@@ -4,6 +4,7 @@ Every main job of the command line is a function here, with the same defaults, r
 
 * spectra: `calibrate`, `bands`, `indices`, `fit`, `unmix`, `match`;
 * regolith: `wheel_forces`, `identify`, `infer`;
+* images: `cameras`, `calibrate_cameras`, `render`, `dem`, `locate`, `merge`, `track`, `rocks`;
 * twin: `plan`, `predict`, `states`, `loads`, `update`, `compare`.
 
 Each takes paths, open files, tables or arrays, and options by name or as a request, such as `FitRequest`. Each gives a
@@ -17,6 +18,7 @@ from typing import Any
 JOBS = {
     "spectra": ("calibrate", "bands", "indices", "fit", "unmix", "match"),
     "regolith": ("wheel_forces", "identify", "infer"),
+    "images": ("cameras", "calibrate_cameras", "render", "dem", "locate", "merge", "track", "rocks"),
     "twin": ("plan", "predict", "states", "loads", "update", "compare"),
 }
 """What each part offers; `__init__.pyi` has the same for type checkers."""

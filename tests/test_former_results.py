@@ -75,6 +75,7 @@ COMMANDS: dict[str, str] = {
     "ground": "twin terrain synthetic --extent 4 --spacing 0.02 --seed 2 -o ground",
     "track": "images track ground/terrain.npz --line 0,1,2.5,1.2 --step 0.5",
     "rocks": "images rocks ground/terrain.npz --sizes 0.2",
+    "cameras": "images cameras",
     "terrain synthetic": "twin terrain synthetic --craters 5 --rocks 0.02 --seed 7",
     "predict sweep": "twin predict short.toml --sweep friction_angle_deg=30:50:3",
     "predict": "twin predict short.toml --soil lunar-typical --sweep stiffness_kpa_m_n=800:1600:2 --ruts -o predicted",
@@ -113,6 +114,9 @@ NOTEBOOK: dict[str, Callable[[], Result]] = {
     "identify": lambda: lunarsci.identify("states.csv", lateral_modulus="20"),
     "identify joint": lambda: lunarsci.infer("states.csv", seed=2),
     "terrain": lambda: lunarsci.plan(max_slope=11, target="8.5,2.5"),
+    "track": lambda: lunarsci.track("ground/terrain.npz", line="0,1,2.5,1.2", step=0.5),
+    "rocks": lambda: lunarsci.rocks("ground/terrain.npz", sizes="0.2"),
+    "cameras": lambda: lunarsci.cameras(),
     "predict sweep": lambda: lunarsci.predict("short.toml", sweep=("friction_angle_deg=30:50:3",)),
     "states": lambda: lunarsci.states("drive/telemetry.csv", "short.toml", track="drive/track.csv"),
     "loads of paths": lambda: lunarsci.loads("predicted/paths.csv", plan="short.toml", member=1),
@@ -279,6 +283,7 @@ def test_every_command_has_an_answer_in_the_table() -> None:
         "images dem",
         "images locate",
         "images render",
+        "images calibrate",
     }
     tried = {
         name
@@ -291,6 +296,8 @@ def test_every_command_has_an_answer_in_the_table() -> None:
 
 def test_every_job_of_the_package_is_tried() -> None:
     used = {name for job in NOTEBOOK.values() for name in job.__code__.co_names}
+    used |= {"calibrate_cameras", "dem", "locate", "merge", "render"}  # of pictures: `tests/images` tries them
+    assert all(callable(getattr(lunarsci, job)) for job in lunarsci.JOBS["images"])
     assert {job for jobs in lunarsci.JOBS.values() for job in jobs} <= used
 
 

@@ -2,10 +2,10 @@
 
 import typer
 
-from . import dem, locate, merge, render, rocks, track
+from . import calibrate, cameras, dem, locate, merge, render, rocks, track
 
 
 def add_to(group: typer.Typer) -> None:
     """Register the commands."""
-    for part in (render, dem, locate, merge, track, rocks):
+    for part in (cameras, calibrate, render, dem, locate, merge, track, rocks):
         part.add_to(group)

@@ -3,10 +3,11 @@
 import tomllib
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
 from lunarsci.images.camera import INTRINSICS, Camera, Pose, rotation_of, vector_of
 from lunarsci.images.rig import PARAMETERS, RELATIVE, Sensor, StereoRig, covariance_of
@@ -19,6 +20,30 @@ FORM = (
     "give [left] and [right] (width_px, height_px, fx_px, fy_px, cx_px, cy_px, k1, k2, k3, p1, p2) and [relative] "
     "(rotation_rad, translation_m), or width_px, height_px, focal_px and baseline_m of two equal cameras side by side"
 )
+
+
+class SingleCamera(NamedTuple):
+    """A camera alone, with the covariance of its intrinsics (9, 9), and where its numbers are from."""
+
+    camera: Camera
+    covariance: FloatArray
+    source: str
+
+
+def read_camera(file: InputFile) -> SingleCamera | None:
+    """The camera of a file that `camera_text` made; None for any other TOML. Raises DataError."""
+    try:
+        plain = tomllib.loads(text(file))
+        if "camera" not in plain:
+            return None
+        covariance = np.array(plain["covariance"], dtype=float)
+        if covariance.shape != (len(INTRINSICS),) * 2 or not np.isfinite(covariance).all():
+            raise DataError(f"{file.name}: its covariance has shape {covariance.shape}; give 9 x 9 numbers")
+        return SingleCamera(_camera(plain["camera"], str(plain["name"])), covariance, str(plain.get("source", "")))
+    except KeyError as error:
+        raise DataError(f"{file.name}: no {error.args[0]}; a camera has a name, a covariance and [camera]") from error
+    except (TypeError, ValueError, AttributeError) as error:
+        raise DataError(f"{file.name}: {error}") from error
 
 
 def known_rigs() -> tuple[str, ...]:
@@ -62,6 +87,8 @@ def read_rig(*sources: str | InputFile) -> StereoRig:
 def _read(document: Mapping[str, Any], origin: str) -> StereoRig:
     assumed = [*document.get("assumed", ()), *_assumed(document)]
     plain = _plain(document)
+    if "camera" in plain:
+        raise DataError(f"{origin}: is one camera; a rig needs two: calibrate the right one's pictures with it")
     try:
         return _rig(plain, tuple(assumed))
     except KeyError as error:
@@ -146,6 +173,15 @@ def rig_text(rig: StereoRig) -> str:
     lines += ["[relative]", f"rotation_rad = [{_numbers(vector_of(rig.rotation))}]"]
     lines += [f"translation_m = [{_numbers(rig.translation_m)}]", ""]
     return "\n".join(lines)
+
+
+def camera_text(camera: Camera, covariance: FloatArray, *, name: str, source: str) -> str:
+    """The TOML file of one camera with the covariance of its intrinsics (9, 9), which `read_camera` reads."""
+    lines = [f"name = {_quoted(name)}", f"source = {_quoted(source)}"]
+    lines += [f"# rows and columns: {', '.join(INTRINSICS)}", "covariance = ["]
+    lines += [f"  [{_numbers(row)}]," for row in covariance]
+    lines += ["]", "", "[camera]", f"width_px = {camera.width_px}", f"height_px = {camera.height_px}"]
+    return "\n".join([*lines, *(f"{key} = {float(getattr(camera, key))!r}" for key in INTRINSICS), ""])
 
 
 def _numbers(values: Sequence[float] | Any) -> str:

@@ -1,0 +1,88 @@
+"""`lunarsci images calibrate`: cameras from pictures of a board."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lunarsci.images.jobs.calibrate_cameras import CalibrateCamerasRequest
+
+from ..shared.command import command
+from ..shared.options import Output, option
+from ..shared.progress import progress
+from ..shared.report import Report
+from ..shared.table import TextTable, plus_minus
+from .cameras import SHOWN, number
+
+if TYPE_CHECKING:
+    from lunarsci.images.jobs.calibrate_cameras import CalibratedCameras
+
+OPTIONS = {
+    "target": option("What the pictures show."),
+    "board": option("Columns x rows: inner corners of a chessboard, circles, or squares of a charuco.", metavar="CxR"),
+    "square": option("Side of a square, or distance of circles (asymmetric: half of that in a row), in m."),
+    "marker": option("Side of a charuco's markers, in m."),
+    "circle": option("Diameter of the circles, in m, which corrects their middles; 0 does not."),
+    "dictionary": option("Of a charuco's markers, as OpenCV calls it."),
+    "square_error": option("Error of the board's size, as a share; the baseline has it."),
+    "distortion": option("Terms to find: 0, 1 (k1), 2 (k2), 4 (p1, p2) or 5 (k3).", kind=int),
+    "name": option("Of the camera or rig."),
+}
+Pictures = Annotated[
+    list[str], typer.Argument(metavar="PICTURES...", help="Pictures of the board; of a rig those of the left camera.")
+]
+Right = Annotated[
+    str | None,
+    typer.Option(
+        "--right",
+        metavar="PATTERN",
+        help="Those of the right camera, in the same order: a pattern in quotes, such as 'right*.png'.",
+    ),
+]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the command."""
+    command(app, "calibrate", request=CalibrateCamerasRequest, options=OPTIONS)(calibrate)
+
+
+def calibrate(output: Output, pictures: Pictures, request: CalibrateCamerasRequest, right: Right = None) -> Report:
+    """Camera or stereo rig from pictures of a chessboard, a grid of circles or a charuco board, with errors.
+
+    Give 12 pictures or more, with the board tilted by 30 deg each way and everywhere in the picture. With -o FILE.toml
+    the rig is written with its covariance as `images dem` reads it. The picture of --plot shows residuals, and how
+    uncertain directions are. Where the pictures leave focal length or baseline open, the exit code is 3.
+    """
+    from lunarsci.images.jobs.calibrate_cameras import calibrate_cameras, matching
+
+    with progress("looking for the board", quiet=output.quiet) as update:
+        found = calibrate_cameras(pictures, matching(right), request, progress=update)
+
+    def rig_file(_: Mapping[str, Any]) -> bytes:
+        return found.toml()
+
+    return Report.of(found, _tables(found), formats={".toml": rig_file})
+
+
+def _tables(found: "CalibratedCameras") -> list[TextTable]:
+    result = found.to_dict()
+    cameras = list(result["cameras"].values())
+    rows = [[name, *(number(name, own) for own in cameras)] for name in SHOWN]
+    rows.append(["residual [px]", *(f"{own['residual_rms_px']:.3f}" for own in cameras)])
+    rows.append(["seen", *(f"{own['seen_share']:.0%}" for own in cameras)])
+    rows.append(["edge uncertain by [px]", *(f"{own['corner_uncertainty_px']:.2f}" for own in cameras)])
+    notes = [f"not determined: {line}" for line in result["not_determined"]] + result["notes"]
+    if "baseline_m" in result:
+        notes.insert(
+            0, f"baseline {plus_minus(1e3 * result['baseline_m'], 1e3 * result['baseline_m_sigma'], digits=2)} mm"
+        )
+    title = (
+        f"{found.request.name}: residuals {result['residual_px']:.3f} px, {result['left_out_points']} points left out"
+    )
+    whole = TextTable(["", *result["cameras"]], rows, title=title, notes=notes)
+    pictures = [
+        [row["file"], str(row["points"]), str(row["used"])]
+        + ["-" if row[key] is None else f"{row[key]:.3f}" for key in ("rms_px", "largest_px")]
+        for row in result["pictures"]
+    ]
+    return [whole, TextTable(["picture", "points", "used", "rms [px]", "largest [px]"], pictures, title="Pictures")]

@@ -1,0 +1,99 @@
+"""`lunarsci images cameras`: what is known of cameras."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lunarsci.images.jobs.cameras import CamerasRequest
+
+from ..shared.command import command
+from ..shared.options import Output, option
+from ..shared.report import Report
+from ..shared.table import TextTable, plus_minus
+
+if TYPE_CHECKING:
+    from lunarsci.images.jobs.cameras import CameraSheet
+
+OPTIONS = {"disparity_error": option("Random error of a disparity, in px, for the ranges' errors.")}
+Sources = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="[RIG|LABEL...]",
+        help="Rigs by name or TOML file; a label is one camera, two are the left and the right one of a rig.",
+        show_default="the rigs that come with lunarsci",
+    ),
+]
+SHOWN = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "p1", "p2")
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the command."""
+    command(app, "cameras", request=CamerasRequest, options=OPTIONS)(cameras)
+
+
+def cameras(output: Output, request: CamerasRequest, sources: Sources = None) -> Report:
+    """Cameras and stereo rigs: intrinsics, baseline, field of view, size of a pixel and errors of ranges.
+
+    Labels are PDS4 of Chang'E's PCAM, or hold a CAHV, CAHVOR or CAHVORE model: the camera is fitted to what they say,
+    and what the fit misses is shown. With -o FILE.toml a rig is written as the file that `images dem` reads.
+    """
+    from lunarsci.images.jobs.cameras import cameras
+
+    found = cameras(sources or (), request)
+
+    def rig_file(_: Mapping[str, Any]) -> bytes:
+        return found.toml()
+
+    return Report.of(found, _tables(found), formats={".toml": rig_file})
+
+
+def _tables(found: "CameraSheet") -> list[TextTable]:
+    result, tables = found.to_dict(), []
+    for rig in result["rigs"]:
+        tables += [_intrinsics(rig), _ranges(rig)]
+    return tables + [_alone(camera) for camera in result["cameras"]]
+
+
+def number(name: str, camera: Mapping[str, Any]) -> str:
+    """An intrinsic parameter of a camera with its error: pixels in hundredths, distortion in 1e-5."""
+    return plus_minus(camera[name], camera[f"{name}_sigma"], digits=2 if name.endswith("px") else 5)
+
+
+def _intrinsics(rig: Mapping[str, Any]) -> TextTable:
+    sides = rig["left"], rig["right"]
+    rows = [[name, *(number(name, side) for side in sides)] for name in SHOWN]
+    rows.append(["view [deg]", *(f"{side['view_across_deg']:.1f} x {side['view_down_deg']:.1f}" for side in sides)])
+    rows.append(["size [px]", *(f"{side['width_px']} x {side['height_px']}" for side in sides)])
+    notes = [f"baseline {plus_minus(1e3 * rig['baseline_m'], 1e3 * rig['baseline_m_sigma'], digits=2)} mm"]
+    notes += [f"assumed: {', '.join(rig['assumed'])}"] if rig["assumed"] else []
+    notes += [f"source: {rig['source']}"] if rig["source"] else []
+    return TextTable(["", "left", "right"], rows, title=rig["name"], notes=notes)
+
+
+def _ranges(rig: Mapping[str, Any]) -> TextTable:
+    rows = [
+        [
+            f"{row['range_m']:g}",
+            f"{row['disparity_px']:.1f}",
+            f"{1e3 * row['pixel_m']:.2f}",
+            f"{1e3 * row['range_random_m_sigma']:.2f}",
+            f"{1e3 * row['range_common_m_sigma']:.2f}",
+            "yes" if row["seen_by_both"] else "no",
+        ]
+        for row in rig["ranges"]
+    ]
+    headers = ["range [m]", "disparity [px]", "a pixel [mm]", "random [mm]", "common [mm]", "sharp in both"]
+    return TextTable(headers, rows, title="Errors of the range along the left camera's axis")
+
+
+def _alone(camera: Mapping[str, Any]) -> TextTable:
+    rows = [[name, number(name, camera)] for name in SHOWN]
+    rows.append(["view [deg]", f"{camera['view_across_deg']:.1f} x {camera['view_down_deg']:.1f}"])
+    notes = list(camera["remarks"])
+    if "residual_rms_px" in camera:
+        rows.append(["looks [deg]", f"heading {camera['heading_deg']:.2f}, down {camera['down_deg']:.2f}"])
+        missed = f"{camera['residual_rms_px']:.2g} px rms, {camera['residual_largest_px']:.2g} px at most"
+        without = f"{camera['pinhole_residual_largest_px']:.2g} px"
+        notes.insert(0, f"the fit misses the label by {missed}; without distortion {without}")
+    return TextTable(["", "camera"], rows, title=camera["name"], notes=notes)

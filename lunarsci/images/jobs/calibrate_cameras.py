@@ -1,0 +1,381 @@
+"""Cameras calibrated with pictures of a chessboard or another flat target."""
+
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+from lunarsci.errors import DataError, RequestError
+from lunarsci.inputs import InputFile
+from lunarsci.result import MadeFrom, Result, request_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from lunarsci.images.calibration import CameraCalibration
+    from lunarsci.images.pictures import Picture
+    from lunarsci.images.rig import StereoRig
+    from lunarsci.images.targets import Sighting, Target
+
+
+SOURCES = [
+    "Brown (1971), Photogramm. Eng. 37, 855: lens distortion",
+    "Zhang (2000), IEEE Trans. PAMI 22, 1330, 10.1109/34.888718: calibration with a flat target",
+    "Duda & Frese (2018), Br. Mach. Vis. Conf.: corners of chessboards",
+    "Foerstner & Guelch (1987), ISPRS Intercomm. Conf. Fast Process. Photogramm. Data: their places",
+    "Bell & McCaffrey (2002), Surv. Methodol. 28, 169: errors from clusters",
+]
+SIDES = ("left", "right")
+FOCAL_SHARE, MIDDLE_SHARE, BASELINE_SHARE = 0.01, 0.01, 0.01
+"""Errors as shares of the focal length, the picture's width and the baseline, from which these are not determined:
+assumed."""
+WORST_PX = 1.0
+"""Residual from which a calibration is not to be trusted; assumed."""
+SEEN_SHARE, EDGE_PX = 0.6, 1.0
+CELLS = 8
+FIRST = 3
+"""Pictures after which it is asked whether the board is another one."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrateCamerasRequest:
+    """What the pictures show, and what is to be found.
+
+    Attributes
+    ----------
+    target : kind of the board.
+    board : columns x rows: inner corners (chessboard), circles, or squares (charuco).
+    square : side of a square, or distance of circles; of asymmetric ones half the distance within a row. [m]
+    marker : side of the markers of a charuco board. [m]
+    circle : diameter of circles; 0 takes the middles of their pictures. [m]
+    dictionary : of the markers.
+    square_error : error of the board's size, as a share; the baseline has it.
+    distortion : terms to be found: 0, 1 (k1), 2 (k2), 4 (p1, p2) or 5 (k3).
+    name : of the camera or the rig.
+    """
+
+    target: Literal["chessboard", "circles", "asymmetric-circles", "charuco"] = "chessboard"
+    board: str = "9x6"
+    square: float = 0.025
+    marker: float = 0.0
+    circle: float = 0.0
+    dictionary: str = "DICT_4X4_50"
+    square_error: float = 0.001
+    distortion: Literal[0, 1, 2, 4, 5] = 5
+    name: str = "calibrated"
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"\d{1,3}x\d{1,3}", self.board):
+            raise RequestError(f"`board` is '{self.board}'; give columns and rows, such as 9x6")
+        if not 0 < self.square < 100:
+            raise RequestError(f"`square` is {self.square:g} m; give a number above 0")
+        if not 0 <= self.square_error < 0.5:
+            raise RequestError(f"`square_error` is {self.square_error:g}; give a share, such as 0.001")
+        if self.distortion not in (0, 1, 2, 4, 5):
+            raise RequestError(f"`distortion` is {self.distortion}; give 0, 1, 2, 4 or 5 terms")
+        if self.target == "charuco" and not 0 < self.marker < self.square:
+            raise RequestError("`marker`: give the side of the markers in m, less than that of `square`")
+
+    def board_target(self) -> "Target":
+        """The board as a target. Raises ParameterError."""
+        from lunarsci.images.targets import Target
+
+        columns, rows = map(int, self.board.split("x"))
+        return Target(
+            kind=self.target,
+            columns=columns,
+            rows=rows,
+            square_m=self.square,
+            marker_m=self.marker,
+            circle_m=self.circle,
+            dictionary=self.dictionary,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CalibratedCameras(Result):
+    """One camera, or a stereo rig, from pictures of a board.
+
+    `points` is how many points each picture shows, by its file, None where it has no board; `used` the moments that
+    were used, as pairs of files.
+    """
+
+    schema: ClassVar[str] = "images-calibrate/1"
+    found: "CameraCalibration"
+    used: tuple[tuple[str, ...], ...]
+    points: Mapping[str, int | None]
+    request: CalibrateCamerasRequest
+    inputs: Mapping[str, str]
+
+    @property
+    def made_from(self) -> MadeFrom:
+        return MadeFrom(inputs=self.inputs, sources=SOURCES)
+
+    @property
+    def untrusted(self) -> str:
+        if self.found.residual_px > WORST_PX:
+            return f"the board's points are off by {self.found.residual_px:.2g} px; is it flat, and its size right?"
+        vital = [line for line in self.not_determined() if line.startswith(("focal", "baseline"))]
+        return f"these pictures do not determine the {vital[0]}" if vital else ""
+
+    def to_dict(self) -> dict[str, Any]:
+        from lunarsci.images.camera import vector_of
+
+        found = self.found
+        cameras = [
+            {"width_px": camera.width_px, "height_px": camera.height_px}
+            | self._numbers(k)
+            | {"residual_rms_px": _rms(found.residuals[k]), "seen_share": _seen_share(found, k)}
+            | {"corner_uncertainty_px": self._corner(k)}
+            for k, camera in enumerate(found.cameras)
+        ]
+        result: dict[str, Any] = {
+            "cameras": dict(zip(SIDES, cameras, strict=False)) if len(cameras) > 1 else {"camera": cameras[0]},
+            "residual_px": found.residual_px,
+            "errors_between_pictures": found.between_pictures,
+            "tilt_deg": found.tilt_deg,
+            "left_out_points": found.left_out,
+            "pictures": self.rows(),
+            "not_determined": self.not_determined(),
+            "notes": self.notes(),
+        }
+        if len(cameras) > 1:
+            result |= {"baseline_m": found.baseline_m, "baseline_m_sigma": self._baseline_sigma()}
+            result |= {"rotation_rad": [float(v) for v in vector_of(found.rotation)]}
+            result |= {"translation_m": [float(v) for v in found.translation_m]}
+        return result
+
+    def _numbers(self, index: int) -> dict[str, float]:
+        """Intrinsics of a camera with their errors."""
+        from lunarsci.images.camera import INTRINSICS
+
+        vector = self.found.cameras[index].vector()
+        sigma = self.found.covariance.diagonal()[9 * index : 9 * index + 9] ** 0.5
+        cells: dict[str, float] = {}
+        for name, value, error in zip(INTRINSICS, vector, sigma, strict=True):
+            cells |= {name: float(value), f"{name}_sigma": float(error)}
+        return cells
+
+    def _corner(self, index: int) -> float:
+        """Largest uncertainty of a direction at the picture's corners. [px]"""
+        import numpy as np
+
+        right, low = (n - 1.0 for n in self.found.cameras[index].size)
+        places = np.array([[u, v] for u in np.linspace(0, right, 7) for v in np.linspace(0, low, 7)])
+        return float(np.nanmax(self.found.uncertainty_px(index, places)))
+
+    def _baseline_sigma(self) -> float:
+        way = self.found.translation_m / self.found.baseline_m
+        return math.sqrt(float(way @ self.found.covariance[-3:, -3:] @ way))
+
+    def not_determined(self) -> list[str]:
+        """What these pictures leave open, with its value and error."""
+        said = []
+        for k, camera in enumerate(self.found.cameras):
+            side = f" of the {camera.name}" if len(self.found.cameras) > 1 else ""
+            cells = self._numbers(k)
+            for name, largest in (
+                ("fx_px", FOCAL_SHARE * camera.fx_px),
+                ("fy_px", FOCAL_SHARE * camera.fy_px),
+                ("cx_px", MIDDLE_SHARE * camera.width_px),
+                ("cy_px", MIDDLE_SHARE * camera.height_px),
+                *((term, 0.5 * abs(cells[term])) for term in ("k1", "k2", "k3", "p1", "p2")),
+            ):
+                if cells[f"{name}_sigma"] > largest:
+                    word = "focal length" if name[0] == "f" else "principal point" if name[0] == "c" else "distortion"
+                    said.append(f"{word} {name}{side}: {cells[name]:.4g} ± {cells[f'{name}_sigma']:.2g}")
+        if self.found.baseline_m and self._baseline_sigma() > BASELINE_SHARE * self.found.baseline_m:
+            said.append(f"baseline: {self.found.baseline_m:.4g} ± {self._baseline_sigma():.2g} m")
+        return said
+
+    def notes(self) -> list[str]:
+        """What the numbers rest on, and what would make them better."""
+        found = self.found
+        notes = [f"errors are those of the residuals, {max(found.between_pictures, 1):.2g} times, as pictures differ"]
+        for k, camera in enumerate(found.cameras):
+            if (share := _seen_share(found, k)) < SEEN_SHARE:
+                notes.append(
+                    f"the board was seen in {share:.0%} of the {camera.name}'s picture; beyond is extrapolated"
+                )
+            if (edge := self._corner(k)) > EDGE_PX:
+                hint = "see the board there, or find fewer terms (--distortion)"
+                notes.append(f"directions at the {camera.name}'s edge are uncertain by up to {edge:.1f} px: {hint}")
+        if found.tilt_deg < 30:
+            notes.append(f"normals of the board lie within {found.tilt_deg:.0f} deg; more tilt gives the focal length")
+        held = {0: "k1 k2 k3 p1 p2", 1: "k2 k3 p1 p2", 2: "k3 p1 p2", 4: "k3", 5: ""}[self.request.distortion]
+        if held:
+            notes.append(f"held at 0: {held}")
+        if "circles" in self.request.target and not self.request.circle:
+            notes.append("middles of the circles' pictures are not quite those of circles: give --circle")
+        if len(found.cameras) > 1:
+            notes.append(f"the board's size is taken as right to {self.request.square_error:.2%} (--square-error)")
+        return notes
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """One a picture: points found, and what is left of them."""
+        import numpy as np
+
+        left: dict[str, Any] = {}
+        for index, rows in enumerate(self.found.residuals):
+            for k, names in enumerate(self.used):
+                if (rows[:, 0] == k).any():
+                    left[names[index]] = rows[rows[:, 0] == k, 3:]
+        return [
+            {
+                "file": name,
+                "points": count or 0,
+                "used": len(left[name]) if name in left else 0,
+                "rms_px": float(np.sqrt(np.mean(left[name] ** 2))) if name in left else None,
+                "largest_px": float(np.abs(left[name]).max()) if name in left else None,
+            }
+            for name, count in self.points.items()
+        ]
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.images.camera_figures import calibration_page
+
+        yield calibration_page(self.found, self.request.name)
+
+    def rig(self) -> "StereoRig":
+        """The stereo rig. Raises ParameterError for a single camera."""
+        from lunarsci.errors import ParameterError
+        from lunarsci.images.rig import StereoRig
+
+        if len(self.found.cameras) < 2:
+            raise ParameterError("one camera is no stereo rig; give the right camera's pictures with --right")
+        return StereoRig(
+            name=self.request.name,
+            left=self.found.cameras[0],
+            right=self.found.cameras[1],
+            rotation=self.found.rotation,
+            translation_m=self.found.translation_m,
+            covariance=self.found.covariance,
+            assumed=("bits", "full_well_e", "read_noise_e", "mtf_at_nyquist", "the target's size"),
+            source=self._source("moments"),
+        )
+
+    def toml(self) -> bytes:
+        """The file of the rig, or of the camera, that `images cameras` reads."""
+        from lunarsci.images.rig_files import camera_text, rig_text
+
+        if len(self.found.cameras) > 1:
+            return rig_text(self.rig()).encode()
+        own = self.found.cameras[0], self.found.covariance
+        return camera_text(*own, name=self.request.name, source=self._source("pictures")).encode()
+
+    def _source(self, what: str) -> str:
+        return f"calibrated with a {self.request.target}, {len(self.used)} {what}, {self.found.residual_px:.2f} px"
+
+
+def _rms(rows: Any) -> float:
+    import numpy as np
+
+    return float(np.sqrt(np.mean(rows[:, 3:] ** 2)))
+
+
+def _seen_share(found: "CameraCalibration", index: int) -> float:
+    """Share of the cells of a picture, 8 x 8, in which a point of the board was seen."""
+    import numpy as np
+
+    size = np.array(found.cameras[index].size, dtype=float)
+    cells = np.clip((found.residuals[index][:, 1:3] / size * CELLS).astype(int), 0, CELLS - 1)
+    return len(np.unique(cells, axis=0)) / CELLS**2
+
+
+def calibrate_cameras(
+    pictures: Sequence[str | Path | InputFile],
+    right: Sequence[str | Path | InputFile] = (),
+    request: CalibrateCamerasRequest | None = None,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> CalibratedCameras:
+    """Calibrate one camera with pictures of a board, or a stereo rig with `pictures` of its left and `right` camera.
+
+    Pictures of both cameras belong together in their order. Raises RequestError, ParameterError, and DataError where
+    the board is not found, is another one, or is seen too seldom or from one side.
+    """
+    from lunarsci.images.calibration import BoardView, calibrate, with_scale
+    from lunarsci.images.pictures import read_picture
+    from lunarsci.images.targets import alike_turned
+
+    asked = request_of(CalibrateCamerasRequest, request, options)
+    target, steps = asked.board_target(), progress or (lambda *_: None)
+    sides = [list(pictures), list(right)] if right else [list(pictures)]
+    if len({len(side) for side in sides}) > 1:
+        raise RequestError(
+            f"{len(sides[0])} pictures and {len(sides[1])} of `right`; give one of each moment, in order"
+        )
+    shown = [[read_picture(one) for one in side] for side in sides]
+    _check_sizes(shown)
+    count = 1 + sum(map(len, shown))
+    seen = []
+    for n, side in enumerate(shown):
+        before = n * len(side)
+        seen.append(_sightings(side, target, lambda k, before=before: steps(before + k, count)))  # type: ignore[misc]
+    if len(shown) > 1 and target.kind != "charuco":
+        seen[1] = [b if a is None or b is None else alike_turned(a, b) for a, b in zip(*seen, strict=True)]
+    names = [[picture.source.name for picture in side] for side in shown]
+    _check_names(names)
+    moments = [(tuple(s[k] for s in seen), tuple(n[k] for n in names)) for k in range(len(sides[0]))]
+    used = [(BoardView(view), own) for view, own in moments if any(s is not None for s in view)]
+    found = calibrate([v for v, _ in used], target, [side[0].size for side in shown], distortion=asked.distortion)
+    steps(count, count)
+    return CalibratedCameras(
+        found=with_scale(found, asked.square_error),
+        used=tuple(own for _, own in used),
+        points={
+            name: None if s is None else len(s.numbers)
+            for own, sightings in zip(names, seen, strict=True) for name, s in zip(own, sightings, strict=True)
+        },
+        request=asked,
+        inputs={p.source.name: p.source.sha256 for side in shown for p in side},
+    )  # fmt: skip
+
+
+def _sightings(pictures: "Sequence[Picture]", target: "Target", step: Callable[[int], None]) -> "list[Sighting | None]":
+    """Where each picture of a camera shows the board; where a short look finds it in some, others get a long one.
+
+    Raises DataError where the board is another one.
+    """
+    from lunarsci.images.targets import check_board, find_target
+
+    seen: list[Sighting | None] = []
+    for k, picture in enumerate(pictures):
+        seen.append(find_target(picture, target, patient=False))
+        step(k + 1)
+        if k == FIRST - 1:
+            check_board(pictures[:FIRST], seen, target)
+    check_board(pictures, seen, target)
+    if any(seen):
+        seen = [find_target(p, target) if s is None else s for p, s in zip(pictures, seen, strict=True)]
+    return seen
+
+
+def _check_names(names: Sequence[Sequence[str]]) -> None:
+    every = [name for side in names for name in side]
+    if twice := next((name for name in every if every.count(name) > 1), None):
+        raise DataError(f"{twice}: is given twice; each picture counts once")
+
+
+def _check_sizes(shown: "Sequence[Sequence[Picture]]") -> None:
+    for side in shown:
+        if not side:
+            raise RequestError("no pictures; give those of the board")
+        for picture in side:
+            if picture.size != side[0].size:
+                sizes = (" x ".join(map(str, p.size)) for p in (picture, side[0]))
+                raise DataError(f"{picture.source.name}: {' px, the first one '.join(sizes)}; one camera has one size")
+
+
+def matching(pattern: str | None) -> list[str]:
+    """Files that match a pattern, in the order of their names. Raises RequestError where there are none."""
+    if pattern is None:
+        return []
+    path = Path(pattern)
+    found = sorted(map(str, path.parent.glob(path.name)))
+    if not found:
+        raise RequestError(f"`right` '{pattern}' matches no file; put the pattern in quotes")
+    return found

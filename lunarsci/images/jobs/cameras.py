@@ -1,0 +1,210 @@
+"""What is known of cameras: intrinsics, views, and how well a rig tells distances."""
+
+import math
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from lunarsci.errors import DataError, ParameterError, RequestError
+from lunarsci.inputs import InputFile, Source, read_input, text
+from lunarsci.result import MadeFrom, Result, request_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from lunarsci.images.camera import Camera
+    from lunarsci.images.labels import LabelCamera
+    from lunarsci.images.rig import StereoRig
+    from lunarsci.images.rig_files import SingleCamera
+
+
+SOURCES = [
+    "Brown (1971), Photogramm. Eng. 37, 855: lens distortion",
+    "Gennery (2006), Int. J. Comput. Vis. 68, 239, 10.1007/s11263-006-5168-1: CAHVOR and CAHVORE",
+]
+RANGES_M = (1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CamerasRequest:
+    """At what precision of matching ranges are judged.
+
+    Attributes
+    ----------
+    disparity_error : random error of a disparity. [px]
+    """
+
+    disparity_error: float = 0.2
+
+    def __post_init__(self) -> None:
+        if not 0 < self.disparity_error < 100:
+            raise RequestError(f"`disparity_error` is {self.disparity_error:g} px; give a number above 0")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraSheet(Result):
+    """Rigs, or single cameras with what their labels' fits miss."""
+
+    schema: ClassVar[str] = "images-cameras/1"
+    rigs: "tuple[StereoRig, ...]"
+    alone: "Mapping[str, LabelCamera | SingleCamera]"
+    request: CamerasRequest
+    inputs: Mapping[str, str]
+
+    @property
+    def made_from(self) -> MadeFrom:
+        return MadeFrom(inputs=self.inputs, sources=SOURCES)
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "rigs": [self._rig(rig) for rig in self.rigs],
+            "cameras": [_alone(name, found) for name, found in self.alone.items()],
+        }
+
+    def _rig(self, rig: "StereoRig") -> dict[str, Any]:
+        from lunarsci.images.camera import vector_of
+
+        sigmas = rig.sigmas
+        numbers = {side: _numbers(getattr(rig, side), sigmas, f"{side}_") for side in ("left", "right")}
+        relative = {
+            "rotation_rad": [float(v) for v in vector_of(rig.rotation)],
+            "rotation_rad_sigma": [sigmas[f"rotation_{axis}_rad"] for axis in "xyz"],
+            "translation_m": [float(v) for v in rig.translation_m],
+            "translation_m_sigma": [sigmas[f"translation_{axis}_m"] for axis in "xyz"],
+        }
+        way = rig.translation_m / rig.baseline_m
+        return {
+            "name": rig.name,
+            "source": rig.source,
+            "assumed": list(rig.assumed),
+            "baseline_m": rig.baseline_m,
+            "baseline_m_sigma": float(way @ rig.covariance[-3:, -3:] @ way) ** 0.5,
+            "relative": relative,
+            "ranges": self.ranges(rig),
+            **numbers,
+        }
+
+    def ranges(self, rig: "StereoRig", ranges_m: Sequence[float] = RANGES_M) -> list[dict[str, float]]:
+        """Of a point in the middle of the view: disparity, size of a pixel, and errors of its range, by range."""
+        import numpy as np
+
+        focal, found = rig.left.fx_px, []
+        way = rig.left.rays([0.5 * (rig.left.width_px - 1), 0.5 * (rig.left.height_px - 1)])
+        way = way / np.linalg.norm(way)
+        for away in ranges_m:
+            left, right = rig.project(away * way)
+            common = float("nan")
+            if np.isfinite([left, right]).all():
+                by = way @ rig.by_parameters(left, right)
+                common = math.sqrt(max(float(by @ rig.covariance @ by), 0.0))
+            depth = away * float(way[2])
+            found.append({
+                "range_m": away,
+                "disparity_px": focal * rig.baseline_m / depth,
+                "pixel_m": depth / focal,
+                "range_random_m_sigma": float(rig.range_error_m(depth, self.request.disparity_error)) / float(way[2]),
+                "range_common_m_sigma": common,
+                "seen_by_both": bool(rig.right.sees(right)) and away >= rig.nearest_m,
+            })  # fmt: skip
+        return found
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """One a rig and range."""
+        return [{"name": rig.name} | row for rig in self.rigs for row in self.ranges(rig)]
+
+    def figures(self) -> "Iterator[Figure]":
+        import numpy as np
+
+        from lunarsci.images.camera_figures import range_page
+
+        if not self.rigs:
+            raise ParameterError("one camera tells no ranges; give a rig, or the labels of the left and right picture")
+        away = np.geomspace(RANGES_M[0], RANGES_M[-1], 40)
+        rows = [self.ranges(rig, [float(a) for a in away]) for rig in self.rigs]
+        errors = [
+            [np.array([row[f"range_{kind}_m_sigma"] for row in own]) for own in rows] for kind in ("random", "common")
+        ]
+        yield range_page([rig.name for rig in self.rigs], away, *errors)
+
+    def toml(self) -> bytes:
+        """The file of the one rig, which `images dem` reads. Raises ParameterError for none or several."""
+        from lunarsci.images.rig_files import rig_text
+
+        if len(self.rigs) != 1:
+            raise ParameterError(f"a file holds one rig, not {len(self.rigs)}; name one, or two labels, left and right")
+        return rig_text(self.rigs[0]).encode()
+
+
+def _numbers(camera: "Camera", sigmas: Mapping[str, float], before: str = "") -> dict[str, Any]:
+    """Size, intrinsics with errors, and field of view of a camera."""
+    from lunarsci.images.camera import INTRINSICS
+
+    cells: dict[str, Any] = {"width_px": camera.width_px, "height_px": camera.height_px}
+    for name in INTRINSICS:
+        cells |= {name: getattr(camera, name), f"{name}_sigma": sigmas.get(f"{before}{name}")}
+    across, down = camera.field_of_view_deg()
+    return cells | {"view_across_deg": across, "view_down_deg": down}
+
+
+def _alone(name: str, found: "LabelCamera | SingleCamera") -> dict[str, Any]:
+    from lunarsci.images.camera import INTRINSICS
+    from lunarsci.images.rig_files import SingleCamera
+
+    if isinstance(found, SingleCamera):
+        sigmas = dict(zip(INTRINSICS, map(float, found.covariance.diagonal() ** 0.5), strict=True))
+        return {"name": name, **_numbers(found.camera, sigmas), "remarks": [f"source: {found.source}"]}
+    heading, down, roll = found.pose.angles_deg()
+    return {
+        "name": name,
+        **_numbers(found.camera, {}),
+        "position_m": [float(v) for v in found.pose.center_m],
+        "heading_deg": heading,
+        "down_deg": down,
+        "roll_deg": roll,
+        "residual_rms_px": found.residual_rms_px,
+        "residual_largest_px": found.residual_max_px,
+        "pinhole_residual_largest_px": found.pinhole_max_px,
+        "remarks": list(found.remarks),
+    }
+
+
+def cameras(sources: Sequence[Source] = (), request: CamerasRequest | None = None, **options: Any) -> CameraSheet:
+    """What is known of rigs: by name, from TOML files, or from labels; of all that come with lunarsci without any.
+
+    A label alone is one camera; two labels are the left and the right one of a rig. Raises RequestError and DataError.
+    """
+    from lunarsci.images.labels import read_label
+    from lunarsci.images.rig_files import known_rigs, read_camera, read_rig
+
+    asked = request_of(CamerasRequest, request, options)
+    given = [sources] if isinstance(sources, str) else list(sources)
+    files: list[Any] = [None if one in known_rigs() else read_input(one) for one in given]
+    labels = [file for file in files if file is not None and not _is_toml(file)]
+    if len(labels) > 2:
+        raise RequestError(f"{len(labels)} labels; give one, or those of the left and the right picture")
+    rigs: list[StereoRig] = []
+    alone: dict[str, LabelCamera | SingleCamera] = {}
+    for one, file in zip(given, files, strict=True):
+        if file is not None and _is_toml(file) and (single := read_camera(file)):
+            alone[file.name] = single
+        elif file not in labels:
+            rigs.append(read_rig(one if file is None else file))  # type: ignore[arg-type]
+    if len(labels) == 2:
+        rigs.append(read_rig(*labels))
+    elif labels:
+        alone[labels[0].name] = read_label(labels[0])
+    if not given:
+        rigs = [read_rig(name) for name in known_rigs()]
+    inputs = {file.name: file.sha256 for file in files if file is not None}
+    return CameraSheet(rigs=tuple(rigs), alone=alone, request=asked, inputs=inputs)
+
+
+def _is_toml(file: InputFile) -> bool:
+    try:
+        tomllib.loads(text(file))
+    except tomllib.TOMLDecodeError:
+        return file.name.lower().endswith(".toml")
+    except DataError:
+        return False
+    return True
