@@ -4,7 +4,6 @@ Zhang (2000), 10.1109/34.888718, for the idea and where it begins (OpenCV); the 
 pictures do not determine are here. Every picture has a pose of the board of its own.
 """
 
-import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -394,12 +393,3 @@ def _spread_out(problem: _Problem, covariance: FloatArray) -> FloatArray:
     whole = np.zeros((len(problem.plain) * width + (6 if len(problem.plain) > 1 else 0),) * 2)
     whole[np.ix_(places, places)] = covariance
     return whole
-
-
-def with_scale(found: CameraCalibration, square_error: float) -> CameraCalibration:
-    """The calibration with the error of the target's size, as a share, in its translation."""
-    if len(found.cameras) < 2:
-        return found
-    covariance = found.covariance.copy()
-    covariance[-3:, -3:] += square_error**2 * np.outer(found.translation_m, found.translation_m)
-    return dataclasses.replace(found, covariance=covariance)

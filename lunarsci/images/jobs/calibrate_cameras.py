@@ -1,5 +1,6 @@
 """Cameras calibrated with pictures of a chessboard or another flat target."""
 
+import dataclasses
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -269,6 +270,16 @@ class CalibratedCameras(Result):
         return f"calibrated with a {self.request.target}, {len(self.used)} {what}, {self.found.residual_px:.2f} px"
 
 
+def _with_scale(found: "CameraCalibration", square_error: float) -> "CameraCalibration":
+    """The calibration with the error of the target's size in its translation."""
+    import numpy as np
+
+    covariance = found.covariance.copy()
+    if len(found.cameras) > 1:
+        covariance[-3:, -3:] += square_error**2 * np.outer(found.translation_m, found.translation_m)
+    return dataclasses.replace(found, covariance=covariance)
+
+
 def _rms(rows: Any) -> float:
     import numpy as np
 
@@ -297,7 +308,7 @@ def calibrate_cameras(
     Pictures of both cameras belong together in their order. Raises RequestError, ParameterError, and DataError where
     the board is not found, is another one, or is seen too seldom or from one side.
     """
-    from lunarsci.images.calibration import BoardView, calibrate, with_scale
+    from lunarsci.images.calibration import BoardView, calibrate
     from lunarsci.images.pictures import read_picture
     from lunarsci.images.targets import alike_turned
 
@@ -324,7 +335,7 @@ def calibrate_cameras(
     found = calibrate([v for v, _ in used], target, [side[0].size for side in shown], distortion=asked.distortion)
     steps(count, count)
     return CalibratedCameras(
-        found=with_scale(found, asked.square_error),
+        found=_with_scale(found, asked.square_error),
         used=tuple(own for _, own in used),
         points={
             name: None if s is None else len(s.numbers)
