@@ -14,6 +14,7 @@ import numpy.typing as npt
 from lunarsci.arrays import FloatArray, robust_scatter
 from lunarsci.errors import DataError
 from lunarsci.images.camera import Camera
+from lunarsci.images.mismatches import check_rows, check_two, what_is_wrong
 from lunarsci.images.pictures import Picture, open_cv
 from lunarsci.images.refinement import HALF_PX, Refined, refine
 from lunarsci.images.rig import StereoRig
@@ -133,8 +134,10 @@ def match(
     """
     told = progress or (lambda done, total: None)
     told(0, 5)
+    check_two(left, right)
     frame = rectify(rig)
-    pictures = [_warped(p.values, m) for p, m in zip((left, right), frame.maps, strict=True)]
+    alike = (2**left.bits - 1) / (2**right.bits - 1)
+    pictures = [_warped(left.values, frame.maps[0]), _warped(alike * right.values, frame.maps[1])]
     full = [_warped(p.saturated.astype(float), m) > 0.01 for p, m in zip((left, right), frame.maps, strict=True)]
     told(1, 5)
     span = frame.focal_px * frame.baseline_m / nearest_m, frame.focal_px * frame.baseline_m / farthest_m
@@ -239,6 +242,7 @@ def _rows_in_line(
             raise DataError(
                 f"{name}: rows of the pictures are {abs(total + plane[0]):.1f} px apart; is the rig another one?"
             )
+        check_rows(found.row_offset[good] - terms @ plane, name)
         right = _warped(right, np.stack([grid[1], grid[0] + shift], axis=-1).astype(np.float32))
         total += float(plane[0])
     return total, right
@@ -322,20 +326,11 @@ def _relief(disparity: FloatArray) -> FloatArray:
 
 def _matter(left: Picture, right: Picture, frame: Rectified, span: tuple[float, float]) -> str:
     """What is wrong with two pictures that do not match, as far as trying tells."""
-    names = f"{left.source.name}, {right.source.name}"
-    one, two = left.values, right.values
     half = span[0] / 2, span[1] / 2
 
-    def share(pair: tuple[FloatArray, FloatArray]) -> float:
-        small = [np.ascontiguousarray(_warped(p, m)[::2, ::2]) for p, m in zip(pair, frame.maps, strict=True)]
+    def share(one: FloatArray, two: FloatArray) -> float:
+        pair = zip((one, two), frame.maps, strict=True)
+        small = [np.ascontiguousarray(_warped(p, m)[::2, ::2]) for p, m in pair]
         return float(np.isfinite(_semi_global(small, half)).mean())
 
-    tries = {
-        "left and right are swapped; give the left one first": share((two, one)),
-        "the right picture is upside down": share((one, two[::-1, ::-1])),
-        "the left picture is upside down": share((one[::-1, ::-1], two)),
-    }
-    likeliest = max(tries, key=lambda said: tries[said])
-    if tries[likeliest] > max(2 * FEWEST, 1.5 * share((one, two))):
-        return f"{names}: do not match as they are: {likeliest}"
-    return f"{names}: less than {FEWEST:.0%} of the pixels match; are they of one place, one moment and this rig?"
+    return what_is_wrong(left, right, share, FEWEST)
