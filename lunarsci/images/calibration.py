@@ -15,7 +15,7 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError
 from lunarsci.images.camera import INTRINSICS, Camera, rotation_of, vector_of
 from lunarsci.images.pictures import open_cv
-from lunarsci.images.targets import Sighting, Target
+from lunarsci.images.targets import Sighting, BoardTarget
 
 FEWEST_VIEWS = 4
 """Pictures below which nothing is calibrated: three determine a planar problem (Zhang 2000), a fourth tests it."""
@@ -80,7 +80,7 @@ class CameraCalibration:
         return np.asarray(np.sqrt(variance.reshape(-1, 2).sum(axis=1)))
 
 
-class _Problem(NamedTuple):
+class _Adjustment(NamedTuple):
     """What is adjusted: free intrinsics, whether there are two cameras, points, and what each camera sees of them."""
 
     plain: tuple[Camera, ...]
@@ -105,7 +105,7 @@ class _Problem(NamedTuple):
 
 
 def calibrate(
-    views: Sequence[BoardView], target: Target, sizes: Sequence[tuple[int, int]], *, distortion: int = 5
+    views: Sequence[BoardView], target: BoardTarget, sizes: Sequence[tuple[int, int]], *, distortion: int = 5
 ) -> CameraCalibration:
     """Cameras of sizes (width, height) [px] from what they see of a target; one size, or left and right.
 
@@ -158,8 +158,8 @@ def _tilt_deg(poses: FloatArray) -> float:
 
 
 def _begun(
-    views: Sequence[BoardView], target: Target, sizes: Sequence[tuple[int, int]], free: tuple[int, ...]
-) -> tuple[_Problem, FloatArray]:
+    views: Sequence[BoardView], target: BoardTarget, sizes: Sequence[tuple[int, int]], free: tuple[int, ...]
+) -> tuple[_Adjustment, FloatArray]:
     """Where the adjustment begins: each camera alone, by OpenCV; how they stand to each other by the median."""
     names = ("left camera", "right camera") if len(sizes) > 1 else ("camera",)
     alone = [_alone(views, k, target, size, names[k], free) for k, size in enumerate(sizes)]
@@ -178,7 +178,7 @@ def _begun(
             seen = alone[1][1][k]
             turn = rotation.T @ rotation_of(seen[:3])
             poses.append(np.concatenate([vector_of(turn), rotation.T @ (seen[3:] - translation)]))
-    problem = _Problem(cameras, rotation, free, target.points_m, tuple(views))
+    problem = _Adjustment(cameras, rotation, free, target.points_m, tuple(views))
     own = [camera.vector()[list(free)] for camera in cameras]
     relative = [np.concatenate([np.zeros(3), translation])] if len(sizes) > 1 else []
     return problem, np.concatenate([*own, *relative, np.ravel(poses)])
@@ -191,7 +191,7 @@ def _median_turn(turns: Sequence[FloatArray]) -> FloatArray:
 
 
 def _alone(
-    views: Sequence[BoardView], index: int, target: Target, size: tuple[int, int], name: str, free: tuple[int, ...]
+    views: Sequence[BoardView], index: int, target: BoardTarget, size: tuple[int, int], name: str, free: tuple[int, ...]
 ) -> tuple[Camera, dict[int, FloatArray]]:
     """One camera by OpenCV, and the board's pose in its frame by moment."""
     cv2 = open_cv()
@@ -218,7 +218,7 @@ def _crossed(points: FloatArray) -> FloatArray:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def _seen(problem: _Problem, x: FloatArray) -> "list[tuple[int, int, Sighting, Camera, FloatArray, FloatArray]]":
+def _seen(problem: _Adjustment, x: FloatArray) -> "list[tuple[int, int, Sighting, Camera, FloatArray, FloatArray]]":
     """By sighting: moment, camera's index, sighting, camera, points in its frame, and points less the board's place."""
     cameras, rotation, translation, poses = problem.unpacked(x)
     found = []
@@ -234,12 +234,12 @@ def _seen(problem: _Problem, x: FloatArray) -> "list[tuple[int, int, Sighting, C
     return found
 
 
-def _misses(problem: _Problem, x: FloatArray) -> list[FloatArray]:
+def _misses(problem: _Adjustment, x: FloatArray) -> list[FloatArray]:
     """What is left of each sighting. (n, 2) [px]"""
     return [camera.project(own) - s.pixels for _, _, s, camera, own, _ in _seen(problem, x)]
 
 
-def _rows(problem: _Problem, x: FloatArray, kept: Sequence[BoolArray]) -> tuple[FloatArray, FloatArray, list[int]]:
+def _rows(problem: _Adjustment, x: FloatArray, kept: Sequence[BoolArray]) -> tuple[FloatArray, FloatArray, list[int]]:
     """Residuals (n,), their derivatives (n, parameters), and the moment of each row."""
     _, rotation, translation, _ = problem.unpacked(x)
     count, misses, slopes, moments = len(problem.free), [], [], []
@@ -261,7 +261,7 @@ def _rows(problem: _Problem, x: FloatArray, kept: Sequence[BoolArray]) -> tuple[
     return np.nan_to_num(np.concatenate(misses), nan=1e4), np.nan_to_num(np.concatenate(slopes)), moments
 
 
-def _adjusted(problem: _Problem, x: FloatArray, kept: Sequence[BoolArray]) -> FloatArray:
+def _adjusted(problem: _Adjustment, x: FloatArray, kept: Sequence[BoolArray]) -> FloatArray:
     """Levenberg-Marquardt; small rotations are laid onto the whole ones after each step."""
     damping, now = 1e-3, _rows(problem, x, kept)
     for _ in range(60):
@@ -285,7 +285,7 @@ def _adjusted(problem: _Problem, x: FloatArray, kept: Sequence[BoolArray]) -> Fl
     return x
 
 
-def _stepped(problem: _Problem, x: FloatArray, step: FloatArray) -> FloatArray:
+def _stepped(problem: _Adjustment, x: FloatArray, step: FloatArray) -> FloatArray:
     """Parameters after a step; rotations are small ones applied after those that were there."""
     after = x + step
     first = len(problem.plain) * len(problem.free)
@@ -296,7 +296,9 @@ def _stepped(problem: _Problem, x: FloatArray, step: FloatArray) -> FloatArray:
     return after
 
 
-def _centred(problem: _Problem, x: FloatArray, views: Sequence[BoardView], diameter_m: float) -> tuple[BoardView, ...]:
+def _centred(
+    problem: _Adjustment, x: FloatArray, views: Sequence[BoardView], diameter_m: float
+) -> tuple[BoardView, ...]:
     """Sightings of circles moved from the middles of their pictures to the pictures of their middles.
 
     A circle's picture is an ellipse whose middle is not that of the circle (Heikkila 2000, 10.1109/34.879788).
@@ -332,7 +334,7 @@ def _middle(rims: FloatArray) -> FloatArray:
     return np.asarray(start[:, 0] + np.stack(sums, axis=-1) / total[:, None])
 
 
-def _finished(problem: _Problem, x: FloatArray, kept: Sequence[BoolArray]) -> CameraCalibration:
+def _finished(problem: _Adjustment, x: FloatArray, kept: Sequence[BoolArray]) -> CameraCalibration:
     misses, slopes, moments = _rows(problem, x, kept)
     freedom = max(len(misses) - len(x), 1)
     variance = float(misses @ misses) / freedom
@@ -360,7 +362,7 @@ def _finished(problem: _Problem, x: FloatArray, kept: Sequence[BoolArray]) -> Ca
 
 
 def _between_pictures(
-    problem: _Problem, misses: FloatArray, slopes: FloatArray, moments: Any, variance: float
+    problem: _Adjustment, misses: FloatArray, slopes: FloatArray, moments: Any, variance: float
 ) -> float:
     """Errors of the shared parameters by leaving out one moment at a time, over those by the residuals.
 
@@ -385,7 +387,7 @@ def _between_pictures(
     return math.sqrt(found / max(expected, 1e-300))
 
 
-def _spread_out(problem: _Problem, covariance: FloatArray) -> FloatArray:
+def _spread_out(problem: _Adjustment, covariance: FloatArray) -> FloatArray:
     """The covariance with zeros for what was held."""
     width, count = len(INTRINSICS), len(problem.free)
     places = [k * width + free for k in range(len(problem.plain)) for free in problem.free]

@@ -25,7 +25,7 @@ FEWEST_POINTS = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Target:
+class BoardTarget:
     """A flat board of points.
 
     Attributes
@@ -82,13 +82,13 @@ class Target:
 
 
 class Sighting(NamedTuple):
-    """Points of a target in a picture: their places in `Target.points_m` (n,), and where they are (n, 2) [px]."""
+    """Points of a target in a picture: their places in `BoardTarget.points_m` (n,), and where they are (n, 2) [px]."""
 
     numbers: npt.NDArray[np.int64]
     pixels: FloatArray
 
 
-def find_target(picture: Picture, target: Target, *, patient: bool = True) -> Sighting | None:
+def find_target(picture: Picture, target: BoardTarget, *, patient: bool = True) -> Sighting | None:
     """Where a picture shows the points of a target; None where it does not. `patient` looks for seconds."""
     eight = eight_bits(picture)
     if target.kind == "charuco":
@@ -125,7 +125,7 @@ def _chessboard(eight: npt.NDArray[np.uint8], size: tuple[int, int], patient: bo
     return np.asarray(cv2.cornerSubPix(eight, start.reshape(-1, 1, 2), half, (-1, -1), stop), float).reshape(-1, 2)
 
 
-def _circles(eight: npt.NDArray[np.uint8], target: Target) -> FloatArray | None:
+def _circles(eight: npt.NDArray[np.uint8], target: BoardTarget) -> FloatArray | None:
     cv2 = open_cv()
     wanted = cv2.SimpleBlobDetector_Params()
     wanted.minArea, wanted.maxArea, wanted.minThreshold, wanted.thresholdStep = 12.0, 0.05 * eight.size, 20.0, 5.0
@@ -135,7 +135,7 @@ def _circles(eight: npt.NDArray[np.uint8], target: Target) -> FloatArray | None:
     return np.asarray(centers, dtype=float).reshape(-1, 2) if found else None
 
 
-def _charuco(eight: npt.NDArray[np.uint8], target: Target) -> Sighting | None:
+def _charuco(eight: npt.NDArray[np.uint8], target: BoardTarget) -> Sighting | None:
     cv2 = open_cv()
     corners, numbers, _, _ = cv2.aruco.CharucoDetector(target.charuco()).detectBoard(eight)
     if numbers is None or len(numbers) < FEWEST_POINTS:
@@ -149,7 +149,7 @@ def alike_turned(left: Sighting, right: Sighting) -> Sighting:
     return right if float(ways[0] @ ways[1]) >= 0 else Sighting(right.numbers, right.pixels[::-1])
 
 
-def check_board(pictures: Sequence[Picture], seen: Sequence[Sighting | None], target: Target) -> None:
+def check_board(pictures: Sequence[Picture], seen: Sequence[Sighting | None], target: BoardTarget) -> None:
     """Raise DataError where the board of some pictures is not as large as stated, as far as that can be told."""
     if target.kind != "chessboard":
         return

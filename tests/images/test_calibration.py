@@ -18,7 +18,7 @@ from lunarsci.images.camera import INTRINSICS, Camera, rotation_of, vector_of
 from lunarsci.images.jobs.calibrate_cameras import CalibrateCamerasRequest, CalibratedCameras, calibrate_cameras
 from lunarsci.images.pictures import Picture, read_picture
 from lunarsci.images.rig_files import read_rig
-from lunarsci.images.targets import Sighting, Target, check_board, find_target
+from lunarsci.images.targets import Sighting, BoardTarget, check_board, find_target
 from lunarsci.inputs import InputFile
 
 SQUARE = 0.025
@@ -42,7 +42,7 @@ def away(found: CameraCalibration) -> np.ndarray:
 
 def simulated(count: int, random: np.random.Generator, noise: float = 0.05) -> list[BoardView]:
     """Corners straight from OpenCV's projection, with white noise. [px]"""
-    points, views = Target().points_m, []
+    points, views = BoardTarget().points_m, []
     for turn, place in boards.poses(count, (0.1, 0.0625), 0.45, random):
         there = points @ turn.T + place
         pixels = [
@@ -62,7 +62,7 @@ def test_errors_of_a_rig_are_those_that_it_has() -> None:
     sizes = [LEFT.size, RIGHT.size]
     squares = []
     for _ in range(8):
-        found = calibrate(simulated(12, random), Target(), sizes)
+        found = calibrate(simulated(12, random), BoardTarget(), sizes)
         delta = away(found)
         squares.append(float(delta @ np.linalg.solve(found.covariance, delta)))
         assert found.residual_px == pytest.approx(0.05, rel=0.12)
@@ -76,9 +76,10 @@ def test_leaving_pictures_out_is_what_refitting_without_them_does() -> None:
     views = [BoardView(view.sightings[:1]) for view in simulated(10, random)]
     bad = [BoardView((Sighting(s.numbers, s.pixels + 0.4 * random.standard_normal(2)),))
            for view in views if (s := view.sightings[0]) is not None]  # fmt: skip
-    found = calibrate(bad, Target(), sizes, distortion=2)
+    found = calibrate(bad, BoardTarget(), sizes, distortion=2)
     fits = [
-        calibrate(bad[:k] + bad[k + 1 :], Target(), sizes, distortion=2).cameras[0].vector() for k in range(len(bad))
+        calibrate(bad[:k] + bad[k + 1 :], BoardTarget(), sizes, distortion=2).cameras[0].vector()
+        for k in range(len(bad))
     ]
     spread = np.sqrt(((np.array(fits) - np.mean(fits, axis=0)) ** 2).sum(axis=0) * (len(bad) - 1) / len(bad))
     stated = np.sqrt(np.diag(found.covariance))
@@ -160,10 +161,10 @@ def test_pictures_that_calibrate_nothing_are_refused(shown: tuple[list[str], lis
     assert "9 x 6" in refused(left[:1], board="9x7")
     seen = Sighting(
         np.arange(48),
-        np.array(find_target(read_picture(left[0]), Target()).pixels).reshape(6, 9, 2)[:, :8].reshape(-1, 2),
+        np.array(find_target(read_picture(left[0]), BoardTarget()).pixels).reshape(6, 9, 2)[:, :8].reshape(-1, 2),
     )  # type: ignore[union-attr]
     with pytest.raises(DataError, match="goes on right of it beyond 8 x 6"):
-        check_board([read_picture(left[0])], [seen], Target(columns=8))
+        check_board([read_picture(left[0])], [seen], BoardTarget(columns=8))
     assert "one of each moment" in refused(left, right[:-1])
     assert "given twice" in refused([*left[:3], left[0]])
     cv2.imwrite(str(tmp_path / "small.png"), cv2.imread(left[0])[::2, ::2])
@@ -174,20 +175,20 @@ def test_pictures_that_calibrate_nothing_are_refused(shown: tuple[list[str], lis
 
 
 def test_a_board_that_is_not_tilted_is_refused() -> None:
-    random, points, views = np.random.default_rng(5), Target().points_m, []
+    random, points, views = np.random.default_rng(5), BoardTarget().points_m, []
     for k in range(8):
         there = points + np.array([0.02 * k - 0.15, -0.06, 0.5 + 0.02 * k])
         pixels = cv2.projectPoints(there, np.zeros(3), np.zeros(3), LEFT.matrix, LEFT.terms)[0].reshape(-1, 2)
         views.append(BoardView((Sighting(np.arange(54), pixels + 0.03 * random.standard_normal(pixels.shape)),)))
     with pytest.raises(DataError, match="from one side"):
-        calibrate(views, Target(), [LEFT.size])
+        calibrate(views, BoardTarget(), [LEFT.size])
 
 
 @pytest.mark.parametrize("kind", ["circles", "asymmetric-circles"])
 def test_middles_of_circles_are_corrected(kind: str) -> None:
     """Ellipses of large circles, straight from their rims: uncorrected, the focal length is 0.8 px off."""
     random = np.random.default_rng(6)
-    target = Target(kind=kind, columns=7, rows=5, square_m=0.03, circle_m=0.024)  # type: ignore[arg-type]
+    target = BoardTarget(kind=kind, columns=7, rows=5, square_m=0.03, circle_m=0.024)  # type: ignore[arg-type]
     turns = np.linspace(0, 2 * np.pi, 200, endpoint=False)
     rim, views = 0.012 * np.column_stack([np.cos(turns), np.sin(turns), 0 * turns]), []
     for turn, place in boards.poses(10, (0.1, 0.06), 0.3, random):
@@ -200,7 +201,7 @@ def test_middles_of_circles_are_corrected(kind: str) -> None:
             for m, o in zip(moments, outlines, strict=True)
         ]
         views.append(BoardView((Sighting(np.arange(35), np.array(middles)),)))
-    plain = calibrate(views, Target(kind=kind, columns=7, rows=5, square_m=0.03), [LEFT.size])  # type: ignore[arg-type]
+    plain = calibrate(views, BoardTarget(kind=kind, columns=7, rows=5, square_m=0.03), [LEFT.size])  # type: ignore[arg-type]
     corrected = calibrate(views, target, [LEFT.size])
     assert plain.residual_px < 0.01  # which residuals do not tell
     assert corrected.cameras[0].fx_px == pytest.approx(520, abs=0.05)
@@ -214,7 +215,7 @@ def test_boards_of_every_kind_are_found() -> None:
     camera = Camera(name="a", width_px=480, height_px=400, **numbers)  # type: ignore[arg-type]
     for kind in ("circles", "asymmetric-circles", "charuco"):
         size = {"columns": 4, "rows": 7} if kind == "asymmetric-circles" else {"columns": 7, "rows": 5}
-        target = Target(kind=kind, square_m=0.03, marker_m=0.022, circle_m=0.015, **size)  # type: ignore[arg-type]
+        target = BoardTarget(kind=kind, square_m=0.03, marker_m=0.022, circle_m=0.015, **size)  # type: ignore[arg-type]
         if kind == "charuco":
             drawn = target.charuco().generateImage((1400, 1000)) / 255.0
 

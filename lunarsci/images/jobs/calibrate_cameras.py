@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from lunarsci.images.calibration import CameraCalibration
     from lunarsci.images.pictures import Picture
     from lunarsci.images.rig import StereoRig
-    from lunarsci.images.targets import Sighting, Target
+    from lunarsci.images.targets import Sighting, BoardTarget
 
 
 SOURCES = [
@@ -79,12 +79,12 @@ class CalibrateCamerasRequest:
         if self.target == "charuco" and not 0 < self.marker < self.square:
             raise RequestError("`marker`: give the side of the markers in m, less than that of `square`")
 
-    def board_target(self) -> "Target":
+    def board_target(self) -> "BoardTarget":
         """The board as a target. Raises ParameterError."""
-        from lunarsci.images.targets import Target
+        from lunarsci.images.targets import BoardTarget
 
         columns, rows = map(int, self.board.split("x"))
-        return Target(
+        return BoardTarget(
             kind=self.target,
             columns=columns,
             rows=rows,
@@ -346,7 +346,9 @@ def calibrate_cameras(
     )  # fmt: skip
 
 
-def _sightings(pictures: "Sequence[Picture]", target: "Target", step: Callable[[int], None]) -> "list[Sighting | None]":
+def _sightings(
+    pictures: "Sequence[Picture]", target: "BoardTarget", step: Callable[[int], None]
+) -> "list[Sighting | None]":
     """Where each picture of a camera shows the board; where a short look finds it in some, others get a long one.
 
     Raises DataError where the board is another one.
