@@ -15,7 +15,7 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError
 from lunarsci.images.camera import INTRINSICS, Camera, rotation_of, vector_of
 from lunarsci.images.pictures import open_cv
-from lunarsci.images.targets import Sighting, BoardTarget
+from lunarsci.images.targets import BoardTarget, Sighting
 
 FEWEST_VIEWS = 4
 """Pictures below which nothing is calibrated: three determine a planar problem (Zhang 2000), a fourth tests it."""

@@ -18,7 +18,7 @@ from lunarsci.images.camera import INTRINSICS, Camera, rotation_of, vector_of
 from lunarsci.images.jobs.calibrate_cameras import CalibrateCamerasRequest, CalibratedCameras, calibrate_cameras
 from lunarsci.images.pictures import Picture, read_picture
 from lunarsci.images.rig_files import read_rig
-from lunarsci.images.targets import Sighting, BoardTarget, check_board, find_target
+from lunarsci.images.targets import BoardTarget, Sighting, check_board, find_target
 from lunarsci.inputs import InputFile
 
 SQUARE = 0.025

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from lunarsci.images.calibration import CameraCalibration
     from lunarsci.images.pictures import Picture
     from lunarsci.images.rig import StereoRig
-    from lunarsci.images.targets import Sighting, BoardTarget
+    from lunarsci.images.targets import BoardTarget, Sighting
 
 
 SOURCES = [
