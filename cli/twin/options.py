@@ -27,6 +27,15 @@ RUTS = option(
     "--ruts/--no-ruts",
 )
 BEFORE = option("A plan that was driven on the same ground before; its ruts are met, too.", metavar="PLAN")
+TERRAIN_ERRORS = option(
+    "Whether each drive has a ground of its own, drawn from what an elevation model of `images dem` or `images merge` "
+    "says of its errors; without, heights are taken as they are in the file.",
+    "--terrain-errors/--no-terrain-errors",
+)
+KEEP_OUT = option(
+    "Ground that no part of the rover may enter (GeoJSON), as `images rocks -o FILE.geojson` writes it; repeatable.",
+    metavar="FILE",
+)
 SEED = option("Seed of everything random.", min=0, show_default="0")
 TIME_STEP = option("Longest time step in s.")
 SAMPLE = option("Distance between recorded states in m.")

@@ -12,13 +12,13 @@ from ..shared.options import SPREAD, Output
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
-from .options import BEFORE, DRIVE, RUTS, PlanFile
+from .options import BEFORE, DRIVE, KEEP_OUT, RUTS, TERRAIN_ERRORS, PlanFile
 
 if TYPE_CHECKING:
     from lunarsci.twin.judgement.safety import Judgement, Verdict
 
 
-OPTIONS = DRIVE | {"ruts": RUTS, "before": BEFORE}
+OPTIONS = DRIVE | {"ruts": RUTS, "before": BEFORE, "terrain_errors": TERRAIN_ERRORS, "keep_out": KEEP_OUT}
 
 
 def add_to(app: typer.Typer) -> None:
@@ -91,6 +91,8 @@ def _verdict_tables(found: PredictedDrives) -> list[TextTable]:
         *found.inputs.soil_notes(prediction.members, len(prediction.parameters)),
         *found.inputs.remarks,
         *_endpoint_notes(verdict),
+        *_terrain_notes(found),
+        *_keep_out_notes(verdict),
         *verdict.reasons,
         *verdict.notes,
         *load_notes(check_loads(prediction)),
@@ -124,6 +126,30 @@ def _sensitivity_tables(found: PredictedDrives) -> list[TextTable]:
         return [TextTable([], [], title=notes[0])] if notes else []
     headers = ["over the range of", "x [m]", "y [m]", "of the variance"]
     return [TextTable(headers, rows, title="What moves the end", notes=notes)]
+
+
+def _terrain_notes(found: PredictedDrives) -> list[str]:
+    """What errors of the terrain make of the drives."""
+    shares = found.terrain_shares
+    if shares is None:
+        return ["every drive has a ground of its own"] if found.prediction.draws is not None else []
+    parts = {"end": shares.end, "slip": shares.slip_ratio, "tilt": shares.tilt_deg, "sinkage": shares.sinkage_m}
+    said = ", ".join(f"{name} {100 * share:.0f} %" for name, share in parts.items() if share is not None)
+    return [
+        f"every drive has a ground of its own: errors of the terrain move ends by {1e3 * shares.end_m:.0f} mm (rms), "
+        f"and are of the variance of {said} ({shares.pairs} pairs)"
+    ]
+
+
+def _keep_out_notes(verdict: "Verdict") -> list[str]:
+    """The circle that drives come nearest to, where none is entered."""
+    near = next(iter(verdict.keep_outs), None)
+    if near is None or near.margin_m < 0:
+        return []
+    return [
+        f"nearest to ground to keep out of: {near.margin_m:.2f} m from '{near.name}' at x {near.zone_x_m:.2f} m, "
+        f"y {near.zone_y_m:.2f} m, after {near.distance_m:.1f} m of the way"
+    ]
 
 
 def _endpoint_notes(verdict: "Verdict") -> list[str]:

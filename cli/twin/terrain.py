@@ -11,6 +11,7 @@ from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
+from .options import KEEP_OUT
 
 LIMITS, GROUND = "Limits, instead of those of the rover file", "Synthetic ground"
 OPTIONS = {
@@ -19,6 +20,7 @@ OPTIONS = {
         "With -o, soil of terrain.npz in place of the terrain's: a name or a TOML file.",
         show_default="the terrain's, or longji",
     ),
+    "keep_out": KEEP_OUT,
     "baseline": option("Side in m of the square whose slope is measured; the rover's by default."),
     "max_slope": option("Steepest slope, in deg.", panel=LIMITS),
     "max_step": option("Highest step, in m.", panel=LIMITS),

@@ -12,6 +12,7 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.rovers import RoverDescription
+from lunarsci.twin.ground.keep_out import Zones, within
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.rover import Rover
 
@@ -138,13 +139,16 @@ class Traversability:
     Attributes
     ----------
     terrain, maps, mobility : what was compared with what.
-    demand : largest share of a limit that slope, step or roughness take up, above 1 in hazards; NaN unknown. (ny, nx)
+    demand : largest share of a limit that slope, step or roughness take up, above 1 in hazards, infinite in ground to
+        keep out of; NaN unknown. (ny, nx)
+    keep_outs : that ground.
     """
 
     terrain: Terrain
     maps: GroundMaps
     mobility: Mobility
     demand: FloatMap
+    keep_outs: Zones = ()
 
     @property
     def hazard(self) -> BoolMap:
@@ -161,7 +165,12 @@ class Traversability:
         at = f"at x {self.terrain.x_m[column]:.2f} m, y {self.terrain.y_m[row]:.2f} m"
         if math.isnan(self.terrain.height_m[row, column]):
             return f"the height is unknown {at}"
-        found = []
+        x, y = self.terrain.x_m[column], self.terrain.y_m[row]
+        found = [
+            f"'{zone.name}' is to be kept out of {at}"
+            for zone in self.keep_outs
+            if math.hypot(x - zone.x_m, y - zone.y_m) <= zone.radius_m
+        ]
         for name, value, limit, unit in self._limited():
             if value[row, column] > limit:
                 found.append(f"the {name} is {value[row, column]:.4g} {unit}, above {limit:g} {unit}, {at}")
@@ -242,8 +251,10 @@ def ground_maps(
     )
 
 
-def assess(terrain: Terrain, maps: GroundMaps, mobility: Mobility) -> Traversability:
+def assess(terrain: Terrain, maps: GroundMaps, mobility: Mobility, keep_outs: Zones = ()) -> Traversability:
     """Compare the maps with a rover's limits: demand = max(slope/limit, step/limit, roughness/limit).
+
+    In ground to keep out of it is infinite.
 
     The worst of several measures decides, as in GESTALT (Goldberg, Maimone & Matthies 2002, IEEE Aerospace,
     10.1109/AERO.2002.1035370), which also looks at a plane through a patch as large as the rover, its residual and
@@ -254,7 +265,8 @@ def assess(terrain: Terrain, maps: GroundMaps, mobility: Mobility) -> Traversabi
         np.maximum(demand, maps.step_m / np.float32(mobility.max_step_m), out=demand)
     if mobility.max_roughness_m is not None:
         np.maximum(demand, maps.roughness_m / np.float32(mobility.max_roughness_m), out=demand)
-    return Traversability(terrain=terrain, maps=maps, mobility=mobility, demand=demand)
+    demand[within(keep_outs, terrain)] = np.inf
+    return Traversability(terrain=terrain, maps=maps, mobility=mobility, demand=demand, keep_outs=keep_outs)
 
 
 def travel_cost(demand: npt.NDArray[np.floating]) -> FloatMap:

@@ -13,6 +13,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.soil import Soil
+from lunarsci.twin.ground.height_errors import EXACT, GRAIN_NODES, HeightErrors
 from lunarsci.twin.lanes import CLIFF, FINISHED, GROUP, HOLE, LEFT, SANK, WHEEL
 
 # Column of `Soil.vector()` that holds each parameter.
@@ -37,7 +38,8 @@ class Grid(NamedTuple):
     """What the compiled formulas read of a terrain, at each node.
 
     `height` (ny, nx); `soil` (ny, nx, 8), or (1, 1, 8) where it is the same everywhere; `triangles` between nodes, or
-    a smooth surface.
+    a smooth surface. `common`, `level` and `grain` are those of `HeightErrors`, empty where heights are exact; `draws`
+    (rovers, modes + 2) is what each rover's ground is drawn by.
     """
 
     x0: float
@@ -46,6 +48,10 @@ class Grid(NamedTuple):
     height: FloatArray
     soil: FloatArray
     triangles: bool
+    common: npt.NDArray[np.float32]
+    level: npt.NDArray[np.float32]
+    grain: npt.NDArray[np.float32]
+    draws: FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -64,6 +70,7 @@ class Terrain:
         10.1109/TASSP.1981.1163711), whose gradient at a node is the central difference of its neighbours; beyond the
         edge heights go on linearly. `triangles` is two planes a cell, split from its lowest x and y to its highest,
         as in Ding et al. (2024); the wheels feel each edge.
+    errors : what is not known of the heights; None where they are taken as exact.
 
     Soil is bilinear in tan phi, moduli and stiffness. On a smooth surface a hole reaches one node further than the
     missing heights. Raises ParameterError for arrays that do not fit together.
@@ -77,6 +84,7 @@ class Terrain:
     soil: FloatArray
     synthetic: bool = False
     interpolation: str = "smooth"
+    errors: HeightErrors | None = None
 
     def __post_init__(self) -> None:
         shape = self.height_m.shape
@@ -130,8 +138,9 @@ class Terrain:
             soil[..., column] = value
         return dataclasses.replace(self, soil=soil)
 
-    def grid(self) -> Grid:
-        """The numbers that the compiled formulas take."""
+    def grid(self, draws: FloatArray | None = None) -> Grid:
+        """The numbers that the compiled formulas take; `draws` are those of `HeightErrors.draws`, one a rover."""
+        errors = EXACT if self.errors is None or draws is None else self.errors
         soil = self.soil if not (self.soil == self.soil[:1, :1]).all() else self.soil[:1, :1]
         return Grid(
             float(self.x0_m),
@@ -140,7 +149,17 @@ class Terrain:
             np.ascontiguousarray(self.height_m, dtype=float),
             np.ascontiguousarray(soil, dtype=float),
             self.interpolation == "triangles",
+            errors.common,
+            errors.level,
+            errors.grain,
+            np.zeros((1, 2)) if draws is None else draws,
         )
+
+    def drawn_heights(self, draw: FloatArray, rows: slice, columns: slice) -> FloatArray:
+        """Heights of a part of the ground that one member drives on. (rows, columns) [m]"""
+        result = np.array(self.height_m[rows, columns], dtype=float)
+        read_heights(self.grid(draw[None]), rows.start, columns.start, result)
+        return result
 
     def surface_at(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> FloatArray:
         """Height [m] and its gradient along x and y [-] below points, NaN outside the map and in holes. (..., 3)"""
@@ -172,15 +191,43 @@ def cubic_weights(a: float, first: bool, last: bool) -> Any:
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
-def surface_in(grid: Any, i: int, j: int, a: float, b: float) -> Any:
-    """Height and gradient at shares a (in x) and b (in y) of the cell between nodes [i, j] and [i + 1, j + 1]."""
-    h, spacing = grid.height, grid.spacing
+def height_of(grid: Any, lane: int, i: int, j: int) -> float:
+    """Height of a node on the ground of one rover. [m]"""
+    height = grid.height[i, j]
+    if grid.grain.shape[0] == 0:
+        return float(height)
+    modes, side = grid.common.shape[2], GRAIN_NODES - 1
+    for k in range(modes):
+        height += grid.draws[lane, k] * grid.common[i, j, k]
+    row, column = (i + int(grid.draws[lane, modes])) & side, (j + int(grid.draws[lane, modes + 1])) & side
+    below = int(grid.level[i, j])
+    share = grid.level[i, j] - below
+    fine, coarse = grid.grain[below, row, column], grid.grain[below + 1, row, column]
+    return float(height + (1.0 - share) * fine + share * coarse)
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def read_heights(grid: Any, row: int, column: int, result: Any) -> None:
+    """Heights of the ground of the first rover from a node on, into `result`. [m]"""
+    for i in range(result.shape[0]):
+        for j in range(result.shape[1]):
+            result[i, j] = height_of(grid, 0, row + i, column + j)
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def surface_in(grid: Any, i: int, j: int, a: float, b: float, lane: int = 0) -> Any:
+    """Height and gradient at shares a (in x) and b (in y) of the cell between nodes [i, j] and [i + 1, j + 1].
+
+    `lane` is the rover whose ground it is, where each has its own.
+    """
+    spacing = grid.spacing
     if grid.triangles:
-        near, far = h[i, j], h[i + 1, j + 1]
-        x = h[i, j + 1] - near if a >= b else far - h[i + 1, j]
-        y = far - h[i, j + 1] if a >= b else h[i + 1, j] - near
+        near, far = height_of(grid, lane, i, j), height_of(grid, lane, i + 1, j + 1)
+        aside, above = height_of(grid, lane, i, j + 1), height_of(grid, lane, i + 1, j)
+        x = aside - near if a >= b else far - above
+        y = far - aside if a >= b else above - near
         return near + a * x + b * y, x / spacing, y / spacing
-    ny, nx = h.shape
+    ny, nx = grid.height.shape
     along, slope_along = cubic_weights(a, j == 0, j == nx - 2)
     up, slope_up = cubic_weights(b, i == 0, i == ny - 2)
     height, slope_x, slope_y = 0.0, 0.0, 0.0
@@ -188,7 +235,7 @@ def surface_in(grid: Any, i: int, j: int, a: float, b: float) -> Any:
         row = min(max(i + k - 1, 0), ny - 1)
         value, slope = 0.0, 0.0
         for m in range(4):
-            node = h[row, min(max(j + m - 1, 0), nx - 1)]
+            node = height_of(grid, lane, row, min(max(j + m - 1, 0), nx - 1))
             value += along[m] * node
             slope += slope_along[m] * node
         height += up[k] * value
@@ -241,7 +288,7 @@ def read_ground(grid: Any, override: Any, wheel: Any, code: Any) -> None:
             continue
         j, i = min(int(column), nx - 2), min(int(row), ny - 2)
         a, b = column - j, row - i
-        height, slope_x, slope_y = surface_in(grid, i, j, a, b)
+        height, slope_x, slope_y = surface_in(grid, i, j, a, b, min(lane, grid.draws.shape[0] - 1))
         if not abs(height) + abs(slope_x) + abs(slope_y) < np.inf:
             code[lane] = HOLE
             height, slope_x, slope_y = 0.0, 0.0, 0.0

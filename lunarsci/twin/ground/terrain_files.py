@@ -6,7 +6,7 @@ Maps of a terrain as files: a NumPy archive, and a GeoTIFF with a band for each 
 import io
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from lunarsci.grids import ERROR_LAYERS, HeightGrid, geotiff_bytes, read_grid
 from lunarsci.regolith.soil import Soil
 from lunarsci.rovers import MadeFor
 from lunarsci.twin.ground.hazards import Traversability
+from lunarsci.twin.ground.height_errors import likely_ground
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, build_terrain, from_si
 
 
@@ -60,11 +61,30 @@ class TerrainFile:
     terrain : with a soil everywhere.
     carries : soil parameters that the file itself has; the others are of the soil that was laid under them.
     made_for : the rover in whose sight it was written, where the file says so.
+    errors : what an elevation model says of its errors, by layer; empty for other terrains. (ny, nx)
     """
 
     terrain: Terrain
     carries: tuple[str, ...] = ()
     made_for: MadeFor | None = None
+    errors: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    @property
+    def states_errors(self) -> bool:
+        """Whether it says how far its heights may be off."""
+        return "height_m_sigma" in self.errors
+
+    def likely(self, terrain: Terrain) -> Terrain:
+        """A terrain with these heights as they are likely to be, and with what is not known of them.
+
+        Unchanged where the file states no errors.
+        """
+        if not self.states_errors:
+            return terrain
+        layers = [self.errors.get(name, 0.0) for name in ("height_m_sigma", "resolution_m", "height_m_common_sigma")]
+        whole = [np.array(np.broadcast_to(layer, terrain.height_m.shape), dtype=float) for layer in layers]
+        height, errors = likely_ground(terrain.height_m, terrain.spacing_m, whole[0], whole[1], whole[2])
+        return replace(terrain, height_m=height, errors=errors)
 
 
 def read_terrain(path: str | Path, soil: Soil) -> Terrain:
@@ -75,14 +95,14 @@ def read_terrain(path: str | Path, soil: Soil) -> Terrain:
 def read_terrain_file(path: str | Path, soil: Soil) -> TerrainFile:
     """Read a terrain, by the ending of its file.
 
-    As `lunarsci.grids.read_grid` says; layers are the fields of `Soil` under their own names and units. `made_for` is
-    the JSON of a rover. Layers `PARAMETER_left_of_prior` of a soil map and the errors of an elevation model may be
+    As `lunarsci.grids.read_grid` says; layers are the fields of `Soil` under their own names and units, and the errors
+    of an elevation model. `made_for` is the JSON of a rover. Layers `PARAMETER_left_of_prior` of a soil map may be
     there, and are not read.
 
     Heights stand for the centres of cells. Parameters the file lacks come from `soil`. Raises DataError.
     """
-    unread = (*ERROR_LAYERS, *(f"{name}{LEFT}" for name in SOIL_COLUMNS))
-    grid = read_grid(path, tuple(SOIL_COLUMNS), unread)
+    unread = tuple(f"{name}{LEFT}" for name in SOIL_COLUMNS)
+    grid = read_grid(path, (*SOIL_COLUMNS, *ERROR_LAYERS), unread)
     try:
         return _read_terrain(grid, soil)
     except (TypeError, ValueError, MemoryError) as error:
@@ -93,15 +113,31 @@ def _read_terrain(grid: HeightGrid, soil: Soil) -> TerrainFile:
     place = (grid.name, grid.x0_m, grid.y0_m, grid.spacing_m)
     terrain = build_terrain(*place, grid.height_m, soil, synthetic=grid.synthetic)
     maker = None if grid.made_for is None else MadeFor.from_table(json.loads(grid.made_for))
-    return TerrainFile(terrain.with_soil(**grid.layers), tuple(grid.layers), maker)
+    soils = {name: values for name, values in grid.layers.items() if name in SOIL_COLUMNS}
+    errors = {name: _checked(name, values, grid) for name, values in grid.layers.items() if name not in soils}
+    return TerrainFile(terrain.with_soil(**soils), tuple(soils), maker, errors)
+
+
+def _checked(name: str, values: npt.NDArray[Any], grid: HeightGrid) -> FloatArray:
+    layer = np.asarray(values, dtype=float)
+    if layer.shape not in (grid.height_m.shape, ()):
+        raise DataError(f"{name} has shape {layer.shape}; give one number, or {grid.height_m.shape}")
+    if name != "height_by_disparity_m_px" and (layer[np.isfinite(layer)] < 0).any():
+        raise DataError(f"{name} is negative somewhere; give 0 or more, NaN where unknown")
+    return layer
 
 
 def terrain_bytes(
-    terrain: Terrain, *, sd_ratio: Mapping[str, FloatArray] | None = None, made_for: MadeFor | None = None
+    terrain: Terrain,
+    *,
+    sd_ratio: Mapping[str, FloatArray] | None = None,
+    made_for: MadeFor | None = None,
+    errors: Mapping[str, FloatArray] | None = None,
 ) -> bytes:
     """A terrain as the NumPy archive that `read_terrain` reads; `made_for` names the rover that it was looked at for.
 
-    `sd_ratio` (ny, nx) of each parameter, of a soil map, goes to layers `PARAMETER_left_of_prior`, for people.
+    `sd_ratio` (ny, nx) of each parameter, of a soil map, goes to layers `PARAMETER_left_of_prior`, for people; `errors`
+    are the layers of `TerrainFile`.
     """
     shape = terrain.height_m.shape if terrain.soil.shape[0] > 1 else ()
     layers = {name: from_si(name, terrain.soil[..., k]).reshape(shape) for name, k in SOIL_COLUMNS.items()}
@@ -113,6 +149,7 @@ def terrain_bytes(
         "synthetic": np.array(terrain.synthetic),
         **({} if made_for is None else {"made_for": np.array(made_for.to_json())}),
         **layers,
+        **{name: values.astype(np.float32) for name, values in (errors or {}).items()},
         **{f"{name}{LEFT}": values.astype(np.float32) for name, values in (sd_ratio or {}).items()},
     }
     archive = io.BytesIO()

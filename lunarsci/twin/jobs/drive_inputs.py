@@ -11,7 +11,9 @@ from lunarsci.provenance import sha256
 from lunarsci.regolith.belief import SoilBelief, read_belief
 from lunarsci.regolith.soil import known_soils, read_soil, soil_hash
 from lunarsci.rovers import RoverDescription, read_rover
+from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.ground.driven_soil import DrivenSoil, lay_soil_on, soil_record
+from lunarsci.twin.ground.keep_out import near_way, read_keep_outs
 from lunarsci.twin.ground.soil_map import SCHEMA as MAP_SCHEMA
 from lunarsci.twin.ground.soil_map import SoilMap, read_soil_map
 from lunarsci.twin.ground.synthetic import synthetic_longji
@@ -184,6 +186,8 @@ def read_drive_inputs(
     judged: bool = False,
     ruts: bool | None = None,
     before: "Source | Plan | None" = None,
+    terrain_errors: bool = False,
+    keep_out: Sequence[str] = (),
 ) -> DriveInputs:
     """Read plan, rover, terrain and soil, which may be a belief, a soil map or samples; `fixes` replaces the plan's.
 
@@ -191,7 +195,8 @@ def read_drive_inputs(
     one this is driven on, and where it has none, `longji`. Where soils are of no account (`soil_counts`) none is said
     to be used. The limits of a plan that is `judged` must be those of the rover, or no laxer. `before` is a plan that
     was driven on the same ground before, whose ruts are met. `ruts` that are None are met with such a plan, and where
-    the belief's last drive met them.
+    the belief's last drive met them. With `terrain_errors` the heights of a file that states their errors are as they
+    are likely to be, and what is not known of them comes with them. `keep_out` are files of ground to keep out of.
 
     Raises DataError for what cannot be read, RequestError for what does not belong together.
     """
@@ -202,9 +207,10 @@ def read_drive_inputs(
     if ruts is None:
         ruts = before is not None or (given.belief is not None and given.belief.ruts)
     file, surface, driven = _read_ground(terrain, given)
+    surface = file.likely(surface) if terrain_errors else surface
     inputs, tables = _soil_hashes(given, driven if soil_counts else None)
     drive, earlier = (_read_plan(one, inputs) for one in (plan, before))
-    drive = drive or read_plan()
+    drive = _kept_out(drive or read_plan(), built, keep_out, inputs)
     if terrain != SYNTHETIC:
         inputs[terrain] = read_input(terrain).sha256
     if fixes is not None and len(drive.legs) < 2:
@@ -238,6 +244,17 @@ def _read_plan(plan: "Source | Plan | None", inputs: dict[str, str]) -> Plan | N
     file = read_input(plan)
     inputs[file.name] = file.sha256
     return read_plan(file)
+
+
+def _kept_out(plan: Plan, rover: Rover, files: Sequence[str], inputs: dict[str, str]) -> Plan:
+    """The plan with the circles of keep-out files that its way comes near to; their hashes go to the `inputs`."""
+    for name in files:
+        file = read_input(name)
+        inputs[file.name] = file.sha256
+        zones = tuple(zone for zone in read_keep_outs(file) if zone not in plan.exclusion_zones)
+        near = near_way(zones, planned_places(plan, rover))
+        plan = replace(plan, exclusion_zones=plan.exclusion_zones + near)
+    return plan
 
 
 def _soil_option(soil: str | Sequence[str] | None, driven: DrivenSoil | None) -> dict[str, Any]:

@@ -66,6 +66,8 @@ def plan(
 def _path(
     asked: PlanRequest, site: SurveyedSite, surface: "Traversability", progress: Progress | None
 ) -> "PlannedPath":
+    from lunarsci.twin.assimilation.change_point import planned_places
+    from lunarsci.twin.ground.keep_out import near_way
     from lunarsci.twin.plans.plan import read_plan
     from lunarsci.twin.plans.rover_check import limits_of_rover
     from lunarsci.twin.routes.planner import plan_path
@@ -82,7 +84,8 @@ def _path(
         name=f"path to x {x:g} m, y {y:g} m on {site.terrain.name}",
         progress=progress,
     )
-    return replace(found, plan=replace(found.plan, made_for=site.made_for))
+    near = near_way(site.keep_outs, planned_places(found.plan, site.rover))
+    return replace(found, plan=replace(found.plan, made_for=site.made_for, exclusion_zones=near))
 
 
 def _numbers(option: str, place: Place, counts: tuple[int, ...]) -> tuple[float, ...]:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from lunarsci.twin.jobs.soils import Soils
     from lunarsci.twin.judgement.endpoint import EndpointSensitivity
     from lunarsci.twin.judgement.safety import Verdict
+    from lunarsci.twin.judgement.terrain_share import TerrainShares
     from lunarsci.twin.plans.plan import Plan
     from lunarsci.twin.simulation.ensemble import Prediction
 
@@ -65,10 +66,15 @@ class PredictRequest(DriveRequest):
     ----------
     ruts : whether wheels meet ruts; None as in the last drive of a belief, else no.
     before : a plan that was driven on the same ground before.
+    terrain_errors : whether each drive has a ground of its own, where the terrain's file says how far its heights may
+        be off.
+    keep_out : GeoJSON files of ground that no part of the rover may enter, as `images rocks` writes them.
     """
 
     ruts: bool | None = None
     before: str | None = None
+    terrain_errors: bool = True
+    keep_out: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -82,6 +88,8 @@ class PredictedDrives(Result):
     verdict : go or no-go, and why.
     sensitivity : what the end owes to each uncertain parameter; None where parameters go together.
     step_error_m : how far the time step puts ends off; None where that is not known. [m]
+    terrain_shares : part of the variance of ends, slip, tilt and sinkage that errors of the terrain make, by quantity;
+        None where its heights are exact. [-]
     """
 
     schema: ClassVar[str] = "twin-predict/1"
@@ -90,6 +98,7 @@ class PredictedDrives(Result):
     verdict: "Verdict"
     sensitivity: "list[EndpointSensitivity] | None" = None
     step_error_m: float | None = None
+    terrain_shares: "TerrainShares | None" = None
 
     @property
     def inputs(self) -> "DriveInputs":
@@ -127,6 +136,7 @@ class PredictedDrives(Result):
             "plan": prediction.plan.name,
             "loads": asdict(check_loads(prediction)),
             "physics": self._physics(),
+            "terrain_errors": None if self.terrain_shares is None else asdict(self.terrain_shares),
             "sweep": {name: {"low": values.min(), "high": values.max()} for name, values in swept},
             "soil": self.soils.record(),
             "sensitivity": None if self.sensitivity is None else [asdict(share) for share in self.sensitivity],
@@ -205,6 +215,8 @@ def predict(
         judged=True,
         ruts=asked.ruts,
         before=asked.before,
+        terrain_errors=asked.terrain_errors,
+        keep_out=asked.keep_out,
     )
     soils = Soils.of(inputs, asked.sweep or None, asked.members, asked.seed or 0)
     soils.warn_of_seed(asked.seed)
@@ -223,8 +235,10 @@ def _judged(soils: "Soils", prediction: "Prediction") -> PredictedDrives:
     """With what the twin's physics is off by, where the soils are of a belief or a map of beliefs."""
     from lunarsci.twin.judgement.endpoint import endpoint_sensitivity, step_error_m
     from lunarsci.twin.judgement.safety import judge
+    from lunarsci.twin.judgement.terrain_share import terrain_shares
     from lunarsci.twin.simulation.discrepancy import with_discrepancy
 
+    shares = terrain_shares(prediction)
     if soils.discrepancy is not None:
         prediction = with_discrepancy(prediction, soils.discrepancy, soils.seed)
     soils.warn_of_fit()
@@ -234,4 +248,5 @@ def _judged(soils: "Soils", prediction: "Prediction") -> PredictedDrives:
         verdict=judge(prediction, soils.inputs.plan),
         sensitivity=None if soils.kind in CORRELATED else endpoint_sensitivity(prediction),
         step_error_m=step_error_m(prediction),
+        terrain_shares=shares,
     )

@@ -88,8 +88,9 @@ class Soils:
     @property
     def drawn_by(self) -> int | None:
         """The seed, or None where it draws nothing."""
-        drawn = self.kind == "belief" or self.members is not None or self.inputs.plan.fixes is not None
-        return self.seed if drawn else None
+        inputs = self.inputs
+        drawn = self.kind == "belief" or self.members is not None or inputs.plan.fixes is not None
+        return self.seed if drawn or inputs.terrain.errors is not None else None
 
     def warn_of_seed(self, seed: int | None) -> None:
         """Say it where a seed that was given draws nothing."""

@@ -1,7 +1,7 @@
 """Maps of a terrain, and where a rover may drive."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import RequestError
@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from lunarsci.rovers import MadeFor, RoverDescription
     from lunarsci.twin.ground.driven_soil import DrivenSoil
     from lunarsci.twin.ground.hazards import Mobility, Traversability
+    from lunarsci.twin.ground.keep_out import Zones
     from lunarsci.twin.ground.terrain import Terrain
+    from lunarsci.twin.ground.terrain_files import TerrainFile
     from lunarsci.twin.plans.rover_check import RoverCheck
     from lunarsci.twin.routes.planner import PlannedPath
     from lunarsci.twin.rover import Rover
@@ -59,6 +61,7 @@ class TerrainRequest:
     max_slope, max_step, max_roughness : limits in place of the rover's. [deg], [m], [m]
     seed, spacing, rocks, roughness : of synthetic ground: seed, grid spacing [m], share of ground under rocks [-], rms
         height of waves of 0.4 to 4 m [m].
+    keep_out : GeoJSON files of ground that no part of the rover may enter, as `images rocks` writes them.
     extent, ground_slope, craters : of `synthetic` alone: side of the square [m], slope along x [deg], craters.
     """
 
@@ -75,6 +78,7 @@ class TerrainRequest:
     extent: float | None = None
     ground_slope: float | None = None
     craters: int | None = None
+    keep_out: tuple[str, ...] = ()
 
     def made(self, terrain: str) -> dict[str, Any]:
         """What the maker of synthetic ground is told. Raises RequestError for what another terrain has no use for."""
@@ -102,6 +106,8 @@ class SurveyedSite:
     made: Mapping[str, Any]
     driven: "DrivenSoil"
     check: "RoverCheck"
+    file: "TerrainFile"
+    keep_outs: "Zones" = ()
 
     @property
     def made_for(self) -> "MadeFor":
@@ -116,7 +122,14 @@ class SurveyedSite:
 
         own, wheel = map_scales(self.rover)
         maps = ground_maps(self.terrain, own if baseline_m is None else baseline_m, wheel, progress)
-        return assess(self.terrain, maps, self.mobility)
+        return assess(self.terrain, maps, self.mobility, self.keep_outs)
+
+    def content(self) -> bytes:
+        """The terrain with the heights and errors of its file, and the soil and the rover that it was looked at for."""
+        from lunarsci.twin.ground.terrain_files import terrain_bytes
+
+        as_read = replace(self.terrain, height_m=self.file.terrain.height_m)
+        return terrain_bytes(as_read, made_for=self.made_for, errors=self.file.errors)
 
     def about(self) -> dict[str, Any]:
         """Terrain, rover, soil and limits, for a result."""
@@ -175,13 +188,13 @@ class TerrainSurvey(Result):
     def files(self, *, geotiff: bool = False) -> dict[str, Callable[[], bytes]]:
         """Terrain, maps, and a path as plan and table: name to what makes the content."""
         from lunarsci.tables import csv_bytes
-        from lunarsci.twin.ground.terrain_files import maps_bytes, maps_geotiff, terrain_bytes
+        from lunarsci.twin.ground.terrain_files import maps_bytes, maps_geotiff
         from lunarsci.twin.plans.plan_files import plan_text
         from lunarsci.twin.routes.planner import path_table
 
         site, path = self.site, self.path
         found: dict[str, Callable[[], bytes]] = {
-            "terrain.npz": lambda: terrain_bytes(site.terrain, made_for=site.made_for),
+            "terrain.npz": site.content,
             "maps.npz": lambda: maps_bytes(self.surface),
         }
         if geotiff:
@@ -199,6 +212,10 @@ class TerrainSurvey(Result):
         notes = [UNSEEN, *site.check.remarks]
         if site.terrain.synthetic:
             notes.append("the terrain is synthetic; this says nothing about a real site")
+        if site.file.states_errors:
+            notes.append("heights have errors: looked at is the likely ground, without the roughness of errors")
+        if site.keep_outs:
+            notes.append(f"ground to keep out of counts as hazards: {len(site.keep_outs)} circles")
         if site.mobility.assumed:
             notes.append(f"assumed limits: {', '.join(site.mobility.assumed)}")
         if maps.baseline_m > 1.5 * map_scales(site.rover)[0]:
@@ -231,6 +248,7 @@ def read_site(terrain: str, asked: TerrainRequest, limits: Mapping[str, float | 
     from lunarsci.twin.ground import synthetic
     from lunarsci.twin.ground.driven_soil import lay_soil_on
     from lunarsci.twin.ground.hazards import read_mobility
+    from lunarsci.twin.ground.keep_out import read_keep_outs
     from lunarsci.twin.ground.terrain_files import TerrainFile, read_terrain_file
     from lunarsci.twin.jobs.drive_inputs import DEFAULT_SOIL
     from lunarsci.twin.plans.rover_check import RoverCheck
@@ -246,12 +264,14 @@ def read_site(terrain: str, asked: TerrainRequest, limits: Mapping[str, float | 
         inputs = {terrain: read_input(terrain).sha256}
         file = read_terrain_file(terrain, own_soil)
     laid, driven = lay_soil_on(file, terrain, own_soil, name, asked=asked.soil is not None)
+    fenced = {path: read_input(path) for path in asked.keep_out}
+    inputs |= {path: given.sha256 for path, given in fenced.items()}
     used, tables = ({}, {}) if driven.of == "terrain" and not driven.rest else soil_hash(name)
     check = RoverCheck(description, built, asked=True)
     check.terrain(file.made_for, terrain)
     check.soil(driven, terrain)
     return SurveyedSite(
-        terrain=laid,
+        terrain=file.likely(laid),
         rover=built,
         description=description,
         mobility=read_mobility(description, built).with_limits(**limits),
@@ -260,4 +280,6 @@ def read_site(terrain: str, asked: TerrainRequest, limits: Mapping[str, float | 
         made=made,
         driven=driven,
         check=check,
+        file=file,
+        keep_outs=tuple(zone for given in fenced.values() for zone in read_keep_outs(given)),
     )

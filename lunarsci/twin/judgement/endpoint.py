@@ -260,6 +260,7 @@ def step_error_m(prediction: Prediction) -> float | None:
             sample_m=float(prediction.time_s[1]) * plan.speed_m_s * (1 + 1e-9),
             ruts=prediction.ruts,
             before=prediction.before,
+            draws=None if prediction.draws is None else prediction.draws[member : member + 1],
         )
         for step in steps
     ]

@@ -1,6 +1,7 @@
 """Quantities of a drive against distance: clearance, distance from exclusion zones, those of chassis and wheels."""
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,13 +11,16 @@ from lunarsci.arrays import FloatArray
 from lunarsci.compiled import each_in_threads, in_lanes
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.footprint import rover_outline
-from lunarsci.twin.plans.plan import ExclusionZone
+from lunarsci.twin.ground.keep_out import ExclusionZone
+from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.rover import Body
 from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction
 
 MOST_POINTS = 1000
 """Of the grid on the belly; a finer terrain is met at wider points."""
 BLOCK = 4096
+BELLY_REACH_M = 3.0
+"""No point of a rover is farther from its origin; assumed. [m]"""
 
 
 def belly_points(body: Body, spacing_m: float) -> FloatArray:
@@ -68,21 +72,38 @@ def least_above(height: Any, x0: float, y0: float, spacing: float, points: Any, 
 
 
 def clearance_of_poses(prediction: Prediction, body: Body, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Clearance [m] and share of the belly over unknown ground [-] for poses with `PATH_COLUMNS`. (..., 6) to (...)"""
+    """Clearance [m] and share of the belly over unknown ground [-] for poses with `PATH_COLUMNS`.
+
+    Poses are (members, ..., 6), the results (members, ...). Every member is over its own ground.
+    """
     terrain = prediction.terrain
-    height = np.ascontiguousarray(terrain.height_m, dtype=float)
     points = belly_points(body, terrain.spacing_m)
+    shape, draws = poses.shape[:-1], prediction.draws
     flat = np.ascontiguousarray(poses.reshape(-1, 6))
     flat = np.concatenate([flat[:, :3], np.radians(flat[:, 3:])], axis=1)
     out = np.empty((len(flat), 2))
-    known = (height, float(terrain.x0_m), float(terrain.y0_m), float(terrain.spacing_m), points)
+    size = BLOCK if draws is None else len(flat) // len(draws)
 
     def block(number: int) -> None:
-        own = slice(number * BLOCK, (number + 1) * BLOCK)
-        least_above(*known, flat[own], out[own])
+        own = slice(number * size, (number + 1) * size)
+        ground = _ground_below(terrain, flat[own], None if draws is None else draws[number])
+        least_above(*ground, float(terrain.spacing_m), points, flat[own], out[own])
 
-    each_in_threads(block, math.ceil(len(flat) / BLOCK))
-    return out[:, 0].reshape(poses.shape[:-1]), out[:, 1].reshape(poses.shape[:-1])
+    each_in_threads(block, math.ceil(len(flat) / size))
+    return out[:, 0].reshape(shape), out[:, 1].reshape(shape)
+
+
+def _ground_below(terrain: Terrain, poses: FloatArray, draw: FloatArray | None) -> tuple[FloatArray, float, float]:
+    """Heights that poses may be over, and x and y of their first node: all of them, or those drawn about the poses."""
+    if draw is None:
+        return np.ascontiguousarray(terrain.height_m, dtype=float), float(terrain.x0_m), float(terrain.y0_m)
+    parts = []
+    for axis, places in ((terrain.y_m, poses[:, 1]), (terrain.x_m, poses[:, 0])):
+        first, last = np.searchsorted(axis, (places.min() - BELLY_REACH_M, places.max() + BELLY_REACH_M))
+        parts.append(slice(min(first, len(axis) - 2), max(last, 2)))
+    rows, columns = parts
+    heights = terrain.drawn_heights(draw, rows, columns)
+    return heights, float(terrain.x_m[columns.start]), float(terrain.y_m[rows.start])
 
 
 def clearance(prediction: Prediction) -> tuple[FloatArray, FloatArray]:
@@ -115,6 +136,44 @@ def exclusion_distance(prediction: Prediction, circles: tuple[ExclusionZone, ...
     for circle in prediction.plan.exclusion_zones if circles is None else circles:
         nearest = np.minimum(nearest, outline.distance_m(poses, circle.x_m, circle.y_m) - circle.radius_m)
     return nearest
+
+
+@dataclass(frozen=True, slots=True)
+class Encounter:
+    """Where drives come nearest to a circle to keep out of, or deepest into it.
+
+    Attributes
+    ----------
+    name, zone_x_m, zone_y_m, radius_m : the circle.
+    margin_m : distance of the rover's outline from it, negative inside.
+    x_m, y_m, distance_m, member : place of the rover's origin, how far the plan then is, and which drive it is.
+    entered_by : drives that enter this circle.
+    """
+
+    name: str
+    zone_x_m: float
+    zone_y_m: float
+    radius_m: float
+    margin_m: float
+    x_m: float
+    y_m: float
+    distance_m: float
+    member: int
+    entered_by: int
+
+
+def encounters(prediction: Prediction, most: int = 5) -> list[Encounter]:
+    """The circles of the plan that drives come nearest to, the worst first; no more than `most`, but all entered."""
+    found = []
+    for zone in prediction.plan.exclusion_zones:
+        away = np.where(prediction.reached, exclusion_distance(prediction, (zone,)), np.inf)
+        member, sample = np.unravel_index(int(away.argmin()), away.shape)
+        x, y = prediction.places_m[member, sample]
+        own = (zone.name, zone.x_m, zone.y_m, zone.radius_m, float(away[member, sample]))
+        entered = int((away < 0).any(axis=1).sum())
+        found.append(Encounter(*own, float(x), float(y), float(prediction.distance_m[sample]), int(member), entered))
+    found.sort(key=lambda one: one.margin_m)
+    return [one for k, one in enumerate(found) if k < most or one.margin_m < 0]
 
 
 def tilt_deg(roll_deg: npt.ArrayLike, pitch_deg: npt.ArrayLike) -> FloatArray:

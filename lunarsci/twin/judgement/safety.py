@@ -13,7 +13,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.twin.judgement.endpoint import Endpoint, endpoint_spread
-from lunarsci.twin.judgement.quantities import along, clearance
+from lunarsci.twin.judgement.quantities import Encounter, along, clearance, encounters
 from lunarsci.twin.lanes import HOLE, LEFT, OUTCOMES
 from lunarsci.twin.plans.plan import AT_LEAST, QUANTITIES, Limit, Plan
 from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST, VALID_SLIP
@@ -175,6 +175,7 @@ class Verdict:
     invalid_share : share of wheel states outside the wheel model's validity (|s| > 0.6, in the air, too deep).
     validity : the same by kind.
     worst : the worst member.
+    keep_outs : circles to keep out of that drives come nearest to, the worst first.
     """
 
     verdict: Literal["go", "no-go"]
@@ -186,6 +187,7 @@ class Verdict:
     invalid_share: float
     validity: Validity
     worst: Worst
+    keep_outs: tuple[Encounter, ...] = ()
 
 
 def extremes(prediction: Prediction, quantity: str) -> FloatArray:
@@ -223,6 +225,8 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
     }
     reasons = [f"{n} of {prediction.members} members: {text}" for text, n in outcomes.items() if text != OUTCOMES[0]]
     reasons += [_reason(j) for j in judged if not j.ok]
+    near = tuple(encounters(prediction))
+    reasons += [_crossed(one, prediction.members) for one in near if one.margin_m < 0]
     found = validity(prediction)
     return Verdict(
         verdict="no-go" if reasons else "go",
@@ -234,6 +238,7 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
         invalid_share=found.invalid_share,
         validity=found,
         worst=_worst(prediction, judged),
+        keep_outs=near,
     )
 
 
@@ -281,6 +286,14 @@ def _reason(judgement: Judgement) -> str:
     if judgement.sense == "at least":
         return f"{judgement.quantity}: p05 {judgement.p05:.3g} is less than the limit {judgement.limit:g}"
     return f"{judgement.quantity}: p95 {judgement.p95:.3g} exceeds the limit {judgement.limit:g}"
+
+
+def _crossed(one: Encounter, members: int) -> str:
+    place = f"x {one.x_m:.2f} m, y {one.y_m:.2f} m"
+    return (
+        f"'{one.name}' at x {one.zone_x_m:.2f} m, y {one.zone_y_m:.2f} m is entered by {one.entered_by} of {members} "
+        f"drives, by {-one.margin_m:.3f} m after {one.distance_m:.1f} m of the way ({place})"
+    )
 
 
 def _worst(prediction: Prediction, judged: tuple[Judgement, ...]) -> Worst:

@@ -10,6 +10,7 @@ from typing import Any, Literal
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import Source, read_input
 from lunarsci.rovers import MadeFor
+from lunarsci.twin.ground.keep_out import ExclusionZone
 from lunarsci.twin.ground.terrain import soil_override
 from lunarsci.twin.rover import Rover
 
@@ -105,22 +106,6 @@ class Limit:
     def sense(self) -> Literal["at most", "at least"]:
         """Whether values up to the limit are safe, or values from it on."""
         return "at least" if self.quantity in AT_LEAST else "at most"
-
-
-@dataclass(frozen=True, slots=True)
-class ExclusionZone:
-    """A circle that no part of the rover may enter: name, centre [m] and radius > 0 [m]. Raises ParameterError."""
-
-    name: str
-    x_m: float
-    y_m: float
-    radius_m: float
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.x_m) and math.isfinite(self.y_m)):
-            raise ParameterError(f"keep_out '{self.name}' needs finite x_m and y_m")
-        if not 0 < self.radius_m < math.inf:
-            raise ParameterError(f"keep_out '{self.name}' has radius_m {self.radius_m}; give a radius above 0 m")
 
 
 @dataclass(frozen=True, slots=True)

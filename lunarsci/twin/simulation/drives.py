@@ -11,7 +11,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.blocks import run_blocks, shared_out
 from lunarsci.kept_blocks import spans
-from lunarsci.twin.ground.terrain import STEEPEST, Terrain
+from lunarsci.twin.ground.terrain import STEEPEST, Grid, Terrain
 from lunarsci.twin.lanes import CLIFF, DIVERGED, FINISHED, GROUP, new_work
 from lunarsci.twin.plans.path import Commands
 from lunarsci.twin.simulation.members import MOST_STEPS, DriveSetup, drive_group
@@ -36,12 +36,12 @@ class MemberDrives:
         return MemberDrives, (self.scene, self.overrides, self.samples)
 
     @cached_property
-    def shared(self) -> tuple[Any, RutGrid | None, list[tuple[DriveSetup, Commands | None, FloatArray]]]:
+    def shared(self) -> tuple[Grid, RutGrid | None, list[tuple[DriveSetup, Commands | None, FloatArray]]]:
         """What all groups have: ground, ruts, and commands and errors of fixes of each drive."""
         scene, count = self.scene, len(self.overrides)
         parts = [part for part in (scene.earlier, scene) if part is not None]
         drives = [(part, part.commands(), part.fix_errors(count)) for part in parts]
-        return scene.terrain.grid(), scene.rut_grid(), drives
+        return scene.terrain.grid(scene.draws), scene.rut_grid(), drives
 
     @property
     def together(self) -> int:
@@ -56,7 +56,9 @@ class MemberDrives:
         for first in range(block.start, block.stop, self.together):
             own = slice(first - block.start, min(first + self.together, block.stop) - block.start)
             lanes = np.minimum(np.arange(first, first + GROUP), block.start + own.stop - 1)
-            grid = shared if scene.grounds is None else scene.grounds.terrain(int(numbers[first])).grid()
+            grid = shared if scene.grounds is None else scene.grounds.terrain(int(numbers[first])).grid(scene.draws)
+            if scene.draws is not None:
+                grid = grid._replace(draws=scene.draws[numbers[lanes]])
             known = (scene.rover.vector(), scene.rover.wheel.vector(), grid, self.overrides[lanes])
             work = new_work(len(scene.rover.wheels))
             work = work if ruts is None else with_ruts(work, ruts)

@@ -64,6 +64,7 @@ class Prediction:
     before : the plan that each member had driven on the same ground before, whose ruts it met.
     finer : how many times shorter the step was with which each member was driven; more than 1 where `time_step_s` did
         not hold its soil. (members,)
+    draws : what the ground of each member was drawn by, `HeightErrors.draws`; None where heights are exact.
     discrepancy : what members were moved by, as the twin's physics is off; None where that was not asked. Their states
         hold it, their paths do not: see `places_m`.
     """
@@ -86,6 +87,7 @@ class Prediction:
     ruts: bool = False
     before: Plan | None = None
     finer: IntArray | None = None
+    draws: FloatArray | None = None
     discrepancy: DrawnDiscrepancy | None = None
 
     @property
@@ -183,9 +185,10 @@ def predict(
     sample_m: float = 0.1,
     ruts: bool = False,
     before: Plan | None = None,
+    draws: FloatArray | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Prediction:
-    """Drive the plan once for each soil of the ensemble.
+    """Drive the plan once for each soil of the ensemble, each on ground of its own where heights have errors.
 
     Parameters
     ----------
@@ -203,6 +206,7 @@ def predict(
         forces or soils of states takes every wheel's ground as undisturbed.
     before : a plan that each member has driven on the same ground before, so that it meets those ruts too. Where that
         drive did not end, this one has its outcome.
+    draws : what the ground of each member is drawn by, instead of the terrain's own `HeightErrors.draws` by the seed.
     progress : called with members done and members in all, after each of them.
 
     Raises
@@ -222,7 +226,9 @@ def predict(
     schedule = make_schedule(plan, rover)
     times, every = _steps(schedule, count, time_step_s, sample_m)
     overrides = soil_overrides(parameters if grounds is None else {}, count)
-    scene = DriveSetup(rover, terrain, schedule, times, every, seed, grounds, ruts)
+    if draws is None and terrain.errors is not None:
+        draws = terrain.errors.draws(count, seed)
+    scene = DriveSetup(rover, terrain, schedule, times, every, seed, grounds, ruts, draws=draws)
     scene = scene if before is None else scene.after(before, time_step_s)
     paths, states, results = drive_all(scene, overrides, len(times[::every]), progress)
     finer = drive_finer(scene, overrides, (paths, states, results))
@@ -247,6 +253,7 @@ def predict(
         ruts=ruts,
         before=before,
         finer=finer,
+        draws=draws,
     )
 
 

@@ -204,7 +204,8 @@ class DriveSetup:
     """What all members share: who drives where, when, and at which times it is stepped; or the ground of each.
 
     With `ruts` wheels meet those of others, and of the scene that was driven `earlier`. `only` are the numbers of the
-    members, where it is not all of them.
+    members, where it is not all of them. `draws` are what the ground of each of all members is drawn by, where heights
+    have errors.
     """
 
     rover: Rover
@@ -217,6 +218,7 @@ class DriveSetup:
     ruts: bool = False
     earlier: "DriveSetup | None" = None
     only: IntArray | None = None
+    draws: FloatArray | None = None
 
     @property
     def time_step_s(self) -> float:

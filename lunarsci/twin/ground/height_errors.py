@@ -1,0 +1,224 @@
+"""What is not known of the heights of an elevation model, and grounds that agree with it.
+
+The ground is taken as a Gaussian process whose differences over a distance l have the variance c l^(2 H), as those of
+fractal ground do (Turcotte 1997, 10.1017/CBO9781139174695, ch. 7); c and H are those of the model's own heights, less
+what its random errors add. Random errors hang together over the width of the matching window. Then the ground that is
+likely is the model filtered by P / (P + E), with the power spectra P of the ground and E of the errors (Wiener 1949),
+and what is left open has the spectrum P E / (P + E): errors at long waves, where the model knows the ground well, and
+the ground itself at short ones, where it does not (Rasmussen & Williams 2006, ch. 2, eq. 2.25-2.26, on a torus).
+
+As errors grow with distance this is done for some sizes of them, and blended from node to node. Errors that nodes share
+are a height and two tilts of the size that the model states.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.errors import ParameterError
+
+GRAIN_NODES = 512
+"""Side of the square of grain, a power of two; beyond it the same grain begins anew."""
+RATIO, MOST_GRAINS = 1.5, 8
+"""Between sizes of errors for which grounds are made, and how many there are at most."""
+WINDOW_SIGMA = 0.425
+"""Standard deviation of the Gaussian whose half width is that of the correlation of means over windows, in windows."""
+WHITE_SHARE = 0.05
+"""Of the variance of random errors that is each node's own; assumed."""
+HURST = (0.3, 0.95)
+"""Range of the exponent H; real ground has 0.5 to 0.9 (Turcotte 1997)."""
+LONGEST_LAG_M = 1.0
+"""Over which differences of heights are looked at; longer ones are craters. [m]"""
+SAMPLED = 200_000
+"""Pairs of nodes that are looked at for each distance."""
+MARGIN = 64
+"""Nodes about the model that its filter sees, mirrored."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class HeightErrors:
+    """What is not known of the heights of a terrain.
+
+    Attributes
+    ----------
+    common : errors that nodes share, by independent modes of one standard deviation each. (ny, nx, modes) [m]
+    level : which grain a node has; 2.3 is 0.7 of grain 2 and 0.3 of grain 3. (ny, nx)
+    grain : fields without a place, from the smallest error to the largest. (grains, 512, 512) [m]
+
+    A drawn ground is the terrain's heights, the modes times standard normal numbers, and grain from an offset.
+    """
+
+    common: npt.NDArray[np.float32]
+    level: npt.NDArray[np.float32]
+    grain: npt.NDArray[np.float32]
+
+    def draws(self, members: int, seed: int) -> FloatArray:
+        """What the ground of each member is drawn by: numbers of the modes, and two offsets. (members, modes + 2)"""
+        random = np.random.default_rng([seed, 23])
+        modes = random.standard_normal((members, self.common.shape[2]))
+        return np.hstack([modes, random.integers(GRAIN_NODES, size=(members, 2)).astype(float)])
+
+
+EXACT = HeightErrors(
+    common=np.zeros((1, 1, 0), np.float32), level=np.zeros((1, 1), np.float32), grain=np.zeros((0, 1, 1), np.float32)
+)
+
+
+class Relief(NamedTuple):
+    """Variance of the difference of two heights a metre apart [m2], and the exponent H: c l^(2 H)."""
+
+    at_one_m: float
+    hurst: float
+
+
+def likely_ground(
+    height_m: FloatArray,
+    spacing_m: float,
+    random_m: FloatArray,
+    window_m: FloatArray,
+    common_m: FloatArray,
+    seed: int = 0,
+) -> tuple[FloatArray, HeightErrors]:
+    """The mean of all grounds that agree with an elevation model, and what each of them adds to it.
+
+    Parameters
+    ----------
+    height_m : heights, NaN where unknown. (ny, nx) [m]
+    spacing_m : of the nodes. [m]
+    random_m, common_m : standard deviations of the heights' errors: those of each node, and shared ones. (ny, nx) [m]
+    window_m : width over which random errors hang together, 0 for none. (ny, nx) [m]
+    seed : of the grain.
+
+    Errors that are unknown at a node are those of the next one where they are known. Holes stay holes. Raises
+    ParameterError where nothing is known of the random errors, or all are 0.
+    """
+    known = np.isfinite(height_m)
+    if not (random_m[known] > 0).any():
+        raise ParameterError("the model states no random error above 0 m")
+    sigma, window = (_everywhere(values, known & (random_m > 0)) for values in (random_m, window_m))
+    relief = relief_of(height_m, spacing_m, sigma, window)
+    sizes = _sizes(sigma[known])
+    nearest = np.abs(np.log(sigma[known])[:, None] - np.log(sizes)).argmin(axis=1)
+    widths = [float(np.median(window[known][nearest == k])) if (nearest == k).any() else 0.0 for k in range(len(sizes))]
+    level = np.interp(np.log(sigma), np.log(sizes), np.arange(len(sizes)))
+    level = np.minimum(level, len(sizes) - 1 - 1e-4)
+    filled = np.pad(_everywhere(height_m, known), MARGIN, mode="reflect", reflect_type="odd")
+    mean, grain = np.zeros(height_m.shape), np.empty((len(sizes), GRAIN_NODES, GRAIN_NODES), dtype=np.float32)
+    white = np.fft.fft2(np.random.default_rng([seed, 29]).standard_normal((GRAIN_NODES, GRAIN_NODES)))
+    for k, (size, width) in enumerate(zip(sizes, widths, strict=True)):
+        share = np.clip(1.0 - np.abs(level - k), 0.0, None)
+        mean += share * _filtered(filled, spacing_m, relief, size, width)[MARGIN:-MARGIN, MARGIN:-MARGIN]
+        ground, error = _spectra((GRAIN_NODES, GRAIN_NODES), spacing_m, relief, size, width)
+        grain[k] = np.fft.ifft2(np.sqrt(ground * error / (ground + error)) * white).real
+    common = _common_modes(_everywhere(np.nan_to_num(common_m), known), known)
+    return np.where(known, mean, np.nan), HeightErrors(common=common, level=level.astype(np.float32), grain=grain)
+
+
+def relief_of(height_m: FloatArray, spacing_m: float, sigma_m: FloatArray, window_m: FloatArray) -> Relief:
+    """How rough the ground is, from differences of heights less what random errors add to them.
+
+    Of squares their median counts, so that rocks do not stand for the ground, over the half of the nodes with the
+    smaller errors. Arguments as in `likely_ground`, errors known everywhere.
+    """
+    known = np.isfinite(height_m)
+    good = known & (sigma_m <= np.median(sigma_m[known]))
+    level = np.where(good, height_m - _plane(height_m, good), np.nan)
+    size, width = float(np.sqrt(np.mean(sigma_m[good] ** 2))), float(np.median(window_m[good]))
+    longest = min(LONGEST_LAG_M / spacing_m, 0.25 * max(height_m.shape))
+    lags = np.unique(np.rint(np.geomspace(1, max(longest, 2.0), 12)).astype(int))
+    squares = np.array([_median_square(level, lag) for lag in lags])
+    away = lags * spacing_m
+    left = squares - 2.0 * size**2 * (1.0 - _alike(away, width))
+    # Where errors are most of a difference it tells nothing of the ground.
+    told = left > 0.5 * squares
+    if told.sum() < 3:
+        told = np.isfinite(squares) & (lags >= lags[-1] / 2)
+        left = np.maximum(left, 0.1 * squares)
+    slope = np.polyfit(np.log(away[told]), np.log(left[told]), 1)[0] if told.sum() > 1 else 2.0 * np.mean(HURST)
+    hurst = float(np.clip(0.5 * slope, *HURST))
+    return Relief(float(np.exp(np.mean(np.log(left[told]) - 2.0 * hurst * np.log(away[told])))), hurst)
+
+
+def _plane(height: FloatArray, good: BoolArray) -> FloatArray:
+    y, x = np.indices(height.shape, dtype=float)
+    columns = np.column_stack([np.ones(int(good.sum())), x[good], y[good]])
+    a, b, c = np.linalg.lstsq(columns, height[good], rcond=None)[0]
+    return np.asarray(a + b * x + c * y)
+
+
+def _median_square(height: FloatArray, lag: int) -> float:
+    """Median of the squared differences along x and y, as a variance of a normal law; NaN without pairs. [m2]"""
+    apart = [height[:, lag:] - height[:, :-lag], height[lag:] - height[:-lag]]
+    found = np.concatenate([d[np.isfinite(d)] for d in apart])
+    found = found[:: max(1, found.size // SAMPLED)]
+    return float(np.median(found**2)) / 0.4549 if found.size > 10 else math.nan
+
+
+def _alike(away_m: FloatArray, width_m: float) -> FloatArray:
+    """Correlation of the random errors of two nodes. [-]"""
+    near = WINDOW_SIGMA * width_m
+    smooth = np.exp(-0.5 * (away_m / near) ** 2) if near > 0 else np.zeros_like(away_m)
+    return np.asarray((1.0 - WHITE_SHARE) * smooth)
+
+
+def _sizes(sigma: FloatArray) -> FloatArray:
+    """Sizes of errors for which grounds are made, two or more, ascending. [m]"""
+    low, high = np.quantile(sigma, (0.01, 0.995))
+    high = max(high, 1.01 * low)
+    count = min(MOST_GRAINS, 2 + int(math.log(high / low) / math.log(RATIO)))
+    return np.geomspace(low, high, count)
+
+
+def _spectra(
+    shape: tuple[int, int], spacing: float, relief: Relief, size: float, width: float
+) -> tuple[FloatArray, FloatArray]:
+    """Power of the ground and of the errors at each wave of a torus; their means over the waves are variances. [m2]"""
+    k = np.hypot(np.fft.fftfreq(shape[0], spacing)[:, None], np.fft.fftfreq(shape[1], spacing))
+    shortest = 1.0 / (spacing * max(shape))
+    ground = np.maximum(k, 0.5 * shortest) ** (-2.0 * relief.hurst - 2.0) * _power(relief, spacing)
+    near = WINDOW_SIGMA * width
+    smooth = np.exp(-2.0 * (math.pi * near * k) ** 2)
+    white = 1.0 if near < 0.5 * spacing else WHITE_SHARE
+    error = size**2 * (white + (1.0 - white) * smooth / smooth.mean())
+    return ground, error
+
+
+def _power(relief: Relief, spacing: float) -> float:
+    """Factor of k^(-2 H - 2) that gives the stated differences: c = 2 A' times an integral, in closed form.
+
+    With A k^-(2H+2) as density over the plane of waves, 2 * int A k^-(2H+2) (1 - J0(2 pi k l)) d2k = c l^2H, and the
+    integral is 2 pi (2 pi)^(2H) Gamma(1 - H) / (2^(2H+1) H Gamma(1 + H)). [m2]
+    """
+    h = relief.hurst
+    integral = (2 * math.pi) ** (2 * h + 1) * math.gamma(1 - h) / (2 ** (2 * h + 1) * h * math.gamma(1 + h))
+    return float(relief.at_one_m / (2.0 * integral) / spacing**2)
+
+
+def _filtered(height: FloatArray, spacing: float, relief: Relief, size: float, width: float) -> FloatArray:
+    ground, error = _spectra(height.shape, spacing, relief, size, width)
+    passed = ground / (ground + error)
+    passed[0, 0] = 1.0
+    return np.asarray(np.fft.ifft2(passed * np.fft.fft2(height)).real)
+
+
+def _everywhere(values: FloatArray, known: BoolArray) -> FloatArray:
+    """Values, and where they are not known that of the next node where they are."""
+    from scipy.ndimage import distance_transform_edt
+
+    if known.all():
+        return values
+    nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    return np.asarray(values[tuple(nearest)])
+
+
+def _common_modes(size: FloatArray, known: BoolArray) -> npt.NDArray[np.float32]:
+    """A height and two tilts across the known ground, of the stated size at every node. (ny, nx, 3) [m]"""
+    rows, columns = np.indices(size.shape, dtype=float)
+    half = 0.5 * max(np.ptp(rows[known]), np.ptp(columns[known]), 1.0)
+    ones = np.ones(size.shape)
+    modes = np.stack([ones, (columns - columns[known].mean()) / half, (rows - rows[known].mean()) / half], axis=-1)
+    return np.asarray(size[..., None] * modes / np.linalg.norm(modes, axis=-1, keepdims=True), dtype=np.float32)
