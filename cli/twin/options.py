@@ -29,7 +29,7 @@ RUTS = option(
 BEFORE = option("A plan that was driven on the same ground before; its ruts are met, too.", metavar="PLAN")
 TERRAIN_ERRORS = option(
     "Whether each drive has a ground of its own, drawn from what an elevation model of `images dem` or `images merge` "
-    "says of its errors; without, heights are taken as they are in the file.",
+    "says of its errors; without, all drive on the ground that is likeliest.",
     "--terrain-errors/--no-terrain-errors",
 )
 KEEP_OUT = option(

@@ -7,7 +7,8 @@ likely is the model filtered by P / (P + E), with the power spectra P of the gro
 and what is left open has the spectrum P E / (P + E): errors at long waves, where the model knows the ground well, and
 the ground itself at short ones, where it does not (Rasmussen & Williams 2006, ch. 2, eq. 2.25-2.26, on a torus).
 
-As errors grow with distance this is done for some sizes of them, and blended from node to node. Errors that nodes share
+A wheel meets the mean of the ground below it, not every grain: likely grounds and what is left open are means over its
+width. As errors grow with distance all this is done for some sizes of them, and blended from node to node. Errors that nodes share
 are a height and two tilts of the size that the model states.
 """
 
@@ -81,6 +82,7 @@ def likely_ground(
     random_m: FloatArray,
     window_m: FloatArray,
     common_m: FloatArray,
+    footprint_m: float = 0.0,
     seed: int = 0,
 ) -> tuple[FloatArray, HeightErrors]:
     """The mean of all grounds that agree with an elevation model, and what each of them adds to it.
@@ -91,6 +93,7 @@ def likely_ground(
     spacing_m : of the nodes. [m]
     random_m, common_m : standard deviations of the heights' errors: those of each node, and shared ones. (ny, nx) [m]
     window_m : width over which random errors hang together, 0 for none. (ny, nx) [m]
+    footprint_m : width over which the ground is averaged, that of a wheel; 0 for heights of points. [m]
     seed : of the grain.
 
     Errors that are unknown at a node are those of the next one where they are known. Holes stay holes. Raises
@@ -107,13 +110,18 @@ def likely_ground(
     level = np.interp(np.log(sigma), np.log(sizes), np.arange(len(sizes)))
     level = np.minimum(level, len(sizes) - 1 - 1e-4)
     filled = np.pad(_everywhere(height_m, known), MARGIN, mode="reflect", reflect_type="odd")
+    middle = float(filled.mean())
     mean, grain = np.zeros(height_m.shape), np.empty((len(sizes), GRAIN_NODES, GRAIN_NODES), dtype=np.float32)
     white = np.fft.fft2(np.random.default_rng([seed, 29]).standard_normal((GRAIN_NODES, GRAIN_NODES)))
     for k, (size, width) in enumerate(zip(sizes, widths, strict=True)):
         share = np.clip(1.0 - np.abs(level - k), 0.0, None)
-        mean += share * _filtered(filled, spacing_m, relief, size, width)[MARGIN:-MARGIN, MARGIN:-MARGIN]
-        ground, error = _spectra((GRAIN_NODES, GRAIN_NODES), spacing_m, relief, size, width)
-        grain[k] = np.fft.ifft2(np.sqrt(ground * error / (ground + error)) * white).real
+        ground, error = _spectra(filled.shape, spacing_m, relief, size, width)
+        passed = ground / (ground + error) * _mean_over(footprint_m, spacing_m, filled.shape)
+        smooth = np.fft.ifft2(passed * np.fft.fft2(filled - middle)).real + middle
+        mean += share * smooth[MARGIN:-MARGIN, MARGIN:-MARGIN]
+        ground, error = _spectra(white.shape, spacing_m, relief, size, width)
+        left = np.sqrt(ground * error / (ground + error)) * _mean_over(footprint_m, spacing_m, white.shape)
+        grain[k] = np.fft.ifft2(left * white).real
     common = _common_modes(_everywhere(np.nan_to_num(common_m), known), known)
     return np.where(known, mean, np.nan), HeightErrors(common=common, level=level.astype(np.float32), grain=grain)
 
@@ -174,7 +182,7 @@ def _sizes(sigma: FloatArray) -> FloatArray:
 
 
 def _spectra(
-    shape: tuple[int, int], spacing: float, relief: Relief, size: float, width: float
+    shape: tuple[int, ...], spacing: float, relief: Relief, size: float, width: float
 ) -> tuple[FloatArray, FloatArray]:
     """Power of the ground and of the errors at each wave of a torus; their means over the waves are variances. [m2]"""
     k = np.hypot(np.fft.fftfreq(shape[0], spacing)[:, None], np.fft.fftfreq(shape[1], spacing))
@@ -198,11 +206,10 @@ def _power(relief: Relief, spacing: float) -> float:
     return float(relief.at_one_m / (2.0 * integral) / spacing**2)
 
 
-def _filtered(height: FloatArray, spacing: float, relief: Relief, size: float, width: float) -> FloatArray:
-    ground, error = _spectra(height.shape, spacing, relief, size, width)
-    passed = ground / (ground + error)
-    passed[0, 0] = 1.0
-    return np.asarray(np.fft.ifft2(passed * np.fft.fft2(height)).real)
+def _mean_over(width: float, spacing: float, shape: tuple[int, ...]) -> FloatArray:
+    """What a mean over a square of this width leaves of each wave of a torus. [-]"""
+    along, across = (np.sinc(width * np.fft.fftfreq(n, spacing)) for n in shape)
+    return np.asarray(along[:, None] * across)
 
 
 def _everywhere(values: FloatArray, known: BoolArray) -> FloatArray:

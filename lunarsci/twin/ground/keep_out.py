@@ -66,7 +66,9 @@ def _zones_of(feature: Any, number: int) -> Iterator[ExclusionZone]:
             yield ExclusionZone(name, *(float(own[key]) for key in ("x_m", "y_m", "keepout_m")))
         elif shape["type"] == "Point":
             x, y = shape["coordinates"][:2]
-            yield ExclusionZone(name, float(x), float(y), float(own["keepout_m"] if "keepout_m" in own else own["radius_m"]))
+            yield ExclusionZone(
+                name, float(x), float(y), float(own["keepout_m"] if "keepout_m" in own else own["radius_m"])
+            )
         elif shape["type"] in ("Polygon", "MultiPolygon"):
             for part in [shape["coordinates"]] if shape["type"] == "Polygon" else shape["coordinates"]:
                 yield from _covering(name, np.array(part[0], dtype=float)[:, :2])

@@ -74,16 +74,16 @@ class TerrainFile:
         """Whether it says how far its heights may be off."""
         return "height_m_sigma" in self.errors
 
-    def likely(self, terrain: Terrain) -> Terrain:
+    def likely(self, terrain: Terrain, footprint_m: float = 0.0) -> Terrain:
         """A terrain with these heights as they are likely to be, and with what is not known of them.
 
-        Unchanged where the file states no errors.
+        `footprint_m` is the width over which a wheel takes their mean. Unchanged where the file states no errors.
         """
         if not self.states_errors:
             return terrain
         layers = [self.errors.get(name, 0.0) for name in ("height_m_sigma", "resolution_m", "height_m_common_sigma")]
         whole = [np.array(np.broadcast_to(layer, terrain.height_m.shape), dtype=float) for layer in layers]
-        height, errors = likely_ground(terrain.height_m, terrain.spacing_m, whole[0], whole[1], whole[2])
+        height, errors = likely_ground(terrain.height_m, terrain.spacing_m, whole[0], whole[1], whole[2], footprint_m)
         return replace(terrain, height_m=height, errors=errors)
 
 

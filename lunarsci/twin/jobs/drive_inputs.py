@@ -195,8 +195,8 @@ def read_drive_inputs(
     one this is driven on, and where it has none, `longji`. Where soils are of no account (`soil_counts`) none is said
     to be used. The limits of a plan that is `judged` must be those of the rover, or no laxer. `before` is a plan that
     was driven on the same ground before, whose ruts are met. `ruts` that are None are met with such a plan, and where
-    the belief's last drive met them. With `terrain_errors` the heights of a file that states their errors are as they
-    are likely to be, and what is not known of them comes with them. `keep_out` are files of ground to keep out of.
+    the belief's last drive met them. Heights of a file that states their errors are as they are likely to be; with
+    `terrain_errors` what is not known of them comes with them. `keep_out` are files of ground to keep out of.
 
     Raises DataError for what cannot be read, RequestError for what does not belong together.
     """
@@ -207,7 +207,8 @@ def read_drive_inputs(
     if ruts is None:
         ruts = before is not None or (given.belief is not None and given.belief.ruts)
     file, surface, driven = _read_ground(terrain, given)
-    surface = file.likely(surface) if terrain_errors else surface
+    surface = file.likely(surface, built.wheel.width_m)
+    surface = surface if terrain_errors else replace(surface, errors=None)
     inputs, tables = _soil_hashes(given, driven if soil_counts else None)
     drive, earlier = (_read_plan(one, inputs) for one in (plan, before))
     drive = _kept_out(drive or read_plan(), built, keep_out, inputs)
