@@ -1,10 +1,11 @@
-"""Do drives over drawn terrains hold the true drive? `python tests/benchmarks/drawn_terrain.py [--cases N] [--members N]`.
+"""Do drives over drawn terrains hold the true one? `python tests/benchmarks/drawn_terrain.py [--cases N] [--members N]`
 
 A true ground is made up here (fractal, with craters), and an elevation model of it as stereo cameras at one place would
 make it: random errors that grow with the square of the range and hang together over a window, and an error of the rig,
 a bias of the disparity, which all heights share. The true drive is on the true ground, the prediction knows the model
-and the sizes of its errors. Both drives take the mean of the ground over a wheel's width. The soil is known, so that all spread is terrain. SYNTHETIC; nothing of `lunarsci.images`
-makes the model, and nothing of `lunarsci.twin.ground.height_errors` the ground.
+and the sizes of its errors. Both drives take the mean of the ground over a wheel's width. The soil is known, so that
+all spread is terrain. SYNTHETIC; nothing of `lunarsci.images` makes the model, and nothing of
+`lunarsci.twin.ground.height_errors` the ground.
 """
 
 import argparse

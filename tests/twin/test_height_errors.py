@@ -93,10 +93,10 @@ def test_compiled_heights_are_the_sum_of_mean_modes_and_grain() -> None:
     for lane, i, j in ((0, 0, 0), (1, 39, 49), (2, 17, 23)):
         row, column = (int(draws[lane, -2]) + i) % GRAIN_NODES, (int(draws[lane, -1]) + j) % GRAIN_NODES
         below, share = divmod(float(errors.level[i, j]), 1)
-        grain = errors.grain[int(below) : int(below) + 2, row, column]
+        grain = errors.grain[row, column, int(below) : int(below) + 2]
         expected = mean[i, j] + draws[lane, :-2] @ errors.common[i, j] + (1 - share) * grain[0] + share * grain[1]
         assert height_of(grid, lane, i, j) == pytest.approx(expected, abs=1e-8)
-    assert height_of(ground.grid(), 0, 5, 5) == mean[5, 5]
+    assert height_of(grid, None, 5, 5) == mean[5, 5]
 
 
 def test_a_model_without_errors_is_refused_and_a_wrong_layer_named(tmp_path: Path) -> None:

@@ -39,7 +39,7 @@ def test_rocks_points_and_polygons_are_read() -> None:
 
 
 def test_what_is_not_round_is_covered_by_circles_that_hold_it() -> None:
-    """An L of two arms of 4 m x 0.4 m: every point of it lies in a circle, and few circles reach beyond half a metre."""
+    """An L of two arms of 4 m x 0.4 m: every point of it lies in a circle, and no circle reaches far beyond."""
     ring = [[0.0, 0.0], [4.0, 0.0], [4.0, 0.4], [0.4, 0.4], [0.4, 4.0], [0.0, 4.0], [0.0, 0.0]]
     zones = read_keep_outs(geojson(polygon(ring)))
     x, y = np.meshgrid(np.linspace(0, 4, 161), np.linspace(0, 4, 161))
@@ -91,7 +91,7 @@ def test_a_path_goes_around_and_its_plan_keeps_the_circles(tmp_path: Path) -> No
     asked = {"extent": 10.0, "craters": 0, "roughness": 0.0, "rocks": 0.0}
     survey = terrain("synthetic", **asked, keep_out=(str(path),))
     ground = survey.surface.terrain
-    row, column = (int(round((at - low) / ground.spacing_m)) for at, low in ((0.0, ground.y0_m), (2.5, ground.x0_m)))
+    row, column = (round((at - low) / ground.spacing_m) for at, low in ((0.0, ground.y0_m), (2.5, ground.x0_m)))
     assert survey.surface.hazard[row, column] and "rock 1" in survey.surface.reason(row, column)
     free, around = (
         plan("synthetic", target=(4.0, 0.0), start=(0.0, 0.0, 0.0), **asked, keep_out=files).path

@@ -8,8 +8,8 @@ and what is left open has the spectrum P E / (P + E): errors at long waves, wher
 the ground itself at short ones, where it does not (Rasmussen & Williams 2006, ch. 2, eq. 2.25-2.26, on a torus).
 
 A wheel meets the mean of the ground below it, not every grain: likely grounds and what is left open are means over its
-width. As errors grow with distance all this is done for some sizes of them, and blended from node to node. Errors that nodes share
-are a height and two tilts of the size that the model states.
+width. As errors grow with distance all this is done for some sizes of them, and blended from node to node. Errors that
+nodes share are a height and two tilts of the size that the model states.
 """
 
 import math
@@ -48,7 +48,7 @@ class HeightErrors:
     ----------
     common : errors that nodes share, by independent modes of one standard deviation each. (ny, nx, modes) [m]
     level : which grain a node has; 2.3 is 0.7 of grain 2 and 0.3 of grain 3. (ny, nx)
-    grain : fields without a place, from the smallest error to the largest. (grains, 512, 512) [m]
+    grain : fields without a place, from the smallest error to the largest. (512, 512, grains) [m]
 
     A drawn ground is the terrain's heights, the modes times standard normal numbers, and grain from an offset.
     """
@@ -65,7 +65,7 @@ class HeightErrors:
 
 
 EXACT = HeightErrors(
-    common=np.zeros((1, 1, 0), np.float32), level=np.zeros((1, 1), np.float32), grain=np.zeros((0, 1, 1), np.float32)
+    common=np.zeros((1, 1, 0), np.float32), level=np.zeros((1, 1), np.float32), grain=np.zeros((1, 1, 0), np.float32)
 )
 
 
@@ -111,7 +111,7 @@ def likely_ground(
     level = np.minimum(level, len(sizes) - 1 - 1e-4)
     filled = np.pad(_everywhere(height_m, known), MARGIN, mode="reflect", reflect_type="odd")
     middle = float(filled.mean())
-    mean, grain = np.zeros(height_m.shape), np.empty((len(sizes), GRAIN_NODES, GRAIN_NODES), dtype=np.float32)
+    mean, grain = np.zeros(height_m.shape), np.empty((GRAIN_NODES, GRAIN_NODES, len(sizes)), dtype=np.float32)
     white = np.fft.fft2(np.random.default_rng([seed, 29]).standard_normal((GRAIN_NODES, GRAIN_NODES)))
     for k, (size, width) in enumerate(zip(sizes, widths, strict=True)):
         share = np.clip(1.0 - np.abs(level - k), 0.0, None)
@@ -121,7 +121,7 @@ def likely_ground(
         mean += share * smooth[MARGIN:-MARGIN, MARGIN:-MARGIN]
         ground, error = _spectra(white.shape, spacing_m, relief, size, width)
         left = np.sqrt(ground * error / (ground + error)) * _mean_over(footprint_m, spacing_m, white.shape)
-        grain[k] = np.fft.ifft2(left * white).real
+        grain[..., k] = np.fft.ifft2(left * white).real
     common = _common_modes(_everywhere(np.nan_to_num(common_m), known), known)
     return np.where(known, mean, np.nan), HeightErrors(common=common, level=level.astype(np.float32), grain=grain)
 

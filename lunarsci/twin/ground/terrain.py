@@ -191,19 +191,19 @@ def cubic_weights(a: float, first: bool, last: bool) -> Any:
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
-def height_of(grid: Any, lane: int, i: int, j: int) -> float:
-    """Height of a node on the ground of one rover. [m]"""
+def height_of(grid: Any, lane: Any, i: int, j: int) -> Any:
+    """Height of a node on the ground of one rover, or on the likely one where `lane` is None. [m]"""
     height = grid.height[i, j]
-    if grid.grain.shape[0] == 0:
-        return float(height)
+    if lane is None:
+        return height
     modes, side = grid.common.shape[2], GRAIN_NODES - 1
     for k in range(modes):
         height += grid.draws[lane, k] * grid.common[i, j, k]
     row, column = (i + int(grid.draws[lane, modes])) & side, (j + int(grid.draws[lane, modes + 1])) & side
     below = int(grid.level[i, j])
     share = grid.level[i, j] - below
-    fine, coarse = grid.grain[below, row, column], grid.grain[below + 1, row, column]
-    return float(height + (1.0 - share) * fine + share * coarse)
+    fine, coarse = grid.grain[row, column, below], grid.grain[row, column, below + 1]
+    return height + (1.0 - share) * fine + share * coarse
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
@@ -215,10 +215,10 @@ def read_heights(grid: Any, row: int, column: int, result: Any) -> None:
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
-def surface_in(grid: Any, i: int, j: int, a: float, b: float, lane: int = 0) -> Any:
+def surface_in(grid: Any, i: int, j: int, a: float, b: float, lane: Any = None) -> Any:
     """Height and gradient at shares a (in x) and b (in y) of the cell between nodes [i, j] and [i + 1, j + 1].
 
-    `lane` is the rover whose ground it is, where each has its own.
+    `lane` is the rover whose ground it is, where each has its own; None compiles to a formula that knows no errors.
     """
     spacing = grid.spacing
     if grid.triangles:
@@ -277,7 +277,7 @@ def read_ground(grid: Any, override: Any, wheel: Any, code: Any) -> None:
     `lay_soil` left it. Lanes with another outcome keep what they had.
     """
     ny, nx = grid.height.shape
-    uniform = grid.soil.shape[0] == 1
+    uniform, drawn = grid.soil.shape[0] == 1, grid.grain.shape[2] > 0
     for lane in range(GROUP):
         if code[lane] != FINISHED and code[lane] != SANK:
             continue
@@ -288,7 +288,10 @@ def read_ground(grid: Any, override: Any, wheel: Any, code: Any) -> None:
             continue
         j, i = min(int(column), nx - 2), min(int(row), ny - 2)
         a, b = column - j, row - i
-        height, slope_x, slope_y = surface_in(grid, i, j, a, b, min(lane, grid.draws.shape[0] - 1))
+        if drawn:
+            height, slope_x, slope_y = surface_in(grid, i, j, a, b, min(lane, grid.draws.shape[0] - 1))
+        else:
+            height, slope_x, slope_y = surface_in(grid, i, j, a, b)
         if not abs(height) + abs(slope_x) + abs(slope_y) < np.inf:
             code[lane] = HOLE
             height, slope_x, slope_y = 0.0, 0.0, 0.0
