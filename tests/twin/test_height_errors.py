@@ -153,7 +153,7 @@ def test_the_command_draws_unless_told_not_to(tmp_path: Path) -> None:
     model = drawn_terrain.case(3).model
     path = tmp_path / "dem.npz"
     path.write_bytes(terrain_bytes(model.terrain, errors=model.errors))
-    asked = {"terrain": str(path), "soil": ("longji",), "sweep": ("friction_angle_deg=33:40:4",)}
+    asked = {"terrain": str(path), "sweep": ("friction_angle_deg=33:40:4",)}
     drawn, likely = (lunarsci.predict(PLAN, **asked, terrain_errors=on) for on in (True, False))
     assert drawn.to_dict()["terrain_errors"]["pairs"] == 4 and likely.to_dict()["terrain_errors"] is None
     assert drawn.made_from.seed == 0 and likely.made_from.seed is None

@@ -36,6 +36,8 @@ LONGEST_LAG_M = 1.0
 """Over which differences of heights are looked at; longer ones are craters. [m]"""
 SAMPLED = 200_000
 """Pairs of nodes that are looked at for each distance."""
+FLAT_M2 = 1e-12
+"""Squared differences of heights below this are taken for it: a micrometre. [m2]"""
 MARGIN = 64
 """Nodes about the model that its filter sees, mirrored."""
 
@@ -97,7 +99,7 @@ def likely_ground(
     seed : of the grain.
 
     Errors that are unknown at a node are those of the next one where they are known. Holes stay holes. Raises
-    ParameterError where nothing is known of the random errors, or all are 0.
+    ParameterError where nothing is known of the random errors, all are 0, or hardly any heights are known.
     """
     known = np.isfinite(height_m)
     if not (random_m[known] > 0).any():
@@ -138,14 +140,16 @@ def relief_of(height_m: FloatArray, spacing_m: float, sigma_m: FloatArray, windo
     size, width = float(np.sqrt(np.mean(sigma_m[good] ** 2))), float(np.median(window_m[good]))
     longest = min(LONGEST_LAG_M / spacing_m, 0.25 * max(height_m.shape))
     lags = np.unique(np.rint(np.geomspace(1, max(longest, 2.0), 12)).astype(int))
-    squares = np.array([_median_square(level, lag) for lag in lags])
+    squares = np.maximum([_median_square(level, lag) for lag in lags], FLAT_M2)
     away = lags * spacing_m
     left = squares - 2.0 * size**2 * (1.0 - _alike(away, width))
     # Where errors are most of a difference it tells nothing of the ground.
     told = left > 0.5 * squares
     if told.sum() < 3:
-        told = np.isfinite(squares) & (lags >= lags[-1] / 2)
+        told = (squares > 0) & (lags >= lags[-1] / 2)
         left = np.maximum(left, 0.1 * squares)
+    if not told.any():
+        raise ParameterError("too few known heights side by side to tell how rough the ground is")
     slope = np.polyfit(np.log(away[told]), np.log(left[told]), 1)[0] if told.sum() > 1 else 2.0 * np.mean(HURST)
     hurst = float(np.clip(0.5 * slope, *HURST))
     return Relief(float(np.exp(np.mean(np.log(left[told]) - 2.0 * hurst * np.log(away[told])))), hurst)
