@@ -135,7 +135,8 @@ def test_drives_on_drawn_grounds_are_the_same_whoever_drives_them(uncertain: Ter
         found.rover, uncertain, PLAN, samples={"friction_angle_deg": found.parameters["friction_angle_deg"][17:18]},
         draws=found.draws[17:18], seed=5,
     )  # fmt: skip
-    assert (alone.paths[0] == found.paths[17]).all()
+    # In another lane, so to rounding.
+    assert alone.paths[0] == pytest.approx(found.paths[17], abs=1e-8)
     other = drives(uncertain, 20, seed=6)
     assert np.abs(other.paths - found.paths).max() > 1e-3
 
