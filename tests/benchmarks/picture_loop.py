@@ -174,7 +174,7 @@ def loop(folder: Path, number: int, rig: str) -> dict[str, Any]:
     (two / "pose.toml").write_text(pose_text(dead, float(last["yaw_deg"]), DOWN_DEG, float(last["time_s"])))
     located = locate([str(one), str(two)], rig=rig, heading_error=0.5)
     here = kept(located, folder / "located")
-    table = [entry for entry in located.to_dict()["stations"]]
+    table = list(located.to_dict()["stations"])
     row["tied"], row["place_off_m"] = table[1]["tied"], float(np.hypot(table[1]["x_m"] - x, table[1]["y_m"] - y))
     # The first station is where the rover was seen from before it came to its start, which dead reckoning tells.
     stations = [{"time_s": 0.0, "x_m": 0.0, "y_m": 0.0, "sigma_m": 0.005},
