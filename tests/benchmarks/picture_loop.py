@@ -3,7 +3,7 @@
 On hidden soils, drawn from the default priors, a rover sees the ground ahead, drives over it, looks ahead and back from
 its new place, and drives back. The twin predicts the return twice: once with terrain, positions every half metre and
 ruts as given (`given`), once from SYNTHETIC pictures alone (`pictures`): the terrain is `images dem` of those from the
-first station, the place after the drive is that of `images locate`, the depth of the ruts that of `images track` in the
+first station, the places on the drive are those of `images locate`, the depth of the ruts that of `images track` in the
 pictures that look back. Telemetry of wheels and headings is the same in both. What is compared is how far the true
 return ends from where it was predicted to, beside where soil and terrain as before the drive say.
 
@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 import lunarsci
+from lunarsci.images.elevation import elevation_bytes
 from lunarsci.images.jobs.dem import dem
 from lunarsci.images.jobs.locate import locate
 from lunarsci.images.jobs.render import render
@@ -40,6 +41,8 @@ SPACING_M, SIDE_M = 0.02, 20.0
 BEHIND_M, MAST_M, DOWN_DEG, BACK_DOWN_DEG = 2.4, 1.5, 25.0, 35.0
 OUT = Plan(name="out", legs=(Leg(2.5, 0.05), Leg(2.5, -0.08)), speed_m_s=0.05)
 WHEEL_ASIDE_M = 0.45
+STATIONS = 5
+"""Places along the drive, its start and its end among them, where pictures are taken."""
 MEMBERS = 64
 SMALL = """name = "SYNTHETIC small"
 bits = 10
@@ -155,36 +158,37 @@ def loop(folder: Path, number: int, rig: str) -> dict[str, Any]:
     unlearned = ends(way_back(place), str(folder / "given.npz"), folder, first_belief())
     row["unlearned_m"] = float(np.hypot(*(unlearned - true_end)))
     # Pictures.
-    asked = {"rig": rig, "spacing": SPACING_M, "rocks": 0.3, "seed": number + 1, "samples": 1}
+    asked = {"rig": rig, "spacing": float(np.diff(ground.x_m[:2])[0]), "rocks": 0.3, "seed": number + 1, "samples": 1}
     first = render(str(folder / "ground.npz"), x=-BEHIND_M, heading=0.0, down=DOWN_DEG, **asked)
-    one, two = kept(first, folder / "A"), folder / "B"
-    after = str(folder / "after.npz")
-    kept(render(after, x=float(x), y=float(y), heading=float(yaw), down=DOWN_DEG, **asked), two)
-    kept(render(after, x=float(x), y=float(y), heading=float(yaw) + 180, down=BACK_DOWN_DEG, **asked), folder / "back")
+    one, after = kept(first, folder / "A"), str(folder / "after.npz")
     seen = dem(str(one / "left.png"), str(one / "right.png"), rig=rig, pose=str(one / "pose.toml"))
     model = folder / "dem.npz"
-    from lunarsci.images.elevation import elevation_bytes
-
     model.write_bytes(elevation_bytes(seen.model))
-    # Dead reckoning: the plan, the heading of telemetry, the height of the model.
     (one / "pose.toml").write_text((one / "pose.toml").read_text() + "time_s = 0.0\n")
-    planned, last = drive.planned[-1], telemetry.telemetry.iloc[-1]
-    height = float(seen.model.at("height_m", *planned[:2][:, None])[0])
-    dead = (planned[0], planned[1], (height if np.isfinite(height) else 0.0) + MAST_M)
-    (two / "pose.toml").write_text(pose_text(dead, float(last["yaw_deg"]), DOWN_DEG, float(last["time_s"])))
-    located = locate([str(one), str(two)], rig=rig, heading_error=0.5)
-    here = kept(located, folder / "located")
-    table = list(located.to_dict()["stations"])
-    row["tied"], row["place_off_m"] = table[1]["tied"], float(np.hypot(table[1]["x_m"] - x, table[1]["y_m"] - y))
-    # The first station is where the rover was seen from before it came to its start, which dead reckoning tells.
-    stations = [{"time_s": 0.0, "x_m": 0.0, "y_m": 0.0, "sigma_m": 0.005},
-                {"time_s": float(last["time_s"]), "x_m": table[1]["x_m"], "y_m": table[1]["y_m"],
-                 "sigma_m": float(np.sqrt(0.5 * (table[1]["xx_m2"] + table[1]["yy_m2"])))}]  # fmt: skip
+    samples = np.linspace(0, int(drive.recorded[0]) - 1, STATIONS).astype(int)
+    names = [f"S{k}" for k in range(STATIONS)]
+    for name, sample in zip(names, samples, strict=True):
+        place, sent = drive.paths[0, sample], telemetry.telemetry.iloc[sample]
+        view = {"x": float(place[0]), "y": float(place[1]), "heading": float(place[5]), "down": DOWN_DEG}
+        kept(render(after, **view, **asked), folder / name)
+        # Dead reckoning: the plan, the heading of telemetry, the height of the model.
+        planned = drive.planned[sample]
+        height = float(np.nan_to_num(seen.model.at("height_m", *planned[:2][:, None])[0]))
+        dead = (planned[0], planned[1], height + MAST_M)
+        (folder / name / "pose.toml").write_text(
+            pose_text(dead, float(sent["yaw_deg"]), DOWN_DEG, float(sent["time_s"]))
+        )
+    kept(render(after, x=float(x), y=float(y), heading=float(yaw) + 180, down=BACK_DOWN_DEG, **asked), folder / "back")
+    located = locate([str(one), *(str(folder / name) for name in names)], rig=rig, heading_error=0.5)
+    table = list(located.to_dict()["stations"])[1:]
+    last = table[-1]
+    row["tied"], row["place_off_m"] = sum(r["tied"] for r in table), float(np.hypot(last["x_m"] - x, last["y_m"] - y))
     positions = folder / "positions.csv"
-    positions.write_text("\n".join([",".join(stations[0]), *(",".join(map(str, s.values())) for s in stations)]) + "\n")
-    pose = (here / "B.toml").read_text()
-    heading = float(table[1]["camera_heading_deg"])
-    pose = pose_text((table[1]["x_m"], table[1]["y_m"], table[1]["z_m"]), heading + 180, BACK_DOWN_DEG, 0.0)
+    fixes = [(r["time_s"], r["x_m"], r["y_m"], float(np.sqrt(0.5 * (r["xx_m2"] + r["yy_m2"])))) for r in table]
+    lines = [",".join(map(str, fix)) for fix in fixes]
+    positions.write_text("\n".join(["time_s,x_m,y_m,sigma_m", *lines]) + "\n")
+    heading = float(last["camera_heading_deg"]) + 180
+    pose = pose_text((last["x_m"], last["y_m"], last["z_m"]), heading, BACK_DOWN_DEG, 0.0)
     (folder / "back" / "pose.toml").write_text(pose)
     behind = dem(*(str(folder / "back" / f"{side}.png") for side in ("left", "right")), rig=rig,
                  pose=str(folder / "back" / "pose.toml"), spacing=0.01)  # fmt: skip

@@ -36,6 +36,9 @@ LONGEST_LAG_M = 1.0
 """Over which differences of heights are looked at; longer ones are craters. [m]"""
 SAMPLED = 200_000
 """Pairs of nodes that are looked at for each distance."""
+FILLED_M = 0.06
+"""Nodes whose height is unknown are filled as far as this from known ones: what hides in a gap of 12 cm is lower than
+what wheels climb; assumed. [m]"""
 FLAT_M2 = 1e-12
 """Squared differences of heights below this are taken for it: a micrometre. [m2]"""
 MARGIN = 64
@@ -98,14 +101,17 @@ def likely_ground(
     footprint_m : width over which the ground is averaged, that of a wheel; 0 for heights of points. [m]
     seed : of the grain.
 
-    Errors that are unknown at a node are those of the next one where they are known. Holes stay holes. Raises
-    ParameterError where nothing is known of the random errors, all are 0, or hardly any heights are known.
+    Errors that are unknown at a node are those of the next one where they are known. Nodes that are unknown within 6 cm
+    of known ones get the height of these, and for an error what the ground may differ by so far; others stay holes.
+    Raises ParameterError where nothing is known of the random errors, all are 0, or hardly any heights are known.
     """
     known = np.isfinite(height_m)
     if not (random_m[known] > 0).any():
         raise ParameterError("the model states no random error above 0 m")
     sigma, window = (_everywhere(values, known & (random_m > 0)) for values in (random_m, window_m))
     relief = relief_of(height_m, spacing_m, sigma, window)
+    away = _away(known) * spacing_m
+    sigma = np.hypot(sigma, math.sqrt(relief.at_one_m) * np.minimum(away, FILLED_M) ** relief.hurst)
     sizes = _sizes(sigma[known])
     nearest = np.abs(np.log(sigma[known])[:, None] - np.log(sizes)).argmin(axis=1)
     widths = [float(np.median(window[known][nearest == k])) if (nearest == k).any() else 0.0 for k in range(len(sizes))]
@@ -125,7 +131,9 @@ def likely_ground(
         left = np.sqrt(ground * error / (ground + error)) * _mean_over(footprint_m, spacing_m, white.shape)
         grain[..., k] = np.fft.ifft2(left * white).real
     common = _common_modes(_everywhere(np.nan_to_num(common_m), known), known)
-    return np.where(known, mean, np.nan), HeightErrors(common=common, level=level.astype(np.float32), grain=grain)
+    return np.where(away <= FILLED_M, mean, np.nan), HeightErrors(
+        common=common, level=level.astype(np.float32), grain=grain
+    )
 
 
 def relief_of(height_m: FloatArray, spacing_m: float, sigma_m: FloatArray, window_m: FloatArray) -> Relief:
@@ -224,6 +232,13 @@ def _everywhere(values: FloatArray, known: BoolArray) -> FloatArray:
         return values
     nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
     return np.asarray(values[tuple(nearest)])
+
+
+def _away(known: BoolArray) -> FloatArray:
+    """Distance of nodes from the next known one, in nodes; 0 for these."""
+    from scipy.ndimage import distance_transform_edt
+
+    return np.zeros(known.shape) if known.all() else np.asarray(distance_transform_edt(~known))
 
 
 def _common_modes(size: FloatArray, known: BoolArray) -> npt.NDArray[np.float32]:

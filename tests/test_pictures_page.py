@@ -1,0 +1,50 @@
+"""Every command of docs/pictures.md runs, with a rig of few pixels in place of the Navcam."""
+
+import json
+import os
+import re
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+PAGE = (Path(__file__).parents[1] / "docs/pictures.md").read_text("utf-8")
+SCRIPT = "".join(re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL))
+CAMERA = "width_px = 400\nheight_px = 400\nfx_px = 464.0\nfy_px = 464.0\ncx_px = 199.5\ncy_px = 199.5\n"
+RIG = f"""name = "SYNTHETIC, a Navcam of few pixels"
+bits = 10
+mast_height_m = 1.5
+[left]
+{CAMERA}[right]
+{CAMERA}[relative]
+rotation_rad = [0.0, 0.0, 0.0]
+translation_m = [-0.27, 0.0, 0.0]
+[sigma]
+cx_px = 0.04
+rotation_rad = 0.00008
+translation_m = 0.0001
+"""
+
+
+@pytest.mark.slow
+def test_from_pictures_to_the_next_drive(tmp_path: Path, program: Path) -> None:
+    pytest.importorskip("cv2")
+    (tmp_path / "rig.toml").write_text(RIG)
+    script = SCRIPT.replace("--rig yutu2-navcam", "--rig rig.toml").replace("-o A\n", "--samples 1 -o A\n")
+    script = script.replace("-o B\n", "--samples 1 -o B\n").replace("--plot predicted.png", "--json >predicted.json")
+    environment = os.environ | {"PATH": os.pathsep.join([str(program), os.environ["PATH"]])}
+    line = ["bash", "-euo", "pipefail", "-c", script]
+    done = subprocess.run(line, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    found = json.loads((tmp_path / "predicted.json").read_text())["result"]
+    assert found["members"] == 3 and found["keep_outs"] is not None
+    with np.load(tmp_path / "A/truth.npz") as truth, np.load(tmp_path / "dem.npz") as model:
+        x0, y0, step = truth["grid"]
+        x, y = np.meshgrid(model["x_m"], model["y_m"])
+        near = np.isfinite(model["height_m"]) & (np.hypot(x + 2.4, y) < 4)
+        rows, columns = ((v[near] - o) / step for v, o in ((y, y0), (x, x0)))
+        off = model["height_m"][near] - truth["ground_m"][np.rint(rows).astype(int), np.rint(columns).astype(int)]
+    assert np.median(np.abs(off)) < 0.02
+    for name in ("dem.png", "rocks.png", "maps.png", "ties.png", "merged.png", "map.npz", "depths.csv"):
+        assert (tmp_path / name).stat().st_size > 0, name
