@@ -27,10 +27,9 @@ RUTS = option(
     "--ruts/--no-ruts",
 )
 BEFORE = option("A plan that was driven on the same ground before; its ruts are met, too.", metavar="PLAN")
-TERRAIN_ERRORS = option(
-    "Whether each drive has a ground of its own, drawn from what an elevation model of `images dem` or `images merge` "
-    "says of its errors; without, all drive on the ground that is likeliest.",
-    "--terrain-errors/--no-terrain-errors",
+EXACT_TERRAIN = option(
+    "Drive on the likely ground. Without it each drive has a ground of its own, drawn from what an elevation "
+    "model of `images dem` or `images merge` says of its errors."
 )
 KEEP_OUT = option(
     "Ground that no part of the rover may enter (GeoJSON), as `images rocks -o FILE.geojson` writes it; repeatable.",

@@ -12,13 +12,13 @@ from ..shared.options import SPREAD, Output
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
-from .options import BEFORE, DRIVE, KEEP_OUT, RUTS, TERRAIN_ERRORS, PlanFile
+from .options import BEFORE, DRIVE, EXACT_TERRAIN, KEEP_OUT, RUTS, PlanFile
 
 if TYPE_CHECKING:
     from lunarsci.twin.judgement.safety import Judgement, Verdict
 
 
-OPTIONS = DRIVE | {"ruts": RUTS, "before": BEFORE, "terrain_errors": TERRAIN_ERRORS, "keep_out": KEEP_OUT}
+OPTIONS = DRIVE | {"ruts": RUTS, "before": BEFORE, "exact_terrain": EXACT_TERRAIN, "keep_out": KEEP_OUT}
 
 
 def add_to(app: typer.Typer) -> None:

@@ -156,7 +156,7 @@ def test_the_command_draws_unless_told_not_to(tmp_path: Path) -> None:
     path = tmp_path / "dem.npz"
     path.write_bytes(terrain_bytes(model.terrain, errors=model.errors))
     asked = {"terrain": str(path), "sweep": ("friction_angle_deg=33:40:4",)}
-    drawn, likely = (lunarsci.predict(PLAN, **asked, terrain_errors=on) for on in (True, False))
+    drawn, likely = (lunarsci.predict(PLAN, **asked, exact_terrain=exact) for exact in (False, True))
     assert drawn.to_dict()["terrain_errors"]["pairs"] == 4 and likely.to_dict()["terrain_errors"] is None
     assert drawn.made_from.seed == 0 and likely.made_from.seed is None
     # What `twin terrain` writes keeps the heights and errors of the file.

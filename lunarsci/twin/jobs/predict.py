@@ -66,14 +66,14 @@ class PredictRequest(DriveRequest):
     ----------
     ruts : whether wheels meet ruts; None as in the last drive of a belief, else no.
     before : a plan that was driven on the same ground before.
-    terrain_errors : whether each drive has a ground of its own, where the terrain's file says how far its heights may
-        be off.
+    exact_terrain : leave out that each drive has a ground of its own where the terrain's file says how far its heights
+        may be off.
     keep_out : GeoJSON files of ground that no part of the rover may enter, as `images rocks` writes them.
     """
 
     ruts: bool | None = None
     before: str | None = None
-    terrain_errors: bool = True
+    exact_terrain: bool = False
     keep_out: tuple[str, ...] = ()
 
 
@@ -215,7 +215,7 @@ def predict(
         judged=True,
         ruts=asked.ruts,
         before=asked.before,
-        terrain_errors=asked.terrain_errors,
+        terrain_errors=not asked.exact_terrain,
         keep_out=asked.keep_out,
     )
     soils = Soils.of(inputs, asked.sweep or None, asked.members, asked.seed or 0)
