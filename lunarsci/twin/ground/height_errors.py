@@ -39,6 +39,9 @@ SAMPLED = 200_000
 FILLED_M = 0.06
 """Nodes whose height is unknown are filled as far as this from known ones: what hides in a gap of 12 cm is lower than
 what wheels climb; assumed. [m]"""
+ALIKE_M = 0.1
+"""Width over which sizes of errors are averaged, so that the ground does not change its kind from node to node;
+assumed. [m]"""
 FLAT_M2 = 1e-12
 """Squared differences of heights below this are taken for it: a micrometre. [m2]"""
 MARGIN = 64
@@ -105,6 +108,8 @@ def likely_ground(
     of known ones get the height of these, and for an error what the ground may differ by so far; others stay holes.
     Raises ParameterError where nothing is known of the random errors, all are 0, or hardly any heights are known.
     """
+    from scipy.ndimage import gaussian_filter
+
     known = np.isfinite(height_m)
     if not (random_m[known] > 0).any():
         raise ParameterError("the model states no random error above 0 m")
@@ -112,6 +117,7 @@ def likely_ground(
     relief = relief_of(height_m, spacing_m, sigma, window)
     away = _away(known) * spacing_m
     sigma = np.hypot(sigma, math.sqrt(relief.at_one_m) * np.minimum(away, FILLED_M) ** relief.hurst)
+    sigma = np.exp(gaussian_filter(np.log(sigma), ALIKE_M / spacing_m))
     sizes = _sizes(sigma[known])
     nearest = np.abs(np.log(sigma[known])[:, None] - np.log(sizes)).argmin(axis=1)
     widths = [float(np.median(window[known][nearest == k])) if (nearest == k).any() else 0.0 for k in range(len(sizes))]
