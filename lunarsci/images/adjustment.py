@@ -244,11 +244,14 @@ class _Bundle:
         return np.asarray(pair.ties.far_px - state.shifts[index] - self.rig.moved(state.delta).left.project(local))
 
     def _inflation(self, state: _Unknowns, index: int, pair: PairTies) -> float:
-        """By how much a template's errors are to be larger for its residuals to fit: from their median."""
+        """By how much errors of templates are to be larger for residuals to fit these: from their median.
+
+        Residuals scatter as those of single templates, `OVERLAPPING` times less in variance than what a template counts.
+        """
         plain = self._off(state, index, pair)
         off = np.einsum("nij,nj->ni", _far_whitening(pair.ties, 1.0)[:, :2, :2], plain)
         # The median of chi-square of two degrees of freedom is 1.386.
-        return max(1.0, float(np.sqrt(np.median((off**2).sum(axis=1)) / 1.386)))
+        return max(1.0, float(np.sqrt(OVERLAPPING * np.median((off**2).sum(axis=1)) / 1.386)))
 
     def finished(self, state: _Unknowns) -> Adjusted:
         normal, _ = self._priors(state)

@@ -12,10 +12,11 @@ from lunarsci.images.adjustment import Adjusted, PairTies, adjust, crossed, tria
 from lunarsci.images.camera import Pose, vector_of
 from lunarsci.images.rig import StereoRig
 from lunarsci.images.ties import (
+    ENOUGH,
     FARTHEST_M,
     FEWEST,
     FEWEST_OF_ONE_MOTION,
-    LEAST_CORRELATION,
+    LOOSE_CORRELATION,
     WIDE_PX,
     WIDE_STEP_PX,
     RigidMotion,
@@ -207,6 +208,8 @@ def _tied(
     for reach in REACHES_PX:
         seen = transfer(stations[near], now[near], stations[far], now[far])
         ties = templates(seen, stations[near], stations[far], rig, reach)
+        if len(ties.correlation) < ENOUGH:
+            ties = templates(seen, stations[near], stations[far], rig, reach, least=LOOSE_CORRELATION)
         report = report._replace(ties=len(ties.correlation))
         if report.ties < FEWEST:
             return failed(_matter(report, seen))
@@ -280,6 +283,7 @@ def _by_features(
         (int(reach), max(int(0.4 * reach), 8)),
         size_px=WIDE_PX,
         step_px=WIDE_STEP_PX,
+        least=LOOSE_CORRELATION,
     )
     local = np.concatenate([local[good], triangulated(rig, wide.near_px, wide.near_disparity)])
     rays = np.concatenate([rays, rig.left.rays(wide.far_px)])
@@ -328,4 +332,4 @@ def _matter(report: PairReport, seen: Transferred) -> str:
         return f"{report.features} features in common, {report.inliers} of one motion{seems}"
     if report.ties == 0:
         return f"only {report.inliers} of {report.features} features share a motion{seems}"
-    return f"only {report.ties} templates agree by {LEAST_CORRELATION:g} or more{seems}"
+    return f"only {report.ties} templates agree by {LOOSE_CORRELATION:g} or more{seems}"

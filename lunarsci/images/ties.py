@@ -31,13 +31,16 @@ OVERLAPPING = TEMPLATE_PX[0] * TEMPLATE_PX[1] / (STEP_PX[0] * STEP_PX[1])
 """How many templates see each pixel: by this the variance of one is larger, since their errors hang together."""
 LEAST_CORRELATION = 0.6
 """Templates that agree less are no ties; assumed."""
+LOOSE_CORRELATION = 0.45
+"""The same where many are searched for one motion, which chance does not share, or where there are few; assumed."""
 LIKE = 0.85
 """Largest ratio of the best to the second best distance of features; Lowe takes 0.8."""
 INLIER_PX = 4.0
 LEAST_REACH_PX = 12.0
 TRIALS = 1000
-FEWEST, FEWEST_OF_ONE_MOTION = 12, 7
-"""Fewest templates that a pose is believed of, and fewest ties of a motion that is tried on them; assumed."""
+FEWEST, ENOUGH, FEWEST_OF_ONE_MOTION = 8, 16, 7
+"""Fewest templates that a pose is believed of, how many are not sought among loose ones, and fewest ties of a motion
+that is tried on them; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -234,6 +237,7 @@ def templates(
     *,
     size_px: tuple[int, int] = TEMPLATE_PX,
     step_px: tuple[int, int] = STEP_PX,
+    least: float = LEAST_CORRELATION,
 ) -> TiePoints:
     """Ties on a grid of the transferred view: where templates of it agree best with the true one."""
     cv2 = open_cv()
@@ -251,21 +255,21 @@ def templates(
                 continue
             patch = seen.light[v - height : v + height + 1, u - width : u + width + 1]
             field = truth[v : v + 2 * margin[1] + 1, u : u + 2 * margin[0] + 1]
-            peak = _peak(np.asarray(cv2.matchTemplate(field, patch, cv2.TM_CCOEFF_NORMED)), patch.size)
+            peak = _peak(np.asarray(cv2.matchTemplate(field, patch, cv2.TM_CCOEFF_NORMED)), patch.size, least)
             if peak is not None:
                 found.append((u, v, u + peak[0] - margin[0] + width, v + peak[1] - margin[1] + height, *peak[2:]))
     table = np.array(found, dtype=float).reshape(-1, 8)
     return _ties(table, seen, near, far, rig)
 
 
-def _peak(surface: FloatArray, size: int) -> tuple[float, ...] | None:
+def _peak(surface: FloatArray, size: int, least: float = LEAST_CORRELATION) -> tuple[float, ...] | None:
     """Place, correlation and covariance (uu, uv, vv) of a correlation's best place; None where it is none.
 
     With correlation r and its second derivatives H the covariance is that of least squares, 2 (1 - r) / n (-H)^-1;
     it is taken `OVERLAPPING` times as large.
     """
     v, u = np.unravel_index(int(surface.argmax()), surface.shape)
-    if surface[v, u] < LEAST_CORRELATION or not (0 < v < surface.shape[0] - 1 and 0 < u < surface.shape[1] - 1):
+    if surface[v, u] < least or not (0 < v < surface.shape[0] - 1 and 0 < u < surface.shape[1] - 1):
         return None
     near = surface[v - 1 : v + 2, u - 1 : u + 2].astype(float)
     du, dv = 0.5 * (near[1, 2] - near[1, 0]), 0.5 * (near[2, 1] - near[0, 1])

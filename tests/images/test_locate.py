@@ -27,6 +27,8 @@ from lunarsci.twin.telemetry.reading import read_positions
 
 SIGMA = {"left_cx_px": 0.1, "right_cx_px": 0.1, "left_fx_px": 0.25, "rotation_y_rad": 8e-5, "translation_x_m": 1e-4}
 TIES = 80
+TEMPLATE = SMALLEST_PX * math.sqrt(OVERLAPPING / 4)
+"""Error of four templates that share it, as much as `OVERLAPPING` of them would tell. [px]"""
 
 
 def navcam() -> StereoRig:
@@ -39,6 +41,11 @@ def navcam() -> StereoRig:
         translation_m=np.array([-0.27, 0.0006, -0.0009]),
         covariance=covariance_of({name: SIGMA.get(name, 0.0) for name in PARAMETERS}),
     )
+
+
+def alike(random: np.random.Generator, sigma: float, together: int) -> np.ndarray:
+    """Errors that so many ties share: templates that overlap see the same light. (TIES, 2)"""
+    return np.repeat(sigma * random.standard_normal((TIES // together, 2)), together, axis=0)
 
 
 def drive(seed: int) -> tuple[list[Pose], list[Pose], np.ndarray, PairTies]:
@@ -54,10 +61,10 @@ def drive(seed: int) -> tuple[list[Pose], list[Pose], np.ndarray, PairTies]:
     rig = navcam().drawn(random)
     shift = 0.25 * random.standard_normal(2)
     sides = []
-    for pose, error in ((true[1], 0.05), (true[0], math.sqrt(OVERLAPPING) * SMALLEST_PX)):
+    for pose, error, together in ((true[1], 0.05, 1), (true[0], TEMPLATE, 4)):
         left, right = rig.project(pose.to_camera(ground))
         disparity = right[:, 0] - left[:, 0] + 0.1 * random.standard_normal(TIES)
-        sides.append((left + error * random.standard_normal((TIES, 2)), disparity, np.full(TIES, 0.1)))
+        sides.append((left + alike(random, error, together), disparity, np.full(TIES, 0.1)))
     far = sides[1][0] + shift, *sides[1][1:]
     ties = TiePoints(*sides[0], *far, np.zeros((TIES, 2, 2)), np.ones(TIES))
     return true, [true[0], told], np.diag(spread**2), PairTies(1, 0, ties)
@@ -92,10 +99,10 @@ def course(seed: int, pairs: list[tuple[int, int]]) -> tuple[list[Pose], list[Po
         x = random.uniform(2.0 * near + 1.8, 2.0 * near + 5.0, TIES)
         ground = np.column_stack([x, random.uniform(-0.8, 1.2, TIES), random.normal(0, 0.05, TIES)])
         sides = []
-        for pose, error in ((true[near], 0.05), (true[far], math.sqrt(OVERLAPPING) * SMALLEST_PX)):
+        for pose, error, together in ((true[near], 0.05, 1), (true[far], TEMPLATE, 4)):
             left, right = rig.project(pose.to_camera(ground))
             disparity = right[:, 0] - left[:, 0] + 0.1 * random.standard_normal(TIES)
-            sides.append((left + error * random.standard_normal((TIES, 2)), disparity, np.full(TIES, 0.1)))
+            sides.append((left + alike(random, error, together), disparity, np.full(TIES, 0.1)))
         shifted = sides[1][0] + 0.25 * random.standard_normal(2), *sides[1][1:]
         found.append(PairTies(near, far, TiePoints(*sides[0], *shifted, np.zeros((TIES, 2, 2)), np.ones(TIES))))
     return true, told, [np.diag(spread**2)] * 4, found
