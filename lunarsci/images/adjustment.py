@@ -5,6 +5,7 @@ moves within its covariance, dead reckoning is a prior, and what does not fit co
 10.1214/aoms/1177703732). The rig's baseline is the scale.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -244,14 +245,19 @@ class _Bundle:
         return np.asarray(pair.ties.far_px - state.shifts[index] - self.rig.moved(state.delta).left.project(local))
 
     def _inflation(self, state: _Unknowns, index: int, pair: PairTies) -> float:
-        """By how much errors of templates are to be larger for residuals to fit these: from their median.
+        """By how much errors of templates are to be larger for residuals to fit these.
 
-        Residuals scatter as those of single templates, `OVERLAPPING` times less in variance than what a template counts.
+        Residuals are those of points as the nearer station alone has them, with its errors; single templates scatter by
+        `OVERLAPPING` less in variance than they count. Medians: that of chi-square of two is 1.386.
         """
-        plain = self._off(state, index, pair)
-        off = np.einsum("nij,nj->ni", _far_whitening(pair.ties, 1.0)[:, :2, :2], plain)
-        # The median of chi-square of two degrees of freedom is 1.386.
-        return max(1.0, float(np.sqrt(OVERLAPPING * np.median((off**2).sum(axis=1)) / 1.386)))
+        ties, rig = pair.ties, self.rig.moved(state.delta)
+        points = state.poses[pair.near].to_world(triangulated(rig, ties.near_px, ties.near_disparity))
+        near, far = (_seen_by(rig, state.poses[k], points, self.loose) for k in (pair.near, pair.far))
+        whiten = math.sqrt(OVERLAPPING) * _far_whitening(ties, 1.0)[:, :2, :2]
+        off = np.einsum("nij,nj->ni", whiten, ties.far_px - state.shifts[index] - far.seen[:, :2])
+        by = whiten @ far.by_point[:, :2] @ np.linalg.inv(_near_whitening(ties) @ near.by_point)
+        left = np.median((off**2).sum(axis=1)) / 1.386 - 0.5 * np.median((by**2).sum(axis=(1, 2)))
+        return math.sqrt(max(1.0, float(left)))
 
     def finished(self, state: _Unknowns) -> Adjusted:
         normal, _ = self._priors(state)
@@ -309,6 +315,8 @@ def triangulated(rig: StereoRig, left_px: FloatArray, disparity: FloatArray) -> 
         pixels = rig.right.project(rays * depth[:, None] @ rig.rotation.T + rig.translation_m)
         off = pixels[:, 0] - left_px[:, 0] - disparity
         # u_right - u_left goes as a constant less f b / depth.
+        if np.abs(off).max(initial=0.0) < 1e-9:
+            break
         depth = 1 / np.maximum(1 / depth + off / (rig.left.fx_px * rig.baseline_m), 1e-3)
     return np.asarray(rays * depth[:, None])
 

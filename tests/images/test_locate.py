@@ -43,6 +43,12 @@ def navcam() -> StereoRig:
     )
 
 
+def in_order(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Points of which neighbours in number are neighbours on the ground: strips across, each from right to left."""
+    strip = np.argsort(np.argsort(x)) // 16
+    return np.column_stack([x, y, z])[np.lexsort((y, strip))]
+
+
 def alike(random: np.random.Generator, sigma: float, together: int) -> np.ndarray:
     """Errors that so many ties share: templates that overlap see the same light. (TIES, 2)"""
     return np.repeat(sigma * random.standard_normal((TIES // together, 2)), together, axis=0)
@@ -55,9 +61,7 @@ def drive(seed: int) -> tuple[list[Pose], list[Pose], np.ndarray, PairTies]:
     spread = np.array([0.005, 0.005, 0.0175, 0.15, 0.15, 0.1])
     off = spread * random.standard_normal(6)
     told = Pose(rotation=rotation_of(off[:3]) @ true[1].rotation, center_m=true[1].center_m + off[3:])
-    ground = np.column_stack(
-        [random.uniform(8.8, 13, TIES), random.uniform(-0.8, 0.9, TIES), random.normal(0, 0.05, TIES)]
-    )
+    ground = in_order(random.uniform(8.8, 13, TIES), random.uniform(-0.8, 0.9, TIES), random.normal(0, 0.05, TIES))
     rig = navcam().drawn(random)
     shift = 0.25 * random.standard_normal(2)
     sides = []
@@ -97,7 +101,7 @@ def course(seed: int, pairs: list[tuple[int, int]]) -> tuple[list[Pose], list[Po
     rig, found = navcam().drawn(random), []
     for far, near in pairs:
         x = random.uniform(2.0 * near + 1.8, 2.0 * near + 5.0, TIES)
-        ground = np.column_stack([x, random.uniform(-0.8, 1.2, TIES), random.normal(0, 0.05, TIES)])
+        ground = in_order(x, random.uniform(-0.8, 1.2, TIES), random.normal(0, 0.05, TIES))
         sides = []
         for pose, error, together in ((true[near], 0.05, 1), (true[far], TEMPLATE, 4)):
             left, right = rig.project(pose.to_camera(ground))
