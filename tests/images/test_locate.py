@@ -229,10 +229,10 @@ def test_wild_ties_move_little() -> None:
     _, told, prior, pair = drive(3)
     plain = adjust(told, [np.eye(6), prior], navcam(), [pair])
     wild = pair.ties.far_px.copy()
-    wild[:4] += 6.0
+    wild[::20] += 6.0
     bent = adjust(told, [np.eye(6), prior], navcam(), [pair._replace(ties=pair.ties._replace(far_px=wild))])
     assert np.linalg.norm(bent.poses[1].center_m - plain.poses[1].center_m) < 0.02
-    assert bent.weights[0][:4].max() < 0.5 < np.median(bent.weights[0])
+    assert bent.weights[0][::20].max() < 0.5 < np.median(bent.weights[0])
 
 
 def test_points_by_disparity() -> None:
