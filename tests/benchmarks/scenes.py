@@ -34,7 +34,6 @@ import numpy as np
 
 WORLD_M, MICRO_M = 64.0, 4.096
 WORLD_STEP_M, MICRO_STEP_M = 0.02, 0.002
-HURST = 0.8
 SUN_RADIUS_RAD = math.radians(0.2666)
 SAMPLES = 3
 TRACK_WIDTH_M, LUG_PITCH_M = 0.15, 0.025
@@ -46,6 +45,33 @@ class Lens(NamedTuple):
     size: tuple[int, int]
     pinhole: np.ndarray
     terms: np.ndarray
+
+
+class Material(NamedTuple):
+    """What the ground and its light are like; the numbers are assumed.
+
+    `hurst` of its heights, relief of the centimetres over the power law's, rms of its albedo, whose pattern has lengths
+    from a few millimetres to `pattern_m`, single scattering albedo `dark`, electrons of the brightest pixel, and the
+    lowest and highest Sun [deg].
+    """
+
+    hurst: float = 0.8
+    fine: float = 0.6
+    pattern: float = 0.05
+    pattern_m: float = 0.4
+    dark: float = 0.33
+    electrons: float = 25000.0
+    sun_deg: tuple[float, float] = (18.0, 45.0)
+
+
+MATERIALS = {
+    "regolith": Material(),
+    "dust": Material(hurst=0.95, fine=0.25, pattern=0.02, pattern_m=0.1, sun_deg=(30.0, 60.0)),
+    "rubble": Material(hurst=0.6, fine=1.0, pattern=0.15, pattern_m=0.05, sun_deg=(12.0, 30.0)),
+    "streaks": Material(hurst=0.8, fine=0.4, pattern=0.2, pattern_m=0.8, dark=0.5),
+    "dim": Material(hurst=0.75, fine=0.6, pattern=0.08, dark=0.15, electrons=6000.0, sun_deg=(8.0, 20.0)),
+    "plain": Material(hurst=0.85, fine=0.5, pattern=0.0, sun_deg=(15.0, 35.0)),
+}
 
 
 class Rig(NamedTuple):
@@ -74,7 +100,7 @@ def _sigmas(rotation: float) -> np.ndarray:
 def nominal(kind: str) -> Rig:
     """The rig of rig.toml: like Yutu-2's, which are not published as exactly as that."""
     if kind == "pancam":
-        lens, sigmas, view = _lens((1176, 864), 3378.4, -0.03), _sigmas(3e-5), (1.5, 24.0, 2.0)
+        lens, sigmas, view = _lens((1176, 864), 3378.4, -0.03), _sigmas(3e-5), (1.5, 25.5, 2.0)
     else:
         lens, sigmas, view = _lens((1024, 1024), 1189.0, -0.06), _sigmas(8e-5), (1.5, 25.0, 1.1)
     other = Lens(lens.size, lens.pinhole + np.array([1.3, 1.1, -4.0, 2.0]), lens.terms * 1.05)
@@ -114,19 +140,22 @@ def _turn(vector: Any) -> np.ndarray:
 # --- the ground as a function of x and y ---
 
 
-def _fractal(count: int, step: float, shortest: float, longest: float, random: np.random.Generator) -> np.ndarray:
+def _fractal(
+    count: int, step: float, lengths: tuple[float, float], hurst: float, random: np.random.Generator
+) -> np.ndarray:
     """Periodic ground of wavelengths between two, power k^-(2 H + 2), rms 1."""
+    shortest, longest = lengths
     k = np.hypot(np.fft.fftfreq(count, step)[:, None], np.fft.rfftfreq(count, step)[None, :])
     with np.errstate(divide="ignore"):
-        weight = np.where((k >= 1 / longest) & (k <= 1 / shortest), k ** -(HURST + 1.0), 0.0)
+        weight = np.where((k >= 1 / longest) & (k <= 1 / shortest), k ** -(hurst + 1.0), 0.0)
     noise = np.fft.rfft2(random.standard_normal((count, count)))
     field = np.fft.irfft2(noise * weight, s=(count, count))
     return field / field.std()
 
 
-def _rms(longest: float, shortest: float) -> float:
+def _rms(longest: float, shortest: float, hurst: float) -> float:
     """Rms height of wavelengths between two: 2 cm over a metre, as the power law has it (assumed)."""
-    return 0.02 * math.sqrt(longest ** (2 * HURST) - shortest ** (2 * HURST))
+    return 0.02 * math.sqrt(longest ** (2 * hurst) - shortest ** (2 * hurst))
 
 
 def _bowl(u2: np.ndarray) -> np.ndarray:
@@ -137,18 +166,22 @@ def _bowl(u2: np.ndarray) -> np.ndarray:
 class Ground:
     """Heights and albedo anywhere, and rocks and tracks on it."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, material: Material = MATERIALS["regolith"]) -> None:
         from scipy.ndimage import spline_filter
 
+        self.material, hurst = material, material.hurst
         random = np.random.default_rng((seed, 11))
         count, fine = round(WORLD_M / WORLD_STEP_M), round(MICRO_M / MICRO_STEP_M)
-        world = _rms(8.0, 0.15) * _fractal(count, WORLD_STEP_M, 0.15, 8.0, random)
-        micro = 0.6 * _rms(0.15, 0.005) * _fractal(fine, MICRO_STEP_M, 0.005, 0.15, random)
+        world = _rms(8.0, 0.15, hurst) * _fractal(count, WORLD_STEP_M, (0.15, 8.0), hurst, random)
+        micro = _rms(0.15, 0.005, hurst) * _fractal(fine, MICRO_STEP_M, (0.005, 0.15), hurst, random)
+        micro *= material.fine
         self._craters(world, WORLD_STEP_M, random, random.poisson(500), (0.3, 5.0), 0.09)
         self._craters(micro, MICRO_STEP_M, random, random.poisson(160), (0.03, 0.25), 0.12)
         self.slope = np.array([math.tan(math.radians(a)) for a in random.uniform(-3, 3, 2)])
         self.world, self.micro = (spline_filter(f, 3, mode="grid-wrap") for f in (world, micro))
-        self.tint = spline_filter(_fractal(fine, MICRO_STEP_M, 0.006, 0.4, random), 3, mode="grid-wrap")
+        self.tint = spline_filter(
+            _fractal(fine, MICRO_STEP_M, (0.006, material.pattern_m), 0.8, random), 3, mode="grid-wrap"
+        )
         self.bends = random.uniform([-0.03, -0.01, 0.5], [0.03, 0.01, 1.0])
         self.depth = 0.008 + 0.002 * random.standard_normal(), random.uniform(0.001, 0.003), random.uniform(0.5, 1.5)
         self.rocks = self._rocks(random)
@@ -205,7 +238,7 @@ class Ground:
         return smooth - inside * (self.floor(x) - lugs) + berm
 
     def albedo(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        return 1 + 0.05 * np.clip(self._at(self.tint, x, y, MICRO_STEP_M), -3, 3)
+        return 1 + self.material.pattern * np.clip(self._at(self.tint, x, y, MICRO_STEP_M), -3, 3)
 
     def _rocks(self, random: np.random.Generator) -> list[dict[str, Any]]:
         """Rocks of 3 to 50 cm between 1.5 and 25 m ahead, none on the tracks."""
@@ -341,8 +374,8 @@ def trace(scene: Any, origin: np.ndarray, ways: np.ndarray, suns: np.ndarray) ->
 
 
 def hapke(incidence: np.ndarray, emission: np.ndarray, phase: np.ndarray, albedo: np.ndarray) -> np.ndarray:
-    """Radiance factor over pi of Hapke (1981), w about 0.33, from cosines and the phase angle [rad]."""
-    w = 0.33 * albedo
+    """Radiance factor over pi of Hapke (1981), from cosines, the phase angle [rad] and single scattering albedo."""
+    w = np.minimum(albedo, 0.99)
     scatter = (1 - 0.09) / (1 + 0.6 * np.cos(phase) + 0.09) ** 1.5
     surge = 1.5 / (1 + np.tan(0.5 * phase) / 0.06)
     gamma = np.sqrt(1 - w)
@@ -394,19 +427,19 @@ def picture(
         albedo = np.where(hits.shape == 1, ground.albedo(place[:, 0], place[:, 1]), 1.15)
         mu0, mu = np.maximum(hits.normals @ sun, 0.0), np.maximum(-(hits.normals * ways).sum(1), 1e-3)
         phase = np.arccos(np.clip(-(ways @ sun), -1, 1))
-        light = hits.lit * hapke(mu0, mu, phase, albedo) + 0.0015 * albedo
+        light = hits.lit * hapke(mu0, mu, phase, ground.material.dark * albedo) + 0.0015 * albedo
         fine[start : start + len(rows)] = np.where(hits.found, light, 0.0).reshape(len(rows), -1)
     fine = gaussian_filter(fine, 0.365 * SAMPLES, mode="nearest")
     return fine.reshape(height, SAMPLES, width, SAMPLES).mean(axis=(1, 3))
 
 
-def counted(light: np.ndarray, lens: Lens, gain: float, random: np.random.Generator) -> np.ndarray:
-    """Ten-bit numbers: vignetting, shot noise of 25,000 electrons, reading noise of 15."""
+def counted(light: np.ndarray, lens: Lens, full: float, random: np.random.Generator) -> np.ndarray:
+    """Ten-bit numbers of `full` electrons at most: vignetting, shot noise, reading noise of 15. `light` is a share."""
     width, height = lens.size
     u, v = np.meshgrid(np.arange(width) - lens.pinhole[2], np.arange(height) - lens.pinhole[3])
     cosine = 1 / np.sqrt(1 + (u / lens.pinhole[0]) ** 2 + (v / lens.pinhole[1]) ** 2)
-    electrons = random.poisson(np.maximum(light * gain * cosine**4, 0.0)) + 15.0 * random.standard_normal(light.shape)
-    return np.clip(np.rint(electrons / 25000.0 * 1023 + 8), 0, 1023).astype(np.uint16)
+    electrons = random.poisson(np.maximum(light * full * cosine**4, 0.0)) + 15.0 * random.standard_normal(light.shape)
+    return np.clip(np.rint(electrons / full * 1023 + 8), 0, 1023).astype(np.uint16)
 
 
 # --- a station ---
@@ -427,7 +460,11 @@ def station(folder: Path, ground: Ground, told: Rig, delta: np.ndarray, seed: in
     random = np.random.default_rng((seed, 17, number))
     rig = perturbed(told, delta)
     spot = np.array([(0.0, 0.0), (7.0 * math.cos(0.05), 7.0 * math.sin(0.05))][number % 2]) * max(1, number)
-    angles = [random.uniform(-0.05, 0.05), math.radians(told.down_deg + random.uniform(-1, 1)), random.normal(0, 0.02)]
+    angles = [
+        _heading(ground, told, spot, seed) + random.uniform(-0.05, 0.05),
+        math.radians(told.down_deg + random.uniform(-1, 1)),
+        random.normal(0, 0.02),
+    ]
     center = np.array([*spot, float(ground.bare(spot[:1], spot[1:])[0]) + rig.height_m])
     left = look(*angles)
     right = left @ rig.rotation.T, center - left @ (rig.rotation.T @ rig.translation)
@@ -436,17 +473,17 @@ def station(folder: Path, ground: Ground, told: Rig, delta: np.ndarray, seed: in
     between = 0.5 * (center + right[1])
     scene = load([fan(ground, rig, between, angles[0]), together(near)], center)
     azimuth = random.uniform(0, 2 * np.pi) if number == 0 else random.uniform(0.3, 0.6) + _first_azimuth(seed)
-    height = math.radians(random.uniform(18, 45))
+    height = math.radians(random.uniform(*ground.material.sun_deg))
     sun = np.array([math.cos(height) * math.cos(azimuth), math.cos(height) * math.sin(azimuth), math.sin(height)])
     zero = np.zeros(3)
     poses = (left, zero), (right[0], right[1] - center)
     lights = [
         picture(scene, ground, lens, pose, sun, center, random) for lens, pose in zip(rig.lenses, poses, strict=True)
     ]
-    gain = 0.8 * 25000.0 / np.percentile(lights[0], 99.5)
+    gain = 0.8 / np.percentile(lights[0], 99.5)
     folder.mkdir(parents=True, exist_ok=True)
     for name, light, lens in zip(("left", "right"), lights, rig.lenses, strict=True):
-        cv2.imwrite(str(folder / f"{name}.png"), counted(light, lens, gain, random))
+        cv2.imwrite(str(folder / f"{name}.png"), counted(gain * light, lens, ground.material.electrons, random))
     truth = _truth(scene, ground, rig, poses, sun, center)
     rows = np.array([b[2] for b in near])
     np.savez_compressed(
@@ -458,6 +495,14 @@ def station(folder: Path, ground: Ground, told: Rig, delta: np.ndarray, seed: in
     turned = 0.0 if number == 0 else random.normal(0, 0.5)
     told_toml = f"position_m = {(center + wrong).tolist()}\nheading_deg = {degrees[0] + turned!r}\n"
     (folder / "pose.toml").write_text(told_toml + f"down_deg = {degrees[1]!r}\nroll_deg = {degrees[2]!r}\n")
+
+
+def _heading(ground: Ground, told: Rig, spot: np.ndarray, seed: int) -> float:
+    """Straight on, and of the narrower camera to one of the tracks, 2.6 m ahead. [rad]"""
+    if told.name != "pancam":
+        return 0.0
+    side = (-0.45, 0.45)[seed % 2] + float(ground.middle(spot[0] + 2.6))
+    return math.atan2(side - float(spot[1]), 2.6)
 
 
 def _first_azimuth(seed: int) -> float:
@@ -521,17 +566,20 @@ def trace_down(scene: Any, top: np.ndarray) -> np.ndarray:
     return np.where(np.array(hit.is_valid()), np.array(hit.p).T[:, 2], np.nan)
 
 
-def make(folder: Path, kind: str, seed: int, stations: int = 1) -> Path:
-    """Render a scene into `folder`/KIND-SEED, unless it is there; gives that folder."""
+def make(folder: Path, kind: str, seed: int, stations: int = 1, material: str = "regolith") -> Path:
+    """Render a scene into `folder`/KIND-SEED, unless it is there; gives that folder.
+
+    Of another material than regolith it is `folder`/KIND-MATERIAL-SEED.
+    """
     import mitsuba as mi
 
     mi.set_variant("llvm_ad_rgb")
-    target = folder / f"{kind}-{seed}"
+    target = folder / (f"{kind}-{seed}" if material == "regolith" else f"{kind}-{material}-{seed}")
     told = nominal(kind)
     random = np.random.default_rng((seed, 19))
     delta = random.standard_normal(24) * told.sigmas
     missing = [n for n in range(stations) if not (target / f"station{n}" / "pose.toml").exists()]
-    ground = Ground(seed) if missing else None
+    ground = Ground(seed, MATERIALS[material]) if missing else None
     for number in missing:
         station(target / f"station{number}", ground, told, delta, seed, number)  # type: ignore[arg-type]
     (target / "rig.toml").write_text(rig_toml(told))
@@ -544,9 +592,10 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--rig", choices=("navcam", "pancam"), default="navcam")
     parser.add_argument("--stations", type=int, default=1)
+    parser.add_argument("--material", choices=tuple(MATERIALS), default="regolith")
     asked = parser.parse_args()
     for seed in asked.seeds:
-        print(make(asked.folder, asked.rig, seed, asked.stations))
+        print(make(asked.folder, asked.rig, seed, asked.stations, asked.material))
         sys.stdout.flush()
 
 
