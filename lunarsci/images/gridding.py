@@ -21,8 +21,12 @@ OUTLYING = 4.0
 """Heights that lie farther from their cell's median, in standard deviations beside its slope, are left out; assumed."""
 STEEPEST = 1.5
 """Slope that a cell may have; assumed. [-]"""
-TORN = 0.03
-"""Neighbouring pixels whose ranges differ by more than this share are no surface; assumed."""
+GRAZING_DEG = 3.0
+"""What is seen flatter than that is no surface: something may hide between its pixels; assumed. [deg]"""
+PARTS = 3
+"""A cell's height is the mean over so many places along x and y on the triangles between pixels; assumed."""
+COVERED = 0.5
+"""Share of these places that must lie on triangles; assumed."""
 ASIDE = 1.0
 """Share of the unevenness between nodes that turns an error along the level into one of height; assumed: all of it."""
 ALIKE = 1.6
@@ -30,6 +34,8 @@ ALIKE = 1.6
 REPRESENTED = 0.15
 """the share of the relief between nodes that a cell's mean misses: both fitted to one rendered pair
 (`tests/benchmarks/scenes.py`, seed 1), and tried on others."""
+HIDDEN = 1.0
+"""Error of what no pixel shows of a cell, over the relief between nodes: assumed."""
 SMOOTH_M = 0.06
 """Width over which the slope of the ground is taken for the errors; assumed. [m]"""
 
@@ -92,32 +98,46 @@ def grid_of(
     x0, y0 = (float(v) for v in low * spacing_m)
     cells = np.rint((cloud.points[:, :2] - (x0, y0)) / spacing_m).astype(np.int64)
     cell = cells[:, 1] * shape[1] + cells[:, 0]
-    first = _filled(cloud, _medians(cell, cloud.points[:, 2], shape), matches, (x0, y0, spacing_m))
+    first = _medians(cell, cloud.points[:, 2], shape)
     gain = _height_by_disparity(cloud, first, pose, cells, spacing_m)
     aside = ASIDE * _unevenness(first, spacing_m)[cells[:, 1], cells[:, 0]] * _level(cloud, pose) / cloud.disparity
     sigma = np.hypot(gain, aside) * cloud.sigma_px
-    height, spread, count = _means(cell, cloud.points[:, 2], sigma, first.ravel(), shape, spacing_m)
-    whole = _filled(cloud, height, matches, (x0, y0, spacing_m))
-    spread = np.hypot(ALIKE * spread, REPRESENTED * _relief(height, spacing_m))
-    layers = [_filled(cloud, layer, matches, (x0, y0, spacing_m), values) for layer, values in (
-        (spread, ALIKE * sigma), (_mean_of(cell, gain, shape), gain))]  # fmt: skip
-    density = np.where(count > 0, count, np.where(np.isfinite(whole), 0.5, 0.0))
-    common = _common_errors(matches, rig, pose, cloud, gain, (x0, y0, spacing_m), whole)
     window = (2 * HALF_PX + 1) * np.linalg.norm(cloud.points - pose.center_m, axis=1) / matches.rectified.focal_px
-    width = _filled(cloud, _mean_of(cell, window, shape), matches, (x0, y0, spacing_m), window)
+    kept = np.abs(cloud.points[:, 2] - first.ravel()[cell]) <= OUTLYING * sigma + STEEPEST * spacing_m
+    values = np.column_stack([cloud.points[:, 2], sigma**2, gain, window])
+    layers, covered = _on_triangles(cloud, kept, values, matches, (x0, y0, spacing_m), shape)
+    height, variance, by_disparity, width = np.moveaxis(layers, -1, 0)
+    count = np.bincount(cell[kept], minlength=shape[0] * shape[1]).reshape(shape)
+    spread = _spread_of_means(height, variance, count, covered, spacing_m)
+    common = _common_errors(matches, rig, pose, cloud, gain, (x0, y0, spacing_m), height)
     return ElevationModel(
         name=name,
         x0_m=x0,
         y0_m=y0,
         spacing_m=spacing_m,
-        height_m=whole,
-        height_m_sigma=layers[0],
+        height_m=height,
+        height_m_sigma=spread,
         height_m_common_sigma=common,
-        count=density,
-        height_by_disparity_m_px=layers[1],
+        count=np.where(np.isfinite(height), np.maximum(count, 0.5), 0.0),
+        height_by_disparity_m_px=by_disparity,
         resolution_m=np.nan_to_num(width),
         synthetic=synthetic,
     )
+
+
+def _spread_of_means(
+    height: FloatArray, variance: FloatArray, count: npt.NDArray[np.int64], covered: FloatArray, spacing_m: float
+) -> FloatArray:
+    """Random error of the cells' means. (ny, nx) [m]
+
+    n neighbouring pixels share windows of w pixels: the variance of their mean falls as (w / (sqrt(n) + w - 1))^2.
+    What no pixel shows of a cell is off by the relief.
+    """
+    window = 2 * HALF_PX + 1
+    alone = window / (np.sqrt(np.maximum(count, 1)) + window - 1)
+    relief = _relief(height, spacing_m)
+    parts = ALIKE * alone * np.sqrt(variance), REPRESENTED * relief, HIDDEN * (1.0 - covered) * relief
+    return np.asarray(np.sqrt(sum(np.square(part) for part in parts)))
 
 
 def _medians(cell: npt.NDArray[np.int64], z: FloatArray, shape: tuple[int, int]) -> FloatArray:
@@ -127,38 +147,6 @@ def _medians(cell: npt.NDArray[np.int64], z: FloatArray, shape: tuple[int, int])
     found = np.full(shape[0] * shape[1], np.nan)
     found[places] = 0.5 * (z[order][starts + counts // 2] + z[order][starts + (counts - 1) // 2])
     return found.reshape(shape)
-
-
-def _mean_of(cell: npt.NDArray[np.int64], values: FloatArray, shape: tuple[int, int]) -> FloatArray:
-    count = np.bincount(cell, minlength=shape[0] * shape[1])
-    total = np.bincount(cell, values, minlength=shape[0] * shape[1])
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.where(count > 0, total / count, np.nan).reshape(shape))
-
-
-def _means(
-    cell: npt.NDArray[np.int64],
-    z: FloatArray,
-    sigma: FloatArray,
-    median: FloatArray,
-    shape: tuple[int, int],
-    spacing_m: float,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Weighted mean, its error and the number of pixels of each cell, without what lies far from the median.
-
-    n neighbouring pixels share windows of w pixels: the variance of their mean falls as (w / (sqrt(n) + w - 1))^2.
-    """
-    kept = np.abs(z - median[cell]) <= OUTLYING * sigma + STEEPEST * spacing_m
-    size, cell, z, weight = shape[0] * shape[1], cell[kept], z[kept], sigma[kept] ** -2
-    count = np.bincount(cell, minlength=size).astype(float)
-    total = np.bincount(cell, weight, minlength=size)
-    window = 2 * HALF_PX + 1
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean = np.bincount(cell, weight * z, minlength=size) / total
-        spread = np.sqrt(count / total) * window / (np.sqrt(count) + window - 1)
-    empty = count == 0
-    mean[empty], spread[empty] = np.nan, np.nan
-    return mean.reshape(shape), spread.reshape(shape), count.reshape(shape)
 
 
 def _height_by_disparity(
@@ -249,27 +237,36 @@ def _common_errors(
     return result
 
 
-def _filled(
+def _on_triangles(
     cloud: Cloud,
-    layer: FloatArray,
+    kept: npt.NDArray[np.bool_],
+    values: FloatArray,
     matches: StereoMatches,
     grid: tuple[float, float, float],
-    values: FloatArray | None = None,
-) -> FloatArray:
-    """A layer whose empty nodes between neighbouring pixels of one surface are laid on the triangles of these."""
+    shape: tuple[int, int],
+) -> tuple[FloatArray, FloatArray]:
+    """Means of values (n, m) over each cell (ny, nx, m), on triangles between neighbouring pixels, and how much of it
+    these cover (ny, nx); NaN where that is little."""
     numbers = np.full(matches.disparity.shape, -1, dtype=np.int64)
-    numbers[cloud.pixels[:, 0], cloud.pixels[:, 1]] = np.arange(len(cloud.pixels))
-    place = (cloud.points[:, :2] - np.array(grid[:2])) / grid[2]
-    total, weight = np.zeros(layer.shape), np.zeros(layer.shape)
-    heights = np.ascontiguousarray(cloud.points[:, 2] if values is None else values)
-    _lay(numbers, np.ascontiguousarray(place), heights, cloud.disparity, np.isfinite(layer), total, weight)
+    numbers[cloud.pixels[kept, 0], cloud.pixels[kept, 1]] = np.flatnonzero(kept)
+    place = (cloud.points[:, :2] - np.array(grid[:2])) / grid[2] * PARTS + 0.5 * (PARTS - 1)
+    total = np.zeros((shape[0] * PARTS, shape[1] * PARTS, values.shape[1]), dtype=np.float32)
+    weight = np.zeros(total.shape[:2], dtype=np.float32)
+    jump = 1.0 / (matches.rectified.focal_px * math.tan(math.radians(GRAZING_DEG)))
+    _lay(numbers, np.ascontiguousarray(place), np.ascontiguousarray(values), cloud.disparity, jump, total, weight)
+    part = weight > 0
+    total[part] /= weight[part][:, None]
+    blocks = (shape[0], PARTS, shape[1], PARTS)
+    laid = part.reshape(blocks).sum(axis=(1, 3))
     with np.errstate(invalid="ignore"):
-        return np.where(np.isfinite(layer), layer, np.where(weight > 0, total / weight, np.nan))
+        means = total.reshape(*blocks, -1).sum(axis=(1, 3), dtype=float) / laid[..., None]
+    means[laid < COVERED * PARTS**2] = np.nan
+    return means, laid / PARTS**2
 
 
 @compiled(nogil=True, error_model="numpy")
-def _lay(numbers, place, values, disparity, taken, total, weight):  # type: ignore[no-untyped-def]
-    """Both triangles of every four neighbouring pixels that are one surface, on the nodes that are free."""
+def _lay(numbers, place, values, disparity, jump, total, weight):  # type: ignore[no-untyped-def]
+    """Both triangles of every four neighbouring pixels that are one surface."""
     for v in range(numbers.shape[0] - 1):
         for u in range(numbers.shape[1] - 1):
             a, b = numbers[v, u], numbers[v, u + 1]
@@ -278,26 +275,25 @@ def _lay(numbers, place, values, disparity, taken, total, weight):  # type: igno
                 continue
             near = max(max(disparity[a], disparity[b]), max(disparity[c], disparity[d]))
             far = min(min(disparity[a], disparity[b]), min(disparity[c], disparity[d]))
-            if near - far > TORN * near:
+            if near - far > jump * near:
                 continue
-            _triangle(place, values, a, b, c, taken, total, weight)
-            _triangle(place, values, b, c, d, taken, total, weight)
+            _triangle(place, values, a, b, c, total, weight)
+            _triangle(place, values, b, c, d, total, weight)
 
 
 @compiled(nogil=True, error_model="numpy")
-def _triangle(place, values, a, b, c, taken, total, weight):  # type: ignore[no-untyped-def]
+def _triangle(place, values, a, b, c, total, weight):  # type: ignore[no-untyped-def]
     ax, ay, bx, by, cx, cy = place[a, 0], place[a, 1], place[b, 0], place[b, 1], place[c, 0], place[c, 1]
     area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
     if area == 0.0:
         return
     first, last = math.ceil(min(ax, min(bx, cx))), math.floor(max(ax, max(bx, cx)))
     low, high = math.ceil(min(ay, min(by, cy))), math.floor(max(ay, max(by, cy)))
-    for y in range(max(low, 0), min(high, taken.shape[0] - 1) + 1):
-        for x in range(max(first, 0), min(last, taken.shape[1] - 1) + 1):
-            if taken[y, x]:
-                continue
+    for y in range(max(low, 0), min(high, weight.shape[0] - 1) + 1):
+        for x in range(max(first, 0), min(last, weight.shape[1] - 1) + 1):
             p = ((bx - x) * (cy - y) - (cx - x) * (by - y)) / area
             q = ((cx - x) * (ay - y) - (ax - x) * (cy - y)) / area
             if p >= 0.0 and q >= 0.0 and p + q <= 1.0:
-                total[y, x] += p * values[a] + q * values[b] + (1.0 - p - q) * values[c]
+                for k in range(values.shape[1]):
+                    total[y, x, k] += p * values[a, k] + q * values[b, k] + (1.0 - p - q) * values[c, k]
                 weight[y, x] += 1.0

@@ -259,8 +259,8 @@ class Ground:
 # --- meshes ---
 
 
-def fan(ground: Ground, rig: Rig, center: np.ndarray, heading: float) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and faces of the ground about a station: finer than a pixel where a picture sees it."""
+def fan(ground: Ground, rig: Rig, center: np.ndarray, heading: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices, faces and normals of the ground about a station: finer than a pixel where a picture sees it."""
     lens = rig.lenses[0]
     pixel, half = 1 / lens.pinhole[0], math.atan(0.55 * lens.size[0] / lens.pinhole[0])
     share = 0.4 if rig.name == "navcam" else 0.6
@@ -272,11 +272,14 @@ def fan(ground: Ground, rig: Rig, center: np.ndarray, heading: float) -> tuple[n
     angles = np.concatenate([middle[0] - wide[::-1], middle, middle[-1] + wide])
     radius, angle = np.meshgrid(radii, heading + angles, indexing="ij")
     x, y = center[0] + radius * np.cos(angle), center[1] + radius * np.sin(angle)
-    vertices = np.stack([x, y, ground.height(x.ravel(), y.ravel()).reshape(x.shape)], axis=-1).reshape(-1, 3)
+    points = np.stack([x, y, ground.height(x.ravel(), y.ravel()).reshape(x.shape)], axis=-1)
+    out, aside = (np.gradient(points, axis=axis).astype(np.float32) for axis in (0, 1))
+    normals = np.cross(out, aside).reshape(-1, 3)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     index = np.arange(x.size, dtype=np.uint32).reshape(x.shape)
     a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
     faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
-    return vertices, faces
+    return points.reshape(-1, 3), faces, normals
 
 
 def rock_mesh(ground: Ground, rock: dict[str, Any], seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -308,25 +311,26 @@ def rock_mesh(ground: Ground, rock: dict[str, Any], seed: int) -> tuple[np.ndarr
     return vertices, faces, np.array([x, y, base + lift, width, float(vertices[:, 2].max() - base)])
 
 
-def together(bodies: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
-    """All rocks as one mesh."""
+def together(bodies: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """All rocks as one mesh: vertices, faces, normals."""
     starts = np.cumsum([0, *(len(b[0]) for b in bodies[:-1])])
     faces = [b[1] + np.uint32(start) for b, start in zip(bodies, starts, strict=True)]
-    return np.concatenate([b[0] for b in bodies]), np.concatenate(faces)
+    vertices, corners = np.concatenate([b[0] for b in bodies]), np.concatenate(faces)
+    return vertices, corners, _normals(vertices, corners)
 
 
-def load(meshes: list[tuple[np.ndarray, np.ndarray]], origin: np.ndarray) -> Any:
+def load(meshes: list[tuple[np.ndarray, np.ndarray, np.ndarray]], origin: np.ndarray) -> Any:
     """A Mitsuba scene, with `origin` moved to zero since it counts in single precision."""
     import mitsuba as mi
 
     scene: dict[str, Any] = {"type": "scene"}
-    for number, (vertices, faces) in enumerate(meshes):
+    for number, (vertices, faces, normals) in enumerate(meshes):
         local = (vertices - origin).astype(np.float32)
         mesh = mi.Mesh(f"m{number}", len(local), len(faces), has_vertex_normals=True)
         values = mi.traverse(mesh)
         values["vertex_positions"] = mi.Float(local.ravel())
         values["faces"] = mi.UInt32(faces.ravel())
-        values["vertex_normals"] = mi.Float(_normals(local, faces).astype(np.float32).ravel())
+        values["vertex_normals"] = mi.Float(normals.astype(np.float32).ravel())
         values.update()
         scene[f"m{number}"] = mesh
     return mi.load_dict(scene)
