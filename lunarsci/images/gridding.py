@@ -29,13 +29,12 @@ COVERED = 0.5
 """Share of these places that must lie on triangles; assumed."""
 ASIDE = 1.0
 """Share of the unevenness between nodes that turns an error along the level into one of height; assumed: all of it."""
-ALIKE = 1.6
-"""Random errors of cells over those of independent windows, and"""
-REPRESENTED = 0.15
-"""the share of the relief between nodes that a cell's mean misses: both fitted to one rendered pair
-(`tests/benchmarks/scenes.py`, seed 1), and tried on others."""
-HIDDEN = 1.0
-"""Error of what no pixel shows of a cell, over the relief between nodes: assumed."""
+ALIKE_PX = 4.0
+"""Distance of pixels whose errors are independent,"""
+REPRESENTED = 0.09
+"""the share of the relief between nodes that the mean of a cell misses, and"""
+HIDDEN = 0.8
+"""the error of what no pixel shows of a cell over that relief: all three as `matching.CORRELATED`."""
 SMOOTH_M = 0.06
 """Width over which the slope of the ground is taken for the errors; assumed. [m]"""
 
@@ -108,15 +107,15 @@ def grid_of(
     layers, covered = _on_triangles(cloud, kept, values, matches, (x0, y0, spacing_m), shape)
     height, variance, by_disparity, width = np.moveaxis(layers, -1, 0)
     count = np.bincount(cell[kept], minlength=shape[0] * shape[1]).reshape(shape)
-    spread = _spread_of_means(height, variance, count, covered, spacing_m)
-    common = _common_errors(matches, rig, pose, cloud, gain, (x0, y0, spacing_m), height)
+    common, shift = _common_errors(matches, rig, pose, cloud, gain, (x0, y0, spacing_m), height)
+    parts = _spread_of_means(height, variance, count, covered, spacing_m), _unevenness(height, spacing_m) * shift
     return ElevationModel(
         name=name,
         x0_m=x0,
         y0_m=y0,
         spacing_m=spacing_m,
         height_m=height,
-        height_m_sigma=spread,
+        height_m_sigma=np.hypot(*parts),
         height_m_common_sigma=common,
         count=np.where(np.isfinite(height), np.maximum(count, 0.5), 0.0),
         height_by_disparity_m_px=by_disparity,
@@ -130,13 +129,12 @@ def _spread_of_means(
 ) -> FloatArray:
     """Random error of the cells' means. (ny, nx) [m]
 
-    n neighbouring pixels share windows of w pixels: the variance of their mean falls as (w / (sqrt(n) + w - 1))^2.
-    What no pixel shows of a cell is off by the relief.
+    The error of a mean over n neighbouring pixels that are alike over w pixels falls as w / (sqrt(n) + w - 1). What no
+    pixel shows of a cell is off by the relief.
     """
-    window = 2 * HALF_PX + 1
-    alone = window / (np.sqrt(np.maximum(count, 1)) + window - 1)
+    alone = ALIKE_PX / (np.sqrt(np.maximum(count, 1)) + ALIKE_PX - 1)
     relief = _relief(height, spacing_m)
-    parts = ALIKE * alone * np.sqrt(variance), REPRESENTED * relief, HIDDEN * (1.0 - covered) * relief
+    parts = alone * np.sqrt(variance), REPRESENTED * relief, HIDDEN * (1.0 - covered) * relief
     return np.asarray(np.sqrt(sum(np.square(part) for part in parts)))
 
 
@@ -205,8 +203,11 @@ def _common_errors(
     gain: FloatArray,
     grid: tuple[float, float, float],
     height: FloatArray,
-) -> FloatArray:
-    """What the rig's covariance makes of heights at their places, between pixels that are some way apart. (ny, nx)"""
+) -> tuple[FloatArray, FloatArray]:
+    """What the rig's covariance makes of heights at their places, and how far it shifts these along the level.
+
+    Between pixels that are some way apart. (ny, nx), (ny, nx) [m]
+    """
     from scipy.interpolate import griddata
 
     rows, columns = cloud.pixels.T
@@ -224,17 +225,17 @@ def _common_errors(
     slope = (gain[few] * d + way[:, 2]) / level
     along = np.einsum("ni,nik->nk", way[:, :2] / level[:, None], by[:, :2])
     rise = by[:, 2] - slope[:, None] * along
-    sigma = np.sqrt(np.einsum("nk,kl,nl->n", rise, rig.covariance, rise))
+    sigma, shift = (np.sqrt(np.einsum("nk,kl,nl->n", way, rig.covariance, way)) for way in (rise, along))
     good = np.isfinite(sigma)
     y, x = np.mgrid[: height.shape[0], : height.shape[1]]
     places = (cloud.points[few][good, :2] - np.array(grid[:2])) / grid[2]
     known = np.isfinite(height)
-    wanted = np.column_stack([x[known], y[known]])
-    found = griddata(places, sigma[good], wanted, method="linear")
-    nearest = griddata(places, sigma[good], wanted, method="nearest")
-    result = np.full(height.shape, np.nan)
+    wanted, given = np.column_stack([x[known], y[known]]), np.column_stack([sigma[good], shift[good]])
+    found = griddata(places, given, wanted, method="linear")
+    nearest = griddata(places, given, wanted, method="nearest")
+    result = np.full((*height.shape, 2), np.nan)
     result[known] = np.where(np.isfinite(found), found, nearest)
-    return result
+    return result[..., 0], result[..., 1]
 
 
 def _on_triangles(
