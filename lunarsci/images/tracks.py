@@ -313,6 +313,8 @@ def _measured(
     progress(2, 3)
     places = places_on(line, survey.centers, middles)
     by_disparity = np.abs(survey.model.at("height_by_disparity_m_px", *places.T)) * disparity_bias_px
+    known = np.isfinite(by_disparity)
+    by_disparity[~known] = np.median(by_disparity[known]) if known.any() else np.nan
     causes = _systematic(survey, profile, middles, depth) if np.isfinite(depth).any() else {}
     progress(3, 3)
     found = np.isfinite(depth)
