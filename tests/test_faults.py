@@ -25,10 +25,11 @@ def test_a_fit_that_is_killed_twice_goes_on(load_benchmark: Load, tmp_path: Path
     assert found.left == []
 
 
-def test_bands_on_a_full_disk_are_kept_and_go_on(load_benchmark: Load, tmp_path: Path) -> None:
+@pytest.mark.parametrize("command", ["bands", "map"])
+def test_what_a_full_disk_has_is_kept_and_gone_on_with(command: str, load_benchmark: Load, tmp_path: Path) -> None:
     """A real disk of a megabyte, then the same one read-only, then with room."""
     faults = load_benchmark("faults")
-    case = faults.case_of("bands", tmp_path, 0.5)
+    case = faults.case_of(command, tmp_path, 0.5)
     wanted, _ = faults.whole(case, tmp_path)
     told, same = faults.full_disk(case, tmp_path, wanted)
     if not told:

@@ -1,9 +1,13 @@
 """Maps on disk: NetCDF after the CF conventions, or GeoTIFF, written block by block."""
 
+import errno
 import json
+import os
+import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -105,8 +109,21 @@ class MapFile:
         }
 
     def write(self, path: Path, suffix: str, blocks: Iterable[Block]) -> None:
-        """Write the file in the format of a suffix, in the order of the blocks, which is that of their rows."""
+        """Write the file in the format of a suffix, in the order of the blocks, which is that of their rows.
+
+        Raises OSError where there is no room for it, before it is begun: HDF5 breaks down on a disk that becomes full.
+        """
+        waiting = iter(blocks)
+        blocks = chain(list(islice(waiting, 1)), waiting)  # blocks that are kept are all made before the first comes
+        if shutil.disk_usage(path.parent).free < self._bytes:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         {"netcdf": self._netcdf, "geotiff": self._geotiff}[SUFFIXES[suffix.lower()]](path, blocks)
+
+    @property
+    def _bytes(self) -> int:
+        """What its numbers take on a disk, which are not packed."""
+        lines, samples = self.region.shape
+        return lines * samples * sum(np.dtype(self.dtype(layer)).itemsize for layer in self.layers)
 
     def _netcdf(self, path: Path, blocks: Iterable[Block]) -> None:
         try:
