@@ -141,7 +141,7 @@ def text(input: InputFile) -> str:
 def _unprintable(decoded: str) -> int:
     """How many characters are none that a text has."""
     if decoded.isascii():
-        return len(decoded) - len(decoded.encode().translate(None, _UNPRINTABLE_ASCII))
+        return len(decoded) - len(decoded.encode("ascii").translate(None, _UNPRINTABLE_ASCII))
     return len(_UNPRINTABLE.findall(decoded))
 
 

@@ -2,151 +2,105 @@
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray, IntArray
-from lunarsci.compiled import each_in_threads
+from lunarsci.arrays import FloatArray
+from lunarsci.compiled import each_in_threads, uncounted
+from lunarsci.formulas import LANES
+from lunarsci.lanes import aligned, choose, highest, load, root, spread, store, take_eight
+from lunarsci.spectra.band_choice import CHOICES, OTHER_NM, TRIED, Places, go_on, judge, own_continuum, record, verdict
 from lunarsci.spectra.band_polynomial import (
     AREA,
     CURVE,
-    LEVEL,
     NOISE,
+    ONTO,
     PER_LEVEL,
     RATIO,
     ROWS,
-    SMOOTHED,
-    STEPS,
+    SPARE,
     VALUES,
-    WAVELENGTH,
-    WEIGHT,
     WIDE_DEPTH,
     WIDE_NM,
-    kernel,
+    BandWork,
+    X,
 )
 from lunarsci.spectra.band_shape import (
-    LEAST_DEPTH,
-    NOTHING,
-    WIDE,
-    Shape,
-    Smoother,
-    centre,
-    gaussian_centre,
+    AREA_VARIANCE,
+    ASYMMETRY_VARIANCE,
+    CENTER_VARIANCE,
+    DEPTH_VARIANCE,
+    GAUSSIAN_NM,
+    SHAPE_AREA,
+    SHAPE_ASYMMETRY,
+    SHAPE_DEPTH,
+    SHAPE_NM,
+    WIDE_CENTER_NM,
     shape,
-    smooth,
-    window_of,
 )
+from lunarsci.spectra.band_slopes import BandGrid, Smoother, smooth
 from lunarsci.spectra.band_status import (
     AREA_CALIBRATION,
     AREA_NM,
     AREA_SIGMA,
     ASYMMETRY_SHARE,
     ASYMMETRY_SIGMA,
-    AWAY,
     BANDS,
-    BELOW,
     CENTER,
     CENTER_CALIBRATION,
     CENTER_SIGMA,
     CODES,
     CONTINUUM,
-    CROSSING_SHARE,
-    DEEPEST,
     DEPTH,
     DEPTH_CALIBRATION,
     DEPTH_SIGMA,
-    ELSEWHERE,
-    END_CHANNELS,
-    FALLS,
-    FEW,
-    MAX_CENTER_SIGMA_NM,
     METHOD,
-    MIN_SIGNIFICANCE,
-    NO_MINIMUM,
     NO_TIES,
     NOT_COVERED,
     NOTE,
-    NOTE_DEEPEST,
     OK,
     QUANTITIES,
-    RUNAWAY_SHARE,
-    SHALLOW,
     SPARSE,
     STATUS,
     SYSTEMATIC,
-    UNCERTAIN,
     UNUSABLE,
     Band,
     Codes,
 )
-from lunarsci.spectra.continuum import (
-    CONIC,
-    CONTINUA,
-    HULL,
-    LINEAR,
-    TERMS,
-    Indices,
-    Ties,
-    level_under,
-    tie_down,
-    ties_of,
-)
-from lunarsci.spectra.noise import scatter_noise_rows
+from lunarsci.spectra.continuum import CONTINUA, HULL, LEVEL, LINEAR, SMOOTHED, tables_of, tie_down, ties_of
+from lunarsci.spectra.noise import WINDOW, running_medians
 from lunarsci.spectra.spectrum import smoothing_operator
 
 FEWEST_IN_WINDOW = 14
-CHUNK = 256
-"""Spectra that a thread takes at a time."""
+
+
+CHUNK = 512
+"""Spectra that a thread takes at a time; a multiple of `LANES`."""
+
+
 SAME_NM = 1e-6
 """Centres closer than this are those of the same tie points."""
+
+
 LEAST_SIGNAL = 0.01
 """Share of the brightest channel that stands for a darker one where noise is that of photons; assumed."""
-
-
-class Places(NamedTuple):
-    """Where the bands lie among the channels.
-
-    Attributes
-    ----------
-    bands : of each, its first channel and the one behind its last, and the same of where its deepest may lie, (2, 4).
-    limits_nm, bias : where its centre may lie, (2, 2); see `Band`, (2,). [nm, -]
-    wanted : place of the wanted continuum in `CONTINUA`.
-    missing : a code of `STATUSES` where the channels cannot show it, else 0, (2,).
-    order : continua in the order in which they are tried, (3,), -1 for none.
-    """
-
-    bands: IntArray
-    limits_nm: FloatArray
-    bias: FloatArray
-    wanted: int
-    missing: IntArray
-    order: IntArray
-
-
-class BandGrid(NamedTuple):
-    """What spectra on the same n channels share: channels and their gradient, (n,) [nm], smoothing, and ties."""
-
-    wavelength_nm: FloatArray
-    steps_nm: FloatArray
-    smoother: Smoother
-    ties: Ties
 
 
 def grid_of(wavelength_nm: FloatArray, width_nm: float, order: int) -> BandGrid:
     """What spectra on these ascending channels share, smoothed over so many nm with a polynomial of this order."""
     operator = smoothing_operator(wavelength_nm, width_nm, order)
+    steps = np.gradient(wavelength_nm)
+    return BandGrid(wavelength_nm, steps, _banded(operator), _banded(operator.T), ties_of(wavelength_nm))
+
+
+def _banded(operator: FloatArray) -> Smoother:
     used = operator != 0
-    first = np.argmax(used, axis=1)
-    width = int((wavelength_nm.size - np.argmax(used[:, ::-1], axis=1) - first).max())
-    first = np.minimum(first, wavelength_nm.size - width)
+    first, size = np.argmax(used, axis=1), len(operator)
+    width = int((size - np.argmax(used[:, ::-1], axis=1) - first).max())
+    first = np.minimum(first, size - width)
     weights = np.take_along_axis(operator, first[:, None] + np.arange(width), axis=1)
-    return BandGrid(
-        wavelength_nm,
-        np.gradient(wavelength_nm),
-        Smoother(first, np.ascontiguousarray(weights)),
-        ties_of(wavelength_nm),
-    )
+    return Smoother(first, np.ascontiguousarray(weights))
 
 
 def places_of(grid: BandGrid, wanted: int) -> Places:
@@ -159,7 +113,8 @@ def places_of(grid: BandGrid, wanted: int) -> Places:
     limits = np.array([band.centre_nm for band in BANDS])
     bias = np.array([band.bias for band in BANDS])
     codes = np.array(missing, np.int64), np.array(order, np.int64)
-    return Places(np.array(bands, np.int64), limits, bias, wanted, *codes)
+    low, high = min(band[0] for band in bands), max(band[1] for band in bands)
+    return Places(np.array(bands, np.int64), limits, bias, wanted, *codes, low, high)
 
 
 def _range(wavelength_nm: FloatArray, limits_nm: tuple[float, float]) -> tuple[int, int]:
@@ -200,17 +155,17 @@ def measure_rows(
     def work(chunk: int) -> None:
         rows = slice(chunk * CHUNK, min((chunk + 1) * CHUNK, count))
         own = np.ascontiguousarray(reflectance[rows], float)
-        smoothed = np.empty_like(own)
-        _smooth_rows(grid.smoother, own, smoothed)
-        given = _noise(own, smoothed) if sigma is None else sigma[rows] if sigma.ndim > 1 else sigma
-        noise = np.ascontiguousarray(np.broadcast_to(given, own.shape), float)
-        tie, s = np.zeros((TERMS * len(CONTINUA) + 1, own.shape[1]), np.int64), np.zeros((ROWS, own.shape[1]))
-        s[WAVELENGTH], s[STEPS] = grid.wavelength_nm, grid.steps_nm
-        of = (own, smoothed, noise, np.ascontiguousarray(shifts[rows]))
-        _measure(grid.smoother, grid.ties, places, *of, tie, s, numbers[rows], codes[rows])
+        given = np.empty((0, own.shape[1])) if sigma is None else sigma[rows] if sigma.ndim > 1 else sigma
+        noise = given if sigma is None else np.ascontiguousarray(np.broadcast_to(given, own.shape), float)
+        _measure(grid, places, own, noise, np.ascontiguousarray(shifts[rows]), _work(grid), numbers[rows], codes[rows])
 
     each_in_threads(work, -(-count // CHUNK), progress)
     return numbers, codes
+
+
+def _work(grid: BandGrid) -> BandWork:
+    t, tie, nodes, own = tables_of(grid.ties, ROWS)
+    return BandWork(t, aligned(CHOICES), np.concatenate([tie, tie[:1]]), nodes, own)
 
 
 def nothing_of(count: int) -> tuple[FloatArray, Codes]:
@@ -220,163 +175,122 @@ def nothing_of(count: int) -> tuple[FloatArray, Codes]:
     return np.full((count, len(BANDS), len(QUANTITIES)), np.nan), codes
 
 
-def _noise(values: FloatArray, smoothed: FloatArray) -> FloatArray:
-    """Scatter of the channels, taken to follow the root of the signal as that of photons does, (m, n)."""
-    root = np.sqrt(np.maximum(smoothed, LEAST_SIGNAL * values.max(axis=1, keepdims=True)))
-    return np.asarray(scatter_noise_rows(values / root) * root)
-
-
-@kernel
-def _smooth_rows(g: Smoother, values: FloatArray, smoothed: FloatArray) -> None:
-    for row in range(values.shape[0]):
-        smooth(g, values[row], smoothed[row])
-
-
-@kernel
+@uncounted
 def _measure(
-    g: Smoother, ties: Ties, places: Places, values: FloatArray, smoothed: FloatArray, noise: FloatArray,
-    shifts: FloatArray, tie: Indices, s: FloatArray, found: FloatArray, codes: Codes,
+    g: BandGrid, places: Places, values: FloatArray, noise: FloatArray, shifts: FloatArray, work: BandWork, found: FloatArray,
+    codes: Codes,
 ) -> None:  # fmt: skip
-    """`measure_rows` of some rows, into `found` and `codes`."""
-    for row in range(values.shape[0]):
-        for j in range(values.shape[1]):
-            s[VALUES, j], s[SMOOTHED, j], s[NOISE, j] = values[row, j], smoothed[row, j], noise[row, j]
+    """`measure_rows` of some rows, into `found` and `codes`; noise of no rows is found from the scatter."""
+    t, count, low, high = work.t, g.wavelength_nm.size, places.low, places.high
+    for begin in range(0, len(values), LANES):
+        take_eight(values, begin, t, VALUES * count)
+        smooth(g.smoother, t, VALUES * count, SMOOTHED * count)
+        if len(noise) > 0:
+            take_eight(noise, begin, t, NOISE * count)
+        else:
+            _noise(t, count)
         for c in range(len(CONTINUA)):
-            if ties.available[c]:
-                _remove(ties, tie, s, c)
-        for b in range(places.bands.shape[0]):
-            _measure_band(g, ties.available, places, tie, s, b, shifts[row], found[row, b], codes[row, b])
+            if g.ties.available[c]:
+                tie_down(c, g.ties, t, work.tie[c], work.nodes, work.own)
+                _remove(t, c, low, high, count)
+        for b in range(len(places.bands)):
+            _measure_band(
+                g, places, work, b, shifts[begin:], found[begin : begin + LANES], codes[begin : begin + LANES]
+            )
 
 
-@kernel
-def _remove(ties: Ties, tie: Indices, s: FloatArray, c: int) -> None:
-    """A continuum of the spectrum, and both ratios."""
-    own = slice(TERMS * c, TERMS * c + TERMS)
-    tie_down(
-        c, ties, s[SMOOTHED], tie[own], s[WEIGHT + TERMS * c : WEIGHT + TERMS * c + TERMS], tie[TERMS * len(CONTINUA)]
-    )
-    level_under(s[SMOOTHED], tie[own], s[WEIGHT + TERMS * c : WEIGHT + TERMS * c + TERMS], s[LEVEL + c])
-    for j in range(s.shape[1]):
-        per_level = 1.0 / s[LEVEL + c, j] if s[LEVEL + c, j] > 0.0 else 1.0
-        s[PER_LEVEL + c, j] = per_level
-        s[RATIO + c, j] = s[VALUES, j] * per_level
-        s[CURVE + c, j] = s[SMOOTHED, j] * per_level
+@uncounted
+def _noise(t: Any, count: int) -> None:
+    """Scatter of the channels, taken to follow the root of the signal as that of photons does."""
+    brightest = load(t, VALUES * count)
+    for j in range(1, count):
+        brightest = highest(brightest, load(t, VALUES * count + j))
+    for j in range(count):
+        signal = root(highest(load(t, SMOOTHED * count + j), brightest * LEAST_SIGNAL))
+        store(t, SPARE * count + j, signal)
+        store(t, X * count + j, load(t, VALUES * count + j) / signal)
+    running_medians(t, X * count, NOISE * count, count, WINDOW, t[ONTO * count :], t[WIDE_NM * count :])
+    for j in range(count):
+        store(t, NOISE * count + j, load(t, NOISE * count + j) * load(t, SPARE * count + j))
 
 
-@kernel
+@uncounted
+def _remove(t: Any, c: int, low: int, high: int, count: int) -> None:
+    """Both ratios to a continuum at some channels."""
+    for j in range(low, high):
+        level = load(t, (LEVEL + c) * count + j)
+        per_level = choose(level, 1.0 / level, spread(1.0))
+        store(t, (PER_LEVEL + c) * count + j, per_level)
+        store(t, (RATIO + c) * count + j, load(t, VALUES * count + j) * per_level)
+        store(t, (CURVE + c) * count + j, load(t, SMOOTHED * count + j) * per_level)
+
+
+@uncounted
 def _measure_band(
-    g: Smoother,
-    available: BoolArray,
-    places: Places,
-    tie: Indices,
-    s: FloatArray,
-    b: int,
-    shifts: FloatArray,
-    found: FloatArray,
-    codes: IntArray,
+    g: BandGrid, places: Places, work: BandWork, b: int, shifts: FloatArray, found: FloatArray, codes: Codes
 ) -> None:
-    """One band, under the wanted continuum or the first that is fit for use."""
-    codes[CONTINUUM], codes[STATUS], codes[NOTE] = -1, places.missing[b], OK
-    if places.missing[b] != OK:
-        return
-    codes[NOTE] = NO_TIES if places.order[0] != places.wanted else OK
-    for c in places.order:
-        if c < 0:
-            break
-        code, deepest, one = _judged(g, places, tie, s, b, c)
-        if code == OK or c == HULL:
-            codes[CONTINUUM], codes[STATUS], found[DEEPEST] = c, code, deepest
-        if code == OK:
-            _fill(g, available, places, tie, s, b, c, one, shifts, found)
-            return
-        if c == places.wanted:
-            codes[NOTE], found[NOTE_DEEPEST] = code, deepest
+    """One band of eight spectra, each under the wanted continuum or the first that is fit for use."""
+    k, open_ = work.k, places.missing[b] == OK
+    for c in range(len(CONTINUA)):
+        if open_ and g.ties.available[c]:
+            judge(g, places, work, b, c)
+    waiting = False
+    for lane in range(LANES):
+        k[TRIED, lane] = -1.0
+        if lane < len(found):
+            own = codes[lane, b]
+            own[CONTINUUM], own[STATUS], own[NOTE] = -1, places.missing[b], OK
+            if open_:
+                own[NOTE] = NO_TIES if places.order[0] != places.wanted else OK
+                waiting = go_on(places, k, lane, found[lane, b], own) or waiting
+    while waiting:
+        waiting = False
+        own_continuum(g, places, work)
+        shape(g, work, places.bands[b], places.bias[b])
+        for lane in range(len(found)):
+            tried = int(k[TRIED, lane])
+            if tried >= 0:
+                c, code = places.order[tried], verdict(places.limits_nm[b], k, lane)
+                record(places, k, lane, c, code, found[lane, b], codes[lane, b])
+                if code == OK:
+                    _fill(g, work, lane, c, shifts[lane], found[lane, b])
+                    k[TRIED, lane] = -2.0
+                else:
+                    waiting = go_on(places, k, lane, found[lane, b], codes[lane, b]) or waiting
 
 
-@kernel
-def _judged(g: Smoother, places: Places, tie: Indices, s: FloatArray, b: int, c: int) -> tuple[int, float, Shape]:
-    """A band under a continuum: a code, where it is deepest [nm], and its shape, if the code is 0."""
-    band = places.bands[b]
-    objection, deepest = _objection(s, c, band)
-    deepest_nm = s[WAVELENGTH, deepest]
-    low, high = places.limits_nm[b]
-    w = window_of(s, c, band, WIDE[0], WIDE[1], True)
-    if objection != FALLS and not w.inner:
-        return FEW if low < deepest_nm < high else ELSEWHERE, deepest_nm, Shape(False, *NOTHING)
-    if objection != OK:
-        return objection, deepest_nm, Shape(False, *NOTHING)
-    one = shape(g, tie, s, c, band, places.bias[b], w)
-    if not (one.found and low <= one.center_nm <= high):
-        return NO_MINIMUM, deepest_nm, one
-    if one.depth < max(MIN_SIGNIFICANCE * one.depth_sigma, LEAST_DEPTH):
-        return SHALLOW, deepest_nm, one
-    return UNCERTAIN if one.center_sigma_nm > MAX_CENTER_SIGMA_NM else OK, deepest_nm, one
-
-
-@kernel
-def _objection(s: FloatArray, c: int, band: IntArray) -> tuple[int, int]:
-    """Why a continuum is not fit for use over a band, or 0; the channel where the smoothed ratio is lowest."""
-    highest, deepest, above = -math.inf, band[0], True
-    for j in range(band[0], band[1]):
-        above = above and s[LEVEL + c, j] > 0.0
-        highest = max(highest, s[CURVE + c, j])
-        if s[CURVE + c, j] < s[CURVE + c, deepest]:
-            deepest = j
-    depth, end, size = 1.0 - s[CURVE + c, deepest], 0.0, s.shape[1]
-    if not above:
-        return FALLS, deepest
-    if highest - 1.0 > CROSSING_SHARE * depth:
-        return BELOW, deepest
-    if c == CONIC and band[1] == size:
-        for j in range(size - END_CHANNELS, size):
-            end += (1.0 - s[CURVE + c, j]) / END_CHANNELS
-        if end > RUNAWAY_SHARE * depth:
-            return AWAY, deepest
-    return OK, deepest
-
-
-@kernel
-def _fill(
-    g: Smoother,
-    available: BoolArray,
-    places: Places,
-    tie: Indices,
-    s: FloatArray,
-    b: int,
-    c: int,
-    one: Shape,
-    shifts: FloatArray,
-    found: FloatArray,
-) -> None:
+@uncounted
+def _fill(g: BandGrid, work: BandWork, lane: int, c: int, shifts: FloatArray, found: FloatArray) -> None:
     """The numbers of a band that is there, with what other continua and another definition of the centre differ by."""
-    found[CENTER], found[CENTER_SIGMA], found[DEPTH], found[DEPTH_SIGMA] = (
-        one.center_nm, one.center_sigma_nm, one.depth, one.depth_sigma
-    )  # fmt: skip
-    found[AREA_NM], found[AREA_SIGMA], found[ASYMMETRY_SHARE], found[ASYMMETRY_SIGMA] = (
-        one.area_nm, one.area_sigma_nm, one.asymmetry, one.asymmetry_sigma
-    )  # fmt: skip
+    k = work.k
+    found[CENTER], found[DEPTH] = k[SHAPE_NM, lane], k[SHAPE_DEPTH, lane]
+    found[AREA_NM], found[ASYMMETRY_SHARE] = k[SHAPE_AREA, lane], k[SHAPE_ASYMMETRY, lane]
+    found[CENTER_SIGMA], found[DEPTH_SIGMA] = math.sqrt(k[CENTER_VARIANCE, lane]), math.sqrt(k[DEPTH_VARIANCE, lane])
+    found[AREA_SIGMA], found[ASYMMETRY_SIGMA] = (
+        math.sqrt(k[AREA_VARIANCE, lane]),
+        math.sqrt(k[ASYMMETRY_VARIANCE, lane]),
+    )
     if shifts.shape[0] > 0:
-        found[CENTER_CALIBRATION] = _shared(s, WIDE_NM, shifts)
-        found[DEPTH_CALIBRATION] = _shared(s, WIDE_DEPTH, shifts)
-        found[AREA_CALIBRATION] = _shared(s, AREA, shifts)
-    lowest = highest = one.wide_nm
+        found[CENTER_CALIBRATION] = _shared(work.t, WIDE_NM, lane, shifts)
+        found[DEPTH_CALIBRATION] = _shared(work.t, WIDE_DEPTH, lane, shifts)
+        found[AREA_CALIBRATION] = _shared(work.t, AREA, lane, shifts)
+    least = most = k[WIDE_CENTER_NM, lane]
     for other in range(len(CONTINUA)):
-        if other != c and available[other]:
-            there = centre(g, tie, s, other, places.bands[b])
-            if not math.isnan(there):
-                lowest, highest = min(lowest, there), max(highest, there)
-    if highest - lowest > SAME_NM:
-        found[SYSTEMATIC] = (highest - lowest) / 2.0
-    found[METHOD] = abs(gaussian_centre(s, c, places.bands[b]) - one.center_nm) / 2.0
+        there = k[OTHER_NM + other, lane]
+        if other != c and g.ties.available[other] and not math.isnan(there):
+            least, most = min(least, there), max(most, there)
+    if most - least > SAME_NM:
+        found[SYSTEMATIC] = (most - least) / 2.0
+    found[METHOD] = abs(k[GAUSSIAN_NM, lane] - k[SHAPE_NM, lane]) / 2.0
 
 
-@kernel
-def _shared(s: FloatArray, row: int, shifts: FloatArray) -> float:
-    """Standard deviation of a quantity, its derivatives in a row, from errors that shift all channels, (k, n)."""
+@uncounted
+def _shared(t: Any, row: int, lane: int, shifts: FloatArray) -> float:
+    """Standard deviation of a quantity, its derivatives in rows, from errors that shift all channels, (k, n)."""
     total = 0.0
-    for k in range(shifts.shape[0]):
+    for error in range(shifts.shape[0]):
         moved = 0.0
-        for j in range(s.shape[1]):
-            moved += s[row, j] * shifts[k, j]
+        for j in range(shifts.shape[1]):
+            moved += t[row * shifts.shape[1] + j, lane] * shifts[error, j]
         total += moved * moved
     return math.sqrt(total)

@@ -1,4 +1,4 @@
-"""Centre, depth, area and asymmetry of one absorption band in one spectrum, with standard errors; compiled.
+"""Centre, depth, area and asymmetry of one absorption band in eight spectra at once, with standard errors.
 
 The centre is the minimum of a fourth-order polynomial through the deepest part of the band, of two: a wide one, which
 scatters little and is biased where the band is lopsided, and a narrow one, which is neither. They are joined with the
@@ -11,345 +11,286 @@ independent between channels.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray, IntArray
+from lunarsci.arrays import IntArray
+from lunarsci.compiled import uncounted
+from lunarsci.formulas import LANES, formula
+from lunarsci.lanes import choose, highest, load, logarithm, lowest, root, spread, store
 from lunarsci.spectra.band_polynomial import (
     AREA,
     ASYMMETRY,
-    COEFFICIENTS,
     CURVE,
+    FIRST,
+    FOUND,
+    HALF_NM,
     HEFT,
-    HEFT_SLOPE,
-    NARROW_DEPTH,
+    INNER,
+    LAST,
+    LOWEST,
+    MIDDLE_NM,
     NARROW_NM,
     NOISE,
     OF_CURVE,
     OF_RATIO,
-    ONTO,
-    PER_LEVEL,
-    POWER,
+    OF_SHAPE,
+    OF_TERM,
+    OWN,
     RATIO,
-    RESIDUAL,
     RIGHT,
-    SHARE,
+    RIVALLED,
+    SECOND,
     SIZE,
-    SOLVED,
     SPARE,
-    STEPS,
-    WAVELENGTH,
-    WEIGHT,
     WIDE_DEPTH,
     WIDE_NM,
-    BandWindow,
+    BandWork,
     X,
     curvature_at,
     fit,
-    kernel,
     minima,
-    powers,
-    solve,
     value_at,
 )
-from lunarsci.spectra.continuum import TERMS, Indices
+from lunarsci.spectra.band_slopes import BandGrid, per_channel, slopes
+from lunarsci.spectra.band_window import HALF, LEAST_DEPTH, NARROW, WIDE, has_any, window_of
 
-WIDE, NARROW = (0.6, 0.9), (0.85, 1.0)
-"""Channels less deep than the first share of the band do not count, those deeper than the second count fully; assumed.
-Polynomials through about the deepest third are usual for asteroids: Moskovitz et al. (2010), Icarus 208, 773,
-10.1016/j.icarus.2010.03.002."""
-HALF = 0.5
-"""Share of the depth from which a Gaussian is fitted."""
-FEWEST_CHANNELS = 8
-"""Where fewer are in the wide window, shares half as large are used, and the narrow one not at all: coarse channels."""
-NOTHING = (math.nan,) * 9
-LEAST_DEPTH = 1e-6
 TINY = float(np.finfo(float).tiny)
 
 
-class Smoother(NamedTuple):
-    """The smoothing of spectra on the same n channels.
-
-    Attributes
-    ----------
-    first, weights : the first channel that it takes at each channel, and the weights from there, (n,), (n, w).
-    """
-
-    first: Indices
-    weights: FloatArray
-
-
-class Minimum(NamedTuple):
-    """A minimum in a window: wavelength [nm], depth [-], their variances and common one, variance not of first order.
-
-    `rival` is that a second minimum may be the lower one, and that the curvature is uncertain, three times the square
-    of its relative error.
-    """
-
-    found: bool
-    nm: float
-    depth: float
-    variance: float
-    rival: float
+(
+    MINIMUM_NM, MINIMUM_DEPTH, MINIMUM_VARIANCE, MINIMUM_RIVAL, HAS_SHAPE, WIDE_CENTER_NM, UNSAID, SHAPE_NM,
+    CENTER_VARIANCE, SHAPE_DEPTH, DEPTH_VARIANCE, SHAPE_AREA, AREA_VARIANCE, SHAPE_ASYMMETRY, ASYMMETRY_VARIANCE,
+    GAUSSIAN_NM
+) = range(OF_SHAPE, OF_SHAPE + 16)  # fmt: skip
+OF_CHOICE = GAUSSIAN_NM + 1
+"""Rows, behind those of `band_polynomial`: of a minimum in a window its wavelength [nm] and depth, the variance of the
+wavelength, and what is not of first order in that (that a second minimum may be the lower one, and that the curvature
+is uncertain: three times the square of its relative error); whether there is a band, its centre in the wide window
+[nm], variance of the centre that is not of first order; centre, depth, area [nm], asymmetry, each with its variance;
+centre of a Gaussian [nm]."""
 
 
-class Shape(NamedTuple):
-    """A band; meaningless where `found` is False. See `lunarsci.spectra.bands.BandResult`."""
-
-    found: bool
-    wide_nm: float
-    center_nm: float
-    center_sigma_nm: float
-    depth: float
-    depth_sigma: float
-    area_nm: float
-    area_sigma_nm: float
-    asymmetry: float
-    asymmetry_sigma: float
+def _right_side(k: Any, x: Any, derivative: int, factor: Any) -> None:
+    """Derivative of 1, x, …, x^4 at x, times a factor, into RIGHT."""
+    power = x * 0.0 + factor
+    for n in range(SIZE):
+        own = n * (n - 1) if derivative == 2 else n if derivative == 1 else 1
+        store(k, RIGHT + n, power * float(own) if n >= derivative else x * 0.0)
+        power = power * x if n >= derivative else power
 
 
-@kernel
-def smooth(g: Smoother, values: FloatArray, out: FloatArray) -> None:
-    """The smoothed reflectance, into `out` (n,)."""
-    for j in range(values.size):
-        first, total = g.first[j], 0.0
-        for k in range(g.weights.shape[1]):
-            total += g.weights[j, k] * values[first + k]
-        out[j] = total
+@formula
+def _ask_curvature(k: Any, x: Any) -> None:
+    _right_side(k, x, 2, 1.0)
 
 
-@kernel
-def window_of(s: FloatArray, c: int, band: IntArray, low: float, high: float, wide: bool) -> BandWindow:
-    """The channels that are connected with the deepest one and deep enough; their weights into HEFT.
-
-    SHARE takes the depth over the deepest, X the scaled wavelength, HEFT_SLOPE the derivative of the weight
-    to the share.
-    """
-    curve, deepest = s[CURVE + c], band[2]
-    for j in range(band[2], band[3]):
-        if curve[j] < curve[deepest]:
-            deepest = j
-    most = max(1.0 - curve[deepest], LEAST_DEPTH)
-    first, last = _connected(curve, band, deepest, 1.0 - low * most)
-    if wide and last - first + 1 < FEWEST_CHANNELS:
-        low, high = low / 2, high / 2
-        first, last = _connected(curve, band, deepest, 1.0 - low * most)
-    middle = (s[WAVELENGTH, first] + s[WAVELENGTH, last]) / 2
-    half = max((s[WAVELENGTH, last] - s[WAVELENGTH, first]) / 2, 1.0)
-    per_depth, per_share, per_half = 1.0 / most, 1.0 / (high - low), 1.0 / half
-    for j in range(first, last + 1):
-        share = (1.0 - curve[j]) * per_depth
-        t = min(max((share - low) * per_share, 0.0), 1.0)
-        s[SHARE, j] = share
-        s[HEFT, j] = t * t * (3.0 - 2.0 * t)
-        s[HEFT_SLOPE, j] = 6.0 * t * (1.0 - t) * per_share
-        s[X, j] = (s[WAVELENGTH, j] - middle) * per_half
-    inner = band[2] < deepest < band[3] - 1 and last - first + 1 >= FEWEST_CHANNELS
-    return BandWindow(first, last, deepest, most, middle, half, inner)
+@formula
+def _ask_depth(k: Any, x: Any) -> None:
+    _right_side(k, x, 0, -1.0)
 
 
-@kernel
-def _connected(curve: FloatArray, band: IntArray, at: int, below: float) -> tuple[int, int]:
-    """First and last channel of the run about one whose curve is below a level."""
-    first, last = at, at
-    while first > band[0] and curve[first - 1] < below:
-        first -= 1
-    while last < band[1] - 1 and curve[last + 1] < below:
-        last += 1
-    return first, last
+@formula
+def _ask_centre(k: Any, x: Any, per_slope: Any) -> None:
+    _right_side(k, x, 1, -per_slope)
 
 
-@kernel
-def _slopes(g: Smoother, tie: Indices, s: FloatArray, c: int, w: BandWindow, out: int) -> None:
-    """Derivatives to each reflectance, into a row, of a quantity whose derivatives to the coefficients are in RIGHT."""
-    solve(s, RIGHT, SOLVED)
-    per_depth, total = 1.0 / w.depth, 0.0
-    for j in range(w.first, w.last + 1):
-        along = value_at(s, SOLVED, s[X, j])
-        of_share = along * s[RESIDUAL, j] * s[HEFT_SLOPE, j] * per_depth
-        s[OF_RATIO, j] = along * s[HEFT, j]
-        s[OF_CURVE, j] = -of_share
-        total += of_share * s[SHARE, j]
-    s[OF_CURVE, w.deepest] += total
-    per_channel(g, tie, s, c, w.first, w.last + 1, out)
+@formula
+def _difference(k: Any, x: Any, other: Any) -> None:
+    """What two points of the polynomial differ by, into RIGHT."""
+    one, two = x * 0.0 + 1.0, x * 0.0 + 1.0
+    for n in range(SIZE):
+        store(k, RIGHT + n, two - one)
+        one, two = one * x, two * other
 
 
-@kernel
-def per_channel(g: Smoother, tie: Indices, s: FloatArray, c: int, first: int, behind: int, out: int) -> None:
-    """Derivatives to both ratios, OF_RATIO and OF_CURVE, into derivatives to the reflectance."""
-    size = s.shape[1]
-    for j in range(size):
-        s[ONTO, j] = 0.0
-        s[out, j] = 0.0
-    for j in range(first, behind):
-        per_level = s[PER_LEVEL + c, j]
-        of_level = -(s[OF_RATIO, j] * s[RATIO + c, j] + s[OF_CURVE, j] * s[CURVE + c, j]) * per_level
-        s[out, j] = s[OF_RATIO, j] * per_level
-        s[ONTO, j] += s[OF_CURVE, j] * per_level
-        for k in range(TERMS):
-            s[ONTO, tie[TERMS * c + k, j]] += of_level * s[WEIGHT + TERMS * c + k, j]
-    for j in range(size):
-        if s[ONTO, j] != 0.0:
-            begin = g.first[j]
-            for k in range(g.weights.shape[1]):
-                s[out, begin + k] += g.weights[j, k] * s[ONTO, j]
+@uncounted
+def _minimum(g: BandGrid, work: BandWork, first: int, behind: int, row: int) -> None:
+    """The minimum in a window; derivatives of wavelength and depth into rows from `row` on."""
+    t, k = work.t, work.k
+    fit(t, k, RATIO + OWN, first, behind, g.wavelength_nm.size)
+    minima(k)
+    x, curvature, per_x = load(k, LOWEST), curvature_at(k, load(k, LOWEST)), load(k, HALF_NM)
+    _ask_curvature(k, x)
+    flat = root(slopes(g, work, first, behind, SPARE)) / highest(curvature, spread(TINY))
+    _ask_depth(k, x)
+    slopes(g, work, first, behind, row + 1)
+    _ask_centre(k, x, per_x / curvature)
+    variance = slopes(g, work, first, behind, row)
+    store(k, MINIMUM_NM, load(k, MIDDLE_NM) + per_x * x)
+    store(k, MINIMUM_DEPTH, 1.0 - value_at(k, x))
+    store(k, MINIMUM_VARIANCE, variance)
+    store(k, MINIMUM_RIVAL, flat * flat * variance * 3.0)
+    if has_any(k, RIVALLED):
+        _add_rival(g, work, first, behind)
 
 
-@kernel
-def variance(s: FloatArray, row: int) -> float:
-    """Variance of a quantity whose derivatives to each reflectance are in a row."""
-    total = 0.0
-    for j in range(s.shape[1]):
-        off = s[row, j] * s[NOISE, j]
-        total += off * off
-    return total
-
-
-@kernel
-def centre(g: Smoother, tie: Indices, s: FloatArray, c: int, band: IntArray) -> float:
-    """Centre of the wide window, without errors; NaN where there is none. [nm]"""
-    w = window_of(s, c, band, WIDE[0], WIDE[1], True)
-    if not (w.inner and fit(s, c, w)):
-        return math.nan
-    return float(w.middle_nm + w.half_nm * minima(s)[0])
-
-
-@kernel
-def _minimum(g: Smoother, tie: Indices, s: FloatArray, c: int, w: BandWindow, first_row: int) -> Minimum:
-    """The minimum in a window; derivatives of wavelength and depth into rows from `first_row` on."""
-    if not fit(s, c, w):
-        return Minimum(False, math.nan, math.nan, math.nan, math.nan)
-    x, second = minima(s)
-    if math.isnan(x):
-        return Minimum(False, math.nan, math.nan, math.nan, math.nan)
-    curvature = curvature_at(s, x)
-    powers(s, x, 2, 1.0)
-    _slopes(g, tie, s, c, w, SPARE)
-    flat = math.sqrt(variance(s, SPARE)) / max(curvature, TINY)
-    powers(s, x, 0, -1.0)
-    _slopes(g, tie, s, c, w, first_row + 1)
-    powers(s, x, 1, -w.half_nm / curvature)
-    _slopes(g, tie, s, c, w, first_row)
-    first_order = variance(s, first_row)
-    rival = 3.0 * flat * flat * first_order
-    if not math.isnan(second):
-        rival += _rival(g, tie, s, c, w, x, second)
-    return Minimum(True, w.middle_nm + w.half_nm * x, 1.0 - value_at(s, COEFFICIENTS, x), first_order, rival)
-
-
-@kernel
-def _rival(g: Smoother, tie: Indices, s: FloatArray, c: int, w: BandWindow, x: float, second: float) -> float:
+@uncounted
+def _add_rival(g: BandGrid, work: BandWork, first: int, behind: int) -> None:
     """What it adds to the variance of the centre that the second minimum may truly be the lower one. [nm2]
 
     The probability of that, from the difference of their depths and its error, times the square of their distance.
     """
-    for k in range(SIZE):
-        s[RIGHT, k] = second**k - x**k
-    _slopes(g, tie, s, c, w, SPARE)
-    sigma = max(math.sqrt(variance(s, SPARE)), TINY)
-    rise = value_at(s, COEFFICIENTS, second) - value_at(s, COEFFICIENTS, x)
-    apart = w.half_nm * (second - x)
-    return 0.5 * math.erfc(rise / sigma / math.sqrt(2.0)) * apart * apart
+    k = work.k
+    x, second = load(k, LOWEST), load(k, SECOND)
+    _difference(k, x, second)
+    sigma = highest(root(slopes(g, work, first, behind, SPARE)), spread(TINY))
+    store(k, OF_TERM, (value_at(k, second) - value_at(k, x)) / sigma)
+    for lane in range(LANES):
+        if k[RIVALLED, lane] > 0.0:
+            apart = k[HALF_NM, lane] * (k[SECOND, lane] - k[LOWEST, lane])
+            k[MINIMUM_RIVAL, lane] += 0.5 * math.erfc(k[OF_TERM, lane] / math.sqrt(2.0)) * apart * apart
 
 
-@kernel
-def shape(g: Smoother, tie: Indices, s: FloatArray, c: int, band: IntArray, bias: float, w: BandWindow) -> Shape:
-    """Measure a band under a continuum from its wide window, whose weights are there.
+@uncounted
+def shape(g: BandGrid, work: BandWork, band: IntArray, bias: float) -> None:
+    """Measure a band under each spectrum's own continuum.
 
     The derivatives of centre, depth, area and asymmetry stay in rows: WIDE_NM, WIDE_DEPTH, AREA, ASYMMETRY.
     """
-    wide = _minimum(g, tie, s, c, w, WIDE_NM)
-    if not wide.found:
-        return Shape(False, *NOTHING)
-    center, depth, unsaid = _joined(g, tie, s, c, band, wide, (bias * w.half_nm) ** 2)
-    spread = variance(s, WIDE_NM)
-    area, asymmetry = _areas(g, tie, s, c, band, center, 2.0 * depth)
-    hidden = 2.0 * depth / area if area != 0.0 else 0.0
-    return Shape(
-        True, wide.nm, center, math.sqrt(spread + unsaid), depth, math.sqrt(variance(s, WIDE_DEPTH)),
-        area, math.sqrt(variance(s, AREA)),
-        asymmetry, math.sqrt(variance(s, ASYMMETRY) + hidden * hidden * unsaid),
-    )  # fmt: skip
+    t, k, count = work.t, work.k, g.wavelength_nm.size
+    first, behind = window_of(g, work, OWN, band, WIDE[0], WIDE[1], True)
+    _minimum(g, work, first, behind, WIDE_NM)
+    store(k, HAS_SHAPE, load(k, FOUND))
+    half = load(k, HALF_NM) * bias
+    _remember_wide(k, half * half)
+    first, behind = window_of(g, work, OWN, band, NARROW[0], NARROW[1], False)
+    _minimum(g, work, first, behind, NARROW_NM)
+    _join(t, k, count)
+    hidden = _areas(g, work, band)
+    unsaid = load(k, UNSAID)
+    store(k, CENTER_VARIANCE, _variance(t, WIDE_NM, count) + unsaid)
+    store(k, DEPTH_VARIANCE, _variance(t, WIDE_DEPTH, count))
+    store(k, ASYMMETRY_VARIANCE, load(k, ASYMMETRY_VARIANCE) + hidden * hidden * unsaid)
+    store(k, GAUSSIAN_NM, _gaussian_centre(g, work, band))
 
 
-@kernel
-def _joined(
-    g: Smoother, tie: Indices, s: FloatArray, c: int, band: IntArray, wide: Minimum, bias2: float
-) -> tuple[float, float, float]:
+@formula
+def _remember_wide(k: Any, bias2: Any) -> None:
+    store(k, SHAPE_NM, load(k, MINIMUM_NM))
+    store(k, WIDE_CENTER_NM, load(k, MINIMUM_NM))
+    store(k, SHAPE_DEPTH, load(k, MINIMUM_DEPTH))
+    store(k, CENTER_VARIANCE, load(k, MINIMUM_VARIANCE))
+    store(k, UNSAID, load(k, MINIMUM_RIVAL) + bias2)
+
+
+@uncounted
+def _variance(t: Any, row: int, count: int) -> Any:
+    """Variance of a quantity whose derivatives to each reflectance are in rows."""
+    total = spread(0.0)
+    for j in range(count):
+        off = load(t, row * count + j) * load(t, NOISE * count + j)
+        total += off * off
+    return total
+
+
+@formula
+def _part_of_wide(k: Any, common: Any) -> Any:
+    """Weight of the wide window for the least variance, 1 where the narrow one has no minimum."""
+    of_wide = load(k, CENTER_VARIANCE) + load(k, UNSAID)
+    of_narrow = load(k, MINIMUM_VARIANCE) + load(k, MINIMUM_RIVAL)
+    share = (of_narrow - common) / highest(of_wide + of_narrow - common * 2.0, TINY)
+    there = (load(k, INNER) > 0.0) & (load(k, FOUND) > 0.0)
+    return choose(there, lowest(highest(share, 0.0), 1.0), 1.0)
+
+
+@formula
+def _blend(part: Any, wide: Any, narrow: Any) -> Any:
+    return choose(part < 1.0, part * wide + (1.0 - part) * narrow, wide)
+
+
+@uncounted
+def _join(t: Any, k: Any, count: int) -> None:
     """Centre, depth, and the centre's variance that is not of first order, of the wide and the narrow window together.
 
     Their weights are those of the least variance. The derivatives take the place of those of the wide window.
     """
-    w = window_of(s, c, band, NARROW[0], NARROW[1], False)
-    narrow = Minimum(False, 0.0, 0.0, 0.0, 0.0)
-    if w.inner:
-        narrow = _minimum(g, tie, s, c, w, NARROW_NM)
-    if not narrow.found:
-        return wide.nm, wide.depth, wide.rival + bias2
-    common = 0.0
-    for j in range(s.shape[1]):
-        common += s[WIDE_NM, j] * s[NARROW_NM, j] * s[NOISE, j] * s[NOISE, j]
-    of_wide, of_narrow = wide.variance + wide.rival + bias2, narrow.variance + narrow.rival
-    part = min(max((of_narrow - common) / max(of_wide + of_narrow - 2.0 * common, TINY), 0.0), 1.0)
-    for j in range(s.shape[1]):
-        s[WIDE_NM, j] = part * s[WIDE_NM, j] + (1.0 - part) * s[NARROW_NM, j]
-        s[WIDE_DEPTH, j] = part * s[WIDE_DEPTH, j] + (1.0 - part) * s[NARROW_DEPTH, j]
-    return (
-        part * wide.nm + (1.0 - part) * narrow.nm,
-        part * wide.depth + (1.0 - part) * narrow.depth,
-        part * part * (wide.rival + bias2) + (1.0 - part) * (1.0 - part) * narrow.rival,
-    )
+    common = spread(0.0)
+    for j in range(count):
+        noise = load(t, NOISE * count + j)
+        common += load(t, WIDE_NM * count + j) * load(t, NARROW_NM * count + j) * noise * noise
+    part = _part_of_wide(k, common)
+    for j in range(2 * count):
+        at = WIDE_NM * count + j
+        store(t, at, _blend(part, load(t, at), load(t, NARROW_NM * count + j)))
+    store(k, SHAPE_NM, _blend(part, load(k, SHAPE_NM), load(k, MINIMUM_NM)))
+    store(k, SHAPE_DEPTH, _blend(part, load(k, SHAPE_DEPTH), load(k, MINIMUM_DEPTH)))
+    rest = 1.0 - part
+    store(k, UNSAID, _blend(part, part * load(k, UNSAID), rest * load(k, MINIMUM_RIVAL)))
 
 
-@kernel
-def _areas(
-    g: Smoother, tie: Indices, s: FloatArray, c: int, band: IntArray, center_nm: float, across: float
-) -> tuple[float, float]:
-    """Area and asymmetry, and the derivatives of both to each reflectance.
+@formula
+def _deep(wavelength_nm: Any, steps_nm: Any, center_nm: Any, ratio: Any) -> Any:
+    side = lowest(highest((wavelength_nm - center_nm) * 2.0 / steps_nm, -1.0), 1.0)
+    return side, (1.0 - ratio) * steps_nm
 
-    A shift of the centre takes `across` for each nm from the right and gives it to the left.
+
+@uncounted
+def _areas(g: BandGrid, work: BandWork, band: IntArray) -> Any:
+    """Area and asymmetry, and the derivatives of both to each reflectance; what 1 nm of centre does to the latter.
+
+    It takes that from the right and gives it to the left.
     """
-    area, excess = 0.0, 0.0
+    t, k, count = work.t, work.k, g.wavelength_nm.size
+    wavelength_nm, steps_nm = g.wavelength_nm, g.steps_nm
+    center, across, area, excess = load(k, SHAPE_NM), load(k, SHAPE_DEPTH) * 2.0, spread(0.0), spread(0.0)
     for j in range(band[0], band[1]):
-        side = min(max(2.0 * (s[WAVELENGTH, j] - center_nm) / s[STEPS, j], -1.0), 1.0)
-        deep = (1.0 - s[RATIO + c, j]) * s[STEPS, j]
+        side, deep = _deep(wavelength_nm[j], steps_nm[j], center, load(t, (RATIO + OWN) * count + j))
         area += deep
         excess += deep * side
-        s[OF_RATIO, j] = -s[STEPS, j]
-        s[POWER, j] = -s[STEPS, j] * side
-        s[OF_CURVE, j] = 0.0
-    per_channel(g, tie, s, c, band[0], band[1], AREA)
+        store(t, OF_RATIO * count + j, side * -steps_nm[j])
+        store(t, OF_CURVE * count + j, spread(0.0))
+    per_channel(g, work, band[0], band[1], ASYMMETRY, spread(0.0))
     for j in range(band[0], band[1]):
-        s[OF_RATIO, j] = s[POWER, j]
-    per_channel(g, tie, s, c, band[0], band[1], ASYMMETRY)
-    per_area = 1.0 / area if area != 0.0 else 0.0
-    asymmetry = excess * per_area
-    for j in range(s.shape[1]):
-        of_excess = s[ASYMMETRY, j] - across * s[WIDE_NM, j]
-        s[ASYMMETRY, j] = (of_excess - asymmetry * s[AREA, j]) * per_area
-    return area, asymmetry
+        store(t, OF_RATIO * count + j, spread(-steps_nm[j]))
+    store(k, AREA_VARIANCE, per_channel(g, work, band[0], band[1], AREA, spread(0.0)))
+    per_area = choose(area * area, 1.0 / area, spread(0.0))
+    asymmetry, variance = excess * per_area, spread(0.0)
+    for j in range(count):
+        of_excess = load(t, ASYMMETRY * count + j) - across * load(t, WIDE_NM * count + j)
+        own = (of_excess - asymmetry * load(t, AREA * count + j)) * per_area
+        off = own * load(t, NOISE * count + j)
+        variance += off * off
+    store(k, SHAPE_AREA, area)
+    store(k, SHAPE_ASYMMETRY, asymmetry)
+    store(k, ASYMMETRY_VARIANCE, variance)
+    return across * per_area
 
 
-@kernel
-def gaussian_centre(s: FloatArray, c: int, band: IntArray) -> float:
+@formula
+def _gaussian_terms(curve: Any, heft: Any, x: Any) -> Any:
+    deep = highest(1.0 - curve, LEAST_DEPTH)
+    heft = choose(heft > 0.0, deep * deep, 0.0)
+    return heft, heft * x, heft * logarithm(deep)
+
+
+@uncounted
+def _gaussian_centre(g: BandGrid, work: BandWork, band: IntArray) -> Any:
     """Centre of a Gaussian through the deeper half of the smoothed band; NaN where there is none. [nm]
 
     A parabola through ln depth, weighted with the depth squared: Guo (2011), 10.1109/MSP.2011.941846.
     """
-    w = window_of(s, c, band, HALF, HALF + 1e-9, False)
-    if w.last - w.first < 2:
-        return math.nan
-    m0 = m1 = m2 = m3 = m4 = r0 = r1 = r2 = 0.0
-    for j in range(w.first, w.last + 1):
-        deep = max(1.0 - s[CURVE + c, j], LEAST_DEPTH)
-        x, heft = s[X, j], deep * deep if s[HEFT, j] > 0.0 else 0.0
-        right = heft * math.log(deep)
-        m0, m1, m2, m3, m4 = m0 + heft, m1 + heft * x, m2 + heft * x**2, m3 + heft * x**3, m4 + heft * x**4
-        r0, r1, r2 = r0 + right, r1 + right * x, r2 + right * x**2
+    t, k, count = work.t, work.k, g.wavelength_nm.size
+    first, behind = window_of(g, work, OWN, band, HALF, HALF + 1e-9, False)
+    m0, m1, m2, m3, m4 = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    r0, r1, r2 = spread(0.0), spread(0.0), spread(0.0)
+    for j in range(first, behind):
+        x = load(t, X * count + j)
+        heft, power, right = _gaussian_terms(load(t, (CURVE + OWN) * count + j), load(t, HEFT * count + j), x)
+        m0, m1, r0, r1 = m0 + heft, m1 + power, r0 + right, r1 + right * x
+        power = power * x
+        m2, r2 = m2 + power, r2 + right * x * x
+        m3, m4 = m3 + power * x, m4 + power * x * x
+    return _parabola(k, m0, m1, m2, m3, m4, r0, r1, r2)
+
+
+@formula
+def _parabola(k: Any, m0: Any, m1: Any, m2: Any, m3: Any, m4: Any, r0: Any, r1: Any, r2: Any) -> Any:
     d11, d12, d22 = m2 - m1 * m1 / m0, m3 - m1 * m2 / m0, m4 - m2 * m2 / m0
     e1, e2 = r1 - m1 * r0 / m0, r2 - m2 * r0 / m0
     bend = (e2 * d11 - e1 * d12) / (d11 * d22 - d12 * d12)
-    slope = (e1 - d12 * bend) / d11
-    x = -slope / (2.0 * bend)
-    return w.middle_nm + w.half_nm * x if bend < 0.0 and abs(x) < 1.0 else math.nan
+    x = (e1 - d12 * bend) / d11 / (bend * -2.0)
+    enough = load(k, LAST) - load(k, FIRST) > 1.5
+    there = enough & (bend < 0.0) & (abs(x) < 1.0)
+    return choose(there, load(k, MIDDLE_NM) + load(k, HALF_NM) * x, math.nan)

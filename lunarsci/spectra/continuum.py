@@ -9,14 +9,16 @@
 At a channel a continuum is the sum over three terms, each a weight times the smoothed reflectance of a tie point.
 """
 
-from typing import Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.compiled import compiled
+from lunarsci.compiled import uncounted
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.formulas import LANES, formula
+from lunarsci.lanes import aligned, choose, load, spread, store, take_eight
 
 ContinuumName = Literal["conic", "hull", "linear"]
 CONTINUA: tuple[ContinuumName, ...] = get_args(ContinuumName)
@@ -27,6 +29,11 @@ CONIC_TIES_NM = (700.0, 1345.0, 1580.0)
 TERMS = len(CONIC_TIES_NM)
 SHOULDERS_NM = ((600.0, 850.0), (1250.0, 1650.0), (2150.0, 2600.0))
 """Where `linear` looks for its tie points; assumed, wide enough for olivine and pyroxene."""
+
+
+SMOOTHED, LEVEL, WEIGHT, NODE, TIE_ROWS = 0, 1, 1 + len(CONTINUA), 1 + len(CONTINUA) * (1 + TERMS), 14
+"""Rows, n of each, of the table that eight spectra of n channels are worked on in: smoothed reflectance; by continuum
+its level and the weights of its terms; whether the hull touches."""
 
 
 class Ties(NamedTuple):
@@ -89,12 +96,20 @@ def continuum(name: ContinuumName, wavelength_nm: FloatArray, smoothed: FloatArr
             if name == "conic"
             else "fewer than two band shoulders within the spectrum; use --continuum hull"
         )
-    tie, weight = np.zeros((TERMS, wavelength_nm.size), np.int64), np.zeros((TERMS, wavelength_nm.size))
-    spare, levels = np.zeros(wavelength_nm.size, np.int64), np.empty(smoothed.shape)
-    for row, values in enumerate(np.ascontiguousarray(smoothed, float)):
-        tie_down(CONTINUA.index(name), ties, values, tie, weight, spare)
-        level_under(values, tie, weight, levels[row])
+    values, levels = np.ascontiguousarray(smoothed, float), np.empty(smoothed.shape)
+    t, tie, nodes, own = tables_of(ties, TIE_ROWS)
+    _levels(CONTINUA.index(name), ties, values, t, tie[CONTINUA.index(name)], nodes, own, levels)
     return levels
+
+
+def tables_of(ties: Ties, rows: int) -> tuple[FloatArray, Indices, Indices, FloatArray]:
+    """What eight spectra on n channels are worked on in: a table of (rows n, 8), of which this module uses `TIE_ROWS`,
+    the channels of the terms by continuum, (3, 3, 8), and room for one spectrum, (n,) each."""
+    count = ties.wavelength_nm.size
+    t, tie = aligned(rows * count), np.zeros((len(CONTINUA), TERMS, LANES), np.int64)
+    tie[CONIC] = ties.conic[:, None]
+    t[WEIGHT * count : (WEIGHT + TERMS) * count] = ties.conic_weight.reshape(-1, 1)
+    return t, tie, np.zeros(count, np.int64), np.zeros(count)
 
 
 def upper_hull(x: FloatArray, y: FloatArray) -> list[int]:
@@ -103,73 +118,132 @@ def upper_hull(x: FloatArray, y: FloatArray) -> list[int]:
     return [int(i) for i in found[: hull_chain(np.ascontiguousarray(x), np.ascontiguousarray(y), found)]]
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@uncounted
 def hull_chain(x: FloatArray, y: FloatArray, found: Indices) -> int:
     """Put the upper convex hull of points (n,) with ascending x into `found` (n,); how many they are.
 
     Andrew (1979), 10.1016/0020-0190(79)90072-3. A point on a chord is not on the hull.
     """
-    count = 0
-    for i in range(x.size):
-        while count > 1:
-            a, b = found[count - 2], found[count - 1]
-            if (y[b] - y[a]) * (x[i] - x[a]) > (y[i] - y[a]) * (x[b] - x[a]):
-                break
+    found[0] = 0
+    count, xa, ya, xb, yb = 0, 0.0, 0.0, x[0], y[0]
+    for i in range(1, x.size):
+        xi, yi = x[i], y[i]
+        while count > 0 and not (yb - ya) * (xi - xa) > (yi - ya) * (xb - xa):
             count -= 1
-        found[count] = i
+            xb, yb = xa, ya
+            if count > 0:
+                xa, ya = x[found[count - 1]], y[found[count - 1]]
         count += 1
-    return count
+        found[count] = i
+        xa, ya, xb, yb = xb, yb, xi, yi
+    return count + 1
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def _shoulders(ties: Ties, smoothed: FloatArray, found: Indices) -> int:
-    count = 0
-    for k in range(ties.shoulders.shape[0]):
-        low, high = ties.shoulders[k, 0], ties.shoulders[k, 1]
-        if high > low:
-            highest = low
-            for j in range(low, high):
-                if smoothed[j] > smoothed[highest]:
-                    highest = j
-            found[count] = highest
-            count += 1
-    return count
+@uncounted
+def _levels(
+    which: int, ties: Ties, smoothed: FloatArray, t: Any, tie: Indices, nodes: Indices, own: FloatArray, out: FloatArray
+) -> None:
+    count = ties.wavelength_nm.size
+    for begin in range(0, len(smoothed), LANES):
+        take_eight(smoothed, begin, t, SMOOTHED * count)
+        tie_down(which, ties, t, tie, nodes, own)
+        for lane in range(min(LANES, len(smoothed) - begin)):
+            for j in range(count):
+                out[begin + lane, j] = t[(LEVEL + which) * count + j, lane]
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def tie_down(which: int, ties: Ties, smoothed: FloatArray, tie: Indices, weight: FloatArray, spare: Indices) -> None:
-    """Choose the ties of a continuum, its place in `CONTINUA`, on a smoothed spectrum (n,).
+@uncounted
+def tie_down(which: int, ties: Ties, t: Any, tie: Indices, nodes: Indices, own: FloatArray) -> None:
+    """A continuum, its place in `CONTINUA`, of eight smoothed spectra: its LEVEL, and what that is made of.
 
-    `tie` and `weight`, (3, n), take the channel of each term and its weight; `spare` is (n,).
+    That is NODE, 1 where the hull touches and 0 elsewhere, and the channels of the other continua's terms, in `tie`;
+    and each term's WEIGHT, of the hull those of the nodes before and behind a channel.
     """
-    if which == CONIC:
-        for k in range(TERMS):
-            for j in range(smoothed.size):
-                tie[k, j], weight[k, j] = ties.conic[k], ties.conic_weight[k, j]
-    elif which == HULL:
-        _straight_lines(ties.wavelength_nm, spare[: hull_chain(ties.wavelength_nm, smoothed, spare)], tie, weight)
+    wavelength_nm, count = ties.wavelength_nm, ties.wavelength_nm.size
+    if which == HULL:
+        for lane in range(LANES):
+            for j in range(count):
+                own[j] = t[SMOOTHED * count + j, lane]
+                t[NODE * count + j, lane] = 0.0
+            for k in range(hull_chain(wavelength_nm, own, nodes)):
+                t[NODE * count + nodes[k], lane] = 1.0
+        _hull_lines(wavelength_nm, t)
+    elif which == LINEAR:
+        _straight_lines(ties, t, tie)
     else:
-        _straight_lines(ties.wavelength_nm, spare[: _shoulders(ties, smoothed, spare)], tie, weight)
+        conic = ties.conic
+        for j in range(count):
+            level = load(t, WEIGHT * count + j) * load(t, SMOOTHED * count + conic[0])
+            level += load(t, (WEIGHT + 1) * count + j) * load(t, SMOOTHED * count + conic[1])
+            level += load(t, (WEIGHT + 2) * count + j) * load(t, SMOOTHED * count + conic[2])
+            store(t, LEVEL * count + j, level)
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def _straight_lines(wavelength_nm: FloatArray, nodes: Indices, tie: Indices, weight: FloatArray) -> None:
-    """Between nodes, two at least, extended beyond the first and the last."""
-    for k in range(nodes.size - 1):
-        left, right = nodes[k], nodes[k + 1]
-        begin = 0 if k == 0 else left
-        end = wavelength_nm.size if k == nodes.size - 2 else right
-        per_nm = 1.0 / (wavelength_nm[right] - wavelength_nm[left])
-        for j in range(begin, end):
-            share = (wavelength_nm[j] - wavelength_nm[left]) * per_nm
-            tie[0, j], tie[1, j], tie[2, j] = left, right, left
-            weight[0, j], weight[1, j], weight[2, j] = 1.0 - share, share, 0.0
+@uncounted
+def _hull_lines(wavelength_nm: FloatArray, t: Any) -> None:
+    """Straight lines between nodes, of which the first and the last channel are."""
+    count = wavelength_nm.size
+    level, before, behind = (LEVEL + HULL) * count, (WEIGHT + TERMS * HULL) * count, (WEIGHT + TERMS * HULL + 1) * count
+    left, left_nm = spread(0.0), spread(0.0)
+    for j in range(count):
+        node, here = load(t, NODE * count + j), load(t, SMOOTHED * count + j)
+        left, left_nm = choose(node, here, left), choose(node, spread(wavelength_nm[j]), left_nm)
+        store(t, level + j, left)
+        store(t, before + j, left_nm)
+    right, right_nm = load(t, SMOOTHED * count + count - 1), spread(wavelength_nm[count - 1])
+    for j in range(count - 1, -1, -1):
+        node, left, left_nm = load(t, NODE * count + j), load(t, level + j), load(t, before + j)
+        share = (wavelength_nm[j] - left_nm) / choose(right_nm - left_nm, right_nm - left_nm, spread(1.0))
+        store(t, before + j, 1.0 - share)
+        store(t, behind + j, share)
+        store(t, level + j, left * (1.0 - share) + right * share)
+        right, right_nm = choose(node, left, right), choose(node, left_nm, right_nm)
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def level_under(smoothed: FloatArray, tie: Indices, weight: FloatArray, level: FloatArray) -> None:
-    """The continuum, into `level` (n,), of a smoothed spectrum (n,). [-]"""
-    for j in range(smoothed.size):
-        level[j] = (
-            smoothed[tie[0, j]] * weight[0, j] + smoothed[tie[1, j]] * weight[1, j] + smoothed[tie[2, j]] * weight[2, j]
-        )
+@formula
+def _highest_of(value: Any, j: Any, at_nm: Any, highest: Any, place: Any, place_nm: Any) -> Any:
+    above = value > highest
+    return choose(above, value, highest), choose(above, j, place), choose(above, at_nm, place_nm)
+
+
+@uncounted
+def _straight_lines(ties: Ties, t: Any, tie: Indices) -> None:
+    """Between the highest points of the shoulders, two or three, extended beyond the first and the last."""
+    wavelength_nm, shoulders, count, found = ties.wavelength_nm, ties.shoulders, ties.wavelength_nm.size, 0
+    room = (WEIGHT + TERMS * LINEAR) * count
+    for k in range(TERMS):
+        low, high = shoulders[k, 0], shoulders[k, 1]
+        if high > low:
+            highest, place, place_nm = load(t, SMOOTHED * count + low), spread(float(low)), spread(wavelength_nm[low])
+            for j in range(low + 1, high):
+                highest, place, place_nm = _highest_of(
+                    load(t, SMOOTHED * count + j), float(j), wavelength_nm[j], highest, place, place_nm
+                )
+            store(t, room + 3 * found, highest)
+            store(t, room + 3 * found + 1, place)
+            store(t, room + 3 * found + 2, place_nm)
+            for lane in range(LANES):
+                tie[found, lane] = int(t[room + 3 * found + 1, lane])
+            found += 1
+    _between(wavelength_nm, t, room, found)
+
+
+@uncounted
+def _between(wavelength_nm: FloatArray, t: Any, room: int, found: int) -> None:
+    """Weights and level of lines through two or three nodes: their values, channels and wavelengths, from `room` on."""
+    count = wavelength_nm.size
+    first, first_nm, second, place = load(t, room), load(t, room + 2), load(t, room + 3), load(t, room + 4)
+    second_nm, third, third_nm = load(t, room + 5), load(t, room + 6), load(t, room + 8)
+    if found < TERMS:
+        place, third, third_nm = spread(float(count)), second, second_nm + 1.0
+    per_nm, per_next = 1.0 / (second_nm - first_nm), 1.0 / (third_nm - second_nm)
+    for j in range(count):
+        share, behind = (wavelength_nm[j] - first_nm) * per_nm, (wavelength_nm[j] - second_nm) * per_next
+        inside = choose(place - float(j), spread(1.0), spread(0.0))
+        one = choose(inside, 1.0 - share, spread(0.0))
+        two = choose(inside, share, 1.0 - behind)
+        three = choose(inside, spread(0.0), behind)
+        store(t, room + j, one)
+        store(t, room + count + j, two)
+        store(t, room + 2 * count + j, three)
+        store(t, (LEVEL + LINEAR) * count + j, first * one + second * two + third * three)

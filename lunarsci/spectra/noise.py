@@ -5,53 +5,96 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import NORMAL_MAD, FloatArray
-from lunarsci.compiled import compiled
+from lunarsci.compiled import compiled, uncounted
+from lunarsci.formulas import LANES, formula
+from lunarsci.lanes import aligned, choose, highest, load, lowest, spread, store, take_eight
 
-SECOND_DIFFERENCE = np.sqrt(6.0)
+SECOND_DIFFERENCE = float(np.sqrt(6.0))
 """Standard deviation of x[i-1] - 2 x[i] + x[i+1] over that of x."""
+WINDOW = 61
+"""Channels of a running window."""
+EPSILON = float(np.finfo(float).eps)
 
 
-def scatter_noise_rows(values: FloatArray, window: int = 61) -> FloatArray:
+def scatter_noise_rows(values: FloatArray, window: int = WINDOW) -> FloatArray:
     """`scatter_noise` of `lunarsci.spectra.spectrum` of every row, (rows, n). [unit of `values`]"""
-    if values.shape[1] < 5:
-        return np.repeat(np.std(values, axis=1)[:, None], values.shape[1], axis=1)
-    noise = np.empty(values.shape)
-    _running_medians(np.ascontiguousarray(values, dtype=np.float64), window, noise)
+    channels = values.shape[1]
+    if channels < 5:
+        return np.repeat(np.std(values, axis=1)[:, None], channels, axis=1)
+    noise, work = np.empty(values.shape), aligned(3 * channels + window)
+    _noise_of_rows(np.ascontiguousarray(values, dtype=np.float64), window, work, noise)
     return noise
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def _running_medians(values: Any, window: int, noise: Any) -> None:
-    """Robust standard deviations from the medians of absolute second differences in windows of an odd length."""
-    rows, channels = values.shape
+@uncounted
+def _noise_of_rows(values: FloatArray, window: int, work: Any, noise: FloatArray) -> None:
+    channels = values.shape[1]
+    for begin in range(0, len(values), LANES):
+        take_eight(values, begin, work, 0)
+        running_medians(work, 0, channels, channels, window, work[2 * channels :], work[3 * channels :])
+        for lane in range(min(LANES, len(values) - begin)):
+            for j in range(channels):
+                noise[begin + lane, j] = work[channels + j, lane]
+
+
+@uncounted
+def running_medians(t: Any, source: int, out: int, channels: int, window: int, second: Any, ordered: Any) -> None:
+    """Robust standard deviations of eight spectra, from the medians of absolute second differences in windows.
+
+    They lie in rows of `t` from `source` on, what is found goes to those from `out` on. `window` is an odd number of
+    channels, 5 at least; `second` and `ordered` are room for so many rows as there are channels, and in a window.
+    """
     half = (min(window, channels - 2) - 1) // 2
-    second, ordered = np.empty(channels - 2), np.empty(2 * half + 1)
-    for row in range(rows):
-        own, largest = values[row], 0.0
-        for i in range(channels):
-            largest = max(largest, abs(own[i]))
-        floor = 2.220446049250313e-16 * largest
-        for i in range(channels - 2):
-            second[i] = abs((own[i + 2] - own[i + 1]) - (own[i + 1] - own[i]))
-        ordered[:] = np.sort(second[: 2 * half + 1])
-        first, last = half + 1, channels - 2 - half
-        for i in range(channels):
-            if first < i <= last:
-                _replace(ordered, second[i - half - 2], second[i + half - 1])
-            noise[row, i] = max(ordered[half] * NORMAL_MAD / SECOND_DIFFERENCE, floor)
+    size, largest = 2 * half + 1, spread(0.0)
+    for j in range(channels):
+        largest = highest(largest, _size(load(t, source + j)))
+    for j in range(channels - 2):
+        own = load(t, source + j + 1)
+        store(second, j, _size((load(t, source + j + 2) - own) - (own - load(t, source + j))))
+    for j in range(size):
+        _insert(ordered, j, load(second, j))
+    first, last = half + 1, channels - 2 - half
+    for j in range(channels):
+        if first < j <= last:
+            _replace(ordered, size, load(second, j - half - 2), load(second, j + half - 1))
+        found = load(ordered, half) * NORMAL_MAD / SECOND_DIFFERENCE
+        store(t, out + j, highest(found, largest * EPSILON))
 
 
-@compiled
-def _replace(ordered: Any, old: float, new: float) -> None:
-    """Take one number out of an ordered array and put another in."""
-    at, last = np.searchsorted(ordered, old), ordered.size - 1
-    while at < last and ordered[at + 1] < new:
-        ordered[at] = ordered[at + 1]
-        at += 1
-    while at > 0 and ordered[at - 1] > new:
-        ordered[at] = ordered[at - 1]
-        at -= 1
-    ordered[at] = new
+@formula
+def _size(value: Any) -> Any:
+    return abs(value)
+
+
+@formula
+def _apart(one: Any, other: Any) -> Any:
+    return lowest(one, other), highest(one, other)
+
+
+@uncounted
+def _insert(ordered: Any, count: int, new: Any) -> None:
+    """Put a number into the first `count` rows, which ascend."""
+    for place in range(count):
+        least, new = _apart(load(ordered, place), new)
+        store(ordered, place, least)
+    store(ordered, count, new)
+
+
+@formula
+def _without(here: Any, behind: Any, old: Any) -> Any:
+    return choose(here < old, here, behind)
+
+
+@uncounted
+def _replace(ordered: Any, size: int, old: Any, new: Any) -> None:
+    """Take one number out of so many rows, which ascend, and put another in."""
+    here = load(ordered, 0)
+    for place in range(size - 1):
+        behind = load(ordered, place + 1)
+        least, new = _apart(_without(here, behind, old), new)
+        store(ordered, place, least)
+        here = behind
+    store(ordered, size - 1, new)
 
 
 def deepest_below_hull(x: FloatArray, values: FloatArray) -> FloatArray:

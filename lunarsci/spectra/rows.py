@@ -112,9 +112,9 @@ def numbers_at_once(lines: Sequence[tuple[int, str]], separator: str) -> FloatAr
 
     None where fields must be looked at one by one: they are few, not all plain numbers, or not as many in each line.
     """
-    text = "\n".join(line for _, line in lines)
-    width = lines[0][1].count(separator) + 1
-    if len(text) < _MANY or separator == " " or text.encode().translate(None, _PLAIN + separator.encode()):
+    width, size = lines[0][1].count(separator) + 1, sum(len(line) for _, line in lines)
+    text = b"" if size < _MANY or separator == " " else "\n".join(line for _, line in lines).encode()
+    if not text or text.translate(None, _PLAIN + separator.encode()):
         return None
     if any(line.count(separator) != width - 1 for _, line in lines):
         return None
@@ -127,7 +127,7 @@ def numbers_at_once(lines: Sequence[tuple[int, str]], separator: str) -> FloatAr
     exact: dict[str, Any] = {} if newer else {"float_precision": "round_trip"}
     how: dict[str, Any] = {"sep": separator, "header": None, "dtype": float, "skipinitialspace": True, **exact}
     try:
-        table = pd.read_csv(io.StringIO(text), keep_default_na=False, na_values=[""], **how)
+        table = pd.read_csv(io.BytesIO(text), keep_default_na=False, na_values=[""], **how)
     except (ValueError, OverflowError):
         return None
     return np.ascontiguousarray(table.to_numpy().T) if table.shape == (len(lines), width) else None
