@@ -31,6 +31,7 @@ Made = TypeVar("Made")
 _UNPRINTABLE = re.compile(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f-\x9f]")
 _UNPRINTABLE_ASCII = bytes([*range(9), *range(0x0E, 0x1A), *range(0x1B, 0x20), 0x7F])
 _UNPRINTABLE_SHARE = 0.1
+_BEGINNING = 65536
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,6 +137,13 @@ def text(input: InputFile) -> str:
     if not decoded.strip():
         raise DataError(f"{input.name}: holds only blanks; check how it was made or downloaded")
     return decoded
+
+
+def beginning(input: InputFile) -> str:
+    """`text` of the first 64 kB, by which a format is told; of everything where these are blank, or in UTF-16."""
+    first = input.data[:_BEGINNING]
+    whole = first == input.data or first.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or not first.strip()
+    return text(input if whole else InputFile(input.name, first))
 
 
 def _unprintable(decoded: str) -> int:

@@ -177,8 +177,8 @@ def nothing_of(count: int) -> tuple[FloatArray, Codes]:
 
 @uncounted
 def _measure(
-    g: BandGrid, places: Places, values: FloatArray, noise: FloatArray, shifts: FloatArray, work: BandWork, found: FloatArray,
-    codes: Codes,
+    g: BandGrid, places: Places, values: FloatArray, noise: FloatArray, shifts: FloatArray, work: BandWork,
+    found: FloatArray, codes: Codes,
 ) -> None:  # fmt: skip
     """`measure_rows` of some rows, into `found` and `codes`; noise of no rows is found from the scatter."""
     t, count, low, high = work.t, g.wavelength_nm.size, places.low, places.high

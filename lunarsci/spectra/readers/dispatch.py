@@ -112,7 +112,7 @@ def _format_of(source: InputFile) -> str:
     # The reader decodes the text again and says what there is to say about it.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LunarSciWarning)
-        text = inputs.text(source).lstrip()
+        text = inputs.beginning(source).lstrip()
     if text.startswith("# %ECSV"):
         return "ecsv"
     if suffix == ".ecsv":
