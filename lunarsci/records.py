@@ -44,8 +44,9 @@ class Codes:
 
 def coded(values: Iterable[str]) -> Codes:
     """Texts of which many are alike."""
-    places: dict[str, int] = {}
-    return Codes(np.array([places.setdefault(value, len(places)) for value in values], np.int64), list(places))
+    listed = list(values)
+    places = {value: place for place, value in enumerate(dict.fromkeys(listed))}
+    return Codes(np.fromiter(map(places.__getitem__, listed), np.int64, len(listed)), list(places))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -80,7 +80,7 @@ def _as_text(report: Report, output: Output, record: Mapping[str, Any]) -> Itera
         if report.rows is None:
             raise ParameterError("this result is no table; use --json")
         return to_csv(report.rows)
-    return [render(report.tables).encode()]
+    return [render(report.tables() if callable(report.tables) else report.tables).encode()]
 
 
 def _field(result: Any, path: str) -> str:

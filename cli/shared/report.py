@@ -22,7 +22,7 @@ class Report:
     ----------
     schema : name and version of the JSON result, such as `spectra-fit/1`.
     result : the result, keys with their units; in plain Python, but that long lists may be `Records`.
-    tables : the same for people.
+    tables : the same for people, or what makes it, where that takes time that a file need not wait for.
     rows : the same as one table for `--csv`; None where the result is no table.
     figures : draws the pictures of `--plot`, one per page; None where there is nothing to draw.
     pictures : further pictures that were asked for, by the file that takes them.
@@ -38,7 +38,7 @@ class Report:
 
     schema: str
     result: Mapping[str, Any]
-    tables: Sequence[TextTable]
+    tables: Sequence[TextTable] | Callable[[], Sequence[TextTable]]
     rows: Sequence[Mapping[str, Any]] | None = None
     figures: Callable[[], "Iterable[Figure]"] | None = None
     pictures: Mapping[Path, Callable[[], "Iterable[Figure]"]] = field(default_factory=dict)
@@ -55,7 +55,9 @@ class Report:
     options: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, result: "Result", tables: Sequence[TextTable], **more: Any) -> "Report":
+    def of(
+        cls, result: "Result", tables: Sequence[TextTable] | Callable[[], Sequence[TextTable]], **more: Any
+    ) -> "Report":
         """The report of a job's result; `more` are other attributes."""
         made = result.made_from
         parts: dict[str, Any] = {

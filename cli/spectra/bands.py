@@ -66,8 +66,11 @@ def bands(files: Files, request: BandsRequest, output: Output, plane: Plane = No
     output.check_extra("--plane", plane)
     with progress("measuring bands", quiet=output.quiet) as update:
         result = bands(files, request, progress=update)
-    tables = [_bands_table(result), *_chemistry_tables(result)]
-    return Report.of(result, tables, pictures={plane: result.plane} if plane else {})
+    return Report.of(result, lambda: _tables(result), pictures={plane: result.plane} if plane else {})
+
+
+def _tables(result: "MeasuredBands") -> list[TextTable]:
+    return [_bands_table(result), *_chemistry_tables(result)]
 
 
 def _bands_table(result: "MeasuredBands") -> TextTable:

@@ -102,7 +102,7 @@ def match(request: MatchRequest, output: Output, rocks: Rocks = None) -> Report:
 
     with progress("matching", quiet=output.quiet) as update:
         result = match(rocks or (), request, progress=update)
-    return Report.of(result, _tables(result))
+    return Report.of(result, lambda: _tables(result))
 
 
 def _tables(result: "Matches") -> list[TextTable]:

@@ -21,7 +21,9 @@ from lunarsci.spectra.band_status import (
     BANDS,
     CONTINUUM,
     DEEPEST,
+    ELSEWHERE,
     JSON_KEYS,
+    NOT_COVERED,
     NOTE,
     NOTE_DEEPEST,
     OK,
@@ -294,9 +296,17 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
         """The status or the note of a band of all spectra."""
         codes = self.arrays.codes[:, number, which]
         found = ["" if which == NOTE else "ok"] * len(self)
+        deepest = self.arrays.numbers[:, number, DEEPEST if which == STATUS else NOTE_DEEPEST].tolist()
+        known: dict[tuple[int, float], str] = {}
         for place in np.flatnonzero(codes != OK).tolist():
-            spectrum = self.spectra[place]
-            found[place] = self._said(number, place, which, spectrum.wavelength_nm[spectrum.usable])
+            if codes[place] == NOT_COVERED:
+                spectrum = self.spectra[place]
+                found[place] = self._said(number, place, which, spectrum.wavelength_nm[spectrum.usable])
+                continue
+            key = int(codes[place]), deepest[place] if codes[place] == ELSEWHERE else 0.0
+            if key not in known:
+                known[key] = self._said(number, place, which, _NOTHING)
+            found[place] = known[key]
         for place, reason in self.reasons.items() if which == STATUS else ():
             found[place] = f"no result: {reason}"
         return found

@@ -10,6 +10,7 @@ import unicodedata
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -93,6 +94,10 @@ _PERCENT_WORD = re.compile(
 )
 _FRACTION = re.compile(r"\s*[(\[{]\s*(?:fraction|0-1|-)\s*[)\]}]$", re.IGNORECASE)
 
+_MAY_SAY_UNIT = re.compile(r"[(\[{%]|percent|pct", re.IGNORECASE)
+"""Where a name has none of these, nothing above is in it."""
+_NAMES_KEPT = 4096
+
 _FACTOR_NM = {"nm": 1.0, "um": 1000.0}
 _SYMBOL = {"nm": "nm", "um": "µm"}
 _PLAUSIBLE_NM = (50.0, 200_000.0)
@@ -117,9 +122,10 @@ class ReflectanceChoice:
     remark: str | None
 
 
-def name_tokens(name: str) -> list[str]:
-    """Lower-case words of a column name, both code points of µ made one: 'Wavelength (µm)' -> ['wavelength', 'μm']."""
-    return [t for t in re.split(r"[^\w%]+|_", unicodedata.normalize("NFKC", name).casefold()) if t]
+@lru_cache(maxsize=_NAMES_KEPT)
+def name_tokens(name: str) -> tuple[str, ...]:
+    """Lower-case words of a column name, both code points of µ made one: 'Wavelength (µm)' -> ('wavelength', 'μm')."""
+    return tuple(t for t in re.split(r"[^\w%]+|_", unicodedata.normalize("NFKC", name).casefold()) if t)
 
 
 def length_unit(word: str) -> WavelengthUnit | None:
@@ -187,6 +193,8 @@ def _plausible(unit: str, low: float, high: float) -> bool:
 
 def without_unit(name: str) -> str:
     """Name of a reflectance column less the percent or fraction it states: 'rock (%)' -> 'rock'."""
+    if not _MAY_SAY_UNIT.search(name):
+        return name.strip() or name
     return _PERCENT_WORD.sub(r"\1", _FRACTION.sub("", _PERCENT.sub("", name))).strip() or name
 
 
@@ -237,6 +245,8 @@ def uncertainty_scale(sigma: Column, reflectance: Column, scale: float, file: st
 def _unit_of(column: Column) -> str | None:
     if column.unit is not None:
         return column.unit
+    if not _MAY_SAY_UNIT.search(column.name):
+        return None
     if _PERCENT.search(column.name) or _PERCENT_WORD.search(column.name):
         return "percent"
     return "fraction" if _FRACTION.search(column.name) else None
