@@ -58,11 +58,6 @@ def in_lanes(function: Callable[..., Any], **options: Any) -> Any:
     return compiled(function, nogil=True, **LANE_OPTIONS, **options)
 
 
-def uncounted(function: Callable[..., Any]) -> Any:
-    """`in_lanes` without counts of who uses an array, which cost more than a short loop; such code can make none."""
-    return in_lanes(function, _nrt=False)
-
-
 def joined(function: Callable[..., Any]) -> Any:
     """Compile a function that only calls others as a part of its callers: each of them would optimise it all anew."""
     return compiled(function, nogil=True, inline="always")

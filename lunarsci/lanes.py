@@ -17,7 +17,6 @@ import numpy as np
 from llvmlite import ir
 
 from lunarsci.arrays import FloatArray
-from lunarsci.compiled import in_lanes
 from lunarsci.formulas import (
     DOUBLE,
     DOUBLES,
@@ -143,15 +142,6 @@ def aligned(rows: int, columns: int = LANES) -> FloatArray:
     room = np.zeros(rows * columns + LINE // 8)
     first = -room.ctypes.data % LINE // 8
     return room[first : first + rows * columns].reshape(rows, columns)
-
-
-@in_lanes
-def take_eight(rows: FloatArray, begin: int, t: Any, first: int) -> None:
-    """Rows of (m, n) into the lanes of a table, from its row `first` on; the last one again where there are no more."""
-    for lane in range(LANES):
-        row = min(begin + lane, len(rows) - 1)
-        for j in range(rows.shape[1]):
-            t[first + j, lane] = rows[row, j]
 
 
 class Fields:

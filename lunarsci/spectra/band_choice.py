@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
-from lunarsci.compiled import uncounted
 from lunarsci.formulas import LANES, formula
 from lunarsci.lanes import choose, highest, load, lowest, spread, store
 from lunarsci.spectra.band_polynomial import (
@@ -51,6 +50,7 @@ from lunarsci.spectra.band_status import (
 )
 from lunarsci.spectra.band_window import LEAST_DEPTH, WIDE, deepest_of, window_of
 from lunarsci.spectra.continuum import CONIC, HULL, LEVEL, NODE, TERMS, WEIGHT
+from lunarsci.spectra.lane_rows import uncounted
 
 (TRIED, IS_CONIC, IS_HULL, CODE, DEEPEST_NM, OTHER_NM, CHOICES) = (OF_CHOICE + k for k in (0, 1, 2, 3, 6, 9, 12))
 """Rows, behind those of `band_shape`: place in the order of the continuum that is tried, below 0 for none; which one

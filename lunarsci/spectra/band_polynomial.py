@@ -5,10 +5,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.compiled import uncounted
 from lunarsci.formulas import formula
 from lunarsci.lanes import choose, highest, load, lowest, spread, store
 from lunarsci.spectra.continuum import CONTINUA, TERMS, TIE_ROWS, Indices
+from lunarsci.spectra.lane_rows import uncounted
 
 ORDER = 4
 SIZE = ORDER + 1

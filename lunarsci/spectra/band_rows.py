@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.compiled import each_in_threads, uncounted
+from lunarsci.compiled import each_in_threads
 from lunarsci.formulas import LANES
-from lunarsci.lanes import aligned, choose, highest, load, root, spread, store, take_eight
+from lunarsci.lanes import aligned, choose, highest, load, root, spread, store
 from lunarsci.spectra.band_choice import CHOICES, OTHER_NM, TRIED, Places, go_on, judge, own_continuum, record, verdict
 from lunarsci.spectra.band_polynomial import (
     AREA,
@@ -69,6 +69,7 @@ from lunarsci.spectra.band_status import (
     Codes,
 )
 from lunarsci.spectra.continuum import CONTINUA, HULL, LEVEL, LINEAR, SMOOTHED, tables_of, tie_down, ties_of
+from lunarsci.spectra.lane_rows import take_eight, uncounted
 from lunarsci.spectra.noise import WINDOW, running_medians
 from lunarsci.spectra.spectrum import smoothing_operator
 

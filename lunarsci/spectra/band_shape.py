@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import IntArray
-from lunarsci.compiled import uncounted
 from lunarsci.formulas import LANES, formula
 from lunarsci.lanes import choose, highest, load, logarithm, lowest, root, spread, store
 from lunarsci.spectra.band_polynomial import (
@@ -55,6 +54,7 @@ from lunarsci.spectra.band_polynomial import (
 )
 from lunarsci.spectra.band_slopes import BandGrid, per_channel, slopes
 from lunarsci.spectra.band_window import HALF, LEAST_DEPTH, NARROW, WIDE, has_any, window_of
+from lunarsci.spectra.lane_rows import uncounted
 
 TINY = float(np.finfo(float).tiny)
 

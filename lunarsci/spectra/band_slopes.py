@@ -3,7 +3,6 @@
 from typing import Any, NamedTuple
 
 from lunarsci.arrays import FloatArray
-from lunarsci.compiled import uncounted
 from lunarsci.formulas import LANES, formula
 from lunarsci.lanes import choose, load, spread, store
 from lunarsci.spectra.band_polynomial import (
@@ -31,6 +30,7 @@ from lunarsci.spectra.band_polynomial import (
     solved,
 )
 from lunarsci.spectra.continuum import TERMS, Indices, Ties
+from lunarsci.spectra.lane_rows import uncounted
 
 
 class Smoother(NamedTuple):

@@ -3,7 +3,6 @@
 from typing import Any
 
 from lunarsci.arrays import FloatArray, IntArray
-from lunarsci.compiled import uncounted
 from lunarsci.formulas import LANES, formula
 from lunarsci.lanes import choose, highest, load, lowest, spread, store
 from lunarsci.spectra.band_polynomial import (
@@ -23,6 +22,7 @@ from lunarsci.spectra.band_polynomial import (
     X,
 )
 from lunarsci.spectra.band_slopes import BandGrid
+from lunarsci.spectra.lane_rows import uncounted
 
 WIDE, NARROW = (0.6, 0.9), (0.85, 1.0)
 """Channels less deep than the first share of the band do not count, those deeper than the second count fully; assumed.

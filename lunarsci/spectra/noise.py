@@ -5,9 +5,10 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import NORMAL_MAD, FloatArray
-from lunarsci.compiled import compiled, uncounted
+from lunarsci.compiled import compiled
 from lunarsci.formulas import LANES, formula
-from lunarsci.lanes import aligned, choose, highest, load, lowest, spread, store, take_eight
+from lunarsci.lanes import aligned, choose, highest, load, lowest, spread, store
+from lunarsci.spectra.lane_rows import take_eight, uncounted
 
 SECOND_DIFFERENCE = float(np.sqrt(6.0))
 """Standard deviation of x[i-1] - 2 x[i] + x[i+1] over that of x."""
