@@ -21,10 +21,17 @@ SCALES_M = (0.03, 0.05, 0.08, 0.13, 0.2, 0.32, 0.5)
 FLATNESS = 0.5
 """Height over diameter of rocks that are put in for trial, as half ellipsoids; assumed, after a mean of 0.4 to 0.6 at
 landing sites (Golombek & Rapp 1997, 10.1029/96JE03319)."""
+FLATTEST = 0.15
+"""Height over diameter below which a bump is ground, such as a berm beside a track; assumed, below most of the rocks of
+Golombek & Rapp (1997)."""
+AROUND = (2.0, 3.0)
+"""From where to where the ground about a rock is looked at, in the scale at which it stands out most; assumed."""
 LEAST = 3.5
 """Standard errors below which nothing is a rock; assumed."""
 GROUND_SHARE = 2.5
 """Scale of the ground that rocks stand out of, in diameters of the largest rock; assumed."""
+ERROR_CLASSES = 8
+"""Classes of errors from which relief and errors are told apart; assumed."""
 TRIALS = 60
 """Rocks of a size put in at a time; assumed."""
 
@@ -119,8 +126,8 @@ def height_over_ground(model: ElevationModel, largest_m: float) -> FloatArray:
 def _standing_out(model: ElevationModel, above: FloatArray, largest_m: float) -> tuple[FloatArray, FloatArray]:
     """Largest significance over the scales at each node, and its scale. (ny, nx), (ny, nx) [m]
 
-    At each scale heights are averaged under a Gaussian less a ring about it; their scatter, in units of the model's
-    errors, is the robust one of the whole map, so that rough ground raises it.
+    At each scale heights are averaged under a Gaussian less a ring about it. What they scatter by is the ground's own
+    relief, the same everywhere, and the model's errors, where these are larger: both of the whole map, robustly.
     """
     from scipy.ndimage import gaussian_filter
 
@@ -134,12 +141,28 @@ def _standing_out(model: ElevationModel, above: FloatArray, largest_m: float) ->
         if size > largest_m or width < 0.4:
             continue
         inner, outer = (_mean_under(values, known, gaussian_filter, w) for w in (width, 2.5 * width))
-        ratio = (inner - outer) / error
-        spread = robust_scatter(ratio[known], 0.0)
-        significance = np.where(known, ratio / max(spread, 1e-12), -np.inf)
+        relief, share = _scatter(inner[known] - outer[known], error[known])
+        spread = np.sqrt(relief**2 + (share * error) ** 2)
+        significance = np.where(known, (inner - outer) / np.maximum(spread, 1e-12), -np.inf)
         better = significance > best
         best[better], scale[better] = significance[better], size
     return best, scale
+
+
+def _scatter(values: FloatArray, error: FloatArray) -> tuple[float, float]:
+    """The part of the scatter of values (n,) that is the same everywhere, and what there is of it for each error."""
+    from scipy.optimize import nnls
+
+    classes = np.searchsorted(np.quantile(error, np.linspace(0, 1, ERROR_CLASSES + 1)[1:-1]), error)
+    squares = [
+        (robust_scatter(values[classes == k], 0.0) ** 2, float(np.median(error[classes == k])) ** 2)
+        for k in np.unique(classes)
+    ]
+    scatter, of_errors = np.array(squares).T
+    design = np.column_stack([np.ones(len(scatter)), of_errors])
+    weight = 1.0 / np.maximum(scatter, 1e-12)
+    relief, share = nnls(design * weight[:, None], scatter * weight)[0]
+    return math.sqrt(relief), math.sqrt(share)
 
 
 def _mean_under(values: FloatArray, known: BoolArray, smooth: Callable[..., FloatArray], width: float) -> FloatArray:
@@ -205,9 +228,12 @@ def _measured(model: ElevationModel, above: FloatArray, row: int, column: int, s
     """Middle, diameter and height of what stands out at a node."""
     from scipy.ndimage import label
 
-    reach = math.ceil(1.5 * max(scale_m, 0.05) / model.spacing_m) + 1
+    reach = math.ceil(AROUND[1] * max(scale_m, 0.05) / model.spacing_m) + 1
     top, left = max(row - reach, 0), max(column - reach, 0)
     patch = above[top : row + reach + 1, left : column + reach + 1]
+    away = np.hypot(*np.ogrid[top - row : top - row + patch.shape[0], left - column : left - column + patch.shape[1]])
+    around = patch[np.isfinite(patch) & (away * model.spacing_m > AROUND[0] * max(scale_m, 0.05))]
+    patch = patch - (float(np.median(around)) if len(around) else 0.0)
     near = patch[max(row - top - 1, 0) : row - top + 2, max(column - left - 1, 0) : column - left + 2]
     peak = float(np.nanmean(near))
     labels, _ = label(np.nan_to_num(patch, nan=-1.0) > 0.5 * peak)
@@ -237,6 +263,13 @@ def _measured(model: ElevationModel, above: FloatArray, row: int, column: int, s
     )
 
 
+def _rocks_of(model: ElevationModel, above: FloatArray, finds: Found, least: float) -> list[FoundRock]:
+    """Finds of a significance that are as high as rocks of their diameter are."""
+    columns = zip(*finds, strict=True)
+    rocks = [_measured(model, above, int(r), int(c), float(s), float(z)) for r, c, z, s in columns if z >= least]
+    return [rock for rock in rocks if rock.height_m >= FLATTEST * rock.diameter_m]
+
+
 def find_rocks(
     model: ElevationModel,
     *,
@@ -258,8 +291,7 @@ def find_rocks(
     decoys = _alone(_peaks(model, -above, largest_m, LEAST), finds, model.spacing_m)
     steps(1, 1 + len(sizes_m))
     threshold, share = _threshold(finds.significance, decoys.significance, false_share)
-    columns = zip(*finds, strict=True)
-    rocks = [_measured(model, above, int(r), int(c), float(s), float(z)) for r, c, z, s in columns if z >= threshold]
+    rocks = _rocks_of(model, above, finds, threshold)
     rng, trials = np.random.default_rng(seed), []
     for k, size in enumerate(sizes_m):
         trials += _tried(model, above, size, largest_m, threshold, rng)
@@ -296,11 +328,13 @@ def _tried(
     window = float(np.nan_to_num(np.nanmedian(model.layer("resolution_m")))) / model.spacing_m
     put = uniform_filter(put, max(1, round(window)))
     tried = dataclasses.replace(model, height_m=model.height_m + put)
-    finds = _peaks(tried, height_over_ground(tried, largest_m), largest_m, threshold)
+    over = height_over_ground(tried, largest_m)
+    finds = _rocks_of(tried, over, _peaks(tried, over, largest_m, threshold), threshold)
+    places = np.array([((f.y_m - model.y0_m), (f.x_m - model.x0_m)) for f in finds]).reshape(-1, 2) / model.spacing_m
     reach = max(0.5 * diameter_m, 2 * model.spacing_m, 0.5 * window * model.spacing_m) / model.spacing_m
     hit = np.array(
         [
-            bool(len(finds.rows)) and float(np.hypot(finds.rows - r, finds.columns - c).min()) <= reach
+            bool(len(places)) and float(np.hypot(*(places - [r, c]).T).min()) <= reach
             for r, c in zip(rows, columns, strict=True)
         ]
     )

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 from stamped_ground import NAVCAM, PANCAM, with_rocks
 
 from lunarsci.errors import ParameterError, RequestError
@@ -66,6 +67,33 @@ def test_ground_without_rocks_has_next_to_none() -> None:
         ground, _ = with_rocks(rng, [])
         finds.append(len(find_rocks(ground.seen(rng, PANCAM, CAMERA), largest_m=0.4, sizes_m=()).rocks))
     assert sum(finds) <= 6
+
+
+def test_relief_of_the_ground_is_no_rock_where_errors_are_small() -> None:
+    """Berms of 8 mm along a track, ten times as high as the errors near the camera, with some 340 bumps."""
+    rng, step = np.random.default_rng(31), 0.02
+    x, y = np.meshgrid(step * np.arange(300), step * np.arange(150))
+    relief = gaussian_filter(rng.standard_normal(x.shape), 3.0)
+    height = 0.004 * relief / relief.std()
+    for side in (0.9, 1.1, 1.9, 2.1):
+        height += 0.008 * np.exp(-(((y - side) / 0.03) ** 2)) * (0.6 + 0.4 * np.sin(2 * np.pi * x / 0.07))
+    rocks = np.array([[1.0, 0.5], [2.5, 2.6], [3.5, 1.5]])
+    for place in rocks:
+        height += 0.06 * np.sqrt(np.clip(1 - ((x - place[0]) ** 2 + (y - place[1]) ** 2) / 0.06**2, 0, None))
+    sigma = 0.0007 * (1.0 + (x / 1.5) ** 2)
+    seen = height + sigma * gaussian_filter(rng.standard_normal(x.shape), 1.0) / 0.28
+    model = ElevationModel(
+        name="berms",
+        x0_m=0.0,
+        y0_m=0.0,
+        spacing_m=step,
+        height_m=seen,
+        height_m_sigma=sigma,
+        resolution_m=np.array(0.04),
+    )
+    found = np.array([(rock.x_m, rock.y_m) for rock in find_rocks(model, sizes_m=()).rocks])
+    apart = np.hypot(*(found[:, None] - rocks).transpose(2, 0, 1))
+    assert (apart.min(axis=0) < 0.04).all() and (apart.min(axis=1) > 0.08).sum() <= 6
 
 
 def test_keep_outs_and_refusals() -> None:
