@@ -1,7 +1,7 @@
 """`lunarsci regolith forces`: forces of the soil on one wheel."""
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -12,6 +12,9 @@ from ..shared.options import option
 from ..shared.report import Report
 from ..shared.table import TextTable
 
+if TYPE_CHECKING:
+    from lunarsci.regolith.traction import Traction
+
 SOIL, EXACT = "Soil", "Exact integrals"
 ROVER = "Rover or wheel: a name (yutu2, cmu-grouser, hit-smooth, rashid-1, lrv …) or a TOML file."
 READING = "Sign of the shear law: signed agrees with measured wheels; the others only reproduce numbers."
@@ -19,7 +22,11 @@ SHEAR = "Strength along and across: each its own, or one shared along the veloci
 OPTIONS = {
     "sinkage": option("Sinkage in m, above 0, below the wheel radius."),
     "load": option("Wheel load in N; the sinkage under it is solved for."),
-    "slip": option("Slip ratio, -1 (locked) to 1 (no travel); negative is skid."),
+    "slip": option(
+        "Slip ratio, -1 (locked) to 1 (no travel); negative is skid; or a curve, FIRST:LAST:N.",
+        kind=str,
+        metavar="S|A:B:N",
+    ),
     "side_slip": option("Side slip angle in deg, within ±90."),
     "rover": option(ROVER),
     "soil": option("Soil: a name or a TOML file.", panel=SOIL),
@@ -57,9 +64,15 @@ def forces(request: WheelForcesRequest) -> Report:
     and at a side slip of 90 deg, forces are the limits of the equations. Where cohesion alone would pull more than the
     wheel presses, as at next to no sinkage, the exit code is 3. A sinkage of the wheel's radius or more is refused.
     Choices that only the integrals know, such as --shear, need no --exact.
+
+    With --slip FIRST:LAST:N a curve; under --load also what it is worth: pull at 20 % slip and per weight, tractive
+    efficiency, and the slope that such wheels climb.
     """
     found = wheel_forces(request)
-    return Report.of(found, tables=[_table(found.rows()[0])])
+    rows = found.rows()
+    if len(rows) == 1:
+        return Report.of(found, tables=[_table(rows[0])])
+    return Report.of(found, tables=[_curve(rows), *([] if found.traction is None else [_figures(found.traction)])])
 
 
 def _table(row: Mapping[str, Any]) -> TextTable:
@@ -76,3 +89,39 @@ def _table(row: Mapping[str, Any]) -> TextTable:
         if name in row:
             cells.append([name.removesuffix("_nm").replace("_", " "), f"{row[name]:.3f}", "N m"])
     return TextTable(["quantity", "value", "unit"], cells)
+
+
+CURVE = (
+    ("slip_ratio", "slip [-]", 1.0, 3),
+    ("sinkage_m", "sinkage [mm]", 1e3, 2),
+    ("normal_force_n", "normal [N]", 1.0, 2),
+    ("drawbar_pull_n", "pull [N]", 1.0, 2),
+    ("lateral_force_n", "lateral [N]", 1.0, 2),
+    ("resistance_torque_nm", "torque [N m]", 1.0, 3),
+    ("tractive_efficiency", "efficiency [-]", 1.0, 3),
+)
+"""Of a curve over slip: key, head, factor and digits."""
+
+
+def _curve(rows: Sequence[Mapping[str, Any]]) -> TextTable:
+    shown = [column for column in CURVE if column[0] in rows[0]]
+    cells = [
+        ["-" if row[key] is None else f"{factor * row[key]:.{digits}f}" for key, _, factor, digits in shown]
+        for row in rows
+    ]
+    return TextTable([head for _, head, _, _ in shown], cells)
+
+
+def _figures(found: "Traction") -> TextTable:
+    rows = [
+        ["pull at 20 % slip", found.pull_at_20_n, "N"],
+        ["pull per weight at 20 % slip", found.pull_per_weight_at_20, "-"],
+        ["tractive efficiency at 20 % slip", found.efficiency_at_20, "-"],
+        ["slope climbed at 20 % slip", found.slope_at_20_deg, "deg"],
+        ["slip without pull", found.self_propelled_slip, "-"],
+        ["best tractive efficiency", found.best_efficiency, "-"],
+        ["at a slip of", found.best_efficiency_slip, "-"],
+    ]
+    cells = [[name, "none" if value is None else f"{value:.3g}", unit] for name, value, unit in rows]
+    notes = ["the slope is that of wheels alone, each under its share of the load; a rover's weight shifts downhill"]
+    return TextTable(["figure", "value", "unit"], cells, notes=notes)

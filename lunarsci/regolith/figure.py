@@ -19,6 +19,7 @@ from lunarsci.regolith.identify import Identification
 from lunarsci.regolith.integrals import ContactForces, forces_by
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.regolith.soil import Soil
+from lunarsci.regolith.traction import DESIGN_SLIP, Traction
 from lunarsci.regolith.wheel import ContactModel, ShearSign, Wheel
 
 COLORS = dict(zip(KINDS, ("black", "#0072B2", "#009E73"), strict=True))
@@ -193,12 +194,12 @@ def forces_over_slip(
     wheel: Wheel,
     soil: Soil,
     sinkage_m: float,
-    slip_ratio: float,
+    slip_ratio: float | Sequence[float],
     side_slip_deg: float,
     reading: ShearSign,
     model: ContactModel | None = None,
 ) -> Figure:
-    """Normal force, drawbar pull and lateral force against slip at one sinkage, with the asked state marked."""
+    """Normal force, drawbar pull and lateral force against slip at one sinkage, with the asked states marked."""
 
     def forces(slip: Any) -> WheelForces | ContactForces:
         return forces_by(model, wheel, soil, sinkage_m, slip, side_slip_deg, reading)
@@ -220,6 +221,33 @@ def forces_over_slip(
     form = f"exact integrals, {model.shear} shear" if model else "closed form"
     axes.set_title(f"sinkage {1e3 * sinkage_m:.1f} mm, {form}, reading '{reading}'", fontsize=10)
     axes.legend(frameon=False)
+    return figure
+
+
+def traction_over_slip(rows: Sequence[Mapping[str, Any]], found: Traction, load_n: float) -> Figure:
+    """Pull per weight and tractive efficiency over slip, above; torque and sinkage below; 20 % slip marked."""
+    figure = Figure(figsize=(7.5, 7), layout="constrained")
+    pull, effort = figure.subplots(2, 1, sharex=True)
+    slip = [row["slip_ratio"] for row in rows]
+    for axes, name, factor, color, label in (
+        (pull, "pull_per_weight", 1.0, BLUE, "pull per weight [-]"),
+        (pull, "tractive_efficiency", 1.0, ORANGE, "tractive efficiency [-]"),
+        (effort, "resistance_torque_nm", 1.0, "black", "torque [N m]"),
+        (effort.twinx(), "sinkage_m", 1e3, GREEN, "sinkage [mm]"),
+    ):
+        values = [np.nan if row[name] is None else factor * row[name] for row in rows]
+        axes.plot(slip, values, color=color, label=label)
+        if axes is not pull:
+            axes.set_ylabel(label, color=color)
+            axes.tick_params(axis="y", colors=color)
+    pull.axhline(0, color="0.8", linewidth=0.8, zorder=0)
+    pull.axvline(DESIGN_SLIP, color="0.8", linewidth=0.8, zorder=0)
+    pull.plot(DESIGN_SLIP, found.pull_per_weight_at_20, "o", color=BLUE)
+    pull.set_ylabel("share [-]")
+    pull.legend(frameon=False)
+    slope = "none" if found.slope_at_20_deg is None else f"{found.slope_at_20_deg:.1f}°"
+    pull.set_title(f"load {load_n:g} N; at 20 % slip: pull {found.pull_at_20_n:.2f} N, slope {slope}", fontsize=10)
+    effort.set_xlabel("slip ratio [-]  (negative: skid)")
     return figure
 
 

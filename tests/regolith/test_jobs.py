@@ -42,6 +42,47 @@ def test_forces_have_units_and_a_request_can_be_changed() -> None:
     assert softer.sinkage_m > found.sinkage_m and softer.soil.stiffness_kpa_m_n == 500.0
 
 
+@pytest.mark.parametrize("choice", [{}, {"slip_sinkage": "lyasko"}, {"shear": "ellipse", "side_slip": 5.0}])
+def test_a_curve_over_slip_is_what_each_slip_alone_gives(choice: dict[str, object]) -> None:
+    curve = wheel_forces(load=30.0, slip="0:0.6:7", **choice)
+    assert [row["slip_ratio"] for row in curve.rows()] == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6], abs=1e-15)
+    for row in curve.rows():
+        alone = wheel_forces(load=30.0, slip=row["slip_ratio"], **choice).rows()[0]
+        assert alone == {key: row[key] for key in alone}
+    assert len(curve.to_table()) == 7 and "states" in curve.to_dict() and curve.figures()
+
+
+def test_figures_of_traction_are_those_of_their_definitions() -> None:
+    """Each looked up again by a call of its own: no pull, 20 % slip, and the slope on which nothing is left to pull."""
+    curve = wheel_forces(load=30.0, slip="-0.1:0.6:71")
+    found = curve.traction
+    assert found is not None and found.slope_at_20_deg is not None and found.self_propelled_slip is not None
+    at_20 = wheel_forces(load=30.0, slip=0.2)
+    pull, torque = float(at_20.forces.drawbar_pull_n), float(at_20.forces.resistance_torque_nm)
+    assert found.pull_at_20_n == pytest.approx(pull) and found.pull_per_weight_at_20 == pytest.approx(pull / 30.0)
+    work = pull * 1.0 / (torque * 1.0 / (at_20.wheel.shearing_radius_m * (1.0 - 0.2)))  # over a metre of way
+    assert found.efficiency_at_20 == pytest.approx(work) and 0 < work < 0.8
+    assert abs(float(wheel_forces(load=30.0, slip=found.self_propelled_slip).forces.drawbar_pull_n)) < 0.01
+    angle = np.radians(found.slope_at_20_deg)
+    uphill = wheel_forces(load=30.0 * np.cos(angle), slip=0.2)
+    assert float(uphill.forces.drawbar_pull_n) == pytest.approx(30.0 * np.sin(angle), abs=1e-4)
+    efficiencies = [row["tractive_efficiency"] for row in curve.rows()]
+    assert efficiencies[0] is None and found.best_efficiency == max(filter(None, efficiencies))
+
+
+def test_a_wheel_that_cannot_pull_climbs_nothing_and_has_no_efficiency() -> None:
+    found = wheel_forces(load=30.0, slip="0:0.3:4", cohesion=0.0, friction_angle=5.0).traction
+    assert found is not None and found.pull_at_20_n < 0
+    assert (found.slope_at_20_deg, found.efficiency_at_20, found.self_propelled_slip) == (None, None, None)
+    assert found.best_efficiency is None
+
+
+@pytest.mark.parametrize("slip", ["0.3:0.1:5", "0:0.5:1", "0:0.5:2.5", "0:0.5", "a:b:3", "fast", "0:0.5:1000000"])
+def test_a_curve_that_is_none_is_refused(slip: str) -> None:
+    with pytest.raises(RequestError, match="FIRST:LAST:N"):
+        wheel_forces(load=30.0, slip=slip)
+
+
 def test_shares_of_grip_need_the_integrals_and_have_them_without_being_asked() -> None:
     assert WheelForcesRequest(load=36.5).model is None
     for choice in ({"exact": True}, {"shear": "ellipse"}, {"bulldozing": "wong"}, {"rebound": 0.0}):

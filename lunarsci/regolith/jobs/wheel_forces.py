@@ -24,8 +24,11 @@ if TYPE_CHECKING:
     from lunarsci.regolith.forces import WheelForces
     from lunarsci.regolith.integrals import ContactForces
     from lunarsci.regolith.soil import Soil
-    from lunarsci.regolith.wheel import Wheel
+    from lunarsci.regolith.traction import LoadedState, LoadedWheel, Traction
+    from lunarsci.regolith.wheel import SlipSinkageLaw, Wheel
 
+WONG = "Wong (2008), Theory of Ground Vehicles, 4th ed., ch. 2: tractive efficiency"
+FREITAG = "Freitag, Green & Melzer (1970), Waterways Experiment Station TR M-70-2: wheels compared at 20 % slip"
 
 SOIL = {
     "stiffness": "stiffness_kpa_m_n",
@@ -39,6 +42,16 @@ SOIL = {
 """Option to parameter of the soil that it changes."""
 
 
+MOST_SLIPS = 10_000
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError as error:
+        raise RequestError(f"'{text}' is no slip; give a number, or FIRST:LAST:N") from error
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WheelForcesRequest:
     """A wheel on a soil.
@@ -46,7 +59,8 @@ class WheelForcesRequest:
     Attributes
     ----------
     sinkage [m], load [N] : one of them; the sinkage under a load is solved for.
-    slip, side_slip : slip ratio from -1 to 1, side slip within 90 deg. [-, deg]
+    slip : slip ratio from -1 to 1, or FIRST:LAST:N for a curve of N of them. [-]
+    side_slip : within 90 deg. [deg]
     rover, soil : names, or TOML files.
     stiffness [kPa m^-N], exponent [-], cohesion [Pa], friction_angle [deg], shear_modulus [mm], external_friction_angle
         [deg], lateral_modulus [mm] : what is otherwise in the soil.
@@ -61,7 +75,7 @@ class WheelForcesRequest:
 
     sinkage: float | None = None
     load: float | None = None
-    slip: float = 0.0
+    slip: float | str = 0.0
     side_slip: float = 0.0
     rover: str = "yutu2"
     soil: str = "lunar-typical"
@@ -88,12 +102,34 @@ class WheelForcesRequest:
     def __post_init__(self) -> None:
         if (self.sinkage is None) == (self.load is None):
             raise RequestError("give either `sinkage` or `load`")
-        if self.slip_sinkage != "none" and (self.load is None or self.slip < 0):
+        if isinstance(self.slip, str) and ":" not in self.slip:
+            object.__setattr__(self, "slip", _number(self.slip))
+        if self.slip_sinkage != "none" and (self.load is None or min(self.slips()) < 0):
             raise RequestError("`slip_sinkage` needs `load`, and a slip of 0 or more; skid has no such law")
         if (self.reece_cohesive is None) != (self.reece_frictional is None):
             raise RequestError("`reece_cohesive` and `reece_frictional` go together; give both")
         if self.reece_cohesive is not None and self.stiffness is not None:
             raise RequestError("K_s comes from `stiffness` or from Reece's moduli; give one")
+
+    def slips(self) -> list[float]:
+        """Slips that were asked for, in order. Raises RequestError."""
+        if isinstance(self.slip, float | int):
+            return [float(self.slip)]
+        parts = self.slip.split(":")
+        if len(parts) != 3:
+            raise RequestError(f"`slip` is '{self.slip}'; give a number, or FIRST:LAST:N")
+        first, last, count = _number(parts[0]), _number(parts[1]), _number(parts[2])
+        if not (first < last and count == int(count) and 2 <= count <= MOST_SLIPS):
+            raise RequestError(
+                f"`slip` is '{self.slip}'; give FIRST:LAST:N with FIRST below LAST and N from 2 to {MOST_SLIPS}"
+            )
+        shares = [k / (int(count) - 1) for k in range(int(count))]
+        return [first * (1.0 - share) + last * share for share in shares]
+
+    @property
+    def law(self) -> "SlipSinkageLaw | None":
+        """How slip deepens the sinkage; None for not at all."""
+        return None if self.slip_sinkage == "none" else self.slip_sinkage
 
     @property
     def model(self) -> ContactModel | None:
@@ -136,11 +172,11 @@ class ForcesOnWheel(Result):
     Attributes
     ----------
     request : what was asked.
-    wheel, soil : that were taken; a soil that slip has softened carries the load at the sinkage.
-    sinkage_m : z, as given or under the load. [m]
-    forces : F_N, F_DP, F_L, M_R, by integration also two moments. [N, N m]
+    wheel, soil : that were taken.
+    states : at each slip the sinkage, the forces [N, N m], and the soil, which slip that deepens the sinkage softens.
     model : choices of the integrals, None for the closed form.
-    cohesion_share : what cohesion alone could pull, as a share of the normal force. [-]
+    cohesion_share : what cohesion alone could pull, as a share of the normal force, at its largest. [-]
+    traction : figures of the loaded wheel; None for a single slip, and for a sinkage.
     assumed : keys of the rover's file that are guesses.
     """
 
@@ -148,12 +184,22 @@ class ForcesOnWheel(Result):
     request: WheelForcesRequest
     wheel: "Wheel"
     soil: "Soil"
-    sinkage_m: float
-    forces: "WheelForces | ContactForces"
+    states: "Sequence[LoadedState]"
     model: ContactModel | None
     cohesion_share: float
+    traction: "Traction | None"
     assumed: Sequence[str]
     origin: MadeFrom
+
+    @property
+    def sinkage_m(self) -> float:
+        """Of the first slip. [m]"""
+        return self.states[0].sinkage_m
+
+    @property
+    def forces(self) -> "WheelForces | ContactForces":
+        """F_N, F_DP, F_L, M_R at the first slip, by integration also two moments. [N, N m]"""
+        return self.states[0].forces
 
     @property
     def made_from(self) -> MadeFrom:
@@ -171,9 +217,11 @@ class ForcesOnWheel(Result):
         )
 
     def to_dict(self) -> dict[str, Any]:
+        rows = self.rows()
         return {
-            **self.rows()[0],
-            "soil": asdict(self.soil),
+            **(rows[0] if len(rows) == 1 else {"states": rows}),
+            "traction": None if self.traction is None else self.traction._asdict(),
+            "soil": asdict(self.states[0].soil if len(rows) == 1 else self.soil),
             "reading": self.request.reading,
             "assumed_of_rover": list(self.assumed),
             "model": asdict(self.model) if self.model else None,
@@ -181,20 +229,29 @@ class ForcesOnWheel(Result):
         }
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
-        asked = self.request
-        state = {"sinkage_m": self.sinkage_m, "slip_ratio": asked.slip, "side_slip_deg": asked.side_slip}
-        return [state | {name: float(getattr(self.forces, name)) for name in self.forces.__slots__}]
+        return [self._row(state) for state in self.states]
+
+    def _row(self, state: "LoadedState") -> dict[str, Any]:
+        own = {"sinkage_m": state.sinkage_m, "slip_ratio": state.slip, "side_slip_deg": self.request.side_slip}
+        own |= {name: float(getattr(state.forces, name)) for name in state.forces.__slots__}
+        if self.traction is not None and self.request.load is not None:
+            own["pull_per_weight"] = own["drawbar_pull_n"] / self.request.load
+            own["tractive_efficiency"] = state.efficiency(self.wheel)
+        return own
 
     def figures(self) -> "Iterator[Figure]":
-        from lunarsci.regolith.figure import forces_over_slip
+        from lunarsci.regolith.figure import forces_over_slip, traction_over_slip
 
-        asked = self.request
-        state = (self.sinkage_m, asked.slip, asked.side_slip)
-        yield forces_over_slip(self.wheel, self.soil, *state, asked.reading, self.model)
+        asked, first = self.request, self.states[0]
+        if self.traction is not None:
+            yield traction_over_slip(self.rows(), self.traction, asked.load or 0.0)
+            return
+        state = (first.sinkage_m, [one.slip for one in self.states], asked.side_slip)
+        yield forces_over_slip(self.wheel, first.soil, *state, asked.reading, self.model)
 
 
 def wheel_forces(request: WheelForcesRequest | None = None, **options: Any) -> ForcesOnWheel:
-    """Forces of the soil on one wheel; `options` replace those of the request.
+    """Forces of the soil on one wheel, at one slip or over several; `options` replace those of the request.
 
     Slip beyond 0.6 either way, and readings that only reproduce numbers, are said by a LunarSciWarning. Raises
     RequestError, ParameterError for a state or a soil out of range, DataError for a file that cannot be used.
@@ -203,39 +260,61 @@ def wheel_forces(request: WheelForcesRequest | None = None, **options: Any) -> F
 
     from lunarsci.provenance import sha256
     from lunarsci.regolith.forces import cohesion_share, warn_of_shear_sign
-    from lunarsci.regolith.integrals import forces_by
-    from lunarsci.regolith.inversion import settle_under_load
     from lunarsci.regolith.soil import read_soil, soil_hash
+    from lunarsci.regolith.traction import traction
     from lunarsci.regolith.wheel import read_wheel
     from lunarsci.rovers import read_rover
 
     asked = request_of(WheelForcesRequest, request, options)
-    description, model = read_rover(asked.rover), asked.model
+    description, slips = read_rover(asked.rover), asked.slips()
     wheel = read_wheel(description)
-    soil, state = asked.changed(read_soil(asked.soil), wheel.width_m), (asked.slip, asked.side_slip)
+    soil = asked.changed(read_soil(asked.soil), wheel.width_m)
     warn_of_shear_sign(asked.reading)
-    if abs(asked.slip) > MAX_VALID_SLIP:
-        text = f"slip ratio {asked.slip:g} is beyond {MAX_VALID_SLIP:g}, up to which the model was compared with wheels"
+    if (farthest := max(slips, key=abs)) and abs(farthest) > MAX_VALID_SLIP:
+        text = f"slip ratio {farthest:g} is beyond {MAX_VALID_SLIP:g}, up to which the model was compared with wheels"
         warnings.warn(text, LunarSciWarning, stacklevel=2)
-    if asked.load is not None:
-        law = None if asked.slip_sinkage == "none" else asked.slip_sinkage
-        sinkage, soil = settle_under_load(wheel, soil, asked.load, *state, law, reading=asked.reading, model=model)
-    else:
-        sinkage = float(asked.sinkage or 0.0)
-    found = forces_by(model, wheel, soil, sinkage, *state, asked.reading)
+    states, loaded = _states(asked, wheel, soil, slips)
+    shares = [
+        cohesion_share(wheel, state.soil, np.array(state.sinkage_m), np.asarray(state.forces.normal_force_n))
+        for state in states
+    ]
     inputs, tables = soil_hash(asked.soil)
     return ForcesOnWheel(
         request=asked,
         wheel=wheel,
         soil=soil,
-        sinkage_m=sinkage,
-        forces=found,
-        model=model,
-        cohesion_share=float(cohesion_share(wheel, soil, np.array(sinkage), np.asarray(found.normal_force_n))),
+        states=states,
+        model=asked.model,
+        cohesion_share=float(max(shares, key=lambda share: share if share >= 0 else np.inf)),
+        traction=None if loaded is None or len(slips) == 1 else traction(loaded, states),
         assumed=description.assumed,
         origin=MadeFrom(
             inputs=inputs,
             tables={f"{asked.rover} (rover)": sha256(description.text.encode())} | tables,
-            sources=[PAPER],
+            sources=[PAPER] if len(slips) == 1 else [PAPER, WONG, FREITAG],
         ),
     )
+
+
+def _states(
+    asked: WheelForcesRequest, wheel: "Wheel", soil: "Soil", slips: Sequence[float]
+) -> "tuple[list[LoadedState], LoadedWheel | None]":
+    """The wheel at each slip, under its load or at its sinkage; and the loaded wheel."""
+    from lunarsci.regolith.integrals import forces_by
+    from lunarsci.regolith.traction import LoadedState, LoadedWheel
+
+    model = asked.model
+    if asked.load is None:
+        sinkage = float(asked.sinkage or 0.0)
+        found = [forces_by(model, wheel, soil, sinkage, slip, asked.side_slip, asked.reading) for slip in slips]
+        return [LoadedState(slip, sinkage, soil, forces) for slip, forces in zip(slips, found, strict=True)], None
+    loaded = LoadedWheel(
+        wheel=wheel,
+        soil=soil,
+        load_n=asked.load,
+        side_slip_deg=asked.side_slip,
+        law=asked.law,
+        reading=asked.reading,
+        model=model,
+    )
+    return loaded.over(slips), loaded

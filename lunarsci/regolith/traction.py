@@ -1,0 +1,138 @@
+"""What a loaded wheel pulls over slip: its curve, and the figures by which wheels are compared."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from lunarsci.arrays import FloatArray
+from lunarsci.errors import ParameterError
+from lunarsci.regolith.forces import WheelForces
+from lunarsci.regolith.integrals import ContactForces, forces_by
+from lunarsci.regolith.inversion import settle_under_load
+from lunarsci.regolith.soil import Soil
+from lunarsci.regolith.wheel import ContactModel, ShearSign, SlipSinkageLaw, Wheel
+
+DESIGN_SLIP = 0.2
+"""Slip at which wheels are compared, first of the Lunar Roving Vehicle: Freitag, Green & Melzer (1970), Waterways
+Experiment Station TR M-70-2. [-]"""
+STEEPEST_DEG = 45.0
+"""No slope steeper than this is looked at; no lunar soil stands so. Assumed."""
+
+
+class LoadedState(NamedTuple):
+    """A wheel under its load: slip [-], sinkage [m], the soil that carries it, and the forces."""
+
+    slip: float
+    sinkage_m: float
+    soil: Soil
+    forces: WheelForces | ContactForces
+
+    def efficiency(self, wheel: Wheel) -> float | None:
+        """Tractive efficiency: power of the pull over that of the axle, P (1 - s) r_s / M; None where either drives
+        backwards. [-] (Wong 2008, Theory of Ground Vehicles, ch. 2)
+        """
+        pull, torque = float(self.forces.drawbar_pull_n), float(self.forces.resistance_torque_nm)
+        if pull <= 0 or torque <= 0 or self.slip < 0:
+            return None
+        return pull * (1.0 - self.slip) * wheel.shearing_radius_m / torque
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoadedWheel:
+    """A wheel on a soil under a load, at a side slip.
+
+    Attributes
+    ----------
+    load_n : W > 0. [N]
+    side_slip_deg : within 90. [deg]
+    law : how slip deepens the sinkage; None for not at all, and in skid.
+    reading, model : as in `forces_by`.
+    """
+
+    wheel: Wheel
+    soil: Soil
+    load_n: float
+    side_slip_deg: float = 0.0
+    law: SlipSinkageLaw | None = None
+    reading: ShearSign = "signed"
+    model: ContactModel | None = None
+
+    def at(self, slip: float, load_n: float | None = None) -> LoadedState:
+        """The wheel at a slip, under another load where one is given. Raises ParameterError as `settle_under_load`."""
+        law = self.law if slip >= 0 else None
+        load = self.load_n if load_n is None else load_n
+        sinkage, soil = settle_under_load(
+            self.wheel, self.soil, load, slip, self.side_slip_deg, law, reading=self.reading, model=self.model
+        )
+        forces = forces_by(self.model, self.wheel, soil, sinkage, slip, self.side_slip_deg, self.reading)
+        return LoadedState(slip, sinkage, soil, forces)
+
+    def over(self, slips: FloatArray | Sequence[float]) -> list[LoadedState]:
+        """The wheel at each slip (n,)."""
+        return [self.at(float(slip)) for slip in slips]
+
+    def slope_deg(self, slip: float = DESIGN_SLIP) -> float | None:
+        """Slope that such wheels alone climb at a slip; None where they do not even pull on level ground. [deg]
+
+        On a slope a each wheel carries W cos a and must pull W sin a; what the higher or lower wheels of a rover carry
+        more or less is left out, and so is all that is not wheels on this soil.
+        """
+        from scipy.optimize import brentq
+
+        def spare(angle: float) -> float:
+            pull = float(self.at(slip, self.load_n * np.cos(angle)).forces.drawbar_pull_n)
+            return pull - self.load_n * float(np.sin(angle))
+
+        steepest = float(np.radians(STEEPEST_DEG))
+        if spare(0.0) < 0:
+            return None
+        if spare(steepest) > 0:
+            return STEEPEST_DEG
+        return float(np.degrees(brentq(spare, 0.0, steepest, xtol=1e-6)))
+
+
+class Traction(NamedTuple):
+    """Figures of a loaded wheel; None where it pulls at no slip that was asked about.
+
+    pull_at_20_n, pull_per_weight_at_20, efficiency_at_20, slope_at_20_deg : at 20 % slip. [N], [-], [-], [deg]
+    self_propelled_slip : slip at which the pull is 0, the wheel just keeps itself going. [-]
+    best_efficiency, best_efficiency_slip : largest tractive efficiency of the curve, and where. [-]
+    """
+
+    pull_at_20_n: float
+    pull_per_weight_at_20: float
+    efficiency_at_20: float | None
+    slope_at_20_deg: float | None
+    self_propelled_slip: float | None
+    best_efficiency: float | None
+    best_efficiency_slip: float | None
+
+
+def traction(loaded: LoadedWheel, curve: Sequence[LoadedState]) -> Traction:
+    """Figures of a loaded wheel from its curve over slip, in order of slip. Raises ParameterError for an empty one."""
+    if not curve:
+        raise ParameterError("no slips; give one or more")
+    there = loaded.at(DESIGN_SLIP)
+    pull = float(there.forces.drawbar_pull_n)
+    good = [(value, state.slip) for state in curve if (value := state.efficiency(loaded.wheel)) is not None]
+    best, at = max(good, default=(None, None))
+    return Traction(
+        pull_at_20_n=pull,
+        pull_per_weight_at_20=pull / loaded.load_n,
+        efficiency_at_20=there.efficiency(loaded.wheel),
+        slope_at_20_deg=loaded.slope_deg(),
+        self_propelled_slip=_without_pull(curve),
+        best_efficiency=best,
+        best_efficiency_slip=at,
+    )
+
+
+def _without_pull(curve: Sequence[LoadedState]) -> float | None:
+    """First slip at which the pull passes from below 0 to above it, between the states by a straight line."""
+    pulls = [float(state.forces.drawbar_pull_n) for state in curve]
+    for before, after, low, high in zip(curve, curve[1:], pulls, pulls[1:], strict=False):
+        if low <= 0 < high:
+            return before.slip + (after.slip - before.slip) * low / (low - high)
+    return None
