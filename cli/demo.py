@@ -25,7 +25,7 @@ def demo(
     output: Output,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the noise and the draws.")] = 0,
 ) -> Report:
-    """Run the whole chain on embedded synthetic data: rock, drive, ground. Under a minute on two cores.
+    """Run the whole chain on embedded synthetic data: pictures, rock, drive, ground. Under a minute on two cores.
 
     Inputs, tables and pictures go to the folder lunarsci-demo, or to -o DIR; try the other commands on them.
     """

@@ -1,8 +1,11 @@
-"""The demonstration: the whole chain on synthetic data, from products to minerals and from a drive to its soil."""
+"""The demonstration: the whole chain on synthetic data, from pictures to the ground, from products to minerals, and from
+a drive to its soil."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
+from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -39,8 +42,63 @@ from lunarsci.twin.simulation.ensemble import Prediction, predict
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from lunarsci.images.jobs.dem import StereoTerrain
 
 SOIL = "longji"
+AHEAD_M = (1.0, 0.0)
+"""Place whose height is looked up in the pictures. [m]"""
+BEHIND_M = 2.0
+"""How far behind the start of the drive the cameras stand: a mast sees no ground nearer than some 1.3 m. [m]"""
+
+
+@dataclass(frozen=True, slots=True)
+class SeenGround:
+    """A SYNTHETIC stereo pair of the ground ahead, the heights found in it, and one of them beside its truth."""
+
+    pictures: dict[str, bytes]
+    heights: "StereoTerrain"
+    height_m: float
+    sigma_m: float
+    truth_m: float
+
+
+def _ground_ahead(seed: int) -> SeenGround | None:
+    """Pictures of the terrain of the drive with a camera of few pixels, and heights from them; None without OpenCV."""
+    from lunarsci.images.jobs.dem import dem
+    from lunarsci.images.jobs.render import render
+    from lunarsci.twin.ground.synthetic import synthetic_longji
+    from lunarsci.twin.ground.terrain_files import terrain_bytes
+
+    if find_spec("cv2") is None:
+        return None
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "terrain.npz").write_bytes(terrain_bytes(synthetic_longji(read_soil(SOIL))))
+        (folder / "told.toml").write_bytes((files(__package__) / "camera.toml").read_bytes())
+        pair = render(
+            str(folder / "terrain.npz"),
+            rig=str(folder / "told.toml"),
+            x=-BEHIND_M,
+            spacing=0.025,
+            rocks=0.4,
+            samples=1,
+            seed=seed,
+        )
+        made = {name: make() for name, make in pair.files().items() if name != "truth.npz"}
+        for name, content in made.items():
+            (folder / name).write_bytes(content)
+        heights = dem(
+            folder / "left.png", folder / "right.png", rig=str(folder / "rig.toml"), pose=str(folder / "pose.toml")
+        )
+    model, points = heights.model, pair.pair.truth.points_m
+    known = np.isfinite(model.height_m)
+    away = np.hypot(*np.meshgrid(model.x_m - AHEAD_M[0], model.y_m - AHEAD_M[1]))
+    row, column = np.unravel_index(np.where(known, away, np.inf).argmin(), known.shape)
+    own = np.abs(points[..., :2] - [model.x_m[column], model.y_m[row]]).max(axis=-1) <= 0.5 * model.spacing_m
+    error = float(
+        np.hypot(model.layer("height_m_sigma")[row, column], model.layer("height_m_common_sigma")[row, column])
+    )
+    return SeenGround(made, heights, float(model.height_m[row, column]), error, float(points[own, 2].mean()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,9 +195,13 @@ def _ground(driven: PredictedDrive, seed: int) -> Identification:
 
 @dataclass(frozen=True, slots=True)
 class Demonstration(Result):
-    """A rock, a drive and the soil that it reveals, all made up from a seed."""
+    """The ground in pictures, a rock, a drive and the soil that it reveals, all made up from a seed.
+
+    `seen` is None where OpenCV is not installed.
+    """
 
     seed: int
+    seen: SeenGround | None
     rock: StudiedRock
     drive: PredictedDrive
     soil: Identification
@@ -155,19 +217,27 @@ class Demonstration(Result):
 
     def rows(self) -> list[dict[str, Any]]:
         """One a quantity that was found, beside the truth where there is one."""
-        return [*_rock_findings(self.rock), *_drive_findings(self.drive), *_soil_findings(self.soil, read_soil(SOIL))]
+        seen = [] if self.seen is None else [_seen_finding(self.seen)]
+        return [
+            *seen,
+            *_rock_findings(self.rock),
+            *_drive_findings(self.drive),
+            *_soil_findings(self.soil, read_soil(SOIL)),
+        ]
 
     @property
     def pictures(self) -> dict[str, Callable[[], bytes]]:
         """File name to what draws it."""
-        return _pictures(self.rock, self.drive, self.soil)
+        ground = {} if self.seen is None else {"ground.png": partial(_ground_picture, self.seen)}
+        return ground | _pictures(self.rock, self.drive, self.soil)
 
     @property
     def files(self) -> dict[str, Callable[[], bytes]]:
         """File name to what makes its content: products, spectrum, wheel states and pictures."""
         record = {"command": "lunarsci demo", "seed": self.seed}
+        made = ({} if self.seen is None else self.seen.pictures) | self.rock.products
         return {
-            **{name: partial(bytes, content) for name, content in self.rock.products.items()},
+            **{name: partial(bytes, content) for name, content in made.items() if name != "result.json"},
             "rock.ecsv": lambda: to_ecsv([self.rock.calibration], record),
             "wheel_states.csv": lambda: self.drive.states,
             **self.pictures,
@@ -176,12 +246,25 @@ class Demonstration(Result):
 
 def demo(seed: int = 0, *, say: Callable[[str], None] = lambda step: None) -> Demonstration:
     """Run the whole chain; `say` is told each step."""
-    say("1/3 a synthetic rock: calibration, bands and Modified Gaussian Model")
+    say("1/4 synthetic pictures of the ground ahead, and heights from them")
+    seen = _ground_ahead(seed)
+    if seen is None:
+        say("    left out: pictures need OpenCV; pip install 'lunarsci[images]'")
+    say("2/4 a synthetic rock: calibration, bands and Modified Gaussian Model")
     rock = _rock(seed)
-    say("2/3 a drive of 9.8 m on synthetic terrain, over 81 soils")
+    say("3/4 a drive of 9.8 m on synthetic terrain, over 81 soils")
     drive = _drive(seed)
-    say("3/3 the soil that the wheels of that drive reveal")
-    return Demonstration(seed, rock, drive, _ground(drive, seed))
+    say("4/4 the soil that the wheels of that drive reveal")
+    return Demonstration(seed, seen, rock, drive, _ground(drive, seed))
+
+
+def _seen_finding(seen: SeenGround) -> dict[str, Any]:
+    name = "pictures: height of the ground 3 m ahead"
+    return _finding(name, seen.height_m, seen.sigma_m, seen.truth_m, "m", "ground.png")
+
+
+def _ground_picture(seen: SeenGround) -> bytes:
+    return picture_bytes(seen.heights.figures(), Path("ground.png"))
 
 
 def _drive_findings(the_drive: PredictedDrive) -> list[dict[str, Any]]:
