@@ -1,5 +1,7 @@
-"""The demonstration: the whole chain on synthetic data, from pictures to the ground, from products to minerals, and from
-a drive to its soil."""
+"""The demonstration: the whole chain on synthetic data.
+
+From pictures to the ground, from products to minerals, and from a drive to its soil.
+"""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
