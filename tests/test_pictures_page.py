@@ -11,7 +11,7 @@ import pytest
 
 PAGE = (Path(__file__).parents[1] / "docs/pictures.md").read_text("utf-8")
 SCRIPT = "".join(re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL))
-CAMERA = "width_px = 400\nheight_px = 400\nfx_px = 464.0\nfy_px = 464.0\ncx_px = 199.5\ncy_px = 199.5\n"
+CAMERA = "width_px = 600\nheight_px = 600\nfx_px = 697.0\nfy_px = 697.0\ncx_px = 299.5\ncy_px = 299.5\n"
 RIG = f"""name = "SYNTHETIC, a Navcam of few pixels"
 bits = 10
 mast_height_m = 1.5
