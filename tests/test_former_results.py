@@ -72,7 +72,7 @@ COMMANDS: dict[str, str] = {
     "identify joint": "regolith infer states.csv --seed 2",
     "compare soils": "regolith compare soil.json",
     "terrain": "twin plan --max-slope 11 --target 8.5,2.5 -o site",
-    "ground": "twin terrain synthetic --extent 4 --spacing 0.02 --seed 2 -o ground",
+    "ground": "twin terrain synthetic --extent 4 --spacing 0.02 --seed 2 --rocks 0.03 -o ground",
     "track": "images track ground/terrain.npz --line 0,1,2.5,1.2 --step 0.5",
     "rocks": "images rocks ground/terrain.npz --sizes 0.2",
     "cameras": "images cameras",

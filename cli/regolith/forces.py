@@ -113,14 +113,14 @@ def _curve(rows: Sequence[Mapping[str, Any]]) -> TextTable:
 
 
 def _figures(found: "Traction") -> TextTable:
-    rows = [
-        ["pull at 20 % slip", found.pull_at_20_n, "N"],
-        ["pull per weight at 20 % slip", found.pull_per_weight_at_20, "-"],
-        ["tractive efficiency at 20 % slip", found.efficiency_at_20, "-"],
-        ["slope climbed at 20 % slip", found.slope_at_20_deg, "deg"],
-        ["slip without pull", found.self_propelled_slip, "-"],
-        ["best tractive efficiency", found.best_efficiency, "-"],
-        ["at a slip of", found.best_efficiency_slip, "-"],
+    rows: list[tuple[str, float | None, str]] = [
+        ("pull at 20 % slip", found.pull_at_20_n, "N"),
+        ("pull per weight at 20 % slip", found.pull_per_weight_at_20, "-"),
+        ("tractive efficiency at 20 % slip", found.efficiency_at_20, "-"),
+        ("slope climbed at 20 % slip", found.slope_at_20_deg, "deg"),
+        ("slip without pull", found.self_propelled_slip, "-"),
+        ("best tractive efficiency", found.best_efficiency, "-"),
+        ("at a slip of", found.best_efficiency_slip, "-"),
     ]
     cells = [[name, "none" if value is None else f"{value:.3g}", unit] for name, value, unit in rows]
     notes = ["the slope is that of wheels alone, each under its share of the load; a rover's weight shifts downhill"]

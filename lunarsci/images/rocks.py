@@ -24,6 +24,9 @@ landing sites (Golombek & Rapp 1997, 10.1029/96JE03319)."""
 FLATTEST = 0.15
 """Height over diameter below which a bump is ground, such as a berm beside a track; assumed, below most of the rocks of
 Golombek & Rapp (1997)."""
+SURELY, STEEP = 10.0, 0.3
+"""Standard errors above which something is a rock or an edge, and the share of a dip that the rock beside it stands out
+by at least; assumed."""
 AROUND = (2.0, 3.0)
 """From where to where the ground about a rock is looked at, in the scale at which it stands out most; assumed."""
 LEAST = 3.5
@@ -194,12 +197,17 @@ def _peaks(model: ElevationModel, above: FloatArray, largest_m: float, least: fl
 
 
 def _alone(decoys: Found, finds: Found, spacing_m: float) -> Found:
-    """Decoys that are not the dip that a rock beside them, which stands out more, makes in its surroundings."""
+    """Decoys that are not the dip that a rock beside them makes in its surroundings.
+
+    What stands out more than they do may be one, and what stands out as errors never do, even where the dip at its
+    steep side is deeper.
+    """
     kept = np.ones(len(decoys.rows), dtype=bool)
     for k, (row, column, z, scale) in enumerate(zip(*decoys, strict=True)):
         reach = 1.5 * (np.maximum(finds.scale_m, 0.05) + max(scale, 0.05)) / spacing_m
         beside = np.hypot(finds.rows - row, finds.columns - column) <= reach
-        kept[k] = not (beside & (finds.significance >= z)).any()
+        rock = (finds.significance >= z) | (finds.significance >= max(SURELY, STEEP * z))
+        kept[k] = not (beside & rock).any()
     return Found(decoys.rows[kept], decoys.columns[kept], decoys.significance[kept], decoys.scale_m[kept])
 
 
@@ -264,10 +272,15 @@ def _measured(model: ElevationModel, above: FloatArray, row: int, column: int, s
 
 
 def _rocks_of(model: ElevationModel, above: FloatArray, finds: Found, least: float) -> list[FoundRock]:
-    """Finds of a significance that are as high as rocks of their diameter are."""
+    """Finds of a significance that are as high as rocks of their diameter are, each rock once."""
     columns = zip(*finds, strict=True)
     rocks = [_measured(model, above, int(r), int(c), float(s), float(z)) for r, c, z, s in columns if z >= least]
-    return [rock for rock in rocks if rock.height_m >= FLATTEST * rock.diameter_m]
+    kept: list[FoundRock] = []
+    for rock in rocks:
+        again = any(math.hypot(rock.x_m - k.x_m, rock.y_m - k.y_m) < 0.5 * k.diameter_m for k in kept)
+        if rock.height_m >= FLATTEST * rock.diameter_m and not again:
+            kept.append(rock)
+    return kept
 
 
 def find_rocks(

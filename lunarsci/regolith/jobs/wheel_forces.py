@@ -232,12 +232,12 @@ class ForcesOnWheel(Result):
         return [self._row(state) for state in self.states]
 
     def _row(self, state: "LoadedState") -> dict[str, Any]:
-        own = {"sinkage_m": state.sinkage_m, "slip_ratio": state.slip, "side_slip_deg": self.request.side_slip}
-        own |= {name: float(getattr(state.forces, name)) for name in state.forces.__slots__}
+        there = {"sinkage_m": state.sinkage_m, "slip_ratio": state.slip, "side_slip_deg": self.request.side_slip}
+        own: dict[str, Any] = {name: float(getattr(state.forces, name)) for name in state.forces.__slots__}
         if self.traction is not None and self.request.load is not None:
             own["pull_per_weight"] = own["drawbar_pull_n"] / self.request.load
             own["tractive_efficiency"] = state.efficiency(self.wheel)
-        return own
+        return there | own
 
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.regolith.figure import forces_over_slip, traction_over_slip
