@@ -1,7 +1,12 @@
 """Rate of two workers of a dask cluster here against one: `python tests/benchmarks/bench_cluster.py [N]`.
 
-N spectra of a SYNTHETIC strip, 85 channels; the machine should do nothing else, and have two cores at least.
+N spectra of a SYNTHETIC strip, 85 channels; the machine should do nothing else, and have two cores at least. A worker
+is one core: left alone, numba would take all of them for the first worker.
 """
+
+import os
+
+os.environ |= dict.fromkeys(("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 
 import sys
 import time
