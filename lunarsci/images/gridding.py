@@ -15,8 +15,8 @@ from lunarsci.images.matching import StereoMatches
 from lunarsci.images.refinement import HALF_PX
 from lunarsci.images.rig import StereoRig
 
-SAMPLE_PX = 32
-"""Distance of the pixels whose common error is computed; it changes slowly between them."""
+COMMON_NODES = 4
+"""Distance of the nodes at which the rig's errors are computed; they change slowly between these."""
 OUTLYING = 4.0
 """Heights that lie farther from their cell's median, in standard deviations beside its slope, are left out; assumed."""
 STEEPEST = 1.5
@@ -37,6 +37,8 @@ HIDDEN = 0.8
 """the error of what no pixel shows of a cell over that relief: all three as `matching.CORRELATED`."""
 SMOOTH_M = 0.06
 """Width over which the slope of the ground is taken for the errors; assumed. [m]"""
+LEVEL = 0.01
+"""Share of the weights' variance that holds a plane level where too few nodes say how it lies; assumed."""
 
 
 class Cloud(NamedTuple):
@@ -107,7 +109,7 @@ def grid_of(
     layers, covered = _on_triangles(cloud, kept, values, matches, (x0, y0, spacing_m), shape)
     height, variance, by_disparity, width = np.moveaxis(layers, -1, 0)
     count = np.bincount(cell[kept], minlength=shape[0] * shape[1]).reshape(shape)
-    common, shift = _common_errors(matches, rig, pose, cloud, gain, (x0, y0, spacing_m), height)
+    common, shift = _common_errors(rig, pose, height, (x0, y0, spacing_m))
     parts = _spread_of_means(height, variance, count, covered, spacing_m), _unevenness(height, spacing_m) * shift
     return ElevationModel(
         name=name,
@@ -173,9 +175,24 @@ def _unevenness(height: FloatArray, spacing_m: float) -> FloatArray:
 
 
 def _slope(height: FloatArray, spacing_m: float) -> tuple[FloatArray, FloatArray]:
-    """Along y and x, smoothed over what is known. (ny, nx) [-]"""
-    smooth = np.nan_to_num(_smoothed(height, SMOOTH_M / spacing_m))
-    return tuple(np.clip(g, -STEEPEST, STEEPEST) for g in np.gradient(smooth, spacing_m))  # type: ignore[return-value]
+    """Along y and x, of the plane that is nearest to what is known about each node, by Gaussian weights. (ny, nx) [-]
+
+    Where everything is known that is the gradient of the smoothed heights (Stein 1981, 10.1214/aos/1176345632).
+    """
+    from scipy.ndimage import gaussian_filter
+
+    width, known = SMOOTH_M / spacing_m, np.isfinite(height)
+    weight = np.maximum(gaussian_filter(known.astype(float), width), 1e-12)
+
+    def mean(values: FloatArray) -> FloatArray:
+        return np.asarray(gaussian_filter(np.where(known, values, 0.0), width) / weight)
+
+    y, x = np.indices(height.shape, dtype=float)
+    my, mx, mz = mean(y), mean(x), mean(height)
+    yy, xx = (mean(a * a) - m * m + LEVEL * width**2 for a, m in ((y, my), (x, mx)))
+    xy, yz, xz = mean(x * y) - mx * my, mean(y * height) - my * mz, mean(x * height) - mx * mz
+    both = (xx * yz - xy * xz, yy * xz - xy * yz)
+    return tuple(np.clip(g / (xx * yy - xy * xy) / spacing_m, -STEEPEST, STEEPEST) for g in both)  # type: ignore[return-value]
 
 
 def _smoothed(height: FloatArray, width: float) -> FloatArray:
@@ -196,46 +213,50 @@ def _relief(height: FloatArray, spacing_m: float) -> FloatArray:
 
 
 def _common_errors(
-    matches: StereoMatches,
-    rig: StereoRig,
-    pose: Pose,
-    cloud: Cloud,
-    gain: FloatArray,
-    grid: tuple[float, float, float],
-    height: FloatArray,
+    rig: StereoRig, pose: Pose, height: FloatArray, grid: tuple[float, float, float]
 ) -> tuple[FloatArray, FloatArray]:
-    """What the rig's covariance makes of heights at their places, and how far it shifts these along the level.
+    """What the rig's covariance makes of heights at their places, and how far it shifts these away from the camera.
 
-    Between pixels that are some way apart. (ny, nx), (ny, nx) [m]
+    With the covariance V of a point, ground whose slopes are p and q rises by (-p, -q, 1) V (-p, -q, 1)^T, squared.
+    (ny, nx), (ny, nx) [m]
     """
-    from scipy.interpolate import griddata
-
-    rows, columns = cloud.pixels.T
-    few = np.flatnonzero((rows % SAMPLE_PX == 0) & (columns % SAMPLE_PX == 0))
-    few = few if len(few) > 30 else np.arange(0, len(rows), max(1, len(rows) // 1000))
-    frame, d = matches.rectified, cloud.disparity[few]
-    rays = np.column_stack([(cloud.pixels[few][:, ::-1] - np.array(frame.center_px)) / frame.focal_px, np.ones(len(d))])
-    shifted = rays - np.column_stack([d / frame.focal_px, np.zeros((len(d), 2))])
-    left = rig.left.project(rays @ frame.turn)
-    right = rig.right.project(shifted @ frame.turn @ rig.rotation.T)
-    by = pose.rotation @ rig.by_parameters(left, right)
-    way = cloud.points[few] - pose.center_m
-    # The slope that `gain` was made with, along the view: the part of it that a rig's error meets.
-    level = np.maximum(np.linalg.norm(way[:, :2], axis=1), 1e-6)
-    slope = (gain[few] * d + way[:, 2]) / level
-    along = np.einsum("ni,nik->nk", way[:, :2] / level[:, None], by[:, :2])
-    rise = by[:, 2] - slope[:, None] * along
-    sigma, shift = (np.sqrt(np.einsum("nk,kl,nl->n", way, rig.covariance, way)) for way in (rise, along))
-    good = np.isfinite(sigma)
-    y, x = np.mgrid[: height.shape[0], : height.shape[1]]
-    places = (cloud.points[few][good, :2] - np.array(grid[:2])) / grid[2]
     known = np.isfinite(height)
-    wanted, given = np.column_stack([x[known], y[known]]), np.column_stack([sigma[good], shift[good]])
-    found = griddata(places, given, wanted, method="linear")
-    nearest = griddata(places, given, wanted, method="nearest")
-    result = np.full((*height.shape, 2), np.nan)
-    result[known] = np.where(np.isfinite(found), found, nearest)
-    return result[..., 0], result[..., 1]
+    slope_y, slope_x = (part[known] for part in _slope(height, grid[2]))
+    covariance = _of_points(rig, pose, height, grid)[known]
+    rows, columns = np.nonzero(known)
+    away = np.column_stack([columns, rows]) * grid[2] + np.array(grid[:2]) - pose.center_m[:2]
+    away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-6)
+    ways = np.stack([-slope_x, -slope_y, np.ones(len(rows))], axis=-1), np.pad(away, ((0, 0), (0, 1)))
+    result = np.full((2, *height.shape), np.nan)
+    for layer, way in zip(result, ways, strict=True):
+        layer[known] = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", way, covariance, way), 0.0))
+    return result[0], result[1]
+
+
+def _of_points(rig: StereoRig, pose: Pose, height: FloatArray, grid: tuple[float, float, float]) -> FloatArray:
+    """Covariance of the place of what is seen at each node, from the rig's: exact at some nodes, linear between them;
+    where no height is known it is that of the nearest one. (ny, nx, 3, 3) [m2]"""
+    from scipy.ndimage import map_coordinates
+
+    rows, columns = (np.arange(0, size + COMMON_NODES - 1, COMMON_NODES) for size in height.shape)
+    filled = _nearest(height)[
+        np.ix_(*(np.minimum(k, n - 1) for k, n in zip((rows, columns), height.shape, strict=True)))
+    ]
+    x, y = np.meshgrid(grid[0] + grid[2] * columns, grid[1] + grid[2] * rows)
+    left, right = rig.project(pose.to_camera(np.stack([x, y, filled], axis=-1)))
+    by = pose.rotation @ rig.by_parameters(left, right)
+    sampled = np.moveaxis(by @ rig.covariance @ by.swapaxes(-1, -2), (2, 3), (0, 1))
+    places = np.stack(np.meshgrid(*(np.arange(size) / COMMON_NODES for size in height.shape), indexing="ij"))
+    made = [[map_coordinates(_nearest(layer), places, order=1, mode="nearest") for layer in row] for row in sampled]
+    return np.moveaxis(np.array(made), (0, 1), (2, 3))
+
+
+def _nearest(values: FloatArray) -> FloatArray:
+    """Values with those that are NaN taken from the nearest that is known. (ny, nx)"""
+    from scipy.ndimage import distance_transform_edt
+
+    place = distance_transform_edt(np.isnan(values), return_distances=False, return_indices=True)
+    return np.asarray(values[tuple(place)])
 
 
 def _on_triangles(

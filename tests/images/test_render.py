@@ -15,6 +15,7 @@ from lunarsci.images.rays import World, seen_by
 from lunarsci.images.render import render
 from lunarsci.images.rig import PARAMETERS, StereoRig, covariance_of
 from lunarsci.images.rig_files import read_pose, read_rig
+from lunarsci.inputs import InputFile
 
 LENS = Camera(name="l", width_px=120, height_px=90, fx_px=130.0, fy_px=130.0, cx_px=60.0, cy_px=44.0, k1=-0.05)
 RIG = StereoRig(
@@ -150,7 +151,13 @@ def test_the_command_writes_marked_pictures_and_their_truth(tmp_path: Path, caps
     assert 0.3 < result["pixels"]["seen_by_both"] < 1
     assert b"SYNTHETIC" in (tmp_path / "out/left.png").read_bytes()[:300]
     with np.load(tmp_path / "out/truth.npz") as truth:
-        assert truth["points_m"].shape == (90, 120, 3)
+        points, seen = truth["points_m"], truth["seen"]
+        assert points.shape == (90, 120, 3)
+        # To float32 and 15 micrometres: a thousandth of a pixel and less.
+        rig = read_rig(InputFile("rig.toml", str(truth["rig"]).encode()))
+        pose = Pose(rotation=truth["left_rotation"], center_m=truth["left_center_m"])
+        v, u = np.nonzero(seen)
+        np.testing.assert_allclose(rig.left.project(pose.to_camera(points[seen])), np.stack([u, v], -1), atol=2e-3)
         assert truth["synthetic"]
     assert read_rig(str(tmp_path / "out/rig.toml")).name == "small"
     assert read_pose(str(tmp_path / "out/pose.toml")).angles_deg()[1] == pytest.approx(25)
