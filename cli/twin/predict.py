@@ -96,6 +96,7 @@ def _verdict_tables(found: PredictedDrives) -> list[TextTable]:
         *verdict.reasons,
         *verdict.notes,
         *load_notes(check_loads(prediction)),
+        *_energy_notes(found),
         _worst_note(verdict),
     ]
     return [TextTable(list(HEADERS), rows, title=title, notes=notes)]
@@ -110,6 +111,18 @@ def _limit_row(limit: "Judgement") -> list[str]:
         limit.unit,
         "ok" if limit.ok else "broken",
         "assumed" if limit.assumed else "",
+    ]
+
+
+def _energy_notes(found: PredictedDrives) -> list[str]:
+    from lunarsci.twin.judgement.energy import energy_record
+
+    energy = energy_record(found.prediction)
+    if energy is None:
+        return []
+    return [
+        f"motors at the wheels: {energy['p50_j']:.4g} J (p50), {energy['p95_j']:.4g} J (95 % keep) in "
+        f"{energy['duration_s']:.0f} s; losses of motors, gears and electronics are not in it"
     ]
 
 

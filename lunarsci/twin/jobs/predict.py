@@ -120,6 +120,7 @@ class PredictedDrives(Result):
         return "; ".join(part for part in (*parts, self.soils.doubt) if part)
 
     def to_dict(self) -> dict[str, Any]:
+        from lunarsci.twin.judgement.energy import energy_record
         from lunarsci.twin.judgement.load_check import check_loads
 
         prediction, fitted, before = self.prediction, self.soils.verdict, self.inputs.before
@@ -135,6 +136,7 @@ class PredictedDrives(Result):
             "before": None if before is None else before.name,
             "plan": prediction.plan.name,
             "loads": asdict(check_loads(prediction)),
+            "energy": energy_record(prediction),
             "physics": self._physics(),
             "terrain_errors": None if self.terrain_shares is None else asdict(self.terrain_shares),
             "sweep": {name: {"low": values.min(), "high": values.max()} for name, values in swept},
