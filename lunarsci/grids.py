@@ -3,6 +3,7 @@
 Soil and errors are layers beside the heights, under their own names.
 """
 
+import math
 import zipfile
 import zlib
 from collections.abc import Collection, Mapping
@@ -15,12 +16,12 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.projections import NO_RASTERIO, check_scale, ellipsoid_of, remedy
 from lunarsci.tables import numbers_of, read_csv_table
 
 HEADER = ("ncols", "nrows", "cellsize", "nodata_value", "xllcorner", "yllcorner", "xllcenter", "yllcenter")
 EVEN = 1e-4
 """How evenly nodes must be spaced, as a share of the spacing."""
-NO_RASTERIO = "GeoTIFF needs rasterio; pip install 'lunarsci[cubes]'"
 ERROR_LAYERS = ("height_m_sigma", "height_m_common_sigma", "count", "height_by_disparity_m_px", "resolution_m")
 """What an elevation model made of pictures has beside its heights."""
 
@@ -37,6 +38,7 @@ class HeightGrid:
     layers : further numbers, one or one for each node, by name.
     synthetic : True for made-up ground.
     made_for : what else the file says, None where it says nothing.
+    crs : the coordinate system of x and y as well-known text; empty where none is named.
     """
 
     name: str
@@ -47,15 +49,18 @@ class HeightGrid:
     layers: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
     synthetic: bool = False
     made_for: str | None = None
+    crs: str = ""
 
 
 def read_grid(path: str | Path, layers: Collection[str] = (), unread: Collection[str] = ERROR_LAYERS) -> HeightGrid:
     """Read a grid, by the ending of its file.
 
     * `.npz`, NumPy archive: `x_m` (nx,) and `y_m` (ny,), ascending and evenly spaced with one spacing; `height_m`
-      (ny, nx) with NaN where unknown; optionally `layers`, a number or (ny, nx), `name`, `synthetic` and `made_for`.
-    * `.tif`, `.tiff`, GeoTIFF: first band, heights in m on square cells of a projection in m, and bands whose
-      description is one of `layers`; needs the extra `cubes`.
+      (ny, nx) with NaN where unknown; optionally `layers`, a number or (ny, nx), `name`, `synthetic`, `made_for` and
+      `crs`.
+    * `.tif`, `.tiff`, GeoTIFF: first band, heights in m on square cells of a projection in m whose metres are within
+      2 % of those on the ground, and bands whose description is one of `layers`; scale, offset and nodata of a band are
+      applied; needs the extra `cubes`.
     * `.asc`, ESRI ASCII grid, heights and cells in m.
     * `.csv`, a row for each node: `x_m`, `y_m`, `height_m`, and optionally `layers`; nodes that are not in the table
       are holes.
@@ -76,7 +81,7 @@ def read_grid(path: str | Path, layers: Collection[str] = (), unread: Collection
 
 def _read_archive(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) -> HeightGrid:
     arrays = _load(path)
-    known = {"x_m", "y_m", "height_m", "name", "synthetic", "made_for", *layers}
+    known = {"x_m", "y_m", "height_m", "name", "synthetic", "made_for", "crs", *layers}
     arrays = {key: array for key, array in arrays.items() if key in known or key not in unread}
     if unknown := set(arrays) - known:
         raise DataError(f"{path}: '{min(unknown)}' is not a key of a terrain; these are: {', '.join(sorted(known))}")
@@ -96,6 +101,7 @@ def _read_archive(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) 
         layers={key: arrays[key] for key in layers if key in arrays},
         synthetic=bool(arrays.get("synthetic", False)),
         made_for=str(arrays["made_for"]) if "made_for" in arrays else None,
+        crs=str(arrays.get("crs", "")),
     )
 
 
@@ -111,16 +117,19 @@ def _read_geotiff(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) 
             numbers = {1: "height_m"} | {
                 k: str(text) for k, text in enumerate(raster.descriptions, start=1) if k > 1 and text in layers
             }
-            found = {name: raster.read(k, masked=True).astype(float).filled(np.nan) for k, name in numbers.items()}
+            found = {name: _band(raster, k) for k, name in numbers.items()}
             synthetic = raster.tags().get("SYNTHETIC", "").lower() in ("true", "1", "yes")
     except RasterioIOError as error:
         raise DataError(f"{path}: not a GeoTIFF that can be read: {error}") from error
+    wkt = "" if crs is None else crs.to_wkt()
+    middle = transform @ (0.5 * found["height_m"].shape[1], 0.5 * found["height_m"].shape[0])
     if crs is not None and crs.is_geographic:
+        metres = math.radians(abs(transform.e)) * ellipsoid_of(wkt)[0]
         raise DataError(
-            f"{path}: heights on degrees of longitude and latitude; project it to m, with gdalwarp for example"
+            f"{path}: heights on degrees of longitude and latitude; {remedy(wkt, middle[0], middle[1], metres)}"
         )
-    if crs is not None and crs.linear_units_factor[1] != 1.0:
-        raise DataError(f"{path}: its projection counts in {crs.linear_units_factor[0]}; project it to m")
+    if wkt:
+        check_scale(wkt, str(path), middle, transform.a)
     if transform.b != 0 or transform.d != 0 or not transform.a > 0:
         raise DataError(f"{path}: rotated; warp it so that columns point along x")
     if not np.isclose(transform.a, abs(transform.e), rtol=EVEN):
@@ -138,7 +147,15 @@ def _read_geotiff(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) 
         height_m=height,
         layers=found,
         synthetic=synthetic,
+        crs=wkt,
     )
+
+
+def _band(raster: Any, number: int) -> FloatArray:
+    """A band in its unit, NaN where it has no data. (ny, nx)"""
+    values = raster.read(number, masked=True).astype(float).filled(np.nan)
+    scale, offset = raster.scales[number - 1], raster.offsets[number - 1]
+    return np.asarray(values if (scale, offset) == (1.0, 0.0) else scale * values + offset)
 
 
 def _read_ascii(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) -> HeightGrid:
@@ -199,11 +216,16 @@ def _read_table(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) ->
 
 
 def geotiff_bytes(
-    layers: Mapping[str, npt.NDArray[Any]], place: tuple[float, float, float], *, synthetic: bool = False
+    layers: Mapping[str, npt.NDArray[Any]],
+    place: tuple[float, float, float],
+    *,
+    synthetic: bool = False,
+    crs: str = "",
 ) -> bytes:
     """GeoTIFF with a band for each layer (ny, nx), its name as description; rows of y from the south.
 
-    `place` is x and y of node [0, 0] and the spacing. It names no projection. Raises ParameterError without rasterio.
+    `place` is x and y of node [0, 0] and the spacing, `crs` their coordinate system as well-known text, if they have
+    one. Raises ParameterError without rasterio.
     """
     try:
         from rasterio.io import MemoryFile
@@ -215,6 +237,7 @@ def geotiff_bytes(
     west, north = x0 - 0.5 * spacing, y0 + spacing * (ny - 1) + 0.5 * spacing
     shape = {"driver": "GTiff", "count": len(layers), "dtype": "float32", "height": ny, "width": nx}
     where = {"transform": from_origin(west, north, spacing, spacing), "nodata": np.nan}
+    where |= {"crs": crs} if crs else {}
     with MemoryFile() as memory:
         with memory.open(**shape, **where, compress="deflate") as raster:
             if synthetic:

@@ -25,6 +25,7 @@ SHARED = {
     "lanes",
     "figure",
     "grids",
+    "projections",
     "rovers",
     "spectra_data",
     "tables",

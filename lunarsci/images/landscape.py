@@ -120,8 +120,13 @@ def landscape_on(
     """
     x0, y0, coarse, height = heights
     fine = coarse if spacing_m is None else spacing_m
-    if not (0 < fine <= coarse and rocks_per_m2 >= 0 and roughness >= 0):
-        raise ParameterError("a landscape needs a spacing up to the ground's, and rocks and roughness of 0 or more")
+    if not 0 < fine <= coarse:
+        raise ParameterError(
+            f"the landscape's spacing is {fine:g} m, and the heights it is made from lie {coarse:g} m apart; give a "
+            f"spacing above 0, at most {coarse:g} m, for detail is added to the ground and none is taken away"
+        )
+    if not (rocks_per_m2 >= 0 and roughness >= 0):
+        raise ParameterError(f"rocks are {rocks_per_m2:g} a square metre and roughness {roughness:g}; give 0 or more")
     random = np.random.default_rng(seed)
     ground = _refined(height, coarse / fine)
     longest = min(max(4 * coarse, 8 * fine), 1.0)

@@ -7,7 +7,10 @@ import pytest
 
 from lunarsci.errors import DataError
 from lunarsci.regolith.soil import Soil
-from lunarsci.twin.ground.terrain_files import read_terrain
+from lunarsci.rovers import read_rover
+from lunarsci.twin.ground.hazards import assess, ground_maps, read_mobility
+from lunarsci.twin.ground.terrain_files import maps_bytes, maps_geotiff, read_terrain, write_terrain
+from lunarsci.twin.rover import build_rover
 
 HEIGHT = np.arange(20.0).reshape(4, 5) ** 1.5 / 10
 """Row 0 is the southernmost."""
@@ -125,3 +128,50 @@ def test_a_missing_file_says_so(tmp_path: Path, longji_soil: Soil) -> None:
     for name in ("t.asc", "t.csv", "t.npz", "t.tif"):
         with pytest.raises(DataError, match=name):
             read_terrain(tmp_path / name, longji_soil)
+
+
+MOON = "+proj=eqc +lat_ts=0 +lon_0=0 +R=1737400 +units=m"
+
+
+def test_the_coordinate_system_is_kept(tmp_path: Path, longji_soil: Soil) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    file = geotiff(tmp_path / "t.tif", np.tile(HEIGHT, (5, 5)), crs=MOON)
+    ground = read_terrain(file, longji_soil)
+    with rasterio.open(file) as raster:
+        assert ground.crs == raster.crs.to_wkt() != ""
+    write_terrain(ground, tmp_path / "t.npz")
+    assert read_terrain(tmp_path / "t.npz", longji_soil).crs == ground.crs
+    rover = build_rover("yutu2")
+    surface = assess(ground, ground_maps(ground, 1.5, 1.0), read_mobility(read_rover("yutu2"), rover))
+    (tmp_path / "maps.tif").write_bytes(maps_geotiff(surface))
+    with rasterio.open(file) as heights, rasterio.open(tmp_path / "maps.tif") as maps:
+        assert (maps.crs, maps.transform, maps.shape) == (heights.crs, heights.transform, heights.shape)
+    (tmp_path / "maps.npz").write_bytes(maps_bytes(surface))
+    with np.load(tmp_path / "maps.npz") as archive:
+        assert str(archive["crs"]) == ground.crs
+
+
+def test_counts_of_an_orbital_grid_become_metres(tmp_path: Path, longji_soil: Soil) -> None:
+    """As LOLA's grids: 16-bit counts of half a metre, here about 1000 m; -32768 has no data."""
+    rasterio = pytest.importorskip("rasterio")
+    counts = np.arange(30, dtype="int16").reshape(5, 6)
+    counts[0, 0] = -32768
+    where = {"transform": rasterio.transform.from_origin(0.0, 50.0, 10.0, 10.0), "crs": MOON, "nodata": -32768}
+    with rasterio.open(
+        tmp_path / "l.tif", "w", driver="GTiff", height=5, width=6, count=1, dtype="int16", **where
+    ) as raster:
+        raster.write(counts, 1)
+        raster.scales, raster.offsets = (0.5,), (1000.0,)
+    height = read_terrain(tmp_path / "l.tif", longji_soil).height_m
+    assert np.isnan(height[-1, 0]) and np.isnan(height).sum() == 1
+    assert height[-1, 1:] == pytest.approx(1000.0 + 0.5 * np.arange(1, 6))
+
+
+def test_metres_that_are_stretched_and_degrees_are_refused_with_the_command(tmp_path: Path, longji_soil: Soil) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    far = rasterio.transform.from_origin(5_385_400.0, -1_376_600.0, 5.0, 5.0)
+    with pytest.raises(DataError, match=r"30% .*rio warp .*\+lat_0=-45\.39"):
+        read_terrain(geotiff(tmp_path / "t.tif", crs=MOON, transform=far), longji_soil)
+    degrees = rasterio.transform.from_origin(177.5, -45.4, 0.001, 0.001)
+    with pytest.raises(DataError, match=r"degrees of longitude .*rio warp .*\+lat_0=-45\.402.*--res 30\.3"):
+        read_terrain(geotiff(tmp_path / "d.tif", crs="+proj=longlat +R=1737400", transform=degrees), longji_soil)

@@ -71,6 +71,7 @@ class Terrain:
         edge heights go on linearly. `triangles` is two planes a cell, split from its lowest x and y to its highest,
         as in Ding et al. (2024); the wheels feel each edge.
     errors : what is not known of the heights; None where they are taken as exact.
+    crs : the coordinate system of x and y as well-known text; empty for a local frame.
 
     Soil is bilinear in tan phi, moduli and stiffness. On a smooth surface a hole reaches one node further than the
     missing heights. Raises ParameterError for arrays that do not fit together.
@@ -85,6 +86,7 @@ class Terrain:
     synthetic: bool = False
     interpolation: str = "smooth"
     errors: HeightErrors | None = None
+    crs: str = ""
 
     def __post_init__(self) -> None:
         shape = self.height_m.shape
@@ -127,6 +129,7 @@ class Terrain:
             "nodes": [height.shape[1], height.shape[0]],
             "height_m": [np.nanmin(height), np.nanmax(height)],
             "hole_share": float(np.isnan(height).mean()),
+            **({"crs": self.crs} if self.crs else {}),
         }
 
     def with_soil(self, **values: npt.ArrayLike) -> "Terrain":
@@ -320,6 +323,7 @@ def build_terrain(
     soil: Soil,
     *,
     synthetic: bool = False,
+    crs: str = "",
 ) -> Terrain:
     """A terrain with the same soil everywhere; arguments as in `Terrain`."""
     height = np.array(height_m, dtype=np.float64)
@@ -331,6 +335,7 @@ def build_terrain(
         height_m=height,
         soil=np.array(soil.vector()).reshape(1, 1, 8),
         synthetic=synthetic,
+        crs=crs,
     )
 
 

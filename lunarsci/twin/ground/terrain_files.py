@@ -34,19 +34,24 @@ def _layers(surface: Traversability) -> dict[str, npt.NDArray[np.float32]]:
 
 
 def maps_bytes(surface: Traversability) -> bytes:
-    """NumPy archive: x_m (nx,), y_m (ny,), and slope_deg, roughness_m, step_m, demand (ny, nx), NaN where unknown."""
+    """NumPy archive: x_m (nx,), y_m (ny,), and slope_deg, roughness_m, step_m, demand (ny, nx), NaN where unknown.
+
+    `crs` is the coordinate system as well-known text, where the terrain has one.
+    """
     archive = io.BytesIO()
-    np.savez_compressed(archive, x_m=surface.terrain.x_m, y_m=surface.terrain.y_m, **_layers(surface))  # type: ignore[arg-type]
+    terrain = surface.terrain
+    place = {"x_m": terrain.x_m, "y_m": terrain.y_m} | ({"crs": np.array(terrain.crs)} if terrain.crs else {})
+    np.savez_compressed(archive, **place, **_layers(surface))  # type: ignore[arg-type]
     return archive.getvalue()
 
 
 def maps_geotiff(surface: Traversability) -> bytes:
-    """GeoTIFF with the bands slope_deg, roughness_m, step_m and demand, in the coordinates of the terrain.
+    """GeoTIFF with the bands slope_deg, roughness_m, step_m and demand, in the coordinate system of the terrain.
 
-    It names no projection, because a terrain has none. Raises ParameterError without rasterio.
+    Raises ParameterError without rasterio.
     """
     terrain = surface.terrain
-    return geotiff_bytes(_layers(surface), (terrain.x0_m, terrain.y0_m, terrain.spacing_m))
+    return geotiff_bytes(_layers(surface), (terrain.x0_m, terrain.y0_m, terrain.spacing_m), crs=terrain.crs)
 
 
 LEFT = "_left_of_prior"
@@ -111,7 +116,7 @@ def read_terrain_file(path: str | Path, soil: Soil) -> TerrainFile:
 
 def _read_terrain(grid: HeightGrid, soil: Soil) -> TerrainFile:
     place = (grid.name, grid.x0_m, grid.y0_m, grid.spacing_m)
-    terrain = build_terrain(*place, grid.height_m, soil, synthetic=grid.synthetic)
+    terrain = build_terrain(*place, grid.height_m, soil, synthetic=grid.synthetic, crs=grid.crs)
     maker = None if grid.made_for is None else MadeFor.from_table(json.loads(grid.made_for))
     soils = {name: values for name, values in grid.layers.items() if name in SOIL_COLUMNS}
     errors = {name: _checked(name, values, grid) for name, values in grid.layers.items() if name not in soils}
@@ -147,6 +152,7 @@ def terrain_bytes(
         "height_m": terrain.height_m,
         "name": np.array(terrain.name),
         "synthetic": np.array(terrain.synthetic),
+        **({"crs": np.array(terrain.crs)} if terrain.crs else {}),
         **({} if made_for is None else {"made_for": np.array(made_for.to_json())}),
         **layers,
         **{name: values.astype(np.float32) for name, values in (errors or {}).items()},

@@ -216,6 +216,8 @@ def read_drive_inputs(
         inputs[terrain] = read_input(terrain).sha256
     if fixes is not None and len(drive.legs) < 2:
         raise RequestError(f"`fixes` steer the next leg, and {drive.origin} has only one; leave them out")
+    if drive.crs and surface.crs and drive.crs != surface.crs:
+        raise RequestError(f"{drive.origin} and {terrain} have different coordinate systems; plan on this terrain")
     check = RoverCheck(description, built, asked=rover is not None)
     drive = check.plan(drive, None if plan is None else drive.origin, judged=judged)
     check.terrain(file.made_for, terrain)

@@ -85,7 +85,7 @@ def _path(
         progress=progress,
     )
     near = near_way(site.keep_outs, planned_places(found.plan, site.rover))
-    return replace(found, plan=replace(found.plan, made_for=site.made_for, exclusion_zones=near))
+    return replace(found, plan=replace(found.plan, made_for=site.made_for, exclusion_zones=near, crs=site.terrain.crs))
 
 
 def _numbers(option: str, place: Place, counts: tuple[int, ...]) -> tuple[float, ...]:

@@ -26,8 +26,8 @@ QUANTITIES = {
 }
 AT_LEAST = ("clearance_m", "keep_out_m")
 """Of these small values are the dangerous ones: their limit is the smallest value that counts as safe."""
-_KEYS = ("name", "made_for", "start", "drive", "leg", "fixes", "limits", "sweep", "keep_out")
-LONGEST_M, LONGEST_STOP_S = 1000.0, 3600.0
+_KEYS = ("name", "crs", "made_for", "start", "drive", "leg", "fixes", "limits", "sweep", "keep_out")
+LONGEST_M, LONGEST_STOP_S = 10_000.0, 3600.0
 # Slower, the creep of a halt is no longer small, and shear follows the wheel faster than any time step.
 SLOWEST_M_S = 0.001
 
@@ -147,6 +147,7 @@ class Plan:
     exclusion_zones : circles that the rover must not enter.
     made_for : the rover that it was planned for, where that is known.
     own_limits : whether its file has limits; without, they are those of the embedded plan, which is Yutu-2's.
+    crs : the coordinate system of x and y as well-known text; empty for a local frame.
     """
 
     name: str
@@ -163,6 +164,7 @@ class Plan:
     origin: str = ""
     made_for: MadeFor | None = None
     own_limits: bool = field(default=True, compare=False)
+    crs: str = ""
 
     def __post_init__(self) -> None:
         if not self.legs:
@@ -264,6 +266,7 @@ def parse_plan(text: str, origin: str) -> Plan:
             origin=origin,
             made_for=MadeFor.from_table(document["made_for"]) if "made_for" in document else None,
             own_limits="limits" in document,
+            crs=str(document.get("crs", "")),
             **{key: _number(value, key) for key, value in (start | drive).items()},
         )
     except tomllib.TOMLDecodeError as error:

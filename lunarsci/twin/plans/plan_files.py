@@ -11,6 +11,7 @@ def plan_text(plan: Plan) -> str:
     """The TOML text that `read_plan` reads back as the same plan, but for `origin`."""
     lines = [
         f"name = {_quoted(plan.name)}",
+        *([f"crs = {_quoted(plan.crs)}"] if plan.crs else []),
         *_maker_lines(plan),
         "",
         "[start]",
