@@ -18,7 +18,7 @@ STEP_M = 10.0
 
 
 @dataclass(frozen=True, slots=True)
-class Projection:
+class MapProjection:
     """A coordinate system in m of a map of some body.
 
     Attributes
@@ -119,7 +119,7 @@ def ellipsoid_of(wkt: str) -> tuple[float, float]:
     return float(found.group(1)), 1.0 / inverse if inverse else 0.0
 
 
-def projection_of(wkt: str, what: str) -> Projection:
+def projection_of(wkt: str, what: str) -> MapProjection:
     """The system of `what`, for longitude and latitude. Raises DataError where there is none."""
     if not wkt:
         raise DataError(
@@ -127,7 +127,7 @@ def projection_of(wkt: str, what: str) -> Projection:
             "GeoTIFF with its projection"
         )
     try:
-        return Projection(wkt)
+        return MapProjection(wkt)
     except ParameterError as error:
         raise DataError(f"{what}: {error}") from error
 
@@ -135,7 +135,7 @@ def projection_of(wkt: str, what: str) -> Projection:
 def check_scale(wkt: str, what: str, middle_m: Sequence[float], spacing_m: float) -> None:
     """Raises DataError where metres of the map are not those of the ground at its middle, with what to do."""
     try:
-        projection = Projection(wkt)
+        projection = MapProjection(wkt)
     except ParameterError as error:
         raise DataError(f"{what}: {error}") from error
     x, y = middle_m

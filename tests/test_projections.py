@@ -9,7 +9,7 @@ from lunarsci.errors import DataError, ParameterError
 
 pytest.importorskip("rasterio")
 
-from lunarsci.projections import Projection, check_scale, projection_of
+from lunarsci.projections import MapProjection, check_scale, projection_of
 
 MOON_M = 1_737_400.0
 SOUTH = f"+proj=stere +lat_0=-90 +lon_0=0 +R={MOON_M} +units=m"
@@ -24,7 +24,7 @@ def wkt(text: str) -> str:
 
 @pytest.mark.parametrize(("lon", "lat"), [(0.0, -89.0), (30.0, -85.0), (-120.0, -80.5)])
 def test_polar_stereographic_is_that_of_the_sphere(lon: float, lat: float) -> None:
-    map_of = Projection(wkt(SOUTH))
+    map_of = MapProjection(wkt(SOUTH))
     reach = 2.0 * MOON_M * math.tan(0.5 * math.radians(90.0 + lat))
     place = (reach * math.sin(math.radians(lon)), reach * math.cos(math.radians(lon)))
     assert map_of.metres(lon, lat)[0] == pytest.approx(place, abs=1e-3)
@@ -36,7 +36,7 @@ def test_polar_stereographic_is_that_of_the_sphere(lon: float, lat: float) -> No
 
 
 def test_equirectangular_is_radius_times_angle() -> None:
-    map_of = Projection(wkt(EQUATOR))
+    map_of = MapProjection(wkt(EQUATOR))
     assert map_of.metres(23.473, 0.674)[0] == pytest.approx(MOON_M * np.radians([23.473, 0.674]), abs=1e-3)
     assert map_of.stretch(0.0, MOON_M * math.radians(60.0)) == pytest.approx(0.5, rel=1e-4)
     assert map_of.ellipsoid == (MOON_M, 0.0) and map_of.north_deg(1e5, 1e5) == pytest.approx(0.0, abs=1e-6)
@@ -44,7 +44,7 @@ def test_equirectangular_is_radius_times_angle() -> None:
 
 def test_a_map_of_the_earth_has_its_ellipsoid_and_its_convergence() -> None:
     """UTM: scale 0.9996 on the middle meridian; convergence from tan g = tan(dlon) sin(lat), spherical, to 1 %."""
-    map_of = Projection(wkt("EPSG:32633"))
+    map_of = MapProjection(wkt("EPSG:32633"))
     x, y = map_of.metres(15.0, 48.0)[0]
     assert (x, map_of.stretch(x, y)) == pytest.approx((500_000.0, 0.0004), rel=1e-3)
     x, y = map_of.metres(16.0, 48.0)[0]
@@ -64,12 +64,12 @@ def test_metres_that_are_none_are_refused_with_a_command() -> None:
 )
 def test_what_is_no_system_in_metres_is_refused(text: str, says: str) -> None:
     with pytest.raises(ParameterError, match=says):
-        Projection(text)
+        MapProjection(text)
 
 
 def test_places_that_are_none_and_maps_without_a_system() -> None:
     for lon, lat in ((0.0, 91.0), (math.nan, 0.0), (400.0, 0.0)):
         with pytest.raises(ParameterError, match="latitudes between"):
-            Projection(wkt(EQUATOR)).metres(lon, lat)
+            MapProjection(wkt(EQUATOR)).metres(lon, lat)
     with pytest.raises(DataError, match=r"a\.npz names no coordinate system"):
         projection_of("", "a.npz")

@@ -54,7 +54,7 @@ def test_a_plan_without_limits_gets_the_embedded_ones_and_sweeps_nothing(tmp_pat
         (DRIVE + "[[leg]]\nlength_m = -1\n", "length_m"),
         (DRIVE + ARC + "[fixes]\nposition_sigma_m = 0.1\n", "heading_sigma_deg"),
         (DRIVE + ARC + "[fixes]\nposition_sigma_m = -0.1\nheading_sigma_deg = 0\n", "position_sigma_m"),
-        (DRIVE + "[[leg]]\nlength_m = 1e9\ncurvature_per_m = 0\n", "at most 1000 m"),
+        (DRIVE + "[[leg]]\nlength_m = 1e9\ncurvature_per_m = 0\n", "at most 10000 m"),
         (DRIVE + "[leg]\nlength_m = 1\ncurvature_per_m = 0\n", "double brackets"),
         ("[drive]\nspeed_m_s = -0.05\n" + ARC, "speed_m_s"),
         ("[drive]\nspeed_m_s = nan\n" + ARC, "speed_m_s"),
