@@ -9,28 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lunarsci.images.rig_files import read_rig, rig_text
+
 PAGE = (Path(__file__).parents[1] / "docs/pictures.md").read_text("utf-8")
 SCRIPT = "".join(re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL))
-CAMERA = "width_px = 600\nheight_px = 600\nfx_px = 697.0\nfy_px = 697.0\ncx_px = 299.5\ncy_px = 299.5\n"
-RIG = f"""name = "SYNTHETIC, a Navcam of few pixels"
-bits = 10
-mast_height_m = 1.5
-[left]
-{CAMERA}[right]
-{CAMERA}[relative]
-rotation_rad = [0.0, 0.0, 0.0]
-translation_m = [-0.27, 0.0, 0.0]
-[sigma]
-cx_px = 0.04
-rotation_rad = 0.00008
-translation_m = 0.0001
-"""
 
 
 @pytest.mark.slow
 def test_from_pictures_to_the_next_drive(tmp_path: Path, program: Path) -> None:
     pytest.importorskip("cv2")
-    (tmp_path / "rig.toml").write_text(RIG)
+    (tmp_path / "rig.toml").write_text(rig_text(read_rig("yutu2-navcam").with_pixels(600)))
     script = SCRIPT.replace("--rig yutu2-navcam", "--rig rig.toml").replace("-o A\n", "--samples 1 -o A\n")
     script = script.replace("-o B\n", "--samples 1 -o B\n").replace("--plot predicted.png", "--json >predicted.json")
     environment = os.environ | {"PATH": os.pathsep.join([str(program), os.environ["PATH"]])}

@@ -24,7 +24,9 @@ FEWEST_TILT_DEG = 10.0
 OUTLYING = 5.0
 """Points that are farther off, in robust standard deviations, are left out; assumed."""
 ROUNDS = 3
+"""How often outliers are left out and all is adjusted again, at most; assumed."""
 RIM = 24
+"""Places on the rim of a circle from which the middle of its picture is found; assumed."""
 
 
 class BoardView(NamedTuple):

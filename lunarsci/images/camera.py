@@ -88,6 +88,27 @@ class Camera:
         values = dict(zip(INTRINSICS, map(float, np.asarray(vector, dtype=float)), strict=True))
         return dataclasses.replace(self, **values)  # type: ignore[arg-type]
 
+    def scaled(self, share: float) -> "Camera":
+        """The same view in `share` times the pixels each way, whose edges, not middles, are those of the picture.
+
+        Raises ParameterError where width or height is then no whole number.
+        """
+        sides = [share * side for side in self.size]
+        if not all(math.isfinite(side) and math.isclose(side, round(side), abs_tol=1e-6) for side in sides):
+            raise ParameterError(
+                f"{self.name}: {share:g} times {self.width_px} x {self.height_px} px are no whole pixels; "
+                "give a width that makes both whole"
+            )
+        return dataclasses.replace(
+            self,
+            width_px=round(sides[0]),
+            height_px=round(sides[1]),
+            fx_px=share * self.fx_px,
+            fy_px=share * self.fy_px,
+            cx_px=share * (self.cx_px + 0.5) - 0.5,
+            cy_px=share * (self.cy_px + 0.5) - 0.5,
+        )
+
     @property
     def size(self) -> tuple[int, int]:
         """Width and height. [px]"""

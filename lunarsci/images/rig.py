@@ -137,6 +137,21 @@ class StereoRig:
             translation_m=self.translation_m + delta[2 * count + 3 :],
         )
 
+    def with_pixels(self, width_px: int) -> "StereoRig":
+        """The same view, and errors of the same size in it, in pictures that are `width_px` wide.
+
+        The sensor's numbers stay those of a pixel. Raises ParameterError where a height is then no whole number.
+        """
+        share = width_px / self.left.width_px
+        own = [share if name.endswith("_px") else 1.0 for name in PARAMETERS]
+        return dataclasses.replace(
+            self,
+            name=f"{self.name}, {width_px} px wide",
+            left=self.left.scaled(share),
+            right=self.right.scaled(share),
+            covariance=self.covariance * np.outer(own, own),
+        )
+
     def drawn(self, random: np.random.Generator) -> "StereoRig":
         """A rig that this one may really be: a draw from its covariance."""
         return self.moved(random.multivariate_normal(np.zeros(len(PARAMETERS)), self.covariance, method="eigh"))

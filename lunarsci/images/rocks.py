@@ -4,6 +4,7 @@ How many finds are false is told by the same search in the model upside down, wh
 are missed, by rocks of known size that are put into the model and looked for.
 """
 
+import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -245,9 +246,7 @@ def _measured(model: ElevationModel, above: FloatArray, row: int, column: int, s
     near = patch[max(row - top - 1, 0) : row - top + 2, max(column - left - 1, 0) : column - left + 2]
     peak = float(np.nanmean(near))
     labels, _ = label(np.nan_to_num(patch, nan=-1.0) > 0.5 * peak)
-    own = (
-        labels == labels[row - top, column - left] if labels[row - top, column - left] else np.zeros_like(labels, bool)
-    )
+    own = (labels == labels[row - top, column - left]) & (labels > 0)
     own[row - top, column - left] = True
     rows, columns = np.nonzero(own)
     resolution = float(np.nan_to_num(model.layer("resolution_m")[row, column]))
@@ -271,16 +270,17 @@ def _measured(model: ElevationModel, above: FloatArray, row: int, column: int, s
     )
 
 
-def _rocks_of(model: ElevationModel, above: FloatArray, finds: Found, least: float) -> list[FoundRock]:
-    """Finds of a significance that are as high as rocks of their diameter are, each rock once."""
-    columns = zip(*finds, strict=True)
-    rocks = [_measured(model, above, int(r), int(c), float(s), float(z)) for r, c, z, s in columns if z >= least]
-    kept: list[FoundRock] = []
-    for rock in rocks:
-        again = any(math.hypot(rock.x_m - k.x_m, rock.y_m - k.y_m) < 0.5 * k.diameter_m for k in kept)
+def _rocks_of(model: ElevationModel, above: FloatArray, finds: Found) -> tuple[Found, list[FoundRock]]:
+    """Finds that are as high as rocks of their diameter are, the surest first, each rock once; and their rocks."""
+    kept: list[int] = []
+    rocks: list[FoundRock] = []
+    for k, (row, column, z, scale) in enumerate(zip(*finds, strict=True)):
+        rock = _measured(model, above, int(row), int(column), float(scale), float(z))
+        again = any(math.hypot(rock.x_m - r.x_m, rock.y_m - r.y_m) < 0.5 * r.diameter_m for r in rocks)
         if rock.height_m >= FLATTEST * rock.diameter_m and not again:
-            kept.append(rock)
-    return kept
+            kept.append(k)
+            rocks.append(rock)
+    return Found(*(values[kept] for values in finds)), rocks
 
 
 def find_rocks(
@@ -300,17 +300,20 @@ def find_rocks(
         raise ParameterError(f"{model.name}: nodes every {model.spacing_m:g} m show no rocks of {largest_m:g} m")
     steps = progress or (lambda *_: None)
     above = height_over_ground(model, largest_m)
-    finds = _peaks(model, above, largest_m, LEAST)
-    decoys = _alone(_peaks(model, -above, largest_m, LEAST), finds, model.spacing_m)
+    finds, rocks = _rocks_of(model, above, _peaks(model, above, largest_m, LEAST))
+    decoys, _ = _rocks_of(model, -above, _alone(_peaks(model, -above, largest_m, LEAST), finds, model.spacing_m))
     steps(1, 1 + len(sizes_m))
     threshold, share = _threshold(finds.significance, decoys.significance, false_share)
-    rocks = _rocks_of(model, above, finds, threshold)
     rng, trials = np.random.default_rng(seed), []
     for k, size in enumerate(sizes_m):
         trials += _tried(model, above, size, largest_m, threshold, rng)
         steps(2 + k, 1 + len(sizes_m))
     return RockSurvey(
-        rocks=tuple(rocks), threshold=threshold, false_share=share, completeness=tuple(trials), above_m=above
+        rocks=tuple(rock for rock in rocks if rock.significance >= threshold),
+        threshold=threshold,
+        false_share=share,
+        completeness=tuple(trials),
+        above_m=above,
     )
 
 
@@ -323,8 +326,6 @@ def _tried(
     rng: np.random.Generator,
 ) -> list[Completeness]:
     """How many rocks put into the model are found, in its better and its worse half."""
-    import dataclasses
-
     rows, columns = _places(model, above, max(4 * diameter_m, 0.3), rng)
     if not len(rows):
         return []
@@ -342,7 +343,7 @@ def _tried(
     put = uniform_filter(put, max(1, round(window)))
     tried = dataclasses.replace(model, height_m=model.height_m + put)
     over = height_over_ground(tried, largest_m)
-    finds = _rocks_of(tried, over, _peaks(tried, over, largest_m, threshold), threshold)
+    _, finds = _rocks_of(tried, over, _peaks(tried, over, largest_m, threshold))
     places = np.array([((f.y_m - model.y0_m), (f.x_m - model.x0_m)) for f in finds]).reshape(-1, 2) / model.spacing_m
     reach = max(0.5 * diameter_m, 2 * model.spacing_m, 0.5 * window * model.spacing_m) / model.spacing_m
     hit = np.array(
@@ -359,16 +360,14 @@ def _tried(
     for k, half in enumerate(halves):
         if half.any():
             low, high = _wilson(int(hit[half].sum()), int(half.sum()))
-            bounds = (float(edges[k]), float(edges[k + 1]))
-            share = float(hit[half].mean())
             found.append(
                 Completeness(
                     diameter_m=diameter_m,
                     height_m=FLATNESS * diameter_m,
-                    sigma_from_m=bounds[0],
-                    sigma_to_m=bounds[1],
+                    sigma_from_m=float(edges[k]),
+                    sigma_to_m=float(edges[k + 1]),
                     trials=int(half.sum()),
-                    share=share,
+                    share=float(hit[half].mean()),
                     share_low=low,
                     share_high=high,
                 )

@@ -36,8 +36,13 @@ LOOSE_CORRELATION = 0.45
 LIKE = 0.85
 """Largest ratio of the best to the second best distance of features; Lowe takes 0.8."""
 INLIER_PX = 4.0
+"""Features that are off by more, on foreshortened ground, do not follow a motion; assumed. [px]"""
 LEAST_REACH_PX = 12.0
+"""Ties are sought at least so far about their places, however well the pose is known; assumed. [px]"""
 TRIALS = 1000
+"""Motions of three ties that are tried; assumed. Three of three are inliers with 0.999 where 19 % of the ties are."""
+FARTHEST_OFF_M = 1.5
+"""Motions that are farther from dead reckoning are not believed; assumed. [m]"""
 FEWEST, ENOUGH, FEWEST_OF_ONE_MOTION = 8, 16, 7
 """Fewest templates that a pose is believed of, how many are not sought among loose ones, and fewest ties of a motion
 that is tried on them; assumed."""
@@ -212,7 +217,7 @@ def rigid_motion(points: FloatArray, rays: FloatArray, focal_px: float, guess: R
         _, turns, moves = cv2.solveP3P(starts, goals, np.eye(3), None, flags=cv2.SOLVEPNP_P3P)
         for turn, move in zip(turns, moves, strict=True):
             trial = RigidMotion(cv2.Rodrigues(turn)[0], np.ravel(move), guess.inliers)
-            if np.linalg.norm(trial.translation_m - guess.translation_m) > 1.5:
+            if np.linalg.norm(trial.translation_m - guess.translation_m) > FARTHEST_OFF_M:
                 continue
             cost = _cost(points, rays, focal_px, trial)[0]
             if cost < least:

@@ -6,7 +6,6 @@ From pictures to the ground, from products to minerals, and from a drive to its 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
-from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -51,6 +50,8 @@ AHEAD_M = (1.0, 0.0)
 """Place whose height is looked up in the pictures. [m]"""
 BEHIND_M = 2.0
 """How far behind the start of the drive the cameras stand: a mast sees no ground nearer than some 1.3 m. [m]"""
+WIDTH_PX = 400
+"""Of the pictures: fewer than the Navcam's, to be done in seconds. [px]"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +69,7 @@ def _ground_ahead(seed: int) -> SeenGround | None:
     """Pictures of the terrain of the drive with a camera of few pixels, and heights from them; None without OpenCV."""
     from lunarsci.images.jobs.dem import dem
     from lunarsci.images.jobs.render import render
+    from lunarsci.images.rig_files import read_rig, rig_text
     from lunarsci.twin.ground.synthetic import synthetic_longji
     from lunarsci.twin.ground.terrain_files import terrain_bytes
 
@@ -76,7 +78,7 @@ def _ground_ahead(seed: int) -> SeenGround | None:
     with TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "terrain.npz").write_bytes(terrain_bytes(synthetic_longji(read_soil(SOIL))))
-        (folder / "told.toml").write_bytes((files(__package__) / "camera.toml").read_bytes())
+        (folder / "told.toml").write_text(rig_text(read_rig("yutu2-navcam").with_pixels(WIDTH_PX)))
         pair = render(
             str(folder / "terrain.npz"),
             rig=str(folder / "told.toml"),

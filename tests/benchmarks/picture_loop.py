@@ -25,6 +25,7 @@ from lunarsci.images.jobs.dem import dem
 from lunarsci.images.jobs.locate import locate
 from lunarsci.images.jobs.render import render
 from lunarsci.images.jobs.track import track
+from lunarsci.images.rig_files import read_rig, rig_text
 from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.soil import read_soil
 from lunarsci.result import Result
@@ -44,24 +45,6 @@ WHEEL_ASIDE_M = 0.45
 STATIONS = 5
 """Places along the drive, its start and its end among them, where pictures are taken."""
 MEMBERS = 64
-SMALL = """name = "SYNTHETIC small"
-bits = 10
-mast_height_m = 1.5
-[left]
-{camera}[right]
-{camera}[relative]
-rotation_rad = [0.0, 0.0, 0.0]
-translation_m = [-0.27, 0.0, 0.0]
-[sigma]
-fx_px = 0.12
-fy_px = 0.12
-cx_px = 0.05
-cy_px = 0.05
-k1 = 0.0005
-rotation_rad = 0.00008
-translation_m = 0.0001
-"""
-CAMERA = "width_px = 512\nheight_px = 512\nfx_px = 594.5\nfy_px = 594.5\ncx_px = 255.5\ncy_px = 255.5\n"
 
 
 def kept(result: Result, folder: Path) -> Path:
@@ -231,7 +214,7 @@ def main() -> None:
     rig = "yutu2-navcam"
     if given.small:
         rig = str(given.folder / "small.toml")
-        Path(rig).write_text(SMALL.format(camera=CAMERA))
+        Path(rig).write_text(rig_text(read_rig("yutu2-navcam").with_pixels(512)))
     rows = []
     for number in range(given.first, given.first + given.soils):
         row = loop(given.folder / f"soil-{number}", number, rig)

@@ -66,6 +66,46 @@ def test_a_pixel_comes_back_from_its_ray_and_derivatives_are_those_of_difference
         )
 
 
+def test_fewer_pixels_show_the_same_view() -> None:
+    """A pixel's edges, not its middle, stay on the view's; where both pictures' edges are is the same direction."""
+    whole, half = camera(), camera().scaled(0.5)
+    assert half.size == (512, 500)
+    there = points()
+    np.testing.assert_allclose(half.project(there) + 0.5, 0.5 * (whole.project(there) + 0.5), atol=1e-12)
+    corners = np.array([[-0.5, -0.5], [1023.5, 999.5]])
+    np.testing.assert_allclose(half.rays(0.5 * (corners + 0.5) - 0.5), whole.rays(corners), atol=1e-13)
+    assert half.field_of_view_deg() == pytest.approx(whole.field_of_view_deg(), abs=1e-9)
+
+
+def test_a_rig_of_fewer_pixels_has_the_errors_of_the_same_view() -> None:
+    """A drawn rig with fewer pixels is the rig of fewer pixels, drawn: its covariance is J C J^T, by differences."""
+    random = np.random.default_rng(3)
+    mixed = random.standard_normal((24, 24)) * np.sqrt(np.diag(rig().covariance))[:, None]
+    whole = rig(covariance=mixed @ mixed.T)
+    small = whole.with_pixels(256)
+    assert small.left.size == small.right.size == (256, 250)
+    step = 1e-3 * np.sqrt(np.diag(whole.covariance))
+
+    def vector(one: StereoRig) -> np.ndarray:
+        turned = vector_of(one.rotation @ whole.rotation.T)
+        return np.concatenate([one.left.vector(), one.right.vector(), turned, one.translation_m])
+
+    columns = [
+        (vector(whole.moved(e).with_pixels(256)) - vector(whole.moved(-e).with_pixels(256))) / (2 * e.sum())
+        for e in np.diag(step)
+    ]
+    jacobian = np.column_stack(columns)
+    np.testing.assert_allclose(small.covariance, jacobian @ whole.covariance @ jacobian.T, rtol=1e-6, atol=1e-15)
+    pixels = [side + 0.5 for side in whole.project(points())]
+    for side, other in zip(small.project(points()), pixels, strict=True):
+        np.testing.assert_allclose(side + 0.5, 0.25 * other, atol=1e-12)
+    for width in (100, 0, -256):  # 1000 rows are 97.65625 of 100 columns' pixels
+        with pytest.raises(ParameterError):
+            whole.with_pixels(width)
+    with pytest.raises(ParameterError, match="whole"):
+        whole.with_pixels(512.5)  # type: ignore[arg-type]
+
+
 def test_what_no_lens_shows_is_not_a_number() -> None:
     lens = camera(k1=-0.4, k2=0.0, k3=0.0, p1=0.0, p2=0.0)
     assert lens.fold() == pytest.approx(math.sqrt(1 / 1.2))

@@ -232,7 +232,6 @@ def locate(
     if len(stations) < 2:
         raise RequestError("one station has nothing to be tied to; give two or more folders")
     rig = read_rig(asked.rig)
-    told = progress or (lambda done, total: None)
     inputs: dict[str, str] = {}
     names = _names([Path(folder) for folder in stations])
     read = [_read(Path(folder), rig, asked, inputs) for folder in stations]
