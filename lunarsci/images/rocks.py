@@ -48,6 +48,10 @@ class Found(NamedTuple):
     significance: FloatArray
     scale_m: FloatArray
 
+    def kept(self, which: list[int] | BoolArray) -> "Found":
+        """Those of some places."""
+        return Found(self.rows[which], self.columns[which], self.significance[which], self.scale_m[which])
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FoundRock:
@@ -181,8 +185,7 @@ def _peaks(model: ElevationModel, above: FloatArray, largest_m: float, least: fl
     alone = max(3, round(0.06 / model.spacing_m)) | 1
     top = (significance >= least) & (significance == maximum_filter(significance, alone))
     rows, columns = np.nonzero(top)
-    order = np.argsort(-significance[rows, columns], kind="stable")
-    rows, columns = rows[order], columns[order]
+    rows, columns = np.array([rows, columns])[:, np.argsort(-significance[rows, columns], kind="stable")]
     kept: list[int] = []
     for k, (row, column) in enumerate(zip(rows, columns, strict=True)):
         reach = 0.7 * max(scale[row, column], 0.05) / model.spacing_m
@@ -193,8 +196,7 @@ def _peaks(model: ElevationModel, above: FloatArray, largest_m: float, least: fl
         ]
         if all(apart):
             kept.append(k)
-    rows, columns = rows[kept], columns[kept]
-    return Found(rows, columns, significance[rows, columns], scale[rows, columns])
+    return Found(rows, columns, significance[rows, columns], scale[rows, columns]).kept(kept)
 
 
 def _alone(decoys: Found, finds: Found, spacing_m: float) -> Found:
@@ -209,7 +211,7 @@ def _alone(decoys: Found, finds: Found, spacing_m: float) -> Found:
         beside = np.hypot(finds.rows - row, finds.columns - column) <= reach
         rock = (finds.significance >= z) | (finds.significance >= max(SURELY, STEEP * z))
         kept[k] = not (beside & rock).any()
-    return Found(decoys.rows[kept], decoys.columns[kept], decoys.significance[kept], decoys.scale_m[kept])
+    return decoys.kept(kept)
 
 
 def _threshold(true: FloatArray, false: FloatArray, false_share: float) -> tuple[float, float]:
@@ -280,7 +282,7 @@ def _rocks_of(model: ElevationModel, above: FloatArray, finds: Found) -> tuple[F
         if rock.height_m >= FLATTEST * rock.diameter_m and not again:
             kept.append(k)
             rocks.append(rock)
-    return Found(*(values[kept] for values in finds)), rocks
+    return finds.kept(kept), rocks
 
 
 def find_rocks(
