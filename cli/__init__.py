@@ -12,6 +12,8 @@ from typing import Annotated, Any
 
 import typer
 
+from lunarsci.atomic import STOPPING, written
+
 from .shared.aliases import current
 from .shared.talk import FAILED, INTERRUPTED, failure_line, say
 
@@ -31,7 +33,9 @@ HELP = (
 )
 MOMENT_S = 2.0
 """What a command is given to end by itself after Ctrl-C; assumed."""
-EXIT_CODES = "Exit codes: 0 done; 1 failed; 2 wrong usage; 3 finished, but not to be trusted or not safe."
+EXIT_CODES = (
+    "Exit codes: 0 done; 1 failed; 2 wrong usage; 3 finished, but not to be trusted or not safe; 130 interrupted."
+)
 
 
 def command_line(wanted: Collection[str] = (*GROUPS, *SINGLE)) -> typer.Typer:
@@ -124,7 +128,9 @@ def _report_usage(error: Any, message: str) -> int:
 
 def _prepare_process() -> None:
     """A polite kill unwinds like Ctrl-C, so that temporary files go; a terminal without a character shows '?'."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for number in STOPPING:
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup and a shell's background jobs want it
+            signal.signal(number, signal.default_int_handler)
     for stream in (sys.stdout, sys.stderr):
         reconfigure = getattr(stream, "reconfigure", None)
         if reconfigure:
@@ -138,12 +144,12 @@ def _leave_when_told() -> None:
     signal.set_wakeup_fd(told, warn_on_full_buffer=False)
 
     def watch() -> None:
-        while os.read(heard, 1)[0] not in (signal.SIGINT, signal.SIGTERM):
+        while (number := os.read(heard, 1)[0]) not in STOPPING or signal.getsignal(number) is signal.SIG_IGN:
             pass
         time.sleep(MOMENT_S)
         blocks = sys.modules.get("lunarsci.blocks")
         kept = blocks.what_is_kept() if blocks else []
-        say("; ".join(["interrupted", *(kept or ["nothing was written"])]))
+        say("; ".join(["interrupted", *(kept or [written()])]))
         os._exit(INTERRUPTED)
 
     threading.Thread(target=watch, daemon=True).start()

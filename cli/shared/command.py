@@ -16,6 +16,7 @@ from typing import Any
 
 import typer
 
+from lunarsci.atomic import written
 from lunarsci.errors import LunarSciError, LunarSciWarning, RequestError
 from lunarsci.provenance import Provenance, plain
 
@@ -74,7 +75,7 @@ def command(
             except LunarSciError as error:
                 raise type(error)(_with_flags(_noted(error), context)) from error
             except KeyboardInterrupt as error:
-                say("; ".join(["interrupted", *getattr(error, "__notes__", ["nothing was written"])]))
+                say("; ".join(["interrupted", *getattr(error, "__notes__", [written()])]))
                 raise typer.Exit(INTERRUPTED) from None
             raise typer.Exit(report.exit_code)
 

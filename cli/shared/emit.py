@@ -36,7 +36,7 @@ def emit(report: Report, output: Output, provenance: Provenance) -> None:
         contents[output.path / "result.json"] = json_chunks(document(report.schema, report.result, record))
     elif output.path and not report.written:
         contents[output.path] = made or text
-    write_files(contents, force=output.force)
+    write_files(contents, force=output.force, folder=output.path if output.folder else None)
     for path in (*report.written, *contents):
         say(f"written: {path}", quiet=output.quiet)
     if output.folder or not output.path or report.written:

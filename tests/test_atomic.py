@@ -1,0 +1,221 @@
+"""Files that change together: a signal at every call of the system that changes names or content, and other writers."""
+
+import multiprocessing
+import os
+import signal
+import stat
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lunarsci.atomic import write_files
+from lunarsci.errors import OutputError
+
+POINTS = {"open", "os.rename", "os.link", "os.remove", "os.rmdir", "os.mkdir", "os.chmod", "shutil.rmtree",
+          "os.scandir", "ctypes.dlsym", "tempfile.mkstemp", "tempfile.mkdtemp", "a piece of content"}  # fmt: skip
+OLD = {"result.json": "old result", "paths.csv": "old paths", "notes of the user.txt": "mine"}
+NEW = {"result.json": "new result, longer", "paths.csv": "new", "states.csv": "new states"}
+AFTER = {**OLD, **NEW}
+POLITE = ["SIGINT", "SIGTERM", "SIGHUP"]
+
+
+def pieces(text: str) -> Iterator[bytes]:
+    for character in text:
+        sys.audit("a piece of content")
+        yield character.encode()
+
+
+def make(folder: Path, *, nested: bool = False) -> None:
+    """What an earlier run left: a folder of files, and a picture beside it."""
+    folder.mkdir()
+    for name, text in OLD.items():
+        (folder / name).write_text(text)
+    if nested:
+        (folder / "mine").mkdir()
+    folder.with_suffix(".png").write_text("old picture")
+
+
+def write(folder: Path) -> None:
+    contents = {folder.with_suffix(".png"): pieces("new picture")}
+    write_files(contents | {folder / name: pieces(text) for name, text in NEW.items()}, force=True, folder=folder)
+
+
+def stopped_at(point: int, number: int, folder: Path, told: Any) -> None:
+    """Write, and get a signal at this point; how many points were passed goes to `told`."""
+    for polite in POLITE:
+        signal.signal(getattr(signal, polite), signal.default_int_handler)
+    passed = 0
+
+    def count(event: str, _: Any) -> None:
+        nonlocal passed
+        if event in POINTS:
+            passed += 1
+            if passed == point:
+                os.kill(os.getpid(), number)
+
+    sys.addaudithook(count)
+    try:
+        write(folder)
+    except KeyboardInterrupt:
+        os._exit(130)
+    told.send(passed)
+    os._exit(0)
+
+
+def run(point: int, number: int, folder: Path) -> tuple[int, int]:
+    """Exit code, and points passed (0 where it did not get to the end)."""
+    here, there = multiprocessing.Pipe()
+    process = multiprocessing.get_context("fork").Process(target=stopped_at, args=(point, number, folder, there))
+    process.start()
+    process.join()
+    return process.exitcode or 0, here.recv() if here.poll() else 0
+
+
+def found(folder: Path) -> dict[str, str]:
+    return {file.name: file.read_text() for file in folder.iterdir() if file.is_file()}
+
+
+def every_point(tmp_path: Path, number: int, look: Callable[[Path, Path, int], None], *, nested: bool = False) -> int:
+    """Kill at one point after the other, each in a folder of its own; how many there were."""
+    beyond, point = False, 0
+    while not beyond:
+        point += 1
+        place = tmp_path / str(point)
+        place.mkdir()
+        make(place / "out", nested=nested)
+        code, passed = run(point, number, place / "out")
+        beyond = 0 < passed < point
+        look(place, place / "out", code)
+        write(place / "out")
+        left = {file.name for file in place.iterdir()} | {file.name for file in (place / "out").iterdir()}
+        assert not [name for name in left if name.startswith(".")], f"point {point}: left behind"
+    return point - 1
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="forks")
+def test_killed_anywhere_a_folder_is_old_or_new(tmp_path: Path) -> None:
+    ends = set()
+
+    def look(place: Path, folder: Path, code: int) -> None:
+        assert code in (0, -signal.SIGKILL)
+        ends.add("new" if found(folder) == AFTER else "old")
+        assert found(folder) in (OLD, AFTER)
+        assert (place / "out.png").read_text() in ("old picture", "new picture")
+
+    assert every_point(tmp_path, signal.SIGKILL, look) >= 50
+    assert ends == {"old", "new"}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="forks")
+@pytest.mark.parametrize("name", POLITE)
+@pytest.mark.parametrize("nested", [False, True], ids=["plain", "with a folder of the user's in it"])
+def test_told_to_stop_everything_is_old_or_new_and_nothing_left(name: str, nested: bool, tmp_path: Path) -> None:
+    """In a folder that cannot be swapped, too, whose files change one by one."""
+    ends = []
+
+    def look(place: Path, folder: Path, code: int) -> None:
+        now = (found(folder), (place / "out.png").read_text())
+        ends.append(now == (AFTER, "new picture"))
+        assert ends[-1] or now == (OLD, "old picture")
+        assert code in (0, 130)
+        assert sorted(file.name for file in place.iterdir()) == ["out", "out.png"]
+        assert not [file for file in folder.iterdir() if file.name.startswith(".")]
+
+    every_point(tmp_path, getattr(signal, name), look, nested=nested)
+    assert True in ends
+    assert False in ends
+
+
+def test_modes_stay_and_links_stay_links(tmp_path: Path) -> None:
+    private, real, link = tmp_path / "private.json", tmp_path / "elsewhere.json", tmp_path / "link.json"
+    private.write_text("old")
+    private.chmod(0o600)
+    real.write_text("old")
+    link.symlink_to(real)
+    folder = tmp_path / "out"
+    make(folder)
+    folder.chmod(0o700)
+    (folder / "paths.csv").chmod(0o640)
+    write_files({private: b"new", link: b"new"}, force=True)
+    write(folder)
+    assert (private.read_text(), stat.S_IMODE(private.stat().st_mode)) == ("new", 0o600)
+    assert link.is_symlink()
+    assert real.read_text() == "new"
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    assert stat.S_IMODE((folder / "paths.csv").stat().st_mode) == 0o640
+    assert found(folder) == AFTER
+
+
+def test_a_folder_that_somebody_works_in_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "out"
+    make(folder)
+    monkeypatch.chdir(folder)
+    before = folder.stat().st_ino
+    write_files({Path("result.json"): b"new"}, force=True, folder=Path())
+    assert folder.stat().st_ino == before
+    assert found(folder) == OLD | {"result.json": "new"}
+
+
+def test_what_cannot_be_replaced_brings_all_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a disk that fails when the third of four names is changed."""
+    names = [tmp_path / f"{k}.csv" for k in range(4)]
+    for name in names[:3]:
+        name.write_text("old")
+    real = Path.replace
+
+    def failing(self: Path, target: Path) -> Path:
+        if target == names[3]:
+            raise OSError(5, "Input/output error")
+        return real(self, target)
+
+    monkeypatch.setattr(Path, "replace", failing)
+    with pytest.raises(OutputError, match="nothing was written"):
+        write_files(dict.fromkeys(names, b"new"), force=True)
+    assert [name.read_text() for name in names[:3]] == ["old"] * 3
+    assert sorted(tmp_path.iterdir()) == names[:3]
+
+
+def test_without_force_nothing_that_appeared_meanwhile_is_replaced(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+
+    def another_writes() -> Iterator[bytes]:
+        folder.mkdir()
+        (folder / "result.json").write_text("another's")
+        yield b"mine"
+
+    with pytest.raises(OutputError, match="appeared while"):
+        write_files({folder / "result.json": another_writes(), folder / "paths.csv": b"mine"}, folder=folder)
+    assert found(folder) == {"result.json": "another's"}
+
+
+def writing(folder: Path, mark: str) -> None:
+    for _ in range(20):
+        texts = {folder / f"{k}.csv": f"{mark} {k}".encode() for k in range(5)}
+        write_files(texts, force=True, folder=folder)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="forks")
+def test_two_writers_of_one_folder_never_mix(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    writing(folder, "first")
+    fork = multiprocessing.get_context("fork")
+    both = [fork.Process(target=writing, args=(folder, mark)) for mark in ("left", "right")]
+    for process in both:
+        process.start()
+    while any(process.is_alive() for process in both):
+        handle = os.open(folder, os.O_RDONLY)  # the folder that has the name now, whatever takes it next
+        try:
+            with os.scandir(handle) as files:
+                names = sorted(file.name for file in files)
+            marks = {Path(f"/proc/self/fd/{handle}/{name}").read_text().split()[0] for name in names}
+        except FileNotFoundError:
+            continue  # an old folder that is being taken away
+        finally:
+            os.close(handle)
+        assert len(marks) <= 1
+    assert [process.exitcode for process in both] == [0, 0]
+    assert [file.name for file in tmp_path.iterdir()] == ["out"]
+    assert len({text.split()[0] for text in found(folder).values()}) == 1
