@@ -1,0 +1,211 @@
+"""Are chosen drives as safe as promised? `python tests/benchmarks/chosen_drives.py [--terrains N] [--out FILE.jsonl]`
+
+Errands on SYNTHETIC ground with hidden soils (`errands.py`): a chooser is told the ground and a belief of the soil, and
+proposes a plan with the probability that it keeps all limits and ends within 1 m of the target, or says that none does.
+The same hidden soils are then driven on by its plan, by the shortest path within the limits of the map (`twin plan`),
+and by the cheapest way over a map of slope and roughness (`cost_map.py`): by the twin's physics, which misses by a draw
+of what is believed that it misses by, and by that of `quasi_static.py`.
+
+A claim that no plan keeps the limits is tried by plans of its own: the two baselines, forwards and backwards, and ways
+over places drawn aside. The best of them is driven anew on fresh soils; where it keeps the limits as often as was
+asked, the claim was wrong. That a claim stands this does not prove.
+
+Each errand is one line of the file, and one that is there is not done again. `--report FILES` prints the tables.
+"""
+
+import argparse
+import dataclasses
+import json
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from chosen_report import report
+from cost_map import cost_map_legs
+from errands import Errand, errand, kept, other_truths, truths
+
+from lunarsci.errors import ParameterError
+from lunarsci.twin.plans.plan import Leg, Plan
+from lunarsci.twin.routes.planner import plan_path
+from lunarsci.twin.simulation.discrepancy import with_discrepancy
+from lunarsci.twin.simulation.ensemble import predict
+
+MEMBERS = 64
+TRUTHS, OTHERS = 32, 6
+"""Hidden soils of an errand that plans are driven on by the twin's physics, and by other physics."""
+HIDDEN = 1_000_003
+"""Seed of the hidden soils, beside the errand's number; no chooser draws with it."""
+JUDGED = 6
+"""Candidates of a chooser whose probabilities are held against the truth, beside the chosen one."""
+ASIDE, TRIED, TRIED_AGAIN = 8, 64, 512
+
+
+@dataclass(frozen=True, kw_only=True)
+class Proposal:
+    """What a chooser answers: a plan, or None and why; the probability promised; other plans, with theirs."""
+
+    plan: Plan | None
+    promised: float
+    reason: str = ""
+    others: tuple[tuple[Plan, float], ...] = field(default=())
+
+
+Chooser = Callable[[Errand, float], Proposal]
+
+
+def shortest(one: Errand) -> Plan | None:
+    """The plan of `twin plan`, which knows no soil."""
+    try:
+        return plan_path(one.surface, one.rover, one.start, one.target, limits=one.limits).plan
+    except ParameterError:
+        return None
+
+
+def over_cost_map(one: Errand, *between: tuple[float, float]) -> Plan | None:
+    """The plan of teams today, over places `between` where some are given."""
+    legs: list[Leg] = []
+    here = one.start
+    for place in (*between, one.target):
+        found = cost_map_legs(one.surface, one.rover, here, place)
+        if not found:
+            return None
+        legs += found
+        here = (*place, here[2] + sum(leg.turn_deg for leg in found))
+    return _plan(one, tuple(legs))
+
+
+def backwards(one: Errand, plan: Plan) -> Plan:
+    """The same way, with the rover turned about on the spot first."""
+    legs = [dataclasses.replace(leg, crab_deg=180.0) if leg.length_m else leg for leg in plan.legs]
+    return _plan(one, (Leg(turn_deg=180.0), *legs))
+
+
+def _plan(one: Errand, legs: tuple[Leg, ...]) -> Plan:
+    x, y, heading = one.start
+    return Plan(
+        name=f"errand {one.number}",
+        legs=legs,
+        speed_m_s=one.rover.max_speed_m_s,
+        x_m=x,
+        y_m=y,
+        heading_deg=heading,
+        limits=one.limits,
+    )
+
+
+def believed(one: Errand, plan: Plan, members: int = MEMBERS, seed: int = 0) -> float:
+    """Share of the believed soils on which a plan keeps the limits."""
+    found = predict(one.rover, one.surface.terrain, plan, samples=one.belief.draws(members, seed), seed=seed)
+    return float(kept(with_discrepancy(found, one.belief.discrepancy, seed), one).mean())
+
+
+def plain(one: Errand, risk: float) -> Proposal:
+    """The shortest path, held against the believed soils: what could be done before drives were chosen by risk."""
+    plan = shortest(one)
+    if plan is None:
+        return Proposal(plan=None, promised=0.0, reason="no path")
+    share = believed(one, plan)
+    other = over_cost_map(one)
+    others = ((plan, share), *(() if other is None else ((other, believed(one, other)),)))
+    safe = share >= 1.0 - risk
+    return Proposal(plan=plan if safe else None, promised=share, reason="" if safe else "too risky", others=others)
+
+
+CHOOSERS: dict[str, Chooser] = {"plain": plain}
+
+
+def judged(number: int, chooser: Chooser, risk: float) -> dict[str, Any]:
+    """One errand: what is proposed, and what then happens."""
+    one, begin = errand(number), time.perf_counter()
+    proposal = chooser(one, risk)
+    took = time.perf_counter() - begin
+    plans = {"chosen": proposal.plan, "shortest": shortest(one), "cost map": over_cost_map(one)}
+    seed = HIDDEN + number
+    picked = np.random.default_rng([seed, 3]).permutation(len(proposal.others))[:JUDGED]
+    others = [proposal.others[int(k)] for k in picked]
+    row = {
+        "errand": number,
+        "risk": risk,
+        "took_s": took,
+        "promised": proposal.promised,
+        "reason": proposal.reason,
+        "plans": {name: _driven(one, plan, seed) for name, plan in plans.items() if plan is not None},
+        "candidates": [[share, float(truths(one, plan, TRUTHS, seed).mean())] for plan, share in others],
+    }
+    if proposal.plan is None:
+        row["refuted_by"] = refutation(one, [plan for plan in plans.values() if plan is not None])
+    return row
+
+
+def _driven(one: Errand, plan: Plan, seed: int) -> dict[str, Any]:
+    return {
+        "length_m": plan.length_m,
+        "legs": len(plan.legs),
+        "twin": float(truths(one, plan, TRUTHS, seed).mean()),
+        "twin unmoved": float(truths(one, plan, TRUTHS, seed, moved=False).mean()),
+        "other": float(other_truths(one, plan, OTHERS, seed).mean()),
+    }
+
+
+def refutation(one: Errand, plans: list[Plan]) -> float:
+    """How often the best of plans of our own keeps the limits, on fresh soils."""
+    random = np.random.default_rng([HIDDEN, one.number, 5])
+    start, target = np.array(one.start[:2]), np.array(one.target)
+    across = np.array([[0.0, -1.0], [1.0, 0.0]]) @ (target - start)
+    tried = [*plans, *(backwards(one, plan) for plan in plans)]
+    for _ in range(ASIDE):
+        place = start + random.uniform(0.25, 0.75) * (target - start) + random.uniform(-0.4, 0.4) * across
+        found = over_cost_map(one, (float(place[0]), float(place[1])))
+        tried += [] if found is None else [found]
+    if not tried:
+        return 0.0
+    best = max(tried, key=lambda plan: believed(one, plan, TRIED, HIDDEN + one.number))
+    return believed(one, best, TRIED_AGAIN, HIDDEN - one.number)
+
+
+def rows_of(files: list[Path]) -> list[dict[str, Any]]:
+    """Of files that exist."""
+    return [json.loads(line) for file in files if file.exists() for line in file.read_text().splitlines()]
+
+
+def main() -> None:
+    """Choose, drive and report."""
+    parser = argparse.ArgumentParser(description="Are chosen drives as safe as promised?")
+    parser.add_argument("--terrains", type=int, default=200)
+    parser.add_argument("--first", type=int, default=0, help="number of the first errand")
+    parser.add_argument("--risk", type=float, default=0.05)
+    parser.add_argument("--chooser", choices=CHOOSERS, default=list(CHOOSERS)[-1])
+    parser.add_argument("--out", type=Path, help="file of results, one line an errand, added to")
+    parser.add_argument("--report", type=Path, nargs="+", help="print the tables of these files, and drive nothing")
+    given = parser.parse_args()
+    warnings.simplefilter("ignore")
+    if given.report:
+        print(report(rows_of(given.report)))
+        return
+    rows = rows_of([given.out]) if given.out else []
+    done = {row["errand"] for row in rows}
+    for number in range(given.first, given.first + given.terrains):
+        if number in done:
+            continue
+        rows.append(judged(number, CHOOSERS[given.chooser], given.risk))
+        print(_said(rows[-1]), flush=True)
+        if given.out:
+            with given.out.open("a") as file:
+                file.write(json.dumps(rows[-1]) + "\n")
+    print(report(rows))
+
+
+def _said(row: dict[str, Any]) -> str:
+    drives = ", ".join(
+        f"{name} {plan['length_m']:.1f} m {plan['twin']:.2f}/{plan['other']:.2f}" for name, plan in row["plans"].items()
+    )
+    refuted = f", claim of none against {row['refuted_by']:.3f}" if "refuted_by" in row else ""
+    return f"{row['errand']:4d} promised {row['promised']:.3f} in {row['took_s']:.1f} s: {drives}{refuted}"
+
+
+if __name__ == "__main__":
+    main()
