@@ -16,6 +16,7 @@ from lunarsci.twin.judgement.endpoint import Endpoint, endpoint_spread
 from lunarsci.twin.judgement.quantities import Encounter, along, clearance, encounters
 from lunarsci.twin.lanes import HOLE, LEFT, OUTCOMES
 from lunarsci.twin.plans.plan import AT_LEAST, QUANTITIES, Limit, Plan
+from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST, VALID_SLIP
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
 
@@ -218,7 +219,7 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
     """
     prediction = prediction if plan is None else dataclasses.replace(prediction, plan=plan)
     finished = prediction.finished
-    limits = _limits(prediction.plan) if finished.any() else ()
+    limits = limits_judged(prediction.plan) if finished.any() else ()
     judged = tuple(j for limit in limits if (j := _judge_limit(prediction, limit)) is not None)
     outcomes = {
         OUTCOMES[int(k)]: int(n) for k, n in zip(*np.unique(prediction.outcome, return_counts=True), strict=True)
@@ -242,11 +243,16 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
     )
 
 
-def _limits(plan: Plan) -> tuple[Limit, ...]:
-    """The limits of a plan, with that of its circles where it gives none of its own."""
-    if not plan.exclusion_zones or any(limit.quantity == "keep_out_m" for limit in plan.limits):
-        return plan.limits
-    return *plan.limits, Limit("keep_out_m", QUANTITIES["keep_out_m"], 0.0, "circles of the plan", False)
+def limits_judged(plan: Plan, rover: Rover | None = None) -> tuple[Limit, ...]:
+    """The limits of a plan, with that of its circles where it gives none of its own.
+
+    With a rover those alone that can be judged of it: a clearance needs a body.
+    """
+    limits = plan.limits
+    if plan.exclusion_zones and not any(limit.quantity == "keep_out_m" for limit in limits):
+        limits = (*limits, Limit("keep_out_m", QUANTITIES["keep_out_m"], 0.0, "circles of the plan", False))
+    bodiless = rover is not None and rover.body is None
+    return tuple(limit for limit in limits if not (bodiless and limit.quantity == "clearance_m"))
 
 
 def _judge_limit(prediction: Prediction, limit: Limit) -> Judgement | None:

@@ -36,24 +36,44 @@ def leg_end(pose: FloatArray, leg: Leg, share: npt.ArrayLike = 1.0) -> FloatArra
 
 
 def along_legs(start: FloatArray, legs: tuple[Leg, ...], distance_m: npt.ArrayLike) -> FloatArray:
-    """Pose at distances along legs that have a length, from x, y, heading at their start. (..., 3) [m, m, rad]"""
+    """Pose at distances along legs, from x, y, heading at their start. (..., 3) [m, m, rad]
+
+    Spot turns and stops have no length: where one begins it is done.
+    """
     left = np.asarray(distance_m, dtype=float)
     pose = np.broadcast_to(start, (*left.shape, 3))
     for number, leg in enumerate(legs):
         # The last arc goes on beyond its end, so that rounding never loses the end of the path.
         piece = left if number == len(legs) - 1 else np.minimum(left, leg.length_m)
-        pose, left = leg_end(pose, leg, piece / leg.length_m), left - piece
+        pose, left = leg_end(pose, leg, piece / leg.length_m if leg.length_m else np.ones(left.shape)), left - piece
     return np.asarray(pose)
 
 
+TURN_DEG = 2.0
+"""Between the poses of a spot turn that are looked at."""
+
+
 def planned_pose(plan: Plan, distance_m: npt.ArrayLike) -> FloatArray:
-    """Planned x, y, heading at distances along a plan of arcs. (..., 3) [m, m, rad]
+    """Planned x, y, heading at distances along a plan, spot turns done where they begin. (..., 3) [m, m, rad]
 
     The blends of the commanded curvature are not in it: they shift the path by curvature step x blend^2 / 24, half a
-    millimetre for the embedded plan. `Schedule.pose_at` has turns and stops too.
+    millimetre for the embedded plan. `Schedule.pose_at` has turns and stops in time.
     """
-    start = np.array([plan.x_m, plan.y_m, math.radians(plan.heading_deg)])
-    return along_legs(start, plan.legs, distance_m)
+    return along_legs(_start(plan), plan.legs, distance_m)
+
+
+def poses_along(plan: Plan, every_m: float) -> FloatArray:
+    """Planned x, y, heading so far apart, and every 2 deg of a spot turn. (n, 3) [m, m, rad]"""
+    pose, found = _start(plan), []
+    for leg in plan.legs:
+        pieces = max(1, math.ceil(max(leg.length_m / every_m, abs(leg.turn_deg) / TURN_DEG)))
+        found.append(leg_end(pose, leg, np.linspace(0.0, 1.0, pieces + 1)))
+        pose = found[-1][-1]
+    return np.concatenate(found)
+
+
+def _start(plan: Plan) -> FloatArray:
+    return np.array([plan.x_m, plan.y_m, math.radians(plan.heading_deg)])
 
 
 def curvature_at(legs: tuple[Leg, ...], distance_m: npt.ArrayLike, blend_m: float) -> FloatArray:

@@ -4,7 +4,7 @@ Arcs that end a path exactly where it shall end.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -102,6 +102,16 @@ class ArcProblem:
         """From start to goal. [m]"""
         return math.dist(self.start[:2], self.goal[:2])
 
+    @property
+    def closing(self) -> int:
+        """Arcs that close a course: two where it ends with a heading."""
+        return 1 if math.isnan(self.goal[2]) else 2
+
+    @property
+    def fine(self) -> "ArcProblem":
+        """The same, looked at more closely."""
+        return replace(self, step_m=min(self.step_m, max(FINEST_M, self.window.spacing)))
+
     def close(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Lengths and curvatures of the arcs that end at the goal. (n, 1) or (n, 2) [m, 1/m]"""
         if math.isnan(self.goal[2]):
@@ -133,15 +143,40 @@ class _Branches:
     length: FloatArray
 
 
-def find_courses(
-    problem: ArcProblem, progress: Callable[[int, int], None] | None = None
-) -> tuple[list[Course], Course]:
-    """Courses that end at the goal and keep the clearance, cheapest first, and the one that comes nearest to it.
+Pick = Callable[[FloatArray, FloatArray], Sequence[int]]
+"""Which of the courses with as many arcs are kept, of their arcs (n, k, 2) and costs (n,), infinite where none."""
 
-    Up to three arcs are tried first; a fourth where these find nothing. Then the courses that fall least short of the
-    clearance are refined until they keep it, if they can. All courses are deterministic.
+
+def cheapest(arcs: FloatArray, cost: FloatArray) -> Sequence[int]:
+    """The numbers of the cheapest courses."""
+    order = np.argsort(cost, kind="stable")[:BEST]
+    return [int(number) for number in order if math.isfinite(cost[number])]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LatticeCourses:
+    """What the lattice of arcs has.
+
+    Attributes
+    ----------
+    found : courses that end at the goal and keep the clearance.
+    nearly : where there is none, those that fall least short of the clearance.
+    nearest : the one that comes nearest to the goal.
     """
-    closing = 1 if math.isnan(problem.goal[2]) else 2
+
+    found: list[Course]
+    nearly: list[Course]
+    nearest: Course
+
+
+def lattice_courses(
+    problem: ArcProblem, pick: Pick = cheapest, progress: Callable[[int, int], None] | None = None
+) -> LatticeCourses:
+    """Courses of the lattice, of each number of arcs those that are picked.
+
+    Up to three arcs are tried first; a fourth where these find nothing.
+    """
+    closing = problem.closing
     branches = _Branches(arcs=np.empty((1, 0, 2)), poses=problem.start[None], cost=np.zeros(1), length=np.zeros(1))
     found: list[Course] = []
     nearly: list[Course] = []
@@ -151,18 +186,29 @@ def find_courses(
             if free + closing == MOST_ARCS and found:
                 break
             branches = _grow(problem, branches)
-        good, stopped = _closed(problem, branches)
+        good, stopped = _closed(problem, branches, pick)
         found += good
         nearest = min(nearest, stopped, key=lambda pair: pair[0])
         if not found and free + closing < MOST_ARCS:
             nearly += _shortest_falls(problem, branches)
         if progress is not None:
             progress(free + 1, MOST_ARCS)
-    fine = replace(problem, step_m=min(problem.step_m, max(FINEST_M, problem.window.spacing)))
-    refined = [course for course in (_refined(fine, course, closing) for course in found or nearly) if course]
+    return LatticeCourses(found=found, nearly=nearly, nearest=nearest[1])
+
+
+def find_courses(
+    problem: ArcProblem, progress: Callable[[int, int], None] | None = None
+) -> tuple[list[Course], Course]:
+    """Courses that end at the goal and keep the clearance, cheapest first, and the one that comes nearest to it.
+
+    The courses of the lattice, or those that fall least short of the clearance, are refined until they keep it, if they
+    can. All courses are deterministic.
+    """
+    lattice = lattice_courses(problem, progress=progress)
+    refined = [course for course in (refine(problem, course) for course in lattice.found or lattice.nearly) if course]
     if progress is not None:
         progress(MOST_ARCS, MOST_ARCS)
-    return sorted(refined, key=lambda course: course.cost_m), nearest[1]
+    return sorted(refined, key=lambda course: course.cost_m), lattice.nearest
 
 
 def pose_after(pose: FloatArray, arcs: FloatArray) -> FloatArray:
@@ -205,8 +251,10 @@ def _grow(problem: ArcProblem, branches: _Branches) -> _Branches:
     )
 
 
-def _closed(problem: ArcProblem, branches: _Branches) -> tuple[list[Course], tuple[float, Course]]:
-    """The cheapest courses with closing arcs that keep the clearance, and the one that came nearest, with how near."""
+def _closed(
+    problem: ArcProblem, branches: _Branches, pick: Pick
+) -> tuple[list[Course], tuple[float, Course]]:
+    """The picked courses with closing arcs that keep the clearance, and the one that came nearest, with how near."""
     lengths, curvatures = problem.close(branches.poses)
     possible = (np.abs(curvatures) <= problem.tightest_per_m).all(axis=1)
     arcs = np.concatenate([branches.arcs, np.stack([lengths, curvatures], axis=-1)], axis=1)[possible]
@@ -220,8 +268,7 @@ def _closed(problem: ArcProblem, branches: _Branches) -> tuple[list[Course], tup
         cost = cost + result[:, 0]
         poses = _moved(poses, length, curvature)
     total = cost + TURNING_M2 * _changes(arcs) + ARC_M * arcs.shape[1]
-    order = np.argsort(total, kind="stable")[:BEST]
-    good = [Course(arcs[number], float(total[number])) for number in order if math.isfinite(total[number])]
+    good = [Course(arcs[number], float(total[number])) for number in pick(arcs, total)]
     return good, _nearest(problem, branches, arcs, ends, driven)
 
 
@@ -265,11 +312,12 @@ def _changes(arcs: FloatArray) -> FloatArray:
     return np.asarray(np.abs(np.diff(arcs[..., 1], axis=1, prepend=0.0)).sum(axis=1))
 
 
-def _refined(problem: ArcProblem, course: Course, closing: int) -> Course | None:
+def refine(coarse: ArcProblem, course: Course) -> Course | None:
     """The course moved to the nearest least cost, None where it does not keep the clearance then."""
     from scipy.optimize import minimize
 
-    free = course.arcs[: len(course.arcs) - closing]
+    problem = coarse.fine
+    free = course.arcs[: len(course.arcs) - problem.closing]
     scale = np.array([0.1 * problem.distance_m, 0.1 * problem.tightest_per_m])
 
     def arcs_of(numbers: FloatArray) -> FloatArray:
@@ -296,13 +344,14 @@ def _refined(problem: ArcProblem, course: Course, closing: int) -> Course | None
         )  # fmt: skip
         best = np.asarray(found.x)
     arcs = _merged(arcs_of(best))
-    kept = np.isfinite(arcs).all() and _shortfall(problem, arcs) == 0 and score(best) < PENALTY
+    kept = np.isfinite(arcs).all() and keeps_clear(problem, arcs) and score(best) < PENALTY
     return Course(arcs, _score(problem, arcs)) if kept else None
 
 
-def _shortfall(problem: ArcProblem, arcs: FloatArray) -> float:
+def keeps_clear(problem: ArcProblem, arcs: FloatArray) -> bool:
+    """Whether a course keeps the clearance."""
     window, step = problem.window, problem.step_m
-    return float(drive_course(window, problem.discs, problem.start, arcs, step, problem.need_m, problem.wanted_m)[1])
+    return bool(drive_course(window, problem.discs, problem.start, arcs, step, problem.need_m, problem.wanted_m)[1] == 0)
 
 
 def _merged(arcs: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.footprint import RoverFootprint, nearest_node, rover_footprint, swept_nodes
 from lunarsci.twin.ground.hazards import Traversability
-from lunarsci.twin.plans.path import planned_pose
+from lunarsci.twin.plans.path import planned_pose, poses_along
 from lunarsci.twin.plans.plan import Leg, Limit, Plan
 from lunarsci.twin.routes.arc_search import COARSEST_M, FINEST_M, ArcProblem, Course, find_courses, pose_after
 from lunarsci.twin.routes.search_ground import SearchGround, search_ground
@@ -99,6 +99,111 @@ class PlannedPath:
         }
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RouteSearch:
+    """From where to where a path is searched for, and on what ground.
+
+    Attributes
+    ----------
+    surface, ground : where the rover may drive, and the part of it that is looked at.
+    rover, footprint : what drives.
+    start, goal : poses [m, m, rad]; the heading of the goal is NaN where any will do.
+    """
+
+    surface: Traversability
+    ground: SearchGround
+    rover: Rover
+    footprint: RoverFootprint
+    start: FloatArray
+    goal: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        surface: Traversability,
+        rover: Rover,
+        start: tuple[float, float, float],
+        target: tuple[float, float],
+        final_heading_deg: float | None,
+    ) -> "RouteSearch":
+        """Raises ParameterError for a start or target that is outside the map, on a hazard or too near to one."""
+        goal = (*target, math.nan if final_heading_deg is None else math.radians(final_heading_deg))
+        pose = np.array([start[0], start[1], math.radians(start[2])])
+        _check_place(surface, "start", start)
+        _check_place(surface, "target", (*target, 0.0 if final_heading_deg is None else final_heading_deg))
+        distance = math.dist(start[:2], target)
+        if distance < ARRIVAL_M:
+            raise ParameterError("the target is where the rover stands; give another target")
+        footprint = rover_footprint(rover)
+        ends = np.array([start[:2], target])
+        ground = search_ground(surface, ends, MARGIN_SHARE * distance + MARGIN_M + footprint.reach_m)
+        search = cls(
+            surface=surface, ground=ground, rover=rover, footprint=footprint, start=pose, goal=np.array(goal)
+        )
+        search._check_room("start", pose[None])
+        headings = np.radians(np.arange(0.0, 360.0, 5.0)) if final_heading_deg is None else [goal[2]]
+        search._check_room("target", np.array([(*target, heading) for heading in headings]))
+        return search
+
+    def problem(self, footprint: RoverFootprint, start: FloatArray, goal: FloatArray) -> ArcProblem:
+        """The search of arcs for a footprint that travels along its x."""
+        mobility, spacing = self.surface.mobility, self.surface.terrain.spacing_m
+        discs, radius = footprint.discs()
+        # Between nodes and between places the distance may be less by a small part of the spacing.
+        need = radius + mobility.hazard_distance_m + 0.25 * spacing + 0.005
+        return ArcProblem(
+            window=self.ground.window,
+            discs=discs,
+            start=start,
+            goal=goal,
+            tightest_per_m=min(1.0 / mobility.min_turning_radius_m, self.rover.tightest_curvature_per_m),
+            step_m=min(max(FINEST_M, spacing, 0.01 * math.dist(start[:2], goal[:2])), max(COARSEST_M, spacing)),
+            need_m=need,
+            wanted_m=need + footprint.half_width_m,
+        )
+
+    def clear_m(self, poses: FloatArray) -> tuple[float, int]:
+        """Least distance of the footprint at some poses (n, 3) from an obstacle, and which node that is. [m]"""
+        distance, point, _ = nearest_node(self.footprint, poses, *self._obstacle_places())
+        return distance, point
+
+    def obstacle(self, point: int) -> str:
+        """What makes a node of the border an obstacle, in words."""
+        row, column = (int(number) for number in self.ground.border[point])
+        ny, nx = self.surface.demand.shape
+        if not (0 <= row < ny and 0 <= column < nx):
+            return "the map ends"
+        return self.surface.reason(row, column)
+
+    def why_not(self, nearest: Course) -> str:
+        """What is in the way of the course that came nearest, and what to try."""
+        end = pose_after(self.start, nearest.arcs)
+        left = math.dist(end[:2], self.goal[:2])
+        text = f"no path within the limits was found; the nearest place reached is x {end[0]:.2f} m, y {end[1]:.2f} m"
+        text += f", {left:.2f} m from the target"
+        clear, point = self.clear_m(end[None])
+        if NEAR_M < clear < math.inf:
+            text += f", with no obstacle within {NEAR_M:g} m of it: its arcs may be too wide for this target"
+        elif len(self.ground.border):
+            text += f", next to where {self.obstacle(point)}"
+        return f"{text}; try a smaller hazard distance, tighter turns, a nearer target first, or other limits"
+
+    def _obstacle_places(self) -> tuple[FloatArray, FloatArray]:
+        terrain = self.surface.terrain
+        row, column = self.ground.border.T.astype(np.float64)
+        return terrain.x0_m + terrain.spacing_m * column, terrain.y0_m + terrain.spacing_m * row
+
+    def _check_room(self, name: str, poses: FloatArray) -> None:
+        """Some of the poses must keep their distance from hazards."""
+        least = self.surface.mobility.hazard_distance_m
+        distance, point = max(self.clear_m(pose[None]) for pose in poses)
+        if distance < least:
+            raise ParameterError(
+                f"at the {name} the footprint is {distance:.2f} m from an obstacle and {least:g} m are to be kept: "
+                f"{self.obstacle(point)}; give another {name}, or a smaller distance"
+            )
+
+
 def plan_path(
     surface: Traversability,
     rover: Rover,
@@ -130,23 +235,9 @@ def plan_path(
     ahead, so that hazards of these count twice as wide as they are. Raises ParameterError where it finds none, with
     what is in the way, and for a start or target that is outside the map, on a hazard or too near to one.
     """
-    speed = rover.max_speed_m_s if speed_m_s is None else speed_m_s
-    if not 0 < speed <= rover.max_speed_m_s:
-        raise ParameterError(f"speed_m_s is {speed}; {rover.name} drives at most {rover.max_speed_m_s:g} m/s")
-    goal = (*target, math.nan if final_heading_deg is None else math.radians(final_heading_deg))
-    pose = np.array([start[0], start[1], math.radians(start[2])])
-    _check_place(surface, "start", start)
-    _check_place(surface, "target", (*target, 0.0 if final_heading_deg is None else final_heading_deg))
-    distance = math.dist(start[:2], target)
-    if distance < ARRIVAL_M:
-        raise ParameterError("the target is where the rover stands; give another target")
-    footprint = rover_footprint(rover)
-    ends = np.array([start[:2], target])
-    ground = search_ground(surface, ends, MARGIN_SHARE * distance + MARGIN_M + footprint.reach_m)
-    _check_room(surface, ground, footprint, "start", pose[None])
-    headings = np.radians(np.arange(0.0, 360.0, 5.0)) if final_heading_deg is None else [goal[2]]
-    _check_room(surface, ground, footprint, "target", np.array([(*target, heading) for heading in headings]))
-    problem = _problem(surface, ground, footprint, rover, pose, np.array(goal))
+    search = RouteSearch.of(surface, rover, start, target, final_heading_deg)
+    speed = commanded_speed(rover, speed_m_s)
+    problem = search.problem(search.footprint, search.start, search.goal)
     courses, nearest = find_courses(problem, progress)
     for course in courses:
         plan = Plan(
@@ -158,10 +249,18 @@ def plan_path(
             heading_deg=start[2],
             limits=limits,
         )
-        found = _measured(surface, ground, footprint, plan, course, target)
+        found = measured_path(search, plan, course.cost_m)
         if found.min_hazard_distance_m >= surface.mobility.hazard_distance_m and found.miss_m <= ARRIVAL_M:
             return found
-    raise ParameterError(_why_not(surface, ground, problem, footprint, nearest))
+    raise ParameterError(search.why_not(nearest))
+
+
+def commanded_speed(rover: Rover, speed_m_s: float | None) -> float:
+    """The speed of a plan, the rover's highest where it is None. Raises ParameterError for one that it cannot drive."""
+    speed = rover.max_speed_m_s if speed_m_s is None else speed_m_s
+    if not 0 < speed <= rover.max_speed_m_s:
+        raise ParameterError(f"speed_m_s is {speed}; {rover.name} drives at most {rover.max_speed_m_s:g} m/s")
+    return speed
 
 
 def path_table(path: PlannedPath, surface: Traversability, every_m: float = 0.1) -> "pd.DataFrame":
@@ -195,30 +294,6 @@ def _nodes(surface: Traversability, poses: FloatArray) -> tuple[IntArray, IntArr
     )
 
 
-def _problem(
-    surface: Traversability,
-    ground: SearchGround,
-    footprint: RoverFootprint,
-    rover: Rover,
-    pose: FloatArray,
-    goal: FloatArray,
-) -> ArcProblem:
-    mobility, spacing = surface.mobility, surface.terrain.spacing_m
-    discs, radius = footprint.discs()
-    # Between nodes and between places the distance may be less by a small part of the spacing.
-    need = radius + mobility.hazard_distance_m + 0.25 * spacing + 0.005
-    return ArcProblem(
-        window=ground.window,
-        discs=discs,
-        start=pose,
-        goal=goal,
-        tightest_per_m=min(1.0 / mobility.min_turning_radius_m, rover.tightest_curvature_per_m),
-        step_m=min(max(FINEST_M, spacing, 0.01 * math.dist(pose[:2], goal[:2])), max(COARSEST_M, spacing)),
-        need_m=need,
-        wanted_m=need + footprint.half_width_m,
-    )
-
-
 def _check_place(surface: Traversability, name: str, place: tuple[float, float, float]) -> None:
     x, y, _ = place
     if not all(map(math.isfinite, place)):
@@ -236,58 +311,24 @@ def _check_place(surface: Traversability, name: str, place: tuple[float, float, 
         raise ParameterError(f"the rover cannot be at the {name}: {reason}; give another {name}, or other limits")
 
 
-def _check_room(
-    surface: Traversability, ground: SearchGround, footprint: RoverFootprint, name: str, poses: FloatArray
-) -> None:
-    """Some of the poses must keep their distance from hazards."""
-    least = surface.mobility.hazard_distance_m
-    x, y = _places(surface, ground)
-    distance, point, _ = max(nearest_node(footprint, pose[None], x, y) for pose in poses)
-    if distance < least:
-        raise ParameterError(
-            f"at the {name} the footprint is {distance:.2f} m from an obstacle and {least:g} m are to be kept: "
-            f"{_obstacle(surface, ground, point)}; give another {name}, or a smaller distance"
-        )
-
-
-def _places(surface: Traversability, ground: SearchGround) -> tuple[FloatArray, FloatArray]:
-    terrain = surface.terrain
-    row, column = ground.border.T.astype(np.float64)
-    return terrain.x0_m + terrain.spacing_m * column, terrain.y0_m + terrain.spacing_m * row
-
-
-def _obstacle(surface: Traversability, ground: SearchGround, point: int) -> str:
-    row, column = (int(number) for number in ground.border[point])
-    ny, nx = surface.demand.shape
-    if not (0 <= row < ny and 0 <= column < nx):
-        return "the map ends"
-    return surface.reason(row, column)
-
-
-def _measured(
-    surface: Traversability,
-    ground: SearchGround,
-    footprint: RoverFootprint,
-    plan: Plan,
-    course: Course,
-    target: tuple[float, float],
-) -> PlannedPath:
-    """The path with its extremes, looked at every 2 cm."""
-    poses = planned_pose(plan, np.linspace(0.0, plan.length_m, max(2, math.ceil(plan.length_m / PLACES_M) + 1)))
+def measured_path(search: RouteSearch, plan: Plan, cost_m: float) -> PlannedPath:
+    """The path of a plan with its extremes, looked at every 2 cm."""
+    poses = poses_along(plan, PLACES_M)
+    surface = search.surface
     terrain, maps = surface.terrain, surface.maps
-    swept = swept_nodes(footprint, terrain, poses)
+    swept = swept_nodes(search.footprint, terrain, poses)
     row, column = _nodes(surface, poses)
     return PlannedPath(
         plan=plan,
-        target_m=target,
-        cost_m=course.cost_m,
-        min_hazard_distance_m=nearest_node(footprint, poses, *_places(surface, ground))[0],
+        target_m=(float(search.goal[0]), float(search.goal[1])),
+        cost_m=cost_m,
+        min_hazard_distance_m=search.clear_m(poses)[0],
         max_slope_deg=_largest(maps.slope_deg[swept]),
         max_roughness_m=_largest(maps.roughness_m[swept]),
         max_step_m=_largest(maps.step_m[swept]),
         max_slope_on_path_deg=_largest(maps.slope_deg[row, column]),
         max_curvature_per_m=max(abs(leg.curvature_per_m) for leg in plan.legs),
-        footprint=footprint,
+        footprint=search.footprint,
         swept=swept,
     )
 
@@ -295,19 +336,3 @@ def _measured(
 def _largest(values: npt.NDArray[np.float32]) -> float:
     known = values[~np.isnan(values)]
     return float(known.max()) if known.size else math.nan
-
-
-def _why_not(
-    surface: Traversability, ground: SearchGround, problem: ArcProblem, footprint: RoverFootprint, nearest: Course
-) -> str:
-    """What is in the way of the course that came nearest, and what to try."""
-    end = pose_after(problem.start, nearest.arcs)
-    left = math.dist(end[:2], problem.goal[:2])
-    text = f"no path within the limits was found; the nearest place reached is x {end[0]:.2f} m, y {end[1]:.2f} m"
-    text += f", {left:.2f} m from the target"
-    clear, point, _ = nearest_node(footprint, end[None], *_places(surface, ground))
-    if NEAR_M < clear < math.inf:
-        text += f", with no obstacle within {NEAR_M:g} m of it: its arcs may be too wide for this target"
-    elif len(ground.border):
-        text += f", next to where {_obstacle(surface, ground, point)}"
-    return f"{text}; try a smaller hazard distance, tighter turns, a nearer target first, or other limits"

@@ -1,0 +1,302 @@
+"""The choice among drives: all are driven on the same soils, hopeless ones stop early, the best are driven again."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+from lunarsci.errors import ParameterError
+from lunarsci.twin.choice.chances import Chance, Verdicts, Weakest, verdicts
+from lunarsci.twin.choice.conditions import Conditions, drive_candidates, joined
+from lunarsci.twin.plans.plan import Plan
+from lunarsci.twin.plans.schedule import make_schedule
+from lunarsci.twin.simulation.ensemble import Prediction
+
+Progress = Callable[[int, int], None]
+Preference: TypeAlias = Literal["energy", "length", "time"]
+
+ROUNDS = (0.25, 0.5, 1.0)
+"""Shares of the soils after which hopeless candidates stop; a quarter of 64 is a group of the simulation."""
+LEAST_LEFT = 8
+"""So many candidates are driven on all soils, where there are so many."""
+CHECKED = 4
+"""So many of the best are driven again on fresh soils at a time."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Candidate:
+    """A drive among others.
+
+    Attributes
+    ----------
+    number : in the order in which candidates were given, from 1.
+    plan, prediction : what is driven, and the drives on the soils that all candidates share.
+    chance : of failing on these.
+    promise : of failing on fresh soils, which had no part in choosing it; None where it was not driven on these.
+    weakest : where it comes nearest to a limit, on the fresh soils where it was driven on these.
+    energy_j : work of all wheels, the mean of the drives that ended; NaN where none did. [J]
+    duration_s : of the plan. [s]
+    stopped : whether it was given up before it had been driven on all soils.
+    pareto : whether no other candidate has less risk, length and energy at once.
+    """
+
+    number: int
+    plan: Plan
+    prediction: Prediction = field(repr=False)
+    chance: Chance
+    promise: Chance | None = None
+    weakest: Weakest
+    energy_j: float
+    duration_s: float
+    stopped: bool = False
+    pareto: bool = False
+
+    @property
+    def length_m(self) -> float:
+        """Of the plan. [m]"""
+        return self.plan.length_m
+
+    @property
+    def said(self) -> Chance:
+        """The chance to go by: that on fresh soils, where there is one."""
+        return self.chance if self.promise is None else self.promise
+
+    def dominates(self, other: "Candidate") -> bool:
+        """Whether it has no more risk, length and energy than another, and less of one."""
+        own, others = self._aims, other._aims
+        return all(a <= b for a, b in zip(own, others, strict=True)) and own != others
+
+    @property
+    def _aims(self) -> tuple[float, float, float]:
+        return self.said.risk, round(self.length_m, 3), math.inf if math.isnan(self.energy_j) else self.energy_j
+
+    def to_dict(self) -> dict[str, Any]:
+        """For a result."""
+        worst = self.weakest
+        return {
+            "number": self.number,
+            "name": self.plan.name,
+            "length_m": self.length_m,
+            "duration_s": self.duration_s,
+            "energy_j": self.energy_j,
+            "localisation_updates": 0 if self.plan.fixes is None else len(self.plan.legs) - 1,
+            "screened": self.chance.to_dict(),
+            "promised": None if self.promise is None else self.promise.to_dict(),
+            "worst": {
+                "quantity": worst.quantity, "unit": worst.unit, "value": worst.value, "limit": worst.limit,
+                "failed": worst.failed, "x_m": worst.x_m, "y_m": worst.y_m, "distance_m": worst.distance_m,
+                "why": worst.why,
+            },
+            "stopped_early": self.stopped,
+            "pareto": self.pareto,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Choice:
+    """Candidates, the best first.
+
+    Attributes
+    ----------
+    candidates : first those that keep the risk on fresh soils, by what is preferred; then those that seem to on the
+        soils that all share; then the others, by their risk.
+    risk : chance of failing that is accepted. [-]
+    prefer : what decides among those that keep it.
+    fresh : whether the promises are of soils that had no part in the choice.
+    """
+
+    candidates: tuple[Candidate, ...]
+    risk: float
+    prefer: Preference
+    fresh: bool
+
+    @property
+    def best(self) -> Candidate:
+        """The one to take, or the safest where none is feasible."""
+        return self.candidates[0]
+
+    @property
+    def feasible(self) -> bool:
+        """Whether a candidate keeps the risk on soils that it was not chosen by."""
+        return self.best.promise is not None and self.best.promise.risk <= self.risk
+
+    @property
+    def front(self) -> tuple[Candidate, ...]:
+        """Those that no other candidate beats in risk, length and energy at once."""
+        return tuple(one for one in self.candidates if one.pareto)
+
+    @property
+    def obstacles(self) -> tuple[tuple[str, int], ...]:
+        """Where none is feasible, what most drives of the candidates break, and of how many, the most frequent first."""
+        counts: dict[str, int] = {}
+        for one in self.candidates:
+            if one.said.risk > self.risk:
+                counts[one.weakest.quantity] = counts.get(one.weakest.quantity, 0) + 1
+        return tuple(sorted(counts.items(), key=lambda pair: -pair[1]))
+
+
+def choose(
+    plans: Sequence[Plan],
+    conditions: Conditions,
+    *,
+    risk: float,
+    prefer: Preference = "energy",
+    members: int | None = None,
+    racing: bool = True,
+    progress: Progress | None = None,
+) -> Choice:
+    """Drive all plans over the same soils, and rank them under a limit of the chance of failing.
+
+    Parameters
+    ----------
+    plans : each with its limits, to the same target; a limit on `endpoint_miss_m` is the tolerance of its end.
+    conditions : soils and grounds; the first `members` are those by which plans are chosen, the others fresh ones on
+        which the chosen are driven again.
+    risk : chance of failing that is accepted, 0 to 1. [-]
+    prefer : among plans that keep it the one with the least energy, length or time is the best.
+    members : soils by which plans are chosen; None for all, and then promises are of these same soils.
+    racing : stop hopeless candidates after a quarter and half of the soils.
+    progress : called with drives done and drives at most.
+
+    The chance of the best of many looks better than it is, so it is counted again on fresh soils, and promised only
+    then. Raises ParameterError.
+    """
+    if not plans:
+        raise ParameterError("no plans to choose from; give one or more")
+    least = least_drives(risk)
+    count = conditions.members if members is None else members
+    if not least <= count <= conditions.members:
+        raise ParameterError(f"members is {count}; a risk of {risk:g} needs {least} or more, of {conditions.members}")
+    race = _Race(conditions, risk, prefer, count, progress, len(plans) * count)
+    found = race.run(plans, racing=racing)
+    checked = race.checked(found)
+    ordered = sorted(_with_front(checked), key=lambda one: _order(one, risk, prefer))
+    return Choice(candidates=tuple(ordered), risk=risk, prefer=prefer, fresh=conditions.members > count)
+
+
+def least_drives(risk: float) -> int:
+    """Drives without a failure that are needed to promise a risk. Raises ParameterError for a risk not in (0, 1)."""
+    if not 0 < risk < 1:
+        raise ParameterError(f"risk is {risk:g}; give a chance above 0 and below 1, such as 0.05")
+    return max(1, math.ceil(0.5 / risk - 1.0 - 1e-9))
+
+
+def expected_energy_j(prediction: Prediction) -> float:
+    """Mean work of all wheels over the drives that ended, NaN where none did. [J]"""
+    from lunarsci.twin.choice.stand_in import energy_use
+
+    total = energy_use(prediction).total_j[prediction.finished]
+    return float(total.mean()) if total.size else math.nan
+
+
+@dataclass(slots=True)
+class _Race:
+    """Drives of candidates in rounds, and how many of them were done."""
+
+    conditions: Conditions
+    risk: float
+    prefer: Preference
+    members: int
+    progress: Progress | None
+    total: int
+    done: int = 0
+
+    def run(self, plans: Sequence[Plan], *, racing: bool) -> list[Candidate]:
+        """All candidates, those given up with the drives that they had."""
+        alive, out = list(range(len(plans))), list[Candidate]()
+        parts: dict[int, list[Prediction]] = {number: [] for number in alive}
+        stops = [math.ceil(share * self.members) for share in (ROUNDS if racing else ROUNDS[-1:])]
+        first = 0
+        found: list[Candidate] = []
+        for last in dict.fromkeys(stops):
+            driven = self._drive([plans[number] for number in alive], range(first, last))
+            for number, part in zip(alive, driven, strict=True):
+                parts[number].append(part)
+            found = [self._candidate(number, joined(parts[number])) for number in alive]
+            first = last
+            if last < self.members:
+                left, stopped = self._left(found)
+                out += [replace(one, stopped=True) for one in stopped]
+                alive = [one.number - 1 for one in left]
+        return sorted([*found, *out], key=lambda one: one.number)
+
+    def checked(self, found: list[Candidate]) -> list[Candidate]:
+        """The same, the best of them driven on fresh soils, as many as it takes for one that keeps the risk."""
+        order = sorted((one for one in found if not one.stopped), key=lambda one: _order(one, self.risk, self.prefer))
+        fresh = range(self.members, self.conditions.members)
+        done: dict[int, Candidate] = {}
+        for first in range(0, len(order), CHECKED):
+            batch = order[first : first + CHECKED]
+            if first and batch[0].chance.risk > self.risk:
+                break
+            for one in self._on_fresh(batch, fresh):
+                done[one.number] = one
+            if any(one.said.risk <= self.risk for one in done.values()):
+                break
+        return [done.get(one.number, one) for one in found]
+
+    def _on_fresh(self, batch: list[Candidate], fresh: range) -> list[Candidate]:
+        if not fresh:
+            return [replace(one, promise=one.chance) for one in batch]
+        driven = self._drive([one.plan for one in batch], fresh)
+        held = [verdicts(prediction) for prediction in driven]
+        return [
+            replace(one, promise=own.chance, weakest=own.weakest) for one, own in zip(batch, held, strict=True)
+        ]
+
+    def _drive(self, plans: list[Plan], members: range) -> list[Prediction]:
+        begun = self.done
+
+        def on(done: int, _: int) -> None:
+            self.done = begun + done * len(members)
+            if self.progress is not None:
+                self.progress(min(self.done, self.total), self.total)
+
+        return drive_candidates(self.conditions, plans, members, on)
+
+    def _candidate(self, number: int, prediction: Prediction) -> Candidate:
+        held: Verdicts = verdicts(prediction)
+        return Candidate(
+            number=number + 1,
+            plan=prediction.plan,
+            prediction=prediction,
+            chance=held.chance,
+            weakest=held.weakest,
+            energy_j=expected_energy_j(prediction),
+            duration_s=make_schedule(prediction.plan, prediction.rover).duration_s,
+        )
+
+    def _left(self, found: list[Candidate]) -> tuple[list[Candidate], list[Candidate]]:
+        """Candidates that go on, and those that stop.
+
+        One stops whose risk is surely, with 95 % each, above what is accepted and above that of the safest. Of the
+        others the better half goes on, and no less than eight; and those of the worse half that no better one beats in
+        risk, length and energy.
+        """
+        bound = max(self.risk, min(one.chance.high for one in found))
+        order = sorted(found, key=lambda one: _order(one, self.risk, self.prefer))
+        hopeful = [one for one in order if one.chance.low <= bound]
+        half = max(LEAST_LEFT, math.ceil(len(found) / 2))
+        left = hopeful[:half]
+        left += [one for one in hopeful[half:] if not any(other.dominates(one) for other in left)]
+        going = {one.number for one in left}
+        return sorted(left, key=lambda one: one.number), [one for one in found if one.number not in going]
+
+
+def _order(one: Candidate, risk: float, prefer: Preference) -> tuple[int, float, float, int]:
+    """Key of the ranking: promised, then likely to keep the risk, then by risk; NaN energies last."""
+    wanted = {"energy": one.energy_j, "length": one.length_m, "time": one.duration_s}[prefer]
+    wanted = math.inf if math.isnan(wanted) else wanted
+    if one.said.risk > risk:
+        return (3 if one.stopped else 2), one.said.risk, wanted, one.number
+    return (0 if one.promise is not None else 1), 0.0, wanted, one.number
+
+
+def _with_front(found: list[Candidate]) -> list[Candidate]:
+    """The candidates, with those marked that no other one driven on all soils beats."""
+    whole = [one for one in found if not one.stopped]
+    return [
+        replace(one, pareto=not one.stopped and not any(other.dominates(one) for other in whole)) for one in found
+    ]

@@ -1,0 +1,196 @@
+"""Which drives to a target are worth comparing: other ways round obstacles, driven ahead, backwards or crabwise."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import zip_longest
+
+import numpy as np
+
+from lunarsci.arrays import FloatArray
+from lunarsci.errors import ParameterError
+from lunarsci.twin.ground.footprint import RoverFootprint
+from lunarsci.twin.ground.hazards import Traversability
+from lunarsci.twin.plans.path import poses_along
+from lunarsci.twin.plans.plan import Fixes, Leg, Limit, Plan
+from lunarsci.twin.routes.arc_search import ArcProblem, Course, keeps_clear, lattice_courses, refine
+from lunarsci.twin.routes.corridors import DistinctWays, course_places, obstacle_places, sides
+from lunarsci.twin.routes.planner import RouteSearch, commanded_speed
+from lunarsci.twin.rover import Rover
+
+Progress = Callable[[int, int], None]
+
+WIDEST_CRAB_DEG = 60.0
+"""A rover is not driven more sidewards than this; assumed."""
+LEAST_TURN_DEG = 15.0
+"""Targets less far to the side are reached by arcs as well as by a crab or a spot turn; assumed."""
+FIX_EVERY_M = (5.0, 2.5)
+"""Way between localisation updates, where there are any; assumed. [m]"""
+LONGEST_WAY = 2.5
+"""Candidates cost at most so many times as much as the cheapest one; assumed."""
+MOST = 50
+
+
+@dataclass(frozen=True, slots=True)
+class Manner:
+    """How a drive goes: first a spot turn, then arcs travelled at an angle to the heading. [deg]"""
+
+    turn_deg: float = 0.0
+    crab_deg: float = 0.0
+
+    @property
+    def words(self) -> str:
+        """For people."""
+        side = "left" if self.crab_deg > 0 else "right"
+        travel = {0.0: "ahead", 180.0: "backwards"}.get(self.crab_deg, f"crab {abs(self.crab_deg):.0f}° {side}")
+        return f"turn {self.turn_deg:+.0f}°, {travel}" if self.turn_deg else travel
+
+
+def manners(start: FloatArray, goal: FloatArray) -> tuple[Manner, ...]:
+    """Ahead, backwards, and where the target lies to the side crabwise, or after a spot turn to it.
+
+    Poses [m, m, rad].
+    """
+    way = goal[:2] - start[:2]
+    bearing = math.degrees(math.remainder(math.atan2(way[1], way[0]) - start[2], 2.0 * math.pi))
+    found = [Manner(), Manner(crab_deg=180.0)]
+    if LEAST_TURN_DEG <= abs(bearing):
+        found.append(Manner(turn_deg=round(bearing, 1)))
+        back = math.remainder(bearing + 180.0, 360.0)
+        found.append(Manner(turn_deg=round(back, 1), crab_deg=180.0) if abs(back) >= LEAST_TURN_DEG else Manner())
+        if abs(bearing) <= WIDEST_CRAB_DEG:
+            found.append(Manner(crab_deg=round(bearing, 1)))
+    else:
+        found += [Manner(crab_deg=LEAST_TURN_DEG), Manner(crab_deg=-LEAST_TURN_DEG)]
+    return tuple(dict.fromkeys(found))
+
+
+def candidate_plans(
+    surface: Traversability,
+    rover: Rover,
+    start: tuple[float, float, float],
+    target: tuple[float, float],
+    *,
+    final_heading_deg: float | None = None,
+    speed_m_s: float | None = None,
+    limits: tuple[Limit, ...] = (),
+    fixes: Fixes | None = None,
+    most: int = MOST,
+    progress: Progress | None = None,
+) -> tuple[Plan, ...]:
+    """Drives to a target that differ, at most `most`; the first is the cheapest on the maps.
+
+    Parameters
+    ----------
+    surface, rover, start, target, final_heading_deg, speed_m_s, limits : as for `plan_path`.
+    fixes : errors of localisation updates; with them part of the drives halt for some on the way. None drives without.
+    progress : called with (manners of driving searched, all of them).
+
+    Of each manner of driving (ahead, backwards, crabwise, after a spot turn) the cheapest course round each side of the
+    obstacles is refined, and courses join it that sweep other ground. All keep the clearance that `plan_path` keeps,
+    and end at the target. Raises ParameterError as `plan_path` does, also where there is none.
+    """
+    if most < 1:
+        raise ParameterError(f"candidates are {most}; give 1 or more")
+    search = RouteSearch.of(surface, rover, start, target, final_heading_deg)
+    template = Plan(
+        name="candidate", legs=(Leg(1.0),), speed_m_s=commanded_speed(rover, speed_m_s), x_m=start[0], y_m=start[1],
+        heading_deg=start[2], limits=limits,
+    )  # fmt: skip
+    ahead = search.problem(search.footprint, search.start, search.goal)
+    ways = DistinctWays(ahead, obstacle_places(ahead), 2.0 * search.footprint.half_width_m, most)
+    known = manners(search.start, search.goal)
+    found: list[list[tuple[float, Plan]]] = []
+    for number, manner in enumerate(known):
+        if progress is not None:
+            progress(number, len(known))
+        found.append(_plans(search, ways, manner, template))
+    if progress is not None:
+        progress(len(known), len(known))
+    if not any(found):
+        raise ParameterError(search.why_not(lattice_courses(ahead).nearest))
+    least = min(cost for plans in found for cost, _ in plans)
+    near = [[plan for cost, plan in plans if cost <= LONGEST_WAY * least] for plans in found]
+    in_turn = [plan for row in zip_longest(*near) for plan in row if plan is not None]
+    return tuple(in_turn[:most]) if fixes is None else _with_fixes(in_turn, fixes, most)
+
+
+def _plans(search: RouteSearch, ways: DistinctWays, manner: Manner, template: Plan) -> list[tuple[float, Plan]]:
+    """Plans of one manner with their costs, the cheapest first; none where there is no room for its turn."""
+    turned = search.start + np.array([0.0, 0.0, math.radians(manner.turn_deg)])
+    if manner.turn_deg and not _room_to_turn(search, template, manner):
+        return []
+    crab = np.array([0.0, 0.0, math.radians(manner.crab_deg)])
+    footprint = _enclosing(search.footprint, math.radians(manner.crab_deg))
+    problem = search.problem(footprint, turned + crab, search.goal + crab)
+    found = []
+    for course in _courses(replace(ways, problem=problem)):
+        arcs = tuple(Leg(float(length), float(bend), manner.crab_deg) for length, bend in course.arcs)
+        legs = (Leg(turn_deg=manner.turn_deg), *arcs) if manner.turn_deg else arcs
+        places = course_places(problem.start, course.arcs[None])[0]
+        found.append((course.cost_m, replace(template, name=f"{manner.words}, {_bend(places)}", legs=legs)))
+    return found
+
+
+def _courses(ways: DistinctWays) -> list[Course]:
+    """Distinct courses of all numbers of arcs, the best of each class refined, the cheapest first."""
+    problem = ways.problem
+    lattice = lattice_courses(problem, ways)
+    if not lattice.found:
+        return sorted(filter(None, (refine(problem, course) for course in lattice.nearly)), key=lambda one: one.cost_m)
+    courses = sorted(lattice.found, key=lambda course: course.cost_m)
+    places = np.concatenate([course_places(problem.start, course.arcs[None]) for course in courses])
+    picked, seen = [courses[number] for number in ways.of_places(places)], set()
+    found = []
+    for course in picked:
+        side = tuple(sides(course_places(problem.start, course.arcs[None]), ways.obstacles_m)[0])
+        better = None if side in seen else refine(problem, course)
+        seen.add(side)
+        if better is not None or keeps_clear(problem.fine, course.arcs):
+            found.append(better or course)
+    return sorted(found, key=lambda course: course.cost_m)
+
+
+def _room_to_turn(search: RouteSearch, template: Plan, manner: Manner) -> bool:
+    poses = poses_along(replace(template, legs=(Leg(turn_deg=manner.turn_deg),)), 1.0)
+    return search.clear_m(poses)[0] >= search.surface.mobility.hazard_distance_m
+
+
+def _enclosing(footprint: RoverFootprint, angle: float) -> RoverFootprint:
+    """The smallest rectangle along the direction of travel that holds the footprint."""
+    corners = footprint.corners_m(np.array([0.0, 0.0, -angle]))
+    return RoverFootprint(
+        rear_m=float(corners[:, 0].min()),
+        front_m=float(corners[:, 0].max()),
+        half_width_m=float(np.abs(corners[:, 1]).max()),
+    )
+
+
+def _bend(places_m: FloatArray) -> str:
+    """How far to which side of the straight way a course leads."""
+    way = places_m[-1] - places_m[0]
+    off = places_m - places_m[0]
+    aside = (way[0] * off[:, 1] - way[1] * off[:, 0]) / np.hypot(*way)
+    far = float(aside[np.abs(aside).argmax()])
+    return "straight" if abs(far) < 0.05 else f"{abs(far):.1f} m {'left' if far > 0 else 'right'}"
+
+
+def _with_fixes(plans: list[Plan], fixes: Fixes, most: int) -> tuple[Plan, ...]:
+    """Plans in turn without and with localisation updates, the cheapest first."""
+    halting = [_halting(plan, fixes, every) for plan in plans for every in FIX_EVERY_M]
+    kept = list(dict.fromkeys(plan for plan in halting if plan is not None))
+    free = plans[: max(1, most - len(kept), most // 3)]
+    return tuple([*free, *kept][:most])
+
+
+def _halting(plan: Plan, fixes: Fixes, every_m: float) -> Plan | None:
+    """The plan with a halt and a localisation update so often; None where it is too short for one."""
+    legs: list[Leg] = []
+    for leg in plan.legs:
+        pieces = max(1, math.ceil(leg.length_m / every_m - 0.25))
+        legs += [replace(leg, length_m=leg.length_m / pieces)] * pieces
+    updates = len(legs) - 1
+    if not updates:
+        return None
+    said = "1 update" if updates == 1 else f"{updates} updates"
+    return replace(plan, legs=tuple(legs), fixes=fixes, name=f"{plan.name}, {said}")
