@@ -7,7 +7,7 @@ import typer
 from lunarsci.twin.jobs.plan import PlanRequest
 
 from ..shared.command import command
-from ..shared.options import Output, option
+from ..shared.options import SPREAD, Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
@@ -15,11 +15,13 @@ from .terrain import LIMITS, GeoTiff, TerrainFile, check_files, ground_table
 from .terrain import OPTIONS as OF_TERRAIN
 
 if TYPE_CHECKING:
+    from lunarsci.twin.choice.choice import DriveCandidate
     from lunarsci.twin.ground.hazards import Mobility
+    from lunarsci.twin.jobs.chosen_drive import ChosenDrive
     from lunarsci.twin.routes.planner import PlannedPath
 
 
-PATH = "Path"
+PATH, CHOICE = "Path", "Drives compared by their risk"
 OPTIONS = {
     "target": option(
         "Where to plan a path to, in m; with the heading there, in deg.",
@@ -32,13 +34,46 @@ OPTIONS = {
     "speed": option("Speed in m/s; the rover's highest if left out.", panel=PATH),
     "turning_radius": option("Smallest radius of an arc, in m.", panel=LIMITS),
     "hazard_distance": option("Distance to keep from hazards and holes, in m.", panel=LIMITS),
-    **OF_TERRAIN,
+    "risk": option(
+        "Compare drives to the target, and take the best whose chance of breaking a limit or missing the target is at "
+        "most this, such as 0.05.",
+        panel=CHOICE,
+    ),
+    "prefer": option("Of drives that keep the risk the one with the least of this.", panel=CHOICE),
+    "soil": option(
+        "Soil, in place of the terrain's: a name or a TOML file. With --risk a file from which each drive has its own, "
+        "as of `twin predict`: a belief of `twin update` or its map (JSON), or CSV.",
+        show_default="the terrain's, or longji",
+    ),
+    "sweep": option(
+        "Uncertain soil parameter, repeatable; those of the embedded plan where no soil is given.",
+        panel=CHOICE,
+        metavar="NAME=LOW:HIGH:N",
+    ),
+    "members": option(
+        "Soils on which all are driven; the best again on twice as many.", panel=CHOICE, show_default="64"
+    ),
+    "tolerance": option(
+        "Distance in m of the end from the target that counts as there.", panel=CHOICE, show_default="1"
+    ),
+    "candidates": option("Drives to compare, at most.", panel=CHOICE, show_default="50"),
+    "fixes": option(
+        "Let drives halt for localisation updates, with these standard errors.", panel=CHOICE, metavar="M,DEG"
+    ),
+    "exact_terrain": option("Drive on the likely ground, not on one that is drawn for each drive.", panel=CHOICE),
+    **{name: said for name, said in OF_TERRAIN.items() if name != "soil"},
 }
+SHORT = {
+    "slip_ratio": "slip", "side_slip_deg": "sideslip", "sinkage_m": "sinkage", "tilt_deg": "tilt",
+    "clearance_m": "clearance", "keep_out_m": "keep-out", "endpoint_miss_m": "end", "unfinished": "stuck",
+}  # fmt: skip
+SHOWN = 12
+"""Candidates in the table for people."""
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "plan", folder=True, request=PlanRequest, options=OPTIONS)(plan)
+    command(app, "plan", folder=True, request=PlanRequest, options=OPTIONS, blocks=SPREAD)(plan)
 
 
 def plan(
@@ -49,14 +84,60 @@ def plan(
     With -o DIR the path goes to plan.toml and path.csv, the terrain to terrain.npz, the maps to maps.npz:
     `lunarsci twin predict DIR/plan.toml --terrain DIR/terrain.npz` drives it. Plan and terrain keep the rover and the
     limits that they were made for.
+
+    With --risk many drives are compared: round other sides of obstacles, backwards, crabwise, after a spot turn, with
+    --fixes also with halts for localisation updates. All are driven on the same soils, and the best again on fresh
+    ones; what is promised is counted on these. Exit code 3 says that no drive keeps the risk. With -o DIR plan.toml is
+    the drive to take, candidates.csv has all, plan-NN.toml those that no other beats in risk, length and energy.
     """
     from lunarsci.twin.jobs import plan as job
+    from lunarsci.twin.jobs.chosen_drive import ChosenDrive
 
-    check_files(output, request, geotiff)
+    check_files(output, soil=bool(request.soil) and request.risk is None, geotiff=geotiff)
     with progress("planning", quiet=output.quiet) as update:
         found = job.plan(terrain, request, progress=update)
-    tables = [ground_table(found), *([] if found.path is None else [_path_table(found.path, found.site.mobility)])]
+    tables = [_choice_table(found)] if isinstance(found, ChosenDrive) else [ground_table(found)]
+    tables += [] if found.path is None else [_path_table(found.path, found.site.mobility)]
     return Report.of(found, tables, files=found.files(geotiff=geotiff))
+
+
+def _choice_table(found: "ChosenDrive") -> TextTable:
+    """The best candidates, one line each, best first."""
+    choice = found.choice
+    best, rows = choice.best, [_candidate_row(one) for one in choice.candidates[:SHOWN]]
+    stopped = sum(one.stopped for one in choice.candidates)
+    verdict = f"take drive {best.number}, {best.plan.name}" if choice.feasible else "NO-GO: no drive keeps the risk"
+    notes = [
+        f"drive {best.number}: {100 * best.said.risk:.1f} % fail, at most {100 * best.said.high:.1f} %; it takes "
+        f"{best.duration_s / 60:.1f} min; weakest at x {best.weakest.x_m:.2f} m, y {best.weakest.y_m:.2f} m: "
+        f"{best.weakest.why}",
+        "risk: expected, and below what with 95 %; ~ not yet driven on fresh soils; weakest: what is nearest to its "
+        "limit, and after how many m",
+        f"* not beaten in risk, length and energy at once; {len(choice.candidates)} drives compared, {stopped} stopped "
+        f"early, of which {len(choice.candidates) - len(rows)} are left out here: --csv",
+        f"end within {found.tolerance_m:g} m of the target",
+        *found.soils.inputs.soil_notes(found.members, 0),
+        *found.notes(),
+    ]
+    headers = ["no", "drive", "risk [%]", "m", "J", "weakest, m"]
+    return TextTable(headers, rows, title=f"{verdict}; accepted: {100 * choice.risk:g} %", notes=notes)
+
+
+def _candidate_row(one: "DriveCandidate") -> list[str]:
+    weak, energy = one.weakest, "-" if one.energy_j != one.energy_j else f"{one.energy_j:.0f}"
+    unsure = "" if one.promise is not None else "~"
+    return [
+        f"{one.number}{'*' if one.pareto else ''}",
+        one.plan.name,
+        f"{unsure}{_percent(one.said.risk)}<{_percent(one.said.high)}",
+        f"{one.length_m:.1f}",
+        energy,
+        f"{SHORT[weak.quantity]} {weak.distance_m:.1f}",
+    ]
+
+
+def _percent(chance: float) -> str:
+    return f"{100 * chance:.1f}" if chance < 0.02 else f"{100 * chance:.0f}"
 
 
 def _path_table(path: "PlannedPath", limits: "Mobility") -> TextTable:

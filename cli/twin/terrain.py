@@ -58,15 +58,15 @@ def terrain(
     """
     from lunarsci.twin.jobs import terrain as job
 
-    check_files(output, request, geotiff)
+    check_files(output, soil=request.soil is not None, geotiff=geotiff)
     with progress("looking at the ground", quiet=output.quiet) as update:
         found = job.terrain(terrain, request, progress=update)
     return Report.of(found, [ground_table(found)], files=found.files(geotiff=geotiff))
 
 
-def check_files(output: Output, request: TerrainRequest, geotiff: bool) -> None:
+def check_files(output: Output, *, soil: bool, geotiff: bool) -> None:
     """Options of files that are not written are a mistake to be said."""
-    for name, given in (("--soil", request.soil is not None), ("--geotiff", geotiff)):
+    for name, given in (("--soil", soil), ("--geotiff", geotiff)):
         if given and output.path is None:
             raise typer.BadParameter(f"{name} goes into a file; give -o DIR, or leave it out")
 

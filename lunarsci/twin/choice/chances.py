@@ -119,17 +119,19 @@ def verdicts(prediction: Prediction) -> Verdicts:
     """Whether each drive kept every limit of the plan, and where they are in danger.
 
     A limit on `endpoint_miss_m` is the tolerance of the end. As in `judge`, the worst value over wheels and recorded
-    samples counts, and a clearance is left out for a rover without a body.
+    samples counts, and a clearance is left out for a rover without a body. Raises ParameterError for
+    a plan without limits.
     """
+    limits = limits_judged(prediction.plan, prediction.rover)
+    if not limits:
+        raise ParameterError("the plan has no limits, so there is no chance of keeping them; give it some")
     kept = prediction.finished.copy()
     places = [_unfinished(prediction)] if not kept.all() else []
-    for limit in limits_judged(prediction.plan, prediction.rover):
+    for limit in limits:
         use, values = _use(prediction, limit)
         broken = (use > 1.0).any(axis=1)
         kept &= ~broken
         places.append(_place(prediction, limit, use, values, int(broken.sum())))
-    if not places:
-        raise ParameterError("the plan has no limits, so there is no chance of keeping them; give it some")
     return Verdicts(kept, max(places, key=lambda pair: pair[0])[1])
 
 

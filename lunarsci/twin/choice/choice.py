@@ -5,11 +5,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
-import numpy as np
-
 from lunarsci.errors import ParameterError
 from lunarsci.twin.choice.chances import Chance, Verdicts, Weakest, verdicts
 from lunarsci.twin.choice.conditions import Conditions, drive_candidates, joined
+from lunarsci.twin.judgement.energy import energy_use
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.simulation.ensemble import Prediction
@@ -26,7 +25,7 @@ CHECKED = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Candidate:
+class DriveCandidate:
     """A drive among others.
 
     Attributes
@@ -63,7 +62,7 @@ class Candidate:
         """The chance to go by: that on fresh soils, where there is one."""
         return self.chance if self.promise is None else self.promise
 
-    def dominates(self, other: "Candidate") -> bool:
+    def dominates(self, other: "DriveCandidate") -> bool:
         """Whether it has no more risk, length and energy than another, and less of one."""
         own, others = self._aims, other._aims
         return all(a <= b for a, b in zip(own, others, strict=True)) and own != others
@@ -95,7 +94,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Choice:
+class DriveChoice:
     """Candidates, the best first.
 
     Attributes
@@ -107,13 +106,13 @@ class Choice:
     fresh : whether the promises are of soils that had no part in the choice.
     """
 
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[DriveCandidate, ...]
     risk: float
     prefer: Preference
     fresh: bool
 
     @property
-    def best(self) -> Candidate:
+    def best(self) -> DriveCandidate:
         """The one to take, or the safest where none is feasible."""
         return self.candidates[0]
 
@@ -123,13 +122,13 @@ class Choice:
         return self.best.promise is not None and self.best.promise.risk <= self.risk
 
     @property
-    def front(self) -> tuple[Candidate, ...]:
+    def front(self) -> tuple[DriveCandidate, ...]:
         """Those that no other candidate beats in risk, length and energy at once."""
         return tuple(one for one in self.candidates if one.pareto)
 
     @property
     def obstacles(self) -> tuple[tuple[str, int], ...]:
-        """Where none is feasible, what most drives of the candidates break, and of how many, the most frequent first."""
+        """Where none is feasible, what the candidates break most, and how many of them do, the most frequent first."""
         counts: dict[str, int] = {}
         for one in self.candidates:
             if one.said.risk > self.risk:
@@ -146,7 +145,7 @@ def choose(
     members: int | None = None,
     racing: bool = True,
     progress: Progress | None = None,
-) -> Choice:
+) -> DriveChoice:
     """Drive all plans over the same soils, and rank them under a limit of the chance of failing.
 
     Parameters
@@ -173,7 +172,7 @@ def choose(
     found = race.run(plans, racing=racing)
     checked = race.checked(found)
     ordered = sorted(_with_front(checked), key=lambda one: _order(one, risk, prefer))
-    return Choice(candidates=tuple(ordered), risk=risk, prefer=prefer, fresh=conditions.members > count)
+    return DriveChoice(candidates=tuple(ordered), risk=risk, prefer=prefer, fresh=conditions.members > count)
 
 
 def least_drives(risk: float) -> int:
@@ -185,8 +184,6 @@ def least_drives(risk: float) -> int:
 
 def expected_energy_j(prediction: Prediction) -> float:
     """Mean work of all wheels over the drives that ended, NaN where none did. [J]"""
-    from lunarsci.twin.choice.stand_in import energy_use
-
     total = energy_use(prediction).total_j[prediction.finished]
     return float(total.mean()) if total.size else math.nan
 
@@ -203,13 +200,13 @@ class _Race:
     total: int
     done: int = 0
 
-    def run(self, plans: Sequence[Plan], *, racing: bool) -> list[Candidate]:
+    def run(self, plans: Sequence[Plan], *, racing: bool) -> list[DriveCandidate]:
         """All candidates, those given up with the drives that they had."""
-        alive, out = list(range(len(plans))), list[Candidate]()
+        alive, out = list(range(len(plans))), list[DriveCandidate]()
         parts: dict[int, list[Prediction]] = {number: [] for number in alive}
         stops = [math.ceil(share * self.members) for share in (ROUNDS if racing else ROUNDS[-1:])]
         first = 0
-        found: list[Candidate] = []
+        found: list[DriveCandidate] = []
         for last in dict.fromkeys(stops):
             driven = self._drive([plans[number] for number in alive], range(first, last))
             for number, part in zip(alive, driven, strict=True):
@@ -222,11 +219,11 @@ class _Race:
                 alive = [one.number - 1 for one in left]
         return sorted([*found, *out], key=lambda one: one.number)
 
-    def checked(self, found: list[Candidate]) -> list[Candidate]:
+    def checked(self, found: list[DriveCandidate]) -> list[DriveCandidate]:
         """The same, the best of them driven on fresh soils, as many as it takes for one that keeps the risk."""
         order = sorted((one for one in found if not one.stopped), key=lambda one: _order(one, self.risk, self.prefer))
         fresh = range(self.members, self.conditions.members)
-        done: dict[int, Candidate] = {}
+        done: dict[int, DriveCandidate] = {}
         for first in range(0, len(order), CHECKED):
             batch = order[first : first + CHECKED]
             if first and batch[0].chance.risk > self.risk:
@@ -237,14 +234,12 @@ class _Race:
                 break
         return [done.get(one.number, one) for one in found]
 
-    def _on_fresh(self, batch: list[Candidate], fresh: range) -> list[Candidate]:
+    def _on_fresh(self, batch: list[DriveCandidate], fresh: range) -> list[DriveCandidate]:
         if not fresh:
             return [replace(one, promise=one.chance) for one in batch]
         driven = self._drive([one.plan for one in batch], fresh)
         held = [verdicts(prediction) for prediction in driven]
-        return [
-            replace(one, promise=own.chance, weakest=own.weakest) for one, own in zip(batch, held, strict=True)
-        ]
+        return [replace(one, promise=own.chance, weakest=own.weakest) for one, own in zip(batch, held, strict=True)]
 
     def _drive(self, plans: list[Plan], members: range) -> list[Prediction]:
         begun = self.done
@@ -256,9 +251,9 @@ class _Race:
 
         return drive_candidates(self.conditions, plans, members, on)
 
-    def _candidate(self, number: int, prediction: Prediction) -> Candidate:
+    def _candidate(self, number: int, prediction: Prediction) -> DriveCandidate:
         held: Verdicts = verdicts(prediction)
-        return Candidate(
+        return DriveCandidate(
             number=number + 1,
             plan=prediction.plan,
             prediction=prediction,
@@ -268,7 +263,7 @@ class _Race:
             duration_s=make_schedule(prediction.plan, prediction.rover).duration_s,
         )
 
-    def _left(self, found: list[Candidate]) -> tuple[list[Candidate], list[Candidate]]:
+    def _left(self, found: list[DriveCandidate]) -> tuple[list[DriveCandidate], list[DriveCandidate]]:
         """Candidates that go on, and those that stop.
 
         One stops whose risk is surely, with 95 % each, above what is accepted and above that of the safest. Of the
@@ -285,18 +280,19 @@ class _Race:
         return sorted(left, key=lambda one: one.number), [one for one in found if one.number not in going]
 
 
-def _order(one: Candidate, risk: float, prefer: Preference) -> tuple[int, float, float, int]:
-    """Key of the ranking: promised, then likely to keep the risk, then by risk; NaN energies last."""
+def _order(one: DriveCandidate, risk: float, prefer: Preference) -> tuple[int, float, float, float, int]:
+    """Key of the ranking: promised, then likely to keep the risk, then by risk; NaN energies last.
+
+    What differs by less than the second digit is alike, and then the shorter time decides.
+    """
     wanted = {"energy": one.energy_j, "length": one.length_m, "time": one.duration_s}[prefer]
-    wanted = math.inf if math.isnan(wanted) else wanted
+    wanted = math.inf if math.isnan(wanted) else float(f"{wanted:.2g}")
     if one.said.risk > risk:
-        return (3 if one.stopped else 2), one.said.risk, wanted, one.number
-    return (0 if one.promise is not None else 1), 0.0, wanted, one.number
+        return (3 if one.stopped else 2), one.said.risk, wanted, one.duration_s, one.number
+    return (0 if one.promise is not None else 1), 0.0, wanted, one.duration_s, one.number
 
 
-def _with_front(found: list[Candidate]) -> list[Candidate]:
+def _with_front(found: list[DriveCandidate]) -> list[DriveCandidate]:
     """The candidates, with those marked that no other one driven on all soils beats."""
     whole = [one for one in found if not one.stopped]
-    return [
-        replace(one, pareto=not one.stopped and not any(other.dominates(one) for other in whole)) for one in found
-    ]
+    return [replace(one, pareto=not one.stopped and not any(other.dominates(one) for other in whole)) for one in found]

@@ -47,7 +47,7 @@ class Conditions:
     Attributes
     ----------
     rover, terrain : what drives where.
-    samples : soil of each member, by parameter; those of `grounds` where every member has a ground of its own. (members,)
+    samples : soil of each member, by parameter; that of `grounds` where each has a ground of its own. (members,)
     grounds : a terrain for each member; None where samples lie everywhere.
     draws : what the ground of each member is drawn by, where heights have errors.
     discrepancy : what the twin's physics is off by; None leaves it out.
@@ -160,6 +160,4 @@ def _joined_discrepancy(parts: Sequence[Prediction]) -> DrawnDiscrepancy | None:
     if not drawn:
         return None
     shares = {name: np.concatenate([one.shares[name] for one in drawn]) for name in drawn[0].shares}
-    return DrawnDiscrepancy(
-        law=drawn[0].law, offsets_m=np.concatenate([one.offsets_m for one in drawn]), shares=shares
-    )
+    return DrawnDiscrepancy(law=drawn[0].law, offsets_m=np.concatenate([one.offsets_m for one in drawn]), shares=shares)

@@ -58,7 +58,7 @@ def terrain_maps(surface: Traversability, path: PlannedPath | None = None) -> "F
     axes: Any = figure.subplots(2, 2, sharex=True, sharey=True)
     step = max(1, -(-max(terrain.height_m.shape) // MOST_NODES))
     every = (slice(None, None, step), slice(None, None, step))
-    _draw_relief(axes[0, 0], terrain, every)
+    draw_relief(axes[0, 0], terrain, every)
     _draw_slope(axes[0, 1], surface, every)
     _draw_steps(axes[1, 0], surface, every)
     _draw_traversability(axes[1, 1], surface, every)
@@ -76,7 +76,7 @@ def terrain_maps(surface: Traversability, path: PlannedPath | None = None) -> "F
 
 
 def _title(surface: Traversability, path: PlannedPath | None) -> str:
-    ground = _name(surface.terrain)
+    ground = ground_name(surface.terrain)
     if path is None:
         return ground
     return (
@@ -85,7 +85,8 @@ def _title(surface: Traversability, path: PlannedPath | None) -> str:
     )
 
 
-def _name(terrain: Terrain) -> str:
+def ground_name(terrain: Terrain) -> str:
+    """With what is made up said."""
     return f"{terrain.name} (synthetic)" if terrain.synthetic and "synthetic" not in terrain.name else terrain.name
 
 
@@ -99,7 +100,7 @@ def _extent(terrain: Terrain) -> tuple[float, float, float, float]:
     )
 
 
-def _draw_relief(axes: "Axes", terrain: Terrain, every: tuple[slice, slice]) -> None:
+def draw_relief(axes: "Axes", terrain: Terrain, every: tuple[slice, slice], *, height_bar: bool = True) -> None:
     """Shaded relief, light from the upper left, with contours."""
     from matplotlib.colors import LightSource
 
@@ -111,7 +112,8 @@ def _draw_relief(axes: "Axes", terrain: Terrain, every: tuple[slice, slice]) -> 
     axes.set_facecolor(UNKNOWN)
     drawn: Any = {"extent": _extent(terrain), "origin": "lower"}
     axes.imshow(shade, cmap="gray", vmin=-0.35, vmax=1.05, **drawn)
-    _bar(axes, axes.imshow(height, cmap="cividis", alpha=0.3, **drawn), "Height [m]", extend="neither")
+    if height_bar:
+        _bar(axes, axes.imshow(height, cmap="cividis", alpha=0.3, **drawn), "Height [m]", extend="neither")
     span = float(height.max() - height.min())
     interval = next((value for value in CONTOURS if span / value <= 24), CONTOURS[-1])
     levels = np.arange(np.floor(float(height.min()) / interval), float(height.max()) / interval + 1) * interval
@@ -282,7 +284,7 @@ def _soil_page(
         panel.set_xlabel("x [m]")
     for panel in axes[:, 0]:
         panel.set_ylabel("y [m]")
-    figure.suptitle(f"{title}   ·   {_name(terrain)}", fontsize=12, color=INK)
+    figure.suptitle(f"{title}   ·   {ground_name(terrain)}", fontsize=12, color=INK)
     return figure
 
 

@@ -227,7 +227,7 @@ def read_drive_inputs(
         built,
         description,
         replace(surface, interpolation=interpolation),
-        drive if fixes is None else replace(drive, fixes=_parsed_fixes(fixes)),
+        drive if fixes is None else replace(drive, fixes=parsed_fixes(fixes)),
         inputs,
         tables | {f"{description.origin} (rover)": sha256(description.text.encode())},
         driven,
@@ -287,7 +287,8 @@ def _soil_hashes(given: GivenSoil, driven: DrivenSoil | None) -> tuple[dict[str,
     return inputs, tables
 
 
-def _parsed_fixes(text: str) -> Fixes:
+def parsed_fixes(text: str) -> Fixes:
+    """What an option says of position fixes. Raises RequestError."""
     try:
         return parse_fixes(text)
     except ParameterError as error:

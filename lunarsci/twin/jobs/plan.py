@@ -1,23 +1,26 @@
-"""A path to a target, around what a rover may not drive on."""
+"""A path to a target, around what a rover may not drive on; or, of many drives to it, the one to take by its risk."""
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.errors import RequestError
 from lunarsci.result import request_of
-from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainRequest, TerrainSurvey, read_site
+from lunarsci.twin.jobs.terrain import MAKERS, GroundRequest, Progress, SurveyedSite, TerrainSurvey, read_site
 
 if TYPE_CHECKING:
     from lunarsci.twin.ground.hazards import Traversability
+    from lunarsci.twin.plans.plan import Limit
     from lunarsci.twin.routes.planner import PlannedPath
 
 
 Place = str | tuple[float, ...]
 PLACE = ("X", "Y", "HEADING")
+OF_A_CHOICE = ("sweep", "members", "tolerance", "candidates", "fixes", "prefer", "exact_terrain")
+"""Options that ask for something only beside `risk`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PlanRequest(TerrainRequest):
+class PlanRequest(GroundRequest):
     """Where to plan a path to, with what rover, and on what ground.
 
     Attributes
@@ -27,6 +30,19 @@ class PlanRequest(TerrainRequest):
     speed : of the drive; the rover's highest where it is None. [m/s]
     turning_radius, hazard_distance : limits in place of the rover's: smallest radius of an arc, and distance to keep
         from hazards and holes. [m]
+    soil : in place of the terrain's: a name or a TOML file; with `risk` also a file from which every drive has a soil
+        of its own, as `predict` takes it.
+    risk : chance that a limit is broken or the end missed that is accepted; then many drives are compared. None for the
+        cheapest path on the maps. [-]
+    prefer : of drives that keep the risk that with the least energy, length or time.
+    sweep : with `risk`: NAME=LOW:HIGH:N, uncertain parameters; those of the embedded plan where no soil is given.
+    members : with `risk`: soils on which all candidates are driven; 64 where it is None.
+    tolerance : with `risk`: distance of the end from the target that counts as there; the limit of the embedded plan
+        where it is None. [m]
+    candidates : with `risk`: drives that are compared, at most; 50 where it is None.
+    fixes : with `risk`: M,DEG, standard errors of localisation updates, where drives may halt for some.
+    exact_terrain : with `risk`: leave out that each drive has a ground of its own where the terrain's file says how far
+        its heights may be off.
     """
 
     target: Place = ""
@@ -34,16 +50,63 @@ class PlanRequest(TerrainRequest):
     speed: float | None = None
     turning_radius: float | None = None
     hazard_distance: float | None = None
+    soil: tuple[str, ...] = ()
+    risk: float | None = None
+    prefer: Literal["energy", "length", "time"] = "energy"
+    sweep: tuple[str, ...] = ()
+    members: int | None = None
+    tolerance: float | None = None
+    candidates: int | None = None
+    fixes: str | None = None
+    exact_terrain: bool = False
 
     def __post_init__(self) -> None:
         if not self.target:
             raise RequestError("`target` says where the path shall end; give X,Y or X,Y,HEADING")
         for name, counts in (("start", (3,)), ("target", (2, 3))):
             object.__setattr__(self, name, _numbers(name, getattr(self, name), counts))
+        if self.risk is None:
+            self._check_path()
+        else:
+            self._check_choice(self.risk)
+
+    def _check_path(self) -> None:
+        """Without a risk nothing is chosen."""
+        defaults = {field.name: field.default for field in fields(self)}
+        for name in OF_A_CHOICE:
+            if getattr(self, name) != defaults[name]:
+                raise RequestError(f"`{name}` is for drives that are compared; give `risk`, too")
+        if len(self.soil) > 1:
+            raise RequestError("several soils are for drives that are compared; give `risk`, too, or one `soil`")
+
+    def _check_choice(self, risk: float) -> None:
+        if not 0 < risk < 1:
+            raise RequestError(f"`risk` is {risk:g}; give a chance above 0 and below 1, such as 0.05")
+        for name, least in (("members", 2), ("candidates", 1)):
+            value = getattr(self, name)
+            if value is not None and value < least:
+                raise RequestError(f"`{name}` is {value}; give {least} or more")
+        if self.tolerance is not None and not 0 < self.tolerance < float("inf"):
+            raise RequestError(f"`tolerance` is {self.tolerance:g}; give a distance above 0 m")
+
+    @property
+    def final_heading_deg(self) -> float | None:
+        """The heading at the target, None where any will do. [deg]"""
+        return self.places[1][2] if len(self.places[1]) == 3 else None
+
+    @property
+    def places(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Start and target as numbers. [m, m, deg]"""
+        return _numbers("start", self.start, (3,)), _numbers("target", self.target, (2, 3))
+
+    def made(self, terrain: str) -> dict[str, Any]:
+        """As of a ground; where soils are drawn the seed is theirs, too."""
+        alone = self.risk is None or terrain in MAKERS
+        return GroundRequest.made(self if alone else replace(self, seed=None), terrain)
 
     def limits(self) -> dict[str, float | None]:
         of_a_path = {"min_turning_radius_m": self.turning_radius, "hazard_distance_m": self.hazard_distance}
-        return TerrainRequest.limits(self) | of_a_path
+        return GroundRequest.limits(self) | of_a_path
 
 
 def plan(
@@ -55,10 +118,16 @@ def plan(
 ) -> TerrainSurvey:
     """Look at a terrain as `terrain` does, and find a path to a target: arcs that keep the rover's limits.
 
+    With `risk` many drives to it are compared on soils, and the result is a `ChosenDrive`.
+
     Raises DataError and RequestError, and ParameterError where there is no such path.
     """
     asked = request_of(PlanRequest, request, options)
-    site = read_site(terrain, asked, asked.limits())
+    if asked.risk is not None:
+        from lunarsci.twin.jobs.chosen_drive import chosen_drive
+
+        return chosen_drive(terrain, asked, progress)
+    site = read_site(terrain, asked, next(iter(asked.soil), None), asked.limits())
     surface = site.surface(asked.baseline, progress)
     return TerrainSurvey(site=site, surface=surface, path=_path(asked, site, surface, progress))
 
@@ -68,24 +137,30 @@ def _path(
 ) -> "PlannedPath":
     from lunarsci.twin.assimilation.change_point import planned_places
     from lunarsci.twin.ground.keep_out import near_way
-    from lunarsci.twin.plans.plan import read_plan
-    from lunarsci.twin.plans.rover_check import limits_of_rover
     from lunarsci.twin.routes.planner import plan_path
 
-    (x0, y0, heading), (x, y, *final) = (_numbers(name, getattr(asked, name), (2, 3)) for name in ("start", "target"))
+    (x0, y0, heading), (x, y, *_) = asked.places
     found = plan_path(
         surface,
         site.rover,
         (x0, y0, heading),
         (x, y),
-        final_heading_deg=final[0] if final else None,
+        final_heading_deg=asked.final_heading_deg,
         speed_m_s=asked.speed,
-        limits=limits_of_rover(read_plan().limits, site.description, site.rover),
+        limits=limits_at(site),
         name=f"path to x {x:g} m, y {y:g} m on {site.terrain.name}",
         progress=progress,
     )
     near = near_way(site.keep_outs, planned_places(found.plan, site.rover))
-    return replace(found, plan=replace(found.plan, made_for=site.made_for, exclusion_zones=near, crs=site.terrain.crs))
+    return replace(found, plan=replace(found.plan, made_for=site.made_for, exclusion_zones=near))
+
+
+def limits_at(site: SurveyedSite) -> tuple["Limit", ...]:
+    """The limits of the embedded plan, with those of the rover in place."""
+    from lunarsci.twin.plans.plan import read_plan
+    from lunarsci.twin.plans.rover_check import limits_of_rover
+
+    return limits_of_rover(read_plan().limits, site.description, site.rover)
 
 
 def _numbers(option: str, place: Place, counts: tuple[int, ...]) -> tuple[float, ...]:

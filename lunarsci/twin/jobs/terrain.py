@@ -50,13 +50,12 @@ UNSEEN = "rocks and edges smaller than two spacings of the grid are not in it"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TerrainRequest:
+class GroundRequest:
     """With what rover in mind to look at a terrain, and how to make one.
 
     Attributes
     ----------
     rover : name or TOML file.
-    soil : in place of the terrain's: a name or a TOML file.
     baseline : side of the square whose slope is measured; the rover's where it is None. [m]
     max_slope, max_step, max_roughness : limits in place of the rover's. [deg], [m], [m]
     seed, spacing, rocks, roughness : of synthetic ground: seed, grid spacing [m], share of ground under rocks [-], rms
@@ -66,7 +65,6 @@ class TerrainRequest:
     """
 
     rover: str = "yutu2"
-    soil: str | None = None
     baseline: float | None = None
     max_slope: float | None = None
     max_step: float | None = None
@@ -91,6 +89,18 @@ class TerrainRequest:
     def limits(self) -> dict[str, float | None]:
         """Limits that were given in place of the rover's, by name."""
         return {"max_slope_deg": self.max_slope, "max_step_m": self.max_step, "max_roughness_m": self.max_roughness}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TerrainRequest(GroundRequest):
+    """The same, with the soil of the terrain that is written.
+
+    Attributes
+    ----------
+    soil : in place of the terrain's: a name or a TOML file.
+    """
+
+    soil: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -156,6 +166,9 @@ class TerrainSurvey(Result):
 
     @property
     def made_from(self) -> MadeFrom:
+        return self._made_from()
+
+    def _made_from(self) -> MadeFrom:
         site = self.site
         sources = [*SOURCES, *(ROCK_SOURCES if site.made.get("rock_share") else [])]
         options = {"soil": site.driven.name} if site.driven.of == "default" else {}
@@ -237,12 +250,12 @@ def terrain(
     `terrain` is a file, or `synthetic-longji` or `synthetic`. Raises DataError and RequestError.
     """
     asked = request_of(TerrainRequest, request, options)
-    site = read_site(terrain, asked, asked.limits())
+    site = read_site(terrain, asked, asked.soil, asked.limits())
     return TerrainSurvey(site=site, surface=site.surface(asked.baseline, progress))
 
 
-def read_site(terrain: str, asked: TerrainRequest, limits: Mapping[str, float | None]) -> SurveyedSite:
-    """Read or make the terrain, and read the rover with its limits."""
+def read_site(terrain: str, asked: GroundRequest, soil: str | None, limits: Mapping[str, float | None]) -> SurveyedSite:
+    """Read or make the terrain, with a soil in place of its own if one is given, and read the rover with its limits."""
     from lunarsci.regolith.soil import read_soil, soil_hash
     from lunarsci.rovers import read_rover
     from lunarsci.twin.ground import synthetic
@@ -254,7 +267,7 @@ def read_site(terrain: str, asked: TerrainRequest, limits: Mapping[str, float | 
     from lunarsci.twin.plans.rover_check import RoverCheck
     from lunarsci.twin.rover import build_rover
 
-    made, name = asked.made(terrain), asked.soil or DEFAULT_SOIL
+    made, name = asked.made(terrain), soil or DEFAULT_SOIL
     description = read_rover(asked.rover)
     built, own_soil = build_rover(description), read_soil(name)
     if terrain in MAKERS:
@@ -263,7 +276,7 @@ def read_site(terrain: str, asked: TerrainRequest, limits: Mapping[str, float | 
     else:
         inputs = {terrain: read_input(terrain).sha256}
         file = read_terrain_file(terrain, own_soil)
-    laid, driven = lay_soil_on(file, terrain, own_soil, name, asked=asked.soil is not None)
+    laid, driven = lay_soil_on(file, terrain, own_soil, name, asked=soil is not None)
     fenced = {path: read_input(path) for path in asked.keep_out}
     inputs |= {path: given.sha256 for path, given in fenced.items()}
     used, tables = ({}, {}) if driven.of == "terrain" and not driven.rest else soil_hash(name)

@@ -251,9 +251,7 @@ def _grow(problem: ArcProblem, branches: _Branches) -> _Branches:
     )
 
 
-def _closed(
-    problem: ArcProblem, branches: _Branches, pick: Pick
-) -> tuple[list[Course], tuple[float, Course]]:
+def _closed(problem: ArcProblem, branches: _Branches, pick: Pick) -> tuple[list[Course], tuple[float, Course]]:
     """The picked courses with closing arcs that keep the clearance, and the one that came nearest, with how near."""
     lengths, curvatures = problem.close(branches.poses)
     possible = (np.abs(curvatures) <= problem.tightest_per_m).all(axis=1)
@@ -351,7 +349,9 @@ def refine(coarse: ArcProblem, course: Course) -> Course | None:
 def keeps_clear(problem: ArcProblem, arcs: FloatArray) -> bool:
     """Whether a course keeps the clearance."""
     window, step = problem.window, problem.step_m
-    return bool(drive_course(window, problem.discs, problem.start, arcs, step, problem.need_m, problem.wanted_m)[1] == 0)
+    return bool(
+        drive_course(window, problem.discs, problem.start, arcs, step, problem.need_m, problem.wanted_m)[1] == 0
+    )
 
 
 def _merged(arcs: FloatArray) -> FloatArray:

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import zip_longest
 
 import numpy as np
 
@@ -13,17 +12,17 @@ from lunarsci.twin.ground.footprint import RoverFootprint
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.plans.path import poses_along
 from lunarsci.twin.plans.plan import Fixes, Leg, Limit, Plan
-from lunarsci.twin.routes.arc_search import ArcProblem, Course, keeps_clear, lattice_courses, refine
+from lunarsci.twin.routes.arc_search import Course, keeps_clear, lattice_courses, refine
 from lunarsci.twin.routes.corridors import DistinctWays, course_places, obstacle_places, sides
 from lunarsci.twin.routes.planner import RouteSearch, commanded_speed
 from lunarsci.twin.rover import Rover
 
 Progress = Callable[[int, int], None]
 
-WIDEST_CRAB_DEG = 60.0
-"""A rover is not driven more sidewards than this; assumed."""
+WIDEST_CRAB_DEG, DRAGGED_DEG = 60.0, 5.0
+"""A rover is not driven more sidewards than this where all its wheels steer, and where some are dragged; assumed."""
 LEAST_TURN_DEG = 15.0
-"""Targets less far to the side are reached by arcs as well as by a crab or a spot turn; assumed."""
+"""Targets less far to the side are reached by arcs as well as after a spot turn; assumed."""
 FIX_EVERY_M = (5.0, 2.5)
 """Way between localisation updates, where there are any; assumed. [m]"""
 LONGEST_WAY = 2.5
@@ -42,27 +41,26 @@ class Manner:
     def words(self) -> str:
         """For people."""
         side = "left" if self.crab_deg > 0 else "right"
-        travel = {0.0: "ahead", 180.0: "backwards"}.get(self.crab_deg, f"crab {abs(self.crab_deg):.0f}° {side}")
-        return f"turn {self.turn_deg:+.0f}°, {travel}" if self.turn_deg else travel
+        travel = {0.0: "ahead", 180.0: "back"}.get(self.crab_deg, f"crab {abs(self.crab_deg):.0f}° {side},")
+        return f"turn {self.turn_deg:+.0f}° {travel}" if self.turn_deg else travel
 
 
-def manners(start: FloatArray, goal: FloatArray) -> tuple[Manner, ...]:
-    """Ahead, backwards, and where the target lies to the side crabwise, or after a spot turn to it.
+def manners(rover: Rover, start: FloatArray, goal: FloatArray) -> tuple[Manner, ...]:
+    """Ahead, backwards, crabwise to the side of the target, and after a spot turn where it lies far to the side.
 
     Poses [m, m, rad].
     """
     way = goal[:2] - start[:2]
     bearing = math.degrees(math.remainder(math.atan2(way[1], way[0]) - start[2], 2.0 * math.pi))
-    found = [Manner(), Manner(crab_deg=180.0)]
-    if LEAST_TURN_DEG <= abs(bearing):
+    back = math.remainder(bearing + 180.0, 360.0)
+    widest = WIDEST_CRAB_DEG if rover.steered_mask.all() else DRAGGED_DEG
+    crab = round(math.copysign(min(max(abs(bearing), DRAGGED_DEG), widest), bearing), 1)
+    found = [Manner(), Manner(crab_deg=180.0), Manner(crab_deg=crab)]
+    if abs(bearing) >= LEAST_TURN_DEG:
         found.append(Manner(turn_deg=round(bearing, 1)))
-        back = math.remainder(bearing + 180.0, 360.0)
-        found.append(Manner(turn_deg=round(back, 1), crab_deg=180.0) if abs(back) >= LEAST_TURN_DEG else Manner())
-        if abs(bearing) <= WIDEST_CRAB_DEG:
-            found.append(Manner(crab_deg=round(bearing, 1)))
-    else:
-        found += [Manner(crab_deg=LEAST_TURN_DEG), Manner(crab_deg=-LEAST_TURN_DEG)]
-    return tuple(dict.fromkeys(found))
+    if abs(back) >= LEAST_TURN_DEG:
+        found.append(Manner(turn_deg=round(back, 1), crab_deg=180.0))
+    return tuple(found)
 
 
 def candidate_plans(
@@ -98,8 +96,8 @@ def candidate_plans(
         heading_deg=start[2], limits=limits,
     )  # fmt: skip
     ahead = search.problem(search.footprint, search.start, search.goal)
-    ways = DistinctWays(ahead, obstacle_places(ahead), 2.0 * search.footprint.half_width_m, most)
-    known = manners(search.start, search.goal)
+    ways = DistinctWays(ahead, obstacle_places(ahead), search.footprint.half_width_m, most)
+    known = manners(rover, search.start, search.goal)
     found: list[list[tuple[float, Plan]]] = []
     for number, manner in enumerate(known):
         if progress is not None:
@@ -110,9 +108,11 @@ def candidate_plans(
     if not any(found):
         raise ParameterError(search.why_not(lattice_courses(ahead).nearest))
     least = min(cost for plans in found for cost, _ in plans)
-    near = [[plan for cost, plan in plans if cost <= LONGEST_WAY * least] for plans in found]
-    in_turn = [plan for row in zip_longest(*near) for plan in row if plan is not None]
-    return tuple(in_turn[:most]) if fixes is None else _with_fixes(in_turn, fixes, most)
+    near = [[one for one in plans if one[0] <= LONGEST_WAY * least] for plans in found]
+    first = sorted((plans[0] for plans in near if plans), key=lambda one: one[0])
+    rest = sorted((one for plans in near for one in plans[1:]), key=lambda one: one[0])
+    plans = [plan for _, plan in (*first, *rest)]
+    return tuple(plans[:most]) if fixes is None else _with_fixes(plans, fixes, most)
 
 
 def _plans(search: RouteSearch, ways: DistinctWays, manner: Manner, template: Plan) -> list[tuple[float, Plan]]:
@@ -128,7 +128,7 @@ def _plans(search: RouteSearch, ways: DistinctWays, manner: Manner, template: Pl
         arcs = tuple(Leg(float(length), float(bend), manner.crab_deg) for length, bend in course.arcs)
         legs = (Leg(turn_deg=manner.turn_deg), *arcs) if manner.turn_deg else arcs
         places = course_places(problem.start, course.arcs[None])[0]
-        found.append((course.cost_m, replace(template, name=f"{manner.words}, {_bend(places)}", legs=legs)))
+        found.append((course.cost_m, replace(template, name=f"{manner.words} {_bend(places)}", legs=legs)))
     return found
 
 
@@ -180,7 +180,7 @@ def _with_fixes(plans: list[Plan], fixes: Fixes, most: int) -> tuple[Plan, ...]:
     halting = [_halting(plan, fixes, every) for plan in plans for every in FIX_EVERY_M]
     kept = list(dict.fromkeys(plan for plan in halting if plan is not None))
     free = plans[: max(1, most - len(kept), most // 3)]
-    return tuple([*free, *kept][:most])
+    return (*free, *kept)[:most]
 
 
 def _halting(plan: Plan, fixes: Fixes, every_m: float) -> Plan | None:
@@ -192,5 +192,5 @@ def _halting(plan: Plan, fixes: Fixes, every_m: float) -> Plan | None:
     updates = len(legs) - 1
     if not updates:
         return None
-    said = "1 update" if updates == 1 else f"{updates} updates"
+    said = "1 fix" if updates == 1 else f"{updates} fixes"
     return replace(plan, legs=tuple(legs), fixes=fixes, name=f"{plan.name}, {said}")

@@ -61,7 +61,7 @@ def sides(places_m: FloatArray, obstacles_m: FloatArray) -> IntArray:
     angle = np.arctan2(off[..., 1], off[..., 0])
     swept = _wrapped(np.diff(angle, axis=1)).sum(axis=1)
     straight = _wrapped(angle[:, -1] - angle[:, 0])
-    return np.rint((swept - straight) / (2.0 * math.pi)).astype(np.int64)
+    return np.asarray(np.rint((swept - straight) / (2.0 * math.pi)).astype(np.int64))
 
 
 def _wrapped(angle: FloatArray) -> FloatArray:

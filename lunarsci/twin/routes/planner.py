@@ -53,7 +53,7 @@ class PlannedPath:
     ----------
     plan : start, arcs and speed.
     target_m : x, y that was asked for. [m]
-    cost_m : length in metres of flat, clear ground. [m]
+    cost_m : length in metres of flat, clear ground; NaN of a drive that was not chosen by it. [m]
     min_hazard_distance_m : least distance of the footprint from a node that is a hazard or unknown, or from the edge of
         the map; infinite where none is near. [m]
     max_slope_deg, max_roughness_m, max_step_m : largest over the nodes that the footprint sweeps. [deg, m, m]
@@ -137,9 +137,7 @@ class RouteSearch:
         footprint = rover_footprint(rover)
         ends = np.array([start[:2], target])
         ground = search_ground(surface, ends, MARGIN_SHARE * distance + MARGIN_M + footprint.reach_m)
-        search = cls(
-            surface=surface, ground=ground, rover=rover, footprint=footprint, start=pose, goal=np.array(goal)
-        )
+        search = cls(surface=surface, ground=ground, rover=rover, footprint=footprint, start=pose, goal=np.array(goal))
         search._check_room("start", pose[None])
         headings = np.radians(np.arange(0.0, 360.0, 5.0)) if final_heading_deg is None else [goal[2]]
         search._check_room("target", np.array([(*target, heading) for heading in headings]))
@@ -311,7 +309,7 @@ def _check_place(surface: Traversability, name: str, place: tuple[float, float, 
         raise ParameterError(f"the rover cannot be at the {name}: {reason}; give another {name}, or other limits")
 
 
-def measured_path(search: RouteSearch, plan: Plan, cost_m: float) -> PlannedPath:
+def measured_path(search: RouteSearch, plan: Plan, cost_m: float = math.nan) -> PlannedPath:
     """The path of a plan with its extremes, looked at every 2 cm."""
     poses = poses_along(plan, PLACES_M)
     surface = search.surface

@@ -1,0 +1,184 @@
+"""Drives that were compared: on the relief, coloured by risk, and what risk, length and energy cost each other."""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lunarsci.twin.choice.choice import DriveCandidate, DriveChoice
+from lunarsci.twin.figures.maps import GOLD, INK, MOST_NODES, draw_relief, ground_name
+from lunarsci.twin.ground.hazards import Traversability
+from lunarsci.twin.plans.path import poses_along
+from lunarsci.twin.plans.plan import Plan
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLORS = "RdYlBu_r"
+LEAST_SHOWN, MOST_SHOWN = 0.005, 1.0
+"""Ends of the colour scale of risks, which is logarithmic. [-]"""
+HAZARD_INK = "#7a0c1e"
+
+
+def candidate_map(surface: Traversability, choice: DriveChoice) -> "Figure":
+    """All candidates on the shaded relief in the colour of their risk, the best one bold, its weakest place marked."""
+    from matplotlib.figure import Figure
+
+    terrain = surface.terrain
+    (left, right), (low, high) = _frame(surface, choice)
+    tall = float(np.clip(9.2 * (high - low) / (right - left) + 1.3, 4.5, 13.0))
+    figure = Figure(figsize=(11.0, tall), dpi=130, layout="constrained", facecolor="white")
+    axes: Any = figure.subplots()
+    step = max(1, -(-max(terrain.height_m.shape) // MOST_NODES))
+    every = (slice(None, None, step), slice(None, None, step))
+    draw_relief(axes, terrain, every, height_bar=False)
+    if surface.hazard.any():
+        axes.contourf(
+            terrain.x_m[every[1]], terrain.y_m[every[0]], surface.hazard[every].astype(float), levels=[0.5, 1.5],
+            colors=[HAZARD_INK], alpha=0.35,
+        )  # fmt: skip
+    axes.set(xlim=(left, right), ylim=(low, high), aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    scale = _scale()
+    for one in reversed(choice.candidates):
+        _draw_way(axes, one, scale, best=one is choice.best)
+    _mark(axes, choice)
+    bar = figure.colorbar(scale, ax=axes, fraction=0.03, pad=0.01, shrink=0.9)
+    bar.set_label("Chance of failing [-]")
+    bar.ax.axhline(choice.risk, color=INK, linewidth=2.0)
+    bar.ax.annotate("accepted", (1.0, choice.risk), (-3, 3), xycoords=("axes fraction", "data"),
+                    textcoords="offset points", ha="right", fontsize=7, color=INK)  # fmt: skip
+    axes.set_title(_headline(choice), fontsize=11, color=INK)
+    figure.suptitle(f"{len(choice.candidates)} drives compared on {ground_name(terrain)}", fontsize=10, color=INK)
+    return figure
+
+
+def _scale() -> Any:
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LogNorm
+
+    return ScalarMappable(LogNorm(LEAST_SHOWN, MOST_SHOWN), colormaps[COLORS])
+
+
+def _headline(choice: DriveChoice) -> str:
+    best = choice.best
+    share = f"{100 * best.said.risk:.1f} % (at most {100 * best.said.high:.1f} %) fail"
+    if choice.feasible:
+        return f"Drive {best.number}: {best.plan.name}; {share}, {100 * choice.risk:g} % accepted"
+    return (
+        f"No drive fails with {100 * choice.risk:g} % or less; the safest is {best.number}, {best.plan.name}: {share}"
+    )
+
+
+def _frame(surface: Traversability, choice: DriveChoice) -> tuple[tuple[float, float], tuple[float, float]]:
+    """The part of the map that candidates cross, and a metre and a half about it. [m]"""
+    places = np.concatenate([poses_along(one.plan, 0.2)[:, :2] for one in choice.candidates])
+    terrain, margin = surface.terrain, 1.5
+    return (
+        (max(terrain.x_m[0], places[:, 0].min() - margin), min(terrain.x_m[-1], places[:, 0].max() + margin)),
+        (max(terrain.y_m[0], places[:, 1].min() - margin), min(terrain.y_m[-1], places[:, 1].max() + margin)),
+    )
+
+
+def _draw_way(axes: "Axes", one: DriveCandidate, scale: Any, *, best: bool) -> None:
+    x, y, _ = poses_along(one.plan, 0.05).T
+    color = scale.to_rgba(min(max(one.said.risk, LEAST_SHOWN), MOST_SHOWN))
+    if best:
+        axes.plot(x, y, color="white", linewidth=6.0, zorder=6)
+        axes.plot(x, y, color=INK, linewidth=4.6, zorder=6)
+    axes.plot(x, y, color=color, linewidth=3.2 if best else 1.1, alpha=1.0 if best else 0.8, zorder=7 if best else 4)
+
+
+def _mark(axes: "Axes", choice: DriveChoice) -> None:
+    """Start, target, halts, drives on the soils, and the weakest place of the best one."""
+    best = choice.best
+    ends = best.prediction.endpoints_m
+    axes.plot(ends[:, 0], ends[:, 1], ".", color=INK, markersize=2.5, alpha=0.7, zorder=8, label="ends on the soils")
+    plan, end = best.plan, poses_along(best.plan, 0.5)[-1]
+    axes.plot(plan.x_m, plan.y_m, "o", color="white", markeredgecolor=INK, markersize=8, zorder=9, label="start")
+    axes.plot(end[0], end[1], "*", color=GOLD, markeredgecolor=INK, markersize=16, zorder=9, label="target")
+    if plan.fixes is not None:
+        halts = np.array([_end_of(plan, number) for number in range(1, len(plan.legs))])
+        axes.plot(
+            *halts.T, "s", color="white", markeredgecolor=INK, markersize=6, zorder=9, label="localisation update"
+        )
+    _mark_weakest(axes, best)
+    axes.legend(loc="upper left", fontsize=8, framealpha=0.9)
+
+
+def _mark_weakest(axes: "Axes", best: DriveCandidate) -> None:
+    weak, middle = best.weakest, float(np.mean(axes.get_xlim()))
+    look: Any = {"color": HAZARD_INK, "markeredgecolor": "white", "markersize": 12, "zorder": 10}
+    axes.plot(weak.x_m, weak.y_m, "X", label="least margin", **look)
+    beside, align = ((-14, -34), "right") if weak.x_m > middle else ((14, -34), "left")
+    box: Any = {"boxstyle": "round", "fc": "white", "ec": INK, "alpha": 0.85}
+    axes.annotate(
+        f"{weak.why}\nafter {weak.distance_m:.1f} m",
+        (weak.x_m, weak.y_m),
+        beside,
+        textcoords="offset points",
+        ha=align,
+        fontsize=8,
+        color=INK,
+        zorder=11,
+        bbox=box,
+    )
+
+
+def _end_of(plan: Plan, legs: int) -> tuple[float, float]:
+    """Where so many legs of a plan end. [m, m]"""
+    x, y, _ = poses_along(replace(plan, legs=plan.legs[:legs], fixes=None), 1.0)[-1]
+    return float(x), float(y)
+
+
+def front_page(choice: DriveChoice) -> "Figure":
+    """Risk with its bounds against energy, and against length; the front that no drive beats is joined."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11.0, 5.2), dpi=130, layout="constrained")
+    panels: Any = figure.subplots(1, 2, sharey=True)
+    for axes, name, label in ((panels[0], "energy_j", "Work of the wheels [J]"), (panels[1], "length_m", "Length [m]")):
+        _draw_risks(axes, choice, name)
+        axes.set_xlabel(label)
+        axes.axhline(choice.risk, color=INK, linewidth=1.0, linestyle="--")
+        axes.set_yscale("log")
+        axes.set_ylim(LEAST_SHOWN * 0.6, 1.3)
+        axes.grid(alpha=0.25)
+    panels[0].set_ylabel("Chance of failing [-]")
+    panels[0].text(
+        0.01, choice.risk * 1.06, "accepted", transform=panels[0].get_yaxis_transform(), fontsize=8, color=INK
+    )
+    panels[1].legend(fontsize=8, loc="lower right")
+    figure.suptitle("What less risk costs: bars hold the number of drives (5 % to 95 %)", fontsize=11, color=INK)
+    return figure
+
+
+def _draw_risks(axes: "Axes", choice: DriveChoice, name: str) -> None:
+    kinds = (
+        ("#b9c4ca", "o", "stopped early", [one for one in choice.candidates if one.stopped]),
+        ("#3b6e8f", "o", "on the common soils", [one for one in choice.candidates if not one.stopped]),
+    )
+    for color, marker, label, group in kinds:
+        points = [one for one in group if one.promise is None]
+        if points:
+            _bars(axes, points, name, color, marker, label)
+    promised = [one for one in choice.candidates if one.promise is not None]
+    _bars(axes, promised, name, "#e6550d", "D", "on fresh soils")
+    front = sorted(choice.front, key=lambda one: float(getattr(one, name)))
+    axes.plot(
+        [getattr(one, name) for one in front], [one.said.risk for one in front], "-", color=INK, linewidth=0.8,
+        zorder=2, label="not beaten in risk, length and energy",
+    )  # fmt: skip
+    for one in front:
+        axes.annotate(
+            str(one.number), (getattr(one, name), one.said.risk), (5, 4), textcoords="offset points", fontsize=8
+        )
+
+
+def _bars(axes: "Axes", group: list[DriveCandidate], name: str, color: str, marker: str, label: str) -> None:
+    x = [getattr(one, name) for one in group]
+    risk = np.array([one.said.risk for one in group])
+    low, high = (np.array([getattr(one.said, end) for one in group]) for end in ("low", "high"))
+    spread = np.maximum(np.array([risk - low, high - risk]), 0.0)
+    axes.errorbar(x, risk, spread, fmt=marker, color=color, markersize=4, elinewidth=0.7, capsize=1.5, label=label)

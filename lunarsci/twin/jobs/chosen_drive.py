@@ -1,0 +1,275 @@
+"""The drive to take, of many to a target: candidates, the soils that all of them meet, and the choice by risk."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from lunarsci.errors import RequestError
+from lunarsci.result import MadeFrom
+from lunarsci.tables import csv_bytes
+from lunarsci.twin.assimilation.change_point import planned_places
+from lunarsci.twin.choice.choice import DriveChoice, choose, least_drives
+from lunarsci.twin.choice.conditions import Conditions
+from lunarsci.twin.ground.driven_soil import DrivenSoil
+from lunarsci.twin.ground.keep_out import near_way
+from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.jobs.drive_inputs import SOURCES as OF_DRIVES
+from lunarsci.twin.jobs.drive_inputs import DriveInputs, GivenSoil, parsed_fixes
+from lunarsci.twin.jobs.plan import PlanRequest, limits_at
+from lunarsci.twin.jobs.soils import OF_A_BELIEF, Soils
+from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
+from lunarsci.twin.plans.plan import Limit, Plan, read_plan
+from lunarsci.twin.plans.plan_files import plan_text
+from lunarsci.twin.routes.candidates import MOST, candidate_plans
+from lunarsci.twin.routes.planner import RouteSearch, measured_path
+from lunarsci.twin.simulation.ensemble import member_parameters
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+FRESH = 2
+"""Fresh soils for each one by which drives are chosen: assumed, so that a risk of 5 % is known to 2 %."""
+SOURCES = ["Brown, Cai & DasGupta (2001), Statist. Sci. 16, 101, 10.1214/ss/1009213286"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ChosenDrive(TerrainSurvey):
+    """Drives to a target, ranked by their chance of failing.
+
+    Attributes
+    ----------
+    soils : what is driven on.
+    choice : the candidates, best first.
+    tolerance_m : distance of the end from the target that counts as there. [m]
+    members : soils by which drives are chosen; the promises are of `fresh_members` others.
+    """
+
+    schema: ClassVar[str] = "twin-plan/1"
+    soils: Soils
+    choice: DriveChoice
+    tolerance_m: float
+    members: int
+    fresh_members: int
+
+    @property
+    def made_from(self) -> MadeFrom:
+        made, known = TerrainSurvey._made_from(self), self.soils.inputs
+        return replace(
+            made,
+            inputs={**made.inputs, **known.inputs},
+            sources=[*dict.fromkeys([*made.sources, *OF_DRIVES, *SOURCES])],
+            seed=self.soils.seed,
+            options={**made.options, **known.options},
+        )
+
+    @property
+    def untrusted(self) -> str:
+        parts = [] if self.choice.feasible else [self.why_none]
+        return "; ".join(part for part in (*parts, self.soils.doubt) if part)
+
+    @property
+    def why_none(self) -> str:
+        """What stands in the way where no drive keeps the risk."""
+        best, choice = self.choice.best, self.choice
+        broken = ", ".join(f"{name} of {count}" for name, count in choice.obstacles)
+        return (
+            f"no drive keeps a risk of {choice.risk:.3g}: the safest of {len(choice.candidates)}, {best.plan.name}, "
+            f"fails with {best.said.risk:.2g} ({best.said.low:.2g} to {best.said.high:.2g}); {best.weakest.why}, at x "
+            f"{best.weakest.x_m:.2f} m, y {best.weakest.y_m:.2f} m; most in the way: {broken}"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        choice = self.choice
+        return {
+            **TerrainSurvey.to_dict(self),
+            "soil": self.soils.record(),
+            "choice": {
+                "risk": choice.risk,
+                "prefer": choice.prefer,
+                "tolerance_m": self.tolerance_m,
+                "feasible": choice.feasible,
+                "best": choice.best.number if choice.feasible else None,
+                "why_none": None if choice.feasible else self.why_none,
+                "members": self.members,
+                "fresh_members": self.fresh_members,
+                "drives": sum(one.chance.drives for one in choice.candidates),
+                "front": [one.number for one in choice.front],
+                "stands_in_the_way": [{"quantity": name, "candidates": count} for name, count in choice.obstacles],
+                "candidates": [one.to_dict() for one in choice.candidates],
+            },
+        }
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        return [_row(one.to_dict()) for one in self.choice.candidates]
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.twin.figures.choice import candidate_map, front_page
+
+        yield candidate_map(self.surface, self.choice)
+        yield front_page(self.choice)
+        yield from TerrainSurvey.figures(self)
+
+    def files(self, *, geotiff: bool = False) -> dict[str, Callable[[], bytes]]:
+        """Those of a path, where one is feasible; the table of candidates, and the plans that none beats."""
+        found = TerrainSurvey.files(self, geotiff=geotiff)
+        found["candidates.csv"] = lambda: csv_bytes(self._table())
+        for one in self.choice.front:
+            found[f"plan-{one.number:02d}.toml"] = lambda one=one: plan_text(one.plan).encode()  # type: ignore[misc]
+        return found
+
+    def _table(self) -> "pd.DataFrame":
+        import pandas as pd
+
+        return pd.DataFrame(self.rows())
+
+    def notes(self) -> list[str]:
+        """What there is to say about ground and soils."""
+        kind = self.soils.kind
+        counted = "shares of the ranges, not probabilities, " if kind == "sweep" else ""
+        fresh = f"{self.fresh_members} fresh soils" if self.choice.fresh else "the same soils: there are no others"
+        return [
+            *TerrainSurvey.notes(self),
+            f"risks are {counted}counted on {self.members} soils, promised ones on {fresh}; bounds hold the number "
+            "of drives alone, not what soils, ground and physics are wrong about beyond what is drawn",
+        ]
+
+
+def _row(record: Mapping[str, Any]) -> dict[str, Any]:
+    """One line of the table of candidates."""
+    said = record["promised"] or record["screened"]
+    plain = {name: record[name] for name in ("number", "name", "length_m", "duration_s", "energy_j")}
+    chance = {name: said[name] for name in ("drives", "failed", "risk", "risk_low", "risk_high")}
+    worst = {
+        f"worst_{name}": record["worst"][name] for name in ("quantity", "value", "limit", "x_m", "y_m", "distance_m")
+    }
+    marks = {"promised": record["promised"] is not None, **{n: record[n] for n in ("stopped_early", "pareto")}}
+    return {**plain, "localisation_updates": record["localisation_updates"], **chance, **marks, **worst}
+
+
+def chosen_drive(terrain: str, asked: PlanRequest, progress: Progress | None) -> ChosenDrive:
+    """Candidates to the target, driven over the soils that are believed, and the one to take.
+
+    Raises DataError, RequestError, and ParameterError where no path leads there.
+    """
+    check_enough(asked)
+    given = GivenSoil.read(asked.soil)
+    site = read_site(terrain, asked, given.named, asked.limits())
+    surface = site.surface(asked.baseline, None)
+    plans = candidates_of(asked, site, surface, given)
+    soils, conditions, members = drive_conditions(asked, site, given, plans)
+    choice = choose(plans, conditions, risk=asked.risk or 0.0, prefer=asked.prefer, members=members, progress=progress)
+    path = None
+    if choice.feasible:
+        (x0, y0, heading), (x, y, *_) = asked.places
+        search = RouteSearch.of(surface, site.rover, (x0, y0, heading), (x, y), asked.final_heading_deg)
+        path = measured_path(search, choice.best.plan)
+    tolerance = next(limit.limit for limit in plans[0].limits if limit.quantity == "endpoint_miss_m")
+    fresh = conditions.members - members
+    return ChosenDrive(
+        site=site, surface=surface, path=path, soils=soils, choice=choice, tolerance_m=tolerance, members=members,
+        fresh_members=fresh,
+    )  # fmt: skip
+
+
+def check_enough(asked: PlanRequest) -> None:
+    """Raises RequestError where so few drives can never promise the risk."""
+    least = least_drives(asked.risk or 0.5)
+    if (asked.members or OF_A_BELIEF) < least:
+        raise RequestError(f"`risk` {asked.risk:g} takes {least} `members` or more; give them, or accept more risk")
+
+
+def candidates_of(asked: PlanRequest, site: SurveyedSite, surface: Any, given: GivenSoil) -> tuple[Plan, ...]:
+    """Plans to compare, with the limits of the rover, the tolerance, and the circles that each comes near to."""
+    if given.file is None and not asked.sweep and asked.soil:
+        raise RequestError(
+            f"`risk` counts drives over soils, and `soil` {given.named} is one; give a file of soils as `soil`, or "
+            "`sweep` NAME=LOW:HIGH:N"
+        )
+    (x0, y0, heading), (x, y, *_) = asked.places
+    limits = limits_at(site)
+    if asked.tolerance is not None:
+        end = Limit("endpoint_miss_m", "m", asked.tolerance, "tolerance of the end from the target", False)
+        limits = tuple(end if one.quantity == end.quantity else one for one in limits)
+    plans = candidate_plans(
+        surface,
+        site.rover,
+        (x0, y0, heading),
+        (x, y),
+        final_heading_deg=asked.final_heading_deg,
+        speed_m_s=asked.speed,
+        limits=limits,
+        fixes=None if asked.fixes is None else parsed_fixes(asked.fixes),
+        most=asked.candidates or MOST,
+    )
+    swept = read_plan().sweep if given.file is None and not asked.sweep else ()
+    near = [near_way(site.keep_outs, planned_places(plan, site.rover)) if site.keep_outs else () for plan in plans]
+    return tuple(
+        replace(plan, made_for=site.made_for, exclusion_zones=zones, sweep=swept)
+        for plan, zones in zip(plans, near, strict=True)
+    )
+
+
+def drive_conditions(
+    asked: PlanRequest, site: SurveyedSite, given: GivenSoil, plans: Sequence[Plan]
+) -> tuple[Soils, Conditions, int]:
+    """What is driven on, as the result says it and as it is drawn, and how many of the soils plans are chosen by."""
+    members, seed = asked.members or OF_A_BELIEF, asked.seed or 0
+    total = (1 + FRESH) * members
+    inputs = _inputs(site, given, plans[0], exact=asked.exact_terrain)
+    rows_of_file = given.of == "samples"
+    soils = Soils.of(inputs, asked.sweep or None, None if rows_of_file else total, seed)
+    of = soils.of_members()
+    samples = of.get("samples")
+    if samples is None and "grounds" in of:
+        samples = of["grounds"].parameters
+    if samples is None:
+        samples = member_parameters(plans[0].sweep if of["sweep"] is None else of["sweep"], total, seed)
+    if rows_of_file:
+        samples = _shuffled(samples, total, seed)
+    total = len(next(iter(samples.values())))
+    errors = of["terrain"].errors
+    conditions = Conditions(
+        rover=of["rover"],
+        terrain=of["terrain"],
+        samples=samples,
+        grounds=of.get("grounds"),
+        draws=None if errors is None else errors.draws(total, seed),
+        discrepancy=soils.discrepancy,
+        ruts=of["ruts"],
+        seed=seed,
+    )
+    return soils, conditions, members if total > members else total
+
+
+def _shuffled(samples: Mapping[str, Any], most: int, seed: int) -> dict[str, Any]:
+    """Rows of a file in an order of their own, so that those that come first are like the others."""
+    count = len(next(iter(samples.values())))
+    order = np.random.default_rng([seed, 29]).permutation(count)[:most]
+    return {name: values[order] for name, values in samples.items()}
+
+
+def _inputs(site: SurveyedSite, given: GivenSoil, plan: Plan, *, exact: bool) -> DriveInputs:
+    """The site as something to drive on: with what is not known of its heights, unless they are taken for exact."""
+    belief = given.belief
+    hashes = {} if given.file is None else {given.name: given.file.sha256}
+    return DriveInputs(
+        rover=site.rover,
+        description=site.description,
+        terrain=_ground(site, exact=exact),
+        plan=plan,
+        inputs={**site.inputs, **hashes},
+        tables=dict(site.tables),
+        driven=site.driven if belief is None else DrivenSoil(given.name, "belief"),
+        given=given,
+        remarks=tuple(site.check.remarks),
+        ruts=belief is not None and belief.ruts,
+    )
+
+
+def _ground(site: SurveyedSite, *, exact: bool) -> Terrain:
+    as_read = replace(site.terrain, height_m=site.file.terrain.height_m, errors=None)
+    ground = site.file.likely(as_read, site.rover.wheel.width_m)
+    return replace(ground, errors=None) if exact else ground
