@@ -1,16 +1,17 @@
 """`lunarsci twin plan --risk`: the drive to take, for people, for scripts, and where there is none."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-import numpy as np
+import pandas as pd
 import pytest
 
 from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.twin.plans.plan import read_plan
 
-from .conftest import Run
-
+Run = Callable[..., Any]
 BASE = ("twin", "plan", "--target", "3,0.5", "--candidates", "6", "--members", "16", "-q", "--no-time")
 
 
@@ -25,8 +26,8 @@ def belief(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_best_comes_first_and_its_plan_can_be_predicted(run: Run, belief: Path, tmp_path: Path) -> None:
     folder = tmp_path / "chosen"
     done = run(*BASE, "--risk", "0.2", "--soil", belief, "--json", "-o", folder)
-    assert done.code == 0, done.stderr
-    document = json.loads(done.stdout)
+    assert done.code == 0, done.err
+    document = json.loads(done.out)
     choice = document["result"]["choice"]
     assert document["schema"] == "lunarsci/twin-plan/1" and choice["feasible"]
     first = choice["candidates"][0]
@@ -36,31 +37,31 @@ def test_the_best_comes_first_and_its_plan_can_be_predicted(run: Run, belief: Pa
     assert {f"plan-{number:02d}.toml" for number in choice["front"]} <= {path.name for path in folder.iterdir()}
     plan = read_plan(str(folder / "plan.toml"))
     assert plan.length_m == pytest.approx(first["length_m"]) and plan.made_for is not None
-    table = np.genfromtxt(folder / "candidates.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    table = pd.read_csv(folder / "candidates.csv")
     assert len(table) == len(choice["candidates"]) and table["number"][0] == first["number"]
     driven = run("twin", "predict", folder / "plan.toml", "--terrain", folder / "terrain.npz", "--soil", belief, "-q")
-    assert driven.code == 0, driven.stdout + driven.stderr
+    assert driven.code == 0, driven.out + driven.stderr
 
 
 def test_the_table_can_be_read_aloud(run: Run, belief: Path) -> None:
     done = run(*BASE, "--risk", "0.2", "--soil", belief, "--fixes", "0.05,0.5")
-    lines = done.stdout.splitlines()
+    lines = done.out.splitlines()
     assert done.code == 0 and lines[0].startswith("take drive ")
-    rows = [line for line in lines[3:] if line[:3].strip(" *").isdigit()]
+    rows = lines[3 : next(number for number, line in enumerate(lines) if line.startswith("drive "))]
     assert len(rows) == 6 and max(map(len, rows)) <= 80
 
 
 def test_a_limit_that_no_soil_keeps_ends_with_code_3_and_the_reason(run: Run, belief: Path, tmp_path: Path) -> None:
     folder = tmp_path / "none"
     done = run(*BASE, "--risk", "0.05", "--soil", belief, "--tolerance", "0.001", "-o", folder)
-    assert done.code == 3 and "no drive keeps a risk of 0.05" in done.stderr
-    assert "endpoint_miss_m" in done.stderr and done.stdout.startswith("NO-GO")
+    assert done.code == 3 and "no drive keeps a risk of 0.05" in " ".join(done.err)
+    assert "endpoint_miss_m" in " ".join(done.err) and done.out.startswith("NO-GO")
     assert not (folder / "plan.toml").exists() and (folder / "candidates.csv").exists()
 
 
 def test_no_path_at_all_ends_with_code_1(run: Run) -> None:
     done = run(*BASE, "--risk", "0.05", "--max-slope", "1")
-    assert done.code == 1 and done.stdout == "" and done.stderr.count("\n") == 1
+    assert done.code == 1 and done.out == "" and len(done.err) == 1
 
 
 @pytest.mark.parametrize(
@@ -79,9 +80,9 @@ def test_no_path_at_all_ends_with_code_1(run: Run) -> None:
 )
 def test_impossible_options_are_wrong_usage(run: Run, options: tuple[str, ...], said: str) -> None:
     done = run(*BASE, *options)
-    assert done.code == 2 and said in " ".join(done.stderr.replace("│", " ").split()) and done.stdout == ""
+    assert done.code == 2 and said in " ".join(" ".join(done.err).replace("│", " ").split()) and done.out == ""
 
 
 def test_equal_runs_give_equal_bytes(run: Run, belief: Path) -> None:
-    first, second = (run(*BASE, "--risk", "0.2", "--soil", belief, "--json").stdout for _ in range(2))
+    first, second = (run(*BASE, "--risk", "0.2", "--soil", belief, "--json").out for _ in range(2))
     assert first == second and len(first) > 1000
