@@ -64,6 +64,8 @@ def planned_pose(plan: Plan, distance_m: npt.ArrayLike) -> FloatArray:
 
 def poses_along(plan: Plan, every_m: float) -> FloatArray:
     """Planned x, y, heading so far apart, and every 2 deg of a spot turn. (n, 3) [m, m, rad]"""
+    if not any(leg.turn_deg for leg in plan.legs):
+        return planned_pose(plan, np.linspace(0.0, plan.length_m, max(2, math.ceil(plan.length_m / every_m) + 1)))
     pose, found = _start(plan), []
     for leg in plan.legs:
         pieces = max(1, math.ceil(max(leg.length_m / every_m, abs(leg.turn_deg) / TURN_DEG)))
