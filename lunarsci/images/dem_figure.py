@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-REASON_COLOURS = ("#ffffff", "#9e9e9e", "#ff7043", "#263238", "#fdd835", "#8e24aa", "#1e88e5")
+REASON_COLOURS = ("#ffffff", "#9e9e9e", "#ff7043", "#263238", "#fdd835", "#8e24aa", "#1e88e5", "#00897b")
 
 
 def dem_figure(model: ElevationModel, matches: StereoMatches, pose: Pose) -> "Figure":
