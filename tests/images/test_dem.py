@@ -18,12 +18,14 @@ from lunarsci.images.elevation import ElevationModel, read_elevation
 from lunarsci.images.gridding import _common_errors
 from lunarsci.images.jobs.dem import StereoTerrain, dem
 from lunarsci.images.landscape import Landscape, landscape_on
-from lunarsci.images.matching import MATCHED, SHADOW, match, rectify
+from lunarsci.images.matching import MATCHED, SHADOW, _islands, match, rectify
 from lunarsci.images.pictures import png_bytes, read_picture
 from lunarsci.images.refinement import HALF_PX, refine
 from lunarsci.images.render import RenderedPair, render
 from lunarsci.images.rig import PARAMETERS, StereoRig, covariance_of
-from lunarsci.images.rig_files import pose_text, rig_text
+from lunarsci.images.rig_files import pose_text, read_rig, rig_text
+from lunarsci.twin.ground.synthetic import synthetic_terrain
+from lunarsci.twin.ground.terrain_files import terrain_bytes
 
 
 def light(u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -188,6 +190,46 @@ def test_shadow_has_no_height_and_says_why(found: StereoTerrain, pair: RenderedP
     assert deep.sum() > 40
     assert (found.matches.reason[deep] == SHADOW).mean() > 0.9
     assert (found.matches.reason[deep] == MATCHED).mean() < 0.02
+
+
+def test_patches_that_hang_in_nothing_are_islands() -> None:
+    disparity = 60 - 0.1 * np.mgrid[:200, :300][0].astype(float)
+    plane = disparity.copy()
+    disparity[50:150, 50:250] = np.nan
+    alone, beside, below, wide, stone = (
+        np.s_[95:105, 70:85], np.s_[60:70, 55:65], np.s_[60:70, 200:215], np.s_[90:115, 150:175], np.s_[10:16, 20:26],
+    )  # fmt: skip
+    disparity[alone], disparity[below] = 40.0, 0.4 * plane[below]
+    disparity[beside], disparity[wide] = plane[beside], 30.0
+    disparity[stone] += 4.0
+    islands = _islands(disparity)
+    assert islands[alone].all() and islands[below].all()
+    assert islands.sum() == 150 + 150
+
+
+def test_ground_without_texture_has_no_pits(tmp_path: Path) -> None:
+    """Plain facets of 5 cm match where they do not belong: by 2 to 3 m too deep where islands of matches are kept."""
+    from lunarsci.images.jobs.render import render as rendered
+
+    heights = synthetic_terrain(seed=3, spacing_m=0.1, extent_m=24.0)
+    (tmp_path / "ground.npz").write_bytes(terrain_bytes(heights))
+    (tmp_path / "rig.toml").write_text(rig_text(read_rig("yutu2-navcam").with_pixels(600)))
+    options = {"x": -2.4, "spacing": 0.05, "rocks": 0.4, "exact": True, "samples": 1}
+    for name, make in rendered(str(tmp_path / "ground.npz"), rig=str(tmp_path / "rig.toml"), **options).files().items():
+        (tmp_path / name).write_bytes(make())
+    pair = (tmp_path / f"{side}.png" for side in ("left", "right"))
+    seen = dem(*pair, rig=str(tmp_path / "rig.toml"), pose=str(tmp_path / "pose.toml"))
+    with np.load(tmp_path / "truth.npz") as truth:
+        (x0, y0, step), ground = truth["grid"], truth["ground_m"]
+    known = np.isfinite(seen.model.height_m)
+    x, y = (v[known] for v in np.meshgrid(seen.model.x_m, seen.model.y_m))
+    off = (
+        seen.model.height_m[known] - ground[np.rint((y - y0) / step).astype(int), np.rint((x - x0) / step).astype(int)]
+    )
+    total = np.hypot(seen.model.layer("height_m_sigma"), seen.model.layer("height_m_common_sigma"))[known]
+    assert known.sum() > 40000
+    assert (off > -0.2 - 3 * total).all()
+    assert 0 < seen.matches.shares()["island"] < 0.02
 
 
 def test_scripts_read_what_is_written(
