@@ -137,10 +137,10 @@ def _path(
 ) -> "PlannedPath":
     from lunarsci.twin.assimilation.change_point import planned_places
     from lunarsci.twin.ground.keep_out import near_way
-    from lunarsci.twin.routes.planner import plan_path
+    from lunarsci.twin.routes.long_way import way_to
 
     (x0, y0, heading), (x, y, *_) = asked.places
-    found = plan_path(
+    found = way_to(
         surface,
         site.rover,
         (x0, y0, heading),
@@ -152,7 +152,7 @@ def _path(
         progress=progress,
     )
     near = near_way(site.keep_outs, planned_places(found.plan, site.rover))
-    return replace(found, plan=replace(found.plan, made_for=site.made_for, exclusion_zones=near))
+    return replace(found, plan=replace(found.plan, made_for=site.made_for, exclusion_zones=near, crs=site.terrain.crs))
 
 
 def limits_at(site: SurveyedSite) -> tuple["Limit", ...]:
