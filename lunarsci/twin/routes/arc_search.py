@@ -49,7 +49,9 @@ def close_on_pose(poses: FloatArray, goal: FloatArray) -> tuple[FloatArray, Floa
     root = np.sqrt(b**2 + 2.0 * half_a * square)
     with np.errstate(divide="ignore", invalid="ignore"):
         tangent = np.where(b > 0, square / (b + root), (root - b) / (2.0 * half_a))[:, None]
-        joint = 0.5 * (poses[:, :2] + goal[:2] + tangent * (first - last))
+    # Straight behind there is no joint at any distance.
+    tangent[np.isinf(tangent)] = np.nan
+    joint = 0.5 * (poses[:, :2] + goal[:2] + tangent * (first - last))
     length_1, curvature_1 = close_on_point(poses, joint)
     x, y, heading = arc_end(poses[:, 0], poses[:, 1], poses[:, 2], length_1[:, 0], curvature_1[:, 0])
     length_2, curvature_2 = close_on_point(np.column_stack([x, y, heading]), goal[:2])
