@@ -26,10 +26,13 @@ from typing import Any
 import numpy as np
 from chosen_report import report
 from cost_map import cost_map_legs
-from errands import Errand, errand, kept, other_truths, truths
+from errands import TOLERANCE_M, Errand, errand, kept, other_truths, truths
 
 from lunarsci.errors import ParameterError
-from lunarsci.twin.plans.plan import Leg, Plan
+from lunarsci.twin.choice.choice import choose
+from lunarsci.twin.choice.conditions import Conditions
+from lunarsci.twin.plans.plan import Leg, Limit, Plan
+from lunarsci.twin.routes.candidates import candidate_plans
 from lunarsci.twin.routes.planner import plan_path
 from lunarsci.twin.simulation.discrepancy import with_discrepancy
 from lunarsci.twin.simulation.ensemble import predict
@@ -46,12 +49,15 @@ ASIDE, TRIED, TRIED_AGAIN = 8, 64, 512
 
 @dataclass(frozen=True, kw_only=True)
 class Proposal:
-    """What a chooser answers: a plan, or None and why; the probability promised; other plans, with theirs."""
+    """What a chooser answers: a plan, or None and why; the probability promised; other plans, with theirs.
+
+    The last of each of `others` is whether its probability is a promise, or only what it was sorted out by.
+    """
 
     plan: Plan | None
     promised: float
     reason: str = ""
-    others: tuple[tuple[Plan, float], ...] = field(default=())
+    others: tuple[tuple[Plan, float, bool], ...] = field(default=())
 
 
 Chooser = Callable[[Errand, float], Proposal]
@@ -110,12 +116,37 @@ def plain(one: Errand, risk: float) -> Proposal:
         return Proposal(plan=None, promised=0.0, reason="no path")
     share = believed(one, plan)
     other = over_cost_map(one)
-    others = ((plan, share), *(() if other is None else ((other, believed(one, other)),)))
+    others = ((plan, share, True), *(() if other is None else ((other, believed(one, other), True),)))
     safe = share >= 1.0 - risk
     return Proposal(plan=plan if safe else None, promised=share, reason="" if safe else "too risky", others=others)
 
 
-CHOOSERS: dict[str, Chooser] = {"plain": plain}
+def by_risk(one: Errand, risk: float) -> Proposal:
+    """The choice of `twin plan --risk`: candidates driven over the believed soils, the best again on fresh ones."""
+    end = Limit("endpoint_miss_m", "m", TOLERANCE_M, "tolerance of the errand", False)
+    try:
+        plans = candidate_plans(one.surface, one.rover, one.start, one.target, limits=(*one.limits, end))
+    except ParameterError as error:
+        return Proposal(plan=None, promised=0.0, reason=str(error))
+    conditions = Conditions(
+        rover=one.rover,
+        terrain=one.surface.terrain,
+        samples=one.belief.draws(3 * MEMBERS, 0),
+        discrepancy=one.belief.discrepancy,
+    )
+    found = choose(plans, conditions, risk=risk, members=MEMBERS)
+    best = found.best
+    return Proposal(
+        plan=best.plan if found.feasible else None,
+        promised=1.0 - best.said.risk,
+        reason="" if found.feasible else best.weakest.why,
+        others=tuple(
+            (a.plan, 1.0 - a.said.risk, a.promise is not None) for a in found.candidates if a is not found.best
+        ),
+    )
+
+
+CHOOSERS: dict[str, Chooser] = {"plain": plain, "risk": by_risk}
 
 
 def judged(number: int, chooser: Chooser, risk: float) -> dict[str, Any]:
@@ -125,8 +156,8 @@ def judged(number: int, chooser: Chooser, risk: float) -> dict[str, Any]:
     took = time.perf_counter() - begin
     plans = {"chosen": proposal.plan, "shortest": shortest(one), "cost map": over_cost_map(one)}
     seed = HIDDEN + number
-    picked = np.random.default_rng([seed, 3]).permutation(len(proposal.others))[:JUDGED]
-    others = [proposal.others[int(k)] for k in picked]
+    picked = np.random.default_rng([seed, 3]).permutation(len(proposal.others))
+    others = sorted((proposal.others[int(k)] for k in picked), key=lambda other: not other[2])[:JUDGED]
     row = {
         "errand": number,
         "risk": risk,
@@ -134,7 +165,7 @@ def judged(number: int, chooser: Chooser, risk: float) -> dict[str, Any]:
         "promised": proposal.promised,
         "reason": proposal.reason,
         "plans": {name: _driven(one, plan, seed) for name, plan in plans.items() if plan is not None},
-        "candidates": [[share, float(truths(one, plan, TRUTHS, seed).mean())] for plan, share in others],
+        "candidates": [[told, float(truths(one, plan, TRUTHS, seed).mean()), firm] for plan, told, firm in others],
     }
     if proposal.plan is None:
         row["refuted_by"] = refutation(one, [plan for plan in plans.values() if plan is not None])

@@ -26,7 +26,10 @@ def report(rows: list[dict[str, Any]]) -> str:
         lines.append(f"  promised {np.mean([row['promised'] for row in chosen]):.3f}")
         lines += [f"  {name:13s} {_mean([row['plans']['chosen'][name] for row in chosen])}" for name in PHYSICS]
         lines += ["", *_comparison(chosen)]
-    lines += ["", *_calibration(rows)]
+    promised = [[row["promised"], row["plans"]["chosen"]["twin"]] for row in chosen]
+    for what, firm in (("promised", True), ("told of drives sorted out early", False)):
+        told = [pair[:2] for row in rows for pair in row["candidates"] if pair[2] is firm]
+        lines += ["", *_calibration(f"probabilities {what}", told + promised * firm)]
     if none:
         wrong = [row for row in none if row["refuted_by"] >= asked]
         lines += ["", f"claims that none keeps the limits: {len(none)}, refuted {len(wrong)}, "
@@ -61,15 +64,13 @@ def _failed(pairs: list[dict[str, Any]], name: str, physics: str) -> float:
     return 1.0 - float(np.mean([p[name][physics] for p in pairs]))
 
 
-def _calibration(rows: list[dict[str, Any]]) -> list[str]:
-    """All candidates whose probability was told, and the chosen plans, by the probability."""
-    pairs = [pair for row in rows for pair in row["candidates"]]
-    pairs += [[row["promised"], row["plans"]["chosen"]["twin"]] for row in rows if "chosen" in row["plans"]]
+def _calibration(what: str, pairs: list[list[float]]) -> list[str]:
+    """By the probability that was told, how often the limits are kept."""
     if not pairs:
-        return ["no probabilities told"]
+        return [f"{what}: none"]
     told, true = np.array(pairs).T
     place = np.minimum((told * BINS).astype(int), BINS - 1)
-    lines = ["probabilities told, and shares kept by the twin's physics", "  bin          plans   told    kept    off"]
+    lines = [f"{what}, and shares kept by the twin's physics", "  bin          plans   told    kept    off"]
     for k in range(BINS):
         own = place == k
         if own.any():

@@ -83,7 +83,7 @@ def test_a_wrong_claim_that_none_is_safe_is_refuted(easy: Errand) -> None:
 def test_the_table_tells_what_is_off() -> None:
     rows = [
         {"errand": k, "risk": 0.05, "took_s": 1.0, "promised": 0.0, "reason": "", "plans": {},
-         "candidates": [[0.55, 0.35], [0.95, 0.95]], "refuted_by": 0.0} for k in range(20)
+         "candidates": [[0.55, 0.35, True], [0.95, 0.95, False]], "refuted_by": 0.0} for k in range(20)
     ]  # fmt: skip
     lines = report(rows).splitlines()
     assert any(line.startswith("  0.5 to 0.6") and line.endswith("-0.200") for line in lines)

@@ -1,0 +1,120 @@
+"""What a drive teaches: against closed forms, nested importance sampling, and updates by simulated drives."""
+
+import math
+
+import numpy as np
+import pytest
+
+from lunarsci.errors import ParameterError
+from lunarsci.regolith.states import MeasurementErrors
+from lunarsci.twin.choice.teaching import OBSERVED, PARTS, observed, teaching
+from lunarsci.twin.plans.plan import Leg, Plan
+from lunarsci.twin.plans.schedule import make_schedule
+from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
+
+ERRORS = MeasurementErrors(sinkage_m=0.002, travel_relative=0.0, side_slip_relative=0.0)
+PLAN = Plan(name="line", legs=(Leg(5.0),), speed_m_s=0.05)
+NAMES = ("stiffness_kpa_m_n", "cohesion_pa")
+
+
+def made_up(rover: Rover, soil: np.ndarray, slopes: np.ndarray, noise: np.ndarray, ends: np.ndarray) -> Prediction:
+    """SYNTHETIC: sinkage in each part is linear in the soil's transforms, with noise; the rest tells nothing."""
+    schedule, members = make_schedule(PLAN, rover), len(soil)
+    times = np.linspace(0.0, schedule.duration_s, 21)
+    halted = np.zeros(len(times), dtype=bool)
+    states = np.zeros((members, len(times), len(rover.wheels), len(STATE_COLUMNS)))
+    parts = np.array_split(np.arange(len(times)), PARTS)
+    for part, slope, off in zip(parts, slopes, noise.T, strict=True):
+        states[..., STATE_COLUMNS.index("sinkage_m")][:, part] = (0.05 + soil @ slope + off)[:, None, None]
+    random = np.random.default_rng(5)
+    for name in ("slip_ratio", "side_slip_deg"):
+        states[..., STATE_COLUMNS.index(name)] = random.standard_normal((members, len(times), 1))
+    paths = np.zeros((members, len(times), 6))
+    paths[:, -1, :2] = ends
+    return Prediction(
+        rover=rover, terrain=None, plan=PLAN, seed=0, time_step_s=0.1,  # type: ignore[arg-type]
+        parameters={name: np.exp(soil[:, k]) for k, name in enumerate(NAMES)}, time_s=times,
+        distance_m=schedule.distance_at(times), planned=schedule.pose_at(times), paths=paths, states=states,
+        halted=halted, recorded=np.full(members, len(times)), outcome=np.zeros(members, dtype=np.int64),
+    )  # fmt: skip
+
+
+def ensemble(members: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Transforms of the soil of standard deviation 1, unexplained sinkage of 3 mm, ends that tell nothing."""
+    random = np.random.default_rng(seed)
+    return (
+        random.standard_normal((members, 2)),
+        0.003 * random.standard_normal((members, PARTS)),
+        10.0 * random.standard_normal((members, 2)),
+    )
+
+
+SLOPES = np.array([[0.004, 0.0], [0.004, 0.002]])
+
+
+def exact_posterior() -> np.ndarray:
+    """Of both transforms: observations with 2 mm of error and 3 mm that the soil does not explain."""
+    return np.linalg.inv(np.eye(2) + SLOPES.T @ SLOPES / (0.002**2 + 0.003**2))
+
+
+@pytest.mark.parametrize("members", [64, 4000])
+def test_linear_drives_teach_what_the_closed_form_says(yutu2: Rover, members: int) -> None:
+    """On average over ensembles also with 64 members: neither optimistic nor pessimistic by more than 5 %."""
+    found = []
+    for seed in range(40 if members == 64 else 1):
+        soil, noise, ends = ensemble(members, seed)
+        found.append(teaching(made_up(yutu2, soil, SLOPES, noise, ends), errors=ERRORS).sd_ratio)
+    assert np.mean(found, axis=0) == pytest.approx(np.sqrt(np.diag(exact_posterior())), rel=0.05)
+
+
+def test_information_is_that_of_the_determinants(yutu2: Rover) -> None:
+    soil, noise, ends = ensemble(4000)
+    gain = teaching(made_up(yutu2, soil, SLOPES, noise, ends), errors=ERRORS).gain_nats
+    assert gain == pytest.approx(-0.5 * math.log(np.linalg.det(exact_posterior())), rel=0.06)
+
+
+def test_nested_importance_sampling_agrees(yutu2: Rover) -> None:
+    """Every member in turn is the truth, is observed with errors, and weighs the others: no linearity is taken."""
+    soil, noise, ends = ensemble(3000, 3)
+    drives = made_up(yutu2, soil, SLOPES, noise, ends)
+    seen, sigma = observed(drives, ERRORS)
+    own = [k for k in range(seen.shape[1] - 2) if OBSERVED[k % len(OBSERVED)] == "sinkage_m"]
+    # Observations without the drawn noise are what a soil says; noise and errors are their likelihood.
+    said, spread = 0.05 + soil @ SLOPES.T, np.hypot(0.003, sigma[own])
+    random, left = np.random.default_rng(4), []
+    for truth in range(300):
+        told = seen[truth, own] + sigma[own] * random.standard_normal(len(own))
+        weight = np.exp(-0.5 * (((said - told) / spread) ** 2).sum(axis=1))
+        mean = weight @ soil / weight.sum()
+        left.append(weight @ (soil - mean) ** 2 / weight.sum())
+    expected = np.sqrt(np.mean(left, axis=0))
+    assert teaching(drives, errors=ERRORS).sd_ratio == pytest.approx(expected, rel=0.05)
+
+
+def test_the_next_end_is_known_better_by_what_it_owes_to_the_soil(yutu2: Rover) -> None:
+    soil, noise, ends = ensemble(4000)
+    drives = made_up(yutu2, soil, SLOPES, noise, ends)
+    random = np.random.default_rng(9)
+    owed = np.array([[0.3, 0.0], [0.0, 0.2]])
+    following = made_up(yutu2, soil, SLOPES, noise, soil @ owed + 0.1 * random.standard_normal((4000, 2)))
+    before, after = teaching(drives, following, ERRORS).end_sd_m
+    posterior = exact_posterior()
+    assert before == pytest.approx(math.sqrt(0.3**2 + 0.2**2 + 2 * 0.1**2), rel=0.05)
+    assert after == pytest.approx(math.sqrt(np.trace(owed.T @ posterior @ owed) + 2 * 0.1**2), rel=0.05)
+
+
+def test_what_tells_nothing_teaches_nothing(yutu2: Rover) -> None:
+    ratios = []
+    for seed in range(40):
+        soil, noise, ends = ensemble(64, seed)
+        ratios.append(teaching(made_up(yutu2, soil, 0.0 * SLOPES, noise, ends), errors=ERRORS).variance_reduction)
+    assert np.mean(ratios) < 0.1
+
+
+def test_too_few_drives_and_one_soil_are_refused(yutu2: Rover) -> None:
+    soil, noise, ends = ensemble(16)
+    with pytest.raises(ParameterError, match="give more members"):
+        teaching(made_up(yutu2, soil, SLOPES, noise, ends), errors=ERRORS)
+    with pytest.raises(ParameterError, match="one soil"):
+        teaching(made_up(yutu2, 0.0 * soil, SLOPES, noise, ends), errors=ERRORS)
