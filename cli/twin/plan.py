@@ -11,6 +11,7 @@ from ..shared.options import SPREAD, Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
+from .mission_tables import mission_tables
 from .terrain import LIMITS, GeoTiff, TerrainFile, check_files, ground_table
 from .terrain import OPTIONS as OF_TERRAIN
 
@@ -60,6 +61,12 @@ OPTIONS = {
     "fixes": option(
         "Let drives halt for localisation updates, with these standard errors.", panel=CHOICE, metavar="M,DEG"
     ),
+    "mission": option(
+        "Reach several targets by legs: TOML file with [[target]], [fixes], [[keep_out]], [[window]], time_budget_s.",
+        panel=PATH,
+        metavar="FILE",
+        show_default=False,
+    ),
     "exact_terrain": option("Drive on the likely ground, not on one that is drawn for each drive.", panel=CHOICE),
     **{name: said for name, said in OF_TERRAIN.items() if name != "soil"},
 }
@@ -89,13 +96,22 @@ def plan(
     --fixes also with halts for localisation updates. All are driven on the same soils, and the best again on fresh
     ones; what is promised is counted on these. Exit code 3 says that no drive keeps the risk. With -o DIR plan.toml is
     the drive to take, candidates.csv has all, plan-NN.toml those that no other beats in risk, length and energy.
+
+    With --mission several targets are reached by legs, each planned from where the rover was localised after the one
+    before: the chance to keep all limits, when each leg begins, what has to wait for communication, and the last target
+    that fits. Exit code 3 says that a target is not reached, or the chance is too small. With -o DIR leg-NNN.toml are
+    the plans, legs.csv the timetable, mission.geojson the map.
     """
     from lunarsci.twin.jobs import plan as job
     from lunarsci.twin.jobs.chosen_drive import ChosenDrive
+    from lunarsci.twin.jobs.planned_mission import PlannedMission
 
-    check_files(output, soil=bool(request.soil) and request.risk is None, geotiff=geotiff)
+    alone = request.risk is None and request.mission is None
+    check_files(output, soil=bool(request.soil) and alone, geotiff=geotiff)
     with progress("planning", quiet=output.quiet) as update:
         found = job.plan(terrain, request, progress=update)
+    if isinstance(found, PlannedMission):
+        return Report.of(found, mission_tables(found), files=found.files(geotiff=geotiff))
     tables = [_choice_table(found)] if isinstance(found, ChosenDrive) else [ground_table(found)]
     tables += [] if found.path is None else [_path_table(found.path, found.site.mobility)]
     return Report.of(found, tables, files=found.files(geotiff=geotiff))

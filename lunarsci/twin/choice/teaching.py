@@ -100,8 +100,8 @@ def teaching(
             f"{count} drives end, and what they teach needs {needed} of {prediction.members} or more; give more members"
         )
     information = _information(soil, seen, sigma)
-    before = np.cov(soil.T).reshape(soil.shape[1], -1)
-    after = np.linalg.inv(np.linalg.inv(before) + information)
+    before = np.asarray(np.cov(soil.T), dtype=np.float64).reshape(soil.shape[1], -1)
+    after = np.asarray(np.linalg.inv(np.linalg.inv(before) + information), dtype=np.float64)
     ends = (math.nan, math.nan) if following is None else _end_spread(soil, following.endpoints_m[done], before, after)
     return Teaching(
         parameters=names,

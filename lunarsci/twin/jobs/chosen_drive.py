@@ -181,13 +181,19 @@ def check_enough(asked: PlanRequest) -> None:
         raise RequestError(f"`risk` {asked.risk:g} takes {least} `members` or more; give them, or accept more risk")
 
 
-def candidates_of(asked: PlanRequest, site: SurveyedSite, surface: Any, given: GivenSoil) -> tuple[Plan, ...]:
-    """Plans to compare, with the limits of the rover, the tolerance, and the circles that each comes near to."""
+def check_soils(asked: PlanRequest, given: GivenSoil) -> None:
+    """Raises RequestError where there is one soil alone."""
     if given.file is None and not asked.sweep and asked.soil:
+        what = "risk" if asked.mission is None else "mission"
         raise RequestError(
-            f"`risk` counts drives over soils, and `soil` {given.named} is one; give a file of soils as `soil`, or "
+            f"`{what}` counts drives over soils, and `soil` {given.named} is one; give a file of soils as `soil`, or "
             "`sweep` NAME=LOW:HIGH:N"
         )
+
+
+def candidates_of(asked: PlanRequest, site: SurveyedSite, surface: Any, given: GivenSoil) -> tuple[Plan, ...]:
+    """Plans to compare, with the limits of the rover, the tolerance, and the circles that each comes near to."""
+    check_soils(asked, given)
     (x0, y0, heading), (x, y, *_) = asked.places
     limits = limits_at(site)
     if asked.tolerance is not None:

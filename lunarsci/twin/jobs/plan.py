@@ -1,4 +1,4 @@
-"""A path to a target, around what a rover may not drive on; or, of many drives to it, the one to take by its risk."""
+"""A path to a target around what a rover may not drive on; of many drives the one to take by its risk; a mission."""
 
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Literal
@@ -17,6 +17,8 @@ Place = str | tuple[float, ...]
 PLACE = ("X", "Y", "HEADING")
 OF_A_CHOICE = ("sweep", "members", "tolerance", "candidates", "fixes", "prefer", "exact_terrain")
 """Options that ask for something only beside `risk`."""
+IN_A_MISSION = ("target", "start", "tolerance", "candidates", "fixes", "prefer")
+"""Options that a mission has in its file, or no use for."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,6 +45,8 @@ class PlanRequest(GroundRequest):
     fixes : with `risk`: M,DEG, standard errors of localisation updates, where drives may halt for some.
     exact_terrain : with `risk`: leave out that each drive has a ground of its own where the terrain's file says how far
         its heights may be off.
+    mission : TOML file of several targets with keep-outs, time and windows of communication, instead of a target;
+        reached by legs with localisation between, over the soils; `risk` is then that of the whole, 0.05 if None.
     """
 
     target: Place = ""
@@ -59,8 +63,12 @@ class PlanRequest(GroundRequest):
     candidates: int | None = None
     fixes: str | None = None
     exact_terrain: bool = False
+    mission: str | None = None
 
     def __post_init__(self) -> None:
+        if self.mission is not None:
+            self._check_mission()
+            return
         if not self.target:
             raise RequestError("`target` says where the path shall end; give X,Y or X,Y,HEADING")
         for name, counts in (("start", (3,)), ("target", (2, 3))):
@@ -69,6 +77,18 @@ class PlanRequest(GroundRequest):
             self._check_path()
         else:
             self._check_choice(self.risk)
+
+    def _check_mission(self) -> None:
+        """Of a mission the file says where."""
+        defaults = {field.name: field.default for field in fields(self)}
+        for name in IN_A_MISSION:
+            if getattr(self, name) != defaults[name]:
+                raise RequestError(f"`{name}` and `mission` do not go together: the mission's file says where; "
+                                   "give one of them")  # fmt: skip
+        if self.risk is not None and not 0 < self.risk < 1:
+            raise RequestError(f"`risk` is {self.risk:g}; give a chance above 0 and below 1, such as 0.05")
+        if self.members is not None and self.members < 2:
+            raise RequestError(f"`members` is {self.members}; give 2 or more")
 
     def _check_path(self) -> None:
         """Without a risk nothing is chosen."""
@@ -101,7 +121,7 @@ class PlanRequest(GroundRequest):
 
     def made(self, terrain: str) -> dict[str, Any]:
         """As of a ground; where soils are drawn the seed is theirs, too."""
-        alone = self.risk is None or terrain in MAKERS
+        alone = (self.risk is None and self.mission is None) or terrain in MAKERS
         return GroundRequest.made(self if alone else replace(self, seed=None), terrain)
 
     def limits(self) -> dict[str, float | None]:
@@ -118,11 +138,16 @@ def plan(
 ) -> TerrainSurvey:
     """Look at a terrain as `terrain` does, and find a path to a target: arcs that keep the rover's limits.
 
-    With `risk` many drives to it are compared on soils, and the result is a `ChosenDrive`.
+    With `risk` many drives to it are compared on soils, and the result is a `ChosenDrive`; with `mission` several
+    targets are reached leg by leg, and the result is a `PlannedMission`.
 
     Raises DataError and RequestError, and ParameterError where there is no such path.
     """
     asked = request_of(PlanRequest, request, options)
+    if asked.mission is not None:
+        from lunarsci.twin.jobs.planned_mission import planned_mission
+
+        return planned_mission(terrain, asked, progress)
     if asked.risk is not None:
         from lunarsci.twin.jobs.chosen_drive import chosen_drive
 

@@ -57,6 +57,11 @@ class MissionLeg:
         """Of the ends, before the rover finds out where it is. (2, 2) [m2]"""
         return np.asarray(np.cov(self.ends_m.T)) if len(self.ends_m) > 1 else np.zeros((2, 2))
 
+    @property
+    def spread_m(self) -> float:
+        """Standard deviation of the ends along the longer axis of their ellipse. [m]"""
+        return math.sqrt(max(float(np.linalg.eigvalsh(self.covariance_m2)[-1]), 0.0))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TargetFate:
