@@ -43,8 +43,8 @@ def _targets(found: "PlannedMission") -> TextTable:
 
 def _legs(found: "PlannedMission") -> TextTable:
     rows = [_row(leg) for leg in found.driven.legs]
-    headers = ["leg", "to", "begin [h:min]", "waited", "drive [min]", "m", "sd before [m]", "kept [%]"]
-    notes = ["sd before: of the place at its end, larger axis, before the rover is localised; kept: drives of this leg"]
+    headers = ["leg", "to", "begin", "waited", "drive [min]", "m", "sd [m]", "kept [%]"]
+    notes = ["begin and waited: h:min; sd: of the end, along its larger axis, before the rover is localised"]
     return TextTable(headers, rows, title="legs", notes=notes)
 
 

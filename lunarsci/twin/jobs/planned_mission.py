@@ -189,8 +189,8 @@ def geojson(driven: DrivenMission) -> dict[str, Any]:
         about = {"kind": "target", "name": one.target.name, "fate": one.fate, "why": one.why}
         features.append(_feature("Point", [one.target.x_m, one.target.y_m], about))
     for zone in driven.mission.keep_outs:
-        about = {"kind": "keep-out", "name": zone.name, "keepout_m": zone.radius_m}
-        features.append(_feature("Point", [zone.x_m, zone.y_m], about))
+        circle = {"kind": "keep-out", "name": zone.name, "keepout_m": zone.radius_m}
+        features.append(_feature("Point", [zone.x_m, zone.y_m], circle))
     return {"type": "FeatureCollection", "name": driven.mission.name, "features": features}
 
 

@@ -1,0 +1,91 @@
+"""`lunarsci twin plan --mission`: for people, for scripts, and what is no mission."""
+
+import json
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lunarsci.regolith.belief import SoilBelief, first_belief
+from lunarsci.twin.plans.plan import read_plan
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "mission.toml"
+QUICK = ("twin", "plan", "-q", "--no-time", "--members", "8")
+
+
+@pytest.fixture(scope="module")
+def belief(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of a soil that is known well: the first one with a twentieth of its variances."""
+    path, first = tmp_path_factory.mktemp("belief") / "belief.json", first_belief()
+    path.write_text(SoilBelief(first.laws, first.mean, 0.05 * first.covariance).to_json())
+    return path
+
+
+def test_a_mission_is_planned_with_all_its_files(run: Callable[..., Any], belief: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "mission"
+    done = run(*QUICK, "--mission", EXAMPLE, "--soil", belief, "--risk", "0.3", "--json", "-o", folder)
+    assert done.code == 0, done.err
+    document = json.loads(done.out)
+    mission = document["result"]["mission"]
+    assert document["schema"] == "lunarsci/twin-mission/1"
+    assert [one["fate"] for one in mission["targets"]] == ["reached", "reached"] and mission["last_target"] == "rock"
+    assert EXAMPLE.name in json.dumps(document["provenance"]["inputs"])
+    legs = mission["legs"]
+    # Between the windows, from 1800 to 5400 s, nothing is driven, and the stay of 900 s at the rim comes first.
+    assert all(leg["begin_s"] + leg["drive_s"] + 600 <= 1800 or leg["begin_s"] >= 5400 for leg in legs)
+    assert mission["waited_s"] > 0
+    for one, after in pairwise(legs):
+        assert (after["x_m"], after["y_m"]) == (one["end_x_m"], one["end_y_m"])
+        assert after["begin_s"] >= one["begin_s"] + one["drive_s"] + 600
+    plans = [read_plan(str(folder / f"leg-{leg['leg']:03d}.toml")) for leg in legs]
+    assert [plan.length_m for plan in plans] == pytest.approx([leg["length_m"] for leg in legs])
+    features = json.loads((folder / "mission.geojson").read_text())["features"]
+    kinds = [one["properties"]["kind"] for one in features]
+    assert kinds == ["leg"] * len(legs) + ["target", "target", "keep-out"]
+    end = features[len(legs) - 1]["geometry"]["coordinates"][-1]
+    assert np.hypot(end[0] - 9.0, end[1] - 1.0) < 0.5
+    driven = run(
+        "twin", "predict", folder / "leg-001.toml", "--terrain", folder / "terrain.npz", "--soil", belief, "-q"
+    )
+    assert driven.code in (0, 3), driven.err
+
+
+def test_what_does_not_fit_ends_with_code_3(run: Callable[..., Any], belief: Path, tmp_path: Path) -> None:
+    short = tmp_path / "short.toml"
+    short.write_text(EXAMPLE.read_text().replace("time_budget_s = 14400", "time_budget_s = 2400"))
+    done = run(*QUICK, "--mission", short, "--soil", belief, "--plot", tmp_path / "m.pdf")
+    assert done.code == 3
+    assert "1 of 2 targets reached" in done.out and "target 'rock' is not reached, no time" in " ".join(done.err)
+    rows = [line for line in done.out.splitlines() if line[:3].strip().isdigit()]
+    assert rows and max(map(len, rows)) <= 80
+    assert (tmp_path / "m.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "code", "said"),
+    [
+        ("x_m = 9.0", "x_m = 900.0", 2, "lies outside the map"),
+        ("x_m = 3.0\ny_m = -1.5", "x_m = 9.0\ny_m = 1.0", 2, "is to be kept out of"),
+        ("leg_m = 4.0", "leg_m = -1", 1, "0.5 to 25"),
+        ("[fixes]", "[fixs]", 1, "not a key of a mission"),
+        ("[[target]]", "[[window]]", 1, "not a key of"),
+    ],
+)
+def test_impossible_missions_are_one_line(
+    run: Callable[..., Any], tmp_path: Path, old: str, new: str, code: int, said: str
+) -> None:
+    file = tmp_path / "mission.toml"
+    file.write_text(EXAMPLE.read_text().replace(old, new, 1))
+    done = run(*QUICK, "--mission", file)
+    assert done.code == code and said in " ".join(done.err)
+    assert not done.out and len(done.err) <= 4
+
+
+def test_options_that_a_mission_has_in_its_file_are_refused(run: Callable[..., Any], tmp_path: Path) -> None:
+    for option in (("--target", "3,1"), ("--start", "1,0,0"), ("--fixes", "0.1,1"), ("--candidates", "3")):
+        done = run(*QUICK, "--mission", EXAMPLE, *option)
+        assert done.code == 2 and "go together" in " ".join(done.err)
+    assert run(*QUICK, "--mission", tmp_path / "none.toml").code == 1
