@@ -35,6 +35,12 @@ KEEP_OUT = option(
     "Ground that no part of the rover may enter (GeoJSON), as `images rocks -o FILE.geojson` writes it; repeatable.",
     metavar="FILE",
 )
+SUN = option(
+    "Direction of the Sun in deg, azimuth from x towards y (as headings) and elevation over the horizon: adds panels, "
+    "shadow of the terrain and the battery.",
+    metavar="AZIMUTH,ELEVATION",
+)
+CHARGE = option("Charge of the battery at the start, 0 to 1; adds electrical power and the battery.", show_default="1")
 SEED = option("Seed of everything random.", min=0, show_default="0")
 TIME_STEP = option("Longest time step in s.")
 SAMPLE = option("Distance between recorded states in m.")

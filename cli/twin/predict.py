@@ -12,13 +12,20 @@ from ..shared.options import SPREAD, Output
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
-from .options import BEFORE, DRIVE, EXACT_TERRAIN, KEEP_OUT, RUTS, PlanFile
+from .options import BEFORE, CHARGE, DRIVE, EXACT_TERRAIN, KEEP_OUT, RUTS, SUN, PlanFile
 
 if TYPE_CHECKING:
     from lunarsci.twin.judgement.safety import Judgement, Verdict
 
 
-OPTIONS = DRIVE | {"ruts": RUTS, "before": BEFORE, "exact_terrain": EXACT_TERRAIN, "keep_out": KEEP_OUT}
+OPTIONS = DRIVE | {
+    "ruts": RUTS,
+    "before": BEFORE,
+    "exact_terrain": EXACT_TERRAIN,
+    "keep_out": KEEP_OUT,
+    "sun": SUN,
+    "charge": CHARGE,
+}
 
 
 def add_to(app: typer.Typer) -> None:
@@ -122,7 +129,27 @@ def _energy_notes(found: PredictedDrives) -> list[str]:
         return []
     return [
         f"motors at the wheels: {energy['p50_j']:.4g} J (p50), {energy['p95_j']:.4g} J (95 % keep) in "
-        f"{energy['duration_s']:.0f} s; losses of motors, gears and electronics are not in it"
+        f"{energy['duration_s']:.0f} s; losses of motors, gears and electronics are not in it",
+        *_power_notes(found),
+    ]
+
+
+def _power_notes(found: PredictedDrives) -> list[str]:
+    from lunarsci.twin.judgement.energy import power_record
+
+    power = found.prediction.rover.power
+    if found.power is None or power is None:
+        return []
+    record = power_record(found.prediction, found.power)
+    light = record["panels"]["lit_share"]
+    sun = "no Sun given" if light is None else f"panels give {record['panels']['p50_wh']:.3g} Wh, {light:.0%} of it lit"
+    empty = record["empty_drives"]
+    assumed = " (assumed)" if "power.battery_wh" in found.inputs.description.assumed else ""
+    return [
+        f"electrical: {record['drawn']['p50_wh']:.3g} Wh (p50), {record['drawn']['p95_wh']:.3g} Wh (95 % keep); {sun}",
+        f"battery of {power.battery_wh:g} Wh{assumed}: down to {record['battery']['p50_least_wh']:.4g} Wh (p50), "
+        f"{record['battery']['p05_least_wh']:.4g} Wh (95 % keep)"
+        + (f"; empty in {empty} of {found.prediction.members} drives" if empty else ""),
     ]
 
 

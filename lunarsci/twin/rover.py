@@ -12,6 +12,7 @@ from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.regolith.wheel import Wheel, read_wheel
 from lunarsci.rovers import RoverDescription, read_rover
+from lunarsci.twin.electrics import Motors, PowerSupply, read_part
 
 PAIRS = ("front", "middle", "rear")
 BOGIES = ("rear", "front", "none")
@@ -87,6 +88,7 @@ class Rover:
     max_speed_m_s : highest commanded speed. [m/s]
     gravity_m_s2 : acceleration of gravity. [m/s2]
     body : underside of the chassis, None where unknown.
+    motors, power : of the wheels, and battery and panels; None where unknown. No force of a drive depends on them.
 
     The left rocker turns by +rho about the chassis' y axis, the right one by -rho: a differential does that whether it
     is a bar outside or gears inside the body. Each bogie turns about its rocker. Raises ParameterError for masses,
@@ -111,6 +113,8 @@ class Rover:
     steering_offset_m: float = 0.0
     gravity_m_s2: float = LUNAR_GRAVITY.value
     body: Body | None = None
+    motors: Motors | None = None
+    power: PowerSupply | None = None
 
     def __post_init__(self) -> None:
         for name in ("body_kg", "wheel_kg", "rocker_pivot_y_m", "max_speed_m_s", "gravity_m_s2"):
@@ -224,6 +228,8 @@ def build_rover(rover: str | RoverDescription) -> Rover:
             steering_offset_m=float(steering.get("offset_m", 0.0)),
             **_numbers(drive, "max_speed_m_s"),
             body=_body(description.tables.get("body")),
+            motors=read_part(description, "motors", Motors),
+            power=read_part(description, "power", PowerSupply),
         )
     except KeyError as error:
         raise DataError(f"{description.origin}: no {error}; add it as in the yutu2 file") from error

@@ -8,7 +8,7 @@ import pytest
 from scipy.ndimage import binary_dilation, gaussian_filter, map_coordinates
 
 from lunarsci.errors import ParameterError
-from lunarsci.twin.ground.illumination import sun_vector, sunlit
+from lunarsci.twin.ground.illumination import SunDirection, parse_sun, sunlit
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 
@@ -25,7 +25,7 @@ def ground(height_of, soil, half_m: float = 5.0) -> Terrain:  # type: ignore[no-
 @pytest.mark.parametrize("elevation", [8.0, 25.0])
 def test_a_wall_has_a_shadow_as_long_as_its_height_over_the_tangent(longji_soil, azimuth, elevation) -> None:  # type: ignore[no-untyped-def]
     """A wall square to the Sun, 0.4 m high, 0.2 m wide, from edge to edge."""
-    away = -sun_vector(azimuth, 0.0)[:2]
+    away = -SunDirection(azimuth, 0.0).vector[:2]
 
     def past(x, y):  # type: ignore[no-untyped-def]
         return away[0] * x + away[1] * y
@@ -47,7 +47,7 @@ def test_the_shadow_of_a_cone_is_between_the_tangents_from_that_of_its_tip(longj
     tall, radius, elevation = 0.8, 1.0, 12.0
     terrain = ground(lambda x, y: np.maximum(0.0, tall * (1.0 - np.hypot(x, y) / radius)), longji_soil)
     x, y = np.meshgrid(terrain.x_m, terrain.y_m)
-    away = -sun_vector(azimuth, 0.0)[:2]
+    away = -SunDirection(azimuth, 0.0).vector[:2]
     along, across = away[0] * x + away[1] * y, away[0] * y - away[1] * x
     tip = tall / math.tan(math.radians(elevation))
     # Tangents from (tip, 0) to the circle touch it at the angle whose cosine is radius / tip.
@@ -69,7 +69,7 @@ def test_the_shadow_of_a_cone_is_between_the_tangents_from_that_of_its_tip(longj
 @pytest.mark.parametrize("azimuth", [0.0, 30.0, 77.0, 198.0])
 def test_a_plane_is_lit_where_the_sun_stands_over_it_and_dark_where_below(longji_soil, azimuth) -> None:  # type: ignore[no-untyped-def]
     """Tilted by 10 deg away from the Sun."""
-    tilt, sun = math.tan(math.radians(10.0)), sun_vector(azimuth, 0.0)
+    tilt, sun = math.tan(math.radians(10.0)), SunDirection(azimuth, 0.0).vector
     plane = ground(lambda x, y: tilt * (sun[0] * x + sun[1] * y), longji_soil, 2.0)
     assert sunlit(plane, azimuth, 10.5).all()
     # The first rows have no ground before them that could hide the Sun.
@@ -86,7 +86,7 @@ def test_random_ground_is_as_a_search_along_every_ray_has_it(longji_soil) -> Non
     )
     rows, columns = np.mgrid[:81, :81].astype(float)
     for azimuth, elevation in ((20.0, 12.0), (118.0, 20.0), (260.0, 6.0)):
-        east, north, _ = sun_vector(azimuth, 0.0)
+        east, north, _ = SunDirection(azimuth, 0.0).vector
         fall, hidden = math.tan(math.radians(elevation)), np.zeros((81, 81), dtype=bool)
         for way in np.arange(0.25, 120.0, 0.25):
             at = [rows + way * north, columns + way * east]
@@ -115,3 +115,7 @@ def test_directions_that_are_none_are_refused() -> None:
         sunlit(terrain, 0.0, 95.0)
     with pytest.raises(ParameterError, match="azimuth is nan"):
         sunlit(terrain, math.nan, 10.0)
+    assert parse_sun("30, 12") == SunDirection(30.0, 12.0)
+    for text in ("30", "30,12,5", "north,12", ""):
+        with pytest.raises(ParameterError, match="not AZIMUTH,ELEVATION"):
+            parse_sun(text)

@@ -1,6 +1,7 @@
 """Which ground the Sun reaches: the shadows that a terrain casts on itself."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -14,19 +15,42 @@ GRAZING_M = 1e-9
 """Ground this far below the shadow's edge is still lit: rounding must not darken a plane that the Sun grazes. [m]"""
 
 
-def check_sun(azimuth_deg: float, elevation_deg: float) -> None:
-    """Raises ParameterError for a direction of the Sun that is none."""
-    if not math.isfinite(azimuth_deg):
-        raise ParameterError(f"the Sun's azimuth is {azimuth_deg}; give degrees from x towards y")
-    if not -90 <= elevation_deg <= 90:
-        raise ParameterError(f"the Sun's elevation is {elevation_deg}; give -90 to 90 deg over the horizon")
+@dataclass(frozen=True, slots=True)
+class SunDirection:
+    """Where the Sun stands in the frame of a terrain.
+
+    Attributes
+    ----------
+    azimuth_deg : from x towards y, as headings are counted. [deg]
+    elevation_deg : over a level horizon, -90 to 90. [deg]
+
+    Raises ParameterError for a direction that is none.
+    """
+
+    azimuth_deg: float
+    elevation_deg: float
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.azimuth_deg):
+            raise ParameterError(f"the Sun's azimuth is {self.azimuth_deg}; give degrees from x towards y")
+        if not -90 <= self.elevation_deg <= 90:
+            raise ParameterError(f"the Sun's elevation is {self.elevation_deg}; give -90 to 90 deg over the horizon")
+
+    @property
+    def vector(self) -> FloatArray:
+        """Unit vector towards the Sun. (3,) [-]"""
+        azimuth, elevation = math.radians(self.azimuth_deg), math.radians(self.elevation_deg)
+        level = math.cos(elevation)
+        return np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)])
 
 
-def sun_vector(azimuth_deg: float, elevation_deg: float) -> FloatArray:
-    """Unit vector towards the Sun in the frame of a terrain. (3,) [-]"""
-    azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
-    level = math.cos(elevation)
-    return np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)])
+def parse_sun(text: str) -> SunDirection:
+    """Read `AZIMUTH,ELEVATION` in degrees, for example `30,12`. Raises ParameterError."""
+    try:
+        azimuth, elevation = map(float, text.split(","))
+    except ValueError as error:
+        raise ParameterError(f"sun '{text}' is not AZIMUTH,ELEVATION in degrees, for example 30,12") from error
+    return SunDirection(azimuth, elevation)
 
 
 def sunlit(terrain: Terrain, azimuth_deg: float, elevation_deg: float) -> BoolMap:
@@ -52,7 +76,7 @@ def sunlit(terrain: Terrain, azimuth_deg: float, elevation_deg: float) -> BoolMa
 
     Raises ParameterError for a direction that is none.
     """
-    check_sun(azimuth_deg, elevation_deg)
+    SunDirection(azimuth_deg, elevation_deg)
     height = np.asarray(terrain.height_m, dtype=float)
     if elevation_deg <= 0:
         return np.zeros(height.shape, dtype=bool)

@@ -6,6 +6,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from lunarsci.errors import ParameterError, RequestError
 from lunarsci.inputs import Source
 from lunarsci.provenance import sha256, to_json
 from lunarsci.result import MadeFrom, Result, request_of
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from lunarsci.twin.jobs.drive_inputs import DriveInputs
     from lunarsci.twin.jobs.soils import Soils
     from lunarsci.twin.judgement.endpoint import EndpointSensitivity
+    from lunarsci.twin.judgement.energy import PowerUse
     from lunarsci.twin.judgement.safety import Verdict
     from lunarsci.twin.judgement.terrain_share import TerrainShares
     from lunarsci.twin.plans.plan import Plan
@@ -69,12 +71,20 @@ class PredictRequest(DriveRequest):
     exact_terrain : leave out that each drive has a ground of its own where the terrain's file says how far its heights
         may be off.
     keep_out : GeoJSON files of ground that no part of the rover may enter, as `images rocks` writes them.
+    sun : AZIMUTH,ELEVATION of the Sun, from x towards y and over the horizon, for panels and battery. [deg]
+    charge : of the battery at the start, 0 to 1, full if None; with it or `sun` the answer has power and battery. [-]
     """
 
     ruts: bool | None = None
     before: str | None = None
     exact_terrain: bool = False
     keep_out: tuple[str, ...] = ()
+    sun: str | None = None
+    charge: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.charge is not None and not 0 <= self.charge <= 1:
+            raise RequestError(f"`charge` is {self.charge:g}; give a share from 0 to 1")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -90,6 +100,7 @@ class PredictedDrives(Result):
     step_error_m : how far the time step puts ends off; None where that is not known. [m]
     terrain_shares : part of the variance of ends, slip, tilt and sinkage that errors of the terrain make, by quantity;
         None where its heights are exact. [-]
+    power : electrical power and battery; None where neither Sun nor charge was given.
     """
 
     schema: ClassVar[str] = "twin-predict/1"
@@ -99,6 +110,7 @@ class PredictedDrives(Result):
     sensitivity: "list[EndpointSensitivity] | None" = None
     step_error_m: float | None = None
     terrain_shares: "TerrainShares | None" = None
+    power: "PowerUse | None" = None
 
     @property
     def inputs(self) -> "DriveInputs":
@@ -117,10 +129,15 @@ class PredictedDrives(Result):
     @property
     def untrusted(self) -> str:
         parts = [] if self.verdict.verdict == "go" else [f"no-go: {'; '.join(self.verdict.reasons)}"]
-        return "; ".join(part for part in (*parts, self.soils.doubt) if part)
+        return "; ".join(part for part in (*parts, self._battery_doubt, self.soils.doubt) if part)
+
+    @property
+    def _battery_doubt(self) -> str:
+        empty = 0 if self.power is None else int((self.power.battery_wh <= 0).any(axis=1).sum())
+        return f"the battery runs empty in {empty} of {self.prediction.members} drives" if empty else ""
 
     def to_dict(self) -> dict[str, Any]:
-        from lunarsci.twin.judgement.energy import energy_record
+        from lunarsci.twin.judgement.energy import energy_record, power_record
         from lunarsci.twin.judgement.load_check import check_loads
 
         prediction, fitted, before = self.prediction, self.soils.verdict, self.inputs.before
@@ -137,6 +154,7 @@ class PredictedDrives(Result):
             "plan": prediction.plan.name,
             "loads": asdict(check_loads(prediction)),
             "energy": energy_record(prediction),
+            "power": None if self.power is None else power_record(prediction, self.power),
             "physics": self._physics(),
             "terrain_errors": None if self.terrain_shares is None else asdict(self.terrain_shares),
             "sweep": {name: {"low": values.min(), "high": values.max()} for name, values in swept},
@@ -223,7 +241,7 @@ def predict(
     soils = Soils.of(inputs, asked.sweep or None, asked.members, asked.seed or 0)
     soils.warn_of_seed(asked.seed)
     prediction = predict_drives(soils, asked.time_step, asked.sample, progress)
-    return _judged(soils, prediction)
+    return _judged(soils, prediction, asked)
 
 
 def predict_drives(soils: "Soils", time_step_s: float, sample_m: float, progress: Progress | None) -> "Prediction":
@@ -233,7 +251,22 @@ def predict_drives(soils: "Soils", time_step_s: float, sample_m: float, progress
     return predict(**soils.of_members(), time_step_s=time_step_s, sample_m=sample_m, progress=progress)
 
 
-def _judged(soils: "Soils", prediction: "Prediction") -> PredictedDrives:
+def _power(prediction: "Prediction", asked: PredictRequest) -> "PowerUse | None":
+    """Power and battery, where Sun or charge was given."""
+    from lunarsci.twin.ground.illumination import parse_sun
+    from lunarsci.twin.jobs.drive_inputs import named_option
+    from lunarsci.twin.judgement.energy import power_use
+
+    if asked.sun is None and asked.charge is None:
+        return None
+    try:
+        sun = None if asked.sun is None else parse_sun(asked.sun)
+    except ParameterError as error:
+        raise RequestError(named_option("sun", error)) from error
+    return power_use(prediction, sun, 1.0 if asked.charge is None else asked.charge)
+
+
+def _judged(soils: "Soils", prediction: "Prediction", asked: PredictRequest) -> PredictedDrives:
     """With what the twin's physics is off by, where the soils are of a belief or a map of beliefs."""
     from lunarsci.twin.judgement.endpoint import endpoint_sensitivity, step_error_m
     from lunarsci.twin.judgement.safety import judge
@@ -251,4 +284,5 @@ def _judged(soils: "Soils", prediction: "Prediction") -> PredictedDrives:
         sensitivity=None if soils.kind in CORRELATED else endpoint_sensitivity(prediction),
         step_error_m=step_error_m(prediction),
         terrain_shares=shares,
+        power=_power(prediction, asked),
     )

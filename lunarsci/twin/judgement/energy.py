@@ -1,14 +1,18 @@
-"""What the wheels' motors do along a drive: mechanical work, and the time it takes."""
+"""What a drive takes: work of the wheels' motors, electrical power, sunlight on the panels, state of the battery."""
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.errors import ParameterError
+from lunarsci.twin.electrics import SOLAR_CONSTANT_W_M2, PowerSupply
+from lunarsci.twin.ground.illumination import SunDirection, sunlit
 from lunarsci.twin.plans.schedule import all_commands, make_schedule
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
 
+SECONDS_PER_HOUR = 3600.0
 FINEST_S = 0.1
 """Longest step over which commanded rates are summed, as `commands_at` takes them. [s]"""
 
@@ -90,3 +94,118 @@ def energy_record(prediction: Prediction) -> dict[str, Any] | None:
 def _middle_and_most(work_j: FloatArray) -> dict[str, float]:
     p95 = float(np.quantile(work_j, 0.95, method="inverted_cdf"))
     return {"p50_j": float(np.median(work_j)), "p95_j": p95}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PowerUse:
+    """Electrical power of a drive, between its samples, and what is left in the battery.
+
+    Attributes
+    ----------
+    time_s : of the samples. (samples,) [s]
+    wheels_w : drawn by the motor of each wheel, mean between samples. (members, samples - 1, wheels) [W]
+    others_w : drawn by all else, mean between samples. (members, samples - 1) [W]
+    panels_w : from the panels, mean between samples; 0 without a Sun. (members, samples - 1) [W]
+    lit : whether the rover's origin is in sunlight at a sample; None without a Sun. (members, samples)
+    battery_wh : left at each sample, between 0 and the capacity. (members, samples) [W h]
+    """
+
+    time_s: FloatArray
+    wheels_w: FloatArray
+    others_w: FloatArray
+    panels_w: FloatArray
+    lit: BoolArray | None
+    battery_wh: FloatArray
+
+    @property
+    def drawn_wh(self) -> FloatArray:
+        """Electrical energy that each drive takes. (members,) [W h]"""
+        watts = self.wheels_w.sum(axis=2) + self.others_w
+        return np.asarray(watts @ np.diff(self.time_s) / SECONDS_PER_HOUR)
+
+    @property
+    def gained_wh(self) -> FloatArray:
+        """What the panels gave. (members,) [W h]"""
+        return np.asarray(self.panels_w @ np.diff(self.time_s) / SECONDS_PER_HOUR)
+
+
+def power_use(prediction: Prediction, sun: SunDirection | None = None, charge: float = 1.0) -> PowerUse:
+    """Electrical power at every wheel, from the panels, and the state of the battery along each drive.
+
+    A motor draws its mechanical power over its efficiency, and its idle power while its wheel turns. Panels lie flat on
+    the chassis: area times efficiency times solar constant times cosine of the Sun's angle from their normal, nothing
+    where the terrain's shadow lies on the rover's origin. The battery takes what is over until it is full; its own
+    losses are left out, as are those of charging. A drive that ended early keeps its last state.
+
+    Parameters
+    ----------
+    charge : of the battery at the start, 0 to 1. [-]
+
+    Raises ParameterError for a rover without [motors] or [power], and a charge that is none.
+    """
+    rover = prediction.rover
+    motors, power = rover.motors, rover.power
+    if motors is None or power is None:
+        raise ParameterError(
+            f"{rover.name} has no [motors] and [power]; add both tables to the rover file as in yutu2's"
+        )
+    if not 0 <= charge <= 1:
+        raise ParameterError(f"charge is {charge:g}; give a share from 0 to 1")
+    time, turned = prediction.time_s, wheel_turns_rad(prediction)
+    between = np.diff(time)
+    torque = np.maximum(prediction.states[..., STATE_COLUMNS.index("resistance_torque_nm")], 0.0)
+    mean = 0.5 * (torque[:, 1:] + torque[:, :-1])
+    reached = prediction.reached[:, 1:]
+    wheels = (mean * turned / motors.efficiency + motors.idle_w * (turned > 0) * between[:, None]) / between[:, None]
+    lit, gain = _panels(prediction, power, sun)
+    gain, wheels = np.where(reached, gain, 0.0), np.where(reached[..., None], wheels, 0.0)
+    others = np.where(reached, power.electronics_w, 0.0)
+    change = (gain - wheels.sum(axis=2) - others) * between / SECONDS_PER_HOUR
+    left = np.empty((prediction.members, len(time)))
+    left[:, 0] = charge * power.battery_wh
+    for k in range(len(between)):
+        left[:, k + 1] = np.clip(left[:, k] + change[:, k], 0.0, power.battery_wh)
+    return PowerUse(time_s=time, wheels_w=wheels, others_w=others, panels_w=gain, lit=lit, battery_wh=left)
+
+
+def _panels(
+    prediction: Prediction, power: PowerSupply, sun: SunDirection | None
+) -> tuple[BoolArray | None, FloatArray]:
+    """Samples in sunlight, and power of the panels between samples. [W]"""
+    if sun is None:
+        return None, np.zeros((prediction.members, len(prediction.time_s) - 1))
+    roll, pitch, yaw = np.moveaxis(np.radians(prediction.paths[..., 3:]), -1, 0)
+    # The chassis' z axis: turned by roll about x, then pitch about y, then yaw about z.
+    aside, along = -np.sin(roll), np.cos(roll) * np.sin(pitch)
+    normal = (
+        np.cos(yaw) * along - np.sin(yaw) * aside,
+        np.sin(yaw) * along + np.cos(yaw) * aside,
+        np.cos(roll) * np.cos(pitch),
+    )
+    facing = np.maximum(0.0, np.tensordot(sun.vector, np.array(normal), axes=1))
+    terrain = prediction.terrain
+    bright, nodes = sunlit(terrain, sun.azimuth_deg, sun.elevation_deg), []
+    for axis, place, first in ((1, 0, terrain.x0_m), (0, 1, terrain.y0_m)):
+        number = np.rint((prediction.places_m[..., place] - first) / terrain.spacing_m).astype(np.int64)
+        nodes.append(np.clip(number, 0, bright.shape[axis] - 1))
+    lit = bright[nodes[1], nodes[0]]
+    watts = SOLAR_CONSTANT_W_M2 * power.panel_area_m2 * power.cell_efficiency * facing * lit
+    return lit, np.asarray(0.5 * (watts[:, 1:] + watts[:, :-1]))
+
+
+def power_record(prediction: Prediction, use: PowerUse) -> dict[str, Any]:
+    """Electrical power and battery of all drives, for JSON. [W, W h]
+
+    Of energies p50 and p95, of the battery p50 and p05 of its lowest state; `empty_drives` ran out of it.
+    """
+    drawn, least = use.drawn_wh, use.battery_wh.min(axis=1)
+    p95, p05 = (float(s * np.quantile(s * v, 0.95, method="inverted_cdf")) for s, v in ((1.0, drawn), (-1.0, least)))
+    lit = None if use.lit is None else float(use.lit[prediction.reached].mean()) if prediction.reached.any() else None
+    most = use.wheels_w.max(axis=(0, 1))
+    return {
+        "drawn": {"p50_wh": float(np.median(drawn)), "p95_wh": p95},
+        "panels": {"p50_wh": float(np.median(use.gained_wh)), "lit_share": lit},
+        "battery": {"p50_least_wh": float(np.median(least)), "p05_least_wh": p05},
+        "empty_drives": int((least <= 0).sum()),
+        "wheels_most_w": dict(zip(prediction.rover.wheels, map(float, most), strict=True)),
+    }

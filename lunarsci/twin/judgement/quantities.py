@@ -185,8 +185,9 @@ def along(prediction: Prediction, quantity: str) -> FloatArray:
     """A quantity at every sample, (members, samples), or (members, samples, wheels) for a column of the wheel states.
 
     `tilt_deg`, `miss_m` (distance of the rover's origin from where the plan has it by then), `clearance_m`,
-    `keep_out_m`, and the columns of `PATH_COLUMNS` and `STATE_COLUMNS`, of which x_m and y_m are the rover's. Rows
-    beyond `Prediction.reached` repeat the last one. Raises ParameterError for another name.
+    `keep_out_m`, `motor_torque_nm` (that of the ground, which a motor must hold), and the columns of `PATH_COLUMNS` and
+    `STATE_COLUMNS`, of which x_m and y_m are the rover's. Rows beyond `Prediction.reached` repeat the last one. Raises
+    ParameterError for another name.
     """
     if quantity == "tilt_deg":
         return tilt_deg(along(prediction, "roll_deg"), along(prediction, "pitch_deg"))
@@ -196,6 +197,8 @@ def along(prediction: Prediction, quantity: str) -> FloatArray:
         return clearance(prediction)[0]
     if quantity == "keep_out_m":
         return exclusion_distance(prediction)
+    if quantity == "motor_torque_nm":
+        return along(prediction, "resistance_torque_nm")
     if quantity in PATH_COLUMNS:
         return prediction.paths[..., PATH_COLUMNS.index(quantity)]
     if quantity in STATE_COLUMNS:

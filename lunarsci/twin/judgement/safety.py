@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.twin.judgement.endpoint import Endpoint, endpoint_spread
 from lunarsci.twin.judgement.quantities import Encounter, along, clearance, encounters
@@ -226,6 +226,7 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
     }
     reasons = [f"{n} of {prediction.members} members: {text}" for text, n in outcomes.items() if text != OUTCOMES[0]]
     reasons += [_reason(j) for j in judged if not j.ok]
+    reasons += _overload(prediction)
     near = tuple(encounters(prediction))
     reasons += [_crossed(one, prediction.members) for one in near if one.margin_m < 0]
     found = validity(prediction)
@@ -253,6 +254,18 @@ def limits_judged(plan: Plan, rover: Rover | None = None) -> tuple[Limit, ...]:
         limits = (*limits, Limit("keep_out_m", QUANTITIES["keep_out_m"], 0.0, "circles of the plan", False))
     bodiless = rover is not None and rover.body is None
     return tuple(limit for limit in limits if not (bodiless and limit.quantity == "clearance_m"))
+
+
+def overloaded(prediction: Prediction) -> BoolArray:
+    """Drives in which a wheel needs more torque than its motor gives for long at the plan's speed; none without motors.
+
+    (members,)
+    """
+    motors = prediction.rover.motors
+    if motors is None:
+        return np.zeros(prediction.members, dtype=bool)
+    most = motors.torque_nm(prediction.plan.speed_m_s / prediction.rover.wheel.shearing_radius_m)
+    return np.asarray(extremes(prediction, "motor_torque_nm") > most)
 
 
 def _judge_limit(prediction: Prediction, limit: Limit) -> Judgement | None:
@@ -292,6 +305,13 @@ def _reason(judgement: Judgement) -> str:
     if judgement.sense == "at least":
         return f"{judgement.quantity}: p05 {judgement.p05:.3g} is less than the limit {judgement.limit:g}"
     return f"{judgement.quantity}: p95 {judgement.p95:.3g} exceeds the limit {judgement.limit:g}"
+
+
+def _overload(prediction: Prediction) -> list[str]:
+    over = int(overloaded(prediction).sum())
+    if over <= 0.05 * prediction.members:
+        return []
+    return [f"in {over} of {prediction.members} drives a wheel needs more torque than its motor gives at this speed"]
 
 
 def _crossed(one: Encounter, members: int) -> str:

@@ -23,6 +23,7 @@ QUANTITIES = {
     "endpoint_miss_m": "m",
     "clearance_m": "m",
     "keep_out_m": "m",
+    "motor_torque_nm": "N m",
 }
 AT_LEAST = ("clearance_m", "keep_out_m")
 """Of these small values are the dangerous ones: their limit is the smallest value that counts as safe."""
@@ -195,6 +196,12 @@ def check_plan(plan: Plan, rover: Rover) -> None:
         raise ParameterError(
             f"{where}the plan's speed_m_s is {plan.speed_m_s:g}; {rover.name} drives at most "
             f"{rover.max_speed_m_s:g} m/s"
+        )
+    rate = plan.speed_m_s / rover.wheel.shearing_radius_m
+    if rover.motors is not None and rover.motors.torque_nm(rate) <= 0:
+        raise ParameterError(
+            f"{where}the plan's speed_m_s is {plan.speed_m_s:g}, {rate:.3g} rad/s of a wheel; the motors of "
+            f"{rover.name} turn at most at {rover.motors.no_load_rate_rad_s:g} rad/s"
         )
     tightest = rover.tightest_curvature_per_m
     for number, leg in enumerate(plan.legs, 1):

@@ -1,0 +1,97 @@
+"""Motors, battery and solar panels of a rover, as its file describes them."""
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any, TypeVar
+
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.rovers import RoverDescription
+
+SOLAR_CONSTANT_W_M2 = 1360.8
+"""Power of sunlight through a square metre at 1 au: Kopp & Lean (2011), 10.1029/2010GL045777. [W/m2]"""
+
+
+def _check(what: str, given: object, positive: tuple[str, ...], shares: tuple[str, ...] = ()) -> None:
+    for name in positive:
+        if not 0 < getattr(given, name) < math.inf:
+            raise ParameterError(f"{what} {name} is {getattr(given, name)}; give a number above 0")
+    for name in shares:
+        if not 0 < getattr(given, name) <= 1:
+            raise ParameterError(f"{what} {name} is {getattr(given, name)}; give a share above 0, at most 1")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Motors:
+    """The motor of each wheel with its gears, seen at the wheel; all are alike.
+
+    Attributes
+    ----------
+    stall_torque_nm : torque at which it stands still. [N m]
+    continuous_torque_nm : most torque that it gives for long, at most the stall torque. [N m]
+    no_load_rate_rad_s : how fast it turns without load; torque falls in a straight line to 0 there. [rad/s]
+    efficiency : mechanical power at the wheel over electrical power, of motor and gears, taken as constant. [-]
+    idle_w : electrical power of a motor that turns without load. [W]
+
+    Raises ParameterError outside these ranges.
+    """
+
+    stall_torque_nm: float
+    continuous_torque_nm: float
+    no_load_rate_rad_s: float
+    efficiency: float
+    idle_w: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check("motors", self, ("stall_torque_nm", "continuous_torque_nm", "no_load_rate_rad_s"), ("efficiency",))
+        if self.continuous_torque_nm > self.stall_torque_nm:
+            raise ParameterError("motors continuous_torque_nm is above stall_torque_nm; give at most that")
+        if not 0 <= self.idle_w < math.inf:
+            raise ParameterError(f"motors idle_w is {self.idle_w}; give 0 or more")
+
+    def torque_nm(self, rate_rad_s: float) -> float:
+        """Most torque that the motor gives for long at a rate of the wheel, 0 from the no-load rate on. [N m]"""
+        line = self.stall_torque_nm * (1.0 - abs(rate_rad_s) / self.no_load_rate_rad_s)
+        return max(0.0, min(self.continuous_torque_nm, line))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PowerSupply:
+    """Battery, panels, and what draws power beside the motors.
+
+    Attributes
+    ----------
+    battery_wh : energy of the full battery. [W h]
+    electronics_w : draw of everything but the wheels' motors while the rover drives, heaters included. [W]
+    panel_area_m2 : area of solar cells, 0 for none. They lie flat on top of the chassis and tilt with it. [m2]
+    cell_efficiency : electrical power over sunlight, with dust and wiring. [-]
+
+    Raises ParameterError outside these ranges.
+    """
+
+    battery_wh: float
+    electronics_w: float
+    panel_area_m2: float = 0.0
+    cell_efficiency: float = 0.3
+
+    def __post_init__(self) -> None:
+        _check("power", self, ("battery_wh",), ("cell_efficiency",))
+        for name in ("electronics_w", "panel_area_m2"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ParameterError(f"power {name} is {getattr(self, name)}; give 0 or more")
+
+
+Part = TypeVar("Part", Motors, PowerSupply)
+
+
+def read_part(description: RoverDescription, table: str, kind: type[Part]) -> Part | None:
+    """[motors] or [power] of a rover file, None where it has none. Raises DataError."""
+    found: dict[str, Any] | None = description.tables.get(table)
+    if found is None:
+        return None
+    known = [field.name for field in fields(kind)]
+    if unknown := set(found) - set(known):
+        raise DataError(f"{description.origin}: [{table}] has no '{min(unknown)}'; these are: {', '.join(known)}")
+    try:
+        return kind(**{name: float(value) for name, value in found.items()})
+    except (TypeError, ValueError) as error:
+        raise DataError(f"{description.origin}: [{table}]: {error}") from error

@@ -1,0 +1,151 @@
+"""Electrical power, panels, shadow and battery beside sums done by hand."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.regolith.soil import Soil
+from lunarsci.rovers import read_rover
+from lunarsci.twin.electrics import Motors, PowerSupply
+from lunarsci.twin.ground.illumination import SunDirection
+from lunarsci.twin.ground.terrain import build_terrain
+from lunarsci.twin.judgement.energy import energy_use, power_record, power_use
+from lunarsci.twin.judgement.safety import extremes, judge, overloaded
+from lunarsci.twin.plans.plan import Limit, check_plan
+from lunarsci.twin.rover import Rover, build_rover
+from lunarsci.twin.simulation.ensemble import Prediction, predict
+
+MOTORS = Motors(stall_torque_nm=20.0, continuous_torque_nm=8.0, no_load_rate_rad_s=1.0, efficiency=0.5, idle_w=0.0)
+SUPPLY = PowerSupply(battery_wh=1.0, electronics_w=36.0, panel_area_m2=1.0, cell_efficiency=0.25)
+
+
+def equipped(drive: Prediction, motors: Motors = MOTORS, power: PowerSupply = SUPPLY) -> Prediction:
+    return dataclasses.replace(drive, rover=dataclasses.replace(drive.rover, motors=motors, power=power))
+
+
+def posed(drive: Prediction, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> Prediction:
+    paths = drive.paths.copy()
+    paths[..., 3:] = roll, pitch, yaw
+    return dataclasses.replace(drive, paths=paths)
+
+
+def test_motors_draw_their_work_over_their_efficiency_and_idle_while_they_turn(driven: Prediction) -> None:
+    """A drive of 1 m in 20 s: work of the wheels, 36 W of electronics, 2 W for each of six motors."""
+    work = energy_use(driven).total_j
+    use = power_use(equipped(driven))
+    assert use.drawn_wh * 3600.0 == pytest.approx(work / 0.5 + 36.0 * 20.0, rel=1e-9)
+    idle = power_use(equipped(driven, dataclasses.replace(MOTORS, idle_w=2.0)))
+    assert (idle.drawn_wh - use.drawn_wh) * 3600.0 == pytest.approx(np.full(20, 6 * 2.0 * 20.0), rel=1e-9)
+    assert (use.panels_w == 0).all() and use.lit is None
+
+
+def test_twice_the_draw_empties_the_battery_in_half_the_time(yutu2: Rover, slope, straight) -> None:  # type: ignore[no-untyped-def]
+    drive = predict(yutu2, slope(), straight(6.0), sweep=())
+    strong = dataclasses.replace(MOTORS, efficiency=1.0)
+
+    def empty_s(watts: float) -> float:
+        supply = dataclasses.replace(SUPPLY, electronics_w=watts)
+        # Nothing but electronics draws, so that the draw is constant.
+        states = np.zeros_like(drive.states)
+        use = power_use(equipped(dataclasses.replace(drive, states=states), strong, supply))
+        left = use.battery_wh[0]
+        assert (np.diff(left) <= 0).all() and left[-1] == 0.0
+        last = int(np.argmax(left <= 0)) - 1
+        rate = (left[last - 1] - left[last]) / (use.time_s[last] - use.time_s[last - 1])
+        return float(use.time_s[last] + left[last] / rate)
+
+    # 1 Wh at 60 W is a minute.
+    assert empty_s(60.0) == pytest.approx(60.0, rel=1e-6)
+    assert empty_s(120.0) == pytest.approx(30.0, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("attitude", "sun", "cosine"),
+    [
+        ((0.0, 0.0, 0.0), (77.0, 90.0), 1.0),
+        ((0.0, 0.0, 50.0), (10.0, 30.0), 0.5),
+        # Nose down by 20 deg towards a Sun ahead, 20 deg high: 40 deg over the panel. And away from it: 0 deg.
+        ((0.0, 20.0, 0.0), (0.0, 20.0), math.sin(math.radians(40.0))),
+        ((0.0, 20.0, 180.0), (0.0, 20.0), 0.0),
+        ((0.0, 20.0, 90.0), (90.0, 20.0), math.sin(math.radians(40.0))),
+        # Rolled to the right by 15 deg, the Sun on the right, at 30 deg; heading 90 deg has the right at azimuth 0.
+        ((15.0, 0.0, 0.0), (-90.0, 30.0), math.sin(math.radians(45.0))),
+        ((15.0, 0.0, 90.0), (0.0, 30.0), math.sin(math.radians(45.0))),
+        ((0.0, 0.0, 0.0), (0.0, -5.0), 0.0),
+    ],
+)
+def test_panels_give_by_the_angle_of_the_sun_from_their_normal(driven: Prediction, attitude, sun, cosine) -> None:  # type: ignore[no-untyped-def]
+    use = power_use(posed(equipped(driven), *attitude), SunDirection(*sun))
+    assert use.panels_w == pytest.approx(np.full((20, 10), 1360.8 * 1.0 * 0.25 * cosine), abs=1e-9)
+
+
+def test_the_shadow_of_a_ridge_turns_the_panels_off_and_the_battery_does_not_overflow(  # type: ignore[no-untyped-def]
+    yutu2: Rover, longji_soil: Soil, straight
+) -> None:
+    """A ridge 1 m high at x = -3 m; the Sun behind it, 20 deg high: shadow to x = -3 + 2.75 + half its width."""
+    x = np.arange(-5.0, 8.01, 0.1)
+    height = np.repeat(np.where(np.abs(x + 3.0) < 0.51, 1.0, 0.0)[None, :], 81, axis=0)
+    terrain = build_terrain("ridge", -5.0, -4.0, 0.1, height, longji_soil, synthetic=True)
+    drive = equipped(predict(yutu2, terrain, straight(4.0, x_m=-1.5), sweep=()))
+    use = power_use(drive, SunDirection(180.0, 20.0), charge=0.5)
+    edge = -2.5 + 1.0 / math.tan(math.radians(20.0))
+    assert use.lit is not None
+    lit, place = use.lit[0], drive.paths[0, :, 0]
+    assert not lit[place < edge - 0.2].any() and lit[place > edge + 0.2].all()
+    assert 5 < lit.sum() < len(lit) - 5
+    dark = use.battery_wh[0, ~lit]
+    assert dark[0] == 0.5 and (np.diff(dark) < 0).all()
+    # 1360.8 W/m2 x 1 m2 x 0.25 x sin 20 deg = 116 W, more than is drawn.
+    assert use.panels_w[0, -1] == pytest.approx(1360.8 * 0.25 * math.sin(math.radians(20.0)), rel=0.02)
+    longer = dataclasses.replace(SUPPLY, battery_wh=0.6)
+    assert power_use(equipped(drive, MOTORS, longer), SunDirection(0.0, 80.0)).battery_wh.max() == 0.6
+    record = power_record(drive, use)
+    assert record["empty_drives"] == 0 and 0.1 < record["panels"]["lit_share"] < 0.9
+
+
+def test_a_motor_gives_what_its_line_allows_and_no_more_than_for_long() -> None:
+    """20 N m (1 - w / 1 rad/s), cut at 8 N m from 0.6 rad/s down."""
+    assert [MOTORS.torque_nm(rate) for rate in (0.0, 0.6, -0.6, 0.8, 1.0, 2.0)] == pytest.approx(
+        [8.0, 8.0, 8.0, 4.0, 0.0, 0.0]
+    )
+
+
+def test_wheels_that_need_more_than_their_motors_give_are_no_go(yutu2: Rover, slope, straight) -> None:  # type: ignore[no-untyped-def]
+    drive = predict(yutu2, slope(0.2), straight(2.0), sweep=())
+    most = float(extremes(drive, "motor_torque_nm")[0])
+    # Six wheels that lift m g sin(slope) at r_s, and roll on.
+    assert most > 135.0 * 1.622 * math.sin(math.atan(0.2)) * 0.1552 / 6
+    weak = dataclasses.replace(MOTORS, continuous_torque_nm=0.9 * most)
+    assert overloaded(equipped(drive, weak)).all() and not overloaded(equipped(drive)).any()
+    assert "more torque than its motor gives" in judge(equipped(drive, weak)).reasons[-1]
+    assert judge(equipped(drive)).reasons == judge(dataclasses.replace(drive, rover=bare(yutu2))).reasons
+    plan = dataclasses.replace(drive.plan, limits=(Limit("motor_torque_nm", "N m", 0.9 * most, "test", False),))
+    [limit] = judge(equipped(drive), plan).limits
+    assert not limit.ok and limit.max == pytest.approx(most)
+
+
+def bare(rover: Rover) -> Rover:
+    return dataclasses.replace(rover, motors=None, power=None)
+
+
+def test_what_cannot_be_is_refused(yutu2: Rover, driven: Prediction, straight, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(ParameterError, match="above stall_torque_nm"):
+        dataclasses.replace(MOTORS, continuous_torque_nm=30.0)
+    with pytest.raises(ParameterError, match=r"efficiency is 1\.2; give a share"):
+        dataclasses.replace(MOTORS, efficiency=1.2)
+    with pytest.raises(ParameterError, match="battery_wh is nan"):
+        dataclasses.replace(SUPPLY, battery_wh=math.nan)
+    with pytest.raises(ParameterError, match="charge is 2"):
+        power_use(equipped(driven), charge=2.0)
+    with pytest.raises(ParameterError, match=r"no \[motors\] and \[power\].*add"):
+        power_use(dataclasses.replace(driven, rover=bare(driven.rover)))
+    slow = dataclasses.replace(yutu2, motors=dataclasses.replace(MOTORS, no_load_rate_rad_s=0.2))
+    with pytest.raises(ParameterError, match=r"0\.322 rad/s of a wheel.*at most at 0\.2"):
+        check_plan(straight(1.0), slow)
+    file = tmp_path / "rover.toml"
+    file.write_text(read_rover("yutu2").text.replace("idle_w", "idle_watts"))
+    with pytest.raises(DataError, match=r"\[motors\] has no 'idle_watts'"):
+        build_rover(str(file))
