@@ -5,7 +5,7 @@ Every main job of the command line is a function here, with the same defaults, r
 * spectra: `calibrate`, `bands`, `indices`, `fit`, `unmix`, `match`;
 * regolith: `wheel_forces`, `identify`, `infer`;
 * images: `cameras`, `calibrate_cameras`, `render`, `dem`, `locate`, `merge`, `track`, `rocks`;
-* twin: `plan`, `predict`, `states`, `loads`, `update`, `compare`.
+* twin: `plan`, `predict`, `sweep`, `states`, `loads`, `update`, `compare`.
 
 Each takes paths, open files, tables or arrays, and options by name or as a request, such as `FitRequest`. Each gives a
 `Result`: `.to_table()` is an astropy QTable, `.plot()` a matplotlib Figure, `.to_dict()` the `result` of `--json`.
@@ -19,7 +19,7 @@ JOBS = {
     "spectra": ("calibrate", "bands", "indices", "fit", "unmix", "match"),
     "regolith": ("wheel_forces", "identify", "infer"),
     "images": ("cameras", "calibrate_cameras", "render", "dem", "locate", "merge", "track", "rocks"),
-    "twin": ("plan", "predict", "states", "loads", "update", "compare"),
+    "twin": ("plan", "predict", "sweep", "states", "loads", "update", "compare"),
 }
 """What each part offers; `__init__.pyi` has the same for type checkers."""
 _AREAS = {job: area for area, jobs in JOBS.items() for job in jobs}

@@ -21,6 +21,7 @@ from lunarsci.twin.jobs.loads import loads as loads
 from lunarsci.twin.jobs.plan import plan as plan
 from lunarsci.twin.jobs.predict import predict as predict
 from lunarsci.twin.jobs.states import states as states
+from lunarsci.twin.jobs.sweep import sweep as sweep
 from lunarsci.twin.jobs.update import update as update
 
 JOBS: dict[str, tuple[str, ...]]

@@ -1,0 +1,92 @@
+"""`lunarsci twin sweep`: what a number of the rover is worth on a mission."""
+
+from typing import Annotated, Any
+
+import typer
+
+from lunarsci.twin.jobs.sweep import DesignTrade, SweepRequest
+
+from ..shared.command import command
+from ..shared.options import Output, option
+from ..shared.progress import progress
+from ..shared.report import Report
+from ..shared.table import TextTable
+from .options import DRIVE, EXACT_TERRAIN
+
+OPTIONS = DRIVE | {
+    "vary": option(
+        "Number of the rover file, TABLE.KEY (with .x, .y or .z of a vector), or plan.speed_m_s; repeatable: the grid "
+        "of all values.",
+        metavar="NAME=LOW:HIGH:N",
+    ),
+    "designs": option("Number of designs: Latin-hypercube samples of the ranges instead of the grid.", min=1),
+    "exact_terrain": EXACT_TERRAIN,
+}
+Plans = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="[PLAN]...", help="Plans of the mission (TOML); the embedded one if left out."),
+]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the command."""
+    command(app, "sweep", request=SweepRequest, options=OPTIONS)(sweep)
+
+
+def sweep(output: Output, request: SweepRequest, plans: Plans = None) -> Report:
+    """Drive designs of a rover that differ in a few numbers on the same mission and soils, and set them side by side.
+
+    For each design: the share of drives that keep every limit, p95 of the worst slip and sinkage, work of the motors,
+    time, bias and scatter of the ends, and what a wheel pulls at 20 % slip. An impossible design is listed with its
+    reason; a number on which no drive depends is refused with its reason. `*` marks designs that no other beats both in
+    energy and in the share of drives kept; --plot has them in a picture, and a curve for each number.
+
+        lunarsci twin sweep --vary wheel.radius_m=0.12:0.2:5 --vary mass.body_kg=85:125:3 --members 16
+    """
+    from lunarsci.twin.jobs import sweep as job
+
+    with progress("designs", quiet=output.quiet) as update:
+        found = job.sweep(plans, request, progress=update)
+    return Report.of(found, _tables(found))
+
+
+HEADERS = (
+    "", "kept", "slip p95", "sinkage p95 [mm]", "work [J]", "time [s]", "bias [m]", "scatter [m]",
+    "pull/weight at 20 %", "climbs [deg]",
+)  # fmt: skip
+
+
+def _tables(found: DesignTrade) -> list[TextTable]:
+    names = [entry.name for entry in found.variations]
+    rows = [[*(f"{row[name]:.4g}" for name in names), *_cells(row)] for row in found.rows() if not row["impossible"]]
+    drives = next((design.outcome.drives for design in found.designs if design.outcome), 0)
+    plans = ", ".join(soils.inputs.plan.name for soils in found.soils)
+    title = f"{len(found.designs)} designs of {found.inputs.rover.name}: {plans}; {drives} drives each"
+    notes = [
+        "* no other design keeps more drives and needs less work",
+        *(f"{name} changed nothing: no drive of this mission depends on it" for name in found.unused),
+        *found.inputs.remarks,
+    ]
+    if found.inputs.terrain.synthetic:
+        notes.append("the terrain is synthetic; the trade says nothing about a real site")
+    out = [[*(f"{row[name]:.4g}" for name in names), row["impossible"]] for row in found.rows() if row["impossible"]]
+    impossible = [TextTable([*names, "why"], out, title="Impossible designs")] if out else []
+    return [TextTable([*names, *HEADERS], rows, title=title, notes=notes), *impossible]
+
+
+def _cells(row: Any) -> list[str]:
+    def shown(key: str, form: str, factor: float = 1.0) -> str:
+        return "-" if row[key] is None else format(factor * row[key], form)
+
+    return [
+        "*" if row["on_front"] else "",
+        shown("kept_share", ".0f", 100.0) + " %",
+        shown("slip_ratio", ".3f"),
+        shown("sinkage_m", ".1f", 1e3),
+        shown("energy_p50_j", ".4g"),
+        shown("duration_s", ".0f"),
+        shown("bias_m", ".3f"),
+        shown("scatter_m", ".3f"),
+        shown("pull_per_weight_at_20", ".3f"),
+        shown("slope_at_20_deg", ".1f"),
+    ]

@@ -1,0 +1,204 @@
+"""Designs of a rover on one mission and on the same soils: what each keeps, needs, and how it stands to the others."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.errors import LunarSciError
+from lunarsci.regolith.soil import Soil
+from lunarsci.regolith.traction import LoadedWheel, Traction, traction
+from lunarsci.twin.designs.variation import check_design, varied_description, varied_plan
+from lunarsci.twin.ground.terrain import SOIL_COLUMNS
+from lunarsci.twin.judgement.energy import energy_use, power_use
+from lunarsci.twin.judgement.safety import Verdict, extremes, judge, overloaded
+from lunarsci.twin.plans.plan import check_plan
+from lunarsci.twin.rover import Rover, build_rover
+from lunarsci.twin.simulation.ensemble import Prediction
+
+CURVE = tuple(np.linspace(0.0, 0.6, 13).tolist())
+"""Slips at which a wheel's pull is looked at; the wheel model holds to 0.6. [-]"""
+Drive = Callable[[int, dict[str, Any]], Prediction]
+"""Drives plan number k of the mission with some of its inputs replaced."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissionOutcome:
+    """What a design does on all plans of a mission; drives are pairs of plan and member.
+
+    Attributes
+    ----------
+    drives : members of the ensemble, each of which drives every plan on its soil.
+    kept_share : members that reach every end, keep every limit and overload no motor. [-]
+    slip_ratio, sinkage_m, motor_torque_nm : p95 over the members of the worst of all plans.
+    energy_p50_j, energy_p95_j : work of the motors at the wheels on all plans; None where no member reaches all ends.
+    electrical_p50_wh : what motors and electronics draw on all plans; None also without [motors] and [power].
+    duration_s : of all plans.
+    bias_m, scatter_m : of the ends, the largest of any plan, as `Endpoint` has them; None where none is reached.
+    traction : of a wheel under its share of the weight on level ground, on the median soil; None where the soil does
+        not carry it.
+    reasons : why plans are no-go, one sentence each.
+    """
+
+    drives: int
+    kept_share: float
+    slip_ratio: float
+    sinkage_m: float
+    motor_torque_nm: float
+    energy_p50_j: float | None
+    energy_p95_j: float | None
+    electrical_p50_wh: float | None
+    duration_s: float
+    bias_m: float | None
+    scatter_m: float | None
+    traction: Traction | None
+    reasons: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Design:
+    """A rover with some numbers changed: the values, and what came of it, or why it is impossible."""
+
+    values: dict[str, float]
+    outcome: MissionOutcome | None = None
+    impossible: str = ""
+
+    def row(self) -> dict[str, Any]:
+        """One row of a table; what is not known is None."""
+        found = self.outcome
+        names = (
+            "kept_share", "slip_ratio", "sinkage_m", "motor_torque_nm", "energy_p50_j", "energy_p95_j",
+            "electrical_p50_wh", "duration_s", "bias_m", "scatter_m",
+        )  # fmt: skip
+        figures = ("pull_at_20_n", "pull_per_weight_at_20", "efficiency_at_20", "slope_at_20_deg")
+        pull = None if found is None else found.traction
+        return {
+            **self.values,
+            **{name: None if found is None else getattr(found, name) for name in names},
+            **{name: None if pull is None else getattr(pull, name) for name in figures},
+            "reasons": "" if found is None else "; ".join(found.reasons),
+            "impossible": self.impossible,
+        }
+
+
+def try_design(inputs: Sequence[Any], values: dict[str, float], drive: Drive) -> Design:
+    """Build a design and drive it on every plan; what is impossible becomes its reason.
+
+    `inputs` are the `DriveInputs` of the plans of the mission, all with the same rover.
+    """
+    try:
+        rover = build_rover(varied_description(inputs[0].description, values))
+        check_design(rover, inputs[0].description.assumed)
+        plans = [varied_plan(one.plan, values) for one in inputs]
+        for plan in plans:
+            check_plan(plan, rover)
+        predictions = [drive(k, {"rover": rover, "plan": plan}) for k, plan in enumerate(plans)]
+    except LunarSciError as error:
+        return Design(values=values, impossible=str(error))
+    return Design(values=values, outcome=mission_outcome(rover, predictions))
+
+
+def kept(prediction: Prediction, verdict: Verdict) -> BoolArray:
+    """Members that finish, keep every limit that was judged, and overload no motor. (members,)"""
+    result = prediction.finished & ~overloaded(prediction)
+    for one in verdict.limits:
+        values = extremes(prediction, one.quantity)
+        result &= ~(values < one.limit if one.sense == "at least" else values > one.limit)
+    return np.asarray(result)
+
+
+def mission_outcome(rover: Rover, predictions: Sequence[Prediction]) -> MissionOutcome:
+    """Put the plans of a mission together, member by member, which have the same soil on each."""
+    verdicts = [judge(prediction) for prediction in predictions]
+    keeps = np.all([kept(p, v) for p, v in zip(predictions, verdicts, strict=True)], axis=0)
+    done = np.all([prediction.finished for prediction in predictions], axis=0)
+    work = np.sum([energy_use(prediction).total_j for prediction in predictions], axis=0)[done]
+    ends = [verdict.endpoint for verdict in verdicts]
+    known = [end for end in ends if end is not None]
+    all_ended = len(known) == len(ends)
+    return MissionOutcome(
+        drives=predictions[0].members,
+        kept_share=float(keeps.mean()),
+        **{name: _most(predictions, name) for name in ("slip_ratio", "sinkage_m", "motor_torque_nm")},
+        energy_p50_j=float(np.median(work)) if work.size else None,
+        energy_p95_j=_p95(work) if work.size else None,
+        electrical_p50_wh=_electrical_wh(rover, predictions, done),
+        duration_s=math.fsum(float(prediction.time_s[-1]) for prediction in predictions),
+        bias_m=max(end.bias_m for end in known) if all_ended else None,
+        scatter_m=max(end.scatter_radius_m for end in known) if all_ended else None,
+        traction=_traction(rover, predictions[0]),
+        reasons=tuple(f"{p.plan.name}: {why}" for p, v in zip(predictions, verdicts, strict=True) for why in v.reasons),
+    )
+
+
+def _electrical_wh(rover: Rover, predictions: Sequence[Prediction], done: BoolArray) -> float | None:
+    if rover.motors is None or rover.power is None or not done.any():
+        return None
+    return float(np.median(np.sum([power_use(prediction).drawn_wh for prediction in predictions], axis=0)[done]))
+
+
+def _most(predictions: Sequence[Prediction], name: str) -> float:
+    return _p95(np.max([extremes(prediction, name) for prediction in predictions], axis=0))
+
+
+def _p95(values: FloatArray) -> float:
+    return float(np.quantile(values, 0.95, method="inverted_cdf"))
+
+
+def median_soil(prediction: Prediction) -> Soil:
+    """The soil of the middle: medians over the nodes of the terrain, and over the members of what these have."""
+    middle = np.median(prediction.terrain.soil.reshape(-1, 8), axis=0)
+    values = dict(zip(SOIL_COLUMNS, middle.tolist(), strict=True))
+    values["stiffness_kpa_m_n"] *= 1e-3
+    for name in ("shear_modulus_mm", "lateral_modulus_mm"):
+        values[name] *= 1e3
+    for name in ("friction_angle_deg", "external_friction_angle_deg"):
+        values[name] = math.degrees(math.atan(values[name]))
+    return Soil(**values | {name: float(np.median(given)) for name, given in prediction.parameters.items()})
+
+
+def _traction(rover: Rover, prediction: Prediction) -> Traction | None:
+    load = rover.mass_kg * rover.gravity_m_s2 / len(rover.wheels)
+    wheel = LoadedWheel(wheel=rover.wheel, soil=median_soil(prediction), load_n=load)
+    try:
+        return traction(wheel, wheel.over(CURVE))
+    except LunarSciError:
+        return None
+
+
+def pareto_front(designs: Sequence[Design]) -> list[int]:
+    """Numbers of the designs that no other beats in both the share of drives kept and the median energy.
+
+    By energy, the least first; without those that are impossible or reach no end.
+    """
+    known = [
+        (found.energy_p50_j, -found.kept_share, number)
+        for number, design in enumerate(designs)
+        if (found := design.outcome) is not None and found.energy_p50_j is not None
+    ]
+    front: list[int] = []
+    best = math.inf
+    for _, lost, number in sorted(known):
+        if lost < best:
+            front.append(number)
+            best = lost
+    return front
+
+
+def unchanged(designs: Sequence[Design]) -> list[str]:
+    """Varied numbers with which, all others alike, no outcome changes by a digit; [] where none was tried so."""
+    names = list(designs[0].values) if designs else []
+    found = []
+    for name in names:
+        groups: dict[tuple[float, ...], list[MissionOutcome]] = {}
+        for design in designs:
+            if design.outcome is not None:
+                rest = tuple(value for key, value in design.values.items() if key != name)
+                groups.setdefault(rest, []).append(design.outcome)
+        several = [group for group in groups.values() if len(group) > 1]
+        if several and all(outcome == group[0] for group in several for outcome in group):
+            found.append(name)
+    return found

@@ -1,0 +1,104 @@
+"""Pictures of a trade: risk beside energy, and what each number of the design does."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lunarsci.twin.designs.trade import Design
+from lunarsci.twin.figures.panels import ACCENT, GOLD, INK, LIMIT
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MEASURES = (
+    ("kept_share", 100.0, "drives that\nkeep limits [%]"),
+    ("slip_ratio", 1.0, "slip, worst [-]"),
+    ("sinkage_m", 1e3, "sinkage,\nworst [mm]"),
+    ("energy_p50_j", 1.0, "work at the\nwheels [J]"),
+    ("pull_per_weight_at_20", 1.0, "pull per weight\nat 20 % slip [-]"),
+)
+"""Keys of a design's row, factor, and label."""
+
+
+def front_page(designs: Sequence[Design], front: Sequence[int]) -> "Figure":
+    """Share of drives that break a limit against the energy of the others, and the designs that none beats in both."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.5, 6.6), dpi=130, layout="constrained", facecolor="white")
+    axes = figure.subplots()
+    rows = [design.row() for design in designs]
+    known = [n for n, row in enumerate(rows) if row["energy_p50_j"] is not None]
+    name = next(iter(designs[0].values))
+    if known:
+        risk = {n: 100.0 * (1.0 - rows[n]["kept_share"]) for n in known}
+        energy = {n: rows[n]["energy_p50_j"] for n in known}
+        dots = axes.scatter(
+            [energy[n] for n in known],
+            [risk[n] for n in known],
+            c=[designs[n].values[name] for n in known],
+            s=46,
+            cmap="viridis",
+            edgecolors="white",
+            linewidths=0.5,
+            zorder=3,
+        )
+        axes.plot([energy[n] for n in front], [risk[n] for n in front], "-", color=GOLD, linewidth=2.0, zorder=2)
+        axes.scatter(
+            [energy[n] for n in front], [risk[n] for n in front], s=130, facecolors="none", edgecolors=LIMIT,
+            linewidths=1.6, zorder=4, label="no other design is better in both",
+        )  # fmt: skip
+        figure.colorbar(dots, ax=axes, label=name)
+        _name_front(axes, designs, front, energy, risk)
+        axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.1), fontsize=9, frameon=False)
+    highest = max(10.0, *(100.0 * (1.0 - rows[n]["kept_share"]) for n in known), 0.0)
+    axes.set_ylim(-0.04 * highest, 1.08 * highest)
+    axes.set_xlabel("Work of the motors at the wheels, median [J]")
+    axes.set_ylabel("Drives that break a limit or do not end [%]")
+    axes.grid(alpha=0.3)
+    left = len(designs) - len(known)
+    more = f"; {left} impossible or without an end are not shown" if left else ""
+    figure.suptitle(f"{len(designs)} designs on the same soils{more}", fontsize=12, color=INK)
+    return figure
+
+
+def _name_front(axes: "Axes", designs: Sequence[Design], front: Sequence[int], energy: Any, risk: Any) -> None:
+    """The values of at most eight designs of the front, beside their dots."""
+    for n in list(front)[:8]:
+        text = ", ".join(f"{value:.3g}" for value in designs[n].values.values())
+        axes.annotate(
+            text, (energy[n], risk[n]), xytext=(8, 8), textcoords="offset points", fontsize=8, color=INK, zorder=5
+        )
+
+
+def curve_page(designs: Sequence[Design], names: Sequence[str]) -> "Figure":
+    """Each measure against each varied number: a dot for each design, the line through the medians of equal values."""
+    from matplotlib.figure import Figure
+
+    width = max(6.0, 3.6 * len(names))
+    figure = Figure(figsize=(width, 1.9 * len(MEASURES)), dpi=130, layout="constrained", facecolor="white")
+    panels = figure.subplots(len(MEASURES), len(names), squeeze=False, sharex="col", sharey="row")
+    rows = [design.row() for design in designs]
+    for column, name in enumerate(names):
+        values = np.array([design.values[name] for design in designs])
+        for axes, (key, factor, label) in zip(panels[:, column], MEASURES, strict=True):
+            measured = np.array([np.nan if row[key] is None else factor * row[key] for row in rows])
+            _draw_curve(axes, values, measured)
+            if column == 0:
+                axes.set_ylabel(label, fontsize=9)
+        panels[-1, column].set_xlabel(name)
+    figure.suptitle("What each number does; lines: medians over the others", fontsize=11, color=INK)
+    return figure
+
+
+def _draw_curve(axes: "Axes", values: Any, measured: Any) -> None:
+    known = np.isfinite(measured)
+    axes.plot(values[known], measured[known], "o", color=ACCENT, markersize=4, alpha=0.55, markeredgewidth=0)
+    places = np.unique(values[known])
+    if 1 < len(places) <= max(12, known.sum() // 2):
+        middle = [np.median(measured[known & (values == place)]) for place in places]
+        axes.plot(places, middle, "-", color=INK, linewidth=1.4)
+    for place in np.unique(values[~known]):
+        axes.axvline(place, color=LIMIT, linewidth=0.8, linestyle=":", alpha=0.6)
+    axes.grid(alpha=0.3)

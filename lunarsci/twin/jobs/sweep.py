@@ -1,0 +1,190 @@
+"""What a number of the rover is worth: designs that differ in a few of them, on one mission and the same soils."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from lunarsci.errors import ParameterError, RequestError
+from lunarsci.inputs import Source
+from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.twin.jobs.predict import DriveRequest
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from lunarsci.twin.designs.trade import Design
+    from lunarsci.twin.designs.variation import Variation
+    from lunarsci.twin.jobs.drive_inputs import DriveInputs
+    from lunarsci.twin.jobs.soils import Soils
+    from lunarsci.twin.plans.plan import Plan
+    from lunarsci.twin.simulation.ensemble import Prediction
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SweepRequest(DriveRequest):
+    """Which designs to drive.
+
+    Attributes
+    ----------
+    vary : NAME=LOW:HIGH:N, numbers of the rover file as TABLE.KEY (`.x`, `.y`, `.z` of a vector), or plan.speed_m_s.
+    designs : Latin-hypercube samples of the ranges instead of the grid of all their values.
+    exact_terrain : drive on the likely ground, although the elevation model says how far it may be off.
+    """
+
+    vary: tuple[str, ...] = ()
+    designs: int | None = None
+    exact_terrain: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.vary:
+            raise RequestError("nothing to vary; give `vary` NAME=LOW:HIGH:N, for example wheel.radius_m=0.10:0.20:5")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DesignTrade(Result):
+    """Designs on one mission.
+
+    Attributes
+    ----------
+    soils : what drove where, by plan.
+    variations : what was varied.
+    designs : in the order of the grid or the samples.
+    front : numbers of the designs that no other beats in both the share of drives kept and the energy.
+    unused : varied numbers that changed nothing.
+    """
+
+    schema: ClassVar[str] = "twin-sweep/1"
+    soils: "tuple[Soils, ...]"
+    variations: "tuple[Variation, ...]"
+    designs: "tuple[Design, ...]"
+    front: tuple[int, ...]
+    unused: tuple[str, ...]
+
+    @property
+    def inputs(self) -> "DriveInputs":
+        """What drives where, on the first plan."""
+        return self.soils[0].inputs
+
+    @property
+    def made_from(self) -> MadeFrom:
+        from lunarsci.constants import PAPER
+        from lunarsci.twin.jobs.drive_inputs import SOURCES
+
+        inputs = {name: digest for soils in self.soils for name, digest in soils.inputs.inputs.items()}
+        known, seed = self.inputs, self.soils[0].seed
+        sources = list(dict.fromkeys([*SOURCES, PAPER]))
+        return MadeFrom(inputs=inputs, tables=known.tables, sources=sources, seed=seed, options=known.options)
+
+    @property
+    def untrusted(self) -> str:
+        none = "" if any(design.outcome for design in self.designs) else "no design is possible"
+        return "; ".join(part for part in (none, self.soils[0].doubt) if part)
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            **self.inputs.about(),
+            "plans": [soils.inputs.plan.name for soils in self.soils],
+            "vary": [asdict(entry) for entry in self.variations],
+            "designs": self.rows(),
+            "front": list(self.front),
+            "unchanged_by": list(self.unused),
+            "soil": self.soils[0].record(),
+        }
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        return [
+            {"design": number, **design.row(), "on_front": number in self.front}
+            for number, design in enumerate(self.designs)
+        ]
+
+    def figures(self) -> "Iterator[Figure]":
+        from lunarsci.twin.figures.designs import curve_page, front_page
+
+        yield front_page(self.designs, self.front)
+        yield curve_page(self.designs, [entry.name for entry in self.variations])
+
+
+def sweep(
+    plans: "Sequence[Source | Plan] | Source | Plan | None" = None,
+    request: SweepRequest | None = None,
+    *,
+    progress: Progress | None = None,
+    **options: Any,
+) -> DesignTrade:
+    """Drive designs of a rover, which differ in a few numbers, on the plans of a mission, each on the same soils.
+
+    `plans` is one plan or several, the embedded one if None. Limits are those of the plans, the same for all designs. A
+    design that is impossible is listed with its reason, the others go on.
+
+    Raises DataError for what cannot be read, RequestError for options that are impossible, and for numbers that no
+    drive depends on.
+    """
+    from lunarsci.twin.designs.trade import pareto_front, try_design, unchanged
+    from lunarsci.twin.designs.variation import check_names, design_values, parse_variation
+    from lunarsci.twin.jobs.drive_inputs import named_option
+
+    asked = request_of(SweepRequest, request, options)
+    soils = _mission(plans, asked)
+    inputs = [one.inputs for one in soils]
+    try:
+        variations = tuple(parse_variation(text) for text in asked.vary)
+        check_names(variations, inputs[0].description, [one.plan for one in inputs])
+        values = design_values(variations, asked.designs, asked.seed or 0)
+    except ParameterError as error:
+        raise RequestError(named_option("vary", error)) from error
+    drive = _driver(soils, asked)
+    designs = []
+    for number, one in enumerate(values):
+        if progress is not None:
+            progress(number, len(values))
+        designs.append(try_design(inputs, one, drive))
+    return DesignTrade(
+        soils=soils,
+        variations=variations,
+        designs=tuple(designs),
+        front=tuple(pareto_front(designs)),
+        unused=tuple(unchanged(designs)),
+    )
+
+
+def _driver(soils: "Sequence[Soils]", asked: SweepRequest) -> "Callable[[int, dict[str, Any]], Prediction]":
+    from lunarsci.twin.simulation.discrepancy import with_discrepancy
+    from lunarsci.twin.simulation.ensemble import predict
+
+    members = [one.of_members() for one in soils]
+
+    def drive(number: int, changes: dict[str, Any]) -> "Prediction":
+        found = predict(**members[number] | changes, time_step_s=asked.time_step, sample_m=asked.sample)
+        law = soils[number].discrepancy
+        return found if law is None else with_discrepancy(found, law, soils[number].seed)
+
+    return drive
+
+
+def _mission(plans: Any, asked: SweepRequest) -> "tuple[Soils, ...]":
+    """The soils of each plan, as many and the same on all of them. Raises RequestError where plans have others."""
+    from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
+    from lunarsci.twin.jobs.soils import Soils
+
+    several = list(plans) if isinstance(plans, list | tuple) else [plans]
+    found = []
+    for plan in several or [None]:
+        inputs = read_drive_inputs(
+            plan,
+            asked.rover,
+            asked.terrain,
+            asked.interpolation,
+            soil=asked.soil,
+            fixes=asked.fixes,
+            judged=True,
+            terrain_errors=not asked.exact_terrain,
+        )
+        found.append(Soils.of(inputs, asked.sweep or None, asked.members, asked.seed or 0))
+    if len({one.drawn for one in found}) > 1 or (
+        not asked.sweep and len({one.inputs.plan.sweep for one in found}) > 1 and found[0].kind in ("sweep", "one")
+    ):
+        raise RequestError("the plans sweep different soils; give `sweep` or `soil` for all of them")
+    found[0].warn_of_seed(None if asked.designs is not None else asked.seed)
+    return tuple(found)

@@ -1,0 +1,75 @@
+"""`lunarsci twin sweep`: table, CSV, JSON, pages, and what it refuses."""
+
+import csv
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+Run = Callable[..., Any]
+PLAN = "[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 1.0\n"
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Path:
+    path = tmp_path / "plan.toml"
+    path.write_text(PLAN)
+    return path
+
+
+def test_a_trade_as_table_csv_json_and_pages(run: Run, plan: Path, tmp_path: Path) -> None:
+    """Two radii, of which the second does not fit, and two masses; the lighter rover needs less work."""
+    vary = ["--vary", "wheel.radius_m=0.15:0.3:2", "--vary", "mass.body_kg=90:120:2", "--sample", "0.25"]
+    pages = tmp_path / "trade.pdf"
+    done = run("twin", "sweep", plan, *vary, "--plot", pages)
+    assert done.code == 0, done.err
+    assert "Impossible designs" in done.out and "do not fit 0.5 m" in done.out and "100 %" in done.out
+    assert pages.read_bytes().count(b"/Type /Page ") == 2
+    rows = list(csv.DictReader(io.StringIO(run("twin", "sweep", plan, *vary, "--csv").out)))
+    assert [row["mass.body_kg"] for row in rows] == ["90.0", "120.0", "90.0", "120.0"]
+    assert [bool(row["impossible"]) for row in rows] == [False, False, True, True]
+    result = json.loads(run("twin", "sweep", plan, *vary, "--json").out)["result"]
+    light, heavy = result["designs"][:2]
+    assert light["energy_p50_j"] < heavy["energy_p50_j"] and result["front"] == [0]
+    assert result["designs"][2]["energy_p50_j"] is None
+    assert run("twin", "sweep", plan, *vary, "--field", "designs.0.kept_share").out.strip() == "1.0"
+
+
+def test_samples_of_the_ranges_and_several_plans(run: Run, plan: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.toml"
+    other.write_text(PLAN.replace("1.0", "0.5"))
+    arguments = ["--vary", "wheel.width_m=0.1:0.2:2", "--designs", "3", "--seed", "7", "--json", "--no-time"]
+    one = run("twin", "sweep", plan, other, *arguments)
+    found = json.loads(one.out)["result"]
+    assert len(found["designs"]) == 3 and found["plans"] == [str(plan), str(other)]
+    assert one.out == run("twin", "sweep", plan, other, *arguments).out
+    assert found["designs"][0]["duration_s"] == pytest.approx(1.5 / 0.05)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "--vary"),
+        (["--vary", "wheel.radius_m"], "not NAME=LOW:HIGH:N"),
+        (["--vary", "wheel.radius_m=0.2:0.1:3"], "LOW < HIGH"),
+        (["--vary", "wheel.grouser_count=6:12:2"], "not by their number"),
+        (["--vary", "mass.bodykg=1:2:2"], "mass.body_kg"),
+        (["--vary", "mass.body_kg=1:2:2", "--vary", "mass.body_kg=1:2:2"], "varied twice"),
+        (["--vary", "mass.body_kg=1:2:50", "--vary", "wheel.wheel_kg=1:2:50"], "no number"),
+        (["--vary", "mass.body_kg=90:120:50", "--vary", "mass.wheel_kg=1:2:50"], "2500 designs"),
+        (["--vary", "mass.body_kg=90:120:2", "--designs", "0"], "designs"),
+    ],
+)
+def test_what_is_impossible_is_wrong_usage_in_one_line(run: Run, plan: Path, arguments: list[str], words: str) -> None:
+    done = run("twin", "sweep", plan, *arguments)
+    assert (done.code, done.out) == (2, "") and words in " ".join(done.err), done.err
+
+
+def test_a_mission_on_which_every_design_is_impossible_leaves_with_3(run: Run, plan: Path) -> None:
+    done = run("twin", "sweep", plan, "--vary", "wheel.radius_m=0.3:0.4:2")
+    assert done.code == 3 and "no design is possible" in " ".join(done.err) and "do not fit" in done.out
+    missing = run("twin", "sweep", plan.with_name("none.toml"), "--vary", "wheel.radius_m=0.1:0.2:2")
+    assert (missing.code, missing.out) == (1, "")
