@@ -11,7 +11,7 @@ from stations import judged
 
 pytest.importorskip("cv2", reason="needs the extra images")
 
-from lunarsci.errors import DataError, RequestError
+from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.images.adjustment import SMALLEST_PX, PairTies, adjust, triangulated
 from lunarsci.images.camera import Camera, Pose, rotation_of, vector_of
 from lunarsci.images.jobs.locate import LocateRequest, _names, _rover, locate
@@ -217,6 +217,8 @@ def test_what_cannot_be_tied_is_said(stations: Path, tmp_path: Path, capsys: pyt
     assert main(["images", "locate", first, str(far), "--rig", rig]) == 3
     told = capsys.readouterr()
     assert "far is where dead reckoning puts it: they share no ground" in told.out + told.err
+    with pytest.raises(ParameterError, match="no ties to draw: far .* they share no ground"):
+        locate([first, far], rig=rig).plot()
     shutil.copy(stations / "stop0" / "left.png", far / "left.png")
     assert main(["images", "locate", first, str(far), "--rig", rig]) == 1
     assert "the same picture as" in capsys.readouterr().err

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
-from lunarsci.errors import DataError, RequestError
+from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.inputs import InputFile, read_input
 from lunarsci.result import MadeFrom, Result, request_of
 
@@ -186,6 +186,8 @@ class LocatedStations(Result):
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.images.locate_figure import ties_figure
 
+        if not self.found.pairs:
+            raise ParameterError(f"there are no ties to draw: {self.untrusted}; leave --plot out")
         for number in range(len(self.found.pairs)):
             yield ties_figure(self.found, number, synthetic=self.synthetic)
 
