@@ -217,7 +217,7 @@ def test_what_cannot_be_tied_is_said(stations: Path, tmp_path: Path, capsys: pyt
     assert main(["images", "locate", first, str(far), "--rig", rig]) == 3
     told = capsys.readouterr()
     assert "far is where dead reckoning puts it: they share no ground" in told.out + told.err
-    with pytest.raises(ParameterError, match="no ties to draw: far .* they share no ground"):
+    with pytest.raises(ParameterError, match=r"no ties to draw: far .* they share no ground"):
         locate([first, far], rig=rig).plot()
     shutil.copy(stations / "stop0" / "left.png", far / "left.png")
     assert main(["images", "locate", first, str(far), "--rig", rig]) == 1
