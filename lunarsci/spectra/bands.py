@@ -32,8 +32,9 @@ from lunarsci.spectra.band_status import (
     Codes,
     sentence,
 )
+from lunarsci.spectra.collection import AlikeSpectra, SpectrumCollection
 from lunarsci.spectra.continuum import CONTINUA, ContinuumName, continuum
-from lunarsci.spectra.spectrum import AlikeSpectra, Smoothing, Spectrum, alike, digest_of, smoothing_operator
+from lunarsci.spectra.spectrum import Smoothing, Spectrum, smoothing_operator
 
 FEWEST_CHANNELS, MOST_CHANNELS = 20, 5000
 BLOCK_ROWS = 2048
@@ -245,7 +246,7 @@ def _alike(usable: BoolArray) -> "list[tuple[BoolArray, IntArray]]":
 class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
     """The bands of spectra, made of `arrays` when asked for; `reasons` has why spectra have none, by their place."""
 
-    def __init__(self, spectra: Sequence[Spectrum], wanted: ContinuumName, smoothing: Smoothing) -> None:
+    def __init__(self, spectra: SpectrumCollection, wanted: ContinuumName, smoothing: Smoothing) -> None:
         self.spectra, self.wanted, self.smoothing = spectra, wanted, smoothing
         self.arrays = BandArrays(*nothing_of(len(spectra)))
         self.reasons: dict[int, str] = {}
@@ -315,7 +316,7 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
         """The keys of `lunarsci spectra bands --json` as columns of records."""
         codes = self.arrays.codes[..., CONTINUUM].astype(int) % len(_NAMES)
         used = {band.key: records.Codes(codes[:, place], _NAMES) for place, band in enumerate(BANDS)}
-        columns: dict[str, Any] = {"id": [spectrum.id for spectrum in self.spectra], "continuum": used}
+        columns: dict[str, Any] = {"id": self.spectra.ids, "continuum": used}
         for place, (key, band) in enumerate(self.arrays.bands.items()):
             columns |= {name.format(key): getattr(band, quantity) for quantity, name in JSON_KEYS.items()}
             columns[f"band{key}_status"] = records.coded(self.texts(place, STATUS))
@@ -355,24 +356,25 @@ def measure_batch(
 ) -> BandsOfSpectra:
     """`measure_bands` for many spectra: one result or one stated reason each; `progress` takes (done, total)."""
     used = smoothing or Smoothing()
-    batch = BandsOfSpectra(spectra, continuum_name, used)
-    for number, spectrum in enumerate(spectra):
-        if reason := _unusable(spectrum.wavelength_nm[spectrum.usable], used):
-            batch.reasons[number] = reason
-    done = len(batch.reasons)
-    for numbers in alike(spectra, [number for number in range(len(spectra)) if number not in batch.reasons]):
-        own = [spectra[number] for number in numbers]
-        found = arrays_in_blocks(
-            partial(_measured, wanted=continuum_name, smoothing=used),
-            len(own),
-            rows_in_memory(64.0 * own[0].wavelength_nm.size, most=BLOCK_ROWS),
-            stage="bands",
-            about=lambda own=own: {"spectra": digest_of(own), "continuum": continuum_name, "smoothing": repr(used)},
-            fetch=lambda block, own=own: AlikeSpectra.of(own[block.start : block.stop]),
-            progress=None if progress is None else lambda now, _, done=done: progress(done + now, len(spectra)),
-        )
-        batch.arrays.numbers[numbers], batch.arrays.codes[numbers] = found["numbers"], found["codes"]
-        done += len(numbers)
+    batch = BandsOfSpectra(SpectrumCollection.of(spectra), continuum_name, used)
+    done = 0
+    for positions in batch.spectra.alike():
+        own = batch.spectra.taken(positions)
+        channels = own[0].wavelength_nm[own[0].usable]
+        if reason := _unusable(channels, used):
+            batch.reasons |= dict.fromkeys(positions.tolist(), reason)
+        else:
+            found = arrays_in_blocks(
+                partial(_measured, wanted=continuum_name, smoothing=used),
+                len(own),
+                rows_in_memory(64.0 * channels.size, most=BLOCK_ROWS),
+                stage="bands",
+                about=lambda own=own: {"spectra": own.digest(), "continuum": continuum_name, "smoothing": repr(used)},
+                fetch=lambda block, own=own: own[block.start : block.stop].arrays(),
+                progress=None if progress is None else lambda now, _, done=done: progress(done + now, len(spectra)),
+            )
+            batch.arrays.numbers[positions], batch.arrays.codes[positions] = found["numbers"], found["codes"]
+        done += len(positions)
     return batch
 
 

@@ -1,19 +1,15 @@
 """One reflectance spectrum, its random noise, and Savitzky-Golay smoothing as a linear operator that carries it."""
 
 import functools
-import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, ParameterError
-
-_checked_last: dict[str, FloatArray] = {}
-"""Wavelengths that the last spectrum has, which cannot be changed any more: the next one may share them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,11 +42,8 @@ class Spectrum:
     systematic: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        wavelength = self.wavelength_nm
-        if wavelength is not _checked_last.get("wavelength_nm"):
-            wavelength = np.array(self.wavelength_nm, dtype=float)
-            self._check_wavelength(wavelength)
-            _checked_last["wavelength_nm"] = wavelength
+        wavelength = np.array(self.wavelength_nm, dtype=float)
+        self._check_wavelength(wavelength)
         reflectance = np.array(self.reflectance, dtype=float)
         self._check_shape("reflectance", reflectance, wavelength)
         with np.errstate(invalid="ignore"):
@@ -104,53 +97,6 @@ class Spectrum:
     def usable(self) -> BoolArray:
         """True for the channels that may be used; shape (n,)."""
         return ~np.asarray(self.mask, dtype=bool)
-
-
-def alike(spectra: Sequence[Spectrum], which: Iterable[int]) -> list[list[int]]:
-    """Some of the spectra, by position: those with the same usable channels and kinds of errors together."""
-    groups: dict[Any, list[int]] = {}
-    for index in which:
-        spectrum = spectra[index]
-        usable = spectrum.wavelength_nm[spectrum.usable].tobytes()
-        groups.setdefault((usable, spectrum.uncertainty is None, len(spectrum.systematic)), []).append(index)
-    return list(groups.values())
-
-
-class AlikeSpectra(NamedTuple):
-    """Arrays of n spectra that are `alike`, in their c usable channels.
-
-    Attributes
-    ----------
-    wavelength_nm, reflectance : (c,) and (n, c). [nm, -]
-    sigma : (n, c), or None where no errors are known. [-]
-    shifts : (n, k, c) of the errors that all channels share. [-]
-    """
-
-    wavelength_nm: FloatArray
-    reflectance: FloatArray
-    sigma: FloatArray | None
-    shifts: FloatArray
-
-    @classmethod
-    def of(cls, spectra: Sequence[Spectrum]) -> "AlikeSpectra":
-        first, pairs = spectra[0], [(one, one.usable) for one in spectra]
-        sigma = None if first.uncertainty is None else np.array([one.uncertainty[own] for one, own in pairs])  # type: ignore[index]
-        shifts = np.array([[shift[own] for shift in one.systematic.values()] for one, own in pairs])
-        wavelength_nm = first.wavelength_nm[first.usable]
-        values = np.array([one.reflectance[own] for one, own in pairs])
-        shape = (len(spectra), len(first.systematic), wavelength_nm.size)
-        return cls(wavelength_nm, values, sigma, shifts.reshape(shape))
-
-
-def digest_of(spectra: Sequence[Spectrum]) -> str:
-    """SHA-256 of the numbers of spectra, without their names."""
-    whole = hashlib.sha256()
-    for one in spectra:
-        errors = [] if one.uncertainty is None else [one.uncertainty]
-        whole.update(repr((len(one.wavelength_nm), len(errors), list(one.systematic))).encode())
-        for values in (one.wavelength_nm, one.reflectance, np.asarray(one.mask), *errors, *one.systematic.values()):
-            whole.update(np.ascontiguousarray(values).data)
-    return whole.hexdigest()
 
 
 def channel_noise(spectrum: Spectrum) -> FloatArray:

@@ -189,6 +189,5 @@ def bands(
         smoothing=smoothing,
         progress=progress,
     )
-    results = [measured[k] if k in measured.reasons else None for k in range(len(measured))]
-    failures = batch.failures_among(results, type(None))
-    return MeasuredBands(batch, measured, failures)
+    reasons = {place: f"no result: {reason}" for place, reason in measured.reasons.items()}
+    return MeasuredBands(batch, measured, batch.failures_among(reasons))

@@ -318,7 +318,6 @@ def fit_batch_of(batch: "SpectraBatch", request: ModelRequest, progress: Progres
     """Fits of all spectra as asked: the attributes `fits`, `choices`, `failures` and `files` of `MgmFits`."""
     from lunarsci.spectra.mgm.batch import SpectraFits
     from lunarsci.spectra.mgm.continua import check_continuum_removed
-    from lunarsci.spectra.mgm.result import MgmFit
 
     found: dict[str, Any]
     if request.continuum == "none":
@@ -331,10 +330,15 @@ def fit_batch_of(batch: "SpectraBatch", request: ModelRequest, progress: Progres
         model = request.model(request.assemblage, request.continuum)
         found = {"fits": _by_prior(batch.spectra, model, request, progress)}
     fits = found["fits"]
-    if isinstance(fits, SpectraFits):
-        reasons = [fits.failures.get(index) for index in range(len(fits))]
-        return found | {"failures": batch.failures_among(reasons, type(None))}
-    return found | {"failures": batch.failures_among(fits, MgmFit)}
+    missing = fits.failures if isinstance(fits, SpectraFits) else _failures_of(fits)
+    reasons = {index: failure.status for index, failure in missing.items()}
+    return found | {"failures": batch.failures_among(reasons)}
+
+
+def _failures_of(fits: "Sequence[MgmFit | MgmFailure]") -> "Mapping[int, MgmFailure]":
+    from lunarsci.spectra.mgm.result import MgmFailure
+
+    return {index: item for index, item in enumerate(fits) if isinstance(item, MgmFailure)}
 
 
 def _by_prior(

@@ -8,8 +8,9 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError
+from lunarsci.spectra.collection import SpectrumCollection
 from lunarsci.spectra.noise import deepest_below_hull, scatter_noise_rows
-from lunarsci.spectra.spectrum import AlikeSpectra, Spectrum
+from lunarsci.spectra.spectrum import Spectrum
 
 FIT_RANGE_NM = (400.0, 2600.0)
 REQUIRED_NM = (800.0, 1300.0)
@@ -160,7 +161,7 @@ class SpectraRows:
     `model_error` and `whole` as `prepare_rows` takes them.
     """
 
-    spectra: Sequence[Spectrum]
+    spectra: SpectrumCollection
     model_error: float | None
     whole: bool
 
@@ -170,7 +171,7 @@ class SpectraRows:
 
     def arguments(self) -> dict[str, Any]:
         """Their arrays, as `prepare_rows` takes them."""
-        return AlikeSpectra.of(self.spectra)._asdict() | {"model_error": self.model_error, "whole": self.whole}
+        return self.spectra.arrays()._asdict() | {"model_error": self.model_error, "whole": self.whole}
 
     def prepared(self) -> MgmRows:
         """As `prepare_rows` makes them, whose errors are raised."""
@@ -178,7 +179,7 @@ class SpectraRows:
 
     def seen(self, rows: IndexArray) -> tuple[FloatArray, FloatArray]:
         """Channels and reflectances of some of them, as `prepared` has them, without the rest. [nm, -]"""
-        found = AlikeSpectra.of([self.spectra[k] for k in rows.tolist()])
+        found = self.spectra.taken(rows).arrays()
         inside = _inside(found.wavelength_nm, self.whole)
         return found.wavelength_nm[inside], found.reflectance[:, inside]
 
@@ -189,4 +190,4 @@ class SpectraRows:
 
 def prepare(spectrum: Spectrum, model_error: float | None = None, *, whole: bool = False) -> MgmData:
     """One spectrum, as `prepare_rows` makes it, whose errors are raised."""
-    return SpectraRows([spectrum], model_error, whole).at(0, spectrum.id)
+    return SpectraRows(SpectrumCollection.of([spectrum]), model_error, whole).at(0, spectrum.id)

@@ -13,13 +13,14 @@ from lunarsci.compiled import each_in_threads
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.formulas import LANES
 from lunarsci.provenance import sha256
+from lunarsci.spectra.collection import SpectrumCollection
 from lunarsci.spectra.mgm.batch import MOST_ROWS, FitBatch, SpectraFits, describe_rows, joined
 from lunarsci.spectra.mgm.data import MgmData, MgmRows, SpectraRows, prepare_rows
 from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, KernelFits
 from lunarsci.spectra.mgm.model import MgmModel
 from lunarsci.spectra.mgm.multistart import Multistart
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
-from lunarsci.spectra.spectrum import Spectrum, alike, digest_of
+from lunarsci.spectra.spectrum import Spectrum
 
 DEFAULT_MODEL_ERROR = 0.02
 """Of ln R in the chi-square of fits by damping, which it does not move; assumed."""
@@ -70,22 +71,24 @@ def fit_spectra(
     (1982), Rev. Geophys. 20, 219, 10.1029/RG020i002p00219 (prior).
     """
     _check_options(model_error, starts)
+    collection = SpectrumCollection.of(spectra)
+    names = collection.ids
     parts: list[tuple[IndexArray, SpectraRows, FitBatch]] = []
     failures: dict[int, MgmFailure] = {}
-    for group in alike(spectra, range(len(spectra))):
+    for group in collection.alike():
         before = len(failures) + sum(len(part[0]) for part in parts)
         told = None if progress is None else lambda done, _, before=before: progress(before + done, len(spectra))
-        rows = SpectraRows([spectra[k] for k in group], model_error, model.whole)
+        rows = SpectraRows(collection.taken(group), model_error, model.whole)
         try:
             rows.at(0, "")
         except DataError as error:
-            name = model.assemblage.name
-            failures |= {k: MgmFailure(spectra[k].id, name, model.continuum, f"no result: {error}") for k in group}
+            name, why = model.assemblage.name, f"no result: {error}"
+            failures |= {k: MgmFailure(names[k], name, model.continuum, why) for k in group.tolist()}
             if told:
                 told(len(group), 0)
         else:
-            parts.append((np.array(group), rows, _fit_in_blocks(rows, model, starts, told)))
-    return SpectraFits([spectrum.id for spectrum in spectra], model, parts, failures)
+            parts.append((group, rows, _fit_in_blocks(rows, model, starts, told)))
+    return SpectraFits(names, model, parts, failures)
 
 
 def _fit_in_blocks(
@@ -98,7 +101,7 @@ def _fit_in_blocks(
         rows_in_memory(8.0 * (12 * channels + 3 * len(model.prior) ** 2), most=CHUNK),
         stage=f"fit {model.assemblage.name} {model.continuum}",
         about=lambda: {
-            "spectra": digest_of(rows.spectra),
+            "spectra": rows.spectra.digest(),
             "model": _digest(model),
             "model error": str(rows.model_error),
             "starts": str(starts),

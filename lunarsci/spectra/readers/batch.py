@@ -1,7 +1,7 @@
 """Many inputs at once: files, patterns, tables and arrays become spectra; what cannot be read is remembered."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -11,6 +11,7 @@ import numpy.typing as npt
 from lunarsci.errors import DataError, LunarSciError
 from lunarsci.inputs import InputFile, Source, expand_inputs, read_input, together
 from lunarsci.provenance import sha256
+from lunarsci.spectra.collection import SpectrumCollection, SpectrumRows
 from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.readers.envi import without_headers
 from lunarsci.spectra.readers.table import ReflectanceUnit, WavelengthUnit
@@ -38,7 +39,7 @@ class SpectraBatch:
     failures : what could not be read, one sentence each.
     """
 
-    spectra: list[Spectrum] = field(default_factory=list)
+    spectra: SpectrumCollection = field(default_factory=lambda: SpectrumCollection([]))
     origins: list[str] = field(default_factory=list)
     inputs: dict[str, str] = field(default_factory=dict)
     failures: list[str] = field(default_factory=list)
@@ -46,21 +47,18 @@ class SpectraBatch:
     @property
     def tables(self) -> dict[str, str]:
         """Tables of the calibration with their hashes, where a spectrum was calibrated on the way."""
-        calibrated = any("footprint" in spectrum.metadata for spectrum in self.spectra)
+        calibrated = any("footprint" in about for about in self.spectra.firsts())
         return table_hashes(*default_settings().tables) if calibrated else {}
 
-    def failures_among(self, results: Sequence[Any], good: type) -> list[str]:
-        """What could not be read, and the status of each result that is not `good`; one result a spectrum.
+    def failures_among(self, reasons: Mapping[int, str]) -> list[str]:
+        """What could not be read, and the reason of each spectrum, by position, that has no result.
 
-        Raises DataError when none is good.
+        Raises DataError when none has one.
         """
-        reasons = [
-            f"{origin}: {item.id}: {item.status}"
-            for item, origin in zip(results, self.origins, strict=True)
-            if not isinstance(item, good)
-        ]
-        failures = [*self.failures, *reasons]
-        if len(reasons) == len(results):
+        spectra = self.spectra
+        told = (f"{self.origins[k]}: {spectra[k].id}: {reasons[k]}" for k in sorted(reasons))
+        failures = [*self.failures, *told]
+        if len(reasons) == len(spectra):
             raise DataError(together(failures))
         return failures
 
@@ -74,7 +72,7 @@ def read_batch(
 
     One that cannot be read is remembered. Raises DataError when none can.
     """
-    batch = SpectraBatch()
+    batch, parts = SpectraBatch(), list[SpectrumRows]()
     items = _listed(source)
     paths = [str(item) for item in items if isinstance(item, str | Path)]
     for item in [
@@ -82,19 +80,19 @@ def read_batch(
         *(item for item in items if not isinstance(item, str | Path)),
     ]:
         if isinstance(item, Spectrum | tuple):
-            _add_from_memory(batch, item)
+            parts += _from_memory(batch, item)
         else:
-            _add(batch, item, wavelength_unit, reflectance_unit)
-    if not batch.spectra:
+            parts += _from_file(batch, item, wavelength_unit, reflectance_unit)
+    if not parts:
         raise DataError(together(batch.failures) if batch.failures else "no spectra were given; name files or tables")
-    return batch
+    return replace(batch, spectra=SpectrumCollection(parts))
 
 
 def _listed(source: Any) -> list[Any]:
     """The inputs one by one; a pair that holds arrays or lists is one spectrum."""
     if isinstance(source, tuple) and len(source) == 2 and not any(_is_input(item) for item in source):
         return [source]
-    return list(source) if isinstance(source, list | tuple) else [source]
+    return list(source) if isinstance(source, list | tuple | SpectrumRows | SpectrumCollection) else [source]
 
 
 def _is_input(item: Any) -> bool:
@@ -102,30 +100,31 @@ def _is_input(item: Any) -> bool:
     return named or isinstance(item, str | Path | InputFile | Spectrum | tuple)
 
 
-def _add(batch: SpectraBatch, item: Any, wavelength_unit: Any, reflectance_unit: Any) -> None:
+def _from_file(batch: SpectraBatch, item: Any, wavelength_unit: Any, reflectance_unit: Any) -> Iterator[SpectrumRows]:
+    """The spectra of a file, or none, and why."""
     name = item if isinstance(item, str) else getattr(item, "name", "<table>")
     try:
         source = read_input(item)
         found = read_spectra(source, wavelength_unit=wavelength_unit, reflectance_unit=reflectance_unit)
-        batch.spectra.extend(found)
-        batch.origins.extend([source.name] * len(found))
-        batch.inputs[source.name] = source.sha256
-        for spectrum in found:
-            batch.inputs.update(spectrum.metadata.get("inputs", {}))
     except LunarSciError as error:
         batch.failures.append(str(error) if name in str(error) else f"{name}: {error}")
+        return
+    batch.origins.extend([source.name] * len(found))
+    batch.inputs[source.name] = source.sha256
+    batch.inputs.update(found.about(0).get("inputs", {}))
+    yield found
 
 
-def _add_from_memory(batch: SpectraBatch, item: Any) -> None:
+def _from_memory(batch: SpectraBatch, item: Any) -> Iterator[SpectrumRows]:
     try:
-        spectrum = item if isinstance(item, Spectrum) else _of_arrays(f"spectrum {len(batch.spectra) + 1}", *item)
+        spectrum = item if isinstance(item, Spectrum) else _of_arrays(f"spectrum {len(batch.origins) + 1}", *item)
     except DataError as error:
         batch.failures.append(str(error))
         return
     content = (spectrum.wavelength_nm, spectrum.reflectance, spectrum.uncertainty)
-    batch.spectra.append(spectrum)
     batch.origins.append(str(spectrum.metadata.get("source", f"<{spectrum.id}>")))
     batch.inputs[f"<{spectrum.id}>"] = sha256(b"".join(part.tobytes() for part in content if part is not None))
+    yield SpectrumRows.of(spectrum)
 
 
 def _of_arrays(name: str, wavelength: Any, reflectance: Any) -> Spectrum:

@@ -1,8 +1,8 @@
 """Which reader a file needs, and the rules on rows, order, units and missing values that hold for every format."""
 
 import warnings
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -12,10 +12,12 @@ from lunarsci import inputs
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile, read_input
+from lunarsci.spectra.collection import SpectrumRows
 from lunarsci.spectra.readers.columns import spectrum_ids
 from lunarsci.spectra.readers.envi import looks_like_envi, read_envi
 from lunarsci.spectra.readers.table import (
     Column,
+    ReflectanceChoice,
     ReflectanceUnit,
     SpectrumTable,
     StatedUnits,
@@ -45,7 +47,7 @@ def read_spectra(
     wavelength_unit: WavelengthUnit | None = None,
     reflectance_unit: ReflectanceUnit | None = None,
     format: str | None = None,
-) -> list[Spectrum]:
+) -> SpectrumRows:
     """Read every spectrum of a file: wavelengths in nm, ascending; reflectance as a fraction of 1.
 
     A file of a VNIS product stands for its observation, whose other files lie beside it; one of the two files of an
@@ -67,7 +69,7 @@ def read_spectra(
     _check("format", format, FORMATS)
     source = read_input(input) if isinstance(input, str) else input
     if product_name(source.name) is not None:
-        return [_calibrated(source.name)]
+        return SpectrumRows.of(_calibrated(source.name))
     table = _reader(format or _format_of(source))(source)
     return spectra_of(table, StatedUnits(wavelength_unit, reflectance_unit))
 
@@ -148,16 +150,7 @@ _SAID = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class _Axis:
-    """Wavelengths of a table [nm], ascending, with the order that sorts its rows and what to record."""
-
-    wavelength: FloatArray
-    order: Any
-    record: dict[str, Any]
-
-
-def spectra_of(table: SpectrumTable, stated: StatedUnits) -> list[Spectrum]:
+def spectra_of(table: SpectrumTable, stated: StatedUnits) -> SpectrumRows:
     """Check a table and make its spectra, in file order; everything noteworthy is a LunarSciWarning.
 
     Raises DataError when rows, units or values do not make sense, or a single spectrum has no usable channel.
@@ -175,13 +168,9 @@ def spectra_of(table: SpectrumTable, stated: StatedUnits) -> list[Spectrum]:
         "rows_left_out": left_out,
         **table.metadata,
     }
-    axis = _Axis(values[order], order, common)
-    ids = spectrum_ids([column for column, _ in kept.spectra], table.source)
-    known = _values(kept)
-    parts = [_part(ids[number], number, axis, stated, kept, known) for number in range(len(ids))]
-    spectra = _alike(parts, axis.wavelength, file)
-    _report(spectra, file)
-    return spectra
+    found, counts = _assembled(kept, values[order], order, stated, common)
+    _report(found, counts, file)
+    return found
 
 
 def _rows_with_wavelength(table: SpectrumTable) -> tuple[SpectrumTable, int]:
@@ -201,7 +190,8 @@ def _rows_with_wavelength(table: SpectrumTable) -> tuple[SpectrumTable, int]:
     places = tuple(np.array(table.places)[keep].tolist())
     systematic = {k: tuple((n, _rows(c, keep)) for n, c in shifts) for k, shifts in table.systematic.items()}
     wavelengths = _rows(table.wavelength, keep)
-    return replace(table, wavelength=wavelengths, spectra=spectra, places=places, systematic=systematic), bad.size
+    kept = replace(table, wavelength=wavelengths, spectra=spectra, places=places, systematic=systematic, block=None)
+    return kept, bad.size
 
 
 def _rows(column: Column, keep: BoolArray) -> Column:
@@ -226,101 +216,134 @@ def _ascending(wavelength: FloatArray, table: SpectrumTable) -> tuple[Any, str]:
     return order, "unsorted"
 
 
-@dataclass(frozen=True, slots=True)
-class _Values:
-    """Reflectances of a table, deleted and infinite ones NaN, and what is known of each spectrum. (n, rows), (n,)"""
-
-    present: FloatArray
-    median: list[float]
-    measured: list[int]
-    deleted: list[int]
-    not_positive: list[int]
-
-
-def _values(table: SpectrumTable) -> _Values:
-    present, deleted = _present(np.array([column.values for column, _ in table.spectra]))
+def _assembled(
+    table: SpectrumTable, wavelength: FloatArray, order: IntArray, stated: StatedUnits, record: dict[str, Any]
+) -> tuple[SpectrumRows, dict[str, IntArray]]:
+    """The spectra of a table, and the number of channels of each by what is recorded of them."""
+    ids = spectrum_ids([column for column, _ in table.spectra], table.source)
+    names = [column.name or column.position for column, _ in table.spectra]
+    values, deleted = _present(table)
     with np.errstate(invalid="ignore"):
-        not_positive = (present <= 0).sum(axis=1)
-    measured = np.isfinite(present).sum(axis=1)
-    medians = medians_above_0(present)
-    return _Values(present, medians.tolist(), measured.tolist(), deleted.tolist(), not_positive.tolist())
-
-
-def _part(
-    id: str, number: int, axis: _Axis, stated: StatedUnits, table: SpectrumTable, values: _Values
-) -> dict[str, Any]:
-    """Spectrum `number` of the table, but for its wavelengths."""
-    file, (column, sigma) = table.source.name, table.spectra[number]
-    unit = reflectance_unit(column, values.median[number], stated.reflectance, file)
-    reflectance = (values.present[number] * unit.scale)[axis.order]
-    measured = values.measured[number]
-    metadata = {
-        **axis.record,
-        "column": column.name or column.position,
-        "reflectance_unit": "percent" if unit.scale != 1.0 else "fraction",
-        "reflectance_unit_from": unit.origin,
-        "channels_unit_overruled": measured if unit.remark == "overruled" else 0,
-        "channels_unit_unlikely": measured if unit.remark == "unlikely" else 0,
-        "channels_missing": axis.wavelength.size - measured,
-        "channels_deleted": values.deleted[number],
-        "channels_not_positive": values.not_positive[number],
-    }
-    uncertainty = None
-    if sigma is not None:
-        factor = uncertainty_scale(sigma, column, unit.scale, file)
-        uncertainty = (_present(sigma.values)[0] * factor)[axis.order]
-    uncertainty, mask, counts = _usable_uncertainty(reflectance, uncertainty, quiet=table.format == "relab")
-    systematic = {name: (c.values * unit.scale)[axis.order] for name, c in table.systematic.get(number, ())}
-    return {
-        "id": id,
-        "reflectance": reflectance,
-        "uncertainty": uncertainty,
-        "mask": mask,
-        "metadata": metadata | counts,
-        "systematic": systematic,
+        not_positive = (values <= 0).sum(axis=1)
+    measured = np.isfinite(values).sum(axis=1)
+    units, which, factors = _units(table, medians_above_0(values), stated.reflectance)
+    scale, remarks = (np.array([getattr(unit, key) for unit in units])[which] for key in ("scale", "remark"))
+    values *= scale[:, None]
+    sigma, lacking, counts = _uncertainties(table, values > 0, factors)
+    counts |= {
+        "channels_unit_overruled": measured * (remarks == "overruled"),
+        "channels_unit_unlikely": measured * (remarks == "unlikely"),
+        "channels_missing": values.shape[1] - measured,
+        "channels_deleted": deleted,
+        "channels_not_positive": not_positive,
     }
 
+    def about(row: int) -> dict[str, Any]:
+        unit = units[which[row]]
+        said = {
+            "reflectance_unit": "percent" if unit.scale != 1.0 else "fraction",
+            "reflectance_unit_from": unit.origin,
+        }
+        return {**record, "column": names[row], **said, **{key: int(count[row]) for key, count in counts.items()}}
 
-def _alike(parts: Sequence[dict[str, Any]], wavelength: FloatArray, file: str) -> list[Spectrum]:
-    """Spectra that share their wavelengths."""
+    with np.errstate(invalid="ignore"):
+        mask = lacking | ~(values > 0)
+    shifts = {k: {name: (c.values * scale[k])[order] for name, c in own} for k, own in table.systematic.items()}
+    known = np.asarray(False if sigma is None else np.isfinite(sigma).any(axis=1))
+    sigma = None if sigma is None else _sorted(sigma, order)
+    found = SpectrumRows(
+        ids,
+        wavelength,
+        _sorted(values, order),
+        _sorted(mask, order),
+        about,
+        sigma,
+        np.broadcast_to(known, len(ids)),
+        shifts,
+    )
     try:
-        first = Spectrum(wavelength_nm=wavelength, **parts[0])
-        return [first, *(Spectrum(wavelength_nm=first.wavelength_nm, **part) for part in parts[1:])]
+        for row in {0, *shifts}:
+            found[row]
     except DataError as error:
-        raise DataError(f"{file}: {error}") from error
+        raise DataError(f"{table.source.name}: {error}") from error
+    return found, counts
 
 
-def _present(values: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Values with deleted and infinite ones made NaN, and the number of deleted ones in each row."""
+def _present(table: SpectrumTable) -> tuple[FloatArray, IntArray]:
+    """Reflectances, (n, rows), deleted and infinite ones made NaN, and the number of deleted ones of each."""
+    values = np.array([column.values for column, _ in table.spectra]) if table.block is None else table.block
+    return values, _without_deleted(values)
+
+
+def _without_deleted(values: FloatArray) -> IntArray:
+    """Make deleted and infinite values NaN; the number of deleted ones in each row."""
     with np.errstate(invalid="ignore"):
         deleted = values <= _DELETED_BELOW
-    return np.where(deleted | ~np.isfinite(values), np.nan, values), deleted.sum(axis=-1)
+    values[deleted | ~np.isfinite(values)] = np.nan
+    return np.asarray(deleted.sum(axis=-1))
 
 
-def _usable_uncertainty(
-    reflectance: FloatArray, uncertainty: FloatArray | None, *, quiet: bool
-) -> tuple[FloatArray | None, BoolArray | None, dict[str, int]]:
-    """Uncertainty, the channels it rules out, and counts to record; `quiet` where zeros mean unknown by convention."""
-    counts = {"channels_without_uncertainty": 0, "uncertainties_unknown": 0}
-    if uncertainty is None:
-        return None, None, counts
-    measured = reflectance > 0
-    lacking = measured & ~(uncertainty > 0)
-    if lacking.sum() == measured.sum():
-        negative = bool((uncertainty < 0).any())
-        return None, None, counts | {"uncertainties_unknown": 0 if quiet and not negative else int(lacking.sum())}
-    return uncertainty, lacking, counts | {"channels_without_uncertainty": int(lacking.sum())}
+def _units(
+    table: SpectrumTable, medians: FloatArray, stated: ReflectanceUnit | None
+) -> tuple[list[ReflectanceChoice], IntArray, dict[int, float]]:
+    """Ways in which reflectances are read, which of them each is read in, and the factor of each uncertainty."""
+    units: dict[ReflectanceChoice, int] = {}
+    which = np.empty(len(table.spectra), np.int64)
+    factors = {}
+    for row, ((column, sigma), median) in enumerate(zip(table.spectra, medians.tolist(), strict=True)):
+        unit = reflectance_unit(column, median, stated, table.source.name)
+        which[row] = units.setdefault(unit, len(units))
+        if sigma is not None:
+            factors[row] = uncertainty_scale(sigma, column, unit.scale, table.source.name)
+    return list(units), which, factors
 
 
-def _report(spectra: Sequence[Spectrum], file: str) -> None:
+def _uncertainties(
+    table: SpectrumTable, measured: BoolArray, factors: dict[int, float]
+) -> tuple[FloatArray | None, BoolArray, dict[str, IntArray]]:
+    """Uncertainties, NaN where unknown, the channels they rule out, (n, rows), and counts to record.
+
+    Zeros mean unknown by convention in files of RELAB, of which nothing is said then.
+    """
+    nothing = np.zeros(len(measured), np.int64)
+    if not factors:
+        return (
+            None,
+            np.zeros_like(measured),
+            {"channels_without_uncertainty": nothing, "uncertainties_unknown": nothing},
+        )
+    sigma, own = np.full(measured.shape, np.nan), np.array(sorted(factors))
+    sigma[own] = [table.spectra[row][1].values for row in own]
+    _without_deleted(sigma)
+    sigma[own] *= np.array([factors[row] for row in own])[:, None]
+    with np.errstate(invalid="ignore"):
+        lacking, negative = measured & ~(sigma > 0), (sigma < 0).any(axis=1)
+    count, stated = lacking.sum(axis=1), np.isin(np.arange(len(measured)), own)
+    unknown = count == measured.sum(axis=1)
+    said = stated & unknown & (negative | (table.format != "relab"))
+    sigma[unknown], lacking[unknown | ~stated] = np.nan, False
+    counts = {
+        "channels_without_uncertainty": np.where(stated & ~unknown, count, 0),
+        "uncertainties_unknown": np.where(said, count, 0),
+    }
+    return sigma, lacking, counts
+
+
+def _sorted(values: Any, order: IntArray) -> Any:
+    """Columns in another order; the same array where they are in order."""
+    return values if (np.diff(order) > 0).all() else values[:, order]
+
+
+def _report(spectra: SpectrumRows, counts: dict[str, IntArray], file: str) -> None:
     for key, what in _SAID.items():
-        touched = [s for s in spectra if s.metadata[key]]
-        if touched:
-            where = f" in {len(touched)} of {len(spectra)} spectra, first '{touched[0].id}'" if len(spectra) > 1 else ""
-            _warn(f"{file}: {what}: {sum(s.metadata[key] for s in touched)}{where}")
-    unusable = [s.id for s in spectra if not s.usable.any()]
+        touched = np.flatnonzero(counts[key])
+        if touched.size:
+            first = spectra.ids[touched[0]]
+            where = f" in {touched.size} of {len(spectra)} spectra, first '{first}'" if len(spectra) > 1 else ""
+            _warn(f"{file}: {what}: {counts[key].sum()}{where}")
+    unusable = [spectra.ids[row] for row in np.flatnonzero(spectra.mask.all(axis=1)).tolist()]
     if unusable and len(spectra) == 1:
-        raise DataError(f"{file}: no reflectance above 0 in column {spectra[0].metadata['column']!r}; check the file")
+        raise DataError(f"{file}: no reflectance above 0 in column {spectra.about(0)['column']!r}; check the file")
     if unusable:
         listed = ", ".join(f"'{i}'" for i in unusable[:5]) + (", ..." if len(unusable) > 5 else "")
         _warn(f"{file}: {len(unusable)} of {len(spectra)} spectra have no usable channel: {listed}")

@@ -72,7 +72,8 @@ def read_envi(source: InputFile) -> SpectrumTable:
         message = f"{header.name}: left out {layout.spectra - len(kept)} records that are wavelengths or widths"
         warnings.warn(message, LunarSciWarning, stacklevel=2)
     unit = "fraction" if layout.scale is not None else None
-    columns = [Column(layout.names[k], values[k], k + 1, unit) for k in kept]
+    values = values if len(kept) == layout.spectra else values[kept]
+    columns = [Column(layout.names[k], own, k + 1, unit) for k, own in zip(kept, values, strict=True)]
     return SpectrumTable(
         source,
         "envi",
@@ -80,6 +81,7 @@ def read_envi(source: InputFile) -> SpectrumTable:
         tuple((column, None) for column in columns),
         tuple(f"channel {k + 1}" for k in range(layout.channels)),
         {"inputs": {header.name: header.sha256, data.name: data.sha256}},
+        block=values,
     )
 
 

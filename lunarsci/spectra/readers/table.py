@@ -18,6 +18,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
+from lunarsci.kept_blocks import spans
 from lunarsci.spectra.rows import quoted
 
 WavelengthUnit = Literal["nm", "um"]
@@ -69,6 +70,8 @@ class SpectrumTable:
     systematic : (name, shift) of the errors that all channels of a spectrum share, by its index in `spectra`.
     places : where each row stands in the file ('line 12'), for messages.
     metadata : what the file says about itself.
+    block : (n, rows) values of all `spectra` as one array, which whoever makes spectra of it may change; None where
+        the reader has none.
     """
 
     source: InputFile
@@ -78,6 +81,7 @@ class SpectrumTable:
     places: tuple[str, ...]
     metadata: Mapping[str, Any] = field(default_factory=dict)
     systematic: Mapping[int, tuple[tuple[str, Column], ...]] = field(default_factory=dict)
+    block: FloatArray | None = None
 
 
 _NM = {"nm", "nanometer", "nanometers", "nanometre", "nanometres"}
@@ -97,6 +101,7 @@ _FRACTION = re.compile(r"\s*[(\[{]\s*(?:fraction|0-1|-)\s*[)\]}]$", re.IGNORECAS
 _MAY_SAY_UNIT = re.compile(r"[(\[{%]|percent|pct", re.IGNORECASE)
 """Where a name has none of these, nothing above is in it."""
 _NAMES_KEPT = 4096
+_MEDIANS_AT_ONCE = 4096
 
 _FACTOR_NM = {"nm": 1.0, "um": 1000.0}
 _SYMBOL = {"nm": "nm", "um": "µm"}
@@ -200,10 +205,14 @@ def without_unit(name: str) -> str:
 
 def medians_above_0(values: FloatArray) -> FloatArray:
     """Median of what is above 0 in each row, NaN where nothing is. (n, channels) to (n,)"""
-    above = values > 0
-    ordered, count = np.sort(np.where(above, values, np.inf), axis=1), above.sum(axis=1)[:, None]
-    middle = np.concatenate([np.maximum(count - 1, 0) // 2, np.minimum(count // 2, values.shape[1] - 1)], axis=1)
-    return np.where(count[:, 0] > 0, np.take_along_axis(ordered, middle, axis=1).mean(axis=1), np.nan)
+    found = np.empty(len(values))
+    for block in spans(len(values), _MEDIANS_AT_ONCE):
+        own = slice(block.start, block.stop)
+        above = values[own] > 0
+        ordered, count = np.sort(np.where(above, values[own], np.inf), axis=1), above.sum(axis=1)[:, None]
+        middle = np.concatenate([np.maximum(count - 1, 0) // 2, np.minimum(count // 2, values.shape[1] - 1)], axis=1)
+        found[own] = np.where(count[:, 0] > 0, np.take_along_axis(ordered, middle, axis=1).mean(axis=1), np.nan)
+    return found
 
 
 def reflectance_unit(column: Column, median: float, stated: ReflectanceUnit | None, file: str) -> ReflectanceChoice:

@@ -77,7 +77,14 @@ def read_text(source: InputFile) -> SpectrumTable:
         tuple(f"line {line}" for line, _ in body),
         {"comments": [c[:_COMMENT_LENGTH] for _, c in comments[:_COMMENTS_KEPT] if c]},
         roles.systematic_columns(column),
+        None if values is None else _block(values, [r for r, _ in roles.spectra]),
     )
+
+
+def _block(values: FloatArray, places: Sequence[int]) -> FloatArray:
+    """Some rows of an array, as they lie there where they are next to each other."""
+    side_by_side = places[-1] - places[0] == len(places) - 1
+    return values[places[0] : places[-1] + 1] if side_by_side else values[places]
 
 
 def _header_and_body(

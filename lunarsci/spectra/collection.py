@@ -1,0 +1,190 @@
+"""Many spectra as arrays: those of a file, on the same wavelengths, and those of many files together."""
+
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, overload
+
+import numpy as np
+
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray
+from lunarsci.kept_blocks import spans
+from lunarsci.spectra.spectrum import Spectrum
+
+_DIGESTED = 4096
+"""Rows that are digested at a time."""
+
+
+class AlikeSpectra(NamedTuple):
+    """Arrays of n spectra with the same c usable channels and kinds of errors, in these channels.
+
+    Attributes
+    ----------
+    wavelength_nm, reflectance : (c,) and (n, c). [nm, -]
+    sigma : (n, c), or None where no errors are known. [-]
+    shifts : (n, k, c) of the errors that all channels share. [-]
+    """
+
+    wavelength_nm: FloatArray
+    reflectance: FloatArray
+    sigma: FloatArray | None
+    shifts: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpectrumRows(Sequence[Spectrum]):
+    """n spectra on the same wavelengths; a `Spectrum`, which has the rules for all, is made of a row when asked for.
+
+    Attributes
+    ----------
+    ids : of the rows.
+    wavelength_nm : (c,). [nm]
+    reflectance, mask : (n, c), a channel that cannot be used is masked. [-]
+    about : makes the metadata of a row.
+    uncertainty : (n, c), or None where that of no row is known. [-]
+    known : (n,) whether the uncertainty of a row is known.
+    systematic : of the rows that have some.
+    """
+
+    ids: Sequence[str]
+    wavelength_nm: FloatArray
+    reflectance: FloatArray
+    mask: BoolArray
+    about: Callable[[int], Mapping[str, Any]]
+    uncertainty: FloatArray | None
+    known: BoolArray
+    systematic: Mapping[int, Mapping[str, FloatArray]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, one: Spectrum) -> "SpectrumRows":
+        """One row."""
+        sigma = None if one.uncertainty is None else one.uncertainty[None]
+        known, shifts = np.array([sigma is not None]), {0: one.systematic} if one.systematic else {}
+        mask = np.asarray(one.mask)[None]
+        return cls(
+            [one.id], one.wavelength_nm, one.reflectance[None], mask, lambda _: one.metadata, sigma, known, shifts
+        )
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @overload
+    def __getitem__(self, index: int) -> Spectrum: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Spectrum]: ...
+    def __getitem__(self, index: int | slice) -> Spectrum | list[Spectrum]:
+        row = range(len(self))[index]
+        if isinstance(row, range):
+            return [self[k] for k in row]
+        sigma = self.uncertainty[row] if self.uncertainty is not None and self.known[row] else None
+        return Spectrum(
+            self.ids[row], self.wavelength_nm, self.reflectance[row], sigma, self.mask[row], self.about(row),
+            self.systematic.get(row, {}),
+        )  # fmt: skip
+
+    def kinds(self, rows: IndexArray) -> Iterator[tuple[Any, IndexArray]]:
+        """What spectra that are alike have in common, and places in `rows` of those that are, by their first one."""
+        shifts = np.zeros(len(self), np.uint8)
+        for row, found in self.systematic.items():
+            shifts[row] = len(found)
+        flags = np.column_stack([np.packbits(~self.mask[rows], axis=1), self.known[rows], shifts[rows]])
+        keys = np.ascontiguousarray(flags).view(f"V{flags.shape[1]}").ravel()
+        _, first, which = np.unique(keys, return_index=True, return_inverse=True)
+        for kind in np.argsort(first):
+            row = rows[first[kind]]
+            usable = self.wavelength_nm[~self.mask[row]].tobytes()
+            yield (usable, bool(self.known[row]), int(shifts[row])), np.flatnonzero(which.ravel() == kind)
+
+    def arrays(self, rows: IndexArray) -> AlikeSpectra:
+        """Of rows that are alike."""
+        inside = np.ix_(rows, np.flatnonzero(~self.mask[rows[0]]))
+        channels = self.wavelength_nm[inside[1][0]]
+        sigma = self.uncertainty[inside] if self.uncertainty is not None and self.known[rows[0]] else None
+        shifts = [[shift[inside[1][0]] for shift in self.systematic.get(row, {}).values()] for row in rows.tolist()]
+        shape = len(rows), len(shifts[0]), channels.size
+        return AlikeSpectra(channels, self.reflectance[inside], sigma, np.array(shifts).reshape(shape))
+
+    def digested(self, rows: IndexArray) -> Iterator[Any]:
+        """All numbers of some rows, for a digest."""
+        yield self.wavelength_nm
+        for block in spans(len(rows), _DIGESTED):
+            own = rows[block.start : block.stop]
+            yield from (self.reflectance[own], self.mask[own], self.known[own])
+            if self.uncertainty is not None:
+                yield self.uncertainty[own]
+            for row in set(own.tolist()) & set(self.systematic):
+                yield from self.systematic[row].values()
+
+
+class SpectrumCollection(Sequence[Spectrum]):
+    """Spectra on any wavelengths, in the order of their parts; or some of these, by their places in all parts."""
+
+    def __init__(self, parts: Sequence[SpectrumRows], places: IndexArray | None = None) -> None:
+        self._parts = parts
+        self._ends = np.cumsum([len(part) for part in parts])
+        self._places = np.arange(self._ends[-1] if len(parts) else 0) if places is None else places
+
+    @classmethod
+    def of(cls, spectra: Sequence[Spectrum]) -> "SpectrumCollection":
+        """Of spectra in memory; a collection as it is."""
+        return spectra if isinstance(spectra, cls) else cls([SpectrumRows.of(one) for one in spectra])
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    @overload
+    def __getitem__(self, index: int) -> Spectrum: ...
+    @overload
+    def __getitem__(self, index: slice) -> "SpectrumCollection": ...
+    def __getitem__(self, index: int | slice) -> "Spectrum | SpectrumCollection":
+        if isinstance(index, slice):
+            return self.taken(index)
+        part, rows = next(self._runs(self._places[[index]]))
+        return part[int(rows[0])]
+
+    def taken(self, which: slice | IndexArray) -> "SpectrumCollection":
+        """Some of them, by position."""
+        return SpectrumCollection(self._parts, self._places[which])
+
+    @property
+    def ids(self) -> list[str]:
+        """Names of all."""
+        return [part.ids[row] for part, rows in self._runs(self._places) for row in rows.tolist()]
+
+    def alike(self) -> list[IndexArray]:
+        """Positions of those with the same usable channels and kinds of errors together, by the first of each."""
+        groups: dict[Any, list[IndexArray]] = {}
+        before = 0
+        for part, rows in self._runs(self._places):
+            for kind, own in part.kinds(rows):
+                groups.setdefault(kind, []).append(before + own)
+            before += len(rows)
+        return [np.concatenate(found) for found in groups.values()]
+
+    def arrays(self) -> AlikeSpectra:
+        """Of all, which must be alike."""
+        found = [part.arrays(rows) for part, rows in self._runs(self._places)]
+        if len(found) == 1:
+            return found[0]
+        sigma = None if found[0].sigma is None else np.concatenate([one.sigma for one in found])
+        values, shifts = (np.concatenate([getattr(one, name) for one in found]) for name in ("reflectance", "shifts"))
+        return AlikeSpectra(found[0].wavelength_nm, values, sigma, shifts)
+
+    def digest(self) -> str:
+        """SHA-256 of their numbers, without their names."""
+        whole = hashlib.sha256()
+        for part, rows in self._runs(self._places):
+            for values in part.digested(rows):
+                whole.update(np.ascontiguousarray(values).data)
+        return whole.hexdigest()
+
+    def firsts(self) -> Iterator[Mapping[str, Any]]:
+        """Metadata of one spectrum of each part."""
+        return (part.about(int(rows[0])) for part, rows in self._runs(self._places))
+
+    def _runs(self, places: IndexArray) -> Iterator[tuple[SpectrumRows, IndexArray]]:
+        """Places next to each other in the same part: that part, and its rows."""
+        number = np.searchsorted(self._ends, places, side="right")
+        for own in np.split(np.arange(len(places)), np.flatnonzero(np.diff(number)) + 1) if len(places) else ():
+            part = self._parts[number[own[0]]]
+            yield part, places[own] - (self._ends[number[own[0]]] - len(part))
