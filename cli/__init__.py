@@ -122,7 +122,8 @@ def _report_usage(error: Any, message: str) -> int:
         error.show()
     else:
         path = context.command_path if context else "lunarsci"
-        say(f"error: {' '.join(message.split())} (see '{path} --help')")
+        text = " ".join(message.split()).replace(": Value error, ", ": ")
+        say(f"error: {text} (see '{path} --help')")
     return int(error.exit_code)
 
 

@@ -7,7 +7,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 from lunarsci.constants import MGM, NBSR
-from lunarsci.errors import ParameterError
+from lunarsci.errors import ParameterError, RequestError
 from lunarsci.result import MadeFrom, Result, request_of
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
 
@@ -48,7 +48,7 @@ class ModelRequest:
 
     Raises
     ------
-    ParameterError for options that exclude each other.
+    RequestError for options that exclude each other.
     """
 
     assemblage: str = DEFAULT_ASSEMBLAGE
@@ -68,7 +68,7 @@ class ModelRequest:
     def __post_init__(self) -> None:
         for wrong, text in self._faults():
             if wrong:
-                raise ParameterError(text)
+                raise RequestError(text)
 
     @property
     def automatic(self) -> bool:
@@ -84,12 +84,13 @@ class ModelRequest:
             (self.prior == "damping" and self.bound, "`prior` damping knows no bounds; use `fix` or `tie`, or `prior` "
              "map"),
             (self.band_minerals and not self.start, "`band_minerals` names bands of a file; give it as `start`"),
-            (self.start and self.automatic, "`start` brings its own bands; leave `assemblage` auto out"),
-            (self.start and self.composition, "`start` brings its own bands; leave `composition` out"),
-            (self.start and self.assemblage != DEFAULT_ASSEMBLAGE, "`start` brings its own bands; leave `assemblage` "
-             "out"),
-            (self.start and self.continuum != DEFAULT_CONTINUUM, "`start` brings its own continuum; leave `continuum` "
-             "out"),
+            (self.model_error is not None and not 0 < self.model_error < 1, "`model_error` is the standard deviation of "
+             "ln R; give a number above 0 and below 1, such as 0.01"),
+            *((self.start and given, f"`start` brings its own {what}; leave `{name}` out") for name, what, given in (
+                ("composition", "bands", self.composition),
+                ("assemblage", "bands", self.assemblage != DEFAULT_ASSEMBLAGE),
+                ("continuum", "continuum", self.continuum != DEFAULT_CONTINUUM),
+            )),
         )  # fmt: skip
 
     def model(self, assemblage: str, continuum: MgmContinuum) -> "MgmModel":
@@ -198,9 +199,6 @@ class MgmFits(Result):
     def content(self) -> dict[str, Any]:
         return {"spectra": self.records}
 
-    def to_dict(self) -> dict[str, Any]:
-        return {"spectra": list(self.records)}
-
     @property
     def _as_arrays(self) -> bool:
         """Whether the fits are columns; some kinds are made one by one."""
@@ -296,7 +294,7 @@ def fit(
 
     Raises
     ------
-    ParameterError for options that exclude each other; DataError where no spectrum can be read and fitted.
+    RequestError for options that exclude each other; DataError where no spectrum can be read and fitted.
     """
     from lunarsci.spectra.abundance.nbsr import nbsr_abundances
     from lunarsci.spectra.mgm.continua import spread_over_continua
@@ -318,40 +316,37 @@ def fit_batch_of(batch: "SpectraBatch", request: ModelRequest, progress: Progres
     """Fits of all spectra as asked: the attributes `fits`, `choices`, `failures` and `files` of `MgmFits`."""
     from lunarsci.spectra.mgm.batch import SpectraFits
     from lunarsci.spectra.mgm.continua import check_continuum_removed
+    from lunarsci.spectra.mgm.result import MgmFailure
 
     found: dict[str, Any]
     if request.continuum == "none":
         check_continuum_removed(batch.spectra)
-    if request.automatic:
-        found = _chosen(batch.spectra, request, progress)
-    elif request.start:
-        found = _from_file(batch.spectra, request, progress)
-    else:
-        model = request.model(request.assemblage, request.continuum)
-        found = {"fits": _by_prior(batch.spectra, model, request, progress)}
+    try:
+        if request.automatic:
+            found = _chosen(batch.spectra, request, progress)
+        elif request.start:
+            found = _from_file(batch.spectra, request, progress)
+        else:
+            model = request.model(request.assemblage, request.continuum)
+            found = {"fits": _by_prior(batch.spectra, model, request, progress)}
+    except ParameterError as error:  # of a model that these options cannot make
+        raise RequestError(str(error)) from error
     fits = found["fits"]
-    missing = fits.failures if isinstance(fits, SpectraFits) else _failures_of(fits)
-    reasons = {index: failure.status for index, failure in missing.items()}
+    missing = fits.failures.items() if isinstance(fits, SpectraFits) else enumerate(fits)
+    reasons = {index: item.status for index, item in missing if isinstance(item, MgmFailure)}
     return found | {"failures": batch.failures_among(reasons)}
-
-
-def _failures_of(fits: "Sequence[MgmFit | MgmFailure]") -> "Mapping[int, MgmFailure]":
-    from lunarsci.spectra.mgm.result import MgmFailure
-
-    return {index: item for index, item in enumerate(fits) if isinstance(item, MgmFailure)}
 
 
 def _by_prior(
     spectra: "Sequence[Spectrum]", model: "MgmModel", request: ModelRequest, progress: Progress | None, **start: Any
 ) -> "Sequence[MgmFit | MgmFailure]":
+    from lunarsci.spectra.mgm.fit import DEFAULT_MODEL_ERROR, fit_spectra
+
     if request.prior == "damping":
         from lunarsci.spectra.mgm.damping import fit_damping
-        from lunarsci.spectra.mgm.fit import DEFAULT_MODEL_ERROR
 
         error = DEFAULT_MODEL_ERROR if request.model_error is None else request.model_error
         return fit_damping(spectra, model, model_error=error, progress=progress, **start)
-    from lunarsci.spectra.mgm.fit import fit_spectra
-
     return fit_spectra(spectra, model, model_error=request.model_error, starts=request.starts, progress=progress)
 
 

@@ -132,8 +132,8 @@ def unmix(
 
     Raises
     ------
-    ParameterError for options that exclude each other, and modes of spectra that are not there; DataError where no
-    spectrum can be read and fitted, and for end members or spectra that cannot be mixed.
+    RequestError for options that exclude each other; ParameterError for modes of spectra that are not there; DataError
+    where no spectrum can be read and fitted, and for end members or spectra that cannot be mixed.
     """
     from lunarsci.inputs import read_input
     from lunarsci.spectra.abundance.nbsr import nbsr_abundances
