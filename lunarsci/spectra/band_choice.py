@@ -82,10 +82,15 @@ class Places(NamedTuple):
 
 @formula
 def _code(least_level: Any, highest: Any, depth: Any, end: Any, inner: Any, nm: Any, low_nm: Any, high_nm: Any) -> Any:
-    """Why a continuum is not fit for use over a band, or why there is no band under it; 0 for neither."""
+    """Why a continuum is not fit for use over a band, or why there is no band under it; 0 for neither.
+
+    Where the spectrum lies nowhere below the continuum it is deepest where both touch, which rounding decides.
+    """
+    nowhere = choose(highest - 1.0 > LEAST_DEPTH, BELOW, SHALLOW)
     above, between = least_level > 0.0, (nm > low_nm) & (nm < high_nm)
     crossing = choose(highest - 1.0 > depth * CROSSING_SHARE, BELOW, choose(end > depth * RUNAWAY_SHARE, AWAY, OK))
-    return choose(above, choose(inner > 0.0, crossing, choose(between, FEW, ELSEWHERE)), FALLS)
+    found = choose(inner > 0.0, crossing, choose(between, FEW, ELSEWHERE))
+    return choose(above, choose(depth < LEAST_DEPTH, nowhere, found), FALLS)
 
 
 @uncounted

@@ -91,6 +91,18 @@ def test_an_olivine_has_no_2_um_band() -> None:
     assert record["bc2000_nm"] is None
 
 
+def test_a_spectrum_nowhere_below_the_lines_says_so_however_bright_it_is() -> None:
+    """It touches them at two shoulders, 1650 and 2150 nm: which of these is deeper is a matter of the last bit."""
+    rise, fall = 0.3 - 0.2 * ((1650 - GRID) / 1200) ** 2, 0.3 - 0.1 * ((GRID - 1650) / 500) ** 2
+    values = np.where(GRID < 1650, rise, np.where(GRID < 2150, fall, 0.2 - 5e-5 * (GRID - 2150)))
+    factors = np.random.default_rng(1).uniform(0.1, 3.0, 64)
+    notes = {
+        measured(factor * values, continuum_name="linear", smoothing=Smoothing(window_nm=0)).bands["2000"].note
+        for factor in factors
+    }
+    assert notes == {"linear not used: its continuum runs below the spectrum in the window"}
+
+
 def test_the_conic_falls_back_where_it_falls_to_zero() -> None:
     """A convex spectrum turns the parabola down: it is below zero at 2 um."""
     bent = np.interp(GRID, [450, 700, 950, 1345, 1580, 2000, 2400], [0.30, 0.50, 0.25, 0.72, 0.60, 0.30, 0.55])
