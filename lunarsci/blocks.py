@@ -308,11 +308,13 @@ def arrays_in_blocks(
     """Whole arrays of `total` rows, of what `blocks_in_order`, whose parameters these are, gives block by block."""
     import numpy as np
 
-    parts: dict[str, list[np.ndarray[Any, Any]]] = {}
-    for _, arrays in blocks_in_order(work, total, rows, **how):
+    whole: dict[str, np.ndarray[Any, Any]] = {}
+    for block, arrays in blocks_in_order(work, total, rows, **how):
         for name, values in arrays.items():
-            parts.setdefault(name, []).append(values)
-    return {name: np.concatenate(parts.pop(name)) for name in list(parts)}
+            if name not in whole:
+                whole[name] = np.empty((total, *values.shape[1:]), values.dtype)
+            whole[name][block.start : block.stop] = values
+    return whole
 
 
 def _in_order(found: Iterator[tuple[range, Any]]) -> Iterator[tuple[range, Any]]:

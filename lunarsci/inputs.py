@@ -32,6 +32,7 @@ _UNPRINTABLE = re.compile(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f-\x9f]")
 _UNPRINTABLE_ASCII = bytes([*range(9), *range(0x0E, 0x1A), *range(0x1B, 0x20), 0x7F])
 _UNPRINTABLE_SHARE = 0.1
 _BEGINNING = 65536
+_PIECE = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,10 +148,11 @@ def beginning(input: InputFile) -> str:
 
 
 def _unprintable(decoded: str) -> int:
-    """How many characters are none that a text has."""
-    if decoded.isascii():
-        return len(decoded) - len(decoded.encode("ascii").translate(None, _UNPRINTABLE_ASCII))
-    return len(_UNPRINTABLE.findall(decoded))
+    """How many characters are none that a text has, counted in pieces, for the text may be large."""
+    if not decoded.isascii():
+        return sum(1 for _ in _UNPRINTABLE.finditer(decoded))
+    pieces = (decoded[at : at + _PIECE].encode("ascii") for at in range(0, len(decoded), _PIECE))
+    return sum(len(piece) - len(piece.translate(None, _UNPRINTABLE_ASCII)) for piece in pieces)
 
 
 def read_json(input: InputFile, kind: str, made: Callable[[Any], Made]) -> Made:

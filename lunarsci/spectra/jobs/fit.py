@@ -84,7 +84,7 @@ class ModelRequest:
             (self.prior == "damping" and self.bound, "`prior` damping knows no bounds; use `fix` or `tie`, or `prior` "
              "map"),
             (self.band_minerals and not self.start, "`band_minerals` names bands of a file; give it as `start`"),
-            (self.model_error is not None and not 0 < self.model_error < 1, "`model_error` is the standard deviation of "
+            (self.model_error is not None and not 0 < self.model_error < 1, "`model_error` is a standard deviation of "
              "ln R; give a number above 0 and below 1, such as 0.01"),
             *((self.start and given, f"`start` brings its own {what}; leave `{name}` out") for name, what, given in (
                 ("composition", "bands", self.composition),
