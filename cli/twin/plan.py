@@ -40,7 +40,12 @@ OPTIONS = {
         "most this, such as 0.05.",
         panel=CHOICE,
     ),
-    "prefer": option("Of drives that keep the risk the one with the least of this.", panel=CHOICE),
+    "prefer": option(
+        "Of drives that keep the risk the one with the least of this, or the one that teaches most.", panel=CHOICE
+    ),
+    "teach": option(
+        "Say what each drive is expected to teach of the soil, and of the way back that may follow.", panel=CHOICE
+    ),
     "soil": option(
         "Soil, in place of the terrain's: a name or a TOML file. With --risk a file from which each drive has its own, "
         "as of `twin predict`: a belief of `twin update` or its map (JSON), or CSV.",
@@ -132,11 +137,35 @@ def _choice_table(found: "ChosenDrive") -> TextTable:
         f"* not beaten in risk, length and energy at once; {len(choice.candidates)} drives compared, {stopped} stopped "
         f"early, of which {len(choice.candidates) - len(rows)} are left out here: --csv",
         f"end within {found.tolerance_m:g} m of the target",
+        *_taught_notes(best),
         *found.soils.inputs.soil_notes(found.members, 0),
         *found.notes(),
     ]
     headers = ["no", "drive", "risk [%]", "m", "J", "weakest, m"]
+    if any(one.teaches is not None for one in choice.candidates):
+        headers.append("next end [m]")
+        rows = [[*row, _next_end(one)] for row, one in zip(rows, choice.candidates, strict=False)]
     return TextTable(headers, rows, title=f"{verdict}; accepted: {100 * choice.risk:g} %", notes=notes)
+
+
+def _next_end(one: "DriveCandidate") -> str:
+    return "-" if one.teaches is None else f"{one.teaches.end_sd_m[1]:.3f}"
+
+
+def _taught_notes(best: "DriveCandidate") -> list[str]:
+    """What the best drive teaches, where that was asked."""
+    if best.teaches is None:
+        return []
+    before, after = best.teaches.end_sd_m
+    left = ", ".join(
+        f"{name} {ratio:.2f}" for name, ratio in zip(best.teaches.parameters, best.teaches.sd_ratio, strict=True)
+    )
+    return [
+        f"next end: expected standard deviation of the end of the way back once drive {best.number} was learned from; "
+        f"{before:.3f} m before it, {after:.3f} m after",
+        f"drive {best.number} teaches {best.teaches.gain_nats:.1f} nats; what it leaves of each standard deviation: "
+        f"{left}",
+    ]
 
 
 def _candidate_row(one: "DriveCandidate") -> list[str]:

@@ -7,7 +7,7 @@ import pytest
 
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.states import MeasurementErrors
-from lunarsci.twin.choice.teaching import OBSERVED, PARTS, observed, teaching
+from lunarsci.twin.choice.teaching import OBSERVED, PARTS, observed, teaching, way_back
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import Rover
@@ -118,3 +118,13 @@ def test_too_few_drives_and_one_soil_are_refused(yutu2: Rover) -> None:
         teaching(made_up(yutu2, soil, SLOPES, noise, ends), errors=ERRORS)
     with pytest.raises(ParameterError, match="one soil"):
         teaching(made_up(yutu2, 0.0 * soil, SLOPES, noise, ends), errors=ERRORS)
+
+
+def test_the_way_back_ends_at_the_start(yutu2: Rover) -> None:
+    """Arcs of either hand, crabwise, and a spot turn; a real drive without slip is not needed for geometry."""
+    legs = (Leg(2.0, 0.2), Leg(turn_deg=40.0), Leg(1.5, -0.3, 30.0), Leg(1.0, 0.0, 180.0))
+    plan = Plan(name="out", legs=legs, speed_m_s=0.05, x_m=1.0, y_m=-2.0, heading_deg=25.0)
+    schedule = make_schedule(way_back(plan), yutu2)
+    x, y, heading = schedule.pose_at(np.array([schedule.duration_s]))[0]
+    assert (x, y) == pytest.approx((1.0, -2.0), abs=0.01)
+    assert math.remainder(heading - math.radians(25.0), 2 * math.pi) == pytest.approx(0.0, abs=0.01)

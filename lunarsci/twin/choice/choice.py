@@ -8,13 +8,14 @@ from typing import Any, Literal, TypeAlias
 from lunarsci.errors import ParameterError
 from lunarsci.twin.choice.chances import Chance, Verdicts, Weakest, verdicts
 from lunarsci.twin.choice.conditions import Conditions, drive_candidates, joined
+from lunarsci.twin.choice.teaching import Teaching, teaching, way_back
 from lunarsci.twin.judgement.energy import energy_use
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.simulation.ensemble import Prediction
 
 Progress = Callable[[int, int], None]
-Preference: TypeAlias = Literal["energy", "length", "time"]
+Preference: TypeAlias = Literal["energy", "length", "time", "teaching"]
 
 ROUNDS = (0.25, 0.5, 1.0)
 """Shares of the soils after which hopeless candidates stop; a quarter of 64 is a group of the simulation."""
@@ -39,6 +40,7 @@ class DriveCandidate:
     duration_s : of the plan. [s]
     stopped : whether it was given up before it had been driven on all soils.
     pareto : whether no other candidate has less risk, length and energy at once.
+    teaches : what it is expected to teach; None where that was not asked, or too few of its drives ended.
     """
 
     number: int
@@ -51,6 +53,7 @@ class DriveCandidate:
     duration_s: float
     stopped: bool = False
     pareto: bool = False
+    teaches: Teaching | None = None
 
     @property
     def length_m(self) -> float:
@@ -90,6 +93,7 @@ class DriveCandidate:
             },
             "stopped_early": self.stopped,
             "pareto": self.pareto,
+            **({} if self.teaches is None else {"teaches": self.teaches.to_dict()}),
         }  # fmt: skip
 
 
@@ -144,6 +148,7 @@ def choose(
     prefer: Preference = "energy",
     members: int | None = None,
     racing: bool = True,
+    teach: bool = False,
     progress: Progress | None = None,
 ) -> DriveChoice:
     """Drive all plans over the same soils, and rank them under a limit of the chance of failing.
@@ -154,9 +159,11 @@ def choose(
     conditions : soils and grounds; the first `members` are those by which plans are chosen, the others fresh ones on
         which the chosen are driven again.
     risk : chance of failing that is accepted, 0 to 1. [-]
-    prefer : among plans that keep it the one with the least energy, length or time is the best.
+    prefer : among plans that keep it the one with the least energy, length or time is the best, or the one after which
+        the end of the next drive is expected to be known best (`teaching`; then none is stopped early).
     members : soils by which plans are chosen; None for all, and then promises are of these same soils.
     racing : stop hopeless candidates after a quarter and half of the soils.
+    teach : find what each candidate teaches, of the soil and of the way back along the shortest of them.
     progress : called with drives done and drives at most.
 
     The chance of the best of many looks better than it is, so it is counted again on fresh soils, and promised only
@@ -169,8 +176,9 @@ def choose(
     if not least <= count <= conditions.members:
         raise ParameterError(f"members is {count}; a risk of {risk:g} needs {least} or more, of {conditions.members}")
     race = _Race(conditions, risk, prefer, count, progress, len(plans) * count)
-    found = race.run(plans, racing=racing)
-    checked = race.checked(found)
+    taught = teach or prefer == "teaching"
+    found = race.run(plans, racing=racing and prefer != "teaching")
+    checked = race.checked(race.taught(found) if taught else found)
     ordered = sorted(_with_front(checked), key=lambda one: _order(one, risk, prefer))
     return DriveChoice(candidates=tuple(ordered), risk=risk, prefer=prefer, fresh=conditions.members > count)
 
@@ -218,6 +226,13 @@ class _Race:
                 out += [replace(one, stopped=True) for one in stopped]
                 alive = [one.number - 1 for one in left]
         return sorted([*found, *out], key=lambda one: one.number)
+
+    def taught(self, found: list[DriveCandidate]) -> list[DriveCandidate]:
+        """The same, those driven on all soils with what they teach."""
+        whole = [one for one in found if not one.stopped]
+        shortest = min(whole, key=lambda one: one.length_m)
+        (following,) = self._drive([way_back(shortest.plan)], range(self.members))
+        return [one if one.stopped else replace(one, teaches=_teaching(one.prediction, following)) for one in found]
 
     def checked(self, found: list[DriveCandidate]) -> list[DriveCandidate]:
         """The same, the best of them driven on fresh soils, as many as it takes for one that keeps the risk."""
@@ -280,12 +295,20 @@ class _Race:
         return sorted(left, key=lambda one: one.number), [one for one in found if one.number not in going]
 
 
+def _teaching(prediction: Prediction, following: Prediction) -> Teaching | None:
+    try:
+        return teaching(prediction, following)
+    except ParameterError:
+        return None
+
+
 def _order(one: DriveCandidate, risk: float, prefer: Preference) -> tuple[int, float, float, float, int]:
     """Key of the ranking: promised, then likely to keep the risk, then by risk; NaN energies last.
 
     What differs by less than the second digit is alike, and then the shorter time decides.
     """
-    wanted = {"energy": one.energy_j, "length": one.length_m, "time": one.duration_s}[prefer]
+    after = math.nan if one.teaches is None else one.teaches.end_sd_m[1]
+    wanted = {"energy": one.energy_j, "length": one.length_m, "time": one.duration_s, "teaching": after}[prefer]
     wanted = math.inf if math.isnan(wanted) else float(f"{wanted:.2g}")
     if one.said.risk > risk:
         return (3 if one.stopped else 2), one.said.risk, wanted, one.duration_s, one.number

@@ -6,7 +6,7 @@ its soil, linearly and with normal laws, so that the expected posterior follows 
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,8 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.prior import default_prior
 from lunarsci.regolith.states import MeasurementErrors
+from lunarsci.twin.plans.path import poses_along
+from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
 
 OBSERVED = ("slip_ratio", "side_slip_deg", "sinkage_m")
@@ -110,6 +112,19 @@ def teaching(
         end_sd_m=ends,
         members=count,
     )
+
+
+def way_back(plan: Plan) -> Plan:
+    """The same arcs backwards, from the end of a plan."""
+    legs = tuple(replace(leg, curvature_per_m=-leg.curvature_per_m, crab_deg=_about(leg.crab_deg)) if leg.length_m
+                 else replace(leg, turn_deg=-leg.turn_deg) for leg in reversed(plan.legs))  # fmt: skip
+    x, y, heading = poses_along(plan, 1.0)[-1]
+    return replace(plan, name=f"way back: {plan.name}", legs=legs, x_m=float(x), y_m=float(y),
+                   heading_deg=math.degrees(heading), fixes=None)  # fmt: skip
+
+
+def _about(crab_deg: float) -> float:
+    return crab_deg + 180.0 if crab_deg <= 0 else crab_deg - 180.0
 
 
 def observed(prediction: Prediction, errors: MeasurementErrors) -> tuple[FloatArray, FloatArray]:

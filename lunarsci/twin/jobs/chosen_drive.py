@@ -146,7 +146,11 @@ def _row(record: Mapping[str, Any]) -> dict[str, Any]:
         f"worst_{name}": record["worst"][name] for name in ("quantity", "value", "limit", "x_m", "y_m", "distance_m")
     }
     marks = {"promised": record["promised"] is not None, **{n: record[n] for n in ("stopped_early", "pareto")}}
-    return {**plain, "localisation_updates": record["localisation_updates"], **chance, **marks, **worst}
+    told = record.get("teaches")
+    taught = {} if told is None else {
+        "teaches_variance_reduction": told["variance_reduction"], "next_end_sd_m": told["next_end_sd_m"]["after"]
+    }  # fmt: skip
+    return {**plain, "localisation_updates": record["localisation_updates"], **chance, **marks, **worst, **taught}
 
 
 def chosen_drive(terrain: str, asked: PlanRequest, progress: Progress | None) -> ChosenDrive:
@@ -160,7 +164,11 @@ def chosen_drive(terrain: str, asked: PlanRequest, progress: Progress | None) ->
     surface = site.surface(asked.baseline, None)
     plans = candidates_of(asked, site, surface, given)
     soils, conditions, members = drive_conditions(asked, site, given, plans)
-    choice = choose(plans, conditions, risk=asked.risk or 0.0, prefer=asked.prefer, members=members, progress=progress)
+    choice = choose(
+        plans, conditions, risk=asked.risk or 0.0, prefer=asked.prefer, members=members, teach=asked.teach,
+        progress=progress,
+    )  # fmt: skip
+    check_taught(asked, choice)
     path = None
     if choice.feasible:
         (x0, y0, heading), (x, y, *_) = asked.places
@@ -172,6 +180,16 @@ def chosen_drive(terrain: str, asked: PlanRequest, progress: Progress | None) ->
         site=site, surface=surface, path=path, soils=soils, choice=choice, tolerance_m=tolerance, members=members,
         fresh_members=fresh,
     )  # fmt: skip
+
+
+def check_taught(asked: PlanRequest, choice: DriveChoice) -> None:
+    """Raises RequestError where it was asked what drives teach, and so few ended that none can tell."""
+    asked_for = asked.teach or asked.prefer == "teaching"
+    if asked_for and choice.feasible and all(one.teaches is None for one in choice.candidates):
+        raise RequestError(
+            "`teach` needs several drives for each soil parameter and each thing observed, and too few end; give 64 "
+            "`members` or more, and a `soil` whose parameters are uncertain"
+        )
 
 
 def check_enough(asked: PlanRequest) -> None:

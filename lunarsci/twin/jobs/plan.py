@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 Place = str | tuple[float, ...]
 PLACE = ("X", "Y", "HEADING")
-OF_A_CHOICE = ("sweep", "members", "tolerance", "candidates", "fixes", "prefer", "exact_terrain")
+OF_A_CHOICE = ("sweep", "members", "tolerance", "candidates", "fixes", "prefer", "exact_terrain", "teach")
 """Options that ask for something only beside `risk`."""
-IN_A_MISSION = ("target", "start", "tolerance", "candidates", "fixes", "prefer")
+IN_A_MISSION = ("target", "start", "tolerance", "candidates", "fixes", "prefer", "teach")
 """Options that a mission has in its file, or no use for."""
 
 
@@ -36,7 +36,8 @@ class PlanRequest(GroundRequest):
         of its own, as `predict` takes it.
     risk : chance that a limit is broken or the end missed that is accepted; then many drives are compared. None for the
         cheapest path on the maps. [-]
-    prefer : of drives that keep the risk that with the least energy, length or time.
+    prefer : of drives that keep the risk that with the least energy, length or time, or the one that teaches most.
+    teach : with `risk`: say what each drive is expected to teach of the soil and of the way back.
     sweep : with `risk`: NAME=LOW:HIGH:N, uncertain parameters; those of the embedded plan where no soil is given.
     members : with `risk`: soils on which all candidates are driven; 64 where it is None.
     tolerance : with `risk`: distance of the end from the target that counts as there; the limit of the embedded plan
@@ -56,13 +57,14 @@ class PlanRequest(GroundRequest):
     hazard_distance: float | None = None
     soil: tuple[str, ...] = ()
     risk: float | None = None
-    prefer: Literal["energy", "length", "time"] = "energy"
+    prefer: Literal["energy", "length", "time", "teaching"] = "energy"
     sweep: tuple[str, ...] = ()
     members: int | None = None
     tolerance: float | None = None
     candidates: int | None = None
     fixes: str | None = None
     exact_terrain: bool = False
+    teach: bool = False
     mission: str | None = None
 
     def __post_init__(self) -> None:
