@@ -143,7 +143,7 @@ def _choice_table(found: "ChosenDrive") -> TextTable:
     ]
     headers = ["no", "drive", "risk [%]", "m", "J", "weakest, m"]
     if any(one.teaches is not None for one in choice.candidates):
-        headers.append("next end [m]")
+        headers.append("next m")
         rows = [[*row, _next_end(one)] for row, one in zip(rows, choice.candidates, strict=False)]
     return TextTable(headers, rows, title=f"{verdict}; accepted: {100 * choice.risk:g} %", notes=notes)
 
@@ -161,7 +161,7 @@ def _taught_notes(best: "DriveCandidate") -> list[str]:
         f"{name} {ratio:.2f}" for name, ratio in zip(best.teaches.parameters, best.teaches.sd_ratio, strict=True)
     )
     return [
-        f"next end: expected standard deviation of the end of the way back once drive {best.number} was learned from; "
+        f"next m: expected standard deviation of the end of the way back once drive {best.number} was learned from; "
         f"{before:.3f} m before it, {after:.3f} m after",
         f"drive {best.number} teaches {best.teaches.gain_nats:.1f} nats; what it leaves of each standard deviation: "
         f"{left}",

@@ -86,3 +86,26 @@ def test_impossible_options_are_wrong_usage(run: Run, options: tuple[str, ...], 
 def test_equal_runs_give_equal_bytes(run: Run, belief: Path) -> None:
     first, second = (run(*BASE, "--risk", "0.2", "--soil", belief, "--json").out for _ in range(2))
     assert first == second and len(first) > 1000
+
+
+def test_what_drives_teach_is_told_and_can_decide(run: Run, belief: Path) -> None:
+    """The taken drive is the one after which the next end is known best, to two digits, of those that keep the risk."""
+    options = ("--risk", "0.2", "--soil", belief, "--members", "48", "--prefer", "teaching")
+    done = run(*BASE, *options, "--json")
+    assert done.code == 0, done.err
+    choice = json.loads(done.out)["result"]["choice"]
+    taught = [one for one in choice["candidates"] if "teaches" in one and one["promised"]]
+    after = [one["teaches"]["next_end_sd_m"]["after"] for one in taught if one["promised"]["risk"] <= 0.2]
+    assert after and after[0] <= 1.1 * min(after)
+    best = choice["candidates"][0]["teaches"]
+    assert best["next_end_sd_m"]["after"] <= best["next_end_sd_m"]["before"]
+    assert all(0.0 < ratio <= 1.0 for ratio in best["sd_ratio"].values()) and best["gain_nats"] > 0
+    shown = run(*BASE, *options)
+    rows = [line for line in shown.out.splitlines() if line[:3].strip(" *").isdigit()]
+    assert "next m" in shown.out and max(map(len, rows[:6])) <= 80
+
+
+def test_teaching_is_asked_of_compared_drives_on_enough_soils(run: Run, belief: Path) -> None:
+    assert run(*BASE, "--teach").code == 2
+    done = run(*BASE, "--risk", "0.2", "--soil", belief, "--teach")
+    assert done.code == 2 and "give 64" in " ".join(done.err)
