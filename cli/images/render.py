@@ -29,6 +29,10 @@ OPTIONS = {
     "spacing": option("Side of the ground's triangles, in m.", panel=GROUND),
     "rocks": option("Rocks of 4 cm and more on a square metre.", panel=GROUND),
     "roughness": option("Over that assumed of regolith; 0 leaves the terrain as it is.", panel=GROUND),
+    "track": option(
+        "What wheels left: CSV of x_m, y_m, and rut_m or sinkage_m; the ground is lower there.", panel=GROUND
+    ),
+    "track_width": option("Width of the wheels, in m.", panel=GROUND),
     "seed": option("Seed of ground, noise and the rig's draw.", panel=GROUND),
     "sun_azimuth": option("Where the Sun is, from x towards y, in deg.", panel=LIGHT),
     "sun_elevation": option("Over the horizon, in deg.", panel=LIGHT),

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 FILE: dict[str, Any] = {"kind": str | None, "metavar": "FILE"}
 OPTIONS = {
     "plan": option("Plan that was driven (TOML); the embedded one if left out.", kind=str | None),
-    "positions": option("Positions from localisation (CSV): time_s, x_m, y_m, sigma_m.", **FILE),
+    "positions": option("Positions from localisation (CSV): time_s, x_m, y_m, and errors as in `twin states`.", **FILE),
     "soil": option(
         "What was believed before (JSON): a belief, or a soil map, which keeps the soil by place; the priors if left "
         "out.",

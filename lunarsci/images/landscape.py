@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.tables import numbers_of, read_csv_table
 
 ROCK_COLUMNS = ("x_m", "y_m", "z_m", "a_m", "b_m", "c_m", "turn_deg")
 """Columns of a landscape's rocks: middle, half axes along and across, half height, direction of the first axis."""
@@ -161,6 +162,38 @@ def _with_rocks(bare: Landscape, places: FloatArray, random: np.random.Generator
     sunk = bare.ground(places[:, 0], places[:, 1]) + random.uniform(-0.3, 0.5, count) * half * flat[:, 1]
     rows = np.column_stack([places, sunk, half, half * flat[:, 0], half * flat[:, 1], random.uniform(0, 180, count)])
     return dataclasses.replace(bare, rocks=rows)
+
+
+def with_track(landscape: Landscape, places_m: FloatArray, depth_m: FloatArray, width_m: float) -> Landscape:
+    """The landscape after wheels went over it: within half a width of places (p, 2) its ground is lower by the largest
+    of their depths (p,), as the deepest wheel left it, with upright walls. [m]
+
+    Rocks stay as they are. Raises ParameterError where no place is on the ground.
+    """
+    import dataclasses
+
+    nodes, reach = np.zeros(landscape.height_m.shape), 0.5 * width_m / landscape.spacing_m
+    columns, rows = (np.asarray(places_m, dtype=float) - (landscape.x0_m, landscape.y0_m)).T / landscape.spacing_m
+    for row, column, depth in zip(rows, columns, depth_m, strict=True):
+        low, left = max(math.ceil(row - reach), 0), max(math.ceil(column - reach), 0)
+        near = nodes[low : max(math.floor(row + reach) + 1, 0), left : max(math.floor(column + reach) + 1, 0)]
+        v, u = np.ogrid[low : low + near.shape[0], left : left + near.shape[1]]
+        inside = (v - row) ** 2 + (u - column) ** 2 <= reach**2
+        near[inside] = np.maximum(near[inside], depth)
+    if not nodes.any():
+        raise ParameterError("no place of the track is on the ground; is it in the terrain's coordinates, in m?")
+    return dataclasses.replace(landscape, height_m=landscape.height_m - nodes)
+
+
+def read_track(source: str) -> tuple[FloatArray, FloatArray]:
+    """Places (p, 2) and depths (p,) of a track from CSV: x_m, y_m, and rut_m or sinkage_m. [m] Raises DataError."""
+    table = read_csv_table(source)
+    depth = next((name for name in ("rut_m", "sinkage_m") if name in table), None)
+    if depth is None or not {"x_m", "y_m"} <= set(table.columns):
+        raise DataError(f"{source}: a track needs the columns x_m, y_m, and rut_m or sinkage_m")
+    x, y, z = (numbers_of(source, name, table[name]) for name in ("x_m", "y_m", depth))
+    known = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
+    return np.column_stack([x, y])[known], z[known]
 
 
 def _refined(height: FloatArray, times: float) -> FloatArray:

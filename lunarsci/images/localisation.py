@@ -98,20 +98,26 @@ class Localised:
         off = np.concatenate([vector_of(pose.rotation @ station.pose.rotation.T), step - told])
         return math.sqrt(float(off @ np.linalg.solve(station.covariance, off)) / 6)
 
-    def covariance_of(self, number: int) -> FloatArray:
-        """That of one station's pose; nothing for the first one. (6, 6)"""
-        part = slice(6 * number - 6, 6 * number)
-        return self.covariance[part, part] if number else np.zeros((6, 6))
-
-    def place(self, number: int) -> tuple[Pose, FloatArray]:
-        """A rover's frame, that of the left camera where the rover's is not known, and its covariance. (6, 6)"""
-        pose, rover, own = self.poses[number], self.stations[number].rover, self.covariance_of(number)
+    def place(self, number: int) -> Pose:
+        """A rover's frame, that of the left camera where the rover's is not known."""
+        pose, rover = self.poses[number], self.stations[number].rover
         if rover is None:
-            return pose, own
-        arm = pose.rotation @ rover.center_m
-        by = np.eye(6)
-        by[3:, :3] = -crossed(arm[None])[0]
-        return Pose(rotation=pose.rotation @ rover.rotation, center_m=pose.center_m + arm), by @ own @ by.T
+            return pose
+        return Pose(rotation=pose.rotation @ rover.rotation, center_m=pose.to_world(rover.center_m))
+
+    def shared(self, one: int, other: int) -> FloatArray:
+        """Covariance of the errors of two stations' places, rotation first; nothing with the first one. (6, 6)"""
+        if not one or not other:
+            return np.zeros((6, 6))
+        rows, columns = (slice(6 * number - 6, 6 * number) for number in (one, other))
+        return np.asarray(self._carried(one) @ self.covariance[rows, columns] @ self._carried(other).T)
+
+    def _carried(self, number: int) -> FloatArray:
+        """Errors of a place by those of the camera's pose. (6, 6)"""
+        by, rover = np.eye(6), self.stations[number].rover
+        if rover is not None:
+            by[3:, :3] = -crossed((self.poses[number].rotation @ rover.center_m)[None])[0]
+        return by
 
 
 def localise(stations: Sequence[Station], rig: StereoRig, *, progress: Progress | None = None) -> Localised:

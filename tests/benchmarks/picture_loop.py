@@ -8,7 +8,8 @@ pictures that look back. Telemetry of wheels and headings is the same in both. W
 return ends from where it was predicted to, beside where soil and terrain as before the drive say.
 
 Pictures are rendered with a draw from the covariance of the rig, of ground with roughness and rocks that the true drive
-does not know; a wheel takes the mean of them. `--small` takes half of the pixels each way, with the same view.
+does not know; a wheel takes the mean of them. The map that the return is predicted on is that of all stations
+(`images merge`). `--small` takes half of the pixels each way, with the same view.
 """
 
 import argparse
@@ -18,28 +19,29 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 import lunarsci
-from lunarsci.images.elevation import elevation_bytes
+from lunarsci.images.elevation import ElevationModel, elevation_bytes
 from lunarsci.images.jobs.dem import dem
 from lunarsci.images.jobs.locate import locate
+from lunarsci.images.jobs.merge import merge
 from lunarsci.images.jobs.render import render
 from lunarsci.images.jobs.track import track
 from lunarsci.images.rig_files import read_rig, rig_text
 from lunarsci.regolith.belief import first_belief
-from lunarsci.regolith.soil import read_soil
 from lunarsci.result import Result
 from lunarsci.tables import csv_bytes
 from lunarsci.twin.ground.synthetic import synthetic_terrain
-from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.ground.terrain_files import write_terrain
+from lunarsci.twin.judgement.tables import state_table
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import build_rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.telemetry.simulated import SensorErrors, deepest_at, simulate_telemetry
 
-SPACING_M, SIDE_M = 0.02, 20.0
-BEHIND_M, MAST_M, DOWN_DEG, BACK_DOWN_DEG = 2.4, 1.5, 25.0, 35.0
+SPACING_M, SIDE_M = 0.01, 18.0
+BEHIND_M, MAST_M, DOWN_DEG, BACK_DOWN_DEG = 3.2, 1.5, 25.0, 35.0
 OUT = Plan(name="out", legs=(Leg(2.5, 0.05), Leg(2.5, -0.08)), speed_m_s=0.05)
 WHEEL_ASIDE_M = 0.45
 STATIONS = 5
@@ -56,32 +58,10 @@ def kept(result: Result, folder: Path) -> Path:
     return folder
 
 
-def fine(terrain: Terrain) -> Terrain:
-    """The same ground on the nodes that pictures are made of."""
-    x = np.arange(-0.5 * SIDE_M, 0.5 * SIDE_M + 1e-9, SPACING_M)
-    heights = terrain.height_at(*np.meshgrid(x[1:-1], x[1:-1]))
-    return build_terrain(terrain.name, x[1], x[1], SPACING_M, heights, read_soil("longji"), synthetic=True)
-
-
-def with_ruts(ground: Terrain, drive: Prediction) -> Terrain:
-    """The ground after a drive: lower by what the deepest wheel pressed, with walls that a wheel's width has."""
-    count = int(drive.recorded[0])
-    x, y, z = (drive.states[0, :count, :, STATE_COLUMNS.index(name)] for name in ("x_m", "y_m", "sinkage_m"))
-    heights, reach = ground.height_m.copy(), 0.5 * drive.rover.wheel.width_m
-    rows, columns = (
-        slice(*np.searchsorted(axis, (v.min() - 2 * reach, v.max() + 2 * reach)))
-        for axis, v in ((ground.y_m, y), (ground.x_m, x))
-    )
-    nodes = np.stack(np.meshgrid(ground.x_m[columns], ground.y_m[rows]), axis=-1)
-    deep = np.maximum(deepest_at(nodes.reshape(-1, 2), (x, y, z), reach), 0.0).max(axis=1)
-    heights[rows, columns] -= deep.reshape(nodes.shape[:2])
-    return build_terrain(ground.name, ground.x0_m, ground.y0_m, SPACING_M, heights, read_soil("longji"), synthetic=True)
-
-
-def pose_text(place: tuple[float, float, float], heading: float, down: float, time_s: float) -> str:
+def pose_text(place: tuple[float, float, float], heading: float, down: float) -> str:
     """A pose.toml."""
     where = [float(value) for value in place]
-    return f"position_m = {where}\nheading_deg = {heading}\ndown_deg = {down}\nroll_deg = 0.0\ntime_s = {time_s}\n"
+    return f"position_m = {where}\nheading_deg = {heading}\ndown_deg = {down}\nroll_deg = 0.0\n"
 
 
 def way_back(end: np.ndarray) -> Plan:
@@ -114,92 +94,113 @@ def soil_of(number: int) -> dict[str, float]:
     return {name: float(values[number]) for name, values in first_belief().draws(64, seed=77).items()}
 
 
+def modelled(folder: Path, rig: str, pose: Path, **options: Any) -> ElevationModel:
+    """Heights from the pictures in a folder, also in its `dem.npz`."""
+    found = dem(str(folder / "left.png"), str(folder / "right.png"), rig=rig, pose=str(pose), **options).model
+    (folder / "dem.npz").write_bytes(elevation_bytes(found))
+    return found
+
+
+def taken(folder: Path, ground: str, drive: Prediction, telemetry: pd.DataFrame, asked: dict[str, Any]) -> list[Path]:
+    """Pictures before the drive, and ahead from places along it; poses but the first are those of dead reckoning.
+
+    That is the plan, the heading of telemetry, and the height of the first model.
+    """
+    folders = [kept(render(ground, x=-BEHIND_M, down=DOWN_DEG, **asked), folder / "A")]
+    seen = modelled(folders[0], asked["rig"], folders[0] / "pose.toml")
+    for number, sample in enumerate(np.linspace(0, int(drive.recorded[0]) - 1, STATIONS).astype(int)):
+        place, sent, planned = drive.paths[0, sample], telemetry.iloc[sample], drive.planned[sample]
+        view = {"x": float(place[0]), "y": float(place[1]), "heading": float(place[5]), "down": DOWN_DEG}
+        folders.append(kept(render(ground, **view, **asked), folder / f"S{number}"))
+        height = float(np.nan_to_num(seen.at("height_m", *planned[:2][:, None])[0]))
+        dead = (planned[0], planned[1], height + MAST_M)
+        text = pose_text(dead, float(sent["yaw_deg"]), DOWN_DEG) + f"time_s = {float(sent['time_s'])}\n"
+        (folders[-1] / "pose.toml").write_text(text)
+    return folders
+
+
+def depths(folder: Path, lines: np.ndarray, rig: str) -> list[dict[str, Any]]:
+    """Depths of the ruts in the pictures of a folder along lines. (lines, points, 2) [m]"""
+    modelled(folder, rig, folder / "pose.toml", spacing=0.01)
+    rows: list[dict[str, Any]] = []
+    for line in lines:
+        text = ",".join(f"{value:.4f}" for value in line.ravel())
+        rows += track(str(folder / "dem.npz"), line=text, search=0.1).rows()  # type: ignore[arg-type]
+    return [row for row in rows if row["status"] == "ok"]
+
+
+def from_pictures(
+    folder: Path, ground: str, drive: Prediction, telemetry: pd.DataFrame, asked: dict[str, Any]
+) -> dict[str, Any]:
+    """Map, positions and ruts as pictures say, as files, and how far they are off."""
+    x, y, yaw = drive.paths[0, -1, [0, 1, 5]]
+    folders = taken(folder, ground, drive, telemetry, asked)
+    located = locate([str(one) for one in folders], rig=asked["rig"], heading_error=0.5)
+    here, last = kept(located, folder / "located"), located.rows()[-1]
+    for one in folders[1:]:
+        modelled(one, asked["rig"], here / f"{one.name}.toml")
+    whole = merge([str(one / "dem.npz") for one in folders], positions=str(here / "shifts.csv")).merged.model
+    (folder / "map.npz").write_bytes(elevation_bytes(whole))
+    behind = {"track": str(folder / "truth.csv"), "track_width": drive.rover.wheel.width_m, "down": BACK_DOWN_DEG}
+    back = kept(render(ground, x=float(x), y=float(y), heading=float(yaw) + 180, **behind, **asked), folder / "back")
+    place = (last["x_m"], last["y_m"], last["z_m"])
+    (back / "pose.toml").write_text(pose_text(place, float(last["camera_heading_deg"]) + 180, BACK_DOWN_DEG))
+    seen = {"positions": str(here / "positions.csv")}
+    motion = lunarsci.states(str(folder / "telemetry.csv"), OUT, terrain=str(folder / "map.npz"), **seen).tables[
+        "motion.csv"
+    ][::10]
+    turn, middle = np.radians(motion["yaw_deg"].to_numpy()), motion[["x_m", "y_m"]].to_numpy()
+    aside = WHEEL_ASIDE_M * np.column_stack([-np.sin(turn), np.cos(turn)])
+    found = depths(back, np.stack([middle + aside, middle - aside]), asked["rig"])
+    if found:
+        columns = ("x_m", "y_m", "rut_m", "rut_m_sigma")
+        pd.DataFrame(found)[list(columns)].to_csv(folder / "depths.csv", index=False)
+        seen["track"] = str(folder / "depths.csv")
+    off = float(np.hypot(last["x_m"] - x, last["y_m"] - y))
+    tied = sum(row["tied"] for row in located.rows()[1:])
+    return {"seen": seen, "tied": tied, "place_off_m": off} | depth_errors(drive, found)
+
+
+def depth_errors(drive: Prediction, found: list[dict[str, Any]]) -> dict[str, Any]:
+    """How far depths are off those that the deepest wheel left, in mm."""
+    count = int(drive.recorded[0])
+    paths = tuple(drive.states[0, :count, :, STATE_COLUMNS.index(name)] for name in ("x_m", "y_m", "sinkage_m"))
+    true = deepest_at(np.array([[row["x_m"], row["y_m"]] for row in found]).reshape(-1, 2), paths, 0.2).max(axis=1)
+    off = np.array([row["rut_m"] for row in found]) - true
+    z = off / np.array([row["rut_m_sigma"] for row in found])
+    known = np.isfinite(off)
+    if not known.any():
+        return {"depths": 0}
+    rms, over = (float(np.sqrt(np.mean(np.square(values[known])))) for values in (1e3 * off, z))
+    return {"depths": len(found), "depth_rms_mm": rms, "depth_rms_sigmas": over}
+
+
 def loop(folder: Path, number: int, rig: str) -> dict[str, Any]:
     """One hidden soil on one ground."""
     warnings.simplefilter("ignore")
     folder.mkdir(parents=True, exist_ok=True)
     rover, soil = build_rover("yutu2"), soil_of(number)
-    truth = synthetic_terrain(seed=number, spacing_m=0.1, extent_m=SIDE_M, craters=6, rms_m=0.004)
-    hidden = truth.with_soil(**soil)
-    write_terrain(truth, folder / "given.npz")
-    ground = fine(truth)
-    write_terrain(ground, folder / "ground.npz")
+    truth = synthetic_terrain(seed=number, spacing_m=0.05, extent_m=SIDE_M, craters=6, rms_m=0.004)
+    hidden, ground = truth.with_soil(**soil), str(folder / "given.npz")
+    write_terrain(truth, ground)
     drive = predict(rover, hidden, OUT, sweep=(), time_step_s=0.05, sample_m=0.05)
-    x, y, yaw = drive.paths[0, -1, [0, 1, 5]]
-    write_terrain(with_ruts(ground, drive), folder / "after.npz")
     telemetry = simulate_telemetry(drive, SensorErrors(), seed=number)
-    (folder / "telemetry.csv").write_bytes(csv_bytes(telemetry.telemetry))
-    (folder / "track.csv").write_bytes(csv_bytes(telemetry.track))
-    back = predict(rover, hidden, way_back(np.array([x, y, yaw])), sweep=(), ruts=True, before=OUT)
-    true_end = back.endpoints_m[0]
+    for name, table in (("telemetry", telemetry.telemetry), ("track", telemetry.track), ("truth", state_table(drive))):
+        (folder / f"{name}.csv").write_bytes(csv_bytes(table))
+    back = predict(rover, hidden, way_back(drive.paths[0, -1, [0, 1, 5]]), sweep=(), ruts=True, before=OUT)
     row: dict[str, Any] = {"soil": number, "finished": bool(drive.finished[0] and back.finished[0])}
     if not row["finished"]:
         return row
-    # Given terrain, positions and ruts.
-    belief, place = learned(folder, "given", str(folder / "given.npz"), track=str(folder / "track.csv"))
-    row["given_m"] = float(np.hypot(*(ends(way_back(place), str(folder / "given.npz"), folder, belief) - true_end)))
-    unlearned = ends(way_back(place), str(folder / "given.npz"), folder, first_belief())
-    row["unlearned_m"] = float(np.hypot(*(unlearned - true_end)))
-    # Pictures.
-    asked = {"rig": rig, "spacing": float(np.diff(ground.x_m[:2])[0]), "rocks": 0.3, "seed": number + 1, "samples": 1}
-    first = render(str(folder / "ground.npz"), x=-BEHIND_M, heading=0.0, down=DOWN_DEG, **asked)
-    one, after = kept(first, folder / "A"), str(folder / "after.npz")
-    seen = dem(str(one / "left.png"), str(one / "right.png"), rig=rig, pose=str(one / "pose.toml"))
-    model = folder / "dem.npz"
-    model.write_bytes(elevation_bytes(seen.model))
-    (one / "pose.toml").write_text((one / "pose.toml").read_text() + "time_s = 0.0\n")
-    samples = np.linspace(0, int(drive.recorded[0]) - 1, STATIONS).astype(int)
-    names = [f"S{k}" for k in range(STATIONS)]
-    for name, sample in zip(names, samples, strict=True):
-        place, sent = drive.paths[0, sample], telemetry.telemetry.iloc[sample]
-        view = {"x": float(place[0]), "y": float(place[1]), "heading": float(place[5]), "down": DOWN_DEG}
-        kept(render(after, **view, **asked), folder / name)
-        # Dead reckoning: the plan, the heading of telemetry, the height of the model.
-        planned = drive.planned[sample]
-        height = float(np.nan_to_num(seen.model.at("height_m", *planned[:2][:, None])[0]))
-        dead = (planned[0], planned[1], height + MAST_M)
-        (folder / name / "pose.toml").write_text(
-            pose_text(dead, float(sent["yaw_deg"]), DOWN_DEG, float(sent["time_s"]))
-        )
-    kept(render(after, x=float(x), y=float(y), heading=float(yaw) + 180, down=BACK_DOWN_DEG, **asked), folder / "back")
-    located = locate([str(one), *(str(folder / name) for name in names)], rig=rig, heading_error=0.5)
-    table = list(located.to_dict()["stations"])[1:]
-    last = table[-1]
-    row["tied"], row["place_off_m"] = sum(r["tied"] for r in table), float(np.hypot(last["x_m"] - x, last["y_m"] - y))
-    positions = folder / "positions.csv"
-    fixes = [(r["time_s"], r["x_m"], r["y_m"], float(np.sqrt(0.5 * (r["xx_m2"] + r["yy_m2"])))) for r in table]
-    lines = [",".join(map(str, fix)) for fix in fixes]
-    positions.write_text("\n".join(["time_s,x_m,y_m,sigma_m", *lines]) + "\n")
-    heading = float(last["camera_heading_deg"]) + 180
-    pose = pose_text((last["x_m"], last["y_m"], last["z_m"]), heading, BACK_DOWN_DEG, 0.0)
-    (folder / "back" / "pose.toml").write_text(pose)
-    behind = dem(*(str(folder / "back" / f"{side}.png") for side in ("left", "right")), rig=rig,
-                 pose=str(folder / "back" / "pose.toml"), spacing=0.01)  # fmt: skip
-    (folder / "behind.npz").write_bytes(elevation_bytes(behind.model))
-    motion = lunarsci.states(str(folder / "telemetry.csv"), OUT, terrain=str(model), positions=str(positions)).tables[
-        "motion.csv"
-    ]
-    tracks, errors = [], []
-    for aside in (WHEEL_ASIDE_M, -WHEEL_ASIDE_M):
-        turn = np.radians(motion["yaw_deg"].to_numpy())
-        line = np.column_stack([motion["x_m"] - aside * np.sin(turn), motion["y_m"] + aside * np.cos(turn)])[::10]
-        text = ",".join(f"{value:.4f}" for value in line.ravel())
-        found = track(str(folder / "behind.npz"), line=text, search=0.1)
-        tracks += [r for r in found.rows() if r["status"] == "ok"]
-    path = folder / "depths.csv"
-    path.write_text("x_m,y_m,rut_m,rut_m_sigma\n" + "".join(
-        f"{r['x_m']},{r['y_m']},{r['rut_m']},{r['rut_m_sigma']}\n" for r in tracks))  # fmt: skip
-    count = int(drive.recorded[0])
-    paths = tuple(drive.states[0, :count, :, STATE_COLUMNS.index(name)] for name in ("x_m", "y_m", "sinkage_m"))
-    if tracks:
-        places = np.array([[r["x_m"], r["y_m"]] for r in tracks])
-        true = deepest_at(places, paths, 0.2).max(axis=1)
-        errors = [r["rut_m"] - t for r, t in zip(tracks, true, strict=True) if np.isfinite(t)]
-    row |= {"depths": len(tracks), "depth_rms_mm": 1e3 * float(np.sqrt(np.mean(np.square(errors)))) if errors else None}
-    given = {"positions": str(positions)} | ({"track": str(path)} if tracks else {})
-    belief, place = learned(folder, "pictures", str(model), **given)
-    row["pictures_m"] = float(np.hypot(*(ends(way_back(place), str(model), folder, belief) - true_end)))
-    return row
+
+    def miss(terrain: str, belief: Any, place: np.ndarray) -> float:
+        return float(np.hypot(*(ends(way_back(place), terrain, folder, belief) - back.endpoints_m[0])))
+
+    belief, place = learned(folder, "given", ground, track=str(folder / "track.csv"))
+    row["given_m"], row["unlearned_m"] = (miss(ground, known, place) for known in (belief, first_belief()))
+    asked = {"rig": rig, "spacing": SPACING_M, "rocks": 0.4, "seed": number + 1, "samples": 1}
+    found = from_pictures(folder, ground, drive, telemetry.telemetry, asked)
+    belief, place = learned(folder, "pictures", str(folder / "map.npz"), **found.pop("seen"))
+    return row | found | {"pictures_m": miss(str(folder / "map.npz"), belief, place)}
 
 
 def main() -> None:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from lunarsci.cli import main
 
-from lunarsci.errors import ParameterError
+from lunarsci.errors import DataError, ParameterError
 from lunarsci.images.camera import Camera, Pose
-from lunarsci.images.landscape import Landscape, landscape_on
+from lunarsci.images.landscape import Landscape, landscape_on, read_track, with_track
 from lunarsci.images.rays import World, seen_by
 from lunarsci.images.render import render
 from lunarsci.images.rig import PARAMETERS, StereoRig, covariance_of
@@ -162,3 +162,24 @@ def test_the_command_writes_marked_pictures_and_their_truth(tmp_path: Path, caps
     assert read_rig(str(tmp_path / "out/rig.toml")).name == "small"
     assert read_pose(str(tmp_path / "out/pose.toml")).angles_deg()[1] == pytest.approx(25)
     assert main(["images", "render", "--sun-elevation", "-3"]) == 2
+
+
+def test_a_track_lowers_the_ground_below_it_by_the_deepest_wheel(tmp_path: Path) -> None:
+    table = tmp_path / "truth.csv"
+    table.write_text(
+        "# made up\nx_m,y_m,sinkage_m\n" + "".join(f"{x / 20},0.5,{0.01 + 0.01 * (x > 20)}\n" for x in range(60))
+    )
+    places, depths = read_track(str(table))
+    before = flat_ground()
+    after = with_track(before, places, depths, 0.2)
+    lower = before.ground(*np.array([[0.4, 0.5], [1.0, 0.5], [2.0, 0.5], [1.0, 0.7]]).T)
+    np.testing.assert_allclose(
+        lower - after.ground(*np.array([[0.4, 0.5], [1.0, 0.5], [2.0, 0.5], [1.0, 0.7]]).T),
+        [0.01, 0.02, 0.02, 0],
+        atol=1e-9,
+    )
+    with pytest.raises(ParameterError, match="no place of the track is on the ground"):
+        with_track(before, places + 1e3, depths, 0.2)
+    table.write_text("x_m,y_m\n0,0\n")
+    with pytest.raises(DataError, match="rut_m or sinkage_m"):
+        read_track(str(table))

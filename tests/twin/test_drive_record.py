@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lunarsci.errors import LunarSciWarning
+from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import read_input
 from lunarsci.twin.assimilation.drive_record import DriveRecord, read_record
 from lunarsci.twin.rover import Rover
@@ -46,5 +46,22 @@ def test_positions_have_circles_or_ellipses_of_error(tmp_path: Path, yutu2: Rove
     ellipse = read(tmp_path, yutu2, STATES, "time_s,x_m,y_m,xx_m2,xy_m2,yy_m2\n5,1,2,0.04,0.01,0.09\n")
     covariance = np.array([[0.04, 0.01], [0.01, 0.09]])
     assert ellipse.fix_covariance_m2[0] == pytest.approx(covariance)
-    white = ellipse.whitening[0]
-    assert white @ covariance @ white.T == pytest.approx(np.eye(2))
+    assert ellipse.fix_joint_m2 == pytest.approx(covariance)
+
+
+def test_positions_may_share_errors_with_the_one_before(tmp_path: Path, yutu2: Rover) -> None:
+    """Errors that follow each other as e = 0.8 e + noise in x, and are the same in y: covariances fall as powers."""
+    head = "time_s,x_m,y_m,xx_m2,xy_m2,yy_m2,xx_before_m2,xy_before_m2,yx_before_m2,yy_before_m2\n"
+    rows = [",-1,0,1e-6,0,1e-6,0,0,0,0", "5,1,0,0.01,0,0.04,0,0,0,0"]
+    rows += ["10,2,0,0.01,0,0.042,0.008,0,0,0.04", "15,3,0,0.01,0,0.043,0.008,0,0,0.042"]
+    record = read(tmp_path, yutu2, STATES, head + "\n".join(rows) + "\n")
+    assert record.fix_time_s.tolist() == [5.0, 10.0, 15.0]
+    joint = record.fix_joint_m2
+    assert joint[::2, ::2] == pytest.approx(0.01 * 0.8 ** np.abs(np.subtract.outer(range(3), range(3))))
+    assert joint[1::2, 1::2] == pytest.approx(np.minimum.outer(*2 * [np.array([0.04, 0.042, 0.043])]))
+    assert not joint[::2, 1::2].any()
+    wrong = head + "5,1,0,0.01,0,0.04,0,0,0,0\n10,2,0,0.01,0,0.042,0.02,0,0,0.04\n"
+    with pytest.raises(DataError, match="are no covariance of all positions"):
+        read(tmp_path, yutu2, STATES, wrong)
+    with pytest.raises(DataError, match="no position has a time"):
+        read(tmp_path, yutu2, STATES, "time_s,x_m,y_m,sigma_m\n,1,2,0.1\n")

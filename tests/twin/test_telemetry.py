@@ -1,5 +1,6 @@
 """Made-up drives and their telemetry, and the states found again from it. All of it is synthetic."""
 
+import contextlib
 import dataclasses
 import io
 import math
@@ -19,8 +20,10 @@ from lunarsci.twin.plans.plan import Fixes, Leg, Plan, read_plan
 from lunarsci.twin.plans.schedule import commands_at, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
+from lunarsci.twin.telemetry.filter import ErrorChain
 from lunarsci.twin.telemetry.odometry import body_twist
-from lunarsci.twin.telemetry.reading import Findings, read_telemetry
+from lunarsci.twin.telemetry.positions import with_positions
+from lunarsci.twin.telemetry.reading import Findings, Positions, read_positions, read_telemetry
 from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
 from lunarsci.twin.telemetry.sinkage import RutPoints, deepest_wheel, read_track, rut_points, with_sinkage
 from lunarsci.twin.telemetry.smoother import Nodes, SlipProcess, smooth
@@ -147,11 +150,18 @@ def test_wheels_that_do_not_slip_give_back_the_motion(yutu2: Rover) -> None:
         assert body_twist(rover, blind, commands.steering_rad)[0] == pytest.approx(twist, abs=1e-12)
 
 
-def test_the_smoother_is_the_generalised_least_squares_of_its_model() -> None:
-    """A straight way of ten steps, against a dense solution of the same Gaussian model."""
+@pytest.mark.parametrize("follows", [0.0, 0.9])
+def test_the_smoother_is_the_generalised_least_squares_of_its_model(follows: float) -> None:
+    """A straight way of ten steps, against a dense solution of the same Gaussian model.
+
+    Errors of positions are independent, or follow each other as e = 0.9 e + noise.
+    """
     count, way, sigma = 11, 0.1, 0.005
     random = np.random.default_rng(0)
-    x = 0.1 * np.arange(count) * 0.97 + sigma * random.normal(size=count)
+    errors = sigma**2 * follows ** np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
+    x = 0.1 * np.arange(count) * 0.97 + np.linalg.cholesky(errors) @ random.normal(size=count)
+    share = np.append(0.0, np.full(count - 1, follows))[:, None, None] * np.eye(2)
+    chain = ErrorChain(share, sigma**2 * (np.eye(2) - share**2)) if follows else None
     nodes = Nodes(
         time_s=np.arange(count) * 2.0,
         twist=np.tile([0.05, 0.0, 0.0], (count - 1, 1)),
@@ -162,6 +172,7 @@ def test_the_smoother_is_the_generalised_least_squares_of_its_model() -> None:
         fix_covariance_m2=np.tile(sigma**2 * np.eye(2), (count, 1, 1)),
         yaw_rad=np.zeros(count),
         yaw_sigma_rad=np.full(count, 1e-6),
+        chain=chain,
     )
     amplitude, length = 0.03, 1.0
     result = smooth(nodes, SlipProcess.fixed(np.array([amplitude, 1e-6, 1e-6]), np.full(3, length)))
@@ -172,7 +183,7 @@ def test_the_smoother_is_the_generalised_least_squares_of_its_model() -> None:
     process = amplitude**2 * (1 + apart) * np.exp(-apart) + 0.3**2
     lower = np.vstack([np.zeros(count - 1), np.tri(count - 1)]) * way
     prior = lower @ process @ lower.T + 10.0**2 + 2e-4**2 * np.minimum.outer(np.arange(count), np.arange(count))
-    gain = prior @ np.linalg.inv(prior + sigma**2 * np.eye(count))
+    gain = prior @ np.linalg.inv(prior + errors)
     mean = places + (x[0] - places[0]) + gain @ (x - places - x[0])
     assert result.state[:, 0] == pytest.approx(mean, abs=1e-4)
     error = np.sqrt(np.diag(prior - gain @ prior))
@@ -214,6 +225,45 @@ def test_one_state_between_two_positions(states: DriveStates, drive: SyntheticDr
     between = np.searchsorted(position_table(states)["time_s"], states.nodes.time_s[states.rows.node])
     assert len(set(between)) == len(between)
     assert states.rows.valid.all() and states.findings.entries == []
+
+
+def test_errors_that_positions_share_shift_the_whole_way_and_no_slip(yutu2: Rover) -> None:
+    """All positions off by one and the same 20 mm, but for 1 mm: as certain of the slip as with 1 mm, of the place with
+    20 mm; taken as independent they are certain of the place and know little of the slip."""
+    drive, terrain = made_up(yutu2, 0, PLAN, SensorErrors(fix_sigma_m=0.001, fix_distance_m=1.0))
+    fixed = np.flatnonzero(drive.telemetry["x_m"].notna())
+    places = drive.telemetry[["x_m", "y_m"]].to_numpy()[fixed] + 0.02
+    own = np.tile((0.02**2 + 0.001**2) * np.eye(2), (len(fixed), 1, 1))
+    found_by = []
+    for shared in (own - 0.001**2 * np.eye(2), None):
+        findings = Findings("made-up.csv")
+        sent = read_telemetry(file(drive.telemetry), yutu2, findings, placed=False)
+        times = drive.telemetry["time_s"].to_numpy()[fixed]
+        sent = with_positions(sent, Positions(times, places, own, shared), "positions.csv", findings)
+        # Independent errors of 20 mm that scatter by 1 mm are too large; shared ones are not.
+        with pytest.warns(LunarSciWarning, match="too large") if shared is None else contextlib.nullcontext():
+            found_by.append(states_of(sent, yutu2, terrain, findings, PLAN))
+    chained, alone = found_by
+    place, alone_place = (np.sqrt(states.smoothed.covariance[:, 0, 0]) for states in found_by)
+    assert place.min() > 0.019 and alone_place.min() < 0.013
+    slip, alone_slip = (np.median(states.rows.slip_ratio_sigma) for states in found_by)
+    assert slip < 0.5 * alone_slip
+    assert np.abs(off(chained, drive.prediction, "slip_ratio")).max() < 4
+    again = read_positions(file(position_table(chained)))
+    assert again.shared_m2 is not None and "xx_before_m2" not in position_table(alone)
+    np.testing.assert_allclose(again.shared_m2[1:], (own - 0.001**2 * np.eye(2))[1:])
+
+
+def test_a_track_tells_of_sinkages_between_positions_that_lie_far_apart(yutu2: Rover) -> None:
+    """Two positions have one slip between them; the track is measured all along."""
+    drive, terrain = made_up(yutu2, 1, PLAN, SensorErrors(fix_sigma_m=0.007, fix_distance_m=100.0))
+    with pytest.warns(LunarSciWarning, match="2 positions over 5.02 m"):
+        states = found(drive, terrain, track=True)
+    slips, depths = (np.isfinite(v).any(axis=1) for v in (states.rows.slip_ratio, states.rows.sinkage_m))
+    assert slips.sum() == 1 and depths.sum() > 8
+    assert np.diff(states.rows.distance_m).min() >= 0.3 - 1e-9 and (np.diff(states.rows.node) > 0).all()
+    sinkage = np.abs(off(states, drive.prediction, "sinkage_m"))
+    assert np.mean(sinkage < 1) > 0.5 and sinkage.max() < 4
 
 
 def test_better_positions_give_better_slips(yutu2: Rover) -> None:

@@ -139,8 +139,8 @@ class LocatedStations(Result):
         import numpy as np
 
         station, pose = self.found.stations[k], self.found.poses[k]
-        place, own = self.found.place(k)
-        own = own if k else np.diag([0.0] * 3 + [FIRST_M**2] * 3)
+        place, before = self.found.place(k), self.found.shared(k, max(k - 1, 0))
+        own = self.found.shared(k, k) if k else np.diag([0.0] * 3 + [FIRST_M**2] * 3)
         heading, down, roll = pose.angles_deg()
         turned = math.degrees(math.sqrt(own[2, 2]))
         yaw = None if station.rover is None else math.degrees(math.atan2(*place.rotation[[1, 0], 0]))
@@ -149,6 +149,7 @@ class LocatedStations(Result):
             "time_s": station.time_s,
             **dict(zip(("x_m", "y_m", "z_m"), map(float, place.center_m), strict=True)),
             **{f"{n}_m2": float(own[i, j]) for n, i, j in (("xx", 3, 3), ("xy", 3, 4), ("yy", 4, 4), ("zz", 5, 5))},
+            **{f"{'xyz'[i]}{'xyz'[j]}_before_m2": float(before[3 + i, 3 + j]) for i in range(2) for j in range(2)},
             "yaw_deg": yaw,
             "yaw_deg_sigma": None if yaw is None else turned,
             "camera_heading_deg": heading,
@@ -175,7 +176,7 @@ class LocatedStations(Result):
         """Of elevation models made with the poses found: none, with the errors of these, as `images merge` reads it."""
         import pandas as pd
 
-        errors = [{name: row[name] for name in row if name.endswith("_m2")} for row in self.rows()]
+        errors = [{name: row[name] for name in ("xx_m2", "xy_m2", "yy_m2", "zz_m2")} for row in self.rows()]
         return pd.DataFrame(
             [
                 {"model": s.name, "x_m": 0.0, "y_m": 0.0, "z_m": 0.0} | row

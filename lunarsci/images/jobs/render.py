@@ -1,6 +1,7 @@
 """SYNTHETIC pairs of pictures, with the truth beside them."""
 
 import io
+import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -44,6 +45,8 @@ class RenderRequest:
     spacing : of the ground's triangles. [m]
     rocks : of 4 cm and more on a square metre; 0 for none. [1/m2]
     roughness : over that assumed of regolith; 0 leaves the ground as it is.
+    track : what wheels left: a table of x_m, y_m, and rut_m or sinkage_m; the ground is lower there.
+    track_width : of the wheels. [m]
     sun_azimuth, sun_elevation : where the Sun is, from x towards y, and over the horizon. [deg]
     law : how the ground scatters light.
     samples : rays along each side of a pixel, 1 to 8.
@@ -61,6 +64,8 @@ class RenderRequest:
     spacing: float = 0.01
     rocks: float = 0.5
     roughness: float = 1.0
+    track: str | None = None
+    track_width: float = 0.15
     sun_azimuth: float = 60.0
     sun_elevation: float = 30.0
     law: Law = "lommel-seeliger"
@@ -71,6 +76,8 @@ class RenderRequest:
     def __post_init__(self) -> None:
         if not 1e-3 <= self.spacing <= 1 or not 0 <= self.rocks <= 100 or not 0 <= self.roughness <= 10:
             raise RequestError("`spacing` is 0.001 to 1 m, `rocks` 0 to 100 a square metre, `roughness` 0 to 10")
+        if not 0.01 <= self.track_width <= 2:
+            raise RequestError(f"`track_width` is {self.track_width:g} m; give 0.01 to 2")
         if not 0 < self.sun_elevation <= 90:
             raise RequestError(f"`sun_elevation` is {self.sun_elevation:g} deg; give 0 to 90, over the horizon")
         if not 1 <= self.samples <= 8:
@@ -166,9 +173,13 @@ class SyntheticPair(Result):
             "ground_m": _rounded(ground.height_m),
         }
         arrays |= {"rocks": ground.rocks, "rig": np.array(rig_text(self.pair.rig)), "synthetic": np.array(True)}
-        archive = io.BytesIO()
-        np.savez_compressed(archive, **arrays)
-        return archive.getvalue()
+        content = io.BytesIO()
+        # As `savez_compressed`, which compresses eight times as long for a twentieth of the bytes.
+        with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+            for name, values in arrays.items():
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                    np.lib.format.write_array(member, np.asarray(values))
+        return content.getvalue()
 
 
 def _rounded(places_m: "FloatArray") -> Any:
@@ -191,7 +202,7 @@ def render(
 
     from lunarsci.images import render as renderer
     from lunarsci.images.camera import Pose
-    from lunarsci.images.landscape import landscape_on, read_heights
+    from lunarsci.images.landscape import landscape_on, read_heights, read_track, with_track
     from lunarsci.images.rig_files import read_rig
 
     asked = request_of(RenderRequest, request, options)
@@ -208,6 +219,9 @@ def render(
         sun_elevation_deg=asked.sun_elevation,
         spacing_m=asked.spacing,
     )
+    inputs = {name: read_input(name).sha256 for name in (terrain, asked.track) if name is not None}
+    if asked.track is not None:
+        ground = with_track(ground, *read_track(asked.track), asked.track_width)
     low = float(np.nan_to_num(ground.ground(asked.x, asked.y)))
     height = asked.height or rig.height_m
     pose = Pose.looking([asked.x, asked.y, low + height], asked.heading, asked.down, asked.roll)
@@ -221,5 +235,4 @@ def render(
         samples=asked.samples,
         progress=progress,
     )
-    inputs = {} if terrain is None else {terrain: read_input(terrain).sha256}
     return SyntheticPair(landscape=ground, told=rig, pair=pair, inputs=inputs, seed=asked.seed)

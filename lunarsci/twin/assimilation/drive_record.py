@@ -18,7 +18,7 @@ from lunarsci.inputs import InputFile
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, StateTable, read_state_table
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
-from lunarsci.twin.telemetry.reading import Positions, read_positions
+from lunarsci.twin.telemetry.reading import Positions, joint_m2, read_positions
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -37,6 +37,8 @@ class DriveRecord:
     time_s, wheel : when, since the start of the plan, and of which wheel each state is. (n,) [s]
     values, sigmas : columns `OBSERVED`, NaN where not measured. (n, 6) [m, -, deg, N, N, N]
     fix_time_s, fix_m, fix_covariance_m2 : positions of the rover's origin, and their errors. (f,), (f, 2), (f, 2, 2)
+    fix_shared_m2 : covariance of each position's error with that of the one before; None where they are independent.
+        (f, 2, 2)
 
     Raises ParameterError for shapes that do not fit, times that are no numbers or negative, and sigmas below 0.
     """
@@ -48,6 +50,7 @@ class DriveRecord:
     fix_time_s: FloatArray
     fix_m: FloatArray
     fix_covariance_m2: FloatArray
+    fix_shared_m2: FloatArray | None = None
 
     def __post_init__(self) -> None:
         n, f = len(self.time_s), len(self.fix_time_s)
@@ -64,9 +67,9 @@ class DriveRecord:
             raise ParameterError("a record's positions need finite places and positive definite covariances")
 
     @property
-    def whitening(self) -> FloatArray:
-        """Matrix that makes the error of each position a unit one. (f, 2, 2) [1/m]"""
-        return np.linalg.inv(np.linalg.cholesky(self.fix_covariance_m2)) if len(self.fix_m) else np.zeros((0, 2, 2))
+    def fix_joint_m2(self) -> FloatArray:
+        """Covariance of all positions. (2 f, 2 f)"""
+        return joint_m2(self.fix_covariance_m2, self.fix_shared_m2)
 
 
 def read_record(
@@ -74,12 +77,12 @@ def read_record(
 ) -> DriveRecord:
     """Read a record from CSV.
 
-    States have `time_s`, `wheel`, and any of the columns `OBSERVED` with their `NAME_sigma`; positions have `time_s`,
-    `x_m`, `y_m`, and `sigma_m` or `xx_m2`, `xy_m2`, `yy_m2`. Where no sigma is given it is that of `errors`. States
-    with `valid` false are left out with a warning. With positions, slip and side slip of states whose `slip_basis` is
-    `positions` are left out with a warning: they would count what the positions say a second time. Rows that are there
-    twice count once, with a warning. Raises DataError, also for rows that contradict each other, several members,
-    columns that are nearly known ones, and sinkages of a wrong sign or unit.
+    States have `time_s`, `wheel`, and any of the columns `OBSERVED` with their `NAME_sigma`; positions are those of
+    `read_positions`. Where no sigma is given it is that of `errors`. States with `valid` false are left out with a
+    warning. With positions, slip and side slip of states whose `slip_basis` is `positions` are left out with a warning:
+    they would count what the positions say a second time. Rows that are there twice count once, with a warning. Raises
+    DataError, also for rows that contradict each other, several members, columns that are nearly known ones, and
+    sinkages of a wrong sign or unit.
     """
     found = _valid_rows(read_state_table(states, rover.wheel, wheels=rover.wheels, rover=rover.name, errors=errors))
     values = found.values
@@ -95,6 +98,7 @@ def read_record(
             fix_time_s=fixes.time_s,
             fix_m=fixes.place_m,
             fix_covariance_m2=fixes.covariance_m2,
+            fix_shared_m2=fixes.shared_m2,
         )
     except ParameterError as error:
         raise DataError(f"{found.file}: {error}") from error

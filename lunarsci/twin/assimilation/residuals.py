@@ -79,7 +79,7 @@ class DriveBias:
         Parameters
         ----------
         values, sigma, wheel : measured, NaN where they do not count; their errors; number of their wheel. (n, 6), (n,)
-        way, whitening : from the start to each position; its whitening. (f, 2), (f, 2, 2)
+        way, whitening : from the start to each position; their whitening. (f, 2), (2 f, 2 f)
         expected : values without their noise, also of quantities that were not measured. (n, 6)
 
         An error of the slip that all wheels share shortens the way, one of the side slip turns it.
@@ -92,7 +92,7 @@ class DriveBias:
                 for own in (np.full(len(sizes), np.abs(sizes[measured]).mean()), sizes):
                     states = _column(values.shape, k, known * own / sigma[:, k])
                     moved = own[measured].mean() * _moved(name, way)
-                    columns.append(np.append(states, np.einsum("fij,fj->fi", whitening, moved)))
+                    columns.append(np.append(states, whitening @ moved.ravel()))
             if self.wheels.get(name):
                 for w in np.unique(wheel):
                     states = _column(values.shape, k, self.wheels[name] * (known & (wheel == w)))
@@ -248,10 +248,8 @@ class DriveResiduals:
 
     @cached_property
     def whitening(self) -> FloatArray:
-        """Matrix that makes the error of each position a unit one. (f, 2, 2) [1/m]"""
-        if not self.record.fix_m.size:
-            return np.zeros((0, 2, 2))
-        covariance = self.record.fix_covariance_m2 + (self.floor * FIX_ERROR_M) ** 2 * np.eye(2)
+        """Matrix that makes the errors of all positions independent unit ones. (2 f, 2 f) [1/m]"""
+        covariance = self.record.fix_joint_m2 + (self.floor * FIX_ERROR_M) ** 2 * np.eye(self.record.fix_m.size)
         return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)) / self.inflation.get(POSITION, 1.0))
 
     @cached_property
@@ -305,8 +303,8 @@ class DriveResiduals:
         record, count = self.record, len(drives.outcome)
         states = np.where(self.known, (self._states(drives) - np.nan_to_num(record.values)) / self.sigma, 0.0)
         places = at_times(record.fix_time_s, drives.time_s, drives.paths[..., :2], axis=-2)
-        white = np.einsum("fij,mfj->mfi", self.whitening, places - record.fix_m)
-        rows = self.marginalised.applied(np.concatenate([states.reshape(count, -1), white.reshape(count, -1)], axis=1))
+        white = (places - record.fix_m).reshape(count, -1) @ self.whitening.T
+        rows = self.marginalised.applied(np.concatenate([states.reshape(count, -1), white], axis=1))
         rows[~drives.finished] = np.inf
         return rows
 

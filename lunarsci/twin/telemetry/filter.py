@@ -9,17 +9,19 @@ Tung & Striebel (1965, 10.2514/3.3166).
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 
-SIZE = 16
+SIZE = 18
 """State: x, y, heading; deviation and its derivative along the way of ahead, left and turn; their constant parts; the
-coefficients of `Nodes.effect`."""
+coefficients of `Nodes.effect`; the error of positions where it is a chain."""
 AHEAD = (3, 5, 7)
 MEANS = (9, 10, 11)
 EFFECTS = (12, 13, 14, 15)
+OFF = slice(16, 18)
 MEAN_SIGMA = (0.3, 0.1, 0.05)
 """Of the constant deviations, ahead and left as shares, turn in 1/m: wide; assumed."""
 EFFECT_MEAN, EFFECT_SIGMA = (0.8, 2.0, 0.0, 0.0), (0.6, 2.0, 0.1, 0.02)
@@ -31,6 +33,13 @@ LOOSE_M = 1.0
 """Lever by which an error of the way over a gap becomes one of the heading; assumed. [m]"""
 POSITION_M_PER_STEP = 2e-4
 """What each step may be off by whatever the wheels do; assumed. [m]"""
+
+
+class ErrorChain(NamedTuple):
+    """Errors of positions: at each node `follows` times the error before, and noise. (n, 2, 2) [-], [m2]"""
+
+    follows: FloatArray
+    noise_m2: FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -47,6 +56,7 @@ class Nodes:
     fix_m, fix_covariance_m2 : positions, NaN where there is none. (n, 2), (n, 2, 2)
     yaw_rad, yaw_sigma_rad : headings, NaN where there is none. (n,)
     effect : deviations ahead, left and turn for coefficients of 1; None where nothing is known. (n, 3, 4)
+    chain : of the errors of positions; None where they are independent.
     """
 
     time_s: FloatArray
@@ -59,6 +69,7 @@ class Nodes:
     yaw_rad: FloatArray
     yaw_sigma_rad: FloatArray
     effect: FloatArray | None = None
+    chain: ErrorChain | None = None
 
     @property
     def effects(self) -> FloatArray:
@@ -87,7 +98,7 @@ def dead_reckoned(nodes: Nodes) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """Matrix (n - 1, m, 16, 16), constant (n - 1, 16) and noise (n - 1, m, 16, 16) of each step, for m assumptions.
+    """Matrix (n - 1, m, 18, 18), constant (n - 1, 18) and noise (n - 1, m, 18, 18) of each step, for m assumptions.
 
     `amplitude` and `rate` of the deviations, which forget within about 1 / rate. (m, 3) [-, -, 1/m], [1/m]
     """
@@ -118,6 +129,9 @@ def linearised(nodes: Nodes, reference: FloatArray, amplitude: FloatArray, lengt
         noise[..., k : k + 2, k : k + 2] = still - block @ still @ np.swapaxes(block, -1, -2)
     noise[..., 0, 0] = noise[..., 1, 1] = (POSITION_M_PER_STEP**2 + nodes.loose**2)[:, None]
     noise[..., 2, 2] = ((nodes.loose / LOOSE_M) ** 2)[:, None]
+    if nodes.chain is not None:
+        matrix[..., OFF, OFF] = nodes.chain.follows[1:, None]
+        noise[..., OFF, OFF] = nodes.chain.noise_m2[1:, None]
     return Model(matrix, constant, noise, amplitude, rates)
 
 
@@ -147,7 +161,7 @@ def _common(nodes: Nodes, reference: FloatArray) -> tuple[FloatArray, FloatArray
 
 
 def _moving_parts(nodes: Nodes) -> FloatArray:
-    """Way ahead and left, and turn, in a step, that the deviation at its middle adds. (n - 1, 3, 16)"""
+    """Way ahead and left, and turn, in a step, that the deviation at its middle adds. (n - 1, 3, 18)"""
     way, effects = nodes.way_m, nodes.effects
     parts = np.zeros((len(way), 3, SIZE))
     for row, (k, mean) in enumerate(zip(AHEAD, MEANS, strict=True)):
@@ -168,11 +182,13 @@ def _start(nodes: Nodes, model: Model) -> tuple[FloatArray, FloatArray]:
         covariance[:, row + 1, row + 1] = (model.amplitude[:, channel] * model.rate[:, channel]) ** 2
     for row, sigma in zip((*MEANS, *EFFECTS), (*MEAN_SIGMA, *EFFECT_SIGMA), strict=True):
         covariance[:, row, row] = sigma**2
+    if nodes.chain is not None:
+        covariance[:, OFF, OFF] = nodes.chain.noise_m2[0]
     return mean, covariance
 
 
 def filtered(nodes: Nodes, model: Model) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Filter for each of several assumptions: means (n, m, 16), covariances, and ln likelihood (m,)."""
+    """Filter for each of several assumptions: means (n, m, 18), covariances, and ln likelihood (m,)."""
     mean, covariance = _start(nodes, model)
     means, covariances = [], []
     ln_likelihood = np.zeros(len(mean))
@@ -182,27 +198,30 @@ def filtered(nodes: Nodes, model: Model) -> tuple[FloatArray, FloatArray, FloatA
             mean = np.einsum("mij,mj->mi", step, mean) + model.constant[k - 1]
             covariance = step @ covariance @ np.swapaxes(step, 1, 2) + model.noise[k - 1]
         seen, values, errors = _observed(nodes, k)
-        if seen:
-            off = values - mean[:, seen]
-            within = covariance[:, seen][:, :, seen] + errors
-            gain = np.linalg.solve(within, covariance[:, seen])
+        if len(seen):
+            off = values - mean @ seen.T
+            through = seen @ covariance
+            within = through @ seen.T + errors
+            gain = np.linalg.solve(within, through)
             ln_likelihood += -0.5 * np.einsum("mi,mi->m", off, np.linalg.solve(within, off[..., None])[..., 0])
             ln_likelihood += -0.5 * np.linalg.slogdet(within)[1]
             mean = mean + np.einsum("mij,mi->mj", gain, off)
-            covariance = covariance - np.swapaxes(covariance[:, seen], 1, 2) @ gain
+            covariance = covariance - np.swapaxes(through, 1, 2) @ gain
             covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
         means.append(mean)
         covariances.append(covariance)
     return np.array(means), np.array(covariances), ln_likelihood
 
 
-def _observed(nodes: Nodes, k: int) -> tuple[list[int], FloatArray, FloatArray]:
-    """What is measured at a node: which parts of the state, their values and their covariance."""
+def _observed(nodes: Nodes, k: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What is measured at a node: by the state (m, 18), values, and their covariance beside it."""
     fixed, turned = bool(np.isfinite(nodes.fix_m[k]).all()), bool(np.isfinite(nodes.yaw_rad[k]))
-    seen = [0, 1] * fixed + [2] * turned
+    seen = np.eye(SIZE)[[0, 1] * fixed + [2] * turned]
     errors = np.zeros((len(seen), len(seen)))
-    if fixed:
+    if fixed and nodes.chain is None:
         errors[:2, :2] = nodes.fix_covariance_m2[k]
+    elif fixed:
+        seen[:2, OFF] = np.eye(2)
     if turned:
         errors[-1, -1] = nodes.yaw_sigma_rad[k] ** 2
     return seen, np.array([*nodes.fix_m[k][: 2 * fixed], *[nodes.yaw_rad[k]] * turned]), errors

@@ -11,7 +11,7 @@ from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.path import CREEP_M_S
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.telemetry.filter import EFFECTS, Nodes
+from lunarsci.twin.telemetry.filter import EFFECTS, ErrorChain, Nodes
 from lunarsci.twin.telemetry.odometry import ground_velocities, shape_effect, slope_effect, wheel_rows
 from lunarsci.twin.telemetry.reading import Telemetry
 from lunarsci.twin.telemetry.smoother import Smoothed, believed_change, probable
@@ -99,9 +99,24 @@ def nodes_of(
             fix_covariance_m2=telemetry.fix_covariance_m2[rows],
             yaw_rad=np.radians(telemetry.yaw_deg[rows]),
             yaw_sigma_rad=np.radians(telemetry.yaw_deg_sigma[rows]),
+            chain=_chain(telemetry, rows),
         ),
         rows,
     )
+
+
+def _chain(telemetry: Telemetry, rows: IndexArray) -> ErrorChain | None:
+    """How errors of positions follow each other; None where they are independent."""
+    if telemetry.fix_shared_m2 is None or not np.nan_to_num(telemetry.fix_shared_m2[rows]).any():
+        return None
+    follows, noise = np.tile(np.eye(2), (len(rows), 1, 1)), np.zeros((len(rows), 2, 2))
+    before = np.eye(2)
+    for k in np.flatnonzero(telemetry.fixed[rows]):
+        own, shared = telemetry.fix_covariance_m2[rows[k]], telemetry.fix_shared_m2[rows[k]]
+        follows[k] = shared @ np.linalg.inv(before)
+        noise[k] = own - follows[k] @ shared.T
+        before = own
+    return ErrorChain(follows, noise)
 
 
 def motion_at(

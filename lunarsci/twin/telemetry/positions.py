@@ -81,6 +81,10 @@ def with_positions(telemetry: Telemetry, positions: Positions, file: str, findin
     columns["fix_m"] = np.full((len(merged), 2), np.nan)
     columns["fix_covariance_m2"] = np.full((len(merged), 2, 2), np.nan)
     columns["fix_m"][rows], columns["fix_covariance_m2"][rows] = positions.place_m[good], positions.covariance_m2[good]
+    if positions.shared_m2 is not None:
+        shared = positions.shared_m2 * np.append(False, good[:-1])[:, None, None]
+        columns["fix_shared_m2"] = np.zeros((len(merged), 2, 2))
+        columns["fix_shared_m2"][rows] = shared[good]
     return dataclasses.replace(telemetry, **columns)
 
 
@@ -137,7 +141,12 @@ def usable_positions(telemetry: Telemetry, way_m: FloatArray, findings: Findings
             f"{telemetry.file}: {int(used.sum())} positions of use among {int(given.sum())} ({int(bad.sum())} have "
             f"errors that are no covariance, {int(same.sum())} repeat another); slip needs two or more"
         )
-    return dataclasses.replace(telemetry, fix_m=np.where(used[:, None], telemetry.fix_m, np.nan))
+    shared = telemetry.fix_shared_m2
+    if shared is not None:
+        before = np.flatnonzero(given)
+        shared = shared.copy()
+        shared[before[1:][~used[before[:-1]]]] = 0.0
+    return dataclasses.replace(telemetry, fix_m=np.where(used[:, None], telemetry.fix_m, np.nan), fix_shared_m2=shared)
 
 
 def _leave(findings: Findings, kind: str, what: str, rows: BoolArray, telemetry: Telemetry) -> None:

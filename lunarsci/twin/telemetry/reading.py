@@ -82,6 +82,8 @@ class Telemetry:
     file : where it comes from.
     time_s : since the start of the plan, ascending. (n,) [s]
     fix_m, fix_covariance_m2 : localised positions of the rover's origin and their errors. (n, 2), (n, 2, 2)
+    fix_shared_m2 : covariance of each position's error with that of the one before; None where none is known of.
+        (n, 2, 2)
     yaw_deg, yaw_deg_sigma : heading from x to the left and its error. (n,) [deg]
     roll_deg, pitch_deg : attitude, pitch positive nose down. (n,) [deg]
     speed_m_s, steering_deg : commanded rim speed r_s omega and steering of each wheel. (n, wheels) [m/s, deg]
@@ -103,6 +105,7 @@ class Telemetry:
     rate_deg_s: FloatArray
     steered_deg: FloatArray
     synthetic: bool
+    fix_shared_m2: FloatArray | None = None
 
     @property
     def fixed(self) -> BoolArray:
@@ -123,15 +126,21 @@ YAW_SIGMA_DEG = 0.3
 """Error of a heading whose error is not given; assumed. [deg]"""
 
 
-KNOWN_PLACES = ("time_s", "x_m", "y_m", "z_m", "yaw_deg", "sigma_m", "xx_m2", "xy_m2", "yy_m2", "synthetic")
+SHARED = ("xx_before_m2", "xy_before_m2", "yx_before_m2", "yy_before_m2")
+"""Covariance of x and y of a position with x and y of the one in the row before."""
+KNOWN_PLACES = ("time_s", "x_m", "y_m", "z_m", "yaw_deg", "sigma_m", *ERRORS, *SHARED, "synthetic")
 
 
 class Positions(NamedTuple):
-    """Positions of the rover's origin from localisation, and their errors. (n,) [s], (n, 2) [m], (n, 2, 2) [m2]"""
+    """Positions of the rover's origin from localisation, and their errors. (n,) [s], (n, 2) [m], (n, 2, 2) [m2]
+
+    `shared_m2` is the covariance of each error with that of the position before; None where errors are independent.
+    """
 
     time_s: FloatArray
     place_m: FloatArray
     covariance_m2: FloatArray
+    shared_m2: FloatArray | None = None
 
     @classmethod
     def none(cls) -> "Positions":
@@ -140,21 +149,50 @@ class Positions(NamedTuple):
 
 
 def read_positions(source: InputFile) -> Positions:
-    """Read positions from CSV: `time_s`, `x_m`, `y_m`, and `sigma_m` or `xx_m2`, `xy_m2`, `yy_m2`.
+    """Read positions from CSV: `time_s`, `x_m`, `y_m`, `sigma_m` or `xx_m2`, `xy_m2`, `yy_m2`, and optionally `SHARED`.
 
-    Raises DataError, also for rows of one time that contradict each other.
+    Rows without a time, as of stations that are not on the drive, are left out. Raises DataError, also for rows of one
+    time that contradict each other.
     """
     file, table = source.name, read_csv_table(source)
     check_columns(file, table.columns, KNOWN_PLACES, ("time_s", "x_m", "y_m"))
+    timed = table["time_s"].fillna("").str.strip() != ""
+    if not timed.any():
+        raise DataError(f"{file}: no position has a time; add time_s, in s from the start of the drive")
+    for name in {*SHARED} & {*table}:
+        table.loc[~timed.shift(fill_value=False), name] = "0"
+    table = table[timed].reset_index(drop=True)
     table = without_repeats(file, table, ["time_s"])
     values = {
         name: numbers_of(file, name, table[name])
-        for name in ("time_s", "x_m", "y_m", "sigma_m", *ERRORS)
+        for name in ("time_s", "x_m", "y_m", "sigma_m", *ERRORS, *SHARED)
         if name in table
     }
     if "sigma_m" not in values and not all(name in values for name in ERRORS):
         raise DataError(f"{file}: no errors of the positions; add sigma_m, or xx_m2, xy_m2 and yy_m2")
-    return Positions(values["time_s"], np.column_stack([values["x_m"], values["y_m"]]), _covariance(file, values))
+    place, covariance = np.column_stack([values["x_m"], values["y_m"]]), _covariance(file, values)
+    shared = None
+    if all(name in values for name in SHARED):
+        shared = np.nan_to_num(np.column_stack([values[name] for name in SHARED])).reshape(-1, 2, 2)
+        if not (np.linalg.eigvalsh(joint_m2(covariance, shared))[0] > 0):
+            raise DataError(f"{file}: {', '.join(SHARED)} with xx_m2, xy_m2, yy_m2 are no covariance of all positions")
+    return Positions(values["time_s"], place, covariance, shared)
+
+
+def joint_m2(covariance_m2: FloatArray, shared_m2: FloatArray | None) -> FloatArray:
+    """Covariance of the errors of all positions (2 n, 2 n), each of which follows the one before (a Markov chain).
+
+    With C of each and S with the one before, S C^-1 of the one before carries its covariances on.
+    """
+    count = len(covariance_m2)
+    joint = np.zeros((count, 2, count, 2))
+    for k, own in enumerate(covariance_m2):
+        joint[k, :, k] = own
+        if k and shared_m2 is not None and shared_m2[k].any():
+            carried = shared_m2[k] @ np.linalg.inv(covariance_m2[k - 1])
+            joint[k, :, :k] = np.einsum("ij,jlm->ilm", carried, joint[k - 1, :, :k])
+            joint[:k, :, k] = np.moveaxis(joint[k, :, :k], 0, -1)
+    return np.asarray(joint.reshape(2 * count, 2 * count))
 
 
 def read_telemetry(source: InputFile, rover: Rover, findings: Findings, *, placed: bool = True) -> Telemetry:

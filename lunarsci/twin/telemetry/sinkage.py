@@ -19,7 +19,7 @@ from lunarsci.tables import numbers_of, read_csv_table
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 from lunarsci.twin.telemetry.simulated import deepest_at
-from lunarsci.twin.telemetry.states import DriveStates
+from lunarsci.twin.telemetry.states import LEAST_ROW_M, DriveStates, StateRows
 
 SIGMA_M = 0.00033
 """Error of a depth whose error is not given: 1 mm as three standard deviations, Ding et al. (2024),
@@ -158,9 +158,11 @@ def with_sinkage(drive: DriveStates, track: RutPoints | Terrain, before: Terrain
 
     A depth is given to the one wheel that left it so, the deepest that passed there (see `deepest_wheel`), as the mean
     over half a wheel's width about its centre; the others are left blank, and so are depths deeper than the wheel's
-    radius or above the ground by more than three standard errors, with a finding. Raises DataError where the track is
-    nowhere near the drive.
+    radius or above the ground by more than three standard errors, with a finding. Where positions lie far apart there
+    are rows with a sinkage alone between those with a slip. Raises DataError where the track is nowhere near the drive.
     """
+    slipping = drive.rows.node
+    drive = dataclasses.replace(drive, rows=_with_rows_between(drive))
     rows, rover = drive.rows, drive.rover
     reach = 0.5 * rover.wheel.width_m
     places = rows.place_m.reshape(-1, 2)
@@ -184,14 +186,38 @@ def with_sinkage(drive: DriveStates, track: RutPoints | Terrain, before: Terrain
         )
     kept = own & ~odd & (rows.valid | _at_halt(drive)).ravel()
     shape = rows.slip_ratio.shape
-    return dataclasses.replace(
-        drive,
-        rows=dataclasses.replace(
-            rows,
-            sinkage_m=np.where(kept, depth, np.nan).reshape(shape),
-            sinkage_m_sigma=np.where(kept, sigma, np.nan).reshape(shape),
-        ),
-    )
+    found, error = (np.where(kept, value, np.nan).reshape(shape) for value in (depth, sigma))
+    told = np.isin(rows.node, slipping) | np.isfinite(found).any(axis=1)
+    rows = dataclasses.replace(rows, sinkage_m=found, sinkage_m_sigma=error)
+    return dataclasses.replace(drive, rows=_picked(rows, np.flatnonzero(told)))
+
+
+def _with_rows_between(drive: DriveStates) -> StateRows:
+    """The rows, and between them others without a slip where the rover drives, no closer than rows may be."""
+    rows, way_m = drive.rows, drive.nodes.way_m
+    way = np.append(0.0, np.cumsum(way_m))
+    distance = way + np.interp(way, way[rows.node], rows.distance_m - way[rows.node])
+    drives = (np.append(0.0, way_m) > 0) & (np.append(way_m, 0.0) > 0) & (drive.held.outcome == 0)
+    taken, added = list(rows.distance_m), []
+    for node in np.flatnonzero(drives):
+        if np.abs(distance[node] - np.array(taken)).min() >= LEAST_ROW_M:
+            added.append(int(node))
+            taken.append(float(distance[node]))
+    if not added:
+        return rows
+    blank = np.full((len(added), len(drive.rover.wheels)), np.nan)
+    values: dict[str, Any] = dict.fromkeys((field.name for field in dataclasses.fields(rows)), blank) | {
+        "node": np.array(added, dtype=np.intp),
+        "distance_m": distance[added],
+        "place_m": drive.held.states[added][..., :2],
+        "valid": np.ones(blank.shape, dtype=np.bool_),
+    }
+    both = {name: np.concatenate([getattr(rows, name), value]) for name, value in values.items()}
+    return _picked(StateRows(**both), np.argsort(both["node"], kind="stable"))
+
+
+def _picked(rows: StateRows, numbers: IndexArray) -> StateRows:
+    return StateRows(**{field.name: getattr(rows, field.name)[numbers] for field in dataclasses.fields(rows)})
 
 
 def _at_halt(drive: DriveStates) -> BoolArray:

@@ -161,7 +161,7 @@ class Smoothed:
 
     Attributes
     ----------
-    state, covariance : mean and covariance of the state. (n, 16), (n, 16, 16)
+    state, covariance : mean and covariance of the state. (n, 18), (n, 18, 18)
     effect : `Nodes.effects`. (n, 3, 4)
     change : how fast the deviations ahead, left and turn change.
     squared_distance : Mahalanobis distance squared of each position from where all else puts it, else NaN. (n,)
@@ -179,7 +179,7 @@ class Smoothed:
 
     @property
     def picks(self) -> FloatArray:
-        """Rows that make the deviations out of the state. (n, 3, 16)"""
+        """Rows that make the deviations out of the state. (n, 3, 18)"""
         picks = np.zeros((len(self.state), 3, SIZE))
         for row, (k, mean) in enumerate(zip(AHEAD, MEANS, strict=True)):
             picks[:, row, k] = picks[:, row, mean] = 1.0
@@ -231,7 +231,7 @@ def smooth(nodes: Nodes, change: SlipProcess | None = None) -> Smoothed:
 
 
 def probable(nodes: Nodes, change: SlipProcess) -> tuple[FloatArray, float]:
-    """State at the end (16,), and ln of how probable positions and headings are, up to a constant."""
+    """State at the end (18,), and ln of how probable positions and headings are, up to a constant."""
     amplitude, length_m = change.usual[None], change.usual_length_m[None]
     reference, _ = _round(nodes, dead_reckoned(nodes), amplitude, length_m)
     means, _, ln_likelihood = filtered(nodes, linearised(nodes, reference, amplitude, length_m))
@@ -335,13 +335,17 @@ def _without_odd_headings(nodes: Nodes, smoothed: Smoothed) -> tuple[Nodes, Smoo
 
 
 def check_scatter(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
-    """Say errors of positions that nobody can believe, and a scatter that they do not explain."""
+    """Say errors of positions that nobody can believe, and a scatter that they do not explain.
+
+    What all positions are off by does not make them scatter: of errors that they share a small scatter is none.
+    """
     fixed = np.isfinite(nodes.fix_m).all(axis=1)
     sigma = float(np.median(np.sqrt(np.trace(nodes.fix_covariance_m2[fixed], axis1=1, axis2=2) / 2.0)))
     if sigma < FINEST_M:
         what = f"positions claim errors of {1e3 * sigma:.2g} mm, which no localisation of a rover reaches"
         findings.add("errors too small", what, "kept; are they in another unit?", doubt=True)
-    if smoothed.reduced_chi_square < LEAST_CHI_SQUARE and fixed.sum() > 5 and sigma >= FINEST_M:
+    scattered = smoothed.reduced_chi_square >= LEAST_CHI_SQUARE or nodes.chain is not None
+    if not scattered and fixed.sum() > 5 and sigma >= FINEST_M:
         what = f"positions scatter {smoothed.reduced_chi_square:.2g} times as much as their errors of {sigma:.3g} m say"
         findings.add("errors too large", what, "kept; are they in another unit?")
     if smoothed.reduced_chi_square > WORST_CHI_SQUARE:
