@@ -172,7 +172,9 @@ def read_positions(source: InputFile) -> Positions:
         raise DataError(f"{file}: no errors of the positions; add sigma_m, or xx_m2, xy_m2 and yy_m2")
     place, covariance = np.column_stack([values["x_m"], values["y_m"]]), _covariance(file, values)
     shared = None
-    if all(name in values for name in SHARED):
+    if any(name in values for name in SHARED):
+        if missing := [name for name in (*ERRORS, *SHARED) if name not in values]:
+            raise DataError(f"{file}: no column {missing[0]}; covariances with the row before need all of them")
         shared = np.nan_to_num(np.column_stack([values[name] for name in SHARED])).reshape(-1, 2, 2)
         if not (np.linalg.eigvalsh(joint_m2(covariance, shared))[0] > 0):
             raise DataError(f"{file}: {', '.join(SHARED)} with xx_m2, xy_m2, yy_m2 are no covariance of all positions")
