@@ -63,6 +63,9 @@ def test_positions_may_share_errors_with_the_one_before(tmp_path: Path, yutu2: R
     wrong = head + "5,1,0,0.01,0,0.04,0,0,0,0\n10,2,0,0.01,0,0.042,0.02,0,0,0.04\n"
     with pytest.raises(DataError, match="are no covariance of all positions"):
         read(tmp_path, yutu2, STATES, wrong)
+    nothing = head + "5,1,0,0,0,0,0,0,0,0\n10,2,0,0.01,0,0.042,0.02,0,0,0.04\n"
+    with pytest.raises(DataError, match="are no covariance of all positions"):
+        read(tmp_path, yutu2, STATES, nothing)
     with pytest.raises(DataError, match="no column xy_before_m2"):
         read(tmp_path, yutu2, STATES, "time_s,x_m,y_m,xx_m2,xy_m2,yy_m2,xx_before_m2\n5,1,2,1,0,1,0\n")
     with pytest.raises(DataError, match="no position has a time"):

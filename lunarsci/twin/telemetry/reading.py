@@ -176,8 +176,11 @@ def read_positions(source: InputFile) -> Positions:
         if missing := [name for name in (*ERRORS, *SHARED) if name not in values]:
             raise DataError(f"{file}: no column {missing[0]}; covariances with the row before need all of them")
         shared = np.nan_to_num(np.column_stack([values[name] for name in SHARED])).reshape(-1, 2, 2)
-        if not (np.linalg.eigvalsh(joint_m2(covariance, shared))[0] > 0):
-            raise DataError(f"{file}: {', '.join(SHARED)} with xx_m2, xy_m2, yy_m2 are no covariance of all positions")
+        try:
+            np.linalg.cholesky(joint_m2(covariance, shared))
+        except np.linalg.LinAlgError:
+            text = f"{file}: {', '.join(SHARED)} with xx_m2, xy_m2, yy_m2 are no covariance of all positions"
+            raise DataError(text) from None
     return Positions(values["time_s"], place, covariance, shared)
 
 
