@@ -85,6 +85,9 @@ COMMANDS: dict[str, str] = {
     "loads of states": "twin loads --motion states/motion.csv --states states/states.csv --seed 1",
     "update": "twin update states/states.csv --plan short.toml --positions states/positions.csv --seed 1 "
     "--particles 32 --save belief.json --save-map map.json --no-ruts",
+    "predict sun": "twin predict short.toml --sun 200,12 --charge 0.5",
+    "sweep": "twin sweep short.toml --vary wheel.radius_m=0.13:0.29:2 --vary mass.body_kg=90:120:2 "
+    "--sweep friction_angle_deg=30:50:2 --sample 0.2",
     "predict belief": "twin predict short.toml --soil belief.json --members 4",
     "predict map": "twin predict short.toml --soil map.json --members 4",
     "compare drives": "twin compare predicted states/states.csv --positions states/positions.csv",
@@ -118,6 +121,12 @@ NOTEBOOK: dict[str, Callable[[], Result]] = {
     "rocks": lambda: lunarsci.rocks("ground/terrain.npz", sizes="0.2"),
     "cameras": lambda: lunarsci.cameras(),
     "predict sweep": lambda: lunarsci.predict("short.toml", sweep=("friction_angle_deg=30:50:3",)),
+    "sweep": lambda: lunarsci.sweep(
+        "short.toml",
+        vary=("wheel.radius_m=0.13:0.29:2", "mass.body_kg=90:120:2"),
+        sweep=("friction_angle_deg=30:50:2",),
+        sample=0.2,
+    ),
     "states": lambda: lunarsci.states("drive/telemetry.csv", "short.toml", track="drive/track.csv"),
     "loads of paths": lambda: lunarsci.loads("predicted/paths.csv", plan="short.toml", member=1),
     "update": lambda: lunarsci.update(

@@ -36,8 +36,8 @@ KEEP_OUT = option(
     metavar="FILE",
 )
 SUN = option(
-    "Direction of the Sun in deg, azimuth from x towards y (as headings) and elevation over the horizon: adds panels, "
-    "shadow of the terrain and the battery.",
+    "Direction of the Sun in deg, azimuth from x towards y (as headings) and elevation over the horizon; or time (UTC) "
+    "and place, TIME@LON,LAT, where x is east and y north. Adds panels, shadow of the terrain and the battery.",
     metavar="AZIMUTH,ELEVATION",
 )
 CHARGE = option("Charge of the battery at the start, 0 to 1; adds electrical power and the battery.", show_default="1")

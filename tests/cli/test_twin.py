@@ -74,3 +74,16 @@ def test_the_table_names_sense_ellipse_and_worst_drive(run: Run, plan: Path) -> 
 def test_a_film_of_another_kind_is_wrong_usage(run: Run, plan: Path, tmp_path: Path, name: str) -> None:
     wrong = run("twin", "predict", plan, "--animate", tmp_path / name)
     assert (wrong.code, wrong.out, len(wrong.err)) == (2, "", 1) and ".gif, .mp4" in wrong.err[0]
+
+
+def test_the_sun_and_an_empty_battery(run: Run, plan: Path) -> None:
+    """60 W of electronics for 20 s are 0.33 Wh; a battery without charge and Sun is empty, and that is exit code 3."""
+    done = run("twin", "predict", plan, "--sun", "0,30", "--json")
+    power = json.loads(done.out)["result"]["power"]
+    assert done.code == 0 and power["drawn"]["p50_wh"] > 0.33 and power["panels"]["lit_share"] == 1.0
+    empty = run("twin", "predict", plan, "--charge", "0")
+    assert empty.code == 3 and "battery runs empty in 4 of 4 drives" in " ".join(empty.err)
+    assert "no Sun given" in empty.out and "empty in 4 of 4" in empty.out
+    for option in (("--sun", "30"), ("--sun", "0,95"), ("--charge", "1.5"), ("--sun", "noon@1,2")):
+        wrong = run("twin", "predict", plan, *option)
+        assert (wrong.code, wrong.out, len(wrong.err)) == (2, "", 1) and option[0] in wrong.err[0]

@@ -8,7 +8,7 @@ import pytest
 from scipy.ndimage import binary_dilation, gaussian_filter, map_coordinates
 
 from lunarsci.errors import ParameterError
-from lunarsci.twin.ground.illumination import SunDirection, parse_sun, sunlit
+from lunarsci.twin.ground.illumination import SunDirection, parse_sun, sun_over, sunlit
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 
@@ -118,4 +118,35 @@ def test_directions_that_are_none_are_refused() -> None:
     assert parse_sun("30, 12") == SunDirection(30.0, 12.0)
     for text in ("30", "30,12,5", "north,12", ""):
         with pytest.raises(ParameterError, match="not AZIMUTH,ELEVATION"):
+            parse_sun(text)
+
+
+@pytest.mark.parametrize(
+    ("time", "place", "altitude", "east_of_north"),
+    [
+        ("1969-07-20T20:17:39", (23.4333, 0.6875), 10.65, 88.81),
+        ("1969-07-21T02:39:33", (23.4333, 0.6875), 13.84, 88.84),
+        ("1969-07-21T17:54:00", (23.4333, 0.6875), 21.65, 88.91),
+        ("1969-11-19T06:54:36", (-23.3856, -3.1975), 5.19, 91.16),
+        ("1969-11-20T14:25:47", (-23.3856, -3.1975), 21.11, 90.33),
+    ],
+)
+def test_the_sun_stands_where_it_stood_over_apollo(time, place, altitude, east_of_north) -> None:  # type: ignore[no-untyped-def]
+    """Apollo Lunar Surface Journal, altitudes and azimuths of the Sun (Scotti, 2009), in part checked with Horizons."""
+    sun = sun_over(time, *place)
+    assert sun.elevation_deg == pytest.approx(altitude, abs=0.1)
+    assert 90.0 - sun.azimuth_deg == pytest.approx(east_of_north, abs=0.1)
+    assert parse_sun(f"{time}@{place[0]},{place[1]}") == sun
+
+
+def test_by_night_the_sun_is_below_the_horizon_and_times_that_are_none_are_refused() -> None:
+    """A full moon (2019-01-21) has its night on the far side."""
+    assert sun_over("2019-01-21T05:16:00", 180.0, 0.0).elevation_deg < -85.0
+    assert sun_over("2019-01-21T05:16:00", 0.0, 0.0).elevation_deg > 85.0
+    for text, words in (
+        ("noon@1,2", "is no time"),
+        ("2019-01-03T02:26:00@177.6", "not TIME@LONGITUDE,LATITUDE"),
+        ("2019-01-03T02:26:00@177.6,-95", "no longitude and latitude"),
+    ):
+        with pytest.raises(ParameterError, match=words):
             parse_sun(text)

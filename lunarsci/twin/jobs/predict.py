@@ -71,7 +71,8 @@ class PredictRequest(DriveRequest):
     exact_terrain : leave out that each drive has a ground of its own where the terrain's file says how far its heights
         may be off.
     keep_out : GeoJSON files of ground that no part of the rover may enter, as `images rocks` writes them.
-    sun : AZIMUTH,ELEVATION of the Sun, from x towards y and over the horizon, for panels and battery. [deg]
+    sun : AZIMUTH,ELEVATION of the Sun, from x towards y and over the horizon, or TIME@LONGITUDE,LATITUDE (UTC) where x
+        is east and y north; for panels and battery. [deg]
     charge : of the battery at the start, 0 to 1, full if None; with it or `sun` the answer has power and battery. [-]
     """
 
