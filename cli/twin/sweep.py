@@ -24,7 +24,7 @@ OPTIONS = DRIVE | {
 }
 Plans = Annotated[
     list[str] | None,
-    typer.Argument(metavar="[PLAN]...", help="Plans of the mission (TOML); the embedded one if left out."),
+    typer.Argument(metavar="PLAN", help="Plans of the mission (TOML); the embedded one if left out."),
 ]
 
 
