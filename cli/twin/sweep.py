@@ -61,7 +61,8 @@ def _tables(found: DesignTrade) -> list[TextTable]:
     rows = [[*(f"{row[name]:.4g}" for name in names), *_cells(row)] for row in found.rows() if not row["impossible"]]
     drives = next((design.outcome.drives for design in found.designs if design.outcome), 0)
     plans = ", ".join(soils.inputs.plan.name for soils in found.soils)
-    title = f"{len(found.designs)} designs of {found.inputs.rover.name}: {plans}; {drives} drives each"
+    each = "1 drive each" if drives == 1 else f"{drives} drives each"
+    title = f"{len(found.designs)} designs of {found.inputs.rover.name}: {plans}; {each}"
     notes = [
         "* no other design keeps more drives and needs less work",
         *(f"{name} changed nothing: no drive of this mission depends on it" for name in found.unused),
