@@ -1,6 +1,7 @@
 """Spectra from files and from memory: the same numbers however they are handed over."""
 
 import io
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from astropy import units
 from astropy.table import Table
 
 from lunarsci.errors import DataError
+from lunarsci.inputs import InputFile
 from lunarsci.spectra.readers.batch import read_batch
 from lunarsci.spectra.spectrum import Spectrum
 
@@ -34,6 +36,28 @@ def test_a_spectrum_in_memory_is_the_same_however_it_comes(name: str) -> None:
     assert len(batch.spectra) == len(batch.origins) == len(batch.inputs) == 1
     np.testing.assert_allclose(batch.spectra[0].wavelength_nm, WAVELENGTH, rtol=1e-12)
     np.testing.assert_allclose(batch.spectra[0].reflectance, REFLECTANCE, rtol=1e-12)
+
+
+def test_a_table_of_many_spectra_takes_little_more_memory_than_its_numbers() -> None:
+    """60 channels are 480 bytes of numbers a spectrum, 600 of text; objects of each took 5,000."""
+
+    def taken(count: int) -> np.ndarray:
+        """Bytes that are there after reading, and at most."""
+        values = np.random.default_rng(0).uniform(0.1, 0.4, (60, count))
+        names = ",".join(f"s{k}" for k in range(count))
+        lines = [",".join(f"{v:.7g}" for v in row) for row in np.column_stack([np.linspace(460, 2400, 60), values])]
+        source = InputFile("many.csv", "\n".join([f"wavelength_nm,{names}", *lines]).encode())
+        tracemalloc.start()
+        batch = read_batch(source)
+        found = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert len(batch.spectra) == count
+        return np.array(found)
+
+    taken(600)  # imports
+    kept, most = (taken(20_000) - taken(10_000)) / 10_000
+    assert kept < 1000
+    assert most < 2000
 
 
 def test_files_and_memory_go_together_and_a_bad_one_is_remembered(tmp_path: Path) -> None:
