@@ -157,3 +157,11 @@ def remedy(wkt: str, longitude_deg: float, latitude_deg: float, spacing_m: float
         f"project it to metres about its middle: rio warp IN.tif OUT.tif --dst-crs '{local}' --res {spacing_m:.3g} "
         "--resampling bilinear"
     )
+
+
+def lonlat_of(crs: str, place_m: Sequence[float]) -> dict[str, float]:
+    """`longitude_deg` and `latitude_deg` of a place, for a result; nothing where the map has no coordinate system."""
+    if not crs:
+        return {}
+    longitude, latitude = MapProjection(crs).lonlat(*place_m)[0]
+    return {"longitude_deg": float(longitude), "latitude_deg": float(latitude)}

@@ -1,6 +1,8 @@
 """`lunarsci twin plan`: a path to a target."""
 
-from typing import TYPE_CHECKING
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -32,6 +34,10 @@ OPTIONS = {
         show_default=False,
     ),
     "start": option("Pose of the rover, in m and deg.", panel=PATH, metavar="X,Y,HEADING", kind=str),
+    "lonlat": option(
+        "Start and target are longitude to the east and latitude in deg, on a terrain with a coordinate system.",
+        panel=PATH,
+    ),
     "speed": option("Speed in m/s; the rover's highest if left out.", panel=PATH),
     "turning_radius": option("Smallest radius of an arc, in m.", panel=LIMITS),
     "hazard_distance": option("Distance to keep from hazards and holes, in m.", panel=LIMITS),
@@ -118,7 +124,7 @@ def plan(
     if isinstance(found, PlannedMission):
         return Report.of(found, mission_tables(found), files=found.files(geotiff=geotiff))
     tables = [_choice_table(found)] if isinstance(found, ChosenDrive) else [ground_table(found)]
-    tables += [] if found.path is None else [_path_table(found.path, found.site.mobility)]
+    tables += [] if found.path is None else [_path_table(found.path, found.site.mobility, found.light())]
     return Report.of(found, tables, files=found.files(geotiff=geotiff))
 
 
@@ -185,7 +191,7 @@ def _percent(chance: float) -> str:
     return f"{100 * chance:.1f}" if chance < 0.02 else f"{100 * chance:.0f}"
 
 
-def _path_table(path: "PlannedPath", limits: "Mobility") -> TextTable:
+def _path_table(path: "PlannedPath", limits: "Mobility", light: Mapping[str, Any]) -> TextTable:
     import numpy as np
 
     rows = [
@@ -197,10 +203,19 @@ def _path_table(path: "PlannedPath", limits: "Mobility") -> TextTable:
         f"{path.plan.length_m:.3f} m long, ends at x {end[0]:.3f} m, y {end[1]:.3f} m, "
         f"heading {np.degrees(end[2]):.1f} deg, {1e3 * path.miss_m:.1f} mm from the target",
         f"under the footprint: slope {path.max_slope_deg:.2f} of {limits.max_slope_deg:g} deg, step "
-        f"{path.max_step_m:.3f} of {limits.max_step_m:g} m; nearest hazard {path.min_hazard_distance_m:.2f} m, "
+        f"{_known(path.max_step_m)} of {limits.max_step_m:g} m; nearest hazard {path.min_hazard_distance_m:.2f} m, "
         f"{limits.hazard_distance_m:g} m to be kept",
     ]
+    said = path.to_dict()["end"]
+    if "longitude_deg" in said:
+        notes.append(f"ends at longitude {said['longitude_deg']:.6f} deg, latitude {said['latitude_deg']:.6f} deg")
+    if light:
+        notes.append(f"in shadow: {light['sun']['path_shadow_share']:.1%} of the path")
     return TextTable(["arc", "length [m]", "curvature [1/m]", "radius [m]"], rows, title=path.plan.name, notes=notes)
+
+
+def _known(length_m: float) -> str:
+    return "unknown" if math.isnan(length_m) else f"{length_m:.3f}"
 
 
 def _radius(curvature_per_m: float) -> str:

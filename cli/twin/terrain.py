@@ -14,6 +14,7 @@ from ..shared.table import TextTable
 from .options import KEEP_OUT
 
 LIMITS, GROUND = "Limits, instead of those of the rover file", "Synthetic ground"
+LAYERS = "Layers and light"
 OPTIONS = {
     "rover": option("Rover: a name (yutu2, small-four) or a TOML file."),
     "soil": option(
@@ -21,6 +22,26 @@ OPTIONS = {
         show_default="the terrain's, or longji",
     ),
     "keep_out": KEEP_OUT,
+    "layer": option(
+        "Raster on any grid (GeoTIFF, .asc, .npz, .csv) of factors on the cost of a metre, or with --class of classes "
+        "of ground; repeatable.",
+        panel=LAYERS,
+        metavar="FILE",
+    ),
+    "classes": option(
+        "What a class of the layers costs: a factor, or forbidden; repeatable.",
+        "--class",
+        panel=LAYERS,
+        metavar="VALUE=forbidden|COST",
+    ),
+    "sun": option(
+        "Direction of the Sun in deg, from x towards y and over the horizon: shadows go to the maps.",
+        panel=LAYERS,
+        metavar="AZIMUTH,ELEVATION",
+    ),
+    "shadow_cost": option(
+        "With --sun, factor on the cost of a metre in shadow, or forbidden.", panel=LAYERS, metavar="COST|forbidden"
+    ),
     "baseline": option("Side in m of the square whose slope is measured; the rover's by default."),
     "max_slope": option("Steepest slope, in deg.", panel=LIMITS),
     "max_step": option("Highest step, in m.", panel=LIMITS),
@@ -92,6 +113,7 @@ def ground_table(found: TerrainSurvey) -> TextTable:
         f"unknown, near holes or the edge, {result['unknown_share']:.1%}",
         f"slope and roughness under {maps.baseline_m:g} m x {maps.baseline_m:g} m"
         + (f", steps beside that slope within {maps.wheel_window_m:g} m" if maps.shows_steps else ""),
+        *([f"in shadow: {result['sun']['shadow_share']:.1%}"] if "sun" in result else []),
         *result["notes"],
     ]
     return TextTable(["map", "p5", "p50", "p95", "max", "limit"], rows, title=title, notes=notes)

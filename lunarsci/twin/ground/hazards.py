@@ -12,6 +12,7 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.rovers import RoverDescription
+from lunarsci.twin.ground.cost_layers import CostLayer
 from lunarsci.twin.ground.keep_out import Zones, within
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.rover import Rover
@@ -142,6 +143,8 @@ class Traversability:
     demand : largest share of a limit that slope, step or roughness take up, above 1 in hazards, infinite in ground to
         keep out of; NaN unknown. (ny, nx)
     keep_outs : that ground.
+    layers : what else a metre costs, and where nothing may be.
+    sunlit : nodes that the Sun reaches, where its direction is given. (ny, nx)
     """
 
     terrain: Terrain
@@ -149,6 +152,15 @@ class Traversability:
     mobility: Mobility
     demand: FloatMap
     keep_outs: Zones = ()
+    layers: tuple[CostLayer, ...] = ()
+    sunlit: BoolMap | None = None
+
+    def travel_cost(self, rows: slice, columns: slice) -> FloatMap:
+        """Cost of a metre in a part of the map: `travel_cost` of the demand times the factors of all layers."""
+        cost = travel_cost(self.demand[rows, columns])
+        for layer in self.layers:
+            cost = cost * layer.factor[rows, columns]
+        return np.minimum(cost, np.float32(COST_CAP))
 
     @property
     def hazard(self) -> BoolMap:
@@ -171,6 +183,7 @@ class Traversability:
             for zone in self.keep_outs
             if math.hypot(x - zone.x_m, y - zone.y_m) <= zone.radius_m
         ]
+        found += [f"layer '{layer.name}' forbids it {at}" for layer in self.layers if layer.forbidden[row, column]]
         for name, value, limit, unit in self._limited():
             if value[row, column] > limit:
                 found.append(f"the {name} is {value[row, column]:.4g} {unit}, above {limit:g} {unit}, {at}")
@@ -251,10 +264,12 @@ def ground_maps(
     )
 
 
-def assess(terrain: Terrain, maps: GroundMaps, mobility: Mobility, keep_outs: Zones = ()) -> Traversability:
+def assess(
+    terrain: Terrain, maps: GroundMaps, mobility: Mobility, keep_outs: Zones = (), layers: tuple[CostLayer, ...] = ()
+) -> Traversability:
     """Compare the maps with a rover's limits: demand = max(slope/limit, step/limit, roughness/limit).
 
-    In ground to keep out of it is infinite.
+    In ground to keep out of, and where a layer forbids it, it is infinite.
 
     The worst of several measures decides, as in GESTALT (Goldberg, Maimone & Matthies 2002, IEEE Aerospace,
     10.1109/AERO.2002.1035370), which also looks at a plane through a patch as large as the rover, its residual and
@@ -265,8 +280,11 @@ def assess(terrain: Terrain, maps: GroundMaps, mobility: Mobility, keep_outs: Zo
         np.maximum(demand, maps.step_m / np.float32(mobility.max_step_m), out=demand)
     if mobility.max_roughness_m is not None:
         np.maximum(demand, maps.roughness_m / np.float32(mobility.max_roughness_m), out=demand)
-    demand[within(keep_outs, terrain)] = np.inf
-    return Traversability(terrain=terrain, maps=maps, mobility=mobility, demand=demand, keep_outs=keep_outs)
+    for closed in (within(keep_outs, terrain), *(layer.forbidden for layer in layers)):
+        demand[closed] = np.inf
+    return Traversability(
+        terrain=terrain, maps=maps, mobility=mobility, demand=demand, keep_outs=keep_outs, layers=layers
+    )
 
 
 def travel_cost(demand: npt.NDArray[np.floating]) -> FloatMap:

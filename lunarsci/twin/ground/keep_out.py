@@ -10,6 +10,7 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.inputs import InputFile, read_json
+from lunarsci.projections import MapProjection
 from lunarsci.twin.ground.terrain import Terrain
 
 ROUND = 0.6
@@ -39,24 +40,37 @@ class ExclusionZone:
 Zones = tuple[ExclusionZone, ...]
 
 
-def read_keep_outs(source: InputFile) -> Zones:
+def read_keep_outs(source: InputFile, crs: str = "") -> Zones:
     """Circles of a GeoJSON file, in the coordinates of the terrain, in m.
+
+    Coordinates are those of the terrain. Where this has a coordinate system (`crs`, well-known text) they are longitude
+    and latitude on its body, as RFC 7946 has them, unless the file has a member `crs`.
 
     A feature with `x_m`, `y_m` and `keepout_m`, as `images rocks` writes it, is that circle; a point needs
     `keepout_m` or `radius_m`. A round polygon is the circle about it, another one is covered with circles. Raises
     DataError.
     """
-    return read_json(source, "a GeoJSON file of ground to keep out of", _zones)
+    return read_json(source, "a GeoJSON file of ground to keep out of", lambda document: _zones(document, crs))
 
 
-def _zones(document: Any) -> Zones:
+def _zones(document: Any, crs: str) -> Zones:
     features = document.get("features") if isinstance(document, Mapping) else None
     if not isinstance(features, Sequence) or isinstance(features, str):
         raise ParameterError("no FeatureCollection; `lunarsci images rocks -o rocks.geojson` writes one")
-    return tuple(zone for number, feature in enumerate(features, 1) for zone in _zones_of(feature, number))
+    projection = MapProjection(crs) if crs and "crs" not in document else None
+    return tuple(zone for number, feature in enumerate(features, 1) for zone in _zones_of(feature, number, projection))
 
 
-def _zones_of(feature: Any, number: int) -> Iterator[ExclusionZone]:
+def _on_map(coordinates: Any, projection: MapProjection | None) -> FloatArray:
+    """Places (n, 2) in m, from such or from longitude and latitude."""
+    places = np.array(coordinates, dtype=float).reshape(-1, np.shape(coordinates)[-1])[:, :2]
+    try:
+        return places if projection is None else projection.metres(*places.T)
+    except ParameterError as error:
+        raise ParameterError(f"{error}; or say with a member 'crs' that coordinates are m of the map") from error
+
+
+def _zones_of(feature: Any, number: int, projection: MapProjection | None) -> Iterator[ExclusionZone]:
     if not isinstance(feature, Mapping) or not isinstance(feature.get("geometry"), Mapping):
         raise ParameterError(f"feature {number} has no geometry")
     own, shape = feature.get("properties") or {}, feature["geometry"]
@@ -65,13 +79,13 @@ def _zones_of(feature: Any, number: int) -> Iterator[ExclusionZone]:
         if {"x_m", "y_m", "keepout_m"} <= set(own):
             yield ExclusionZone(name, *(float(own[key]) for key in ("x_m", "y_m", "keepout_m")))
         elif shape["type"] == "Point":
-            x, y = shape["coordinates"][:2]
+            x, y = _on_map([shape["coordinates"]], projection)[0]
             yield ExclusionZone(
                 name, float(x), float(y), float(own["keepout_m"] if "keepout_m" in own else own["radius_m"])
             )
         elif shape["type"] in ("Polygon", "MultiPolygon"):
             for part in [shape["coordinates"]] if shape["type"] == "Polygon" else shape["coordinates"]:
-                yield from _covering(name, np.array(part[0], dtype=float)[:, :2])
+                yield from _covering(name, _on_map(part[0], projection))
         else:
             raise ParameterError(f"feature {number} is a {shape['type']}; give points with keepout_m, or polygons")
     except (IndexError, KeyError, TypeError, ValueError) as error:

@@ -30,13 +30,15 @@ def _layers(surface: Traversability) -> dict[str, npt.NDArray[np.float32]]:
         "roughness_m": maps.roughness_m,
         "step_m": maps.step_m,
         "demand": surface.demand,
+        **({} if surface.sunlit is None else {"sunlit": surface.sunlit.astype(np.float32)}),
     }
 
 
 def maps_bytes(surface: Traversability) -> bytes:
     """NumPy archive: x_m (nx,), y_m (ny,), and slope_deg, roughness_m, step_m, demand (ny, nx), NaN where unknown.
 
-    `crs` is the coordinate system as well-known text, where the terrain has one.
+    `sunlit` is 1 where the Sun reaches the ground, where its direction is given; `crs` the coordinate system as
+    well-known text, where the terrain has one.
     """
     archive = io.BytesIO()
     terrain = surface.terrain

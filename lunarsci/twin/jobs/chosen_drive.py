@@ -161,7 +161,7 @@ def chosen_drive(terrain: str, asked: PlanRequest, progress: Progress | None) ->
     check_enough(asked)
     given = GivenSoil.read(asked.soil)
     site = read_site(terrain, asked, given.named, asked.limits())
-    surface = site.surface(asked.baseline, None)
+    asked, surface = asked.on(site.terrain), site.surface(asked.baseline, None)
     plans = candidates_of(asked, site, surface, given)
     soils, conditions, members = drive_conditions(asked, site, given, plans)
     choice = choose(
@@ -231,7 +231,7 @@ def candidates_of(asked: PlanRequest, site: SurveyedSite, surface: Any, given: G
     swept = read_plan().sweep if given.file is None and not asked.sweep else ()
     near = [near_way(site.keep_outs, planned_places(plan, site.rover)) if site.keep_outs else () for plan in plans]
     return tuple(
-        replace(plan, made_for=site.made_for, exclusion_zones=zones, sweep=swept)
+        replace(plan, made_for=site.made_for, exclusion_zones=zones, sweep=swept, crs=site.terrain.crs)
         for plan, zones in zip(plans, near, strict=True)
     )
 

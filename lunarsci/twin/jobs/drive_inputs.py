@@ -211,7 +211,7 @@ def read_drive_inputs(
     surface = surface if terrain_errors else replace(surface, errors=None)
     inputs, tables = _soil_hashes(given, driven if soil_counts else None)
     drive, earlier = (_read_plan(one, inputs) for one in (plan, before))
-    drive = _kept_out(drive or read_plan(), built, keep_out, inputs)
+    drive = _kept_out(drive or read_plan(), built, keep_out, inputs, surface.crs)
     if terrain != SYNTHETIC:
         inputs[terrain] = read_input(terrain).sha256
     if fixes is not None and len(drive.legs) < 2:
@@ -249,12 +249,12 @@ def _read_plan(plan: "Source | Plan | None", inputs: dict[str, str]) -> Plan | N
     return read_plan(file)
 
 
-def _kept_out(plan: Plan, rover: Rover, files: Sequence[str], inputs: dict[str, str]) -> Plan:
+def _kept_out(plan: Plan, rover: Rover, files: Sequence[str], inputs: dict[str, str], crs: str) -> Plan:
     """The plan with the circles of keep-out files that its way comes near to; their hashes go to the `inputs`."""
     for name in files:
         file = read_input(name)
         inputs[file.name] = file.sha256
-        zones = tuple(zone for zone in read_keep_outs(file) if zone not in plan.exclusion_zones)
+        zones = tuple(zone for zone in read_keep_outs(file, crs) if zone not in plan.exclusion_zones)
         near = near_way(zones, planned_places(plan, rover))
         plan = replace(plan, exclusion_zones=plan.exclusion_zones + near)
     return plan

@@ -9,6 +9,7 @@ from lunarsci.twin.jobs.terrain import MAKERS, GroundRequest, Progress, Surveyed
 
 if TYPE_CHECKING:
     from lunarsci.twin.ground.hazards import Traversability
+    from lunarsci.twin.ground.terrain import Terrain
     from lunarsci.twin.plans.plan import Limit
     from lunarsci.twin.routes.planner import PlannedPath
 
@@ -32,6 +33,7 @@ class PlanRequest(GroundRequest):
     speed : of the drive; the rover's highest where it is None. [m/s]
     turning_radius, hazard_distance : limits in place of the rover's: smallest radius of an arc, and distance to keep
         from hazards and holes. [m]
+    lonlat : start and target are longitude to the east and latitude, of a terrain with a coordinate system. [deg]
     soil : in place of the terrain's: a name or a TOML file; with `risk` also a file from which every drive has a soil
         of its own, as `predict` takes it.
     risk : chance that a limit is broken or the end missed that is accepted; then many drives are compared. None for the
@@ -55,6 +57,7 @@ class PlanRequest(GroundRequest):
     speed: float | None = None
     turning_radius: float | None = None
     hazard_distance: float | None = None
+    lonlat: bool = False
     soil: tuple[str, ...] = ()
     risk: float | None = None
     prefer: Literal["energy", "length", "time", "teaching"] = "energy"
@@ -121,6 +124,17 @@ class PlanRequest(GroundRequest):
         """Start and target as numbers. [m, m, deg]"""
         return _numbers("start", self.start, (3,)), _numbers("target", self.target, (2, 3))
 
+    def on(self, terrain: "Terrain") -> "PlanRequest":
+        """The same with start and target in m of a terrain. Raises DataError where it has no coordinate system."""
+        if not self.lonlat:
+            return self
+        from lunarsci.projections import projection_of
+
+        projection, moved = projection_of(terrain.crs, terrain.name), []
+        for longitude, latitude, *heading in self.places:
+            moved.append((*projection.metres(longitude, latitude)[0].tolist(), *heading))
+        return replace(self, start=moved[0], target=moved[1], lonlat=False)
+
     def made(self, terrain: str) -> dict[str, Any]:
         """As of a ground; where soils are drawn the seed is theirs, too."""
         alone = (self.risk is None and self.mission is None) or terrain in MAKERS
@@ -156,7 +170,7 @@ def plan(
         return chosen_drive(terrain, asked, progress)
     site = read_site(terrain, asked, next(iter(asked.soil), None), asked.limits())
     surface = site.surface(asked.baseline, progress)
-    return TerrainSurvey(site=site, surface=surface, path=_path(asked, site, surface, progress))
+    return TerrainSurvey(site=site, surface=surface, path=_path(asked.on(site.terrain), site, surface, progress))
 
 
 def _path(

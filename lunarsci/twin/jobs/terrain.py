@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from lunarsci.rovers import MadeFor, RoverDescription
+    from lunarsci.twin.ground.cost_layers import CostLayer
     from lunarsci.twin.ground.driven_soil import DrivenSoil
     from lunarsci.twin.ground.hazards import Mobility, Traversability
     from lunarsci.twin.ground.keep_out import Zones
@@ -61,6 +62,10 @@ class GroundRequest:
     seed, spacing, rocks, roughness : of synthetic ground: seed, grid spacing [m], share of ground under rocks [-], rms
         height of waves of 0.4 to 4 m [m].
     keep_out : GeoJSON files of ground that no part of the rover may enter, as `images rocks` writes them.
+    layer : rasters on any grid of factors on the cost of a metre; of classes where `classes` are given.
+    classes : VALUE=COST of the layers' classes, COST a factor or `forbidden`.
+    sun : AZIMUTH,ELEVATION of the Sun, from x towards y and over the horizon. [deg]
+    shadow_cost : factor on the cost of a metre in shadow, or `forbidden`.
     extent, ground_slope, craters : of `synthetic` alone: side of the square [m], slope along x [deg], craters.
     """
 
@@ -77,6 +82,10 @@ class GroundRequest:
     ground_slope: float | None = None
     craters: int | None = None
     keep_out: tuple[str, ...] = ()
+    layer: tuple[str, ...] = ()
+    classes: tuple[str, ...] = ()
+    sun: str | None = None
+    shadow_cost: str | None = None
 
     def made(self, terrain: str) -> dict[str, Any]:
         """What the maker of synthetic ground is told. Raises RequestError for what another terrain has no use for."""
@@ -85,6 +94,36 @@ class GroundRequest:
             if name not in MAKERS.get(terrain, ()):
                 raise RequestError(f"`{name}` does not apply to {terrain}; leave it out")
         return {MADE[name]: value for name, value in given.items()}
+
+    def light(self) -> tuple[tuple[float, float] | None, float | None]:
+        """Direction of the Sun [deg, deg] and the factor on the cost of a metre in shadow. Raises RequestError."""
+        from lunarsci.errors import ParameterError
+        from lunarsci.twin.ground.cost_layers import parse_cost
+
+        if self.sun is None:
+            if self.shadow_cost is not None:
+                raise RequestError("`shadow_cost` needs the Sun; give `sun` AZIMUTH,ELEVATION, too")
+            return None, None
+        try:
+            azimuth, elevation = (float(part) for part in self.sun.split(","))
+        except ValueError as error:
+            raise RequestError(f"`sun` '{self.sun}' is not AZIMUTH,ELEVATION in deg") from error
+        try:
+            return (azimuth, elevation), None if self.shadow_cost is None else parse_cost(self.shadow_cost)
+        except ParameterError as error:
+            raise RequestError(f"`shadow_cost` {error}") from error
+
+    def costs(self) -> dict[float, float]:
+        """Costs by class of ground. Raises RequestError."""
+        from lunarsci.errors import ParameterError
+        from lunarsci.twin.ground.cost_layers import parse_classes
+
+        if self.classes and not self.layer:
+            raise RequestError("`class` says what classes of a layer cost; give `layer`, too")
+        try:
+            return parse_classes(self.classes)
+        except ParameterError as error:
+            raise RequestError(f"`class`: {error}") from error
 
     def limits(self) -> dict[str, float | None]:
         """Limits that were given in place of the rover's, by name."""
@@ -118,6 +157,9 @@ class SurveyedSite:
     check: "RoverCheck"
     file: "TerrainFile"
     keep_outs: "Zones" = ()
+    layers: "tuple[CostLayer, ...]" = ()
+    sun_deg: tuple[float, float] | None = None
+    shadow_cost: float | None = None
 
     @property
     def made_for(self) -> "MadeFor":
@@ -132,7 +174,14 @@ class SurveyedSite:
 
         own, wheel = map_scales(self.rover)
         maps = ground_maps(self.terrain, own if baseline_m is None else baseline_m, wheel, progress)
-        return assess(self.terrain, maps, self.mobility, self.keep_outs)
+        if self.sun_deg is None:
+            return assess(self.terrain, maps, self.mobility, self.keep_outs, self.layers)
+        from lunarsci.twin.ground.cost_layers import shadow_layer
+        from lunarsci.twin.ground.illumination import sunlit
+
+        lit = sunlit(self.terrain, *self.sun_deg)
+        shadow = () if self.shadow_cost is None else (shadow_layer(lit, self.shadow_cost),)
+        return replace(assess(self.terrain, maps, self.mobility, self.keep_outs, (*self.layers, *shadow)), sunlit=lit)
 
     def content(self) -> bytes:
         """The terrain with the heights and errors of its file, and the soil and the rover that it was looked at for."""
@@ -187,7 +236,24 @@ class TerrainSurvey(Result):
             "hazard_share": hazard,
             "unknown_share": unknown,
             "path": None if self.path is None else self.path.to_dict(),
+            **self.light(),
             "notes": self.notes(),
+        }
+
+    def light(self) -> dict[str, Any]:
+        """Shares of the ground and of the path that the Sun reaches, where its direction is given."""
+        lit, sun = self.surface.sunlit, self.site.sun_deg
+        if lit is None or sun is None:
+            return {}
+        from lunarsci.twin.routes.planner import share_on
+
+        return {
+            "sun": {
+                "azimuth_deg": sun[0],
+                "elevation_deg": sun[1],
+                "shadow_share": float(1.0 - lit.mean()),
+                "path_shadow_share": None if self.path is None else 1.0 - share_on(lit, self.path, self.surface),
+            }
         }
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
@@ -203,6 +269,7 @@ class TerrainSurvey(Result):
         from lunarsci.tables import csv_bytes
         from lunarsci.twin.ground.terrain_files import maps_bytes, maps_geotiff
         from lunarsci.twin.plans.plan_files import plan_text
+        from lunarsci.twin.routes.path_geojson import path_geojson
         from lunarsci.twin.routes.planner import path_table
 
         site, path = self.site, self.path
@@ -214,6 +281,7 @@ class TerrainSurvey(Result):
             found["maps.tif"] = lambda: maps_geotiff(self.surface)
         if path is not None:
             found["plan.toml"] = lambda: plan_text(path.plan).encode()
+            found["path.geojson"] = lambda: path_geojson(path)
             found["path.csv"] = lambda: csv_bytes(path_table(path, self.surface))
         return found
 
@@ -229,6 +297,10 @@ class TerrainSurvey(Result):
             notes.append("heights have errors: looked at is the likely ground, without the roughness of errors")
         if site.keep_outs:
             notes.append(f"ground to keep out of counts as hazards: {len(site.keep_outs)} circles")
+        notes += [
+            f"layer {layer.name}: {layer.known_share:.1%} of the terrain, {layer.forbidden.mean():.1%} forbidden"
+            for layer in site.layers
+        ]
         if site.mobility.assumed:
             notes.append(f"assumed limits: {', '.join(site.mobility.assumed)}")
         if maps.baseline_m > 1.5 * map_scales(site.rover)[0]:
@@ -259,6 +331,7 @@ def read_site(terrain: str, asked: GroundRequest, soil: str | None, limits: Mapp
     from lunarsci.regolith.soil import read_soil, soil_hash
     from lunarsci.rovers import read_rover
     from lunarsci.twin.ground import synthetic
+    from lunarsci.twin.ground.cost_layers import read_cost_layer
     from lunarsci.twin.ground.driven_soil import lay_soil_on
     from lunarsci.twin.ground.hazards import read_mobility
     from lunarsci.twin.ground.keep_out import read_keep_outs
@@ -279,6 +352,9 @@ def read_site(terrain: str, asked: GroundRequest, soil: str | None, limits: Mapp
     laid, driven = lay_soil_on(file, terrain, own_soil, name, asked=soil is not None)
     fenced = {path: read_input(path) for path in asked.keep_out}
     inputs |= {path: given.sha256 for path, given in fenced.items()}
+    sun, shadow_cost = asked.light()
+    layers = tuple(read_cost_layer(path, laid, asked.costs()) for path in asked.layer)
+    inputs |= {path: read_input(path).sha256 for path in asked.layer}
     used, tables = ({}, {}) if driven.of == "terrain" and not driven.rest else soil_hash(name)
     check = RoverCheck(description, built, asked=True)
     check.terrain(file.made_for, terrain)
@@ -294,5 +370,8 @@ def read_site(terrain: str, asked: GroundRequest, soil: str | None, limits: Mapp
         driven=driven,
         check=check,
         file=file,
-        keep_outs=tuple(zone for given in fenced.values() for zone in read_keep_outs(given)),
+        keep_outs=tuple(zone for given in fenced.values() for zone in read_keep_outs(given, laid.crs)),
+        layers=layers,
+        sun_deg=sun,
+        shadow_cost=shadow_cost,
     )

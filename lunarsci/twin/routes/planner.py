@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
+from lunarsci.projections import lonlat_of
 from lunarsci.twin.ground.footprint import RoverFootprint, nearest_node, rover_footprint, swept_nodes
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.plans.path import planned_pose, poses_along
@@ -88,11 +89,13 @@ class PlannedPath:
     def to_dict(self) -> dict[str, Any]:
         """For a result."""
         plan, end = self.plan, self.end
+        places = {"start": (plan.x_m, plan.y_m), "target": self.target_m, "end": (end[0], end[1])}
+        lonlat = {name: lonlat_of(plan.crs, place) for name, place in places.items()}
         return {
             "arcs": [{"length_m": arc.length_m, "curvature_per_m": arc.curvature_per_m} for arc in plan.legs],
-            "start": {"x_m": plan.x_m, "y_m": plan.y_m, "heading_deg": plan.heading_deg},
-            "target": {"x_m": self.target_m[0], "y_m": self.target_m[1]},
-            "end": {"x_m": end[0], "y_m": end[1], "heading_deg": float(np.degrees(end[2]))},
+            "start": {"x_m": plan.x_m, "y_m": plan.y_m, "heading_deg": plan.heading_deg} | lonlat["start"],
+            "target": {"x_m": self.target_m[0], "y_m": self.target_m[1]} | lonlat["target"],
+            "end": {"x_m": end[0], "y_m": end[1], "heading_deg": float(np.degrees(end[2]))} | lonlat["end"],
             "length_m": plan.length_m,
             "speed_m_s": plan.speed_m_s,
             **{name: getattr(self, name) for name in PATH_NUMBERS},
@@ -259,6 +262,13 @@ def commanded_speed(rover: Rover, speed_m_s: float | None) -> float:
     if not 0 < speed <= rover.max_speed_m_s:
         raise ParameterError(f"speed_m_s is {speed}; {rover.name} drives at most {rover.max_speed_m_s:g} m/s")
     return speed
+
+
+def share_on(nodes: BoolMap, path: PlannedPath, surface: Traversability) -> float:
+    """Share of a path's length over some of the nodes (ny, nx), looked at every 2 cm. [-]"""
+    length = path.plan.length_m
+    poses = planned_pose(path.plan, np.linspace(0.0, length, max(2, math.ceil(length / PLACES_M) + 1)))
+    return float(nodes[_nodes(surface, poses)].mean())
 
 
 def path_table(path: PlannedPath, surface: Traversability, every_m: float = 0.1) -> "pd.DataFrame":

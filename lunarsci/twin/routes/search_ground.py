@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.compiled import compiled
-from lunarsci.twin.ground.hazards import Traversability, travel_cost
+from lunarsci.twin.ground.hazards import Traversability
 
 BoolMap = BoolArray
 
@@ -57,7 +57,7 @@ def search_ground(surface: Traversability, points_m: FloatArray, margin_m: float
     free, inside = (distance_transform_edt(mask, terrain.spacing_m)[1:-1, 1:-1] for mask in (~walled, walled))
     values = np.empty((*blocked.shape, 2), dtype=np.float32)
     values[..., 0] = np.where(blocked, -inside, free)
-    values[..., 1] = np.where(surface.unknown[rows, columns], np.inf, travel_cost(surface.demand[rows, columns]))
+    values[..., 1] = np.where(surface.unknown[rows, columns], np.inf, surface.travel_cost(rows, columns))
     border = np.argwhere(walled & ~binary_erosion(walled, border_value=1))
     border += np.array([rows.start - 1, columns.start - 1])
     return SearchGround(
