@@ -99,7 +99,7 @@ def plan(
 ) -> Report:
     """A path to a target that keeps the limits of a rover, on the maps of `twin terrain`.
 
-    With -o DIR the path goes to plan.toml and path.csv, the terrain to terrain.npz, the maps to maps.npz:
+    With -o DIR the path goes to plan.toml, path.csv and path.geojson, the terrain to terrain.npz, the maps to maps.npz:
     `lunarsci twin predict DIR/plan.toml --terrain DIR/terrain.npz` drives it. Plan and terrain keep the rover and the
     limits that they were made for.
 

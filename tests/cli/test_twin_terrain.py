@@ -55,7 +55,7 @@ def test_a_planned_path_can_be_driven(run: Run, tmp_path: Path) -> None:
     path = json.loads(done.out)["result"]["path"]
     assert path["miss_m"] < 0.01 and path["min_hazard_distance_m"] >= 0.2 and path["max_slope_deg"] <= 11.0
     assert np.hypot(path["end"]["x_m"] - 9.369, path["end"]["y_m"] - 1.957) < 0.01
-    names = {"terrain.npz", "maps.npz", "maps.tif", "plan.toml", "path.csv", "result.json"}
+    names = {"terrain.npz", "maps.npz", "maps.tif", "plan.toml", "path.csv", "path.geojson", "result.json"}
     assert {file.name for file in folder.iterdir()} == names
     assert picture.read_bytes().startswith(b"\x89PNG")
     plan = read_plan(folder / "plan.toml")

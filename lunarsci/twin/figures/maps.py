@@ -59,6 +59,8 @@ def terrain_maps(surface: Traversability, path: PlannedPath | None = None) -> "F
     step = max(1, -(-max(terrain.height_m.shape) // MOST_NODES))
     every = (slice(None, None, step), slice(None, None, step))
     draw_relief(axes[0, 0], terrain, every)
+    if surface.sunlit is not None:
+        _draw_shadow(axes[0, 0], terrain, surface.sunlit[every])
     _draw_slope(axes[0, 1], surface, every)
     _draw_steps(axes[1, 0], surface, every)
     _draw_traversability(axes[1, 1], surface, every)
@@ -98,6 +100,17 @@ def _extent(terrain: Terrain) -> tuple[float, float, float, float]:
         float(terrain.y_m[0]) - half,
         float(terrain.y_m[-1]) + half,
     )
+
+
+def _draw_shadow(axes: "Axes", terrain: Terrain, lit: npt.NDArray[np.bool_]) -> None:
+    """Ground in shadow, dark over the relief."""
+    from matplotlib.colors import ListedColormap
+
+    dark = np.ma.masked_array(np.ones(lit.shape), mask=lit)
+    axes.imshow(
+        dark, extent=_extent(terrain), origin="lower", cmap=ListedColormap([INK]), alpha=0.6, interpolation="nearest"
+    )
+    axes.set_title(f"{axes.get_title()}; dark: in shadow", fontsize=10)
 
 
 def draw_relief(axes: "Axes", terrain: Terrain, every: tuple[slice, slice], *, height_bar: bool = True) -> None:
@@ -183,7 +196,7 @@ def _draw_traversability(axes: "Axes", surface: Traversability, every: tuple[sli
     color_map = colormaps["cividis"].with_extremes(over=HAZARD, bad=UNKNOWN)
     axes.set_facecolor(UNKNOWN)
     image = axes.imshow(
-        np.ma.masked_invalid(surface.demand[every]), extent=_extent(surface.terrain), origin="lower", cmap=color_map,
+        np.ma.masked_array(np.minimum(surface.demand, 2.0)[every], mask=np.isnan(surface.demand[every])), extent=_extent(surface.terrain), origin="lower", cmap=color_map,
         vmin=0.0, vmax=1.0, interpolation="nearest",
     )  # fmt: skip
     _bar(axes, image, "Largest share of a limit [-]")

@@ -119,11 +119,11 @@ class GroundRequest:
         from lunarsci.twin.ground.cost_layers import parse_classes
 
         if self.classes and not self.layer:
-            raise RequestError("`class` says what classes of a layer cost; give `layer`, too")
+            raise RequestError("classes are those of a layer; give `layer`, too")
         try:
             return parse_classes(self.classes)
         except ParameterError as error:
-            raise RequestError(f"`class`: {error}") from error
+            raise RequestError(f"classes of a `layer`: {error}") from error
 
     def limits(self) -> dict[str, float | None]:
         """Limits that were given in place of the rover's, by name."""
@@ -281,7 +281,7 @@ class TerrainSurvey(Result):
             found["maps.tif"] = lambda: maps_geotiff(self.surface)
         if path is not None:
             found["plan.toml"] = lambda: plan_text(path.plan).encode()
-            found["path.geojson"] = lambda: path_geojson(path)
+            found["path.geojson"] = lambda: path_geojson(path, self.surface)
             found["path.csv"] = lambda: csv_bytes(path_table(path, self.surface))
         return found
 
@@ -353,7 +353,8 @@ def read_site(terrain: str, asked: GroundRequest, soil: str | None, limits: Mapp
     fenced = {path: read_input(path) for path in asked.keep_out}
     inputs |= {path: given.sha256 for path, given in fenced.items()}
     sun, shadow_cost = asked.light()
-    layers = tuple(read_cost_layer(path, laid, asked.costs()) for path in asked.layer)
+    costs = asked.costs()
+    layers = tuple(read_cost_layer(path, laid, costs) for path in asked.layer)
     inputs |= {path: read_input(path).sha256 for path in asked.layer}
     used, tables = ({}, {}) if driven.of == "terrain" and not driven.rest else soil_hash(name)
     check = RoverCheck(description, built, asked=True)
