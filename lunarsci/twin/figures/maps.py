@@ -196,8 +196,8 @@ def _draw_traversability(axes: "Axes", surface: Traversability, every: tuple[sli
     color_map = colormaps["cividis"].with_extremes(over=HAZARD, bad=UNKNOWN)
     axes.set_facecolor(UNKNOWN)
     image = axes.imshow(
-        np.ma.masked_array(np.minimum(surface.demand, 2.0)[every], mask=np.isnan(surface.demand[every])), extent=_extent(surface.terrain), origin="lower", cmap=color_map,
-        vmin=0.0, vmax=1.0, interpolation="nearest",
+        np.ma.masked_invalid(np.minimum(surface.demand[every], 2.0)),
+        extent=_extent(surface.terrain), origin="lower", cmap=color_map, vmin=0.0, vmax=1.0, interpolation="nearest",
     )  # fmt: skip
     _bar(axes, image, "Largest share of a limit [-]")
     share = float((~surface.hazard & ~surface.unknown).mean())
