@@ -4,6 +4,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -159,9 +160,15 @@ def remedy(wkt: str, longitude_deg: float, latitude_deg: float, spacing_m: float
     )
 
 
+def known_projection(crs: str) -> MapProjection | None:
+    """The system of a well-known text; None for an empty one, and where rasterio is not installed."""
+    return MapProjection(crs) if crs and find_spec("rasterio") is not None else None
+
+
 def lonlat_of(crs: str, place_m: Sequence[float]) -> dict[str, float]:
     """`longitude_deg` and `latitude_deg` of a place, for a result; nothing where the map has no coordinate system."""
-    if not crs:
+    projection = known_projection(crs)
+    if projection is None:
         return {}
-    longitude, latitude = MapProjection(crs).lonlat(*place_m)[0]
+    longitude, latitude = projection.lonlat(*place_m)[0]
     return {"longitude_deg": float(longitude), "latitude_deg": float(latitude)}

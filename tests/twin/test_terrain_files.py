@@ -175,3 +175,11 @@ def test_metres_that_are_stretched_and_degrees_are_refused_with_the_command(tmp_
     degrees = rasterio.transform.from_origin(177.5, -45.4, 0.001, 0.001)
     with pytest.raises(DataError, match=r"degrees of longitude .*rio warp .*\+lat_0=-45\.402.*--res 30\.3"):
         read_terrain(geotiff(tmp_path / "d.tif", crs="+proj=longlat +R=1737400", transform=degrees), longji_soil)
+
+
+def test_a_text_that_is_no_coordinate_system_is_named(tmp_path: Path, longji_soil: Soil) -> None:
+    pytest.importorskip("rasterio")
+    axis = 0.5 * np.arange(20)
+    np.savez(tmp_path / "t.npz", x_m=axis, y_m=axis, height_m=np.zeros((20, 20)), crs="somewhere")
+    with pytest.raises(DataError, match=r"t\.npz: not a coordinate system"):
+        read_terrain(tmp_path / "t.npz", longji_soil)

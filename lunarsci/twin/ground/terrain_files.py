@@ -16,6 +16,7 @@ import numpy.typing as npt
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, OutputError
 from lunarsci.grids import ERROR_LAYERS, HeightGrid, geotiff_bytes, read_grid
+from lunarsci.projections import known_projection
 from lunarsci.regolith.soil import Soil
 from lunarsci.rovers import MadeFor
 from lunarsci.twin.ground.hazards import Traversability
@@ -117,6 +118,7 @@ def read_terrain_file(path: str | Path, soil: Soil) -> TerrainFile:
 
 
 def _read_terrain(grid: HeightGrid, soil: Soil) -> TerrainFile:
+    known_projection(grid.crs)
     place = (grid.name, grid.x0_m, grid.y0_m, grid.spacing_m)
     terrain = build_terrain(*place, grid.height_m, soil, synthetic=grid.synthetic, crs=grid.crs)
     maker = None if grid.made_for is None else MadeFor.from_table(json.loads(grid.made_for))

@@ -18,7 +18,7 @@ Place = str | tuple[float, ...]
 PLACE = ("X", "Y", "HEADING")
 OF_A_CHOICE = ("sweep", "members", "tolerance", "candidates", "fixes", "prefer", "exact_terrain", "teach")
 """Options that ask for something only beside `risk`."""
-IN_A_MISSION = ("target", "start", "tolerance", "candidates", "fixes", "prefer", "teach")
+IN_A_MISSION = ("target", "start", "lonlat", "tolerance", "candidates", "fixes", "prefer", "teach")
 """Options that a mission has in its file, or no use for."""
 
 

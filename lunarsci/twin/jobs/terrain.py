@@ -287,12 +287,19 @@ class TerrainSurvey(Result):
 
     def notes(self) -> list[str]:
         """What there is to say about terrain, limits and grid."""
+        from lunarsci.projections import known_projection
         from lunarsci.twin.ground.hazards import map_scales
 
         site, maps = self.site, self.surface.maps
         notes = [UNSEEN, *site.check.remarks]
         if site.terrain.synthetic:
             notes.append("the terrain is synthetic; this says nothing about a real site")
+        if (projection := known_projection(site.terrain.crs)) is not None:
+            middle = (float(axis[len(axis) // 2]) for axis in (site.terrain.x_m, site.terrain.y_m))
+            north = projection.north_deg(*middle)
+            notes.append(
+                f"x and y are of the projection '{projection.name}'; true north is {north:.2f} deg to the right of y"
+            )
         if site.file.states_errors:
             notes.append("heights have errors: looked at is the likely ground, without the roughness of errors")
         if site.keep_outs:

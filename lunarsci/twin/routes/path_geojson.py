@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.projections import MapProjection
+from lunarsci.projections import MapProjection, known_projection
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.plans.path import planned_pose
 from lunarsci.twin.routes.planner import PlannedPath
@@ -20,12 +20,12 @@ LOCAL = "local frame of the terrain, x and y in m"
 def path_geojson(path: PlannedPath, surface: Traversability) -> bytes:
     """A FeatureCollection: path, start, target, what is kept out of, and the hazards near the path as polygons.
 
-    Coordinates are longitude and latitude, as RFC 7946 has them, where the terrain has a coordinate system; these are
-    on the body that the member `body` names, not on WGS 84. Elsewhere they are m, and a member `crs` says so. Each
-    feature also has `x_m` and `y_m` of its first place.
+    Coordinates are longitude and latitude, as RFC 7946 has them, where the terrain has a coordinate system (and
+    rasterio is there); these are on the body that the member `body` names, not on WGS 84. Elsewhere they are m, and a
+    member `crs` says so. Each feature also has `x_m` and `y_m` of its first place.
     """
     plan = path.plan
-    projection = MapProjection(plan.crs) if plan.crs else None
+    projection = known_projection(plan.crs)
     places = planned_pose(plan, np.linspace(0.0, plan.length_m, max(2, math.ceil(plan.length_m / EVERY_M) + 1)))[:, :2]
     line = {"name": plan.name, "length_m": plan.length_m, "speed_m_s": plan.speed_m_s, "arcs": len(plan.legs)}
     line |= {"max_slope_deg": path.max_slope_deg, "cost_m": path.cost_m}
