@@ -202,16 +202,21 @@ def _path_table(path: "PlannedPath", limits: "Mobility", light: Mapping[str, Any
     notes = [
         f"{path.plan.length_m:.3f} m long, ends at x {end[0]:.3f} m, y {end[1]:.3f} m, "
         f"heading {np.degrees(end[2]):.1f} deg, {1e3 * path.miss_m:.1f} mm from the target",
+        *_place_notes(path, light),
         f"under the footprint: slope {path.max_slope_deg:.2f} of {limits.max_slope_deg:g} deg, step "
         f"{_known(path.max_step_m)} of {limits.max_step_m:g} m; nearest hazard {path.min_hazard_distance_m:.2f} m, "
         f"{limits.hazard_distance_m:g} m to be kept",
     ]
-    said = path.to_dict()["end"]
-    if "longitude_deg" in said:
-        notes.append(f"ends at longitude {said['longitude_deg']:.6f} deg, latitude {said['latitude_deg']:.6f} deg")
-    if light:
-        notes.append(f"in shadow: {light['sun']['path_shadow_share']:.1%} of the path")
     return TextTable(["arc", "length [m]", "curvature [1/m]", "radius [m]"], rows, title=path.plan.name, notes=notes)
+
+
+def _place_notes(path: "PlannedPath", light: Mapping[str, Any]) -> list[str]:
+    """Longitude and latitude of the end, and the share of the path in shadow, where these are known."""
+    from lunarsci.projections import lonlat_of
+
+    end = lonlat_of(path.plan.crs, path.end[:2])
+    notes = [f"ends at longitude {end['longitude_deg']:.6f} deg, latitude {end['latitude_deg']:.6f} deg"] if end else []
+    return notes + ([f"in shadow: {light['sun']['path_shadow_share']:.1%} of the path"] if light else [])
 
 
 def _known(length_m: float) -> str:

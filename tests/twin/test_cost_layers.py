@@ -175,7 +175,7 @@ def test_longitude_and_latitude_come_and_go(tmp_path: Path) -> None:
     start, target = ((711_005.0, 20_015.0), (711_025.0, 20_015.0))
     degrees = [np.degrees(np.array(place) / MOON_M).tolist() for place in (start, target)]
     found = lunarsci.plan(str(tmp_path / "t.tif"), lonlat=True, start=(*degrees[0], 0.0), target=tuple(degrees[1]))
-    path = found.path.to_dict()
+    path = found.to_dict()["path"]
     assert (path["start"]["x_m"], path["start"]["y_m"]) == pytest.approx(start, abs=1e-3)
     assert (path["end"]["longitude_deg"], path["end"]["latitude_deg"]) == pytest.approx(degrees[1], abs=1e-7)
     document = json.loads(found.files()["path.geojson"]())

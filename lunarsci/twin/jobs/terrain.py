@@ -235,10 +235,19 @@ class TerrainSurvey(Result):
             "traversable_share": 1.0 - hazard - unknown,
             "hazard_share": hazard,
             "unknown_share": unknown,
-            "path": None if self.path is None else self.path.to_dict(),
+            "path": None if self.path is None else self._path_record(self.path),
             **self.light(),
             "notes": self.notes(),
         }
+
+    def _path_record(self, path: "PlannedPath") -> dict[str, Any]:
+        """The path, its ends also by longitude and latitude where the terrain has a coordinate system."""
+        from lunarsci.projections import lonlat_of
+
+        record = path.to_dict()
+        for end in ("start", "target", "end"):
+            record[end] |= lonlat_of(self.site.terrain.crs, (record[end]["x_m"], record[end]["y_m"]))
+        return record
 
     def light(self) -> dict[str, Any]:
         """Shares of the ground and of the path that the Sun reaches, where its direction is given."""

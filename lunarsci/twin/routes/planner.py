@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
-from lunarsci.projections import lonlat_of
 from lunarsci.twin.ground.footprint import RoverFootprint, nearest_node, rover_footprint, swept_nodes
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.plans.path import planned_pose, poses_along
@@ -89,13 +88,11 @@ class PlannedPath:
     def to_dict(self) -> dict[str, Any]:
         """For a result."""
         plan, end = self.plan, self.end
-        places = {"start": (plan.x_m, plan.y_m), "target": self.target_m, "end": (end[0], end[1])}
-        lonlat = {name: lonlat_of(plan.crs, place) for name, place in places.items()}
         return {
             "arcs": [{"length_m": arc.length_m, "curvature_per_m": arc.curvature_per_m} for arc in plan.legs],
-            "start": {"x_m": plan.x_m, "y_m": plan.y_m, "heading_deg": plan.heading_deg} | lonlat["start"],
-            "target": {"x_m": self.target_m[0], "y_m": self.target_m[1]} | lonlat["target"],
-            "end": {"x_m": end[0], "y_m": end[1], "heading_deg": float(np.degrees(end[2]))} | lonlat["end"],
+            "start": {"x_m": plan.x_m, "y_m": plan.y_m, "heading_deg": plan.heading_deg},
+            "target": {"x_m": self.target_m[0], "y_m": self.target_m[1]},
+            "end": {"x_m": end[0], "y_m": end[1], "heading_deg": float(np.degrees(end[2]))},
             "length_m": plan.length_m,
             "speed_m_s": plan.speed_m_s,
             **{name: getattr(self, name) for name in PATH_NUMBERS},
