@@ -214,7 +214,7 @@ def _place_notes(path: "PlannedPath", light: Mapping[str, Any]) -> list[str]:
     """Longitude and latitude of the end, and the share of the path in shadow, where these are known."""
     from lunarsci.projections import lonlat_of
 
-    end = lonlat_of(path.plan.crs, path.end[:2])
+    end = lonlat_of(path.plan.crs, path.end[:2].tolist())
     notes = [f"ends at longitude {end['longitude_deg']:.6f} deg, latitude {end['latitude_deg']:.6f} deg"] if end else []
     return notes + ([f"in shadow: {light['sun']['path_shadow_share']:.1%} of the path"] if light else [])
 
