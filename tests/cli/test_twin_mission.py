@@ -10,8 +10,12 @@ import numpy as np
 import pytest
 
 from lunarsci.regolith.belief import SoilBelief, first_belief
+from lunarsci.regolith.soil import read_soil
+from lunarsci.twin.ground.terrain import build_terrain
+from lunarsci.twin.ground.terrain_files import terrain_bytes
 from lunarsci.twin.plans.plan import read_plan
 
+Run = Callable[..., Any]
 EXAMPLE = Path(__file__).parents[2] / "examples" / "mission.toml"
 QUICK = ("twin", "plan", "-q", "--no-time", "--members", "8")
 
@@ -24,7 +28,7 @@ def belief(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_mission_is_planned_with_all_its_files(run: Callable[..., Any], belief: Path, tmp_path: Path) -> None:
+def test_a_mission_is_planned_with_all_its_files(run: Run, belief: Path, tmp_path: Path) -> None:
     folder = tmp_path / "mission"
     done = run(*QUICK, "--mission", EXAMPLE, "--soil", belief, "--risk", "0.3", "--json", "-o", folder)
     assert done.code == 0, done.err
@@ -53,7 +57,7 @@ def test_a_mission_is_planned_with_all_its_files(run: Callable[..., Any], belief
     assert driven.code in (0, 3), driven.err
 
 
-def test_what_does_not_fit_ends_with_code_3(run: Callable[..., Any], belief: Path, tmp_path: Path) -> None:
+def test_what_does_not_fit_ends_with_code_3(run: Run, belief: Path, tmp_path: Path) -> None:
     short = tmp_path / "short.toml"
     short.write_text(EXAMPLE.read_text().replace("time_budget_s = 14400", "time_budget_s = 2400"))
     done = run(*QUICK, "--mission", short, "--soil", belief, "--plot", tmp_path / "m.pdf")
@@ -74,9 +78,7 @@ def test_what_does_not_fit_ends_with_code_3(run: Callable[..., Any], belief: Pat
         ("[[target]]", "[[window]]", 1, "not a key of"),
     ],
 )
-def test_impossible_missions_are_one_line(
-    run: Callable[..., Any], tmp_path: Path, old: str, new: str, code: int, said: str
-) -> None:
+def test_impossible_missions_are_one_line(run: Run, tmp_path: Path, old: str, new: str, code: int, said: str) -> None:
     file = tmp_path / "mission.toml"
     file.write_text(EXAMPLE.read_text().replace(old, new, 1))
     done = run(*QUICK, "--mission", file)
@@ -84,8 +86,53 @@ def test_impossible_missions_are_one_line(
     assert not done.out and len(done.err) <= 4
 
 
-def test_options_that_a_mission_has_in_its_file_are_refused(run: Callable[..., Any], tmp_path: Path) -> None:
+def test_options_that_a_mission_has_in_its_file_are_refused(run: Run, tmp_path: Path) -> None:
     for option in (("--target", "3,1"), ("--start", "1,0,0"), ("--fixes", "0.1,1"), ("--candidates", "3")):
         done = run(*QUICK, "--mission", EXAMPLE, *option)
         assert done.code == 2 and "go together" in " ".join(done.err)
     assert run(*QUICK, "--mission", tmp_path / "none.toml").code == 1
+
+
+FAR = """
+leg_m = 15.0
+[start]
+x_m = -18
+y_m = 0
+[fixes]
+position_sigma_m = 0.1
+heading_sigma_deg = 0.2
+[[target]]
+name = "far"
+x_m = 18
+y_m = 2
+"""
+
+
+def test_a_way_beyond_the_reach_of_a_few_arcs_is_driven_by_legs(run: Run, belief: Path, tmp_path: Path) -> None:
+    file = tmp_path / "far.toml"
+    file.write_text(FAR)
+    made = ("synthetic", "--extent", "50", "--spacing", "0.25", "--craters", "3", "--seed", "1")
+    done = run(
+        "twin", "plan", *made, "--mission", file, "--members", "4", "--soil", belief, "-q", "--no-time", "--json"
+    )
+    assert done.code in (0, 3), done.err
+    mission = json.loads(done.out)["result"]["mission"]
+    assert mission["targets"][0]["fate"] == "reached"
+    assert len(mission["legs"]) >= 3 and max(leg["length_m"] for leg in mission["legs"]) <= 1.3 * 15.0
+
+
+def test_a_target_on_unknown_ground_is_come_near_to(run: Run, belief: Path, tmp_path: Path) -> None:
+    """Level ground, known up to x 6 m: the rover goes as far as its footprint and the distance to holes allow."""
+    height = np.zeros((101, 201))
+    height[:, 160:] = np.nan
+    terrain = build_terrain("half known", -2.0, -2.5, 0.05, height, read_soil("longji"), synthetic=True)
+    ground, file = tmp_path / "ground.npz", tmp_path / "mission.toml"
+    ground.write_bytes(terrain_bytes(terrain))
+    file.write_text(FAR.replace("x_m = -18", "x_m = 0").replace("x_m = 18", "x_m = 7.5").replace("y_m = 2", "y_m = 0"))
+    done = run(
+        "twin", "plan", ground, "--mission", file, "--members", "4", "--soil", belief, "-q", "--no-time", "--json"
+    )
+    assert done.code == 3 and "horizon" in " ".join(done.err)
+    mission = json.loads(done.out)["result"]["mission"]
+    assert mission["targets"][0]["fate"] == "horizon" and mission["last_target"] is None
+    assert 3.5 < mission["legs"][-1]["end_x_m"] < 6.0

@@ -28,7 +28,7 @@ from lunarsci.twin.plans.path import poses_along
 from lunarsci.twin.plans.plan import Leg, Plan, read_plan
 from lunarsci.twin.plans.plan_files import plan_text
 from lunarsci.twin.routes.candidates import candidate_plans
-from lunarsci.twin.routes.planner import plan_path
+from lunarsci.twin.routes.long_way import way_to
 from lunarsci.twin.rover import Rover
 
 if TYPE_CHECKING:
@@ -243,7 +243,7 @@ class _Ways:
         """The cheapest path ahead; where there is none, one that turns about or goes backwards first."""
         asked: dict[str, Any] = {"speed_m_s": self.speed_m_s, "limits": limits_at(self.site)}
         try:
-            plan = plan_path(self.surface, self.site.rover, pose, place, **asked).plan
+            plan = way_to(self.surface, self.site.rover, pose, place, **asked).plan
         except ParameterError as error:
             try:
                 plan = candidate_plans(self.surface, self.site.rover, pose, place, most=ALTERNATIVES, **asked)[0]
