@@ -4,8 +4,9 @@ On the SYNTHETIC ground of `errands.py`, with soils drawn from the first laws: t
 shortest path, or by the candidate of equal length and risk that is expected to teach most of the way back
 (`lunarsci.twin.choice.teaching`); its wheels are measured as in `loop.py`; the belief is rectified, and one and the
 same way back is predicted from it. What counts is how far the true end of that is from the predicted one. The truth is
-the twin's own physics. Candidates are those of `twin plan --risk`, and the shortest path with a test before it: half a
-turn on the spot, and back. Wheel rates cannot be commanded one by one by a plan.
+that of `quasi_static.py`; with `--physics same`, where any drive tells nearly all, the twin's own. Candidates are those
+of `twin plan --risk`, and the shortest path with a test before it: half a turn on the spot, and back. Wheel rates
+cannot be commanded one by one by a plan.
 
 Each soil is one line of the file, and one that is there is not done again.
 """
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import quasi_static
 from errands import Errand, errand
 from loop import POSITION_SHARES, measured, middle
 from mujoco_rover import Driven
@@ -29,6 +31,7 @@ from lunarsci.twin.choice.teaching import teaching
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.routes.candidates import candidate_plans
 from lunarsci.twin.routes.planner import plan_path
+from lunarsci.twin.simulation.discrepancy import with_discrepancy
 from lunarsci.twin.simulation.ensemble import Prediction, predict
 
 MEMBERS = 128
@@ -38,9 +41,18 @@ TESTS_DEG = (180.0,)
 MOST = 16
 
 
-def drives(one: Errand, plan: Plan, soils: dict[str, np.ndarray]) -> Prediction:
-    """Over some soils."""
-    return predict(one.rover, one.surface.terrain, plan, samples=soils)
+def drives(one: Errand, plan: Plan, soils: dict[str, np.ndarray], moved: bool) -> Prediction:
+    """Over some soils, each moved by a draw of what the twin's physics is off by where that is asked."""
+    found = predict(one.rover, one.surface.terrain, plan, samples=soils)
+    return with_discrepancy(found, one.belief.discrepancy, 0) if moved else found
+
+
+def true_drive(one: Errand, plan: Plan, hidden: dict[str, float], same: bool) -> Driven:
+    """By the twin's own physics, or by others drawn with the errand's number."""
+    if not same:
+        return quasi_static.drive(one.rover, one.surface.terrain, plan, hidden, quasi_static.draw_physics(one.number))
+    out = predict(one.rover, one.surface.terrain, plan, samples={name: [value] for name, value in hidden.items()})
+    return Driven(time_s=out.time_s, poses=out.paths[0], states=out.states[0], outcome=out.outcome_text(0))
 
 
 def candidates(one: Errand, shortest: Plan) -> list[Plan]:
@@ -56,7 +68,7 @@ def finished_within(prediction: Prediction) -> float:
     return float((prediction.finished & (prediction.miss_m < 1.5)).mean())
 
 
-def experiment(number: int) -> dict[str, Any] | None:
+def experiment(number: int, same: bool) -> dict[str, Any] | None:
     """One soil; None where the truth does not finish."""
     one, belief = errand(number), first_belief()
     soils = belief.draws(MEMBERS, 0)
@@ -67,14 +79,14 @@ def experiment(number: int) -> dict[str, Any] | None:
         back = plan_path(one.surface, one.rover, (*one.target, float(heading)), one.start[:2], limits=one.limits).plan
     except ParameterError:
         return None
-    following, first = drives(one, back, soils), drives(one, shortest, soils)
-    hidden = {name: values[:1] for name, values in belief.draws(1, 7_000_000 + number).items()}
-    true_back = drives(one, back, hidden)
-    if not true_back.finished[0]:
+    following, first = (drives(one, plan, soils, not same) for plan in (back, shortest))
+    hidden = {name: float(values[0]) for name, values in belief.draws(1, 7_000_000 + number).items()}
+    true_back = true_drive(one, back, hidden, same)
+    if not true_back.finished:
         return None
     told: list[tuple[float, Plan]] = []
     for plan in candidates(one, shortest):
-        predicted = drives(one, plan, soils)
+        predicted = drives(one, plan, soils, not same)
         if abs(finished_within(predicted) - finished_within(first)) <= ALIKE:
             try:
                 told.append((teaching(predicted, following).end_sd_m[1], plan))
@@ -87,11 +99,11 @@ def experiment(number: int) -> dict[str, Any] | None:
     except ParameterError:
         return None
     best = min(told, key=lambda pair: pair[0])
-    ends = {name: _learned(one, plan, hidden, back, number) for name, plan in
+    ends = {name: _learned(one, plan, hidden, back, same) for name, plan in
             (("shortest", shortest), ("taught", best[1]))}  # fmt: skip
     if any(found is None for found in ends.values()):
         return None
-    truth = true_back.endpoints_m[0]
+    truth = true_back.poses[-1, :2]
     prior = middle(following.endpoints_m[following.finished])
     return {
         "errand": number,
@@ -105,18 +117,19 @@ def experiment(number: int) -> dict[str, Any] | None:
     }
 
 
-def _learned(one: Errand, plan: Plan, hidden: dict[str, Any], back: Plan, seed: int) -> tuple[Any, list[float]] | None:
+def _learned(
+    one: Errand, plan: Plan, hidden: dict[str, float], back: Plan, same: bool
+) -> tuple[Any, list[float]] | None:
     """Predicted end of the way back after a drive, and what the update left of each standard deviation."""
-    out = drives(one, plan, hidden)
-    if not out.finished[0]:
+    driven = true_drive(one, plan, hidden, same)
+    if not driven.finished:
         return None
-    driven = Driven(time_s=out.time_s, poses=out.paths[0], states=out.states[0], outcome="finished")
-    record = measured(one.rover, plan, driven, POSITION_SHARES["third"], seed)
+    record, error = measured(one.rover, plan, driven, POSITION_SHARES["third"], one.number), 0.0 if same else 1.0
     try:
-        found = assimilate(one.rover, one.surface.terrain, plan, record, first_belief(), model_error=0.0, ruts=False)
+        found = assimilate(one.rover, one.surface.terrain, plan, record, first_belief(), model_error=error, ruts=False)
     except ParameterError:
         return None
-    predicted = drives(one, back, found.belief.draws(MEMBERS, 1))
+    predicted = drives(one, back, found.belief.draws(MEMBERS, 1), False)
     return middle(predicted.endpoints_m[predicted.finished]), list(found.belief.sd_ratio.values())
 
 
@@ -142,6 +155,7 @@ def main() -> None:
     )
     parser.add_argument("--soils", type=int, default=40)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--physics", choices=("quasi-static", "same"), default="quasi-static")
     parser.add_argument("--out", type=Path, help="file of results, one line a soil, added to")
     given = parser.parse_args()
     warnings.simplefilter("ignore")
@@ -149,7 +163,7 @@ def main() -> None:
     rows = [json.loads(line) for line in old]
     done = {row["errand"] for row in rows}
     for number in range(given.first, given.first + given.soils):
-        if number in done or (row := experiment(number)) is None:
+        if number in done or (row := experiment(number, given.physics == "same")) is None:
             continue
         rows.append(row)
         print(json.dumps(row), flush=True)
