@@ -72,6 +72,7 @@ COMMANDS: dict[str, str] = {
     "identify joint": "regolith infer states.csv --seed 2",
     "compare soils": "regolith compare soil.json",
     "terrain": "twin plan --max-slope 11 --target 8.5,2.5 -o site",
+    "choice": "twin plan --target 2,0.3 --risk 0.3 --members 4 --candidates 3 --fixes 0.05,0.5 -o chosen",
     "ground": "twin terrain synthetic --extent 4 --spacing 0.02 --seed 2 --rocks 0.03 -o ground",
     "track": "images track ground/terrain.npz --line 0,1,2.5,1.2 --step 0.5",
     "rocks": "images rocks ground/terrain.npz --sizes 0.2",

@@ -75,6 +75,7 @@ def test_no_path_at_all_ends_with_code_1(run: Run) -> None:
         (("--risk", "0.1", "--fixes", "a"), "--fixes"),
         (("--risk", "0.1", "--soil", "longji"), "--sweep"),
         (("--risk", "0.1", "--prefer", "beauty"), "beauty"),
+        (("--risk", "0.1", "--target", "40,0"), "compares drives of up to 30 m"),
         (("--fixes", "0.1,1"), "give --risk, too"),
     ],
 )

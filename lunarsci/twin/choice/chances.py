@@ -91,7 +91,7 @@ class Weakest:
     def why(self) -> str:
         """One sentence."""
         if self.quantity == UNFINISHED:
-            return f"{self.failed} drives end early: {self.unit}"
+            return f"{self.failed} drive{'s end' if self.failed > 1 else ' ends'} early: {self.unit}"
         unit = "" if self.unit == "-" else f" {self.unit}"
         return f"95 % of the drives keep {self.quantity} {self.value:.3g}{unit}, limit {self.limit:g}{unit}"
 

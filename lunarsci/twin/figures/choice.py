@@ -108,22 +108,12 @@ def _mark(axes: "Axes", choice: DriveChoice) -> None:
 
 
 def _mark_weakest(axes: "Axes", best: DriveCandidate) -> None:
-    weak, middle = best.weakest, float(np.mean(axes.get_xlim()))
+    weak = best.weakest
     look: Any = {"color": HAZARD_INK, "markeredgecolor": "white", "markersize": 12, "zorder": 10}
     axes.plot(weak.x_m, weak.y_m, "X", label="least margin", **look)
-    beside, align = ((-14, -34), "right") if weak.x_m > middle else ((14, -34), "left")
+    said = f"Least margin after {weak.distance_m:.1f} m: {weak.why}"
     box: Any = {"boxstyle": "round", "fc": "white", "ec": INK, "alpha": 0.85}
-    axes.annotate(
-        f"{weak.why}\nafter {weak.distance_m:.1f} m",
-        (weak.x_m, weak.y_m),
-        beside,
-        textcoords="offset points",
-        ha=align,
-        fontsize=8,
-        color=INK,
-        zorder=11,
-        bbox=box,
-    )
+    axes.text(0.99, 0.02, said, transform=axes.transAxes, ha="right", fontsize=8, color=INK, zorder=11, bbox=box)
 
 
 def _end_of(plan: Plan, legs: int) -> tuple[float, float]:

@@ -1,5 +1,6 @@
 """The drive to take, of many to a target: candidates, the soils that all of them meet, and the choice by risk."""
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -23,6 +24,7 @@ from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, re
 from lunarsci.twin.plans.plan import Limit, Plan, read_plan
 from lunarsci.twin.plans.plan_files import plan_text
 from lunarsci.twin.routes.candidates import MOST, candidate_plans
+from lunarsci.twin.routes.long_way import LONG_M
 from lunarsci.twin.routes.planner import RouteSearch, measured_path
 from lunarsci.twin.simulation.ensemble import member_parameters
 
@@ -74,7 +76,7 @@ class ChosenDrive(TerrainSurvey):
     def why_none(self) -> str:
         """What stands in the way where no drive keeps the risk."""
         best, choice = self.choice.best, self.choice
-        broken = ", ".join(f"{name} of {count}" for name, count in choice.obstacles)
+        broken = ", ".join(f"{name} ({count} drives)" for name, count in choice.obstacles)
         return (
             f"no drive keeps a risk of {choice.risk:.3g}: the safest of {len(choice.candidates)}, {best.plan.name}, "
             f"fails with {best.said.risk:.2g} ({best.said.low:.2g} to {best.said.high:.2g}); {best.weakest.why}, at x "
@@ -158,7 +160,7 @@ def chosen_drive(terrain: str, asked: PlanRequest, progress: Progress | None) ->
 
     Raises DataError, RequestError, and ParameterError where no path leads there.
     """
-    check_enough(asked)
+    check_asked(asked)
     given = GivenSoil.read(asked.soil)
     site = read_site(terrain, asked, given.named, asked.limits())
     asked, surface = asked.on(site.terrain), site.surface(asked.baseline, None)
@@ -192,8 +194,13 @@ def check_taught(asked: PlanRequest, choice: DriveChoice) -> None:
         )
 
 
-def check_enough(asked: PlanRequest) -> None:
-    """Raises RequestError where so few drives can never promise the risk."""
+def check_asked(asked: PlanRequest) -> None:
+    """Raises RequestError where so few drives can never promise the risk, and for a target that is too far away."""
+    (x0, y0, _), (x, y, *_) = asked.places
+    if (far := math.hypot(x - x0, y - y0)) > LONG_M:
+        raise RequestError(
+            f"`target` is {far:.0f} m away, and `risk` compares drives of up to {LONG_M:g} m; give a nearer one"
+        )
     least = least_drives(asked.risk or 0.5)
     if (asked.members or OF_A_BELIEF) < least:
         raise RequestError(f"`risk` {asked.risk:g} takes {least} `members` or more; give them, or accept more risk")
