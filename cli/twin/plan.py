@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from lunarsci.twin.choice.choice import DriveCandidate
     from lunarsci.twin.ground.hazards import Mobility
     from lunarsci.twin.jobs.chosen_drive import ChosenDrive
+    from lunarsci.twin.plans.plan import Leg
     from lunarsci.twin.routes.planner import PlannedPath
 
 
@@ -198,6 +199,10 @@ def _path_table(path: "PlannedPath", limits: "Mobility", light: Mapping[str, Any
         [str(number), f"{arc.length_m:.3f}", f"{arc.curvature_per_m:.4f}", _radius(arc.curvature_per_m)]
         for number, arc in enumerate(path.plan.legs, start=1)
     ]
+    headers = ["arc", "length [m]", "curvature [1/m]", "radius [m]"]
+    if any(leg.turn_deg or leg.crab_deg for leg in path.plan.legs):
+        headers.append("driven")
+        rows = [[*row, _driven(leg)] for row, leg in zip(rows, path.plan.legs, strict=True)]
     end = path.end
     notes = [
         f"{path.plan.length_m:.3f} m long, ends at x {end[0]:.3f} m, y {end[1]:.3f} m, "
@@ -207,7 +212,13 @@ def _path_table(path: "PlannedPath", limits: "Mobility", light: Mapping[str, Any
         f"{_known(path.max_step_m)} of {limits.max_step_m:g} m; nearest hazard {path.min_hazard_distance_m:.2f} m, "
         f"{limits.hazard_distance_m:g} m to be kept",
     ]
-    return TextTable(["arc", "length [m]", "curvature [1/m]", "radius [m]"], rows, title=path.plan.name, notes=notes)
+    return TextTable(headers, rows, title=path.plan.name, notes=notes)
+
+
+def _driven(leg: "Leg") -> str:
+    if leg.turn_deg:
+        return f"turn {leg.turn_deg:+.1f}°"
+    return {0.0: "ahead", 180.0: "backwards"}.get(leg.crab_deg, f"crab {leg.crab_deg:+.1f}°")
 
 
 def _place_notes(path: "PlannedPath", light: Mapping[str, Any]) -> list[str]:

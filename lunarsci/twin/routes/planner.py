@@ -89,7 +89,7 @@ class PlannedPath:
         """For a result."""
         plan, end = self.plan, self.end
         return {
-            "arcs": [{"length_m": arc.length_m, "curvature_per_m": arc.curvature_per_m} for arc in plan.legs],
+            "arcs": [_leg_record(leg) for leg in plan.legs],
             "start": {"x_m": plan.x_m, "y_m": plan.y_m, "heading_deg": plan.heading_deg},
             "target": {"x_m": self.target_m[0], "y_m": self.target_m[1]},
             "end": {"x_m": end[0], "y_m": end[1], "heading_deg": float(np.degrees(end[2]))},
@@ -200,6 +200,12 @@ class RouteSearch:
                 f"at the {name} the footprint is {distance:.2f} m from an obstacle and {least:g} m are to be kept: "
                 f"{self.obstacle(point)}; give another {name}, or a smaller distance"
             )
+
+
+def _leg_record(leg: Leg) -> dict[str, float]:
+    """For a result; how a leg is driven where that is not an arc ahead."""
+    other = {name: getattr(leg, name) for name in ("crab_deg", "turn_deg") if getattr(leg, name)}
+    return {"length_m": leg.length_m, "curvature_per_m": leg.curvature_per_m, **other}
 
 
 def plan_path(
