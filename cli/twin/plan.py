@@ -137,7 +137,7 @@ def _choice_table(found: "ChosenDrive") -> TextTable:
     verdict = f"take drive {best.number}, {best.plan.name}" if choice.feasible else "NO-GO: no drive keeps the risk"
     notes = [
         f"drive {best.number}: {100 * best.said.risk:.1f} % fail, at most {100 * best.said.high:.1f} %; it takes "
-        f"{best.duration_s / 60:.1f} min; weakest at x {best.weakest.x_m:.2f} m, y {best.weakest.y_m:.2f} m: "
+        f"{best.duration_s / 60:.1f} min; weakest at x {best.weakest.x_m:z.2f} m, y {best.weakest.y_m:z.2f} m: "
         f"{best.weakest.why}",
         "risk: expected, and below what with 95 %; ~ not yet driven on fresh soils; weakest: what is nearest to its "
         "limit, and after how many m",
@@ -184,7 +184,7 @@ def _candidate_row(one: "DriveCandidate") -> list[str]:
         f"{unsure}{_percent(one.said.risk)}<{_percent(one.said.high)}",
         f"{one.length_m:.1f}",
         energy,
-        f"{SHORT[weak.quantity]} {weak.distance_m:.1f}",
+        f"{SHORT[weak.quantity]} {weak.distance_m:z.1f}",
     ]
 
 

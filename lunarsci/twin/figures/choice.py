@@ -111,7 +111,7 @@ def _mark_weakest(axes: "Axes", best: DriveCandidate) -> None:
     weak = best.weakest
     look: Any = {"color": HAZARD_INK, "markeredgecolor": "white", "markersize": 12, "zorder": 10}
     axes.plot(weak.x_m, weak.y_m, "X", label="least margin", **look)
-    said = f"Least margin after {weak.distance_m:.1f} m: {weak.why}"
+    said = f"Least margin after {weak.distance_m:z.1f} m: {weak.why}"
     box: Any = {"boxstyle": "round", "fc": "white", "ec": INK, "alpha": 0.85}
     axes.text(0.99, 0.02, said, transform=axes.transAxes, ha="right", fontsize=8, color=INK, zorder=11, bbox=box)
 

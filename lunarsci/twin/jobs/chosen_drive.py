@@ -80,7 +80,7 @@ class ChosenDrive(TerrainSurvey):
         return (
             f"no drive keeps a risk of {choice.risk:.3g}: the safest of {len(choice.candidates)}, {best.plan.name}, "
             f"fails with {best.said.risk:.2g} ({best.said.low:.2g} to {best.said.high:.2g}); {best.weakest.why}, at x "
-            f"{best.weakest.x_m:.2f} m, y {best.weakest.y_m:.2f} m; most in the way: {broken}"
+            f"{best.weakest.x_m:z.2f} m, y {best.weakest.y_m:z.2f} m; most in the way: {broken}"
         )
 
     def to_dict(self) -> dict[str, Any]:
