@@ -112,6 +112,7 @@ def test_without_a_gap_it_is_said_what_is_in_the_way() -> None:
     [
         (START, (2000.0, 80.0), "the target x 2000 m, y 80 m lies outside the map"),
         ((-50.0, 60.0, 0.0), TARGET, "the start x -50 m, y 60 m lies outside the map"),
+        (START, (math.inf, 60.0), r"the target is .* give finite numbers"),
         (START, (116.0, 60.0), "cannot be at the target: the slope is 45 deg, above 20 deg"),
     ],
 )

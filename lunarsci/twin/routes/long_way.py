@@ -97,6 +97,8 @@ def long_way(
 
 def _check_end(surface: Traversability, name: str, place: tuple[float, float]) -> None:
     """Raises ParameterError, with the reason, where an end of the way is no place for a rover."""
+    if not all(map(math.isfinite, place)):
+        raise ParameterError(f"the {name} is {place}; give finite numbers")
     terrain = surface.terrain
     column, row = (
         round((at - first) / terrain.spacing_m) for at, first in zip(place, (terrain.x0_m, terrain.y0_m), strict=True)
@@ -315,5 +317,5 @@ def way_to(
     **options: Any,
 ) -> PlannedPath:
     """`plan_path` to a target that is near, `long_way` to one beyond 30 m; their arguments."""
-    planner = plan_path if math.dist(start[:2], target) <= LONG_M else long_way
+    planner = long_way if math.dist(start[:2], target) > LONG_M else plan_path
     return planner(surface, rover, start, target, **options)
