@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
+from lunarsci.documents import json_document
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 
 if TYPE_CHECKING:
@@ -165,7 +166,7 @@ def read_json(input: InputFile, kind: str, made: Callable[[Any], Made]) -> Made:
         raise ParameterError(f"{name} is no number that {kind} can have")
 
     try:
-        return made(json.loads(text(input), parse_constant=refuse))
+        return made(json_document(text(input), refuse))
     except json.JSONDecodeError as error:
         message = f"{input.name}, line {error.lineno}: not valid JSON: {error.msg}; is the file complete?"
         raise DataError(message) from error

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, IntArray
+from lunarsci.printable import cell, printable
 from lunarsci.provenance import plain, to_text
 
 if TYPE_CHECKING:
@@ -233,7 +234,9 @@ def _cell(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, list | tuple):
-        return " ".join(map(str, value))
+        return " ".join(printable(str(item)) for item in value)
+    if isinstance(value, str):
+        return cell(value)
     return "" if value is None else repr(value) if isinstance(value, float) else str(value)
 
 

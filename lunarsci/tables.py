@@ -16,6 +16,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile, read_input, text
+from lunarsci.printable import cell
 from lunarsci.provenance import sha256
 
 if TYPE_CHECKING:
@@ -47,8 +48,14 @@ def read_csv_table(source: InputFile | str | Path) -> "pd.DataFrame":
 
 def csv_bytes(table: "pd.DataFrame") -> bytes:
     """A table as CSV, nine significant digits."""
+    words = table.select_dtypes(include=["object", "string"]).columns
+    table = table.assign(**{name: table[name].map(_word) for name in words})
     text: str = table.to_csv(index=False, float_format="%.9g", lineterminator="\n")
     return text.encode()
+
+
+def _word(value: object) -> object:
+    return cell(value) if isinstance(value, str) else value
 
 
 def numbers_of(name: str, column: str, cells: "pd.Series") -> FloatArray:

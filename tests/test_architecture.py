@@ -16,6 +16,8 @@ SHARED = {
     "arrays",
     "atomic",
     "blocks",
+    "documents",
+    "printable",
     "kept_blocks",
     "cluster",
     "tempering",
@@ -41,7 +43,7 @@ ALLOWED = {
     "regolith": {"regolith", *SHARED},
     "twin": {"twin", "regolith", "images", *SHARED},
     "reproduce": {"reproduce", "spectra", "regolith", "images", "twin", *SHARED},
-    "rovers": {"rovers", "errors"},
+    "rovers": {"rovers", "errors", "documents"},
 }
 TREES = {
     path: ast.parse(path.read_text("utf-8"))

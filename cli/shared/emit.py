@@ -10,6 +10,7 @@ import typer
 
 from lunarsci.atomic import write_files
 from lunarsci.errors import OutputError, ParameterError
+from lunarsci.printable import printable
 from lunarsci.provenance import Provenance, document, json_chunks, plain
 
 from .options import Output
@@ -50,9 +51,10 @@ def emit(report: Report, output: Output, provenance: Provenance) -> None:
 def _print(text: Iterable[bytes]) -> None:
     if sys.stdout is None:
         raise OutputError("stdout is closed; use -o FILE")
+    terminal = sys.stdout.isatty()
     try:
         for piece in text:
-            sys.stdout.write(piece.decode())
+            sys.stdout.write("\n".join(map(printable, piece.decode().split("\n"))) if terminal else piece.decode())
         sys.stdout.flush()
     except BrokenPipeError:
         raise

@@ -11,6 +11,7 @@ from typing import Annotated, Any, get_origin, get_type_hints
 import typer
 
 from lunarsci.atomic import check_folder, check_target
+from lunarsci.documents import toml_document
 
 from .aliases import option_now
 
@@ -133,7 +134,7 @@ def _load_config(context: typer.Context, value: Path | None) -> Path | None:
     if value is None:
         return None
     try:
-        settings = tomllib.loads(value.read_text("utf-8"))
+        settings = toml_document(value.read_text("utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise typer.BadParameter(f"{value}: not a readable TOML file: {error}") from error
     known = {_option_name(parameter): parameter for parameter in context.command.params}

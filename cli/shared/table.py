@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from lunarsci.printable import cell, printable
 from lunarsci.provenance import plain
 
 _NEVER_CUT = 100_000
@@ -52,13 +53,14 @@ def _render_one(table: TextTable) -> str:
     grid = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, highlight=False)
     rows = table.rows[:SHOWN]
     for number, header in enumerate(table.headers):
-        grid.add_column(header, justify="right" if _numeric(rows, number) else "left", no_wrap=True)
+        grid.add_column(printable(header), justify="right" if _numeric(rows, number) else "left", no_wrap=True)
     for row in rows:
-        grid.add_row(*row)
+        grid.add_row(*map(printable, row))
     text = io.StringIO()
     Console(file=text, width=_NEVER_CUT, color_system=None, markup=False, emoji=False).print(grid)
     lines = [line.rstrip() for line in text.getvalue().splitlines()]
-    return "\n".join([*([table.title] if table.title else []), *lines, *table.left_out, *table.notes, ""])
+    said = [printable(part) for text in (*table.left_out, *table.notes) for part in text.split("\n")]
+    return "\n".join([*([printable(table.title)] if table.title else []), *lines, *said, ""])
 
 
 def _numeric(rows: Sequence[Sequence[str]], column: int) -> bool:
@@ -95,4 +97,4 @@ def _cell(value: Any) -> Any:
     bare = plain(value)
     if isinstance(bare, bool):
         return str(bare).lower()
-    return "" if bare is None else bare
+    return "" if bare is None else cell(bare) if isinstance(bare, str) else bare

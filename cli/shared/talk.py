@@ -4,6 +4,7 @@ import contextlib
 import sys
 
 from lunarsci.errors import LunarSciError
+from lunarsci.printable import printable, shortened
 
 FAILED, UNTRUSTED, INTERRUPTED = 1, 3, 130
 
@@ -13,10 +14,10 @@ def say(text: str, *, quiet: bool = False) -> None:
     if quiet or sys.stderr is None:
         return
     with contextlib.suppress(OSError):  # nobody can be told that nobody can be told
-        print(text.replace("\n", " "), file=sys.stderr)  # noqa: T201 - the one place that talks to people
+        print(printable(text.replace("\n", " ")), file=sys.stderr)  # noqa: T201 - the one place that talks to people
 
 
 def failure_line(error: BaseException) -> str:
     """The one line of an error, without a traceback."""
     text = " ".join(str(error).split()) or type(error).__name__
-    return text if isinstance(error, LunarSciError) else f"unexpected {type(error).__name__}: {text}"
+    return shortened(text if isinstance(error, LunarSciError) else f"unexpected {type(error).__name__}: {text}")

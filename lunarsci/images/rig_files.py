@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lunarsci.arrays import FloatArray
+from lunarsci.documents import toml_document
 from lunarsci.errors import DataError
 from lunarsci.images.camera import INTRINSICS, Camera, Pose, rotation_of, vector_of
 from lunarsci.images.rig import PARAMETERS, RELATIVE, Sensor, StereoRig, covariance_of
@@ -33,7 +34,7 @@ class SingleCamera(NamedTuple):
 def read_camera(file: InputFile) -> SingleCamera | None:
     """The camera of a file that `camera_text` made; None for any other TOML. Raises DataError."""
     try:
-        plain = tomllib.loads(text(file))
+        plain = toml_document(text(file))
         if "camera" not in plain:
             return None
         covariance = np.array(plain["covariance"], dtype=float)
@@ -72,7 +73,7 @@ def read_rig(*sources: str | InputFile) -> StereoRig:
         return _read(tomllib.loads(own_text())[sources[0]], str(sources[0]))
     try:
         file = read_input(sources[0])
-        return _read(tomllib.loads(text(file)), file.name)
+        return _read(toml_document(text(file)), file.name)
     except tomllib.TOMLDecodeError as error:
         hint = "; of labels give two, left and right" if text(file).lstrip().startswith("<") else ""
         raise DataError(f"{file.name}: not valid TOML: {error}{hint}") from error
@@ -208,7 +209,7 @@ def read_pose(source: str | InputFile) -> Pose:
     """
     file = read_input(source)
     try:
-        table = tomllib.loads(text(file))
+        table = toml_document(text(file))
         heading, down = float(table["heading_deg"]), float(table["down_deg"])
         return Pose.looking(table["position_m"], heading, down, float(table.get("roll_deg", 0.0)))
     except KeyError as error:

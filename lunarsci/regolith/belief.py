@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
+from lunarsci.documents import json_document
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile, read_json, text
 from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy
@@ -91,10 +92,10 @@ def read_verdict(source: InputFile) -> FitVerdict | None:
     content = text(source)
     try:
         if source.name.lower().endswith(".json"):
-            document = json.loads(content)
+            document = json_document(content)
             return verdict_of(document.get("verdict") if isinstance(document, dict) else None)
         first = content.partition("\n")[0].rstrip("\r")
-        return verdict_of(json.loads(first.removeprefix(MARK))) if first.startswith(MARK) else None
+        return verdict_of(json_document(first.removeprefix(MARK))) if first.startswith(MARK) else None
     except (json.JSONDecodeError, ParameterError) as error:
         raise DataError(f"{source.name}: {error}") from error
 

@@ -7,6 +7,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.provenance import sha256
 from lunarsci.tables import table_hashes
@@ -95,7 +96,7 @@ def read_soil(soil: str) -> Soil:
     if soil in known:
         return _soil(known[soil], soil)
     try:
-        document = tomllib.loads(Path(soil).read_text("utf-8"))
+        document = toml_document(Path(soil).read_text("utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(f"{soil}: not a soil lunarsci knows ({', '.join(known)}) nor a readable TOML file") from error
     except tomllib.TOMLDecodeError as error:
@@ -105,6 +106,9 @@ def read_soil(soil: str) -> Soil:
 
 def _soil(table: dict[str, Any], origin: str) -> Soil:
     values = {name: value for name, value in table.items() if name not in ("source", "assumed")}
+    known = [field.name for field in dataclasses.fields(Soil)]
+    if unknown := [name for name in values if name not in known]:
+        raise DataError(f"{origin}: '{unknown[0]}' is not a key of a soil; these are: {', '.join(known)}")
     try:
         return Soil(**{name: float(value) for name, value in values.items()})
     except (TypeError, ValueError) as error:

@@ -13,6 +13,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal
 
+from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, ParameterError
 
 WHEELS = "wheels.toml"
@@ -70,7 +71,7 @@ def read_rover(rover: str) -> RoverDescription:
 
 def _parse(text: str, origin: str) -> RoverDescription:
     try:
-        document = tomllib.loads(text)
+        document = toml_document(text)
     except tomllib.TOMLDecodeError as error:
         raise DataError(f"{origin}: not valid TOML: {error}") from error
     return _described(document, origin, text)

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.inputs import InputFile, Source, read_input, text
 from lunarsci.result import MadeFrom, Result, request_of
@@ -202,7 +203,7 @@ def cameras(sources: Sequence[Source] = (), request: CamerasRequest | None = Non
 
 def _is_toml(file: InputFile) -> bool:
     try:
-        tomllib.loads(text(file))
+        toml_document(text(file))
     except tomllib.TOMLDecodeError:
         return file.name.lower().endswith(".toml")
     except DataError:

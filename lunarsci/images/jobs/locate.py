@@ -317,11 +317,10 @@ def _station(name: str, own: _Read, rig: "StereoRig", asked: LocateRequest, befo
 
 def _more_of_pose(file: InputFile) -> "tuple[float | None, tuple[float, ...] | None]":
     """Time, and yaw, pitch and roll of the rover, of a pose.toml; None where it does not say them. Raises DataError."""
-    import tomllib
-
+    from lunarsci.documents import toml_document
     from lunarsci.inputs import text
 
-    table = tomllib.loads(text(file))
+    table = toml_document(text(file))
     known = [name for name in ("time_s", *ATTITUDE) if name in table]
     for name in known:
         if isinstance(table[name], bool) or not isinstance(table[name], int | float) or not math.isfinite(table[name]):

@@ -1,12 +1,12 @@
 """A site beside soils of the literature."""
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from lunarsci.documents import json_document
 from lunarsci.errors import DataError, ParameterError, RequestError
-from lunarsci.inputs import Source, read_input
+from lunarsci.inputs import Source, read_input, text
 from lunarsci.regolith.jobs.identify import IdentifiedSoil
 from lunarsci.regolith.wheel import PAPER
 from lunarsci.result import MadeFrom, Result, request_of
@@ -126,10 +126,11 @@ def _site(
     if isinstance(result, IdentifiedSoil):
         return *site_of(result.to_dict()), result.made_from.inputs
     file = read_input(result)
+    content = text(file)
     try:
-        return *site_of(json.loads(file.data)["result"]), {file.name: file.sha256}
+        return *site_of(json_document(content)["result"]), {file.name: file.sha256}
     except (ValueError, KeyError, TypeError) as error:
         if isinstance(error, ParameterError):
             raise
-        text = f"{file.name}: is no result of `regolith identify --json`; make one, or give --stiffness"
-        raise DataError(text) from error
+        message = f"{file.name}: is no result of `regolith identify --json`; make one, or give --stiffness"
+        raise DataError(message) from error

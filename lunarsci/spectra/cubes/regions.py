@@ -1,6 +1,5 @@
 """Which pixels of a cube are wanted: a box, a polygon on the ground, a mask, every n-th."""
 
-import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.constants import MOON_RADIUS_KM
+from lunarsci.documents import json_document
 from lunarsci.errors import DataError, RequestError
 from lunarsci.inputs import read_input, text
 from lunarsci.spectra.cubes.cube import Cube, Source
@@ -127,7 +127,7 @@ def _span(ends: Any, size: int, roi: str) -> tuple[int, int]:
 
 def _polygons(cube: Cube, file: str) -> tuple[tuple[Ring, ...], ...]:
     try:
-        found = list(_rings(json.loads(text(read_input(file)))))
+        found = list(_rings(json_document(text(read_input(file)))))
         rings = [[np.array(ring, float)[:, :2] for ring in polygon] for polygon in found]
     except (ValueError, TypeError, KeyError, IndexError) as error:
         raise DataError(

@@ -14,6 +14,7 @@ import numpy as np
 
 from lunarsci import inputs
 from lunarsci.arrays import FloatArray
+from lunarsci.documents import json_document
 from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.inputs import InputFile
 from lunarsci.tables import table_rows
@@ -165,8 +166,8 @@ def read_rocks(source: InputFile) -> list[Rock]:
 
 def _document(source: InputFile) -> Mapping[str, Any]:
     try:
-        document = json.loads(inputs.text(source))
-    except (json.JSONDecodeError, RecursionError) as error:
+        document = json_document(inputs.text(source))
+    except json.JSONDecodeError as error:
         raise DataError(
             f"{source.name}: is no JSON ({error}); give the output of `lunarsci spectra fit --json`"
         ) from error

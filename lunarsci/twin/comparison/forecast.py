@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
+from lunarsci.documents import json_document
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile, read_input, text
 from lunarsci.provenance import sha256
@@ -163,7 +164,7 @@ def read_forecast(folder: str | Path) -> tuple[Forecast, dict[str, str]]:
 
 def _document(source: InputFile) -> Any:
     try:
-        document = json.loads(text(source))
+        document = json_document(text(source))
     except json.JSONDecodeError as error:
         raise DataError(f"{source.name}, line {error.lineno}: {error.msg}; is the file complete? {AGAIN}") from error
     schema = document.get("schema") if isinstance(document, dict) else None

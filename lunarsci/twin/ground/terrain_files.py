@@ -4,7 +4,6 @@ Maps of a terrain as files: a NumPy archive, and a GeoTIFF with a band for each 
 """
 
 import io
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
+from lunarsci.documents import json_document
 from lunarsci.errors import DataError, OutputError
 from lunarsci.grids import ERROR_LAYERS, HeightGrid, geotiff_bytes, read_grid
 from lunarsci.projections import known_projection
@@ -121,7 +121,7 @@ def _read_terrain(grid: HeightGrid, soil: Soil) -> TerrainFile:
     known_projection(grid.crs)
     place = (grid.name, grid.x0_m, grid.y0_m, grid.spacing_m)
     terrain = build_terrain(*place, grid.height_m, soil, synthetic=grid.synthetic, crs=grid.crs)
-    maker = None if grid.made_for is None else MadeFor.from_table(json.loads(grid.made_for))
+    maker = None if grid.made_for is None else MadeFor.from_table(json_document(grid.made_for))
     soils = {name: values for name, values in grid.layers.items() if name in SOIL_COLUMNS}
     errors = {name: _checked(name, values, grid) for name, values in grid.layers.items() if name not in soils}
     return TerrainFile(terrain.with_soil(**soils), tuple(soils), maker, errors)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import Any, Literal
 
+from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import Source, read_input
 from lunarsci.rovers import MadeFor
@@ -255,7 +256,7 @@ def read_plan(source: "Source | None" = None) -> Plan:
 def parse_plan(text: str, origin: str) -> Plan:
     """The plan of a TOML text; `origin` is its file. Raises DataError."""
     try:
-        document = tomllib.loads(text)
+        document = toml_document(text)
         _check_keys(document, _KEYS, "the plan")
         start, drive = _table(document, "start"), _table(document, "drive")
         _check_keys(start, ("x_m", "y_m", "heading_deg"), "[start]")

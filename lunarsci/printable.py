@@ -1,0 +1,27 @@
+"""Text from files, as it may be shown: nothing that a terminal or a spreadsheet takes for a command."""
+
+import re
+
+COMMANDS = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+"""Control characters but tabs (ISO 6429), and those that turn the direction of text (Unicode 15, Bidi_Control)."""
+FORMULA = re.compile(r"[=+\-@\t](?![\d.\s]*$)(?![\d.]+(e[+-]?\d+)?$)", re.IGNORECASE)
+"""What a spreadsheet runs when a cell begins with it (OWASP, CSV Injection), and no number."""
+LONGEST = 300
+"""Characters of a message; assumed to be what a line of a log takes."""
+
+
+def printable(text: str) -> str:
+    """The text with its control characters spelt out, such as `\\x1b`."""
+    return COMMANDS.sub(lambda found: f"\\x{ord(found[0]):02x}", text)
+
+
+def cell(text: str) -> str:
+    """Text for a cell of a CSV table: printable, and with ' before what a spreadsheet would run."""
+    shown = printable(text)
+    return f"'{shown}" if FORMULA.match(shown) else shown
+
+
+def shortened(text: str) -> str:
+    """A message of at most `LONGEST` characters: what is too long loses its middle, since its end says what to do."""
+    end = LONGEST // 3
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - end - 3]} … {text[-end:]}"
