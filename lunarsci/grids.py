@@ -16,10 +16,17 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.inputs import read_input, text
+from lunarsci.printable import shortened
 from lunarsci.projections import NO_RASTERIO, check_scale, ellipsoid_of, remedy
 from lunarsci.tables import numbers_of, read_csv_table
 
 HEADER = ("ncols", "nrows", "cellsize", "nodata_value", "xllcorner", "yllcorner", "xllcenter", "yllcenter")
+HIGHEST_M = 2e4
+"""No height is farther from the median: the Moon's span 19.9 km (Smith et al. 2017, Icarus 283, 70,
+10.1016/j.icarus.2016.06.006)."""
+MOST_NODES = 40_000_000
+"""More are refused: maps of these take 1.8 GB."""
 EVEN = 1e-4
 """How evenly nodes must be spaced, as a share of the spacing."""
 ERROR_LAYERS = ("height_m_sigma", "height_m_common_sigma", "count", "height_by_disparity_m_px", "resolution_m")
@@ -70,7 +77,9 @@ def read_grid(path: str | Path, layers: Collection[str] = (), unread: Collection
     file = Path(path)
     readers = {".tif": _read_geotiff, ".tiff": _read_geotiff, ".asc": _read_ascii, ".csv": _read_table}
     try:
-        return readers.get(file.suffix.lower(), _read_archive)(file, tuple(layers), tuple(unread))
+        grid = readers.get(file.suffix.lower(), _read_archive)(file, tuple(layers), tuple(unread))
+        _check_heights(str(path), grid.height_m)
+        return grid
     except DataError:
         raise
     except OSError as error:
@@ -79,12 +88,28 @@ def read_grid(path: str | Path, layers: Collection[str] = (), unread: Collection
         raise DataError(f"{path}: {error}") from error
 
 
+def _check_heights(path: str, height_m: FloatArray) -> None:
+    known = height_m[np.isfinite(height_m)]
+    off = np.abs(known - np.median(known)) if known.size else known
+    if off.size and off.max() > HIGHEST_M:
+        wrong = known[int(off.argmax())]
+        raise DataError(
+            f"{path}: a height of {wrong:g} m, {off.max() / 1e3:.0f} km from the median; the whole Moon spans 20 km; "
+            "name the value that stands for no data (NODATA_value, nodata), or give heights in m"
+        )
+
+
+def _check_count(path: Path, nodes: int) -> None:
+    if nodes > MOST_NODES:
+        raise DataError(
+            f"{path}: {nodes / 1e6:,.0f} million nodes, and at most {MOST_NODES / 1e6:.0f} million are read; cut out "
+            "the part around the drive, or take wider nodes"
+        )
+
+
 def _read_archive(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) -> HeightGrid:
-    arrays = _load(path)
     known = {"x_m", "y_m", "height_m", "name", "synthetic", "made_for", "crs", *layers}
-    arrays = {key: array for key, array in arrays.items() if key in known or key not in unread}
-    if unknown := set(arrays) - known:
-        raise DataError(f"{path}: '{min(unknown)}' is not a key of a terrain; these are: {', '.join(sorted(known))}")
+    arrays = _load(path, known, unread)
     for key in ("x_m", "y_m", "height_m"):
         if key not in arrays:
             raise DataError(f"{path}: no '{key}'; a terrain needs x_m, y_m and height_m")
@@ -112,7 +137,8 @@ def _read_geotiff(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) 
     except ImportError as error:
         raise DataError(f"{path}: {NO_RASTERIO}") from error
     try:
-        with rasterio.open(path) as raster:
+        with rasterio.open(path, driver="GTiff") as raster:
+            _check_count(path, raster.width * raster.height)
             transform, crs = raster.transform, raster.crs
             numbers = {1: "height_m"} | {
                 k: str(text) for k, text in enumerate(raster.descriptions, start=1) if k > 1 and text in layers
@@ -159,22 +185,15 @@ def _band(raster: Any, number: int) -> FloatArray:
 
 
 def _read_ascii(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) -> HeightGrid:
-    with path.open("r", encoding="utf-8", errors="strict") as file:
-        header: dict[str, float] = {}
-        position = file.tell()
-        while len(words := file.readline().split()) == 2 and words[0].lower() in HEADER:
-            header[words[0].lower()] = float(words[1])
-            position = file.tell()
-        file.seek(position)
-        for name in ("ncols", "nrows", "cellsize"):
-            if name not in header:
-                raise DataError(
-                    f"{path}: no {name}; an ESRI ASCII grid begins with ncols, nrows, xllcorner, yllcorner, cellsize"
-                )
-        heights = np.array(file.read().split(), dtype=np.float64)
-    if not all(1 <= header[name] < np.inf for name in ("ncols", "nrows")):
-        raise DataError(f"{path}: ncols {header['ncols']:g}, nrows {header['nrows']:g}; give counts of 1 or more")
-    shape = int(header["nrows"]), int(header["ncols"])
+    lines = text(read_input(path)).splitlines()
+    header: dict[str, float] = {}
+    while lines and len(words := lines[0].split()) == 2 and (name := words[0].lower()) in HEADER:
+        if name in header:
+            raise DataError(f"{path}: {name} is there twice; keep the right one")
+        header[name] = float(words[1])
+        lines.pop(0)
+    shape = _checked_header(path, header)
+    heights = np.array(" ".join(lines).split(), dtype=np.float64)
     if heights.size != shape[0] * shape[1]:
         raise DataError(f"{path}: {heights.size} heights, {shape[0]} rows of {shape[1]} announced; is it cut short?")
     heights[heights == header.get("nodata_value", -9999.0)] = np.nan
@@ -182,6 +201,24 @@ def _read_ascii(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) ->
     x0, y0 = (header.get(f"{axis}llcenter", header.get(f"{axis}llcorner", 0.0) + half) for axis in "xy")
     height = heights.reshape(shape)[::-1]
     return HeightGrid(name=path.stem, x0_m=x0, y0_m=y0, spacing_m=header["cellsize"], height_m=height)
+
+
+def _checked_header(path: Path, header: Mapping[str, float]) -> tuple[int, int]:
+    """Rows and columns that the header of an ESRI ASCII grid announces, when nothing in it contradicts itself."""
+    for name in ("ncols", "nrows", "cellsize"):
+        if name not in header:
+            raise DataError(
+                f"{path}: no {name}; an ESRI ASCII grid begins with ncols, nrows, xllcorner, yllcorner, cellsize"
+            )
+    if not all(header[name] >= 1 and header[name].is_integer() for name in ("ncols", "nrows")):
+        raise DataError(f"{path}: ncols {header['ncols']:g}, nrows {header['nrows']:g}; give counts of 1 or more")
+    if not 0 < header["cellsize"] < math.inf:
+        raise DataError(f"{path}: a cellsize of {header['cellsize']:g}; give the side of a cell in m")
+    given = {name for name in header if name[1:3] == "ll"}
+    if given - {"xllcorner", "yllcorner"} and given - {"xllcenter", "yllcenter"}:
+        raise DataError(f"{path}: {' and '.join(sorted(given))}; name the corner of the first cell, or its centre")
+    _check_count(path, int(header["nrows"] * header["ncols"]))
+    return int(header["nrows"]), int(header["ncols"])
 
 
 def _read_table(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) -> HeightGrid:
@@ -249,13 +286,22 @@ def geotiff_bytes(
     return content
 
 
-def _load(path: Path) -> dict[str, Any]:
+def _load(path: Path, known: set[str], unread: tuple[str, ...]) -> dict[str, Any]:
+    """The arrays of an archive, none of which is unpacked before its name and its size are known to be sound."""
     try:
         archive = np.load(path, allow_pickle=False)
         if not isinstance(archive, np.lib.npyio.NpzFile):
             raise DataError(f"{path}: a single array, not a NumPy archive; write it with numpy.savez")
         with archive:
-            return {key: archive[key] for key in archive.files}
+            if unknown := {*archive.files} - known - {*unread}:
+                wrong = shortened(min(unknown))
+                raise DataError(f"{path}: '{wrong}' is not a key of a terrain; these are: {', '.join(sorted(known))}")
+            for entry in archive.zip.infolist() if archive.zip else ():
+                _check_count(path, entry.file_size // 8)
+            arrays = {key: archive[key] for key in archive.files if key in known}
+        if wrong := next((key for key, array in arrays.items() if np.iscomplexobj(array)), ""):
+            raise DataError(f"{path}: {wrong} has complex numbers; write real ones")
+        return arrays
     except DataError:
         raise
     except OSError as error:

@@ -34,6 +34,10 @@ _UNPRINTABLE_ASCII = bytes([*range(9), *range(0x0E, 0x1A), *range(0x1B, 0x20), 0
 _UNPRINTABLE_SHARE = 0.1
 _BEGINNING = 65536
 _PIECE = 1 << 20
+_BETWEEN = re.compile(r"[\s,;]+")
+_NUMBER = re.compile(r"[+-]?\d+(?:\.(\d*))?(?:[eEdD][+-]?(\d+))?")
+_ROWS = 3
+"""From so many rows on the last number of a table is set beside those above it; assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,8 +135,16 @@ def _read_stdin() -> bytes:
 def text(input: InputFile) -> str:
     """Decode an input: UTF-8 or UTF-16 by its byte order mark, else UTF-8, else Latin-1 (said by a LunarSciWarning).
 
-    Raises DataError for binary content: a NUL, or more than a tenth of the characters unprintable.
+    Raises DataError for binary content, a NUL, or more than a tenth of the characters unprintable, and for a table that
+    is cut inside its last number.
     """
+    decoded = _text(input)
+    if not decoded.endswith(("\n", "\r")):
+        _check_end(input.name, decoded)
+    return decoded
+
+
+def _text(input: InputFile) -> str:
     decoded = _decoded(input)
     if "\0" in decoded or _unprintable(decoded) > _UNPRINTABLE_SHARE * len(decoded):
         raise DataError(f"{input.name}: is a binary file, not text; check that it is the file you mean")
@@ -141,11 +153,33 @@ def text(input: InputFile) -> str:
     return decoded
 
 
+def _check_end(name: str, decoded: str) -> None:
+    """Refuse a table whose last line does not end and whose last number is shorter than all above it: cut inside."""
+    lines = decoded[-_BEGINNING:].split("\n")[int(len(decoded) > _BEGINNING) :]
+    *above, last = ([part for part in _BETWEEN.split(line.strip()) if part] for line in lines)
+    column = [_digits(row[-1]) for row in above if row and len(row) == len(last)]
+    end = _digits(last[-1]) if last else None
+    known = [digits for digits in column if digits is not None]
+    if end is None or len(known) < max(len(column), _ROWS):
+        return
+    if any(mine < min(theirs) for mine, theirs in zip(end, zip(*known, strict=True), strict=True)):
+        raise DataError(
+            f"{name}: the last line has no end, and its last number, {last[-1]}, fewer digits than those above it: was "
+            "the file cut there? Fetch it again, or end the line if it is whole"
+        )
+
+
+def _digits(number: str) -> tuple[int, int] | None:
+    """Digits after the point, and of the exponent; None for what is no number."""
+    found = _NUMBER.fullmatch(number)
+    return found and (len(found[1] or ""), len(found[2] or ""))
+
+
 def beginning(input: InputFile) -> str:
     """`text` of the first 64 kB, by which a format is told; of everything where these are blank, or in UTF-16."""
     first = input.data[:_BEGINNING]
     whole = first == input.data or first.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or not first.strip()
-    return text(input if whole else InputFile(input.name, first))
+    return _text(input if whole else InputFile(input.name, first))
 
 
 def _unprintable(decoded: str) -> int:

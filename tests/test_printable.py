@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-
 from lunarsci.cli import main
+
 from lunarsci.documents import json_document, toml_document
 from lunarsci.printable import LONGEST, cell, printable, shortened
 from lunarsci.tables import csv_bytes
@@ -51,9 +51,7 @@ def test_a_long_message_keeps_its_ends() -> None:
 
 
 @pytest.mark.parametrize("kind", ["--csv", "--json", "table"])
-def test_a_spectrum_with_a_name_of_commands(
-    kind: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_spectrum_with_a_name_of_commands(kind: str, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     rows = "".join(f"{nm},{0.2 + 1e-5 * nm - 0.03 * (900 < nm < 1050):.5f}\n" for nm in range(500, 2500, 10))
     file = tmp_path / "named.csv"
     file.write_text(f"wavelength_nm,=cmd{RED}{TITLE}\n{rows}")
