@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: help demo test quick check clean
+.PHONY: help demo test quick check fuzz clean
 
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 8
@@ -37,6 +37,9 @@ $(VENV)/.tested: $(VENV)/.installed
 $(VENV)/.developed: $(VENV)/.tested
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@
+
+fuzz: $(VENV)/.tested ## 100,000 spoilt files for every reader; some hours
+	$(BIN)/python tests/benchmarks/fuzz.py
 
 clean: ## removes what make has made
 	rm -rf $(VENV) build dist *.egg-info lunarsci-demo .pytest_cache .mypy_cache .ruff_cache

@@ -36,6 +36,8 @@ def rows_by_id(source: InputFile) -> dict[str, tuple[int, dict[str, str]]]:
 
 def _rows(source: InputFile) -> list[tuple[int, dict[str, str]]]:
     lines = split_lines(inputs.text(source))[0]
+    if not lines:
+        raise DataError(f"{source.name}: holds only comments; check how it was made")
     separator = separator_of(lines)
     reader = csv.reader(io.StringIO("\n".join(line for _, line in lines)), delimiter=separator, strict=True)
     try:
