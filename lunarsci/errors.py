@@ -12,7 +12,10 @@ Each also inherits the builtin a caller would expect. The message is one line: w
 
 
 class LunarSciError(Exception):
-    """Root of every error that lunarsci raises on purpose."""
+    """Root of every error that lunarsci raises on purpose; its text is one line, whatever names from files are in it."""
+
+    def __str__(self) -> str:
+        return " ".join(super().__str__().split())
 
 
 class DataError(LunarSciError, ValueError):

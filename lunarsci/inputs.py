@@ -156,6 +156,8 @@ def _text(input: InputFile) -> str:
 def _check_end(name: str, decoded: str) -> None:
     """Refuse a table whose last line does not end and whose last number is shorter than all above it: cut inside."""
     lines = decoded[-_BEGINNING:].split("\n")[int(len(decoded) > _BEGINNING) :]
+    if not lines:
+        return
     *above, last = ([part for part in _BETWEEN.split(line.strip()) if part] for line in lines)
     column = [_digits(row[-1]) for row in above if row and len(row) == len(last)]
     end = _digits(last[-1]) if last else None

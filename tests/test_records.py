@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from lunarsci import records as module
+from lunarsci.printable import cell
 from lunarsci.provenance import json_chunks, to_json
 from lunarsci.record_blocks import RecordsInBlocks, in_blocks
 from lunarsci.records import Codes, Listed, Records, Same, Where
@@ -81,8 +82,8 @@ def test_csv_is_that_of_python() -> None:
     for row, record in zip(rows, records, strict=True):
         ratio = record["nbsr"] or {}
         opx = (ratio.get("um1") or {}).get("opx")
-        assert row[place["id"]] == record["id"]
-        assert row[place["status"]] == (record["status"] or "")
+        assert row[place["id"]] == cell(record["id"])
+        assert row[place["status"]] == cell(record["status"] or "")
         assert row[place["rms_ln"]] == ("" if record["rms_ln"] is None else repr(record["rms_ln"]))
         assert row[place["nbsr_um1_opx"]] == ("" if opx is None else repr(opx))
         assert row[place["converged"]] == str(record["converged"]).lower()

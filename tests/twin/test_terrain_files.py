@@ -98,7 +98,7 @@ def test_rasters_that_do_not_fit_are_refused_with_a_way_out(tmp_path: Path, long
         ("t.asc", b"ncols 3\nnrows 3\ncellsize 1\n1 2 3\n4 5 6\n", "cut short"),
         ("t.asc", b"1 2 3\n4 5 6\n", "begins with ncols"),
         ("t.asc", b"ncols 3\nnrows 1\ncellsize 1\n1 two 3\n", "two"),
-        ("t.asc", b"\xff\xfe\x00\x01", "decode"),
+        ("t.asc", b"\xff\xfe\x00\x01", "ncols"),
         ("t.csv", b"x_m,y_m\n1,2\n", "no column height_m"),
         ("t.csv", b"x_m,y_m,height_m,slope\n1,2,3,4\n", "'slope' is no column"),
         ("t.csv", b"x_m,y_m,height_m\n0,0,1\n1,0,1\n2.5,0,1\n0,1,1\n", "at least 3|even steps"),

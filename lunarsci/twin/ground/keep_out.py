@@ -21,6 +21,10 @@ NEAR_M = 3.0
 """Circles farther from a way than this, and a rover, are of no account for it; assumed. [m]"""
 
 
+FARTHEST_M = 1.1e7
+"""Once round the Moon, of 1737.4 km radius (Archinal et al. 2018, 10.1007/s10569-017-9805-5). [m]"""
+
+
 @dataclass(frozen=True, slots=True)
 class ExclusionZone:
     """A circle that no part of the rover may enter: name, centre [m] and radius > 0 [m]. Raises ParameterError."""
@@ -97,6 +101,8 @@ def _covering(name: str, ring: FloatArray) -> Iterator[ExclusionZone]:
     corners = ring[:-1] if len(ring) > 1 and (ring[0] == ring[-1]).all() else ring
     if len(corners) < 3 or not np.isfinite(corners).all():
         raise ParameterError("a polygon needs three corners or more, in m")
+    if np.abs(corners).max() > FARTHEST_M:
+        raise ParameterError(f"a polygon has a corner at {np.abs(corners).max():g} m, farther than the Moon goes round")
     x, y = corners.T
     area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
     low, high = corners.min(axis=0), corners.max(axis=0)

@@ -1,0 +1,51 @@
+"""The same bytes from the same input, seed and version, whatever the threads, hashes, language and time zone."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+HERE = {"NUMBA_NUM_THREADS": "2", "PYTHONHASHSEED": "1", "TZ": "UTC", "LC_ALL": "C.UTF-8", "COLUMNS": "80"}
+ELSEWHERE = {
+    "NUMBA_NUM_THREADS": "1",
+    "PYTHONHASHSEED": "2",
+    "TZ": "Pacific/Apia",
+    "LC_ALL": "tr_TR.UTF-8",
+    "COLUMNS": "200",
+}
+COMMANDS = {
+    "fit": ["spectra", "fit", "{folder}/SYNTHETIC.csv", "--assemblage", "OPX-CPX"],
+    "predict": ["twin", "predict", "--members", "20", "--seed", "3", "--sweep", "cohesion_pa=200:1000:3"],
+}
+
+
+def write_spectra(file: Path) -> None:
+    """Twenty made-up spectra with two bands each."""
+    nm = np.arange(500.0, 2500.0, 20.0)
+    rng = np.random.default_rng(5)
+    columns = [nm]
+    for _ in range(20):
+        deep, shallow = rng.uniform(0.1, 0.3, 2)
+        bands = deep * np.exp(-(((nm - 960) / 110) ** 2)) + shallow * np.exp(-(((nm - 2050) / 240) ** 2))
+        columns.append((0.1 + 2e-5 * nm) * np.exp(-bands) * (1 + 0.002 * rng.standard_normal(nm.size)))
+    names = ",".join(["wavelength_nm", *(f"rock{k:02d}" for k in range(20))])
+    np.savetxt(file, np.column_stack(columns), "%.6f", ",", header=names, comments="")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_same_bytes_everywhere(name: str, tmp_path: Path) -> None:
+    write_spectra(tmp_path / "SYNTHETIC.csv")
+    command = [part.format(folder=tmp_path) for part in COMMANDS[name]]
+    found = []
+    for environment in (HERE, ELSEWHERE):
+        done = subprocess.run(
+            [sys.executable, "-m", "lunarsci.cli", *command, "--json", "--no-time", "-q"],
+            env={**os.environ, **environment}, capture_output=True, check=False,
+        )  # fmt: skip
+        assert done.returncode in (0, 3), done.stderr.decode()
+        found.append(done.stdout)
+    assert found[0]
+    assert found[0] == found[1]
