@@ -12,7 +12,7 @@ Each also inherits the builtin a caller would expect. The message is one line: w
 
 
 class LunarSciError(Exception):
-    """Root of every error that lunarsci raises on purpose; its text is one line, whatever names from files are in it."""
+    """Root of every error that lunarsci raises on purpose; its text is one line, whatever a file names in it."""
 
     def __str__(self) -> str:
         return " ".join(super().__str__().split())
