@@ -28,6 +28,9 @@ from lunarsci.result import Result
 
 TABLE = Path(__file__).with_name("former_results.json")
 SAME_MACHINE, OTHER_MACHINE = 1e-12, 1e-6
+DRAWN = {"fit sample": 0.05}
+"""Bounds on other machines of what a chain of draws gives, which takes another way where a last digit is another: three
+times 1.6 %, by which quantiles of such a chain differed between an AMD and an Intel processor."""
 LONG = 8
 ROCK = "ol=0.1,opx=0.4,cpx=0.2,plg=0.3"
 SHORT = """name = "short"
@@ -252,7 +255,7 @@ def now(folder: Path) -> dict[str, dict[str, Any]]:
 @pytest.mark.parametrize("name", json.loads(TABLE.read_text("utf-8"))["answers"] if TABLE.exists() else [])
 def test_an_answer_is_the_former_one(name: str, now: dict[str, dict[str, Any]]) -> None:
     table = json.loads(TABLE.read_text("utf-8"))
-    bound = SAME_MACHINE if table["machine"] == machine() else OTHER_MACHINE
+    bound = SAME_MACHINE if table["machine"] == machine() else DRAWN.get(name, OTHER_MACHINE)
     assert differences(table["answers"][name], now[name], bound) == []
 
 
