@@ -156,7 +156,7 @@ def remedy(wkt: str, longitude_deg: float, latitude_deg: float, spacing_m: float
     local = f"+proj=stere +lat_0={latitude_deg:.4f} +lon_0={longitude_deg:.4f} {globe}"
     return (
         f"project it to metres about its middle: rio warp IN.tif OUT.tif --dst-crs '{local}' --res {spacing_m:.3g} "
-        "--resampling bilinear"
+        "--resampling bilinear (nearest where it has classes of ground)"
     )
 
 

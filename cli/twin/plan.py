@@ -19,8 +19,8 @@ from .terrain import OPTIONS as OF_TERRAIN
 
 if TYPE_CHECKING:
     from lunarsci.twin.choice.choice import DriveCandidate
-    from lunarsci.twin.ground.hazards import Mobility
     from lunarsci.twin.jobs.chosen_drive import ChosenDrive
+    from lunarsci.twin.jobs.terrain import TerrainSurvey
     from lunarsci.twin.plans.plan import Leg
     from lunarsci.twin.routes.planner import PlannedPath
 
@@ -38,6 +38,11 @@ OPTIONS = {
     "lonlat": option(
         "Start and target are longitude to the east and latitude in deg, on a terrain with a coordinate system.",
         panel=PATH,
+    ),
+    "local": option(
+        "Finer terrain in the same coordinates, looked at in place of the first one where it is known; repeatable.",
+        panel=PATH,
+        metavar="FILE",
     ),
     "speed": option("Speed in m/s; the rover's highest if left out.", panel=PATH),
     "turning_radius": option("Smallest radius of an arc, in m.", panel=LIMITS),
@@ -125,7 +130,7 @@ def plan(
     if isinstance(found, PlannedMission):
         return Report.of(found, mission_tables(found), files=found.files(geotiff=geotiff))
     tables = [_choice_table(found)] if isinstance(found, ChosenDrive) else [ground_table(found)]
-    tables += [] if found.path is None else [_path_table(found.path, found.site.mobility, found.light())]
+    tables += [] if found.path is None else [_path_table(found, found.path)]
     return Report.of(found, tables, files=found.files(geotiff=geotiff))
 
 
@@ -192,9 +197,10 @@ def _percent(chance: float) -> str:
     return f"{100 * chance:.1f}" if chance < 0.02 else f"{100 * chance:.0f}"
 
 
-def _path_table(path: "PlannedPath", limits: "Mobility", light: Mapping[str, Any]) -> TextTable:
+def _path_table(found: "TerrainSurvey", path: "PlannedPath") -> TextTable:
     import numpy as np
 
+    limits = found.site.mobility
     rows = [
         [str(number), f"{arc.length_m:.3f}", f"{arc.curvature_per_m:.4f}", _radius(arc.curvature_per_m)]
         for number, arc in enumerate(path.plan.legs, start=1)
@@ -207,10 +213,14 @@ def _path_table(path: "PlannedPath", limits: "Mobility", light: Mapping[str, Any
     notes = [
         f"{path.plan.length_m:.3f} m long, ends at x {end[0]:.3f} m, y {end[1]:.3f} m, "
         f"heading {np.degrees(end[2]):.1f} deg, {1e3 * path.miss_m:.1f} mm from the target",
-        *_place_notes(path, light),
+        *_place_notes(path, found.light()),
         f"under the footprint: slope {path.max_slope_deg:.2f} of {limits.max_slope_deg:g} deg, step "
         f"{_known(path.max_step_m)} of {limits.max_step_m:g} m; nearest hazard {path.min_hazard_distance_m:.2f} m, "
         f"{limits.hazard_distance_m:g} m to be kept",
+        *(
+            f"{one['length_m']:.1f} m looked at on {one['terrain']}, every {one['spacing_m']:g} m"
+            for one in found.checked
+        ),
     ]
     return TextTable(headers, rows, title=path.plan.name, notes=notes)
 

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from lunarsci.twin.routes.planner import PlannedPath
 
 
+CHECKED_EVERY_M = 0.1
 Place = str | tuple[float, ...]
 PLACE = ("X", "Y", "HEADING")
 OF_A_CHOICE = ("sweep", "members", "tolerance", "candidates", "fixes", "prefer", "exact_terrain", "teach")
@@ -48,6 +49,7 @@ class PlanRequest(GroundRequest):
     fixes : with `risk`: M,DEG, standard errors of localisation updates, where drives may halt for some.
     exact_terrain : with `risk`: leave out that each drive has a ground of its own where the terrain's file says how far
         its heights may be off.
+    local : files of finer terrains, in the first one's coordinates, that stand in its place where they are known.
     mission : TOML file of several targets with keep-outs, time and windows of communication, instead of a target;
         reached by legs with localisation between, over the soils; `risk` is then that of the whole, 0.05 if None.
     """
@@ -68,9 +70,12 @@ class PlanRequest(GroundRequest):
     fixes: str | None = None
     exact_terrain: bool = False
     teach: bool = False
+    local: tuple[str, ...] = ()
     mission: str | None = None
 
     def __post_init__(self) -> None:
+        if self.local and (self.mission is not None or self.risk is not None):
+            raise RequestError("`local` is for a path on the maps, without `risk` and `mission`; leave one of them out")
         if self.mission is not None:
             self._check_mission()
             return
@@ -170,12 +175,48 @@ def plan(
         return chosen_drive(terrain, asked, progress)
     site = read_site(terrain, asked, next(iter(asked.soil), None), asked.limits())
     surface = site.surface(asked.baseline, progress)
-    return TerrainSurvey(site=site, surface=surface, path=_path(asked.on(site.terrain), site, surface, progress))
+    finer, site = _finer(asked, site, progress)
+    path = _path(asked.on(site.terrain), site, surface, finer, progress)
+    return TerrainSurvey(site=site, surface=surface, path=path, checked=_checked(path, site, finer))
+
+
+def _finer(
+    asked: PlanRequest, site: SurveyedSite, progress: Progress | None
+) -> tuple[tuple["Traversability", ...], SurveyedSite]:
+    """The maps of the local terrains, the finest last, and the site with their hashes. Raises DataError."""
+    from lunarsci.twin.ground.finer_ground import check_finer
+
+    alone = GroundRequest(rover=asked.rover, keep_out=asked.keep_out)
+    found, inputs = [], dict(site.inputs)
+    for path in asked.local:
+        local = read_site(path, alone, next(iter(asked.soil), None), asked.limits())
+        check_finer(path, local.terrain, site.terrain)
+        found.append(local.surface(asked.baseline, progress))
+        inputs |= local.inputs
+    found.sort(key=lambda one: -one.terrain.spacing_m)
+    return tuple(found), replace(site, inputs=inputs)
+
+
+def _checked(path: "PlannedPath", site: SurveyedSite, finer: tuple["Traversability", ...]) -> list[dict[str, Any]]:
+    """On how much of the path which terrain was looked at, the first one first; nothing without local ones."""
+    if not finer:
+        return []
+    from lunarsci.twin.ground.finer_ground import lengths_checked
+    from lunarsci.twin.plans.path import poses_along
+
+    poses = poses_along(path.plan, CHECKED_EVERY_M)
+    lengths = lengths_checked(poses, path.plan.length_m / len(poses), path.footprint, finer)
+    terrains = (site.terrain, *(one.terrain for one in finer))
+    return [
+        {"terrain": terrain.name, "spacing_m": terrain.spacing_m, "length_m": length}
+        for terrain, length in zip(terrains, (path.plan.length_m - sum(lengths), *lengths), strict=True)
+    ]
 
 
 def _path(
-    asked: PlanRequest, site: SurveyedSite, surface: "Traversability", progress: Progress | None
-) -> "PlannedPath":
+    asked: PlanRequest, site: SurveyedSite, surface: "Traversability", finer: tuple["Traversability", ...],
+    progress: Progress | None,
+) -> "PlannedPath":  # fmt: skip
     from lunarsci.twin.assimilation.change_point import planned_places
     from lunarsci.twin.ground.keep_out import near_way
     from lunarsci.twin.routes.long_way import way_to
@@ -191,6 +232,7 @@ def _path(
         limits=limits_at(site),
         name=f"path to x {x:g} m, y {y:g} m on {site.terrain.name}",
         progress=progress,
+        finer=finer,
     )
     near = near_way(site.keep_outs, planned_places(found.plan, site.rover))
     return replace(found, plan=replace(found.plan, made_for=site.made_for, exclusion_zones=near, crs=site.terrain.crs))

@@ -250,7 +250,7 @@ class _Ways:
             except (ParameterError, IndexError):
                 raise error from None
         near = near_way(self.site.keep_outs, planned_places(plan, self.site.rover)) if self.site.keep_outs else ()
-        return replace(plan, made_for=self.site.made_for, exclusion_zones=near)
+        return replace(plan, made_for=self.site.made_for, exclusion_zones=near, crs=self.site.terrain.crs)
 
 
 def _nominal(mission: Mission, site: SurveyedSite) -> Plan:

@@ -212,6 +212,7 @@ class TerrainSurvey(Result):
     site: SurveyedSite
     surface: "Traversability"
     path: "PlannedPath | None" = None
+    checked: Sequence[Mapping[str, Any]] = ()
 
     @property
     def made_from(self) -> MadeFrom:
@@ -244,7 +245,7 @@ class TerrainSurvey(Result):
         """The path, its ends also by longitude and latitude where the terrain has a coordinate system."""
         from lunarsci.projections import lonlat_of
 
-        record = path.to_dict()
+        record = path.to_dict() | ({"checked": list(self.checked)} if self.checked else {})
         for end in ("start", "target", "end"):
             record[end] |= lonlat_of(self.site.terrain.crs, (record[end]["x_m"], record[end]["y_m"]))
         return record

@@ -1,7 +1,7 @@
 """A way of hundreds of metres: the cheapest one over the nodes of the map, and arcs from place to place along it."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -11,11 +11,13 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
-from lunarsci.twin.ground.footprint import rover_footprint
+from lunarsci.twin.ground.finer_ground import laid_over, patch
+from lunarsci.twin.ground.footprint import rover_footprint, swept_nodes
 from lunarsci.twin.ground.hazards import COST_CAP, Traversability
+from lunarsci.twin.plans.path import poses_along
 from lunarsci.twin.plans.plan import Limit
 from lunarsci.twin.routes.arc_search import FINEST_M
-from lunarsci.twin.routes.planner import PlannedPath, plan_path
+from lunarsci.twin.routes.planner import PLACES_M, PlannedPath, plan_path, search_margin_m
 from lunarsci.twin.routes.search_ground import Window, drive_arcs, search_ground
 from lunarsci.twin.rover import Rover
 
@@ -27,6 +29,8 @@ AS_CHEAP = 1.02
 """A straight line may cost so many times the way over the nodes that it replaces; assumed."""
 MOST_NODES = 2_000_000
 """Of a larger map every second, third ... node is searched."""
+END_M = 2.0
+"""Finer ground so near to start or target is looked at for whether a rover can be there. [m]"""
 MARGIN_SHARE, MARGIN_M = 0.5, 50.0
 
 
@@ -66,8 +70,12 @@ def long_way(
     limits: tuple[Limit, ...] = (),
     name: str = "planned path",
     progress: Callable[[int, int], None] | None = None,
+    finer: Sequence[Traversability] = (),
 ) -> PlannedPath:
     """A path of many arcs to a target hundreds of metres away; arguments as those of `plan_path`.
+
+    Where `finer` grounds are known, the finest last, the way is searched over nodes that count with what lies in their
+    cells, and arcs near to them are searched and checked on patches with the finest nodes.
 
     The cheapest way over the nodes, of steps to the eight neighbours (Dijkstra 1959, 10.1007/BF01386390), where cost is
     that of `drive_arc` and every node keeps the rover's clearance, is straightened into places at most 20 m apart; arcs
@@ -76,17 +84,17 @@ def long_way(
     arcs.
     """
     for what, place in (("start", start[:2]), ("target", target)):
-        _check_end(surface, what, place)
-    ends = np.array([start[:2], target])
-    strip = _strip(surface, rover, ends)
-    way = way_over_nodes(surface, strip, ends)
+        _check_end(patch(surface, finer, np.array([place]), END_M), what, place)
+    ends, whole = np.array([start[:2], target]), laid_over(surface, finer) if finer else surface
+    strip = _strip(whole, rover, ends)
+    way = way_over_nodes(whole, strip, ends)
     places = straightened(way, strip)
     found: list[PlannedPath] = []
     pose, number = start, 0
     while number < len(places) - 1:
         if progress is not None:
             progress(number, len(places))
-        piece, number = _joined(surface, rover, pose, places, number, final_heading_deg, speed_m_s)
+        piece, number = _joined(surface, finer, rover, pose, places, number, final_heading_deg, speed_m_s)
         found.append(piece)
         end = piece.end
         pose = (float(end[0]), float(end[1]), math.degrees(end[2]))
@@ -227,6 +235,7 @@ def _straight_costs(here_m: FloatArray, there_m: FloatArray, strip: Strip) -> Fl
 
 def _joined(
     surface: Traversability,
+    finer: Sequence[Traversability],
     rover: Rover,
     pose: tuple[float, float, float],
     places: FloatArray,
@@ -243,13 +252,30 @@ def _joined(
         for heading in _headings(places, goal, final_heading_deg):
             try:
                 x, y = places[goal]
-                found = plan_path(
-                    surface, rover, pose, (float(x), float(y)), final_heading_deg=heading, speed_m_s=speed_m_s
+                found = _arcs_to(
+                    surface, finer, rover, pose, (float(x), float(y)), final_heading_deg=heading, speed_m_s=speed_m_s
                 )
                 return found, goal
             except ParameterError as error:
                 failed = failed or error
     raise ParameterError(f"after place {number} of {len(places) - 1} of the way: {failed}")
+
+
+def _arcs_to(
+    surface: Traversability,
+    finer: Sequence[Traversability],
+    rover: Rover,
+    start: tuple[float, float, float],
+    target: tuple[float, float],
+    **options: Any,
+) -> PlannedPath:
+    """`plan_path`, on a patch where finer ground lies near; its swept nodes are those of the surface."""
+    margin = search_margin_m(rover_footprint(rover), math.dist(start[:2], target)) + surface.terrain.spacing_m
+    ground = patch(surface, finer, np.array([start[:2], target]), margin)
+    found = plan_path(ground, rover, start, target, **options)
+    if ground is surface:
+        return found
+    return replace(found, swept=swept_nodes(found.footprint, surface.terrain, poses_along(found.plan, PLACES_M)))
 
 
 def _headings(places: FloatArray, goal: int, final_heading_deg: float | None) -> tuple[float | None, ...]:
@@ -314,8 +340,10 @@ def way_to(
     rover: Rover,
     start: tuple[float, float, float],
     target: tuple[float, float],
+    finer: Sequence[Traversability] = (),
     **options: Any,
 ) -> PlannedPath:
     """`plan_path` to a target that is near, `long_way` to one beyond 30 m; their arguments."""
-    planner = long_way if math.dist(start[:2], target) > LONG_M else plan_path
-    return planner(surface, rover, start, target, **options)
+    if math.dist(start[:2], target) > LONG_M:
+        return long_way(surface, rover, start, target, finer=finer, **options)
+    return _arcs_to(surface, finer, rover, start, target, **options)

@@ -136,7 +136,7 @@ class RouteSearch:
             raise ParameterError("the target is where the rover stands; give another target")
         footprint = rover_footprint(rover)
         ends = np.array([start[:2], target])
-        ground = search_ground(surface, ends, MARGIN_SHARE * distance + MARGIN_M + footprint.reach_m)
+        ground = search_ground(surface, ends, search_margin_m(footprint, distance))
         search = cls(surface=surface, ground=ground, rover=rover, footprint=footprint, start=pose, goal=np.array(goal))
         search._check_room("start", pose[None])
         headings = np.radians(np.arange(0.0, 360.0, 5.0)) if final_heading_deg is None else [goal[2]]
@@ -200,6 +200,11 @@ class RouteSearch:
                 f"at the {name} the footprint is {distance:.2f} m from an obstacle and {least:g} m are to be kept: "
                 f"{self.obstacle(point)}; give another {name}, or a smaller distance"
             )
+
+
+def search_margin_m(footprint: RoverFootprint, distance_m: float) -> float:
+    """How far beyond start and target the search looks. [m]"""
+    return MARGIN_SHARE * distance_m + MARGIN_M + footprint.reach_m
 
 
 def _leg_record(leg: Leg) -> dict[str, float]:
