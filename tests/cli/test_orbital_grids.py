@@ -73,3 +73,20 @@ def test_a_target_off_the_grid_is_one_line(run: Run, dtm: Path) -> None:
         failed = run(*PLAN, dtm, *places(START, target))
         assert (failed.code, failed.out, len(failed.err)) == (1, "", 1), failed
         assert says in failed.err[0]
+
+
+def test_a_finer_grid_is_looked_at_where_it_lies(run: Run, dtm: Path, tmp_path: Path) -> None:
+    mast, target = tmp_path / "mast.tif", (START[0] + 36.0, START[1])
+    shape = {"driver": "GTiff", "height": 160, "width": 160, "count": 1, "dtype": "float32"}
+    where = {"crs": MOON, "transform": rasterio.transform.from_origin(START[0] + 8.0, START[1] + 10.0, 0.125, 0.125)}
+    with rasterio.open(mast, "w", **shape, **where) as raster:
+        raster.write(np.zeros((160, 160), dtype="float32"), 1)
+    done = run(*PLAN, dtm, *places(START, target), "--local", mast, "-q")
+    assert done.code == 0, done.err
+    assert (
+        "m looked at on NAC_DTM_SYNTHETIC, every 2 m" in done.out and "m looked at on mast, every 0.125 m" in done.out
+    )
+    failed = run(*PLAN, dtm, *places(START, target), "--local", dtm)
+    assert (failed.code, failed.out, len(failed.err)) == (1, "", 1) and "must be finer" in failed.err[0]
+    failed = run(*PLAN, dtm, *places(START, target), "--local", mast, "--risk", "0.05")
+    assert failed.code == 2 and "--local is for a path on the maps" in failed.err[-1]
