@@ -136,3 +136,18 @@ def test_a_target_on_unknown_ground_is_come_near_to(run: Run, belief: Path, tmp_
     mission = json.loads(done.out)["result"]["mission"]
     assert mission["targets"][0]["fate"] == "horizon" and mission["last_target"] is None
     assert 3.5 < mission["legs"][-1]["end_x_m"] < 6.0
+
+
+def test_plans_of_legs_carry_the_coordinate_system_of_the_terrain(run: Run, belief: Path, tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    crs = rasterio.crs.CRS.from_user_input("+proj=stere +lat_0=-85 +lon_0=0 +R=1737400").to_wkt()
+    flat = build_terrain("flat", -5.0, -5.0, 0.1, np.zeros((101, 101)), read_soil("longji"), crs=crs)
+    (tmp_path / "flat.npz").write_bytes(terrain_bytes(flat))
+    mission = tmp_path / "short.toml"
+    mission.write_text(
+        FAR.replace("x_m = -18", "x_m = -2").replace("x_m = 18", "x_m = 1").replace("y_m = 2", "y_m = 0")
+    )
+    folder = tmp_path / "out"
+    done = run(*QUICK, tmp_path / "flat.npz", "--mission", mission, "--soil", belief, "-o", folder)
+    assert done.code in (0, 3), done.err
+    assert read_plan(str(folder / "leg-001.toml")).crs == crs
