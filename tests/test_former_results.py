@@ -42,6 +42,22 @@ length_m = 1.0
 length_m = 0.8
 curvature_per_m = 0.2
 """
+MISSION = """leg_m = 1.5
+localisation_s = 60
+[fixes]
+position_sigma_m = 0.02
+heading_sigma_deg = 0.5
+[[target]]
+name = "near"
+x_m = 3.0
+y_m = 0.2
+[[window]]
+begin_s = 0
+end_s = 70
+[[window]]
+begin_s = 300
+end_s = 900
+"""
 """Steps that write the files of the later ones; then each command whose `result` is in the table."""
 COMMANDS: dict[str, str] = {
     "simulate": f"spectra simulate --rock {ROCK} --seed 3 -o scene",
@@ -76,6 +92,7 @@ COMMANDS: dict[str, str] = {
     "compare soils": "regolith compare soil.json",
     "terrain": "twin plan --max-slope 11 --target 8.5,2.5 -o site",
     "choice": "twin plan --target 2,0.3 --risk 0.3 --members 4 --candidates 3 --fixes 0.05,0.5 -o chosen",
+    "mission": "twin plan --mission mission.toml --risk 0.3 --members 4",
     "ground": "twin terrain synthetic --extent 4 --spacing 0.02 --seed 2 --rocks 0.03 -o ground",
     "track": "images track ground/terrain.npz --line 0,1,2.5,1.2 --step 0.5",
     "rocks": "images rocks ground/terrain.npz --sizes 0.2",
@@ -93,6 +110,7 @@ COMMANDS: dict[str, str] = {
     "sweep": "twin sweep short.toml --vary wheel.radius_m=0.13:0.29:2 --vary mass.body_kg=90:120:2 "
     "--sweep friction_angle_deg=30:50:2 --sample 0.2",
     "predict belief": "twin predict short.toml --soil belief.json --members 4",
+    "choice teach": "twin plan --target 2,0.3 --risk 0.3 --candidates 2 --members 64 --soil belief.json --teach",
     "predict map": "twin predict short.toml --soil map.json --members 4",
     "compare drives": "twin compare predicted states/states.csv --positions states/positions.csv",
     "history": "twin history belief.json",
@@ -196,6 +214,7 @@ def answers(folder: Path) -> dict[str, dict[str, Any]]:
     os.chdir(folder)
     try:
         Path("short.toml").write_text(SHORT)
+        Path("mission.toml").write_text(MISSION)
         for name, line in COMMANDS.items():
             wanted = [] if name.startswith("write") else ["--json"]
             code, text = said([*line.split(), *wanted, "--no-time", "-q"])

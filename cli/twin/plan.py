@@ -79,7 +79,7 @@ OPTIONS = {
         "Let drives halt for localisation updates, with these standard errors.", panel=CHOICE, metavar="M,DEG"
     ),
     "mission": option(
-        "Reach several targets by legs: TOML file with [[target]], [fixes], [[keep_out]], [[window]], time_budget_s.",
+        "Reach several targets by legs: TOML file with tables target, fixes, keep_out and window, and time_budget_s.",
         panel=PATH,
         metavar="FILE",
         show_default=False,

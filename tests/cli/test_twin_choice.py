@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from lunarsci.regolith.belief import SoilBelief, first_belief
+from lunarsci.twin.jobs.plan import plan
 from lunarsci.twin.plans.plan import read_plan
 
 Run = Callable[..., Any]
@@ -110,3 +111,17 @@ def test_teaching_is_asked_of_compared_drives_on_enough_soils(run: Run, belief: 
     assert run(*BASE, "--teach").code == 2
     done = run(*BASE, "--risk", "0.2", "--soil", belief, "--teach")
     assert done.code == 2 and "give 64" in " ".join(done.err)
+
+
+def test_all_that_takes_long_tells_how_far_it_is(belief: Path) -> None:
+    """Maps, the search for candidates, and their drives (also those on fresh soils), none with a step back."""
+    heard: list[tuple[int, int]] = []
+    asked = {"target": "3,0.5", "risk": 0.2, "candidates": 3, "members": 16, "soil": (str(belief),)}
+    found = plan(progress=lambda done, total: heard.append((done, total)), **asked)
+    totals = list(dict.fromkeys(total for _, total in heard))
+    maps, search, drives = ([done for done, of in heard if of == total] for total in totals)
+    assert maps[-1] == totals[0] == 1  # tile
+    assert search == [*range(totals[1] + 1)] and totals[1] >= 3  # manners of driving
+    assert drives == sorted(drives) and drives[0] == 0 and totals[2] == 3 * 16 + 3 * 32
+    driven = sum(one["screened"]["drives"] for one in found.to_dict()["choice"]["candidates"])
+    assert driven == 48 and drives[-1] == totals[2] and 48 in drives

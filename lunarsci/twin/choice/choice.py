@@ -164,7 +164,7 @@ def choose(
     members : soils by which plans are chosen; None for all, and then promises are of these same soils.
     racing : stop hopeless candidates after a quarter and half of the soils.
     teach : find what each candidate teaches, of the soil and of the way back along the shortest of them.
-    progress : called with drives done and drives at most.
+    progress : called with drives done and drives at most, but for those that only a failure of the best asks for.
 
     The chance of the best of many looks better than it is, so it is counted again on fresh soils, and promised only
     then. Raises ParameterError.
@@ -175,8 +175,9 @@ def choose(
     count = conditions.members if members is None else members
     if not least <= count <= conditions.members:
         raise ParameterError(f"members is {count}; a risk of {risk:g} needs {least} or more, of {conditions.members}")
-    race = _Race(conditions, risk, prefer, count, progress, len(plans) * count)
     taught = teach or prefer == "teaching"
+    again = min(CHECKED, len(plans)) * (conditions.members - count)
+    race = _Race(conditions, risk, prefer, count, progress, (len(plans) + taught) * count + again)
     found = race.run(plans, racing=racing and prefer != "teaching")
     checked = race.checked(race.taught(found) if taught else found)
     ordered = sorted(_with_front(checked), key=lambda one: _order(one, risk, prefer))

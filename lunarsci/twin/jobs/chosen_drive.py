@@ -163,8 +163,8 @@ def chosen_drive(terrain: str, asked: PlanRequest, progress: Progress | None) ->
     check_asked(asked)
     given = GivenSoil.read(asked.soil)
     site = read_site(terrain, asked, given.named, asked.limits())
-    asked, surface = asked.on(site.terrain), site.surface(asked.baseline, None)
-    plans = candidates_of(asked, site, surface, given)
+    asked, surface = asked.on(site.terrain), site.surface(asked.baseline, progress)
+    plans = candidates_of(asked, site, surface, given, progress)
     soils, conditions, members = drive_conditions(asked, site, given, plans)
     choice = choose(
         plans, conditions, risk=asked.risk or 0.0, prefer=asked.prefer, members=members, teach=asked.teach,
@@ -216,7 +216,9 @@ def check_soils(asked: PlanRequest, given: GivenSoil) -> None:
         )
 
 
-def candidates_of(asked: PlanRequest, site: SurveyedSite, surface: Any, given: GivenSoil) -> tuple[Plan, ...]:
+def candidates_of(
+    asked: PlanRequest, site: SurveyedSite, surface: Any, given: GivenSoil, progress: Progress | None = None
+) -> tuple[Plan, ...]:
     """Plans to compare, with the limits of the rover, the tolerance, and the circles that each comes near to."""
     check_soils(asked, given)
     (x0, y0, heading), (x, y, *_) = asked.places
@@ -234,6 +236,7 @@ def candidates_of(asked: PlanRequest, site: SurveyedSite, surface: Any, given: G
         limits=limits,
         fixes=None if asked.fixes is None else parsed_fixes(asked.fixes),
         most=asked.candidates or MOST,
+        progress=progress,
     )
     swept = read_plan().sweep if given.file is None and not asked.sweep else ()
     near = [near_way(site.keep_outs, planned_places(plan, site.rover)) if site.keep_outs else () for plan in plans]

@@ -210,7 +210,7 @@ def planned_mission(terrain: str, asked: PlanRequest, progress: Progress | None)
     far = WIDER * mission.fixes.position_sigma_m
     wider = tuple(ExclusionZone(zone.name, zone.x_m, zone.y_m, zone.radius_m + far) for zone in mission.keep_outs)
     site = replace(site, keep_outs=site.keep_outs + wider)
-    surface = site.surface(asked.baseline, None)
+    surface = site.surface(asked.baseline, progress)
     check_targets(mission, surface)
     swept = read_plan().sweep if given.file is None and not asked.sweep else ()
     soils, conditions, _ = drive_conditions(asked, site, given, (replace(_nominal(mission, site), sweep=swept),))
