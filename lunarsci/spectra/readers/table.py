@@ -108,8 +108,8 @@ _SYMBOL = {"nm": "nm", "um": "µm"}
 _PLAUSIBLE_NM = (50.0, 200_000.0)
 _SURELY: dict[WavelengthUnit, tuple[float, float]] = {"nm": (200.0, 5000.0), "um": (0.2, 5.0)}
 _SCALE = {"fraction": 1.0, "percent": 0.01}
-_MAX_FRACTION = 1.2
-"""A median above this is no reflectance in fractions, even of a white standard; assumed."""
+_MAX_FRACTION = 2.0
+"""A median above this is no reflectance in fractions, even scaled to 1 at some wavelength; assumed."""
 _MIN_PERCENT = 1.0
 _MAX_PERCENT = 200.0
 
@@ -220,7 +220,7 @@ def reflectance_unit(column: Column, median: float, stated: ReflectanceUnit | No
     """Decide the unit of a reflectance column from the file's word, the caller's, and the median above 0.
 
     Raises DataError when the file's word contradicts the values and nothing is stated, or when without any word the
-    median is above 1.2.
+    median is above 2.
     """
     found = _unit_of(column)
     if found is not None and not _contradicts(found, median):
