@@ -13,7 +13,6 @@ from typing import Annotated, Any
 import typer
 
 from lunarsci.atomic import STOPPING, written
-from lunarsci.printable import shortened
 
 from .shared.aliases import current
 from .shared.talk import FAILED, INTERRUPTED, failure_line, say
@@ -124,7 +123,7 @@ def _report_usage(error: Any, message: str) -> int:
     else:
         path = context.command_path if context else "lunarsci"
         text = " ".join(message.split()).replace(": Value error, ", ": ")
-        say(shortened(f"error: {text} (see '{path} --help')"))
+        say(f"error: {text} (see '{path} --help')")
     return int(error.exit_code)
 
 

@@ -2,8 +2,8 @@
 
 A change of a number on purpose is recorded by `python tests/test_former_results.py --write NAME ...`, the answers that
 it concerns or, without names, all of them, and said in CHANGELOG.md.
-Digits depend on the processor and on the libraries: the table says which it was made with, and on others the bound is
-1e-6.
+Digits depend on the processor and on the libraries: the table says which it was made with, and on others, or where
+answers are of several processors, the bound is 1e-6.
 """
 
 import contextlib
