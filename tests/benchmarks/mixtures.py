@@ -176,8 +176,9 @@ def strangers(data: Path) -> dict[str, list[tuple[Spectrum, tuple[str, ...]]]]:
         for mineral, column in COLUMNS.items()
         for id in rows.index[rows[column] >= PURE]
     ]
-    moon = read_spectra(read_input(str(data / "spectra/lunar/m3_aristarchus_sample.csv")))
-    moon += read_spectra(read_input(str(data / "spectra/lunar/apollo16_62231_relab_avg.csv")))[:1]
+    of_m3, apollo16 = "lunar/m3_aristarchus_sample.csv", "lunar/apollo16_62231_relab_avg.csv"
+    moon = [*read_spectra(read_input(str(data / "spectra" / of_m3)))]
+    moon += [*read_spectra(read_input(str(data / "spectra" / apollo16)))][:1]
     return {
         "soil and boulders, Chang'E-4": [(spectrum, every) for spectrum in rover(data)],
         "soil, M3 and Apollo 16": [(spectrum, every) for spectrum in moon],
