@@ -24,6 +24,7 @@ GROUPS = {
     "twin": "Whether the next drive is safe: a rover simulated on deformable ground.",
 }
 SINGLE = {
+    "report": "Results of other commands as one HTML page: answers, pictures, errors, assumptions, what to cite.",
     "reproduce": "Numbers of Ding et al. (2024) beside what lunarsci makes of what they publish, with a verdict each.",
     "demo": "Run the whole chain on embedded synthetic data: rock, drive, ground. Under a minute on two cores.",
 }

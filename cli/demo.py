@@ -48,11 +48,19 @@ def _table(findings: Sequence[Mapping[str, Any]], folder: Path | None) -> TextTa
     ]
     notes = [
         "Everything here is synthetic: a rock that exists nowhere on ground that was made up.",
+        *_page_line(folder),
         f"Pictures and tables are in {folder}. Try the commands on them, for example:",
         f"  lunarsci spectra fit {folder}/rock.ecsv",
         f"  lunarsci regolith identify {folder}/wheel_states.csv --lateral-modulus 20",
     ]
     return TextTable(["what was found", "value", "truth", "unit", "picture"], rows, notes=notes)
+
+
+def _page_line(folder: Path | None) -> list[str]:
+    from importlib.util import find_spec
+
+    page = f"All of it on one page: open {folder}/report.html in a browser."
+    return [page if find_spec("jinja2") else "For a page of all of it: pip install 'lunarsci[report]'"]
 
 
 def _digits(value: float) -> int:

@@ -74,6 +74,13 @@ go_or_stop lunarsci twin states "${common[@]}" 8-drive/telemetry.csv return.toml
 go_or_stop lunarsci twin compare "${common[@]}" 7-predicted 8-states/states.csv --positions 8-states/positions.csv \
     --plot 8-compared.png
 
+say "9. All of it on one page"
+compared=(lunarsci twin compare 7-predicted 8-states/states.csv --positions 8-states/positions.csv)
+"${compared[@]}" "${common[@]}" -o 8-compared.json 2>/dev/null || [ $? -eq 3 ]
+lunarsci report "${common[@]}" 1-predicted 3-states 7-chosen 7-predicted 8-states 8-compared.json 3-states.png \
+    8-compared.png --title "One turn of the loop" -o loop.html && echo "open $folder/loop.html in a browser" ||
+    echo "no page: it needs jinja2; pip install 'lunarsci[report]'"
+
 after=$(lunarsci twin compare -q 7-predicted 8-states/states.csv --positions 8-states/positions.csv --field end.error_m)
 before=$(lunarsci twin compare -q 7-unrectified 8-states/states.csv --positions 8-states/positions.csv \
     --field end.error_m 2>/dev/null) || [ $? -eq 3 ]

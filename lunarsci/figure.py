@@ -1,12 +1,14 @@
-"""Figures as file contents, the same bytes for the same figure."""
+"""One style for every picture, and figures as file contents, the same bytes for the same figure."""
 
 import io
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lunarsci.errors import LunarSciWarning, ParameterError
+from lunarsci.printable import printable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -14,10 +16,71 @@ if TYPE_CHECKING:
 
 _DATELESS = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
 DPI = 150
+INK = "#26323a"
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
+"""Told apart by the colour-blind: Okabe & Ito (2008), Color Universal Design."""
+LINE_STYLES = tuple(
+    {"color": color, "linestyle": dashes}
+    for color, dashes in zip(COLORS, ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (7, 2))), strict=True)
+)
+"""Lines of things alike, such as wheels, told apart in grey by their dashes."""
+DOT_STYLES = tuple(
+    {"color": color, "marker": marker} for color, marker in zip(COLORS, ("o", "s", "^", "D", "v", "P"), strict=True)
+)
+"""The same for dots, by their shapes."""
+STYLE: Any = {
+    "font.size": 9.0,
+    "axes.titlesize": 10.0,
+    "axes.labelsize": 9.0,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": INK,
+    "axes.linewidth": 0.8,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": False,
+    "grid.alpha": 0.3,
+    "grid.linewidth": 0.5,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "text.color": INK,
+    "legend.fontsize": 8.0,
+    "legend.framealpha": 0.85,
+    "legend.edgecolor": "none",
+    "figure.titlesize": 11.0,
+    "figure.facecolor": "white",
+    "savefig.facecolor": "white",
+    "image.cmap": "viridis",
+    "lines.linewidth": 1.3,
+    "errorbar.capsize": 2.0,
+    "svg.hashsalt": "lunarsci",
+}
+"""What every picture looks like unless it says otherwise: sober, of one size of text, of few lines."""
+
+
+def as_label(text: str, longest: int = 40) -> str:
+    """A name from a file as a label: short, and without what matplotlib would take for a formula.
+
+    >>> as_label("rock $4"), as_label("0123456789", 5)
+    ('rock \\\\$4', '0123…')
+    """
+    short = text if len(text) <= longest else f"{text[: longest - 1]}…"
+    return printable(short).replace("$", r"\$")
+
+
+@contextmanager
+def styled() -> "Iterator[None]":
+    """Figures that are made and written in this block have the style of the house."""
+    import matplotlib
+
+    with matplotlib.rc_context(STYLE):
+        yield
 
 
 def picture_bytes(figures: "Iterable[Figure]", target: Path) -> bytes:
-    """Render figures for a file named `target` (.png, .svg, .pdf).
+    """Render figures for a file named `target` (.png, .svg, .pdf), in the style of the house as they are drawn.
 
     A PDF takes every figure as a page; the other formats take the first, and a LunarSciWarning says so when there are
     more. Raises ParameterError for another suffix.
@@ -25,6 +88,11 @@ def picture_bytes(figures: "Iterable[Figure]", target: Path) -> bytes:
     suffix = target.suffix.lower()
     if suffix not in _DATELESS:
         raise ParameterError(f"{target}: pictures are written as {', '.join(_DATELESS)}")
+    with styled():
+        return _rendered(figures, target, suffix)
+
+
+def _rendered(figures: "Iterable[Figure]", target: Path, suffix: str) -> bytes:
     if suffix == ".pdf":
         return _pages(figures)
     pages = iter(figures)
@@ -33,16 +101,13 @@ def picture_bytes(figures: "Iterable[Figure]", target: Path) -> bytes:
         raise ParameterError("there is nothing to draw; leave --plot out")
     content = _one(first, suffix)
     if next(pages, None) is not None:
-        warnings.warn(f"{target}: holds the first page only; a .pdf holds all", LunarSciWarning, stacklevel=2)
+        warnings.warn(f"{target}: holds the first page only; a .pdf holds all", LunarSciWarning, stacklevel=3)
     return content
 
 
 def _one(figure: "Figure", suffix: str) -> bytes:
-    import matplotlib
-
     buffer = io.BytesIO()
-    with matplotlib.rc_context({"svg.hashsalt": "lunarsci"}):
-        figure.savefig(buffer, format=suffix[1:], dpi=DPI, metadata=_DATELESS[suffix])
+    figure.savefig(buffer, format=suffix[1:], dpi=DPI, metadata=_DATELESS[suffix])
     return buffer.getvalue()
 
 

@@ -42,7 +42,8 @@ ALLOWED = {
     "images": {"images", *SHARED},
     "regolith": {"regolith", *SHARED},
     "twin": {"twin", "regolith", "images", *SHARED},
-    "reproduce": {"reproduce", "spectra", "regolith", "images", "twin", *SHARED},
+    "report": {"report", "regolith", "twin", *SHARED},
+    "reproduce": {"reproduce", "report", "spectra", "regolith", "images", "twin", *SHARED},
     "rovers": {"rovers", "errors", "documents"},
 }
 TREES = {

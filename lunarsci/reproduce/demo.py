@@ -3,9 +3,9 @@
 From pictures to the ground, from products to minerals, and from a drive to its soil.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -240,12 +240,32 @@ class Demonstration(Result):
         """File name to what makes its content: products, spectrum, wheel states and pictures."""
         record = {"command": "lunarsci demo", "seed": self.seed}
         made = ({} if self.seen is None else self.seen.pictures) | self.rock.products
+        drawn = {name: cache(draw) for name, draw in self.pictures.items()}
+        page = {"report.html": lambda: self._page(drawn)} if find_spec("jinja2") else {}
         return {
             **{name: partial(bytes, content) for name, content in made.items() if name != "result.json"},
             "rock.ecsv": lambda: to_ecsv([self.rock.calibration], record),
             "wheel_states.csv": lambda: self.drive.states,
-            **self.pictures,
+            **drawn,
+            **page,
         }
+
+    def _page(self, drawn: Mapping[str, Callable[[], bytes]]) -> bytes:
+        """Findings and pictures as a page, with the ground of the drive; without time, as all its files."""
+        from lunarsci.provenance import Provenance, plain
+        from lunarsci.report.documents import document_of
+        from lunarsci.report.page import Page
+        from lunarsci.report.relief import drives
+
+        made, prediction = self.made_from, self.drive.prediction
+        record = Provenance(command="lunarsci demo", tables=made.tables, sources=made.sources, seed=self.seed)
+        pictures = {name: draw() for name, draw in drawn.items()}
+        document = document_of(self.schema, plain(self.to_dict()), record.to_dict(time=False), pictures=pictures)
+        ends = prediction.recorded
+        ways = [prediction.places_m[k, : max(int(ends[k]), 1)] for k in range(prediction.members)]
+        return Page(
+            "lunarsci demo", [document], ground=self.drive.scene.terrain, ways=drives("predicted drives", ways)
+        ).html(time=False)
 
 
 def demo(seed: int = 0, *, say: Callable[[str], None] = lambda step: None) -> Demonstration:

@@ -1,0 +1,52 @@
+"""`lunarsci report`: one page of several results."""
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lunarsci.report.job import ReportRequest
+
+from .shared.command import command
+from .shared.options import option
+from .shared.report import Report
+from .shared.table import TextTable
+
+if TYPE_CHECKING:
+    from lunarsci.report.job import ReportedResults
+
+OPTIONS = {
+    "title": option("Title of the page."),
+    "terrain": option(
+        "Ground to turn in the page: synthetic-longji, or a file (.npz, GeoTIFF, ESRI ASCII .asc, CSV of nodes); if "
+        "left out that of a result's folder or of its --terrain.",
+        metavar="FILE",
+    ),
+}
+Results = Annotated[
+    list[str],
+    typer.Argument(metavar="RESULT…", help="Files of --json, folders of -o, and pictures (.png, .svg) of --plot."),
+]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the command."""
+    command(app, "report", request=ReportRequest, options=OPTIONS)(report)
+
+
+def report(results: Results, request: ReportRequest) -> Report:
+    """Results of other commands as one HTML page that needs no network: -o PAGE.html.
+
+    Each result is a section: its answer in a sentence, pictures, what it does not know, what was assumed, its error
+    budget, numbers, and where they come from. On top is the answer of each; below, what to cite. The ground and the
+    drives on it can be turned. Without -o the answers are printed.
+    """
+    from lunarsci.report.job import report
+
+    made = report(results, request)
+    html = {".html": lambda record: made.html(time="time_utc" in record)}
+    return Report.of(made, lambda: _tables(made), formats=html, figures=None)
+
+
+def _tables(made: "ReportedResults") -> list[TextTable]:
+    lines = [line for row in made.rows() for line in (f"{row['title']} ({row['file']})", f"  {row['answer']}")]
+    return [TextTable([], [], title=made.page.title, notes=lines)]

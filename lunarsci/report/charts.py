@@ -1,0 +1,372 @@
+"""Pictures that are drawn from a result's JSON and tables, with words for those who do not see them."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from lunarsci.figure import DOT_STYLES, INK, LINE_STYLES, as_label, picture_bytes, styled
+from lunarsci.report.documents import Document
+from lunarsci.report.drive_answers import interval_of
+from lunarsci.report.words import NAMES, number, words
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MOST_SPECTRA, MOST_BARS, MOST_USED = 6, 18, 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Chart:
+    """A picture, what it is called, and what it shows in words."""
+
+    title: str
+    words: str
+    content: bytes
+    suffix: str = ".svg"
+
+
+def charts(document: Document) -> Iterator[Chart]:
+    """Pictures of a result; none of kinds that are best read as tables."""
+    for draw in CHARTS.get(document.kind, ()):
+        with styled():
+            made = draw(document)
+            if made is not None:
+                title, told, figure = made
+                yield Chart(title, told, picture_bytes([figure], Path("page.svg")))
+
+
+Drawn: TypeAlias = "tuple[str, str, Figure] | None"
+
+
+def _axes(width: float = 4.6, height: float = 3.3) -> "tuple[Figure, Any]":
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    return figure, figure.subplots()
+
+
+def _spectra(document: Document) -> Drawn:
+    figure, axes = _axes()
+    spectra = [one for one in document.result["spectra"] if one.get("wavelength_nm")][:MOST_SPECTRA]
+    for number_, one in enumerate(spectra):
+        x, y, error = ([_real(v) for v in one[key]] for key in ("wavelength_nm", "reflectance", "reflectance_sigma"))
+        look: Any = LINE_STYLES[number_ % len(LINE_STYLES)]
+        axes.fill_between(
+            x,
+            [a - b for a, b in zip(y, error, strict=True)],
+            [a + b for a, b in zip(y, error, strict=True)],
+            color=look["color"],
+            alpha=0.25,
+            linewidth=0,
+        )
+        axes.plot(x, y, label=as_label(one["id"]), **look)
+    if not spectra:
+        return None
+    axes.set(xlabel="wavelength [nm]", ylabel="reflectance factor [-]")
+    axes.legend()
+    names = ", ".join(str(one["id"]) for one in spectra)
+    return (
+        "Calibrated spectra",
+        f"Reflectance over wavelength of {names}; the bands are one standard error of the noise.",
+        figure,
+    )
+
+
+def _real(value: Any) -> float:
+    return float("nan") if value is None else float(value)
+
+
+def _absorptions(document: Document) -> Drawn:
+    figure, axes = _axes()
+    spectra = [one for one in document.result["spectra"] if one.get("bands")][:1]
+    if not spectra:
+        return None
+    minerals: dict[str, list[Mapping[str, Any]]] = {}
+    for band in spectra[0]["bands"]:
+        minerals.setdefault(band["mineral"], []).append(band)
+    for place, (mineral, bands) in enumerate(minerals.items()):
+        look = DOT_STYLES[place % len(DOT_STYLES)]
+        x, y = [_real(band["center_nm"]) for band in bands], [-_real(band["strength"]) for band in bands]
+        axes.errorbar(
+            x,
+            y,
+            xerr=[_real(band["fwhm_nm"]) / 2 for band in bands],
+            fmt="none",
+            ecolor=look["color"],
+            alpha=0.35,
+            linewidth=3,
+        )
+        axes.errorbar(
+            x,
+            y,
+            yerr=[_shown(band["strength_sigma"], band["strength"]) for band in bands],
+            linestyle="",
+            capsize=2,
+            label="visible and UV" if mineral == "any" else as_label(mineral),
+            **look,
+        )
+    axes.set(xlabel="centre of the band [nm]", ylabel="strength, ln R [-]", ylim=(0, None))
+    axes.legend(ncols=2)
+    told = "; ".join(
+        f"{band['name']} at {number(band['center_nm'])} nm" for bands in minerals.values() for band in bands
+    )
+    return (
+        f"Bands of {spectra[0]['id']}",
+        f"Centre and strength of each band; wide bars: full width at half maximum, thin ones: errors. {told}.",
+        figure,
+    )
+
+
+def _shown(sigma: Any, value: Any) -> float:
+    """An error that a picture can hold; of a value that is not determined none."""
+    error = _real(sigma)
+    return error if error < 3 * abs(_real(value)) else float("nan")
+
+
+def _shares(document: Document) -> Drawn:
+    rows = [
+        (f"{one['id']}, {mineral}", item)
+        for one in document.result["spectra"]
+        for mineral, item in (one.get("abundance") or {}).items()
+        if isinstance(item, Mapping) and item.get("fraction") is not None and mineral != "calibration"
+    ][:MOST_BARS]
+    if not rows:
+        return None
+    title = "Shares of minerals"
+    intervals = [(name, item["fraction"], item["low"], item["high"]) for name, item in rows]
+    return title, _told(title, intervals), _interval_figure(intervals, "share [-]", (0.0, 1.0))
+
+
+def _told(title: str, intervals: Any) -> str:
+    return (
+        f"{title}: "
+        + "; ".join(
+            f"{name} {number(middle, 3)} ({number(low, 3)} to {number(high, 3)})"
+            for name, middle, low, high in intervals
+        )
+        + "."
+    )
+
+
+def _interval_figure(rows: Any, label: str, limits: tuple[float, float] | None = None) -> "Figure":
+    figure, axes = _axes(height=0.9 + 0.32 * len(rows))
+    for place, (_, middle, low, high) in enumerate(rows):
+        axes.plot(
+            [low, high], [-place, -place], color=DOT_STYLES[0]["color"], linewidth=3, alpha=0.5, solid_capstyle="butt"
+        )
+        axes.plot(middle, -place, "o", color=INK, markersize=5)
+    axes.set_yticks([-place for place in range(len(rows))], [as_label(row[0]) for row in rows])
+    axes.set(xlabel=label, ylim=(-len(rows) + 0.5, 0.5))
+    if limits:
+        axes.set_xlim(*limits)
+    return figure
+
+
+def _craters(document: Document) -> Drawn:
+    rocks = document.result["rocks"]
+    if not rocks or not rocks[0]["craters"]:
+        return None
+    rock = rocks[0]
+    items = sorted((one for one in rock["craters"] if not one["contains_site"]), key=lambda one: -one["posterior"])[
+        :MOST_BARS
+    ]
+    figure, axes = _axes(height=1.0 + 0.36 * len(items))
+    place = [-float(k) for k in range(len(items))]
+    axes.barh(
+        [y + 0.2 for y in place],
+        [one["prior"] for one in items],
+        0.36,
+        color="#c9ced2",
+        edgecolor=INK,
+        linewidth=0.5,
+        label="before: position, age and ejecta",
+    )
+    axes.barh(
+        [y - 0.2 for y in place],
+        [one["posterior"] for one in items],
+        0.36,
+        color="#0072B2",
+        edgecolor=INK,
+        linewidth=0.5,
+        label="after: with composition",
+    )
+    axes.set_yticks(place, [as_label(one["name"]) for one in items])
+    axes.set_xlabel("probability [-]")
+    axes.legend()
+    told = "; ".join(f"{one['name']} {number(one['posterior'], 2)}" for one in items)
+    return (
+        f"Where {rock['id']} came from",
+        f"Probability of each crater before and after its composition was looked at. After: {told}.",
+        figure,
+    )
+
+
+def _soil_curves(document: Document) -> Drawn:
+    from matplotlib.figure import Figure
+
+    panels = (
+        ("bearing", "exponent", "stiffness_kpa_m_n"),
+        ("shear", "cohesion_pa", "friction_angle_deg"),
+        ("lateral", "lateral_modulus_mm", "external_friction_angle_deg"),
+    )
+    drawn = [
+        (document.result[name]["curve"], x, y)
+        for name, x, y in panels
+        if (document.result.get(name) or {}).get("curve")
+    ]
+    if not drawn:
+        return None
+    figure = Figure(figsize=(4.6, 2.6 * len(drawn)), layout="constrained")
+    for axes, (curve, x, y) in zip(figure.subplots(len(drawn), 1, squeeze=False)[:, 0], drawn, strict=True):
+        known = [point for point in curve if None not in (point[y], point["low"], point["high"])]
+        at = [point[x] for point in known]
+        axes.fill_between(
+            at,
+            [point["low"] for point in known],
+            [point["high"] for point in known],
+            color="#0072B2",
+            alpha=0.25,
+            linewidth=0,
+        )
+        axes.plot(at, [point[y] for point in known], color="#0072B2")
+        axes.set(xlabel=_label(x), ylabel=_label(y))
+    return (
+        "What these states allow",
+        "Pairs of parameters that explain the wheel states, with bands of 95 %: one of each pair must be known.",
+        figure,
+    )
+
+
+def _label(key: str) -> str:
+    return {"exponent": "sinkage exponent N [-]"}.get(
+        key,
+        NAMES.get(key, words(key))
+        .replace("K_s", "K$_s$")
+        .replace("K_y", "K$_y$")
+        .replace("m^N", "m$^N$")
+        .replace("φ_y", "φ$_y$"),
+    )
+
+
+def _left_of_prior(document: Document) -> Drawn:
+    found = (document.result.get("joint") or document.result).get("parameters") or (
+        document.result.get("drives") or [{}]
+    )[-1].get("parameters")
+    rows = [(name, one["left_of_prior"]) for name, one in (found or {}).items() if one.get("left_of_prior") is not None]
+    if not rows:
+        return None
+    figure, axes = _axes(height=0.9 + 0.32 * len(rows))
+    place = [-float(k) for k in range(len(rows))]
+    axes.barh(place, [share for _, share in rows], 0.6, color="#56B4E9", edgecolor=INK, linewidth=0.5)
+    axes.axvline(1.0, color=INK, linestyle="--")
+    axes.set_yticks(place, [_label(name).partition(" [")[0] for name, _ in rows])
+    axes.set_xlabel("spread now / spread before any drive [-]; 1: nothing learned")
+    told = "; ".join(f"{words(name).partition(' [')[0]} {number(share, 2)}" for name, share in rows)
+    return "What was learned of the soil", f"Spread of each parameter as a part of what it was before: {told}.", figure
+
+
+def _limits(document: Document) -> Drawn:
+    rows = [
+        one
+        for one in document.result["limits"]
+        if one.get("limit") and None not in (one.get("p50"), one.get("min"), one.get("max"))
+    ]
+    if not rows:
+        return None
+    figure, axes = _axes(height=1.0 + 0.4 * len(rows))
+    for place, one in enumerate(rows):
+        low, middle, high = sorted(_used(one, one[key]) for key in ("min", "p50", "max"))
+        axes.plot(
+            [low, high],
+            [-place, -place],
+            color="#0072B2" if one["ok"] else "#D55E00",
+            linewidth=5,
+            alpha=0.6,
+            solid_capstyle="butt",
+        )
+        axes.plot(middle, -place, "o" if one["ok"] else "X", color=INK)
+    axes.axvline(1.0, color=INK, linestyle="--")
+    axes.set_yticks(
+        [-k for k in range(len(rows))],
+        [words(one["quantity"]).partition(" [")[0] + ("" if one["ok"] else " (broken)") for one in rows],
+    )
+    axes.set(
+        xlabel="share of the limit that is used [-]; beyond 1: broken", ylim=(-len(rows) + 0.5, 0.5), xlim=(0, None)
+    )
+    told = "; ".join(
+        f"{words(one['quantity']).partition(' [')[0]} {number(max(_used(one, one['min']), _used(one, one['max'])), 2)}"
+        for one in rows
+    )
+    return (
+        "How near the drives come to the limits",
+        f"Share of each limit that the predicted drives use, least, median and most: {told} at most.",
+        figure,
+    )
+
+
+def _used(limit: Mapping[str, Any], value: float) -> float:
+    bound = float(limit["limit"])
+    if limit.get("sense") == "at least":
+        return min(bound / value, MOST_USED) if value > 0 else MOST_USED
+    return min(abs(value / bound), MOST_USED)
+
+
+def _wheel_states(document: Document) -> Drawn:
+    from matplotlib.figure import Figure
+
+    rows = document.table("states.csv")
+    wheels = list(dict.fromkeys(row["wheel"] for row in rows if row.get("wheel")))
+    if not wheels or "slip_ratio" not in rows[0] or "distance_m" not in rows[0] or "member" in rows[0]:
+        return None
+    figure = Figure(figsize=(4.6, 5.2), layout="constrained")
+    for axes, (name, label, factor) in zip(
+        figure.subplots(2, 1, sharex=True),
+        (("slip_ratio", "slip ratio [-]", 1.0), ("sinkage_m", "sinkage [mm]", 1e3)),
+        strict=True,
+    ):
+        for place, wheel in enumerate(wheels[: len(DOT_STYLES)]):
+            own = [row for row in rows if row["wheel"] == wheel and row.get(name)]
+            axes.plot(
+                [float(row["distance_m"]) for row in own],
+                [factor * float(row[name]) for row in own],
+                linewidth=0.8,
+                markersize=4,
+                label=as_label(wheel),
+                **(LINE_STYLES[place] | DOT_STYLES[place]),
+            )
+        axes.set_ylabel(label)
+    axes.set_xlabel("way of the wheel [m]")
+    figure.axes[0].legend(ncols=3)
+    return (
+        "Wheel states along the drive",
+        f"Slip and sinkage against the way of each of the wheels {', '.join(wheels)}.",
+        figure,
+    )
+
+
+def _wheel_loads(document: Document) -> Drawn:
+    rows = [
+        (f"{one['wheel']}, {words(key).partition(' [')[0]}", *interval)
+        for key in ("normal_force_n", "drawbar_pull_n", "lateral_force_n")
+        for one in document.result["wheels"]
+        if (interval := interval_of(one[key]))
+    ]
+    if not rows:
+        return None
+    told = _told("Middle of each force, and its 5 % to 95 % along the way, or its standard error", rows)
+    return "Forces of the wheels", told, _interval_figure(rows, "force [N]")
+
+
+CHARTS: dict[str, tuple[Callable[[Document], Any], ...]] = {
+    "spectra-calibrate": (_spectra,),
+    "spectra-simulate": (),
+    "spectra-fit": (_absorptions, _shares),
+    "spectra-match": (_craters,),
+    "regolith-identify": (_soil_curves, _left_of_prior),
+    "twin-predict": (_limits,),
+    "twin-states": (_wheel_states,),
+    "twin-forces": (_wheel_loads,),
+    "twin-update": (_left_of_prior,),
+    "twin-history": (_left_of_prior,),
+}

@@ -1,0 +1,125 @@
+"""Results as their files say them: the JSON documents of commands, the folders they fill, and pictures beside them."""
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.inputs import read_input, read_json, text
+from lunarsci.provenance import sha256
+
+PICTURES = {".png": b"\x89PNG", ".svg": b"<"}
+"""Suffixes of pictures that a page takes, and how they begin."""
+LARGEST_PICTURE = 4_000_000
+"""Bytes of a picture that a page takes; assumed, so that a page stays one that can be sent by mail."""
+MOST_ROWS = 200_000
+"""Rows that are read of a table beside a result; assumed."""
+REMEDY = "give a file that a command wrote with --json, the folder of its -o, or a picture of its --plot"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Document:
+    """One result of a command.
+
+    Attributes
+    ----------
+    name : of the file or folder, as it was given.
+    schema : without what all share, such as `twin-predict/1`.
+    result, provenance : of the document, in plain Python.
+    folder : where the tables lie that were written with it; None where there are none.
+    pictures : pictures that belong to it, by file name.
+    sha256 : of the document.
+    """
+
+    name: str
+    schema: str
+    result: Mapping[str, Any]
+    provenance: Mapping[str, Any]
+    folder: Path | None = None
+    pictures: Mapping[str, bytes] = field(default_factory=dict)
+    sha256: str = ""
+
+    @property
+    def kind(self) -> str:
+        """The schema without its version, such as `twin-predict`."""
+        return self.schema.rpartition("/")[0]
+
+    def table(self, name: str) -> list[dict[str, str]]:
+        """Rows of a table beside the result, as text; none where it is not there."""
+        if self.folder is None or not (self.folder / name).is_file():
+            return []
+        rows = csv.DictReader(line for line in io.StringIO(text(read_input(self.folder / name))) if line[:1] != "#")
+        try:
+            return [row for row, _ in zip(rows, range(MOST_ROWS), strict=False)]
+        except csv.Error as error:
+            raise DataError(f"{self.folder / name}: no CSV table: {error}; is it complete?") from error
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GivenPicture:
+    """A picture that was given beside the results."""
+
+    name: str
+    content: bytes
+
+
+def read_results(paths: Sequence[str | Path]) -> tuple[list[Document], list[GivenPicture]]:
+    """Documents and pictures in the order given.
+
+    Raises DataError for what is none of them, ParameterError where no document is given.
+    """
+    pictures = [_picture(Path(path)) for path in paths if Path(path).suffix.lower() in PICTURES]
+    documents = [_read(path) for path in paths if Path(path).suffix.lower() not in PICTURES]
+    if not documents:
+        raise ParameterError(f"no result is given; {REMEDY}")
+    return documents, pictures
+
+
+def _read(path: str | Path) -> Document:
+    folder = Path(path)
+    if not folder.is_dir():
+        return _document(str(path), path, None)
+    if not (folder / "result.json").is_file():
+        raise DataError(f"{folder}: a folder without result.json; {REMEDY}")
+    return _document(str(path), folder / "result.json", folder)
+
+
+def _document(name: str, path: str | Path, folder: Path | None) -> Document:
+    file = read_input(path)
+    found = read_json(file, "a result", lambda value: value)
+    if not isinstance(found, dict) or not isinstance(found.get("result"), dict):
+        raise DataError(f"{file.name}: no result of a lunarsci command{_instead(found)}; {REMEDY}")
+    schema, record = found.get("schema"), found.get("provenance")
+    if not isinstance(schema, str) or not schema.startswith("lunarsci/") or not isinstance(record, dict):
+        raise DataError(f"{file.name}: its key `schema` does not name a lunarsci result; {REMEDY}")
+    pictures = {} if folder is None else _pictures_in(folder)
+    return Document(name, schema.removeprefix("lunarsci/"), found["result"], record, folder, pictures, file.sha256)
+
+
+def _instead(found: Any) -> str:
+    """What a document is that is no result, where it says so."""
+    schema = found.get("schema") if isinstance(found, dict) else None
+    return f" but {str(schema)[:60]}" if isinstance(schema, str) else ""
+
+
+def _pictures_in(folder: Path) -> dict[str, bytes]:
+    """Pictures of a result's folder, the small ones; `left.png` and `right.png` of a stereo pair are shown, too."""
+    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in PICTURES)
+    return {path.name: path.read_bytes() for path in files if path.stat().st_size <= LARGEST_PICTURE}
+
+
+def _picture(path: Path) -> GivenPicture:
+    file = read_input(path)
+    if not file.data.lstrip().startswith(PICTURES[path.suffix.lower()]):
+        raise DataError(f"{path}: no {path.suffix[1:].upper()} picture; {REMEDY}")
+    if len(file.data) > LARGEST_PICTURE:
+        raise DataError(f"{path}: {len(file.data) / 1e6:.1f} MB; a page takes pictures of up to 4 MB")
+    return GivenPicture(path.name, file.data)
+
+
+def document_of(schema: str, result: Mapping[str, Any], provenance: Mapping[str, Any], **more: Any) -> Document:
+    """A result that is not in a file; `more` are other attributes of the document."""
+    return Document("this run", schema, result, provenance, **{"sha256": sha256(schema.encode()), **more})

@@ -1,0 +1,175 @@
+"""Sentences for drives: the ground, the way, what was predicted, driven and learned."""
+
+from lunarsci.report.sentences import DOUBT, GO, PLAIN, STOP, Result, ResultAnswer
+from lunarsci.report.words import counted, measured, number, percent, quantity
+
+
+def predicted(result: Result) -> ResultAnswer:
+    go = result["verdict"] == "go"
+    members, length = result["members"], number(result.get("path_length_m"), 3)
+    drive = f"the drive \u201c{result.get('plan', '')}\u201d of {length} m"
+    if not go:
+        reasons = "; ".join(map(str, result.get("reasons", ())[:2])) or "a limit is broken"
+        return ResultAnswer(f"No-go for {drive}: {reasons}.", STOP)
+    broken = max((int(one.get("exceeding") or 0) for one in result["limits"]), default=0)
+    kept = (
+        f"a limit is broken by {broken} of {counted(members, 'predicted drive')}, fewer than one in twenty"
+        if broken
+        else f"all limits are kept in {counted(members, 'predicted drive')}"
+    )
+    tight = max((one for one in result["limits"] if one.get("limit")), key=_used, default=None)
+    near = f"; nearest to its limit comes the {quantity(tight['quantity'])}, {_of_limit(tight)}" if tight else ""
+    end = result.get("endpoint")
+    where = f" All drives end within {measured(end['covering_radius_m'], None, 'm')} of the destination." if end else ""
+    return ResultAnswer(f"Go for {drive}: {kept}{near}.{where}", GO)
+
+
+def _used(limit: Result) -> float:
+    """How much of a limit the worst drive uses; 1 is all of it."""
+    bound, least = float(limit["limit"]), limit.get("sense") == "at least"
+    worst = limit.get("min" if least else "max")
+    if worst is None or bound == 0:
+        return 0.0
+    return bound / float(worst) if least and worst else abs(float(worst) / bound)
+
+
+def _of_limit(limit: Result) -> str:
+    worst = float(limit.get("min" if limit.get("sense") == "at least" else "max") or 0.0)
+    symbol, factor = {"-": ("", 1), None: ("", 1), "deg": ("°", 1)}.get(limit.get("unit"), (f" {limit.get('unit')}", 1))
+    if symbol == " m" and limit["limit"] < 1:
+        symbol, factor = " mm", 1000
+    bound = f"{limit.get('sense', 'at most')} {number(float(factor * limit['limit']), 3)}{symbol}"
+    return f"at worst {number(factor * worst, 2)}{symbol} of {bound}"
+
+
+def ground(result: Result) -> ResultAnswer:
+    free, hazard = percent(result["traversable_share"]), percent(result["hazard_share"])
+    shares = f"{free} of the ground may be driven on, {hazard} is a hazard"
+    unknown = f", {percent(result['unknown_share'])} is not known"
+    made_up = "Synthetic ground: " if result["terrain"].get("synthetic") else ""
+    return ResultAnswer(f"{made_up}{shares}{unknown}.")
+
+
+def planned(result: Result) -> ResultAnswer:
+    choice, path = result.get("choice"), result.get("path")
+    if choice and not choice.get("feasible"):
+        return ResultAnswer(f"No drive is found: {choice.get('why_none') or 'none keeps the limits'}.", STOP)
+    if not path:
+        return ResultAnswer(f"No path was asked for or found. {ground(result).text}", PLAIN)
+    place = (
+        f"a path of {number(path['length_m'], 3)} m leads to x {path['target']['x_m']:g}, y {path['target']['y_m']:g} m"
+    )
+    room = (
+        f", never nearer than {number(path['min_hazard_distance_m'], 2)} m to a hazard"
+        if path.get("min_hazard_distance_m")
+        else ""
+    )
+    risk = _chosen(choice) if choice else ""
+    return ResultAnswer(
+        f"There is a way: {place}{room}, on slopes of up to {number(path['max_slope_deg'], 2)}°.{risk}", GO
+    )
+
+
+def _chosen(choice: Result) -> str:
+    best = next((one for one in choice["candidates"] if one["number"] == choice["best"]), None)
+    if best is None or not best.get("promised"):
+        return ""
+    promised = best["promised"]
+    return (
+        f" Of {counted(len(choice['candidates']), 'candidate')} it is \u201c{best['name']}\u201d: "
+        f"its chance of failing is {percent(promised['risk'])}, "
+        f"and {percent(promised['risk_high'])} at most, by {promised['drives']} drives."
+    )
+
+
+def mission(result: Result) -> ResultAnswer:
+    mission = result["mission"]
+    total, reached = len(mission["targets"]), mission["reached"]
+    time, legs = number(mission["end_s"] / 3600, 2), counted(len(mission["legs"]), "leg")
+    text = f"Reached: {reached} of {counted(total, 'target')}, in {time} h and {legs}."
+    return ResultAnswer(text, GO if reached == total else STOP)
+
+
+def simulated(result: Result) -> ResultAnswer:
+    end = f"The simulated drive {result['outcome']}" if result.get("outcome") else "A simulated drive"
+    return ResultAnswer(f"{end} after {number(result['duration_s'], 3)} s. All of it is synthetic.")
+
+
+def states(result: Result) -> ResultAnswer:
+    wheels = result["wheels"].values()
+    slips = [one["slip_ratio"]["median"] for one in wheels if one["slip_ratio"]["median"] is not None]
+    depths = [one["sinkage_m"]["median"] for one in wheels if one["sinkage_m"]["median"] is not None]
+    slip = f" Median slip of the wheels is {number(min(slips), 2)} to {number(max(slips), 2)}." if slips else ""
+    sink = (
+        f" Median sinkage is {1e3 * min(depths):.1f} to {1e3 * max(depths):.1f} mm."
+        if depths
+        else " Sinkage was not measured."
+    )
+    doubt = any(one.get("doubt") for one in result.get("findings", ()))
+    made_up = " The telemetry is synthetic." if result.get("synthetic") else ""
+    way = f"The rover drove {number(result['distance_m'], 3)} m in {number(result['duration_s'], 3)} s."
+    return ResultAnswer(f"{way}{slip}{sink}{made_up}", DOUBT if doubt else PLAIN)
+
+
+def loads(result: Result) -> ResultAnswer:
+    found = [interval for one in result["wheels"] if (interval := interval_of(one["normal_force_n"]))]
+    if not found:
+        return ResultAnswer("Forces of the wheels are not determined.", DOUBT)
+    low, high = min(low for _, low, _ in found), max(high for *_, high in found)
+    return ResultAnswer(
+        f"The wheels carry {number(low, 3)} to {number(high, 3)} N each; "
+        f"the rover weighs {number(result['weight_n'], 3)} N."
+    )
+
+
+def interval_of(item: Result) -> tuple[float, float, float] | None:
+    """Middle, low and high end of a quantity: median with 5 % and 95 %, or mean and one standard error."""
+    if item.get("p50") is not None:
+        return item["p50"], item["p05"], item["p95"]
+    mean, sigma = item.get("mean"), item.get("sigma")
+    return None if mean is None or sigma is None else (mean, mean - sigma, mean + sigma)
+
+
+def learned(result: Result) -> ResultAnswer:
+    if result.get("refused"):
+        return ResultAnswer(f"Nothing was learned from this drive: {result['refused']}.", DOUBT)
+    left = {
+        name: one["left_of_prior"] for name, one in result["parameters"].items() if one.get("left_of_prior") is not None
+    }
+    best = min(left, key=lambda name: float(left[name]), default=None)
+    most = f" Best known now is the {quantity(best)}, with {percent(left[best])} of its former spread." if best else ""
+    changes = len(result.get("changes", ()))
+    changed = (
+        f" The soil changes in {counted(changes, 'place')}."
+        if changes
+        else " No change of the soil along the way was found."
+    )
+    return ResultAnswer(
+        f"{counted(result['values'], 'value')} of the drive are explained with a reduced chi-square of "
+        f"{number(result['reduced_chi_square'], 2)}.{most}{changed}"
+    )
+
+
+def compared(result: Result) -> ResultAnswer:
+    end, verdict = result.get("end"), str(result["verdict"])
+    where = (
+        f" The drive ended {measured(end['error_m'], None, 'm')} from where it was predicted to."
+        if end and end.get("error_m") is not None
+        else ""
+    )
+    reason = f": {result['reasons'][0]}" if result.get("reasons") else ""
+    return ResultAnswer(f"The prediction is {verdict}{reason}.{where}", PLAIN if verdict == "trusted" else DOUBT)
+
+
+def believed(result: Result) -> ResultAnswer:
+    drives = result["drives"]
+    learned = [one for one in drives if not one.get("refused")]
+    return ResultAnswer(f"The belief rests on {counted(len(learned), 'drive')} of {len(drives)}.")
+
+
+def designs(result: Result) -> ResultAnswer:
+    front = ", ".join(str(one) for one in result["front"]) or "none"
+    return ResultAnswer(
+        f"{counted(len(result['designs']), 'design')} were driven on the same soils; "
+        f"not beaten in both risk and energy: design {front}."
+    )

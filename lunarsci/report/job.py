@@ -1,0 +1,128 @@
+"""A page of results, as a job."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+from lunarsci.errors import DataError
+from lunarsci.report.documents import Document, GivenPicture, read_results
+from lunarsci.report.page import Page
+from lunarsci.report.relief import Ground
+from lunarsci.result import MadeFrom, Result, request_of
+
+SYNTHETIC = "synthetic-longji"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReportRequest:
+    """What a page shows beside its results.
+
+    Attributes
+    ----------
+    title : of the page; made of its results if None.
+    terrain : `synthetic-longji` or a file, as for `twin predict`; if None that of a folder or of a drive's options,
+        where it can be read.
+    """
+
+    title: str | None = None
+    terrain: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ReportedResults(Result):
+    """A page of results, and the answer of each."""
+
+    schema: ClassVar[str] = "report/1"
+    page: Page
+
+    @property
+    def made_from(self) -> MadeFrom:
+        documents = self.page.documents
+        inputs = {document.name: document.sha256 for document in documents}
+        sources = dict.fromkeys(str(text) for one in documents for text in one.provenance.get("sources") or ())
+        return MadeFrom(inputs=inputs, sources=list(sources))
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"title": self.page.title, "sections": self.rows(), "ground": self.page.ground is not None}
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """One a section: its file, title, tone and answer."""
+        page = self.page
+        return [
+            {
+                "file": one.name,
+                "schema": one.schema,
+                "title": page.section_title(one),
+                "tone": said.tone,
+                "answer": said.text,
+            }
+            for one, said in zip(page.documents, page.answers, strict=True)
+        ]
+
+    def html(self, *, time: bool = True) -> bytes:
+        """The page as one file."""
+        return self.page.html(time=time)
+
+
+def report(
+    results: Sequence[str | Path] | str | Path, request: ReportRequest | None = None, **options: Any
+) -> ReportedResults:
+    """Make a page of results: JSON files of commands, folders of their -o, and pictures of their --plot.
+
+    Raises DataError for what is none of these, ParameterError where there is no result among them.
+    """
+    wanted = request_of(ReportRequest, request, options)
+    paths = [results] if isinstance(results, str | Path) else list(results)
+    documents, pictures = read_results(paths)
+    return ReportedResults(page=page_of(documents, pictures, wanted))
+
+
+def page_of(documents: Sequence[Document], pictures: Sequence[GivenPicture], wanted: ReportRequest) -> Page:
+    """The page of some results, with the ground where one is known."""
+    ground = _terrain(wanted.terrain) if wanted.terrain else _terrain_of(documents)
+    names = {one.name for one in documents}
+    title = wanted.title or (f"Results of {len(documents)} commands" if len(names) > 1 else _title(documents[0]))
+    return Page(title, documents, pictures, ground)
+
+
+def _title(document: Document) -> str:
+    return str(document.provenance.get("command", document.schema)).replace("lunarsci ", "lunarsci: ", 1)
+
+
+def _terrain(name: str) -> Ground:
+    """A terrain by its name or from its file. Raises DataError."""
+    from lunarsci.grids import ERROR_LAYERS, read_grid
+    from lunarsci.regolith.soil import read_soil
+    from lunarsci.twin.ground.synthetic import synthetic_longji
+    from lunarsci.twin.ground.terrain import SOIL_COLUMNS
+
+    if name != SYNTHETIC:
+        soil = (*SOIL_COLUMNS, *(f"{one}_left_of_prior" for one in SOIL_COLUMNS))
+        return read_grid(name, (), (*soil, *ERROR_LAYERS))
+    return synthetic_longji(read_soil("longji"))
+
+
+def _terrain_of(documents: Sequence[Document]) -> Ground | None:
+    """The first terrain that lies in a folder of the results, or that a drive names and that can be read."""
+    for document in documents:
+        if document.folder is not None and (file := document.folder / "terrain.npz").is_file():
+            return _terrain(str(file))
+    for document in documents:
+        name = (document.provenance.get("options") or {}).get("terrain")
+        if document.kind.startswith("twin-") and isinstance(name, str) and _known(name, document):
+            return _terrain(name)
+    return None
+
+
+def _known(name: str, document: Document) -> bool:
+    """Whether it is the embedded terrain, or a file that still is what the drive was made with."""
+    from lunarsci.inputs import read_input
+
+    hashes = {one.get("path"): one.get("sha256") for one in document.provenance.get("inputs") or ()}
+    if name == SYNTHETIC or not hashes.get(name):
+        return name == SYNTHETIC
+    try:
+        return bool(read_input(name).sha256 == hashes[name])
+    except DataError:
+        return False

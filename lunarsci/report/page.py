@@ -1,0 +1,182 @@
+"""The page: sections of results, what is on top of them, and the text of the HTML file."""
+
+import base64
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from importlib import resources
+from typing import Any
+
+from lunarsci.errors import ParameterError
+from lunarsci.printable import printable
+from lunarsci.provenance import installed_version
+from lunarsci.report import parts
+from lunarsci.report.answers import answer
+from lunarsci.report.charts import Chart, charts
+from lunarsci.report.documents import Document, GivenPicture
+from lunarsci.report.relief import Ground, GroundView, Line, lines_of, relief
+from lunarsci.report.sentences import DOUBT, GO, STOP, ResultAnswer
+
+MARKS = {GO: "Go", STOP: "No-go", DOUBT: "Not to be trusted as it is"}
+MIME = {".png": "image/png", ".svg": "image/svg+xml"}
+TITLES = {
+    "demo": "The demonstration",
+    "images-dem": "Heights from pictures",
+    "images-locate": "Where the pictures were taken",
+    "images-merge": "Heights of several stations",
+    "images-rocks": "Rocks",
+    "images-track": "Depth of the ruts",
+    "regolith-compare": "The soil beside others",
+    "regolith-forces": "Forces of a wheel",
+    "regolith-identify": "The soil from wheel states",
+    "reproduce": "Published numbers",
+    "spectra-bands": "Absorption bands",
+    "spectra-calibrate": "Calibrated spectra",
+    "spectra-fit": "Minerals",
+    "spectra-indices": "Spectral indices",
+    "spectra-match": "Where the rock came from",
+    "spectra-simulate": "A simulated observation",
+    "twin-compare": "How right the prediction was",
+    "twin-forces": "Forces of the wheels",
+    "twin-history": "What the belief of the soil rests on",
+    "twin-mission": "A mission",
+    "twin-plan": "The way",
+    "twin-predict": "The predicted drive",
+    "twin-simulate": "A simulated drive",
+    "twin-states": "Wheel states of the drive",
+    "twin-sweep": "Designs of the rover",
+    "twin-terrain": "The ground",
+    "twin-update": "What the drive teaches of the soil",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class PagePicture:
+    """A picture as the page has it: a data address, a title, and what it shows in words."""
+
+    source: str
+    title: str
+    words: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Section:
+    """One result on the page."""
+
+    title: str
+    answer: ResultAnswer
+    pictures: Sequence[PagePicture]
+    tables: Sequence[parts.PageTable]
+    budget: parts.PageTable | None
+    assumed: Sequence[str]
+    unknown: Sequence[str]
+    provenance: parts.PageTable
+
+    @property
+    def mark(self) -> str:
+        """The answer's tone in a word or two; '' for one that needs none."""
+        return "" if self.answer.text.startswith(("Go ", "No-go ")) else MARKS.get(self.answer.tone, "")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Page:
+    """A page of several results.
+
+    Attributes
+    ----------
+    title : of the page.
+    documents : the results, a section each, in their order.
+    pictures : that were given beside them.
+    ground : that can be turned, None where no terrain is known.
+    ways : lines on the ground beside those that the results have.
+    """
+
+    title: str
+    documents: Sequence[Document]
+    pictures: Sequence[GivenPicture] = ()
+    ground: Ground | None = None
+    ways: Sequence[Line] = ()
+    answers: Sequence[ResultAnswer] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "answers", [answer(one) for one in self.documents])
+
+    def section_title(self, document: Document) -> str:
+        """What a section is called: its kind, and its file where several are alike."""
+        title = TITLES.get(document.kind, document.kind.replace("-", " "))
+        alike = sum(one.kind == document.kind for one in self.documents)
+        return f"{title}: {document.name}" if alike > 1 else title
+
+    def html(self, *, time: bool = True) -> bytes:
+        """The whole file; without `time` equal results give equal bytes.
+
+        Raises ParameterError without jinja2.
+        """
+        ground = None if self.ground is None else relief(self.ground, [*lines_of(self.documents), *self.ways])
+        text = _template().render(
+            title=printable(self.title),
+            version=installed_version("lunarsci"),
+            made=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC" if time else "",
+            sections=[self._section(one, said) for one, said in zip(self.documents, self.answers, strict=True)],
+            pictures=[_shown(one.name, one.content) for one in self.pictures],
+            ground=None if ground is None else _ground(ground),
+            sources=parts.sources(self.documents),
+            rest="All digits are in the files that it was made from.",
+            **_own_files(),
+        )
+        return str(text).encode()
+
+    def _section(self, document: Document, said: ResultAnswer) -> Section:
+        drawn = [_drawn(chart) for chart in charts(document)]
+        drawn += [_shown(name, content) for name, content in document.pictures.items()]
+        return Section(
+            printable(self.section_title(document)), said, drawn, parts.tables(document), parts.budget(document),
+            parts.assumed(document), parts.unknown(document), parts.provenance(document),
+        )  # fmt: skip
+
+
+def _drawn(chart: Chart) -> PagePicture:
+    return PagePicture(_address(chart.suffix, chart.content), chart.title, chart.words)
+
+
+def _shown(name: str, content: bytes) -> PagePicture:
+    suffix = name[name.rfind(".") :].lower()
+    return PagePicture(_address(suffix, content), name, f"The picture {name}; what it shows is in its own labels.")
+
+
+def _ground(ground: GroundView) -> Mapping[str, Any]:
+    still = PagePicture(
+        _address(".png", ground.still), "The same from above, north or y upwards", f"Seen from above: {ground.words}"
+    )
+    return {"data": ground.data, "note": ground.note, "words": ground.words, "still": still, "legend": ground.legend}
+
+
+def _address(suffix: str, content: bytes) -> str:
+    return f"data:{MIME[suffix]};base64,{base64.b64encode(content).decode()}"
+
+
+def _own_files() -> dict[str, Any]:
+    """Style and script of the page, and their hashes: nothing else may run in it."""
+    from markupsafe import Markup
+
+    style, script = (
+        resources.files("lunarsci.report").joinpath(name).read_text("utf-8") for name in ("page.css", "relief.js")
+    )
+    hashes = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in (style, script)]
+    return {"style": Markup(style), "script": Markup(script), "style_hash": hashes[0], "script_hash": hashes[1]}
+
+
+def _template() -> Any:
+    try:
+        from jinja2 import Environment, StrictUndefined
+    except ImportError as error:
+        raise ParameterError("a page needs jinja2; pip install 'lunarsci[report]'") from error
+    text = resources.files("lunarsci.report").joinpath("page.html.j2").read_text("utf-8")
+    made = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, finalize=_clean)
+    return made.from_string(text)
+
+
+def _clean(value: Any) -> Any:
+    """Text of a file without what would turn or hide it."""
+    return printable(value) if type(value) is str else value

@@ -1,0 +1,101 @@
+"""Numbers and keys of results as people read them."""
+
+import math
+from typing import Any
+
+from lunarsci.result import ENDS, unit_of
+
+PLURALS = {"spectrum": "spectra", "index": "indices"}
+ASTROPY = {"pix": "px", "m2": "m²", "1 / m": "1/m", "deg / s": "°/s", "m / s": "m/s", "deg": "°", "N m": "N m"}
+NAMES = {
+    "stiffness_kpa_m_n": "stiffness K_s [kPa/m^N]",
+    "sinkage_exponent": "sinkage exponent N",
+    "sinkage_exponent_slip": "sinkage exponent with slip n₁",
+    "cohesion_pa": "cohesion c [Pa]",
+    "friction_angle_deg": "internal friction angle φ [°]",
+    "shear_modulus_mm": "shear modulus K_x [mm]",
+    "external_friction_angle_deg": "external friction angle φ_y [°]",
+    "lateral_modulus_mm": "lateral shear modulus K_y [mm]",
+    "slip_ratio": "slip ratio",
+    "side_slip_deg": "side slip [°]",
+    "sinkage_m": "sinkage [m]",
+    "tilt_deg": "tilt [°]",
+    "clearance_m": "ground clearance [m]",
+    "endpoint_miss_m": "distance from the destination [m]",
+    "normal_force_n": "normal force [N]",
+    "drawbar_pull_n": "drawbar pull [N]",
+    "lateral_force_n": "lateral force [N]",
+    "resistance_torque_nm": "resistance torque [N m]",
+    "um1": "1 µm",
+    "um2": "2 µm",
+}
+
+
+def unit(key: str) -> str:
+    """The unit of a key, as it is printed; '' where it names none."""
+    found = unit_of(key)
+    return ASTROPY.get(found, found)
+
+
+def words(key: str) -> str:
+    """A key in words, its unit in brackets.
+
+    >>> words("center_nm"), words("slip_ratio"), words("result.rover_id")
+    ('center [nm]', 'slip ratio', 'result, rover id')
+    """
+    if key in NAMES:
+        return NAMES[key]
+    bare, found = key, unit(key)
+    if found:
+        end = next((one for one in ENDS if key.endswith(one)), "")
+        bare = key.removesuffix(end).rpartition("_")[0] + end
+    plain = (bare or key).replace("_", " ").replace(".", ", ")
+    return f"{plain} [{found}]" if found and bare else plain
+
+
+def quantity(key: str) -> str:
+    """A key in words without its unit."""
+    return words(key).partition(" [")[0]
+
+
+def number(value: Any, digits: int = 4) -> str:
+    """A number with so many digits; what is no number as it is, nothing as `not determined`."""
+    if value is None:
+        return "not determined"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return str(value)
+    if not isinstance(value, float):
+        return str(value)
+    return "not determined" if math.isnan(value) else f"{value:.{digits}g}".replace("e-0", "e-").replace("e+0", "e")
+
+
+def measured(value: Any, sigma: Any = None, symbol: str = "") -> str:
+    """A value with its error, both to the error's second digit.
+
+    >>> measured(943.84, 2.72, "nm"), measured(0.47381, 0.17), measured(None, 3.0)
+    ('943.8 ± 2.7 nm', '0.47 ± 0.17', 'not determined')
+    """
+    after = f"\u202f{symbol}" if symbol == "°" else f" {symbol}" if symbol else ""
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return number(value)
+    if not isinstance(sigma, int | float) or not math.isfinite(sigma) or sigma <= 0:
+        return f"{number(float(value), 3)}{after}"
+    places = 1 - math.floor(math.log10(sigma))
+    shown = [f"{round(one, places):.{max(places, 0)}f}" for one in (float(value), float(sigma))]
+    return f"{shown[0]} ± {shown[1]}{after}"
+
+
+def percent(share: Any) -> str:
+    """A share of one in percent, coarse enough to be read aloud."""
+    if not isinstance(share, int | float):
+        return "an unknown share"
+    whole = 100 * share
+    return f"{whole:.0f} %" if whole == 0 or whole >= 1 else f"{whole:.1g} %"
+
+
+def counted(count: int, thing: str) -> str:
+    """`1 drive`, `81 drives`."""
+    many = PLURALS.get(thing, f"{thing}s")
+    return f"{count} {thing}" if count == 1 else f"{count} {many}"

@@ -1,0 +1,57 @@
+"""`lunarsci report`."""
+
+import csv
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+Run = Callable[..., Any]
+
+
+def test_a_page_of_two_results(run: Run, rock: Path, tmp_path: Path) -> None:
+    bands, picture, forces, page = (tmp_path / name for name in ("bands.json", "bands.png", "forces.json", "page.html"))
+    assert run("spectra", "bands", rock, "-o", bands, "--plot", picture).code == 0
+    assert run("regolith", "forces", "--load", 36.5, "-o", forces).code == 0
+    made = run("report", bands, forces, picture, "-o", page)
+    assert (made.code, made.out) == (0, "")
+    assert made.err == [f"written: {page}"]
+    html = page.read_text("utf-8")
+    assert html.count('<section id="s') == 2
+    assert "Absorption bands" in html
+    assert "a wheel carries 36.5 N" in html
+    assert html.count("data:image/png;base64,") == 1
+    assert "http" not in html.replace("http-equiv", "")
+
+
+def test_without_a_file_the_answers_are_printed(run: Run, rock: Path, tmp_path: Path) -> None:
+    bands = tmp_path / "bands.json"
+    run("spectra", "bands", rock, "-o", bands)
+    assert "absorbs at" in run("report", bands).out
+    document = json.loads(run("report", bands, "--json").out)
+    assert document["schema"] == "lunarsci/report/1"
+    [section] = document["result"]["sections"]
+    assert section["tone"] == "plain"
+    [row] = csv.DictReader(io.StringIO(run("report", bands, "--csv").out))
+    assert row["answer"] == section["answer"]
+
+
+def test_equal_results_give_equal_pages_without_time(run: Run, rock: Path, tmp_path: Path) -> None:
+    bands, first, second = (tmp_path / name for name in ("bands.json", "first.html", "second.html"))
+    run("spectra", "bands", rock, "-o", bands)
+    for page in (first, second):
+        run("report", bands, "-o", page, "--no-time")
+    assert first.read_bytes() == second.read_bytes()
+
+
+def test_what_is_no_result_is_refused(run: Run, rock: Path, tmp_path: Path) -> None:
+    (tmp_path / "thing.json").write_text('{"a": 1}')
+    for what in (tmp_path / "thing.json", rock, tmp_path / "nowhere.json"):
+        refused = run("report", what, "-o", tmp_path / "page.html")
+        assert refused.code == 1
+        assert refused.out == ""
+        assert len(refused.err) == 1
+        assert what.name in refused.err[0]
+    assert not (tmp_path / "page.html").exists()
+    assert run("report").code == 2

@@ -1,0 +1,167 @@
+"""The page in a real browser: complete, quiet, legible, reachable without a mouse, and deaf to hostile names."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lunarsci.report.job import report
+from lunarsci.report.relief import MOST_NODES
+
+from .conftest import documents
+
+HOSTILE = "$\\frac{<script>window.hurt=1</script><img src=x onerror='window.hurt=1'>\u202eevil\"'&amp;"
+WIDTHS = (360, 1440)
+ROWS = "member,distance_m,x_m,y_m\n" + "".join(
+    f"{member},{0.1 * k:.1f},{0.1 * k:.2f},{0.02 * member * k:.2f}\n" for member in range(3) for k in range(20)
+)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of every kind; a predicted drive with its paths and the ground below them; a hostile spectrum."""
+    made = tmp_path_factory.mktemp("results")
+    known = documents()
+    for name, document in known.items():
+        (made / f"{name}.json").write_text(json.dumps(document))
+    (made / "drive").mkdir()
+    (made / "drive/result.json").write_text(json.dumps(known["predict"]))
+    (made / "drive/paths.csv").write_text(ROWS)
+    x = np.arange(-3.0, 6.0, 0.05)
+    height = 0.3 * np.sin(x[:, None]) * np.cos(x[None, :])
+    height[10:20, 10:20] = np.nan
+    np.savez(made / "drive/terrain.npz", x_m=x, y_m=x, height_m=height, name=HOSTILE, synthetic=True)
+    spoiled = known["fit"]
+    spoiled["result"]["spectra"][0]["id"] = spoiled["result"]["spectra"][0]["bands"][0]["mineral"] = HOSTILE
+    spoiled["provenance"] = spoiled["provenance"] | {"sources": [HOSTILE], "warnings": [HOSTILE], "command": HOSTILE}
+    (made / "hostile.json").write_text(json.dumps(spoiled))
+    return made
+
+
+def each_kind(folder: Path) -> list[Path]:
+    """The first file of every schema."""
+    kinds = {json.loads(file.read_text())["schema"]: file for file in sorted(folder.glob("*.json"), reverse=True)}
+    assert len(kinds) > 20
+    return list(kinds.values())
+
+
+@pytest.fixture(scope="module")
+def everything(folder: Path) -> Path:
+    """One page of several of them."""
+    few = [folder / f"{name}.json" for name in ("states", "identify", "match modes", "update", "choice", "calibrate")]
+    page = folder / "page.html"
+    page.write_bytes(report([folder / "drive", folder / "hostile.json", *few], title=HOSTILE).html())
+    return page
+
+
+@pytest.fixture(scope="module", params=WIDTHS)
+def opened(request: pytest.FixtureRequest, browser: Any, everything: Path) -> Any:
+    """The page on a screen of some width, with what it said and asked for."""
+    page = browser.new_page(viewport={"width": request.param, "height": 900})
+    page.said, page.asked = [], []
+    page.on("console", lambda message: page.said.append(message.text))
+    page.on("pageerror", lambda error: page.said.append(str(error)))
+    page.on("request", lambda asked: page.asked.append(asked.url))
+    page.goto(everything.as_uri())
+    return page
+
+
+def test_a_page_of_every_kind_has_a_section_and_pictures(folder: Path) -> None:
+    for file in each_kind(folder):
+        html = report(file).html(time=False).decode()
+        assert html.count('<section id="s') == 1, file
+        assert "Command, options, files and versions" in html
+    assert html == report(file).html(time=False).decode()
+
+
+def test_the_page_is_quiet_and_asks_for_nothing(opened: Any) -> None:
+    assert opened.said == []
+    assert [address for address in opened.asked if not address.startswith(("data:", "file:"))] == []
+    assert sum(address.startswith("file:") for address in opened.asked) == 1
+
+
+def test_nothing_scrolls_sideways_and_text_is_large_enough(opened: Any) -> None:
+    width, seen = opened.evaluate("[document.documentElement.scrollWidth, innerWidth]")
+    assert width <= seen
+    sizes = opened.evaluate(
+        "[...document.querySelectorAll('p, li, td, th, figcaption, summary')]"
+        ".map(one => parseFloat(getComputedStyle(one).fontSize))"
+    )
+    assert min(sizes) >= 14
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing(browser: Any, everything: Path, scheme: str) -> None:
+    """Contrast, alternative texts, headings, names of buttons and regions, by the rules of WCAG 2 AA."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright")
+    page = browser.new_page(viewport={"width": 360, "height": 900}, color_scheme=scheme)
+    page.goto(everything.as_uri())
+    page.evaluate("document.querySelectorAll('details').forEach((one, k) => { one.open = k < 4 })")
+    found = axe.Axe().run(page, options={"resultTypes": ["violations"]}).response["violations"]
+    page.close()
+    assert [(one["id"], [node["html"][:80] for node in one["nodes"][:3]]) for one in found] == []
+
+
+def test_hostile_names_are_shown_and_never_run(opened: Any) -> None:
+    assert opened.evaluate("window.hurt") is None
+    assert "<script>window.hurt=1</script>" in opened.evaluate("document.querySelector('h1').textContent")
+    assert "\u202e" not in opened.evaluate("document.documentElement.outerHTML")
+
+
+def pixels(page: Any) -> str:
+    return str(page.evaluate("document.querySelector('canvas').toDataURL()"))
+
+
+def test_the_ground_turns_by_mouse_keys_and_buttons(opened: Any) -> None:
+    canvas = opened.locator("canvas").first
+    canvas.scroll_into_view_if_needed()
+    before = pixels(opened)
+    box = canvas.bounding_box()
+    opened.mouse.move(box["x"] + 100, box["y"] + 60)
+    opened.mouse.down()
+    opened.mouse.move(box["x"] + 190, box["y"] + 80, steps=3)
+    opened.mouse.up()
+    dragged = pixels(opened)
+    canvas.focus()
+    opened.keyboard.press("ArrowLeft")
+    keyed = pixels(opened)
+    opened.get_by_role("button", name="Heights × 2").click()
+    taller = pixels(opened)
+    assert len({before, dragged, keyed, taller}) == 4
+    opened.get_by_role("button", name="Begin again").click()
+    assert pixels(opened) == before
+
+
+def test_a_picture_grows_when_it_is_chosen(opened: Any) -> None:
+    first = opened.locator("button.zoom").first
+    first.scroll_into_view_if_needed()
+    first.click()
+    large = opened.locator("dialog img")
+    before = large.bounding_box()["width"]
+    opened.get_by_role("button", name="Larger").click()
+    assert large.bounding_box()["width"] == pytest.approx(1.5 * before, rel=0.01)
+    assert large.get_attribute("alt")
+    opened.keyboard.press("Escape")
+    assert not large.is_visible()
+
+
+def test_paper_has_the_still_picture_and_no_buttons(opened: Any) -> None:
+    opened.emulate_media(media="print")
+    assert not opened.get_by_role("button", name="Turn left").is_visible()
+    assert opened.locator("#ground img").is_visible()
+    opened.emulate_media(media="screen")
+
+
+def test_the_ground_is_thinned_and_says_so(folder: Path) -> None:
+    html = report(folder / "drive").html().decode()
+    assert "a node every 0.1 m; the terrain&#39;s own are 0.05 m apart" in html
+    data = re.search(r'data-relief="([^"]+)"', html)
+    assert data is not None
+    assert len(data[1]) < 4 * (2 * MOST_NODES**2 + 40 * 60 * 25)
+
+
+def test_without_a_terrain_there_is_no_ground(folder: Path) -> None:
+    assert "data-relief=" not in report(folder / "fit.json").html().decode()
