@@ -14,6 +14,7 @@ from .shared.table import TextTable, plus_minus
 from .shared.talk import say
 
 FOLDER = "lunarsci-demo"
+NO_PAGE = "left out: a page of all of it needs jinja2; pip install 'lunarsci[report]'"
 
 
 def add_to(app: typer.Typer) -> None:
@@ -32,6 +33,8 @@ def demo(
     from lunarsci.reproduce.demo import demo
 
     result = demo(seed, say=partial(say, quiet=output.quiet))
+    page = "report.html" in result.files
+    say(f"all of it on one page: open {output.path}/report.html in a browser" if page else NO_PAGE, quiet=output.quiet)
     return Report.of(result, [_table(result.rows(), output.path)], files=result.files, figures=None)
 
 
@@ -48,19 +51,11 @@ def _table(findings: Sequence[Mapping[str, Any]], folder: Path | None) -> TextTa
     ]
     notes = [
         "Everything here is synthetic: a rock that exists nowhere on ground that was made up.",
-        *_page_line(folder),
         f"Pictures and tables are in {folder}. Try the commands on them, for example:",
         f"  lunarsci spectra fit {folder}/rock.ecsv",
         f"  lunarsci regolith identify {folder}/wheel_states.csv --lateral-modulus 20",
     ]
     return TextTable(["what was found", "value", "truth", "unit", "picture"], rows, notes=notes)
-
-
-def _page_line(folder: Path | None) -> list[str]:
-    from importlib.util import find_spec
-
-    page = f"All of it on one page: open {folder}/report.html in a browser."
-    return [page if find_spec("jinja2") else "For a page of all of it: pip install 'lunarsci[report]'"]
 
 
 def _digits(value: float) -> int:
