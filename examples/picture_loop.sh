@@ -81,8 +81,8 @@ drive=(lunarsci twin simulate out.toml "${common[@]}" --terrain ground/terrain.n
 
 say "4. Pictures on the way, and back to the ruts; dead reckoning says about where from"
 end=$(awk -F, 'END { print $1 }' 3-drive/telemetry.csv)
-for station in 0 1 2; do
-    time=$(awk -v end="$end" -v k="$station" 'BEGIN { print end * k / 2 }')
+for station in 0 1 2 3; do
+    time=$(awk -v end="$end" -v k="$station" 'BEGIN { print end * k / 3 }')
     read -r time x y heading < <(at_time 3-true/telemetry.csv "$time" time_s x_m y_m yaw_deg)
     picture "S$station" "$x" "$y" "$heading" 25
     read -r told < <(at_time 3-drive/telemetry.csv "$time" yaw_deg)
@@ -93,15 +93,15 @@ done
 picture back "$x" "$y" "$(awk -v h="$heading" 'BEGIN { print h + 180 }')" 35 --track 3-true/truth.csv
 
 say "5. From pictures to positions, a map and the depth of the ruts"
-go_or_stop lunarsci images locate A S0 S1 S2 "${common[@]}" --rig "$rig" -o 5-located
-heights S1 5-located/S1.toml
-grep -v '^S[02],' 5-located/shifts.csv >shifts.csv
-lunarsci images merge A.npz S1.npz "${common[@]}" --positions shifts.csv -o map.npz >map.txt || [ $? -eq 3 ]
+go_or_stop lunarsci images locate A S0 S1 S2 S3 "${common[@]}" --rig "$rig" -o 5-located
+heights S2 5-located/S2.toml
+grep -v '^S[013],' 5-located/shifts.csv >shifts.csv
+lunarsci images merge A.npz S2.npz "${common[@]}" --positions shifts.csv -o map.npz >map.txt || [ $? -eq 3 ]
 go_or_stop lunarsci twin states 3-drive/telemetry.csv out.toml "${common[@]}" --terrain map.npz \
     --positions 5-located/positions.csv -o 5-states >5-states.txt
 # Looking back the mast has turned by half a turn.
 awk -F' *= *' '$1 == "heading_deg" { $2 += 180 } $1 == "down_deg" { $2 = 35 } { print $1 " = " $2 }' \
-    5-located/S2.toml >back.toml
+    5-located/S3.toml >back.toml
 heights back back.toml --spacing 0.01
 for aside in 0.45 -0.45; do
     line=$(awk -F, -v aside="$aside" '!head { for (k = 1; k <= NF; k++) at[$k] = k; head = 1; next }

@@ -76,7 +76,7 @@ def test_the_loop_that_begins_with_pictures_predicts_the_return(tmp_path: Path, 
     after, before = map(float, found.groups())
     assert after < 0.1 and after < 0.4 * before
     sent = (tmp_path / "loop/5-located/positions.csv").read_text().splitlines()
-    assert len(sent) == 5 and all(",True," in line for line in sent[1:])
+    assert len(sent) == 6 and all(",True," in line for line in sent[1:])
     assert sum(line.endswith(",ok") for line in (tmp_path / "loop/ruts.csv").read_text().splitlines()) > 10
 
 
