@@ -291,9 +291,7 @@ def _limits(document: Document) -> Drawn:
         [-k for k in range(len(rows))],
         [words(one["quantity"]).partition(" [")[0] + ("" if one["ok"] else " (broken)") for one in rows],
     )
-    axes.set(
-        xlabel="share of the limit that is used [-]; beyond 1: broken", ylim=(-len(rows) + 0.5, 0.5), xlim=(0, None)
-    )
+    axes.set(xlabel="share of the limit used [-]; above 1: broken", ylim=(-len(rows) + 0.5, 0.5), xlim=(0, None))
     told = "; ".join(
         f"{words(one['quantity']).partition(' [')[0]} {number(max(_used(one, one['min']), _used(one, one['max'])), 2)}"
         for one in rows

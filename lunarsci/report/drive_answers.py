@@ -1,7 +1,7 @@
 """Sentences for drives: the ground, the way, what was predicted, driven and learned."""
 
 from lunarsci.report.sentences import DOUBT, GO, PLAIN, STOP, Result, ResultAnswer
-from lunarsci.report.words import counted, measured, number, percent, quantity
+from lunarsci.report.words import counted, number, percent, quantity
 
 
 def predicted(result: Result) -> ResultAnswer:
@@ -20,7 +20,7 @@ def predicted(result: Result) -> ResultAnswer:
     tight = max((one for one in result["limits"] if one.get("limit")), key=_used, default=None)
     near = f"; nearest to its limit comes the {quantity(tight['quantity'])}, {_of_limit(tight)}" if tight else ""
     end = result.get("endpoint")
-    where = f" All drives end within {measured(end['covering_radius_m'], None, 'm')} of the destination." if end else ""
+    where = f" All drives end within {number(end['covering_radius_m'], 2)} m of the destination." if end else ""
     return ResultAnswer(f"Go for {drive}: {kept}{near}.{where}", GO)
 
 
@@ -153,7 +153,7 @@ def learned(result: Result) -> ResultAnswer:
 def compared(result: Result) -> ResultAnswer:
     end, verdict = result.get("end"), str(result["verdict"])
     where = (
-        f" The drive ended {measured(end['error_m'], None, 'm')} from where it was predicted to."
+        f" The drive ended {number(end['error_m'], 2)} m from where it was predicted to."
         if end and end.get("error_m") is not None
         else ""
     )
