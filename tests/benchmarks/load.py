@@ -1,10 +1,10 @@
 """What commands take of large inputs: `python tests/benchmarks/load.py [--scale 1] [NAME ...]`.
 
 SYNTHETIC inputs, each command in a process of its own: its processor and wall time, most memory, and how many of
-something it does a second. `telemetry`: a week at 10 Hz, refused, and a day at 1 Hz with five drives in it. `history`: a belief of
-1,000 drives shown, gone back in, and taught by one more. `terrain`: 16 million nodes looked at and planned on.
+something it does a second. `telemetry`: a week at 10 Hz, and a day at 1 Hz, with five drives in it. `history`: a belief
+of 1,000 drives shown, gone back in, and taught by one more. `terrain`: 16 million nodes looked at and planned on.
 `commands`: 10,000 short ones, and what they leave behind in folders of caches and temporary files. Of 100,000 spectra
-`memory.py` tells. With `--scale` 0.1 everything is a tenth: what grows faster than the input shows.
+`memory.py` tells. With `--scale` 0.1 everything is a tenth: what grows faster than its input shows.
 """
 
 import argparse
@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 
 WHEELS = ("FL", "FR", "ML", "MR", "RL", "RR")
-ROW = "{time:.1f},{place},{yaw:.4f},0.1," + ",".join(["{speed},0,{angle:.4f}"] * len(WHEELS)) + ",true\n"
 HEADER = "time_s,x_m,y_m,sigma_m,yaw_deg,yaw_deg_sigma," + ",".join(
     f"speed_{wheel}_m_s,steering_{wheel}_deg,angle_{wheel}_deg" for wheel in WHEELS
 )
@@ -65,12 +64,14 @@ def told(name: str, spent: Spent, count: float = 0, unit: str = "") -> str:
     """A line of what a command took, and the rate at which it did `count` of something."""
     rate = f", {count / spent.cpu_s:10,.0f} {unit}/CPU-s" if count else ""
     text = f"{name:34s} exit {spent.code}, {spent.cpu_s:7.1f} CPU-s, {spent.wall_s:7.1f} s, {spent.peak_mb:6.0f} MB"
-    line = next((line for line in spent.said.splitlines()[::-1] if line.strip()), "") if spent.code not in (0, 3) else ""
+    line = (
+        next((line for line in spent.said.splitlines()[::-1] if line.strip()), "") if spent.code not in (0, 3) else ""
+    )
     return f"{text}{rate}" + (f"\n    {line}" if line else "")
 
 
 def write_telemetry(path: Path, seconds: float, rate_hz: float, drives: int) -> int:
-    """SYNTHETIC telemetry of a rover that drives straight ahead so many times, evenly spread, and else stands; its rows."""
+    """SYNTHETIC telemetry of a rover that drives straight ahead so many times, and else stands; how many rows it has."""
     count, every = int(seconds * rate_hz), max(1, int(FIX_S * rate_hz))
     begins = np.linspace(0.0, seconds, drives, endpoint=False) + 50.0
     rng = np.random.default_rng(0)
@@ -130,7 +131,17 @@ def history(folder: Path, scale: float) -> Iterator[str]:
     yield told(f"history: back to {count // 2:,}", back)
     measured("twin", "simulate", plan, "--seed", "1", "-o", folder / "drive", "-q")
     measured("twin", "states", folder / "drive" / "telemetry.csv", plan, "-o", folder / "states", "--force", "-q")
-    taught = ("twin", "update", folder / "states" / "states.csv", "--plan", plan, "--particles", "32", "--no-ruts", "-q")
+    taught = (
+        "twin",
+        "update",
+        folder / "states" / "states.csv",
+        "--plan",
+        plan,
+        "--particles",
+        "32",
+        "--no-ruts",
+        "-q",
+    )
     yield told("update: the first drive", measured(*taught))
     yield told(f"update: after {count:,} drives", measured(*taught, "--soil", belief, "--save", folder / "more.json"))
     yield f"    the belief has {(folder / 'more.json').stat().st_size / 1e6:.2f} MB after it"
@@ -148,7 +159,10 @@ def terrain(folder: Path, scale: float) -> Iterator[str]:
     np.savez(path, x_m=x, y_m=x, height_m=height, name="SYNTHETIC", synthetic=True)
     nodes, end = side * side, 0.9 * x[-1]
     size = f", {nodes * 8 / 1e6:.0f} MB of heights"
-    yield told(f"terrain: {nodes / 1e6:.1f} million nodes", measured("twin", "terrain", path, "-q"), nodes, "nodes") + size
+    yield (
+        told(f"terrain: {nodes / 1e6:.1f} million nodes", measured("twin", "terrain", path, "-q"), nodes, "nodes")
+        + size
+    )
     kept = measured("twin", "terrain", path, "-q", "-o", folder / "site")
     yield told("terrain: the same, kept", kept, nodes, "nodes")
     way = ("--start", f"{0.1 * x[-1]:.1f},{0.1 * x[-1]:.1f},45", "--target", f"{end:.1f},{end:.1f}")
@@ -181,11 +195,10 @@ def commands(folder: Path, scale: float) -> Iterator[str]:
         yield told(f"commands: the first {' '.join(map(str, line[:2]))[:24]}", first)
     before = {name: held_by(place) for name, place in places.items()}
     spent = [measured(*line, environment=environment) for line in itertools.islice(itertools.cycle(lines), count)]
-    cpu = np.array([one.cpu_s for one in spent])
-    yield (
-        f"commands: {count:,} more: median {np.median(cpu):.2f} CPU-s, of the last tenth {np.median(cpu[-count // 10:]):.2f}, "
-        f"at most {max(one.peak_mb for one in spent):.0f} MB, {sum(one.code != 0 for one in spent)} failed"
-    )
+    cpu, failed = np.array([one.cpu_s for one in spent]), sum(one.code != 0 for one in spent)
+    first, last = (np.median(part) for part in (cpu[: len(cpu) // 10], cpu[-(len(cpu) // 10) :]))
+    peak = max(one.peak_mb for one in spent)
+    yield f"commands: {count:,} more, {failed} failed: {first:.2f} CPU-s at first, {last:.2f} at last, {peak:.0f} MB"
     for name, place in places.items():
         files, size = held_by(place)
         yield f"    {name:16s} {files - before[name][0]:+d} files, {size - before[name][1]:+.3f} MB, to {size:.1f} MB"
