@@ -71,7 +71,7 @@ def told(name: str, spent: Spent, count: float = 0, unit: str = "") -> str:
 
 
 def write_telemetry(path: Path, seconds: float, rate_hz: float, drives: int) -> int:
-    """SYNTHETIC telemetry of a rover that drives straight ahead so many times, and else stands; how many rows it has."""
+    """SYNTHETIC telemetry of a rover that drives straight ahead so many times, and else stands; its number of rows."""
     count, every = int(seconds * rate_hz), max(1, int(FIX_S * rate_hz))
     begins = np.linspace(0.0, seconds, drives, endpoint=False) + 50.0
     rng = np.random.default_rng(0)
@@ -215,7 +215,7 @@ LOADS: dict[str, Callable[[Path, float], Iterator[str]]] = {
 def main() -> None:
     """Print a line for each command."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", default=list(LOADS), choices=[[], *LOADS])
+    parser.add_argument("names", nargs="*", default=list(LOADS))
     parser.add_argument("--scale", type=float, default=1.0)
     options = parser.parse_args()
     print(json.dumps({"scale": options.scale}), flush=True)
