@@ -58,6 +58,17 @@ def _word(value: object) -> object:
     return cell(value) if isinstance(value, str) else value
 
 
+MOST_ROWS = 500_000
+"""Of telemetry; more are refused: these take 1.2 GB, as 1.5 kB a row were measured."""
+
+
+def check_rows(file: str, rows: int) -> None:
+    """Raises DataError for more rows than there is to be memory for."""
+    if rows > MOST_ROWS:
+        remedy = "give each drive in a file of its own, or take fewer rows a second"
+        raise DataError(f"{file}: {rows:,} rows, and at most {MOST_ROWS:,} are read; {remedy}")
+
+
 def numbers_of(name: str, column: str, cells: "pd.Series") -> FloatArray:
     """The cells of a column as numbers, NaN where blank. (n,) Raises DataError for text, with its row."""
     import pandas as pd

@@ -131,15 +131,18 @@ def _notes(record: Mapping[str, Any], fit: "MgmFit") -> list[str]:
         error = "errors hold the residuals"
     else:
         error = f"errors hold noise, a model error of {100 * record['model_error']:.1f} % of R, and the priors"
-    return [f"{error}, no other minimum or continuum", *_shared_in_ratios(record), *_composition_notes(fit)]
+    shared = _shared_in_ratios(record, with_shared=len(fit.data.shifts) > 0)
+    return [f"{error}, no other minimum or continuum", *shared, *_composition_notes(fit)]
 
 
-def _shared_in_ratios(record: Mapping[str, Any]) -> list[str]:
+def _shared_in_ratios(record: Mapping[str, Any], *, with_shared: bool) -> list[str]:
     notes = []
     ratios = {name: (record["nbsr"] or {}).get(region) for region, name in (("um1", "1 µm"), ("um2", "2 µm"))}
     known = {name: ratio for name, ratio in ratios.items() if ratio}
     parts = [f"± {r['calibration']:.3f} at {name}" for name, r in known.items() if r["calibration"] is not None]
     notes += [f"calibration errors, which all channels share, add to the ratios {', '.join(parts)}"] if parts else []
+    lost = [name for name, r in known.items() if r["calibration"] is None] if with_shared else []
+    notes += [f"what calibration errors add to the ratios is not determined at {', '.join(lost)}"] if lost else []
     ends = [
         f"{r['continuum_low']:.2f} to {r['continuum_high']:.2f} at {name}"
         for name, r in known.items()

@@ -55,13 +55,15 @@ def with_drive(
     ----------
     after, before : the belief after the drive, and that before it, which holds the history so far.
     drive : what the drive was and how it was explained, as plain values; kept as it is.
+        Of what the discrepancy rests on it keeps the number alone, as the belief itself holds the lines: a history
+        that repeated them would grow as the square of its drives.
     parent_sha256 : of the file that held the belief before; None where it was the priors.
     forgotten : share of the way back to the priors that was gone before the drive counted, 0 to 1.
     """
     state = {
         "mean": after.mean.tolist(),
         "covariance": after.covariance.tolist(),
-        "discrepancy": after.discrepancy.to_dict(),
+        "discrepancy": after.discrepancy.to_dict() | {"scored": len(after.discrepancy.scored)},
     }
     entry = {**drive, "parent_sha256": parent_sha256, "forgotten": forgotten, **state}
     return dataclasses.replace(after, history=(*before.history, entry))
@@ -85,10 +87,23 @@ def _state(belief: SoilBelief, entry: Mapping[str, Any], number: int) -> SoilBel
     try:
         mean, covariance = (np.array(entry[key], dtype=np.float64) for key in STATE)
         kept = entry.get("discrepancy")
-        discrepancy = FIRST if kept is None else PhysicsDiscrepancy.of(kept)
+        discrepancy = FIRST if kept is None else PhysicsDiscrepancy.of(_with_lines(kept, belief))
         return SoilBelief(belief.laws, mean, covariance, belief.history[:number], discrepancy=discrepancy)
     except (KeyError, TypeError, ValueError) as error:
         raise ParameterError(f"history, drive {number}: {error}") from error
+
+
+def _with_lines(kept: Mapping[str, Any], belief: SoilBelief) -> Mapping[str, Any]:
+    """A discrepancy of an entry with what it rested on by then: the first of the belief's lines; older files have them.
+
+    Raises ValueError for more of them than there are.
+    """
+    count, lines = kept.get("scored", ()), belief.discrepancy.scored
+    if not isinstance(count, int):
+        return kept
+    if not 0 <= count <= len(lines):
+        raise ValueError(f"its discrepancy rests on {count} drives, that of the belief on {len(lines)}")
+    return {**kept, "scored": lines[:count]}
 
 
 def rolled_back(belief: SoilBelief, drives: int) -> SoilBelief:

@@ -67,6 +67,26 @@ def test_an_older_file_reads_and_says_what_it_did_not_keep(chain: list[SoilBelie
     assert np.array_equal(rolled_back(next_belief(mixed, 4), 3).mean, mixed.mean)
 
 
+def test_a_history_grows_by_the_same_for_every_drive_and_brings_back_what_each_rested_on() -> None:
+    beliefs = [first_belief()]
+    for number in range(60):
+        law = beliefs[-1].discrepancy.with_score(states=f"{number}.csv", sha256=f"{number:064x}")
+        after = dataclasses.replace(beliefs[-1], discrepancy=law)
+        beliefs.append(with_drive(after, beliefs[-1], {"states": f"{number}.csv"}, parent_sha256="0" * 64))
+    sizes = np.diff([len(belief.to_json()) for belief in beliefs[1:]])
+    assert np.ptp(sizes) < 0.02 * sizes[0]
+    newest = belief_of(json.loads(beliefs[-1].to_json()))
+    assert [len(rolled_back(newest, k).discrepancy.scored) for k in (0, 1, 30, 60)] == [0, 1, 30, 60]
+    assert rolled_back(newest, 30).discrepancy == beliefs[30].discrepancy
+    # Files of older versions repeat the lines in every entry.
+    old = [{**entry, "discrepancy": state.discrepancy.to_dict()} for entry, state in zip(
+        newest.history, beliefs[1:], strict=True)]  # fmt: skip
+    assert rolled_back(dataclasses.replace(newest, history=tuple(old)), 30).discrepancy == beliefs[30].discrepancy
+    spoilt = [{**entry, "discrepancy": {**entry["discrepancy"], "scored": 61}} for entry in newest.history]
+    with pytest.raises(ParameterError, match="history, drive 1: its discrepancy rests on 61 drives"):
+        rolled_back(dataclasses.replace(newest, history=tuple(spoilt)), 1)
+
+
 def test_a_broken_state_in_the_history_is_named(chain: list[SoilBelief]) -> None:
     broken = [dict(entry) for entry in chain[2].history]
     broken[0]["mean"] = [1.0, 2.0]

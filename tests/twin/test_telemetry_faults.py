@@ -263,6 +263,20 @@ def test_there_are_no_states_within_a_gap(drive: SyntheticDrive, yutu2: Rover) -
     assert found.gaps == pytest.approx(np.array([[29.0, 56.0]]), abs=1.01)
 
 
+def test_wheels_at_rest_to_the_last_digit_after_a_drive_are_a_halt(drive: SyntheticDrive, yutu2: Rover) -> None:
+    """Rows that go on after the drive, with rates of exactly 0: a curvature of 0 / 0 has no end."""
+    table = drive.telemetry
+    last = table.iloc[[-1] * 20].reset_index(drop=True)
+    step = float(np.median(np.diff(table["time_s"])))
+    last["time_s"] += step * np.arange(1, 21)
+    last[[*columns("speed_{}_m_s", "rate_{}_deg_s")]] = 0.0
+    last[["x_m", "y_m", "xx_m2", "xy_m2", "yy_m2"]] = np.nan
+    with pytest.warns(LunarSciWarning):
+        found = states(csv(pd.concat([table, last], ignore_index=True)), yutu2)
+    assert found.rows.valid.sum() > 50 and np.isfinite(found.smoothed.state).all()
+    assert worst(found, drive) < 4.5
+
+
 def test_a_blank_sensor_makes_its_own_states_not_valid(drive: SyntheticDrive, yutu2: Rover) -> None:
     blank = set_to(slice(30, 60), ["angle_ML_deg", "rate_ML_deg_s"], lambda v: np.nan)
     with pytest.warns(LunarSciWarning, match="missing readings"):
@@ -284,3 +298,9 @@ def test_headings_that_pass_half_a_turn_are_the_same(drive: SyntheticDrive, yutu
 def test_another_rover_needs_its_own_wheels(drive: SyntheticDrive) -> None:
     with pytest.raises(DataError, match="'ML' is no wheel of"):
         states(csv(drive.telemetry), build_rover("small-four"), None)
+
+
+def test_more_rows_than_memory_is_kept_for_are_refused_before_they_are_taken_apart(yutu2: Rover) -> None:
+    """A week at 10 Hz has 6 million rows; here they hold nothing, which is not looked at."""
+    with pytest.raises(DataError, match="6,048,000 rows, and at most 500,000 are read; give each drive"):
+        states(b"\n" * 6_048_000, yutu2)

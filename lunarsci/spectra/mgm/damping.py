@@ -256,6 +256,7 @@ def _described(problem: _DampedProblem, end: _End) -> MgmFit:
     covariance = inverse * state.rms**2
     by_kernel = np.linalg.solve(problem.own.kernel_slopes(state.point).T, state.jacobian)
     shared = data.shifts @ by_kernel.T @ inverse
+    shared = _where_determined(covariance, shared, m)
     bands = _bands(model, point[m:], covariance[m:, m:], shared[:, m:])
     chi2, count = float(data.weight @ state.residual**2), problem.own.directions(state.point).shape[1]
     return MgmFit(
@@ -264,7 +265,7 @@ def _described(problem: _DampedProblem, end: _End) -> MgmFit:
         continuum=model.continuum,
         prior="damping",
         converged=end.converged,
-        status="; ".join([end.status, *_remarks(bands, covariance)]),
+        status="; ".join([end.status, *_remarks(bands, covariance, len(shared) > 0)]),
         iterations=end.iterations,
         rms_ln=state.rms,
         reduced_chi2=chi2 / max(1, data.reflectance.size - count),
@@ -280,6 +281,21 @@ def _described(problem: _DampedProblem, end: _End) -> MgmFit:
     )
 
 
+def _where_determined(covariance: FloatArray, shared: FloatArray, degrees: int) -> FloatArray:
+    """Moves by errors that channels share, (k, p), NaN for bands whose centre or width is undetermined.
+
+    They are of first order: where the data hold a band nowhere within the spectrum, the order says nothing, and its
+    digits are those of the rounding.
+    """
+    found = shared.copy()
+    together = np.sqrt((shared**2).sum(axis=0)) if len(shared) else np.zeros(len(covariance))
+    with np.errstate(invalid="ignore"):
+        widest = np.maximum(np.sqrt(np.diag(covariance)), together)[degrees:].reshape(-1, 3)[:, :2].max(axis=1)
+    for band in np.flatnonzero(~(widest * NM_PER_UM <= MEANINGLESS_NM)):
+        found[:, degrees + 3 * band : degrees + 3 * band + 3] = np.nan
+    return found
+
+
 def _bands(model: MgmModel, point: FloatArray, covariance: FloatArray, shared: FloatArray) -> tuple[FittedBand, ...]:
     together = np.sqrt((shared**2).sum(axis=0)) if len(shared) else np.full(point.size, np.nan)
     values, errors, calibration = (v.reshape(-1, 3) for v in (point, np.sqrt(np.diag(covariance)), together))
@@ -289,7 +305,8 @@ def _bands(model: MgmModel, point: FloatArray, covariance: FloatArray, shared: F
     )
 
 
-def _remarks(bands: Sequence[FittedBand], covariance: FloatArray) -> list[str]:
+def _remarks(bands: Sequence[FittedBand], covariance: FloatArray, shifted: bool) -> list[str]:
+    """What to know of bands; `shifted` says that there are errors that all channels share."""
     remarks = []
     if positive := [band.name for band in bands if band.strength > 0]:
         remarks.append(f"positive strength, which is no absorption: {', '.join(positive)}")
@@ -299,6 +316,8 @@ def _remarks(bands: Sequence[FittedBand], covariance: FloatArray) -> list[str]:
         remarks.append("no errors: the data leave a parameter undetermined")
     elif loose := [band.name for band in bands if max(band.center_sigma_nm, band.fwhm_sigma_nm) > MEANINGLESS_NM]:
         remarks.append(f"undetermined, the errors span the spectrum: {', '.join(loose)}; true priors hold them")
+    if shifted and any(band.center_calibration_nm is None for band in bands):
+        remarks.append("what calibration errors do to undetermined bands is not determined either")
     return remarks
 
 

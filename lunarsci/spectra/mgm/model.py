@@ -146,11 +146,19 @@ class MgmModel:
         return self.on_plane(row, offset / unit_of(name))
 
     def on_plane(self, row: FloatArray, target: float) -> "MgmModel":
-        """With a prior that leaves no room beside row @ parameters = target, (p,), in the kernel's units."""
-        weight = TIE_SIGMA**-2
-        precision = self.precision + weight * np.outer(row, row)
-        pull = self.precision @ self.prior + weight * target * row
-        prior = np.asarray(np.linalg.lstsq(precision, pull, rcond=None)[0], dtype=np.float64)
+        """With a prior that leaves no room beside row @ parameters = target, (p,), in the kernel's units.
+
+        Its mean moves along the covariance C to the plane, m + C r (t - r'm) / (r'C r + s^2), as a normal law does that
+        is told r'x = t with an error of s. For continuum coefficients, which have no prior, it is the nearest point.
+        """
+        precision, m = self.precision + np.outer(row, row) / TIE_SIGMA**2, self.degrees
+        prior, part = self.prior.copy(), slice(None, m) if row[:m].any() else slice(m, None)
+        if part.stop is None:
+            toward = np.linalg.solve(self.precision[part, part], row[part])
+            prior[part] += toward * (target - row @ prior) / (row[part] @ toward + TIE_SIGMA**2)
+        else:
+            pull = self.precision @ prior + row * target / TIE_SIGMA**2
+            prior[part] = np.linalg.lstsq(precision[part, part], pull[part], rcond=None)[0]
         return replace(self, prior=prior, precision=precision, planes=(*self.planes, (row, target)))
 
 

@@ -31,7 +31,8 @@ class FittedBand:
     ----------
     center_nm, fwhm_nm, strength and their standard errors : strength in ln reflectance, 0 or below. [nm, nm, -]
     center_calibration_nm, fwhm_calibration_nm, strength_calibration : standard deviation from the errors that all
-        channels share (`Spectrum.systematic`), by linear response of the fit; None where none is known. [nm, nm, -]
+        channels share (`Spectrum.systematic`), by linear response of the fit; None where none is known, and where by
+        `damping` the errors of the band span the spectrum, so that no linear response tells it. [nm, nm, -]
     center_continuum_nm, fwhm_continuum_nm, strength_continuum : how far the value goes, at most, under any other of the
         continua that were tried; None where only one was. [nm, nm, -]
     shrinkage : by parameter, 1 - (posterior sigma / prior sigma)^2: 1 where the data decide, 0 where the prior does.
@@ -105,7 +106,8 @@ class StrengthRatio:
     """Normalised band strength ratio of orthopyroxene, s_OPX / (s_OPX + s_CPX), of clinopyroxene, and their sigma. [-]
 
     The sigma is that of the strengths, not of a mineral fraction; what fraction a ratio means depends on end members.
-    `calibration` is the standard deviation from errors that all channels share, None where none is known. `continuum`
+    `calibration` is the standard deviation from errors that all channels share, None where none is known or it is not
+    determined (see `FittedBand`). `continuum`
     is how far the ratio of orthopyroxene goes, at most, under any other of the continua that were tried, from
     `continuum_low` to `continuum_high`; None where only one was. Where some leave the ratio undetermined, these are 0
     and 1.
@@ -273,5 +275,6 @@ def _ratio(
         return None
     slope = np.array([cpx, -opx]) / total**2
     sigma = float(np.sqrt(slope @ block @ slope))
-    calibration = float(np.linalg.norm(shared[:, rows] @ slope)) if len(shared) else None
-    return StrengthRatio(abs(opx / total), abs(cpx / total), sigma, calibration)
+    calibration = float(np.linalg.norm(shared[:, rows] @ slope)) if len(shared) else np.nan
+    known = None if np.isnan(calibration) else calibration
+    return StrengthRatio(abs(opx / total), abs(cpx / total), sigma, known)

@@ -242,9 +242,13 @@ def _reduced(shares: FloatArray, covariance: FloatArray) -> tuple[FloatArray, Fl
 
 
 def _inside(mean: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Probability that shares with these means and covariances (in differences) are all 0 or more. (..., n - 1)"""
+    """Probability that shares with these means and covariances (in differences) are all 0 or more. (..., n - 1)
+
+    By the symmetric root of the covariance, which is one; its eigenvectors are not where variances are equal, and then
+    those of one processor's LAPACK are not another's.
+    """
     values, vectors = np.linalg.eigh(covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
+    root = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :] @ np.swapaxes(vectors, -1, -2)
     size = mean.shape[-1] + 1
     basis, draws = _basis(size), _normal_draws(size).T
     found = np.empty(mean.shape[:-1])

@@ -188,7 +188,9 @@ def _with_effects(rover: Rover, nodes: Nodes, held: PrescribedLoads, sway_m: Flo
     shape = shape_effect(rover, held, place, stiffness)
     effect = np.zeros((len(place), 3, len(EFFECTS)))
     effect[:, :, :2] = slope_effect(rover, held, stiffness)
-    effect[:, 2, 2] = effect[:, 1, 3] = about(nodes, nodes.twist)[:, 2] / pace_at(nodes)
+    pace = pace_at(nodes)
+    turn = np.divide(about(nodes, nodes.twist)[:, 2], pace, out=np.zeros_like(pace), where=pace > 0)
+    effect[:, 2, 2] = effect[:, 1, 3] = turn
     return dataclasses.replace(
         nodes, twist=nodes.twist + 0.5 * (shape[1:] + shape[:-1]), fix_m=nodes.fix_m - sway_m, effect=effect
     )

@@ -13,7 +13,7 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
-from lunarsci.tables import check_columns, numbers_of, read_csv_table, without_repeats
+from lunarsci.tables import check_columns, check_rows, numbers_of, read_csv_table, without_repeats
 from lunarsci.twin.rover import Rover
 
 if TYPE_CHECKING:
@@ -124,7 +124,6 @@ WHEEL = re.compile(r"(?:speed|steering|angle|rate|steered)_([A-Za-z0-9]+)_(?:m_s
 UNIT = re.compile(r"_(?:ms|s|min|h|mm|cm|m|km|deg|rad|m2|mm2|cm2|deg_s|rad_s|m_s|mm_s|cm_s|km_h|rpm)$")
 YAW_SIGMA_DEG = 0.3
 """Error of a heading whose error is not given; assumed. [deg]"""
-
 
 SHARED = ("xx_before_m2", "xy_before_m2", "yx_before_m2", "yy_before_m2")
 """Covariance of x and y of a position with x and y of the one in the row before."""
@@ -259,12 +258,12 @@ def _blank_infinities(values: dict[str, FloatArray], findings: Findings) -> None
 def read_table(source: InputFile, findings: Findings) -> "pd.DataFrame":
     """The cells of a table, by the ending of its file. Raises DataError."""
     suffix = Path(source.name).suffix.lower()
-    if suffix == ".parquet":
-        table = _read_parquet(source)
-    elif suffix == ".ecsv":
-        table = _read_ecsv(source)
-    else:
-        table = read_csv_table(_whole_lines(source, findings))
+    if suffix != ".parquet":
+        check_rows(source.name, source.data.count(b"\n"))
+    readers = {".parquet": _read_parquet, ".ecsv": _read_ecsv}
+    read = readers.get(suffix, lambda file: read_csv_table(_whole_lines(file, findings)))
+    table = read(source)
+    check_rows(source.name, len(table))
     if not len(table):
         raise DataError(f"{source.name}: no rows; check how it was made or downloaded")
     return table

@@ -392,6 +392,21 @@ def test_errors_that_all_channels_share_move_the_fit_as_they_do_the_data() -> No
     assert other.bands[0].strength_calibration is None
 
 
+def test_where_a_band_is_undetermined_no_first_order_tells_what_calibration_does_to_it() -> None:
+    """Two bands 10 nm apart where one is: they may grow against each other without end, and the third stays known."""
+    one, two = START.bands[0], START.bands[1]
+    base = made()
+    known = replace(base, systematic={"slope": 0.01 * np.linspace(-1, 1, GRID.size) * base.reflectance})
+    fit = fitted(known, model_of(replace(START, bands=(one, two, replace(two, center_nm=two.center_nm + 10)))))
+    loose = [band for band in fit.bands if max(band.center_sigma_nm, band.fwhm_sigma_nm) > 2000]
+    assert 0 < len(loose) < 3 and "undetermined" in fit.status
+    for band in fit.bands:
+        calibration = (band.center_calibration_nm, band.fwhm_calibration_nm, band.strength_calibration)
+        assert (calibration == (None, None, None)) == (band in loose)
+        assert all(value is None or value < 2000 for value in calibration)
+    assert "what calibration errors do to undetermined bands is not determined either" in fit.status
+
+
 @pytest.mark.parametrize("continuum", ["wavelength", "wavenumber-cubic", "log-quadratic", "none"])
 def test_models_of_assemblages_are_fitted_and_their_pyroxene_ratio_given(continuum: str) -> None:
     """NBSR is s_OPX / (s_OPX + s_CPX): Kanner et al. (2007), 10.1016/j.icarus.2006.10.025."""

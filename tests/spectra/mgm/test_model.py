@@ -111,6 +111,25 @@ def test_a_tie_is_kept_and_the_minimum_is_that_of_lmfit_with_the_same_expression
     assert ours == pytest.approx(best.chisqr, abs=0.01)
 
 
+def test_the_mean_beside_a_tie_is_that_of_a_normal_law_told_so() -> None:
+    """In exact fractions, as m + C r (t - r'm) / r'C r; and to the same digits wherever it is computed."""
+    from fractions import Fraction
+
+    free = mgm_model("OPX-CPX")
+    model = constrained(free, ties=["cpx_1_fwhm_nm = 0.9*opx_1_fwhm_nm + 40"])
+    own, other = (free.index(f"{name}_1_fwhm_nm") for name in ("cpx", "opx"))
+    block = np.ix_([own, other], [own, other])
+    assert np.count_nonzero(free.precision[[own, other]]) == 2, "the widths are independent a priori"
+    variance = [1 / Fraction(value) for value in np.diag(free.precision[block])]
+    mean, row = [Fraction(free.prior[k]) for k in (own, other)], (Fraction(1), Fraction(-9, 10))
+    through = [v * r for v, r in zip(variance, row, strict=True)]
+    miss = Fraction(4, 100) - sum(r * m for r, m in zip(row, mean, strict=True))
+    share = miss / (sum(r * t for r, t in zip(row, through, strict=True)))
+    expected = [float(m + t * share) for m, t in zip(mean, through, strict=True)]
+    assert model.prior[[own, other]] == pytest.approx(expected, rel=1e-9)
+    assert np.array_equal(np.delete(model.prior, [own, other]), np.delete(free.prior, [own, other]))
+
+
 def fit_parameters(parameters: object, fit: MgmFit) -> object:
     """lmfit parameters at the point of a fit."""
     import copy
