@@ -13,7 +13,17 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.twin.lanes import BODY, GROUP
-from lunarsci.twin.plans.path import CREEP, Commands, along_legs, curvature_at, leg_end, plain, reach_m, wheel_commands
+from lunarsci.twin.plans.path import (
+    CREEP,
+    Commands,
+    along_legs,
+    curvature_at,
+    leg_end,
+    plain,
+    rate_ratios,
+    reach_m,
+    wheel_commands,
+)
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
 
@@ -240,10 +250,12 @@ def _motion(
         return wheel_commands(rover, ahead, left, turns, np.abs(angle / turn) * rates)
     if legs is None:
         curvature = curvature_at(run.legs, share * run.length_m, plan.blend_m)[None, :]
-        return wheel_commands(rover, ahead, left, curvature, run.length_m * rates[None, :])
-    return wheel_commands(
-        rover, ahead, left, np.broadcast_to(legs[:, 1:2], (len(legs), len(share))), legs[:, :1] * rates
-    )
+        commands = wheel_commands(rover, ahead, left, curvature, run.length_m * rates[None, :])
+    else:
+        curvature = np.broadcast_to(legs[:, 1:2], (len(legs), len(share)))
+        commands = wheel_commands(rover, ahead, left, curvature, legs[:, :1] * rates)
+    ratios = rate_ratios(rover, run.legs, share * run.length_m, plan.blend_m)
+    return commands if ratios is None else Commands(commands.steering_rad, ratios * commands.speed_m_s)
 
 
 def _standing(rover: Rover, before: Commands | None, steps: int) -> Commands:
