@@ -213,6 +213,17 @@ def commands_at(rover: Rover, schedule: Schedule, time_s: FloatArray) -> Command
     return Commands(commands.steering_rad[0, number], commands.speed_m_s[0, number])
 
 
+def tested_ratios(rover: Rover, schedule: Schedule, time_s: FloatArray) -> FloatArray:
+    """Rates of the wheels over those without slip at some times: other than 1 in wheel tests. (n, wheels) [-]"""
+    result = np.ones((len(time_s), len(rover.wheels)))
+    for run in schedule.runs:
+        ratios = rate_ratios(rover, run.legs, run.share_at(time_s) * run.length_m, schedule.plan.blend_m)
+        if ratios is not None:
+            on = (time_s >= run.begin_s) & (time_s <= run.end_s)
+            result[on] = ratios[on]
+    return result
+
+
 def steps_of_runs(schedule: Schedule, times_s: FloatArray) -> list[slice]:
     """The steps of each run: a step belongs to the run in which its middle lies."""
     middles = 0.5 * (times_s[1:] + times_s[:-1])
