@@ -213,7 +213,7 @@ def commands_at(rover: Rover, schedule: Schedule, time_s: FloatArray) -> Command
     return Commands(commands.steering_rad[0, number], commands.speed_m_s[0, number])
 
 
-def tested_ratios(rover: Rover, schedule: Schedule, time_s: FloatArray) -> FloatArray:
+def commanded_ratios(rover: Rover, schedule: Schedule, time_s: FloatArray) -> FloatArray:
     """Rates of the wheels over those without slip at some times: other than 1 in wheel tests. (n, wheels) [-]"""
     result = np.ones((len(time_s), len(rover.wheels)))
     for run in schedule.runs:

@@ -14,7 +14,7 @@ from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.loads.prescribed_motion import PrescribedLoads, prescribed_loads
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.plan import Plan
-from lunarsci.twin.plans.schedule import Schedule, make_schedule, tested_ratios
+from lunarsci.twin.plans.schedule import Schedule, commanded_ratios, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import VALID_SLIP
 from lunarsci.twin.telemetry.checks import check_against_plan, ordered, steering_angles, time_gaps
@@ -197,7 +197,7 @@ def _way(
     """
     times, rims = telemetry.time_s, wheels.rim_m_s
     if schedule is not None:
-        rims = rims / tested_ratios(rover, schedule, 0.5 * (times[1:] + times[:-1]))
+        rims = rims / commanded_ratios(rover, schedule, 0.5 * (times[1:] + times[:-1]))
     twist, off = body_twist(rover, rims, 0.5 * (steering_rad[1:] + steering_rad[:-1]))
     way = np.append(0.0, np.cumsum(mean_speed(rims) * np.diff(times)))
     return twist, off, way
