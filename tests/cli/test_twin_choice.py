@@ -91,7 +91,7 @@ def test_equal_runs_give_equal_bytes(run: Run, belief: Path) -> None:
 
 
 def test_what_drives_teach_is_told_and_can_decide(run: Run, belief: Path) -> None:
-    """Of those that keep the risk the one that surely teaches most, or the shortest; tests of the ground are among them."""
+    """Of those that keep the risk the one that surely teaches most, or the shortest; tests are among them."""
     options = ("--risk", "0.2", "--soil", belief, "--members", "48", "--prefer", "teaching")
     done = run(*BASE, *options, "--json")
     assert done.code == 0, done.err
