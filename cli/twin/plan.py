@@ -18,7 +18,7 @@ from .terrain import LIMITS, GeoTiff, TerrainFile, check_files, ground_table
 from .terrain import OPTIONS as OF_TERRAIN
 
 if TYPE_CHECKING:
-    from lunarsci.twin.choice.choice import DriveCandidate
+    from lunarsci.twin.choice.choice import DriveCandidate, DriveChoice
     from lunarsci.twin.jobs.chosen_drive import ChosenDrive
     from lunarsci.twin.jobs.terrain import TerrainSurvey
     from lunarsci.twin.plans.plan import Leg
@@ -53,10 +53,14 @@ OPTIONS = {
         panel=CHOICE,
     ),
     "prefer": option(
-        "Of drives that keep the risk the one with the least of this, or the one that teaches most.", panel=CHOICE
+        "Of drives that keep the risk the one with the least of this, or the one that teaches most of the way back "
+        "(the shortest, where none surely teaches more).",
+        panel=CHOICE,
     ),
     "teach": option(
-        "Say what each drive is expected to teach of the soil, and of the way back that may follow.", panel=CHOICE
+        "Say what each drive is expected to teach of the soil, and of the way back that may follow; a turn on the spot "
+        "and a wheel that slips on purpose are compared, too.",
+        panel=CHOICE,
     ),
     "soil": option(
         "Soil, in place of the terrain's: a name or a TOML file. With --risk a file from which each drive has its own, "
@@ -149,34 +153,42 @@ def _choice_table(found: "ChosenDrive") -> TextTable:
         f"* not beaten in risk, length and energy at once; {len(choice.candidates)} drives compared, {stopped} stopped "
         f"early, of which {len(choice.candidates) - len(rows)} are left out here: --csv",
         f"end within {found.tolerance_m:g} m of the target",
-        *_taught_notes(best),
+        *_taught_notes(choice),
         *found.soils.inputs.soil_notes(found.members, 0),
         *found.notes(),
     ]
     headers = ["no", "drive", "risk [%]", "m", "J", "weakest, m"]
     if any(one.teaches is not None for one in choice.candidates):
-        headers.append("next m")
-        rows = [[*row, _next_end(one)] for row, one in zip(rows, choice.candidates, strict=False)]
+        headers[5:5] = ["min", "next mm"]
+        rows = [[*row[:5], f"{one.duration_s / 60:.1f}", _next_end(one), *row[5:]]
+                for row, one in zip(rows, choice.candidates, strict=False)]  # fmt: skip
     return TextTable(headers, rows, title=f"{verdict}; accepted: {100 * choice.risk:g} %", notes=notes)
 
 
 def _next_end(one: "DriveCandidate") -> str:
-    return "-" if one.teaches is None else f"{one.teaches.end_sd_m[1]:.3f}"
+    if one.teaches is None or one.teaches.next_end is None:
+        return "-"
+    return f"{1e3 * one.teaches.next_end.after_m:.0f}{'!' if one.teaches.more_than_shortest else ''}"
 
 
-def _taught_notes(best: "DriveCandidate") -> list[str]:
-    """What the best drive teaches, where that was asked."""
-    if best.teaches is None:
+def _taught_notes(choice: "DriveChoice") -> list[str]:
+    """What the best drive teaches, where that was asked, and what that is worth."""
+    best = choice.best
+    if best.teaches is None or best.teaches.next_end is None:
         return []
-    before, after = best.teaches.end_sd_m
-    left = ", ".join(
-        f"{name} {ratio:.2f}" for name, ratio in zip(best.teaches.parameters, best.teaches.sd_ratio, strict=True)
+    teaches, end = best.teaches, best.teaches.next_end
+    left = ", ".join(f"{name} {ratio:.2f}" for name, ratio in zip(teaches.parameters, teaches.sd_ratio, strict=True))
+    more = [one for one in choice.candidates if one.teaches is not None and one.teaches.more_than_shortest]
+    worth = (
+        f"! {len(more)} drives surely teach more of it than the shortest"
+        if more
+        else "no drive surely teaches more of it than the shortest, so that none is worth a longer way for that"
     )
     return [
-        f"next m: expected standard deviation of the end of the way back once drive {best.number} was learned from; "
-        f"{before:.3f} m before it, {after:.3f} m after",
-        f"drive {best.number} teaches {best.teaches.gain_nats:.1f} nats; what it leaves of each standard deviation: "
-        f"{left}",
+        f"next mm: expected error of the predicted end of the way back, its median, once the drive was learned from; "
+        f"{1e3 * end.before_m:.0f} mm before drive {best.number}, {1e3 * end.after_m:.0f} after it, "
+        f"{1e3 * end.floor_m:.0f} were the soil known exactly, as the physics is off; {worth}",
+        f"drive {best.number} teaches {teaches.gain_nats:.1f} nats; what it leaves of each standard deviation: {left}",
     ]
 
 
@@ -206,7 +218,7 @@ def _path_table(found: "TerrainSurvey", path: "PlannedPath") -> TextTable:
         for number, arc in enumerate(path.plan.legs, start=1)
     ]
     headers = ["arc", "length [m]", "curvature [1/m]", "radius [m]"]
-    if any(leg.turn_deg or leg.crab_deg for leg in path.plan.legs):
+    if any(leg.turn_deg or leg.crab_deg or leg.wheel_test for leg in path.plan.legs):
         headers.append("driven")
         rows = [[*row, _driven(leg)] for row, leg in zip(rows, path.plan.legs, strict=True)]
     end = path.end
@@ -228,6 +240,8 @@ def _path_table(found: "TerrainSurvey", path: "PlannedPath") -> TextTable:
 def _driven(leg: "Leg") -> str:
     if leg.turn_deg:
         return f"turn {leg.turn_deg:+.1f}°"
+    if leg.wheel_test is not None:
+        return f"wheel {leg.wheel_test.wheel} at {leg.wheel_test.rate_ratio:g}"
     return {0.0: "ahead", 180.0: "backwards"}.get(leg.crab_deg, f"crab {leg.crab_deg:+.1f}°")
 
 

@@ -330,10 +330,17 @@ def _steps(rover: Rover, plan: Plan, step_m: float, sample_m: float) -> tuple[Fl
     moved = np.array(moves)[leg_of]
     moved[:, 2] += _blends(plan, bounds, moves, middle)
     steer, rims = wheel_commands(rover, moved)
+    rims *= np.array([_rate_ratios(leg, rover) for leg in plan.legs])[leg_of]
     rims[np.array([bool(leg.stop_s) for leg in plan.legs])[leg_of]] = np.nan
     fresh = np.concatenate([[True], np.diff(leg_of) != 0])
     sampled = np.abs(nodes[1:, None] - times[None, :]).min(axis=1) < 1e-9
     return times, (steer, rims, moved, np.diff(nodes), fresh, sampled)
+
+
+def _rate_ratios(leg: Leg, rover: Rover) -> FloatArray:
+    """Of the wheels; a wheel test begins and ends at once."""
+    test = leg.wheel_test
+    return np.array([test.rate_ratio if test and test.wheel == wheel else 1.0 for wheel in rover.wheels])
 
 
 def _blends(plan: Plan, bounds: list[float], moves: list[FloatArray], at: FloatArray) -> FloatArray:

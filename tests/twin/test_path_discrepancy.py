@@ -4,15 +4,22 @@ import dataclasses
 
 import numpy as np
 import pytest
+import quasi_static
 
+from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy, VarianceLaw
+from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.twin.assimilation.drive_record import DriveRecord
+from lunarsci.twin.assimilation.residuals import DriveBias, DriveResiduals
 from lunarsci.twin.comparison.forecast import forecast_of
 from lunarsci.twin.comparison.matched import match_observations, miss_of, taught
+from lunarsci.twin.judgement.endpoint import endpoint_spread
 from lunarsci.twin.judgement.safety import judge
-from lunarsci.twin.plans.plan import ExclusionZone, Limit
+from lunarsci.twin.plans.plan import ExclusionZone, Fixes, Leg, Limit, Plan, parse_sweep
+from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.discrepancy import ALIKE_M, ALWAYS, exposed, way_matrix, with_discrepancy
-from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
+from lunarsci.twin.simulation.turn_discrepancy import TURNS, exposed_turns, turn_matrix, turned_places
 
 LINE = np.column_stack([np.linspace(0.0, 40.0, 401), np.zeros(401)])
 
@@ -81,6 +88,88 @@ def test_the_verdict_holds_it(driven: Prediction) -> None:
     assert both.endpoint.physics_share is not None and both.endpoint.physics_share > 0.5
     clear = [{j.quantity: j.min for j in one.limits}["keep_out_m"] for one in (alone, both)]
     assert clear[1] < clear[0]
+
+
+TURNING = Plan(name="turns", legs=(Leg(1.0), Leg(turn_deg=60.0), Leg(1.0)), speed_m_s=0.05)
+END = np.array([1.5, np.sqrt(0.75)])
+"""Of `TURNING`, whose turn is about (1, 0)."""
+
+
+@pytest.fixture(scope="module")
+def turned(yutu2: Rover, slope) -> Prediction:  # type: ignore[no-untyped-def]
+    """The drive with a turn, on two soils, each 1500 times."""
+    out = predict(yutu2, slope(), TURNING, sweep=(parse_sweep("friction_angle_deg=35:45:2"),))
+    chosen = np.tile(np.arange(2), 1500)
+    changes = {name: getattr(out, name)[chosen] for name in ("paths", "states", "recorded", "outcome")}
+    return dataclasses.replace(out, parameters={}, **changes)
+
+
+def test_a_turn_that_is_off_moves_what_follows_sidewards(turned: Prediction) -> None:
+    """By the law's share of 60 deg times 1 m of what the turn is exposed to, and nothing before the turn."""
+    small = dataclasses.replace(FIRST, along=VarianceLaw(40.0, 1e-6), across=VarianceLaw(40.0, 1e-6))
+    moved = with_discrepancy(turned, small, seed=2)
+    assert moved.discrepancy is not None
+    offsets = moved.discrepancy.offsets_m
+    assert np.abs(offsets[:, turned.distance_m < 0.99]).max() < 1e-4
+    exposed_share = exposed_turns(turned.planned, turned.paths[..., 5])
+    assert ((exposed_share > 0.1) & (exposed_share < 0.3)).all()
+    size = np.sqrt(TURNS.variance) * np.median(exposed_share) * np.radians(60.0) * 1.0
+    covariance = turn_matrix(TURNING, turned.planned, turned.distance_m, turned.paths)
+    assert np.sqrt(np.trace(covariance)) == pytest.approx(size, rel=0.05)
+    across = (END - (1.0, 0.0)) @ [[0.0, 1.0], [-1.0, 0.0]]
+    assert offsets[:, -1] @ across == pytest.approx(
+        np.hypot(*offsets[:, -1].T) * np.sign(offsets[:, -1] @ across), rel=0.05
+    )
+    assert np.sqrt((offsets[:, -1] ** 2).sum(axis=1).mean()) == pytest.approx(size, rel=0.1)
+    few = {name: getattr(moved, name)[:20] for name in ("paths", "states", "recorded", "outcome")}
+    drawn = dataclasses.replace(moved.discrepancy, offsets_m=offsets[:20])
+    spread = endpoint_spread(dataclasses.replace(moved, discrepancy=drawn, **few))
+    assert spread.physics_covariance_m2 == pytest.approx(covariance, rel=1e-3, abs=1e-9)
+
+
+def test_turns_there_and_back_and_after_fixes_move_nothing(turned: Prediction) -> None:
+    distance, places = np.array([0.0, 1.0, 2.0]), np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]])
+    legs = (Leg(1.0), Leg(turn_deg=90.0), Leg(turn_deg=-90.0), Leg(1.0))
+    there = dataclasses.replace(TURNING, legs=legs)
+    assert np.abs(turned_places(there, distance, places, np.array(0.01))).max() < 0.03**2
+    fixed = dataclasses.replace(TURNING, fixes=Fixes(0.01, 0.1))
+    assert not turned_places(fixed, distance, places, np.array(0.1)).any()
+    assert not turn_matrix(fixed, turned.planned, turned.distance_m, turned.paths).any()
+    # A small share turns what follows about the place of the turn.
+    own = turned_places(TURNING, distance, np.array([[0.0, 0.0], [1.0, 0.0], END]), np.array(0.01))
+    angle = 0.01 * np.radians(60.0)
+    assert own[2] == pytest.approx([-angle * END[1], angle * 0.5], abs=1e-4) and not own[:2].any()
+
+
+def test_other_physics_turn_as_far_as_the_law_lets_them(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
+    """By shares of at most what 19 in 20 turns are off by, and not all by next to nothing."""
+    off = []
+    for number, values in enumerate(zip(*first_belief().draws(3, 77).values(), strict=True)):
+        soil = dict(zip(PARAMETERS, map(float, values), strict=True))
+        plan = Plan(name="turn", legs=(Leg(turn_deg=40.0),), speed_m_s=0.05)
+        twin = predict(yutu2, slope(), plan, samples={name: [value] for name, value in soil.items()})
+        other = quasi_static.drive(yutu2, slope(), plan, soil, quasi_static.draw_physics(number))
+        share = (other.poses[-1, 5] - twin.paths[0, -1, 5]) / 40.0
+        off.append(share / float(exposed_turns(twin.planned, twin.paths[0, :, 5])))
+    assert np.abs(off).max() < TURNS.half_width(0.95) and np.abs(off).max() > 0.02
+
+
+def test_a_position_after_a_turn_does_not_speak_against_the_soil(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
+    """An end that is off by 5 deg of the turn counts little, one that is as far off along the way in full."""
+    true = predict(yutu2, slope(), TURNING)
+    end, across = true.paths[0, -1, :2], np.array([-np.sqrt(0.75), 0.5])
+    sizes = []
+    for direction in (across, np.array([0.5, np.sqrt(0.75)])):
+        record = DriveRecord(
+            time_s=np.zeros(0), wheel=(), values=np.zeros((0, 6)), sigmas=np.zeros((0, 6)),
+            fix_time_s=true.time_s[-1:].repeat(4), fix_m=np.tile(end + np.radians(5.0) * direction, (4, 1)),
+            fix_covariance_m2=np.tile(4e-4 * np.eye(2), (4, 1, 1)),
+        )  # fmt: skip
+        bias = DriveBias({}, turns=float(np.sqrt(TURNS.variance)))
+        drive = DriveResiduals(yutu2, slope(), TURNING, record, first_belief(), bias=bias)
+        off = np.tile(-np.radians(5.0) * direction, 4)
+        sizes.append(float((drive.marginalised.applied(drive.whitening @ off) ** 2).sum()))
+    assert sizes[0] < 0.2 * sizes[1]
 
 
 def a_fix(out: Prediction, off: tuple[float, float]) -> DriveRecord:

@@ -27,6 +27,7 @@ from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import Schedule, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import UNDER_WAY, Prediction, predict
+from lunarsci.twin.simulation.turn_discrepancy import exposed_turns, turn_lever
 
 MODEL_SHARES = {
     "sinkage_m": 0.06,
@@ -53,12 +54,14 @@ class DriveBias:
     common : by quantity, of errors that all wheels share: one constant, as a share of the quantity's mean size, and one
         that goes with the quantity. [-]
     wheels : by quantity, of one that each wheel has of its own, in the errors of its values. [-]
+    turns : of the share that all spot turns are off by, of what they are exposed to. [-]
 
     Raises ParameterError for negative shares and unknown quantities.
     """
 
     common: Mapping[str, float] = field(default_factory=lambda: MODEL_SHARES)
     wheels: Mapping[str, float] = field(default_factory=dict)
+    turns: float = 0.0
 
     def __post_init__(self) -> None:
         for name, value in (*self.common.items(), *self.wheels.items()):
@@ -73,6 +76,7 @@ class DriveBias:
         way: FloatArray,
         whitening: FloatArray,
         expected: FloatArray,
+        turned: FloatArray | None = None,
     ) -> "MarginalisedBias":
         """For a record.
 
@@ -81,6 +85,7 @@ class DriveBias:
         values, sigma, wheel : measured, NaN where they do not count; their errors; number of their wheel. (n, 6), (n,)
         way, whitening : from the start to each position; their whitening. (f, 2), (2 f, 2 f)
         expected : values without their noise, also of quantities that were not measured. (n, 6)
+        turned : how far each position moves for a share of 1 of the spot turns; None without any. (f, 2) [m]
 
         An error of the slip that all wheels share shortens the way, one of the side slip turns it.
         """
@@ -97,6 +102,8 @@ class DriveBias:
                 for w in np.unique(wheel):
                     states = _column(values.shape, k, self.wheels[name] * (known & (wheel == w)))
                     columns.append(np.append(states, np.zeros(way.size)))
+        if self.turns and turned is not None:
+            columns.append(np.append(np.zeros(values.size), whitening @ (self.turns * turned).ravel()))
         if not columns:
             return MarginalisedBias(np.zeros((values.size + way.size, 0)), np.zeros(0))
         left, sizes, _ = np.linalg.svd(np.stack(columns, axis=-1), full_matrices=False)
@@ -258,7 +265,21 @@ class DriveResiduals:
         values = np.where(self.known, self.record.values, np.nan)
         way = self.record.fix_m - (self.plan.x_m, self.plan.y_m)
         expected = values if self.expected is None else self.expected
-        return self.bias.marginalised(values, self.sigma, self.wheel, way, self.whitening, expected)
+        return self.bias.marginalised(values, self.sigma, self.wheel, way, self.whitening, expected, self.turned)
+
+    @cached_property
+    def turned(self) -> FloatArray | None:
+        """How far each position moves for a share of 1 of what spot turns are exposed to. (f, 2) [m]
+
+        They are exposed as on the soil of the belief's mean. None without turns.
+        """
+        if not any(leg.turn_deg for leg in self.plan.legs) or not self.record.fix_m.size:
+            return None
+        drive = self.simulated(self.belief.mean[None])
+        share = float(exposed_turns(drive.planned, drive.paths[0, :, 5]))
+        distance = self.schedule.distance_at(self.record.fix_time_s)
+        levers = (turn_lever(self.plan, *pair) for pair in zip(distance, self.record.fix_m, strict=True))
+        return share * np.array(list(levers))
 
     def simulated(self, transforms: FloatArray) -> Prediction:
         """Drives on soils of these transforms. (points, 8)"""

@@ -34,6 +34,7 @@ from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.discrepancy import exposed, way_matrix
 from lunarsci.twin.simulation.ensemble import Prediction
+from lunarsci.twin.simulation.turn_discrepancy import TURNS, turn_matrix
 
 PARTICLES, FEWEST_PARTICLES = 128, 32
 ROUNDS = 2
@@ -176,8 +177,9 @@ def assimilate(
         raise ParameterError(f"model error is {model_error}; give 0 or more")
     random = np.random.default_rng(seed)
     common = {name: model_error * share for name, share in MODEL_SHARES.items()}
+    bias = DriveBias(common, turns=model_error * float(np.sqrt(TURNS.variance)))
     floor = max(model_error, LEAST_FLOOR)
-    drive = DriveResiduals(rover, terrain, plan, record, belief, bias=DriveBias(common), floor=floor)
+    drive = DriveResiduals(rover, terrain, plan, record, belief, bias=bias, floor=floor)
     posterior, mode = _best_soil(drive, random, ruts)
     residual = posterior.residuals(mode.point[None])[0][0]
     states, places = posterior.drive.parts(residual)
@@ -276,6 +278,7 @@ def _taught(
     place = at_times(times[last : last + 1], best.time_s, best.paths[..., :2], axis=-2)[0, 0]
     so_far = slice(0, int(np.searchsorted(best.time_s, times[last])) + 1)
     known = drive.record.fix_covariance_m2[last] + FIX_ERROR_M**2 * np.eye(2)
+    known += turn_matrix(drive.plan, best.planned[so_far], best.distance_m[so_far], best.paths[:, so_far])
     miss = FOLLOWED * (drive.record.fix_m[last] - place)
     return law.with_miss(miss, known, way_matrix(best.planned[so_far, :2], best.paths[:, so_far, :3]))
 

@@ -21,6 +21,8 @@ ROUNDS = (0.25, 0.5, 1.0)
 """Shares of the soils after which hopeless candidates stop; a quarter of 64 is a group of the simulation."""
 LEAST_LEFT = 8
 """So many candidates are driven on all soils, where there are so many."""
+ANEW = 7919
+"""Added to the seed of a drive whose errors are its own."""
 CHECKED = 4
 """So many of the best are driven again on fresh soils at a time."""
 
@@ -160,7 +162,8 @@ def choose(
         which the chosen are driven again.
     risk : chance of failing that is accepted, 0 to 1. [-]
     prefer : among plans that keep it the one with the least energy, length or time is the best, or the one after which
-        the end of the next drive is expected to be known best (`teaching`; then none is stopped early).
+        the end of the next drive is expected to be known best (`teaching`; then none is stopped early). Where none
+        surely teaches more than the shortest, the shortest is the best.
     members : soils by which plans are chosen; None for all, and then promises are of these same soils.
     racing : stop hopeless candidates after a quarter and half of the soils.
     teach : find what each candidate teaches, of the soil and of the way back along the shortest of them.
@@ -231,9 +234,16 @@ class _Race:
     def taught(self, found: list[DriveCandidate]) -> list[DriveCandidate]:
         """The same, those driven on all soils with what they teach."""
         whole = [one for one in found if not one.stopped]
-        shortest = min(whole, key=lambda one: one.length_m)
-        (following,) = self._drive([way_back(shortest.plan)], range(self.members))
-        return [one if one.stopped else replace(one, teaches=_teaching(one.prediction, following)) for one in found]
+        shortest = min(whole, key=lambda one: (one.length_m, one.duration_s))
+        # Physics that is off by the very same draws on both drives would be learned from the first one.
+        anew = replace(self.conditions, seed=self.conditions.seed + ANEW)
+        (following,) = self._drive([way_back(shortest.plan)], range(self.members), anew)
+        taught = {one.number: _teaching(one.prediction, following) for one in whole}
+        least = taught[shortest.number]
+        return [
+            replace(one, teaches=_compared(taught[one.number], least, len(whole))) if one.number in taught else one
+            for one in found
+        ]
 
     def checked(self, found: list[DriveCandidate]) -> list[DriveCandidate]:
         """The same, the best of them driven on fresh soils, as many as it takes for one that keeps the risk."""
@@ -257,7 +267,7 @@ class _Race:
         held = [verdicts(prediction) for prediction in driven]
         return [replace(one, promise=own.chance, weakest=own.weakest) for one, own in zip(batch, held, strict=True)]
 
-    def _drive(self, plans: list[Plan], members: range) -> list[Prediction]:
+    def _drive(self, plans: list[Plan], members: range, conditions: Conditions | None = None) -> list[Prediction]:
         begun = self.done
 
         def on(done: int, _: int) -> None:
@@ -265,7 +275,7 @@ class _Race:
             if self.progress is not None:
                 self.progress(min(self.done, self.total), self.total)
 
-        return drive_candidates(self.conditions, plans, members, on)
+        return drive_candidates(conditions or self.conditions, plans, members, on)
 
     def _candidate(self, number: int, prediction: Prediction) -> DriveCandidate:
         held: Verdicts = verdicts(prediction)
@@ -303,17 +313,27 @@ def _teaching(prediction: Prediction, following: Prediction) -> Teaching | None:
         return None
 
 
-def _order(one: DriveCandidate, risk: float, prefer: Preference) -> tuple[int, float, float, float, int]:
+def _compared(taught: Teaching | None, least: Teaching | None, compared: int) -> Teaching | None:
+    """The same, with whether it surely teaches more than the shortest of so many drives."""
+    if taught is None or least is None or taught.next_end is None or least.next_end is None:
+        return taught
+    return replace(taught, more_than_shortest=taught.next_end.surely_below(least.next_end, compared))
+
+
+def _order(one: DriveCandidate, risk: float, prefer: Preference) -> tuple[int, float, bool, float, float, int]:
     """Key of the ranking: promised, then likely to keep the risk, then by risk; NaN energies last.
 
-    What differs by less than the second digit is alike, and then the shorter time decides.
+    What differs by less than the second digit is alike, and then the shorter time decides. Drives that do not surely
+    teach more than the shortest follow those that do, by their length.
     """
-    after = math.nan if one.teaches is None else one.teaches.end_sd_m[1]
-    wanted = {"energy": one.energy_j, "length": one.length_m, "time": one.duration_s, "teaching": after}[prefer]
+    later = prefer == "teaching" and (one.teaches is None or not one.teaches.more_than_shortest)
+    after = math.nan if one.teaches is None or one.teaches.next_end is None else one.teaches.next_end.after_m
+    taught = one.length_m if later else after
+    wanted = {"energy": one.energy_j, "length": one.length_m, "time": one.duration_s, "teaching": taught}[prefer]
     wanted = math.inf if math.isnan(wanted) else float(f"{wanted:.2g}")
     if one.said.risk > risk:
-        return (3 if one.stopped else 2), one.said.risk, wanted, one.duration_s, one.number
-    return (0 if one.promise is not None else 1), 0.0, wanted, one.duration_s, one.number
+        return (3 if one.stopped else 2), one.said.risk, later, wanted, one.duration_s, one.number
+    return (0 if one.promise is not None else 1), 0.0, later, wanted, one.duration_s, one.number
 
 
 def _with_front(found: list[DriveCandidate]) -> list[DriveCandidate]:

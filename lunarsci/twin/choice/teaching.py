@@ -1,7 +1,8 @@
 """What a drive teaches: how much narrower its telemetry is expected to make the belief of the soil, and the next drive.
 
 From drives of an ensemble alone. Members are samples of the soil; what telemetry would give of each is compared with
-its soil, linearly and with normal laws, so that the expected posterior follows in closed form and needs no update.
+its soil, linearly and with normal laws, so that the expected posterior follows in closed form and needs no update. How
+well the next end is then predicted is counted without either (`next_end`).
 """
 
 import math
@@ -11,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.prior import default_prior
 from lunarsci.regolith.states import MeasurementErrors
+from lunarsci.twin.choice.next_end import NextEnd, next_end
 from lunarsci.twin.plans.path import poses_along
-from lunarsci.twin.plans.plan import Plan
+from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
 
 OBSERVED = ("slip_ratio", "side_slip_deg", "sinkage_m")
@@ -26,6 +28,7 @@ PARTS = 2
 more members: their scatter about what the soil explains is learned from the same drives."""
 TRAVEL_SHARE = 0.04 / 3.0
 """Error of the localised end as a share of the way, Ding et al. (2024), 10.1038/s41467-024-46233-8, as in telemetry."""
+NOISE_SEED = 31
 FEWEST = 2.0
 """So many members are needed for each number that is learned of them; assumed."""
 
@@ -39,26 +42,22 @@ class Teaching:
     parameters : of the soil, those that differ between members.
     sd_ratio : standard deviation after over before, of each parameter's transform. (parameters,) [-]
     gain_nats : information, half the logarithm of the ratio of the determinants of the covariances. [nat]
-    end_sd_m : root of the sum of the variances of a next drive's end in x and y, before and after; NaN without one. [m]
+    next_end : errors of the predicted end of a next drive; None without one.
     members : drives that it rests on.
+    more_than_shortest : whether that end is surely known better than after the shortest of the drives compared.
     """
 
     parameters: tuple[str, ...]
     sd_ratio: FloatArray = field(repr=False)
     gain_nats: float
-    end_sd_m: tuple[float, float]
+    next_end: NextEnd | None
     members: int
+    more_than_shortest: bool = False
 
     @property
     def variance_reduction(self) -> float:
         """Mean over the parameters of 1 - (sd after / sd before)^2. [-]"""
         return float(1.0 - np.mean(self.sd_ratio**2))
-
-    @property
-    def end_variance_reduction(self) -> float:
-        """Share by which the variance of the next end falls, NaN without a next drive. [-]"""
-        before, after = self.end_sd_m
-        return 1.0 - (after / before) ** 2 if before > 0 else math.nan
 
     def to_dict(self) -> dict[str, Any]:
         """For a result."""
@@ -66,8 +65,8 @@ class Teaching:
             "gain_nats": self.gain_nats,
             "variance_reduction": self.variance_reduction,
             "sd_ratio": dict(zip(self.parameters, map(float, self.sd_ratio), strict=True)),
-            "next_end_sd_m": {"before": self.end_sd_m[0], "after": self.end_sd_m[1]},
-            "next_end_variance_reduction": self.end_variance_reduction,
+            "next_end_error_m": None if self.next_end is None else self.next_end.to_dict(),
+            "more_than_shortest": self.more_than_shortest,
             "drives": self.members,
         }
 
@@ -80,7 +79,8 @@ def teaching(
     Parameters
     ----------
     prediction : drives over samples of the soil, with draws of what the twin's physics is off by.
-    following : the next drive, over the same members; its end is what shall be known better.
+    following : the next drive, over the same members, with a discrepancy drawn for it anew; its end is what shall be
+        known better.
     errors : of slip, side slip and sinkage; those of Ding et al. (2024) where it is None. An error that is a share
         counts as common to all wheels and samples, so that means are no better known than one of them.
 
@@ -94,8 +94,8 @@ def teaching(
     """
     done = prediction.finished if following is None else prediction.finished & following.finished
     names, soil = _soils(prediction, done)
-    seen, sigma = observed(prediction, MeasurementErrors() if errors is None else errors)
-    seen, count = seen[done], int(done.sum())
+    told, sigma = observed(prediction, MeasurementErrors() if errors is None else errors)
+    seen, count = told[done], int(done.sum())
     needed = math.ceil(FEWEST * (soil.shape[1] + seen.shape[1] + 1))
     if count < needed:
         raise ParameterError(
@@ -104,23 +104,27 @@ def teaching(
     information = _information(soil, seen, sigma)
     before = np.asarray(np.cov(soil.T), dtype=np.float64).reshape(soil.shape[1], -1)
     after = np.asarray(np.linalg.inv(np.linalg.inv(before) + information), dtype=np.float64)
-    ends = (math.nan, math.nan) if following is None else _end_spread(soil, following.endpoints_m[done], before, after)
     return Teaching(
         parameters=names,
         sd_ratio=np.sqrt(np.diag(after) / np.diag(before)),
         gain_nats=0.5 * float(np.linalg.slogdet(before)[1] - np.linalg.slogdet(after)[1]),
-        end_sd_m=ends,
+        next_end=None if following is None else _next_end(following, told, sigma, done),
         members=count,
     )
 
 
 def way_back(plan: Plan) -> Plan:
-    """The same arcs backwards, from the end of a plan."""
-    legs = tuple(replace(leg, curvature_per_m=-leg.curvature_per_m, crab_deg=_about(leg.crab_deg)) if leg.length_m
-                 else replace(leg, turn_deg=-leg.turn_deg) for leg in reversed(plan.legs))  # fmt: skip
+    """The same arcs backwards, from the end of a plan, no wheel slipping on purpose."""
+    legs = tuple(map(_backwards, reversed(plan.legs)))
     x, y, heading = poses_along(plan, 1.0)[-1]
     return replace(plan, name=f"way back: {plan.name}", legs=legs, x_m=float(x), y_m=float(y),
                    heading_deg=math.degrees(heading), fixes=None)  # fmt: skip
+
+
+def _backwards(leg: Leg) -> Leg:
+    if not leg.length_m:
+        return replace(leg, turn_deg=-leg.turn_deg)
+    return replace(leg, curvature_per_m=-leg.curvature_per_m, crab_deg=_about(leg.crab_deg), wheel_test=None)
 
 
 def _about(crab_deg: float) -> float:
@@ -179,9 +183,7 @@ def _explained(soil: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatA
     return np.asarray(slopes), off - soil @ slopes
 
 
-def _end_spread(soil: FloatArray, ends: FloatArray, before: FloatArray, after: FloatArray) -> tuple[float, float]:
-    """Standard deviation of the ends with the soil as known before and after. [m]"""
-    slopes, left = _explained(soil, ends)
-    rest = float((left**2).sum()) / (len(soil) - 1 - soil.shape[1])
-    first, then = (math.sqrt(float(np.trace(slopes.T @ known @ slopes)) + rest) for known in (before, after))
-    return first, then
+def _next_end(following: Prediction, told: FloatArray, sigma: FloatArray, done: BoolArray) -> NextEnd:
+    """From telemetry with errors drawn; the same ones for every drive, so that drives are compared by themselves."""
+    noise = np.random.default_rng(NOISE_SEED).standard_normal(told.shape)
+    return next_end(told + sigma * noise, following.endpoints_m, following.paths[:, -1, :2], done)

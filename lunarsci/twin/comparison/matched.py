@@ -17,6 +17,7 @@ from lunarsci.twin.assimilation.drive_record import (
 from lunarsci.twin.assimilation.residuals import FIX_ERROR_M, MODEL_ERRORS
 from lunarsci.twin.comparison.forecast import Forecast
 from lunarsci.twin.simulation.discrepancy import way_matrix
+from lunarsci.twin.simulation.turn_discrepancy import turn_matrix
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -120,21 +121,40 @@ class Miss:
     physics_m: float
 
 
-def _miss_parts(matched: MatchedObservations) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, int] | None:
-    """Miss (2,), covariances of soils and of the place (2, 2), matrix of the way (2, 2), and number of the position."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _MissParts:
+    """Miss (2,) [m]; covariances of soils, of the place and of spot turns, and matrix of the way (2, 2) [m2]; number of
+    the position."""
+
+    miss: FloatArray
+    soil: FloatArray
+    place: FloatArray
+    turns: FloatArray
+    way: FloatArray
+    last: int
+
+
+def _miss_parts(matched: MatchedObservations) -> _MissParts | None:
+    """None without positions, or with fewer than four drives."""
     times, forecast = matched.record.fix_time_s, matched.forecast
     if not len(times) or len(matched.members) < 4:
         return None
     last = int(times.argmax())
-    places, paths = matched.places[:, last], forecast.paths[matched.members][..., :3].copy()
+    places, paths = matched.places[:, last], forecast.paths[matched.members].copy()
     if forecast.discrepancy is not None:
         offsets = forecast.discrepancy.offsets_m[matched.members]
         paths[..., :2] -= offsets
         places = places - at_times(times[last : last + 1], forecast.time_s, offsets, axis=-2)[:, 0]
     so_far = slice(0, int(np.searchsorted(forecast.time_s, min(float(times[last]), float(forecast.time_s[-1])))) + 1)
-    way_m2 = way_matrix(forecast.planned[so_far, :2], paths[:, so_far])
-    middle = np.median(places, axis=0)
-    return matched.record.fix_m[last] - middle, np.cov(places.T), matched.place_error_m2[last], way_m2, last
+    planned, driven = forecast.planned[so_far], paths[:, so_far]
+    return _MissParts(
+        miss=matched.record.fix_m[last] - np.median(places, axis=0),
+        soil=np.cov(places.T),
+        place=matched.place_error_m2[last],
+        turns=turn_matrix(forecast.plan, planned, forecast.distance_m[so_far], driven),
+        way=way_matrix(planned[:, :2], driven[..., :3]),
+        last=last,
+    )
 
 
 def miss_of(matched: MatchedObservations) -> Miss | None:
@@ -142,7 +162,7 @@ def miss_of(matched: MatchedObservations) -> Miss | None:
     found = _miss_parts(matched)
     if found is None:
         return None
-    miss, soil, place, way_m2, last = found
+    miss, last = found.miss, found.last
     chord = matched.planned[last] - matched.forecast.planned[0, :2]
     ahead = chord / max(float(np.hypot(*chord)), 1e-12)
     along, across = float(miss @ ahead), float(ahead[0] * miss[1] - ahead[1] * miss[0])
@@ -153,9 +173,9 @@ def miss_of(matched: MatchedObservations) -> Miss | None:
         across_m=across,
         along_share=along / max(way, 1e-12),
         across_share=across / max(way, 1e-12),
-        soil_m=float(np.sqrt(np.trace(soil))),
-        position_m=float(np.sqrt(np.trace(place))),
-        physics_m=0.0 if law is None else float(np.sqrt(np.trace(law.law.covariance_m2(way_m2)))),
+        soil_m=float(np.sqrt(np.trace(found.soil))),
+        position_m=float(np.sqrt(np.trace(found.place))),
+        physics_m=0.0 if law is None else float(np.sqrt(np.trace(law.law.covariance_m2(found.way) + found.turns))),
     )
 
 
@@ -163,8 +183,7 @@ def taught(matched: MatchedObservations, before: PhysicsDiscrepancy) -> PhysicsD
     """The discrepancy after the drive: the way's shares by the last position, those of wheel states by their means."""
     after, found = before, _miss_parts(matched)
     if found is not None:
-        miss, soil, place, way_m2, _ = found
-        after = after.with_miss(miss, soil + place, way_m2)
+        after = after.with_miss(found.miss, found.soil + found.place + found.turns, found.way)
     for name in SHARED:
         column = OBSERVED.index(name)
         rows = matched.known[:, column]

@@ -13,6 +13,7 @@ from lunarsci.tables import csv_bytes
 from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.choice.choice import DriveChoice, choose, least_drives
 from lunarsci.twin.choice.conditions import Conditions
+from lunarsci.twin.choice.soil_tests import with_tests
 from lunarsci.twin.ground.driven_soil import DrivenSoil
 from lunarsci.twin.ground.keep_out import near_way
 from lunarsci.twin.ground.terrain import Terrain
@@ -150,7 +151,7 @@ def _row(record: Mapping[str, Any]) -> dict[str, Any]:
     marks = {"promised": record["promised"] is not None, **{n: record[n] for n in ("stopped_early", "pareto")}}
     told = record.get("teaches")
     taught = {} if told is None else {
-        "teaches_variance_reduction": told["variance_reduction"], "next_end_sd_m": told["next_end_sd_m"]["after"]
+        "teaches_variance_reduction": told["variance_reduction"], "next_end_error_m": told["next_end_error_m"]["after"]
     }  # fmt: skip
     return {**plain, "localisation_updates": record["localisation_updates"], **chance, **marks, **worst, **taught}
 
@@ -238,6 +239,8 @@ def candidates_of(
         most=asked.candidates or MOST,
         progress=progress,
     )
+    if asked.teach or asked.prefer == "teaching":
+        plans = with_tests(plans, surface, site.rover, (x, y), asked.candidates or MOST)
     swept = read_plan().sweep if given.file is None and not asked.sweep else ()
     near = [near_way(site.keep_outs, planned_places(plan, site.rover)) if site.keep_outs else () for plan in plans]
     return tuple(

@@ -10,6 +10,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.twin.plans.plan import Fixes
 from lunarsci.twin.simulation.discrepancy import way_matrix
 from lunarsci.twin.simulation.ensemble import Prediction, predict
+from lunarsci.twin.simulation.turn_discrepancy import turn_matrix
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,9 +177,10 @@ def _parts(prediction: Prediction) -> tuple[Matrix | None, Matrix | None]:
         return None, None
     driven = prediction.paths[prediction.finished]
     way_m2 = way_matrix(prediction.planned[:, :2], driven[..., :3])
+    turns_m2 = turn_matrix(prediction.plan, prediction.planned, prediction.distance_m, driven)
     return (
         _spread(driven[:, -1, :2]),
-        _matrix(prediction.discrepancy.law.covariance_m2(way_m2)),
+        _matrix(prediction.discrepancy.law.covariance_m2(way_m2) + turns_m2),
     )
 
 

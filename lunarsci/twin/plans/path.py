@@ -74,24 +74,54 @@ def poses_along(plan: Plan, every_m: float) -> FloatArray:
     return np.concatenate(found)
 
 
+def turn_poses(plan: Plan) -> list[tuple[FloatArray, float, float]]:
+    """Pose before each spot turn [m, m, rad], its angle [rad], and the way before it [m]."""
+    pose, way, found = _start(plan), 0.0, []
+    for leg in plan.legs:
+        if leg.turn_deg:
+            found.append((pose, math.radians(leg.turn_deg), way))
+        pose, way = leg_end(pose, leg), way + leg.length_m
+    return found
+
+
 def _start(plan: Plan) -> FloatArray:
     return np.array([plan.x_m, plan.y_m, math.radians(plan.heading_deg)])
 
 
 def curvature_at(legs: tuple[Leg, ...], distance_m: npt.ArrayLike, blend_m: float) -> FloatArray:
-    """Commanded curvature: that of the arc, going over linearly within `blend_m` about each joint. [1/m]
+    """Commanded curvature: that of the arc, blended about each joint. [1/m]"""
+    return _blended(legs, [leg.curvature_per_m for leg in legs], distance_m, blend_m)
+
+
+def rate_ratios(rover: Rover, legs: tuple[Leg, ...], distance_m: npt.ArrayLike, blend_m: float) -> FloatArray | None:
+    """Rates of the wheels over those without slip, blended about each joint; None without wheel tests. (..., n) [-]"""
+    if all(leg.wheel_test is None for leg in legs):
+        return None
+    tests = [leg.wheel_test for leg in legs]
+    return np.stack(
+        [
+            _blended(legs, [test.rate_ratio if test and test.wheel == wheel else 1.0 for test in tests],
+                     distance_m, blend_m)
+            for wheel in rover.wheels
+        ],
+        axis=-1,
+    )  # fmt: skip
+
+
+def _blended(legs: tuple[Leg, ...], values: list[float], distance_m: npt.ArrayLike, blend_m: float) -> FloatArray:
+    """A value of each arc along them, going over linearly within `blend_m` about each joint.
 
     A blend is never longer than the shorter of its two arcs.
     """
     distance = np.asarray(distance_m, dtype=float)
-    curvature = np.full(distance.shape, legs[0].curvature_per_m)
+    result = np.full(distance.shape, values[0])
     joint = 0.0
-    for before, after in pairwise(legs):
+    for (before, after), (old, new) in zip(pairwise(legs), pairwise(values), strict=True):
         joint += before.length_m
         width = max(min(blend_m, before.length_m, after.length_m), 1e-9)
         share = np.clip((distance - joint) / width + 0.5, 0.0, 1.0)
-        curvature = curvature + share * (after.curvature_per_m - before.curvature_per_m)
-    return curvature
+        result = result + share * (new - old)
+    return result
 
 
 SLOWEST_RIM = 0.02

@@ -13,6 +13,7 @@ from lunarsci.inputs import Source, read_input
 from lunarsci.rovers import MadeFor
 from lunarsci.twin.ground.keep_out import ExclusionZone
 from lunarsci.twin.ground.terrain import soil_override
+from lunarsci.twin.plans.wheel_test import WheelTest, check_wheel_test
 from lunarsci.twin.rover import Rover
 
 # Quantities that can be limited, and their units.
@@ -46,6 +47,7 @@ class Leg:
         180 backwards. [deg]
     turn_deg : spot turn, positive to the left, -360 to 360. [deg]
     stop_s : time at a standstill, 1 s to an hour. [s]
+    wheel_test : a wheel that slips on purpose along an arc; None where none does.
 
     Raises ParameterError unless exactly one of length_m, turn_deg and stop_s is given.
     """
@@ -55,6 +57,7 @@ class Leg:
     crab_deg: float = 0.0
     turn_deg: float = 0.0
     stop_s: float = 0.0
+    wheel_test: WheelTest | None = None
 
     def __post_init__(self) -> None:
         if not 0 <= self.length_m <= LONGEST_M:
@@ -70,6 +73,8 @@ class Leg:
             raise ParameterError("a leg needs exactly one of length_m, turn_deg and stop_s, and not 0")
         if self.length_m == 0 and (self.curvature_per_m != 0 or self.crab_deg != 0):
             raise ParameterError("curvature_per_m and crab_deg belong to a leg with length_m")
+        if self.length_m == 0 and self.wheel_test is not None:
+            raise ParameterError("wheel_test belongs to a leg with length_m")
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,6 +211,8 @@ def check_plan(plan: Plan, rover: Rover) -> None:
         )
     tightest = rover.tightest_curvature_per_m
     for number, leg in enumerate(plan.legs, 1):
+        if leg.wheel_test is not None:
+            check_wheel_test(leg.wheel_test, plan.speed_m_s, rover, f"{where}leg {number}: ")
         if abs(leg.curvature_per_m) > tightest:
             raise ParameterError(
                 f"{where}leg {number}: curvature_per_m is {leg.curvature_per_m:g}; the turning centre must lie "
@@ -305,8 +312,18 @@ def _legs(tables: list[Any]) -> tuple[Leg, ...]:
 
 
 def _leg(table: Any) -> Leg:
-    _check_keys(table, ("length_m", "curvature_per_m", "crab_deg", "turn_deg", "stop_s"), "[[leg]]")
-    return Leg(**{name: _number(value, name) for name, value in table.items()})
+    _check_keys(table, Leg.__slots__, "[[leg]]")
+    numbers = {name: _number(value, name) for name, value in table.items() if name != "wheel_test"}
+    return Leg(**numbers, wheel_test=_wheel_test(table["wheel_test"]) if "wheel_test" in table else None)
+
+
+def _wheel_test(table: Any) -> WheelTest:
+    known = WheelTest.__slots__
+    _check_keys(table, known, "wheel_test")
+    for name in known:
+        if name not in table:
+            raise ParameterError(f'wheel_test has no {name}; write it as {{ wheel = "FL", rate_ratio = 0.6 }}')
+    return WheelTest(str(table["wheel"]), _number(table["rate_ratio"], "rate_ratio"))
 
 
 def _fixes(document: dict[str, Any]) -> Fixes | None:

@@ -21,8 +21,11 @@ def plan_text(plan: Plan) -> str:
         *(f"{name} = {float(getattr(plan, name))!r}" for name in ("speed_m_s", "blend_m")),
     ]
     for leg in plan.legs:
-        values = ((name, float(getattr(leg, name))) for name in Leg.__slots__)
+        values = ((name, float(getattr(leg, name))) for name in Leg.__slots__ if name != "wheel_test")
         lines += ["", "[[leg]]", *(f"{name} = {value!r}" for name, value in values if value)]
+        if (test := leg.wheel_test) is not None:
+            ratio = float(test.rate_ratio)
+            lines.append(f"wheel_test = {{ wheel = {_quoted(test.wheel)}, rate_ratio = {ratio!r} }}")
     if plan.fixes is not None:
         names = ("position_sigma_m", "heading_sigma_deg")
         lines += ["", "[fixes]", *(f"{name} = {float(getattr(plan.fixes, name))!r}" for name in names)]

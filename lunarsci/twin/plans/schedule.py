@@ -13,7 +13,17 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.twin.lanes import BODY, GROUP
-from lunarsci.twin.plans.path import CREEP, Commands, along_legs, curvature_at, leg_end, plain, reach_m, wheel_commands
+from lunarsci.twin.plans.path import (
+    CREEP,
+    Commands,
+    along_legs,
+    curvature_at,
+    leg_end,
+    plain,
+    rate_ratios,
+    reach_m,
+    wheel_commands,
+)
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
 
@@ -203,6 +213,17 @@ def commands_at(rover: Rover, schedule: Schedule, time_s: FloatArray) -> Command
     return Commands(commands.steering_rad[0, number], commands.speed_m_s[0, number])
 
 
+def commanded_ratios(rover: Rover, schedule: Schedule, time_s: FloatArray) -> FloatArray:
+    """Rates of the wheels over those without slip at some times: other than 1 in wheel tests. (n, wheels) [-]"""
+    result = np.ones((len(time_s), len(rover.wheels)))
+    for run in schedule.runs:
+        ratios = rate_ratios(rover, run.legs, run.share_at(time_s) * run.length_m, schedule.plan.blend_m)
+        if ratios is not None:
+            on = (time_s >= run.begin_s) & (time_s <= run.end_s)
+            result[on] = ratios[on]
+    return result
+
+
 def steps_of_runs(schedule: Schedule, times_s: FloatArray) -> list[slice]:
     """The steps of each run: a step belongs to the run in which its middle lies."""
     middles = 0.5 * (times_s[1:] + times_s[:-1])
@@ -240,10 +261,12 @@ def _motion(
         return wheel_commands(rover, ahead, left, turns, np.abs(angle / turn) * rates)
     if legs is None:
         curvature = curvature_at(run.legs, share * run.length_m, plan.blend_m)[None, :]
-        return wheel_commands(rover, ahead, left, curvature, run.length_m * rates[None, :])
-    return wheel_commands(
-        rover, ahead, left, np.broadcast_to(legs[:, 1:2], (len(legs), len(share))), legs[:, :1] * rates
-    )
+        commands = wheel_commands(rover, ahead, left, curvature, run.length_m * rates[None, :])
+    else:
+        curvature = np.broadcast_to(legs[:, 1:2], (len(legs), len(share)))
+        commands = wheel_commands(rover, ahead, left, curvature, legs[:, :1] * rates)
+    ratios = rate_ratios(rover, run.legs, share * run.length_m, plan.blend_m)
+    return commands if ratios is None else Commands(commands.steering_rad, ratios * commands.speed_m_s)
 
 
 def _standing(rover: Rover, before: Commands | None, steps: int) -> Commands:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -207,9 +207,11 @@ def search_margin_m(footprint: RoverFootprint, distance_m: float) -> float:
     return MARGIN_SHARE * distance_m + MARGIN_M + footprint.reach_m
 
 
-def _leg_record(leg: Leg) -> dict[str, float]:
+def _leg_record(leg: Leg) -> dict[str, Any]:
     """For a result; how a leg is driven where that is not an arc ahead."""
-    other = {name: getattr(leg, name) for name in ("crab_deg", "turn_deg") if getattr(leg, name)}
+    other: dict[str, Any] = {name: getattr(leg, name) for name in ("crab_deg", "turn_deg") if getattr(leg, name)}
+    if leg.wheel_test is not None:
+        other["wheel_test"] = asdict(leg.wheel_test)
     return {"length_m": leg.length_m, "curvature_per_m": leg.curvature_per_m, **other}
 
 

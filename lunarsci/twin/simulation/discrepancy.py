@@ -1,7 +1,8 @@
 """Drives with what the twin's physics is off by: places and wheel states of each member, moved by a draw of it.
 
 Where wheels hardly slip any law of the soil leads to nearly the same end; what a law is off by shows in the slip. So
-the discrepancy is a share of the way lost by slipping, and of a small part of the way itself, alike over metres.
+the discrepancy is a share of the way lost by slipping, and of a small part of the way itself, alike over metres. Spot
+turns are off by a share of their angle.
 """
 
 import dataclasses
@@ -13,6 +14,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
+from lunarsci.twin.simulation.turn_discrepancy import TURNS, exposed_turns, turned_places
 
 if TYPE_CHECKING:
     from lunarsci.twin.simulation.ensemble import Prediction
@@ -98,8 +100,17 @@ def with_discrepancy(prediction: "Prediction", law: PhysicsDiscrepancy, seed: in
         for name, one in sorted(law.quantities.items())
     }
     offsets = np.concatenate([np.zeros((members, 1, 2)), np.cumsum(moved, axis=1)], axis=1)
+    offsets += _turned(prediction, random)
     drawn = DrawnDiscrepancy(law=law, offsets_m=offsets, shares=shares)
     return dataclasses.replace(prediction, discrepancy=drawn, states=_states(prediction, along, across, shares))
+
+
+def _turned(prediction: "Prediction", random: np.random.Generator) -> FloatArray:
+    """How far members come off their paths by what their spot turns are off by. (members, samples, 2) [m]"""
+    members = prediction.members
+    share = TURNS.sizes(members, random) * random.standard_normal(members)
+    share *= exposed_turns(prediction.planned, prediction.paths[..., 5])
+    return turned_places(prediction.plan, prediction.distance_m, prediction.paths[..., :2], share)
 
 
 def _states(

@@ -14,6 +14,7 @@ from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.loads.prescribed_motion import PrescribedLoads, prescribed_loads
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.plan import Plan
+from lunarsci.twin.plans.schedule import Schedule, commanded_ratios, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact_frame import VALID_SLIP
 from lunarsci.twin.telemetry.checks import check_against_plan, ordered, steering_angles, time_gaps
@@ -132,7 +133,8 @@ def states_of(
     angle, known = steering_angles(telemetry, rover, findings)
     wheels = dataclasses.replace(wheels, trusted=wheels.trusted & known[1:] & known[:-1])
     steering = np.radians(angle)
-    twist, off, way = _way(rover, telemetry, wheels, steering)
+    schedule = None if plan is None else make_schedule(plan, rover)
+    twist, off, way = _way(rover, telemetry, wheels, steering, schedule)
     _check_wheels_agree(wheels, off, findings)
     turned = np.degrees(np.append(0.0, np.cumsum(twist[:, 2] * np.diff(telemetry.time_s))))
     telemetry = usable_positions(telemetry, way, findings)
@@ -140,7 +142,7 @@ def states_of(
     check_frame(telemetry, twist, findings)
     if plan is not None:
         check_against_plan(telemetry, rover, plan, findings)
-    return _along_the_ground(telemetry, rover, terrain, wheels, steering, gaps, findings)
+    return _along_the_ground(telemetry, rover, terrain, wheels, steering, gaps, schedule, findings)
 
 
 def _along_the_ground(
@@ -150,13 +152,14 @@ def _along_the_ground(
     wheels: WheelMotion,
     steering_rad: FloatArray,
     gaps: BoolArray,
+    schedule: Schedule | None,
     findings: Findings,
 ) -> DriveStates:
     """Find the motion, and how wheels that carry the rover along it over the ground slip; `findings` takes doubts."""
     times = telemetry.time_s
     between = np.column_stack([times[:-1][gaps], times[1:][gaps]])
     dense, wheels, steering, gaps = denser(telemetry, wheels, steering_rad, gaps)
-    twist, _, way = _way(rover, dense, wheels, steering)
+    twist, _, way = _way(rover, dense, wheels, steering, schedule)
     nodes, rows = nodes_of(dense, wheels, twist, way, gaps)
     smoothed, nodes, left_out = without_outliers(nodes, findings)
     first = prescribed_loads(
@@ -186,11 +189,17 @@ def _along_the_ground(
 
 
 def _way(
-    rover: Rover, telemetry: Telemetry, wheels: WheelMotion, steering_rad: FloatArray
+    rover: Rover, telemetry: Telemetry, wheels: WheelMotion, steering_rad: FloatArray, schedule: Schedule | None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Twist that wheels without slip say between rows, how far they differ from it [m/s], and the way of the rims."""
-    twist, off = body_twist(rover, wheels.rim_m_s, 0.5 * (steering_rad[1:] + steering_rad[:-1]))
-    way = np.append(0.0, np.cumsum(mean_speed(wheels.rim_m_s) * np.diff(telemetry.time_s)))
+    """Twist that wheels without slip say between rows, how far they differ from it [m/s], and the way of the rims.
+
+    A wheel that slips on purpose counts as fast as it would turn without.
+    """
+    times, rims = telemetry.time_s, wheels.rim_m_s
+    if schedule is not None:
+        rims = rims / commanded_ratios(rover, schedule, 0.5 * (times[1:] + times[:-1]))
+    twist, off = body_twist(rover, rims, 0.5 * (steering_rad[1:] + steering_rad[:-1]))
+    way = np.append(0.0, np.cumsum(mean_speed(rims) * np.diff(times)))
     return twist, off, way
 
 
