@@ -34,6 +34,7 @@ SHARED = {
     "result",
     "records",
     "record_blocks",
+    "names",
     "numerals",
     "templates",
 }

@@ -13,7 +13,7 @@ from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
-from ..shared.table import TextTable
+from ..shared.table import TextTable, significant
 from .identify import OPTIONS as SINGLE
 from .identify import States, tables
 
@@ -101,8 +101,8 @@ def _joint_tables(soil: InferredSoil) -> list[TextTable]:
         label, unit = LABELS[name]
         median, low, high, low95, high95 = ends[name]
         known = "determined" if name in found.determined else f"{100 * (1 - found.shrinkage[name]):.0f} % of the prior"
-        rows.append([label, _digits(median), f"{_digits(low)} to {_digits(high)}", f"{_digits(low95)} to "
-                     f"{_digits(high95)}", unit, known])  # fmt: skip
+        ranges = [f"{significant(one)} to {significant(other)}" for one, other in ((low, high), (low95, high95))]
+        rows.append([label, significant(median), *ranges, unit, known])
     notes = [*_fit(found), *_combinations(found)]
     if found.outliers:
         notes.append(f"left out as outliers: {', '.join(found.outliers)}")
@@ -159,7 +159,3 @@ def _combinations(found: "SoilPosterior") -> Sequence[str]:
             terms = [f"{value:+.1f} {name}" for name, value in weights.items() if abs(value) > SHOWN_WEIGHT]
             lines.append(f"known to {100 * left:.0f} % of the prior: {' '.join(terms)} (in units of the prior's sd)")
     return lines
-
-
-def _digits(value: float) -> str:
-    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"

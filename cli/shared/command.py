@@ -69,7 +69,7 @@ def command(
                     if request is not None:
                         handed["request"] = request(**_fields(request, {key: options[key] for key in fields}))
                     report = function(**handed, **({"output": output} if wants_output else {}))
-                    emit(report, output, _provenance(context, report, options, heard))
+                    code = emit(report, output, _provenance(context, report, options, heard))
             except RequestError as error:
                 raise typer.BadParameter(_with_flags(_noted(error), context)) from error
             except LunarSciError as error:
@@ -77,7 +77,7 @@ def command(
             except KeyboardInterrupt as error:
                 say("; ".join(["interrupted", *getattr(error, "__notes__", [written()])]))
                 raise typer.Exit(INTERRUPTED) from None
-            raise typer.Exit(report.exit_code)
+            raise typer.Exit(code)
 
         extended = _extended(signature, asked, shared)
         run.__signature__ = extended  # type: ignore[attr-defined]

@@ -12,11 +12,14 @@ import typer
 
 from lunarsci.atomic import check_folder, check_target
 from lunarsci.documents import toml_document
+from lunarsci.names import meant
 
 from .aliases import option_now
 
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 PANEL = "Output"
+FORMS = ("text", "md", "tsv", "latex", "csv", "json")
+"""Forms of a result; the last two as --csv and --json."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,13 +35,23 @@ class Output:
     no_time: bool
     quiet: bool
     verbose: bool
+    form: str = "text"
+    columns: str | None = None
     folder: bool = False
+
+    @property
+    def wanted(self) -> str:
+        """The form of the result on stdout or in a file: text, md, tsv, latex, csv or json."""
+        return "json" if self.as_json else "csv" if self.as_csv else self.form
+
+    @property
+    def chosen(self) -> list[str]:
+        """Names of the columns that are wanted; none for all."""
+        return [name.strip() for name in (self.columns or "").split(",") if name.strip()]
 
     def check(self) -> None:
         """Refuse contradictory or impossible requests before anything is computed."""
-        chosen = [n for n, on in (("--json", self.as_json), ("--csv", self.as_csv), ("--field", self.field_path)) if on]
-        if len(chosen) > 1:
-            raise typer.BadParameter(f"{' and '.join(chosen)} exclude each other; give one")
+        self._check_form()
         if self.plot:
             _check_suffix("--plot", self.plot)
         if self.path is not None and str(self.path) in ("", "."):
@@ -51,6 +64,21 @@ class Output:
             check_target(self.path, force=self.force)
         if self.plot:
             check_target(self.plot, force=self.force)
+
+    def _check_form(self) -> None:
+        given = {
+            "--json": self.as_json,
+            "--csv": self.as_csv,
+            "--format": self.form != "text",
+            "--field": self.field_path,
+        }
+        chosen = [name for name, on in given.items() if on]
+        if len(chosen) > 1:
+            raise typer.BadParameter(f"{' and '.join(chosen)} exclude each other; give one")
+        if self.form not in FORMS:
+            raise typer.BadParameter(f"--format {self.form}: {meant(self.form, FORMS)}choose from {', '.join(FORMS)}")
+        if self.columns is not None and (self.wanted == "json" or self.field_path or not self.chosen):
+            raise typer.BadParameter("--columns names columns of a table; give some, and no --json or --field")
 
     def check_extra(self, name: str, path: Path | None, suffixes: Sequence[str] = PLOT_SUFFIXES) -> None:
         """The same for a further file of the option `name`, beside those of --output and --plot."""
@@ -89,6 +117,16 @@ def shared_options(folder: bool | None, default_path: str | None) -> dict[str, t
         **{key: (_option(bool, name, text=text), False) for key, (name, text) in flags.items()},
         "field_path": (
             _option(str | None, "--field", text="One bare value of the JSON result, for $(…).", metavar="A.B.C"),
+            None,
+        ),
+        "form": (
+            _option(str, "--format", text=f"Form of the result: {', '.join(FORMS)}.", metavar="FORM"),
+            "text",
+        ),
+        "columns": (
+            _option(
+                str | None, "--columns", text="Only these columns of the tables, or of --csv.", metavar="NAME,NAME…"
+            ),
             None,
         ),
         "path": (
