@@ -30,6 +30,16 @@ def meant(name: str, known: Iterable[str]) -> str:
     return f"did you mean '{near}'? " if near else ""
 
 
+def one_of(name: str, known: Iterable[str]) -> str:
+    """The end of a message on a name that is none of the known ones: the nearest, and all.
+
+    >>> one_of("coheson_pa", ["cohesion_pa", "friction_angle_deg"])
+    "did you mean 'cohesion_pa'? these are: cohesion_pa, friction_angle_deg"
+    """
+    names = list(known)
+    return f"{meant(name, names)}these are: {', '.join(names)}"
+
+
 def known_name(name: str, known: Iterable[str], what: str) -> str:
     """The name, if it is known, capitals aside. Raises ParameterError that names the nearest, and all.
 
@@ -40,4 +50,4 @@ def known_name(name: str, known: Iterable[str], what: str) -> str:
         return name
     if alike := [one for one in names if one.casefold() == name.casefold()]:
         return alike[0]
-    raise ParameterError(f"'{name}' is not {what}; {meant(name, names)}there is: {', '.join(names)}")
+    raise ParameterError(f"'{name}' is not {what}; {one_of(name, names)}")

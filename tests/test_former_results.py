@@ -339,10 +339,14 @@ def commands_of(group: typer.Typer, above: str = "") -> set[str]:
 
 
 def test_every_command_has_an_answer_in_the_table() -> None:
-    """But for those that answer with a picture, a list of names, a file of maps, or the answers of others."""
+    """But for those that answer with a picture, a file, a list of names, maps, or what they find on a machine."""
     others = {
         "demo",
         "report",
+        "info",
+        "template",
+        "cite",
+        "doctor",
         "spectra library plot",
         "spectra library list",
         "spectra map",

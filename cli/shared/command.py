@@ -21,6 +21,7 @@ from lunarsci.errors import LunarSciError, LunarSciWarning, RequestError
 from lunarsci.provenance import Provenance, plain
 
 from .emit import emit
+from .examples import epilog
 from .options import CONFIG, Output, RequestOption, computing_options, request_parameters, shared_options
 from .report import Report
 from .talk import INTERRUPTED, say
@@ -82,7 +83,7 @@ def command(
         extended = _extended(signature, asked, shared)
         run.__signature__ = extended  # type: ignore[attr-defined]
         run.__annotations__ = {p.name: p.annotation for p in extended.parameters.values()}
-        app.command(name)(run)
+        app.command(name, epilog=epilog(function.__module__, name))(run)
         return run
 
     return register

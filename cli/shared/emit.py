@@ -88,6 +88,8 @@ def _as_text(report: Report, output: Output, record: Mapping[str, Any]) -> Itera
         if report.rows is None:
             raise ParameterError("this result is no table; use --json")
         return chosen_csv(report.rows, output.chosen) if output.chosen else to_csv(report.rows)
+    if report.raw is not None and output.wanted == "text" and not output.chosen:
+        return [report.raw().encode()]
     tables = report.tables() if callable(report.tables) else report.tables
     tables = chosen(tables, report.rows, output.chosen) if output.chosen else tables
     if output.wanted != "text":

@@ -12,7 +12,7 @@ import typer
 
 from lunarsci.atomic import check_folder, check_target
 from lunarsci.documents import toml_document
-from lunarsci.names import meant
+from lunarsci.names import meant, one_of
 
 from .aliases import option_now
 
@@ -168,7 +168,7 @@ def computing_options(names: Sequence[str]) -> dict[str, tuple[Any, Any]]:
 
 
 def _load_config(context: typer.Context, value: Path | None) -> Path | None:
-    """Make the keys of a TOML file the defaults of the options with the same names."""
+    """Make the keys of a TOML file, and of its table of this command, the defaults of the options of these names."""
     if value is None:
         return None
     try:
@@ -177,14 +177,36 @@ def _load_config(context: typer.Context, value: Path | None) -> Path | None:
         raise typer.BadParameter(f"{value}: not a readable TOML file: {error}") from error
     known = {_option_name(parameter): parameter for parameter in context.command.params}
     defaults = {}
-    for key, setting in settings.items():
+    for key, setting in _of_this_command(settings, context, value).items():
         name = option_now(context.command_path.partition(" ")[2], key.replace("_", "-"))
         if name not in known or name == "config":
-            raise typer.BadParameter(f"{value}: '{key}' is no option here; these are: {', '.join(sorted(known))}")
+            others = sorted(set(known) - {"config"})
+            message = f"'{key}' is no option here; {one_of(name, others)}"
+            raise typer.BadParameter(f"{value}: {message}")
         alone = isinstance(setting, str) and getattr(known[name], "multiple", False)
         defaults[str(known[name].name)] = [setting] if alone else setting
     context.default_map = defaults
     return value
+
+
+def _of_this_command(settings: Mapping[str, Any], context: typer.Context, file: Path) -> dict[str, Any]:
+    """Keys outside of tables, and those of the table of this command, such as [spectra.fit], which win.
+
+    Raises BadParameter for a table that belongs to no command, as far as the commands beside this one are known.
+    """
+    contexts: list[Any] = []
+    above: Any = context.parent
+    while above is not None:
+        contexts.insert(0, above)
+        above = above.parent
+    found = {key: setting for key, setting in settings.items() if not isinstance(setting, dict)}
+    table: Any = settings
+    for word, here in zip(context.command_path.split()[1:], contexts, strict=False):
+        known = list(here.command.commands)
+        if wrong := next((key for key, inner in table.items() if isinstance(inner, dict) and key not in known), None):
+            raise typer.BadParameter(f"{file}: [{wrong}] is no command here; {one_of(wrong, known)}")
+        table = table.get(word, {})
+    return found | {key: setting for key, setting in table.items() if not isinstance(setting, dict)}
 
 
 def _option_name(parameter: Any) -> str:
@@ -197,7 +219,7 @@ CONFIG = Annotated[
     typer.Option(
         "--config",
         metavar="FILE",
-        help="TOML file with option names as keys.",
+        help="TOML file with option names as keys; a table such as spectra.fit holds those of one command.",
         rich_help_panel=PANEL,
         is_eager=True,
         callback=_load_config,
