@@ -154,7 +154,11 @@ def test_no_fragment_has_a_single_user() -> None:
     fragments = []
     for path in TREES:
         name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
-        inner = ROOT / "lunarsci" in path.parents and path.stem not in ("__init__", "__main__") and path.parent.name != "jobs"
+        inner = (
+            ROOT / "lunarsci" in path.parents
+            and path.stem not in ("__init__", "__main__")
+            and path.parent.name != "jobs"
+        )
         if inner and path.read_text("utf-8").count("\n") < 60 and users[name] < 2:
             fragments.append(name)
     assert fragments == [], "fewer than 60 lines and one user: move them into that user, or into a neighbour"

@@ -39,7 +39,7 @@ LABELS = {
 HOW = {"normal": "of a normal law", "sample": "of draws from the posterior", "profile": "by profile"}
 SHOWN_SHARE, SHOWN_WEIGHT, MOST_SHOWN, MOST_STATES = 0.5, 0.3, 3, 30
 OPTIONS = {name: SINGLE[name] for name in SINGLE if name != "reading"} | {
-    "prior": option("Priors in place of the lunar ones.", metavar="FILE.toml"),
+    "prior": option("Priors in place of the lunar ones.", "--prior-file", metavar="FILE.toml"),
     "model_error": option(
         "Share of the load by which the model misses a force; found from the residuals if not given.", panel=LAW
     ),
@@ -55,7 +55,7 @@ OPTIONS = {name: SINGLE[name] for name in SINGLE if name != "reading"} | {
     "contact": option(
         "Contact angles c1-c3 and the exponent's slope in skid are unknown too; by integration.", panel=LAW
     ),
-    "sample": option("Draw from the posterior itself, not a normal law.", panel=INTERVALS),
+    "sample": option("Draw from the posterior itself, not a normal law.", "--draw-posterior", panel=INTERVALS),
     "profile": option("Intervals by profile: the best of all else at each value.", panel=INTERVALS),
     "predict": option(
         "Wheel states whose forces the soil predicts: slip_ratio, side_slip_deg, normal_force_n, and where known "

@@ -83,10 +83,15 @@ def command(
         extended = _extended(signature, asked, shared)
         run.__signature__ = extended  # type: ignore[attr-defined]
         run.__annotations__ = {p.name: p.annotation for p in extended.parameters.values()}
-        app.command(name, epilog=epilog(function.__module__, name))(run)
+        app.command(name, help=paragraphs(function), epilog=epilog(function.__module__, name))(run)
         return run
 
     return register
+
+
+def paragraphs(function: Callable[..., Any]) -> str:
+    """The docstring of a function, each of its paragraphs in one line, for a terminal to break."""
+    return "\n\n".join(" ".join(part.split()) for part in (inspect.getdoc(function) or "").split("\n\n"))
 
 
 @contextmanager

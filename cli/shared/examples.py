@@ -29,7 +29,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     ),
     "spectra unmix": (
         f"lunarsci spectra unmix {DEMO}/rock.ecsv --kind solid-rock",
-        f"lunarsci spectra unmix {DEMO}/rock.ecsv --kind solid-rock --opaque --csv",
+        f"lunarsci spectra unmix {DEMO}/rock.ecsv --kind solid-rock --csv",
     ),
     "spectra match": (
         "lunarsci spectra match --modes ol=0.25:0.05,opx=0.35:0.05,cpx=0.4:0.05",
@@ -41,7 +41,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     ),
     "spectra library import": (
         f"lunarsci spectra library import {DEMO}/rock.ecsv --mineral other \\\n  -o library.ecsv",
-        f"lunarsci spectra library import {DEMO}/rock.ecsv --source synthetic --csv",
+        f"lunarsci spectra library import {DEMO}/rock.ecsv --source here --csv",
     ),
     "spectra library list": (
         "lunarsci spectra library list library.ecsv",
@@ -60,7 +60,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "lunarsci regolith forces --load 36.5 --slip 0:0.6:13 --plot pull.png",
     ),
     "regolith identify": (
-        f"lunarsci regolith identify {DEMO}/wheel_states.csv --lateral-modulus 20",
+        f"lunarsci regolith identify {DEMO}/wheel_states.csv --exponent 1",
         f"lunarsci regolith identify {DEMO}/wheel_states.csv \\\n  --lateral-modulus 13,40 --csv",
     ),
     "regolith infer": (
@@ -76,12 +76,12 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         f"lunarsci images cameras {DEMO}/rig.toml --disparity-error 0.2",
     ),
     "images render": (
-        "lunarsci images render --rig yutu2-hazcam --samples 1 -o pair",
-        f"lunarsci images render --rig {DEMO}/rig.toml --samples 1 \\\n  --x 0.5 -o station-2",
+        "lunarsci images render --rig yutu2-hazcam --rays 1 -o pair",
+        f"lunarsci images render --rig {DEMO}/rig.toml --rays 1 \\\n  --x 0.5 -o station-2",
     ),
     "images dem": (
         f"lunarsci images dem {DEMO}/left.png {DEMO}/right.png \\\n"
-        f"  --rig {DEMO}/rig.toml --pose {DEMO}/pose.toml --terrain dem.npz",
+        f"  --rig {DEMO}/rig.toml --pose {DEMO}/pose.toml \\\n  --terrain dem.npz",
         f"lunarsci images dem {DEMO}/left.png {DEMO}/right.png \\\n"
         f"  --rig {DEMO}/rig.toml --spacing 0.05 --terrain coarse.npz",
     ),

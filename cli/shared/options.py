@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import typer
 
@@ -20,6 +20,8 @@ PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 PANEL = "Output"
 FORMS = ("text", "md", "tsv", "latex", "csv", "json")
 """Forms of a result; the last two as --csv and --json."""
+WIDEST = 24
+"""Characters of choices in the help's column of types; more would leave no room for what an option means."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -240,6 +242,14 @@ def option(text: str, *flags: str, panel: str | None = None, kind: Any = None, *
     return RequestOption(typer.Option(*flags, help=text, rich_help_panel=panel, **settings), kind)
 
 
+def _name_choices(kind: Any, told: Any) -> None:
+    """Many choices go from the narrow column of types into the help text, once."""
+    choices = [one for part in (kind, *get_args(kind)) if get_origin(part) is Literal for one in get_args(part)]
+    if told.metavar is None and len("|".join(map(str, choices))) > WIDEST:
+        told.metavar = "NAME"
+        told.help = f"{told.help.rstrip('.')}. Choices: {', '.join(map(str, choices))}."
+
+
 def request_parameters(request: type, options: Mapping[str, RequestOption]) -> list[inspect.Parameter]:
     """The fields of a request that have an option, as parameters of a command, in the order of the options.
 
@@ -257,6 +267,7 @@ def request_parameters(request: type, options: Mapping[str, RequestOption]) -> l
             )
         if get_origin(kind) is tuple:
             kind, default = list[str] | None, (list(default) or None)
+        _name_choices(kind, said.told)
         if kind is bool and not said.told.param_decls:
             said.told.param_decls = (f"--{name.replace('_', '-')}",)
         annotation = Annotated[kind, said.told]

@@ -38,12 +38,13 @@ MODEL_OPTIONS: dict[str, RequestOption] = {
     "start": option(
         "Bands, continuum and their uncertainties from a start or result file of the RELAB MGM program, instead of "
         "--assemblage and --continuum; all channels are fitted.",
+        "--start-file",
         panel=MODEL,
         metavar="FILE.fit",
     ),
     "band_minerals": option(
-        "Minerals of the bands of --start, by their number, for the ratios of strengths; a comment behind a band's "
-        "values names one, too.",
+        "Minerals of the bands of --start-file, by their number, for the ratios of strengths; a comment behind the "
+        "values of a band names one, too.",
         panel=MODEL,
         metavar="NUMBER=OPX,…",
     ),

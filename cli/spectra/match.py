@@ -55,12 +55,15 @@ OPTIONS = {
     "mineral_map": option(
         "GeoTIFF of a mineral's mode: its values in the ring of ejecta replace a crater's modes. May be repeated. Or a "
         "file of `spectra map --products unmix`.",
-        "--map",
         panel=CRATERS,
         metavar="MINERAL=FILE.tif|MAP",
     ),
     "annulus": option("That ring, in rim radii.", panel=CRATERS, metavar="IN:OUT"),
-    "prior": option("ejecta: by what each crater left at the site; uniform: all alike.", panel=PRIOR),
+    "prior": option(
+        "Prior of the craters. ejecta: by what each left at the site; uniform: all alike.",
+        "--crater-prior",
+        panel=PRIOR,
+    ),
     "ejecta_law": option("Law of the ejecta's thickness, from the transient crater.", panel=PRIOR),
     "thickness_factor": option(
         "Spread of the thickness about the law, one standard deviation, as a factor; 1 for none.", panel=PRIOR

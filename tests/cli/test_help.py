@@ -100,7 +100,9 @@ def test_a_shell_completes_commands_and_options() -> None:
 def test_an_error_names_the_nearest(run: Run, arguments: list[str], meant: str) -> None:
     wrong = run(*arguments)
     assert wrong.code in (1, 2) and len(wrong.err) == 1
-    assert re.search(rf"(did you mean '|Did you mean '|Did you mean |Possible options: [^)]*){meant}\b", wrong.err[0]), wrong.err
+    assert re.search(
+        rf"(did you mean '|Did you mean '|Did you mean |Possible options: [^)]*){meant}\b", wrong.err[0]
+    ), wrong.err
 
 
 def test_a_config_file_has_a_section_a_command(run: Run, states: Path, tmp_path: Path) -> None:
