@@ -118,7 +118,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "lunarsci twin forces plan.toml --soil lunar-typical --csv",
     ),
     "twin loads": (
-        "lunarsci twin loads plan.toml --motion states/motion.csv",
+        "lunarsci twin loads --motion states/motion.csv",
         "lunarsci twin loads --motion states/motion.csv --states states/states.csv",
     ),
     "twin update": (
