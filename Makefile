@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: help demo test quick check fuzz clean
+.PHONY: help demo test quick check fuzz man clean
 
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 8
@@ -41,6 +41,9 @@ $(VENV)/.developed: $(VENV)/.tested
 fuzz: $(VENV)/.tested ## 100,000 spoilt files for every reader; some hours
 	$(BIN)/python tests/benchmarks/fuzz.py
 
+man: $(VENV)/.installed ## manual pages, into share/man/man1
+	$(BIN)/python -m lunarsci.cli.manual share/man/man1
+
 clean: ## removes what make has made
-	rm -rf $(VENV) build dist *.egg-info lunarsci-demo .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) build dist *.egg-info lunarsci-demo share .pytest_cache .mypy_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,6 +1,7 @@
 """The `lunarsci` command."""
 
 import os
+import re
 import signal
 import sys
 import threading
@@ -13,6 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from lunarsci.atomic import STOPPING, written
+from lunarsci.names import nearest
 
 from .shared.aliases import current
 from .shared.talk import FAILED, INTERRUPTED, failure_line, say
@@ -24,7 +26,11 @@ GROUPS = {
     "twin": "Whether the next drive is safe: a rover simulated on deformable ground.",
 }
 SINGLE = {
+    "info": "What a file is, what is in it, and which commands take it.",
+    "template": "A file to begin with: rover, soil, plan, mission, craters or telemetry.",
     "report": "Results of other commands as one HTML page: answers, pictures, errors, assumptions, what to cite.",
+    "cite": "What to cite for results, as BibTeX.",
+    "doctor": "Whether lunarsci works here: versions, extras, compiled code, and a small test of each part.",
     "reproduce": "Numbers of Ding et al. (2024) beside what lunarsci makes of what they publish, with a verdict each.",
     "demo": "Run the whole chain on embedded synthetic data: rock, drive, ground. Under a minute on two cores.",
 }
@@ -32,6 +38,11 @@ HELP = (
     "From a lunar rover's spectra and wheel telemetry to what the rock is, what the ground is, and whether the next "
     "drive is safe."
 )
+HELP_NAMES = {"help_option_names": ["-h", "--help"]}
+COMPLETING = "_LUNARSCI_COMPLETE"
+"""Set by the shell where it asks what may come next; the words so far are then in these two, by shell."""
+TYPED = ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")
+NO_CHOICE, CHOICE = re.compile(r"'([^']*)' is not one of (.+)\."), re.compile(r"'([^']+)'")
 MOMENT_S = 2.0
 """What a command is given to end by itself after Ctrl-C; assumed."""
 EXIT_CODES = (
@@ -41,7 +52,7 @@ EXIT_CODES = (
 
 def command_line(wanted: Collection[str] = (*GROUPS, *SINGLE)) -> typer.Typer:
     """The program; parts that are not wanted are there by name alone, which spares importing them."""
-    program = typer.Typer(no_args_is_help=True, add_completion=False, help=HELP, epilog=EXIT_CODES)
+    program = typer.Typer(no_args_is_help=True, help=HELP, epilog=EXIT_CODES, context_settings=HELP_NAMES)
     program.callback()(lunarsci)
     for name, text in GROUPS.items():
         group = typer.Typer(no_args_is_help=True, help=text)
@@ -61,6 +72,14 @@ def command_line(wanted: Collection[str] = (*GROUPS, *SINGLE)) -> typer.Typer:
 def _program(*wanted: str) -> Callable[..., Any]:
     """The command line, made once in a process."""
     return typer.main.get_command(command_line(wanted))
+
+
+def _parts(arguments: Sequence[str]) -> list[str]:
+    """Which parts of the program are needed: the first argument's, or that of what a shell wants to complete."""
+    if COMPLETING not in os.environ:
+        return list(arguments[:1])
+    typed = [word for name in TYPED for word in os.environ.get(name, "").split()]
+    return [word for word in typed if word in (*GROUPS, *SINGLE)][:1]
 
 
 def _show_version(value: bool) -> None:
@@ -89,7 +108,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         quiet = "-q" in arguments or "--quiet" in arguments
         arguments = current(arguments, quiet=quiet)
-        code: Any = _program(*arguments[:1])(arguments, standalone_mode=False, prog_name="lunarsci")
+        code: Any = _program(*_parts(arguments))(arguments, standalone_mode=False, prog_name="lunarsci")
         code = int(code or 0)
     except (KeyboardInterrupt, typer.Abort):
         code = INTERRUPTED
@@ -123,9 +142,16 @@ def _report_usage(error: Any, message: str) -> int:
         error.show()
     else:
         path = context.command_path if context else "lunarsci"
-        text = " ".join(message.split()).replace(": Value error, ", ": ")
+        text = _with_nearest(" ".join(message.split()).replace(": Value error, ", ": "))
         say(f"error: {text} (see '{path} --help')")
     return int(error.exit_code)
+
+
+def _with_nearest(message: str) -> str:
+    """A message on a value that is none of a few choices, with the nearest of them."""
+    found = NO_CHOICE.search(message)
+    near = found and nearest(found[1], CHOICE.findall(found[2]))
+    return f"{message} Did you mean '{near}'?" if near else message
 
 
 def _prepare_process() -> None:

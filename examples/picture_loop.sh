@@ -41,7 +41,7 @@ at_time() {
 # Pictures from a place: NAME X Y HEADING DOWN and further options of `images render`.
 picture() {
     lunarsci images render ground/terrain.npz "${common[@]}" --rig "$rig" --x="$2" --y="$3" --heading="$4" --down="$5" \
-        --height "$mast" --spacing 0.01 --rocks 0.3 --samples 1 --exact --seed "$seed" -o "$1" "${@:6}" >"$1.txt"
+        --height "$mast" --spacing 0.01 --rocks 0.3 --rays 1 --exact --seed "$seed" -o "$1" "${@:6}" >"$1.txt"
 }
 
 # Heights from the pictures of a folder, by a pose: NAME POSE and further options of `images dem`.

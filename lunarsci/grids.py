@@ -17,6 +17,7 @@ import numpy.typing as npt
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import read_input, text
+from lunarsci.names import one_of
 from lunarsci.printable import shortened
 from lunarsci.projections import NO_RASTERIO, check_scale, ellipsoid_of, remedy
 from lunarsci.tables import numbers_of, read_csv_table
@@ -231,7 +232,7 @@ def _read_table(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) ->
         if name not in table:
             raise DataError(f"{path}: no column {name}; a terrain needs x_m, y_m and height_m")
     if unknown := {str(name) for name in table} - set(known):
-        raise DataError(f"{path}: '{min(unknown)}' is no column of a terrain; these are: {', '.join(known)}")
+        raise DataError(f"{path}: '{min(unknown)}' is no column of a terrain; {one_of(min(unknown), known)}")
     values = pd.DataFrame({name: numbers_of(str(path), str(name), cells) for name, cells in table.items()})
     if np.isnan(values[["x_m", "y_m"]]).any(axis=None):
         row = int(np.argmax(values[["x_m", "y_m"]].isna().any(axis=1)))
@@ -295,7 +296,7 @@ def _load(path: Path, known: set[str], unread: tuple[str, ...]) -> dict[str, Any
         with archive:
             if unknown := {*archive.files} - known - {*unread}:
                 wrong = shortened(min(unknown))
-                raise DataError(f"{path}: '{wrong}' is not a key of a terrain; these are: {', '.join(sorted(known))}")
+                raise DataError(f"{path}: '{wrong}' is not a key of a terrain; {one_of(wrong, sorted(known))}")
             for entry in archive.zip.infolist() if archive.zip else ():
                 _check_count(path, entry.file_size // 8)
             arrays = {key: archive[key] for key in archive.files if key in known}

@@ -13,6 +13,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_args, get_origin, get_type_hints
 
 from lunarsci.errors import ParameterError, RequestError
+from lunarsci.names import one_of
 from lunarsci.provenance import Provenance, document, plain, to_json
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ def request_of(kind: type[Request], request: Request | None, options: Mapping[st
     """
     known = [item.name for item in dataclasses.fields(kind)]  # type: ignore[arg-type]
     if wrong := next((name for name in options if name not in known), None):
-        raise RequestError(f"'{wrong}' is no option here; these are: {', '.join(sorted(known))}")
+        raise RequestError(f"'{wrong}' is no option here; {one_of(wrong, sorted(known))}")
     hints = get_type_hints(kind)
     meant = {name: _as_meant(value, hints[name]) for name, value in options.items()}
     return kind(**meant) if request is None else dataclasses.replace(request, **meant)  # type: ignore[type-var]

@@ -14,13 +14,18 @@ import os
 import platform
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import typer
 from lunarsci.cli import command_line, main
+from lunarsci.cli.shared.emit import emit
+from lunarsci.cli.shared.printing import render
+from lunarsci.cli.shared.report import Report
+from lunarsci.cli.shared.table import TextTable
+from rich.cells import cell_len
 
 import lunarsci
 from lunarsci.provenance import to_json
@@ -220,6 +225,23 @@ def with_contents(result: dict[str, Any]) -> dict[str, Any]:
     return result | {"files": files}
 
 
+TABLES: dict[str, list[TextTable]] = {}
+"""Tables for people of every command, kept as it runs."""
+
+
+@contextlib.contextmanager
+def kept_tables(name: str) -> Iterator[None]:
+    """What a command hands over to be shown is kept on its way."""
+
+    def keep(report: Report, *more: Any) -> int:
+        TABLES[name] = list(report.tables() if callable(report.tables) else report.tables)
+        return emit(report, *more)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("lunarsci.cli.shared.command.emit", keep)
+        yield
+
+
 def answers(folder: Path) -> dict[str, dict[str, Any]]:
     """The `result` of every command, run in a folder."""
     found: dict[str, dict[str, Any]] = {}
@@ -230,7 +252,8 @@ def answers(folder: Path) -> dict[str, dict[str, Any]]:
         Path("mission.toml").write_text(MISSION)
         for name, line in COMMANDS.items():
             wanted = [] if name.startswith("write") else ["--json"]
-            code, text = said([*line.split(), *wanted, "--no-time", "-q"])
+            with kept_tables(name):
+                code, text = said([*line.split(), *wanted, "--no-time", "-q"])
             if not wanted:
                 continue
             if code not in (0, 3):
@@ -296,6 +319,17 @@ def test_an_answer_is_the_former_one(name: str, now: dict[str, dict[str, Any]]) 
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", COMMANDS)
+def test_tables_fit_the_terminal(name: str, now: dict[str, Any]) -> None:
+    """No line is wider than 80, 100 and 160 columns, and wider terminals show no fewer of them."""
+    shown = {width: render(TABLES[name], width) for width in (80, 100, 160)}
+    for width, text in shown.items():
+        assert [line for line in text.split("\n") if cell_len(line) > width] == []
+    left_out = [text.count("more column") for text in shown.values()]
+    assert left_out == sorted(left_out, reverse=True)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NOTEBOOK)
 def test_a_notebook_gets_what_the_command_prints(
     name: str, now: dict[str, Any], folder: Path, monkeypatch: pytest.MonkeyPatch
@@ -322,9 +356,14 @@ def commands_of(group: typer.Typer, above: str = "") -> set[str]:
 
 
 def test_every_command_has_an_answer_in_the_table() -> None:
-    """But for those that answer with a picture, a list of names, a file of maps, or the answers of others."""
+    """But for those that answer with a picture, a file, a list of names, maps, or what they find on a machine."""
     others = {
         "demo",
+        "report",
+        "info",
+        "template",
+        "cite",
+        "doctor",
         "spectra library plot",
         "spectra library list",
         "spectra map",

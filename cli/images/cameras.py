@@ -56,7 +56,9 @@ def _tables(found: "CameraSheet") -> list[TextTable]:
 
 
 def number(name: str, camera: Mapping[str, Any]) -> str:
-    """An intrinsic parameter of a camera with its error: pixels in hundredths, distortion in 1e-5."""
+    """An intrinsic parameter of a camera with its error; one without an error was held."""
+    if camera[f"{name}_sigma"] == 0:
+        return f"{camera[name]:g}, held"
     return plus_minus(camera[name], camera[f"{name}_sigma"], digits=2 if name.endswith("px") else 5)
 
 

@@ -24,7 +24,7 @@ OPTIONS = {
     "down": option("How far below the horizon, in deg.", panel=CAMERA),
     "roll": option("Turned clockwise about its axis, in deg.", panel=CAMERA),
     "height": option("Over the ground, in m.", panel=CAMERA, show_default="the rig's mast"),
-    "samples": option("Rays along each side of a pixel.", panel=CAMERA),
+    "samples": option("Rays along each side of a pixel.", "--rays", panel=CAMERA),
     "exact": option("Take the rig as it is, not a draw from its covariance.", panel=CAMERA),
     "spacing": option("Side of the ground's triangles, in m.", panel=GROUND),
     "rocks": option("Rocks of 4 cm and more on a square metre.", panel=GROUND),

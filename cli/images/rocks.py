@@ -11,7 +11,7 @@ from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
-from ..shared.table import TextTable
+from ..shared.table import TextTable, plus_minus
 from .track import Elevation
 
 if TYPE_CHECKING:
@@ -56,8 +56,8 @@ def _tables(found: "RockList") -> list[TextTable]:
             str(row["id"]),
             f"{row['x_m']:.3f}",
             f"{row['y_m']:.3f}",
-            f"{row['diameter_m']:.3f} ± {row['diameter_m_sigma']:.3f}",
-            f"{row['height_m']:.3f} ± {row['height_m_sigma']:.3f}",
+            plus_minus(row["diameter_m"], row["diameter_m_sigma"], digits=3),
+            plus_minus(row["height_m"], row["height_m_sigma"], digits=3),
             f"{row['significance']:.1f}",
             f"{row['keepout_m']:.3f}",
         ]

@@ -12,7 +12,7 @@ from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
-from ..shared.table import TextTable
+from ..shared.table import UNKNOWN, TextTable, plus_minus
 from .forces import READING, ROVER
 
 if TYPE_CHECKING:
@@ -141,9 +141,10 @@ def _site_row(label: str, estimate: "Estimate", name: str) -> list[str]:
 
 def _text(estimate: "Estimate", name: str) -> str:
     if estimate.value is None:
-        return "-"
-    sigma = "" if estimate.sigma is None else f" ± {_digits(estimate.sigma, name)}"
-    return _digits(estimate.value, name) + sigma
+        return UNKNOWN if estimate.reason else "-"
+    if not estimate.sigma:
+        return _digits(estimate.value, name)
+    return plus_minus(estimate.value, estimate.sigma)
 
 
 def _digits(value: float | None, name: str) -> str:

@@ -13,7 +13,7 @@ from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
-from ..shared.table import TextTable
+from ..shared.table import TextTable, significant
 from .identify import OPTIONS as SINGLE
 from .identify import States, tables
 
@@ -39,7 +39,7 @@ LABELS = {
 HOW = {"normal": "of a normal law", "sample": "of draws from the posterior", "profile": "by profile"}
 SHOWN_SHARE, SHOWN_WEIGHT, MOST_SHOWN, MOST_STATES = 0.5, 0.3, 3, 30
 OPTIONS = {name: SINGLE[name] for name in SINGLE if name != "reading"} | {
-    "prior": option("Priors in place of the lunar ones.", metavar="FILE.toml"),
+    "prior": option("Priors in place of the lunar ones.", "--prior-file", metavar="FILE.toml"),
     "model_error": option(
         "Share of the load by which the model misses a force; found from the residuals if not given.", panel=LAW
     ),
@@ -55,7 +55,7 @@ OPTIONS = {name: SINGLE[name] for name in SINGLE if name != "reading"} | {
     "contact": option(
         "Contact angles c1-c3 and the exponent's slope in skid are unknown too; by integration.", panel=LAW
     ),
-    "sample": option("Draw from the posterior itself, not a normal law.", panel=INTERVALS),
+    "sample": option("Draw from the posterior itself, not a normal law.", "--draw-posterior", panel=INTERVALS),
     "profile": option("Intervals by profile: the best of all else at each value.", panel=INTERVALS),
     "predict": option(
         "Wheel states whose forces the soil predicts: slip_ratio, side_slip_deg, normal_force_n, and where known "
@@ -101,8 +101,8 @@ def _joint_tables(soil: InferredSoil) -> list[TextTable]:
         label, unit = LABELS[name]
         median, low, high, low95, high95 = ends[name]
         known = "determined" if name in found.determined else f"{100 * (1 - found.shrinkage[name]):.0f} % of the prior"
-        rows.append([label, _digits(median), f"{_digits(low)} to {_digits(high)}", f"{_digits(low95)} to "
-                     f"{_digits(high95)}", unit, known])  # fmt: skip
+        ranges = [f"{significant(one)} to {significant(other)}" for one, other in ((low, high), (low95, high95))]
+        rows.append([label, significant(median), *ranges, unit, known])
     notes = [*_fit(found), *_combinations(found)]
     if found.outliers:
         notes.append(f"left out as outliers: {', '.join(found.outliers)}")
@@ -159,7 +159,3 @@ def _combinations(found: "SoilPosterior") -> Sequence[str]:
             terms = [f"{value:+.1f} {name}" for name, value in weights.items() if abs(value) > SHOWN_WEIGHT]
             lines.append(f"known to {100 * left:.0f} % of the prior: {' '.join(terms)} (in units of the prior's sd)")
     return lines
-
-
-def _digits(value: float) -> str:
-    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"

@@ -67,6 +67,13 @@ ALIASES = (
     Alias(("twin", "forces"), "--samples", ("twin", "forces"), "--soil", ANY),
     Alias(("twin", "update"), "--belief", ("twin", "update"), "--soil", ANY, once=True),
     Alias(("twin", "update"), "--map", ("twin", "update"), "--soil", ANY, once=True),
+    Alias(("spectra", "fit"), "--start", ("spectra", "fit"), "--start-file", ANY),
+    Alias(("spectra", "unmix"), "--start", ("spectra", "unmix"), "--start-file", ANY),
+    Alias(("spectra", "match"), "--map", ("spectra", "match"), "--mineral-map", ANY),
+    Alias(("spectra", "match"), "--prior", ("spectra", "match"), "--crater-prior", ANY),
+    Alias(("regolith", "infer"), "--prior", ("regolith", "infer"), "--prior-file", ANY),
+    Alias(("regolith", "infer"), "--sample", ("regolith", "infer"), "--draw-posterior"),
+    Alias(("images", "render"), "--samples", ("images", "render"), "--rays", ANY),
 )
 """Those of several steps follow each other in this order."""
 

@@ -21,6 +21,7 @@ from lunarsci.errors import LunarSciError, LunarSciWarning, RequestError
 from lunarsci.provenance import Provenance, plain
 
 from .emit import emit
+from .examples import epilog
 from .options import CONFIG, Output, RequestOption, computing_options, request_parameters, shared_options
 from .report import Report
 from .talk import INTERRUPTED, say
@@ -69,7 +70,7 @@ def command(
                     if request is not None:
                         handed["request"] = request(**_fields(request, {key: options[key] for key in fields}))
                     report = function(**handed, **({"output": output} if wants_output else {}))
-                    emit(report, output, _provenance(context, report, options, heard))
+                    code = emit(report, output, _provenance(context, report, options, heard))
             except RequestError as error:
                 raise typer.BadParameter(_with_flags(_noted(error), context)) from error
             except LunarSciError as error:
@@ -77,15 +78,20 @@ def command(
             except KeyboardInterrupt as error:
                 say("; ".join(["interrupted", *getattr(error, "__notes__", [written()])]))
                 raise typer.Exit(INTERRUPTED) from None
-            raise typer.Exit(report.exit_code)
+            raise typer.Exit(code)
 
         extended = _extended(signature, asked, shared)
         run.__signature__ = extended  # type: ignore[attr-defined]
         run.__annotations__ = {p.name: p.annotation for p in extended.parameters.values()}
-        app.command(name)(run)
+        app.command(name, help=paragraphs(function), epilog=epilog(function.__module__, name))(run)
         return run
 
     return register
+
+
+def paragraphs(function: Callable[..., Any]) -> str:
+    """The docstring of a function, each of its paragraphs in one line, for a terminal to break."""
+    return "\n\n".join(" ".join(part.split()) for part in (inspect.getdoc(function) or "").split("\n\n"))
 
 
 @contextmanager

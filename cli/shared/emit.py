@@ -10,28 +10,35 @@ import typer
 
 from lunarsci.atomic import write_files
 from lunarsci.errors import OutputError, ParameterError
+from lunarsci.names import meant
 from lunarsci.printable import printable
 from lunarsci.provenance import Provenance, document, json_chunks, plain
 
+from .layout import terminal_width
 from .options import Output
+from .printing import FORMATS, chosen, chosen_csv, render, to_csv
 from .report import Report
-from .table import render, to_csv
-from .talk import say
+from .talk import UNTRUSTED, say
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+FINE = ("ok", "converged")
+NO_VALUE = ("beyond_range", "no_channels", "undefined")
+"""What a `status` says of a value that may be used, and of one that may not."""
 
-def emit(report: Report, output: Output, provenance: Provenance) -> None:
-    """Write the pictures and the result, then say what was written and what to know about it."""
+
+def emit(report: Report, output: Output, provenance: Provenance) -> int:
+    """Write the pictures and the result, then say what was written and what to know about it; the exit code."""
     contents: dict[Path, bytes | Iterable[bytes]] = {}
     if output.plot:
         contents[output.plot] = _picture(report.figures, output.plot)
     contents |= {target: _picture(draw, target) for target, draw in report.pictures.items()}
     contents |= {target: make() for target, make in report.extras.items()}
     record = provenance.to_dict(time=not output.no_time)
+    value, doubt = ("", "") if output.field_path is None else field_of(report.result, output.field_path)
     made = _as_file(report, output, record)
-    text: Iterable[bytes] = () if made else _as_text(report, output, record)
+    text: Iterable[bytes] = [value.encode()] if value else () if made else _as_text(report, output, record)
     if output.path and output.folder:
         contents.update({output.path / name: make() for name, make in report.files.items()})
         contents[output.path / "result.json"] = json_chunks(document(report.schema, report.result, record))
@@ -44,8 +51,9 @@ def emit(report: Report, output: Output, provenance: Provenance) -> None:
         _print(text)
     for failure in report.failures:
         say(f"error: {failure}")
-    if report.untrusted:
-        say(report.untrusted)
+    for remark in filter(None, (report.untrusted, doubt)):
+        say(remark)
+    return report.exit_code or (UNTRUSTED if doubt else 0)
 
 
 def _print(text: Iterable[bytes]) -> None:
@@ -64,7 +72,7 @@ def _print(text: Iterable[bytes]) -> None:
 
 def _as_file(report: Report, output: Output, record: Mapping[str, Any]) -> bytes | None:
     """The content of a file in one of the report's own formats; None where the result is wanted as text."""
-    asked = output.as_json or output.as_csv or output.field_path is not None
+    asked = output.wanted != "text" or output.chosen or output.field_path is not None
     if asked or output.folder or not output.path:
         return None
     make = report.formats.get(output.path.suffix.lower())
@@ -74,30 +82,54 @@ def _as_file(report: Report, output: Output, record: Mapping[str, Any]) -> bytes
 def _as_text(report: Report, output: Output, record: Mapping[str, Any]) -> Iterable[bytes]:
     """The result as it is wanted, in pieces."""
     suffix = output.path.suffix.lower() if output.path and not output.folder else ""
-    if output.field_path is not None:
-        return [f"{_field(report.result, output.field_path)}\n".encode()]
-    if output.as_json or (suffix == ".json" and not output.as_csv):
+    if output.wanted == "json" or (suffix == ".json" and output.wanted == "text"):
         return json_chunks(document(report.schema, report.result, record))
-    if output.as_csv or suffix == ".csv":
+    if output.wanted == "csv" or (suffix == ".csv" and output.wanted == "text"):
         if report.rows is None:
             raise ParameterError("this result is no table; use --json")
-        return to_csv(report.rows)
-    return [render(report.tables() if callable(report.tables) else report.tables).encode()]
+        return chosen_csv(report.rows, output.chosen) if output.chosen else to_csv(report.rows)
+    if report.raw is not None and output.wanted == "text" and not output.chosen:
+        return [report.raw().encode()]
+    tables = report.tables() if callable(report.tables) else report.tables
+    tables = chosen(tables, report.rows, output.chosen) if output.chosen else tables
+    if output.wanted != "text":
+        return [FORMATS[output.wanted](tables).encode()]
+    to_file = output.path is not None and not output.folder
+    return [render(tables, 0 if to_file else terminal_width(), keep=bool(output.chosen)).encode()]
 
 
-def _field(result: Any, path: str) -> str:
-    value = _opened(result)
+def field_of(result: Any, path: str) -> tuple[str, str]:
+    """A value of a result as a line of text, and why it should not be used; '' if it may be."""
+    value, doubt = _opened(result), ""
     steps = path.split(".")
     for depth, step in enumerate(steps[1:] if steps[0] == "result" else steps):
         if value is None and depth:
-            return "null"
+            break
+        doubt = _doubt(value) or doubt
         try:
             value = _opened(value[int(step)] if _is_list(value) else value[step])
         except (KeyError, IndexError, ValueError, TypeError):
-            known = _known(value)
-            raise typer.BadParameter(f"--field {path}: no '{step}' at level {depth + 1}; there is: {known}") from None
+            near = meant(step, value) if isinstance(value, dict) else ""
+            known = f"{near}there is: {_known(value)}"
+            raise typer.BadParameter(f"--field {path}: no '{step}' at level {depth + 1}; {known}") from None
     found = plain(value)
-    return found if isinstance(found, str) else json.dumps(found, sort_keys=True, ensure_ascii=False)
+    number = isinstance(found, int | float) and not isinstance(found, bool)
+    if found is None:
+        doubt = f"--field {path}: no value{f': {doubt}' if doubt else ''}"
+    elif doubt:
+        doubt = f"--field {path}: not to be used: {doubt}" if number else ""
+    text = found if isinstance(found, str) else json.dumps(found, sort_keys=True, ensure_ascii=False)
+    return f"{text}\n", doubt
+
+
+def _doubt(value: Any) -> str:
+    """Why the values of an object should not be used, where it says so."""
+    if not isinstance(value, dict):
+        return ""
+    reason = value.get("reason") or value.get("status")
+    told = f"{reason}" if isinstance(reason, str) and reason not in FINE else ""
+    outside = any(value.get(flag) is False for flag in ("in_range", "in_domain"))
+    return told or "out of range" if outside or value.get("status") in NO_VALUE else ""
 
 
 def _opened(value: Any) -> Any:

@@ -6,17 +6,22 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import typer
 
 from lunarsci.atomic import check_folder, check_target
 from lunarsci.documents import toml_document
+from lunarsci.names import meant, one_of
 
 from .aliases import option_now
 
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 PANEL = "Output"
+FORMS = ("text", "md", "tsv", "latex", "csv", "json")
+"""Forms of a result; the last two as --csv and --json."""
+WIDEST = 24
+"""Characters of choices in the help's column of types; more would leave no room for what an option means."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,13 +37,23 @@ class Output:
     no_time: bool
     quiet: bool
     verbose: bool
+    form: str = "text"
+    columns: str | None = None
     folder: bool = False
+
+    @property
+    def wanted(self) -> str:
+        """The form of the result on stdout or in a file: text, md, tsv, latex, csv or json."""
+        return "json" if self.as_json else "csv" if self.as_csv else self.form
+
+    @property
+    def chosen(self) -> list[str]:
+        """Names of the columns that are wanted; none for all."""
+        return [name.strip() for name in (self.columns or "").split(",") if name.strip()]
 
     def check(self) -> None:
         """Refuse contradictory or impossible requests before anything is computed."""
-        chosen = [n for n, on in (("--json", self.as_json), ("--csv", self.as_csv), ("--field", self.field_path)) if on]
-        if len(chosen) > 1:
-            raise typer.BadParameter(f"{' and '.join(chosen)} exclude each other; give one")
+        self._check_form()
         if self.plot:
             _check_suffix("--plot", self.plot)
         if self.path is not None and str(self.path) in ("", "."):
@@ -51,6 +66,21 @@ class Output:
             check_target(self.path, force=self.force)
         if self.plot:
             check_target(self.plot, force=self.force)
+
+    def _check_form(self) -> None:
+        given = {
+            "--json": self.as_json,
+            "--csv": self.as_csv,
+            "--format": self.form != "text",
+            "--field": self.field_path,
+        }
+        chosen = [name for name, on in given.items() if on]
+        if len(chosen) > 1:
+            raise typer.BadParameter(f"{' and '.join(chosen)} exclude each other; give one")
+        if self.form not in FORMS:
+            raise typer.BadParameter(f"--format {self.form}: {meant(self.form, FORMS)}choose from {', '.join(FORMS)}")
+        if self.columns is not None and (self.wanted == "json" or self.field_path or not self.chosen):
+            raise typer.BadParameter("--columns names columns of a table; give some, and no --json or --field")
 
     def check_extra(self, name: str, path: Path | None, suffixes: Sequence[str] = PLOT_SUFFIXES) -> None:
         """The same for a further file of the option `name`, beside those of --output and --plot."""
@@ -89,6 +119,16 @@ def shared_options(folder: bool | None, default_path: str | None) -> dict[str, t
         **{key: (_option(bool, name, text=text), False) for key, (name, text) in flags.items()},
         "field_path": (
             _option(str | None, "--field", text="One bare value of the JSON result, for $(…).", metavar="A.B.C"),
+            None,
+        ),
+        "form": (
+            _option(str, "--format", text=f"Form of the result: {', '.join(FORMS)}.", metavar="FORM"),
+            "text",
+        ),
+        "columns": (
+            _option(
+                str | None, "--columns", text="Only these columns of the tables, or of --csv.", metavar="NAME,NAME…"
+            ),
             None,
         ),
         "path": (
@@ -130,7 +170,7 @@ def computing_options(names: Sequence[str]) -> dict[str, tuple[Any, Any]]:
 
 
 def _load_config(context: typer.Context, value: Path | None) -> Path | None:
-    """Make the keys of a TOML file the defaults of the options with the same names."""
+    """Make the keys of a TOML file, and of its table of this command, the defaults of the options of these names."""
     if value is None:
         return None
     try:
@@ -139,14 +179,36 @@ def _load_config(context: typer.Context, value: Path | None) -> Path | None:
         raise typer.BadParameter(f"{value}: not a readable TOML file: {error}") from error
     known = {_option_name(parameter): parameter for parameter in context.command.params}
     defaults = {}
-    for key, setting in settings.items():
+    for key, setting in _of_this_command(settings, context, value).items():
         name = option_now(context.command_path.partition(" ")[2], key.replace("_", "-"))
         if name not in known or name == "config":
-            raise typer.BadParameter(f"{value}: '{key}' is no option here; these are: {', '.join(sorted(known))}")
+            others = sorted(set(known) - {"config"})
+            message = f"'{key}' is no option here; {one_of(name, others)}"
+            raise typer.BadParameter(f"{value}: {message}")
         alone = isinstance(setting, str) and getattr(known[name], "multiple", False)
         defaults[str(known[name].name)] = [setting] if alone else setting
     context.default_map = defaults
     return value
+
+
+def _of_this_command(settings: Mapping[str, Any], context: typer.Context, file: Path) -> dict[str, Any]:
+    """Keys outside of tables, and those of the table of this command, such as [spectra.fit], which win.
+
+    Raises BadParameter for a table that belongs to no command, as far as the commands beside this one are known.
+    """
+    contexts: list[Any] = []
+    above: Any = context.parent
+    while above is not None:
+        contexts.insert(0, above)
+        above = above.parent
+    found = {key: setting for key, setting in settings.items() if not isinstance(setting, dict)}
+    table: Any = settings
+    for word, here in zip(context.command_path.split()[1:], contexts, strict=False):
+        known = list(here.command.commands)
+        if wrong := next((key for key, inner in table.items() if isinstance(inner, dict) and key not in known), None):
+            raise typer.BadParameter(f"{file}: [{wrong}] is no command here; {one_of(wrong, known)}")
+        table = table.get(word, {})
+    return found | {key: setting for key, setting in table.items() if not isinstance(setting, dict)}
 
 
 def _option_name(parameter: Any) -> str:
@@ -159,7 +221,7 @@ CONFIG = Annotated[
     typer.Option(
         "--config",
         metavar="FILE",
-        help="TOML file with option names as keys.",
+        help="TOML file with option names as keys; a table such as spectra.fit holds those of one command.",
         rich_help_panel=PANEL,
         is_eager=True,
         callback=_load_config,
@@ -180,6 +242,14 @@ def option(text: str, *flags: str, panel: str | None = None, kind: Any = None, *
     return RequestOption(typer.Option(*flags, help=text, rich_help_panel=panel, **settings), kind)
 
 
+def _name_choices(kind: Any, told: Any) -> None:
+    """Many choices go from the narrow column of types into the help text, once."""
+    choices = [one for part in (kind, *get_args(kind)) if get_origin(part) is Literal for one in get_args(part)]
+    if told.metavar is None and len("|".join(map(str, choices))) > WIDEST:
+        told.metavar = "NAME"
+        told.help = f"{told.help.rstrip('.')}. Choices: {', '.join(map(str, choices))}."
+
+
 def request_parameters(request: type, options: Mapping[str, RequestOption]) -> list[inspect.Parameter]:
     """The fields of a request that have an option, as parameters of a command, in the order of the options.
 
@@ -197,6 +267,7 @@ def request_parameters(request: type, options: Mapping[str, RequestOption]) -> l
             )
         if get_origin(kind) is tuple:
             kind, default = list[str] | None, (list(default) or None)
+        _name_choices(kind, said.told)
         if kind is bool and not said.told.param_decls:
             said.told.param_decls = (f"--{name.replace('_', '-')}",)
         annotation = Annotated[kind, said.told]

@@ -34,6 +34,7 @@ class Report:
     untrusted : one sentence, why the result is printed but should not be trusted or acted on; empty if it may be.
     failures : inputs that gave no result, one sentence each.
     options : what was taken for options that were left out, for the provenance.
+    raw : makes a text that is the result itself, such as a file to begin with, and is shown as it is.
     """
 
     schema: str
@@ -53,6 +54,7 @@ class Report:
     untrusted: str = ""
     failures: Sequence[str] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
+    raw: Callable[[], str] | None = None
 
     @classmethod
     def of(

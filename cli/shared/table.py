@@ -1,18 +1,14 @@
-"""Tables for people (aligned text) and for programs (CSV)."""
+"""Tables for people: ready-made cells under headers, and numbers whose digits follow their errors."""
 
-import csv
-import io
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
-from lunarsci.printable import cell, printable
 from lunarsci.provenance import plain
 
-_NEVER_CUT = 100_000
 SHOWN = 100
 """Rows that a table for people has at most."""
+UNKNOWN = "not determined"
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,10 +25,29 @@ class TextTable:
     total: int = 0
 
     @property
+    def count(self) -> int:
+        """Rows that there are."""
+        return max(self.total, len(self.rows))
+
+    @property
+    def shown(self) -> Sequence[Sequence[str]]:
+        """Rows that are shown."""
+        return self.rows[:SHOWN]
+
+    @property
     def left_out(self) -> list[str]:
         """A line on the rows that are not shown, if there are any."""
-        more = max(self.total, len(self.rows)) - SHOWN
+        more = self.count - SHOWN
         return [f"… and {more:,} more rows: --csv or --json"] if more > 0 else []
+
+
+def bare(header: str) -> str:
+    """A header without its unit.
+
+    >>> bare("BC1000 [nm]"), bare("[%]")
+    ('BC1000', '')
+    """
+    return header.partition("[")[0].strip()
 
 
 def counted(notes: Sequence[str], total: int, things: str) -> list[str]:
@@ -40,61 +55,42 @@ def counted(notes: Sequence[str], total: int, things: str) -> list[str]:
     return [note if total == 1 else f"{note} ({count} of {total} {things})" for note, count in Counter(notes).items()]
 
 
-def render(tables: Sequence[TextTable]) -> str:
-    """The tables as aligned text, never cut at the width of a terminal."""
-    return "\n".join(_render_one(table) for table in tables)
+def plus_minus(
+    value: float | None, sigma: float | None = None, *, digits: int = 1, within: tuple[float, float] | None = None
+) -> str:
+    """A value and its error, which has two significant digits: `12.34 ± 0.42`; `digits` where it has no error.
 
+    `-` where there is no value. `not determined` for an error of zero, and, with `within`, the lowest and the highest
+    value that can be, for a value outside and for an error wider than these.
 
-def _render_one(table: TextTable) -> str:
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
-    grid = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, highlight=False)
-    rows = table.rows[:SHOWN]
-    for number, header in enumerate(table.headers):
-        grid.add_column(printable(header), justify="right" if _numeric(rows, number) else "left", no_wrap=True)
-    for row in rows:
-        grid.add_row(*map(printable, row))
-    text = io.StringIO()
-    Console(file=text, width=_NEVER_CUT, color_system=None, markup=False, emoji=False).print(grid)
-    lines = [line.rstrip() for line in text.getvalue().splitlines()]
-    said = [printable(part) for text in (*table.left_out, *table.notes) for part in text.split("\n")]
-    return "\n".join([*([printable(table.title)] if table.title else []), *lines, *said, ""])
-
-
-def _numeric(rows: Sequence[Sequence[str]], column: int) -> bool:
-    return all(row[column][:1] in "-+0123456789" for row in rows) and any(row[column] != "-" for row in rows)
-
-
-def plus_minus(value: float | None, sigma: float | None = None, *, digits: int = 1) -> str:
-    """`12.3 ± 0.4`, or `-` where there is no value."""
-    if plain(value) is None:
+    >>> plus_minus(1234.5, 123.0), plus_minus(0.98123, 0.00996), plus_minus(0.7, 1.8, within=(0, 1))
+    ('1230 ± 120', '0.981 ± 0.010', 'not determined')
+    """
+    bare_value, bare_sigma = plain(value), plain(sigma)
+    if bare_value is None:
         return "-"
-    error = "" if plain(sigma) is None else f" ± {sigma:.{digits}f}"
-    return f"{value:.{digits}f}{error}"
+    low, high = within or (-float("inf"), float("inf"))
+    if bare_sigma is None:
+        return f"{bare_value:z.{digits}f}" if low <= bare_value <= high else UNKNOWN
+    if bare_sigma <= 0 or not low <= bare_value <= high or bare_sigma > high - low:
+        return UNKNOWN
+    places = 1 - int(f"{bare_sigma:.1e}".partition("e")[2])
+    return f"{rounded(bare_value, places)} ± {rounded(bare_sigma, places)}"
 
 
-def to_csv(rows: Sequence[Mapping[str, Any]]) -> Iterator[bytes]:
-    """CSV with full precision in pieces; missing values are empty cells."""
-    from lunarsci.record_blocks import RecordsInBlocks
-    from lunarsci.records import Records
+def significant(value: float, digits: int = 3) -> str:
+    """A number with so many significant digits, and never with an exponent where it is large.
 
-    text = io.StringIO()
-    if isinstance(rows, Records | RecordsInBlocks):
-        csv.writer(text, lineterminator="\n").writerow(rows.names)
-        yield text.getvalue().encode()
-        yield from rows.csv_chunks()
-        return
-    names = list(dict.fromkeys(name for row in rows for name in row))
-    writer = csv.DictWriter(text, names, lineterminator="\n", restval="")
-    writer.writeheader()
-    writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
-    yield text.getvalue().encode()
+    >>> significant(1903.2), significant(0.030964)
+    ('1903', '0.031')
+    """
+    return f"{value:.0f}" if abs(value) >= 10**digits else f"{value:.{digits}g}"
 
 
-def _cell(value: Any) -> Any:
-    bare = plain(value)
-    if isinstance(bare, bool):
-        return str(bare).lower()
-    return "" if bare is None else cell(bare) if isinstance(bare, str) else bare
+def rounded(value: float, places: int) -> str:
+    """A number to so many decimal places; negative ones are digits before the point.
+
+    >>> rounded(1234.5, -1), rounded(1234.5, 0)
+    ('1230', '1234')
+    """
+    return f"{value if places >= 0 else round(value, places):z.{max(places, 0)}f}"

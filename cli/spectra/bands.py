@@ -12,7 +12,7 @@ from ..shared.command import command
 from ..shared.options import BLOCKS, Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
-from ..shared.table import SHOWN, TextTable, counted, plus_minus
+from ..shared.table import SHOWN, TextTable, bare, counted, plus_minus
 from .options import UNITS, Files
 
 if TYPE_CHECKING:
@@ -75,8 +75,9 @@ def _tables(result: "MeasuredBands") -> list[TextTable]:
 
 def _bands_table(result: "MeasuredBands") -> TextTable:
     headers = ["spectrum"]
-    for name in ("1000", "2000"):
-        headers += [f"BC{name} [nm]", "spread [nm]", f"BD{name}", f"area{name} [nm]", "continuum"]
+    for name, band in (("1000", "1 µm"), ("2000", "2 µm")):
+        headers += [f"BC{name} [nm]", f"spread at {band} [nm]", f"BD{name}", f"area{name} [nm]"]
+        headers.append(f"continuum at {band}")
     records = result.content()["spectra"]
     rows = [_bands_row(record) for record in records[:SHOWN]]
     return TextTable(headers, rows, notes=_band_notes(result, records), total=len(records))
@@ -147,6 +148,9 @@ def _many_chemistries(records: Sequence[Mapping[str, Any]], examples: Mapping[st
     ]
     rows = [[record["id"], *(_usable(record["chemistry"][key]) for key in examples)] for record in records[:SHOWN]]
     notes = ["-: no band, or not to be used here; all regressions, and why not: --csv or --json"]
+    notes += [
+        f"{bare(header)}: only if {item['domain']}" for header, item in zip(headers[1:], examples.values(), strict=True)
+    ]
     return TextTable(headers, rows, notes=notes, total=len(records))
 
 
@@ -161,7 +165,10 @@ def _unit(item: Mapping[str, Any]) -> str:
 
 
 def _value(item: Mapping[str, Any]) -> str:
-    return plus_minus(item["value"], item["sigma"], digits=0 if item["unit"] == "mol %" else 2)
+    percent = item["unit"] == "mol %"
+    return plus_minus(
+        item["value"], item["sigma"], digits=0 if percent else 2, within=(0.0, 100.0) if percent else (0.0, 1.0)
+    )
 
 
 def _usable(item: Mapping[str, Any] | None) -> str:

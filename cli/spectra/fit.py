@@ -12,7 +12,7 @@ from ..shared.command import command
 from ..shared.options import BLOCKS, Output, RequestOption, option
 from ..shared.progress import progress
 from ..shared.report import Report
-from ..shared.table import SHOWN, TextTable, plus_minus
+from ..shared.table import SHOWN, UNKNOWN, TextTable, plus_minus
 from .options import UNITS, Files
 
 if TYPE_CHECKING:
@@ -38,12 +38,13 @@ MODEL_OPTIONS: dict[str, RequestOption] = {
     "start": option(
         "Bands, continuum and their uncertainties from a start or result file of the RELAB MGM program, instead of "
         "--assemblage and --continuum; all channels are fitted.",
+        "--start-file",
         panel=MODEL,
         metavar="FILE.fit",
     ),
     "band_minerals": option(
-        "Minerals of the bands of --start, by their number, for the ratios of strengths; a comment behind a band's "
-        "values names one, too.",
+        "Minerals of the bands of --start-file, by their number, for the ratios of strengths; a comment behind the "
+        "values of a band names one, too.",
         panel=MODEL,
         metavar="NUMBER=OPX,…",
     ),
@@ -78,6 +79,8 @@ OPTIONS = MODEL_OPTIONS | {
     "seed": option("Seed of --errors sample.", panel=ANSWER, min=0),
     **UNITS,
 }
+WAVELENGTHS_NM, STRENGTHS = (0.0, 3000.0), (-5.0, 5.0)
+"""Between these lie bands; an error as wide says that nothing is known."""
 PERCENT_OF = {
     "fo": "Fo of olivine",
     "fs": "Fs of orthopyroxene",
@@ -139,7 +142,11 @@ def _shared_in_ratios(record: Mapping[str, Any], *, with_shared: bool) -> list[s
     notes = []
     ratios = {name: (record["nbsr"] or {}).get(region) for region, name in (("um1", "1 µm"), ("um2", "2 µm"))}
     known = {name: ratio for name, ratio in ratios.items() if ratio}
-    parts = [f"± {r['calibration']:.3f} at {name}" for name, r in known.items() if r["calibration"] is not None]
+    parts = [
+        f"± {r['calibration']:.2g} at {name}" if r["calibration"] < 1 else f"more than they can be at {name}"
+        for name, r in known.items()
+        if r["calibration"] is not None
+    ]
     notes += [f"calibration errors, which all channels share, add to the ratios {', '.join(parts)}"] if parts else []
     lost = [name for name, r in known.items() if r["calibration"] is None] if with_shared else []
     notes += [f"what calibration errors add to the ratios is not determined at {', '.join(lost)}"] if lost else []
@@ -160,14 +167,17 @@ def _composition_notes(fit: "MgmFit") -> list[str]:
             doubt = "" if item.told else ", the prior's: the spectrum says nothing"
             if not item.in_range:
                 doubt = f", beyond the {item.lowest:g}-{item.highest:g} of the trend: do not use"
-            value = plus_minus(item.mean, item.sigma)
+            value = plus_minus(item.mean, item.sigma, within=(0.0, 100.0)) if item.in_range else plus_minus(item.mean)
             notes.append(f"{PERCENT_OF[item.key]} from the band centres: {value} mol %{doubt}")
     return notes
 
 
 def _overview_row(record: Mapping[str, Any]) -> list[str]:
     ratios, choice = record["nbsr"] or {}, record["choice"]
-    cells = [plus_minus(r["opx"], r["sigma"], digits=2) if r else "-" for r in (ratios.get("um1"), ratios.get("um2"))]
+    cells = [
+        plus_minus(r["opx"], r["sigma"], digits=2, within=(0.0, 1.0)) if r else "-"
+        for r in (ratios.get("um1"), ratios.get("um2"))
+    ]
     rms = None if record["rms_ln"] is None else 100 * record["rms_ln"]
     margin = "" if not choice or choice["strong"] else " (weak evidence)"
     return [record["id"], record["assemblage"] + margin, plus_minus(rms, digits=2), *cells, record["status"]]
@@ -176,10 +186,16 @@ def _overview_row(record: Mapping[str, Any]) -> list[str]:
 def _bands_table(fit: "MgmFit") -> TextTable:
     spread = any(band.center_continuum_nm is not None for band in fit.bands)
     headers = ["band", "mineral", "centre [nm]", "FWHM [nm]", "strength [ln R]", "strength/σ"]
-    headers += ["shrinkage centre", "FWHM", *(["continua: centre [nm]", "strength"] if spread else [])]
+    headers += ["shrinkage of centre", "shrinkage of FWHM"]
+    headers += ["continua: centre [nm]", "continua: strength"] if spread else []
+    rows = [_band_row(band, spread) for band in fit.bands]
     notes = ["shrinkage: 1 where the data decide on centre or FWHM, 0 where the prior does"]
+    if any(cell.endswith("?") for row in rows for cell in row):
+        notes.append(
+            "± ?: not determined, the error is wider than where bands can be; the value is where the fit ended"
+        )
     notes += ["continua: largest distance under any of them, for the choice of one is a choice"] if spread else []
-    return TextTable(headers, [_band_row(band, spread) for band in fit.bands], notes=notes)
+    return TextTable(headers, rows, notes=notes)
 
 
 def _band_row(band: "FittedBand", spread: bool) -> list[str]:
@@ -187,9 +203,9 @@ def _band_row(band: "FittedBand", spread: bool) -> list[str]:
     row = [
         band.name,
         band.mineral if band.mineral != "any" else "-",
-        plus_minus(band.center_nm, band.center_sigma_nm),
-        plus_minus(band.fwhm_nm, band.fwhm_sigma_nm),
-        plus_minus(band.strength, band.strength_sigma, digits=3),
+        _or_held(band.center_nm, band.center_sigma_nm, 1, WAVELENGTHS_NM),
+        _or_held(band.fwhm_nm, band.fwhm_sigma_nm, 1, WAVELENGTHS_NM),
+        _or_held(band.strength, band.strength_sigma, 3, STRENGTHS),
         f"{abs(band.strength) / band.strength_sigma:.1f}" if certain else "-",
         f"{band.shrinkage['center']:.2f}",
         f"{band.shrinkage['fwhm']:.2f}",
@@ -197,6 +213,14 @@ def _band_row(band: "FittedBand", spread: bool) -> list[str]:
     if spread:
         row += [plus_minus(band.center_continuum_nm), plus_minus(band.strength_continuum, digits=3)]
     return row
+
+
+def _or_held(value: float, sigma: float, digits: int, within: tuple[float, float]) -> str:
+    """A parameter of a band; one without an error was held, one with `± ?` has an error wider than bands can lie."""
+    if sigma == 0:
+        return f"{value:.{digits}f}, held"
+    shown = plus_minus(value, sigma, digits=digits, within=within)
+    return f"{value:.{digits}f} ± ?" if shown == UNKNOWN else shown
 
 
 def _intervals_table(intervals: Mapping[str, Any]) -> TextTable:
@@ -225,7 +249,7 @@ def _abundance_table(found: "Sequence[Abundance]") -> TextTable:
         [
             modes.method,
             share.mineral,
-            plus_minus(100 * share.fraction, digits=0),
+            UNKNOWN if share.fraction != share.fraction else plus_minus(100 * share.fraction, digits=0),
             f"{100 * share.low:.0f} to {100 * share.high:.0f}",
             f"{100 * share.low95:.0f} to {100 * share.high95:.0f}",
         ]

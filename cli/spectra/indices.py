@@ -9,7 +9,7 @@ from lunarsci.spectra.jobs.indices import IndicesRequest
 from ..shared.command import command
 from ..shared.options import option
 from ..shared.report import Report
-from ..shared.table import SHOWN, TextTable
+from ..shared.table import SHOWN, TextTable, plus_minus
 from .options import UNITS, Files
 
 if TYPE_CHECKING:
@@ -87,9 +87,4 @@ def _cell(found: dict[str, Any]) -> str:
     if found["value"] is None or found["status"] != "ok":
         return "-"
     error = (found["sigma"] ** 2 + found["interpolation"] ** 2) ** 0.5
-    digits = 4 if error == 0 else min(max(1, 1 - _power(error)), 6)
-    return f"{found['value']:.{digits}f} ± {error:.{digits}f}"
-
-
-def _power(value: float) -> int:
-    return int(f"{value:e}".partition("e")[2])
+    return plus_minus(found["value"], error or None, digits=4)

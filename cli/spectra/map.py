@@ -12,12 +12,13 @@ from ..shared.options import BLOCKS, Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
+from .options import FILE
 
 if TYPE_CHECKING:
     from lunarsci.spectra.jobs.map import CubeMap, PixelSpectrum
 
 
-PIXELS, SETTINGS, FILE = "Pixels", "Products", "What the file does not say"
+PIXELS, SETTINGS = "Pixels", "Products"
 
 CubeFile = Annotated[
     str,

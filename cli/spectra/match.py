@@ -55,12 +55,15 @@ OPTIONS = {
     "mineral_map": option(
         "GeoTIFF of a mineral's mode: its values in the ring of ejecta replace a crater's modes. May be repeated. Or a "
         "file of `spectra map --products unmix`.",
-        "--map",
         panel=CRATERS,
         metavar="MINERAL=FILE.tif|MAP",
     ),
     "annulus": option("That ring, in rim radii.", panel=CRATERS, metavar="IN:OUT"),
-    "prior": option("ejecta: by what each crater left at the site; uniform: all alike.", panel=PRIOR),
+    "prior": option(
+        "Prior of the craters. ejecta: by what each left at the site; uniform: all alike.",
+        "--crater-prior",
+        panel=PRIOR,
+    ),
     "ejecta_law": option("Law of the ejecta's thickness, from the transient crater.", panel=PRIOR),
     "thickness_factor": option(
         "Spread of the thickness about the law, one standard deviation, as a factor; 1 for none.", panel=PRIOR
@@ -110,7 +113,10 @@ def _tables(result: "Matches") -> list[TextTable]:
 
     matches, notes = result.matches, [f"- {text}" for text in result.assumptions]
     if len(matches) == 1:
-        told = "ln BF: composition alone, against a rock of any composition; assumed or known:"
+        told = (
+            "ln BF: composition alone, against a rock of any composition; brought up by: the impact itself (direct), "
+            "or small local craters (gardened), with its share; assumed or known:"
+        )
         return [_craters_table(matches[0], [matches[0].status, *matches[0].rock.remarks, told, *notes])]
     shown = matches[:SHOWN]
     rows = [[m.rock.id, m.best, f"{_best(m):.2f}", f"{m.other_posterior:.2f}", m.status] for m in shown]
@@ -127,7 +133,7 @@ def _best(match: "RockMatch") -> float:
 def _craters_table(match: "RockMatch", notes: Sequence[str]) -> TextTable:
     from lunarsci.spectra.origin.match import OTHER
 
-    headers = ["crater", "distance [km]", "azimuth [deg]", "ejecta [m]", "came by", "ln BF", "prior", "posterior"]
+    headers = ["crater", "distance [km]", "azimuth [deg]", "ejecta [m]", "brought up by", "ln BF", "prior", "posterior"]
     headers.append("compared")
     ordered = sorted(match.craters, key=lambda item: item.posterior, reverse=True)
     rows = [_crater_row(item) for item in ordered]
@@ -142,7 +148,7 @@ def _crater_row(item: "CraterMatch") -> list[str]:
         f"{item.prior.distance_km:.1f}",
         "-" if item.azimuth_deg is None else f"{item.azimuth_deg:.0f}",
         "-" if item.prior.ejecta_m is None else f"{item.prior.ejecta_m:.3g}",
-        _came_by(item.prior.stages),
+        _brought_up_by(item.prior.stages),
         f"{item.ln_bayes_factor:.2f}",
         f"{item.prior.probability:.3f}",
         f"{item.posterior:.3f}",
@@ -150,7 +156,7 @@ def _crater_row(item: "CraterMatch") -> list[str]:
     ]
 
 
-def _came_by(stages: Mapping[str, float]) -> str:
+def _brought_up_by(stages: Mapping[str, float]) -> str:
     """The stage that brought most of its rocks to the surface, and its share."""
     if not stages or not sum(stages.values()):
         return "-"

@@ -9,12 +9,14 @@ from ..shared.options import option
 Files = Annotated[
     list[str],
     typer.Argument(
+        metavar="FILE",
         help="Spectra: ECSV, CSV or text (first column wavelength, then one or many spectra), RELAB .tab/.asc, FITS "
         "table, ENVI library (.sli, .hdr), USGS splib07 text, VNIS products (.2BL, .2B); several files, folders or "
-        "patterns; - is stdin."
+        "patterns; - is stdin.",
     ),
 ]
+FILE = "What the file does not say"
 UNITS = {
-    "wavelength_unit": option("State the unit of the wavelengths where the file does not."),
-    "reflectance_unit": option("State the unit of the reflectance."),
+    "wavelength_unit": option("Unit of the wavelengths.", panel=FILE),
+    "reflectance_unit": option("Unit of the reflectance.", panel=FILE),
 }

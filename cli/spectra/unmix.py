@@ -11,7 +11,7 @@ from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
-from ..shared.table import TextTable, counted, plus_minus
+from ..shared.table import UNKNOWN, TextTable, counted, plus_minus
 from .fit import MODEL_OPTIONS, fit_tables
 from .options import UNITS, Files
 
@@ -117,12 +117,15 @@ def _shares_table(found: "Sequence[Abundance]") -> TextTable:
         cells = [f"{shares[name][0]} ({shares[name][1]})" if name in shares else "-" for name in minerals]
         rows.append([item.id, *cells, item.status])
     headers = ["spectrum", *(f"{name} [%]" for name in minerals), "status"]
-    return TextTable(headers, rows, title="mineral shares, with 68 % intervals; -: not determined")
+    return TextTable(headers, rows, title="mineral shares, with 68 % intervals")
 
 
 def _percent(share: "MineralFraction") -> list[str]:
     ends = ((share.low, share.high), (share.low95, share.high95))
-    return [plus_minus(100 * share.fraction, digits=0), *(f"{100 * low:.0f} to {100 * high:.0f}" for low, high in ends)]
+    return [
+        UNKNOWN if share.fraction != share.fraction else plus_minus(100 * share.fraction, digits=0),
+        *(f"{100 * low:.0f} to {100 * high:.0f}" for low, high in ends),
+    ]
 
 
 def _dark_row(dark: "DarkPart") -> list[str]:

@@ -5,7 +5,9 @@ from typing import Any
 
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 
-from ..shared.table import TextTable
+from ..shared.table import TextTable, significant
+
+ENDS = (("low", "high"), ("ground_low_68", "ground_high_68"))
 
 
 def parameter_table(rows: Mapping[str, Mapping[str, float]], title: str, notes: Sequence[str] = ()) -> TextTable:
@@ -13,12 +15,13 @@ def parameter_table(rows: Mapping[str, Mapping[str, float]], title: str, notes: 
     cells = [
         [
             name,
-            *(f"{row[key]:.4g}" for key in ("median", "low", "high", "ground_low_68", "ground_high_68")),
+            f"{row['median']:.4g}",
+            *(f"{significant(row[low])} to {significant(row[high])}" for low, high in ENDS),
             f"{100 * row['left_of_prior']:.0f} %",
         ]
         for name, row in rows.items()
     ]
-    headers = ["effective value", "median", "68 % from", "to", "ground's own from", "to", "left of the prior"]
+    headers = ["effective value", "median", "68 %", "ground's own 68 %", "left of the prior"]
     return TextTable(headers, cells, title=title, notes=notes)
 
 
@@ -33,7 +36,7 @@ def discrepancy_table(after: PhysicsDiscrepancy, before: PhysicsDiscrepancy | No
         rows.append(
             [label, *cells, f"{one.degrees:.1f}", *([f"± {100 * old.half_width(0.68):.2g} %"] if before else [])]
         )
-    note = f"learned from {len(after.scored)} drive(s); regions of predictions hold it beside the soil's spread"
+    note = f"learned from {len(after.scored)} drive(s); predictions add it to what the soil is not known for"
     return TextTable(headers, rows, title="What the twin's physics is off by, beside the soil", notes=[note])
 
 

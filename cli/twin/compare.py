@@ -152,7 +152,7 @@ def _band_table(found: "DriveComparison") -> TextTable:
         unit, factor = UNITS[check.quantity]
         rows.append(
             [
-                check.quantity,
+                "sinkage" if check.quantity == "sinkage_m" else check.quantity,
                 check.wheel,
                 str(check.n),
                 f"{check.effective:.1f}",

@@ -11,7 +11,7 @@ from ..shared.command import command
 from ..shared.options import SPREAD, Output
 from ..shared.progress import progress
 from ..shared.report import Report
-from ..shared.table import TextTable
+from ..shared.table import TextTable, bare
 from .options import DRIVE, PlanFile
 
 if TYPE_CHECKING:
@@ -57,15 +57,28 @@ def _notes(found: "DriveForces") -> list[str]:
 def wheel_tables(title: str, loads: "Sequence[WheelLoads]", notes: Sequence[str]) -> list[TextTable]:
     """Median and range of forces, sinkage and slips of each wheel."""
     names = list(COLUMNS)
-    heading = f"{title}; median (p05 to p95) along the drive"
+    heading = f"{title}; medians along the drive"
     return [_table(heading, loads, names[:4], ()), _table("", loads, names[4:], notes)]
 
 
 def _table(title: str, loads: "Sequence[WheelLoads]", names: Sequence[str], notes: Sequence[str]) -> TextTable:
-    rows = [[load.wheel, *(_spread(load.quantities[name], COLUMNS[name][1]) for name in names)] for load in loads]
-    return TextTable(["wheel", *(COLUMNS[name][0] for name in names)], rows, title=title, notes=list(notes))
+    headers = [head for name in names for head in spread_headers(COLUMNS[name][0])]
+    rows = [
+        [load.wheel, *(cell for name in names for cell in _spread(load.quantities[name], COLUMNS[name][1]))]
+        for load in loads
+    ]
+    return TextTable(["wheel", *headers], rows, title=title, notes=list(notes))
 
 
-def _spread(spread: "Spread", factor: float) -> str:
+def spread_headers(header: str) -> list[str]:
+    """Headers of a median and of its range.
+
+    >>> spread_headers("slip [-]")
+    ['slip [-]', 'slip from p05 to p95']
+    """
+    return [header, f"{bare(header)} from p05 to p95"]
+
+
+def _spread(spread: "Spread", factor: float) -> list[str]:
     low, middle, high = (factor * value for value in (spread.p05, spread.p50, spread.p95))
-    return f"{middle:.3g} ({low:.3g} to {high:.3g})"
+    return [f"{middle:.3g}", f"{low:.3g} to {high:.3g}"]

@@ -12,7 +12,7 @@ from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
-from ..shared.table import TextTable
+from ..shared.table import TextTable, plus_minus
 from .forces import wheel_tables
 from .options import INTERPOLATION, ROVER, TERRAIN, PlanFile
 
@@ -77,10 +77,10 @@ def loads(
 
     With --states, --belief or --draws the motion is as uncertain as its columns x_m_sigma, y_m_sigma and yaw_deg_sigma
     say, and the soil as the belief. Forces are then computed on many soils and motions and made to balance: all wheels
-    together have to carry weight and slope. It is said how much of each force comes from the assumed soil. What the
-    wheels supply together is then well known; how it shares out among them stays assumed. --iterate looks for the soil
-    with these forces: forces that came from a soil cannot prove it, so only sinkages under the loads, and slips against
-    what all wheels together pull, speak of it. Exit code 3 where the rounds do not converge.
+    together have to carry weight and slope. What they supply together is then well known; how much each one supplies
+    still depends on the assumed soil, and the tables say by how much. --iterate looks for the soil that fits these
+    forces. Forces that were computed from a soil cannot prove it, so the search uses only the sinkages under the loads,
+    and the slips beside the pull of all wheels together. Exit code 3: the rounds do not converge.
     """
     from lunarsci.twin.jobs import loads as job
 
@@ -145,7 +145,7 @@ def _force_table(wheels: list[dict[str, Any]], title: str) -> TextTable:
         [
             each["wheel"],
             *(
-                f"{each[name][f'mean{end}']:.2f} ± {each[name][f'sigma{end}']:.2f}"
+                plus_minus(each[name][f"mean{end}"], each[name][f"sigma{end}"], digits=2)
                 for name in SYMBOLS
                 for end in ("_before", "")
             ),
@@ -171,7 +171,8 @@ def _total_table(totals: dict[str, dict[str, float]], notes: list[str]) -> TextT
     rows = [[f"{name} [{UNITS[name]}]", *(f"{row[key]:.2f}" for key in row)] for name, row in totals.items()]
     headers = ["of all wheels", "missing, assumed soil", "balanced", "± assumed soil", "± balanced"]
     rows_notes = [
-        "all wheels together supply what the balance asks for; how it shares out among them stays the assumed soil's",
+        "together the wheels supply what the balance of forces asks for; how much of it each wheel supplies still "
+        "depends on the assumed soil",
         *notes,
     ]
     return TextTable(headers, rows, title="What the wheels do not supply, root mean square", notes=rows_notes)

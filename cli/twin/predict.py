@@ -76,7 +76,7 @@ def _film(found: PredictedDrives, target: Path, quiet: bool) -> bytes:
 HEADERS = (
     "quantity (worst of each drive)",
     "p50",
-    "95 % keep",
+    "95 % of drives",
     "worst",
     "limit",
     "margin",
@@ -84,6 +84,10 @@ HEADERS = (
     "verdict",
     "limit is",
 )
+
+
+QUANTITIES = {"sinkage_m": ("sinkage", "mm", 1e3)}
+"""Names, units and factors of quantities that tables show otherwise than files: sinkage in mm throughout."""
 
 
 def _verdict_tables(found: PredictedDrives) -> list[TextTable]:
@@ -110,12 +114,13 @@ def _verdict_tables(found: PredictedDrives) -> list[TextTable]:
 
 
 def _limit_row(limit: "Judgement") -> list[str]:
+    name, unit, factor = QUANTITIES.get(limit.quantity, (limit.quantity, limit.unit, 1.0))
     return [
-        limit.quantity,
-        *(f"{value:.4g}" for value in (limit.p50, limit.kept_by_95, limit.worst)),
-        f"{'≤' if limit.sense == 'at most' else '≥'} {limit.limit:.4g}",
-        f"{limit.margin:.4g}",
-        limit.unit,
+        name,
+        *(f"{factor * value:.3g}" for value in (limit.p50, limit.kept_by_95, limit.worst)),
+        f"{'≤' if limit.sense == 'at most' else '≥'} {factor * limit.limit:.4g}",
+        f"{factor * limit.margin:.3g}",
+        unit,
         "ok" if limit.ok else "broken",
         "assumed" if limit.assumed else "",
     ]
@@ -128,7 +133,7 @@ def _energy_notes(found: PredictedDrives) -> list[str]:
     if energy is None:
         return []
     return [
-        f"motors at the wheels: {energy['p50_j']:.4g} J (p50), {energy['p95_j']:.4g} J (95 % keep) in "
+        f"motors at the wheels: {energy['p50_j']:.4g} J (p50), {energy['p95_j']:.4g} J (95 % of drives) in "
         f"{energy['duration_s']:.0f} s; losses of motors, gears and electronics are not in it",
         *_power_notes(found),
     ]
@@ -146,9 +151,10 @@ def _power_notes(found: PredictedDrives) -> list[str]:
     empty = record["empty_drives"]
     assumed = " (assumed)" if "power.battery_wh" in found.inputs.description.assumed else ""
     return [
-        f"electrical: {record['drawn']['p50_wh']:.3g} Wh (p50), {record['drawn']['p95_wh']:.3g} Wh (95 % keep); {sun}",
+        f"electrical: {record['drawn']['p50_wh']:.3g} Wh (p50), {record['drawn']['p95_wh']:.3g} Wh (95 % of drives); "
+        f"{sun}",
         f"battery of {power.battery_wh:g} Wh{assumed}: down to {record['battery']['p50_least_wh']:.4g} Wh (p50), "
-        f"{record['battery']['p05_least_wh']:.4g} Wh (95 % keep)"
+        f"{record['battery']['p05_least_wh']:.4g} Wh (95 % of drives)"
         + (f"; empty in {empty} of {found.prediction.members} drives" if empty else ""),
     ]
 

@@ -9,7 +9,8 @@ from lunarsci.twin.jobs.states import StatesRequest
 from ..shared.command import command
 from ..shared.options import option
 from ..shared.report import Report
-from ..shared.table import TextTable
+from ..shared.table import TextTable, plus_minus
+from .forces import spread_headers
 from .options import INTERPOLATION, ROVER, TERRAIN
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ def _tables(found: "MeasuredStates") -> list[TextTable]:
 
 def _wheel_table(found: "MeasuredStates", result: dict[str, Any]) -> TextTable:
     rows = [
-        [wheel, str(own["valid"]), *(_cell(own[name], factor) for name, factor in FACTORS.items())]
+        [wheel, str(own["valid"]), *(cell for name, factor in FACTORS.items() for cell in _cells(own[name], factor))]
         for wheel, own in result["wheels"].items()
     ]
     changes = result["slip_changes"]["ahead"]
@@ -94,15 +95,16 @@ def _wheel_table(found: "MeasuredStates", result: dict[str, Any]) -> TextTable:
         notes.append("the telemetry is synthetic")
     if result["terrain"]["synthetic"]:
         notes.append("the terrain is synthetic")
-    headers = ["wheel", "states", "slip [-]", "side slip [deg]", "sinkage [mm]"]
-    return TextTable(headers, rows, title=f"{found.title}; median (p05 to p95) ± error of one state", notes=notes)
+    headers = [head for name in ("slip [-]", "side slip [deg]", "sinkage [mm]") for head in spread_headers(name)]
+    title = f"{found.title}; medians ± error of one state"
+    return TextTable(["wheel", "states", *headers], rows, title=title, notes=notes)
 
 
-def _cell(found: dict[str, Any], factor: float) -> str:
+def _cells(found: dict[str, Any], factor: float) -> list[str]:
     if not found["count"]:
-        return "-"
+        return ["-", "-"]
     middle, low, high, sigma = (factor * found[name] for name in ("median", "low", "high", "sigma"))
-    return f"{middle:.3g} ({low:.3g} to {high:.3g}) ± {sigma:.2g}"
+    return [plus_minus(middle, sigma), f"{low:.3g} to {high:.3g}"]
 
 
 def _finding_tables(findings: list[dict[str, Any]]) -> list[TextTable]:

@@ -40,8 +40,6 @@ def sweep(output: Output, request: SweepRequest, plans: Plans = None) -> Report:
     time, bias and scatter of the ends, and what a wheel pulls at 20 % slip. An impossible design is listed with its
     reason; a number on which no drive depends is refused with its reason. `*` marks designs that no other beats both in
     energy and in the share of drives kept; --plot has them in a picture, and a curve for each number.
-
-        lunarsci twin sweep --vary wheel.radius_m=0.12:0.2:5 --vary mass.body_kg=85:125:3 --members 16
     """
     from lunarsci.twin.jobs import sweep as job
 

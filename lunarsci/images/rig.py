@@ -11,6 +11,7 @@ import numpy.typing as npt
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.images.camera import INTRINSICS, Camera, Pose, rotation_of
+from lunarsci.names import one_of
 
 RELATIVE = (*(f"rotation_{axis}_rad" for axis in "xyz"), *(f"translation_{axis}_m" for axis in "xyz"))
 PARAMETERS = (*(f"left_{n}" for n in INTRINSICS), *(f"right_{n}" for n in INTRINSICS), *RELATIVE)
@@ -228,7 +229,7 @@ def covariance_of(sigmas: dict[str, float]) -> FloatArray:
     """
     for name, value in sigmas.items():
         if name not in PARAMETERS:
-            raise ParameterError(f"'{name}' is no parameter of a stereo rig; these are: {', '.join(PARAMETERS)}")
+            raise ParameterError(f"'{name}' is no parameter of a stereo rig; {one_of(name, PARAMETERS)}")
         if not 0 <= value < math.inf:
             raise ParameterError(f"sigma of {name} is {value}; give a number of 0 or more")
     return np.diag([sigmas.get(name, 0.0) ** 2 for name in PARAMETERS])

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.images.pictures import Picture, open_cv
+from lunarsci.names import one_of
 
 Kind = Literal["chessboard", "circles", "asymmetric-circles", "charuco"]
 GOES_ON = 0.75
@@ -50,7 +51,7 @@ class BoardTarget:
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(Kind):
-            raise ParameterError(f"'{self.kind}' is no kind of target; these are: {', '.join(get_args(Kind))}")
+            raise ParameterError(f"'{self.kind}' is no kind of target; {one_of(self.kind, get_args(Kind))}")
         if min(self.columns, self.rows) < 3 or max(self.columns, self.rows) > 100:
             raise ParameterError(f"a board of {self.columns} x {self.rows}; give 3 to 100 each way")
         if not 0 < self.square_m < 100:

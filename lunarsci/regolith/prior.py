@@ -13,6 +13,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile, text
+from lunarsci.names import one_of
 from lunarsci.tables import table_hashes
 
 PRIORS = "priors.toml"
@@ -118,7 +119,7 @@ def read_prior(source: InputFile, contact: bool = False) -> dict[str, Law]:
     laws = {**default_prior(), **(contact_prior() if contact else {})}
     for name, table in document.items():
         if name not in laws:
-            raise DataError(f"{source.name}: '{name}' is not a soil parameter; these are: {', '.join(laws)}")
+            raise DataError(f"{source.name}: '{name}' is not a soil parameter; {one_of(name, laws)}")
         try:
             laws[name] = Law(**({"of": laws[name].of, "source": source.name} | table))
         except (TypeError, ParameterError) as error:

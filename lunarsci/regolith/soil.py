@@ -9,6 +9,7 @@ from typing import Any
 
 from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.names import meant, one_of
 from lunarsci.provenance import sha256
 from lunarsci.tables import table_hashes
 
@@ -74,7 +75,7 @@ class Soil:
         known = [field.name for field in dataclasses.fields(self)]
         for name in changes:
             if name not in known:
-                raise ParameterError(f"'{name}' is not a soil parameter; these are: {', '.join(known)}")
+                raise ParameterError(f"'{name}' is not a soil parameter; {one_of(name, known)}")
         return dataclasses.replace(self, **changes)
 
 
@@ -98,7 +99,10 @@ def read_soil(soil: str) -> Soil:
     try:
         document = toml_document(Path(soil).read_text("utf-8"))
     except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"{soil}: not a soil lunarsci knows ({', '.join(known)}) nor a readable TOML file") from error
+        near = meant(soil, known)
+        raise DataError(
+            f"{soil}: {near}neither a soil of lunarsci ({', '.join(known)}) nor a readable TOML file"
+        ) from error
     except tomllib.TOMLDecodeError as error:
         raise DataError(f"{soil}: not valid TOML: {error}") from error
     return _soil(document, soil)
@@ -108,7 +112,7 @@ def _soil(table: dict[str, Any], origin: str) -> Soil:
     values = {name: value for name, value in table.items() if name not in ("source", "assumed")}
     known = [field.name for field in dataclasses.fields(Soil)]
     if unknown := [name for name in values if name not in known]:
-        raise DataError(f"{origin}: '{unknown[0]}' is not a key of a soil; these are: {', '.join(known)}")
+        raise DataError(f"{origin}: '{unknown[0]}' is not a key of a soil; {one_of(unknown[0], known)}")
     try:
         return Soil(**{name: float(value) for name, value in values.items()})
     except (TypeError, ValueError) as error:

@@ -15,6 +15,7 @@ from typing import Any, Literal
 
 from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.names import meant
 
 WHEELS = "wheels.toml"
 
@@ -64,8 +65,9 @@ def read_rover(rover: str) -> RoverDescription:
     try:
         text = Path(rover).read_text("utf-8")
     except (OSError, UnicodeDecodeError) as error:
+        near = meant(rover, (*known_rovers(), *known_wheels()))
         known = f"{', '.join(known_rovers())}; wheels: {', '.join(known_wheels())}"
-        raise DataError(f"{rover}: not a rover lunarsci knows ({known}) nor a readable TOML file") from error
+        raise DataError(f"{rover}: {near}neither a rover of lunarsci ({known}) nor a readable TOML file") from error
     return _parse(text, origin=rover)
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.names import one_of
 from lunarsci.rovers import RoverDescription
 
 SOLAR_CONSTANT_W_M2 = 1360.8
@@ -90,7 +91,7 @@ def read_part(description: RoverDescription, table: str, kind: type[Part]) -> Pa
         return None
     known = [field.name for field in fields(kind)]
     if unknown := set(found) - set(known):
-        raise DataError(f"{description.origin}: [{table}] has no '{min(unknown)}'; these are: {', '.join(known)}")
+        raise DataError(f"{description.origin}: [{table}] has no '{min(unknown)}'; {one_of(min(unknown), known)}")
     try:
         return kind(**{name: float(value) for name, value in found.items()})
     except (TypeError, ValueError) as error:

@@ -10,6 +10,7 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.names import one_of
 from lunarsci.regolith.wheel import Wheel, read_wheel
 from lunarsci.rovers import RoverDescription, read_rover
 from lunarsci.twin.electrics import Motors, PowerSupply, read_part
@@ -131,14 +132,14 @@ class Rover:
         if not all(0 < moment < math.inf for moment in self.body_inertia_kg_m2):
             raise ParameterError(f"rover body_inertia_kg_m2 is {self.body_inertia_kg_m2}; give three numbers above 0")
         if unknown := set(self.steered) - set(self.pairs):
-            raise ParameterError(f"rover steered_wheels has '{min(unknown)}'; choose from: {', '.join(self.pairs)}")
+            raise ParameterError(f"rover steered_wheels has '{min(unknown)}'; {one_of(min(unknown), self.pairs)}")
         x = self.wheel_positions_m[::2, 0]
         if not (np.diff(x) < 0).all():
             raise ParameterError("the rover's wheels must follow each other from front to rear; check their x")
 
     def _check_bogie(self) -> None:
         if self.bogie not in BOGIES:
-            raise ParameterError(f"rover bogie is '{self.bogie}'; choose from: {', '.join(BOGIES)}")
+            raise ParameterError(f"rover bogie is '{self.bogie}'; {one_of(self.bogie, BOGIES)}")
         for name in ("middle_wheel_m", "bogie_pivot_m"):
             if (getattr(self, name) is None) != (self.bogie == "none"):
                 wanted = "leave it out" if self.bogie == "none" else "give it"

@@ -325,9 +325,10 @@ def test_a_pattern_without_files_does_not_stop_a_batch(run: Run, rock: Path) -> 
     assert spectrum["source"] == str(rock)
 
 
-def test_a_field_below_null_is_null_and_keeps_the_exit_code(run: Run, rock: Path) -> None:
+def test_a_field_below_null_is_null_and_said(run: Run, rock: Path) -> None:
     done = run("spectra", "fit", rock, "--assemblage", "OL", "--field", "spectra.0.nbsr.um1.opx")
-    assert (done.code, done.out) == (0, "null\n")
+    assert (done.code, done.out) == (3, "null\n")
+    assert done.err == ["--field spectra.0.nbsr.um1.opx: no value"]
 
 
 def test_a_fit_that_explains_nothing_is_not_to_be_trusted(run: Run, rock: Path) -> None:

@@ -146,17 +146,17 @@ def test_a_start_file_brings_bands_and_continuum_and_a_result_file_comes_back(
 ) -> None:
     result = tmp_path / "rock_fin.fit"
     for prior in ("map", "damping"):
-        done = run("spectra", "fit", rock, "--start", start, "--prior", prior, "-o", result, "--force")
+        done = run("spectra", "fit", rock, "--start-file", start, "--prior", prior, "-o", result, "--force")
         assert done.code == 0, done.err
         file = read_fit_file(read_input(str(result)))
         assert len(file.bands) == 3
         assert file.continuum == "Q"
         assert file.wavelength_axis[:2] == (600, 2300)
         assert file.bands[1].center_nm == pytest.approx(960, abs=60)
-    record = fitted(run, rock, "--start", start, "--prior", "damping")
+    record = fitted(run, rock, "--start-file", start, "--prior", "damping")
     assert record["prior"] == "damping"
     assert record["assemblage"] == "fit file"
-    document = json.loads(run("spectra", "fit", rock, "--start", start, "--json").out)
+    document = json.loads(run("spectra", "fit", rock, "--start-file", start, "--json").out)
     assert any(item["path"].endswith("start.fit") for item in document["provenance"]["inputs"])
 
 
@@ -164,12 +164,12 @@ def test_minerals_of_a_start_file_s_bands_give_their_ratio(run: Run, rock: Path,
     two = start.read_text().replace("2000\t500\t-0.3\n", "1850\t500\t-0.3\n120\t150\t1\n2300\t500\t-0.2\n")
     start.write_text(two.replace("\n3\n", "\n4\n"))
     for prior in ("map", "damping"):
-        done = run("spectra", "fit", rock, "--start", start, "--prior", prior, "--json")
+        done = run("spectra", "fit", rock, "--start-file", start, "--prior", prior, "--json")
         assert "c2 of 0 stay 0" in done.err[0]
         [record] = json.loads(done.out)["result"]["spectra"]
         assert record["nbsr"] == {"um1": None, "um2": None}
         assert (record["iterations"] is None) == (prior == "map")
-        named = fitted(run, rock, "--start", start, "--prior", prior, "--band-minerals", "3=OPX,4=cpx")
+        named = fitted(run, rock, "--start-file", start, "--prior", prior, "--band-minerals", "3=OPX,4=cpx")
         assert [band["mineral"] for band in named["bands"]][2:] == ["orthopyroxene", "clinopyroxene"]
         assert 0 < named["nbsr"]["um2"]["opx"] < 1
         assert named["abundance"] is None
@@ -198,14 +198,14 @@ def test_a_result_file_holds_one_spectrum(run: Run, rock: Path, tmp_path: Path) 
         (("--prior", "damping", "--errors", "profile"), "has no posterior"),
         (("--prior", "damping", "--bound", "c0=0:1"), "knows no bounds"),
         (("--prior", "damping", "--continuum-spread"), "needs --prior map"),
-        (("--start", "x.fit", "--assemblage", "auto"), "brings its own bands"),
-        (("--start", "x.fit", "--composition", "fo=1:1"), "brings its own bands"),
-        (("--start", "x.fit", "--continuum-spread"), "brings its own continuum"),
-        (("--start", "x.fit", "--assemblage", "OL"), "leave --assemblage out"),
-        (("--start", "x.fit", "--continuum", "none"), "leave --continuum out"),
+        (("--start-file", "x.fit", "--assemblage", "auto"), "brings its own bands"),
+        (("--start-file", "x.fit", "--composition", "fo=1:1"), "brings its own bands"),
+        (("--start-file", "x.fit", "--continuum-spread"), "brings its own continuum"),
+        (("--start-file", "x.fit", "--assemblage", "OL"), "leave --assemblage out"),
+        (("--start-file", "x.fit", "--continuum", "none"), "leave --continuum out"),
         (("-o", "x.fit", "--continuum", "log-quadratic"), "no letter for log-quadratic"),
-        (("--start", "missing.fit"), "missing.fit"),
-        (("--band-minerals", "3=OPX"), "--band-minerals names bands of a file; give it as --start"),
+        (("--start-file", "missing.fit"), "missing.fit"),
+        (("--band-minerals", "3=OPX"), "--band-minerals names bands of a file; give it as --start-file"),
         (("--fix", "opx_7_center_nm"), "there is no parameter 'opx_7_center_nm'"),
         (("--composition", "fo=70"), "KEY=MEAN:ERROR"),
         (("--composition", "an=70:5"), "'an' does not belong"),
@@ -251,7 +251,7 @@ def test_a_stated_composition_takes_part_in_the_choice(run: Run, rock: Path) -> 
 
 
 def test_strengths_of_a_start_file_may_be_positive_and_have_profiles(run: Run, rock: Path, start: Path) -> None:
-    record = fitted(run, rock, "--start", start, "--bound", "band_1_strength=-1:1", "--errors", "profile")
+    record = fitted(run, rock, "--start-file", start, "--bound", "band_1_strength=-1:1", "--errors", "profile")
     assert {"band_1_strength", "band_3_strength"} <= {item["name"] for item in record["intervals"]["intervals"]}
 
 

@@ -66,7 +66,7 @@ def test_the_table_says_what_is_assumed_and_the_csv_has_one_row_each(run: Run) -
 
 
 def test_prior_posterior_and_composition_are_apart(run: Run) -> None:
-    default, uniform = craters(run, *MODES), craters(run, *MODES, "--prior", "uniform")
+    default, uniform = craters(run, *MODES), craters(run, *MODES, "--crater-prior", "uniform")
     for name, crater in default.items():
         assert uniform[name]["log_bayes_factor"] == crater["log_bayes_factor"]
     assert default["Finsen"]["prior"] != uniform["Finsen"]["prior"]
@@ -159,7 +159,7 @@ def test_maps_give_the_modes_and_a_hole_is_said(run: Run, tmp_path: Path) -> Non
             crs="+proj=longlat +R=1737400 +no_defs",
         ) as file:  # fmt: skip
             file.write(np.full((200, 300), value, "float32"), 1)
-        options += ["--map", f"{mineral}={path}"]
+        options += ["--mineral-map", f"{mineral}={path}"]
     document = json.loads(run("spectra", "match", *MODES, *options, "--json").out)
     hashes = {item["path"]: item["sha256"] for item in document["provenance"]["inputs"]}
     assert hashes == {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in tmp_path.glob("*.tif")}
@@ -220,8 +220,8 @@ def test_a_rock_that_goes_with_nothing_comes_from_elsewhere(run: Run, tmp_path: 
         ((*MODES, "--site", "1"), "give latitude and longitude"),
         ((*MODES, "--rock-life", "80:40"), "must rise"),
         ((*MODES, "--rock-life", "1:2:3"), "LOW:HIGH"),
-        ((*MODES, "--map", "olivine"), "MINERAL=FILE.tif"),
-        ((*MODES, "--annulus", "1", "--map", "ol=a.tif", "--map", "opx=b.tif"), "IN:OUT"),
+        ((*MODES, "--mineral-map", "olivine"), "MINERAL=FILE.tif"),
+        ((*MODES, "--annulus", "1", "--mineral-map", "ol=a.tif", "--mineral-map", "opx=b.tif"), "IN:OUT"),
     ],
 )
 def test_wrong_usage_is_one_line_and_exit_2(run: Run, options: tuple[str, ...], said: str) -> None:
@@ -239,8 +239,8 @@ def test_wrong_usage_is_one_line_and_exit_2(run: Run, options: tuple[str, ...], 
         (("--modes", "ol=0.9:0.1"), "olivine alone is no share"),
         (("--bands", "bc1000=0.93:0.01"), "700 to 1300 nm"),
         ((*MODES, "--craters", "missing.csv"), "missing.csv: no such file"),
-        ((*MODES, "--map", "ol=missing.tif", "--map", "opx=b.tif"), "missing.tif"),
-        ((*MODES, "--map", "ol=missing.tif"), "one map alone"),
+        ((*MODES, "--mineral-map", "ol=missing.tif", "--mineral-map", "opx=b.tif"), "missing.tif"),
+        ((*MODES, "--mineral-map", "ol=missing.tif"), "one map alone"),
         ((*MODES, "--other", "1"), "weight of other sources"),
         ((*MODES, "--thickness-factor", "0.1"), "must be 1 to 100"),
         ((*MODES, "--systematic", "10"), "systematic is 10"),

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from lunarsci.errors import ParameterError
+from lunarsci.names import meant
 from lunarsci.tables import table_rows
 
 MINERALS = {"OL": "olivine", "OPX": "orthopyroxene", "CPX": "clinopyroxene", "PLG": "plagioclase"}
@@ -95,7 +96,10 @@ def assemblage(name: str) -> Assemblage:
     parts = name.upper().split("-")
     unknown = [part for part in parts if part not in MINERALS]
     if unknown or len(set(parts)) != len(parts):
-        raise ParameterError(f"assemblage '{name}' is unknown; join some of {', '.join(MINERALS)} by '-', each once")
+        near = meant(unknown[0], MINERALS) if unknown else ""
+        raise ParameterError(
+            f"assemblage '{name}' is unknown; {near}join some of {', '.join(MINERALS)} by '-', each once"
+        )
     ordered = [key for key in MINERALS if key in parts]
     minerals = {"any", *(MINERALS[key] for key in ordered)}
     bands = tuple(_band(row) for row in _rows(BANDS, "band", minerals))

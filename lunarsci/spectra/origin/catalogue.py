@@ -14,6 +14,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.constants import MOON_RADIUS_KM
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile
+from lunarsci.names import meant
 from lunarsci.spectra.origin.composition import BANDS, MINERALS, Composition, Value
 from lunarsci.tables import table_rows
 
@@ -161,7 +162,8 @@ def _check_header(names: Sequence[str], file: str) -> None:
         raise DataError(f"{file}: has no column {', '.join(missing)}; a catalogue needs {', '.join(REQUIRED)}")
     unknown = [name for name in names if name not in COLUMNS]
     if unknown:
-        raise DataError(f"{file}: column '{unknown[0]}' is unknown; there may be {', '.join(COLUMNS)}")
+        near = meant(unknown[0], COLUMNS)
+        raise DataError(f"{file}: column '{unknown[0]}' is unknown; {near}there may be {', '.join(COLUMNS)}")
     doubled = [name for name in names if names.count(name) > 1]
     if doubled:
         raise DataError(f"{file}: column {doubled[0]} is there twice; keep one")

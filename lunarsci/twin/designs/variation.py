@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from lunarsci.errors import ParameterError
+from lunarsci.names import meant
 from lunarsci.rovers import RoverDescription
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
@@ -76,7 +77,9 @@ def check_names(variations: Sequence[Variation], description: RoverDescription, 
         if reason is not None:
             raise ParameterError(f"{name} changes nothing here: {reason}")
         if name not in known:
-            raise ParameterError(f"{name} is no number of {description.name}; these are: {SPEED}, {', '.join(known)}")
+            raise ParameterError(
+                f"{name} is no number of {description.name}; {meant(name, known)}these are: {SPEED}, {', '.join(known)}"
+            )
         if name.startswith("body.") and not any(_judges_body(plan) for plan in plans):
             raise ParameterError(
                 f"{name} changes nothing here: no plan limits clearance_m or has a [[keep_out]], and no force depends "

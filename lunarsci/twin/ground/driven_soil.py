@@ -10,6 +10,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import DataError
 from lunarsci.inputs import InputFile, read_input
+from lunarsci.names import one_of
 from lunarsci.regolith.soil import Soil
 from lunarsci.tables import numbers_of, read_csv_table
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, from_si, soil_override
@@ -98,7 +99,7 @@ def read_soil_samples(
     try:
         unknown = [str(name) for name in table if name not in SOIL_COLUMNS]
         if unknown:
-            raise DataError(f"'{unknown[0]}' is not a soil parameter; these are: {', '.join(SOIL_COLUMNS)}")
+            raise DataError(f"'{unknown[0]}' is not a soil parameter; {one_of(unknown[0], SOIL_COLUMNS)}")
         if table.empty:
             raise DataError("no soils; a row for each is wanted")
         rows = _rows(len(table), members, seed)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.names import one_of
 from lunarsci.rovers import RoverDescription
 from lunarsci.twin.ground.cost_layers import CostLayer
 from lunarsci.twin.ground.keep_out import Zones, within
@@ -73,7 +74,7 @@ def read_mobility(description: RoverDescription, rover: Rover) -> Mobility:
     table = description.tables.get("limits", {})
     names = [field.name for field in fields(Mobility) if field.name != "assumed"]
     if unknown := set(table) - set(names):
-        raise DataError(f"{description.origin}: [limits] has no '{min(unknown)}'; these are: {', '.join(names)}")
+        raise DataError(f"{description.origin}: [limits] has no '{min(unknown)}'; {one_of(min(unknown), names)}")
     track = 2.0 * rover.rocker_pivot_y_m
     values: dict[str, float | None] = {
         "max_slope_deg": FALLBACK_SLOPE_DEG,

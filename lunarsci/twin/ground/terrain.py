@@ -12,6 +12,7 @@ import numpy.typing as npt
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.errors import ParameterError
+from lunarsci.names import one_of
 from lunarsci.regolith.soil import Soil
 from lunarsci.twin.ground.height_errors import EXACT, GRAIN_NODES, HeightErrors
 from lunarsci.twin.lanes import CLIFF, FINISHED, GROUP, HOLE, LEFT, SANK, WHEEL
@@ -98,7 +99,7 @@ class Terrain:
             raise ParameterError("terrain x0_m, y0_m and spacing_m must be finite, spacing_m above 0")
         if self.interpolation not in INTERPOLATIONS:
             raise ParameterError(
-                f"terrain interpolation is '{self.interpolation}'; choose from: {', '.join(INTERPOLATIONS)}"
+                f"terrain interpolation is '{self.interpolation}'; {one_of(self.interpolation, INTERPOLATIONS)}"
             )
         if np.isinf(self.height_m).any():
             raise ParameterError("terrain height_m is infinite somewhere; use NaN where the height is unknown")
@@ -357,7 +358,7 @@ def soil_overrides(parameters: Mapping[str, npt.ArrayLike], count: int) -> Float
 
 def _column(name: str) -> int:
     if name not in SOIL_COLUMNS:
-        raise ParameterError(f"'{name}' is not a soil parameter; these are: {', '.join(SOIL_COLUMNS)}")
+        raise ParameterError(f"'{name}' is not a soil parameter; {one_of(name, SOIL_COLUMNS)}")
     return SOIL_COLUMNS[name]
 
 

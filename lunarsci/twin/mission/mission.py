@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import Source, read_input
+from lunarsci.names import one_of
 from lunarsci.twin.ground.keep_out import ExclusionZone
 from lunarsci.twin.plans.plan import Fixes
 
@@ -153,7 +154,7 @@ def _mission(document: Mapping[str, Any], origin: str) -> Mission:
     known = ("name", *OWN, "start", "fixes", *TABLES)
     for key in document:
         if key not in known:
-            raise ParameterError(f"'{key}' is not a key of a mission; these are: {', '.join(known)}")
+            raise ParameterError(f"'{key}' is not a key of a mission; {one_of(key, known)}")
     lists = {name: _records(kind, document.get(name, []), name) for name, kind in TABLES.items()}
     return Mission(
         name=_value(document.get("name", origin), str, "name"),
@@ -179,7 +180,7 @@ def _record(kind: type[T], table: Any, where: str) -> T:
         raise ParameterError(f"{where} is missing, or no table; its keys are: {', '.join(known)}")
     for key in table:
         if key not in known:
-            raise ParameterError(f"'{key}' is not a key of {where}; these are: {', '.join(known)}")
+            raise ParameterError(f"'{key}' is not a key of {where}; {one_of(key, known)}")
     for name, field in known.items():
         if name not in table and field.default is MISSING:
             raise ParameterError(f"{where} has no {name}")

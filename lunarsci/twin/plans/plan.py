@@ -10,6 +10,7 @@ from typing import Any, Literal
 from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import Source, read_input
+from lunarsci.names import one_of
 from lunarsci.rovers import MadeFor
 from lunarsci.twin.ground.keep_out import ExclusionZone
 from lunarsci.twin.ground.terrain import soil_override
@@ -369,7 +370,7 @@ def _check_keys(table: Any, known: Iterable[str], where: str) -> None:
         raise ParameterError(f"{where} must be a table")
     for key in table:
         if key not in known:
-            raise ParameterError(f"'{key}' is not a key of {where}; these are: {', '.join(known)}")
+            raise ParameterError(f"'{key}' is not a key of {where}; {one_of(key, known)}")
 
 
 def _number(value: Any, name: str) -> float:

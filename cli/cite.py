@@ -1,0 +1,29 @@
+"""`lunarsci cite`: what to cite for results."""
+
+from typing import Annotated
+
+import typer
+
+from .shared.command import command
+from .shared.report import Report
+from .shared.table import TextTable
+
+Results = Annotated[list[str], typer.Argument(metavar="RESULT…", help="Files of --json, or folders of -o.")]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the command."""
+    command(app, "cite")(cite)
+
+
+def cite(results: Results) -> Report:
+    """What to cite for results, as BibTeX: the sources that they name, each once, and lunarsci.
+
+    Titles of papers are not in a result; the DOI of an entry leads to them. --csv and --json have the sources as a
+    table, -o FILE.bib writes the entries.
+    """
+    from lunarsci.guide.cite import cite
+
+    found = cite(results)
+    rows = [[key, one.text] for key, one in found.keyed.items()]
+    return Report.of(found, [TextTable(["key", "source"], rows)], figures=None, raw=found.bibtex)

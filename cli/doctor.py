@@ -1,0 +1,39 @@
+"""`lunarsci doctor`: whether lunarsci works here."""
+
+from typing import TYPE_CHECKING
+
+import typer
+
+from .shared.command import command
+from .shared.options import Output
+from .shared.progress import progress
+from .shared.report import Report
+from .shared.table import TextTable
+
+if TYPE_CHECKING:
+    from lunarsci.guide.doctor import HealthReport
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the command."""
+    command(app, "doctor")(doctor)
+
+
+def doctor(output: Output) -> Report:
+    """Whether lunarsci works here: versions, extras, compiled code, threads, and a small test of each part.
+
+    The tests compare with what is known: a made-up band, a published wheel load, where a short drive ends. They take a
+    few seconds, and some minutes where code is compiled for the first time. Exit code 3: something is off.
+    """
+    from lunarsci.guide.doctor import doctor
+
+    with progress("testing", quiet=output.quiet) as update:
+        found = doctor(progress=update)
+    return Report.of(found, [_table(found)], figures=None)
+
+
+def _table(found: "HealthReport") -> TextTable:
+    lines = [f"{'ok ' if not one.trouble else 'OFF'}  {one.name}: {one.found}" for one in found.checks]
+    lines += [f"     {line}" for line in found.trouble]
+    title = f"{len(found.trouble)} of {len(found.checks)} things are off" if found.trouble else "all is well"
+    return TextTable([], [], title=title, notes=lines)

@@ -1,0 +1,48 @@
+"""`lunarsci info`: what a file is, and what can be done with it."""
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .shared.command import command
+from .shared.report import Report
+from .shared.table import TextTable, significant
+
+if TYPE_CHECKING:
+    from lunarsci.guide.info import FileInfo
+
+File = Annotated[str, typer.Argument(metavar="FILE", help="Any file, or the folder of a result; - is stdin.")]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the command."""
+    command(app, "info")(info)
+
+
+def info(file: File) -> Report:
+    """What a file is, what is in it, and which commands take it.
+
+    Spectra, image cubes, pictures, terrains, plans, missions, rovers, soils, beliefs, telemetry, wheel states,
+    catalogues and results are known. Exit code 3: it is one of these, but commands would refuse it, and why.
+    """
+    from lunarsci.guide.info import info
+
+    found = info(file)
+    return Report.of(found, [_contents(found), _commands(found)], figures=None)
+
+
+def _contents(found: "FileInfo") -> TextTable:
+    rows = [[name, _text(value)] for name, value in found.contents.items() if value is not None]
+    notes = [*found.remarks, *([found.trouble] if found.trouble else [])]
+    return TextTable(["what", "value"] if rows else [], rows, title=f"{found.file}: {found.title}", notes=notes)
+
+
+def _text(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return significant(value, 4) if isinstance(value, float) else str(value)
+
+
+def _commands(found: "FileInfo") -> TextTable:
+    lines = [f"  {line}" for line in found.commands] or ["  none that is known"]
+    return TextTable([], [], title="Commands that take it", notes=lines)

@@ -1,0 +1,30 @@
+"""`lunarsci template`: files to begin with."""
+
+from typing import Annotated
+
+import typer
+
+from .shared.command import command
+from .shared.report import Report
+from .shared.table import TextTable
+
+Kind = Annotated[
+    str, typer.Argument(metavar="KIND", help="What to begin: rover, soil, plan, mission, craters or telemetry.")
+]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the command."""
+    command(app, "template")(template)
+
+
+def template(kind: Kind) -> Report:
+    """A file to begin with, every key with its meaning, unit and a value; commands take it as it is.
+
+    What may be left out stands after a #. Change the numbers to yours; `lunarsci info FILE` says whether the file is
+    still right.
+    """
+    from lunarsci.guide.template import template
+
+    found = template(kind)
+    return Report.of(found, [TextTable([], [], title=found.name)], figures=None, raw=lambda: found.text)

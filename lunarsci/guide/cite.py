@@ -1,0 +1,147 @@
+"""The sources of results, and lunarsci itself, as BibTeX, as a job."""
+
+import re
+import unicodedata
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+from lunarsci.report.documents import Document, read_results
+from lunarsci.result import MadeFrom, Result
+
+REFERENCE = re.compile(r"^(?P<authors>[^()]{2,120}?) \((?P<year>1[89]\d\d|20\d\d)\), (?P<rest>.+)$", re.DOTALL)
+DOI = re.compile(r"(?<![\w.])(?:doi:? )?(10\.\d{4,9}/[^\s:;,]+(?<![.)])(?:\)(?=[A-Z0-9]))?[^\s:;,()]*)")
+PLACE = re.compile(
+    r"^(?P<journal>[^,\d][^,]*?(?:, [^,\d][^,]*?)?) (?P<volume>\d+)(?:, (?P<page>[A-Z]?\d[\w-]*|e\d\w+))?(?=[,;:]|$)"
+)
+"""A reference as results name it: `Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8`."""
+TITLE = "lunarsci: rock, ground and drive of a lunar rover"
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """One source: the text that the result has, and what could be told from it; '' where it could not."""
+
+    text: str
+    authors: str = ""
+    year: str = ""
+    journal: str = ""
+    volume: str = ""
+    page: str = ""
+    doi: str = ""
+
+    @property
+    def key(self) -> str:
+        """Such as ding2024; the same for two papers of one author and year, which `keyed` tells apart."""
+        plain = unicodedata.normalize("NFKD", self.authors or self.text).encode("ascii", "ignore").decode()
+        first = re.sub(r"[^a-z]", "", re.split(r"[\s,]", plain.lower())[0])
+        return f"{first or 'source'}{self.year}"
+
+    @property
+    def fields(self) -> dict[str, str]:
+        """Fields of its entry. A title is not in the text of a result; the DOI leads to it."""
+        names = re.sub(r",? et al\.?", " and others", self.authors)
+        names = re.sub(r" & |, ", " and ", names)
+        named = {"author": names, "year": self.year, "journal": self.journal, "volume": self.volume, "pages": self.page}
+        return {name: value for name, value in (named | {"doi": self.doi, "note": self.text}).items() if value}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CitedSources(Result):
+    """What to cite for some results.
+
+    Attributes
+    ----------
+    references : each source once, in the order in which results name them.
+    documents : the results.
+    """
+
+    schema: ClassVar[str] = "cite/1"
+    references: Sequence[Reference]
+    documents: Sequence[Document]
+
+    @property
+    def made_from(self) -> MadeFrom:
+        sources = [reference.text for reference in self.references]
+        return MadeFrom(inputs={one.name: one.sha256 for one in self.documents}, sources=sources)
+
+    @property
+    def keyed(self) -> dict[str, Reference]:
+        """The references by keys that are different: ding2024, ding2024b and so on."""
+        found: dict[str, Reference] = {}
+        for one in self.references:
+            letters = (f"{one.key}{letter}" for letter in ("", *"bcdefghijklmnopqrstuvwxyz"))
+            found[next(key for key in letters if key not in found)] = one
+        return found
+
+    @property
+    def versions(self) -> list[str]:
+        """Versions of lunarsci that made the results."""
+        return sorted({str(one.provenance.get("version") or "") for one in self.documents} - {""})
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"sources": self.rows(), "versions": self.versions, "bibtex": self.bibtex()}
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """One a source."""
+        keys = ("text", "authors", "year", "journal", "volume", "page", "doi")
+        return [{"key": key} | {name: getattr(one, name) or None for name in keys} for key, one in self.keyed.items()]
+
+    def bibtex(self) -> str:
+        """The entries, that of lunarsci first."""
+        note = f"version {', '.join(self.versions)}" if self.versions else ""
+        own = {"author": "{lunarsci contributors}", "title": f"{{{TITLE}}}", "note": note}
+        entries = [_entry("misc", "lunarsci", {name: value for name, value in own.items() if value}, braced=False)]
+        for key, one in self.keyed.items():
+            entries.append(_entry("article" if one.journal else "misc", key, one.fields))
+        return "\n".join(entries)
+
+
+def _entry(kind: str, key: str, fields: Mapping[str, str], braced: bool = True) -> str:
+    """`@article{ding2024, ...}`; signs that TeX takes for commands are escaped."""
+    lines = [f"  {name} = {{{value if not braced else _tex(name, value)}}}," for name, value in fields.items()]
+    return "\n".join([f"@{kind}{{{key},", *lines, "}", ""])
+
+
+def _tex(name: str, value: str) -> str:
+    return value if name == "doi" else re.sub(r"([&%$#_])", r"\\\1", value)
+
+
+def reference_of(text: str) -> Reference:
+    """What can be told from a source as results name it.
+
+    >>> found = reference_of("Clark & Roush (1984), J. Geophys. Res. 89, 6329, 10.1029/JB089iB07p06329")
+    >>> found.key, found.journal, found.volume, found.page, found.doi
+    ('clark1984', 'J. Geophys. Res.', '89', '6329', '10.1029/JB089iB07p06329')
+    """
+    doi = DOI.search(text)
+    found = REFERENCE.match(text)
+    if found is None:
+        year = re.search(r"\b(1[89]\d\d|20\d\d)\b", text)
+        return Reference(text, year=year[1] if year else "", doi=doi[1] if doi else "")
+    place = PLACE.match(found["rest"])
+    return Reference(
+        text,
+        authors=found["authors"],
+        year=found["year"],
+        journal=place["journal"].strip() if place else "",
+        volume=place["volume"] if place else "",
+        page=(place["page"] or "") if place else "",
+        doi=doi[1] if doi else "",
+    )
+
+
+def cite(results: Sequence[str | Path] | str | Path) -> CitedSources:
+    """What to cite for results: JSON files of commands, or folders of their -o.
+
+    Sources that differ only in what follows the DOI are one. Raises DataError for what is no result.
+    """
+    paths = [results] if isinstance(results, str | Path) else list(results)
+    documents, _ = read_results(paths)
+    found: dict[str, Reference] = {}
+    for document in documents:
+        for text in document.provenance.get("sources") or ():
+            one = reference_of(str(text))
+            found.setdefault(one.doi or one.text, one)
+    return CitedSources(references=list(found.values()), documents=documents)

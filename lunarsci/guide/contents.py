@@ -1,0 +1,200 @@
+"""What is in a file of each kind, by the readers that the commands use."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from lunarsci.inputs import InputFile, read_json
+
+MOST = 6
+"""Names that are listed."""
+
+
+def _listed(names: Any) -> str:
+    texts = [str(name) for name in names]
+    return ", ".join(texts[:MOST]) + (f" and {len(texts) - MOST} more" if len(texts) > MOST else "")
+
+
+def _spectra(file: InputFile) -> Mapping[str, Any]:
+    from lunarsci.spectra.readers.dispatch import read_spectra
+
+    rows = read_spectra(file)
+    first = rows[0]
+    return {
+        "spectra": len(rows),
+        "names": _listed(one.id for one in rows[:100]),
+        "channels": len(first.wavelength_nm),
+        "from_nm": float(first.wavelength_nm[0]),
+        "to_nm": float(first.wavelength_nm[-1]),
+        "errors": first.uncertainty is not None,
+    }
+
+
+def _cube(file: InputFile) -> Mapping[str, Any]:
+    return {"bytes": len(file.data)}
+
+
+def _craters(file: InputFile) -> Mapping[str, Any]:
+    from lunarsci.spectra.origin.catalogue import read_catalogue
+
+    craters = read_catalogue(file)
+    return {"craters": len(craters), "names": _listed(crater.name for crater in craters)}
+
+
+def _plan(file: InputFile) -> Mapping[str, Any]:
+    from lunarsci.twin.plans.plan import read_plan
+
+    plan = read_plan(file)
+    return {
+        "name": plan.name,
+        "legs": len(plan.legs),
+        "length_m": plan.length_m,
+        "speed_m_s": plan.speed_m_s,
+        "limits": "its own" if plan.own_limits else "those of the embedded plan, Yutu-2's",
+        "sweeps": _listed(sweep.name for sweep in plan.sweep) or "none",
+        "made for": "any rover" if plan.made_for is None else plan.made_for.name,
+    }
+
+
+def _mission(file: InputFile) -> Mapping[str, Any]:
+    from lunarsci.twin.mission.mission import read_mission
+
+    mission = read_mission(file)
+    return {
+        "name": mission.name,
+        "targets": _listed(target.name for target in mission.targets),
+        "keep-out circles": len(mission.keep_outs),
+        "hours of communication": len(mission.windows),
+    }
+
+
+def _rover(file: InputFile) -> Mapping[str, Any]:
+    from lunarsci.regolith.wheel import read_wheel
+    from lunarsci.rovers import read_rover
+    from lunarsci.twin.rover import build_rover
+
+    description = read_rover(file.name)
+    wheel = read_wheel(description)
+    told = {"name": description.name, "wheel radius_m": wheel.radius_m, "wheel width_m": wheel.width_m}
+    told |= {"assumed numbers": len(description.assumed)}
+    if "suspension" not in description.tables:
+        return told | {"parts": "a wheel alone"}
+    rover = build_rover(description)
+    return told | {"mass_kg": rover.mass_kg, "wheels": _listed(rover.wheels), "max_speed_m_s": rover.max_speed_m_s}
+
+
+def _soil(file: InputFile) -> Mapping[str, Any]:
+    import dataclasses
+
+    from lunarsci.regolith.soil import read_soil
+
+    return dataclasses.asdict(read_soil(file.name))
+
+
+def _pose(file: InputFile) -> Mapping[str, Any]:
+    from lunarsci.images.rig_files import read_pose
+
+    pose = read_pose(file)
+    return {"position_m": _listed(f"{value:g}" for value in pose.center_m), "heading_deg": pose.angles_deg()[0]}
+
+
+def _rig(file: InputFile) -> Mapping[str, Any]:
+    from lunarsci.images.rig_files import read_rig
+
+    rig = read_rig(file)
+    return {"name": rig.name, "baseline_m": float(rig.baseline_m)}
+
+
+def _terrain(file: InputFile) -> Mapping[str, Any]:
+    import numpy as np
+
+    from lunarsci.grids import ERROR_LAYERS, read_grid
+    from lunarsci.twin.ground.terrain import SOIL_COLUMNS
+
+    soil = (*SOIL_COLUMNS, *(f"{one}_left_of_prior" for one in SOIL_COLUMNS))
+    grid = read_grid(file.name, (), (*soil, *ERROR_LAYERS))
+    known = grid.height_m[np.isfinite(grid.height_m)]
+    ny, nx = grid.height_m.shape
+    return {
+        "name": grid.name,
+        "nodes": f"{nx} x {ny}",
+        "spacing_m": grid.spacing_m,
+        "x_m": f"{grid.x0_m:g} to {grid.x0_m + (nx - 1) * grid.spacing_m:g}",
+        "y_m": f"{grid.y0_m:g} to {grid.y0_m + (ny - 1) * grid.spacing_m:g}",
+        "height_m": f"{known.min():.3f} to {known.max():.3f}",
+        "holes": f"{1 - known.size / grid.height_m.size:.1%}",
+        "coordinate system": "local" if not grid.crs else "projected",
+    }
+
+
+def _belief(file: InputFile) -> Mapping[str, Any]:
+    from lunarsci.regolith.belief import read_belief
+
+    belief = read_belief(file)
+    medians = {name: f"{ends[0]:.4g}" for name, ends in belief.intervals().items()}
+    return {"drives": len(belief.history)} | {f"median {name}": value for name, value in medians.items()}
+
+
+def _soil_map(file: InputFile) -> Mapping[str, Any]:
+    from lunarsci.twin.ground.soil_map import read_soil_map
+
+    found = read_soil_map(file)
+    return {"zones": len(found.zones), "correlation_m": found.correlation_m}
+
+
+def _rows(file: InputFile) -> Mapping[str, Any]:
+    from lunarsci.tables import read_csv_table
+
+    table = read_csv_table(file)
+    told: dict[str, Any] = {"rows": len(table), "columns": _listed(table.columns)}
+    if "wheel" in table:
+        told["wheels"] = _listed(dict.fromkeys(table["wheel"]))
+    return told
+
+
+def _states(file: InputFile) -> Mapping[str, Any]:
+    from lunarsci.regolith.states import read_state_table
+    from lunarsci.regolith.wheel import read_wheel
+
+    table = read_state_table(file, read_wheel("yutu2"))
+    return _rows(file) | {
+        "columns of no use": _listed(table.unused) or "none",
+        "range checked for": "the wheel of yutu2",
+    }
+
+
+def _telemetry(file: InputFile) -> Mapping[str, Any]:
+    from lunarsci.twin.rover import build_rover
+    from lunarsci.twin.telemetry.reading import Findings, read_telemetry
+
+    rover = build_rover("small-four" if b"FL" in file.data and b"_ML_" not in file.data else "yutu2")
+    found = read_telemetry(file, rover, Findings(file.name))
+    time = found.time_s
+    return {
+        "rows": len(time),
+        "from_s": float(time.min()),
+        "to_s": float(time.max()),
+        "wheels": _listed(rover.wheels),
+        "synthetic": found.synthetic,
+    }
+
+
+def _result(file: InputFile) -> Mapping[str, Any]:
+    found = read_json(file, "a result", lambda value: value)
+    record = found.get("provenance") or {}
+    return {
+        "schema": str(found["schema"]).removeprefix("lunarsci/"),
+        "command": record.get("command"),
+        "version": record.get("version"),
+        "time_utc": record.get("time_utc"),
+        "keys": _listed(found.get("result") or ()),
+        "inputs": _listed(one.get("path") for one in record.get("inputs") or ()) or "none",
+    }
+
+
+CONTENTS: Mapping[str, Callable[[InputFile], Mapping[str, Any]]] = {
+    "spectra": _spectra, "library": _spectra, "vnis": _spectra, "cube": _cube, "craters": _craters, "plan": _plan,
+    "mission": _mission, "rover": _rover, "soil": _soil, "pose": _pose, "rig": _rig, "terrain": _terrain,
+    "belief": _belief, "soil map": _soil_map, "telemetry": _telemetry, "states": _states, "motion": _rows,
+    "positions": _rows, "track": _rows, "soils": _rows, "table": _rows, "result": _result,
+}  # fmt: skip
+"""What a reader says of a file, by its kind."""

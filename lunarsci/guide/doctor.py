@@ -1,0 +1,164 @@
+"""Whether lunarsci works here: versions, extras, compiled code, threads, and a test of each part, as a job."""
+
+import os
+import platform
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, ClassVar
+
+from lunarsci.provenance import installed_version
+from lunarsci.result import Result
+
+NEEDED = ("numpy", "scipy", "lmfit", "astropy", "pandas", "typer", "rich", "matplotlib", "numba")
+EXTRAS: Mapping[str, tuple[str, ...]] = {
+    "cubes": ("rasterio", "xarray", "h5netcdf"),
+    "cluster": ("distributed",),
+    "images": ("cv2",),
+    "parquet": ("pyarrow",),
+    "report": ("jinja2",),
+}
+"""Extras of the package, and the modules they bring."""
+STIFFNESS_KPA, SINKAGE_M, LOAD_N = 1443.0, 0.008, 32.03
+"""Equivalent stiffness at N = 1, sinkage, and load on a wheel: Ding et al. (2024), 10.1038/s41467-024-46233-8, Fig. 4;
+the load is that of F_N/b = 213.5 N/m on a wheel 0.15 m wide."""
+LOAD_WITHIN = 0.01
+CENTER_NM, CENTER_WITHIN_NM = 950.0, 5.0
+"""Centre of a Gaussian absorption that is made up, and how near to it the band must be found; assumed."""
+DRIVE_M, END_WITHIN_M = 0.6, 0.1
+"""Length of a drive over nearly level ground, and how near to where it was planned it must end; assumed."""
+
+
+@dataclass(frozen=True, slots=True)
+class HealthCheck:
+    """One thing that was looked at: what was found, and why it is off; '' if it is not."""
+
+    part: str
+    name: str
+    found: str
+    trouble: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class HealthReport(Result):
+    """What was looked at."""
+
+    schema: ClassVar[str] = "doctor/1"
+    checks: Sequence[HealthCheck]
+
+    @property
+    def trouble(self) -> list[str]:
+        return [f"{one.name}: {one.trouble}" for one in self.checks if one.trouble]
+
+    @property
+    def untrusted(self) -> str:
+        return f"not to be trusted here: {'; '.join(self.trouble)}" if self.trouble else ""
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"checks": self.rows(), "trouble": len(self.trouble)}
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """One a check."""
+        return [
+            {"part": one.part, "name": one.name, "found": one.found, "trouble": one.trouble or None}
+            for one in self.checks
+        ]
+
+
+def doctor(*, progress: Callable[[int, int], None] = lambda done, total: None) -> HealthReport:
+    """Look at everything. The tests take a few seconds where the code is compiled already, a few minutes else."""
+    tests: Mapping[str, Callable[[], tuple[str, str]]] = {"rock": _rock, "ground": _ground, "drive": _drive}
+    checks = [_versions(), *map(_extra, EXTRAS), _cache(), _threads()]
+    for number, (name, test) in enumerate(tests.items()):
+        progress(number, len(tests))
+        checks.append(_tested(name, test))
+    return HealthReport(checks=checks)
+
+
+def _versions() -> HealthCheck:
+    found = {name: installed_version(name) for name in ("lunarsci", *NEEDED)}
+    missing = [name for name, version in found.items() if version is None]
+    told = ", ".join(f"{name} {version}" for name, version in found.items() if version)
+    trouble = f"not installed: {', '.join(missing)}; pip install lunarsci" if missing else ""
+    return HealthCheck("installation", "versions", f"python {platform.python_version()}, {told}", trouble)
+
+
+def _extra(name: str) -> HealthCheck:
+    """An extra that is not there is said, and is no trouble."""
+    missing = [module for module in EXTRAS[name] if find_spec(module) is None]
+    found = f"not there; pip install 'lunarsci[{name}]'" if missing else "there"
+    return HealthCheck("installation", f"extra {name}", found)
+
+
+def _cache() -> HealthCheck:
+    """The folder of compiled code: NUMBA_CACHE_DIR, or beside the modules."""
+    import lunarsci
+
+    named = os.environ.get("NUMBA_CACHE_DIR")
+    folder = Path(named) if named else Path(lunarsci.__file__).parent
+    files = [path for path in folder.rglob("*.nb[ci]") if path.is_file()] if folder.is_dir() else []
+    size = sum(path.stat().st_size for path in files) / 1e6
+    there = next(path for path in (folder, *folder.parents) if path.is_dir())
+    trouble = (
+        ""
+        if os.access(there, os.W_OK)
+        else "cannot be written to, so that every run compiles anew; set NUMBA_CACHE_DIR"
+    )
+    return HealthCheck("installation", "compiled code", f"{folder}: {len(files)} files, {size:.0f} MB", trouble)
+
+
+def _threads() -> HealthCheck:
+    import numba
+
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return HealthCheck("installation", "threads", f"{numba.get_num_threads()} of {usable} usable cores")
+
+
+def _tested(name: str, test: Callable[[], tuple[str, str]]) -> HealthCheck:
+    """A test, timed; whatever it raises is trouble, for this is what a doctor is asked for."""
+    begin = time.monotonic()
+    try:
+        found, trouble = test()
+    except Exception as error:
+        found, trouble = "failed", f"{type(error).__name__}: {error}"
+    return HealthCheck("test", name, f"{found}, in {time.monotonic() - begin:.1f} s", trouble)
+
+
+def _off(what: str, value: float, truth: float, within: float, unit: str) -> tuple[str, str]:
+    told = f"{what} {value:.4g} {unit}, and {truth:.4g} {unit} is right"
+    return told, "" if abs(value - truth) <= within else f"off by more than {within:.2g} {unit}"
+
+
+def _rock() -> tuple[str, str]:
+    """The centre of a Gaussian absorption in a made-up spectrum."""
+    import numpy as np
+
+    from lunarsci.spectra.jobs.bands import bands
+
+    nm = np.arange(450.0, 2400.0, 5.0)
+    depth = sum(
+        d * np.exp(-4 * np.log(2) * ((nm - c) / w) ** 2) for c, w, d in ((CENTER_NM, 180, 0.4), (1950, 450, 0.2))
+    )
+    found = bands((nm, 0.1 * np.exp(-depth)), continuum="hull").to_dict()["spectra"][0]
+    return _off("band at", found["bc1000_nm"], CENTER_NM, CENTER_WITHIN_NM, "nm")
+
+
+def _ground() -> tuple[str, str]:
+    """The load that a wheel of Yutu-2 carries at a published sinkage and stiffness."""
+    from lunarsci.regolith.jobs.wheel_forces import wheel_forces
+
+    found = wheel_forces(sinkage=SINKAGE_M, stiffness=STIFFNESS_KPA, exponent=1.0, slip=0.0).rows()[0]
+    return _off("load of", found["normal_force_n"], LOAD_N, LOAD_WITHIN * LOAD_N, "N")
+
+
+def _drive() -> tuple[str, str]:
+    """Where a short drive ends."""
+    import io
+
+    from lunarsci.twin.jobs.predict import predict
+
+    plan = f'name = "doctor"\n[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = {DRIVE_M}\n'
+    end = predict(io.StringIO(plan)).to_dict()["endpoint"]
+    return _off("ends", end["bias_m"], 0.0, END_WITHIN_M, "m")

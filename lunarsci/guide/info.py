@@ -1,0 +1,248 @@
+"""What a file is, what is in it, and which commands take it, as a job.
+
+The kind is told from the content first, and from the name only where the content leaves it open; what is in the file is
+said by the reader that the commands use, so that a file that they would refuse is known to be one.
+"""
+
+import csv
+import tomllib
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+from lunarsci.documents import toml_document
+from lunarsci.errors import DataError, LunarSciError, LunarSciWarning
+from lunarsci.guide.contents import CONTENTS
+from lunarsci.inputs import InputFile, beginning, read_input, read_json
+from lunarsci.result import MadeFrom, Result
+
+
+@dataclass(frozen=True, slots=True)
+class KindOfFile:
+    """What files of a kind are called, and the commands that take them."""
+
+    title: str
+    commands: tuple[str, ...]
+
+
+SPECTRUM = ("spectra bands", "spectra indices", "spectra fit", "spectra unmix", "spectra library import")
+GROUND = ("twin terrain", "twin plan", "twin predict --terrain")
+KINDS: Mapping[str, KindOfFile] = {
+    "spectra": KindOfFile("reflectance spectra", SPECTRUM),
+    "library": KindOfFile("library of end members", ("spectra library list", "spectra unmix --library", *SPECTRUM)),
+    "vnis": KindOfFile("product of Chang'E-4 VNIS", ("spectra calibrate", *SPECTRUM)),
+    "cube": KindOfFile("image cube", ("spectra map",)),
+    "mgm": KindOfFile("start or result file of the RELAB MGM program", ("spectra fit --start-file",)),
+    "craters": KindOfFile("catalogue of craters", ("spectra match --craters", "spectra map --craters")),
+    "plan": KindOfFile("plan of a drive", ("twin predict", "twin simulate", "twin forces", "twin states")),
+    "mission": KindOfFile("mission of several targets", ("twin plan --mission",)),
+    "rover": KindOfFile("rover", ("twin predict --rover", "twin plan --rover", "regolith forces --rover")),
+    "soil": KindOfFile("soil", ("twin predict --soil", "regolith forces --soil")),
+    "pose": KindOfFile("pose of a camera", ("images dem --pose", "images locate")),
+    "rig": KindOfFile("stereo rig of two cameras", ("images cameras", "images dem --rig", "images locate --rig")),
+    "config": KindOfFile("options of commands", ("any command --config",)),
+    "terrain": KindOfFile("heights on a grid", (*GROUND, "images track", "images rocks", "images merge")),
+    "zones": KindOfFile("ground to keep out of, or a line", ("twin predict --keep-out", "images track --line")),
+    "belief": KindOfFile("belief of a soil", ("twin predict --soil", "twin update --soil", "twin history")),
+    "soil map": KindOfFile("soil by place", ("twin predict --soil", "twin update --soil")),
+    "telemetry": KindOfFile("telemetry of a drive", ("twin states",)),
+    "states": KindOfFile("states of wheels", ("regolith identify", "regolith infer", "twin update", "twin compare")),
+    "motion": KindOfFile("motion of a rover", ("twin loads --motion",)),
+    "positions": KindOfFile("localised positions", ("twin states --positions", "twin update --positions")),
+    "track": KindOfFile("depth of a track", ("twin states --track", "images render --track")),
+    "soils": KindOfFile("soils, a row each", ("twin predict --soil",)),
+    "picture": KindOfFile("picture", ("images dem", "images calibrate", "report")),
+    "result": KindOfFile("result of a command", ("report", "cite")),
+    "table": KindOfFile("table of another kind", ()),
+}
+TAKEN_BY = {
+    "spectra-fit": ("spectra match",),
+    "spectra-bands": ("spectra match",),
+    "spectra-unmix": ("spectra match",),
+    "regolith-identify": ("regolith compare",),
+    "regolith-infer": ("regolith compare",),
+    "twin-predict": ("twin compare",),
+}
+"""Commands that take the result of another, by its schema."""
+TOML_KEYS = {
+    "plan": ("leg",),
+    "mission": ("target",),
+    "rover": ("wheel",),
+    "soil": ("cohesion_pa",),
+    "pose": ("position_m",),
+    "rig": ("left", "right"),
+}
+CSV_COLUMNS = {
+    "craters": ("latitude_deg", "longitude_deg", "diameter_km"),
+    "terrain": ("x_m", "y_m", "height_m"),
+    "track": ("x_m", "y_m", "rut_m"),
+    "states": ("sinkage_m", "slip_ratio"),
+    "states ": ("sinkage_m", "normal_force_n"),
+    "motion": ("time_s", "x_m", "y_m", "yaw_deg"),
+    "positions": ("time_s", "x_m", "y_m"),
+    "soils": ("stiffness_kpa_m_n",),
+}
+"""Keys and columns that tell a kind, the first that fits; telemetry is a motion with what wheels did."""
+MAGIC = {
+    b"\x89PNG": "picture",
+    b"\xff\xd8\xff": "picture",
+    b"PK\x03\x04": "terrain",
+    b"\x89HDF": "cube",
+    b"CDF": "cube",
+}
+SUFFIXES = {
+    ".tif": "terrain", ".tiff": "terrain", ".asc": "terrain", ".2b": "vnis", ".2bl": "vnis", ".img": "cube",
+    ".geojson": "zones",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FileInfo(Result):
+    """What a file is.
+
+    Attributes
+    ----------
+    file, sha256 : which.
+    kind : one of `KINDS`.
+    contents : what its reader finds in it, by words.
+    trouble : why its reader refuses it; '' if it does not.
+    remarks : what its reader warns of.
+    further : commands that take it beside those of its kind.
+    """
+
+    schema: ClassVar[str] = "info/1"
+    file: str
+    sha256: str
+    kind: str
+    contents: Mapping[str, Any]
+    trouble: str = ""
+    remarks: Sequence[str] = ()
+    further: Sequence[str] = ()
+
+    @property
+    def made_from(self) -> MadeFrom:
+        return MadeFrom(inputs={self.file: self.sha256})
+
+    @property
+    def untrusted(self) -> str:
+        return f"not to be used as it is: {self.trouble}" if self.trouble else ""
+
+    @property
+    def title(self) -> str:
+        return KINDS[self.kind].title
+
+    @property
+    def commands(self) -> list[str]:
+        return [f"lunarsci {one}" for one in (*self.further, *KINDS[self.kind].commands)]
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "file": self.file,
+            "kind": self.kind,
+            "title": self.title,
+            "contents": dict(self.contents),
+            "commands": self.commands,
+            "trouble": self.trouble or None,
+            "remarks": list(self.remarks),
+        }
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """One a word of what is in it."""
+        return [{"what": name, "value": value} for name, value in self.contents.items()]
+
+
+def info(path: str | Path) -> FileInfo:
+    """What a file, or the folder of a result, is. Raises DataError for one that is not there, is empty, or is no file.
+
+    A file that its reader refuses has `trouble`.
+    """
+    name = str(path)
+    folder = Path(path)
+    if folder.is_dir():
+        if not (folder / "result.json").is_file():
+            raise DataError(
+                f"{name}: a folder without result.json; name one of its {len(list(folder.iterdir()))} files"
+            )
+        name = str(folder / "result.json")
+    file = read_input(name)
+    kind = kind_of(file)
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always", LunarSciWarning)
+        contents, trouble = _contents(kind, file)
+    remarks = [str(one.message) for one in heard if issubclass(one.category, LunarSciWarning)]
+    further = TAKEN_BY.get(str(contents.get("schema", "")).split("/")[0], ()) if kind == "result" else ()
+    return FileInfo(
+        file=name, sha256=file.sha256, kind=kind, contents=contents, trouble=trouble, remarks=remarks, further=further
+    )
+
+
+def _contents(kind: str, file: InputFile) -> tuple[Mapping[str, Any], str]:
+    read: Callable[[InputFile], Mapping[str, Any]] = CONTENTS.get(kind, lambda _: {})
+    try:
+        return read(file), ""
+    except LunarSciError as error:
+        return {}, str(error)
+
+
+def kind_of(file: InputFile) -> str:
+    """The kind of a file, one of `KINDS`. Raises DataError for content that is none of them."""
+    suffix = Path(file.name).suffix.lower()
+    if magic := next((kind for start, kind in MAGIC.items() if file.data.startswith(start)), None):
+        return magic
+    if file.data.startswith(b"SIMPLE  ="):
+        return "spectra"
+    if suffix in SUFFIXES and not (suffix == ".asc" and not file.data[:5].lower().startswith(b"ncols")):
+        return SUFFIXES[suffix]
+    if suffix == ".hdr":
+        return "cube" if not Path(file.name).with_suffix(".sli").is_file() else "spectra"
+    if suffix == ".parquet":
+        return "telemetry"
+    if suffix == ".sli":
+        return "spectra"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LunarSciWarning)
+        text = beginning(file)
+    if text.lstrip().startswith("{"):
+        return _kind_of_json(file)
+    if suffix == ".toml":
+        return _kind_of_toml(file)
+    return _kind_of_table(text, suffix)
+
+
+def _kind_of_json(file: InputFile) -> str:
+    found = read_json(file, "a file of lunarsci", lambda value: value)
+    schema = str(found.get("schema", ""))
+    for kind, start in (
+        ("belief", "lunarsci/soil-belief/"),
+        ("soil map", "lunarsci/soil-map/"),
+        ("result", "lunarsci/"),
+    ):
+        if schema.startswith(start):
+            return kind
+    if found.get("type") in ("FeatureCollection", "Feature", "Polygon", "LineString"):
+        return "zones"
+    raise DataError(f"{file.name}: JSON without a schema of lunarsci; nothing is known of it")
+
+
+def _kind_of_toml(file: InputFile) -> str:
+    try:
+        document = toml_document(file.data.decode("utf-8"))
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise DataError(f"{file.name}: not a readable TOML file: {error}") from error
+    return next((kind for kind, keys in TOML_KEYS.items() if all(key in document for key in keys)), "config")
+
+
+def _kind_of_table(text: str, suffix: str) -> str:
+    if suffix == ".fit":
+        return "mgm"
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    columns = [name.strip() for name in next(csv.reader(lines[:1]), [])]
+    if "time_s" in columns and any(name.startswith(("angle_", "rate_", "steered_")) for name in columns):
+        return "telemetry"
+    if kind := next((kind for kind, keys in CSV_COLUMNS.items() if all(key in columns for key in keys)), None):
+        return kind.strip()
+    if "%ECSV" in text[:20]:
+        return "library" if "mineral" in text and "end_member" in text else "spectra"
+    return "table" if any(name.endswith(("_m", "_s", "_deg", "_n")) for name in columns) else "spectra"

@@ -1,0 +1,256 @@
+"""Files to begin with: every key of a rover, soil, plan, mission, catalogue or telemetry, with its unit and a value.
+
+What stands behind a key is the description of the attribute of the class that the key is read into. A key that may be
+left out is written as a comment. The reader of such files takes what is written here as it is.
+"""
+
+import dataclasses
+import inspect
+import json
+import re
+import textwrap
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from lunarsci.names import known_name
+from lunarsci.result import Result
+
+COMMENT_WIDTH = 110
+ATTRIBUTE = re.compile(
+    r"^(\w+(?:, \w+)*) : (.+?)(?=^\w+(?:, \w+)* : |^Raises |^\S.*\n-+$|\Z)", re.DOTALL | re.MULTILINE
+)
+SHORT_LEGS = ({"length_m": 1.0}, {"length_m": 0.8, "curvature_per_m": 0.2})
+"""An arc straight ahead and one to the left: the path of the plan."""
+WHEELS = ("FL", "FR", "ML", "MR", "RL", "RR")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FileTemplate(Result):
+    """A file to begin with: its kind, its name and its text."""
+
+    schema: ClassVar[str] = "template/1"
+    kind: str
+    name: str
+    text: str
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"kind": self.kind, "name": self.name, "text": self.text}
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """One a line of the file."""
+        return [{"line": line} for line in self.text.splitlines()]
+
+
+def template(kind: str) -> FileTemplate:
+    """A file of a kind, one of `KINDS`. Raises ParameterError for another one."""
+    name, make = KINDS[known_name(kind, KINDS, "a kind of file")]
+    return FileTemplate(kind=kind, name=name, text=make())
+
+
+def described(*classes: type) -> dict[str, str]:
+    """What the docstrings of classes say of their attributes, by attribute.
+
+    >>> class Place:
+    ...     '''A place.
+    ...
+    ...     Attributes
+    ...     ----------
+    ...     x_m, y_m : east and north. [m]
+    ...     '''
+    >>> described(Place)
+    {'x_m': 'east and north. [m]', 'y_m': 'east and north. [m]'}
+    """
+    found: dict[str, str] = {}
+    for one in classes:
+        for names, text in ATTRIBUTE.findall(inspect.getdoc(one) or ""):
+            found |= {name: " ".join(text.split()) for name in names.split(", ") if name not in found}
+    return found
+
+
+def _remark(key: str, told: Mapping[str, str]) -> list[str]:
+    """Comment lines on a key: what it is, and its unit."""
+    return [f"# {line}" for line in textwrap.wrap(told.get(key, ""), COMMENT_WIDTH)]
+
+
+def _line(key: str, value: Any, *, optional: bool = False) -> str:
+    return f"{'# ' if optional else ''}{key} = {_toml(value)}"
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {_toml(one)}" for key, one in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _block(keys: Mapping[str, Any], told: Mapping[str, str], optional: Iterable[str] = ()) -> list[str]:
+    """Lines of some keys; a remark that holds for several stands above the first."""
+    lines: list[str] = []
+    before: list[str] = []
+    for key, value in keys.items():
+        remark = _remark(key, told)
+        lines += [*(remark if remark != before else ()), _line(key, value, optional=key in optional)]
+        before = remark
+    return lines
+
+
+def _soil() -> str:
+    from lunarsci.regolith.soil import Soil, known_soils, read_soil
+
+    values = dataclasses.asdict(read_soil("lunar-typical"))
+    optional = [field.name for field in dataclasses.fields(Soil) if field.default is not dataclasses.MISSING]
+    head = ["# A soil; the numbers are those of `lunar-typical`. Without # are keys that must be given.", ""]
+    source = known_soils()["lunar-typical"]["source"]
+    more = {"assumed": ["external_friction_angle_deg"], "source": str(source)}
+    told = described(Soil) | {"assumed": "names of the keys that are guesses", "source": "where the numbers come from"}
+    return "\n".join([*head, *_block(values, told, optional), *_block(more, told), ""])
+
+
+def _rover() -> str:
+    from lunarsci.regolith.wheel import Wheel
+    from lunarsci.rovers import read_rover
+    from lunarsci.twin.electrics import Motors, PowerSupply
+    from lunarsci.twin.ground.hazards import Mobility
+    from lunarsci.twin.rover import Body, Rover
+
+    told = {
+        "wheel": described(Wheel),
+        "motors": described(Motors),
+        "power": described(PowerSupply),
+        "limits": described(Mobility),
+        "body": described(Body),
+    }
+    of_rover = described(Rover)
+    of_rover |= {"steered_wheels": of_rover["steered"], "offset_m": of_rover["steering_offset_m"]}
+    description = read_rover("yutu2")
+    lines = [
+        "# A rover; the numbers are those of yutu2, most of them assumed. Each is a value, or a table of value, source",
+        "# and assumed. [motors], [power], [limits] and [body] may be left out.",
+        "",
+        'name = "my rover"',
+    ]
+    for table, keys in description.tables.items():
+        guessed = [key for key in keys if f"{table}.{key}" in description.assumed]
+        entries = {
+            key: {"value": value, "source": "yutu2; replace it"} | ({"assumed": True} if key in guessed else {})
+            for key, value in keys.items()
+        }
+        lines += ["", f"[{table}]", *_block(entries, told.get(table, of_rover))]
+    return "\n".join([*lines, ""])
+
+
+def _plan() -> str:
+    from lunarsci.twin.plans.plan import Fixes, Leg, Plan, read_plan
+
+    told, embedded = described(Plan), read_plan()
+    leg = described(Leg)
+    lines = [
+        "# A plan: an arc straight ahead, then one to the left. Keys and tables after # may be left out.",
+        *_block({"name": "short drive"}, told),
+        "",
+        "[start]",
+        *_block({"x_m": 0.0, "y_m": 0.0, "heading_deg": 0.0}, told),
+        "",
+        "[drive]",
+        *_block({"speed_m_s": 0.05, "blend_m": 0.2}, told),
+    ]
+    first, second = SHORT_LEGS
+    others = {key: 0.0 for key in leg if key not in second}
+    lines += ["", "[[leg]]", *_block(first, leg), "# In place of a length:", *_block(others, leg, others)]
+    lines += ["", "[[leg]]", *_block(second, {"curvature_per_m": leg["curvature_per_m"]})]
+    fixes = {"position_sigma_m": 0.05, "heading_sigma_deg": 0.5}
+    lines += ["", "# [fixes]", *_block(fixes, described(Fixes), fixes)]
+    lines += ["", "# What counts as safe; without this table the limits are these, Yutu-2's.", "[limits]"]
+    for limit in embedded.limits:
+        entry = {"value": limit.limit, "source": "assumed", "assumed": True}
+        lines += [f"# {limit.sense}, [{limit.unit}]", _line(limit.quantity, entry)]
+    lines += [
+        "",
+        "# [sweep]",
+        "# Uncertain parameters of the soil: lowest, highest, number of values.",
+        '# friction_angle_deg = "25:55:9"',
+    ]
+    zone = {"name": "boulder", "x_m": 5.0, "y_m": 5.0, "radius_m": 0.5}
+    lines += ["", "# [[keep_out]]", "# A circle that no part of the rover may enter.", *_block(zone, {}, zone), ""]
+    return "\n".join(lines)
+
+
+def _mission() -> str:
+    from lunarsci.twin.mission.mission import CommWindow, Mission, MissionStart, MissionTarget
+    from lunarsci.twin.plans.plan import Fixes
+
+    told, target = described(Mission), described(MissionTarget)
+    lines = [
+        "# A mission: targets in order. Keys and tables after # may be left out.",
+        *_block({"name": "two targets", "leg_m": 1.5, "localisation_s": 60.0}, told),
+        *_block({"time_budget_s": 7200.0, "speed_m_s": 0.05}, told, ("time_budget_s", "speed_m_s")),
+        "",
+        "[start]",
+        *_block({"x_m": 0.0, "y_m": 0.0, "heading_deg": 0.0}, described(MissionStart)),
+        "",
+        "# Errors of the localisation at the end of each leg.",
+        "[fixes]",
+        *_block({"position_sigma_m": 0.02, "heading_sigma_deg": 0.5}, described(Fixes)),
+    ]
+    for name, x, y in (("near", 2.0, 0.2), ("far", 4.0, -0.5)):
+        keys = {"name": name, "x_m": x, "y_m": y, "tolerance_m": 0.5, "stay_s": 0.0}
+        lines += ["", "[[target]]", *_block(keys, target if name == "near" else {})]
+    window, zone = {"begin_s": 0.0, "end_s": 3600.0}, {"name": "boulder", "x_m": 5.0, "y_m": 5.0, "radius_m": 0.5}
+    lines += ["", "# [[window]]", f"# {inspect.getdoc(CommWindow)}", *_block(window, {}, window)]
+    return "\n".join([*lines, "", "# [[keep_out]]", *_block(zone, {}, zone), ""])
+
+
+def _craters() -> str:
+    from lunarsci.spectra.origin.catalogue import COLUMNS, REQUIRED, TABLE, Crater
+    from lunarsci.tables import table_rows
+
+    told = described(Crater)
+    told |= {"age_low_ma": told["age_ma"], "age_high_ma": told["age_ma"]}
+    lines = [f"# A catalogue of craters: the first two of `{TABLE}`. Only {', '.join(REQUIRED)} must be there;"]
+    lines += ["# cells may be empty. Minerals are shares of 1, band centres in nm, _sigma their scatter."]
+    lines += [f"# {name}: {told[name]}" for name in COLUMNS if name in told]
+    rows = [",".join(_cell(row.get(name, "")) for name in COLUMNS) for row in table_rows(TABLE)[:2]]
+    return "\n".join([*lines, ",".join(COLUMNS), *rows, ""])
+
+
+def _cell(text: str) -> str:
+    quoted = text.replace('"', '""')
+    return f'"{quoted}"' if set(text) & set(',"') else text
+
+
+def _telemetry() -> str:
+    """Telemetry of a straight drive at 0.05 m/s, without noise."""
+    from lunarsci.regolith.wheel import read_wheel
+    from lunarsci.twin.telemetry.reading import POSE_COLUMNS, WHEEL_COLUMNS, Telemetry
+
+    told, radius, speed = described(Telemetry), read_wheel("yutu2").radius_m, 0.05
+    per_wheel = {"angle_deg": "angle", "steered_deg": "steered"}
+    columns = ["time_s", "x_m", "y_m", "sigma_m", "yaw_deg", "yaw_deg_sigma", "roll_deg", "pitch_deg"]
+    wheels = [WHEEL_COLUMNS[name].format(wheel) for name in per_wheel for wheel in WHEELS]
+    lines = [
+        "# Telemetry of a rover with the wheels FL, FR, ML, MR, RL, RR: made up, straight ahead without slip or noise.",
+        "# x_m and y_m are blank where there is no position; sigma_m is the standard error of each of them.",
+        *(f"# {name}: {told[name]}" for name in ("time_s", *POSE_COLUMNS)),
+        *(f"# {form.format('FL')} and so on: {told[name]}" for name, form in WHEEL_COLUMNS.items()),
+        "# Of the columns of a wheel angle, rate or speed must be there, and steered or steering.",
+        ",".join([*columns, *wheels, "synthetic"]),
+    ]
+    for second in range(0, 61, 2):
+        way = speed * second
+        place = [f"{way:.3f}", "0.000", "0.010"] if second % 10 == 0 else ["", "", ""]
+        angle = f"{way / radius * 57.29577951:.3f}"
+        lines.append(",".join([f"{second}", *place, "0.0", "0.1", "0.0", "0.0", *[angle] * 6, *["0.0"] * 6, "true"]))
+    return "\n".join([*lines, ""])
+
+
+KINDS: Mapping[str, tuple[str, Callable[[], str]]] = {
+    "rover": ("rover.toml", _rover),
+    "soil": ("soil.toml", _soil),
+    "plan": ("plan.toml", _plan),
+    "mission": ("mission.toml", _mission),
+    "craters": ("craters.csv", _craters),
+    "telemetry": ("telemetry.csv", _telemetry),
+}
+"""What there is: the usual name of such a file, and what makes its text."""

@@ -1,0 +1,168 @@
+"""Help that teaches: examples that run, completion, manual pages, nearest names, sections of a config file."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import typer
+from lunarsci.cli import command_line, main
+from lunarsci.cli.manual import pages, write
+from lunarsci.cli.shared.examples import EXAMPLES
+
+Run = Callable[..., "object"]
+NEEDS_PICTURES_OF_A_BOARD = "images calibrate"
+"""Its examples run in tests/images/test_calibration.py's way: with pictures that are made there."""
+
+
+def commands(command: object = None, words: str = "") -> Iterator[tuple[str, object]]:
+    """Words and command of each command, groups left out."""
+    found = typer.main.get_command(command_line()) if command is None else command
+    inner = getattr(found, "commands", None)
+    if inner is None:
+        yield words, found
+        return
+    for name, one in inner.items():
+        yield from commands(one, f"{words} {name}".strip())
+
+
+def test_every_command_has_two_examples_in_its_help() -> None:
+    for words, command in commands():
+        lines = EXAMPLES[words]
+        assert len(lines) >= 2, words
+        assert all(line.startswith(f"lunarsci {words}") for line in lines)
+        assert (command.epilog or "").count(f"lunarsci {words}") == len(lines)  # type: ignore[attr-defined]
+        assert max(len(line) for text in lines for line in text.split("\n")) <= 77
+    assert EXAMPLES.keys() == {words for words, _ in commands()}
+
+
+def test_options_of_the_examples_exist() -> None:
+    for words, command in commands():
+        known = {name for option in command.params for name in option.opts}  # type: ignore[attr-defined]
+        used = {found for line in EXAMPLES[words] for found in re.findall(r"(?<!\S)(--?[a-z][a-z-]*)", line)}
+        assert used <= known, words
+
+
+@pytest.mark.slow
+def test_examples_run_one_after_the_other(tmp_path: Path, program: Path) -> None:
+    """As a user types them, in an empty folder; exit code 3 says that a result is not to be trusted."""
+    environment = os.environ | {"PATH": f"{program}{os.pathsep}{os.environ['PATH']}"}
+    failed = []
+    for words, lines in EXAMPLES.items():
+        for line in lines if words != NEEDS_PICTURES_OF_A_BOARD else ():
+            done = subprocess.run(["bash", "-c", line], cwd=tmp_path, env=environment, capture_output=True, text=True)
+            if done.returncode not in (0, 3):
+                failed.append((line, done.stderr.splitlines()[-1:]))
+    assert failed == []
+
+
+@pytest.mark.parametrize("words", [[], ["spectra"], ["spectra", "bands"]])
+def test_h_is_help(run: Run, words: list[str]) -> None:
+    assert run(*words, "-h").out == run(*words, "--help").out != ""
+
+
+def completed(*words: str) -> list[str]:
+    environment = os.environ | {"_LUNARSCI_COMPLETE": "complete_bash", "COMP_WORDS": " ".join(["lunarsci", *words])}
+    line = [
+        sys.executable,
+        "-c",
+        "import sys; sys.argv = ['lunarsci']; from lunarsci.cli import main; sys.exit(main())",
+    ]
+    done = subprocess.run(line, env=environment | {"COMP_CWORD": str(len(words))}, capture_output=True, text=True)
+    return done.stdout.split()
+
+
+def test_a_shell_completes_commands_and_options() -> None:
+    assert completed("spec") == ["spectra"]
+    assert completed("spectra", "ma") == ["match", "map"]
+    assert completed("spectra", "fit", "--assem") == ["--assemblage"]
+    assert "doctor" in completed("")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "meant"),
+    [
+        (["twn"], "twin"),
+        (["spectra", "fitt"], "fit"),
+        (["spectra", "bands", "x.csv", "--continum", "hull"], "--continuum"),
+        (["spectra", "bands", "x.csv", "--continuum", "hul"], "hull"),
+        (["regolith", "forces", "--sinkage", "0.01", "--soil", "lunar-typicl"], "lunar-typical"),
+        (["regolith", "forces", "--sinkage", "0.01", "--rover", "cmu-grousr"], "cmu-grouser"),
+        (["regolith", "forces", "--sinkage", "0.01", "--field", "slip_ration"], "slip_ratio"),
+        (["twin", "predict", "--sweep", "friction_angle=30:50:3"], "friction_angle_deg"),
+        (["template", "rver"], "rover"),
+    ],
+)
+def test_an_error_names_the_nearest(run: Run, arguments: list[str], meant: str) -> None:
+    wrong = run(*arguments)
+    assert wrong.code in (1, 2) and len(wrong.err) == 1
+    assert re.search(
+        rf"(did you mean '|Did you mean '|Did you mean |Possible options: [^)]*){meant}\b", wrong.err[0]
+    ), wrong.err
+
+
+def test_a_config_file_has_a_section_a_command(run: Run, states: Path, tmp_path: Path) -> None:
+    config = tmp_path / "run.toml"
+    config.write_text("[regolith.forces]\nsinkage = 0.01\n[regolith.identify]\nseed = 3\n[spectra.bands]\nsmooth = 5\n")
+    forces = ("regolith", "forces", "--config", config, "--field", "sinkage_m")
+    assert float(run(*forces).out) == 0.01
+    assert float(run(*forces, "--sinkage", "0.02").out) == 0.02
+    assert run("regolith", "identify", states, "--config", config).code == 0
+    for text, meant in (
+        ("[regolit.forces]\n", "regolith"),
+        ("[regolith.force]\n", "forces"),
+        ("sinkge = 1\n", "sinkage"),
+    ):
+        config.write_text(text)
+        wrong = run(*forces)
+        assert (wrong.code, wrong.out, len(wrong.err)) == (2, "", 1)
+        assert f"did you mean '{meant}'" in wrong.err[0]
+
+
+def test_a_manual_page_has_every_option_of_its_command(tmp_path: Path) -> None:
+    made = pages()
+    known = dict(commands())
+    assert {f"lunarsci-{words.replace(' ', '-')}.1" for words in known} < made.keys()
+    for words, command in known.items():
+        text = made[f"lunarsci-{words.replace(' ', '-')}.1"].replace(r"\-", "-")
+        assert all(name in text for option in command.params for name in option.opts if name.startswith("--"))  # type: ignore[attr-defined]
+        assert all(line.split(" \\\n")[0] in text for line in EXAMPLES[words])
+    write(str(tmp_path))
+    if shutil.which("groff"):
+        for path in (tmp_path / "lunarsci.1", tmp_path / "lunarsci-spectra-fit.1"):
+            done = subprocess.run(["groff", "-k", "-man", "-Tutf8", "-ww", path], capture_output=True, text=True)
+            assert (done.returncode, done.stderr) == (0, "")
+            assert "EXIT STATUS" in re.sub("\x1b\\[[0-9;]*m|.\x08", "", done.stdout)
+
+
+def test_a_template_and_a_citation_are_printed_as_they_are(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
+    monkeypatch.chdir(tmp_path)
+    text = run("template", "plan").out
+    assert text.startswith("# A plan") and "[[leg]]" in text and max(map(len, text.splitlines())) > 60
+    assert run("template", "plan", "-o", "plan.toml").code == 0
+    assert Path("plan.toml").read_text("utf-8") == text
+    assert run("info", "plan.toml", "--field", "kind").out == "plan\n"
+    run("regolith", "forces", "--sinkage", "0.008", "-o", "forces.json")
+    assert run("cite", "forces.json").out.startswith("@misc{lunarsci,")
+    assert "ding2024" in run("cite", "forces.json", "--columns", "key").out
+
+
+def test_info_of_what_would_be_refused_ends_with_3(run: Run, tmp_path: Path) -> None:
+    wrong = tmp_path / "plan.toml"
+    wrong.write_text("[drive]\nspeed_m_s = 0.05\n[[leg]]\nlenght_m = 3\n")
+    done = run("info", wrong)
+    assert done.code == 3 and "plan of a drive" in done.out
+    assert done.err[-1].startswith("not to be used as it is: ")
+
+
+def test_python_runs_the_command(capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    done = subprocess.run([sys.executable, "-m", "lunarsci", "--version"], capture_output=True, text=True)
+    assert done.stdout == capfd.readouterr().out

@@ -1,0 +1,181 @@
+"""What files are, files to begin with, what to cite, and whether lunarsci works here."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lunarsci.errors import DataError, ParameterError
+from lunarsci.guide import doctor
+from lunarsci.guide.cite import cite, reference_of
+from lunarsci.guide.contents import CONTENTS
+from lunarsci.guide.info import CSV_COLUMNS, KINDS, MAGIC, SUFFIXES, TOML_KEYS, info
+from lunarsci.guide.template import KINDS as TEMPLATES
+from lunarsci.guide.template import described, template
+from lunarsci.provenance import Provenance, document, to_json
+
+
+def written(folder: Path, name: str, text: str | bytes) -> Path:
+    path = folder / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+@pytest.mark.parametrize("kind", TEMPLATES)
+def test_a_template_is_what_its_reader_takes(kind: str, tmp_path: Path) -> None:
+    made = template(kind)
+    found = info(written(tmp_path, made.name, made.text))
+    assert (found.kind, found.trouble, found.remarks) == (kind, "", [])
+    assert found.contents
+    assert max(map(len, (line for line in made.text.splitlines() if line.startswith("#")))) < 200
+
+
+@pytest.mark.parametrize("kind", ["plan", "mission", "soil"])
+def test_the_comments_of_a_template_are_keys_that_the_reader_knows(kind: str, tmp_path: Path) -> None:
+    """Keys after # that belong to what stands above them, taken in; one that is misspelt is refused."""
+    made = template(kind)
+    optional = [line for line in made.text.splitlines() if re.match(r"# \w+ = ", line)]
+    assert optional
+    known = {"plan": "sweep", "mission": "time_budget_s", "soil": "sinkage_exponent_slip"}[kind]
+    assert any(known in line for line in made.text.splitlines())
+    if kind != "plan":
+        text = made.text.replace(f"# {known} = ", f"{known} = ")
+        assert info(written(tmp_path, made.name, text)).trouble == ""
+        wrong = info(written(tmp_path, made.name, text.replace(f"\n{known} = ", f"\n{known[:-1]} = ")))
+        assert f"did you mean '{known}'" in wrong.trouble
+        assert wrong.untrusted
+
+
+def test_a_template_of_another_kind_names_the_nearest() -> None:
+    with pytest.raises(ParameterError, match="did you mean 'mission'"):
+        template("misson")
+
+
+def test_minerals_of_an_assemblage_are_named() -> None:
+    from lunarsci.spectra.mgm.assemblages import assemblage
+
+    with pytest.raises(ParameterError, match="did you mean 'OPX'"):
+        assemblage("OL-OPXX")
+
+
+def test_every_attribute_of_the_classes_behind_a_rover_is_described() -> None:
+    from lunarsci.twin.electrics import Motors, PowerSupply
+    from lunarsci.twin.rover import Rover
+
+    for one in (Motors, PowerSupply, Rover):
+        assert set(one.__annotations__) - set(described(one)) == set()
+
+
+def test_every_kind_is_told_somehow_and_says_what_is_in_it() -> None:
+    told = {*TOML_KEYS, *(kind.strip() for kind in CSV_COLUMNS), *MAGIC.values(), *SUFFIXES.values()}
+    told |= {"spectra", "library", "mgm", "config", "belief", "soil map", "telemetry", "result", "table"}
+    assert told == KINDS.keys()
+    assert KINDS.keys() - CONTENTS.keys() == {"mgm", "config", "zones", "picture"}
+
+
+def test_commands_that_info_names_exist() -> None:
+    import typer
+    from lunarsci.cli import command_line
+
+    program = typer.main.get_command(command_line())
+    for kind in KINDS.values():
+        for line in kind.commands:
+            words, _, option = line.partition(" --")
+            if words == "any command":
+                continue
+            command = program
+            for word in words.split():
+                command = command.commands[word]  # type: ignore[attr-defined]
+            assert not option or f"--{option}" in {name for one in command.params for name in one.opts}
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "kind"),
+    [
+        ("a.csv", "wavelength_nm,rock\n" + "".join(f"{n},0.1\n" for n in range(450, 2400, 5)), "spectra"),
+        ("a.csv", "x_m,y_m,rut_m\n0,0,0.01\n", "track"),
+        ("a.csv", "time_s,x_m,y_m,yaw_deg\n0,0,0,0\n1,0.1,0,0\n", "motion"),
+        ("a.csv", "time_s,x_m,y_m,sigma_m\n0,0,0,0.1\n", "positions"),
+        ("a.csv", "sinkage_m,slip_ratio,normal_force_n,drawbar_pull_n\n0.008,0.05,32.03,-1.3\n", "states"),
+        ("a.toml", "[spectra.bands]\nsmooth = 3\n", "config"),
+        ("a.toml", "position_m = [0.0, 0.0, 1.5]\nheading_deg = 0.0\ndown_deg = 20.0\nroll_deg = 0.0\n", "pose"),
+        ("a.png", b"\x89PNG\r\n\x1a\n", "picture"),
+        ("a.json", '{"type": "FeatureCollection", "features": []}', "zones"),
+    ],
+)
+def test_a_file_is_known_by_its_content(name: str, text: str | bytes, kind: str, tmp_path: Path) -> None:
+    found = info(written(tmp_path, name, text))
+    assert (found.kind, found.trouble) == (kind, "")
+    assert found.commands
+
+
+def test_a_terrain_says_its_size(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", x_m=np.arange(3) * 0.5, y_m=np.arange(4) * 0.5, height_m=np.zeros((4, 3)))
+    found = info(tmp_path / "a.npz")
+    assert found.contents["nodes"] == "3 x 4" and found.contents["y_m"] == "0 to 1.5"
+
+
+def test_what_commands_would_refuse_is_said(tmp_path: Path) -> None:
+    found = info(written(tmp_path, "plan.toml", "[drive]\nspeed_m_s = 0.05\n[[leg]]\nlenght_m = 3\n"))
+    assert found.kind == "plan" and "did you mean 'length_m'" in found.untrusted
+    with pytest.raises(DataError, match="without a schema"):
+        info(written(tmp_path, "a.json", "{}"))
+    with pytest.raises(DataError, match="no such file"):
+        info(tmp_path / "nowhere.csv")
+    with pytest.raises(DataError, match=r"without result\.json"):
+        info(tmp_path)
+
+
+SOURCES = (
+    "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8",
+    "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8: sinkage from the depth of tracks",
+    "Lucey, Blewett & Jolliff (2000), J. Geophys. Res. 105, 20297, 10.1029/1999JE001117",
+    "Lucey, Blewett, Taylor & Hawke (2000), J. Geophys. Res. 105, 20377, 10.1029/1999JE001110",
+    "Pike (1974), Earth Planet. Sci. Lett. 23, 265, 10.1016/0012-821X(74)90114-9",
+    "ASTM E490-00a, air mass zero (doi 10.1520/E0490-00AR06)",
+)
+
+
+def test_sources_become_entries(tmp_path: Path) -> None:
+    record = Provenance(command="lunarsci spectra fit", sources=SOURCES).to_dict(time=False)
+    found = cite(written(tmp_path, "fit.json", to_json(document("spectra-fit/1", {"spectra": []}, record))))
+    assert list(found.keyed) == ["ding2024", "lucey2000", "lucey2000b", "pike1974", "astm"]
+    entries = dict(re.findall(r"@(?:article|misc)\{(\w+),\n(.*?)\n\}", found.bibtex(), re.DOTALL))
+    assert list(entries) == ["lunarsci", *found.keyed]
+    assert "author = {Lucey and Blewett and Jolliff}" in entries["lucey2000"]
+    assert "pages = {20297}" in entries["lucey2000"] and "volume = {105}" in entries["lucey2000"]
+    assert "doi = {10.1016/0012-821X(74)90114-9}" in entries["pike1974"]
+    assert found.bibtex().count("{") == found.bibtex().count("}")
+    assert json.loads(found.to_json())["result"]["sources"][0]["key"] == "ding2024"
+
+
+def test_a_year_and_a_doi_are_found_where_they_are() -> None:
+    found = reference_of(
+        "ASTM G173-03, extraterrestrial (Gueymard 2004, Solar Energy, doi 10.1016/j.solener.2003.08.039)"
+    )
+    assert (found.authors, found.year, found.doi) == ("", "2004", "10.1016/j.solener.2003.08.039")
+
+
+def test_a_doctor_says_what_is_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The three tests pass on this code; one that is off, one that fails and a folder without rights are said."""
+    assert doctor._ground()[1] == "" and "32.0" in doctor._ground()[0]
+    monkeypatch.setattr(doctor, "LOAD_N", 35.0)
+    monkeypatch.setattr(doctor, "_rock", lambda: ("fine", ""))
+
+    def broken() -> tuple[str, str]:
+        raise OSError("no disk")
+
+    monkeypatch.setattr(doctor, "_drive", broken)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "/proc/1/nowhere")
+    found = doctor.doctor()
+    assert [line.partition(":")[0] for line in found.trouble] == ["compiled code", "ground", "drive"][
+        -len(found.trouble) :
+    ]
+    assert "off by more than" in found.untrusted and "OSError: no disk" in found.untrusted
+
+
+@pytest.mark.slow
+def test_all_is_well_here() -> None:
+    assert [one for one in doctor.doctor().checks if one.trouble] == []
