@@ -85,11 +85,17 @@ OPTIONS = {
         show_default=False,
     ),
     "exact_terrain": option("Drive on the likely ground, not on one that is drawn for each drive.", panel=CHOICE),
+    "charge": option(
+        "Charge of the battery at the start, 0 to 1; the battery is a limit then, and --sun also lights the panels.",
+        panel=CHOICE,
+        show_default="the battery does not count",
+    ),
     **{name: said for name, said in OF_TERRAIN.items() if name != "soil"},
 }
 SHORT = {
     "slip_ratio": "slip", "side_slip_deg": "sideslip", "sinkage_m": "sinkage", "tilt_deg": "tilt",
     "clearance_m": "clearance", "keep_out_m": "keep-out", "endpoint_miss_m": "end", "unfinished": "stuck",
+    "motor_torque_nm": "torque", "motor_load": "motors", "battery_charge": "battery",
 }  # fmt: skip
 SHOWN = 12
 """Candidates in the table for people."""

@@ -10,6 +10,7 @@ from lunarsci.twin.choice.chances import Chance, Verdicts, Weakest, verdicts
 from lunarsci.twin.choice.conditions import Conditions, drive_candidates, joined
 from lunarsci.twin.choice.teaching import Teaching, teaching, way_back
 from lunarsci.twin.judgement.energy import energy_use
+from lunarsci.twin.judgement.keeping import extremes, least_of_95
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.simulation.ensemble import Prediction
@@ -65,6 +66,13 @@ class DriveCandidate:
         """The chance to go by: that on fresh soils, where there is one."""
         return self.chance if self.promise is None else self.promise
 
+    @property
+    def least_charge(self) -> float | None:
+        """Of the battery, what 95 % of the drives keep, below 0 where it runs empty; None where it does not count."""
+        if self.prediction.power is None:
+            return None
+        return least_of_95(extremes(self.prediction, "battery_charge"))
+
     def dominates(self, other: "DriveCandidate") -> bool:
         """Whether it has no more risk, length and energy than another, and less of one."""
         own, others = self._aims, other._aims
@@ -91,6 +99,7 @@ class DriveCandidate:
                 "failed": worst.failed, "x_m": worst.x_m, "y_m": worst.y_m, "distance_m": worst.distance_m,
                 "why": worst.why,
             },
+            "least_charge": self.least_charge,
             "stopped_early": self.stopped,
             "pareto": self.pareto,
             **({} if self.teaches is None else {"teaches": self.teaches.to_dict()}),

@@ -274,6 +274,7 @@ def drive_conditions(
         discrepancy=soils.discrepancy,
         ruts=of["ruts"],
         seed=seed,
+        power=asked.power(),
     )
     return soils, conditions, members if total > members else total
 

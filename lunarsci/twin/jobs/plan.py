@@ -12,12 +12,13 @@ if TYPE_CHECKING:
     from lunarsci.twin.ground.terrain import Terrain
     from lunarsci.twin.plans.plan import Limit
     from lunarsci.twin.routes.planner import PlannedPath
+    from lunarsci.twin.simulation.ensemble import PowerState
 
 
 CHECKED_EVERY_M = 0.1
 Place = str | tuple[float, ...]
 PLACE = ("X", "Y", "HEADING")
-OF_A_CHOICE = ("sweep", "members", "tolerance", "candidates", "fixes", "prefer", "exact_terrain", "teach")
+OF_A_CHOICE = ("sweep", "members", "tolerance", "candidates", "fixes", "prefer", "exact_terrain", "teach", "charge")
 """Options that ask for something only beside `risk`."""
 IN_A_MISSION = ("target", "start", "lonlat", "tolerance", "candidates", "fixes", "prefer", "teach")
 """Options that a mission has in its file, or no use for."""
@@ -49,6 +50,8 @@ class PlanRequest(GroundRequest):
     fixes : with `risk`: M,DEG, standard errors of localisation updates, where drives may halt for some.
     exact_terrain : with `risk`: leave out that each drive has a ground of its own where the terrain's file says how far
         its heights may be off.
+    charge : with `risk` or a mission: of the battery at the start, 0 to 1; then the battery is a limit, and `sun` also
+        lights the panels. [-]
     local : files of finer terrains, in the first one's coordinates, that stand in its place where they are known.
     mission : TOML file of several targets with keep-outs, time and windows of communication, instead of a target;
         reached by legs with localisation between, over the soils; `risk` is then that of the whole, 0.05 if None.
@@ -70,12 +73,15 @@ class PlanRequest(GroundRequest):
     fixes: str | None = None
     exact_terrain: bool = False
     teach: bool = False
+    charge: float | None = None
     local: tuple[str, ...] = ()
     mission: str | None = None
 
     def __post_init__(self) -> None:
         if self.local and (self.mission is not None or self.risk is not None):
             raise RequestError("`local` is for a path on the maps, without `risk` and `mission`; leave one of them out")
+        if self.charge is not None and not 0 <= self.charge <= 1:
+            raise RequestError(f"`charge` is {self.charge:g}; give a share from 0 to 1")
         if self.mission is not None:
             self._check_mission()
             return
@@ -139,6 +145,16 @@ class PlanRequest(GroundRequest):
         for longitude, latitude, *heading in self.places:
             moved.append((*projection.metres(longitude, latitude)[0].tolist(), *heading))
         return replace(self, start=moved[0], target=moved[1], lonlat=False)
+
+    def power(self) -> "PowerState | None":
+        """Battery and light; None where no charge is given. Raises RequestError."""
+        from lunarsci.twin.ground.illumination import SunDirection
+        from lunarsci.twin.simulation.ensemble import PowerState
+
+        sun = self.light()[0]
+        if self.charge is None:
+            return None
+        return PowerState(charge=self.charge, sun=None if sun is None else SunDirection(*sun))
 
     def made(self, terrain: str) -> dict[str, Any]:
         """As of a ground; where soils are drawn the seed is theirs, too."""

@@ -12,7 +12,7 @@ from lunarsci.inputs import read_input
 from lunarsci.result import MadeFrom
 from lunarsci.tables import csv_bytes
 from lunarsci.twin.assimilation.change_point import planned_places
-from lunarsci.twin.choice.chances import Chance, verdicts
+from lunarsci.twin.choice.chances import Chance
 from lunarsci.twin.ground.footprint import rover_footprint
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.ground.keep_out import ExclusionZone, near_way
@@ -22,6 +22,7 @@ from lunarsci.twin.jobs.drive_inputs import GivenSoil
 from lunarsci.twin.jobs.plan import PlanRequest, limits_at
 from lunarsci.twin.jobs.soils import OF_A_BELIEF, Soils
 from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
+from lunarsci.twin.judgement.keeping import kept, least_of_95
 from lunarsci.twin.mission.legs import DrivenMission, MissionLeg, Pose, drive_mission
 from lunarsci.twin.mission.mission import Mission, MissionTarget, read_mission
 from lunarsci.twin.plans.path import poses_along
@@ -160,6 +161,9 @@ def chance_of(kept: Any) -> Chance:
 
 def _leg_row(leg: MissionLeg) -> dict[str, Any]:
     (xx, xy), (_, yy) = leg.covariance_m2
+    charge = {}
+    if leg.charge is not None:
+        charge = {"charge_p50": float(np.median(leg.charge)), "charge_p05": least_of_95(leg.charge)}
     return {
         "leg": leg.number,
         "target": leg.target,
@@ -176,6 +180,7 @@ def _leg_row(leg: MissionLeg) -> dict[str, Any]:
         "end_xy_m2": float(xy),
         "end_yy_m2": float(yy),
         "kept": float(leg.kept.mean()),
+        **charge,
     }
 
 
@@ -220,9 +225,10 @@ def planned_mission(terrain: str, asked: PlanRequest, progress: Progress | None)
         site.rover,
         _Ways(site, surface, mission.speed_m_s or asked.speed),
         lambda plan: conditions.drive(plan, members),
-        lambda prediction: verdicts(prediction).kept,
+        kept,
         seed=asked.seed or 0,
         goal_of=lambda target: beyond(target, surface, site.rover),
+        power=asked.power(),
         progress=progress,
     )
     risk = ACCEPTED if asked.risk is None else asked.risk

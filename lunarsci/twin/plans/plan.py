@@ -25,8 +25,10 @@ QUANTITIES = {
     "clearance_m": "m",
     "keep_out_m": "m",
     "motor_torque_nm": "N m",
+    "motor_load": "-",
+    "battery_charge": "-",
 }
-AT_LEAST = ("clearance_m", "keep_out_m")
+AT_LEAST = ("clearance_m", "keep_out_m", "battery_charge")
 """Of these small values are the dangerous ones: their limit is the smallest value that counts as safe."""
 _KEYS = ("name", "crs", "made_for", "start", "drive", "leg", "fixes", "limits", "sweep", "keep_out")
 LONGEST_M, LONGEST_STOP_S = 10_000.0, 3600.0
