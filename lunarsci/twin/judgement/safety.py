@@ -279,6 +279,8 @@ def _crossed(one: Encounter, members: int) -> str:
 
 def _worst(prediction: Prediction, judged: tuple[Judgement, ...]) -> Worst:
     stopped = np.flatnonzero(~prediction.finished)
+    if not prediction.plan.limits:
+        judged = tuple(one for one in judged if not one.ok)
     if stopped.size:
         member, why = int(stopped[0]), prediction.outcome_text(int(stopped[0]))
     elif judged:

@@ -258,9 +258,8 @@ def predict(
         draws = terrain.errors.draws(count, seed)
     scene = DriveSetup(rover, terrain, schedule, times, every, seed, grounds, ruts, draws=draws)
     scene = scene if before is None else scene.after(before, time_step_s)
-    driven = drive_all(scene, overrides, len(times[::every]), progress)
+    paths, states, results, steered = driven = drive_all(scene, overrides, len(times[::every]), progress)
     finer = drive_finer(scene, overrides, driven)
-    paths, states, results, steered = driven
     halted = schedule.pace_at(times[::every]) < UNDER_WAY
     _for_people(scene, paths, states, results[:, 1], halted)
     return Prediction(
