@@ -20,7 +20,10 @@ SOILS = option(
 )
 SWEEP = option("Uncertain soil parameter, repeatable; replaces the plan's sweeps.", metavar="NAME=LOW:HIGH:N")
 MEMBERS = option("Number of drives: samples of the ranges instead of the grid of all values, or draws.", min=1)
-FIXES = option("Position fixes after each leg, standard errors in position and heading.", metavar="M,DEG")
+FIXES = option(
+    "Position fixes after each leg: standard errors in position and heading, and the standstill in s that each takes.",
+    metavar="M,DEG[,S]",
+)
 RUTS = option(
     "Whether wheels meet the ruts that others, and they themselves, left. With --soil of a belief as its last drive "
     "did, else no, if left out.",

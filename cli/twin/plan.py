@@ -76,7 +76,9 @@ OPTIONS = {
     ),
     "candidates": option("Drives to compare, at most.", panel=CHOICE, show_default="50"),
     "fixes": option(
-        "Let drives halt for localisation updates, with these standard errors.", panel=CHOICE, metavar="M,DEG"
+        "Let drives halt for localisation updates, with these standard errors and the standstill in s that each takes.",
+        panel=CHOICE,
+        metavar="M,DEG[,S]",
     ),
     "mission": option(
         "Reach several targets by legs: TOML file with tables target, fixes, keep_out and window, and time_budget_s.",

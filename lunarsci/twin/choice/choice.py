@@ -8,6 +8,7 @@ from typing import Any, Literal, TypeAlias
 from lunarsci.errors import ParameterError
 from lunarsci.twin.choice.chances import Chance, Verdicts, Weakest, verdicts
 from lunarsci.twin.choice.conditions import Conditions, drive_candidates, joined
+from lunarsci.twin.choice.improvement import Improvement
 from lunarsci.twin.choice.teaching import Teaching, teaching, way_back
 from lunarsci.twin.judgement.energy import energy_use
 from lunarsci.twin.judgement.keeping import extremes, least_of_95
@@ -22,6 +23,8 @@ ROUNDS = (0.25, 0.5, 1.0)
 """Shares of the soils after which hopeless candidates stop; a quarter of 64 is a group of the simulation."""
 LEAST_LEFT = 8
 """So many candidates are driven on all soils, where there are so many."""
+IMPROVED, AGAIN = 3, 2
+"""So many of the best are made better, so many times."""
 CHECKED = 4
 """So many of the best are driven again on fresh soils at a time."""
 
@@ -158,6 +161,7 @@ def choose(
     members: int | None = None,
     racing: bool = True,
     teach: bool = False,
+    improve: Improvement | None = None,
     progress: Progress | None = None,
 ) -> DriveChoice:
     """Drive all plans over the same soils, and rank them under a limit of the chance of failing.
@@ -173,6 +177,7 @@ def choose(
     members : soils by which plans are chosen; None for all, and then promises are of these same soils.
     racing : stop hopeless candidates after a quarter and half of the soils.
     teach : find what each candidate teaches, of the soil and of the way back along the shortest of them.
+    improve : also try what is made of the best few, see `Improvement`.
     progress : called with drives done and drives at most, but for those that only a failure of the best asks for.
 
     The chance of the best of many looks better than it is, so it is counted again on fresh soils, and promised only
@@ -188,6 +193,7 @@ def choose(
     again = min(CHECKED, len(plans)) * (conditions.members - count)
     race = _Race(conditions, risk, prefer, count, progress, (len(plans) + taught) * count + again)
     found = race.run(plans, racing=racing and prefer != "teaching")
+    found = found if improve is None else race.improved(found, improve)
     checked = race.checked(race.taught(found) if taught else found)
     ordered = sorted(_with_front(checked), key=lambda one: _order(one, risk, prefer))
     return DriveChoice(candidates=tuple(ordered), risk=risk, prefer=prefer, fresh=conditions.members > count)
@@ -236,6 +242,19 @@ class _Race:
                 out += [replace(one, stopped=True) for one in stopped]
                 alive = [one.number - 1 for one in left]
         return sorted([*found, *out], key=lambda one: one.number)
+
+    def improved(self, found: list[DriveCandidate], improve: Improvement) -> list[DriveCandidate]:
+        """The same, with drives made of the best few, and of these once more where they still drift."""
+        order = sorted((one for one in found if not one.stopped), key=lambda one: _order(one, self.risk, self.prefer))
+        better = [(one, one.plan) for one in order if one.plan.fixes is None][:IMPROVED]
+        for _ in range(AGAIN):
+            plans = [(plan, way) for one, way in better for plan in improve.plans(one.prediction, one.weakest, way)]
+            self.total += len(plans) * self.members
+            driven = self._drive([plan for plan, _ in plans], range(self.members))
+            made = [self._candidate(len(found) + k, prediction) for k, prediction in enumerate(driven)]
+            found = [*found, *made]
+            better = [(one, way) for one, (_, way) in zip(made, plans, strict=True) if one.plan.target_m is not None]
+        return found
 
     def taught(self, found: list[DriveCandidate]) -> list[DriveCandidate]:
         """The same, those driven on all soils with what they teach."""

@@ -13,6 +13,7 @@ from lunarsci.tables import csv_bytes
 from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.choice.choice import DriveChoice, choose, least_drives
 from lunarsci.twin.choice.conditions import Conditions
+from lunarsci.twin.choice.improvement import Improvement
 from lunarsci.twin.ground.driven_soil import DrivenSoil
 from lunarsci.twin.ground.keep_out import near_way
 from lunarsci.twin.ground.terrain import Terrain
@@ -175,15 +176,15 @@ def chosen_drive(terrain: str, asked: PlanRequest, progress: Progress | None) ->
     surface, ground = local.searched(ends), local.driven(ends)
     plans = candidates_of(asked, site, surface, given, progress)
     soils, conditions, members = drive_conditions(asked, site, given, plans, ground)
+    (x0, y0, heading), (x, y, *_) = asked.places
+    search = RouteSearch.of(surface, site.rover, (x0, y0, heading), (x, y), asked.final_heading_deg)
     choice = choose(
         plans, conditions, risk=asked.risk or 0.0, prefer=asked.prefer, members=members, teach=asked.teach,
-        progress=progress,
+        improve=Improvement.on(search, None if asked.fixes is None else parsed_fixes(asked.fixes)), progress=progress,
     )  # fmt: skip
     check_taught(asked, choice)
     path = None
     if choice.feasible:
-        (x0, y0, heading), (x, y, *_) = asked.places
-        search = RouteSearch.of(surface, site.rover, (x0, y0, heading), (x, y), asked.final_heading_deg)
         path = local.on_site(measured_path(search, choice.best.plan))
     tolerance = next(limit.limit for limit in plans[0].limits if limit.quantity == "endpoint_miss_m")
     fresh = conditions.members - members

@@ -23,8 +23,11 @@ def plan_text(plan: Plan) -> str:
     for leg in plan.legs:
         values = ((name, float(getattr(leg, name))) for name in Leg.__slots__)
         lines += ["", "[[leg]]", *(f"{name} = {value!r}" for name, value in values if value)]
+    if plan.target_m is not None:
+        x, y = map(float, plan.target_m)
+        lines += ["", "[target]", f"x_m = {x!r}", f"y_m = {y!r}"]
     if plan.fixes is not None:
-        names = ("position_sigma_m", "heading_sigma_deg")
+        names = ("position_sigma_m", "heading_sigma_deg", *(("halt_s",) if plan.fixes.halt_s else ()))
         lines += ["", "[fixes]", *(f"{name} = {float(getattr(plan.fixes, name))!r}" for name in names)]
     for circle in plan.exclusion_zones:
         places = (f"{name} = {float(getattr(circle, name))!r}" for name in ("x_m", "y_m", "radius_m"))

@@ -143,7 +143,7 @@ def make_schedule(plan: Plan, rover: Rover) -> Schedule:
     steering = np.zeros(len(rover.wheels))
     for number, legs in enumerate(groups):
         first, last = number == 0, number == len(groups) - 1
-        begin = runs[-1].end_s if runs else 0.0
+        begin = runs[-1].end_s + (0.0 if plan.fixes is None else plan.fixes.halt_s) if runs else 0.0
         bare = Run(legs, begin, 0.0, 0.0, not first and legs[0].stop_s == 0, not last and legs[0].stop_s == 0)
         wanted = _steering(rover, legs[0]) if bare.moves else steering
         turned = 0.0 if first else float(np.abs(wanted - steering).max())

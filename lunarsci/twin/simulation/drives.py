@@ -66,8 +66,10 @@ class MemberDrives:
             work = work if ruts is None else with_ruts(work, ruts)
             size, before = own.stop - own.start, np.full(own.stop - own.start, FINISHED)
             for part, common, errors in drives:
-                *kept, steered = [one[own] for one in whole] if part is scene else self.empty(size, part, 2)
-                drive_group(part, known, common, errors[lanes], work, tuple(kept), steered)
+                kept = self.empty(size, part, 2)
+                if part is scene:
+                    kept = (whole[0][own], whole[1][own], whole[2][own], whole[3][own])
+                drive_group(part, known, common, errors[lanes], work, kept[:3], kept[3])
                 kept[2][:, 0] = np.where(before == FINISHED, kept[2][:, 0], before)
                 before = kept[2][:, 0]
         return whole

@@ -150,9 +150,15 @@ class Prediction:
         return self.places_m[:, -1]
 
     @property
+    def destination_m(self) -> FloatArray:
+        """x, y of where the drive shall end: the plan's target, or the end of its legs. (2,) [m]"""
+        target = self.plan.target_m
+        return np.array(self.planned[-1, :2] if target is None else target)
+
+    @property
     def miss_m(self) -> FloatArray:
-        """Distance of each end from the planned destination. (members,) [m]"""
-        return np.asarray(np.hypot(*(self.endpoints_m - self.planned[-1, :2]).T))
+        """Distance of each end from the destination. (members,) [m]"""
+        return np.asarray(np.hypot(*(self.endpoints_m - self.destination_m).T))
 
     def outcome_text(self, member: int) -> str:
         """The outcome of one member in words."""
