@@ -53,7 +53,7 @@ OPTIONS = {
         panel=CHOICE,
     ),
     "prefer": option(
-        "Of drives that keep the risk the one with the least of this, or the one that teaches most.", panel=CHOICE
+        "Of drives that keep the risk the one with the least of this, or that which teaches most.", panel=CHOICE
     ),
     "teach": option(
         "Say what each drive is expected to teach of the soil, and of the way back that may follow.", panel=CHOICE
@@ -148,6 +148,7 @@ def _choice_table(found: "ChosenDrive") -> TextTable:
     best, rows = choice.best, [_candidate_row(one) for one in choice.candidates[:SHOWN]]
     stopped = sum(one.stopped for one in choice.candidates)
     verdict = f"take drive {best.number}, {best.plan.name}" if choice.feasible else "NO-GO: no drive keeps the risk"
+    aimed = any(one.plan.target_m is not None for one in choice.candidates[:SHOWN])
     notes = [
         f"drive {best.number}: {100 * best.said.risk:.1f} % fail, at most {100 * best.said.high:.1f} %; it takes "
         f"{best.duration_s / 60:.1f} min; weakest at x {best.weakest.x_m:z.2f} m, y {best.weakest.y_m:z.2f} m: "
@@ -157,6 +158,7 @@ def _choice_table(found: "ChosenDrive") -> TextTable:
         f"* not beaten in risk, length and energy at once; {len(choice.candidates)} drives compared, {stopped} stopped "
         f"early, of which {len(choice.candidates) - len(rows)} are left out here: --csv",
         f"end within {found.tolerance_m:g} m of the target",
+        *(["aimed off: bent against the drift that is expected, so that the mean drive ends at the target"] * aimed),
         *_taught_notes(best),
         *found.soils.inputs.soil_notes(found.members, 0),
         *found.notes(),

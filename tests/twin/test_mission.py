@@ -168,6 +168,8 @@ def test_a_battery_that_gets_too_low_ends_the_mission(yutu2: Rover) -> None:
     assert powered(yutu2, 35.0).kept.all()
     low = powered(yutu2, 30.0)
     assert low.targets[0].fate == "no drive" and len(low.legs) == 3
+    assert "up to leg 4: the battery gets too low while the rover stands" in low.targets[0].why
+    assert f"leg 3: battery_charge ({MEMBERS} of {MEMBERS} drives)" in powered(yutu2, 18.0).targets[0].why
     assert powered(yutu2, 50.0, least=0.3).kept.all() and not powered(yutu2, 50.0, least=0.34).kept.any()
     stays = dataclasses.replace(FAR, stay_s=1000.0)
     assert not powered(yutu2, 35.0, targets=(stays,)).kept.any() and powered(yutu2, 46.0, targets=(stays,)).kept.all()

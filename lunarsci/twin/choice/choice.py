@@ -17,7 +17,7 @@ from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.simulation.ensemble import Prediction
 
 Progress = Callable[[int, int], None]
-Preference: TypeAlias = Literal["energy", "length", "time", "teaching"]
+Preference: TypeAlias = Literal["energy", "length", "time", "teaching", "risk"]
 
 ROUNDS = (0.25, 0.5, 1.0)
 """Shares of the soils after which hopeless candidates stop; a quarter of 64 is a group of the simulation."""
@@ -94,6 +94,7 @@ class DriveCandidate:
             "length_m": self.length_m,
             "duration_s": self.duration_s,
             "energy_j": self.energy_j,
+            "aimed_off": self.plan.target_m is not None,
             "localisation_updates": 0 if self.plan.fixes is None else len(self.plan.legs) - 1,
             "screened": self.chance.to_dict(),
             "promised": None if self.promise is None else self.promise.to_dict(),
@@ -172,7 +173,7 @@ def choose(
     conditions : soils and grounds; the first `members` are those by which plans are chosen, the others fresh ones on
         which the chosen are driven again.
     risk : chance of failing that is accepted, 0 to 1. [-]
-    prefer : among plans that keep it the one with the least energy, length or time is the best, or the one after which
+    prefer : among plans that keep it that with the least energy, length, time or risk is the best, or that after which
         the end of the next drive is expected to be known best (`teaching`; then none is stopped early).
     members : soils by which plans are chosen; None for all, and then promises are of these same soils.
     racing : stop hopeless candidates after a quarter and half of the soils.
@@ -337,7 +338,8 @@ def _order(one: DriveCandidate, risk: float, prefer: Preference) -> tuple[int, f
     What differs by less than the second digit is alike, and then the shorter time decides.
     """
     after = math.nan if one.teaches is None else one.teaches.end_sd_m[1]
-    wanted = {"energy": one.energy_j, "length": one.length_m, "time": one.duration_s, "teaching": after}[prefer]
+    wanted = {"energy": one.energy_j, "length": one.length_m, "time": one.duration_s, "teaching": after,
+              "risk": one.said.risk}[prefer]  # fmt: skip
     wanted = math.inf if math.isnan(wanted) else float(f"{wanted:.2g}")
     if one.said.risk > risk:
         return (3 if one.stopped else 2), one.said.risk, wanted, one.duration_s, one.number

@@ -9,7 +9,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.twin.choice.chances import UNFINISHED, Weakest
 from lunarsci.twin.plans.path import planned_pose, poses_along
 from lunarsci.twin.plans.plan import Fixes, Plan
-from lunarsci.twin.routes.aiming import bent_plan, halting_at, off_the_end_m
+from lunarsci.twin.routes.aiming import bent_plan, halting_at
 from lunarsci.twin.routes.planner import PLACES_M, RouteSearch
 from lunarsci.twin.simulation.ensemble import Prediction
 
@@ -74,7 +74,7 @@ class Improvement:
             return None
         x, y = prediction.destination_m
         bent = replace(bent, target_m=(float(x), float(y)))
-        return replace(bent, name=f"{way.name}, aimed {off_the_end_m(bent):.2f} m off")
+        return replace(bent, name=f"{way.name}, aimed off")
 
     def _halted(self, plan: Plan, weakest: Weakest) -> Plan | None:
         """With halts at the joints of its legs, and one before the weakest place."""
@@ -86,7 +86,7 @@ class Improvement:
         if len(legs) == 1:
             return None
         said = "1 fix" if len(legs) == 2 else f"{len(legs) - 1} fixes"
-        return replace(plan, legs=legs, fixes=self.fixes, name=f"{plan.name}, {said} before {place:.1f} m")
+        return replace(plan, legs=legs, fixes=self.fixes, name=f"{plan.name}, {said}")
 
 
 def mean_drift(prediction: Prediction, way: Plan, shares: FloatArray) -> FloatArray | None:

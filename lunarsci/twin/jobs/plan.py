@@ -39,7 +39,7 @@ class PlanRequest(GroundRequest):
         of its own, as `predict` takes it.
     risk : chance that a limit is broken or the end missed that is accepted; then many drives are compared. None for the
         cheapest path on the maps. [-]
-    prefer : of drives that keep the risk that with the least energy, length or time, or the one that teaches most.
+    prefer : of drives that keep the risk that with the least energy, length, time or risk, or that which teaches most.
     teach : with `risk`: say what each drive is expected to teach of the soil and of the way back.
     sweep : with `risk`: NAME=LOW:HIGH:N, uncertain parameters; those of the embedded plan where no soil is given.
     members : with `risk`: soils on which all candidates are driven; 64 where it is None.
@@ -65,7 +65,7 @@ class PlanRequest(GroundRequest):
     lonlat: bool = False
     soil: tuple[str, ...] = ()
     risk: float | None = None
-    prefer: Literal["energy", "length", "time", "teaching"] = "energy"
+    prefer: Literal["energy", "length", "time", "teaching", "risk"] = "energy"
     sweep: tuple[str, ...] = ()
     members: int | None = None
     tolerance: float | None = None

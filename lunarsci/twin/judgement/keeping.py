@@ -117,3 +117,12 @@ def kept(prediction: Prediction) -> BoolArray:
     for limit in limits_judged(prediction):
         result &= ~broken(limit, extremes(prediction, limit.quantity))
     return np.asarray(result)
+
+
+def in_the_way(prediction: Prediction) -> str:
+    """What drives break, the most frequent first, as `slip_ratio (3 of 8 drives)`; '' where all are kept."""
+    limits = limits_judged(prediction)
+    counts = {one.quantity: int(broken(one, extremes(prediction, one.quantity)).sum()) for one in limits}
+    counts["not at the end"] = int((~prediction.finished).sum())
+    order = sorted((name for name in counts if counts[name]), key=lambda name: -counts[name])
+    return ", ".join(f"{name} ({counts[name]} of {prediction.members} drives)" for name in order)

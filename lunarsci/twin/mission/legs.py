@@ -10,7 +10,7 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.twin.judgement.energy import charge_left, stood
-from lunarsci.twin.judgement.keeping import broken, limits_judged
+from lunarsci.twin.judgement.keeping import broken, in_the_way, limits_judged
 from lunarsci.twin.mission.mission import Mission, MissionTarget
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.plans.schedule import make_schedule
@@ -243,7 +243,9 @@ class _Driven:
         self._stand_until(begin + needed)
         ends = self._moved_ends(prediction)
         if not self.alive.any():
-            raise _Stopped("no drive", f"no soil is left on which all limits are kept up to leg {len(self.legs) + 1}")
+            why = in_the_way(prediction) or "the battery gets too low while the rover stands after it"
+            number = len(self.legs) + 1
+            raise _Stopped("no drive", f"no soil is left on which all limits are kept up to leg {number}: {why}")
         member = int(self.random.choice(np.flatnonzero(self.alive)))
         fix = self.random.normal(size=3) * self._fix_sigma
         heading = float(prediction.paths[member, -1, 5]) + float(fix[2])

@@ -1,6 +1,5 @@
 """Plans bent so that a drive which is expected to drift comes where it shall: they aim off against the drift."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -78,11 +77,3 @@ def halting_at(plan: Plan, distance_m: float, least_m: float) -> tuple[Leg, ...]
             legs.append(leg)
         done += leg.length_m
     return tuple(legs)
-
-
-def off_the_end_m(plan: Plan) -> float:
-    """How far the end of the legs lies from where the plan shall lead. [m]"""
-    if plan.target_m is None:
-        return 0.0
-    end = planned_pose(plan, plan.length_m)
-    return math.dist((float(end[0]), float(end[1])), plan.target_m)
