@@ -42,9 +42,15 @@ def _targets(found: "PlannedMission") -> TextTable:
 
 
 def _legs(found: "PlannedMission") -> TextTable:
+    from lunarsci.twin.judgement.keeping import least_of_95
+
     rows = [_row(leg) for leg in found.driven.legs]
     headers = ["leg", "to", "begin", "waited", "drive [min]", "m", "sd [m]", "kept [%]"]
     notes = ["begin and waited: h:min; sd: of the end, along its larger axis, before the rover is localised"]
+    if charges := [leg.charge for leg in found.driven.legs if leg.charge is not None]:
+        headers.append("left [%]")
+        rows = [[*row, f"{100 * least_of_95(charge):z.0f}"] for row, charge in zip(rows, charges, strict=True)]
+        notes.append("left: of the battery at the end of the leg, in 95 % of the drives; below 0 what is missing")
     return TextTable(headers, rows, title="legs", notes=notes)
 
 

@@ -28,7 +28,11 @@ SWEEP = option(
 MEMBERS = option(
     "Number of drives: samples of the ranges instead of the grid of all values, or draws.", min=1, panel=SOIL
 )
-FIXES = option("Position fixes after each leg, standard errors in position and heading.", metavar="M,DEG", panel=SOIL)
+FIXES = option(
+    "Position fixes after each leg: standard errors in position and heading, and the standstill in s that each takes.",
+    metavar="M,DEG[,S]",
+    panel=SOIL,
+)
 RUTS = option(
     "Whether wheels meet the ruts that others, and they themselves, left. With --soil of a belief as its last drive "
     "did, else no, if left out.",

@@ -80,7 +80,9 @@ OPTIONS = {
     ),
     "candidates": option("Drives to compare, at most.", panel=CHOICE, show_default="50"),
     "fixes": option(
-        "Let drives halt for localisation updates, with these standard errors.", panel=CHOICE, metavar="M,DEG"
+        "Let drives halt for localisation updates, with these standard errors and the standstill in s that each takes.",
+        panel=CHOICE,
+        metavar="M,DEG[,S]",
     ),
     "mission": option(
         "Reach several targets by legs: TOML file with tables target, fixes, keep_out and window, and time_budget_s.",
@@ -89,11 +91,17 @@ OPTIONS = {
         show_default=False,
     ),
     "exact_terrain": option("Drive on the likely ground, not on one that is drawn for each drive.", panel=CHOICE),
+    "charge": option(
+        "Charge of the battery at the start, 0 to 1; the battery is a limit then, and --sun also lights the panels.",
+        panel=CHOICE,
+        show_default="the battery does not count",
+    ),
     **{name: said for name, said in OF_TERRAIN.items() if name != "soil"},
 }
 SHORT = {
     "slip_ratio": "slip", "side_slip_deg": "sideslip", "sinkage_m": "sinkage", "tilt_deg": "tilt",
     "clearance_m": "clearance", "keep_out_m": "keep-out", "endpoint_miss_m": "end", "unfinished": "stuck",
+    "motor_torque_nm": "torque", "motor_load": "motors", "battery_charge": "battery",
 }  # fmt: skip
 SHOWN = 12
 """Candidates in the table for people."""
@@ -144,6 +152,7 @@ def _choice_table(found: "ChosenDrive") -> TextTable:
     best, rows = choice.best, [_candidate_row(one) for one in choice.candidates[:SHOWN]]
     stopped = sum(one.stopped for one in choice.candidates)
     verdict = f"take drive {best.number}, {best.plan.name}" if choice.feasible else "NO-GO: no drive keeps the risk"
+    aimed = any(one.plan.target_m is not None for one in choice.candidates[:SHOWN])
     notes = [
         f"drive {best.number}: {100 * best.said.risk:.1f} % fail, at most {100 * best.said.high:.1f} %; it takes "
         f"{best.duration_s / 60:.1f} min; weakest at x {best.weakest.x_m:z.2f} m, y {best.weakest.y_m:z.2f} m: "
@@ -153,6 +162,7 @@ def _choice_table(found: "ChosenDrive") -> TextTable:
         f"* not beaten in risk, length and energy at once; {len(choice.candidates)} drives compared, {stopped} stopped "
         f"early, of which {len(choice.candidates) - len(rows)} are left out here: --csv",
         f"end within {found.tolerance_m:g} m of the target",
+        *(["aimed off: bent against the drift that is expected, so that the mean drive ends at the target"] * aimed),
         *_taught_notes(choice),
         *found.soils.inputs.soil_notes(found.members, 0),
         *found.notes(),

@@ -38,6 +38,9 @@ def add_to(app: typer.Typer) -> None:
 def simulate(output: Output, request: SimulateDriveRequest, plan: PlanFile = None) -> Report:
     """Drive a plan once on one soil and write the telemetry that such a drive would send, sensor errors included.
 
+    A plan with [fixes] halts after each leg, and the rover steers on from where it then believes to be; telemetry has
+    these positions, and a column for halts.
+
     With -o DIR the telemetry goes to telemetry.csv, the depth of the track to track.csv, and the truth behind both to
     truth.csv. All of it is made up and says so. `lunarsci twin states` reads the first two.
     """
@@ -59,6 +62,10 @@ def _table(found: MadeUpDrive) -> TextTable:
         ["wheel steering", str(result["rows"]), f"{errors.steered_deg:.3g} deg"],
         ["depth of the track", str(result["track_points"]), f"{1e3 * errors.track_m:.3g} mm"],
     ]
+    halts = result.get("halts", [])
+    if found.drive.prediction.plan.fixes is not None:
+        sigma = found.drive.prediction.plan.fixes.position_sigma_m
+        rows.insert(1, ["of these at halts", str(len(halts)), f"{1e3 * sigma:.3g} mm"])
     notes = [
         "Synthetic: made up, not a measurement. The track is as deep as the deepest wheel that passed.",
         "Errors of positions and track follow Ding et al. (2024); the others are assumed.",

@@ -11,7 +11,7 @@ from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable
-from .options import DRIVE, EXACT_TERRAIN
+from .options import CHARGE, DRIVE, EXACT_TERRAIN, SUN
 
 OPTIONS = DRIVE | {
     "vary": option(
@@ -21,6 +21,8 @@ OPTIONS = DRIVE | {
     ),
     "designs": option("Number of designs: Latin-hypercube samples of the ranges instead of the grid.", min=1),
     "exact_terrain": EXACT_TERRAIN,
+    "sun": SUN,
+    "charge": CHARGE,
 }
 Plans = Annotated[
     list[str] | None,
@@ -37,7 +39,8 @@ def sweep(output: Output, request: SweepRequest, plans: Plans = None) -> Report:
     """Drive designs of a rover that differ in a few numbers on the same mission and soils, and set them side by side.
 
     For each design: the share of drives that keep every limit, p95 of the worst slip and sinkage, work of the motors,
-    time, bias and scatter of the ends, and what a wheel pulls at 20 % slip. An impossible design is listed with its
+    time, bias and scatter of the ends, and what a wheel pulls at 20 % slip; with --charge or --sun also what is left in
+    the battery, which is a limit then. An impossible design is listed with its
     reason; a number on which no drive depends is refused with its reason. `*` marks designs that no other beats both in
     energy and in the share of drives kept; --plot has them in a picture, and a curve for each number.
     """
@@ -57,6 +60,10 @@ HEADERS = (
 def _tables(found: DesignTrade) -> list[TextTable]:
     names = [entry.name for entry in found.variations]
     rows = [[*(f"{row[name]:.4g}" for name in names), *_cells(row)] for row in found.rows() if not row["impossible"]]
+    headers, possible = [*names, *HEADERS], [row for row in found.rows() if not row["impossible"]]
+    if any(row["least_charge"] is not None for row in possible):
+        headers.append("battery left [%]")
+        rows = [[*cells, f"{100 * row['least_charge']:z.0f}"] for cells, row in zip(rows, possible, strict=True)]
     drives = next((design.outcome.drives for design in found.designs if design.outcome), 0)
     plans = ", ".join(soils.inputs.plan.name for soils in found.soils)
     each = "1 drive each" if drives == 1 else f"{drives} drives each"
@@ -70,7 +77,7 @@ def _tables(found: DesignTrade) -> list[TextTable]:
         notes.append("the terrain is synthetic; the trade says nothing about a real site")
     out = [[*(f"{row[name]:.4g}" for name in names), row["impossible"]] for row in found.rows() if row["impossible"]]
     impossible = [TextTable([*names, "why"], out, title="Impossible designs")] if out else []
-    return [TextTable([*names, *HEADERS], rows, title=title, notes=notes), *impossible]
+    return [TextTable(headers, rows, title=title, notes=notes), *impossible]
 
 
 def _cells(row: Any) -> list[str]:

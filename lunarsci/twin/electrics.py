@@ -4,6 +4,10 @@ import math
 from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
+import numpy as np
+import numpy.typing as npt
+
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.names import one_of
 from lunarsci.rovers import RoverDescription
@@ -49,10 +53,10 @@ class Motors:
         if not 0 <= self.idle_w < math.inf:
             raise ParameterError(f"motors idle_w is {self.idle_w}; give 0 or more")
 
-    def torque_nm(self, rate_rad_s: float) -> float:
-        """Most torque that the motor gives for long at a rate of the wheel, 0 from the no-load rate on. [N m]"""
-        line = self.stall_torque_nm * (1.0 - abs(rate_rad_s) / self.no_load_rate_rad_s)
-        return max(0.0, min(self.continuous_torque_nm, line))
+    def torque_nm(self, rate_rad_s: npt.ArrayLike) -> FloatArray:
+        """Most torque that the motor gives for long at rates of the wheel, 0 from the no-load rate on. [N m]"""
+        line = self.stall_torque_nm * (1.0 - np.abs(rate_rad_s) / self.no_load_rate_rad_s)
+        return np.asarray(np.clip(line, 0.0, self.continuous_torque_nm))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,6 +69,8 @@ class PowerSupply:
     electronics_w : draw of everything but the wheels' motors while the rover drives, heaters included. [W]
     panel_area_m2 : area of solar cells, 0 for none. They lie flat on top of the chassis and tilt with it. [m2]
     cell_efficiency : electrical power over sunlight, with dust and wiring. [-]
+    least_charge : share of the full battery that must always be left, 0 to less than 1. [-]
+    standby_w : draw of everything while the rover stands between drives; as while it drives where it is None. [W]
 
     Raises ParameterError outside these ranges.
     """
@@ -73,12 +79,22 @@ class PowerSupply:
     electronics_w: float
     panel_area_m2: float = 0.0
     cell_efficiency: float = 0.3
+    least_charge: float = 0.0
+    standby_w: float | None = None
 
     def __post_init__(self) -> None:
         _check("power", self, ("battery_wh",), ("cell_efficiency",))
-        for name in ("electronics_w", "panel_area_m2"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ParameterError(f"power {name} is {getattr(self, name)}; give 0 or more")
+        for name in ("electronics_w", "panel_area_m2", "standby_w"):
+            value = getattr(self, name)
+            if value is not None and not 0 <= value < math.inf:
+                raise ParameterError(f"power {name} is {value}; give 0 or more")
+        if not 0 <= self.least_charge < 1:
+            raise ParameterError(f"power least_charge is {self.least_charge}; give a share from 0 to less than 1")
+
+    @property
+    def standing_w(self) -> float:
+        """Draw of everything while the rover stands. [W]"""
+        return self.electronics_w if self.standby_w is None else self.standby_w
 
 
 Part = TypeVar("Part", Motors, PowerSupply)

@@ -162,7 +162,18 @@ def test_without_a_track_or_a_plan_it_is_said(run: Run, sent: Path) -> None:
     assert "not compared with a plan" in done.out
 
 
-def test_a_plan_with_fixes_is_not_simulated(run: Run, plan: Path, tmp_path: Path) -> None:
-    plan.write_text(PLAN + "[fixes]\nposition_sigma_m = 0.1\nheading_sigma_deg = 0.5\n")
-    done = run("twin", "simulate", plan)
-    assert (done.code, done.out) == (1, "") and "leave them out" in done.err[0]
+def test_a_plan_with_fixes_is_driven_with_its_halts(run: Run, plan: Path, tmp_path: Path) -> None:
+    plan.write_text(PLAN + "[[leg]]\nlength_m = 1.5\n[fixes]\nposition_sigma_m = 0.05\nheading_sigma_deg = 0.5\n")
+    folder = tmp_path / "drive"
+    done = run("twin", "simulate", plan, "-o", folder, "--json", "-q")
+    assert done.code == 0, done.err
+    [halt] = json.loads(done.out)["result"]["halts"]
+    assert halt["distance_m"] == pytest.approx(2.5, abs=1e-3) and 0 < halt["off_m"] < 0.3
+    rows = pd.read_csv(folder / "telemetry.csv", comment="#")
+    [row] = rows.index[(rows["time_s"] - halt["time_s"]).abs() < 1e-6]
+    assert bool(rows.loc[row, "halted"]) and rows.loc[row, "xx_m2"] == pytest.approx(0.05**2)
+    states = run("twin", "states", folder / "telemetry.csv", plan, "--track", folder / "track.csv", "--json", "-q")
+    assert states.code == 0, states.err
+    kinds = {entry["kind"] for entry in json.loads(states.out)["result"]["findings"]}
+    assert kinds <= {"sparse positions"}
+    assert "of these at halts" in run("twin", "simulate", plan).out

@@ -87,7 +87,7 @@ def test_a_single_drive_that_enters_is_a_no_go(driven: Prediction) -> None:
     paths[7, 5, 1] = 0.3
     posed = dataclasses.replace(driven, paths=paths)
     touched = judge(with_circles(posed, ExclusionZone("rock", 0.0, 1.2, 0.5)))
-    [limit] = touched.limits
+    limit, *_ = touched.limits
     assert (limit.quantity, limit.sense, limit.limit, limit.exceeding, limit.worst_member) == (
         *("keep_out_m", "at least", 0.0, 1, 7),
     )

@@ -2,14 +2,17 @@
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import lunarsci
-from lunarsci.errors import DataError, ParameterError, RequestError
+from lunarsci.errors import DataError, ParameterError
 from lunarsci.regolith.soil import read_soil
+from lunarsci.twin.ground.finer_ground import driven_ground
+from lunarsci.twin.ground.footprint import rover_footprint
 from lunarsci.twin.ground.terrain import build_terrain
 from lunarsci.twin.ground.terrain_files import write_terrain
 from lunarsci.twin.plans.path import planned_pose
@@ -114,9 +117,66 @@ def test_local_ground_that_does_not_fit_is_refused(files: tuple[str, str], tmp_p
         with pytest.raises(DataError, match=says) as failed:
             lunarsci.plan(files[0], local=(local,), **WAY)
         assert "\n" not in str(failed.value)
-    for option in ({"risk": 0.05}, {"mission": "mission.toml"}):
-        with pytest.raises(RequestError, match="`local` is for a path on the maps"):
-            lunarsci.plan(files[0], local=(files[1],), **WAY, **option)
+
+
+def test_driven_ground_is_the_finer_one_and_has_no_step_at_its_rim() -> None:
+    """A plane off by 5 cm, with a rock on it, in coarse ground: the rock is there, and the 5 cm come over a spacing."""
+    x, y = 40.0 + 0.1 * np.arange(201), 10.0 + 0.1 * np.arange(201)
+    rise = 0.1 * np.arange(51)[None, :] + np.zeros((21, 1))
+    coarse = build_terrain("orbit", 0.0, 0.0, 2.0, 2.0 * rise, read_soil("longji"))
+    fine = 0.1 * x[None, :] + 0.05 + 0.4 * (np.hypot(x[None, :] - 50.0, y[:, None] - 20.0) < 0.5)
+    fine[:30, :30] = np.nan
+    local = build_terrain("mast", 40.0, 10.0, 0.1, fine, read_soil("longji"))
+    found = driven_ground(coarse, [local], np.array([[45.0, 15.0], [56.0, 22.0]]), 9.0)
+    assert (found.spacing_m, found.x0_m, found.y0_m) == (0.1, 36.0, 6.0)
+    assert found.height_at(50.0, 20.0) == pytest.approx(5.45) and found.height_at(55.0, 20.0) == pytest.approx(5.55)
+    assert found.height_at(38.0, 20.0) == pytest.approx(3.8) and found.height_at(41.0, 11.0) == pytest.approx(4.1)
+    away = np.hypot(found.x_m[None, :] - 50.0, found.y_m[:, None] - 20.0) > 1.0
+    off = found.height_m - 0.1 * found.x_m[None, :]
+    assert off[away].min() > -1e-9 and off[away].max() < 0.05 + 1e-9
+    steps = [np.abs(np.diff(off, axis=axis)) for axis in (0, 1)]
+    assert max(steps[0][away[1:] & away[:-1]].max(), steps[1][away[:, 1:] & away[:, :-1]].max()) < 0.005
+    far = driven_ground(coarse, [local], np.array([[5.0, 15.0], [6.0, 22.0]]), 3.0)
+    assert far.spacing_m == 2.0 and (far.height_m == coarse.height_m).all()
+
+
+SOILS: dict[str, Any] = {"sweep": ("friction_angle_deg=35:40:2",), "members": 4}
+
+
+def test_drives_are_chosen_and_driven_on_the_finer_ground(files: tuple[str, str]) -> None:
+    """Over the rock on the orbit's ground, which knows nothing of it; round it, and driven over it, on the mast's."""
+    near = WAY | {"start": (46.0, 20.9, 0.0), "target": (56.0, 20.9)} | SOILS | {"risk": 0.5, "candidates": 1}
+    over, round_it = lunarsci.plan(files[0], **near), lunarsci.plan(files[0], local=(files[1],), **near)
+    assert room(over.path) == 0.0 and over.ground is None
+    assert room(round_it.path) > RADIUS_M and round_it.choice.feasible
+    assert round_it.ground.height_at(*ROCK) == pytest.approx(0.4) and round_it.ground.spacing_m == FINE_M
+    assert round_it.choice.best.prediction.terrain is round_it.ground
+    assert [one["terrain"] for one in round_it.to_dict()["path"]["checked"]] == ["orbit", "mast"]
+    assert round_it.path.swept.shape == round_it.surface.demand.shape
+
+
+MISSION = """
+leg_m = 6.0
+[start]
+x_m = 46.0
+y_m = 20.9
+[fixes]
+position_sigma_m = 0.02
+heading_sigma_deg = 0.1
+[[target]]
+name = "beyond the rock"
+x_m = 56.0
+y_m = 20.9
+"""
+
+
+def test_a_mission_goes_by_the_finer_ground(files: tuple[str, str], tmp_path: Path) -> None:
+    (tmp_path / "mission.toml").write_text(MISSION)
+    found = lunarsci.plan(files[0], local=(files[1],), mission=str(tmp_path / "mission.toml"), **SOILS)
+    legs, footprint = found.driven.legs, rover_footprint(found.site.rover)
+    assert found.driven.reached == 1 and len(legs) == 2
+    ways = [SimpleNamespace(plan=leg.plan, footprint=footprint) for leg in legs]
+    assert min(map(room, ways)) > RADIUS_M
 
 
 def test_local_ground_of_another_projection_is_refused(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ def lifted(driven: Prediction, first: float) -> Prediction:
 
 def test_small_clearances_are_the_bad_ones(driven: Prediction) -> None:
     """Of 20 drives 19 are 95 %: they keep 0.11 m and more; the smallest is 0.10 m."""
-    [limit] = judge(limited(lifted(driven, 0.1), Limit("clearance_m", "m", 0.105, "test", False))).limits
+    limit, *_ = judge(limited(lifted(driven, 0.1), Limit("clearance_m", "m", 0.105, "test", False))).limits
     assert (limit.sense, limit.ok, limit.exceeding, limit.worst_member) == ("at least", True, 1, 0)
     assert (limit.min, limit.p05, limit.p50, limit.p95, limit.max) == pytest.approx((0.10, 0.11, 0.195, 0.28, 0.29))
     assert limit.margin == pytest.approx(0.005) and limit.judged == limit.kept_by_95 == limit.p05
@@ -40,7 +40,7 @@ def test_large_misses_are_the_bad_ones(driven: Prediction) -> None:
     paths = driven.paths.copy()
     paths[:, -1, :2] = driven.planned[-1, :2] + np.column_stack([0.01 * np.arange(1, 21), np.zeros(20)])
     missed = dataclasses.replace(driven, paths=paths)
-    [limit] = judge(limited(missed, Limit("endpoint_miss_m", "m", 0.195, "test", False))).limits
+    limit, *_ = judge(limited(missed, Limit("endpoint_miss_m", "m", 0.195, "test", False))).limits
     assert (limit.sense, limit.ok, limit.exceeding, limit.worst_member) == ("at most", True, 1, 19)
     assert (limit.min, limit.p05, limit.p50, limit.p95, limit.max) == pytest.approx((0.01, 0.02, 0.105, 0.19, 0.20))
     assert limit.margin == pytest.approx(0.005)

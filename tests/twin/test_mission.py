@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.twin.electrics import Motors, PowerSupply
+from lunarsci.twin.judgement.keeping import kept
 from lunarsci.twin.mission.legs import DrivenMission, drive_mission, first_leg
 from lunarsci.twin.mission.mission import CommWindow, Mission, MissionStart, MissionTarget, read_mission
 from lunarsci.twin.plans.plan import Fixes, Leg, Plan
 from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.simulation.ensemble import Prediction
+from lunarsci.twin.simulation.ensemble import PowerState, Prediction
 
 MEMBERS = 400
 SPEED_M_S = 0.05
@@ -136,6 +138,41 @@ def test_legs_wait_for_windows(yutu2: Rover) -> None:
     assert found.waited_s == pytest.approx(3000.0 - 3 * found.legs[0].drive_s)
     found = driven(yutu2, dataclasses.replace(MISSION, windows=windows[:2]))
     assert found.targets[0].fate == "no window" and len(found.legs) == 2
+
+
+def powered(rover: Rover, battery_wh: float, least: float = 0.0, **mission: float) -> DrivenMission:
+    """SYNTHETIC drives that take 60 W of electronics and 1 W of each of six motors, and 40 W while the rover stands."""
+    supply = PowerSupply(battery_wh=battery_wh, electronics_w=60.0, standby_w=40.0, least_charge=least)
+    motors = Motors(stall_torque_nm=30.0, continuous_torque_nm=20.0, no_load_rate_rad_s=1.0, efficiency=0.5, idle_w=1.0)
+    equipped = dataclasses.replace(rover, power=supply, motors=motors)
+    world = Slides(equipped, np.zeros(MEMBERS))
+    given = dataclasses.replace(MISSION, localisation_s=600.0, **mission)
+    return drive_mission(given, equipped, straight, world.drive, kept, power=PowerState(charge=1.0))
+
+
+def test_the_battery_goes_on_from_leg_to_leg(yutu2: Rover) -> None:
+    """Four legs of 100 s at 66 W, between them 600 s at 40 W: what is left by hand. And a window to wait for."""
+    found = powered(yutu2, 100.0)
+    legs = [leg.drive_s for leg in found.legs]
+    drawn = np.cumsum(66.0 * np.array(legs) + 600.0 * 40.0 * (np.arange(4) > 0)) / 3600.0
+    assert [float(leg.charge[0]) for leg in found.legs] == pytest.approx(1.0 - drawn / 100.0, abs=1e-9)
+    assert found.kept.all()
+    windows = (CommWindow(begin_s=0.0, end_s=710.0), CommWindow(begin_s=2000.0, end_s=9000.0))
+    later = powered(yutu2, 100.0, windows=windows)
+    more = 40.0 * later.waited_s / 3600.0 / 100.0
+    assert found.legs[-1].charge[0] - later.legs[-1].charge[0] == pytest.approx(more, abs=1e-9) and more > 0.1
+
+
+def test_a_battery_that_gets_too_low_ends_the_mission(yutu2: Rover) -> None:
+    """What is taken after the last leg: 4 x 100 s at 66 W, 3 x 600 s at 40 W: 27.3 Wh, with its localisation 34."""
+    assert powered(yutu2, 35.0).kept.all()
+    low = powered(yutu2, 30.0)
+    assert low.targets[0].fate == "no drive" and len(low.legs) == 3
+    assert "up to leg 4: the battery gets too low while the rover stands" in low.targets[0].why
+    assert f"leg 3: battery_charge ({MEMBERS} of {MEMBERS} drives)" in powered(yutu2, 18.0).targets[0].why
+    assert powered(yutu2, 50.0, least=0.3).kept.all() and not powered(yutu2, 50.0, least=0.34).kept.any()
+    stays = dataclasses.replace(FAR, stay_s=1000.0)
+    assert not powered(yutu2, 35.0, targets=(stays,)).kept.any() and powered(yutu2, 46.0, targets=(stays,)).kept.all()
 
 
 def test_what_no_way_leads_to_is_said(yutu2: Rover) -> None:

@@ -9,14 +9,17 @@ import pytest
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.regolith.soil import Soil
 from lunarsci.rovers import read_rover
+from lunarsci.twin.choice.chances import verdicts
+from lunarsci.twin.designs.trade import mission_outcome
 from lunarsci.twin.electrics import Motors, PowerSupply
 from lunarsci.twin.ground.illumination import SunDirection
 from lunarsci.twin.ground.terrain import build_terrain
 from lunarsci.twin.judgement.energy import energy_use, power_record, power_use
-from lunarsci.twin.judgement.safety import extremes, judge, overloaded
-from lunarsci.twin.plans.plan import Limit, check_plan
+from lunarsci.twin.judgement.keeping import extremes, kept, limited, limits_judged
+from lunarsci.twin.judgement.safety import judge
+from lunarsci.twin.plans.plan import Leg, Limit, Plan, check_plan, parse_sweep
 from lunarsci.twin.rover import Rover, build_rover
-from lunarsci.twin.simulation.ensemble import Prediction, predict
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, PowerState, Prediction, predict
 
 MOTORS = Motors(stall_torque_nm=20.0, continuous_torque_nm=8.0, no_load_rate_rad_s=1.0, efficiency=0.5, idle_w=0.0)
 SUPPLY = PowerSupply(battery_wh=1.0, electronics_w=36.0, panel_area_m2=1.0, cell_efficiency=0.25)
@@ -24,6 +27,10 @@ SUPPLY = PowerSupply(battery_wh=1.0, electronics_w=36.0, panel_area_m2=1.0, cell
 
 def equipped(drive: Prediction, motors: Motors = MOTORS, power: PowerSupply = SUPPLY) -> Prediction:
     return dataclasses.replace(drive, rover=dataclasses.replace(drive.rover, motors=motors, power=power))
+
+
+def lit_by(drive: Prediction, sun: SunDirection | None, charge: float | np.ndarray = 1.0) -> Prediction:
+    return dataclasses.replace(drive, power=PowerState(charge=charge, sun=sun))
 
 
 def posed(drive: Prediction, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> Prediction:
@@ -78,7 +85,7 @@ def test_twice_the_draw_empties_the_battery_in_half_the_time(yutu2: Rover, slope
     ],
 )
 def test_panels_give_by_the_angle_of_the_sun_from_their_normal(driven: Prediction, attitude, sun, cosine) -> None:  # type: ignore[no-untyped-def]
-    use = power_use(posed(equipped(driven), *attitude), SunDirection(*sun))
+    use = power_use(lit_by(posed(equipped(driven), *attitude), SunDirection(*sun)))
     assert use.panels_w == pytest.approx(np.full((20, 10), 1360.8 * 1.0 * 0.25 * cosine), abs=1e-9)
 
 
@@ -90,7 +97,7 @@ def test_the_shadow_of_a_ridge_turns_the_panels_off_and_the_battery_does_not_ove
     height = np.repeat(np.where(np.abs(x + 3.0) < 0.51, 1.0, 0.0)[None, :], 81, axis=0)
     terrain = build_terrain("ridge", -5.0, -4.0, 0.1, height, longji_soil, synthetic=True)
     drive = equipped(predict(yutu2, terrain, straight(4.0, x_m=-1.5), sweep=()))
-    use = power_use(drive, SunDirection(180.0, 20.0), charge=0.5)
+    use = power_use(lit_by(drive, SunDirection(180.0, 20.0), charge=0.5))
     edge = -2.5 + 1.0 / math.tan(math.radians(20.0))
     assert use.lit is not None
     lit, place = use.lit[0], drive.paths[0, :, 0]
@@ -101,7 +108,7 @@ def test_the_shadow_of_a_ridge_turns_the_panels_off_and_the_battery_does_not_ove
     # 1360.8 W/m2 x 1 m2 x 0.25 x sin 20 deg = 116 W, more than is drawn.
     assert use.panels_w[0, -1] == pytest.approx(1360.8 * 0.25 * math.sin(math.radians(20.0)), rel=0.02)
     longer = dataclasses.replace(SUPPLY, battery_wh=0.6)
-    assert power_use(equipped(drive, MOTORS, longer), SunDirection(0.0, 80.0)).battery_wh.max() == 0.6
+    assert power_use(lit_by(equipped(drive, MOTORS, longer), SunDirection(0.0, 80.0))).battery_wh.max() == 0.6
     record = power_record(drive, use)
     assert record["empty_drives"] == 0 and 0.1 < record["panels"]["lit_share"] < 0.9
 
@@ -119,12 +126,65 @@ def test_wheels_that_need_more_than_their_motors_give_are_no_go(yutu2: Rover, sl
     # Six wheels that lift m g sin(slope) at r_s, and roll on.
     assert most > 135.0 * 1.622 * math.sin(math.atan(0.2)) * 0.1552 / 6
     weak = dataclasses.replace(MOTORS, continuous_torque_nm=0.9 * most)
-    assert overloaded(equipped(drive, weak)).all() and not overloaded(equipped(drive)).any()
+    assert not kept(equipped(drive, weak)).any() and kept(equipped(drive)).all()
     assert "more torque than its motor gives" in judge(equipped(drive, weak)).reasons[-1]
     assert judge(equipped(drive)).reasons == judge(dataclasses.replace(drive, rover=bare(yutu2))).reasons
     plan = dataclasses.replace(drive.plan, limits=(Limit("motor_torque_nm", "N m", 0.9 * most, "test", False),))
-    [limit] = judge(equipped(drive), plan).limits
+    limit, load = judge(equipped(drive), plan).limits
+    assert load.ok and load.quantity == "motor_load"
     assert not limit.ok and limit.max == pytest.approx(most)
+
+
+def test_a_battery_is_a_limit_that_no_drive_may_break(driven: Prediction) -> None:
+    """20 s at 36 W and the work of the wheels out of 1 Wh: left is what a sum by hand leaves."""
+    drive = equipped(driven)
+    taken = (energy_use(driven).total_j / 0.5 + 36.0 * 20.0) / 3600.0
+    least = float((1.0 - taken).min())
+    assert extremes(lit_by(drive, None), "battery_charge") == pytest.approx(1.0 - taken, rel=1e-9)
+    for floor, ok in ((least - 1e-6, True), (least + 1e-6, False)):
+        supply = dataclasses.replace(SUPPLY, least_charge=floor)
+        found = judge(lit_by(equipped(driven, power=supply), None))
+        [limit] = [one for one in found.limits if one.quantity == "battery_charge"]
+        assert (found.verdict == "go", limit.ok, limit.exceeding) == (ok, ok, 0 if ok else limit.exceeding)
+        assert limit.min == pytest.approx(least) and limit.judged == limit.min
+        assert kept(lit_by(equipped(driven, power=supply), None)).all() == ok
+    empty = judge(lit_by(drive, None, charge=0.5 * float(taken.min())))
+    assert "the battery runs empty in 20 of 20 drives" in empty.reasons[-1]
+    assert "battery_charge" not in [one.quantity for one in judge(drive).limits]
+    own = Limit("battery_charge", "-", 0.5, "test", False)
+    asked = dataclasses.replace(drive, plan=dataclasses.replace(drive.plan, limits=(own,)))
+    assert any("battery_charge was not judged: no charge" in note for note in judge(asked).notes)
+    assert own in limits_judged(lit_by(asked, None))
+
+
+def test_one_rule_says_what_is_kept(yutu2: Rover, slope, straight) -> None:  # type: ignore[no-untyped-def]
+    """A motor too weak for some soils fails the same drives wherever drives are counted."""
+    sweep = (parse_sweep("friction_angle_deg=22:45:12"),)
+    drive = predict(yutu2, slope(0.2), straight(2.0), sweep=sweep)
+    plan = dataclasses.replace(drive.plan, limits=(Limit("slip_ratio", "-", 0.9, "test", False),))
+    most = extremes(drive, "motor_torque_nm")
+    weak = equipped(drive, dataclasses.replace(MOTORS, continuous_torque_nm=float(np.median(most))))
+    weak = dataclasses.replace(weak, plan=plan)
+    beyond = most > np.median(most)
+    assert beyond.sum() == 6
+    assert (kept(weak) == ~beyond).all() and (verdicts(weak).kept == ~beyond).all()
+    assert mission_outcome(weak.rover, [weak]).kept_share == 1.0 - beyond.mean()
+    assert verdicts(weak).weakest.quantity == "motor_load"
+    [limit] = [one for one in judge(weak).limits if one.quantity == "motor_load"]
+    assert limit.exceeding == beyond.sum()
+
+
+def test_a_wheel_outside_of_a_bend_turns_faster_and_its_motor_gives_less(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
+    """At 0.05 m/s about a centre 1.5 m to the left, by the line of the motor: rates of wheels as their radii."""
+    plan = Plan(name="bend", legs=(Leg(2.0, 1.0 / 1.5),), speed_m_s=0.05)
+    drive = equipped(predict(yutu2, slope(), plan, sweep=()), dataclasses.replace(MOTORS, continuous_torque_nm=20.0))
+    load = limited(drive, "motor_load")[0, 5]
+    torque = np.abs(drive.states[0, 5, :, STATE_COLUMNS.index("resistance_torque_nm")])
+    x, y = yutu2.wheel_positions_m[:, 0] - yutu2.turning_x_m, yutu2.wheel_positions_m[:, 1]
+    # The middle wheels do not steer: they roll at the part of their speed that lies ahead.
+    radius = np.where(yutu2.steered_mask, np.hypot(x, 1.5 - y), 1.5 - y)
+    rate = 0.05 * radius / 1.5 / yutu2.wheel.shearing_radius_m
+    assert load.max() == pytest.approx(float((torque / (20.0 * (1.0 - rate))).max()), rel=1e-6)
 
 
 def bare(rover: Rover) -> Rover:
@@ -139,7 +199,7 @@ def test_what_cannot_be_is_refused(yutu2: Rover, driven: Prediction, straight, t
     with pytest.raises(ParameterError, match="battery_wh is nan"):
         dataclasses.replace(SUPPLY, battery_wh=math.nan)
     with pytest.raises(ParameterError, match="charge is 2"):
-        power_use(equipped(driven), charge=2.0)
+        lit_by(equipped(driven), None, charge=2.0)
     with pytest.raises(ParameterError, match=r"no \[motors\] and \[power\].*add"):
         power_use(dataclasses.replace(driven, rover=bare(driven.rover)))
     slow = dataclasses.replace(yutu2, motors=dataclasses.replace(MOTORS, no_load_rate_rad_s=0.2))

@@ -165,6 +165,20 @@ def test_errors_of_the_fixes_scatter_the_ends_and_follow_the_seed(yutu2: Rover, 
     assert off[:, 0].std() == pytest.approx(0.1, rel=0.35) and off[:, 1].std() == pytest.approx(0.1, rel=0.35)
 
 
+def test_halts_for_fixes_take_the_time_they_are_given(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
+    """Two halts of 30 s more: the drive is that much longer, stands meanwhile, and else is what it was."""
+    plans = [plan_of(Leg(1.0), Leg(1.0), Leg(1.0), fixes=Fixes(0.0, 0.0, halt_s=halt)) for halt in (0.0, 30.0)]
+    quick, slow = (make_schedule(plan, yutu2) for plan in plans)
+    assert slow.duration_s == pytest.approx(quick.duration_s + 60.0)
+    ground = slope(0.0, 0.05)
+    short, long = (predict(yutu2, ground, plan, sweep=(), time_step_s=0.1) for plan in plans)
+    assert long.endpoints_m[0] == pytest.approx(short.endpoints_m[0], abs=0.005)
+    first = slow.runs[1]
+    still = (long.time_s > first.begin_s - 28.0) & (long.time_s < first.begin_s - 1.0)
+    assert still.sum() > 10 and long.halted[still].all()
+    assert np.ptp(long.paths[0, still, :2], axis=0).max() < 0.003
+
+
 def test_after_a_stop_at_the_start_the_wheels_take_their_time_to_steer(yutu2: Rover) -> None:
     schedule = make_schedule(plan_of(Leg(stop_s=5.0), Leg(turn_deg=90.0)), yutu2)
     times = np.linspace(0.0, schedule.duration_s, 4001)

@@ -126,15 +126,53 @@ def test_a_rut_is_as_deep_as_the_deepest_wheel_that_passed(drive: SyntheticDrive
 
 def test_what_cannot_be_simulated_is_refused(drive: SyntheticDrive, yutu2: Rover) -> None:
     prediction = drive.prediction
-    fixed = dataclasses.replace(PLAN, fixes=Fixes(0.1, 0.5))
-    with pytest.raises(ParameterError, match="leave them out"):
-        simulate_telemetry(dataclasses.replace(prediction, plan=fixed), drive.errors)
+    both = dataclasses.replace(prediction, outcome=np.zeros(2, dtype=np.int64))
+    with pytest.raises(ParameterError, match="give one soil"):
+        simulate_telemetry(both, drive.errors)
     with pytest.raises(ParameterError, match="above 0 m"):
         SensorErrors(fix_distance_m=0.0)
     with pytest.raises(ParameterError, match="0 or more"):
         SensorErrors(yaw_deg=-1.0)
     with pytest.raises(ParameterError, match="an error above 0"):
         SensorErrors(fix_sigma_m=0.0)
+
+
+@pytest.fixture(scope="module")
+def halting(yutu2: Rover) -> SyntheticDrive:
+    """Across a slope, with halts after 2 and 4 m at which the rover errs by some 20 cm in its place."""
+    legs = (Leg(2.0), Leg(2.0), Leg(2.0))
+    plan = Plan(name="halts", legs=legs, speed_m_s=0.05, fixes=Fixes(0.2, 0.0))
+    ground = np.tan(np.radians(3.0)) * np.linspace(-3.0, 3.0, 25)[:, None] + np.zeros((25, 48))
+    slope = build_terrain("slope", -2.0, -3.0, 0.25, ground, read_soil("longji"), synthetic=True)
+    drive = predict(yutu2, slope, plan, sweep=(), seed=4, time_step_s=0.05, sample_m=0.05)
+    return simulate_telemetry(drive, SensorErrors(wheel_angle_deg=0.0), 4)
+
+
+def test_a_rover_that_halts_sends_where_it_believes_to_be_and_steers_from_there(halting: SyntheticDrive) -> None:
+    """The next leg leads from the place sent to the planned end, as an arc along the heading at the halt."""
+    table, drive = halting.telemetry, halting.prediction
+    rover = drive.rover
+    assert len(halting.halts) == 2 and set(table["halted"]) == {"true", "false"}
+    turned = np.radians(table[[f"angle_{wheel}_deg" for wheel in ("ML", "MR")]].to_numpy()).mean(axis=1)
+    way = turned * rover.wheel.shearing_radius_m
+    for row, goal in zip(halting.halts, ((4.0, 0.0), (6.0, 0.0)), strict=True):
+        sent = table.loc[row, ["x_m", "y_m"]].to_numpy(dtype=float)
+        off = sent - drive.paths[0, row, :2]
+        assert 0.02 < np.hypot(*off) < 0.7 and table.loc[row, "xx_m2"] == pytest.approx(0.04)
+        assert table.loc[row, "halted"] == "true" and abs(table.loc[row, "speed_ML_m_s"]) < 0.005
+        chord = np.subtract(goal, sent)
+        half = math.atan2(chord[1], chord[0]) - math.radians(drive.paths[0, row, 5])
+        arc = float(np.hypot(*chord)) / np.sinc(half / math.pi)
+        end = len(way) - 1 if goal[0] == 6.0 else int(halting.halts[1])
+        assert way[end] - way[row] == pytest.approx(arc, rel=0.01)
+
+
+def test_states_of_a_drive_with_halts_are_its_truth(halting: SyntheticDrive) -> None:
+    ground = halting.prediction.terrain
+    states = found(halting, ground, track=True)
+    for name in ("slip_ratio", "side_slip_deg"):
+        error = off(states, halting.prediction, name)
+        assert error.size > 20 and np.sqrt((error**2).mean()) < 2.0
 
 
 def test_wheels_that_do_not_slip_give_back_the_motion(yutu2: Rover) -> None:

@@ -7,8 +7,7 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
-from lunarsci.twin.judgement.quantities import along
-from lunarsci.twin.judgement.safety import limits_judged
+from lunarsci.twin.judgement.keeping import broken, limited, limits_judged
 from lunarsci.twin.plans.plan import Limit
 from lunarsci.twin.simulation.ensemble import Prediction
 
@@ -118,41 +117,32 @@ class Verdicts:
 def verdicts(prediction: Prediction) -> Verdicts:
     """Whether each drive kept every limit of the plan, and where they are in danger.
 
-    A limit on `endpoint_miss_m` is the tolerance of the end. As in `judge`, the worst value over wheels and recorded
-    samples counts, and a clearance is left out for a rover without a body. Raises ParameterError for
-    a plan without limits.
+    A limit on `endpoint_miss_m` is the tolerance of the end. Drives are kept as `lunarsci.twin.judgement.keeping.kept`
+    has it. Raises ParameterError for a plan without limits.
     """
-    limits = limits_judged(prediction.plan, prediction.rover)
-    if not limits:
+    if not prediction.plan.limits and not prediction.plan.exclusion_zones:
         raise ParameterError("the plan has no limits, so there is no chance of keeping them; give it some")
     kept = prediction.finished.copy()
     places = [_unfinished(prediction)] if not kept.all() else []
-    for limit in limits:
-        use, values = _use(prediction, limit)
-        broken = (use > 1.0).any(axis=1)
-        kept &= ~broken
-        places.append(_place(prediction, limit, use, values, int(broken.sum())))
+    for limit in limits_judged(prediction):
+        values = limited(prediction, limit.quantity)
+        beyond = broken(limit, values) & prediction.reached
+        kept &= ~beyond.any(axis=1)
+        places.append(_place(prediction, limit, _use(prediction, limit, values), values, int(beyond.any(axis=1).sum())))
     return Verdicts(kept, max(places, key=lambda pair: pair[0])[1])
 
 
-def _use(prediction: Prediction, limit: Limit) -> tuple[FloatArray, FloatArray]:
-    """Share of a limit that is used up, above 1 where it is broken, and the value, at every sample. (members, samples)
+def _use(prediction: Prediction, limit: Limit, values: FloatArray) -> FloatArray:
+    """Share of a limit that is used up at every sample, above 1 where it is broken. (members, samples)
 
     Samples that were not reached use nothing.
     """
-    if limit.quantity == "endpoint_miss_m":
-        values = np.zeros(prediction.reached.shape)
-        values[:, -1] = prediction.miss_m
-    else:
-        values = along(prediction, limit.quantity)
-        values = values if limit.sense == "at least" else np.abs(values)
-        values = values.max(axis=2) if values.ndim == 3 else values
     with np.errstate(divide="ignore", invalid="ignore"):
         if limit.sense == "at most":
             use = values / limit.limit
         else:
-            use = np.where(values < limit.limit, np.inf, limit.limit / np.where(values > 0, values, np.inf))
-    return np.where(prediction.reached & ~np.isnan(values), use, 0.0), values
+            use = np.where(broken(limit, values), np.inf, limit.limit / np.where(values > 0, values, np.inf))
+    return np.where(prediction.reached & ~np.isnan(values), use, 0.0)
 
 
 def _place(

@@ -8,14 +8,16 @@ from typing import Any, Literal, TypeAlias
 from lunarsci.errors import ParameterError
 from lunarsci.twin.choice.chances import Chance, Verdicts, Weakest, verdicts
 from lunarsci.twin.choice.conditions import Conditions, drive_candidates, joined
+from lunarsci.twin.choice.improvement import Improvement
 from lunarsci.twin.choice.teaching import Teaching, teaching, way_back
 from lunarsci.twin.judgement.energy import energy_use
+from lunarsci.twin.judgement.keeping import extremes, least_of_95
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.simulation.ensemble import Prediction
 
 Progress = Callable[[int, int], None]
-Preference: TypeAlias = Literal["energy", "length", "time", "teaching"]
+Preference: TypeAlias = Literal["energy", "length", "time", "teaching", "risk"]
 
 ROUNDS = (0.25, 0.5, 1.0)
 """Shares of the soils after which hopeless candidates stop; a quarter of 64 is a group of the simulation."""
@@ -23,6 +25,8 @@ LEAST_LEFT = 8
 """So many candidates are driven on all soils, where there are so many."""
 ANEW = 7919
 """Added to the seed of a drive whose errors are its own."""
+IMPROVED, AGAIN = 3, 2
+"""So many of the best are made better, so many times."""
 CHECKED = 4
 """So many of the best are driven again on fresh soils at a time."""
 
@@ -67,6 +71,13 @@ class DriveCandidate:
         """The chance to go by: that on fresh soils, where there is one."""
         return self.chance if self.promise is None else self.promise
 
+    @property
+    def least_charge(self) -> float | None:
+        """Of the battery, what 95 % of the drives keep, below 0 where it runs empty; None where it does not count."""
+        if self.prediction.power is None:
+            return None
+        return least_of_95(extremes(self.prediction, "battery_charge"))
+
     def dominates(self, other: "DriveCandidate") -> bool:
         """Whether it has no more risk, length and energy than another, and less of one."""
         own, others = self._aims, other._aims
@@ -85,6 +96,7 @@ class DriveCandidate:
             "length_m": self.length_m,
             "duration_s": self.duration_s,
             "energy_j": self.energy_j,
+            "aimed_off": self.plan.target_m is not None,
             "localisation_updates": 0 if self.plan.fixes is None else len(self.plan.legs) - 1,
             "screened": self.chance.to_dict(),
             "promised": None if self.promise is None else self.promise.to_dict(),
@@ -93,6 +105,7 @@ class DriveCandidate:
                 "failed": worst.failed, "x_m": worst.x_m, "y_m": worst.y_m, "distance_m": worst.distance_m,
                 "why": worst.why,
             },
+            "least_charge": self.least_charge,
             "stopped_early": self.stopped,
             "pareto": self.pareto,
             **({} if self.teaches is None else {"teaches": self.teaches.to_dict()}),
@@ -151,6 +164,7 @@ def choose(
     members: int | None = None,
     racing: bool = True,
     teach: bool = False,
+    improve: Improvement | None = None,
     progress: Progress | None = None,
 ) -> DriveChoice:
     """Drive all plans over the same soils, and rank them under a limit of the chance of failing.
@@ -161,12 +175,13 @@ def choose(
     conditions : soils and grounds; the first `members` are those by which plans are chosen, the others fresh ones on
         which the chosen are driven again.
     risk : chance of failing that is accepted, 0 to 1. [-]
-    prefer : among plans that keep it the one with the least energy, length or time is the best, or the one after which
+    prefer : among plans that keep it that with the least energy, length, time or risk is the best, or that after which
         the end of the next drive is expected to be known best (`teaching`; then none is stopped early). Where none
         surely teaches more than the shortest, the shortest is the best.
     members : soils by which plans are chosen; None for all, and then promises are of these same soils.
     racing : stop hopeless candidates after a quarter and half of the soils.
     teach : find what each candidate teaches, of the soil and of the way back along the shortest of them.
+    improve : also try what is made of the best few, see `Improvement`.
     progress : called with drives done and drives at most, but for those that only a failure of the best asks for.
 
     The chance of the best of many looks better than it is, so it is counted again on fresh soils, and promised only
@@ -182,6 +197,7 @@ def choose(
     again = min(CHECKED, len(plans)) * (conditions.members - count)
     race = _Race(conditions, risk, prefer, count, progress, (len(plans) + taught) * count + again)
     found = race.run(plans, racing=racing and prefer != "teaching")
+    found = found if improve is None else race.improved(found, improve)
     checked = race.checked(race.taught(found) if taught else found)
     ordered = sorted(_with_front(checked), key=lambda one: _order(one, risk, prefer))
     return DriveChoice(candidates=tuple(ordered), risk=risk, prefer=prefer, fresh=conditions.members > count)
@@ -230,6 +246,19 @@ class _Race:
                 out += [replace(one, stopped=True) for one in stopped]
                 alive = [one.number - 1 for one in left]
         return sorted([*found, *out], key=lambda one: one.number)
+
+    def improved(self, found: list[DriveCandidate], improve: Improvement) -> list[DriveCandidate]:
+        """The same, with drives made of the best few, and of these once more where they still drift."""
+        order = sorted((one for one in found if not one.stopped), key=lambda one: _order(one, self.risk, self.prefer))
+        better = [(one, one.plan) for one in order if one.plan.fixes is None][:IMPROVED]
+        for _ in range(AGAIN):
+            plans = [(plan, way) for one, way in better for plan in improve.plans(one.prediction, one.weakest, way)]
+            self.total += len(plans) * self.members
+            driven = self._drive([plan for plan, _ in plans], range(self.members))
+            made = [self._candidate(len(found) + k, prediction) for k, prediction in enumerate(driven)]
+            found = [*found, *made]
+            better = [(one, way) for one, (_, way) in zip(made, plans, strict=True) if one.plan.target_m is not None]
+        return found
 
     def taught(self, found: list[DriveCandidate]) -> list[DriveCandidate]:
         """The same, those driven on all soils with what they teach."""
@@ -329,7 +358,8 @@ def _order(one: DriveCandidate, risk: float, prefer: Preference) -> tuple[int, f
     later = prefer == "teaching" and (one.teaches is None or not one.teaches.more_than_shortest)
     after = math.nan if one.teaches is None or one.teaches.next_end is None else one.teaches.next_end.after_m
     taught = one.length_m if later else after
-    wanted = {"energy": one.energy_j, "length": one.length_m, "time": one.duration_s, "teaching": taught}[prefer]
+    wanted = {"energy": one.energy_j, "length": one.length_m, "time": one.duration_s, "teaching": taught,
+              "risk": one.said.risk}[prefer]  # fmt: skip
     wanted = math.inf if math.isnan(wanted) else float(f"{wanted:.2g}")
     if one.said.risk > risk:
         return (3 if one.stopped else 2), one.said.risk, later, wanted, one.duration_s, one.number

@@ -15,7 +15,7 @@ from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.discrepancy import DrawnDiscrepancy, with_discrepancy
-from lunarsci.twin.simulation.ensemble import Prediction, predict
+from lunarsci.twin.simulation.ensemble import PowerState, Prediction, predict
 from lunarsci.twin.simulation.members import Grounds
 
 Progress = Callable[[int, int], None]
@@ -52,6 +52,7 @@ class Conditions:
     draws : what the ground of each member is drawn by, where heights have errors.
     discrepancy : what the twin's physics is off by; None leaves it out.
     ruts, before, time_step_s, sample_m : as for `predict`.
+    power : battery and light, where these count.
     seed : of errors of position fixes and of the discrepancy.
     """
 
@@ -66,6 +67,7 @@ class Conditions:
     seed: int = 0
     time_step_s: float = 0.1
     sample_m: float = 0.1
+    power: PowerState | None = None
 
     @property
     def members(self) -> int:
@@ -92,10 +94,11 @@ class Conditions:
             before=self.before,
             draws=None if self.draws is None else self.draws[own],
         )
-        return driven if self.discrepancy is None else with_discrepancy(driven, self.discrepancy, seed)
+        driven = driven if self.discrepancy is None else with_discrepancy(driven, self.discrepancy, seed)
+        return dataclasses.replace(driven, power=self.power)
 
 
-SHARED = ("rover", "terrain", "plan", "grounds", "before")
+SHARED = ("rover", "terrain", "plan", "grounds", "before", "power")
 """Fields of a prediction that need not come back from where it was computed."""
 
 
@@ -130,6 +133,7 @@ def drive_candidates(
                 plan=plans[number],
                 grounds=None if grounds is None else _SomeGrounds(grounds, members.start, samples),
                 before=conditions.before,
+                power=conditions.power,
                 **part,
             )
     return [found[number] for number in range(len(plans))]
@@ -146,12 +150,18 @@ def joined(parts: Sequence[Prediction]) -> Prediction:
     first = parts[0]
     soils = {name: np.concatenate([part.parameters[name] for part in parts]) for name in first.parameters}
     arrays = {name: whole(name) for name in ("paths", "states", "recorded", "outcome", "finer")}
-    draws = None if first.draws is None else whole("draws")
+    draws, steered = (None if getattr(first, name) is None else whole(name) for name in ("draws", "steered"))
     grounds = first.grounds
     if isinstance(grounds, _SomeGrounds):
         grounds = _SomeGrounds(grounds.whole, grounds.first, soils)
     return dataclasses.replace(
-        first, **arrays, parameters=soils, draws=draws, grounds=grounds, discrepancy=_joined_discrepancy(parts)
+        first,
+        **arrays,
+        parameters=soils,
+        draws=draws,
+        steered=steered,
+        grounds=grounds,
+        discrepancy=_joined_discrepancy(parts),
     )
 
 

@@ -118,7 +118,7 @@ def way_back(plan: Plan) -> Plan:
     legs = tuple(map(_backwards, reversed(plan.legs)))
     x, y, heading = poses_along(plan, 1.0)[-1]
     return replace(plan, name=f"way back: {plan.name}", legs=legs, x_m=float(x), y_m=float(y),
-                   heading_deg=math.degrees(heading), fixes=None)  # fmt: skip
+                   heading_deg=math.degrees(heading), fixes=None, target_m=None)  # fmt: skip
 
 
 def _backwards(leg: Leg) -> Leg:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,8 +13,9 @@ from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.traction import LoadedWheel, Traction, traction
 from lunarsci.twin.designs.variation import check_design, varied_description, varied_plan
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS
-from lunarsci.twin.judgement.energy import energy_use, power_use
-from lunarsci.twin.judgement.safety import Verdict, extremes, judge, overloaded
+from lunarsci.twin.judgement.energy import charge_left, energy_use, power_use
+from lunarsci.twin.judgement.keeping import extremes, kept, least_of_95
+from lunarsci.twin.judgement.safety import judge
 from lunarsci.twin.plans.plan import check_plan
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import Prediction
@@ -32,10 +33,12 @@ class MissionOutcome:
     Attributes
     ----------
     drives : members of the ensemble, each of which drives every plan on its soil.
-    kept_share : members that reach every end, keep every limit and overload no motor. [-]
+    kept_share : members that keep every plan, as `lunarsci.twin.judgement.keeping.kept` has it. [-]
     slip_ratio, sinkage_m, motor_torque_nm : p95 over the members of the worst of all plans.
     energy_p50_j, energy_p95_j : work of the motors at the wheels on all plans; None where no member reaches all ends.
     electrical_p50_wh : what motors and electronics draw on all plans; None also without [motors] and [power].
+    least_charge : of the battery, what 95 % of the members keep on all plans, one after the other; below 0 what is
+        drawn beyond an empty one; None where neither charge nor Sun is given. [-]
     duration_s : of all plans.
     bias_m, scatter_m : of the ends, the largest of any plan, as `Endpoint` has them; None where none is reached.
     traction : of a wheel under its share of the weight on level ground, on the median soil; None where the soil does
@@ -56,6 +59,7 @@ class MissionOutcome:
     scatter_m: float | None
     traction: Traction | None
     reasons: tuple[str, ...]
+    least_charge: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,7 +75,7 @@ class Design:
         found = self.outcome
         names = (
             "kept_share", "slip_ratio", "sinkage_m", "motor_torque_nm", "energy_p50_j", "energy_p95_j",
-            "electrical_p50_wh", "duration_s", "bias_m", "scatter_m",
+            "electrical_p50_wh", "least_charge", "duration_s", "bias_m", "scatter_m",
         )  # fmt: skip
         figures = ("pull_at_20_n", "pull_per_weight_at_20", "efficiency_at_20", "slope_at_20_deg")
         pull = None if found is None else found.traction
@@ -101,19 +105,11 @@ def try_design(inputs: Sequence[Any], values: dict[str, float], drive: Drive) ->
     return Design(values=values, outcome=mission_outcome(rover, predictions))
 
 
-def kept(prediction: Prediction, verdict: Verdict) -> BoolArray:
-    """Members that finish, keep every limit that was judged, and overload no motor. (members,)"""
-    result = prediction.finished & ~overloaded(prediction)
-    for one in verdict.limits:
-        values = extremes(prediction, one.quantity)
-        result &= ~(values < one.limit if one.sense == "at least" else values > one.limit)
-    return np.asarray(result)
-
-
 def mission_outcome(rover: Rover, predictions: Sequence[Prediction]) -> MissionOutcome:
     """Put the plans of a mission together, member by member, which have the same soil on each."""
+    predictions = with_battery(predictions)
     verdicts = [judge(prediction) for prediction in predictions]
-    keeps = np.all([kept(p, v) for p, v in zip(predictions, verdicts, strict=True)], axis=0)
+    keeps = np.all([kept(prediction) for prediction in predictions], axis=0)
     done = np.all([prediction.finished for prediction in predictions], axis=0)
     work = np.sum([energy_use(prediction).total_j for prediction in predictions], axis=0)[done]
     ends = [verdict.endpoint for verdict in verdicts]
@@ -126,12 +122,29 @@ def mission_outcome(rover: Rover, predictions: Sequence[Prediction]) -> MissionO
         energy_p50_j=float(np.median(work)) if work.size else None,
         energy_p95_j=_p95(work) if work.size else None,
         electrical_p50_wh=_electrical_wh(rover, predictions, done),
+        least_charge=_least_charge(predictions),
         duration_s=math.fsum(float(prediction.time_s[-1]) for prediction in predictions),
         bias_m=max(end.bias_m for end in known) if all_ended else None,
         scatter_m=max(end.scatter_radius_m for end in known) if all_ended else None,
         traction=_traction(rover, predictions[0]),
         reasons=tuple(f"{p.plan.name}: {why}" for p, v in zip(predictions, verdicts, strict=True) for why in v.reasons),
     )
+
+
+def with_battery(predictions: Sequence[Prediction]) -> list[Prediction]:
+    """The same where the battery counts, each plan with what the one before has left of it in each member."""
+    found: list[Prediction] = []
+    for one in predictions:
+        if found and one.power is not None:
+            one = replace(one, power=replace(one.power, charge=charge_left(found[-1])))
+        found.append(one)
+    return found
+
+
+def _least_charge(predictions: Sequence[Prediction]) -> float | None:
+    if any(one.power is None for one in predictions):
+        return None
+    return least_of_95(np.min([extremes(one, "battery_charge") for one in predictions], axis=0))
 
 
 def _electrical_wh(rover: Rover, predictions: Sequence[Prediction], done: BoolArray) -> float | None:

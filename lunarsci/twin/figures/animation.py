@@ -229,7 +229,7 @@ def _background(figure: "Figure", prediction: Prediction, verdict: Verdict, memb
     draw_ground(ground, terrain, map_window(prediction, terrain, MARGIN_M), 0.1)
     draw_exclusion_zones(ground, prediction)
     draw_planned(ground, prediction)
-    ground.plot(*prediction.planned[-1, :2], "*", color=GOLD, markeredgecolor=INK, markersize=12, zorder=6)
+    ground.plot(*prediction.destination_m, "*", color=GOLD, markeredgecolor=INK, markersize=12, zorder=6)
     kind = " (synthetic terrain)" if terrain.synthetic else ""
     drives = "1 drive" if prediction.members == 1 else f"{prediction.members} drives"
     ground.set_title(f"{verdict.verdict.upper()}: {drives} on {terrain.name}{kind}", fontsize=10)

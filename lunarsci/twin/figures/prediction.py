@@ -88,7 +88,7 @@ def _draw_map(axes: "Axes", prediction: Prediction, terrain: Terrain, colors: An
 
 def _draw_ends(axes: "Axes", prediction: Prediction, verdict: Verdict, terrain: Terrain, colors: Any) -> None:
     """The last stretch, with error ellipses and the smallest circle about the destination that holds every end."""
-    target = prediction.planned[-1, :2]
+    target = prediction.destination_m
     end = verdict.endpoint
     draw_ground(axes, terrain, map_window(prediction, terrain), 0.02)
     draw_exclusion_zones(axes, prediction)

@@ -131,6 +131,48 @@ def patch(
     return laid_over(box, near)
 
 
+def driven_ground(terrain: Terrain, finer: Sequence[Terrain], points_m: FloatArray, margin_m: float) -> Terrain:
+    """A box about some points (n, 2) [m] of a terrain to drive on, with the heights of finer ones where they are known.
+
+    On nodes of the finest terrain in it, or wider ones where that were more than `MOST_NODES`; the terrain itself where
+    none is. Within a spacing of the coarser ground about it, the height of a finer one goes over to that evenly, so
+    that there is no step between them. Soils are those of the terrain, at its nearest nodes; heights are exact.
+    """
+    low, high = points_m.min(axis=0) - margin_m, points_m.max(axis=0) + margin_m
+    near = [one for one in finer if _overlaps(one, low, high)]
+    if not near:
+        return replace(terrain, errors=None)
+    low = np.maximum(low, [terrain.x_m[0], terrain.y_m[0]])
+    high = np.minimum(high, [terrain.x_m[-1], terrain.y_m[-1]])
+    spacing = max(near[-1].spacing_m, math.sqrt(float(np.prod(high - low)) / MOST_NODES))
+    x, y = (low[k] + spacing * np.arange(math.floor((high[k] - low[k]) / spacing + 1e-9) + 1) for k in (0, 1))
+    height, below = terrain.height_at(x[None, :], y[:, None]), terrain.spacing_m
+    for one in near:
+        own = one.height_at(x[None, :], y[:, None])
+        share = _evenly(~np.isnan(own), below / spacing)
+        height = np.where(np.isnan(own), height, np.where(np.isnan(height), own, height + share * (own - height)))
+        below = one.spacing_m
+    soil = terrain.soil
+    if soil.shape[:2] != (1, 1):
+        rows, columns = (
+            np.rint((axis - first) / terrain.spacing_m).astype(int)
+            for axis, first in ((y, terrain.y0_m), (x, terrain.x0_m))
+        )
+        soil = soil[np.ix_(rows, columns)]
+    return replace(
+        terrain, name=f"{terrain.name} with {', '.join(one.name for one in near)}", x0_m=float(x[0]), y0_m=float(y[0]),
+        spacing_m=float(spacing), height_m=height, soil=soil, errors=None,
+        synthetic=terrain.synthetic or any(one.synthetic for one in near),
+    )  # fmt: skip
+
+
+def _evenly(known: npt.NDArray[np.bool_], nodes: float) -> FloatArray:
+    """0 at the rim of what is known, 1 so many nodes within it."""
+    from scipy.ndimage import distance_transform_edt
+
+    return np.asarray(np.clip((distance_transform_edt(known) - 1.0) / nodes, 0.0, 1.0))
+
+
 def lengths_checked(
     poses: FloatArray, step_m: float, footprint: RoverFootprint, finer: Sequence[Traversability]
 ) -> list[float]:

@@ -13,12 +13,15 @@ from lunarsci.tables import csv_bytes
 from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.choice.choice import DriveChoice, choose, least_drives
 from lunarsci.twin.choice.conditions import Conditions
+from lunarsci.twin.choice.improvement import Improvement
 from lunarsci.twin.choice.soil_tests import with_tests
 from lunarsci.twin.ground.driven_soil import DrivenSoil
 from lunarsci.twin.ground.keep_out import near_way
 from lunarsci.twin.ground.terrain import Terrain
+from lunarsci.twin.ground.terrain_files import terrain_bytes
 from lunarsci.twin.jobs.drive_inputs import SOURCES as OF_DRIVES
 from lunarsci.twin.jobs.drive_inputs import DriveInputs, GivenSoil, parsed_fixes
+from lunarsci.twin.jobs.local_ground import LocalGround, likely_ground_of
 from lunarsci.twin.jobs.plan import PlanRequest, limits_at
 from lunarsci.twin.jobs.soils import OF_A_BELIEF, Soils
 from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
@@ -47,6 +50,7 @@ class ChosenDrive(TerrainSurvey):
     soils : what is driven on.
     choice : the candidates, best first.
     tolerance_m : distance of the end from the target that counts as there. [m]
+    ground : what is driven on, where that is not the site's terrain alone.
     members : soils by which drives are chosen; the promises are of `fresh_members` others.
     """
 
@@ -56,6 +60,7 @@ class ChosenDrive(TerrainSurvey):
     tolerance_m: float
     members: int
     fresh_members: int
+    ground: Terrain | None = None
 
     @property
     def made_from(self) -> MadeFrom:
@@ -118,6 +123,8 @@ class ChosenDrive(TerrainSurvey):
     def files(self, *, geotiff: bool = False) -> dict[str, Callable[[], bytes]]:
         """Those of a path, where one is feasible; the table of candidates, and the plans that none beats."""
         found = TerrainSurvey.files(self, geotiff=geotiff)
+        if (ground := self.ground) is not None:
+            found["driven-terrain.npz"] = lambda: terrain_bytes(ground, made_for=self.site.made_for)
         found["candidates.csv"] = lambda: csv_bytes(self._table())
         for one in self.choice.front:
             found[f"plan-{one.number:02d}.toml"] = lambda one=one: plan_text(one.plan).encode()  # type: ignore[misc]
@@ -164,24 +171,27 @@ def chosen_drive(terrain: str, asked: PlanRequest, progress: Progress | None) ->
     check_asked(asked)
     given = GivenSoil.read(asked.soil)
     site = read_site(terrain, asked, given.named, asked.limits())
-    asked, surface = asked.on(site.terrain), site.surface(asked.baseline, progress)
+    local = LocalGround.of(asked, site, site.surface(asked.baseline, progress), progress)
+    asked, site = asked.on(site.terrain), local.site
+    ends = np.array([place[:2] for place in asked.places])
+    surface, ground = local.searched(ends), local.driven(ends)
     plans = candidates_of(asked, site, surface, given, progress)
-    soils, conditions, members = drive_conditions(asked, site, given, plans)
+    soils, conditions, members = drive_conditions(asked, site, given, plans, ground)
+    (x0, y0, heading), (x, y, *_) = asked.places
+    search = RouteSearch.of(surface, site.rover, (x0, y0, heading), (x, y), asked.final_heading_deg)
     choice = choose(
         plans, conditions, risk=asked.risk or 0.0, prefer=asked.prefer, members=members, teach=asked.teach,
-        progress=progress,
+        improve=Improvement.on(search, None if asked.fixes is None else parsed_fixes(asked.fixes)), progress=progress,
     )  # fmt: skip
     check_taught(asked, choice)
     path = None
     if choice.feasible:
-        (x0, y0, heading), (x, y, *_) = asked.places
-        search = RouteSearch.of(surface, site.rover, (x0, y0, heading), (x, y), asked.final_heading_deg)
-        path = measured_path(search, choice.best.plan)
+        path = local.on_site(measured_path(search, choice.best.plan))
     tolerance = next(limit.limit for limit in plans[0].limits if limit.quantity == "endpoint_miss_m")
     fresh = conditions.members - members
     return ChosenDrive(
-        site=site, surface=surface, path=path, soils=soils, choice=choice, tolerance_m=tolerance, members=members,
-        fresh_members=fresh,
+        site=site, surface=local.surface, path=path, soils=soils, choice=choice, tolerance_m=tolerance,
+        members=members, fresh_members=fresh, ground=ground, checked=() if path is None else local.checked(path),
     )  # fmt: skip
 
 
@@ -250,12 +260,15 @@ def candidates_of(
 
 
 def drive_conditions(
-    asked: PlanRequest, site: SurveyedSite, given: GivenSoil, plans: Sequence[Plan]
+    asked: PlanRequest, site: SurveyedSite, given: GivenSoil, plans: Sequence[Plan], ground: Terrain | None = None
 ) -> tuple[Soils, Conditions, int]:
-    """What is driven on, as the result says it and as it is drawn, and how many of the soils plans are chosen by."""
+    """What is driven on, as the result says it and as it is drawn, and how many of the soils plans are chosen by.
+
+    `ground` is what is driven on instead of the site's terrain.
+    """
     members, seed = asked.members or OF_A_BELIEF, asked.seed or 0
     total = (1 + FRESH) * members
-    inputs = _inputs(site, given, plans[0], exact=asked.exact_terrain)
+    inputs = _inputs(site, given, plans[0], _site_ground(site, exact=asked.exact_terrain) if ground is None else ground)
     rows_of_file = given.of == "samples"
     soils = Soils.of(inputs, asked.sweep or None, None if rows_of_file else total, seed)
     of = soils.of_members()
@@ -277,6 +290,7 @@ def drive_conditions(
         discrepancy=soils.discrepancy,
         ruts=of["ruts"],
         seed=seed,
+        power=asked.power(),
     )
     return soils, conditions, members if total > members else total
 
@@ -288,14 +302,22 @@ def _shuffled(samples: Mapping[str, Any], most: int, seed: int) -> dict[str, Any
     return {name: values[order] for name, values in samples.items()}
 
 
-def _inputs(site: SurveyedSite, given: GivenSoil, plan: Plan, *, exact: bool) -> DriveInputs:
-    """The site as something to drive on: with what is not known of its heights, unless they are taken for exact."""
+def _site_ground(site: SurveyedSite, *, exact: bool) -> Terrain:
+    """The site's terrain with what is not known of its heights, unless they are taken for exact."""
+    if exact:
+        return likely_ground_of(site)
+    as_read = replace(site.terrain, height_m=site.file.terrain.height_m, errors=None)
+    return site.file.likely(as_read, site.rover.wheel.width_m)
+
+
+def _inputs(site: SurveyedSite, given: GivenSoil, plan: Plan, ground: Terrain) -> DriveInputs:
+    """The site as something to drive on."""
     belief = given.belief
     hashes = {} if given.file is None else {given.name: given.file.sha256}
     return DriveInputs(
         rover=site.rover,
         description=site.description,
-        terrain=_ground(site, exact=exact),
+        terrain=ground,
         plan=plan,
         inputs={**site.inputs, **hashes},
         tables=dict(site.tables),
@@ -304,9 +326,3 @@ def _inputs(site: SurveyedSite, given: GivenSoil, plan: Plan, *, exact: bool) ->
         remarks=tuple(site.check.remarks),
         ruts=belief is not None and belief.ruts,
     )
-
-
-def _ground(site: SurveyedSite, *, exact: bool) -> Terrain:
-    as_read = replace(site.terrain, height_m=site.file.terrain.height_m, errors=None)
-    ground = site.file.likely(as_read, site.rover.wheel.width_m)
-    return replace(ground, errors=None) if exact else ground

@@ -12,12 +12,12 @@ if TYPE_CHECKING:
     from lunarsci.twin.ground.terrain import Terrain
     from lunarsci.twin.plans.plan import Limit
     from lunarsci.twin.routes.planner import PlannedPath
+    from lunarsci.twin.simulation.ensemble import PowerState
 
 
-CHECKED_EVERY_M = 0.1
 Place = str | tuple[float, ...]
 PLACE = ("X", "Y", "HEADING")
-OF_A_CHOICE = ("sweep", "members", "tolerance", "candidates", "fixes", "prefer", "exact_terrain", "teach")
+OF_A_CHOICE = ("sweep", "members", "tolerance", "candidates", "fixes", "prefer", "exact_terrain", "teach", "charge")
 """Options that ask for something only beside `risk`."""
 IN_A_MISSION = ("target", "start", "lonlat", "tolerance", "candidates", "fixes", "prefer", "teach")
 """Options that a mission has in its file, or no use for."""
@@ -39,7 +39,7 @@ class PlanRequest(GroundRequest):
         of its own, as `predict` takes it.
     risk : chance that a limit is broken or the end missed that is accepted; then many drives are compared. None for the
         cheapest path on the maps. [-]
-    prefer : of drives that keep the risk that with the least energy, length or time, or the one that teaches most.
+    prefer : of drives that keep the risk that with the least energy, length, time or risk, or that which teaches most.
     teach : with `risk`: say what each drive is expected to teach of the soil and of the way back.
     sweep : with `risk`: NAME=LOW:HIGH:N, uncertain parameters; those of the embedded plan where no soil is given.
     members : with `risk`: soils on which all candidates are driven; 64 where it is None.
@@ -49,7 +49,10 @@ class PlanRequest(GroundRequest):
     fixes : with `risk`: M,DEG, standard errors of localisation updates, where drives may halt for some.
     exact_terrain : with `risk`: leave out that each drive has a ground of its own where the terrain's file says how far
         its heights may be off.
-    local : files of finer terrains, in the first one's coordinates, that stand in its place where they are known.
+    charge : with `risk` or a mission: of the battery at the start, 0 to 1; then the battery is a limit, and `sun` also
+        lights the panels. [-]
+    local : files of finer terrains, in the first one's coordinates, that stand in its place where they are known: for
+        ways and, with `risk` or a mission, for the drives.
     mission : TOML file of several targets with keep-outs, time and windows of communication, instead of a target;
         reached by legs with localisation between, over the soils; `risk` is then that of the whole, 0.05 if None.
     """
@@ -62,7 +65,7 @@ class PlanRequest(GroundRequest):
     lonlat: bool = False
     soil: tuple[str, ...] = ()
     risk: float | None = None
-    prefer: Literal["energy", "length", "time", "teaching"] = "energy"
+    prefer: Literal["energy", "length", "time", "teaching", "risk"] = "energy"
     sweep: tuple[str, ...] = ()
     members: int | None = None
     tolerance: float | None = None
@@ -70,12 +73,13 @@ class PlanRequest(GroundRequest):
     fixes: str | None = None
     exact_terrain: bool = False
     teach: bool = False
+    charge: float | None = None
     local: tuple[str, ...] = ()
     mission: str | None = None
 
     def __post_init__(self) -> None:
-        if self.local and (self.mission is not None or self.risk is not None):
-            raise RequestError("`local` is for a path on the maps, without `risk` and `mission`; leave one of them out")
+        if self.charge is not None and not 0 <= self.charge <= 1:
+            raise RequestError(f"`charge` is {self.charge:g}; give a share from 0 to 1")
         if self.mission is not None:
             self._check_mission()
             return
@@ -140,6 +144,16 @@ class PlanRequest(GroundRequest):
             moved.append((*projection.metres(longitude, latitude)[0].tolist(), *heading))
         return replace(self, start=moved[0], target=moved[1], lonlat=False)
 
+    def power(self) -> "PowerState | None":
+        """Battery and light; None where no charge is given. Raises RequestError."""
+        from lunarsci.twin.ground.illumination import SunDirection
+        from lunarsci.twin.simulation.ensemble import PowerState
+
+        sun = self.light()[0]
+        if self.charge is None:
+            return None
+        return PowerState(charge=self.charge, sun=None if sun is None else SunDirection(*sun))
+
     def made(self, terrain: str) -> dict[str, Any]:
         """As of a ground; where soils are drawn the seed is theirs, too."""
         alone = (self.risk is None and self.mission is None) or terrain in MAKERS
@@ -174,43 +188,11 @@ def plan(
 
         return chosen_drive(terrain, asked, progress)
     site = read_site(terrain, asked, next(iter(asked.soil), None), asked.limits())
-    surface = site.surface(asked.baseline, progress)
-    finer, site = _finer(asked, site, progress)
-    path = _path(asked.on(site.terrain), site, surface, finer, progress)
-    return TerrainSurvey(site=site, surface=surface, path=path, checked=_checked(path, site, finer))
+    from lunarsci.twin.jobs.local_ground import LocalGround
 
-
-def _finer(
-    asked: PlanRequest, site: SurveyedSite, progress: Progress | None
-) -> tuple[tuple["Traversability", ...], SurveyedSite]:
-    """The maps of the local terrains, the finest last, and the site with their hashes. Raises DataError."""
-    from lunarsci.twin.ground.finer_ground import check_finer
-
-    alone = GroundRequest(rover=asked.rover, keep_out=asked.keep_out)
-    found, inputs = [], dict(site.inputs)
-    for path in asked.local:
-        local = read_site(path, alone, next(iter(asked.soil), None), asked.limits())
-        check_finer(path, local.terrain, site.terrain)
-        found.append(local.surface(asked.baseline, progress))
-        inputs |= local.inputs
-    found.sort(key=lambda one: -one.terrain.spacing_m)
-    return tuple(found), replace(site, inputs=inputs)
-
-
-def _checked(path: "PlannedPath", site: SurveyedSite, finer: tuple["Traversability", ...]) -> list[dict[str, Any]]:
-    """On how much of the path which terrain was looked at, the first one first; nothing without local ones."""
-    if not finer:
-        return []
-    from lunarsci.twin.ground.finer_ground import lengths_checked
-    from lunarsci.twin.plans.path import poses_along
-
-    poses = poses_along(path.plan, CHECKED_EVERY_M)
-    lengths = lengths_checked(poses, path.plan.length_m / len(poses), path.footprint, finer)
-    terrains = (site.terrain, *(one.terrain for one in finer))
-    return [
-        {"terrain": terrain.name, "spacing_m": terrain.spacing_m, "length_m": length}
-        for terrain, length in zip(terrains, (path.plan.length_m - sum(lengths), *lengths), strict=True)
-    ]
+    local = LocalGround.of(asked, site, site.surface(asked.baseline, progress), progress)
+    path = _path(asked.on(site.terrain), local.site, local.surface, local.finer, progress)
+    return TerrainSurvey(site=local.site, surface=local.surface, path=path, checked=local.checked(path))
 
 
 def _path(

@@ -12,16 +12,19 @@ from lunarsci.inputs import read_input
 from lunarsci.result import MadeFrom
 from lunarsci.tables import csv_bytes
 from lunarsci.twin.assimilation.change_point import planned_places
-from lunarsci.twin.choice.chances import Chance, verdicts
+from lunarsci.twin.choice.chances import Chance
+from lunarsci.twin.choice.conditions import Conditions
 from lunarsci.twin.ground.footprint import rover_footprint
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.ground.keep_out import ExclusionZone, near_way
 from lunarsci.twin.jobs.chosen_drive import SOURCES, check_soils, drive_conditions
 from lunarsci.twin.jobs.drive_inputs import SOURCES as OF_DRIVES
 from lunarsci.twin.jobs.drive_inputs import GivenSoil
+from lunarsci.twin.jobs.local_ground import LocalGround
 from lunarsci.twin.jobs.plan import PlanRequest, limits_at
 from lunarsci.twin.jobs.soils import OF_A_BELIEF, Soils
 from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
+from lunarsci.twin.judgement.keeping import kept, least_of_95
 from lunarsci.twin.mission.legs import DrivenMission, MissionLeg, Pose, drive_mission
 from lunarsci.twin.mission.mission import Mission, MissionTarget, read_mission
 from lunarsci.twin.plans.path import poses_along
@@ -39,6 +42,8 @@ ACCEPTED = 0.05
 """Chance that a mission is not kept that is accepted where none is given."""
 WIDER = 2.0
 """Circles to keep out of grow by so many standard errors of a localised position."""
+LOOKED_AT_M = 0.5
+"""Between places of a leg about which ground is looked for. [m]"""
 ALTERNATIVES = 8
 """Candidates among which one is looked for where no way leads on ahead."""
 
@@ -160,6 +165,9 @@ def chance_of(kept: Any) -> Chance:
 
 def _leg_row(leg: MissionLeg) -> dict[str, Any]:
     (xx, xy), (_, yy) = leg.covariance_m2
+    charge = {}
+    if leg.charge is not None:
+        charge = {"charge_p50": float(np.median(leg.charge)), "charge_p05": least_of_95(leg.charge)}
     return {
         "leg": leg.number,
         "target": leg.target,
@@ -176,6 +184,7 @@ def _leg_row(leg: MissionLeg) -> dict[str, Any]:
         "end_xy_m2": float(xy),
         "end_yy_m2": float(yy),
         "kept": float(leg.kept.mean()),
+        **charge,
     }
 
 
@@ -210,7 +219,8 @@ def planned_mission(terrain: str, asked: PlanRequest, progress: Progress | None)
     far = WIDER * mission.fixes.position_sigma_m
     wider = tuple(ExclusionZone(zone.name, zone.x_m, zone.y_m, zone.radius_m + far) for zone in mission.keep_outs)
     site = replace(site, keep_outs=site.keep_outs + wider)
-    surface = site.surface(asked.baseline, progress)
+    local = LocalGround.of(asked, site, site.surface(asked.baseline, progress), progress)
+    site, surface = local.site, local.surface
     check_targets(mission, surface)
     swept = read_plan().sweep if given.file is None and not asked.sweep else ()
     soils, conditions, _ = drive_conditions(asked, site, given, (replace(_nominal(mission, site), sweep=swept),))
@@ -218,11 +228,12 @@ def planned_mission(terrain: str, asked: PlanRequest, progress: Progress | None)
     driven = drive_mission(
         mission,
         site.rover,
-        _Ways(site, surface, mission.speed_m_s or asked.speed),
-        lambda plan: conditions.drive(plan, members),
-        lambda prediction: verdicts(prediction).kept,
+        _Ways(local, mission.speed_m_s or asked.speed),
+        lambda plan: _conditions_of(plan, local, soils, conditions).drive(plan, members),
+        kept,
         seed=asked.seed or 0,
         goal_of=lambda target: beyond(target, surface, site.rover),
+        power=asked.power(),
         progress=progress,
     )
     risk = ACCEPTED if asked.risk is None else asked.risk
@@ -235,22 +246,34 @@ def planned_mission(terrain: str, asked: PlanRequest, progress: Progress | None)
 class _Ways:
     """Plans from a pose to a place, within the limits of the rover."""
 
-    site: SurveyedSite
-    surface: Traversability
+    local: LocalGround
     speed_m_s: float | None
 
     def __call__(self, pose: Pose, place: tuple[float, float]) -> Plan:
         """The cheapest path ahead; where there is none, one that turns about or goes backwards first."""
-        asked: dict[str, Any] = {"speed_m_s": self.speed_m_s, "limits": limits_at(self.site)}
+        local, site = self.local, self.local.site
+        asked: dict[str, Any] = {"speed_m_s": self.speed_m_s, "limits": limits_at(site)}
         try:
-            plan = way_to(self.surface, self.site.rover, pose, place, **asked).plan
+            plan = way_to(local.surface, site.rover, pose, place, local.finer, **asked).plan
         except ParameterError as error:
             try:
-                plan = candidate_plans(self.surface, self.site.rover, pose, place, most=ALTERNATIVES, **asked)[0]
+                ground = local.searched(np.array([pose[:2], place]))
+                plan = candidate_plans(ground, site.rover, pose, place, most=ALTERNATIVES, **asked)[0]
             except (ParameterError, IndexError):
                 raise error from None
-        near = near_way(self.site.keep_outs, planned_places(plan, self.site.rover)) if self.site.keep_outs else ()
-        return replace(plan, made_for=self.site.made_for, exclusion_zones=near, crs=self.site.terrain.crs)
+        near = near_way(site.keep_outs, planned_places(plan, site.rover)) if site.keep_outs else ()
+        return replace(plan, made_for=site.made_for, exclusion_zones=near, crs=site.terrain.crs)
+
+
+def _conditions_of(plan: Plan, local: LocalGround, soils: Soils, conditions: Conditions) -> Conditions:
+    """The same soils on the finest ground about a leg, where there are local terrains."""
+    ground = local.driven(poses_along(plan, LOOKED_AT_M)[:, :2])
+    if ground is None:
+        return conditions
+    if conditions.grounds is None:
+        return replace(conditions, terrain=ground)
+    there = replace(soils, inputs=replace(soils.inputs, terrain=ground))
+    return replace(conditions, terrain=ground, grounds=there.of_members()["grounds"])
 
 
 def _nominal(mission: Mission, site: SurveyedSite) -> Plan:

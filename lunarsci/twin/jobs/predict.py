@@ -1,7 +1,7 @@
 """Whether the next drive is safe: a plan driven on many soils, and held against its limits."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from lunarsci.twin.judgement.safety import Verdict
     from lunarsci.twin.judgement.terrain_share import TerrainShares
     from lunarsci.twin.plans.plan import Plan
-    from lunarsci.twin.simulation.ensemble import Prediction
+    from lunarsci.twin.simulation.ensemble import PowerState, Prediction
 
 
 Progress = Callable[[int, int], None]
@@ -61,7 +61,40 @@ class DriveRequest:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PredictRequest(DriveRequest):
+class PoweredRequest(DriveRequest):
+    """How to drive, where battery and light may count.
+
+    Attributes
+    ----------
+    sun : AZIMUTH,ELEVATION of the Sun, from x towards y and over the horizon, or TIME@LONGITUDE,LATITUDE (UTC) where x
+        is east and y north; for panels and battery. [deg]
+    charge : of the battery at the start, 0 to 1, full if None; with it or `sun` the battery is a limit. [-]
+    """
+
+    sun: str | None = None
+    charge: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.charge is not None and not 0 <= self.charge <= 1:
+            raise RequestError(f"`charge` is {self.charge:g}; give a share from 0 to 1")
+
+    def power(self) -> "PowerState | None":
+        """Battery and light; None where neither is given. Raises RequestError."""
+        from lunarsci.twin.ground.illumination import parse_sun
+        from lunarsci.twin.jobs.drive_inputs import named_option
+        from lunarsci.twin.simulation.ensemble import PowerState
+
+        if self.sun is None and self.charge is None:
+            return None
+        try:
+            sun = None if self.sun is None else parse_sun(self.sun)
+        except ParameterError as error:
+            raise RequestError(named_option("sun", error)) from error
+        return PowerState(charge=1.0 if self.charge is None else self.charge, sun=sun)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PredictRequest(PoweredRequest):
     """How to drive a plan that is to be judged.
 
     Attributes
@@ -71,21 +104,12 @@ class PredictRequest(DriveRequest):
     exact_terrain : leave out that each drive has a ground of its own where the terrain's file says how far its heights
         may be off.
     keep_out : GeoJSON files of ground that no part of the rover may enter, as `images rocks` writes them.
-    sun : AZIMUTH,ELEVATION of the Sun, from x towards y and over the horizon, or TIME@LONGITUDE,LATITUDE (UTC) where x
-        is east and y north; for panels and battery. [deg]
-    charge : of the battery at the start, 0 to 1, full if None; with it or `sun` the answer has power and battery. [-]
     """
 
     ruts: bool | None = None
     before: str | None = None
     exact_terrain: bool = False
     keep_out: tuple[str, ...] = ()
-    sun: str | None = None
-    charge: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.charge is not None and not 0 <= self.charge <= 1:
-            raise RequestError(f"`charge` is {self.charge:g}; give a share from 0 to 1")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -130,12 +154,7 @@ class PredictedDrives(Result):
     @property
     def untrusted(self) -> str:
         parts = [] if self.verdict.verdict == "go" else [f"no-go: {'; '.join(self.verdict.reasons)}"]
-        return "; ".join(part for part in (*parts, self._battery_doubt, self.soils.doubt) if part)
-
-    @property
-    def _battery_doubt(self) -> str:
-        empty = 0 if self.power is None else int((self.power.battery_wh <= 0).any(axis=1).sum())
-        return f"the battery runs empty in {empty} of {self.prediction.members} drives" if empty else ""
+        return "; ".join(part for part in (*parts, self.soils.doubt) if part)
 
     def to_dict(self) -> dict[str, Any]:
         from lunarsci.twin.judgement.energy import energy_record, power_record
@@ -252,24 +271,10 @@ def predict_drives(soils: "Soils", time_step_s: float, sample_m: float, progress
     return predict(**soils.of_members(), time_step_s=time_step_s, sample_m=sample_m, progress=progress)
 
 
-def _power(prediction: "Prediction", asked: PredictRequest) -> "PowerUse | None":
-    """Power and battery, where Sun or charge was given."""
-    from lunarsci.twin.ground.illumination import parse_sun
-    from lunarsci.twin.jobs.drive_inputs import named_option
-    from lunarsci.twin.judgement.energy import power_use
-
-    if asked.sun is None and asked.charge is None:
-        return None
-    try:
-        sun = None if asked.sun is None else parse_sun(asked.sun)
-    except ParameterError as error:
-        raise RequestError(named_option("sun", error)) from error
-    return power_use(prediction, sun, 1.0 if asked.charge is None else asked.charge)
-
-
 def _judged(soils: "Soils", prediction: "Prediction", asked: PredictRequest) -> PredictedDrives:
     """With what the twin's physics is off by, where the soils are of a belief or a map of beliefs."""
     from lunarsci.twin.judgement.endpoint import endpoint_sensitivity, step_error_m
+    from lunarsci.twin.judgement.energy import power_use
     from lunarsci.twin.judgement.safety import judge
     from lunarsci.twin.judgement.terrain_share import terrain_shares
     from lunarsci.twin.simulation.discrepancy import with_discrepancy
@@ -277,6 +282,7 @@ def _judged(soils: "Soils", prediction: "Prediction", asked: PredictRequest) -> 
     shares = terrain_shares(prediction)
     if soils.discrepancy is not None:
         prediction = with_discrepancy(prediction, soils.discrepancy, soils.seed)
+    prediction = replace(prediction, power=asked.power())
     soils.warn_of_fit()
     return PredictedDrives(
         soils=soils,
@@ -285,5 +291,5 @@ def _judged(soils: "Soils", prediction: "Prediction", asked: PredictRequest) -> 
         sensitivity=None if soils.kind in CORRELATED else endpoint_sensitivity(prediction),
         step_error_m=step_error_m(prediction),
         terrain_shares=shares,
-        power=_power(prediction, asked),
+        power=None if prediction.power is None else power_use(prediction),
     )

@@ -1,5 +1,6 @@
 """A made-up drive, and the telemetry that it would send."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from lunarsci.twin.telemetry.simulated import SyntheticDrive
 
 
+XY = ("x_m", "y_m")
 REMARK = b"# synthetic: made up by `lunarsci twin simulate`, not a measurement\n"
 
 
@@ -31,7 +33,7 @@ class SimulateDriveRequest:
     fix_sigma : their standard error in x and in y; None is a third of 4 % of the way between them. [m]
     yaw_sigma : standard error of the heading, assumed. [deg]
     track_sigma : standard error of the track's depth. [m]
-    seed : of the errors.
+    seed : of the errors, also of those of the plan's position fixes.
     time_step, sample : longest time step, and way between rows. [s], [m]
     """
 
@@ -84,7 +86,26 @@ class MadeUpDrive(Result):
             "track_points": len(self.drive.track),
             "duration_s": float(telemetry["time_s"].iloc[-1]),
             "outcome": self.drive.prediction.outcome_text(0),
+            **self._halts(),
             "errors": errors | {"position_m": self.drive.errors.position_m},
+        }
+
+    def _halts(self) -> dict[str, Any]:
+        """Where the rover halted for a position fix, and how far off this was; nothing for a plan without fixes."""
+        found, sent = self.drive.prediction, self.drive.telemetry
+        if found.plan.fixes is None:
+            return {}
+        return {
+            "halts": [
+                {
+                    "time_s": float(found.time_s[row]),
+                    "distance_m": float(found.distance_m[row]),
+                    "x_m": float(found.paths[0, row, 0]),
+                    "y_m": float(found.paths[0, row, 1]),
+                    "off_m": math.hypot(*(sent[name].iloc[row] - found.paths[0, row, k] for k, name in enumerate(XY))),
+                }
+                for row in self.drive.halts.tolist()
+            ]
         }
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
@@ -112,6 +133,8 @@ def simulate_drive(
 
     Raises DataError for what cannot be read, RequestError for options that are impossible.
     """
+    import numpy as np
+
     from lunarsci.twin.jobs.drive_inputs import read_drive_inputs
     from lunarsci.twin.simulation.ensemble import predict
     from lunarsci.twin.telemetry.simulated import SensorErrors, simulate_telemetry
@@ -127,6 +150,8 @@ def simulate_drive(
     inputs = read_drive_inputs(plan, *ground, soil=asked.soil, ruts=asked.ruts, before=asked.before)
     if not inputs.given.one_soil:
         raise RequestError(f"`soil` {asked.soil} is a belief, and the truth is one soil; give a name or a TOML file")
+    # Where the plan has fixes their errors are other ones than those of the predictions with the same seed.
+    drawn = int(np.random.SeedSequence([asked.seed, 41]).generate_state(1)[0])
     prediction = predict(
         inputs.rover,
         inputs.terrain,
@@ -136,6 +161,7 @@ def simulate_drive(
         sample_m=asked.sample,
         ruts=inputs.ruts,
         before=inputs.before,
+        seed=drawn,
         progress=progress,
     )
     return MadeUpDrive(inputs=inputs, drive=simulate_telemetry(prediction, errors, asked.seed))

@@ -1,13 +1,13 @@
 """What a number of the rover is worth: designs that differ in a few of them, on one mission and the same soils."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import ParameterError, RequestError
 from lunarsci.inputs import Source
 from lunarsci.result import MadeFrom, Result, request_of
-from lunarsci.twin.jobs.predict import DriveRequest
+from lunarsci.twin.jobs.predict import PoweredRequest
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,7 +23,7 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SweepRequest(DriveRequest):
+class SweepRequest(PoweredRequest):
     """Which designs to drive.
 
     Attributes
@@ -38,6 +38,7 @@ class SweepRequest(DriveRequest):
     exact_terrain: bool = False
 
     def __post_init__(self) -> None:
+        PoweredRequest.__post_init__(self)
         if not self.vary:
             raise RequestError("nothing to vary; give `vary` NAME=LOW:HIGH:N, for example wheel.radius_m=0.10:0.20:5")
 
@@ -153,12 +154,13 @@ def _driver(soils: "Sequence[Soils]", asked: SweepRequest) -> "Callable[[int, di
     from lunarsci.twin.simulation.discrepancy import with_discrepancy
     from lunarsci.twin.simulation.ensemble import predict
 
-    members = [one.of_members() for one in soils]
+    members, power = [one.of_members() for one in soils], asked.power()
 
     def drive(number: int, changes: dict[str, Any]) -> "Prediction":
         found = predict(**members[number] | changes, time_step_s=asked.time_step, sample_m=asked.sample)
         law = soils[number].discrepancy
-        return found if law is None else with_discrepancy(found, law, soils[number].seed)
+        found = found if law is None else with_discrepancy(found, law, soils[number].seed)
+        return replace(found, power=power)
 
     return drive
 

@@ -153,7 +153,7 @@ def _circumcenter(a: FloatArray, b: FloatArray, c: FloatArray | None = None) -> 
 def endpoint_spread(prediction: Prediction) -> Endpoint:
     """Spread of the ends of the members that finished, of which there must be one."""
     ends = prediction.endpoints_m[prediction.finished]
-    target = prediction.planned[-1, :2]
+    target = prediction.destination_m
     mean = ends.mean(axis=0)
     soil, physics = _parts(prediction)
     return Endpoint(

@@ -1,20 +1,25 @@
 """What a drive takes: work of the wheels' motors, electrical power, sunlight on the panels, state of the battery."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
-from lunarsci.twin.electrics import SOLAR_CONSTANT_W_M2, PowerSupply
+from lunarsci.twin.electrics import SOLAR_CONSTANT_W_M2, Motors, PowerSupply
 from lunarsci.twin.ground.illumination import SunDirection, sunlit
+from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.schedule import all_commands, make_schedule
-from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
+from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, PowerState, Prediction
 
 SECONDS_PER_HOUR = 3600.0
 FINEST_S = 0.1
 """Longest step over which commanded rates are summed, as `commands_at` takes them. [s]"""
+BLOCK = 64
+"""Members whose commands are held in memory together."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -40,17 +45,24 @@ class EnergyUse:
 
 
 def wheel_turns_rad(prediction: Prediction) -> FloatArray:
-    """How far each wheel turns between two samples, as commanded. (samples - 1, wheels) [rad]
+    """How far each wheel turns between two samples, as commanded. (members, or 1 for all; samples - 1, wheels) [rad]
 
-    The rate is the commanded ground speed of the rim over the shearing radius, with which slip ratios are defined. With
-    position fixes it is that of the planned legs, from which a corrected leg differs by as much as its length does.
+    The rate is the commanded ground speed of the rim over the shearing radius, with which slip ratios are defined.
+    After a position fix each member has commands of its own.
     """
-    rover, times = prediction.rover, prediction.time_s
+    rover, times, steered = prediction.rover, prediction.time_s, prediction.steered
     parts = max(1, int(np.ceil(np.diff(times).max(initial=0.0) / FINEST_S - 1e-9)))
     steps = np.linspace(0.0, times[-1], (len(times) - 1) * parts + 1)
-    speed = np.abs(all_commands(rover, make_schedule(prediction.plan, rover), steps).speed_m_s[0])
-    turned = speed * np.diff(steps)[:, None] / rover.wheel.shearing_radius_m
-    return np.asarray(turned.reshape(len(times) - 1, parts, -1).sum(axis=1))
+    schedule = make_schedule(prediction.plan, rover)
+
+    def turned(legs: FloatArray | None) -> FloatArray:
+        speed = np.abs(all_commands(rover, schedule, steps, legs).speed_m_s)
+        angle = speed * np.diff(steps)[:, None] / rover.wheel.shearing_radius_m
+        return np.asarray(angle.reshape(len(speed), len(times) - 1, parts, -1).sum(axis=2))
+
+    if steered is None:
+        return turned(None)
+    return np.concatenate([turned(steered[k : k + BLOCK]) for k in range(0, len(steered), BLOCK)])
 
 
 def energy_use(prediction: Prediction) -> EnergyUse:
@@ -67,7 +79,7 @@ def energy_use(prediction: Prediction) -> EnergyUse:
     last = np.maximum(prediction.recorded - 1, 0)
     return EnergyUse(
         wheels=prediction.rover.wheels,
-        wheel_work_j=np.einsum("msw,sw->mw", between, wheel_turns_rad(prediction)),
+        wheel_work_j=(between * wheel_turns_rad(prediction)).sum(axis=1),
         duration_s=prediction.time_s[last],
     )
 
@@ -107,7 +119,8 @@ class PowerUse:
     others_w : drawn by all else, mean between samples. (members, samples - 1) [W]
     panels_w : from the panels, mean between samples; 0 without a Sun. (members, samples - 1) [W]
     lit : whether the rover's origin is in sunlight at a sample; None without a Sun. (members, samples)
-    battery_wh : left at each sample, between 0 and the capacity. (members, samples) [W h]
+    balance_wh : left in the battery at each sample, at most its capacity; below 0 what is drawn beyond it. (members,
+        samples) [W h]
     """
 
     time_s: FloatArray
@@ -115,7 +128,12 @@ class PowerUse:
     others_w: FloatArray
     panels_w: FloatArray
     lit: BoolArray | None
-    battery_wh: FloatArray
+    balance_wh: FloatArray
+
+    @property
+    def battery_wh(self) -> FloatArray:
+        """Left in the battery at each sample, between 0 and the capacity. (members, samples) [W h]"""
+        return np.maximum(self.balance_wh, 0.0)
 
     @property
     def drawn_wh(self) -> FloatArray:
@@ -129,51 +147,70 @@ class PowerUse:
         return np.asarray(self.panels_w @ np.diff(self.time_s) / SECONDS_PER_HOUR)
 
 
-def power_use(prediction: Prediction, sun: SunDirection | None = None, charge: float = 1.0) -> PowerUse:
+def power_use(prediction: Prediction) -> PowerUse:
     """Electrical power at every wheel, from the panels, and the state of the battery along each drive.
 
-    A motor draws its mechanical power over its efficiency, and its idle power while its wheel turns. Panels lie flat on
+    With charge and Sun of the prediction's `power`, a full battery and no Sun where it has none. A motor draws its
+    mechanical power over its efficiency, and its idle power while its wheel turns. Panels lie flat on
     the chassis: area times efficiency times solar constant times cosine of the Sun's angle from their normal, nothing
     where the terrain's shadow lies on the rover's origin. The battery takes what is over until it is full; its own
     losses are left out, as are those of charging. A drive that ended early keeps its last state.
 
-    Parameters
-    ----------
-    charge : of the battery at the start, 0 to 1. [-]
-
-    Raises ParameterError for a rover without [motors] or [power], and a charge that is none.
+    Raises ParameterError for a rover without [motors] or [power].
     """
-    rover = prediction.rover
-    motors, power = rover.motors, rover.power
-    if motors is None or power is None:
-        raise ParameterError(
-            f"{rover.name} has no [motors] and [power]; add both tables to the rover file as in yutu2's"
-        )
-    if not 0 <= charge <= 1:
-        raise ParameterError(f"charge is {charge:g}; give a share from 0 to 1")
+    motors, power = _parts(prediction.rover)
+    state = PowerState() if prediction.power is None else prediction.power
     time, turned = prediction.time_s, wheel_turns_rad(prediction)
     between = np.diff(time)
     torque = np.maximum(prediction.states[..., STATE_COLUMNS.index("resistance_torque_nm")], 0.0)
     mean = 0.5 * (torque[:, 1:] + torque[:, :-1])
     reached = prediction.reached[:, 1:]
     wheels = (mean * turned / motors.efficiency + motors.idle_w * (turned > 0) * between[:, None]) / between[:, None]
-    lit, gain = _panels(prediction, power, sun)
-    gain, wheels = np.where(reached, gain, 0.0), np.where(reached[..., None], wheels, 0.0)
+    lit, watts = _panels(prediction, power, state.sun)
+    gain = np.where(reached, 0.5 * (watts[:, 1:] + watts[:, :-1]), 0.0)
+    wheels = np.where(reached[..., None], wheels, 0.0)
     others = np.where(reached, power.electronics_w, 0.0)
     change = (gain - wheels.sum(axis=2) - others) * between / SECONDS_PER_HOUR
     left = np.empty((prediction.members, len(time)))
-    left[:, 0] = charge * power.battery_wh
+    left[:, 0] = np.asarray(state.charge) * power.battery_wh
     for k in range(len(between)):
-        left[:, k + 1] = np.clip(left[:, k] + change[:, k], 0.0, power.battery_wh)
-    return PowerUse(time_s=time, wheels_w=wheels, others_w=others, panels_w=gain, lit=lit, battery_wh=left)
+        left[:, k + 1] = np.minimum(left[:, k] + change[:, k], power.battery_wh)
+    return PowerUse(time_s=time, wheels_w=wheels, others_w=others, panels_w=gain, lit=lit, balance_wh=left)
+
+
+def charge_left(prediction: Prediction) -> FloatArray:
+    """Charge of the battery at the end of each drive, below 0 by what is drawn beyond an empty one. (members,) [-]
+
+    Raises ParameterError for a rover without [motors] or [power].
+    """
+    return np.asarray(power_use(prediction).balance_wh[:, -1] / _parts(prediction.rover)[1].battery_wh)
+
+
+def stood(prediction: Prediction, charge: FloatArray, seconds: float, sample: int) -> FloatArray:
+    """Charge of the battery after each rover has stood for a time where it is at a sample. (members,) [-]
+
+    Raises ParameterError for a rover without [motors] or [power].
+    """
+    power = _parts(prediction.rover)[1]
+    sun = None if prediction.power is None else prediction.power.sun
+    watts = _panels(prediction, power, sun)[1][:, sample] - power.standing_w
+    return np.minimum(charge + watts * seconds / SECONDS_PER_HOUR / power.battery_wh, 1.0)
+
+
+def _parts(rover: Rover) -> tuple[Motors, PowerSupply]:
+    if rover.motors is None or rover.power is None:
+        raise ParameterError(
+            f"{rover.name} has no [motors] and [power]; add both tables to the rover file as in yutu2's"
+        )
+    return rover.motors, rover.power
 
 
 def _panels(
     prediction: Prediction, power: PowerSupply, sun: SunDirection | None
 ) -> tuple[BoolArray | None, FloatArray]:
-    """Samples in sunlight, and power of the panels between samples. [W]"""
+    """Samples in sunlight, and power of the panels at each. [W]"""
     if sun is None:
-        return None, np.zeros((prediction.members, len(prediction.time_s) - 1))
+        return None, np.zeros((prediction.members, len(prediction.time_s)))
     roll, pitch, yaw = np.moveaxis(np.radians(prediction.paths[..., 3:]), -1, 0)
     # The chassis' z axis: turned by roll about x, then pitch about y, then yaw about z.
     aside, along = -np.sin(roll), np.cos(roll) * np.sin(pitch)
@@ -184,13 +221,18 @@ def _panels(
     )
     facing = np.maximum(0.0, np.tensordot(sun.vector, np.array(normal), axes=1))
     terrain = prediction.terrain
-    bright, nodes = sunlit(terrain, sun.azimuth_deg, sun.elevation_deg), []
+    bright, nodes = _bright(terrain, sun), []
     for axis, place, first in ((1, 0, terrain.x0_m), (0, 1, terrain.y0_m)):
         number = np.rint((prediction.places_m[..., place] - first) / terrain.spacing_m).astype(np.int64)
         nodes.append(np.clip(number, 0, bright.shape[axis] - 1))
     lit = bright[nodes[1], nodes[0]]
-    watts = SOLAR_CONSTANT_W_M2 * power.panel_area_m2 * power.cell_efficiency * facing * lit
-    return lit, np.asarray(0.5 * (watts[:, 1:] + watts[:, :-1]))
+    return lit, np.asarray(SOLAR_CONSTANT_W_M2 * power.panel_area_m2 * power.cell_efficiency * facing * lit)
+
+
+@lru_cache(maxsize=4)
+def _bright(terrain: Terrain, sun: SunDirection) -> BoolArray:
+    """Lit nodes, found once for all drives on a terrain."""
+    return sunlit(terrain, sun.azimuth_deg, sun.elevation_deg)
 
 
 def power_record(prediction: Prediction, use: PowerUse) -> dict[str, Any]:

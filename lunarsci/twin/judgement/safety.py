@@ -10,13 +10,11 @@ from typing import Literal
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.errors import ParameterError
 from lunarsci.twin.judgement.endpoint import Endpoint, endpoint_spread
-from lunarsci.twin.judgement.quantities import Encounter, along, clearance, encounters
+from lunarsci.twin.judgement.keeping import NEVER_BROKEN, broken, extremes, limits_judged, not_judged
+from lunarsci.twin.judgement.quantities import Encounter, clearance, encounters
 from lunarsci.twin.lanes import HOLE, LEFT, OUTCOMES
-from lunarsci.twin.plans.plan import AT_LEAST, QUANTITIES, Limit, Plan
-from lunarsci.twin.rover import Rover
+from lunarsci.twin.plans.plan import Limit, Plan
 from lunarsci.twin.simulation.contact_frame import DEEPEST, SHALLOWEST, VALID_SLIP
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction
 
@@ -104,7 +102,7 @@ class Judgement:
     p05, p50, p95, min, max : over the members. p95 is the smallest value that at least 95 % of the members do not
         exceed, p05 the largest that at least 95 % reach; with fewer than 20 members these are max and min.
     margin : from the judged value to the limit, negative beyond it. The judged value is p95 for `at most`, p05 for
-        `at least`, and min for `keep_out_m`, which no drive may break.
+        `at least`, and min for those that no drive may break (`NEVER_BROKEN`).
     ok : margin >= 0.
     exceeding : number of members beyond the limit.
     worst_member : the member with the worst value.
@@ -140,7 +138,7 @@ class Judgement:
     @property
     def judged(self) -> float:
         """The value that is held against the limit."""
-        return self.worst if self.quantity == "keep_out_m" else self.kept_by_95
+        return self.worst if self.quantity in NEVER_BROKEN else self.kept_by_95
 
     @property
     def used(self) -> float:
@@ -191,49 +189,31 @@ class Verdict:
     keep_outs: tuple[Encounter, ...] = ()
 
 
-def extremes(prediction: Prediction, quantity: str) -> FloatArray:
-    """Worst value of a quantity over wheels and distance, as far as each member came. (members,)
-
-    The largest magnitude, or the smallest value of a quantity in `AT_LEAST`; NaN where a member has none. Raises
-    ParameterError for what cannot be limited.
-    """
-    if quantity not in QUANTITIES:
-        raise ParameterError(f"'{quantity}' cannot be limited; these can: {', '.join(QUANTITIES)}")
-    if quantity == "endpoint_miss_m":
-        return prediction.miss_m
-    values = along(prediction, quantity)
-    if quantity in AT_LEAST:
-        least = np.where(prediction.reached & ~np.isnan(values), values, np.inf).min(axis=1)
-        return np.asarray(np.where(np.isinf(least), np.nan, least))
-    values = np.abs(values) if values.ndim == 2 else np.abs(values).max(axis=2)
-    return np.asarray(np.where(prediction.reached, values, 0.0).max(axis=1))
-
-
 def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
     """Hold a prediction against the limits of its plan.
 
     It is `go` when every member finished, at least 95 % of them keep each limit, and none enters a circle that the plan
-    keeps out of. Members count alike: on a grid of soils that is a share of the grid, not a probability. Per member
-    the worst value over wheels and distance counts, at the recorded samples. Percentiles are over the members that
-    finished. `plan` replaces the plan that was driven, to try other limits and circles.
+    keeps out of or draws more than the battery may give. Members count alike: on a grid of soils that is a share of the
+    grid, not a probability. Per member the worst value over wheels and distance counts, at the recorded samples.
+    Percentiles are over the members that finished. `plan` replaces the plan that was driven, to try other limits and
+    circles.
     """
     prediction = prediction if plan is None else dataclasses.replace(prediction, plan=plan)
     finished = prediction.finished
-    limits = limits_judged(prediction.plan) if finished.any() else ()
+    limits = limits_judged(prediction) if finished.any() else ()
     judged = tuple(j for limit in limits if (j := _judge_limit(prediction, limit)) is not None)
     outcomes = {
         OUTCOMES[int(k)]: int(n) for k, n in zip(*np.unique(prediction.outcome, return_counts=True), strict=True)
     }
     reasons = [f"{n} of {prediction.members} members: {text}" for text, n in outcomes.items() if text != OUTCOMES[0]]
-    reasons += [_reason(j) for j in judged if not j.ok]
-    reasons += _overload(prediction)
+    reasons += [_reason(j, prediction.members) for j in judged if not j.ok]
     near = tuple(encounters(prediction))
     reasons += [_crossed(one, prediction.members) for one in near if one.margin_m < 0]
     found = validity(prediction)
     return Verdict(
         verdict="no-go" if reasons else "go",
         reasons=tuple(reasons),
-        notes=_notes(prediction, limits, judged, found),
+        notes=_notes(prediction, judged, found),
         limits=judged,
         endpoint=endpoint_spread(prediction) if finished.any() else None,
         outcomes=outcomes,
@@ -244,33 +224,7 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
     )
 
 
-def limits_judged(plan: Plan, rover: Rover | None = None) -> tuple[Limit, ...]:
-    """The limits of a plan, with that of its circles where it gives none of its own.
-
-    With a rover those alone that can be judged of it: a clearance needs a body.
-    """
-    limits = plan.limits
-    if plan.exclusion_zones and not any(limit.quantity == "keep_out_m" for limit in limits):
-        limits = (*limits, Limit("keep_out_m", QUANTITIES["keep_out_m"], 0.0, "circles of the plan", False))
-    bodiless = rover is not None and rover.body is None
-    return tuple(limit for limit in limits if not (bodiless and limit.quantity == "clearance_m"))
-
-
-def overloaded(prediction: Prediction) -> BoolArray:
-    """Drives in which a wheel needs more torque than its motor gives for long at the plan's speed; none without motors.
-
-    (members,)
-    """
-    motors = prediction.rover.motors
-    if motors is None:
-        return np.zeros(prediction.members, dtype=bool)
-    most = motors.torque_nm(prediction.plan.speed_m_s / prediction.rover.wheel.shearing_radius_m)
-    return np.asarray(extremes(prediction, "motor_torque_nm") > most)
-
-
 def _judge_limit(prediction: Prediction, limit: Limit) -> Judgement | None:
-    if limit.quantity == "clearance_m" and prediction.rover.body is None:
-        return None
     values = extremes(prediction, limit.quantity)
     members = np.flatnonzero(prediction.finished & ~np.isnan(values))
     if not members.size:
@@ -290,7 +244,7 @@ def _judge_limit(prediction: Prediction, limit: Limit) -> Judgement | None:
         max=float(values.max()),
         margin=math.nan,
         ok=False,
-        exceeding=int((sign * values > sign * limit.limit).sum()),
+        exceeding=int(broken(limit, values).sum()),
         worst_member=int(members[(sign * values).argmax()]),
         source=limit.source,
         assumed=limit.assumed,
@@ -299,19 +253,20 @@ def _judge_limit(prediction: Prediction, limit: Limit) -> Judgement | None:
     return dataclasses.replace(judgement, margin=margin, ok=margin >= 0)
 
 
-def _reason(judgement: Judgement) -> str:
+def _reason(judgement: Judgement, members: int) -> str:
     if judgement.quantity == "keep_out_m":
         return f"keep_out_m: {judgement.min:.3g} at the nearest is less than the limit {judgement.limit:g}"
+    if judgement.quantity == "battery_charge":
+        share = f"charge falls below {judgement.limit:g}" if judgement.limit else "battery runs empty"
+        return f"battery_charge: the {share} in {judgement.exceeding} of {members} drives"
+    if judgement.quantity == "motor_load":
+        return (
+            f"motor_load: in {judgement.exceeding} of {members} drives a wheel needs more torque than its motor gives "
+            f"for long at its rate, p95 {judgement.p95:.3g} times as much"
+        )
     if judgement.sense == "at least":
         return f"{judgement.quantity}: p05 {judgement.p05:.3g} is less than the limit {judgement.limit:g}"
     return f"{judgement.quantity}: p95 {judgement.p95:.3g} exceeds the limit {judgement.limit:g}"
-
-
-def _overload(prediction: Prediction) -> list[str]:
-    over = int(overloaded(prediction).sum())
-    if over <= 0.05 * prediction.members:
-        return []
-    return [f"in {over} of {prediction.members} drives a wheel needs more torque than its motor gives at this speed"]
 
 
 def _crossed(one: Encounter, members: int) -> str:
@@ -324,6 +279,8 @@ def _crossed(one: Encounter, members: int) -> str:
 
 def _worst(prediction: Prediction, judged: tuple[Judgement, ...]) -> Worst:
     stopped = np.flatnonzero(~prediction.finished)
+    if not prediction.plan.limits:
+        judged = tuple(one for one in judged if not one.ok)
     if stopped.size:
         member, why = int(stopped[0]), prediction.outcome_text(int(stopped[0]))
     elif judged:
@@ -341,25 +298,23 @@ def _nearness(judgement: Judgement) -> str:
     return f"{at}: {'beyond' if judgement.exceeding else 'nearest to'} what is allowed"
 
 
-def _notes(
-    prediction: Prediction, limits: tuple[Limit, ...], judged: tuple[Judgement, ...], found: Validity
-) -> tuple[str, ...]:
+def _notes(prediction: Prediction, judged: tuple[Judgement, ...], found: Validity) -> tuple[str, ...]:
     notes = []
     if prediction.terrain.synthetic:
         notes.append("the terrain is synthetic; the verdict says nothing about a real site")
     if assumed := [j.quantity for j in judged if j.assumed]:
         notes.append(f"assumed limits: {', '.join(assumed)}")
-    if not judged and prediction.finished.any():
-        notes.append("the plan has no limits, so only the outcomes were judged")
-    return (*notes, *_clearance_notes(prediction, limits), *validity_notes(found), *_broken(prediction, judged))
+    if not prediction.plan.limits and prediction.finished.any():
+        notes.append("the plan has no limits, so only the outcomes were judged, and what goes without saying")
+    given, lacking = [limit.quantity for limit in prediction.plan.limits], not_judged(prediction)
+    notes += [f"{name} was not judged: {lacking[name]}" for name in given if name in lacking]
+    return (*notes, *_clearance_notes(prediction, judged), *validity_notes(found), *_broken(prediction, judged))
 
 
-def _clearance_notes(prediction: Prediction, limits: tuple[Limit, ...]) -> list[str]:
+def _clearance_notes(prediction: Prediction, judged: tuple[Judgement, ...]) -> list[str]:
     """What the clearance leaves open, where it is limited."""
-    if not any(limit.quantity == "clearance_m" for limit in limits):
+    if not any(one.quantity == "clearance_m" for one in judged):
         return []
-    if prediction.rover.body is None:
-        return ["clearance_m was not judged: the rover file has no [body]"]
     least, unknown = (values[prediction.reached] for values in clearance(prediction))
     notes = []
     if (share := float((unknown > 0).mean())) > 0:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
-from lunarsci.twin.judgement.safety import extremes
+from lunarsci.twin.judgement.keeping import extremes
 from lunarsci.twin.simulation.ensemble import Prediction, predict
 
 MOST_PAIRS = 64

@@ -9,11 +9,13 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
+from lunarsci.twin.judgement.energy import charge_left, stood
+from lunarsci.twin.judgement.keeping import broken, in_the_way, limits_judged
 from lunarsci.twin.mission.mission import Mission, MissionTarget
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.plans.schedule import make_schedule
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.simulation.ensemble import Prediction
+from lunarsci.twin.simulation.ensemble import PowerState, Prediction
 
 Pose = tuple[float, float, float]
 Way = Callable[[Pose, tuple[float, float]], Plan]
@@ -39,6 +41,7 @@ class MissionLeg:
     begin_s, waited_s, drive_s : when it begins, how long was waited for a window before, and how long it takes. [s]
     kept : members that keep all limits on it. (members,)
     ends_m : where members end, with the error of localisation at the begin. (members, 2) [m]
+    charge : of the battery at its end; None where that does not count. (members,) [-]
     fixed : pose that the rover believes in after the localisation, of the drawn member. [m, m, deg]
     """
 
@@ -51,6 +54,7 @@ class MissionLeg:
     kept: BoolArray
     ends_m: FloatArray
     fixed: Pose
+    charge: FloatArray | None = None
 
     @property
     def covariance_m2(self) -> FloatArray:
@@ -121,6 +125,7 @@ def drive_mission(
     *,
     seed: int = 0,
     goal_of: Callable[[MissionTarget], tuple[float, float] | None] = lambda target: None,
+    power: PowerState | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> DrivenMission:
     """Drive a mission leg by leg.
@@ -132,6 +137,8 @@ def drive_mission(
     drive : a plan over the same soils each time, so that a member has one soil throughout.
     kept : members of such a prediction that keep all limits.
     seed : of the errors of localisation, and of which member goes on.
+    power : battery and light at the begin; each member has a battery of its own, which legs, waits and stays draw from.
+        None where it does not count.
     goal_of : the place to drive to instead of a target beyond the horizon of known ground; None where it is within.
     progress : called with targets done and targets.
 
@@ -141,6 +148,7 @@ def drive_mission(
     leg is driven whose end the localisation follows at once; both lie within one window of communication.
     """
     state = _Driven(mission, rover, way, drive, kept, np.random.default_rng([seed, 31]))
+    state.power = power
     fates: list[TargetFate] = []
     for number, target in enumerate(mission.targets):
         if progress is not None:
@@ -188,6 +196,8 @@ class _Driven:
         self.pose: Pose = (start.x_m, start.y_m, start.heading_deg)
         self.clock_s, self.legs = 0.0, list[MissionLeg]()
         self.alive: BoolArray | None = None
+        self.power: PowerState | None = None
+        self.stands: tuple[Prediction, float] | None = None
 
     def to_target(self, target: MissionTarget, instead: tuple[float, float] | None) -> TargetFate:
         """Legs until the rover believes to be there."""
@@ -196,6 +206,7 @@ class _Driven:
             self._legs_to(target, goal)
         except _Stopped as stopped:
             return TargetFate(target=target, fate=stopped.fate, why=str(stopped), kept=self._nobody())
+        self._stand_until(self.clock_s + target.stay_s)
         arrival, kept = self.clock_s, self._those_there(target, goal)
         if instead is not None:
             far = math.dist(self.pose[:2], (target.x_m, target.y_m))
@@ -224,13 +235,17 @@ class _Driven:
 
     def _one_leg(self, target: MissionTarget, plan: Plan) -> None:
         begin, needed = self._when(plan)
-        prediction = self.drive(plan)
+        prediction = self._powered(self.drive(plan), begin)
         kept = self.held(prediction)
         before = np.ones_like(kept) if self.alive is None else self.alive
         self.alive = before & kept
+        self.stands = (prediction, begin + needed - self.mission.localisation_s)
+        self._stand_until(begin + needed)
         ends = self._moved_ends(prediction)
         if not self.alive.any():
-            raise _Stopped("no drive", f"no soil is left on which all limits are kept up to leg {len(self.legs) + 1}")
+            why = in_the_way(prediction) or "the battery gets too low while the rover stands after it"
+            number = len(self.legs) + 1
+            raise _Stopped("no drive", f"no soil is left on which all limits are kept up to leg {number}: {why}")
         member = int(self.random.choice(np.flatnonzero(self.alive)))
         fix = self.random.normal(size=3) * self._fix_sigma
         heading = float(prediction.paths[member, -1, 5]) + float(fix[2])
@@ -246,9 +261,31 @@ class _Driven:
                 kept=kept,
                 ends_m=ends,
                 fixed=fixed,
+                charge=None if self.power is None else charge_left(prediction),
             )
         )
         self.pose, self.clock_s = fixed, begin + needed
+
+    def _powered(self, prediction: Prediction, begin_s: float) -> Prediction:
+        """A leg with what is left in the batteries after standing since the one before, where that counts."""
+        if self.power is None:
+            return prediction
+        prediction = replace(prediction, power=self.power)
+        charge = np.broadcast_to(np.asarray(self.power.charge, dtype=float), (prediction.members,))
+        since = 0.0
+        if self.stands is not None:
+            charge, since = charge_left(self.stands[0]), self.stands[1]
+        return replace(prediction, power=replace(self.power, charge=stood(prediction, charge, begin_s - since, 0)))
+
+    def _stand_until(self, time_s: float) -> None:
+        """Members whose battery falls too low while they stand, after a leg, have failed."""
+        if self.power is None or self.stands is None or self.alive is None:
+            return
+        prediction, since = self.stands
+        charge = stood(prediction, charge_left(prediction), time_s - since, -1)
+        for limit in limits_judged(prediction):
+            if limit.quantity == "battery_charge":
+                self.alive = self.alive & ~broken(limit, charge)
 
     def _when(self, plan: Plan) -> tuple[float, float]:
         """When a leg begins, and how long it takes with its localisation. [s]"""

@@ -107,6 +107,10 @@ class Mission:
             raise ParameterError("two targets have one name; name each of them differently")
         if not SHORTEST_LEG_M <= self.leg_m <= LONGEST_LEG_M:
             raise ParameterError(f"leg_m is {self.leg_m:g}; give {SHORTEST_LEG_M:g} to {LONGEST_LEG_M:g} m")
+        if self.fixes.halt_s:
+            raise ParameterError(
+                "[fixes] halt_s has no use in a mission; its standstill at a leg's end is localisation_s"
+            )
         if not 0 <= self.localisation_s < math.inf:
             raise ParameterError(f"localisation_s is {self.localisation_s:g}; give 0 s or more")
         if not self.time_budget_s > 0:

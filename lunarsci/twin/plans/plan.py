@@ -27,10 +27,12 @@ QUANTITIES = {
     "clearance_m": "m",
     "keep_out_m": "m",
     "motor_torque_nm": "N m",
+    "motor_load": "-",
+    "battery_charge": "-",
 }
-AT_LEAST = ("clearance_m", "keep_out_m")
+AT_LEAST = ("clearance_m", "keep_out_m", "battery_charge")
 """Of these small values are the dangerous ones: their limit is the smallest value that counts as safe."""
-_KEYS = ("name", "crs", "made_for", "start", "drive", "leg", "fixes", "limits", "sweep", "keep_out")
+_KEYS = ("name", "crs", "made_for", "start", "drive", "leg", "fixes", "limits", "sweep", "keep_out", "target")
 LONGEST_M, LONGEST_STOP_S = 10_000.0, 3600.0
 # Slower, the creep of a halt is no longer small, and shear follows the wheel faster than any time step.
 SLOWEST_M_S = 0.001
@@ -86,15 +88,19 @@ class Fixes:
     Attributes
     ----------
     position_sigma_m, heading_sigma_deg : standard errors of a fix in x and y, and in heading, >= 0. [m, deg]
+    halt_s : standstill that each takes, 0 s to an hour. [s]
     """
 
     position_sigma_m: float
     heading_sigma_deg: float
+    halt_s: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("position_sigma_m", "heading_sigma_deg"):
+        for name in ("position_sigma_m", "heading_sigma_deg", "halt_s"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ParameterError(f"fixes {name} is {getattr(self, name)}; give 0 or more")
+        if self.halt_s > LONGEST_STOP_S:
+            raise ParameterError(f"fixes halt_s is {self.halt_s:g}; give at most {LONGEST_STOP_S:g} s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,6 +161,8 @@ class Plan:
     exclusion_zones : circles that the rover must not enter.
     made_for : the rover that it was planned for, where that is known.
     own_limits : whether its file has limits; without, they are those of the embedded plan, which is Yutu-2's.
+    target_m : x, y of where the drive shall end, where that is not the end of the legs: against a drift that is
+        expected, a plan aims off. None for the end of the legs. [m]
     crs : the coordinate system of x and y as well-known text; empty for a local frame.
     """
 
@@ -173,6 +181,7 @@ class Plan:
     made_for: MadeFor | None = None
     own_limits: bool = field(default=True, compare=False)
     crs: str = ""
+    target_m: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         if not self.legs:
@@ -187,6 +196,8 @@ class Plan:
             raise ParameterError(f"the plan's blend_m is {self.blend_m}; give 0 m or more")
         if not all(map(math.isfinite, (self.x_m, self.y_m, self.heading_deg))):
             raise ParameterError("the plan's start needs finite x_m, y_m and heading_deg")
+        if self.target_m is not None and not all(map(math.isfinite, self.target_m)):
+            raise ParameterError("the plan's [target] needs finite x_m and y_m")
         if not self.exclusion_zones and any(limit.quantity == "keep_out_m" for limit in self.limits):
             raise ParameterError("limit keep_out_m without a [[keep_out]]; give the circles to keep out of")
 
@@ -237,12 +248,17 @@ def parse_sweep(text: str) -> Sweep:
 
 
 def parse_fixes(text: str) -> Fixes:
-    """Read `POSITION,HEADING`, standard errors in m and deg, for example `0.1,0.5`. Raises ParameterError."""
+    """Read `POSITION,HEADING[,HALT]`, standard errors in m and deg and the standstill of each in s, as `0.1,0.5,60`.
+
+    Raises ParameterError.
+    """
     try:
-        position, heading = map(float, text.split(","))
-    except ValueError as error:
-        raise ParameterError(f"fixes '{text}' are not M,DEG, for example 0.1,0.5") from error
-    return Fixes(position, heading)
+        position, heading, *halt = map(float, text.split(","))
+        return Fixes(position, heading, *halt)
+    except (TypeError, ValueError) as error:
+        if isinstance(error, ParameterError):
+            raise
+        raise ParameterError(f"fixes '{text}' are not M,DEG or M,DEG,S, for example 0.1,0.5") from error
 
 
 def read_plan(source: "Source | None" = None) -> Plan:
@@ -283,6 +299,7 @@ def parse_plan(text: str, origin: str) -> Plan:
             made_for=MadeFor.from_table(document["made_for"]) if "made_for" in document else None,
             own_limits="limits" in document,
             crs=str(document.get("crs", "")),
+            target_m=_target(document),
             **{key: _number(value, key) for key, value in (start | drive).items()},
         )
     except tomllib.TOMLDecodeError as error:
@@ -331,11 +348,22 @@ def _fixes(document: dict[str, Any]) -> Fixes | None:
     if "fixes" not in document:
         return None
     table, known = _table(document, "fixes"), ("position_sigma_m", "heading_sigma_deg")
-    _check_keys(table, known, "[fixes]")
+    _check_keys(table, (*known, "halt_s"), "[fixes]")
     for name in known:
         if name not in table:
             raise ParameterError(f"[fixes] has no {name}")
-    return Fixes(*(_number(table[name], name) for name in known))
+    return Fixes(*(_number(table[name], name) for name in known), _number(table.get("halt_s", 0.0), "halt_s"))
+
+
+def _target(document: dict[str, Any]) -> tuple[float, float] | None:
+    if "target" not in document:
+        return None
+    table = _table(document, "target")
+    _check_keys(table, ("x_m", "y_m"), "[target]")
+    for name in ("x_m", "y_m"):
+        if name not in table:
+            raise ParameterError(f"[target] has no {name}")
+    return _number(table["x_m"], "x_m"), _number(table["y_m"], "y_m")
 
 
 def _exclusion_zone(table: Any) -> ExclusionZone:

@@ -153,7 +153,7 @@ def make_schedule(plan: Plan, rover: Rover) -> Schedule:
     steering = np.zeros(len(rover.wheels))
     for number, legs in enumerate(groups):
         first, last = number == 0, number == len(groups) - 1
-        begin = runs[-1].end_s if runs else 0.0
+        begin = runs[-1].end_s + (0.0 if plan.fixes is None else plan.fixes.halt_s) if runs else 0.0
         bare = Run(legs, begin, 0.0, 0.0, not first and legs[0].stop_s == 0, not last and legs[0].stop_s == 0)
         wanted = _steering(rover, legs[0]) if bare.moves else steering
         turned = 0.0 if first else float(np.abs(wanted - steering).max())
@@ -192,23 +192,33 @@ def run_commands(
     return Commands(old + turned * (commands.steering_rad - old), commands.speed_m_s)
 
 
-def all_commands(rover: Rover, schedule: Schedule, times_s: FloatArray) -> Commands:
-    """Commands of the whole drive as planned, over successive steps; arguments as in `run_commands`. (1, steps, n)"""
+def all_commands(rover: Rover, schedule: Schedule, times_s: FloatArray, legs: FloatArray | None = None) -> Commands:
+    """Commands of the whole drive over successive steps; arguments as in `run_commands`. (rovers, steps, n)
+
+    As planned, the same for all, or with `legs` (rovers, runs, 3) as each rover steered after its position fixes; the
+    first run is always as planned.
+    """
     runs: list[Commands] = []
     for number, piece in enumerate(steps_of_runs(schedule, times_s)):
         times = times_s[piece.start : piece.stop + 1]
-        runs.append(run_commands(rover, schedule, number, times, runs[-1] if runs else None, None))
-    return Commands(
-        np.concatenate([run.steering_rad for run in runs], axis=1),
-        np.concatenate([run.speed_m_s for run in runs], axis=1),
+        own = None if legs is None or number == 0 else legs[:, number]
+        runs.append(run_commands(rover, schedule, number, times, runs[-1] if runs else None, own))
+    rows = max(len(run.speed_m_s) for run in runs)
+    steering, speed = (
+        np.concatenate([np.broadcast_to(part, (rows, *part.shape[1:])) for part in parts], axis=1)
+        for parts in ([run.steering_rad for run in runs], [run.speed_m_s for run in runs])
     )
+    return Commands(steering, speed)
 
 
-def commands_at(rover: Rover, schedule: Schedule, time_s: FloatArray) -> Commands:
-    """Commands as planned at some times, those of the step of 0.1 s or less that begins there. (n, wheels)"""
+def commands_at(rover: Rover, schedule: Schedule, time_s: FloatArray, legs: FloatArray | None = None) -> Commands:
+    """Commands at some times, those of the step of 0.1 s or less that begins there. (n, wheels)
+
+    As planned, or with `legs` (1, runs, 3) as one rover steered after its position fixes.
+    """
     steps = max(1, math.ceil(schedule.duration_s / 0.1))
     times = np.linspace(0.0, schedule.duration_s, steps + 1)
-    commands = all_commands(rover, schedule, times)
+    commands = all_commands(rover, schedule, times, legs)
     number = np.clip(np.searchsorted(times, time_s, side="right") - 1, 0, steps - 1)
     return Commands(commands.steering_rad[0, number], commands.speed_m_s[0, number])
 

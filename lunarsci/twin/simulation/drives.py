@@ -17,6 +17,8 @@ from lunarsci.twin.plans.path import Commands
 from lunarsci.twin.simulation.members import MOST_STEPS, DriveSetup, drive_group
 from lunarsci.twin.simulation.ruts import RutGrid, with_ruts
 
+Driven = tuple[FloatArray, FloatArray, IntArray, FloatArray]
+"""Paths, states, results, and legs as steered after position fixes."""
 FINER = (4, 16)
 """How many times shorter steps are where a soil is not held by the step asked for; assumed."""
 
@@ -48,10 +50,10 @@ class MemberDrives:
         """Members of a group."""
         return GROUP if self.scene.grounds is None else 1
 
-    def __call__(self, block: range) -> tuple[FloatArray, FloatArray, IntArray]:
-        """Paths, states, and results of the members of a block, which begins with a group."""
+    def __call__(self, block: range) -> Driven:
+        """What comes of the members of a block, which begins with a group."""
         scene, (shared, ruts, drives) = self.scene, self.shared
-        paths, states, results = self.empty(len(block))
+        whole = self.empty(len(block))
         numbers = np.arange(len(self.overrides)) if scene.only is None else scene.only
         for first in range(block.start, block.stop, self.together):
             own = slice(first - block.start, min(first + self.together, block.stop) - block.start)
@@ -64,22 +66,27 @@ class MemberDrives:
             work = work if ruts is None else with_ruts(work, ruts)
             size, before = own.stop - own.start, np.full(own.stop - own.start, FINISHED)
             for part, common, errors in drives:
-                kept = (paths[own], states[own], results[own]) if part is scene else self.empty(size, 2)
-                drive_group(part, known, common, errors[lanes], work, kept)
+                kept = self.empty(size, part, 2)
+                if part is scene:
+                    kept = (whole[0][own], whole[1][own], whole[2][own], whole[3][own])
+                drive_group(part, known, common, errors[lanes], work, kept[:3], kept[3])
                 kept[2][:, 0] = np.where(before == FINISHED, kept[2][:, 0], before)
                 before = kept[2][:, 0]
-        return paths, states, results
+        return whole
 
-    def empty(self, members: int, samples: int | None = None) -> tuple[FloatArray, FloatArray, IntArray]:
-        """Paths, states and results to be filled."""
-        wheels, rows = len(self.scene.rover.wheels), self.samples if samples is None else samples
+    def empty(self, members: int, scene: DriveSetup | None = None, samples: int | None = None) -> Driven:
+        """What is to be filled, of the scene or of another one."""
+        own = self.scene if scene is None else scene
+        wheels, rows = len(own.rover.wheels), self.samples if samples is None else samples
+        runs = 0 if own.schedule.plan.fixes is None else len(own.schedule.runs)
         results = np.zeros((members, 2), dtype=np.int64)
-        return np.zeros((members, rows, 6)), np.zeros((members, rows, wheels, 10)), results
+        steered = np.zeros((members, runs, 3))
+        return np.zeros((members, rows, 6)), np.zeros((members, rows, wheels, 10)), results, steered
 
 
 def drive_all(
     scene: DriveSetup, overrides: FloatArray, samples: int, progress: Callable[[int, int], None] | None
-) -> tuple[FloatArray, FloatArray, IntArray]:
+) -> Driven:
     """Drive the members, GROUP together, as many such groups at a time as there are threads, here or on a cluster.
 
     The groups do not depend on the number of threads, and so neither do the results. Members with a ground of their own
@@ -93,16 +100,16 @@ def drive_all(
     return kept
 
 
-def drive_finer(scene: DriveSetup, overrides: FloatArray, kept: tuple[FloatArray, FloatArray, IntArray]) -> IntArray:
+def drive_finer(scene: DriveSetup, overrides: FloatArray, kept: Driven) -> IntArray:
     """Drive members again whose soil the step does not hold, with a shorter one; how many times shorter. (members,)"""
-    paths, states, results = kept
+    paths, states, results, steered = kept
     finer = np.ones(len(overrides), dtype=np.int64)
     for factor in FINER:
         again = np.flatnonzero(results[:, 0] == DIVERGED)
         if not again.size or (len(scene.times_s) - 1) * factor > MOST_STEPS:
             break
         found = drive_all(scene.finer(factor, again), overrides[again], paths.shape[1], None)
-        paths[again], states[again], results[again] = found
+        paths[again], states[again], results[again], steered[again] = found
         finer[again] = factor
     for member in np.flatnonzero((results[:, 0] == DIVERGED) & (results[:, 1] > 0)):
         own = scene.terrain if scene.grounds is None else scene.grounds.terrain(int(member))

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
+from lunarsci.twin.ground.illumination import SunDirection
 from lunarsci.twin.ground.terrain import Terrain, soil_overrides
 from lunarsci.twin.lanes import OUTCOMES
 from lunarsci.twin.plans.plan import Plan, Sweep, check_plan
@@ -43,6 +44,28 @@ MOST_SAMPLES = 2_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PowerState:
+    """What drives have of electrical power.
+
+    Attributes
+    ----------
+    charge : of the battery at the start, one for all members or one for each, at most 1; below 0 where more was drawn
+        before than there is. [-]
+    sun : its direction; None for no light.
+
+    Raises ParameterError.
+    """
+
+    charge: float | FloatArray = 1.0
+    sun: SunDirection | None = None
+
+    def __post_init__(self) -> None:
+        single = np.ndim(self.charge) == 0
+        if not np.all(np.less_equal(self.charge, 1.0)) or (single and self.charge < 0):
+            raise ParameterError(f"charge is {np.max(self.charge):g}; give a share from 0 to 1")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Prediction:
     """Where the rover may go and what its wheels may meet, one row for each member of the ensemble.
 
@@ -67,6 +90,9 @@ class Prediction:
     draws : what the ground of each member was drawn by, `HeightErrors.draws`; None where heights are exact.
     discrepancy : what members were moved by, as the twin's physics is off; None where that was not asked. Their states
         hold it, their paths do not: see `places_m`.
+    steered : length [m], curvature [1/m] and turn [rad] of each run of the plan's schedule as each member steered it
+        after its position fix, 0 for the first run; None without fixes. (members, runs, 3)
+    power : battery and light of the drives; None where these are not looked at.
     """
 
     rover: Rover
@@ -89,6 +115,8 @@ class Prediction:
     finer: IntArray | None = None
     draws: FloatArray | None = None
     discrepancy: DrawnDiscrepancy | None = None
+    steered: FloatArray | None = None
+    power: PowerState | None = None
 
     @property
     def members(self) -> int:
@@ -122,9 +150,15 @@ class Prediction:
         return self.places_m[:, -1]
 
     @property
+    def destination_m(self) -> FloatArray:
+        """x, y of where the drive shall end: the plan's target, or the end of its legs. (2,) [m]"""
+        target = self.plan.target_m
+        return np.array(self.planned[-1, :2] if target is None else target)
+
+    @property
     def miss_m(self) -> FloatArray:
-        """Distance of each end from the planned destination. (members,) [m]"""
-        return np.asarray(np.hypot(*(self.endpoints_m - self.planned[-1, :2]).T))
+        """Distance of each end from the destination. (members,) [m]"""
+        return np.asarray(np.hypot(*(self.endpoints_m - self.destination_m).T))
 
     def outcome_text(self, member: int) -> str:
         """The outcome of one member in words."""
@@ -230,8 +264,8 @@ def predict(
         draws = terrain.errors.draws(count, seed)
     scene = DriveSetup(rover, terrain, schedule, times, every, seed, grounds, ruts, draws=draws)
     scene = scene if before is None else scene.after(before, time_step_s)
-    paths, states, results = drive_all(scene, overrides, len(times[::every]), progress)
-    finer = drive_finer(scene, overrides, (paths, states, results))
+    paths, states, results, steered = driven = drive_all(scene, overrides, len(times[::every]), progress)
+    finer = drive_finer(scene, overrides, driven)
     halted = schedule.pace_at(times[::every]) < UNDER_WAY
     _for_people(scene, paths, states, results[:, 1], halted)
     return Prediction(
@@ -254,6 +288,7 @@ def predict(
         before=before,
         finer=finer,
         draws=draws,
+        steered=None if plan.fixes is None else steered,
     )
 
 

@@ -286,8 +286,12 @@ def drive_group(
     errors: FloatArray,
     work: Work,
     kept: tuple[Any, ...],
+    steered: FloatArray,
 ) -> None:
-    """Drive a group's plan, run by run where each of it leads from where the rover then believes to be."""
+    """Drive a group's plan, run by run where each of it leads from where the rover then believes to be.
+
+    `steered` (members, runs, 3) takes the leg of each run after the first as each of the members steers it.
+    """
     if common is not None:
         _begin(scene, known, common, work)
         rims = (common.steering_rad, common.speed_m_s, scene.time_step_s)
@@ -299,6 +303,7 @@ def drive_group(
     for number, piece in enumerate(pieces):
         if commands is not None:
             legs = legs_from(scene.schedule, scene.rover, number, work, errors[:, number])
+            steered[:, number] = np.nan_to_num(legs[: len(steered)])
         times = scene.times_s[piece.start : piece.stop + 1]
         begins = commands is None
         commands = run_commands(scene.rover, scene.schedule, number, times, commands, legs)

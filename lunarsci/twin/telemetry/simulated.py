@@ -1,14 +1,15 @@
 """The telemetry a drive would send, sensor errors included: a made-up drive whose truth is known."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
-from lunarsci.twin.plans.schedule import all_commands, commands_at, make_schedule
+from lunarsci.twin.plans.schedule import all_commands, commands_at, fix_errors, make_schedule
 from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction
 
 if TYPE_CHECKING:
@@ -74,7 +75,9 @@ class SyntheticDrive:
     ----------
     prediction : the drive itself, one member: the truth.
     errors, seed : what its telemetry was blurred with.
-    telemetry : a row for each time, as a rover would send it; column `synthetic` is true throughout.
+    telemetry : a row for each time, as a rover would send it; column `synthetic` is true throughout. With position
+        fixes column `halted` is true at halts.
+    halts : rows of telemetry at which the rover found out where it was before it steered on; empty without fixes.
     track : depth of the track at points along it, with its error.
     """
 
@@ -83,51 +86,72 @@ class SyntheticDrive:
     seed: int
     telemetry: "pd.DataFrame"
     track: "pd.DataFrame"
+    halts: IntArray
 
 
 def simulate_telemetry(prediction: Prediction, errors: SensorErrors, seed: int = 0) -> SyntheticDrive:
     """Telemetry and track of the only member of a prediction.
 
-    A localised position is sent at the start, after each `fix_distance_m` of the commanded way, and at the end. The
+    A localised position is sent at the start, after each `fix_distance_m` of the commanded way, and at the end. At a
+    halt of a plan with fixes it is the one by which the rover then steers, with the errors of these fixes. The
     wheels turn as commanded. Where a wheel passed, the track keeps the depth of the deepest one that did: the ground
     neither rises again nor fills in.
 
-    Raises ParameterError for several members, a drive of no motion, or a plan with fixes, whose commands depend on
-    them.
+    Raises ParameterError for several members or a drive of no motion.
     """
     if prediction.members != 1:
         raise ParameterError(f"telemetry is of one drive, not of {prediction.members}; give one soil")
-    if prediction.plan.fixes is not None:
-        raise ParameterError("a plan with [fixes] steers by them, and they are drawn within; leave them out here")
     if int(prediction.recorded[0]) < 3:
         raise ParameterError(f"nothing to send: {prediction.outcome_text(0)}")
     random = np.random.default_rng(seed)
+    halts = _halts(prediction)
     return SyntheticDrive(
         prediction=prediction,
         errors=errors,
         seed=seed,
-        telemetry=_telemetry(prediction, errors, random),
+        telemetry=_telemetry(prediction, errors, random, halts),
         track=_track(prediction, errors, random),
+        halts=np.array(sorted(halts), dtype=np.int64),
     )
 
 
-def _telemetry(prediction: Prediction, errors: SensorErrors, random: np.random.Generator) -> "pd.DataFrame":
+def _halts(prediction: Prediction) -> dict[int, FloatArray]:
+    """Rows at which the rover is localised at a halt, and how far off in x and y it then believes to be. [m]"""
+    if prediction.plan.fixes is None:
+        return {}
+    schedule = make_schedule(prediction.plan, prediction.rover)
+    off = fix_errors(schedule, 1, prediction.seed)[0]
+    rows = [int(np.abs(prediction.time_s - run.begin_s).argmin()) for run in schedule.runs[1:]]
+    return {row: error[:2] for row, error in zip(rows, off[1:], strict=True) if row < int(prediction.recorded[0])}
+
+
+def _telemetry(
+    prediction: Prediction, errors: SensorErrors, random: np.random.Generator, halts: Mapping[int, FloatArray]
+) -> "pd.DataFrame":
     import pandas as pd
 
     count = int(prediction.recorded[0])
     path = {name: prediction.paths[0, :count, k] for k, name in enumerate(PATH_COLUMNS)}
     time = prediction.time_s[:count]
-    fixed, sigma = _fix_rows(prediction.distance_m[:count], errors.fix_distance_m), errors.position_m
+    fixed, sigma = _fix_rows(prediction.distance_m[:count], errors.fix_distance_m), np.full(count, errors.position_m)
+    off = sigma * random.normal(size=(2, count))
+    fixes = prediction.plan.fixes
+    for row, error in halts.items():
+        fixed[row] = True
+        if fixes is not None and fixes.position_sigma_m > 0:
+            off[:, row], sigma[row] = error, fixes.position_sigma_m
     columns: dict[str, FloatArray | list[str]] = {"time_s": time}
-    for name in ("x_m", "y_m"):
-        columns[name] = np.where(fixed, path[name] + sigma * random.normal(size=count), np.nan)
-    for name, value in (("xx_m2", sigma**2), ("xy_m2", 0.0), ("yy_m2", sigma**2)):
+    for name, own in zip(("x_m", "y_m"), off, strict=True):
+        columns[name] = np.where(fixed, path[name] + own, np.nan)
+    for name, value in (("xx_m2", sigma**2), ("xy_m2", 0.0 * sigma), ("yy_m2", sigma**2)):
         columns[name] = np.where(fixed, value, np.nan)
     columns["yaw_deg"] = path["yaw_deg"] + errors.yaw_deg * random.normal(size=count)
     columns["yaw_deg_sigma"] = np.full(count, errors.yaw_deg)
     for name in ("roll_deg", "pitch_deg"):
         columns[name] = path[name] + errors.tilt_deg * random.normal(size=count)
     columns |= _wheel_columns(prediction, time, errors, random)
+    if fixes is not None:
+        columns["halted"] = [str(bool(halted)).lower() for halted in prediction.halted[:count]]
     columns["synthetic"] = ["true"] * count
     return pd.DataFrame(columns)
 
@@ -145,9 +169,9 @@ def _wheel_columns(
 ) -> dict[str, FloatArray]:
     rover = prediction.rover
     schedule = make_schedule(prediction.plan, rover)
-    told = commands_at(rover, schedule, time_s)
+    told = commands_at(rover, schedule, time_s, prediction.steered)
     fine = np.interp(np.arange((len(time_s) - 1) * FINER + 1) / FINER, np.arange(len(time_s)), time_s)
-    speed = all_commands(rover, schedule, fine).speed_m_s[0]
+    speed = all_commands(rover, schedule, fine, prediction.steered).speed_m_s[0]
     way = np.vstack([np.zeros(len(rover.wheels)), np.cumsum(speed * np.diff(fine)[:, None], axis=0)])[::FINER]
     per_m = math.degrees(1.0 / rover.wheel.shearing_radius_m)
     columns: dict[str, FloatArray] = {}
