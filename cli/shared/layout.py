@@ -48,7 +48,8 @@ def fitted(table: TextTable, width: int, *, keep: bool = False) -> TextTable:
     """
     if width <= 0:
         return table
-    made, footnotes = table, {}
+    made = table
+    footnotes: dict[str, str] = {}
     if _width(made) > width and len(made.rows) == 1 and len(made.headers) > 2:
         made = _upright(made)
     elif _width(made) > width:

@@ -156,7 +156,8 @@ def _states(file: InputFile) -> Mapping[str, Any]:
     from lunarsci.regolith.wheel import read_wheel
 
     table = read_state_table(file, read_wheel("yutu2"))
-    return _rows(file) | {
+    return {
+        **_rows(file),
         "columns of no use": _listed(table.unused) or "none",
         "range checked for": "the wheel of yutu2",
     }
