@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.figure import INK, legend_below, page
+from lunarsci.figure import INK
 from lunarsci.reproduce.drive import (
     K_Y_MM,
     PHI_DEG,
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 PHI, K_Y = "friction_angle_deg", "lateral_modulus_mm"
 SYMBOLS = {PHI: ("φ", "°"), K_Y: ("K$_y$", " mm")}
-NAMES = {"slip_ratio": "slip ratio s [-]  (negative: skid)", "side_slip_deg": "side slip |β| [°]"}
+NAMES = {"slip_ratio": "slip ratio [-]  (negative: skid)", "side_slip_deg": "side slip angle |β| [°]"}
 PUBLISHED = {
     PHI: dict(zip(PHI_DEG, ("slip-25deg", "slip-55deg"), strict=True)),
     K_Y: dict(zip(K_Y_MM, ("side-slip-15mm", "side-slip-45mm"), strict=True)),
@@ -45,22 +45,26 @@ def drive_pages(drives: Drives) -> "Iterator[Figure]":
 
 
 def _fans(found: Prediction) -> "Figure":
-    figure = page(6.0)
-    parts = figure.subfigures(2, 1)
-    panels = [part.subplots(1, 2, width_ratios=(1.62, 1.0)) for part in parts]
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(14, 9.4), layout="constrained")
+    panels = figure.subplots(2, 2, width_ratios=(1.62, 1.0))
     fans = ((PHI, K_Y, TYPICAL_K_Y_MM, "ab"), (K_Y, PHI, TYPICAL_PHI_DEG, "cd"))
     for (whole, ends), (parameter, other, held, letters) in zip(panels, fans, strict=True):
         members = np.flatnonzero(found.parameters[other] == held)
         symbol, unit = SYMBOLS[other]
         _draw_fan(whole, found, parameter, members, 0.1)
-        whole.set_title(f"{letters[0]}  {SYMBOLS[parameter][0]} varied, {symbol} = {held:g}{unit}", loc="left")
+        whole.legend(loc="upper left", ncols=4, fontsize=8, framealpha=0.9)
+        whole.set_title(
+            f"{letters[0]}  {SYMBOLS[parameter][0]} varied, {symbol} = {held:g}{unit}", fontsize=10, loc="left"
+        )
         _draw_fan(ends, found, parameter, members, 0.02)
         _draw_ends(ends, found, parameter, members)
-        ends.set_title(f"{letters[1]}  its ends", loc="left")
-        legend_below(whole.figure, (whole, ends))
+        ends.set_title(f"{letters[1]}  its ends", fontsize=10, loc="left")
     figure.suptitle(
-        "SYNTHETIC: predicted paths after Fig. 3 of Ding et al. (2024), on made-up ground as published;\n"
+        "Predicted paths after Fig. 3 of Ding et al. (2024), on synthetic ground with craters and slopes as published; "
         "contours every 0.1 m, enlarged 0.02 m",
+        fontsize=12,
     )
     return figure
 
@@ -98,23 +102,27 @@ def _draw_ends(axes: "Axes", found: Prediction, parameter: str, members: Any) ->
         (published_value("ends-within"), LIMIT, ":", "published: no end beyond"),
         (float(found.miss_m[found.finished].max()), INK, "--", "ours, all soils: no end beyond"),
     )
+    handles = []
     for radius, color, style, name in circles:
         text = f"{name} {radius:.3f} m"
         circle = Circle(tuple(target), radius, fill=False, edgecolor=color, linestyle=style, linewidth=1.8, zorder=7)
         axes.add_patch(circle)
-        axes.plot([], [], color=color, linestyle=style, linewidth=1.8, label=text)
+        handles += axes.plot([], [], color=color, linestyle=style, linewidth=1.8, label=text)
     half = 1.45 * max(radius for radius, *_ in circles)
     axes.set_xlim(target[0] - half, target[0] + half)
     axes.set_ylim(target[1] - half, target[1] + half)
+    axes.legend(handles=handles, loc="upper left", fontsize=8, framealpha=0.9)
 
 
 def _slips(drives: Drives) -> "Figure":
-    figure = page(4.6)
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(14, 5.2), layout="constrained")
     slip, side, rolling = figure.subplots(1, 3)
     _boxes(slip, drives.stand_in, PHI, "slip_ratio", "a  on the stand-in")
     _boxes(side, drives.stand_in, K_Y, "side_slip_deg", "b  on the stand-in")
     _rolling(rolling, drives)
-    figure.suptitle("Slip by soil after Fig. S6 of Ding et al. (2024)")
+    figure.suptitle("Slip by soil after Fig. S6 of Ding et al. (2024)", fontsize=12)
     return figure
 
 
@@ -140,8 +148,8 @@ def _boxes(axes: "Axes", found: Prediction, parameter: str, quantity: str, title
     axes.set_xlabel(f"{symbol} [{unit.strip()}]")
     axes.set_ylabel(NAMES[quantity])
     axes.set_xticks(places)
-    axes.set_title(title, loc="left")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), frameon=False)
+    axes.set_title(title, fontsize=10, loc="left")
+    axes.legend(fontsize=8, framealpha=0.9)
 
 
 def _rolling(axes: "Axes", drives: Drives) -> None:
@@ -169,5 +177,5 @@ def _rolling(axes: "Axes", drives: Drives) -> None:
     axes.axhline(0, color="0.7", linewidth=0.8, zorder=0)
     axes.set_xlabel("slope, downhill [°]")
     axes.set_ylabel(NAMES["slip_ratio"])
-    axes.set_title("c  slip against slope, no terrain", loc="left")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), frameon=False)
+    axes.set_title("c  slip against slope, no terrain", fontsize=10, loc="left")
+    axes.legend(fontsize=8, framealpha=0.9)

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.figure import page
 from lunarsci.regolith import inversion
 from lunarsci.regolith.compare import ReferenceSoil, lateral_soils, reference_soils
 from lunarsci.regolith.forces import closed_form_forces, shear_sign_code
@@ -94,6 +93,7 @@ def _histogram(label: str, mean_id: str, sd_id: str, values: FloatArray) -> Hist
     return Histogram(label, mean_id, sd_id, values[np.isfinite(values)])
 
 
+SIZE = 7.0
 PLACES = (
     *((5.0, y, "left") for y in (3.0, -9.0, 12.0, -18.0)),
     *((-5.0, y, "right") for y in (3.0, -9.0, 12.0, -18.0)),
@@ -125,7 +125,9 @@ def _around(corners: object) -> "Bbox":
 def _place(axes: "Axes", name: str, point: tuple[float, float], boxes: list["Bbox"]) -> "Bbox":
     tried = []
     for x, y, side in PLACES:
-        text = axes.annotate(name, point, xytext=(x, y), textcoords="offset points", ha=side, color="0.3", zorder=5)
+        text = axes.annotate(
+            name, point, xytext=(x, y), textcoords="offset points", ha=side, fontsize=SIZE, color="0.35", zorder=5
+        )
         box = text.get_window_extent()
         inside = axes.bbox.x0 <= box.x0 and box.x1 <= axes.bbox.x1
         if inside and not any(box.overlaps(other) for other in boxes):
@@ -149,12 +151,14 @@ OWN = ("Longji", "lunar soil, nominal")
 
 def soil_pages(wheel: Wheel) -> "Iterator[Figure]":
     """Two pages: the four panels of Fig. 4, and the histograms of Fig. S13."""
-    figure = page(8.8)
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(14, 10.5), layout="constrained")
     (bearing, shear), (missions, lateral) = figure.subplots(2, 2)
     named = {bearing: _bearing(bearing, wheel), shear: _shear(shear, wheel)}
     _missions(missions)
     _lateral(lateral, wheel)
-    figure.suptitle("Soil parameters at Longji after Fig. 4 of Ding et al. (2024)")
+    figure.suptitle("Soil parameters at Longji after Fig. 4 of Ding et al. (2024)", fontsize=12)
     figure.draw_without_rendering()
     for axes, points in named.items():
         place_names(axes, points)
@@ -172,11 +176,11 @@ def _region(axes: "Axes", x: Sequence[float], y: Sequence[float], dots: Sequence
 
 
 def _finish(axes: "Axes", title: str, x: str, y: str) -> None:
-    axes.set_title(title, loc="left")
+    axes.set_title(title, fontsize=10, loc="left")
     axes.set_xlabel(x)
     axes.set_ylabel(y)
-    axes.grid()
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2, frameon=False)
+    axes.grid(alpha=0.2, linewidth=0.5)
+    axes.legend(frameon=True, framealpha=0.85, fontsize=8, loc="best")
 
 
 def _typical(axes: "Axes", x: float, y: float, label: str) -> None:
@@ -234,7 +238,7 @@ def _shear(axes: "Axes", wheel: Wheel) -> Named:
             named[soil.name] = (soil.cohesion_pa[0], soil.friction_angle_deg[0])
     axes.plot([], [], "k.", markersize=7, label="terrestrial soils")
     axes.set(xlim=(0, 11_000), ylim=(0, 60))
-    title = "b  shear, slip branch of the law at |s|"
+    title = "b  longitudinal shear, slip branch of the law at |s|"
     _finish(axes, title, "cohesion c [Pa]", "internal friction angle φ [°]")
     return named
 
@@ -267,9 +271,10 @@ def _missions(axes: "Axes") -> None:
             x, y, xerr=error[0], yerr=error[1], fmt=marker, color=color, markersize=5, capsize=2.5, linewidth=1.1,
             label=soil.name,
         )  # fmt: skip
-    axes.set(xlim=(-100, 6200), ylim=(10, 62))
-    title = "c  shear of other missions; bars: ranges"
+    axes.set(xlim=(-100, 6200), ylim=(10, 105), yticks=range(10, 61, 10))
+    title = "c  longitudinal shear beside other missions; bars span what the source gives"
     _finish(axes, title, "cohesion c [Pa]", "internal friction angle φ [°]")
+    axes.legend(frameon=False, fontsize=7, loc="upper center", ncols=2)
 
 
 def _lateral(axes: "Axes", wheel: Wheel) -> None:
@@ -287,7 +292,7 @@ def _lateral(axes: "Axes", wheel: Wheel) -> None:
             point = float(row["lateral_modulus_mm"]), float(row["external_friction_angle_deg"])
             axes.plot(*point, "k^", markersize=6, label=row["name"])
     axes.set(xlim=(5, 60), ylim=(0, 45))
-    title = "d  lateral shear; no one force fits both dots"
+    title = "d  lateral shear; no one force puts curves through both dots"
     _finish(axes, title, "lateral shear modulus K$_y$ [mm]", "external friction angle φ$_y$ [°]")
 
 
@@ -305,7 +310,9 @@ def _lateral_curve(wheel: Wheel, modulus_mm: float, angle_deg: float, beta_deg: 
 
 
 def _histograms(wheel: Wheel) -> "Figure":
-    figure = page(3.6)
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(14, 4.8), layout="constrained")
     panels = figure.subplots(1, 3)
     for axes, item, letter in zip(panels, histograms(wheel), "abc", strict=True):
         mean, sd = published_value(item.mean_id), published_value(item.sd_id)
@@ -317,5 +324,5 @@ def _histograms(wheel: Wheel) -> "Figure":
         axes.axvline(mean, color=DOT, linewidth=0.8)
         axes.set_ylim(0, 1.3 * axes.get_ylim()[1])
         _finish(axes, letter, item.label, "probability density")
-    figure.suptitle("Monte Carlo errors after Fig. S13 of Ding et al. (2024)")
+    figure.suptitle("Monte Carlo errors after Fig. S13 of Ding et al. (2024)", fontsize=12)
     return figure

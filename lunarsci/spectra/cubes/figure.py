@@ -74,9 +74,9 @@ def _page(path: Path, made: MapFile, layers: Sequence[Layer]) -> "Figure":
         name = layer.name if layer else FLAG_LAYER
         _draw(figure, panel, _thinned(path, name, numbers[name], made), layer, extent)
         panel.set_aspect(drawn / long)
-        panel.set_xlabel("way along a line [km]" if ground else "sample [px]")
+        panel.set_xlabel("along the lines [km]" if ground else "sample [px]")
     for panel in panels[: len(layers) + 1 : columns]:
-        panel.set_ylabel("way across the lines [km]" if ground else "line [px]")
+        panel.set_ylabel("across the lines [km]" if ground else "line [px]")
     for panel in panels[len(layers) + 1 :]:
         panel.set_axis_off()
     if ground:
@@ -127,7 +127,7 @@ def _draw(figure: "Figure", panel: Any, image: FloatArray, layer: Layer | None, 
     bar = figure.colorbar(drawn, ax=panel, orientation="horizontal", fraction=0.05, pad=0.02, extend="both")
     bar.ax.locator_params(nbins=4)
     bar.set_label("[-]" if layer.units == "1" else f"[{layer.units}]")
-    panel.set_title("\n".join(textwrap.wrap(as_label(layer.long_name, 60), 26)))
+    panel.set_title("\n".join([layer.name, *textwrap.wrap(as_label(layer.long_name, 60), 26)]))
 
 
 def _worst_flag(image: FloatArray) -> FloatArray:

@@ -44,7 +44,7 @@ def candidate_map(surface: Traversability, choice: DriveChoice) -> "Figure":
     bar = figure.colorbar(scale, ax=axes, fraction=0.03, pad=0.01, shrink=0.9)
     bar.set_label("chance of failing [-]")
     bar.ax.axhline(choice.risk, color=INK, linewidth=2.0)
-    bar.ax.annotate("accepted", (1.0, choice.risk), (-3, 3), xycoords=("axes fraction", "data"),
+    bar.ax.annotate("accepted", (0.0, choice.risk), (-3, -3), xycoords=("axes fraction", "data"),
                     textcoords="offset points", ha="right", color=INK)  # fmt: skip
     axes.set_title(_headline(choice))
     title = f"{len(choice.candidates)} drives compared on {as_label(terrain.name)}; hatched: hazard"

@@ -47,9 +47,11 @@ def comparison_figure(matched: MatchedObservations, found: DriveComparison, titl
         for panel, name in zip(panels, names, strict=False):
             _draw_states(panel, matched, name)
             panel.set_xlabel("time [s]")
-            panel.label_outer()
+            panel.label_outer(remove_inner_ticks=False)
+            panel.set_ylabel(LABELS[name][0])
+            panel.tick_params(labelleft=True)
         for panel in panels[len(names) :]:
-            panel.set_axis_off()
+            panel.remove()
         panels[len(names) - 1].tick_params(labelbottom=True)
         panels[len(names) - 1].set_xlabel("time [s]")
         parts[1].legend(handles=_handles(matched), loc="outside lower center", ncols=4, frameon=False)

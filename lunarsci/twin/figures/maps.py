@@ -55,7 +55,8 @@ def terrain_maps(surface: Traversability, path: PlannedPath | None = None) -> "F
     _draw_steps(axes[1, 0], surface, every)
     _draw_traversability(axes[1, 1], surface, every)
     for number, panel in enumerate(axes.flat):
-        panel.set_aspect("equal")
+        extent = _extent(terrain)
+        panel.set(aspect="equal", xlim=extent[:2], ylim=extent[2:])
         panel.label_outer()
         panel.set_xlabel("x [m]" if number > 1 else "")
         panel.set_ylabel("" if number % 2 else "y [m]")
@@ -200,7 +201,7 @@ def _hatch(axes: "Axes", terrain: Terrain, hazard: npt.NDArray[np.bool_], every:
         drawn = axes.contourf(
             x, y, hazard.astype(float), levels=[0.5, 1.5], colors=[HAZARD], alpha=0.3, hatches=["////"]
         )
-        drawn.set(edgecolor=HAZARD, linewidth=0.0)
+        drawn.set(edgecolor="white", linewidth=0.0)
         axes.fill([], [], facecolor=HAZARD, alpha=0.3, hatch="////", label="hazard")
 
 
