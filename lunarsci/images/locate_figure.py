@@ -1,6 +1,6 @@
 """Ties of two stations in both pictures, and how they fit."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,7 +22,8 @@ def ties_figure(found: Localised, number: int, *, synthetic: bool = False) -> "F
     pair, adjusted = found.pairs[number], found.adjusted
     far, near = found.stations[pair.far], found.stations[pair.near]
     figure = page(7.2)
-    above, below = figure.subfigures(2, 1)
+    parts: Any = figure.subfigures(2, 1)
+    above, below = parts
     (left, right), (residuals, plan) = above.subplots(1, 2), below.subplots(1, 2)
     title = f"{as_label(far.name)} and {as_label(near.name)}: {len(pair.ties.correlation)} ties"
     figure.suptitle(synthetic_title(f"{title}; a tie has the same colour in both pictures", synthetic))

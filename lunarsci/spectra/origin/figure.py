@@ -37,7 +37,8 @@ def match_pages(matches: Sequence[RockMatch], site: Point) -> Iterator[Figure]:
         maps.append(("near the site", reach, 0.0) if maps else ("all candidates", farthest, 0.0))
         rows = min(len(outside), MOST_SHOWN) + 1
         figure = page(3.9 + 1.0 + 0.26 * rows)
-        above, below = figure.subfigures(2, 1, height_ratios=(3.7, 1.0 + 0.26 * rows))
+        parts: Any = figure.subfigures(2, 1, height_ratios=(3.7, 1.0 + 0.26 * rows))
+        above, below = parts
         for axes, (title, far, unnamed) in zip(above.subplots(1, len(maps), squeeze=False)[0], maps, strict=True):
             _draw_map(axes, match, site, scale, far, title, unnamed)
         _draw_bars(below.subplots(), match, scale)
