@@ -15,7 +15,11 @@ if TYPE_CHECKING:
 
 
 _DATELESS = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
-DPI = 150
+DPI = 200
+PAGE_IN = 7.2
+"""Width of a page of pictures, two columns of a journal (Nature: 183 mm), so that a point is a point in print."""
+TALLEST_IN = 9.4
+"""Height of a printed page, less its margins and a caption. [in]"""
 INK = "#26323a"
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
 """Told apart by the colour-blind: Okabe & Ito (2008), Color Universal Design."""
@@ -29,9 +33,11 @@ DOT_STYLES = tuple(
 )
 """The same for dots, by their shapes."""
 STYLE: Any = {
-    "font.size": 9.0,
-    "axes.titlesize": 10.0,
-    "axes.labelsize": 9.0,
+    "font.size": 8.0,
+    "axes.titlesize": 8.0,
+    "axes.titlepad": 4.0,
+    "axes.titlecolor": INK,
+    "axes.labelsize": 8.0,
     "axes.labelcolor": INK,
     "axes.edgecolor": INK,
     "axes.linewidth": 0.8,
@@ -43,17 +49,22 @@ STYLE: Any = {
     "grid.linewidth": 0.5,
     "xtick.color": INK,
     "ytick.color": INK,
-    "xtick.labelsize": 8.0,
-    "ytick.labelsize": 8.0,
+    "xtick.labelsize": 7.0,
+    "ytick.labelsize": 7.0,
     "text.color": INK,
-    "legend.fontsize": 8.0,
+    "legend.fontsize": 7.0,
+    "legend.handlelength": 2.4,
+    "legend.labelspacing": 0.35,
+    "legend.columnspacing": 1.4,
     "legend.framealpha": 0.85,
+    "legend.borderpad": 0.3,
     "legend.edgecolor": "none",
-    "figure.titlesize": 11.0,
+    "figure.titlesize": 9.0,
+    "figure.labelsize": 8.0,
     "figure.facecolor": "white",
     "savefig.facecolor": "white",
     "image.cmap": "viridis",
-    "lines.linewidth": 1.3,
+    "lines.linewidth": 1.2,
     "errorbar.capsize": 2.0,
     "svg.hashsalt": "lunarsci",
 }
@@ -68,6 +79,50 @@ def as_label(text: str, longest: int = 40) -> str:
     """
     short = text if len(text) <= longest else f"{text[: longest - 1]}…"
     return printable(short).replace("$", r"\$")
+
+
+def page(height_in: float, width_in: float = PAGE_IN) -> "Figure":
+    """An empty page of a picture, laid out so that no two of its panels, labels and legends overlap.
+
+    Parameters
+    ----------
+    height_in : its height, of which 9.4 in are used at most. [in]
+    width_in : its width. [in]
+    """
+    from matplotlib.figure import Figure
+
+    made = Figure(figsize=(width_in, min(height_in, TALLEST_IN)), layout="constrained")
+    layout: Any = made.get_layout_engine()
+    layout.set(w_pad=0.05, h_pad=0.05)
+    return made
+
+
+def legend_below(figure: Any, axes: Any, columns: int = 4) -> None:
+    """One legend for panels alike, each name once, below them where it hides nothing.
+
+    Parameters
+    ----------
+    figure : a figure, or a part of one.
+    axes : its panels, one or many.
+    columns : names side by side at most.
+    """
+    panels = [axes] if hasattr(axes, "get_legend_handles_labels") else list(axes)
+    named: dict[str, Any] = {}
+    for panel in panels:
+        handles, labels = panel.get_legend_handles_labels()
+        named |= {label: handle for handle, label in zip(handles, labels, strict=True) if label not in named}
+    if named:
+        across = min(columns, len(named))
+        figure.legend(list(named.values()), list(named), loc="outside lower center", ncols=across, frameon=False)
+
+
+def synthetic_title(text: str, synthetic: bool) -> str:
+    """A title that says where data are made up.
+
+    >>> synthetic_title("rock 1", True)
+    'SYNTHETIC: rock 1'
+    """
+    return f"SYNTHETIC: {text}" if synthetic and "SYNTHETIC" not in text else text
 
 
 @contextmanager

@@ -184,7 +184,10 @@ class Result(ABC):
 
     def plot(self, page: int = 0) -> "Figure":
         """A page of `--plot`, from 0. Raises ParameterError where there is no such page."""
-        found = next(islice(self.figures(), page, None), None)
+        from lunarsci.figure import styled
+
+        with styled():
+            found = next(islice(self.figures(), page, None), None)
         if found is None:
             raise ParameterError(f"page {page}: there is no such picture of this result")
         return found

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
+from lunarsci.figure import INK, LINE_STYLES, as_label, page
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -13,18 +14,16 @@ if TYPE_CHECKING:
 
     from lunarsci.images.calibration import CameraCalibration
 
-INK, MARK = "#26323a", "#e6550d"
+MARK = "#D55E00"
 LONG = 0.08
 """Length of the arrow of a residual of three standard deviations, as a share of the picture's width."""
 
 
 def calibration_page(found: "CameraCalibration", name: str) -> "Figure":
     """Residuals of each camera over its picture, on how uncertain directions are, and residuals by moment."""
-    from matplotlib.figure import Figure
-
     count = len(found.cameras)
-    figure = Figure(figsize=(6.5 * count + (0 if count > 1 else 5), 9 if count > 1 else 5), layout="constrained")
-    figure.suptitle(f"{name}: residuals {found.residual_px:.3f} px", color=INK)
+    figure = page(6.0 if count > 1 else 3.6)
+    figure.suptitle(f"{as_label(name, 60)}: residuals {found.residual_px:.3f} px")
     axes: Any = figure.subplots(2, 2) if count > 1 else figure.subplots(1, 2)[None]
     for k in range(count):
         _residuals(figure, axes[0, k], found, k)
@@ -38,14 +37,14 @@ def _residuals(figure: "Figure", axis: "Axes", found: "CameraCalibration", index
     uncertain = found.uncertainty_px(index, np.stack([u.ravel(), v.ravel()], axis=-1)).reshape(u.shape)
     top = float(np.nanpercentile(uncertain, 98))
     shown = axis.pcolormesh(u, v, uncertain, cmap="Blues", vmin=0, vmax=top, shading="gouraud")
-    figure.colorbar(shown, ax=axis, label="uncertainty of a direction [px]", shrink=0.8)
+    figure.colorbar(shown, ax=axis, orientation="horizontal", label="uncertainty of a direction [px]", shrink=0.8)
     scale = 3 * found.residual_px / (LONG * camera.width_px)
     arrows = axis.quiver(
         *rows[:, 1:].T, angles="xy", scale_units="xy", scale=scale, width=0.002, color=MARK, headwidth=3
     )
     axis.quiverkey(arrows, 0.85, 1.03, 3 * found.residual_px, f"{3 * found.residual_px:.2f} px", labelpos="E")
     axis.set(xlim=(0, camera.width_px), ylim=(camera.height_px, 0), aspect="equal", xlabel="u [px]", ylabel="v [px]")
-    axis.set_title(f"{camera.name}: {len(rows)} points", loc="left", fontsize=10)
+    axis.set_title(f"{camera.name}: {len(rows)} points", loc="left")
 
 
 def _by_moment(axis: "Axes", found: "CameraCalibration", index: int) -> None:
@@ -53,27 +52,26 @@ def _by_moment(axis: "Axes", found: "CameraCalibration", index: int) -> None:
     moments = np.unique(rows[:, 0]).astype(int)
     rms = [float(np.sqrt(np.mean(rows[rows[:, 0] == k, 3:] ** 2))) for k in moments]
     axis.bar(moments + 1, rms, color=INK)
-    axis.axhline(found.residual_px, color=MARK, lw=1, label="all")
+    axis.axhline(found.residual_px, color=MARK, lw=1, label="all pictures")
     axis.set(xlabel="picture, in the order given", ylabel="rms of residuals [px]")
-    axis.set_title(found.cameras[index].name, loc="left", fontsize=10)
-    axis.legend(fontsize=8)
+    axis.set_title(found.cameras[index].name, loc="left")
+    axis.legend(loc="lower right")
 
 
 def range_page(
     names: Sequence[str], ranges_m: FloatArray, random_m: Sequence[FloatArray], common_m: Sequence[FloatArray]
 ) -> "Figure":
     """Random and common error of the range of a single point, by its range."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8, 5), layout="constrained")
+    figure = page(4.2, 5.6)
     axis: Any = figure.subplots()
     for k, name in enumerate(names):
-        colour = f"C{k}"
-        axis.plot(ranges_m, 1e3 * random_m[k], color=colour, label=f"{name}: random")
+        look: Any = LINE_STYLES[k % len(LINE_STYLES)]
+        axis.plot(ranges_m, 1e3 * random_m[k], label=f"{as_label(name)}: random", **look)
         if (common_m[k] > 0).any():
-            axis.plot(ranges_m, 1e3 * common_m[k], color=colour, ls="--", label=f"{name}: common")
+            axis.plot(ranges_m, 1e3 * common_m[k], marker=".", label=f"{as_label(name)}: common", **look)
     axis.set(xscale="log", yscale="log", xlabel="range [m]", ylabel="error of the range, one standard deviation [mm]")
     axis.set_xticks([1, 2, 3, 5, 10, 20], ["1", "2", "3", "5", "10", "20"])
-    axis.grid(color="0.9")
-    axis.legend(fontsize=8)
+    axis.set_xticks([], minor=True)
+    axis.grid()
+    axis.legend(loc="lower right")
     return figure

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lunarsci.figure import COLORS, as_label, page, synthetic_title
 from lunarsci.images.camera import Pose
 from lunarsci.images.elevation import ElevationModel
 from lunarsci.images.matching import MATCHED, REASONS, StereoMatches
@@ -11,6 +12,7 @@ from lunarsci.images.matching import MATCHED, REASONS, StereoMatches
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.image import AxesImage
 
 
 REASON_COLOURS = ("#ffffff", "#9e9e9e", "#ff7043", "#263238", "#fdd835", "#8e24aa", "#1e88e5", "#00897b")
@@ -18,12 +20,10 @@ REASON_COLOURS = ("#ffffff", "#9e9e9e", "#ff7043", "#263238", "#fdd835", "#8e24a
 
 def dem_figure(model: ElevationModel, matches: StereoMatches, pose: Pose) -> "Figure":
     """Picture with disparities, reasons where there is none, heights, and random and common errors."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(13, 8.5), layout="constrained")
+    figure = page(5.9)
     axes = figure.subplots(2, 3)
-    title = f"{model.name}: {matches.shares()['matched']:.0%} of the pixels matched"
-    figure.suptitle(f"SYNTHETIC  {title}" if model.synthetic else title)
+    title = f"{as_label(model.name)}: {matches.shares()['matched']:.0%} of the pixels matched"
+    figure.suptitle(synthetic_title(title, model.synthetic))
     _picture(axes[0, 0], matches)
     _disparity(figure, axes[0, 1], matches)
     _reasons(axes[0, 2], matches)
@@ -45,9 +45,9 @@ def _picture(axis: "Axes", matches: StereoMatches) -> None:
 
 def _disparity(figure: "Figure", axis: "Axes", matches: StereoMatches) -> None:
     shown = axis.imshow(matches.disparity, cmap="viridis", interpolation="nearest")
-    axis.set_title("disparity [px]")
+    axis.set_title("disparity")
     axis.set_axis_off()
-    figure.colorbar(shown, ax=axis, shrink=0.8)
+    _bar(figure, shown, axis, "disparity [px]")
 
 
 def _reasons(axis: "Axes", matches: StereoMatches) -> None:
@@ -62,7 +62,7 @@ def _reasons(axis: "Axes", matches: StereoMatches) -> None:
         for colour, name, share in zip(REASON_COLOURS, REASONS, shares, strict=True)
         if share > 0 or name == REASONS[MATCHED]
     ]
-    axis.legend(handles=handles, loc="upper left", fontsize=7)
+    axis.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.03), frameon=False, ncols=2)
     axis.set_axis_off()
 
 
@@ -70,8 +70,12 @@ def _map(figure: "Figure", axis: "Axes", model: ElevationModel, key: str, name: 
     scale = 1e3 if "mm" in name else 1.0
     values = scale * model.layer(key)
     low, high = np.nanpercentile(values, [2, 98])
-    colours = "terrain" if key == "height_m" else "magma"
+    colours = "cividis" if key == "height_m" else "viridis"
     shown = axis.imshow(values, origin="lower", extent=model.extent_m, cmap=colours, vmin=low, vmax=high)
-    axis.plot(*pose.center_m[:2], marker="^", color="tab:red", clip_on=False)
-    axis.set(title=name, xlabel="x [m]", ylabel="y [m]")
-    figure.colorbar(shown, ax=axis, shrink=0.8)
+    axis.plot(*pose.center_m[:2], marker="^", color=COLORS[1], markeredgecolor="white", clip_on=False)
+    axis.set(title=name.partition(" [")[0], xlabel="x [m]", ylabel="y [m]")
+    _bar(figure, shown, axis, name)
+
+
+def _bar(figure: "Figure", shown: "AxesImage", axis: "Axes", label: str) -> None:
+    figure.colorbar(shown, ax=axis, orientation="horizontal", label=label, shrink=0.85, aspect=25)

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
+from lunarsci.figure import DOT_STYLES, INK, as_label, legend_below, page, synthetic_title
 from lunarsci.images.elevation import ElevationModel
 from lunarsci.images.lines import places_on, unrolled
 from lunarsci.images.merge import MergedMap
@@ -15,14 +16,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-INK, MARK, BAND = "#26323a", "#e6550d", "#9fb4c0"
+MARK, BAND = "#D55E00", "#9fb4c0"
 
 
-def _page(title: str, size: tuple[float, float], synthetic: bool) -> "Figure":
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=size, dpi=130, layout="constrained", facecolor="white")
-    figure.suptitle(f"{title} (SYNTHETIC)" if synthetic else title, color=INK)
+def _page(title: str, height_in: float, synthetic: bool) -> "Figure":
+    figure = page(height_in)
+    figure.suptitle(synthetic_title(title, synthetic))
     return figure
 
 
@@ -44,7 +43,7 @@ def _levelled(model: ElevationModel) -> FloatArray:
 
 def track_page(model: ElevationModel, line: FloatArray, width_m: float, depths: TrackDepths) -> "Figure":
     """Where the track is, its depth along it with errors, and the mean profile across."""
-    figure = _page(f"Track on {model.name}", (11.5, 9.0), model.synthetic)
+    figure = _page(f"track on {as_label(model.name)}", 7.6, model.synthetic)
     axes: Any = figure.subplots(3, 1, height_ratios=(1.3, 1, 1))
     reach = 4 * width_m
     level = 1e3 * _levelled(model)
@@ -75,7 +74,7 @@ def _along(axes: "Axes", depths: TrackDepths) -> None:
         axes.plot([], [], color=MARK, lw=0.6, label="not determined")
     axes.axhline(0, color=INK, lw=0.5)
     axes.set(xlabel="distance along the line [m]", ylabel="depth [mm]")
-    axes.legend(fontsize=8, ncols=4, loc="best", frameon=False)
+    axes.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
 
 
 def _across(axes: "Axes", model: ElevationModel, line: FloatArray, width_m: float, depths: TrackDepths) -> None:
@@ -100,12 +99,12 @@ def _across(axes: "Axes", model: ElevationModel, line: FloatArray, width_m: floa
         axes.axvspan(side * inner, side * outer, color=BAND, alpha=0.4, lw=0, label=label)
     axes.axhline(0, color=INK, lw=0.5)
     axes.set(xlabel="distance to the left of the middle [m]", ylabel="height over the ground [mm]")
-    axes.legend(fontsize=8, loc="best", frameon=False)
+    axes.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
 
 
 def rocks_page(model: ElevationModel, survey: RockSurvey) -> "Figure":
     """Rocks on the heights over the ground, and the share found by diameter."""
-    figure = _page(f"Rocks on {model.name}", (12.5, 6.5), model.synthetic)
+    figure = _page(f"rocks on {as_label(model.name)}", 4.3, model.synthetic)
     axes: Any = figure.subplots(1, 2, width_ratios=(2, 1))
     above = 1e3 * survey.above_m
     high = max(float(np.nanpercentile(above, 99.5)), 1e-3)
@@ -114,23 +113,23 @@ def rocks_page(model: ElevationModel, survey: RockSurvey) -> "Figure":
     for rock in survey.rocks:
         around = rock.keepout_m * np.cos(turn) + rock.x_m, rock.keepout_m * np.sin(turn) + rock.y_m
         axes[0].plot(*around, color=MARK, lw=1.0)
-    axes[0].set_title(f"{len(survey.rocks)} rocks and what to keep away from", fontsize=9)
+    axes[0].set_title(f"{len(survey.rocks)} rocks and what to keep away from")
     halves = sorted({float(np.nan_to_num(entry.sigma_from_m)) for entry in survey.completeness})
     for k, start in enumerate(halves):
         rows = [entry for entry in survey.completeness if np.nan_to_num(entry.sigma_from_m) == start]
         size, share = [e.diameter_m for e in rows], [e.share for e in rows]
         bars = np.maximum([[e.share - e.share_low for e in rows], [e.share_high - e.share for e in rows]], 0.0)
         label = f"error of nodes {1e3 * start:.2f} to {1e3 * rows[0].sigma_to_m:.2f} mm"
-        axes[1].errorbar(size, share, bars, marker="os"[k % 2], color=(INK, MARK)[k % 2], label=label, capsize=3)
+        axes[1].errorbar(size, share, bars, label=label, **DOT_STYLES[k % len(DOT_STYLES)])
     axes[1].set(xscale="log", ylim=(-0.03, 1.03), xlabel="diameter [m]", ylabel="share found [-]")
-    axes[1].legend(fontsize=8, frameon=False)
+    legend_below(figure, axes[1], 3)
     return figure
 
 
 def merge_page(merged: MergedMap) -> "Figure":
     """The merged heights, their errors, how many models there are, and where these disagree."""
     model = merged.model
-    figure = _page(f"Map of {model.name}", (12.5, 9.5), model.synthetic)
+    figure = _page(f"map of {as_label(model.name, 60)}", 6.4, model.synthetic)
     axes: Any = figure.subplots(2, 2)
     _map(axes[0, 0], model, _levelled(model), "height less its plane [m]", cmap="cividis")
     errors = 1e3 * np.hypot(model.layer("height_m_sigma"), model.layer("height_m_common_sigma"))

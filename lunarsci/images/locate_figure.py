@@ -1,10 +1,11 @@
 """Ties of two stations in both pictures, and how they fit."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lunarsci.arrays import FloatArray
+from lunarsci.figure import COLORS, as_label, legend_below, page, synthetic_title
 from lunarsci.images.localisation import Localised
 
 if TYPE_CHECKING:
@@ -18,27 +19,28 @@ ARROW = 30.0
 
 def ties_figure(found: Localised, number: int, *, synthetic: bool = False) -> "Figure":
     """Picture of one pair's ties: in the farther and the nearer left picture, residuals, and a plan of stations."""
-    from matplotlib.figure import Figure
-
     pair, adjusted = found.pairs[number], found.adjusted
     far, near = found.stations[pair.far], found.stations[pair.near]
-    figure = Figure(figsize=(13, 9), layout="constrained")
-    axes = figure.subplots(2, 2)
-    title = f"{far.name} and {near.name}: {len(pair.ties.correlation)} ties"
-    figure.suptitle(f"SYNTHETIC  {title}" if synthetic else title)
+    figure = page(7.2)
+    parts: Any = figure.subfigures(2, 1)
+    above, below = parts
+    (left, right), (residuals, plan) = above.subplots(1, 2), below.subplots(1, 2)
+    title = f"{as_label(far.name)} and {as_label(near.name)}: {len(pair.ties.correlation)} ties"
+    figure.suptitle(synthetic_title(f"{title}; a tie has the same colour in both pictures", synthetic))
     colours = np.arange(len(pair.ties.correlation), dtype=float)
-    _picture(axes[0, 0], far.matches.left, pair.ties.far_px, colours, f"{far.name}, from afar (colour: same tie)")
-    _picture(axes[0, 1], near.matches.left, pair.ties.near_px, colours, f"{near.name}, from near")
+    _picture(left, far.matches.left, pair.ties.far_px, colours, f"{as_label(far.name)}, from afar")
+    _picture(right, near.matches.left, pair.ties.near_px, colours, f"{as_label(near.name)}, from near")
     off = adjusted.residual_px[number]
-    _residuals(axes[1, 0], pair.ties.far_px, off, adjusted.weights[number])
-    _plan(axes[1, 1], found)
+    _residuals(residuals, pair.ties.far_px, off, adjusted.weights[number])
+    _plan(plan, found)
+    legend_below(below, plan, 2)
     return figure
 
 
 def _picture(axis: "Axes", light: FloatArray, places: FloatArray, colours: FloatArray, title: str) -> None:
     low, high = np.percentile(light, [0.5, 99.5])
     axis.imshow(np.sqrt(np.clip(light, 0, high)), cmap="gray", vmin=np.sqrt(max(low, 0)), vmax=np.sqrt(high))
-    axis.scatter(places[:, 0], places[:, 1], c=colours, s=6, cmap="hsv", linewidths=0)
+    axis.scatter(places[:, 0], places[:, 1], c=colours, s=6, cmap="viridis", linewidths=0)
     axis.set_title(title)
     axis.set_axis_off()
 
@@ -49,8 +51,8 @@ def _residuals(axis: "Axes", places: FloatArray, off: FloatArray, weights: Float
     )
     axis.invert_yaxis()
     axis.set(xlabel="u [px]", ylabel="v [px]")
-    axis.set_title(f"residuals x {ARROW:g}; median {np.median(np.linalg.norm(off, axis=1)):.2f} px; colour: weight")
-    axis.figure.colorbar(shown, ax=axis, shrink=0.8)
+    axis.set_title(f"residuals, {ARROW:g} times as long; median {np.median(np.linalg.norm(off, axis=1)):.2f} px")
+    axis.figure.colorbar(shown, ax=axis, orientation="horizontal", label="weight of the tie [-]", shrink=0.8)
 
 
 def _plan(axis: "Axes", found: Localised) -> None:
@@ -59,14 +61,13 @@ def _plan(axis: "Axes", found: Localised) -> None:
 
     told = np.array([s.pose.center_m[:2] for s in found.stations])
     now = np.array([p.center_m[:2] for p in found.poses])
-    axis.plot(*told.T, "o--", color="0.6", label="dead reckoning")
-    axis.plot(*now.T, "^-", color="tab:red", label="by ties")
+    axis.plot(*told.T, "o--", color="0.5", label="dead reckoning")
+    axis.plot(*now.T, "^-", color=COLORS[1], label="by ties")
     for k in range(1, len(now)):
         own = found.covariance[6 * k - 3 : 6 * k - 1, 6 * k - 3 : 6 * k - 1]
         sizes, ways = np.linalg.eigh(own)
         turn = np.degrees(np.arctan2(ways[1, 1], ways[0, 1]))
         width, height = 2 * 2.448 * np.sqrt(np.maximum(sizes[::-1], 0)) * 10
-        axis.add_patch(Ellipse(tuple(now[k]), width, height, angle=turn, fill=False, color="tab:red"))
-    axis.set(xlabel="x [m]", ylabel="y [m]", title="left cameras; 95 % ellipses, ten times as large")
+        axis.add_patch(Ellipse(tuple(now[k]), width, height, angle=turn, fill=False, color=COLORS[1]))
+    axis.set(xlabel="x [m]", ylabel="y [m]", title="left cameras; ellipses of 95 %, ten times as large")
     axis.set_aspect("equal", adjustable="datalim")
-    axis.legend()

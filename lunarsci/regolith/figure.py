@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from lunarsci.figure import INK, legend_below, page
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.belief_history import past_beliefs, rolled_back, shared_drives
 from lunarsci.regolith.compare import KINDS, Site, SoilComparison, lateral_soils, nearest
@@ -27,6 +28,17 @@ MARKERS = dict(zip(KINDS, ("o", "^", "s"), strict=True))
 SITE, CURVE = "#D55E00", "#E69F00"
 NAMED = 4
 """How many of the nearest soils are named in each panel."""
+PARAMETER_LABELS = {
+    "stiffness_kpa_m_n": "stiffness K$_s$ [kPa m$^{-N}$]",
+    "sinkage_exponent": "sinkage exponent N [-]",
+    "sinkage_exponent_slip": "exponent with slip n$_1$ [-]",
+    "cohesion_pa": "cohesion c [Pa]",
+    "friction_angle_deg": "internal friction angle φ [°]",
+    "shear_modulus_mm": "shear modulus K$_x$ [mm]",
+    "external_friction_angle_deg": "external friction angle φ$_y$ [°]",
+    "lateral_modulus_mm": "lateral shear modulus K$_y$ [mm]",
+}
+"""A parameter of the soil along an axis, the same in every picture."""
 LEAST_PA = 10.0
 """Cohesions below are drawn here, at the edge of a logarithmic axis."""
 
@@ -43,25 +55,23 @@ def comparison_figure(
     site, found, width_m : as given to and returned by `compare_site`.
     curves : by aspect (`bearing`, `shear`, `lateral`) the points of `Identification.curves`, drawn with their bands.
     """
-    figure = Figure(figsize=(13, 10), layout="constrained")
+    figure = page(7.4)
     (bearing, shear), (missions, lateral) = figure.subplots(2, 2)
     own = curves or {}
     _bearing(bearing, site, found, width_m, own.get("bearing", ()))
     _shear(shear, site, [item for item in found if item.soil.kind != "lunar"], own.get("shear", ()))
     _shear(missions, site, [item for item in found if item.soil.kind == "lunar"], own.get("shear", ()))
     _lateral(lateral, site, own.get("lateral", ()))
-    bearing.set_title(f"a  bearing, wheel {1e3 * width_m:.0f} mm wide", fontsize=10, loc="left")
-    shear.set_title("b  shear strength beside terrestrial soils and simulants", fontsize=10, loc="left")
-    missions.set_title(
-        "c  shear strength beside lunar missions; lines span what the source gives", fontsize=10, loc="left"
-    )
-    lateral.set_title("d  lateral shear", fontsize=10, loc="left")
+    bearing.set_title(f"a  bearing, wheel {1e3 * width_m:.0f} mm wide", loc="left")
+    shear.set_title("b  shear, terrestrial soils and simulants", loc="left")
+    missions.set_title("c  shear, lunar missions; lines: ranges", loc="left")
+    lateral.set_title("d  lateral shear", loc="left")
     for kind in KINDS:
         bearing.plot([], [], MARKERS[kind], color=COLORS[kind], label=kind)
     bearing.plot([], [], "*", color=SITE, markersize=12, label="the site")
     if own:
         bearing.plot([], [], color=CURVE, label="what its wheel states allow, 95 %")
-    bearing.legend(frameon=False, fontsize=8, loc="best")
+    legend_below(figure, bearing, 5)
     return figure
 
 
@@ -75,7 +85,8 @@ def _bearing(axes: Any, site: Site, found: Sequence[SoilComparison], width_m: fl
     _law_curve(axes, curve, "exponent", "stiffness_kpa_m_n")
     if site.stiffness_kpa_m_n is not None:
         axes.plot(site.sinkage_exponent, site.stiffness_kpa_m_n, "*", color=SITE, markersize=15)
-    axes.set(xlabel="sinkage exponent N [-]", ylabel="stiffness K$_s$ [kPa m$^{-N}$]", yscale="log")
+    axes.set(xlabel=PARAMETER_LABELS["sinkage_exponent"], ylabel=PARAMETER_LABELS["stiffness_kpa_m_n"], yscale="log")
+    axes.margins(x=0.16)
 
 
 def _shear(axes: Any, site: Site, found: Sequence[SoilComparison], curve: Sequence[Any]) -> None:
@@ -94,7 +105,10 @@ def _shear(axes: Any, site: Site, found: Sequence[SoilComparison], curve: Sequen
     )
     if site.cohesion_pa is not None:
         axes.plot(max(site.cohesion_pa, LEAST_PA), site.friction_angle_deg, "*", color=SITE, markersize=15)
-    axes.set(xlabel="cohesion c [Pa], 10 and below at the edge", ylabel="internal friction angle φ [°]", xscale="log")
+    axes.set(
+        xlabel="cohesion c [Pa], 10 and below at the edge", ylabel=PARAMETER_LABELS["friction_angle_deg"], xscale="log"
+    )
+    axes.margins(x=0.16)
 
 
 def _lateral(axes: Any, site: Site, curve: Sequence[Any]) -> None:
@@ -105,7 +119,8 @@ def _lateral(axes: Any, site: Site, curve: Sequence[Any]) -> None:
     _law_curve(axes, curve, "lateral_modulus_mm", "external_friction_angle_deg")
     if site.lateral_modulus_mm is not None:
         axes.plot(site.lateral_modulus_mm, site.external_friction_angle_deg, "*", color=SITE, markersize=15)
-    axes.set(xlabel="lateral shear modulus K$_y$ [mm]", ylabel="external friction angle φ$_y$ [°]")
+    axes.set(xlabel=PARAMETER_LABELS["lateral_modulus_mm"], ylabel=PARAMETER_LABELS["external_friction_angle_deg"])
+    axes.margins(x=0.16)
 
 
 def _law_curve(axes: Any, points: Sequence[Mapping[str, Any]], x: str, y: str) -> None:
@@ -120,20 +135,10 @@ def _law_curve(axes: Any, points: Sequence[Mapping[str, Any]], x: str, y: str) -
 def _name(axes: Any, x: float, y: float, label: str) -> None:
     if label:
         lower = len(axes.texts) % 2
-        axes.annotate(label, (x, y), xytext=(5, -10 if lower else 5), textcoords="offset points", fontsize=7)
+        axes.annotate(label, (x, y), xytext=(5, -10 if lower else 5), textcoords="offset points")
 
 
-INK, OWN, OTHER, REFUSED = "#26323a", "#0072B2", "#D55E00", "#c0392b"
-LABELS = {
-    "stiffness_kpa_m_n": "Stiffness K$_s$ [kPa m$^{-N}$]",
-    "sinkage_exponent": "Sinkage exponent N [-]",
-    "sinkage_exponent_slip": "Dynamic exponent n$_1$ [-]",
-    "cohesion_pa": "Cohesion c [Pa]",
-    "friction_angle_deg": "Friction angle φ [deg]",
-    "shear_modulus_mm": "Shear modulus K$_x$ [mm]",
-    "external_friction_angle_deg": "External friction angle φ$_y$ [deg]",
-    "lateral_modulus_mm": "Lateral modulus K$_y$ [mm]",
-}
+OWN, OTHER, REFUSED = "#0072B2", "#D55E00", "#26323a"
 
 
 def belief_history_figure(
@@ -144,25 +149,24 @@ def belief_history_figure(
     Bars are 68 %; the band is the interval of the priors. Drives from which nothing was learned are crossed. What two
     beliefs share is drawn once, as the first's. States that a file did not keep are left out.
     """
-    figure = Figure(figsize=(13.0, 6.6), dpi=130, layout="constrained", facecolor="white")
-    panels: Any = figure.subplots(2, 4, sharex=True)
+    figure = page(8.2)
+    panels: Any = figure.subplots(4, 2, sharex=True)
     most = max(len(belief.history), len(other.history) if other else 0)
     first = 0 if other is None else shared_drives(belief, other) + 1
     for panel, name in zip(panels.ravel(), PARAMETERS, strict=True):
         _, low, high = rolled_back(belief, 0).intervals()[name]
         panel.axhspan(low, high, color=INK, alpha=0.08, linewidth=0, label="the priors")
-        _draw(panel, belief, name, OWN, -0.0 if other is None else -0.08, names[0] or "median and 68 %", 0)
+        _draw(panel, belief, name, (OWN, "o-"), -0.0 if other is None else -0.08, names[0] or "median and 68 %", 0)
         if other is not None:
-            _draw(panel, other, name, OTHER, 0.08, names[1], min(first, len(other.history)))
-        panel.set_ylabel(LABELS[name])
-        panel.grid(alpha=0.25, linewidth=0.5)
+            _draw(panel, other, name, (OTHER, "s--"), 0.08, names[1], min(first, len(other.history)))
+        panel.set_ylabel(PARAMETER_LABELS[name].replace(" [", "\n["))
+        panel.grid()
         panel.set_xticks(_ticks(most))
         panel.set_xlim(-0.4, most + 0.4)
-    for panel in panels[1]:
-        panel.set_xlabel("after drive")
-    handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=9, frameon=False)
-    figure.suptitle(title, fontsize=12)
+    for panel in panels[-1]:
+        panel.set_xlabel("after drive [-]")
+    legend_below(figure, panels.ravel())
+    figure.suptitle(title)
     return figure
 
 
@@ -170,18 +174,20 @@ def _ticks(most: int) -> Sequence[int]:
     return range(0, most + 1, max(1, -(-most // 8)))
 
 
-def _draw(panel: Any, belief: SoilBelief, name: str, color: str, shift: float, label: str, first: int) -> None:
+def _draw(
+    panel: Any, belief: SoilBelief, name: str, style: tuple[str, str], shift: float, label: str, first: int
+) -> None:
     kept = [(k, state.intervals()[name]) for k, state in enumerate(past_beliefs(belief)) if state and k >= first]
     drives = [k + shift for k, _ in kept]
     middle = [value for _, (value, _, _) in kept]
     spread = [[v - low for _, (v, low, _) in kept], [high - v for _, (v, _, high) in kept]]
-    look: Any = {"color": color, "markersize": 5, "linewidth": 1.2, "capsize": 3, "elinewidth": 1.4}
-    panel.errorbar(drives, middle, spread, fmt="o-", label=label, **look)
+    look: Any = {"color": style[0], "markersize": 4, "linewidth": 1.2, "capsize": 3, "elinewidth": 1.4}
+    panel.errorbar(drives, middle, spread, fmt=style[1], label=label, **look)
     lost = [k for k, _ in kept if k and belief.history[k - 1].get("refused")]
     if lost:
         values = [value for k, (value, _, _) in kept if k in lost]
         cross = "nothing was learned"
-        panel.plot([k + shift for k in lost], values, "x", color=REFUSED, markersize=9, zorder=5, label=cross)
+        panel.plot([k + shift for k in lost], values, "x", color=REFUSED, markersize=8, zorder=5, label=cross)
 
 
 BLUE, ORANGE, GREEN = "#0072B2", "#D55E00", "#009E73"
@@ -206,63 +212,63 @@ def forces_over_slip(
 
     slip = np.linspace(-0.6, 0.6, 241)
     curves, here = forces(slip), forces(slip_ratio)
-    figure = Figure(figsize=(7.5, 5), layout="constrained")
+    figure = page(3.8, 5.2)
     axes = figure.subplots()
-    for name, label, color in (
-        ("normal_force_n", "normal force", "black"),
-        ("drawbar_pull_n", "drawbar pull", BLUE),
-        ("lateral_force_n", f"lateral force at {side_slip_deg:g}° side slip", ORANGE),
+    for name, label, color, dashes in (
+        ("normal_force_n", "normal force F$_N$", "black", "-"),
+        ("drawbar_pull_n", "drawbar pull F$_{DP}$", BLUE, "--"),
+        ("lateral_force_n", f"lateral force F$_L$ at {side_slip_deg:g}° side slip", ORANGE, "-."),
     ):
-        axes.plot(slip, getattr(curves, name), color=color, label=label)
+        axes.plot(slip, getattr(curves, name), color=color, linestyle=dashes, label=label)
         axes.plot(slip_ratio, getattr(here, name), "o", color=color)
     axes.axhline(0, color="0.8", linewidth=0.8, zorder=0)
     axes.axvline(0, color="0.8", linewidth=0.8, zorder=0)
-    axes.set(xlabel="slip ratio [-]  (negative: skid)", ylabel="force on the wheel [N]")
+    axes.set(xlabel="slip ratio s [-]  (negative: skid)", ylabel="force on the wheel [N]")
     form = f"exact integrals, {model.shear} shear" if model else "closed form"
-    axes.set_title(f"sinkage {1e3 * sinkage_m:.1f} mm, {form}, reading '{reading}'", fontsize=10)
-    axes.legend(frameon=False)
+    axes.set_title(f"sinkage {1e3 * sinkage_m:.1f} mm, {form}, reading '{reading}'")
+    legend_below(figure, axes, 3)
     return figure
 
 
 def traction_over_slip(rows: Sequence[Mapping[str, Any]], found: Traction, load_n: float) -> Figure:
     """Pull per weight and tractive efficiency over slip, above; torque and sinkage below; 20 % slip marked."""
-    figure = Figure(figsize=(7.5, 7), layout="constrained")
+    figure = page(5.4, 5.2)
     pull, effort = figure.subplots(2, 1, sharex=True)
     slip = [row["slip_ratio"] for row in rows]
-    for axes, name, factor, color, label in (
-        (pull, "pull_per_weight", 1.0, BLUE, "pull per weight [-]"),
-        (pull, "tractive_efficiency", 1.0, ORANGE, "tractive efficiency [-]"),
-        (effort, "resistance_torque_nm", 1.0, "black", "torque [N m]"),
-        (effort.twinx(), "sinkage_m", 1e3, GREEN, "sinkage [mm]"),
+    for axes, name, factor, color, dashes, label in (
+        (pull, "pull_per_weight", 1.0, BLUE, "-", "pull per weight"),
+        (pull, "tractive_efficiency", 1.0, ORANGE, "--", "tractive efficiency"),
+        (effort, "resistance_torque_nm", 1.0, "black", "-", "resistance torque M$_R$ [N m]"),
+        (effort.twinx(), "sinkage_m", 1e3, GREEN, "-.", "sinkage z [mm]"),
     ):
         values = [np.nan if row[name] is None else factor * row[name] for row in rows]
-        axes.plot(slip, values, color=color, label=label)
+        axes.plot(slip, values, color=color, linestyle=dashes, label=label.partition(" [")[0])
         if axes is not pull:
+            axes.spines["right"].set_visible(axes is not effort)
             axes.set_ylabel(label, color=color)
             axes.tick_params(axis="y", colors=color)
     pull.axhline(0, color="0.8", linewidth=0.8, zorder=0)
     pull.axvline(DESIGN_SLIP, color="0.8", linewidth=0.8, zorder=0)
     pull.plot(DESIGN_SLIP, found.pull_per_weight_at_20, "o", color=BLUE)
-    pull.set_ylabel("share [-]")
-    pull.legend(frameon=False)
+    pull.set_ylabel("pull per weight, efficiency [-]")
+    legend_below(figure, figure.axes, 4)
     slope = "none" if found.slope_at_20_deg is None else f"{found.slope_at_20_deg:.1f}°"
-    pull.set_title(f"load {load_n:g} N; at 20 % slip: pull {found.pull_at_20_n:.2f} N, slope {slope}", fontsize=10)
+    pull.set_title(f"load {load_n:g} N; at 20 % slip: pull {found.pull_at_20_n:.2f} N, slope {slope}")
     effort.set_xlabel("slip ratio [-]  (negative: skid)")
     return figure
 
 
 def characteristic_curves(found: Identification) -> Figure:
     """The pairs (N, K_s), (c, phi), (K_y, phi_y) that the states allow, with 95 % bands, one panel per aspect."""
-    figure = Figure(figsize=(15, 4.8), layout="constrained")
+    figure = page(3.6)
     bearing, shear, lateral = figure.subplots(1, 3)
     _curve(bearing, found.curves["bearing"], "exponent", "stiffness_kpa_m_n")
-    bearing.set(xlabel="sinkage exponent N [-]", ylabel="stiffness K$_s$ [kPa m$^{-N}$]", yscale="log", title="bearing")
+    _axes_of(bearing, "bearing", "sinkage_exponent", "stiffness_kpa_m_n")
+    bearing.set_yscale("log")
     _curve(shear, found.curves["shear"], "cohesion_pa", "friction_angle_deg")
-    shear.set(xlabel="cohesion c [Pa]", ylabel="internal friction angle φ [°]", title="longitudinal shear")
+    _axes_of(shear, "longitudinal shear", "cohesion_pa", "friction_angle_deg")
     _curve(lateral, found.curves["lateral"], "lateral_modulus_mm", "external_friction_angle_deg")
-    lateral.set(
-        xlabel="lateral shear modulus K$_y$ [mm]", ylabel="external friction angle φ$_y$ [°]", title="lateral shear"
-    )
+    _axes_of(lateral, "lateral shear", "lateral_modulus_mm", "external_friction_angle_deg")
     for axes, typical in ((bearing, TYPICAL_BEARING), (shear, TYPICAL_SHEAR)):
         if axes.lines:
             axes.plot(*typical, "s", color=GREEN, label="typical lunar")
@@ -271,13 +277,15 @@ def characteristic_curves(found: Identification) -> Figure:
     for corner in found.corners:
         angle = corner["external_friction_angle_deg"]
         if angle.value is not None:
-            lateral.errorbar(corner["lateral_modulus_mm"], angle.value, angle.sigma, fmt="o", color=ORANGE, capsize=3)
-    for axes in (bearing, shear, lateral):
-        if axes.get_legend_handles_labels()[0]:
-            axes.legend(frameon=False, fontsize=8)
+            lateral.errorbar(corner["lateral_modulus_mm"], angle.value, angle.sigma, fmt="o", color=ORANGE)
+    legend_below(figure, (bearing, shear, lateral))
     states = "1 wheel state" if len(found.observations) == 1 else f"{len(found.observations)} wheel states"
-    figure.suptitle(f"{states}, reading '{found.reading}': each point of a curve explains the forces", fontsize=10)
+    figure.suptitle(f"{states}, reading '{found.reading}': each point of a curve explains the forces")
     return figure
+
+
+def _axes_of(axes: Any, title: str, x: str, y: str) -> None:
+    axes.set(title=title, xlabel=PARAMETER_LABELS[x], ylabel=PARAMETER_LABELS[y])
 
 
 def _curve(axes: Any, points: list[dict[str, Any]], x: str, y: str) -> None:

@@ -17,6 +17,14 @@ LARGEST_PICTURE = 4_000_000
 """Bytes of a picture that a page takes; assumed, so that a page stays one that can be sent by mail."""
 MOST_ROWS = 200_000
 """Rows that are read of a table beside a result; assumed."""
+NO_RESULTS = {
+    "lunarsci/soil-belief": "what a belief of the soil rests on is told by: lunarsci twin history FILE --json",
+    "lunarsci/soil-map": "its drives are told by: lunarsci twin update … --json, which made it",
+    "lunarsci/twin-prediction": "give the folder that it lies in",
+}
+"""Documents that commands read and that are no results, and what to give instead."""
+DESCRIPTIONS = (".toml", ".csv", ".npz", ".ecsv")
+"""Files that commands are given, not results."""
 REMEDY = "give a file that a command wrote with --json, the folder of its -o, or a picture of its --plot"
 
 
@@ -88,15 +96,23 @@ def _read(path: str | Path) -> Document:
 
 
 def _document(name: str, path: str | Path, folder: Path | None) -> Document:
+    if Path(path).suffix.lower() in DESCRIPTIONS:
+        raise DataError(f"{path}: an input or a table, no result; {REMEDY}")
     file = read_input(path)
     found = read_json(file, "a result", lambda value: value)
     if not isinstance(found, dict) or not isinstance(found.get("result"), dict):
-        raise DataError(f"{file.name}: no result of a lunarsci command{_instead(found)}; {REMEDY}")
+        raise DataError(f"{file.name}: no result of a lunarsci command{_instead(found)}; {_remedy(found)}")
     schema, record = found.get("schema"), found.get("provenance")
     if not isinstance(schema, str) or not schema.startswith("lunarsci/") or not isinstance(record, dict):
         raise DataError(f"{file.name}: its key `schema` does not name a lunarsci result; {REMEDY}")
     pictures = {} if folder is None else _pictures_in(folder)
     return Document(name, schema.removeprefix("lunarsci/"), found["result"], record, folder, pictures, file.sha256)
+
+
+def _remedy(found: Any) -> str:
+    """What to give instead of a document that is no result."""
+    schema = str(found.get("schema", "")) if isinstance(found, dict) else ""
+    return NO_RESULTS.get(schema.rpartition("/")[0], REMEDY)
 
 
 def _instead(found: Any) -> str:

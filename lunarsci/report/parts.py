@@ -13,6 +13,8 @@ SAID = ("notes", "remarks", "reasons", "reason", "caveat", "status", "why_none",
 """Keys whose text says what an answer does not know."""
 OF_ONE = ("caveat", "reason")
 SILENT = ("ok", "converged", "", "nothing")
+MOST_ASSUMED = 6
+"""Values of a rover that are listed one by one."""
 MOST_ROWS, MOST_LINES, MOST_COLUMNS = 40, 40, 12
 """Of a table, of a list and across, on the page; the files hold all."""
 
@@ -151,8 +153,13 @@ def _of_rover(keys: Sequence[Any]) -> list[str]:
     for key in map(str, keys):
         part, _, own = key.rpartition(".")
         parts.setdefault(part, []).append(words(own).partition(" [")[0])
+    if not parts:
+        return []
+    if len(keys) > MOST_ASSUMED:
+        named = ", ".join(part.replace("_", " ") for part in parts if part)
+        return [f"of the rover, {len(keys)} values, of {named or 'several parts'}; its description names each"]
     told = "; ".join(f"{part}: {', '.join(own)}" for part, own in parts.items())
-    return [f"of the rover, {told}"] if told else []
+    return [f"of the rover, {told}"]
 
 
 def _assumed_in(value: Any, name: str) -> list[str]:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
+from lunarsci.figure import INK
 from lunarsci.reproduce.drive import (
     K_Y_MM,
     PHI_DEG,
@@ -18,7 +19,7 @@ from lunarsci.reproduce.drive import (
 )
 from lunarsci.reproduce.numbers import published_value
 from lunarsci.reproduce.soil import Rolling
-from lunarsci.twin.figures.panels import GOLD, INK, LIMIT, draw_ground, draw_planned, map_window
+from lunarsci.twin.figures.panels import GOLD, LIMIT, draw_ground, draw_planned, map_window
 from lunarsci.twin.simulation.ensemble import Prediction
 
 if TYPE_CHECKING:

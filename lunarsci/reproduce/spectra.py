@@ -320,7 +320,7 @@ def spectra_pages(rocks: Rocks | None) -> "Iterator[Figure]":
         measured = [fit for fit in rocks.fits if fit.id == best.id]
         smoothed = replace(best, id=f"{best.id} smoothed over {SMOOTHED_POINTS} points")
         for figure in fit_pages([smoothed, *measured]):
-            figure.suptitle("Olivine and two pyroxenes after Fig. 5c of Ding et al. (2024)", fontsize=12)
+            figure.suptitle("Olivine and two pyroxenes after Fig. 5c of Ding et al. (2024)")
             yield figure
 
 
@@ -336,7 +336,7 @@ def _plane(rocks: Rocks | None) -> "Figure":
     if rocks:
         axes.plot([], [], "o", color="black", markersize=4, label="boulders that were given")
     axes.set_xlim(885.0, np.nextafter(1110.0, 0))
-    axes.legend(loc="upper left", fontsize=8, framealpha=0.9)
+    axes.legend(loc="upper left")
     told = f"boulders' spectra given: {len(rocks.bands)}" if rocks else "no boulders: give their spectra with --rocks"
-    axes.set_title(f"Band centres after Fig. 5b of Ding et al. (2024); {told}", fontsize=10)
+    axes.set_title(f"Band centres after Fig. 5b of Ding et al. (2024); {told}")
     return figure

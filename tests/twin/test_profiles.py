@@ -80,7 +80,7 @@ def test_the_page_has_units_and_limits(uneven: Prediction) -> None:
     assert len(figure.axes) == 7 and all("[" in axes.get_ylabel() for axes in figure.axes)
     titles = [axes.get_title(loc="right") for axes in figure.axes]
     assert titles == ["", "", "", "limit at the end 1 m", "", "limit at least 0 m", ""]
-    loads = figure.axes[-1].get_legend()
+    loads = figure.subfigs[1].legends[0]
     assert [text.get_text() for text in loads.get_texts()] == ["FL", "FR", "ML", "MR", "RL", "RR"]
 
 

@@ -133,13 +133,13 @@ class SyntheticPair(Result):
         return [dict(zip(ROCK_COLUMNS, map(float, row), strict=True)) for row in self.landscape.rocks]
 
     def figures(self) -> "Iterator[Figure]":
-        from matplotlib.figure import Figure
+        from lunarsci.figure import page
 
-        figure = Figure(figsize=(13, 6.2), layout="constrained")
-        figure.suptitle(f"SYNTHETIC  {self.landscape.name}, {self.told.name}")
+        figure = page(3.9)
+        figure.suptitle(f"SYNTHETIC: {self.landscape.name}, {self.told.name}")
         for axis, name in zip(figure.subplots(1, 2), ("left", "right"), strict=True):
             axis.imshow(getattr(self.pair, name), cmap="gray", vmin=0)
-            axis.set_title(name)
+            axis.set_title(f"{name} picture")
             axis.set_axis_off()
         yield figure
 

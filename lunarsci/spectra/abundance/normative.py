@@ -272,16 +272,16 @@ def _unfit(kind: KindVerdict) -> str:
 
 
 PER_PAGE = 40
-TITLES = {"plagioclase_wt": "plagioclase of the norm [wt %]", "feo_wt": "FeO [wt %]", "tio2_wt": "TiO2 [wt %]"}
+TITLES = {"plagioclase_wt": "plagioclase of the norm [wt %]", "feo_wt": "FeO [wt %]", "tio2_wt": "TiO$_2$ [wt %]"}
 
 
 def normative_pages(names: Sequence[str], found: Sequence[Normative]) -> "Iterator[Figure]":
     """One panel a quantity, one row a soil; a soil that is not determined has an empty row."""
-    from matplotlib.figure import Figure
+    from lunarsci.figure import as_label, page
 
     for start in range(0, len(found), PER_PAGE):
         part, labels = found[start : start + PER_PAGE], names[start : start + PER_PAGE]
-        figure = Figure(figsize=(9.0, 1.8 + 0.24 * len(part)), layout="constrained")
+        figure = page(1.4 + 0.2 * len(part))
         panels = figure.subplots(1, len(TITLES), sharey=True)
         for panel, (name, title) in zip(panels, TITLES.items(), strict=True):
             for row, item in enumerate(part):
@@ -289,10 +289,12 @@ def normative_pages(names: Sequence[str], found: Sequence[Normative]) -> "Iterat
             panel.set_xlabel(title)
             panel.set_xlim(left=0.0)
             panel.grid(axis="x", color="0.9")
-        panels[0].set_yticks(np.arange(len(part)), labels, fontsize=8)
+        panels[0].set_yticks(np.arange(len(part)), [as_label(name, 28) for name in labels])
         panels[0].set_ylim(len(part) - 0.5, -0.5)
-        figure.suptitle("weathered soils: composition by regression, no modes of minerals; empty: not determined",
-                        fontsize=9)  # fmt: skip
+        figure.suptitle(
+            "weathered soils: composition by regression, no modes of minerals\n"
+            "bars: 68 and 95 %; an empty row: not determined"
+        )
         yield figure
 
 

@@ -131,26 +131,27 @@ BOULDERS = "Chang'E-4 boulders by Ding et al. (2024), 10.1038/s41467-024-46233-8
 
 def share_pages(found: Sequence[Abundance]) -> "Iterator[Figure]":
     """Shares in per cent; spectra outside the domain of the method have open circles, what is not determined none."""
-    from matplotlib.figure import Figure
+    from lunarsci.figure import as_label, page
 
     minerals = list(dict.fromkeys(item.mineral for one in found for item in one.fractions))
     for start in range(0, len(found), PER_PAGE):
         part = found[start : start + PER_PAGE]
-        height = 1.6 + 0.24 * len(part)
-        figure = Figure(figsize=(2.2 + 2.4 * len(minerals), height), layout="constrained")
+        figure = page(1.4 + 0.2 * len(part))
         panels = figure.subplots(1, len(minerals), sharey=True, squeeze=False)[0]
         for panel, mineral in zip(panels, minerals, strict=True):
             for row, one in enumerate(part):
                 _draw(panel, row, one, mineral)
-            panel.set_title(mineral, fontsize=10)
-            panel.set_xlim(-2, 102)
+            panel.set_title(mineral)
+            panel.set_xlim(-3, 103)
             panel.set_xlabel("share [%]")
             panel.grid(axis="x", color="0.9")
-        panels[0].set_yticks(np.arange(len(part)), [one.id for one in part], fontsize=8)
+        panels[0].set_yticks(np.arange(len(part)), [as_label(one.id, 28) for one in part])
         panels[0].set_ylim(len(part) - 0.5, -0.5)
-        title = f"mineral shares, {found[0].method}; open: outside the domain; none: not determined"
-        rocks = [f"not calibrated on rocks; {BOULDERS}"] if any(one.ratios for one in part) else []
-        figure.suptitle("\n".join([title, *rocks]), fontsize=9 if not rocks else 7)
+        title = (
+            f"mineral shares by {found[0].method}; bars: 68 and 95 %; open: outside the domain; no dot: not determined"
+        )
+        rocks = ["not calibrated on rocks"] if any(one.ratios for one in part) else []
+        figure.suptitle("\n".join([title, *rocks]))
         yield figure
 
 

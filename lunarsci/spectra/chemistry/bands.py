@@ -316,9 +316,9 @@ OLIVINE_COLOR = "#009E73"
 
 def plane_pages(measured: Sequence[SpectrumBands]) -> "Iterator[Figure]":
     """One page: 2 um centre over 1 um centre, fields and trend of the pyroxenes, olivine below, spectra with errors."""
-    from matplotlib.figure import Figure
+    from lunarsci.figure import page
 
-    figure = Figure(figsize=(8.5, 7), layout="constrained")
+    figure = page(5.6)
     axes = figure.subplots()
     _draw_fields(axes)
     _draw_trend(axes)
@@ -329,7 +329,7 @@ def plane_pages(measured: Sequence[SpectrumBands]) -> "Iterator[Figure]":
     axes.set_ylim(*Y_NM)
     axes.set_xlabel("centre of the 1 µm band [nm]")
     axes.set_ylabel("centre of the 2 µm band [nm]")
-    axes.set_title(f"{len(shown)} of {len(measured)} spectra; bars: noise, continuum and calibration", fontsize=10)
+    axes.set_title(f"{len(shown)} of {len(measured)} spectra; bars: noise, continuum and calibration")
     yield figure
 
 
@@ -338,12 +338,12 @@ def _draw_fields(axes: Any) -> None:
 
     for (name, corners, place), color in zip(FIELDS, COLORS, strict=True):
         axes.add_patch(Polygon(corners, closed=True, facecolor=color, alpha=0.12, edgecolor="none"))
-        axes.annotate(name, place, fontsize=8, color=color)
+        axes.annotate(name, place, color=color)
     low, high = OLIVINE_NM
     axes.axvspan(low, high, ymax=0.075, facecolor=OLIVINE_COLOR, alpha=0.2)
-    axes.text((low + high) / 2, BELOW_NM + 30, "olivine\n(no 2 µm band)", ha="center", fontsize=8, color=OLIVINE_COLOR)
+    axes.text((low + high) / 2, BELOW_NM + 30, "olivine\n(no 2 µm band)", ha="center", color=OLIVINE_COLOR)
     axes.axhline(Y_NM[0] + 0.075 * (Y_NM[1] - Y_NM[0]), color="0.8", linewidth=0.8)
-    axes.text(X_NM[0] + 2, BELOW_NM, "no 2 µm band", va="center", fontsize=8, color="0.5")
+    axes.text(X_NM[0] + 2, BELOW_NM, "no 2 µm band", va="center", color="0.35")
 
 
 def _draw_trend(axes: Any) -> None:
@@ -355,7 +355,7 @@ def _draw_trend(axes: Any) -> None:
             text = f"Fs {anchor.fs:g}" if anchor.wo == 0 else f"Wo {anchor.wo:g}"
             axes.annotate(
                 text, (anchor.bc1000_nm, anchor.bc2000_nm), xytext=(-6, 2), textcoords="offset points",
-                ha="right", fontsize=7, color="0.45",
+                ha="right", color="0.35",
             )  # fmt: skip
 
 
@@ -369,6 +369,8 @@ def _error_nm(band: BandResult) -> float:
 
 
 def _draw_spectrum(axes: Any, item: SpectrumBands, *, named: bool) -> None:
+    from lunarsci.figure import as_label
+
     one, two = item.bands["1000"], item.bands["2000"]
     has_second = two.center_nm is not None
     x, y = one.center_nm, two.center_nm if has_second else BELOW_NM
@@ -377,4 +379,4 @@ def _draw_spectrum(axes: Any, item: SpectrumBands, *, named: bool) -> None:
         color="black", markersize=4, linewidth=0.8, zorder=3,
     )  # fmt: skip
     if named:
-        axes.annotate(item.id, (x, y), xytext=(5, 4), textcoords="offset points", fontsize=7, clip_on=True)
+        axes.annotate(as_label(item.id, 28), (x, y), xytext=(5, 4), textcoords="offset points", clip_on=True)

@@ -23,6 +23,8 @@ FLAGS = ("no_data", "left_out", "channels_missing", "channels_saturated", "chann
 """Bits of a pixel's flags, the first is 1: no channel can be used; outside of the region or mask; good channels without
 a value; saturated; at or below 0."""
 NO_DATA, LEFT_OUT, MISSING, SATURATED, NOT_POSITIVE = (1 << k for k in range(len(FLAGS)))
+SYNTHETIC = "SYNTHETIC"
+"""In the remarks of a cube that is made up."""
 DELETED_BELOW = -1e30
 """ENVI and USGS write -1.23e34 for a deleted channel; no reflectance is anywhere near."""
 MOST_REFLECTANCE = 2.0
@@ -194,6 +196,11 @@ class Cube:
     backplanes: Mapping[str, Backplane]
     inputs: Mapping[str, str]
     remarks: tuple[str, ...]
+
+    @property
+    def synthetic(self) -> bool:
+        """Whether its file says that it is made up."""
+        return any(SYNTHETIC in text for text in self.remarks)
 
     def read(self, lines: slice, samples: slice) -> tuple[FloatArray, npt.NDArray[np.uint8]]:
         """Reflectance (lines, samples, c), NaN where it cannot be used, and the flags of each pixel."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.constants import MOON_RADIUS_KM
+from lunarsci.figure import PAGE_IN, TALLEST_IN, as_label, page, synthetic_title
 from lunarsci.spectra.cubes.cube import FLAGS
 from lunarsci.spectra.cubes.output import FLAG_LAYER, SUFFIXES, Layer, MapFile, is_geographic
 from lunarsci.spectra.cubes.rasters import netcdf, opened
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 FIRST = (
     "bd1000", "bc1000_nm", "bd2000", "bc2000_nm", "nbsr_um2_opx", "fit_rms_ln", "olivine", "orthopyroxene", "ibd1000",
 )  # fmt: skip
-PER_PAGE = 8
+PER_PAGE = 9
 MOST_PIXELS = 700
 """On a side of a panel; more are thinned."""
 LONG = 3.0
@@ -55,17 +56,17 @@ def map_pages(path: Path, made: MapFile, empty: Collection[str] = ()) -> "Iterat
 
 
 def _page(path: Path, made: MapFile, layers: Sequence[Layer]) -> "Figure":
-    from matplotlib.figure import Figure
-
     lines, samples = made.region.shape
     ground = _ground(made)
     width, height = ground.size if ground else (1.0, 1.0)
     long = lines * height / (samples * width)
     drawn = float(np.clip(long, 1 / LONG, LONG))
-    columns = min(len(layers) + 1, 8 if drawn > 1.5 else 4)
+    columns = min(len(layers) + 1, 4 if drawn > 1.5 else 3)
     rows = -(-(len(layers) + 1) // columns)
-    wide = 2.1 if drawn > 1.5 else 3.2
-    figure = Figure(figsize=(wide * columns + 0.3, (0.75 * wide * drawn + 1.2) * rows + 0.4), layout="constrained")
+    wide = min(PAGE_IN / columns, PAGE_IN / 2.4)
+    tall = (0.72 * wide * drawn + 1.1) * rows + 0.6
+    # A page that were taller than paper is made narrower, so that its panels stay as long.
+    figure = page(tall, max(PAGE_IN * min(1.0, TALLEST_IN / tall), 5.2) if columns > 2 else wide * columns + 0.4)
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     extent = (0.0, samples * width, lines * height, 0.0)
     numbers = {layer.name: number for number, layer in enumerate(made.layers, 1)}
@@ -73,14 +74,14 @@ def _page(path: Path, made: MapFile, layers: Sequence[Layer]) -> "Figure":
         name = layer.name if layer else FLAG_LAYER
         _draw(figure, panel, _thinned(path, name, numbers[name], made), layer, extent)
         panel.set_aspect(drawn / long)
-        panel.tick_params(labelsize=6)
-        panel.set_xlabel("km" if ground else "samples", fontsize=7)
-    panels[0].set_ylabel("km" if ground else "lines", fontsize=7)
+        panel.set_xlabel("along the lines [km]" if ground else "sample [px]")
+    for panel in panels[: len(layers) + 1 : columns]:
+        panel.set_ylabel("across the lines [km]" if ground else "line [px]")
     for panel in panels[len(layers) + 1 :]:
         panel.set_axis_off()
     if ground:
         _point_north(panels[0], ground, drawn / long)
-    figure.suptitle(_title(made, drawn / long, ground), fontsize=8)
+    figure.suptitle(_title(made, drawn / long, ground))
     return figure
 
 
@@ -91,7 +92,8 @@ def _title(made: MapFile, squeezed: float, ground: _Ground | None) -> str:
     parts += [] if ground else ["no place on the Moon known"]
     parts += ["not to scale: see the numbers along the edges"] if abs(squeezed - 1) > 1e-6 else []
     parts += ["grey: not determined"]
-    return "\n".join(textwrap.wrap(Path(made.cube.name).name, 60) + textwrap.wrap(", ".join(parts), 70))
+    name = synthetic_title(Path(made.cube.name).name, made.cube.synthetic)
+    return "\n".join(textwrap.wrap(name, 90) + textwrap.wrap(", ".join(parts), 100))
 
 
 def _thinned(path: Path, name: str, number: int, made: MapFile) -> FloatArray:
@@ -115,18 +117,17 @@ def _draw(figure: "Figure", panel: Any, image: FloatArray, layer: Layer | None, 
         seen = [int(code) for code in np.unique(codes)]
         names = ("measured", *(name.replace("_", " ") for name in FLAGS))
         handles = [Patch(facecolor=FLAG_COLORS[code], edgecolor="0.5", label=names[code]) for code in seen]
-        panel.legend(handles=handles, fontsize=6, loc="upper center", bbox_to_anchor=(0.5, -0.16), frameon=False)
-        panel.set_title("pixels", fontsize=7)
+        panel.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.32), frameon=False)
+        panel.set_title("pixels")
         return
     known = image[np.isfinite(image)]
     low, high = np.quantile(known, (0.02, 0.98)) if known.size else (0.0, 1.0)
     colors = colormaps["viridis"].with_extremes(bad=NO_VALUE)
     drawn = panel.imshow(image, colors, vmin=low, vmax=high, extent=extent, interpolation="nearest")
     bar = figure.colorbar(drawn, ax=panel, orientation="horizontal", fraction=0.05, pad=0.02, extend="both")
-    bar.ax.tick_params(labelsize=6)
     bar.ax.locator_params(nbins=4)
-    bar.set_label("" if layer.units == "1" else layer.units, fontsize=6)
-    panel.set_title(f"{layer.name}\n{layer.long_name}"[:80], fontsize=6)
+    bar.set_label("[-]" if layer.units == "1" else f"[{layer.units}]")
+    panel.set_title("\n".join([layer.name, *textwrap.wrap(as_label(layer.long_name, 60), 26)]))
 
 
 def _worst_flag(image: FloatArray) -> FloatArray:
@@ -180,4 +181,4 @@ def _point_north(panel: Any, ground: _Ground, aspect: float) -> None:
         "", xy=(0.86 + 0.09 * right, 0.88 + 0.09 * up), xytext=(0.86 - 0.09 * right, 0.88 - 0.09 * up),
         xycoords="axes fraction", arrowprops={"arrowstyle": "-|>", "color": "#0072B2", "lw": 1.5},
     )  # fmt: skip
-    panel.text(0.86, 0.72, ground.north, transform=panel.transAxes, fontsize=6, ha="center", color="#0072B2")
+    panel.text(0.86, 0.72, ground.north, transform=panel.transAxes, ha="center", color="#0072B2")

@@ -17,7 +17,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import read_input
-from lunarsci.spectra.cubes.cube import MOST_VALUES, Backplane, FlatFile, Layout, PixelFrame, sha256_of
+from lunarsci.spectra.cubes.cube import MOST_VALUES, SYNTHETIC, Backplane, FlatFile, Layout, PixelFrame, sha256_of
 from lunarsci.spectra.readers.envi_header import NUMBERS, SUFFIX, EnviHeader, data_names, header_names, partner
 from lunarsci.spectra.rows import quoted
 
@@ -200,7 +200,8 @@ def _beside(data: str, m3: str, kind: str) -> str | None:
 
 
 def _remarks(header: EnviHeader, m3: bool) -> list[str]:
-    said = []
+    told = header.fields.get("description", "")
+    said = [f"its header calls it {SYNTHETIC}"] if SYNTHETIC.lower() in told.lower() else []
     if header.fields.get("flip", "0") not in ("0", ""):
         said.append(
             f"its header says flip = {header.fields['flip']}; lines and samples are taken as they lie in the file"
@@ -233,6 +234,8 @@ def open_vnis(path: str) -> Layout:
     bands, lines, samples = CUBE_SHAPE
     lsb = any("lsb" in (item.data_type or "").lower() for item in label.files if item.axes)
     said = ["one geometry is taken for the whole image"]
+    if observation.synthetic:
+        said.append(f"its label calls it {SYNTHETIC}")
     if label.calibration_version < IN_FLIGHT_VERSION:
         said.append("radiance from before the in-flight calibration (version 1)")
     return Layout(

@@ -250,13 +250,13 @@ MOST_NAMES = 12
 
 def library_pages(members: Sequence[EndMember]) -> "Iterator[Figure]":
     """One page; colour runs with the first component of the chemistry, grey where it is unknown."""
-    from matplotlib.figure import Figure
+    from lunarsci.figure import page
 
     groups = {mineral: [m for m in members if m.mineral == mineral] for mineral in (*MINERALS, None)}
     groups = {mineral: group for mineral, group in groups.items() if group}
     columns = min(2, len(groups))
     rows = -(-len(groups) // columns)
-    figure = Figure(figsize=(7.0 * columns, 4.2 * rows), layout="constrained")
+    figure = page(2.9 * rows if columns > 1 else 4.2)
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for panel, (mineral, group) in zip(panels, groups.items(), strict=False):
         _draw(panel, mineral, group)
@@ -268,17 +268,23 @@ def library_pages(members: Sequence[EndMember]) -> "Iterator[Figure]":
 def _draw(panel: Any, mineral: str | None, group: Sequence[EndMember]) -> None:
     from matplotlib import colormaps
 
+    from lunarsci.figure import as_label
+
     key = CHEMISTRY.get(mineral or "", ("",))[0]
     for member in group:
         share = getattr(member, key) if key else None
         color = "0.5" if share is None else colormaps["viridis"](0.9 * share)
-        label = member.id if share is None else f"{member.id}, {key.capitalize()} {100 * share:.0f}"
+        label = (
+            as_label(member.id, 24)
+            if share is None
+            else f"{as_label(member.id, 24)}, {key.capitalize()} {100 * share:.0f}"
+        )
         panel.plot(member.wavelength_nm, member.reflectance, color=color, linewidth=1, label=label)
     by = f", dark to bright by {key.capitalize()}" if key else ""
-    panel.set_title(f"{mineral or 'mineral not stated'}: {len(group)}{by}", fontsize=10)
+    panel.set_title(f"{mineral or 'mineral not stated'}: {len(group)}{by}")
     panel.set_xlabel("wavelength [nm]")
-    panel.set_ylabel("reflectance")
+    panel.set_ylabel("reflectance [-]")
     top = max(float(np.max(member.reflectance)) for member in group)
     panel.set_ylim(0, 1.05 * min(max(top, 0.05), 1.5))
     if len(group) <= MOST_NAMES:
-        panel.legend(fontsize=7, frameon=False)
+        panel.legend()

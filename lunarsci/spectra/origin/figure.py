@@ -1,5 +1,6 @@
 """The picture of a match: candidate craters around the site, and what prior and composition say of each."""
 
+import textwrap
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -8,33 +9,40 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from lunarsci.arrays import FloatArray
+from lunarsci.figure import INK, as_label, page
 from lunarsci.spectra.origin.catalogue import Point, azimuth_deg, destination, distance_km
 from lunarsci.spectra.origin.match import OTHER, CraterMatch, RockMatch
 
-INK, HOST, PRIOR = "#26323a", "0.6", "#bfc7cd"
+HOST, PRIOR = "0.45", "#bfc7cd"
 COLORS = "YlGnBu"
 PALEST = 0.15
 NEAREST = 4
 MOST_SHOWN = 14
 WIDEST_RAY = 5.0
+ALIKE = 1.5
+"""A map that reaches less than so many times as far as the one near the site would show the same; it is left out."""
 
 
 def match_pages(matches: Sequence[RockMatch], site: Point) -> Iterator[Figure]:
-    """One page per rock: all craters, those near the site, and bars of prior, posterior and ln Bayes factor.
+    """One page per rock: all craters, those near the site, and below bars of prior, posterior and ln Bayes factor.
 
     Maps are azimuthal equidistant about the site: distances and directions from it are true, circles are rims.
     """
     for match in matches:
-        figure = Figure(figsize=(15.0, 6.4), layout="constrained")
-        far, near, bars = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 0.95))
         scale = Normalize(0, max(0.05, *(item.posterior for item in match.craters)))
         distances = sorted(item.prior.distance_km + item.crater.diameter_km / 2 for item in match.craters)
         outside = sorted(item.prior.distance_km + item.crater.diameter_km / 2 for item in _delivering(match))
-        reach = 1.12 * outside[:NEAREST][-1]
-        _draw_map(far, match, site, scale, 1.12 * distances[-1], "All candidates", reach)
-        _draw_map(near, match, site, scale, reach, "Near the site")
-        _draw_bars(bars, match, scale)
-        figure.suptitle(f"{match.rock.id}: {match.status}", fontsize=11, color=INK)
+        farthest, reach = 1.12 * distances[-1], 1.12 * outside[:NEAREST][-1]
+        maps = [("all candidates", farthest, reach)] if farthest > ALIKE * reach else []
+        maps.append(("near the site", reach, 0.0) if maps else ("all candidates", farthest, 0.0))
+        rows = min(len(outside), MOST_SHOWN) + 1
+        figure = page(3.9 + 1.0 + 0.26 * rows)
+        parts: Any = figure.subfigures(2, 1, height_ratios=(3.7, 1.0 + 0.26 * rows))
+        above, below = parts
+        for axes, (title, far, unnamed) in zip(above.subplots(1, len(maps), squeeze=False)[0], maps, strict=True):
+            _draw_map(axes, match, site, scale, far, title, unnamed)
+        _draw_bars(below.subplots(), match, scale)
+        figure.suptitle("\n".join(textwrap.wrap(f"{as_label(match.rock.id, 60)}: {match.status}", 92)))
         yield figure
 
 
@@ -67,8 +75,9 @@ def _draw_map(
     axes.set_aspect("equal")
     axes.set_xlabel("east of the site [km]")
     axes.set_ylabel("north of the site [km]")
-    axes.set_title(f"{title}; site {site[0]:g}, {site[1]:g} deg", fontsize=10)
-    axes.legend(loc="lower left", fontsize=8, frameon=False)
+    axes.set_title(f"{title}; site at {site[0]:g}° N, {site[1]:g}° E")
+    axes.plot([], [], "--", color=HOST, linewidth=0.9, label="holds the site")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, frameon=False)
 
 
 def _draw_ray(axes: Any, item: CraterMatch, color: Any) -> None:
@@ -83,9 +92,11 @@ def _label(axes: Any, item: CraterMatch, x: FloatArray, y: FloatArray, reach_km:
     top = int(np.argmax(y))
     if max(abs(x[top]), abs(y[top])) > 0.93 * reach_km:
         return
-    text = item.crater.name if item.contains_site else f"{item.crater.name}\n{item.posterior:.2f}"
+    text = as_label(item.crater.name, 24)
+    if not item.contains_site:
+        text += f"\n{item.posterior:.2f}"
     axes.annotate(
-        text, (x[top], y[top]), xytext=(0, 3), textcoords="offset points", ha="center", va="bottom", fontsize=8,
+        text, (x[top], y[top]), xytext=(0, 3), textcoords="offset points", ha="center", va="bottom",
         color=HOST if item.contains_site else INK, zorder=6,
         bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5},
     )  # fmt: skip
@@ -110,16 +121,18 @@ def _draw_bars(axes: Any, match: RockMatch, scale: Normalize) -> None:
     rows.append((OTHER, match.other_prior, match.other_posterior, "0.0"))
     place = -np.arange(len(rows), dtype=float)
     colors = [_color(scale, row[2]) for row in rows]
-    axes.barh(place + 0.2, [row[1] for row in rows], 0.36, color=PRIOR, label="prior")
-    axes.barh(place - 0.2, [row[2] for row in rows], 0.36, color=colors, label="posterior")
+    axes.barh(place + 0.2, [row[1] for row in rows], 0.36, color=PRIOR, label="prior", edgecolor=INK, linewidth=0.4)
+    axes.barh(
+        place - 0.2, [row[2] for row in rows], 0.36, color=colors, label="posterior", edgecolor=INK, linewidth=0.4
+    )
     largest = max(max(row[1], row[2]) for row in rows)
     for y, row in zip(place, rows, strict=True):
-        axes.text(max(row[1], row[2]) + 0.02 * largest, y, f"ln BF {row[3]}", va="center", fontsize=8, color=INK)
-    axes.set_yticks(place, [row[0] for row in rows], fontsize=9)
+        axes.text(max(row[1], row[2]) + 0.02 * largest, y, f"ln BF {row[3]}", va="center", color=INK)
+    axes.set_yticks(place, [as_label(row[0]) for row in rows])
     axes.set_xlim(0, 1.3 * largest)
     axes.set_xlabel("probability [-]")
-    axes.set_title("Prior and posterior; ln BF: composition alone", fontsize=10)
-    axes.legend(loc="lower right", fontsize=8, frameon=False)
+    axes.set_title("before and after the composition; ln BF: Bayes factor of the composition alone")
+    axes.legend(loc="lower right")
 
 
 def _factor(item: CraterMatch) -> str:

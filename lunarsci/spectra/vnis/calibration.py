@@ -246,17 +246,16 @@ _SHADOW, _INVALID = (0.0, 0.62, 0.45, 0.8), (0.8, 0.47, 0.65, 0.9)
 
 def calibration_pages(calibrations: Sequence[Calibration]) -> "Iterator[Figure]":
     """Image with footprint and rejected pixels; radiance; reflectance before and after correction; the spectrum."""
-    from matplotlib.figure import Figure
+    from lunarsci.figure import as_label, page, synthetic_title
 
     for item in calibrations:
-        figure = Figure(figsize=(12, 9), layout="constrained")
+        figure = page(7.4)
         (image, radiance), (reflectance, spectrum) = figure.subplots(2, 2)
         _draw_image(image, item)
         _draw_radiance(radiance, item)
         _draw_reflectance(reflectance, item)
         _draw_spectrum(spectrum, item)
-        synthetic = ": SYNTHETIC, not a measurement" if item.synthetic else ""
-        figure.suptitle(f"{item.id}, {item.time_utc[:16]} UTC{synthetic}")
+        figure.suptitle(synthetic_title(f"{as_label(item.id, 60)}, {item.time_utc[:16]} UTC", item.synthetic))
         yield figure
 
 
@@ -279,7 +278,7 @@ def _draw_image(axes: Any, item: Calibration) -> None:
     label = f"SWIR field of view: {lit} of {inside} px used"
     axes.plot(sample + radius * np.cos(turn), line + radius * np.sin(turn), color="#F0E442", label=label)
     axes.set(xlabel="sample [px]", ylabel="line [px]", title="VNIR image at 750 nm")
-    axes.legend(loc="lower left", fontsize=8)
+    _legend(axes)
 
 
 def _draw_radiance(axes: Any, item: Calibration) -> None:
@@ -296,9 +295,13 @@ def _draw_radiance(axes: Any, item: Calibration) -> None:
         linewidth=0,
         label="scatter of its pixels",
     )
-    axes.set(xlabel="wavelength [nm]", ylabel="radiance [W m$^{-2}$ sr$^{-1}$ nm$^{-1}$]", title="Radiance")
+    axes.set(xlabel="wavelength [nm]", ylabel="radiance [W m$^{-2}$ sr$^{-1}$ nm$^{-1}$]", title="radiance")
     axes.set_ylim(bottom=0)
-    axes.legend(fontsize=8)
+    _legend(axes)
+
+
+def _legend(axes: Any) -> None:
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), frameon=False)
 
 
 def _name(detector: DetectorSpectrum) -> str:
@@ -311,24 +314,21 @@ def _draw_reflectance(axes: Any, item: Calibration) -> None:
     corrected = item.photometry != "none"
     for detector in (item.vnir, item.swir):
         color = COLORS[detector.detector]
-        axes.plot(detector.wavelength_nm, detector.observed, color=color, alpha=0.45, linewidth=1)
+        axes.plot(detector.wavelength_nm, detector.observed, color=color, alpha=0.6, linestyle=":")
         if corrected:
             axes.plot(detector.wavelength_nm, detector.corrected, color=color)
-    axes.plot([], [], color="0.4", alpha=0.45, linewidth=1, label="at the angles of measurement")
+    axes.plot([], [], color="0.4", alpha=0.6, linestyle=":", label="at the angles of measurement")
     if corrected:
         axes.plot([], [], color="0.4", label=f"at i 30°, e 0°, g 30° ({item.photometry}, {item.phase})")
     splice = item.splice
-    axes.text(
-        0.02,
-        0.02,
-        f"VNIR × {splice.gain:.4f} ± {splice.gain_sigma:.4f}; SWIR below 1377.5 nm × {splice.step.factor:.4f} "
-        f"± {splice.step.sigma:.4f}",
-        transform=axes.transAxes,
-        fontsize=8,
+    joined = (
+        f"VNIR × {splice.gain:.4f} ± {splice.gain_sigma:.4f};\n"
+        f"SWIR below 1377.5 nm × {splice.step.factor:.4f} ± {splice.step.sigma:.4f}"
     )
-    axes.set(xlabel="wavelength [nm]", ylabel="reflectance factor", title="Corrections, before joining")
+    axes.text(0.98, 0.03, joined, transform=axes.transAxes, ha="right")
+    axes.set(xlabel="wavelength [nm]", ylabel="reflectance factor [-]", title="corrections, before joining")
     axes.set_ylim(bottom=0)
-    axes.legend(fontsize=8, loc="upper left")
+    _legend(axes)
 
 
 def _draw_spectrum(axes: Any, item: Calibration) -> None:
@@ -342,6 +342,6 @@ def _draw_spectrum(axes: Any, item: Calibration) -> None:
     axes.plot(SPLICED_NM, item.reflectance, color="black", linewidth=1)
     axes.axvline(900, color="0.7", linewidth=0.8, linestyle=":")
     axes.axvline(1377.5, color="0.7", linewidth=0.8, linestyle=":")
-    axes.set(xlabel="wavelength [nm]", ylabel="reflectance factor", title="Joined spectrum, 390 channels")
+    axes.set(xlabel="wavelength [nm]", ylabel="reflectance factor [-]", title="joined spectrum, 390 channels")
     axes.set_ylim(bottom=0)
-    axes.legend(fontsize=8, loc="upper left")
+    _legend(axes)

@@ -11,10 +11,10 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import OutputError, ParameterError
+from lunarsci.figure import INK, as_label, synthetic_title
 from lunarsci.twin.figures.panels import (
     ACCENT,
     GOLD,
-    INK,
     LABELS,
     LIMIT,
     draw_exclusion_zones,
@@ -230,9 +230,9 @@ def _background(figure: "Figure", prediction: Prediction, verdict: Verdict, memb
     draw_exclusion_zones(ground, prediction)
     draw_planned(ground, prediction)
     ground.plot(*prediction.destination_m, "*", color=GOLD, markeredgecolor=INK, markersize=12, zorder=6)
-    kind = " (synthetic terrain)" if terrain.synthetic else ""
     drives = "1 drive" if prediction.members == 1 else f"{prediction.members} drives"
-    ground.set_title(f"{verdict.verdict.upper()}: {drives} on {terrain.name}{kind}", fontsize=10)
+    title = f"{verdict.verdict.upper()}: {drives} on {as_label(terrain.name)}"
+    ground.set_title(synthetic_title(title, terrain.synthetic), fontsize=10)
     for row, name in enumerate(INSETS):
         _draw_inset(figure.add_axes((0.765, 0.57 - 0.47 * row, 0.215, 0.33)), prediction, name, member)
     return _pixels(figure)
@@ -246,7 +246,7 @@ def _draw_inset(axes: "Axes", prediction: Prediction, name: str, member: int) ->
     axes.plot(where, np.where(prediction.reached[member], values[member], np.nan), color=ACCENT, linewidth=1.3)
     axes.set_xlim(float(where[0]), float(where[-1]))
     axes.set_xlabel(label, fontsize=8)
-    axes.set_ylabel("Largest |s| of the wheels [-]" if name == "slip_ratio" else LABELS[name][0], fontsize=8)
+    axes.set_ylabel("largest |s| of the wheels [-]" if name == "slip_ratio" else LABELS[name][0], fontsize=8)
     axes.set_title("line: rover shown; band: p05 to p95", fontsize=8)
     axes.tick_params(labelsize=8)
     axes.grid(alpha=0.25, linewidth=0.5)

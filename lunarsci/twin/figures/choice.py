@@ -5,8 +5,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lunarsci.figure import INK, PAGE_IN, as_label, legend_below, page, synthetic_title
 from lunarsci.twin.choice.choice import DriveCandidate, DriveChoice
-from lunarsci.twin.figures.maps import GOLD, INK, MOST_NODES, draw_relief, ground_name
+from lunarsci.twin.figures.maps import HAZARD, MOST_NODES, draw_relief
+from lunarsci.twin.figures.panels import GOLD
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.plans.path import poses_along
 from lunarsci.twin.plans.plan import Plan
@@ -15,20 +17,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLORS = "RdYlBu_r"
+COLORS = "cividis_r"
 LEAST_SHOWN, MOST_SHOWN = 0.005, 1.0
 """Ends of the colour scale of risks, which is logarithmic. [-]"""
-HAZARD_INK = "#7a0c1e"
 
 
 def candidate_map(surface: Traversability, choice: DriveChoice) -> "Figure":
     """All candidates on the shaded relief in the colour of their risk, the best one bold, its weakest place marked."""
-    from matplotlib.figure import Figure
-
     terrain = surface.terrain
     (left, right), (low, high) = _frame(surface, choice)
-    tall = float(np.clip(9.2 * (high - low) / (right - left) + 1.3, 4.5, 13.0))
-    figure = Figure(figsize=(11.0, tall), dpi=130, layout="constrained", facecolor="white")
+    figure = page(float(np.clip(0.8 * PAGE_IN * (high - low) / (right - left) + 1.4, 3.4, 9.4)))
     axes: Any = figure.subplots()
     step = max(1, -(-max(terrain.height_m.shape) // MOST_NODES))
     every = (slice(None, None, step), slice(None, None, step))
@@ -36,7 +34,7 @@ def candidate_map(surface: Traversability, choice: DriveChoice) -> "Figure":
     if surface.hazard.any():
         axes.contourf(
             terrain.x_m[every[1]], terrain.y_m[every[0]], surface.hazard[every].astype(float), levels=[0.5, 1.5],
-            colors=[HAZARD_INK], alpha=0.35,
+            colors=[HAZARD], alpha=0.35, hatches=["////"],
         )  # fmt: skip
     axes.set(xlim=(left, right), ylim=(low, high), aspect="equal", xlabel="x [m]", ylabel="y [m]")
     scale = _scale()
@@ -44,12 +42,14 @@ def candidate_map(surface: Traversability, choice: DriveChoice) -> "Figure":
         _draw_way(axes, one, scale, best=one is choice.best)
     _mark(axes, choice)
     bar = figure.colorbar(scale, ax=axes, fraction=0.03, pad=0.01, shrink=0.9)
-    bar.set_label("Chance of failing [-]")
+    bar.set_label("chance of failing [-]")
     bar.ax.axhline(choice.risk, color=INK, linewidth=2.0)
-    bar.ax.annotate("accepted", (1.0, choice.risk), (-3, 3), xycoords=("axes fraction", "data"),
-                    textcoords="offset points", ha="right", fontsize=7, color=INK)  # fmt: skip
-    axes.set_title(_headline(choice), fontsize=11, color=INK)
-    figure.suptitle(f"{len(choice.candidates)} drives compared on {ground_name(terrain)}", fontsize=10, color=INK)
+    bar.ax.annotate("accepted", (0.0, choice.risk), (-3, -3), xycoords=("axes fraction", "data"),
+                    textcoords="offset points", ha="right", color=INK)  # fmt: skip
+    axes.set_title(_headline(choice))
+    title = f"{len(choice.candidates)} drives compared on {as_label(terrain.name)}; hatched: hazard"
+    figure.suptitle(synthetic_title(title, terrain.synthetic))
+    legend_below(figure, axes, 5)
     return figure
 
 
@@ -65,10 +65,9 @@ def _headline(choice: DriveChoice) -> str:
     best = choice.best
     share = f"{100 * best.said.risk:.1f} % (at most {100 * best.said.high:.1f} %) fail"
     if choice.feasible:
-        return f"Drive {best.number}: {best.plan.name}; {share}, {100 * choice.risk:g} % accepted"
-    return (
-        f"No drive fails with {100 * choice.risk:g} % or less; the safest is {best.number}, {best.plan.name}: {share}"
-    )
+        return f"drive {best.number}: {as_label(best.plan.name)}; {share}, {100 * choice.risk:g} % accepted"
+    safest = f"the safest is {best.number}, {as_label(best.plan.name)}: {share}"
+    return f"no drive fails with {100 * choice.risk:g} % or less; {safest}"
 
 
 def _frame(surface: Traversability, choice: DriveChoice) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -104,16 +103,15 @@ def _mark(axes: "Axes", choice: DriveChoice) -> None:
             *halts.T, "s", color="white", markeredgecolor=INK, markersize=6, zorder=9, label="localisation update"
         )
     _mark_weakest(axes, best)
-    axes.legend(loc="upper left", fontsize=8, framealpha=0.9)
 
 
 def _mark_weakest(axes: "Axes", best: DriveCandidate) -> None:
     weak = best.weakest
-    look: Any = {"color": HAZARD_INK, "markeredgecolor": "white", "markersize": 12, "zorder": 10}
+    look: Any = {"color": HAZARD, "markeredgecolor": "white", "markersize": 12, "zorder": 10}
     axes.plot(weak.x_m, weak.y_m, "X", label="least margin", **look)
-    said = f"Least margin after {weak.distance_m:z.1f} m: {weak.why}"
+    said = f"least margin after {weak.distance_m:z.1f} m: {weak.why}"
     box: Any = {"boxstyle": "round", "fc": "white", "ec": INK, "alpha": 0.85}
-    axes.text(0.99, 0.02, said, transform=axes.transAxes, ha="right", fontsize=8, color=INK, zorder=11, bbox=box)
+    axes.text(0.99, 0.02, said, transform=axes.transAxes, ha="right", color=INK, zorder=11, bbox=box)
 
 
 def _end_of(plan: Plan, legs: int) -> tuple[float, float]:
@@ -124,46 +122,43 @@ def _end_of(plan: Plan, legs: int) -> tuple[float, float]:
 
 def front_page(choice: DriveChoice) -> "Figure":
     """Risk with its bounds against energy, and against length; the front that no drive beats is joined."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11.0, 5.2), dpi=130, layout="constrained")
+    figure = page(3.9)
     panels: Any = figure.subplots(1, 2, sharey=True)
-    for axes, name, label in ((panels[0], "energy_j", "Work of the wheels [J]"), (panels[1], "length_m", "Length [m]")):
+    for axes, name, label in (
+        (panels[0], "energy_j", "work of the wheels [J]"),
+        (panels[1], "length_m", "length of the drive [m]"),
+    ):
         _draw_risks(axes, choice, name)
         axes.set_xlabel(label)
         axes.axhline(choice.risk, color=INK, linewidth=1.0, linestyle="--")
         axes.set_yscale("log")
         axes.set_ylim(LEAST_SHOWN * 0.6, 1.3)
-        axes.grid(alpha=0.25)
-    panels[0].set_ylabel("Chance of failing [-]")
-    panels[0].text(
-        0.01, choice.risk * 1.06, "accepted", transform=panels[0].get_yaxis_transform(), fontsize=8, color=INK
-    )
-    panels[1].legend(fontsize=8, loc="lower right")
-    figure.suptitle("What less risk costs: bars hold the number of drives (5 % to 95 %)", fontsize=11, color=INK)
+        axes.grid()
+    panels[0].set_ylabel("chance of failing [-]")
+    panels[0].text(0.01, choice.risk * 1.06, "accepted", transform=panels[0].get_yaxis_transform(), color=INK)
+    legend_below(figure, panels)
+    figure.suptitle("what less risk costs; bars: 5 % to 95 %, from the number of drives")
     return figure
 
 
 def _draw_risks(axes: "Axes", choice: DriveChoice, name: str) -> None:
     kinds = (
-        ("#b9c4ca", "o", "stopped early", [one for one in choice.candidates if one.stopped]),
-        ("#3b6e8f", "o", "on the common soils", [one for one in choice.candidates if not one.stopped]),
+        ("#8d9aa2", "x", "stopped early", [one for one in choice.candidates if one.stopped]),
+        ("#0072B2", "o", "on the common soils", [one for one in choice.candidates if not one.stopped]),
     )
     for color, marker, label, group in kinds:
         points = [one for one in group if one.promise is None]
         if points:
             _bars(axes, points, name, color, marker, label)
     promised = [one for one in choice.candidates if one.promise is not None]
-    _bars(axes, promised, name, "#e6550d", "D", "on fresh soils")
+    _bars(axes, promised, name, "#D55E00", "D", "on fresh soils")
     front = sorted(choice.front, key=lambda one: float(getattr(one, name)))
     axes.plot(
         [getattr(one, name) for one in front], [one.said.risk for one in front], "-", color=INK, linewidth=0.8,
         zorder=2, label="not beaten in risk, length and energy",
     )  # fmt: skip
     for one in front:
-        axes.annotate(
-            str(one.number), (getattr(one, name), one.said.risk), (5, 4), textcoords="offset points", fontsize=8
-        )
+        axes.annotate(str(one.number), (getattr(one, name), one.said.risk), (5, 4), textcoords="offset points")
 
 
 def _bars(axes: "Axes", group: list[DriveCandidate], name: str, color: str, marker: str, label: str) -> None:

@@ -1,15 +1,17 @@
 """The picture of a prediction beside what happened: paths, ends, wheel states in their bands, and ranks."""
 
+import textwrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
+from lunarsci.figure import COLORS, INK, as_label, legend_below, page
 from lunarsci.twin.assimilation.drive_record import OBSERVED
 from lunarsci.twin.comparison.checks import NOMINAL, half_band, ranks, region_ellipse, standardised
 from lunarsci.twin.comparison.matched import MatchedObservations
 from lunarsci.twin.comparison.verdict import DriveComparison
-from lunarsci.twin.figures.panels import ACCENT, GOLD, INK, LABELS, LIMIT, WHEEL_COLORS
+from lunarsci.twin.figures.panels import ACCENT, GOLD, LABELS, LIMIT, wheel_dots
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 
 if TYPE_CHECKING:
@@ -17,45 +19,49 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-MORE_LABELS = {
-    "drawbar_pull_n": ("Drawbar pull F$_{DP}$ [N]", 1.0),
-    "lateral_force_n": ("Lateral force F$_L$ [N]", 1.0),
-}
 MOST_PATHS, MOST_POINTS = 200, 1500
 DRAWN_REGIONS = (0.5, 0.9, 0.95)
 MEASURED = "#111111"
+DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (7, 2)))
 
 
 def comparison_figure(matched: MatchedObservations, found: DriveComparison, title: str) -> "Figure":
-    """Paths and ends on the left, wheel states on the right, ranks and standardised differences below.
+    """Paths and ends above, wheel states below them, ranks and standardised differences last.
 
-    Bands span p05 to p95 over members and wheels; a measured state in red is outside of the 90 % band of its own wheel
-    and moment, in which its error counts. Regions of the ends hold the errors of the last position, too.
+    Bands span p05 to p95 over members and wheels; a measured state with a ring is outside of the 90 % band of its own
+    wheel and moment, in which its error counts. Regions of the ends hold the errors of the last position, too.
     """
-    from matplotlib.figure import Figure
-
     names = matched.measured_quantities()
-    height = 9.4 if len(names) <= 4 else 2.2 * len(names) + 1.0
-    figure = Figure(figsize=(14.0, height), dpi=130, layout="constrained", facecolor="white")
-    columns: Any = figure.subfigures(1, 2, width_ratios=(1.0, 1.25))
-    rows: Any = columns[0].subfigures(2, 1, height_ratios=(2.3, 1.0))
-    above = rows[0].subplots(2, 1, height_ratios=(1.0, 1.15))
-    _draw_paths(above[0], matched)
-    _draw_end(above[1], matched, found)
-    below = rows[1].subplots(1, 2)
+    rows = -(-len(names) // 2)
+    figure = page(2.9 + 1.35 * rows + (0.5 if rows else 0.0) + 1.9)
+    ratios = (2.9, 1.35 * rows + 0.5, 1.9) if rows else (2.9, 1.9)
+    parts: Any = figure.subfigures(len(ratios), 1, height_ratios=ratios)
+    paths, end = parts[0].subplots(1, 2)
+    _draw_paths(paths, matched)
+    _draw_end(end, matched, found)
+    below = parts[-1].subplots(1, 2)
     _draw_standard(below[0], matched, names)
     _draw_ranks(below[1], matched, names)
     if names:
-        panels = np.atleast_1d(columns[1].subplots(len(names), 1, sharex=True))
-        for panel, name in zip(panels, names, strict=True):
+        panels = parts[1].subplots(rows, 2, sharex=True, squeeze=False).ravel()
+        for panel, name in zip(panels, names, strict=False):
             _draw_states(panel, matched, name)
-        columns[1].legend(handles=_handles(matched), loc="outside upper center", ncols=8, fontsize=8, frameon=False)
-        panels[-1].set_xlabel("Time [s]")
+            panel.set_xlabel("time [s]")
+            panel.label_outer(remove_inner_ticks=False)
+            panel.set_ylabel(LABELS[name][0])
+            panel.tick_params(labelleft=True)
+        for panel in panels[len(names) :]:
+            panel.remove()
+        panels[len(names) - 1].tick_params(labelbottom=True)
+        panels[len(names) - 1].set_xlabel("time [s]")
+        parts[1].legend(handles=_handles(matched), loc="outside lower center", ncols=4, frameon=False)
+        legend_below(parts[-1], below[0], 6)
     color = LIMIT if found.reasons else INK
     reason = f": {found.reasons[0]}" if found.reasons else ""
     others = len(found.reasons) - 1
     more = f" (and {others} more {'reason' if others == 1 else 'reasons'})" if others > 0 else ""
-    figure.suptitle(f"{title}\n{found.verdict.upper()}{reason}{more}", fontsize=11, color=color)
+    said = textwrap.wrap(f"{found.verdict.upper()}{reason}{more}", 105)
+    figure.suptitle("\n".join([*textwrap.wrap(title, 105), *said]), color=color)
     return figure
 
 
@@ -78,13 +84,13 @@ def _draw_paths(axes: "Axes", matched: MatchedObservations) -> None:
         look: Any = {"color": MEASURED, "linewidth": 0.9, "markersize": 4, "zorder": 5}
         axes.plot(*record.fix_m[order].T, "o-", label="measured", **look)
     _frame_map(axes)
-    axes.legend(loc="best", fontsize=8, framealpha=0.9)
-    axes.set_title("Paths of the rover's origin", fontsize=10)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=3, frameon=False)
+    axes.set_title("paths of the rover's origin")
 
 
 def _frame_map(axes: "Axes") -> None:
     axes.set_aspect("equal", adjustable="datalim")
-    axes.grid(alpha=0.25, linewidth=0.5)
+    axes.grid()
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
 
@@ -114,15 +120,15 @@ def _draw_end(axes: "Axes", matched: MatchedObservations, found: DriveComparison
     axes.errorbar(end.x_m, end.y_m, xerr=sd[0], yerr=sd[1], fmt="o", capsize=3, label="measured, 1 σ", **dot)
     _frame_map(axes)
     axes.margins(0.12)
-    axes.legend(loc="best", fontsize=8, framealpha=0.9)
-    where = "End" if end.at_end else f"Last position, at {end.time_s:.0f} s"
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=3, frameon=False)
+    where = "end" if end.at_end else f"last position, at {end.time_s:.0f} s"
     standing = "" if end.standing is None else f", {end.standing.distance:.1f} sd"
-    axes.set_title(f"{where}: {end.error_m:.3f} m from the middle of the predicted{standing}", fontsize=10)
+    axes.set_title(f"{where}: {end.error_m:.3f} m from the predicted middle{standing}")
 
 
 def _draw_states(axes: "Axes", matched: MatchedObservations, name: str) -> None:
     """Band over members and wheels, and the measured states by wheel, those outside of their own band in red."""
-    label, factor = LABELS.get(name, MORE_LABELS.get(name, (name, 1.0)))
+    label, factor = LABELS.get(name, (name, 1.0))
     forecast, column = matched.forecast, OBSERVED.index(name)
     values = factor * forecast.states[matched.members][..., STATE_COLUMNS.index(name)]
     values[:, forecast.halted] = np.nan
@@ -136,16 +142,15 @@ def _draw_states(axes: "Axes", matched: MatchedObservations, name: str) -> None:
     every = max(1, len(time) // MOST_POINTS)
     for number in range(len(forecast.wheels)):
         own = np.flatnonzero(wheel == number)[::every]
-        color = WHEEL_COLORS[number % len(WHEEL_COLORS)]
-        axes.plot(time[own], measured[own], "o", color=color, markersize=3.2, alpha=0.85, linewidth=0)
+        axes.plot(time[own], measured[own], markersize=2.6, alpha=0.85, linewidth=0, **wheel_dots(number))
         red = own[outside[own]]
         ring: Any = {"markerfacecolor": "none", "markeredgecolor": LIMIT, "markersize": 6, "linewidth": 0}
         axes.plot(time[red], measured[red], "o", **ring)
     check = next(one for one in _together(matched, name))
-    axes.set_title(check, fontsize=9, loc="right")
+    axes.set_title(check, loc="right")
     axes.set_ylabel(label)
     axes.set_xlim(float(forecast.time_s[0]), float(forecast.time_s[-1]))
-    axes.grid(alpha=0.25, linewidth=0.5)
+    axes.grid()
 
 
 def _together(matched: MatchedObservations, name: str) -> list[str]:
@@ -175,8 +180,7 @@ def _handles(matched: MatchedObservations) -> list[Any]:
         Line2D([], [], marker="o", label="outside its own 90 % band", **ring),
     ]
     for number, wheel in enumerate(matched.forecast.wheels):
-        color = WHEEL_COLORS[number % len(WHEEL_COLORS)]
-        handles.append(Line2D([], [], marker="o", color=color, markersize=4, linewidth=0, label=wheel))
+        handles.append(Line2D([], [], markersize=4, linewidth=0, label=as_label(wheel), **wheel_dots(number)))
     return handles
 
 
@@ -186,28 +190,26 @@ def _draw_standard(axes: "Axes", matched: MatchedObservations, names: list[str])
     for number, name in enumerate(names):
         column = OBSERVED.index(name)
         values = np.clip(standardised(matched, column, matched.known[:, column]), -4.99, 4.99)
-        look: Any = {"histtype": "step", "linewidth": 1.5, "color": WHEEL_COLORS[2 * number % 6 + number // 3 % 2]}
+        look: Any = {"histtype": "step", "linewidth": 1.5, "color": COLORS[number % 6], "linestyle": DASHES[number % 6]}
         axes.hist(values, bins=list(edges), density=True, label=_short(name), **look)
     x = np.linspace(-5.0, 5.0, 200)
-    axes.plot(x, np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi), color=INK, linewidth=0.9, linestyle="--")
-    axes.set_xlabel("Measured less predicted [sd]")
-    axes.set_title("dashed: if all is right", fontsize=9)
+    axes.plot(x, np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi), color=INK, linewidth=0.7)
+    axes.set(xlabel="measured less predicted [standard deviations]", ylabel="share [-]")
+    axes.set_title("thin: if all is right")
     axes.set_yticks([])
-    if names:
-        axes.legend(fontsize=8, frameon=False, loc="upper left")
 
 
 def _draw_ranks(axes: "Axes", matched: MatchedObservations, names: list[str]) -> None:
     """How the measured states rank in what was predicted: even, over many drives, if the prediction is right."""
     for number, name in enumerate(names):
-        look: Any = {"histtype": "step", "linewidth": 1.5, "color": WHEEL_COLORS[2 * number % 6 + number // 3 % 2]}
+        look: Any = {"histtype": "step", "linewidth": 1.5, "color": COLORS[number % 6], "linestyle": DASHES[number % 6]}
         axes.hist(ranks(matched, name), bins=list(np.linspace(0.0, 1.0, 11)), density=True, label=_short(name), **look)
-    axes.axhline(1.0, color=INK, linewidth=0.9, linestyle="--")
+    axes.axhline(1.0, color=INK, linewidth=0.7)
     axes.set_xlim(0.0, 1.0)
-    axes.set_xlabel("Rank in the prediction [-]")
-    axes.set_title("one drive shares one soil: uneven is not wrong", fontsize=9)
+    axes.set(xlabel="rank in the prediction [-]", ylabel="share [-]")
+    axes.set_title("one drive shares one soil: uneven is not wrong")
     axes.set_yticks([])
 
 
 def _short(name: str) -> str:
-    return name.rsplit("_", 1)[0].replace("_", " ")
+    return LABELS[name][0].partition(" [")[0]

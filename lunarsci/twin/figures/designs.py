@@ -5,8 +5,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lunarsci.figure import INK, as_label, legend_below, page
+from lunarsci.result import unit_of
 from lunarsci.twin.designs.trade import Design
-from lunarsci.twin.figures.panels import ACCENT, GOLD, INK, LIMIT
+from lunarsci.twin.figures.panels import ACCENT, GOLD, LIMIT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -14,8 +16,8 @@ if TYPE_CHECKING:
 
 MEASURES = (
     ("kept_share", 100.0, "drives that\nkeep limits [%]"),
-    ("slip_ratio", 1.0, "slip, worst [-]"),
-    ("sinkage_m", 1e3, "sinkage,\nworst [mm]"),
+    ("slip_ratio", 1.0, "slip s, worst [-]"),
+    ("sinkage_m", 1e3, "sinkage z,\nworst [mm]"),
     ("energy_p50_j", 1.0, "work at the\nwheels [J]"),
     ("pull_per_weight_at_20", 1.0, "pull per weight\nat 20 % slip [-]"),
 )
@@ -24,9 +26,7 @@ MEASURES = (
 
 def front_page(designs: Sequence[Design], front: Sequence[int]) -> "Figure":
     """Share of drives that break a limit against the energy of the others, and the designs that none beats in both."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.5, 6.6), dpi=130, layout="constrained", facecolor="white")
+    figure = page(5.0, 6.0)
     axes = figure.subplots()
     rows = [design.row() for design in designs]
     known = [n for n, row in enumerate(rows) if row["energy_p50_j"] is not None]
@@ -38,7 +38,7 @@ def front_page(designs: Sequence[Design], front: Sequence[int]) -> "Figure":
             [energy[n] for n in known],
             [risk[n] for n in known],
             c=[designs[n].values[name] for n in known],
-            s=46,
+            s=36,
             cmap="viridis",
             edgecolors="white",
             linewidths=0.5,
@@ -46,20 +46,20 @@ def front_page(designs: Sequence[Design], front: Sequence[int]) -> "Figure":
         )
         axes.plot([energy[n] for n in front], [risk[n] for n in front], "-", color=GOLD, linewidth=2.0, zorder=2)
         axes.scatter(
-            [energy[n] for n in front], [risk[n] for n in front], s=130, facecolors="none", edgecolors=LIMIT,
+            [energy[n] for n in front], [risk[n] for n in front], s=110, facecolors="none", edgecolors=LIMIT,
             linewidths=1.6, zorder=4, label="no other design is better in both",
         )  # fmt: skip
-        figure.colorbar(dots, ax=axes, label=name)
+        figure.colorbar(dots, ax=axes, label=_label(name))
         _name_front(axes, designs, front, energy, risk)
-        axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.1), fontsize=9, frameon=False)
+        legend_below(figure, axes, 1)
     highest = max(10.0, *(100.0 * (1.0 - rows[n]["kept_share"]) for n in known), 0.0)
     axes.set_ylim(-0.04 * highest, 1.08 * highest)
-    axes.set_xlabel("Work of the motors at the wheels, median [J]")
-    axes.set_ylabel("Drives that break a limit or do not end [%]")
-    axes.grid(alpha=0.3)
+    axes.set_xlabel("work of the motors at the wheels, median [J]")
+    axes.set_ylabel("drives that break a limit or do not end [%]")
+    axes.grid()
     left = len(designs) - len(known)
     more = f"; {left} impossible or without an end are not shown" if left else ""
-    figure.suptitle(f"{len(designs)} designs on the same soils{more}", fontsize=12, color=INK)
+    figure.suptitle(f"{len(designs)} designs on the same soils{more}")
     return figure
 
 
@@ -67,17 +67,12 @@ def _name_front(axes: "Axes", designs: Sequence[Design], front: Sequence[int], e
     """The values of at most eight designs of the front, beside their dots."""
     for n in list(front)[:8]:
         text = ", ".join(f"{value:.3g}" for value in designs[n].values.values())
-        axes.annotate(
-            text, (energy[n], risk[n]), xytext=(8, 8), textcoords="offset points", fontsize=8, color=INK, zorder=5
-        )
+        axes.annotate(text, (energy[n], risk[n]), xytext=(8, 8), textcoords="offset points", color=INK, zorder=5)
 
 
 def curve_page(designs: Sequence[Design], names: Sequence[str]) -> "Figure":
     """Each measure against each varied number: a dot for each design, the line through the medians of equal values."""
-    from matplotlib.figure import Figure
-
-    width = max(6.0, 3.6 * len(names))
-    figure = Figure(figsize=(width, 1.9 * len(MEASURES)), dpi=130, layout="constrained", facecolor="white")
+    figure = page(1.5 * len(MEASURES) + 0.6)
     panels = figure.subplots(len(MEASURES), len(names), squeeze=False, sharex="col", sharey="row")
     rows = [design.row() for design in designs]
     for column, name in enumerate(names):
@@ -86,10 +81,17 @@ def curve_page(designs: Sequence[Design], names: Sequence[str]) -> "Figure":
             measured = np.array([np.nan if row[key] is None else factor * row[key] for row in rows])
             _draw_curve(axes, values, measured)
             if column == 0:
-                axes.set_ylabel(label, fontsize=9)
-        panels[-1, column].set_xlabel(name)
-    figure.suptitle("What each number does; lines: medians over the others", fontsize=11, color=INK)
+                axes.set_ylabel(label)
+        panels[-1, column].set_xlabel(_label(name))
+    figure.suptitle("what each number does; lines: medians over the others")
     return figure
+
+
+def _label(name: str) -> str:
+    """A varied key of the rover, such as `wheel.radius_m`, as a label with its unit."""
+    unit = unit_of(name)
+    bare = name.removesuffix(f"_{unit.replace(' ', '').lower()}") if unit else name
+    return f"{as_label(bare.replace('.', ' ').replace('_', ' '))} [{unit or '-'}]"
 
 
 def _draw_curve(axes: "Axes", values: Any, measured: Any) -> None:
@@ -101,4 +103,4 @@ def _draw_curve(axes: "Axes", values: Any, measured: Any) -> None:
         axes.plot(places, middle, "-", color=INK, linewidth=1.4)
     for place in np.unique(values[~known]):
         axes.axvline(place, color=LIMIT, linewidth=0.8, linestyle=":", alpha=0.6)
-    axes.grid(alpha=0.3)
+    axes.grid()

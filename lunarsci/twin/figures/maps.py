@@ -7,11 +7,14 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
+from lunarsci.figure import INK, PAGE_IN, as_label, legend_below, page, synthetic_title
+from lunarsci.regolith.figure import PARAMETER_LABELS
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.twin.assimilation.change_point import traverse_of, wheel_places
 from lunarsci.twin.assimilation.drive_record import OBSERVED, DriveRecord
 from lunarsci.twin.assimilation.segments import SoilChange
 from lunarsci.twin.assimilation.update import SoilUpdate
+from lunarsci.twin.figures.panels import GOLD, LABELS
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.ground.soil_layers import SoilLayers
 from lunarsci.twin.ground.soil_map import SoilMap
@@ -23,25 +26,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-INK, PATH, HAZARD, UNKNOWN, GOLD = "#26323a", "#e6550d", "#b2182b", "#c9c9c9", "#f4c430"
+PATH, HAZARD, UNKNOWN = "#D55E00", "#B2182B", "#ffffff"
 MOST_NODES = 900
 """Nodes drawn along each side at most; beyond that every second, third ... one."""
-DOT, MEAN, CHANGE = "#9fb4c0", "#08519c", PATH
+DOT, MEAN, CHANGE = "#9fb4c0", "#0072B2", PATH
 HIGHEST, WINDOW_M = 8.0, 0.4
 """Residuals beyond are drawn at the edge; medians are those of such lengths of the way."""
 ROUNDING_M = 1e-4
 """Roughness below this is not drawn: of a plane it is that of rounding."""
 CONTOURS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
-LABELS = {
-    "stiffness_kpa_m_n": "Stiffness [kPa/m$^N$]",
-    "sinkage_exponent": "Sinkage exponent [-]",
-    "sinkage_exponent_slip": "Sinkage exponent per slip [-]",
-    "cohesion_pa": "Cohesion [Pa]",
-    "friction_angle_deg": "Friction angle [deg]",
-    "shear_modulus_mm": "Shear modulus [mm]",
-    "external_friction_angle_deg": "External friction angle [deg]",
-    "lateral_modulus_mm": "Lateral modulus [mm]",
-}
 
 
 def terrain_maps(surface: Traversability, path: PlannedPath | None = None) -> "Figure":
@@ -49,12 +42,9 @@ def terrain_maps(surface: Traversability, path: PlannedPath | None = None) -> "F
 
     The path of the rover's origin is drawn on each, the ground that its footprint sweeps on the first and the last.
     """
-    from matplotlib.figure import Figure
-
     terrain = surface.terrain
     wide = np.ptp(terrain.x_m) / np.ptp(terrain.y_m)
-    height = float(np.clip(10.2 / wide + 0.9, 6.0, 14.0))
-    figure = Figure(figsize=(12.6, height), dpi=130, layout="constrained", facecolor="white")
+    figure = page(float(np.clip(5.4 / wide + 2.6, 4.8, 9.4)))
     axes: Any = figure.subplots(2, 2, sharex=True, sharey=True)
     step = max(1, -(-max(terrain.height_m.shape) // MOST_NODES))
     every = (slice(None, None, step), slice(None, None, step))
@@ -65,15 +55,15 @@ def terrain_maps(surface: Traversability, path: PlannedPath | None = None) -> "F
     _draw_steps(axes[1, 0], surface, every)
     _draw_traversability(axes[1, 1], surface, every)
     for number, panel in enumerate(axes.flat):
-        panel.set_aspect("equal")
+        extent = _extent(terrain)
+        panel.set(aspect="equal", xlim=extent[:2], ylim=extent[2:])
         panel.label_outer()
         panel.set_xlabel("x [m]" if number > 1 else "")
         panel.set_ylabel("" if number % 2 else "y [m]")
         if path is not None:
             _draw_path(panel, path, terrain, outline=number in (0, 3))
-    if path is not None:
-        axes[0, 0].legend(loc="upper left", fontsize=8, framealpha=0.9, ncols=3)
-    figure.suptitle(_title(surface, path), fontsize=12, color=INK)
+    legend_below(figure, axes.flat)
+    figure.suptitle(_title(surface, path))
     return figure
 
 
@@ -82,14 +72,14 @@ def _title(surface: Traversability, path: PlannedPath | None) -> str:
     if path is None:
         return ground
     return (
-        f"{ground}   ·   path of {path.plan.length_m:.2f} m, nearest hazard {path.min_hazard_distance_m:.2f} m, "
-        f"slope up to {path.max_slope_deg:.1f} deg"
+        f"{ground}: path of {path.plan.length_m:.2f} m, nearest hazard {path.min_hazard_distance_m:.2f} m, "
+        f"slope up to {path.max_slope_deg:.1f}°"
     )
 
 
 def ground_name(terrain: Terrain) -> str:
     """With what is made up said."""
-    return f"{terrain.name} (synthetic)" if terrain.synthetic and "synthetic" not in terrain.name else terrain.name
+    return synthetic_title(as_label(terrain.name), terrain.synthetic)
 
 
 def _extent(terrain: Terrain) -> tuple[float, float, float, float]:
@@ -110,7 +100,7 @@ def _draw_shadow(axes: "Axes", terrain: Terrain, lit: npt.NDArray[np.bool_]) -> 
     axes.imshow(
         dark, extent=_extent(terrain), origin="lower", cmap=ListedColormap([INK]), alpha=0.6, interpolation="nearest"
     )
-    axes.set_title(f"{axes.get_title()}; dark: in shadow", fontsize=10)
+    axes.set_title(f"{axes.get_title()}; dark: in shadow")
 
 
 def draw_relief(axes: "Axes", terrain: Terrain, every: tuple[slice, slice], *, height_bar: bool = True) -> None:
@@ -126,15 +116,15 @@ def draw_relief(axes: "Axes", terrain: Terrain, every: tuple[slice, slice], *, h
     drawn: Any = {"extent": _extent(terrain), "origin": "lower"}
     axes.imshow(shade, cmap="gray", vmin=-0.35, vmax=1.05, **drawn)
     if height_bar:
-        _bar(axes, axes.imshow(height, cmap="cividis", alpha=0.3, **drawn), "Height [m]", extend="neither")
+        _bar(axes, axes.imshow(height, cmap="cividis", alpha=0.3, **drawn), "height [m]", extend="neither")
     span = float(height.max() - height.min())
     interval = next((value for value in CONTOURS if span / value <= 24), CONTOURS[-1])
     levels = np.arange(np.floor(float(height.min()) / interval), float(height.max()) / interval + 1) * interval
     if len(levels) > 2:
         style: Any = {"colors": INK, "linewidths": 0.5, "alpha": 0.6, "linestyles": "solid"}
         lines = axes.contour(terrain.x_m[every[1]], terrain.y_m[every[0]], height, levels=levels, **style)
-        axes.clabel(lines, np.asarray(lines.levels)[::4], fontsize=6, fmt="%g")
-    axes.set_title(f"Relief, contours every {interval:g} m", fontsize=10)
+        axes.clabel(lines, np.asarray(lines.levels)[::4], fmt="%g", fontsize=7)
+    axes.set_title(f"relief, contours every {interval:g} m")
 
 
 def _draw_map(
@@ -160,34 +150,33 @@ def _top(values: npt.NDArray[np.float32], limit: float | None) -> float:
 
 def _bar(axes: "Axes", image: Any, label: str, extend: str = "max") -> Any:
     figure: Any = axes.figure
-    bar = figure.colorbar(image, ax=axes, fraction=0.046, pad=0.01, extend=extend)
-    bar.set_label(label, fontsize=9)
-    bar.ax.tick_params(labelsize=8)
+    bar = figure.colorbar(image, ax=axes, orientation="horizontal", fraction=0.05, pad=0.02, aspect=30, extend=extend)
+    bar.set_label(label)
     return bar
 
 
 def _draw_slope(axes: "Axes", surface: Traversability, every: tuple[slice, slice]) -> None:
     maps, limit = surface.maps, surface.mobility.max_slope_deg
     image = _draw_map(axes, surface, maps.slope_deg, every, "viridis", _top(maps.slope_deg, limit))
-    _bar(axes, image, "Slope [deg]")
-    side = f"{maps.baseline_m:g} m x {maps.baseline_m:g} m"
-    axes.set_title(f"Slope of the plane through {side}; limit {limit:g} deg", fontsize=10)
+    _bar(axes, image, "slope [°]")
+    side = f"{maps.baseline_m:g} m × {maps.baseline_m:g} m"
+    axes.set_title(f"slope over {side}; limit {limit:g}°")
 
 
 def _draw_steps(axes: "Axes", surface: Traversability, every: tuple[slice, slice]) -> None:
     """Steps in colour, roughness as a few contours."""
     maps, limit, terrain = surface.maps, surface.mobility.max_step_m, surface.terrain
-    image = _draw_map(axes, surface, maps.step_m, every, "magma", _top(maps.step_m, limit))
-    _bar(axes, image, f"Step within {maps.wheel_window_m:g} m [m]")
+    image = _draw_map(axes, surface, maps.step_m, every, "viridis", _top(maps.step_m, limit))
+    _bar(axes, image, f"step within {maps.wheel_window_m:g} m [m]")
     known = maps.roughness_m[~np.isnan(maps.roughness_m)]
     levels = np.unique(np.percentile(known, (90, 97))) if known.size else np.empty(0)
     if levels.size and float(levels[0]) > ROUNDING_M:
         rough = np.ma.masked_invalid(maps.roughness_m[every])
         x, y = terrain.x_m[every[1]], terrain.y_m[every[0]]
         lines = axes.contour(x, y, rough, levels=levels, colors="white", linewidths=(0.5, 1.0))
-        axes.clabel(lines, fontsize=6, fmt=lambda value: f"{1e3 * value:.2g} mm")
-    steps = f"Steps, limit {limit:g} m" if maps.shows_steps else "Steps not determined on so coarse a grid"
-    axes.set_title(f"{steps}; white: roughness (rms)", fontsize=10)
+        axes.clabel(lines, fontsize=7, fmt=lambda value: f"{1e3 * value:.2g} mm")
+    steps = f"steps, limit {limit:g} m" if maps.shows_steps else "steps not determined: too coarse a grid"
+    axes.set_title(f"{steps}; white lines: rms roughness")
 
 
 def _draw_traversability(axes: "Axes", surface: Traversability, every: tuple[slice, slice]) -> None:
@@ -199,9 +188,21 @@ def _draw_traversability(axes: "Axes", surface: Traversability, every: tuple[sli
         np.ma.masked_invalid(np.minimum(surface.demand[every], 2.0)),
         extent=_extent(surface.terrain), origin="lower", cmap=color_map, vmin=0.0, vmax=1.0, interpolation="nearest",
     )  # fmt: skip
-    _bar(axes, image, "Largest share of a limit [-]")
+    _bar(axes, image, "largest share of a limit [-]")
+    _hatch(axes, surface.terrain, surface.hazard[every], every)
     share = float((~surface.hazard & ~surface.unknown).mean())
-    axes.set_title(f"May be driven on: {share:.1%}; red: hazard, grey: unknown", fontsize=10)
+    axes.set_title(f"{share:.1%} may be driven on; hatched: hazard")
+
+
+def _hatch(axes: "Axes", terrain: Terrain, hazard: npt.NDArray[np.bool_], every: tuple[slice, slice]) -> None:
+    """Hatched in red, so that hazards are seen in grey, too; what is unknown stays white."""
+    x, y = terrain.x_m[every[1]], terrain.y_m[every[0]]
+    if hazard.any():
+        drawn = axes.contourf(
+            x, y, hazard.astype(float), levels=[0.5, 1.5], colors=[HAZARD], alpha=0.3, hatches=["////"]
+        )
+        drawn.set(edgecolor="white", linewidth=0.0)
+        axes.fill([], [], facecolor=HAZARD, alpha=0.3, hatch="////", label="hazard")
 
 
 def _draw_path(axes: "Axes", path: PlannedPath, terrain: Terrain, *, outline: bool) -> None:
@@ -226,11 +227,9 @@ def residual_page(record: DriveRecord, found: SoilUpdate, changes: list[SoilChan
 
     Lines are medians over 0.4 m; where the soil changes a line stands in the interval that holds it at 95 %.
     """
-    from matplotlib.figure import Figure
-
     places = wheel_places(found.prediction.rover, record, traverse_of(found.prediction))
     known = [k for k in range(len(OBSERVED)) if np.isfinite(found.residuals[:, k]).any()]
-    figure = Figure(figsize=(9.0, 1.2 + 1.6 * max(len(known), 1)), dpi=110, layout="constrained", facecolor="white")
+    figure = page(0.9 + 1.25 * max(len(known), 1))
     axes: Any = figure.subplots(max(len(known), 1), 1, sharex=True, squeeze=False)[:, 0]
     for panel, k in zip(axes, known, strict=True):
         values = np.clip(-found.residuals[:, k], -HIGHEST, HIGHEST)
@@ -241,14 +240,17 @@ def residual_page(record: DriveRecord, found: SoilUpdate, changes: list[SoilChan
         panel.plot(*_medians(places[seen], values[seen]), color=MEAN, linewidth=1.4)
         reach = float(np.clip(np.abs(values[seen]).max() * 1.1, 3.0, HIGHEST * 1.05))
         panel.set_ylim(-reach, reach)
-        panel.set_ylabel(OBSERVED[k], fontsize=8, color=INK)
-        panel.tick_params(labelsize=8)
+        panel.set_ylabel(f"{LABELS[OBSERVED[k]][0].partition(' [')[0]}\n[errors]")
         for change in changes:
             panel.axvspan(change.low_m, change.high_m, color=CHANGE, alpha=0.25, linewidth=0.0)
             panel.axvline(change.distance_m, color=CHANGE, linewidth=1.2)
-    axes[-1].set_xlabel("Way of the wheel [m]")
-    told = f"{len(changes)} change{'s' * (len(changes) > 1)} of the soil found" if changes else "no change found"
-    figure.suptitle(f"Measured less simulated on one soil, in errors   ·   {told}", fontsize=11, color=INK)
+    axes[-1].set_xlabel("way of the wheel [m]")
+    told = (
+        f"{len(changes)} change{'s' * (len(changes) > 1)} of the soil found"
+        if changes
+        else "no change of the soil found"
+    )
+    figure.suptitle(f"measured less simulated on one soil, in standard errors: {told}")
     return figure
 
 
@@ -264,8 +266,8 @@ def soil_pages(layers: SoilLayers, soil_map: SoilMap) -> "Iterator[Figure]":
     soil = {name: from_si(name, terrain.soil[..., SOIL_COLUMNS[name]]) for name in PARAMETERS}
     medians = {name: np.broadcast_to(values, shape) for name, values in soil.items()}
     length = f"{soil_map.correlation_m:g} m"
-    yield _soil_page(layers, soil_map, medians, "Median soil at every node", None)
-    title = f"Left of the first laws' standard deviation: 1 = nothing known; soils alike over {length}, assumed"
+    yield _soil_page(layers, soil_map, medians, "median soil at every node", None)
+    title = f"standard deviation left of the first one: 1 = nothing learned; soils alike over {length}, assumed"
     yield _soil_page(layers, soil_map, dict(layers.sd_ratio), title, (0.0, 1.0))
 
 
@@ -276,28 +278,29 @@ def _soil_page(
     title: str,
     limits: tuple[float, float] | None,
 ) -> "Figure":
-    from matplotlib.figure import Figure
-
     terrain = layers.terrain
     tall = float(np.clip(np.ptp(terrain.y_m) / np.ptp(terrain.x_m), 0.3, 2.0))
-    figure = Figure(figsize=(15.0, 2.0 * (3.0 * tall + 0.6) + 0.8), dpi=110, layout="constrained", facecolor="white")
-    axes: Any = figure.subplots(2, 4, sharex=True, sharey=True)
+    columns = 2 if tall < 0.75 else 4
+    rows = len(PARAMETERS) // columns
+    figure = page(rows * (tall * PAGE_IN / columns * 0.85 + 0.75) + 0.7)
+    axes: Any = figure.subplots(rows, columns, sharex=True, sharey=True)
     drawn: Any = {"extent": _extent(terrain), "origin": "lower"}
     hole = np.isnan(terrain.height_m)
     for panel, name in zip(axes.flat, PARAMETERS, strict=True):
         shown = np.ma.masked_array(values[name], mask=hole)
         low, high = limits or _limits(shown)
-        image = panel.imshow(shown, cmap="viridis" if limits is None else "magma_r", vmin=low, vmax=high, **drawn)
-        figure.colorbar(image, ax=panel, fraction=0.046, pad=0.01).ax.tick_params(labelsize=7)
-        panel.set_title(LABELS[name], fontsize=10, color=INK)
+        image = panel.imshow(shown, cmap="viridis" if limits is None else "cividis_r", vmin=low, vmax=high, **drawn)
+        label = PARAMETER_LABELS[name]
+        unit = label[label.index("[") :] if limits is None else "[-]"
+        figure.colorbar(image, ax=panel, orientation="horizontal", fraction=0.05, pad=0.02, aspect=25, label=unit)
+        panel.set_title(label.partition(" [")[0])
         panel.set_aspect("equal")
-        panel.tick_params(labelsize=8)
         _draw_tracks(panel, soil_map)
-    for panel in axes[1]:
+    for panel in axes[-1]:
         panel.set_xlabel("x [m]")
     for panel in axes[:, 0]:
         panel.set_ylabel("y [m]")
-    figure.suptitle(f"{title}   ·   {ground_name(terrain)}", fontsize=12, color=INK)
+    figure.suptitle(synthetic_title(f"{title}\n{as_label(terrain.name, 60)}", terrain.synthetic))
     return figure
 
 

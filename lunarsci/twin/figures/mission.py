@@ -5,7 +5,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.twin.figures.maps import GOLD, HAZARD, INK, MOST_NODES, PATH, draw_relief, ground_name
+from lunarsci.figure import INK, PAGE_IN, as_label, legend_below, page, synthetic_title
+from lunarsci.twin.figures.maps import HAZARD, MOST_NODES, PATH, draw_relief
+from lunarsci.twin.figures.panels import ACCENT, GOLD
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.mission.legs import DrivenMission, MissionLeg
 from lunarsci.twin.plans.path import poses_along
@@ -20,29 +22,30 @@ MARGIN_M = 2.0
 
 def mission_map(surface: Traversability, driven: DrivenMission) -> "Figure":
     """Legs in turns of two colours, the drives' ends before each localisation, targets and ground to keep out of."""
-    from matplotlib.figure import Figure
-
     terrain = surface.terrain
     places = _places(driven)
     (left, low), (right, high) = places.min(axis=0) - MARGIN_M, places.max(axis=0) + MARGIN_M
-    tall = float(np.clip(9.2 * (high - low) / (right - left) + 1.3, 4.5, 13.0))
-    figure = Figure(figsize=(11.0, tall), dpi=130, layout="constrained", facecolor="white")
+    figure = page(float(np.clip(0.85 * PAGE_IN * (high - low) / (right - left) + 1.2, 3.2, 9.4)))
     axes: Any = figure.subplots()
     step = max(1, -(-max(terrain.height_m.shape) // MOST_NODES))
     every = (slice(None, None, step), slice(None, None, step))
     draw_relief(axes, terrain, every, height_bar=False)
-    for layer, color, alpha in ((surface.hazard, HAZARD, 0.35), (surface.unknown, "#808080", 0.3)):
+    for layer, color, hatch in ((surface.hazard, HAZARD, "////"), (surface.unknown, "#808080", "....")):
         if layer.any():
             x, y = terrain.x_m[every[1]], terrain.y_m[every[0]]
-            axes.contourf(x, y, layer[every].astype(float), levels=[0.5, 1.5], colors=[color], alpha=alpha)
+            axes.contourf(
+                x, y, layer[every].astype(float), levels=[0.5, 1.5], colors=[color], alpha=0.35, hatches=[hatch]
+            )
     for leg in driven.legs:
         _draw_leg(axes, leg)
     _mark(axes, driven)
     axes.set(xlim=(max(left, terrain.x_m[0]), min(right, terrain.x_m[-1])),
              ylim=(max(low, terrain.y_m[0]), min(high, terrain.y_m[-1])),
              aspect="equal", xlabel="x [m]", ylabel="y [m]")  # fmt: skip
-    axes.set_title(_headline(driven), fontsize=11, color=INK)
-    figure.suptitle(f"{driven.mission.name}, on {ground_name(terrain)}", fontsize=10, color=INK)
+    axes.set_title(_headline(driven))
+    title = f"{as_label(driven.mission.name)}, on {as_label(terrain.name)}"
+    figure.suptitle(synthetic_title(title, terrain.synthetic))
+    legend_below(figure, axes, 5)
     return figure
 
 
@@ -61,7 +64,7 @@ def _headline(driven: DrivenMission) -> str:
 
 def _draw_leg(axes: "Axes", leg: MissionLeg) -> None:
     x, y, _ = poses_along(leg.plan, 0.05).T
-    color = (PATH, "#08519c")[leg.number % 2]
+    color = (PATH, ACCENT)[leg.number % 2]
     axes.plot(x, y, color="white", linewidth=4.4, zorder=5)
     axes.plot(x, y, color=color, linewidth=2.6, zorder=6)
     kept = leg.kept
@@ -83,37 +86,36 @@ def _mark(axes: "Axes", driven: DrivenMission) -> None:
         color = GOLD if one.fate == "reached" else "white"
         place = (one.target.x_m, one.target.y_m)
         axes.plot(*place, "*", color=color, markeredgecolor=INK, markersize=16, zorder=9)
-        text = one.target.name if one.fate == "reached" else f"{one.target.name}: {one.fate}"
-        axes.annotate(text, place, (9, 7), textcoords="offset points", fontsize=9, color=INK, zorder=10,
+        name = as_label(one.target.name, 24)
+        text = name if one.fate == "reached" else f"{name}: {one.fate}"
+        axes.annotate(text, place, (9, 7), textcoords="offset points", color=INK, zorder=10,
                       bbox={"boxstyle": "round", "fc": "white", "ec": INK, "alpha": 0.85})  # fmt: skip
     for zone in driven.mission.keep_outs:
         axes.add_patch(
             Circle((zone.x_m, zone.y_m), zone.radius_m, fill=False, hatch="////", edgecolor=HAZARD, zorder=5)
         )
-    axes.legend(loc="lower right", fontsize=8, framealpha=0.9)
 
 
 def timetable(driven: DrivenMission) -> "Figure":
     """What the rover does when, in hours, below the windows of communication; and the share of drives that go on."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11.0, 5.0), dpi=130, layout="constrained")
+    figure = page(3.9)
     panels: Any = figure.subplots(2, 1, sharex=True, height_ratios=(1, 2))
     _draw_times(panels[0], driven)
+    legend_below(figure, panels[0], 6)
     kept, times, shares = np.ones_like(driven.kept), [0.0], [1.0]
     for leg in driven.legs:
         kept = kept & leg.kept
         times.append((leg.begin_s + leg.drive_s) / 3600)
         shares.append(float(kept.mean()))
     panels[1].step(times, shares, where="post", color=PATH, linewidth=2.0)
-    panels[1].set(xlabel="time [h]", ylabel="drives that kept all limits [-]", ylim=(0.0, 1.05))
-    panels[1].grid(alpha=0.25)
+    panels[1].set(xlabel="time [h]", ylabel="drives that kept\nall limits [-]", ylim=(0.0, 1.05))
+    panels[1].grid()
     for one in driven.targets:
         if one.fate == "reached":
             panels[1].axvline(one.arrival_s / 3600, color=INK, linewidth=0.8, linestyle="--")
             panels[1].annotate(one.target.name, (one.arrival_s / 3600, 0.05), (3, 0), textcoords="offset points",
-                               rotation=90, fontsize=8, color=INK)  # fmt: skip
-    figure.suptitle(f"{driven.mission.name}: {driven.end_s / 3600:.2f} h", fontsize=11, color=INK)
+                               rotation=90, color=INK)  # fmt: skip
+    figure.suptitle(f"{as_label(driven.mission.name)}: {driven.end_s / 3600:.2f} h")
     return figure
 
 
@@ -124,7 +126,7 @@ def _draw_times(axes: "Axes", driven: DrivenMission) -> None:
     halts = [(leg.begin_s + leg.drive_s, mission.localisation_s) for leg in driven.legs]
     stays = [(one.arrival_s, one.target.stay_s) for one in driven.targets if one.fate == "reached"]
     open_ = [(one.begin_s, min(one.end_s, end) - one.begin_s) for one in mission.windows if one.begin_s < end]
-    for label, color, level, bars in (("waits", WAITED, 0.0, waits), ("drives", PATH, 0.0, drives),
+    for label, color, level, bars in (("waits", WAITED, 0.0, waits), ("drives", ACCENT, 0.0, drives),
                                       ("is localised", LOCALISED, 0.0, halts), ("stays", STAYED, 0.0, stays),
                                       ("communication", INK, 0.75, open_)):  # fmt: skip
         if begun := [(begin / 3600, length / 3600) for begin, length in bars if length > 0]:
@@ -134,4 +136,3 @@ def _draw_times(axes: "Axes", driven: DrivenMission) -> None:
     if np.isfinite(mission.time_budget_s) and mission.time_budget_s < 1.5 * end:
         axes.axvline(mission.time_budget_s / 3600, color=HAZARD, linewidth=1.5, label="time given")
     axes.set(yticks=[], ylim=(-0.6, 1.1))
-    axes.legend(fontsize=8, ncols=6, loc="upper center", bbox_to_anchor=(0.5, 1.3), frameon=False)

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import IntArray
+from lunarsci.figure import DOT_STYLES, INK, LINE_STYLES, as_label
+from lunarsci.regolith.figure import PARAMETER_LABELS
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.judgement.quantities import abscissa, along
 from lunarsci.twin.judgement.safety import Verdict
@@ -16,18 +18,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-INK, ACCENT, LIMIT, GOLD = "#26323a", "#1f6f8b", "#c0392b", "#f4c430"
-PARAMETERS = {
-    "stiffness_kpa_m_n": "Stiffness K$_s$ [kPa m$^{-N}$]",
-    "sinkage_exponent": "Sinkage exponent N [-]",
-    "sinkage_exponent_slip": "Dynamic sinkage exponent n$_1$ [-]",
-    "cohesion_pa": "Cohesion c [Pa]",
-    "friction_angle_deg": "Internal friction angle φ [deg]",
-    "shear_modulus_mm": "Shear modulus K$_x$ [mm]",
-    "external_friction_angle_deg": "External friction angle φ$_y$ [deg]",
-    "lateral_modulus_mm": "Lateral modulus K$_y$ [mm]",
-}
+ACCENT, LIMIT, GOLD = "#0072B2", "#B2182B", "#f4c430"
+"""What was predicted; limits and what breaks them; where the drive shall end."""
 MARGIN_M = 3.6
+NO_HEIGHT = "#d9b8b0"
 MOST_PATHS = 400
 
 
@@ -56,8 +50,10 @@ def member_colors(prediction: Prediction) -> Any:
 def color_bar(figure: Any, axes: Any, prediction: Prediction) -> None:
     """What the colours of the members mean."""
     name = next(iter(prediction.parameters))
-    bar = figure.colorbar(_scale(prediction), ax=list(axes), fraction=0.025, pad=0.01, aspect=45)
-    bar.set_label(PARAMETERS.get(name, name))
+    bar = figure.colorbar(
+        _scale(prediction), ax=list(axes), orientation="horizontal", fraction=0.05, pad=0.02, aspect=45
+    )
+    bar.set_label(PARAMETER_LABELS.get(name, as_label(name)))
 
 
 def map_window(prediction: Prediction, terrain: Terrain, margin_m: float = MARGIN_M) -> tuple[slice, slice]:
@@ -87,7 +83,7 @@ def draw_ground(axes: "Axes", terrain: Terrain, window: tuple[slice, slice], int
     shade = light.hillshade(height.filled(float(height.mean()))[::-1], 4.0, step, step)[::-1]
     extent = (float(x[0]) - half, float(x[-1]) + half, float(y[0]) - half, float(y[-1]) + half)
     shade = np.ma.masked_array(shade, mask=np.ma.getmaskarray(height))
-    axes.set_facecolor("#d9b8b0")
+    axes.set_facecolor(NO_HEIGHT)
     axes.imshow(shade, extent=extent, origin="lower", cmap="gray", vmin=-0.35, vmax=1.05, interpolation="bilinear")
     span = float(height.max() - height.min())
     levels = np.arange(float(height.min()), float(height.max()) + interval_m, max(interval_m, span / 40.0))
@@ -127,43 +123,52 @@ def draw_exclusion_zones(axes: "Axes", prediction: Prediction) -> None:
         axes.add_patch(Circle(center, circle.radius_m, **look))
         edge: Any = {"fill": False, "edgecolor": LIMIT, "linewidth": 1.3, "hatch": "//", "zorder": 2.6, "label": name}
         axes.add_patch(Circle(center, circle.radius_m, **edge))
-        axes.annotate(circle.name, center, fontsize=7, ha="center", va="center", clip_on=True, zorder=2.7)
+        axes.annotate(as_label(circle.name, 24), center, ha="center", va="center", clip_on=True, zorder=2.7)
 
 
 LABELS = {
-    "slip_ratio": ("Slip ratio s [-]", 1.0),
-    "side_slip_deg": ("Side slip β [deg]", 1.0),
-    "sinkage_m": ("Sinkage z [mm]", 1e3),
-    "tilt_deg": ("Tilt [deg]", 1.0),
-    "roll_deg": ("Roll [deg]", 1.0),
-    "pitch_deg": ("Pitch, nose down [deg]", 1.0),
-    "clearance_m": ("Ground clearance [m]", 1.0),
-    "keep_out_m": ("To the keep-out circles [m]", 1.0),
-    "miss_m": ("Off the planned place [m]", 1.0),
-    "normal_force_n": ("Normal force F$_N$ [N]", 1.0),
+    "slip_ratio": ("slip ratio s [-]", 1.0),
+    "side_slip_deg": ("side slip β [°]", 1.0),
+    "sinkage_m": ("sinkage z [mm]", 1e3),
+    "tilt_deg": ("tilt [°]", 1.0),
+    "roll_deg": ("roll [°]", 1.0),
+    "pitch_deg": ("pitch, nose down [°]", 1.0),
+    "clearance_m": ("ground clearance [m]", 1.0),
+    "keep_out_m": ("distance from keep-outs [m]", 1.0),
+    "miss_m": ("off the planned place [m]", 1.0),
+    "normal_force_n": ("normal force F$_N$ [N]", 1.0),
+    "drawbar_pull_n": ("drawbar pull F$_{DP}$ [N]", 1.0),
+    "lateral_force_n": ("lateral force F$_L$ [N]", 1.0),
+    "resistance_torque_nm": ("resistance torque M$_R$ [N m]", 1.0),
 }
 """Axis label, and factor from the quantity's unit to the label's."""
 SIGNED = ("slip_ratio", "side_slip_deg")
-WHEEL_COLORS = ("#0072b2", "#56b4e9", "#009e73", "#e69f00", "#d55e00", "#cc79a7")
-"""Of Okabe & Ito, told apart by the colour-blind."""
 
 
-def draw_band(axes: "Axes", prediction: Prediction, verdict: Verdict, quantity: str, *, legend: bool = False) -> None:
+def wheel_line(number: int) -> Any:
+    """Colour and dashes of a wheel's line, by its place in the rover."""
+    return LINE_STYLES[number % len(LINE_STYLES)]
+
+
+def wheel_dots(number: int) -> Any:
+    """Colour and shape of a wheel's dots, by its place in the rover."""
+    return DOT_STYLES[number % len(DOT_STYLES)]
+
+
+def draw_band(axes: "Axes", prediction: Prediction, verdict: Verdict, quantity: str) -> None:
     """p05 to p95, median and extremes over members and wheels, and the limit where it is in sight."""
     label, factor = LABELS[quantity]
     where, _ = abscissa(prediction)
     low, middle, high, least, most = factor * spread(along(prediction, quantity), prediction.reached)
     axes.fill_between(where, low, high, color=ACCENT, alpha=0.25, linewidth=0, label="p05 to p95")
     for edge, name in ((least, "min and max"), (most, None)):
-        axes.plot(where, edge, color=ACCENT, linewidth=0.7, linestyle=":", label=name)
-    axes.plot(where, middle, color=ACCENT, linewidth=1.6, label="median")
+        axes.plot(where, edge, color=ACCENT, linewidth=0.9, linestyle=":", label=name)
+    axes.plot(where, middle, color=ACCENT, linewidth=1.4, label="median")
     _draw_joints(axes, prediction)
     axes.set_ylabel(label)
     for judgement in verdict.limits:
         if judgement.quantity == (quantity if quantity != "miss_m" else "endpoint_miss_m"):
             _draw_limit(axes, quantity, factor * judgement.limit, _unit(label))
-    if legend:
-        _legend_above(axes, 3)
 
 
 def draw_loads(axes: "Axes", prediction: Prediction) -> None:
@@ -172,12 +177,11 @@ def draw_loads(axes: "Axes", prediction: Prediction) -> None:
     forces = along(prediction, "normal_force_n")
     for number, wheel in enumerate(prediction.rover.wheels):
         low, middle, high, *_ = spread(forces[..., number], prediction.reached)
-        color = WHEEL_COLORS[number % len(WHEEL_COLORS)]
-        axes.fill_between(where, low, high, color=color, alpha=0.2, linewidth=0)
-        axes.plot(where, middle, color=color, linewidth=1.5, linestyle="-" if number % 2 == 0 else "--", label=wheel)
+        look = wheel_line(number)
+        axes.fill_between(where, low, high, color=look["color"], alpha=0.15, linewidth=0)
+        axes.plot(where, middle, label=as_label(wheel), **look)
     _draw_joints(axes, prediction)
     axes.set_ylabel(LABELS["normal_force_n"][0])
-    _legend_above(axes, len(prediction.rover.wheels))
 
 
 def _draw_joints(axes: "Axes", prediction: Prediction) -> None:
@@ -187,14 +191,7 @@ def _draw_joints(axes: "Axes", prediction: Prediction) -> None:
         for place in np.cumsum([leg.length_m for leg in prediction.plan.legs])[:-1]:
             axes.axvline(place, color=INK, linewidth=0.6, alpha=0.35)
     axes.set_xlim(float(where[0]), float(where[-1]))
-    axes.grid(alpha=0.25, linewidth=0.5)
-
-
-def _legend_above(axes: "Axes", columns: int) -> None:
-    """A legend on one line, with room for it above the curves."""
-    bottom, top = axes.get_ylim()
-    axes.set_ylim(bottom, top + 0.16 * (top - bottom))
-    axes.legend(loc="upper center", ncols=columns, fontsize=8, frameon=False)
+    axes.grid()
 
 
 def _unit(label: str) -> str:
@@ -213,4 +210,4 @@ def _draw_limit(axes: "Axes", quantity: str, limit: float, unit: str) -> None:
         axes.axhline(0.0, color=INK, linewidth=0.6)
     sense = "at least " if quantity in AT_LEAST else "±" if signed else ""
     where = " at the end" if quantity == "miss_m" else ""
-    axes.set_title(f"limit{where} {sense}{limit:g}{unit}", fontsize=8, color=LIMIT, loc="right")
+    axes.set_title(f"limit{where} {sense}{limit:g}{unit}", color=LIMIT, loc="right")

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.figure import INK, as_label, legend_below, page, synthetic_title
+from lunarsci.regolith.figure import PARAMETER_LABELS
 from lunarsci.twin.figures.panels import (
     ACCENT,
     GOLD,
-    INK,
     LABELS,
     LIMIT,
-    PARAMETERS,
     color_bar,
     draw_band,
     draw_exclusion_zones,
@@ -44,28 +44,29 @@ def path_fan(prediction: Prediction, verdict: Verdict, terrain: Terrain | None =
     The paths are coloured by the first swept parameter; at most 400 of them are drawn, evenly chosen. Bands span p05
     to p95 over members and wheels, the line is the median, dots are the extremes.
     """
-    from matplotlib.figure import Figure
-
     terrain = terrain or prediction.terrain
-    figure = Figure(figsize=(13.0, 8.2), dpi=130, layout="constrained", facecolor="white")
-    columns: Any = figure.subfigures(1, 2, width_ratios=(1.75, 1.0))
-    left = columns[0].subplots(2, 1, height_ratios=(1.45, 1.0))
+    figure = page(8.6)
+    parts: Any = figure.subfigures(3, 1, height_ratios=(1.5, 1.15, 1.0))
+    maps = parts[0].subplots(), parts[1].subplots()
     colors = member_colors(prediction)
-    _draw_map(left[0], prediction, terrain, colors)
-    _draw_ends(left[1], prediction, verdict, terrain, colors)
+    _draw_map(maps[0], prediction, terrain, colors)
+    legend_below(parts[0], maps[0], 5)
+    _draw_ends(maps[1], prediction, verdict, terrain, colors)
     if prediction.parameters:
-        color_bar(columns[0], left, prediction)
-    panels = columns[1].subplots(3, 1, sharex=True)
-    columns[1].suptitle("All wheels of all members; upright lines: joints of the plan", fontsize=10)
+        color_bar(parts[0], maps[:1], prediction)
+    panels = parts[2].subplots(1, 3)
     for panel, name in zip(panels, WHEELS, strict=True):
-        draw_band(panel, prediction, verdict, name, legend=name == WHEELS[0])
-    panels[-1].set_xlabel(abscissa(prediction)[1])
-    ground = f"{terrain.name} (synthetic terrain)" if terrain.synthetic else terrain.name
+        draw_band(panel, prediction, verdict, name)
+        panel.set_xlabel(abscissa(prediction)[1])
+    legend_below(parts[2], panels)
+    parts[2].suptitle("all wheels of all members; upright lines: joints of the plan")
     members = "1 member" if prediction.members == 1 else f"{prediction.members} members"
     length = f"{prediction.plan.length_m:.2f} m"
     figure.suptitle(
-        f"Predicted drive of {length}: {verdict.verdict.upper()}   ·   {members}   ·   {ground}",
-        fontsize=12,
+        synthetic_title(
+            f"{verdict.verdict.upper()} for the drive of {length}, {members}, on {as_label(terrain.name)}",
+            terrain.synthetic,
+        ),
         color=LIMIT if verdict.verdict == "no-go" else INK,
     )
     return figure
@@ -82,8 +83,7 @@ def _draw_map(axes: "Axes", prediction: Prediction, terrain: Terrain, colors: An
     if stopped.any():
         ends = prediction.endpoints_m[stopped]
         axes.plot(ends[:, 0], ends[:, 1], "x", color=LIMIT, markersize=7, zorder=6, label="stopped early")
-    axes.legend(loc="upper left", ncols=5, fontsize=8, framealpha=0.9)
-    axes.set_title("Paths of the rover's origin; contours every 0.1 m", fontsize=10)
+    axes.set_title("paths of the rover's origin; contours every 0.1 m")
 
 
 def _draw_ends(axes: "Axes", prediction: Prediction, verdict: Verdict, terrain: Terrain, colors: Any) -> None:
@@ -106,7 +106,7 @@ def _draw_ends(axes: "Axes", prediction: Prediction, verdict: Verdict, terrain: 
     axes.set_xlim(target[0] - 1.9 * half, target[0] + 1.9 * half)
     axes.set_ylim(target[1] - half, target[1] + half)
     text = f"all within {end.covering_radius_m:.3f} m of the destination" if end else "none reached the destination"
-    axes.set_title(f"Ends: {text}; contours every 0.02 m", fontsize=10)
+    axes.set_title(f"ends: {text}; contours every 0.02 m")
 
 
 def _draw_spread(axes: "Axes", end: Endpoint) -> None:
@@ -124,7 +124,7 @@ def _draw_spread(axes: "Axes", end: Endpoint) -> None:
         _draw_ring(axes, mean, end.ellipse, scale_of(0.95), 1.6, "-")
         named["error ellipses of 1, 2, 3 σ"] = _sample(axes, 0.8, "--")
         named["error ellipse of 95 %"] = _sample(axes, 1.6, "-")
-    axes.legend(list(named.values()), list(named), loc="upper right", fontsize=8, framealpha=0.9)
+    axes.legend(list(named.values()), list(named), loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
 
 
 def _draw_ring(
@@ -151,9 +151,7 @@ def profile_page(prediction: Prediction, verdict: Verdict) -> "Figure":
 
     Bands span p05 to p95 over the members, the line is the median, dots are the extremes.
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(13.0, 8.2), dpi=130, layout="constrained", facecolor="white")
+    figure = page(7.2)
     columns: Any = figure.subfigures(1, 2)
     left, right = columns
     shown = [name for name in RIGHT if name in available(prediction)]
@@ -161,13 +159,16 @@ def profile_page(prediction: Prediction, verdict: Verdict) -> "Figure":
     ratios = [1.0] * len(shown) + [float(len(LEFT) - len(shown))]
     others = list(right.subplots(len(shown) + 1, 1, sharex=True, height_ratios=ratios, squeeze=False)[:, 0])
     for panel, name in zip([*panels, *others], [*LEFT, *shown], strict=False):
-        draw_band(panel, prediction, verdict, name, legend=panel is panels[0])
+        draw_band(panel, prediction, verdict, name)
     draw_loads(others[-1], prediction)
-    others[-1].set_title("load of each wheel", fontsize=9)
+    others[-1].set_title("load of each wheel: median, p05 to p95")
+    legend_below(left, panels)
+    legend_below(right, others[-1], 3)
     for lowest in (panels[-1], others[-1]):
         lowest.set_xlabel(abscissa(prediction)[1])
     members = "1 member" if prediction.members == 1 else f"all {prediction.members} members"
-    figure.suptitle(f"Profiles of {members}; upright lines: joints of the plan", fontsize=12)
+    title = f"profiles of {members}; upright lines: joints of the plan"
+    figure.suptitle(synthetic_title(title, prediction.terrain.synthetic))
     return figure
 
 
@@ -194,18 +195,19 @@ def box_pages(prediction: Prediction) -> "Iterator[Figure]":
 
     A box holds all wheel states of its members: quartiles and median, whiskers from p05 to p95, circle at the mean.
     """
-    from matplotlib.figure import Figure
-
     names = [name for name, values in prediction.parameters.items() if np.ptp(values) > 0]
     for first in range(0, len(names), ROWS):
         own = names[first : first + ROWS]
-        figure = Figure(figsize=(13.0, 0.9 + 3.6 * len(own)), dpi=130, layout="constrained", facecolor="white")
+        figure = page(0.6 + 2.7 * len(own))
         panels = figure.subplots(len(own), len(SHOWN), squeeze=False)
         for row, name in zip(panels, own, strict=True):
             for panel, quantity in zip(row, SHOWN, strict=True):
                 _draw_boxes(panel, prediction, name, quantity)
         figure.suptitle(
-            "All wheel states of the members by soil: quartiles and median, whiskers p05 to p95, ○ mean", fontsize=12
+            synthetic_title(
+                "all wheel states of the members, by soil: quartiles, median, whiskers p05 to p95, ○ mean",
+                prediction.terrain.synthetic,
+            )
         )
         yield figure
 
@@ -222,14 +224,21 @@ def _draw_boxes(axes: "Axes", prediction: Prediction, parameter: str, quantity: 
             stats.append(_box(own))
     if places:
         gap = float(np.diff(places).min()) if len(places) > 1 else 1.0
-        axes.bxp(stats, positions=places, widths=0.6 * gap, showfliers=False, showmeans=True, **_look())
-    axes.set_xticks(places, [f"{place:.4g}" for place in places], rotation=45 if len(places) > 9 else 0)
+        axes.bxp(
+            stats, positions=places, widths=0.6 * gap, showfliers=False, showmeans=True, manage_ticks=False, **_look()
+        )
+    if len(places) > 5:
+        axes.locator_params(axis="x", nbins=6)
+    else:
+        axes.set_xticks(places, [f"{place:.4g}" for place in places])
     if min(values.min(), 0.0) < 0.0:
         axes.axhline(0.0, color=INK, linewidth=0.6)
     binned = len(np.unique(prediction.parameters[parameter])) > MOST_BOXES
-    axes.set_xlabel(PARAMETERS.get(parameter, parameter) + (", median of each eighth" if binned else ""))
+    axes.set_xlabel(
+        PARAMETER_LABELS.get(parameter, as_label(parameter)) + ("\nmedian of each eighth" if binned else "")
+    )
     axes.set_ylabel(label)
-    axes.grid(axis="y", alpha=0.25, linewidth=0.5)
+    axes.grid(axis="y")
 
 
 def _box(values: FloatArray) -> dict[str, Any]:

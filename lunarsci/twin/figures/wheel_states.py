@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.twin.figures.panels import ACCENT, GOLD, INK, LABELS, LIMIT, WHEEL_COLORS, draw_ground
+from lunarsci.figure import INK, as_label, legend_below, page, synthetic_title
+from lunarsci.twin.figures.panels import ACCENT, GOLD, LABELS, LIMIT, draw_ground, wheel_dots, wheel_line
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.loads.load_ensemble import LoadEnsemble
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
@@ -24,19 +25,18 @@ WORDS = 60
 
 def states_page(drive: DriveStates, terrain: Terrain, title: str) -> "Figure":
     """Map with wheel tracks, positions and smoothed way above; slip, side slip and sinkage against distance below."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11.0, 13.0), dpi=130, layout="constrained", facecolor="white")
+    figure = page(8.8)
     parts: Any = figure.subfigures(2, 1, height_ratios=[1.0, 1.55])
-    _draw_map(parts[0].subplots(), drive, terrain)
+    axes = parts[0].subplots()
+    _draw_map(axes, drive, terrain)
+    legend_below(parts[0], axes)
     panels = parts[1].subplots(3, 1, sharex=True)
     for panel, name in zip(panels, STATE_PANELS, strict=True):
         _draw_states(panel, drive, name)
-    handles, labels = panels[0].get_legend_handles_labels()
-    parts[1].legend(handles, labels, loc="outside lower center", ncols=8, fontsize=8, frameon=False)
-    panels[0].set_title("One state between two positions; bars: 68 %; hollow: not valid", fontsize=10)
-    panels[-1].set_xlabel("Way as the wheels say [m]")
-    figure.suptitle(title, fontsize=12)
+    legend_below(parts[1], panels[0], 7)
+    panels[0].set_title("one state between two positions; bars: 68 %; white: not valid")
+    panels[-1].set_xlabel("way as the wheels say [m]")
+    figure.suptitle(synthetic_title(title, drive.telemetry.synthetic))
     return figure
 
 
@@ -47,7 +47,7 @@ def _draw_map(axes: "Axes", drive: DriveStates, terrain: Terrain) -> None:
     points = np.vstack([places.reshape(-1, 2), drive.nodes.fix_m])
     draw_ground(axes, terrain, _window(points, terrain), 0.1)
     for k in range(places.shape[1]):
-        axes.plot(*places[:, k].T, color=WHEEL_COLORS[k], linewidth=0.9, alpha=0.9, zorder=3)
+        axes.plot(*places[:, k].T, color=wheel_line(k)["color"], linewidth=0.9, alpha=0.9, zorder=3)
     motion, telemetry = drive.motion, drive.telemetry
     axes.plot(motion.x_m, motion.y_m, color="white", linewidth=3.0, zorder=4)
     axes.plot(motion.x_m, motion.y_m, color=ACCENT, linewidth=1.6, zorder=5, label="smoothed way of the rover's origin")
@@ -66,10 +66,7 @@ def _draw_map(axes: "Axes", drive: DriveStates, terrain: Terrain) -> None:
         )
     if len(drive.left_out):
         axes.plot(*drive.left_out[:, 1:].T, "x", color=LIMIT, markersize=8, zorder=7, label="left out: fits no motion")
-    handles, labels = axes.get_legend_handles_labels()
-    unique = dict(zip(labels, handles, strict=True))
-    axes.legend(list(unique.values()), list(unique), loc="upper left", ncols=2, fontsize=8, framealpha=0.9)
-    axes.set_title("Wheel tracks, positions with ellipses of 3 σ; contours every 0.1 m", fontsize=10)
+    axes.set_title("wheel tracks, positions with ellipses of 3 σ; contours every 0.1 m")
 
 
 def _window(points: FloatArray, terrain: Terrain) -> tuple[slice, slice]:
@@ -92,19 +89,20 @@ def _draw_states(panel: "Axes", drive: DriveStates, name: str) -> None:
         where = rows.distance_m + 0.1 * reach * (k - 0.5 * (len(drive.rover.wheels) - 1))
         good = rows.valid[:, k] & np.isfinite(values[:, k])
         bad = ~rows.valid[:, k] & np.isfinite(values[:, k])
-        color = WHEEL_COLORS[k]
+        look: Any = wheel_dots(k)
+        color = look["color"]
         shown = np.where(good, values[:, k], np.nan)
         panel.plot(*_broken(where, shown, drive), color=color, linewidth=0.8, alpha=0.6)
         panel.errorbar(
             where, shown, np.where(good, sigmas[:, k], 0.0),
-            fmt="o", color=color, markersize=3.5, elinewidth=1.0, capsize=1.5, label=wheel,
+            linestyle="", markersize=3.0, elinewidth=0.8, capsize=1.2, label=as_label(wheel), **look,
         )  # fmt: skip
-        panel.plot(where[bad], values[bad, k], "o", color=color, markersize=4, markerfacecolor="white")
+        panel.plot(where[bad], values[bad, k], linestyle="", markersize=3.0, markerfacecolor="white", **look)
     way = _distance_at(drive, drive.gaps)
     for number, (begin, end) in enumerate(way):
         panel.axvspan(begin, end, color=GOLD, alpha=0.35, linewidth=0, label="gap" if number == 0 else None)
     panel.set_ylabel(text)
-    panel.grid(alpha=0.25, linewidth=0.5)
+    panel.grid()
     if panel.get_ylim()[0] < 0 < panel.get_ylim()[1]:
         panel.axhline(0.0, color=INK, linewidth=0.6)
     if not np.isfinite(values).any():
@@ -127,8 +125,8 @@ def _distance_at(drive: DriveStates, times: FloatArray) -> FloatArray:
 
 # Left and right wheel, told apart by the colour-blind (Okabe & Ito 2008).
 LEFT, RIGHT = "#0072B2", "#D55E00"
-FORCE_LABELS = ("Normal force F$_N$ [N]", "Drawbar pull F$_{DP}$ [N]", "Lateral force F$_L$ [N]")
-MISSING = ("Missing ahead [N]", "Missing to the left [N]", "Missing moment [N m]")
+FORCES = ("normal_force_n", "drawbar_pull_n", "lateral_force_n")
+MISSING = ("missing ahead [N]", "missing to the left [N]", "missing moment [N m]")
 
 
 def force_band_figure(found: LoadEnsemble, title: str) -> "Figure":
@@ -136,11 +134,9 @@ def force_band_figure(found: LoadEnsemble, title: str) -> "Figure":
 
     Pale bands are one standard deviation after the balance; the dark band in it is what the assumed soil brings of it.
     """
-    from matplotlib.figure import Figure
-
     wheels = found.held.rover.wheels
     columns = len(wheels) // 2
-    figure = Figure(figsize=(4.3 * columns, 11.0), dpi=130, layout="constrained", facecolor="white")
+    figure = page(8.6)
     parts: Any = figure.subfigures(2, 1, height_ratios=(3.1, 1.0))
     upper, lower = parts
     panels: Any = upper.subplots(3, columns, sharex=True, sharey="row", squeeze=False)
@@ -149,17 +145,17 @@ def force_band_figure(found: LoadEnsemble, title: str) -> "Figure":
         for axle, panel in enumerate(row):
             for side, color in enumerate((LEFT, RIGHT)):
                 _draw_band(panel, along, found, 2 * axle + side, force, color)
-            _band_frame(panel, FORCE_LABELS[force] if axle == 0 else "", along)
-    for panel in panels[0]:
-        panel.legend(loc="upper center", ncols=2, fontsize=7.5, frameon=False)
-    bottom, top = panels[0, 0].get_ylim()
-    panels[0, 0].set_ylim(bottom, top + 0.22 * (top - bottom))
+            _band_frame(panel, LABELS[FORCES[force]][0] if axle == 0 else "", along)
+    for axle, panel in enumerate(panels[0]):
+        panel.set_title(" and ".join(as_label(wheel) for wheel in wheels[2 * axle : 2 * axle + 2]))
+    legend_below(upper, panels[0, 0])
     for panel in panels.ravel():
         _zero(panel)
-    _draw_missing(lower.subplots(1, 3, sharex=True), along, found)
+    missing = lower.subplots(1, 3, sharex=True)
+    _draw_missing(missing, along, found)
+    legend_below(lower, missing[0])
     figure.suptitle(
         f"{title}\npale: ±1 standard deviation after the balance of totals; dark: what the assumed soil brings of it",
-        fontsize=11,
     )
     return figure
 
@@ -167,10 +163,11 @@ def force_band_figure(found: LoadEnsemble, title: str) -> "Figure":
 def _draw_band(panel: Any, along: FloatArray, found: LoadEnsemble, wheel: int, force: int, color: str) -> None:
     mean, sigma = found.after[:, wheel, force], found.after_sigma[:, wheel, force]
     soil = np.minimum(np.sqrt(np.maximum(found.after_parts[0, :, wheel, force], 0.0)), sigma)
-    name = found.held.rover.wheels[wheel]
-    panel.fill_between(along, mean - sigma, mean + sigma, color=color, alpha=0.18, linewidth=0, label=f"{name} ±σ")
-    panel.fill_between(along, mean - soil, mean + soil, color=color, alpha=0.35, linewidth=0, label=f"{name} by soil")
-    panel.plot(along, mean, color=color, linewidth=1.2, linestyle="-" if wheel % 2 == 0 else (0, (4, 2)))
+    panel.fill_between(along, mean - sigma, mean + sigma, color=color, alpha=0.18, linewidth=0)
+    panel.fill_between(along, mean - soil, mean + soil, color=color, alpha=0.35, linewidth=0)
+    left = wheel % 2 == 0
+    name = "left wheel" if left else "right wheel"
+    panel.plot(along, mean, color=color, linewidth=1.2, linestyle="-" if left else (0, (4, 2)), label=name)
 
 
 def _draw_missing(panels: Any, along: FloatArray, found: LoadEnsemble) -> None:
@@ -181,14 +178,13 @@ def _draw_missing(panels: Any, along: FloatArray, found: LoadEnsemble) -> None:
         panel.plot(along, found.residual_after[:, k], color=INK, linewidth=1.4, label="after")
         _band_frame(panel, MISSING[k], along)
         _zero(panel)
-        panel.set_xlabel("Distance rolled [m]")
-    panels[0].legend(loc="best", fontsize=7.5, frameon=False)
+        panel.set_xlabel("distance rolled [m]")
 
 
 def _band_frame(panel: Any, text: str, along: FloatArray) -> None:
     panel.set_ylabel(text)
     panel.set_xlim(float(along[0]), float(along[-1]))
-    panel.grid(alpha=0.25, linewidth=0.5)
+    panel.grid()
 
 
 def _zero(panel: Any) -> None:
@@ -196,16 +192,7 @@ def _zero(panel: Any) -> None:
         panel.axhline(0.0, color=INK, linewidth=0.6)
 
 
-FORCE_PANELS = {
-    "normal_force_n": "Normal force F$_N$ [N]",
-    "drawbar_pull_n": "Drawbar pull F$_{DP}$ [N]",
-    "lateral_force_n": "Lateral force F$_L$ [N]",
-    "resistance_torque_nm": "Resistance torque M$_R$ [N m]",
-    "slip_ratio": "Slip ratio s [-]",
-    "side_slip_deg": "Side slip β [deg]",
-}
-# Colours by axle that colour-blind people tell apart (Okabe & Ito 2008); left full, right dashed.
-COLORS = ("#0072B2", "#D55E00", "#009E73")
+FORCE_PANELS = (*FORCES, "resistance_torque_nm", "slip_ratio", "side_slip_deg")
 
 
 def force_figure(
@@ -225,36 +212,27 @@ def force_figure(
         (n, wheels, 10) or (members, n, wheels, 10)
     missing_n : for a given motion, the force ahead and to the left that the wheels do not supply. (n, 2) [N]
     """
-    from matplotlib.figure import Figure
-
     along, label = axis
     middle = np.nanmedian(states, axis=0) if states.ndim == 4 else states
-    figure = Figure(figsize=(11.0, 8.6), dpi=130, layout="constrained", facecolor="white")
+    figure = page(6.6 if residual_n is None else 8.2)
     rows: Any = figure.subplots(3 if residual_n is None else 4, 2, sharex=True, squeeze=False)
-    for panel, (name, text) in zip(rows.ravel(), FORCE_PANELS.items(), strict=False):
+    for panel, name in zip(rows.ravel(), FORCE_PANELS, strict=False):
         for k, wheel in enumerate(wheels):
-            panel.plot(
-                along,
-                middle[:, k, STATE_COLUMNS.index(name)],
-                color=COLORS[k // 2 % len(COLORS)],
-                linestyle="-" if k % 2 == 0 else (0, (4, 2)),
-                linewidth=1.3,
-                label=wheel,
-            )
-        _frame(panel, text)
+            panel.plot(along, middle[:, k, STATE_COLUMNS.index(name)], label=as_label(wheel), **wheel_line(k))
+        _frame(panel, LABELS[name][0])
     if residual_n is not None:
         for panel, values, text in zip(rows[3], residual_n.T, ("ahead", "to the left"), strict=True):
-            panel.plot(along, values, color="#26323a", linewidth=1.3)
-            _frame(panel, f"Missing force {text} [N]")
+            panel.plot(along, values, color=INK)
+            _frame(panel, f"missing force\n{text} [N]")
     for panel in rows[-1]:
         panel.set_xlabel(label)
-    rows[0, 0].legend(ncols=len(wheels) // 2, fontsize=8, frameon=False)
-    figure.suptitle(title, fontsize=12)
+    legend_below(figure, rows[0, 0], 6)
+    figure.suptitle(title)
     return figure
 
 
 def _frame(panel: Any, text: str) -> None:
     panel.set_ylabel(text)
-    panel.grid(alpha=0.25, linewidth=0.5)
+    panel.grid()
     if panel.get_ylim()[0] < 0 < panel.get_ylim()[1]:
-        panel.axhline(0.0, color="#26323a", linewidth=0.6)
+        panel.axhline(0.0, color=INK, linewidth=0.6)

@@ -271,7 +271,7 @@ def test_a_quick_look_has_a_scale_kilometres_and_north(tmp_path: Path) -> None:
     cube = tiff(tmp_path / "cube.tif", CUBE, names=NAMES, transform=from_origin(0, 0.3, 0.1, 0.1))
     page = map_cube(str(cube), tmp_path / "map.nc", products="bands").plot()
     panel = page.axes[0]
-    assert panel.get_xlabel() == "km"
+    assert panel.get_xlabel() == "along the lines [km]"
     assert panel.get_images()[0].get_extent()[1] == pytest.approx(5 * 0.1 * np.pi / 180 * 1737.4, rel=1e-3)
     arrow = next(item for item in panel.texts if item.arrow_patch is not None)
     assert arrow.xy[0] == pytest.approx(arrow.xyann[0])
