@@ -106,4 +106,6 @@ def test_files_and_targets_that_documents_name_exist(name: str) -> None:
     targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
     assert set(re.findall(r"`make (\w+)`", text)) <= set(targets)
     told = subprocess.run(["make", "-C", str(ROOT), "help"], capture_output=True, text=True, check=True).stdout
-    assert {"help", "demo", "test", "quick", "check", "docs", "clean"} <= {line.split()[0] for line in told.splitlines()}
+    assert {"help", "demo", "test", "quick", "check", "docs", "clean"} <= {
+        line.split()[0] for line in told.splitlines()
+    }

@@ -11,7 +11,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from itertools import zip_longest
@@ -220,14 +220,22 @@ def keep_pictures(page: Path, folder: Path) -> None:
 
 def write(names: list[str]) -> None:
     """Renew what the pages show, text and pictures; all, or those that are named."""
-    pages = [ROOT / name for name in names] or RUN_HERE
+    pages, failed = [ROOT / name for name in names] or RUN_HERE, []
     with tempfile.TemporaryDirectory() as folder:
         reader = Reader(Path(folder), Path(sys.executable).parent)
         for page in pages:
-            at, runs = reader.after(page)
+            try:
+                at, runs = reader.after(page)
+            except AssertionError as failure:
+                failed.append(name_of(page))
+                sys.stdout.write(f"FAILED {name_of(page)}: {failure}\n")
+                continue
             page.write_text(renewed(page, runs), "utf-8")
             keep_pictures(page, at)
             sys.stdout.write(f"{name_of(page)}\n")
+            sys.stdout.flush()
+    if failed:
+        sys.exit(f"not renewed: {', '.join(failed)}")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)

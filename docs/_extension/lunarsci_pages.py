@@ -10,13 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from docutils import nodes
-from docutils.parsers.rst import directives
-from sphinx.application import Sphinx
-from sphinx.util.docutils import SphinxDirective
-
 from pages_of_code import fields_text, plan_text, requests_text, rover_text, soils_text, telemetry_text, wheels_text
 from pages_of_commands import command_text, commands_text, keys_text, units_text
 from pages_of_sources import constants_text, sources_text
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
 
 SECTIONS = ("Parameters", "Attributes", "Returns", "Raises", "References", "Notes", "Examples")
 
@@ -27,7 +25,6 @@ def directive(make: Callable[..., str], most: int = 0) -> type[SphinxDirective]:
     class Page(SphinxDirective):
         optional_arguments = most
         final_argument_whitespace = True
-        option_spec = {"only": directives.unchanged}
 
         def run(self) -> list[nodes.Node]:
             for module in list(sys.modules):

@@ -1,4 +1,4 @@
-"""Reference of files and their keys, as Markdown, from the classes that read them and the files that come with lunarsci."""
+"""Reference of files and their keys, as Markdown, from the classes that read them and our own files."""
 
 import dataclasses
 import importlib
@@ -76,7 +76,12 @@ def _entries(document: dict[str, Any]) -> Iterator[tuple[str, str, Any, str]]:
         for key, entry in keys.items() if isinstance(keys, dict) else ():
             source = entry.get("source", "") if isinstance(entry, dict) else ""
             assumed = isinstance(entry, dict) and entry.get("assumed")
-            yield table, key, entry["value"] if isinstance(entry, dict) else entry, ("assumed: " if assumed else "") + source
+            yield (
+                table,
+                key,
+                entry["value"] if isinstance(entry, dict) else entry,
+                ("assumed: " if assumed else "") + source,
+            )
 
 
 def rover_text(name: str) -> str:
@@ -85,7 +90,9 @@ def rover_text(name: str) -> str:
     for table, key, value, source in _entries(tomllib.loads(read_rover(name).text)):
         said = attributes(_class(PARTS[table])) if table in PARTS else {}
         meaning = _unit_and_meaning(said.get(ALIKE.get(key, key), ""))
-        rows.append(f"| `[{table}]` `{key}` | {_cell(meaning[0])} | {_cell(value)} | {_cell(meaning[1])} | {_cell(source)} |")
+        rows.append(
+            f"| `[{table}]` `{key}` | {_cell(meaning[0])} | {_cell(value)} | {_cell(meaning[1])} | {_cell(source)} |"
+        )
     head = f"| key | unit | `{name}` | meaning | source of the number |\n| --- | --- | --- | --- | --- |\n"
     return head + "\n".join(rows)
 
@@ -94,8 +101,6 @@ def wheels_text() -> str:
     """Wheels that come with lunarsci."""
     rows = []
     for name in known_wheels():
-        for _, key, value, source in _entries(tomllib.loads(read_rover(name).text) | {}):
-            pass
         wheel = tomllib.loads((files("lunarsci.rovers") / "wheels.toml").read_text("utf-8"))[name]
         numbers = ", ".join(f"`{key}` {entry['value']}" for key, entry in wheel.items())
         rows.append(f"| `{name}` | {numbers} | {_cell(next(iter(wheel.values()))['source'])} |")

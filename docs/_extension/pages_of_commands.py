@@ -144,7 +144,9 @@ def keys_text() -> str:
     """Keys of `--json` by command, as its recorded answers have them, with units and meanings."""
     known = meanings()
     answers = json.loads((ROOT / "tests/former_results.json").read_text("utf-8"))["answers"]
-    lines = dict(re.findall(r'^    "([^"]+)": f?"(.+)', (ROOT / "tests/test_former_results.py").read_text("utf-8"), re.M))
+    lines = dict(
+        re.findall(r'^    "([^"]+)": f?"(.+)', (ROOT / "tests/test_former_results.py").read_text("utf-8"), re.M)
+    )
     paths = sorted((path for path, _ in every_command()), key=len, reverse=True)
     found: dict[str, dict[str, None]] = {}
     for name, answer in answers.items():
@@ -157,7 +159,9 @@ def keys_text() -> str:
         for key in sorted(found[path]):
             unit, meaning = _meaning(key, known)
             rows.append(f"| `{key}` | {unit} | {meaning} |")
-        parts.append(f"## `lunarsci {path}`\n\n| key of `result` | unit | meaning |\n| --- | --- | --- |\n" + "\n".join(rows))
+        parts.append(
+            f"## `lunarsci {path}`\n\n| key of `result` | unit | meaning |\n| --- | --- | --- |\n" + "\n".join(rows)
+        )
     return "\n\n".join(parts)
 
 

@@ -1,4 +1,4 @@
-"""Errors of mineral shares on measured mixtures, as the tables of docs/validation/rock.md: `python tests/benchmarks/mixtures.py`.
+"""Errors of mineral shares on measured mixtures, for docs/validation/rock.md: `python tests/benchmarks/mixtures.py`.
 
 Needs the reference data, found through LUNARSCI_REFERENCE_DATA. Whatever is of a series is left out of the library.
 """
