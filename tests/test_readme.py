@@ -147,12 +147,12 @@ class Reader:
 
 
 def same(shown: str, printed: str) -> None:
-    """The same words and layout; numbers to a unit of the last digit shown, or a thousandth."""
+    """The same words and layout; numbers within three units of the last digit shown, or 1 %, as other processors round."""
     words = [re.sub("─+", "─", NUMBER.sub("#", text)).split() for text in (shown, printed)]
     assert words[0] == words[1]
     for one, other in zip(NUMBER.findall(shown), NUMBER.findall(printed), strict=True):
         last_digit = 10.0 ** -len(one.partition(".")[2])
-        assert float(other) == pytest.approx(float(one), rel=1e-3, abs=1.01 * last_digit), (one, other)
+        assert float(other) == pytest.approx(float(one), rel=0.01, abs=3 * last_digit), (one, other)
 
 
 RUN_HERE = [page for page in PAGES if name_of(page) not in ELSEWHERE and list(blocks(page))]

@@ -2,6 +2,7 @@
 
 import ast
 import csv
+import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,6 +14,10 @@ ROVERS = (*sorted((ROOT / "lunarsci/rovers").glob("*.toml")), ROOT / "lunarsci/i
           ROOT / "lunarsci/twin/plans/plan.toml")  # fmt: skip
 SOILS = (ROOT / "lunarsci/regolith/soils.toml", ROOT / "lunarsci/regolith/priors.toml")
 ROWS = (ROOT / "lunarsci/regolith/reference_soils.csv", ROOT / "lunarsci/regolith/lateral_soils.csv")
+
+
+STATED = re.compile(r"\b(?:1[89]|20)\d\d\b|10\.\d{4,9}/|assumed|measured|SP-\d+", re.IGNORECASE)
+"""A year, a DOI, a report's number, or that it is assumed or was measured."""
 
 
 class Stated(NamedTuple):
@@ -95,8 +100,6 @@ def _cell(text: str) -> str:
 
 def linked(text: str) -> str:
     """The same with DOIs as links."""
-    import re
-
     return re.sub(r"(?<![/\w.])(10\.\d{4,9}/[^\s,;)]+[^\s,;).])", r"[\1](https://doi.org/\1)", text)
 
 
@@ -126,5 +129,5 @@ def sources_text() -> str:
 
 
 def constants_text() -> str:
-    """Constants of the code, with what is said of each."""
-    return _table(of_constants())
+    """Constants of the code that cite a source, were measured, or are assumed."""
+    return _table(row for row in of_constants() if STATED.search(row.source))
