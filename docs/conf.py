@@ -1,11 +1,17 @@
 """Sphinx configuration; `make docs` builds the pages into docs/_build."""
 
+import shutil
 import sys
 from pathlib import Path
 
 import lunarsci
 
 sys.path.insert(0, str(Path(__file__).parent / "_extension"))
+
+HERE = Path(__file__).parent
+(HERE / "notebooks").mkdir(exist_ok=True)
+for notebook in (HERE.parent / "examples").glob("*.ipynb"):
+    shutil.copy(notebook, HERE / "notebooks")  # Sphinx reads below its own folder only
 
 project = "lunarsci"
 author = "lunarsci contributors"

@@ -1,4 +1,4 @@
-"""Every command block of README and of the pages of `docs` runs and prints what the page shows.
+"""Every command of README, of the pages of `docs` and of the notebooks runs and prints what is shown there.
 
 `python tests/test_readme.py --write [PAGE ...]` runs them and writes what they print now into the pages.
 """
@@ -20,6 +20,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
+NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
 PAGES = sorted({ROOT / "README.md", *(ROOT / "docs").rglob("*.md")} - {*(ROOT / "docs/_build").rglob("*.md")})
 ELSEWHERE = {
     "docs/howto/cubes.md": "tests/spectra/cubes/test_map_command.py",
@@ -70,6 +71,14 @@ def before(page: Path) -> Path | None:
     return (page.parent / found[1]).resolve() if found else None
 
 
+def cells(notebook: Path) -> Iterator[tuple[str, str]]:
+    """Source of each cell of code, but for magic lines, and what it printed."""
+    for cell in json.loads(notebook.read_text("utf-8"))["cells"]:
+        if cell["cell_type"] == "code":
+            source = "".join(line for line in cell["source"] if not line.startswith("%"))
+            yield source, "".join(line for out in cell["outputs"] for line in out.get("text", []))
+
+
 def commands_shown(text: str) -> list[tuple[str, str]]:
     """Each command after a `$` and the lines that follow it."""
     parts = re.split(r"^\$ ", text, flags=re.MULTILINE)[1:]
@@ -113,6 +122,10 @@ class Reader:
         return folder, list(self._runs(page, folder))
 
     def _runs(self, page: Path, folder: Path) -> Iterator[Run]:
+        if page.suffix == ".ipynb":
+            runs = [Run(source, shown) for source, shown in cells(page)]
+            yield from self._interpreted(runs, ["exec"] * len(runs), folder)
+            return
         python = [(language, text) for language, text in blocks(page) if language.startswith("py")]
         for language, text in blocks(page):
             if language == "sh":
@@ -125,20 +138,15 @@ class Reader:
                 yield from self._python(python, folder)
 
     def _python(self, texts: list[tuple[str, str]], folder: Path) -> Iterator[Run]:
-        """All programs of a page, one after the other in one namespace, as in a notebook."""
-        runs = [Run(text, None) for language, text in texts if language == "python"]
-        if any(language == "pycon" for language, _ in texts):
-            parser = doctest.DocTestParser()
-            runs = [
-                run
-                for language, text in texts
-                for run in (
-                    [Run(text, None)]
-                    if language == "python"
-                    else [Run(one.source, one.want) for one in parser.get_examples(text)]
-                )
-            ]
-        told = json.dumps([("exec" if run.shown is None else "single", run.command) for run in runs])
+        """All programs of a page, one after the other in one namespace."""
+        parser, runs = doctest.DocTestParser(), []
+        for language, text in texts:
+            examples = parser.get_examples(text) if language == "pycon" else []
+            runs += [Run(one.source, one.want) for one in examples] or [Run(text, None)]
+        yield from self._interpreted(runs, ["exec" if run.shown is None else "single" for run in runs], folder)
+
+    def _interpreted(self, runs: list[Run], modes: list[str], folder: Path) -> Iterator[Run]:
+        told = json.dumps([(mode, run.command) for mode, run in zip(modes, runs, strict=True)])
         line = [sys.executable, "-c", INTERPRETER]
         done = subprocess.run(line, cwd=folder, env=self.environment, input=told, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
@@ -155,7 +163,7 @@ def same(shown: str, printed: str) -> None:
         assert float(other) == pytest.approx(float(one), rel=0.01, abs=3 * last_digit), (one, other)
 
 
-RUN_HERE = [page for page in PAGES if name_of(page) not in ELSEWHERE and list(blocks(page))]
+RUN_HERE = [page for page in PAGES if name_of(page) not in ELSEWHERE and list(blocks(page))] + NOTEBOOKS
 
 
 @pytest.fixture(scope="module")
@@ -184,6 +192,19 @@ def test_other_pages_are_run_elsewhere(page: str, test: str) -> None:
 
 def test_the_readme_is_short() -> None:
     assert len((ROOT / "README.md").read_text("utf-8").splitlines()) <= 120
+
+
+def executed(notebook: Path, folder: Path) -> str:
+    """The text of a notebook with what its cells show now, pictures too."""
+    import nbformat
+    from nbclient import NotebookClient
+
+    document = nbformat.read(notebook, as_version=4)
+    NotebookClient(document, resources={"metadata": {"path": str(folder)}}).execute()
+    for cell in document.cells:
+        cell.metadata.clear()
+    document.metadata = {"kernelspec": document.metadata["kernelspec"], "language_info": {"name": "python"}}
+    return str(nbformat.writes(document, indent=1)) + "\n"
 
 
 def renewed(page: Path, runs: list[Run]) -> str:
@@ -230,8 +251,9 @@ def write(names: list[str]) -> None:
                 failed.append(name_of(page))
                 sys.stdout.write(f"FAILED {name_of(page)}: {failure}\n")
                 continue
-            page.write_text(renewed(page, runs), "utf-8")
-            keep_pictures(page, at)
+            page.write_text(executed(page, at) if page.suffix == ".ipynb" else renewed(page, runs), "utf-8")
+            if page.suffix == ".md":
+                keep_pictures(page, at)
             sys.stdout.write(f"{name_of(page)}\n")
             sys.stdout.flush()
     if failed:
