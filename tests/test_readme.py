@@ -155,7 +155,7 @@ class Reader:
 
 
 def same(shown: str, printed: str) -> None:
-    """The same words and layout; numbers within three units of the last digit shown, or 1 %, as other processors round."""
+    """The same words and layout; numbers within three units of the last digit shown, or 1 %."""
     words = [re.sub("─+", "─", NUMBER.sub("#", text)).split() for text in (shown, printed)]
     assert words[0] == words[1]
     for one, other in zip(NUMBER.findall(shown), NUMBER.findall(printed), strict=True):
