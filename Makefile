@@ -49,5 +49,5 @@ fuzz: $(VENV)/.tested ## 100,000 spoilt files for every reader; some hours
 	$(BIN)/python tests/benchmarks/fuzz.py
 
 clean: ## removes what make has made
-	rm -rf $(VENV) build dist *.egg-info lunarsci-demo docs/_build .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) build dist *.egg-info lunarsci-demo docs/_build docs/notebooks docs/jupyter_execute .pytest_cache .mypy_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -22,7 +22,7 @@ extensions = [
     "sphinx-mathjax-offline",
     "lunarsci_pages",
 ]
-exclude_patterns = ["_build", "_extension", "inbox", "**/.ipynb_checkpoints"]
+exclude_patterns = ["_build", "jupyter_execute", "_extension", "inbox", "**/.ipynb_checkpoints"]
 nitpicky = False
 default_role = "code"
 
