@@ -1,4 +1,4 @@
-"""Every command of docs/pictures.md runs, with a rig of few pixels in place of the Navcam."""
+"""Every command of docs/howto/pictures.md runs, with a rig of few pixels in place of the Navcam."""
 
 import json
 import os
@@ -11,7 +11,7 @@ import pytest
 
 from lunarsci.images.rig_files import read_rig, rig_text
 
-PAGE = (Path(__file__).parents[1] / "docs/pictures.md").read_text("utf-8")
+PAGE = (Path(__file__).parents[1] / "docs/howto/pictures.md").read_text("utf-8")
 SCRIPT = "".join(re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL))
 
 

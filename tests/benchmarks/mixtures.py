@@ -1,4 +1,4 @@
-"""Errors of mineral shares on measured mixtures, as the README's tables: `python tests/benchmarks/mixtures.py`.
+"""Errors of mineral shares on measured mixtures, for docs/validation/rock.md: `python tests/benchmarks/mixtures.py`.
 
 Needs the reference data, found through LUNARSCI_REFERENCE_DATA. Whatever is of a series is left out of the library.
 """
@@ -196,7 +196,7 @@ def _family(minerals: Sequence[str]) -> str:
 
 
 def table(data: Path) -> list[str]:
-    """Rows of the README: per series and mode, the error of each mafic mineral."""
+    """Rows of the page: per series and mode, the error of each mafic mineral."""
     lines = []
     every = laboratory(data)
     for group in [*((one,) for one in every), every]:

@@ -1,4 +1,4 @@
-"""The boulders of Chang'E-4 under every continuum, as the README's table: `python tests/benchmarks/rocks.py`.
+"""The boulders of Chang'E-4 under every continuum, for docs/validation/rock.md: `python tests/benchmarks/rocks.py`.
 
 Needs the reference data, found through LUNARSCI_REFERENCE_DATA.
 """

@@ -24,7 +24,7 @@ def test_the_command_takes_a_result_or_numbers(run: Run, states: Path, tmp_path:
     assert "Alike in bearing" in shown.out
     assert "Alike in shear strength" not in shown.out
     rows = list(csv.DictReader(io.StringIO(run("regolith", "compare", *numbers, "--csv").out)))
-    assert len(rows) == 40
+    assert len(rows) == 45
 
 
 def test_the_joint_posterior_is_taken_where_there_is_one(run: Run, states: Path, tmp_path: Path) -> None:

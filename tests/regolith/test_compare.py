@@ -13,7 +13,7 @@ LONGJI = Site(stiffness_kpa_m_n=1443, sinkage_exponent=1.0, cohesion_pa=520, fri
 
 def test_every_row_has_a_source_and_values_in_order() -> None:
     soils = reference_soils()
-    assert len({soil.name for soil in soils}) == len(soils) == 40
+    assert len({soil.name for soil in soils}) == len(soils) == 45
     assert {soil.kind for soil in soils} == set(KINDS)
     for soil in soils:
         assert soil.source

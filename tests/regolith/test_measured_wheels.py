@@ -55,7 +55,7 @@ def test_the_printed_reading_is_refuted(bench: Any, runs: Any) -> None:
 
 
 def test_points_of_published_curves(bench: Any, reference_data: Path) -> None:
-    """Nothing fitted. The soil of Ding's table bears out for the wheel with grousers; see the README for the others."""
+    """Nothing fitted. The soil of Ding's table bears out for the grouser wheel; others: docs/validation/ground.md."""
     found = bench.published_points(reference_data)
     assert sum(point.points for point in found.values()) == 27
     assert found["ding2011, grousers of 10 mm"].drawbar <= 0.05

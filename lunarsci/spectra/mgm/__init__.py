@@ -17,4 +17,4 @@ MgmContinuum = Literal[
 """Polynomials inside the logarithm, of the logarithm, or none."""
 DEFAULT_CONTINUUM: MgmContinuum = "wavelength-quadratic"
 """Second-order continua served best in comparisons on mafic minerals: Clenet et al. (2011), Icarus 213, 404,
-10.1016/j.icarus.2011.03.002; Han et al. (2020), arXiv:2003.07856."""
+10.1016/j.icarus.2011.03.002; Han et al. (2020), arXiv:2003.07856 (not found when looked up again)."""

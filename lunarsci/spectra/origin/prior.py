@@ -112,6 +112,8 @@ def ejecta_thickness_m(law: EjectaLaw, diameter_km: float, distance_km: float) -
         mcgetchin  0.14 R^0.74 x^-3      pike  0.033 R x^-3
         housen     0.0078 R x^-2.61      xie   0.068 R x^-3
 
+    One R serves all laws. Xie et al. mean the apparent transient crater, at the level of the ground; which radius each
+    of the others means was not checked against the papers.
     Means over all directions: rays and secondaries make it vary by a factor of some 3. Laws of a flat Moon; from a
     quarter of its circumference (2729 km) on, ejecta converge on the antipode and there is more than this. Housen's
     law is for craters of 45-300 km. Sources in `LAW_SOURCES`. Raises ParameterError for an unknown law.
@@ -157,7 +159,8 @@ def local_to_ejecta_ratio(distance_km: npt.ArrayLike) -> FloatArray:
 CHANG_E_4 = (-45.44, 177.56)
 """Site of the fin-shaped rock, Ding et al. (2024), 10.1038/s41467-024-46233-8. [deg]"""
 CHANG_E_4_SURFACE_MA = 3600.0
-"""Age of the mare at Chang'E-4: 3.6-3.7 Ga by crater counts, others find 3.42-2.28 Ga. [Ma]"""
+"""Age of the mare at Chang'E-4, assumed: 3.6-3.7 Ga by crater counts, others find 3.42-2.28 Ga, as the literature
+of the site has it, such as Remote Sens. 14, 49 (2022), 10.3390/rs14010049, of which the beginning was read. [Ma]"""
 STAGES = ("direct", "stirred", "gardened")
 DRAWS = 16384
 VALUES_AT_ONCE = 2_000_000

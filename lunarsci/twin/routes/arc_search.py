@@ -39,7 +39,7 @@ def close_on_pose(poses: FloatArray, goal: FloatArray) -> tuple[FloatArray, Floa
 
     Of the family of such biarcs the one whose joint lies as far from both ends along their tangents: with the tangents
     t1, t2 and the chord v this distance d solves 2 (1 - t1 t2) d^2 + 2 v (t1 + t2) d - v^2 = 0 (Bolton 1975,
-    Computer-Aided Design 7, 293, 10.1016/0010-4485(75)90086-X). NaN where an arc would turn by more than 135 deg.
+    Computer-Aided Design 7, 89, 10.1016/0010-4485(75)90086-X). NaN where an arc would turn by more than 135 deg.
     """
     first = np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
     last = np.array([np.cos(goal[2]), np.sin(goal[2])])

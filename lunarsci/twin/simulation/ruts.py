@@ -24,7 +24,8 @@ from lunarsci.twin.lanes import FINISHED, GROUP, WHEEL, Work
 from lunarsci.twin.simulation.contact_frame import SHALLOWEST
 
 RISE_N_M4 = 503e6
-"""A_u of a dry sand (LETE sand, Wong 2008, table 2.4), assumed for regolith, of which none is published. [N m^-4]"""
+"""A_u of a dry sand (LETE sand, Wong 2008, table 2.4, not checked against the book), assumed for regolith, of which
+none is published. [N m^-4]"""
 SPACING_M = 0.0353
 """Of the nodes, assumed: a quarter of a wheel's width, and no whole part of anything on a rover."""
 BEHIND = 3.0

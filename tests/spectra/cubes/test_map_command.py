@@ -13,7 +13,7 @@ from .test_envi_cubes import CUBE, m3
 
 pytest.importorskip("rasterio")
 pytest.importorskip("h5netcdf")
-DOCS = Path(__file__).parents[3] / "docs/cubes.md"
+DOCS = Path(__file__).parents[3] / "docs/howto/cubes.md"
 
 
 def test_the_script_of_the_documents_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any) -> None:

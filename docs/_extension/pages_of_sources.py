@@ -1,0 +1,133 @@
+"""Where every number of the tables comes from, as Markdown, from the tables."""
+
+import ast
+import csv
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).parents[2]
+FOLDER = ROOT / "spectra_data"
+ROVERS = (*sorted((ROOT / "lunarsci/rovers").glob("*.toml")), ROOT / "lunarsci/images/rigs.toml", 
+          ROOT / "lunarsci/twin/plans/plan.toml")  # fmt: skip
+SOILS = (ROOT / "lunarsci/regolith/soils.toml", ROOT / "lunarsci/regolith/priors.toml")
+ROWS = (ROOT / "lunarsci/regolith/reference_soils.csv", ROOT / "lunarsci/regolith/lateral_soils.csv")
+
+
+STATED = re.compile(r"\b(?:1[89]|20)\d\d\b|10\.\d{4,9}/|assumed|measured|SP-\d+", re.IGNORECASE)
+"""A year, a DOI, a report's number, or that it is assumed or was measured."""
+
+
+class Stated(NamedTuple):
+    """A number or a row of numbers: where it stands, what it is, where it comes from, and whether it is a guess."""
+
+    file: str
+    name: str
+    source: str
+    assumed: bool
+
+
+def of_tables() -> dict[str, dict[str, str]]:
+    """The entries of `sources.toml`, each with its table."""
+    return tomllib.loads((FOLDER / "sources.toml").read_text("utf-8"))
+
+
+def _entries(document: dict[str, object], file: str, above: str = "") -> Iterator[Stated]:
+    """Numbers of a file whose values are tables with `value` and `source`."""
+    for key, entry in document.items():
+        if isinstance(entry, dict) and "value" in entry:
+            yield Stated(file, above + key, str(entry.get("source", "")), bool(entry.get("assumed")))
+        elif isinstance(entry, dict):
+            yield from _entries(entry, file, f"{above}{key}.")
+
+
+def of_rovers() -> Iterator[Stated]:
+    """Every number of rovers, wheels, camera rigs and the limits of the embedded plan."""
+    for path in ROVERS:
+        yield from _entries(tomllib.loads(path.read_text("utf-8")), path.name)
+
+
+def of_soils() -> Iterator[Stated]:
+    """Soils and priors by name, and the rows of soils of the literature."""
+    for path in SOILS:
+        for name, soil in tomllib.loads(path.read_text("utf-8")).items():
+            yield Stated(path.name, name, soil.get("source", ""), False)
+    for path in ROWS:
+        with path.open(newline="", encoding="utf-8") as file:
+            for row in csv.DictReader(file):
+                yield Stated(path.name, row["name"], row["source"], False)
+
+
+def of_published() -> Iterator[Stated]:
+    """Published numbers that `lunarsci reproduce` sets beside its own, each with its place in the paper."""
+    from lunarsci.constants import PAPER
+
+    path = ROOT / "lunarsci/reproduce/published.csv"
+    with path.open(newline="", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            yield Stated(path.name, f"{row['id']}: {row['quantity']}", f"{PAPER}: {row['passage']}", False)
+
+
+def of_constants() -> Iterator[Stated]:
+    """Numbers that modules name in capitals, with what stands below them."""
+    for path in sorted((ROOT / "lunarsci").rglob("*.py")):
+        body = ast.parse(path.read_text("utf-8")).body
+        for node, below in zip(body, [*body[1:], None], strict=True):
+            if not (isinstance(node, ast.Assign | ast.AnnAssign) and _is_number(node.value)):
+                continue
+            target = node.targets[0] if isinstance(node, ast.Assign) else node.target
+            if isinstance(target, ast.Name) and target.id.isupper() and isinstance(below, ast.Expr) and isinstance(
+                below.value, ast.Constant) and isinstance(below.value.value, str):  # fmt: skip
+                text = " ".join(below.value.value.split())
+                yield Stated(path.relative_to(ROOT).as_posix(), f"{target.id} = {ast.unparse(node.value)}", text,
+                             "assumed" in text.lower())  # fmt: skip
+
+
+def _is_number(node: ast.expr | None) -> bool:
+    try:
+        value = ast.literal_eval(node) if node is not None else None
+    except ValueError:
+        return False
+    numbers = value if isinstance(value, tuple) else (value,)
+    return bool(numbers) and all(isinstance(one, int | float) and not isinstance(one, bool) for one in numbers)
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "/").replace("<", "&lt;")
+
+
+def linked(text: str) -> str:
+    """The same with DOIs as links."""
+    return re.sub(r"(?<![/\w.])(10\.\d{4,9}/[^\s,;)]+[^\s,;).])", r"[\1](https://doi.org/\1)", text)
+
+
+def _table(rows: Iterator[Stated]) -> str:
+    lines = ["| where | what | source |", "| --- | --- | --- |"]
+    for row in rows:
+        said = linked(_cell(row.source))
+        guess = row.assumed and not row.source.lower().startswith("assumed")
+        lines.append(f"| `{row.file}` | {_cell(row.name)} | {'**assumed**: ' if guess else ''}{said} |")
+    return "\n".join(lines)
+
+
+def sources_text() -> str:
+    """All sources: of the tables, of rovers and cameras, of soils, of the numbers of the paper."""
+    lines = ["| table | what | source |", "| --- | --- | --- |"]
+    for entry in of_tables().values():
+        where = entry.get("doi") or entry.get("url", "")
+        link = f" [{where}]({'https://doi.org/' if 'doi' in entry else ''}{where})" if where else ""
+        lines.append(f"| `{entry['table']}` | {_cell(entry['what'])} | {linked(_cell(entry['citation']))}{link} |")
+    parts = {
+        "Tables of spectra": "\n".join(lines),
+        "Rovers, wheels, cameras and limits": _table(of_rovers()),
+        "Soils and priors": _table(of_soils()),
+        "Numbers of Ding et al. (2024)": _table(of_published()),
+    }
+    return "\n\n".join(f"## {name}\n\n{text}" for name, text in parts.items())
+
+
+def constants_text() -> str:
+    """Constants of the code that cite a source, were measured, or are assumed."""
+    return _table(row for row in of_constants() if STATED.search(row.source))
