@@ -94,6 +94,7 @@ class Reader:
             "PATH": f"{programs}{os.pathsep}{os.environ['PATH']}",
             "PYTHONUTF8": "1",
             "MPLBACKEND": "Agg",
+            "COLUMNS": "100",
         }
         self.after = cache(self._after)
 

@@ -157,8 +157,9 @@ def _plan() -> str:
         *_block({"speed_m_s": 0.05, "blend_m": 0.2}, told),
     ]
     first, second = SHORT_LEGS
-    others = {key: 0.0 for key in leg if key not in second}
-    lines += ["", "[[leg]]", *_block(first, leg), "# In place of a length:", *_block(others, leg, others)]
+    others: dict[str, Any] = {key: 0.0 for key in leg if key not in second}
+    others["wheel_test"] = {"wheel": "FL", "rate_ratio": 0.7}
+    lines += ["", "[[leg]]", *_block(first, leg), "# Of an arc, or in its place:", *_block(others, leg, others)]
     lines += ["", "[[leg]]", *_block(second, {"curvature_per_m": leg["curvature_per_m"]})]
     fixes = {"position_sigma_m": 0.05, "heading_sigma_deg": 0.5}
     lines += ["", "# [fixes]", *_block(fixes, described(Fixes), fixes)]

@@ -336,11 +336,7 @@ def _leg(table: Any) -> Leg:
 
 
 def _wheel_test(table: Any) -> WheelTest:
-    known = WheelTest.__slots__
-    _check_keys(table, known, "wheel_test")
-    for name in known:
-        if name not in table:
-            raise ParameterError(f'wheel_test has no {name}; write it as {{ wheel = "FL", rate_ratio = 0.6 }}')
+    _check_complete(table, WheelTest.__slots__, 'wheel_test, as { wheel = "FL", rate_ratio = 0.6 },')
     return WheelTest(str(table["wheel"]), _number(table["rate_ratio"], "rate_ratio"))
 
 
@@ -348,32 +344,21 @@ def _fixes(document: dict[str, Any]) -> Fixes | None:
     if "fixes" not in document:
         return None
     table, known = _table(document, "fixes"), ("position_sigma_m", "heading_sigma_deg")
-    _check_keys(table, (*known, "halt_s"), "[fixes]")
-    for name in known:
-        if name not in table:
-            raise ParameterError(f"[fixes] has no {name}")
-    position, heading = (_number(table[name], name) for name in known)
-    return Fixes(position, heading, _number(table.get("halt_s", 0.0), "halt_s"))
+    _check_complete(table, known, "[fixes]", "halt_s")
+    return Fixes(*(_number(table[name], name) for name in (*known, "halt_s") if name in table))
 
 
 def _target(document: dict[str, Any]) -> tuple[float, float] | None:
     if "target" not in document:
         return None
     table = _table(document, "target")
-    _check_keys(table, ("x_m", "y_m"), "[target]")
-    for name in ("x_m", "y_m"):
-        if name not in table:
-            raise ParameterError(f"[target] has no {name}")
+    _check_complete(table, ("x_m", "y_m"), "[target]")
     return _number(table["x_m"], "x_m"), _number(table["y_m"], "y_m")
 
 
 def _exclusion_zone(table: Any) -> ExclusionZone:
-    known = ("name", "x_m", "y_m", "radius_m")
-    _check_keys(table, known, "[[keep_out]]")
-    for name in known:
-        if name not in table:
-            raise ParameterError(f"a [[keep_out]] has no {name}")
-    return ExclusionZone(str(table["name"]), *(_number(table[name], name) for name in known[1:]))
+    _check_complete(table, ("name", "x_m", "y_m", "radius_m"), "[[keep_out]]")
+    return ExclusionZone(str(table["name"]), *(_number(table[name], name) for name in ("x_m", "y_m", "radius_m")))
 
 
 def _limit(quantity: str, entry: Any) -> Limit:
@@ -400,6 +385,13 @@ def _check_keys(table: Any, known: Iterable[str], where: str) -> None:
     for key in table:
         if key not in known:
             raise ParameterError(f"'{key}' is not a key of {where}; {one_of(key, known)}")
+
+
+def _check_complete(table: Any, needed: Iterable[str], where: str, *optional: str) -> None:
+    _check_keys(table, (*needed, *optional), where)
+    for name in needed:
+        if name not in table:
+            raise ParameterError(f"{where} has no {name}")
 
 
 def _number(value: Any, name: str) -> float:
