@@ -125,3 +125,16 @@ def test_all_that_takes_long_tells_how_far_it_is(belief: Path) -> None:
     assert drives == sorted(drives) and drives[0] == 0 and totals[2] == 3 * 16 + 3 * 32
     driven = sum(one["screened"]["drives"] for one in found.to_dict()["choice"]["candidates"])
     assert driven == 48 and drives[-1] == totals[2] and 48 in drives
+
+
+def test_a_battery_that_does_not_reach_is_what_stands_in_the_way(run: Run, belief: Path) -> None:
+    """At 60 W of electronics a drive of 60 s takes 1 Wh of 120 Wh: with 0.5 % of the battery none gets there."""
+    done = run(*BASE, "--risk", "0.2", "--soil", belief, "--charge", "0.005", "--json")
+    assert done.code == 3 and "battery_charge" in " ".join(done.err)
+    choice = json.loads(done.out)["result"]["choice"]
+    assert all(one["worst"]["quantity"] == "battery_charge" for one in choice["candidates"])
+    full = run(*BASE, "--risk", "0.2", "--soil", belief, "--charge", "1", "--json")
+    assert full.code == 0, full.err
+    best = json.loads(full.out)["result"]["choice"]["candidates"][0]
+    assert 1.0 - best["least_charge"] == pytest.approx(best["duration_s"] * 67.0 / 3600.0 / 120.0, rel=0.15)
+    assert run(*BASE, "--risk", "0.2", "--charge", "2").code == 2 and run(*BASE, "--charge", "1").code == 2

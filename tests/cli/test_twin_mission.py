@@ -57,6 +57,23 @@ def test_a_mission_is_planned_with_all_its_files(run: Run, belief: Path, tmp_pat
     assert driven.code in (0, 3), driven.err
 
 
+def test_the_battery_lasts_for_some_of_the_targets(run: Run, belief: Path) -> None:
+    """Some 90 min at 60 W and 120 Wh: a full battery reaches the rock, one of 60 % only the rim; the Sun helps."""
+    asked = (*QUICK, "--mission", EXAMPLE, "--soil", belief, "--risk", "0.3", "--json")
+    fates = {}
+    for charge, sun in (("1", ()), ("0.6", ()), ("0.6", ("--sun", "0,60"))):
+        done = run(*asked, "--charge", charge, *sun)
+        mission = json.loads(done.out)["result"]["mission"]
+        fates[charge, bool(sun)] = [one["fate"] for one in mission["targets"]]
+        left = [leg["charge_p05"] for leg in mission["legs"]]
+        assert done.code == (0 if fates[charge, bool(sun)][-1] == "reached" else 3)
+        assert sun or all(before > after for before, after in pairwise(left))
+    assert fates["1", False] == ["reached", "reached"] and fates["0.6", False] == ["reached", "no drive"]
+    assert fates["0.6", True] == ["reached", "reached"]
+    table = run(*asked[:-1], "--charge", "1").out
+    assert "left [%]" in table
+
+
 def test_what_does_not_fit_ends_with_code_3(run: Run, belief: Path, tmp_path: Path) -> None:
     short = tmp_path / "short.toml"
     short.write_text(EXAMPLE.read_text().replace("time_budget_s = 14400", "time_budget_s = 2400"))

@@ -73,3 +73,14 @@ def test_a_mission_on_which_every_design_is_impossible_leaves_with_3(run: Run, p
     assert done.code == 3 and "no design is possible" in " ".join(done.err) and "do not fit" in done.out
     missing = run("twin", "sweep", plan.with_name("none.toml"), "--vary", "wheel.radius_m=0.1:0.2:2")
     assert (missing.code, missing.out) == (1, "")
+
+
+def test_a_battery_counts_where_its_charge_is_given(run: Run, tmp_path: Path) -> None:
+    """66 W and the work of the wheels for 60 s: 1.2 Wh and more, out of 1 or 2 Wh."""
+    plan = tmp_path / "plan.toml"
+    plan.write_text("[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 3.0\n")
+    asked = ("twin", "sweep", plan, "--vary", "power.battery_wh=1:2:2", "--soil", "longji", "-q", "--charge", "1")
+    rows = json.loads(run(*asked, "--json").out)["result"]["designs"]
+    assert [row["kept_share"] for row in rows] == [0.0, 1.0]
+    assert rows[0]["least_charge"] < 0 < rows[1]["least_charge"] < 0.4
+    assert "the battery runs empty" in rows[0]["reasons"] and "battery left" in run(*asked).out
