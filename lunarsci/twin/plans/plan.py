@@ -334,7 +334,8 @@ def _fixes(document: dict[str, Any]) -> Fixes | None:
     for name in known:
         if name not in table:
             raise ParameterError(f"[fixes] has no {name}")
-    return Fixes(*(_number(table[name], name) for name in known), _number(table.get("halt_s", 0.0), "halt_s"))
+    position, heading = (_number(table[name], name) for name in known)
+    return Fixes(position, heading, _number(table.get("halt_s", 0.0), "halt_s"))
 
 
 def _target(document: dict[str, Any]) -> tuple[float, float] | None:
