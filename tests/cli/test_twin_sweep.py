@@ -83,5 +83,6 @@ def test_a_battery_counts_where_its_charge_is_given(run: Run, tmp_path: Path) ->
     rows = json.loads(run(*asked, "--json").out)["result"]["designs"]
     assert [row["kept_share"] for row in rows] == [0.0, 1.0]
     taken = 66.0 * 60.0 + rows[1]["energy_p50_j"] / 0.4
-    assert [row["least_charge"] for row in rows] == pytest.approx([1.0 - taken / 3600.0, 1.0 - taken / 7200.0], rel=1e-6)
+    left = [1.0 - taken / 3600.0, 1.0 - taken / 7200.0]
+    assert [row["least_charge"] for row in rows] == pytest.approx(left, rel=1e-6)
     assert "the battery runs empty" in rows[0]["reasons"] and "battery left" in run(*asked).out
