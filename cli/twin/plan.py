@@ -78,7 +78,9 @@ OPTIONS = {
     "tolerance": option(
         "Distance in m of the end from the target that counts as there.", panel=CHOICE, show_default="1"
     ),
-    "candidates": option("Drives to compare, at most.", panel=CHOICE, show_default="50"),
+    "candidates": option(
+        "Drives to compare, at most; from the best of them a few more are made.", panel=CHOICE, show_default="50"
+    ),
     "fixes": option(
         "Let drives halt for localisation updates, with these standard errors and the standstill in s that each takes.",
         panel=CHOICE,
@@ -103,6 +105,7 @@ SHORT = {
     "clearance_m": "clearance", "keep_out_m": "keep-out", "endpoint_miss_m": "end", "unfinished": "stuck",
     "motor_torque_nm": "torque", "motor_load": "motors", "battery_charge": "battery",
 }  # fmt: skip
+AIMED = ", aimed off"
 SHOWN = 12
 """Candidates in the table for people."""
 
@@ -162,7 +165,7 @@ def _choice_table(found: "ChosenDrive") -> TextTable:
         f"* not beaten in risk, length and energy at once; {len(choice.candidates)} drives compared, {stopped} stopped "
         f"early, of which {len(choice.candidates) - len(rows)} are left out here: --csv",
         f"end within {found.tolerance_m:g} m of the target",
-        *(["aimed off: bent against the drift that is expected, so that the mean drive ends at the target"] * aimed),
+        *(["↷ aimed off: bent against the drift that is expected, so that the mean drive ends at the target"] * aimed),
         *_taught_notes(choice),
         *found.soils.inputs.soil_notes(found.members, 0),
         *found.notes(),
@@ -207,7 +210,7 @@ def _candidate_row(one: "DriveCandidate") -> list[str]:
     unsure = "" if one.promise is not None else "~"
     return [
         f"{one.number}{'*' if one.pareto else ''}",
-        one.plan.name,
+        one.plan.name.replace(AIMED, " ↷"),
         f"{unsure}{_percent(one.said.risk)}<{_percent(one.said.high)}",
         f"{one.length_m:.1f}",
         energy,

@@ -88,9 +88,9 @@ def test_a_finer_grid_is_looked_at_where_it_lies(run: Run, dtm: Path, tmp_path: 
     )
     failed = run(*PLAN, dtm, *places(START, target), "--local", dtm)
     assert (failed.code, failed.out, len(failed.err)) == (1, "", 1) and "must be finer" in failed.err[0]
-    near, soils = (START[0] + 20.0, START[1]), ("--sweep", "friction_angle_deg=35:40:2", "--members", "4")
+    near, soils = (START[0] + 22.0, START[1]), ("--sweep", "friction_angle_deg=35:40:2", "--members", "4")
     chosen = ("--local", mast, "--risk", "0.5", "--candidates", "1", "-q", "-o", tmp_path / "chosen")
-    done = run(*PLAN, dtm, *places((START[0] + 10.0, START[1]), near), *chosen, *soils)
+    done = run(*PLAN, dtm, *places((START[0] + 14.0, START[1]), near), *chosen, *soils)
     assert done.code == 0, done.err
     ground = tmp_path / "chosen" / "driven-terrain.npz"
     again = run("twin", "predict", tmp_path / "chosen" / "plan.toml", "--terrain", ground, *soils, "-q")

@@ -49,7 +49,7 @@ def test_the_table_can_be_read_aloud(run: Run, belief: Path) -> None:
     lines = done.out.splitlines()
     assert done.code == 0 and lines[0].startswith("take drive ")
     rows = lines[3 : next(number for number, line in enumerate(lines) if line.startswith("drive "))]
-    assert len(rows) == 6 and max(map(len, rows)) <= 80
+    assert 6 <= len(rows) <= 12 and max(map(len, rows)) <= 80
 
 
 def test_a_limit_that_no_soil_keeps_ends_with_code_3_and_the_reason(run: Run, belief: Path, tmp_path: Path) -> None:
@@ -127,9 +127,9 @@ def test_all_that_takes_long_tells_how_far_it_is(belief: Path) -> None:
     maps, search, drives = ([done for done, of in heard if of == total] for total in totals)
     assert maps[-1] == totals[0] == 1  # tile
     assert search == [*range(totals[1] + 1)] and totals[1] >= 3  # manners of driving
-    assert drives == sorted(drives) and drives[0] == 0 and totals[2] == 3 * 16 + 3 * 32
+    assert drives == sorted(drives) and drives[0] == 0 and totals[2] >= 3 * 16 + 3 * 32
     driven = sum(one["screened"]["drives"] for one in found.to_dict()["choice"]["candidates"])
-    assert driven == 48 and drives[-1] == totals[2] and 48 in drives
+    assert driven >= 48 and drives[-1] == totals[2] and 48 in drives
 
 
 def test_a_battery_that_does_not_reach_is_what_stands_in_the_way(run: Run, belief: Path) -> None:

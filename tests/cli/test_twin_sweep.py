@@ -82,5 +82,7 @@ def test_a_battery_counts_where_its_charge_is_given(run: Run, tmp_path: Path) ->
     asked = ("twin", "sweep", plan, "--vary", "power.battery_wh=1:2:2", "--soil", "longji", "-q", "--charge", "1")
     rows = json.loads(run(*asked, "--json").out)["result"]["designs"]
     assert [row["kept_share"] for row in rows] == [0.0, 1.0]
-    assert rows[0]["least_charge"] < 0 < rows[1]["least_charge"] < 0.4
+    taken = 66.0 * 60.0 + rows[1]["energy_p50_j"] / 0.4
+    left = [1.0 - taken / 3600.0, 1.0 - taken / 7200.0]
+    assert [row["least_charge"] for row in rows] == pytest.approx(left, rel=1e-6)
     assert "the battery runs empty" in rows[0]["reasons"] and "battery left" in run(*asked).out

@@ -195,10 +195,13 @@ def choose(
         raise ParameterError(f"members is {count}; a risk of {risk:g} needs {least} or more, of {conditions.members}")
     taught = teach or prefer == "teaching"
     again = min(CHECKED, len(plans)) * (conditions.members - count)
-    race = _Race(conditions, risk, prefer, count, progress, (len(plans) + taught) * count + again)
+    made = 0 if improve is None else IMPROVED * (1 + AGAIN)
+    race = _Race(conditions, risk, prefer, count, progress, (len(plans) + made + taught) * count + again)
     found = race.run(plans, racing=racing and prefer != "teaching")
     found = found if improve is None else race.improved(found, improve)
     checked = race.checked(race.taught(found) if taught else found)
+    if progress is not None:
+        progress(race.total, race.total)
     ordered = sorted(_with_front(checked), key=lambda one: _order(one, risk, prefer))
     return DriveChoice(candidates=tuple(ordered), risk=risk, prefer=prefer, fresh=conditions.members > count)
 
@@ -253,7 +256,6 @@ class _Race:
         better = [(one, one.plan) for one in order if one.plan.fixes is None][:IMPROVED]
         for _ in range(AGAIN):
             plans = [(plan, way) for one, way in better for plan in improve.plans(one.prediction, one.weakest, way)]
-            self.total += len(plans) * self.members
             driven = self._drive([plan for plan, _ in plans], range(self.members))
             made = [self._candidate(len(found) + k, prediction) for k, prediction in enumerate(driven)]
             found = [*found, *made]

@@ -94,9 +94,9 @@ def _mark(axes: "Axes", choice: DriveChoice) -> None:
     best = choice.best
     ends = best.prediction.endpoints_m
     axes.plot(ends[:, 0], ends[:, 1], ".", color=INK, markersize=2.5, alpha=0.7, zorder=8, label="ends on the soils")
-    plan, end = best.plan, poses_along(best.plan, 0.5)[-1]
+    plan, (x, y) = best.plan, best.prediction.destination_m
     axes.plot(plan.x_m, plan.y_m, "o", color="white", markeredgecolor=INK, markersize=8, zorder=9, label="start")
-    axes.plot(end[0], end[1], "*", color=GOLD, markeredgecolor=INK, markersize=16, zorder=9, label="target")
+    axes.plot(x, y, "*", color=GOLD, markeredgecolor=INK, markersize=16, zorder=9, label="target")
     if plan.fixes is not None:
         halts = np.array([_end_of(plan, number) for number in range(1, len(plan.legs))])
         axes.plot(
