@@ -35,6 +35,7 @@ SHARED = {
     "records",
     "record_blocks",
     "numerals",
+    "sun",
     "templates",
 }
 ALLOWED = {
