@@ -73,8 +73,8 @@ class _Notes:
         warnings.warn(f"{self.id}: {text}", LunarSciWarning, stacklevel=3)
 
     def doubt(self, text: str) -> None:
-        """A reason not to trust the result."""
-        self.add(text)
+        """A reason not to trust the result: also a LunarSciWarning."""
+        self.warn(text)
         self.doubts.append(text)
 
 
@@ -111,6 +111,7 @@ def _beside_each_other(
         if usual is not None and isinstance(item, Calibration):
             doubt = f"VNIR to SWIR differs by {100 * (item.splice.gain - 1):+.1f} %, "
             doubt += f"in the other observations by {100 * (usual - 1):+.1f} %"
+            warnings.warn(f"{item.id}: {doubt}", LunarSciWarning, stacklevel=3)
             results[place] = replace(item, notes=(*item.notes, doubt), doubts=(*item.doubts, doubt))
     return results
 
