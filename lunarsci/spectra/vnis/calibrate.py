@@ -15,7 +15,7 @@ from lunarsci.errors import DataError, LunarSciError, LunarSciWarning, Parameter
 from lunarsci.spectra.photometry.correction import correction_factor, remarks
 from lunarsci.spectra.solar import sun_moon_distance_au
 from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure
-from lunarsci.spectra.vnis.channel_order import displaced_channels, scale_step
+from lunarsci.spectra.vnis.channel_order import channel_doubts
 from lunarsci.spectra.vnis.channels import SWIR_NM, VNIR_NM, Detector
 from lunarsci.spectra.vnis.detector import (
     IN_FLIGHT_VERSION,
@@ -319,19 +319,9 @@ def _measured(
     except ParameterError as error:
         raise DataError(f"{id}: {error}") from error
     check_jumps(id, detector.upper(), item.wavelength_nm, item.observed)
-    _doubt_channels(item, notes)
+    for doubt in channel_doubts(detector, wavelength, item.radiance, irradiance, item.observed):
+        notes.doubt(doubt)
     return item
-
-
-def _doubt_channels(item: DetectorSpectrum, notes: _Notes) -> None:
-    """Channels that are not where they should be, or of another scale than their neighbours."""
-    name = item.detector.upper()
-    if shift := displaced_channels(item.radiance, item.irradiance):
-        far = "a channel" if abs(shift) == 1 else f"{abs(shift)} channels"
-        notes.doubt(f"lines of the Sun lie {far} off their place in {name}: its channels are shifted or mixed")
-    step, at_nm = scale_step(item.detector, item.wavelength_nm, item.observed)
-    if step:
-        notes.doubt(f"{name} changes by {100 * np.expm1(step):+.1f} % at {at_nm:g} nm, more than between channels")
 
 
 def _check_level(item: DetectorSpectrum, label: Label, id: str) -> None:

@@ -103,6 +103,24 @@ def _steps(ln: FloatArray, side: int) -> FloatArray:
     return found
 
 
+def channel_doubts(
+    detector: Detector,
+    wavelength_nm: FloatArray,
+    radiance: FloatArray,
+    irradiance: FloatArray,
+    reflectance: FloatArray,
+) -> list[str]:
+    """What speaks against the channels of one detector, one sentence each; arrays have one shape (n,)."""
+    doubts, name = [], detector.upper()
+    if shift := displaced_channels(radiance, irradiance):
+        far = "a channel" if abs(shift) == 1 else f"{abs(shift)} channels"
+        doubts.append(f"lines of the Sun lie {far} off their place in {name}: its channels are shifted or mixed")
+    step, at_nm = scale_step(detector, wavelength_nm, reflectance)
+    if step:
+        doubts.append(f"{name} changes by {100 * np.expm1(step):+.1f} % at {at_nm:g} nm, more than between channels")
+    return doubts
+
+
 _STEP = 16
 
 
