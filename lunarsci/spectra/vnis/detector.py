@@ -297,8 +297,8 @@ _NEIGHBOURS = 5
 _FAR: dict[Detector, float] = {"vnir": 0.3, "swir": 0.12}
 """ln R this far from its neighbours is no rock: 88 Chang'E-4 spectra have up to 0.29 in VNIR, at 455 nm, and 0.09 in
 SWIR, 409 laboratory spectra at 5 nm up to 0.07 and 0.03. [-]"""
-_FAR_MEDIANS = 9.0
-"""In noise, this many times the median: six standard deviations."""
+_FAR_MEDIANS, _SCATTER = 9.0, 15
+"""In noise, this many times the median of so many channels on either side: six standard deviations."""
 _JUMP = 0.3
 """ln R of blocks of five channels: 88 Chang'E-4 spectra have up to 0.27, at 635 nm. [-]"""
 _SIDE = 5
@@ -322,7 +322,9 @@ def outlying(detector: Detector, reflectance: FloatArray) -> BoolArray:
     middles = (around[:, :_NEIGHBOURS] + around[:, :_NEIGHBOURS:-1]) / 2
     far = np.zeros_like(absurd)
     off = np.abs(ln[known] - np.median(middles, axis=1))
-    far[known] = off > max(_FAR[detector], _FAR_MEDIANS * float(np.median(off)))
+    beside = min(_SCATTER, known.size - 1)
+    nearby = np.lib.stride_tricks.sliding_window_view(np.pad(off, beside, mode="reflect"), 2 * beside + 1)
+    far[known] = off > np.maximum(_FAR[detector], _FAR_MEDIANS * np.median(nearby, axis=1))
     return np.asarray(absurd | far, dtype=np.bool_)
 
 
