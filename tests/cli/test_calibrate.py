@@ -88,7 +88,7 @@ def test_json_has_every_number_with_its_unit(run: Run, label: Path) -> None:
     [spectrum] = document["result"]["spectra"]
     assert spectrum.keys() == {
         "id", "source", "synthetic", "status", "time_utc", "latitude_deg", "longitude_deg", "vnir", "swir",
-        "photometry", "solar", "footprint", "splice", "channels", "channels_masked", "notes", "wavelength_nm",
+        "photometry", "solar", "footprint", "splice", "channels", "channels_masked", "notes", "doubts", "wavelength_nm",
         "reflectance", "reflectance_sigma", "reflectance_systematic", "systematic",
     }  # fmt: skip
     assert spectrum["wavelength_nm"] == GRID

@@ -233,7 +233,7 @@ def open_vnis(path: str) -> Layout:
     factor = reflectance_factor(np.ones(VNIR_NM.size), irradiance, label.geometry.incidence_deg, distance)
     bands, lines, samples = CUBE_SHAPE
     lsb = any("lsb" in (item.data_type or "").lower() for item in label.files if item.axes)
-    said = ["one geometry is taken for the whole image"]
+    said = ["one geometry is taken for the whole image", *observation.doubts]
     if observation.synthetic:
         said.append(f"its label calls it {SYNTHETIC}")
     if label.calibration_version < IN_FLIGHT_VERSION:

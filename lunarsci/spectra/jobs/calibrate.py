@@ -101,6 +101,15 @@ class Calibrations(Result):
         )
 
     @property
+    def untrusted(self) -> str:
+        """The first doubt, and how many observations have any."""
+        doubtful = [item for item in self.observations if item.doubts]
+        if not doubtful:
+            return ""
+        more = f" (and {len(doubtful) - 1} more observations)" if len(doubtful) > 1 else ""
+        return f"{doubtful[0].id}: {doubtful[0].doubts[0]}{more}"
+
+    @property
     def failures(self) -> Sequence[str]:
         return [item.status for item in self.failed]
 

@@ -75,11 +75,19 @@ def read_spectra(
 
 
 def _calibrated(path: str) -> Spectrum:
-    """A VNIS product is calibrated on the way, as `lunarsci spectra calibrate` does it without options."""
+    """A VNIS product is calibrated on the way, as `lunarsci spectra calibrate` does it without options.
+
+    Raises DataError for one that is in doubt: only that command shows it.
+    """
     from lunarsci.spectra.vnis.calibrate import calibrate
     from lunarsci.spectra.vnis.observation import read_observation
 
-    return calibrate(read_observation(path)).to_spectrum()
+    found = calibrate(read_observation(path))
+    if found.doubts:
+        raise DataError(
+            f"{path}: {found.doubts[0]}; look at it with `lunarsci spectra calibrate`, use its -o .ecsv if right"
+        )
+    return found.to_spectrum()
 
 
 def _check(what: str, value: str | None, allowed: tuple[str, ...]) -> None:

@@ -6,6 +6,7 @@ joining.
 
 import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from lunarsci.errors import DataError, LunarSciError, LunarSciWarning, Parameter
 from lunarsci.spectra.photometry.correction import correction_factor, remarks
 from lunarsci.spectra.solar import sun_moon_distance_au
 from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure
+from lunarsci.spectra.vnis.channel_order import channel_doubts
 from lunarsci.spectra.vnis.channels import SWIR_NM, VNIR_NM, Detector
 from lunarsci.spectra.vnis.detector import (
     IN_FLIGHT_VERSION,
@@ -36,7 +38,7 @@ from lunarsci.spectra.vnis.footprint import (
 )
 from lunarsci.spectra.vnis.label import Label
 from lunarsci.spectra.vnis.observation import Observation, read_observation
-from lunarsci.spectra.vnis.splice import GAIN_LIMIT, STEP_LIMIT, Shift, Splice, find_splice, shared_errors
+from lunarsci.spectra.vnis.splice import GAIN_LIMIT, STEP_LIMIT, Shift, Splice, find_splice, shared_errors, usual_gains
 
 # What is too little, too dark or too bright to go on with: assumed, each far from what the public spectra have.
 _LEAST_LIT = 0.01
@@ -59,6 +61,7 @@ class _Notes:
     def __init__(self, id: str) -> None:
         self.id = id
         self.lines: list[str] = []
+        self.doubts: list[str] = []
 
     def add(self, text: str) -> None:
         """Worth knowing."""
@@ -68,6 +71,11 @@ class _Notes:
         """Worth a second look: also a LunarSciWarning."""
         self.add(text)
         warnings.warn(f"{self.id}: {text}", LunarSciWarning, stacklevel=3)
+
+    def doubt(self, text: str) -> None:
+        """A reason not to trust the result: also a LunarSciWarning."""
+        self.warn(text)
+        self.doubts.append(text)
 
 
 def calibrate_files(
@@ -89,6 +97,22 @@ def calibrate_files(
             results.append(CalibrationFailure(path, f"{path}: unexpected {type(error).__name__}: {error}"))
     if progress:
         progress(len(paths), len(paths))
+    return _beside_each_other(results)
+
+
+def _beside_each_other(
+    results: list[Calibration | CalibrationFailure],
+) -> list[Calibration | CalibrationFailure]:
+    """The same, with a doubt where the two detectors differ as they do in no other observation."""
+    good = [place for place, item in enumerate(results) if isinstance(item, Calibration)]
+    gains = [item.splice.gain for item in results if isinstance(item, Calibration)]
+    for place, usual in zip(good, usual_gains(gains), strict=True):
+        item = results[place]
+        if usual is not None and isinstance(item, Calibration):
+            doubt = f"VNIR to SWIR differs by {100 * (item.splice.gain - 1):+.1f} %, "
+            doubt += f"in the other observations by {100 * (usual - 1):+.1f} %"
+            warnings.warn(f"{item.id}: {doubt}", LunarSciWarning, stacklevel=3)
+            results[place] = replace(item, notes=(*item.notes, doubt), doubts=(*item.doubts, doubt))
     return results
 
 
@@ -100,10 +124,12 @@ def calibrate(observation: Observation, settings: Settings | None = None) -> Cal
     the standard geometry. The sub-bands of SWIR are joined, then VNIR is scaled to SWIR.
 
     Raises DataError when nothing is lit, a detector is dark, radiances have another unit, or there is no overlap.
-    Whatever is worth a second look is a LunarSciWarning and stands in `notes`.
+    Whatever is worth a second look is a LunarSciWarning and stands in `notes`, what makes it doubtful also in `doubts`.
     """
     chosen = settings or default_settings()
     notes = _Notes(observation.id)
+    for doubt in observation.doubts:
+        notes.doubt(doubt)
     vnir_factors, swir_factors = _channel_factors(observation, chosen, notes)
     limit = _shadow_radiance(observation.cube_label, chosen, vnir_factors)
     footprint = _lit_footprint(observation, chosen, limit, notes)
@@ -141,6 +167,7 @@ def calibrate(observation: Observation, settings: Settings | None = None) -> Cal
         phase=chosen.phase.name if chosen.photometry != "none" else "none",
         solar=chosen.solar.name,
         notes=tuple(notes.lines),
+        doubts=tuple(notes.doubts),
         inputs=observation.inputs | dict(chosen.inputs),
     )
 
@@ -226,9 +253,11 @@ def _bad_vnir(observation: Observation, footprint: Footprint, notes: _Notes) -> 
         notes.add("no auxiliary table with quality codes of the images beside them")
     else:
         flagged = observation.cube_flags
+    missing = ~(footprint.mean > 0) & (footprint.negative == 0) & ~flagged
     flat = footprint.constant if not footprint.constant.all() else np.zeros(VNIR_NM.size, dtype=bool)
     for bad, what in (
         (flagged, "are flagged by their quality code"),
+        (missing, "have no number, or too many saturated pixels,"),
         (flat, "have one value in all pixels, unlike the others,"),
     ):
         if bad.any():
@@ -281,7 +310,7 @@ def _measured(
             correction = correction_factor(label.geometry, wavelength, settings.photometry, settings.phase)
         item = measure(detector, label, radiance, mean_error, irradiance, correction)
         _check_level(item, label, id)
-        outliers = outlying(item.observed)
+        outliers = outlying(detector, item.observed)
         if outliers.any():
             count, name = int(outliers.sum()), detector.upper()
             notes.add(f"{count} {name} channels are no radiance of lit ground or far from their neighbours: masked")
@@ -290,6 +319,8 @@ def _measured(
     except ParameterError as error:
         raise DataError(f"{id}: {error}") from error
     check_jumps(id, detector.upper(), item.wavelength_nm, item.observed)
+    for doubt in channel_doubts(detector, wavelength, item.radiance, irradiance, item.observed):
+        notes.doubt(doubt)
     return item
 
 
@@ -335,7 +366,7 @@ def _spliced(
         (splice.step.factor, STEP_LIMIT, "the step at 1375/1380 nm is"),
     ):
         if abs(factor - 1) > limit:
-            notes.warn(f"{what} {100 * (factor - 1):+.1f} %, more than the {100 * limit:.0f} % that are usual")
+            notes.doubt(f"{what} {100 * (factor - 1):+.1f} %, more than the {100 * limit:.0f} % that are usual")
     for step in splice.vnir_steps:
         if abs(step.factor - 1) > _NOTED_STEP_SIGMAS * step.sigma:
             done = "removed" if remove_vnir_steps else "kept, see --vnir-steps"

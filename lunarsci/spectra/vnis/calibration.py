@@ -45,7 +45,7 @@ class Calibration:
     vnir, swir : the two detectors before joining. splice : how they were joined. footprint : pixels used.
     image : radiance of the frame at 750 nm, shape (256, 256). [W m-2 sr-1 nm-1]
     photometry, phase, solar : names of the photometric functions (`none` without correction) and of the irradiance.
-    notes : what the reader should know, one sentence each.
+    notes : what the reader should know, one sentence each. doubts : those of them for which it should not be trusted.
     inputs : path to SHA-256.
     """
 
@@ -67,6 +67,7 @@ class Calibration:
     solar: str
     notes: Sequence[str]
     inputs: Mapping[str, str]
+    doubts: Sequence[str] = ()
 
     @property
     def systematic_total(self) -> FloatArray:
@@ -90,7 +91,7 @@ class Calibration:
             "id": self.id,
             "source": next(iter(self.inputs), ""),
             "synthetic": self.synthetic,
-            "status": "ok",
+            "status": "doubtful" if self.doubts else "ok",
             "time_utc": self.time_utc,
             "latitude_deg": self.latitude_deg,
             "longitude_deg": self.longitude_deg,
@@ -113,6 +114,7 @@ class Calibration:
             "channels": SPLICED_NM.size,
             "channels_masked": int((~np.isfinite(self.reflectance)).sum()),
             "notes": list(self.notes),
+            "doubts": list(self.doubts),
         }
 
     def to_dict(self) -> dict[str, Any]:

@@ -20,6 +20,8 @@ SPLICED_NM: FloatArray = np.arange(450.0, 2396.0, 5.0)
 """The 390 channels of a spliced spectrum: 90 of the imager, 300 of the SWIR detector. [nm]"""
 SUB_BAND_STEP_NM = 1377.5
 """Between 1375 and 1380 nm the SWIR filter changes its sub-band. [nm]"""
+VNIR_SUB_BANDS_NM = (632.5, 757.5)
+"""So does that of VNIR, twice. [nm]"""
 CUBE_SHAPE = (100, 256, 256)
 """Bands, lines, samples of the image cube."""
 FOOTPRINT = (127.0, 97.0, 53.8)

@@ -19,7 +19,9 @@ from lunarsci import inputs
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile, read_input
+from lunarsci.spectra.vnis.channel_order import equal_frames, repeated_rows
 from lunarsci.spectra.vnis.channels import CUBE_SHAPE, SWIR_NM, VNIR_NM
+from lunarsci.spectra.vnis.circumstances import doubts_of
 from lunarsci.spectra.vnis.label import LABEL_BYTES, DataFile, Label, read_label
 from lunarsci.spectra.vnis.name import ProductName, check_supported, product_name
 
@@ -51,6 +53,9 @@ def read_cube(source: InputFile, label: Label) -> Cube:
         swapped = not _implausible(cube.view(cube.dtype.newbyteorder()))
         why = "its byte order is not what the label says" if swapped else "its numbers are no radiances"
         raise DataError(f"{source.name}: {why}; fetch data and label again")
+    if (equal := equal_frames(cube)) is not None:
+        one, other = (f"{VNIR_NM[band]:g}" for band in equal)
+        raise DataError(f"{source.name}: the images at {one} and {other} nm have the same numbers; fetch it again")
     return cube.astype(np.float32, copy=False)
 
 
@@ -103,7 +108,11 @@ def read_swir_table(source: InputFile, label: Label) -> SwirTable:
     if stated and stated[0] not in (None, SWIR_NM.size):
         raise DataError(f"{label.file}: states {stated[0]} rows, the table has {SWIR_NM.size}; fetch it again")
     _check_times(rows, source.name, label)
+    _check_integration(rows, source.name)
     radiance = np.array([_radiance(row[4], line, source.name) for line, row in enumerate(rows, 1)])
+    if (twice := repeated_rows(radiance)) is not None:
+        first, again = (row + 1 for row in twice)
+        raise DataError(f"{source.name}: three numbers from row {first} come again from row {again}; fetch it again")
     return SwirTable(radiance, _flags(rows, source.name))
 
 
@@ -114,6 +123,7 @@ def read_vnir_flags(source: InputFile, label: Label) -> BoolArray:
     """
     rows = _rows(source, VNIR_NM.size, _VNIR_COLUMNS)
     _check_times(rows, source.name, label)
+    _check_integration(rows, source.name)
     return _flags(rows, source.name)
 
 
@@ -166,6 +176,8 @@ def _flags(rows: Sequence[Sequence[str]], file: str) -> BoolArray:
 
 
 def _check_times(rows: Sequence[Sequence[str]], file: str, label: Label) -> None:
+    """Within the label's, and not going back: the channels are measured one after the other."""
+    before = label.start - _CLOCK_SLACK
     for line, row in enumerate(rows, 1):
         try:
             moment = datetime.fromisoformat(row[0] if row[0][-1:] in "Zz" else row[0] + "Z")
@@ -176,6 +188,15 @@ def _check_times(rows: Sequence[Sequence[str]], file: str, label: Label) -> None
                 f"{file}: row {line} was measured at {row[0][:24]}, its label states {label.start:%Y-%m-%dT%H:%M} to "
                 f"{label.stop:%H:%M}; table and label do not belong together"
             )
+        if moment < before:
+            raise DataError(f"{file}: row {line} was measured before row {line - 1}; rows are mixed, fetch it again")
+        before = moment
+
+
+def _check_integration(rows: Sequence[Sequence[str]], file: str) -> None:
+    for line, row in enumerate(rows, 1):
+        if not (_NUMBER.fullmatch(row[2]) and float(row[2].upper().replace("D", "E")) > 0):
+            raise DataError(f"{file}: row {line}: the integration time {row[2][:20]!r} is not above 0; fetch it again")
 
 
 _APART = timedelta(hours=24)
@@ -210,6 +231,7 @@ class Observation:
     cube : radiance of the imager, shape (100, 256, 256). [W m-2 sr-1 nm-1]
     cube_flags : bands of the cube with a quality code; None where there is no AUX table.
     table : radiance of the short-wave channels.
+    doubts : why its labels cannot be trusted, one sentence each.
     inputs : path to SHA-256 of every file read.
     """
 
@@ -221,6 +243,7 @@ class Observation:
     cube_flags: BoolArray | None
     table: SwirTable
     inputs: dict[str, str]
+    doubts: tuple[str, ...] = ()
 
 
 def one_per_observation(paths: Sequence[str]) -> list[str]:
@@ -294,6 +317,7 @@ def read_observation(path: str) -> Observation:
     cube_label, table_label = read_label(cube_label_file), read_label(table_label_file)
     _check_pair(cube_label, table_label)
     _check_files(parts, cube_label, table_label)
+    doubts = [*doubts_of(cube_label), *doubts_of(table_label)]
     table_file, cube_file = _read(parts.table, _TABLE_BYTES), _read(parts.cube, CUBE_BYTES)
     table = read_swir_table(table_file, table_label)
     cube = read_cube(cube_file, cube_label)
@@ -311,6 +335,7 @@ def read_observation(path: str) -> Observation:
         cube_flags=flags,
         table=table,
         inputs={file.name: file.sha256 for file in read},
+        doubts=tuple(doubts),
     )
 
 

@@ -7,6 +7,7 @@ calibration and the irradiance were established before the flight or by others, 
 several: repeating the measurement does not make these errors smaller, and they do not scatter.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -17,7 +18,7 @@ from lunarsci.errors import DataError
 from lunarsci.spectra.photometry.correction import model_spread
 from lunarsci.spectra.photometry.phase import Geometry
 from lunarsci.spectra.solar import M3_TABLE, solar_spectrum
-from lunarsci.spectra.vnis.channels import JOIN_NM, SPLICED_NM, SUB_BAND_STEP_NM, SWIR_NM, VNIR_NM
+from lunarsci.spectra.vnis.channels import JOIN_NM, SPLICED_NM, SUB_BAND_STEP_NM, SWIR_NM, VNIR_NM, VNIR_SUB_BANDS_NM
 from lunarsci.spectra.vnis.detector import DetectorSpectrum, Settings, irradiance_at
 from lunarsci.tables import table_rows
 
@@ -43,7 +44,9 @@ class StepSite:
 
 SWIR_STEP = StepSite(SUB_BAND_STEP_NM, 12, 0.0021, 0.015)
 """With 16 channels on either side the model error is 0.0033; with 8 the noise of the step is a quarter larger."""
-VNIR_STEPS = (StepSite(632.5, 8, 0.0015, 0.065), StepSite(757.5, 8, 0.0030, 0.050))
+VNIR_STEPS = tuple(
+    StepSite(at, 8, *errors) for at, errors in zip(VNIR_SUB_BANDS_NM, ((0.0015, 0.065), (0.0030, 0.050)), strict=True)
+)
 """Sub-bands of the imager. What is found depends on the window (at 632.5 nm 5.5 % with 8 channels on either side, 3.3 %
 with 12): the spectra are disturbed over some tens of nanometres there, not only displaced."""
 
@@ -88,6 +91,24 @@ STEP_LIMIT = 0.05
 OVERLAP_ERROR = 0.01
 """What the overlap does not tell about the rest of VNIR: on 88 Chang'E-4 spectra scaled to SWIR at 900 nm the jump that
 remains at 897.5 nm is 1.45 % in the median. [-]"""
+
+_FEWEST_GAINS = 5
+_UNLIKE = 0.05
+_TIMES = 5.0
+
+
+def usual_gains(gains: Sequence[float]) -> list[float | None]:
+    """Of each observation the median gain of all, where its own is unlike theirs; None where it is not. [-]
+
+    Unlike is further off than 5 % and than five standard deviations (of the median absolute deviation); assumed. Both
+    detectors see the same ground in the same minutes, so that their ratio is the instrument's. Fewer than five
+    observations do not tell.
+    """
+    middle = float(np.median(gains)) if len(gains) >= _FEWEST_GAINS else math.nan
+    spread = 1.4826 * float(np.median(np.abs(np.array(gains) - middle))) if len(gains) >= _FEWEST_GAINS else math.nan
+    limit = max(_UNLIKE * middle, _TIMES * spread)
+    return [middle if abs(gain - middle) > limit else None for gain in gains]
+
 
 _OVERLAP_NM: FloatArray = np.intersect1d(VNIR_NM, SWIR_NM)
 _VNIR_OVERLAP, _SWIR_OVERLAP = np.isin(VNIR_NM, _OVERLAP_NM), np.isin(SWIR_NM, _OVERLAP_NM)

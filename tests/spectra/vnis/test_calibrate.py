@@ -419,6 +419,7 @@ def test_the_usual_is_not_warned_about() -> None:
     assert [note for note in found.notes if not note.startswith(expected)] == []
 
 
+@pytest.mark.filterwarnings("ignore:.*(VNIR|SWIR) changes by")
 def test_more_noise_than_usual_enlarges_the_errors() -> None:
     """Sub-band by sub-band: four times the noise in all, or in SWIR from 2000 nm on."""
     scene = Scene()

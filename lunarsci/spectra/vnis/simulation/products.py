@@ -84,7 +84,7 @@ def _truth(simulation: Simulation) -> dict[str, Any]:
     return {
         "synthetic": True,
         "note": f"{MARK}. Strengths of bands, albedos, texture and noise of pixels are assumed.",
-        "scene": {**asdict(scene), "time": time_code(scene.time)},
+        "scene": {**asdict(scene), "time": time_code(scene.time), **_place(scene)},
         "instrument": asdict(simulation.instrument),
         "scene_seed": source.seed,
         "noise_seed": simulation.seed,
@@ -98,6 +98,11 @@ def _truth(simulation: Simulation) -> dict[str, Any]:
         "soil_reflectance": truth.soil_reflectance,
         "rock_reflectance": truth.rock_reflectance,
     }
+
+
+def _place(scene: Scene) -> dict[str, float]:
+    longitude, latitude = scene.place
+    return {"longitude_deg": longitude, "latitude_deg": latitude}
 
 
 def simulation_page(simulation: Simulation) -> "Figure":

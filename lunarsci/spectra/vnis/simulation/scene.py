@@ -15,6 +15,7 @@ from lunarsci.errors import ParameterError
 from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA
 from lunarsci.spectra.photometry.phase import Geometry, phase_angle_deg
 from lunarsci.spectra.vnis.channels import CUBE_SHAPE, FOOTPRINT, SWIR_NM, VNIR_NM
+from lunarsci.sun import sun_in_moon_frame, sun_incidence_deg, upward
 
 FULL_STRENGTH = {
     "olivine": {"OL M1-1": -0.25, "OL M2": -0.45, "OL M1-2": -0.35},
@@ -42,6 +43,11 @@ SHAPES_NM = {
 laboratory spectra, widths assumed. Not from the table of priors, so that a simulation does not know what a fit expects.
 [nm]"""
 ALBEDO_AT_NM = 750.0
+
+SITE = (177.585, -45.44)
+"""Longitude and latitude of the Chang'E-4 rover in 2020. [deg]"""
+_NEAR_DEG = 0.1
+"""So much the Sun may stand off the incidence of a scene at that site. [deg]"""
 
 SWIR_STEP = timedelta(seconds=1.068)
 SWIR_BREAK = timedelta(seconds=21.944)
@@ -150,7 +156,8 @@ class Scene:
     solar : name of the solar spectrum that lights it.
     time : middle of the short-wave scan, with its time zone.
     sequence : number of the observation, 1-9999.
-    latitude_deg, longitude_deg : of the rover. [deg]
+    latitude_deg, longitude_deg : of the rover; None for where the Sun stands at its incidence, at the Chang'E-4 site
+        or as far from it as need be. [deg]
 
     Raises ParameterError when a value is out of its range.
     """
@@ -169,8 +176,8 @@ class Scene:
     solar: str = "e490"
     time: datetime = datetime(2020, 7, 16, 8, 20, tzinfo=UTC)
     sequence: int = 1
-    latitude_deg: float = -45.44
-    longitude_deg: float = 177.585
+    latitude_deg: float | None = None
+    longitude_deg: float | None = None
 
     def __post_init__(self) -> None:
         _within("the texture", self.texture, 0, 0.5)
@@ -178,13 +185,32 @@ class Scene:
         _within("the share of shadow", self.shadow_fraction, 0, math.nextafter(1, 0))
         _within("the level of shadow", self.shadow_level, 0, math.nextafter(1, 0))
         _within("the sequence number", self.sequence, 1, 9999)
-        _within("the latitude", self.latitude_deg, -90, 90, " deg")
-        _within("the longitude", self.longitude_deg, -180, 360, " deg")
+        if (self.latitude_deg is None) != (self.longitude_deg is None):
+            raise ParameterError("a place has a latitude and a longitude; give both or neither")
+        if self.latitude_deg is not None and self.longitude_deg is not None:
+            _within("the latitude", self.latitude_deg, -90, 90, " deg")
+            _within("the longitude", self.longitude_deg, -180, 360, " deg")
         if self.shadow_shape not in ("half-plane", "blobs"):
             raise ParameterError(f"the shadow shape '{self.shadow_shape}' is unknown; choose half-plane or blobs")
         if self.time.tzinfo is None:
             raise ParameterError(f"the time {self.time.isoformat()} has no time zone; give it in UTC, ending in Z")
         self.swir_geometry()
+
+    @property
+    def place(self) -> tuple[float, float]:
+        """Longitude and latitude of the rover. [deg]"""
+        if self.latitude_deg is not None and self.longitude_deg is not None:
+            return self.longitude_deg, self.latitude_deg
+        times = self.vnir_times()
+        middle, incidence = times[0] + (times[-1] - times[0]) / 2, self.geometry.incidence_deg
+        if abs(sun_incidence_deg(middle, *SITE) - incidence) < _NEAR_DEG:
+            return SITE
+        sun, site = sun_in_moon_frame(middle), upward(*SITE)
+        aside = site - (site @ sun) * sun
+        there = math.cos(math.radians(incidence)) * sun + math.sin(math.radians(incidence)) * aside / np.linalg.norm(
+            aside
+        )
+        return math.degrees(math.atan2(there[1], there[0])) % 360, math.degrees(math.asin(there[2]))
 
     def swir_geometry(self) -> Geometry:
         """Angles of the short-wave scan: own incidence, same emission, phase at the same difference of azimuths."""

@@ -177,7 +177,7 @@ def _mission_area(product: str, scene: Scene, detector: Detector) -> list[Node]:
         ("instrument_id", "VNIS"),
         ("sequence_id", f"{scene.sequence:04d}"),
         ("Instrument_Parm", _instrument(detector)),
-        _place("Rover_Location", scene.longitude_deg, scene.latitude_deg),
+        _place("Rover_Location", *scene.place),
         *places,
         _position("Center_Point_LocationXYZ", centre),
         ("Vector_Cartesian_3_Pointing", [(frame_tag, "ROVER_COORDINATE_SYSTEM"), *_vectors(views)]),
