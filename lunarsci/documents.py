@@ -1,14 +1,24 @@
-"""TOML and JSON from files that nobody vouches for: what no parser's own error covers becomes one."""
+"""TOML, JSON and XML from files that nobody vouches for: what no parser's own error covers becomes one."""
 
+import codecs
 import json
 import math
 import tomllib
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+from lunarsci.errors import DataError
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
 
 LARGEST = 2**63
 """Whole numbers are smaller: those of 64 bits, as in TOML 1.0."""
 TOO_DEEP = "nested too deeply"
+LABEL_BYTES = 2_000_000
+"""XML is smaller: the labels of data products are all that is read of it; assumed."""
+DEEPEST = 64
+"""Levels of elements; assumed."""
 
 
 def toml_document(content: str) -> dict[str, Any]:
@@ -53,3 +63,61 @@ def json_document(content: str, parse_constant: Callable[[str], Any] | None = No
         return json.loads(content, parse_int=whole, parse_float=real, parse_constant=parse_constant)
     except RecursionError as error:
         raise json.JSONDecodeError(TOO_DEEP, content, 0) from error
+
+
+def xml_root(name: str, data: bytes) -> "Element":
+    """The root element of an XML text; tags in lower case, prefixes cut off.
+
+    Whatever could expand or fetch something needs a document type declaration, and the label of a data product has no
+    use for one. Raises DataError for such a declaration, broken XML, more than 2 MB or 64 levels.
+    """
+    from xml.etree.ElementTree import TreeBuilder
+    from xml.parsers import expat
+
+    if len(data) > LABEL_BYTES:
+        raise DataError(f"{name}: {len(data)} bytes are too many for a label; fetch it again")
+    builder = TreeBuilder()
+    parser = expat.ParserCreate("utf-8")
+    depth = 0
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal depth
+        depth += 1
+        if depth > DEEPEST:
+            raise DataError(f"{name}: elements nested more than {DEEPEST} deep; fetch it again")
+        builder.start(_local(tag), {_local(key): value for key, value in attributes.items()})
+
+    def end(tag: str) -> None:
+        nonlocal depth
+        depth -= 1
+        builder.end(_local(tag))
+
+    def refuse(*_: object) -> None:
+        raise DataError(f"{name}: has a document type declaration, which a label never has; do not trust it")
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    parser.CharacterDataHandler = builder.data
+    parser.StartDoctypeDeclHandler = refuse
+    try:
+        parser.Parse(_xml_text(data).encode("utf-8"), True)
+    except expat.ExpatError as error:
+        where = f"line {error.lineno}, column {error.offset + 1}"
+        reason = expat.errors.messages[error.code]
+        raise DataError(f"{name}: broken XML at {where} ({reason}; truncated?); fetch it again") from error
+    return builder.close()
+
+
+def _local(tag: str) -> str:
+    return tag.rpartition(":")[2].lower()
+
+
+def _xml_text(data: bytes) -> str:
+    """Chinese descriptions come in UTF-8 or GB 18030, whatever the declaration says; numbers and names are ASCII."""
+    utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    for encoding in ["utf-16"] if utf16 else ["utf-8-sig", "gb18030"]:
+        try:
+            return data.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+    return data.decode("utf-8", errors="replace")

@@ -4,6 +4,7 @@ Soil and errors are layers beside the heights, under their own names.
 """
 
 import math
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Collection, Mapping
@@ -16,7 +17,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import read_input, text
+from lunarsci.inputs import read_input, text, unheard
 from lunarsci.names import one_of
 from lunarsci.printable import shortened
 from lunarsci.projections import NO_RASTERIO, check_scale, ellipsoid_of, remedy
@@ -28,6 +29,13 @@ HIGHEST_M = 2e4
 10.1016/j.icarus.2016.06.006)."""
 MOST_NODES = 40_000_000
 """More are refused: maps of these take 1.8 GB."""
+MOST_BLOCK_BYTES = 8 * MOST_NODES
+"""Of a raster's blocks, each of which is unpacked whole."""
+NUMPY_ERRORS = (
+    AttributeError, EOFError, MemoryError, NotImplementedError, OSError, OverflowError, SyntaxError, TypeError,
+    ValueError, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+"""What `numpy.load` raises of a damaged file."""
 EVEN = 1e-4
 """How evenly nodes must be spaced, as a share of the spacing."""
 ERROR_LAYERS = ("height_m_sigma", "height_m_common_sigma", "count", "height_by_disparity_m_px", "resolution_m")
@@ -138,8 +146,9 @@ def _read_geotiff(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) 
     except ImportError as error:
         raise DataError(f"{path}: {NO_RASTERIO}") from error
     try:
-        with rasterio.open(path, driver="GTiff") as raster:
+        with unheard(), rasterio.open(path, driver="GTiff") as raster:
             _check_count(path, raster.width * raster.height)
+            check_blocks(raster, str(path))
             transform, crs = raster.transform, raster.crs
             numbers = {1: "height_m"} | {
                 k: str(text) for k, text in enumerate(raster.descriptions, start=1) if k > 1 and text in layers
@@ -176,6 +185,16 @@ def _read_geotiff(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) 
         synthetic=synthetic,
         crs=wkt,
     )
+
+
+def check_blocks(raster: Any, path: str) -> None:
+    """Raise DataError where blocks of a raster of GDAL, which are unpacked whole, are too large."""
+    for (lines, samples), kind in zip(raster.block_shapes, raster.dtypes, strict=True):
+        if lines * samples * np.dtype(kind).itemsize > MOST_BLOCK_BYTES:
+            raise DataError(
+                f"{path}: is packed in blocks of {lines} x {samples}, too large to be read; write it anew in tiles "
+                "(gdal_translate -co TILED=YES)"
+            )
 
 
 def _band(raster: Any, number: int) -> FloatArray:
@@ -307,10 +326,7 @@ def _load(path: Path, known: set[str], unread: tuple[str, ...]) -> dict[str, Any
         raise
     except OSError as error:
         raise DataError(f"{path}: {error.strerror or 'not a NumPy archive; write it with numpy.savez'}") from error
-    except (
-        AttributeError, EOFError, MemoryError, NotImplementedError, SyntaxError, ValueError, zipfile.BadZipFile,
-        zlib.error,
-    ) as error:  # fmt: skip
+    except NUMPY_ERRORS as error:
         raise DataError(f"{path}: not a NumPy archive that can be read; write it with numpy.savez") from error
 
 

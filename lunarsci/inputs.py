@@ -4,9 +4,11 @@ Everything that can go wrong here is a `DataError` of one line: the file, what i
 """
 
 import codecs
+import contextlib
 import glob
 import hashlib
 import json
+import os
 import re
 import sys
 import warnings
@@ -223,6 +225,30 @@ def _decoded(input: InputFile) -> str:
         message = f"{input.name}: is not valid UTF-8 and was read as Latin-1; save it as UTF-8 if a name looks wrong"
         warnings.warn(message, LunarSciWarning, stacklevel=3)
     return decoded
+
+
+@contextlib.contextmanager
+def unheard() -> Iterator[None]:
+    """What libraries in C write to stderr by themselves, such as libpng of a damaged file, is not heard.
+
+    A file is described in one line, and none of its bytes reaches a terminal. Threads that write meanwhile are not
+    heard either: take it for a single call.
+    """
+    try:
+        kept = os.dup(2)
+    except OSError:  # there is no stderr
+        yield
+        return
+    hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
+    silence = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(silence, 2)
+    os.close(silence)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        sys.unraisablehook = hook
 
 
 def together(failures: Sequence[str]) -> str:

@@ -6,22 +6,31 @@ fit misses is part of the answer.
 
 import re
 from dataclasses import dataclass
-from typing import Any
-from xml.etree import ElementTree
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lunarsci.arrays import FloatArray
+from lunarsci.documents import xml_root
 from lunarsci.errors import DataError
 from lunarsci.images.camera import INTRINSICS, Camera, Pose, rotation_of
 from lunarsci.images.rig import StereoRig, covariance_of
 from lunarsci.inputs import InputFile, text
 
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
 CORNERS = ("up_left", "down_left", "up_right", "down_right", "center")
 STEPS = 12
 """Points along each side of a picture that a model is fitted at."""
+FEWEST_POINTS = 50
+"""That a fit of 15 numbers rests on; assumed."""
 RANGES = (2.0, 5.0, 20.0)
 """Ranges of those points, since the pupil of CAHVORE moves. [m]"""
+MOST_TRIES = 100
+"""Of a fit; sound models need some ten."""
+MOST_PX = 100_000
+"""Lines or samples of a picture; assumed."""
 COARSE_PX = 1.0
 """A fit that misses by more says so; assumed."""
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?"
@@ -98,17 +107,14 @@ def rig_of_labels(left: InputFile, right: InputFile) -> StereoRig:
 
 
 def _from_pds4(name: str, content: str) -> LabelCamera:
-    try:
-        root = ElementTree.fromstring(content)
-    except ElementTree.ParseError as error:
-        raise DataError(f"{name}: not valid XML: {error}; is the label complete?") from error
-    for node in root.iter():
-        node.tag = str(node.tag).rpartition("}")[2].lower()
+    root = xml_root(name, content.encode())
     width, height = _size(name, root)
-    pitch = _number(name, root, "pixel_size") * 1e-3
-    focal = _number(name, root, "focal_length") / pitch
+    pitch, length = (_number(name, root, tag) for tag in ("pixel_size", "focal_length"))
+    if not (pitch > 0 and length > 0):
+        raise DataError(f"{name}: pixel_size {pitch:g}, focal_length {length:g}; both are above 0")
+    focal = length / (pitch := pitch * 1e-3)
     across, down = (_principal(name, root, axis) / pitch for axis in "xy")
-    found = {corner: _vector(root, f"{corner}_point_observe_vector") for corner in CORNERS}
+    found = {corner: _vector(name, root, f"{corner}_point_observe_vector") for corner in CORNERS}
     told = {corner: vector / np.linalg.norm(vector) for corner, vector in found.items() if vector is not None}
     center = np.array([_number(name, root, f"camera_center_position_{axis}", 0.0) for axis in "xyz"])
     fits = [
@@ -151,7 +157,7 @@ def _fit_corners(
         seen = directions @ (rotation_of(values[:3]) @ first)
         return np.asarray(np.nan_to_num((plain.with_vector(vector).project(seen) - pixels).ravel(), nan=1e4))
 
-    pinhole, bent = (least_squares(misses, np.zeros(count), x_scale=1e-3) for count in (3, 4))
+    pinhole, bent = (least_squares(misses, np.zeros(count), x_scale=1e-3, max_nfev=MOST_TRIES) for count in (3, 4))
     chosen = bent if len(told) >= 4 else pinhole
     vector = plain.vector()
     vector[4] = chosen.x[3] if len(chosen.x) > 3 else 0.0
@@ -179,39 +185,57 @@ def _orthonormal(matrix: FloatArray) -> FloatArray:
     return np.asarray(left @ right)
 
 
-def _size(name: str, root: ElementTree.Element) -> tuple[int, int]:
-    axes = {}
-    for axis in root.iter("axis_array"):
-        axes[str(axis.findtext("axis_name")).strip().lower()] = int(str(axis.findtext("elements") or 0))
+def _size(name: str, root: "Element") -> tuple[int, int]:
+    axes = {
+        str(axis.findtext("axis_name")).strip().lower(): axis.findtext("elements") for axis in root.iter("axis_array")
+    }
     if not {"line", "sample"} <= axes.keys():
         raise DataError(f"{name}: its label says no lines and samples; is it the label of a picture?")
-    return axes["sample"], axes["line"]
+    return _count(name, axes["sample"], "samples"), _count(name, axes["line"], "lines")
 
 
-def _number(name: str, root: ElementTree.Element, tag: str, default: float | None = None) -> float:
+def _count(name: str, told: str | float | None, what: str) -> int:
+    """A number of pixels. Raises DataError for text, parts of one, and what no picture has."""
+    try:
+        count = float(told or "")
+    except ValueError as error:
+        raise DataError(f"{name}: its {what} are '{told}', no number; fetch it again") from error
+    if not (1 <= count <= MOST_PX and count.is_integer()):
+        raise DataError(f"{name}: its {what} are {told}; a picture has 1 to {MOST_PX}")
+    return int(count)
+
+
+def _finite(name: str, tag: str, told: str) -> float:
+    try:
+        value = float(told)
+    except ValueError as error:
+        raise DataError(f"{name}: {tag} is '{told}', no number; fetch it again") from error
+    if not np.isfinite(value):
+        raise DataError(f"{name}: {tag} is {value}; fetch it again")
+    return value
+
+
+def _number(name: str, root: "Element", tag: str, default: float | None = None) -> float:
     found = next((node.text for node in root.iter(tag) if node.text), None)
     if found is None and default is None:
         raise DataError(f"{name}: its label has no {tag}; labels of Chang'E's PCAM of level 2B have one")
-    try:
-        return float(found if found is not None else default)  # type: ignore[arg-type]
-    except ValueError as error:
-        raise DataError(f"{name}: {tag} is '{found}', no number") from error
+    return _finite(name, tag, str(default) if found is None else found)
 
 
-def _principal(name: str, root: ElementTree.Element, axis: str) -> float:
+def _principal(name: str, root: "Element", axis: str) -> float:
     """x0, y0 in mm; the Moon's labels write principle_point_coordinate, and x, y."""
     for place in ("principal_point_coordinate", "principle_point_coordinate"):
         for node in root.iter(place):
             for tag in (f"{axis}0", axis):
                 if (found := node.findtext(tag)) is not None:
-                    return float(found)
+                    return _finite(name, tag, found)
     raise DataError(f"{name}: its label has no principal point")
 
 
-def _vector(root: ElementTree.Element, tag: str) -> FloatArray | None:
+def _vector(name: str, root: "Element", tag: str) -> FloatArray | None:
     node = next(root.iter(tag), None)
     cells = [] if node is None else [node.findtext(axis) for axis in "xyz"]
-    values = np.array([float(cell) for cell in cells if cell])
+    values = np.array([_finite(name, tag, cell) for cell in cells if cell])
     return values if values.size == 3 and np.linalg.norm(values) > 0 else None
 
 
@@ -299,8 +323,10 @@ def fit_cahv(model: CahvModel, name: str) -> LabelCamera:
         return np.asarray(np.nan_to_num((found - pixels).ravel(), nan=1e4))
 
     scale = np.array([1.0] * 4 + [1e-3] * 11)
-    bent = least_squares(misses, np.zeros(15), x_scale=scale, xtol=1e-14, ftol=1e-14, max_nfev=400)
-    pinhole = least_squares(misses, np.zeros(10), x_scale=scale[[0, 1, 2, 3, 9, 10, 11, 12, 13, 14]])
+    bent = least_squares(misses, np.zeros(15), x_scale=scale, xtol=1e-14, ftol=1e-14, max_nfev=MOST_TRIES)
+    pinhole = least_squares(
+        misses, np.zeros(10), x_scale=scale[[0, 1, 2, 3, 9, 10, 11, 12, 13, 14]], max_nfev=MOST_TRIES
+    )
     left, flat = (np.linalg.norm(fit.fun.reshape(-1, 2), axis=1) for fit in (bent, pinhole))
     remark = f"the fit to the label's model misses it by {left.max():.2g} px at most"
     return LabelCamera(
@@ -321,6 +347,8 @@ def _samples(model: CahvModel, plain: Camera, rotation: FloatArray) -> tuple[Flo
     points = np.concatenate([model.vectors["C"] + distance * rays @ rotation.T for distance in RANGES])
     pixels = model.project(points)
     inside = np.isfinite(pixels).all(axis=1) & plain.sees(np.nan_to_num(pixels, nan=-1e9))
+    if inside.sum() < FEWEST_POINTS:
+        raise DataError(f"{plain.name}: its model sees {inside.sum()} points in its own picture; is the label damaged?")
     return points[inside], pixels[inside]
 
 
@@ -339,7 +367,9 @@ def _cahv_of(name: str, content: str) -> CahvModel:
     own = {"linearity": 1.0 if kind is None else float(kind)}
     vectors["O"] = vectors["O"] / np.linalg.norm(vectors["O"]) if "O" in vectors else vectors["A"]
     vectors.setdefault("R", np.zeros(3))
-    return CahvModel(vectors=vectors, width_px=int(width), height_px=int(height), **own)
+    return CahvModel(
+        vectors=vectors, width_px=_count(name, width, "samples"), height_px=_count(name, height, "lines"), **own
+    )
 
 
 def _components(content: str) -> dict[str, FloatArray]:

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -214,18 +213,3 @@ def _fractal(shape: tuple[int, int], spacing_m: float, longest_m: float, random:
     waves = np.fft.irfft2(weight * np.fft.rfft2(random.standard_normal(shape)), s=shape)
     spread = float(waves.std())
     return np.asarray(waves / spread if spread > 0 else waves)
-
-
-def read_heights(path: str | Path) -> tuple[float, float, float, FloatArray]:
-    """x0, y0, spacing [m] and heights (ny, nx) [m] of a terrain archive (.npz with x_m, y_m, height_m).
-
-    Raises DataError.
-    """
-    try:
-        with np.load(path) as archive:
-            x, y, height = (np.asarray(archive[key], dtype=float) for key in ("x_m", "y_m", "height_m"))
-    except (OSError, ValueError, KeyError) as error:
-        raise DataError(f"{path}: no terrain archive (.npz with x_m, y_m and height_m): {error}") from error
-    if height.shape != (y.size, x.size) or min(height.shape) < 3:
-        raise DataError(f"{path}: height_m has shape {height.shape}; y_m and x_m say {(y.size, x.size)}")
-    return float(x[0]), float(y[0]), float(x[1] - x[0]), height

@@ -1,5 +1,8 @@
 """Pictures as grey numbers: PNG, TIFF and JPEG of 8 to 16 bits, and raw frames of PDS4 labels."""
 
+import math
+import re
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
+from lunarsci.documents import xml_root
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import InputFile, read_input
+from lunarsci.inputs import InputFile, read_input, unheard
 
 LABELS = (".2bl", ".2cl", ".2al", ".xml")
 RAW_TYPES = {
@@ -19,6 +23,10 @@ RAW_TYPES = {
     "SignedLSB2": "<i2",
     "SignedMSB2": ">i2",
 }
+MOST_PIXELS = 50_000_000
+"""Of a picture, with all colours of a raw one: ten times those of the largest camera on a rover; assumed."""
+NO_PICTURE = "no picture that can be read; give PNG, TIFF, JPEG or a PDS4 label"
+TOO_LARGE = f"a picture of more than {MOST_PIXELS / 1e6:.0f} million pixels; cut out the part that is wanted"
 FLAT = 4.0
 """A picture whose values spread less over their bits than this share of a thousand shows nothing; assumed."""
 
@@ -67,9 +75,11 @@ def read_picture(source: str | Path | InputFile) -> Picture:
     if Path(file.name).suffix.lower() in LABELS or file.data.lstrip()[:5] == b"<?xml":
         return _read_pds4(file)
     cv2 = open_cv()
-    found = cv2.imdecode(np.frombuffer(file.data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    _check_size(file)
+    with unheard():
+        found = cv2.imdecode(np.frombuffer(file.data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     if found is None:
-        raise DataError(f"{file.name}: no picture that can be read; give PNG, TIFF, JPEG or a PDS4 label")
+        raise DataError(f"{file.name}: {NO_PICTURE}")
     if found.ndim == 3:
         found = cv2.cvtColor(found[..., :3], cv2.COLOR_BGR2GRAY) if found.shape[2] > 2 else found[..., 0]
     return _picture(file, found)
@@ -83,29 +93,51 @@ def _picture(file: InputFile, found: npt.NDArray[Any]) -> Picture:
     return Picture(source=file, values=np.maximum(found, 0).astype(np.float64), bits=bits)
 
 
-def _read_pds4(file: InputFile) -> Picture:
-    from xml.etree import ElementTree
+def _check_size(file: InputFile) -> None:
+    """Raise DataError for what is no PNG, TIFF or JPEG, and for more pixels than are unpacked: its header says both."""
+    import io
+
+    from PIL import Image
 
     try:
-        root = ElementTree.fromstring(file.data)
-    except ElementTree.ParseError as error:
-        raise DataError(f"{file.name}: not valid XML: {error}; is the label complete?") from error
-    for node in root.iter():
-        node.tag = str(node.tag).rpartition("}")[2].lower()
-    axes = [(str(a.findtext("axis_name")).lower(), int(a.findtext("elements") or 0)) for a in root.iter("axis_array")]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            width, height = Image.open(io.BytesIO(file.data), formats=("PNG", "TIFF", "JPEG")).size
+    except Image.DecompressionBombError:
+        raise DataError(f"{file.name}: {TOO_LARGE}") from None
+    except (OSError, ValueError, SyntaxError, OverflowError) as error:
+        raise DataError(f"{file.name}: {NO_PICTURE}") from error
+    if width * height > MOST_PIXELS:
+        raise DataError(f"{file.name}: {TOO_LARGE}")
+
+
+def _read_pds4(file: InputFile) -> Picture:
+    root = xml_root(file.name, file.data)
+    axes = [
+        (str(a.findtext("axis_name")).lower(), _whole(file, a.findtext("elements"))) for a in root.iter("axis_array")
+    ]
     kind = next((str(node.text).strip() for node in root.iter("data_type")), "")
     if [name for name, _ in axes] not in (["line", "sample"], ["line", "sample", "band"]) or kind not in RAW_TYPES:
         raise DataError(f"{file.name}: axes {[name for name, _ in axes]} of {kind or 'no type'} are not known here")
     raw = read_input(Path(file.name).with_suffix(Path(file.name).suffix[:-1]))
-    shape, offset = [count for _, count in axes], int(next((n.text for n in root.iter("offset")), "0") or 0)
-    values = np.frombuffer(raw.data, RAW_TYPES[kind], offset=offset)
-    if values.size < np.prod(shape):
-        raise DataError(f"{raw.name}: {values.size} numbers, {'x'.join(map(str, shape))} announced; is it cut short?")
-    frame = values[: np.prod(shape)].reshape(shape)
+    shape, offset = [count for _, count in axes], _whole(file, next((n.text for n in root.iter("offset")), "0"))
+    count = math.prod(shape)
+    if not 0 < count <= MOST_PIXELS:
+        raise DataError(f"{file.name}: {'x'.join(map(str, shape))} are no picture, or too large a one; fetch it again")
+    if (there := len(raw.data) - offset) < (needed := count * np.dtype(RAW_TYPES[kind]).itemsize):
+        raise DataError(f"{raw.name}: {there} bytes, {needed} announced by its label; is it cut short?")
+    frame = np.frombuffer(raw.data, RAW_TYPES[kind], count, offset).reshape(shape)
     picture = _picture(raw, (frame if frame.ndim == 2 else frame.mean(axis=2)).astype(frame.dtype.newbyteorder("=")))
     if frame.ndim == 2 and "-C-" in Path(file.name).name:
         return Picture(source=raw, values=_without_mosaic(picture.values), bits=picture.bits)
     return picture
+
+
+def _whole(file: InputFile, told: str | None) -> int:
+    """A count of a label. Raises DataError for what is none."""
+    if not re.fullmatch(r"\s*\d{1,12}\s*", told or "", re.ASCII):
+        raise DataError(f"{file.name}: its label says {str(told)[:20]!r} for a count; fetch it again")
+    return int(str(told))
 
 
 def _without_mosaic(values: FloatArray) -> FloatArray:

@@ -1,6 +1,7 @@
 """The answer of a result in a sentence or two that can be read aloud, by the kind of the result."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 from lunarsci.errors import DataError
@@ -18,9 +19,18 @@ def answer(document: Document) -> ResultAnswer:
     made = ANSWERS.get(document.kind)
     if made is None:
         return ResultAnswer(f"A result of {document.provenance.get('command', 'lunarsci')}; its numbers are below.")
-    try:
+    with as_written(document):
         return made(document.result)
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
+
+
+@contextmanager
+def as_written(document: Document) -> Iterator[None]:
+    """DataError where a document, or a table beside it, lacks what its schema has."""
+    try:
+        yield
+    except DataError:
+        raise
+    except (LookupError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
         reason = f"lacks {error}" if isinstance(error, KeyError) else str(error)
         raise DataError(f"{document.name}: not what a {document.schema} holds: {reason}; make it anew") from error
 

@@ -12,7 +12,7 @@ from lunarsci.errors import ParameterError
 from lunarsci.printable import printable
 from lunarsci.provenance import installed_version
 from lunarsci.report import parts
-from lunarsci.report.answers import answer
+from lunarsci.report.answers import answer, as_written
 from lunarsci.report.charts import Chart, charts
 from lunarsci.report.documents import Document, GivenPicture
 from lunarsci.report.relief import Ground, GroundView, Line, lines_of, relief
@@ -128,12 +128,13 @@ class Page:
         return str(text).encode()
 
     def _section(self, document: Document, said: ResultAnswer) -> Section:
-        drawn = [_drawn(chart) for chart in charts(document)]
-        drawn += [_shown(name, content) for name, content in document.pictures.items()]
-        return Section(
-            printable(self.section_title(document)), said, drawn, parts.tables(document), parts.budget(document),
-            parts.assumed(document), parts.unknown(document), parts.provenance(document),
-        )  # fmt: skip
+        with as_written(document):
+            drawn = [_drawn(chart) for chart in charts(document)]
+            drawn += [_shown(name, content) for name, content in document.pictures.items()]
+            return Section(
+                printable(self.section_title(document)), said, drawn, parts.tables(document), parts.budget(document),
+                parts.assumed(document), parts.unknown(document), parts.provenance(document),
+            )  # fmt: skip
 
 
 def _drawn(chart: Chart) -> PagePicture:

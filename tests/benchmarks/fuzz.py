@@ -1,33 +1,42 @@
 """Spoilt files for every reader: each gives a result or one line that says what is wrong, soon and in little memory.
 
 `python tests/benchmarks/fuzz.py --inputs 100000 --keep FOLDER [READER...]`, or `make fuzz`. Mutations know of numbers,
-words, lines, columns and brackets; what makes a reader give a refusal that it had not given before is mutated further.
-All files are made up (SYNTHETIC). Prints a line a reader; what breaks the promise is kept in a folder.
+words, lines, columns and brackets. With atheris (`pip install atheris`, Linux) what reaches new branches of lunarsci is
+mutated further (`fuzz_guided.py`); without it what gets a refusal that had not been given before.
+
+Each reader is tried in a process of its own, some thousand inputs at a time, in turns: what is in the folder is not
+tried again, and a process that dies is a promise broken. Prints a line a reader; what breaks the promise is kept.
 """
 
 import argparse
 import contextlib
-import io
+import importlib.util
 import itertools
+import json
+import os
 import random
 import re
 import resource
 import signal
+import subprocess
 import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
-import numpy as np
+from fuzz_readers import BETWEEN, Reader, reader_of, readers
+from lunarsci.cli.shared.talk import failure_line
 
 from lunarsci.errors import LunarSciError
-from lunarsci.inputs import InputFile
+from lunarsci.printable import LONGEST, printable
 
 SLOWEST_S, MOST_BYTES = 5.0, 2 << 30
+STUCK_S = 60.0
+"""What runs so long without an answer even to the alarm is killed."""
+LARGEST_INPUT = 2_000_000
 NUMBERS = [b"", b"9" * 30, b"9" * 5000, b"\xef\xbc\x91"]
 NUMBERS += b"nan inf -inf 1e999 -1e308 1e-320 0 -0 -1 1e 0x10 --1 1,5 1.5.2 1_000 99999 -9999 1e6 true [] null".split()
 NUMBERS += b"2**64 0.0000001 3.4028235e38 2147483648 -32768".split()
@@ -38,23 +47,27 @@ WORD = re.compile(rb"[A-Za-z_]{2,}")
 
 
 @dataclass
-class Reader:
-    """What is tried: a reader, the suffix of its files, and files that it reads."""
-
-    read: Callable[[Path], Any]
-    suffix: str
-    seeds: list[bytes]
-
-
-@dataclass
 class Found:
-    """Of a reader: inputs, how many were read and refused, and what broke the promise, by kind."""
+    """Of a reader: inputs, how many were read and refused, what broke the promise and by which input, and the most
+    time and memory."""
 
     inputs: int = 0
     read: int = 0
     refusals: dict[str, int] = field(default_factory=dict)
     broken: dict[str, bytes] = field(default_factory=dict)
     slowest_s: float = 0.0
+    peak_mb: float = 0.0
+
+    def add(self, end: str, said: str, data: bytes, seconds: float) -> None:
+        self.inputs += 1
+        self.slowest_s = max(self.slowest_s, seconds)
+        self.peak_mb = max(self.peak_mb, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+        if end == "broken":
+            self.broken.setdefault(said, data)
+        elif end == "read":
+            self.read += 1
+        else:
+            self.refusals[said] = self.refusals.get(said, 0) + 1
 
 
 def mutated(data: bytes, draw: random.Random) -> bytes:
@@ -131,260 +144,194 @@ CHANGES = [
 
 @contextlib.contextmanager
 def alarm(seconds: float) -> Iterator[None]:
+    """TimeoutError after so many seconds of the processor, which others that compute do not change."""
+
     def ring(*_: object) -> None:
         raise TimeoutError
 
-    signal.signal(signal.SIGALRM, ring)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    signal.signal(signal.SIGPROF, ring)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
 
 
-def tried(reader: Reader, path: Path, data: bytes) -> tuple[str, str]:
+def write(reader: Reader, folder: Path, data: bytes) -> Path:
+    """The files of an input; the path of the first one."""
+    parts = data.split(BETWEEN, len(reader.names) - 1)
+    for name, part in itertools.zip_longest(reader.names, parts):
+        if part is None:
+            (folder / name).unlink(missing_ok=True)
+        else:
+            (folder / name).write_bytes(part)
+    return folder / reader.names[0]
+
+
+def tried(reader: Reader, folder: Path, data: bytes) -> tuple[str, str]:
     """`read`, `refused` or `broken`, and what was said."""
-    path.write_bytes(data)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
     try:
+        path = write(reader, folder, data)
         with warnings.catch_warnings(), alarm(SLOWEST_S):
             warnings.simplefilter("ignore")
             reader.read(path)
     except LunarSciError as error:
-        said = str(error)
-        return "refused", re.sub(r"[-\d.'\"]+|\S*/\S*", "", said)[:60]
+        said = failure_line(error)
+        if len(said) > LONGEST:
+            return "broken", f"a line of {len(said)} characters: {said[:40]}"
+        return "refused", re.sub(r"[-\d.'\"]+|\S*/\S*", "", printable(said))[:60]
     except TimeoutError:
         return "broken", f"slower than {SLOWEST_S:g} s"
     except BaseException as error:
-        trace, where = error.__traceback__, ""
-        while trace:
-            name = trace.tb_frame.f_code.co_filename
-            where = (
-                f"{Path(name).name}:{trace.tb_lineno}"
-                if "/lunarsci/" in name and "site-packages" not in name
-                else where
-            )
-            trace = trace.tb_next
-        return "broken", f"{type(error).__name__} at {where}: {str(error)[:80]}"
+        return "broken", f"{type(error).__name__} at {_place(error)}: {printable(str(error)[:80])}"
+    if before < MOST_BYTES < resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10:
+        return "broken", "more than 2 GB of memory"
     return "read", ""
 
 
-def tries(reader: Reader, inputs: int, seed: int, folder: Path) -> Found:
-    """Spoil files of one reader."""
+def _place(error: BaseException) -> str:
+    """The innermost line of lunarsci."""
+    trace, where = error.__traceback__, ""
+    while trace:
+        name = trace.tb_frame.f_code.co_filename
+        if "/lunarsci/" in name and "site-packages" not in name:
+            where = f"{Path(name).name}:{trace.tb_lineno}"
+        trace = trace.tb_next
+    return where
+
+
+def tries(
+    reader: Reader,
+    inputs: int,
+    seed: int,
+    folder: Path,
+    told: Callable[[bytes], None] | None = None,
+    seconds: float = float("inf"),
+) -> Found:
+    """Spoil files of one reader in a folder, for so long at most; `told` gets each before it is tried."""
     draw, found = random.Random(seed), Found()
     others: list[bytes] = []
-    path = folder / f"spoilt{reader.suffix}"
+    end_s = time.process_time() + seconds
     for _ in range(inputs):
-        data = mutated(draw.choice(others if others and draw.random() < 0.4 else reader.seeds), draw)[:2_000_000]
-        begun = time.perf_counter()
-        end, said = tried(reader, path, data)
-        found.slowest_s = max(found.slowest_s, time.perf_counter() - begun)
-        found.inputs += 1
-        if end == "broken":
-            found.broken.setdefault(said, data)
-        elif end == "read":
-            found.read += 1
-        elif said not in found.refusals and len(others) < 200 and len(data) < 100_000:
+        if time.process_time() > end_s:
+            break
+        data = mutated(draw.choice(others if others and draw.random() < 0.4 else reader.seeds), draw)[:LARGEST_INPUT]
+        if told is not None:
+            told(data)
+        begun = time.process_time()
+        end, said = tried(reader, folder, data)
+        if end == "refused" and said not in found.refusals and len(others) < 200 and len(data) < 100_000:
             others.append(data)
-        if end == "refused":
-            found.refusals[said] = found.refusals.get(said, 0) + 1
+        found.add(end, said, data, time.process_time() - begun)
     return found
 
 
-def _spectra(path: Path) -> Any:
-    from lunarsci.spectra.readers import read_spectra
-
-    return read_spectra(InputFile(str(path), path.read_bytes()))
-
-
-def of_file(name: str, *more: Any) -> Callable[[Path], Any]:
-    """The reader of that name, `module:function`, called with an InputFile."""
-    return _called(name, lambda path: InputFile(str(path), path.read_bytes()), *more)
-
-
-def of_path(name: str, *more: Any) -> Callable[[Path], Any]:
-    return _called(name, str, *more)
+def prepare(reader: Reader, folder: Path) -> Path:
+    """A folder with what lies beside the files of a reader, which has read its seeds: what is compiled is then."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, data in reader.beside.items():
+        (folder / name).write_bytes(data)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for seed in reader.seeds:
+            reader.read(write(reader, folder, seed))
+    return folder
 
 
-def _called(name: str, given: Callable[[Path], Any], *more: Any) -> Callable[[Path], Any]:
-    from importlib import import_module
-
-    module, function = name.split(":")
-
-    def read(path: Path) -> Any:
-        return getattr(import_module(f"lunarsci.{module}"), function)(given(path), *more)
-
-    return read
+# --- many, in processes of their own ---
 
 
-def table_text(names: str, rows: int = 12) -> bytes:
-    """A table of made-up numbers under these names."""
-    numbers = np.random.default_rng(1).uniform(0.01, 0.1, (rows, len(names.split(","))))
-    numbers[:, 0] = 0.005 + 0.5 * np.arange(rows) if names.startswith("time") else numbers[:, 0]
-    return (
-        f"{names}\n".encode()
-        + b"\n".join(",".join(f"{value:.5f}" for value in row).encode() for row in numbers)
-        + b"\n"
-    )
+def slug(name: str) -> str:
+    return re.sub(r"\W+", "-", name)
 
 
-def _curve() -> tuple[np.ndarray, np.ndarray]:
-    nm = np.arange(500.0, 2500.0, 25.0)
-    return nm, 0.1 + 2e-5 * nm - 0.03 * np.exp(-(((nm - 980) / 120) ** 2))
+class Account:
+    """What a process found, kept in a file while it goes on, with the input that it is at."""
+
+    def __init__(self, file: Path) -> None:
+        self.file, self.found, self._next = file, Found(), 0.0
+
+    def at(self, data: bytes) -> None:
+        self.file.with_suffix(".now").write_bytes(data)
+
+    def keep(self, *, done: bool = False) -> None:
+        if done or time.monotonic() > self._next:
+            self._next = time.monotonic() + 1.0
+            said = asdict(self.found) | {"broken": {what: data.hex() for what, data in self.found.broken.items()}}
+            partly = self.file.with_suffix(".part")
+            partly.write_text(json.dumps(said))
+            if done:
+                partly.replace(self.file)
 
 
-def spectra_seeds() -> dict[str, bytes]:
-    """The same made-up spectrum in several formats."""
-    from astropy.table import Table
-
-    nm, reflectance = _curve()
-    plain = Table({"wavelength_nm": nm, "reflectance": reflectance})
-    ecsv, fits = io.StringIO(), io.BytesIO()
-    plain.write(ecsv, format="ascii.ecsv")
-    plain.write(fits, format="fits")
-    rows = list(zip(nm, reflectance, strict=True))
-    return {
-        "csv": b"wavelength_nm,rock,rock_sigma\n" + b"".join(b"%.1f,%.5f,0.001\n" % row for row in rows),
-        "txt": b"# SYNTHETIC\n" + b"".join(b"%.4f %.5f\n" % (w / 1000, r) for w, r in rows),
-        "ecsv": ecsv.getvalue().encode(),
-        "fits": fits.getvalue(),
-        "tab": b"%d\n" % len(rows) + b"".join(b"  %9.4f %9.5f %9.5f\n" % (w, r, 0.001) for w, r in rows),
-        "splib": b" splib07a Record=1: SYNTHETIC\n" + b"".join(b" %.6E\n" % r for _, r in rows),
-    }
+def child(name: str, inputs: int, seconds: float, seed: int, file: Path) -> None:
+    """Try some inputs of a reader, and write what was found."""
+    resource.setrlimit(resource.RLIMIT_AS, (2 * MOST_BYTES, 2 * MOST_BYTES))
+    account = Account(file)
+    with tempfile.TemporaryDirectory() as place:
+        reader = reader_of(name)
+        account.found = tries(reader, inputs, seed, prepare(reader, Path(place)), account.at, seconds)
+    account.keep(done=True)
 
 
-def envi_header() -> bytes:
-    nm, _ = _curve()
-    return (
-        f"ENVI\ndescription = {{SYNTHETIC}}\nsamples = 4\nlines = 3\nbands = {nm.size}\nheader offset = 0\n"
-        "file type = ENVI Standard\ndata type = 4\ninterleave = bil\nbyte order = 0\n"
-        "wavelength units = Nanometers\nbbl = {"
-        f"{', '.join('1' for _ in nm)}}}\nwavelength = {{{', '.join(f'{w:.1f}' for w in nm)}}}\n"
-    ).encode()
+def run(name: str, inputs: int, seconds: float, seed: int, folder: Path, *, guided: bool) -> None:
+    """Try some inputs of a reader in a process; one that dies or hangs is what its last input did."""
+    file = folder / f"{slug(name)}.{seed}.json"
+    script = Path(__file__).with_name("fuzz_guided.py") if guided else Path(__file__)
+    command = [sys.executable, str(script), name, "--child", str(file), "--inputs", str(inputs)]
+    command += ["--seconds", str(seconds), "--seed", str(seed)]
+    said = file.with_suffix(".said")
+    with said.open("w") as heard:
+        process = subprocess.Popen(command, stdout=heard, stderr=heard, env=os.environ | {"OMP_NUM_THREADS": "1"})
+    now, changed = file.with_suffix(".now"), time.monotonic()
+    last = 0.0
+    while process.poll() is None:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(1.0)
+        if now.exists() and now.stat().st_mtime != last:
+            last, changed = now.stat().st_mtime, time.monotonic()
+        if time.monotonic() - changed > STUCK_S:
+            process.kill()
+    if not file.exists():
+        partly = file.with_suffix(".part")
+        known = json.loads(partly.read_text()) if partly.exists() else asdict(Found())
+        known["inputs"] = max(known["inputs"], 1)
+        what = f"the process ended with {process.returncode}: {said.read_text(errors='replace')[-300:]}"
+        known["broken"][what] = now.read_bytes().hex() if now.exists() else ""
+        file.write_text(json.dumps(known))
+    for left in (now, said, file.with_suffix(".part")):
+        left.unlink(missing_ok=True)
 
 
-def _envi(path: Path) -> Any:
-    from lunarsci.spectra.cubes.rasters import open_cube
-
-    nm, reflectance = _curve()
-    image = path.with_suffix(".img")
-    if not image.exists():
-        np.broadcast_to(reflectance[:, None], (3, nm.size, 4)).astype("<f4").tofile(image)
-    return open_cube(str(path)).rows(range(1)) if hasattr(open_cube(str(path)), "rows") else None
-
-
-def _terrain_seeds(folder: Path) -> dict[str, bytes]:
-    from lunarsci.grids import geotiff_bytes
-
-    axis = 0.5 * np.arange(8)
-    height = 0.05 * np.sin(axis[:, None] + axis)
-    np.savez(folder / "seed.npz", x_m=axis, y_m=axis, height_m=height, friction_angle_deg=30.0)
-    rows = "\n".join(" ".join(f"{value:.3f}" for value in row) for row in height)
-    nodes = "".join(f"{x},{y},{height[j, i]:.4f}\n" for j, y in enumerate(axis) for i, x in enumerate(axis))
-    return {
-        "npz": (folder / "seed.npz").read_bytes(),
-        "asc": f"ncols 8\nnrows 8\nxllcorner 0\nyllcorner 0\ncellsize 0.5\nNODATA_value -9999\n{rows}\n".encode(),
-        "csv": f"x_m,y_m,height_m\n{nodes}".encode(),
-        "tif": geotiff_bytes({"height_m": height}, (0.0, 0.0, 0.5), synthetic=True),
-    }
+def summed(name: str, folder: Path) -> Found:
+    """All that is known of a reader."""
+    whole = Found()
+    for file in folder.glob(f"{slug(name)}.*.json"):
+        one = json.loads(file.read_text())
+        whole.inputs += one["inputs"]
+        whole.read += one["read"]
+        whole.slowest_s = max(whole.slowest_s, one["slowest_s"])
+        whole.peak_mb = max(whole.peak_mb, one["peak_mb"])
+        whole.refusals |= one["refusals"]
+        whole.broken |= {what: bytes.fromhex(data) for what, data in one["broken"].items()}
+    return whole
 
 
-def _texts() -> dict[str, bytes]:
-    """Files that come with lunarsci, and short ones of other kinds."""
-    from importlib.resources import files
-
-    from lunarsci.images.rig_files import read_rig, rig_text
-
-    own = files("lunarsci")
-    zone = '{"type": "Polygon", "coordinates": [[[0, 0], [2, 0], [2, 1], [0, 0]]]}'
-    feature = f'{{"type": "Feature", "properties": {{"name": "rock"}}, "geometry": {zone}}}'
-    return {
-        "plan": (own / "twin/plans/plan.toml").read_bytes(),
-        "rover": (own / "rovers/yutu2.toml").read_bytes(),
-        "rig": rig_text(read_rig("yutu2-navcam")).encode(),
-        "soil": b"stiffness_kpa_m_n = 1379\nsinkage_exponent = 1.0\ncohesion_pa = 520\nfriction_angle_deg = 42\n"
-        b"shear_modulus_mm = 17.8\nexternal_friction_angle_deg = 25\nlateral_modulus_mm = 20\n",
-        "pose": b"position_m = [0.0, 0.0, 1.5]\nheading_deg = 10.0\ndown_deg = 15.0\n",
-        "prior": b'[cohesion_pa]\nof = "ln"\nmedian = 500.0\nsd = 0.5\n',
-        "keep-outs": f'{{"type": "FeatureCollection", "features": [{feature}]}}'.encode(),
-        "catalogue": b"name,latitude_deg,longitude_deg,diameter_km\nA,17.2,144.7,28\nB,-42.0,-177.9,72\n",
-        "fit": b'{"schema": "lunarsci/spectra-fit/1", "result": {"spectra": [{"id": "rock", "nbsr": {"um2": '
-        b'{"opx": 0.46, "cpx": 0.54, "sigma": 0.03, "calibration": 0.04, "continuum": null}}}]}}',
-        "modes": b"id,olivine,orthopyroxene,clinopyroxene\nrock,0.3,0.4,0.3\n",
-        "telemetry": table_text("time_s,x_m,y_m,sigma_m,z_m,roll_deg,pitch_deg,yaw_deg," + ",".join(
-            f"speed_{wheel}_m_s,steered_{wheel}_deg" for wheel in ("FL", "FR", "ML", "MR", "RL", "RR"))),
-        "track": table_text("x_m,y_m,rut_m"),
-        "positions": table_text("time_s,x_m,y_m,sigma_m"),
-        "states": table_text("sinkage_m,slip_ratio,side_slip_deg,normal_force_n,drawbar_pull_n,lateral_force_n,"
-                             "resistance_torque_nm"),
-    }  # fmt: skip
-
-
-def readers(folder: Path) -> dict[str, Reader]:
-    """All that is tried, with seeds made in the folder."""
-    seeds, grids, texts = spectra_seeds(), _terrain_seeds(folder), _texts()
-    nm, _ = _curve()
-    (folder / "splib07a_Wavelengths_SYNTHETIC.txt").write_text(
-        " splib07a Record=2: SYNTHETIC\n" + "".join(f" {w / 1000:.6E}\n" for w in nm)
-    )
-    made = {
-        f"spectra .{name}": Reader(_spectra, {"splib": ".txt"}.get(name, f".{name}"), [data])
-        for name, data in seeds.items()
-    }
-    made |= {
-        f"terrain .{name}": Reader(of_path("grids:read_grid", ("friction_angle_deg",)), f".{name}", [data])
-        for name, data in grids.items()
-    }
-    for name, call, suffix in (
-        ("plan", of_path("twin.plans.plan:read_plan"), ".toml"),
-        ("rover", of_path("rovers:read_rover"), ".toml"),
-        ("rig", of_path("images.rig_files:read_rig"), ".toml"),
-        ("soil", of_path("regolith.soil:read_soil"), ".toml"),
-        ("pose", of_path("images.rig_files:read_pose"), ".toml"),
-        ("prior", of_file("regolith.prior:read_prior"), ".toml"),
-        ("keep-outs", of_file("twin.ground.keep_out:read_keep_outs"), ".geojson"),
-        ("catalogue", of_file("spectra.origin.catalogue:read_catalogue"), ".csv"),
-        ("fit", of_file("spectra.origin.composition:read_rocks"), ".json"),
-        ("modes", of_file("spectra.abundance.known_modes:read_modes"), ".csv"),
-        ("telemetry", _telemetry, ".csv"),
-        ("track", of_file("twin.telemetry.sinkage:read_track"), ".csv"),
-        ("positions", of_file("twin.telemetry.reading:read_positions"), ".csv"),
-        ("states", _states, ".csv"),
-    ):
-        if texts[name]:
-            made[name] = Reader(call, suffix, [texts[name]])
-    made["cube header"] = Reader(_envi, ".hdr", [envi_header()])
-    made["configuration"] = Reader(of_text("documents:toml_document"), ".toml", [texts["plan"], texts["rover"]])
-    return made
-
-
-def of_text(name: str) -> Callable[[Path], Any]:
-    def read(path: Path) -> Any:
-        import tomllib
-
-        try:
-            return _called(name, lambda file: file.read_text("utf-8", errors="replace"))(path)
-        except tomllib.TOMLDecodeError as error:
-            raise LunarSciError(str(error)) from error
-
-    return read
-
-
-def _telemetry(path: Path) -> Any:
-    from lunarsci.rovers import read_rover
-    from lunarsci.twin.rover import build_rover
-    from lunarsci.twin.telemetry.checks import Findings
-    from lunarsci.twin.telemetry.reading import read_telemetry
-
-    return read_telemetry(
-        InputFile(str(path), path.read_bytes()), build_rover(read_rover("yutu2")), Findings(str(path))
-    )
-
-
-def _states(path: Path) -> Any:
-    from lunarsci.regolith.states import read_states
-    from lunarsci.regolith.wheel import read_wheel
-
-    return read_states(InputFile(str(path), path.read_bytes()), read_wheel("yutu2"))
+def show(names: Iterable[str], folder: Path) -> int:
+    """Print a line a reader, and what broke the promise, whose inputs are kept; how many there are."""
+    bad = 0
+    for name in names:
+        found = summed(name, folder)
+        print(f"{name:20s} {found.inputs:8,} inputs, {found.read:7,} read, {len(found.refusals):4d} kinds of refusal, "
+              f"slowest {found.slowest_s:.2f} s, {found.peak_mb:.0f} MB at most, {len(found.broken)} broken promises",
+              flush=True)  # fmt: skip
+        for number, (what, data) in enumerate(found.broken.items()):
+            file = folder / f"{slug(name)}-{number}.broken"
+            file.write_bytes(data)
+            print(f"    {what}   [{file}]")
+        bad += len(found.broken)
+    return bad
 
 
 def main() -> int:
@@ -392,26 +339,30 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("reader", nargs="*")
     parser.add_argument("--inputs", type=int, default=100_000)
+    parser.add_argument("--at-once", type=int, default=5000, help="inputs of a reader before the next one's turn")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of the processor, likewise")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--minutes", type=float, default=float("inf"))
+    parser.add_argument("--plain", action="store_true", help="without coverage, even where atheris is installed")
+    parser.add_argument("--show", action="store_true", help="what is known already")
     parser.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()) / "lunarsci-fuzz")
+    parser.add_argument("--child", type=Path, help=argparse.SUPPRESS)
     asked = parser.parse_args()
-    resource.setrlimit(resource.RLIMIT_AS, (2 * MOST_BYTES, 2 * MOST_BYTES))
-    bad = 0
-    with tempfile.TemporaryDirectory() as place:
-        every = readers(Path(place))
-        for name in asked.reader or every:
-            found = tries(every[name], asked.inputs, asked.seed, Path(place))
-            peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-            print(f"{name:16s} {found.inputs:8,} inputs, {found.read:7,} read, {len(found.refusals):4d} kinds of "
-                  f"refusal, slowest {found.slowest_s:.2f} s, {peak_mb:.0f} MB at most, {len(found.broken)} broken "
-                  "promises", flush=True)  # fmt: skip
-            for number, (what, data) in enumerate(found.broken.items()):
-                asked.keep.mkdir(parents=True, exist_ok=True)
-                file = asked.keep / f"{name.replace(' ', '_').replace('.', '')}-{number}{every[name].suffix}"
-                file.write_bytes(data)
-                print(f"    {what}   [{file}]")
-            bad += len(found.broken)
-    return min(bad, 1)
+    if asked.child:
+        child(asked.reader[0], asked.inputs, asked.seconds, asked.seed, asked.child)
+        return 0
+    names = asked.reader or list(readers())
+    asked.keep.mkdir(parents=True, exist_ok=True)
+    guided = not asked.plain and importlib.util.find_spec("atheris") is not None
+    end = 0.0 if asked.show else time.monotonic() + 60 * asked.minutes
+    for turn in itertools.count(asked.seed):
+        lacking = {name: asked.inputs - summed(name, asked.keep).inputs for name in names}
+        if time.monotonic() >= end or max(lacking.values()) <= 0:
+            break
+        for name, inputs in lacking.items():
+            if inputs > 0 and time.monotonic() < end and not (asked.keep / f"{slug(name)}.{turn}.json").exists():
+                run(name, min(inputs, asked.at_once), asked.seconds, turn, asked.keep, guided=guided)
+    return min(show(names, asked.keep), 1)
 
 
 if __name__ == "__main__":

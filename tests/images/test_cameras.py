@@ -301,7 +301,7 @@ def test_labels_without_a_camera_are_refused() -> None:
                     ),
                 )
             )
-    with pytest.raises(DataError, match="not valid XML"):
+    with pytest.raises(DataError, match="broken XML"):
         read_label(InputFile("a.2BL", whole[:-30]))
     with pytest.raises(DataError, match="no camera model"):
         read_label(InputFile("a.lbl", b"LINES = 4"))

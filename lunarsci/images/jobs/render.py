@@ -202,7 +202,7 @@ def render(
 
     from lunarsci.images import render as renderer
     from lunarsci.images.camera import Pose
-    from lunarsci.images.landscape import landscape_on, read_heights, read_track, with_track
+    from lunarsci.images.landscape import landscape_on, read_track, with_track
     from lunarsci.images.rig_files import read_rig
 
     asked = request_of(RenderRequest, request, options)
@@ -210,7 +210,7 @@ def render(
     count = round(FLAT_M / COARSE_M) + 1
     level = (asked.x - 0.5 * FLAT_M, asked.y - 0.5 * FLAT_M, COARSE_M, np.zeros((count, count)))
     ground = landscape_on(
-        level if terrain is None else read_heights(terrain),
+        level if terrain is None else _heights(terrain),
         name="level ground" if terrain is None else terrain,
         seed=asked.seed,
         rocks_per_m2=asked.rocks,
@@ -236,3 +236,11 @@ def render(
         progress=progress,
     )
     return SyntheticPair(landscape=ground, told=rig, pair=pair, inputs=inputs, seed=asked.seed)
+
+
+def _heights(terrain: str) -> "tuple[float, float, float, FloatArray]":
+    """x0, y0, spacing and heights (ny, nx) of a terrain file. [m]"""
+    from lunarsci.images.elevation import read_elevation
+
+    found = read_elevation(terrain)
+    return found.x0_m, found.y0_m, found.spacing_m, found.height_m

@@ -31,6 +31,8 @@ MOST_REFLECTANCE = 2.0
 """A median above this is no reflectance: percent, numbers of a detector, or radiance."""
 FEWEST_CHANNELS = 5
 MOST_VALUES = 10**13
+MOST_ON_A_LINE = 50_000_000
+"""Numbers of one line, which are in memory together; assumed."""
 LINES_LOOKED_AT = 16
 _ROTATED = re.compile(r"^(pca?|mnf|ica?|principal component|minimum noise|eigen)\b.*\d", re.IGNORECASE)
 
@@ -286,6 +288,11 @@ def _check_numbers(layout: Layout, stated: Stated) -> None:
     lines, samples = layout.shape
     if lines < 1 or samples < 1 or lines * samples > MOST_VALUES:
         raise DataError(f"{layout.name}: {lines} lines and {samples} samples are no image; check the header")
+    if (bands := 0 if layout.wavelength is None else len(layout.wavelength)) * samples > MOST_ON_A_LINE:
+        raise DataError(
+            f"{layout.name}: {samples} samples of {bands} bands on a line, and at most {MOST_ON_A_LINE / 1e6:.0f} "
+            "million numbers are read of one; cut out a part, or check the header"
+        )
     if layout.dtype.kind == "c":
         raise DataError(f"{layout.name}: holds complex numbers; a reflectance is a real one")
     scaled = stated.scale or layout.scale or layout.gain is not None

@@ -3,6 +3,7 @@
 GDAL opens a file with the driver that its content names and with no other.
 """
 
+import math
 import re
 import warnings
 from collections.abc import Iterator
@@ -17,7 +18,8 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.inputs import read_input, text
+from lunarsci.grids import MOST_BLOCK_BYTES, NUMPY_ERRORS, check_blocks
+from lunarsci.inputs import read_input, text, unheard
 from lunarsci.spectra.cubes.cube import Backplane, Cube, Layout, PixelFrame, Source, Stated, cube_of, sha256_of
 from lunarsci.spectra.cubes.flat import envi_plane, has_header, open_envi, open_vnis
 from lunarsci.spectra.readers.table import WavelengthUnit, length_unit, wavelength_unit_in
@@ -27,6 +29,8 @@ from lunarsci.spectra.vnis.name import product_name
 HINT = "cubes and maps need rasterio, xarray and h5netcdf; install them with: pip install 'lunarsci[cubes]'"
 _TIFF = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 HDF = b"\x89HDF"
+MOST_ON_AN_AXIS = 10_000_000
+"""Coordinates along an axis, which are read whole; assumed."""
 _WAVELENGTH = re.compile(
     r"^(wavelengths?|wvls?|wl|lambda|band_?(wavelength|center|centre)s?)(_?(nm|um))?$", re.IGNORECASE
 )
@@ -69,7 +73,10 @@ def opened(path: str, driver: str) -> Iterator[Any]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(path, driver=driver) as dataset:
+            with unheard():
+                dataset = rasterio.open(path, driver=driver)
+            with dataset:
+                check_blocks(dataset, path)
                 yield dataset
     except RasterioError as error:
         reason = " ".join(str(error).split())
@@ -165,9 +172,10 @@ class NetcdfVariable:
     def read(self, lines: slice, samples: slice) -> npt.NDArray[Any]:
         """Values with the file's scale and fill values applied, shape (lines, samples, channels)."""
         variable = netcdf(self.path)[self.name]
-        part: npt.NDArray[Any] = (
-            variable.isel({self.axes[0]: lines, self.axes[1]: samples}).transpose(*self.axes).values
-        )
+        with _netcdf_errors(self.path):
+            part: npt.NDArray[Any] = (
+                variable.isel({self.axes[0]: lines, self.axes[1]: samples}).transpose(*self.axes).values
+            )
         return part if part.ndim == 3 else part[..., None]
 
 
@@ -185,16 +193,35 @@ def _netcdf(path: str, engine: str, *_version: int) -> Any:
         import xarray
     except ImportError as error:
         raise ParameterError(HINT) from error
+    with _netcdf_errors(path):
+        found = xarray.open_dataset(path, engine=engine, decode_times=False)
+    for name, item in found.variables.items():
+        if item.ndim < 2 and item.size > MOST_ON_AN_AXIS:
+            raise DataError(f"{path}: '{name}' has {item.size} numbers, too many for an axis; fetch or write it again")
+        if math.prod(item.encoding.get("chunksizes") or ()) * item.dtype.itemsize > MOST_BLOCK_BYTES:
+            raise DataError(f"{path}: '{name}' is packed in chunks too large to be read; write it in smaller ones")
+    return found
+
+
+@contextmanager
+def _netcdf_errors(path: str) -> Iterator[None]:
+    """Whatever xarray, h5netcdf, HDF5 and scipy meet in a damaged file, and do not name, is a DataError."""
     try:
-        return xarray.open_dataset(path, engine=engine, decode_times=False)
-    except (OSError, ValueError, TypeError, KeyError, RuntimeError) as error:
+        yield
+    except DataError:
+        raise
+    except Exception as error:
         reason = " ".join(str(error).split())[:120]
         raise DataError(f"{path}: cannot be read as NetCDF ({reason}); fetch or write it again") from error
 
 
 def open_netcdf(path: str) -> Layout:
     """The variable of three dimensions, one of which has wavelengths. Raises DataError where there is none, or many."""
-    data = netcdf(path)
+    with _netcdf_errors(path):
+        return _netcdf_layout(path, netcdf(path))
+
+
+def _netcdf_layout(path: str, data: Any) -> Layout:
     waves = {axis: name for name in data.variables for axis in [_wave_axis(data[name], str(name))] if axis}
     cubes = [name for name, item in data.data_vars.items() if item.ndim == 3 and item.dtype.kind in "iufc"]
     with_waves = [name for name in cubes if set(data[name].dims) & set(waves)]
@@ -284,14 +311,25 @@ class ArrayFile:
 
     def read(self, lines: slice, samples: slice) -> npt.NDArray[Any]:
         """Numbers as the file has them, shape (lines, samples, 1)."""
-        return np.array(np.load(self.path, mmap_mode="r")[lines, samples])[..., None]
+        return np.array(_plane_array(self.path)[lines, samples])[..., None]
+
+
+def _plane_array(path: str) -> npt.NDArray[Any]:
+    """Numbers of a NumPy file, left on disk. Raises DataError for what holds none."""
+    try:
+        found: npt.NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
+    except NUMPY_ERRORS as error:
+        raise DataError(f"{path}: not a NumPy array that can be read; write it with numpy.save") from error
+    if found.dtype.kind not in "biuf":
+        raise DataError(f"{path}: holds no numbers but {found.dtype}; write them with numpy.save")
+    return found
 
 
 def plane_of(path: str) -> tuple[Source, tuple[int, int]]:
     """An image of one number a pixel, ENVI, GeoTIFF, NetCDF or `.npy`, and its lines and samples. Raises DataError."""
     start = start_of(path)
     if start.startswith(b"\x93NUMPY"):
-        shape = np.load(path, mmap_mode="r").shape
+        shape = _plane_array(path).shape
         source: Source = ArrayFile(path)
     elif start.startswith(_TIFF):
         with opened(path, "GTiff") as dataset:

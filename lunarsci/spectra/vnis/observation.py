@@ -17,12 +17,13 @@ import numpy.typing as npt
 
 from lunarsci import inputs
 from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.documents import LABEL_BYTES
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile, read_input
 from lunarsci.spectra.vnis.channel_order import equal_frames, repeated_rows
 from lunarsci.spectra.vnis.channels import CUBE_SHAPE, SWIR_NM, VNIR_NM
 from lunarsci.spectra.vnis.circumstances import doubts_of
-from lunarsci.spectra.vnis.label import LABEL_BYTES, DataFile, Label, read_label
+from lunarsci.spectra.vnis.label import DataFile, Label, read_label
 from lunarsci.spectra.vnis.name import ProductName, check_supported, product_name
 
 Cube = npt.NDArray[np.float32]

@@ -4,6 +4,7 @@ import difflib
 import io
 import re
 import warnings
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -13,7 +14,14 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
-from lunarsci.tables import check_columns, check_rows, numbers_of, read_csv_table, without_repeats
+from lunarsci.tables import (
+    check_columns,
+    check_rows,
+    numbers_of,
+    read_csv_table,
+    read_parquet_table,
+    without_repeats,
+)
 from lunarsci.twin.rover import Rover
 
 if TYPE_CHECKING:
@@ -260,9 +268,12 @@ def read_table(source: InputFile, findings: Findings) -> "pd.DataFrame":
     suffix = Path(source.name).suffix.lower()
     if suffix != ".parquet":
         check_rows(source.name, source.data.count(b"\n"))
-    readers = {".parquet": _read_parquet, ".ecsv": _read_ecsv}
-    read = readers.get(suffix, lambda file: read_csv_table(_whole_lines(file, findings)))
-    table = read(source)
+    if suffix == ".parquet":
+        table = _flat(source.name, read_parquet_table(source))
+    elif suffix == ".ecsv":
+        table = _read_ecsv(source)
+    else:
+        table = read_csv_table(_whole_lines(source, findings))
     check_rows(source.name, len(table))
     if not len(table):
         raise DataError(f"{source.name}: no rows; check how it was made or downloaded")
@@ -280,19 +291,6 @@ def _whole_lines(source: InputFile, findings: Findings) -> InputFile:
     what = f"line {number} has no end ('{cut[-20:].decode(errors='replace')}'): the file may be cut there"
     findings.add("truncated", what, "the line is left out; end it with a new line if it is whole")
     return InputFile(source.name, whole + b"\n")
-
-
-def _read_parquet(source: InputFile) -> "pd.DataFrame":
-    import pandas as pd
-
-    try:
-        import pyarrow
-    except ImportError as error:
-        raise DataError(f"{source.name}: Parquet needs pyarrow; pip install 'lunarsci[parquet]'") from error
-    try:
-        return _flat(source.name, pd.read_parquet(io.BytesIO(source.data), engine="pyarrow"))
-    except (OSError, ValueError, pyarrow.ArrowException) as error:
-        raise DataError(f"{source.name}: not a Parquet file that can be read ({_line(error)})") from error
 
 
 def _read_ecsv(source: InputFile) -> "pd.DataFrame":
@@ -325,7 +323,7 @@ def _flat(file: str, table: "pd.DataFrame") -> "pd.DataFrame":
     import pandas as pd
 
     names = [str(name).strip() for name in table.columns]
-    if twice := next((name for name in names if names.count(name) > 1), None):
+    if twice := next((name for name, times in Counter(names).items() if times > 1), None):
         raise DataError(f"{file}: two columns are called '{twice}'; keep one of them")
     table = table.reset_index(drop=True)
     table.columns = pd.Index(names)

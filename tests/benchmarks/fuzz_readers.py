@@ -1,0 +1,679 @@
+"""Every reader of a command, with files that it reads: what `fuzz.py` spoils. All files are made up (SYNTHETIC).
+
+A reader of several files gets them joined into one input, so that what is spoilt may be any of them, or one missing.
+"""
+
+import contextlib
+import functools
+import io
+import json
+import tempfile
+import tomllib
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import import_module
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lunarsci.errors import LunarSciError
+from lunarsci.inputs import InputFile
+
+BETWEEN = b"\n--- next file ---\n"
+FORMER = Path(__file__).parents[1] / "former_results.json"
+WHEELS = ("FL", "FR", "ML", "MR", "RL", "RR")
+SOIL = (
+    b"stiffness_kpa_m_n = 1379\nsinkage_exponent = 1.0\ncohesion_pa = 520\nfriction_angle_deg = 42\n"
+    b"shear_modulus_mm = 17.8\nexternal_friction_angle_deg = 25\nlateral_modulus_mm = 20\n"
+)
+ZONE = '{"type": "Polygon", "coordinates": [[[0, 0], [2, 0], [2, 1], [0, 0]]]}'
+FEATURE = f'{{"type": "Feature", "properties": {{"name": "rock"}}, "geometry": {ZONE}}}'
+START = b"""C:\\data\\
+sample.asc
+-100,25,10
+450,2400,1
+2E-03,1E-06
+Q
+0.85 -1e-6 0 0
+10 1e-4 1e-7 1e-7
+2
+1000 250 -1
+200 400 10
+2000 300 -1
+300 400 10
+"""
+
+
+@dataclass
+class Reader:
+    """What is tried.
+
+    Attributes
+    ----------
+    read : called with the path of the first file.
+    names : of the files that an input is written to, parted at `BETWEEN`; a part that is missing is no file.
+    seeds : inputs that it reads.
+    beside : further files in the folder, which stay as they are.
+    """
+
+    read: Callable[[Path], Any]
+    names: Sequence[str]
+    seeds: list[bytes]
+    beside: Mapping[str, bytes] = field(default_factory=dict)
+
+
+def _function(name: str) -> Callable[..., Any]:
+    module, function = name.split(":")
+    found: Any = import_module(f"lunarsci.{module}")
+    for part in function.split("."):
+        found = getattr(found, part)
+    return found  # type: ignore[no-any-return]
+
+
+def of_file(name: str, *more: Any) -> Callable[[Path], Any]:
+    """The reader of that name, `module:function`, called with an InputFile; `more` are further arguments."""
+    return lambda path: _function(name)(InputFile(str(path), path.read_bytes()), *more)
+
+
+def of_path(name: str, *more: Any, **options: Any) -> Callable[[Path], Any]:
+    return lambda path: _function(name)(str(path), *more, **options)
+
+
+def with_rover(name: str, *more: Any) -> Callable[[Path], Any]:
+    return lambda path: of_file(name, rover(), *more)(path)
+
+
+@functools.cache
+def rover() -> Any:
+    from lunarsci.rovers import read_rover
+    from lunarsci.twin.rover import build_rover
+
+    return build_rover(read_rover("yutu2"))
+
+
+def table(names: str, rows: int = 12) -> bytes:
+    """A table of made-up numbers under these names."""
+    numbers = np.random.default_rng(1).uniform(0.01, 0.1, (rows, len(names.split(","))))
+    numbers[:, 0] = 0.005 + 0.5 * np.arange(rows) if names.startswith("time") else numbers[:, 0]
+    lines = [names, *(",".join(f"{value:.5f}" for value in row) for row in numbers)]
+    return "\n".join([*lines, ""]).encode()
+
+
+# --- spectra ---
+
+
+def curve() -> tuple[np.ndarray, np.ndarray]:
+    """Wavelengths and reflectances of a made-up rock. (80,) [nm, 1]"""
+    nm = np.arange(500.0, 2500.0, 25.0)
+    return nm, 0.1 + 2e-5 * nm - 0.03 * np.exp(-(((nm - 980) / 120) ** 2))
+
+
+def spectrum_files() -> dict[str, bytes]:
+    """The same made-up spectrum in several formats."""
+    from astropy.table import Table
+
+    nm, reflectance = curve()
+    plain = Table({"wavelength_nm": nm, "reflectance": reflectance})
+    ecsv, fits = io.StringIO(), io.BytesIO()
+    plain.write(ecsv, format="ascii.ecsv")
+    plain.write(fits, format="fits")
+    rows = list(zip(nm, reflectance, strict=True))
+    return {
+        ".csv": b"wavelength_nm,rock,rock_sigma\n" + b"".join(b"%.1f,%.5f,0.001\n" % row for row in rows),
+        ".txt": b"# SYNTHETIC\n" + b"".join(b"%.4f %.5f\n" % (w / 1000, r) for w, r in rows),
+        ".ecsv": ecsv.getvalue().encode(),
+        ".fits": fits.getvalue(),
+        ".tab": b"%d\n" % len(rows) + b"".join(b"  %9.4f %9.5f %9.5f\n" % (w, r, 0.001) for w, r in rows),
+    }
+
+
+def envi_header(kind: str = "ENVI Standard", samples: int = 4, lines: int = 3, bands: int = 80) -> bytes:
+    nm, _ = curve()
+    return (
+        f"ENVI\ndescription = {{SYNTHETIC}}\nsamples = {samples}\nlines = {lines}\nbands = {bands}\n"
+        f"header offset = 0\nfile type = {kind}\ndata type = 4\ninterleave = bil\nbyte order = 0\n"
+        f"wavelength units = Nanometers\nwavelength = {{{', '.join(f'{w:.1f}' for w in nm)}}}\n"
+    ).encode()
+
+
+def library() -> bytes:
+    from lunarsci.spectra.library.end_member import EndMember, to_ecsv
+
+    nm, reflectance = curve()
+    return to_ecsv([EndMember("Fo 90", "olivine", nm, reflectance, fo=0.9, max_um=45.0, source="SYNTHETIC")])
+
+
+def spectra_readers() -> dict[str, Reader]:
+    of_spectra = of_path("spectra.readers:read_spectra")
+    nm, reflectance = curve()
+    waves = b" splib07a Record=2: SYNTHETIC\n" + b"".join(b" %.6E\n" % (w / 1000) for w in nm)
+    splib = b" splib07a Record=1: SYNTHETIC\n" + b"".join(b" %.6E\n" % r for r in reflectance)
+    sli = envi_header("ENVI Spectral Library", nm.size, 2, 1) + b"spectra names = {rock, soil}\n"
+    rock = {"id": "rock", "nbsr": {"um2": {"opx": 0.46, "cpx": 0.54, "sigma": 0.03, "calibration": 0.04}}}
+    fitted = json.dumps({"schema": "lunarsci/spectra-fit/1", "result": {"spectra": [rock]}}).encode()
+    sun = b"wavelength_nm,irradiance_w_m-2_nm-1\n" + b"".join(
+        b"%d,%.4f\n" % (w, irradiance) for w, irradiance in _sunlight()
+    )
+    return {
+        f"spectra {suffix}": Reader(of_spectra, [f"spoilt{suffix}"], [data])
+        for suffix, data in spectrum_files().items()
+    } | {
+        "spectra splib": Reader(of_spectra, ["spoilt.txt", "splib07a_Wavelengths_SYNTHETIC.txt"],
+                                [splib + BETWEEN + waves]),
+        "spectra .sli": Reader(of_spectra, ["spoilt.hdr", "spoilt.sli"],
+                               [sli + BETWEEN + np.tile(reflectance, 2).astype("<f4").tobytes()]),
+        "library": Reader(of_file("spectra.library.end_member:read_library"), ["spoilt.ecsv"], [library()]),
+        "samples": Reader(of_file("spectra.library.check:read_metadata"), ["spoilt.csv"],
+                          [b"id,mineral,fo,max_um,source\nA,ol,0.9,45,SYNTHETIC\nB,Ilmenite,,,\n"]),
+        "start of a fit": Reader(of_file("spectra.mgm.program:read_start"), ["spoilt.fit"], [START]),
+        "sunlight": Reader(of_file("spectra.readers.solar_table:read_solar_spectrum"), ["spoilt.csv"], [sun]),
+        "phase function": Reader(of_file("spectra.photometry.phase:read_phase_function"), ["spoilt.csv"],
+                                 [b"phase_deg,750,1500\n0,2,2\n30,1,1\n60,0.6,0.7\n"]),
+        "channel factors": Reader(of_file("spectra.vnis.detector:read_channel_factors"), ["spoilt.csv"],
+                                  [_factors()]),
+        "modes": Reader(of_file("spectra.abundance.known_modes:read_modes"), ["spoilt.csv"],
+                        [b"id,olivine,orthopyroxene,clinopyroxene\nrock,0.3,0.4,0.3\n"]),
+        "craters": Reader(of_file("spectra.origin.catalogue:read_catalogue"), ["spoilt.csv"],
+                          [b"name,latitude_deg,longitude_deg,diameter_km\nA,17.2,144.7,28\nB,-42.0,-177.9,72\n"]),
+        "fitted rocks": Reader(of_file("spectra.origin.composition:read_rocks"), ["spoilt.json"], [fitted]),
+    }  # fmt: skip
+
+
+def _sunlight() -> list[tuple[int, float]]:
+    """Of a black body with the Sun's radius at 1 AU: Planck's law. [nm, W m-2 nm-1]"""
+    nm = np.arange(400, 2500, 25)
+    metres = nm * 1e-9
+    power = 2 * np.pi * 6.626e-34 * 2.998e8**2 / metres**5 / np.expm1(1.4388e-2 / metres / 5772.0)
+    return list(zip(nm.tolist(), (1e-9 * power * (6.957e8 / 1.496e11) ** 2).tolist(), strict=True))
+
+
+def _factors() -> bytes:
+    from lunarsci.spectra.vnis.channels import SWIR_NM, VNIR_NM
+
+    rows = [f"{name},{nm:g},1.01\n" for name, grid in (("vnir", VNIR_NM), ("swir", SWIR_NM)) for nm in grid]
+    return "".join(["detector,wavelength_nm,factor\n", *rows]).encode()
+
+
+# --- products of VNIS, image cubes ---
+
+
+@functools.cache
+def product() -> Mapping[str, bytes]:
+    """One made-up observation: image cube, short-wave table, auxiliary table, labels."""
+    from lunarsci.spectra.vnis.simulation.instrument import simulate
+    from lunarsci.spectra.vnis.simulation.products import product_files
+    from lunarsci.spectra.vnis.simulation.scene import Scene
+
+    return {name: data for name, data in product_files(simulate(Scene(), seed=3)).items() if "truth" not in name}
+
+
+def vnis_readers() -> dict[str, Reader]:
+    found = product()
+    cube = next(name for name, data in found.items() if len(data) > 10**6)
+    small = {name: data for name, data in found.items() if name != cube}
+    names = sorted(small, key=lambda name: not name.endswith("L"))
+    pixels = np.frombuffer(found[cube], "<f4").reshape(100, 256, 256)[:, 100, 100]
+
+    def whole(path: Path) -> Any:
+        # Of an odd length it is the cube itself; else numbers for all pixels alike, for a cube is 26 MB.
+        spoilt = path.read_bytes()
+        if len(spoilt) % 2 == 0 and len(spoilt) >= 4:
+            size = len(found[cube])
+            path.write_bytes(np.repeat(np.resize(np.frombuffer(spoilt, "u1"), (100, 4)), 65536, axis=0).tobytes())
+            assert path.stat().st_size == size
+        return _function("spectra.readers:read_spectra")(str(path))
+
+    return {
+        "VNIS products": Reader(of_path("spectra.vnis.observation:read_observation"), names,
+                                [BETWEEN.join(small[name] for name in names)], {cube: found[cube]}),
+        "VNIS image": Reader(whole, [cube], [pixels.astype("<f4").tobytes()], small),
+        "VNIS cube": Reader(all_of_cube, names, [BETWEEN.join(small[name] for name in names)],
+                            {cube: found[cube]}),
+    }  # fmt: skip
+
+
+def all_of_cube(path: Path, **stated: Any) -> Any:
+    """Open a cube, and read its first lines and its locations."""
+    from lunarsci.spectra.cubes.cube import Stated
+    from lunarsci.spectra.cubes.rasters import open_cube
+
+    cube = open_cube(str(path), Stated(**stated))
+    part = (slice(0, min(cube.shape[0], 8)), slice(0, min(cube.shape[1], 64)))
+    return cube.read(*part), [plane.source.read(*part) for plane in cube.backplanes.values()]
+
+
+def cube_files() -> dict[str, bytes]:
+    """The same made-up cube (3 lines, 4 samples) in the formats of rasters."""
+    import xarray
+
+    nm, reflectance = curve()
+    values = np.broadcast_to(reflectance[:, None, None], (nm.size, 3, 4)).astype("<f4")
+    places = {"lat": (("y", "x"), np.zeros((3, 4)) + 40), "lon": (("y", "x"), np.zeros((3, 4)) + 20)}
+    data = xarray.Dataset(
+        {"reflectance": (("wavelength", "y", "x"), values), **places},
+        {"wavelength": ("wavelength", nm, {"units": "nm"}), "x": np.arange(4.0), "y": np.arange(3.0)},
+    )
+    with tempfile.TemporaryDirectory() as place:
+        data.to_netcdf(f"{place}/4.nc", engine="h5netcdf")
+        data.to_netcdf(f"{place}/3.nc", engine="scipy")
+        data.drop_vars(["x", "y"]).to_netcdf(f"{place}/swath.nc", engine="h5netcdf")
+        netcdf = {name: Path(place, f"{name}.nc").read_bytes() for name in ("4", "3", "swath")}
+    return {
+        "ENVI": envi_header() + b"map info = {Equirectangular, 1, 1, 0, 0, 100, 100, units=Meters}\n"
+        + BETWEEN + values.transpose(1, 0, 2).tobytes(),
+        "GeoTIFF": tiff({f"{w:.0f} nm": layer for w, layer in zip(nm, values, strict=True)}),
+        "NetCDF 4": netcdf["4"],
+        "NetCDF 3": netcdf["3"],
+        "NetCDF swath": netcdf["swath"],
+    }  # fmt: skip
+
+
+def tiff(layers: Mapping[str, np.ndarray]) -> bytes:
+    from lunarsci.grids import geotiff_bytes
+
+    return geotiff_bytes(layers, (0.0, 0.0, 0.5), synthetic=True)
+
+
+def cube_readers() -> dict[str, Reader]:
+    found = cube_files()
+    header, image = found["ENVI"].split(BETWEEN)
+    plane = io.BytesIO()
+    np.save(plane, np.ones((3, 4)))
+    nm, _ = curve()
+    m3 = "M3G20090203T175131_V01_{}.{}"
+    loc = header.replace(b"bands = 80", b"bands = 3").partition(b"wavelength units")[0]
+    place = np.tile(np.float32([20.0, 40.0, 1737.4])[:, None], (3, 1, 4)).tobytes()
+    beside = {"cube.hdr": header, "cube.img": image}
+
+    def regions(path: Path) -> Any:
+        from lunarsci.spectra.cubes.rasters import open_cube
+
+        return _function("spectra.cubes.regions:region_of")(open_cube(str(path.with_name("cube.nc"))), str(path))
+
+    return {
+        "cube ENVI": Reader(all_of_cube, ["spoilt.hdr", "spoilt.img"], [found["ENVI"]]),
+        "cube M3": Reader(
+            all_of_cube, [m3.format(part, end) for part, end in (("RFL", "HDR"), ("RFL", "IMG"), ("LOC", "HDR"),
+                                                                 ("LOC", "IMG"))],
+            [BETWEEN.join((header.partition(b"map info")[0], image, loc, place))]),
+        "cube GeoTIFF": Reader(all_of_cube, ["spoilt.tif"], [found["GeoTIFF"]]),
+        "cube NetCDF 4": Reader(all_of_cube, ["spoilt.nc"], [found["NetCDF 4"]]),
+        "cube NetCDF 3": Reader(all_of_cube, ["spoilt.nc"], [found["NetCDF 3"]]),
+        "mask .npy": Reader(_read_plane, ["spoilt.npy"], [plane.getvalue()]),
+        "mask .tif": Reader(_read_plane, ["spoilt.tif"], [tiff({"mask": np.ones((3, 4))})]),
+        "wavelengths": Reader(
+            lambda path: all_of_cube(path.with_name("cube.img"), wavelengths=str(path)), ["spoilt.csv"],
+            [b"wavelength_nm,fwhm,good\n" + b"".join(b"%.1f,20,1\n" % w for w in nm)], beside),
+        "regions": Reader(regions, ["spoilt.geojson"],
+                          [ZONE.replace("[0, 0], [2, 0], [2, 1], [0, 0]",
+                                        "[19, 39], [21, 39], [20, 42], [19, 39]").encode()],
+                          {"cube.nc": found["NetCDF swath"]}),
+    }  # fmt: skip
+
+
+def _read_plane(path: Path) -> Any:
+    source, shape = _function("spectra.cubes.rasters:plane_of")(str(path))
+    return source.read(slice(0, min(shape[0], 64)), slice(0, min(shape[1], 64)))
+
+
+# --- pictures, cameras ---
+
+
+def label(
+    turned: tuple[float, float, float] = (0.0, 0.0, 0.0), center: tuple[float, float, float] = (1.0, 2.0, 1.5)
+) -> bytes:
+    """A PDS4 label with the elements of a panorama camera's: corners and focal length of a pinhole."""
+    from scipy.spatial.transform import Rotation
+
+    width, height, focal = 1176, 864, 3380.0
+    corners = {"up_left": (0, 0), "down_left": (0, 1), "up_right": (1, 0), "down_right": (1, 1), "center": (0.5, 0.5)}
+
+    def tag(name: str, content: object) -> str:
+        return f"<{name}>{content}</{name}>"
+
+    told = []
+    for name, (x, y) in corners.items():
+        ray = np.array([(x - 0.5) * (width - 1), (y - 0.5) * (height - 1), focal])
+        way = Rotation.from_rotvec(turned).apply(ray / np.linalg.norm(ray))
+        told.append(tag(f"{name}_point_observe_vector", "".join(map(tag, "xyz", np.round(way, 6)))))
+    axes = [tag("Axis_Array", tag("axis_name", n) + tag("elements", e)) for n, e in (("Line", 864), ("Sample", 1176))]
+    places = [tag(f"camera_center_position_{axis}", value) for axis, value in zip("xyz", center, strict=True)]
+    middle = tag("principle_point_coordinate", tag("x", 0.0) + tag("y0", 0.0))
+    parm = tag("pixel_size", 14.8) + tag("focal_length", focal * 14.8e-3) + middle
+    inner = "".join([*axes, tag("Instrument_Parm", parm), *told, *places])
+    return f'<?xml version="1.0"?><Product_Observational>{inner}</Product_Observational>'.encode()
+
+
+CAHV = (b"NS = 1024\nNL = 1024\nC = 1.0 0.2 -1.0\nA = 0.0 0.0 1.0\nH = 1200.0 0.0 511.0\nV = 0.0 1200.0 512.0\n"
+        b"O = 0.0 0.0 1.0\nR = 0.0001 -0.1 0.03\n")  # fmt: skip
+RAW_LABEL = (
+    b'<?xml version="1.0"?><Product_Observational><File><offset>0</offset></File><Array_2D_Image>'
+    b"<data_type>UnsignedByte</data_type><Axis_Array><axis_name>Line</axis_name><elements>24</elements></Axis_Array>"
+    b"<Axis_Array><axis_name>Sample</axis_name><elements>32</elements></Axis_Array></Array_2D_Image>"
+    b"</Product_Observational>"
+)
+
+
+def pictures() -> dict[str, bytes]:
+    """The same made-up picture (24 x 32) in three formats."""
+    from PIL import Image
+
+    values = np.random.default_rng(2).integers(0, 255, (24, 32), dtype=np.uint8)
+    found = {}
+    for kind in ("png", "tiff", "jpeg"):
+        written = io.BytesIO()
+        Image.fromarray(values).save(written, format=kind)
+        found[kind] = written.getvalue()
+    return found | {"raw": values.tobytes()}
+
+
+def picture_readers() -> dict[str, Reader]:
+    from lunarsci.images.camera import Camera
+    from lunarsci.images.rig_files import camera_text, read_rig, rig_text
+
+    shown = pictures()
+    of_picture = of_path("images.pictures:read_picture")
+    one = Camera(name="p", width_px=1176, height_px=864, fx_px=3380.0, fy_px=3380.0, cx_px=590.0, cy_px=428.0, k1=-0.05)
+    alone = camera_text(one, np.eye(9) * 1e-4, name="one", source="SYNTHETIC")
+    right = label((0.0, 0.004, 0.0), (1.27, 2.0, 1.5))
+    places = b"x_m,y_m,z_m,sigma_m\n0,0,1.5,0.01\n2.5,0,1.5,0.02\n"
+    line = b'{"type": "LineString", "coordinates": [[0, 0], [1.5, 0.2], [3, 0.1]]}'
+
+    def rig(path: Path) -> Any:
+        both = (str(path), str(path.with_name("right.2BL")))
+        return _function("images.rig_files:read_rig")(*both)
+
+    def pose(path: Path) -> Any:
+        return of_file("images.rig_files:read_pose")(path), of_file("images.jobs.locate:_more_of_pose")(path)
+
+    return {
+        **{f"picture {kind}": Reader(of_picture, [f"spoilt.{kind}"], [shown[kind]])
+           for kind in ("png", "tiff", "jpeg")},
+        "picture PDS4": Reader(of_picture, ["PCAM-C-1.2BL", "PCAM-C-1.2B"], [RAW_LABEL + BETWEEN + shown["raw"]]),
+        "camera label": Reader(of_path("images.jobs.cameras:cameras"), ["spoilt.2BL"], [label()]),
+        "camera CAHVOR": Reader(of_path("images.jobs.cameras:cameras"), ["spoilt.lbl"], [CAHV]),
+        "camera": Reader(of_path("images.jobs.cameras:cameras"), ["spoilt.toml"], [alone.encode()]),
+        "rig": Reader(of_path("images.rig_files:read_rig"), ["spoilt.toml"],
+                      [rig_text(read_rig("yutu2-navcam")).encode()]),
+        "rig of labels": Reader(rig, ["left.2BL", "right.2BL"], [label() + BETWEEN + right]),
+        "pose": Reader(pose, ["spoilt.toml"], [
+            b"position_m = [0.0, 0.0, 1.5]\nheading_deg = 10.0\ndown_deg = 15.0\ntime_s = 5.0\nyaw_deg = 10.0\n"
+            b"pitch_deg = 1.0\nroll_deg = 0.0\n"]),
+        "stations": Reader(of_file("images.jobs.merge:read_positions", 2), ["spoilt.csv"], [places]),
+        "track in a picture": Reader(of_path("images.landscape:read_track"), ["spoilt.csv"],
+                                     [table("x_m,y_m,rut_m")]),
+        "line": Reader(of_path("images.lines:read_line"), ["spoilt.geojson"], [line]),
+    }  # fmt: skip
+
+
+# --- ground ---
+
+
+def ground_files() -> dict[str, bytes]:
+    """The same made-up ground (8 x 8 nodes) in four formats."""
+    axis = 0.5 * np.arange(8)
+    height = 0.05 * np.sin(axis[:, None] + axis)
+    archive = io.BytesIO()
+    np.savez_compressed(archive, x_m=axis, y_m=axis, height_m=height, friction_angle_deg=30.0, height_m_sigma=0.01)
+    rows = "\n".join(" ".join(f"{value:.3f}" for value in row) for row in height)
+    nodes = "".join(f"{x},{y},{height[j, i]:.4f}\n" for j, y in enumerate(axis) for i, x in enumerate(axis))
+    return {
+        ".npz": archive.getvalue(),
+        ".asc": f"ncols 8\nnrows 8\nxllcorner 0\nyllcorner 0\ncellsize 0.5\nNODATA_value -9999\n{rows}\n".encode(),
+        ".csv": f"x_m,y_m,height_m\n{nodes}".encode(),
+        ".tif": tiff({"height_m": height}),
+    }
+
+
+@functools.cache
+def ground() -> Any:
+    from lunarsci.regolith.soil import read_soil
+    from lunarsci.twin.ground.terrain import build_terrain
+
+    return build_terrain("SYNTHETIC", 0.0, 0.0, 0.5, np.zeros((8, 8)), read_soil("longji"))
+
+
+def ground_readers() -> dict[str, Reader]:
+    found = ground_files()
+
+    def terrain(path: Path) -> Any:
+        from lunarsci.regolith.soil import read_soil
+
+        return _function("twin.ground.terrain_files:read_terrain_file")(path, read_soil("longji"))
+
+    def layer(path: Path) -> Any:
+        return _function("twin.ground.cost_layers:read_cost_layer")(str(path), ground(), {3.0: 2.0})
+
+    return {
+        **{f"terrain {suffix}": Reader(terrain, [f"spoilt{suffix}"], [data]) for suffix, data in found.items()},
+        "elevation": Reader(of_path("images.elevation:read_elevation"), ["spoilt.npz"], [found[".npz"]]),
+        "layer": Reader(layer, ["spoilt.asc"], [found[".asc"]]),
+        "keep-outs": Reader(of_file("twin.ground.keep_out:read_keep_outs"), ["spoilt.geojson"],
+                            [f'{{"type": "FeatureCollection", "features": [{FEATURE}]}}'.encode()]),
+    }  # fmt: skip
+
+
+# --- soils ---
+
+
+@functools.cache
+def belief() -> bytes:
+    """A belief after two drives that taught little."""
+    from dataclasses import replace
+
+    from lunarsci.regolith.belief import first_belief
+
+    first = first_belief()
+    entry = {"states": "states.csv", "plan": "plan", "before": json.loads(first.to_json())}
+    return replace(first, history=(entry,), population=np.tile(first.mean, (3, 1))).to_json().encode()
+
+
+def soil_map() -> bytes:
+    from lunarsci.regolith.belief import first_belief
+    from lunarsci.twin.ground.soil_map import SoilMap, Zone, soil_map_bytes
+
+    places = np.array([[0.0, 0.0], [1.0, 0.2]])
+    return soil_map_bytes(SoilMap(zones=(Zone(name="first", place_m=places, belief=first_belief()),)))
+
+
+def soil_readers() -> dict[str, Reader]:
+    samples = b"friction_angle_deg,cohesion_pa\n35,500\n40,600\n38,400\n"
+    states = table(
+        "sinkage_m,slip_ratio,side_slip_deg,normal_force_n,drawbar_pull_n,lateral_force_n,resistance_torque_nm"
+    )
+    identified = {"schema": "lunarsci/regolith-identify/1", "result": former("identify joint")["result"]}
+
+    def wheel_states(path: Path) -> Any:
+        from lunarsci.regolith.wheel import read_wheel
+
+        return of_file("regolith.states:read_states", read_wheel("yutu2"))(path)
+
+    def given(path: Path) -> Any:
+        return _function("twin.jobs.drive_inputs:GivenSoil.read")([str(path)])
+
+    return {
+        "soil": Reader(of_path("regolith.soil:read_soil"), ["spoilt.toml"], [SOIL]),
+        "prior": Reader(of_file("regolith.prior:read_prior"), ["spoilt.toml"],
+                        [b'[cohesion_pa]\nof = "ln"\nmedian = 500.0\nsd = 0.5\n']),
+        "states": Reader(wheel_states, ["spoilt.csv"], [states]),
+        "identified soil": Reader(lambda path: of_path("regolith.jobs.compare_soils:compare_soils")(path).to_json(),
+                                  ["spoilt.json"], [json.dumps(identified).encode()]),
+        "belief": Reader(lambda path: of_path("twin.jobs.history:history")(path).to_json(), ["spoilt.json"],
+                         [belief()]),
+        "verdict": Reader(of_file("regolith.belief:read_verdict"), ["spoilt.json"], [belief()]),
+        "soil map": Reader(given, ["spoilt.json"], [soil_map()]),
+        "soil samples": Reader(of_file("twin.ground.driven_soil:read_soil_samples"), ["spoilt.csv"], [samples]),
+    }  # fmt: skip
+
+
+# --- drives ---
+
+
+def telemetry() -> dict[str, bytes]:
+    import pandas as pd
+    from astropy.table import Table
+
+    wheels = [f"{kind}_{wheel}_{unit}" for wheel in WHEELS for kind, unit in (("speed", "m_s"), ("steered", "deg"))]
+    plain = table(",".join(["time_s,x_m,y_m,sigma_m,z_m,roll_deg,pitch_deg,yaw_deg", *wheels]))
+    frame = pd.read_csv(io.BytesIO(plain))
+    ecsv, parquet = io.StringIO(), io.BytesIO()
+    Table.from_pandas(frame).write(ecsv, format="ascii.ecsv")
+    frame.to_parquet(parquet)
+    return {".csv": plain, ".ecsv": ecsv.getvalue().encode(), ".parquet": parquet.getvalue()}
+
+
+def drive_readers() -> dict[str, Reader]:
+    own = files("lunarsci")
+    plan = (own / "twin/plans/plan.toml").read_bytes()
+    states = b"time_s,wheel,sinkage_m,sinkage_m_sigma,slip_ratio,valid\n2,FL,0.009,0.001,0.05,true\n3,FR,0.008,,,true\n"
+    commands = ",".join(f"{name}_{wheel}_{unit}" for wheel in WHEELS for name, unit in
+                        (("steering", "deg"), ("speed", "m_s")))  # fmt: skip
+    mission = (Path(__file__).parents[2] / "examples/mission.toml").read_bytes()
+
+    def sent(path: Path) -> Any:
+        from lunarsci.twin.telemetry.checks import Findings
+
+        return with_rover("twin.telemetry.reading:read_telemetry", Findings(str(path)))(path)
+
+    return {
+        "plan": Reader(of_path("twin.plans.plan:read_plan"), ["spoilt.toml"], [plan]),
+        "rover": Reader(lambda path: _function("twin.rover:build_rover")(of_path("rovers:read_rover")(path)),
+                        ["spoilt.toml"], [(own / "rovers/yutu2.toml").read_bytes()]),
+        "mission": Reader(of_path("twin.mission.mission:read_mission"), ["spoilt.toml"], [mission]),
+        **{f"telemetry {suffix}": Reader(sent, [f"spoilt{suffix}"], [data]) for suffix, data in telemetry().items()},
+        "track": Reader(of_file("twin.telemetry.sinkage:read_track"), ["spoilt.csv"], [table("x_m,y_m,rut_m")]),
+        "positions": Reader(of_file("twin.telemetry.reading:read_positions"), ["spoilt.csv"],
+                            [table("time_s,x_m,y_m,sigma_m")]),
+        "motion": Reader(with_rover("twin.plans.motion:read_motion"), ["spoilt.csv"],
+                         [table(f"time_s,x_m,y_m,yaw_deg,{commands}")]),
+        "states of poses": Reader(with_rover("twin.loads.prescribed_motion:read_pose_states"), ["spoilt.csv"],
+                                  [states]),
+        "record": Reader(with_rover("twin.assimilation.drive_record:read_record"), ["spoilt.csv"], [states]),
+        "prediction": Reader(lambda path: _function("twin.comparison.forecast:read_forecast")(path.parent),
+                             ["prediction.json"], [forecast()[0]], forecast()[1]),
+    }  # fmt: skip
+
+
+@functools.cache
+def forecast() -> tuple[bytes, Mapping[str, bytes]]:
+    """A prediction of one drive of three steps: its document, and its tables."""
+    from lunarsci.provenance import sha256
+    from lunarsci.twin.comparison.forecast import SCHEMA
+    from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, STATE_COLUMNS
+
+    steps = 3
+    rows = [["member,wheel,time_s", *STATE_COLUMNS], ["member,time_s", *PATH_COLUMNS]]
+    states = [f"0,{wheel},{k}" + ",0.01" * len(STATE_COLUMNS) for k in range(steps) for wheel in WHEELS]
+    paths = [f"0,{k}" + ",0.05" * len(PATH_COLUMNS) for k in range(steps)]
+    tables = {
+        name: "\n".join([",".join(head), *body, ""]).encode()
+        for name, head, body in zip(("states.csv", "paths.csv"), rows, (states, paths), strict=True)
+    }
+    document = {
+        "schema": SCHEMA,
+        "rover": {"name": "yutu2", "sha256": "0", "wheels": WHEELS, "wheel_radius_m": 0.15},
+        "terrain": {"name": "SYNTHETIC", "synthetic": True},
+        "soils": "one",
+        "soil": {},
+        "plan": (files("lunarsci") / "twin/plans/plan.toml").read_text("utf-8"),
+        "time_s": [0.0, 1.0, 2.0],
+        "distance_m": [0.0, 0.05, 0.1],
+        "planned": [[0, 0, 0], [0.05, 0, 0], [0.1, 0, 0]],
+        "halted": [False] * steps,
+        "recorded": [steps],
+        "outcome": ["finished"],
+        "discrepancy": None,
+        "tables": {name: sha256(content) for name, content in tables.items()},
+    }
+    return json.dumps(document).encode(), tables
+
+
+# --- documents of other commands, configuration ---
+
+
+@functools.cache
+def _former() -> Any:
+    return json.loads(FORMER.read_text("utf-8"))["answers"]
+
+
+def _whole(value: Any) -> Any:
+    """Lists that the table of former answers has shortened, as short lists."""
+    if isinstance(value, dict) and {"length", "first", "last"} <= value.keys():
+        return [_whole(value["first"]), _whole(value["middle"]), _whole(value["last"])]
+    if isinstance(value, dict):
+        return {key: _whole(item) for key, item in value.items()}
+    return [_whole(item) for item in value] if isinstance(value, list) else value
+
+
+def former(name: str) -> dict[str, Any]:
+    """What a command answered, by its name in the table of former answers."""
+    one = _former()[name]
+    record = {"command": "lunarsci", "options": {}, "sources": ["Somebody (2000)"], "warnings": []}
+    return {"schema": one["schema"], "result": _whole(one["result"]), "provenance": record}
+
+
+def document_readers() -> dict[str, Reader]:
+    every = [json.dumps(former(name)).encode() for name, one in _former().items() if "schema" in one]
+    own = files("lunarsci")
+    configuration = b'continuum = "hull"\nsmooth = 0\n'
+    picture = pictures()["png"]
+
+    def page(path: Path) -> Any:
+        given = [str(path), *([str(other)] if (other := path.with_name("given.png")).exists() else [])]
+        return _function("report.job:report")(given).html(time=False)
+
+    folder = BETWEEN.join([json.dumps(former("predict")).encode(), table("time_s,x_m,y_m"), picture])
+    return {
+        "results": Reader(page, ["spoilt.json", "given.png"], [one + BETWEEN + picture for one in every]),
+        "folder of results": Reader(lambda path: _function("report.job:report")([str(path.parent)]).html(time=False),
+                                    ["result.json", "paths.csv", "map.png"], [folder]),
+        "TOML": Reader(_toml, ["spoilt.toml"],
+                       [(own / "twin/plans/plan.toml").read_bytes(), (own / "rovers/yutu2.toml").read_bytes()]),
+        "configuration": Reader(_configured, ["spoilt.toml"], [configuration]),
+    }  # fmt: skip
+
+
+def _toml(path: Path) -> Any:
+    try:
+        return _function("documents:toml_document")(path.read_text("utf-8", errors="replace"))
+    except tomllib.TOMLDecodeError as error:
+        raise LunarSciError(str(error)) from error
+
+
+def _configured(path: Path) -> Any:
+    """The options of a command by `--config`; with sound ones it fails later, for want of a file."""
+    from lunarsci.cli import main
+
+    heard = io.StringIO()
+    with contextlib.redirect_stderr(heard), contextlib.redirect_stdout(heard):
+        code = main(["spectra", "bands", "--config", str(path), "no such file.csv"])
+    said = heard.getvalue()
+    if code not in (1, 2) or said.count("\n") != 1 or "unexpected" in said:
+        raise RuntimeError(f"exit code {code}, {said}")
+    if "no such file" not in said:
+        raise LunarSciError(said)
+    return said
+
+
+PARTS = (spectra_readers, cube_readers, picture_readers, ground_readers, soil_readers, drive_readers, document_readers,
+         vnis_readers)  # fmt: skip
+
+
+def readers() -> dict[str, Reader]:
+    """All that is tried, by name."""
+    found: dict[str, Reader] = {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for part in PARTS:
+            found |= part()
+    return found
+
+
+def reader_of(name: str) -> Reader:
+    """One of them, without making files of the parts that follow."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return next(found[name] for part in PARTS if name in (found := part()))
