@@ -62,7 +62,8 @@ def read_parquet_table(source: InputFile) -> "pd.DataFrame":
         file = ParquetFile(io.BytesIO(source.data))
         cells = file.metadata.num_rows * file.metadata.num_columns
         if cells <= MOST_CELLS:
-            return file.read().replace_schema_metadata(None).to_pandas()
+            table: pd.DataFrame = file.read().replace_schema_metadata(None).to_pandas()
+            return table
     except (OSError, ValueError, pyarrow.ArrowException) as error:
         reason = " ".join(str(error).split())[:120]
         raise DataError(f"{source.name}: not a Parquet file that can be read ({reason})") from error
