@@ -155,7 +155,7 @@ def _read_geotiff(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) 
             }
             found = {name: _band(raster, k) for k, name in numbers.items()}
             synthetic = raster.tags().get("SYNTHETIC", "").lower() in ("true", "1", "yes")
-    except RasterioIOError as error:
+    except (RasterioIOError, UnicodeDecodeError) as error:
         raise DataError(f"{path}: not a GeoTIFF that can be read: {error}") from error
     wkt = "" if crs is None else crs.to_wkt()
     middle = transform @ (0.5 * found["height_m"].shape[1], 0.5 * found["height_m"].shape[0])

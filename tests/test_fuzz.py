@@ -7,7 +7,7 @@ from types import ModuleType
 
 import pytest
 
-INPUTS, SECONDS = 60, 2.0
+INPUTS, SECONDS = 60, 1.0
 PICTURE = (
     b"<a><offset>0</offset><data_type>UnsignedByte</data_type><axis_array><axis_name>Line</axis_name><elements>24"
     b"</elements></axis_array><axis_array><axis_name>Sample</axis_name><elements>32</elements></axis_array></a>"
@@ -31,7 +31,11 @@ CRASHERS = {
         PICTURE.replace(b"<offset>0", b"<offset>9"),
         PICTURE.replace(b"24", b"9" * 12),
     ],
-    "camera CAHVOR": [b"NS = 4\nNL = 4\nC = 1 0 0\nA = 0 0 1\nH = 9e9 0 2\nV = 0 9e9 2\n"],
+    "camera CAHVOR": [
+        b"NS = 4\nNL = 4\nC = 1 0 0\nA = 0 0 1\nH = 9 0 2\nV = 0 0 2\n",
+        b"NS = 4\nNL = 4\nC = 1 0 0\nA = 0 0 1\nH = 9 0 2\nV = 0 1e999 2\n",
+    ],
+    "mission": [b"leg_m = " + b"9" * 5000],
     "results": [
         b'{"schema": "lunarsci/spectra-fit/1", "provenance": {}, '
         b'"result": {"spectra": [{"id": "rock", "bands": [{}]}]}}'

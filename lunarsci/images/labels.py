@@ -196,10 +196,7 @@ def _size(name: str, root: "Element") -> tuple[int, int]:
 
 def _count(name: str, told: str | float | None, what: str) -> int:
     """A number of pixels. Raises DataError for text, parts of one, and what no picture has."""
-    try:
-        count = float(told or "")
-    except ValueError as error:
-        raise DataError(f"{name}: its {what} are '{told}', no number; fetch it again") from error
+    count = _finite(name, what, str(told))
     if not (1 <= count <= MOST_PX and count.is_integer()):
         raise DataError(f"{name}: its {what} are {told}; a picture has 1 to {MOST_PX}")
     return int(count)
@@ -306,6 +303,8 @@ def fit_cahv(model: CahvModel, name: str) -> LabelCamera:
     axis = v["A"] / np.linalg.norm(v["A"])
     across, down = np.cross(np.cross(axis, v["H"]), axis), np.cross(np.cross(axis, v["V"]), axis)
     focal_x, focal_y = np.linalg.norm(across), np.linalg.norm(down)
+    if not (0 < focal_x < np.inf and 0 < focal_y < np.inf):
+        raise DataError(f"{name}: A, H and V span no picture ({focal_x:g}, {focal_y:g} px); check the label")
     rotation = _orthonormal(np.stack([across / focal_x, np.cross(axis, across / focal_x), axis], axis=1))
     first = np.array([focal_x, focal_y, axis @ v["H"], axis @ v["V"]])
     size = {"width_px": model.width_px, "height_px": model.height_px}

@@ -651,7 +651,7 @@ def _configured(path: Path) -> Any:
     with contextlib.redirect_stderr(heard), contextlib.redirect_stdout(heard):
         code = main(["spectra", "bands", "--config", str(path), "no such file.csv"])
     said = heard.getvalue()
-    if code not in (1, 2) or said.count("\n") != 1 or "unexpected" in said:
+    if code not in (1, 2) or said.count("\n") != 1 or "error: unexpected" in said:
         raise RuntimeError(f"exit code {code}, {said}")
     if "no such file" not in said:
         raise LunarSciError(said)

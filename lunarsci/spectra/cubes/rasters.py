@@ -78,7 +78,7 @@ def opened(path: str, driver: str) -> Iterator[Any]:
             with dataset:
                 check_blocks(dataset, path)
                 yield dataset
-    except RasterioError as error:
+    except (RasterioError, UnicodeDecodeError) as error:
         reason = " ".join(str(error).split())
         raise DataError(f"{path}: cannot be read ({reason}); fetch or write it again") from error
 

@@ -7,6 +7,7 @@ from dataclasses import MISSING, dataclass, fields
 from itertools import pairwise
 from typing import Any, TypeVar
 
+from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import Source, read_input
 from lunarsci.names import one_of
@@ -140,7 +141,7 @@ def read_mission(source: Source) -> Mission:
     """
     file = read_input(source)
     try:
-        document = tomllib.loads(file.data.decode("utf-8"))
+        document = toml_document(file.data.decode("utf-8"))
         return _mission(document, file.name)
     except UnicodeDecodeError as error:
         raise DataError(f"{file.name}: not a readable TOML file") from error
