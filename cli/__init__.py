@@ -155,14 +155,18 @@ def _with_nearest(message: str) -> str:
 
 
 def _prepare_process() -> None:
-    """A polite kill unwinds like Ctrl-C, so that temporary files go; a terminal without a character shows '?'."""
+    """A polite kill unwinds like Ctrl-C, so that temporary files go; a terminal without a character shows '?'.
+
+    Into a file or another program goes UTF-8, as into the file of `-o`, whatever the language of the system.
+    """
     for number in STOPPING:
         if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup and a shell's background jobs want it
             signal.signal(number, signal.default_int_handler)
     for stream in (sys.stdout, sys.stderr):
         reconfigure = getattr(stream, "reconfigure", None)
         if reconfigure:
-            reconfigure(errors="replace")
+            to_program = stream is sys.stdout and not stream.isatty()
+            reconfigure(errors="replace", encoding="utf-8" if to_program else None)
 
 
 def _leave_when_told() -> None:

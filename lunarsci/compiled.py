@@ -6,13 +6,17 @@ the process that compiles uses whichever copy it loaded first, one that reads th
 function keeps its own copies to itself.
 
 **The cache.** Numba renews a cached function when its own file changes. Here it is renewed when any file changes that
-its own one imports, and compiled again where its entry is cut off or was changed.
+its own one imports, and compiled again where its entry is cut off or was changed. It is read by pickle, so that whoever
+may write it runs what he likes: a folder that others can write is not used.
 """
 
 import contextlib
 import hashlib
+import os
 import pickle
 import re
+import stat
+import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -24,9 +28,13 @@ import numba
 from numba.core.caching import IndexDataCacheFile
 from numba.core.codegen import CPUCodeLibrary
 
+from lunarsci.errors import LunarSciWarning
+
 PACKAGE = Path(__file__).parent
 IMPORTS = re.compile(r"^\s*from\s+(lunarsci[\w.]*)\s+import\s+(\([^)]*\)|[^#\n]*)|^\s*import\s+(lunarsci[\w.]*)", re.M)
 DIGEST_BYTES = 32
+ROOT = 0
+"""The user who may write everywhere."""
 
 VECTORS = {"reassoc", "contract", "nsz", "arcp"}
 """`fastmath` that lets sums become vector instructions and still knows infinity and NaN."""
@@ -37,8 +45,9 @@ LANE_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract",
 def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """Compile `function` with numba, caching the machine code on disk when some folder is writable.
 
-    On a read-only installation without a writable home numba refuses `cache=True`; the function is then compiled
-    anew in each process, which is slower to start and gives the same numbers.
+    On a read-only installation without a writable home numba refuses `cache=True`, and a folder that others can write
+    is refused here; the function is then compiled anew in each process, which is slower to start and gives the same
+    numbers.
 
     The cache of a function is renewed when its own file changes, or any that it imports.
     """
@@ -49,8 +58,52 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
         made = numba.njit(cache=True, **options)(function)
     except RuntimeError:
         return numba.njit(**options)(function)
+    if _is_open_to_others(made, Path(function.__code__.co_filename)):
+        return numba.njit(**options)(function)
     tend_cache(made)
     return made
+
+
+def _is_open_to_others(dispatcher: Any, source: Path) -> bool:
+    """Whether others may have written the cache of a function; said once. Beside the sources it is as safe as these."""
+    beside = source.parent / "__pycache__"
+    folder = Path(getattr(getattr(dispatcher, "_cache", None), "_cache_path", beside))
+    if folder == beside:
+        return False
+    why = why_unsafe(folder) or why_unsafe(folder.parent, shared=True)
+    if why:
+        _tell(f"{why}: compiled code is not kept there; set NUMBA_CACHE_DIR to a folder that only you can write")
+    return bool(why)
+
+
+def why_unsafe(folder: Path, shared: bool = False) -> str:
+    """What lets another user but root put files into a folder, or, where it may be `shared`, replace yours; '' if none.
+
+    The group that bears the user's name is the user's own.
+    """
+    if not hasattr(os, "getuid"):
+        return ""
+    found = folder.stat()
+    if found.st_uid not in (ROOT, os.getuid()):
+        return f"{folder} belongs to another user"
+    others = found.st_mode & stat.S_IWOTH or (found.st_mode & stat.S_IWGRP and not _is_own_group(found.st_gid))
+    kept_apart = shared and found.st_mode & stat.S_ISVTX
+    return f"{folder} can be written by others" if others and not kept_apart else ""
+
+
+def _is_own_group(number: int) -> bool:
+    import grp
+    import pwd
+
+    with contextlib.suppress(KeyError):
+        name, group = pwd.getpwuid(os.getuid()).pw_name, grp.getgrgid(number)
+        return group.gr_name == name and set(group.gr_mem) <= {name}
+    return False
+
+
+@cache
+def _tell(remark: str) -> None:
+    warnings.warn(remark, LunarSciWarning, stacklevel=2)
 
 
 def in_lanes(function: Callable[..., Any], **options: Any) -> Any:

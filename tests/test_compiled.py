@@ -11,7 +11,8 @@ from types import ModuleType
 import llvmlite.binding as llvm
 import pytest
 
-from lunarsci.compiled import _content, _imported, compiled, sources_digest
+from lunarsci.compiled import _content, _imported, _tell, compiled, sources_digest
+from lunarsci.errors import LunarSciWarning
 
 MODULE = """
 from lunarsci.compiled import compiled
@@ -91,6 +92,44 @@ def test_a_disk_that_takes_nothing_is_no_failure(
 
     monkeypatch.setattr("lunarsci.compiled._Entries._open_for_write", full)
     assert module.twice(1.5) == 3.0
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o775, 0o757])
+@pytest.mark.parametrize("place", ["cache", "cache/*"])
+def test_a_cache_that_others_can_write_is_said_and_not_used(
+    load: Callable[[], ModuleType], tmp_path: Path, place: str, mode: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lunarsci.compiled._is_own_group", lambda number: False)
+    _tell.cache_clear()
+    load().twice(1.5)
+    [folder] = tmp_path.glob(place)
+    folder.chmod(mode)
+    with pytest.warns(LunarSciWarning, match="can be written by others: compiled code is not kept there") as told:
+        found, again = load(), load()
+    assert len(told) == 1 and str(folder) in str(told[0].message)
+    assert found.twice(1.5) == again.twice(1.5) == 3.0 and found.twice._cache.cache_path is None
+    folder.chmod(0o755)
+    assert load().twice(1.5) == 3.0
+
+
+def test_a_cache_of_another_user_is_said_and_not_used(
+    load: Callable[[], ModuleType], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _tell.cache_clear()
+    monkeypatch.setattr("lunarsci.compiled.os.getuid", lambda: 12345)
+    monkeypatch.setattr("lunarsci.compiled.ROOT", 54321)
+    with pytest.warns(LunarSciWarning, match="belongs to another user: compiled code is not kept there"):
+        assert load().twice(1.5) == 3.0
+
+
+def test_a_shared_folder_may_hold_a_cache_where_only_owners_delete(
+    load: Callable[[], ModuleType], tmp_path: Path
+) -> None:
+    (tmp_path / "cache").mkdir()
+    (tmp_path / "cache").chmod(0o1777)
+    load().twice(1.5)
+    again = load()
+    assert again.twice(1.5) == 3.0 and sum(again.twice.stats.cache_hits.values()) == 1
 
 
 def test_code_is_stale_when_a_file_changes_that_its_file_imports(

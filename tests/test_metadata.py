@@ -2,12 +2,19 @@
 
 import re
 import tomllib
+from importlib.metadata import PackageNotFoundError, metadata
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 RECIPE = (ROOT / "conda/meta.yaml").read_text("utf-8")
 CITATION = (ROOT / "CITATION.cff").read_text("utf-8")
+ROW = re.compile(r"^\| ([\w-]+) \| ([\w.-]+) \| (.*lunarsci.*) \|$", re.MULTILINE)
+LICENCES = ROW.findall((ROOT / "SECURITY.md").read_text("utf-8"))
+"""Package, licence, and what it comes with."""
+FOR_DEVELOPERS = {"test", "docs", "dev"}
 
 
 def listed(section: str) -> list[str]:
@@ -29,3 +36,30 @@ def test_the_citation_is_of_this_version_and_licence() -> None:
     assert f"version: {PROJECT['version']}\n" in CITATION
     assert f"license: {PROJECT['license']}\n" in CITATION
     assert CITATION.count("family-names:") == 28
+
+
+def test_every_package_that_users_get_has_its_licence_listed() -> None:
+    needed = {"lunarsci": PROJECT["dependencies"]} | {
+        f"`lunarsci[{extra}]`": packages
+        for extra, packages in PROJECT["optional-dependencies"].items()
+        if extra not in FOR_DEVELOPERS
+    }
+    expected = {(re.split(r"[<>=]", package)[0], where) for where, packages in needed.items() for package in packages}
+    assert {(name, where) for name, _, where in LICENCES} == expected
+    assert len(LICENCES) == len(expected)
+
+
+@pytest.mark.parametrize(("name", "licence"), [row[:2] for row in LICENCES])
+def test_a_licence_is_the_one_that_the_package_states(name: str, licence: str) -> None:
+    """By its family: the older fields of a package's metadata say no more than "BSD"."""
+    try:
+        found = metadata(name)
+    except PackageNotFoundError:
+        pytest.skip(f"{name} is not installed")
+    expression = found.get("License-Expression")
+    older = [found.get("License") or "", *(line for line in found.get_all("Classifier", []) if line[:7] == "License")]
+    stated = expression or " ".join(line.partition("\n")[0] for line in older)
+    family = {"PSF-2.0": "Python Software Foundation|PSF"}.get(licence, licence.partition("-")[0])
+    assert re.search(rf"\b({family})\b", stated), stated
+    if expression and family in licence:
+        assert licence in expression

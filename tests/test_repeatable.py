@@ -1,6 +1,7 @@
 """The same bytes from the same input, seed and version, whatever the threads, hashes, language and time zone."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -49,3 +50,44 @@ def test_the_same_bytes_everywhere(name: str, tmp_path: Path) -> None:
         found.append(done.stdout)
     assert found[0]
     assert found[0] == found[1]
+
+
+LOCALISED = """
+import locale, sys
+locale.setlocale(locale.LC_ALL, "")  # as programs with windows do: C's own reading and writing of numbers follows it
+assert locale.localeconv()["decimal_point"] == sys.argv[1]
+from lunarsci.cli import main
+for command in (["regolith", "forces", "--sinkage", "0.01"], ["spectra", "indices", sys.argv[2]]):
+    assert main([*command, "--json", "--no-time", "-q"]) in (0, 3)
+"""
+"""Arguments: the sign before the decimals, and a file of spectra."""
+ENGLISH = {"LC_ALL": "C.UTF-8"}
+ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+
+
+def answers(spectra: Path, point: str, environment: dict[str, str]) -> bytes:
+    """What two commands print in a process that took its language from the environment."""
+    done = subprocess.run(
+        [sys.executable, "-c", LOCALISED, point, str(spectra)],
+        env={**os.environ, **environment}, capture_output=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr.decode(errors="replace")
+    return done.stdout
+
+
+def with_decimal_commas(folder: Path) -> dict[str, str]:
+    """An environment with them, made from the system's sources of German."""
+    if shutil.which("localedef") is None:
+        pytest.skip("no localedef on this system to make a locale with decimal commas")
+    german = ["localedef", "-i", "de_DE", "-f", "UTF-8", str(folder / "de_DE.UTF-8")]
+    if subprocess.run(german, capture_output=True, check=False).returncode:
+        pytest.skip("no sources of de_DE on this system to make a locale with decimal commas")
+    return {"LC_ALL": "de_DE.UTF-8", "LOCPATH": str(folder)}
+
+
+def test_the_same_bytes_in_any_language(tmp_path: Path) -> None:
+    write_spectra(tmp_path / "SYNTHETIC.csv")
+    expected = answers(tmp_path / "SYNTHETIC.csv", ".", ENGLISH)
+    assert expected
+    assert answers(tmp_path / "SYNTHETIC.csv", ".", ASCII) == expected
+    assert answers(tmp_path / "SYNTHETIC.csv", ",", with_decimal_commas(tmp_path)) == expected

@@ -95,17 +95,18 @@ def _extra(name: str) -> HealthCheck:
 def _cache() -> HealthCheck:
     """The folder of compiled code: NUMBA_CACHE_DIR, or beside the modules."""
     import lunarsci
+    from lunarsci.compiled import why_unsafe
 
     named = os.environ.get("NUMBA_CACHE_DIR")
     folder = Path(named) if named else Path(lunarsci.__file__).parent
     files = [path for path in folder.rglob("*.nb[ci]") if path.is_file()] if folder.is_dir() else []
     size = sum(path.stat().st_size for path in files) / 1e6
     there = next(path for path in (folder, *folder.parents) if path.is_dir())
-    trouble = (
-        ""
-        if os.access(there, os.W_OK)
-        else "cannot be written to, so that every run compiles anew; set NUMBA_CACHE_DIR"
-    )
+    trouble = why_unsafe(there, shared=there != folder) if named else ""
+    if not os.access(there, os.W_OK):
+        trouble = "cannot be written to"
+    if trouble:
+        trouble += ", so that every run compiles anew; set NUMBA_CACHE_DIR to a folder that only you can write"
     return HealthCheck("installation", "compiled code", f"{folder}: {len(files)} files, {size:.0f} MB", trouble)
 
 
