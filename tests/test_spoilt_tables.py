@@ -10,6 +10,18 @@ UNNOTICED = {
     "rover": {"slope limit in rad", "weight for mass"},
     "soil": set(),
     "belief": {"friction angle in radians"},
+    "spectrum": {
+        "descending",
+        "decimal commas",
+        "Angstrom under nm",
+        "wavenumbers under nm",
+        "a wavelength of another decade at the end",
+        "absorbance, not named so",
+        "continuum removed",
+        "reflectance a row late",
+        "a third missing in the middle",
+        "ten values x 1.5",
+    },
 }
 """What stays silent of each part: rovers that climb little or are heavier might be, as may a soil of 61 deg."""
 
