@@ -22,6 +22,20 @@ UNNOTICED = {
         "a third missing in the middle",
         "ten values x 1.5",
     },
+    "terrain": {
+        "heights in ft",
+        "heights in km",
+        "depths for heights",
+        "cells in mm",
+        "rows and columns not as announced",
+    },
+    "craters": {
+        "northern hemisphere",
+        "one in the northern hemisphere",
+        "one of west longitude, same point",
+        "one of west longitude without its sign",
+        "last number cut",
+    },
 }
 """What stays silent of each part: rovers that climb little or are heavier might be, as may a soil of 61 deg."""
 
