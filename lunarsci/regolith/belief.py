@@ -19,6 +19,11 @@ from lunarsci.regolith.prior import PARAMETERS, Law, default_prior, values_of
 
 SCHEMA = "lunarsci/soil-belief/1"
 ASYMMETRY = 1e-9
+FARTHEST_WIDTHS = 6.0
+"""Of a mean from its laws; a normal law has 2e-9 of its draws beyond. [standard deviations]"""
+WIDEST = 5.0
+"""Drives narrow a belief and forgetting leads back to its laws, past them by at most (0.25 x 6^2 + 1)^0.5 = 3.2 times.
+[standard deviations of the laws]"""
 MARK = "# verdict of the fit: "
 
 
@@ -225,11 +230,32 @@ def belief_of(document: Mapping[str, Any]) -> SoilBelief:
         verdict, kept = verdict_of(document.get("verdict")), document.get("discrepancy")
         discrepancy = FIRST if kept is None else PhysicsDiscrepancy.of(kept)
         history = tuple(document.get("history", ()))
-        return SoilBelief(laws, mean, covariance, history, population, verdict, discrepancy)
+        belief = SoilBelief(laws, mean, covariance, history, population, verdict, discrepancy)
+        _check_likely(belief)
+        return belief
     except KeyError as error:
         raise ParameterError(f"no {error} in it") from error
     except (TypeError, ValueError) as error:
         raise ParameterError(str(error)) from error
+
+
+def _check_likely(belief: SoilBelief) -> None:
+    """Raises ParameterError for a belief far from both its own laws and those of `priors.toml`, or much wider."""
+    for k, name in enumerate(PARAMETERS):
+        own, usual = belief.laws[name], default_prior()[name]
+        median, sd = float(own.back(belief.mean[k])), float(belief.covariance[k, k]) ** 0.5
+        width = max(own.width, usual.width)
+        with np.errstate(all="ignore"):
+            off = min(abs(belief.mean[k] - own.center) / own.width, abs(usual.widths_off(median)))
+        if not off <= FARTHEST_WIDTHS:
+            raise ParameterError(
+                f"its mean of {name} is {belief.mean[k]:g}, which stands for {median:.3g}, {off:.0f} standard "
+                f"deviations from its law; means are of '{own.of}', check that this one is"
+            )
+        if sd > WIDEST * width:
+            raise ParameterError(
+                f"its {name} is {sd / width:.3g} times as wide as its law; a covariance holds variances of '{own.of}'"
+            )
 
 
 def read_belief(source: InputFile) -> SoilBelief:

@@ -79,6 +79,10 @@ class Law:
             return np.log(value)
         return np.log(np.tan(np.radians(value))) if self.of == "ln tan" else np.asarray(value, dtype=np.float64)
 
+    def widths_off(self, value: float) -> float:
+        """How far a value, above 0 unless `of` is `value`, lies from the median. [standard deviations]"""
+        return (float(self.transformed(np.array(value))) - self.center) / self.width
+
     def back(self, transform: FloatArray) -> FloatArray:
         """To the parameter's unit."""
         if self.of == "ln":

@@ -3,18 +3,23 @@
 import dataclasses
 import math
 import tomllib
+import warnings
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from lunarsci.documents import toml_document
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.names import meant, one_of
 from lunarsci.provenance import sha256
+from lunarsci.regolith.prior import default_prior
 from lunarsci.tables import table_hashes
 
 _POSITIVE = ("stiffness_kpa_m_n", "sinkage_exponent", "shear_modulus_mm", "lateral_modulus_mm")
 _ANGLES = ("friction_angle_deg", "external_friction_angle_deg")
+USUAL_WIDTHS = 5.0
+"""All lunar soils and simulants of `reference_soils.csv` lie within 4 widths of the prior laws, but two clays of the
+Earth do not within 5."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,7 +97,10 @@ def soil_hash(soil: str) -> tuple[dict[str, str], dict[str, str]]:
 
 
 def read_soil(soil: str) -> Soil:
-    """Read a soil by name (`lunar-typical`) or from a TOML file with the keys of `Soil`. Raises DataError."""
+    """Read a soil by name (`lunar-typical`) or from a TOML file with the keys of `Soil`. Raises DataError.
+
+    Warns with LunarSciWarning of values of a file that no lunar soil is known to have.
+    """
     known = known_soils()
     if soil in known:
         return _soil(known[soil], soil)
@@ -105,7 +113,25 @@ def read_soil(soil: str) -> Soil:
         ) from error
     except tomllib.TOMLDecodeError as error:
         raise DataError(f"{soil}: not valid TOML: {error}") from error
-    return _soil(document, soil)
+    read = _soil(document, soil)
+    if strange := unusual(read):
+        warnings.warn(
+            f"{soil}: {', '.join(strange)}: no lunar soil is known to be so, though clays of the Earth are; "
+            "check the units that the names end in",
+            LunarSciWarning,
+            stacklevel=2,
+        )
+    return read
+
+
+def unusual(soil: Soil) -> list[str]:
+    """Values further than `USUAL_WIDTHS` from the laws of `priors.toml`, as `NAME VALUE`; 0 has no unit."""
+    values = {name: getattr(soil, name) for name in default_prior()}
+    return [
+        f"{name} {value:g}"
+        for name, value in values.items()
+        if value and abs(default_prior()[name].widths_off(value)) > USUAL_WIDTHS
+    ]
 
 
 def _soil(table: dict[str, Any], origin: str) -> Soil:

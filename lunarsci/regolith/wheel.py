@@ -44,6 +44,10 @@ def shearing_radius(radius_m: float, grouser_height_m: float, grouser_shear_coef
     return radius_m + grouser_shear_coefficient * grouser_height_m
 
 
+LARGEST_M = 2.5
+"""Radius or width; the largest tyres built are 2.0 m in radius (59/80R63, of mining trucks). [m]"""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wheel:
     """A rigid wheel with grousers, and the coefficients of its contact angles.
@@ -72,8 +76,12 @@ class Wheel:
         for name in ("radius_m", "width_m"):
             if not getattr(self, name) > 0:
                 raise ParameterError(f"wheel {name} is {getattr(self, name)}; give a length above 0 m")
+            if getattr(self, name) > LARGEST_M:
+                raise ParameterError(f"wheel {name} is {getattr(self, name):g}; is it in mm or cm?")
         if not self.grouser_height_m >= 0:
             raise ParameterError(f"wheel grouser_height_m is {self.grouser_height_m}; give 0 m or more")
+        if self.grouser_height_m >= self.radius_m:
+            raise ParameterError(f"wheel grouser_height_m is {self.grouser_height_m:g}, not less than radius_m; in mm?")
         if not 0 <= self.grouser_shear_coefficient <= 1:
             raise ParameterError("wheel grouser_shear_coefficient must lie within 0 to 1")
         if not self.exit_c3 < self.max_stress_c1 < 1:

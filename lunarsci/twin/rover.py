@@ -14,6 +14,7 @@ from lunarsci.names import one_of
 from lunarsci.regolith.wheel import Wheel, read_wheel
 from lunarsci.rovers import RoverDescription, read_rover
 from lunarsci.twin.electrics import Motors, PowerSupply, read_part
+from lunarsci.twin.rover_limits import check_limits, check_speed
 
 PAIRS = ("front", "middle", "rear")
 BOGIES = ("rear", "front", "none")
@@ -93,7 +94,8 @@ class Rover:
 
     The left rocker turns by +rho about the chassis' y axis, the right one by -rho: a differential does that whether it
     is a bar outside or gears inside the body. Each bogie turns about its rocker. Raises ParameterError for masses,
-    moments or lengths that are not positive, and for wheels that do not follow each other from front to rear.
+    moments or lengths that are not positive, for wheels that do not follow each other from front to rear, and for what
+    no rover can be, see `rover_limits`.
     """
 
     name: str
@@ -136,6 +138,7 @@ class Rover:
         x = self.wheel_positions_m[::2, 0]
         if not (np.diff(x) < 0).all():
             raise ParameterError("the rover's wheels must follow each other from front to rear; check their x")
+        check_limits(self)
 
     def _check_bogie(self) -> None:
         if self.bogie not in BOGIES:
@@ -212,13 +215,16 @@ class Rover:
         )
 
 
-def build_rover(rover: str | RoverDescription) -> Rover:
-    """The rover of a name such as `yutu2`, a TOML file, or a description already read. Raises DataError."""
+def build_rover(rover: str | RoverDescription, *, varied: bool = False) -> Rover:
+    """The rover of a name such as `yutu2`, a TOML file, or a description already read. Raises DataError.
+
+    Motors must reach its top speed, but for a `varied` description, whose plans may be slower.
+    """
     description = read_rover(rover) if isinstance(rover, str) else rover
     mass, suspension = description.table("mass"), description.table("suspension")
     steering, drive = description.table("steering"), description.table("drive")
     try:
-        return Rover(
+        built = Rover(
             name=description.name,
             wheel=read_wheel(description),
             **_numbers(mass, "body_kg", "wheel_kg"),
@@ -232,6 +238,9 @@ def build_rover(rover: str | RoverDescription) -> Rover:
             motors=read_part(description, "motors", Motors),
             power=read_part(description, "power", PowerSupply),
         )
+        if not varied:
+            check_speed(built)
+        return built
     except KeyError as error:
         raise DataError(f"{description.origin}: no {error}; add it as in the yutu2 file") from error
     except DataError:

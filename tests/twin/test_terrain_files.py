@@ -12,7 +12,7 @@ from lunarsci.twin.ground.hazards import assess, ground_maps, read_mobility
 from lunarsci.twin.ground.terrain_files import maps_bytes, maps_geotiff, read_terrain, write_terrain
 from lunarsci.twin.rover import build_rover
 
-HEIGHT = np.arange(20.0).reshape(4, 5) ** 1.5 / 10
+HEIGHT = np.arange(20.0).reshape(4, 5) ** 1.5 / 100
 """Row 0 is the southernmost."""
 
 

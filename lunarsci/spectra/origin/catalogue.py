@@ -3,6 +3,7 @@
 import csv
 import io
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -12,7 +13,7 @@ import numpy.typing as npt
 from lunarsci import inputs
 from lunarsci.arrays import FloatArray
 from lunarsci.constants import MOON_RADIUS_KM
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile
 from lunarsci.names import meant
 from lunarsci.spectra.origin.composition import BANDS, MINERALS, Composition, Value
@@ -71,6 +72,8 @@ UNKNOWN_AGE_MA = (1.0, 4200.0)
 """Age of a crater of which nothing is known; assumed. [Ma]"""
 OLDEST_MA = 4560.0
 LARGEST_KM = 2600.0
+FEWEST_TO_DOUBT = 3
+"""Craters whose positions, all small enough to be radians, are doubted. One point of the Moon in 1000 is so small."""
 REQUIRED = ("name", "latitude_deg", "longitude_deg", "diameter_km")
 SOURCES = ("position_source", "age_source", "composition_source", "source")
 COLUMNS = (
@@ -132,7 +135,7 @@ def read_catalogue(source: InputFile) -> tuple[Crater, ...]:
 
     Lines that begin with # are remarks; empty cells are unknown. Raises DataError with file, line and what to do for
     missing or unknown columns, values that are no numbers or out of range, an age or error without its partner,
-    doubled names, and a table without craters.
+    doubled names, and a table without craters. Warns with LunarSciWarning where positions may be in radians.
     """
     lines = [(n, line) for n, line in enumerate(inputs.text(source).splitlines(), 1) if _counts(line)]
     if not lines:
@@ -149,7 +152,21 @@ def read_catalogue(source: InputFile) -> tuple[Crater, ...]:
         rows.append((f"line {number}", dict(zip(names, cells, strict=True))))
     if not rows:
         raise DataError(f"{source.name}: holds no craters below its header; add one line per crater")
-    return _craters(rows, source.name)
+    craters = _craters(rows, source.name)
+    if _in_radians(craters):
+        warnings.warn(
+            f"{source.name}: no latitude beyond {math.pi / 2:.3g} deg and no longitude beyond {2 * math.pi:.3g} deg; "
+            "are they in radians?",
+            LunarSciWarning,
+            stacklevel=2,
+        )
+    return craters
+
+
+def _in_radians(craters: Sequence[Crater]) -> bool:
+    """Whether positions might be: three craters or more, all within 1.6 deg of latitude and 6.3 deg of longitude."""
+    small = (abs(c.latitude_deg) < math.pi / 2 and abs(c.longitude_deg) < 2 * math.pi for c in craters)
+    return len(craters) >= FEWEST_TO_DOUBT and all(small)
 
 
 def _counts(line: str) -> bool:

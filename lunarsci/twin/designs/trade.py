@@ -94,7 +94,7 @@ def try_design(inputs: Sequence[Any], values: dict[str, float], drive: Drive) ->
     `inputs` are the `DriveInputs` of the plans of the mission, all with the same rover.
     """
     try:
-        rover = build_rover(varied_description(inputs[0].description, values))
+        rover = build_rover(varied_description(inputs[0].description, values), varied=True)
         check_design(rover, inputs[0].description.assumed)
         plans = [varied_plan(one.plan, values) for one in inputs]
         for plan in plans:

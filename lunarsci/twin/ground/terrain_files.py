@@ -4,6 +4,7 @@ Maps of a terrain as files: a NumPy archive, and a GeoTIFF with a band for each 
 """
 
 import io
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,7 +15,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.documents import json_document
-from lunarsci.errors import DataError, OutputError
+from lunarsci.errors import DataError, LunarSciWarning, OutputError
 from lunarsci.grids import ERROR_LAYERS, HeightGrid, geotiff_bytes, read_grid
 from lunarsci.projections import known_projection
 from lunarsci.regolith.soil import Soil
@@ -58,6 +59,12 @@ def maps_geotiff(surface: Traversability) -> bytes:
 
 
 LEFT = "_left_of_prior"
+STEEPEST_DEG = 45.0
+"""Median slope; loose lunar soil rests at 35 to 40 deg at most, the walls of craters included. [deg]"""
+LARGEST_STEP = 10.0
+"""From a node to its neighbours: a slope of 84 deg. [spacings]"""
+_SLOPES_OF = 1_000_000
+"""Nodes at most that the median slope is taken of."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,9 +119,44 @@ def read_terrain_file(path: str | Path, soil: Soil) -> TerrainFile:
     unread = tuple(f"{name}{LEFT}" for name in SOIL_COLUMNS)
     grid = read_grid(path, (*SOIL_COLUMNS, *ERROR_LAYERS), unread)
     try:
-        return _read_terrain(grid, soil)
+        read = _read_terrain(grid, soil)
+        _check_ground(read.terrain.height_m, grid.spacing_m)
     except (TypeError, ValueError, MemoryError) as error:
         raise DataError(f"{path}: {error}") from error
+    if steep := steep_nodes(read.terrain.height_m, grid.spacing_m):
+        warnings.warn(
+            f"{path}: nodes more than {LARGEST_STEP:g} spacings above or below a neighbour: {steep}; are they without "
+            "data, or in another unit?",
+            LunarSciWarning,
+            stacklevel=2,
+        )
+    return read
+
+
+def _check_ground(height_m: FloatArray, spacing_m: float) -> None:
+    """Raises DataError where more than half of the ground is steeper than any that is loose."""
+    skip = 1 + height_m.size // _SLOPES_OF
+    rows = height_m[:-1:skip]
+    along, across = np.diff(rows, axis=1), (height_m[1::skip] - rows)[:, :-1]
+    slope = np.degrees(np.arctan(np.hypot(along, across) / spacing_m))
+    known = slope[np.isfinite(slope)]
+    if known.size and np.median(known) > STEEPEST_DEG:
+        raise DataError(
+            f"a median slope of {np.median(known):.0f} deg at a spacing of {spacing_m:g} m, steeper than soil can lie; "
+            "are heights in another unit?"
+        )
+
+
+def steep_nodes(height_m: FloatArray, spacing_m: float) -> int:
+    """How many nodes lie more than `LARGEST_STEP` above or below a neighbour in their row or column. [-]"""
+    steep = np.zeros(height_m.shape, dtype=bool)
+    for before, after in (((slice(-1), slice(None)), (slice(1, None), slice(None))),
+                          ((slice(None), slice(-1)), (slice(None), slice(1, None)))):  # fmt: skip
+        with np.errstate(invalid="ignore"):
+            far = np.abs(height_m[after] - height_m[before]) > LARGEST_STEP * spacing_m
+        steep[before] |= far
+        steep[after] |= far
+    return int(steep.sum())
 
 
 def _read_terrain(grid: HeightGrid, soil: Soil) -> TerrainFile:

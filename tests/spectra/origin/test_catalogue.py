@@ -1,6 +1,7 @@
 """Catalogues of candidate craters: the embedded one and a user's, however broken."""
 
 import tomllib
+import warnings
 from pathlib import Path
 
 import pytest
@@ -89,3 +90,14 @@ def test_a_broken_table_says_where_and_what_to_do(text: str, said: str) -> None:
         read(text)
     assert said in str(caught.value)
     assert "craters.csv" in str(caught.value)
+
+
+@pytest.mark.parametrize(("count", "factor", "told"), [(3, 0.0174533, 1), (2, 0.0174533, 0), (3, 1.0, 0)])
+def test_positions_that_may_be_radians_are_told(count: int, factor: float, told: int) -> None:
+    places = [(-45.3, 176.1), (-42.3, 182.3), (-40.7, 191.4)][:count]
+    rows = "\n".join(f"crater {k},{factor * lat:.6f},{factor * lon:.6f},70" for k, (lat, lon) in enumerate(places))
+    source = InputFile("c.csv", f"name,latitude_deg,longitude_deg,diameter_km\n{rows}\n".encode())
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        read_catalogue(source)
+    assert sum("are they in radians?" in str(item.message) for item in caught) == len(caught) == told

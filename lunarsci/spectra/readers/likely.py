@@ -1,0 +1,68 @@
+"""Spectra whose numbers are likely not what they should be: told, a line for each kind; constant ones are refused."""
+
+import numpy as np
+
+from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.errors import DataError
+from lunarsci.kept_blocks import spans
+from lunarsci.spectra.collection import SpectrumRows
+
+LARGE_ERROR = 0.3
+"""Of the value, in more than half of the channels. Assumed; 88 spectra of Chang'E-4 stay below. [-]"""
+BRIGHTEST = 1.0
+"""Median reflectance factor; that of a perfectly white, diffuse surface. [-]"""
+LONE_STEP = 0.5
+"""How far ln R of a single channel lies from both its neighbours, to the same side: a factor of 1.65. Assumed; no
+channel of 560 measured spectra of the Moon, of meteorites and minerals does. [-]"""
+IN_STEPS = 10.0
+"""And by how many median steps between neighbours, so that noise is not taken for single channels. [-]"""
+FEWEST = 10
+"""Usable channels of a spectrum that is judged at all."""
+_AT_ONCE = 256
+SAID = {
+    "large_error": f"spectra with errors above {LARGE_ERROR:.0%} of most values; are errors in percent, values not?",
+    "bright": "spectra with a median reflectance above 1; are they in percent, or no reflectance?",
+    "lone": "spectra with single channels a factor of 1.65 and more off both neighbours; look at them",
+    "constant": "spectra with the same value in all channels",
+}
+
+
+def unlikely(rows: SpectrumRows, file: str) -> list[str]:
+    """A line for each kind of what is unlikely, with how many spectra and the first of them.
+
+    Raises DataError where every spectrum of the file is constant.
+    """
+    found: dict[str, list[int]] = {name: [] for name in SAID}
+    for block in spans(len(rows), _AT_ONCE):
+        own = slice(block.start, block.stop)
+        usable, values = ~rows.mask[own], rows.reflectance[own]
+        sigma = None if rows.uncertainty is None else rows.uncertainty[own]
+        for name, odd in _odd(values, usable, sigma).items():
+            found[name] += (block.start + np.flatnonzero(odd)).tolist()
+    if len(found["constant"]) == len(rows):
+        raise DataError(f"{file}: the same value in all channels; give measured reflectances")
+    return [f"{file}: {SAID[name]}: {len(k)}, first '{rows.ids[k[0]]}'" for name, k in found.items() if k]
+
+
+def _odd(values: FloatArray, usable: BoolArray, sigma: FloatArray | None) -> dict[str, BoolArray]:
+    """By kind, which of n spectra are so. (n,)"""
+    count = usable.sum(axis=1)
+    enough = count >= FEWEST
+    with np.errstate(all="ignore"):
+        lowest = np.where(usable, values, np.inf).min(axis=1, initial=np.inf)
+        highest = np.where(usable, values, -np.inf).max(axis=1, initial=-np.inf)
+        bright = 2 * (usable & (values > BRIGHTEST)).sum(axis=1) > count
+        large = np.zeros(len(values), bool)
+        if sigma is not None:
+            large = 2 * (usable & (sigma > LARGE_ERROR * values)).sum(axis=1) > count
+    odd = {"large_error": large, "bright": bright, "constant": lowest == highest}
+    judged = {name: enough & each for name, each in odd.items()}
+    return judged | {"lone": np.array([n and _lone(v[u]) for n, v, u in zip(enough, values, usable, strict=True)])}
+
+
+def _lone(values: FloatArray) -> bool:
+    """Whether a channel lies far from both its neighbours, to the same side. (c,)"""
+    step = np.diff(np.log(values))
+    least = np.minimum(np.abs(step[:-1]), np.abs(step[1:]))
+    far = least > max(LONE_STEP, IN_STEPS * float(np.median(np.abs(step))))
+    return bool((far & (step[:-1] * step[1:] < 0)).any())

@@ -1,0 +1,51 @@
+"""Measured soils against what is told of a soil file: nothing of lunar ones and simulants, two clays of the Earth."""
+
+import warnings
+from pathlib import Path
+
+import pytest
+
+from lunarsci.errors import LunarSciWarning
+from lunarsci.regolith.soil import Soil, known_soils, read_soil, unusual
+from lunarsci.tables import table_rows
+
+PACKAGE = "lunarsci.regolith"
+WIDTH_M = 0.15
+CLAYS = {"heavy clay, 25 % water", "lean clay, 22 % water"}
+
+
+def measured(row: dict[str, str]) -> list[Soil]:
+    """Both ends of a row, with the typical lunar soil where it says nothing."""
+    typical, soils = read_soil("lunar-typical"), []
+    for end in ("low", "high"):
+        known = {"cohesion_pa": f"cohesion_{end}_pa", "friction_angle_deg": f"friction_angle_{end}_deg"}
+        known["sinkage_exponent"] = "sinkage_exponent"
+        changes = {name: float(row[key]) for name, key in known.items() if row[key]}
+        if row["k_phi_kn_m_n_plus_2"]:
+            changes["stiffness_kpa_m_n"] = float(row["k_c_kn_m_n_plus_1"]) / WIDTH_M + float(row["k_phi_kn_m_n_plus_2"])
+        soils.append(typical.replace(**changes))
+    return soils
+
+
+def test_no_lunar_soil_is_told_and_two_clays_are() -> None:
+    rows = table_rows("reference_soils.csv", package=PACKAGE)
+    told = {row["name"]: row["kind"] for row in rows if any(unusual(soil) for soil in measured(row))}
+    assert len(rows) > 30 and set(told) == CLAYS and set(told.values()) == {"terrestrial"}
+    typical = read_soil("lunar-typical")
+    for row in table_rows("lateral_soils.csv", package=PACKAGE):
+        names = ("lateral_modulus_mm", "external_friction_angle_deg")
+        assert not unusual(typical.replace(**{name: float(row[name]) for name in names}))
+    assert not any(unusual(read_soil(name)) for name in known_soils())
+
+
+def test_a_file_of_other_units_is_told_once(tmp_path: Path) -> None:
+    file = tmp_path / "soil.toml"
+    text = "\n".join(f"{k} = {v}" for k, v in known_soils()["longji"].items() if k not in ("source", "assumed"))
+    file.write_text(text.replace("friction_angle_deg = 42.0", "friction_angle_deg = 0.733"))
+    with pytest.warns(LunarSciWarning, match=r"friction_angle_deg 0\.733: no lunar soil") as told:
+        read_soil(str(file))
+    assert len(told) == 1
+    file.write_text(text)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        read_soil(str(file))

@@ -1,0 +1,42 @@
+"""Heights that are likely of another unit, or without data and not named so."""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lunarsci.errors import DataError
+from lunarsci.regolith.soil import read_soil
+from lunarsci.twin.ground.terrain_files import read_terrain
+
+SPACING = 0.5
+
+
+def asc(folder: Path, height: np.ndarray) -> Path:
+    path = folder / "ground.asc"
+    rows = "\n".join(" ".join(f"{value:.4f}" for value in row) for row in height)
+    ny, nx = height.shape
+    path.write_text(f"ncols {nx}\nnrows {ny}\nxllcorner 0\nyllcorner 0\ncellsize {SPACING}\n{rows}\n")
+    return path
+
+
+@pytest.mark.parametrize(("slope_deg", "refused"), [(44.0, False), (46.0, True)])
+def test_ground_steeper_than_any_soil_is_refused(tmp_path: Path, slope_deg: float, refused: bool) -> None:
+    plane = np.tan(np.radians(slope_deg)) * SPACING * np.add.outer(0.6 * np.arange(12), 0.8 * np.arange(9))
+    path = asc(tmp_path, plane)
+    if not refused:
+        read_terrain(path, read_soil("longji"))
+        return
+    with pytest.raises(DataError, match=r"median slope of 46 deg .* heights in another unit"):
+        read_terrain(path, read_soil("longji"))
+
+
+@pytest.mark.parametrize(("spacings", "nodes"), [(9.9, 0), (10.1, 5)])
+def test_steps_are_counted_by_their_nodes(tmp_path: Path, spacings: float, nodes: int) -> None:
+    height = np.zeros((8, 9))
+    height[3, 4] = spacings * SPACING
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        read_terrain(asc(tmp_path, height), read_soil("longji"))
+    assert [f"neighbour: {nodes};" in str(item.message) for item in caught] == [True] * bool(nodes)
