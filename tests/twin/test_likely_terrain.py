@@ -32,11 +32,18 @@ def test_ground_steeper_than_any_soil_is_refused(tmp_path: Path, slope_deg: floa
         read_terrain(path, read_soil("longji"))
 
 
-@pytest.mark.parametrize(("spacings", "nodes"), [(9.9, 0), (10.1, 5)])
+@pytest.mark.parametrize(("spacings", "nodes"), [(9.9, 0), (10.1, 1), (100.1, 5)])
 def test_steps_are_counted_by_their_nodes(tmp_path: Path, spacings: float, nodes: int) -> None:
     height = np.zeros((8, 9))
     height[3, 4] = spacings * SPACING
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         read_terrain(asc(tmp_path, height), read_soil("longji"))
-    assert [f"neighbour: {nodes};" in str(item.message) for item in caught] == [True] * bool(nodes)
+    assert [f"off one: {nodes};" in str(item.message) for item in caught] == [True] * bool(nodes)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_wall_is_not_told(tmp_path: Path) -> None:
+    read_terrain(
+        asc(tmp_path, np.where(np.arange(40) < 20, 0.0, 20.0 * SPACING) * np.ones((8, 1))), read_soil("longji")
+    )

@@ -61,8 +61,10 @@ def maps_geotiff(surface: Traversability) -> bytes:
 LEFT = "_left_of_prior"
 STEEPEST_DEG = 45.0
 """Median slope; loose lunar soil rests at 35 to 40 deg at most, the walls of craters included. [deg]"""
-LARGEST_STEP = 10.0
-"""From a node to its neighbours: a slope of 84 deg. [spacings]"""
+LONE_STEP = 10.0
+"""From a node to both neighbours of its row or column, on the same side: a slope of 84 deg up and down. [spacings]"""
+LARGEST_STEP = 100.0
+"""From a node to a neighbour; walls may be steep, but not so high. [spacings]"""
 _SLOPES_OF = 1_000_000
 """Nodes at most that the median slope is taken of."""
 
@@ -125,8 +127,8 @@ def read_terrain_file(path: str | Path, soil: Soil) -> TerrainFile:
         raise DataError(f"{path}: {error}") from error
     if steep := steep_nodes(read.terrain.height_m, grid.spacing_m):
         warnings.warn(
-            f"{path}: nodes more than {LARGEST_STEP:g} spacings above or below a neighbour: {steep}; are they without "
-            "data, or in another unit?",
+            f"{path}: nodes {LONE_STEP:g} spacings and more off both neighbours, or {LARGEST_STEP:g} off one: {steep}; "
+            "are they without data, or in another unit?",
             LunarSciWarning,
             stacklevel=2,
         )
@@ -148,14 +150,15 @@ def _check_ground(height_m: FloatArray, spacing_m: float) -> None:
 
 
 def steep_nodes(height_m: FloatArray, spacing_m: float) -> int:
-    """How many nodes lie more than `LARGEST_STEP` above or below a neighbour in their row or column. [-]"""
+    """How many nodes lie `LONE_STEP` off both neighbours of a row or column, or `LARGEST_STEP` off one. [-]"""
     steep = np.zeros(height_m.shape, dtype=bool)
-    for before, after in (((slice(-1), slice(None)), (slice(1, None), slice(None))),
-                          ((slice(None), slice(-1)), (slice(None), slice(1, None)))):  # fmt: skip
+    for heights, found in ((height_m, steep), (height_m.T, steep.T)):
+        step = np.diff(heights, axis=0) / spacing_m
         with np.errstate(invalid="ignore"):
-            far = np.abs(height_m[after] - height_m[before]) > LARGEST_STEP * spacing_m
-        steep[before] |= far
-        steep[after] |= far
+            far, beyond = np.abs(step) > LONE_STEP, np.abs(step) > LARGEST_STEP
+            found[1:-1] |= far[:-1] & far[1:] & (step[:-1] * step[1:] < 0)
+        found[:-1] |= beyond
+        found[1:] |= beyond
     return int(steep.sum())
 
 
