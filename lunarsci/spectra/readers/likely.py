@@ -8,7 +8,7 @@ from lunarsci.kept_blocks import spans
 from lunarsci.spectra.collection import SpectrumRows
 
 LARGE_ERROR = 0.3
-"""Of the value, in more than half of the channels. Assumed; 88 spectra of Chang'E-4 stay below. [-]"""
+"""Of the value, in more than half of the channels. Assumed. [-]"""
 BRIGHTEST = 1.0
 """Median reflectance factor; that of a perfectly white, diffuse surface. [-]"""
 LONE_STEP = 0.5
