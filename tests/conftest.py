@@ -18,6 +18,8 @@ os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(tempfile.gettempdir()) / "luna
 for _library in ("OPENBLAS", "OMP", "MKL"):  # several workers share the cores already
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
+os.environ.pop("COLUMNS", None)  # as a pipe has none; pytest-xdist gives one to its workers
+
 LONGEST = (
     "test_readme.py",
     "test_calibrate.py",
