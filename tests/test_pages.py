@@ -51,7 +51,7 @@ def test_options_named_in_pages_exist(
         assert main([*command.split(), "--help"]) == 0
     told = capfd.readouterr().out
     others = {"--repo", "--create-namespace", "--generate-name", "--scheduler-file", "--nworkers", "--nthreads"}
-    others |= {"--extra-index-url", "--strict", "--write", "--small", "--seed"}
+    others |= {"--extra-index-url", "--strict", "--write", "--small", "--seed", "--first", "--soils"}
     for page in PAGES:
         for option in set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", page.read_text("utf-8"))) - others:
             assert option in told, (name_of(page), option)

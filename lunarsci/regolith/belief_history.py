@@ -66,7 +66,18 @@ def with_drive(
         "discrepancy": after.discrepancy.to_dict() | {"scored": len(after.discrepancy.scored)},
     }
     entry = {**drive, "parent_sha256": parent_sha256, "forgotten": forgotten, **state}
-    return dataclasses.replace(after, history=(*before.history, entry))
+    return dataclasses.replace(after, history=(*_with_own_lines(before, after), entry))
+
+
+def _with_own_lines(before: SoilBelief, after: SoilBelief) -> tuple[Mapping[str, Any], ...]:
+    """The history before a drive; its entries have lines of their own where the belief after it has others."""
+    lines = before.discrepancy.scored
+    if after.discrepancy.scored[: len(lines)] == lines:
+        return before.history
+    return tuple(
+        {**entry, "discrepancy": _with_lines(entry["discrepancy"], before)} if entry.get("discrepancy") else entry
+        for entry in before.history
+    )
 
 
 def past_beliefs(belief: SoilBelief) -> list[SoilBelief | None]:

@@ -94,7 +94,11 @@ def test_commands_that_info_names_exist() -> None:
 @pytest.mark.parametrize(
     ("name", "text", "kind"),
     [
-        ("a.csv", "wavelength_nm,rock\n" + "".join(f"{n},0.1\n" for n in range(450, 2400, 5)), "spectra"),
+        (
+            "a.csv",
+            "wavelength_nm,rock\n" + "".join(f"{n},{0.1 + n * 1e-5:.5f}\n" for n in range(450, 2400, 5)),
+            "spectra",
+        ),
         ("a.csv", "x_m,y_m,rut_m\n0,0,0.01\n", "track"),
         ("a.csv", "time_s,x_m,y_m,yaw_deg\n0,0,0,0\n1,0.1,0,0\n", "motion"),
         ("a.csv", "time_s,x_m,y_m,sigma_m\n0,0,0,0.1\n", "positions"),

@@ -1,5 +1,6 @@
 """Many inputs at once: files, patterns, tables and arrays become spectra; what cannot be read is remembered."""
 
+import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -8,12 +9,13 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.errors import DataError, LunarSciError
+from lunarsci.errors import DataError, LunarSciError, LunarSciWarning
 from lunarsci.inputs import InputFile, Source, expand_inputs, read_input, together
 from lunarsci.provenance import sha256
 from lunarsci.spectra.collection import SpectrumCollection, SpectrumRows
 from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.readers.envi import without_headers
+from lunarsci.spectra.readers.likely import unlikely
 from lunarsci.spectra.readers.table import ReflectanceUnit, WavelengthUnit
 from lunarsci.spectra.readers.text import without_wavelength_files
 from lunarsci.spectra.spectrum import Spectrum
@@ -106,9 +108,12 @@ def _from_file(batch: SpectraBatch, item: Any, wavelength_unit: Any, reflectance
     try:
         source = read_input(item)
         found = read_spectra(source, wavelength_unit=wavelength_unit, reflectance_unit=reflectance_unit)
+        told = unlikely(found, source.name)
     except LunarSciError as error:
         batch.failures.append(str(error) if name in str(error) else f"{name}: {error}")
         return
+    for line in told:
+        warnings.warn(line, LunarSciWarning, stacklevel=2)
     batch.origins.extend([source.name] * len(found))
     batch.inputs[source.name] = source.sha256
     batch.inputs.update(found.about(0).get("inputs", {}))

@@ -15,7 +15,6 @@ from lunarsci.inputs import InputFile, read_input
 from lunarsci.spectra.collection import SpectrumRows
 from lunarsci.spectra.readers.columns import spectrum_ids
 from lunarsci.spectra.readers.envi import looks_like_envi, read_envi
-from lunarsci.spectra.readers.likely import unlikely
 from lunarsci.spectra.readers.table import (
     Column,
     ReflectanceChoice,
@@ -179,8 +178,6 @@ def spectra_of(table: SpectrumTable, stated: StatedUnits) -> SpectrumRows:
     }
     found, counts = _assembled(kept, values[order], order, stated, common)
     _report(found, counts, file)
-    for line in unlikely(found, file):
-        _warn(line)
     return found
 
 

@@ -97,7 +97,6 @@ def test_own_end_members_give_pyroxenes_within_five_per_cent(
     assert 100 * np.sqrt(np.mean((found - rows.loc[names, "vol_opx"]) ** 2)) <= 5
 
 
-@pytest.mark.filterwarnings("ignore:.*a median reflectance above 1")  # a column of the file is a ratio
 def test_iron_raises_the_plagioclase_of_a_highland_soil(reference_data: Path) -> None:
     """Apollo 16 soil 62231, whose rocks are mostly plagioclase; measured: 27 and 47 %."""
     path = reference_data / "spectra/lunar/apollo16_62231_relab_avg.csv"
@@ -109,7 +108,6 @@ def test_iron_raises_the_plagioclase_of_a_highland_soil(reference_data: Path) ->
     assert with_iron > without + 0.1
 
 
-@pytest.mark.filterwarnings("ignore:.*a median reflectance above 1")  # a column of the file is a ratio
 def test_no_lunar_soil_and_few_strangers_are_in_domain(bench: Any, reference_data: Path) -> None:
     """Every tenth of those of Chang'E-4. Powders of one mineral with the three others named are the hard ones."""
     kinds = bench.strangers(reference_data)

@@ -8,7 +8,7 @@ import pytest
 
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.inputs import InputFile
-from lunarsci.spectra.readers import read_spectra
+from lunarsci.spectra.readers.batch import read_batch
 
 NM = np.arange(500, 700, 5)
 SOUND = 0.1 + 1e-4 * (NM - 500)
@@ -38,13 +38,13 @@ def spiked(factor: float) -> np.ndarray:
 def test_each_kind_is_told_beyond_its_limit(reflectance: np.ndarray, sigma: np.ndarray, said: str) -> None:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        read_spectra(table(reflectance, sigma))
+        assert len(list(read_batch([table(reflectance, sigma)]).spectra)) == 1
     assert [said in str(item.message) for item in caught] == ([True] if said else [])
 
 
 def test_a_constant_spectrum_is_refused() -> None:
     with pytest.raises(DataError, match=r"rock\.csv: the same value in all channels"):
-        read_spectra(table(np.full(NM.size, 0.1), 0.01 * SOUND))
+        read_batch([table(np.full(NM.size, 0.1), 0.01 * SOUND)])
 
 
 def test_of_measured_spectra_one_ratio_is_told(reference_data: Path) -> None:
@@ -55,6 +55,6 @@ def test_of_measured_spectra_one_ratio_is_told(reference_data: Path) -> None:
             continue
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", LunarSciWarning)
-            count += len(read_spectra(str(path)))
+            count += len(list(read_batch(str(path)).spectra))
         told += [str(item.message) for item in caught if "spectra with" in str(item.message)]
     assert count > 500 and len(told) == 1 and "first 'scaled'" in told[0]
