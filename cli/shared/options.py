@@ -268,7 +268,7 @@ def request_parameters(request: type, options: Mapping[str, RequestOption]) -> l
         if get_origin(kind) is tuple:
             kind, default = list[str] | None, (list(default) or None)
         _name_choices(kind, said.told)
-        if kind is bool and not said.told.param_decls:
+        if kind is bool and not said.told.param_decls and said.told.default is ...:
             said.told.param_decls = (f"--{name.replace('_', '-')}",)
         annotation = Annotated[kind, said.told]
         found.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=annotation, default=default))

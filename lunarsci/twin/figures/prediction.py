@@ -76,7 +76,7 @@ def _draw_map(axes: "Axes", prediction: Prediction, terrain: Terrain, colors: An
     draw_ground(axes, terrain, map_window(prediction, terrain), 0.1)
     draw_exclusion_zones(axes, prediction)
     draw_paths(axes, prediction, colors, 0.7)
-    start, end = prediction.planned[0], prediction.planned[-1]
+    start, end = prediction.planned[0], prediction.destination_m
     axes.plot(start[0], start[1], "o", color="white", markeredgecolor=INK, markersize=7, zorder=6, label="start")
     axes.plot(end[0], end[1], "*", color=GOLD, markeredgecolor=INK, markersize=13, zorder=6, label="destination")
     stopped = ~prediction.finished
