@@ -125,7 +125,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "lunarsci twin update states/states.csv --plan plan.toml --particles 32 \\\n"
         "  --positions states/positions.csv --save belief.json",
         "lunarsci twin update states/states.csv --plan plan.toml --particles 32 \\\n"
-        "  --positions states/positions.csv --no-ruts --save second.json",
+        "  --positions states/positions.csv --seed 2 --save second.json",
     ),
     "twin compare": (
         "lunarsci twin compare predicted states/states.csv --plan plan.toml",
