@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 MOST_CELLS = 250_000_000
-"""Of a Parquet file, however small it is: a week at 10 Hz of 40 columns."""
+"""Of a Parquet file, however small it is: 2 GB of numbers."""
 BLANK = ("nan", "na", "-", "")
 ALIKE = 0.72
 """Likeness of two names (difflib's ratio) from which one is taken for a slip of the pen of the other; assumed."""
@@ -51,7 +51,8 @@ def read_csv_table(source: InputFile | str | Path) -> "pd.DataFrame":
 def read_parquet_table(source: InputFile) -> "pd.DataFrame":
     """The columns of a Parquet file, without what pandas notes beside them: it may be damaged by itself.
 
-    Raises DataError without pyarrow, for a file that cannot be read, and for more cells than `MOST_CELLS`.
+    Raises DataError without pyarrow, for a file that cannot be read, and, before they are unpacked, for more rows than
+    `MOST_ROWS` and more cells than `MOST_CELLS`.
     """
     try:
         import pyarrow
@@ -60,6 +61,7 @@ def read_parquet_table(source: InputFile) -> "pd.DataFrame":
         raise DataError(f"{source.name}: Parquet needs pyarrow; pip install 'lunarsci[parquet]'") from error
     try:
         file = ParquetFile(io.BytesIO(source.data))
+        check_rows(source.name, file.metadata.num_rows)
         cells = file.metadata.num_rows * file.metadata.num_columns
         if cells <= MOST_CELLS:
             table: pd.DataFrame = file.read().replace_schema_metadata(None).to_pandas()
@@ -86,7 +88,7 @@ def _word(value: object) -> object:
 
 
 MOST_ROWS = 500_000
-"""Of telemetry; more are refused: these take 1.2 GB, as 1.5 kB a row were measured."""
+"""Of telemetry; more are refused: 200,000 rows took 0.75 GB, in `tests/benchmarks/load.py`."""
 
 
 def check_rows(file: str, rows: int) -> None:

@@ -2,9 +2,11 @@
 
 import os
 import platform
+import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import requires
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, ClassVar
@@ -12,7 +14,6 @@ from typing import Any, ClassVar
 from lunarsci.provenance import installed_version
 from lunarsci.result import Result
 
-NEEDED = ("numpy", "scipy", "lmfit", "astropy", "pandas", "typer", "rich", "matplotlib", "numba")
 EXTRAS: Mapping[str, tuple[str, ...]] = {
     "cubes": ("rasterio", "xarray", "h5netcdf"),
     "cluster": ("distributed",),
@@ -78,7 +79,8 @@ def doctor(*, progress: Callable[[int, int], None] = lambda done, total: None) -
 
 
 def _versions() -> HealthCheck:
-    found = {name: installed_version(name) for name in ("lunarsci", *NEEDED)}
+    needed = [re.split(r"[^\w.-]", text)[0] for text in requires("lunarsci") or () if "extra ==" not in text]
+    found = {name: installed_version(name) for name in ("lunarsci", *needed)}
     missing = [name for name, version in found.items() if version is None]
     told = ", ".join(f"{name} {version}" for name, version in found.items() if version)
     trouble = f"not installed: {', '.join(missing)}; pip install lunarsci" if missing else ""

@@ -28,13 +28,12 @@ from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import first_belief
 from lunarsci.twin.assimilation.update import assimilate
 from lunarsci.twin.choice.next_end import NextEnd
-from lunarsci.twin.choice.soil_tests import with_tests
 from lunarsci.twin.choice.teaching import teaching
 from lunarsci.twin.plans.path import reach_m
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import make_schedule
-from lunarsci.twin.routes.candidates import candidate_plans
-from lunarsci.twin.routes.planner import plan_path
+from lunarsci.twin.routes.candidates import candidate_plans, with_tests
+from lunarsci.twin.routes.planner import RouteSearch, plan_path
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.discrepancy import with_discrepancy
 from lunarsci.twin.simulation.ensemble import Prediction, predict
@@ -79,7 +78,8 @@ def on_schedule(driven: Driven, plan: Plan, rover: Rover) -> Driven:
 def candidates(one: Errand, shortest: Plan) -> list[Plan]:
     """Plans to the same target, of about the same length; the shortest one first."""
     found = candidate_plans(one.surface, one.rover, one.start, one.target, limits=one.limits, most=MOST)
-    plans = with_tests((shortest, *found), one.surface, one.rover, one.target, MOST + 4)
+    search = RouteSearch.of(one.surface, one.rover, one.start, one.target, None)
+    plans = with_tests((shortest, *found), search, MOST + 4)
     return [plan for plan in plans if abs(plan.length_m / shortest.length_m - 1.0) <= ALIKE]
 
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -178,6 +179,15 @@ def test_a_doctor_says_what_is_off(monkeypatch: pytest.MonkeyPatch) -> None:
         -len(found.trouble) :
     ]
     assert "off by more than" in found.untrusted and "OSError: no disk" in found.untrusted
+
+
+def test_a_doctor_knows_the_extras_of_the_project() -> None:
+    """Those for users: what development needs asks for the package itself."""
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text("utf-8"))["project"]
+    extras = project["optional-dependencies"]
+    assert set(doctor.EXTRAS) == {name for name, needs in extras.items() if not needs[0].startswith("lunarsci[")}
+    assert all(len(doctor.EXTRAS[name]) == len(extras[name]) for name in doctor.EXTRAS)
+    assert all(re.split(r"[<>=]", need)[0] in doctor._versions().found for need in project["dependencies"])
 
 
 @pytest.mark.slow

@@ -44,6 +44,5 @@ def test_steps_are_counted_by_their_nodes(tmp_path: Path, spacings: float, nodes
 
 @pytest.mark.filterwarnings("error")
 def test_a_wall_is_not_told(tmp_path: Path) -> None:
-    read_terrain(
-        asc(tmp_path, np.where(np.arange(40) < 20, 0.0, 20.0 * SPACING) * np.ones((8, 1))), read_soil("longji")
-    )
+    wall = np.where(np.arange(40) < 20, 0.0, 20.0 * SPACING) * np.ones((8, 1))
+    assert read_terrain(asc(tmp_path, wall), read_soil("longji")).height_m.max() == 20.0 * SPACING

@@ -21,6 +21,7 @@ _CLEARER, _SURE = 0.1, 4.0
 deviations of what noise of n channels gives, 1 / sqrt(n). Of the 88 spectra all fit best where they are, VNIR by 0.059
 at least, SWIR by 0.019. Shifted by a channel up or down, 85 and 85 of 88 are found in VNIR, 79 and 77 in SWIR. [-]"""
 _LEAST = 40
+"""Channels that are needed to tell; assumed."""
 
 
 def displaced_channels(radiance: FloatArray, irradiance: FloatArray) -> int:
@@ -122,6 +123,7 @@ def channel_doubts(
 
 
 _STEP = 16
+"""Of every so many lines and samples the numbers are compared first; those that agree are compared whole."""
 
 
 def equal_frames(cube: npt.NDArray[np.float32]) -> tuple[int, int] | None:
@@ -138,6 +140,7 @@ def equal_frames(cube: npt.NDArray[np.float32]) -> tuple[int, int] | None:
 
 
 _RUN = 3
+"""Rows of a run: fewer equal ones are found by chance; assumed."""
 
 
 def repeated_rows(radiance: FloatArray) -> tuple[int, int] | None:

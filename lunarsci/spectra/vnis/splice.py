@@ -7,13 +7,12 @@ calibration and the irradiance were established before the flight or by others, 
 several: repeating the measurement does not make these errors smaller, and they do not scatter.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import FloatArray, robust_scatter
 from lunarsci.errors import DataError
 from lunarsci.spectra.photometry.correction import model_spread
 from lunarsci.spectra.photometry.phase import Geometry
@@ -104,9 +103,10 @@ def usual_gains(gains: Sequence[float]) -> list[float | None]:
     detectors see the same ground in the same minutes, so that their ratio is the instrument's. Fewer than five
     observations do not tell.
     """
-    middle = float(np.median(gains)) if len(gains) >= _FEWEST_GAINS else math.nan
-    spread = 1.4826 * float(np.median(np.abs(np.array(gains) - middle))) if len(gains) >= _FEWEST_GAINS else math.nan
-    limit = max(_UNLIKE * middle, _TIMES * spread)
+    if len(gains) < _FEWEST_GAINS:
+        return [None] * len(gains)
+    middle = float(np.median(gains))
+    limit = max(_UNLIKE * middle, _TIMES * robust_scatter(np.array(gains)))
     return [middle if abs(gain - middle) > limit else None for gain in gains]
 
 

@@ -9,12 +9,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.arrays import NORMAL_MAD, BoolArray, FloatArray
 
 LENGTHS, NOISES = (2.0, 4.0, 8.0), (0.01, 0.1, 1.0)
 """Tried for the kernel: lengths over which telemetry counts as alike, in its spreads, and shares of the ends' variance
 that it does not tell. The pair is taken that predicts members left out best."""
-MAD_TO_SD = 1.4826
 LEAST_M = 1e-3
 """Errors below count as this much where they are compared; assumed. [m]"""
 CHANCE = 0.05
@@ -94,7 +93,7 @@ def next_end(telemetry: FloatArray, ends_m: FloatArray, unmoved_m: FloatArray, d
 
 def _spread(values: FloatArray) -> FloatArray:
     """Standard deviation of each column without regard to its tails."""
-    return np.asarray(MAD_TO_SD * np.median(np.abs(values - np.median(values, axis=0)), axis=0))
+    return np.asarray(NORMAL_MAD * np.median(np.abs(values - np.median(values, axis=0)), axis=0))
 
 
 def _drawn_in(values: FloatArray) -> FloatArray:

@@ -14,7 +14,6 @@ from lunarsci.twin.assimilation.change_point import planned_places
 from lunarsci.twin.choice.choice import DriveChoice, choose, least_drives
 from lunarsci.twin.choice.conditions import Conditions
 from lunarsci.twin.choice.improvement import Improvement
-from lunarsci.twin.choice.soil_tests import with_tests
 from lunarsci.twin.ground.driven_soil import DrivenSoil
 from lunarsci.twin.ground.keep_out import near_way
 from lunarsci.twin.ground.terrain import Terrain
@@ -27,7 +26,7 @@ from lunarsci.twin.jobs.soils import OF_A_BELIEF, Soils
 from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
 from lunarsci.twin.plans.plan import Limit, Plan, read_plan
 from lunarsci.twin.plans.plan_files import plan_text
-from lunarsci.twin.routes.candidates import MOST, candidate_plans
+from lunarsci.twin.routes.candidates import MOST, candidate_plans, with_tests
 from lunarsci.twin.routes.long_way import LONG_M
 from lunarsci.twin.routes.planner import RouteSearch, measured_path
 from lunarsci.twin.simulation.ensemble import member_parameters
@@ -175,10 +174,11 @@ def chosen_drive(terrain: str, asked: PlanRequest, progress: Progress | None) ->
     asked, site = asked.on(site.terrain), local.site
     ends = np.array([place[:2] for place in asked.places])
     surface, ground = local.searched(ends), local.driven(ends)
-    plans = candidates_of(asked, site, surface, given, progress)
-    soils, conditions, members = drive_conditions(asked, site, given, plans, ground)
+    check_soils(asked, given)
     (x0, y0, heading), (x, y, *_) = asked.places
     search = RouteSearch.of(surface, site.rover, (x0, y0, heading), (x, y), asked.final_heading_deg)
+    plans = candidates_of(asked, site, search, given, progress)
+    soils, conditions, members = drive_conditions(asked, site, given, plans, ground)
     choice = choose(
         plans, conditions, risk=asked.risk or 0.0, prefer=asked.prefer, members=members, teach=asked.teach,
         improve=Improvement.on(search, None if asked.fixes is None else parsed_fixes(asked.fixes)), progress=progress,
@@ -228,17 +228,16 @@ def check_soils(asked: PlanRequest, given: GivenSoil) -> None:
 
 
 def candidates_of(
-    asked: PlanRequest, site: SurveyedSite, surface: Any, given: GivenSoil, progress: Progress | None = None
+    asked: PlanRequest, site: SurveyedSite, search: RouteSearch, given: GivenSoil, progress: Progress | None = None
 ) -> tuple[Plan, ...]:
     """Plans to compare, with the limits of the rover, the tolerance, and the circles that each comes near to."""
-    check_soils(asked, given)
     (x0, y0, heading), (x, y, *_) = asked.places
     limits = limits_at(site)
     if asked.tolerance is not None:
         end = Limit("endpoint_miss_m", "m", asked.tolerance, "tolerance of the end from the target", False)
         limits = tuple(end if one.quantity == end.quantity else one for one in limits)
     plans = candidate_plans(
-        surface,
+        search.surface,
         site.rover,
         (x0, y0, heading),
         (x, y),
@@ -250,7 +249,7 @@ def candidates_of(
         progress=progress,
     )
     if asked.teach or asked.prefer == "teaching":
-        plans = with_tests(plans, surface, site.rover, (x, y), asked.candidates or MOST)
+        plans = with_tests(plans, search, asked.candidates or MOST)
     swept = read_plan().sweep if given.file is None and not asked.sweep else ()
     near = [near_way(site.keep_outs, planned_places(plan, site.rover)) if site.keep_outs else () for plan in plans]
     return tuple(

@@ -12,7 +12,7 @@ from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.twin.ground.footprint import RoverFootprint, nearest_node, rover_footprint, swept_nodes
 from lunarsci.twin.ground.hazards import Traversability
-from lunarsci.twin.plans.path import planned_pose, poses_along
+from lunarsci.twin.plans.path import TURN_DEG, planned_pose, poses_along
 from lunarsci.twin.plans.plan import Leg, Limit, Plan
 from lunarsci.twin.routes.arc_search import COARSEST_M, FINEST_M, ArcProblem, Course, find_courses, pose_after
 from lunarsci.twin.routes.search_ground import SearchGround, search_ground
@@ -164,6 +164,12 @@ class RouteSearch:
         """Least distance of the footprint at some poses (n, 3) from an obstacle, and which node that is. [m]"""
         distance, point, _ = nearest_node(self.footprint, poses, *self._obstacle_places())
         return distance, point
+
+    def has_room_to_turn(self, turn_deg: float) -> bool:
+        """Whether the footprint keeps its distance while the rover turns on the spot where it starts."""
+        headings = np.radians(np.linspace(0.0, turn_deg, math.ceil(abs(turn_deg) / TURN_DEG) + 1))
+        poses = self.start + headings[:, None] * np.array([0.0, 0.0, 1.0])
+        return bool(self.clear_m(poses)[0] >= self.surface.mobility.hazard_distance_m)
 
     def obstacle(self, point: int) -> str:
         """What makes a node of the border an obstacle, in words."""
