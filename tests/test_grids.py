@@ -2,9 +2,11 @@
 
 import re
 import resource
+import struct
 import subprocess
 import sys
 import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ import pytest
 
 from lunarsci.errors import DataError
 from lunarsci.grids import MOST_NODES, read_grid
+from lunarsci.images.pictures import read_picture
 from lunarsci.inputs import InputFile, text
 
 HEIGHTS = "\n".join(" ".join(f"{0.25 + 0.01 * (row + column):.2f}" for column in range(6)) for row in range(6))
@@ -135,3 +138,14 @@ def test_files_that_unpack_to_more_than_the_memory(kind: str, tmp_path: Path) ->
     done = subprocess.run([sys.executable, "-c", READ, file], capture_output=True, text=True, check=True)
     assert re.search("not a key" if kind == "unknown key" else f"at most {MOST_NODES / 1e6:.0f} million", done.stdout)
     assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before < 30
+
+
+def test_a_picture_of_more_pixels_than_are_unpacked(tmp_path: Path) -> None:
+    """A header of 60 million pixels, and none of them: it is refused before anything is unpacked."""
+    pytest.importorskip("cv2")
+    chunks = (b"IHDR" + struct.pack(">IIBBBBB", 10_000, 6_000, 8, 0, 0, 0, 0), b"IDAT" + zlib.compress(b""))
+    packed = [struct.pack(">I", len(one) - 4) + one + struct.pack(">I", zlib.crc32(one)) for one in chunks]
+    file = tmp_path / "large.png"
+    file.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(packed))
+    with pytest.raises(DataError, match="more than 50 million pixels; cut out the part that is wanted"):
+        read_picture(file)
