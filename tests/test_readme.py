@@ -86,12 +86,12 @@ def commands_shown(text: str) -> list[tuple[str, str]]:
 
 
 class Reader:
-    """Follows pages as a reader does, each in a folder of its own, with the files of `lunarsci demo` in it."""
+    """Follows pages as a reader does who has activated the environment, each in a folder with the files of the demo."""
 
     def __init__(self, folder: Path, programs: Path) -> None:
         self.folder = folder
         self.environment = os.environ | {
-            "PATH": f"{programs}{os.pathsep}{os.environ['PATH']}",
+            "PATH": os.pathsep.join([str(programs), str(Path(sys.executable).parent), os.environ["PATH"]]),
             "PYTHONUTF8": "1",
             "MPLBACKEND": "Agg",
             "COLUMNS": "100",
