@@ -16,7 +16,7 @@ from lunarsci.cli.shared.examples import EXAMPLES
 
 Run = Callable[..., "object"]
 NEEDS_PICTURES_OF_A_BOARD = "images calibrate"
-"""Its examples run in tests/images/test_calibration.py's way: with pictures that are made there."""
+"""`tests/images/test_calibration.py` runs its examples, with pictures that are made there."""
 
 
 def commands(command: object = None, words: str = "") -> Iterator[tuple[str, object]]:

@@ -1,6 +1,8 @@
 """Calibration against SYNTHETIC boards seen through OpenCV's lens, and against itself on pictures of a real board."""
 
 import json
+import os
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ pytest.importorskip("cv2", reason="needs the extra images")
 import boards
 import cv2
 from lunarsci.cli import main
+from lunarsci.cli.shared.examples import EXAMPLES
 
 from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.images.calibration import BoardView, CameraCalibration, calibrate
@@ -153,6 +156,16 @@ def refused(*pictures: object, **options: object) -> str:
     with pytest.raises((DataError, RequestError, ParameterError)) as caught:
         calibrate_cameras(*pictures, **options)  # type: ignore[arg-type]
     return str(caught.value)
+
+
+def test_examples_of_the_help_run(shown: tuple[list[str], list[str]], tmp_path: Path, program: Path) -> None:
+    for picture in (*shown[0], *shown[1]):
+        (tmp_path / Path(picture).name).symlink_to(picture)
+    environment = os.environ | {"PATH": f"{program}{os.pathsep}{os.environ['PATH']}"}
+    for line in EXAMPLES["images calibrate"]:
+        done = subprocess.run(["bash", "-c", line], cwd=tmp_path, env=environment, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+    assert read_rig(str(tmp_path / "rig.toml")).baseline_m == pytest.approx(0.12 * 0.03 / SQUARE, rel=0.02)
 
 
 def test_pictures_that_calibrate_nothing_are_refused(shown: tuple[list[str], list[str]], tmp_path: Path) -> None:
