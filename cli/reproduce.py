@@ -22,6 +22,7 @@ OPTIONS = {
     "rocks": option(
         "Measured spectra of boulders of Chang'E-4, in any form that `spectra fit` reads; of files with other "
         "targets too, those with 'rock' in their name. May be repeated.",
+        "--boulders",
         metavar="FILE",
     ),
     "rover": option("Rover that drives, and whose wheel is taken: a name or a TOML file.", show_default="yutu2"),
@@ -38,7 +39,7 @@ def reproduce(request: ReproduceRequest, output: Output) -> Report:
     """Numbers of Ding et al. (2024) beside what lunarsci makes of what they publish, with a verdict on each.
 
     -v prints the reading and the evidence of each number, --plot FILE.pdf draws the paper's figures. The paper comes
-    without its measured spectra and its terrain; with --rocks more of the numbers of the rock can be looked at.
+    without its measured spectra and its terrain; with --boulders more of the numbers of the rock can be looked at.
     """
     from lunarsci.reproduce.job import reproduce
 

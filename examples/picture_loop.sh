@@ -41,12 +41,12 @@ at_time() {
 # Pictures from a place: NAME X Y HEADING DOWN and further options of `images render`.
 picture() {
     lunarsci images render ground/terrain.npz "${common[@]}" --rig "$rig" --x="$2" --y="$3" --heading="$4" --down="$5" \
-        --height "$mast" --spacing 0.01 --rocks 0.3 --rays 1 --exact --seed "$seed" -o "$1" "${@:6}" >"$1.txt"
+        --height "$mast" --spacing 0.01 --rock-density 0.3 --rays 1 --exact-rig --seed "$seed" -o "$1" "${@:6}" >"$1.txt"
 }
 
 # Heights from the pictures of a folder, by a pose: NAME POSE and further options of `images dem`.
 heights() {
-    lunarsci images dem "$1/left.png" "$1/right.png" "${common[@]}" --rig "$rig" --pose "$2" --terrain "$1.npz" \
+    lunarsci images dem "$1/left.png" "$1/right.png" "${common[@]}" --rig "$rig" --pose "$2" --save-terrain "$1.npz" \
         "${@:3}" >"$1-heights.txt"
 }
 

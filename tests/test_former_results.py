@@ -102,7 +102,7 @@ COMMANDS: dict[str, str] = {
     "track": "images track ground/terrain.npz --line 0,1,2.5,1.2 --step 0.5",
     "rocks": "images rocks ground/terrain.npz --sizes 0.2",
     "cameras": "images cameras",
-    "terrain synthetic": "twin terrain synthetic --craters 5 --rocks 0.02 --seed 7",
+    "terrain synthetic": "twin terrain synthetic --crater-count 5 --rocks 0.02 --seed 7",
     "predict sweep": "twin predict short.toml --sweep friction_angle_deg=30:50:3",
     "predict": "twin predict short.toml --soil lunar-typical --sweep stiffness_kpa_m_n=800:1600:2 --ruts -o predicted",
     "simulate drive": "twin simulate short.toml --seed 5 -o drive",

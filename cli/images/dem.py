@@ -35,7 +35,7 @@ Left = Annotated[str, typer.Argument(metavar="LEFT", help="Left picture: PNG, TI
 Right = Annotated[str, typer.Argument(metavar="RIGHT", help="Right picture, of the same moment.")]
 Terrain = Annotated[
     Path | None,
-    typer.Option("--terrain", metavar="FILE", help="Takes the elevation model: .npz or .tif, for `twin terrain`."),
+    typer.Option("--save-terrain", metavar="FILE", help="The elevation model: .npz or .tif, for `twin terrain`."),
 ]
 
 
@@ -53,7 +53,7 @@ def dem(left: Left, right: Right, request: DemRequest, output: Output, terrain: 
     """
     from lunarsci.images.jobs.dem import dem
 
-    output.check_extra("--terrain", terrain, (".npz", ".tif", ".tiff"))
+    output.check_extra("--save-terrain", terrain, (".npz", ".tif", ".tiff"))
     with progress("matching", quiet=output.quiet) as update:
         found = dem(left, right, request, progress=update)
     return Report.of(found, _tables(found), extras={} if terrain is None else {terrain: _content(found, terrain)})

@@ -15,6 +15,7 @@ from ..shared.table import TextTable, plus_minus
 if TYPE_CHECKING:
     from lunarsci.images.jobs.locate import LocatedStations
 
+ERRORS = "Errors before the pictures (assumed)"
 OPTIONS = {
     "rig": option(
         "The cameras of all stations: yutu2-pancam, yutu2-navcam, yutu2-hazcam or a TOML file.", metavar="RIG"
@@ -24,9 +25,9 @@ OPTIONS = {
         kind=str | None,
         metavar="X,Y,Z",
     ),
-    "drift": option("Error of dead reckoning as a share of the way between stations (assumed)."),
-    "heading_error": option("Error of the headings in pose.toml, in deg (assumed)."),
-    "tilt_error": option("Error of down_deg and roll_deg in pose.toml, in deg (assumed)."),
+    "drift": option("Error of dead reckoning as a share of the way between stations (assumed).", panel=ERRORS),
+    "heading_error": option("Error of the headings in pose.toml, in deg (assumed).", panel=ERRORS),
+    "tilt_error": option("Error of down_deg and roll_deg in pose.toml, in deg (assumed).", panel=ERRORS),
 }
 Folders = Annotated[
     list[str],

@@ -25,10 +25,14 @@ OPTIONS = {
     "roll": option("Turned clockwise about its axis, in deg.", panel=CAMERA),
     "height": option("Over the ground, in m.", panel=CAMERA, show_default="the rig's mast"),
     "samples": option("Rays along each side of a pixel.", "--rays", panel=CAMERA),
-    "exact": option("Take the rig as it is, not a draw from its covariance.", panel=CAMERA),
+    "exact": option("Take the rig as it is, not a draw from its covariance.", "--exact-rig", panel=CAMERA),
     "spacing": option("Side of the ground's triangles, in m.", panel=GROUND),
-    "rocks": option("Rocks of 4 cm and more on a square metre.", panel=GROUND),
-    "roughness": option("Over that assumed of regolith; 0 leaves the terrain as it is.", panel=GROUND),
+    "rocks": option("Rocks of 4 cm and more on a square metre.", "--rock-density", panel=GROUND),
+    "roughness": option(
+        "Factor on the roughness assumed of regolith; 0 leaves the terrain as it is.",
+        "--roughness-factor",
+        panel=GROUND,
+    ),
     "track": option(
         "What wheels left: CSV of x_m, y_m, and rut_m or sinkage_m; the ground is lower there.", panel=GROUND
     ),
@@ -36,9 +40,9 @@ OPTIONS = {
     "seed": option("Seed of ground, noise and the rig's draw.", panel=GROUND),
     "sun_azimuth": option("Where the Sun is, from x towards y, in deg.", panel=LIGHT),
     "sun_elevation": option("Over the horizon, in deg.", panel=LIGHT),
-    "law": option("How the ground scatters light.", panel=LIGHT),
+    "law": option("How the ground scatters light.", "--scattering", panel=LIGHT),
 }
-Terrain = Annotated[str | None, typer.Argument(metavar="[TERRAIN.npz]", help="Ground; level where it is left out.")]
+Terrain = Annotated[str | None, typer.Argument(metavar="[TERRAIN]", help="Ground; level where it is left out.")]
 
 
 def add_to(app: typer.Typer) -> None:

@@ -19,15 +19,17 @@ SOIL, EXACT = "Soil", "Exact integrals"
 ROVER = "Rover or wheel: a name (yutu2, cmu-grouser, hit-smooth, rashid-1, lrv …) or a TOML file."
 READING = "Sign of the shear law: signed agrees with measured wheels; the others only reproduce numbers."
 SHEAR = "Strength along and across: each its own, or one shared along the velocity or the displacement."
+WHEEL = "State of the wheel"
 OPTIONS = {
-    "sinkage": option("Sinkage in m, above 0, below the wheel radius."),
-    "load": option("Wheel load in N; the sinkage under it is solved for."),
+    "sinkage": option("Sinkage in m, above 0, below the wheel radius.", panel=WHEEL),
+    "load": option("Wheel load in N; the sinkage under it is solved for.", panel=WHEEL),
     "slip": option(
         "Slip ratio, -1 (locked) to 1 (no travel); negative is skid; or a curve, FIRST:LAST:N.",
         kind=str,
         metavar="S|A:B:N",
+        panel=WHEEL,
     ),
-    "side_slip": option("Side slip angle in deg, within ±90."),
+    "side_slip": option("Side slip angle in deg, within ±90.", panel=WHEEL),
     "rover": option(ROVER),
     "soil": option("Soil: a name or a TOML file.", panel=SOIL),
     "stiffness": option("K_s in kPa m^-N.", panel=SOIL),
@@ -46,7 +48,7 @@ OPTIONS = {
     "rebound": option("Share of the sinkage that springs back behind the wheel, 0-1.", panel=EXACT),
     "rut": option("Depth in m to which a wheel before has pressed the soil; needs --reload.", panel=EXACT),
     "reload": option("Slope of loading in a rut in N/m³, k_0 of Wong's reloading line.", panel=EXACT),
-    "slip_sinkage": option("With --load: how slip deepens the sinkage of a wheel that does not slip."),
+    "slip_sinkage": option("With --load: how slip deepens the sinkage of a wheel that does not slip.", panel=WHEEL),
     "reece_cohesive": option("Reece's k_c'; K_s then follows density and gravity.", panel=SOIL),
     "reece_frictional": option("Reece's k_φ', with k_c'.", panel=SOIL),
 }

@@ -48,17 +48,18 @@ States = Annotated[
         "side_slip_deg, lateral_force_n; NAME_sigma is the error of NAME; - is stdin."
     ),
 ]
+ASSUMED = "What is assumed, and so what is solved for"
 OPTIONS = {
     "rover": option(ROVER),
-    "exponent": option("Assume N and solve K_s; 1.0 if neither is given."),
-    "stiffness": option("Assume K_s in kPa m^-N and solve N."),
-    "cohesion": option("Assume c in Pa and solve φ; 520 if neither is given."),
-    "friction_angle": option("Assume φ in deg and solve c."),
-    "shear_modulus": option("Assumed K_x in mm."),
+    "exponent": option("Assume N and solve K_s; 1.0 if neither is given.", panel=ASSUMED),
+    "stiffness": option("Assume K_s in kPa m^-N and solve N.", panel=ASSUMED),
+    "cohesion": option("Assume c in Pa and solve φ; 520 if neither is given.", panel=ASSUMED),
+    "friction_angle": option("Assume φ in deg and solve c.", panel=ASSUMED),
+    "shear_modulus": option("Assumed K_x in mm.", panel=ASSUMED),
     "lateral_modulus": option(
-        "Assume K_y in mm, one or several by commas, and solve φ_y; 13,40 if not given.", kind=str | None
+        "Assume K_y in mm, one or several by commas, and solve φ_y; 13,40 if not given.", kind=str | None, panel=ASSUMED
     ),
-    "external_friction_angle": option("Assume φ_y in deg and solve K_y."),
+    "external_friction_angle": option("Assume φ_y in deg and solve K_y.", panel=ASSUMED),
     "reading": option(READING),
     "draws": option("Monte Carlo draws per state.", min=2, max=1_000_000),
     "seed": option("Seed of the random numbers.", min=0),

@@ -74,6 +74,17 @@ ALIASES = (
     Alias(("regolith", "infer"), "--prior", ("regolith", "infer"), "--prior-file", ANY),
     Alias(("regolith", "infer"), "--sample", ("regolith", "infer"), "--draw-posterior"),
     Alias(("images", "render"), "--samples", ("images", "render"), "--rays", ANY),
+    Alias(("images", "render"), "--exact", ("images", "render"), "--exact-rig"),
+    Alias(("images", "render"), "--rocks", ("images", "render"), "--rock-density", ANY),
+    Alias(("images", "render"), "--roughness", ("images", "render"), "--roughness-factor", ANY),
+    Alias(("images", "render"), "--law", ("images", "render"), "--scattering", ANY),
+    Alias(("images", "dem"), "--terrain", ("images", "dem"), "--save-terrain", ANY),
+    Alias(("images", "calibrate"), "--target", ("images", "calibrate"), "--pattern", ANY),
+    Alias(("spectra", "simulate"), "--soil", ("spectra", "simulate"), "--minerals", ANY),
+    Alias(("spectra", "simulate"), "--shadow", ("spectra", "simulate"), "--shadow-share", ANY),
+    Alias(("reproduce",), "--rocks", ("reproduce",), "--boulders", ANY),
+    Alias(("twin", "terrain"), "--craters", ("twin", "terrain"), "--crater-count", ANY),
+    Alias(("twin", "plan"), "--craters", ("twin", "plan"), "--crater-count", ANY),
 )
 """Those of several steps follow each other in this order."""
 

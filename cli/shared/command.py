@@ -22,7 +22,7 @@ from lunarsci.provenance import Provenance, plain
 
 from .emit import emit
 from .examples import epilog
-from .options import CONFIG, Output, RequestOption, computing_options, request_parameters, shared_options
+from .options import CONFIG, FORM_OF, Output, RequestOption, computing_options, request_parameters, shared_options
 from .report import Report
 from .talk import INTERRUPTED, say
 
@@ -31,7 +31,7 @@ def command(
     app: typer.Typer,
     name: str,
     *,
-    folder: bool | None = False,
+    folder: bool = False,
     default_path: str | None = None,
     request: type | None = None,
     options: Mapping[str, RequestOption] | None = None,
@@ -40,8 +40,8 @@ def command(
     """Register a function that returns a `Report` as a command with the shared output options.
 
     A function with a parameter `output` is handed the `Output`, for its progress bar. With `folder`, `--output` names a
-    folder that takes the report's `files`, and the result itself always goes to stdout; with None this is so where the
-    name has no suffix.
+    folder that takes the report's `files`, and the result itself goes to stdout too; a name with the end of a result,
+    such as .json, is a file for it alone.
 
     With `request`, a frozen dataclass of a job, and `options`, what the command line says of its fields, the function
     is handed a `request` made of them; names, types and defaults are those of the dataclass. What it refuses is wrong
@@ -60,7 +60,7 @@ def command(
         def run(context: typer.Context, config: Path | None = None, **options: Any) -> None:
             chosen = {key: options.pop(key) for key in shared}
             path = chosen["path"]
-            named = path is not None and not path.suffix if folder is None else folder
+            named = folder and (path is None or path.is_dir() or path.suffix.lower() not in FORM_OF)
             where = {key: chosen.pop(key) for key in blocks}
             output = Output(**chosen, folder=named)
             output.check()

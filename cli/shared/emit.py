@@ -72,7 +72,7 @@ def _print(text: Iterable[bytes]) -> None:
 
 def _as_file(report: Report, output: Output, record: Mapping[str, Any]) -> bytes | None:
     """The content of a file in one of the report's own formats; None where the result is wanted as text."""
-    asked = output.wanted != "text" or output.chosen or output.field_path is not None
+    asked = output.asked != "text" or output.chosen or output.field_path is not None
     if asked or output.folder or not output.path:
         return None
     make = report.formats.get(output.path.suffix.lower())
@@ -81,10 +81,9 @@ def _as_file(report: Report, output: Output, record: Mapping[str, Any]) -> bytes
 
 def _as_text(report: Report, output: Output, record: Mapping[str, Any]) -> Iterable[bytes]:
     """The result as it is wanted, in pieces."""
-    suffix = output.path.suffix.lower() if output.path and not output.folder else ""
-    if output.wanted == "json" or (suffix == ".json" and output.wanted == "text"):
+    if output.wanted == "json":
         return json_chunks(document(report.schema, report.result, record))
-    if output.wanted == "csv" or (suffix == ".csv" and output.wanted == "text"):
+    if output.wanted == "csv":
         if report.rows is None:
             raise ParameterError("this result is no table; use --json")
         return chosen_csv(report.rows, output.chosen) if output.chosen else to_csv(report.rows)

@@ -9,7 +9,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     "template": ("lunarsci template plan > plan.toml", "lunarsci template rover > rover.toml"),
     "spectra simulate": (
         "lunarsci spectra simulate --rock ol=0.1,opx=0.4,cpx=0.2,plg=0.3 -o scene",
-        "lunarsci spectra simulate --soil ol=0.2,opx=0.3,cpx=0.3,plg=0.2 --noise 0",
+        "lunarsci spectra simulate --minerals ol=0.2,opx=0.3,cpx=0.3,plg=0.2 --noise 0",
     ),
     "spectra calibrate": (
         f"lunarsci spectra calibrate {DEMO}/*.2BL -o rock.ecsv",
@@ -81,9 +81,9 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     ),
     "images dem": (
         f"lunarsci images dem {DEMO}/left.png {DEMO}/right.png \\\n"
-        f"  --rig {DEMO}/rig.toml --pose {DEMO}/pose.toml \\\n  --terrain dem.npz",
+        f"  --rig {DEMO}/rig.toml --pose {DEMO}/pose.toml \\\n  --save-terrain dem.npz",
         f"lunarsci images dem {DEMO}/left.png {DEMO}/right.png \\\n"
-        f"  --rig {DEMO}/rig.toml --spacing 0.05 --terrain coarse.npz",
+        f"  --rig {DEMO}/rig.toml --spacing 0.05 --save-terrain coarse.npz",
     ),
     "twin terrain": (
         "lunarsci twin terrain",

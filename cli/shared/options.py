@@ -20,6 +20,10 @@ PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 PANEL = "Output"
 FORMS = ("text", "md", "tsv", "latex", "csv", "json")
 """Forms of a result; the last two as --csv and --json."""
+FORM_OF = {".txt": "text", ".md": "md", ".tsv": "tsv", ".tex": "latex", ".csv": "csv", ".json": "json"}
+"""The form of a file of --output whose name ends so, where none is asked for."""
+OF_FOLDERS = (".npz", ".tif", ".tiff", ".asc", ".toml", ".ecsv", ".html", ".geojson", *PLOT_SUFFIXES)
+"""Ends of names that files in a folder of --output have, and no folder."""
 WIDEST = 24
 """Characters of choices in the help's column of types; more would leave no room for what an option means."""
 
@@ -42,9 +46,15 @@ class Output:
     folder: bool = False
 
     @property
-    def wanted(self) -> str:
-        """The form of the result on stdout or in a file: text, md, tsv, latex, csv or json."""
+    def asked(self) -> str:
+        """The form that options ask for; text where none does."""
         return "json" if self.as_json else "csv" if self.as_csv else self.form
+
+    @property
+    def wanted(self) -> str:
+        """The form of the result on stdout or in a file: as asked for, or else as the file is called."""
+        by_name = FORM_OF.get(self.path.suffix.lower(), "text") if self.path and not self.folder else "text"
+        return by_name if self.asked == "text" and self.field_path is None else self.asked
 
     @property
     def chosen(self) -> list[str]:
@@ -61,6 +71,11 @@ class Output:
         if self.path and self.plot and self.path.resolve() == self.plot.resolve():
             raise typer.BadParameter(f"--output and --plot both name {self.path}; give two names")
         if self.path and self.folder:
+            if self.path.suffix.lower() in OF_FOLDERS and not self.path.is_dir():
+                raise typer.BadParameter(
+                    f"--output {self.path}: this command fills a folder; give a name without a suffix, or a file for "
+                    f"the result alone ({', '.join(FORM_OF)})"
+                )
             check_folder(self.path, force=self.force)
         elif self.path:
             check_target(self.path, force=self.force)
@@ -102,13 +117,18 @@ def _option(kind: Any, *names: str, text: str, metavar: str | None = None) -> An
     return Annotated[kind, typer.Option(*names, help=text, metavar=metavar, rich_help_panel=PANEL)]
 
 
-def shared_options(folder: bool | None, default_path: str | None) -> dict[str, tuple[Any, Any]]:
+def shared_options(folder: bool, default_path: str | None) -> dict[str, tuple[Any, Any]]:
     """Name of the parameter to its annotation and default."""
-    file_text, metavar = "Write the result to a file instead of stdout.", "FILE"
+    file_text, metavar = (
+        "File for the result, instead of stdout; .json, .csv, .md, .tsv or .tex at its end gives the form.",
+        "FILE",
+    )
     if folder:
-        file_text, metavar = "Folder for the tables and pictures; the result still goes to stdout.", "DIR"
-    elif folder is None:
-        file_text = "Write the result to a file instead of stdout; a name without a suffix is a folder for all tables."
+        file_text = (
+            "Folder for the result, tables and pictures, beside the result on stdout. A name that ends in .json, .csv, "
+            ".txt, .md, .tsv or .tex is a file for the result alone, instead of stdout."
+        )
+        metavar = "DIR|FILE"
     flags = {
         "as_json": ("--json", "One JSON document, with provenance."),
         "as_csv": ("--csv", "The result as one CSV table."),

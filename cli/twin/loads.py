@@ -64,7 +64,7 @@ UNITS = {"ahead": "N", "left": "N", "moment": "N m"}
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
-    command(app, "loads", folder=None, request=LoadsRequest, options=OPTIONS)(loads)
+    command(app, "loads", folder=True, request=LoadsRequest, options=OPTIONS)(loads)
 
 
 def loads(

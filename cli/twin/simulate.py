@@ -11,6 +11,7 @@ from ..shared.report import Report
 from ..shared.table import TextTable
 from .options import BEFORE, INTERPOLATION, ROVER, RUTS, SEED, TERRAIN, TIME_STEP, PlanFile
 
+TELEMETRY = "Telemetry"
 OPTIONS = {
     "rover": ROVER,
     "terrain": TERRAIN,
@@ -20,13 +21,15 @@ OPTIONS = {
     ),
     "ruts": RUTS,
     "before": BEFORE,
-    "fix_distance": option("Way between localised positions in m."),
-    "fix_sigma": option("Their standard error in m, in x and in y; a third of 4 % of the way between them by default."),
-    "yaw_sigma": option("Standard error of the heading in degrees; assumed."),
-    "track_sigma": option("Standard error of the track's depth in m."),
+    "fix_distance": option("Way between localised positions in m.", panel=TELEMETRY),
+    "fix_sigma": option(
+        "Their standard error in m, in x and in y; a third of 4 % of the way between them by default.", panel=TELEMETRY
+    ),
+    "yaw_sigma": option("Standard error of the heading in degrees; assumed.", panel=TELEMETRY),
+    "track_sigma": option("Standard error of the track's depth in m.", panel=TELEMETRY),
     "seed": SEED,
     "time_step": TIME_STEP,
-    "sample": option("Way between rows of telemetry in m."),
+    "sample": option("Way between rows of telemetry in m.", panel=TELEMETRY),
 }
 
 

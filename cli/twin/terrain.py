@@ -52,7 +52,7 @@ OPTIONS = {
     "roughness": option("Rms height of waves of 0.4 to 4 m, in m.", panel=GROUND),
     "extent": option("Side of the square in m; not of Longji.", panel=GROUND),
     "ground_slope": option("Slope along x in deg; not of Longji.", panel=GROUND),
-    "craters": option("Number of craters; not of Longji.", panel=GROUND),
+    "craters": option("Number of craters; not of Longji.", "--crater-count", panel=GROUND),
 }
 TerrainFile = Annotated[
     str,

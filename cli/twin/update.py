@@ -21,22 +21,30 @@ if TYPE_CHECKING:
 
 
 FILE: dict[str, Any] = {"kind": str | None, "metavar": "FILE"}
+DRIVE, BELIEF = "Drive", "Belief"
 OPTIONS = {
-    "plan": option("Plan that was driven (TOML); the embedded one if left out.", kind=str | None),
-    "positions": option("Positions from localisation (CSV): time_s, x_m, y_m, and errors as in `twin states`.", **FILE),
+    "plan": option("Plan that was driven (TOML); the embedded one if left out.", kind=str | None, panel=DRIVE),
+    "positions": option(
+        "Positions from localisation (CSV): time_s, x_m, y_m, and errors as in `twin states`.", **FILE, panel=DRIVE
+    ),
     "soil": option(
         "What was believed before (JSON): a belief, or a soil map, which keeps the soil by place; the priors if left "
         "out.",
         **FILE,
+        panel=BELIEF,
     ),
-    "forget": option("Share of the way back to the first priors, for ground further on.", min=0, max=1),
-    "correlation": option("Distance in m over which soils are alike; the map's, or 5, if left out.", min=0.1),
+    "forget": option("Share of the way back to the first priors, for ground further on.", min=0, max=1, panel=BELIEF),
+    "correlation": option(
+        "Distance in m over which soils are alike; the map's, or 5, if left out.", min=0.1, panel=BELIEF
+    ),
     "rover": ROVER,
     "terrain": TERRAIN,
     "interpolation": INTERPOLATION,
-    "particles": option("Soils that carry the belief.", min=32),
+    "particles": option("Soils that carry the belief.", min=32, panel=BELIEF),
     "ruts": option(
-        "Whether wheels met the ruts of others; as explains the drive better, if left out.", "--ruts/--no-ruts"
+        "Whether wheels met the ruts of others; as explains the drive better, if left out.",
+        "--ruts/--no-ruts",
+        panel=DRIVE,
     ),
     "seed": option("Seed of everything random.", min=0),
 }
@@ -44,15 +52,26 @@ States = Annotated[
     str, typer.Argument(help="Measured wheel states (CSV): time_s, wheel, sinkage_m, slip_ratio, ..., NAME_sigma.")
 ]
 SavedBelief = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="The new belief (JSON): for --soil, and `twin predict --soil`.")
+    Path | None,
+    typer.Option(
+        metavar="FILE", rich_help_panel=BELIEF, help="The new belief (JSON): for --soil, and `twin predict --soil`."
+    ),
 ]
 SavedMap = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="The soil map after it (JSON): each stretch of the way with its own soil."),
+    typer.Option(
+        metavar="FILE",
+        rich_help_panel=BELIEF,
+        help="The soil map after it (JSON): each stretch of the way with its own soil.",
+    ),
 ]
 SavedTerrain = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="The terrain with the median soil at every node, and what is known (.npz)."),
+    typer.Option(
+        metavar="FILE",
+        rich_help_panel=BELIEF,
+        help="The terrain with the median soil at every node, and what is known (.npz).",
+    ),
 ]
 EFFECTIVE = (
     "medians and 68 % are effective values, with which the twin's law drives as the rover did; the ground's own, which "

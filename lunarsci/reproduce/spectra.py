@@ -123,7 +123,7 @@ MODE_SIGMA = 0.05
 """Of the modes made of the published averages: half of the published 20-30 % of olivine."""
 LEAST_ROCKS = 6
 """Boulders from which an average or a range is held against the published one, which is that of six."""
-NO_SPECTRUM = "needs measured spectra, which are not published with the paper; give spectra of boulders with --rocks"
+NO_SPECTRUM = "needs measured spectra, which are not published with the paper; give spectra of boulders with --boulders"
 MINERALS = "laboratory spectra of lunarsci, centres under the upper hull"
 
 
@@ -337,6 +337,6 @@ def _plane(rocks: Rocks | None) -> "Figure":
         axes.plot([], [], "o", color="black", markersize=4, label="boulders that were given")
     axes.set_xlim(885.0, np.nextafter(1110.0, 0))
     axes.legend(loc="upper left")
-    told = f"boulders' spectra given: {len(rocks.bands)}" if rocks else "no boulders: give their spectra with --rocks"
+    told = f"boulders' spectra given: {len(rocks.bands)}" if rocks else "no boulders: give their spectra with --boulders"
     axes.set_title(f"Band centres after Fig. 5b of Ding et al. (2024); {told}")
     return figure

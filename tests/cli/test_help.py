@@ -40,6 +40,12 @@ def test_every_command_has_two_examples_in_its_help() -> None:
     assert EXAMPLES.keys() == {words for words, _ in commands()}
 
 
+def test_options_of_a_long_help_are_in_panels() -> None:
+    for words, command in commands():
+        own = [one for one in command.params if one.param_type_name == "option" and not one.hidden]  # type: ignore[attr-defined]
+        assert len([one for one in own if one.rich_help_panel is None]) <= 6, words
+
+
 def test_options_of_the_examples_exist() -> None:
     for words, command in commands():
         known = {name for option in command.params for name in option.opts}  # type: ignore[attr-defined]

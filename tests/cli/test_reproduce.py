@@ -86,7 +86,7 @@ def test_pages_of_each_part(run: Callable[..., Any], tmp_path: Path) -> None:
 
 
 def test_spectra_of_a_boulder_are_looked_at(run: Callable[..., Any], rock: Path) -> None:
-    found = json.loads(run("reproduce", "--part", "spectra", "--rocks", rock, "--json", "--no-time").out)
+    found = json.loads(run("reproduce", "--part", "spectra", "--boulders", rock, "--json", "--no-time").out)
     numbers = {number["id"]: number for number in found["result"]["numbers"]}
     assert numbers["mgm-rms"]["ours"] > 0
     assert numbers["opx-share"]["verdict"] in VERDICTS
@@ -96,7 +96,7 @@ def test_spectra_of_a_boulder_are_looked_at(run: Callable[..., Any], rock: Path)
 def test_what_is_no_spectrum_is_refused_in_one_line(run: Callable[..., Any], tmp_path: Path) -> None:
     path = tmp_path / "notes.csv"
     path.write_text("nothing to see\n")
-    failed = run("reproduce", "--part", "spectra", "--rocks", path)
+    failed = run("reproduce", "--part", "spectra", "--boulders", path)
     assert (failed.code, failed.out, len(failed.err)) == (1, "", 1)
     assert "notes.csv" in failed.err[0]
 
@@ -116,7 +116,7 @@ def test_another_rover_drives_otherwise(run: Callable[..., Any]) -> None:
     ("arguments", "says"),
     [
         (("--part", "rock", "--rover", "yutu2"), "nothing drives"),
-        (("--part", "soil", "--rocks", "rock.csv"), "give --part spectra"),
+        (("--part", "soil", "--boulders", "rock.csv"), "give --part spectra"),
         (("--part", "stones"), "'spectra', 'rock', 'soil', 'drive'"),
     ],
 )

@@ -128,7 +128,7 @@ y_m = 2
 def test_a_way_beyond_the_reach_of_a_few_arcs_is_driven_by_legs(run: Run, belief: Path, tmp_path: Path) -> None:
     file = tmp_path / "far.toml"
     file.write_text(FAR)
-    made = ("synthetic", "--extent", "50", "--spacing", "0.25", "--craters", "3", "--seed", "1")
+    made = ("synthetic", "--extent", "50", "--spacing", "0.25", "--crater-count", "3", "--seed", "1")
     done = run(
         "twin", "plan", *made, "--mission", file, "--members", "4", "--soil", belief, "-q", "--no-time", "--json"
     )

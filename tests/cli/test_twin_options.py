@@ -16,7 +16,7 @@ from lunarsci.twin.ground.soil_map import SoilMap, soil_map_bytes
 from lunarsci.twin.plans.plan import read_plan
 
 Run = Callable[..., Any]
-PLANNED = ("twin", "plan", "synthetic", "--extent", "8", "--spacing", "0.1", "--craters", "0", "--roughness", "0")
+PLANNED = ("twin", "plan", "synthetic", "--extent", "8", "--spacing", "0.1", "--crater-count", "0", "--roughness", "0")
 SOFT = "stiffness_kpa_m_n = 400.0\nsinkage_exponent = 1.0\ncohesion_pa = 100.0\nfriction_angle_deg = 35.0\n" + (
     "shear_modulus_mm = 17.8\nexternal_friction_angle_deg = 12.4\nlateral_modulus_mm = 20.0\n"
 )

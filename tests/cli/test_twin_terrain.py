@@ -88,7 +88,7 @@ def test_a_file_is_read_and_its_hash_kept(run: Run, tmp_path: Path) -> None:
 
 
 def test_synthetic_ground_has_its_options(run: Run) -> None:
-    options = ("--extent", "8", "--spacing", "0.1", "--ground-slope", "12", "--craters", "0", "--roughness", "0")
+    options = ("--extent", "8", "--spacing", "0.1", "--ground-slope", "12", "--crater-count", "0", "--roughness", "0")
     assert float(run(*TERRAIN, "synthetic", *options, "--field", "maps.slope_deg.p50").out) == pytest.approx(
         12.0, abs=1e-3
     )

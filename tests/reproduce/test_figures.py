@@ -98,7 +98,7 @@ def test_rocks_add_a_page() -> None:
     assert "spectra given: 1" in plane.axes[0].get_title()
     assert any("smoothed over 41 points" in axes.get_title() for axes in fit.axes)
     [only] = spectra_pages(None)
-    assert "--rocks" in only.axes[0].get_title()
+    assert "--boulders" in only.axes[0].get_title()
 
 
 def test_pages_become_pictures(soil: list[Figure]) -> None:

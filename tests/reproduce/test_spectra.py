@@ -54,7 +54,7 @@ def test_without_spectra_what_needs_them_is_open_and_says_so(alone: dict[str, Nu
     for name in SPECTRA:
         assert alone[name].ours is None
         assert alone[name].verdict == "not determined by what is published"
-        assert "--rocks" in alone[name].reason
+        assert "--boulders" in alone[name].reason
 
 
 def test_zhinyu_lies_where_spherical_trigonometry_has_it(alone: dict[str, Number]) -> None:
