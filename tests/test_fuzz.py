@@ -15,6 +15,11 @@ PICTURE = (
 )
 CRASHERS = {
     "modes": [b"# SYNTHETIC: comments alone\n"],
+    "fitted rocks": [
+        b'{"schema": "lunarsci/spectra-fit/1", "result": {"spectra": [{"id": "rock", "nbsr": {"um2": {"opx": 0.46, '
+        b'"cpx": 0.54, "sigma": 0.03, "calibration": -1e308}}}]}}'
+    ],
+    "wavelengths": [b"s%n((((((((((" + b"a" * 5000],
     "TOML": [b"a = " + b"9" * 5000],
     "keep-outs": [
         b'{"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {"name": "rock"}, '

@@ -366,6 +366,8 @@ def _with_wavelengths(layout: Layout, said: Stated) -> Layout:
     lines, _ = split_lines(text(source))
     separator = separator_of(lines)
     cells = [split_fields(line, separator, f"{file}: line {n}") for n, line in lines]
+    if not any(cells):
+        raise DataError(f"{file}: no wavelengths in it; give a line for each band of {layout.name}")
     names = [] if number(cells[0][0]) is not None else [name.lower() for name in cells.pop(0)]
     place = next((k for k, name in enumerate(names) if "wave" in name or name in ("nm", "um")), 0)
     columns = {"wavelength": place} | {

@@ -280,7 +280,8 @@ def _from_bands(record: Mapping[str, Any], name: str) -> Rock | None:
 
 
 def _combined(record: Mapping[str, Any], keys: Iterable[str], what: str) -> float:
-    sigma = math.sqrt(sum(float(record[key]) ** 2 for key in keys if record.get(key) is not None))
+    parts = [float(record[key]) for key in keys if record.get(key) is not None]
+    sigma = math.sqrt(sum(part * part for part in parts))
     if not (math.isfinite(sigma) and sigma > 0):
         raise ParameterError(f"{what} has no error above 0")
     return sigma
