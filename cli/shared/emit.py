@@ -93,7 +93,7 @@ def _as_text(report: Report, output: Output, record: Mapping[str, Any]) -> Itera
     tables = chosen(tables, report.rows, output.chosen) if output.chosen else tables
     if output.wanted != "text":
         return [FORMATS[output.wanted](tables).encode()]
-    to_file = output.path is not None and not output.folder
+    to_file = output.path is not None and not output.folder and not report.written
     return [render(tables, 0 if to_file else terminal_width(), keep=bool(output.chosen)).encode()]
 
 
