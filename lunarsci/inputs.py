@@ -5,6 +5,7 @@ Everything that can go wrong here is a `DataError` of one line: the file, what i
 
 import codecs
 import contextlib
+import csv
 import glob
 import hashlib
 import json
@@ -132,6 +133,14 @@ def _read_stdin() -> bytes:
     if sys.stdin is None:
         raise OSError("standard input is closed")
     return sys.stdin.buffer.read()
+
+
+def csv_rows(place: str, lines: Iterable[str], **dialect: Any) -> Iterator[list[str]]:
+    """Cells of each line. Raises DataError naming `place` for broken quotes and cells over 131,072 characters."""
+    try:
+        yield from csv.reader(lines, **dialect)
+    except csv.Error as error:
+        raise DataError(f"{place}: cannot be split into fields ({error}); check its quotes and its length") from error
 
 
 def text(input: InputFile) -> str:

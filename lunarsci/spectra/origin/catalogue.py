@@ -1,7 +1,5 @@
 """Candidate craters: where they are on the Moon (a sphere), how large and old, and what their ejecta are made of."""
 
-import csv
-import io
 import math
 import warnings
 from collections.abc import Mapping, Sequence
@@ -140,11 +138,11 @@ def read_catalogue(source: InputFile) -> tuple[Crater, ...]:
     lines = [(n, line) for n, line in enumerate(inputs.text(source).splitlines(), 1) if _counts(line)]
     if not lines:
         raise DataError(f"{source.name}: holds no craters; the first line must be {','.join(REQUIRED)}")
-    names = [name.strip() for name in next(csv.reader(io.StringIO(lines[0][1])))]
+    names = [name.strip() for name in next(inputs.csv_rows(source.name, [lines[0][1]]))]
     _check_header(names, source.name)
     rows = []
     for number, line in lines[1:]:
-        cells = next(csv.reader(io.StringIO(line)))
+        cells = next(inputs.csv_rows(f"{source.name}: line {number}", [line]))
         if len(cells) != len(names):
             raise DataError(
                 f"{source.name}: line {number}: has {len(cells)} cells, the header {len(names)}; correct it"
