@@ -99,8 +99,9 @@ def _rings_of(file: str, mineral: str) -> Iterator[Callable[[Crater, tuple[float
     if not start_of(file).startswith(HDF):
         with opened(file, "GTiff") as dataset:
             names = [name or "" for name in dataset.descriptions]
-            band = names.index(LAYER.format(mineral)) + 1 if LAYER.format(mineral) in names else 1
-            check_map(dataset, file, one_of_many=band > 1)
+            layer = LAYER.format(mineral)
+            band = names.index(layer) + 1 if layer in names else 1
+            check_map(dataset, file, one_of_many=layer in names)
             yield partial(ring_values, dataset, file=file, band=band)
         return
     data, name = netcdf(file), LAYER.format(mineral)
