@@ -37,7 +37,7 @@ NUMPY_ERRORS = (
 )  # fmt: skip
 """What `numpy.load` raises of a damaged file."""
 EVEN = 1e-4
-"""How evenly nodes must be spaced, as a share of the spacing."""
+"""How evenly nodes must be spaced, as a share of the spacing; assumed."""
 ERROR_LAYERS = ("height_m_sigma", "height_m_common_sigma", "count", "height_by_disparity_m_px", "resolution_m")
 """What an elevation model made of pictures has beside its heights."""
 

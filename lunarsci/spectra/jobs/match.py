@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 STIRRING = "Oberbeck et al. (1975), Moon 12, 19, 10.1007/BF00577878 (coefficients from later literature, not checked)"
 BEYOND_LAW_KM = 2729.0
+"""A quarter of the way round the Moon, beyond which laws of a flat surface are of no use; assumed."""
 BLOCK_ROCKS = 1024
 """Rocks whose craters are put down at once: some 20 MB."""
 

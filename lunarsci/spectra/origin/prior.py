@@ -29,6 +29,7 @@ SURVIVAL_SOURCE = "Basilevsky, Head & Hoerz (2013), Planet. Space Sci. 89, 118, 
 MEASURED_SIZE_M = 2.0
 """Boulders of this size and more were counted by Basilevsky et al. (2013). [m]"""
 NEARLY_ALL_GONE = 0.99
+"""Share that is destroyed after the longer of the two times: Basilevsky et al. (2013), 10.1016/j.pss.2013.07.011."""
 LIFE_RATIO = 3.75
 """Time to destroy 99 % of boulders over that to destroy half: 150-300 Ma over 40-80 Ma, Basilevsky et al. (2013)."""
 
@@ -87,6 +88,7 @@ SIMPLE_TO_COMPLEX_KM = 18.7
 SIMPLE_SHRINKAGE = 0.84
 """Transient over rim diameter of a simple crater, Melosh (1989), Impact Cratering, Oxford University Press."""
 COLLAPSE_EXPONENT = 0.15
+"""Of the rim diameter, as it widens by collapse: Croft (1985), 10.1029/JB090iS02p0C828."""
 LAUNCH_ANGLE_DEG = 45.0
 """Launch from the horizontal; assumed, as in Xie et al. (2020)."""
 
