@@ -77,6 +77,8 @@ CITED = re.compile(
 """An author with a year, a DOI, a report's number, or how else the number was found: `STATED`, but for prose."""
 REFERS = re.compile(r"(?:[Ss]ee|[Aa]s) `(?:\w+\.)*([A-Z_]\w*)`")
 """Another constant that has the source."""
+UNIT = re.compile(r"(.*?\.?)(?: (\[[^\[\]]+\]\.?))?", re.DOTALL)
+"""What is said, and the unit behind it."""
 UNITS = re.compile(r"_(?:[NUMCK]?M|M2|PX|DEG|RAD|M?S|K?PA|N|W|WH|KG|K|KELVIN|HZ|MA|AU|KG_M3|W_M2|M_S|M_S2)$")
 """Ends of names of whole numbers that have a unit."""
 
@@ -93,7 +95,11 @@ def of_constants(folder: Path = ROOT / "lunarsci") -> Iterator[Stated]:
             if not target.lstrip("_").isupper() or not _has_number(node.value, target):
                 continue
             said = [entry.value for entry in ast.walk(node.value) if isinstance(entry, ast.Constant)]
-            words = [word for word in said if isinstance(word, str)] if isinstance(node.value, ast.Call) else []
+            words = (
+                [word for word in said if isinstance(word, str) and " " in word[8:]]
+                if isinstance(node.value, ast.Call)
+                else []
+            )
             if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):
                 words.insert(0, str(below.value.value))
             words += re.findall(r"# (?!fmt|noqa|type)(.*)", "\n".join(lines[node.lineno - 1 : node.end_lineno]))
@@ -120,9 +126,13 @@ def _cell(text: str) -> str:
     return " ".join(text.split()).replace("|", "/").replace("<", "&lt;")
 
 
+PART = r"(?:\([^\s()]*\)|[^\s,;()])"
+"""A letter of a DOI, or several in brackets."""
+
+
 def linked(text: str) -> str:
     """The same with DOIs as links."""
-    return re.sub(r"(?<![/\w.])(10\.\d{4,9}/[^\s,;)]+[^\s,;).])", r"[\1](https://doi.org/\1)", text)
+    return re.sub(rf"(?<![/\w.])(10\.\d{{4,9}}/{PART}*(?<![.:]))", r"[\1](https://doi.org/\1)", text)
 
 
 def _table(rows: Iterator[Stated]) -> str:
@@ -152,5 +162,10 @@ def sources_text() -> str:
 
 def constants_text() -> str:
     """Constants of the code that cite a source, were measured, or are assumed."""
-    stated = (row for row in of_constants() if CITED.search(row.source) or REFERS.search(row.source))
-    return _table(row._replace(name=row.name if len(row.name) < 80 else f"{row.name[:70]} …") for row in stated)
+    rows = []
+    for row in of_constants():
+        if CITED.search(row.source) or REFERS.search(row.source):
+            said, unit = UNIT.fullmatch(row.source).groups()  # type: ignore[union-attr]
+            name = row.name if len(row.name) < 80 else f"{row.name[:70]} …"
+            rows.append(row._replace(name=f"`{name}`{' ' + unit if unit else ''}", source=said))
+    return _table(iter(rows))

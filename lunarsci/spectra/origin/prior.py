@@ -80,7 +80,7 @@ LAW_SOURCES: dict[EjectaLaw, str] = {
     "mcgetchin": "McGetchin, Settle & Head (1973), Earth Planet. Sci. Lett. 20, 226, 10.1016/0012-821X(73)90162-3",
     "pike": "Pike (1974), Earth Planet. Sci. Lett. 23, 265, 10.1016/0012-821X(74)90114-9",
     "housen": "Housen, Schmidt & Holsapple (1983), J. Geophys. Res. 88, 2485, 10.1029/JB088iB03p02485",
-    "xie": "Xie, Liu & Xu (2020), J. Geophys. Res. Planets 125, Ballistic sedimentation of impact crater ejecta",
+    "xie": "Xie, Liu & Xu (2020), J. Geophys. Res. Planets 125, e2019JE006113, 10.1029/2019JE006113",
 }
 
 SIMPLE_TO_COMPLEX_KM = 18.7
