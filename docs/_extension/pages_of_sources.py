@@ -136,21 +136,21 @@ def linked(text: str) -> str:
 
 
 def _table(rows: Iterator[Stated]) -> str:
-    lines = ["| where | what | source |", "| --- | --- | --- |"]
+    lines = ["| what | source |", "| --- | --- |"]
     for row in rows:
         said = linked(_cell(row.source))
         guess = row.assumed and not row.source.lower().startswith("assumed")
-        lines.append(f"| `{row.file}` | {_cell(row.name)} | {'**assumed**: ' if guess else ''}{said} |")
+        lines.append(f"| `{row.file}` {_cell(row.name)} | {'**assumed**: ' if guess else ''}{said} |")
     return "\n".join(lines)
 
 
 def sources_text() -> str:
     """All sources: of the tables, of rovers and cameras, of soils, of the numbers of the paper."""
-    lines = ["| table | what | source |", "| --- | --- | --- |"]
+    lines = ["| what | source |", "| --- | --- |"]
     for entry in of_tables().values():
         where = entry.get("doi") or entry.get("url", "")
         link = f" [{where}]({'https://doi.org/' if 'doi' in entry else ''}{where})" if where else ""
-        lines.append(f"| `{entry['table']}` | {_cell(entry['what'])} | {linked(_cell(entry['citation']))}{link} |")
+        lines.append(f"| `{entry['table']}` {_cell(entry['what'])} | {linked(_cell(entry['citation']))}{link} |")
     parts = {
         "Tables of spectra": "\n".join(lines),
         "Rovers, wheels, cameras and limits": _table(of_rovers()),
@@ -161,11 +161,14 @@ def sources_text() -> str:
 
 
 def constants_text() -> str:
-    """Constants of the code that cite a source, were measured, or are assumed."""
-    rows = []
+    """Constants of the code that cite a source, were measured, or are assumed; a table for each of its packages."""
+    parts: dict[str, list[str]] = {}
     for row in of_constants():
         if CITED.search(row.source) or REFERS.search(row.source):
             said, unit = UNIT.fullmatch(row.source).groups()  # type: ignore[union-attr]
             name = row.name if len(row.name) < 80 else f"{row.name[:70]} …"
-            rows.append(row._replace(name=f"`{name}`{' ' + unit if unit else ''}", source=said))
-    return _table(iter(rows))
+            _, package, *rest = row.file.split("/")
+            what = f"`{'/'.join(rest) or package}` `{_cell(name)}` {unit or ''}"
+            part = f"lunarsci/{package}" if rest else "lunarsci"
+            parts.setdefault(part, ["| what | source |", "| --- | --- |"]).append(f"| {what} | {linked(_cell(said))} |")
+    return "\n\n".join("\n".join((f"### `{part}`\n", *rows)) for part, rows in sorted(parts.items()))
