@@ -19,7 +19,7 @@ SLIP_SINKAGE_LAWS: tuple[str, ...] = get_args(SlipSinkageLaw)
 SHEAR_LAWS: tuple[str, ...] = get_args(ShearLaw)
 BULLDOZING: tuple[str, ...] = get_args(Bulldozing)
 MAX_VALID_SLIP = 0.6
-"""Slip ratio up to which the model was compared with wheels, Ding et al. (2024), 10.1038/s41467-024-46233-8. [-]"""
+"""Slip ratio up to which the model holds: Ding et al. (2024), 10.1038/s41467-024-46233-8, Methods. [-]"""
 DENSITY_KG_M3 = 1500.0
 """Of the upper 15 cm, Lunar Sourcebook (1991), ch. 9."""
 
