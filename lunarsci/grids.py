@@ -38,15 +38,16 @@ NUMPY_ERRORS = (
 )  # fmt: skip
 """What `numpy.load` raises of a damaged file."""
 STEEPEST_DEG = 45.0
-"""Median slope; loose lunar soil rests at 35 to 40 deg at most, the walls of craters included. [deg]"""
+"""Median slope; loose lunar soil rests at 35 to 40 deg at most, the walls of craters included. Assumed. [deg]"""
 LONE_STEP = 10.0
-"""From a node to both neighbours of its row or column, on the same side: a slope of 84 deg up and down. [spacings]"""
+"""From a node to both neighbours of its row or column, on the same side: a slope of 84 deg up and down. Assumed.
+[spacings]"""
 LARGEST_STEP = 100.0
-"""From a node to a neighbour; walls may be steep, but not so high. [spacings]"""
+"""From a node to a neighbour; walls may be steep, but not so high. Assumed. [spacings]"""
 _SLOPES_OF = 1_000_000
 """Nodes at most that the median slope is taken of."""
 EVEN = 1e-4
-"""How evenly nodes must be spaced, as a share of the spacing."""
+"""How evenly nodes must be spaced, as a share of the spacing; assumed."""
 ERROR_LAYERS = ("height_m_sigma", "height_m_common_sigma", "count", "height_by_disparity_m_px", "resolution_m")
 """What an elevation model made of pictures has beside its heights."""
 

@@ -35,6 +35,7 @@ Made = TypeVar("Made")
 _UNPRINTABLE = re.compile(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f-\x9f]")
 _UNPRINTABLE_ASCII = bytes([*range(9), *range(0x0E, 0x1A), *range(0x1B, 0x20), 0x7F])
 _UNPRINTABLE_SHARE = 0.1
+"""Share of characters that are no text, beyond which a file is taken for a binary one; assumed."""
 _BEGINNING = 65536
 _PIECE = 1 << 20
 _BETWEEN = re.compile(r"[\s,;]+")

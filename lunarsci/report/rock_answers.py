@@ -8,7 +8,7 @@ from lunarsci.report.words import counted, measured, number, percent
 
 UNSHARED = "Shares of minerals are not determined."
 HALF = 0.5
-"""A share of one with a larger error than this is not determined."""
+"""A share of one with a larger error than this is not determined; assumed."""
 
 
 def calibrated(result: Result) -> ResultAnswer:

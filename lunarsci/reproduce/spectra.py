@@ -116,11 +116,12 @@ def olivine_share(fit: MgmFit) -> float:
 TABLES = (END_MEMBERS, CRATERS)
 """Embedded tables that the numbers rest on."""
 LEAST_WO = 0.25
-"""Wo from which a clinopyroxene counts as high in calcium: above the pigeonites."""
+"""Wo from which a clinopyroxene counts as high in calcium: above the pigeonites. Assumed."""
 ZHINYU = (-45.34, 176.15)
 """Its place in the abstract of Ding et al. (2024). [deg]"""
 MODE_SIGMA = 0.05
-"""Of the modes made of the published averages: half of the published 20-30 % of olivine."""
+"""Of the modes made of the published averages: half of the published 20-30 % of olivine (Ding et al. 2024); assumed of
+the others."""
 LEAST_ROCKS = 6
 """Boulders from which an average or a range is held against the published one, which is that of six."""
 NO_SPECTRUM = "needs measured spectra, which are not published with the paper; give spectra of boulders with --boulders"

@@ -10,7 +10,7 @@ from lunarsci.spectra.mgm.batch import FitBatch, batch_of
 from lunarsci.spectra.mgm.result import MgmFit
 
 PRESENT_SIGMAS = 2.0
-"""A mineral has a composition to speak of where a band of it is this many standard errors deep."""
+"""A mineral has a composition to speak of where a band of it is this many standard errors deep; assumed."""
 UNMOVED = 0.9
 """Share of the prior's standard deviation above which a composition is the prior's; assumed."""
 

@@ -34,7 +34,7 @@ LARGEST_SIDE = 4096
 """A window with more pixels a side than this is read at a lower resolution."""
 LONGITUDE_LATITUDE = f"+proj=longlat +R={1e3 * MOON_RADIUS_KM:.0f} +no_defs"
 PERCENT_FROM = 1.5
-"""A map with more than this in a ring is in percent."""
+"""A map with more than this in a ring is in percent; assumed."""
 LAYER = "share_{}"
 """Name of the layer of a mineral in what `spectra map` writes."""
 
