@@ -33,6 +33,8 @@ CRASHERS = {
         b'"cpx": 0.54, "sigma": 0.03, "calibration": -1e308}}}]}}'
     ],
     "wavelengths": [b"s%n((((((((((" + b"a" * 5000],
+    "spectra .csv": [b"9" * 80_000 + b"a,0.1\n"],
+    "start of a fit": [b"9" * 80_000 + b"a\n"],
     "stations": [b"x_m,y_m,z_m,sigma_m\n0,0,0,0.01\n1,0," + b"9" * 140_000 + b",0.01\n"],
     "craters": [b"name,latitude_deg,longitude_deg,diameter_km\n" + b"a" * 140_000 + b",1,2,3\n"],
     "TOML": [b"a = " + b"9" * 5000],

@@ -17,7 +17,7 @@ _LONGEST_SHOWN = 40
 
 
 _COMMENT = ("#", "%", "!")
-_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eEdD][+-]?[0-9]+)?|[+-]?inf(?:inity)?", re.IGNORECASE)
+_NUMBER = re.compile(r"[+-]?(?:[0-9]++\.?+[0-9]*+|\.[0-9]++)(?:[eEdD][+-]?[0-9]+)?|[+-]?inf(?:inity)?", re.IGNORECASE)
 _MISSING = {"", "-", "--", "na", "nan", "n/a", "null", "none"}
 _LINES_LOOKED_AT = 50
 _PLAIN = b"0123456789+-.eE \t\n"

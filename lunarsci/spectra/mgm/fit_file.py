@@ -27,7 +27,7 @@ CONTINUA: dict[str, tuple[MgmContinuum, ...]] = {
     "N": ("none",),
 }
 """By letter: what it may become, by degree, whose coefficients of 0 are held. Files of straight lines say T and S."""
-NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?", re.ASCII)
+NUMBER = re.compile(r"[+-]?(\d++\.?+\d*+|\.\d++)([eEdD][+-]?\d+)?", re.ASCII)
 FIRST_BAND_LINE = 10
 LONGEST_SHOWN = 40
 LARGEST, LEAST = 1e15, 1e-6

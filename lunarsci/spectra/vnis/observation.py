@@ -84,7 +84,7 @@ _SWIR_COLUMNS = ("time", "band", "integration time", "solar elevation", "radianc
 _VNIR_COLUMNS = ("time", "band", "integration time", "solar elevation", "quality")
 _CLOCK_SLACK = timedelta(minutes=10)
 """The first row of a scan may precede the time its label states; assumed."""
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d{1,3})?", re.ASCII)
+_NUMBER = re.compile(r"[+-]?(\d++\.?+\d*+|\.\d++)([eEdD][+-]?\d{1,3})?", re.ASCII)
 _NO_NUMBER = {"NAN", "+NAN", "-NAN", "INF", "+INF", "-INF"}
 _CODE = re.compile(r"(0[xX])?[0-9a-fA-F]{1,8}", re.ASCII)
 
