@@ -324,8 +324,8 @@ def test_an_answer_is_the_former_one(name: str, now: dict[str, dict[str, Any]]) 
 SAID_OTHERWISE = ("what calibration errors add to the ratios is not determined at 1 µm",)
 """What the status of a fit says of its bands already: what calibration errors do to them is not determined."""
 VERDICT = re.compile(
-    "likel|not determined|hardly|decides nothing|weak evidence|strong evidence|cannot be|out of domain|do not use|not to be|no-go|strained|"
-    "says? nothing|not calibrated|nothing was|depends on|undetermined|fit for use"
+    "likel|not determined|hardly|decides nothing|weak evidence|strong evidence|cannot be|out of domain|do not use|"
+    "not to be|no-go|strained|says? nothing|not calibrated|nothing was|depends on|undetermined|fit for use"
 )
 """Words by which commands say what they do not vouch for."""
 

@@ -107,12 +107,18 @@ def reproduced(result: Result) -> ResultAnswer:
     return ResultAnswer(f"Of {counted(len(result['numbers']), 'published number')}: {verdicts}.")
 
 
+SYMBOLS = {"-": "", "deg": "°"}
+
+
 def shown(result: Result) -> ResultAnswer:
+    firsts = {str(one["quantity"]).partition(":")[0]: one for one in reversed(result["findings"])}
     found = [
-        f"{one['quantity']} {measured(one['value'], one.get('sigma'), '' if one['unit'] == '-' else one['unit'])}"
-        for one in result["findings"]
+        f"{one['quantity']} {measured(one['value'], one.get('sigma'), SYMBOLS.get(one['unit'], one['unit']))}"
+        for one in reversed(firsts.values())
     ]
-    return ResultAnswer(f"Everything here is synthetic. Found: {'; '.join(found)}.")
+    more = len(result["findings"]) - len(found)
+    rest = f" {more} more findings are below." if more else ""
+    return ResultAnswer(f"Everything here is synthetic. Found, of each part, first: {'; '.join(found)}.{rest}")
 
 
 ANSWERS: dict[str, Callable[[Result], ResultAnswer]] = {

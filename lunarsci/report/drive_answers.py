@@ -34,11 +34,15 @@ def _broken(result: Result) -> list[str]:
     broken = [one for one in result["limits"] if one.get("ok") is False and one.get("p95") is not None]
     names = [str(one["quantity"]) for one in broken]
     told = [
-        f"the {quantity(one['quantity'])} is {_with_unit(one, one['p05' if one.get('sense') == 'at least' else 'p95'])} "
-        f"in 95 % of the drives, {_bound(one)} is allowed"
+        f"the {quantity(one['quantity'])} is {_reached(one)} in 95 % of the drives, {_bound(one)} is allowed"
         for one in broken
     ]
     return told + [str(text) for text in result.get("reasons", ()) if str(text).partition(":")[0] not in names]
+
+
+def _reached(limit: Result) -> str:
+    low = limit.get("sense") == "at least"
+    return f"{'down' if low else 'up'} to {_with_unit(limit, limit['p05' if low else 'p95'])}"
 
 
 def _used(limit: Result) -> float:

@@ -70,8 +70,8 @@ def located(result: Result) -> ResultAnswer:
         f"{axis} {measured(last[f'{axis}_m'], float(last[f'{axis}{axis}_m2']) ** 0.5, 'm')}" for axis in "xy"
     )
     return ResultAnswer(
-        f"Pictures tie {tied} of {counted(len(stations), 'station')} together. The {result['positions_of']} at the last, "
-        f"{last['station']}, was at {place}, {number(last['from_dead_reckoning_m'], 2)} m from dead reckoning."
+        f"Pictures tie {tied} of {counted(len(stations), 'station')} together. The {result['positions_of']} at the "
+        f"last, {last['station']}, was at {place}, {number(last['from_dead_reckoning_m'], 2)} m from dead reckoning."
     )
 
 

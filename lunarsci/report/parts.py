@@ -99,7 +99,7 @@ def budget(document: Document) -> PageTable | None:
     found = every[:MOST_ROWS]
     if not found:
         return None
-    columns = list(dict.fromkeys(key for one in found for key in one.parts if key != STANDARD_ERROR or not several))
+    columns = list(dict.fromkeys(key for one in found for key in one.parts if key != STANDARD_ERROR))
     valued, read_with = any(one.text for one in found), any(one.remark for one in found)
     rows = [
         [

@@ -8,6 +8,9 @@ from lunarsci.report.words import counted, measured, number, percent
 from lunarsci.result import FINE
 
 UNSHARED = "Shares of minerals are not determined."
+ERRORS = ("sigma", "systematic", "method", "calibration", "rms", "chi")
+"""Parts of names of layers that are errors of others."""
+ALL = 0.995
 HALF = 0.5
 """A share of one with a larger error than this is not determined."""
 MOST_NAMED = 4
@@ -171,17 +174,25 @@ def library(result: Result) -> ResultAnswer:
 def mapped(result: Result) -> ResultAnswer:
     counts = result["pixels"]
     usable = counts["pixels"] - counts.get("no_data", 0)
-    layers = [one for one in result["layers"] if one.get("kind") == "value" and one.get("median") is not None]
+    layers = [
+        one
+        for one in result["layers"]
+        if one.get("kind") == "value" and one.get("median") is not None and not any(e in one["name"] for e in ERRORS)
+    ]
     told = []
     for one in layers[:MOST_NAMED]:
         symbol = "" if one.get("units") in (None, "1", "-") else f" {one['units']}"
         span = f"{number(float(one['p05']), 3)} to {number(float(one['p95']), 3)}"
         told.append(
-            f"{one['long_name']} {number(float(one['median']), 3)}{symbol} in the middle, mostly {span}, known in "
-            f"{percent(one['determined'])} of the pixels"
+            f"{one['long_name']}: {number(float(one['median']), 3)}{symbol} is the median, and nine of ten pixels have "
+            f"{span}{symbol}{_known(one['determined'])}"
         )
     found = f" {sentence('; '.join(told))}" if told else " No pixel gave a value."
     return ResultAnswer(f"Of {counted(counts['pixels'], 'pixel')} {usable} could be used.{found}")
+
+
+def _known(share: float | None) -> str:
+    return "" if share is None or share > ALL else f", of the {percent(share)} that have one"
 
 
 def pixel(result: Result) -> ResultAnswer:

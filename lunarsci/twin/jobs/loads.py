@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 
 TOGETHER = (
-    "together the wheels supply what the balance of forces asks for; how much of it each wheel supplies still depends on "
-    "the assumed soil"
+    "together the wheels supply what the balance of forces asks for; how much of it each wheel supplies still "
+    "depends on the assumed soil"
 )
 METHODS = [
     "Kalman (1960), J. Basic Eng. 82, 35, 10.1115/1.3662552",
