@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from lunarsci.spectra.jobs.fit import PERCENT_OF, FitRequest, MgmFits, fit
+from lunarsci.spectra.jobs.fit import FitRequest, MgmFits, fit
+from lunarsci.spectra.mgm import PERCENT_OF
 
 from ..shared.command import command
 from ..shared.options import BLOCKS, Output, RequestOption, option

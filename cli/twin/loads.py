@@ -6,7 +6,8 @@ from typing import Annotated, Any
 import typer
 
 from lunarsci.errors import RequestError
-from lunarsci.twin.jobs.loads import TOGETHER, LoadsRequest, MotionLoads, UncertainLoads
+from lunarsci.twin.jobs.forces import TOGETHER
+from lunarsci.twin.jobs.loads import LoadsRequest, MotionLoads, UncertainLoads
 
 from ..shared.command import command
 from ..shared.options import Output, option

@@ -66,11 +66,8 @@ def _spectra(document: Document) -> Drawn:
     axes.set(xlabel="wavelength [nm]", ylabel="reflectance factor [-]")
     axes.legend()
     names = ", ".join(str(one["id"]) for one in spectra)
-    return (
-        "Calibrated spectra",
-        f"Reflectance over wavelength of {names}; the bands are one standard error of the noise.",
-        figure,
-    )
+    told = f"Reflectance over wavelength of {names}; the bands are one standard error of the noise."
+    return "Calibrated spectra", told, figure
 
 
 def _centres(document: Document) -> Drawn:
@@ -163,20 +160,15 @@ def _shares(document: Document) -> Drawn:
     ][:MOST_BARS]
     if not rows:
         return None
-    title = "Shares of minerals"
+    outside = any((one.get("abundance") or {}).get("in_domain") is False for one in document.result["spectra"])
+    title = "Shares of minerals, out of the domain of the method" if outside else "Shares of minerals"
     intervals = [(name, item["fraction"], item["low"], item["high"]) for name, item in rows]
     return title, _told(title, intervals), _interval_figure(intervals, "share [-]", (0.0, 1.0))
 
 
 def _told(title: str, intervals: Any) -> str:
-    return (
-        f"{title}: "
-        + "; ".join(
-            f"{name} {number(middle, 3)} ({number(low, 3)} to {number(high, 3)})"
-            for name, middle, low, high in intervals
-        )
-        + "."
-    )
+    told = [f"{name} {number(mid, 3)} ({number(low, 3)} to {number(high, 3)})" for name, mid, low, high in intervals]
+    return f"{title}: {'; '.join(told)}."
 
 
 def _interval_figure(rows: Any, label: str, limits: tuple[float, float] | None = None) -> "Figure":

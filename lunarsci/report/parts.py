@@ -207,7 +207,7 @@ def unknown(document: Document) -> list[str]:
 def _of_kind(document: Document) -> list[str]:
     """What the commands say below the tables of all results of a kind."""
     from lunarsci.spectra.abundance.result import ROCKS_UNCALIBRATED
-    from lunarsci.twin.jobs.loads import TOGETHER
+    from lunarsci.twin.jobs.forces import TOGETHER
     from lunarsci.twin.jobs.states import DEEPEST
 
     result = document.result

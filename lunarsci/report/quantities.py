@@ -8,7 +8,7 @@ from typing import Any
 from lunarsci.report.words import measured, number, unit, words
 from lunarsci.result import PRIORS_OWN, doubt_about, from_prior
 from lunarsci.spectra.jobs.bands import METHODS, SHORT, regression
-from lunarsci.spectra.jobs.fit import PERCENT_OF
+from lunarsci.spectra.mgm import PERCENT_OF
 
 PARTS = {
     "sigma": "standard error",

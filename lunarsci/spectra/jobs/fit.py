@@ -29,12 +29,6 @@ if TYPE_CHECKING:
 
 Progress: TypeAlias = Callable[[int, int], None]
 DEFAULT_ASSEMBLAGE = "OL-OPX-CPX"
-PERCENT_OF = {
-    "fo": "Fo of olivine",
-    "fs": "Fs of orthopyroxene",
-    "wo": "Wo of clinopyroxene",
-    "fs_cpx": "Fs of clinopyroxene",
-}
 
 
 @dataclass(frozen=True, kw_only=True)

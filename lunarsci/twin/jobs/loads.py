@@ -22,10 +22,6 @@ if TYPE_CHECKING:
     from lunarsci.twin.plans.plan import Plan
 
 
-TOGETHER = (
-    "together the wheels supply what the balance of forces asks for; how much of it each wheel supplies still "
-    "depends on the assumed soil"
-)
 METHODS = [
     "Kalman (1960), J. Basic Eng. 82, 35, 10.1115/1.3662552",
     "Rahimi & Recht (2007), NIPS 20, 1177",
