@@ -113,12 +113,12 @@ SYMBOLS = {"-": "", "deg": "°"}
 def shown(result: Result) -> ResultAnswer:
     firsts = {str(one["quantity"]).partition(":")[0]: one for one in reversed(result["findings"])}
     found = [
-        f"{one['quantity']} {measured(one['value'], one.get('sigma'), SYMBOLS.get(one['unit'], one['unit']))}"
+        f"{one['quantity']}, {measured(one['value'], one.get('sigma'), SYMBOLS.get(one['unit'], one['unit']))}"
         for one in reversed(firsts.values())
     ]
     more = len(result["findings"]) - len(found)
     rest = f" {more} more findings are below." if more else ""
-    return ResultAnswer(f"Everything here is synthetic. Found, of each part, first: {'; '.join(found)}.{rest}")
+    return ResultAnswer(f"Everything here is synthetic. Found, among others: {'; '.join(found)}.{rest}")
 
 
 ANSWERS: dict[str, Callable[[Result], ResultAnswer]] = {

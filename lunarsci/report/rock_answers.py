@@ -13,6 +13,8 @@ ERRORS = ("sigma", "systematic", "method", "calibration", "rms", "chi")
 ALL = 0.995
 HALF = 0.5
 """A share of one with a larger error than this is not determined."""
+MOST_LAYERS = 3
+"""Layers of a map that a sentence names, centres of bands first."""
 MOST_NAMED = 4
 """Quantities that a sentence names."""
 
@@ -180,7 +182,8 @@ def mapped(result: Result) -> ResultAnswer:
         if one.get("kind") == "value" and one.get("median") is not None and not any(e in one["name"] for e in ERRORS)
     ]
     told = []
-    for one in layers[:MOST_NAMED]:
+    layers.sort(key=lambda one: not one["name"].startswith("bc"))
+    for one in layers[:MOST_LAYERS]:
         symbol = "" if one.get("units") in (None, "1", "-") else f" {one['units']}"
         span = f"{number(float(one['p05']), 3)} to {number(float(one['p95']), 3)}"
         told.append(
