@@ -3,6 +3,8 @@
 import dataclasses
 import json
 import os
+import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -190,6 +192,12 @@ def test_shadow_has_no_height_and_says_why(found: StereoTerrain, pair: RenderedP
     assert deep.sum() > 40
     assert (found.matches.reason[deep] == SHADOW).mean() > 0.9
     assert (found.matches.reason[deep] == MATCHED).mean() < 0.02
+
+
+def test_heights_are_told(found: StereoTerrain, answered: Callable[..., str]) -> None:
+    said = answered(found)
+    assert re.search(r"Heights of [0-9.]+ by [0-9.]+ m of ground, [0-9]+ % of it unseen\. From [0-9.]+ to", said), said
+    assert "mm from node to node and by" in said
 
 
 def test_patches_that_hang_in_nothing_are_islands() -> None:
