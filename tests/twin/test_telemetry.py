@@ -23,7 +23,7 @@ from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.telemetry.filter import ErrorChain
 from lunarsci.twin.telemetry.odometry import body_twist
 from lunarsci.twin.telemetry.positions import with_positions
-from lunarsci.twin.telemetry.reading import Findings, Positions, read_positions, read_table, read_telemetry
+from lunarsci.twin.telemetry.reading import Findings, Positions, read_positions, read_telemetry
 from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
 from lunarsci.twin.telemetry.sinkage import RutPoints, deepest_wheel, read_track, rut_points, with_sinkage
 from lunarsci.twin.telemetry.smoother import Nodes, SlipProcess, smooth
@@ -468,16 +468,3 @@ def test_a_track_elsewhere_or_absurd_is_said(drive: SyntheticDrive) -> None:
         read_track(file(drive.track.rename(columns={"rut_m": "rut_mm"})))
     with pytest.raises(DataError, match="rut_m_sigma"):
         read_track(file(drive.track.assign(rut_m_sigma=-1.0)))
-
-
-@pytest.mark.parametrize("suffix", ["csv", "ecsv", "parquet"])
-def test_more_rows_than_there_is_memory_for_are_refused_before_they_are_read(suffix: str) -> None:
-    """Half a million rows of one column are some MB of file, and with what is made of them too much."""
-    table, buffer = pd.DataFrame({"time_s": np.zeros(500_001)}), io.BytesIO()
-    if suffix == "parquet":
-        pytest.importorskip("pyarrow")
-        table.to_parquet(buffer)
-    else:
-        buffer.write(b"time_s\n" + b"0\n" * 500_001)
-    with pytest.raises(DataError, match=r"500,00\d rows, and at most 500,000 are read; give each drive"):
-        read_table(InputFile(f"long.{suffix}", buffer.getvalue()), Findings("long"))

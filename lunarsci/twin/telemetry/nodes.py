@@ -34,6 +34,11 @@ def mean_speed(rim_m_s: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(squares / np.maximum(known.sum(axis=1), 1)))
 
 
+def turning(rim_m_s: FloatArray) -> BoolArray:
+    """Whether any rim turns, or it is not known; `wheel_motion` has 0 at rest. (n,)"""
+    return np.asarray((rim_m_s != 0).any(axis=1))
+
+
 def denser(
     telemetry: Telemetry, wheels: WheelMotion, steering_rad: FloatArray, gaps: BoolArray
 ) -> tuple[Telemetry, WheelMotion, FloatArray, BoolArray]:
@@ -72,10 +77,11 @@ def nodes_of(
     telemetry: Telemetry, wheels: WheelMotion, twist: FloatArray, way_m: FloatArray, gaps: BoolArray
 ) -> tuple[Nodes, IndexArray]:
     """Nodes and the rows they are."""
-    drives = _drives(wheels, twist)
+    drives, rests = _drives(wheels, twist), ~turning(wheels.rim_m_s)
     stage = np.floor(way_m / NODE_M)
     chosen = telemetry.fixed | np.append(True, np.diff(stage) > 0)
-    chosen[:-1] |= np.append(False, drives[1:] != drives[:-1]) | gaps
+    changes = (drives[1:] != drives[:-1]) | (rests[1:] != rests[:-1])
+    chosen[:-1] |= np.append(False, changes) | gaps
     chosen[1:] |= gaps
     chosen[-1] = True
     rows = np.flatnonzero(chosen)
@@ -144,9 +150,12 @@ def motion_at(
 
 
 def _at_nodes(time_s: FloatArray, between: FloatArray, rows: IndexArray) -> FloatArray:
-    """Means between the nodes before and after each node, from means between rows. (nodes, wheels)"""
+    """Means between the nodes before and after each node, from means between rows. (nodes, wheels)
+
+    Where the rover stands on one side the other counts alone: how long it stands says nothing of how it came there.
+    """
     steps = np.diff(time_s)[:, None]
-    known = np.isfinite(between)
+    known = np.isfinite(between) & turning(between)[:, None]
     total = np.vstack([np.zeros(between.shape[1]), np.cumsum(np.where(known, between, 0.0) * steps, axis=0)])
     spent = np.vstack([np.zeros(between.shape[1]), np.cumsum(known * steps, axis=0)])
     low, high = rows[np.maximum(np.arange(len(rows)) - 1, 0)], rows[np.minimum(np.arange(len(rows)) + 1, len(rows) - 1)]
@@ -191,9 +200,9 @@ def _with_effects(rover: Rover, nodes: Nodes, held: PrescribedLoads, sway_m: Flo
     pace = pace_at(nodes)
     turn = np.divide(about(nodes, nodes.twist)[:, 2], pace, out=np.zeros_like(pace), where=pace > 0)
     effect[:, 2, 2] = effect[:, 1, 3] = turn
-    return dataclasses.replace(
-        nodes, twist=nodes.twist + 0.5 * (shape[1:] + shape[:-1]), fix_m=nodes.fix_m - sway_m, effect=effect
-    )
+    # A rover that stands is moved by no shape, however long the step is.
+    moved = np.where(nodes.way_m[:, None] > 0, 0.5 * (shape[1:] + shape[:-1]), 0.0)
+    return dataclasses.replace(nodes, twist=nodes.twist + moved, fix_m=nodes.fix_m - sway_m, effect=effect)
 
 
 def about(nodes: Nodes, between: FloatArray) -> FloatArray:

@@ -15,8 +15,9 @@ from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError
 from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.telemetry.checks import GAP, ordered
+from lunarsci.twin.telemetry.checks import ordered
 from lunarsci.twin.telemetry.reading import Findings, Positions, Telemetry
+from lunarsci.twin.telemetry.rests import GAP
 
 ATTITUDE_DEG, FOLLOWS = 1.5, 0.6
 """Median difference of roll or pitch from the terrain's beyond which the terrain is not the ground [deg]; and, where it
