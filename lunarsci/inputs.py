@@ -93,7 +93,7 @@ class InputStream:
     """An input that is read in pieces: its name, its file, and the SHA-256 of what `pieces` gave so far."""
 
     def __init__(self, name: str, file: "BinaryIO") -> None:
-        self.name, self.file, self._digest = name, file, hashlib.sha256()
+        self.name, self.file, self._digest, self._empty = name, file, hashlib.sha256(), True
 
     @property
     def sha256(self) -> str:
@@ -102,13 +102,12 @@ class InputStream:
 
     def pieces(self, size: int = 1 << 22) -> Iterator[bytes]:
         """So many bytes at a time. Raises DataError for a file that cannot be read on, and for an empty one."""
-        empty = True
         with _said(self.name):
             while piece := self.file.read(size):
-                empty = False
+                self._empty = False
                 self._digest.update(piece)
                 yield piece
-        if empty:
+        if self._empty:
             _filled(self.name, b"")
 
 

@@ -130,6 +130,10 @@ def parquet_tables(stream: InputStream) -> "Iterator[pd.DataFrame]":
     except (OSError, ValueError, pyarrow.ArrowException) as error:
         reason = " ".join(str(error).split())[:120]
         raise DataError(f"{stream.name}: not a Parquet file that can be read ({reason})") from error
+    finally:
+        # All of it was hashed before.
+        if stream.file.seekable():
+            stream.file.seek(0, io.SEEK_END)
     if most > MOST_CELLS:
         raise DataError(
             f"{stream.name}: {most / 1e6:,.0f} million cells in a group of rows, and at most {MOST_CELLS / 1e6:.0f} "

@@ -110,6 +110,8 @@ LONGER, SHORTER = 2.5, 0.02
 wheels only spin is met by `SHORTER`."""
 SHIFT = 0.5
 """Share of the way between two positions by which they must be off to have shifted, the next ones fitting; assumed."""
+LEAST_M = 1e-6
+"""Way between two positions of a rover that stands, which is divided by. [m]"""
 HANG_ROWS, HANG_DEG = 10, 1.0
 """Rows, or turn of the wheels [deg], over which a heading that stays the same hangs; assumed."""
 
@@ -130,13 +132,16 @@ def usable_positions(telemetry: Telemetry, way_m: FloatArray, findings: Findings
     _leave(findings, "bad covariance", "errors that are missing, 0, negative, or no covariance", bad, telemetry)
     used = given & ~bad
     rows = np.flatnonzero(used)
-    same = np.zeros(len(used), dtype=bool)
+    same, again = np.zeros(len(used), dtype=bool), np.zeros(len(used), dtype=bool)
     if rows.size > 1:
         sigma = np.sqrt(np.trace(value[rows[1:]], axis1=1, axis2=2))
         repeated = (np.diff(telemetry.fix_m[rows], axis=0) == 0).all(axis=1)
-        same[rows[1:]] = repeated & (np.diff(way_m[rows]) > np.minimum(0.5 * sigma, 0.05))
+        moved = np.diff(way_m[rows]) > np.minimum(0.5 * sigma, 0.05)
+        same[rows[1:]] = repeated & moved
+        again[rows[1:]] = repeated & ~moved
     _leave(findings, "stuck position", "it repeats the one before though the wheels turned", same, telemetry)
-    used &= ~same
+    _leave(findings, "repeated position", "sent again while the rover stands: one measurement", again, telemetry)
+    used &= ~same & ~again
     if used.sum() < 2:
         raise DataError(
             f"{telemetry.file}: {int(used.sum())} positions of use among {int(given.sum())} ({int(bad.sum())} have "
@@ -277,7 +282,7 @@ def _check_shift(
     findings: Findings,
 ) -> None:
     """Positions that jump once and stay: another frame from then on. A single bad one jumps back."""
-    off, way = moved - wanted, np.hypot(*wanted.T)
+    off, way = moved - wanted, np.maximum(np.hypot(*wanted.T), LEAST_M)
     size = np.hypot(*off.T)
     calm = np.append(np.append(np.inf, size[:-1] / way[:-1]), np.inf), np.append(size[1:] / way[1:], np.inf)
     for k in np.flatnonzero(size > np.maximum(SHIFT * way, 6.0 * sigma_m)):
