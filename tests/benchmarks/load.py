@@ -1,7 +1,8 @@
 """What commands take of large inputs: `python tests/benchmarks/load.py [--scale 1] [NAME ...]`.
 
 SYNTHETIC inputs, each command in a process of its own: its processor and wall time, most memory, and how many of
-something it does a second. `telemetry`: a week at 10 Hz, and a day at 1 Hz, with five drives in it. `history`: a belief
+something it does a second. `telemetry`: a week at 10 Hz and a day at 1 Hz, with five drives in it, and
+half a day of driving. `history`: a belief
 of 1,000 drives shown, gone back in, and taught by one more. `terrain`: 16 million nodes looked at and planned on.
 `commands`: 10,000 short ones, and what they leave behind in folders of caches and temporary files. Of 100,000 spectra
 `memory.py` tells. With `--scale` 0.1 everything is a tenth: what grows faster than its input shows.
@@ -70,7 +71,7 @@ def told(name: str, spent: Spent, count: float = 0, unit: str = "") -> str:
     return f"{text}{rate}" + (f"\n    {line}" if line else "")
 
 
-def write_telemetry(path: Path, seconds: float, rate_hz: float, drives: int) -> int:
+def write_telemetry(path: Path, seconds: float, rate_hz: float, drives: int, drive_s: float = DRIVE_S) -> int:
     """SYNTHETIC telemetry of a rover that drives straight ahead so many times, and else stands; its number of rows."""
     from lunarsci.twin.rover import build_rover
 
@@ -82,9 +83,9 @@ def write_telemetry(path: Path, seconds: float, rate_hz: float, drives: int) -> 
         file.write(f"# synthetic: made up by tests/benchmarks/load.py\n{HEADER},synthetic\n")
         for first in range(0, count, 100_000):
             times = np.arange(first, min(count, first + 100_000)) / rate_hz
-            spent = np.clip(times[:, None] - begins, 0.0, DRIVE_S)
+            spent = np.clip(times[:, None] - begins, 0.0, drive_s)
             way = spent.sum(axis=1) * SPEED_M_S
-            moves = ((spent > 0) & (spent < DRIVE_S)).any(axis=1)
+            moves = ((spent > 0) & (spent < drive_s)).any(axis=1)
             yaw, off = 0.05 * rng.standard_normal(times.size), 0.01 * rng.standard_normal((times.size, 2))
             angle = np.degrees(way / radius)
             for k, moment in enumerate(times):
@@ -96,14 +97,18 @@ def write_telemetry(path: Path, seconds: float, rate_hz: float, drives: int) -> 
 
 
 def telemetry(folder: Path, scale: float) -> Iterator[str]:
-    """A week at 10 Hz, and a day at 1 Hz, both on a strip of waves."""
-    x, y = np.arange(-5.0, 60.0, 0.25), np.arange(-5.0, 5.1, 0.25)
+    """A week at 10 Hz, a day at 1 Hz, and half a day of driving without a rest, on a strip of waves."""
+    x, y = np.arange(-5.0, 2200.0, 0.25), np.arange(-5.0, 5.1, 0.25)
     height = 0.05 * np.sin(x / 3.0)[None, :] * np.cos(y / 4.0)[:, None]
     ground = folder / "strip.npz"
     np.savez(ground, x_m=x, y_m=y, height_m=height, name="SYNTHETIC", synthetic=True)
-    for name, days, rate_hz in (("a week at 10 Hz", 7.0, 10.0), ("a day at 1 Hz", 1.0, 1.0)):
-        path = folder / "telemetry.csv"
-        rows = write_telemetry(path, days * DAY_S * scale, rate_hz, 5)
+    for name, days, rate_hz, drives in (
+        ("a week at 10 Hz", 7.0, 10.0, 5),
+        ("a day at 1 Hz", 1.0, 1.0, 5),
+        ("half a day of driving", 0.5, 10.0, 1),
+    ):
+        path, seconds = folder / "telemetry.csv", days * DAY_S * scale
+        rows = write_telemetry(path, seconds, rate_hz, drives, DRIVE_S if drives > 1 else seconds - 100.0)
         spent = measured("twin", "states", path, "--terrain", ground, "-q", "-o", folder / "states", "--force")
         yield told(f"states: {name}, {rows:,} rows", spent, rows, "rows") + f", {path.stat().st_size / 1e6:.0f} MB in"
         path.unlink()

@@ -15,7 +15,8 @@ from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import predict
-from lunarsci.twin.telemetry import rests
+from lunarsci.twin.telemetry import nodes, rests
+from lunarsci.twin.telemetry.positions import sway_m
 from lunarsci.twin.telemetry.reading import Findings, Telemetry, read_telemetry
 from lunarsci.twin.telemetry.simulated import SensorErrors, simulate_telemetry
 from lunarsci.twin.telemetry.states import DriveStates, motion_table, states_of, wheel_table
@@ -199,6 +200,9 @@ def test_rows_of_a_rover_that_does_not_rest_are_limited(
     creeping["angle_FL_deg"] += 0.05 * np.arange(len(creeping))
     with pytest.raises(DataError, match="more than 1,200 rows of a rover that does not stand for long, to time_s"):
         read(csv(creeping), yutu2)
+    monkeypatch.setattr(nodes, "MOST_NODES", 40)
+    with pytest.raises(DataError, match=r"45 moments, of 4\.0\d+ m and 9 positions; 40 are smoothed at once"):
+        found(csv(drive), yutu2)
 
 
 @pytest.mark.parametrize(
@@ -236,3 +240,13 @@ def test_memory_does_not_grow_with_the_rows(
         tracemalloc.stop()
         assert sent.rows == len(drive) + rows
     assert peaks[1] < 1.05 * peaks[0], peaks
+
+
+def test_beside_a_long_halt_the_origin_sways_as_about_it(yutu2: Rover) -> None:
+    """How a rover stands is not known there; upright it would jump by millimetres, within centimetres of way."""
+    paths = np.tile([0.0, 0.0, 0.0, 2.0, -3.0, 20.0], (5, 1))
+    told = sway_m(yutu2, paths)
+    paths[[0, 2], :5] = np.nan
+    assert sway_m(yutu2, paths) == pytest.approx(told) and np.hypot(*told.T).min() > 0.01
+    paths[:, :5] = np.nan
+    assert (sway_m(yutu2, paths) == 0).all()

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
+from lunarsci.errors import DataError
 from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.path import CREEP_M_S
@@ -19,6 +20,8 @@ from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion
 
 NODE_M = 0.1
 """Way between the moments at which the motion is found. [m]"""
+MOST_NODES = 30_000
+"""That are smoothed at once: 3 km without positions. `tests/benchmarks/load.py` tells their memory."""
 STIFFNESSES = (0.1, 0.17, 0.28, 0.48, 0.8)
 """Candidates for the stiffness of the ground against side slip, as a share of that against slip; assumed."""
 AGREEMENT, LEAST_EFFECT = 0.4, 0.1
@@ -76,7 +79,7 @@ def _drives(wheels: WheelMotion, twist: FloatArray) -> BoolArray:
 def nodes_of(
     telemetry: Telemetry, wheels: WheelMotion, twist: FloatArray, way_m: FloatArray, gaps: BoolArray
 ) -> tuple[Nodes, IndexArray]:
-    """Nodes and the rows they are."""
+    """Nodes and the rows they are. Raises DataError for more of them than there is to be memory for."""
     drives, rests = _drives(wheels, twist), ~turning(wheels.rim_m_s)
     stage = np.floor(way_m / NODE_M)
     chosen = telemetry.fixed | np.append(True, np.diff(stage) > 0)
@@ -85,6 +88,12 @@ def nodes_of(
     chosen[1:] |= gaps
     chosen[-1] = True
     rows = np.flatnonzero(chosen)
+    if len(rows) > MOST_NODES:
+        fixes = int(telemetry.fixed.sum())
+        raise DataError(
+            f"{telemetry.file}: {len(rows):,} moments, of {way_m[-1]:.4g} m and {fixes:,} positions; "
+            f"{MOST_NODES:,} are smoothed at once: take a part with `since` and `until`, or fewer positions"
+        )
     times = telemetry.time_s
     steps = np.diff(times)
 

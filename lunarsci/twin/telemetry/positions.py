@@ -27,10 +27,14 @@ slopes by more than 1 degree, as a share of the slope; assumed."""
 def sway_m(rover: Rover, paths: FloatArray) -> FloatArray:
     """How far the rover's origin is from above the point that its wheels stand about, by roll and pitch. (n, 2) [m]
 
-    The wheels carry that point; the origin sways above it, which is no slip.
+    The wheels carry that point; the origin sways above it, which is no slip. Where how the rover stands is not known,
+    as beside a halt, it stands as about there: a tilt left out would be a jump, and read as a slip.
     """
     height = rover.wheel.radius_m - float(rover.wheel_positions_m[:, 2].mean())
-    roll, pitch, yaw = np.radians(np.nan_to_num(paths[:, 3:6])).T
+    known = np.flatnonzero(np.isfinite(paths[:, 3:5]).all(axis=1))
+    tilts = paths[known, 3:5] if known.size else np.zeros((1, 2))
+    roll, pitch = np.radians([np.interp(np.arange(len(paths)), known if known.size else [0], c) for c in tilts.T])
+    yaw = np.radians(np.nan_to_num(paths[:, 5]))
     ahead, left = np.sin(pitch) * np.cos(roll), -np.sin(roll)
     return height * np.column_stack(
         [np.cos(yaw) * ahead - np.sin(yaw) * left, np.sin(yaw) * ahead + np.cos(yaw) * left]
