@@ -4,7 +4,8 @@ SYNTHETIC inputs, each command in a process of its own: its processor and wall t
 something it does a second. `telemetry`: a week at 10 Hz and a day at 1 Hz, with five drives in it, and half a day of
 driving. `history`: a belief of 1,000 drives shown, gone back in, and taught by one more. `terrain`: 16 million nodes
 looked at and planned on. `commands`: 10,000 short ones, and what they leave behind in folders of caches and temporary
-files. Of 100,000 spectra `memory.py` tells. With `--scale` 0.1 everything is a tenth: what grows faster than its input shows.
+files. Of 100,000 spectra `memory.py` tells. With `--scale` 0.1 everything is a tenth: what grows faster than its input
+shows.
 """
 
 import argparse
