@@ -8,6 +8,7 @@ import contextlib
 import csv
 import glob
 import hashlib
+import io
 import json
 import os
 import re
@@ -22,7 +23,7 @@ from lunarsci.documents import json_document
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 
 if TYPE_CHECKING:
-    from typing import IO
+    from typing import IO, BinaryIO
 
     import pandas as pd
     from astropy.table import Table
@@ -90,10 +91,53 @@ def read_input(source: Source) -> InputFile:
     raise ParameterError(f"{type(source).__name__} cannot be read; give a path, an open file or a table")
 
 
-def _read_path(path: str) -> InputFile:
-    name = "<stdin>" if path == "-" else path
+class InputStream:
+    """An input that is read in pieces: its name, its file, and the SHA-256 of what `pieces` gave so far."""
+
+    def __init__(self, name: str, file: "BinaryIO") -> None:
+        self.name, self.file, self._digest, self._empty = name, file, hashlib.sha256(), True
+
+    @property
+    def sha256(self) -> str:
+        """Hexadecimal digest."""
+        return self._digest.hexdigest()
+
+    def pieces(self, size: int = 1 << 22) -> Iterator[bytes]:
+        """So many bytes at a time. Raises DataError for a file that cannot be read on, and for an empty one."""
+        with _said(self.name):
+            while piece := self.file.read(size):
+                self._empty = False
+                self._digest.update(piece)
+                yield piece
+        if self._empty:
+            _filled(self.name, b"")
+
+
+@contextlib.contextmanager
+def open_input(source: "Source | InputStream") -> Iterator[InputStream]:
+    """The same as `read_input` takes, to be read in pieces; a path and standard input are not read whole."""
+    if isinstance(source, InputStream):
+        yield source
+    elif isinstance(source, str | Path):
+        path = str(source)
+        with contextlib.ExitStack() as kept:
+            with _said(_name_of(path)):
+                file = _stdin() if path == "-" else kept.enter_context(Path(path).open("rb"))
+            yield InputStream(_name_of(path), file)
+    else:
+        whole = read_input(source)
+        yield InputStream(whole.name, io.BytesIO(whole.data))
+
+
+def _name_of(path: str) -> str:
+    return "<stdin>" if path == "-" else path
+
+
+@contextlib.contextmanager
+def _said(name: str) -> Iterator[None]:
+    """What the system says of a file, as a DataError."""
     try:
-        data = _read_stdin() if path == "-" else Path(path).read_bytes()
+        yield
     except FileNotFoundError as error:
         raise DataError(f"{name}: no such file; check the path") from error
     except IsADirectoryError as error:
@@ -103,7 +147,12 @@ def _read_path(path: str) -> InputFile:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise DataError(f"{name!r}: cannot be read ({reason}); check the path and the disk") from error
-    return _filled(name, data)
+
+
+def _read_path(path: str) -> InputFile:
+    with _said(_name_of(path)):
+        data = _stdin().read() if path == "-" else Path(path).read_bytes()
+    return _filled(_name_of(path), data)
 
 
 def _filled(name: str, data: bytes) -> InputFile:
@@ -114,8 +163,6 @@ def _filled(name: str, data: bytes) -> InputFile:
 
 def _table_bytes(table: Any) -> bytes:
     """An astropy table as ECSV with commas, which readers of CSV take too."""
-    import io
-
     from astropy.io import ascii
 
     from lunarsci.result import unit_of
@@ -129,11 +176,11 @@ def _table_bytes(table: Any) -> bytes:
     return written.getvalue().encode()
 
 
-def _read_stdin() -> bytes:
+def _stdin() -> "BinaryIO":
     # A detached process has no standard input at all, and then Python sets it to None.
     if sys.stdin is None:
         raise OSError("standard input is closed")
-    return sys.stdin.buffer.read()
+    return sys.stdin.buffer
 
 
 def csv_rows(place: str, lines: Iterable[str], **dialect: Any) -> Iterator[list[str]]:

@@ -1,10 +1,11 @@
 """Tables: CSV as text and as numbers, refused where a row does not fit its header, and those of lunarsci."""
 
+import codecs
 import csv
 import difflib
 import io
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -15,7 +16,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
-from lunarsci.inputs import InputFile, csv_rows, read_input, text
+from lunarsci.inputs import InputFile, InputStream, csv_rows, read_input, text
 from lunarsci.printable import cell
 from lunarsci.provenance import sha256
 
@@ -23,9 +24,14 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-MOST_CELLS = 250_000_000
-"""Of a Parquet file, however small it is: 2 GB of numbers."""
+MOST_CELLS = 50_000_000
+"""Of a group of rows of Parquet, however small it is: 0.4 GB of numbers."""
+PIECE_ROWS, LONGEST_LINE = 20_000, 1 << 26
+"""Rows that are read at a time, and bytes of the longest line."""
+UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 BLANK = ("nan", "na", "-", "")
+_RARE = ('"', "#", "\r", "\v", "\f", "\x1c", "\x1d", "\x1e")
+_BEGINNING = 1 << 16
 ALIKE = 0.72
 """Likeness of two names (difflib's ratio) from which one is taken for a slip of the pen of the other; assumed."""
 
@@ -35,44 +41,104 @@ def read_csv_table(source: InputFile | str | Path) -> "pd.DataFrame":
 
     Raises DataError for a file that cannot be read, rows of another length than the header, and equal column names.
     """
+    return _csv_cells(source if isinstance(source, InputFile) else read_input(str(source)), dtype=str)
+
+
+def _csv_cells(file: InputFile, before: int = 0, *, dtype: type[str] | None) -> "pd.DataFrame":
     import pandas as pd
 
-    file = source if isinstance(source, InputFile) else read_input(str(source))
     content = text(file)
-    _check_widths(file.name, content)
+    _check_widths(file.name, content, before)
     try:
-        table = pd.read_csv(io.StringIO(content), comment="#", skipinitialspace=True, dtype=str, index_col=False)
+        table = pd.read_csv(
+            io.StringIO(content), comment="#", skipinitialspace=True, dtype=dtype, index_col=False, low_memory=False
+        )
     except (pd.errors.ParserError, pd.errors.EmptyDataError) as error:
         raise DataError(f"{file.name}: not a CSV table ({' '.join(str(error).split())})") from error
     table.columns = table.columns.str.strip()
     return table
 
 
-def read_parquet_table(source: InputFile) -> "pd.DataFrame":
-    """The columns of a Parquet file, without what pandas notes beside them: it may be damaged by itself.
+def csv_tables(stream: InputStream, mended: Callable[[bytes, int], bytes]) -> "Iterator[pd.DataFrame]":
+    """A CSV table in pieces, as `read_csv_table` reads it, but with numbers in columns that hold nothing else.
 
-    Raises DataError without pyarrow, for a file that cannot be read, and, before they are unpacked, for more rows than
-    `MOST_ROWS` and more cells than `MOST_CELLS`.
+    `mended` is given the last line where it does not end, with its number, and what it returns is read in its place.
+    """
+    for file, before in line_pieces(stream, mended):
+        table = _csv_cells(file, before, dtype=None)
+        # A piece of a column may hold true and false alone: text among numbers is to be said of.
+        for name in table.select_dtypes(include="bool").columns:
+            table[name] = table[name].astype(str)
+        yield table
+
+
+def line_pieces(stream: InputStream, mended: Callable[[bytes, int], bytes]) -> Iterator[tuple[InputFile, int]]:
+    """Whole lines, each time below the header; and how many lines before them are not there.
+
+    The header are the first lines, up to one that is neither blank nor begins with #. Raises DataError for a line of
+    more than `LONGEST_LINE` bytes.
+    """
+    header, rest, before = b"", b"", 0
+    for piece in stream.pieces():
+        rest += piece
+        if len(rest) > LONGEST_LINE:
+            raise DataError(f"{stream.name}: a line of {LONGEST_LINE >> 20} MB, or UTF-16; save it as UTF-8")
+        if rest.startswith(UTF16) and not header:
+            continue
+        if not header:
+            header = _header(rest)
+            rest = rest[len(header) :]
+        whole, end, left = rest.rpartition(b"\n")
+        if header and whole.strip():
+            yield InputFile(stream.name, header + whole + end), before
+            before, rest = before + whole.count(b"\n") + 1, left
+    if header and rest.strip() and not rest.endswith(b"\r"):
+        rest = mended(rest, header.count(b"\n") + before + 1)
+    if rest or not before:
+        yield InputFile(stream.name, header + rest), before
+
+
+def _header(start: bytes) -> bytes:
+    at = 0
+    while (end := start.find(b"\n", at)) >= 0:
+        line, at = start[at:end].removeprefix(b"\xef\xbb\xbf").strip(), end + 1
+        if line and not line.startswith(b"#"):
+            return start[:at]
+    return b""
+
+
+def parquet_tables(stream: InputStream) -> "Iterator[pd.DataFrame]":
+    """A Parquet file in pieces of rows, without what pandas notes beside them: it may be damaged by itself.
+
+    Raises DataError without pyarrow, for a file that cannot be read, and, before they are unpacked, for a group of rows
+    with more cells than `MOST_CELLS`.
     """
     try:
         import pyarrow
         from pyarrow.parquet import ParquetFile
     except ImportError as error:
-        raise DataError(f"{source.name}: Parquet needs pyarrow; pip install 'lunarsci[parquet]'") from error
+        raise DataError(f"{stream.name}: Parquet needs pyarrow; pip install 'lunarsci[parquet]'") from error
+    for _ in stream.pieces():
+        pass
     try:
-        file = ParquetFile(io.BytesIO(source.data))
-        check_rows(source.name, file.metadata.num_rows)
-        cells = file.metadata.num_rows * file.metadata.num_columns
-        if cells <= MOST_CELLS:
-            table: pd.DataFrame = file.read().replace_schema_metadata(None).to_pandas()
-            return table
+        file = ParquetFile(stream.file, buffer_size=1 << 20)
+        data = file.metadata
+        most = max((data.row_group(k).num_rows for k in range(data.num_row_groups)), default=0) * data.num_columns
+        for batch in file.iter_batches(PIECE_ROWS) if most <= MOST_CELLS else ():
+            table: pd.DataFrame = pyarrow.Table.from_batches([batch]).replace_schema_metadata(None).to_pandas()
+            yield table
     except (OSError, ValueError, pyarrow.ArrowException) as error:
         reason = " ".join(str(error).split())[:120]
-        raise DataError(f"{source.name}: not a Parquet file that can be read ({reason})") from error
-    raise DataError(
-        f"{source.name}: {cells / 1e6:,.0f} million cells, and at most {MOST_CELLS / 1e6:.0f} million are read; cut "
-        "out the drive, or leave out columns"
-    )
+        raise DataError(f"{stream.name}: not a Parquet file that can be read ({reason})") from error
+    finally:
+        # All of it was hashed before.
+        if stream.file.seekable():
+            stream.file.seek(0, io.SEEK_END)
+    if most > MOST_CELLS:
+        raise DataError(
+            f"{stream.name}: {most / 1e6:,.0f} million cells in a group of rows, and at most {MOST_CELLS / 1e6:.0f} "
+            "million are read; write it in smaller groups"
+        )
 
 
 def csv_bytes(table: "pd.DataFrame") -> bytes:
@@ -87,26 +153,15 @@ def _word(value: object) -> object:
     return cell(value) if isinstance(value, str) else value
 
 
-MOST_ROWS = 500_000
-"""Of telemetry; more are refused: 200,000 rows took 0.75 GB, in `tests/benchmarks/load.py`."""
-
-
-def check_rows(file: str, rows: int) -> None:
-    """Raises DataError for more rows than there is to be memory for."""
-    if rows > MOST_ROWS:
-        remedy = "give each drive in a file of its own, or take fewer rows a second"
-        raise DataError(f"{file}: {rows:,} rows, and at most {MOST_ROWS:,} are read; {remedy}")
-
-
 def numbers_of(name: str, column: str, cells: "pd.Series") -> FloatArray:
     """The cells of a column as numbers, NaN where blank. (n,) Raises DataError for text, with its row."""
     import pandas as pd
 
     numbers = pd.to_numeric(cells, errors="coerce")
-    wrong = numbers.isna() & cells.notna() & ~cells.astype(str).str.strip().str.lower().isin(BLANK)
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise DataError(f"{name}, row {row + 1}, {column}: '{cells.iloc[row]}' is no number")
+    odd = cells[numbers.isna() & cells.notna()]
+    wrong = odd[~odd.astype(str).str.strip().str.lower().isin(BLANK)]
+    if len(wrong):
+        raise DataError(f"{name}, row {int(wrong.index[0]) + 1}, {column}: '{wrong.iloc[0]}' is no number")
     return numbers.to_numpy(float)
 
 
@@ -143,8 +198,13 @@ def without_repeats(file: str, table: "pd.DataFrame", keys: Sequence[str]) -> "p
     return kept.reset_index(drop=True)
 
 
-def _check_widths(name: str, content: str) -> None:
-    """Every row must have as many fields as the header: pandas would shift or pad the others in silence."""
+def _check_widths(name: str, content: str, before: int = 0) -> None:
+    """Every row must have as many fields as the header: pandas would shift or pad the others in silence.
+
+    So many lines after the header are not there.
+    """
+    if _is_even(content):
+        return
     width = 0
     for number, row in enumerate(csv_rows(name, content.splitlines(), skipinitialspace=True), 1):
         if not row or row[0].lstrip().startswith("#"):
@@ -153,7 +213,24 @@ def _check_widths(name: str, content: str) -> None:
             _check_names(name, row)
         width = width or len(row)
         if len(row) != width:
-            raise DataError(f"{name}, line {number}: {len(row)} fields, the header has {width}; is the file complete?")
+            line = number + before
+            raise DataError(f"{name}, line {line}: {len(row)} fields, the header has {width}; is the file complete?")
+
+
+def _is_even(content: str) -> bool:
+    """Whether all lines after the header have as many commas, of a text without quotes, remarks and rare breaks."""
+    start = _header(content[:_BEGINNING].encode()).decode()
+    body = content[len(start) :]
+    names = start.rstrip("\n").rpartition("\n")[2].rstrip("\r").split(",")
+    plain = content.isascii() and len(names) == len({name.strip() for name in names})
+    if not start or not plain or any(sign in body for sign in _RARE) or '"' in start:
+        return False
+    signs = np.frombuffer(body.encode("ascii"), np.uint8)
+    ends = np.flatnonzero(signs == ord("\n"))
+    if body and not body.endswith("\n"):
+        ends = np.append(ends, len(signs))
+    commas = np.searchsorted(np.flatnonzero(signs == ord(",")), ends)
+    return bool((np.diff(commas, prepend=0) == len(names) - 1).all()) and len(names) > 1
 
 
 def _check_names(name: str, header: list[str]) -> None:

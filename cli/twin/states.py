@@ -32,6 +32,8 @@ OPTIONS = {
         kind=str | None,
         metavar="FILE",
     ),
+    "since": option("Rows with a time_s before this are left out, such as those of earlier drives.", metavar="S"),
+    "until": option("Rows with a time_s after this are left out.", metavar="S"),
 }
 Telemetry = Annotated[
     str,
@@ -59,6 +61,9 @@ def states(telemetry: Telemetry, request: StatesRequest, plan: DrivenPlan = None
     stated; where positions are too few or too coarse to tell, a finding says so. Sinkage follows from the track, for
     the deepest wheel that passed; the others stay blank. What is wrong with the telemetry is listed with what was done
     about it; where the result should not be trusted for it the exit code is 3.
+
+    Files of any length are read, a piece at a time: where the rover stands for long, only rows beside drives and with a
+    new position are kept. --since and --until take a part.
 
     With -o DIR the states go to states.csv, the positions to positions.csv, and the smoothed motion to motion.csv: what
     `lunarsci twin update` and `lunarsci twin loads` read.

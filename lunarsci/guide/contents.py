@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from lunarsci.inputs import InputFile, read_json
+from lunarsci.inputs import InputFile, InputStream, read_json
 
 MOST = 6
 """Names that are listed."""
@@ -163,20 +163,30 @@ def _states(file: InputFile) -> Mapping[str, Any]:
     }
 
 
-def _telemetry(file: InputFile) -> Mapping[str, Any]:
+def _telemetry(file: InputFile | InputStream) -> Mapping[str, Any]:
     from lunarsci.twin.rover import build_rover
     from lunarsci.twin.telemetry.reading import Findings, read_telemetry
 
-    rover = build_rover("small-four" if b"FL" in file.data and b"_ML_" not in file.data else "yutu2")
+    names = file.data if isinstance(file, InputFile) else _ends(file)
+    rover = build_rover("small-four" if b"FL" in names and b"_ML_" not in names else "yutu2")
     found = read_telemetry(file, rover, Findings(file.name))
     time = found.time_s
     return {
-        "rows": len(time),
+        "rows": found.rows,
         "from_s": float(time.min()),
         "to_s": float(time.max()),
         "wheels": _listed(rover.wheels),
         "synthetic": found.synthetic,
     }
+
+
+def _ends(stream: InputStream, size: int = 1 << 16) -> bytes:
+    """Begin and end of a file, where formats have the names of their columns."""
+    start = stream.file.read(size)
+    stream.file.seek(max(0, stream.file.seek(0, 2) - size))
+    end = stream.file.read()
+    stream.file.seek(0)
+    return start + end
 
 
 def _result(file: InputFile) -> Mapping[str, Any]:

@@ -9,12 +9,12 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
 from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, LunarSciError, LunarSciWarning
 from lunarsci.guide.contents import CONTENTS
-from lunarsci.inputs import InputFile, beginning, csv_rows, read_input, read_json
+from lunarsci.inputs import InputFile, InputStream, beginning, csv_rows, open_input, read_input, read_json
 from lunarsci.result import MadeFrom, Result
 
 
@@ -91,6 +91,10 @@ MAGIC = {
     b"\x89HDF": "cube",
     b"CDF": "cube",
 }
+LONG = 1 << 26
+"""Bytes from which on telemetry is read in pieces."""
+_Found: TypeAlias = tuple[str, str, Mapping[str, Any], str]
+"""Kind, SHA-256, contents and trouble."""
 SUFFIXES = {
     ".tif": "terrain", ".tiff": "terrain", ".asc": "terrain", ".2b": "vnis", ".2bl": "vnis", ".img": "cube",
     ".geojson": "zones",
@@ -165,20 +169,37 @@ def info(path: str | Path) -> FileInfo:
                 f"{name}: a folder without result.json; name one of its {len(list(folder.iterdir()))} files"
             )
         name = str(folder / "result.json")
-    file = read_input(name)
-    kind = kind_of(file)
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always", LunarSciWarning)
-        contents, trouble = _contents(kind, file)
+        kind, sha256, contents, trouble = _long_telemetry(name) or _read(read_input(name))
     remarks = [str(one.message) for one in heard if issubclass(one.category, LunarSciWarning)]
     further = TAKEN_BY.get(str(contents.get("schema", "")).split("/")[0], ()) if kind == "result" else ()
     return FileInfo(
-        file=name, sha256=file.sha256, kind=kind, contents=contents, trouble=trouble, remarks=remarks, further=further
+        file=name, sha256=sha256, kind=kind, contents=contents, trouble=trouble, remarks=remarks, further=further
     )
 
 
-def _contents(kind: str, file: InputFile) -> tuple[Mapping[str, Any], str]:
-    read: Callable[[InputFile], Mapping[str, Any]] = CONTENTS.get(kind, lambda _: {})
+def _read(file: InputFile) -> _Found:
+    return kind_of(file), file.sha256, *_contents(kind_of(file), file)
+
+
+def _long_telemetry(name: str) -> _Found | None:
+    """What there is in telemetry that is too long to be read whole; None for any other file."""
+    if not Path(name).is_file() or Path(name).stat().st_size <= LONG:
+        return None
+    with open_input(name) as stream:
+        start = stream.file.read(1 << 16)
+        stream.file.seek(0)
+        if start.lstrip().startswith(b"{") or kind_of(InputFile(name, start)) != "telemetry":
+            return None
+        found = _contents("telemetry", stream)
+        for _ in stream.pieces():
+            pass
+        return "telemetry", stream.sha256, *found
+
+
+def _contents(kind: str, file: InputFile | InputStream) -> tuple[Mapping[str, Any], str]:
+    read: Callable[[Any], Mapping[str, Any]] = CONTENTS.get(kind, lambda _: {})
     try:
         return read(file), ""
     except LunarSciError as error:

@@ -1,10 +1,11 @@
 """What commands take of large inputs: `python tests/benchmarks/load.py [--scale 1] [NAME ...]`.
 
 SYNTHETIC inputs, each command in a process of its own: its processor and wall time, most memory, and how many of
-something it does a second. `telemetry`: a week at 10 Hz, and a day at 1 Hz, with five drives in it. `history`: a belief
-of 1,000 drives shown, gone back in, and taught by one more. `terrain`: 16 million nodes looked at and planned on.
-`commands`: 10,000 short ones, and what they leave behind in folders of caches and temporary files. Of 100,000 spectra
-`memory.py` tells. With `--scale` 0.1 everything is a tenth: what grows faster than its input shows.
+something it does a second. `telemetry`: a week at 10 Hz and a day at 1 Hz, with five drives in it, and half a day of
+driving. `history`: a belief of 1,000 drives shown, gone back in, and taught by one more. `terrain`: 16 million nodes
+looked at and planned on. `commands`: 10,000 short ones, and what they leave behind in folders of caches and temporary
+files. Of 100,000 spectra `memory.py` tells. With `--scale` 0.1 everything is a tenth: what grows faster than its input
+shows.
 """
 
 import argparse
@@ -27,7 +28,7 @@ HEADER = "time_s,x_m,y_m,sigma_m,yaw_deg,yaw_deg_sigma," + ",".join(
     f"speed_{wheel}_m_s,steering_{wheel}_deg,angle_{wheel}_deg" for wheel in WHEELS
 )
 DAY_S, DRIVE_S, FIX_S = 86_400, 200.0, 10.0
-SPEED_M_S, RADIUS_M = 0.05, 0.15
+SPEED_M_S, SLIP = 0.05, 0.1
 PLAN = f"[drive]\nspeed_m_s = {SPEED_M_S}\n[[leg]]\nlength_m = 1.8\n"
 
 
@@ -70,34 +71,45 @@ def told(name: str, spent: Spent, count: float = 0, unit: str = "") -> str:
     return f"{text}{rate}" + (f"\n    {line}" if line else "")
 
 
-def write_telemetry(path: Path, seconds: float, rate_hz: float, drives: int) -> int:
+def write_telemetry(path: Path, seconds: float, rate_hz: float, drives: int, drive_s: float = DRIVE_S) -> int:
     """SYNTHETIC telemetry of a rover that drives straight ahead so many times, and else stands; its number of rows."""
+    from lunarsci.twin.rover import build_rover
+
     count, every = int(seconds * rate_hz), max(1, int(FIX_S * rate_hz))
-    begins = np.linspace(0.0, seconds, drives, endpoint=False) + 50.0
-    rng = np.random.default_rng(0)
+    # A rover that starts and stops amid two rows is told half its speed over that step, and turns for half of it.
+    begins = np.linspace(0.0, seconds, drives, endpoint=False) + 50.0 + 0.5 / rate_hz
+    rng, radius = np.random.default_rng(0), build_rover("yutu2").wheel.shearing_radius_m
     with path.open("w") as file:
         file.write(f"# synthetic: made up by tests/benchmarks/load.py\n{HEADER},synthetic\n")
         for first in range(0, count, 100_000):
             times = np.arange(first, min(count, first + 100_000)) / rate_hz
-            spent = np.clip(times[:, None] - begins, 0.0, DRIVE_S)
+            spent = np.clip(times[:, None] - begins, 0.0, drive_s)
             way = spent.sum(axis=1) * SPEED_M_S
-            moves = ((spent > 0) & (spent < DRIVE_S)).any(axis=1)
+            moves = ((spent > 0) & (spent < drive_s)).any(axis=1)
             yaw, off = 0.05 * rng.standard_normal(times.size), 0.01 * rng.standard_normal((times.size, 2))
-            angle = np.degrees(way / RADIUS_M)
+            angle = np.degrees(way / radius)
             for k, moment in enumerate(times):
                 fixed = moves[k] and (first + k) % every == 0
-                place = f"{0.9 * way[k] + off[k, 0]:.4f},{off[k, 1]:.4f},0.01" if fixed else ",,"
+                place = f"{(1.0 - SLIP) * way[k] + off[k, 0]:.4f},{off[k, 1]:.4f},0.01" if fixed else ",,"
                 columns = (f"{SPEED_M_S if moves[k] else 0},0,{angle[k]:.4f}," * len(WHEELS))[:-1]
                 file.write(f"{moment:.1f},{place},{yaw[k]:.4f},0.1,{columns},true\n")
     return count
 
 
 def telemetry(folder: Path, scale: float) -> Iterator[str]:
-    """A week at 10 Hz, and a day at 1 Hz."""
-    for name, days, rate_hz in (("a week at 10 Hz", 7.0, 10.0), ("a day at 1 Hz", 1.0, 1.0)):
-        path = folder / "telemetry.csv"
-        rows = write_telemetry(path, days * DAY_S * scale, rate_hz, 5)
-        spent = measured("twin", "states", path, "-q", "-o", folder / "states", "--force")
+    """A week at 10 Hz, a day at 1 Hz, and half a day of driving without a rest, on a strip of waves."""
+    x, y = np.arange(-5.0, 2200.0, 0.25), np.arange(-5.0, 5.1, 0.25)
+    height = 0.05 * np.sin(x / 3.0)[None, :] * np.cos(y / 4.0)[:, None]
+    ground = folder / "strip.npz"
+    np.savez(ground, x_m=x, y_m=y, height_m=height, name="SYNTHETIC", synthetic=True)
+    for name, days, rate_hz, drives in (
+        ("a week at 10 Hz", 7.0, 10.0, 5),
+        ("a day at 1 Hz", 1.0, 1.0, 5),
+        ("half a day of driving", 0.5, 10.0, 1),
+    ):
+        path, seconds = folder / "telemetry.csv", days * DAY_S * scale
+        rows = write_telemetry(path, seconds, rate_hz, drives, DRIVE_S if drives > 1 else seconds - 100.0)
+        spent = measured("twin", "states", path, "--terrain", ground, "-q", "-o", folder / "states", "--force")
         yield told(f"states: {name}, {rows:,} rows", spent, rows, "rows") + f", {path.stat().st_size / 1e6:.0f} MB in"
         path.unlink()
 
@@ -185,10 +197,11 @@ def commands(folder: Path, scale: float) -> Iterator[str]:
     environment = os.environ | {name: str(place) for name, place in places.items()}
     lines = (
         ("regolith", "forces", "--load", "20", "--slip", "0.1", "--field", "drawbar_pull_n"),
-        ("spectra", "library", "list", "-q"),
+        ("info", folder / "forces.json", "-q"),
         ("twin", "history", folder / "belief.json", "-q"),
-        ("cite",),
+        ("cite", folder / "forces.json"),
     )
+    measured(*lines[0][:6], "--no-time", "-q", "-o", folder / "forces.json", environment=environment)
     (folder / "belief.json").write_text(made_belief(2).to_json(), "utf-8")
     for line in lines:
         first = measured(*line, environment=environment)

@@ -6,6 +6,7 @@ import tomllib
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from lunarsci.errors import DataError, ParameterError
@@ -31,6 +32,22 @@ def test_a_template_is_what_its_reader_takes(kind: str, tmp_path: Path) -> None:
     assert (found.kind, found.trouble, found.remarks) == (kind, "", [])
     assert found.contents
     assert max(map(len, (line for line in made.text.splitlines() if line.startswith("#")))) < 200
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_long_telemetry_is_read_in_pieces_and_is_the_same(
+    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = template("telemetry")
+    path = written(tmp_path, "sent.csv", made.text)
+    if suffix == "parquet":
+        pytest.importorskip("pyarrow")
+        pd.read_csv(path, comment="#").to_parquet(path := tmp_path / "sent.parquet")
+    whole = info(path)
+    monkeypatch.setattr("lunarsci.guide.info.LONG", 0)
+    monkeypatch.setattr("lunarsci.guide.info.read_input", None)
+    assert info(path).to_dict() == whole.to_dict() and whole.contents["rows"] > 0
+    assert info(path).sha256 == whole.sha256
 
 
 @pytest.mark.parametrize("kind", ["plan", "mission", "soil"])

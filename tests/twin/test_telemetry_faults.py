@@ -298,9 +298,3 @@ def test_headings_that_pass_half_a_turn_are_the_same(drive: SyntheticDrive, yutu
 def test_another_rover_needs_its_own_wheels(drive: SyntheticDrive) -> None:
     with pytest.raises(DataError, match="'ML' is no wheel of"):
         states(csv(drive.telemetry), build_rover("small-four"), None)
-
-
-def test_more_rows_than_memory_is_kept_for_are_refused_before_they_are_taken_apart(yutu2: Rover) -> None:
-    """A week at 10 Hz has 6 million rows; here they hold nothing, which is not looked at."""
-    with pytest.raises(DataError, match="6,048,000 rows, and at most 500,000 are read; give each drive"):
-        states(b"\n" * 6_048_000, yutu2)

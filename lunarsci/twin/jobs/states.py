@@ -3,9 +3,10 @@
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from math import inf
 from typing import TYPE_CHECKING, Any
 
-from lunarsci.inputs import Source, read_input
+from lunarsci.inputs import Source, open_input, read_input
 from lunarsci.result import MadeFrom, Result, request_of
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ class StatesRequest:
     interpolation : of the ground between nodes, `smooth` or `triangles`.
     positions : from localisation, as a table of time_s, x_m, y_m and their errors, in place of those in the telemetry.
     track : depth of the track, as a table of x_m, y_m, rut_m, or the terrain after the drive; no sinkage without it.
+    since, until : rows whose time_s is before or after are left out; None takes all. [s]
     """
 
     rover: str | None = None
@@ -41,6 +43,13 @@ class StatesRequest:
     interpolation: str = "smooth"
     positions: str | Any | None = None
     track: str | Any | None = None
+    since: float | None = None
+    until: float | None = None
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """First and last time. [s]"""
+        return -inf if self.since is None else self.since, inf if self.until is None else self.until
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -138,10 +147,10 @@ def states(
 
     asked = request_of(StatesRequest, request, options)
     known = read_drive_inputs(plan, asked.rover, asked.terrain, asked.interpolation, soil_counts=False)
-    source = read_input(telemetry)
+    with open_input(telemetry) as source:
+        findings = Findings(source.name)
+        sent = read_telemetry(source, known.rover, findings, placed=asked.positions is None, span_s=asked.span_s)
     known.inputs[source.name] = source.sha256
-    findings = Findings(source.name)
-    sent = read_telemetry(source, known.rover, findings, placed=asked.positions is None)
     if asked.positions is not None:
         fixes = read_input(asked.positions)
         known.inputs[fixes.name] = fixes.sha256

@@ -13,9 +13,8 @@ from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.schedule import Schedule, commands_at, make_schedule
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.telemetry.reading import Findings, Telemetry
+from lunarsci.twin.telemetry.rests import GAP
 
-GAP = 5.0
-"""Times the median step between rows from which on a step is a gap; assumed, as of a motion."""
 LEAST_ROWS = 5
 
 
@@ -91,10 +90,10 @@ def _without_repeats(telemetry: Telemetry, findings: Findings) -> Telemetry:
 
 
 def time_gaps(telemetry: Telemetry, findings: Findings) -> BoolArray:
-    """Steps between rows that are gaps: longer than `GAP` times the median. (n - 1,)"""
-    steps = np.diff(telemetry.time_s)
-    usual = float(np.median(steps))
-    gaps = np.asarray(steps > GAP * usual)
+    """Steps between rows that are gaps: longer than `GAP` times the median, but over rests. (n - 1,)"""
+    steps, rested = np.diff(telemetry.time_s), telemetry.rested
+    usual = float(np.median(steps[~rested]))
+    gaps = np.asarray((steps > GAP * usual) & ~rested)
     if gaps.any():
         first = int(np.argmax(gaps))
         findings.add(

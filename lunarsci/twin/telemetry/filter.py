@@ -7,6 +7,7 @@ Hartikainen & Sarkka 2010, 10.1109/MLSP.2010.5589113). Positions and headings ob
 Tung & Striebel (1965, 10.2514/3.3166).
 """
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -97,43 +98,66 @@ def dead_reckoned(nodes: Nodes) -> FloatArray:
     return state
 
 
-@dataclass(frozen=True, slots=True)
+STRETCH = 256
+"""Steps whose matrices are held at a time: those of all steps of a long drive would fill the memory."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Model:
-    """Matrix (n - 1, m, 18, 18), constant (n - 1, 18) and noise (n - 1, m, 18, 18) of each step, for m assumptions.
+    """The steps about a reference, for m assumptions.
 
     `amplitude` and `rate` of the deviations, which forget within about 1 / rate. (m, 3) [-, -, 1/m], [1/m]
     """
 
-    matrix: FloatArray
-    constant: FloatArray
-    noise: FloatArray
+    nodes: Nodes
+    reference: FloatArray
     amplitude: FloatArray
     rate: FloatArray
+
+    def stretches(self) -> list[tuple[int, int]]:
+        """First step, and the one after the last, of each stretch."""
+        count = len(self.nodes.way_m)
+        return [(first, min(first + STRETCH, count)) for first in range(0, count, STRETCH)]
+
+    def steps(self, first: int, last: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Matrix (k, m, 18, 18), constant (k, 18) and noise (k, m, 18, 18) of some steps."""
+        nodes, rates = _between(self.nodes, first, last), self.rate
+        common, constant = _common(nodes, self.reference[first : last + 1])
+        way = nodes.way_m[:, None]
+        matrix = np.repeat(common[:, None], len(rates), axis=1)
+        noise = np.zeros_like(matrix)
+        for channel, k in enumerate(AHEAD):
+            rate = rates[None, :, channel]
+            decay = np.where(nodes.apart[:, None], 0.0, np.exp(-rate * way))
+            block = np.empty((*decay.shape, 2, 2))
+            block[..., 0, 0], block[..., 0, 1] = decay * (1 + rate * way), decay * way
+            block[..., 1, 0], block[..., 1, 1] = -decay * rate**2 * way, decay * (1 - rate * way)
+            still = np.zeros((len(rates), 2, 2))
+            still[:, 0, 0], still[:, 1, 1] = 1.0, rates[:, channel] ** 2
+            still *= self.amplitude[:, channel, None, None] ** 2
+            matrix[..., k : k + 2, k : k + 2] = block
+            noise[..., k : k + 2, k : k + 2] = still - block @ still @ np.swapaxes(block, -1, -2)
+        noise[..., 0, 0] = noise[..., 1, 1] = (POSITION_M_PER_STEP**2 + nodes.loose**2)[:, None]
+        noise[..., 2, 2] = ((nodes.loose / LOOSE_M) ** 2)[:, None]
+        if nodes.chain is not None:
+            matrix[..., OFF, OFF] = nodes.chain.follows[1:, None]
+            noise[..., OFF, OFF] = nodes.chain.noise_m2[1:, None]
+        return matrix, constant, noise
 
 
 def linearised(nodes: Nodes, reference: FloatArray, amplitude: FloatArray, length_m: FloatArray) -> Model:
     """The steps about a reference, for several amplitudes and lengths of the changing deviations (m, 3)."""
-    common, constant = _common(nodes, reference)
-    rates, way = math.sqrt(3.0) / length_m, nodes.way_m[:, None]
-    matrix = np.repeat(common[:, None], len(rates), axis=1)
-    noise = np.zeros_like(matrix)
-    for channel, k in enumerate(AHEAD):
-        rate = rates[None, :, channel]
-        decay = np.where(nodes.apart[:, None], 0.0, np.exp(-rate * way))
-        block = np.empty((*decay.shape, 2, 2))
-        block[..., 0, 0], block[..., 0, 1] = decay * (1 + rate * way), decay * way
-        block[..., 1, 0], block[..., 1, 1] = -decay * rate**2 * way, decay * (1 - rate * way)
-        still = np.zeros((len(rates), 2, 2))
-        still[:, 0, 0], still[:, 1, 1] = 1.0, rates[:, channel] ** 2
-        still *= amplitude[:, channel, None, None] ** 2
-        matrix[..., k : k + 2, k : k + 2] = block
-        noise[..., k : k + 2, k : k + 2] = still - block @ still @ np.swapaxes(block, -1, -2)
-    noise[..., 0, 0] = noise[..., 1, 1] = (POSITION_M_PER_STEP**2 + nodes.loose**2)[:, None]
-    noise[..., 2, 2] = ((nodes.loose / LOOSE_M) ** 2)[:, None]
+    return Model(nodes, reference, amplitude, math.sqrt(3.0) / length_m)
+
+
+def _between(nodes: Nodes, first: int, last: int) -> Nodes:
+    """Nodes from one to another, with the steps between."""
+    columns = {name: value for name, value in ((n, getattr(nodes, n)) for n in nodes.__slots__) if value is not None}
     if nodes.chain is not None:
-        matrix[..., OFF, OFF] = nodes.chain.follows[1:, None]
-        noise[..., OFF, OFF] = nodes.chain.noise_m2[1:, None]
-    return Model(matrix, constant, noise, amplitude, rates)
+        columns["chain"] = ErrorChain(*(part[first : last + 1] for part in nodes.chain))
+    steps = {name: columns[name][first:last] for name in ("twist", "way_m", "loose", "apart")}
+    own = {name: value[first : last + 1] for name, value in columns.items() if isinstance(value, np.ndarray)}
+    return dataclasses.replace(nodes, **{**columns, **own, **steps})
 
 
 def _common(nodes: Nodes, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -188,16 +212,19 @@ def _start(nodes: Nodes, model: Model) -> tuple[FloatArray, FloatArray]:
     return mean, covariance
 
 
-def filtered(nodes: Nodes, model: Model) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Filter for each of several assumptions: means (n, m, 18), covariances, and ln likelihood (m,)."""
+def filtered(model: Model, *, kept: bool = True) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Filter for each of several assumptions: means (n, m, 18), covariances, and ln likelihood (m,).
+
+    Where they are not `kept`, means and covariances are those of the last node alone, (1, m, 18).
+    """
+    nodes = model.nodes
     mean, covariance = _start(nodes, model)
-    means, covariances = [], []
+    count = len(nodes.time_s) if kept else 1
+    means, covariances = np.empty((count, *mean.shape)), np.empty((count, *covariance.shape))
     ln_likelihood = np.zeros(len(mean))
-    for k in range(len(nodes.time_s)):
-        if k:
-            step = model.matrix[k - 1]
-            mean = np.einsum("mij,mj->mi", step, mean) + model.constant[k - 1]
-            covariance = step @ covariance @ np.swapaxes(step, 1, 2) + model.noise[k - 1]
+
+    def observe(k: int) -> None:
+        nonlocal mean, covariance, ln_likelihood
         seen, values, errors = _observed(nodes, k)
         if len(seen):
             off = values - mean @ seen.T
@@ -209,9 +236,15 @@ def filtered(nodes: Nodes, model: Model) -> tuple[FloatArray, FloatArray, FloatA
             mean = mean + np.einsum("mij,mi->mj", gain, off)
             covariance = covariance - np.swapaxes(through, 1, 2) @ gain
             covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
-        means.append(mean)
-        covariances.append(covariance)
-    return np.array(means), np.array(covariances), ln_likelihood
+        means[k if kept else 0], covariances[k if kept else 0] = mean, covariance
+
+    observe(0)
+    for first, last in model.stretches():
+        for k, step, constant, noise in zip(range(first, last), *model.steps(first, last), strict=True):
+            mean = np.einsum("mij,mj->mi", step, mean) + constant
+            covariance = step @ covariance @ np.swapaxes(step, 1, 2) + noise
+            observe(k + 1)
+    return means, covariances, ln_likelihood
 
 
 def _observed(nodes: Nodes, k: int) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -229,14 +262,15 @@ def _observed(nodes: Nodes, k: int) -> tuple[FloatArray, FloatArray, FloatArray]
 
 
 def smoothed_back(model: Model, means: FloatArray, covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Means and covariances that know what came later too, from those of `filtered`."""
-    means, covariances = means.copy(), covariances.copy()
-    for k in range(len(means) - 2, -1, -1):
-        step = model.matrix[k]
-        ahead = step @ covariances[k] @ np.swapaxes(step, 1, 2) + model.noise[k]
-        gain = np.swapaxes(np.linalg.solve(ahead + 1e-18 * np.eye(SIZE), step @ covariances[k]), 1, 2)
-        off = means[k + 1] - np.einsum("mij,mj->mi", step, means[k]) - model.constant[k]
-        means[k] = means[k] + np.einsum("mij,mj->mi", gain, off)
-        covariances[k] = covariances[k] + gain @ (covariances[k + 1] - ahead) @ np.swapaxes(gain, 1, 2)
-        covariances[k] = 0.5 * (covariances[k] + np.swapaxes(covariances[k], 1, 2))
+    """Means and covariances that know what came later too, in the place of those of `filtered`."""
+    for first, last in reversed(model.stretches()):
+        matrix, constant, noise = model.steps(first, last)
+        for k in range(last - 1, first - 1, -1):
+            step = matrix[k - first]
+            ahead = step @ covariances[k] @ np.swapaxes(step, 1, 2) + noise[k - first]
+            gain = np.swapaxes(np.linalg.solve(ahead + 1e-18 * np.eye(SIZE), step @ covariances[k]), 1, 2)
+            off = means[k + 1] - np.einsum("mij,mj->mi", step, means[k]) - constant[k - first]
+            means[k] = means[k] + np.einsum("mij,mj->mi", gain, off)
+            covariances[k] = covariances[k] + gain @ (covariances[k + 1] - ahead) @ np.swapaxes(gain, 1, 2)
+            covariances[k] = 0.5 * (covariances[k] + np.swapaxes(covariances[k], 1, 2))
     return means, covariances

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
+from lunarsci.errors import DataError
 from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
 from lunarsci.twin.plans.motion import Motion
 from lunarsci.twin.plans.path import CREEP_M_S
@@ -19,6 +20,8 @@ from lunarsci.twin.telemetry.wheel_motion import STILL_SHARE, WheelMotion
 
 NODE_M = 0.1
 """Way between the moments at which the motion is found. [m]"""
+MOST_NODES = 30_000
+"""That are smoothed at once: 3 km without positions. `tests/benchmarks/load.py` tells their memory."""
 STIFFNESSES = (0.1, 0.17, 0.28, 0.48, 0.8)
 """Candidates for the stiffness of the ground against side slip, as a share of that against slip; assumed."""
 AGREEMENT, LEAST_EFFECT = 0.4, 0.1
@@ -32,6 +35,11 @@ def mean_speed(rim_m_s: FloatArray) -> FloatArray:
     known = np.isfinite(rim_m_s)
     squares = np.where(known, np.nan_to_num(rim_m_s) ** 2, 0.0).sum(axis=1)
     return np.asarray(np.sqrt(squares / np.maximum(known.sum(axis=1), 1)))
+
+
+def turning(rim_m_s: FloatArray) -> BoolArray:
+    """Whether any rim turns, or it is not known; `wheel_motion` has 0 at rest. (n,)"""
+    return np.asarray((rim_m_s != 0).any(axis=1))
 
 
 def denser(
@@ -71,14 +79,21 @@ def _drives(wheels: WheelMotion, twist: FloatArray) -> BoolArray:
 def nodes_of(
     telemetry: Telemetry, wheels: WheelMotion, twist: FloatArray, way_m: FloatArray, gaps: BoolArray
 ) -> tuple[Nodes, IndexArray]:
-    """Nodes and the rows they are."""
-    drives = _drives(wheels, twist)
+    """Nodes and the rows they are. Raises DataError for more of them than there is to be memory for."""
+    drives, rests = _drives(wheels, twist), ~turning(wheels.rim_m_s)
     stage = np.floor(way_m / NODE_M)
     chosen = telemetry.fixed | np.append(True, np.diff(stage) > 0)
-    chosen[:-1] |= np.append(False, drives[1:] != drives[:-1]) | gaps
+    changes = (drives[1:] != drives[:-1]) | (rests[1:] != rests[:-1])
+    chosen[:-1] |= np.append(False, changes) | gaps
     chosen[1:] |= gaps
     chosen[-1] = True
     rows = np.flatnonzero(chosen)
+    if len(rows) > MOST_NODES:
+        fixes = int(telemetry.fixed.sum())
+        raise DataError(
+            f"{telemetry.file}: {len(rows):,} moments, of {way_m[-1]:.4g} m and {fixes:,} positions; "
+            f"{MOST_NODES:,} are smoothed at once: take a part with `since` and `until`, or fewer positions"
+        )
     times = telemetry.time_s
     steps = np.diff(times)
 
@@ -144,9 +159,12 @@ def motion_at(
 
 
 def _at_nodes(time_s: FloatArray, between: FloatArray, rows: IndexArray) -> FloatArray:
-    """Means between the nodes before and after each node, from means between rows. (nodes, wheels)"""
+    """Means between the nodes before and after each node, from means between rows. (nodes, wheels)
+
+    Where the rover stands on one side the other counts alone: how long it stands says nothing of how it came there.
+    """
     steps = np.diff(time_s)[:, None]
-    known = np.isfinite(between)
+    known = np.isfinite(between) & turning(between)[:, None]
     total = np.vstack([np.zeros(between.shape[1]), np.cumsum(np.where(known, between, 0.0) * steps, axis=0)])
     spent = np.vstack([np.zeros(between.shape[1]), np.cumsum(known * steps, axis=0)])
     low, high = rows[np.maximum(np.arange(len(rows)) - 1, 0)], rows[np.minimum(np.arange(len(rows)) + 1, len(rows) - 1)]
@@ -191,9 +209,9 @@ def _with_effects(rover: Rover, nodes: Nodes, held: PrescribedLoads, sway_m: Flo
     pace = pace_at(nodes)
     turn = np.divide(about(nodes, nodes.twist)[:, 2], pace, out=np.zeros_like(pace), where=pace > 0)
     effect[:, 2, 2] = effect[:, 1, 3] = turn
-    return dataclasses.replace(
-        nodes, twist=nodes.twist + 0.5 * (shape[1:] + shape[:-1]), fix_m=nodes.fix_m - sway_m, effect=effect
-    )
+    # A rover that stands is moved by no shape, however long the step is.
+    moved = np.where(nodes.way_m[:, None] > 0, 0.5 * (shape[1:] + shape[:-1]), 0.0)
+    return dataclasses.replace(nodes, twist=nodes.twist + moved, fix_m=nodes.fix_m - sway_m, effect=effect)
 
 
 def about(nodes: Nodes, between: FloatArray) -> FloatArray:

@@ -15,8 +15,9 @@ from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError
 from lunarsci.twin.loads.prescribed_motion import PrescribedLoads
 from lunarsci.twin.rover import Rover
-from lunarsci.twin.telemetry.checks import GAP, ordered
+from lunarsci.twin.telemetry.checks import ordered
 from lunarsci.twin.telemetry.reading import Findings, Positions, Telemetry
+from lunarsci.twin.telemetry.rests import GAP
 
 ATTITUDE_DEG, FOLLOWS = 1.5, 0.6
 """Median difference of roll or pitch from the terrain's beyond which the terrain is not the ground [deg]; and, where it
@@ -26,10 +27,14 @@ slopes by more than 1 degree, as a share of the slope; assumed."""
 def sway_m(rover: Rover, paths: FloatArray) -> FloatArray:
     """How far the rover's origin is from above the point that its wheels stand about, by roll and pitch. (n, 2) [m]
 
-    The wheels carry that point; the origin sways above it, which is no slip.
+    The wheels carry that point; the origin sways above it, which is no slip. Where how the rover stands is not known,
+    as beside a halt, it stands as about there: a tilt left out would be a jump, and read as a slip.
     """
     height = rover.wheel.radius_m - float(rover.wheel_positions_m[:, 2].mean())
-    roll, pitch, yaw = np.radians(np.nan_to_num(paths[:, 3:6])).T
+    known = np.flatnonzero(np.isfinite(paths[:, 3:5]).all(axis=1))
+    tilts = paths[known, 3:5] if known.size else np.zeros((1, 2))
+    roll, pitch = np.radians([np.interp(np.arange(len(paths)), known if known.size else [0], c) for c in tilts.T])
+    yaw = np.radians(np.nan_to_num(paths[:, 5]))
     ahead, left = np.sin(pitch) * np.cos(roll), -np.sin(roll)
     return height * np.column_stack(
         [np.cos(yaw) * ahead - np.sin(yaw) * left, np.sin(yaw) * ahead + np.cos(yaw) * left]
@@ -109,6 +114,8 @@ LONGER, SHORTER = 2.5, 0.02
 wheels only spin is met by `SHORTER`."""
 SHIFT = 0.5
 """Share of the way between two positions by which they must be off to have shifted, the next ones fitting; assumed."""
+LEAST_M = 1e-6
+"""Way between two positions of a rover that stands, which is divided by. [m]"""
 HANG_ROWS, HANG_DEG = 10, 1.0
 """Rows, or turn of the wheels [deg], over which a heading that stays the same hangs; assumed."""
 
@@ -129,13 +136,16 @@ def usable_positions(telemetry: Telemetry, way_m: FloatArray, findings: Findings
     _leave(findings, "bad covariance", "errors that are missing, 0, negative, or no covariance", bad, telemetry)
     used = given & ~bad
     rows = np.flatnonzero(used)
-    same = np.zeros(len(used), dtype=bool)
+    same, again = np.zeros(len(used), dtype=bool), np.zeros(len(used), dtype=bool)
     if rows.size > 1:
         sigma = np.sqrt(np.trace(value[rows[1:]], axis1=1, axis2=2))
         repeated = (np.diff(telemetry.fix_m[rows], axis=0) == 0).all(axis=1)
-        same[rows[1:]] = repeated & (np.diff(way_m[rows]) > np.minimum(0.5 * sigma, 0.05))
+        moved = np.diff(way_m[rows]) > np.minimum(0.5 * sigma, 0.05)
+        same[rows[1:]] = repeated & moved
+        again[rows[1:]] = repeated & ~moved
     _leave(findings, "stuck position", "it repeats the one before though the wheels turned", same, telemetry)
-    used &= ~same
+    _leave(findings, "repeated position", "sent again while the rover stands: one measurement", again, telemetry)
+    used &= ~same & ~again
     if used.sum() < 2:
         raise DataError(
             f"{telemetry.file}: {int(used.sum())} positions of use among {int(given.sum())} ({int(bad.sum())} have "
@@ -276,7 +286,7 @@ def _check_shift(
     findings: Findings,
 ) -> None:
     """Positions that jump once and stay: another frame from then on. A single bad one jumps back."""
-    off, way = moved - wanted, np.hypot(*wanted.T)
+    off, way = moved - wanted, np.maximum(np.hypot(*wanted.T), LEAST_M)
     size = np.hypot(*off.T)
     calm = np.append(np.append(np.inf, size[:-1] / way[:-1]), np.inf), np.append(size[1:] / way[1:], np.inf)
     for k in np.flatnonzero(size > np.maximum(SHIFT * way, 6.0 * sigma_m)):

@@ -1,28 +1,21 @@
 """Telemetry of a drive as numbers: read from CSV, ECSV and Parquet by the columns' names, and what is wrong."""
 
 import difflib
-import io
+import math
 import re
 import warnings
-from collections import Counter
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
-from lunarsci.inputs import InputFile
-from lunarsci.tables import (
-    check_columns,
-    check_rows,
-    numbers_of,
-    read_csv_table,
-    read_parquet_table,
-    without_repeats,
-)
+from lunarsci.inputs import InputFile, InputStream, open_input
+from lunarsci.tables import check_columns, numbers_of, read_csv_table, without_repeats
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.telemetry.pieces import tables_of
+from lunarsci.twin.telemetry.rests import RowsKept
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -97,6 +90,8 @@ class Telemetry:
     speed_m_s, steering_deg : commanded rim speed r_s omega and steering of each wheel. (n, wheels) [m/s, deg]
     angle_deg, rate_deg_s, steered_deg : measured angle, rate and steering of each wheel. (n, wheels)
     synthetic : whether the file says that it is made up.
+    rests_s : begin and end of rests within which rows are left out (see `rests`). [s]
+    rows : how many the file has.
     """
 
     file: str
@@ -114,6 +109,17 @@ class Telemetry:
     steered_deg: FloatArray
     synthetic: bool
     fix_shared_m2: FloatArray | None = None
+    rests_s: tuple[tuple[float, float], ...] = ()
+    rows: int = 0
+
+    @property
+    def rested(self) -> BoolArray:
+        """Steps between rows within `rests_s`. (n - 1,)"""
+        if not self.rests_s:
+            return np.zeros(len(self.time_s) - 1, dtype=bool)
+        begin, end = np.array(self.rests_s).T
+        rest = np.searchsorted(begin, self.time_s[:-1], side="right") - 1
+        return np.asarray((rest >= 0) & (self.time_s[1:] <= end[rest]))
 
     @property
     def fixed(self) -> BoolArray:
@@ -130,6 +136,8 @@ NEEDED = ("time_s", "x_m", "y_m", "yaw_deg")
 ERRORS = ("xx_m2", "xy_m2", "yy_m2")
 WHEEL = re.compile(r"(?:speed|steering|angle|rate|steered)_([A-Za-z0-9]+)_(?:m_s|deg|deg_s)")
 UNIT = re.compile(r"_(?:ms|s|min|h|mm|cm|m|km|deg|rad|m2|mm2|cm2|deg_s|rad_s|m_s|mm_s|cm_s|km_h|rpm)$")
+OF_PLACES = ("x_m", "y_m", "sigma_m", *ERRORS)
+SYNTHETIC = ("true", "1", "1.0")
 YAW_SIGMA_DEG = 0.3
 """Error of a heading whose error is not given; assumed. [deg]"""
 
@@ -207,131 +215,93 @@ def joint_m2(covariance_m2: FloatArray, shared_m2: FloatArray | None) -> FloatAr
     return np.asarray(joint.reshape(2 * count, 2 * count))
 
 
-def read_telemetry(source: InputFile, rover: Rover, findings: Findings, *, placed: bool = True) -> Telemetry:
-    """Read telemetry, by the ending of its file: .ecsv, .parquet, else CSV.
+def read_telemetry(
+    source: InputFile | InputStream,
+    rover: Rover,
+    findings: Findings,
+    *,
+    placed: bool = True,
+    span_s: tuple[float, float] = (-math.inf, math.inf),
+) -> Telemetry:
+    """Read telemetry, by the ending of its file: .ecsv, .parquet, else CSV, a piece at a time.
 
     Columns `time_s`, `x_m`, `y_m` (blank where there is no position), `sigma_m` or `xx_m2`, `xy_m2`, `yy_m2`,
     `yaw_deg`; optionally `yaw_deg_sigma`, `roll_deg`, `pitch_deg`, `synthetic`; and of each wheel FL, FR, ...
     `speed_FL_m_s`, `steering_FL_deg` (commanded), `angle_FL_deg`, `rate_FL_deg_s`, `steered_FL_deg` (measured). What a
     wheel did must be there for all of them: angle or rate or speed, and steered or steering.
 
-    Rows stay in the order of the file. Where positions come from elsewhere (`placed` False) none are read here. Raises
-    DataError for columns that are missing, in another unit, or of another rover's wheels, and for text among numbers.
+    Rows stay in the order of the file, without those of a rover that rests (see `rests`), and without those whose time
+    is not within `span_s`. Where positions come from elsewhere (`placed` False) none are read here. Raises DataError
+    for columns that are missing, in another unit, or of another rover's wheels, for text among numbers, and for more
+    rows of a rover that does not rest than there is memory for.
     """
-    table = read_table(source, findings)
+    kept, infinite, synthetic = RowsKept(source.name, rover), dict[str, int](), False
+    with open_input(source) as stream:
+        for table in tables_of(stream, findings):
+            values = _numbers(source.name, table, rover, placed=placed)
+            names = list(values)
+            _count_infinities(values, infinite)
+            outside = (values["time_s"] < span_s[0]) | (values["time_s"] > span_s[1])
+            kept.add({name: column[~outside] for name, column in values.items()})
+            if "synthetic" in table:
+                synthetic = synthetic or bool(table["synthetic"].astype(str).str.lower().isin(SYNTHETIC).any())
+    for name, count in infinite.items():
+        findings.add("infinite values", f"{name} is infinite", "taken as blank", count=count)
+    if not kept.read:
+        raise DataError(f"{source.name}: no rows between {span_s[0]:g} and {span_s[1]:g} s; give others")
+    return _telemetry(source.name, kept, names, rover, findings, synthetic=synthetic)
+
+
+def _numbers(file: str, table: "pd.DataFrame", rover: Rover, *, placed: bool) -> dict[str, FloatArray]:
+    """The columns that count, of a piece."""
     names = [str(name) for name in table.columns]
-    _check_wheels(source.name, names, rover)
-    _check_needed(source.name, names, placed=placed)
-    values = {name: numbers_of(source.name, name, table[name]) for name in _known(names, rover)}
-    _blank_infinities(values, findings)
-    count, wheels = len(table), len(rover.wheels)
-    blank = np.full(count, np.nan)
-    if not placed:
-        values |= dict.fromkeys(("x_m", "y_m", "sigma_m", *ERRORS), blank)
-    groups = {
-        key: np.column_stack([values.get(form.format(wheel), blank) for wheel in rover.wheels])
-        for key, form in WHEEL_COLUMNS.items()
-    }
-    for group, column in groups.items():
-        present = [WHEEL_COLUMNS[group].format(wheel) in values for wheel in rover.wheels]
+    _check_wheels(file, names, rover)
+    _check_needed(file, names, placed=placed)
+    known = [name for name in _known(names, rover) if placed or name not in OF_PLACES]
+    for form in WHEEL_COLUMNS.values():
+        present = [form.format(wheel) in names for wheel in rover.wheels]
         if any(present) and not all(present):
-            missing = WHEEL_COLUMNS[group].format(rover.wheels[present.index(False)])
-            raise DataError(f"{source.name}: no column {missing}, but those of other wheels; add it or drop them all")
-        if column.shape != (count, wheels):
-            raise DataError(f"{source.name}: columns of {group} have different lengths")
+            missing = form.format(rover.wheels[present.index(False)])
+            raise DataError(f"{file}: no column {missing}, but those of other wheels; add it or drop them all")
+    return {name: numbers_of(file, name, table[name]) for name in known}
+
+
+def _telemetry(
+    file: str, kept: RowsKept, names: list[str], rover: Rover, findings: Findings, *, synthetic: bool
+) -> Telemetry:
+    values = kept.joined()
+    count = len(values["time_s"])
+    blank = np.full(count, np.nan)
+    if "x_m" not in names:
+        values |= dict.fromkeys(("x_m", "y_m", "sigma_m", *ERRORS), blank)
     yaw_sigma = values.get("yaw_deg_sigma", blank)
     if not np.isfinite(yaw_sigma).any():
         done = f"{YAW_SIGMA_DEG:g} deg assumed; add a column yaw_deg_sigma"
-        findings.add("no heading error", "no errors of yaw_deg", done, count=count)
+        findings.add("no heading error", "no errors of yaw_deg", done, count=kept.read)
         yaw_sigma = np.full(count, YAW_SIGMA_DEG)
     return Telemetry(
-        file=source.name,
+        file=file,
         time_s=values["time_s"],
         fix_m=np.column_stack([values["x_m"], values["y_m"]]),
-        fix_covariance_m2=_covariance(source.name, values),
+        fix_covariance_m2=_covariance(file, values),
         **{name: values.get(name, blank) for name in POSE_COLUMNS if name != "yaw_deg_sigma"},
         yaw_deg_sigma=yaw_sigma,
-        **groups,
-        synthetic="synthetic" in names and bool(table["synthetic"].astype(str).str.lower().isin(["true", "1"]).any()),
+        **{
+            key: np.column_stack([values.get(form.format(wheel), blank) for wheel in rover.wheels])
+            for key, form in WHEEL_COLUMNS.items()
+        },
+        synthetic=synthetic,
+        rests_s=tuple(kept.rests_s),
+        rows=kept.read,
     )
 
 
-def _blank_infinities(values: dict[str, FloatArray], findings: Findings) -> None:
+def _count_infinities(values: dict[str, FloatArray], infinite: dict[str, int]) -> None:
+    """Blank what is infinite, and count it by column."""
     for name, column in values.items():
         if (wrong := np.isinf(column)).any():
-            findings.add("infinite values", f"{name} is infinite", "taken as blank", count=int(wrong.sum()))
+            infinite[name] = infinite.get(name, 0) + int(wrong.sum())
             values[name] = np.where(wrong, np.nan, column)
-
-
-def read_table(source: InputFile, findings: Findings) -> "pd.DataFrame":
-    """The cells of a table, by the ending of its file. Raises DataError."""
-    suffix = Path(source.name).suffix.lower()
-    if suffix != ".parquet":
-        check_rows(source.name, source.data.count(b"\n"))
-    if suffix == ".parquet":
-        table = _flat(source.name, read_parquet_table(source))
-    elif suffix == ".ecsv":
-        table = _read_ecsv(source)
-    else:
-        table = read_csv_table(_whole_lines(source, findings))
-    check_rows(source.name, len(table))
-    if not len(table):
-        raise DataError(f"{source.name}: no rows; check how it was made or downloaded")
-    return table
-
-
-def _whole_lines(source: InputFile, findings: Findings) -> InputFile:
-    """The file without a last line that may be cut: one that does not end."""
-    if source.data.startswith((b"\xff\xfe", b"\xfe\xff")) or source.data.endswith((b"\n", b"\r")):
-        return source
-    whole, _, cut = source.data.rpartition(b"\n")
-    if not whole.strip():
-        return source
-    number = source.data.count(b"\n") + 1
-    what = f"line {number} has no end ('{cut[-20:].decode(errors='replace')}'): the file may be cut there"
-    findings.add("truncated", what, "the line is left out; end it with a new line if it is whole")
-    return InputFile(source.name, whole + b"\n")
-
-
-def _read_ecsv(source: InputFile) -> "pd.DataFrame":
-    from astropy.table import Table
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            table = Table.read(io.BytesIO(source.data), format="ascii.ecsv")
-            units = {name: str(table[name].unit) for name in table.colnames if table[name].unit is not None}
-            frame = _flat(source.name, table.to_pandas())
-    except Exception as error:
-        raise DataError(f"{source.name}: not an ECSV table that can be read ({_line(error)})") from error
-    for name, unit in units.items():
-        _check_unit(source.name, name, unit)
-    return frame
-
-
-def _check_unit(file: str, name: str, unit: str) -> None:
-    """A column must be in the unit that its name says."""
-    from astropy import units as u
-
-    ends = {"_m_s": "m/s", "_deg_s": "deg/s", "_m2": "m2", "_deg_sigma": "deg", "_deg": "deg", "_s": "s", "_m": "m"}
-    wanted = next((text for end, text in ends.items() if name.endswith(end)), None)
-    if wanted is not None and u.Unit(unit) != u.Unit(wanted):
-        raise DataError(f"{file}: {name} is in {unit}, its name says {wanted}; convert it")
-
-
-def _flat(file: str, table: "pd.DataFrame") -> "pd.DataFrame":
-    import pandas as pd
-
-    names = [str(name).strip() for name in table.columns]
-    if twice := next((name for name, times in Counter(names).items() if times > 1), None):
-        raise DataError(f"{file}: two columns are called '{twice}'; keep one of them")
-    table = table.reset_index(drop=True)
-    table.columns = pd.Index(names)
-    return table
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split())[:120]
 
 
 def _known(names: list[str], rover: Rover) -> list[str]:

@@ -96,14 +96,14 @@ def change_of(nodes: Nodes) -> SlipProcess:
     believed = _believed(nodes)
     amplitude, length = believed.copy(), np.full(3, LENGTHS_M[1])
     model = linearised(nodes, dead_reckoned(nodes), amplitude[None], length[None])
-    reference = smoothed_back(model, *filtered(nodes, model)[:2])[0][:, 0]
+    reference = smoothed_back(model, *filtered(model)[:2])[0][:, 0]
     ln_a, ln_l = (part.ravel() for part in np.meshgrid(np.log(AMPLITUDES), np.log(LENGTHS_M), indexing="ij"))
     prior = -0.5 * ((ln_a + np.log(SHARES)[:, None] - np.log(believed)[:, None]) / WIDTH) ** 2
     weights = np.empty_like(prior)
     for channel in ORDER:
         tried_a, tried_l = np.repeat(amplitude[None], len(ln_a), axis=0), np.repeat(length[None], len(ln_a), axis=0)
         tried_a[:, channel], tried_l[:, channel] = np.exp(ln_a) * SHARES[channel], np.exp(ln_l)
-        likelihood = filtered(nodes, linearised(nodes, reference, tried_a, tried_l))[2]
+        likelihood = filtered(linearised(nodes, reference, tried_a, tried_l), kept=False)[2]
         weights[channel] = _normed(prior[channel] + likelihood)
         amplitude[channel] = math.exp(weights[channel] @ ln_a) * SHARES[channel]
         length[channel] = math.exp(weights[channel] @ ln_l)
@@ -154,6 +154,8 @@ def _draws(weights: FloatArray) -> IndexArray:
 
 
 ROUNDS = 2
+HELD_BYTES = 1 << 28
+"""Of covariances that are held at a time; assumptions are taken in turn where it would be more."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -235,7 +237,7 @@ def probable(nodes: Nodes, change: SlipProcess) -> tuple[FloatArray, float]:
     """State at the end (18,), and ln of how probable positions and headings are, up to a constant."""
     amplitude, length_m = change.usual[None], change.usual_length_m[None]
     reference, _ = _round(nodes, dead_reckoned(nodes), amplitude, length_m)
-    means, _, ln_likelihood = filtered(nodes, linearised(nodes, reference, amplitude, length_m))
+    means, _, ln_likelihood = filtered(linearised(nodes, reference, amplitude, length_m), kept=False)
     return means[-1, 0], float(ln_likelihood[0])
 
 
@@ -243,11 +245,18 @@ def _round(
     nodes: Nodes, reference: FloatArray, amplitude: FloatArray, length_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """States and their covariances, averaged over amplitudes and lengths (m, 3), linearised about a reference."""
-    model = linearised(nodes, reference, amplitude, length_m)
-    means, covariances = smoothed_back(model, *filtered(nodes, model)[:2])
+    each = max(1, HELD_BYTES // (8 * SIZE**2 * len(reference)))
+    parts, covariance = [], np.zeros((len(reference), SIZE, SIZE))
+    for first in range(0, len(amplitude), each):
+        some = slice(first, first + each)
+        model = linearised(nodes, reference, amplitude[some], length_m[some])
+        means, covariances = smoothed_back(model, *filtered(model)[:2])
+        parts.append(means)
+        covariance += covariances.sum(axis=1)
+    means = np.concatenate(parts, axis=1)
     mean = means.mean(axis=1)
     apart = means - mean[:, None]
-    return mean, covariances.mean(axis=1) + np.einsum("nmi,nmj->nij", apart, apart) / len(amplitude)
+    return mean, (covariance + np.einsum("nmi,nmj->nij", apart, apart)) / len(amplitude)
 
 
 def _yaw_squared_distances(nodes: Nodes, state: FloatArray, covariance: FloatArray) -> FloatArray:

@@ -8,6 +8,7 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.telemetry.reading import Findings, Telemetry
+from lunarsci.twin.telemetry.rests import TURNED_DEG
 
 UNITS = {
     np.pi / 180.0: "rad where degrees are wanted",
@@ -75,13 +76,16 @@ def wheel_motion(
     """
     per_deg = np.radians(rover.wheel.shearing_radius_m)
     _check_scale(telemetry, rover, per_deg)
-    steps = np.diff(telemetry.time_s)[:, None]
+    steps, resting = np.diff(telemetry.time_s)[:, None], resting_steps(telemetry)
     told = _between(telemetry.speed_m_s) / per_deg
     angle = np.diff(telemetry.angle_deg, axis=0)
     hung = _hanging_angles(telemetry, rover, angle, np.where(np.isfinite(told), told, _between(telemetry.rate_deg_s)))
     # The step at which an encoder that hung moves on holds all it missed.
     angle[hung | np.vstack([np.zeros_like(hung[:1]), hung[:-1]])] = np.nan
     rate = _between(_sound_rates(telemetry, rover, angle / steps, told, findings, hung))
+    # Noise of a wheel that stands is no motion: over hours it would add up to one.
+    for turn in (told, rate, angle):
+        turn[resting] *= 0.0
     expected = np.where(np.isfinite(rate), rate, told) * steps
     angle = _mended_steps(telemetry, rover, angle, expected, gaps, findings)
     measured = np.where(np.isfinite(angle), angle / steps, np.where(hung, np.nan, rate))
@@ -107,6 +111,17 @@ def _between(values: FloatArray) -> FloatArray:
     before, after = values[:-1], values[1:]
     both = 0.5 * (before + after)
     return np.where(np.isfinite(both), both, np.where(np.isfinite(before), before, after))
+
+
+def resting_steps(telemetry: Telemetry) -> BoolArray:
+    """Steps over which the rover stands: all wheels are told so, and none gets any further. (n - 1,)"""
+    told = (telemetry.speed_m_s == 0).all(axis=1)
+    resting = told[1:] & told[:-1]
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], resting.astype(np.int8), [0]])))
+    for begin, end in edges.reshape(-1, 2):
+        turned = np.abs(telemetry.angle_deg[begin + 1 : end + 1] - telemetry.angle_deg[begin])
+        resting[begin:end] = not (turned > TURNED_DEG).any()
+    return np.asarray(resting | telemetry.rested)
 
 
 def _check_scale(telemetry: Telemetry, rover: Rover, per_deg: float) -> None:
