@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from lunarsci.figure import PAGE_IN, as_label, legend_below, page
+from lunarsci.figure import PAGE_IN, as_label, headline, legend_below, page
 from lunarsci.spectra.band_status import BANDS
 from lunarsci.spectra.bands import SpectrumBands
 from lunarsci.spectra.indices import INDICES, OK, IndexColumn
@@ -29,7 +29,7 @@ COLORS = {
     "any": "#999999",
 }
 """Colours that remain distinct under colour-vision deficiency: Okabe & Ito (2008), Color Universal Design."""
-DASHES: Any = {"olivine": "-.", "orthopyroxene": "--", "clinopyroxene": (0, (7, 2)), "plagioclase": ":", "any": "-"}
+DASHES: Any = {"olivine": "-.", "orthopyroxene": "--", "clinopyroxene": (0, (7, 2)), "plagioclase": ":", "any": (0, (6, 1, 1, 1, 1, 1))}
 """Lines of the same minerals, told apart in grey."""
 OTHER = "0.3"
 """Colour of a mineral that has none of its own."""
@@ -62,7 +62,7 @@ def _pages(
             draw(upper, lower, item)
         legend_below(figure, [panel.axes[0] for panel in panels[: len(part)]], 4 if columns > 1 else 3)
         if total > 1:
-            figure.suptitle(f"page {number + 1} of {total}")
+            headline(figure, f"page {number + 1} of {total}")
         yield figure
 
 
@@ -83,7 +83,8 @@ def _draw_bands(upper: Any, lower: Any, item: SpectrumBands) -> None:
     top = float(np.max(smoothed))
     upper.set_ylim(max(0.0, float(np.min(smoothed)) - 0.15 * top), 1.2 * top)
     lower.axhline(1, color="0.8", linewidth=0.8, zorder=0)
-    lower.set_ylim(max(0.0, 1 - 1.4 * _deepest(item)), 1 + 0.35 * _deepest(item))
+    # The numbers below the deepest band need room.
+    lower.set_ylim(1 - 1.9 * _deepest(item), 1 + 0.35 * _deepest(item))
     _mark_centres(lower, item)
     upper.set_title(as_label(item.id, 48))
     upper.set_ylabel("reflectance [-]")
@@ -112,7 +113,7 @@ def _draw_fit(upper: Any, lower: Any, fit: MgmFit) -> None:
     wavelength, model = fit.wavelength_nm, fit.ln_model()
     upper.plot(wavelength, fit.reflectance, ".", color="0.6", markersize=3, label="measured")
     upper.plot(wavelength, np.exp(model), color="black", linewidth=1.2, label="model")
-    upper.plot(wavelength, fit.continuum_reflectance, "--", color="0.3", linewidth=1, label="continuum")
+    upper.plot(wavelength, fit.continuum_reflectance, color="0.6", linewidth=0.8, label="continuum")
     named: set[str] = set()
     for band in fit.bands:
         label = None if band.mineral in named else ("visible and UV" if band.mineral == "any" else band.mineral)
