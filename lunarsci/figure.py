@@ -164,42 +164,52 @@ def synthetic_title(text: str, synthetic: bool) -> str:
     return bare if "SYNTHETIC" in bare else f"SYNTHETIC: {bare}"
 
 
-AWAY_PT, NEAR_PT = (4.0, 10.0, 18.0, 28.0, 40.0), 8.0
-"""Gaps between a point and its name that are tried, and beyond which a thin line joins them. [points]"""
+AWAY_PT, NEAR_PT, LARGE_PT = (4.0, 10.0, 18.0, 28.0, 40.0), 8.0, 4.5
+"""Gaps between a point and its name that are tried, beyond which a thin line joins them, and half the size of markers
+that no name may hide. [points]"""
 DIRECTIONS = np.radians([30, -30, 150, -150, 90, -90, 0, 180, 60, -60, 120, -120])
 
 
-def name_points(figure: Any, named: "Mapping[Any, Sequence[tuple[str, float, float]]]", **look: Any) -> None:
+def name_points(
+    figure: Any, named: "Mapping[Any, Sequence[tuple[str, float, float]]]", *, clear_pt: float = 0.0, **look: Any
+) -> None:
     """Write names beside points of panels, each where it covers no other name and, if there is room, no other point.
 
     Parameters
     ----------
     figure : the whole page, with all else drawn.
     named : by panel, names and their points, in the order of their importance: a name that finds no place is left out.
+    clear_pt : half the size of the points' own markers, where these are large. [points]
     look : of the text.
     """
+    from matplotlib.transforms import Bbox
+
     figure.draw_without_rendering()
+    look = {"bbox": {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5}, **look}
     for axes, items in named.items():
         places = [np.asarray(axes.transData.transform((x, y))) for _, x, y in items]
-        dots = np.array([*places, *_marked(axes)]).reshape(-1, 2)
+        dots = np.array([*((*place, 2.0) for place in places), *_marked(axes)]).reshape(-1, 3)
         taken = [one.get_window_extent() for one in axes.texts]
+        taken += [Bbox.from_extents(x - h, y - h, x + h, y + h) for x, y, h in dots if h > LARGE_PT * figure.dpi / 72]
         if axes.get_legend() is not None:
             taken.append(axes.get_legend().get_window_extent())
         for (text, *point), place in zip(items, places, strict=True):
             if axes.bbox.contains(*place):
-                _name(axes, text, point, place, dots, taken, look)
+                _name(axes, text, (point, place, clear_pt), dots, taken, look)
 
 
 def _marked(axes: Any) -> "Iterator[Any]":
-    """Places of all markers of a panel. [px]"""
+    """Places of all markers of a panel, and half their sizes. [px]"""
     for line in axes.lines:
         if line.get_marker() not in ("None", "", " ", None) and line.get_transform() == axes.transData:
-            yield from axes.transData.transform(line.get_xydata())
+            half = 0.5 * line.get_markersize() * axes.figure.dpi / 72
+            yield from ((*place, half) for place in axes.transData.transform(line.get_xydata()))
 
 
-def _name(axes: Any, text: str, point: Any, place: Any, dots: Any, taken: list[Any], look: Mapping[str, Any]) -> None:
+def _name(axes: Any, text: str, where: Any, dots: Any, taken: list[Any], look: Mapping[str, Any]) -> None:
     from matplotlib.transforms import Bbox
 
+    point, place, clear = where
     trial = axes.annotate(text, point, xytext=(0, 0), textcoords="offset points", **look)
     size, scale = np.array(trial.get_window_extent().size), axes.figure.dpi / 72
     trial.remove()
@@ -207,13 +217,14 @@ def _name(axes: Any, text: str, point: Any, place: Any, dots: Any, taken: list[A
     for away in AWAY_PT:
         for angle in DIRECTIONS:
             way = np.array([np.cos(angle), np.sin(angle)])
-            corner = place + scale * away * way + 0.5 * size * (np.clip(1.6 * way, -1, 1) - 1)
+            corner = place + scale * (away + clear) * way + 0.5 * size * (np.clip(1.6 * way, -1, 1) - 1)
             box = Bbox.from_bounds(*corner, *size)
-            inside = axes.bbox.containsx(box.x0) and axes.bbox.containsx(box.x1)
-            inside &= axes.bbox.containsy(box.y0) and axes.bbox.containsy(box.y1)
+            room = axes.bbox.padded(-2.0 * scale)
+            inside = room.x0 < box.x0 and box.x1 < room.x1 and room.y0 < box.y0 and box.y1 < room.y1
             if not inside or any(box.padded(1.0).overlaps(other) for other in taken):
                 continue
-            hidden = np.all((dots > corner - 2.0) & (dots < corner + size + 2.0), axis=1).sum()
+            half = dots[:, 2:]
+            hidden = np.all((dots[:, :2] > corner - half) & (dots[:, :2] < corner + size + half), axis=1).sum()
             cost = away + 12.0 * float(hidden)
             if best is None or cost < best[0]:
                 best = cost, (corner - place) / scale, away, box

@@ -191,9 +191,10 @@ def _entries(legend: Any) -> Iterator[tuple[str, str, Any, float]]:
     """Name, whether it is a line or an area, what tells it apart in grey but its lightness, and that."""
     from matplotlib.colors import to_rgba
     from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
 
     def lightness(color: Any) -> float:
-        r, g, b, a = to_rgba(color) if not isinstance(color, str) or color != "none" else (1, 1, 1, 1)
+        r, g, b, a = to_rgba(color)
         return float(a * np.dot((r, g, b), (0.299, 0.587, 0.114)) + 1 - a)
 
     for column in legend._legend_handle_box.get_children():
@@ -206,9 +207,10 @@ def _entries(legend: Any) -> Iterator[tuple[str, str, Any, float]]:
                     look.append((one._unscaled_dash_pattern, round(one.get_linewidth())) if line else None)
                     look.append((one.get_marker(), round(one.get_markersize() / 2)) if marker else None)
                     light = lightness(one.get_color() if line else one.get_markerfacecolor())
-                elif hasattr(one, "get_hatch") and hasattr(one, "get_fill"):
-                    look.append((one.get_hatch(), one.get_linestyle() if not one.get_fill() else ""))
-                    light = lightness(one.get_facecolor() if one.get_fill() else one.get_edgecolor())
+                elif isinstance(one, Patch):
+                    filled = one.get_fill() and one.get_facecolor()[3] > 0
+                    look.append((one.get_hatch(), None if filled else str(one._unscaled_dash_pattern)))  # type: ignore[attr-defined]
+                    light = lightness(one.get_facecolor() if filled else one.get_edgecolor())
             yield label.get_text(), kind, tuple(look), light
 
 

@@ -44,7 +44,7 @@ def match_pages(matches: Sequence[RockMatch], site: Point) -> Iterator[Figure]:
         legend_below(above, panels)
         _draw_bars(below, match, scale)
         headline(figure, f"{as_label(match.rock.id, 60)}: {match.status}")
-        name_points(figure, named, bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5})
+        name_points(figure, named)
         yield figure
 
 

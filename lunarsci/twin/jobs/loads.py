@@ -126,10 +126,13 @@ class MotionLoads(Result):
         return list(held_table(self.found).to_dict("records"))  # type: ignore[arg-type]
 
     def figures(self) -> "Iterator[Figure]":
+        from lunarsci.figure import file_label
         from lunarsci.twin.figures.wheel_states import force_figure
 
-        found, axis = self.found, (self.found.motion.time_s, "Time [s]")
-        yield force_figure(self.known.rover.wheels, axis, found.states, self.title, found.residual_n)
+        found, axis = self.found, (self.found.motion.time_s, "time [s]")
+        synthetic = self.known.terrain.synthetic
+        title = self.title.replace(self.motion.name, file_label(self.motion.name))
+        yield force_figure(self.known.rover.wheels, axis, found.states, title, found.residual_n, synthetic=synthetic)
 
 
 def _missing(found: "PrescribedLoads") -> dict[str, float]:
@@ -242,9 +245,12 @@ class UncertainLoads(Result):
         return {"forces.csv": lambda: csv_bytes(force_table(self.found, self.states))}
 
     def figures(self) -> "Iterator[Figure]":
+        from lunarsci.figure import file_label
         from lunarsci.twin.figures.wheel_states import force_band_figure
 
-        yield force_band_figure(self.found, self.title)
+        motion = self.given["motion"].name
+        title = self.title.replace(motion, file_label(motion))
+        yield force_band_figure(self.found, title, synthetic=self.known.terrain.synthetic)
 
 
 def loads(
