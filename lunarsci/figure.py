@@ -221,7 +221,7 @@ def _name(axes: Any, text: str, where: Any, dots: Any, taken: list[Any], look: M
             box = Bbox.from_bounds(*corner, *size)
             room = axes.bbox.padded(-2.0 * scale)
             inside = room.x0 < box.x0 and box.x1 < room.x1 and room.y0 < box.y0 and box.y1 < room.y1
-            if not inside or any(box.padded(1.0).overlaps(other) for other in taken):
+            if not inside or any(box.padded(2.0 * scale).overlaps(other) for other in taken):
                 continue
             half = dots[:, 2:]
             hidden = np.all((dots[:, :2] > corner - half) & (dots[:, :2] < corner + size + half), axis=1).sum()

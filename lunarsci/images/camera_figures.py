@@ -62,7 +62,7 @@ def range_page(
     names: Sequence[str], ranges_m: FloatArray, random_m: Sequence[FloatArray], common_m: Sequence[FloatArray]
 ) -> "Figure":
     """Random and common error of the range of a single point, by its range."""
-    figure = page(4.4, 5.6)
+    figure = page(4.0 + 0.15 * 2 * len(names), 5.6)
     axis: Any = figure.subplots()
     for k, name in enumerate(names):
         look: Any = LINE_STYLES[k % len(LINE_STYLES)]

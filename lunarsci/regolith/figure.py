@@ -63,7 +63,9 @@ def comparison_figure(
     own = curves or {}
     named = {bearing: _bearing(bearing, site, found, width_m, own.get("bearing", ()))}
     named[shear] = _shear(shear, site, [item for item in found if item.soil.kind != "lunar"], own.get("shear", ()))
-    named[missions] = _shear(missions, site, [item for item in found if item.soil.kind == "lunar"], own.get("shear", ()))
+    named[missions] = _shear(
+        missions, site, [item for item in found if item.soil.kind == "lunar"], own.get("shear", ())
+    )
     named[lateral] = _lateral(lateral, site, own.get("lateral", ()))
     bearing.set_title(f"a  bearing, wheel {1e3 * width_m:.0f} mm wide", loc="left")
     shear.set_title("b  shear, terrestrial soils and simulants", loc="left")
@@ -135,7 +137,7 @@ def _lateral(axes: Any, site: Site, curve: Sequence[Any]) -> Named:
 
 def _named(soil: str) -> str:
     """The name of a soil in short lines."""
-    return "\n".join(textwrap.wrap(as_label(soil, 52), 28)).replace("K_y", "K$_y$")
+    return "\n".join(textwrap.wrap(as_label(soil, 52).replace(" %", "\u00a0%"), 28)).replace("K_y", "K$_y$")
 
 
 def _law_curve(axes: Any, points: Sequence[Mapping[str, Any]], x: str, y: str) -> None:
@@ -325,7 +327,9 @@ def _mark(axes: Any, found: Identification, x: str, y: str) -> None:
             if solved == y
             else (estimate.value, given, None, estimate.sigma)
         )
-        axes.errorbar(*at, fmt=SOLVED[partner], color=ORANGE, capsize=3, label=f"solved at {_short(partner)} = {given:g}")
+        axes.errorbar(
+            *at, fmt=SOLVED[partner], color=ORANGE, capsize=3, label=f"solved at {_short(partner)} = {given:g}"
+        )
 
 
 SOLVED = {"exponent": "o", "stiffness_kpa_m_n": "v", "cohesion_pa": "D", "friction_angle_deg": "^"}

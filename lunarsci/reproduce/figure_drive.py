@@ -60,7 +60,9 @@ def _fans(found: Prediction) -> "Figure":
         _draw_ends(ends, found, parameter, members)
         ends.set_title(f"{letters[1]}  its ends", loc="left")
         varied, per = SYMBOLS[parameter]
-        bar = part.colorbar(_scale(found.parameters[parameter]), ax=whole, orientation="horizontal", aspect=40, pad=0.03)
+        bar = part.colorbar(
+            _scale(found.parameters[parameter]), ax=whole, orientation="horizontal", aspect=40, pad=0.03
+        )
         bar.set_label(f"{varied} [{per.strip()}]")
         legend_below(part, (whole, ends), 3)
     title = (

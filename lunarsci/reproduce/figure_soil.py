@@ -84,7 +84,9 @@ def histograms(wheel: Wheel, draws: int = DRAWS, seed: int = 0) -> tuple[Histogr
         angle = inversion.friction_angle(sheared[:, 0], sheared[:, 1], sheared[:, 4], COHESION_PA)
     return (
         _histogram("sinkage exponent N at 5 mm [-]", "-", "exponent-5mm", "exponent-sd", exponent),
-        _histogram("stiffness K$_s$ at 15 mm [kPa m$^{-N}$]", "m$^N$/kPa", "stiffness-15mm", "stiffness-sd-15mm", stiffness),
+        _histogram(
+            "stiffness K$_s$ at 15 mm [kPa m$^{-N}$]", "m$^N$/kPa", "stiffness-15mm", "stiffness-sd-15mm", stiffness
+        ),
         _histogram("friction angle φ at 520 Pa [°]", "1/°", "friction-angle", "friction-angle-sd", angle),
     )
 
@@ -190,7 +192,7 @@ def _own(name: str) -> bool:
 
 def _short(name: str) -> str:
     """Water by weight is in the names of most."""
-    return "\n".join(textwrap.wrap(name.replace(" % water", " %"), 22))
+    return "\n".join(textwrap.wrap(name.replace(" % water", "\u00a0%"), 22))
 
 
 def _shear(axes: "Axes", wheel: Wheel) -> Named:

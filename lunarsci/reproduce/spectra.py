@@ -333,8 +333,9 @@ def _plane(rocks: Rocks | None) -> "Figure":
         found = centres()
         axes.plot(*found.T, marker, color=color, alpha=0.45, markersize=4, zorder=0.5, label=f"laboratory: {name}")
         about = published_value(f"{key}-1um"), published_value(f"{key}-2um")
-        look: Any = {"color": color, "markeredgecolor": PUBLISHED, "markersize": 15 if marker == "o" else 11}
-        axes.plot(*about, star, label=f"published: about, {name}", **look)
+        size = 15 if marker == "o" else 11
+        label = f"published: about, {name}"
+        axes.plot(*about, star, color=color, markeredgecolor=PUBLISHED, markersize=size, label=label)
     if rocks:
         axes.plot([], [], "o", color="black", markersize=4, label="boulders that were given")
     axes.set_xlim(885.0, np.nextafter(1110.0, 0))

@@ -129,7 +129,7 @@ def _draw(figure: "Figure", panel: Any, image: FloatArray, layer: Layer | None, 
     bar = figure.colorbar(drawn, ax=panel, orientation="horizontal", fraction=0.05, pad=0.02, extend="both")
     bar.ax.locator_params(nbins=4)
     bar.set_label("[-]" if layer.units == "1" else f"[{layer.units}]")
-    panel.set_title("\n".join([layer.name, *textwrap.wrap(as_label(layer.long_name, 60), 26)]))
+    panel.set_title("\n".join([layer.name, *textwrap.wrap(as_label(layer.long_name, 60), 22)]), pad=9)
 
 
 def _worst_flag(image: FloatArray) -> FloatArray:

@@ -249,7 +249,7 @@ MOST_NAMES = 12
 
 
 def library_pages(members: Sequence[EndMember]) -> "Iterator[Figure]":
-    """One page; colour runs with the first component of the chemistry, grey where it is unknown; at most 12 are named."""
+    """One page; colour runs with the first component of the chemistry, grey where unknown; at most 12 are named."""
     from lunarsci.figure import page
 
     groups = {mineral: [m for m in members if m.mineral == mineral] for mineral in (*MINERALS, None)}
@@ -276,13 +276,13 @@ def _draw(panel: Any, mineral: str | None, group: Sequence[EndMember]) -> None:
     shares = [getattr(member, key) if key else None for member in group]
     order = sorted(range(len(group)), key=lambda k: 2.0 if shares[k] is None else shares[k])
     for place, (member, share) in enumerate((group[k], shares[k]) for k in order):
-        # Dashes tell in grey what one colour does not.
-        dark = "0.15" if place // len(LINE_STYLES) % 2 else "0.55"
-        color = dark if share is None else colormaps["viridis"](0.9 * share)
+        # Dashes and widths tell in grey what one colour does not.
+        color = "0.4" if share is None else colormaps["viridis"](0.9 * share)
         known = "" if share is None else f", {key.capitalize()} {100 * share:.0f}"
         dashes = LINE_STYLES[place % len(LINE_STYLES)]["linestyle"] if len(group) <= MOST_NAMES else "-"
-        look: Any = {"color": color, "linestyle": dashes, "linewidth": 1, "label": f"{as_label(member.id, 24)}{known}"}
-        panel.plot(member.wavelength_nm, member.reflectance, **look)
+        width = 1.0 + 0.8 * (place // len(LINE_STYLES) % 2) if len(group) <= MOST_NAMES else 0.8
+        look: Any = {"linestyle": dashes, "linewidth": width, "label": f"{as_label(member.id, 24)}{known}"}
+        panel.plot(member.wavelength_nm, member.reflectance, color=color, **look)
     by = f", dark to bright by {key.capitalize()}" if any(share is not None for share in shares) else ""
     panel.set_title(f"{mineral or 'mineral not stated'}: {len(group)}{by}")
     panel.set_xlabel("wavelength [nm]")

@@ -18,7 +18,8 @@ CONTINUUM_LOOKS = {
     "hull": {"color": "#D55E00", "linestyle": "-."},
     "linear": {"color": "#009E73", "linestyle": ":"},
 }
-PER_PAGE = 6
+PER_PAGE, LONGEST = 6, 38
+"""Spectra of a page, and letters of a name that fit above a panel."""
 INVISIBLE = 0.002
 """A band shallower than this in ln R is not drawn, so that the continuum stays visible."""
 COLORS = {
@@ -29,7 +30,13 @@ COLORS = {
     "any": "#999999",
 }
 """Colours that remain distinct under colour-vision deficiency: Okabe & Ito (2008), Color Universal Design."""
-DASHES: Any = {"olivine": "-.", "orthopyroxene": "--", "clinopyroxene": (0, (7, 2)), "plagioclase": ":", "any": (0, (6, 1, 1, 1, 1, 1))}
+DASHES: Any = {
+    "olivine": "-.",
+    "orthopyroxene": "--",
+    "clinopyroxene": (0, (7, 2)),
+    "plagioclase": ":",
+    "any": (0, (6, 1, 1, 1, 1, 1)),
+}
 """Lines of the same minerals, told apart in grey."""
 OTHER = "0.3"
 """Colour of a mineral that has none of its own."""
@@ -86,7 +93,7 @@ def _draw_bands(upper: Any, lower: Any, item: SpectrumBands) -> None:
     # The numbers below the deepest band need room.
     lower.set_ylim(1 - 1.9 * _deepest(item), 1 + 0.35 * _deepest(item))
     _mark_centres(lower, item)
-    upper.set_title(as_label(item.id, 48))
+    upper.set_title(as_label(item.id, LONGEST))
     upper.set_ylabel("reflectance [-]")
     lower.set_ylabel("reflectance /\ncontinuum [-]")
     lower.set_xlabel("wavelength [nm]")
@@ -136,7 +143,7 @@ def _draw_fit(upper: Any, lower: Any, fit: MgmFit) -> None:
 def _fit_title(fit: MgmFit) -> str:
     ratio = fit.nbsr.get("um2")
     strength = f", NBSR at 2 µm {ratio.opx:.2f} ± {ratio.sigma:.2f}" if ratio else ""
-    return f"{as_label(fit.id, 48)}\nrms {100 * fit.rms_ln:.2f} %{strength}"
+    return f"{as_label(fit.id, LONGEST)}\nrms {100 * fit.rms_ln:.2f} %{strength}"
 
 
 def index_pages(spectra: Sequence[Spectrum], columns: Mapping[str, IndexColumn]) -> Iterator[Figure]:

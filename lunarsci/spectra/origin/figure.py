@@ -8,7 +8,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from lunarsci.arrays import FloatArray
-from lunarsci.figure import INK, as_label, headline, legend_below, name_points, page
+from lunarsci.figure import INK, LETTER_PT, PAGE_IN, as_label, headline, legend_below, name_points, page
 from lunarsci.spectra.origin.catalogue import Point, azimuth_deg, destination, distance_km
 from lunarsci.spectra.origin.match import OTHER, CraterMatch, RockMatch
 
@@ -125,10 +125,13 @@ def _draw_bars(part: Any, match: RockMatch, scale: Normalize) -> None:
         place - 0.2, [row[2] for row in rows], 0.36, color=colors, label="posterior", edgecolor=INK, linewidth=0.4
     )
     largest = max(max(row[1], row[2]) for row in rows)
-    for y, row in zip(place, rows, strict=True):
-        axes.text(max(row[1], row[2]) + 0.02 * largest, y, f"ln BF {row[3]}", va="center", color=INK)
+    texts = [f"ln BF {row[3]}" for row in rows]
+    for y, row, text in zip(place, rows, texts, strict=True):
+        axes.text(max(row[1], row[2]) + 0.02 * largest, y, text, va="center", color=INK)
     axes.set_yticks(place, [as_label(row[0]) for row in rows])
-    axes.set_xlim(0, 1.3 * largest)
+    letters = LETTER_PT * np.array([7.0 * max(len(as_label(row[0])) for row in rows), 8.0 * max(map(len, texts))])
+    share = letters[1] / (72 * PAGE_IN - 30 - letters[0]) + 0.04
+    axes.set_xlim(0, largest / (1 - min(share, 0.7)))
     axes.set_xlabel("probability [-]")
     axes.set_title("before and after the composition; ln BF: Bayes factor of the composition alone")
     legend_below(part, axes)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.figure import INK, as_label, headline, legend_below, name_points, page
-from lunarsci.result import unit_of
+from lunarsci.result import UNITS, unit_of
 from lunarsci.twin.designs.trade import Design
 from lunarsci.twin.figures.panels import ACCENT, GOLD, LIMIT
 
@@ -63,7 +63,7 @@ def front_page(designs: Sequence[Design], front: Sequence[int], *, synthetic: bo
     headline(figure, f"{len(designs)} designs on the same soils{more}", synthetic=synthetic)
     if known:
         named = [(_values(designs[n]), energy[n], risk[n]) for n in list(front)[:MOST_NAMED]]
-        name_points(figure, {axes: named}, color=INK)
+        name_points(figure, {axes: named}, clear_pt=5.0, color=INK)
     return figure
 
 
@@ -92,8 +92,9 @@ def curve_page(designs: Sequence[Design], names: Sequence[str], *, synthetic: bo
 def _label(name: str) -> str:
     """A varied key of the rover, such as `wheel.radius_m`, as a label with its unit."""
     unit = unit_of(name)
-    bare = name.removesuffix(f"_{unit.replace(' ', '').lower()}") if unit else name
-    return f"{as_label(bare.replace('.', ' ').replace('_', ' '))} [{unit or '-'}]"
+    ends = [end for end in UNITS if name.endswith(f"_{end}")] if unit else []
+    bare = name.removesuffix(f"_{max(ends, key=len)}") if ends else name
+    return f"{as_label(bare.replace('.', ' ').replace('_', ' '))} [{unit.replace(' / ', '/') or '-'}]"
 
 
 def _draw_curve(axes: "Axes", values: Any, measured: Any) -> None:

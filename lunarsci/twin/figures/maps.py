@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
-from lunarsci.figure import INK, PAGE_IN, as_label, headline, legend_below, page, wrapped
+from lunarsci.figure import INK, PAGE_IN, as_label, headline, legend_below, page
 from lunarsci.regolith.figure import PARAMETER_LABELS
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.twin.assimilation.change_point import traverse_of, wheel_places

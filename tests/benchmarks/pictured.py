@@ -172,10 +172,14 @@ def ties(count: int = 2, name: str = "stop") -> "Figure":
     matches, random = heights().matches, np.random.default_rng(4)
     u, v = (grid.ravel().astype(float) for grid in np.meshgrid(np.arange(30, 300, 30), np.arange(120, 290, 30)))
     far, ones = np.stack([u, v], axis=1), np.ones(len(u))
-    found = TiePoints(far + [3.0, 9.0], 30 * ones, ones, far, 28 * ones, ones, np.zeros((len(u), 2, 2)), 0.9 * ones)
+    found = TiePoints(
+        far + np.array([3.0, 9.0]), 30 * ones, ones, far, 28 * ones, ones, np.zeros((len(u), 2, 2)), 0.9 * ones
+    )
     poses = tuple(replace(heights().pose, center_m=np.array([2.0 * k, 0.1 * k, 1.5])) for k in range(count))
     told = [replace(pose, center_m=pose.center_m + 0.12 * k) for k, pose in enumerate(poses)]
-    stations = tuple(Station(name=f"{name}{k}", matches=matches, pose=told[k], covariance=1e-4 * np.eye(6)) for k in range(count))
+    stations = tuple(
+        Station(name=f"{name}{k}", matches=matches, pose=told[k], covariance=1e-4 * np.eye(6)) for k in range(count)
+    )
     covariance = 1e-4 * np.eye(6 * (count - 1))
     off = 0.3 * random.standard_normal(far.shape)
     weights = (random.uniform(0.2, 1.0, len(u)),)
@@ -339,7 +343,7 @@ def library(count: int = 3) -> "Figure":
     members = []
     for k in range(2 * count):
         made = spectrum(f"SYNTHETIC {k + 1}", 0.2 + 0.02 * k, 910.0 + 10 * k)
-        share = None if k == 2 * count - 1 else 0.1 + 0.6 * k / count
+        share = None if k == 2 * count - 1 else 0.1 + 0.4 * k / count
         members.append(
             EndMember(
                 id=made.id, mineral=("orthopyroxene", "clinopyroxene")[k % 2], wavelength_nm=made.wavelength_nm,
@@ -482,8 +486,161 @@ PICTURES: dict[str, Callable[[], "Figure"]] = {
 
 MEASURED = {
     *("cameras", "forces", "traction", "soils", "identify", "reproduce rock", "reproduce soil", "reproduce missions"),
-    *("reproduce errors", *(name for name in PICTURES if name.startswith("report"))),
+    *("film", "reproduce errors", *(name for name in PICTURES if name.startswith("report"))),
 }
-"""Kinds whose example is made of numbers of the literature, or of models alone, and pictures of a page that says it."""
-CROWDED: dict[str, Callable[[], "Figure"]] = {}
-"""The same with many items, long names and missing values."""
+"""Kinds whose example is made of numbers of the literature, or of models alone, pictures of a page that says it, and
+films, whose title is a part of an image."""
+
+
+LONG = "a name of a measurement that is much longer than names should be"
+
+
+def many(job: str, count: int, **options: Any) -> "Figure":
+    """The first page of spectra with long names, one of them without the second band."""
+    own = [spectrum(f"SYNTHETIC {k}, {LONG}", 0.1 + 0.02 * k, 915.0 + 7.0 * k) for k in range(count)]
+    return getattr(lunarsci, job)(own, **options).plot()
+
+
+def plane_of(count: int) -> "Figure":
+    own = [spectrum(f"SYNTHETIC {k}, {LONG}", 0.1 + 0.02 * k, 922.0 + 2.0 * k) for k in range(count)]
+    return next(iter(lunarsci.bands(own).plane()))
+
+
+def shares(count: int) -> "Figure":
+    from lunarsci.spectra.abundance.result import share_pages
+
+    [own, *_] = [found[0] for found in unmixed().abundances.values()]
+    return next(iter(share_pages([replace(own, id=f"{k} {LONG}") for k in range(count)])))
+
+
+def norms(count: int) -> "Figure":
+    from lunarsci.spectra.abundance.normative import normative_pages
+
+    own = list(unmixed().normatives.values())[-1]
+    return next(iter(normative_pages([f"{k} {LONG}" for k in range(count)], [own] * count)))
+
+
+def craters(count: int, apart_deg: float = 1.2) -> "Figure":
+    """Craters with long names, crowded about the site."""
+    from lunarsci.spectra.origin.catalogue import distance_km
+    from lunarsci.spectra.origin.figure import match_pages
+
+    [one] = matched().matches
+    random, own = np.random.default_rng(3), next(item for item in one.craters if not item.contains_site)
+    latitude, longitude = matched().site
+    crowd = []
+    for k in range(count):
+        crater = replace(
+            own.crater, name=f"{k} {LONG}", latitude_deg=latitude + float(random.normal(0, apart_deg)),
+            longitude_deg=longitude + float(random.normal(0, apart_deg)), diameter_km=float(random.uniform(3, 40)),
+        )  # fmt: skip
+        prior = replace(own.prior, distance_km=distance_km(matched().site, crater.center))
+        crowd.append(replace(own, crater=crater, prior=prior, posterior=0.9 / count))
+    rock = replace(one.rock, id=f"SYNTHETIC {LONG}")
+    return next(iter(match_pages([replace(one, rock=rock, craters=tuple(crowd))], matched().site)))
+
+
+def ranges(count: int) -> "Figure":
+    from lunarsci.images.camera_figures import range_page
+
+    away = np.geomspace(1, 20, 20)
+    errors = [1e-4 * (k + 1) * away**2 for k in range(count)]
+    return range_page([f"{k} {LONG}" for k in range(count)], away, errors, errors)
+
+
+def site(**stated: float) -> "Figure":
+    """A site given by numbers, some of them missing."""
+    from lunarsci.regolith.jobs.compare_soils import compare_soils
+
+    return compare_soils(**stated).plot()
+
+
+def histories(count: int) -> "Figure":
+    """Many drives, of which one taught nothing, beside another belief with a long name."""
+    from lunarsci.regolith.figure import belief_history_figure
+
+    belief = learned().belief
+    entries = [{**belief.history[0], "refused": "too far off" if k == 3 else None} for k in range(count)]
+    crowd = replace(belief, history=tuple(entries))
+    other = replace(belief, history=({**belief.history[0], "sha256": "0"},))
+    return belief_history_figure(crowd, LONG, other, (LONG, f"another {LONG}"), synthetic=True)
+
+
+def candidates(count: int, page: int) -> "Figure":
+    """Drives of long names about the chosen one, a dozen of them not beaten."""
+    from lunarsci.twin.figures.choice import candidate_map, front_page
+
+    found = chosen()
+    crowd = []
+    for k in range(count):
+        own = found.choice.candidates[k % len(found.choice.candidates)]
+        crowd.append(replace(own, number=k + 1, plan=replace(own.plan, name=f"{k} {LONG}"), pareto=k % 4 == 0))
+    choice = replace(found.choice, candidates=tuple(crowd))
+    return front_page(choice) if page else candidate_map(found.surface, choice)
+
+
+def long_mission(count: int, page: int) -> "Figure":
+    """Targets of long names close together, some of them not reached."""
+    from lunarsci.twin.figures.mission import mission_map, timetable
+
+    found, random = mission(), np.random.default_rng(2)
+    [own] = found.driven.targets
+    crowd = []
+    for k in range(count):
+        x, y = 3.0 + random.uniform(-1, 1), random.uniform(-1, 1)
+        target = replace(own.target, name=f"{k} {LONG}", x_m=float(x), y_m=float(y))
+        fate = "reached" if k % 3 else "out of reach"
+        crowd.append(replace(own, target=target, fate=fate, arrival_s=300.0 + 15 * k))
+    driven = replace(found.driven, targets=tuple(crowd))
+    return timetable(driven, synthetic=True) if page else mission_map(found.surface, driven)
+
+
+def trade(count: int, page: int) -> "Figure":
+    """Designs of three numbers, many of them on the front."""
+    from lunarsci.twin.figures.designs import curve_page, front_page
+
+    random, own = np.random.default_rng(1), next(one for one in traded().designs if one.outcome)
+    names = ("wheel.radius_m", "mass.body_kg", "wheel.lug_height_m", "drive.speed_m_s")
+    crowd = []
+    for k in range(count):
+        outcome = replace(own.outcome, energy_p50_j=50.0 + k, kept_share=1 - 0.015 * (count - k) / count)
+        values = {name: float(value) for name, value in zip(names, random.uniform(0.1, 0.2, 4), strict=True)}
+        crowd.append(replace(own, values=values, outcome=outcome))
+    return curve_page(crowd, names, synthetic=True) if page else front_page(crowd, range(count), synthetic=True)
+
+
+def missing_spectra() -> "Figure":
+    """Six spectra of long names in a report, with values that are missing."""
+    document = calibrated().to_dict()["spectra"][0] if "spectra" in calibrated().to_dict() else {}
+    own = [{**document, "id": f"{k} {LONG}", "reflectance": [None, *document["reflectance"][1:]]} for k in range(6)]
+    return chart(calibrated(), spectra=own)
+
+
+CROWDED: dict[str, Callable[[], "Figure"]] = {
+    "many bands": lambda: many("bands", 20),
+    "many fits": lambda: many("fit", 6, starts=1),
+    "many centres": lambda: plane_of(12),
+    "many shares": lambda: shares(40),
+    "many norms": lambda: norms(40),
+    "one share": lambda: shares(1),
+    "30 craters": lambda: craters(30),
+    "30 craters far apart": lambda: craters(30, 8.0),
+    "one crater": lambda: craters(1),
+    "12 end members": lambda: library(12),
+    "40 end members": lambda: library(40),
+    "many cameras": lambda: ranges(6),
+    "many stations": lambda: ties(9, f"station of {LONG}"),
+    "a map of many parts": lambda: merged(5),
+    "a site": lambda: site(stiffness=1400.0, exponent=1.0),
+    "a site's shear": lambda: site(cohesion=520.0, friction_angle=40.0),
+    "many drives": lambda: histories(30),
+    "50 candidates": lambda: candidates(50, 0),
+    "50 risks": lambda: candidates(50, 1),
+    "12 targets": lambda: long_mission(12, 0),
+    "12 arrivals": lambda: long_mission(12, 1),
+    "one path": lambda: lunarsci.predict(written("short.toml", PLAN)).plot(),
+    "50 designs": lambda: trade(50, 0),
+    "50 design curves": lambda: trade(50, 1),
+    "a report's spectra": missing_spectra,
+}
+"""The same with many items, with one, with long names and with missing values."""
