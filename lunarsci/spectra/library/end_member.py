@@ -273,8 +273,8 @@ def _draw(panel: Any, mineral: str | None, group: Sequence[EndMember]) -> None:
     from lunarsci.figure import LINE_STYLES, as_label
 
     key = CHEMISTRY.get(mineral or "", ("",))[0]
-    shares = [getattr(member, key) if key else None for member in group]
-    order = sorted(range(len(group)), key=lambda k: 2.0 if shares[k] is None else shares[k])
+    shares: list[float | None] = [getattr(member, key) if key else None for member in group]
+    order = sorted(range(len(group)), key=lambda k: (shares[k] is None, shares[k] or 0.0))
     for place, (member, share) in enumerate((group[k], shares[k]) for k in order):
         # Dashes and widths tell in grey what one colour does not.
         color = "0.4" if share is None else colormaps["viridis"](0.9 * share)
