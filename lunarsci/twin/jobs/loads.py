@@ -105,8 +105,8 @@ class MotionLoads(Result):
     @property
     def title(self) -> str:
         """What the forces are of, for tables and pictures."""
-        poses = len(self.found.motion.time_s)
-        return f"Wheel forces along {self.motion.name}, {poses} poses on {self.known.terrain.name}"
+        poses = f"{len(self.found.motion.time_s)} poses on {self.known.terrain.name}"
+        return f"Wheel forces along {self.motion.name}, {poses}"
 
     @property
     def missing(self) -> dict[str, float] | None:
@@ -126,13 +126,11 @@ class MotionLoads(Result):
         return list(held_table(self.found).to_dict("records"))  # type: ignore[arg-type]
 
     def figures(self) -> "Iterator[Figure]":
-        from lunarsci.figure import file_label
         from lunarsci.twin.figures.wheel_states import force_figure
 
-        found, axis = self.found, (self.found.motion.time_s, "time [s]")
-        synthetic = self.known.terrain.synthetic
-        title = self.title.replace(self.motion.name, file_label(self.motion.name))
-        yield force_figure(self.known.rover.wheels, axis, found.states, title, found.residual_n, synthetic=synthetic)
+        found, title = self.found, self.title.replace(name := self.motion.name, Path(name).name)
+        drawn = (self.known.rover.wheels, (found.motion.time_s, "time [s]"), found.states, title, found.residual_n)
+        yield force_figure(*drawn, synthetic=self.known.terrain.synthetic)
 
 
 def _missing(found: "PrescribedLoads") -> dict[str, float]:
@@ -245,11 +243,9 @@ class UncertainLoads(Result):
         return {"forces.csv": lambda: csv_bytes(force_table(self.found, self.states))}
 
     def figures(self) -> "Iterator[Figure]":
-        from lunarsci.figure import file_label
         from lunarsci.twin.figures.wheel_states import force_band_figure
 
-        motion = self.given["motion"].name
-        title = self.title.replace(motion, file_label(motion))
+        title = self.title.replace(motion := self.given["motion"].name, Path(motion).name)
         yield force_band_figure(self.found, title, synthetic=self.known.terrain.synthetic)
 
 
