@@ -48,8 +48,10 @@ def grey(content: bytes) -> Any:
 
 
 def rendered(figure: "Figure") -> bytes:
+    """As a file of 100 px an inch; a page that has no room for what is on it is an error."""
     buffer = io.BytesIO()
-    with styled():
+    with styled(), warnings.catch_warnings():
+        warnings.filterwarnings("error", message="constrained_layout not applied")
         figure.savefig(buffer, format="png", dpi=100)
     return buffer.getvalue()
 
@@ -266,6 +268,45 @@ def test_no_kind_of_picture_is_forgotten() -> None:
     for name in PICTURES:
         drawn(name)
     assert makers() - {(str(Path(file).resolve()), name) for file, name in MAKERS} == set()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (lambda axes: axes.text(0.5, 0.5, "small", fontsize=5), "'small' is of 5.0 pt"),
+        (lambda axes: axes.figure.text(0.98, 0.5, "far out"), "'far out' is beyond the page"),
+        (lambda axes: [axes.text(0.5, 0.5 + d, f"n{d}") for d in (0, 0.01)], "'n0' lies over 'n0.01'"),
+        (lambda axes: axes.text(0.99, 0.5, "at the edge"), "'at the edge' lies over the edge of its panel"),
+        (lambda axes: axes.set_xlabel("length"), "an axis with 0.0 … 1.0 is called 'length'"),
+        (lambda axes: axes.plot([0, 1], [0, 1], color="#D55E00", label="b"), "'a' and 'b' are alike in grey"),
+        (lambda axes: axes.legend(loc="upper right"), "the legend lies over 'a'"),
+    ],
+)
+def test_each_fault_is_seen(spoil: Callable[[Any], Any], told: str) -> None:
+    from lunarsci.figure import legend_below, page
+
+    def figure(spoilt: bool) -> "Figure":
+        made = page(3.0)
+        axes = made.subplots()
+        axes.plot([0, 1], [0.94, 0.94], color="#0072B2", label="a")
+        axes.set(xlabel="x [m]", ylabel="y [m]", xlim=(0, 1), ylim=(0, 1))
+        if spoilt:
+            spoil(axes)
+        legend_below(made, axes)
+        rendered(made)
+        return made
+
+    assert faults(drawing(lambda: figure(False))) == []
+    assert told in faults(drawing(lambda: figure(True)))
+
+
+@pytest.mark.slow
+def test_a_kind_without_an_example_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where nothing counts as drawn, every place that makes a figure is missed."""
+    assert {Path(file).name for file, _ in makers()} >= {"figure_soil.py", "charts.py", "animation.py", "render.py"}
+    monkeypatch.setattr(sys.modules[__name__], "MAKERS", set())
+    with pytest.raises(AssertionError):
+        test_no_kind_of_picture_is_forgotten()
 
 
 @pytest.mark.slow
