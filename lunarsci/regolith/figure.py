@@ -274,7 +274,7 @@ def traction_over_slip(rows: Sequence[Mapping[str, Any]], found: Traction, load_
     return figure
 
 
-def characteristic_curves(found: Identification) -> Figure:
+def characteristic_curves(found: Identification, *, synthetic: bool = False) -> Figure:
     """The pairs (N, K_s), (c, phi), (K_y, phi_y) that the states allow, with 95 % bands, one panel per aspect."""
     figure = page(3.6)
     bearing, shear, lateral = figure.subplots(1, 3)
@@ -296,7 +296,8 @@ def characteristic_curves(found: Identification) -> Figure:
             lateral.errorbar(corner["lateral_modulus_mm"], angle.value, angle.sigma, fmt="o", color=ORANGE)
     legend_below(figure, (bearing, shear, lateral))
     states = "1 wheel state" if len(found.observations) == 1 else f"{len(found.observations)} wheel states"
-    headline(figure, f"{states}, reading '{found.reading}': each point of a curve explains the forces")
+    title = f"{states}, reading '{found.reading}': each point of a curve explains the forces"
+    headline(figure, title, synthetic=synthetic)
     return figure
 
 

@@ -344,6 +344,6 @@ def _pictures(the_rock: StudiedRock, the_drive: PredictedDrive, soil: Identifica
         from lunarsci.regolith.figure import characteristic_curves
 
         with styled():
-            return picture("soil.png", [characteristic_curves(soil)])
+            return picture("soil.png", [characteristic_curves(soil, synthetic=True)])
 
     return {"calibration.png": calibration, "bands.png": bands, "fit.png": fit, "drive.png": path, "soil.png": curves}
