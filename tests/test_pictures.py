@@ -265,9 +265,11 @@ def makers() -> set[tuple[str, str]]:
 
 @pytest.mark.slow
 def test_no_kind_of_picture_is_forgotten() -> None:
+    assert {path.stem for path in FOLDER.iterdir()} == set(PICTURES)
     for name in PICTURES:
         drawn(name)
-    assert makers() - {(str(Path(file).resolve()), name) for file, name in MAKERS} == set()
+    forgotten = makers() - {(str(Path(file).resolve()), name) for file, name in MAKERS}
+    assert not forgotten, f"give an example in tests/benchmarks/pictured.py: {sorted(forgotten)}"
 
 
 @pytest.mark.parametrize(
