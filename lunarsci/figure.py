@@ -1,11 +1,15 @@
 """One style for every picture, and figures as file contents, the same bytes for the same figure."""
 
 import io
+import re
+import textwrap
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from lunarsci.errors import LunarSciWarning, ParameterError
 from lunarsci.printable import printable
@@ -81,6 +85,15 @@ def as_label(text: str, longest: int = 40) -> str:
     return printable(short).replace("$", r"\$")
 
 
+def file_label(name: str, longest: int = 40) -> str:
+    """A file as a label: without the folders above it.
+
+    >>> file_label("/data/2021/states.csv")
+    'states.csv'
+    """
+    return as_label(Path(name).name, longest)
+
+
 def page(height_in: float, width_in: float = PAGE_IN) -> "Figure":
     """An empty page of a picture, laid out so that no two of its panels, labels and legends overlap.
 
@@ -104,7 +117,7 @@ def legend_below(figure: Any, axes: Any, columns: int = 4) -> None:
     ----------
     figure : a figure, or a part of one.
     axes : its panels, one or many.
-    columns : names side by side at most.
+    columns : names side by side at most; fewer where they are long.
     """
     panels = [axes] if hasattr(axes, "get_legend_handles_labels") else list(axes)
     named: dict[str, Any] = {}
@@ -112,17 +125,119 @@ def legend_below(figure: Any, axes: Any, columns: int = 4) -> None:
         handles, labels = panel.get_legend_handles_labels()
         named |= {label: handle for handle, label in zip(handles, labels, strict=True) if label not in named}
     if named:
-        across = min(columns, len(named))
+        room = 72 * figure.bbox.width / figure.dpi / (LETTER_PT * STYLE["legend.fontsize"])
+        across = max(1, min(columns, len(named), int(room / (max(map(len, named)) + BESIDE))))
         figure.legend(list(named.values()), list(named), loc="outside lower center", ncols=across, frameon=False)
 
 
-def synthetic_title(text: str, synthetic: bool) -> str:
-    """A title that says where data are made up.
+LETTER_PT, BESIDE = 0.56, 7
+"""Width of a letter of a size of 1 pt, and letters that the line and the gap beside a name in a legend take."""
 
-    >>> synthetic_title("rock 1", True)
-    'SYNTHETIC: rock 1'
+
+def wrapped(text: str, width_in: float = PAGE_IN, size_pt: float = STYLE["figure.titlesize"]) -> str:
+    """Text in lines that fit a width; lines that are broken already stay apart.
+
+    >>> wrapped("a path of some metres", 1.0)
+    'a path of some\\nmetres'
     """
-    return f"SYNTHETIC: {text}" if synthetic and "SYNTHETIC" not in text else text
+    letters = int(72 * width_in / (LETTER_PT * size_pt))
+    return "\n".join(piece for line in text.split("\n") for piece in textwrap.wrap(line, letters) or [""])
+
+
+def headline(figure: Any, text: str, *, synthetic: bool = False, **look: Any) -> None:
+    """What a page shows, above all panels, in lines that fit it; it says once where data are made up."""
+    width = figure.bbox.width / figure.dpi
+    figure.suptitle(wrapped(synthetic_title(text, synthetic), 0.98 * width), **look)
+
+
+def synthetic_title(text: str, synthetic: bool) -> str:
+    """A title that says once where data are made up.
+
+    >>> synthetic_title("rock 1", True), synthetic_title("SYNTHETIC rock", True)
+    ('SYNTHETIC: rock 1', 'SYNTHETIC rock')
+    >>> synthetic_title("path on synthetic ground (synthetic)", True)
+    'SYNTHETIC: path on ground'
+    """
+    if not synthetic:
+        return text
+    bare = re.sub(r"\s*\(synthetic\)|\bsynthetic\s+", "", text)
+    return bare if "SYNTHETIC" in bare else f"SYNTHETIC: {bare}"
+
+
+AWAY_PT, NEAR_PT, LARGE_PT = (4.0, 10.0, 18.0, 28.0, 40.0), 8.0, 4.5
+"""Gaps between a point and its name that are tried, beyond which a thin line joins them, and half the size of markers
+that no name may hide. [points]"""
+DIRECTIONS = np.radians([30, -30, 150, -150, 90, -90, 0, 180, 60, -60, 120, -120])
+
+
+def name_points(
+    figure: Any, named: "Mapping[Any, Sequence[tuple[str, float, float]]]", *, clear_pt: float = 0.0, **look: Any
+) -> None:
+    """Write names beside points of panels, each where it covers no other name and, if there is room, no other point.
+
+    Parameters
+    ----------
+    figure : the whole page, with all else drawn.
+    named : by panel, names and their points, in the order of their importance: a name that finds no place is left out.
+    clear_pt : half the size of the points' own markers, where these are large. [points]
+    look : of the text.
+    """
+    from matplotlib.transforms import Bbox
+
+    figure.draw_without_rendering()
+    look = {"bbox": {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5}, **look}
+    for axes, items in named.items():
+        places = [np.asarray(axes.transData.transform((x, y))) for _, x, y in items]
+        dots = np.array([*((*place, 2.0) for place in places), *_marked(axes)]).reshape(-1, 3)
+        taken = [one.get_window_extent() for one in axes.texts]
+        taken += [Bbox.from_extents(x - h, y - h, x + h, y + h) for x, y, h in dots if h > LARGE_PT * figure.dpi / 72]
+        if axes.get_legend() is not None:
+            taken.append(axes.get_legend().get_window_extent())
+        for (text, *point), place in zip(items, places, strict=True):
+            if axes.bbox.contains(*place):
+                _name(axes, text, (point, place, clear_pt), dots, taken, look)
+
+
+def _marked(axes: Any) -> "Iterator[Any]":
+    """Places of all markers of a panel, and half their sizes. [px]"""
+    for line in axes.lines:
+        if line.get_marker() not in ("None", "", " ", None) and line.get_transform() == axes.transData:
+            half = 0.5 * line.get_markersize() * axes.figure.dpi / 72
+            yield from ((*place, half) for place in axes.transData.transform(line.get_xydata()))
+
+
+def _name(axes: Any, text: str, where: Any, dots: Any, taken: list[Any], look: Mapping[str, Any]) -> None:
+    from matplotlib.transforms import Bbox
+
+    point, place, clear = where
+    trial = axes.annotate(text, point, xytext=(0, 0), textcoords="offset points", **look)
+    size, scale = np.array(trial.get_window_extent().size), axes.figure.dpi / 72
+    trial.remove()
+    best: tuple[float, Any, float, Any] | None = None
+    for away in AWAY_PT:
+        for angle in DIRECTIONS:
+            way = np.array([np.cos(angle), np.sin(angle)])
+            corner = place + scale * (away + clear) * way + 0.5 * size * (np.clip(1.6 * way, -1, 1) - 1)
+            box = Bbox.from_bounds(*corner, *size)
+            room = axes.bbox.padded(-2.0 * scale)
+            inside = room.x0 < box.x0 and box.x1 < room.x1 and room.y0 < box.y0 and box.y1 < room.y1
+            if not inside or any(box.padded(2.0 * scale).overlaps(other) for other in taken):
+                continue
+            half = dots[:, 2:]
+            hidden = np.all((dots[:, :2] > corner - half) & (dots[:, :2] < corner + size + half), axis=1).sum()
+            cost = away + 12.0 * float(hidden)
+            if best is None or cost < best[0]:
+                best = cost, (corner - place) / scale, away, box
+    if best is None:
+        return
+    _, offset, away, box = best
+    line = {"arrowstyle": "-", "color": "0.5", "linewidth": 0.5, "shrinkA": 0, "shrinkB": 2}
+    drawn = axes.annotate(
+        text, point, xytext=offset, textcoords="offset points", ha="left", va="bottom", multialignment="center",
+        zorder=6, arrowprops=line if away > NEAR_PT else None, **look,
+    )  # fmt: skip
+    drawn.set_in_layout(False)
+    taken.append(box)
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.figure import INK, LINE_STYLES, as_label, page
+from lunarsci.figure import INK, LINE_STYLES, as_label, headline, legend_below, page
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,11 +23,12 @@ def calibration_page(found: "CameraCalibration", name: str) -> "Figure":
     """Residuals of each camera over its picture, on how uncertain directions are, and residuals by moment."""
     count = len(found.cameras)
     figure = page(6.0 if count > 1 else 3.6)
-    figure.suptitle(f"{as_label(name, 60)}: residuals {found.residual_px:.3f} px")
+    headline(figure, f"{as_label(name, 60)}: residuals {found.residual_px:.3f} px")
     axes: Any = figure.subplots(2, 2) if count > 1 else figure.subplots(1, 2)[None]
     for k in range(count):
         _residuals(figure, axes[0, k], found, k)
         _by_moment(axes[1, k] if count > 1 else axes[0, 1], found, k)
+    legend_below(figure, axes.flat)
     return figure
 
 
@@ -53,16 +54,15 @@ def _by_moment(axis: "Axes", found: "CameraCalibration", index: int) -> None:
     rms = [float(np.sqrt(np.mean(rows[rows[:, 0] == k, 3:] ** 2))) for k in moments]
     axis.bar(moments + 1, rms, color=INK)
     axis.axhline(found.residual_px, color=MARK, lw=1, label="all pictures")
-    axis.set(xlabel="picture, in the order given", ylabel="rms of residuals [px]")
+    axis.set(xlabel="picture, in the order given [-]", ylabel="rms of residuals [px]")
     axis.set_title(found.cameras[index].name, loc="left")
-    axis.legend(loc="lower right")
 
 
 def range_page(
     names: Sequence[str], ranges_m: FloatArray, random_m: Sequence[FloatArray], common_m: Sequence[FloatArray]
 ) -> "Figure":
     """Random and common error of the range of a single point, by its range."""
-    figure = page(4.2, 5.6)
+    figure = page(4.0 + 0.15 * 2 * len(names), 5.6)
     axis: Any = figure.subplots()
     for k, name in enumerate(names):
         look: Any = LINE_STYLES[k % len(LINE_STYLES)]
@@ -73,5 +73,5 @@ def range_page(
     axis.set_xticks([1, 2, 3, 5, 10, 20], ["1", "2", "3", "5", "10", "20"])
     axis.set_xticks([], minor=True)
     axis.grid()
-    axis.legend(loc="lower right")
+    legend_below(figure, axis, 2)
     return figure

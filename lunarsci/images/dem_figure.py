@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lunarsci.figure import COLORS, as_label, page, synthetic_title
+from lunarsci.figure import COLORS, as_label, headline, page
 from lunarsci.images.camera import Pose
 from lunarsci.images.elevation import ElevationModel
 from lunarsci.images.matching import MATCHED, REASONS, StereoMatches
@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from matplotlib.image import AxesImage
 
 
-REASON_COLOURS = ("#ffffff", "#9e9e9e", "#ff7043", "#263238", "#fdd835", "#8e24aa", "#1e88e5", "#00897b")
+REASON_COLOURS = ("#ffffff", "#bcc4c8", "#f6e27a", "#000000", "#e08f3c", "#7a1f8f", "#3f74c9", "#003d2e")
+"""Of `REASONS` in their order; in grey each is by a tenth lighter or darker than the next."""
 
 
 def dem_figure(model: ElevationModel, matches: StereoMatches, pose: Pose) -> "Figure":
@@ -23,7 +24,7 @@ def dem_figure(model: ElevationModel, matches: StereoMatches, pose: Pose) -> "Fi
     figure = page(5.9)
     axes = figure.subplots(2, 3)
     title = f"{as_label(model.name)}: {matches.shares()['matched']:.0%} of the pixels matched"
-    figure.suptitle(synthetic_title(title, model.synthetic))
+    headline(figure, title, synthetic=model.synthetic)
     _picture(axes[0, 0], matches)
     _disparity(figure, axes[0, 1], matches)
     _reasons(axes[0, 2], matches)
@@ -60,7 +61,7 @@ def _reasons(axis: "Axes", matches: StereoMatches) -> None:
     handles = [
         Patch(facecolor=colour, edgecolor="0.5", label=f"{name} {share:.1%}")
         for colour, name, share in zip(REASON_COLOURS, REASONS, shares, strict=True)
-        if share > 0 or name == REASONS[MATCHED]
+        if share >= 0.0005 or name == REASONS[MATCHED]
     ]
     axis.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.03), frameon=False, ncols=2)
     axis.set_axis_off()

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.figure import DOT_STYLES, INK, as_label, legend_below, page, synthetic_title
+from lunarsci.figure import DOT_STYLES, INK, as_label, headline, legend_below, page
 from lunarsci.images.elevation import ElevationModel
 from lunarsci.images.lines import places_on, unrolled
 from lunarsci.images.merge import MergedMap
@@ -21,7 +21,7 @@ MARK, BAND = "#D55E00", "#9fb4c0"
 
 def _page(title: str, height_in: float, synthetic: bool) -> "Figure":
     figure = page(height_in)
-    figure.suptitle(synthetic_title(title, synthetic))
+    headline(figure, title, synthetic=synthetic)
     return figure
 
 
@@ -93,7 +93,9 @@ def _across(axes: "Axes", model: ElevationModel, line: FloatArray, width_m: floa
         group = np.digitize(left, edges)
         middles = [(np.median(left[group == k]), np.median(rest[group == k])) for k in np.unique(group) if k]
         axes.plot(*np.array(middles).T, color=INK, lw=1.2, label="median of the line")
-    axes.axvspan(-profile.floor_m, profile.floor_m, color=MARK, alpha=0.2, lw=0, label="floor")
+    axes.axvspan(
+        -profile.floor_m, profile.floor_m, facecolor=MARK, edgecolor=MARK, alpha=0.25, lw=0, hatch="//", label="floor"
+    )
     for side in (-1, 1):
         label = "ground" if side < 0 else None
         axes.axvspan(side * inner, side * outer, color=BAND, alpha=0.4, lw=0, label=label)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.figure import COLORS, as_label, legend_below, page, synthetic_title
+from lunarsci.figure import COLORS, as_label, headline, legend_below, page
 from lunarsci.images.localisation import Localised
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def ties_figure(found: Localised, number: int, *, synthetic: bool = False) -> "F
     above, below = parts
     (left, right), (residuals, plan) = above.subplots(1, 2), below.subplots(1, 2)
     title = f"{as_label(far.name)} and {as_label(near.name)}: {len(pair.ties.correlation)} ties"
-    figure.suptitle(synthetic_title(f"{title}; a tie has the same colour in both pictures", synthetic))
+    headline(figure, f"{title}; a tie has the same colour in both pictures", synthetic=synthetic)
     colours = np.arange(len(pair.ties.correlation), dtype=float)
     _picture(left, far.matches.left, pair.ties.far_px, colours, f"{as_label(far.name)}, from afar")
     _picture(right, near.matches.left, pair.ties.near_px, colours, f"{as_label(near.name)}, from near")
@@ -40,7 +40,7 @@ def ties_figure(found: Localised, number: int, *, synthetic: bool = False) -> "F
 def _picture(axis: "Axes", light: FloatArray, places: FloatArray, colours: FloatArray, title: str) -> None:
     low, high = np.percentile(light, [0.5, 99.5])
     axis.imshow(np.sqrt(np.clip(light, 0, high)), cmap="gray", vmin=np.sqrt(max(low, 0)), vmax=np.sqrt(high))
-    axis.scatter(places[:, 0], places[:, 1], c=colours, s=6, cmap="viridis", linewidths=0)
+    axis.scatter(places[:, 0], places[:, 1], c=colours, s=14, cmap="viridis", edgecolors="white", linewidths=0.5)
     axis.set_title(title)
     axis.set_axis_off()
 

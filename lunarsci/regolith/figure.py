@@ -5,13 +5,14 @@ The picture of a belief's history: each parameter's median and 68 % interval aft
 Picture of a site among reference soils in four panels, as Fig. 4 of Ding et al. (2024).
 """
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from lunarsci.figure import INK, legend_below, page
+from lunarsci.figure import INK, as_label, headline, legend_below, name_points, page, wrapped
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.belief_history import past_beliefs, rolled_back, shared_drives
 from lunarsci.regolith.compare import KINDS, Site, SoilComparison, lateral_soils, nearest
@@ -43,6 +44,8 @@ LEAST_PA = 10.0
 """Cohesions below are drawn here, at the edge of a logarithmic axis."""
 
 Curves = Mapping[str, Sequence[Mapping[str, Any]]]
+Named = list[tuple[str, float, float]]
+"""Names of points to be written, and where these are."""
 
 
 def comparison_figure(
@@ -58,10 +61,12 @@ def comparison_figure(
     figure = page(7.4)
     (bearing, shear), (missions, lateral) = figure.subplots(2, 2)
     own = curves or {}
-    _bearing(bearing, site, found, width_m, own.get("bearing", ()))
-    _shear(shear, site, [item for item in found if item.soil.kind != "lunar"], own.get("shear", ()))
-    _shear(missions, site, [item for item in found if item.soil.kind == "lunar"], own.get("shear", ()))
-    _lateral(lateral, site, own.get("lateral", ()))
+    named = {bearing: _bearing(bearing, site, found, width_m, own.get("bearing", ()))}
+    named[shear] = _shear(shear, site, [item for item in found if item.soil.kind != "lunar"], own.get("shear", ()))
+    named[missions] = _shear(
+        missions, site, [item for item in found if item.soil.kind == "lunar"], own.get("shear", ())
+    )
+    named[lateral] = _lateral(lateral, site, own.get("lateral", ()))
     bearing.set_title(f"a  bearing, wheel {1e3 * width_m:.0f} mm wide", loc="left")
     shear.set_title("b  shear, terrestrial soils and simulants", loc="left")
     missions.set_title("c  shear, lunar missions; lines: ranges", loc="left")
@@ -72,25 +77,29 @@ def comparison_figure(
     if own:
         bearing.plot([], [], color=CURVE, label="what its wheel states allow, 95 %")
     legend_below(figure, bearing, 5)
+    name_points(figure, named, fontsize=7)
     return figure
 
 
-def _bearing(axes: Any, site: Site, found: Sequence[SoilComparison], width_m: float, curve: Sequence[Any]) -> None:
-    names = {item.soil.name for item in nearest(found, "bearing")[:NAMED]}
+def _bearing(axes: Any, site: Site, found: Sequence[SoilComparison], width_m: float, curve: Sequence[Any]) -> Named:
+    """Soils beside the site; the nearest ones, to be named."""
+    named, names = [], {item.soil.name for item in nearest(found, "bearing")[:NAMED]}
     for item in found:
         soil, stiffness = item.soil, item.soil.stiffness(width_m)
         if soil.sinkage_exponent is not None and stiffness is not None and stiffness > 0:
             axes.plot(soil.sinkage_exponent, stiffness, MARKERS[soil.kind], color=COLORS[soil.kind], markersize=5)
-            _name(axes, soil.sinkage_exponent, stiffness, soil.name if soil.name in names else "")
+            named.append((soil.name, soil.sinkage_exponent, stiffness))
     _law_curve(axes, curve, "exponent", "stiffness_kpa_m_n")
     if site.stiffness_kpa_m_n is not None:
         axes.plot(site.sinkage_exponent, site.stiffness_kpa_m_n, "*", color=SITE, markersize=15)
     axes.set(xlabel=PARAMETER_LABELS["sinkage_exponent"], ylabel=PARAMETER_LABELS["stiffness_kpa_m_n"], yscale="log")
     axes.margins(x=0.16)
+    return [(_named(name), x, y) for name, x, y in named if name in names]
 
 
-def _shear(axes: Any, site: Site, found: Sequence[SoilComparison], curve: Sequence[Any]) -> None:
-    names = {item.soil.name for item in nearest(found, "strength")[:NAMED]}
+def _shear(axes: Any, site: Site, found: Sequence[SoilComparison], curve: Sequence[Any]) -> Named:
+    """The same of shear."""
+    named, names = [], {item.soil.name for item in nearest(found, "strength")[:NAMED]}
     for item in found:
         soil, color = item.soil, COLORS[item.soil.kind]
         cohesion = [max(value, LEAST_PA) for value in soil.cohesion_pa]
@@ -99,7 +108,7 @@ def _shear(axes: Any, site: Site, found: Sequence[SoilComparison], curve: Sequen
         axes.plot(cohesion, [middle[1]] * 2, color=color, linewidth=0.8)
         axes.plot([middle[0]] * 2, angle, color=color, linewidth=0.8)
         axes.plot(*middle, MARKERS[soil.kind], color=color, markersize=4)
-        _name(axes, *middle, soil.name if soil.name in names else "")
+        named.append((soil.name, *middle))
     _law_curve(
         axes, [point for point in curve if point["cohesion_pa"] >= LEAST_PA], "cohesion_pa", "friction_angle_deg"
     )
@@ -109,18 +118,26 @@ def _shear(axes: Any, site: Site, found: Sequence[SoilComparison], curve: Sequen
         xlabel="cohesion c [Pa], 10 and below at the edge", ylabel=PARAMETER_LABELS["friction_angle_deg"], xscale="log"
     )
     axes.margins(x=0.16)
+    return [(_named(name), x, y) for name, x, y in named if name in names]
 
 
-def _lateral(axes: Any, site: Site, curve: Sequence[Any]) -> None:
+def _lateral(axes: Any, site: Site, curve: Sequence[Any]) -> Named:
+    named = []
     for row in lateral_soils():
         point = float(row["lateral_modulus_mm"]), float(row["external_friction_angle_deg"])
         axes.plot(*point, MARKERS[row["kind"]], color=COLORS[row["kind"]], markersize=5)
-        _name(axes, *point, row["name"])
+        named.append((_named(row["name"]), *point))
     _law_curve(axes, curve, "lateral_modulus_mm", "external_friction_angle_deg")
     if site.lateral_modulus_mm is not None:
         axes.plot(site.lateral_modulus_mm, site.external_friction_angle_deg, "*", color=SITE, markersize=15)
     axes.set(xlabel=PARAMETER_LABELS["lateral_modulus_mm"], ylabel=PARAMETER_LABELS["external_friction_angle_deg"])
     axes.margins(x=0.16)
+    return named
+
+
+def _named(soil: str) -> str:
+    """The name of a soil in short lines."""
+    return "\n".join(textwrap.wrap(as_label(soil, 52).replace(" %", "\u00a0%"), 28)).replace("K_y", "K$_y$")
 
 
 def _law_curve(axes: Any, points: Sequence[Mapping[str, Any]], x: str, y: str) -> None:
@@ -132,17 +149,16 @@ def _law_curve(axes: Any, points: Sequence[Mapping[str, Any]], x: str, y: str) -
         axes.plot(at, [point[y] for point in solved], color=CURVE)
 
 
-def _name(axes: Any, x: float, y: float, label: str) -> None:
-    if label:
-        lower = len(axes.texts) % 2
-        axes.annotate(label, (x, y), xytext=(5, -10 if lower else 5), textcoords="offset points")
-
-
 OWN, OTHER, REFUSED = "#0072B2", "#D55E00", "#26323a"
 
 
 def belief_history_figure(
-    belief: SoilBelief, title: str, other: SoilBelief | None = None, names: tuple[str, str] = ("", "")
+    belief: SoilBelief,
+    title: str,
+    other: SoilBelief | None = None,
+    names: tuple[str, str] = ("", ""),
+    *,
+    synthetic: bool = False,
 ) -> Figure:
     """One panel for each parameter; a second belief beside the first where there is one.
 
@@ -166,7 +182,7 @@ def belief_history_figure(
     for panel in panels[-1]:
         panel.set_xlabel("after drive [-]")
     legend_below(figure, panels.ravel())
-    figure.suptitle(title)
+    headline(figure, title, synthetic=synthetic)
     return figure
 
 
@@ -225,7 +241,7 @@ def forces_over_slip(
     axes.axvline(0, color="0.8", linewidth=0.8, zorder=0)
     axes.set(xlabel="slip ratio s [-]  (negative: skid)", ylabel="force on the wheel [N]")
     form = f"exact integrals, {model.shear} shear" if model else "closed form"
-    axes.set_title(f"sinkage {1e3 * sinkage_m:.1f} mm, {form}, reading '{reading}'")
+    axes.set_title(wrapped(f"sinkage {1e3 * sinkage_m:.1f} mm, {form}, reading '{reading}'", 4.4))
     legend_below(figure, axes, 3)
     return figure
 
@@ -253,12 +269,12 @@ def traction_over_slip(rows: Sequence[Mapping[str, Any]], found: Traction, load_
     pull.set_ylabel("pull per weight, efficiency [-]")
     legend_below(figure, figure.axes, 4)
     slope = "none" if found.slope_at_20_deg is None else f"{found.slope_at_20_deg:.1f}°"
-    pull.set_title(f"load {load_n:g} N; at 20 % slip: pull {found.pull_at_20_n:.2f} N, slope {slope}")
+    pull.set_title(wrapped(f"load {load_n:g} N; at 20 % slip: pull {found.pull_at_20_n:.2f} N, slope {slope}", 4.4))
     effort.set_xlabel("slip ratio [-]  (negative: skid)")
     return figure
 
 
-def characteristic_curves(found: Identification) -> Figure:
+def characteristic_curves(found: Identification, *, synthetic: bool = False) -> Figure:
     """The pairs (N, K_s), (c, phi), (K_y, phi_y) that the states allow, with 95 % bands, one panel per aspect."""
     figure = page(3.6)
     bearing, shear, lateral = figure.subplots(1, 3)
@@ -280,7 +296,8 @@ def characteristic_curves(found: Identification) -> Figure:
             lateral.errorbar(corner["lateral_modulus_mm"], angle.value, angle.sigma, fmt="o", color=ORANGE)
     legend_below(figure, (bearing, shear, lateral))
     states = "1 wheel state" if len(found.observations) == 1 else f"{len(found.observations)} wheel states"
-    figure.suptitle(f"{states}, reading '{found.reading}': each point of a curve explains the forces")
+    title = f"{states}, reading '{found.reading}': each point of a curve explains the forces"
+    headline(figure, title, synthetic=synthetic)
     return figure
 
 
@@ -311,7 +328,13 @@ def _mark(axes: Any, found: Identification, x: str, y: str) -> None:
             if solved == y
             else (estimate.value, given, None, estimate.sigma)
         )
-        axes.errorbar(*at, fmt="o", color=ORANGE, capsize=3, label=f"solved at {_short(partner)} = {given:g}")
+        axes.errorbar(
+            *at, fmt=SOLVED[partner], color=ORANGE, capsize=3, label=f"solved at {_short(partner)} = {given:g}"
+        )
+
+
+SOLVED = {"exponent": "o", "stiffness_kpa_m_n": "v", "cohesion_pa": "D", "friction_angle_deg": "^"}
+"""Marker of what was solved, by what was given."""
 
 
 def _short(name: str) -> str:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from lunarsci.figure import DOT_STYLES, INK, LINE_STYLES, as_label, picture_bytes, styled
+from lunarsci.figure import DOT_STYLES, INK, LINE_STYLES, as_label, legend_below, page, picture_bytes, styled
 from lunarsci.report.documents import Document
 from lunarsci.report.drive_answers import interval_of
 from lunarsci.report.words import NAMES, number, words
@@ -39,10 +39,11 @@ def charts(document: Document) -> Iterator[Chart]:
 Drawn: TypeAlias = "tuple[str, str, Figure] | None"
 
 
-def _axes(width: float = 4.6, height: float = 3.3) -> "tuple[Figure, Any]":
-    from matplotlib.figure import Figure
+WIDTH_IN = 4.6
 
-    figure = Figure(figsize=(width, height), layout="constrained")
+
+def _axes(height: float = 3.3) -> "tuple[Figure, Any]":
+    figure = page(height, WIDTH_IN)
     return figure, figure.subplots()
 
 
@@ -64,7 +65,7 @@ def _spectra(document: Document) -> Drawn:
     if not spectra:
         return None
     axes.set(xlabel="wavelength [nm]", ylabel="reflectance factor [-]")
-    axes.legend()
+    legend_below(figure, axes, 2)
     names = ", ".join(str(one["id"]) for one in spectra)
     told = f"Reflectance over wavelength of {names}; the bands are one standard error of the noise."
     return "Calibrated spectra", told, figure
@@ -134,7 +135,7 @@ def _absorptions(document: Document) -> Drawn:
             **look,
         )
     axes.set(xlabel="centre of the band [nm]", ylabel="strength, ln R [-]", ylim=(0, None))
-    axes.legend(ncols=2)
+    legend_below(figure, axes, 4)
     told = "; ".join(
         f"{band['name']} at {number(band['center_nm'])} nm" for bands in minerals.values() for band in bands
     )
@@ -215,7 +216,7 @@ def _craters(document: Document) -> Drawn:
     )
     axes.set_yticks(place, [as_label(one["name"]) for one in items])
     axes.set_xlabel("probability [-]")
-    axes.legend()
+    legend_below(figure, axes, 2)
     told = "; ".join(f"{one['name']} {number(one['posterior'], 2)}" for one in items)
     return (
         f"Where {rock['id']} came from",
@@ -225,8 +226,6 @@ def _craters(document: Document) -> Drawn:
 
 
 def _soil_curves(document: Document) -> Drawn:
-    from matplotlib.figure import Figure
-
     panels = (
         ("bearing", "exponent", "stiffness_kpa_m_n"),
         ("shear", "cohesion_pa", "friction_angle_deg"),
@@ -239,7 +238,7 @@ def _soil_curves(document: Document) -> Drawn:
     ]
     if not drawn:
         return None
-    figure = Figure(figsize=(4.6, 2.6 * len(drawn)), layout="constrained")
+    figure = page(2.6 * len(drawn), WIDTH_IN)
     for axes, (curve, x, y) in zip(figure.subplots(len(drawn), 1, squeeze=False)[:, 0], drawn, strict=True):
         known = [point for point in curve if None not in (point[y], point["low"], point["high"])]
         at = [point[x] for point in known]
@@ -265,6 +264,7 @@ def _label(key: str) -> str:
         key,
         NAMES.get(key, words(key))
         .replace("K_s", "K$_s$")
+        .replace("K_x", "K$_x$")
         .replace("K_y", "K$_y$")
         .replace("m^N", "m$^N$")
         .replace("φ_y", "φ$_y$"),
@@ -284,7 +284,7 @@ def _left_of_prior(document: Document) -> Drawn:
     axes.barh(place, [share for _, share in rows], 0.6, color="#56B4E9", edgecolor=INK, linewidth=0.5)
     axes.axvline(1.0, color=INK, linestyle="--")
     axes.set_yticks(place, [_label(name).partition(" [")[0] for name, _ in rows])
-    axes.set_xlabel("spread now / spread before any drive [-]; 1: nothing learned")
+    axes.set_xlabel("spread now / spread before any drive [-]\n1: nothing learned")
     told = "; ".join(f"{words(name).partition(' [')[0]} {number(share, 2)}" for name, share in rows)
     return "What was learned of the soil", f"Spread of each parameter as a part of what it was before: {told}.", figure
 
@@ -339,13 +339,11 @@ def _used(limit: Mapping[str, Any], value: float) -> float:
 
 
 def _wheel_states(document: Document) -> Drawn:
-    from matplotlib.figure import Figure
-
     rows = document.table("states.csv")
     wheels = list(dict.fromkeys(row["wheel"] for row in rows if row.get("wheel")))
     if not wheels or "slip_ratio" not in rows[0] or "distance_m" not in rows[0] or "member" in rows[0]:
         return None
-    figure = Figure(figsize=(4.6, 5.2), layout="constrained")
+    figure = page(5.2, WIDTH_IN)
     for axes, (name, label, factor) in zip(
         figure.subplots(2, 1, sharex=True),
         (("slip_ratio", "slip ratio [-]", 1.0), ("sinkage_m", "sinkage [mm]", 1e3)),
@@ -363,7 +361,7 @@ def _wheel_states(document: Document) -> Drawn:
             )
         axes.set_ylabel(label)
     axes.set_xlabel("way of the wheel [m]")
-    figure.axes[0].legend(ncols=3)
+    legend_below(figure, figure.axes[0], 6)
     return (
         "Wheel states along the drive",
         f"Slip and sinkage against the way of each of the wheels {', '.join(wheels)}.",

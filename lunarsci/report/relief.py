@@ -5,13 +5,16 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.figure import COLORS, INK, as_label, picture_bytes, styled
+from lunarsci.figure import COLORS, INK, as_label, legend_below, page, picture_bytes, styled
 from lunarsci.report.documents import Document
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MOST_NODES, MOST_DRIVES, MOST_POINTS = 72, 40, 60
 """Nodes along a side of the ground, drives of a prediction and points of a line that a page takes; assumed."""
@@ -180,32 +183,30 @@ def _packed(x: FloatArray, y: FloatArray, height: FloatArray, lines: Sequence[tu
 
 
 def _still(x: FloatArray, y: FloatArray, height: FloatArray, lines: Sequence[Line]) -> bytes:
-    from matplotlib.colors import LightSource
-    from matplotlib.figure import Figure
-
     with styled():
-        wide = float(np.clip(np.ptp(y) / max(np.ptp(x), 1e-9), 0.4, 1.4))
-        figure = Figure(figsize=(5.2, 5.2 * wide + (0.8 if lines else 0.1)), layout="constrained")
-        axes = figure.subplots()
-        step = float(x[1] - x[0])
-        filled = np.nan_to_num(height, nan=float(np.nanmean(height)))
-        shade = LightSource(315, 35).hillshade(filled[::-1], 3.0, step, step)[::-1]
-        extent = (x[0] - step / 2, x[-1] + step / 2, y[0] - step / 2, y[-1] + step / 2)
-        axes.imshow(shade, cmap="gray", vmin=-0.4, vmax=1.1, extent=extent, origin="lower", interpolation="bilinear")
-        named: set[str] = set()
-        for line in lines:
-            label = None if line.name in named else line.name
-            named.add(line.name)
-            axes.plot(*line.xy_m.T, color="white", linewidth=2.2, alpha=0.5)
-            axes.plot(
-                *line.xy_m.T,
-                color=line.color,
-                linestyle="--" if line.dashed else "-",
-                linewidth=1.0,
-                label=label and as_label(label),
-            )
-            axes.plot(*line.xy_m[0], "o", color="white", markeredgecolor=INK, markersize=5)
-        axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", xlim=extent[:2], ylim=extent[2:])
-        if named:
-            figure.legend(loc="outside lower center", ncols=2)
-        return picture_bytes([figure], Path("still.png"))
+        return picture_bytes([still_figure(x, y, height, lines)], Path("still.png"))
+
+
+def still_figure(x: FloatArray, y: FloatArray, height: FloatArray, lines: Sequence[Line]) -> "Figure":
+    """The ground from above, shaded, x along its columns and y along its rows, with lines on it."""
+    from matplotlib.colors import LightSource
+
+    wide = float(np.clip(np.ptp(y) / max(np.ptp(x), 1e-9), 0.4, 1.4))
+    figure = page(5.2 * wide + (0.8 if lines else 0.1), 5.2)
+    axes = figure.subplots()
+    step = float(x[1] - x[0])
+    filled = np.nan_to_num(height, nan=float(np.nanmean(height)))
+    shade = LightSource(315, 35).hillshade(filled[::-1], 3.0, step, step)[::-1]
+    extent = (x[0] - step / 2, x[-1] + step / 2, y[0] - step / 2, y[-1] + step / 2)
+    axes.imshow(shade, cmap="gray", vmin=-0.4, vmax=1.1, extent=extent, origin="lower", interpolation="bilinear")
+    named: set[str] = set()
+    for line in lines:
+        label = None if line.name in named else line.name
+        named.add(line.name)
+        look: Any = {"color": line.color, "linestyle": "--" if line.dashed else "-", "linewidth": 1.0}
+        axes.plot(*line.xy_m.T, color="white", linewidth=2.2, alpha=0.5)
+        axes.plot(*line.xy_m.T, label=label and as_label(label), **look)
+        axes.plot(*line.xy_m[0], "o", color="white", markeredgecolor=INK, markersize=5)
+    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", xlim=extent[:2], ylim=extent[2:])
+    legend_below(figure, axes, 2)
+    return figure

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.constants import MGM, NBSR, PAPER
-from lunarsci.figure import picture_bytes
+from lunarsci.figure import picture_bytes, styled
 from lunarsci.inputs import InputFile
 from lunarsci.regolith.identify import Assumptions, Identification, identify
 from lunarsci.regolith.soil import Soil, read_soil
@@ -338,11 +338,13 @@ def _pictures(the_rock: StudiedRock, the_drive: PredictedDrive, soil: Identifica
     def path() -> bytes:
         from lunarsci.twin.figures.prediction import path_fan
 
-        return picture("drive.png", [path_fan(the_drive.prediction, the_drive.verdict)])
+        with styled():
+            return picture("drive.png", [path_fan(the_drive.prediction, the_drive.verdict)])
 
     def curves() -> bytes:
         from lunarsci.regolith.figure import characteristic_curves
 
-        return picture("soil.png", [characteristic_curves(soil)])
+        with styled():
+            return picture("soil.png", [characteristic_curves(soil, synthetic=True)])
 
     return {"calibration.png": calibration, "bands.png": bands, "fit.png": fit, "drive.png": path, "soil.png": curves}

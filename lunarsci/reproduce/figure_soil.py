@@ -1,10 +1,9 @@
 """Figures 4 and S13 of Ding et al. (2024): regions of the soil parameters, and Monte Carlo histograms.
 
-Names beside the points of a figure, kept off each other.
-
 Monte Carlo draws behind the published standard deviations, as the histograms of Ding et al. (2024), Fig. S13.
 """
 
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -38,7 +37,6 @@ from lunarsci.reproduce.soil import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.transforms import Bbox
 
 
 SHEAR_MODULUS_M = 0.0178
@@ -46,9 +44,11 @@ SHEAR_MODULUS_M = 0.0178
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Histogram:
-    """Draws of a quantity, with the ids of its published mean and standard deviation, and a label with its unit."""
+    """Draws of a quantity, with the ids of its published mean and standard deviation, a label with its unit, and that
+    of its density."""
 
     label: str
+    per: str
     mean_id: str
     sd_id: str
     draws: FloatArray
@@ -83,85 +83,50 @@ def histograms(wheel: Wheel, draws: int = DRAWS, seed: int = 0) -> tuple[Histogr
         stiffness = inversion.stiffness(deep[:, 0], deep[:, 3], 1.0)
         angle = inversion.friction_angle(sheared[:, 0], sheared[:, 1], sheared[:, 4], COHESION_PA)
     return (
-        _histogram("sinkage exponent N at 5 mm [-]", "exponent-5mm", "exponent-sd", exponent),
-        _histogram("stiffness K$_s$ at 15 mm [kPa m$^{-N}$]", "stiffness-15mm", "stiffness-sd-15mm", stiffness),
-        _histogram("internal friction angle φ at c = 520 Pa [°]", "friction-angle", "friction-angle-sd", angle),
+        _histogram("sinkage exponent N at 5 mm [-]", "-", "exponent-5mm", "exponent-sd", exponent),
+        _histogram(
+            "stiffness K$_s$ at 15 mm [kPa m$^{-N}$]", "m$^N$/kPa", "stiffness-15mm", "stiffness-sd-15mm", stiffness
+        ),
+        _histogram("friction angle φ at 520 Pa [°]", "1/°", "friction-angle", "friction-angle-sd", angle),
     )
 
 
-def _histogram(label: str, mean_id: str, sd_id: str, values: FloatArray) -> Histogram:
-    return Histogram(label, mean_id, sd_id, values[np.isfinite(values)])
+def _histogram(label: str, per: str, mean_id: str, sd_id: str, values: FloatArray) -> Histogram:
+    return Histogram(label, per, mean_id, sd_id, values[np.isfinite(values)])
 
 
-SIZE = 7.0
-PLACES = (
-    *((5.0, y, "left") for y in (3.0, -9.0, 12.0, -18.0)),
-    *((-5.0, y, "right") for y in (3.0, -9.0, 12.0, -18.0)),
-)
-"""Offsets that are tried in this order, and the side of the name that is at the point. [points]"""
-
-
-def place_names(axes: "Axes", points: Mapping[str, tuple[float, float]]) -> None:
-    """Name points in data coordinates, each at the first place where it covers no other name, no legend and no edge.
-
-    The figure must have been laid out. A name that finds no such place is left at its first one.
-    """
-    legend = axes.get_legend()
-    taken = [axes.transData.transform([point]).repeat(2, axis=0) for point in points.values()]
-    boxes = [_around(corners) for corners in taken]
-    if legend is not None:
-        boxes.append(legend.get_window_extent())
-    for name, point in points.items():
-        boxes.append(_place(axes, name, point, boxes))
-
-
-def _around(corners: object) -> "Bbox":
-    """A box of a marker's size about a point in pixels."""
-    from matplotlib.transforms import Bbox
-
-    return Bbox(corners).padded(3.0)  # type: ignore[arg-type]
-
-
-def _place(axes: "Axes", name: str, point: tuple[float, float], boxes: list["Bbox"]) -> "Bbox":
-    tried = []
-    for x, y, side in PLACES:
-        text = axes.annotate(
-            name, point, xytext=(x, y), textcoords="offset points", ha=side, fontsize=SIZE, color="0.35", zorder=5
-        )
-        box = text.get_window_extent()
-        inside = axes.bbox.x0 <= box.x0 and box.x1 <= axes.bbox.x1
-        if inside and not any(box.overlaps(other) for other in boxes):
-            break
-        tried.append((text, box))
-    else:
-        text, box = tried.pop(0)
-    for other, _ in tried:
-        other.remove()
-    return box
-
-
-Named = dict[str, tuple[float, float]]
+Named = list[tuple[str, float, float]]
 
 REGION, DOT, TYPICAL_COLOR, GREY = "#f6c592", "#D55E00", "#009E73", "0.35"
-CURVES = ("#0072B2", "#56B4E9", "#CC79A7", "#000000")
+CURVES: Any = ({"color": "#0072B2"}, {"color": "#D55E00", "linestyle": "--"}, {"color": "#CC79A7", "linestyle": ":"},
+               {"color": "#000000", "linestyle": (0, (7, 2))})  # fmt: skip
+PROGRAMMES = {"Surveyor": "#0072B2", "Luna": "#D55E00", "Apollo": "#26323a"}
+MARKERS = "os^Dv<>Php*"
 SINKAGES_MM = (5.0, 8.0, 12.0, 15.0)
 OWN = ("Longji", "lunar soil, nominal")
 """Rows of the tables of soils that are what is compared."""
 
 
 def soil_pages(wheel: Wheel) -> "Iterator[Figure]":
-    """Two pages: the four panels of Fig. 4, and the histograms of Fig. S13."""
-    from matplotlib.figure import Figure
+    """Three pages: panels a, b and d of Fig. 4; panel c, whose missions are many; and the histograms of Fig. S13."""
+    from lunarsci.figure import headline, name_points, page
 
-    figure = Figure(figsize=(14, 10.5), layout="constrained")
-    (bearing, shear), (missions, lateral) = figure.subplots(2, 2)
+    title = "Soil parameters at Longji after Fig. 4 of Ding et al. (2024)"
+    figure = page(8.4)
+    parts: Any = figure.subfigures(2, 1, height_ratios=(5.4, 2.8))
+    (bearing, shear), lateral = parts[0].subplots(1, 2), parts[1].subplots()
     named = {bearing: _bearing(bearing, wheel), shear: _shear(shear, wheel)}
-    _missions(missions)
     _lateral(lateral, wheel)
-    figure.suptitle("Soil parameters at Longji after Fig. 4 of Ding et al. (2024)", fontsize=12)
-    figure.draw_without_rendering()
-    for axes, points in named.items():
-        place_names(axes, points)
+    for axes in (bearing, shear):
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), frameon=False)
+    parts[1].legend(loc="outside right center", frameon=False)
+    headline(figure, title)
+    name_points(figure, named, fontsize=7)
+    yield figure
+    figure = page(4.6)
+    _missions(figure.subplots())
+    figure.legend(loc="outside right center", frameon=False)
+    headline(figure, title)
     yield figure
     yield _histograms(wheel)
 
@@ -172,15 +137,14 @@ def _region(axes: "Axes", x: Sequence[float], y: Sequence[float], dots: Sequence
 
     corner, size = (min(x), min(y)), (max(x) - min(x), max(y) - min(y))
     axes.add_patch(Rectangle(corner, *size, facecolor=REGION, alpha=0.55, zorder=1, label="published region"))
-    axes.plot(*np.transpose(dots), "o", color=DOT, markersize=8, zorder=6, label="published dots")
+    axes.plot(*np.transpose(dots), "o", color=DOT, markersize=6, zorder=6, label="published dots")
 
 
 def _finish(axes: "Axes", title: str, x: str, y: str) -> None:
-    axes.set_title(title, fontsize=10, loc="left")
+    axes.set_title(title, loc="left")
     axes.set_xlabel(x)
     axes.set_ylabel(y)
-    axes.grid(alpha=0.2, linewidth=0.5)
-    axes.legend(frameon=True, framealpha=0.85, fontsize=8, loc="best")
+    axes.grid()
 
 
 def _typical(axes: "Axes", x: float, y: float, label: str) -> None:
@@ -191,19 +155,19 @@ def _typical(axes: "Axes", x: float, y: float, label: str) -> None:
 
 def _bearing(axes: "Axes", wheel: Wheel) -> Named:
     """Pairs (N, K_s) that carry the load at each sinkage; returns the soils to be named."""
-    named: Named = {}
+    named: Named = []
     stiffness = [dot[0] for dot in BEARING_DOTS]
     exponent = [dot[1] for dot in BEARING_DOTS]
     _region(axes, exponent, stiffness, list(zip(exponent, stiffness, strict=True)))
-    for sinkage_mm, color in zip(SINKAGES_MM, CURVES, strict=True):
+    for sinkage_mm, look in zip(SINKAGES_MM, CURVES, strict=True):
         points = identified(wheel, 1e-3 * sinkage_mm).curves["bearing"]
-        axes.plot(*_xy(points, "exponent", "stiffness_kpa_m_n"), color=color, label=f"z = {sinkage_mm:g} mm")
+        axes.plot(*_xy(points, "exponent", "stiffness_kpa_m_n"), label=f"z = {sinkage_mm:g} mm", **look)
     _typical(axes, 1.0, TYPICAL, f"typical of the Moon: N = 1, K$_s$ = {TYPICAL:g}")
     for soil in _others("terrestrial"):
         value = soil.stiffness(wheel.width_m)
         if soil.sinkage_exponent is not None and value is not None:
             axes.plot(soil.sinkage_exponent, value, "k.", markersize=7)
-            named[soil.name] = (soil.sinkage_exponent, value)
+            named.append((_short(soil.name), soil.sinkage_exponent, value))
     axes.plot([], [], "k.", markersize=7, label="terrestrial soils")
     axes.set(yscale="log", xlim=(0.35, 1.5), ylim=(150, 1e4))
     force = float(stand_in_forces(wheel).normal_force_n)
@@ -219,23 +183,32 @@ def _xy(points: Sequence[Mapping[str, Any]], x: str, y: str) -> tuple[list[float
 
 
 def _others(kind: str) -> list[ReferenceSoil]:
-    return [soil for soil in reference_soils() if soil.kind == kind and not any(name in soil.name for name in OWN)]
+    return [soil for soil in reference_soils() if soil.kind == kind and not _own(soil.name)]
+
+
+def _own(name: str) -> bool:
+    return any(own in name for own in OWN)
+
+
+def _short(name: str) -> str:
+    """Water by weight is in the names of most."""
+    return "\n".join(textwrap.wrap(name.replace(" % water", "\u00a0%"), 22))
 
 
 def _shear(axes: "Axes", wheel: Wheel) -> Named:
     """Pairs (c, phi) of both curves with a published point, each with the drawbar pull that puts it there."""
-    named: Named = {}
+    named: Named = []
     corners = ((COHESION_PA, PHI_DEG, SLIP), (CORNER[1], CORNER[0], -1e-6))
     _region(axes, [COHESION_PA, CORNER[1]], [PHI_DEG, CORNER[0]], [(c, phi) for c, phi, _ in corners])
-    for (cohesion, phi, slip), color in zip(corners, CURVES, strict=False):
+    for (cohesion, phi, slip), look in zip(corners, CURVES, strict=False):
         pull, x, y = _shear_curve(wheel, cohesion, phi, slip)
         name = f"s = {slip:g}" if slip < -1e-3 else "s → 0, skid"
-        axes.plot(x, y, color=color, label=f"{name}, F$_{{DP}}$ = {pull:.2f} N (sets the dot)")
+        axes.plot(x, y, label=f"{name}, F$_{{DP}}$ = {pull:.2f} N (sets the dot)", **look)
     _typical(axes, COHESION_PA, CORNER[0], f"typical of the Moon: c = {COHESION_PA:g} Pa, φ = {CORNER[0]:g}°")
     for soil in _others("terrestrial"):
         if soil.cohesion_pa[0] < 11_000:
             axes.plot(soil.cohesion_pa[0], soil.friction_angle_deg[0], "k.", markersize=7)
-            named[soil.name] = (soil.cohesion_pa[0], soil.friction_angle_deg[0])
+            named.append((_short(soil.name), soil.cohesion_pa[0], soil.friction_angle_deg[0]))
     axes.plot([], [], "k.", markersize=7, label="terrestrial soils")
     axes.set(xlim=(0, 11_000), ylim=(0, 60))
     title = "b  longitudinal shear, slip branch of the law at |s|"
@@ -257,40 +230,35 @@ def _shear_curve(wheel: Wheel, cohesion: float, phi: float, slip: float) -> tupl
 
 
 def _missions(axes: "Axes") -> None:
-    """Ranges of other missions, each named at its side."""
-    from matplotlib import colormaps
-
+    """Ranges of other missions, each with a marker of its own: colours are programmes."""
     _region(axes, [COHESION_PA, CORNER[1]], [PHI_DEG, CORNER[0]], [(COHESION_PA, PHI_DEG), (CORNER[1], CORNER[0])])
-    soils = _others("lunar")
-    colors = colormaps["tab20"](np.linspace(0, 1, len(soils)))
-    for number, (soil, color) in enumerate(zip(soils, colors, strict=True)):
+    for number, soil in enumerate(_others("lunar")):
         x, y = np.mean(soil.cohesion_pa), np.mean(soil.friction_angle_deg)
         error = (np.ptp(soil.cohesion_pa) / 2, np.ptp(soil.friction_angle_deg) / 2)
-        marker = "osD^vP"[number % 6]
+        color = next((own for name, own in PROGRAMMES.items() if soil.name.startswith(name)), GREY)
         axes.errorbar(
-            x, y, xerr=error[0], yerr=error[1], fmt=marker, color=color, markersize=5, capsize=2.5, linewidth=1.1,
+            x, y, xerr=error[0], yerr=error[1], fmt=MARKERS[number % len(MARKERS)], color=color, markersize=5,
+            markerfacecolor="white" if number // len(MARKERS) % 2 else color, capsize=1.5, linewidth=0.8,
             label=soil.name,
         )  # fmt: skip
-    axes.set(xlim=(-100, 6200), ylim=(10, 105), yticks=range(10, 61, 10))
-    title = "c  longitudinal shear beside other missions; bars span what the source gives"
+    axes.set(xlim=(-100, 6200), ylim=(10, 65), yticks=range(10, 61, 10))
+    title = "c  shear beside other missions; bars: what is given"
     _finish(axes, title, "cohesion c [Pa]", "internal friction angle φ [°]")
-    axes.legend(frameon=False, fontsize=7, loc="upper center", ncols=2)
 
 
 def _lateral(axes: "Axes", wheel: Wheel) -> None:
     """Pairs (K_y, phi_y) at both ends of the side slip, each with the lateral force that puts it through its dot."""
     moduli, angles = zip(*LATERAL_CORNERS, strict=True)
     _region(axes, moduli, angles, LATERAL_CORNERS)
-    for (modulus, angle), beta, color in zip(LATERAL_CORNERS, reversed(SIDE_SLIPS_DEG), CURVES, strict=False):
+    for (modulus, angle), beta, look in zip(LATERAL_CORNERS, reversed(SIDE_SLIPS_DEG), CURVES, strict=False):
         force, x, y = _lateral_curve(wheel, modulus, angle, beta)
-        axes.plot(x, y, color=color, label=f"β = {beta:g}°, F$_L$ = {force:.2f} N (sets the dot)")
-    look: dict[str, Any] = {"color": TYPICAL_COLOR, "linestyle": "-.", "linewidth": 1.1, "zorder": 2}
-    axes.axvline(moduli[0], **look)
-    axes.axvline(moduli[1], label=f"K$_y$ = {moduli[0]:g} and {moduli[1]:g} mm, assumed", **look)
-    for row in lateral_soils():
-        if not any(name in row["name"] for name in OWN):
-            point = float(row["lateral_modulus_mm"]), float(row["external_friction_angle_deg"])
-            axes.plot(*point, "k^", markersize=6, label=row["name"])
+        axes.plot(x, y, label=f"β = {beta:g}°, F$_L$ = {force:.2f} N (sets the dot)", **look)
+    assumed: dict[str, Any] = {"color": TYPICAL_COLOR, "linestyle": "-.", "linewidth": 1.1, "zorder": 2}
+    axes.axvline(moduli[0], **assumed)
+    axes.axvline(moduli[1], label=f"K$_y$ = {moduli[0]:g} and {moduli[1]:g} mm, assumed", **assumed)
+    for marker, row in zip("^v<>", (row for row in lateral_soils() if not _own(row["name"])), strict=False):
+        point = float(row["lateral_modulus_mm"]), float(row["external_friction_angle_deg"])
+        axes.plot(*point, marker, color="black", linestyle="", markersize=6, label=row["name"])
     axes.set(xlim=(5, 60), ylim=(0, 45))
     title = "d  lateral shear; no one force puts curves through both dots"
     _finish(axes, title, "lateral shear modulus K$_y$ [mm]", "external friction angle φ$_y$ [°]")
@@ -310,9 +278,9 @@ def _lateral_curve(wheel: Wheel, modulus_mm: float, angle_deg: float, beta_deg: 
 
 
 def _histograms(wheel: Wheel) -> "Figure":
-    from matplotlib.figure import Figure
+    from lunarsci.figure import headline, page
 
-    figure = Figure(figsize=(14, 4.8), layout="constrained")
+    figure = page(3.1)
     panels = figure.subplots(1, 3)
     for axes, item, letter in zip(panels, histograms(wheel), "abc", strict=True):
         mean, sd = published_value(item.mean_id), published_value(item.sd_id)
@@ -320,9 +288,9 @@ def _histograms(wheel: Wheel) -> "Figure":
         _, edges, _ = axes.hist(item.draws, bins=32, density=True, color="#bcd7e0", edgecolor="white", label=own)
         x = np.linspace(min(edges[0], mean - 4 * sd), max(edges[-1], mean + 4 * sd), 400)
         law = np.exp(-0.5 * ((x - mean) / sd) ** 2) / (sd * np.sqrt(2 * np.pi))
-        axes.plot(x, law, color=DOT, linestyle="--", label=f"published: {mean:g} ± {sd:g}, as a normal law")
+        axes.plot(x, law, color=DOT, linestyle="--", label=f"published: {mean:g} ± {sd:g}, normal")
         axes.axvline(mean, color=DOT, linewidth=0.8)
-        axes.set_ylim(0, 1.3 * axes.get_ylim()[1])
-        _finish(axes, letter, item.label, "probability density")
-    figure.suptitle("Monte Carlo errors after Fig. S13 of Ding et al. (2024)", fontsize=12)
+        _finish(axes, letter, item.label, f"density [{item.per}]")
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.24), frameon=False)
+    headline(figure, "Monte Carlo errors after Fig. S13 of Ding et al. (2024)")
     return figure

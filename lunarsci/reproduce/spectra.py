@@ -305,14 +305,15 @@ def spectra_numbers(rocks: Rocks | None = None) -> list[Number]:
 
 
 PYROXENE_MARKS = (
-    ("low-calcium pyroxene", "lcp", low_calcium, "#0072B2"),
-    ("high-calcium pyroxene", "hcp", high_calcium, "#D55E00"),
+    ("low-calcium pyroxene", "lcp", low_calcium, "#0072B2", "o", "*"),
+    ("high-calcium pyroxene", "hcp", high_calcium, "#D55E00", "^", "P"),
 )
 PUBLISHED = "#c0392b"
 
 
 def spectra_pages(rocks: Rocks | None) -> "Iterator[Figure]":
     """The plane of the centres (Fig. 5b) and, with boulders, the fit of the one that fits best when smoothed (5c)."""
+    from lunarsci.figure import headline
     from lunarsci.spectra.mgm.figure import fit_pages
 
     yield _plane(rocks)
@@ -321,7 +322,7 @@ def spectra_pages(rocks: Rocks | None) -> "Iterator[Figure]":
         measured = [fit for fit in rocks.fits if fit.id == best.id]
         smoothed = replace(best, id=f"{best.id} smoothed over {SMOOTHED_POINTS} points")
         for figure in fit_pages([smoothed, *measured]):
-            figure.suptitle("Olivine and two pyroxenes after Fig. 5c of Ding et al. (2024)")
+            headline(figure, "Olivine and two pyroxenes after Fig. 5c of Ding et al. (2024)")
             yield figure
 
 
@@ -329,11 +330,13 @@ def _plane(rocks: Rocks | None) -> "Figure":
     """Fields and trend, the minerals behind them, what is published as about, and boulders where there are any."""
     figure = next(iter(plane_pages(rocks.bands if rocks else ())))
     axes = figure.axes[0]
-    for name, key, centres, color in PYROXENE_MARKS:
+    for name, key, centres, color, marker, star in PYROXENE_MARKS:
         found = centres()
-        axes.plot(*found.T, ".", color=color, alpha=0.45, markersize=6, zorder=0.5, label=f"laboratory: {name}")
+        axes.plot(*found.T, marker, color=color, alpha=0.45, markersize=4, zorder=0.5, label=f"laboratory: {name}")
         about = published_value(f"{key}-1um"), published_value(f"{key}-2um")
-        axes.plot(*about, "*", color=color, markeredgecolor=PUBLISHED, markersize=15, label=f"published: about, {name}")
+        size = 15 if marker == "o" else 11
+        label = f"published: about, {name}"
+        axes.plot(*about, star, color=color, markeredgecolor=PUBLISHED, markersize=size, label=label)
     if rocks:
         axes.plot([], [], "o", color="black", markersize=4, label="boulders that were given")
     axes.set_xlim(885.0, np.nextafter(1110.0, 0))

@@ -79,7 +79,7 @@ def test_evidence_is_one_flag_away(run: Callable[..., Any]) -> None:
 
 
 def test_pages_of_each_part(run: Callable[..., Any], tmp_path: Path) -> None:
-    for part, pages in (("spectra", 1), ("soil", 2), ("drive", 2)):
+    for part, pages in (("spectra", 1), ("soil", 3), ("drive", 2)):
         target = tmp_path / f"{part}.pdf"
         assert run("reproduce", "--part", part, "--plot", target).code == 0
         assert len(re.findall(rb"/Type /Page\b", target.read_bytes())) == pages

@@ -70,7 +70,7 @@ def test_the_picture_has_four_panels_and_the_curves_of_the_wheel_states() -> Non
     )
     assert len(plain.axes) == len(drawn.axes) == 4
     assert len(drawn.axes[0].collections) == len(plain.axes[0].collections) + 1
-    assert {"FJS-1 simulant", "Longji at the lowest K_y"} <= {text.get_text() for text in plain.axes[3].texts}
+    assert {"FJS-1 simulant", "Longji at the lowest K$_y$"} <= {text.get_text() for text in plain.axes[3].texts}
 
 
 def test_half_a_lateral_pair_is_refused() -> None:

@@ -67,9 +67,9 @@ def test_the_miss_along_the_drive_ends_in_that_of_the_end(driven: Prediction) ->
 
 
 def test_a_rover_that_waits_is_drawn_against_time(driven: Prediction) -> None:
-    assert abscissa(driven)[1] == "Commanded distance [m]"
+    assert abscissa(driven)[1] == "commanded distance [m]"
     standing = dataclasses.replace(driven, distance_m=np.repeat(driven.distance_m[::2], 2)[:11])
-    assert abscissa(standing)[1] == "Time [s]"
+    assert abscissa(standing)[1] == "time [s]"
     profile_page(standing, judge(driven)).canvas.draw()
 
 

@@ -134,10 +134,10 @@ class SyntheticPair(Result):
         return [dict(zip(ROCK_COLUMNS, map(float, row), strict=True)) for row in self.landscape.rocks]
 
     def figures(self) -> "Iterator[Figure]":
-        from lunarsci.figure import page
+        from lunarsci.figure import file_label, headline, page
 
         figure = page(3.9)
-        figure.suptitle(f"SYNTHETIC: {self.landscape.name}, {self.told.name}")
+        headline(figure, f"{file_label(self.landscape.name)}, {self.told.name}", synthetic=True)
         for axis, name in zip(figure.subplots(1, 2), ("left", "right"), strict=True):
             axis.imshow(getattr(self.pair, name), cmap="gray", vmin=0)
             axis.set_title(f"{name} picture")

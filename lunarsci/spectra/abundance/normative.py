@@ -278,7 +278,7 @@ TITLES = {"plagioclase_wt": "plagioclase of the norm [wt %]", "feo_wt": "FeO [wt
 
 def normative_pages(names: Sequence[str], found: Sequence[Normative]) -> "Iterator[Figure]":
     """One panel a quantity, one row a soil; a soil that is not determined has an empty row."""
-    from lunarsci.figure import as_label, page
+    from lunarsci.figure import as_label, headline, page
 
     for start in range(0, len(found), PER_PAGE):
         part, labels = found[start : start + PER_PAGE], names[start : start + PER_PAGE]
@@ -292,9 +292,10 @@ def normative_pages(names: Sequence[str], found: Sequence[Normative]) -> "Iterat
             panel.grid(axis="x", color="0.9")
         panels[0].set_yticks(np.arange(len(part)), [as_label(name, 28) for name in labels])
         panels[0].set_ylim(len(part) - 0.5, -0.5)
-        figure.suptitle(
+        headline(
+            figure,
             "weathered soils: composition by regression, no modes of minerals\n"
-            "bars: 68 and 95 %; an empty row: not determined"
+            "bars: 68 and 95 %; an empty row: not determined",
         )
         yield figure
 

@@ -131,7 +131,7 @@ BOULDERS = "Chang'E-4 boulders by Ding et al. (2024), 10.1038/s41467-024-46233-8
 
 def share_pages(found: Sequence[Abundance]) -> "Iterator[Figure]":
     """Shares in per cent; spectra outside the domain of the method have open circles, what is not determined none."""
-    from lunarsci.figure import as_label, page
+    from lunarsci.figure import as_label, headline, page
 
     minerals = list(dict.fromkeys(item.mineral for one in found for item in one.fractions))
     for start in range(0, len(found), PER_PAGE):
@@ -151,7 +151,7 @@ def share_pages(found: Sequence[Abundance]) -> "Iterator[Figure]":
             f"mineral shares by {found[0].method}; bars: 68 and 95 %; open: outside the domain; no dot: not determined"
         )
         rocks = ["not calibrated on rocks"] if any(one.ratios for one in part) else []
-        figure.suptitle("\n".join([title, *rocks]))
+        headline(figure, "\n".join([title, *rocks]))
         yield figure
 
 

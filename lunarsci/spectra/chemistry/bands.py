@@ -316,20 +316,22 @@ OLIVINE_COLOR = "#009E73"
 
 def plane_pages(measured: Sequence[SpectrumBands]) -> "Iterator[Figure]":
     """One page: 2 um centre over 1 um centre, fields and trend of the pyroxenes, olivine below, spectra with errors."""
-    from lunarsci.figure import page
+    from lunarsci.figure import as_label, name_points, page
 
     figure = page(5.6)
     axes = figure.subplots()
     _draw_fields(axes)
     _draw_trend(axes)
     shown = [item for item in measured if item.bands["1000"].center_nm is not None]
-    for item in shown:
-        _draw_spectrum(axes, item, named=len(shown) <= MOST_NAMES)
+    centres = [_draw_spectrum(axes, item) for item in shown]
     axes.set_xlim(*X_NM)
     axes.set_ylim(*Y_NM)
     axes.set_xlabel("centre of the 1 µm band [nm]")
     axes.set_ylabel("centre of the 2 µm band [nm]")
     axes.set_title(f"{len(shown)} of {len(measured)} spectra; bars: noise, continuum and calibration")
+    if len(shown) <= MOST_NAMES:
+        named = [(as_label(item.id, 28), *centre) for item, centre in zip(shown, centres, strict=True)]
+        name_points(figure, {axes: named})
     yield figure
 
 
@@ -368,15 +370,13 @@ def _error_nm(band: BandResult) -> float:
     return math.hypot(*(part or 0.0 for part in parts))
 
 
-def _draw_spectrum(axes: Any, item: SpectrumBands, *, named: bool) -> None:
-    from lunarsci.figure import as_label
-
+def _draw_spectrum(axes: Any, item: SpectrumBands) -> tuple[float, float]:
+    """A dot with its errors; where it is."""
     one, two = item.bands["1000"], item.bands["2000"]
     has_second = two.center_nm is not None
-    x, y = one.center_nm, two.center_nm if has_second else BELOW_NM
+    x, y = float(one.center_nm or np.nan), float(two.center_nm or BELOW_NM)
     axes.errorbar(
         x, y, xerr=_error_nm(one), yerr=_error_nm(two) if has_second else None, fmt="o" if has_second else "v",
         color="black", markersize=4, linewidth=0.8, zorder=3,
     )  # fmt: skip
-    if named:
-        axes.annotate(as_label(item.id, 28), (x, y), xytext=(5, 4), textcoords="offset points", clip_on=True)
+    return x, y

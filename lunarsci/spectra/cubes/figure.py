@@ -10,7 +10,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.constants import MOON_RADIUS_KM
-from lunarsci.figure import PAGE_IN, TALLEST_IN, as_label, page, synthetic_title
+from lunarsci.figure import PAGE_IN, TALLEST_IN, as_label, headline, page
 from lunarsci.spectra.cubes.cube import FLAGS
 from lunarsci.spectra.cubes.output import FLAG_LAYER, SUFFIXES, Layer, MapFile, is_geographic
 from lunarsci.spectra.cubes.rasters import netcdf, opened
@@ -75,13 +75,16 @@ def _page(path: Path, made: MapFile, layers: Sequence[Layer]) -> "Figure":
         _draw(figure, panel, _thinned(path, name, numbers[name], made), layer, extent)
         panel.set_aspect(drawn / long)
         panel.set_xlabel("along the lines [km]" if ground else "sample [px]")
-    for panel in panels[: len(layers) + 1 : columns]:
-        panel.set_ylabel("across the lines [km]" if ground else "line [px]")
+    for number, panel in enumerate(panels[: len(layers) + 1]):
+        if number % columns:
+            panel.tick_params(labelleft=False)
+        else:
+            panel.set_ylabel("across the lines [km]" if ground else "line [px]")
     for panel in panels[len(layers) + 1 :]:
         panel.set_axis_off()
     if ground:
         _point_north(panels[0], ground, drawn / long)
-    figure.suptitle(_title(made, drawn / long, ground))
+    headline(figure, _title(made, drawn / long, ground), synthetic=made.cube.synthetic)
     return figure
 
 
@@ -92,8 +95,7 @@ def _title(made: MapFile, squeezed: float, ground: _Ground | None) -> str:
     parts += [] if ground else ["no place on the Moon known"]
     parts += ["not to scale: see the numbers along the edges"] if abs(squeezed - 1) > 1e-6 else []
     parts += ["grey: not determined"]
-    name = synthetic_title(Path(made.cube.name).name, made.cube.synthetic)
-    return "\n".join(textwrap.wrap(name, 90) + textwrap.wrap(", ".join(parts), 100))
+    return f"{as_label(Path(made.cube.name).name, 80)}\n{', '.join(parts)}"
 
 
 def _thinned(path: Path, name: str, number: int, made: MapFile) -> FloatArray:
@@ -117,7 +119,7 @@ def _draw(figure: "Figure", panel: Any, image: FloatArray, layer: Layer | None, 
         seen = [int(code) for code in np.unique(codes)]
         names = ("measured", *(name.replace("_", " ") for name in FLAGS))
         handles = [Patch(facecolor=FLAG_COLORS[code], edgecolor="0.5", label=names[code]) for code in seen]
-        panel.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.32), frameon=False)
+        figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 4), frameon=False)
         panel.set_title("pixels")
         return
     known = image[np.isfinite(image)]
@@ -127,7 +129,7 @@ def _draw(figure: "Figure", panel: Any, image: FloatArray, layer: Layer | None, 
     bar = figure.colorbar(drawn, ax=panel, orientation="horizontal", fraction=0.05, pad=0.02, extend="both")
     bar.ax.locator_params(nbins=4)
     bar.set_label("[-]" if layer.units == "1" else f"[{layer.units}]")
-    panel.set_title("\n".join([layer.name, *textwrap.wrap(as_label(layer.long_name, 60), 26)]))
+    panel.set_title("\n".join([layer.name, *textwrap.wrap(as_label(layer.long_name, 60), 22)]), pad=9)
 
 
 def _worst_flag(image: FloatArray) -> FloatArray:

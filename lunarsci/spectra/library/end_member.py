@@ -249,14 +249,16 @@ MOST_NAMES = 12
 
 
 def library_pages(members: Sequence[EndMember]) -> "Iterator[Figure]":
-    """One page; colour runs with the first component of the chemistry, grey where it is unknown."""
+    """One page; colour runs with the first component of the chemistry, grey where unknown; at most 12 are named."""
     from lunarsci.figure import page
 
     groups = {mineral: [m for m in members if m.mineral == mineral] for mineral in (*MINERALS, None)}
     groups = {mineral: group for mineral, group in groups.items() if group}
     columns = min(2, len(groups))
     rows = -(-len(groups) // columns)
-    figure = page(2.9 * rows if columns > 1 else 4.2)
+    named = max((len(group) for group in groups.values() if len(group) <= MOST_NAMES), default=0)
+    below = 0.16 * (-(-named // 2) if named > 3 else named)
+    figure = page((2.7 + below) * rows if columns > 1 else 4.2 + below)
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for panel, (mineral, group) in zip(panels, groups.items(), strict=False):
         _draw(panel, mineral, group)
@@ -268,23 +270,24 @@ def library_pages(members: Sequence[EndMember]) -> "Iterator[Figure]":
 def _draw(panel: Any, mineral: str | None, group: Sequence[EndMember]) -> None:
     from matplotlib import colormaps
 
-    from lunarsci.figure import as_label
+    from lunarsci.figure import LINE_STYLES, as_label
 
     key = CHEMISTRY.get(mineral or "", ("",))[0]
-    for member in group:
-        share = getattr(member, key) if key else None
-        color = "0.5" if share is None else colormaps["viridis"](0.9 * share)
-        label = (
-            as_label(member.id, 24)
-            if share is None
-            else f"{as_label(member.id, 24)}, {key.capitalize()} {100 * share:.0f}"
-        )
-        panel.plot(member.wavelength_nm, member.reflectance, color=color, linewidth=1, label=label)
-    by = f", dark to bright by {key.capitalize()}" if key else ""
+    shares: list[float | None] = [getattr(member, key) if key else None for member in group]
+    order = sorted(range(len(group)), key=lambda k: (shares[k] is None, shares[k] or 0.0))
+    for place, (member, share) in enumerate((group[k], shares[k]) for k in order):
+        # Dashes and widths tell in grey what one colour does not.
+        color = "0.4" if share is None else colormaps["viridis"](0.9 * share)
+        known = "" if share is None else f", {key.capitalize()} {100 * share:.0f}"
+        dashes = LINE_STYLES[place % len(LINE_STYLES)]["linestyle"] if len(group) <= MOST_NAMES else "-"
+        width = 1.0 + 0.8 * (place // len(LINE_STYLES) % 2) if len(group) <= MOST_NAMES else 0.8
+        look: Any = {"linestyle": dashes, "linewidth": width, "label": f"{as_label(member.id, 24)}{known}"}
+        panel.plot(member.wavelength_nm, member.reflectance, color=color, **look)
+    by = f", dark to bright by {key.capitalize()}" if any(share is not None for share in shares) else ""
     panel.set_title(f"{mineral or 'mineral not stated'}: {len(group)}{by}")
     panel.set_xlabel("wavelength [nm]")
     panel.set_ylabel("reflectance [-]")
     top = max(float(np.max(member.reflectance)) for member in group)
     panel.set_ylim(0, 1.05 * min(max(top, 0.05), 1.5))
     if len(group) <= MOST_NAMES:
-        panel.legend()
+        panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), frameon=False, ncols=2 if len(group) > 3 else 1)

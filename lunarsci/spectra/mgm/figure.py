@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from lunarsci.figure import PAGE_IN, as_label, legend_below, page
+from lunarsci.figure import PAGE_IN, as_label, headline, legend_below, page
 from lunarsci.spectra.band_status import BANDS
 from lunarsci.spectra.bands import SpectrumBands
 from lunarsci.spectra.indices import INDICES, OK, IndexColumn
@@ -18,7 +18,8 @@ CONTINUUM_LOOKS = {
     "hull": {"color": "#D55E00", "linestyle": "-."},
     "linear": {"color": "#009E73", "linestyle": ":"},
 }
-PER_PAGE = 6
+PER_PAGE, LONGEST = 6, 38
+"""Spectra of a page, and letters of a name that fit above a panel."""
 INVISIBLE = 0.002
 """A band shallower than this in ln R is not drawn, so that the continuum stays visible."""
 COLORS = {
@@ -29,7 +30,13 @@ COLORS = {
     "any": "#999999",
 }
 """Colours that remain distinct under colour-vision deficiency: Okabe & Ito (2008), Color Universal Design."""
-DASHES: Any = {"olivine": "-.", "orthopyroxene": "--", "clinopyroxene": (0, (7, 2)), "plagioclase": ":", "any": "-"}
+DASHES: Any = {
+    "olivine": "-.",
+    "orthopyroxene": "--",
+    "clinopyroxene": (0, (7, 2)),
+    "plagioclase": ":",
+    "any": (0, (6, 1, 1, 1, 1, 1)),
+}
 """Lines of the same minerals, told apart in grey."""
 OTHER = "0.3"
 """Colour of a mineral that has none of its own."""
@@ -62,7 +69,7 @@ def _pages(
             draw(upper, lower, item)
         legend_below(figure, [panel.axes[0] for panel in panels[: len(part)]], 4 if columns > 1 else 3)
         if total > 1:
-            figure.suptitle(f"page {number + 1} of {total}")
+            headline(figure, f"page {number + 1} of {total}")
         yield figure
 
 
@@ -83,9 +90,10 @@ def _draw_bands(upper: Any, lower: Any, item: SpectrumBands) -> None:
     top = float(np.max(smoothed))
     upper.set_ylim(max(0.0, float(np.min(smoothed)) - 0.15 * top), 1.2 * top)
     lower.axhline(1, color="0.8", linewidth=0.8, zorder=0)
-    lower.set_ylim(max(0.0, 1 - 1.4 * _deepest(item)), 1 + 0.35 * _deepest(item))
+    # The numbers below the deepest band need room.
+    lower.set_ylim(1 - 1.9 * _deepest(item), 1 + 0.35 * _deepest(item))
     _mark_centres(lower, item)
-    upper.set_title(as_label(item.id, 48))
+    upper.set_title(as_label(item.id, LONGEST))
     upper.set_ylabel("reflectance [-]")
     lower.set_ylabel("reflectance /\ncontinuum [-]")
     lower.set_xlabel("wavelength [nm]")
@@ -112,7 +120,7 @@ def _draw_fit(upper: Any, lower: Any, fit: MgmFit) -> None:
     wavelength, model = fit.wavelength_nm, fit.ln_model()
     upper.plot(wavelength, fit.reflectance, ".", color="0.6", markersize=3, label="measured")
     upper.plot(wavelength, np.exp(model), color="black", linewidth=1.2, label="model")
-    upper.plot(wavelength, fit.continuum_reflectance, "--", color="0.3", linewidth=1, label="continuum")
+    upper.plot(wavelength, fit.continuum_reflectance, color="0.6", linewidth=0.8, label="continuum")
     named: set[str] = set()
     for band in fit.bands:
         label = None if band.mineral in named else ("visible and UV" if band.mineral == "any" else band.mineral)
@@ -135,7 +143,7 @@ def _draw_fit(upper: Any, lower: Any, fit: MgmFit) -> None:
 def _fit_title(fit: MgmFit) -> str:
     ratio = fit.nbsr.get("um2")
     strength = f", NBSR at 2 µm {ratio.opx:.2f} ± {ratio.sigma:.2f}" if ratio else ""
-    return f"{as_label(fit.id, 48)}\nrms {100 * fit.rms_ln:.2f} %{strength}"
+    return f"{as_label(fit.id, LONGEST)}\nrms {100 * fit.rms_ln:.2f} %{strength}"
 
 
 def index_pages(spectra: Sequence[Spectrum], columns: Mapping[str, IndexColumn]) -> Iterator[Figure]:

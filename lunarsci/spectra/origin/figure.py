@@ -1,6 +1,5 @@
 """The picture of a match: candidate craters around the site, and what prior and composition say of each."""
 
-import textwrap
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -9,13 +8,13 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from lunarsci.arrays import FloatArray
-from lunarsci.figure import INK, as_label, page
+from lunarsci.figure import INK, LETTER_PT, PAGE_IN, as_label, headline, legend_below, name_points, page
 from lunarsci.spectra.origin.catalogue import Point, azimuth_deg, destination, distance_km
 from lunarsci.spectra.origin.match import OTHER, CraterMatch, RockMatch
 
 HOST, PRIOR = "0.45", "#bfc7cd"
 COLORS = "YlGnBu"
-PALEST = 0.15
+PALEST = 0.25
 NEAREST = 4
 MOST_SHOWN = 14
 WIDEST_RAY = 5.0
@@ -36,13 +35,16 @@ def match_pages(matches: Sequence[RockMatch], site: Point) -> Iterator[Figure]:
         maps = [("all candidates", farthest, reach)] if farthest > ALIKE * reach else []
         maps.append(("near the site", reach, 0.0) if maps else ("all candidates", farthest, 0.0))
         rows = min(len(outside), MOST_SHOWN) + 1
-        figure = page(3.9 + 1.0 + 0.26 * rows)
-        parts: Any = figure.subfigures(2, 1, height_ratios=(3.7, 1.0 + 0.26 * rows))
+        figure = page(3.9 + 1.2 + 0.26 * rows)
+        parts: Any = figure.subfigures(2, 1, height_ratios=(3.7, 1.2 + 0.26 * rows))
         above, below = parts
-        for axes, (title, far, unnamed) in zip(above.subplots(1, len(maps), squeeze=False)[0], maps, strict=True):
-            _draw_map(axes, match, site, scale, far, title, unnamed)
-        _draw_bars(below.subplots(), match, scale)
-        figure.suptitle("\n".join(textwrap.wrap(f"{as_label(match.rock.id, 60)}: {match.status}", 92)))
+        panels, named = above.subplots(1, len(maps), squeeze=False)[0], {}
+        for axes, (title, far, unnamed) in zip(panels, maps, strict=True):
+            named[axes] = _draw_map(axes, match, site, scale, far, title, unnamed)
+        legend_below(above, panels)
+        _draw_bars(below, match, scale)
+        headline(figure, f"{as_label(match.rock.id, 60)}: {match.status}")
+        name_points(figure, named)
         yield figure
 
 
@@ -58,17 +60,22 @@ def _color(scale: Normalize, posterior: float) -> Any:
 
 def _draw_map(
     axes: Any, match: RockMatch, site: Point, scale: Normalize, reach_km: float, title: str, unnamed_km: float = 0.0
-) -> None:
+) -> list[tuple[str, float, float]]:
+    """Rims and rays; the names to be written, the likeliest first, with the northern ends of the rims."""
+    named = []
     for item in sorted(match.craters, key=lambda one: one.posterior):
         x, y = _on_map(site, *_rim(item))
         if item.contains_site:
             axes.plot(x, y, "--", color=HOST, linewidth=0.9)
         else:
             color = _color(scale, item.posterior)
-            axes.fill(x, y, facecolor=color, alpha=0.35, edgecolor=color, linewidth=1.4)
+            axes.fill(x, y, facecolor=color, alpha=0.35, linewidth=0)
+            axes.plot(x, y, color=INK, linewidth=0.6)
             _draw_ray(axes, item, color)
         if max(abs(x).max(), abs(y).max()) > unnamed_km:
-            _label(axes, item, x, y, reach_km)
+            top = int(np.argmax(y))
+            if max(abs(x[top]), abs(y[top])) <= 0.97 * reach_km:
+                named.append((_named(item), float(x[top]), float(y[top])))
     axes.plot(0, 0, "*", color="#c0392b", markersize=13, markeredgecolor="white", zorder=5, label="rock's site")
     axes.set_xlim(-reach_km, reach_km)
     axes.set_ylim(-reach_km, reach_km)
@@ -76,8 +83,8 @@ def _draw_map(
     axes.set_xlabel("east of the site [km]")
     axes.set_ylabel("north of the site [km]")
     axes.set_title(f"{title}; site at {site[0]:g}° N, {site[1]:g}° E")
-    axes.plot([], [], "--", color=HOST, linewidth=0.9, label="holds the site")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, frameon=False)
+    axes.plot([], [], "--", color=HOST, linewidth=0.9, label="rim that holds the site")
+    return named[::-1]
 
 
 def _draw_ray(axes: Any, item: CraterMatch, color: Any) -> None:
@@ -88,18 +95,9 @@ def _draw_ray(axes: Any, item: CraterMatch, color: Any) -> None:
     axes.plot([x, 0], [y, 0], color=color, linewidth=0.4 + WIDEST_RAY * item.posterior, zorder=3)
 
 
-def _label(axes: Any, item: CraterMatch, x: FloatArray, y: FloatArray, reach_km: float) -> None:
-    top = int(np.argmax(y))
-    if max(abs(x[top]), abs(y[top])) > 0.93 * reach_km:
-        return
-    text = as_label(item.crater.name, 24)
-    if not item.contains_site:
-        text += f"\n{item.posterior:.2f}"
-    axes.annotate(
-        text, (x[top], y[top]), xytext=(0, 3), textcoords="offset points", ha="center", va="bottom",
-        color=HOST if item.contains_site else INK, zorder=6,
-        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5},
-    )  # fmt: skip
+def _named(item: CraterMatch) -> str:
+    name = as_label(item.crater.name, 24)
+    return name if item.contains_site else f"{name}\n{item.posterior:.2f}"
 
 
 def _rim(item: CraterMatch) -> tuple[FloatArray, FloatArray]:
@@ -114,8 +112,9 @@ def _on_map(site: Point, latitude: FloatArray, longitude: FloatArray) -> tuple[F
     return distance * np.sin(heading), distance * np.cos(heading)
 
 
-def _draw_bars(axes: Any, match: RockMatch, scale: Normalize) -> None:
+def _draw_bars(part: Any, match: RockMatch, scale: Normalize) -> None:
     """Prior (grey) and posterior, the likeliest above, with the ln Bayes factor as text."""
+    axes = part.subplots()
     items = sorted(_delivering(match), key=lambda one: one.posterior, reverse=True)[:MOST_SHOWN]
     rows = [(i.crater.name, i.prior.probability, i.posterior, _factor(i)) for i in items]
     rows.append((OTHER, match.other_prior, match.other_posterior, "0.0"))
@@ -126,13 +125,16 @@ def _draw_bars(axes: Any, match: RockMatch, scale: Normalize) -> None:
         place - 0.2, [row[2] for row in rows], 0.36, color=colors, label="posterior", edgecolor=INK, linewidth=0.4
     )
     largest = max(max(row[1], row[2]) for row in rows)
-    for y, row in zip(place, rows, strict=True):
-        axes.text(max(row[1], row[2]) + 0.02 * largest, y, f"ln BF {row[3]}", va="center", color=INK)
+    texts = [f"ln BF {row[3]}" for row in rows]
+    for y, row, text in zip(place, rows, texts, strict=True):
+        axes.text(max(row[1], row[2]) + 0.02 * largest, y, text, va="center", color=INK)
     axes.set_yticks(place, [as_label(row[0]) for row in rows])
-    axes.set_xlim(0, 1.3 * largest)
+    letters = LETTER_PT * np.array([7.0 * max(len(as_label(row[0])) for row in rows), 8.0 * max(map(len, texts))])
+    share = letters[1] / (72 * PAGE_IN - 30 - letters[0]) + 0.04
+    axes.set_xlim(0, largest / (1 - min(share, 0.7)))
     axes.set_xlabel("probability [-]")
     axes.set_title("before and after the composition; ln BF: Bayes factor of the composition alone")
-    axes.legend(loc="lower right")
+    legend_below(part, axes)
 
 
 def _factor(item: CraterMatch) -> str:

@@ -242,13 +242,14 @@ def _description(calibrations: Sequence[Calibration]) -> dict[str, Any]:
 
 
 COLORS = {"vnir": "#0072B2", "swir": "#D55E00"}
+DASHES: Any = {"vnir": "-", "swir": (0, (5, 1.2))}
 """Okabe & Ito (2008), Color Universal Design."""
 _SHADOW, _INVALID = (0.0, 0.62, 0.45, 0.8), (0.8, 0.47, 0.65, 0.9)
 
 
 def calibration_pages(calibrations: Sequence[Calibration]) -> "Iterator[Figure]":
     """Image with footprint and rejected pixels; radiance; reflectance before and after correction; the spectrum."""
-    from lunarsci.figure import as_label, page, synthetic_title
+    from lunarsci.figure import as_label, headline, page
 
     for item in calibrations:
         figure = page(7.4)
@@ -257,7 +258,7 @@ def calibration_pages(calibrations: Sequence[Calibration]) -> "Iterator[Figure]"
         _draw_radiance(radiance, item)
         _draw_reflectance(reflectance, item)
         _draw_spectrum(spectrum, item)
-        figure.suptitle(synthetic_title(f"{as_label(item.id, 60)}, {item.time_utc[:16]} UTC", item.synthetic))
+        headline(figure, f"{as_label(item.id, 60)}, {item.time_utc[:16]} UTC", synthetic=item.synthetic)
         yield figure
 
 
@@ -278,14 +279,21 @@ def _draw_image(axes: Any, item: Calibration) -> None:
     line, sample, radius = FOOTPRINT
     lit, inside = int(item.footprint.lit.sum()), int(item.footprint.inside.sum())
     label = f"SWIR field of view: {lit} of {inside} px used"
-    axes.plot(sample + radius * np.cos(turn), line + radius * np.sin(turn), color="#F0E442", label=label)
+    draw_footprint(axes, sample + radius * np.cos(turn), line + radius * np.sin(turn), label)
     axes.set(xlabel="sample [px]", ylabel="line [px]", title="VNIR image at 750 nm")
     _legend(axes)
 
 
+def draw_footprint(axes: Any, x: Any, y: Any, label: str) -> None:
+    """A ring that is seen on bright and on dark ground."""
+    axes.plot(x, y, color="black", linewidth=2.4)
+    axes.plot(x, y, color="#F0E442", linewidth=1.2, label=label)
+
+
 def _draw_radiance(axes: Any, item: Calibration) -> None:
     for detector in (item.vnir, item.swir):
-        axes.plot(detector.wavelength_nm, detector.radiance, color=COLORS[detector.detector], label=_name(detector))
+        look: Any = {"color": COLORS[detector.detector], "linestyle": DASHES[detector.detector]}
+        axes.plot(detector.wavelength_nm, detector.radiance, label=_name(detector), **look)
     counted = item.footprint
     scale = np.divide(item.vnir.radiance, counted.mean, out=np.ones(counted.mean.size), where=counted.mean > 0)
     axes.fill_between(
@@ -318,7 +326,7 @@ def _draw_reflectance(axes: Any, item: Calibration) -> None:
         color = COLORS[detector.detector]
         axes.plot(detector.wavelength_nm, detector.observed, color=color, alpha=0.6, linestyle=":")
         if corrected:
-            axes.plot(detector.wavelength_nm, detector.corrected, color=color)
+            axes.plot(detector.wavelength_nm, detector.corrected, color=color, linestyle=DASHES[detector.detector])
     axes.plot([], [], color="0.4", alpha=0.6, linestyle=":", label="at the angles of measurement")
     if corrected:
         axes.plot([], [], color="0.4", label=f"at i 30°, e 0°, g 30° ({item.photometry}, {item.phase})")

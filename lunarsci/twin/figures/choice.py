@@ -5,10 +5,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lunarsci.figure import INK, PAGE_IN, as_label, legend_below, page, synthetic_title
+from lunarsci.figure import INK, PAGE_IN, as_label, headline, legend_below, name_points, page, wrapped
+from lunarsci.twin.choice.chances import Weakest
 from lunarsci.twin.choice.choice import DriveCandidate, DriveChoice
 from lunarsci.twin.figures.maps import HAZARD, MOST_NODES, draw_relief
-from lunarsci.twin.figures.panels import GOLD
+from lunarsci.twin.figures.panels import GOLD, LABELS
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.plans.path import poses_along
 from lunarsci.twin.plans.plan import Plan
@@ -46,9 +47,9 @@ def candidate_map(surface: Traversability, choice: DriveChoice) -> "Figure":
     bar.ax.axhline(choice.risk, color=INK, linewidth=2.0)
     bar.ax.annotate("accepted", (0.0, choice.risk), (-3, -3), xycoords=("axes fraction", "data"),
                     textcoords="offset points", ha="right", color=INK)  # fmt: skip
-    axes.set_title(_headline(choice))
+    axes.set_title(wrapped(_headline(choice), 0.8 * PAGE_IN))
     title = f"{len(choice.candidates)} drives compared on {as_label(terrain.name)}; hatched: hazard"
-    figure.suptitle(synthetic_title(title, terrain.synthetic))
+    headline(figure, title, synthetic=terrain.synthetic)
     legend_below(figure, axes, 5)
     return figure
 
@@ -109,9 +110,18 @@ def _mark_weakest(axes: "Axes", best: DriveCandidate) -> None:
     weak = best.weakest
     look: Any = {"color": HAZARD, "markeredgecolor": "white", "markersize": 12, "zorder": 10}
     axes.plot(weak.x_m, weak.y_m, "X", label="least margin", **look)
-    said = f"least margin after {weak.distance_m:z.1f} m: {weak.why}"
-    box: Any = {"boxstyle": "round", "fc": "white", "ec": INK, "alpha": 0.85}
-    axes.text(0.99, 0.02, said, transform=axes.transAxes, ha="right", color=INK, zorder=11, bbox=box)
+    said = f"least margin after {weak.distance_m:z.1f} m: {_why(weak)}"
+    axes.set_xlabel(f"{axes.get_xlabel()}\n{wrapped(said)}")
+
+
+def _why(weak: Weakest) -> str:
+    """In the words of the other pictures."""
+    if weak.quantity not in LABELS:
+        return weak.why
+    label, factor = LABELS[weak.quantity]
+    name, _, unit = label.rstrip("]").partition(" [")
+    unit = "" if unit == "-" else f" {unit}"
+    return f"95 % of the drives keep {name} {factor * weak.value:.3g}{unit}, limit {factor * weak.limit:g}{unit}"
 
 
 def _end_of(plan: Plan, legs: int) -> tuple[float, float]:
@@ -124,11 +134,13 @@ def front_page(choice: DriveChoice) -> "Figure":
     """Risk with its bounds against energy, and against length; the front that no drive beats is joined."""
     figure = page(3.9)
     panels: Any = figure.subplots(1, 2, sharey=True)
+    named = {}
     for axes, name, label in (
         (panels[0], "energy_j", "work of the wheels [J]"),
         (panels[1], "length_m", "length of the drive [m]"),
     ):
         _draw_risks(axes, choice, name)
+        named[axes] = [(str(one.number), getattr(one, name), one.said.risk) for one in choice.front]
         axes.set_xlabel(label)
         axes.axhline(choice.risk, color=INK, linewidth=1.0, linestyle="--")
         axes.set_yscale("log")
@@ -137,7 +149,9 @@ def front_page(choice: DriveChoice) -> "Figure":
     panels[0].set_ylabel("chance of failing [-]")
     panels[0].text(0.01, choice.risk * 1.06, "accepted", transform=panels[0].get_yaxis_transform(), color=INK)
     legend_below(figure, panels)
-    figure.suptitle("what less risk costs; bars: 5 % to 95 %, from the number of drives")
+    title = "what less risk costs; bars: 5 % to 95 %, from the number of drives"
+    headline(figure, title, synthetic=choice.best.prediction.terrain.synthetic)
+    name_points(figure, named)
     return figure
 
 
@@ -157,8 +171,6 @@ def _draw_risks(axes: "Axes", choice: DriveChoice, name: str) -> None:
         [getattr(one, name) for one in front], [one.said.risk for one in front], "-", color=INK, linewidth=0.8,
         zorder=2, label="not beaten in risk, length and energy",
     )  # fmt: skip
-    for one in front:
-        axes.annotate(str(one.number), (getattr(one, name), one.said.risk), (5, 4), textcoords="offset points")
 
 
 def _bars(axes: "Axes", group: list[DriveCandidate], name: str, color: str, marker: str, label: str) -> None:

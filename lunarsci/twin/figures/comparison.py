@@ -1,12 +1,11 @@
 """The picture of a prediction beside what happened: paths, ends, wheel states in their bands, and ranks."""
 
-import textwrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
-from lunarsci.figure import COLORS, INK, as_label, legend_below, page
+from lunarsci.figure import COLORS, INK, as_label, headline, legend_below, page
 from lunarsci.twin.assimilation.drive_record import OBSERVED
 from lunarsci.twin.comparison.checks import NOMINAL, half_band, ranks, region_ellipse, standardised
 from lunarsci.twin.comparison.matched import MatchedObservations
@@ -60,8 +59,8 @@ def comparison_figure(matched: MatchedObservations, found: DriveComparison, titl
     reason = f": {found.reasons[0]}" if found.reasons else ""
     others = len(found.reasons) - 1
     more = f" (and {others} more {'reason' if others == 1 else 'reasons'})" if others > 0 else ""
-    said = textwrap.wrap(f"{found.verdict.upper()}{reason}{more}", 105)
-    figure.suptitle("\n".join([*textwrap.wrap(title, 105), *said]), color=color)
+    said = f"{title}\n{found.verdict.upper()}{reason}{more}"
+    headline(figure, said, synthetic=matched.forecast.synthetic, color=color)
     return figure
 
 

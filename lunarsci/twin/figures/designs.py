@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lunarsci.figure import INK, as_label, legend_below, page
-from lunarsci.result import unit_of
+from lunarsci.figure import INK, as_label, headline, legend_below, name_points, page
+from lunarsci.result import UNITS, unit_of
 from lunarsci.twin.designs.trade import Design
 from lunarsci.twin.figures.panels import ACCENT, GOLD, LIMIT
 
@@ -22,9 +22,11 @@ MEASURES = (
     ("pull_per_weight_at_20", 1.0, "pull per weight\nat 20 % slip [-]"),
 )
 """Keys of a design's row, factor, and label."""
+MOST_NAMED = 8
+"""Designs of the front whose values are written beside their dots."""
 
 
-def front_page(designs: Sequence[Design], front: Sequence[int]) -> "Figure":
+def front_page(designs: Sequence[Design], front: Sequence[int], *, synthetic: bool = False) -> "Figure":
     """Share of drives that break a limit against the energy of the others, and the designs that none beats in both."""
     figure = page(5.0, 6.0)
     axes = figure.subplots()
@@ -50,7 +52,6 @@ def front_page(designs: Sequence[Design], front: Sequence[int]) -> "Figure":
             linewidths=1.6, zorder=4, label="no other design is better in both",
         )  # fmt: skip
         figure.colorbar(dots, ax=axes, label=_label(name))
-        _name_front(axes, designs, front, energy, risk)
         legend_below(figure, axes, 1)
     highest = max(10.0, *(100.0 * (1.0 - rows[n]["kept_share"]) for n in known), 0.0)
     axes.set_ylim(-0.04 * highest, 1.08 * highest)
@@ -59,18 +60,19 @@ def front_page(designs: Sequence[Design], front: Sequence[int]) -> "Figure":
     axes.grid()
     left = len(designs) - len(known)
     more = f"; {left} impossible or without an end are not shown" if left else ""
-    figure.suptitle(f"{len(designs)} designs on the same soils{more}")
+    headline(figure, f"{len(designs)} designs on the same soils{more}", synthetic=synthetic)
+    if known:
+        named = [(_values(designs[n]), energy[n], risk[n]) for n in list(front)[:MOST_NAMED]]
+        name_points(figure, {axes: named}, clear_pt=5.0, color=INK)
     return figure
 
 
-def _name_front(axes: "Axes", designs: Sequence[Design], front: Sequence[int], energy: Any, risk: Any) -> None:
-    """The values of at most eight designs of the front, beside their dots."""
-    for n in list(front)[:8]:
-        text = ", ".join(f"{value:.3g}" for value in designs[n].values.values())
-        axes.annotate(text, (energy[n], risk[n]), xytext=(8, 8), textcoords="offset points", color=INK, zorder=5)
+def _values(design: Design) -> str:
+    """What makes a design of the front, beside its dot."""
+    return ", ".join(f"{value:.3g}" for value in design.values.values())
 
 
-def curve_page(designs: Sequence[Design], names: Sequence[str]) -> "Figure":
+def curve_page(designs: Sequence[Design], names: Sequence[str], *, synthetic: bool = False) -> "Figure":
     """Each measure against each varied number: a dot for each design, the line through the medians of equal values."""
     figure = page(1.5 * len(MEASURES) + 0.6)
     panels = figure.subplots(len(MEASURES), len(names), squeeze=False, sharex="col", sharey="row")
@@ -83,15 +85,16 @@ def curve_page(designs: Sequence[Design], names: Sequence[str]) -> "Figure":
             if column == 0:
                 axes.set_ylabel(label)
         panels[-1, column].set_xlabel(_label(name))
-    figure.suptitle("what each number does; lines: medians over the others")
+    headline(figure, "what each number does; lines: medians over the others", synthetic=synthetic)
     return figure
 
 
 def _label(name: str) -> str:
     """A varied key of the rover, such as `wheel.radius_m`, as a label with its unit."""
     unit = unit_of(name)
-    bare = name.removesuffix(f"_{unit.replace(' ', '').lower()}") if unit else name
-    return f"{as_label(bare.replace('.', ' ').replace('_', ' '))} [{unit or '-'}]"
+    ends = [end for end in UNITS if name.endswith(f"_{end}")] if unit else []
+    bare = name.removesuffix(f"_{max(ends, key=len)}") if ends else name
+    return f"{as_label(bare.replace('.', ' ').replace('_', ' '))} [{unit.replace(' / ', '/') or '-'}]"
 
 
 def _draw_curve(axes: "Axes", values: Any, measured: Any) -> None:

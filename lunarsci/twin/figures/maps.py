@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
-from lunarsci.figure import INK, PAGE_IN, as_label, legend_below, page, synthetic_title
+from lunarsci.figure import INK, PAGE_IN, as_label, headline, legend_below, page
 from lunarsci.regolith.figure import PARAMETER_LABELS
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.twin.assimilation.change_point import traverse_of, wheel_places
@@ -63,23 +63,18 @@ def terrain_maps(surface: Traversability, path: PlannedPath | None = None) -> "F
         if path is not None:
             _draw_path(panel, path, terrain, outline=number in (0, 3))
     legend_below(figure, axes.flat)
-    figure.suptitle(_title(surface, path))
+    headline(figure, _title(surface, path), synthetic=surface.terrain.synthetic)
     return figure
 
 
 def _title(surface: Traversability, path: PlannedPath | None) -> str:
-    ground = ground_name(surface.terrain)
+    ground = as_label(surface.terrain.name)
     if path is None:
         return ground
     return (
         f"{ground}: path of {path.plan.length_m:.2f} m, nearest hazard {path.min_hazard_distance_m:.2f} m, "
         f"slope up to {path.max_slope_deg:.1f}°"
     )
-
-
-def ground_name(terrain: Terrain) -> str:
-    """With what is made up said."""
-    return synthetic_title(as_label(terrain.name), terrain.synthetic)
 
 
 def _extent(terrain: Terrain) -> tuple[float, float, float, float]:
@@ -250,7 +245,8 @@ def residual_page(record: DriveRecord, found: SoilUpdate, changes: list[SoilChan
         if changes
         else "no change of the soil found"
     )
-    figure.suptitle(f"measured less simulated on one soil, in standard errors: {told}")
+    title = f"measured less simulated on one soil, in standard errors: {told}"
+    headline(figure, title, synthetic=found.prediction.terrain.synthetic)
     return figure
 
 
@@ -300,7 +296,7 @@ def _soil_page(
         panel.set_xlabel("x [m]")
     for panel in axes[:, 0]:
         panel.set_ylabel("y [m]")
-    figure.suptitle(synthetic_title(f"{title}\n{as_label(terrain.name, 60)}", terrain.synthetic))
+    headline(figure, f"{title}\n{as_label(terrain.name, 60)}", synthetic=terrain.synthetic)
     return figure
 
 

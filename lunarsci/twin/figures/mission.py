@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.figure import INK, PAGE_IN, as_label, legend_below, page, synthetic_title
+from lunarsci.figure import INK, PAGE_IN, as_label, file_label, headline, legend_below, name_points, page, wrapped
 from lunarsci.twin.figures.maps import HAZARD, MOST_NODES, PATH, draw_relief
 from lunarsci.twin.figures.panels import ACCENT, GOLD
 from lunarsci.twin.ground.hazards import Traversability
-from lunarsci.twin.mission.legs import DrivenMission, MissionLeg
+from lunarsci.twin.mission.legs import DrivenMission, MissionLeg, TargetFate
 from lunarsci.twin.plans.path import poses_along
 
 if TYPE_CHECKING:
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 WAITED, LOCALISED, STAYED = "#d9d9d9", "#9fb4c0", GOLD
 MARGIN_M = 2.0
+MOST_ARRIVALS = 24
+"""Names of arrivals that fit side by side; one that is too near to the one before is left out."""
 
 
 def mission_map(surface: Traversability, driven: DrivenMission) -> "Figure":
@@ -42,11 +44,18 @@ def mission_map(surface: Traversability, driven: DrivenMission) -> "Figure":
     axes.set(xlim=(max(left, terrain.x_m[0]), min(right, terrain.x_m[-1])),
              ylim=(max(low, terrain.y_m[0]), min(high, terrain.y_m[-1])),
              aspect="equal", xlabel="x [m]", ylabel="y [m]")  # fmt: skip
-    axes.set_title(_headline(driven))
-    title = f"{as_label(driven.mission.name)}, on {as_label(terrain.name)}"
-    figure.suptitle(synthetic_title(title, terrain.synthetic))
+    axes.set_title(wrapped(_headline(driven)))
+    title = f"{file_label(driven.mission.name)}, on {as_label(terrain.name)}"
+    headline(figure, title, synthetic=terrain.synthetic)
     legend_below(figure, axes, 5)
+    named = [(_named(one), one.target.x_m, one.target.y_m) for one in driven.targets]
+    name_points(figure, {axes: named}, clear_pt=6.0, color=INK)
     return figure
+
+
+def _named(one: TargetFate) -> str:
+    name = as_label(one.target.name, 24)
+    return name if one.fate == "reached" else f"{name}: {one.fate}"
 
 
 def _places(driven: DrivenMission) -> FloatArray:
@@ -75,7 +84,7 @@ def _draw_leg(axes: "Axes", leg: MissionLeg) -> None:
 
 
 def _mark(axes: "Axes", driven: DrivenMission) -> None:
-    """Start, localised places, targets with their names, and circles."""
+    """Start, localised places, targets, and circles."""
     from matplotlib.patches import Circle
 
     start = driven.mission.start
@@ -86,17 +95,13 @@ def _mark(axes: "Axes", driven: DrivenMission) -> None:
         color = GOLD if one.fate == "reached" else "white"
         place = (one.target.x_m, one.target.y_m)
         axes.plot(*place, "*", color=color, markeredgecolor=INK, markersize=16, zorder=9)
-        name = as_label(one.target.name, 24)
-        text = name if one.fate == "reached" else f"{name}: {one.fate}"
-        axes.annotate(text, place, (9, 7), textcoords="offset points", color=INK, zorder=10,
-                      bbox={"boxstyle": "round", "fc": "white", "ec": INK, "alpha": 0.85})  # fmt: skip
     for zone in driven.mission.keep_outs:
         axes.add_patch(
             Circle((zone.x_m, zone.y_m), zone.radius_m, fill=False, hatch="////", edgecolor=HAZARD, zorder=5)
         )
 
 
-def timetable(driven: DrivenMission) -> "Figure":
+def timetable(driven: DrivenMission, *, synthetic: bool = False) -> "Figure":
     """What the rover does when, in hours, below the windows of communication; and the share of drives that go on."""
     figure = page(3.9)
     panels: Any = figure.subplots(2, 1, sharex=True, height_ratios=(1, 2))
@@ -110,12 +115,17 @@ def timetable(driven: DrivenMission) -> "Figure":
     panels[1].step(times, shares, where="post", color=PATH, linewidth=2.0)
     panels[1].set(xlabel="time [h]", ylabel="drives that kept\nall limits [-]", ylim=(0.0, 1.05))
     panels[1].grid()
-    for one in driven.targets:
-        if one.fate == "reached":
-            panels[1].axvline(one.arrival_s / 3600, color=INK, linewidth=0.8, linestyle="--")
-            panels[1].annotate(one.target.name, (one.arrival_s / 3600, 0.05), (3, 0), textcoords="offset points",
-                               rotation=90, color=INK)  # fmt: skip
-    figure.suptitle(f"{as_label(driven.mission.name)}: {driven.end_s / 3600:.2f} h")
+    room, last = max(driven.end_s, 1.0) / 3600 / MOST_ARRIVALS, -np.inf
+    for one in sorted((one for one in driven.targets if one.fate == "reached"), key=lambda one: one.arrival_s):
+        at = one.arrival_s / 3600
+        panels[1].axvline(at, color=INK, linewidth=0.8, linestyle="--")
+        if at - last >= room:
+            # Beside its line, on the side where the page goes on.
+            side: Any = {"ha": "right"} if at > 0.9 * driven.end_s / 3600 else {"ha": "left"}
+            panels[1].annotate(as_label(one.target.name, 24), (at, 0.05), (-3 if "right" in side.values() else 3, 0),
+                               textcoords="offset points", rotation=90, color=INK, **side)  # fmt: skip
+            last = at
+    headline(figure, f"{file_label(driven.mission.name)}: {driven.end_s / 3600:.2f} h", synthetic=synthetic)
     return figure
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.figure import INK, as_label, legend_below, page, synthetic_title
+from lunarsci.figure import INK, as_label, headline, legend_below, page
 from lunarsci.regolith.figure import PARAMETER_LABELS
 from lunarsci.twin.figures.panels import (
     ACCENT,
@@ -59,14 +59,13 @@ def path_fan(prediction: Prediction, verdict: Verdict, terrain: Terrain | None =
         draw_band(panel, prediction, verdict, name)
         panel.set_xlabel(abscissa(prediction)[1])
     legend_below(parts[2], panels)
-    parts[2].suptitle("all wheels of all members; upright lines: joints of the plan")
+    headline(parts[2], "all wheels of all members; upright lines: joints of the plan")
     members = "1 member" if prediction.members == 1 else f"{prediction.members} members"
     length = f"{prediction.plan.length_m:.2f} m"
-    figure.suptitle(
-        synthetic_title(
-            f"{verdict.verdict.upper()} for the drive of {length}, {members},\non {as_label(terrain.name)}",
-            terrain.synthetic,
-        ),
+    headline(
+        figure,
+        f"{verdict.verdict.upper()} for the drive of {length}, {members}, on {as_label(terrain.name)}",
+        synthetic=terrain.synthetic,
         color=LIMIT if verdict.verdict == "no-go" else INK,
     )
     return figure
@@ -168,7 +167,7 @@ def profile_page(prediction: Prediction, verdict: Verdict) -> "Figure":
         lowest.set_xlabel(abscissa(prediction)[1])
     members = "1 member" if prediction.members == 1 else f"all {prediction.members} members"
     title = f"profiles of {members}; upright lines: joints of the plan"
-    figure.suptitle(synthetic_title(title, prediction.terrain.synthetic))
+    headline(figure, title, synthetic=prediction.terrain.synthetic)
     return figure
 
 
@@ -203,12 +202,8 @@ def box_pages(prediction: Prediction) -> "Iterator[Figure]":
         for row, name in zip(panels, own, strict=True):
             for panel, quantity in zip(row, SHOWN, strict=True):
                 _draw_boxes(panel, prediction, name, quantity)
-        figure.suptitle(
-            synthetic_title(
-                "all wheel states of the members, by soil: quartiles, median, whiskers p05 to p95, ○ mean",
-                prediction.terrain.synthetic,
-            )
-        )
+        title = "all wheel states of the members, by soil: quartiles, median, whiskers p05 to p95, ○ mean"
+        headline(figure, title, synthetic=prediction.terrain.synthetic)
         yield figure
 
 

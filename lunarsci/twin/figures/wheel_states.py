@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.figure import INK, as_label, legend_below, page, synthetic_title
+from lunarsci.figure import INK, as_label, headline, legend_below, page
 from lunarsci.twin.figures.panels import ACCENT, GOLD, LABELS, LIMIT, draw_ground, wheel_dots, wheel_line
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.loads.load_ensemble import LoadEnsemble
@@ -36,7 +36,7 @@ def states_page(drive: DriveStates, terrain: Terrain, title: str) -> "Figure":
     legend_below(parts[1], panels[0], 7)
     panels[0].set_title("one state between two positions; bars: 68 %; white: not valid")
     panels[-1].set_xlabel("way as the wheels say [m]")
-    figure.suptitle(synthetic_title(title, drive.telemetry.synthetic))
+    headline(figure, title, synthetic=drive.telemetry.synthetic or terrain.synthetic)
     return figure
 
 
@@ -47,7 +47,7 @@ def _draw_map(axes: "Axes", drive: DriveStates, terrain: Terrain) -> None:
     points = np.vstack([places.reshape(-1, 2), drive.nodes.fix_m])
     draw_ground(axes, terrain, _window(points, terrain), 0.1)
     for k in range(places.shape[1]):
-        axes.plot(*places[:, k].T, color=wheel_line(k)["color"], linewidth=0.9, alpha=0.9, zorder=3)
+        axes.plot(*places[:, k].T, **(wheel_line(k) | {"linewidth": 0.9, "alpha": 0.9, "zorder": 3}))
     motion, telemetry = drive.motion, drive.telemetry
     axes.plot(motion.x_m, motion.y_m, color="white", linewidth=3.0, zorder=4)
     axes.plot(motion.x_m, motion.y_m, color=ACCENT, linewidth=1.6, zorder=5, label="smoothed way of the rover's origin")
@@ -129,7 +129,7 @@ FORCES = ("normal_force_n", "drawbar_pull_n", "lateral_force_n")
 MISSING = ("missing ahead [N]", "missing to the left [N]", "missing moment [N m]")
 
 
-def force_band_figure(found: LoadEnsemble, title: str) -> "Figure":
+def force_band_figure(found: LoadEnsemble, title: str, *, synthetic: bool = False) -> "Figure":
     """A column of panels for each axle: the three forces of its wheels, and below what is missing of the totals.
 
     Pale bands are one standard deviation after the balance; the dark band in it is what the assumed soil brings of it.
@@ -148,15 +148,16 @@ def force_band_figure(found: LoadEnsemble, title: str) -> "Figure":
             _band_frame(panel, LABELS[FORCES[force]][0] if axle == 0 else "", along)
     for axle, panel in enumerate(panels[0]):
         panel.set_title(" and ".join(as_label(wheel) for wheel in wheels[2 * axle : 2 * axle + 2]))
+    for panel in panels[-1]:
+        panel.set_xlabel("distance rolled [m]")
     legend_below(upper, panels[0, 0])
     for panel in panels.ravel():
         _zero(panel)
     missing = lower.subplots(1, 3, sharex=True)
     _draw_missing(missing, along, found)
     legend_below(lower, missing[0])
-    figure.suptitle(
-        f"{title}\npale: ±1 standard deviation after the balance of totals; dark: what the assumed soil brings of it",
-    )
+    told = "pale: ±1 standard deviation after the balance of totals; dark: what the assumed soil brings of it"
+    headline(figure, f"{title}\n{told}", synthetic=synthetic)
     return figure
 
 
@@ -201,6 +202,8 @@ def force_figure(
     states: FloatArray,
     title: str,
     residual_n: FloatArray | None = None,
+    *,
+    synthetic: bool = False,
 ) -> "Figure":
     """Forces, slip and side slip of each wheel.
 
@@ -210,7 +213,8 @@ def force_figure(
     axis : values along the drive (n,), and their label.
     states : wheel states, columns `STATE_COLUMNS`; the median over members where there are several.
         (n, wheels, 10) or (members, n, wheels, 10)
-    missing_n : for a given motion, the force ahead and to the left that the wheels do not supply. (n, 2) [N]
+    residual_n : for a given motion, the force ahead and to the left that the wheels do not supply. (n, 2) [N]
+    synthetic : whether the ground or the motion is made up.
     """
     along, label = axis
     middle = np.nanmedian(states, axis=0) if states.ndim == 4 else states
@@ -227,7 +231,7 @@ def force_figure(
     for panel in rows[-1]:
         panel.set_xlabel(label)
     legend_below(figure, rows[0, 0], 6)
-    figure.suptitle(title)
+    headline(figure, title, synthetic=synthetic)
     return figure
 
 

@@ -119,9 +119,11 @@ class ComparedDrive(Result):
         return [_band_row(check, self.found) for check in self.found.bands]
 
     def figures(self) -> "Iterator[Figure]":
+        from lunarsci.figure import file_label
         from lunarsci.twin.figures.comparison import comparison_figure
 
-        yield comparison_figure(self.matched, self.found, f"{self.matched.forecast.origin} beside {self.states}")
+        title = f"{file_label(str(self.matched.forecast.origin))} beside {file_label(self.states)}"
+        yield comparison_figure(self.matched, self.found, title)
 
 
 def compare(

@@ -80,7 +80,8 @@ class DriveForces(Result):
         from lunarsci.twin.judgement.quantities import abscissa
 
         prediction = self.prediction
-        yield force_figure(prediction.rover.wheels, abscissa(prediction), _reached(prediction), self.title)
+        drawn = (prediction.rover.wheels, abscissa(prediction), _reached(prediction), self.title)
+        yield force_figure(*drawn, synthetic=prediction.terrain.synthetic)
 
 
 def forces(

@@ -92,11 +92,13 @@ class BeliefHistory(Result):
         return rows
 
     def figures(self) -> "Iterator[Figure]":
+        from lunarsci.figure import file_label
         from lunarsci.regolith.figure import belief_history_figure
 
-        names = (self.source.name, self.other_source.name if self.other_source else "")
-        title = f"{self.source.name}: belief of the soil by drive"
-        yield belief_history_figure(self.belief, title, self.other, names)
+        names = (file_label(self.source.name), file_label(self.other_source.name) if self.other_source else "")
+        title = f"{names[0]}: belief of the soil by drive"
+        synthetic = any(entry.get("synthetic") for entry in self.belief.history)
+        yield belief_history_figure(self.belief, title, self.other, names, synthetic=synthetic)
 
 
 def history(belief: Source, request: HistoryRequest | None = None, **options: Any) -> BeliefHistory:

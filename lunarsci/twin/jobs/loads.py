@@ -105,8 +105,8 @@ class MotionLoads(Result):
     @property
     def title(self) -> str:
         """What the forces are of, for tables and pictures."""
-        poses = len(self.found.motion.time_s)
-        return f"Wheel forces along {self.motion.name}, {poses} poses on {self.known.terrain.name}"
+        poses = f"{len(self.found.motion.time_s)} poses on {self.known.terrain.name}"
+        return f"Wheel forces along {self.motion.name}, {poses}"
 
     @property
     def missing(self) -> dict[str, float] | None:
@@ -128,8 +128,9 @@ class MotionLoads(Result):
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.twin.figures.wheel_states import force_figure
 
-        found, axis = self.found, (self.found.motion.time_s, "Time [s]")
-        yield force_figure(self.known.rover.wheels, axis, found.states, self.title, found.residual_n)
+        found, title = self.found, self.title.replace(name := self.motion.name, Path(name).name)
+        drawn = (self.known.rover.wheels, (found.motion.time_s, "time [s]"), found.states, title, found.residual_n)
+        yield force_figure(*drawn, synthetic=self.known.terrain.synthetic)
 
 
 def _missing(found: "PrescribedLoads") -> dict[str, float]:
@@ -244,7 +245,8 @@ class UncertainLoads(Result):
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.twin.figures.wheel_states import force_band_figure
 
-        yield force_band_figure(self.found, self.title)
+        title = self.title.replace(motion := self.given["motion"].name, Path(motion).name)
+        yield force_band_figure(self.found, title, synthetic=self.known.terrain.synthetic)
 
 
 def loads(

@@ -132,7 +132,7 @@ class PlannedMission(TerrainSurvey):
         from lunarsci.twin.figures.mission import mission_map, timetable
 
         yield mission_map(self.surface, self.driven)
-        yield timetable(self.driven)
+        yield timetable(self.driven, synthetic=self.surface.terrain.synthetic)
 
     def files(self, *, geotiff: bool = False) -> dict[str, Callable[[], bytes]]:
         """Terrain and maps, the table of legs, a plan for each, and all of it as GeoJSON."""

@@ -127,9 +127,10 @@ class MeasuredStates(Result):
         return {name: lambda table=table: csv_bytes(table) for name, table in self.tables.items()}  # type: ignore[misc]
 
     def figures(self) -> "Iterator[Figure]":
+        from lunarsci.figure import file_label
         from lunarsci.twin.figures.wheel_states import states_page
 
-        yield states_page(self.drive, self.known.terrain, self.title)
+        yield states_page(self.drive, self.known.terrain, self.title.replace(self.name, file_label(self.name)))
 
 
 def states(

@@ -103,8 +103,9 @@ class DesignTrade(Result):
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.twin.figures.designs import curve_page, front_page
 
-        yield front_page(self.designs, self.front)
-        yield curve_page(self.designs, [entry.name for entry in self.variations])
+        synthetic = any(soils.inputs.terrain.synthetic for soils in self.soils)
+        yield front_page(self.designs, self.front, synthetic=synthetic)
+        yield curve_page(self.designs, [entry.name for entry in self.variations], synthetic=synthetic)
 
 
 def sweep(

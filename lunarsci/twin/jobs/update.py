@@ -321,7 +321,7 @@ def _entry(found: "SoilUpdate", known: "DriveInputs", states: InputFile) -> Mapp
         "ruts": found.prediction.ruts,
         "surprise": found.prior_shift,
         "refused": found.refused,
-    }
+    } | ({"synthetic": True} if known.terrain.synthetic else {})
 
 
 def _zone(segment: "Segment", known: "DriveInputs", states: InputFile) -> "Zone":

@@ -209,5 +209,5 @@ def along(prediction: Prediction, quantity: str) -> FloatArray:
 def abscissa(prediction: Prediction) -> tuple[FloatArray, str]:
     """What to draw against, with its label: the commanded distance, or the time where the rover also turns or waits."""
     if (np.diff(prediction.distance_m) > 0).all():
-        return prediction.distance_m, "Commanded distance [m]"
-    return prediction.time_s, "Time [s]"
+        return prediction.distance_m, "commanded distance [m]"
+    return prediction.time_s, "time [s]"

@@ -108,7 +108,8 @@ def _place(scene: Scene) -> dict[str, float]:
 
 def simulation_page(simulation: Simulation) -> "Figure":
     """Image at 750 nm on the left, reflectance of soil, rock and the lit footprint on the right."""
-    from lunarsci.figure import legend_below, page
+    from lunarsci.figure import headline, legend_below, page
+    from lunarsci.spectra.vnis.calibration import draw_footprint
 
     figure = page(3.7)
     image, spectrum = figure.subplots(1, 2)
@@ -116,15 +117,13 @@ def simulation_page(simulation: Simulation) -> "Figure":
     image.imshow(simulation.vnir[int(np.flatnonzero(VNIR_NM == 750.0)[0])], cmap="gray", interpolation="nearest")
     for mask, color, style, name in (
         (frame.rock, "#D55E00", "-", "outline of the rock"),
-        (frame.shadow, "#009E73", "--", "outline of the shadow"),
+        (frame.shadow, "#009E73", "-.", "outline of the shadow"),
     ):
         if mask.any():
             image.contour(mask, levels=[0.5], colors=color, linestyles=style, linewidths=1)
             image.plot([], [], color=color, linestyle=style, linewidth=1, label=name)
     turn, (line, sample, radius) = np.linspace(0, 2 * np.pi, 181), FOOTPRINT
-    image.plot(
-        sample + radius * np.cos(turn), line + radius * np.sin(turn), color="#F0E442", label="SWIR field of view"
-    )
+    draw_footprint(image, sample + radius * np.cos(turn), line + radius * np.sin(turn), "SWIR field of view")
     image.set(xlabel="sample [px]", ylabel="line [px]", title="image at 750 nm")
     truth = simulation.truth
     spectrum.plot(truth.wavelength_nm, truth.reflectance, color="black", label="lit ground in the field of view")
@@ -133,5 +132,5 @@ def simulation_page(simulation: Simulation) -> "Figure":
         spectrum.plot(truth.wavelength_nm, truth.rock_reflectance, ":", color="#D55E00", label="rock")
     spectrum.set(xlabel="wavelength [nm]", ylabel="reflectance factor [-]", title="truth, at i 30°, e 0°, g 30°")
     legend_below(figure, (image, spectrum), 3)
-    figure.suptitle("SYNTHETIC, not a measurement")
+    headline(figure, "SYNTHETIC, not a measurement")
     return figure
