@@ -14,6 +14,7 @@ from ..shared.table import TextTable
 
 if TYPE_CHECKING:
     from lunarsci.regolith.compare import SoilComparison
+    from lunarsci.regolith.jobs.compare_soils import ComparedSoils
 
 
 SHOWN = 8
@@ -42,13 +43,14 @@ def compare(request: CompareSoilsRequest, result: Found = None) -> Report:
     square of the logarithm: 0.1 is about 10 %. The picture also shows the curves of a result, and lateral shear.
     """
     found = compare_soils(result, request)
-    return Report.of(found, tables=_tables(found.soils))
+    return Report.of(found, tables=result_tables(found))
 
 
-def _tables(found: "Sequence[SoilComparison]") -> list[TextTable]:
+def result_tables(result: "ComparedSoils") -> list[TextTable]:
+    """The nearest soils in both aspects."""
     from lunarsci.regolith.compare import nearest
 
-    tables = []
+    found, tables = result.soils, []
     for aspect, title in (("bearing", "Alike in bearing"), ("strength", "Alike in shear strength")):
         ordered = nearest(found, aspect)
         rows = [

@@ -84,10 +84,10 @@ def identify(states: States, request: IdentifyRequest, output: Output) -> Report
     """
     with progress("identifying", quiet=output.quiet) as update:
         found = identify_soil(states, request, progress=update)
-    return Report.of(found, tables=tables(found))
+    return Report.of(found, tables=result_tables(found))
 
 
-def tables(found: IdentifiedSoil) -> list[TextTable]:
+def result_tables(found: IdentifiedSoil) -> list[TextTable]:
     """Each state, where there are few; the site; where the errors come from."""
     shares = [] if found.shares is None else [_sensitivity_table(found.shares)]
     return [*_observation_tables(found.found), _site_table(found.found), *shares]

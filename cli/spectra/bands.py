@@ -66,10 +66,10 @@ def bands(files: Files, request: BandsRequest, output: Output, plane: Plane = No
     output.check_extra("--plane", plane)
     with progress("measuring bands", quiet=output.quiet) as update:
         result = bands(files, request, progress=update)
-    return Report.of(result, lambda: _tables(result), pictures={plane: result.plane} if plane else {})
+    return Report.of(result, lambda: result_tables(result), pictures={plane: result.plane} if plane else {})
 
 
-def _tables(result: "MeasuredBands") -> list[TextTable]:
+def result_tables(result: "MeasuredBands") -> list[TextTable]:
     return [_bands_table(result), *_chemistry_tables(result)]
 
 

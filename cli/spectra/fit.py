@@ -102,10 +102,10 @@ def fit_spectra(files: Files, request: FitRequest, output: Output) -> Report:
     to_file = output.path is not None and output.path.suffix.lower() == ".fit"
     with progress("fitting", quiet=output.quiet) as update:
         found = fit(files, replace(request, to_fit_file=to_file), progress=update)
-    return Report.of(found, lambda: fit_tables(found), formats={".fit": lambda _: found.fit_file().encode()})
+    return Report.of(found, lambda: result_tables(found), formats={".fit": lambda _: found.fit_file().encode()})
 
 
-def fit_tables(found: MgmFits) -> list[TextTable]:
+def result_tables(found: MgmFits) -> list[TextTable]:
     """An overview, and of one spectrum alone its bands, intervals, choice and shares."""
     alone = len(found.records) == 1 and bool(found.good)
     record = found.records[0]

@@ -40,7 +40,12 @@ def indices(files: Files, request: IndicesRequest) -> Report:
     from lunarsci.spectra.jobs.indices import indices
 
     found = indices(files, request)
-    return Report.of(found, [_one(found) if len(found.batch.spectra) == 1 else _many(found)])
+    return Report.of(found, result_tables(found))
+
+
+def result_tables(found: "FoundIndices") -> list[TextTable]:
+    """One spectrum in full, of several a line each."""
+    return [_one(found) if len(found.batch.spectra) == 1 else _many(found)]
 
 
 def _one(found: "FoundIndices") -> TextTable:

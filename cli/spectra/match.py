@@ -105,10 +105,10 @@ def match(request: MatchRequest, output: Output, rocks: Rocks = None) -> Report:
 
     with progress("matching", quiet=output.quiet) as update:
         result = match(rocks or (), request, progress=update)
-    return Report.of(result, lambda: _tables(result))
+    return Report.of(result, lambda: result_tables(result))
 
 
-def _tables(result: "Matches") -> list[TextTable]:
+def result_tables(result: "Matches") -> list[TextTable]:
     from lunarsci.spectra.origin.match import OTHER
 
     matches, notes = result.matches, [f"- {text}" for text in result.assumptions]

@@ -12,7 +12,8 @@ from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import UNKNOWN, TextTable, counted, plus_minus
-from .fit import MODEL_OPTIONS, fit_tables
+from .fit import MODEL_OPTIONS
+from .fit import result_tables as fit_tables
 from .options import UNITS, Files
 
 if TYPE_CHECKING:
@@ -85,7 +86,12 @@ def unmix_spectra(files: Files, request: UnmixRequest, output: Output) -> Report
     """
     with progress("unmixing", quiet=output.quiet) as update:
         found = unmix(files, request, progress=update)
-    return Report.of(found, [*fit_tables(found), *mixture_tables(found), kind_table(found), *normative_table(found)])
+    return Report.of(found, result_tables(found))
+
+
+def result_tables(found: UnmixedSpectra) -> list[TextTable]:
+    """The fits, the shares, the kinds of target and what depends on them."""
+    return [*fit_tables(found), *mixture_tables(found), kind_table(found), *normative_table(found)]
 
 
 def mixture_tables(found: UnmixedSpectra) -> list[TextTable]:

@@ -9,7 +9,7 @@ from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.inputs import Source, read_input, text
 from lunarsci.regolith.jobs.identify import IdentifiedSoil
 from lunarsci.regolith.wheel import PAPER
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -74,6 +74,7 @@ class ComparedSoils(Result):
         yield comparison_figure(self.site, self.soils, self.width_m, self.curves)
 
 
+@job
 def compare_soils(
     result: "Source | IdentifiedSoil | None" = None, request: CompareSoilsRequest | None = None, **options: Any
 ) -> ComparedSoils:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from lunarsci.errors import RequestError
 from lunarsci.inputs import Source, read_input
 from lunarsci.regolith.wheel import PAPER, ShearSign
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -185,6 +185,7 @@ def _columns(name: str, estimate: Any) -> dict[str, float | None]:
     }
 
 
+@job
 def identify(
     states: Source,
     request: IdentifyRequest | None = None,

@@ -10,7 +10,7 @@ from lunarsci.inputs import Source, read_input
 from lunarsci.regolith.jobs.identify import IdentifiedSoil, IdentifyRequest, StatesOfWheel, read_wheel_states
 from lunarsci.regolith.jobs.identify import identify as identify_each
 from lunarsci.regolith.wheel import DENSITY_KG_M3, Bulldozing, ContactModel, ShearLaw
-from lunarsci.result import MadeFrom, request_of
+from lunarsci.result import MadeFrom, job, request_of
 
 if TYPE_CHECKING:
     from lunarsci.regolith.inference.posterior import SoilPosterior
@@ -107,6 +107,7 @@ class InferredSoil(IdentifiedSoil):
         return made.encode()
 
 
+@job
 def infer(
     states: Source,
     request: InferRequest | None = None,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.errors import RequestError
 from lunarsci.kept_blocks import spans
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -168,6 +168,7 @@ class MeasuredBands(Result):
         return plane_pages(self.good)
 
 
+@job
 def bands(
     spectra: "SpectraSource",
     request: BandsRequest | None = None,

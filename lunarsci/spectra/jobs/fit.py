@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 from lunarsci.constants import MGM, NBSR
 from lunarsci.errors import ParameterError, RequestError
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
 
 if TYPE_CHECKING:
@@ -281,6 +281,7 @@ class MgmFits(Result):
         return fit_file_text(fit_file_of(self.good[0], header))
 
 
+@job
 def fit(
     spectra: "SpectraSource", request: FitRequest | None = None, *, progress: Progress | None = None, **options: Any
 ) -> MgmFits:

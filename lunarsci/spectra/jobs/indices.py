@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.errors import DataError, RequestError
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -115,6 +115,7 @@ def _about(index: Any) -> dict[str, Any]:
     }
 
 
+@job
 def indices(spectra: "SpectraSource", request: IndicesRequest | None = None, **options: Any) -> FoundIndices:
     """Spectral indices of the Moon: integrated band depths, slopes, olivine, spinel, maturity, FeO and TiO2.
 

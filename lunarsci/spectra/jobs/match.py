@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.errors import DataError, LunarSciError, ParameterError, RequestError
 from lunarsci.inputs import InputFile, expand_inputs, read_input, together
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -160,6 +160,7 @@ class Matches(Result):
         return match_pages(self.matches, self.site)
 
 
+@job
 def match(
     rocks: Any = (), request: MatchRequest | None = None, *, progress: "Progress | None" = None, **options: Any
 ) -> Matches:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.constants import ABSORBANCE, HAPKE, WEATHERING
 from lunarsci.errors import ParameterError
-from lunarsci.result import request_of
+from lunarsci.result import job, request_of
 from lunarsci.spectra.jobs.fit import MgmFits, ModelRequest, Progress, fit_batch_of
 
 if TYPE_CHECKING:
@@ -119,6 +119,7 @@ class UnmixedSpectra(MgmFits):
         return tables, [*sources, *own]
 
 
+@job
 def unmix(
     spectra: "SpectraSource", request: UnmixRequest | None = None, *, progress: Progress | None = None, **options: Any
 ) -> UnmixedSpectra:

@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from lunarsci.inputs import Source, read_input
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -122,6 +122,7 @@ class MeasuredStates(Result):
         yield states_page(self.drive, self.known.terrain, self.title)
 
 
+@job
 def states(
     telemetry: Source, plan: "Source | Plan | None" = None, request: StatesRequest | None = None, **options: Any
 ) -> MeasuredStates:
