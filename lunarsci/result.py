@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
 
 Request = TypeVar("Request")
-Given, Found = ParamSpec("Given"), TypeVar("Found")
+Given = ParamSpec("Given")
+Found = TypeVar("Found")
 SHOWN_BY = "lunarsci.cli.shown"
 """What makes the text and the HTML of a result, found by its name when one is shown: it stands above the library."""
 _ATTRIBUTES = re.compile(r"^Attributes\n-+\n(.*?)(?=\n\n|\Z)", re.DOTALL | re.MULTILINE)
@@ -238,7 +239,7 @@ def job(function: Callable[Given, Found]) -> Callable[Given, Found]:
 
     Its parameter `request` is a dataclass or None, `options` by name replace fields of it.
     """
-    kind = next(one for one in get_args(function.__annotations__["request"]) if dataclasses.is_dataclass(one))
+    kind: Any = next(filter(dataclasses.is_dataclass, get_args(function.__annotations__["request"])))
     signature = inspect.signature(function)
 
     @functools.wraps(function)
@@ -263,7 +264,9 @@ def options_text(kind: type) -> str:
     choices = [
         f"{name}: {', '.join(map(repr, values))}"
         for name, hint in get_type_hints(kind).items()
-        if (values := [one for part in (hint, *get_args(hint)) if get_origin(part) is Literal for one in get_args(part)])
+        if (
+            values := [one for part in (hint, *get_args(hint)) if get_origin(part) is Literal for one in get_args(part)]
+        )
     ]
     closing = [f"By default {', '.join(defaults)}.", *([f"Choices of {'; '.join(choices)}."] if choices else [])]
     lines = (fill(line, 112, break_on_hyphens=False, break_long_words=False) for line in closing)

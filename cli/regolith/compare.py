@@ -1,6 +1,5 @@
 """`lunarsci regolith compare`: the site beside other soils."""
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
 
 import typer

@@ -14,10 +14,10 @@ from ..shared.report import Report
 from ..shared.table import TextTable
 
 if TYPE_CHECKING:
-    from lunarsci.twin.jobs.compare import ComparedDrive
     from lunarsci.twin.comparison.checks import EndCheck, PathCheck
     from lunarsci.twin.comparison.matched import MatchedObservations, Miss
     from lunarsci.twin.comparison.verdict import DriveComparison
+    from lunarsci.twin.jobs.compare import ComparedDrive
 
 
 FILE: dict[str, Any] = {"kind": str | None, "metavar": "FILE"}

@@ -143,7 +143,7 @@ def plan(
     return Report.of(found, result_tables(found), files=found.files(geotiff=geotiff))
 
 
-def result_tables(found: "PlannedMission | ChosenDrive | PlannedRoute") -> list[TextTable]:
+def result_tables(found: "TerrainSurvey") -> list[TextTable]:
     """A mission's targets and legs, or the drives to choose from or the ground, and the way."""
     from lunarsci.twin.jobs.chosen_drive import ChosenDrive
     from lunarsci.twin.jobs.planned_mission import PlannedMission

@@ -337,6 +337,8 @@ def _plane(rocks: Rocks | None) -> "Figure":
         axes.plot([], [], "o", color="black", markersize=4, label="boulders that were given")
     axes.set_xlim(885.0, np.nextafter(1110.0, 0))
     axes.legend(loc="upper left")
-    told = f"boulders' spectra given: {len(rocks.bands)}" if rocks else "no boulders: give their spectra with --boulders"
+    told = (
+        f"boulders' spectra given: {len(rocks.bands)}" if rocks else "no boulders: give their spectra with --boulders"
+    )
     axes.set_title(f"Band centres after Fig. 5b of Ding et al. (2024); {told}")
     return figure

@@ -237,7 +237,10 @@ def test_scripts_read_what_is_written(
 ) -> None:
     target = tmp_path / "dem.npz"
     arguments = ["images", "dem", files["left"], files["right"], "--rig", files["rig"], "--pose", files["pose"]]
-    assert main([*arguments, "--save-terrain", str(target), "--plot", str(tmp_path / "dem.png"), "--json", "--no-time"]) == 0
+    assert (
+        main([*arguments, "--save-terrain", str(target), "--plot", str(tmp_path / "dem.png"), "--json", "--no-time"])
+        == 0
+    )
     result = json.loads(capsys.readouterr().out)["result"]
     assert sum(result["pixels"].values()) == pytest.approx(1)
     assert result["ranges"][0]["median_height_m_sigma"] < result["ranges"][-1]["median_height_m_sigma"]

@@ -144,7 +144,17 @@ def test_the_command_writes_marked_pictures_and_their_truth(tmp_path: Path, caps
     from lunarsci.images.rig_files import rig_text
 
     (tmp_path / "rig.toml").write_text(rig_text(RIG))
-    asked = ["--rig", str(tmp_path / "rig.toml"), "--spacing", "0.05", "--rays", "1", "--rock-density", "0.2", "--no-time"]
+    asked = [
+        "--rig",
+        str(tmp_path / "rig.toml"),
+        "--spacing",
+        "0.05",
+        "--rays",
+        "1",
+        "--rock-density",
+        "0.2",
+        "--no-time",
+    ]
     assert main(["images", "render", *asked, "--json", "-o", str(tmp_path / "out")]) == 0
     result = json.loads(capsys.readouterr().out)["result"]
     assert result["synthetic"] is True

@@ -125,7 +125,7 @@ def test_two_results_of_one_rock_are_one_rock() -> None:
         ("[1]", "is no result of lunarsci"),
         ('{"schema": "lunarsci/forces/1", "result": {}}', "schema is 'lunarsci/forces/1'"),
         ('{"schema": "lunarsci/spectra-fit/1"}', "has no result.spectra"),
-        ('{"schema": "lunarsci/spectra-fit/1", "result": {"spectra": []}}', "no spectrum has modes"),
+        ('{"schema": "lunarsci/spectra-fit/1", "result": {"spectra": []}}', r"make shares by `lunarsci spectra unmix FILE --kind solid-rock -o shares.json`"),
         ('{"schema": "lunarsci/spectra-fit/1", "result": {"spectra": [{"nbsr": {"um2": {"opx": 1.4, "sigma": 0.1}}}]}}',
          "a mode is a fraction"),
         ('{"schema": "lunarsci/spectra-fit/1", "result": {"spectra": [{"nbsr": {"um2": {"opx": 0.4}}}]}}',
