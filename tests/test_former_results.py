@@ -345,7 +345,7 @@ def test_a_notebook_gets_what_the_command_prints(
         assert to_json(made[part]) == to_json(printed[part])
     for part in ("inputs", "tables", "sources", "seed"):
         assert made["provenance"][part] == printed["provenance"][part]
-    assert len(found.to_table()) == len(found.rows()) > 0
+    assert len(found.to_table()) == len(found.answers()) > 0
     assert "<table" in found._repr_html_()
     assert found.plot().axes
 

@@ -19,14 +19,15 @@ if TYPE_CHECKING:
 SHOWN = 8
 GIVEN = "The site, instead of a result"
 OPTIONS = {
-    "rover": option("Rover whose wheel sets the width: a name or a TOML file."),
+    "rover": option("Rover whose wheel sets the width, a name or a TOML file; left out, that of the result, or yutu2."),
     "stiffness": option("K_s in kPa m^-N.", panel=GIVEN),
     "exponent": option("Sinkage exponent N.", panel=GIVEN),
     "cohesion": option("Cohesion c in Pa.", panel=GIVEN),
     "friction_angle": option("φ in deg.", panel=GIVEN),
 }
 Found = Annotated[
-    str | None, typer.Argument(metavar="[RESULT.json]", help="A result of `regolith identify --json`; - is stdin.")
+    str | None,
+    typer.Argument(metavar="[RESULT.json]", help="A result of `regolith infer` or `identify`, by --json; - is stdin."),
 ]
 
 
@@ -57,7 +58,10 @@ def result_tables(result: "ComparedSoils") -> list[TextTable]:
             for item in ordered[:SHOWN]
         ]
         own = ["N", "k_c", "k_φ"] if aspect == "bearing" else ["c [Pa]", "φ [deg]"]
-        notes = [f"of {len(ordered)} soils; distance: root mean square of the logarithm of the ratio of predictions"]
+        wheel = f"wheel of {result.rover}, {1e3 * result.width_m:.0f} mm wide; " if aspect == "bearing" else ""
+        notes = [
+            f"{wheel}of {len(ordered)} soils; distance: root mean square of the logarithm of the ratio of predictions"
+        ]
         tables += [TextTable(["soil", "kind", "distance", *own], rows, title=title, notes=notes)] if rows else []
     return tables
 

@@ -1,6 +1,6 @@
 """All soil parameters from all wheel states at once, as a posterior."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -13,6 +13,8 @@ from lunarsci.regolith.wheel import DENSITY_KG_M3, Bulldozing, ContactModel, She
 from lunarsci.result import MadeFrom, job, request_of
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from lunarsci.regolith.inference.posterior import SoilPosterior
     from lunarsci.regolith.inference.prediction import PredictedStates, WheelLaw, WheelLawScore
 
@@ -101,6 +103,21 @@ class InferredSoil(IdentifiedSoil):
         }
         return IdentifiedSoil.to_dict(self) | {"joint": joint}
 
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """The posterior, one row a parameter, beside the prior; single states are `identify`'s."""
+        return self.posterior.rows()
+
+    def answers(self) -> Sequence[Mapping[str, Any]]:
+        """The same."""
+        return self.rows()
+
+    def figures(self) -> "Iterator[Figure]":
+        """Prior and posterior of each parameter, then what single states allow."""
+        from lunarsci.regolith.figure import posterior_figure
+
+        yield posterior_figure(self.posterior)
+        yield from IdentifiedSoil.figures(self)
+
     def soils(self, kind: str = ".csv") -> bytes:
         """Soils for `predict` with the verdict: draws from the posterior as `.csv`, or a belief as `.json`."""
         made = self.posterior.belief().to_json() if kind == ".json" else self.posterior.draws_csv()
@@ -140,6 +157,9 @@ def infer(
     made = alone.made_from
     return InferredSoil(
         found=alone.found,
+        rover=alone.rover,
+        wheel=alone.wheel,
+        slip=alone.slip,
         shares=alone.shares,
         assumed=alone.assumed,
         origin=MadeFrom(
