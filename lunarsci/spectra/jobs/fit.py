@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from lunarsci.inputs import InputFile
     from lunarsci.spectra.abundance.nbsr import PyroxeneAbundances
     from lunarsci.spectra.abundance.result import Abundance
-    from lunarsci.spectra.mgm.batch import SpectraFits
     from lunarsci.spectra.mgm.columns import FitColumns
+    from lunarsci.spectra.mgm.fits import SpectraFits
     from lunarsci.spectra.mgm.model import MgmModel
     from lunarsci.spectra.mgm.profile import Intervals
     from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
@@ -191,7 +191,7 @@ class MgmFits(Result):
 
     @property
     def untrusted(self) -> str:
-        from lunarsci.spectra.mgm.batch import doubts_about
+        from lunarsci.spectra.mgm.fits import doubts_about
 
         doubts = doubts_about(self.fits)
         return f"not to be trusted: {'; '.join(doubts)}" if doubts else ""
@@ -315,8 +315,8 @@ def fit(
 
 def fit_batch_of(batch: "SpectraBatch", request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
     """Fits of all spectra as asked: the attributes `fits`, `choices`, `failures` and `files` of `MgmFits`."""
-    from lunarsci.spectra.mgm.batch import SpectraFits
     from lunarsci.spectra.mgm.continua import check_continuum_removed
+    from lunarsci.spectra.mgm.fits import SpectraFits
     from lunarsci.spectra.mgm.result import MgmFailure
 
     found: dict[str, Any]
