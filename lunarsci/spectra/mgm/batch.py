@@ -120,7 +120,8 @@ class FitBatch:
         with np.errstate(invalid="ignore"):
             off = [(mean[:, k] < item.lowest) | (mean[:, k] > item.highest) for k, item in enumerate(items)]
         there = [self.present(item.mineral) for item in items]
-        return np.array(off, bool).reshape(-1, len(self)).T & np.array(there, bool).reshape(-1, len(self)).T
+        both = np.array(off, bool).reshape(-1, len(self)) & np.array(there, bool).reshape(-1, len(self))
+        return np.asarray(both.T, dtype=np.bool_)
 
     @property
     def ratios_differ(self) -> BoolArray:
@@ -130,7 +131,8 @@ class FitBatch:
         """
         sigma = np.sqrt(self.um1[:, 2] ** 2 + self.um2[:, 2] ** 2 + RATIO_MISS**2)
         with np.errstate(invalid="ignore"):
-            return np.asarray(np.abs(self.um1[:, 0] - self.um2[:, 0]) > RATIO_SIGMAS * sigma, dtype=bool)
+            far = np.abs(self.um1[:, 0] - self.um2[:, 0]) > RATIO_SIGMAS * sigma
+        return np.asarray(far, dtype=np.bool_)
 
     def statuses(self) -> list[str]:
         """A sentence about each."""
