@@ -72,8 +72,9 @@ def _many(found: "FoundIndices") -> TextTable:
 
 def _notes() -> list[str]:
     return [
-        "errors: the noise of the channels, and the interpolation between them; formulas and sources: --json",
-        "OMAT and Clementine: origins of Clementine's reflectances, FeO off by 3 wt % (median of 11 soils, 23 at most)",
+        "errors: noise of the channels, interpolation between them and, of abundances, what the formula missed of 11 "
+        "soils; formulas and sources: --json",
+        "OMAT and Clementine: origins of Clementine's reflectances",
     ]
 
 
@@ -83,7 +84,8 @@ def _title(index: Any) -> str:
 
 def _remark(index: Any, found: dict[str, Any]) -> str:
     if found["status"] == "ok" and index.missed_by:
-        return f"11 soils missed by {index.missed_by[0]:g}, {index.missed_by[1]:g} at most"
+        low, most = index.missed_by
+        return f"noise alone {found['sigma']:.2g}; 11 soils missed by {low:g} in the median, {most:g} at most"
     return WHY_NOT.get(found["status"], "")
 
 
@@ -91,5 +93,4 @@ def _cell(found: dict[str, Any]) -> str:
     """`0.1234 ± 0.0012`, with two digits of the error."""
     if found["value"] is None or found["status"] != "ok":
         return "-"
-    error = (found["sigma"] ** 2 + found["interpolation"] ** 2) ** 0.5
-    return plus_minus(found["value"], error or None, digits=4)
+    return plus_minus(found["value"], found["error"] or None, digits=4)

@@ -65,7 +65,7 @@ class FoundIndices(Result):
         import numpy as np
 
         from lunarsci.records import Codes, Records
-        from lunarsci.spectra.indices import STATUSES
+        from lunarsci.spectra.indices import INDICES, STATUSES
 
         found: dict[str, Any] = {
             name: {
@@ -73,6 +73,7 @@ class FoundIndices(Result):
                 "sigma": column.sigma,
                 "interpolation": column.interpolation,
                 "calibration": np.where(column.calibration > 0, column.calibration, np.nan),
+                "error": np.sqrt(column.sigma**2 + column.interpolation**2 + INDICES[name].miss_sigma ** 2),
                 "status": Codes(column.status, STATUSES),
             }
             for name, column in self.columns.items()
@@ -80,15 +81,18 @@ class FoundIndices(Result):
         return Records({"source": self.batch.origins, "id": [item.id for item in self.batch.spectra], **found})
 
     def rows(self) -> "Records":
-        """One a spectrum: value, error and status of each index in columns of their own."""
+        """One a spectrum: value, noise, whole error and status of each index in columns of their own."""
+        import numpy as np
+
         from lunarsci.records import Codes, Records
-        from lunarsci.spectra.indices import STATUSES
+        from lunarsci.spectra.indices import INDICES, STATUSES
 
         cells: dict[str, Any] = {"source": self.batch.origins, "id": [item.id for item in self.batch.spectra]}
         for name, column in self.columns.items():
             cells |= {
                 name: column.value,
                 f"{name}_sigma": column.sigma,
+                f"{name}_error": np.sqrt(column.sigma**2 + column.interpolation**2 + INDICES[name].miss_sigma ** 2),
                 f"{name}_status": Codes(column.status, STATUSES),
             }
         return Records(cells)
