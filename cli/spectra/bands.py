@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lunarsci.spectra.jobs.bands import BandsRequest
+from lunarsci.spectra.verdicts import bands_verdict
 
 from ..shared.command import command
 from ..shared.options import BLOCKS, Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
-from ..shared.table import SHOWN, TextTable, bare, counted, plus_minus
+from ..shared.table import SHOWN, TextTable, bare, counted, plus_minus, verdict_table
 from .options import UNITS, Files
 
 if TYPE_CHECKING:
@@ -70,7 +71,9 @@ def bands(files: Files, request: BandsRequest, output: Output, plane: Plane = No
 
 
 def result_tables(result: "MeasuredBands") -> list[TextTable]:
-    return [_bands_table(result), *_chemistry_tables(result)]
+    """Bands, what follows of compositions, and what both say."""
+    records = result.content()["spectra"]
+    return [_bands_table(result), *_chemistry_tables(result), *verdict_table(records, bands_verdict)]
 
 
 def _bands_table(result: "MeasuredBands") -> TextTable:

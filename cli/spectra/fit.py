@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from lunarsci.spectra.jobs.fit import FitRequest, MgmFits, fit
+from lunarsci.spectra.verdicts import fit_verdict
 
 from ..shared.command import command
 from ..shared.options import BLOCKS, Output, RequestOption, option
 from ..shared.progress import progress
 from ..shared.report import Report
-from ..shared.table import SHOWN, UNKNOWN, TextTable, plus_minus
+from ..shared.table import SHOWN, UNKNOWN, TextTable, plus_minus, verdict_table
 from .options import UNITS, Files
 
 if TYPE_CHECKING:
@@ -106,6 +107,11 @@ def fit_spectra(files: Files, request: FitRequest, output: Output) -> Report:
 
 
 def result_tables(found: MgmFits) -> list[TextTable]:
+    """The fits, and what they say."""
+    return [*fit_tables(found), *verdict_table(found.records, fit_verdict)]
+
+
+def fit_tables(found: MgmFits) -> list[TextTable]:
     """An overview, and of one spectrum alone its bands, intervals, choice and shares."""
     alone = len(found.records) == 1 and bool(found.good)
     record = found.records[0]
@@ -126,7 +132,9 @@ def result_tables(found: MgmFits) -> list[TextTable]:
 
 def _not_shown(found: MgmFits) -> list[str]:
     there = bool(found.intervals)
-    return ["bands and intervals of several spectra: --csv or --json"] if there else ["bands: --csv or --json"]
+    notes = ["bands and intervals of several spectra: --csv or --json"] if there else ["bands: --csv or --json"]
+    assumed = not (found.choices or found.request.start)
+    return notes + (["the assemblage was assumed; --assemblage auto compares all"] if assumed else [])
 
 
 def _notes(record: Mapping[str, Any], fit: "MgmFit") -> list[str]:
@@ -240,7 +248,11 @@ def _choice_table(choice: Mapping[str, Any]) -> TextTable:
     ]
     headers = ["assemblage", "probability [%]", "ln evidence", "BIC"]
     sure = ", ".join(f"{mineral} {100 * share:.0f} %" for mineral, share in choice["mineral_probability"].items())
-    notes = [choice["status"], f"as a powder of one or two minerals: {sure}"]
+    notes = [
+        choice["status"],
+        "probability: of the evidence, as far as laboratory spectra taught to believe it; fewer minerals come first",
+        f"probability that a mineral is there at all, if these are one or two (not its share): {sure}",
+    ]
     return TextTable(headers, rows, title="all assemblages, the most probable first", notes=notes)
 
 

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 import typer
 
 from lunarsci.spectra.jobs.unmix import UnmixedSpectra, UnmixRequest, unmix
+from lunarsci.spectra.verdicts import shares_verdict
 
 from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
-from ..shared.table import UNKNOWN, TextTable, counted, plus_minus
-from .fit import MODEL_OPTIONS
-from .fit import result_tables as fit_tables
+from ..shared.table import UNKNOWN, TextTable, counted, plus_minus, verdict_table
+from .fit import MODEL_OPTIONS, fit_tables
 from .options import UNITS, Files
 
 if TYPE_CHECKING:
@@ -91,7 +91,8 @@ def unmix_spectra(files: Files, request: UnmixRequest, output: Output) -> Report
 
 def result_tables(found: UnmixedSpectra) -> list[TextTable]:
     """The fits, the shares, the kinds of target and what depends on them."""
-    return [*fit_tables(found), *mixture_tables(found), kind_table(found), *normative_table(found)]
+    told = verdict_table(found.records, shares_verdict)
+    return [*fit_tables(found), *mixture_tables(found), kind_table(found), *normative_table(found), *told]
 
 
 def mixture_tables(found: UnmixedSpectra) -> list[TextTable]:

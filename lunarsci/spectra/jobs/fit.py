@@ -193,7 +193,7 @@ class MgmFits(Result):
     def untrusted(self) -> str:
         from lunarsci.spectra.mgm.fits import doubts_about
 
-        doubts = doubts_about(self.fits)
+        doubts = doubts_about(self.fits, self.choices)
         return f"not to be trusted: {'; '.join(doubts)}" if doubts else ""
 
     def content(self) -> dict[str, Any]:

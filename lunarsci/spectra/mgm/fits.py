@@ -1,7 +1,7 @@
 """Fits of many spectra to one model, each of which is made when it is asked for."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -10,6 +10,13 @@ from lunarsci.spectra.mgm.batch import FitBatch
 from lunarsci.spectra.mgm.data import SpectraRows
 from lunarsci.spectra.mgm.model import MgmModel
 from lunarsci.spectra.mgm.result import UNLIKE_RMS, MgmFailure, MgmFit
+
+if TYPE_CHECKING:
+    from lunarsci.spectra.mgm.selection import Choice
+
+
+NAMED = 5
+"""Spectra without a decided assemblage that are named."""
 
 
 class SpectraFits(Sequence[MgmFit | MgmFailure]):
@@ -83,7 +90,7 @@ class SpectraFits(Sequence[MgmFit | MgmFailure]):
         return found
 
 
-def doubts_about(fits: Sequence[MgmFit | MgmFailure]) -> list[str]:
+def doubts_about(fits: Sequence[MgmFit | MgmFailure], choices: "Mapping[int, Choice] | None" = None) -> list[str]:
     """Why some fits should not be trusted, one sentence for each reason."""
     if isinstance(fits, SpectraFits):
         unsettled, rms = ~(fits.gathered(lambda batch: batch.converged) > 0), fits.gathered(lambda batch: batch.rms_ln)
@@ -94,4 +101,7 @@ def doubts_about(fits: Sequence[MgmFit | MgmFailure]) -> list[str]:
         unlike = [item.id for item in good if item.rms_ln > UNLIKE_RMS]
         lists = ([item.id for item in good if not item.converged], unlike)
     texts = ("no convergence for {}", "the model does not describe {}")
-    return [text.format(", ".join(found)) for text, found in zip(texts, lists, strict=True) if found]
+    doubts = [text.format(", ".join(found)) for text, found in zip(texts, lists, strict=True) if found]
+    weak = [choice.id for choice in (choices or {}).values() if not choice.strong]
+    more = f" and {len(weak) - NAMED} more" if len(weak) > NAMED else ""
+    return doubts + ([f"the assemblage is not decided for {', '.join(weak[:NAMED])}{more}"] if weak else [])
