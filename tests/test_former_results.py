@@ -142,6 +142,7 @@ NOTEBOOK: dict[str, Callable[[], Result]] = {
     "match modes": lambda: lunarsci.match(modes="ol=0.25:0.05,opx=0.345:0.05,cpx=0.405:0.05", name="fin"),
     "forces": lambda: lunarsci.wheel_forces(load=36.5, slip=-0.05, side_slip=2),
     "identify": lambda: lunarsci.identify("states.csv", lateral_modulus="20"),
+    "compare soils": lambda: lunarsci.compare_soils("soil.json"),
     "identify joint": lambda: lunarsci.infer("states.csv", seed=2),
     "terrain": lambda: lunarsci.plan(max_slope=11, target="8.5,2.5"),
     "track": lambda: lunarsci.track("ground/terrain.npz", line="0,1,2.5,1.2", step=0.5),

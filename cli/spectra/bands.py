@@ -14,7 +14,7 @@ from ..shared.options import BLOCKS, Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import SHOWN, TextTable, bare, counted, plus_minus, verdict_table
-from .options import UNITS, Files
+from .options import ONLY, UNITS, Files
 
 if TYPE_CHECKING:
     from lunarsci.spectra.jobs.bands import MeasuredBands
@@ -27,6 +27,7 @@ OPTIONS = {
     "smooth": option("The same in channels, odd, instead: so many median steps of a spectrum.", min=0),
     "smooth_order": option("Order of the smoothing polynomial.", min=0),
     **UNITS,
+    **ONLY,
 }
 Plane = Annotated[
     Path | None,

@@ -14,7 +14,7 @@ from ..shared.options import BLOCKS, Output, RequestOption, option
 from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import SHOWN, UNKNOWN, TextTable, plus_minus, verdict_table
-from .options import UNITS, Files
+from .options import ONLY, UNITS, Files
 
 if TYPE_CHECKING:
     from lunarsci.spectra.abundance.result import Abundance
@@ -79,6 +79,7 @@ OPTIONS = MODEL_OPTIONS | {
     ),
     "seed": option("Seed of --errors sample.", panel=ANSWER, min=0),
     **UNITS,
+    **ONLY,
 }
 WAVELENGTHS_NM, STRENGTHS = (0.0, 3000.0), (-5.0, 5.0)
 """Between these lie bands; an error as wide says that nothing is known."""

@@ -10,7 +10,7 @@ from ..shared.command import command
 from ..shared.options import option
 from ..shared.report import Report
 from ..shared.table import SHOWN, TextTable, plus_minus
-from .options import UNITS, Files
+from .options import ONLY, UNITS, Files
 
 if TYPE_CHECKING:
     from lunarsci.spectra.jobs.indices import FoundIndices
@@ -19,6 +19,7 @@ OPTIONS = {
     "index": option("Only this one, such as ibd1000 or feo_zhang_wt. May be repeated.", metavar="NAME"),
     "smooth_nm": option("Savitzky-Golay window in nm before all, of order 2; 0 for none.", min=0),
     **UNITS,
+    **ONLY,
 }
 WHY_NOT = {
     "no_channels": "no channels where the formula needs them",

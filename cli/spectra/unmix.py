@@ -14,7 +14,7 @@ from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import UNKNOWN, TextTable, counted, plus_minus, verdict_table
 from .fit import MODEL_OPTIONS, fit_tables
-from .options import UNITS, Files
+from .options import ONLY, UNITS, Files
 
 if TYPE_CHECKING:
     from lunarsci.spectra.abundance.result import Abundance, DarkPart, MineralFraction
@@ -66,6 +66,7 @@ OPTIONS = {
     ),
     **MODEL_OPTIONS,
     **UNITS,
+    **ONLY,
 }
 
 

@@ -156,3 +156,15 @@ def test_micrometres_are_told_by_their_values_and_said() -> None:
 def test_arrays_that_are_no_spectrum_say_what_to_give(given: Any, said: str) -> None:
     with pytest.raises(DataError, match=said):
         bands(given)
+
+
+def test_some_spectra_of_a_file_are_taken_by_their_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "many.csv"
+    INDEXED.assign(**{f"rock-{k}": REFLECTANCE * (1 + 0.1 * k) for k in range(8)}).to_csv(file)
+    found = bands(str(file), id=("rock-5", "rock-2"))
+    assert list(found.to_table()["id"]) == ["rock-2", "rock-5"] and len(found.batch.origins) == 2
+    assert found.asked is not None and found.asked.options["id"] == ["rock-5", "rock-2"]
+    assert main(["spectra", "bands", str(file), "--id", "rock-2", "--json", "-q"]) == 0
+    assert [one["id"] for one in json.loads(capsys.readouterr().out)["result"]["spectra"]] == ["rock-2"]
+    with pytest.raises(DataError, match=r"no spectrum is called 'rok-2'; did you mean 'rock-2'\? there are 9: a,"):
+        bands(str(file), id="rok-2")

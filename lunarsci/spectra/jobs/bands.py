@@ -41,6 +41,7 @@ class BandsRequest:
     smooth_nm, smooth_order : width of the Savitzky-Golay window, 0 for none, and order of its polynomial. [nm, -]
     smooth : the window in channels of a spectrum's median step, odd, instead.
     wavelength_unit, reflectance_unit : used where a file states none.
+    id : the only spectra to take, by their names; all where none is given.
     """
 
     continuum: Literal["conic", "hull", "linear"] = "conic"
@@ -49,6 +50,7 @@ class BandsRequest:
     smooth_order: int = 3
     wavelength_unit: Literal["nm", "um"] | None = None
     reflectance_unit: Literal["fraction", "percent"] | None = None
+    id: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.smooth is not None and self.smooth_nm != SMOOTH_NM:
@@ -183,7 +185,7 @@ def bands(
 
     asked = request_of(BandsRequest, request, options)
     smoothing = Smoothing(window_nm=asked.smooth_nm, order=asked.smooth_order, channels=asked.smooth)
-    batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit)
+    batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit, asked.id)
     measured = measure_batch(
         batch.spectra,
         continuum_name=asked.continuum,

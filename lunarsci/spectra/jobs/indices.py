@@ -26,12 +26,14 @@ class IndicesRequest:
     index : names of `lunarsci.spectra.indices.INDICES`, all where left out.
     smooth_nm : window of a Savitzky-Golay filter of order 2 before all, 0 for none. [nm]
     wavelength_unit, reflectance_unit : used where a file states none.
+    id : the only spectra to take, by their names; all where none is given.
     """
 
     index: tuple[str, ...] = ()
     smooth_nm: float = 0.0
     wavelength_unit: Literal["nm", "um"] | None = None
     reflectance_unit: Literal["fraction", "percent"] | None = None
+    id: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,7 +134,7 @@ def indices(spectra: "SpectraSource", request: IndicesRequest | None = None, **o
     names = list(dict.fromkeys(asked.index)) or list(INDICES)
     if unknown := [name for name in names if name not in INDICES]:
         raise RequestError(f"`index` {unknown[0]}: there are {', '.join(INDICES)}")
-    batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit)
+    batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit, asked.id)
     found = {name: IndexColumn.empty(len(batch.spectra)) for name in names}
     for rows, columns in _measured(batch.spectra, names, asked.smooth_nm):
         for name, column in columns.items():

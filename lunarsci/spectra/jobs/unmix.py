@@ -127,7 +127,7 @@ def unmix(
 
     Parameters
     ----------
-    spectra : files, patterns, tables, `Spectrum`s or (wavelength_nm, reflectance), one or a list.
+    spectra : files, patterns, tables, `Spectrum`s or (wavelength_nm, reflectance[, sigma]), one or a list.
     request, options : what is asked, and options of `UnmixRequest` that replace its own.
     progress : called with (done, total) of each step.
 
@@ -143,7 +143,7 @@ def unmix(
     from lunarsci.spectra.readers.batch import read_batch
 
     asked = request_of(UnmixRequest, request, options)
-    batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit)
+    batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit, asked.id)
     found = fit_batch_of(batch, asked, progress)
     shares = {index: list(one) for index, one in nbsr_abundances(found["fits"]).items()}
     fits: dict[int, MgmFit] = {index: found["fits"][index] for index in shares}

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile, Source, expand_inputs, read_input, together
+from lunarsci.names import meant
 from lunarsci.provenance import sha256
 from lunarsci.spectra.collection import SpectrumCollection, SpectrumRows
 from lunarsci.spectra.readers.columns import is_wavelength
@@ -34,6 +35,8 @@ SpectraSource: TypeAlias = "OneSource | Sequence[OneSource]"
 """Paths, patterns, - for standard input, open files, tables, spectra, or arrays (wavelength_nm, reflectance) or
 (wavelength_nm, reflectance, sigma), of which all but the first may hold a spectrum in each row or column; one or a
 list."""
+NAMED = 5
+"""Spectra that are named where another is asked for."""
 ARRAYS = "give (wavelength_nm, reflectance), or a third array of standard deviations"
 
 
@@ -77,10 +80,11 @@ def read_batch(
     source: SpectraSource,
     wavelength_unit: WavelengthUnit | None = None,
     reflectance_unit: ReflectanceUnit | None = None,
+    only: Sequence[str] = (),
 ) -> SpectraBatch:
-    """Read every input, folders and patterns expanded, one file for each observation of VNIS.
+    """Read every input, folders and patterns expanded, one file for each observation of VNIS; some spectra by `only`.
 
-    One that cannot be read is remembered. Raises DataError when none can.
+    One that cannot be read is remembered. Raises DataError when none can, and for a name that no spectrum has.
     """
     batch, parts = SpectraBatch(), list[SpectrumRows]()
     items = _listed(source)
@@ -95,7 +99,18 @@ def read_batch(
             parts += _from_file(batch, item, wavelength_unit, reflectance_unit)
     if not parts:
         raise DataError(together(batch.failures) if batch.failures else "no spectra were given; name files or tables")
-    return replace(batch, spectra=SpectrumCollection(parts))
+    found = replace(batch, spectra=SpectrumCollection(parts))
+    return _those(found, only) if only else found
+
+
+def _those(batch: SpectraBatch, only: Sequence[str]) -> SpectraBatch:
+    """The spectra of some names, in the order of the inputs."""
+    ids = batch.spectra.ids
+    if missing := next((name for name in only if name not in ids), None):
+        first = ", ".join(ids[:NAMED]) + (", …" if len(ids) > NAMED else "")
+        raise DataError(f"no spectrum is called '{missing}'; {meant(missing, ids)}there are {len(ids)}: {first}")
+    places = np.array([place for place, name in enumerate(ids) if name in only])
+    return replace(batch, spectra=batch.spectra.taken(places), origins=[batch.origins[k] for k in places])
 
 
 def _listed(source: Any) -> list[Any]:
