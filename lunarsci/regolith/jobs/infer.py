@@ -115,7 +115,9 @@ class InferredSoil(IdentifiedSoil):
         """Prior and posterior of each parameter, then what single states allow."""
         from lunarsci.regolith.figure import posterior_figure
 
-        yield posterior_figure(self.posterior)
+        found = self.posterior
+        title = f"all states together: {found.verdict.model} law, {len(found.residuals)} states"
+        yield posterior_figure(found.rows(), found.prior, found.draws, title)
         yield from IdentifiedSoil.figures(self)
 
     def soils(self, kind: str = ".csv") -> bytes:
