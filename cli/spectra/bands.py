@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lunarsci.spectra.jobs.bands import BandsRequest
-from lunarsci.spectra.verdicts import bands_verdict
+from lunarsci.spectra.jobs.verdicts import bands_verdict
 
 from ..shared.command import command
 from ..shared.options import BLOCKS, Output, option

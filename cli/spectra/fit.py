@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from lunarsci.spectra.jobs.fit import FitRequest, MgmFits, fit
-from lunarsci.spectra.verdicts import fit_verdict
+from lunarsci.spectra.jobs.verdicts import fit_verdict
 
 from ..shared.command import command
 from ..shared.options import BLOCKS, Output, RequestOption, option

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from lunarsci.spectra.jobs.unmix import UnmixedSpectra, UnmixRequest, unmix
-from lunarsci.spectra.verdicts import shares_verdict
+from lunarsci.spectra.jobs.verdicts import shares_verdict
 
 from ..shared.command import command
 from ..shared.options import Output, option

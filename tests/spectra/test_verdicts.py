@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import lunarsci
+from lunarsci.spectra.jobs.verdicts import bands_verdict, fit_verdict, shares_verdict
 from lunarsci.spectra.mgm.batch import batch_of
-from lunarsci.spectra.verdicts import bands_verdict, fit_verdict, shares_verdict
 
 GRID = np.arange(500.0, 2450.0, 10.0)
 CHANCES = {"olivine": 0.28, "orthopyroxene": 0.03, "clinopyroxene": 0.98, "plagioclase": 0.11}
