@@ -144,7 +144,10 @@ def _notes(record: Mapping[str, Any], fit: "MgmFit") -> list[str]:
     else:
         error = f"errors hold noise, a model error of {100 * record['model_error']:.1f} % of R, and the priors"
     shared = _shared_in_ratios(record, with_shared=len(fit.data.shifts) > 0)
-    return [f"{error}, no other minimum or continuum", *shared, *_composition_notes(fit)]
+    missing = None in (record["nbsr"] or {None: None}).values()
+    why = "NBSR -: a pyroxene is not in the assemblage, its band not in the spectrum, or the ratio not determined"
+    lines = [f"{error}, no other minimum or continuum", *([why] if missing else []), *shared]
+    return [*lines, *_composition_notes(fit)]
 
 
 def _shared_in_ratios(record: Mapping[str, Any], *, with_shared: bool) -> list[str]:
@@ -270,4 +273,6 @@ def _abundance_table(found: "Sequence[Abundance]") -> TextTable:
         for share in modes.fractions
     ]
     notes = [f"{modes.method}: {modes.status}" for modes in found]
+    shown = [modes.certified for modes in found if modes.certified is not None and modes.certified < 0.95]
+    notes += [f"95 %: so few suites show that it holds in {100 * min(shown):.0f} % at least, no more"] if shown else []
     return TextTable(["method", "mineral", "share [%]", "68 %", "95 %"], rows, title="mineral shares", notes=notes)

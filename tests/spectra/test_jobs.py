@@ -168,3 +168,12 @@ def test_some_spectra_of_a_file_are_taken_by_their_names(tmp_path: Path, capsys:
     assert [one["id"] for one in json.loads(capsys.readouterr().out)["result"]["spectra"]] == ["rock-2"]
     with pytest.raises(DataError, match=r"no spectrum is called 'rok-2'; did you mean 'rock-2'\? there are 9: a,"):
         bands(str(file), id="rok-2")
+
+
+def test_a_table_of_names_is_told_from_a_misspelt_number(tmp_path: Path) -> None:
+    file = tmp_path / "manifest.csv"
+    for first, said in (("PE-CMP-030", True), ("5OO", False)):
+        file.write_text(f"id,mineral\n{first},0.2\n510,0.3\n520,0.4\n")
+        with pytest.raises(DataError) as caught:
+            bands(str(file))
+        assert ("is the file no table of spectra?" in str(caught.value)) is said

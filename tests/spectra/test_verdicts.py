@@ -58,7 +58,9 @@ def test_no_share_out_of_domain_is_to_be_quoted() -> None:
     share = {"fraction": 0.49, "low95": 0.1, "high95": 0.89}
     unmix = {"method": "unmix", "in_domain": False, "status": "out of domain: too uncertain", "orthopyroxene": share}
     nbsr = {"method": "nbsr", "in_domain": True, "status": "line", "orthopyroxene": share | {"fraction": 0.4}}
-    record: dict[str, Any] = {"kind": {"stated": False, "probabilities": {"rock": 0.76, "soil": 0.24}}}
+    record: dict[str, Any] = {
+        "kind": {"name": "not-determined", "stated": False, "probabilities": {"rock": 0.76, "soil": 0.24}}
+    }
     record |= {"normative": None, "abundance": unmix, "abundances": {"unmix": unmix}}
     assert "no share to be quoted: too uncertain" in shares_verdict(record)
     assert "not decided (rock 76 %, soil 24 %), state `--kind`" in shares_verdict(record)

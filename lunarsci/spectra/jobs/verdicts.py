@@ -110,6 +110,8 @@ def shares_verdict(record: Mapping[str, Any]) -> str:
             values = [f"{name} {_percent(one[name])}" for name in MINERALS if name in one]
             parts.append(f"to be quoted, by `{one['method']}`, with its interval: {', '.join(values)}")
         parts += [] if inside else [f"no share to be quoted: {shares['status'].removeprefix('out of domain: ')}"]
+    if kind["name"] == "solid-rock":
+        parts.append("what is known of rocks: docs/validation/rock.md")
     return "; ".join(parts)
 
 
