@@ -4,9 +4,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-import numpy as np
-
-from lunarsci.arrays import FloatArray
 from lunarsci.errors import RequestError
 from lunarsci.inputs import Source, read_input
 from lunarsci.regolith.wheel import PAPER, ShearSign
@@ -15,6 +12,7 @@ from lunarsci.result import MadeFrom, Result, job, request_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from lunarsci.arrays import FloatArray
     from lunarsci.regolith.identify import Assumptions, Estimate, Identification
     from lunarsci.regolith.sensitivity import Sensitivity
     from lunarsci.regolith.states import MeasurementErrors, WheelStates
@@ -146,8 +144,9 @@ class StatesAgreement:
         return f"{symbol}{how} {first:g} to {last:g}, chi-square {self.reduced_chi_square:.0f} a state"
 
 
-def agreement(parameter: str, estimates: "Sequence[Estimate]", slip: FloatArray) -> StatesAgreement | None:
+def agreement(parameter: str, estimates: "Sequence[Estimate]", slip: "FloatArray") -> StatesAgreement | None:
     """Of single states, with their slip, (n,); None where fewer than two have a value and an error."""
+    import numpy as np
     from scipy.special import gammaincc
 
     pairs = [(e.value, e.sigma) if e.value is not None and e.sigma else (np.nan, np.nan) for e in estimates]
@@ -209,7 +208,7 @@ class IdentifiedSoil(Result):
     found: "Identification"
     rover: str
     wheel: "Wheel"
-    slip: FloatArray
+    slip: "FloatArray"
     shares: "Sequence[Sensitivity] | None"
     assumed: Sequence[str]
     origin: MadeFrom
