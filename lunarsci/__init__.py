@@ -3,13 +3,15 @@
 Every main job of the command line is a function here, with the same defaults, refusals and answers:
 
 * spectra: `calibrate`, `bands`, `indices`, `fit`, `unmix`, `match`;
-* regolith: `wheel_forces`, `identify`, `infer`;
+* regolith: `wheel_forces`, `identify`, `infer`, `compare_soils`;
 * images: `cameras`, `calibrate_cameras`, `render`, `dem`, `locate`, `merge`, `track`, `rocks`;
-* twin: `plan`, `predict`, `sweep`, `states`, `loads`, `update`, `compare`.
+* twin: `plan`, `predict`, `sweep`, `states`, `loads`, `update`, `compare` (a drive beside its prediction);
+* `cite`: what to cite for results, as BibTeX. `computing` says where long jobs are computed.
 
-Each takes paths, open files, tables or arrays, and options by name or as a request, such as `FitRequest`. Each gives a
-`Result`: `.to_table()` is an astropy QTable, `.plot()` a matplotlib Figure, `.to_dict()` the `result` of `--json`.
-Jobs are imported when they are first named. `computing` says where long ones are computed.
+Each takes paths, open files, tables or arrays, and options by name, which its help lists. Each gives a `Result`:
+`print` shows the text of the command, `.to_table()` is an astropy QTable, `.plot()` a matplotlib Figure, `.to_dict()`
+the `result` of `--json`, `.untrusted` why it should not be trusted. Jobs are imported when they are first named.
+On the command line alone: reports (`lunarsci report`), `info`, `spectra map`, `spectra library`, `twin simulate`.
 """
 
 from importlib import import_module
@@ -17,21 +19,23 @@ from typing import Any
 
 JOBS = {
     "spectra": ("calibrate", "bands", "indices", "fit", "unmix", "match"),
-    "regolith": ("wheel_forces", "identify", "infer"),
+    "regolith": ("wheel_forces", "identify", "infer", "compare_soils"),
     "images": ("cameras", "calibrate_cameras", "render", "dem", "locate", "merge", "track", "rocks"),
     "twin": ("plan", "predict", "sweep", "states", "loads", "update", "compare"),
 }
 """What each part offers; `__init__.pyi` has the same for type checkers."""
 _AREAS = {job: area for area, jobs in JOBS.items() for job in jobs}
 
-__all__ = ["__version__", "computing", *_AREAS]
+_ELSEWHERE = {"computing": "lunarsci.blocks", "cite": "lunarsci.guide.cite"}
+
+__all__ = ["__version__", *_ELSEWHERE, *_AREAS]
 
 __version__ = "0.1.0"
 
 
 def __getattr__(name: str) -> Any:
-    if name == "computing":
-        return import_module("lunarsci.blocks").computing
+    if name in _ELSEWHERE:
+        return getattr(import_module(_ELSEWHERE[name]), name)
     if name not in _AREAS:
         raise AttributeError(f"module 'lunarsci' has no attribute '{name}'")
     return getattr(import_module(f"lunarsci.{_AREAS[name]}.jobs.{name}"), name)

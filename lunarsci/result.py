@@ -5,12 +5,16 @@ option with its default, and a `Result` has what `--json`, `--csv` and `--plot` 
 """
 
 import dataclasses
-import html
+import functools
+import inspect
+import re
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from itertools import islice
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_args, get_origin, get_type_hints
+from textwrap import fill
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, ParamSpec, TypeVar, get_args, get_origin, get_type_hints
 
 from lunarsci.errors import ParameterError, RequestError
 from lunarsci.names import one_of
@@ -22,6 +26,11 @@ if TYPE_CHECKING:
 
 
 Request = TypeVar("Request")
+Given = ParamSpec("Given")
+Found = TypeVar("Found")
+SHOWN_BY = "lunarsci.cli.shown"
+"""What makes the text and the HTML of a result, found by its name when one is shown: it stands above the library."""
+_ATTRIBUTES = re.compile(r"^Attributes\n-+\n(.*?)(?=\n\n|\Z)", re.DOTALL | re.MULTILINE)
 
 UNITS = {
     "torque_nm": "N m",
@@ -143,8 +152,19 @@ class MadeFrom:
     options: Mapping[str, Any] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """Which function was called, as its users know it, and every option, resolved."""
+
+    command: str
+    options: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Result(ABC):
     """What a job found; a job's own result says `to_dict`, `rows`, `figures`, `made_from` and `untrusted`.
+
+    `print` shows the text of its command, a notebook its tables.
 
     Of many things alike it has `content` instead of `to_dict`, and gives their `Records` there and as `rows`.
 
@@ -154,10 +174,23 @@ class Result(ABC):
     made_from : what it was made from.
     untrusted : one sentence, why it should not be trusted or acted on; '' if it may be.
     failures : inputs that gave no result, one sentence each.
+    asked : what it was asked with, where a function of lunarsci made it.
     """
 
-    __slots__ = ()
     schema: ClassVar[str] = ""
+    asked: Asked | None = field(default=None, compare=False)
+
+    def __init_subclass__(cls, **more: Any) -> None:
+        # A dataclass leaves a method that is there alone; one made of all fields would fill pages.
+        cls.__repr__ = Result.__repr__  # type: ignore[method-assign]
+
+    def __repr__(self) -> str:
+        made_by = f" of {self.asked.command}" if self.asked else ""
+        return f"<{type(self).__name__}{made_by}: print it, or take .to_table(), .plot(), .to_dict() or .to_json()>"
+
+    def __str__(self) -> str:
+        text: str = import_module(SHOWN_BY).as_text(self)
+        return text
 
     @property
     def made_from(self) -> MadeFrom:
@@ -188,11 +221,15 @@ class Result(ABC):
         """The pages of `--plot`."""
         return iter(())
 
+    def answers(self) -> Sequence[Mapping[str, Any]]:
+        """The rows of `to_table`: those of `--csv`, but where these are the steps to an answer."""
+        return self.rows()
+
     def to_table(self) -> "QTable":
-        """The rows of `--csv`; a column with a unit in its name is a quantity, missing numbers are NaN."""
+        """The answer as a table; a column with a unit in its name is a quantity, missing numbers are NaN."""
         from astropy.table import QTable
 
-        rows = [plain(row) for row in self.rows()]
+        rows = [plain(row) for row in self.answers()]
         names = list(dict.fromkeys(name for row in rows for name in row))
         return QTable({name: _column(name, [row.get(name) for row in rows]) for name in names})
 
@@ -200,8 +237,8 @@ class Result(ABC):
         """The document of `--json`; without `time` two equal results give equal text."""
         made = self.made_from
         provenance = Provenance(
-            command=f"lunarsci.{type(self).__name__}",
-            options=made.options,
+            command=self.asked.command if self.asked else f"lunarsci.{type(self).__name__}",
+            options=(dict(self.asked.options) if self.asked else {}) | dict(made.options),
             inputs=made.inputs,
             tables=made.tables,
             sources=made.sources,
@@ -222,10 +259,47 @@ class Result(ABC):
         return found
 
     def _repr_html_(self) -> str:
-        doubt = f"<p><b>{html.escape(self.untrusted)}</b></p>" if self.untrusted else ""
-        lines = "".join(f"<p>{html.escape(text)}</p>" for text in self.failures)
-        shown: str = self.to_table()._repr_html_()
-        return f"{doubt}{lines}{shown}"
+        made: str = import_module(SHOWN_BY).as_html(self)
+        return made
+
+
+def job(function: Callable[Given, Found]) -> Callable[Given, Found]:
+    """A function of `import lunarsci`: its result knows what it was asked with, and its help names every option.
+
+    Its parameter `request` is a dataclass or None, `options` by name replace fields of it.
+    """
+    kind: Any = next(filter(dataclasses.is_dataclass, get_args(function.__annotations__["request"])))
+    signature = inspect.signature(function)
+
+    @functools.wraps(function)
+    def run(*args: Given.args, **options: Given.kwargs) -> Found:
+        bound = signature.bind(*args, **options)
+        replaced = bound.arguments.pop("options", {})
+        request = bound.arguments["request"] = request_of(kind, bound.arguments.get("request"), replaced)
+        found = function(*bound.args, **bound.kwargs)
+        fields = {item.name: plain(getattr(request, item.name)) for item in dataclasses.fields(request)}
+        object.__setattr__(found, "asked", Asked(f"lunarsci.{function.__name__}", fields))
+        return found
+
+    run.__doc__ = f"{inspect.getdoc(function)}\n\n{options_text(kind)}"
+    return run
+
+
+def options_text(kind: type) -> str:
+    """The options of a request with their meaning, from its docstring and those that it extends, and their defaults."""
+    requests = [one for one in reversed(kind.__mro__) if dataclasses.is_dataclass(one)]
+    told = [found[1] for one in requests if (found := _ATTRIBUTES.search(inspect.getdoc(one) or ""))]
+    defaults = [f"{item.name}={item.default!r}" for item in dataclasses.fields(kind)]
+    choices = [
+        f"{name}: {', '.join(map(repr, values))}"
+        for name, hint in get_type_hints(kind).items()
+        if (
+            values := [one for part in (hint, *get_args(hint)) if get_origin(part) is Literal for one in get_args(part)]
+        )
+    ]
+    closing = [f"By default {', '.join(defaults)}.", *([f"Choices of {'; '.join(choices)}."] if choices else [])]
+    lines = (fill(line, 112, break_on_hyphens=False, break_long_words=False) for line in closing)
+    return "\n".join(["Other Parameters", "----------------", *told, "", *lines])
 
 
 def _column(name: str, cells: list[Any]) -> Any:

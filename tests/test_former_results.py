@@ -145,6 +145,7 @@ NOTEBOOK: dict[str, Callable[[], Result]] = {
     "match modes": lambda: lunarsci.match(modes="ol=0.25:0.05,opx=0.345:0.05,cpx=0.405:0.05", name="fin"),
     "forces": lambda: lunarsci.wheel_forces(load=36.5, slip=-0.05, side_slip=2),
     "identify": lambda: lunarsci.identify("states.csv", lateral_modulus="20"),
+    "compare soils": lambda: lunarsci.compare_soils("soil.json"),
     "identify joint": lambda: lunarsci.infer("states.csv", seed=2),
     "terrain": lambda: lunarsci.plan(max_slope=11, target="8.5,2.5"),
     "track": lambda: lunarsci.track("ground/terrain.npz", line="0,1,2.5,1.2", step=0.5),
@@ -373,7 +374,7 @@ def test_a_notebook_gets_what_the_command_prints(
         assert to_json(made[part]) == to_json(printed[part])
     for part in ("inputs", "tables", "sources", "seed"):
         assert made["provenance"][part] == printed["provenance"][part]
-    assert len(found.to_table()) == len(found.rows()) > 0
+    assert len(found.to_table()) == len(found.answers()) > 0
     assert "<table" in found._repr_html_()
     assert found.plot().axes
 

@@ -1,10 +1,13 @@
 """Results of jobs as tables, HTML and JSON; requests as options of a command."""
 
+import inspect
 import io
 import json
+import pickle
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any, get_args
 
 import numpy as np
 import pandas as pd
@@ -12,13 +15,16 @@ import pytest
 import typer
 from astropy import units
 from astropy.table import QTable
+from lunarsci.cli import main
 from lunarsci.cli.shared.command import command
 from lunarsci.cli.shared.options import option
 from lunarsci.cli.shared.report import Report
 from typer.testing import CliRunner
 
+import lunarsci
 from lunarsci.errors import ParameterError, RequestError
 from lunarsci.inputs import read_input
+from lunarsci.regolith.jobs.wheel_forces import WheelForcesRequest
 from lunarsci.result import MadeFrom, Result, request_of
 
 
@@ -119,3 +125,32 @@ def test_open_files_and_tables_are_inputs(kind: str) -> None:
 def test_what_cannot_be_read_is_refused() -> None:
     with pytest.raises(ParameterError, match="int cannot be read; give a path"):
         read_input(3)  # type: ignore[arg-type]
+
+
+def test_a_result_records_what_it_was_asked_with() -> None:
+    found = lunarsci.wheel_forces(sinkage=0.01, slip=0.2)
+    made = json.loads(found.to_json(time=False))["provenance"]
+    assert made["command"] == "lunarsci.wheel_forces"
+    assert made["options"]["sinkage"] == 0.01 and made["options"]["slip"] == 0.2
+    assert made["options"]["rover"] == "yutu2" and made["options"]["reading"] == "signed"
+    again = lunarsci.wheel_forces(WheelForcesRequest(sinkage=0.01), slip=0.2)
+    assert again.asked == found.asked == pickle.loads(pickle.dumps(found)).asked
+
+
+def test_a_result_prints_as_its_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["regolith", "forces", "--sinkage", "0.01", "--slip", "0.2"]) == 0
+    found = lunarsci.wheel_forces(sinkage=0.01, slip=0.2)
+    assert f"{found}\n" == capsys.readouterr().out
+    html = found._repr_html_()
+    assert "<th>" in html and "drawbar pull" in html
+    assert len(repr(found)) < 200
+
+
+@pytest.mark.parametrize("name", [job for jobs in lunarsci.JOBS.values() for job in jobs])
+def test_the_help_of_a_function_names_every_option(name: str) -> None:
+    function = getattr(lunarsci, name)
+    kind = next(one for one in get_args(function.__annotations__["request"]) if is_dataclass(one))
+    meaning, _, defaults = (inspect.getdoc(function) or "").partition("Other Parameters")[2].partition("By default ")
+    for item in fields(kind):
+        assert re.search(rf"\b{item.name}\b", meaning), f"{kind.__name__} does not say what {item.name} means"
+        assert f"{item.name}=" in defaults

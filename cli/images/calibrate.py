@@ -66,10 +66,10 @@ def calibrate(output: Output, pictures: Pictures, request: CalibrateCamerasReque
     def rig_file(_: Mapping[str, Any]) -> bytes:
         return found.toml()
 
-    return Report.of(found, _tables(found), formats={".toml": rig_file})
+    return Report.of(found, result_tables(found), formats={".toml": rig_file})
 
 
-def _tables(found: "CalibratedCameras") -> list[TextTable]:
+def result_tables(found: "CalibratedCameras") -> list[TextTable]:
     result = found.to_dict()
     cameras = list(result["cameras"].values())
     rows = [[name, *(number(name, own) for own in cameras)] for name in SHOWN]

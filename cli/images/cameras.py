@@ -45,10 +45,10 @@ def cameras(output: Output, request: CamerasRequest, sources: Sources = None) ->
     def rig_file(_: Mapping[str, Any]) -> bytes:
         return found.toml()
 
-    return Report.of(found, _tables(found), formats={".toml": rig_file})
+    return Report.of(found, result_tables(found), formats={".toml": rig_file})
 
 
-def _tables(found: "CameraSheet") -> list[TextTable]:
+def result_tables(found: "CameraSheet") -> list[TextTable]:
     result, tables = found.to_dict(), []
     for rig in result["rigs"]:
         tables += [_intrinsics(rig), _ranges(rig)]

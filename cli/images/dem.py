@@ -56,7 +56,7 @@ def dem(left: Left, right: Right, request: DemRequest, output: Output, terrain: 
     output.check_extra("--save-terrain", terrain, (".npz", ".tif", ".tiff"))
     with progress("matching", quiet=output.quiet) as update:
         found = dem(left, right, request, progress=update)
-    return Report.of(found, _tables(found), extras={} if terrain is None else {terrain: _content(found, terrain)})
+    return Report.of(found, result_tables(found), extras={} if terrain is None else {terrain: _content(found, terrain)})
 
 
 def _content(found: "StereoTerrain", path: Path) -> Callable[[], bytes]:
@@ -65,7 +65,7 @@ def _content(found: "StereoTerrain", path: Path) -> Callable[[], bytes]:
     return lambda: elevation_bytes(found.model) if path.suffix == ".npz" else elevation_geotiff(found.model)
 
 
-def _tables(found: "StereoTerrain") -> list[TextTable]:
+def result_tables(found: "StereoTerrain") -> list[TextTable]:
     result = found.to_dict()
     terrain, pixels = result["terrain"], result["pixels"]
     rows = [

@@ -58,10 +58,10 @@ def locate(output: Output, stations: Folders, request: LocateRequest) -> Report:
 
     with progress("locating", quiet=output.quiet) as update:
         found = locate(stations, request, progress=update)
-    return Report.of(found, _tables(found), files=found.files())
+    return Report.of(found, result_tables(found), files=found.files())
 
 
-def _tables(found: "LocatedStations") -> list[TextTable]:
+def result_tables(found: "LocatedStations") -> list[TextTable]:
     result = found.to_dict()
     rows = [
         [

@@ -47,14 +47,14 @@ def merge(output: Output, dems: Elevations, request: MergeRequest) -> Report:
 
     with progress("merging", quiet=output.quiet) as update:
         found = merge(dems, request, progress=update)
-    return Report.of(found, _tables(found), formats={end: _writer(made) for end, made in found.files().items()})
+    return Report.of(found, result_tables(found), formats={end: _writer(made) for end, made in found.files().items()})
 
 
 def _writer(made: Callable[[], bytes]) -> Callable[[Mapping[str, Any]], bytes]:
     return lambda _: made()
 
 
-def _tables(found: "MergedStations") -> list[TextTable]:
+def result_tables(found: "MergedStations") -> list[TextTable]:
     result = found.to_dict()
     rows = [
         [

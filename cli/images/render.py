@@ -60,10 +60,11 @@ def render(output: Output, request: RenderRequest, terrain: Terrain = None) -> R
 
     with progress("rendering", quiet=output.quiet) as update:
         found = render(terrain, request, progress=update)
-    return Report.of(found, [_table(found)], files=found.files())
+    return Report.of(found, result_tables(found), files=found.files())
 
 
-def _table(found: "SyntheticPair") -> TextTable:
+def result_tables(found: "SyntheticPair") -> list[TextTable]:
+    """What the pixels show."""
     result = found.to_dict()
     pixels = {name.replace("_", " "): share for name, share in result["pixels"].items()}
     position = ", ".join(f"{v:.3f}" for v in result["pose"]["position_m"])
@@ -72,4 +73,4 @@ def _table(found: "SyntheticPair") -> TextTable:
         "SYNTHETIC: ground, rocks and light are made up",
     ]
     rows = [[name, f"{share:.1%}"] for name, share in pixels.items()]
-    return TextTable(["pixels", "share"], rows, title=f"SYNTHETIC pair of {result['rig']['name']}", notes=notes)
+    return [TextTable(["pixels", "share"], rows, title=f"SYNTHETIC pair of {result['rig']['name']}", notes=notes)]

@@ -46,10 +46,10 @@ def rocks(output: Output, dem: Elevation, request: RocksRequest) -> Report:
     def keep_outs(_: Mapping[str, Any]) -> bytes:
         return found.geojson()
 
-    return Report.of(found, _tables(found), formats={".geojson": keep_outs})
+    return Report.of(found, result_tables(found), formats={".geojson": keep_outs})
 
 
-def _tables(found: "RockList") -> list[TextTable]:
+def result_tables(found: "RockList") -> list[TextTable]:
     result = found.to_dict()
     rows = [
         [

@@ -54,10 +54,10 @@ def track(output: Output, dem: Elevation, request: TrackRequest) -> Report:
 
     with progress("measuring the track", quiet=output.quiet) as update:
         found = track(dem, request, progress=update)
-    return Report.of(found, _tables(found))
+    return Report.of(found, result_tables(found))
 
 
-def _tables(found: "TrackSinkage") -> list[TextTable]:
+def result_tables(found: "TrackSinkage") -> list[TextTable]:
     result = found.to_dict()
     rut, sinkage = result["rut_m"], result["sinkage_m"]
     rows = [

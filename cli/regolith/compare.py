@@ -1,6 +1,5 @@
 """`lunarsci regolith compare`: the site beside other soils."""
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -14,19 +13,21 @@ from ..shared.table import TextTable
 
 if TYPE_CHECKING:
     from lunarsci.regolith.compare import SoilComparison
+    from lunarsci.regolith.jobs.compare_soils import ComparedSoils
 
 
 SHOWN = 8
 GIVEN = "The site, instead of a result"
 OPTIONS = {
-    "rover": option("Rover whose wheel sets the width: a name or a TOML file."),
+    "rover": option("Rover whose wheel sets the width, a name or a TOML file; left out, that of the result, or yutu2."),
     "stiffness": option("K_s in kPa m^-N.", panel=GIVEN),
     "exponent": option("Sinkage exponent N.", panel=GIVEN),
     "cohesion": option("Cohesion c in Pa.", panel=GIVEN),
     "friction_angle": option("φ in deg.", panel=GIVEN),
 }
 Found = Annotated[
-    str | None, typer.Argument(metavar="[RESULT.json]", help="A result of `regolith identify --json`; - is stdin.")
+    str | None,
+    typer.Argument(metavar="[RESULT.json]", help="A result of `regolith infer` or `identify`, by --json; - is stdin."),
 ]
 
 
@@ -42,13 +43,14 @@ def compare(request: CompareSoilsRequest, result: Found = None) -> Report:
     square of the logarithm: 0.1 is about 10 %. The picture also shows the curves of a result, and lateral shear.
     """
     found = compare_soils(result, request)
-    return Report.of(found, tables=_tables(found.soils))
+    return Report.of(found, tables=result_tables(found))
 
 
-def _tables(found: "Sequence[SoilComparison]") -> list[TextTable]:
+def result_tables(result: "ComparedSoils") -> list[TextTable]:
+    """The nearest soils in both aspects."""
     from lunarsci.regolith.compare import nearest
 
-    tables = []
+    found, tables = result.soils, []
     for aspect, title in (("bearing", "Alike in bearing"), ("strength", "Alike in shear strength")):
         ordered = nearest(found, aspect)
         rows = [
@@ -56,7 +58,10 @@ def _tables(found: "Sequence[SoilComparison]") -> list[TextTable]:
             for item in ordered[:SHOWN]
         ]
         own = ["N", "k_c", "k_φ"] if aspect == "bearing" else ["c [Pa]", "φ [deg]"]
-        notes = [f"of {len(ordered)} soils; distance: root mean square of the logarithm of the ratio of predictions"]
+        wheel = f"wheel of {result.rover}, {1e3 * result.width_m:.0f} mm wide; " if aspect == "bearing" else ""
+        notes = [
+            f"{wheel}of {len(ordered)} soils; distance: root mean square of the logarithm of the ratio of predictions"
+        ]
         tables += [TextTable(["soil", "kind", "distance", *own], rows, title=title, notes=notes)] if rows else []
     return tables
 

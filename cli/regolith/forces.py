@@ -13,6 +13,7 @@ from ..shared.report import Report
 from ..shared.table import TextTable
 
 if TYPE_CHECKING:
+    from lunarsci.regolith.jobs.wheel_forces import ForcesOnWheel
     from lunarsci.regolith.traction import Traction
 
 SOIL, EXACT = "Soil", "Exact integrals"
@@ -71,10 +72,15 @@ def forces(request: WheelForcesRequest) -> Report:
     efficiency, and the slope that such wheels climb.
     """
     found = wheel_forces(request)
+    return Report.of(found, tables=result_tables(found))
+
+
+def result_tables(found: "ForcesOnWheel") -> list[TextTable]:
+    """One state in full, or a curve over slip and what it is worth."""
     rows = found.rows()
     if len(rows) == 1:
-        return Report.of(found, tables=[_table(rows[0])])
-    return Report.of(found, tables=[_curve(rows), *([] if found.traction is None else [_figures(found.traction)])])
+        return [_table(rows[0])]
+    return [_curve(rows), *([] if found.traction is None else [_figures(found.traction)])]
 
 
 def _table(row: Mapping[str, Any]) -> TextTable:

@@ -84,13 +84,13 @@ def identify(states: States, request: IdentifyRequest, output: Output) -> Report
     """
     with progress("identifying", quiet=output.quiet) as update:
         found = identify_soil(states, request, progress=update)
-    return Report.of(found, tables=tables(found))
+    return Report.of(found, tables=result_tables(found))
 
 
-def tables(found: IdentifiedSoil) -> list[TextTable]:
+def result_tables(found: IdentifiedSoil) -> list[TextTable]:
     """Each state, where there are few; the site; where the errors come from."""
     shares = [] if found.shares is None else [_sensitivity_table(found.shares)]
-    return [*_observation_tables(found.found), _site_table(found.found), *shares]
+    return [*_observation_tables(found.found), _site_table(found), *shares]
 
 
 def _sensitivity_table(shares: "Sequence[Sensitivity]") -> TextTable:
@@ -118,7 +118,8 @@ def _observation_tables(found: "Identification") -> list[TextTable]:
     return [TextTable(headers, rows, title="Each state")]
 
 
-def _site_table(found: "Identification") -> TextTable:
+def _site_table(result: IdentifiedSoil) -> TextTable:
+    found = result.found
     several = len(found.corners) > 1
     names = [name for name in LABELS if not (several and name == "lateral_modulus_mm")]
     rows = [_site_row(LABELS[name], found.site[name], name) for name in names]
@@ -126,10 +127,13 @@ def _site_table(found: "Identification") -> TextTable:
         label = f"  φ_y at K_y = {corner['lateral_modulus_mm']:g} mm"
         rows.append(_site_row(label, corner["external_friction_angle_deg"], "external_friction_angle_deg"))
     count = len(found.observations)
+    default = " (the default; another by --rover)" if result.rover == IdentifyRequest().rover else ""
     title = (
-        f"The site from {count} state{'s' if count > 1 else ''}, {found.draws} draws each, reading '{found.reading}'"
+        f"The site from {count} state{'s' if count > 1 else ''} with the wheel of {result.rover}{default}, "
+        f"{found.draws} draws each, reading '{found.reading}'"
     )
-    return TextTable(["parameter", "value", "95 % interval", "unit", ""], rows, title=title)
+    notes = ["errors are those of one state, as states scatter; how well all fix one soil: `lunarsci regolith infer`"]
+    return TextTable(["parameter", "value", "95 % interval", "unit", ""], rows, title=title, notes=notes)
 
 
 def _site_row(label: str, estimate: "Estimate", name: str) -> list[str]:

@@ -15,7 +15,8 @@ from ..shared.progress import progress
 from ..shared.report import Report
 from ..shared.table import TextTable, significant
 from .identify import OPTIONS as SINGLE
-from .identify import States, tables
+from .identify import States
+from .identify import result_tables as tables
 
 if TYPE_CHECKING:
     from lunarsci.regolith.inference.posterior import SoilPosterior
@@ -89,7 +90,12 @@ def infer(states: States, request: InferRequest, output: Output, posterior: Post
     with progress("the posterior", quiet=output.quiet) as update:
         found = infer_soil(states, request, progress=update)
     extras = {posterior: lambda: found.soils(posterior.suffix.lower())} if posterior else {}
-    return Report.of(found, tables=[*tables(found), *_joint_tables(found)], extras=extras)
+    return Report.of(found, tables=result_tables(found), extras=extras)
+
+
+def result_tables(found: InferredSoil) -> list[TextTable]:
+    """Each state and the site, then all states together."""
+    return [*tables(found), *_joint_tables(found)]
 
 
 def _joint_tables(soil: InferredSoil) -> list[TextTable]:

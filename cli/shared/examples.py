@@ -29,11 +29,11 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     ),
     "spectra unmix": (
         f"lunarsci spectra unmix {DEMO}/rock.ecsv --kind solid-rock",
-        f"lunarsci spectra unmix {DEMO}/rock.ecsv --kind solid-rock --csv",
+        f"lunarsci spectra unmix {DEMO}/rock.ecsv --kind solid-rock -o shares.json",
     ),
     "spectra match": (
         "lunarsci spectra match --modes ol=0.25:0.05,opx=0.35:0.05,cpx=0.4:0.05",
-        "lunarsci spectra match fit.json --site=-45.44,177.56",
+        "lunarsci spectra match shares.json --site=-45.44,177.56",
     ),
     "spectra map": (
         f"lunarsci spectra map {DEMO}/*VD_SCI*.2B --spectrum 128,128",

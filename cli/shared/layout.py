@@ -25,7 +25,7 @@ RANKS: Mapping[str, int] = {
         "range, ejecta, brought up by, Sun, step, gain, F_N assumed, F_DP assumed, F_L assumed, rms, plan, surprise, "
         "ground's own 68 %, F_N from p05 to p95, F_DP from p05 to p95, F_L from p05 to p95, M_R from p05 to p95, "
         "sinkage from p05 to p95, slip from p05 to p95, side slip from p05 to p95, picture, truth, x, y",
-        4: "strength/σ, shrinkage of FWHM, continuum at 1 µm, continuum at 2 µm, azimuth, limit is, worth, n, CRPS, "
+        4: "shrinkage of FWHM, continuum at 1 µm, continuum at 2 µm, azimuth, limit is, worth, n, CRPS, "
         "source, quantity, forgotten before, what, remark, rms sd",
     }.items()
     for header in headers.split(", ")

@@ -1,14 +1,17 @@
 """Tables for people: ready-made cells under headers, and numbers whose digits follow their errors."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from lunarsci.provenance import plain
 
 SHOWN = 100
 """Rows that a table for people has at most."""
 UNKNOWN = "not determined"
+MOST_VERDICTS = 6
+"""Spectra whose verdicts are shown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +56,13 @@ def bare(header: str) -> str:
 def counted(notes: Sequence[str], total: int, things: str) -> list[str]:
     """Each note once, with the number of `total` things it holds for where there are several."""
     return [note if total == 1 else f"{note} ({count} of {total} {things})" for note, count in Counter(notes).items()]
+
+
+def verdict_table(records: Sequence[Mapping[str, Any]], verdict: Callable[[Mapping[str, Any]], str]) -> list[TextTable]:
+    """One sentence about each spectrum, where these are few."""
+    if len(records) > MOST_VERDICTS:
+        return []
+    return [TextTable([], [], title="What this says", notes=[f"{item['id']}: {verdict(item)}" for item in records])]
 
 
 def plus_minus(

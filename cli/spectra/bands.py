@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lunarsci.spectra.jobs.bands import SHORT, BandsRequest, regression
+from lunarsci.spectra.jobs.verdicts import bands_verdict
 
 from ..shared.command import command
 from ..shared.options import BLOCKS, Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
-from ..shared.table import SHOWN, TextTable, bare, counted, plus_minus
-from .options import UNITS, Files
+from ..shared.table import SHOWN, TextTable, bare, counted, plus_minus, verdict_table
+from .options import ONLY, UNITS, Files
 
 if TYPE_CHECKING:
     from lunarsci.spectra.jobs.bands import MeasuredBands
@@ -26,6 +27,7 @@ OPTIONS = {
     "smooth": option("The same in channels, odd, instead: so many median steps of a spectrum.", min=0),
     "smooth_order": option("Order of the smoothing polynomial.", min=0),
     **UNITS,
+    **ONLY,
 }
 Plane = Annotated[
     Path | None,
@@ -49,11 +51,13 @@ def bands(files: Files, request: BandsRequest, output: Output, plane: Plane = No
     output.check_extra("--plane", plane)
     with progress("measuring bands", quiet=output.quiet) as update:
         result = bands(files, request, progress=update)
-    return Report.of(result, lambda: _tables(result), pictures={plane: result.plane} if plane else {})
+    return Report.of(result, lambda: result_tables(result), pictures={plane: result.plane} if plane else {})
 
 
-def _tables(result: "MeasuredBands") -> list[TextTable]:
-    return [_bands_table(result), *_chemistry_tables(result)]
+def result_tables(result: "MeasuredBands") -> list[TextTable]:
+    """Bands, what follows of compositions, and what both say."""
+    records = result.content()["spectra"]
+    return [_bands_table(result), *_chemistry_tables(result), *verdict_table(records, bands_verdict)]
 
 
 def _bands_table(result: "MeasuredBands") -> TextTable:

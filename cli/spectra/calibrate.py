@@ -14,6 +14,7 @@ from ..shared.report import Report
 from ..shared.table import TextTable, counted, plus_minus
 
 if TYPE_CHECKING:
+    from lunarsci.spectra.jobs.calibrate import Calibrations
     from lunarsci.spectra.vnis.calibration import Calibration
 
 
@@ -72,7 +73,12 @@ def calibrate(files: Products, request: CalibrateRequest, output: Output) -> Rep
     with progress("calibrating", quiet=output.quiet) as update:
         result = calibrate(files, request, progress=update)
     formats = {".ecsv": result.to_ecsv, ".fits": result.to_fits}
-    return Report.of(result, [_table(result.observations)], formats=formats)
+    return Report.of(result, result_tables(result), formats=formats)
+
+
+def result_tables(found: "Calibrations") -> list[TextTable]:
+    """The observations, a line each."""
+    return [_table(found.observations)]
 
 
 def _table(good: "Sequence[Calibration]") -> TextTable:

@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from lunarsci.spectra.jobs.fit import FitRequest, MgmFits, fit
+from lunarsci.spectra.jobs.verdicts import fit_verdict
 from lunarsci.spectra.mgm import PERCENT_OF
 
 from ..shared.command import command
 from ..shared.options import BLOCKS, Output, RequestOption, option
 from ..shared.progress import progress
 from ..shared.report import Report
-from ..shared.table import SHOWN, UNKNOWN, TextTable, plus_minus
-from .options import UNITS, Files
+from ..shared.table import SHOWN, UNKNOWN, TextTable, plus_minus, verdict_table
+from .options import ONLY, UNITS, Files
 
 if TYPE_CHECKING:
     from lunarsci.spectra.abundance.result import Abundance
@@ -79,6 +80,7 @@ OPTIONS = MODEL_OPTIONS | {
     ),
     "seed": option("Seed of --errors sample.", panel=ANSWER, min=0),
     **UNITS,
+    **ONLY,
 }
 WAVELENGTHS_NM, STRENGTHS = (0.0, 3000.0), (-5.0, 5.0)
 """Between these lie bands; an error as wide says that nothing is known."""
@@ -97,7 +99,12 @@ def fit_spectra(files: Files, request: FitRequest, output: Output) -> Report:
     to_file = output.path is not None and output.path.suffix.lower() == ".fit"
     with progress("fitting", quiet=output.quiet) as update:
         found = fit(files, replace(request, to_fit_file=to_file), progress=update)
-    return Report.of(found, lambda: fit_tables(found), formats={".fit": lambda _: found.fit_file().encode()})
+    return Report.of(found, lambda: result_tables(found), formats={".fit": lambda _: found.fit_file().encode()})
+
+
+def result_tables(found: MgmFits) -> list[TextTable]:
+    """The fits, and what they say."""
+    return [*fit_tables(found), *verdict_table(found.records, fit_verdict)]
 
 
 def fit_tables(found: MgmFits) -> list[TextTable]:
@@ -121,7 +128,9 @@ def fit_tables(found: MgmFits) -> list[TextTable]:
 
 def _not_shown(found: MgmFits) -> list[str]:
     there = bool(found.intervals)
-    return ["bands and intervals of several spectra: --csv or --json"] if there else ["bands: --csv or --json"]
+    notes = ["bands and intervals of several spectra: --csv or --json"] if there else ["bands: --csv or --json"]
+    assumed = not (found.choices or found.request.start)
+    return notes + (["the assemblage was assumed; --assemblage auto compares all"] if assumed else [])
 
 
 def _notes(record: Mapping[str, Any], fit: "MgmFit") -> list[str]:
@@ -130,7 +139,10 @@ def _notes(record: Mapping[str, Any], fit: "MgmFit") -> list[str]:
     else:
         error = f"errors hold noise, a model error of {100 * record['model_error']:.1f} % of R, and the priors"
     shared = _shared_in_ratios(record, with_shared=len(fit.data.shifts) > 0)
-    return [f"{error}, no other minimum or continuum", *shared, *_composition_notes(fit)]
+    missing = None in (record["nbsr"] or {None: None}).values()
+    why = "NBSR -: a pyroxene is not in the assemblage, its band not in the spectrum, or the ratio not determined"
+    lines = [f"{error}, no other minimum or continuum", *([why] if missing else []), *shared]
+    return [*lines, *_composition_notes(fit)]
 
 
 def _shared_in_ratios(record: Mapping[str, Any], *, with_shared: bool) -> list[str]:
@@ -233,7 +245,11 @@ def _choice_table(choice: Mapping[str, Any]) -> TextTable:
     ]
     headers = ["assemblage", "probability [%]", "ln evidence", "BIC"]
     sure = ", ".join(f"{mineral} {100 * share:.0f} %" for mineral, share in choice["mineral_probability"].items())
-    notes = [choice["status"], f"as a powder of one or two minerals: {sure}"]
+    notes = [
+        choice["status"],
+        "probability: of the evidence, as far as laboratory spectra taught to believe it; fewer minerals come first",
+        f"probability that a mineral is there at all, if these are one or two (not its share): {sure}",
+    ]
     return TextTable(headers, rows, title="all assemblages, the most probable first", notes=notes)
 
 
@@ -250,4 +266,6 @@ def _abundance_table(found: "Sequence[Abundance]") -> TextTable:
         for share in modes.fractions
     ]
     notes = [f"{modes.method}: {modes.status}" for modes in found]
+    shown = [modes.certified for modes in found if modes.certified is not None and modes.certified < 0.95]
+    notes += [f"95 %: so few suites show that it holds in {100 * min(shown):.0f} % at least, no more"] if shown else []
     return TextTable(["method", "mineral", "share [%]", "68 %", "95 %"], rows, title="mineral shares", notes=notes)

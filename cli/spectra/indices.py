@@ -10,7 +10,7 @@ from ..shared.command import command
 from ..shared.options import option
 from ..shared.report import Report
 from ..shared.table import SHOWN, TextTable, plus_minus
-from .options import UNITS, Files
+from .options import ONLY, UNITS, Files
 
 if TYPE_CHECKING:
     from lunarsci.spectra.jobs.indices import FoundIndices
@@ -19,6 +19,7 @@ OPTIONS = {
     "index": option("Only this one, such as ibd1000 or feo_zhang_wt. May be repeated.", metavar="NAME"),
     "smooth_nm": option("Savitzky-Golay window in nm before all, of order 2; 0 for none.", min=0),
     **UNITS,
+    **ONLY,
 }
 WHY_NOT = {
     "no_channels": "no channels where the formula needs them",
@@ -40,7 +41,12 @@ def indices(files: Files, request: IndicesRequest) -> Report:
     from lunarsci.spectra.jobs.indices import indices
 
     found = indices(files, request)
-    return Report.of(found, [_one(found) if len(found.batch.spectra) == 1 else _many(found)])
+    return Report.of(found, result_tables(found))
+
+
+def result_tables(found: "FoundIndices") -> list[TextTable]:
+    """One spectrum in full, of several a line each."""
+    return [_one(found) if len(found.batch.spectra) == 1 else _many(found)]
 
 
 def _one(found: "FoundIndices") -> TextTable:
@@ -67,8 +73,9 @@ def _many(found: "FoundIndices") -> TextTable:
 
 def _notes() -> list[str]:
     return [
-        "errors: the noise of the channels, and the interpolation between them; formulas and sources: --json",
-        "OMAT and Clementine: origins of Clementine's reflectances, FeO off by 3 wt % (median of 11 soils, 23 at most)",
+        "errors: noise of the channels, interpolation between them and, of abundances, what the formula missed of 11 "
+        "soils; formulas and sources: --json",
+        "OMAT and Clementine: origins of Clementine's reflectances",
     ]
 
 
@@ -78,7 +85,8 @@ def _title(index: Any) -> str:
 
 def _remark(index: Any, found: dict[str, Any]) -> str:
     if found["status"] == "ok" and index.missed_by:
-        return f"11 soils missed by {index.missed_by[0]:g}, {index.missed_by[1]:g} at most"
+        low, most = index.missed_by
+        return f"noise alone {found['sigma']:.2g}; 11 soils missed by {low:g} in the median, {most:g} at most"
     return WHY_NOT.get(found["status"], "")
 
 
@@ -86,5 +94,4 @@ def _cell(found: dict[str, Any]) -> str:
     """`0.1234 ± 0.0012`, with two digits of the error."""
     if found["value"] is None or found["status"] != "ok":
         return "-"
-    error = (found["sigma"] ** 2 + found["interpolation"] ** 2) ** 0.5
-    return plus_minus(found["value"], error or None, digits=4)
+    return plus_minus(found["value"], found["error"] or None, digits=4)

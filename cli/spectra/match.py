@@ -23,8 +23,9 @@ ROCK, CRATERS, PRIOR, EXPOSURE = "Rock", "Craters", "Prior", "Survival and re-ex
 Rocks = Annotated[
     list[str] | None,
     typer.Argument(
-        help="JSON results of `lunarsci spectra fit` (modes, or NBSR at 2 µm) and `lunarsci spectra bands`; the same "
-        "id in both is one rock; - is stdin. None with --modes or --bands.",
+        help="JSON results of `lunarsci spectra unmix` (shares of minerals), `spectra fit` (NBSR at 2 µm, if any) and "
+        " `spectra bands` (band centres, which none of the embedded craters has); the same id in two is one rock; - "
+        "is stdin. None with --modes or --bands.",
         metavar="[ROCK]...",
     ),
 ]
@@ -105,10 +106,10 @@ def match(request: MatchRequest, output: Output, rocks: Rocks = None) -> Report:
 
     with progress("matching", quiet=output.quiet) as update:
         result = match(rocks or (), request, progress=update)
-    return Report.of(result, lambda: _tables(result))
+    return Report.of(result, lambda: result_tables(result))
 
 
-def _tables(result: "Matches") -> list[TextTable]:
+def result_tables(result: "Matches") -> list[TextTable]:
     from lunarsci.spectra.origin.match import OTHER
 
     matches, notes = result.matches, [f"- {text}" for text in result.assumptions]
@@ -142,7 +143,9 @@ def _craters_table(match: "RockMatch", notes: Sequence[str]) -> TextTable:
 
 
 def _crater_row(item: "CraterMatch") -> list[str]:
-    compared = "contains the site: no ejecta" if item.contains_site else item.evidence.basis
+    below = item.prior.above_surface == 0
+    basis = "older than the surface, counts nothing" if below else item.evidence.basis
+    compared = "contains the site: no ejecta" if item.contains_site else basis
     return [
         item.crater.name,
         f"{item.prior.distance_km:.1f}",

@@ -20,3 +20,4 @@ UNITS = {
     "wavelength_unit": option("Unit of the wavelengths.", panel=FILE),
     "reflectance_unit": option("Unit of the reflectance.", panel=FILE),
 }
+ONLY = {"id": option("Take only this spectrum of the files, by its name. May be repeated.", panel=FILE, metavar="NAME")}

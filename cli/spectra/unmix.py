@@ -6,14 +6,15 @@ from typing import TYPE_CHECKING
 import typer
 
 from lunarsci.spectra.jobs.unmix import UnmixedSpectra, UnmixRequest, unmix
+from lunarsci.spectra.jobs.verdicts import shares_verdict
 
 from ..shared.command import command
 from ..shared.options import Output, option
 from ..shared.progress import progress
 from ..shared.report import Report
-from ..shared.table import UNKNOWN, TextTable, counted, plus_minus
+from ..shared.table import UNKNOWN, TextTable, counted, plus_minus, verdict_table
 from .fit import MODEL_OPTIONS, fit_tables
-from .options import UNITS, Files
+from .options import ONLY, UNITS, Files
 
 if TYPE_CHECKING:
     from lunarsci.spectra.abundance.result import Abundance, DarkPart, MineralFraction
@@ -65,6 +66,7 @@ OPTIONS = {
     ),
     **MODEL_OPTIONS,
     **UNITS,
+    **ONLY,
 }
 
 
@@ -85,7 +87,13 @@ def unmix_spectra(files: Files, request: UnmixRequest, output: Output) -> Report
     """
     with progress("unmixing", quiet=output.quiet) as update:
         found = unmix(files, request, progress=update)
-    return Report.of(found, [*fit_tables(found), *mixture_tables(found), kind_table(found), *normative_table(found)])
+    return Report.of(found, result_tables(found))
+
+
+def result_tables(found: UnmixedSpectra) -> list[TextTable]:
+    """The fits, the shares, the kinds of target and what depends on them."""
+    told = verdict_table(found.records, shares_verdict)
+    return [*fit_tables(found), *mixture_tables(found), kind_table(found), *normative_table(found), *told]
 
 
 def mixture_tables(found: UnmixedSpectra) -> list[TextTable]:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from lunarsci.twin.comparison.checks import EndCheck, PathCheck
     from lunarsci.twin.comparison.matched import MatchedObservations, Miss
     from lunarsci.twin.comparison.verdict import DriveComparison
+    from lunarsci.twin.jobs.compare import ComparedDrive
 
 
 FILE: dict[str, Any] = {"kind": str | None, "metavar": "FILE"}
@@ -69,17 +70,23 @@ def compare(
     """
     from lunarsci.twin.jobs.compare import compare
 
-    from .belief_tables import discrepancy_table
-
     if (request.belief is None) != (save is None):
         raise RequestError("`belief` FILE and `save` FILE belong together; give both, or neither")
     output.check_extra("--save", save, (".json",))
     found = compare(predicted, states, request)
-    tables, before, after = _tables(found.matched, found.found, states), found.before, found.belief
-    if save is None or before is None or after is None:
-        return Report.of(found, tables)
-    lesson = discrepancy_table(after.discrepancy, before.discrepancy)
-    return Report.of(found, [*tables, lesson], extras={save: lambda: after.to_json().encode()})
+    belief = found.belief
+    extras = {save: lambda: belief.to_json().encode()} if save and belief else {}
+    return Report.of(found, result_tables(found), extras=extras)
+
+
+def result_tables(found: "ComparedDrive") -> list[TextTable]:
+    """The verdict with what it rests on, and what a belief learned of it."""
+    from .belief_tables import discrepancy_table
+
+    tables, before, after = _tables(found.matched, found.found, found.states), found.before, found.belief
+    if before is None or after is None:
+        return tables
+    return [*tables, discrepancy_table(after.discrepancy, before.discrepancy)]
 
 
 def _tables(matched: "MatchedObservations", found: "DriveComparison", states: str) -> list[TextTable]:

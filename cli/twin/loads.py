@@ -91,10 +91,17 @@ def loads(
     with progress("holding the rover to its motion", quiet=output.quiet) as update:
         found = job.loads(motion, plan, request, progress=update)
     if isinstance(found, MotionLoads):
-        return Report.of(found, wheel_tables(found.title, found.wheels, _notes_of_motion(found)))
+        return Report.of(found, result_tables(found))
     belief = found.belief
     extras = {save: lambda: belief.to_json().encode()} if save and belief else {}
-    return Report.of(found, _tables(found), files=found.files(), extras=extras)
+    return Report.of(found, result_tables(found), files=found.files(), extras=extras)
+
+
+def result_tables(found: MotionLoads | UncertainLoads) -> list[TextTable]:
+    """Loads of one motion, or of all that could have been."""
+    if isinstance(found, MotionLoads):
+        return wheel_tables(found.title, found.wheels, _notes_of_motion(found))
+    return _tables(found)
 
 
 def _notes_of_motion(found: MotionLoads) -> list[str]:

@@ -135,18 +135,23 @@ def plan(
     the plans, legs.csv the timetable, mission.geojson the map.
     """
     from lunarsci.twin.jobs import plan as job
-    from lunarsci.twin.jobs.chosen_drive import ChosenDrive
-    from lunarsci.twin.jobs.planned_mission import PlannedMission
 
     alone = request.risk is None and request.mission is None
     check_files(output, soil=bool(request.soil) and alone, geotiff=geotiff)
     with progress("planning", quiet=output.quiet) as update:
         found = job.plan(terrain, request, progress=update)
+    return Report.of(found, result_tables(found), files=found.files(geotiff=geotiff))
+
+
+def result_tables(found: "TerrainSurvey") -> list[TextTable]:
+    """A mission's targets and legs, or the drives to choose from or the ground, and the way."""
+    from lunarsci.twin.jobs.chosen_drive import ChosenDrive
+    from lunarsci.twin.jobs.planned_mission import PlannedMission
+
     if isinstance(found, PlannedMission):
-        return Report.of(found, mission_tables(found), files=found.files(geotiff=geotiff))
+        return mission_tables(found)
     tables = [_choice_table(found)] if isinstance(found, ChosenDrive) else [ground_table(found)]
-    tables += [] if found.path is None else [_path_table(found, found.path)]
-    return Report.of(found, tables, files=found.files(geotiff=geotiff))
+    return tables + ([] if found.path is None else [_path_table(found, found.path)])
 
 
 def _choice_table(found: "ChosenDrive") -> TextTable:

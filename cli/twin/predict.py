@@ -58,7 +58,12 @@ def predict(
     with progress("driving", quiet=output.quiet) as update:
         found = job.predict(plan, request, progress=update)
     films = {} if animate is None else {animate: lambda: _film(found, animate, output.quiet)}
-    return Report.of(found, [*_verdict_tables(found), *_sensitivity_tables(found)], files=found.files(), extras=films)
+    return Report.of(found, result_tables(found), files=found.files(), extras=films)
+
+
+def result_tables(found: PredictedDrives) -> list[TextTable]:
+    """The verdict with its limits, and what it hangs on."""
+    return [*_verdict_tables(found), *_sensitivity_tables(found)]
 
 
 def _check_film(output: Output, animate: Path) -> None:

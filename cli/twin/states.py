@@ -71,10 +71,10 @@ def states(telemetry: Telemetry, request: StatesRequest, plan: DrivenPlan = None
     from lunarsci.twin.jobs.states import states
 
     found = states(telemetry, plan, request)
-    return Report.of(found, _tables(found), files=found.files())
+    return Report.of(found, result_tables(found), files=found.files())
 
 
-def _tables(found: "MeasuredStates") -> list[TextTable]:
+def result_tables(found: "MeasuredStates") -> list[TextTable]:
     result = found.to_dict()
     return [_wheel_table(found, result), *_finding_tables(result["findings"])]
 

@@ -48,7 +48,7 @@ def sweep(output: Output, request: SweepRequest, plans: Plans = None) -> Report:
 
     with progress("designs", quiet=output.quiet) as update:
         found = job.sweep(plans, request, progress=update)
-    return Report.of(found, _tables(found))
+    return Report.of(found, result_tables(found))
 
 
 HEADERS = (
@@ -57,7 +57,7 @@ HEADERS = (
 )  # fmt: skip
 
 
-def _tables(found: DesignTrade) -> list[TextTable]:
+def result_tables(found: DesignTrade) -> list[TextTable]:
     names = [entry.name for entry in found.variations]
     rows = [[*(f"{row[name]:.4g}" for name in names), *_cells(row)] for row in found.rows() if not row["impossible"]]
     headers, possible = [*names, *HEADERS], [row for row in found.rows() if not row["impossible"]]

@@ -110,10 +110,10 @@ def update(
     with progress("driving on many soils", quiet=output.quiet) as advance:
         found = job.update(states, asked, progress=advance)
     made = {save: lambda: found.belief.to_json().encode(), save_map: found.map_bytes, save_terrain: found.terrain_bytes}
-    return Report.of(found, _tables(found), extras={path: make for path, make in made.items() if path})
+    return Report.of(found, result_tables(found), extras={path: make for path, make in made.items() if path})
 
 
-def _tables(found: "LearnedSoil") -> list[TextTable]:
+def result_tables(found: "LearnedSoil") -> list[TextTable]:
     from lunarsci.regolith.belief_history import parameter_rows
 
     from .belief_tables import discrepancy_table, parameter_table

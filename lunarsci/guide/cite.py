@@ -61,6 +61,9 @@ class CitedSources(Result):
     references: Sequence[Reference]
     documents: Sequence[Document]
 
+    def __str__(self) -> str:
+        return self.bibtex()
+
     @property
     def made_from(self) -> MadeFrom:
         sources = [reference.text for reference in self.references]
@@ -132,16 +135,17 @@ def reference_of(text: str) -> Reference:
     )
 
 
-def cite(results: Sequence[str | Path] | str | Path) -> CitedSources:
-    """What to cite for results: JSON files of commands, or folders of their -o.
+def cite(results: Sequence[str | Path | Result] | str | Path | Result) -> CitedSources:
+    """What to cite for results: those of functions, JSON files of commands, or folders of their -o.
 
     Sources that differ only in what follows the DOI are one. Raises DataError for what is no result.
     """
-    paths = [results] if isinstance(results, str | Path) else list(results)
-    documents, _ = read_results(paths)
+    given = [results] if isinstance(results, str | Path | Result) else list(results)
+    paths = [item for item in given if not isinstance(item, Result)]
+    documents = read_results(paths)[0] if paths else []
+    texts = [text for document in documents for text in document.provenance.get("sources") or ()]
+    texts += [text for item in given if isinstance(item, Result) for text in item.made_from.sources]
     found: dict[str, Reference] = {}
-    for document in documents:
-        for text in document.provenance.get("sources") or ():
-            one = reference_of(str(text))
-            found.setdefault(one.doi or one.text, one)
+    for one in map(reference_of, map(str, texts)):
+        found.setdefault(one.doi or one.text, one)
     return CitedSources(references=list(found.values()), documents=documents)

@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
+from lunarsci.arrays import FloatArray
 from lunarsci.figure import INK, as_label, headline, legend_below, name_points, page, wrapped
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.belief_history import past_beliefs, rolled_back, shared_drives
@@ -19,7 +21,7 @@ from lunarsci.regolith.compare import KINDS, Site, SoilComparison, lateral_soils
 from lunarsci.regolith.forces import WheelForces
 from lunarsci.regolith.identify import Identification
 from lunarsci.regolith.integrals import ContactForces, forces_by
-from lunarsci.regolith.prior import PARAMETERS
+from lunarsci.regolith.prior import PARAMETERS, Law
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.traction import DESIGN_SLIP, Traction
 from lunarsci.regolith.wheel import ContactModel, ShearSign, Wheel
@@ -210,6 +212,47 @@ BLUE, ORANGE, GREEN = "#0072B2", "#D55E00", "#009E73"
 TYPICAL_BEARING = (1.0, 820.0)
 TYPICAL_SHEAR = (520.0, 42.0)
 """Typical lunar N, K_s and c, phi, as drawn by Ding et al. (2024), Fig. 4, 10.1038/s41467-024-46233-8."""
+
+
+def posterior_figure(
+    rows: Sequence[Mapping[str, Any]], prior: Mapping[str, Law], draws: FloatArray, title: str
+) -> Figure:
+    """Prior and posterior density of each parameter; bars are the 68 and 95 % intervals of the posterior.
+
+    Parameters
+    ----------
+    rows, prior, draws : of a `SoilPosterior`.
+    """
+    from scipy.stats import gaussian_kde
+
+    figure = page(1.9 * -(-len(rows) // 2))
+    panels: Any = figure.subplots(-(-len(rows) // 2), 2)
+    for k, (panel, row) in enumerate(zip(panels.ravel(), rows, strict=True)):
+        name, law = row["parameter"], prior[row["parameter"]]
+        ends = law.transformed(np.array([[row[f"{of}low95"], row[f"{of}high95"]] for of in ("prior_", "")]))
+        at = np.linspace(ends.min() - 0.25 * np.ptp(ends), ends.max() + 0.25 * np.ptp(ends), 400)
+        before = np.exp(-0.5 * ((at - law.center) / law.width) ** 2) / (law.width * np.sqrt(2 * np.pi))
+        after = gaussian_kde(law.transformed(draws[:, k]))(at)
+        values = law.back(at)
+        panel.fill_between(values, before, color=INK, alpha=0.15, linewidth=0, label="prior")
+        panel.plot(values, after, color=OWN, label="posterior")
+        foot = -0.07 * max(after.max(), before.max())
+        panel.plot([row["low95"], row["high95"]], [foot] * 2, color=OWN, linewidth=1, label="95 %")
+        panel.plot([row["low68"], row["high68"]], [foot] * 2, color=OWN, linewidth=3, label="68 %")
+        panel.plot(row["median"], foot, "o", color=OTHER, markersize=4, label="median")
+        panel.set_xlabel(PARAMETER_LABELS.get(name, name))
+        panel.set_yticks([])
+        panel.spines["left"].set_visible(False)
+        if law.of == "ln":
+            panel.set_xscale("log")
+            panel.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            panel.xaxis.set_major_formatter("{x:g}")
+            panel.xaxis.set_minor_formatter("")
+        known = "determined" if row["determined"] else f"{100 * (1 - row['shrinkage']):.0f} % of the prior's width"
+        panel.set_title(known, loc="left")
+    legend_below(figure, panels.ravel()[:1], 5)
+    figure.suptitle(title)
+    return figure
 
 
 def forces_over_slip(

@@ -29,6 +29,10 @@ PARAMETERS = (
 )
 CONTACT = ("skid_exponent_slip", "max_stress_c1", "max_stress_c2", "exit_c3")
 """What a contact may have unknown beside its soil: n2 of `ContactModel`, c1-c3 of `Wheel`."""
+UNITS = dict(zip(PARAMETERS, ("kPa/m^N", "-", "-", "Pa", "deg", "mm", "deg", "mm"), strict=True)) | dict.fromkeys(
+    CONTACT, "-"
+)
+"""Unit of every parameter."""
 TRANSFORMS = ("ln", "ln tan", "value")
 FIXED_SD = 1e-6
 """Stands for a parameter that is known."""

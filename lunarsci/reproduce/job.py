@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.errors import RequestError
@@ -45,7 +45,7 @@ class ReproduceRequest:
         return tuple(WORK) if self.part == "all" else ("spectra" if self.part == "rock" else self.part,)
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Reproduction(Result):
     """The numbers, and what they and the figures are made from; `inputs` and `tables` are hashes by name."""
 
@@ -108,14 +108,14 @@ def reproduce(
     found = Reproduction(description, asked.parts, tables=published_hash())
     if asked.parts != ("spectra",):
         found.tables[f"{asked.rover or ROVER} (rover)"] = sha256(description.text.encode())
-    make: dict[str, Callable[[Progress], None]] = {
-        "spectra": lambda update: _spectra(found, asked.rocks, update),
-        "soil": lambda _: _soil(found),
-        "drive": lambda update: _drive(found, update),
+    make: dict[str, Callable[[Reproduction, Progress], Reproduction]] = {
+        "spectra": lambda found, update: _with_spectra(found, asked.rocks, update),
+        "soil": lambda found, _: _with_soil(found),
+        "drive": _with_drive,
     }
     total, before = sum(WORK[name] for name in asked.parts), 0
     for name in asked.parts:
-        make[name](_within(update, before, WORK[name], total))
+        found = make[name](found, _within(update, before, WORK[name], total))
         before += WORK[name]
         update(100 * before, 100 * total)
     return found
@@ -126,35 +126,38 @@ def _within(update: Progress, before: int, share: int, total: int) -> Progress:
     return lambda done, of: update(round(100 * (before + share * done / max(of, 1))), 100 * total)
 
 
-def _spectra(found: Reproduction, rocks: Sequence[str], update: Progress) -> None:
+def _with_spectra(found: Reproduction, rocks: Sequence[str], update: Progress) -> Reproduction:
     from lunarsci.reproduce.spectra import TABLES, boulders, fit_rocks, spectra_numbers
     from lunarsci.spectra.readers import read_spectra
     from lunarsci.tables import table_hashes
 
     sources = [read_input(path) for path in expand_inputs(rocks)]
-    found.inputs |= {source.name: source.sha256 for source in sources}
-    found.tables |= table_hashes(*TABLES)
     spectra = [spectrum for source in sources for spectrum in read_spectra(source)]
-    if sources:
-        found.rocks = fit_rocks(boulders(spectra), update)
-    found.numbers += spectra_numbers(found.rocks)
+    fitted = fit_rocks(boulders(spectra), update) if sources else None
+    return replace(
+        found,
+        rocks=fitted,
+        inputs=found.inputs | {source.name: source.sha256 for source in sources},
+        tables=found.tables | table_hashes(*TABLES),
+        numbers=found.numbers + spectra_numbers(fitted),
+    )
 
 
-def _soil(found: Reproduction) -> None:
+def _with_soil(found: Reproduction) -> Reproduction:
     from lunarsci.regolith.compare import reference_hash
     from lunarsci.regolith.prior import prior_hash
     from lunarsci.regolith.wheel import read_wheel
     from lunarsci.reproduce.soil import soil_numbers
 
-    found.tables |= reference_hash() | prior_hash()
-    found.numbers += soil_numbers(read_wheel(found.description))
+    numbers = found.numbers + soil_numbers(read_wheel(found.description))
+    return replace(found, tables=found.tables | reference_hash() | prior_hash(), numbers=numbers)
 
 
-def _drive(found: Reproduction, update: Progress) -> None:
+def _with_drive(found: Reproduction, update: Progress) -> Reproduction:
     from lunarsci.regolith.soil import soil_hash
     from lunarsci.reproduce.drive import SOIL, drive_numbers, predicted_drives
     from lunarsci.twin.rover import build_rover
 
-    found.drives = predicted_drives(build_rover(found.description), update)
-    found.tables |= soil_hash(SOIL)[1]
-    found.numbers += drive_numbers(found.drives)
+    drives = predicted_drives(build_rover(found.description), update)
+    tables, numbers = found.tables | soil_hash(SOIL)[1], found.numbers + drive_numbers(drives)
+    return replace(found, drives=drives, tables=tables, numbers=numbers)

@@ -33,6 +33,10 @@ M3_LIST = "Mustard et al. (2011), J. Geophys. Res. 116, E00G12, 10.1029/2010JE00
 LUCEY = "Lucey, Blewett & Jolliff (2000), J. Geophys. Res. 105, 20297, 10.1029/1999JE001117"
 
 
+MEDIAN_OF_NORMAL = 0.6745
+"""Median distance from the mean of a normal law, in standard deviations."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Index:
     """A published index.
@@ -57,6 +61,11 @@ class Index:
     high: float = np.inf
     of_soils: bool = False
     missed_by: tuple[float, float] | None = None
+
+    @property
+    def miss_sigma(self) -> float:
+        """Standard deviation of a normal law with the median of these distances; 0 where that was not tried."""
+        return self.missed_by[0] / MEDIAN_OF_NORMAL if self.missed_by else 0.0
 
 
 def linear(*weights: float) -> Formula:

@@ -13,6 +13,8 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
 from lunarsci.inputs import csv_rows
 
+MOST_LETTERS = 3
+"""Letters of a number that is misspelt, at most; a first cell with more is a name."""
 _LONGEST_SHOWN = 40
 
 
@@ -145,7 +147,10 @@ def _bad_cell(row: Row, column: int, label: str, file: str, decimal_comma: bool)
     cell = row.fields[column]
     comma = "," in cell and not decimal_comma
     hint = "; a decimal comma needs ';' between the columns" if comma else "; correct it, or leave it blank if unknown"
-    return f"{file}: line {row.line}, column {label}: {quoted(cell)} is not a number{hint}"
+    wrong = (
+        "; or is the file no table of spectra?" if column == 0 and sum(map(str.isalpha, cell)) > MOST_LETTERS else ""
+    )
+    return f"{file}: line {row.line}, column {label}: {quoted(cell)} is not a number{hint}{wrong}"
 
 
 def quoted(text: str) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import lunarsci
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.guide import doctor
 from lunarsci.guide.cite import cite, reference_of
@@ -210,3 +211,12 @@ def test_a_doctor_knows_the_extras_of_the_project() -> None:
 @pytest.mark.slow
 def test_all_is_well_here() -> None:
     assert [one for one in doctor.doctor().checks if one.trouble] == []
+
+
+def test_results_in_memory_are_cited_as_their_files_are(tmp_path: Path) -> None:
+    found = lunarsci.wheel_forces(sinkage=0.01)
+    file = tmp_path / "forces.json"
+    file.write_text(found.to_json())
+    cited = lunarsci.cite(found)
+    assert [one.text for one in cited.references] == [one.text for one in lunarsci.cite(file).references] != []
+    assert "@article{ding2024" in str(cited) and "10.1038/s41467-024-46233-8" in str(lunarsci.cite([found, file]))

@@ -1,15 +1,20 @@
 """The regolith from Python: tables in, results with units out, the same as the commands give."""
 
+import io
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from astropy import units
+from scipy import stats
 
 from lunarsci.errors import ParameterError, RequestError
+from lunarsci.regolith.identify import Estimate
 from lunarsci.regolith.jobs.compare_soils import compare_soils
-from lunarsci.regolith.jobs.identify import IdentifiedSoil, identify
+from lunarsci.regolith.jobs.identify import IdentifiedSoil, agreement, identify
 from lunarsci.regolith.jobs.infer import InferredSoil, infer
 from lunarsci.regolith.jobs.wheel_forces import WheelForcesRequest, wheel_forces
 
@@ -37,7 +42,7 @@ def test_forces_have_units_and_a_request_can_be_changed() -> None:
     table = found.to_table()
     assert table["normal_force_n"].unit == units.N and table["resistance_torque_nm"].unit == units.N * units.m
     assert found.forces.normal_force_n == pytest.approx(36.5)
-    assert found.untrusted == "" and "drawbar_pull_n" in found._repr_html_()
+    assert found.untrusted == "" and "drawbar pull" in found._repr_html_()
     softer = wheel_forces(asked, stiffness=500.0)
     assert softer.sinkage_m > found.sinkage_m and softer.soil.stiffness_kpa_m_n == 500.0
 
@@ -95,7 +100,10 @@ def test_a_soil_is_found_again_in_its_forces(identified: IdentifiedSoil) -> None
 
     site = identified.found.site
     assert site["stiffness_kpa_m_n"].value == pytest.approx(read_soil("lunar-typical").stiffness_kpa_m_n, rel=0.25)
-    assert len(identified.to_table()) == 8 and identified.to_table()["sigma_m_pa"].unit == units.Pa
+    assert len(identified.rows()) == 8 and "sigma_m_pa" in identified.rows()[0]
+    table = identified.to_table()
+    told = table[table["parameter"] == "stiffness_kpa_m_n"][0]
+    assert told["value"] == site["stiffness_kpa_m_n"].value and told["unit"] == "kPa/m^N" and not told["assumed"]
     assert {"alone", "saved"} <= set(identified.to_dict()["sensitivity"][0])
     assert json.loads(identified.to_json(time=False))["schema"] == "lunarsci/regolith-identify/1"
 
@@ -142,3 +150,69 @@ def test_options_of_the_inference_that_exclude_each_other(states: pd.DataFrame) 
         identify(states, lateral_modulus="a,b")
     with pytest.raises(ParameterError, match="go together"):
         compare_soils(cohesion=500.0)
+
+
+DING_2011 = """sinkage_m,slip_ratio,normal_force_n,drawbar_pull_n
+0.005,0.0,80,-6.5
+0.0055,0.1,80,11
+0.0075,0.2,80,14.5
+0.01,0.3,80,15
+0.0125,0.4,80,15
+0.0175,0.6,80,15
+"""
+"""Smooth wheel of Ding et al. (2011), J. Terramechanics 48, 27, Fig. 9, 10.1016/j.jterra.2010.05.001, in HIT-LSS1."""
+
+
+@pytest.fixture(scope="module")
+def measured_wheel(tmp_path_factory: pytest.TempPathFactory) -> str:
+    file = tmp_path_factory.mktemp("wheel") / "hit.toml"
+    file.write_text("name = 'HIT'\n[wheel]\nradius_m = 0.15735\nwidth_m = 0.165\ngrouser_height_m = 0.0\n")
+    return str(file)
+
+
+def test_states_that_contradict_each_other_are_not_averaged_in_silence(measured_wheel: str) -> None:
+    found = identify(io.StringIO(DING_2011), rover=measured_wheel, draws=256)
+    told = {item.parameter: item for item in found.agreements}
+    assert told["stiffness_kpa_m_n"].trend == told["friction_angle_deg"].trend == "falls"
+    assert told["friction_angle_deg"].reduced_chi_square > 50
+    assert re.search(r"contradict each other \(K_s falls with slip .* use `lunarsci regolith infer`", found.untrusted)
+
+
+def test_states_of_one_soil_agree(identified: IdentifiedSoil) -> None:
+    assert identified.agreements and all(item.agree for item in identified.agreements)
+    assert "contradict" not in identified.untrusted
+
+
+def test_scatter_within_the_errors_is_no_contradiction() -> None:
+    """Of normal values with their errors the chi-square is that of the law; a hundredfold smaller error contradicts."""
+    rng = np.random.default_rng(4)
+    values = rng.normal(40, 3, 200)
+    ours = agreement("friction_angle_deg", [Estimate(v, 3.0) for v in values], np.arange(200.0))
+    assert ours is not None and ours.agree and ours.trend == ""
+    assert ours.reduced_chi_square == pytest.approx(np.var(values, ddof=1) / 9)
+    assert ours.probability == pytest.approx(stats.chi2.sf(199 * ours.reduced_chi_square, 199))
+    close = agreement("friction_angle_deg", [Estimate(v, 0.03) for v in values], np.arange(200.0))
+    assert close is not None and not close.agree
+
+
+def test_a_comparison_takes_the_wheel_of_the_result(measured_wheel: str, tmp_path: Path) -> None:
+    found = identify(io.StringIO(DING_2011), rover=measured_wheel, draws=64)
+    file = tmp_path / "id.json"
+    file.write_text(found.to_json())
+    for given in (found, str(file)):
+        assert (compare_soils(given).width_m, compare_soils(given).rover) == (0.165, measured_wheel)
+    assert compare_soils(found, rover="yutu2").width_m == 0.15
+    assert compare_soils(stiffness=1443.0, exponent=1.0).rover == "yutu2"
+
+
+def test_the_posterior_is_the_table_and_the_first_picture(inferred: InferredSoil) -> None:
+    table = inferred.to_table()
+    assert list(table["parameter"]) == list(inferred.posterior.names)
+    for row in table:
+        law = inferred.posterior.prior[row["parameter"]]
+        assert row["prior_median"] == pytest.approx(law.median)
+        inside = stats.norm.cdf(law.transformed(row["prior_high95"]), law.center, law.width)
+        assert inside == pytest.approx(0.975, abs=1e-6)
+        assert row["low95"] < row["low68"] < row["median"] < row["high68"] < row["high95"]
+    panels = inferred.plot().axes
+    assert len(panels) == len(table) and "friction angle" in panels[4].get_xlabel()

@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -207,3 +208,15 @@ def test_olivine_stands_out_among_minerals(reference_data: Path) -> None:
     feldspar = [value for name, value in by_name.items() if "anorthite" in name or "labradorite" in name]
     assert len(olivine) >= 3
     assert min(olivine) > np.nanmax(feldspar)
+
+
+def test_the_error_of_an_abundance_holds_what_the_formula_misses() -> None:
+    """FeO after Clementine missed 11 soils by 3.1 wt % in the median, which of a normal law is 0.6745 sigma."""
+    wavelength = np.arange(450.0, 2400.0, 5.0)
+    found = lunarsci.indices((wavelength, 0.08 + 0.06 * (wavelength - 450) / 2000))
+    [record] = found.to_dict()["spectra"]
+    told = record["feo_lucey_wt"]
+    assert told["sigma"] < 0.5 < 3.1 / 0.6745 <= told["error"] < 5
+    assert found.rows()[0]["feo_lucey_wt_error"] == told["error"]
+    assert record["r540"]["error"] == pytest.approx(np.hypot(record["r540"]["sigma"], record["r540"]["interpolation"]))
+    assert re.search(r"FeO, Clementine \[wt %\] +[\d.]+ ± 4\.\d", str(found))

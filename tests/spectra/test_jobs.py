@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from astropy import units
 from lunarsci.cli import main
 
-from lunarsci.errors import DataError, ParameterError, RequestError
+from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
 from lunarsci.spectra.jobs.bands import MeasuredBands, bands
 from lunarsci.spectra.jobs.calibrate import CalibrateRequest, Calibrations, calibrate, check_fits
 from lunarsci.spectra.jobs.library import check_library, import_library, open_library
@@ -105,3 +106,74 @@ def test_a_fits_table_has_no_room_for_many() -> None:
     check_fits(Path("a.ecsv"), names)
     with pytest.raises(ParameterError, match=r"a.fits: a FITS table holds 55 observations, here are 59; use .ecsv"):
         check_fits(Path("a.fits"), names)
+
+
+WAVELENGTH_NM = np.arange(500.0, 2400.0, 5.0)
+REFLECTANCE = 0.2 * np.exp(-0.3 * np.exp(-0.5 * ((WAVELENGTH_NM - 930) / 60) ** 2))
+"""MADE UP: one band at 930 nm."""
+INDEXED = pd.DataFrame({"a": REFLECTANCE}, index=pd.Index(WAVELENGTH_NM, name="wavelength_nm"))
+
+
+@pytest.mark.parametrize(
+    ("given", "options", "count"),
+    [
+        ((WAVELENGTH_NM, REFLECTANCE), {}, 1),
+        ((WAVELENGTH_NM, REFLECTANCE, np.full(WAVELENGTH_NM.size, 5e-4)), {}, 1),
+        ((WAVELENGTH_NM / 1e3, REFLECTANCE), {"wavelength_unit": "um"}, 1),
+        ((WAVELENGTH_NM * units.nm, 100 * REFLECTANCE), {"reflectance_unit": "percent"}, 1),
+        ((WAVELENGTH_NM, np.array([REFLECTANCE] * 3)), {}, 3),
+        ((WAVELENGTH_NM, np.array([REFLECTANCE] * 2).T, np.full(WAVELENGTH_NM.size, 5e-4)), {}, 2),
+        (INDEXED, {}, 1),
+        (INDEXED["a"], {}, 1),
+    ],
+)
+def test_arrays_are_taken_as_they_come(given: Any, options: dict[str, Any], count: int) -> None:
+    found = bands(given, **options).to_table()["bc1000_nm"]
+    assert len(found) == count and np.allclose(found.value, 930, atol=0.5)
+
+
+def test_micrometres_are_told_by_their_values_and_said() -> None:
+    with pytest.warns(LunarSciWarning, match="0.5-2.395 read as µm; give nm, or wavelength_unit='um'"):
+        found = bands((WAVELENGTH_NM / 1e3, REFLECTANCE))
+    assert found.to_table()["bc1000_nm"][0].value == pytest.approx(930, abs=0.5)
+    with pytest.warns(LunarSciWarning, match="read as µm"):
+        bands(pd.DataFrame({"a": REFLECTANCE}, index=WAVELENGTH_NM / 1e3))
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ((WAVELENGTH_NM, 100 * REFLECTANCE), "no fraction; state --reflectance-unit percent"),
+        (
+            (WAVELENGTH_NM, REFLECTANCE[1:]),
+            r"shape \(379,\) beside 380 wavelengths; give \(wavelength_nm, reflectance\)",
+        ),
+        (np.array([WAVELENGTH_NM, REFLECTANCE]), "or a third array of standard deviations"),
+        ((WAVELENGTH_NM[:9], np.full((9, 9), 0.2)), "as many spectra as channels"),
+        ((WAVELENGTH_NM, np.array([REFLECTANCE] * 3), np.ones((2, 380))), "2 rows of errors for 3 spectra"),
+    ],
+)
+def test_arrays_that_are_no_spectrum_say_what_to_give(given: Any, said: str) -> None:
+    with pytest.raises(DataError, match=said):
+        bands(given)
+
+
+def test_some_spectra_of_a_file_are_taken_by_their_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "many.csv"
+    INDEXED.assign(**{f"rock-{k}": REFLECTANCE * (1 + 0.1 * k) for k in range(8)}).to_csv(file)
+    found = bands(str(file), id=("rock-5", "rock-2"))
+    assert list(found.to_table()["id"]) == ["rock-2", "rock-5"] and len(found.batch.origins) == 2
+    assert found.asked is not None and found.asked.options["id"] == ["rock-5", "rock-2"]
+    assert main(["spectra", "bands", str(file), "--id", "rock-2", "--json", "-q"]) == 0
+    assert [one["id"] for one in json.loads(capsys.readouterr().out)["result"]["spectra"]] == ["rock-2"]
+    with pytest.raises(DataError, match=r"no spectrum is called 'rok-2'; did you mean 'rock-2'\? there are 9: a,"):
+        bands(str(file), id="rok-2")
+
+
+def test_a_table_of_names_is_told_from_a_misspelt_number(tmp_path: Path) -> None:
+    file = tmp_path / "manifest.csv"
+    for first, said in (("PE-CMP-030", True), ("5OO", False)):
+        file.write_text(f"id,mineral\n{first},0.2\n510,0.3\n520,0.4\n")
+        with pytest.raises(DataError) as caught:
+            bands(str(file))
+        assert ("is the file no table of spectra?" in str(caught.value)) is said

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from lunarsci.errors import DataError, RequestError
 from lunarsci.inputs import InputFile
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -296,6 +296,7 @@ def _seen_share(found: "CameraCalibration", index: int) -> float:
     return len(np.unique(cells, axis=0)) / CELLS**2
 
 
+@job
 def calibrate_cameras(
     pictures: Sequence[str | Path | InputFile],
     right: Sequence[str | Path | InputFile] = (),

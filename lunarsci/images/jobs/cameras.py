@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from lunarsci.documents import toml_document
 from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.inputs import InputFile, Source, read_input, text
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -170,6 +170,7 @@ def _alone(name: str, found: "LabelCamera | SingleCamera") -> dict[str, Any]:
     }
 
 
+@job
 def cameras(sources: Sequence[Source] = (), request: CamerasRequest | None = None, **options: Any) -> CameraSheet:
     """What is known of rigs: by name, from TOML files, or from labels; of all that come with lunarsci without any.
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import RequestError
 from lunarsci.inputs import Source, read_input
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -134,6 +134,7 @@ class StereoTerrain(Result):
         return notes
 
 
+@job
 def dem(
     left: Source,
     right: Source,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.inputs import InputFile, read_input
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -212,6 +212,7 @@ class LocatedStations(Result):
         return notes
 
 
+@job
 def locate(
     stations: Sequence[str | Path],
     request: LocateRequest | None = None,

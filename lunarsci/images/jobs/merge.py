@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import DataError, RequestError
 from lunarsci.inputs import InputFile, read_input
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -104,6 +104,7 @@ class MergedStations(Result):
         }
 
 
+@job
 def merge(
     terrains: Sequence[str],
     request: MergeRequest | None = None,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from lunarsci.errors import RequestError
 from lunarsci.inputs import read_input
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -188,6 +188,7 @@ def _rounded(places_m: "FloatArray") -> Any:
     return ((places_m / TRUTH_STEP_M).round() * TRUTH_STEP_M).astype("float32")
 
 
+@job
 def render(
     terrain: str | None = None,
     request: RenderRequest | None = None,

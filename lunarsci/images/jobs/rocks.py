@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import RequestError
 from lunarsci.inputs import read_input
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -125,6 +125,7 @@ class RockList(Result):
         return notes
 
 
+@job
 def rocks(
     terrain: str,
     request: RocksRequest | None = None,

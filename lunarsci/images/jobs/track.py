@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from lunarsci.errors import RequestError
 from lunarsci.inputs import read_input
 from lunarsci.provenance import sha256
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -167,6 +167,7 @@ class TrackSinkage(Result):
         return notes
 
 
+@job
 def track(
     terrain: str,
     request: TrackRequest | None = None,

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from scipy.special import ndtri
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import LunarSciWarning, ParameterError
@@ -29,7 +30,7 @@ from lunarsci.regolith.inference.mode import (
 )
 from lunarsci.regolith.inference.problem import part_of, problem_of, tail_of
 from lunarsci.regolith.inference.verdict import judge
-from lunarsci.regolith.prior import CONTACT, PARAMETERS, Law, contact_prior, default_prior, values_of
+from lunarsci.regolith.prior import CONTACT, PARAMETERS, UNITS, Law, contact_prior, default_prior, values_of
 from lunarsci.regolith.states import WheelStates
 from lunarsci.regolith.wheel import ContactModel, Wheel
 from lunarsci.tempering import ACCEPTED, WALK, Moves, carry
@@ -122,6 +123,22 @@ class SoilPosterior:
         else:
             ends = np.quantile(self.draws, (0.5, *LEVELS), axis=0)
         return {name: tuple(map(float, ends[:, k])) for k, name in enumerate(self.names)}  # type: ignore[misc]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One row a parameter, in its unit: median, 68 % and 95 % intervals, the prior's, what the states add."""
+        keys = ("median", "low68", "high68", "low95", "high95")
+        before = np.array([0.0, *map(float, ndtri(LEVELS))])
+        found = []
+        for name, ends in self.intervals().items():
+            law = self.prior[name]
+            prior = map(float, law.back(law.center + law.width * before))
+            found.append(
+                {"parameter": name, "unit": UNITS[name]}
+                | dict(zip(keys, ends, strict=True))
+                | {f"prior_{key}": value for key, value in zip(keys, prior, strict=True)}
+                | {"shrinkage": self.shrinkage[name], "determined": name in self.determined}
+            )
+        return found
 
     def combinations(self) -> list[tuple[float, dict[str, float]]]:
         """Directions in prior-scaled parameters and the share of the prior deviation left in each, best known first."""

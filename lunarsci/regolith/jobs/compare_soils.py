@@ -9,12 +9,15 @@ from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.inputs import Source, read_input, text
 from lunarsci.regolith.jobs.identify import IdentifiedSoil
 from lunarsci.regolith.wheel import PAPER
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from lunarsci.regolith.compare import Site, SoilComparison
+
+
+DEFAULT_ROVER = "yutu2"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,12 +26,12 @@ class CompareSoilsRequest:
 
     Attributes
     ----------
-    rover : whose wheel sets the width, a name or a TOML file.
+    rover : whose wheel sets the width, a name or a TOML file; left out, that of the result, or yutu2.
     stiffness [kPa m^-N], exponent [-] : K_s, N, both or none.
     cohesion [Pa], friction_angle [deg] : c, phi, both or none.
     """
 
-    rover: str = "yutu2"
+    rover: str | None = None
     stiffness: float | None = None
     exponent: float | None = None
     cohesion: float | None = None
@@ -46,13 +49,14 @@ class ComparedSoils(Result):
 
     Attributes
     ----------
-    site, width_m : what is compared, and the wheel's width. [m]
+    site, rover, width_m : what is compared, whose wheel, and its width. [m]
     soils : with their distances from the site; `lunarsci.regolith.compare.nearest` puts them in order.
     curves : of single states by aspect, for the picture; None where the site was given by numbers.
     """
 
     schema: ClassVar[str] = "regolith-compare/1"
     site: "Site"
+    rover: str
     width_m: float
     soils: "Sequence[SoilComparison]"
     curves: Mapping[str, Any] | None
@@ -63,7 +67,7 @@ class ComparedSoils(Result):
         return self.origin
 
     def to_dict(self) -> dict[str, Any]:
-        return {"site": asdict(self.site), "width_m": self.width_m, "soils": self.rows()}
+        return {"site": asdict(self.site), "rover": self.rover, "width_m": self.width_m, "soils": self.rows()}
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         return [item.to_dict(self.width_m) for item in self.soils]
@@ -74,6 +78,7 @@ class ComparedSoils(Result):
         yield comparison_figure(self.site, self.soils, self.width_m, self.curves)
 
 
+@job
 def compare_soils(
     result: "Source | IdentifiedSoil | None" = None, request: CompareSoilsRequest | None = None, **options: Any
 ) -> ComparedSoils:
@@ -93,26 +98,31 @@ def compare_soils(
     asked = request_of(CompareSoilsRequest, request, options)
     if (result is None) != asked.stated:
         raise RequestError("give either a result of `regolith identify --json`, or `stiffness` and its like")
-    description = read_rover(asked.rover)
-    width = read_wheel(description).width_m
-    site, curves, inputs = _site(result, asked)
+    site, curves, inputs, wheel = _site(result, asked)
+    if asked.rover is None and wheel is not None:
+        rover, width, tables = str(wheel["of"]), float(wheel["width_m"]), dict[str, str]()
+    else:
+        description = read_rover(rover := asked.rover or DEFAULT_ROVER)
+        width, tables = read_wheel(description).width_m, {f"{rover} (rover)": sha256(description.text.encode())}
     return ComparedSoils(
         site=site,
+        rover=rover,
         width_m=width,
         soils=compare_site(site, width),
         curves=curves,
         origin=MadeFrom(
             inputs=inputs,
-            tables={f"{asked.rover} (rover)": sha256(description.text.encode())} | reference_hash(),
+            tables=tables | reference_hash(),
             sources=[PAPER],
+            options={"rover": rover},
         ),
     )
 
 
 def _site(
     result: "Source | IdentifiedSoil | None", asked: CompareSoilsRequest
-) -> "tuple[Site, Mapping[str, Any] | None, Mapping[str, str]]":
-    """The site, curves of single states, and the files that they come from."""
+) -> "tuple[Site, Mapping[str, Any] | None, Mapping[str, str], Mapping[str, Any] | None]":
+    """The site, curves of single states, the files that they come from, and the wheel, where the result has it."""
     from lunarsci.regolith.compare import Site, site_of
 
     if result is None:
@@ -122,13 +132,15 @@ def _site(
             cohesion_pa=asked.cohesion,
             friction_angle_deg=asked.friction_angle,
         )
-        return site, None, {}
+        return site, None, {}, None
     if isinstance(result, IdentifiedSoil):
-        return *site_of(result.to_dict()), result.made_from.inputs
+        found = result.to_dict()
+        return *site_of(found), result.made_from.inputs, found["wheel"]
     file = read_input(result)
     content = text(file)
     try:
-        return *site_of(json_document(content)["result"]), {file.name: file.sha256}
+        found = json_document(content)["result"]
+        return *site_of(found), {file.name: file.sha256}, found.get("wheel")
     except (ValueError, KeyError, TypeError) as error:
         if isinstance(error, ParameterError):
             raise

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from lunarsci.errors import RequestError
 from lunarsci.inputs import Source, read_input
 from lunarsci.regolith.wheel import PAPER, ShearSign
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from lunarsci.regolith.identify import Assumptions, Identification
+    from lunarsci.arrays import FloatArray
+    from lunarsci.regolith.identify import Assumptions, Estimate, Identification
     from lunarsci.regolith.sensitivity import Sensitivity
     from lunarsci.regolith.states import MeasurementErrors, WheelStates
     from lunarsci.regolith.wheel import Wheel
@@ -27,6 +28,11 @@ LABELS = {
     "lateral_modulus_mm": "lateral shear modulus K_y",
 }
 """Parameters of the site in words."""
+CONTRADICT, BY_CHANCE = 4.0, 0.001
+"""States contradict each other where a parameter scatters twice as widely between them as its errors allow, and such
+scatter has a smaller probability; assumed. Measured curves over slip have 6 to 200, states of one simulated soil 0."""
+TREND, LEAST_STATES = 0.8, 4
+"""Rank correlation with slip that is called a trend, from so many states on; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,6 +109,64 @@ class IdentifyRequest:
 
 
 @dataclass(frozen=True, slots=True)
+class StatesAgreement:
+    """Whether single states tell one value of a parameter.
+
+    Attributes
+    ----------
+    parameter : its key.
+    states : how many of them give a value.
+    reduced_chi_square : of these values about their weighted mean, each with its own error.
+    probability : of a larger one by chance.
+    first, last : values at the least and the largest slip.
+    trend : `falls` or `rises` with slip, '' for neither or where it cannot be told.
+    """
+
+    parameter: str
+    states: int
+    reduced_chi_square: float
+    probability: float
+    first: float
+    last: float
+    trend: str
+
+    @property
+    def agree(self) -> bool:
+        """Whether one soil may have given them."""
+        return self.reduced_chi_square < CONTRADICT or self.probability > BY_CHANCE
+
+    @property
+    def text(self) -> str:
+        """In words, for those that do not agree."""
+        how = f" {self.trend} with slip from" if self.trend else " from"
+        first, last = (float(f"{value:.3g}") for value in (self.first, self.last))
+        symbol = LABELS[self.parameter].rpartition(" ")[2]
+        return f"{symbol}{how} {first:g} to {last:g}, chi-square {self.reduced_chi_square:.0f} a state"
+
+
+def agreement(parameter: str, estimates: "Sequence[Estimate]", slip: "FloatArray") -> StatesAgreement | None:
+    """Of single states, with their slip, (n,); None where fewer than two have a value and an error."""
+    import numpy as np
+    from scipy.special import gammaincc
+
+    pairs = [(e.value, e.sigma) if e.value is not None and e.sigma else (np.nan, np.nan) for e in estimates]
+    value, sigma = np.array(pairs, float).reshape(-1, 2).T
+    known = np.isfinite(value)
+    value, weight, slip = value[known], 1 / sigma[known] ** 2, slip[known]
+    degrees = len(value) - 1
+    if degrees < 1:
+        return None
+    chi_square = float(np.sum(weight * (value - np.average(value, weights=weight)) ** 2))
+    told = degrees + 1 >= LEAST_STATES and np.isfinite(slip).all() and np.ptp(slip) > 0 and np.ptp(value) > 0
+    rank = float(np.corrcoef(slip.argsort().argsort(), value.argsort().argsort())[0, 1]) if told else 0.0
+    trend = "" if abs(rank) < TREND else "rises" if rank > 0 else "falls"
+    order = np.argsort(slip, kind="stable")
+    ends = float(value[order[0]]), float(value[order[-1]])
+    chance = float(gammaincc(degrees / 2, chi_square / 2))
+    return StatesAgreement(parameter, degrees + 1, chi_square / degrees, chance, *ends, trend)
+
+
+@dataclass(frozen=True, slots=True)
 class StatesOfWheel:
     """Wheel states, the wheel, where both come from, and keys of the rover's file that are guesses."""
 
@@ -134,12 +198,17 @@ class IdentifiedSoil(Result):
     Attributes
     ----------
     found : estimates of each state and of the site, curves, corners.
+    rover, wheel : whose wheel was taken, as it was asked for, and the wheel.
+    slip : of the states, NaN where it is unknown. (n,) [-]
     shares : where the errors come from, None where that was not asked for.
     assumed : keys of the rover's file that are guesses.
     """
 
     schema: ClassVar[str] = "regolith-identify/1"
     found: "Identification"
+    rover: str
+    wheel: "Wheel"
+    slip: "FloatArray"
     shares: "Sequence[Sensitivity] | None"
     assumed: Sequence[str]
     origin: MadeFrom
@@ -149,16 +218,49 @@ class IdentifiedSoil(Result):
         return self.origin
 
     @property
+    def agreements(self) -> "Sequence[StatesAgreement]":
+        """Of each parameter that was solved for in several states."""
+        names = [name for name in LABELS if name in self.found.observations[0]]
+        listed = ((name, [row[name] for row in self.found.observations]) for name in names)
+        return [made for name, estimates in listed if (made := agreement(name, estimates, self.slip))]
+
+    @property
     def untrusted(self) -> str:
         reasons = [f"no {LABELS[name]}: {self.found.site[name].reason}" for name in self.found.unsolved]
+        against = [item.text for item in self.agreements if not item.agree]
+        if against:
+            reasons.append(
+                f"the states contradict each other ({'; '.join(against)}): check the wheel, {self.rover}, or "
+                "use `lunarsci regolith infer`, whose N rises with slip"
+            )
         return f"not to be trusted: {'; '.join(reasons)}" if reasons else ""
 
     def to_dict(self) -> dict[str, Any]:
         shares = {} if self.shares is None else {"sensitivity": [asdict(share) for share in self.shares]}
-        return self.found.to_dict() | {"assumed_of_rover": list(self.assumed)} | shares
+        own = {
+            "assumed_of_rover": list(self.assumed),
+            "wheel": {"of": self.rover, "radius_m": self.wheel.radius_m, "width_m": self.wheel.width_m},
+            "agreement": [asdict(item) | {"agree": item.agree} for item in self.agreements],
+        }
+        return self.found.to_dict() | own | shares
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
+        """Each state; the site is in `answers`."""
         return [_flat(row) for row in self.found.observations]
+
+    def answers(self) -> Sequence[Mapping[str, Any]]:
+        """The values of the site, one row a parameter, the external friction angle at each assumed K_y."""
+        from lunarsci.regolith.identify import UNITS
+
+        name = "external_friction_angle_deg"
+        several = self.found.corners if len(self.found.corners) > 1 else ()
+        corners = [(name, corner[name], corner["lateral_modulus_mm"]) for corner in several]
+        return [
+            {"parameter": key, "unit": UNITS[key]}
+            | {part: getattr(estimate, part) for part in ("value", "sigma", "low", "high", "assumed")}
+            | {"at_lateral_modulus_mm": modulus, "remark": estimate.reason}
+            for key, estimate, modulus in [*((key, self.found.site[key], None) for key in LABELS), *corners]
+        ]
 
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.regolith.figure import characteristic_curves
@@ -185,6 +287,7 @@ def _columns(name: str, estimate: Any) -> dict[str, float | None]:
     }
 
 
+@job
 def identify(
     states: Source,
     request: IdentifyRequest | None = None,
@@ -213,5 +316,11 @@ def identify(
     found = identify_soil(given.states, given.wheel, known, draws=asked.draws, progress=progress, **same)
     shares = sensitivities(given.states, given.wheel, known, **same) if asked.sensitivity else None
     return IdentifiedSoil(
-        found=found, shares=shares, assumed=given.assumed, origin=replace(given.origin, seed=asked.seed)
+        found=found,
+        rover=asked.rover,
+        wheel=given.wheel,
+        slip=given.states.values[:, 1],
+        shares=shares,
+        assumed=given.assumed,
+        origin=replace(given.origin, seed=asked.seed),
     )

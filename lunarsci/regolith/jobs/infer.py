@@ -1,6 +1,6 @@
 """All soil parameters from all wheel states at once, as a posterior."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -10,9 +10,11 @@ from lunarsci.inputs import Source, read_input
 from lunarsci.regolith.jobs.identify import IdentifiedSoil, IdentifyRequest, StatesOfWheel, read_wheel_states
 from lunarsci.regolith.jobs.identify import identify as identify_each
 from lunarsci.regolith.wheel import DENSITY_KG_M3, Bulldozing, ContactModel, ShearLaw
-from lunarsci.result import MadeFrom, request_of
+from lunarsci.result import MadeFrom, job, request_of
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from lunarsci.regolith.inference.posterior import SoilPosterior
     from lunarsci.regolith.inference.prediction import PredictedStates, WheelLaw, WheelLawScore
 
@@ -101,12 +103,30 @@ class InferredSoil(IdentifiedSoil):
         }
         return IdentifiedSoil.to_dict(self) | {"joint": joint}
 
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """The posterior, one row a parameter, beside the prior; single states are `identify`'s."""
+        return self.posterior.rows()
+
+    def answers(self) -> Sequence[Mapping[str, Any]]:
+        """The same."""
+        return self.rows()
+
+    def figures(self) -> "Iterator[Figure]":
+        """Prior and posterior of each parameter, then what single states allow."""
+        from lunarsci.regolith.figure import posterior_figure
+
+        found = self.posterior
+        title = f"all states together: {found.verdict.model} law, {len(found.residuals)} states"
+        yield posterior_figure(found.rows(), found.prior, found.draws, title)
+        yield from IdentifiedSoil.figures(self)
+
     def soils(self, kind: str = ".csv") -> bytes:
         """Soils for `predict` with the verdict: draws from the posterior as `.csv`, or a belief as `.json`."""
         made = self.posterior.belief().to_json() if kind == ".json" else self.posterior.draws_csv()
         return made.encode()
 
 
+@job
 def infer(
     states: Source,
     request: InferRequest | None = None,
@@ -139,6 +159,9 @@ def infer(
     made = alone.made_from
     return InferredSoil(
         found=alone.found,
+        rover=alone.rover,
+        wheel=alone.wheel,
+        slip=alone.slip,
         shares=alone.shares,
         assumed=alone.assumed,
         origin=MadeFrom(

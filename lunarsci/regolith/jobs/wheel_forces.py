@@ -16,7 +16,7 @@ from lunarsci.regolith.wheel import (
     ShearLaw,
     ShearSign,
 )
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -250,6 +250,7 @@ class ForcesOnWheel(Result):
         yield forces_over_slip(self.wheel, first.soil, *state, asked.reading, self.model)
 
 
+@job
 def wheel_forces(request: WheelForcesRequest | None = None, **options: Any) -> ForcesOnWheel:
     """Forces of the soil on one wheel, at one slip or over several; `options` replace those of the request.
 

@@ -13,9 +13,10 @@ from lunarsci.spectra.abundance.kinds import dark_or_weathered, features_of_rows
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM
 from lunarsci.spectra.mgm.assemblages import MINERALS
-from lunarsci.spectra.mgm.batch import FitBatch, SpectraFits, batch_of
+from lunarsci.spectra.mgm.batch import FitBatch, batch_of
 from lunarsci.spectra.mgm.compositions import compositions_of
 from lunarsci.spectra.mgm.data import MgmRows, SpectraRows
+from lunarsci.spectra.mgm.fits import SpectraFits
 from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA
 from lunarsci.spectra.mgm.model import NM_PER_UM
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.errors import RequestError
 from lunarsci.kept_blocks import spans
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -69,6 +69,7 @@ class BandsRequest:
     smooth_nm, smooth_order : width of the Savitzky-Golay window, 0 for none, and order of its polynomial. [nm, -]
     smooth : the window in channels of a spectrum's median step, odd, instead.
     wavelength_unit, reflectance_unit : used where a file states none.
+    id : the only spectra to take, by their names; all where none is given.
     """
 
     continuum: Literal["conic", "hull", "linear"] = "conic"
@@ -77,6 +78,7 @@ class BandsRequest:
     smooth_order: int = 3
     wavelength_unit: Literal["nm", "um"] | None = None
     reflectance_unit: Literal["fraction", "percent"] | None = None
+    id: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.smooth is not None and self.smooth_nm != SMOOTH_NM:
@@ -196,6 +198,7 @@ class MeasuredBands(Result):
         return plane_pages(self.good)
 
 
+@job
 def bands(
     spectra: "SpectraSource",
     request: BandsRequest | None = None,
@@ -210,7 +213,7 @@ def bands(
 
     asked = request_of(BandsRequest, request, options)
     smoothing = Smoothing(window_nm=asked.smooth_nm, order=asked.smooth_order, channels=asked.smooth)
-    batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit)
+    batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit, asked.id)
     measured = measure_batch(
         batch.spectra,
         continuum_name=asked.continuum,

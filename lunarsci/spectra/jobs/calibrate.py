@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.inputs import InputFile, expand_inputs, read_input, together
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -138,6 +138,7 @@ class Calibrations(Result):
         return to_fits(self.observations, provenance)
 
 
+@job
 def calibrate(
     products: Products,
     request: CalibrateRequest | None = None,

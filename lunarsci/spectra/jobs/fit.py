@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 from lunarsci.constants import MGM, NBSR
 from lunarsci.errors import ParameterError, RequestError
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM, MgmContinuum
 
 if TYPE_CHECKING:
@@ -17,15 +17,14 @@ if TYPE_CHECKING:
     from lunarsci.inputs import InputFile
     from lunarsci.spectra.abundance.nbsr import PyroxeneAbundances
     from lunarsci.spectra.abundance.result import Abundance
-    from lunarsci.spectra.mgm.batch import SpectraFits
     from lunarsci.spectra.mgm.columns import FitColumns
+    from lunarsci.spectra.mgm.fits import SpectraFits
     from lunarsci.spectra.mgm.model import MgmModel
     from lunarsci.spectra.mgm.profile import Intervals
     from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
     from lunarsci.spectra.mgm.selection import Choice
     from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource
     from lunarsci.spectra.spectrum import Spectrum
-
 
 Progress: TypeAlias = Callable[[int, int], None]
 DEFAULT_ASSEMBLAGE = "OL-OPX-CPX"
@@ -38,13 +37,15 @@ class ModelRequest:
     Attributes
     ----------
     assemblage : minerals joined by hyphens, such as `OL-OPX-CPX`, or `auto`.
-    continuum, prior, starts : see `mgm_model`, `fit_damping` and `fit_spectra`.
+    continuum : polynomial inside the logarithm, in wavelength or wavenumber; log-quadratic is one of the logarithm.
+    prior : whether priors count as measurements (`map`) or only shorten steps (`damping`), as in the RELAB program.
+    starts : starting points, beside a search around the lowest minimum.
     composition : what is known of Fo, Fs, Wo, such as `fo=70:5`. [mol %]
     start : file of the RELAB MGM program, instead of assemblage and continuum.
     band_minerals : of the bands of `start`, by their number, such as `4=OPX,5=CPX`; beside what its comments name.
     model_error : of ln R, what the model cannot explain, by default `expected_misfit`; a choice has its own. [-]
-    fix, bound, tie : constraints, see `constrained`.
-    wavelength_unit, reflectance_unit : where an input does not state them.
+    fix, bound, tie : `opx_1_center_nm=915`, `NAME=LOW:HIGH`, `NAME=K*OTHER+C`, one or more; NAME of `constrained`.
+    wavelength_unit, reflectance_unit : where an input does not state them. id : the only spectra to take, by name.
 
     Raises
     ------
@@ -64,6 +65,7 @@ class ModelRequest:
     tie: tuple[str, ...] = ()
     wavelength_unit: Literal["nm", "um"] | None = None
     reflectance_unit: Literal["fraction", "percent"] | None = None
+    id: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for wrong, text in self._faults():
@@ -149,8 +151,7 @@ class MgmFits(Result):
     fits : one fit, or one stated reason, for each spectrum.
     choices, intervals : by position, where they were asked for.
     abundances : shares of minerals by position, one for each method, the first the one asked for.
-    failures : what gave no fit, one sentence each.
-    files : of the start, and what else was read beside the spectra.
+    failures, files : what gave no fit, one sentence each; the start, and what else was read beside the spectra.
     """
 
     schema: ClassVar[str] = "spectra-fit/1"
@@ -191,9 +192,9 @@ class MgmFits(Result):
 
     @property
     def untrusted(self) -> str:
-        from lunarsci.spectra.mgm.batch import doubts_about
+        from lunarsci.spectra.mgm.fits import doubts_about
 
-        doubts = doubts_about(self.fits)
+        doubts = doubts_about(self.fits, self.choices)
         return f"not to be trusted: {'; '.join(doubts)}" if doubts else ""
 
     def content(self) -> dict[str, Any]:
@@ -267,7 +268,7 @@ class MgmFits(Result):
         from lunarsci.spectra.mgm.figure import fit_pages
 
         shown = [found[0] for found in self.abundances.values() if found and found[0].method != "nbsr"]
-        return chain(fit_pages(self.good), share_pages(shown))
+        return chain(share_pages(shown), fit_pages(self.good))
 
     def fit_file(self) -> str:
         """A result file of the RELAB MGM program of the first fit; other header lines are those of the start file.
@@ -281,6 +282,7 @@ class MgmFits(Result):
         return fit_file_text(fit_file_of(self.good[0], header))
 
 
+@job
 def fit(
     spectra: "SpectraSource", request: FitRequest | None = None, *, progress: Progress | None = None, **options: Any
 ) -> MgmFits:
@@ -288,20 +290,18 @@ def fit(
 
     Parameters
     ----------
-    spectra : files, patterns, tables, `Spectrum`s or (wavelength_nm, reflectance), one or a list.
-    request, options : what is asked, and options of `FitRequest` that replace its own.
+    spectra : files, patterns, tables, `Spectrum`s or (wavelength_nm, reflectance[, sigma]), one or a list.
+    request, options : options as below, and a `FitRequest` whose own they replace.
     progress : called with (done, total) of each step.
 
-    Raises
-    ------
-    RequestError for options that exclude each other; DataError where no spectrum can be read and fitted.
+    Raises RequestError for options that exclude each other; DataError where no spectrum can be read and fitted.
     """
     from lunarsci.spectra.abundance.nbsr import nbsr_abundances
     from lunarsci.spectra.mgm.continua import spread_over_continua
     from lunarsci.spectra.readers.batch import read_batch
 
     asked = request_of(FitRequest, request, options)
-    batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit)
+    batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit, asked.id)
     if asked.to_fit_file and (count := len(batch.spectra)) != 1:
         raise ParameterError(f"a .fit file holds one spectrum, not {count}; fit one at a time, or use --json")
     found = fit_batch_of(batch, asked, progress)
@@ -314,8 +314,8 @@ def fit(
 
 def fit_batch_of(batch: "SpectraBatch", request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
     """Fits of all spectra as asked: the attributes `fits`, `choices`, `failures` and `files` of `MgmFits`."""
-    from lunarsci.spectra.mgm.batch import SpectraFits
     from lunarsci.spectra.mgm.continua import check_continuum_removed
+    from lunarsci.spectra.mgm.fits import SpectraFits
     from lunarsci.spectra.mgm.result import MgmFailure
 
     found: dict[str, Any]

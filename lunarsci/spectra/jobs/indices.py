@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.errors import DataError, RequestError
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,12 +26,14 @@ class IndicesRequest:
     index : names of `lunarsci.spectra.indices.INDICES`, all where left out.
     smooth_nm : window of a Savitzky-Golay filter of order 2 before all, 0 for none. [nm]
     wavelength_unit, reflectance_unit : used where a file states none.
+    id : the only spectra to take, by their names; all where none is given.
     """
 
     index: tuple[str, ...] = ()
     smooth_nm: float = 0.0
     wavelength_unit: Literal["nm", "um"] | None = None
     reflectance_unit: Literal["fraction", "percent"] | None = None
+    id: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +67,7 @@ class FoundIndices(Result):
         import numpy as np
 
         from lunarsci.records import Codes, Records
-        from lunarsci.spectra.indices import STATUSES
+        from lunarsci.spectra.indices import INDICES, STATUSES
 
         found: dict[str, Any] = {
             name: {
@@ -73,6 +75,7 @@ class FoundIndices(Result):
                 "sigma": column.sigma,
                 "interpolation": column.interpolation,
                 "calibration": np.where(column.calibration > 0, column.calibration, np.nan),
+                "error": np.sqrt(column.sigma**2 + column.interpolation**2 + INDICES[name].miss_sigma ** 2),
                 "status": Codes(column.status, STATUSES),
             }
             for name, column in self.columns.items()
@@ -80,15 +83,18 @@ class FoundIndices(Result):
         return Records({"source": self.batch.origins, "id": [item.id for item in self.batch.spectra], **found})
 
     def rows(self) -> "Records":
-        """One a spectrum: value, error and status of each index in columns of their own."""
+        """One a spectrum: value, noise, whole error and status of each index in columns of their own."""
+        import numpy as np
+
         from lunarsci.records import Codes, Records
-        from lunarsci.spectra.indices import STATUSES
+        from lunarsci.spectra.indices import INDICES, STATUSES
 
         cells: dict[str, Any] = {"source": self.batch.origins, "id": [item.id for item in self.batch.spectra]}
         for name, column in self.columns.items():
             cells |= {
                 name: column.value,
                 f"{name}_sigma": column.sigma,
+                f"{name}_error": np.sqrt(column.sigma**2 + column.interpolation**2 + INDICES[name].miss_sigma ** 2),
                 f"{name}_status": Codes(column.status, STATUSES),
             }
         return Records(cells)
@@ -115,6 +121,7 @@ def _about(index: Any) -> dict[str, Any]:
     }
 
 
+@job
 def indices(spectra: "SpectraSource", request: IndicesRequest | None = None, **options: Any) -> FoundIndices:
     """Spectral indices of the Moon: integrated band depths, slopes, olivine, spinel, maturity, FeO and TiO2.
 
@@ -127,7 +134,7 @@ def indices(spectra: "SpectraSource", request: IndicesRequest | None = None, **o
     names = list(dict.fromkeys(asked.index)) or list(INDICES)
     if unknown := [name for name in names if name not in INDICES]:
         raise RequestError(f"`index` {unknown[0]}: there are {', '.join(INDICES)}")
-    batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit)
+    batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit, asked.id)
     found = {name: IndexColumn.empty(len(batch.spectra)) for name in names}
     for rows, columns in _measured(batch.spectra, names, asked.smooth_nm):
         for name, column in columns.items():

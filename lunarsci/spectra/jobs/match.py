@@ -1,7 +1,6 @@
 """The crater a rock came from: what can be asked, and what composition and prior say of each candidate."""
 
 import hashlib
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.errors import DataError, LunarSciError, ParameterError, RequestError
 from lunarsci.inputs import InputFile, expand_inputs, read_input, together
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -19,13 +18,12 @@ if TYPE_CHECKING:
     from lunarsci.records import Records
     from lunarsci.spectra.origin.catalogue import Crater, Point
     from lunarsci.spectra.origin.composition import Rock
-    from lunarsci.spectra.origin.match import CraterMatch, MatchSettings, RockMatch
+    from lunarsci.spectra.origin.match import MatchSettings, RockMatch
     from lunarsci.spectra.origin.mineral_map import MapReport
     from lunarsci.spectra.origin.prior import Range
 
 
 STIRRING = "Oberbeck et al. (1975), Moon 12, 19, 10.1007/BF00577878 (coefficients from later literature, not checked)"
-BEYOND_LAW_KM = 2729.0  # assumed: a quarter of the way round the Moon; the laws are those of a flat surface
 BLOCK_ROCKS = 1024
 """Rocks whose craters are put down at once: some 20 MB."""
 
@@ -151,6 +149,11 @@ class Matches(Result):
         count, each = len(self.matches), len(self.matches[0].craters) + 1
         return in_blocks(count, self._of_some(match_table), size=count * each, rows=BLOCK_ROCKS)
 
+    def answers(self) -> Sequence[Mapping[str, Any]]:
+        """The same, of each rock the likeliest first."""
+        places = {match.rock.id: place for place, match in enumerate(self.matches)}
+        return sorted(self.rows(), key=lambda row: (places[row["rock"]], -row["posterior"]))
+
     def _of_some(self, make: "Callable[[Sequence[RockMatch]], Records]") -> "Callable[[range], Records]":
         return lambda block: make(self.matches[block.start : block.stop])
 
@@ -160,16 +163,18 @@ class Matches(Result):
         return match_pages(self.matches, self.site)
 
 
+@job
 def match(
     rocks: Any = (), request: MatchRequest | None = None, *, progress: "Progress | None" = None, **options: Any
 ) -> Matches:
     """Match rocks with candidate craters.
 
-    `rocks` are JSON results of `spectra fit` and `spectra bands`, one or many: files, patterns, open files, or results
-    in memory; the same id in two is one rock. None with `modes` or `bands`, which describe one.
+    `rocks` are results of `unmix`, `fit` and `bands`, one or many: files of their JSON, patterns, open files, or the
+    results themselves; the same id in two is one rock. None with `modes` or `bands`, which describe one.
 
     Raises DataError when no rock can be read, ParameterError where no crater can have delivered one.
     """
+    from lunarsci.spectra.origin.assumptions import assumptions
     from lunarsci.spectra.origin.match import match_rocks
     from lunarsci.tables import table_hashes
 
@@ -182,7 +187,7 @@ def match(
         matches,
         site,
         settings,
-        _assumptions(matches, found, site, settings),
+        assumptions(matches, (found.source, found.map_reports), site, settings),
         found.map_reports,
         given.inputs | found.inputs,
         found.tables | table_hashes(*(table for rock in given.rocks for table in rock.tables)),
@@ -266,13 +271,16 @@ def _read(sources: Sequence[Any]) -> MatchInputs:
                 rocks += read_rocks(source)
                 hashes[source.name] = source.sha256
         except LunarSciError as error:
-            failures.append(str(error) if str(item) in str(error) else f"{item}: {error}")
+            name = str(item) if isinstance(item, str | Path) else f"<{type(item).__name__}>"
+            failures.append(str(error) if name in str(error) else f"{name}: {error}")
     if not rocks:
         raise DataError(together(failures))
     return MatchInputs(joined(rocks), hashes, failures)
 
 
 def _opened(item: Any) -> Iterator[InputFile]:
+    if isinstance(item, Mapping):
+        raise DataError("is a dict; give the result itself, as in `lunarsci.match(shares)`, or the file of its JSON")
     if isinstance(item, Result):
         yield InputFile(f"<{type(item).__name__}>", item.to_json(time=False).encode())
     else:
@@ -327,74 +335,3 @@ def _ring(text: str) -> tuple[float, float]:
     if len(numbers) != 2:
         raise RequestError(f"`annulus` {text}: give IN:OUT in rim radii, such as 1:2")
     return numbers[0], numbers[1]
-
-
-def _assumptions(
-    matches: "Sequence[RockMatch]", found: "Candidates", site: "Point", settings: "MatchSettings"
-) -> list[str]:
-    prior = settings.prior
-    lines = [
-        f"site {site[0]:g}, {site[1]:g} deg; craters from {found.source}",
-        f"two methods disagree by {settings.systematic:g} in the share of a mineral and "
-        f"{settings.band_systematic_nm:g} nm in a band centre, one standard deviation (assumed)",
-        f"other sources than these craters: prior {prior.other_weight:g}, any composition (assumed)",
-        *_craters_notes(matches[0].craters, settings),
-    ]
-    if prior.kind == "uniform":
-        return [*lines, "prior: all craters alike but those that contain the site", *_map_notes(found.map_reports)]
-    return [*lines, *_prior_notes(site, settings, matches[0].craters), *_map_notes(found.map_reports)]
-
-
-def _craters_notes(items: "Sequence[CraterMatch]", settings: "MatchSettings") -> list[str]:
-    unknown = [i.crater.name for i in items if not i.crater.composition.known and not i.contains_site]
-    inside = [i.crater.name for i in items if i.contains_site]
-    both = [i.crater.name for i in items if i.evidence.minerals and i.evidence.bands]
-    lines = []
-    if unknown:
-        lines.append(f"composition unknown, any is as likely, ln BF 0 (neither for nor against): {', '.join(unknown)}")
-    if inside:
-        lines.append(f"contain the site, so that no ejecta of theirs lie there; left out: {', '.join(inside)}")
-    if both:
-        lines.append(
-            "modes and bands are counted as independent, which from one spectrum they are not (--use): "
-            f"{', '.join(both)}"
-        )
-    return lines
-
-
-def _prior_notes(site: "Point", settings: "MatchSettings", items: "Sequence[CraterMatch]") -> list[str]:
-    from lunarsci.spectra.origin.prior import surface_age_ma
-
-    prior = settings.prior
-    surface = surface_age_ma(site, prior)
-    lines = [
-        f"prior: ejecta thickness ({prior.law}, transient crater), within a factor of {prior.thickness_factor:g}",
-        f"ejecta of craters older than {surface:g} Ma lie below the surface and count nothing",
-        "ages uniform in the logarithm over their range; where the catalogue has none 1-4200 Ma (assumed)",
-    ]
-    if prior.exposure:
-        lines.append(
-            f"half of the 2 m boulders gone in {_shown(prior.rock_life_ma)} Ma (Basilevsky et al. 2013); rock of "
-            f"{prior.rock_size_m:g} m, life with size^{prior.life_exponent:g} (assumed)"
-        )
-    else:
-        lines.append("rocks last for ever (--no-exposure)")
-    if prior.re_excavation:
-        lines.append(
-            f"buried ejecta come up with younger ejecta ({prior.stirring:g} times Oberbeck's ratio) and by small local "
-            f"craters ({_shown(prior.gardening_m)} m, assumed: it decides between young and old craters)"
-        )
-    else:
-        lines.append("buried ejecta stay buried (--no-re-excavation)")
-    far = [i.crater.name for i in items if i.prior.distance_km > BEYOND_LAW_KM]
-    if far:
-        lines.append(f"beyond a quarter of the Moon the laws are too low, ejecta converge: {', '.join(far)}")
-    return lines
-
-
-def _shown(span: "Range") -> str:
-    return f"{span.low:g}" if span.low == span.high else f"{span.low:g}-{span.high:g}"
-
-
-def _map_notes(reports: "Sequence[MapReport]") -> list[str]:
-    return list(Counter(sorted(f"{item.crater}: {item.status}" for item in reports)))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.constants import ABSORBANCE, HAPKE, WEATHERING
 from lunarsci.errors import ParameterError
-from lunarsci.result import request_of
+from lunarsci.result import job, request_of
 from lunarsci.spectra.jobs.fit import MgmFits, ModelRequest, Progress, fit_batch_of
 
 if TYPE_CHECKING:
@@ -119,6 +119,7 @@ class UnmixedSpectra(MgmFits):
         return tables, [*sources, *own]
 
 
+@job
 def unmix(
     spectra: "SpectraSource", request: UnmixRequest | None = None, *, progress: Progress | None = None, **options: Any
 ) -> UnmixedSpectra:
@@ -126,7 +127,7 @@ def unmix(
 
     Parameters
     ----------
-    spectra : files, patterns, tables, `Spectrum`s or (wavelength_nm, reflectance), one or a list.
+    spectra : files, patterns, tables, `Spectrum`s or (wavelength_nm, reflectance[, sigma]), one or a list.
     request, options : what is asked, and options of `UnmixRequest` that replace its own.
     progress : called with (done, total) of each step.
 
@@ -142,7 +143,7 @@ def unmix(
     from lunarsci.spectra.readers.batch import read_batch
 
     asked = request_of(UnmixRequest, request, options)
-    batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit)
+    batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit, asked.id)
     found = fit_batch_of(batch, asked, progress)
     shares = {index: list(one) for index, one in nbsr_abundances(found["fits"]).items()}
     fits: dict[int, MgmFit] = {index: found["fits"][index] for index in shares}

@@ -1,6 +1,6 @@
 """Fits of many spectra as arrays: values, errors, ratios and flags, row by row, and a view of any one of them."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.compiled import each_in_threads
-from lunarsci.spectra.mgm.data import MgmData, MgmRows, SpectraRows
+from lunarsci.spectra.mgm.data import MgmData, MgmRows
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.laplace import LaplaceErrors, laplace_errors
 from lunarsci.spectra.mgm.levenberg_marquardt import CONVERGED, ITERATION_LIMIT, Channels, FitProblem, KernelFits
@@ -16,9 +16,7 @@ from lunarsci.spectra.mgm.model import MgmModel
 from lunarsci.spectra.mgm.result import (
     REACH_NM,
     UNDETERMINED,
-    UNLIKE_RMS,
     FittedBand,
-    MgmFailure,
     MgmFit,
     StrengthRatio,
     pyroxene_pair,
@@ -33,6 +31,11 @@ AMBIGUOUS_SIGMAS = 2.0
 """Standard errors apart from which it is another answer; assumed."""
 STRAINED_SIGMAS = 3.0
 """Standard deviations of its prior beyond which a band is strained; assumed."""
+PRESENT_SIGMAS = 2.0
+"""A mineral has a composition to speak of where a band of it is this many standard errors deep; assumed."""
+RATIO_SIGMAS, RATIO_MISS = 2.0, 0.1
+"""NBSR at 1 and 2 um of one mixture agree within so many standard errors, with this much beside them for what the
+method misses; assumed."""
 MOST_ROWS = 256
 """Rows worked on together in one thread: enough to keep the lanes busy, few enough to fit into its memory."""
 
@@ -101,23 +104,61 @@ class FitBatch:
         far = off.reshape(len(self), -1, 3)[:, :, :2].max(axis=2, initial=0.0) > STRAINED_SIGMAS
         return np.asarray(far & (self.values[:, m + 2 :: 3] < 0))
 
+    def present(self, mineral: str) -> BoolArray:
+        """(n,) whether a band of the mineral is really there."""
+        own = self.model.degrees + 2 + 3 * np.flatnonzero([b.mineral == mineral for b in self.model.assemblage.bands])
+        with np.errstate(invalid="ignore"):
+            deep = -self.values[:, own] > PRESENT_SIGMAS * self.sigma[:, own]
+        return np.asarray((deep & ~self.at_bound[:, own]).any(axis=1))
+
+    @property
+    def beyond_trend(self) -> BoolArray:
+        """(n, k) whether a composition that the centres ask for is one that there is not.
+
+        Of fits of OL-OPX-CPX to 326 laboratory spectra (RELAB) the mineral was absent in 48 of 60 such cases, and in
+        184 of 513 others.
+        """
+        items = self.model.assemblage.compositions
+        mean = self.compositions[:, :, 0]
+        with np.errstate(invalid="ignore"):
+            off = [(mean[:, k] < item.lowest) | (mean[:, k] > item.highest) for k, item in enumerate(items)]
+        there = [self.present(item.mineral) for item in items]
+        both = np.array(off, bool).reshape(-1, len(self)) & np.array(there, bool).reshape(-1, len(self))
+        return np.asarray(both.T, dtype=np.bool_)
+
+    @property
+    def ratios_differ(self) -> BoolArray:
+        """(n,) whether NBSR at 1 and 2 um are farther apart than errors and `RATIO_MISS` allow.
+
+        Of fits of OPX-CPX they are in 5 of 156 laboratory spectra of pyroxenes alone, and in 56 of 146 of others.
+        """
+        sigma = np.sqrt(self.um1[:, 2] ** 2 + self.um2[:, 2] ** 2 + RATIO_MISS**2)
+        with np.errstate(invalid="ignore"):
+            far = np.abs(self.um1[:, 0] - self.um2[:, 0]) > RATIO_SIGMAS * sigma
+        return np.asarray(far, dtype=np.bool_)
+
     def statuses(self) -> list[str]:
         """A sentence about each."""
-        strained = self.strained
-        flags = np.column_stack([self.status, self.iterations * ~self.converged, self.ambiguous, strained])
+        odd = (self.ambiguous, self.ratios_differ, self.beyond_trend, self.strained)
+        flags = np.column_stack([self.status, self.iterations * ~self.converged, *odd])
         kinds, which = np.unique(flags, axis=0, return_inverse=True)
-        texts = [self._sentence(int(kind[0]), int(kind[1]), kind[2] > 0, kind[3:] > 0) for kind in kinds]
+        texts = [self._sentence(int(kind[0]), int(kind[1]), kind[2:] > 0) for kind in kinds]
         return [texts[k] for k in which.ravel().tolist()]
 
-    def _sentence(self, status: int, iterations: int, ambiguous: bool, strained: BoolArray) -> str:
+    def _sentence(self, status: int, iterations: int, flags: BoolArray) -> str:
+        ambiguous, differ, far = flags[0], flags[1], flags[2:]
         if status != CONVERGED:
             return f"not converged after {iterations} iterations; try other bands, priors or another continuum"
         remarks = ["converged"]
         if ambiguous:
             remarks.append("ambiguous: another start ends in a different minimum that fits almost as well")
-        if strained.any():
-            names = [band.name for band, far in zip(self.model.assemblage.bands, strained, strict=True) if far]
-            remarks.append(f"strained: {', '.join(names)} lie far from where these minerals have them")
+        items = self.model.assemblage.compositions
+        minerals = list(dict.fromkeys(item.mineral for item, off in zip(items, far, strict=False) if off))
+        names = [band.name for band, off in zip(self.model.assemblage.bands, far[len(items) :], strict=True) if off]
+        strains = [f"{', '.join(names)} lie far from where these minerals have them"] if names else []
+        strains += [f"centres beyond those of any {', '.join(minerals)}: is it there?"] if minerals else []
+        strains += ["NBSR at 1 and 2 µm contradict each other: is a mineral missing?"] if differ else []
+        remarks += [f"strained: {'; '.join(strains)}"] if strains else []
         return "; ".join(remarks)
 
     def part(self, rows: Any) -> "FitBatch":
@@ -162,91 +203,6 @@ class FitBatch:
             FittedBand.from_kernel(band, *numbers)
             for band, *numbers in zip(self.model.assemblage.bands, *parts, strict=True)
         )
-
-
-class SpectraFits(Sequence[MgmFit | MgmFailure]):
-    """A fit, or a stated reason, for each of n spectra, in their order.
-
-    Attributes
-    ----------
-    names : of the spectra.
-    model : that all were fitted to.
-    parts : positions, what was fitted, and the fits, of spectra on the same channels; a fit is made of its row when it
-        is asked for.
-    failures : by position.
-    """
-
-    def __init__(
-        self,
-        names: Sequence[str],
-        model: MgmModel,
-        parts: Sequence[tuple[IndexArray, SpectraRows, FitBatch]],
-        failures: Mapping[int, MgmFailure],
-    ) -> None:
-        self.names, self.model, self.parts, self.failures = names, model, parts, failures
-        self._seen: dict[int, MgmFit | MgmFailure] = dict(failures)
-        self._place = np.full((len(names), 2), -1)
-        for number, (positions, _, _) in enumerate(parts):
-            self._place[positions, 0], self._place[positions, 1] = number, np.arange(len(positions))
-
-    def __len__(self) -> int:
-        return len(self.names)
-
-    def __getitem__(self, index: Any) -> Any:
-        if isinstance(index, slice):
-            return [self[k] for k in range(*index.indices(len(self)))]
-        position = range(len(self))[index]
-        if position not in self._seen:
-            number, row = self._place[position].tolist()
-            _, rows, batch = self.parts[number]
-            self._seen[position] = batch.fit(row, rows.at(row, self.names[position]))
-        return self._seen[position]
-
-    def part(self, block: range) -> "SpectraFits":
-        """Those of some spectra, next to each other."""
-        parts = []
-        for positions, rows, batch in self.parts:
-            own = slice(*np.searchsorted(positions, (block.start, block.stop)).tolist())
-            if own.stop > own.start:
-                parts.append((positions[own] - block.start, rows.part(own), batch.part(own)))
-        failures = {k - block.start: found for k, found in self.failures.items() if k in block}
-        return SpectraFits(self.names[block.start : block.stop], self.model, parts, failures)
-
-    @property
-    def there(self) -> BoolArray:
-        """(n,) whether there is a fit."""
-        return np.asarray(self._place[:, 0] >= 0)
-
-    @property
-    def statuses(self) -> list[str]:
-        """A sentence about each."""
-        found = [self.failures[k].status if k in self.failures else "" for k in range(len(self))]
-        for positions, _, batch in self.parts:
-            for position, text in zip(positions.tolist(), batch.statuses(), strict=True):
-                found[position] = text
-        return found
-
-    def gathered(self, column: Callable[[FitBatch], Any]) -> FloatArray:
-        """What `column` makes of each batch, (n, ...), in the order of the spectra; NaN without a fit."""
-        parts = [(positions, np.asarray(column(batch))) for positions, _, batch in self.parts]
-        found = np.full((len(self), *(parts[0][1].shape[1:] if parts else ())), np.nan)
-        for positions, values in parts:
-            found[positions] = values
-        return found
-
-
-def doubts_about(fits: Sequence[MgmFit | MgmFailure]) -> list[str]:
-    """Why some fits should not be trusted, one sentence for each reason."""
-    if isinstance(fits, SpectraFits):
-        unsettled, rms = ~(fits.gathered(lambda batch: batch.converged) > 0), fits.gathered(lambda batch: batch.rms_ln)
-        names = np.array(fits.names, dtype=object)
-        lists = (names[unsettled & fits.there].tolist(), names[rms > UNLIKE_RMS].tolist())
-    else:
-        good = [item for item in fits if isinstance(item, MgmFit)]
-        unlike = [item.id for item in good if item.rms_ln > UNLIKE_RMS]
-        lists = ([item.id for item in good if not item.converged], unlike)
-    texts = ("no convergence for {}", "the model does not describe {}")
-    return [text.format(", ".join(found)) for text, found in zip(texts, lists, strict=True) if found]
 
 
 def problem_of(model: MgmModel) -> FitProblem:

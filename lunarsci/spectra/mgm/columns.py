@@ -9,8 +9,8 @@ import numpy as np
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.records import Codes, Column, Listed, Records, Same, Where
 from lunarsci.result import flat
-from lunarsci.spectra.mgm.batch import SpectraFits
 from lunarsci.spectra.mgm.compositions import CompositionColumn, compositions_of
+from lunarsci.spectra.mgm.fits import SpectraFits
 from lunarsci.spectra.mgm.model import NM_PER_UM
 from lunarsci.spectra.mgm.result import ERROR_COVERS
 

@@ -10,9 +10,6 @@ from lunarsci.spectra.mgm.assemblages import CompositionPrior
 from lunarsci.spectra.mgm.batch import FitBatch, batch_of
 from lunarsci.spectra.mgm.result import MgmFit
 
-PRESENT_SIGMAS = 2.0
-"""A mineral has a composition to speak of where a band of it is this many standard errors deep; assumed."""
-
 
 @dataclass(frozen=True, slots=True)
 class MineralComposition:
@@ -70,19 +67,10 @@ def compositions_of(batch: FitBatch) -> tuple[CompositionColumn, ...]:
     if not items:
         return ()
     mean, variance = batch.compositions[:, :, 0], batch.compositions[:, :, 1]
-    there = np.column_stack([_present(batch, item.mineral) for item in items])
+    there = np.column_stack([batch.present(item.mineral) for item in items])
     shown = there & np.isfinite(mean) & np.isfinite(variance)
     mean, sigma = np.where(shown, mean, np.nan), np.where(shown, np.sqrt(np.maximum(variance, 0.0)), np.nan)
     return tuple(CompositionColumn(item, mean[:, k], sigma[:, k]) for k, item in enumerate(items))
-
-
-def _present(batch: FitBatch, mineral: str) -> BoolArray:
-    """(n,) whether a band of the mineral is really there."""
-    bands = batch.model.assemblage.bands
-    own = batch.model.degrees + 2 + 3 * np.flatnonzero([band.mineral == mineral for band in bands])
-    with np.errstate(invalid="ignore"):
-        deep = -batch.values[:, own] > PRESENT_SIGMAS * batch.sigma[:, own]
-    return np.asarray((deep & ~batch.at_bound[:, own]).any(axis=1))
 
 
 def compositions(fit: MgmFit) -> tuple[MineralComposition, ...]:

@@ -14,8 +14,9 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.formulas import LANES
 from lunarsci.provenance import sha256
 from lunarsci.spectra.collection import SpectrumCollection
-from lunarsci.spectra.mgm.batch import MOST_ROWS, FitBatch, SpectraFits, describe_rows, joined
+from lunarsci.spectra.mgm.batch import MOST_ROWS, FitBatch, describe_rows, joined
 from lunarsci.spectra.mgm.data import MgmData, MgmRows, SpectraRows, prepare_rows
+from lunarsci.spectra.mgm.fits import SpectraFits
 from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, KernelFits
 from lunarsci.spectra.mgm.model import MgmModel
 from lunarsci.spectra.mgm.multistart import Multistart

@@ -149,7 +149,7 @@ def read_rocks(source: InputFile) -> list[Rock]:
     schema = str(document.get("schema", ""))
     if not schema.startswith((FIT, BANDS_SCHEMA)):
         raise DataError(
-            f"{source.name}: schema is '{schema}'; give what `lunarsci spectra fit --json` or `bands --json` wrote"
+            f"{source.name}: schema is '{schema}'; give what `spectra unmix`, `fit` or `bands` wrote with --json"
         )
     records = _records(document, source.name)
     read = _from_fit if schema.startswith(FIT) else _from_bands
@@ -161,7 +161,10 @@ def read_rocks(source: InputFile) -> list[Rock]:
             raise DataError(f"{source.name}: spectrum {number}: {error}; was the file edited?") from error
         rocks += [rock] if rock else []
     if not rocks:
-        raise DataError(f"{source.name}: no spectrum has modes, an NBSR or band centres; look at their `status`")
+        raise DataError(
+            f"{source.name}: no spectrum has shares, an NBSR at 2 µm or band centres; make shares by `lunarsci spectra "
+            "unmix FILE --kind solid-rock -o shares.json`, or centres by `lunarsci spectra bands FILE -o bands.json`"
+        )
     return rocks
 
 

@@ -9,14 +9,18 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.errors import DataError, LunarSciError, LunarSciWarning
+from lunarsci.arrays import FloatArray
+from lunarsci.errors import DataError, LunarSciError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile, Source, expand_inputs, read_input, together
+from lunarsci.names import meant
 from lunarsci.provenance import sha256
 from lunarsci.spectra.collection import SpectrumCollection, SpectrumRows
+from lunarsci.spectra.readers.columns import is_wavelength
 from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.readers.envi import without_headers
 from lunarsci.spectra.readers.likely import unlikely
-from lunarsci.spectra.readers.table import ReflectanceUnit, WavelengthUnit
+from lunarsci.spectra.readers.table import SURELY, Column, ReflectanceUnit, WavelengthUnit, medians_above_0
+from lunarsci.spectra.readers.table import reflectance_unit as choice_of_unit
 from lunarsci.spectra.readers.text import without_wavelength_files
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.detector import default_settings
@@ -24,9 +28,16 @@ from lunarsci.spectra.vnis.name import product_name
 from lunarsci.spectra.vnis.observation import one_per_observation
 from lunarsci.tables import table_hashes
 
-OneSource: TypeAlias = "Source | Spectrum | tuple[npt.ArrayLike, npt.ArrayLike]"
+OneSource: TypeAlias = (
+    "Source | Spectrum | tuple[npt.ArrayLike, npt.ArrayLike] | tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike]"
+)
 SpectraSource: TypeAlias = "OneSource | Sequence[OneSource]"
-"""Paths, patterns, - for standard input, open files, tables, spectra, (wavelength_nm, reflectance); one or a list."""
+"""Paths, patterns, - for standard input, open files, tables, spectra, or arrays (wavelength_nm, reflectance) or
+(wavelength_nm, reflectance, sigma), of which all but the first may hold a spectrum in each row or column; one or a
+list."""
+NAMED = 5
+"""Spectra that are named where another is asked for."""
+ARRAYS = "give (wavelength_nm, reflectance), or a third array of standard deviations"
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,10 +80,11 @@ def read_batch(
     source: SpectraSource,
     wavelength_unit: WavelengthUnit | None = None,
     reflectance_unit: ReflectanceUnit | None = None,
+    only: Sequence[str] = (),
 ) -> SpectraBatch:
-    """Read every input, folders and patterns expanded, one file for each observation of VNIS.
+    """Read every input, folders and patterns expanded, one file for each observation of VNIS; some spectra by `only`.
 
-    One that cannot be read is remembered. Raises DataError when none can.
+    One that cannot be read is remembered. Raises DataError when none can, and for a name that no spectrum has.
     """
     batch, parts = SpectraBatch(), list[SpectrumRows]()
     items = _listed(source)
@@ -81,18 +93,29 @@ def read_batch(
         *one_per_observation(expanded(paths, batch.failures)),
         *(item for item in items if not isinstance(item, str | Path)),
     ]:
-        if isinstance(item, Spectrum | tuple):
-            parts += _from_memory(batch, item)
+        if isinstance(item, Spectrum | tuple | np.ndarray):
+            parts += _from_memory(batch, item, wavelength_unit, reflectance_unit)
         else:
             parts += _from_file(batch, item, wavelength_unit, reflectance_unit)
     if not parts:
         raise DataError(together(batch.failures) if batch.failures else "no spectra were given; name files or tables")
-    return replace(batch, spectra=SpectrumCollection(parts))
+    found = replace(batch, spectra=SpectrumCollection(parts))
+    return _those(found, only) if only else found
+
+
+def _those(batch: SpectraBatch, only: Sequence[str]) -> SpectraBatch:
+    """The spectra of some names, in the order of the inputs."""
+    ids = batch.spectra.ids
+    if missing := next((name for name in only if name not in ids), None):
+        first = ", ".join(ids[:NAMED]) + (", …" if len(ids) > NAMED else "")
+        raise DataError(f"no spectrum is called '{missing}'; {meant(missing, ids)}there are {len(ids)}: {first}")
+    places = np.array([place for place, name in enumerate(ids) if name in only])
+    return replace(batch, spectra=batch.spectra.taken(places), origins=[batch.origins[k] for k in places])
 
 
 def _listed(source: Any) -> list[Any]:
-    """The inputs one by one; a pair that holds arrays or lists is one spectrum."""
-    if isinstance(source, tuple) and len(source) == 2 and not any(_is_input(item) for item in source):
+    """The inputs one by one; two or three arrays or lists in a tuple are one input."""
+    if isinstance(source, tuple) and len(source) in (2, 3) and not any(_is_input(item) for item in source):
         return [source]
     return list(source) if isinstance(source, list | tuple | SpectrumRows | SpectrumCollection) else [source]
 
@@ -106,7 +129,7 @@ def _from_file(batch: SpectraBatch, item: Any, wavelength_unit: Any, reflectance
     """The spectra of a file, or none, and why."""
     name = item if isinstance(item, str) else getattr(item, "name", "<table>")
     try:
-        source = read_input(item)
+        source = read_input(_with_wavelengths(item))
         found = read_spectra(source, wavelength_unit=wavelength_unit, reflectance_unit=reflectance_unit)
         told = unlikely(found, source.name)
     except LunarSciError as error:
@@ -120,23 +143,85 @@ def _from_file(batch: SpectraBatch, item: Any, wavelength_unit: Any, reflectance
     yield found
 
 
-def _from_memory(batch: SpectraBatch, item: Any) -> Iterator[SpectrumRows]:
+def _with_wavelengths(item: Any) -> Any:
+    """A table of pandas whose index holds the wavelengths has them as its first column."""
+    if not hasattr(item, "to_csv"):
+        return item
+    item = item.to_frame() if hasattr(item, "to_frame") else item
+    if any(map(is_wavelength, map(str, item.columns))):
+        return item
+    name = "" if item.index.name is None else str(item.index.name)
+    values = item.index.to_numpy()
+    unnamed = not name and values.dtype.kind == "f" and len(values) > 1 and bool((np.diff(values) > 0).all())
+    return item.rename_axis(index=name or "wavelength").reset_index() if unnamed or is_wavelength(name) else item
+
+
+def _from_memory(
+    batch: SpectraBatch, item: Any, wavelength_unit: WavelengthUnit | None, reflectance_unit: ReflectanceUnit | None
+) -> Iterator[SpectrumRows]:
     try:
-        spectrum = item if isinstance(item, Spectrum) else _of_arrays(f"spectrum {len(batch.origins) + 1}", *item)
-    except DataError as error:
+        units = (wavelength_unit, reflectance_unit)
+        spectra = [item] if isinstance(item, Spectrum) else _of_arrays(len(batch.origins), item, *units)
+    except (DataError, ParameterError) as error:
         batch.failures.append(str(error))
         return
-    content = (spectrum.wavelength_nm, spectrum.reflectance, spectrum.uncertainty)
-    batch.origins.append(str(spectrum.metadata.get("source", f"<{spectrum.id}>")))
-    batch.inputs[f"<{spectrum.id}>"] = sha256(b"".join(part.tobytes() for part in content if part is not None))
-    yield SpectrumRows.of(spectrum)
+    for spectrum in spectra:
+        content = (spectrum.wavelength_nm, spectrum.reflectance, spectrum.uncertainty)
+        batch.origins.append(str(spectrum.metadata.get("source", f"<{spectrum.id}>")))
+        batch.inputs[f"<{spectrum.id}>"] = sha256(b"".join(part.tobytes() for part in content if part is not None))
+        yield SpectrumRows.of(spectrum)
 
 
-def _of_arrays(name: str, wavelength: Any, reflectance: Any) -> Spectrum:
-    """A spectrum of two arrays; wavelengths without a unit are in nm."""
-    if hasattr(wavelength, "to_value"):
-        wavelength = wavelength.to_value("nm")
-    return Spectrum(name, np.asarray(wavelength, float), np.asarray(reflectance, float))
+def _of_arrays(
+    before: int, given: Any, wavelength_unit: WavelengthUnit | None, reflectance_unit: ReflectanceUnit | None
+) -> list[Spectrum]:
+    """Spectra of arrays, numbered from those `before` them. Raises DataError, ParameterError."""
+    name = f"spectrum {before + 1}"
+    if not isinstance(given, tuple) or len(given) not in (2, 3):
+        raise ParameterError(f"{name}: {len(given)} arrays, or one alone, are no spectrum; {ARRAYS}")
+    wavelength = _in_nm(name, given[0], wavelength_unit)
+    rows = [_rows_of(name, part, wavelength.size) for part in given[1:]]
+    reflectance, sigma = rows[0], rows[1] if len(rows) == 2 else None
+    if sigma is not None and len(sigma) not in (1, len(reflectance)):
+        raise ParameterError(f"{name}: {len(sigma)} rows of errors for {len(reflectance)} spectra; {ARRAYS}")
+    found = []
+    for k, values in enumerate(reflectance):
+        name = f"spectrum {before + k + 1}"
+        median = float(medians_above_0(values[None])[0])
+        scale = choice_of_unit(Column("", values, 2), median, reflectance_unit, f"<{name}>").scale
+        errors = None if sigma is None else scale * sigma[min(k, len(sigma) - 1)]
+        found.append(Spectrum(name, wavelength, scale * values, errors))
+    return found
+
+
+def _in_nm(name: str, given: Any, unit: WavelengthUnit | None) -> FloatArray:
+    """Wavelengths in nm: of a quantity, or in the unit that is stated, or by their values, as in a file without one."""
+    if hasattr(given, "to_value"):
+        return np.asarray(given.to_value("nm"), float)
+    values = np.asarray(given, float)
+    if values.ndim != 1:
+        raise ParameterError(f"{name}: wavelengths of shape {values.shape}; they are one row of numbers")
+    low, high = SURELY["um"]
+    if unit is None and values.size and low <= values.min() and values.max() <= high:
+        unit = "um"
+        warnings.warn(
+            f"<{name}>: wavelengths {values.min():g}-{values.max():g} read as µm; give nm, or wavelength_unit='um'",
+            LunarSciWarning,
+            stacklevel=2,
+        )
+    return values * 1000.0 if unit == "um" else values
+
+
+def _rows_of(name: str, given: Any, channels: int) -> FloatArray:
+    """(n, channels) of one spectrum, or of some in rows or columns."""
+    values = np.asarray(given, float)
+    if values.ndim == 2 and values.shape[0] == channels != values.shape[1]:
+        return values.T
+    if values.ndim == 2 and values.shape == (channels, channels):
+        raise ParameterError(f"{name}: as many spectra as channels; give a table, or pairs of arrays in a list")
+    if values.ndim not in (1, 2) or values.shape[-1] != channels:
+        raise ParameterError(f"{name}: an array of shape {values.shape} beside {channels} wavelengths; {ARRAYS}")
+    return np.atleast_2d(values)
 
 
 def expanded(files: Iterable[str], failures: list[str]) -> list[str]:

@@ -107,7 +107,7 @@ _FACTOR_NM = {"nm": 1.0, "um": 1000.0}
 _SYMBOL = {"nm": "nm", "um": "µm"}
 _PLAUSIBLE_NM = (50.0, 200_000.0)
 """Wavelengths of a reflectance spectrum, from the ultraviolet to the far infrared; assumed."""
-_SURELY: dict[WavelengthUnit, tuple[float, float]] = {"nm": (200.0, 5000.0), "um": (0.2, 5.0)}
+SURELY: dict[WavelengthUnit, tuple[float, float]] = {"nm": (200.0, 5000.0), "um": (0.2, 5.0)}
 """Values that can only be meant in that unit; assumed."""
 _SCALE = {"fraction": 1.0, "percent": 0.01}
 _MAX_FRACTION = 2.0
@@ -187,7 +187,7 @@ def _wavelength_choice(
         return stated, "caller"
     if found is not None:
         raise DataError(f"{what} cannot be {_SYMBOL[found]} as the file says; state --wavelength-unit nm|um")
-    for unit, (least, most) in _SURELY.items():
+    for unit, (least, most) in SURELY.items():
         if least <= low and high <= most:
             _warn(
                 f"{what} read as {_SYMBOL[unit]}; name the column wavelength_{unit} or state --wavelength-unit {unit}"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.inputs import InputFile, Source, read_input
 from lunarsci.provenance import sha256
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -126,6 +126,7 @@ class ComparedDrive(Result):
         yield comparison_figure(self.matched, self.found, title)
 
 
+@job
 def compare(
     predicted: str | Path, states: Source, request: CompareRequest | None = None, **options: Any
 ) -> ComparedDrive:

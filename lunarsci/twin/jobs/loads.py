@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from lunarsci.errors import RequestError
 from lunarsci.inputs import InputFile, Source, read_input
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -249,6 +249,7 @@ class UncertainLoads(Result):
         yield force_band_figure(self.found, title, synthetic=self.known.terrain.synthetic)
 
 
+@job
 def loads(
     motion: Source,
     plan: "Source | Plan | None" = None,

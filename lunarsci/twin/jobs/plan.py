@@ -4,7 +4,7 @@ from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from lunarsci.errors import RequestError
-from lunarsci.result import request_of
+from lunarsci.result import job, request_of
 from lunarsci.twin.jobs.terrain import MAKERS, GroundRequest, Progress, SurveyedSite, TerrainSurvey, read_site
 
 if TYPE_CHECKING:
@@ -164,6 +164,7 @@ class PlanRequest(GroundRequest):
         return GroundRequest.limits(self) | of_a_path
 
 
+@job
 def plan(
     terrain: str = "synthetic-longji",
     request: PlanRequest | None = None,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from lunarsci.errors import ParameterError, RequestError
 from lunarsci.inputs import Source
 from lunarsci.provenance import sha256, to_json
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -228,6 +228,7 @@ class PredictedDrives(Result):
         }
 
 
+@job
 def predict(
     plan: "Source | Plan | None" = None,
     request: PredictRequest | None = None,

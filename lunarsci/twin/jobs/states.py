@@ -7,7 +7,7 @@ from math import inf
 from typing import TYPE_CHECKING, Any
 
 from lunarsci.inputs import Source, open_input, read_input
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -133,6 +133,7 @@ class MeasuredStates(Result):
         yield states_page(self.drive, self.known.terrain, self.title.replace(self.name, file_label(self.name)))
 
 
+@job
 def states(
     telemetry: Source, plan: "Source | Plan | None" = None, request: StatesRequest | None = None, **options: Any
 ) -> MeasuredStates:

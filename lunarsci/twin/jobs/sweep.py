@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import ParameterError, RequestError
 from lunarsci.inputs import Source
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 from lunarsci.twin.jobs.predict import PoweredRequest
 
 if TYPE_CHECKING:
@@ -108,6 +108,7 @@ class DesignTrade(Result):
         yield curve_page(self.designs, [entry.name for entry in self.variations], synthetic=synthetic)
 
 
+@job
 def sweep(
     plans: "Sequence[Source | Plan] | Source | Plan | None" = None,
     request: SweepRequest | None = None,

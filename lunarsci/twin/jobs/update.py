@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from lunarsci.errors import DataError, RequestError
 from lunarsci.inputs import InputFile, Source, read_input
-from lunarsci.result import MadeFrom, Result, request_of
+from lunarsci.result import MadeFrom, Result, job, request_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -240,6 +240,7 @@ def _segment_record(segment: "Segment") -> dict[str, Any]:
     }
 
 
+@job
 def update(
     states: Source,
     request: UpdateRequest | None = None,

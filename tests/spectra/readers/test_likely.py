@@ -39,7 +39,17 @@ def test_each_kind_is_told_beyond_its_limit(reflectance: np.ndarray, sigma: np.n
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         assert len(list(read_batch([table(reflectance, sigma)]).spectra)) == 1
-    assert [said in str(item.message) for item in caught] == ([True] if said else [])
+    told = [str(item.message) for item in caught if "scatter from channel" not in str(item.message)]
+    assert [said in text for text in told] == ([True] if said else [])
+
+
+@pytest.mark.parametrize(("sigma", "told"), [(0.01, False), (0.04, False), (0.07, True)])
+def test_errors_that_channels_cannot_have_each_for_itself_are_said(sigma: float, told: bool) -> None:
+    scattered = SOUND * (1 + 0.01 * np.random.default_rng(3).standard_normal(NM.size))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        read_batch([table(scattered, sigma * SOUND)])
+    assert ["name the column NAME_systematic_samples" in str(item.message) for item in caught] == [True] * told
 
 
 def test_a_constant_spectrum_is_refused() -> None:
@@ -57,4 +67,6 @@ def test_of_measured_spectra_one_ratio_is_told(reference_data: Path) -> None:
             warnings.simplefilter("always", LunarSciWarning)
             count += len(list(read_batch(str(path)).spectra))
         told += [str(item.message) for item in caught if "spectra with" in str(item.message)]
-    assert count > 500 and len(told) == 1 and "first 'scaled'" in told[0]
+    smooth = [text for text in told if "scatter from channel" in text]
+    assert [("relab_avg.csv" in text, "sub8.csv" in text) for text in smooth] == [(False, True), (True, False)]
+    assert count > 500 and len(told) == 3 and "first 'scaled'" in next(text for text in told if text not in smooth)

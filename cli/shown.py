@@ -1,0 +1,86 @@
+"""A result as its command would show it: for `print` in Python, and for a notebook."""
+
+from collections.abc import Sequence
+from html import escape
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from lunarsci.printable import printable
+
+from .shared.layout import terminal_width
+from .shared.printing import render
+from .shared.table import TextTable
+
+if TYPE_CHECKING:
+    from lunarsci.result import Result
+
+COMMAND_OF = {
+    "Calibrations": "spectra.calibrate",
+    "MeasuredBands": "spectra.bands",
+    "FoundIndices": "spectra.indices",
+    "UnmixedSpectra": "spectra.unmix",
+    "MgmFits": "spectra.fit",
+    "Matches": "spectra.match",
+    "ForcesOnWheel": "regolith.forces",
+    "InferredSoil": "regolith.infer",
+    "IdentifiedSoil": "regolith.identify",
+    "ComparedSoils": "regolith.compare",
+    "CameraSheet": "images.cameras",
+    "CalibratedCameras": "images.calibrate",
+    "SyntheticPair": "images.render",
+    "StereoTerrain": "images.dem",
+    "LocatedStations": "images.locate",
+    "MergedStations": "images.merge",
+    "TrackSinkage": "images.track",
+    "RockList": "images.rocks",
+    "ChosenDrive": "twin.plan",
+    "PlannedMission": "twin.plan",
+    "TerrainSurvey": "twin.plan",
+    "PredictedDrives": "twin.predict",
+    "DesignTrade": "twin.sweep",
+    "MeasuredStates": "twin.states",
+    "MotionLoads": "twin.loads",
+    "UncertainLoads": "twin.loads",
+    "LearnedSoil": "twin.update",
+    "ComparedDrive": "twin.compare",
+}
+"""Whose `result_tables` a result has, by its class or one that it extends."""
+
+
+def as_text(result: "Result") -> str:
+    """What the command prints, with what it says on stderr; the plain table where there is no such command."""
+    tables = _tables(result)
+    text = str(result.to_table()) + "\n" if tables is None else render(tables, terminal_width())
+    return "\n".join([text, *result.failures, *filter(None, (result.untrusted,))]).rstrip("\n")
+
+
+def as_html(result: "Result") -> str:
+    """The same tables for a notebook, what should be known first."""
+    tables = _tables(result)
+    said = [f"<b>{_cell(result.untrusted)}</b>"] if result.untrusted else []
+    lines = "".join(f"<p>{line}</p>" for line in (*said, *map(_cell, result.failures)))
+    if tables is None:
+        shown: str = result.to_table()._repr_html_()
+        return lines + shown
+    return lines + "".join(map(_html_of, tables))
+
+
+def _tables(result: "Result") -> Sequence[TextTable] | None:
+    command = next((COMMAND_OF[kind.__name__] for kind in type(result).__mro__ if kind.__name__ in COMMAND_OF), None)
+    if command is None:
+        return None
+    found: Sequence[TextTable] = import_module(f".{command}", __package__).result_tables(result)
+    return found
+
+
+def _html_of(table: TextTable) -> str:
+    title = f"<caption><b>{_cell(table.title)}</b></caption>" if table.title else ""
+    head = "".join(f"<th>{_cell(header)}</th>" for header in table.headers)
+    rows = "".join(f"<tr>{''.join(f'<td>{_cell(cell)}</td>' for cell in row)}</tr>" for row in table.shown)
+    grid = f"<table>{title}<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>" if table.headers else title
+    notes = "<br>".join(map(_cell, (*table.left_out, *table.notes)))
+    return grid + (f"<p><small>{notes}</small></p>" if notes else "")
+
+
+def _cell(text: str) -> str:
+    return escape(printable(text))
