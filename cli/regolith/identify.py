@@ -127,7 +127,8 @@ def _site_table(found: "Identification") -> TextTable:
         rows.append(_site_row(label, corner["external_friction_angle_deg"], "external_friction_angle_deg"))
     count = len(found.observations)
     title = (
-        f"The site from {count} state{'s' if count > 1 else ''}, {found.draws} draws each, reading '{found.reading}'"
+        f"The site from {count} state{'s' if count > 1 else ''}, {found.draws} draws each, "
+        f"sign convention '{found.reading}'"
     )
     return TextTable(["parameter", "value", "95 % interval", "unit", ""], rows, title=title)
 

@@ -24,14 +24,14 @@ MODEL, LIMITS, ANSWER = "Model", "Constraints", "Errors"
 MODEL_OPTIONS: dict[str, RequestOption] = {
     "assemblage": option(
         "Minerals whose bands are fitted: OL, OPX, CPX, PLG, joined by hyphens; auto compares all, takes the most "
-        "probable and names those that cannot be told apart (with an error of its own, not --model-error).",
+        "probable and names those that cannot be told apart (with its own model error, not --model-error).",
         panel=MODEL,
     ),
     "continuum": option(
         "Polynomial inside the logarithm, in wavelength or wavenumber; log-quadratic: of the logarithm.", panel=MODEL
     ),
     "composition": option(
-        "What is known of Fo, Fs, Wo in mol %, such as fo=70:5; moves the bands along their trends.",
+        "What is known of Fo, Fs, Wo in mol %, such as fo=70:5; shifts expected band centres.",
         panel=MODEL,
         metavar="KEY=MEAN:ERROR,…",
     ),
@@ -49,7 +49,7 @@ MODEL_OPTIONS: dict[str, RequestOption] = {
         metavar="NUMBER=OPX,…",
     ),
     "prior": option(
-        "map: priors count as measurements; damping: they only shorten steps, along the path of the RELAB MGM program.",
+        "map: priors count as measurements; damping: they only slow the iteration, as in the RELAB MGM program.",
         panel=MODEL,
     ),
     "model_error": option(
@@ -131,11 +131,11 @@ def _not_shown(found: MgmFits) -> list[str]:
 
 def _notes(record: Mapping[str, Any], fit: "MgmFit") -> list[str]:
     if fit.prior == "damping":
-        error = "errors hold the residuals"
+        error = "errors include the residuals"
     else:
-        error = f"errors hold noise, a model error of {100 * record['model_error']:.1f} % of R, and the priors"
+        error = f"errors include noise, a model error of {100 * record['model_error']:.1f} % of R, and the priors"
     shared = _shared_in_ratios(record, with_shared=len(fit.data.shifts) > 0)
-    return [f"{error}, no other minimum or continuum", *shared, *_composition_notes(fit)]
+    return [f"{error}; not other minima and other continua (--continuum-spread)", *shared, *_composition_notes(fit)]
 
 
 def _shared_in_ratios(record: Mapping[str, Any], *, with_shared: bool) -> list[str]:

@@ -82,7 +82,7 @@ HEADERS = (
     "margin",
     "unit",
     "verdict",
-    "limit is",
+    "limit from",
 )
 
 

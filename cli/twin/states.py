@@ -83,8 +83,8 @@ def _wheel_table(found: "MeasuredStates", result: dict[str, Any]) -> TextTable:
     notes = [
         f"{result['positions']} positions over {result['duration_s']:.4g} s; they scatter about the motion with a "
         f"reduced chi-square of {result['reduced_chi_square']:.2f}",
-        f"beside what slopes do, slip changes by {changes['amplitude']:.2g} (times or by "
-        f"{changes['amplitude_factor']:.2g}) within {changes['length_m']:.2g} m",
+        f"slip varies by about {changes['amplitude']:.2g} over {changes['length_m']:.2g} m of the way, apart from "
+        f"slopes (known to a factor of {changes['amplitude_factor']:.2g})",
         "sinkage belongs to the deepest wheel that passed a place; of the others the track says nothing"
         if result["sinkages"]
         else "no sinkage: give the depth of the track with --track",
