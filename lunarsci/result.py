@@ -25,6 +25,7 @@ Request = TypeVar("Request")
 
 UNITS = {
     "torque_nm": "N m",
+    "moment_nm": "N m",
     "kpa_m_n": "",
     "per_um": "1 / um",
     "per_m": "1 / m",
