@@ -23,7 +23,7 @@ OPTIONS = {
     "interpolation": INTERPOLATION,
     "positions": option(
         "Positions from localisation, such as those of `images locate` (CSV): time_s, x_m, y_m, and sigma_m or xx_m2, "
-        "xy_m2, yy_m2, with xx_before_m2 and so on where errors are correlated. They take the place of the telemetry's.",
+        "xy_m2, yy_m2, with xx_before_m2 and so on where errors are correlated. They replace the telemetry's.",
         kind=str | None,
         metavar="FILE",
     ),
